@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.common import ROOT, load
 from benchmarks.workloads import WORKLOADS
-from jaxurban.studies.bootstrap import draws_of, interval_of, median_of
+from jaxurban.studies.bootstrap import Clusters
 
 XLA_CACHE = ROOT / "out" / "compiled"  # of all checkouts: JAX finds programs in it by what they compute
 WHOLE_COMMANDS = ("studies", "memory", "first", "manhattan", "tokyo", "paper")
@@ -32,7 +32,7 @@ Pair = tuple[float, float]  # of OLD and NEW
 
 def interval(ratios: np.ndarray, seed: int = 0) -> tuple[float, float]:
     """Return the 95 % interval of the median of ratios ``[P]``; NaN with too few of them."""
-    return interval_of(ratios, draws_of(len(ratios), seed), len(ratios), median_of)[1:]
+    return Clusters(np.arange(len(ratios)), seed=seed).interval(ratios, "median")[1:]
 
 
 def row(name: str, pairs: list[Pair]) -> str:

@@ -6,10 +6,12 @@ are taken as far out as Student's t is wider than the normal law (Hesterberg, Am
 more, for medians and for groups of unequal sizes. Coverage in simulations with a known truth: docs/study.md.
 """
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from copy import copy
+from typing import Literal, NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy import special
 
 NUM_DRAWS = 2000
@@ -17,7 +19,8 @@ LEVEL = 0.95
 FEWEST_GROUPS = 8  # of fewer Student's t asks for ends that so many draws do not reach
 ROUNDING = 1e-9  # relative: counts that differ by less are the same
 
-Statistic = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of values [N], each counted [B, N] times: [B]
+Values = np.ndarray | pd.Series | pd.Index
+Statistic = Literal["mean", "median", "share"]  # the last of values that are 0 or 1
 
 
 class Interval(NamedTuple):
@@ -28,24 +31,91 @@ class Interval(NamedTuple):
     high: float
 
 
-def mean_interval(values: np.ndarray, groups: np.ndarray, seed: int = 0) -> Interval:
-    """Return the mean of ``[N]`` values and its interval, ``[N]`` groups drawn with replacement.
+class Clusters:
+    """Draws of ``N`` values in groups: whole groups are drawn, within cities where there are several.
 
-    Values of one group (an instance at several altitudes) are not independent, so whole groups are drawn.
+    Attributes:
+      num_groups: degrees of freedom and 1: one less for each city but the first.
     """
-    if not len(values):
-        return Interval(np.nan, np.nan, np.nan)
-    _, number = np.unique(groups, return_inverse=True)
-    sums, counts = np.bincount(number, values), np.bincount(number)
-    draws = draws_of(len(counts), seed)
-    return Interval(float(np.mean(values)), *ends_of((draws @ sums) / (draws @ counts), len(counts)))
+
+    def __init__(self, groups: Values, cities: Values | None = None, seed: int = 0) -> None:
+        """Draw `NUM_DRAWS` times; ``[N]`` groups, and the cities in which they lie, each with groups of its own.
+
+        Values of one group (an instance at several altitudes) are not independent, so that they are drawn together.
+        """
+        groups = np.asarray(groups)
+        names = np.zeros(len(groups)) if cities is None else np.asarray(cities, str)
+        self._city = np.unique(names, return_inverse=True)[1]
+        self._group = np.zeros(len(groups), int)
+        draws = [np.empty((NUM_DRAWS, 0))]
+        for city in np.unique(self._city):
+            inside = self._city == city
+            _, group = np.unique(groups[inside], return_inverse=True)
+            drawn = draws_of(int(group.max()) + 1, [seed, city])
+            self._group[inside] = group + sum(part.shape[1] for part in draws)
+            draws.append(drawn * (drawn.shape[1] / drawn[0].sum()))  # a city weighs what it has
+        self._column, self._draws = self._group, np.hstack(draws)  # values are counted as their column of the draws
+        self._most = self.num_groups = len(groups)
+        self._most = self.num_groups = self.groups_of(np.ones(len(groups), bool))
+
+    def groups_of(self, chosen: np.ndarray) -> int:
+        """Return how many groups, as `num_groups` counts them, the values ``[N]`` bool hold that are chosen."""
+        return min(self._most, len(np.unique(self._group[chosen])) - len(np.unique(self._city[chosen])) + 1)
+
+    def crossed(self, other: "Clusters") -> "Clusters":
+        """Return draws in which both are drawn: Owen's pigeonhole bootstrap (Ann. Appl. Stat. 1(2), 2007)."""
+        both = copy(self)
+        both._draws = self._draws[:, self._column] * other._draws[:, other._column]
+        both._column = np.arange(len(self._column))
+        both._most = both.num_groups = min(self.num_groups, other.num_groups)
+        return both
+
+    def drawn(self, values: np.ndarray, statistic: Statistic = "mean") -> np.ndarray:
+        """Return ``[NUM_DRAWS]`` the statistic of those of ``[N]`` values that are known; NaN where none is drawn."""
+        known = ~np.isnan(values)
+        if statistic == "median":
+            return median_of(values[known], self._draws[:, self._column[known]])
+        columns, num = self._column[known], self._draws.shape[1]
+        total = self._draws @ np.bincount(columns, minlength=num)
+        sums = self._draws @ np.bincount(columns, values[known], num)
+        return np.divide(sums, total, out=np.full(len(total), np.nan), where=total > 0)
+
+    def interval(self, values: Values, statistic: Statistic = "mean") -> Interval:
+        """Return a statistic of the known ones of ``[N]`` values (of a median the lower of two), and its interval.
+
+        Where values of a share are all alike every draw is, which says nothing: there the interval ends where so many
+        groups would all be alike once in twenty times.
+        """
+        values = np.asarray(values, np.float64)
+        known = ~np.isnan(values)
+        if not known.any():
+            return Interval(np.nan, np.nan, np.nan)
+        num_groups = self.groups_of(known)
+        plain = (
+            np.quantile(values[known], 0.5, method="inverted_cdf") if statistic == "median" else values[known].mean()
+        )
+        if statistic == "share" and num_groups >= FEWEST_GROUPS and plain in (0.0, 1.0):
+            least = (1 - LEVEL) ** (1 / num_groups)
+            return Interval(0.0, 0.0, 1 - least) if plain == 0 else Interval(1.0, least, 1.0)
+        return Interval(float(plain), *ends_of(self.drawn(values, statistic), num_groups))
+
+    def difference(self, values: Values, is_in: np.ndarray) -> tuple[Interval, int]:
+        """Return the mean of the values that are in, less that of the others, with its interval; and its groups.
+
+        These are those of the part that has fewer: what scatters most has no more degrees of freedom.
+        """
+        parts = [np.where(chosen, np.asarray(values, np.float64), np.nan) for chosen in (is_in, ~is_in)]
+        num_groups = min(self.groups_of(~np.isnan(part)) for part in parts)
+        first, second = (self.interval(part).mean for part in parts)
+        drawn = self.drawn(parts[0]) - self.drawn(parts[1])
+        return Interval(first - second, *ends_of(drawn, num_groups)), num_groups
 
 
 def ends_of(drawn: np.ndarray, num_groups: int) -> tuple[float, float]:
     """Return the 95 % interval of a statistic drawn ``[B]`` times; NaN with too few groups, or where it is unknown.
 
     Args:
-      drawn: over the draws of `draws_of` or `counts_within`.
+      drawn: over the draws of `draws_of`.
       num_groups: degrees of freedom and 1: one less for each city but the first, where groups are drawn within cities.
     """
     known = drawn[np.isfinite(drawn)]
@@ -72,56 +142,12 @@ def draws_of(num_groups: int, seed: int | Sequence[int] = 0) -> np.ndarray:
     return rng.multinomial(max(1, num_groups - 1), np.full(num_groups, 1 / num_groups), NUM_DRAWS)
 
 
-def counts_within(groups: np.ndarray, cities: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Return ``[NUM_DRAWS, N]`` how often each of ``[N]`` values counts: whole groups drawn, the cities as they are."""
-    _, city = np.unique(np.asarray(cities, str), return_inverse=True)
-    counts = np.zeros((NUM_DRAWS, len(city)))
-    for number in np.unique(city):
-        inside = np.flatnonzero(city == number)
-        _, group = np.unique(np.asarray(groups)[inside], return_inverse=True)
-        drawn = draws_of(int(group.max()) + 1, [seed, number])
-        counts[:, inside] = drawn[:, group] * (drawn.shape[1] / drawn[0].sum())  # a city weighs what it has
-    return counts
-
-
-def mean_of(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return ``[B]`` means of ``[N]`` values, each counted ``[B, N]`` times; NaN where none counts."""
-    total = counts.sum(axis=-1)
-    return np.divide(counts @ values, total, out=np.full(len(counts), np.nan), where=total > 0)
-
-
-def share_of(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return ``[B]`` the shares of ``[N]`` values, 0 or 1, that are 1, each counted ``[B, N]`` times."""
-    return mean_of(values, counts)
-
-
 def median_of(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return ``[B]`` medians of ``[N]`` values (the lower of two in the middle), each counted ``[B, N]`` times."""
     order = np.argsort(values)
     passed = np.cumsum(counts[:, order], axis=-1)
     half_passed = passed * 2 >= passed[:, -1:] * (1 - ROUNDING)
     return np.where(passed[:, -1] > 0, values[order][np.argmax(half_passed, axis=-1)], np.nan)
-
-
-def interval_of(values: np.ndarray, counts: np.ndarray, num_groups: int, statistic: Statistic = mean_of) -> Interval:
-    """Return a statistic of ``[N]`` values, and its interval over draws ``[B, N]`` of them."""
-    if not len(values):
-        return Interval(np.nan, np.nan, np.nan)
-    (found,) = statistic(values, np.ones((1, len(values)), np.int64))
-    return Interval(float(found), *ends_of(statistic(values, counts), num_groups))
-
-
-def share_interval(values: np.ndarray, counts: np.ndarray, num_groups: int) -> Interval:
-    """Return the share of ``[N]`` values that are 1, the others 0, and its interval (`interval_of`).
-
-    Where all are alike every draw is, which says nothing: there the interval ends where so many groups would all be
-    alike once in twenty times.
-    """
-    found = interval_of(values, counts, num_groups)
-    if num_groups < FEWEST_GROUPS or found.mean not in (0.0, 1.0):
-        return found
-    least = (1 - LEVEL) ** (1 / num_groups)
-    return Interval(0.0, 0.0, 1 - least) if found.mean == 0 else Interval(1.0, least, 1.0)
 
 
 def p_value(interval: Interval, value: float, num_groups: int) -> float:

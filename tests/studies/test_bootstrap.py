@@ -5,28 +5,13 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from jaxurban.studies.bootstrap import (
-    FEWEST_GROUPS,
-    Interval,
-    counts_within,
-    draws_of,
-    ends_of,
-    holm,
-    interval_of,
-    mean_interval,
-    mean_of,
-    median_of,
-    p_value,
-    share_interval,
-    share_of,
-)
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval, draws_of, ends_of, holm, median_of, p_value
 from jaxurban.studies.montecarlo.complementarity import _statistics
-from jaxurban.studies.weights.summary import Drawn
 
 
 def test_the_interval_of_independent_values_is_that_of_the_normal_law():
     values = np.random.default_rng(0).normal(5.0, 2.0, 400)
-    found = mean_interval(values, np.arange(400))
+    found = Clusters(np.arange(400)).interval(values)
     half = 1.96 * values.std() / 20
     assert found.mean == pytest.approx(values.mean())
     assert found.low == pytest.approx(values.mean() - half, abs=0.1 * half)
@@ -35,13 +20,13 @@ def test_the_interval_of_independent_values_is_that_of_the_normal_law():
 
 def test_repeats_within_a_group_add_nothing():
     values = np.random.default_rng(1).normal(size=100)
-    once = mean_interval(values, np.arange(100))
-    thrice = mean_interval(np.repeat(values, 3), np.repeat(np.arange(100), 3))
+    once = Clusters(np.arange(100)).interval(values)
+    thrice = Clusters(np.repeat(np.arange(100), 3)).interval(np.repeat(values, 3))
     assert thrice == pytest.approx(once)
 
 
 def test_no_values_have_no_interval():
-    assert np.isnan(mean_interval(np.empty(0), np.empty(0))).all()
+    assert np.isnan(Clusters(np.empty(0)).interval(np.empty(0))).all()
 
 
 def test_draws_within_cities_leave_the_differences_of_cities_out_and_draws_of_cities_contain_them():
@@ -49,8 +34,7 @@ def test_draws_within_cities_leave_the_differences_of_cities_out_and_draws_of_ci
     num_cities, num_groups = 40, 50
     levels, cities = rng.normal(0, 3.0, num_cities), np.repeat(np.arange(num_cities), num_groups)
     values, groups = levels[cities] + rng.normal(0, 1.0, cities.size), np.tile(np.arange(num_groups), num_cities)
-    within = interval_of(values, counts_within(groups, cities), cities.size)
-    over = interval_of(values, counts_within(cities, np.zeros(cities.size)), num_cities)
+    within, over = Clusters(groups, cities).interval(values), Clusters(cities).interval(values)
     residual = values - np.array([values[cities == city].mean() for city in range(num_cities)])[cities]
     half = 1.96 * residual.std() / np.sqrt(cities.size - num_cities)
     assert (within.high - within.low) / 2 == pytest.approx(half, rel=0.1)
@@ -59,55 +43,57 @@ def test_draws_within_cities_leave_the_differences_of_cities_out_and_draws_of_ci
 
 
 def test_every_draw_within_cities_holds_each_city_as_often_as_it_is_there():
-    cities = np.repeat(["a", "b"], [6, 10])
-    counts = counts_within(np.repeat(np.arange(8), 2), cities)
-    np.testing.assert_allclose(counts[:, :6].sum(axis=1), 6)
-    np.testing.assert_allclose(counts[:, 6:].sum(axis=1), 10)
-    assert (counts[:, 0::2] == counts[:, 1::2]).all(), "both values of a group are drawn together"
+    cities, group = np.repeat(["a", "b"], [6, 10]), np.repeat(np.arange(8), 2)
+    clusters = Clusters(group, cities)
+    np.testing.assert_allclose(clusters.drawn((cities == "a").astype(float)), 6 / 16)
+    noise = np.random.default_rng(5).normal(size=8)[group]
+    signs = np.tile([1.0, -1.0], 8)
+    np.testing.assert_allclose(clusters.drawn(noise * signs), 0, atol=1e-12)  # both of a group are drawn together
 
 
-def test_medians_and_means_of_counted_values_are_those_of_the_values_repeated():
+def test_medians_and_means_of_drawn_values_are_those_of_the_values_repeated():
     rng = np.random.default_rng(3)
     values, counts = rng.normal(size=15), rng.integers(0, 4, (20, 15))
-    for statistic, plain in ((mean_of, np.mean), (median_of, lambda v: np.quantile(v, 0.5, method="inverted_cdf"))):
-        expected = [plain(np.repeat(values, each)) for each in counts]
-        np.testing.assert_allclose(statistic(values, counts), expected, rtol=1e-12)
+    expected = [np.quantile(np.repeat(values, each), 0.5, method="inverted_cdf") for each in counts]
+    np.testing.assert_allclose(median_of(values, counts), expected, rtol=1e-12)
+    drawn = [np.repeat(values, each).mean() for each in draws_of(15, [0, 0])]
+    np.testing.assert_allclose(Clusters(np.arange(15)).drawn(values), drawn, rtol=1e-12)
 
 
 def test_a_share_of_none_is_bounded_where_as_many_would_be_none_once_in_twenty_times():
     values, groups = np.zeros(60), np.arange(60)
-    found = share_interval(values, counts_within(groups, np.zeros(60)), 60)
+    found = Clusters(groups).interval(values, "share")
     assert found[:2] == (0.0, 0.0)
     assert binom.pmf(0, 60, found.high) == pytest.approx(0.05)
-    full = share_interval(values + 1, counts_within(groups, np.zeros(60)), 60)
+    full = Clusters(groups).interval(values + 1, "share")
     assert full.mean == full.high == 1.0
     assert full.low == pytest.approx(1 - found.high)
 
 
 def normal(rng, num):
-    return rng.normal(size=num), np.arange(num), mean_of, 0.0
+    return rng.normal(size=num), np.arange(num), "mean", 0.0
 
 
 def skewed(rng, num):
-    return rng.lognormal(0.0, 0.25, num), np.arange(num), mean_of, np.exp(0.25**2 / 2)
+    return rng.lognormal(0.0, 0.25, num), np.arange(num), "mean", np.exp(0.25**2 / 2)
 
 
 def uneven(rng, num):
     """Groups of 1 to 12 values that are alike within a group."""
     groups = np.repeat(np.arange(num), rng.integers(1, 13, num))
-    return rng.normal(size=num)[groups] + rng.normal(size=groups.size), groups, mean_of, 0.0
+    return rng.normal(size=num)[groups] + rng.normal(size=groups.size), groups, "mean", 0.0
 
 
 def exponential(rng, num):
-    return rng.exponential(size=num), np.arange(num), mean_of, 1.0
+    return rng.exponential(size=num), np.arange(num), "mean", 1.0
 
 
 def middle(rng, num):
-    return rng.normal(size=num), np.arange(num), median_of, 0.0
+    return rng.normal(size=num), np.arange(num), "median", 0.0
 
 
 def share(rng, num):
-    return (rng.random(num) < 0.3).astype(float), np.arange(num), share_interval, 0.3
+    return (rng.random(num) < 0.3).astype(float), np.arange(num), "share", 0.3
 
 
 @pytest.mark.slow
@@ -115,13 +101,11 @@ def share(rng, num):
 @pytest.mark.parametrize("made", [normal, skewed, uneven, middle, share, exponential])
 def test_intervals_contain_the_truth_in_93_of_100_cases_and_less_often_where_values_are_skewed(made, num_groups):
     rng, num, inside = np.random.default_rng(11), 2000, 0
-    counts = draws_of(num_groups)
+    apart = Clusters(np.arange(num_groups))
     for _ in range(num):
         values, groups, statistic, truth = made(rng, num_groups)
-        if statistic is share_interval:
-            interval = share_interval(values, counts, num_groups)
-        else:
-            interval = interval_of(values, counts[:, groups], num_groups, statistic)
+        clusters = apart if len(groups) == num_groups else Clusters(groups)
+        interval = clusters.interval(values, statistic)
         inside += interval.low <= truth <= interval.high
     assert inside >= (0.91 if made is exponential else 0.93) * num, inside / num
 
@@ -151,7 +135,7 @@ def test_intervals_over_pairs_of_several_cities_contain_the_truth_in_93_of_100_c
     pair = np.repeat(np.arange(2 * num_pairs), 2)
     table = pd.DataFrame({"city": np.array(["a", "b", "c"])[pair % 3], "instance": pair})
     level, is_in = (pair % 3).astype(float), pair % 2 == 0
-    both, part = Drawn(table), Drawn(table[is_in])
+    both, part = (Clusters(rows.instance, rows.city) for rows in (table, table[is_in]))
     assert part.num_groups == both.difference(pd.Series(level), is_in)[1] == num_groups
     differs = level[is_in].mean() - level[~is_in].mean()
     for _ in range(num):
@@ -164,33 +148,33 @@ def test_intervals_over_pairs_of_several_cities_contain_the_truth_in_93_of_100_c
 def test_values_of_few_pairs_have_no_interval_however_many_pairs_a_table_has():
     """Of 60 pairs the values of 7 are known, or 7 lie in one of two parts; with 8 there is an interval."""
     pair, rng = np.arange(60), np.random.default_rng(15)
-    drawn, values = Drawn(pd.DataFrame({"city": "a", "instance": pair})), pd.Series(rng.normal(size=60))
+    drawn, values = Clusters(pair), pd.Series(rng.normal(size=60))
     for num, is_known in ((FEWEST_GROUPS - 1, False), (FEWEST_GROUPS, True)):
         difference, num_groups = drawn.difference(values, pair < num)
         assert num_groups == num
         assert np.isfinite(difference.low) == is_known
         assert np.isfinite(drawn.interval(values.where(pair < num)).low) == is_known
-        assert np.isfinite(drawn.interval((values > 0).astype(float).where(pair < num), share_of).low) == is_known
+        assert np.isfinite(drawn.interval((values > 0).astype(float).where(pair < num), "share").low) == is_known
 
 
 @pytest.mark.slow
 def test_intervals_over_routes_and_draws_of_heights_contain_the_truth_in_93_of_100_cases():
     rng, num, inside = np.random.default_rng(14), 2000, 0
     route, draw = (part.ravel() for part in np.indices((12, FEWEST_GROUPS)))
-    counts = counts_within(route, np.zeros(route.size)) * counts_within(draw, np.zeros(route.size), 1)
+    clusters = Clusters(route).crossed(Clusters(draw, seed=1))
     for _ in range(num):
         values = rng.normal(size=12)[route] + rng.normal(size=FEWEST_GROUPS)[draw] + rng.normal(size=route.size)
-        interval = interval_of(values, counts, FEWEST_GROUPS)
+        interval = clusters.interval(values)
         inside += interval.low <= 0 <= interval.high
     assert inside >= 0.93 * num, inside / num
 
 
 def test_eight_normal_values_have_the_interval_of_student():
-    inside, counts = 0, draws_of(8)
+    inside, clusters = 0, Clusters(np.arange(8))
     rng = np.random.default_rng(4)
     for _ in range(2000):
         values = rng.normal(size=8)
-        interval = interval_of(values, counts, 8)
+        interval = clusters.interval(values)
         inside += interval.low <= 0 <= interval.high
     assert inside >= 1860
 

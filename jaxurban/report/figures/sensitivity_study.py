@@ -26,9 +26,8 @@ from jaxurban.report.figures.style import (
     show_plain_log,
     styled,
 )
-from jaxurban.studies.bootstrap import share_of
 from jaxurban.studies.queries import outcome_label
-from jaxurban.studies.weights.summary import ALL, CLEAR, Drawn, change_said
+from jaxurban.studies.weights.summary import ALL, CLEAR, change_said, pairs_of
 
 NUM_FACTORS = 60  # at which an interval is drawn
 
@@ -102,8 +101,8 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
             x = np.concatenate([[1.0], factors[is_reached], [end]])
             y = np.concatenate([[0.0], np.flatnonzero(is_reached) + 1.0, [is_reached.sum()]]) / len(factors)
             panel.step(x, y, where="post", color=colour, label=name, linewidth=1.3)
-            drawn = Drawn(rows)
-            changed = [drawn.interval((rows.nearest <= edge).astype(float), share_of)[1:] for edge in edges]
+            pairs = pairs_of(rows)
+            changed = [pairs.interval((rows.nearest <= edge).astype(float), "share")[1:] for edge in edges]
             panel.fill_between(edges, *np.transpose(changed), color=colour, alpha=0.13, linewidth=0)
         panel.axvline(wrong, color=FAINT_INK, linewidth=0.8, linestyle=(0, (3, 2)))
         panel.set(xscale="log", xlim=(1, end), ylim=(0, 1.02), xlabel="factor (1)")

@@ -13,7 +13,7 @@ import pandas as pd
 
 from jaxurban.paths.rows import BAD_INPUT, HAS_PATH
 from jaxurban.planners.base import Status
-from jaxurban.studies.bootstrap import mean_interval
+from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.montecarlo.sampling import KEY, RANGES
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 
@@ -163,7 +163,7 @@ def paired(table: pd.DataFrame) -> pd.DataFrame:
     for first, second in itertools.combinations(cost.columns, 2):
         both = cost[(cost[first] > 0) & (cost[second] > 0)]
         log_ratio = np.log((both[first] / both[second]).to_numpy())
-        interval = mean_interval(log_ratio, both.index.get_level_values("instance").to_numpy())
+        interval = Clusters(both.index.get_level_values("instance")).interval(log_ratio)
         found.append(
             {
                 "first": first,
@@ -197,7 +197,7 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
         for altitude_m, at in wide.groupby(level="altitude_m"):
             both = at.dropna(subset=[("cost", WEIGHTED), ("cost", DISTANCE)])
             both = both[(both["cost"] > 0).all(axis=1)]
-            groups = both.index.get_level_values("instance").to_numpy()
+            clusters = Clusters(both.index.get_level_values("instance"))
             row: dict[str, object] = {"planner": planner, "altitude_m": altitude_m, "pairs": len(both)}
             for name in ("cost", *facts_of(rows)):
                 shortest, cheapest = (both[name, objective].to_numpy(np.float64) for objective in (DISTANCE, WEIGHTED))
@@ -205,7 +205,7 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
                 change = np.log(shortest / cheapest) if is_ratio else shortest - cheapest
                 if not np.isfinite(change).all():
                     continue
-                interval = mean_interval(change, groups)
+                interval = clusters.interval(change)
                 label = f"{name.removesuffix('_m')}_ratio" if is_ratio else f"{name}_change"
                 shown = np.exp(interval) if is_ratio else interval
                 row |= dict(zip((label, f"{label}_low", f"{label}_high"), map(float, shown), strict=True))

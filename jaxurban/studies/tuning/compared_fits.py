@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError, at_least, one_of, typed
-from jaxurban.studies.bootstrap import counts_within, interval_of
+from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import check_alike
 from jaxurban.studies.route_pool import FitSettings
@@ -103,13 +103,12 @@ def compare_fits(
     regret = (demo @ vectors.T) / np.einsum("nfk,fk->nf", cheapest, vectors) - 1
     is_bad = trust_of(regret[:, 0], usual_regret(regret[~is_held_out, 0])) < DISTRUSTED
     is_judged = is_held_out & ~is_bad
-    counts = counts_within(group[is_judged], city[is_judged], settings.seed)
-    num_groups = len(np.unique(group[is_judged])) - len(np.unique(city[is_judged])) + 1
+    clusters = Clusters(group[is_judged], city[is_judged], settings.seed)
     rows = []
     for number, (name, loss, members) in enumerate(plans):
         row = {"fit": name, "loss": loss, "cities": ", ".join(members), "num_fitted": len(fits[name].trust)}
         row |= {f"w_{weight}": value for weight, value in zip(names, vectors[number].tolist(), strict=True)}
-        interval = interval_of(regret[is_judged, number], counts, num_groups)
+        interval = clusters.interval(regret[is_judged, number])
         rows.append(row | {f"held_out_regret{end}": value for end, value in zip(ENDS, interval, strict=True)})
     return FitComparison(fits, pd.DataFrame(rows), is_held_out, is_bad)
 

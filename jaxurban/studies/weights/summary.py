@@ -12,21 +12,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.paths.rows import HAS_PATH
-from jaxurban.studies.bootstrap import (
-    FEWEST_GROUPS,
-    NUM_DRAWS,
-    Interval,
-    Statistic,
-    counts_within,
-    ends_of,
-    holm,
-    interval_of,
-    mean_of,
-    median_of,
-    p_value,
-    share_interval,
-    share_of,
-)
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval, Statistic, holm, p_value
 from jaxurban.studies.weights.routes import HEIGHTS, OF_SHARE, OF_WEIGHT, ROUTE_KEY
 
 DESCRIBED = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "distance_m")
@@ -77,10 +63,10 @@ def statistics_of(wrong: float) -> dict[str, tuple[Callable[[pd.DataFrame], pd.S
     weight is up to ``wrong`` times too small or too large; ``regret`` (mean).
     """
     return {
-        "share": (lambda table: table.elasticity, mean_of),
-        "nearest": (lambda table: table.nearest, median_of),
-        "changes": (lambda table: (table.nearest <= wrong).astype(float).where(table.varies), share_of),
-        "regret": (lambda table: table.regret, mean_of),
+        "share": (lambda table: table.elasticity, "mean"),
+        "nearest": (lambda table: table.nearest, "median"),
+        "changes": (lambda table: (table.nearest <= wrong).astype(float).where(table.varies), "share"),
+        "regret": (lambda table: table.regret, "mean"),
     }
 
 
@@ -113,45 +99,9 @@ def _told(value: Any) -> str:
     return f"{value:g} m" if isinstance(value, float) else str(value)
 
 
-class Drawn:
-    """Bootstrap draws of the rows of a table, of pairs of places within cities and, where there are two, of cities."""
-
-    def __init__(self, table: pd.DataFrame) -> None:
-        groups, cities = table.instance.to_numpy(), table.city.to_numpy()
-        self.pair, self.city = table.groupby(["city", "instance"]).ngroup().to_numpy(), cities
-        self.num_cities = table.city.nunique()
-        self.num_pairs = len(np.unique(self.pair))
-        self.num_groups = self.num_pairs - self.num_cities + 1  # as `ends_of` counts them, at most
-        self.within = counts_within(groups, cities) if len(table) else np.empty((NUM_DRAWS, 0), np.int64)
-        self.over = counts_within(cities, np.zeros(len(table))) if self.num_cities > 1 else None
-
-    def groups_of(self, chosen: np.ndarray) -> int:
-        """Return how many groups, as `ends_of` counts them, the rows ``[N]`` bool hold that are chosen."""
-        return min(self.num_groups, len(np.unique(self.pair[chosen])) - len(np.unique(self.city[chosen])) + 1)
-
-    def interval(self, values: pd.Series, statistic: Statistic = mean_of, *, over_cities: bool = False) -> Interval:
-        """Return a statistic of the known values and its interval (`share_of`: see `share_interval`)."""
-        known = values.notna().to_numpy()
-        if over_cities and self.over is not None:
-            counts, num = self.over, len(np.unique(self.city[known]))
-        else:
-            counts, num = self.within, self.groups_of(known)
-        numbers = values.to_numpy(np.float64)[known]
-        if statistic is share_of:
-            return share_interval(numbers, counts[:, known], num)
-        return interval_of(numbers, counts[:, known], num, statistic)
-
-    def difference(self, values: pd.Series, is_in: np.ndarray) -> tuple[Interval, int]:
-        """Return the mean of the values that are in, less that of the others, with its interval; and its groups.
-
-        These are those of the part that has fewer: what scatters most has no more degrees of freedom.
-        """
-        numbers, known = values.to_numpy(np.float64), values.notna().to_numpy()
-        parts = [known & is_in, known & ~is_in]
-        found = [numbers[part].mean() if part.any() else np.nan for part in parts]
-        drawn = [mean_of(numbers[part], self.within[:, part]) for part in parts]
-        num_groups = min(map(self.groups_of, parts))
-        return Interval(float(found[0] - found[1]), *ends_of(drawn[0] - drawn[1], num_groups)), num_groups
+def pairs_of(table: pd.DataFrame) -> Clusters:
+    """Return draws of the rows of a table, of pairs of places within cities."""
+    return Clusters(table.instance, table.city)
 
 
 def named(name: str, interval: Interval) -> dict[str, float]:
@@ -171,16 +121,15 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
     rows = []
     for cut, value, part in cuts_of(weights):
         for name, of_weight in part.groupby("weight_name", sort=False):
-            drawn = Drawn(of_weight)
-            parts = {cut: value}
-            if cut == ALL and drawn.num_cities >= FEWEST_GROUPS:
-                parts[OVER_CITIES] = OVER_CITIES
-            for cut_at, value_at in parts.items():
+            pairs, num_cities = pairs_of(of_weight), of_weight.city.nunique()
+            parts = {cut: (value, pairs)}
+            if cut == ALL and num_cities >= FEWEST_GROUPS:
+                parts[OVER_CITIES] = OVER_CITIES, Clusters(of_weight.city)
+            for cut_at, (value_at, clusters) in parts.items():
                 row: dict[str, Any] = {"cut": cut_at, "value": value_at, "weight_name": name, "routes": len(of_weight)}
-                row |= {"pairs": drawn.num_pairs, "cities": drawn.num_cities}
+                row |= {"pairs": pairs.num_groups + num_cities - 1, "cities": num_cities}
                 for statistic, (values, put) in statistics_of(wrong).items():
-                    over_cities = cut_at == OVER_CITIES
-                    row |= named(statistic, drawn.interval(values(of_weight), put, over_cities=over_cities))
+                    row |= named(statistic, clusters.interval(values(of_weight), put))
                 rows.append(row)
     return pd.DataFrame(rows)
 
@@ -224,9 +173,9 @@ def _leads(rows: pd.DataFrame, column: str, quantity: str, part: str) -> list[tu
     first, tests = str(wide.mean().idxmax()), []
     for name in map(str, wide.columns.drop(first)):
         both = wide[[first, name]].dropna().reset_index()
-        drawn, over_cities = Drawn(both), part == OVER_CITIES
-        lead = drawn.interval(both[first] - both[name], over_cities=over_cities)
-        p = p_value(lead, 0.0, drawn.num_cities if over_cities else drawn.num_groups)
+        clusters = Clusters(both.city) if part == OVER_CITIES else pairs_of(both)
+        lead = clusters.interval(both[first] - both[name])
+        p = p_value(lead, 0.0, clusters.num_groups)
         tests.append((quantity, part, first, name, *lead, float(np.minimum(1.0, p / 2 * len(wide.columns)))))
     return [max(tests, key=lambda test: (np.nan_to_num(test[-1], nan=np.inf), -test[4]))]
 
@@ -238,14 +187,14 @@ def _apart(part: pd.DataFrame, quantity: str) -> list[tuple[Any, ...]]:
     wide = part.pivot(index=["city", "instance"], columns="altitude_m", values="regret")
     both = wide[[low, high]].dropna().reset_index() if low < high else wide[:0]
     if len(both):
-        drawn = Drawn(both)
-        more = drawn.interval(both[low] - both[high])
-        rows.append((quantity, ALL, f"{low:g} m", f"{high:g} m", *more, p_value(more, 0.0, drawn.num_groups)))
-    drawn = Drawn(part)
+        clusters = pairs_of(both)
+        more = clusters.interval(both[low] - both[high])
+        rows.append((quantity, ALL, f"{low:g} m", f"{high:g} m", *more, p_value(more, 0.0, clusters.num_groups)))
+    clusters = pairs_of(part)
     for stratum in sorted({*part.start_stratum.dropna(), *part.goal_stratum.dropna()}):
         is_in = ((part.start_stratum == stratum) | (part.goal_stratum == stratum)).to_numpy()
         if not is_in.all():
-            more, num_groups = drawn.difference(part.regret, is_in)
+            more, num_groups = clusters.difference(part.regret, is_in)
             rows.append((quantity, ALL, stratum, "elsewhere", *more, p_value(more, 0.0, num_groups)))
     return rows
 
@@ -274,8 +223,7 @@ def summarise_shares(shares: pd.DataFrame) -> pd.DataFrame:
     for (outcome, name), part in shares.groupby(["outcome", "weight_name"], sort=False):
         for kind in ("first", "total"):
             known = part[part[kind].notna()].reset_index(drop=True)
-            drawn = Drawn(known)
-            found = drawn.interval(known[kind])
+            found = pairs_of(known).interval(known[kind])
             verdict = CLEAR if found.low > 0 else UNCLEAR if np.isfinite(found.low) else TOO_FEW
             row = {"outcome": outcome, "weight_name": name, "kind": kind, "routes": len(known)}
             own = {"own_ci": known[f"{kind}_ci"].median()}
@@ -298,21 +246,21 @@ def summarise_remade(remade: pd.DataFrame) -> pd.DataFrame:
         for cut in ("city", "altitude_m"):
             cuts += [(cut, _told(value), rows_at) for value, rows_at in part.groupby(cut, sort=False)]
         for cut, value, rows_at in cuts:
-            drawn = Drawn(rows_at)
-            if changed == HEIGHTS:  # both drawn: Owen's pigeonhole bootstrap (Ann. Appl. Stat. 1(2), 2007)
-                drawn.within = drawn.within * counts_within(draws[rows_at.index].to_numpy(), np.zeros(len(rows_at)), 1)
-                drawn.num_groups = min(drawn.num_groups, draws[rows_at.index].nunique())
+            clusters, num_cities = pairs_of(rows_at), rows_at.city.nunique()
+            num_pairs = clusters.num_groups + num_cities - 1
+            if changed == HEIGHTS:  # both drawn
+                clusters = clusters.crossed(Clusters(draws[rows_at.index], seed=1))
             row: dict[str, Any] = {"changed": changed, "factor": at, "cut": cut, "of": value}
             row |= {
                 "routes": len(rows_at),
                 "draws": draws[rows_at.index].nunique(),
-                "pairs": drawn.num_pairs,
-                "cities": drawn.num_cities,
-                "groups": drawn.num_groups,
+                "pairs": num_pairs,
+                "cities": num_cities,
+                "groups": clusters.num_groups,
             }
             for statistic in REMADE_STATISTICS:
-                put = share_of if statistic in SHARES_OF_ROUTES else mean_of
-                row |= named(statistic, drawn.interval(rows_at[statistic], put))
+                put: Statistic = "share" if statistic in SHARES_OF_ROUTES else "mean"
+                row |= named(statistic, clusters.interval(rows_at[statistic], put))
             rows.append(row)
     return pd.DataFrame(rows)
 
