@@ -188,10 +188,9 @@ def draw_metric(number: int, metric: str, caption: Callable[[Town, ju.MetricMaps
 
 def save(figure: Figure, name: str, caption: Caption) -> None:
     """Write a figure: figures/paper/NAME.png to look at, its caption in NAME.md, out/figures/NAME.pdf to print."""
-    OUT.mkdir(parents=True, exist_ok=True)
+    write_text(name, caption)
     write_png(figure, kept(name) / f"{name}.png")
     figure.savefig(OUT / f"{name}.pdf", dpi=300, metadata={"CreationDate": None})
-    write_caption(name, figure.get_suptitle(), f"![{name}]({name}.png)", caption)
 
 
 def kept(name: str) -> Path:
@@ -201,12 +200,12 @@ def kept(name: str) -> Path:
 
 def save_table(table: pd.DataFrame, name: str, title: str, caption: Caption) -> None:
     """Write a table with its caption beneath as figures/paper/NAME.md."""
-    write_caption(name, title, framed(table), caption)
+    write_text(name, caption, f"### {title}", framed(table))
 
 
-def write_caption(name: str, title: str, what: str, caption: Caption) -> None:
-    """Write figures/paper/NAME.md: a title, a table or picture, and the caption beneath."""
+def write_text(name: str, caption: Caption, *above: str) -> None:
+    """Write figures/paper/NAME.md: a caption, and what stands above it."""
     beneath = [f"**{head}.** {text}" for head, text in zip(HEADS, caption, strict=True)]
     OUT.mkdir(parents=True, exist_ok=True)
-    (kept(name) / f"{name}.md").write_text("\n\n".join([f"### {title}", what, *beneath]) + "\n", encoding="utf-8")
+    (kept(name) / f"{name}.md").write_text("\n\n".join([*above, *beneath]) + "\n", encoding="utf-8")
     print(f"  {name}", flush=True)

@@ -119,7 +119,7 @@ def _export(
         cost_rule=cost_rules[model.kind],
         weights=", ".join(f"`{column}`" for column in weight_columns(weighed_metrics(instances.columns))),
     )
-    write_whole(folder / PAGE_FILE, f"{page}\n")
+    write_whole(folder / PAGE_FILE, page)
     return counts
 
 

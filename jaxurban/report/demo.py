@@ -104,7 +104,7 @@ def summary_markdown(maps: MetricMaps, paths: Paths, run: Mapping[str, Any] | No
     grid, run = maps.grid, run or {}
     planned = [path for z in maps.altitudes_m for path in paths.get(z, ())]
     roof_m = maps.m("roof")[maps.ds["has_data"].values]
-    text = fill(
+    return fill(
         "summary",
         what="Metric maps and paths" if planned else "Metric maps",
         width_km=(grid.x_max_m - grid.x_min_m) / 1000,
@@ -125,7 +125,6 @@ def summary_markdown(maps: MetricMaps, paths: Paths, run: Mapping[str, Any] | No
         pictures=bullets(f"[{name}](figures/{name}.png)" for name in maps_figures(maps, paths)),
         caveats="".join(f"\n- {line}" for line in caveats_said(maps)),
     )
-    return f"{text}\n"
 
 
 def _record(run: Mapping[str, Any]) -> str:

@@ -73,7 +73,7 @@ def comparison_markdown(found: MapComparison, figures: list[str]) -> str:
     changed = found.table[first & ~found.table.layer.isin(same)].drop(columns="time").astype(object)
     held, cut = found.a.facts, found.part.cut
     left_out = bullets(f"{name}: {why}" for name, why in found.part.left_out.items())
-    text = fill(
+    return fill(
         "compare",
         found=found,
         extent=f"Compared are {held['grid']} ({held['CRS']}) at {held['altitudes']}; {cut[0]:,} cells of A and "
@@ -82,10 +82,9 @@ def comparison_markdown(found: MapComparison, figures: list[str]) -> str:
         values=framed(changed.where(changed.notna(), "")) if len(changed) else "Not one value differs.",
         unchanged=f"The same in both: {listed(same)}." if same else "",
         left_out=f"Not compared:\n\n{left_out}" if left_out else "",
-        figures="\n\n".join(f"![{heading_of(found, name)}, B - A](figures/{name}.png)" for name in figures)
+        pictures="\n\n".join(f"![{heading_of(found, name)}, B - A](figures/{name}.png)" for name in figures)
         or "None: a layer is drawn where it differs.",
     )
-    return f"{text}\n"
 
 
 def _settings(found: MapComparison) -> str:
@@ -99,4 +98,4 @@ def _settings(found: MapComparison) -> str:
     said = "Not both sets were made by `jaxurban maps`, so that their settings are not known."
     if found.settings is not None:
         said = "" if found.settings else "No setting differs."
-    return "\n\n".join(filter(None, (said, table(("", "A", "B"), shown, is_aligned=False) if shown else "")))
+    return "\n\n".join(filter(None, (said, table(("", "A", "B"), shown) if shown else "")))

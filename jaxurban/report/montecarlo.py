@@ -1,5 +1,6 @@
 """study: a Monte Carlo benchmark of planners over metric maps, kept in a folder and resumable, and its report."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from jaxurban.planners.cost_model import CostModel
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.sensitivity_study import weights_said
-from jaxurban.report.write import Output, counted, fill, framed, listed, save
+from jaxurban.report.write import Output, counted, fill, listed, save
 from jaxurban.scenario.settings import Scenario, Study
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
@@ -41,50 +42,7 @@ from jaxurban.world.city import LandCover
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_cover_for_bounds
 
-REPORT_FILE, TABLES, FIGURES = "report.md", "tables", "figures"
-SECTIONS = {  # title of each table, and what it says
-    "choices": (
-        "Which planner, when",
-        "`cheapest`: least mean cost over the cheapest known, among planners that solve at least "
-        f"{analysis.RELIABLE:.0%} of the joined pairs. `fastest_near_best`: least median time among those within 5 % "
-        "of the cheapest on nine of ten pairs. `straight_enough`: share of pairs whose straight line is free and "
-        f"within {analysis.NEAR - 1:.0%}.",
-    ),
-    "success": (
-        "How often a path is found",
-        "Share of the pairs that some path joins, by planner, range and altitude.",
-    ),
-    "surroundings": (
-        "Where it starts and ends",
-        "Share of joined pairs that each planner solves at the lowest altitude, each pair in both of its strata.",
-    ),
-    "costs": (
-        "Cost",
-        "Cost over the cheapest path known, where a path is found; `best_share` of them are within 1 %. A path may be "
-        "`optimal` and above 1: it is the cheapest on its planner's grid, and another is off it.",
-    ),
-    "paired": (
-        "Planners two by two",
-        "`cost_ratio`: first over second, on the pairs that both solved. Where its interval holds 1, no difference is "
-        "shown.",
-    ),
-    "times": ("Time", "Search times, of the machine that ran the benchmark, with its other load."),
-    "usage": (
-        "Metrics along the paths",
-        "Means over the instances that all of these planners solved; planners that answer fewer than four joined pairs "
-        "in five are left out.",
-    ),
-    "objectives": (
-        "Shortest path against cheapest path",
-        "`cost_ratio` and `length_ratio`: the shortest path's cost and length over those of the cheapest, by planner.",
-    ),
-    "complementarity": (
-        "GPS and lidar",
-        "Over the free cells: mean m, the correlation of m_gps and m_lidar with its interval, m_lidar where GPS is "
-        "poor (m < 0.5) and elsewhere, and the shares of cells where GPS, lidar, or either serves (m >= 0.5). They "
-        "complement each other where the correlation is below 0 and lidar is good where GPS is poor.",
-    ),
-}
+REPORT_FILE = "report.md"
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,53 +261,48 @@ def write_analysis(result: BenchmarkResult, folder: str | Path) -> Path:
     """
     tables = tables_of(result)
     figures = study_figures(result.maps, result.table, tables)
-    outputs: dict[str, Output] = {f"{TABLES}/{name}.csv": table for name, table in tables.items()}
-    outputs |= {f"{FIGURES}/{name}.png": draw for name, draw in figures.items()}
+    outputs: dict[str, Output] = {f"tables/{name}.csv": table for name, table in tables.items()}
+    outputs |= {f"figures/{name}.png": draw for name, draw in figures.items()}
     with Workspace.open(Path(folder), "study"):
         return save(folder, {**outputs, REPORT_FILE: report_markdown(result, tables, list(figures))})[-1]
 
 
 def report_markdown(result: BenchmarkResult, tables: dict[str, pd.DataFrame], figures: Sequence[str] = ()) -> str:
     """Return the report; ``figures`` are the names of the pictures beside it."""
-    table, settings = result.table, result.settings
-    sections = []
-    for name, (title, meaning) in SECTIONS.items():
-        if name not in tables or tables[name].empty:
-            continue
-        picture = [f"![{title}]({FIGURES}/{name}.png)"] if name in figures else []
-        sections += [f"## {title}", meaning, *picture, framed(_shown(name, tables[name]))]
+    table, settings, study = result.table, result.settings, result.settings.study
     joined = table.drop_duplicates(["instance", "altitude_m"]).groupby("altitude_m").is_joined.mean()
-    text = fill(
+    samples = study.budget_iterations
+    budget = f"{study.budget_s:g} s a run" if samples is None else f"{samples} samples, others to their end"
+    return fill(
         "study",
+        {**tables, "success": _by_range(tables["success"]), "surroundings": _by_stratum(tables["surroundings"])},
+        figures,
         instances=counted(table.instance.nunique(), "instance"),
-        altitudes=listed(f"{z:g} m" for z in joined.index),
         num_runs=len(table),
         planners=listed(sorted(table.planner.unique())),
         grid=result.maps.grid,
-        budget=f"{settings.study.budget_s:g} s a run"
-        if settings.study.budget_iterations is None
-        else f"{settings.study.budget_iterations} samples a run, other planners to their end",
+        budget=budget,
         settings=settings,
         maps=result.maps,
         weights=weights_said(result.instances),
-        constraints=f"\n- Constraints: {said}." if (said := str(settings.constraints)) else "",
+        constraints=str(settings.constraints) or "none",
         joined=listed(f"{share:.1%} at {z:g} m" for z, share in joined.items()),
         num_crashed=(table.status == CRASHED).sum(),
         num_odd=table.status.isin(["invalid", "bad-input"]).sum(),
         fewest=FEWEST_GROUPS,
-        sections="\n\n".join(sections),
+        analysis=analysis,
     )
-    return f"{text}\n"
 
 
-def _shown(name: str, table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table as the report shows it."""
-    if name == "success":
-        shares = table.pivot(index=["planner", "range"], columns="altitude_m", values="share_joined")
-        ranges = analysis.range_names(table)
-        shares = shares.reindex([(planner, each) for planner in sorted(table.planner.unique()) for each in ranges])
-        return shares.rename(columns=lambda z: f"{z:g} m").reset_index()
-    if name == "surroundings":
-        low = table[table.altitude_m == table.altitude_m.min()]
-        return low.pivot(index=["stratum", "pairs"], columns="planner", values="share").reset_index()
-    return table
+def _by_range(success: pd.DataFrame) -> pd.DataFrame:
+    """Return shares by planner and range, a column an altitude."""
+    shares = success.pivot(index=["planner", "range"], columns="altitude_m", values="share_joined")
+    rows = itertools.product(sorted(success.planner.unique()), analysis.range_names(success))
+    shares = shares.reindex(pd.MultiIndex.from_tuples(rows, names=shares.index.names))
+    return shares.rename(columns=lambda z: f"{z:g} m").reset_index()
+
+
+def _by_stratum(surroundings: pd.DataFrame) -> pd.DataFrame:
+    """Return shares at the lowest altitude by stratum, a column a planner."""
+    low = surroundings[surroundings.altitude_m == surroundings.altitude_m.min()]
+    return low.pivot(index=["stratum", "pairs"], columns="planner", values="share").reset_index()

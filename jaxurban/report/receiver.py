@@ -66,18 +66,17 @@ def validation_markdown(found: ReceiverValidation) -> str:
         "city": f"buildings `{scenario['buildings']['source']}`, terrain `{scenario['terrain']['source'] or 'flat'}`",
         "credit": found.attribution,
     }
-    text = fill(
+    return fill(
         "validate",
         found=found,
         settings=settings,
         fewest=FEWEST_GROUPS,
-        facts=table(("", ""), [(name, fact) for name, fact in facts.items() if fact], is_aligned=False),
+        facts=table(("", ""), [(name, fact) for name, fact in facts.items() if fact]),
         scores=score_table(found.scores[is_main]),
         others=score_table(others) if len(others) else "",
         guesses="" if not found.guesses else "Guessed:\n\n" + bullets(found.guesses),
         figure=FIGURE_FILE,
     )
-    return f"{text}\n"
 
 
 def with_interval(row: Mapping[Any, Any], coefficient: str) -> str:

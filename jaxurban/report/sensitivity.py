@@ -13,7 +13,7 @@ from jaxurban.planners.cost_model import CostModel
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
-from jaxurban.report.write import files_of, fill, framed, listed, save, short, table
+from jaxurban.report.write import files_of, fill, listed, save
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
 from jaxurban.studies.weights.sobol import FEW_SAMPLES
 from jaxurban.studies.weights.study import Sensitivity
@@ -68,48 +68,64 @@ def add_buildings(folder: Path, costs: pd.DataFrame) -> None:
       folder: that `save_sensitivity` wrote.
       costs: the table of buildings, ranked.
     """
-    rows = [
-        (str(rank), f"{row.per_metre:+.3g}", f"{row.height_m:.1f}", f"{row.lon:.5f},{row.lat:.5f}", row.distance_m)
-        for rank, row in costs.head(TOP_BUILDINGS).iterrows()
-    ]
-    ranking = table(("rank", "cost per metre", "height (m)", "longitude, latitude", "from the route (m)"), rows)
-    report = (folder / REPORT_FILE).read_text(encoding="utf-8").rstrip()
-    save(folder, {REPORT_FILE: f"{report}\n\n{fill('buildings', ranking=ranking)}\n"})
+    names = ["per_metre", "height_m", "lon", "lat", "distance_m"]
+    ranking = costs.head(TOP_BUILDINGS).rename_axis("rank").reset_index()[["rank", *names]].round({"lon": 5, "lat": 5})
+    ranking = ranking.astype({"lon": str, "lat": str})
+    report = (folder / REPORT_FILE).read_text(encoding="utf-8")
+    save(folder, {REPORT_FILE: f"{report}\n{fill('buildings', {'ranking': ranking})}"})
 
 
 def sensitivity_markdown(found: Sensitivity) -> str:
     """Return the report as Markdown; it names figures and tables as `save_sensitivity` does."""
-    points, settings = found.front.points, found.route.settings
-    outcomes = found.local.outcomes["value"].groupby("outcome", sort=False).first()
-    at = [{"weight": name, **ranges(found, name), "routes": len(found.lines[name].cells)} for name in found.vary]
-    text = fill(
+    route, settings = found.route, found.route.settings
+    return fill(
         "sensitivity",
+        shown_tables(found),
+        sensitivity_figures(found),
         found=found,
-        route=found.route,
-        start=found.route.lonlat[0],
-        goal=found.route.lonlat[-1],
-        where=joined(f"{found.route.altitude_m:g} m above ground", settings["time_of_day"]),
+        route=route,
+        start=route.lonlat[0],
+        goal=route.lonlat[-1],
+        where=joined(f"{route.altitude_m:g} m above ground", settings["time_of_day"]),
         settings=settings,
         limits=constraints_said(settings["limits"]) or "none",
         cost_model=CostModel.from_settings(settings),
-        alike=ALIKE,
-        ranges=framed(pd.DataFrame(at)),
-        note=" ".join(filter(None, (found.route.search.note, *found.route.cautions))),
-        costs=framed(found.local.cost.reset_index()),
-        outcomes=table(
-            ("outcome", "value", "unit"),
-            [(outcome_label(str(name)), short(value), outcome_unit(str(name))) for name, value in outcomes.items()],
-        ),
-        more=MORE - 1,
-        clear=CLEAR,
-        changes=_changes(found),
-        few=FEW_SAMPLES,
-        indices=_indices(found),
-        triangle=_triangle(found),
+        note=" ".join(filter(None, (route.search.note, *route.cautions))),
+        names=", ".join(found.triangle_names),
+        total=found.weights[[found.names.index(name) for name in found.triangle_names]].sum(),
         objectives=listed(found.front.objectives),
-        ends=framed(points.loc[[points[name].idxmin() for name in found.front.objectives], [*found.front.objectives]]),
+        ALIKE=ALIKE,
+        MORE=MORE - 1,
+        CLEAR=CLEAR,
+        FEW_SAMPLES=FEW_SAMPLES,
     )
-    return f"{text}\n"
+
+
+def shown_tables(found: Sensitivity) -> dict[str, pd.DataFrame]:
+    """Return the tables of the report by name."""
+    points, outcomes, sobol = found.front.points[[*found.front.objectives]], found.local.outcomes, found.sobol.table
+    at = [{"weight": name, **ranges(found, name), "routes": len(found.lines[name].cells)} for name in found.vary]
+    values = outcomes["value"].groupby("outcome", sort=False).first()
+    change = outcomes["expected_slope"] * np.log(MORE) / outcomes["expected"].abs().clip(lower=1e-12)
+    is_clear = outcomes["expected_slope"].abs() > CLEAR * outcomes["expected_slope_se"]
+    changes = change.map("{:+.1%}".format).where(is_clear, "unclear").unstack().loc[values.index, [*found.names]].T
+    spread = found.sobol.spread[["lowest", "highest"]]
+    total = [f"{total:.2f} ± {half:.2f}" for total, half in sobol[["total", "total_ci"]].to_numpy()]
+    shares = pd.Series(total, sobol.index).where(sobol["total"].notna(), "").unstack()[[*found.vary]]
+    tables = {
+        "outcomes": pd.DataFrame({"value": values, "unit": [outcome_unit(str(name)) for name in values.index]}),
+        "indices": spread.join(shares).loc[spread.index],
+    }
+    tables = {name: table.rename(index=outcome_label).rename_axis("outcome") for name, table in tables.items()}
+    tables["changes"] = changes.rename(columns=outcome_label).rename_axis(f"{MORE - 1:.0%} more of", axis=0)
+    tables |= {"costs": found.local.cost, "ends": points.loc[[points[name].idxmin() for name in points]]}
+    tables = {name: table.reset_index() for name, table in tables.items()} | {"ranges": pd.DataFrame(at)}
+    if found.triangle is not None:
+        routes = found.tables()["triangle"]
+        clusters = routes.groupby("kind").agg(share=("share", "sum"), routes=("kind", "size"))
+        lengths_m = routes["length_m"].to_numpy()[found.representatives]
+        tables["clusters"] = clusters.rename_axis("cluster").reset_index().assign(length_m=lengths_m)
+    return tables
 
 
 def ranges(found: Sensitivity, name: str) -> dict[str, float]:
@@ -130,42 +146,3 @@ def ranges(found: Sensitivity, name: str) -> dict[str, float]:
         "alike_from": float(table["from"].iloc[first]),
         "alike_to": float(table["to"].iloc[last]),
     }
-
-
-def _changes(found: Sensitivity) -> str:
-    """Return the change of each outcome for `MORE` of each weight."""
-    outcomes = list(dict.fromkeys(found.local.outcomes.index.get_level_values("outcome")))
-    rows = []
-    for name in found.names:
-        cells = []
-        for outcome in outcomes:
-            row = found.local.outcomes.loc[(outcome, name)]
-            change = row["expected_slope"] * np.log(MORE) / max(abs(row["expected"]), 1e-12)
-            is_clear = abs(row["expected_slope"]) > CLEAR * row["expected_slope_se"]
-            cells.append(f"{change:+.1%}" if is_clear else "unclear")
-        rows.append((name, *cells))
-    return table((f"{MORE - 1:.0%} more of", *map(outcome_label, outcomes)), rows)
-
-
-def _indices(found: Sensitivity) -> str:
-    """Return the total Sobol index of each weight for each outcome, beside where the outcome lies."""
-    rows = []
-    for outcome, reach in found.sobol.spread.iterrows():
-        shares = found.sobol.table.loc[str(outcome)][["total", "total_ci"]].to_numpy()
-        said = ("" if np.isnan(total) else f"{total:.2f} ± {half:.2f}" for total, half in shares)
-        rows.append((outcome_label(str(outcome)), short(reach.lowest), short(reach.highest), *said))
-    return table(("outcome", "lowest", "highest", *found.vary), rows)
-
-
-def _triangle(found: Sensitivity) -> str:
-    if found.triangle is None:
-        return ""
-    total = found.weights[[found.names.index(name) for name in found.triangle_names]].sum()
-    return fill(
-        "sensitivity_triangle",
-        found=found,
-        names=listed(found.triangle_names),
-        total=total,
-        num_routes=len(found.triangle.cells),
-        num_clusters=len(found.representatives),
-    )

@@ -235,7 +235,8 @@ def outputs_of(
     pictures = _pictures(beside.demonstrations)
     first = next(iter(pictures.values()))
     units = [weight_units(first)[name] for name in fit.names]
-    vector, routes, fields = fit.weights.vector(fit.names), beside.table, dict(asked)
+    vector, routes, fields = fit.weights.vector(fit.names), beside.table, dict[str, Any](asked)
+    tables: dict[str, pd.DataFrame] = {}
     outputs: dict[str, Output] = {
         "learning_curve": fit.curve,
         "figures/weights.png": lambda: plot_weights(fit, units),
@@ -246,7 +247,8 @@ def outputs_of(
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         outputs["fewer_examples"] = fit.by_demonstrations
         outputs["figures/regret.png"] = lambda: plot_regret(fit, [*routes["name"]])
-        fields |= {"fits": "", "fewer": framed(fit.by_demonstrations), "regrets": framed(_regrets(fit))}
+        tables["regrets"] = _regrets(fit)
+        fields |= {"fits": "", "fewer": framed(fit.by_demonstrations)}
         fields |= {name: bullets(getattr(fit, name)) or "None." for name in ("unidentified", "warnings")}
         if found is not None:
             outputs["fits"] = found.table
@@ -257,31 +259,34 @@ def outputs_of(
         alone = fit.alone[["reached", "missed_by", "is_met"]].add_suffix("_alone")
         outputs["targets"] = outcomes = fit.outcomes.join(alone).reset_index()
         outputs["figures/targets.png"] = lambda: plot_targets(fit)
-        fields["outcomes"] = framed(outcomes)
+        tables["outcomes"] = outcomes
     outputs |= {"weights": weights.assign(unit=units), "examples": routes}
     for name, one in pictures.items():
         outputs |= in_degrees(
             {f"figures/{name}.png": partial(plot_routes, beside, one, vector, given)}, one.grid, degrees
         )
+    tables |= {
+        "weights": weights.assign(unit=units),
+        "setting": _setting([*pictures.values()]),
+        "means": _means(beside),
+    }
     report = fill(
         template,
+        tables,
         fit=fit,
         num=len(routes),
-        weights=framed(weights.assign(unit=units)),
-        setting=framed(_setting([*pictures.values()])),
-        means=framed(_means(beside)),
         overlap=routes["overlap"].mean(),
         pictures="\n\n".join(f"![Routes](figures/{name}.png)" for name in pictures),
         use=fill("use_weights", unit=first, option=weights_option(fit.weights), where=_where(first)),
         **fields,
     )
-    return outputs | {"weights.toml": weights_toml(fit, first), "report.md": f"{report}\n"}
+    return outputs | {"weights.toml": weights_toml(fit, first), "report.md": report}
 
 
 def fits_section(found: FitComparison) -> str:
     """Return the section of a report on several fits."""
     counts = {"num": len(found.is_bad), "num_held_out": found.is_held_out.sum(), "num_bad": found.is_bad.sum()}
-    return fill("fits", fits=framed(found.table.filter(regex="^(?!w_)")), **counts)
+    return fill("fits", {"fits": found.table.filter(regex="^(?!w_)")}, **counts)
 
 
 def _pictures(demonstrations: Sequence[Demonstration]) -> dict[str, CostMap]:

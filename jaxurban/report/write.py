@@ -61,27 +61,50 @@ def write_png(figure: Figure, file: Path) -> None:
     image.quantize(NUM_COLOURS, rare_too, kmeans=1, dither=plain).save(file, format="png", optimize=True)
 
 
-def fill(template: str, **fields: Any) -> str:
+def fill(
+    template: str, tables: Mapping[str, pd.DataFrame] | None = None, figures: Iterable[str] | None = None, **fields: Any
+) -> str:
     """Return the text of ``jaxurban/report/templates/TEMPLATE.md`` with its fields filled, as `str.format` does.
 
     Paragraphs whose only field is empty are left out.
+
+    Args:
+      template: name of the file.
+      tables: what ``{tables[NAME]}`` stands for; a section (from one ## to the next) with a table that is not among
+        these, or has no row, is left out.
+      figures: names of those that are drawn: pictures ``figures/NAME.png`` of others are left out; None: none is.
+      fields: all other fields.
     """
     text = (files("jaxurban.report") / "templates" / f"{template}.md").read_text(encoding="utf-8")
-    return re.sub(r"\n{3,}", "\n\n", text.strip().format(**fields)).strip()
+    shown = {name: framed(table) for name, table in (tables or {}).items() if len(table)}
+    parts = re.split(r"\n(?=## )", text)
+    text = "\n".join(part for part in parts if set(re.findall(r"\{tables\[(\w+)\]\}", part)) <= set(shown))
+    if figures is not None:
+        names = "|".join(map(re.escape, figures)) or "-"
+        text = re.sub(rf"^!\[[^\n]*\]\(figures/(?!({names})\.png\))[^\n]*$", "", text, flags=re.MULTILINE)
+    return re.sub(r"\n{3,}", "\n\n", text.strip().format(tables=shown, **fields)).strip() + "\n"
 
 
-def table(head: Iterable[str], rows: Iterable[Sequence[Any]], is_aligned: bool = True) -> str:
-    """Return a table; cells that are not text as `cell` shows them, columns but the first to the right."""
+def table(head: Iterable[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return a table; cells that are not text as `cell` shows them."""
     names = [str(name) for name in head]
-    rule = f"| --- |{' ---: |' * (len(names) - 1)}" if is_aligned else f"|{'---|' * len(names)}"
-    lines = [names, *([value if isinstance(value, str) else cell(value) for value in row] for row in rows)]
+    lines = [names, *([cell(value) for value in row] for row in rows)]
     first, *others = (f"| {' | '.join(line)} |" for line in lines)
-    return "\n".join([first, rule, *others])
+    return "\n".join([first, f"|{'---|' * len(names)}", *others])
 
 
 def framed(frame: pd.DataFrame) -> str:
-    """Return a table of pandas, all columns to the left."""
-    return table(frame.columns, frame.itertuples(index=False, name=None), is_aligned=False)
+    """Return a table of pandas, a number with its interval (NAME, NAME_low, NAME_high) in one column (`interval`)."""
+    ends = {f"{name}{end}" for name in frame.columns for end in ("_low", "_high") if f"{name}_low" in frame}
+    names = [name for name in frame.columns if name not in ends]
+    rows = ([interval(row, name) for name in names] for row in frame.to_dict("records"))
+    return table(names, rows)
+
+
+def interval(row: Mapping[Any, Any], name: Any) -> str:
+    """Return a value of a table's row, with its interval where it has one: ``0.42 (0.29 to 0.54)``."""
+    low, high = (row.get(f"{name}{end}", math.nan) for end in ("_low", "_high"))
+    return cell(row[name]) + (f" ({cell(low)} to {cell(high)})" if np.isfinite(low) else "")
 
 
 def cell(value: Any) -> str:

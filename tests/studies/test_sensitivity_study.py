@@ -21,7 +21,7 @@ from jaxurban.io.store import write_zarr
 from jaxurban.metrics.custom import Layer
 from jaxurban.paths.rows import InstanceRuns, solve_here
 from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_where, study_figures
-from jaxurban.report.sensitivity_study import _rows, share_said, study_markdown
+from jaxurban.report.sensitivity_study import shown_tables, study_markdown
 from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.studies.weights.routes import OnPerturbedMaps, parameters_of, perturbed_tasks, with_parameter
 from jaxurban.studies.weights.summary import comparisons_of, shares_table, summarise, summarise_shares
@@ -276,6 +276,10 @@ def made_weights(regret: dict[str, float], num: int = 40, spread: float = 0.002,
     return pd.DataFrame(rows)
 
 
+def made_summary() -> pd.DataFrame:
+    return summarise(made_weights({"gps": 0.01}), 2.0)
+
+
 def compared(weights: pd.DataFrame) -> pd.DataFrame:
     return comparisons_of(weights, shares_table(weights))
 
@@ -324,10 +328,9 @@ def test_a_share_of_the_cost_is_no_measure_of_harm():
     table = made_weights({"layer": cost["B"] / cost["A"] - 1, "other": 0.001}, 10)
     table["elasticity"] = np.where(table.weight_name == "layer", 0.0, 0.5)
     rows = summarise(table, 2.0)
-    first = _rows(rows[rows.cut == "all"]).splitlines()[2]
-    assert "| layer |" in first
-    assert "98.0" in first
-    assert "0.0%" in first
+    first = shown_tables({"summary": rows, "comparisons": rows})["by_all"].iloc[0]
+    assert (first.weight, first.share) == ("layer", 0.0)
+    assert first.regret == pytest.approx(0.98, abs=0.01)
 
 
 def test_intervals_of_the_summary_hold_the_truth_nineteen_times_in_twenty():
@@ -352,8 +355,12 @@ def test_a_share_that_is_not_told_from_zero_is_words_and_no_number_below_zero():
     ]
     told = summarise_shares(pd.DataFrame(rows)).set_index(["weight_name", "kind"])
     assert told.loc[("gps", "first"), "share"] < 0
-    assert share_said(told.loc[("gps", "first")]).startswith("not told from 0 (at most 0.")
-    assert share_said(told.loc[("risk", "total")]).startswith("0.6")
+    shown = shown_tables({"summary": made_summary(), "comparisons": told, "sobol_summary": told.reset_index()})["sobol"]
+    gps, risk = shown.set_index("weight_name").loc[["gps", "risk"]].to_dict("records")
+    assert np.isnan(gps["share"])
+    assert gps["verdict"] == "not told from 0"
+    assert 0 <= gps["at most"] < 0.1
+    assert risk["share"] == pytest.approx(0.6, abs=0.05)
     few = summarise_shares(pd.DataFrame(rows[:6]))
     assert set(few.verdict) == {"too few routes"}
 
