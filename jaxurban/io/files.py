@@ -1,25 +1,17 @@
-"""Files that are whole or not there at all, folders that one run holds, and checksums that tell damage.
-
-A file tells whether it is as it was written by a CRC-32 in its own text.
-"""
+"""Files that are whole or not there at all, folders that one run holds, and checksums that tell damage."""
 
 import hashlib
 import json
-import mmap
 import os
 import shutil
 import tempfile
 import uuid
-import zipfile
 import zlib
-from collections.abc import Collection, Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from threading import Lock
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from jaxurban.errors import InputError, reason_of
 
@@ -198,65 +190,25 @@ def checksum_of(data: Path | bytes) -> str:
     return f"{crc:08x}-{length}"
 
 
-MARK, DIGITS = b"jaxurban-crc32:", 8
-BLANK = MARK.decode() + "0" * DIGITS  # what a writer leaves in a file's text (a tag, an attribute) for `seal`
 PIECE_BYTES = 2**24  # of a file that are looked at at once
-FIELD = "checksum"  # the name of that text
+FIELD, MARK = "checksum", b"jaxurban-crc32:"
+BLANK = MARK + 8 * b"0"  # what a writer leaves in a file's text, under the name `FIELD`, for `sealed`
 
 
-def _sum(path: Path, more: tuple[Path, ...]) -> tuple[int, bytes, bytes] | None:
-    """Return where the digits stand, those there, and those that belong there; None where there is no place."""
-    try:
-        with (
-            path.open("rb") as file,
-            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
-            memoryview(data) as view,
-        ):
-            place = data.find(MARK) + len(MARK)
-            if place < len(MARK) or place + DIGITS > len(data):
-                return None
-            held = data[place : place + DIGITS]
-            crc = 0
-            for start, stop in ((0, place), (place + DIGITS, len(data))):
-                for low in range(start, stop, PIECE_BYTES):
-                    crc = zlib.crc32(view[low : min(low + PIECE_BYTES, stop)], crc)
-                    if hasattr(mmap, "MADV_DONTNEED"):  # else a file that has been read counts as this process's memory
-                        data.madvise(mmap.MADV_DONTNEED)
-    except ValueError:  # an empty file cannot be mapped
-        return None
-    for other in more:
-        crc = zlib.crc32(other.read_bytes(), crc)
-    return place, held, b"%08x" % crc
+def sealed(data: bytes) -> bytes:
+    """Return the bytes of a file with the CRC-32 of them all in its first `BLANK`: it may be moved about alone."""
+    return data.replace(BLANK, MARK + b"%08x" % zlib.crc32(data), 1)
 
 
-def seal(path: Path, *more: Path) -> None:
-    """Write the CRC-32 of a file, and of ``more`` that belong to it, into the file's `BLANK`."""
-    found = _sum(path, more)
-    assert found is not None, f"no place for a checksum in {path}"
-    with path.open("r+b") as file:
-        file.seek(found[0])
-        file.write(found[2])
-
-
-def is_whole(path: Path, *more: Path) -> bool:
-    """Return whether a file, with ``more`` that belong to it, is as `seal` left it; False where one is missing."""
-    try:
-        found = _sum(path, more)
-    except OSError:
-        return False
-    return found is not None and found[1] == found[2]
-
-
-def _check_whole(path: Path) -> None:
-    if not is_whole(path):
-        raise ValueError("not as it was written")
+def is_whole(data: bytes) -> bool:
+    """Return whether the bytes of a file are as `sealed` made them."""
+    head, mark, tail = data.partition(MARK)
+    return bool(mark) and data == sealed(head + BLANK + tail[8:])
 
 
 def write_json(path: Path, value: Mapping[str, Any], indent: int | None = None) -> None:
     """Write a JSON object with its checksum, whole or not at all."""
-    with whole_file(path) as scratch:
-        scratch.write_text(json.dumps({**value, FIELD: BLANK}, indent=indent) + "\n", encoding="utf-8")
-        seal(scratch)
+    write_whole(path, sealed(f"{json.dumps({**value, FIELD: BLANK.decode()}, indent=indent)}\n".encode()))
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -267,36 +219,8 @@ def read_json(path: Path) -> dict[str, Any]:
       ValueError: it is not as it was written.
     """
     data = path.read_bytes()
-    _check_whole(path)
+    if not is_whole(data):
+        raise ValueError("not as it was written")
     value = json.loads(data)
     del value[FIELD]
     return value
-
-
-_PARSING = Lock()  # headers of arrays are Python text, and 3.11 fails now and then where threads parse (CPython 106905)
-
-
-def write_npz(path: Path, arrays: Mapping[str, np.ndarray], is_compressed: bool = False) -> None:
-    """Write arrays as .npz, with the checksum as the archive's comment, whole or not at all.
-
-    The CRC-32 of .npz itself covers each array, but no flipped bit that makes a reader overlook one.
-    """
-    with whole_file(path) as scratch:
-        with scratch.open("wb") as file:
-            (np.savez_compressed if is_compressed else np.savez)(file, allow_pickle=False, **arrays)
-        with zipfile.ZipFile(scratch, "a") as archive:
-            archive.comment = BLANK.encode()
-        seal(scratch)
-
-
-def read_npz(path: Path, wanted: Collection[str] | None = None) -> dict[str, np.ndarray]:
-    """Return the arrays that `write_npz` wrote, or the ``wanted`` ones of them.
-
-    Raises:
-      OSError: the file is missing or cannot be read.
-      ValueError: it is not as it was written.
-    """
-    with path.open("rb") as file:
-        _check_whole(path)
-        with _PARSING, np.load(file, allow_pickle=False) as kept:
-            return {name: kept[name] for name in kept.files if wanted is None or name in wanted}

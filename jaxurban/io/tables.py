@@ -1,12 +1,12 @@
 """Tables as files, Parquet or CSV by the end of their names, and RowStore: a long job's rows, whatever kills it."""
 
 import hashlib
+import io
 import json
 import os
 import time
 import uuid
 import warnings
-import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import count
 from pathlib import Path
@@ -22,13 +22,10 @@ from jaxurban.io.files import (
     BLANK,
     FIELD,
     is_whole,
-    read_npz,
     recorder_of,
-    seal,
+    sealed,
     sweep_scraps,
-    whole_file,
     write_json,
-    write_npz,
     write_whole,
 )
 
@@ -37,11 +34,12 @@ ROWS_FILE, PARTS_FOLDER, ASIDE_SUFFIX = "rows.parquet", "parts", ".damaged"
 INSTANCES_FILE = "instances.parquet"  # beside the rows of a Monte Carlo benchmark
 SAVE_EVERY_S = 5.0
 SAVING_SHARE = 0.05  # of the time, at most, goes into saving
+SETTINGS = b"settings"  # in the metadata of a Parquet file
 Row = Mapping[str, Any]
 
 
-def write_table(table: pd.DataFrame, file: str | Path) -> Path:
-    """Write a table, whole or not at all, Parquet with its checksum, and return its file.
+def write_table(table: pd.DataFrame, file: str | Path, settings: Mapping[str, Any] | None = None) -> Path:
+    """Write a table, whole or not at all, Parquet with its checksum and ``settings``, and return its file.
 
     Raises:
       InputError: the name ends neither in .parquet nor in .csv, or the folder cannot be written to.
@@ -51,10 +49,10 @@ def write_table(table: pd.DataFrame, file: str | Path) -> Path:
         write_whole(file, table.to_csv(index=False, lineterminator="\n"))
         return file
     made = pa.Table.from_pandas(table, preserve_index=False)
-    made = made.replace_schema_metadata({**(made.schema.metadata or {}), FIELD: BLANK})
-    with whole_file(file) as scratch:
-        pq.write_table(made, scratch, compression="zstd")
-        seal(scratch)
+    facts = {FIELD: BLANK, SETTINGS: json.dumps(settings or {}, sort_keys=True)}
+    made, data = made.replace_schema_metadata({**(made.schema.metadata or {}), **facts}), io.BytesIO()
+    pq.write_table(made, data, compression="zstd")
+    write_whole(file, sealed(data.getvalue()))
     return file
 
 
@@ -93,7 +91,7 @@ def _suffix(file: Path) -> str:
 
 
 class RowStore:
-    """Rows by key in one file that is always whole: Parquet, or .npz for rows of arrays. One process writes.
+    """Rows by key in one Parquet file that is always whole. One process writes.
 
     With parts each `add` is a small file at once, and `save` joins all of them into the file; a job killed between the
     two steps of that leaves rows in both places: the file wins. Without, the file is written anew by `save`, and by
@@ -106,28 +104,29 @@ class RowStore:
         """Open the store; ``key`` are the columns that name a row.
 
         Args:
-          file: ends in .parquet or .npz; begins with no row where there is none.
+          file: ends in .parquet; begins with no row where there is none.
           key: columns that name a row.
           has_parts: the folder is the job's own: each `add` is kept at once in the folder `PARTS_FOLDER`, and a damaged
             file is named in a warning and set aside, so that the job makes its rows again.
-          settings: what all rows depend on, as JSON holds it; kept in an .npz.
+          settings: what all rows depend on, as JSON holds it.
 
         Raises:
           InputError: the file cannot be read, is damaged, or holds rows of other settings.
         """
-        self.file, self.key, self._settings = file, tuple(key), settings
+        if file.suffix != ".parquet":
+            raise InputError(f"{str(file)!r} must end in .parquet: give it another name")
+        self.file, self.key, self._settings = file, tuple(key), settings or {}
         self._parts = file.parent / PARTS_FOLDER if has_parts else None
         self._rows: dict[tuple, dict[str, Any]] = {}
         self._is_saved, self._saved_s, self._saving_s = True, time.perf_counter(), 0.0
         if self._parts:
-            self._parts.mkdir(parents=True, exist_ok=True)
             sweep_scraps(file.parent)
             sweep_scraps(self._parts)
             for part in self._part_files():
                 if _is_sound(part):
                     self._take(json.loads(part.read_text(encoding="utf-8"))["rows"])
         if file.exists() and (not has_parts or _is_sound(file)):
-            self._take(_read_arrays(file, settings) if file.suffix == ".npz" else _read_table(file))
+            self._take(_read_rows(file, self._settings))
 
     def _part_files(self) -> list[Path]:
         parts = sorted(self._parts.glob(f"{32 * '[0-9a-f]'}.json")) if self._parts else []
@@ -173,17 +172,10 @@ class RowStore:
         if self._is_saved and not self._parts:
             return
         begin_s, parts = time.perf_counter(), self._part_files()
-        if self.file.suffix == ".npz":
-            arrays = {
-                f"{name}_{k}": np.asarray(value) for k, row in enumerate(self.rows) for name, value in row.items()
-            }
-            arrays["settings"] = np.array(json.dumps(self._settings, sort_keys=True))
-            write_npz(self.file, arrays, is_compressed=True)
-        else:
-            table = pd.DataFrame(self.rows)
-            if columns:
-                table = pd.DataFrame(self.rows, columns=list(columns), dtype=object).astype(dict(columns))
-            write_table(table, self.file)
+        table = pd.DataFrame(self.rows)
+        if columns:
+            table = pd.DataFrame(self.rows, columns=list(columns), dtype=object).astype(dict(columns))
+        write_table(table, self.file, self._settings)
         if (recorder := recorder_of(self.file)) is not None:
             recorder.remove(str(recorder.name_of(part)) for part in parts)
         for part in parts:
@@ -209,37 +201,22 @@ def first_difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str |
     return None
 
 
-def _read_table(file: Path) -> list[dict[str, Any]]:
-    if not is_whole(file):
-        raise InputError(
-            f"{str(file)!r} is damaged, or not a file of such results: name another file, or remove this one, and what "
-            "it held is made again"
-        )
-    with readable(file, "results", "name another file, or remove this one", pa.ArrowException):
-        table = pd.read_parquet(file)
-    return records_of(table)
-
-
-def _read_arrays(file: Path, settings: Mapping[str, Any] | None) -> list[dict[str, Any]]:
-    try:
-        stored = read_npz(file)
-        before = json.loads(str(stored.pop("settings")))
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(
-            f"{str(file)!r} cannot be read: remove it, pass --overwrite, or name another folder"
-        ) from error
-    if difference := first_difference(before, settings or {}):
-        raise InputError(f"{str(file)!r} is of other settings ({difference}): pass --overwrite, or name another folder")
-    rows: dict[str, dict[str, Any]] = {}
-    for label, value in stored.items():
-        name, _, number = label.rpartition("_")
-        rows.setdefault(number, {})[name] = value if value.ndim else value.item()
-    return list(rows.values())
+def _read_rows(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
+    remedy = "name another file or folder, or remove this one, and what it held is made again"
+    with readable(file, "results", remedy, pa.ArrowException):
+        data = file.read_bytes()
+        if not is_whole(data):
+            raise InputError(f"{str(file)!r} is damaged, or not a file of such results: {remedy}")
+        table = pq.read_table(io.BytesIO(data))
+    before = json.loads((table.schema.metadata or {}).get(SETTINGS, b"{}"))
+    if difference := first_difference(before, settings):
+        raise InputError(f"{str(file)!r} is of other settings ({difference}): pass --overwrite, or {remedy}")
+    return records_of(table.to_pandas())
 
 
 def _is_sound(file: Path) -> bool:
     """Return whether a file is as it was written; set it aside if not."""
-    if is_whole(file):
+    if is_whole(file.read_bytes()):
         return True
     names = (f"{file.name}{ASIDE_SUFFIX}{'' if k == 1 else k}" for k in count(1))
     aside = next(path for path in map(file.with_name, names) if not os.path.lexists(path))

@@ -32,7 +32,7 @@ from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
 from jaxurban.studies.tuning.targets import Target
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
-STATE_FILE = "fit-state.npz"
+STATE_FILE = "fit-state.parquet"
 TABLES = "learning_curve", "fewer_examples", "fits", "targets", "weights", "examples"
 EXPLAINED = 1e-4  # a demonstration within this share of the cheapest route is explained
 UNDER = "cost_model", "constraints", "preset"  # settings of routes

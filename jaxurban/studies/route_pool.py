@@ -110,9 +110,10 @@ class RoutePool:
         weights = np.broadcast_to(weights, (len(self.queries), *np.shape(weights)[-2:]))
         key = fingerprint(weights.shape, weights)
         row = None if self._store is None else self._store.get(key)
-        found = self._search_all(weights) if row is None else row["found"]
+        shape = 2, *weights.shape
+        found = self._search_all(weights) if row is None else np.frombuffer(row["found"]).reshape(shape)
         if self._store is not None and row is None:
-            self._store.add([{"weights": key, "found": found}])
+            self._store.add([{"weights": key, "found": found.tobytes()}])
             self._store.save()
         self.num_plans += weights.shape[0] * weights.shape[1]
         for query, routes in enumerate(np.moveaxis(found, 0, 2)):
@@ -162,8 +163,8 @@ class FitSettings:
       budget_s: seconds; the fit ends after the round in which they run out.
       workers: threads of search; a thread a core if left out.
       backend: of A*: see `RoutePool`.
-      state_file: searches are kept in it; a fit of the same queries and settings goes on from it, to the same
-        weights, bit for bit, as if it had not stopped.
+      state_file: where searches are kept, named ``.parquet``; a fit of the same queries and settings goes on from it,
+        to the same weights, bit for bit, as if it had not stopped.
       progress: gets a call after every round, as in `jaxurban.progress.reporting`.
 
     Raises:

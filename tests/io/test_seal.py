@@ -31,20 +31,6 @@ def test_any_flipped_bit_of_sealed_json_is_told(tmp_path):
             files.read_json(file)
 
 
-@pytest.mark.parametrize("is_compressed", [False, True])
-def test_any_flipped_bit_of_arrays_is_told(tmp_path, is_compressed):
-    file, arrays = tmp_path / "a.npz", {"roof_m": np.arange(6.0), "terrain_m": np.ones(5, np.float32)}
-    files.write_npz(file, arrays, is_compressed)
-    assert all(np.array_equal(values, arrays[name]) for name, values in files.read_npz(file).items())
-    with np.load(file) as kept:  # NumPy's own format still
-        assert kept.files == [*arrays]
-    whole = file.read_bytes()
-    for data in [*flips(whole, 200), whole[:-1], b""]:
-        file.write_bytes(data)
-        with pytest.raises(ValueError, match="not as it was written"):
-            files.read_npz(file)
-
-
 def test_any_flipped_bit_of_a_table_of_results_is_told(tmp_path):
     file, rows = tmp_path / "a.parquet", pd.DataFrame({"k": [1, 2], "x_m": [[0.5, 1.5], None], "name": ["a", "b"]})
     write_table(rows, file)
@@ -56,14 +42,13 @@ def test_any_flipped_bit_of_a_table_of_results_is_told(tmp_path):
             RowStore(file, ["k"])
 
 
-def test_files_that_belong_together_are_sealed_together(tmp_path):
-    first, second = tmp_path / "a.json", tmp_path / "b.json"
-    first.write_text(f'{{"checksum": "{files.BLANK}"}}')
-    second.write_text("[1]")
-    files.seal(first, second)
-    assert files.is_whole(first, second)
-    assert not files.is_whole(first)
-    second.write_text("[2]")
-    assert not files.is_whole(first, second)
-    second.unlink()
-    assert not files.is_whole(first, second)
+def test_rows_of_other_settings_are_refused_and_settings_are_kept(tmp_path):
+    file = tmp_path / "a.parquet"
+    store = RowStore(file, ["k"], settings={"seed": 3})
+    store.add([{"k": "one", "found": np.arange(3.0).tobytes()}])
+    store.save()
+    assert np.frombuffer(RowStore(file, ["k"], settings={"seed": 3}).get("one")["found"]).tolist() == [0.0, 1.0, 2.0]
+    with pytest.raises(InputError, match=r"of other settings .its seed is 3, and 4 is given now.: pass --overwrite"):
+        RowStore(file, ["k"], settings={"seed": 4})
+    with pytest.raises(InputError, match=r"a\.npz' must end in \.parquet"):
+        RowStore(tmp_path / "a.npz", ["k"])

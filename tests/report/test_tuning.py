@@ -134,7 +134,7 @@ def test_ctrl_c_keeps_the_searches_and_the_same_command_ends_alike(made, tmp_pat
         str(tmp_path / "out"),
     ]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ)
-    state = tmp_path / "out" / "fit-state.npz"
+    state = tmp_path / "out" / "fit-state.parquet"
     deadline = time.monotonic() + 120
     while not state.exists() and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.01)

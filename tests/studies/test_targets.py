@@ -41,7 +41,7 @@ def test_targets_are_met_where_brute_force_meets_them_and_conflict_where_it_does
     most = values.max(axis=0)
     gps, lidar = values[np.argmax(np.min(values / most, axis=1))]
     reachable = targets(f"mean_gps>={gps:.4f}", f"mean_lidar>={lidar:.4f}")
-    kept = FitSettings(state_file=tmp_path / "state.npz")
+    kept = FitSettings(state_file=tmp_path / "state.parquet")
     fit = fit_targets(queries, reachable, settings=kept)
     assert fit.is_met
     assert fit.outcomes["missed_by"].max() <= 0.02

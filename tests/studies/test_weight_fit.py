@@ -82,7 +82,7 @@ def test_a_fit_that_stopped_ends_bit_for_bit_as_one_that_did_not(demonstrations,
         if done == 3:
             raise StoppedError
 
-    kept = FitSettings(state_file=tmp_path / "state.npz", progress=stop)
+    kept = FitSettings(state_file=tmp_path / "state.parquet", progress=stop)
     with pytest.raises(StoppedError):
         fit_weights(demonstrations, bootstrap=40, settings=kept)
     searched = []
