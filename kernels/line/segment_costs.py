@@ -4,7 +4,6 @@ Segments are cut where they pass from cell to cell; all of them are walked along
 """
 
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,45 +11,6 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxurban.kernels.line.traversal import DIAGONAL_SIDES, TOUCH_CELLS
-
-
-class _Segment(NamedTuple):
-    """A segment of so many cell sides; ``[2]`` of x and y: its start, and that cell, and the cuts from there on.
-
-    Attributes:
-      length: in cell sides.
-      start: in cell sides.
-      along: cell sides along the segment per cell side of x and of y.
-      cell: int32 column and row of the start.
-      border: of its cell on the way, likewise.
-      step: 1 or -1, from cell to cell.
-      num_cuts: how many cells the end is away.
-    """
-
-    length: Array
-    start: Array
-    along: Array
-    cell: Array
-    border: Array
-    step: Array
-    num_cuts: Array
-
-    def of(self, axis: int) -> "_Segment":
-        """Return what is of x, or of y, alone."""
-        return _Segment(self.length, *(of_both[axis] for of_both in self[1:]))
-
-    def cut(self, k: Array) -> Array:
-        """Return where the k-th cuts lie, in cell sides along the segment."""
-        return (self.border + self.step * k - self.start) * self.along
-
-
-class _Walk(NamedTuple):
-    """A walk from cut to cut: how many of x and y are passed, cell sides behind, cost so far."""
-
-    num_x: Array
-    num_y: Array
-    at: Array
-    total: Array
 
 
 @partial(jax.jit, static_argnames="is_line")
@@ -81,79 +41,54 @@ def segment_costs(
       is_line: which cost model.
       passes_corners: segments may pass between two blocked cells that touch at a corner.
     """
-    segments = jax.vmap(_segment)(start, end)
-    total = _by_walks(segments, per_side * segments.length, cell_cost, jnp.asarray(passes_corners), is_line=is_line)
-    if not is_line:
-        last = segments.cell + segments.step * segments.num_cuts
-        total += _cost_at(cell_cost, last[:, 1], last[:, 0])
-    return jnp.where(segments.length > 0, total, 0.0)
+    num_rows, num_cols = cell_cost.shape
 
+    def cost_at(col: Array, row: Array) -> Array:
+        is_inside = (row >= 0) & (row < num_rows) & (col >= 0) & (col < num_cols)
+        return jnp.where(is_inside, cell_cost[row, col], jnp.inf)
 
-def _segment(start: Array, end: Array) -> _Segment:
-    delta = end - start
-    length = jnp.hypot(*delta)
-    cell, last = (jnp.floor(point).astype(jnp.int32) for point in (start, end))
-    border, step = cell + (delta > 0), jnp.where(delta > 0, 1, -1).astype(jnp.int32)
-    along = length / jnp.where(delta == 0, 1.0, delta)
-    return _Segment(length, start, along, cell, border, step, jnp.abs(last - cell))
+    def cost(start: Array, end: Array) -> Array:
+        """Return what one segment costs; of two, x comes before y, apart, as arrays of two take twice as long."""
+        delta = end - start
+        length = jnp.hypot(*delta)
+        first, last = (jnp.floor(point).astype(jnp.int32) for point in (start, end))
+        step = jnp.where(delta > 0, 1, -1).astype(jnp.int32)
+        border = first + (delta > 0)  # of its cell on the way
+        along = length / jnp.where(delta == 0, 1.0, delta)  # cell sides along the segment per cell side of x and of y
+        num_cuts = jnp.abs(last - first)
+        last_state = jnp.where(length > DIAGONAL_SIDES, jnp.ceil(length * (1 - TOUCH_CELLS)) - 1, 0.0)
+        (x, y), (step_x, step_y) = zip(border, step, start, along, num_cuts, strict=True), step
 
+        def next_cut(num_passed: Array, axis: tuple[Array, ...]) -> Array:
+            border, step, start, along, num_cuts = axis
+            return jnp.where(num_passed < num_cuts, (border + step * num_passed - start) * along, jnp.inf)
 
-def _cost_at(cell_cost: Array, row: Array, col: Array) -> Array:
-    is_inside = (row >= 0) & (row < cell_cost.shape[0]) & (col >= 0) & (col < cell_cost.shape[1])
-    return jnp.where(is_inside, cell_cost[row, col], jnp.inf)
+        def is_under_way(walk: tuple[Array, ...]) -> Array:
+            num_x, num_y, _, total = walk
+            return ((num_x < num_cuts[0]) | (num_y < num_cuts[1])) & jnp.isfinite(total)
 
-
-def _cost_between(
-    segment: _Segment,
-    behind: Array,
-    to: Array,
-    num_passed: tuple[Array, Array],
-    is_corner: Array,
-    cell_cost: Array,
-    passes_corners: Array,
-    is_line: bool,
-) -> Array:
-    """Return what the part of a segment costs from one cut to the next, in the cell after so many cuts of x and y."""
-    if is_line:
-        share = to - behind
-    else:
-        # A state on a border belongs to the cell it came through.
-        last_state = jnp.where(segment.length > DIAGONAL_SIDES, jnp.ceil(segment.length * (1 - TOUCH_CELLS)) - 1, 0.0)
-        before, by_now = (jnp.clip(jnp.floor(sides + TOUCH_CELLS), 0, last_state) for sides in (behind, to))
-        share = by_now - before
-    col, row = (segment.cell[axis] + segment.step[axis] * num_passed[axis] for axis in (0, 1))
-    here = _cost_at(cell_cost, row, col)
-    cost = jnp.where(jnp.isinf(here), jnp.inf, share * jnp.where(jnp.isinf(here), 0.0, here))
-    beside = jnp.minimum(
-        _cost_at(cell_cost, row + segment.step[1], col), _cost_at(cell_cost, row, col + segment.step[0])
-    )
-    is_pinched = jnp.where(passes_corners, False, is_corner & jnp.isinf(beside))
-    return jnp.where(is_pinched, jnp.inf, cost)
-
-
-def _by_walks(
-    segments: _Segment, distance_cost: Array, cell_cost: Array, passes_corners: Array, *, is_line: bool
-) -> Array:
-    """Return what the segments cost, ``[E]``."""
-
-    def cost(segment: _Segment, distance_cost: Array) -> Array:
-        x, y = segment.of(0), segment.of(1)
-
-        def go_on(walk: _Walk) -> _Walk:
-            next_x = jnp.where(walk.num_x < x.num_cuts, x.cut(walk.num_x), jnp.inf)
-            next_y = jnp.where(walk.num_y < y.num_cuts, y.cut(walk.num_y), jnp.inf)
-            to = jnp.minimum(jnp.minimum(next_x, next_y), segment.length)
+        def go_on(walk: tuple[Array, ...]) -> tuple[Array, ...]:
+            """Go on to the next cut, from so many of x and of y that are passed, cell sides behind, and the cost."""
+            num_x, num_y, behind, total = walk
+            next_x, next_y = next_cut(num_x, x), next_cut(num_y, y)
+            to = jnp.minimum(jnp.minimum(next_x, next_y), length)
+            if is_line:
+                share = to - behind
+            else:
+                # A state on a border belongs to the cell it came through.
+                before, by_now = (jnp.clip(jnp.floor(sides + TOUCH_CELLS), 0, last_state) for sides in (behind, to))
+                share = by_now - before
+            col, row = first[0] + step_x * num_x, first[1] + step_y * num_y
+            here = cost_at(col, row)
+            total += jnp.where(jnp.isinf(here), jnp.inf, share * jnp.where(jnp.isinf(here), 0.0, here))
             is_corner = jnp.abs(next_x - next_y) < TOUCH_CELLS
-            num_passed = walk.num_x, walk.num_y
-            part = _cost_between(segment, walk.at, to, num_passed, is_corner, cell_cost, passes_corners, is_line)
-            num_x, num_y = walk.num_x + (is_corner | (next_x < next_y)), walk.num_y + (is_corner | (next_y < next_x))
-            return _Walk(num_x, num_y, to, walk.total + part)
+            beside = jnp.minimum(cost_at(col, row + step_y), cost_at(col + step_x, row))
+            is_pinched = is_corner & jnp.isinf(beside) & ~jnp.asarray(passes_corners)
+            num_x, num_y = num_x + (is_corner | (next_x < next_y)), num_y + (is_corner | (next_y < next_x))
+            return num_x, num_y, to, jnp.where(is_pinched, jnp.inf, total)
 
-        def is_under_way(walk: _Walk) -> Array:
-            return ((walk.num_x < x.num_cuts) | (walk.num_y < y.num_cuts)) & jnp.isfinite(walk.total)
+        none = jnp.zeros_like(num_cuts[0])
+        total = go_on(lax.while_loop(is_under_way, go_on, (none, none, jnp.zeros_like(length), per_side * length)))[3]
+        return jnp.where(length > 0, total if is_line else total + cost_at(*last), 0.0)
 
-        none = jnp.zeros_like(x.cell)
-        start = _Walk(none, none, jnp.zeros_like(segment.length), distance_cost)
-        return go_on(lax.while_loop(is_under_way, go_on, start)).total
-
-    return jax.vmap(cost)(segments, distance_cost)
+    return jax.vmap(cost)(start, end)
