@@ -144,20 +144,22 @@ def _search(problem: Problem, cost_grid: CostGrid, bounds: Bounds, end_s: float)
     num_cols = cost_grid.cell_cost.shape[1]
     start, goal = start_row * num_cols + start_col, goal_row * num_cols + goal_col
     row_at, col_at = (0.5 * (sums[:-1] + sums[1:]) for sums in (bounds.row_sum, bounds.col_sum))
-    estimate = Estimate(bounds.per_side, np.abs(row_at - row_at[goal_row]), np.abs(col_at - col_at[goal_col]))
     num_cells = cost_grid.cell_cost.size
     nodes = AnyAngleNodes(
         g=np.full(num_cells, np.inf),
         parent=np.full(num_cells, NO_PARENT, np.int32),
         tried=np.full(num_cells, NO_PARENT, np.int32),
         is_closed=np.zeros(num_cells, np.bool_),
+        per_side=bounds.per_side,
+        rows=np.abs(row_at - row_at[goal_row]),
+        cols=np.abs(col_at - col_at[goal_col]),
     )
     heap = Heap.empty(FIRST_HEAP)
     nodes.g[start] = 0.0
     push(heap, 0.0, start)
     num_expanded = 0
     while True:
-        ended, num_done = advance(cost_grid, estimate, nodes, goal, heap, CHUNK)
+        ended, num_done = advance(cost_grid, nodes, goal, heap, CHUNK)
         num_expanded += num_done
         if ended == FULL:
             heap = heap.grown()
@@ -174,37 +176,31 @@ def _search(problem: Problem, cost_grid: CostGrid, bounds: Bounds, end_s: float)
     return np.stack([cells % num_cols, cells // num_cols], axis=-1) + 0.5, num_expanded
 
 
-class Estimate(NamedTuple):
-    """A lower bound of any curve's cost from a cell's centre to the goal's (see `bitstar.bounds.Bounds`).
-
-    Attributes:
-      per_side: cost per cell side of distance.
-      rows, cols: ``[Y]``, ``[X]`` map cost of the rows (columns) between; the larger one counts.
-    """
-
-    per_side: float
-    rows: np.ndarray
-    cols: np.ndarray
-
-
 class AnyAngleNodes(NamedTuple):
-    """What the search knows of every cell. ``M`` cells.
+    """What the search knows of every cell, and a lower bound of any curve's cost from its centre to the goal's.
+
+    ``M`` cells, ``Y`` rows, ``X`` columns; the bound is that of `bitstar.bounds.Bounds`.
 
     Attributes:
       g: ``[M]`` float64 cost of the best path found, inf for none.
       parent: ``[M]`` int32 cell where its last segment begins, NO_PARENT at the start.
       tried: ``[M]`` int32 the last cell from which a straight segment was tried.
       is_closed: ``[M]`` bool.
+      per_side: cost per cell side of distance.
+      rows, cols: ``[Y]``, ``[X]`` map cost of the rows (columns) between; the larger one counts.
     """
 
     g: np.ndarray
     parent: np.ndarray
     tried: np.ndarray
     is_closed: np.ndarray
+    per_side: float
+    rows: np.ndarray
+    cols: np.ndarray
 
 
 @compiled()
-def advance(cost_grid, estimate, nodes, goal, heap, max_expanded):
+def advance(cost_grid, nodes, goal, heap, max_expanded):
     """Expand cells in order of f until the goal is met, no cell is open, or ``max_expanded`` are done.
 
     A neighbour is reached by the step to it, or by the straight segment from the expanded cell's own
@@ -256,8 +252,8 @@ def advance(cost_grid, estimate, nodes, goal, heap, max_expanded):
                 if best_parent != NO_PARENT:
                     nodes.g[to], nodes.parent[to] = best, best_parent
                     dr, dc = float(to_row - goal_row), float(to_col - goal_col)
-                    bound = estimate.per_side * np.sqrt(dr * dr + dc * dc)
-                    bound += max(estimate.rows[to_row], estimate.cols[to_col])
+                    bound = nodes.per_side * np.sqrt(dr * dr + dc * dc)
+                    bound += max(nodes.rows[to_row], nodes.cols[to_col])
                     push(heap, best + bound, to)
     return EXHAUSTED, num_expanded
 

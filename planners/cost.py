@@ -113,7 +113,7 @@ def _is_way(problem: "Problem", is_free: np.ndarray, cut: Crossings) -> bool:
     """Return whether a path on one level is a free way that keeps the problem's margin, but for rounding."""
     margin = problem.leg_margin_m / problem.resolution_m
     return is_free_way(cut, is_free, problem.cost_model.passes_corners) and (
-        margin == 0 or bool(are_clear(is_free, cut.points_m / problem.resolution_m, margin - ROUNDING))
+        margin == 0 or bool(are_clear(is_free, cut.points_m / problem.resolution_m, margin - ROUNDING).all())
     )
 
 

@@ -9,7 +9,16 @@ from operator import itemgetter
 import jax
 import numpy as np
 
-from jaxurban.kernels.search.frontier import Grids, advance, begin, drop, empty_frontier, is_crowded, with_list_of
+from jaxurban.kernels.search.frontier import (
+    Frontier,
+    Grids,
+    advance,
+    begin,
+    drop,
+    empty_frontier,
+    is_crowded,
+    with_list_of,
+)
 from jaxurban.planners.base import Cell, Path, Problem, Status
 from jaxurban.planners.bounds import make_heuristic
 from jaxurban.planners.compiled_first import power_of_two
@@ -52,112 +61,88 @@ def solve_by_frontier(
         most = max(1, BYTES_OF_MAPS[kind] // (BYTES_A_CELL * problems[indices[0]].cost.size))
         parts = [(number[id(problems[i].cost)] // most, i) for i in indices]
         for _, part in groupby(parts, key=itemgetter(0)):
-            yield from _Batch([(i, problems[i]) for _, i in part], planner, budget_s, band_steps, kind).run()
+            yield from _in_turns([(i, problems[i]) for _, i in part], planner, budget_s, band_steps, kind)
 
 
-class _Batch:
-    """Queries on maps of one shape: a fixed number of places on the device, filled again as they fall free."""
+def _in_turns(
+    queries: list[tuple[int, Problem]], planner: str, budget_s: float, band_steps: float, kind: str
+) -> Iterator[tuple[int, Path]]:
+    """Yield the number and path of queries on maps of one shape: a few places on the device, filled as they fall free.
 
-    def __init__(
-        self, queries: list[tuple[int, Problem]], planner: str, budget_s: float, band_steps: float, kind: str
-    ) -> None:
-        self.planner, self.budget_s = planner, budget_s
-        self.waiting = queries[::-1]
-        self.maps = list({id(problem.cost): problem for _, problem in queries}.values())
-        self.map_index = {id(problem.cost): k for k, problem in enumerate(self.maps)}
-        self.bands = [_band(problem, band_steps) for problem in self.maps]
-        fitting = max(1, BYTES_OF_G[kind] // (BYTES_A_CELL * self.maps[0].cost.size))
-        num_places = min(power_of_two(len(queries)), QUERIES_TOGETHER[kind], fitting)
-        self.num_together = CELLS_TOGETHER * num_places
-        # query number, problem, begin
-        self.places: list[tuple[int, Problem, float] | None] = [None] * num_places
+    JAX works in a thread of its own, which a Ctrl-C here lets end its turn: a compilation that is cut off
+    goes on in JAX's threads and crashes if the interpreter ends meanwhile. The thread also keeps the
+    setting for float64 to itself; a generator would hand it to its caller.
+    """
+    turns = _turns(queries, planner, budget_s, band_steps, kind)
 
-    def run(self) -> Iterator[tuple[int, Path]]:
-        """Yield each query's number and path as it is done.
-
-        JAX works in a thread of its own, which a Ctrl-C here lets end its turn: a compilation that is cut off
-        goes on in JAX's threads and crashes if the interpreter ends meanwhile. The thread also keeps the
-        setting for float64 to itself; a generator would hand it to its caller.
-        """
-        with ThreadPoolExecutor(1, thread_name_prefix="frontier") as worker:
-            worker.submit(self._prepare).result()
-            while self.waiting or any(self.places):
-                yield from worker.submit(self._turn).result()
-
-    def _prepare(self) -> None:
-        """Put the maps on the device and compile."""
+    def turn() -> list[tuple[int, Path]] | None:
         with jax.enable_x64(True):
-            self.grids = _grids(self.maps)
-            list_size = 2 * len(STEPS) * self.num_together + len(self.places)
-            self.frontier = empty_frontier(len(self.places), self.maps[0].cost.size, list_size)
-            self._compile()
+            return next(turns, None)
 
-    def _turn(self) -> list[tuple[int, Path]]:
-        """Begin queries, search for some rounds and return the paths that are done."""
-        with jax.enable_x64(True):
-            self._fill()
-            self._search()
-            return self._collect()
+    with ThreadPoolExecutor(1, thread_name_prefix="frontier") as worker:
+        while (done := worker.submit(turn).result()) is not None:
+            yield from done
 
-    def _compile(self) -> None:
-        """Compile the search for the present size of the list: with no round allowed it ends at once."""
-        self.frontier = jax.block_until_ready(advance(self.frontier, self.grids, 0, self.num_together))
 
-    def _fill(self) -> None:
-        """Begin waiting queries in free places."""
-        for place, running in enumerate(self.places):
-            if running is None and self.waiting:
-                index, problem = self.waiting.pop()
-                k = self.map_index[id(problem.cost)]
+def _turns(
+    queries: list[tuple[int, Problem]], planner: str, budget_s: float, band_steps: float, kind: str
+) -> Iterator[list[tuple[int, Path]]]:
+    """Yield what is done after every few rounds; each begins the queries that there is room for."""
+    maps = list({id(problem.cost): problem for _, problem in queries}.values())
+    map_index = {id(problem.cost): k for k, problem in enumerate(maps)}
+    grids, bands, num_cells = _grids(maps), [_band(problem, band_steps) for problem in maps], maps[0].cost.size
+    fitting = max(1, BYTES_OF_G[kind] // (BYTES_A_CELL * num_cells))
+    num_places = min(power_of_two(len(queries)), QUERIES_TOGETHER[kind], fitting)
+    num_together = CELLS_TOGETHER * num_places
+    frontier = empty_frontier(num_places, num_cells, 2 * len(STEPS) * num_together + num_places)
+    # With no round allowed the search ends at once, compiled for the size of its list.
+    frontier = jax.block_until_ready(advance(frontier, grids, 0, num_together))
+    waiting = queries[::-1]
+    running: dict[int, tuple[int, Problem, float]] = {}  # by place: the query's number, problem and begin
+    while waiting or running:
+        for place in range(num_places):
+            if place not in running and waiting:
+                index, problem = waiting.pop()
+                k = map_index[id(problem.cost)]
                 cells = (_flat(cell, problem) for cell in (problem.start, problem.goal))
-                self.frontier = begin(self.frontier, self.grids, place, k, *cells, self.bands[k])
-                self.places[place] = index, problem, time.perf_counter()
+                frontier = begin(frontier, grids, place, k, *cells, bands[k])
+                running[place] = index, problem, time.perf_counter()
+        frontier = advance(frontier, grids, ROUNDS_AT_ONCE, num_together)
+        if is_crowded(frontier, grids, num_together):  # a longer list is made off the clocks
+            away_s = -time.perf_counter()
+            frontier = with_list_of(2 * frontier.open_f.size, frontier)
+            frontier = jax.block_until_ready(advance(frontier, grids, 0, num_together))
+            away_s += time.perf_counter()
+            running = {place: (index, problem, s + away_s) for place, (index, problem, s) in running.items()}
+        done, lowest_f = [], np.asarray(frontier.lowest_f)
+        for place, (index, problem, begin_s) in list(running.items()):
+            if np.isinf(lowest_f[place]) or time.perf_counter() - begin_s >= budget_s:
+                done.append((index, _path(frontier, place, problem, planner, begin_s)))
+                frontier = drop(frontier, place)
+                del running[place]
+        yield done
 
-    def _search(self) -> None:
-        """Do some rounds; where the list of open cells runs full, make a longer one, off the clocks."""
-        self.frontier = advance(self.frontier, self.grids, ROUNDS_AT_ONCE, self.num_together)
-        if not is_crowded(self.frontier, self.grids, self.num_together):
-            return
-        begin_s = time.perf_counter()
-        self.frontier = with_list_of(2 * self.frontier.open_f.size, self.frontier)
-        self._compile()
-        away_s = time.perf_counter() - begin_s
-        self.places = [running and (running[0], running[1], running[2] + away_s) for running in self.places]
 
-    def _collect(self) -> list[tuple[int, Path]]:
-        """Return the queries that are done or out of budget, and free their places."""
-        lowest_f, num_expanded = (np.asarray(x) for x in (self.frontier.lowest_f, self.frontier.num_expanded))
-        done = []
-        for place, running in enumerate(self.places):
-            if running is None:
-                continue
-            index, problem, begin_s = running
-            is_out = time.perf_counter() - begin_s >= self.budget_s
-            if np.isinf(lowest_f[place]) or is_out:
-                path = self._path(place, problem, float(lowest_f[place]), int(num_expanded[place]), begin_s)
-                done.append((index, path))
-                self.frontier = drop(self.frontier, place)
-                self.places[place] = None
-        return done
-
-    def _path(self, place: int, problem: Problem, lowest_f: float, num_expanded: int, begin_s: float) -> Path:
-        is_reached = bool(self.frontier.g[place, _flat(problem.goal, problem)] < np.inf)
-        if np.isinf(lowest_f):
-            status = Status.OPTIMAL if is_reached else Status.NO_PATH
-        else:
-            status = Status.BUDGET_FEASIBLE if is_reached else Status.BUDGET_EMPTY
-        reached_by = np.asarray(self.frontier.reached_by[place]).reshape(problem.cost.shape)
-        return Path.of(
-            problem,
-            way_m(problem, reached_by, np.array(STEPS)) if is_reached else np.empty(0),
-            status,
-            lowest_f,
-            begin_s,
-            num_expanded=num_expanded,
-            planner=self.planner,
-            heuristic="octile",
-            backend="jax",
-        )
+def _path(frontier: Frontier, place: int, problem: Problem, planner: str, begin_s: float) -> Path:
+    """Return the path of the query in a place, as far as it is known."""
+    lowest_f = float(frontier.lowest_f[place])
+    is_reached = bool(frontier.g[place, _flat(problem.goal, problem)] < np.inf)
+    if np.isinf(lowest_f):
+        status = Status.OPTIMAL if is_reached else Status.NO_PATH
+    else:
+        status = Status.BUDGET_FEASIBLE if is_reached else Status.BUDGET_EMPTY
+    reached_by = np.asarray(frontier.reached_by[place]).reshape(problem.cost.shape)
+    return Path.of(
+        problem,
+        way_m(problem, reached_by, np.array(STEPS)) if is_reached else np.empty(0),
+        status,
+        lowest_f,
+        begin_s,
+        num_expanded=int(frontier.num_expanded[place]),
+        planner=planner,
+        heuristic="octile",
+        backend="jax",
+    )
 
 
 def _grids(maps: list[Problem]) -> Grids:

@@ -66,7 +66,7 @@ def simplify(problem: Problem, path: Path, tolerance_m: float) -> Path:
             is_free = problem.is_free if problem.levels_m is None else problem.is_free[level]
             margin = max(CLEAR_M, problem.leg_margin_m) / problem.resolution_m
             xy = _fewest(is_free, points_m[:, :2] / problem.resolution_m, tolerance_m, problem.resolution_m, margin)
-            num_near += int(np.sum(~_are_clear(is_free, xy, CLEAR_M / problem.resolution_m)))
+            num_near += int(np.sum(~are_clear(is_free, xy, CLEAR_M / problem.resolution_m)))
             xy_m = xy * problem.resolution_m
             xy_m[[0, -1]] = points_m[[0, -1], :2]
             points_m = np.column_stack([xy_m, np.broadcast_to(points_m[0, 2:], (len(xy_m), points_m.shape[1] - 2))])
@@ -103,12 +103,12 @@ def _fewest(is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: flo
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     offsets = np.concatenate([np.zeros((1, 2)), *(ring * around for ring in rings)])
     for divide in (False, True):  # its own points first, and points between them only where that does not do
-        is_far = _are_clear(is_free, xy, margin)
+        is_far = are_clear(is_free, xy, margin)
         if is_far.all():
             break
         if divide:
             xy = _divided(xy, is_far)
-            is_far = _are_clear(is_free, xy, margin)
+            is_far = are_clear(is_free, xy, margin)
         is_movable = np.concatenate([[False], ~(is_far[:-1] & is_far[1:]), [False]])
         moved = nudged(is_free, xy, is_movable, offsets, margin)
         tolerance -= float(np.hypot(*(moved - xy).T).max())
@@ -132,7 +132,7 @@ def _without_short_legs(
         for middle in middles if np.hypot(*(there - here)) < short else ():
             way, was = np.array([before, middle, after]), xy[at[k - 1] : at[k + 2] + 1]
             off = max(farthest(was, way), farthest(middle[None], was))
-            if off <= tolerance and are_clear(is_free, way, margin):
+            if off <= tolerance and are_clear(is_free, way, margin).all():
                 points[k : k + 2], at[k : k + 2] = [middle], [at[k]]
                 break
     return np.array(points)
@@ -151,11 +151,6 @@ def farthest(before: np.ndarray, after: np.ndarray) -> float:
     """Return how far the points of a path ``[N, 2]`` are at most from what it became, ``[W, 2]``."""
     line = shapely.LineString(after if len(after) > 1 else np.repeat(after, 2, axis=0))
     return float(shapely.distance(shapely.points(before), line).max())
-
-
-def _are_clear(is_free: np.ndarray, xy: np.ndarray, margin: float) -> np.ndarray:
-    """Return ``[N - 1]`` bool: which legs between points ``[N, 2]`` in cell sides keep a margin from closed cells."""
-    return np.array([is_clear(is_free, *here, *there, margin) for here, there in pairwise(xy.tolist())], bool)
 
 
 def _divided(xy: np.ndarray, is_far: np.ndarray) -> np.ndarray:

@@ -51,7 +51,13 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 @click.option("--power", "power_w", type=float, help="Watts in flight, for energy.  [default: the vehicle's]")
 @click.option("--swath", "swath_m", type=float, help="Of the strip of people overflown, metres.  [default: 10]")
 @click.option("--profile", type=PATH, help="Draw what the route meets, as PNG.")
-@click.option("-o", "files", type=PATH, multiple=True, help=".geojson, .kml, .gpx or .plan; repeatable.")
+@click.option(
+    "-o",
+    "files",
+    type=PATH,
+    multiple=True,
+    help="As its suffix says: .geojson, .kml, .gpx, .plan ...; repeatable.",
+)
 @click.option(
     "--simplify",
     "simplify_m",
@@ -102,7 +108,7 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     search = PathSearch.of(maps, is_volume, snap=snap, **{name: given[name] for name in names})
     on = {name: given[name] for name in ("objective", "time", "time_of_day")} | given_rules(given)
     shared = cost_map(maps, altitude_m, **with_objective(maps, on))
-    planned, maps = shared.found(start, goal, search), shared.maps
+    planned, maps = shared.planned(start, goal, search), shared.maps
     if simplify_m:
         planned = simplify(planned, shared, simplify_m)
     is_explained = planned.status.has_path and (with_report or profile is not None)

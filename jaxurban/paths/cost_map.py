@@ -269,9 +269,9 @@ class CostMap(Shown, MapQuery):
     @partial(typed, makers=(PathSearch.of,))
     def plan(self, start: Point | XY, goal: Point | XY, **asked: Any) -> PlannedPath:
         """Return a path between two places, given as in `locate`, searched for as `PathSearch.of` says (errors too)."""
-        return self.found(start, goal, PathSearch.of(None, self.levels is not None, **asked))
+        return self.planned(start, goal, PathSearch.of(None, self.levels is not None, **asked))
 
-    def found(self, start: Point | XY, goal: Point | XY, search: PathSearch) -> PlannedPath:
+    def planned(self, start: Point | XY, goal: Point | XY, search: PathSearch) -> PlannedPath:
         """Return a path between two places, given as in `locate`, searched for in one way."""
         if self.is_prepared and search.heuristic is None and PLANNERS[search.planner].default_heuristic == AUTO:
             search = replace(search, heuristic="landmarks")
@@ -283,18 +283,18 @@ class CostMap(Shown, MapQuery):
         # An anytime planner would leave nothing of the budget to refine with.
         share = 1 - REFINING_SHARE if search.refine else 1.0
         with saying_later(search.planner, search.budget_s):
-            found = find_path(problem, budget_s=search.budget_s * share, seed=search.seed)
-        if search.refine and found.status.has_path:
-            left_s = search.budget_s - found.elapsed_s
-            found = refine_path(problem, found, budget_s=max(left_s, search.budget_s * REFINING_SHARE / 2))
-        return finish(self, found, ends, search)
+            path = find_path(problem, budget_s=search.budget_s * share, seed=search.seed)
+        if search.refine and path.status.has_path:
+            left_s = search.budget_s - path.elapsed_s
+            path = refine_path(problem, path, budget_s=max(left_s, search.budget_s * REFINING_SHARE / 2))
+        return finish(self, path, ends, search)
 
     def means(self, features: PathFeatures) -> dict[str, float]:
         """Return the mean of each metric m along a path, by the exact length in each cell."""
         metrics = self.maps.metrics
         means = zip(self.names, features.mean_costs, strict=True)
-        found = {name: metrics[name].cost(cost) for name, cost in means}  # c turns into m as m into c
-        return {name: min(max(float(m), 0.0), 1.0) for name, m in found.items()}  # rounding may leave the range
+        # c turns into m as m into c, and rounding may leave the range.
+        return {name: min(max(float(metrics[name].cost(cost)), 0.0), 1.0) for name, cost in means}
 
     @cached_property
     def terrain_m(self) -> np.ndarray | None:

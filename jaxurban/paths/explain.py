@@ -160,10 +160,10 @@ def explain(
     if num_segments < 1:
         raise InputError(f"num_segments must be at least 1, got {num_segments}")
     route = RouteProfile.of(planned, maps)
-    given: dict[str, Any] = {"speed_m_s": speed_m_s, "power_w": power_w}
-    given |= {name: getattr(Vehicle.of(planned.settings), name) for name, value in given.items() if value is None}
-    vehicle = replace(Vehicle.of(planned.settings), **given)
-    check_flight(**given, swath_m=swath_m)
+    flight = {"speed_m_s": speed_m_s, "power_w": power_w}
+    vehicle = Vehicle.of(planned.settings)
+    vehicle = replace(vehicle, **{name: value for name, value in flight.items() if value is not None})
+    positive("swath_m", swath_m, "metres")
     cut, names, grid = route.cut, tuple(maps.metrics), maps.grid
     profile = route.table({name: name for name in names} | EXTRA_MAPS)
     on = _cost_map_of(planned, maps)
@@ -174,32 +174,32 @@ def explain(
     over_m, rise_m = np.hypot(*moved_m[:2]), moved_m[2]
     flight_s = None if vehicle.speed_m_s is None else vehicle.flight_s(cut.length_m, rise_m, vehicle.speed_m_s)
 
-    def row(first: int, last: int) -> dict[str, float]:
+    def numbers(first: int, last: int) -> dict[str, float]:
         """Return what the route from one state to another costs and meets."""
         chosen = (first <= cut.segment) & (cut.segment < max(last, 1))
         part, features = profile[chosen], on.shortest.features(states[first : last + 1])
         length_m = (part["to_m"] - part["from_m"]).to_numpy()
-        found = {"from_m": part["from_m"].min(), "to_m": part["to_m"].max(), "length_m": float(length_m.sum())}
+        row = {"from_m": part["from_m"].min(), "to_m": part["to_m"].max(), "length_m": float(length_m.sum())}
         by_name = dict(zip(on.weight_names, (on.weight_vector * features.phi).tolist(), strict=True))
-        found |= {"cost": sum(by_name.values())} | {f"cost_of_{name}": cost for name, cost in by_name.items()}
-        found |= {f"mean_{name}": mean for name, mean in on.means(features).items()}
+        row |= {"cost": sum(by_name.values())} | {f"cost_of_{name}": cost for name, cost in by_name.items()}
+        row |= {f"mean_{name}": mean for name, mean in on.means(features).items()}
         if DENSITY in part:
-            found["people_overflown"] = float(part[DENSITY] @ over_m[chosen]) * swath_m / M2_PER_KM2
+            row["people_overflown"] = float(part[DENSITY] @ over_m[chosen]) * swath_m / M2_PER_KM2
         if VISIBLE in part:
-            found["under_4_satellites_m"] = float(length_m[part[VISIBLE] < FEWEST_SATELLITES].sum())
-        found |= {name: float(part[name].min()) for name in (CLEARANCE, OUTSIDE, OVER_ROOF)}
+            row["under_4_satellites_m"] = float(length_m[part[VISIBLE] < FEWEST_SATELLITES].sum())
+        row |= {name: float(part[name].min()) for name in (CLEARANCE, OUTSIDE, OVER_ROOF)}
         if flight_s is not None:
-            found["time_s"] = float(flight_s[chosen].sum())
+            row["time_s"] = float(flight_s[chosen].sum())
         if flight_s is not None and vehicle.power_w is not None:
-            found["energy_wh"] = found["time_s"] * vehicle.power_w / SECONDS_PER_HOUR
-        return found | {f"{end}_{name}": getattr(part[name], end)() for end in ("min", "max") for name in names}
+            row["energy_wh"] = row["time_s"] * vehicle.power_w / SECONDS_PER_HOUR
+        return row | {f"{end}_{name}": getattr(part[name], end)() for end in ("min", "max") for name in names}
 
     num_steps = len(states) - 1
-    whole = row(0, num_steps)
+    whole = numbers(0, num_steps)
     segment = cut_evenly(cut.points_m, num_segments)
     parts = list(pairwise([*np.unique(segment, return_index=True)[1].tolist(), num_steps]))
     segments = pd.DataFrame(
-        [row(*part) for part in parts], pd.RangeIndex(1, len(parts) + 1, name="segment"), list(whole)
+        [numbers(*part) for part in parts], pd.RangeIndex(1, len(parts) + 1, name="segment"), list(whole)
     )
     left_out = ("from_m", "to_m", *(f"{end}_{name}" for end in ("min", "max") for name in names))
     return RouteReport(
@@ -208,7 +208,7 @@ def explain(
         extremes=_extremes(profile, names),
         profile=profile,
         lines=tuple(lonlat[first : last + 1] for first, last in parts),
-        settings={"swath_m": swath_m, **given},
+        settings={"swath_m": swath_m} | {name: getattr(vehicle, name) for name in flight},
         cautions=cautions(planned, maps, profile),
     )
 

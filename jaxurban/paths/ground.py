@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.world.grid import Grid
 
 MOST_BULGE_M = 0.05  # between two places whose middle is a place too, by which the ground leaves the straight line
@@ -42,8 +43,9 @@ def ground_along(points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> Gro
       terrain_m: ``[Y, X]`` elevation of the ground in each cell.
       grid: of ``terrain_m``.
     """
-    number = np.arange(len(points_m))
-    bends = np.unique(np.concatenate([number, *map(_passes_whole, (points_m / grid.resolution_m - 0.5).T)]))
+    between_centres = crossed_cells(points_m + grid.resolution_m / 2, grid.resolution_m)  # where the ground bends
+    leg, is_bend = between_centres.segment, np.diff(between_centres.segment) == 0
+    bends = np.unique(np.append(np.arange(len(points_m)), (leg + between_centres.shares[:, 1])[:-1][is_bend]))
     *_, elevation_m = _halved(bends, points_m, terrain_m, grid)
     bulge_m = np.abs(elevation_m[1::2] - (elevation_m[:-1:2] + elevation_m[2::2]) / 2)
     pieces = np.fmax(np.ceil(np.sqrt(bulge_m / MOST_BULGE_M)), 1)  # each of n bulges by the bulge / n²
@@ -58,16 +60,6 @@ def _halved(bends: np.ndarray, points_m: np.ndarray, terrain_m: np.ndarray, grid
     at = np.interp(np.arange(2 * len(bends) - 1) / 2, np.arange(len(bends)), bends)
     x_m, y_m = (np.interp(at, np.arange(len(points_m)), values) for values in points_m.T)
     return at, x_m, y_m, elevation_at(x_m, y_m, terrain_m, grid.resolution_m)
-
-
-def _passes_whole(values: np.ndarray) -> np.ndarray:
-    """Return where a row of values ``[N]``, joined by straight lines, passes whole numbers, counted in values."""
-    begin, end = values[:-1], values[1:]
-    low = np.floor(np.minimum(begin, end))
-    passed = np.maximum(np.ceil(np.maximum(begin, end)) - low - 1, 0).astype(int)
-    leg = np.repeat(np.arange(len(passed)), passed)
-    whole = low[leg] + 1 + np.arange(len(leg)) - np.repeat(np.cumsum(passed) - passed, passed)
-    return leg + (whole - begin[leg]) / (end - begin)[leg]
 
 
 def elevation_at(x_m: np.ndarray, y_m: np.ndarray, terrain_m: np.ndarray, resolution_m: float) -> np.ndarray:

@@ -155,11 +155,11 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def finish(on: "CostMap", found: Path, ends: tuple[Place, Place], search: PathSearch) -> PlannedPath:
+def finish(on: "CostMap", path: Path, ends: tuple[Place, Place], search: PathSearch) -> PlannedPath:
     """Return a planner's path with its weighted cost, its metrics, its coordinates and its settings.
 
     Args:
-      found: from a planner.
+      path: from a planner.
       ends: from `locate`.
       search: how it was searched for, for the record.
     """
@@ -170,11 +170,11 @@ def finish(on: "CostMap", found: Path, ends: tuple[Place, Place], search: PathSe
     nowhere: dict[str, Any] = {"xy_m": np.empty((0, 2)), "lonlat": np.empty((0, 2)), "z_m": np.empty(0), "metrics": {}}
     no_path = nowhere | {"cost": math.inf, "cost_by_layer": {}, "length_m": math.inf}
     return PlannedPath(
-        **(measured(on, found.points_m) if found.status.has_path else no_path),
-        status=found.status,
+        **(measured(on, path.points_m) if path.status.has_path else no_path),
+        status=path.status,
         altitude_m=float(on.altitudes_m[0 if on.levels is None else ends[0].cell[0]]),
         snap_distance_m=(ends[0].snap_distance_m, ends[1].snap_distance_m),
-        search=replace(found, note=_note(on, found, ends)),
+        search=replace(path, note=_note(on, path, ends)),
         settings=settings,
         crs=on.grid.crs,
         zones=on.constraints.zones,
@@ -204,16 +204,16 @@ def measured(on: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _note(on: "CostMap", found: Path, ends: tuple[Place, Place]) -> str:
+def _note(on: "CostMap", path: Path, ends: tuple[Place, Place]) -> str:
     """Return what the planner noted, and what a reader of the path must know beside it."""
-    has_path = found.status.has_path
-    notes = [found.note]
+    has_path = path.status.has_path
+    notes = [path.note]
     if not on.is_weighed and on.objective == "weighted":
         notes = ["All weights are zero, so every path is as cheap: the distance was minimised instead."]
     notes.append(snap_note(*ends))
     if kept := kept_said(on.constraints.to_dict(), on.grid.resolution_m):
         notes.append(f"Distance to obstacles: {on.constraints.horizontal_m:g} m asked, {kept}.")
-    if on.is_weighed and on.weights.distance == 0 and not found.note and has_path:
+    if on.is_weighed and on.weights.distance == 0 and not path.note and has_path:
         notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
     if between := _between_m(on):
         low_m, high_m = between
@@ -222,7 +222,7 @@ def _note(on: "CostMap", found: Path, ends: tuple[Place, Place]) -> str:
         without = sum(int(on.maps.is_free(z_m).sum()) for z_m in on.altitudes_m.tolist())
         share = 1 - on.is_free.sum() / without
         notes.append(f"Constraints were on ({said}): they close {share:.1%} of the cells without an obstacle.")
-    if found.status is Status.NO_PATH:
+    if path.status is Status.NO_PATH:
         notes += [pocket_note(on, *ends), what_would_join(on, ends[0].cell, ends[1].cell)]
     asked = [name for name, weight in on.weights.to_dict().items() if weight > 0]
     if missing := [name for name in asked if name not in ("distance", *on.names)]:

@@ -52,7 +52,7 @@ def plan(
     maps = as_maps(maps)
     search = PathSearch.of(maps, isinstance(altitude_m, Levels), **taken_by(PathSearch.of, asked))
     ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
-    return cost_map(maps, altitude_m, **with_objective(maps, taken_by(MapQuery.of, asked))).found(*ends, search)
+    return cost_map(maps, altitude_m, **with_objective(maps, taken_by(MapQuery.of, asked))).planned(*ends, search)
 
 
 def with_objective(maps: MetricMaps, asked: dict[str, Any]) -> dict[str, Any]:

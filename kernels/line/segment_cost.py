@@ -67,12 +67,12 @@ def is_clear(is_free, x0, y0, x1, y1, margin):
 
 @compiled()
 def are_clear(is_free, xy, margin):
-    """Whether all legs of a polyline ``[N, 2]`` do; of a single point, that point."""
-    for k in range(max(1, len(xy) - 1)):
+    """Return ``[N - 1]`` bool: which legs of a polyline ``[N, 2]`` do; of a single point, ``[1]`` whether that does."""
+    are = np.empty(max(1, len(xy) - 1), np.bool_)
+    for k in range(len(are)):
         end = min(k + 1, len(xy) - 1)
-        if not is_clear(is_free, xy[k, 0], xy[k, 1], xy[end, 0], xy[end, 1], margin):
-            return False
-    return True
+        are[k] = is_clear(is_free, xy[k, 0], xy[k, 1], xy[end, 0], xy[end, 1], margin)
+    return are
 
 
 @compiled()
