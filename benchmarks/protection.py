@@ -41,7 +41,7 @@ def views(
     )
     surface = task.surface()
     is_obstacle = np.asarray(surface.crop(surface.roof_m)) >= altitude_m
-    words = (np.asarray(visibility(surface, *task.angles(t), [altitude_m]))[:, 0] for t in range(len(times)))
+    words = (np.asarray(visibility(surface, *task.in_view(t).angles, [altitude_m]))[:, 0] for t in range(len(times)))
     return is_obstacle, [(of_time, task.in_view(t)) for t, of_time in enumerate(words)]
 
 

@@ -94,7 +94,8 @@ def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo, m
     antenna_m = np.column_stack([track.x_m, track.y_m, np.full(len(track.sky), settings.antenna_height_m)])
     for t in range(len(track.sky_times)):
         epochs = track.sky == t
-        for bit, (s, toward) in enumerate(zip(task.satellites_at(t), unit_vectors(*task.angles(t)), strict=True)):
+        in_view = task.in_view(t)
+        for bit, (s, toward) in enumerate(zip(in_view.numbers, unit_vectors(*in_view.angles), strict=True)):
             word = np.where(known, made[f"word {bit // 32}"], 0)[epochs].astype(np.int64)
             is_above[epochs, s], is_seen[epochs, s] = True, word >> bit % 32 & 1
             rays = np.broadcast_to(toward, (epochs.sum(), 3))

@@ -26,7 +26,7 @@ def sky() -> Sky:
     names = tuple(f"G{s}" for s in range(6))
     azimuth_rad, elevation_rad = (np.radians(values) for values in (AZIMUTH_DEG, ELEVATION_DEG))
     times = ("2020-04-27T16:00:00Z", "2020-04-27T18:00:00Z")
-    return Sky(times, names, azimuth_rad, elevation_rad, ("gps",) * 6, np.zeros((2, 6)))
+    return Sky(times, names, azimuth_rad, elevation_rad, ("gps",) * 6, np.zeros((2, 6)), mask_deg=5.0)
 
 
 def city(with_terrain: bool = False) -> City:

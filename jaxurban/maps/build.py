@@ -138,14 +138,12 @@ def view_sky(region: Grid, gps: Gps) -> Sky:
         lat_deg,
         convergence_rad=region.convergence_rad(lon_deg, lat_deg),
         max_age_days=gps.max_age_days,
-    ).above(np.radians(gps.mask_deg))
-    num_above = (sky.elevation_rad >= np.radians(gps.mask_deg)).sum(axis=1)
-    for time, number in zip(sky.times, num_above, strict=True):
-        if number == 0:
-            raise InputError(
-                f"no satellite is above the elevation mask of {gps.mask_deg} degrees at {time}: "
-                "lower [gps] mask_deg, choose another time, or check the orbits"
-            )
+    ).under(gps.mask_deg)
+    for t in np.flatnonzero(~sky.is_in_view.any(axis=1)):
+        raise InputError(
+            f"no satellite is above the elevation mask of {gps.mask_deg} degrees at {sky.times[t]}: "
+            "lower [gps] mask_deg, choose another time, or check the orbits"
+        )
     return replace(sky, guesses=guesses)
 
 
@@ -237,7 +235,7 @@ def soften(
         task = replace(task, city=replace(task.city, hanging=TO_GROUND))
     if not 0 <= time_index < task.num_times:
         raise InputError(f"time_index must be 0 to {task.num_times - 1}, one of the sky's times, got {time_index}")
-    city, params = task.city, task.params
+    city, params, in_view = task.city, task.params, task.in_view(time_index)
     building = building_index(city, task.with_margin(), params.heights.all_touched)
     assert city.buildings is not None
     surface = task.surface()
@@ -247,7 +245,7 @@ def soften(
         surface=surface,
         building=jnp.asarray(building),
         height_m=jnp.asarray(city.buildings.height_m, dtype),
-        view=SkyView.of(surface, *task.angles(time_index), clocks=task.clocks(time_index)),
+        view=SkyView.of(surface, *in_view.angles, clocks=in_view.clocks),
         population=None if city.blocks is None else BlockPopulation.of(city.blocks, task.region.bounds_m, dtype),
         time_of_day=time_of_day or params.population.times_of_day[0],
         reach_m=tuple((name, float(metric.reach_m(task.settings_of(metric)))) for name, metric in task.metrics.items()),

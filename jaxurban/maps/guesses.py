@@ -64,7 +64,7 @@ def map_guesses(task: "MapTask") -> Guesses:
     city, region, params = task.city, task.region, task.params
     guesses = {**city.guesses, **task.sky.guesses}
     if city.sources:
-        guesses |= _visibility_guesses(city, region, task.sky, min(params.altitudes_m), params.gps.mask_deg)
+        guesses |= _visibility_guesses(city, region, task.sky, min(params.altitudes_m))
     else:
         guesses.pop(NOMINAL_SKY, None)
     guesses |= _coverage_guesses(city, region) | _hanging_guesses(city, region)
@@ -142,21 +142,20 @@ def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesse
     return guesses
 
 
-def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> tuple[float, float]:
+def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tuple[float, float]:
     """Return the shares of cells and of visibilities whose rays leave the data while a roof could still block them.
 
     Of cells: those with any such ray. Of visibilities: a cell, a satellite, a time each.
     """
-    above = sky.elevation_rad >= np.radians(mask_deg)
-    azimuth_rad = sky.azimuth_rad[above]
+    azimuth_rad = sky.azimuth_rad[sky.is_in_view]
     # Until a ray is above the highest roof.
-    run_m = max(highest_top_m(city) - altitude_m, 0.0) / np.tan(sky.elevation_rad[above])
+    run_m = max(highest_top_m(city) - altitude_m, 0.0) / np.tan(sky.elevation_rad[sky.is_in_view])
     leaves = rays_leaving(city, region, run_m * np.sin(azimuth_rad), run_m * np.cos(azimuth_rad))
     return float(leaves.any(axis=1).mean()), float(leaves.mean())
 
 
-def _visibility_guesses(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> Guesses:
-    _, share = leaving_shares(city, region, sky, altitude_m, mask_deg)
+def _visibility_guesses(city: City, region: Grid, sky: Sky, altitude_m: float) -> Guesses:
+    _, share = leaving_shares(city, region, sky, altitude_m)
     if share < TOLD_SHARE:
         return {}
     return {

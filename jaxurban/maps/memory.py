@@ -104,7 +104,7 @@ def tile_gpu_bytes(task: MapTask, tile: Grid) -> int:
     Over flat ground the lidar there keeps a bit a step for every cell in its range. As words are bands of rows, each
     with a halo of its own, these bits are up to 32 times the cells around.
     """
-    satellites = max(len(task.satellites_at(number)) for number in range(task.num_times))
+    satellites = int(task.sky.is_in_view.sum(axis=1).max())
     steps = num_steps(tile.resolution_m, task.params.of("lidar").range_m)
     bands = replace(tile, num_rows=-(-tile.num_rows // WORD_BITS))
     flat = LIDAR_GPU_WORD_BYTES * steps * _num_cells(bands, steps - 1)

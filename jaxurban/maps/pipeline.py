@@ -117,9 +117,9 @@ def skies_of(task: MapTask, surface: Surface) -> SkyView:
     One time is ``jax.tree.map(lambda values: values[t], views)``; all of them are mapped over by
     ``jax.vmap(all_maps, (None, 0))``. Times with fewer satellites than the fullest are filled up.
     """
-    angles = [task.angles(t) for t in range(task.num_times)]
-    most = max(1, *(len(azimuth_rad) for azimuth_rad, _ in angles))
-    views = [SkyView.of(surface, *of_time, most, task.clocks(t)) for t, of_time in enumerate(angles)]
+    skies = [task.in_view(t) for t in range(task.num_times)]
+    most = max(1, *(len(in_view.numbers) for in_view in skies))
+    views = [SkyView.of(surface, *in_view.angles, most, in_view.clocks) for in_view in skies]
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
 
 

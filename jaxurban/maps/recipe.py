@@ -125,22 +125,22 @@ class TileScene:
     def keep(self, time_index: int, words: np.ndarray) -> None:
         """Let `view` return these words for a time, and forget all others."""
         self.forget()
-        angles, clocks = self.task.angles(time_index), self.task.clocks(time_index)
-        self._seen[time_index] = SatelliteSet.of(*angles, self.task.params.gps, clocks), words
+        in_view = self.task.in_view(time_index)
+        self._seen[time_index] = SatelliteSet.of(*in_view.angles, self.task.params.gps, in_view.clocks), words
 
     def forget(self) -> None:
         """Free the memory of the satellites and words that `view` keeps."""
         self._seen.clear()
 
     def _words(self, time_index: int) -> AnyArray:
-        angles = self.task.angles(time_index)
+        in_view = self.task.in_view(time_index)
         altitudes_m = np.asarray(self.task.params.altitudes_m)
         if self.supersampled is not None:
-            return visibility_at_centres(self._bands, *angles, altitudes_m)
+            return visibility_at_centres(self._bands, *in_view.angles, altitudes_m)
         rings = None
         if self.rings is not None:
-            rings = [self.rings[time_index, int(s)] for s in self.task.satellites_at(time_index)]
-        return visibility(self.surface, *angles, altitudes_m, rings, self.task.params.engine)
+            rings = [self.rings[time_index, int(s)] for s in in_view.numbers]
+        return visibility(self.surface, *in_view.angles, altitudes_m, rings, self.task.params.engine)
 
     def at(self, metric: Metric, place: tuple[int, ...], only_m: bool = False) -> Scene:
         """Return what a metric may look at, at one place along its dims; ``only_m``: for m and nothing else."""
@@ -271,7 +271,7 @@ def _bounds(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
     for end, make_bands, *rules in (("lower", upper_bands, True, to_ground), ("upper", lower_bands, False, None)):
         bands = make_bands(tile.supersampled_surface(*rules), task.params.oversample)
         for t in range(task.num_times):
-            tile.keep(t, visibility_at_centres(bands, *task.angles(t), altitudes_m))
+            tile.keep(t, visibility_at_centres(bands, *task.in_view(t).angles, altitudes_m))
             for a in range(len(altitudes_m)):
                 found = metric.compute(tile.at(metric, (t, a), only_m=True), settings)
                 yield MapLayer(f"{metric.name}_{end}", (t, a), found[metric.name])

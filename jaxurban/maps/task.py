@@ -10,7 +10,6 @@ import numpy as np
 
 from jaxurban.errors import InputError, at_least, one_of, typed
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
-from jaxurban.kernels.dop import Clocks
 from jaxurban.kernels.engine import ENGINES, Engine
 from jaxurban.maps.guesses import has_guessed_roofs
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
@@ -111,7 +110,7 @@ class MapTask:
     guesses: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.params.gps.bounds and self.clocks(0) is not None:
+        if self.params.gps.bounds and self.in_view(0).clocks is not None:
             raise InputError(
                 "bounds of m_gps hold for one clock: with several, a first satellite of the first system may raise "
                 "GDOP. Set [gps] clocks = 'one', or give the orbits of one system"
@@ -185,26 +184,10 @@ class MapTask:
         """Whether maps tell roofs of guessed height apart: the region has any."""
         return has_guessed_roofs(self.city, self.region)
 
-    def satellites_at(self, time_index: int) -> np.ndarray:
-        """Return the numbers of the satellites at or above the mask at a time."""
-        return np.flatnonzero(self.sky.elevation_rad[time_index] >= np.radians(self.params.gps.mask_deg))
-
-    def angles(self, time_index: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return azimuths and elevations (radians) of the satellites at or above the mask at a time."""
-        seen = self.satellites_at(time_index)
-        return self.sky.azimuth_rad[time_index, seen], self.sky.elevation_rad[time_index, seen]
-
     def in_view(self, time_index: int) -> InView:
-        """Return the satellites at or above the mask at a time."""
-        systems = tuple(self.sky.systems[s] for s in self.satellites_at(time_index))
-        return InView(*self.angles(time_index), systems)
-
-    def clocks(self, time_index: int) -> Clocks | None:
-        """Return which receiver clock each of the satellites of `angles` has; None where all share one."""
-        numbers = self.sky.system_numbers
-        if self.params.gps.clocks == "one" or not numbers.any():
-            return None
-        return Clocks(numbers[self.satellites_at(time_index)], int(numbers.max()) + 1)
+        """Return the satellites in view at a time, and their receiver clocks as the settings of GPS have them."""
+        in_view = self.sky.in_view(time_index)
+        return in_view._replace(clocks=None) if self.params.gps.clocks == "one" else in_view
 
     def with_margin(self, part: Grid | None = None, highest_m: float | None = None) -> Grid:
         """Return a grid grown by the margin that its metrics need.
@@ -214,10 +197,9 @@ class MapTask:
           highest_m: how far the highest roof can stand above the lowest ground; left out, the city's.
         """
         part = self.region if part is None else part
-        above = self.sky.elevation_rad >= np.radians(self.params.gps.mask_deg)
         toward_m = shadow_reach_m(
-            self.sky.azimuth_rad[above],
-            self.sky.elevation_rad[above],
+            self.sky.azimuth_rad[self.sky.is_in_view],
+            self.sky.elevation_rad[self.sky.is_in_view],
             highest_top_m(self.city) if highest_m is None else highest_m,
             float(min(self.params.altitudes_m)),
             part.resolution_m,

@@ -42,7 +42,7 @@ class TileJob:
         if self.task.params.oversample > 1:  # supersampled surfaces look beyond the tile: nothing is handed on
             return order
         for t in range(self.task.num_times):
-            for s in self.task.satellites_at(t):
+            for s in self.task.sky.in_view(t).numbers:
                 azimuth_rad = self.task.sky.azimuth_rad[t, s]
                 order[quadrant_of(np.sin(azimuth_rad), np.cos(azimuth_rad))].append((t, int(s)))
         return order

@@ -57,10 +57,7 @@ def run_record(
 ) -> dict[str, Any]:
     """Return what run.json holds; the arguments are what `run_scenario` worked with, a task for each resolution."""
     city, region, sky = tasks[0].city, tasks[0].region, tasks[-1].sky
-    leaving = {
-        short_number(z): leaving_shares(city, region, sky, z, scenario.gps.mask_deg)
-        for z in scenario.region.altitudes_m
-    }
+    leaving = {short_number(z): leaving_shares(city, region, sky, z) for z in scenario.region.altitudes_m}
     population = inside = None
     if city.blocks is not None:
         population, inside = (
@@ -81,7 +78,7 @@ def run_record(
         },
         "buildings": _building_record(city, region),
         "epochs": list(sky.times),
-        "satellites_above_mask": sky.count_by_system(np.radians(scenario.gps.mask_deg)),
+        "satellites_above_mask": sky.count_by_system(),
         "satellites": _satellite_record(sky),
         "rays_leave_data_share": {z: round(cells, 4) for z, (cells, _) in leaving.items()},
         "answers_leave_data_share": {z: round(results, 4) for z, (_, results) in leaving.items()},

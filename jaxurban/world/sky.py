@@ -1,10 +1,13 @@
-"""Sky: where the satellites stand, seen from one reference point."""
+"""Sky: where the satellites stand, seen from one reference point, and which of them are above the elevation mask."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+
+from jaxurban.kernels.dop import Clocks
 
 
 class InView(NamedTuple):
@@ -14,11 +17,20 @@ class InView(NamedTuple):
       azimuth_rad: ``[S]`` float64, clockwise from **grid** north.
       elevation_rad: ``[S]`` float64 above the horizon.
       systems: ``[S]`` constellation of each, as in `Sky`.
+      numbers: ``[S]`` of the satellites in their sky.
+      clocks: a receiver clock for each constellation of the sky; None where it has but one.
     """
 
     azimuth_rad: np.ndarray
     elevation_rad: np.ndarray
     systems: tuple[str, ...]
+    numbers: np.ndarray = np.empty(0, int)
+    clocks: Clocks | None = None
+
+    @property
+    def angles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Azimuths and elevations."""
+        return self.azimuth_rad, self.elevation_rad
 
 
 @dataclass(frozen=True)
@@ -33,6 +45,7 @@ class Sky:
       systems: ``[S]`` constellation of each satellite: "gps", "galileo", "glonass", "beidou" ... or "unknown".
       element_age_days: ``[T, S]`` float64 age of each element set at each time (0 for nominal orbits).
       guesses: what was supposed of time and satellites, see `jaxurban.maps.guesses`.
+      mask_deg: elevation mask; lower satellites are not in view.
     """
 
     times: tuple[str, ...]
@@ -42,26 +55,35 @@ class Sky:
     systems: tuple[str, ...]
     element_age_days: np.ndarray
     guesses: Mapping[str, str] = field(default_factory=dict)
+    mask_deg: float = 0.0
 
-    @property
-    def system_numbers(self) -> np.ndarray:
-        """``[S]`` int number of each satellite's constellation, in the order in which the names name them."""
-        order = list(dict.fromkeys(self.systems))
-        return np.array([order.index(system) for system in self.systems], int)
+    @cached_property
+    def is_in_view(self) -> np.ndarray:
+        """``[T, S]`` bool: which satellites are at or above the mask."""
+        return self.elevation_rad >= np.radians(self.mask_deg)
 
-    def above(self, mask_rad: float) -> "Sky":
-        """Return the satellites that are at or above the elevation mask at any time."""
-        keep = np.flatnonzero((self.elevation_rad >= mask_rad).any(axis=0))
+    def in_view(self, time_index: int) -> InView:
+        """Return the satellites in view at a time."""
+        numbers = np.flatnonzero(self.is_in_view[time_index])
+        systems, order = tuple(self.systems[s] for s in numbers), list(dict.fromkeys(self.systems))
+        clocks = Clocks(np.array([order.index(system) for system in systems], int), len(order))
+        angles = self.azimuth_rad[time_index, numbers], self.elevation_rad[time_index, numbers]
+        return InView(*angles, systems, numbers, clocks if len(order) > 1 else None)
+
+    def under(self, mask_deg: float) -> "Sky":
+        """Return the sky under an elevation mask, with the satellites that are in view at any time."""
+        sky = replace(self, mask_deg=mask_deg)
+        keep = np.flatnonzero(sky.is_in_view.any(axis=0))
         return replace(
-            self,
-            names=tuple(self.names[i] for i in keep),
+            sky,
+            names=tuple(self.names[s] for s in keep),
             azimuth_rad=self.azimuth_rad[:, keep],
             elevation_rad=self.elevation_rad[:, keep],
-            systems=tuple(self.systems[i] for i in keep),
+            systems=tuple(self.systems[s] for s in keep),
             element_age_days=self.element_age_days[:, keep],
         )
 
-    def count_by_system(self, mask_rad: float) -> dict[str, list[int]]:
-        """Return how many satellites of each constellation are at or above the mask, by time."""
-        is_above, systems = self.elevation_rad >= mask_rad, np.asarray(self.systems)
-        return {name: is_above[:, systems == name].sum(axis=1).tolist() for name in sorted(set(self.systems))}
+    def count_by_system(self) -> dict[str, list[int]]:
+        """Return how many satellites of each constellation are in view, by time."""
+        systems = np.asarray(self.systems)
+        return {name: self.is_in_view[:, systems == name].sum(axis=1).tolist() for name in sorted(set(self.systems))}

@@ -121,7 +121,7 @@ def test_rays_are_told_to_leave_a_town_beside_a_wreck(tmp_path):
     beside = ju.City.from_files(write(tmp_path / "b.geojson", [*town, *wrecks]), bounds=BOUNDS, crs=UTM)
     grid = ju.Grid.from_bounds(BOUNDS, 20.0, UTM)
     sky = view_sky(grid, ju.Gps(times=("2020-04-27T16:00:00Z",)))
-    shares = [leaving_shares(city, grid, sky, 20.0, 5.0)[0] for city in (alone, beside)]
+    shares = [leaving_shares(city, grid, sky, 20.0)[0] for city in (alone, beside)]
     assert shares[0] == shares[1] > 0.1
 
 

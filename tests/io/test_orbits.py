@@ -312,7 +312,7 @@ def test_several_constellations_are_read_together_and_counted_by_system(four_sys
     sky = look_angles(orbits, times, LON_DEG, LAT_DEG)
     systems = np.asarray(sky.systems)
     assert {name: int(np.sum(systems == name)) for name in set(systems)} == dict.fromkeys(("gps", *WALKER), 24)
-    counts = sky.count_by_system(math.radians(5))
+    counts = sky.under(5.0).count_by_system()
     assert all(5 <= count <= 12 for by_epoch in counts.values() for count in by_epoch)  # a third is in view
     at = load.timescale(builtin=True).from_datetime(parse_time(times[0]))
     for system, (axis_km, *_) in WALKER.items():

@@ -195,7 +195,7 @@ def test_the_share_of_answers_beyond_the_data_is_that_of_rays_followed_one_by_on
         x_min, y_min, x_max, y_max = city.known_extent_m
         leaving.append(((x_m < x_min) | (x_m > x_max) | (y_m < y_min) | (y_m > y_max)).mean())
     assert 0.01 < np.mean(leaving) < 0.99
-    assert leaving_shares(city, region, sky, 20.0, 5.0)[1] == pytest.approx(np.mean(leaving), abs=1e-12)
+    assert leaving_shares(city, region, sky, 20.0)[1] == pytest.approx(np.mean(leaving), abs=1e-12)
 
 
 def blocks_of(*sides_m, people=100.0):

@@ -120,7 +120,7 @@ def test_a_slab_moves_as_a_whole_where_heights_are_drawn():
 
 def test_both_engines_meet_the_same_slabs():
     of = task(city(with_terrain=True))
-    surface, angles = of.surface(), of.angles(0)
+    surface, angles = of.surface(), of.in_view(0).angles
     numba, jax = (np.asarray(visibility(surface, *angles, [2.0, 13.0], engine=name)) for name in ("numba", "jax"))
     without = np.asarray(visibility(replace(surface, slabs=None), *angles, [2.0, 13.0]))
     np.testing.assert_array_equal(jax, numba)

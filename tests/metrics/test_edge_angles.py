@@ -111,9 +111,9 @@ def test_a_satellite_exactly_at_the_mask_counts_and_one_below_does_not():
     elevation = np.array([[mask_rad, np.nextafter(mask_rad, 0), 1.0, 0.7, 0.9, 1.2]])
     azimuth = np.array([[0.3, 1.0, 2.0, 3.5, 5.0, 6.0]])
     sky = Sky(("2020-04-27T16:00:00Z",), tuple("abcdef"), azimuth, elevation, ("gps",) * 6, np.zeros((1, 6)))
-    above = sky.above(mask_rad)
+    above = sky.under(5.0)
     assert above.names == tuple("acdef")
-    assert sky.count_by_system(mask_rad) == {"gps": [5]}
+    assert above.count_by_system() == {"gps": [5]}
     world = World(0.0)
     angles = np.column_stack([above.azimuth_rad[0], above.elevation_rad[0]])
     words = visibility_at_centres(plain_bands(world.surface(OVERSAMPLE), OVERSAMPLE), *angles.T, [ALTITUDE_M])

@@ -64,7 +64,7 @@ def test_ratings_follow_the_papers_table():
     ],
 )
 def test_dops_under_open_sky_equal_an_independent_computation(data_dir, file, time):
-    sky = look_angles(read_orbits(data_dir / "gps" / file), [time], -74.0, 40.715).above(math.radians(5))
+    sky = look_angles(read_orbits(data_dir / "gps" / file), [time], -74.0, 40.715).under(5.0)
     grid = Grid("EPSG:32618", 5.0, 900_000, 116_000, 4, 5)
     maps = compute_gps(surface_of(np.zeros(grid.shape), grid, grid), sky.azimuth_rad[0], sky.elevation_rad[0], [20.0])
     azimuth, elevation = sky.azimuth_rad[0], sky.elevation_rad[0]

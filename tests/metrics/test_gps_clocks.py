@@ -54,8 +54,7 @@ def maps(task) -> ju.MetricMaps:
 
 def exact_dops(task, words, is_weighted=False):
     """Every DOP of every cell in float64, [5, y, x], at the first time."""
-    azimuth, elevation = task.angles(0)
-    systems = np.asarray(task.sky.systems)[task.satellites_at(0)]
+    azimuth, elevation, systems = map(np.asarray, task.in_view(0)[:3])
     level = np.cos(elevation)
     places = np.column_stack([np.sin(azimuth) * level, np.cos(azimuth) * level, np.sin(elevation)])
     found = np.full((5, *words.shape), np.inf)
@@ -103,9 +102,10 @@ def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task,
         task.sky.element_age_days[:, gps],
     )
     alone = replace(task, sky=sky)
-    assert alone.clocks(0) is None
+    assert alone.in_view(0).clocks is None
     both = alone, replace(alone, params=shared)
-    tables = (SatelliteSet.of(*each.angles(0), each.params.gps, each.clocks(0)).satellites for each in both)
+    skies = [(each.in_view(0), each.params.gps) for each in both]
+    tables = (SatelliteSet.of(*in_view.angles, gps, in_view.clocks).satellites for in_view, gps in skies)
     for found, other in zip(*map(jax.tree.leaves, tables), strict=True):
         np.testing.assert_array_equal(found, other)
 
@@ -116,7 +116,7 @@ def test_weighted_dops_and_new_metrics_are_there_only_where_they_are_asked_for(t
     assert list(maps.metrics) == [*("gps", "lidar", "population", "risk"), "gps_horizontal", "gps_vertical"]
     plain = replace(task, params=replace(task.params, sections={}))
     assert not new & {*plain.metrics, *(name for metric in plain.metrics.values() for name in metric.variables)}
-    assert SatelliteSet.of(*plain.angles(0), plain.params.gps, plain.clocks(0)).weighted is None
+    assert SatelliteSet.of(*plain.in_view(0).angles, plain.params.gps).weighted is None
 
 
 def test_hdop_and_vdop_are_cost_layers_under_a_weight_and_limits_of_a_path(maps):
@@ -165,10 +165,10 @@ def test_patterns_and_cells_give_the_same_bits_with_several_clocks():
 
 
 def test_clocks_keep_their_numbers_at_every_time_and_skies_of_all_times_stack(task):
-    clocks = [task.clocks(t) for t in range(len(TIMES))]
+    clocks = [task.in_view(t).clocks for t in range(len(TIMES))]
     assert {each.num for each in clocks} == {2}
     for t, each in enumerate(clocks):
-        systems = np.asarray(task.sky.systems)[task.satellites_at(t)]
+        systems = np.asarray(task.in_view(t).systems)
         np.testing.assert_array_equal(np.asarray(SYSTEMS)[each.numbers], systems)
     views = skies_of(task, task.surface())
     assert views.satellites.members.shape[:2] == (len(TIMES), 2)

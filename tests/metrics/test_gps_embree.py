@@ -53,7 +53,7 @@ def test_visibility_agrees_with_embree(data_dir, manhattan, time, resolution_m, 
     region = Grid.from_bounds(BOUNDS, resolution_m, CRS, nest_with_m=(2, 5, 10))
     convergence_rad = region.convergence_rad(*REFERENCE)
     orbits = read_orbits(data_dir / "gps" / "gps-ops_2020-04-27.tle")
-    sky = look_angles(orbits, [time], *REFERENCE, convergence_rad=convergence_rad).above(math.radians(5))
+    sky = look_angles(orbits, [time], *REFERENCE, convergence_rad=convergence_rad).under(5.0)
     azimuth, elevation = sky.azimuth_rad[0], sky.elevation_rad[0]
     assert elevation.min() < math.radians(lowest_deg)
     margins_m = shadow_reach_m(azimuth, elevation, manhattan.buildings.height_m.max(), 20.0, resolution_m)
