@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxurban.kernels import dop
-from jaxurban.kernels.distance import exact as distance
-from jaxurban.kernels.distance import soft as soft_distance
+from jaxurban.kernels.distance import nearest as distance
 from jaxurban.kernels.lidar import hard
 from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.line import segment_costs
@@ -187,11 +186,11 @@ def soft_shadow_weights(roof_m, shadow_lines):
 
 
 def nearest(roof_m):
-    return soft_distance.nearest_column(roof_m, 20.0, 50.0, 10.0, **NEAREST)
+    return distance.nearest_column(roof_m, 20.0, 50.0, 10.0, **NEAREST)
 
 
 def nearest_at(roof_m, ground_m, heights_m, cells):
-    return soft_distance.nearest_column_at(roof_m, ground_m, heights_m, 50.0, 10.0, cells, **NEAREST)
+    return distance.nearest_column_at(roof_m, ground_m, heights_m, 50.0, 10.0, cells, **NEAREST)
 
 
 def returns_at(roof_m, ground_m, heights_m, scan, cells):
@@ -289,10 +288,10 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "distance over terrain": lambda: Call(
         distance.capped_distance_over_terrain, (array(*REGION), array(*REGION), array(*REGION, dtype=bool)), DISTANCE_5M
     ),
-    "distance: soft": lambda: Call(soft_distance.nearest_column, (around(REGION, 10), NUMBER, NUMBER, NUMBER), NEAREST),
+    "distance: soft": lambda: Call(distance.nearest_column, (around(REGION, 10), NUMBER, NUMBER, NUMBER), NEAREST),
     "distance: soft, gradient": lambda: Call(gradient(nearest), (around(REGION, 10),)),
     "distance: soft, of a path": lambda: Call(
-        soft_distance.nearest_column_at, (around(REGION, 10), None, HEIGHTS_M, NUMBER, NUMBER, CELLS), NEAREST
+        distance.nearest_column_at, (around(REGION, 10), None, HEIGHTS_M, NUMBER, NUMBER, CELLS), NEAREST
     ),
     "distance: soft, of a path, terrain, gradient": lambda: Call(
         gradient(nearest_at, (0, 1)), (around(REGION, 10), around(REGION, 10), HEIGHTS_M, CELLS)

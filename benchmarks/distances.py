@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt
 
 from benchmarks.common import Row, clocked, in_turn, row
 from benchmarks.scenes import Scene
-from jaxurban.kernels.distance.exact_cpu import distance_on_host
+from jaxurban.kernels.distance.nearest_cpu import distance_on_host
 
 CAP_M, ALTITUDE_M = 50.0, 20.0
 

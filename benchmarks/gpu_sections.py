@@ -18,7 +18,7 @@ import numpy as np
 from scipy.ndimage import label
 
 from benchmarks.gpu_inputs import load_problem, load_surface
-from jaxurban.kernels.distance.exact import capped_distance, capped_distance_over_terrain
+from jaxurban.kernels.distance.nearest import capped_distance, capped_distance_over_terrain
 from jaxurban.metrics.gps import Gps, SatelliteSet, soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.obstacle import obstacle_mask

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.kernels.distance.exact import capped_distance, capped_distance_over_terrain
+from jaxurban.kernels.distance.nearest import capped_distance, capped_distance_over_terrain
 from jaxurban.metrics.gps import Gps, SatelliteSet, soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.visibility import SkyView, visibility

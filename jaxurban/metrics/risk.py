@@ -13,9 +13,8 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from jaxurban.errors import one_of, typed
-from jaxurban.kernels.distance import exact as kernel
-from jaxurban.kernels.distance import soft as soft_distance
-from jaxurban.kernels.distance.exact_cpu import distance_on_host
+from jaxurban.kernels.distance import nearest as kernel
+from jaxurban.kernels.distance.nearest_cpu import distance_on_host
 from jaxurban.kernels.engine import Engine, runs_numba
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, TracedScene, in_type, low_is_bad, on_scene
 from jaxurban.metrics.obstacle import stands_at
@@ -60,7 +59,7 @@ def compute_risk(
     What stands more than the threshold beyond the region changes nothing; beyond the surface nothing
     stands. Slabs are obstacles of the slices between floor and top; to ``"solid"`` those above the altitude are as
     near as their floor and what is over it, others as what is below their top. Paper: eq. proximity_risk.
-    Gradients: see `jaxurban.kernels.distance.exact`; ``"slice"`` has none
+    Gradients: see `jaxurban.kernels.distance.nearest`; ``"slice"`` has none
     in heights.
 
     Args:
@@ -202,11 +201,11 @@ def soft_risk(
     if is_solid and surface.terrain_m is not None:
         terrain_m = surface.crop_with_halo(surface.terrain_m, halo)
     if cells is None and terrain_m is None:
-        return soft_distance.nearest_column(roof_m, altitude, *scales, **sizes)
+        return kernel.nearest_column(roof_m, altitude, *scales, **sizes)
     shape = surface.region.shape if cells is None else (len(cells),)
     chosen = jnp.indices(shape).reshape(2, -1).T if cells is None else cells
     heights_m = jnp.broadcast_to(altitude, len(chosen))
-    return soft_distance.nearest_column_at(roof_m, terrain_m, heights_m, *scales, chosen, **sizes).reshape(shape)
+    return kernel.nearest_column_at(roof_m, terrain_m, heights_m, *scales, chosen, **sizes).reshape(shape)
 
 
 def _map(scene: Scene, params: Risk) -> dict[str, AnyArray]:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from jaxurban.kernels.distance.exact import capped_distance, capped_distance_over_terrain
-from jaxurban.kernels.distance.exact_cpu import distance_on_host
+from jaxurban.kernels.distance.nearest import capped_distance, capped_distance_over_terrain
+from jaxurban.kernels.distance.nearest_cpu import distance_on_host
 
 INF = np.float32(np.inf)
 

@@ -1,6 +1,6 @@
 """Capped distance on a CPU: both passes over blocks that a core's cache holds, and no farther than it helps.
 
-Distances are those of `jaxurban.kernels.distance.exact.capped_distance` to the bit. A pass looks at offsets in
+Distances are those of `jaxurban.kernels.distance.nearest.capped_distance` to the bit. A pass looks at offsets in
 ascending order and ends where none of a row's cells can come nearer: in a city most have a source long before the cap.
 
 Legend: ``Y, X`` cells and their halo, ``y, x`` cells that are asked for, ``H`` the halo.
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxurban.kernels.compiled import compiled
-from jaxurban.kernels.distance.exact import window_cells
+from jaxurban.kernels.distance.nearest import window_cells
 
 BLOCK = (512, 192)  # cells together: their squared distances along the rows fit a core's second cache
 AT_ONCE = 5  # offsets looked at in one go over a row
@@ -23,7 +23,7 @@ def distance_on_host(
 
     Args:
       source_m2: what a source adds to the squared distance, inf without one, as for
-        `jaxurban.kernels.distance.exact.capped_distance`.
+        `jaxurban.kernels.distance.nearest.capped_distance`.
       halo: cells beyond those that are asked for, at each side.
       resolution_m, cap_m: as there.
     """
