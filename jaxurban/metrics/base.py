@@ -38,6 +38,9 @@ def low_is_bad(m: AnyArray) -> AnyArray:
     return 1.0 - m
 
 
+COSTS = {"high-is-bad": high_is_bad, "low-is-bad": low_is_bad}
+
+
 def no_reach_m(params: Any) -> float:
     """Return 0: a metric that looks at nothing beside its own cell."""
     return 0.0

@@ -18,23 +18,11 @@ import numpy as np
 import xarray as xr
 
 from jaxurban.errors import InputError, finite, one_of, typed
-from jaxurban.metrics.base import (
-    ALTITUDE,
-    TIME,
-    TIME_OF_DAY,
-    Metric,
-    Scale,
-    Scene,
-    SoftScene,
-    Variable,
-    high_is_bad,
-    low_is_bad,
-)
+from jaxurban.metrics.base import ALTITUDE, COSTS, TIME, TIME_OF_DAY, Metric, Scale, Scene, SoftScene, Variable
 from jaxurban.metrics.registry import known_metrics
 from jaxurban.metrics.variables import NO_METRICS, derived
 from jaxurban.world.surface import Surface
 
-COSTS = {"high-is-bad": high_is_bad, "low-is-bad": low_is_bad}
 COLOURS = ("#56b4e9", "#d55e00", "#7f3c8d", "#80604d")  # of lines, none a built-in metric's
 COLOUR_MAP = "cividis"
 TAKEN = {

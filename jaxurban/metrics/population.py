@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -312,9 +312,16 @@ def block_layers(
       InputError: no such time of day.
     """
     params = params or Population()
-    shares = np.array([day_share(time_of_day, params) for time_of_day in times_of_day], np.float32)
-    layers = layers_of_blocks(BlockPopulation.of(blocks, bounds_m), shares, params)
+    layers = layers_of_blocks(*_made_ready(blocks, times_of_day, params, bounds_m), params)
     return BlockLayers(*(np.asarray(layer) for layer in layers))
+
+
+def _made_ready(
+    blocks: Blocks, times_of_day: Sequence[str], params: Population, bounds_m: Bounds | None
+) -> tuple[BlockPopulation, Float[AnyArray, " D"]]:
+    """Return the blocks, and how far the population has moved from night to day at each time."""
+    shares = np.array([day_share(time_of_day, params) for time_of_day in times_of_day], np.float32)
+    return BlockPopulation.of(blocks, bounds_m), shares
 
 
 @jax.jit
@@ -388,13 +395,8 @@ def _maps(scene: Scene, params: Population) -> dict[str, Array]:
     }
 
 
-def _ready(
-    surface: Surface, _: Sequence[float], params: Population, blocks: Blocks | None
-) -> tuple[BlockPopulation, Float[Array, " D"]]:
-    """Return the blocks, and how far the population has moved from night to day at each time."""
-    assert blocks is not None
-    shares = jnp.asarray([day_share(time_of_day, params) for time_of_day in params.times_of_day], np.float32)
-    return BlockPopulation.of(blocks, surface.region.bounds_m), shares
+def _ready(surface: Surface, _: Any, params: Population, blocks: Any) -> tuple:
+    return _made_ready(blocks, params.times_of_day, params, surface.region.bounds_m)
 
 
 def _traced(scene: TracedScene, params: Population) -> dict[str, Array]:

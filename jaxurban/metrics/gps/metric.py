@@ -1,44 +1,21 @@
 """GPS as metrics of the maps: m of GDOP, and on request of the position alone, level and upright."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array
 
 from jaxurban.errors import typed
-from jaxurban.metrics.base import (
-    ALTITUDE,
-    TIME,
-    AnyArray,
-    Metric,
-    Scale,
-    Scene,
-    SoftScene,
-    TracedScene,
-    Variable,
-    low_is_bad,
-)
-from jaxurban.metrics.gps.hard import Gps, gps_metric, maps_of_words
+from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Scale, Scene, SoftScene, TracedScene, Variable, low_is_bad
+from jaxurban.metrics.gps.hard import Gps, GpsMaps, gps_metric, maps_of_words
 from jaxurban.metrics.gps.soft import soft_gps
 from jaxurban.metrics.settings import check_value, differentiable
 
 DOPS = {"gdop": "geometric", "pdop": "position", "hdop": "horizontal", "vdop": "vertical", "tdop": "time"}
 WEIGHTED_DOPS = tuple(f"w{name}" for name in DOPS)  # where satellites count by their elevation
-DOP_SCALE = Scale("viridis_r", 1.0, 20.0, is_better_low=True)  # up to where the paper's rating turns poor
-
-
-def _maps(scene: Scene, params: Gps) -> dict[str, AnyArray]:
-    """Return m, the DOPs and the satellites seen; they were made ready under the same settings."""
-    if scene.only_m:
-        return {"gps": scene.satellites.m(scene.words, scene.is_obstacle)}
-    maps = scene.satellites.maps(scene.words, scene.is_obstacle)
-    found = {"gps": maps.m, **{name: getattr(maps, name) for name in (*DOPS, "num_visible")}}
-    if (weighted := scene.satellites.weighted) is not None:
-        maps = weighted.maps(scene.words, scene.is_obstacle)
-        found |= {f"w{name}": getattr(maps, name) for name in DOPS}
-    return found
 
 
 def is_weighted(params: Gps) -> bool:
@@ -46,26 +23,36 @@ def is_weighted(params: Gps) -> bool:
     return params.weighting == "elevation"
 
 
-def _dop_variable(name: str, kind: str) -> Variable:
-    dop = Variable(name, f"{kind} dilution of precision", inside=np.nan, scale=DOP_SCALE, is_averaged=False)
-    return replace(dop, symbol=name.upper())
-
-
-def _weighted(dop: Variable) -> Variable:
-    name, long_name = f"w{dop.name}", f"{dop.long_name}, weighted by elevation"
-    return replace(dop, name=name, long_name=long_name, symbol=name.upper(), is_made=is_weighted)
-
-
-DOP_VARIABLES = tuple(_dop_variable(name, kind) for name, kind in DOPS.items())
-NUM_VISIBLE = Variable(
-    "num_visible", "satellites in view", dtype=np.uint8, inside=np.nan, scale=Scale("viridis", high=None, least=4.0)
+_dop = partial(Variable, inside=np.nan, scale=Scale("viridis_r", 1.0, 20.0, is_better_low=True), is_averaged=False)
+ALSO = (  # the scale of DOPs ends where the paper's rating turns poor
+    *(_dop(name, f"{kind} dilution of precision", symbol=name.upper()) for name, kind in DOPS.items()),
+    Variable(
+        "num_visible", "satellites in view", dtype=np.uint8, inside=np.nan, scale=Scale("viridis", high=None, least=4.0)
+    ),
+    *(
+        _dop(name, f"{kind} dilution of precision, weighted by elevation", symbol=name.upper(), is_made=is_weighted)
+        for name, kind in zip(WEIGHTED_DOPS, DOPS.values(), strict=True)
+    ),
 )
 
 
-def _traced(scene: TracedScene, params: Gps) -> dict[str, Array]:
-    """Return the same at all altitudes."""
-    maps = maps_of_words(scene.words, scene.satellites, params.gdop_threshold)
+def _named(maps: GpsMaps) -> dict[str, Any]:
     return {"gps": maps.m, **{name: getattr(maps, name) for name in (*DOPS, "num_visible")}}
+
+
+def _maps(scene: Scene, params: Gps) -> dict[str, Any]:
+    """Return m, the DOPs and the satellites seen; they were made ready under the same settings."""
+    if scene.only_m:
+        return {"gps": scene.satellites.m(scene.words, scene.is_obstacle)}
+    found = _named(scene.satellites.maps(scene.words, scene.is_obstacle))
+    if (weighted := scene.satellites.weighted) is not None:
+        maps = weighted.maps(scene.words, scene.is_obstacle)
+        found |= {f"w{name}": getattr(maps, name) for name in DOPS}
+    return found
+
+
+def _traced(scene: TracedScene, params: Gps) -> dict[str, Any]:
+    return _named(maps_of_words(scene.words, scene.satellites, params.gdop_threshold))
 
 
 def _soft(scene: SoftScene, params: Gps) -> Array:
@@ -85,7 +72,7 @@ METRIC = Metric(
     one_means="GDOP of 1, the best possible",
     colour="#0072b2",
     colour_map="viridis",
-    also=(*DOP_VARIABLES, NUM_VISIBLE, *map(_weighted, DOP_VARIABLES)),
+    also=ALSO,
     cell_bytes=72,  # DOPs, m, and both weighted ones once more
 )
 
@@ -112,8 +99,8 @@ class Dop:
 
 def _map_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Array]:
     """Return m of one DOP of a scene."""
-    dops = scene.satellites.maps(scene.words, scene.is_obstacle)
-    return {name: gps_metric(getattr(dops, dop), params.dop_threshold)}
+    maps = scene.satellites.maps(scene.words, scene.is_obstacle)
+    return {name: gps_metric(getattr(maps, dop), params.dop_threshold)}
 
 
 def _traced_of(name: str, dop: str, scene: TracedScene, params: Dop) -> dict[str, Array]:
