@@ -1,6 +1,7 @@
 """A metric defined here in whole, and a raster of one's own: each runs through everything, as built-in ones do."""
 
 import json
+import runpy
 from dataclasses import dataclass, replace
 
 import jax
@@ -13,6 +14,7 @@ import rasterio
 import xarray as xr
 
 import jaxurban as ju
+from jaxurban.errors import InputError
 from jaxurban.io.store import open_zarr
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.differentiable import path_visits
@@ -23,6 +25,7 @@ from jaxurban.metrics.settings import differentiable
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.progress import Report
 from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
+from jaxurban.scenario import settings
 from jaxurban.scenario.run import Maker, make_zarr
 from jaxurban.studies.demonstrations import optimal_demonstrations
 from jaxurban.studies.weights import sobol
@@ -269,6 +272,16 @@ def test_a_raster_from_a_scenario_runs_through_the_commands(tmp_path, capsys):
     code, out, _ = run(capsys, "plan", tmp_path / "maps", *arguments, "--weights", "noise=2")
     assert "+noise" in out
     assert "cost of noise" in out
+
+
+def test_a_scenario_has_its_section():
+    anew = runpy.run_path(settings.__file__)["Scenario"]  # as if the registry had always held it
+    places = {"region": {"bounds": [-74.0, 40.75, -73.99, 40.76]}, "buildings": {"source": "synthetic"}}
+    scenario = anew.from_dict(places | {"toy": {"scale_m": 5.0}})
+    assert scenario.map_params.of("toy") == ToyParams(5.0)
+    assert anew.from_dict(places).weights.toy == 1.0
+    with pytest.raises(InputError, match=r"unknown key 'toy.scale' .*'scale_m'"):
+        anew.from_dict(places | {"toy": {"scale": 5.0}})
 
 
 def test_weights_name_every_metric_of_the_registry():

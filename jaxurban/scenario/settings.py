@@ -16,6 +16,7 @@ from pydantic import (
     Field,
     PrivateAttr,
     ValidationError,
+    create_model,
     model_validator,
 )
 
@@ -23,12 +24,9 @@ from jaxurban.errors import InputError, at_least, one_of, positive, readable, ty
 from jaxurban.kernels.engine import Engine
 from jaxurban.maps.task import MapParams
 from jaxurban.metrics.custom import Layer, check_file_names, check_name
-from jaxurban.metrics.gps import Dop, Gps
-from jaxurban.metrics.lidar import Lidar
+from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import Population
-from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
-from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.vehicle import Vehicle
 from jaxurban.planners.registry import find_planner
@@ -154,19 +152,29 @@ class Study:
                 at_least(name, getattr(self, name), least)
 
 
-class Scenario(_Section):
-    """All settings of one job. Only ``region`` and ``buildings`` are required."""
-
+class _Places(_Section):
     region: Region
     buildings: Buildings
     terrain: Terrain = Terrain()
+
+
+LEFT_OUT = Field(default=None, exclude_if=operator.not_)  # not made
+OF_METRICS: dict[str, Any] = {
+    **{name: (metric.params, metric.params()) for name, metric in METRICS.items()},
+    **{name: (metric.params | None, LEFT_OUT) for name, metric in ON_REQUEST.items()},
+}
+MetricSections: Any = create_model("MetricSections", __base__=_Places, **OF_METRICS)
+
+
+class Scenario(MetricSections):
+    """All settings of one job; a section for each metric of the registry. Only ``region`` and ``buildings`` are needed.
+
+    Attributes:
+      region, buildings, terrain, gps, population: as their classes say.
+    """
+
     gps: Gps = Gps()
-    lidar: Lidar = Lidar()
     population: Population = Population()
-    risk: Risk = Risk()
-    gps_horizontal: Dop | None = Field(default=None, exclude_if=operator.not_)  # left out: not made
-    gps_vertical: Dop | None = Field(default=None, exclude_if=operator.not_)
-    protection: Protection | None = Field(default=None, exclude_if=operator.not_)  # left out: not made
     layers: dict[str, Layer] = Field(default_factory=dict, exclude_if=operator.not_)  # of one's own
     weights: WeightSettings = Weights()
     planning: PlanningSettings = PlanningSettings()
