@@ -260,7 +260,7 @@ def test_a_thing_of_another_kind_is_one_sentence(call, words):
             lambda: ju.studies.Study(budget_iterations=0),
             "budget_iterations must be a whole number from 1 up",
         ),
-        (lambda: ju.studies.save_sensitivity(5, "out"), "found must be a Sensitivity (from sensitivity), got 5"),
+        (lambda: ju.studies.compare(MAPS, MAPS, progress=False).save(5), "folder must be a text or a path, got 5"),
         (lambda: ju.studies.study(MAPS, 5, 3), "folder must be a text or a path, got 5"),
     ],
 )

@@ -32,7 +32,7 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.report.map_comparison import REPORT_FILE, save_comparison
+    from jaxurban.report.map_comparison import REPORT_FILE
     from jaxurban.studies.map_comparison import compare as compare_maps
 
     sides = [MapsFolder(folder, given["resolution_m"], given["obstacles"]) for folder in (folder_a, folder_b)]
@@ -41,7 +41,7 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
     with reporting("compare") as report:
         found = compare_maps(*sides, times=_times(given["times"]), tolerance=given["tolerance"], progress=report)
         report("report")
-        save_comparison(found, output, overwrite, degrees=given["degrees"])
+        found.save(output, overwrite, degrees=given["degrees"])
     tell(f"comparison finished: read {output / REPORT_FILE}")
     if as_json:
         made: dict[str, Any] = {"folder": str(output), "report": str(output / REPORT_FILE)}

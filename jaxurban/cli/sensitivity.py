@@ -69,7 +69,8 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
     from jaxurban.maps.metric_maps import open_maps
     from jaxurban.paths.cost_map import cost_map
     from jaxurban.report.buildings import BUILDINGS_FILES, write_buildings
-    from jaxurban.report.sensitivity import FILES, add_buildings, ranges, write_sensitivity
+    from jaxurban.report.sensitivity import FILES, add_buildings, ranges, sensitivity_outputs
+    from jaxurban.report.write import save
     from jaxurban.studies.weights.study import SensitivitySettings
     from jaxurban.studies.weights.study import sensitivity as study
 
@@ -109,7 +110,7 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
     ):
         found = study(shared, **ends, settings=how, progress=report)
         report("report")
-        write_sensitivity(found, output, given["degrees"])
+        save(output, sensitivity_outputs(found, given["degrees"])[0])
         if with_buildings:
             report("buildings")
             drawn = {"scenario": scenario, "degrees": given["degrees"]}

@@ -50,7 +50,6 @@ def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_j
     from jaxurban.planners.base import EXIT_NO_PATH
     from jaxurban.planners.cost_model import CostModel
     from jaxurban.report.benchmark import check_exportable, export_benchmark
-    from jaxurban.report.montecarlo import write_analysis
     from jaxurban.scenario.settings import Scenario
 
     changes = [f"planning.preset={given['preset']!r}"] if given["preset"] else []
@@ -67,7 +66,7 @@ def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_j
     workers = given_workers(given)
     Workspace.check(folder / ANALYSIS_FOLDER, "study")
     result = _run(scenario, folder, rules, workers, given)
-    report = write_analysis(result, folder / ANALYSIS_FOLDER)
+    report = result.save(folder / ANALYSIS_FOLDER)[-1]
     tell(f"study finished: read {report}")
     made: dict[str, Any] = {"folder": str(folder), "report": str(report), "rows": str(result.folder / "rows.parquet")}
     made |= {"num_rows": len(result.rows), "statuses": result.rows.status.value_counts().to_dict()}

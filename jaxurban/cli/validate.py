@@ -52,7 +52,7 @@ def validate(
     from jaxurban.io.files import check_writable
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
-    from jaxurban.report.receiver import REPORT_FILE, save_validation
+    from jaxurban.report.receiver import REPORT_FILE
     from jaxurban.scenario.settings import Scenario
     from jaxurban.studies.receiver.prediction import ReceiverSettings
     from jaxurban.studies.receiver.validate import validate as validate_log
@@ -64,7 +64,7 @@ def validate(
     with reporting("validate") as report:
         found = validate_log(scenario, log_file, settings, progress=report)
         report("report")
-        save_validation(found, output, overwrite)
+        found.save(output, overwrite)
     tell(f"validation finished: read {output / REPORT_FILE}, look at {output / 'figures'}")
     if as_json:
         (summary,) = records_of(pd.DataFrame([found.summary]))

@@ -1,17 +1,16 @@
 """report.md of a comparison of maps, with its table, difference maps and figures."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-from jaxurban.errors import typed
 from jaxurban.io.geotiff import write_bands
 from jaxurban.io.store import short_number
-from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.map_comparison import comparison_figures, heading_of
-from jaxurban.report.write import Output, bullets, files_of, fill, framed, listed, save, table
+from jaxurban.report.write import Output, bullets, fill, framed, listed, table
 from jaxurban.scenario.validation import NOT_SET
 from jaxurban.studies.map_comparison import MapComparison, unit_of
 from jaxurban.studies.queries import population_norms
@@ -19,34 +18,19 @@ from jaxurban.studies.queries import population_norms
 REPORT_FILE = "report.md"
 
 
-@typed
-def save_comparison(
-    found: MapComparison, folder: str | Path, overwrite: bool = False, *, degrees: bool = False
-) -> list[Path]:
-    """Write the report, a table (CSV, Parquet), difference maps (GeoTIFF) and figures (PNG); return the files.
-
-    Args:
-      found: the comparison.
-      folder: where to; made if it is not there.
-      overwrite: replace another comparison in it.
-      degrees: label the maps of figures by longitude and latitude instead of easting and northing.
-
-    Raises:
-      InputError: the folder cannot be written to, or holds another comparison or other files.
-    """
-    folder = Path(folder)
+def comparison_outputs(found: MapComparison, degrees: bool) -> tuple[dict[str, Output], dict[str, Any]]:
+    """Return what a comparison writes, by file name, and what it is of."""
     key: dict[str, Any] = {"maps": list(found.names), "of": [_identity(maps) for maps in (found.a, found.b)]}
     key |= {"times": dict(found.part.times), "tolerance": found.tolerance}
     key["values"] = crc32(found.table.to_csv().encode())  # maps in memory have no name of their own
     figures = in_degrees(comparison_figures(found), found.grid, degrees)
-    outputs: dict[str, Output] = {"tables/layers": found.table}
+    size = short_number(found.grid.resolution_m)
+    outputs: dict[str, Output] = {
+        f"difference/{layer}_{size}m.tif": partial(_write_difference, found, layer) for layer in found.layers
+    }
+    outputs |= {"tables/layers": found.table}
     outputs |= {f"figures/{name}.png": draw for name, draw in figures.items()}
-    outputs[REPORT_FILE] = comparison_markdown(found, list(figures))
-    differences = {layer: f"difference/{layer}_{short_number(found.grid.resolution_m)}m.tif" for layer in found.layers}
-    names = [*differences.values(), *files_of(outputs)]
-    with Workspace.open(folder, "compare", key, names=names, overwrite=overwrite):
-        files = [_write_difference(found, layer, folder / name) for layer, name in differences.items()]
-        return files + save(folder, outputs)
+    return outputs | {REPORT_FILE: comparison_markdown(found, list(figures))}, key
 
 
 def _identity(maps: MetricMaps) -> dict[str, str]:

@@ -22,7 +22,7 @@ from jaxurban.planners.cost_model import CostModel
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.sensitivity_study import weights_said
-from jaxurban.report.write import Output, counted, fill, listed, save
+from jaxurban.report.write import Output, counted, fill, listed
 from jaxurban.scenario.settings import Scenario, Study
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
@@ -38,6 +38,7 @@ from jaxurban.studies.montecarlo.sampling import (
     with_connection,
 )
 from jaxurban.studies.montecarlo.trial import Benchmark, free_cell, row_columns
+from jaxurban.studies.result import Result
 from jaxurban.world.city import LandCover
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_cover_for_bounds
@@ -45,8 +46,8 @@ from jaxurban.world.synthetic import demo_cover_for_bounds
 REPORT_FILE = "report.md"
 
 
-@dataclass(frozen=True, eq=False)
-class BenchmarkResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class BenchmarkResult(Result):
     """What a Monte Carlo benchmark found.
 
     Attributes:
@@ -62,6 +63,12 @@ class BenchmarkResult:
     instances: pd.DataFrame
     rows: pd.DataFrame
     settings: Benchmark
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Where it is kept, and how its runs ended."""
+        ends = ", ".join(f"{status} {num}" for status, num in self.rows.status.value_counts().items())
+        return {"folder": str(self.folder), "instances": str(len(self.instances)), "runs": ends}
 
     @property
     def table(self) -> pd.DataFrame:
@@ -253,18 +260,13 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
     return tables
 
 
-def write_analysis(result: BenchmarkResult, folder: str | Path) -> Path:
-    """Write report.md with its tables (CSV) and figures (PNG) under ``folder`` and return the report's file.
-
-    Raises:
-      InputError: the folder cannot be written to, or holds files that this did not write, or that were changed since.
-    """
+def analysis_outputs(result: BenchmarkResult, _: bool) -> tuple[dict[str, Output], dict[str, Any]]:
+    """Return the report, tables (CSV) and figures of a study, by file name; nothing decides them but its rows."""
     tables = tables_of(result)
     figures = study_figures(result.maps, result.table, tables)
     outputs: dict[str, Output] = {f"tables/{name}.csv": table for name, table in tables.items()}
     outputs |= {f"figures/{name}.png": draw for name, draw in figures.items()}
-    with Workspace.open(Path(folder), "study"):
-        return save(folder, {**outputs, REPORT_FILE: report_markdown(result, tables, list(figures))})[-1]
+    return outputs | {REPORT_FILE: report_markdown(result, tables, list(figures))}, {}
 
 
 def report_markdown(result: BenchmarkResult, tables: dict[str, pd.DataFrame], figures: Sequence[str] = ()) -> str:

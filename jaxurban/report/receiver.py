@@ -4,17 +4,14 @@ import hashlib
 import math
 from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import typed
 from jaxurban.io.read.receiver import TRACKED
-from jaxurban.io.workspace import Workspace
 from jaxurban.report.figures.receiver import LABELS, name_of, plot_scatter
-from jaxurban.report.write import Output, bullets, files_of, fill, save, table
+from jaxurban.report.write import Output, bullets, fill, table
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.scores import COEFFICIENTS, MAIN, SPEARMAN, WITHIN
 from jaxurban.studies.receiver.validate import ReceiverValidation
@@ -23,20 +20,9 @@ REPORT_FILE, FIGURE_FILE = "report.md", "figures/scatter.png"
 HEADS = {WITHIN: "rank correlation within blocks", SPEARMAN: "over the whole track"}
 
 
-@typed
-def save_validation(found: ReceiverValidation, folder: str | Path, overwrite: bool = False) -> list[Path]:
-    """Write the report, tables (CSV, Parquet) and a figure (PNG); return the files.
-
-    Args:
-      found: from `jaxurban.validate`.
-      folder: where to; made if it is not there.
-      overwrite: replace another validation in it.
-
-    Raises:
-      InputError: the folder cannot be written to, or holds another validation or other files.
-    """
+def validation_outputs(found: ReceiverValidation, _: bool) -> tuple[dict[str, Output], dict[str, Any]]:
+    """Return what a validation writes, by file name, and what it is of."""
     rows = hashlib.sha256(found.log.epochs.to_csv(index=False).encode()).hexdigest()  # of two logs of one name
-    asked = {"log": found.log.name, "rows": rows, "scenario": found.scenario, "settings": found.settings.to_dict()}
     outputs: dict[str, Output] = {
         REPORT_FILE: validation_markdown(found),
         "tables/pieces": found.pieces.assign(utc=found.pieces.utc.map(lambda time: time.isoformat())),
@@ -44,8 +30,8 @@ def save_validation(found: ReceiverValidation, folder: str | Path, overwrite: bo
         "tables/shifts": found.shifts,
         FIGURE_FILE: partial(plot_scatter, found),
     }
-    with Workspace.open(Path(folder), "validate", asked, names=files_of(outputs), overwrite=overwrite):
-        return save(folder, outputs)
+    key = {"log": found.log.name, "rows": rows, "scenario": found.scenario, "settings": found.settings.to_dict()}
+    return outputs, key
 
 
 def validation_markdown(found: ReceiverValidation) -> str:

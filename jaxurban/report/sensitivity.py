@@ -2,18 +2,17 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import typed
-from jaxurban.io.workspace import Workspace
 from jaxurban.paths.constraints import constraints_said
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
-from jaxurban.report.write import files_of, fill, listed, save
+from jaxurban.report.write import Output, files_of, fill, listed, save
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
 from jaxurban.studies.weights.sobol import FEW_SAMPLES
 from jaxurban.studies.weights.study import Sensitivity
@@ -28,44 +27,24 @@ CLEAR = 2.0  # standard errors from 0
 TOP_BUILDINGS = 10
 
 
-@typed
-def save_sensitivity(
-    found: Sensitivity, folder: str | Path, overwrite: bool = False, *, degrees: bool = False
-) -> list[Path]:
-    """Write the report, tables (CSV, Parquet) and figures (PNG) of a study into a folder and return the files.
-
-    Args:
-      found: the study.
-      folder: where to; made if it is not there.
-      overwrite: replace another study in it.
-      degrees: label the maps of figures by longitude and latitude instead of easting and northing.
-
-    Raises:
-      InputError: the folder cannot be written to, or holds another study or other files.
-    """
-    folder, route = Path(folder), found.route
+def sensitivity_outputs(found: Sensitivity, degrees: bool) -> tuple[dict[str, Output], dict[str, Any]]:
+    """Return what a study of one route writes, by file name, and what it is of."""
+    route = found.route
     settings = {"route": route.settings, "lonlat": route.lonlat[[0, -1]].tolist(), "weights": found.weights.tolist()}
     settings |= {"vary": found.vary, "factors": found.factors, "triangle": found.triangle_names}
-    asked = json.loads(json.dumps(settings, default=str))
-    with Workspace.open(folder, "sensitivity", asked, names=FILES, overwrite=overwrite):
-        return write_sensitivity(found, folder, degrees)
-
-
-def write_sensitivity(found: Sensitivity, folder: Path, degrees: bool = False) -> list[Path]:
-    """Write what `save_sensitivity` writes, into a folder that is held already."""
-    tables = {f"tables/{name}": table.reset_index() for name, table in found.tables().items()}
+    outputs: dict[str, Output] = {f"tables/{name}": table.reset_index() for name, table in found.tables().items()}
     if found.triangle is not None:
-        tables["tables/triangle_cells"] = found.triangle_cells()
+        outputs["tables/triangle_cells"] = found.triangle_cells()
     drawn = in_degrees(sensitivity_figures(found), found.maps.grid, degrees)
-    figures = {f"figures/{name}.png": draw for name, draw in drawn.items()}
-    return save(folder, {**tables, **figures, REPORT_FILE: sensitivity_markdown(found)})
+    outputs |= {f"figures/{name}.png": draw for name, draw in drawn.items()}
+    return outputs | {REPORT_FILE: sensitivity_markdown(found)}, json.loads(json.dumps(settings, default=str))
 
 
 def add_buildings(folder: Path, costs: pd.DataFrame) -> None:
     """Add to the report in a folder what `jaxurban.report.buildings.write_buildings` wrote beside it.
 
     Args:
-      folder: that `save_sensitivity` wrote.
+      folder: that the study was saved to.
       costs: the table of buildings, ranked.
     """
     names = ["per_metre", "height_m", "lon", "lat", "distance_m"]
@@ -76,7 +55,7 @@ def add_buildings(folder: Path, costs: pd.DataFrame) -> None:
 
 
 def sensitivity_markdown(found: Sensitivity) -> str:
-    """Return the report as Markdown; it names figures and tables as `save_sensitivity` does."""
+    """Return the report as Markdown; it names figures and tables as `sensitivity_outputs` does."""
     route, settings = found.route, found.route.settings
     return fill(
         "sensitivity",

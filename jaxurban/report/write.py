@@ -17,7 +17,7 @@ from jaxurban.io.files import whole_file
 from jaxurban.io.tables import SUFFIXES, write_table
 
 DPI, NUM_COLOURS = 110, 256
-Output = str | pd.DataFrame | Callable[[], Figure]  # a text, a table, or what draws a picture
+Output = str | pd.DataFrame | Callable[..., Any]  # a text, a table, or what draws a picture or writes a map
 
 
 def files_of(names: Iterable[str]) -> list[str]:
@@ -31,7 +31,7 @@ def save(folder: str | Path, outputs: Mapping[str, Output]) -> list[Path]:
     Args:
       folder: where to; made if it is not there, as are folders in the names.
       outputs: texts; tables, as CSV or Parquet by the name's end, or as both where it has none; functions that draw a
-        picture, a PNG.
+        picture, a PNG; functions that write the file, a map, that they are given (``.tif``).
 
     Raises:
       InputError: the folder cannot be written to.
@@ -42,12 +42,15 @@ def save(folder: str | Path, outputs: Mapping[str, Output]) -> list[Path]:
         if isinstance(output, pd.DataFrame):
             written += [write_table(output, Path(folder) / each) for each in files_of([name])]
             continue
-        with whole_file(file) as scratch:
-            if isinstance(output, str):
-                scratch.write_text(output, encoding="utf-8")
-            else:
-                write_png(output(), scratch)
         written.append(file)
+        if isinstance(output, str):
+            with whole_file(file) as scratch:
+                scratch.write_text(output, encoding="utf-8")
+        elif file.suffix == ".png":
+            with whole_file(file) as scratch:
+                write_png(output(), scratch)
+        else:
+            output(file)
     return written
 
 

@@ -1,10 +1,7 @@
 from jaxurban.paths.rows import MapsFolder as MapsFolder
 from jaxurban.report.buildings import write_buildings as write_buildings
-from jaxurban.report.map_comparison import save_comparison as save_comparison
 from jaxurban.report.montecarlo import study as study
-from jaxurban.report.receiver import save_validation as save_validation
 from jaxurban.report.run_sensitivity import sensitivity_study as sensitivity_study
-from jaxurban.report.sensitivity import save_sensitivity as save_sensitivity
 from jaxurban.report.sensitivity_study import SensitivityStudy as SensitivityStudy
 from jaxurban.scenario.settings import Study as Study
 from jaxurban.studies.map_comparison import MapComparison as MapComparison

@@ -21,8 +21,9 @@ from jaxurban.progress import Progress, reporting
 from jaxurban.scenario.validation import Differing, differing
 from jaxurban.settings import iso_utc
 from jaxurban.studies.queries import NORMS
+from jaxurban.studies.result import Result
 from jaxurban.world.grid import Grid
-from jaxurban.world.show import Shown, listed
+from jaxurban.world.show import listed
 
 CLOSED = "closed"  # the layer of cells that no planner enters, beside ``obstacle``, the metrics' rule
 MASKS = ("obstacle", CLOSED)
@@ -57,7 +58,7 @@ class Place(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MapComparison(Shown):
+class MapComparison(Result):
     """Maps B beside maps A, on the cells, altitudes, times and layers that both hold. ``Y`` rows, ``X`` columns.
 
     Attributes:

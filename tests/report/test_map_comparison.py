@@ -25,7 +25,7 @@ def found():
 
 @pytest.mark.slow
 def test_the_folder_holds_report_tables_maps_and_figures(found, tmp_path):
-    ju.studies.save_comparison(found, tmp_path / "ab")
+    found.save(tmp_path / "ab")
     report = (tmp_path / "ab/report.md").read_text(encoding="utf-8")
     for name in comparison_figures(found):
         assert f"figures/{name}.png" in report
@@ -35,18 +35,18 @@ def test_the_folder_holds_report_tables_maps_and_figures(found, tmp_path):
     for row in found.table.query("layer == 'obstacle'").itertuples():
         assert f"| {row.gained} | {row.lost} |" in report
     with pytest.raises(ju.InputError, match="holds another run") as refused:
-        ju.studies.save_comparison(ju.studies.compare(found.b, found.a, progress=False), tmp_path / "ab")
+        ju.studies.compare(found.b, found.a, progress=False).save(tmp_path / "ab")
     assert len(str(refused.value)) < 600
     assert "population is divided by" not in report
     b = ju.MetricMaps(found.b.ds.assign_attrs(pop_norm_per_km2=[123.0, 4e4]))
     a = ju.MetricMaps(found.a.ds.assign_attrs(pop_norm_per_km2=[5e4, 4e4]))
-    ju.studies.save_comparison(ju.studies.compare(a, b, progress=False), tmp_path / "norms")
+    ju.studies.compare(a, b, progress=False).save(tmp_path / "norms")
     report = (tmp_path / "norms/report.md").read_text(encoding="utf-8")
     assert f"| population is divided by, {a.times_of_day[0]} | `50,000` | `123` |" in report
 
 
 def test_difference_maps_open_elsewhere_north_up_with_band_names(found, tmp_path):
-    ju.studies.save_comparison(found, tmp_path)
+    found.save(tmp_path)
     with rasterio.open(tmp_path / "difference/risk_10m.tif") as file:
         assert file.descriptions == ("20 m", "60 m")
         assert file.crs.to_epsg() == 32618

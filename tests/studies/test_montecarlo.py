@@ -23,7 +23,7 @@ from jaxurban.paths.rows import InstanceRuns, MapsFolder, solve_on
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.report.benchmark import export_benchmark
-from jaxurban.report.montecarlo import report_markdown, tables_of, write_analysis
+from jaxurban.report.montecarlo import report_markdown, tables_of
 from jaxurban.studies.montecarlo.trial import DISTANCE, Benchmark, PlannerRun
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
@@ -217,7 +217,7 @@ def test_a_planner_that_kills_its_worker_costs_its_own_rows_alone(folder, result
 
 
 def test_the_report_holds_every_table_figure_and_sentence(result, tmp_path):
-    report = write_analysis(result, tmp_path).read_text()
+    report = result.save(tmp_path)[-1].read_text()
     assert "Weights: those of each route (`instances.parquet`). Obstacles: touched." in report
     same = result.instances.assign(w_distance=0.25)
     same.loc[:, same.columns.str.startswith("w_")] = same.filter(like="w_").iloc[0].to_numpy()
@@ -237,7 +237,7 @@ def test_a_study_without_a_path_has_its_report(result, tmp_path):
     of_paths = result.rows.columns[result.rows.columns.str.match("cost|gap|length|detour|m_|search_cost")]
     nothing = dict.fromkeys(of_paths, np.nan) | {"status": "no-path"}
     without = replace(result, rows=result.rows[result.rows.planner == "ptp"].assign(**nothing))
-    report = write_analysis(without, tmp_path).read_text()
+    report = without.save(tmp_path)[-1].read_text()
     assert "## GPS and lidar" in report
     assert not (tmp_path / "figures" / "costs.png").exists()
 

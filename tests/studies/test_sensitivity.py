@@ -14,7 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.paths.cost_map import cost_map
 from jaxurban.report.figures.sensitivity import sensitivity_figures
-from jaxurban.report.sensitivity import ranges, save_sensitivity, sensitivity_markdown
+from jaxurban.report.sensitivity import ranges, sensitivity_markdown
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.sobol import local_sensitivity
@@ -100,7 +100,7 @@ def test_it_shows_the_route_and_what_each_weight_does(found):
 
 
 def test_report_names_every_weight_and_every_file_that_it_shows(found, tmp_path):
-    files = save_sensitivity(found, tmp_path / "out")
+    files = found.save(tmp_path / "out")
     report = (tmp_path / "out" / "report.md").read_text()
     assert report == sensitivity_markdown(found)
     assert all(sentence in report for sentence in found.route.cautions or ["no caution"])
@@ -112,9 +112,9 @@ def test_report_names_every_weight_and_every_file_that_it_shows(found, tmp_path)
     for name, table in found.tables().items():
         for read, suffix in ((pd.read_csv, "csv"), (pd.read_parquet, "parquet")):
             assert len(read(tmp_path / "out" / "tables" / f"{name}.{suffix}")) == len(table)
-    save_sensitivity(found, tmp_path / "out")
+    found.save(tmp_path / "out")
     with pytest.raises(InputError, match="another run of `jaxurban sensitivity`"):
-        save_sensitivity(dataclasses.replace(found, factors=(0.5, 2.0)), tmp_path / "out")
+        dataclasses.replace(found, factors=(0.5, 2.0)).save(tmp_path / "out")
 
 
 def test_no_text_of_a_figure_leaves_the_page(found):

@@ -23,13 +23,13 @@ from jaxurban.studies.receiver.scores import (
     tables,
     without_each_block,
 )
-from jaxurban.world.show import Shown
+from jaxurban.studies.result import Result
 
 FEWEST_PIECES = 8  # fewer rank nothing
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ReceiverValidation(Shown):
+class ReceiverValidation(Result):
     """A receiver's log beside what maps say along its track.
 
     Attributes:

@@ -17,6 +17,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import Point
 from jaxurban.progress import Progress, reporting
 from jaxurban.studies.queries import RouteQuery, check_flat, cluster_routes, outcomes_of
+from jaxurban.studies.result import Result
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import (
     ParetoFront,
@@ -33,13 +34,12 @@ from jaxurban.studies.weights.sobol import (
     local_sensitivity,
     sobol_of_weights,
 )
-from jaxurban.world.show import Shown
 
 NUM_CLUSTERS = 7  # of routes over a triangle: a picture of more colours is hard to read
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sensitivity(Shown):
+class Sensitivity(Result):
     """What the weights do to one route. ``K`` weights.
 
     Attributes:
