@@ -145,7 +145,7 @@ city = ju.City.from_files(
     population=ju.Population(blocks=folder / "blocks.geojson", table=folder / "people.csv", block_field="block"),
 )
 again = ju.build_maps(city, scenario.region.bounds, resolution_m=5.0, altitudes_m=(20.0, 60.0))
-print(f"the same maps: {np.array_equal(again.m('gps', 20.0), maps.m('gps', 20.0))}")
+print(f"the same maps: {np.array_equal(again.m('gps', 20.0), maps.m('gps', 20.0), equal_nan=True)}")
 city.counts
 
 # %% [markdown]

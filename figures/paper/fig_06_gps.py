@@ -1,5 +1,7 @@
 """Figure 6 of the paper: GPS metric maps at 20, 60 and 122 m, 2 m cells."""
 
+import numpy as np
+
 from figures.paper.common import ALTITUDES_M, Caption, Town, draw_metric, in_strata, means, shares
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
@@ -12,7 +14,7 @@ PAPER = (
 
 
 def caption(town: Town, maps: MetricMaps) -> Caption:
-    best = float(maps.m("gps", ALTITUDES_M[-1]).max())
+    best = float(np.nanmax(maps.m("gps", ALTITUDES_M[-1])))
     poor = shares(maps, lambda z: maps.m("gps", z) < GOOD)
     worst = Gps().gdop_threshold
     gdop = worst - (worst - 1) * best

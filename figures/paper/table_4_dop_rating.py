@@ -43,7 +43,7 @@ def main() -> None:
         good = {z: percent[: Rating.GOOD + 1].sum() for z, percent in by.items()}
         parts.append(f"{town.title} {by_altitude(good, '.1f')}")
         maps = town.maps(MAP_M)
-        best = float(maps.m("gdop", ALTITUDES_M[-1]).min())
+        best = float(np.nanmin(maps.m("gdop", ALTITUDES_M[-1])))
         (num,) = town.run().record["satellites_above_mask"]["gps"]
         skies.append(f"{town.title} {num} satellites and a GDOP of {best:.2f} at best")
     here = (

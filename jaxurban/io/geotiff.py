@@ -15,7 +15,7 @@ from rasterio.shutil import copy as copy_raster
 from rasterio.windows import Window
 
 from jaxurban.errors import one_of
-from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES, no_value
+from jaxurban.io.attributes import CAVEAT, no_value
 from jaxurban.io.files import SCRATCH_SUFFIX, holds_bytes, whole_file, write_whole
 from jaxurban.io.qgis import style
 from jaxurban.io.store import GEOTIFF_FOLDER, short_number
@@ -59,7 +59,6 @@ class _Layer(NamedTuple):
       file: its name.
       name: of the variable.
       place: along the variable's axes before y and x.
-      in_obstacle: the place of the obstacles inside which it has no data; None where it has data there.
       dtype: of the file's values.
       is_averaged: see `jaxurban.metrics.base.Variable`.
       tags: what the file says.
@@ -68,7 +67,6 @@ class _Layer(NamedTuple):
     file: str
     name: str
     place: tuple[int, ...]
-    in_obstacle: tuple[int, ...] | None
     dtype: np.dtype
     is_averaged: bool
     tags: dict[str, str]
@@ -86,7 +84,6 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
     times = [f"{time}Z" for time in np.datetime_as_string(ds["time"].values, unit="s")]
     common = {"credit": ds.attrs[CREDIT]} if CREDIT in ds.attrs else {}
     norm_name = next((name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs), "")
-    walls = [str(dim) for dim in ds["obstacle"].dims[:-2]]
     metrics, variables = held_metrics(ds), held_variables(ds)
     for name in geotiff_names(variables, metrics, layers):
         of = metrics.get(name.rpartition("_")[0])
@@ -116,7 +113,6 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
                 file="_".join((*parts, f"{resolution}.tif")),
                 name=name,
                 place=index,
-                in_obstacle=tuple(at[dim] for dim in walls) if IN_OBSTACLES in array.attrs else None,
                 dtype=np.dtype(np.uint8 if array.dtype in (np.bool_, np.uint8) else np.float32),
                 is_averaged=variables[name].is_averaged,
                 tags=tags,
@@ -149,8 +145,7 @@ def write_geotiffs(
 ) -> list[Path]:
     """Write maps as cloud-optimised GeoTIFF (ZSTD, north-up), and the QGIS style of each variable.
 
-    Values are float32 with NaN as no data, or uint8 with 255 as no data. There is no data where nothing is known of
-    a cell and, of what the engine sets to one value inside obstacles (`IN_OBSTACLES`), there.
+    Values are float32 with NaN as no data, or uint8 with 255 as no data, which stands where nothing is known of a cell.
 
     Args:
       ds: the maps; read some rows at a time, so that they need not fit in memory.
@@ -209,10 +204,7 @@ def _parts(ds: xr.Dataset, layer: _Layer) -> Iterator[np.ndarray]:
         rows = slice(max(0, stop - 2 * BLOCK), stop)
         values = _rows_of(ds, layer.name, layer.place, rows).astype(layer.dtype, copy=False)
         if layer.name != "has_data":
-            is_hidden = ~_rows_of(ds, "has_data", (), rows)
-            if layer.in_obstacle is not None:
-                is_hidden |= _rows_of(ds, "obstacle", layer.in_obstacle, rows) != 0
-            np.copyto(values, no_value(layer.dtype), where=is_hidden)
+            np.copyto(values, no_value(layer.dtype), where=~_rows_of(ds, "has_data", (), rows))
         yield values
 
 

@@ -1,10 +1,9 @@
 """Metric maps on disk as Zarr: each file whole or not there at all, and all of them as they were written.
 
-A group of Zarr v2 for each resolution, which GDAL and xarray read by their ordinary ways: rows from north to south,
-and no value in cells inside obstacles, where the engine holds 0 (`IN_OBSTACLES`); what is opened here has the
-engine's rows and values again. The record of the folder (`jaxurban.io.workspace`) has the checksum of every file, and
-chunks carry that of Zstandard too. Every chunk is written, so that a missing one is damage; were it read all the same,
-it would be blocked cells, NaN or no satellite, not free air.
+A group of Zarr v2 for each resolution, which GDAL and xarray read by their ordinary ways: rows from north to south, and
+from south to north in what is opened here. The record of the folder (`jaxurban.io.workspace`) has the checksum of every
+file, and chunks carry that of Zstandard too. Every chunk is written, so that a missing one is damage; were it read all
+the same, it would be blocked cells, NaN or no satellite, not free air.
 """
 
 import json
@@ -25,7 +24,7 @@ from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
 from jaxurban.errors import InputError, RemadeError
-from jaxurban.io.attributes import IN_OBSTACLES, NEEDED, cells_inside, is_hidden, is_nothing, no_value, with_hideable
+from jaxurban.io.attributes import NEEDED, no_value
 from jaxurban.io.files import (
     SCRATCH_SUFFIX,
     checksum_of,
@@ -153,17 +152,16 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     """Write a dataset of maps under ``folder`` and return its place (``maps.zarr/5m``)."""
     path = zarr_path(folder, ds.attrs["resolution_m"])
     rows, cols = tile_shape((ds.sizes["y"], ds.sizes["x"]))
-    ds, checksums = with_hideable(ds), dict[str, str]()
+    checksums = dict[str, str]()
     with scratch_for(path) as scratch:
         _to_zarr(ds, scratch, "w", (rows, cols))
         for name, array in ds.variables.items():
             for place in np.ndindex(array.shape[:-2]) if _is_map(array) else ():
-                values, is_inside = array[place].values, cells_inside(ds, array, (*place, slice(None), slice(None)))
+                values = array[place].values
                 for stop in range(ds.sizes["y"], 0, -rows):
                     for start in range(0, ds.sizes["x"], cols):
                         part = slice(max(0, stop - rows), stop), slice(start, min(start + cols, ds.sizes["x"]))
-                        inside = None if is_inside is None else is_inside[part]
-                        checksums |= write_layer(scratch, str(name), place, part, values[part], inside)
+                        checksums |= write_layer(scratch, str(name), place, part, values[part])
         put_zarr(scratch, path, checksums)
     return path
 
@@ -186,7 +184,6 @@ def write_layer(
     index: tuple[int, ...],
     window: tuple[slice, slice],
     values: np.ndarray,
-    is_inside: np.ndarray | None = None,
 ) -> dict[str, str]:
     """Write a tile of one map into a Zarr: one chunk, as the Zarr library writes it but without its threads for each.
 
@@ -198,7 +195,6 @@ def write_layer(
       index: place along its axes before y and x.
       window: rows, from the south, and columns; they end where chunks do.
       values: ``[y, x]`` rows south to north; may stick out of the window in the south and in the east.
-      is_inside: ``[y, x]``, or ``[A, y, x]`` at every altitude: cells inside obstacles, which hold no value in files.
 
     Returns:
       The checksum of the chunk by its name in the Zarr.
@@ -211,14 +207,7 @@ def write_layer(
     own = slice(len(values) - rows.stop + rows.start, None), slice(cols.stop - cols.start)
     values = values[own][::-1]
     chunk = np.full((num_rows, num_cols), array.fill_value, array.dtype)
-    part = chunk[: len(values), : values.shape[1]]
-    part[:] = values
-    held = array.attrs.get(IN_OBSTACLES)
-    if held is not None and is_inside is not None:
-        bits = np.dtype(f"u{array.dtype.itemsize}")
-        are_held = part.view(bits) == array.dtype.type(float(str(held))).view(bits)  # a user's -0.0 stays
-        are_held &= (is_inside if is_inside.ndim == 2 else is_inside[index[-1]])[own][::-1]
-        np.copyto(part, no_value(array.dtype), where=are_held)
+    chunk[: len(values), : values.shape[1]] = values
     key = array.metadata.encode_chunk_key((*index, north // num_rows, cols.start // num_cols))
     data = bytes(array.metadata.compressor.encode(chunk))
     write_whole(path / name / key, data)
@@ -342,32 +331,29 @@ class _Opened(NamedTuple):
 
 
 class _Map(BackendArray):
-    """A map in a Zarr, read when it is looked at, with the engine's values; one that cannot be read is an InputError.
+    """A map in a Zarr, read when it is looked at; one that cannot be read is an InputError.
 
     Attributes:
-      ds: the Zarr as it is, rows south to north.
+      array: the map as it is, rows south to north.
       opened: the Zarr when it was opened.
       name: of the map.
     """
 
-    def __init__(self, ds: xr.Dataset, opened: "_Opened", name: str) -> None:
-        self.ds, self.opened, self.path, self.name = ds, opened, opened.path, name
-        self.shape, self.dtype = ds.variables[name].shape, ds.variables[name].dtype
+    def __init__(self, array: xr.Variable, opened: "_Opened", name: str) -> None:
+        self.array, self.opened, self.name = array, opened, name
+        self.shape, self.dtype = array.shape, array.dtype
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
         return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER, self._read)
 
     def _read(self, key: tuple) -> np.ndarray:
         try:
-            array = self.ds.variables[self.name]
-            values = np.asarray(array[key].values, order="C")
-            if self.name == "obstacle":
-                values[is_nothing(values)] = 1  # of a chunk that went after opening
-            elif (inside := cells_inside(self.ds, array, key)) is not None:
-                np.copyto(values, float(array.attrs[IN_OBSTACLES]), "unsafe", where=is_hidden(values, inside))
+            values = np.asarray(self.array[key].values, order="C")
+            if values.dtype.kind == "u":  # of a chunk that went after opening
+                values[values == no_value(values.dtype)] = self.name == "obstacle"
         except Exception as error:
             self.opened.check()
-            raise _damage_in(self.path, (self.name, *NEEDED)) or error from error
+            raise _damage_in(self.opened.path, (self.name,)) or error from error
         self.opened.check()  # after reading: metadata go first where maps are removed, and come last
         return values
 
@@ -384,7 +370,7 @@ class _Maps(BackendEntrypoint):
         ds = ds.isel({"y": slice(None, None, -1)}, missing_dims="ignore")
         maps = {}
         for name, held in ds.data_vars.items():
-            lazy = indexing.LazilyIndexedArray(_Map(ds, opened, str(name)))
+            lazy = indexing.LazilyIndexedArray(_Map(held.variable, opened, str(name)))
             maps[name] = xr.Variable(held.dims, lazy, held.attrs, held.encoding)
         coords = ds.coords.to_dataset().load()  # small, and damage shows at once
         opened.check()

@@ -10,17 +10,15 @@ import pyproj
 import xarray as xr
 from xarray.indexes import PandasIndex
 
-from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES
+from jaxurban.io.attributes import CAVEAT
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import TimeTotals
 from jaxurban.metrics.base import TIME, UNDERSIDE, Variable
-from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
 from jaxurban.metrics.variables import NO_METRICS, derived
 from jaxurban.world.city import SLABS, joined_credits
 
 PLANE = ("y", "x")
 CONVENTIONS = "CF-1.11"
-INSIDE = dict.fromkeys((*DOPS, *WEIGHTED_DOPS, "hpl", "vpl"), "inf")  # what the kernels put inside obstacles, if not 0
 
 
 def variables(task: MapTask) -> dict[str, Variable]:
@@ -150,6 +148,5 @@ def _attributes(variable: Variable, array: xr.DataArray) -> dict[str, str]:
         "units": "" if is_time else variable.unit,
         "one_means": variable.one_means,
         "grid_mapping": "spatial_ref" if {*PLANE} <= {*array.dims} else "",
-        IN_OBSTACLES: "" if variable.inside is None else INSIDE.get(variable.name, "0"),
     }
     return {key: value for key, value in found.items() if value}

@@ -56,7 +56,9 @@ class MetricMaps(Shown):
     with population data; ``roof`` (at the cell's centre), ``roof_touched`` (the highest that shares area with the
     cell) and ``terrain`` (only if not flat) [y, x] in metres; ``has_data`` [y, x]. Roofs count what hangs; of a city
     with slabs ``underside`` is the lowest floor over the cell's centre, 0 where nothing hangs.
-    DOPs are inf with fewer than four satellites. Metrics are NaN only where ``has_data`` is False.
+    DOPs are inf with fewer than four satellites. **Missing is NaN**: everything where ``has_data`` is False, and inside
+    obstacles (``obstacle`` is 1) what is undefined there: m of gps, lidar, risk and protection with their bounds,
+    spreads and statistics, DOPs and levels, so that means over cells are `numpy.nanmean`; ``num_visible`` is 0 there.
     Of a long series of times, instead of ``gps`` and the DOPs: ``gps_availability``, ``gps_median`` and ``gps_p05``
     [altitude, y, x], ``gps_epoch_mean`` [time, altitude] (mean m over free cells) and ``gps_worst_time`` [altitude].
     On request ``protection``, ``hpl`` and ``vpl`` (metres, inf where undetermined) and ``within_limits``
@@ -261,7 +263,7 @@ class MetricMaps(Shown):
 
     @typed
     def costs(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> dict:
-        """Return the cost layers c in [0, 1] by metric, ``[y, x]`` each."""
+        """Return the cost layers c in [0, 1] by metric, ``[y, x]`` each; NaN where m is missing."""
         return {
             name: metric.cost(self.m(name, altitude_m, time=time, time_of_day=time_of_day))
             for name, metric in self.metrics.items()
@@ -269,7 +271,7 @@ class MetricMaps(Shown):
 
     @typed
     def total(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
-        """Return H_total, the unweighted sum of the cost layers, ``[y, x]``."""
+        """Return H_total, the unweighted sum of the cost layers, ``[y, x]``; NaN where one of them is missing."""
         return np.asarray(total_map(self.costs(altitude_m, time=time, time_of_day=time_of_day)))
 
     @typed
@@ -280,7 +282,7 @@ class MetricMaps(Shown):
 
     @typed
     def prefers_gps(self, altitude_m: float, *, time: str | None = None) -> np.ndarray:
-        """Return the sensor-choice map ``[y, x]`` bool: m_gps > m_lidar."""
+        """Return the sensor-choice map ``[y, x]`` bool: m_gps > m_lidar; False inside obstacles."""
         return self.m("gps", altitude_m, time=time) > self.m("lidar", altitude_m)
 
     @typed

@@ -2,8 +2,8 @@
 
 `inputs_of` and `skies_of` make ready on the host what a city, a sky and settings say; `all_maps` then computes the maps
 of one time. It defines what the maps are: `jaxurban.maps.recipe`, which makes them layer by layer and on a CPU in
-threads, gives the same bits (population: the same but for float32's last bit). Supersampled maps, bounds, spreads,
-statistics over time and own layers are the recipe's alone; soft maps are `SoftCity`'s.
+threads, gives the same bits outside obstacles (population: but for float32's last bit). Supersampled maps, bounds,
+spreads, statistics over time and own layers are the recipe's alone; soft maps are `SoftCity`'s.
 """
 
 from collections.abc import Sequence
@@ -139,8 +139,8 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: GivenWeights = None) -> d
     Returns:
       ``obstacle`` uint8 ``[A, y, x]`` and all maps of each metric with a traced form: ``gps``, its DOPs and
       ``num_visible``, ``lidar`` and ``risk`` ``[A, y, x]``, and with census blocks ``population`` and ``density``
-      ``[D, y, x]``. Inside obstacles they are finite or, as DOPs, inf; NaN where the surface has no data, but integers
-      keep what they are there.
+      ``[D, y, x]``. Inside obstacles, where `build_maps` has NaN, they are finite or, as DOPs, inf, so that gradients
+      stay finite; NaN where the surface has no data, but integers keep what they are there.
 
     Raises:
       InputError: skies of several times, or weights that are none.

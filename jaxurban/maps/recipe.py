@@ -16,6 +16,7 @@ import numpy as np
 from jaxurban.io.layers import layer_values
 from jaxurban.io.read.rasterise import build_surface, highest_top_m
 from jaxurban.kernels.shadows.sweep import Ring
+from jaxurban.maps.dataset import variables
 from jaxurban.maps.height_uncertainty import Spread, perturbed_cities
 from jaxurban.maps.supersampling import (
     Bands,
@@ -174,16 +175,20 @@ def _roofs_and_obstacles(roof: Part, altitudes_m: jax.Array) -> tuple[jax.Array,
 
 
 def tile_maps(tile: TileScene, stage: Stage = nullcontext) -> Iterator[MapLayer]:
-    """Yield every layer of a tile, one at a time, so that few of them need be in memory; NaN where nothing is known.
+    """Yield every layer of a tile, one at a time, so that few of them need be in memory.
 
-    Integers keep 0 there. Each cell depends on the city around it alone, so a tile's layers equal the crop of the
-    region's.
+    NaN where nothing is known, and inside obstacles what its `Variable` says; integers keep 0 there. Each cell depends
+    on the city around it alone, so a tile's layers equal the crop of the region's.
 
     Args:
       tile: what the maps are made of.
       stage: gives the context that the work on each stage runs in.
     """
+    held, is_inside = variables(tile.task), [np.asarray(is_obstacle) for is_obstacle in tile.is_obstacle]
     for name, place, values in _layers(tile, stage):
+        inside, dims = held[name].inside, held[name].dims
+        if inside is not None and ALTITUDE in dims:
+            values = np.where(is_inside[place[dims.index(ALTITUDE)]], values.dtype.type(inside), values)
         if tile.has_data is not None and np.issubdtype(values.dtype, np.floating):
             values = np.where(tile.has_data, values, np.float32(np.nan))
         yield MapLayer(name, place, values)

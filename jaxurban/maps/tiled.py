@@ -150,12 +150,9 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
         }
     scene, window, checksums = TileScene(job.task, surface, rings), job.tiling.reported(tile), dict[str, str]()
     with on_device_of(job.task.params.engine):
-        is_inside = np.asarray(scene.is_obstacle)
-        if scene.has_data is not None:
-            is_inside = is_inside & scene.has_data
         for layer in tile_maps(scene, watch.stage):
             with watch.stage("write_zarr"):
-                checksums |= write_layer(job.work.zarr, layer.name, layer.place, window, layer.values, is_inside)
+                checksums |= write_layer(job.work.zarr, layer.name, layer.place, window, layer.values)
     facts = {"totals": {metric: totals.facts for metric, totals in scene.totals.items()}}
     job.work.mark_done(name, {f"{ZARR}/{file}": of for file, of in checksums.items()}, facts)
     return {**facts, "seconds": watch.elapsed_s}

@@ -96,8 +96,8 @@ class Variable:
       long_name: of files and of pictures.
       unit: of its values, as CF writes it; "" for none.
       dtype: of its values.
-      inside: what it is inside obstacles: NaN where nothing is defined in there (of whole numbers the value that stands
-        for none); None where it has values there as anywhere else, as people and roofs have.
+      inside: what it is inside obstacles, if it has an altitude: NaN where nothing is defined in there, 0 of satellites
+        that nobody sees; None where it has values there as anywhere else.
       one_means: what a value of one means; "" where that needs no word.
       scale: how its values become colours.
       classes: name and colour of 0 and of 1, of what is nothing else.
@@ -231,7 +231,7 @@ class Metric:
       params: class of its settings.
       dims: along which its maps vary beside y and x: of ``"time"``, ``"altitude"``, ``"time_of_day"``, in this order.
       compute: returns the maps ``[y, x]`` of a scene by their variable: the metric m in [0, 1], float32, under
-        ``name``, and those of ``also``. m is 0 inside obstacles; NaN closes a cell.
+        ``name``, and those of ``also``. What they are inside obstacles, `Variable.inside` decides; NaN closes a cell.
       cost: turns m into the cost c in [0, 1] (numbers, NumPy or JAX arrays).
       label: what figures call it.
       one_means: what a value of one means.

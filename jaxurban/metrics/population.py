@@ -431,6 +431,5 @@ METRIC = Metric(
     one_means="as many people per area as the norm (pop_norm_per_km2)",
     colour="#cc79a7",
     colour_map="magma_r",
-    inside=None,
     also=(DENSITY,),
 )

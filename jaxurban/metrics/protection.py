@@ -179,7 +179,7 @@ WITHIN = Variable(
     WITHIN_LIMITS,
     "both protection levels within their alert limits",
     dtype=np.uint8,
-    inside=np.nan,
+    inside=0,
     one_means="an HPL up to horizontal_alert_limit_m and a VPL up to vertical_alert_limit_m",
     classes=(("beyond an alert limit", "#d55e00"), ("within both alert limits", "#f4f4ee")),
 )

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -62,7 +61,7 @@ def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
     """Return what is made of a metric's own map, by kind and by name.
 
     ``"series"``: over many times, cell by cell; ``"region"``: the same over all cells; ``"bounds"``: what brackets it;
-    ``"spread"``: over uncertain heights, with values where only the known roofs stand.
+    ``"spread"``: over uncertain heights.
     """
     own, dims = metric.variables[metric.name], tuple(dim for dim in metric.dims if dim != TIME)
     share, always_so = "above the threshold", f"m_{own.name} is above the threshold"
@@ -87,15 +86,14 @@ def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
             "p95": (f"95th percentile {uncertain}", ""),
         },
     }
-    facts: dict[str, dict[str, Any]] = {
-        "series": {"dims": dims},
-        "region": {"inside": None},
-        "spread": {"inside": None},
-    }
     return {
         kind: {
             (name := f"{own.name}_{what}"): replace(
-                own, name=name, long_name=f"{own.long_name}, {said}", one_means=means, **facts.get(kind, {})
+                own,
+                name=name,
+                long_name=f"{own.long_name}, {said}",
+                one_means=means,
+                dims=dims if kind == "series" else own.dims,
             )
             for what, (said, means) in rows.items()
         }

@@ -302,10 +302,12 @@ class Constraints:
         bounds = []
         for bound in self.bounds:
             if not bound.is_kept(maps, altitude_m, time, time_of_day)[cell]:
-                held_m = min(maps.altitudes_m, key=lambda z_m: abs(z_m - altitude_m))  # between two, the nearer map's
-                value = maps.m(bound.variable, held_m, time=time, time_of_day=time_of_day)[cell]
-                where = "there" if held_m == altitude_m else f"there at {held_m:g} m"
-                bounds.append(f"the bound {bound} (it is {value:g} {where})")
+                around_m = maps.around(altitude_m)
+                values = [maps.m(bound.variable, z_m, time=time, time_of_day=time_of_day)[cell] for z_m in around_m]
+                # Between two altitudes the nearer map's, over an obstacle of the lower one the upper's.
+                at = min(range(len(values)), key=lambda k: (np.isnan(values[k]), abs(around_m[k] - altitude_m)))
+                where = "there" if around_m[at] == altitude_m else f"there at {around_m[at]:g} m"
+                bounds.append(f"the bound {bound} (it is {values[at]:g} {where})")
         clear_m = self.horizontal_m, self._vertical_m
         if self.keeps_clear and closed_by_clearance(maps, altitude_m, *clear_m)[cell]:
             phrase, is_over = nearest_said(maps, altitude_m, *clear_m, cell)

@@ -46,8 +46,8 @@ class CostMap(Shown, MapQuery):
       time_of_day: of the population map; None without one.
       weights, objective, cost_model, constraints: as in `MapQuery`.
       names: the metrics of the layers.
-      costs: ``[L, Y, X]`` float32 their costs c_j in [0, 1], not weighted, 0 where there are no data; ``[L, K, Y, X]``
-        in a volume.
+      costs: ``[L, Y, X]`` float32 their costs c_j in [0, 1], not weighted, those of m = 0 where a closed cell has no
+        value; ``[L, K, Y, X]`` in a volume.
       is_free: ``[Y, X]`` or ``[K, Y, X]`` bool, where a path may fly: no obstacle, data there, within the constraints.
       is_prepared: whether landmarks guide the planners that choose their heuristic (see `prepare`).
     """
@@ -348,8 +348,8 @@ def map_at(maps: MetricMaps, altitudes_m: np.ndarray, levels: Levels | None, que
         is_flat = "altitude" not in maps.ds[maps.variable(name)].dims
         for level, z_m in enumerate(altitudes_m.tolist()):
             m = read(maps.altitudes_m[0]) if is_flat else values_at(z_m, maps.altitudes_m, read, is_under_sky)
-            layers[level] = np.asarray(metric.cost(m))
-            layers[level][~(np.isfinite(layers[level]) | is_free[level])] = 0.0
+            # What is missing where nobody may fly counts as m = 0: searches take numbers alone.
+            layers[level] = metric.cost(np.where(np.isnan(m) & ~is_free[level], np.float32(0), m))
     known_when = {
         "time": maps.default_time if query.time is None else iso_utc(query.time),
         "time_of_day": query.time_of_day or next(iter(maps.times_of_day), None),

@@ -187,7 +187,8 @@ class RouteProfile:
         if not is_told or UNDERSIDE in self.maps.ds:  # what hangs between two maps is in neither's slice
             return border_m
         risk = self._sample("risk", below_m)  # between two maps, the lower one has all obstacles
-        return np.maximum(border_m, risk * attrs["risk_threshold_m"] - math.sqrt(2) * grid.resolution_m)
+        # Over an obstacle of the map below no risk is known.
+        return np.fmax(border_m, risk * attrs["risk_threshold_m"] - math.sqrt(2) * grid.resolution_m)
 
 
 def cautious_profile(planned: PlannedPath, maps: MetricMaps) -> pd.DataFrame:

@@ -251,7 +251,7 @@ class Viewer:
         for name, layer in self.layers[0].items():
             if not (heading := _told(layer)):
                 continue
-            is_hidden = is_inside and ALTITUDE in layer.dims and name != "obstacle"  # the engine's 0 there is no value
+            is_hidden = is_inside and ALTITUDE in layer.dims and name != "obstacle"  # nor has it satellites in view
             value = math.nan if is_hidden else self._value_in(layer, cell)
             told = {"name": name, "told": heading, "unit": unit_of(layer)}
             found.append(told | {"value": _number(value)})

@@ -45,7 +45,7 @@ def ds() -> xr.Dataset:
     )
     for name in ("obstacle", "gps", "population"):
         ds[name].attrs.update(units="1", one_means=f"one of {name}")
-    ds["gps"] = ds["gps"].where(ds["obstacle"] == 0, 0).where(ds["has_data"]).assign_attrs(in_obstacles="0")
+    ds["gps"] = ds["gps"].where(ds["obstacle"] == 0).where(ds["has_data"])
     return ds
 
 

@@ -72,9 +72,8 @@ def ends(maps):
 def test_maps_hold_it_where_somebody_asks(maps):
     assert [*maps.metrics] == ["gps", "protection"]
     assert "protection" not in task_of({}).metrics
-    hpl_m, is_obstacle = maps.m("hpl", ALTITUDE_M), maps.m("obstacle", ALTITUDE_M) == 1
-    assert np.isinf(hpl_m[is_obstacle]).all()
-    assert np.isinf(hpl_m[maps.m("num_visible", ALTITUDE_M) < 4]).all()
+    hpl_m, is_free = maps.m("hpl", ALTITUDE_M), maps.m("obstacle", ALTITUDE_M) == 0
+    assert np.isinf(hpl_m[is_free & (maps.m("num_visible", ALTITUDE_M) < 4)]).all()
     np.testing.assert_allclose(maps.m("protection", ALTITUDE_M), 1 - np.minimum(hpl_m, 40) / 40, atol=1e-6)
     for name in ("protection", "hpl", "vpl", "within_limits"):
         assert maps.ds[name].attrs["comment"] == CAVEAT
@@ -89,7 +88,7 @@ def test_a_series_keeps_the_share_of_times_within_both_limits():
         series = compute_maps(task_of({**ASKED, "gps": Gps(series="statistics")}, TIMES))
     assert {*STATISTICS} < {*series.ds}
     assert "hpl" not in series.ds
-    shares = each.ds["within_limits"].mean("time")
+    shares = each.ds["within_limits"].mean("time").where(each.ds["obstacle"] == 0)
     np.testing.assert_allclose(series.ds["protection_availability"], shares, atol=1e-6)
     np.testing.assert_allclose(series.m("protection"), each.ds["protection"].median("time")[0], atol=1e-6)
     assert 0 < float(shares.mean()) < 1

@@ -27,7 +27,7 @@ _dop = partial(Variable, inside=np.nan, scale=Scale("viridis_r", 1.0, 20.0, is_b
 ALSO = (  # the scale of DOPs ends where the paper's rating turns poor
     *(_dop(name, f"{kind} dilution of precision", symbol=name.upper()) for name, kind in DOPS.items()),
     Variable(
-        "num_visible", "satellites in view", dtype=np.uint8, inside=np.nan, scale=Scale("viridis", high=None, least=4.0)
+        "num_visible", "satellites in view", dtype=np.uint8, inside=0, scale=Scale("viridis", high=None, least=4.0)
     ),
     *(
         _dop(name, f"{kind} dilution of precision, weighted by elevation", symbol=name.upper(), is_made=is_weighted)
