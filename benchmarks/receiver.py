@@ -26,10 +26,10 @@ import jaxurban as ju
 from benchmarks.common import ROOT
 from jaxurban.errors import StaleElementsWarning
 from jaxurban.io.read.receiver import ERROR, TRACKED
+from jaxurban.maps.validation import changed
 from jaxurban.report.figures.receiver import name_of
 from jaxurban.report.receiver import score_table, with_interval
 from jaxurban.report.write import table
-from jaxurban.scenario.validation import changed
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE
 from jaxurban.studies.receiver.scores import COEFFICIENTS, SPEARMAN, WITHIN, Scored, compared, spearman
 from jaxurban.studies.receiver.validate import ReceiverValidation, paired

@@ -9,6 +9,7 @@ from jaxurban.maps.build import build_maps as build_maps
 from jaxurban.maps.levels import Levels as Levels
 from jaxurban.maps.metric_maps import MetricMaps as MetricMaps
 from jaxurban.maps.metric_maps import open_maps as open_maps
+from jaxurban.maps.scenario import Scenario as Scenario
 from jaxurban.metrics.custom import Layer as Layer
 from jaxurban.metrics.gps import Gps as Gps
 from jaxurban.metrics.lidar import Lidar as Lidar
@@ -27,13 +28,12 @@ from jaxurban.paths.plan import plan as plan
 from jaxurban.paths.queries import PlannedPaths as PlannedPaths
 from jaxurban.paths.simplify import simplify as simplify
 from jaxurban.paths.snapping import XY as XY
-from jaxurban.paths.vehicle import Vehicle as Vehicle
 from jaxurban.planners.cost_model import CostModel as CostModel
-from jaxurban.scenario.settings import Scenario as Scenario
 from jaxurban.settings import Buildings as Buildings
 from jaxurban.settings import Heights as Heights
 from jaxurban.settings import HeightStd as HeightStd
 from jaxurban.settings import Terrain as Terrain
+from jaxurban.settings import Vehicle as Vehicle
 from jaxurban.viewer.widget import view as view
 from jaxurban.world.city import City as City
 from jaxurban.world.grid import Grid as Grid

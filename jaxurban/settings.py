@@ -1,25 +1,31 @@
-"""Settings that are no metric's own: one frozen class for each section of a scenario, with its defaults and checks.
+"""Settings that are no metric's own: frozen classes, most of them a section of a scenario, with defaults and checks.
 
-The same objects are arguments of the functions of Python. A metric's section is beside the metric.
+The same objects are arguments of the functions of Python. A metric's section is beside the metric. What routes are
+planned under where the caller leaves it out is here too; docs/mathematics.md lists every departure from the paper.
 """
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from jaxurban.errors import InputError, at_least, one_of, typed
+from jaxurban.errors import InputError, at_least, finite, one_of, positive, typed
 
+BUDGET_S = 10.0  # seconds of search, for one plan
+PAPER = "paper"
 NOMINAL = "nominal"  # GPS satellites without a file of elements
 FIRST_YEAR, LAST_YEAR = 1980, 2200  # GPS time begins in 1980; xarray's nanoseconds end in 2262
 MOST_SAMPLES = 1000
 MAX_HEIGHT_M = 1000.0  # the tallest building stands at 828 m: more is a slip of the keyboard or of the unit
 Hanging = Literal["to_ground", "slabs"]
 TO_GROUND, SLABS = get_args(Hanging)
+VEHICLE_UNITS = {"_m_s": "metres per second", "_deg": "degrees", "_w": "watts"}
+FULL_TURN_DEG = 180.0
+PREFIX = "vehicle_"  # of its entries among the constraints that a path was planned under
 
 
 def parse_time(time: str | datetime | np.datetime64) -> datetime:
@@ -165,3 +171,105 @@ class Terrain:
 
     source: str | Path | None = None
     credit: str = ""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Settings of routes, under the names of a scenario's ``[planning]``.
+
+    Attributes:
+      cost_model: how steps are costed (`jaxurban.planners.cost_model.CostModel`).
+      obstacles: where planners may fly (`jaxurban.maps.metric_maps.MetricMaps`).
+      clearance_m: horizontal distance from buildings as high as the path.
+      vertical_clearance_m: height over roofs.
+    """
+
+    cost_model: Literal["cell", "line"] = "line"
+    obstacles: Literal["touched", "centre"] = "touched"
+    clearance_m: float = 0.0
+    vertical_clearance_m: float = 3.0
+
+    @classmethod
+    def of(cls, name: str) -> "Preset":
+        """Return the preset of a name, ``""`` for the defaults.
+
+        Raises:
+          InputError: an unknown name.
+        """
+        return PRESETS[one_of("preset", name, PRESETS)]
+
+
+DEFAULTS = Preset()
+PRESETS = {"": DEFAULTS, PAPER: Preset("cell", "centre", 0.0, 0.0)}
+
+
+def planning_under(preset: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings of a ``[planning]``: those given, and else those of a preset, theirs where none is named.
+
+    Raises:
+      InputError: an unknown preset.
+    """
+    return {**asdict(Preset.of(preset or given.get("preset", ""))), **given}
+
+
+@typed
+@dataclass(frozen=True)
+class Vehicle:
+    """What flies, as ``[vehicle]`` of a scenario says it; what is left out limits nothing and tells nothing.
+
+    Enforced: the radius, which every route keeps beside the clearance. Told (`cautions`, and the time of `explain`):
+    climbs, descents and turns beyond the limits, since a multirotor slows down for them and may then fly them all.
+
+    Attributes:
+      radius_m: from its middle to its outermost point, seen from above.
+      max_climb_m_s, max_descent_m_s: fastest change of height.
+      max_turn_deg: sharpest change of heading at one waypoint without slowing down.
+      speed_m_s: along the route, in cruise.
+      power_w: mean electrical power in flight.
+
+    Raises:
+      InputError: a value that is not a positive number (of the radius: not a number from 0 up), a turn above 180
+        degrees, or a power without a speed.
+    """
+
+    radius_m: float = 0.0
+    max_climb_m_s: float | None = None
+    max_descent_m_s: float | None = None
+    max_turn_deg: float | None = None
+    speed_m_s: float | None = None
+    power_w: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "radius_m", finite("radius_m", self.radius_m, "metres"))
+        if self.radius_m < 0:
+            raise InputError(f"radius_m must be 0 or a positive number of metres, got {self.radius_m:g}")
+        for item in fields(self)[1:]:
+            if (value := getattr(self, item.name)) is not None:
+                unit = next(unit for end, unit in VEHICLE_UNITS.items() if item.name.endswith(end))
+                object.__setattr__(self, item.name, positive(item.name, value, unit))
+        if self.max_turn_deg is not None and self.max_turn_deg > FULL_TURN_DEG:
+            raise InputError(f"max_turn_deg must be at most {FULL_TURN_DEG:g} degrees, got {self.max_turn_deg:g}")
+        if self.power_w is not None and self.speed_m_s is None:
+            raise InputError("power_w tells an energy only over a time: give the speed (speed_m_s, --speed) too")
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> "Vehicle":
+        """Return the vehicle that a path was planned for, from its ``settings``; one without limits where none is."""
+        held = settings.get("limits", {})
+        return cls(**{item.name: held[key] for item in fields(cls) if (key := PREFIX + item.name) in held})
+
+    def to_dict(self) -> dict[str, float]:
+        """Return what is known of it as plain values, ``vehicle_radius_m`` ...; empty where that is nothing."""
+        named = {item.name: getattr(self, item.name) for item in fields(self)}
+        return {PREFIX + name: float(value) for name, value in named.items() if value}
+
+    def flight_s(self, air_m: np.ndarray, rise_m: np.ndarray, speed_m_s: float) -> np.ndarray:
+        """Return ``[M]`` seconds for straight parts of a route, longer where climb or descent limits the speed.
+
+        Args:
+          air_m: ``[M]`` their lengths in the air.
+          rise_m: ``[M]`` how much higher each ends than it begins.
+          speed_m_s: along the route.
+        """
+        climb_m_s, descent_m_s = self.max_climb_m_s or np.inf, self.max_descent_m_s or np.inf
+        return np.maximum(air_m / speed_m_s, np.maximum(rise_m / climb_m_s, -rise_m / descent_m_s))

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxurban.errors import one_of, positive, typed
 from jaxurban.kernels.compiled import compiled
-from jaxurban.presets import DEFAULTS
+from jaxurban.settings import DEFAULTS
 
 # (row, column) of the eight steps; bit k of a cell's moves stands for step k.
 STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 
 import jaxurban as ju
 from jaxurban.io.read.rasterise import build_surface
-from jaxurban.scenario.run import load_city
+from jaxurban.maps.run import load_city
 from jaxurban.studies.receiver.validate import ReceiverValidation
 from jaxurban.world.surface import Surface
 

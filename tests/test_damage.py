@@ -12,9 +12,9 @@ import pytest
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.files import read_json, write_json
+from jaxurban.maps import run as pipeline
+from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Report
-from jaxurban.scenario import run as pipeline
-from jaxurban.scenario.settings import Scenario
 from tests import tiled_runs
 from tests.cli_runs import assert_one_sentence, run
 from tests.logs import logged

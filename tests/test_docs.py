@@ -22,8 +22,8 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.cli.main import app
+from jaxurban.maps.scenario import Scenario
 from jaxurban.public import NAMESPACES
-from jaxurban.scenario.settings import Scenario
 from tests.cli_runs import run
 
 ROOT = Path(__file__).parents[1]

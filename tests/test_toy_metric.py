@@ -16,8 +16,10 @@ import xarray as xr
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.store import open_zarr
+from jaxurban.maps import scenario as settings
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.differentiable import path_visits
+from jaxurban.maps.run import Maker, make_zarr
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import ALTITUDE, Metric, Scale, Variable, low_is_bad
 from jaxurban.metrics.registry import METRICS
@@ -25,8 +27,6 @@ from jaxurban.metrics.settings import differentiable
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.progress import Report
 from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
-from jaxurban.scenario import settings
-from jaxurban.scenario.run import Maker, make_zarr
 from jaxurban.studies.demonstrations import optimal_demonstrations
 from jaxurban.studies.weights import sobol
 from jaxurban.viewer.layers import layers_of

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxurban.maps.run import Maker, make_zarr
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.progress import Report
-from jaxurban.scenario.run import Maker, make_zarr
 from jaxurban.world.city import City, Raster
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky

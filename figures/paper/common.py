@@ -20,10 +20,10 @@ from matplotlib.path import Path as Outline
 
 import jaxurban as ju
 from jaxurban.io.read.census import read_blocks, read_districts
+from jaxurban.maps.run import ScenarioRun, load_city, run_scenario
+from jaxurban.maps.scenario import Scenario
 from jaxurban.report.figures import plot_metric
 from jaxurban.report.write import framed, write_png
-from jaxurban.scenario.run import ScenarioRun, load_city, run_scenario
-from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.montecarlo.strata import STRATA, strata_of
 from jaxurban.world.city import Blocks, City
 from jaxurban.world.grid import Grid

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from figures.paper.common import PATH_M, TOWNS, Caption, Town, save
+from jaxurban.maps.scenario import PAPER_PLANNERS
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.path import PlannedPath, finish, map_settings
 from jaxurban.paths.preset import PathSearch
@@ -29,7 +30,6 @@ from jaxurban.report.figures.paths import (
     planner_colours,
 )
 from jaxurban.report.figures.paths import draw_paths as add_paths
-from jaxurban.scenario.settings import PAPER_PLANNERS
 from jaxurban.studies.montecarlo.trial import draws_samples
 from jaxurban.world.grid import Grid
 

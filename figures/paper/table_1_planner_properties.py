@@ -5,8 +5,8 @@ import pandas as pd
 
 import jaxurban as ju
 from figures.paper.common import PATH_M, SYNTHETIC, Caption, save_table
+from jaxurban.maps.scenario import PAPER_PLANNERS
 from jaxurban.paths.rows import solve_instance
-from jaxurban.scenario.settings import PAPER_PLANNERS
 from jaxurban.studies.montecarlo.analysis import joined
 from jaxurban.studies.montecarlo.trial import INVALID, WEIGHTED, Benchmark, PlannerRun
 

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 
 from figures.paper.common import MAP_M, TOWNS, Caption, Town, save_table
+from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.rating import Rating, rating
-from jaxurban.scenario.settings import Scenario
 
 ALTITUDE_M, MIN_SATELLITES = 20.0, 4
 PAPER = (

@@ -61,7 +61,7 @@ def fetch(
     from jaxurban.io.fetch import SCENARIO_FILE, staged
     from jaxurban.io.fetch import fetch as fetch_files
     from jaxurban.maps.memory import parse_bytes
-    from jaxurban.scenario.settings import Scenario
+    from jaxurban.maps.scenario import Scenario
 
     job, most_bytes = _job(**settings), parse_bytes(max_size, "--max-size")
     if is_dry_run:

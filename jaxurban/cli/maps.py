@@ -24,7 +24,7 @@ from jaxurban.progress import reporting
 
 if TYPE_CHECKING:
     from jaxurban.maps.executors import Resources
-    from jaxurban.scenario.settings import Scenario
+    from jaxurban.maps.scenario import Scenario
 
 EXIT_BUG, EXIT_BAD_INPUT = 1, 2
 TAKEN = (".", "geotiff", "maps.zarr", "figures")  # no folder of a scenario beside others
@@ -83,7 +83,7 @@ def maps(
     """
     from jaxurban.maps.executors import Resources
     from jaxurban.maps.memory import parse_bytes
-    from jaxurban.scenario.settings import Scenario
+    from jaxurban.maps.scenario import Scenario
 
     if degrees and not figures:
         raise click.UsageError("--degrees belongs to --figures: add that")
@@ -151,7 +151,7 @@ def _make(
 ) -> dict[str, Any]:
     """Make the maps of one scenario, draw them as asked, and return the record of the run."""
     from jaxurban.io.workspace import Workspace
-    from jaxurban.scenario.run import run_scenario
+    from jaxurban.maps.run import run_scenario
 
     with reporting("maps") as report:
         run = run_scenario(scenario, folder, report, overwrite, resources, layers)

@@ -26,8 +26,8 @@ from jaxurban.progress import reporting
 ANALYSIS_FOLDER = "analysis"
 
 if TYPE_CHECKING:
+    from jaxurban.maps.scenario import Scenario
     from jaxurban.report.montecarlo import BenchmarkResult
-    from jaxurban.scenario.settings import Scenario
 
 
 @click.command()
@@ -46,11 +46,11 @@ if TYPE_CHECKING:
 def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_json: bool, **given: Any) -> int:
     """Run every planner of SCENARIO's [study] on many random queries over its maps, and report what came out."""
     from jaxurban.io.workspace import Workspace
+    from jaxurban.maps.scenario import Scenario
     from jaxurban.paths.rows import HAS_PATH
     from jaxurban.planners.base import EXIT_NO_PATH
     from jaxurban.planners.cost_model import CostModel
     from jaxurban.report.benchmark import check_exportable, export_benchmark
-    from jaxurban.scenario.settings import Scenario
 
     changes = [f"planning.preset={given['preset']!r}"] if given["preset"] else []
     scenario = Scenario.from_toml(scenario_file, changes)
@@ -90,10 +90,10 @@ def _run(
     scenario: "Scenario", folder: Path, rules: Mapping[str, Any], workers: int | str, given: Mapping[str, Any]
 ) -> "BenchmarkResult":
     """Return the benchmark of a scenario, its maps made first where they are not there yet."""
+    from jaxurban.maps.run import run_scenario
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.montecarlo import land_cover_of
     from jaxurban.report.montecarlo import study as run_study
-    from jaxurban.scenario.run import run_scenario
     from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
 
     resolutions_m = scenario.region.resolution_m

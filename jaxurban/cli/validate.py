@@ -52,8 +52,8 @@ def validate(
     from jaxurban.io.files import check_writable
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
+    from jaxurban.maps.scenario import Scenario
     from jaxurban.report.receiver import REPORT_FILE
-    from jaxurban.scenario.settings import Scenario
     from jaxurban.studies.receiver.prediction import ReceiverSettings
     from jaxurban.studies.receiver.validate import validate as validate_log
 

@@ -16,8 +16,7 @@ from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.obstacle import stands_at
 from jaxurban.metrics.weights import normalised_map, total_map
-from jaxurban.presets import planning_under
-from jaxurban.settings import iso_utc
+from jaxurban.settings import iso_utc, planning_under
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown, listed
 

@@ -21,7 +21,7 @@ from jaxurban.paths.profile import (
     guessed_clearances,
     without_fix,
 )
-from jaxurban.paths.vehicle import Vehicle
+from jaxurban.settings import Vehicle
 
 MOST_SEGMENTS = 3  # that a terminal line lists
 ROUNDING = 1e-9  # of climbs and turns that are just what the vehicle can

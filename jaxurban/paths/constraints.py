@@ -18,9 +18,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import WEIGHTED_DOPS
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.paths.clearance import FILE_MARGIN_M, closed_by_clearance, closing_step_m, kept_m, nearest_said
-from jaxurban.paths.vehicle import Vehicle
-from jaxurban.presets import DEFAULTS
-from jaxurban.settings import parse_time
+from jaxurban.settings import DEFAULTS, Vehicle, parse_time
 
 OPERATORS: dict[str, Callable] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 BOUND = re.compile(r"\s*(\w+)\s*([<>=!]+)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|[-+]?inf|nan)\s*", re.IGNORECASE)

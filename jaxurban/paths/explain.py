@@ -29,8 +29,8 @@ from jaxurban.paths.profile import (
     cut_evenly,
     guessed_clearances,
 )
-from jaxurban.paths.vehicle import Vehicle
 from jaxurban.planners.cost_model import CostModel
+from jaxurban.settings import Vehicle
 
 SECONDS_PER_HOUR = 3600.0
 DENSITY = "density_per_km2"

@@ -8,11 +8,10 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.snapping import snap_limit_m
-from jaxurban.paths.vehicle import Vehicle
 from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import find_planner
-from jaxurban.presets import BUDGET_S, planning_under
+from jaxurban.settings import BUDGET_S, Vehicle, planning_under
 
 
 def under_preset(
@@ -23,7 +22,7 @@ def under_preset(
     What is left out is as it was given in the maps' scenario (`MetricMaps.recorded`), and else as the preset has it.
 
     Args:
-      preset: a name (`jaxurban.presets.PRESETS`), ``""`` for the scenario's, else the defaults.
+      preset: a name (`jaxurban.settings.PRESETS`), ``""`` for the scenario's, else the defaults.
       maps: under their rule of obstacles, or none of their own.
       cost_model: taken whole, or its kind alone.
       constraints: None: no zones and no bounds.

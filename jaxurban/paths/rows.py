@@ -24,8 +24,8 @@ from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.preset import under_preset
 from jaxurban.planners.base import CostKind, Status
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.presets import Preset
 from jaxurban.progress import Report
+from jaxurban.settings import Preset
 
 CRASHED, BAD_INPUT = "crashed", "bad-input"  # beside the names of `Status`
 KILLED = "Its worker process was killed again and again, most likely for lack of memory."

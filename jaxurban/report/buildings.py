@@ -13,13 +13,13 @@ from jaxurban.io.store import RUN_FILE
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.build import soften
 from jaxurban.maps.differentiable import SoftParams
+from jaxurban.maps.provenance import hash_inputs
+from jaxurban.maps.run import tasks_of
+from jaxurban.maps.scenario import Scenario
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.buildings import plot_building_costs
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.write import save
-from jaxurban.scenario.provenance import hash_inputs
-from jaxurban.scenario.run import tasks_of
-from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.weights.buildings import building_costs
 
 BUILDINGS_FILES = "buildings.csv", "buildings.parquet", "buildings.png"

@@ -11,6 +11,8 @@ from jaxurban.io.attributes import names_in
 from jaxurban.io.store import RUN_FILE
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.run import run_scenario
+from jaxurban.maps.scenario import PAPER_PLANNERS, Scenario
 from jaxurban.metrics.rating import Rating, rating
 from jaxurban.paths.export.write import write_path
 from jaxurban.paths.path import PlannedPath
@@ -20,8 +22,6 @@ from jaxurban.report.figures import save_figures
 from jaxurban.report.figures.files import maps_figures
 from jaxurban.report.figures.notes import caveats_said, rules_said
 from jaxurban.report.write import bullets, fill, framed, listed, save, table
-from jaxurban.scenario.run import run_scenario
-from jaxurban.scenario.settings import PAPER_PLANNERS, Scenario
 
 BOUNDS = (-74.0, 40.755, -73.955, 40.80)  # about 3.8 x 5 km: the synthetic city scales itself to the box
 RESOLUTION_M = 5.0

@@ -8,10 +8,10 @@ from zlib import crc32
 from jaxurban.io.geotiff import write_bands
 from jaxurban.io.store import short_number
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.validation import NOT_SET
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.map_comparison import comparison_figures, heading_of
 from jaxurban.report.write import Output, bullets, fill, framed, listed, table
-from jaxurban.scenario.validation import NOT_SET
 from jaxurban.studies.map_comparison import MapComparison, unit_of
 from jaxurban.studies.queries import population_norms
 

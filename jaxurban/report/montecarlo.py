@@ -14,6 +14,7 @@ from jaxurban.io.read.osm import OSM_SUFFIXES, read_land_cover
 from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.scenario import Scenario, Study
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.constraints import Constraints, constraints_said
 from jaxurban.paths.rows import CRASHED, MapsFolder, check_workers, run_rows
@@ -23,7 +24,6 @@ from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.sensitivity_study import weights_said
 from jaxurban.report.write import Output, counted, fill, listed
-from jaxurban.scenario.settings import Scenario, Study
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.complementarity import complementarity

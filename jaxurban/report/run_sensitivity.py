@@ -16,6 +16,8 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.run import tasks_of as maps_tasks_of
+from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import GivenWeights, Weights
@@ -26,8 +28,6 @@ from jaxurban.progress import LOG, Progress, Report, reporting
 from jaxurban.report.buildings import scenario_of
 from jaxurban.report.montecarlo import INSTANCES_FILE, check_instances
 from jaxurban.report.sensitivity_study import FILES, SensitivityStudy, write_sensitivity_study
-from jaxurban.scenario.run import tasks_of as maps_tasks_of
-from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.montecarlo.sampling import (
     checked_instances,
     instances_of_queries,

@@ -1,9 +1,9 @@
+from jaxurban.maps.scenario import Study as Study
 from jaxurban.paths.rows import MapsFolder as MapsFolder
 from jaxurban.report.buildings import write_buildings as write_buildings
 from jaxurban.report.montecarlo import study as study
 from jaxurban.report.run_sensitivity import sensitivity_study as sensitivity_study
 from jaxurban.report.sensitivity_study import SensitivityStudy as SensitivityStudy
-from jaxurban.scenario.settings import Study as Study
 from jaxurban.studies.map_comparison import MapComparison as MapComparison
 from jaxurban.studies.map_comparison import compare as compare
 from jaxurban.studies.montecarlo.sampling import sample_instances as sample_instances

@@ -17,7 +17,7 @@ from jaxurban.paths.preset import under_preset, weights_on
 from jaxurban.paths.simplify import simplify
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import find_planner
-from jaxurban.presets import BUDGET_S
+from jaxurban.settings import BUDGET_S
 from jaxurban.viewer.layers import Place
 from jaxurban.viewer.requests import Plan, Zones, parse
 from jaxurban.viewer.tiles import Kept

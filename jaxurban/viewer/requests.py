@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import Obstacles
 from jaxurban.planners.base import CostKind
-from jaxurban.presets import DEFAULTS
+from jaxurban.settings import DEFAULTS
 
 MOST_LETTERS = 64 * 1024  # of zones
 Index = Annotated[int, Field(strict=True, ge=0, le=10**6)]

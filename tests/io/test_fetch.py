@@ -23,9 +23,9 @@ from jaxurban.io.read.buildings import read_buildings
 from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.orbits import _timescale, nominal_satellites
 from jaxurban.io.read.osm import cut_buildings
+from jaxurban.maps.run import run_scenario
+from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.population import Population
-from jaxurban.scenario.run import run_scenario
-from jaxurban.scenario.settings import Scenario
 from jaxurban.settings import Buildings
 from tests.cli_runs import assert_one_sentence, run
 from tests.misbehaving_server import send, serve

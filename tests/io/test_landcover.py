@@ -6,8 +6,8 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.osm import read_land_cover, sea
+from jaxurban.maps.scenario import Scenario
 from jaxurban.report.montecarlo import land_cover_of
-from jaxurban.scenario.settings import Scenario
 from jaxurban.world.grid import WGS84, transformer
 from jaxurban.world.synthetic import demo_city, demo_cover
 

@@ -17,7 +17,7 @@ from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.raster import raster_extent_m
 from jaxurban.io.read.vector import open_layers, read_vector
 from jaxurban.io.tables import read_table
-from jaxurban.scenario.settings import Scenario
+from jaxurban.maps.scenario import Scenario
 from jaxurban.settings import Buildings
 
 UTM, WGS84 = "EPSG:32618", "EPSG:4326"

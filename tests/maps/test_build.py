@@ -10,8 +10,8 @@ import xarray as xr
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.files import read_json
-from jaxurban.scenario.run import run_scenario
-from jaxurban.scenario.settings import Scenario
+from jaxurban.maps.run import run_scenario
+from jaxurban.maps.scenario import Scenario
 from jaxurban.world.city import Buildings
 
 REFERENCE = (-73.97, 40.78)

@@ -9,9 +9,9 @@ import pytest
 from jaxurban.errors import InputError
 from jaxurban.io.folders import WorkFolder
 from jaxurban.maps.memory import check_disk, least_disk_bytes
+from jaxurban.maps.run import Maker, make_zarr
 from jaxurban.maps.task import MapTask
 from jaxurban.progress import Report
-from jaxurban.scenario.run import Maker, make_zarr
 from jaxurban.world.grid import Grid
 from tests import tiled_runs
 

@@ -13,10 +13,10 @@ from jaxurban.io import store
 from jaxurban.kernels.engine import chosen, runs_numba
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.executors import Resources
+from jaxurban.maps.run import make_zarr
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics import lidar, risk, visibility
 from jaxurban.progress import Report
-from jaxurban.scenario.run import make_zarr
 from tests.cli_runs import assert_one_sentence, run
 from tests.hanging_city import city as hanging_city
 from tests.maps.test_slabs import PARAMS, REGION
@@ -149,7 +149,7 @@ def test_numba_beside_a_gpu_is_planned_and_recorded_as_on_a_cpu(tmp_path, monkey
         }
         | {"buildings": {"source": "synthetic"}}
     )
-    from jaxurban.scenario.run import run_scenario
+    from jaxurban.maps.run import run_scenario
 
     monkeypatch.setattr(Resources, "backend", "gpu")
     monkeypatch.setattr("jaxurban.maps.memory.gpu_free_bytes", lambda: 1)

@@ -16,13 +16,13 @@ from jaxurban.io import store
 from jaxurban.io.layers import bands_of, layer_values
 from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.guesses import map_guesses
+from jaxurban.maps.run import Maker, make_zarr, run_scenario, tasks_of
+from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import ALTITUDE, Metric, high_is_bad
 from jaxurban.metrics.custom import Layer, own_metric
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.risk import Risk
-from jaxurban.scenario.run import Maker, make_zarr, run_scenario, tasks_of
-from jaxurban.scenario.settings import Scenario
 from jaxurban.world.grid import Grid
 from tests import tiled_runs
 from tests.tiled_runs import RAGGED

@@ -13,6 +13,8 @@ from jaxurban.errors import InputError
 from jaxurban.io.store import open_zarr
 from jaxurban.maps.build import compute_maps, soften, view_sky
 from jaxurban.maps.pipeline import inputs_of
+from jaxurban.maps.run import Maker, make_zarr
+from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.protection import CAVEAT, Protection
@@ -21,8 +23,6 @@ from jaxurban.paths.constraints import Bound
 from jaxurban.planners.base import Status
 from jaxurban.progress import Report
 from jaxurban.report.figures import plot_metric
-from jaxurban.scenario.run import Maker, make_zarr
-from jaxurban.scenario.settings import Scenario
 from tests import tiled_runs
 from tests.cli_runs import assert_one_sentence, run
 

@@ -8,9 +8,12 @@ import xarray as xr
 
 from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io import store
+from jaxurban.maps import provenance
 from jaxurban.maps.build import compute_maps, soften
 from jaxurban.maps.guesses import map_guesses
 from jaxurban.maps.pipeline import inputs_of
+from jaxurban.maps.run import Maker, make_zarr
+from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import UNDERSIDE
 from jaxurban.metrics.custom import Layer
@@ -19,9 +22,6 @@ from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import visibility
 from jaxurban.progress import Report
-from jaxurban.scenario import provenance
-from jaxurban.scenario.run import Maker, make_zarr
-from jaxurban.scenario.settings import Scenario
 from jaxurban.settings import Heights
 from jaxurban.world.city import SLABS, TO_GROUND, City
 from jaxurban.world.grid import Grid

@@ -7,6 +7,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.errors import InputError
+from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.supersampling import (
     lower_bands,
     plain_bands,
@@ -17,7 +18,6 @@ from jaxurban.maps.supersampling import (
 from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.visibility import visibility
-from jaxurban.scenario.settings import Scenario
 from jaxurban.world.city import Buildings
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface

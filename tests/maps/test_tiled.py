@@ -21,9 +21,9 @@ from jaxurban.io.folders import WorkFolder
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.device import Gpu
 from jaxurban.maps.executors import cluster_client
+from jaxurban.maps.run import Maker, make_zarr
 from jaxurban.metrics.custom import Layer
 from jaxurban.progress import Report
-from jaxurban.scenario.run import Maker, make_zarr
 from tests import tiled_runs
 from tests.tiled_runs import RAGGED, files_of, make, task
 

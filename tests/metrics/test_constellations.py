@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from jaxurban.scenario.run import run_scenario
-from jaxurban.scenario.settings import Scenario
+from jaxurban.maps.run import run_scenario
+from jaxurban.maps.scenario import Scenario
 from tests.io.test_orbits import WALKER, walker_tle
 
 TIME = "2020-04-27T03:00:00Z"

@@ -13,12 +13,12 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.dop import Clocks
 from jaxurban.maps.build import compute_maps, soften, view_sky
 from jaxurban.maps.pipeline import inputs_of, skies_of
+from jaxurban.maps.provenance import run_key
 from jaxurban.maps.recipe import TileScene
+from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS, Gps, SatelliteSet, maps_of_words
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.scenario.provenance import run_key
-from jaxurban.scenario.settings import Scenario
 from jaxurban.world.sky import Sky
 from tests.io.test_orbits import walker_tle
 

@@ -19,6 +19,8 @@ from jaxurban.errors import InputError, OtherSettingsWarning
 from jaxurban.io.files import write_json
 from jaxurban.io.read.zone import cell_boxes, touched_cells
 from jaxurban.io.store import write_zarr
+from jaxurban.maps.provenance import settings_of
+from jaxurban.maps.scenario import Scenario
 from jaxurban.paths.clearance import (
     FILE_MARGIN_M,
     closed_by_clearance,
@@ -30,8 +32,6 @@ from jaxurban.paths.preset import under_preset
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.notes import rules_said
-from jaxurban.scenario.provenance import settings_of
-from jaxurban.scenario.settings import Scenario
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.paths.volumes import plan_volume

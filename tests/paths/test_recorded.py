@@ -7,8 +7,8 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.io.files import write_json
-from jaxurban.scenario.provenance import settings_of
-from jaxurban.scenario.run import run_scenario
+from jaxurban.maps.provenance import settings_of
+from jaxurban.maps.run import run_scenario
 from jaxurban.viewer.plans import Plans
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps

@@ -8,7 +8,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.scenario.settings import Scenario
+from jaxurban.maps.scenario import Scenario
 from tests.made_maps import made_maps
 from tests.paths.volumes import plan_volume
 

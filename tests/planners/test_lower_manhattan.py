@@ -8,11 +8,11 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.run import run_scenario
+from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.registry import find_planner
-from jaxurban.scenario.run import run_scenario
-from jaxurban.scenario.settings import Scenario
 
 ALTITUDE_M = 20.0
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from jaxurban.scenario import provenance
-from jaxurban.scenario.settings import Scenario
-from jaxurban.scenario.validation import changed, differences_said, differing
+from jaxurban.maps import provenance
+from jaxurban.maps.scenario import Scenario
+from jaxurban.maps.validation import changed, differences_said, differing
 from tests.campaign.settings import keys_of
 from tests.cli_runs import assert_one_sentence, run
 

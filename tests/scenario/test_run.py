@@ -16,10 +16,10 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io import files
 from jaxurban.io.store import settings_of
+from jaxurban.maps import provenance as record
+from jaxurban.maps import run as pipeline
 from jaxurban.maps.executors import Resources
-from jaxurban.scenario import provenance as record
-from jaxurban.scenario import run as pipeline
-from jaxurban.scenario.settings import Scenario
+from jaxurban.maps.scenario import Scenario
 from jaxurban.world.city import Buildings, Raster
 from tests.cli_runs import assert_one_sentence, run
 

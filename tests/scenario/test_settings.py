@@ -7,10 +7,10 @@ import jax
 import pytest
 
 from jaxurban.errors import InputError
+from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
-from jaxurban.scenario.settings import Scenario
 
 NOISE = {"source": "noise.tif", "cost": "high-is-bad", "scale": [0, 80]}
 MINIMAL = {"region": {"bounds": [-74.02, 40.70, -73.98, 40.73]}, "buildings": {"source": "synthetic"}}

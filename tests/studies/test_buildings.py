@@ -14,9 +14,9 @@ from jaxurban.io.files import write_json
 from jaxurban.io.store import RUN_FILE
 from jaxurban.maps.build import soften
 from jaxurban.maps.differentiable import SoftParams
+from jaxurban.maps.run import run_scenario, tasks_of
+from jaxurban.maps.scenario import Scenario
 from jaxurban.report.buildings import write_buildings
-from jaxurban.scenario.run import run_scenario, tasks_of
-from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.weights.buildings import building_costs
 
 SETTINGS = {

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxurban.paths.vehicle import Vehicle
+from jaxurban.settings import Vehicle
 
 if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport

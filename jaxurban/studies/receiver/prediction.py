@@ -15,12 +15,12 @@ import pandas as pd
 from jaxurban.errors import InputError, positive, typed
 from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
 from jaxurban.maps.recipe import TileScene
+from jaxurban.maps.run import tasks_of
+from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import METRIC
 from jaxurban.metrics.population import Population
 from jaxurban.progress import Report
-from jaxurban.scenario.run import tasks_of
-from jaxurban.scenario.settings import Scenario
 from jaxurban.world.grid import Grid
 
 LEG_CELLS = 1_500_000  # of the box around a leg

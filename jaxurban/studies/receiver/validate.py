@@ -9,8 +9,8 @@ import pandas as pd
 
 from jaxurban.errors import InputError, typed
 from jaxurban.io.read.receiver import TRACKED, UTC, ReceiverLog, read_receiver_log
+from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, reporting
-from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE, ReceiverSettings, Track, predict, region_of, task_at
 from jaxurban.studies.receiver.scores import (
     COEFFICIENTS,

@@ -17,11 +17,11 @@ from jaxurban.errors import readable
 from jaxurban.io.files import digest_of, is_changed, make_way, read_json, write_json
 from jaxurban.io.store import RUN_FILE, short_number
 from jaxurban.maps.guesses import leaving_shares
+from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
+from jaxurban.maps.validation import differences_said, differing
 from jaxurban.metrics.population import population_totals
 from jaxurban.progress import LOG
-from jaxurban.scenario.settings import Scenario
-from jaxurban.scenario.validation import differences_said, differing
 from jaxurban.settings import NOMINAL, each
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
@@ -42,7 +42,7 @@ REPORTED_VERSIONS = (
     "zarr",
 )
 NOT_OF_MAPS = ("weights", "planning", "vehicle", "study")  # sections of the scenario that no map depends on
-MAP_FOLDERS = ("kernels", "world", "metrics", "io", "maps", "scenario")  # of the package: what maps depend on
+MAP_FOLDERS = ("kernels", "world", "metrics", "io", "maps")  # of the package: what maps depend on
 
 
 def run_record(
@@ -162,7 +162,8 @@ def code_hash() -> str:
     """Return a SHA-256 over the source files that make maps, so that maps of other code are not taken for ours."""
     digest = hashlib.sha256()
     package = Path(__file__).parents[1]
-    files = [package / "errors.py", *(file for name in MAP_FOLDERS for file in (package / name).rglob("*.py"))]
+    files = [file for name in MAP_FOLDERS for file in (package / name).rglob("*.py")]
+    files += [package / "errors.py", package / "settings.py"]
     for path in sorted(files):
         digest.update(str(path.relative_to(package)).encode() + path.read_bytes())
     return digest.hexdigest()

@@ -23,15 +23,7 @@ from pydantic import (
 from jaxurban.errors import InputError, at_least, one_of, positive, readable, typed
 from jaxurban.kernels.engine import Engine
 from jaxurban.maps.task import MapParams
-from jaxurban.metrics.custom import Layer, check_file_names, check_name
-from jaxurban.metrics.gps import Gps
-from jaxurban.metrics.population import Population
-from jaxurban.metrics.registry import METRICS, ON_REQUEST
-from jaxurban.metrics.weights import Weights
-from jaxurban.paths.vehicle import Vehicle
-from jaxurban.planners.registry import find_planner
-from jaxurban.presets import BUDGET_S, DEFAULTS, planning_under
-from jaxurban.scenario.validation import (
+from jaxurban.maps.validation import (
     DifferentList,
     NonNegative,
     PlannerName,
@@ -44,7 +36,13 @@ from jaxurban.scenario.validation import (
     check_truths,
     sentence_of,
 )
-from jaxurban.settings import Buildings, Terrain, iso_utc
+from jaxurban.metrics.custom import Layer, check_file_names, check_name
+from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.population import Population
+from jaxurban.metrics.registry import METRICS, ON_REQUEST
+from jaxurban.metrics.weights import Weights
+from jaxurban.planners.registry import find_planner
+from jaxurban.settings import BUDGET_S, DEFAULTS, Buildings, Terrain, Vehicle, iso_utc, planning_under
 from jaxurban.world.grid import check_bounds, projected_crs
 
 SYNTHETIC = "synthetic"

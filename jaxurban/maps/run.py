@@ -36,12 +36,12 @@ from jaxurban.maps.executors import (
 from jaxurban.maps.guesses import map_guesses
 from jaxurban.maps.memory import MemoryPlan, check_disk, plan_run, plan_sentence, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.provenance import hash_inputs, other_maps, run_key, run_record, write_record
+from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.tiled import TileJob
 from jaxurban.metrics.availability import TimeTotals
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
-from jaxurban.scenario.provenance import hash_inputs, other_maps, run_key, run_record, write_record
-from jaxurban.scenario.settings import Scenario
 from jaxurban.settings import NOMINAL, each
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid

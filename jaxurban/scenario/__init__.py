@@ -1,1 +1,0 @@
-"""Scenario files: their settings, their run, and the record of it."""
