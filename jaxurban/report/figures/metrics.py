@@ -36,7 +36,7 @@ from jaxurban.report.figures.style import Colours, ends_of
 
 AVAILABILITY = "gps_availability"
 DISTANCE_COLOUR = "#555555"
-UNITS = {"m": " in metres"}  # behind what a colour bar names; a count and m have none
+UNITS = {"1": "", "km-2": "", "m": " in metres"}  # behind what a colour bar names; others as they are
 EMPTY_COLOUR = "#ffffff"
 ROOF_TICKS_M = (0, 5, 20, 50, 100, 200, 400, 800)
 
@@ -95,7 +95,7 @@ def bar_label(maps: MetricMaps, name: str, variable: Variable) -> str:
         return f"{said}\n(1: {meaning})" if meaning else said
     if meaning:
         return f"1: {meaning}"
-    said = f"{variable.symbol or variable.title or variable.long_name}{UNITS.get(variable.unit, '')}"
+    said = f"{variable.symbol or variable.title or variable.long_name}{UNITS.get(variable.unit, f' in {variable.unit}')}"
     if variable.scale.limit:
         limit = f";\nalert limit {maps.ds.attrs[variable.scale.limit]:g} m"
     return f"{said} (lower is better{limit})" if variable.scale.is_better_low else said
