@@ -97,12 +97,8 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
         return first.status.exit_code
     if first.search.note:
         tell(first.search.note)
-    of_maps = {
-        name: str(shared.maps.ds.attrs.get(name))
-        for name in ("run_key", "crs", "resolution_m", "first_row", "first_col")
-    }
     query = {"altitude_m": given["altitude_m"]} | at | ends
-    key = {"maps": of_maps, "buildings": with_buildings} | query | dict(first.settings) | asdict(how)
+    key = {"maps": shared.maps.identity, "buildings": with_buildings} | query | dict(first.settings) | asdict(how)
     names = [*FILES, *(f"buildings/{name}" for name in BUILDINGS_FILES if with_buildings)]
     with (
         Workspace.open(output, "sensitivity", key, names=names, overwrite=overwrite),

@@ -1,8 +1,9 @@
 """jaxurban tune."""
 
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -20,9 +21,6 @@ from jaxurban.cli.common import (
     print_json,
     tell,
 )
-
-if TYPE_CHECKING:
-    from jaxurban.report.tuning import RoutesOnMaps
 
 
 @click.command()
@@ -70,37 +68,35 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     ROUTES are files of lines (GeoJSON, KML, a .plan). Several DIRs, each with its ROUTES, are fitted together.
     """
     from jaxurban.metrics.weights import Weights
+    from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.tuning import RoutesOnMaps, TuneSettings, run_tuning
     from jaxurban.studies.route_pool import FitSettings
 
     def named(*options: str) -> dict[str, Any]:
         return {name: given[name] for name in options if given[name] is not None}
 
-    weights = named("scale", "bootstrap")
-    compared = named("hold_out", "losses") | ({"by_city": True} if given["by_city"] else {})
-    if given["wishes"] and (weights or compared):
+    fits = named("scale", "bootstrap", "hold_out", "losses") | ({"by_city": True} if given["by_city"] else {})
+    if given["wishes"] and fits:
         raise click.UsageError(
             "--scale, --bootstrap, --hold-out, --losses and --by-city belong to fits without --wish: leave them out"
         )
-    if "losses" in compared:
-        compared["losses"] = names_in(compared["losses"])
+    if "losses" in fits:
+        fits["losses"] = names_in(fits["losses"])
     on_maps = named("altitude_m", "time", "time_of_day", "cost_model", "preset")
     on_maps["constraints"] = given_constraints(given)
     if given["metrics"] is not None:
         on_maps["metrics"] = names_in(given["metrics"])
     nothing = Weights(**dict.fromkeys(Weights().to_dict(), 0.0))
     settings = TuneSettings(
-        resolution_m=given["resolution_m"],
-        obstacles=given["obstacles"],
         routes=on_maps,
         sample=given["sample"],
         pilot=None if given["pilot"] is None else Weights.parse(given["pilot"], nothing),
-        **compared,
         targets=given["wishes"],
-        weights=weights,
+        fits=fits,
         fit=FitSettings(**named("max_rounds", "seed", "budget_s", "backend")),
     )
-    sources = [*_sources(words), *(RoutesOnMaps(folder, (routes,)) for folder, routes in given["also"])]
+    of_maps = {name: given[name] for name in ("resolution_m", "obstacles")}
+    sources = [RoutesOnMaps(MapsFolder(folder, **of_maps), tuple(routes)) for folder, *routes in _sources(words, given)]
     how = {name: given[name] for name in ("overwrite", "degrees")}
     command = shlex.join(["jaxurban", *(word for word in click.get_current_context().obj if word != "--json")])
     facts = run_tuning(sources, out, settings, **how, command=command)
@@ -116,14 +112,12 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     return 0
 
 
-def _sources(words: tuple[Path, ...]) -> "list[RoutesOnMaps]":
+def _sources(words: tuple[Path, ...], given: Mapping[str, Any]) -> list[list[Path]]:
     """Return the folders of maps, each with the routes that follow it."""
-    from jaxurban.report.tuning import RoutesOnMaps
-
-    sources = [RoutesOnMaps(words[0])]
+    sources = [[words[0]]]
     for word in words[1:]:
         if word.is_dir():
-            sources.append(RoutesOnMaps(word))
+            sources.append([word])
         else:
-            sources[-1] = sources[-1]._replace(routes=(*sources[-1].routes, word))
-    return sources
+            sources[-1].append(word)
+    return [*sources, *map(list, given["also"])]

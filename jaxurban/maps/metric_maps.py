@@ -118,6 +118,12 @@ class MetricMaps(Shown):
         }
 
     @property
+    def identity(self) -> dict[str, str]:
+        """What tells these maps from others, for the record of what was made on them: run, grid and obstacles' rule."""
+        names = ("run_key", "crs", "resolution_m", "first_row", "first_col")
+        return {name: str(self.ds.attrs.get(name)) for name in names} | {"obstacles": self.obstacles}
+
+    @property
     def guesses(self) -> dict[str, str]:
         """What the maps rest on that no file says, a sentence each by its short name (`jaxurban.maps.guesses`)."""
         return json.loads(self.ds.attrs.get("guesses", "{}"))

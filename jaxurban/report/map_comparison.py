@@ -7,7 +7,6 @@ from zlib import crc32
 
 from jaxurban.io.geotiff import write_bands
 from jaxurban.io.store import short_number
-from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.validation import NOT_SET
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.map_comparison import comparison_figures, heading_of
@@ -20,7 +19,7 @@ REPORT_FILE = "report.md"
 
 def comparison_outputs(found: MapComparison, degrees: bool) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a comparison writes, by file name, and what it is of."""
-    key: dict[str, Any] = {"maps": list(found.names), "of": [_identity(maps) for maps in (found.a, found.b)]}
+    key: dict[str, Any] = {"maps": list(found.names), "of": [maps.identity for maps in (found.a, found.b)]}
     key |= {"times": dict(found.part.times), "tolerance": found.tolerance}
     key["values"] = crc32(found.table.to_csv().encode())  # maps in memory have no name of their own
     figures = in_degrees(comparison_figures(found), found.grid, degrees)
@@ -31,11 +30,6 @@ def comparison_outputs(found: MapComparison, degrees: bool) -> tuple[dict[str, O
     outputs |= {"tables/layers": found.table}
     outputs |= {f"figures/{name}.png": draw for name, draw in figures.items()}
     return outputs | {REPORT_FILE: comparison_markdown(found, list(figures))}, key
-
-
-def _identity(maps: MetricMaps) -> dict[str, str]:
-    names = ("run_key", "crs", "resolution_m", "first_row", "first_col")
-    return {name: str(maps.ds.attrs.get(name)) for name in names} | {"obstacles": maps.obstacles}
 
 
 def _write_difference(found: MapComparison, layer: str, file: Path) -> Path:

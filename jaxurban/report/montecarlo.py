@@ -210,8 +210,7 @@ def _deciding(job: Benchmark, maps: MetricMaps) -> dict[str, Any]:
         "budget": f"{budget_s} s" if iterations is None else f"{iterations} samples",
         "set of constraints": constraints_said(limits) or "none",
         "outlines of no-fly zones": ", ".join(zone.get("outline", "") for zone in limits.get("no_fly", ())),
-        **{name: str(maps.ds.attrs.get(name)) for name in ("run_key", "crs", "resolution_m", "first_row", "first_col")},
-        "obstacles": maps.obstacles,
+        **maps.identity,
     }
 
 

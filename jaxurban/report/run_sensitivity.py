@@ -99,7 +99,7 @@ def sensitivity_study(
     opened, settings, weights = _opened(given, settings, weights)
     instances = _instances(opened, routes, altitudes_m, weights, settings)
     _check_vary(settings.vary, instances, dict.fromkeys(name for maps in opened.values() for name in maps.metrics))
-    about = {city: _about(maps) for city, maps in opened.items()}
+    about = {city: maps.identity for city, maps in opened.items()}
     key = settings.to_dict() | {"maps": about, "routes": _routes_key(instances)}
     job = settings if workers == 1 or settings.num_threads is not None else replace(settings, num_threads=1)
     names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in (ROUTES_FOLDER, REMADE_FOLDER)), *FILES]
@@ -176,11 +176,6 @@ def named_sources(sources: Any) -> dict[str, Source]:
     for name, source in listed:
         found[name] = source if isinstance(source, MetricMaps | MapsFolder) else MapsFolder(source)
     return found
-
-
-def _about(maps: MetricMaps) -> str:
-    names = ("run_key", "crs", "resolution_m", "first_row", "first_col")
-    return ", ".join([*(f"{name} {maps.ds.attrs.get(name)}" for name in names), f"obstacles {maps.obstacles}"])
 
 
 def _routes_key(instances: pd.DataFrame) -> str:

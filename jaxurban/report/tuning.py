@@ -14,10 +14,11 @@ import pandas as pd
 from jaxurban.errors import InputError
 from jaxurban.io.tables import records_of
 from jaxurban.io.workspace import Workspace
-from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
+from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
@@ -36,13 +37,14 @@ STATE_FILE = "fit-state.parquet"
 TABLES = "learning_curve", "fewer_examples", "fits", "targets", "weights", "examples"
 EXPLAINED = 1e-4  # a demonstration within this share of the cheapest route is explained
 UNDER = "cost_model", "constraints", "preset"  # settings of routes
+ONE_FIT: dict[str, Any] = {"hold_out": 0.0, "losses": ("robust",), "by_city": False}
 FIGURES = "weights", "learning_curve", "regret", "targets"
 
 
 class RoutesOnMaps(NamedTuple):
     """The folder of maps, and the files of routes that lie on them; none where instances are sampled."""
 
-    maps: Path
+    maps: MapsFolder
     routes: tuple[Path, ...] = ()
 
 
@@ -51,28 +53,20 @@ class TuneSettings:
     """How weights are fitted.
 
     Attributes:
-      resolution_m: of the maps; needed where a folder holds several.
-      obstacles: where routes may fly (see `jaxurban.maps.metric_maps.MetricMaps`); None: as the scenario has it.
       routes: further arguments of `read_demonstrations`: altitude_m, cost_model, constraints, metrics ...
       sample: instances to draw on each city's maps, at every altitude, instead of routes from files; their routes are
         the pilot's.
       pilot: weights under which the routes of sampled instances are planned.
       targets: fit to these, such as ``mean_gps>=0.8``, instead of to the routes.
-      weights: further arguments of `fit_weights`: scale, bootstrap.
-      hold_out, losses, by_city: as in `compare_fits`; the first loss alone and nothing else is one fit.
+      fits: further arguments of `compare_fits`: hold_out, losses, by_city, scale, bootstrap; left out, one fit to all.
       fit: of the search.
     """
 
-    resolution_m: float | None = None
-    obstacles: Obstacles | None = None
     routes: Mapping[str, Any] = field(default_factory=dict)
     sample: int | None = None
     pilot: Weights | None = None
     targets: tuple[str, ...] = ()
-    weights: Mapping[str, Any] = field(default_factory=dict)
-    hold_out: float = 0.0
-    losses: tuple[str, ...] = ("robust",)
-    by_city: bool = False
+    fits: Mapping[str, Any] = field(default_factory=dict)
     fit: FitSettings = field(default_factory=FitSettings)
 
 
@@ -107,12 +101,17 @@ def run_tuning(
         raise InputError(f"cannot write to the output folder {str(folder)!r}: it is a file")
     if settings.pilot is not None and not any(settings.pilot.to_dict().values()):
         raise InputError("every weight of the pilot is 0, so that all routes cost the same: give one above 0 (--pilot)")
-    opened = _opened(sources, settings)
+    drawn = [Path(source.maps.folder).resolve() for source in sources if not source.routes]
+    if twice := [each for each in drawn if drawn.count(each) > 1]:
+        raise InputError(
+            f"the maps in {str(twice[0])!r} are named twice, so that their routes would count twice: name them once"
+        )
+    opened, fits = [source.maps.open() for source in sources], ONE_FIT | dict(settings.fits)
     targets = [Target.parse(text, opened[0].metrics) for text in settings.targets]
     with reporting("tune", progress) as report:
         report("routes")
         cities: dict[str, list[Demonstration]] = {}
-        names = _names_of([source.maps for source in sources])
+        names = _names_of([Path(source.maps.folder).resolve() for source in sources])
         for source, maps, name in zip(sources, opened, names, strict=True):
             cities.setdefault(name, []).extend(_demonstrations(source, maps, settings))
         demonstrations = [each for shown in cities.values() for each in shown]
@@ -120,7 +119,7 @@ def run_tuning(
         fit: WeightFit | TargetFit
         found: FitComparison | None = None
         # Other fits differ in the state of the fit, which holds its settings.
-        states = state_files(Path(STATE_FILE), list(cities), settings.losses, settings.by_city)
+        states = state_files(Path(STATE_FILE), list(cities), fits["losses"], fits["by_city"])
         pictures = [*FIGURES, *_pictures(demonstrations)]
         outputs = [*TABLES, *(f"figures/{name}.png" for name in pictures), "weights.toml", "report.md"]
         names = [*map(str, states), *files_of(outputs)]
@@ -129,20 +128,13 @@ def run_tuning(
             if targets:
                 fit = fit_targets([each.query for each in demonstrations], targets, settings=how)
             else:
-                found = compare_fits(
-                    cities,
-                    hold_out=settings.hold_out,
-                    losses=settings.losses,
-                    by_city=settings.by_city,
-                    **settings.weights,
-                    settings=how,
-                )
+                found = compare_fits(cities, **fits, settings=how)
                 fit = found.best
                 demonstrations = list(compress(demonstrations, ~found.is_held_out))
             report("routes under the fitted weights")
             beside = plan_beside(demonstrations, fit.weights)
             report("figures and report")
-            drawn_from = [(_routes_said(source, settings), str(source.maps)) for source in sources]
+            drawn_from = [(_routes_said(source, settings), str(source.maps.folder)) for source in sources]
             asked = {"targets": ", ".join(map(str, targets)), "command": command}
             asked["sources"] = "; ".join(f"`{routes}` over the maps in `{where}`" for routes, where in drawn_from)
             if found is not None and len(found.fits) == 1 and not found.is_held_out.any():
@@ -152,30 +144,14 @@ def run_tuning(
     return facts if found is None else facts | {"fits": records_of(found.table)}
 
 
-def _opened(sources: Sequence[RoutesOnMaps], settings: TuneSettings) -> list[MetricMaps]:
-    """Return the maps of each source.
-
-    Raises:
-      InputError: maps that cannot be read, or the same maps twice for routes that are drawn.
-    """
-    opened = [open_maps(source.maps, settings.resolution_m, obstacles=settings.obstacles) for source in sources]
-    drawn = [source.maps.resolve() for source in sources if not source.routes]
-    if len(set(drawn)) < len(drawn):
-        twice = next(each for each in drawn if drawn.count(each) > 1)
-        raise InputError(
-            f"the maps in {str(twice)!r} are named twice, so that their routes would count twice: name them once"
-        )
-    return opened
-
-
 def _names_of(folders: Sequence[Path]) -> list[str]:
     """Return a name for the city of each folder of maps: the folder's own, with a number where another has it too."""
     names: dict[Path, str] = {}
-    for folder in (folder.resolve() for folder in folders):
+    for folder in folders:
         if folder not in names:
             number = sum(one.name == folder.name for one in names)
             names[folder] = folder.name + (f" {number + 1}" if number else "")
-    return [names[folder.resolve()] for folder in folders]
+    return [names[folder] for folder in folders]
 
 
 def _demonstrations(source: RoutesOnMaps, maps: MetricMaps, settings: TuneSettings) -> list[Demonstration]:
@@ -183,8 +159,8 @@ def _demonstrations(source: RoutesOnMaps, maps: MetricMaps, settings: TuneSettin
     if settings.sample is None:
         if not source.routes:
             raise InputError(
-                f"there are no routes for the maps in {str(source.maps)!r}: name files of routes after it, or sample "
-                "instances (--sample)"
+                f"there are no routes for the maps in {str(source.maps.folder)!r}: name files of routes after it, or "
+                "sample instances (--sample)"
             )
         return [each for file in source.routes for each in read_demonstrations(file, maps, **settings.routes)]
     if source.routes:

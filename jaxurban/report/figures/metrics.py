@@ -95,7 +95,9 @@ def bar_label(maps: MetricMaps, name: str, variable: Variable) -> str:
         return f"{said}\n(1: {meaning})" if meaning else said
     if meaning:
         return f"1: {meaning}"
-    said = f"{variable.symbol or variable.title or variable.long_name}{UNITS.get(variable.unit, f' in {variable.unit}')}"
+    said = (
+        f"{variable.symbol or variable.title or variable.long_name}{UNITS.get(variable.unit, f' in {variable.unit}')}"
+    )
     if variable.scale.limit:
         limit = f";\nalert limit {maps.ds.attrs[variable.scale.limit]:g} m"
     return f"{said} (lower is better{limit})" if variable.scale.is_better_low else said

@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from jaxurban.errors import InputError, typed
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.weights import Weights
+from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.progress import Report, reporting
 from jaxurban.studies.queries import RouteQuery, check_alike, weights_from
 from jaxurban.studies.route_pool import FitSettings, RoutePool, draw_pairs, known_route_sums
@@ -68,24 +68,18 @@ class TargetFit:
         """What came of it."""
         if self.is_met:
             return "All targets are met."
-        missed = ", ".join(
-            f"{target} (reached {row.reached:.4g})" for target, row in self.outcomes.iterrows() if not row.is_met
-        )
-        said = f"Not all targets were met; the best trade-off found misses {missed}."
+        missed = [f"{target} (reached {row.reached:.4g})" for target, row in self.outcomes.iterrows() if not row.is_met]
+        parts = [f"Not all targets were met; the best trade-off found misses {', '.join(missed)}."]
         if self.conflicts:
-            said += (
-                " These conflict, as far as the search could find: "
-                + "; ".join(f"{one} with {other}" for one, other in self.conflicts)
-                + "."
-            )
+            pairs = "; ".join(f"{one} with {other}" for one, other in self.conflicts)
+            parts.append(f"These conflict, as far as the search could find: {pairs}.")
         elif self.alone["is_met"].all():
-            said += " Each two of them can be met together, but not all."
-        for target, row in self.alone.iterrows():
-            if not row.is_met:
-                said += f" Even alone, {target} was not reached: at best {row.reached:.4g}."
+            parts.append("Each two of them can be met together, but not all.")
+        lost = [(target, row.reached) for target, row in self.alone.iterrows() if not row.is_met]
+        parts += [f"Even alone, {target} was not reached: at best {reached:.4g}." for target, reached in lost]
         if not self.is_in_budget:
-            said += " The budget ended the search: a larger one may find better."
-        return said
+            parts.append("The budget ended the search: a larger one may find better.")
+        return " ".join(parts)
 
 
 @typed
@@ -119,7 +113,8 @@ def fit_targets(
     if not targets:
         raise InputError("there are no targets: give at least one, such as mean_gps>=0.8")
     known = tuple(dict.fromkeys((*METRICS, *queries[0].cost_map.maps.metrics)))
-    wanted = [_checked(each, known) for each in ([targets] if isinstance(targets, str) else targets)]
+    asked = [targets] if isinstance(targets, str) else targets
+    wanted = [(Target.parse(each, known) if isinstance(each, str) else each).checked(known) for each in asked]
     for target in wanted:
         if target.metric is not None and target.metric not in names:
             raise InputError(
@@ -136,15 +131,8 @@ def fit_targets(
     shortest = pool.cheapest(np.eye(len(names))[:1])[:, :, 0]
     first = 1 / feature_units(queries, shortest[0]) if given is None else np.maximum(given, 1e-6)
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
-        search = _Search(
-            pool,
-            tuple(wanted),
-            np.concatenate(shortest, axis=-1),
-            np.log(first / first.sum()),
-            settings,
-            begin_s + settings.budget_s,
-            report,
-        )
+        end_s, start_at = begin_s + settings.budget_s, np.log(first / first.sum())
+        search = _Search(pool, tuple(wanted), np.concatenate(shortest, axis=-1), start_at, settings, end_s, report)
         search.explore()
         best = search.run(wanted)
         is_met = bool(np.all(best.missed <= MET))
@@ -173,12 +161,6 @@ def fit_targets(
     )
 
 
-def _checked(given: Target | str, metrics: Iterable[str]) -> Target:
-    """Return a target that may be a text, of an outcome of these metrics."""
-    target = Target.parse(given, metrics) if isinstance(given, str) else given
-    return target.checked(metrics)
-
-
 @dataclass(frozen=True, eq=False)
 class _Found:
     """The best weights of one search; what is reached and missed ``[N]`` of all targets, and a row a round."""
@@ -204,14 +186,14 @@ class _Search:
     def run(self, active: Sequence[Target]) -> _Found:
         """Return the best weights for some of the targets; the others count as met."""
         sign = [(1.0 if target.sense == ">=" else -1.0) * (target in active) for target in self.targets]
-        misses = _Misses(jnp.array([target.value for target in self.targets]), jnp.array(sign))
+        misses = jnp.array([target.value for target in self.targets]), jnp.array(sign)
         rng = np.random.default_rng(self.settings.seed)
         drawn = jnp.asarray(draw_pairs(self.settings.seed, NUM_NOISE, len(self.log_start)))
         best: _Found | None = None
         rows: list[dict] = []
         for number in range(self.settings.max_rounds):
             routes = jnp.asarray(np.concatenate(self.pool.routes, axis=-1))
-            where = (misses, routes, self.shortest, self.pool.names, self.targets)
+            where = (*misses, routes, self.shortest, self.pool.names, self.targets)
             about = self.log_start if best is None else best.log_weights
             spread = FAR_SPREAD * np.geomspace(1.0, NEAR_SPREAD / FAR_SPREAD, NUM_CANDIDATES)[:, None]
             anywhere = about + spread * rng.normal(size=(NUM_CANDIDATES, len(about)))
@@ -220,7 +202,7 @@ class _Search:
             tried = np.concatenate([np.asarray(_descend(jnp.asarray(starts), drawn, *where)), starts])
             for log_weights in _least(tried, NUM_TRIED, where):
                 reached = self.outcomes(np.concatenate(self.pool.cheapest(np.exp(log_weights)[None])[:, :, 0], axis=-1))
-                missed = np.asarray(misses.of(jnp.asarray(reached)))
+                missed = np.asarray(_missed(reached, *misses))
                 if best is None or np.sum(missed**2) < np.sum(best.missed**2):
                     best = _Found(log_weights, reached, missed, rows)
             assert best is not None
@@ -251,26 +233,18 @@ class _Search:
         return self.log_start + np.log(CORNER) * np.eye(len(self.log_start))
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class _Misses:
-    """By which share targets are missed: their bounds ``[N]``, and +1 (at least), -1 (at most) or 0 (not now)."""
-
-    bound: Array
-    sign: Array
-
-    def of(self, values: Array) -> Array:
-        """Return by which share of its bound each target is missed."""
-        return jnp.maximum(self.sign * (self.bound - values) / jnp.maximum(jnp.abs(self.bound), 1e-3), 0.0)
+def _missed(values: AnyArray, bound: AnyArray, sign: AnyArray) -> Array:
+    """Return by which share of its bound each target is missed; signs: +1 (at least), -1 (at most) or 0 (not now)."""
+    return jnp.maximum(sign * (bound - values) / jnp.maximum(jnp.abs(bound), 1e-3), 0.0)
 
 
 @partial(jax.jit, static_argnames=("names", "targets"))
-def _descend(starts, drawn, misses: _Misses, routes, shortest, names, targets) -> Array:
+def _descend(starts, drawn, bound, sign, routes, shortest, names, targets) -> Array:
     """Return log weights ``[S, K]`` after descents from each start over known routes."""
 
     def squared(log_weights, noise):
         expected = known_route_sums(log_weights, routes, drawn, noise)
-        return jnp.sum(misses.of(outcome_values(expected, shortest, names, targets)) ** 2)
+        return jnp.sum(_missed(outcome_values(expected, shortest, names, targets), bound, sign) ** 2)
 
     rates = optax.exponential_decay(FIRST_RATE, NUM_STEPS, LAST_RATE / FIRST_RATE)
     noises = jnp.geomspace(FIRST_NOISE, LAST_NOISE, NUM_STEPS)
@@ -283,13 +257,13 @@ def _least(candidates: np.ndarray, num: int, where: tuple) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnames=("names", "targets"))
-def _known_misses(candidates, misses: _Misses, routes, shortest, names, targets) -> Array:
+def _known_misses(candidates, bound, sign, routes, shortest, names, targets) -> Array:
     """Return ``[S]`` the squared misses of the cheapest known routes under log weights ``[S, K]``."""
 
     def squared(log_weights):
         cheapest = jnp.argmin(routes[..., : len(names)] @ jnp.exp(log_weights), axis=-1)
         chosen = jnp.take_along_axis(routes, cheapest[:, None, None], axis=1)[:, 0]
-        return jnp.sum(misses.of(outcome_values(chosen, shortest, names, targets)) ** 2)
+        return jnp.sum(_missed(outcome_values(chosen, shortest, names, targets), bound, sign) ** 2)
 
     return jax.lax.map(squared, candidates, batch_size=64)
 
