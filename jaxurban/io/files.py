@@ -32,22 +32,6 @@ def recorder_of(path: Path) -> "Workspace | None":
     return None if recorder is None or recorder.name_of(path) is None else recorder
 
 
-def is_changed(path: Path) -> bool:
-    """Return whether a file is recorded, there, and not as it was written."""
-    recorder = recorder_of(path)
-    return recorder is not None and recorder.is_changed(path)
-
-
-def make_way(path: Path) -> None:
-    """Clear the place of a file that is damaged or outdated, where files are recorded; a changed one is set aside.
-
-    Raises:
-      InputError: a file is there that the recorder did not write.
-    """
-    if (recorder := recorder_of(path)) is not None:
-        recorder.make_way(path)
-
-
 @contextmanager
 def recorded_by(recorder: "Workspace | None") -> Iterator[None]:
     """Let a recorder record what is written in the block; threads and processes that write enter it themselves."""

@@ -29,7 +29,6 @@ from jaxurban.io.files import (
     SCRATCH_SUFFIX,
     checksum_of,
     is_as_written,
-    make_way,
     read_json,
     scratch_for,
     whole_file,
@@ -247,8 +246,8 @@ def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
     _to_zarr(ds.drop_vars(list(ds.coords)), path, "a")
 
 
-def root_files(folder: Path) -> dict[Path, bytes]:
-    """Return what the files say that make one Zarr of all resolutions under ``folder``, by their path."""
+def write_root(folder: Path) -> list[Path]:
+    """Write the files that make one Zarr of all resolutions under ``folder``, and return those that were stale."""
     names = [path.name for path in stored_resolutions(folder).values()]
     hint = f"maps of several resolutions: open one with xarray.open_zarr(..., group=...), of {', '.join(names)}"
     parts: dict[str, Any] = {".zgroup": {"zarr_format": 2}, ".zattrs": {"comment": hint}}
@@ -256,22 +255,13 @@ def root_files(folder: Path) -> dict[Path, bytes]:
         with suppress(OSError, ValueError):  # of damaged ones
             held = json.loads((path / METADATA).read_bytes())["metadata"]
             parts |= {f"{path.name}/{name}": part for name, part in held.items()}
-    said = {name: parts[name] for name in (".zgroup", ".zattrs")}
-    said[".zmetadata"] = {"metadata": parts, "zarr_consolidated_format": 1}
-    return {folder / ZARR_FOLDER / name: json.dumps(value).encode() for name, value in said.items()}
-
-
-def stale_root_files(folder: Path) -> list[Path]:
-    """Return those of `root_files` that are missing or say anything else."""
-    return [file for file, data in root_files(folder).items() if not (file.is_file() and file.read_bytes() == data)]
-
-
-def write_root(folder: Path) -> None:
-    """Write those of `root_files` that are stale."""
-    files = root_files(folder)
-    for file in stale_root_files(folder):
-        make_way(file)
+    root = {name: parts[name] for name in (".zgroup", ".zattrs")}
+    root[METADATA] = {"metadata": parts, "zarr_consolidated_format": 1}
+    files = {folder / ZARR_FOLDER / name: json.dumps(value).encode() for name, value in root.items()}
+    stale = [file for file, data in files.items() if not (file.is_file() and file.read_bytes() == data)]
+    for file in stale:
         write_whole(file, files[file])
+    return stale
 
 
 def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:

@@ -3,12 +3,9 @@
 import hashlib
 import io
 import json
-import os
 import time
 import uuid
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +19,15 @@ from jaxurban.io.files import (
     BLANK,
     FIELD,
     is_whole,
+    read_json,
     recorder_of,
     sealed,
-    sweep_scraps,
     write_json,
     write_whole,
 )
 
 SUFFIXES = (".parquet", ".csv")
-ROWS_FILE, PARTS_FOLDER, ASIDE_SUFFIX = "rows.parquet", "parts", ".damaged"
+ROWS_FILE, PARTS_FOLDER = "rows.parquet", "parts"
 INSTANCES_FILE = "instances.parquet"  # beside the rows of a Monte Carlo benchmark
 SAVE_EVERY_S = 5.0
 SAVING_SHARE = 0.05  # of the time, at most, goes into saving
@@ -106,8 +103,8 @@ class RowStore:
         Args:
           file: ends in .parquet; begins with no row where there is none.
           key: columns that name a row.
-          has_parts: the folder is the job's own: each `add` is kept at once in the folder `PARTS_FOLDER`, and a damaged
-            file is named in a warning and set aside, so that the job makes its rows again.
+          has_parts: in the folder of a `Workspace` each `add` is kept at once in the folder `PARTS_FOLDER`, and a
+            damaged file is set aside and reported, so that the job makes its rows again.
           settings: what all rows depend on, as JSON holds it.
 
         Raises:
@@ -116,22 +113,26 @@ class RowStore:
         if file.suffix != ".parquet":
             raise InputError(f"{str(file)!r} must end in .parquet: give it another name")
         self.file, self.key, self._settings = file, tuple(key), settings or {}
-        self._parts = file.parent / PARTS_FOLDER if has_parts else None
+        self._workspace = recorder_of(file) if has_parts else None
         self._rows: dict[tuple, dict[str, Any]] = {}
         self._is_saved, self._saved_s, self._saving_s = True, time.perf_counter(), 0.0
-        if self._parts:
-            sweep_scraps(file.parent)
-            sweep_scraps(self._parts)
-            for part in self._part_files():
-                if _is_sound(part):
-                    self._take(json.loads(part.read_text(encoding="utf-8"))["rows"])
-        if file.exists() and (not has_parts or _is_sound(file)):
+        for part in self._parts():
+            if self._is_sound(part):
+                self._take(read_json(part)["rows"])
+        if file.exists() and self._is_sound(file):
             self._take(_read_rows(file, self._settings))
 
-    def _part_files(self) -> list[Path]:
-        parts = sorted(self._parts.glob(f"{32 * '[0-9a-f]'}.json")) if self._parts else []
-        recorder = recorder_of(self.file)
-        return [part for part in parts if recorder is None or recorder.name_of(part) in recorder.written]
+    def _parts(self) -> list[Path]:
+        folder, workspace = self.file.parent / PARTS_FOLDER, self._workspace
+        paths = [workspace.folder / name for name in workspace.written] if workspace else []
+        return [path for path in paths if path.parent == folder]
+
+    def _is_sound(self, file: Path) -> bool:
+        if self._workspace is None:
+            return True
+        if self._workspace.is_changed(file):
+            self._workspace.set_aside(file)
+        return self._workspace.is_own(file)
 
     def _take(self, rows: Iterable[Mapping[Any, Any]]) -> None:
         for row in rows:
@@ -156,11 +157,12 @@ class RowStore:
 
     def add(self, rows: Sequence[Row]) -> None:
         """Keep rows, in place of those of the same key; with parts all or none are on disk when this returns."""
-        if self._parts:
-            write_json(self._parts / f"{uuid.uuid4().hex}.json", {"rows": list(rows)})
+        if self._workspace:
+            write_json(self.file.parent / PARTS_FOLDER / f"{uuid.uuid4().hex}.json", {"rows": list(rows)})
         self._take(rows)
         self._is_saved = False
-        if not self._parts and time.perf_counter() - self._saved_s > max(SAVE_EVERY_S, self._saving_s / SAVING_SHARE):
+        pause_s = max(SAVE_EVERY_S, self._saving_s / SAVING_SHARE)
+        if not self._workspace and time.perf_counter() - self._saved_s > pause_s:
             self.save()
 
     def save(self, columns: Mapping[str, str] | None = None) -> None:
@@ -169,17 +171,15 @@ class RowStore:
         Args:
           columns: the type of each column of a table, missing numbers being NaN; guessed if left out.
         """
-        if self._is_saved and not self._parts:
+        if self._is_saved and not self._workspace:
             return
-        begin_s, parts = time.perf_counter(), self._part_files()
+        begin_s, parts = time.perf_counter(), self._parts()
         table = pd.DataFrame(self.rows)
         if columns:
             table = pd.DataFrame(self.rows, columns=list(columns), dtype=object).astype(dict(columns))
         write_table(table, self.file, self._settings)
-        if (recorder := recorder_of(self.file)) is not None:
-            recorder.remove(str(recorder.name_of(part)) for part in parts)
-        for part in parts:
-            part.unlink(missing_ok=True)
+        if self._workspace:
+            self._workspace.remove(str(self._workspace.name_of(part)) for part in parts)
         self._is_saved, self._saved_s = True, time.perf_counter()
         self._saving_s = self._saved_s - begin_s
 
@@ -212,16 +212,3 @@ def _read_rows(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
     if difference := first_difference(before, settings):
         raise InputError(f"{str(file)!r} is of other settings ({difference}): pass --overwrite, or {remedy}")
     return records_of(table.to_pandas())
-
-
-def _is_sound(file: Path) -> bool:
-    """Return whether a file is as it was written; set it aside if not."""
-    if is_whole(file.read_bytes()):
-        return True
-    names = (f"{file.name}{ASIDE_SUFFIX}{'' if k == 1 else k}" for k in count(1))
-    aside = next(path for path in map(file.with_name, names) if not os.path.lexists(path))
-    warnings.warn(
-        f"{str(file)!r} is damaged: it is now {aside.name!r}, and the rows that it held are made again", stacklevel=3
-    )
-    file.replace(aside)
-    return False

@@ -47,12 +47,14 @@ class Workspace:
       command: without ``jaxurban``.
       settings: what decides its result, as JSON holds it.
       written: the checksum of each file as the command wrote it, by its name under the folder.
+      is_mended: what it wrote and was changed since is set aside when it is written again.
     """
 
     folder: Path
     command: str
     settings: dict[str, Any] = field(default_factory=dict)
     written: dict[str, str] = field(default_factory=dict)
+    is_mended: bool = False
 
     @classmethod
     @contextmanager
@@ -77,7 +79,8 @@ class Workspace:
           overwrite: remove what this command wrote there before; what was changed since, or is not its own, stays.
           is_shared: other commands and the user may have files there; else only a folder that is empty, or this
             command's with all of its files as they were written, is taken.
-          is_mended: files of these ``names`` that this command wrote may have changed, as it calls `make_way`.
+          is_mended: files of these ``names`` may have changed since this command wrote them: they move to
+            `KEPT_FOLDER` when it writes them again.
 
         Raises:
           InputError: the folder cannot be written to, another run holds it, it is another command's or of other
@@ -90,7 +93,7 @@ class Workspace:
                 sections = _sections(folder)
                 is_first = command not in sections
                 held = sections.setdefault(command, {"settings": {}, "written": {}})
-                workspace = cls(folder, command, held["settings"], held["written"])
+                workspace = cls(folder, command, held["settings"], held["written"], is_mended)
                 workspace._check_folder(list(sections), is_first, is_shared)
                 workspace.check_way((folder / name for name in names), is_mended=is_mended)
                 if not is_first:
@@ -194,7 +197,7 @@ class Workspace:
     def check_way(self, paths: Iterable[Path], remedy: str = ELSEWHERE, *, is_mended: bool = False) -> None:
         """Raise InputError if anything is at these paths, or in place of a folder of theirs, that is not as written.
 
-        ``is_mended``: what it wrote may have changed since, as `make_way` is called later.
+        ``is_mended``: what this command wrote may have changed since, as it is set aside later.
         """
         for path in paths:
             if obstacle := self._obstacle(path):
@@ -220,10 +223,12 @@ class Workspace:
         """
         name, checksum = self.name_of(path), checksum_of(scratch)
         assert name is not None
-        with suppress(OSError):
-            if not self.is_own(path) and path.is_file() and checksum_of(path) == checksum:
+        if not self.is_own(path):
+            if is_as_written(path, [checksum]):
                 return
-        self.check_way([path])
+            if self.is_mended and self.is_changed(path):
+                self.set_aside(path)
+            self.check_way([path])
         self._note([{"name": name, "checksum": checksum}])
         os.replace(scratch, path)
         self.written[name] = checksum
@@ -242,10 +247,11 @@ class Workspace:
         """
         prefix = self.name_of(path)
         names = {f"{prefix}/{name}": checksum for name, checksum in checksums.items()}
-        self.check_way((self.folder / name for name in names), is_mended=True)
+        paths = [self.folder / name for name in names]
+        self.check_way(paths, is_mended=True)
         self.remove([f"{prefix}/{last}", *(name for name in self.written if name.startswith(f"{prefix}/"))])
-        for name in names:
-            self.make_way(self.folder / name)
+        for changed in filter(os.path.lexists, paths):
+            self.set_aside(changed)
         self._note([{"name": name, "checksum": checksum} for name, checksum in names.items()])
         path.parent.mkdir(parents=True, exist_ok=True)
         if not os.path.lexists(path):
@@ -255,21 +261,6 @@ class Workspace:
                 (path / name).parent.mkdir(parents=True, exist_ok=True)
                 os.replace(made / name, path / name)
         self.written.update(names)
-
-    def make_way(self, path: Path) -> None:
-        """Remove an own file; set one aside that this command wrote and that was changed since, and report it.
-
-        Raises:
-          InputError: something else is there.
-        """
-        if not os.path.lexists(path):
-            return
-        if self.is_own(path):
-            path.unlink()
-        elif self.is_changed(path):
-            self.set_aside(path)
-        else:
-            raise self._in_the_way(path)
 
     def set_aside(self, path: Path) -> None:
         """Move what is in the way of an output to `KEPT_FOLDER`, and report it.
@@ -287,11 +278,12 @@ class Workspace:
 
     def remove_all(self) -> None:
         """Remove all own files; what was changed since, or is not own, stays and is reported."""
-        folders = {(self.folder / name).parent for name in self.written} - {self.folder}
+        folders = {PurePosixPath(name).parent for name in self.written} - {PurePosixPath()}
         self.remove(self.written)
-        if left := {*_files_of(self.folder), *(folder / name for folder in folders for name in _files_under(folder))}:
+        names = map(PurePosixPath, _files_under(self.folder))
+        if left := [name for name in names if len(name.parts) == 1 or folders.intersection(name.parents)]:
             others = f" and {len(left) - 1} more stay" if len(left) > 1 else " stays"
-            LOG.warning(f"{str(min(left))!r}{others}: not from `jaxurban {self.command}`, or changed since")
+            LOG.warning(f"{str(self.folder / left[0])!r}{others}: not from `jaxurban {self.command}`, or changed since")
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove those files that are own, and folders that are empty then; forget those that are not there."""
@@ -322,19 +314,11 @@ def _unused(path: Path) -> Path:
     return next(each for each in numbered if not os.path.lexists(each))
 
 
-def _files_of(folder: Path) -> list[Path]:
-    """Return the files in a folder but for what holds and records it."""
-    kept = (RECORD_FILE, JOURNAL_FILE, LOCK_FILE)
-    return [
-        path
-        for path in (sorted(folder.iterdir()) if folder.is_dir() else ())
-        if path.name not in kept and not path.name.endswith(SCRATCH_SUFFIX) and (path.is_symlink() or not path.is_dir())
-    ]
-
-
 def _files_under(folder: Path) -> list[str]:
-    below = (each for each in sorted(folder.rglob("*")) if each.is_dir() and SCRATCH_SUFFIX not in str(each))
-    return [path.relative_to(folder).as_posix() for each in (folder, *below) for path in _files_of(each)]
+    """Return the names of the files under a folder but for what holds and records it."""
+    names = {path.relative_to(folder) for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()}
+    kept = {Path(RECORD_FILE), Path(JOURNAL_FILE), Path(LOCK_FILE)}
+    return sorted(name.as_posix() for name in names - kept if SCRATCH_SUFFIX not in str(name))
 
 
 def recorded(folder: Path) -> dict[str, set[str]]:
@@ -400,13 +384,10 @@ def _recover(folder: Path, sections: Sections) -> None:
 
 
 def _journal(folder: Path) -> Iterator[dict[str, str]]:
-    try:
-        lines = (folder / JOURNAL_FILE).read_text(encoding="utf-8", errors="replace").splitlines()
-    except (FileNotFoundError, NotADirectoryError):
-        return
-    for line in lines:
-        with suppress(ValueError):  # the last one of a killed run
-            yield json.loads(line)
+    with suppress(FileNotFoundError, NotADirectoryError):
+        for line in (folder / JOURNAL_FILE).read_text(encoding="utf-8", errors="replace").splitlines():
+            with suppress(ValueError):  # the last one of a killed run
+                yield json.loads(line)
 
 
 def _save(folder: Path, sections: Sections) -> None:

@@ -317,7 +317,7 @@ class MetricMaps(Shown):
             raise InputError(f"a variable called {paths[0]!r} cannot be written: give it a name without /")
         folder = Path(folder)
         geotiffs = geotiff_paths(self.ds, folder, layers)  # refuses what is not there
-        with Workspace.open(folder, "maps", is_shared=True) as workspace:
+        with Workspace.open(folder, "maps", is_shared=True, is_mended=True) as workspace:
             workspace.check_way(geotiffs)
             ds = self.ds.copy()
             key, of_folder = ds.attrs.get(RUN_KEY), workspace.settings.get(RUN_KEY)

@@ -14,7 +14,7 @@ import rasterio
 import shapely
 
 from jaxurban.errors import readable
-from jaxurban.io.files import digest_of, is_changed, make_way, read_json, write_json
+from jaxurban.io.files import digest_of, read_json, write_json
 from jaxurban.io.store import RUN_FILE, short_number
 from jaxurban.maps.guesses import leaving_shares
 from jaxurban.maps.scenario import Scenario
@@ -107,8 +107,6 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
         record |= {name: held[name] for name in ("started_utc", "elapsed_s", "engine")}
         record["warnings"] = list(dict.fromkeys([*held["warnings"], *record["warnings"]]))
     if record != held:
-        if is_changed(file):
-            make_way(file)
         write_json(file, record, indent=2)
     return record
 

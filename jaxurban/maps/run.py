@@ -16,7 +16,7 @@ import dask.array
 
 from jaxurban.errors import InputError
 from jaxurban.io import store
-from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, make_way, remove, sweep_scraps
+from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, remove, sweep_scraps
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
 from jaxurban.io.layers import bands_of
@@ -236,9 +236,8 @@ def _maps_of(maker: Maker, workspace: Workspace, watch: Stopwatch, report: Repor
         scale = (time.perf_counter() - began) / (sum(seconds.values()) or 1.0)
         for name, busy_s in seconds.items():
             watch.add(name, busy_s * scale)
-    for path in store.stale_root_files(folder) if is_kept else ():
-        LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
-    store.write_root(folder)
+    for path in store.write_root(folder):
+        LOG.warning(f"{str(path)!r} was missing or damaged: it is written again")
     ds = store.open_zarr(folder.resolve(), resolution_m)
     with watch.stage("verify"):
         stale = workspace.broken(geotiff_paths(ds, folder, maker.layers), maker.each)
@@ -249,7 +248,6 @@ def _maps_of(maker: Maker, workspace: Workspace, watch: Stopwatch, report: Repor
         for path in stale:
             if is_kept:
                 LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
-            make_way(path)
     with watch.stage("write_geotiff"):
         write_geotiffs(ds, folder, maker.each, only=stale, layers=maker.layers)
         sweep_scraps(folder / store.GEOTIFF_FOLDER)  # of workers that were killed, whose files others have written

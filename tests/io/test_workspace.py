@@ -197,8 +197,11 @@ def test_files_behind_a_linked_folder_are_the_users(tmp_path):
         (out / "figures").symlink_to(copies)
         with pytest.raises(InputError, match=r"figures' is a link in the way of a folder"):
             write(out, 4, name="figures/new.txt", overwrite=True, is_shared=shared)
-        with pytest.raises(InputError, match="in the way"), Workspace.open(out, "maps", is_shared=True):
-            files.make_way(out / text)
+        with (
+            pytest.raises(InputError, match="in the way"),
+            Workspace.open(out, "maps", is_shared=True, is_mended=True),
+        ):
+            files.write_whole(out / text, "made again")
         assert names_of(copies) == ["3.txt"]
         (out / "figures").unlink()
         copies.rename(out / "figures")

@@ -26,6 +26,7 @@ from jaxurban.report.benchmark import export_benchmark
 from jaxurban.report.montecarlo import report_markdown, tables_of
 from jaxurban.studies.montecarlo.trial import DISTANCE, Benchmark, PlannerRun
 from tests.cli_runs import assert_one_sentence, run
+from tests.logs import logged
 from tests.made_maps import made_maps
 from tests.movingai import read_map, read_scenarios
 
@@ -177,8 +178,9 @@ def test_damaged_rows_are_set_aside_and_made_again(folder, result, tmp_path):
     out = shutil.copytree(result.folder, tmp_path / "out")
     data = (out / "rows.parquet").read_bytes()
     (out / "rows.parquet").write_bytes(data[:100] + bytes([data[100] ^ 1]) + data[101:])
-    with pytest.warns(UserWarning, match=r"rows\.parquet' is damaged: it is now 'rows\.parquet\.damaged'"):
+    with logged() as warned:
         found = ju.studies.study(folder, out, 12, settings=SETTINGS).rows
+    assert any("rows.parquet' was not as `jaxurban study` wrote it: it is" in each for each in warned)
     same_rows(found, result.rows)
 
 
