@@ -15,13 +15,12 @@ from jaxtyping import DTypeLike
 
 from jaxurban.errors import GuessWarning, InputError, positive, typed
 from jaxurban.io.layers import bands_of
-from jaxurban.io.read.guesses import warn_of
+from jaxurban.io.read.guesses import Guesses, nominal_guess, time_guess, warn_of
 from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.io.read.rasterise import building_index
 from jaxurban.kernels.engine import Engine, on_device_of
 from jaxurban.maps.dataset import empty_dataset, with_series
 from jaxurban.maps.differentiable import SoftCity, SoftParams
-from jaxurban.maps.guesses import Guesses, map_guesses, nominal_guess, time_guess
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.pipeline import MapInputs, inputs_of, skies_of
@@ -156,7 +155,7 @@ def compute_maps(task: MapTask, surface: Surface | None = None, stage: Stage = n
       stage: as for `build_maps`.
     """
     tile = TileScene(task, surface or task.surface())
-    guesses = map_guesses(task)
+    guesses = task.all_guesses
     warn_of(guesses, known=task.city.guesses)
     ds = empty_dataset(task).assign_attrs(guesses=json.dumps(guesses))
     with on_device_of(task.params.engine):

@@ -125,7 +125,7 @@ class MetricMaps(Shown):
 
     @property
     def guesses(self) -> dict[str, str]:
-        """What the maps rest on that no file says, a sentence each by its short name (`jaxurban.maps.guesses`)."""
+        """What the maps rest on that no file says, a sentence each by its short name (`jaxurban.io.read.guesses`)."""
         return json.loads(self.ds.attrs.get("guesses", "{}"))
 
     @property

@@ -16,7 +16,6 @@ import shapely
 from jaxurban.errors import readable
 from jaxurban.io.files import digest_of, read_json, write_json
 from jaxurban.io.store import RUN_FILE, short_number
-from jaxurban.maps.guesses import leaving_shares
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.validation import differences_said, differing

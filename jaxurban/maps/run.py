@@ -33,7 +33,6 @@ from jaxurban.maps.executors import (
     work_in_threads,
     work_on_cluster,
 )
-from jaxurban.maps.guesses import map_guesses
 from jaxurban.maps.memory import MemoryPlan, check_disk, plan_run, plan_sentence, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, other_maps, run_key, run_record, write_record
@@ -150,7 +149,7 @@ def run_scenario(
         for task in tasks:
             planned += geotiff_paths(empty_dataset(task, _no_values), folder, layers)  # refuses what is not there
             planned += [store.zarr_path(folder, task.region.resolution_m) / name for name in store.OF_ZARR]
-        guesses = map_guesses(tasks[0])
+        guesses = tasks[0].all_guesses
         warn_of(guesses, known=tasks[0].city.guesses)
         check_writable(folder)
         plan = MemoryPlan(0, 0, num_cores(), num_cores())  # the machines of a cluster are not ours to measure

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from jaxurban.errors import InputError, at_least, one_of, typed
+from jaxurban.io.read.guesses import Guesses, has_guessed_roofs, region_guesses
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.engine import ENGINES, Engine
-from jaxurban.maps.guesses import has_guessed_roofs
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
 from jaxurban.metrics.custom import Layer, check_file_names, own_metric
 from jaxurban.metrics.gps import Gps
@@ -95,7 +95,7 @@ class MapTask:
       layers: cost layers of one's own, by name.
       bands: values of the layers that are not functions, by name: one band, or one for each of the layer's
         ``altitudes_m``; rasters, or arrays on the region's cells (see `jaxurban.io.layers.bands_of`).
-      guesses: behind the maps (see `jaxurban.maps.guesses`), for those who look at them.
+      guesses: behind the maps (see `jaxurban.io.read.guesses`), for those who look at them.
 
     Raises:
       InputError: bounds of GPS under several clocks, or layers whose names would be those of other maps or files.
@@ -178,6 +178,12 @@ class MapTask:
             return None
         population = self.params.population
         return block_layers(self.city.blocks, population.times_of_day, population, self.region.bounds_m)
+
+    @property
+    def all_guesses(self) -> Guesses:
+        """Every guess behind the maps."""
+        of_sky = self.city, self.region, self.sky, min(self.params.altitudes_m)
+        return region_guesses(*of_sky, self.bands, self.params.population, self.population)
 
     @cached_property
     def has_guessed_roofs(self) -> bool:

@@ -245,7 +245,7 @@ class City(Shown):
       read_issues: what the readers met, mended and left out, counted by `jaxurban.world.city.ReadIssue`.
       counts: what the building source holds, counted by name.
       sources: path by role, for provenance (empty for the synthetic city).
-      guesses: what was supposed where the sources are silent, see `jaxurban.maps.guesses`.
+      guesses: what was supposed where the sources are silent, see `jaxurban.io.read.guesses`.
       attribution: the credit that the licence of the sources asks for wherever pictures are shown.
       bounds: west, south, east, north in degrees that the city was read for; None for all that there is.
       area: where the building source knows what stands, within ``extent_m``; None for all of it.

@@ -44,7 +44,7 @@ class Sky:
       elevation_rad: ``[T, S]`` float64 above the horizon, negative below it, no refraction.
       systems: ``[S]`` constellation of each satellite: "gps", "galileo", "glonass", "beidou" ... or "unknown".
       element_age_days: ``[T, S]`` float64 age of each element set at each time (0 for nominal orbits).
-      guesses: what was supposed of time and satellites, see `jaxurban.maps.guesses`.
+      guesses: what was supposed of time and satellites, see `jaxurban.io.read.guesses`.
       mask_deg: elevation mask; lower satellites are not in view.
     """
 

@@ -7,9 +7,9 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.io.read.buildings import read_buildings
+from jaxurban.io.read.guesses import leaving_shares, outside_share
 from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster, rays_leaving
 from jaxurban.maps.build import view_sky
-from jaxurban.maps.guesses import leaving_shares, outside_share
 from jaxurban.world.city import Buildings, Raster
 
 UTM = "EPSG:32618"

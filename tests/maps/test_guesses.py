@@ -18,11 +18,10 @@ from skyfield.api import load
 import jaxurban as ju
 from jaxurban.errors import GuessWarning
 from jaxurban.io.read.census import read_blocks
-from jaxurban.io.read.guesses import FLAT_GROUND
+from jaxurban.io.read.guesses import FLAT_GROUND, _scale_guesses, has_guessed_roofs, leaving_shares
 from jaxurban.io.read.orbits import nominal_satellites
 from jaxurban.io.read.rasterise import build_surface, burn, burn_touched
 from jaxurban.maps.build import view_sky
-from jaxurban.maps.guesses import _scale_guesses, has_guessed_roofs, leaving_shares, map_guesses
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
@@ -131,7 +130,7 @@ def test_people_of_the_day_are_a_guess_of_those_who_sleep_there():
         region = Grid.from_bounds(BOUNDS, 10.0, CRS)
         sky = view_sky(region, ju.Gps())
         params = MapParams((20.0,), sections={"population": ju.Population(time_of_day=times_of_day)})
-        return map_guesses(MapTask(city, region, sky, params))
+        return MapTask(city, region, sky, params).all_guesses
 
     assert "times 3 in commercial districts and 0.5 elsewhere" in guesses(("day", "night"))["people by factors"]
     assert "people by factors" not in guesses(("night",))
@@ -154,7 +153,7 @@ def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path)
 def test_the_synthetic_city_guesses_nothing():
     city, region = ju.demo_city(500, 500), Grid.from_bounds((-73.971, 40.7795, -73.969, 40.7805), 20.0, CRS)
     sky = view_sky(region, ju.Gps())
-    assert map_guesses(MapTask(city, region, sky, MapParams())) == {}
+    assert MapTask(city, region, sky, MapParams()).all_guesses == {}
 
 
 def elements_of(day, path):
@@ -212,7 +211,7 @@ def scale_guess(blocks, **settings):
     region = Grid.from_bounds(BOUNDS, 10.0, CRS)
     sky = view_sky(region, ju.Gps())
     params = MapParams(altitudes_m=(20.0,), sections={"population": Population(**settings)})
-    return map_guesses(MapTask(city, region, sky, params)).get("one block sets the population scale")
+    return MapTask(city, region, sky, params).all_guesses.get("one block sets the population scale")
 
 
 def test_one_tiny_block_that_sets_the_population_scale_is_told_with_its_remedy():
@@ -301,4 +300,4 @@ def test_a_region_beyond_the_data_is_told(tmp_path):
     city, _ = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
     far = Grid(CRS, 10.0, int(Y0 / 10), int(X0 / 10), 40, 100)
     sky = view_sky(far, ju.Gps())
-    assert "54 % of the region without data" in map_guesses(MapTask(city, far, sky, MapParams()))
+    assert "54 % of the region without data" in MapTask(city, far, sky, MapParams()).all_guesses

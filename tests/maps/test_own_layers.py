@@ -15,7 +15,6 @@ from jaxurban.errors import InputError
 from jaxurban.io import store
 from jaxurban.io.layers import bands_of, layer_values
 from jaxurban.maps.build import compute_maps, view_sky
-from jaxurban.maps.guesses import map_guesses
 from jaxurban.maps.run import Maker, make_zarr, run_scenario, tasks_of
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
@@ -189,7 +188,7 @@ def test_a_raster_that_ends_inside_the_region_is_told_with_the_share_that_it_clo
     layers = {"noise": Layer(str(tmp_path / "part.tif"), "high-is-bad", (0, 80))}
     sky = view_sky(grid, ju.Gps())
     task = MapTask(city, grid, sky, MapParams(), layers, bands_of(layers, grid, (60.0,)))
-    ((name, told),) = ((name, told) for name, told in map_guesses(task).items() if "layer" in name)
+    ((name, told),) = ((name, told) for name, told in task.all_guesses.items() if "layer" in name)
     closed = np.isnan(layer_values(task.bands["noise"], grid, grid)).mean()
     assert told.startswith(f"{100 * closed:.0f} % of the region lies beyond the raster of layer noise and is closed")
     assert 0.38 < closed < 0.42
@@ -203,7 +202,7 @@ def test_large_holes_of_a_raster_are_told(tmp_path):
     write_raster(tmp_path / "noise.tif", grid, values, nodata=-1)
     layers = {"noise": Layer(str(tmp_path / "noise.tif"), "high-is-bad", (0, 80))}
     sky = view_sky(grid, ju.Gps())
-    told = map_guesses(MapTask(city, grid, sky, MapParams(), layers, bands_of(layers, grid, (60.0,))))
+    told = MapTask(city, grid, sky, MapParams(), layers, bands_of(layers, grid, (60.0,))).all_guesses
     (sentence,) = (sentence for name, sentence in told.items() if "layer noise without" in name)
     assert "% of the pixels of layer noise hold no value and are closed to every path" in sentence
 

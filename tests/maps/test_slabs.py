@@ -10,7 +10,6 @@ from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io import store
 from jaxurban.maps import provenance
 from jaxurban.maps.build import compute_maps, soften
-from jaxurban.maps.guesses import map_guesses
 from jaxurban.maps.pipeline import inputs_of
 from jaxurban.maps.run import Maker, make_zarr
 from jaxurban.maps.scenario import Scenario
@@ -87,7 +86,7 @@ def test_under_a_deck_the_sky_overhead_is_shut_and_beside_it_more_is_seen(maps, 
 )
 def test_tiles_equal_the_untiled_maps(tmp_path, with_terrain, settings):
     of = task(city(with_terrain=with_terrain), altitudes_m=(2.0, 13.0), **settings)
-    make_zarr(Maker(replace(of, guesses=map_guesses(of)), tmp_path, "key", 2), Report(), (34, 58))
+    make_zarr(Maker(replace(of, guesses=of.all_guesses), tmp_path, "key", 2), Report(), (34, 58))
     found, expected = store.open_zarr(tmp_path, None).load(), compute_maps(of).ds
     assert found.attrs.pop("run_key") == "key"
     xr.testing.assert_identical(found, expected)
@@ -182,7 +181,7 @@ def test_own_layers_see_what_their_altitude_meets():
 def test_maps_tell_how_metrics_take_what_hangs(maps, grounded):
     assert "5 hanging parts" in maps.guesses
     assert not any("hanging" in name for name in grounded.guesses)
-    shown = map_guesses(task(city()))
+    shown = task(city()).all_guesses
     assert "lidar meets those with their floor at or below" in shown["5 hanging parts"]
 
 

@@ -18,7 +18,7 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from PIL import Image
 
 from jaxurban.errors import InputError
-from jaxurban.maps.guesses import BEYOND_DATA, NOMINAL_SKY
+from jaxurban.io.read.guesses import BEYOND_DATA, NOMINAL_SKY
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.path import PlannedPath

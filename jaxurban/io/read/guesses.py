@@ -1,17 +1,26 @@
-"""Guesses of what a city's files do not say, each under a short name as one sentence (see `jaxurban.maps.guesses`)."""
+"""Guesses: what maps rest on that their files do not say, each under a short name (for pictures) as one sentence.
+
+They are written down where they are made: on the `City` by what reads it, on the `Sky` by what sets it up, and by
+`region_guesses` what a region's maps add. The maps hold all (`MetricMaps.guesses`), and each is warned of once.
+"""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import shapely
 
 from jaxurban import settings
 from jaxurban.errors import GuessWarning
 from jaxurban.io.read.heights import LAYER_CLEARANCE_M
-from jaxurban.metrics.population import Population
-from jaxurban.world.city import GUESSED_BY, Blocks, Buildings, ReadIssue, ReadIssues
-from jaxurban.world.grid import Bounds
+from jaxurban.io.read.knownarea import rays_leaving
+from jaxurban.io.read.rasterise import highest_top_m
+from jaxurban.io.read.sampling import pixel_xy
+from jaxurban.metrics.population import BlockLayers, Population, region_blocks
+from jaxurban.world.city import GUESSED_BY, SLABS, Blocks, Buildings, City, Raster, ReadIssue, ReadIssues
+from jaxurban.world.grid import Bounds, Grid
+from jaxurban.world.sky import Sky
 
 Guesses = dict[str, str]
 
@@ -19,6 +28,11 @@ FLAT_GROUND = {
     "flat ground": "no terrain is given, so the ground is taken as flat: heights and shadows are wrong where it is "
     "not; name an elevation raster in [terrain] source"
 }
+EMPTY_SHARE = 0.10  # of the region without a census block (rivers and the sea often have none), of a layer's pixels
+SCALE_M, SCALE_SHARE = 1 / 3, 0.01  # no more than this share of inhabited blocks above this m: few set the scale
+SIDE_POINTS = 32  # along each side of a raster's outline, which another CRS bends
+NOMINAL_SKY, ELEMENTS_TIME = "nominal satellites", "time of the elements"
+BEYOND_DATA = "lines of sight to satellites leave the data"
 TOLD_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less
 
 
@@ -92,3 +106,188 @@ def district_guesses(issues: ReadIssues, files: Population) -> Guesses:
         "no commercial district": f"{found} and by day every block takes gamma_residential: list the labels in "
         "[population] commercial, or give [] for none"
     }
+
+
+def is_of_sky(name: str) -> bool:
+    """Return whether a guess of this name is one of satellites, which only GPS maps rest on."""
+    return name in (NOMINAL_SKY, ELEMENTS_TIME) or name.endswith(BEYOND_DATA)
+
+
+def has_guessed_roofs(city: City, region: Grid) -> bool:
+    """Return whether the height of any building in a region is guessed."""
+    return city.buildings is not None and guessed_share(city.buildings, region.bounds_m) > 0
+
+
+def time_guess(time: str) -> Guesses:
+    """Return that a sky stands at its elements' own time."""
+    return {
+        ELEMENTS_TIME: f"no times are given: satellites stand as at {time}, the middle of their elements' "
+        "epochs; set [gps] times for another"
+    }
+
+
+def nominal_guess(times: Sequence[str], is_papers: bool) -> Guesses:
+    """Return that GPS satellites are nominal; ``is_papers``: at the paper's time, as no other is given."""
+    when = times[0] + (", the paper's time" if is_papers else " and later" if len(times) > 1 else "")
+    return {
+        NOMINAL_SKY: f"the GPS satellites are nominal ones at {when}, not the real ones: name a file of elements in "
+        "[gps] orbits"
+    }
+
+
+def region_guesses(
+    city: City,
+    region: Grid,
+    sky: Sky,
+    altitude_m: float,
+    bands: Mapping[str, Sequence[Raster | np.ndarray]],
+    params: Population,
+    people: BlockLayers | None,
+) -> Guesses:
+    """Return every guess behind the maps of a region.
+
+    A city that is from no files (the synthetic one) has no real sky and nothing beyond its edge.
+
+    Args:
+      city, region, sky: of the maps.
+      altitude_m: the lowest one.
+      bands: rasters or arrays of layers of one's own, by name.
+      params, people: settings of the population, and that of every block; None without it.
+    """
+    guesses = {**city.guesses, **sky.guesses}
+    if city.sources:
+        guesses |= _visibility_guesses(city, region, sky, altitude_m)
+    else:
+        guesses.pop(NOMINAL_SKY, None)
+    guesses |= _coverage_guesses(city, region) | _hanging_guesses(city, region)
+    for name, values in bands.items():
+        guesses |= _layer_guesses(name, values[0], region)
+    if city.blocks is not None and people is not None:
+        if city.sources and {*params.times_of_day} - {"night"}:
+            guesses |= _factor_guess(params)
+        guesses |= _scale_guesses(city.blocks, region.bounds_m, people, params)
+    return guesses
+
+
+def _hanging_guesses(city: City, region: Grid) -> Guesses:
+    """Return how metrics take what hangs over a region; nothing where nothing does, or where it reaches the ground."""
+    if city.buildings is None or city.hanging != SLABS:
+        return {}
+    hanging = city.buildings.take(city.buildings.min_height_m > 0)
+    number = int(shapely.intersects(hanging.polygons, shapely.box(*region.bounds_m)).sum())
+    if not number:
+        return {}
+    return {
+        f"{number:,} hanging parts": (
+            f"{number:,} parts and decks hang over the region, from their floor to their top: lidar meets those with "
+            "their floor at or below the altitude as if they reached the ground, and none above it; paths keep away "
+            'from all that is under them; set [buildings] hanging = "to_ground" for none'
+        )
+    }
+
+
+def outside_share(region: Grid, known: shapely.Geometry) -> float:
+    """Return the share of a region that lies beyond what is known, in the region's CRS."""
+    whole = shapely.box(*region.bounds_m)
+    return 1.0 - float(shapely.intersection(whole, known).area) / float(whole.area)
+
+
+def _coverage_guesses(city: City, region: Grid) -> Guesses:
+    """Return how much of the region is taken as free of buildings, or of people, as nothing is known there."""
+    guesses = {}
+    if (outside := outside_share(region, city.known_area)) > TOLD_SHARE:
+        guesses[f"{percent(outside)} of the region without data"] = (
+            f"{percent(outside)} of the region lies beyond what the building source covers and is taken as free of "
+            "buildings: give a source that covers it, or a smaller region"
+        )
+    if city.blocks is not None and city.sources:
+        box = shapely.box(*region.bounds_m)
+        empty = 1.0 - float(shapely.area(shapely.intersection(city.blocks.polygons, box)).sum()) / float(box.area)
+        if empty > EMPTY_SHARE:
+            guesses[f"{percent(empty)} of the region without census"] = (
+                f"{percent(empty)} of the region lies in no census block and is taken as without people: give blocks "
+                "that cover it, unless it is water"
+            )
+    return guesses
+
+
+def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesses:
+    """Return how much of the region a layer's raster closes, as it ends before or has large holes."""
+    if not isinstance(band, Raster):
+        return {}
+    (num_rows, num_cols), along = band.values.shape, np.linspace(0.0, 1.0, SIDE_POINTS)
+    row = np.concatenate([0 * along, along, 0 * along + 1, 1 - along]) * num_rows
+    col = np.concatenate([along, 0 * along + 1, 1 - along, 0 * along]) * num_cols
+    raster = shapely.Polygon(np.stack(pixel_xy(band, row, col, region.crs), -1))
+    outside = outside_share(region, shapely.make_valid(raster))
+    guesses = {}
+    if outside > TOLD_SHARE:
+        guesses[f"{percent(outside)} of the region beyond layer {name}"] = (
+            f"{percent(outside)} of the region lies beyond the raster of layer {name} and is closed to every path: "
+            "give a raster that covers it, or a smaller region"
+        )
+    if (empty := float(np.isnan(band.values).mean())) > EMPTY_SHARE:
+        guesses[f"{percent(empty)} of layer {name} without a value"] = (
+            f"{percent(empty)} of the pixels of layer {name} hold no value and are closed to every path: fill them, "
+            'unless they are meant to be closed, or set nan = "error"'
+        )
+    return guesses
+
+
+def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tuple[float, float]:
+    """Return the shares of cells and of visibilities whose rays leave the data while a roof could still block them.
+
+    Of cells: those with any such ray. Of visibilities: a cell, a satellite, a time each.
+    """
+    azimuth_rad = sky.azimuth_rad[sky.is_in_view]
+    # Until a ray is above the highest roof.
+    run_m = max(highest_top_m(city) - altitude_m, 0.0) / np.tan(sky.elevation_rad[sky.is_in_view])
+    leaves = rays_leaving(city, region, run_m * np.sin(azimuth_rad), run_m * np.cos(azimuth_rad))
+    return float(leaves.any(axis=1).mean()), float(leaves.mean())
+
+
+def _visibility_guesses(city: City, region: Grid, sky: Sky, altitude_m: float) -> Guesses:
+    _, share = leaving_shares(city, region, sky, altitude_m)
+    if share < TOLD_SHARE:
+        return {}
+    return {
+        f"{percent(share)} of {BEYOND_DATA}": (
+            f"{percent(share)} of the visibility results at {altitude_m:g} m are of rays that leave the data below the "
+            "highest roof and count as clear there, so GPS may look better than it is: give buildings farther around"
+        )
+    }
+
+
+def _factor_guess(params: Population) -> Guesses:
+    """Return that the people of other times than the night are the census's, times a factor."""
+    return {
+        "people by factors": (
+            f"people by day are not counted: they are the census's times {params.gamma_commercial:g} in commercial "
+            f"districts and {params.gamma_residential:g} elsewhere; set [population] gamma_commercial and "
+            "gamma_residential"
+        )
+    }
+
+
+def _scale_guesses(blocks: Blocks, bounds_m: Bounds, population_layers: BlockLayers, params: Population) -> Guesses:
+    """Return that one block sets the population's scale, at the first time of day where one does."""
+    if params.normalise != "max":
+        return {}
+    in_region = region_blocks(blocks, bounds_m)
+    for m, norm in zip(
+        np.asarray(population_layers.m, float)[:, in_region], population_layers.norm_per_km2, strict=True
+    ):
+        inhabited = m[m > 0]
+        if len(inhabited) < 3 or (inhabited > SCALE_M).sum() > max(1, SCALE_SHARE * len(inhabited)):
+            continue
+        top = in_region[m.argmax()]
+        unit = "people" if params.quantity == "count" else "people per km2"
+        usual = float(f"{float(norm) * np.percentile(inhabited, 99):.1g}")
+        return {
+            "one block sets the population scale": (
+                f"census block {blocks.block_id[top]} ({blocks.area_m2[top]:,.0f} m2) with {float(norm):,.0f} {unit} "
+                f"sets the population scale alone: the median inhabited block gets {np.median(inhabited):.2f}; set "
+                f'[population] normalise to a percentile such as "p99" or to a number of {unit} such as {usual:.0f}'
+            )
+        }
+    return {}

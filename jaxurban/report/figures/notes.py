@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from jaxurban.io.attributes import CAVEAT, names_in
-from jaxurban.maps.guesses import is_of_sky
+from jaxurban.io.read.guesses import is_of_sky
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
 from jaxurban.paths.constraints import clearances_said, kept_said
