@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import ROOT
-from jaxurban.io.read.buildings import read_buildings
+from jaxurban.io.read.city import read_buildings
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps

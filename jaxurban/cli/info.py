@@ -47,7 +47,7 @@ def _bounds_of(grid: Any) -> list[float]:
 
 
 def _of_file(file: Path) -> dict[str, Any]:
-    from jaxurban.io.read.buildings import lonlat_extent
+    from jaxurban.io.read.city import lonlat_extent
     from jaxurban.io.read.raster import RASTER_SUFFIXES, read_raster
     from jaxurban.settings import Buildings
     from jaxurban.world.city import City, HeightOrigin

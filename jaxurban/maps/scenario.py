@@ -291,6 +291,6 @@ def _with_bounds(settings: Mapping[str, Any], folder: Path) -> Mapping[str, Any]
     source = buildings.get("source") if isinstance(buildings, Mapping) else None
     if not isinstance(region, Mapping) or "bounds" in region or not isinstance(source, str) or source == SYNTHETIC:
         return settings
-    from jaxurban.io.read.buildings import lonlat_extent  # imported here: it brings the readers
+    from jaxurban.io.read.city import lonlat_extent  # imported here: it brings the readers
 
     return {**settings, "region": {**region, "bounds": lonlat_extent(folder / source)}}

@@ -8,7 +8,7 @@ import shapely
 from affine import Affine
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.buildings import read_buildings
+from jaxurban.io.read.city import read_buildings
 from jaxurban.settings import Buildings
 
 UTM = "EPSG:32618"

@@ -9,7 +9,7 @@ from affine import Affine
 from rasterio.features import rasterize
 
 import jaxurban as ju
-from jaxurban.io.read.buildings import read_buildings
+from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.rasterise import burn, burn_touched
 

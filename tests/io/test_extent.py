@@ -8,7 +8,7 @@ import xarray as xr
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io.read.buildings import lonlat_extent
+from jaxurban.io.read.city import lonlat_extent
 from jaxurban.maps.scenario import Scenario
 from tests.cli.test_bad_input import rectangle, write_geojson
 from tests.cli_runs import run

@@ -19,8 +19,8 @@ from jaxurban.errors import InputError
 from jaxurban.io import fetch as fetching
 from jaxurban.io.download import Cache
 from jaxurban.io.fetch_plan import FetchJob, plan_fetch
-from jaxurban.io.read.buildings import read_buildings
 from jaxurban.io.read.census import read_blocks
+from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.orbits import _timescale, nominal_satellites
 from jaxurban.io.read.osm import cut_buildings
 from jaxurban.maps.run import run_scenario

@@ -8,7 +8,7 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.buildings import read_buildings
+from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.osm import cut_buildings, read_osm
 from jaxurban.io.read.outlines import to_buildings
 from jaxurban.io.read.rasterise import build_surface, rasterise
@@ -137,10 +137,9 @@ def test_an_osm_file_gives_bridges_only_where_slabs_are_asked(tmp_path):
     path.write_text(text + "</osm>")
     plain, slabs = read_osm(path), read_osm(path, has_decks=True)
     assert (len(plain.polygons), len(slabs.polygons)) == (1, 2)
-    heights = {"default_height_m": 10.0, "level_height_m": 3.0}
-    buildings, _, _ = to_buildings(path, slabs, CRS, **heights, hanging=SLABS)
+    buildings, _, _ = to_buildings(Buildings(path, hanging=SLABS), slabs, CRS)
     assert sorted(buildings.min_height_m.tolist()) == [0, 5]
-    buildings, _, _ = to_buildings(path, slabs, CRS, **heights)
+    buildings, _, _ = to_buildings(Buildings(path), slabs, CRS)
     assert buildings.min_height_m.tolist() == [0]
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxurban.io.read.heights import estimate_heights, parse_count, parse_length_m
+from jaxurban.settings import Buildings
 from jaxurban.world.city import HeightOrigin
 
 # Spellings from https://wiki.openstreetmap.org/wiki/Key:height; feet and inches by their definition (0.3048, 0.0254 m).
@@ -56,7 +57,7 @@ def test_levels_are_bare_numbers():
 def estimate(**columns):
     tags = {name: np.array(values, object) for name, values in columns.items()}
     nothing, issues = np.full(len(next(iter(tags.values()))), None, object), {}
-    return estimate_heights(tags, nothing, nothing, issues, default_height_m=10.0, level_height_m=3.0), issues
+    return estimate_heights(tags, nothing, nothing, Buildings("city.osm"), issues), issues
 
 
 def test_height_wins_over_levels_and_levels_over_the_default():

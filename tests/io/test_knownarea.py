@@ -6,7 +6,7 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.io.read.buildings import read_buildings
+from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.guesses import leaving_shares, outside_share
 from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster, rays_leaving
 from jaxurban.maps.build import view_sky

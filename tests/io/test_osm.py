@@ -7,6 +7,7 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.outlines import count_tags, to_buildings
+from jaxurban.settings import Buildings
 
 LON, LAT, SIDE = -74.0, 40.7, 0.001  # degrees
 CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))
@@ -125,7 +126,7 @@ def test_an_area_that_cannot_be_rebuilt_is_an_empty_place(read):
     outlines = read(square(1), way(9, [1, 2, 1, 2, 1], building="yes"))
     assert count_tags(outlines)["building_areas"] == 1
     with pytest.raises(InputError, match="holds no building"):
-        to_buildings("city.osm", outlines, "EPSG:32618", default_height_m=10.0, level_height_m=3.0)
+        to_buildings(Buildings("city.osm"), outlines, "EPSG:32618")
 
 
 def test_the_header_gives_the_boxes(read):
@@ -183,7 +184,7 @@ def test_counts_of_a_real_file_agree_with_its_readme(data_dir, name):
     crs, counts, issues = FILES[name]
     path = data_dir / "osm" / f"{name}.osm.pbf"
     outlines = read_osm(path, "pbf")
-    buildings, _, found = to_buildings(path, outlines, crs, default_height_m=10.0, level_height_m=3.0)
+    buildings, _, found = to_buildings(Buildings(path), outlines, crs)
     assert counts.items() <= count_tags(outlines).items()
     assert issues.items() <= found.items()
     assert found["heights_unusable"] == 0

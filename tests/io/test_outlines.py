@@ -6,6 +6,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import Outlines, count_tags, polygonal, to_buildings
+from jaxurban.settings import Buildings
 from jaxurban.world.city import HeightOrigin
 
 UTM = "EPSG:32618"
@@ -24,7 +25,7 @@ def stand(polygons, box=None, **columns):
         boxes=() if box is None else (box,),
         issues={"open_ways": 7},
     )
-    return to_buildings("city.osm", outlines, UTM, default_height_m=10.0, level_height_m=3.0)
+    return to_buildings(Buildings("city.osm"), outlines, UTM)
 
 
 def outline_and_parts(*parts, outline_height="50", part_height="30", **columns):
@@ -176,7 +177,7 @@ def test_outlines_that_the_crs_cannot_hold_are_left_out_and_counted():
     outlines = Outlines(
         np.array([shapely.box(-74, 40.7, -73.9, 40.8), shapely.box(15, 0, 16, 1)]), {}, "EPSG:4326", (), {}
     )
-    buildings, _, issues = to_buildings("x", outlines, UTM, default_height_m=10.0, level_height_m=3.0)
+    buildings, _, issues = to_buildings(Buildings("x"), outlines, UTM)
     assert (len(buildings), issues["outside_crs"]) == (1, 1)
 
 

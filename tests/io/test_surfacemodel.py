@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.buildings import read_buildings
+from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.raster import read_raster
 from jaxurban.io.read.sampling import heights_above
 from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface, low_levels

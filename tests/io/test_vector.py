@@ -11,7 +11,7 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.buildings import read_buildings
+from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.orbits import read_orbits
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.raster import raster_extent_m

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.io.read.buildings import read_buildings
+from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.io.read.rasterise import burn
 from jaxurban.kernels.dop import unit_vectors

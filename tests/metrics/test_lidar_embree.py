@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.io.read.buildings import read_buildings
+from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.settings import Buildings

@@ -1,23 +1,66 @@
-"""Files to City."""
+"""Files to City; of buildings from any file that knows them the reader is chosen by the file's suffix.
+
+A further format of outlines is a file of its own, with a function that returns the `Outlines` of a path, those near a
+region at least, and a line in `OUTLINE_READERS`.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
+import numpy as np
 import shapely
 
 from jaxurban import settings
 from jaxurban.errors import InputError
-from jaxurban.io.read.buildings import BuildingSource, lonlat_extent, read_buildings
 from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.guesses import FLAT_GROUND, count_guesses, district_guesses, height_guesses, warn_of
-from jaxurban.io.read.raster import raster_extent_m, read_raster
+from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster
+from jaxurban.io.read.osm import OSM_SUFFIXES, format_of, header_box, read_osm
+from jaxurban.io.read.outlines import Near, Outlines, box_between, count_tags, meets, to_buildings
+from jaxurban.io.read.raster import RASTER_SUFFIXES, check_range, raster_extent_m, read_raster
+from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface
+from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import Population
-from jaxurban.world.city import City, joined_credits
+from jaxurban.settings import MAX_HEIGHT_M, SLABS
+from jaxurban.world.city import Buildings, City, Raster, ReadIssue, ReadIssues, joined_credits
 from jaxurban.world.grid import WGS84, Bounds, check_bounds, projected_crs, transformer, utm_crs, where_it_lies
 
+OutlineReader = Callable[[Path, Near | None, bool], Outlines]
+OUTLINE_READERS: dict[str, OutlineReader] = {
+    # Nodes of OSM lie anywhere before their ways.
+    **dict.fromkeys(OSM_SUFFIXES, lambda path, near, has_decks: read_osm(path, has_decks=has_decks)),
+    **dict.fromkeys(VECTOR_SUFFIXES, lambda path, near, has_decks: read_vector(path, near)),
+}
+LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
 TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
 RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
+
+
+@dataclass(frozen=True)
+class BuildingSource:
+    """What a file of buildings holds: outlines, or a raster of roof heights.
+
+    Attributes:
+      buildings: outlines that stand, or None for a raster.
+      roofs: roof heights above ground, or None for outlines.
+      area: where it knows what stands, in the city's CRS: of what was kept; the whole file's where nothing was.
+      file_extent_m: x_min, y_min, x_max, y_max in the city's CRS of the whole file.
+      issues: what was met, mended and left out in what was read, counted by `jaxurban.world.city.ReadIssue`: in
+        an OpenStreetMap file all of it, in other files the surroundings of the region.
+      counts: outlines that were read by tags, before any rule (see `count_tags`); empty for a raster.
+      attribution: the credit that the licence asks for, "" where nothing is known.
+    """
+
+    buildings: Buildings | None
+    roofs: Raster | None
+    area: shapely.Geometry
+    file_extent_m: Bounds
+    issues: ReadIssues
+    counts: dict[str, int]
+    attribution: str = ""
 
 
 def read_city(
@@ -89,3 +132,106 @@ def _check_has_building(
         f"{str(buildings.source)!r} has no building in the region {list(bounds)}: {where_it_lies(extent, bounds)}; "
         "move [region] bounds there, or set [buildings] allow_none = true if there are none"
     )
+
+
+def read_buildings(
+    file: settings.Buildings, crs: str, *, bounds_m: Bounds | None = None, terrain: Raster | None = None
+) -> BuildingSource:
+    """Return the buildings in a file.
+
+    Args:
+      file: which, and what to make of it.
+      crs: projected CRS of what comes back.
+      bounds_m: x_min, y_min, x_max, y_max in ``crs``; buildings whose box does not touch it are left out. Which parts
+        replace which outlines does not depend on it. None keeps all.
+      terrain: elevation of the ground; also tells whether a raster of heights is one.
+
+    Raises:
+      InputError: no such file, an unknown suffix, a file that cannot be read or is in a wrong CRS, (raster) cells that
+        are not heights or look like elevations, or a surface without terrain or that is not a raster.
+    """
+    projected_crs(crs)
+    path, is_slabs = Path(file.source), file.hanging == SLABS
+    read = _reader_of(path)
+    if read is None and is_slabs:
+        raise InputError(
+            f'[buildings] hanging = "slabs" is for outlines, and {str(path)!r} is a raster, in which nothing '
+            "hangs: leave it out"
+        )
+    if read is None:
+        return _read_roofs(path, crs, bounds_m, file.kind, terrain)
+    if file.kind == "surface":
+        raise InputError(f'[buildings] kind = "surface" is for rasters, and {str(path)!r} is not one: leave it out')
+    if bounds_m is not None:
+        outlines = read(path, Near(bounds_m, crs), is_slabs)
+        source = _source_of(file, outlines, crs, bounds_m)
+        if outlines.extent is None or len(source.buildings or ()):
+            return source
+    return _source_of(file, read(path, None, is_slabs), crs, bounds_m)  # what nothing is near of tells all it covers
+
+
+def _reader_of(path: Path) -> OutlineReader | None:
+    """Return what reads a file of outlines, None for a raster.
+
+    Raises:
+      InputError: no such file, or an unknown suffix.
+    """
+    if not path.is_file():
+        raise InputError(f"{str(path)!r} does not exist: check the path")
+    suffix = path.suffix.lower()
+    if suffix not in (*OUTLINE_READERS, *RASTER_SUFFIXES):
+        known = ", ".join((*OUTLINE_READERS, *RASTER_SUFFIXES))
+        raise InputError(f"{str(path)!r} has the suffix {suffix!r}: buildings are read from {known}")
+    return OUTLINE_READERS.get(suffix)
+
+
+def lonlat_extent(path: str | Path) -> Bounds:
+    """Return west, south, east, north in degrees of the box that a file of buildings or a raster covers.
+
+    Of OpenStreetMap it is the box that the file declares, and without one, as of other outlines, that around all
+    outlines: such a file is read whole.
+
+    Raises:
+      InputError: a file that cannot be read, or one without an outline.
+    """
+    read = _reader_of(Path(path))
+    if read is None:
+        return raster_extent_m(path, WGS84)
+    if Path(path).suffix.lower() in OSM_SUFFIXES and (box := header_box(path, format_of(path))):
+        return box
+    outlines = read(Path(path), None, False)
+    if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
+        raise InputError(f"{str(path)!r} holds no outline that would say where it lies: give bounds")
+    return transformer(outlines.crs, WGS84).transform_bounds(*shapely.total_bounds(outlines.polygons))
+
+
+def _source_of(file: settings.Buildings, outlines: Outlines, crs: str, bounds_m: Bounds | None) -> BuildingSource:
+    """Return the buildings that outlines make, those that touch ``bounds_m``."""
+    buildings, boxes_m, issues = to_buildings(file, outlines, crs)
+    if outlines.extent is None:
+        area = area_of_outlines(buildings.polygons, boxes_m)
+        file_extent_m: Bounds | None = area.bounds
+    else:
+        area = shapely.Polygon()
+        file_extent_m = box_between(outlines.extent, outlines.crs, crs)
+    if bounds_m is not None:
+        buildings = buildings.take(meets(buildings.boxes_m.T, bounds_m))
+        near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
+        kept = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
+        area = area if kept.is_empty else kept
+    file_extent_m = area.bounds if file_extent_m is None else file_extent_m
+    return BuildingSource(buildings, None, area, file_extent_m, issues, count_tags(outlines), outlines.attribution)
+
+
+def _read_roofs(path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrain: Raster | None) -> BuildingSource:
+    """Return a raster's heights; those below 0 (noise of surface minus terrain) are ground and are counted."""
+    name, raster = repr(str(path)), read_raster(path, crs, bounds_m)
+    if kind == "surface":
+        roofs, issues = heights_of_surface(name, raster, terrain, crs)
+    else:
+        check_is_no_surface(name, raster, terrain, crs)
+        is_below = raster.values < 0
+        roofs = replace(raster, values=np.where(is_below, np.float32(0), raster.values))
+        issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
+    check_range(name, raster.values if kind == "height" else roofs.values, (LOWEST_ROOF_M, MAX_HEIGHT_M))
+    return BuildingSource(None, roofs, area_of_raster(roofs, crs), raster_extent_m(path, crs), issues, {})

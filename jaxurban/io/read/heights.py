@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from jaxurban import settings
 from jaxurban.settings import MAX_HEIGHT_M
 from jaxurban.world.city import Buildings, HeightOrigin, ReadIssue, ReadIssues
 
@@ -104,10 +105,8 @@ def estimate_heights(
     tags: Mapping[str, np.ndarray],
     polygons: np.ndarray,
     is_part: np.ndarray,
+    rules: settings.Buildings,
     issues: ReadIssues,
-    *,
-    default_height_m: float,
-    level_height_m: float,
 ) -> Buildings:
     """Return every outline with its height: that of its tag, else that of its levels, else the default.
 
@@ -119,9 +118,8 @@ def estimate_heights(
         ``roof_levels`` (added to ``levels``; alone they say nothing), ``min_height``, ``min_level``; a missing name is
         an empty column.
       polygons, is_part: ``[N]`` as of `Buildings`.
+      rules: height of one level, and where nothing usable is given.
       issues: gets how many values could not be used.
-      default_height_m: height where nothing usable is given.
-      level_height_m: height of one level.
     """
     empty = np.full(len(polygons), None, object)
 
@@ -130,10 +128,10 @@ def estimate_heights(
         return is_given(column), _read_column(column, parse) * unit_m
 
     given_height, height_m = read("height", parse_length_m)
-    given_levels, levels_m = read("levels", parse_count, level_height_m)
-    given_roof, roof_m = read("roof_levels", parse_count, level_height_m)
+    given_levels, levels_m = read("levels", parse_count, rules.level_height_m)
+    given_roof, roof_m = read("roof_levels", parse_count, rules.level_height_m)
     given_min, min_height_m = read("min_height", parse_length_m)
-    given_min_level, min_level_m = read("min_level", parse_count, level_height_m)
+    given_min_level, min_level_m = read("min_level", parse_count, rules.level_height_m)
 
     # Comparisons with NaN are false: what could not be read is not usable.
     has_roof, has_min, has_min_level = (
@@ -148,7 +146,7 @@ def estimate_heights(
     origins = [HeightOrigin.HEIGHT, HeightOrigin.LEVELS]
     return Buildings(
         polygons,
-        np.select([has_height, has_levels], [height_m, levels_m], default_height_m),
+        np.select([has_height, has_levels], [height_m, levels_m], rules.default_height_m),
         np.select([has_min, has_min_level], [min_height_m, min_level_m], 0.0),
         np.select([has_height, has_levels], origins, HeightOrigin.DEFAULT).astype(np.uint8),
         is_part,

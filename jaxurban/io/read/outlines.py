@@ -4,16 +4,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
 from pyproj.exceptions import ProjError
 
+from jaxurban import settings
 from jaxurban.errors import InputError
 from jaxurban.io.read.heights import estimate_heights, is_given, with_decks
-from jaxurban.world.city import SLABS, TO_GROUND, Buildings, Hanging, HeightOrigin, ReadIssue, ReadIssues
+from jaxurban.settings import SLABS
+from jaxurban.world.city import Buildings, HeightOrigin, ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds, transformer
 
 MARGIN_M = 1000.0  # more than projections tilt boxes against each other, and than most outlines and their parts reach
@@ -163,15 +164,7 @@ def count_tags(outlines: Outlines) -> dict[str, int]:
     }
 
 
-def to_buildings(
-    path: str | Path,
-    outlines: Outlines,
-    crs: str,
-    *,
-    default_height_m: float,
-    level_height_m: float,
-    hanging: Hanging = TO_GROUND,
-) -> tuple[Buildings, list[Bounds], ReadIssues]:
+def to_buildings(file: settings.Buildings, outlines: Outlines, crs: str) -> tuple[Buildings, list[Bounds], ReadIssues]:
     """Return the buildings that stand, the boxes in ``crs`` that the file declares to cover, and its issues.
 
     Left out are ``building=no`` without ``building:part``, and ``location=underground`` or ``layer`` below 0. An
@@ -181,30 +174,27 @@ def to_buildings(
     under a roof with a height. Where parts hang, an outline stays below those that no part stands under (`_podiums`).
 
     Args:
-      path: the file, for messages.
+      file: and what to make of it; hanging ``"slabs"``: areas of bridges (``man_made=bridge``) that are no buildings
+        are decks (see `with_decks`).
       outlines: what a reader gave.
       crs: projected CRS of the buildings.
-      default_height_m: height of a building without a usable height or levels.
-      level_height_m: height of one level.
-      hanging: ``"slabs"``: areas of bridges (``man_made=bridge``) that are no buildings are decks (see `with_decks`).
 
     Raises:
       InputError: no building and no declared box, in a file that was read as a whole.
     """
     issues = dict(outlines.issues)
-    stands, is_part, is_deck = _stands_as_what(outlines, hanging == SLABS, issues)
+    stands, is_part, is_deck = _stands_as_what(outlines, file.hanging == SLABS, issues)
     index = np.flatnonzero(stands)
     polygons, is_sound = _project(outlines.polygons[index], outlines.crs, crs, issues)
     polygons, index = polygons[is_sound], index[is_sound]
     to_city = transformer(outlines.crs, crs)
     boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
     if not (boxes_m or len(index) or outlines.extent):
-        raise InputError(f"{str(path)!r} holds no building: give a file with polygons of buildings")
+        raise InputError(f"{str(file.source)!r} holds no building: give a file with polygons of buildings")
 
     is_part, is_deck = is_part[index], is_deck[index]
     tags = {name: column[index] for name, column in outlines.tags.items()}
-    of_heights = {"default_height_m": default_height_m, "level_height_m": level_height_m}
-    buildings = estimate_heights(tags, polygons, is_part, issues, **of_heights)
+    buildings = estimate_heights(tags, polygons, is_part, file, issues)
     if is_deck.any():
         layer = np.array([_number(text) for text in _texts(outlines.column("layer")[index])])
         buildings = with_decks(buildings, is_deck, layer)
@@ -212,7 +202,7 @@ def to_buildings(
     buildings = _above_underside(_with_outline_heights(buildings, outline, part, issues), issues)
     is_replaced = _covered_share(polygons, outline, shared) >= REPLACED_SHARE
     issues[ReadIssue.OUTLINES_REPLACED_BY_PARTS] = int(np.sum(is_replaced))
-    if hanging == SLABS:
+    if file.hanging == SLABS:
         buildings, is_podium = _podiums(buildings, outline, part, is_replaced)
         issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = int(np.sum(is_podium))
         is_replaced &= ~is_podium
