@@ -45,7 +45,7 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
     tell(f"comparison finished: read {output / REPORT_FILE}")
     if as_json:
         made: dict[str, Any] = {"folder": str(output), "report": str(output / REPORT_FILE)}
-        made |= {"left_out": dict(found.part.left_out), "settings": found.settings, "layers": records_of(found.table)}
+        made |= {"left_out": dict(found.left_out), "settings": found.settings, "layers": records_of(found.table)}
         print_json(made)
     return 0
 

@@ -21,7 +21,7 @@ from jaxurban.progress import Report
 from jaxurban.report.figures import save_figures
 from jaxurban.report.figures.files import maps_figures
 from jaxurban.report.figures.notes import caveats_said, rules_said
-from jaxurban.report.write import bullets, fill, framed, listed, save, table
+from jaxurban.report.write import bullets, fill, listed, save, table
 
 BOUNDS = (-74.0, 40.755, -73.955, 40.80)  # about 3.8 x 5 km: the synthetic city scales itself to the box
 RESOLUTION_M = 5.0
@@ -104,8 +104,14 @@ def summary_markdown(maps: MetricMaps, paths: Paths, run: Mapping[str, Any] | No
     grid, run = maps.grid, run or {}
     planned = [path for z in maps.altitudes_m for path in paths.get(z, ())]
     roof_m = maps.m("roof")[maps.ds["has_data"].values]
+    tables = {
+        "by_altitude": pd.DataFrame([_facts(maps, z) for z in maps.altitudes_m]),
+        "population": pd.DataFrame([_people(maps, run, item) for item in maps.times_of_day]),
+        "paths": pd.DataFrame([_outcome(maps, path, planned) for path in planned]),
+    }
     return fill(
         "summary",
+        tables,
         what="Metric maps and paths" if planned else "Metric maps",
         width_km=(grid.x_max_m - grid.x_min_m) / 1000,
         height_km=(grid.y_max_m - grid.y_min_m) / 1000,
@@ -119,9 +125,7 @@ def summary_markdown(maps: MetricMaps, paths: Paths, run: Mapping[str, Any] | No
         num_times=len(maps.times),
         first_time=maps.times[0],
         record=_record(run),
-        by_altitude=framed(pd.DataFrame([_facts(maps, z) for z in maps.altitudes_m])),
-        population=_population(maps, run) if maps.times_of_day else "",
-        paths=_paths(maps, planned) if planned else "",
+        rules=rules_said(*(path.settings for path in planned)),
         pictures=bullets(f"[{name}](figures/{name}.png)" for name in maps_figures(maps, paths)),
         caveats="".join(f"\n- {line}" for line in caveats_said(maps)),
     )
@@ -156,29 +160,22 @@ def _facts(maps: MetricMaps, altitude_m: float) -> dict[str, float]:
     return facts | {"correlation of m_gps and m_lidar": correlation}
 
 
-def _population(maps: MetricMaps, run: Mapping[str, Any]) -> str:
-    rows = []
-    for item in maps.times_of_day:
-        density = maps.m("density", time_of_day=item)
-        num_people = np.nansum(density, dtype=np.float64) * maps.grid.resolution_m**2 / 1e6
-        row = {"time of day": item, "people in the maps": f"{num_people:,.0f}"}
-        row |= {"densest cell (per km²)": f"{np.nanmax(density):,.0f}"}
-        rows.append(row | dict((run.get("population") or {}).get(item) or {}))
-    words = "Columns of districts, where there are any, count whole census blocks that touch the region."
-    return "\n\n".join(("## Population", words, framed(pd.DataFrame(rows))))
+def _people(maps: MetricMaps, run: Mapping[str, Any], item: str) -> dict[str, Any]:
+    """Return how many people the maps hold at a time of day, and what the record of a run says of them."""
+    density = maps.m("density", time_of_day=item)
+    num_people = np.nansum(density, dtype=np.float64) * maps.grid.resolution_m**2 / 1e6
+    row = {"time of day": item, "people in the maps": f"{num_people:,.0f}"}
+    row |= {"densest cell (per km²)": f"{np.nanmax(density):,.0f}"}
+    return row | dict((run.get("population") or {}).get(item) or {})
 
 
-def _paths(maps: MetricMaps, planned: Sequence[PlannedPath]) -> str:
-    rows = []
-    for path in planned:
-        best = min(other.cost for other in planned if other.altitude_m == path.altitude_m)
-        row = {"altitude (m)": path.altitude_m, "time of day": path.settings["time_of_day"] or "-"}
-        row |= {"planner": path.search.planner, "graph": path.search.graph or "-", "status": path.status.value}
-        row["search (s)"] = path.search.elapsed_s
-        if path.status.has_path:
-            row |= {"cost": path.cost, "above the cheapest": path.cost / best - 1 if best > 0 else np.nan}
-            row |= {"length (m)": path.length_m, **{f"mean m_{name}": path.metrics[name] for name in maps.metrics}}
-        rows.append(row | {"search (s)": path.search.elapsed_s})
-    return fill(
-        "summary_paths", rules=rules_said(*(path.settings for path in planned)), rows=framed(pd.DataFrame(rows))
-    )
+def _outcome(maps: MetricMaps, path: PlannedPath, planned: Sequence[PlannedPath]) -> dict[str, Any]:
+    """Return a path's row, beside the cheapest of its altitude."""
+    best = min(other.cost for other in planned if other.altitude_m == path.altitude_m)
+    row = {"altitude (m)": path.altitude_m, "time of day": path.settings["time_of_day"] or "-"}
+    row |= {"planner": path.search.planner, "graph": path.search.graph or "-", "status": path.status.value}
+    row["search (s)"] = path.search.elapsed_s
+    if path.status.has_path:
+        row |= {"cost": path.cost, "above the cheapest": path.cost / best - 1 if best > 0 else np.nan}
+        row |= {"length (m)": path.length_m, **{f"mean m_{name}": path.metrics[name] for name in maps.metrics}}
+    return row

@@ -20,7 +20,7 @@ REPORT_FILE = "report.md"
 def comparison_outputs(found: MapComparison, degrees: bool) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a comparison writes, by file name, and what it is of."""
     key: dict[str, Any] = {"maps": list(found.names), "of": [maps.identity for maps in (found.a, found.b)]}
-    key |= {"times": dict(found.part.times), "tolerance": found.tolerance}
+    key |= {"times": dict(found.times), "tolerance": found.tolerance}
     key["values"] = crc32(found.table.to_csv().encode())  # maps in memory have no name of their own
     figures = in_degrees(comparison_figures(found), found.grid, degrees)
     size = short_number(found.grid.resolution_m)
@@ -49,8 +49,8 @@ def comparison_markdown(found: MapComparison, figures: list[str]) -> str:
     same = [str(layer) for layer, share in found.most_changed.items() if not share > 0]
     first = found.table.time.isna() | (found.table.time == found.table.time.dropna().min())
     changed = found.table[first & ~found.table.layer.isin(same)].drop(columns="time").astype(object)
-    held, cut = found.a.facts, found.part.cut
-    left_out = bullets(f"{name}: {why}" for name, why in found.part.left_out.items())
+    held, cut = found.a.facts, found.cut
+    left_out = bullets(f"{name}: {why}" for name, why in found.left_out.items())
     return fill(
         "compare",
         found=found,
@@ -69,7 +69,7 @@ def _settings(found: MapComparison) -> str:
     """Return what the maps were made by: settings, times that are not the same, and norms of population."""
     a, b = (population_norms(maps) for maps in (found.a, found.b))
     rows = [(f"`{key}`", *pair) for key, pair in (found.settings or {}).items()]
-    rows += [("time of GPS", *pair) for pair in found.part.times.items() if pair[0] != pair[1]]
+    rows += [("time of GPS", *pair) for pair in found.times.items() if pair[0] != pair[1]]
     norms = [day for day in a if "population" in found.layers and a[day] != b.get(day, a[day])]
     rows += [(f"population is divided by, {day}", f"{a[day]:,.0f}", f"{b[day]:,.0f}") for day in norms]
     shown = [(name, *(NOT_SET if value is None else f"`{value}`" for value in pair)) for name, *pair in rows]

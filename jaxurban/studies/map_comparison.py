@@ -1,7 +1,7 @@
 """compare: two sets of maps of one place, cell by cell, on the part that both hold."""
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +31,15 @@ SAME = 1e-6  # values that differ by no more, as on another device, have not cha
 QUANTILES = (0.05, 0.5, 0.95)
 
 
-@dataclass(frozen=True, eq=False)
+class Place(NamedTuple):
+    """One map of a layer: its altitude, time and time of day, None where the layer does not vary along it."""
+
+    altitude_m: float | None = None
+    time: str | None = None
+    time_of_day: str | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class SharedPart:
     """Two sets of maps cut to what both hold, so that cell (y, x), altitude and time mean the same in both.
 
@@ -45,50 +53,8 @@ class SharedPart:
     a: MetricMaps
     b: MetricMaps
     times: Mapping[str, str]
-    left_out: Mapping[str, str] = field(default_factory=dict)
-    cut: tuple[int, int] = (0, 0)
-
-
-class Place(NamedTuple):
-    """One map of a layer: its altitude, time and time of day, None where the layer does not vary along it."""
-
-    altitude_m: float | None = None
-    time: str | None = None
-    time_of_day: str | None = None
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class MapComparison(Result):
-    """Maps B beside maps A, on the cells, altitudes, times and layers that both hold. ``Y`` rows, ``X`` columns.
-
-    Attributes:
-      part: the maps, cut to what they share.
-      names: what A and B are called.
-      table: a row a layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
-        hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A in the layer's ``unit``,
-        ``gained`` and ``lost``, the cells that are higher by more than ``tolerance`` in B and in A, and
-        ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` (cells that no planner enters) the
-        values are 1 where a cell is blocked and 0 elsewhere, and the cells all with data in both.
-      settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; None where one
-        of them was not made by `jaxurban maps`.
-      tolerance: up to which values are the same.
-    """
-
-    part: SharedPart
-    names: tuple[str, str]
-    table: pd.DataFrame
-    settings: Differing | None = field(default_factory=dict)
-    tolerance: float = SAME
-
-    @property
-    def a(self) -> MetricMaps:
-        """The maps A, cut to the part that B shares."""
-        return self.part.a
-
-    @property
-    def b(self) -> MetricMaps:
-        """The maps B, cut to the part that A shares; its times are called by A's."""
-        return self.part.b
+    left_out: Mapping[str, str]
+    cut: tuple[int, int]
 
     @property
     def grid(self) -> Grid:
@@ -97,30 +63,21 @@ class MapComparison(Result):
 
     @property
     def layers(self) -> tuple[str, ...]:
-        """The layers that are compared."""
-        return layers_of(self.part)
-
-    @property
-    def facts(self) -> dict[str, str]:
-        """What is compared, and how much of it changed."""
-        held = self.a.facts
-        facts = {"A": self.names[0], "B": self.names[1]} | {name: held[name] for name in ("grid", "CRS", "altitudes")}
-        facts["times"] = ", ".join(
-            of_a if of_a == of_b else f"{of_a} of A beside {of_b} of B" for of_a, of_b in self.part.times.items()
-        )
-        facts["cells changed, at most"] = ", ".join(f"{name} {share:.1%}" for name, share in self.most_changed.items())
-        facts["left out"] = ", ".join(self.part.left_out)
-        facts["settings that differ"] = ", ".join(self.settings or ())
-        return facts
-
-    @property
-    def most_changed(self) -> pd.Series:
-        """By layer, the largest share of cells that changed in any of its maps."""
-        return self.table.groupby("layer", sort=False)["share_changed"].max()
+        """The layers that both hold: blocked cells, the cost's metrics, then the others by name."""
+        metrics = [self.a.variable(name) for name in self.a.metrics]
+        others = sorted({*map(str, self.a.ds.data_vars)} - {"obstacle", "has_data", *metrics})
+        return (*MASKS, *metrics, *others)
 
     def places(self, layer: str) -> list[Place]:
         """Return the maps of a layer that are compared."""
-        return list(_places(self.part, layer))
+        dims = (ALTITUDE,) if layer == CLOSED else self.a.ds[layer].dims
+        held: dict[str, Sequence[Any]] = {
+            TIME: self.a.times,
+            ALTITUDE: self.a.altitudes_m,
+            TIME_OF_DAY: self.a.times_of_day,
+        }
+        chosen = itertools.product(*(held[dim] if dim in dims else (None,) for dim in held))
+        return [Place(z_m, time, day) for time, z_m, day in chosen]
 
     @typed
     def of(
@@ -139,8 +96,55 @@ class MapComparison(Result):
           InputError: no such layer, altitude or time in both.
         """
         first_m = self.places(one_of("layer", layer, self.layers))[0].altitude_m
-        place = Place(first_m if None in (first_m, altitude_m) else altitude_m, time, time_of_day)
-        return _difference(self.part, layer, place)
+        z_m = first_m if None in (first_m, altitude_m) else altitude_m
+        if z_m is None or layer in MASKS:
+            is_known = self.a.ds["has_data"].values & self.b.ds["has_data"].values
+        else:
+            is_known = self.a.is_free(z_m, "centre") & self.b.is_free(z_m, "centre")
+        a, b = (_values(maps, layer, Place(z_m, time, time_of_day)) for maps in (self.a, self.b))
+        with np.errstate(invalid="ignore"):
+            change = np.where(a == b, np.float32(0), b - a)  # two infinite values too
+        return np.where(is_known, change, np.float32(np.nan))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MapComparison(SharedPart, Result):
+    """Maps B beside maps A, on the cells, altitudes, times and layers that both hold. ``Y`` rows, ``X`` columns.
+
+    Attributes:
+      names: what A and B are called.
+      table: a row a layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
+        hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A in the layer's ``unit``,
+        ``gained`` and ``lost``, the cells that are higher by more than ``tolerance`` in B and in A, and
+        ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` (cells that no planner enters) the
+        values are 1 where a cell is blocked and 0 elsewhere, and the cells all with data in both.
+      settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; None where one
+        of them was not made by `jaxurban maps`.
+      tolerance: up to which values are the same.
+    """
+
+    names: tuple[str, str]
+    table: pd.DataFrame
+    settings: Differing | None = field(default_factory=dict)
+    tolerance: float = SAME
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What is compared, and how much of it changed."""
+        held = self.a.facts
+        facts = {"A": self.names[0], "B": self.names[1]} | {name: held[name] for name in ("grid", "CRS", "altitudes")}
+        facts["times"] = ", ".join(
+            of_a if of_a == of_b else f"{of_a} of A beside {of_b} of B" for of_a, of_b in self.times.items()
+        )
+        facts["cells changed, at most"] = ", ".join(f"{name} {share:.1%}" for name, share in self.most_changed.items())
+        facts["left out"] = ", ".join(self.left_out)
+        facts["settings that differ"] = ", ".join(self.settings or ())
+        return facts
+
+    @property
+    def most_changed(self) -> pd.Series:
+        """By layer, the largest share of cells that changed in any of its maps."""
+        return self.table.groupby("layer", sort=False)["share_changed"].max()
 
 
 @typed
@@ -175,15 +179,17 @@ def compare(
     part = shared_part(a, b.with_obstacles(b.rule or a.obstacles), times)
     rows: list[dict[str, Any]] = []
     with reporting("compare", progress) as report:
-        for number, layer in enumerate(names := layers_of(part)):
+        for number, layer in enumerate(names := part.layers):
             report("layers", number, len(names))
-            for place in _places(part, layer):
-                change = _difference(part, layer, place)
+            for place in part.places(layer):
+                change = part.of(layer, **place._asdict())
                 head = {"layer": layer, "unit": unit_of(part.a, layer), **place._asdict()}
                 rows.append(head | _statistics(change[~np.isnan(change)], tolerance))
         report("layers", len(names), len(names))
     settings = None if settings_a is None or settings_b is None else differing(settings_a, settings_b)
-    return MapComparison(part, (name_a, name_b), pd.DataFrame(rows), settings, tolerance)
+    return MapComparison(
+        **vars(part), names=(name_a, name_b), table=pd.DataFrame(rows), settings=settings, tolerance=tolerance
+    )
 
 
 def _side(maps: GivenMaps | MapsFolder, otherwise: str) -> tuple[MetricMaps, str, dict[str, Any] | None]:
@@ -198,38 +204,9 @@ def _side(maps: GivenMaps | MapsFolder, otherwise: str) -> tuple[MetricMaps, str
         return opened, str(folder), None
 
 
-def layers_of(part: SharedPart) -> tuple[str, ...]:
-    """Return the layers that two sets of maps share: blocked cells, the cost's metrics, then the others by name."""
-    metrics = [part.a.variable(name) for name in part.a.metrics]
-    others = sorted({*map(str, part.a.ds.data_vars)} - {"obstacle", "has_data", *metrics})
-    return (*MASKS, *metrics, *others)
-
-
 def unit_of(maps: MetricMaps, layer: str) -> str:
     """Return the unit of a layer."""
     return "1" if layer == CLOSED else str(maps.ds[layer].attrs.get("units", "1"))
-
-
-def _places(part: SharedPart, layer: str) -> Iterator[Place]:
-    dims = (ALTITUDE,) if layer == CLOSED else part.a.ds[layer].dims
-    held: dict[str, Sequence[Any]] = {
-        TIME: part.a.times,
-        ALTITUDE: part.a.altitudes_m,
-        TIME_OF_DAY: part.a.times_of_day,
-    }
-    for time, z_m, day in itertools.product(*(held[dim] if dim in dims else (None,) for dim in held)):
-        yield Place(z_m, time, day)
-
-
-def _difference(part: SharedPart, layer: str, place: Place) -> np.ndarray:
-    if place.altitude_m is None or layer in MASKS:
-        is_known = part.a.ds["has_data"].values & part.b.ds["has_data"].values
-    else:
-        is_known = part.a.is_free(place.altitude_m, "centre") & part.b.is_free(place.altitude_m, "centre")
-    a, b = (_values(maps, layer, place) for maps in (part.a, part.b))
-    with np.errstate(invalid="ignore"):
-        change = np.where(a == b, np.float32(0), b - a)  # two infinite values too
-    return np.where(is_known, change, np.float32(np.nan))
 
 
 def _values(maps: MetricMaps, layer: str, place: Place) -> np.ndarray:

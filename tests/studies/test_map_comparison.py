@@ -106,7 +106,7 @@ def test_only_the_cells_that_both_hold_are_compared_wherever_they_lie(maps):
     assert parts.grid.shape == (50, 80)
     assert (parts.grid.first_row, parts.grid.first_col) == (450_030, 58_010)
     np.testing.assert_array_equal(parts.of("risk", 20.0), whole.of("risk", 20.0)[30:, 10:90])
-    assert parts.part.cut == (30 * 80, 50 * 20)
+    assert parts.cut == (30 * 80, 50 * 20)
 
 
 def test_altitudes_times_of_day_and_layers_of_one_alone_are_left_out_by_name(maps):
@@ -115,8 +115,8 @@ def test_altitudes_times_of_day_and_layers_of_one_alone_are_left_out_by_name(map
     found = ju.studies.compare(a, MetricMaps(ds), progress=False)
     assert found.a.altitudes_m == found.b.altitudes_m == (60.0,)
     assert found.a.times_of_day == ("night",)
-    assert set(found.part.left_out) == {"altitude 20 m", "lidar"}
-    assert "only A" in found.part.left_out["lidar"]
+    assert set(found.left_out) == {"altitude 20 m", "lidar"}
+    assert "only A" in found.left_out["lidar"]
     want = b.m("population", time_of_day="night") - a.m("population", time_of_day="night")
     np.testing.assert_array_equal(found.of("population"), want)
 
@@ -130,7 +130,7 @@ def test_single_times_are_set_beside_each_other_and_several_need_pairs(maps):
     a, b = maps
     first, later = "2020-04-27T16:00:00Z", "2020-04-28T06:00:00Z"
     single = ju.studies.compare(a, at_time(b, later[:-1]), progress=False)
-    assert dict(single.part.times) == {first: later}
+    assert dict(single.times) == {first: later}
     both = at_time(b, later[:-1], "2020-04-29T06:00:00")
     with pytest.raises(ju.InputError, match="--time"):
         ju.studies.compare(a, both, progress=False)

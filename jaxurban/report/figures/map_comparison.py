@@ -90,7 +90,7 @@ def _label(found: MapComparison, layer: str) -> str:
 
 def _note(found: MapComparison, time: str | None) -> str:
     """Return the name of both, what each guesses, and each one's time where the layer has any."""
-    times = (None, None) if time is None else (time, found.part.times[time])
+    times = (None, None) if time is None else (time, found.times[time])
     lines = []
     for side, name, maps, its_time in zip("AB", found.names, (found.a, found.b), times, strict=True):
         guessed = guesses_said(maps, time is not None)
