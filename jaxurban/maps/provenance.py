@@ -15,6 +15,7 @@ import shapely
 
 from jaxurban.errors import readable
 from jaxurban.io.files import digest_of, read_json, write_json
+from jaxurban.io.read.guesses import leaving_shares
 from jaxurban.io.store import RUN_FILE, short_number
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
