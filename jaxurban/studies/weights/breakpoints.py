@@ -9,7 +9,7 @@ far as weighted sums reach it, is the same over the weights of its objectives al
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -46,6 +46,8 @@ class Partition:
       is_complete: every corner of every cell is verified by a search. If not, a route may be missing.
       tolerance: relative: no route is cheaper, anywhere, by more than this.
       num_plans: searches made.
+      names: the weights.
+      objectives: of a Pareto front, the names of the weights whose features are traded.
     """
 
     corners: np.ndarray
@@ -55,6 +57,8 @@ class Partition:
     is_complete: bool
     tolerance: float
     num_plans: int
+    names: tuple[str, ...]
+    objectives: tuple[str, ...] = ()
 
     def weights_at(self, shares: np.ndarray) -> np.ndarray:
         """Return the weights ``[..., K]`` at places ``[..., C]``."""
@@ -82,6 +86,14 @@ class Partition:
     def breakpoints(self) -> np.ndarray:
         """``[R - 1]`` of a line: the share of its second corner at each breakpoint, rising."""
         return np.array([cell[:, 1].max() for cell in self.cells[:-1]])
+
+    @property
+    def points(self) -> pd.DataFrame:
+        """Of a Pareto front a row a route: its features by the names of the objectives, and its outcomes."""
+        columns = [self.names.index(name) for name in self.objectives]
+        found = pd.DataFrame(self.features[:, columns], columns=list(self.objectives))
+        found.index = pd.RangeIndex(1, len(found) + 1, name="route")
+        return found.assign(**outcomes_of(self.integrals, self.names))
 
 
 def find_breakpoints(
@@ -130,6 +142,7 @@ def find_breakpoints(
         is_complete=is_complete,
         tolerance=tolerance,
         num_plans=pool.num_plans - before,
+        names=pool.names,
     )
 
 
@@ -177,21 +190,6 @@ def nearest_breakpoints(
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class ParetoFront:
-    """The supported part of a Pareto front.
-
-    Attributes:
-      objectives: names of the weights whose features are traded.
-      points: a row a route: its features by those names, and its outcomes.
-      partition: of the weights of the objectives: which route is cheapest where.
-    """
-
-    objectives: tuple[str, ...]
-    points: pd.DataFrame
-    partition: Partition
-
-
 def pareto_front(
     pool: RoutePool,
     objectives: Sequence[str],
@@ -199,7 +197,7 @@ def pareto_front(
     tolerance: float = EXACT,
     max_plans: int | None = None,
     on_plans: OnPlans | None = None,
-) -> ParetoFront:
+) -> Partition:
     """Return the routes that are best for some weights of two or three features, such as distance and population.
 
     No other route is as cheap in every chosen feature and better in one. These are the **supported** points only: the
@@ -221,11 +219,7 @@ def pareto_front(
     shares = np.eye(len(objectives)) * (1 - len(objectives) * LEAST) + LEAST
     corners = shares @ (alone / np.where(size > 0, size, 1.0)[:, None])
     found = find_breakpoints(pool, corners, tolerance=tolerance, max_plans=max_plans, on_plans=on_plans)
-    points = pd.DataFrame(found.features[:, columns], columns=list(objectives)).assign(
-        **outcomes_of(found.integrals, pool.names)
-    )
-    points.index = pd.RangeIndex(1, len(points) + 1, name="route")
-    return ParetoFront(tuple(objectives), points, found)
+    return replace(found, objectives=tuple(objectives))
 
 
 def check_objectives(objectives: Sequence[str], names: Sequence[str]) -> list[int]:

@@ -20,7 +20,6 @@ from jaxurban.studies.queries import RouteQuery, check_flat, cluster_routes, out
 from jaxurban.studies.result import Result
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import (
-    ParetoFront,
     Partition,
     check_objectives,
     check_tolerance,
@@ -73,7 +72,7 @@ class Sensitivity(Result):
     lines: dict[str, Partition]
     triangle_names: tuple[str, ...]
     triangle: Partition | None
-    front: ParetoFront
+    front: Partition
     clusters: np.ndarray
     representatives: np.ndarray
     line_routes: dict[str, list[np.ndarray]]
