@@ -14,31 +14,6 @@ from jaxurban.planners.registry import find_planner
 from jaxurban.settings import BUDGET_S, Vehicle, planning_under
 
 
-def under_preset(
-    preset: str, maps: MetricMaps, cost_model: CostModel | CostKind | None, constraints: Constraints | None
-) -> tuple[MetricMaps, CostModel, Constraints]:
-    """Return maps, cost model and constraints of routes.
-
-    What is left out is as it was given in the maps' scenario (`MetricMaps.recorded`), and else as the preset has it.
-
-    Args:
-      preset: a name (`jaxurban.settings.PRESETS`), ``""`` for the scenario's, else the defaults.
-      maps: under their rule of obstacles, or none of their own.
-      cost_model: taken whole, or its kind alone.
-      constraints: None: no zones and no bounds.
-
-    Raises:
-      InputError: an unknown preset, or recorded settings that are none.
-    """
-    planning = planning_under(preset, maps.recorded.get("planning", {}))
-    if preset and maps.rule is None:
-        maps = maps.with_obstacles(planning["obstacles"])
-    if not isinstance(cost_model, CostModel):
-        cost_model = CostModel.from_settings(planning | ({} if cost_model is None else {"cost_model": cost_model}))
-    limits = Constraints() if constraints is None else constraints
-    return maps, cost_model, limits.under(planning, Vehicle(**maps.recorded.get("vehicle", {})))
-
-
 def weights_on(maps: MetricMaps, given: GivenWeights) -> Weights:
     """Return weights that are given whole, or with what they do not name as the maps' scenario has it.
 
@@ -86,7 +61,7 @@ class MapQuery:
         """Return maps under their rule of obstacles, and the query, left out in which is what their scenario says.
 
         Args:
-          maps: from `build_maps` or `open_maps`.
+          maps: from `build_maps` or `open_maps`, under their rule of obstacles, or none of their own: the preset's.
           weights: numbers by name leave the others as the scenario has them, or as in `Weights()`.
           objective: ``"weighted"`` if left out.
           cost_model: or its kind alone: ``"line"``, the default, or ``"cell"`` (the paper).
@@ -99,15 +74,19 @@ class MapQuery:
         Raises:
           InputError: an unknown preset, objective or cost model, or a wrong weight.
         """
-        objective = one_of("objective", objective or "weighted", ("weighted", "distance"))
-        maps, cost_model, constraints = under_preset(preset, maps, cost_model, constraints)
+        planning = planning_under(preset, maps.recorded.get("planning", {}))
+        if preset and maps.rule is None:
+            maps = maps.with_obstacles(planning["obstacles"])
+        if not isinstance(cost_model, CostModel):
+            cost_model = CostModel.from_settings(planning | ({"cost_model": cost_model} if cost_model else {}))
+        limits = Constraints() if constraints is None else constraints
         return maps, MapQuery(
             time=time,
             time_of_day=time_of_day,
             weights=weights_on(maps, weights),
-            objective=objective,
+            objective=one_of("objective", objective or "weighted", ("weighted", "distance")),
             cost_model=cost_model,
-            constraints=constraints,
+            constraints=limits.under(planning, Vehicle(**maps.recorded.get("vehicle", {}))),
         )
 
 

@@ -21,7 +21,7 @@ from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
-from jaxurban.paths.preset import under_preset
+from jaxurban.paths.preset import MapQuery
 from jaxurban.planners.base import CostKind, Status
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.progress import Report
@@ -84,9 +84,10 @@ class RouteRules:
         CostModel.of(self.cost_model)
 
     def under(self, maps: MetricMaps) -> tuple[MetricMaps, Self]:
-        """Return maps and rules, with all that holds on them written out (`jaxurban.paths.preset.under_preset`)."""
-        maps, model, constraints = under_preset(self.preset, maps, self.cost_model, self.constraints)
-        return maps, replace(self, cost_model=model, constraints=constraints, preset="")
+        """Return maps and rules, with all that holds on them written out (`MapQuery.of`)."""
+        rules: dict[str, Any] = {"cost_model": self.cost_model, "constraints": self.constraints, "preset": self.preset}
+        maps, query = MapQuery.of(maps, **rules)
+        return maps, replace(self, cost_model=query.cost_model, constraints=query.constraints, preset="")
 
     def rules(self) -> dict[str, Any]:
         """Return cost model and constraints as plain, JSON-ready values."""

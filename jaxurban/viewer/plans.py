@@ -13,7 +13,7 @@ from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.export.write import FORMATS, WAYPOINTS
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.preset import under_preset, weights_on
+from jaxurban.paths.preset import MapQuery
 from jaxurban.paths.simplify import simplify
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import find_planner
@@ -43,8 +43,9 @@ class Plans:
     """
 
     def __init__(self, maps: MetricMaps, folder: str = "", weights: GivenWeights = None, preset: str = "") -> None:
-        self.maps, self.cost_model, self.limits = under_preset(preset, maps, None, None)
-        self.weights, self.folder = weights_on(maps, weights), folder
+        self.maps, query = MapQuery.of(maps, weights=weights, preset=preset)
+        self.cost_model, self.limits = query.cost_model, query.constraints
+        self.weights, self.folder = query.weights, folder
         self._cost_maps, self._routes, self._reports = (Kept(most, lambda _: 1) for most in (2, NUM_ROUTES, NUM_ROUTES))
 
     def route(self, query: Plan, at: Place) -> PlannedPath:

@@ -28,7 +28,7 @@ from jaxurban.paths.clearance import (
     distance_to_obstacles_m,
     kept_m,
 )
-from jaxurban.paths.preset import under_preset
+from jaxurban.paths.preset import MapQuery
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.notes import rules_said
@@ -386,8 +386,9 @@ def test_every_command_that_plans_takes_the_options_over_its_scenarios_settings(
     said = region | {"planning": KEPT, "vehicle": {"radius_m": 0.5, "speed_m_s": 9}}
     maps = scattered(5).with_recorded(settings_of(Scenario.from_dict(said)))
     vehicle = ju.Vehicle(radius_m=0.5, speed_m_s=9.0)
-    assert under_preset("", maps, None, given_constraints(given))[2] == ju.Constraints(**KEPT, vehicle=vehicle)
-    changed = under_preset("", maps, None, given_constraints(given | {"clearance_m": 0.0}))[2]
+    limits = MapQuery.of(maps, constraints=given_constraints(given))[1].constraints
+    assert limits == ju.Constraints(**KEPT, vehicle=vehicle)
+    changed = MapQuery.of(maps, constraints=given_constraints(given | {"clearance_m": 0.0}))[1].constraints
     assert changed == ju.Constraints(
         clearance_m=0.0, vertical_clearance_m=KEPT["vertical_clearance_m"], vehicle=vehicle
     )

@@ -15,7 +15,7 @@ from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import MOST_WEIGHT, Weights
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.preset import under_preset
+from jaxurban.paths.preset import MapQuery
 from jaxurban.paths.queries import WEIGHT_PREFIX, Query
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.base import CostKind
@@ -100,7 +100,8 @@ def sample_instances(
       InputError: ``num`` below 1, an unknown altitude, none or one twice, no weights, or too few free cells for any
         pair of places.
     """
-    maps, model, constraints = under_preset(preset, as_maps(maps), cost_model, constraints)
+    maps, query = MapQuery.of(as_maps(maps), cost_model=cost_model, constraints=constraints, preset=preset)
+    model, constraints = query.cost_model, query.constraints
     altitudes_m = maps.altitudes_m if altitudes_m is None else tuple(float(z) for z in altitudes_m)
     listed = None if isinstance(weights, str) else [each.checked(maps.metrics) for each in weights]
     if not altitudes_m or len(set(altitudes_m)) != len(altitudes_m):
