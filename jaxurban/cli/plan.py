@@ -18,7 +18,7 @@ from jaxurban.cli.common import (
     take_snap,
     tell,
 )
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, taken_by
 
 if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap
@@ -73,11 +73,10 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     """Plan a path over the maps in DIR."""
     from jaxurban.maps.levels import Levels
     from jaxurban.maps.metric_maps import open_maps
-    from jaxurban.paths.cost_map import cost_map
+    from jaxurban.paths.cost_map import map_for
     from jaxurban.paths.explain import check_flight, explain
     from jaxurban.paths.export.write import MISSION, encoder_of
-    from jaxurban.paths.plan import with_objective
-    from jaxurban.paths.preset import PathSearch
+    from jaxurban.paths.preset import MapQuery, PathSearch
     from jaxurban.paths.simplify import simplify
 
     with_report, is_volume, snap = given["with_report"], given["is_volume"], take_snap(given)
@@ -104,10 +103,8 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
         goal_altitude_m = altitude_m if given["goal_altitude_m"] is None else given["goal_altitude_m"]
         start, goal = (*start, altitude_m), (*goal, goal_altitude_m)
         altitude_m = Levels(**{name: given[name] for name in LEVEL_OPTIONS if given[name] is not None})
-    names = ("planner", "heuristic", "budget_s", "seed", "refine")
-    search = PathSearch.of(maps, is_volume, snap=snap, **{name: given[name] for name in names})
-    on = {name: given[name] for name in ("objective", "time", "time_of_day")} | given_rules(given)
-    shared = cost_map(maps, altitude_m, **with_objective(maps, on))
+    search = PathSearch.of(maps, is_volume, snap=snap, **taken_by(PathSearch.of, given))
+    shared = map_for(*MapQuery.of(maps, **taken_by(MapQuery.of, given | given_rules(given))), altitude_m)
     planned, maps = shared.planned(start, goal, search), shared.maps
     if simplify_m:
         planned = simplify(planned, shared, simplify_m)

@@ -13,9 +13,8 @@ import pandas as pd
 from jaxurban.errors import InputError, taken_by, typed
 from jaxurban.io.tables import fingerprint
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
-from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.cost_map import CostMap, map_for
 from jaxurban.paths.path import finish
-from jaxurban.paths.plan import with_objective
 from jaxurban.paths.preset import MapQuery, PathSearch
 from jaxurban.paths.queries import BatchResults, PlannedPaths, QueryResult, read_queries
 from jaxurban.paths.rows import BAD_INPUT, failure
@@ -79,15 +78,15 @@ def plan_many(
         raise InputError("refine is of a single plan: leave it out, and refine the paths that matter")
     if file is not None and (FilePath(file).suffix != ".parquet" or not FilePath(file).parent.is_dir()):
         raise InputError(f"file {str(file)!r} must end in .parquet and lie in a folder that exists")
-    maps, query = MapQuery.of(maps, **with_objective(maps, taken_by(MapQuery.of, asked)))
+    maps, query = MapQuery.of(maps, **taken_by(MapQuery.of, asked))
 
     @lru_cache(maxsize=max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(maps.grid.shape)))))
     def map_of(altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
-        return cost_map(maps, altitude_m, **vars(query) | {"time": time, "time_of_day": time_of_day})
+        return map_for(maps, replace(query, time=time, time_of_day=time_of_day), altitude_m)
 
-    when = {"time": query.time, "time_of_day": query.time_of_day}
-    map_of(maps.altitudes_m[0] if altitude_m is None else altitude_m, **when)  # what is wrong for all
-    batch = read_queries(queries, altitude_m=altitude_m, **when, weights=query.weights, metrics=maps.metrics)
+    map_of(maps.altitudes_m[0] if altitude_m is None else altitude_m, query.time, query.time_of_day)  # wrong for all
+    defaults = {"altitude_m": altitude_m, "metrics": maps.metrics} | taken_by(read_queries, vars(query))
+    batch = read_queries(queries, **defaults)
     book = BatchResults(batch, None if file is None else FilePath(file))
     job = _Job(map_of, search, backend, num_threads, strict, book)
     was_interrupted = False

@@ -319,7 +319,12 @@ def cost_map(maps: GivenMaps, altitude_m: float | Levels, **asked: Any) -> CostM
         map that is not there, bounds of altitude that hold no level, no free cell in a volume, or more of them than
         memory holds.
     """
-    maps, query = MapQuery.of(as_maps(maps), **asked)
+    objective = asked.get("objective") or "weighted"  # whatever the scenario minimises
+    return map_for(*MapQuery.of(as_maps(maps), **asked | {"objective": objective}), altitude_m)
+
+
+def map_for(maps: MetricMaps, query: MapQuery, altitude_m: float | Levels) -> CostMap:
+    """Return the cost map of a query (altitude and errors as in `cost_map`)."""
     query = replace(query, constraints=query.constraints.at(query.time))
     if isinstance(altitude_m, Levels):
         made = map_at(maps, altitude_m.of(maps.altitudes_m), altitude_m, query)

@@ -5,8 +5,8 @@ from typing import Any
 
 from jaxurban.errors import taken_by, typed
 from jaxurban.maps.levels import Levels
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
-from jaxurban.paths.cost_map import cost_map
+from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.paths.cost_map import map_for
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.preset import MapQuery, PathSearch
 from jaxurban.paths.snapping import Point, one_place
@@ -52,9 +52,4 @@ def plan(
     maps = as_maps(maps)
     search = PathSearch.of(maps, isinstance(altitude_m, Levels), **taken_by(PathSearch.of, asked))
     ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
-    return cost_map(maps, altitude_m, **with_objective(maps, taken_by(MapQuery.of, asked))).planned(*ends, search)
-
-
-def with_objective(maps: MetricMaps, asked: dict[str, Any]) -> dict[str, Any]:
-    """Return what is asked of a map, its objective the scenario's where none is named."""
-    return asked | {"objective": asked.get("objective") or maps.recorded.get("planning", {}).get("objective")}
+    return map_for(*MapQuery.of(maps, **taken_by(MapQuery.of, asked)), altitude_m).planned(*ends, search)

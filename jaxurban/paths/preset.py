@@ -13,6 +13,8 @@ from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.settings import BUDGET_S, Vehicle, planning_under
 
+OBJECTIVES = ("weighted", "distance")
+
 
 def weights_on(maps: MetricMaps, given: GivenWeights) -> Weights:
     """Return weights that are given whole, or with what they do not name as the maps' scenario has it.
@@ -63,7 +65,7 @@ class MapQuery:
         Args:
           maps: from `build_maps` or `open_maps`, under their rule of obstacles, or none of their own: the preset's.
           weights: numbers by name leave the others as the scenario has them, or as in `Weights()`.
-          objective: ``"weighted"`` if left out.
+          objective: if nothing names it, ``"weighted"``.
           cost_model: or its kind alone: ``"line"``, the default, or ``"cell"`` (the paper).
           time, time_of_day: where a time is named, zones that are not in force then, nor within an hour, close nothing
             (`Constraints.at`).
@@ -84,7 +86,7 @@ class MapQuery:
             time=time,
             time_of_day=time_of_day,
             weights=weights_on(maps, weights),
-            objective=one_of("objective", objective or "weighted", ("weighted", "distance")),
+            objective=one_of("objective", objective or planning.get("objective", "weighted"), OBJECTIVES),
             cost_model=cost_model,
             constraints=limits.under(planning, Vehicle(**maps.recorded.get("vehicle", {}))),
         )
