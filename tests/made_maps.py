@@ -51,3 +51,9 @@ def made_maps(
     }
     attrs = {"crs": grid.crs, "resolution_m": resolution_m, "first_row": grid.first_row, "first_col": grid.first_col}
     return MetricMaps(xr.Dataset(data, coords, attrs))
+
+
+def missing_inside(maps: MetricMaps, **attrs) -> MetricMaps:
+    """Return maps with NaN inside obstacles, as `build_maps` makes them, and more attributes."""
+    is_free, names = maps.ds["obstacle"] == 0, ("gps", "lidar", "risk")
+    return MetricMaps(maps.ds.assign({name: maps.ds[name].where(is_free) for name in names}).assign_attrs(attrs))

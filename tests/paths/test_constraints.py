@@ -15,7 +15,7 @@ from jaxurban.io.store import write_zarr
 from jaxurban.paths.constraints import Bound
 from jaxurban.planners.base import Status
 from tests.cli_runs import assert_one_sentence, run
-from tests.made_maps import made_maps
+from tests.made_maps import made_maps, missing_inside
 
 ALTITUDE_M = 20.0
 
@@ -234,3 +234,11 @@ def test_a_bound_that_closes_a_level_between_two_altitudes_is_named_with_the_nea
     assert reason == f"the bound gps>=0.4 (it is {maps.m('gps', 20.0)[row, col]:g} there at 20 m)"
     (reason,) = constraints.reasons(maps, 20.0, (row, col))
     assert reason.endswith("there)")
+
+
+def test_over_an_obstacle_of_the_map_below_the_upper_maps_value_breaks_a_bound(maps):
+    maps = missing_inside(maps)
+    gps = np.where(maps.m("roof") == 30.0, maps.m("gps", 60.0), np.nan)
+    row, col = np.argwhere(gps == np.nanmin(gps))[0]
+    reasons = ju.Constraints.read(require="gps>=0.99").reasons(maps, 35.0, (row, col))
+    assert reasons == [f"the bound gps>=0.99 (it is {gps[row, col]:g} there at 60 m)"]

@@ -14,7 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.planners.base import Status
 from tests.cli_runs import assert_one_sentence, run
-from tests.made_maps import made_maps
+from tests.made_maps import made_maps, missing_inside
 
 ALTITUDE_M = 20.0
 MODELS = (("cell", "line"), (4.0,), (4, 8), ("both-free", "always"))
@@ -257,3 +257,12 @@ def test_a_route_between_levels_has_the_cost_that_plan_told(maps, ends, model):
         for name, value in path.cost_by_layer.items():
             assert totals[f"cost_of_{name}"] == pytest.approx(value, rel=1e-9, abs=1e-9)
         assert totals["cost"] == pytest.approx(path.cost, rel=1e-9)
+
+
+def test_over_an_obstacle_of_the_map_below_every_number_is_known(maps):
+    maps = missing_inside(maps, risk_threshold_m=50.0, risk_distance="slice")
+    start, goal = (maps.grid.xy_of_cell(*cell) for cell in np.argwhere(maps.m("roof") == 30.0)[[0, -1]])
+    planned = ju.plan(maps, start_xy_m=start, goal_xy_m=goal, altitude_m=35.0)
+    profile = ju.explain(planned, maps).profile
+    assert (profile["roof_m"] == 30.0).any()
+    assert np.isfinite(profile[["gps", "lidar", "risk", "walls_outside_m", "nearest_wall_m"]]).all(axis=None)
