@@ -7,7 +7,8 @@ from matplotlib.figure import Figure
 
 from figures.paper.common import BOUNDS, HAS_CENSUS, MAP_M, SYNTHETIC, Caption, manhattan_blocks, save
 from jaxurban.io.read.rasterise import NO_BLOCK, burn
-from jaxurban.metrics.population import DENSITY, block_layers, map_blocks, population_totals
+from jaxurban.maps.provenance import population_totals
+from jaxurban.metrics.population import DENSITY, block_layers, map_blocks
 from jaxurban.report.figures import plot_population
 from jaxurban.report.figures.frame import NO_DATA_COLOUR, MapPanel, draw_maps
 from jaxurban.report.figures.metrics import EMPTY_COLOUR, colours_of, layers_above_zero

@@ -17,7 +17,8 @@ from figures.paper.common import (
     synthetic_city,
 )
 from figures.paper.table_5_people_by_time import MOSS
-from jaxurban.metrics.population import Population, population_totals
+from jaxurban.maps.provenance import population_totals
+from jaxurban.metrics.population import Population
 
 PAPER_MILLIONS = {"night": (0.97, 1.32), "day": (0.48, 3.96)}  # residential, commercial
 HEADS = ("Millions of people", "Residential", "Commercial", "Other", "All")

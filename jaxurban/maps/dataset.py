@@ -69,8 +69,8 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
         "satellites": ", ".join(task.sky.names),
         "constellations": ", ".join(sorted(set(task.sky.systems))),
     }
-    if "risk" in task.metrics:
-        attrs |= {f"risk_{name}": getattr(params.of("risk"), name) for name in ("threshold_m", "distance")}
+    for metric in task.metrics.values():
+        attrs |= {name: getattr(task.settings_of(metric), setting) for name, setting in metric.recorded.items()}
     if len(set(task.sky.systems)) > 1:
         attrs["gps_clocks"] = params.gps.clocks
     if attribution:
@@ -93,10 +93,6 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
         ds[name].attrs |= _attributes(variable, ds[name])
     if "pop_norm_per_block" in ds.attrs:
         ds["population"].attrs["one_means"] = "as many people in the block as the norm (pop_norm_per_block)"
-    if "protection" in task.metrics:
-        settings = task.settings_of(task.metrics["protection"])
-        for name in ("horizontal_alert_limit_m", "vertical_alert_limit_m"):
-            ds.attrs[name] = float(getattr(settings, name))
     for name, layer in task.layers.items():
         ds[name].attrs["layer"] = json.dumps(layer.record)
     return ds

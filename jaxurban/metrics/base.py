@@ -249,6 +249,7 @@ class Metric:
       available: which of these, 0 or 1, says that a position is available, for its share of the times of a series;
         "" where that is m above a threshold.
       is_monotone: one more satellite in view never makes m less, so that roofs from above and below bracket it.
+      recorded: setting of each attribute that its maps have, by the attribute's name.
       caveat: what every output of it says to whoever reads it.
       cell_bytes: what computing it holds at its highest, of each cell of a tile and of those within its reach; with a
         time, ``jaxurban.maps.memory`` adds what each altitude and each time of a series take.
@@ -272,6 +273,7 @@ class Metric:
     also: tuple[Variable, ...] = ()
     available: str = ""
     is_monotone: bool = True
+    recorded: Mapping[str, str] = field(default_factory=dict)
     caveat: str = ""
     cell_bytes: int = 16
 

@@ -9,22 +9,11 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import shapely
 from jax import lax
 from jaxtyping import Array, DTypeLike, Float, Int, Integer
 
 from jaxurban.errors import InputError, nearest_name, one_of, typed
-from jaxurban.metrics.base import (
-    TIME_OF_DAY,
-    AnyArray,
-    Metric,
-    Scale,
-    Scene,
-    SoftScene,
-    TracedScene,
-    Variable,
-    high_is_bad,
-)
+from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scale, Scene, SoftScene, TracedScene, Variable, high_is_bad
 from jaxurban.metrics.settings import check_value, differentiable
 from jaxurban.settings import each
 from jaxurban.world.city import Blocks, Zoning
@@ -140,9 +129,9 @@ class BlockLayers(NamedTuple):
       norm_per_km2: ``[T]`` float32 value at which m is 1 (people per block under ``quantity="count"``).
     """
 
-    m: AnyArray
-    density_per_km2: AnyArray
-    norm_per_km2: AnyArray
+    m: Any
+    density_per_km2: Any
+    norm_per_km2: Any
 
 
 class BlockPopulation(NamedTuple):
@@ -318,7 +307,7 @@ def block_layers(
 
 def _made_ready(
     blocks: Blocks, times_of_day: Sequence[str], params: Population, bounds_m: Bounds | None
-) -> tuple[BlockPopulation, Float[AnyArray, " D"]]:
+) -> tuple[BlockPopulation, Float[np.ndarray, " D"]]:
     """Return the blocks, and how far the population has moved from night to day at each time."""
     shares = np.array([day_share(time_of_day, params) for time_of_day in times_of_day], np.float32)
     return BlockPopulation.of(blocks, bounds_m), shares
@@ -328,34 +317,6 @@ def _made_ready(
 def layers_of_blocks(blocks: BlockPopulation, shares: Float[Array, " T"], params: Population) -> BlockLayers:
     """Return `block_values` at several times of day: one after the other, as one by one they have the same bits."""
     return BlockLayers(*lax.map(lambda share: block_values(blocks, share, params), shares))
-
-
-def population_totals(
-    blocks: Blocks, params: Population | None = None, bounds_m: Bounds | None = None, is_cut: bool = False
-) -> dict[str, dict[str, float]]:
-    """Return the people of the blocks by time of day and zoning, for run.json.
-
-    Keys are ``night`` and ``day``, under each ``commercial``, ``residential``, ``other`` and ``total``.
-    Every block counts whole, also where only a part of it lies in the box, unless ``is_cut``. float64.
-
-    Args:
-      blocks: the census blocks.
-      params: their gammas count; left out, the paper's.
-      bounds_m: count only the blocks that touch this box; left out, all.
-      is_cut: of a block that reaches beyond the box count only the people inside, spread evenly over its area.
-    """
-    params = params or Population()
-    count = blocks.night_count if bounds_m is None else blocks.night_count * blocks.touches(bounds_m)
-    if is_cut and bounds_m is not None:
-        inside_m2 = shapely.area(shapely.intersection(blocks.polygons, shapely.box(*bounds_m)))
-        count = count * inside_m2 / np.where(blocks.area_m2 > 0, blocks.area_m2, 1.0)
-    night = {
-        zoning.name.lower(): float(count[blocks.zoning == zoning].sum())
-        for zoning in (Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER)
-    }
-    gamma = {"commercial": params.gamma_commercial}
-    day = {name: count * gamma.get(name, params.gamma_residential) for name, count in night.items()}
-    return {name: {**counts, "total": sum(counts.values())} for name, counts in (("night", night), ("day", day))}
 
 
 def soft_population(

@@ -229,5 +229,6 @@ METRIC = Metric(
     one_means="no obstacle within the threshold",
     colour="#009e73",
     colour_map="inferno",
+    recorded={"risk_threshold_m": "threshold_m", "risk_distance": "distance"},
     cell_bytes=64,  # squared distances and what a pass over them holds
 )

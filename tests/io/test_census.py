@@ -6,7 +6,8 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.census import read_blocks
-from jaxurban.metrics.population import Population, population_totals
+from jaxurban.maps.provenance import population_totals
+from jaxurban.metrics.population import Population
 from jaxurban.world.city import OTHER_DISTRICT, Zoning
 
 CRS = "EPSG:32618"

@@ -12,7 +12,7 @@ from affine import Affine
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.read.census import read_blocks
-from jaxurban.metrics.population import population_totals
+from jaxurban.maps.provenance import population_totals
 from jaxurban.world.city import Buildings, City, Zoning
 from jaxurban.world.grid import Grid, transformer
 

@@ -22,10 +22,11 @@ from jaxurban.io.read.guesses import FLAT_GROUND, _scale_guesses, has_guessed_ro
 from jaxurban.io.read.orbits import nominal_satellites
 from jaxurban.io.read.rasterise import build_surface, burn, burn_touched
 from jaxurban.maps.build import view_sky
+from jaxurban.maps.provenance import population_totals
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.population import Population, block_layers, population_totals
+from jaxurban.metrics.population import Population, block_layers
 from jaxurban.report import figures as plotting
 from jaxurban.world.city import Blocks, City, Zoning
 from jaxurban.world.grid import WGS84, Grid, transformer

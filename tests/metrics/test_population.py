@@ -11,6 +11,7 @@ from rasterio.features import rasterize
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.census import read_blocks
+from jaxurban.maps.provenance import population_totals
 from jaxurban.metrics.population import (
     Population,
     block_metric,
@@ -19,7 +20,6 @@ from jaxurban.metrics.population import (
     density_per_km2,
     map_blocks,
     normaliser,
-    population_totals,
 )
 from jaxurban.world.city import Blocks, Zoning
 from tests.metrics.whole_maps import population_maps
