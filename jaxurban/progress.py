@@ -95,10 +95,8 @@ def reporting(title: str, progress: Progress = True) -> Iterator[Report]:
     """
     if isinstance(progress, Report):  # of the job that this one is a part of
         yield progress
-    elif not isinstance(progress, bool):
-        yield Report(progress)
-    elif not progress:
-        yield Report()
+    elif progress is not True:
+        yield Report(progress or None)
     else:
         report = _Bar(title) if sys.stderr.isatty() else _Lines(title)
         try:

@@ -108,10 +108,8 @@ def check_bounds(bounds: Sequence[float]) -> tuple[float, float, float, float]:
     try:
         west, south, east, north = (finite("bounds", value) for value in bounds)
     except (TypeError, ValueError) as error:
-        given = list(bounds) if np.iterable(bounds) else bounds
-        raise InputError(
-            f"bounds must be four finite numbers, west, south, east, north in degrees, got {given}"
-        ) from error
+        what = "four finite numbers, west, south, east, north in degrees"
+        raise InputError(f"bounds must be {what}, got {list(bounds) if np.iterable(bounds) else bounds}") from error
     if abs(south) > 90 or abs(north) > 90:
         raise InputError(
             f"bounds {list(bounds)} have a latitude beyond 90 degrees: the order is west, south, east, north "

@@ -108,13 +108,12 @@ def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
         raise InputError(
             f"orbits must name at least one source and none twice, got {list(map(str, sources))}: {REMEDY}"
         )
-    satellites: list[EarthSatellite] = []
-    origins: list[str] = []
-    for name in map(str, sources):
-        found = nominal_satellites(TABLE_DATE, _timescale()) if name == NOMINAL else _read_file(name)
-        satellites += found
-        origins += [name] * len(found)
-    orbits = Orbits(tuple(satellites), tuple(origins))
+    pairs = [
+        (satellite, name)
+        for name in map(str, sources)
+        for satellite in (nominal_satellites(TABLE_DATE, _timescale()) if name == NOMINAL else _read_file(name))
+    ]
+    orbits = Orbits(*zip(*pairs, strict=True))
     _check_twice(orbits)
     return orbits
 
