@@ -5,7 +5,7 @@ import pandas as pd
 
 from figures.paper.common import MAP_M, TOWNS, Caption, Town, save_table
 from jaxurban.maps.scenario import Scenario
-from jaxurban.metrics.rating import Rating, rating
+from jaxurban.metrics.gps import Rating, rating
 
 ALTITUDE_M, MIN_SATELLITES = 20.0, 4
 PAPER = (

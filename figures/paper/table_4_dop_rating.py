@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from figures.paper.common import ALTITUDES_M, MAP_M, TOWNS, Caption, Town, by_altitude, save_table
-from jaxurban.metrics.rating import RATING_UPPER_GDOP, Rating, rating
+from jaxurban.metrics.gps import RATING_UPPER_GDOP, Rating, rating
 
 PAPER = (
     "Six ratings of the dilution of precision (DOP), from 1, ideal, to above 20, poor. No share of the city is given."

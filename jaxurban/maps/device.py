@@ -93,7 +93,7 @@ def bind_workers(name: str, num_workers: int) -> tuple[Gpu, ...]:
         if name == "gpu":
             raise InputError(NO_GPU)
         return ()
-    bound = gpus_of_workers(gpus, num_workers)
+    bound = tuple(gpus[:num_workers])  # worker n has the n-th
     kinds = " or ".join(sorted({gpu.kind for gpu in bound}))
     told = f"device: {len(bound)} worker process{'es' * (len(bound) > 1)}, each with a GPU of its own ({kinds})"
     if None not in (limits := {gpu.limit_bytes for gpu in bound}):
@@ -102,11 +102,6 @@ def bind_workers(name: str, num_workers: int) -> tuple[Gpu, ...]:
         told += f"; {num_workers} were asked for, and more than one a GPU would only share it"
     LOG.info(told)
     return bound
-
-
-def gpus_of_workers(gpus: Sequence[Gpu], num_workers: int) -> tuple[Gpu, ...]:
-    """Return the GPU of each worker process: worker n has the n-th, and there are no more workers than GPUs."""
-    return tuple(gpus[:num_workers])
 
 
 def visible_names(places: Sequence[int], visible: str | None) -> list[str]:

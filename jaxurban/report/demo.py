@@ -13,7 +13,7 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import PAPER_PLANNERS, Scenario
-from jaxurban.metrics.rating import Rating, rating
+from jaxurban.metrics.gps import Rating, rating
 from jaxurban.paths.export.write import write_path
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import plan

@@ -73,9 +73,10 @@ UUIDS = "GPU-8932f937-d72c-4106-c12f-20bd9faed9f6, GPU-b6eb34d8-a2f8-4ac0-a1a0-6
 
 @pytest.mark.parametrize("num_workers", [1, 2, 3, 8, 16])
 @pytest.mark.parametrize("num_gpus", [1, 2, 8])
-def test_every_worker_has_a_gpu_of_its_own_and_there_are_no_more_workers_than_gpus(num_gpus, num_workers):
+def test_every_worker_has_a_gpu_of_its_own_and_there_are_no_more_workers_than_gpus(monkeypatch, num_gpus, num_workers):
     gpus = [Gpu(str(n)) for n in range(num_gpus)]
-    bound = device.gpus_of_workers(gpus, num_workers)
+    monkeypatch.setattr(device, "find_gpus", lambda: gpus)
+    bound = device.bind_workers("gpu", num_workers)
     assert len(bound) == len(set(bound)) == min(num_gpus, num_workers)
     assert set(bound) <= set(gpus)
 

@@ -10,8 +10,7 @@ import pytest
 from jaxurban.errors import InputError
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
-from jaxurban.metrics.gps import Gps, SatelliteSet, gps_metric, hard, maps_of_words
-from jaxurban.metrics.rating import Rating, rating
+from jaxurban.metrics.gps import Gps, Rating, SatelliteSet, gps_metric, hard, maps_of_words, rating
 from jaxurban.metrics.visibility import shadow_reach_m, visibility
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface

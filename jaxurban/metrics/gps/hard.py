@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
+from enum import IntEnum
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -123,6 +124,7 @@ class Gps:
         return self.series == "epochs" or (self.series == "auto" and num_times <= MAX_STORED_TIMES)
 
 
+RATING_UPPER_GDOP = (1.0, 4.0, 6.0, 8.0, 20.0)  # the paper's table of DOP ratings, Poor above the last
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
 BLOCK_CELLS = 2**11  # cells whose DOPs are made at once, by one core: what they need in between fits its cache
 WIDE_BLOCK_CELLS = 2**22  # the same on a GPU, which has a launch for every block
@@ -252,3 +254,19 @@ class SatelliteSet:
             for block in np.split(padded, padded.shape[1] // BLOCK_CELLS, axis=1)
         ]
         return [np.concatenate(parts)[:num] for parts in zip(*blocks, strict=True)], number
+
+
+class Rating(IntEnum):
+    """The paper's classes of GDOP."""
+
+    IDEAL = 0  # 1 and less
+    EXCELLENT = 1  # above 1, up to 4
+    GOOD = 2  # up to 6
+    MODERATE = 3  # up to 8
+    FAIR = 4  # up to 20
+    POOR = 5  # above 20, or undetermined
+
+
+def rating(gdop: np.ndarray) -> np.ndarray:
+    """Return the `Rating` of each GDOP as uint8, in the shape given; upper limits count in."""
+    return np.searchsorted(RATING_UPPER_GDOP, gdop, side="left").astype(np.uint8)

@@ -14,7 +14,7 @@ from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
 from jaxurban.metrics.custom import colour_of, held_variables
-from jaxurban.metrics.rating import RATING_UPPER_GDOP, Rating, rating
+from jaxurban.metrics.gps import RATING_UPPER_GDOP, Rating, rating
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR, derived
 from jaxurban.report.figures.frame import (
