@@ -6,9 +6,8 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.io.read.city import read_buildings
-from jaxurban.io.read.guesses import leaving_shares, outside_share
-from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster, rays_leaving
+from jaxurban.io.read.city import area_of_outlines, area_of_raster, read_buildings
+from jaxurban.io.read.guesses import leaving_shares, outside_share, rays_leaving
 from jaxurban.maps.build import view_sky
 from jaxurban.world.city import Buildings, Raster
 

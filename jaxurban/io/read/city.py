@@ -10,16 +10,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import shapely
 
 from jaxurban import settings
 from jaxurban.errors import InputError
 from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.guesses import FLAT_GROUND, count_guesses, district_guesses, height_guesses, warn_of
-from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster
 from jaxurban.io.read.osm import OSM_SUFFIXES, format_of, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, box_between, count_tags, meets, to_buildings
 from jaxurban.io.read.raster import RASTER_SUFFIXES, check_range, raster_extent_m, read_raster
+from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
 from jaxurban.metrics.gps import Gps
@@ -34,6 +35,8 @@ OUTLINE_READERS: dict[str, OutlineReader] = {
     **dict.fromkeys(OSM_SUFFIXES, lambda path, near, has_decks: read_osm(path, has_decks=has_decks)),
     **dict.fromkeys(VECTOR_SUFFIXES, lambda path, near, has_decks: read_vector(path, near)),
 }
+GAP_M = 500.0  # side of the bins: buildings in bins that touch know what lies between them (streets, parks, rivers)
+BLOCKS_A_SIDE = 64  # into which a raster with holes is cut
 LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
 TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
 RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
@@ -235,3 +238,48 @@ def _read_roofs(path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrai
         issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
     check_range(name, raster.values if kind == "height" else roofs.values, (LOWEST_ROOF_M, MAX_HEIGHT_M))
     return BuildingSource(None, roofs, area_of_raster(roofs, crs), raster_extent_m(path, crs), issues, {})
+
+
+def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.Geometry:
+    """Return the area that a file of outlines knows: the boxes that it declares, and a box around each settlement.
+
+    A building far off has a box of its own, and does not make the land between known.
+
+    Args:
+      polygons: ``[N]`` the outlines.
+      boxes: what the file declares to cover.
+    """
+    declared = shapely.union_all([shapely.box(*box) for box in boxes])
+    is_inside, is_apart = shapely.covers(declared, polygons), ~shapely.intersects(declared, polygons)
+    on_border = shapely.box(*shapely.bounds(polygons[~is_inside & ~is_apart]).T)
+    declared = shapely.union_all([declared, *on_border])
+    bounds = shapely.bounds(polygons[is_apart])
+    if not len(bounds):
+        return declared
+    centre = (bounds[:, :2] + bounds[:, 2:]) / 2
+    col, row = np.floor(centre / GAP_M).astype(np.int64).T
+    _, first, owner = np.unique(col * 2**32 + row, return_index=True, return_inverse=True)
+    low = np.stack([col[first], row[first]], axis=1) * GAP_M
+    # Grown by a little, so that bins that touch at a corner are joined.
+    grown = shapely.box(*(low - 1.0).T, *(low + GAP_M + 1.0).T)
+    parts = shapely.get_parts(shapely.union_all(grown))
+    part_of_bin = np.empty(len(low), int)
+    found_bin, found_part = shapely.STRtree(parts).query(shapely.points(low + GAP_M / 2), predicate="within")
+    part_of_bin[found_bin] = found_part
+    hulls = pd.DataFrame(bounds).groupby(part_of_bin[owner]).agg({0: "min", 1: "min", 2: "max", 3: "max"})
+    return shapely.union_all([declared, *shapely.box(*hulls.to_numpy().T)])
+
+
+def area_of_raster(raster: Raster, crs: str) -> shapely.Geometry:
+    """Return the area in ``crs`` where a raster holds data, in blocks."""
+    num_rows, num_cols = raster.values.shape
+    is_known = np.isfinite(raster.values)
+    if is_known.all():
+        shapes = [shapely.box(0, 0, num_cols, num_rows)]
+    else:
+        row, col = (np.unique(np.linspace(0, size, BLOCKS_A_SIDE + 1).astype(int)) for size in (num_rows, num_cols))
+        has_any = np.logical_or.reduceat(np.logical_or.reduceat(is_known, row[:-1], axis=0), col[:-1], axis=1)
+        i, j = np.nonzero(has_any)
+        shapes = [shapely.union_all(shapely.box(col[j], row[i], col[j + 1], row[i + 1]))]
+    area = shapely.segmentize(shapes[0], max(num_rows, num_cols) / BLOCKS_A_SIDE)
+    return shapely.transform(area, lambda x, y: pixel_xy(raster, y, x, crs), interleaved=False)

@@ -4,6 +4,7 @@ They are written down where they are made: on the `City` by what reads it, on th
 `region_guesses` what a region's maps add. The maps hold all (`MetricMaps.guesses`), and each is warned of once.
 """
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +15,6 @@ import shapely
 from jaxurban import settings
 from jaxurban.errors import GuessWarning
 from jaxurban.io.read.heights import LAYER_CLEARANCE_M
-from jaxurban.io.read.knownarea import rays_leaving
 from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.metrics.population import BlockLayers, Population, region_blocks
@@ -30,6 +30,7 @@ FLAT_GROUND = {
 }
 EMPTY_SHARE = 0.10  # of the region without a census block (rivers and the sea often have none), of a layer's pixels
 SCALE_M, SCALE_SHARE = 1 / 3, 0.01  # no more than this share of inhabited blocks above this m: few set the scale
+MOST_RAYS = 200_000  # followed to tell how many leave the data: a second or so
 SIDE_POINTS = 32  # along each side of a raster's outline, which another CRS bends
 NOMINAL_SKY, ELEMENTS_TIME = "nominal satellites", "time of the elements"
 BEYOND_DATA = "lines of sight to satellites leave the data"
@@ -291,3 +292,27 @@ def _scale_guesses(blocks: Blocks, bounds_m: Bounds, population_layers: BlockLay
             )
         }
     return {}
+
+
+def rays_leaving(city: City, region: Grid, east_m: np.ndarray, north_m: np.ndarray) -> np.ndarray:
+    """Return which rays leave the place where buildings and terrain are known, ``[N, K]`` bool.
+
+    Args:
+      city: whose data are known.
+      region: rays start at N of its cells' centres, evenly spread: all of them, or as many as make `MOST_RAYS`.
+      east_m, north_m: ``[K]`` how far each ray runs.
+    """
+    known = city.known_area
+    if city.terrain_extent_m is not None:
+        known = shapely.intersection(known, shapely.box(*city.terrain_extent_m))
+    shapely.prepare(known)
+    stride = math.ceil(math.sqrt(region.num_rows * region.num_cols * max(len(east_m), 1) / MOST_RAYS))
+    x_m, y_m = np.meshgrid(*(at_m[min(stride, len(at_m)) // 2 :: stride] for at_m in (region.x_m, region.y_m)))
+    start_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)[:, None]
+    rays = np.stack(np.broadcast_arrays(start_m, start_m + np.stack([east_m, north_m], axis=-1)), axis=-2)
+    stays = np.zeros(rays.shape[:2], bool)
+    for part in shapely.get_parts(known):
+        if shapely.equals(part, box := shapely.box(*part.bounds)):  # convex: both ends tell, without a geometry a ray
+            stays |= ((rays >= box.bounds[:2]) & (rays <= box.bounds[2:])).all(axis=(2, 3))
+    stays[~stays] = shapely.covers(known, shapely.linestrings(rays[~stays]))
+    return ~stays
