@@ -240,6 +240,7 @@ def test_titles_name_paths_only_where_there_are_some(maps, tmp_path):
     for figure in (plotting.plot_paths(maps, {}), plotting.plot_overview(maps, {})):
         assert "paths" not in texts_of(figure)
         assert "goal" not in texts_of(figure)
+    assert "ptp\n(blocked)" in texts_of(plotting.plot_overview(maps, make_paths(maps)))
     for figure in (plotting.plot_paths(maps, make_paths(maps)), plotting.plot_overview(maps, make_paths(maps))):
         assert "and paths" in texts_of(figure)
         assert {"start", "goal"} <= set(texts_of(figure).splitlines())

@@ -120,7 +120,7 @@ def plot_paths(
     )
     note = "\n".join(filter(None, [note, rules_said(*(path.settings for path in every))]))
     heading = f"Cost{' and paths' if every else ''}, by altitude above ground"
-    legend = [*obstacle_patches(maps, BLOCKED_COLOUR), *path_entries(colours, every)]
+    legend: list[LegendEntry] = [*obstacle_patches(maps, BLOCKED_COLOUR), *path_entries(colours, every)]
     figure, axes = draw_maps(maps.grid, panels, heading, note, legend=legend, colours=scale)
     for panel, (*_, planned) in zip(axes, of_panels, strict=True):
         draw_paths(panel, planned, [colours[name_of[id(path)]] for path in planned])
@@ -179,7 +179,7 @@ def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]
     draw_ends(panel, paths)
 
 
-def path_entries(colours: Mapping[str, str], paths: Sequence[PlannedPath]) -> list[LegendEntry]:
+def path_entries(colours: Mapping[str, str], paths: Sequence[PlannedPath]) -> list[Line2D]:
     """Return the legend's entries of the names that paths are drawn under, and of their ends where one was found."""
     lines = [Line2D([], [], color=colour, linewidth=2.5, label=shortened(name)) for name, colour in colours.items()]
     return [*lines, *(ENDS if any(path.status.has_path for path in paths) else ())]
@@ -234,7 +234,11 @@ def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = N
         for title, layers, label in shown
     ]
     line_colours = planner_colours(path.search.planner for path in planned)
-    legend = [*obstacle_patches(maps), ("obstacle (cost)", BLOCKED_COLOUR), *path_entries(line_colours, planned)]
+    entries = path_entries(line_colours, planned)
+    for path, line in zip(planned, entries, strict=False):
+        if not path.status.has_path:
+            line.set_label(f"{line.get_label()}\n({path.status.value})")
+    legend: list[LegendEntry] = [*obstacle_patches(maps), ("obstacle (cost)", BLOCKED_COLOUR), *entries]
     heading = f"Metric maps{what}, {z:g} m above ground"
     note = "\n".join(filter(None, [frame_note(maps, time), rules_said(*(path.settings for path in planned))]))
     figure, axes = draw_maps(maps.grid, panels, heading, note, legend=legend, has_ticks=False)
