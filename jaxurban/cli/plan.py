@@ -51,13 +51,7 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 @click.option("--power", "power_w", type=float, help="Watts in flight, for energy.  [default: the vehicle's]")
 @click.option("--swath", "swath_m", type=float, help="Of the strip of people overflown, metres.  [default: 10]")
 @click.option("--profile", type=PATH, help="Draw what the route meets, as PNG.")
-@click.option(
-    "-o",
-    "files",
-    type=PATH,
-    multiple=True,
-    help="As its suffix says: .geojson, .kml, .gpx, .plan ...; repeatable.",
-)
+@click.option("-o", "files", type=PATH, multiple=True, help="Such as a .geojson, .kml, .gpx or .plan; repeatable.")
 @click.option(
     "--simplify",
     "simplify_m",

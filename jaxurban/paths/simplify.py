@@ -38,16 +38,16 @@ def simplify(planned: PlannedPath, on: CostMap, tolerance_m: float) -> PlannedPa
         return planned
     _check_same_maps(planned, on)
     points_m = planned.search.points_m
-    found = simplify_path(on.problem, planned.search, tolerance_m)
-    after = measured(on, found.points_m)
-    moved_m = farthest(points_m[:, :2], found.points_m[:, :2])
+    simpler = simplify_path(on.problem, planned.search, tolerance_m)
+    after = measured(on, simpler.points_m)
+    moved_m = farthest(points_m[:, :2], simpler.points_m[:, :2])
     said = (
-        f"Simplified to {tolerance_m:g} m: {len(found.points_m)} of {len(points_m)} waypoints, at most {moved_m:.2f} m "
-        f"from the planned path; {_change(planned.cost, after['cost'])}."
+        f"Simplified to {tolerance_m:g} m: {len(simpler.points_m)} of {len(points_m)} waypoints, at most "
+        f"{moved_m:.2f} m from the planned path; {_change(planned.cost, after['cost'])}."
     )
-    search = replace(found, note=" ".join(filter(None, (found.note, said))))
+    search = replace(simpler, note=" ".join(filter(None, (simpler.note, said))))
     settings = {**planned.settings, "simplify_m": tolerance_m}
-    return replace(planned, **after, status=found.status, search=search, settings=settings)
+    return replace(planned, **after, status=simpler.status, search=search, settings=settings)
 
 
 def _change(before: float, after: float) -> str:
