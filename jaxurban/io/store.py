@@ -8,9 +8,8 @@ the same, it would be blocked cells, NaN or no satellite, not free air.
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -18,7 +17,6 @@ import dask.array
 import numpy as np
 import pyproj
 import xarray as xr
-import zarr
 from numcodecs import Zstd
 from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
@@ -201,26 +199,16 @@ def write_layer(
     Raises:
       InputError: it cannot be written.
     """
-    array, (rows, cols) = _array_of(path / name), window
-    north, (num_rows, num_cols) = array.shape[-2] - rows.stop, array.chunks[-2:]
-    own = slice(len(values) - rows.stop + rows.start, None), slice(cols.stop - cols.start)
-    values = values[own][::-1]
-    chunk = np.full((num_rows, num_cols), array.fill_value, array.dtype)
+    array, (rows, cols) = json.loads((path / name / ".zarray").read_bytes()), window
+    north, (num_rows, num_cols), dtype = array["shape"][-2] - rows.stop, array["chunks"][-2:], np.dtype(array["dtype"])
+    window = slice(len(values) - rows.stop + rows.start, None), slice(cols.stop - cols.start)
+    values = values[window][::-1]
+    chunk = np.full((num_rows, num_cols), no_value(dtype) or 0, dtype)
     chunk[: len(values), : values.shape[1]] = values
-    key = array.metadata.encode_chunk_key((*index, north // num_rows, cols.start // num_cols))
-    data = bytes(array.metadata.compressor.encode(chunk))
+    key = ".".join(map(str, (*index, north // num_rows, cols.start // num_cols)))
+    data = bytes(COMPRESSOR.encode(chunk))
     write_whole(path / name / key, data)
     return {f"{name}/{key}": checksum_of(data)}
-
-
-def _array_of(path: Path) -> Any:
-    """Return an array of a Zarr, to be looked at; opening one takes as long as writing half a million cells."""
-    return _opened(path, (path / ".zarray").stat().st_mtime_ns)
-
-
-@lru_cache(maxsize=256)
-def _opened(path: Path, changed_ns: int) -> Any:
-    return zarr.open_array(path, mode="r", zarr_format=2)
 
 
 def put_zarr(made: Path, path: Path, checksums: Mapping[str, str]) -> None:
@@ -300,20 +288,15 @@ class _Opened(NamedTuple):
 
     @classmethod
     def at(cls, path: Path) -> "_Opened":
-        return cls(path, cls._place(path), (path / METADATA).read_bytes())
-
-    @staticmethod
-    def _place(path: Path) -> tuple[int, int]:
-        found = (path / METADATA).stat()
-        return found.st_ino, found.st_mtime_ns
+        place = (path / METADATA).stat()
+        return cls(path, (place.st_ino, place.st_mtime_ns), (path / METADATA).read_bytes())
 
     def check(self) -> None:
         """Raise RemadeError unless the Zarr is still the one that was opened, or was mended by the same run."""
         with suppress(OSError):
-            if self.place == self._place(self.path):
-                return
+            now = _Opened.at(self.path)
             # Maps that were saved from Python have no key of a run: the same metadata may go with other values.
-            if b'"run_key"' in self.metadata and self.metadata == (self.path / METADATA).read_bytes():
+            if self.place == now.place or (b'"run_key"' in self.metadata and self.metadata == now.metadata):
                 return
         raise RemadeError(
             f"the maps in {str(self.path)!r} were made again or removed since they were opened: open them again"
@@ -343,7 +326,7 @@ class _Map(BackendArray):
                 values[values == no_value(values.dtype)] = self.name == "obstacle"
         except Exception as error:
             self.opened.check()
-            raise _damage_in(self.opened.path, (self.name,)) or error from error
+            raise _damage_in(self.opened.path, self.name) or error from error
         self.opened.check()  # after reading: metadata go first where maps are removed, and come last
         return values
 
@@ -399,11 +382,11 @@ def _recorded(path: Path) -> dict[Path, set[str]]:
     return {folder / name: checksums for name, checksums in recorded(folder).items() if name.startswith(prefix)}
 
 
-def _damage_in(path: Path, names: Iterable[str] = ()) -> InputError | None:
-    """Return the error that names a damaged file of a Zarr, of these arrays or of all, if any is."""
-    found = (file for file, checksums in _recorded(path).items() if not is_as_written(file, checksums))
-    found = (file for file in found if not names or file.parent.name in names)
-    return next((_damaged(file, "is damaged or cannot be read") for file in found), None)
+def _damage_in(path: Path, name: str = "") -> InputError | None:
+    """Return the error that names a damaged file of a Zarr, of one array or of all, if any is."""
+    files = {file: of for file, of in _recorded(path).items() if file.parent.name == name or not name}
+    damaged = (file for file, checksums in files.items() if not is_as_written(file, checksums))
+    return next((_damaged(file, "is damaged or cannot be read") for file in damaged), None)
 
 
 def _damaged(file: Path, what: str) -> InputError:

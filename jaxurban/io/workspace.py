@@ -7,14 +7,14 @@ journal, a line each, which a killed run leaves behind, and at the end of the ru
 
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, reason_of
 from jaxurban.io.files import (
     ELSEWHERE,
     LOCK_FILE,
@@ -79,8 +79,7 @@ class Workspace:
           overwrite: remove what this command wrote there before; what was changed since, or is not its own, stays.
           is_shared: other commands and the user may have files there; else only a folder that is empty, or this
             command's with all of its files as they were written, is taken.
-          is_mended: files of these ``names`` may have changed since this command wrote them: they move to
-            `KEPT_FOLDER` when it writes them again.
+          is_mended: files of these ``names`` may have changed since this command wrote them.
 
         Raises:
           InputError: the folder cannot be written to, another run holds it, it is another command's or of other
@@ -94,7 +93,8 @@ class Workspace:
                 is_first = command not in sections
                 held = sections.setdefault(command, {"settings": {}, "written": {}})
                 workspace = cls(folder, command, held["settings"], held["written"], is_mended)
-                workspace._check_folder(list(sections), is_first, is_shared)
+                if not is_shared:
+                    workspace._check_alone(sections, is_first)
                 workspace.check_way((folder / name for name in names), is_mended=is_mended)
                 if not is_first:
                     workspace._replace(now, overwrite)
@@ -139,10 +139,8 @@ class Workspace:
             with cls.open(folder, command, names=names, is_shared=is_shared):
                 pass
 
-    def _check_folder(self, commands: Sequence[str], is_first: bool, is_shared: bool) -> None:
-        if is_shared:
-            return
-        if others := [name for name in commands if name != self.command]:
+    def _check_alone(self, sections: Sections, is_first: bool) -> None:
+        if others := [name for name in sections if name != self.command]:
             raise InputError(f"{str(self.folder)!r} holds what `jaxurban {others[0]}` wrote: {ELSEWHERE}")
         if is_first and (found := _files_under(self.folder)):
             raise InputError(
@@ -195,20 +193,14 @@ class Workspace:
         return [path for path, is_whole in zip(paths, each(self.is_own, paths), strict=True) if not is_whole]
 
     def check_way(self, paths: Iterable[Path], remedy: str = ELSEWHERE, *, is_mended: bool = False) -> None:
-        """Raise InputError if anything is at these paths, or in place of a folder of theirs, that is not as written.
-
-        ``is_mended``: what this command wrote may have changed since, as it is set aside later.
-        """
+        """Raise InputError if what is in the way of these paths is not own, nor, if ``is_mended``, own and changed."""
         for path in paths:
             if obstacle := self._obstacle(path):
                 what = "link" if obstacle.is_symlink() else "file"
                 raise InputError(f"{str(obstacle)!r} is a {what} in the way of a folder: move it, or {remedy}")
             if os.path.lexists(path) and not self.is_own(path) and not (is_mended and self.is_changed(path)):
-                raise self._in_the_way(path, remedy)
-
-    def _in_the_way(self, path: Path, remedy: str = ELSEWHERE) -> InputError:
-        why = f"it is not as `jaxurban {self.command}` wrote it"
-        return InputError(f"{str(path)!r} is in the way ({why}): move it, or {remedy}")
+                why = f"it is not as `jaxurban {self.command}` wrote it"
+                raise InputError(f"{str(path)!r} is in the way ({why}): move it, or {remedy}")
 
     def begin(self, scratch: Path) -> None:
         """Record the name of a file that is about to be written, so that it is swept if the run is killed."""
@@ -273,7 +265,8 @@ class Workspace:
             aside.parent.mkdir(parents=True, exist_ok=True)
             path.rename(aside)
         except OSError as error:
-            raise self._in_the_way(path) from error
+            why = f"and cannot be moved ({reason_of(error)})"
+            raise InputError(f"{str(path)!r} is in the way {why}: move it, or {ELSEWHERE}") from error
         LOG.warning(f"{str(path)!r} was not as `jaxurban {self.command}` wrote it: it is {str(aside)!r} now")
 
     def remove_all(self) -> None:
@@ -287,17 +280,15 @@ class Workspace:
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove those files that are own, and folders that are empty then; forget those that are not there."""
-        folders: set[Path] = set()
-        gone = []
-        for name in list(names):
-            path = self.folder / name
+        listed, folders = list(dict.fromkeys(names)), set[Path]()
+        for path in [self.folder / name for name in listed]:
             if self.is_own(path):
                 path.unlink()
                 folders |= {parent for parent in path.parents if self.folder in parent.parents}
-            if name in self.written and not os.path.lexists(path):
-                del self.written[name]
-                gone.append(name)
+        gone = [name for name in listed if name in self.written and not os.path.lexists(self.folder / name)]
         self._note({"name": name, "checksum": None} for name in gone)
+        for name in gone:
+            del self.written[name]
         for folder in sorted(folders, key=lambda folder: -len(folder.parts)):
             with suppress(OSError):  # others have files there
                 folder.rmdir()
@@ -395,9 +386,8 @@ def _save(folder: Path, sections: Sections) -> None:
     sections = {name: {**of, "written": dict(sorted(of["written"].items()))} for name, of in sections.items()}
     record, held = folder / RECORD_FILE, None
     try:
-        held = read_json(record)
-    except OSError:
-        pass
+        with suppress(OSError):
+            held = read_json(record)
     except ValueError:  # it could be read when the run began
         aside = _unused(record)
         record.rename(aside)
