@@ -22,7 +22,6 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float, UInt
 
-from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.kernels.shadows.sweep import ENTRY_STEPS, WORD_BITS, stacked
 from jaxurban.kernels.shadows.sweep_cpu import mark_visible
@@ -35,32 +34,17 @@ from jaxurban.world.surface import Surface
 WHOLE_ROW_STEPS = 0.5  # from a row's middle to where a ray enters it
 
 
-def supersampled_grid(grid: Grid, oversample: int) -> Grid:
-    """Return the grid over the same box whose cells are n times smaller.
-
-    Raises:
-      InputError: ``oversample`` is not a whole number of at least 1.
-    """
-    if not (isinstance(oversample, int) and oversample >= 1):
-        raise InputError(f"oversample must be a whole number of at least 1 (odd ones are best), got {oversample!r}")
-    return grid.refined(oversample)
-
-
 def build_supersampled_surface(
     city: City, region: Grid, grid: Grid, oversample: int, all_touched: bool = False
 ) -> Surface:
     """Return the city as rasters n times finer than the map's ``region`` and its surrounding ``grid``.
 
     Raises:
-      InputError: as for `build_surface`, or an ``oversample`` that is not a whole number of at least 1.
+      InputError: as for `build_surface`.
     """
     without_blocks = replace(city, blocks=None)
-    supersampled = build_surface(
-        without_blocks,
-        supersampled_grid(region, oversample),
-        supersampled_grid(grid, oversample),
-        all_touched=all_touched,
-    )
+    grids = region.refined(oversample), grid.refined(oversample)
+    supersampled = build_surface(without_blocks, *grids, all_touched=all_touched)
     return replace(supersampled, roof_touched_m=None)
 
 
@@ -110,11 +94,7 @@ def upper_bands(touched: Surface, oversample: int) -> Bands:
     Args:
       touched: supersampled surface made with ``all_touched``, on which everything reaches the ground.
       oversample: n, odd.
-
-    Raises:
-      InputError: an even n.
     """
-    _check_odd(oversample)
     tops_m = np.asarray(touched.top_m)
     rows_m, cols_m = (_widest(tops_m, axis, np.maximum) for axis in (1, 0))
     own_m = _at_receivers(touched, np.where(np.asarray(touched.roof_m) > 0, tops_m, -np.inf), oversample)
@@ -127,19 +107,10 @@ def lower_bands(supersampled: Surface, oversample: int) -> Bands:
     Args:
       supersampled: supersampled surface, roofs at cell centres. Its slabs shadow nothing here.
       oversample: n, odd.
-
-    Raises:
-      InputError: an even n.
     """
-    _check_odd(oversample)
     covered_m = _widest(_widest(np.asarray(supersampled.top_m), 0, np.minimum), 1, np.minimum)
     rows_m, cols_m = (_widest(covered_m, axis, np.minimum) for axis in (1, 0))
     return Bands(rows_m, cols_m, None, WHOLE_ROW_STEPS, supersampled, oversample)
-
-
-def _check_odd(oversample: int) -> None:
-    if oversample % 2 == 0:
-        raise InputError(f"bounds need an odd oversample (a subcell at each map cell's centre), got {oversample}")
 
 
 def visibility_at_centres(

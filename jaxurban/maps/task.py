@@ -66,7 +66,7 @@ class MapParams:
                 "[gps] series = 'epochs'"
             )
         if gps.bounds and self.oversample % 2 == 0:
-            raise InputError(f"[gps] bounds need an odd [region] oversample, got {self.oversample}: use 3 or 5")
+            raise InputError(f"[gps] bounds need an odd oversample, got {self.oversample}: use 3 or 5")
 
     def of(self, name: str) -> Any:
         """Return the settings of a metric."""

@@ -80,7 +80,7 @@ def test_under_a_deck_the_sky_overhead_is_shut_and_beside_it_more_is_seen(maps, 
     [
         (True, {}),
         pytest.param(False, {}, marks=pytest.mark.slow),
-        pytest.param(False, {"all_touched": True}, marks=pytest.mark.slow),
+        pytest.param(False, {"heights": Heights(all_touched=True)}, marks=pytest.mark.slow),
         pytest.param(False, {"oversample": 3}, marks=pytest.mark.slow),
     ],
 )

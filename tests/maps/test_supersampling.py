@@ -11,10 +11,10 @@ from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.supersampling import (
     lower_bands,
     plain_bands,
-    supersampled_grid,
     upper_bands,
     visibility_at_centres,
 )
+from jaxurban.maps.task import MapParams
 from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.visibility import visibility
@@ -31,20 +31,20 @@ ANGLES = np.radians([(0, 20), (90, 25), (180, 15), (270, 30), (45, 20), (225, 35
 
 def fine_city(oversample: int, region: Grid = REGION, outer: Grid = OUTER, terrain: bool = False) -> Surface:
     """Return boxes of subcells, the same whatever part of the world is asked for."""
-    whole = supersampled_grid(OUTER, oversample)
+    whole = OUTER.refined(oversample)
     row, col = np.indices(whole.shape)
     rng = np.random.default_rng(3)
     coarse = rng.uniform(0, 40, (20, 20)) * (rng.random((20, 20)) < 0.3)
     roof_m = coarse[row * 20 // whole.num_rows, col * 20 // whole.num_cols]
     ground_m = 6 * np.sin(row / whole.num_rows * 9) + 5 * np.cos(col / whole.num_cols * 7)
-    part = supersampled_grid(outer, oversample).window_in(whole)
+    part = outer.refined(oversample).window_in(whole)
     return Surface(
         jnp.asarray(roof_m[part], jnp.float32),
         jnp.asarray(ground_m[part], jnp.float32) if terrain else None,
         None,
         None,
-        supersampled_grid(outer, oversample),
-        supersampled_grid(region, oversample),
+        outer.refined(oversample),
+        region.refined(oversample),
     )
 
 
@@ -125,5 +125,5 @@ def test_a_scenario_with_bounds_wants_an_odd_oversample():
     }
     with pytest.raises(InputError, match="odd"):
         Scenario.from_dict(settings)
-    with pytest.raises(InputError, match="whole number of at least 1"):
-        supersampled_grid(REGION, 0)
+    with pytest.raises(InputError, match="oversample must be a whole number from 1 up"):
+        MapParams(oversample=0)

@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.maps.supersampling import lower_bands, plain_bands, supersampled_grid, upper_bands, visibility_at_centres
+from jaxurban.maps.supersampling import lower_bands, plain_bands, upper_bands, visibility_at_centres
 from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.grid import Grid
@@ -45,7 +45,7 @@ class World:
     def surface(self, oversample: int = 1) -> Surface:
         block = np.ones((oversample, oversample))
         roof_m, terrain_m = (jnp.asarray(np.kron(v, block), jnp.float32) for v in (self.roof_m, self.terrain_m))
-        grid, region = supersampled_grid(GRID, oversample), supersampled_grid(REGION, oversample)
+        grid, region = GRID.refined(oversample), REGION.refined(oversample)
         return Surface(roof_m, terrain_m if self.ground else None, None, None, grid, region)
 
     def is_clear(self, angles: np.ndarray) -> np.ndarray:
