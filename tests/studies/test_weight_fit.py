@@ -157,7 +157,7 @@ def test_several_altitudes_are_fitted_together():
 
 
 def test_only_chosen_metrics_are_fitted():
-    hidden = dataclasses.replace(HIDDEN, lidar=0.0)
+    hidden = HIDDEN.replace(lidar=0.0)
     unit = cost_map(small_maps(), 20.0).only(("gps", "population", "risk"))
     demonstrations = optimal_demonstrations(made_queries(unit, NUM), hidden)
     fit = fit_weights(demonstrations, bootstrap=0)
@@ -172,7 +172,7 @@ def test_weights_stay_finite_where_every_demonstration_avoids_a_cost_altogether(
     people[:, 16:20, 18:22] = 1.0
     maps.ds["population"][:] = people
     unit = cost_map(maps, 60.0)
-    demonstrations = optimal_demonstrations(made_queries(unit, NUM), dataclasses.replace(HIDDEN, population=50.0))
+    demonstrations = optimal_demonstrations(made_queries(unit, NUM), HIDDEN.replace(population=50.0))
     assert max(each.features[3] for each in demonstrations) == 0
     fit = fit_weights(demonstrations, bootstrap=8, settings=FitSettings(max_rounds=4))
     assert np.isfinite(fit.vector).all()

@@ -183,18 +183,7 @@ def fit_weights(
                 break
         regret = fit.searched_regret(fit.log_weights)
         best = fit.least_mean_regret(float(regret.mean()))
-        rng = np.random.default_rng([IN_BOOTSTRAP, 0, settings.seed])
-        cities = np.unique([id(query.cost_map.maps) for query in queries], return_inverse=True)[1]
-        task = fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng)
-        log_draws, fewer = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng), rng)
-        draws = np.array([_scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, len(names))
-        interval = np.full((2, len(names)), np.nan)
-        if bootstrap:
-            sides = np.ones(len(names)) if scale == "simplex" else np.eye(len(names))[0]
-            interval = fit.near_optimal_range(sides, np.array([each.least_features for each in demonstrations]))
-        if len(draws):
-            by_draw = np.percentile(draws, [5, 95], axis=0)
-            interval = np.stack([np.minimum(by_draw[0], interval[0]), np.maximum(by_draw[1], interval[1])])
+        draws, interval, fewer = _refitted(fit, demonstrations, scale, bootstrap)
     cost, spread = fit.weights * demo.mean(axis=0), fit.weights * demo.std(axis=0)
     return WeightFit(
         names=names,
@@ -319,6 +308,25 @@ class _Fit:
             if reached <= float(expected) + SETTLED:
                 break
         return best
+
+
+def _refitted(
+    fit: _Fit, demonstrations: Sequence[Demonstration], scale: str, bootstrap: int
+) -> tuple[np.ndarray, np.ndarray, pd.DataFrame]:
+    """Return ``[B, K]`` weights of bootstrap fits, ``[2, K]`` their interval, and what fewer demonstrations give."""
+    rng, num = np.random.default_rng([IN_BOOTSTRAP, 0, fit.seed]), len(fit.unit)
+    cities = np.unique([id(each.query.cost_map.maps) for each in demonstrations], return_inverse=True)[1]
+    task = fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng)
+    log_draws, fewer = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng), rng)
+    draws = np.array([_scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, num)
+    if not bootstrap:
+        return draws, np.full((2, num), np.nan), fewer
+    sides = np.ones(num) if scale == "simplex" else np.eye(num)[0]
+    low, high = fit.near_optimal_range(sides, np.array([each.least_features for each in demonstrations]))
+    if len(draws):
+        by_draw = np.percentile(draws, [5, 95], axis=0)
+        low, high = np.minimum(by_draw[0], low), np.maximum(by_draw[1], high)
+    return draws, np.stack([low, high]), fewer
 
 
 def _scaled(weights: np.ndarray, scale: str) -> np.ndarray:

@@ -234,15 +234,8 @@ def sensitivity(
             ends[:, column] *= settings.factors
             lines[name] = find_breakpoints(pool, ends, on_plans=partial(report, f"breakpoints of {name}"))
         roughly: dict[str, Any] = {"tolerance": settings.tolerance, "max_plans": settings.max_plans}
-        shared, clusters, representatives = None, np.empty(0, int), np.empty(0, int)
-        if three:
-            total = given[[at[name] for name in three]]
-            corners = np.tile(given, (3, 1))
-            corners[:, [at[name] for name in three]] = np.eye(3) * total.sum()
-            shared = find_breakpoints(pool, corners, **roughly, on_plans=partial(report, "triangle"))
-            values = np.stack(list(outcomes_of(shared.integrals, names).values()), axis=-1)
-            first = int(shared.route_at(total / total.sum()))
-            clusters, representatives = cluster_routes(values, shared.sizes, first, NUM_CLUSTERS)
+        on_plans = partial(report, "triangle")
+        shared, clusters, representatives = _triangle(pool, given, three, **roughly, on_plans=on_plans)
         front = pareto_front(pool, objectives, **roughly, on_plans=partial(report, "Pareto front"))
         report("routes")
         return Sensitivity(
@@ -265,6 +258,28 @@ def sensitivity(
             num_plans=pool.num_plans,
             elapsed_s=time.perf_counter() - begin_s,
         )
+
+
+def _triangle(
+    pool: RoutePool, given: np.ndarray, three: Sequence[str], **how: Any
+) -> tuple[Partition | None, np.ndarray, np.ndarray]:
+    """Return the partition of a triangle of three weights, its clusters and what represents each; none without three.
+
+    Args:
+      pool: of the query.
+      given: ``[K]`` weights; the three share their total in all ways, the others stay.
+      three: their names.
+      how: further arguments of `find_breakpoints`.
+    """
+    if not three:
+        return None, np.empty(0, int), np.empty(0, int)
+    columns = [pool.names.index(name) for name in three]
+    total = given[columns]
+    corners = np.tile(given, (3, 1))
+    corners[:, columns] = np.eye(3) * total.sum()
+    shared = find_breakpoints(pool, corners, **how)
+    values = np.stack(list(outcomes_of(shared.integrals, pool.names).values()), axis=-1)
+    return shared, *cluster_routes(values, shared.sizes, int(shared.route_at(total / total.sum())), NUM_CLUSTERS)
 
 
 def _routes(query: RouteQuery, parts: Partition, which: np.ndarray | slice) -> list[np.ndarray]:
