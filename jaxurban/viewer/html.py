@@ -8,6 +8,7 @@ import hashlib
 import json
 from collections.abc import Iterator
 from functools import cache
+from html import escape
 from importlib.resources import files
 from itertools import product
 from pathlib import Path
@@ -15,7 +16,6 @@ from typing import Any
 
 from jaxurban.errors import InputError
 from jaxurban.io.files import write_whole
-from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.viewer.requests import Nothing, Shown
 from jaxurban.viewer.tiles import TILE, strides_of
 from jaxurban.viewer.viewer import Viewer, as_json
@@ -41,7 +41,7 @@ def html_page(data: str = "", title: str = "jaxurban") -> str:
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width">\n<link rel="icon" href="data:,">\n'
-        f"{_policy_tag(data)}<title>{_escaped(title)}</title>\n<style>\n{part('style')}</style>\n</head>\n"
+        f"{_policy_tag(data)}<title>{escape(title, quote=False)}</title>\n<style>\n{part('style')}</style>\n</head>\n"
         f'<body style="margin: 0">\n<div class="jv">\n{part("markup")}</div>\n'
         f'<script type="application/json" id="jv-data">{held}</script>\n'
         f'<script type="module">\n{part("script")}</script>\n</body>\n</html>\n'
@@ -61,10 +61,6 @@ def _policy_tag(data: str) -> str:
     """Return the policy of a page that is a file, which has no server to state it."""
     rules = policy_of("'none'").rpartition("; frame-ancestors")[0]
     return f'<meta http-equiv="Content-Security-Policy" content="{rules}">\n' if data else ""
-
-
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;")
 
 
 def write_page(viewer: Viewer, file: str | Path, most_bytes: int) -> int:
@@ -98,16 +94,10 @@ def write_page(viewer: Viewer, file: str | Path, most_bytes: int) -> int:
 
 def _maps_of(viewer: Viewer) -> Iterator[Shown]:
     """Yield every map of the first run."""
-    maps = viewer.maps
-    num = {
-        ALTITUDE: len(maps.altitudes_m),
-        TIME: len(maps.times) if maps.default_time is not None else 1,
-        TIME_OF_DAY: len(maps.times_of_day),
-    }
     for name, layer in viewer.layers[0].items():
-        altitudes, times, days = (range(max(num[dim], 1) if dim in layer.dims else 1) for dim in num)
-        for at in product(altitudes, times, days):
-            yield Shown(layer=name, at=at)
+        sizes = (max(len(held), 1) if dim in layer.dims else 1 for dim, held in viewer.axes.items())
+        for altitude, time, day in product(*map(range, sizes)):
+            yield Shown(layer=name, at=(altitude, time, day))
 
 
 def _page(viewer: Viewer, maps: list[Shown], stride: int, most_bytes: int) -> bytes | None:

@@ -2,7 +2,7 @@
 
 import base64
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -10,17 +10,11 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import BoundaryNorm, Normalize
 
-from jaxurban.errors import one_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, Variable, high_is_bad
 from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR
 from jaxurban.report.figures.map_comparison import difference_colours
-from jaxurban.report.figures.metrics import (
-    EMPTY_COLOUR,
-    drawn_variables,
-    metric_colours,
-    values_of,
-)
+from jaxurban.report.figures.metrics import EMPTY_COLOUR, drawn_variables, metric_colours, values_of
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
 from jaxurban.report.figures.style import Colours, bar_ticks, tick_label
 from jaxurban.viewer.markup import legend
@@ -177,15 +171,6 @@ def legend_of(maps: MetricMaps, layer: Layer, values: np.ndarray, *, is_differen
         "ticks": ticks,
         "html": legend(plain_label(scale.label), colours[::8], marks, patches),
     }
-
-
-def find_layer(layers: Mapping[str, Layer], name: Any) -> Layer:
-    """Return a layer by its name.
-
-    Raises:
-      InputError: there is none.
-    """
-    return layers[one_of("layer", name, layers)]
 
 
 def plain_label(label: str) -> str:

@@ -24,19 +24,9 @@ from jaxurban.report.figures.metrics import line_colour
 from jaxurban.report.figures.notes import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.studies.map_comparison import shared_part
-from jaxurban.viewer.layers import H_NORM, Layer, Place, difference, find_layer, layers_of, legend_of
-from jaxurban.viewer.markup import (
-    costs,
-    layer_options,
-    number,
-    options,
-    planners,
-    profile,
-    route_button,
-    rows,
-    sentences,
-    sliders,
-)
+from jaxurban.viewer import markup
+from jaxurban.viewer.layers import H_NORM, Layer, Place, difference, layers_of, legend_of
+from jaxurban.viewer.markup import number, options, sentences
 from jaxurban.viewer.plans import Plans
 from jaxurban.viewer.requests import Cell, Nothing, Plan, Request, Save, Shown, Tile, Which, parse
 from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, strides_of, tile_bytes
@@ -173,8 +163,10 @@ class Viewer:
         lists = {
             "altitude": options(altitudes),
             "time_of_day": options(maps.times_of_day),
-            "time": options([*map(time_said, maps.times)]) if maps.default_time is not None else "",
-            "layer": layer_options(((name, each.variable.heading, each.group) for name, each in layers.items()), first),
+            "time": options([*map(time_said, self.axes[TIME])]),
+            "layer": markup.layer_options(
+                ((name, each.variable.heading, each.group) for name, each in layers.items()), first
+            ),
         }
         return {
             "title": escape(self.names[0]),
@@ -182,14 +174,21 @@ class Viewer:
             "guesses-text": escape("\n".join(maps.guesses.values())),
             "place": "<br>".join([place_said(grid), f"{cells} · {grid.crs}", north]),
             "credit": escape(maps.ds.attrs.get("attribution", "")),
-            "sliders": sliders(self._labels, self._colours),
-            "planners": planners(summaries, PLANNER_LINES, "astar-plus"),
+            "sliders": markup.sliders(self._labels, self._colours),
+            "planners": markup.planners(summaries, PLANNER_LINES, "astar-plus"),
             **lists,
             **{f"minus-{name}": text for name, text in lists.items()},
             "minus-run": options(self.names, -1) if len(self.runs) > 1 else "",
             "minus-altitude": options(altitudes, -1 if len(self.runs) == 1 else 0),
             "north": f'<path d="M0-12 5 8 0 4-5 8Z" transform="rotate({-north_deg:.2f})"/>',
         }
+
+    @cached_property
+    def axes(self) -> dict[str, tuple]:
+        """The altitudes, times and times of day that maps are chosen by; no times of a series with statistics."""
+        maps = self.maps
+        times = maps.times if maps.default_time is not None else ()
+        return {ALTITUDE: maps.altitudes_m, TIME: times, TIME_OF_DAY: maps.times_of_day}
 
     @cached_property
     def _labels(self) -> dict[str, str]:
@@ -205,11 +204,8 @@ class Viewer:
         Raises:
           InputError: a number beyond the list.
         """
-        maps = self.maps
-        times = maps.times if maps.default_time is not None else ()
-        lists = {ALTITUDE: maps.altitudes_m, TIME: times, TIME_OF_DAY: maps.times_of_day}
         chosen: list[Any] = []
-        for (dim, held), index in zip(lists.items(), at, strict=True):
+        for (dim, held), index in zip(self.axes.items(), at, strict=True):
             if dim in dims and held and index >= len(held):
                 raise InputError(f"{dim} {index} is not there: these maps hold {len(held)}, numbered from 0")
             chosen.append(held[index] if dim in dims and held else None)
@@ -220,7 +216,7 @@ class Viewer:
         if which.run >= len(self.runs):
             raise InputError(f"run {which.run} is not there: {len(self.runs)} are shown, numbered from 0")
         maps, layers = self.runs[which.run], self.layers[which.run]
-        layer = find_layer(layers, which.layer)
+        layer = layers[one_of("layer", which.layer, layers)]
         at = self.place(which.at, layer.dims)
         return self.kept.get((which.run, which.layer, at), lambda: layer.values(maps, at))
 
@@ -235,8 +231,8 @@ class Viewer:
 
     def legend(self, shown: Shown) -> dict[str, Any]:
         """Return how these values become colours (`legend_of`)."""
-        layer = find_layer(self.layers[0], shown.layer)
-        return legend_of(self.maps, layer, self.shown(shown), is_difference=shown.minus is not None)
+        values = self.shown(shown)  # refuses a layer that is not there
+        return legend_of(self.maps, self.layers[0][shown.layer], values, is_difference=shown.minus is not None)
 
     def tile(self, tile: Tile) -> bytes:
         """Return a tile of what is drawn (`tile_bytes`)."""
@@ -288,8 +284,8 @@ class Viewer:
             "xy_m": planned.xy_m,
             "cost": _number(planned.cost),
             "cost_by_layer": planned.cost_by_layer,
-            "button": route_button(query.planner, PLANNER_LINES[query.planner], text, notes),
-            "html": costs(planned.cost_by_layer, self._labels, self._colours),
+            "button": markup.route_button(query.planner, PLANNER_LINES[query.planner], text, notes),
+            "html": markup.costs(planned.cost_by_layer, self._labels, self._colours),
             "message": " ".join(filter(None, (planned.search.sentence, planned.search.note))),
             "command": self.plans.command(query, at),
         }
@@ -308,8 +304,9 @@ class Viewer:
         units = {name: text for name, text in TOTALS.items() if name in totals}
         return {
             "cautions": sentences((each.level, each) for each in found.cautions),
-            "totals": rows((label, f"{number(totals[name])} {unit}") for name, (label, unit) in units.items()),
-            "profile": profile(table, lines, without_fix(table)) + sentences([("note", rules_said(planned.settings))]),
+            "totals": markup.rows((label, f"{number(totals[name])} {unit}") for name, (label, unit) in units.items()),
+            "profile": markup.profile(table, lines, without_fix(table))
+            + sentences([("note", rules_said(planned.settings))]),
             "to_share": np.round(table["to_m"].to_numpy() / max(planned.length_m, 1e-9), 5),
             "xy": self._on_page(table[["lon", "lat"]].to_numpy()),
             "report-text": escape(found.table()),

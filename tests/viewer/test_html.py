@@ -24,7 +24,7 @@ def test_the_page_names_no_other_host():
 def test_data_in_the_page_cannot_end_its_element():
     page = html_page('{"a": "</script><script>alert(1)</script>"}', "<b>")
     assert "alert(1)</script>" not in page
-    assert "<title>&lt;b></title>" in page
+    assert "<title>&lt;b&gt;</title>" in page
     assert "connect-src 'none'" in page
 
 
