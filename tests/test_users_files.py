@@ -103,7 +103,10 @@ def plant(out: Path, what: str) -> dict[Path, bytes]:
 
 def assert_kept(planted: dict[Path, bytes], out: Path) -> None:
     for path, data in planted.items():
-        places = path, out / "kept" / path.relative_to(out)
+        places = (
+            path,
+            *(each / "kept" / path.relative_to(each) for each in (out, out / "study") if each in path.parents),
+        )
         assert any(place.is_file() and place.read_bytes() == data for place in places), f"{path} is lost"
 
 
