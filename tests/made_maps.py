@@ -50,7 +50,7 @@ def made_maps(
         "spatial_ref": 0,
     }
     attrs = {"crs": grid.crs, "resolution_m": resolution_m, "first_row": grid.first_row, "first_col": grid.first_col}
-    return MetricMaps(xr.Dataset(data, coords, attrs))
+    return MetricMaps(xr.Dataset(data, coords, attrs | {"attribution": "© a made city"}))
 
 
 def missing_inside(maps: MetricMaps, **attrs) -> MetricMaps:

@@ -114,8 +114,13 @@ class MetricMaps(Shown):
             "times of day": listed(self.times_of_day),
             "metrics": ", ".join(self.metrics),
             "obstacles": self.obstacles,
-            "credit": self.ds.attrs.get("attribution", ""),
+            "credit": self.attribution,
         }
+
+    @property
+    def attribution(self) -> str:
+        """Whom to credit for the data that the maps are made of, empty where nobody asks for it."""
+        return self.ds.attrs.get("attribution", "")
 
     @property
     def identity(self) -> dict[str, str]:

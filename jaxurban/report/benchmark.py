@@ -113,7 +113,7 @@ def _export(
         "benchmark",
         name=name,
         grid=maps.grid,
-        credit=maps.ds.attrs.get("attribution", ""),
+        credits=[maps.attribution],
         counts=counts,
         model=model,
         cost_rule=cost_rules[model.kind],

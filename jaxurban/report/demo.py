@@ -112,6 +112,7 @@ def summary_markdown(maps: MetricMaps, paths: Paths, run: Mapping[str, Any] | No
     return fill(
         "summary",
         tables,
+        credits=[maps.attribution],
         what="Metric maps and paths" if planned else "Metric maps",
         width_km=(grid.x_max_m - grid.x_min_m) / 1000,
         height_km=(grid.y_max_m - grid.y_min_m) / 1000,

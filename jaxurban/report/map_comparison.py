@@ -39,8 +39,8 @@ def _write_difference(found: MapComparison, layer: str, file: Path) -> Path:
         name = " ".join(filter(None, (altitude, place.time, place.time_of_day))) or "B - A"
         bands[name] = found.of(layer, **place._asdict())
     tags = {"layer": layer, "difference": "B - A", "maps_a": found.names[0], "maps_b": found.names[1]}
-    if credit := found.a.ds.attrs.get("attribution"):
-        tags["attribution"] = credit
+    if found.a.attribution:
+        tags["attribution"] = found.a.attribution
     return write_bands(file, found.grid, bands, unit_of(found.a, layer), tags)
 
 
@@ -53,6 +53,7 @@ def comparison_markdown(found: MapComparison, figures: list[str]) -> str:
     left_out = bullets(f"{name}: {why}" for name, why in found.left_out.items())
     return fill(
         "compare",
+        credits=[found.a.attribution, found.b.attribution],
         found=found,
         extent=f"Compared are {held['grid']} ({held['CRS']}) at {held['altitudes']}; {cut[0]:,} cells of A and "
         f"{cut[1]:,} of B lie outside the region of the other.",

@@ -278,6 +278,7 @@ def report_markdown(result: BenchmarkResult, tables: dict[str, pd.DataFrame], fi
         "study",
         {**tables, "success": _by_range(tables["success"]), "surroundings": _by_stratum(tables["surroundings"])},
         figures,
+        [result.maps.attribution],
         instances=counted(table.instance.nunique(), "instance"),
         num_runs=len(table),
         planners=listed(sorted(table.planner.unique())),

@@ -50,10 +50,10 @@ def validation_markdown(found: ReceiverValidation) -> str:
         "orbits": f"{', '.join(f'`{name}`' for name in scenario['gps']['orbits'])}; {of['num_skies']} skies, one each "
         f"{settings.sky_step_s:g} s",
         "city": f"buildings `{scenario['buildings']['source']}`, terrain `{scenario['terrain']['source'] or 'flat'}`",
-        "credit": found.attribution,
     }
     return fill(
         "validate",
+        credits=[found.attribution],
         found=found,
         settings=settings,
         fewest=FEWEST_GROUPS,

@@ -35,7 +35,6 @@ from jaxurban.studies.montecarlo.sampling import (
     weighed_metrics,
     weight_columns,
 )
-from jaxurban.studies.queries import population_norms
 from jaxurban.studies.weights.routes import (
     REMADE_KEY,
     ROUTE_KEY,
@@ -114,10 +113,8 @@ def sensitivity_study(
         if settings.num_heights or settings.has_parameters:
             remade, skipped = _remade(folder, instances, given, opened, settings, scenarios, report)
         report("report")
-        grids = {city: maps.facts["grid"] for city, maps in opened.items()}
-        norms = {city: population_norms(maps) for city, maps in opened.items()}
         is_sampled = not isinstance(routes, pd.DataFrame)
-        found = SensitivityStudy(folder, grids, instances, rows, remade, skipped, settings, norms, is_sampled)
+        found = SensitivityStudy(folder, opened, instances, rows, remade, skipped, settings, is_sampled)
         write_sensitivity_study(found)
     return found
 

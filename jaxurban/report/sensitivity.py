@@ -61,6 +61,7 @@ def sensitivity_markdown(found: Sensitivity) -> str:
         "sensitivity",
         shown_tables(found),
         sensitivity_figures(found),
+        [found.maps.attribution],
         found=found,
         route=route,
         start=route.lonlat[0],

@@ -1,20 +1,21 @@
 """report.md of a weight study over many routes: its tables and figures."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.report.figures.sensitivity_study import study_figures
 from jaxurban.report.write import Output, bullets, files_of, fill, framed, save
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
-from jaxurban.studies.queries import outcome_label
+from jaxurban.studies.queries import outcome_label, population_norms
 from jaxurban.studies.weights import summary
 from jaxurban.studies.weights.routes import SensitivityStudySettings
 from jaxurban.studies.weights.sobol import FEW_SAMPLES
@@ -36,24 +37,22 @@ class SensitivityStudy:
 
     Attributes:
       folder: where it is kept.
-      cities: how the cities are called, with their grids in words.
+      maps: of each city by its name.
       instances: the routes asked for.
       rows: what was found for each (`jaxurban.studies.weights.routes.route_facts`).
       remade: how each route differs on maps made anew (`jaxurban.studies.weights.routes.OnPerturbedMaps`).
       skipped: why maps were not made anew, a sentence a city.
       settings: what was asked.
       is_sampled: whether the routes were drawn, by stratum and range, or given.
-      norms: what population is divided by in each city at each time of day (`population_norms`).
     """
 
     folder: Path
-    cities: Mapping[str, str]
+    maps: Mapping[str, MetricMaps]
     instances: pd.DataFrame
     rows: pd.DataFrame
     remade: pd.DataFrame
     skipped: tuple[str, ...]
     settings: SensitivityStudySettings
-    norms: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     is_sampled: bool = True
 
     @cached_property
@@ -97,6 +96,7 @@ def study_markdown(found: SensitivityStudy) -> str:
         "sensitivity_study",
         {"cities": _cities(found), **shown_tables(tables)},
         FIGURES,
+        [maps.attribution for maps in found.maps.values()],
         lost=framed(reasons) if len(reasons) else "",
         skipped=bullets(f"Not made anew: {reason}" for reason in found.skipped),
         limit=min(settings.factors[1], 1 / settings.factors[0]),
@@ -113,9 +113,10 @@ def _cities(found: SensitivityStudy) -> pd.DataFrame:
     """Return a row a city: what was asked there, and how many routes were found."""
     rows = []
     for city, part in found.rows.groupby("city", sort=False):
-        norms = ", ".join(f"{number:,.0f} ({day})" for day, number in found.norms.get(str(city), {}).items())
+        maps = found.maps[str(city)]
+        norms = ", ".join(f"{number:,.0f} ({day})" for day, number in population_norms(maps).items())
         altitudes = ", ".join(f"{z:g} m" for z in sorted(part.altitude_m.unique()))
-        row = {"city": city, "maps": found.cities[str(city)], "altitudes": altitudes}
+        row = {"city": city, "maps": maps.facts["grid"], "altitudes": altitudes}
         row |= {"pairs of places": part.instance.nunique(), "routes": len(part)}
         rows.append(row | {"found": part.status.isin(HAS_PATH).sum(), "population is divided by": norms})
     return pd.DataFrame(rows)

@@ -249,6 +249,7 @@ def outputs_of(
     report = fill(
         template,
         tables,
+        credits=[one.maps.attribution for one in pictures.values()],
         fit=fit,
         num=len(routes),
         overlap=routes["overlap"].mean(),

@@ -15,6 +15,7 @@ from PIL import Image
 
 from jaxurban.io.files import whole_file
 from jaxurban.io.tables import SUFFIXES, write_table
+from jaxurban.world.city import joined_credits
 
 DPI, NUM_COLOURS = 110, 256
 Output = str | pd.DataFrame | Callable[..., Any]  # a text, a table, or what draws a picture or writes a map
@@ -65,7 +66,11 @@ def write_png(figure: Figure, file: Path) -> None:
 
 
 def fill(
-    template: str, tables: Mapping[str, pd.DataFrame] | None = None, figures: Iterable[str] | None = None, **fields: Any
+    template: str,
+    tables: Mapping[str, pd.DataFrame] | None = None,
+    figures: Iterable[str] | None = None,
+    credits: Iterable[str] = (),
+    **fields: Any,
 ) -> str:
     """Return the text of ``jaxurban/report/templates/TEMPLATE.md`` with its fields filled, as `str.format` does.
 
@@ -76,6 +81,7 @@ def fill(
       tables: what ``{tables[NAME]}`` stands for; a section (from one ## to the next) with a table that is not among
         these, or has no row, is left out.
       figures: names of those that are drawn: pictures ``figures/NAME.png`` of others are left out; None: none is.
+      credits: of the data behind the report; named at its end, each once.
       fields: all other fields.
     """
     text = (files("jaxurban.report") / "templates" / f"{template}.md").read_text(encoding="utf-8")
@@ -85,7 +91,8 @@ def fill(
     if figures is not None:
         names = "|".join(map(re.escape, figures)) or "-"
         text = re.sub(rf"^!\[[^\n]*\]\(figures/(?!({names})\.png\))[^\n]*$", "", text, flags=re.MULTILINE)
-    return re.sub(r"\n{3,}", "\n\n", text.strip().format(tables=shown, **fields)).strip() + "\n"
+    text = re.sub(r"\n{3,}", "\n\n", text.strip().format(tables=shown, **fields)).strip()
+    return f"{text}\n\nData: {credit}\n" if (credit := joined_credits(*credits)) else f"{text}\n"
 
 
 def table(head: Iterable[str], rows: Iterable[Sequence[Any]]) -> str:

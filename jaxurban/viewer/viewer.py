@@ -173,7 +173,7 @@ class Viewer:
             "guesses": escape(guessed and f"Guessed: {guessed}"),
             "guesses-text": escape("\n".join(maps.guesses.values())),
             "place": "<br>".join([place_said(grid), f"{cells} · {grid.crs}", north]),
-            "credit": escape(maps.ds.attrs.get("attribution", "")),
+            "credit": escape(maps.attribution),
             "sliders": markup.sliders(self._labels, self._colours),
             "planners": markup.planners(summaries, PLANNER_LINES, "astar-plus"),
             **lists,

@@ -37,6 +37,7 @@ def test_the_folder_holds_report_tables_maps_and_figures(found, tmp_path):
     with pytest.raises(ju.InputError, match="holds another run") as refused:
         ju.studies.compare(found.b, found.a, progress=False).save(tmp_path / "ab")
     assert len(str(refused.value)) < 600
+    assert report.count("© a made city") == 1
     assert "population is divided by" not in report
     b = ju.MetricMaps(found.b.ds.assign_attrs(pop_norm_per_km2=[123.0, 4e4]))
     a = ju.MetricMaps(found.a.ds.assign_attrs(pop_norm_per_km2=[5e4, 4e4]))

@@ -48,6 +48,7 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     assert {"weights.png", "learning_curve.png", "regret.png", "routes_1.png"} <= names
     report = (tmp_path / "out" / "report.md").read_text()
     assert report.count("\n## ") >= 7
+    assert report.count("© a made city") == 1
     for figure in ("weights", "learning_curve", "regret", "routes_1"):
         assert f"(figures/{figure}.png)" in report
     stored = tomllib.loads((tmp_path / "out" / "weights.toml").read_text())["weights"]
@@ -63,7 +64,7 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     assert again["interval"] == facts["interval"]
     code, _, err = tune(capsys, made, "-o", tmp_path / "out", "--seed", 1)
     assert code == 2
-    assert_one_sentence(err, "another folder", "--overwrite")
+    assert_one_sentence(err, "another file or folder", "--overwrite")
 
 
 @pytest.mark.slow
@@ -75,7 +76,8 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
     assert not facts["is_met"]
     assert "Even alone, mean_gps >= 0.999 was not reached" in facts["message"]
     assert (tmp_path / "out" / "figures" / "targets.png").is_file()
-    assert facts["message"] in (tmp_path / "out" / "report.md").read_text()
+    report = (tmp_path / "out" / "report.md").read_text()
+    assert (report.count(facts["message"]), report.count("© a made city")) == (1, 1)
     assert len(pd.read_csv(tmp_path / "out" / "targets.csv")) == 2
 
 

@@ -233,6 +233,7 @@ def test_the_report_holds_every_table_figure_and_sentence(result, tmp_path):
         assert f"figures/{picture.name}" in report
     assert len(list((tmp_path / "figures").glob("*.png"))) == 7
     assert "nan" not in report
+    assert report.count("© a made city") == 1
 
 
 def test_a_study_without_a_path_has_its_report(result, tmp_path):

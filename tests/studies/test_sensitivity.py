@@ -103,6 +103,7 @@ def test_report_names_every_weight_and_every_file_that_it_shows(found, tmp_path)
     files = found.save(tmp_path / "out")
     report = (tmp_path / "out" / "report.md").read_text()
     assert report == sensitivity_markdown(found)
+    assert report.count("© a made city") == 1
     assert all(sentence in report for sentence in found.route.cautions or ["no caution"])
     for name in found.names:
         assert name in report

@@ -217,6 +217,7 @@ def test_the_report_names_every_figure_and_no_share_below_zero(found):
     sobol = report.split("## What the routes are like")[1].split("##")[0]
     assert "| -" not in sobol.replace("| ---", "")
     assert "2 samples each; with fewer than 64" in report
+    assert report.count("© a made city") == 1
     general = found.tables["comparisons"].query("part == 'over cities'")
     assert len(general) == 1
     assert general[["low", "high", "p"]].isna().all(axis=None), "two cities say nothing of others"
@@ -240,7 +241,8 @@ def test_panels_that_are_compared_share_their_scale(found):
 
 
 def test_the_report_says_by_what_population_is_normalised_in_each_city(found):
-    report = study_markdown(replace(found, norms={"alpha": {"day": 5e4, "night": 3e4}, "beta": {}}))
+    alpha = ju.MetricMaps(found.maps["alpha"].ds.assign_attrs(pop_norm_per_km2=[5e4, 3e4]))
+    report = study_markdown(replace(found, maps={**found.maps, "alpha": alpha}))
     alpha, beta = report.split("\n\n")[1].splitlines()[2:]
     assert alpha.endswith("| 50,000 (day), 30,000 (night) |")
     assert beta.endswith("|  |")

@@ -64,8 +64,7 @@ def guesses_said(maps: MetricMaps, has_sky: bool) -> str:
 
 def ground_said(maps: MetricMaps) -> tuple[str, ...]:
     """Return the size of a cell, the CRS, where on Earth the maps lie, and whom to credit."""
-    cells, credit = f"{maps.grid.resolution_m:g} m cells", maps.ds.attrs.get("attribution", "")
-    return cells, maps.grid.crs, place_said(maps.grid), credit
+    return f"{maps.grid.resolution_m:g} m cells", maps.grid.crs, place_said(maps.grid), maps.attribution
 
 
 def joined(*facts: str | None) -> str:
