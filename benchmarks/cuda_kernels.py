@@ -161,8 +161,8 @@ FIT = fenchel_young.FitTask(
     float64(NUM_DEMONSTRATIONS, NUM_NOISE, 5),
     float64(NUM_DEMONSTRATIONS),
 )
-MISSES = target_fit._Misses(float64(2), float64(2))
-KNOWN = MISSES, float64(NUM_DEMONSTRATIONS, NUM_ROUTES, 10), float64(NUM_DEMONSTRATIONS, 10)
+BOUND, SIGN = float64(2), float64(2)
+KNOWN = BOUND, SIGN, float64(NUM_DEMONSTRATIONS, NUM_ROUTES, 10), float64(NUM_DEMONSTRATIONS, 10)
 WISHES = {"names": NAMES, "targets": TARGETS}
 
 
