@@ -31,7 +31,7 @@ SAME = 1e-6  # values that differ by no more, as on another device, have not cha
 QUANTILES = (0.05, 0.5, 0.95)
 
 
-class Place(NamedTuple):
+class OneMap(NamedTuple):
     """One map of a layer: its altitude, time and time of day, None where the layer does not vary along it."""
 
     altitude_m: float | None = None
@@ -68,7 +68,7 @@ class SharedPart:
         others = sorted({*map(str, self.a.ds.data_vars)} - {"obstacle", "has_data", *metrics})
         return (*MASKS, *metrics, *others)
 
-    def places(self, layer: str) -> list[Place]:
+    def places(self, layer: str) -> list[OneMap]:
         """Return the maps of a layer that are compared."""
         dims = (ALTITUDE,) if layer == CLOSED else self.a.ds[layer].dims
         held: dict[str, Sequence[Any]] = {
@@ -77,7 +77,7 @@ class SharedPart:
             TIME_OF_DAY: self.a.times_of_day,
         }
         chosen = itertools.product(*(held[dim] if dim in dims else (None,) for dim in held))
-        return [Place(z_m, time, day) for time, z_m, day in chosen]
+        return [OneMap(z_m, time, day) for time, z_m, day in chosen]
 
     @typed
     def of(
@@ -101,7 +101,7 @@ class SharedPart:
             is_known = self.a.ds["has_data"].values & self.b.ds["has_data"].values
         else:
             is_known = self.a.is_free(z_m, "centre") & self.b.is_free(z_m, "centre")
-        a, b = (_values(maps, layer, Place(z_m, time, time_of_day)) for maps in (self.a, self.b))
+        a, b = (_values(maps, layer, OneMap(z_m, time, time_of_day)) for maps in (self.a, self.b))
         with np.errstate(invalid="ignore"):
             change = np.where(a == b, np.float32(0), b - a)  # two infinite values too
         return np.where(is_known, change, np.float32(np.nan))
@@ -209,7 +209,7 @@ def unit_of(maps: MetricMaps, layer: str) -> str:
     return "1" if layer == CLOSED else str(maps.ds[layer].attrs.get("units", "1"))
 
 
-def _values(maps: MetricMaps, layer: str, place: Place) -> np.ndarray:
+def _values(maps: MetricMaps, layer: str, place: OneMap) -> np.ndarray:
     if layer == CLOSED:
         assert place.altitude_m is not None
         return (~maps.is_free(place.altitude_m)).astype(np.float32)

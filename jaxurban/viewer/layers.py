@@ -17,21 +17,13 @@ from jaxurban.report.figures.map_comparison import difference_colours
 from jaxurban.report.figures.metrics import EMPTY_COLOUR, drawn_variables, metric_colours, values_of
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
 from jaxurban.report.figures.style import Colours, bar_ticks, tick_label
+from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer.markup import legend
 
 H_NORM, COST_OF = "h_norm", "cost:"
 OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)  # how values travel: a cell in an obstacle; one not drawn
 DIFFERENCE = "the first less the second (red: the first is higher)"
 BAR_IN = 2.6  # length of the colour bar on the page, which decides how many ticks have room
-
-
-@dataclass(frozen=True)
-class Place:
-    """Which of a layer's maps: altitude, time and time of day, None where a layer does not vary with it."""
-
-    altitude_m: float | None = None
-    time: str | None = None
-    time_of_day: str | None = None
 
 
 @dataclass(frozen=True)
@@ -50,7 +42,7 @@ class Layer:
     name: str
     variable: Variable
     group: str
-    read: Callable[[Place], np.ndarray]
+    read: Callable[[OneMap], np.ndarray]
     colours: Callable[[np.ndarray], Colours]
     blocked: str = OBSTACLE_COLOUR
 
@@ -59,7 +51,7 @@ class Layer:
         """Of ``altitude``, ``time`` and ``time_of_day``, those that it varies with."""
         return self.variable.dims
 
-    def values(self, maps: MetricMaps, at: Place) -> np.ndarray:
+    def values(self, maps: MetricMaps, at: OneMap) -> np.ndarray:
         """Return ``[Y, X]`` float32; at an altitude `OBSTACLE` and `NOTHING` stand where there is no value."""
         values = np.asarray(self.read(at), np.float32)
         if ALTITUDE not in self.dims or self.name == "obstacle" or at.altitude_m is None:
@@ -105,17 +97,17 @@ def _group(maps: MetricMaps, variable: Variable) -> str:
     return "Further maps" if ALTITUDE in variable.dims and variable.name != "obstacle" else "Ground"
 
 
-def _held(maps: MetricMaps, name: str, at: Place) -> np.ndarray:
+def _held(maps: MetricMaps, name: str, at: OneMap) -> np.ndarray:
     if maps.variable(name) not in maps.ds and at.altitude_m is not None:
         return values_of(maps, name, at.altitude_m, at.time)
     return maps.m(name, at.altitude_m, time=at.time, time_of_day=at.time_of_day)
 
 
-def _cost(maps: MetricMaps, name: str, at: Place) -> np.ndarray:
+def _cost(maps: MetricMaps, name: str, at: OneMap) -> np.ndarray:
     return np.asarray(maps.metrics[name].cost(_held(maps, name, at)))
 
 
-def _h_norm(maps: MetricMaps, at: Place) -> np.ndarray:
+def _h_norm(maps: MetricMaps, at: OneMap) -> np.ndarray:
     altitude_m = maps.altitudes_m[0] if at.altitude_m is None else at.altitude_m
     return maps.normalised(altitude_m, time=at.time, time_of_day=at.time_of_day)
 

@@ -18,7 +18,7 @@ from jaxurban.paths.simplify import simplify
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.settings import BUDGET_S
-from jaxurban.viewer.layers import Place
+from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer.requests import Plan, Zones, parse
 from jaxurban.viewer.tiles import Kept
 
@@ -48,7 +48,7 @@ class Plans:
         self.weights, self.folder = query.weights, folder
         self._cost_maps, self._routes, self._reports = (Kept(most, lambda _: 1) for most in (2, NUM_ROUTES, NUM_ROUTES))
 
-    def route(self, query: Plan, at: Place) -> PlannedPath:
+    def route(self, query: Plan, at: OneMap) -> PlannedPath:
         """Return the route that is asked for.
 
         Raises:
@@ -62,7 +62,7 @@ class Plans:
 
         return self._routes.get(query.model_dump_json(), make)  # without its cost map, which is large
 
-    def report(self, query: Plan, at: Place) -> tuple[RouteReport, PlannedPath]:
+    def report(self, query: Plan, at: OneMap) -> tuple[RouteReport, PlannedPath]:
         """Return a route explained, with what its pilot should know, and the route.
 
         Raises:
@@ -71,7 +71,7 @@ class Plans:
         planned, maps = self.route(query, at), self.maps.with_obstacles(query.obstacles)
         return self._reports.get(query.model_dump_json(), lambda: explain(planned, maps)), planned
 
-    def file(self, query: Plan, at: Place, suffix: str) -> bytes:
+    def file(self, query: Plan, at: OneMap, suffix: str) -> bytes:
         """Return a route as ``jaxurban plan -o`` writes it; as waypoints, simplified by half a cell.
 
         Raises:
@@ -82,7 +82,7 @@ class Plans:
             raise InputError(f"there is no route to save: {planned.status.sentence}")
         return FORMATS[suffix]([("", planned)], None)
 
-    def mission(self, query: Plan, at: Place) -> PlannedPath:
+    def mission(self, query: Plan, at: OneMap) -> PlannedPath:
         """Return the route that files of waypoints hold: simplified by half a cell, priced by the route's cost model.
 
         Raises:
@@ -92,7 +92,7 @@ class Plans:
         key = "mission", query.model_dump_json()
         return self._routes.get(key, lambda: simplify(planned, self._cost_map(query, at), tolerance_m))
 
-    def moved(self, query: Plan, at: Place) -> dict[str, str]:
+    def moved(self, query: Plan, at: OneMap) -> dict[str, str]:
         """Return how far each end of a route was moved and out of what, by name; nothing of an end that was free."""
         planned, on, sentences = self.route(query, at), self._cost_map(query, at), {}
         for name, moved_m in zip(("start", "goal"), planned.snap_distance_m, strict=True):
@@ -101,7 +101,7 @@ class Plans:
                 sentences[name] = f"{name} moved {moved_m:.0f} m: it was {on.why_closed(cell)}"
         return sentences
 
-    def command(self, query: Plan, at: Place) -> str:
+    def command(self, query: Plan, at: OneMap) -> str:
         """Return the command that gives the same route, coordinate for coordinate; empty for maps in memory.
 
         (Of a planner that stops when its time is over, `SAMPLING_BUDGET_S`, another run may come further.)
@@ -129,7 +129,7 @@ class Plans:
         given = [part for name, value in values.items() if value is not None for part in (name, value)]
         return shlex.join(["jaxurban", "plan", self.folder, *given, *(["--snap"] if query.snap else [])])
 
-    def _cost_map(self, query: Plan, at: Place) -> CostMap:
+    def _cost_map(self, query: Plan, at: OneMap) -> CostMap:
         """Return the cost map of a query; what does not depend on the weights is made once."""
         find_planner(query.planner)
         for name in query.weights:
@@ -138,7 +138,7 @@ class Plans:
         key = at, query.cost_model, query.obstacles, query.clearance_m, query.zones
         return self._cost_maps.get(key, lambda: self._made(query, at)).with_weights(weights)
 
-    def _made(self, query: Plan, at: Place) -> CostMap:
+    def _made(self, query: Plan, at: OneMap) -> CostMap:
         settings = self.cost_model.settings | {"cost_model": query.cost_model}
         if at.altitude_m is None:
             raise InputError("these maps hold no altitude to plan at")

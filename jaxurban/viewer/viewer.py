@@ -23,9 +23,9 @@ from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.metrics import line_colour
 from jaxurban.report.figures.notes import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.paths import planner_colours
-from jaxurban.studies.map_comparison import shared_part
+from jaxurban.studies.map_comparison import OneMap, shared_part
 from jaxurban.viewer import markup
-from jaxurban.viewer.layers import H_NORM, Layer, Place, difference, layers_of, legend_of
+from jaxurban.viewer.layers import H_NORM, Layer, difference, layers_of, legend_of
 from jaxurban.viewer.markup import number, options, sentences
 from jaxurban.viewer.plans import Plans
 from jaxurban.viewer.requests import Cell, Nothing, Plan, Request, Save, Shown, Tile, Which, parse
@@ -198,7 +198,7 @@ class Viewer:
     def _colours(self) -> dict[str, str]:
         return {name: line_colour(name) for name in self._labels}
 
-    def place(self, at: tuple[int, int, int], dims: tuple[str, ...] = (ALTITUDE, TIME, TIME_OF_DAY)) -> Place:
+    def place(self, at: tuple[int, int, int], dims: tuple[str, ...] = (ALTITUDE, TIME, TIME_OF_DAY)) -> OneMap:
         """Return altitude, time and time of day by their numbers, those of the dims alone.
 
         Raises:
@@ -209,7 +209,7 @@ class Viewer:
             if dim in dims and held and index >= len(held):
                 raise InputError(f"{dim} {index} is not there: these maps hold {len(held)}, numbered from 0")
             chosen.append(held[index] if dim in dims and held else None)
-        return Place(*chosen)
+        return OneMap(*chosen)
 
     def values(self, which: Which) -> np.ndarray:
         """Return the values ``[Y, X]`` of a map as they travel (`Layer.values`)."""

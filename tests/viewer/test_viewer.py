@@ -19,7 +19,8 @@ from jaxurban.paths.explain import explain
 from jaxurban.paths.plan import plan
 from jaxurban.paths.simplify import simplify
 from jaxurban.report.figures.metrics import metric_colours
-from jaxurban.viewer.layers import Place, layers_of, legend_of
+from jaxurban.studies.map_comparison import OneMap
+from jaxurban.viewer.layers import layers_of, legend_of
 from jaxurban.viewer.markup import number
 from jaxurban.viewer.viewer import Viewer
 from tests.cli_runs import run
@@ -287,7 +288,7 @@ def test_names_out_of_files_cannot_become_markup():
 
 def test_the_legend_names_cells_without_a_value_where_there_are_any():
     layer = layers_of(MAPS)["risk"]
-    values = layer.values(MAPS, Place(20.0))
+    values = layer.values(MAPS, OneMap(20.0))
     assert "no data" not in legend_of(MAPS, layer, values)["html"]
     values[3, 4] = np.nan
     assert "no data" in legend_of(MAPS, layer, values)["html"]
