@@ -28,7 +28,7 @@ from jaxurban.report.figures.style import (
     styled,
 )
 from jaxurban.studies.montecarlo.analysis import each, facts_of, range_names, weighted_rows
-from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
+from jaxurban.studies.montecarlo.trial import WEIGHTED
 
 SHARES = Colours("Greys", LogNorm(1e-6, 0.3), "share of the free cells", extend="max")
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
@@ -71,9 +71,7 @@ def plot_success(success: pd.DataFrame) -> Figure:
 
 @styled
 def plot_costs(table: pd.DataFrame) -> Figure:
-    """Return the share of joined pairs that each planner solved within a ratio of the cheapest path (`joined`)."""
-    table = weighted_rows(table)
-    table = table[table.is_joined]
+    """Return the share of joined pairs that each planner solved within a ratio of the cheapest path."""
     colours = planner_colours(sorted(table.planner.unique()))
     figure, axes = _panels(table.altitude_m.nunique(), "Share of pairs solved at so many times the cheapest cost known")
     end = float(np.clip(table.ratio.quantile(0.98), *RATIO_AXIS))
@@ -100,8 +98,6 @@ def _show_shares(axes: Sequence[Axes]) -> None:
 @styled
 def plot_times(table: pd.DataFrame) -> Figure:
     """Return the seconds that each planner searched, by altitude: median, middle half and range of 5 to 95 %."""
-    table = weighted_rows(table)
-    table = table[table.elapsed_s > 0]
     colours = planner_colours(sorted(table.planner.unique()))
     figure, axes = _panels(table.altitude_m.nunique(), "Time of a search: median, middle half, 5 to 95 %")
     boxes: dict[str, Any] = {
@@ -154,8 +150,7 @@ def plot_usage(usage: pd.DataFrame, metrics: Mapping[str, Metric] = METRICS) -> 
 @styled
 def plot_paired(paired: pd.DataFrame) -> Figure:
     """Return cost ratios of planners two by two with their 95 % intervals (`analysis.paired`)."""
-    shown = paired[np.isfinite(paired.cost_ratio)].iloc[::-1]
-    shown = shown.rename(columns={"low": "cost_ratio_low", "high": "cost_ratio_high"})
+    shown = paired.iloc[::-1].rename(columns={"low": "cost_ratio_low", "high": "cost_ratio_high"})
     figure, (panel,) = _panels(1, "Cost of the first over cost of the second", 0.28 + 0.28 * len(shown))
     y = np.arange(len(shown), dtype=float)
     panel.axvline(1.0, color=FAINT_INK, linewidth=0.8)
@@ -221,18 +216,14 @@ def study_figures(
     maps: MetricMaps, table: pd.DataFrame, tables: dict[str, pd.DataFrame]
 ) -> dict[str, Callable[[], Figure]]:
     """Return what draws each picture that a study's tables allow, by name."""
-    paired, weighted = tables["paired"], weighted_rows(table)
-    figures: dict[str, Callable[[], Figure]] = {"success": partial(plot_success, tables["success"])}
-    if weighted.is_joined.any():
-        figures["costs"] = partial(plot_costs, table)
-    if (weighted.elapsed_s > 0).any():
-        figures["times"] = partial(plot_times, table)
-    if len(tables["usage"]):
-        figures["usage"] = partial(plot_usage, tables["usage"], maps.metrics)
-    if len(paired) and np.isfinite(paired.cost_ratio).any():
-        figures["paired"] = partial(plot_paired, paired)
-    if (table.objective == DISTANCE).any() and len(tables["objectives"]):
-        figures["objectives"] = partial(plot_objectives, tables["objectives"])
-    if "complementarity" in tables:
-        figures["complementarity"] = partial(plot_complementarity, maps, tables["complementarity"])
-    return figures
+    weighted, paired = weighted_rows(table), tables["paired"]
+    drawn: dict[str, tuple[Callable[..., Figure], pd.DataFrame]] = {
+        "success": (plot_success, tables["success"]),
+        "costs": (plot_costs, weighted[weighted.is_joined]),
+        "times": (plot_times, weighted[weighted.elapsed_s > 0]),
+        "usage": (partial(plot_usage, metrics=maps.metrics), tables["usage"]),
+        "paired": (plot_paired, paired[np.isfinite(paired.cost_ratio)] if len(paired) else paired),
+        "objectives": (plot_objectives, tables["objectives"]),
+        "complementarity": (partial(plot_complementarity, maps), tables.get("complementarity", pd.DataFrame())),
+    }
+    return {name: partial(draw, rows) for name, (draw, rows) in drawn.items() if len(rows)}
