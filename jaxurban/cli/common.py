@@ -8,16 +8,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from jaxurban.errors import InputError
-from jaxurban.progress import LOG
+from jaxurban.progress import LOG, Report, reporting
 
 if TYPE_CHECKING:
     from jaxurban.paths.constraints import Constraints
+    from jaxurban.studies.result import Result
 
+StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]
 
 
@@ -262,6 +264,36 @@ def logged_on_stderr() -> Iterator[None]:
     finally:
         LOG.removeHandler(handler)
         LOG.setLevel(level)
+
+
+def run_study(
+    command: str,
+    output: Path,
+    study: Callable[[Report], StudyResult],
+    facts: Callable[[StudyResult], Settings],
+    given: Settings,
+) -> int:
+    """Run a study, write what it found to a folder that is checked before, say where to read it, and return 0.
+
+    Args:
+      command: that runs.
+      output: the folder.
+      study: runs it.
+      facts: of its result, for ``--json``, beside the folder and the report.
+      given: the options ``overwrite``, ``as_json`` and, where there are maps in figures, ``degrees``.
+    """
+    from jaxurban.io.workspace import Workspace
+    from jaxurban.report.write import REPORT_FILE
+
+    Workspace.check(output, command)
+    with reporting(command) as report:
+        found = study(report)
+        report("report")
+        found.save(output, given["overwrite"], degrees=given.get("degrees", False))
+    tell(f"{command} finished: read {output / REPORT_FILE}, look at {output / 'figures'}")
+    if given["as_json"]:
+        print_json({"folder": str(output), "report": str(output / REPORT_FILE)} | facts(found))
+    return 0
 
 
 def print_json(value: Any) -> None:

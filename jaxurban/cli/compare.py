@@ -5,9 +5,9 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.common import DEGREES, DEVICE, JSON_FLAG, OBSTACLES, PATH, RESOLUTION, print_json, tell
+from jaxurban.cli.common import DEGREES, DEVICE, JSON_FLAG, OBSTACLES, PATH, RESOLUTION, run_study
 from jaxurban.errors import InputError
-from jaxurban.progress import reporting
+from jaxurban.progress import Report
 
 
 @click.command()
@@ -26,28 +26,22 @@ from jaxurban.progress import reporting
 @DEGREES
 @DEVICE
 @JSON_FLAG
-def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwrite: bool, **given: Any) -> int:
+def compare(folder_a: Path, folder_b: Path, output: Path, **given: Any) -> int:
     """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time."""
-    from jaxurban.io.files import check_writable
     from jaxurban.io.tables import records_of
-    from jaxurban.io.workspace import Workspace
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.report.map_comparison import REPORT_FILE
+    from jaxurban.studies.map_comparison import MapComparison
     from jaxurban.studies.map_comparison import compare as compare_maps
 
     sides = [MapsFolder(folder, given["resolution_m"], given["obstacles"]) for folder in (folder_a, folder_b)]
-    check_writable(output)
-    Workspace.check(output, "compare")
-    with reporting("compare") as report:
-        found = compare_maps(*sides, times=_times(given["times"]), tolerance=given["tolerance"], progress=report)
-        report("report")
-        found.save(output, overwrite, degrees=given["degrees"])
-    tell(f"comparison finished: read {output / REPORT_FILE}")
-    if as_json:
-        made: dict[str, Any] = {"folder": str(output), "report": str(output / REPORT_FILE)}
-        made |= {"left_out": dict(found.left_out), "settings": found.settings, "layers": records_of(found.table)}
-        print_json(made)
-    return 0
+
+    def study(report: Report) -> MapComparison:
+        return compare_maps(*sides, times=_times(given["times"]), tolerance=given["tolerance"], progress=report)
+
+    def facts(found: MapComparison) -> dict[str, Any]:
+        return {"left_out": dict(found.left_out), "settings": found.settings, "layers": records_of(found.table)}
+
+    return run_study("compare", output, study, facts, given)
 
 
 def _times(pairs: tuple[str, ...]) -> dict[str, str] | None:

@@ -63,14 +63,13 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.option("-o", "output", type=PATH, default=Path("out/sensitivity"), show_default=True)
 def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **given: Any) -> int:
     """Report what would change a route over the maps in DIR."""
-    from jaxurban.io.files import check_writable
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.metric_maps import open_maps
     from jaxurban.paths.cost_map import cost_map
-    from jaxurban.report.buildings import BUILDINGS_FILES, write_buildings
-    from jaxurban.report.sensitivity import FILES, add_buildings, ranges, sensitivity_outputs
-    from jaxurban.report.write import save
+    from jaxurban.report.buildings import write_buildings
+    from jaxurban.report.sensitivity import ranges, sensitivity_markdown, sensitivity_outputs
+    from jaxurban.report.write import REPORT_FILE, save
     from jaxurban.studies.weights.study import SensitivitySettings
     from jaxurban.studies.weights.study import sensitivity as study
 
@@ -87,7 +86,7 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
     at = {name: given[name] for name in ("time", "time_of_day")}
     shared = cost_map(maps, given["altitude_m"], **at, **given_rules(given))
     shared.maps.check_altitude(given["altitude_m"])  # whose map its figures show
-    check_writable(output)
+    Workspace.check(output, "sensitivity")
     ends = {"start": given["start"], "goal": given["goal"], "snap": take_snap(given)}
     first = shared.plan(**ends)
     if not first.status.has_path:
@@ -99,18 +98,15 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
         tell(first.search.note)
     query = {"altitude_m": given["altitude_m"]} | at | ends
     key = {"maps": shared.maps.identity, "buildings": with_buildings} | query | dict(first.settings) | asdict(how)
-    names = [*FILES, *(f"buildings/{name}" for name in BUILDINGS_FILES if with_buildings)]
-    with (
-        Workspace.open(output, "sensitivity", key, names=names, overwrite=overwrite),
-        reporting("sensitivity") as report,
-    ):
+    with Workspace.open(output, "sensitivity", key, overwrite=overwrite), reporting("sensitivity") as report:
         found = study(shared, **ends, settings=how, progress=report)
         report("report")
         save(output, sensitivity_outputs(found, given["degrees"])[0])
         if with_buildings:
             report("buildings")
             drawn = {"scenario": scenario, "degrees": given["degrees"]}
-            add_buildings(output, write_buildings(folder, first, output / "buildings", **drawn))
+            buildings = write_buildings(folder, first, output / "buildings", **drawn)
+            save(output, {REPORT_FILE: sensitivity_markdown(found, buildings)})
     tell(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
         tables = {name: records_of(table.reset_index()) for name, table in found.tables().items()}

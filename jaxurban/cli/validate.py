@@ -1,13 +1,13 @@
 """jaxurban validate."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from jaxurban.cli.common import DEVICE, JSON_FLAG, PATH, Numbers, print_json, tell
-from jaxurban.progress import reporting
+from jaxurban.cli.common import DEVICE, JSON_FLAG, PATH, Numbers, run_study
 
 
 def _number(flag: str, name: str, default: float, text: str) -> Callable[[Callable], Callable]:
@@ -34,40 +34,25 @@ def _number(flag: str, name: str, default: float, text: str) -> Callable[[Callab
 @click.option("--overwrite", is_flag=True, help="Replace another validation in the output folder.")
 @DEVICE
 @JSON_FLAG
-def validate(
-    scenario_file: Path,
-    log_file: Path,
-    output: Path,
-    changes: tuple[str, ...],
-    overwrite: bool,
-    as_json: bool,
-    **given: Any,
-) -> int:
+def validate(scenario_file: Path, log_file: Path, output: Path, changes: tuple[str, ...], **given: Any) -> int:
     """Set the log of a receiver (LOG, .csv or .parquet) against maps of SCENARIO made at its times and its height.
 
     LOG has the columns utc, lon_deg, lat_deg and num_tracked or error_2d_m, a row an epoch.
     """
     import pandas as pd
 
-    from jaxurban.io.files import check_writable
     from jaxurban.io.tables import records_of
-    from jaxurban.io.workspace import Workspace
     from jaxurban.maps.scenario import Scenario
-    from jaxurban.report.receiver import REPORT_FILE
     from jaxurban.studies.receiver.prediction import ReceiverSettings
+    from jaxurban.studies.receiver.validate import ReceiverValidation
     from jaxurban.studies.receiver.validate import validate as validate_log
 
     scenario = Scenario.from_toml(scenario_file, changes)
-    settings = ReceiverSettings(**given)
-    check_writable(output)
-    Workspace.check(output, "validate")
-    with reporting("validate") as report:
-        found = validate_log(scenario, log_file, settings, progress=report)
-        report("report")
-        found.save(output, overwrite)
-    tell(f"validation finished: read {output / REPORT_FILE}, look at {output / 'figures'}")
-    if as_json:
+    settings = ReceiverSettings(**{name: given.pop(name) for name in ReceiverSettings.__dataclass_fields__})
+
+    def facts(found: ReceiverValidation) -> dict[str, Any]:
         (summary,) = records_of(pd.DataFrame([found.summary]))
-        made = {"folder": str(output), "report": str(output / REPORT_FILE), "summary": summary}
-        print_json(made | {"scores": records_of(found.scores), "guesses": list(found.guesses)})
-    return 0
+        return {"summary": summary, "scores": records_of(found.scores), "guesses": list(found.guesses)}
+
+    study = partial(validate_log, scenario, log_file, settings)
+    return run_study("validate", output, lambda report: study(progress=report), facts, given)

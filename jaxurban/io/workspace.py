@@ -135,9 +135,8 @@ class Workspace:
     @classmethod
     def check(cls, folder: Path, command: str, names: Iterable[str] = (), *, is_shared: bool = False) -> None:
         """Raise InputError where a run that writes files of these names would be refused when it does."""
-        if os.path.lexists(folder):
-            with cls.open(folder, command, names=names, is_shared=is_shared):
-                pass
+        with cls.open(folder, command, names=names, is_shared=is_shared):
+            pass
 
     def _check_alone(self, sections: Sections, is_first: bool) -> None:
         if others := [name for name in sections if name != self.command]:

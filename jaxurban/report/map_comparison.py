@@ -10,11 +10,9 @@ from jaxurban.io.store import short_number
 from jaxurban.maps.validation import NOT_SET
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.map_comparison import comparison_figures, heading_of
-from jaxurban.report.write import Output, bullets, fill, framed, listed, table
+from jaxurban.report.write import Output, bullets, fill, framed, listed, study_outputs, table
 from jaxurban.studies.map_comparison import MapComparison, unit_of
 from jaxurban.studies.queries import population_norms
-
-REPORT_FILE = "report.md"
 
 
 def comparison_outputs(found: MapComparison, degrees: bool) -> tuple[dict[str, Output], dict[str, Any]]:
@@ -27,9 +25,8 @@ def comparison_outputs(found: MapComparison, degrees: bool) -> tuple[dict[str, O
     outputs: dict[str, Output] = {
         f"difference/{layer}_{size}m.tif": partial(_write_difference, found, layer) for layer in found.layers
     }
-    outputs |= {"tables/layers": found.table}
-    outputs |= {f"figures/{name}.png": draw for name, draw in figures.items()}
-    return outputs | {REPORT_FILE: comparison_markdown(found, list(figures))}, key
+    report = comparison_markdown(found, list(figures))
+    return outputs | study_outputs(report, {"layers": found.table}, figures), key
 
 
 def _write_difference(found: MapComparison, layer: str, file: Path) -> Path:

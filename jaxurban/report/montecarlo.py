@@ -23,7 +23,7 @@ from jaxurban.planners.cost_model import CostModel
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.sensitivity_study import weights_said
-from jaxurban.report.write import Output, counted, fill, listed
+from jaxurban.report.write import Output, counted, fill, listed, study_outputs
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.complementarity import complementarity
@@ -42,8 +42,6 @@ from jaxurban.studies.result import Result
 from jaxurban.world.city import LandCover
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_cover_for_bounds
-
-REPORT_FILE = "report.md"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -263,9 +261,8 @@ def analysis_outputs(result: BenchmarkResult, _: bool) -> tuple[dict[str, Output
     """Return the report, tables (CSV) and figures of a study, by file name; nothing decides them but its rows."""
     tables = tables_of(result)
     figures = study_figures(result.maps, result.table, tables)
-    outputs: dict[str, Output] = {f"tables/{name}.csv": table for name, table in tables.items()}
-    outputs |= {f"figures/{name}.png": draw for name, draw in figures.items()}
-    return outputs | {REPORT_FILE: report_markdown(result, tables, list(figures))}, {}
+    report = report_markdown(result, tables, list(figures))
+    return study_outputs(report, {f"{name}.csv": table for name, table in tables.items()}, figures), {}
 
 
 def report_markdown(result: BenchmarkResult, tables: dict[str, pd.DataFrame], figures: Sequence[str] = ()) -> str:

@@ -11,27 +11,21 @@ import pandas as pd
 
 from jaxurban.io.read.receiver import TRACKED
 from jaxurban.report.figures.receiver import LABELS, name_of, plot_scatter
-from jaxurban.report.write import Output, bullets, fill, table
+from jaxurban.report.write import Output, bullets, fill, study_outputs, table
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.scores import COEFFICIENTS, MAIN, SPEARMAN, WITHIN
 from jaxurban.studies.receiver.validate import ReceiverValidation
 
-REPORT_FILE, FIGURE_FILE = "report.md", "figures/scatter.png"
 HEADS = {WITHIN: "rank correlation within blocks", SPEARMAN: "over the whole track"}
 
 
 def validation_outputs(found: ReceiverValidation, _: bool) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a validation writes, by file name, and what it is of."""
     rows = hashlib.sha256(found.log.epochs.to_csv(index=False).encode()).hexdigest()  # of two logs of one name
-    outputs: dict[str, Output] = {
-        REPORT_FILE: validation_markdown(found),
-        "tables/pieces": found.pieces.assign(utc=found.pieces.utc.map(lambda time: time.isoformat())),
-        "tables/scores": found.scores,
-        "tables/shifts": found.shifts,
-        FIGURE_FILE: partial(plot_scatter, found),
-    }
+    pieces = found.pieces.assign(utc=found.pieces.utc.map(lambda time: time.isoformat()))
+    tables = {"pieces": pieces, "scores": found.scores, "shifts": found.shifts}
     key = {"log": found.log.name, "rows": rows, "scenario": found.scenario, "settings": found.settings.to_dict()}
-    return outputs, key
+    return study_outputs(validation_markdown(found), tables, {"scatter": partial(plot_scatter, found)}), key
 
 
 def validation_markdown(found: ReceiverValidation) -> str:
@@ -61,7 +55,6 @@ def validation_markdown(found: ReceiverValidation) -> str:
         scores=score_table(found.scores[is_main]),
         others=score_table(others) if len(others) else "",
         guesses="" if not found.guesses else "Guessed:\n\n" + bullets(found.guesses),
-        figure=FIGURE_FILE,
     )
 
 

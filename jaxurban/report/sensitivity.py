@@ -1,7 +1,6 @@
 """report.md of a sensitivity study: what would change the route and what would not, as tables and figures."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,19 +11,16 @@ from jaxurban.planners.cost_model import CostModel
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
-from jaxurban.report.write import Output, files_of, fill, listed, save
+from jaxurban.report.write import Output, fill, listed, study_outputs
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
 from jaxurban.studies.weights.sobol import FEW_SAMPLES
 from jaxurban.studies.weights.study import Sensitivity
 
-REPORT_FILE = "report.md"
-TABLES = "cost_gradient", "local", "sobol", "sobol_spread", "switches", "pareto", "triangle", "triangle_cells"
-FIGURES = "switches", "switch_routes", "sobol", "pareto", "triangle", "triangle_routes"
-FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
 ALIKE = 0.05  # routes are much the same where no outcome differs by more than this share
 MORE = 1.1  # the change of a weight that the report tells about: 10 %
 CLEAR = 2.0  # standard errors from 0
 TOP_BUILDINGS = 10
+RANKING = "rank", "per_metre", "height_m", "lon", "lat", "distance_m"
 
 
 def sensitivity_outputs(found: Sensitivity, degrees: bool) -> tuple[dict[str, Output], dict[str, Any]]:
@@ -32,34 +28,25 @@ def sensitivity_outputs(found: Sensitivity, degrees: bool) -> tuple[dict[str, Ou
     route = found.route
     settings = {"route": route.settings, "lonlat": route.lonlat[[0, -1]].tolist(), "weights": found.weights.tolist()}
     settings |= {"vary": found.vary, "factors": found.factors, "triangle": found.triangle_names}
-    outputs: dict[str, Output] = {f"tables/{name}": table.reset_index() for name, table in found.tables().items()}
+    tables = {name: table.reset_index() for name, table in found.tables().items()}
     if found.triangle is not None:
-        outputs["tables/triangle_cells"] = found.triangle_cells()
+        tables["triangle_cells"] = found.triangle_cells()
     drawn = in_degrees(sensitivity_figures(found), found.maps.grid, degrees)
-    outputs |= {f"figures/{name}.png": draw for name, draw in drawn.items()}
-    return outputs | {REPORT_FILE: sensitivity_markdown(found)}, json.loads(json.dumps(settings, default=str))
+    return study_outputs(sensitivity_markdown(found), tables, drawn), json.loads(json.dumps(settings, default=str))
 
 
-def add_buildings(folder: Path, costs: pd.DataFrame) -> None:
-    """Add to the report in a folder what `jaxurban.report.buildings.write_buildings` wrote beside it.
+def sensitivity_markdown(found: Sensitivity, buildings: pd.DataFrame | None = None) -> str:
+    """Return the report as Markdown; it names figures and tables as `sensitivity_outputs` does.
 
-    Args:
-      folder: that the study was saved to.
-      costs: the table of buildings, ranked.
+    ``buildings``: what `jaxurban.report.buildings.write_buildings` wrote beside it.
     """
-    names = ["per_metre", "height_m", "lon", "lat", "distance_m"]
-    ranking = costs.head(TOP_BUILDINGS).rename_axis("rank").reset_index()[["rank", *names]].round({"lon": 5, "lat": 5})
-    ranking = ranking.astype({"lon": str, "lat": str})
-    report = (folder / REPORT_FILE).read_text(encoding="utf-8")
-    save(folder, {REPORT_FILE: f"{report}\n{fill('buildings', {'ranking': ranking})}"})
-
-
-def sensitivity_markdown(found: Sensitivity) -> str:
-    """Return the report as Markdown; it names figures and tables as `sensitivity_outputs` does."""
-    route, settings = found.route, found.route.settings
+    route, settings, tables = found.route, found.route.settings, shown_tables(found)
+    if buildings is not None:
+        ranking = buildings.head(TOP_BUILDINGS).rename_axis("rank").reset_index()[[*RANKING]]
+        tables["ranking"] = ranking.round({"lon": 5, "lat": 5}).astype({"lon": str, "lat": str})
     return fill(
         "sensitivity",
-        shown_tables(found),
+        tables,
         sensitivity_figures(found),
         [found.maps.attribution],
         found=found,

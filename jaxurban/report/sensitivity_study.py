@@ -12,7 +12,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.report.figures.sensitivity_study import study_figures
-from jaxurban.report.write import Output, bullets, files_of, fill, framed, save
+from jaxurban.report.write import bullets, fill, framed, save, study_outputs
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.queries import outcome_label, population_norms
@@ -21,7 +21,6 @@ from jaxurban.studies.weights.routes import SensitivityStudySettings
 from jaxurban.studies.weights.sobol import FEW_SAMPLES
 from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES, UNCLEAR, change_said
 
-REPORT_FILE = "report.md"
 STATISTICS, ENDS = ("regret", "changes", "nearest", "share"), ("", "_low", "_high")
 SAMPLED = (
     "Routes were drawn by stratum and range in equal numbers, only where a path joins a pair at every altitude, not as "
@@ -73,18 +72,10 @@ class SensitivityStudy:
         return found
 
 
-TABLES = "routes", "weights", "summary", "sobol", "sobol_summary", "comparisons", "remade", "remade_summary"
-FIGURES = "share", "regret", "nearest", "where", "sobol", "remade"
-FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
-
-
 def write_sensitivity_study(found: SensitivityStudy) -> list[Path]:
     """Write the report, tables (CSV, Parquet) and figures (PNG) of a study into its folder and return the files."""
-    outputs: dict[str, Output] = {f"tables/{name}": made for name, made in found.tables.items()}
-    if "weights" in found.tables:
-        figures = study_figures(found.tables, found.settings.wrong)
-        outputs |= {f"figures/{name}.png": draw for name, draw in figures.items()}
-    return save(found.folder, {**outputs, REPORT_FILE: study_markdown(found)})
+    figures = study_figures(found.tables, found.settings.wrong) if "weights" in found.tables else {}
+    return save(found.folder, study_outputs(study_markdown(found), found.tables, figures))
 
 
 def study_markdown(found: SensitivityStudy) -> str:
@@ -95,8 +86,7 @@ def study_markdown(found: SensitivityStudy) -> str:
     return fill(
         "sensitivity_study",
         {"cities": _cities(found), **shown_tables(tables)},
-        FIGURES,
-        [maps.attribution for maps in found.maps.values()],
+        credits=[maps.attribution for maps in found.maps.values()],
         lost=framed(reasons) if len(reasons) else "",
         skipped=bullets(f"Not made anew: {reason}" for reason in found.skipped),
         limit=min(settings.factors[1], 1 / settings.factors[0]),

@@ -17,6 +17,7 @@ from jaxurban.io.files import whole_file
 from jaxurban.io.tables import SUFFIXES, write_table
 from jaxurban.world.city import joined_credits
 
+REPORT_FILE = "report.md"
 DPI, NUM_COLOURS = 110, 256
 Output = str | pd.DataFrame | Callable[..., Any]  # a text, a table, or what draws a picture or writes a map
 
@@ -24,6 +25,14 @@ Output = str | pd.DataFrame | Callable[..., Any]  # a text, a table, or what dra
 def files_of(names: Iterable[str]) -> list[str]:
     """Return the names of the files that `save` writes for outputs of these names."""
     return [f"{name}{suffix}" for name in names for suffix in ([""] if Path(name).suffix else reversed(SUFFIXES))]
+
+
+def study_outputs(
+    report: str, tables: Mapping[str, pd.DataFrame], figures: Mapping[str, Callable[[], Figure]]
+) -> dict[str, Output]:
+    """Return the outputs of a study by file name: ``tables/NAME``, ``figures/NAME.png``, and last ``report.md``."""
+    outputs: dict[str, Output] = {f"tables/{name}": made for name, made in tables.items()}
+    return outputs | {f"figures/{name}.png": draw for name, draw in figures.items()} | {REPORT_FILE: report}
 
 
 def save(folder: str | Path, outputs: Mapping[str, Output]) -> list[Path]:

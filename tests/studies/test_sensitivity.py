@@ -104,6 +104,10 @@ def test_report_names_every_weight_and_every_file_that_it_shows(found, tmp_path)
     report = (tmp_path / "out" / "report.md").read_text()
     assert report == sensitivity_markdown(found)
     assert report.count("© a made city") == 1
+    costs = pd.DataFrame({"per_metre": [2.0], "height_m": 30.0, "lon": -74.0, "lat": 40.75, "distance_m": 5.0})
+    told = sensitivity_markdown(found, costs)
+    assert told.index("| 0 | 2 | 30 | -74.0 | 40.75 | 5 |") < told.index("## How to read this")
+    assert "Which buildings" not in report
     assert all(sentence in report for sentence in found.route.cautions or ["no caution"])
     for name in found.names:
         assert name in report
