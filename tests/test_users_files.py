@@ -334,6 +334,19 @@ def test_what_a_user_adds_to_the_zarr_is_kept_and_the_maps_are_read(place, job, 
         assert {each: each.read_bytes() for each in kept} == kept
 
 
+def test_a_file_among_unfinished_maps_that_are_not_gone_on_with_is_moved(job_of_maps, monkeypatch, capsys):
+    monkeypatch.chdir(job_of_maps)
+    work = job_of_maps / "maps/maps.zarr/.10m.jaxurban-part"
+    for name in ("key.txt", "zarr/gps/.zarray", "zarr/gps/0.1.2", "zarr/gps/mine.txt"):
+        (work / name).parent.mkdir(parents=True, exist_ok=True)
+        (work / name).write_text(PLANTED)
+    code, _, err = run(capsys, "maps", "town.toml", "-o", "maps")
+    assert (code, work.exists()) == (0, False), err
+    files = [path for path in (job_of_maps / "maps/kept").rglob("*") if path.is_file()]
+    assert [(path.name, path.read_text()) for path in files] == [("mine.txt", PLANTED)]
+    assert str(files[0].relative_to(job_of_maps)) in err
+
+
 @pytest.mark.parametrize("command", [("maps", "town.toml"), ("study", "town.toml"), ("demo",), ("tune", "maps")])
 def test_an_empty_name_is_not_the_current_folder(tmp_path, command, monkeypatch, capsys):
     (tmp_path / "town.toml").write_text(SCENARIO)

@@ -1,5 +1,6 @@
 """The folder of unfinished maps, with which the same job goes on after a kill."""
 
+import re
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,9 +21,14 @@ from jaxurban.io.files import (
     write_json,
     write_whole,
 )
-from jaxurban.io.workspace import Each
+from jaxurban.io.workspace import Each, Workspace
 
 KEY_FILE, ZARR, ARRAY_FOLDER, DONE_FOLDER = "key.txt", "zarr", "arrays", "done"
+STEP = rf"({ZARR}|[a-z]+_\d+_\d+\w*)"
+OF_STEPS = re.compile(  # what steps write, before they leave their mark too
+    rf"{KEY_FILE}|{ZARR}/([^/]+/)?(\.z\w+|\d+(\.\d+)*)|{ARRAY_FOLDER}/{STEP}\.npz|{DONE_FOLDER}/{STEP}\.json"
+)
+SCRAP = re.compile(rf"\..*{re.escape(SCRATCH_SUFFIX)}|.*\.[0-9a-f]{{32}}\.partial")  # our own, and the Zarr library's
 _PARSING = Lock()  # headers of arrays are Python text, and 3.11 fails now and then where threads parse (CPython 106905)
 
 
@@ -41,13 +47,15 @@ class WorkFolder:
 
         Returns:
           Damaged files of that job's work, which are removed, and the steps that wrote them are to be done again.
+
+        Raises:
+          InputError: a file of the user's cannot be moved out of the folder.
         """
-        if not is_as_written(self.path / KEY_FILE, [checksum_of(key.encode())]):
-            remove(self.path)
+        if is_as_written(self.path / KEY_FILE, [checksum_of(key.encode())]):
+            self._sweep()
+        else:
+            self.discard()
             write_whole(self.path / KEY_FILE, key)
-        for pattern in (f".*{SCRATCH_SUFFIX}", "*.partial"):  # half-written: our own, and those of the Zarr library
-            for scrap in list(self.path.rglob(pattern)):
-                remove(scrap)
         marks = self._marks("*")
         found = {mark: files for mark, files in zip(marks, each(self._damaged, marks), strict=True) if files}
         for mark, files in found.items():
@@ -57,6 +65,20 @@ class WorkFolder:
             for path in (self.zarr, *self._marks("tile_*")):
                 remove(path)
         return [file for files in found.values() for file in files]
+
+    def _sweep(self) -> None:
+        """Remove what killed processes left half-written, and move what no step writes, a user's, to `KEPT_FOLDER`."""
+        for scrap in [path for path in self.path.rglob("*") if SCRAP.fullmatch(path.name)]:
+            remove(scrap)
+        for path in [path for path in self.path.rglob("*") if path.is_symlink() or not path.is_dir()]:
+            if not OF_STEPS.fullmatch(name := path.relative_to(self.path).as_posix()):
+                with Workspace.shared(self.path.parents[1], "maps") as workspace:
+                    workspace.set_aside(path, name)
+
+    def discard(self) -> None:
+        """Remove the folder, but for what no step writes (`_sweep`)."""
+        self._sweep()
+        remove(self.path)
 
     def _marks(self, pattern: str) -> list[Path]:
         return sorted((self.path / DONE_FOLDER).glob(pattern))
@@ -108,8 +130,9 @@ class WorkFolder:
     def mark_zarr(self) -> None:
         """Note that the Zarr is there, without the values of its maps."""
         of_tiles = {name for mark in self._marks("tile_*") for name in read_json(mark)["checksums"]}
-        names = {file.relative_to(self.path).as_posix() for file in self.zarr.rglob("*") if file.is_file()} - of_tiles
-        self.mark_done(ZARR, {name: checksum_of(self.path / name) for name in sorted(names)})
+        files = (file.relative_to(self.path).as_posix() for file in self.zarr.rglob("*") if file.is_file())
+        names = sorted(set(filter(OF_STEPS.fullmatch, files)) - of_tiles)
+        self.mark_done(ZARR, {name: checksum_of(self.path / name) for name in names})
 
     def done(self, name: str) -> dict[str, Any] | None:
         """Return what a finished step found, None if it is not finished, or its mark is damaged."""
@@ -118,7 +141,8 @@ class WorkFolder:
         return None
 
     def finish(self, target: Path) -> None:
-        """Give the assembled maps their name ``target`` and remove the rest."""
+        """Give the assembled maps their name ``target`` and remove the rest as `discard` does."""
+        self._sweep()
         checksums: dict[str, str] = {}
         for mark in self._marks("*"):
             checksums |= read_json(mark)["checksums"]

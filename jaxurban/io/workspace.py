@@ -253,13 +253,13 @@ class Workspace:
                 os.replace(made / name, path / name)
         self.written.update(names)
 
-    def set_aside(self, path: Path) -> None:
-        """Move what is in the way of an output to `KEPT_FOLDER`, and report it.
+    def set_aside(self, path: Path, name: str | None = None) -> None:
+        """Move what is in the way of an output to `KEPT_FOLDER`, under its own or another name, and report it.
 
         Raises:
           InputError: it cannot be moved there.
         """
-        aside = _unused(self.folder / KEPT_FOLDER / str(self.name_of(path)))
+        aside = _unused(self.folder / KEPT_FOLDER / (name or str(self.name_of(path))))
         try:
             aside.parent.mkdir(parents=True, exist_ok=True)
             path.rename(aside)

@@ -16,7 +16,7 @@ import dask.array
 
 from jaxurban.errors import InputError
 from jaxurban.io import store
-from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, remove, sweep_scraps
+from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, sweep_scraps
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
 from jaxurban.io.layers import bands_of
@@ -212,7 +212,7 @@ def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
     kept = [store.work_path(folder, resolution_m) for resolution_m in unfinished]
     for path in (folder / store.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}"):
         if path not in kept:
-            remove(path)
+            WorkFolder(path).discard()
     sweep_scraps(folder, folder / store.ZARR_FOLDER, folder / store.GEOTIFF_FOLDER)
 
 

@@ -136,8 +136,8 @@ def study(
     key, names = _deciding(job, opened), [ROWS_FILE, INSTANCES_FILE]
     with Workspace.open(
         folder, "study", key, names=names, overwrite=overwrite, is_shared=True, is_mended=not overwrite
-    ):
-        _check_growth(folder, instances)
+    ) as workspace:
+        _check_growth(workspace, instances)
         write_table(instances, folder / INSTANCES_FILE)
         file, columns = folder / ROWS_FILE, row_columns(instances.columns)
         with reporting("study", progress) as report:
@@ -212,13 +212,16 @@ def _deciding(job: Benchmark, maps: MetricMaps) -> dict[str, Any]:
     }
 
 
-def _check_growth(folder: Path, instances: pd.DataFrame) -> None:
+def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
     """Raise InputError unless all instances of the benchmark in a folder, if there is one, are among these."""
+    folder, file = workspace.folder, workspace.folder / INSTANCES_FILE
     remedy = "choose another folder, or pass --overwrite (overwrite=True) to replace it"
     if not (folder / ROWS_FILE).exists() and not any((folder / PARTS_FOLDER).glob("*.json")):
         return
     try:
-        before = read_instances(folder / INSTANCES_FILE).set_index(list(KEY))
+        if workspace.is_changed(file):
+            raise InputError(f"{str(file)!r} is not as it was written")
+        before = read_instances(file).set_index(list(KEY))
     except InputError as error:
         raise InputError(f"{str(folder)!r} holds a study whose instances are lost ({error}): {remedy}") from error
     now, columns = instances.set_index(list(KEY)), query_columns(instances.columns)

@@ -258,12 +258,35 @@ def test_a_worker_that_dies_as_the_job_goes_costs_nothing(city, whole, tmp_path,
     assert files_of(tmp_path) == whole
 
 
+def test_scratch_and_files_of_the_user_among_unfinished_maps_are_no_outputs(city, whole, tmp_path, monkeypatch):
+    """Scratch as a killed worker leaves it goes, in the midst of a run too; what no step wrote is set aside."""
+    finish, mine = WorkFolder.finish, ("mine.txt", "done/mine.json", "zarr/risk/0.0.0.bak", "arrays/mine/a.npz")
+
+    def plant(work, *names):
+        for name in (*names, "zarr/risk/.0.0.0.0a1b2c3d.jaxurban-part", f"zarr/risk/0.0.{32 * 'a'}.partial"):
+            (work.path / name).parent.mkdir(exist_ok=True)
+            (work.path / name).write_text(name)
+
+    def finish_late(work, target):
+        plant(work, *mine[:2])
+        work.mark_zarr()
+        assert work.begin((work.path / "key.txt").read_text()) == []
+        plant(work, *mine[2:])
+        finish(work, target)
+
+    monkeypatch.setattr(WorkFolder, "finish", finish_late)
+    make(tmp_path, city)
+    assert files_of(tmp_path) == whole | {f"kept/{name}": name.encode() for name in mine}
+
+
 def test_another_jobs_unfinished_work_is_not_gone_on_with(tmp_path):
-    work = WorkFolder(tmp_path / "work")
+    work = WorkFolder(tmp_path / WORK)
     work.begin("one")
     work.mark_zarr()
     work.mark_done("tile_0_0", {}, {"num_free": [1]})
     work.begin("one")
     assert work.done("tile_0_0") == {"num_free": [1]}
+    (work.path / "mine.txt").write_text("mine")
     work.begin("two")
     assert work.done("tile_0_0") is None
+    assert (tmp_path / "kept/mine.txt").read_text() == "mine"

@@ -184,6 +184,18 @@ def test_damaged_rows_are_set_aside_and_made_again(folder, result, tmp_path):
     same_rows(found, result.rows)
 
 
+def test_a_study_whose_instances_were_changed_is_refused(folder, tmp_path):
+    """Nobody knows then what its rows are of; one that lacks an instance may even look like a shorter study."""
+    rows = ju.studies.study(folder, tmp_path, 2, settings=ONE).rows
+    file = tmp_path / "instances.parquet"
+    pd.read_parquet(file)[1:].to_parquet(file)
+    for number in (2, 3):
+        with pytest.raises(InputError, match=r"instances are lost \(.*instances.parquet' is not as it was written\)"):
+            ju.studies.study(folder, tmp_path, number, settings=ONE)
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "rows.parquet"), rows)
+    assert len(pd.read_parquet(file)) == 3
+
+
 @pytest.mark.slow
 def test_two_workers_give_the_rows_of_one(folder, result, tmp_path):
     job = study_elsewhere(folder, tmp_path / "out", tmp_path / "job.py", workers=2)
