@@ -14,7 +14,7 @@ from jaxurban.maps.build import compute_maps
 from jaxurban.metrics.gps import Gps, SatelliteSet
 from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
-from jaxurban.metrics.population import block_layers, map_blocks
+from jaxurban.metrics.population import Population, block_layers, map_blocks
 from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.grid import Grid
@@ -103,7 +103,7 @@ def growth(scene: Scene, num_runs: int) -> list[Growth]:
         "obstacle": lambda tile: obstacle_mask(tile.crop(tile.roof_m), z_m),
         "gps": gps,
         "lidar": lambda tile: compute_lidar(tile, [GROWTH_ALTITUDE_M], Lidar()),
-        "population": lambda tile: map_blocks(tile.block, block_layers(blocks, ("day",)).m),
+        "population": lambda tile: map_blocks(tile.block, block_layers(blocks, Population(time_of_day="day")).m),
         "risk": lambda tile: compute_risk(tile, z_m, Risk()),
     }
 

@@ -19,7 +19,7 @@ from figures.paper.common import (
     save,
     synthetic_city,
 )
-from jaxurban.metrics.population import block_layers
+from jaxurban.metrics.population import Population, block_layers
 from jaxurban.report.figures.frame import MapPanel, draw_maps
 from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.style import INK, Colours
@@ -132,7 +132,7 @@ def draw(ground: Ground) -> None:
             path_effects=[withStroke(linewidth=2.5, foreground="white")],
         )
     add_polygons(left, [ground.park], facecolor=PARK, **border)
-    density = np.asarray(block_layers(ground.blocks, ("night",)).density_per_km2[0])
+    density = np.asarray(block_layers(ground.blocks, Population(time_of_day="night")).density_per_km2[0])
     is_home = (density > 0) & ~shapely.is_empty(ground.outlines)
     is_empty = (density == 0) & ~shapely.is_empty(ground.outlines)
     thin = {"edgecolor": "#808080", "linewidth": 0.15, "rasterized": True}

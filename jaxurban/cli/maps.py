@@ -13,6 +13,7 @@ from jaxurban.cli.common import (
     DEVICE_CHOICE,
     JSON_FLAG,
     PATH,
+    Settings,
     names_in,
     print_json,
     stay_on_cpu,
@@ -65,38 +66,23 @@ def maps(
     scenario_files: tuple[Path, ...],
     folder: Path,
     changes: tuple[str, ...],
-    overwrite: bool,
-    figures: bool,
-    degrees: bool,
-    layers: str,
-    memory: str | None,
-    workers: int | None,
-    cluster: str | None,
-    device: str | None,
     engine: str | None,
     as_json: bool,
+    **given: Any,
 ) -> int:
     """Make the metric maps of SCENARIO (TOML) as Zarr and GeoTIFF.
 
     Of several scenarios each goes to a folder of its own under the output folder, named as its file; one that fails
     does not stop the others, and the exit code is then 2.
     """
-    from jaxurban.maps.executors import Resources
-    from jaxurban.maps.memory import parse_bytes
     from jaxurban.maps.scenario import Scenario
 
-    if degrees and not figures:
+    if given["degrees"] and not given["figures"]:
         raise click.UsageError("--degrees belongs to --figures: add that")
-    drawn = {"degrees": degrees} if figures else None
     changes += () if engine is None else (f'region.engine = "{engine}"',)
-    if device == "cpu":
-        stay_on_cpu()
-    resources = Resources(None if memory is None else parse_bytes(memory), workers, cluster).on_device(device)
-    if resources.gpus:  # which are the workers' own
-        stay_on_cpu(is_inherited=False)
+    resources = _resources(given)
     if len(scenario_files) == 1:
-        scenario = Scenario.from_toml(scenario_files[0], changes)
-        record = _make(scenario, folder, overwrite, drawn, resources, names_in(layers))
+        record = _make(Scenario.from_toml(scenario_files[0], changes), folder, resources, given)
         if as_json:
             print_json(record)
         return 0
@@ -106,9 +92,7 @@ def maps(
     for name, file in zip(names, scenario_files, strict=True):
         tell(f"scenario {file}")
         try:
-            found[name] = _make(
-                Scenario.from_toml(file, changes), folder / name, overwrite, drawn, resources, names_in(layers)
-            )
+            found[name] = _make(Scenario.from_toml(file, changes), folder / name, resources, given)
         except Exception as error:
             is_ours = isinstance(error, InputError | MemoryError)
             codes.add(EXIT_BAD_INPUT if is_ours else EXIT_BUG)
@@ -141,27 +125,35 @@ def _folder_names(scenario_files: Sequence[Path]) -> list[str]:
     return names
 
 
-def _make(
-    scenario: "Scenario",
-    folder: Path,
-    overwrite: bool,
-    drawn: dict[str, bool] | None,
-    resources: "Resources",
-    layers: tuple[str, ...],
-) -> dict[str, Any]:
-    """Make the maps of one scenario, draw them as asked, and return the record of the run."""
+def _resources(given: Settings) -> "Resources":
+    """Return what a run may use by the command's options, once what computes is settled."""
+    from jaxurban.maps.executors import Resources
+    from jaxurban.maps.memory import parse_bytes
+
+    memory, device = given["memory"], given["device"]
+    if device == "cpu":
+        stay_on_cpu()
+    memory_bytes = None if memory is None else parse_bytes(memory)
+    resources = Resources(memory_bytes, given["workers"], given["cluster"]).on_device(device)
+    if resources.gpus:  # which are the workers' own
+        stay_on_cpu(is_inherited=False)
+    return resources
+
+
+def _make(scenario: "Scenario", folder: Path, resources: "Resources", given: Settings) -> dict[str, Any]:
+    """Make the maps of one scenario, draw them as the options have it, and return the record of the run."""
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.run import run_scenario
 
     with reporting("maps") as report:
-        run = run_scenario(scenario, folder, report, overwrite, resources, layers)
-        if drawn is not None:
+        run = run_scenario(scenario, folder, report, given["overwrite"], resources, names_in(given["layers"]))
+        if given["figures"]:
             from jaxurban.report.figures import save_figures
 
             report("figures")
             with Workspace.open(folder, "maps --figures", is_shared=True):
                 for resolution_m, made in run.maps.items():
-                    save_figures(made, {}, folder / "figures" / f"{resolution_m:g}m", **drawn)
+                    save_figures(made, {}, folder / "figures" / f"{resolution_m:g}m", degrees=given["degrees"])
     tell_warnings(run.record)
     tell(f"maps finished: {folder} (run.json tells what went in)")
     return run.record

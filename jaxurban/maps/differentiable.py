@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxurban.errors import one_of, typed
-from jaxurban.metrics.base import TIME_OF_DAY, Metric, SoftScene
-from jaxurban.metrics.custom import Layer, own_metric
+from jaxurban.metrics.base import Metric, SoftScene
+from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.population import BlockPopulation
-from jaxurban.metrics.registry import METRICS, ON_REQUEST, checked_sections
+from jaxurban.metrics.registry import METRICS, checked_sections
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.base import Problem
@@ -98,13 +98,8 @@ class SoftCity:
     @property
     def metrics(self) -> dict[str, Metric]:
         """The metrics that have a soft form, by name, in the order of the layers: as in maps, and one's own last."""
-        asked = {name: metric for name, metric in ON_REQUEST.items() if name in dict(self.reach_m)}
-        known = dict(METRICS) | asked | {name: own_metric(name, layer) for name, layer in sorted(self.own)}
-        return {
-            name: metric
-            for name, metric in known.items()
-            if metric.soft is not None and (TIME_OF_DAY not in metric.dims or self.population is not None)
-        }
+        made = metrics_of(dict(self.reach_m), dict(self.own), has_people=self.population is not None)
+        return {name: metric for name, metric in made.items() if metric.soft is not None}
 
     @property
     def names(self) -> tuple[str, ...]:

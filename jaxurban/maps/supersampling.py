@@ -57,9 +57,8 @@ class Bands:
       along_cols: ``[Y, X]`` the same for rays that go from column to column.
       own_m: ``[y, x]`` top that hides all below it in the receiver's own cell; None where nothing does.
       entry_steps: share of a step before a row's middle at which a ray meets its roofs.
-      surface: the supersampled surface; its slabs count where ``has_slabs``.
+      surface: the supersampled surface; its slabs shadow too, between floor and top.
       oversample: n.
-      has_slabs: whether what hangs shadows too, between floor and top.
     """
 
     along_rows: Float[np.ndarray, "Y X"]
@@ -68,7 +67,6 @@ class Bands:
     entry_steps: float
     surface: Surface
     oversample: int
-    has_slabs: bool = False
 
 
 def _widest(tops_m: np.ndarray, axis: int, pick: Callable) -> np.ndarray:
@@ -85,7 +83,7 @@ def _at_receivers(supersampled: Surface, values: AnyArray, oversample: int) -> n
 def plain_bands(supersampled: Surface, oversample: int) -> Bands:
     """Return what shadows a map under the rule of `jaxurban.kernels.shadows.sweep` on its supersampled surface."""
     tops_m = np.asarray(supersampled.top_m)
-    return Bands(tops_m, tops_m, None, ENTRY_STEPS, supersampled, oversample, supersampled.slabs is not None)
+    return Bands(tops_m, tops_m, None, ENTRY_STEPS, supersampled, oversample)
 
 
 def upper_bands(touched: Surface, oversample: int) -> Bands:
@@ -110,7 +108,7 @@ def lower_bands(supersampled: Surface, oversample: int) -> Bands:
     """
     covered_m = _widest(_widest(np.asarray(supersampled.top_m), 0, np.minimum), 1, np.minimum)
     rows_m, cols_m = (_widest(covered_m, axis, np.minimum) for axis in (1, 0))
-    return Bands(rows_m, cols_m, None, WHOLE_ROW_STEPS, supersampled, oversample)
+    return Bands(rows_m, cols_m, None, WHOLE_ROW_STEPS, replace(supersampled, slabs=None), oversample)
 
 
 def visibility_at_centres(
@@ -149,6 +147,4 @@ def visibility_at_centres(
     if bands.own_m is not None:
         ground = 0 if surface.terrain_m is None else _at_receivers(surface, surface.terrain_m, n)
         words *= bands.own_m <= altitudes[:, None, None] + ground
-    if bands.has_slabs:
-        without_hidden(words, surface, azimuth, elevation, altitudes, n)
-    return words
+    return without_hidden(words, surface, azimuth, elevation, altitudes, n)

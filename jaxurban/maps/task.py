@@ -13,10 +13,10 @@ from jaxurban.io.read.guesses import Guesses, has_guessed_roofs, region_guesses
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.engine import ENGINES, Engine
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
-from jaxurban.metrics.custom import Layer, check_file_names, own_metric
+from jaxurban.metrics.custom import Layer, check_file_names, metrics_of
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import BlockLayers, Population, block_layers
-from jaxurban.metrics.registry import METRICS, ON_REQUEST, checked_sections, known_metrics
+from jaxurban.metrics.registry import checked_sections, known_metrics
 from jaxurban.metrics.variables import derived
 from jaxurban.metrics.visibility import shadow_reach_m
 from jaxurban.settings import Heights
@@ -123,20 +123,12 @@ class MapTask:
     @cached_property
     def metrics(self) -> dict[str, Metric]:
         """The metrics that the maps are of: the built-in ones that there are data for, then one's own by name."""
-        built_in = {
-            name: metric
-            for name, metric in METRICS.items()
-            if TIME_OF_DAY not in metric.dims or self.city.blocks is not None
-        }
-        asked = {name: metric for name, metric in ON_REQUEST.items() if name in self.params.sections}
-        made = {name: metric.under(self.settings_of(metric)) for name, metric in (built_in | asked).items()}
-        return made | {name: own_metric(name, layer) for name, layer in sorted(self.layers.items())}
+        made = metrics_of(self.params.sections, self.layers, has_people=self.city.blocks is not None)
+        return {name: metric.under(self.settings_of(metric)) for name, metric in made.items()}
 
     def settings_of(self, metric: Metric) -> Any:
         """Return the settings of a metric."""
-        if metric.name in self.layers:
-            return self.layers[metric.name]
-        return self.params.of(metric.name)
+        return self.layers[metric.name] if metric.name in self.layers else self.params.of(metric.name)
 
     @property
     def spread_metrics(self) -> tuple[str, ...]:
@@ -176,8 +168,7 @@ class MapTask:
         """The population of every block, normalised over the region; None without population data."""
         if self.city.blocks is None:
             return None
-        population = self.params.population
-        return block_layers(self.city.blocks, population.times_of_day, population, self.region.bounds_m)
+        return block_layers(self.city.blocks, self.params.population, self.region.bounds_m)
 
     @property
     def all_guesses(self) -> Guesses:

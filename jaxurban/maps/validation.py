@@ -190,7 +190,5 @@ PlannerName = Annotated[str, AfterValidator(_known_planner)]
 
 
 Seed = Annotated[int, Field(ge=0)]
-StrList = Annotated[tuple[str, ...], BeforeValidator(as_list), Field(min_length=1)]
 Different = AfterValidator(_all_different)
 DifferentList = Annotated[tuple[Positive, ...], BeforeValidator(as_list), Field(min_length=1), Different]
-Profile = tuple[float, ...]

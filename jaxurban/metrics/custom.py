@@ -19,7 +19,7 @@ import xarray as xr
 
 from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.metrics.base import ALTITUDE, COSTS, TIME, TIME_OF_DAY, Metric, Scale, Scene, SoftScene, Variable
-from jaxurban.metrics.registry import known_metrics
+from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.metrics.variables import NO_METRICS, derived
 from jaxurban.world.surface import Surface
 
@@ -172,6 +172,20 @@ def own_metric(name: str, layer: Layer) -> Metric:
         colour_map=COLOUR_MAP,
         inside=None,
     )
+
+
+def metrics_of(requested: Collection[str], layers: Mapping[str, Layer], has_people: bool) -> dict[str, Metric]:
+    """Return the metrics of maps by name: of every cost, those made on request, then one's own by name.
+
+    Args:
+      requested: names, among them those of `ON_REQUEST` that are made.
+      layers: one's own.
+      has_people: whether there are census blocks, which metrics with a time of day need.
+    """
+    on_request = {name: metric for name, metric in ON_REQUEST.items() if name in requested}
+    own = {name: own_metric(name, layer) for name, layer in sorted(layers.items())}
+    made = {**METRICS, **on_request, **own}
+    return {name: metric for name, metric in made.items() if has_people or TIME_OF_DAY not in metric.dims}
 
 
 def colour_of(name: str) -> str:

@@ -283,33 +283,23 @@ def region_blocks(blocks: Blocks, bounds_m: Bounds | None = None) -> Int[np.ndar
     return np.arange(len(blocks)) if bounds_m is None else np.flatnonzero(blocks.touches(bounds_m))
 
 
-def block_layers(
-    blocks: Blocks,
-    times_of_day: Sequence[str] = ("day", "night"),
-    params: Population | None = None,
-    bounds_m: Bounds | None = None,
-) -> BlockLayers:
-    """Return the metric and the density of every block at each time of day.
+def block_layers(blocks: Blocks, params: Population | None = None, bounds_m: Bounds | None = None) -> BlockLayers:
+    """Return the metric and the density of every block at each time of day of the settings.
 
     Args:
       blocks: the census blocks.
-      times_of_day: see `day_share`.
       params: left out, the paper's.
       bounds_m: the region's box, to normalise by the blocks that touch it; left out, by all of them.
-
-    Raises:
-      InputError: no such time of day.
     """
     params = params or Population()
-    layers = layers_of_blocks(*_made_ready(blocks, times_of_day, params, bounds_m), params)
-    return BlockLayers(*(np.asarray(layer) for layer in layers))
+    return jax.tree.map(np.asarray, layers_of_blocks(*_made_ready(blocks, params, bounds_m), params))
 
 
 def _made_ready(
-    blocks: Blocks, times_of_day: Sequence[str], params: Population, bounds_m: Bounds | None
+    blocks: Blocks, params: Population, bounds_m: Bounds | None
 ) -> tuple[BlockPopulation, Float[np.ndarray, " D"]]:
-    """Return the blocks, and how far the population has moved from night to day at each time."""
-    shares = np.array([day_share(time_of_day, params) for time_of_day in times_of_day], np.float32)
+    """Return the blocks, and how far the population has moved from night to day at each time of the settings."""
+    shares = np.array([day_share(time_of_day, params) for time_of_day in params.times_of_day], np.float32)
     return BlockPopulation.of(blocks, bounds_m), shares
 
 
@@ -347,24 +337,23 @@ def soft_population(
     return map_blocks(block if cells is None else block[cells[:, 0], cells[:, 1]], m)
 
 
+def _on_cells(surface: Surface, layers: BlockLayers) -> dict[str, Array]:
+    """Return the maps of blocks, at one time of day or at several, by their variable."""
+    assert surface.block is not None
+    named = {"population": layers.m, "density": layers.density_per_km2}
+    return {name: map_blocks(surface.block, values) for name, values in named.items()}
+
+
 def _maps(scene: Scene, params: Population) -> dict[str, Array]:
-    assert scene.surface.block is not None
-    block = scene.surface.block
-    return {
-        "population": map_blocks(block, scene.population.m),
-        "density": map_blocks(block, scene.population.density_per_km2),
-    }
+    return _on_cells(scene.surface, scene.population)
 
 
 def _ready(surface: Surface, _: Any, params: Population, blocks: Any) -> tuple:
-    return _made_ready(blocks, params.times_of_day, params, surface.region.bounds_m)
+    return _made_ready(blocks, params, surface.region.bounds_m)
 
 
 def _traced(scene: TracedScene, params: Population) -> dict[str, Array]:
-    assert scene.surface.block is not None
-    layers = layers_of_blocks(*scene.ready, params)
-    named = {"population": layers.m, "density": layers.density_per_km2}
-    return {name: map_blocks(scene.surface.block, values) for name, values in named.items()}
+    return _on_cells(scene.surface, layers_of_blocks(*scene.ready, params))
 
 
 def _soft(scene: SoftScene, params: Population) -> Array:

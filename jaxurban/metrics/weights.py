@@ -119,11 +119,6 @@ class Weights:
         values = {name: _number(name, value) for name, value in self.to_dict().items()}
         return Weights(**values)
 
-    def check_some(self, name: str = "weights") -> None:
-        """Raise InputError where all weights are 0: every route costs nothing, and none is cheaper than another."""
-        if not any(self.checked().to_dict().values()):
-            raise InputError(f"{name} are all 0, so that every route costs nothing: give one above 0")
-
     def tree_flatten_with_keys(self) -> tuple[tuple, tuple[str, ...]]:
         """Return the weights with their keys, for JAX."""
         names, values = zip(*self.values, strict=True)

@@ -234,7 +234,7 @@ def test_manhattans_tiny_block_is_told(data_dir):
         ),
         CRS,
     )
-    people = block_layers(blocks, ["night"])
+    people = block_layers(blocks, Population(time_of_day="night"))
     (said,) = _scale_guesses(blocks, tuple(shapely.total_bounds(blocks.polygons)), people, Population()).values()
     for words in ("(1,820 m2)", "709,326 people per km2", "gets 0.06"):
         assert words in said

@@ -1,8 +1,10 @@
 """Maps of one metric in one call, from the parts that the recipe puts together."""
 
+from dataclasses import replace
+
 from jaxurban.metrics.gps import Gps, SatelliteSet
 from jaxurban.metrics.obstacle import obstacles_on
-from jaxurban.metrics.population import BlockLayers, block_layers, map_blocks
+from jaxurban.metrics.population import BlockLayers, Population, block_layers, map_blocks
 from jaxurban.metrics.visibility import visibility
 
 
@@ -15,5 +17,5 @@ def compute_gps(surface, azimuth_rad, elevation_rad, altitudes_m, params=None, c
 
 def population_maps(block, blocks, times_of_day=("day", "night"), params=None, bounds_m=None):
     """Return the metric and the density over a region at each time of day, and the norm."""
-    m, density, norm = block_layers(blocks, times_of_day, params, bounds_m)
+    m, density, norm = block_layers(blocks, replace(params or Population(), time_of_day=times_of_day), bounds_m)
     return BlockLayers(map_blocks(block, m), map_blocks(block, density), norm)

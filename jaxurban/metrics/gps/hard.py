@@ -7,7 +7,7 @@ from datetime import timedelta
 from enum import IntEnum
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -78,10 +78,8 @@ class Gps:
         one_of("series", self.series, SERIES)
         one_of("clocks", self.clocks, CLOCKS)
         one_of("weighting", self.weighting, WEIGHTINGS)
-        if not 0 <= self.availability_threshold < 1:
-            raise InputError(
-                f"availability_threshold must be a value of m from 0 to below 1, got {self.availability_threshold}"
-            )
+        what = "a value of m from 0 to below 1"
+        check_value("availability_threshold", self.availability_threshold, what, lambda m: (m >= 0) & (m < 1))
         if not 0 <= self.mask_deg < 90:
             raise InputError(f"mask_deg must be an angle from 0 to less than 90 degrees, got {self.mask_deg}")
         positive("max_age_days", self.max_age_days, "days")
@@ -130,9 +128,7 @@ BLOCK_CELLS = 2**11  # cells whose DOPs are made at once, by one core: what they
 WIDE_BLOCK_CELLS = 2**22  # the same on a GPU, which has a launch for every block
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class GpsMaps:
+class GpsMaps(NamedTuple):
     """GPS maps of one time. ``C`` stands for any axes of cells.
 
     Inside obstacles m and num_visible are 0 and the DOPs inf.
@@ -250,7 +246,7 @@ class SatelliteSet:
         num = choices.shape[1]
         padded = np.pad(choices, [(0, 0), (0, -num % BLOCK_CELLS)])
         blocks = [
-            jax.tree.leaves(maps_of_words(block, self.satellites, self.gdop_threshold))
+            maps_of_words(block, self.satellites, self.gdop_threshold)
             for block in np.split(padded, padded.shape[1] // BLOCK_CELLS, axis=1)
         ]
         return [np.concatenate(parts)[:num] for parts in zip(*blocks, strict=True)], number

@@ -55,9 +55,10 @@ def _traced(scene: TracedScene, params: Gps) -> dict[str, Any]:
     return _named(maps_of_words(scene.words, scene.satellites, params.gdop_threshold))
 
 
-def _soft(scene: SoftScene, params: Gps) -> Array:
-    here = scene.surface, scene.altitude_m, params.gdop_threshold, scene.softness_m, scene.view
-    return soft_gps(*here, cells=scene.cells)
+def _soft(dop: str, threshold: str, scene: SoftScene, params: Any) -> Array:
+    """Return soft m of one DOP, whose threshold is a setting of this name."""
+    here = scene.surface, scene.altitude_m, getattr(params, threshold), scene.softness_m, scene.view
+    return soft_gps(*here, dop=dop, cells=scene.cells)
 
 
 METRIC = Metric(
@@ -66,7 +67,7 @@ METRIC = Metric(
     dims=(TIME, ALTITUDE),
     compute=_maps,
     traced=_traced,
-    soft=_soft,
+    soft=partial(_soft, "gdop", "gdop_threshold"),
     cost=low_is_bad,
     label="GPS quality",
     one_means="GDOP of 1, the best possible",
@@ -108,11 +109,6 @@ def _traced_of(name: str, dop: str, scene: TracedScene, params: Dop) -> dict[str
     return {name: gps_metric(getattr(maps, dop), params.dop_threshold)}
 
 
-def _soft_of(dop: str, scene: SoftScene, params: Dop) -> Array:
-    here = scene.surface, scene.altitude_m, params.dop_threshold, scene.softness_m, scene.view
-    return soft_gps(*here, dop=dop, cells=scene.cells)
-
-
 def _metric(name: str, dop: str, label: str, colour: str, colour_map: str) -> Metric:
     compute: Callable = partial(_map_of, name, dop)
     return Metric(
@@ -121,7 +117,7 @@ def _metric(name: str, dop: str, label: str, colour: str, colour_map: str) -> Me
         dims=(TIME, ALTITUDE),
         compute=compute,
         traced=partial(_traced_of, name, dop),
-        soft=partial(_soft_of, dop),
+        soft=partial(_soft, dop, "dop_threshold"),
         cost=low_is_bad,
         label=label,
         one_means=f"{dop.upper()} of 1 or less",
