@@ -20,7 +20,7 @@ from jaxurban.kernels.search import frontier, sample_graph
 from jaxurban.kernels.shadows import sweep
 from jaxurban.kernels.shadows.sweep import shadow_heights
 from jaxurban.kernels.soft_step import satellite_weights
-from jaxurban.maps import pipeline, recipe
+from jaxurban.maps import pipeline
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams
 from jaxurban.metrics import availability, gps, lidar, obstacle, population, risk, visibility
 from jaxurban.metrics.gps import soft as soft_gps_metric
@@ -218,7 +218,6 @@ KERNELS: dict[str, Callable[[], Call]] = {
         sweep.visible_words, (array(*SURFACE), array(4, 1, 1), lines(), WHOLE), {"window": WINDOW}
     ),
     "surface: cut": lambda: Call(surface._cut, (part(REGION),)),
-    "recipe: roofs and obstacles": lambda: Call(recipe._roofs_and_obstacles, (part(REGION), ALTITUDES_M)),
     "obstacle": lambda: Call(obstacle._mask, (array(*REGION), ALTITUDES_M)),
     "risk": lambda: Call(
         risk._risk, (part(REGION, 10), None, None, ALTITUDES_M), DISTANCE_5M | {"halo": 10, "is_solid": False}

@@ -66,10 +66,8 @@ def check_device(name: str) -> None:
     one_of("device", name, DEVICES)
     if name == "gpu" and jax.default_backend() == "cpu":
         raise InputError(NO_GPU)
-    told = f"device: {jax.local_devices()[0].device_kind} ({jax.default_backend()})"
-    if (free := gpu_free_bytes()) is not None:
-        told += f", {_memory_told(free)}"
-    LOG.info(told)
+    kind, memory = jax.local_devices()[0].device_kind, _described(gpu_free_bytes())
+    LOG.info(f"device: {kind} ({jax.default_backend()}){memory}")
 
 
 def bind_workers(name: str, num_workers: int) -> tuple[Gpu, ...]:
@@ -95,12 +93,9 @@ def bind_workers(name: str, num_workers: int) -> tuple[Gpu, ...]:
         return ()
     bound = tuple(gpus[:num_workers])  # worker n has the n-th
     kinds = " or ".join(sorted({gpu.kind for gpu in bound}))
-    told = f"device: {len(bound)} worker process{'es' * (len(bound) > 1)}, each with a GPU of its own ({kinds})"
-    if None not in (limits := {gpu.limit_bytes for gpu in bound}):
-        told += f" and {_memory_told(min(limit or 0 for limit in limits))}"
-    if num_workers > len(bound):
-        told += f"; {num_workers} were asked for, and more than one a GPU would only share it"
-    LOG.info(told)
+    limits = [gpu.limit_bytes for gpu in bound if gpu.limit_bytes is not None]
+    memory = _described(min(limits) if len(limits) == len(bound) else None)
+    LOG.info(f"device: {len(bound)} of {num_workers} worker processes, as each has a GPU of its own ({kinds}){memory}")
     return bound
 
 
@@ -163,6 +158,6 @@ def gpu_free_bytes() -> int | None:
     return int(stats["bytes_limit"] - stats.get("bytes_in_use", 0)) if "bytes_limit" in stats else None
 
 
-def _memory_told(num_bytes: int) -> str:
+def _described(memory_bytes: int | None) -> str:
     taken = "as needed" if os.environ.get(PREALLOCATE, "true").lower() in ("false", "0") else "at once"
-    return f"{num_bytes / 2**30:,.0f} GiB of memory, taken {taken}"
+    return "" if memory_bytes is None else f", {memory_bytes / 2**30:,.0f} GiB of memory, taken {taken}"

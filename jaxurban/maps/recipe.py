@@ -28,14 +28,14 @@ from jaxurban.maps.supersampling import (
 )
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import TimeTotals, row_sums, series_statistics
-from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, AnyArray, Metric, Scene, in_type
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, AnyArray, Metric, Scene
 from jaxurban.metrics.gps import SatelliteSet
-from jaxurban.metrics.obstacle import obstacle_mask, obstacles_on
+from jaxurban.metrics.obstacle import obstacles_on, region_roofs
 from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.visibility import visibility
 from jaxurban.progress import Stage
 from jaxurban.world.city import TO_GROUND, City
-from jaxurban.world.surface import Part, Surface
+from jaxurban.world.surface import Surface
 
 
 class MapLayer(NamedTuple):
@@ -65,21 +65,9 @@ class TileScene:
     _met: dict[float, tuple[Surface, Surface | None]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
-    def _own(self) -> tuple[jax.Array, list[jax.Array]]:
-        surface, altitudes_m = self.surface, self.task.params.altitudes_m
-        if surface.slabs is not None:
-            return surface.crop(surface.at_altitude(np.inf).roof_m), list(obstacles_on(surface, altitudes_m))
-        return _roofs_and_obstacles(surface.part(surface.roof_m), in_type(altitudes_m, surface.roof_m.dtype))
-
-    @property
-    def roof_m(self) -> jax.Array:
-        """``[y, x]`` the highest roofs of the tile's own cells, what hangs included."""
-        return self._own[0]
-
-    @property
-    def is_obstacle(self) -> list[jax.Array]:
-        """``[y, x]`` bool for each altitude: a roof reaches it, or it lies in a slab."""
-        return self._own[1]
+    def is_obstacle(self) -> np.ndarray:
+        """``[A, y, x]`` bool: a roof reaches the altitude, or it lies in a slab."""
+        return obstacles_on(self.surface, self.task.params.altitudes_m)
 
     @cached_property
     def has_data(self) -> np.ndarray | None:
@@ -106,15 +94,10 @@ class TileScene:
 
     def surfaces_at(self, altitude_m: float) -> tuple[Surface, Surface | None]:
         """Return what an altitude meets: the surface and the finer one, if any; keeps the last."""
-        if self.surface.slabs is None:
-            return self.surface, self.supersampled
         if altitude_m not in self._met:
-            fine = self.supersampled
+            fine = self.supersampled and self.supersampled.at_altitude(altitude_m)
             self._met.clear()
-            self._met[altitude_m] = (
-                self.surface.at_altitude(altitude_m),
-                None if fine is None else fine.at_altitude(altitude_m),
-            )
+            self._met[altitude_m] = self.surface.at_altitude(altitude_m), fine
         return self._met[altitude_m]
 
     def view(self, time_index: int) -> tuple[SatelliteSet, np.ndarray]:
@@ -167,13 +150,6 @@ class TileScene:
         return scene
 
 
-@jax.jit
-def _roofs_and_obstacles(roof: Part, altitudes_m: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
-    """Return a part of the roofs, and at which cells they reach each altitude."""
-    roof_m = roof.cut()
-    return roof_m, list(obstacle_mask(roof_m, altitudes_m))
-
-
 def tile_maps(tile: TileScene, stage: Stage = nullcontext) -> Iterator[MapLayer]:
     """Yield every layer of a tile, one at a time, so that few of them need be in memory.
 
@@ -184,11 +160,11 @@ def tile_maps(tile: TileScene, stage: Stage = nullcontext) -> Iterator[MapLayer]
       tile: what the maps are made of.
       stage: gives the context that the work on each stage runs in.
     """
-    held, is_inside = variables(tile.task), [np.asarray(is_obstacle) for is_obstacle in tile.is_obstacle]
+    held = variables(tile.task)
     for name, place, values in _layers(tile, stage):
         inside, dims = held[name].inside, held[name].dims
         if inside is not None and ALTITUDE in dims:
-            values = np.where(is_inside[place[dims.index(ALTITUDE)]], values.dtype.type(inside), values)
+            values = np.where(tile.is_obstacle[place[dims.index(ALTITUDE)]], values.dtype.type(inside), values)
         if tile.has_data is not None and np.issubdtype(values.dtype, np.floating):
             values = np.where(tile.has_data, values, np.float32(np.nan))
         yield MapLayer(name, place, values)
@@ -227,7 +203,7 @@ def _staged(layers: Iterator[MapLayer], stage: Stage, name: str) -> Iterator[Map
 
 def _obstacles(tile: TileScene) -> Iterator[MapLayer]:
     for a, is_obstacle in enumerate(tile.is_obstacle):
-        yield MapLayer("obstacle", (a,), np.asarray(is_obstacle).astype(np.uint8))
+        yield MapLayer("obstacle", (a,), is_obstacle.astype(np.uint8))
 
 
 def _maps(tile: TileScene, metric: Metric, only_m: bool = False) -> Iterator[MapLayer]:
@@ -241,7 +217,7 @@ def _maps(tile: TileScene, metric: Metric, only_m: bool = False) -> Iterator[Map
 
 def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
     """Yield statistics over the times, whose sums go to the tile's totals."""
-    is_counted = ~np.stack(tile.is_obstacle)
+    is_counted = ~tile.is_obstacle
     if tile.has_data is not None:
         is_counted &= tile.has_data
     counted = [jax.device_put(of_altitude) for of_altitude in is_counted]
@@ -313,7 +289,7 @@ def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
 
 def _rasters(tile: TileScene) -> Iterator[MapLayer]:
     surface = tile.surface
-    yield MapLayer("roof", (), tile.roof_m)
+    yield MapLayer("roof", (), region_roofs(surface, np.inf))
     assert surface.roof_touched_m is not None
     yield MapLayer("roof_touched", (), surface.roof_touched_m)
     if surface.slabs is not None:

@@ -36,7 +36,7 @@ from jaxurban.maps.validation import (
     check_truths,
     sentence_of,
 )
-from jaxurban.metrics.custom import Layer, check_file_names, check_name
+from jaxurban.metrics.custom import Layer, check_layers
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import Population
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
@@ -199,9 +199,7 @@ class Scenario(MetricSections):
         return self
 
     def _check_layers(self) -> None:
-        check_file_names(self.layers)
-        for name, layer in self.layers.items():
-            check_name(name)
+        for name, layer in check_layers(self.layers).items():
             if not isinstance(layer.source, str):
                 raise ValueError(f"layers.{name}: source must be the path of a raster, got {layer.source!r}")
         tables = {"weights": self.weights}

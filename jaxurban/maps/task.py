@@ -13,7 +13,7 @@ from jaxurban.io.read.guesses import Guesses, has_guessed_roofs, region_guesses
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.engine import ENGINES, Engine
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
-from jaxurban.metrics.custom import Layer, check_file_names, metrics_of
+from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import BlockLayers, Population, block_layers
 from jaxurban.metrics.registry import checked_sections, known_metrics
@@ -98,7 +98,7 @@ class MapTask:
       guesses: behind the maps (see `jaxurban.io.read.guesses`), for those who look at them.
 
     Raises:
-      InputError: bounds of GPS under several clocks, or layers whose names would be those of other maps or files.
+      InputError: bounds of GPS under several clocks, or layers whose names would be those of maps of the spread.
     """
 
     city: City
@@ -115,7 +115,6 @@ class MapTask:
                 "bounds of m_gps hold for one clock: with several, a first satellite of the first system may raise "
                 "GDOP. Set [gps] clocks = 'one', or give the orbits of one system"
             )
-        check_file_names(self.layers)
         spreads = {each for name in self.spread_metrics for each in derived(self.metrics[name])["spread"]}
         if taken := spreads & {*self.layers}:
             raise InputError(f"a layer cannot be called {min(taken)!r}, a map of the spread: give it another name")

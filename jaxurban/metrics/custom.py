@@ -112,13 +112,14 @@ def check_layers(layers: Any) -> Mapping[str, Layer]:
     """Return cost layers of one's own by name, none where they are left out.
 
     Raises:
-      InputError: they are anything else.
+      InputError: they are anything else, or their names would be those of other maps or files.
     """
     given = {} if layers is None else layers
     if not (isinstance(given, Mapping) and all(isinstance(layer, Layer) for layer in given.values())):
         raise InputError('layers must be Layers by name, such as {"noise": Layer("noise.tif", "high-is-bad", (0, 80))}')
     for name in given:
         check_name(name)
+    check_file_names(given)
     return given
 
 

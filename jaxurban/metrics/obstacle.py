@@ -1,6 +1,6 @@
 """Obstacle: where a building stands at the height of flight; its soft form leans over one softness above the roof."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax
@@ -36,13 +36,15 @@ def stands_at(roof_m: Any, altitude_m: Any) -> Any:
     return (roof_m >= altitude_m) & (roof_m > 0)
 
 
-def obstacles_on(surface: Surface, altitudes_m: Sequence[float] | ArrayLike) -> Bool[Array, "A y x"]:
-    """Return `obstacle_mask` of a surface's region, where slabs are obstacles from floor to top."""
-    if surface.slabs is None:
-        return obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
-    met = [surface.at_altitude(float(z_m)) for z_m in np.asarray(altitudes_m)]
-    masks = [obstacle_mask(at.crop(at.roof_m), [z_m]) for at, z_m in zip(met, np.asarray(altitudes_m), strict=True)]
-    return jnp.concatenate(masks)
+def region_roofs(surface: Surface, altitude_m: float) -> Float[np.ndarray, "y x"]:
+    """Return the roofs of a surface's region on the host, with what hangs at an altitude or below; of inf, with all."""
+    return surface.part(np.asarray(surface.at_altitude(altitude_m).roof_m)).cut()
+
+
+def obstacles_on(surface: Surface, altitudes_m: Iterable[float]) -> Bool[np.ndarray, "A y x"]:
+    """Return `obstacle_mask` of a surface's region on the host, where slabs are obstacles from floor to top."""
+    altitudes = np.asarray(altitudes_m, surface.roof_m.dtype)
+    return np.stack([stands_at(region_roofs(surface, float(z_m)), z_m) for z_m in altitudes])
 
 
 @jax.jit

@@ -127,14 +127,13 @@ def test_more_workers_than_gpus_are_told_in_one_sentence_and_this_process_stays_
     assert [(gpu.name, gpu.limit_bytes) for gpu in resources.gpus] == [("1", 4 * GIB), ("2", 3 * GIB)]
     assert (resources.num_processes, resources.backend) == (2, "gpu")
     assert caplog.messages == [
-        "device: 2 worker processes, each with a GPU of its own (NVIDIA H200) and 3 GiB of memory, taken as needed; "
-        "5 were asked for, and more than one a GPU would only share it"
+        "device: 2 of 5 worker processes, as each has a GPU of its own (NVIDIA H200), 3 GiB of memory, taken as needed"
     ]
     assert (jax.config.values["jax_platforms"], os.environ.get("JAX_PLATFORMS")) == (before, None)
     caplog.clear()
     assert [gpu.name for gpu in Resources(num_processes=1).on_device("gpu").gpus] == ["1"]
     assert caplog.messages == [
-        "device: 1 worker process, each with a GPU of its own (NVIDIA H200) and 4 GiB of memory, taken as needed"
+        "device: 1 of 1 worker processes, as each has a GPU of its own (NVIDIA H200), 4 GiB of memory, taken as needed"
     ]
 
 
@@ -220,8 +219,7 @@ def test_the_command_plans_its_workers_by_the_memory_of_their_gpus(two_gpus, tmp
     code, _, err = run(capsys, "maps", scenario, "-o", tmp_path / "out", "--workers", 3)
     told, *_, error = err.strip().splitlines()
     assert code == 2
-    assert "2 worker processes, each with a GPU of its own" in told
-    assert "3 were asked for" in told
+    assert "2 of 3 worker processes, as each has a GPU of its own" in told
     assert "of the GPU's memory and less than 1 MiB are free" in error
 
 

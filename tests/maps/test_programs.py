@@ -26,5 +26,5 @@ def test_maps_of_a_new_shape_in_a_new_process_compile_few_programs(engine):
         [sys.executable, "-c", MAPS.replace("ENGINE", engine)], capture_output=True, text=True, check=True
     )
     programs = COMPILED.findall(done.stderr)
-    assert "jit(_roofs_and_obstacles)" in programs  # JAX still tells of them as this test expects
+    assert "jit(maps_of_words)" in programs  # JAX still tells of them as this test expects
     assert len(programs) <= MOST_PROGRAMS[engine], programs
