@@ -19,12 +19,13 @@ from benchmarks.dilution import LEAST_SATELLITES
 from benchmarks.embree_peer import EmbreePool, scan_until_first_return, see_satellites
 from benchmarks.scenes import ALTITUDES_M, PLACES, Scene, load_place, load_scene
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.metrics.gps import Gps, SatelliteSet
+from jaxurban.metrics.gps import Gps, maps_of_choices, satellites_of
 from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.obstacle import obstacles_on
 from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.grid import Grid
+from jaxurban.world.sky import InView
 
 RESOLUTIONS_M = (10.0, 5.0, 2.0, 1.0)
 CITY_RESOLUTION_M, CITY_ALTITUDES_M = 5.0, ALTITUDES_M[:2]
@@ -47,9 +48,11 @@ class Maps:
 def compute(scene: Scene, resolution_m: float) -> Maps:
     surface, sky = scene.surface(resolution_m), (scene.azimuth_rad, scene.elevation_rad)
     words = visibility(surface, *sky, ALTITUDES_M)
+    satellites, is_obstacle = satellites_of(InView(*sky, ())), obstacles_on(surface, ALTITUDES_M)
+    maps, number = maps_of_choices(words, is_obstacle, satellites, GPS.gdop_threshold)
     return Maps(
         np.asarray(words)[0],
-        np.asarray(SatelliteSet.of(*sky, GPS).m(words, obstacles_on(surface, ALTITUDES_M))),
+        maps.m[number],
         np.asarray(compute_lidar(surface, ALTITUDES_M, LIDAR)),
         np.asarray(compute_risk(surface, ALTITUDES_M, RISK)),
         np.asarray(surface.crop(surface.roof_m)),

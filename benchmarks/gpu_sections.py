@@ -19,7 +19,7 @@ from scipy.ndimage import label
 
 from benchmarks.gpu_inputs import load_problem, load_surface
 from jaxurban.kernels.distance.nearest import capped_distance, capped_distance_over_terrain
-from jaxurban.metrics.gps import Gps, SatelliteSet, soft_gps
+from jaxurban.metrics.gps import maps_of_choices, satellites_of, soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.risk import Risk, compute_risk, soft_risk
@@ -28,6 +28,7 @@ from jaxurban.planners.base import Problem
 from jaxurban.planners.batch import solve_many
 from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
 from jaxurban.world.grid import Grid
+from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface
 
 RUN_S, MOST_RUNS = 5.0, 5  # after the first run: until so many seconds are spent, or so many runs
@@ -211,10 +212,10 @@ def dops(run: Run) -> None:
         azimuth_rad, elevation_rad = rng.uniform(0, 2 * np.pi, num), rng.uniform(0.1, 1.5, num)
         words = jnp.asarray(rng.integers(0, 2**num, (1, 1, side, side)), jnp.uint32)
         is_obstacle = jnp.zeros((1, side, side), bool)
-        satellites = SatelliteSet.of(azimuth_rad, elevation_rad, Gps())
+        satellites = satellites_of(InView(azimuth_rad, elevation_rad, ()))
         run.timed(
             f"GPS maps of {num} satellites",
-            lambda satellites=satellites, at=(words, is_obstacle): satellites.maps(*at).gdop,
+            lambda at=(words, is_obstacle, satellites, 20.0): maps_of_choices(*at)[0].gdop,
             side**2,
             "cells",
             DOP,
@@ -229,11 +230,13 @@ def pipeline(run: Run) -> None:
 
     def maps() -> list[jax.Array]:
         words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
-        satellites = SatelliteSet.of(azimuth_rad, elevation_rad, Gps())
-        gps = satellites.maps(words, obstacle_mask(surface.crop(surface.roof_m), altitudes_m))
+        is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
+        satellites = satellites_of(InView(azimuth_rad, elevation_rad, ()))
+        table, number = maps_of_choices(words, is_obstacle, satellites, 20.0)
+        gps = [np.take(values, number) for values in table]
         lidar_m = jnp.concatenate([compute_lidar(surface, [z_m], Lidar()) for z_m in ALTITUDES_M])
         risk_m = compute_risk(surface, altitudes_m, Risk())
-        return [obstacle_mask(surface.roof_m, altitudes_m), *jax.tree.leaves(gps), lidar_m, risk_m]
+        return [obstacle_mask(surface.roof_m, altitudes_m), *gps, lidar_m, risk_m]
 
     units = surface.roof_m.size * len(ALTITUDES_M)
     run.timed("all maps, left on the device", maps, units, "cells x altitudes")

@@ -11,13 +11,14 @@ from benchmarks.common import Growth, Row, Side, Timing, clocked, in_turn, row
 from benchmarks.scenes import ALTITUDES_M, Scene
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.maps.build import compute_maps
-from jaxurban.metrics.gps import Gps, SatelliteSet
+from jaxurban.metrics.gps import Gps, maps_of_choices, satellites_of
 from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import Population, block_layers, map_blocks
 from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.grid import Grid
+from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface
 from jaxurban.world.synthetic import demo_city
 
@@ -97,7 +98,9 @@ def growth(scene: Scene, num_runs: int) -> list[Growth]:
 
     def gps(tile: Surface) -> object:
         is_obstacle = obstacle_mask(tile.crop(tile.roof_m), z_m)
-        return SatelliteSet.of(*sky, Gps()).maps(visibility(tile, *sky, z_m), is_obstacle)
+        words, satellites = visibility(tile, *sky, z_m), satellites_of(InView(*sky, ()))
+        maps, number = maps_of_choices(words, is_obstacle, satellites, Gps().gdop_threshold)
+        return [values[number] for values in maps]
 
     metrics: dict[str, Callable[[Surface], object]] = {
         "obstacle": lambda tile: obstacle_mask(tile.crop(tile.roof_m), z_m),

@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 from jaxurban.kernels.distance.nearest import capped_distance, capped_distance_over_terrain
-from jaxurban.metrics.gps import Gps, SatelliteSet, soft_gps
+from jaxurban.metrics.gps import soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.planners.base import Problem
 from jaxurban.planners.batch import solve_many
 from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
 from jaxurban.world.grid import Grid
+from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface
+from tests.metrics.whole_maps import gps_maps
 
 pytestmark = pytest.mark.gpu
 
@@ -98,7 +100,7 @@ def test_dilutions_are_the_same_to_a_ten_thousandth(gpu, num):
     angles = rng.uniform(0, 6, num), rng.uniform(0.1, 1.5, num)
 
     def dilutions(words: jax.Array) -> jax.Array:
-        maps = SatelliteSet.of(*angles, Gps()).maps(words, jnp.zeros(words.shape[1:], bool))
+        maps = gps_maps(words, jnp.zeros(words.shape[1:], bool), InView(*angles, ()))
         return jnp.stack([maps.gdop, maps.pdop, maps.hdop, maps.vdop, maps.tdop])
 
     cpu_dops, gpu_dops = on_both(dilutions, words, gpu)

@@ -29,7 +29,6 @@ from jaxurban.maps.supersampling import (
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import TimeTotals, row_sums, series_statistics
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, AnyArray, Metric, Scene
-from jaxurban.metrics.gps import SatelliteSet
 from jaxurban.metrics.obstacle import obstacles_on, region_roofs
 from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.visibility import visibility
@@ -61,7 +60,7 @@ class TileScene:
     surface: Surface
     rings: Mapping[tuple[int, int], Ring] | None = None
     totals: dict[str, TimeTotals] = field(default_factory=dict, init=False)
-    _seen: dict[int, tuple[SatelliteSet, np.ndarray]] = field(default_factory=dict, init=False, repr=False)
+    _seen: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
     _met: dict[float, tuple[Surface, Surface | None]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -100,20 +99,19 @@ class TileScene:
             self._met[altitude_m] = self.surface.at_altitude(altitude_m), fine
         return self._met[altitude_m]
 
-    def view(self, time_index: int) -> tuple[SatelliteSet, np.ndarray]:
-        """Return the satellites of a time, made ready, and the visibility words ``[W, A, y, x]``; keeps the last."""
+    def words(self, time_index: int) -> np.ndarray:
+        """Return the visibility words ``[W, A, y, x]`` of a time; keeps the last."""
         if time_index not in self._seen:
             self.keep(time_index, np.asarray(self._words(time_index)))
         return self._seen[time_index]
 
     def keep(self, time_index: int, words: np.ndarray) -> None:
-        """Let `view` return these words for a time, and forget all others."""
+        """Let `words` return these for a time, and forget all others."""
         self.forget()
-        in_view = self.task.in_view(time_index)
-        self._seen[time_index] = SatelliteSet.of(*in_view.angles, self.task.params.gps, in_view.clocks), words
+        self._seen[time_index] = words
 
     def forget(self) -> None:
-        """Free the memory of the satellites and words that `view` keeps."""
+        """Free the memory of the words that are kept."""
         self._seen.clear()
 
     def _words(self, time_index: int) -> AnyArray:
@@ -142,8 +140,7 @@ class TileScene:
             )
         if (t := index.get(TIME)) is not None:
             assert a is not None
-            satellites, words = self.view(t)
-            scene = replace(scene, satellites=satellites, in_view=self.task.in_view(t), words=words[:, a])
+            scene = replace(scene, in_view=self.task.in_view(t), words=self.words(t)[:, a])
         if metric.name in self.task.bands:
             values = layer_values(self.task.bands[metric.name], self.surface.region, self.task.region, a)
             scene = replace(scene, rasters={metric.name: values})

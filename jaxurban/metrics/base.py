@@ -148,9 +148,8 @@ class Scene:
         altitude.
       supersampled: the same surface with cells ``oversample`` times smaller; None where they are the map's own.
       oversample: how many times finer that is.
-      satellites: those at or above the mask at the time, made ready (`jaxurban.metrics.gps.SatelliteSet`); None for
-        metrics without a time.
-      in_view: where those stand and of which constellations (`jaxurban.world.sky.InView`); None as that.
+      in_view: the satellites at or above the mask at the time (`jaxurban.world.sky.InView`); None for metrics without a
+        time.
       words: ``[W, y, x]`` which of them each cell sees: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
       population: every census block at the time of day, ``[N]`` each and the norm
         (`jaxurban.metrics.population.BlockLayers`); None for metrics without one.
@@ -165,7 +164,6 @@ class Scene:
     is_obstacle: Any = None
     supersampled: Surface | None = None
     oversample: int = 1
-    satellites: Any = None
     in_view: Any = None
     words: Any = None
     population: Any = None

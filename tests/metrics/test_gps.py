@@ -10,11 +10,12 @@ import pytest
 from jaxurban.errors import InputError
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
-from jaxurban.metrics.gps import Gps, Rating, SatelliteSet, gps_metric, hard, maps_of_words, rating
+from jaxurban.metrics.gps import Gps, Rating, gps_metric, hard, maps_of_words, rating, satellites_of
 from jaxurban.metrics.visibility import shadow_reach_m, visibility
 from jaxurban.world.grid import Grid
+from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface
-from tests.metrics.whole_maps import compute_gps
+from tests.metrics.whole_maps import compute_gps, gps_maps
 
 ALTITUDES_M = [20.0, 60.0]
 # Axes, diagonals and directions a hair beside them, high and low.
@@ -204,19 +205,19 @@ def test_a_threshold_of_1_or_less_is_refused(threshold):
 @pytest.mark.parametrize("num", [20, 40])
 def test_maps_by_way_of_the_subsets_that_are_seen_are_those_of_every_cell_to_the_bit(num, monkeypatch):
     rng = np.random.default_rng(num)
-    satellites = SatelliteSet.of(rng.uniform(0, 2 * np.pi, num), rng.uniform(0.1, 1.5, num), Gps())
+    in_view = InView(rng.uniform(0, 2 * np.pi, num), rng.uniform(0.1, 1.5, num), ())
     seen = rng.random((40, num)) < 0.4
     subsets = np.stack([(seen[:, w : w + 32] << np.arange(seen[:, w : w + 32].shape[1])).sum(1) for w in (0, 32)])
     words = jnp.asarray(subsets[: -(-num // 32), rng.integers(0, 40, (150, 130))], jnp.uint32)
     is_obstacle = jnp.asarray(rng.random((150, 130)) < 0.2)
-    expected = maps_of_words(jnp.where(is_obstacle, 0, words), satellites.satellites, satellites.gdop_threshold)
+    expected = maps_of_words(jnp.where(is_obstacle, 0, words), satellites_of(in_view), Gps().gdop_threshold)
 
     def of_a_block(block, *arguments):
         assert block.shape[1:] == (hard.BLOCK_CELLS,)
         return maps_of_words(block, *arguments)
 
     monkeypatch.setattr(hard, "maps_of_words", of_a_block)
-    found = satellites.maps(words, is_obstacle)
+    found = gps_maps(words, is_obstacle, in_view)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_array_equal(one, other)
         assert one.dtype == other.dtype

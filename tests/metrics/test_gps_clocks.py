@@ -17,10 +17,11 @@ from jaxurban.maps.provenance import run_key
 from jaxurban.maps.recipe import TileScene
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS, Gps, SatelliteSet, maps_of_words
+from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS, Gps, maps_of_words, satellites_of
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.world.sky import Sky
+from jaxurban.world.sky import InView, Sky
 from tests.io.test_orbits import walker_tle
+from tests.metrics.whole_maps import gps_maps
 
 TIMES = ("2020-04-27T03:00:00Z", "2020-04-27T09:00:00Z")
 SYSTEMS = ("gps", "galileo")
@@ -105,8 +106,7 @@ def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task,
     alone = replace(task, sky=sky)
     assert alone.in_view(0).clocks is None
     both = alone, replace(alone, params=shared)
-    skies = [(each.in_view(0), each.params.gps) for each in both]
-    tables = (SatelliteSet.of(*in_view.angles, gps, in_view.clocks).satellites for in_view, gps in skies)
+    tables = (satellites_of(each.in_view(0)) for each in both)
     for found, other in zip(*map(jax.tree.leaves, tables), strict=True):
         np.testing.assert_array_equal(found, other)
 
@@ -117,7 +117,6 @@ def test_weighted_dops_and_new_metrics_are_there_only_where_they_are_asked_for(t
     assert list(maps.metrics) == [*("gps", "lidar", "population", "risk"), "gps_horizontal", "gps_vertical"]
     plain = replace(task, params=replace(task.params, sections={}))
     assert not new & {*plain.metrics, *(name for metric in plain.metrics.values() for name in metric.variables)}
-    assert SatelliteSet.of(*plain.in_view(0).angles, plain.params.gps).weighted is None
 
 
 def test_hdop_and_vdop_are_cost_layers_under_a_weight_and_limits_of_a_path(maps):
@@ -153,13 +152,12 @@ def test_maps_that_were_saved_hold_the_new_layers_and_say_what_they_are(maps, tm
 
 def test_patterns_and_cells_give_the_same_bits_with_several_clocks():
     rng = np.random.default_rng(1)
-    angles = rng.uniform(0, 2 * np.pi, 20), rng.uniform(0.1, 1.5, 20)
-    satellites = SatelliteSet.of(*angles, Gps(), Clocks(np.arange(20) % 2, 2))
+    in_view = InView(rng.uniform(0, 2 * np.pi, 20), rng.uniform(0.1, 1.5, 20), (), clocks=Clocks(np.arange(20) % 2, 2))
     subsets = rng.integers(0, 2**20, 40, dtype=np.uint32)
     words = jnp.asarray(subsets[rng.integers(0, 40, (1, 150, 130))])
     is_obstacle = jnp.asarray(rng.random((150, 130)) < 0.2)
-    expected = maps_of_words(jnp.where(is_obstacle, 0, words), satellites.satellites, satellites.gdop_threshold)
-    found = satellites.maps(words, is_obstacle)
+    expected = maps_of_words(jnp.where(is_obstacle, 0, words), satellites_of(in_view), Gps().gdop_threshold)
+    found = gps_maps(words, is_obstacle, in_view)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_array_equal(one, other)
     assert len(np.unique(found.gdop)) > 15

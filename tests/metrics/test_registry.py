@@ -13,13 +13,13 @@ import xarray as xr
 from jaxurban.errors import InputError
 from jaxurban.metrics.base import Scene, SoftScene
 from jaxurban.metrics.custom import Layer, held_metrics, own_metric
-from jaxurban.metrics.gps import SatelliteSet
 from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import SkyView, visibility
+from jaxurban.world.sky import InView
 from tests.metrics.soft.scene import ALTITUDE_M, CELLS, REGION, scene, surface_of
 from tests.metrics.whole_maps import compute_gps
 
@@ -42,7 +42,7 @@ def test_every_metric_makes_its_own_maps_of_a_scene():
     words = visibility(SURFACE, AZIMUTH_RAD, ELEVATION_RAD, [ALTITUDE_M])[:, 0]
     people = BlockLayers(jnp.array([0.25, 1.0]), jnp.array([10.0, 40.0]), jnp.array(40.0))
     block = jnp.asarray(np.arange(REGION.num_rows * REGION.num_cols).reshape(REGION.shape) % 3 - 1)
-    found = METRICS["gps"].compute(here(satellites=SatelliteSet.of(AZIMUTH_RAD, ELEVATION_RAD, gps), words=words), gps)
+    found = METRICS["gps"].compute(here(in_view=InView(AZIMUTH_RAD, ELEVATION_RAD, ()), words=words), gps)
     whole = compute_gps(SURFACE, AZIMUTH_RAD, ELEVATION_RAD, [ALTITUDE_M], gps)
     np.testing.assert_array_equal(found["gps"], whole.m[0])
     np.testing.assert_array_equal(found["num_visible"], whole.num_visible[0])

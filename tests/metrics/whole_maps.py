@@ -2,17 +2,24 @@
 
 from dataclasses import replace
 
-from jaxurban.metrics.gps import Gps, SatelliteSet
+from jaxurban.metrics.gps import Gps, GpsMaps, maps_of_choices, satellites_of
 from jaxurban.metrics.obstacle import obstacles_on
 from jaxurban.metrics.population import BlockLayers, Population, block_layers, map_blocks
 from jaxurban.metrics.visibility import visibility
+from jaxurban.world.sky import InView
 
 
 def compute_gps(surface, azimuth_rad, elevation_rad, altitudes_m, params=None, clocks=None):
     """Return the GPS maps of a region at every altitude, for one time."""
     words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
-    satellites = SatelliteSet.of(azimuth_rad, elevation_rad, params or Gps(), clocks)
-    return satellites.maps(words, obstacles_on(surface, altitudes_m))
+    in_view = InView(azimuth_rad, elevation_rad, (), clocks=clocks)
+    return gps_maps(words, obstacles_on(surface, altitudes_m), in_view, params)
+
+
+def gps_maps(words, is_obstacle, in_view, params=None):
+    """Return the GPS maps of visibility words, by the choices of satellites that are seen."""
+    maps, number = maps_of_choices(words, is_obstacle, satellites_of(in_view), (params or Gps()).gdop_threshold)
+    return GpsMaps(*(values[number] for values in maps))
 
 
 def population_maps(block, blocks, times_of_day=("day", "night"), params=None, bounds_m=None):

@@ -6,10 +6,11 @@ from jaxurban.metrics.gps.hard import SATELLITES_STEP as SATELLITES_STEP
 from jaxurban.metrics.gps.hard import Gps as Gps
 from jaxurban.metrics.gps.hard import GpsMaps as GpsMaps
 from jaxurban.metrics.gps.hard import Rating as Rating
-from jaxurban.metrics.gps.hard import SatelliteSet as SatelliteSet
 from jaxurban.metrics.gps.hard import gps_metric as gps_metric
+from jaxurban.metrics.gps.hard import maps_of_choices as maps_of_choices
 from jaxurban.metrics.gps.hard import maps_of_words as maps_of_words
 from jaxurban.metrics.gps.hard import rating as rating
+from jaxurban.metrics.gps.hard import satellites_of as satellites_of
 from jaxurban.metrics.gps.metric import DOPS as DOPS
 from jaxurban.metrics.gps.metric import HORIZONTAL as HORIZONTAL
 from jaxurban.metrics.gps.metric import METRIC as METRIC

@@ -14,14 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, UInt, UInt8
+from jaxtyping import Array, Bool, Float, Int, UInt, UInt8
 
 from jaxurban.errors import InputError, at_least, one_of, positive, typed
-from jaxurban.kernels.dop import Clocks, Geometry, dops_of_words, geometry, unit_vectors
+from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
 from jaxurban.metrics.base import AnyArray
 from jaxurban.metrics.settings import check_value, differentiable
 from jaxurban.metrics.visibility import distinct_choices
 from jaxurban.settings import NOMINAL, each, iso_utc, parse_time
+from jaxurban.world.sky import InView
 
 MOST_TIMES = 100_000  # a year in steps of five minutes
 MAX_STORED_TIMES = 24  # a longer series keeps statistics over time instead of every time's maps
@@ -149,7 +150,7 @@ class GpsMaps(NamedTuple):
     num_visible: UInt8[AnyArray, "*C"]
 
 
-def gps_metric(gdop: Float[Array, "*C"], gdop_threshold: float | Array) -> Float[Array, "*C"]:
+def gps_metric(gdop: Float[AnyArray, "*C"], gdop_threshold: float | Array) -> Float[Array, "*C"]:
     """Return m = (T - min(GDOP, T)) / (T - 1), clipped to [0, 1]; 0 at GDOP = inf.
 
     Source: the paper's equation of m_gps, its GDOP_cut taken as T = GDOP_thresh. The derivative is 0
@@ -203,53 +204,26 @@ def _in_equal_blocks(
     return GpsMaps(*(values[:size].reshape(shape) for values in maps))
 
 
-@dataclass(frozen=True)
-class SatelliteSet:
-    """The satellites of one time, made ready to turn visibility words into maps.
+def satellites_of(in_view: InView, is_weighted: bool = False) -> Geometry:
+    """Return the geometry of satellites; ``is_weighted``: each with the weight of its elevation."""
+    weights = elevation_weights(in_view.elevation_rad) if is_weighted else None
+    directions = unit_vectors(*in_view.angles)
+    return geometry(directions, multiple_of=SATELLITES_STEP, clocks=in_view.clocks, weights=weights)
 
-    Attributes:
-      satellites: their geometry.
-      gdop_threshold: of the metric.
-      weighted: the same satellites, each with the weight of its elevation; None where no weighted DOPs are wanted.
+
+def maps_of_choices(
+    words: UInt[AnyArray, "W ..."], is_obstacle: Bool[AnyArray, "..."], satellites: Geometry, gdop_threshold: float
+) -> tuple[GpsMaps, Int[np.ndarray, "..."]]:
+    """Return the maps of every choice of satellites that is seen, made in blocks, and the number of each cell's.
+
+    Arguments as for `maps_of_words`; inside obstacles no satellite is seen.
     """
-
-    satellites: Geometry
-    gdop_threshold: float
-    weighted: "SatelliteSet | None" = None
-
-    @classmethod
-    def of(
-        cls, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, params: Gps, clocks: Clocks | None = None
-    ) -> "SatelliteSet":
-        """Return the set of the satellites at ``[S]`` azimuths and elevations; without clocks all share one."""
-        directions = unit_vectors(azimuth_rad, elevation_rad)
-
-        def made(weights: np.ndarray | None, weighted: "SatelliteSet | None" = None) -> "SatelliteSet":
-            satellites = geometry(directions, multiple_of=SATELLITES_STEP, clocks=clocks, weights=weights)
-            return cls(satellites, params.gdop_threshold, weighted)
-
-        return made(None, made(elevation_weights(elevation_rad)) if params.weighting == "elevation" else None)
-
-    def maps(self, words: UInt[AnyArray, "W ..."], is_obstacle: Bool[AnyArray, "..."]) -> GpsMaps:
-        """Return the maps of the satellites seen, each choice of them solved once; inside obstacles none is seen."""
-        table, number = self._of_choices(words, is_obstacle)
-        return GpsMaps(*(np.take(values, number) for values in table))
-
-    def m(self, words: UInt[AnyArray, "W ..."], is_obstacle: Bool[AnyArray, "..."]) -> Float[np.ndarray, "*C"]:
-        """Return the metric alone."""
-        table, number = self._of_choices(words, is_obstacle)
-        return np.take(table[0], number)
-
-    def _of_choices(self, words: AnyArray, is_obstacle: AnyArray) -> tuple[list[np.ndarray], np.ndarray]:
-        """Return the maps of every choice that is seen, made in blocks by one program, and each cell's number."""
-        choices, number = distinct_choices(words, is_obstacle)
-        num = choices.shape[1]
-        padded = np.pad(choices, [(0, 0), (0, -num % BLOCK_CELLS)])
-        blocks = [
-            maps_of_words(block, self.satellites, self.gdop_threshold)
-            for block in np.split(padded, padded.shape[1] // BLOCK_CELLS, axis=1)
-        ]
-        return [np.concatenate(parts)[:num] for parts in zip(*blocks, strict=True)], number
+    choices, number = distinct_choices(words, is_obstacle)
+    num = choices.shape[1]
+    padded = np.pad(choices, [(0, 0), (0, -num % BLOCK_CELLS)])
+    blocks = np.split(padded, padded.shape[1] // BLOCK_CELLS, axis=1)
+    made = [maps_of_words(block, satellites, gdop_threshold) for block in blocks]
+    return GpsMaps(*(np.concatenate(parts)[:num] for parts in zip(*made, strict=True))), number
 
 
 class Rating(IntEnum):

@@ -10,7 +10,7 @@ from jaxtyping import Array
 
 from jaxurban.errors import typed
 from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Scale, Scene, SoftScene, TracedScene, Variable, low_is_bad
-from jaxurban.metrics.gps.hard import Gps, GpsMaps, gps_metric, maps_of_words
+from jaxurban.metrics.gps.hard import Gps, GpsMaps, gps_metric, maps_of_choices, maps_of_words, satellites_of
 from jaxurban.metrics.gps.soft import soft_gps
 from jaxurban.metrics.settings import check_value, differentiable
 
@@ -41,14 +41,17 @@ def _named(maps: GpsMaps) -> dict[str, Any]:
 
 
 def _maps(scene: Scene, params: Gps) -> dict[str, Any]:
-    """Return m, the DOPs and the satellites seen; they were made ready under the same settings."""
-    if scene.only_m:
-        return {"gps": scene.satellites.m(scene.words, scene.is_obstacle)}
-    found = _named(scene.satellites.maps(scene.words, scene.is_obstacle))
-    if (weighted := scene.satellites.weighted) is not None:
-        maps = weighted.maps(scene.words, scene.is_obstacle)
-        found |= {f"w{name}": getattr(maps, name) for name in DOPS}
-    return found
+    """Return m, the DOPs and the satellites seen."""
+    maps, number = _of_choices(scene, params.gdop_threshold)
+    named = {"gps": maps.m} if scene.only_m else _named(maps)
+    if is_weighted(params) and not scene.only_m:
+        weighted, _ = _of_choices(scene, params.gdop_threshold, is_weighted=True)
+        named |= {f"w{name}": getattr(weighted, name) for name in DOPS}
+    return {name: np.take(values, number) for name, values in named.items()}
+
+
+def _of_choices(scene: Scene, threshold: float, is_weighted: bool = False) -> tuple[GpsMaps, np.ndarray]:
+    return maps_of_choices(scene.words, scene.is_obstacle, satellites_of(scene.in_view, is_weighted), threshold)
 
 
 def _traced(scene: TracedScene, params: Gps) -> dict[str, Any]:
@@ -100,8 +103,8 @@ class Dop:
 
 def _map_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Array]:
     """Return m of one DOP of a scene."""
-    maps = scene.satellites.maps(scene.words, scene.is_obstacle)
-    return {name: gps_metric(getattr(maps, dop), params.dop_threshold)}
+    maps, number = _of_choices(scene, params.dop_threshold)
+    return {name: gps_metric(np.take(getattr(maps, dop), number), params.dop_threshold)}
 
 
 def _traced_of(name: str, dop: str, scene: TracedScene, params: Dop) -> dict[str, Array]:

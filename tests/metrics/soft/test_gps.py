@@ -13,12 +13,13 @@ from jaxurban.errors import InputError
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.supersampling import plain_bands, visibility_at_centres
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.gps import Gps, SatelliteSet, soft_gps
+from jaxurban.metrics.gps import soft_gps
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.world.grid import Grid
+from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface
-from tests.metrics.whole_maps import compute_gps
+from tests.metrics.whole_maps import compute_gps, gps_maps
 
 # One satellite a quadrant swept along rows and columns both ways, low and high, and one more.
 AZIMUTH_RAD = np.radians([10.0, 80.0, 190.0, 285.0, 140.0, 330.0, 235.0])
@@ -167,7 +168,7 @@ def test_an_oversampled_view_at_softness_0_is_the_oversampled_exact_map():
     fine = replace(fine, roof_m=fine.roof_m[:, :33])
     words = visibility_at_centres(plain_bands(fine, 3), AZIMUTH_RAD, ELEVATION_RAD, [14.0])
     is_obstacle = obstacle_mask(fine.crop(fine.roof_m)[1::3, 1::3], [14.0])
-    exact = SatelliteSet.of(AZIMUTH_RAD, ELEVATION_RAD, Gps()).maps(words, is_obstacle).m[0]
+    exact = gps_maps(words, is_obstacle, InView(AZIMUTH_RAD, ELEVATION_RAD, ())).m[0]
     found = soft_gps(fine, 14.0, 20.0, 0.0, SkyView.of(fine, AZIMUTH_RAD, ELEVATION_RAD), oversample=3)
     assert len(np.unique(exact)) > 3
     np.testing.assert_allclose(found, exact, atol=1e-5)
