@@ -31,7 +31,7 @@ from jaxurban.io.files import (
 )
 from jaxurban.progress import LOG
 
-RECORD_FILE, JOURNAL_FILE = "checksums.json", ".checksums.jsonl"
+RECORD_FILE, JOURNAL_FILE, LINE = "checksums.json", ".checksums.jsonl", ("command", "name", "checksum")
 KEPT_FOLDER = "kept"  # where files go that were in the way of an output
 LONGEST_SETTINGS = 200  # characters of two settings that differ, in an error
 Each = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or who works like it
@@ -359,7 +359,7 @@ def _recover(folder: Path, sections: Sections) -> None:
     """
     noted: dict[tuple[str, str], list[str | None]] = {}
     for line in _journal(folder):
-        if line.get("scratch"):
+        if "scratch" in line:
             if line["scratch"].endswith(SCRATCH_SUFFIX) and ".." not in PurePosixPath(line["scratch"]).parts:
                 remove(folder / line["scratch"])
         elif line["command"] in sections:
@@ -376,8 +376,9 @@ def _recover(folder: Path, sections: Sections) -> None:
 def _journal(folder: Path) -> Iterator[dict[str, str]]:
     with suppress(FileNotFoundError, NotADirectoryError):
         for line in (folder / JOURNAL_FILE).read_text(encoding="utf-8", errors="replace").splitlines():
-            with suppress(ValueError):  # the last one of a killed run
-                yield json.loads(line)
+            with suppress(ValueError, TypeError, KeyError):  # the last one of a killed run, and damaged ones
+                noted = json.loads(line)
+                yield {name: noted[name] for name in (("scratch",) if "scratch" in noted else LINE)}
 
 
 def _save(folder: Path, sections: Sections) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.io import files
-from jaxurban.io.workspace import Workspace
+from jaxurban.io.workspace import Workspace, recorded
 from tests.logs import logged
 
 
@@ -51,6 +51,15 @@ def test_a_folder_of_others_is_refused(tmp_path, name, overwrite):
     assert names_of(tmp_path) == [name]
 
 
+def test_damaged_lines_of_the_journal_are_passed_over(tmp_path):
+    write(tmp_path)
+    lines = ("5", "[1]", '{"commanc": "tune"}', '{"command": "tune", "name": "figures/3.txt"}', '{"name": "x"}')
+    (tmp_path / ".checksums.jsonl").write_text("\n".join(lines))
+    assert recorded(tmp_path).keys() == {"figures/3.txt"}
+    write(tmp_path, text="made again")
+    assert names_of(tmp_path) == ["checksums.json", "figures/3.txt"]
+
+
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_changed_file_is_refused_and_a_new_one_stays(tmp_path, overwrite):
     write(tmp_path)
@@ -82,7 +91,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from jaxurban.io import files
-from jaxurban.io.workspace import Workspace
+from jaxurban.io.workspace import Workspace, recorded
 
 folder = Path(sys.argv[1])
 with Workspace.open(folder, "tune", {"seed": 3}):
