@@ -6,17 +6,25 @@ planned under where the caller leaves it out is here too; docs/mathematics.md li
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
 from jaxurban.errors import InputError, at_least, finite, one_of, positive, typed
 
-BUDGET_S = 10.0  # seconds of search, for one plan
-PAPER = "paper"
+CostKind = Literal["cell", "line"]
+Diagonal = Literal["both-free", "always"]
+Objective = Literal["weighted", "distance"]
+Obstacles = Literal["touched", "centre"]
+OF_PRESET: Any = None  # a setting that the preset gives where it is left out
+CLEARANCES = ("clearance_m", "vertical_clearance_m")
+PRESETS: dict[str, dict[str, Any]] = {
+    "": {"cost_model": "line", "obstacles": "touched", "clearance_m": 0.0, "vertical_clearance_m": 3.0},
+    "paper": {"cost_model": "cell", "obstacles": "centre", "clearance_m": 0.0, "vertical_clearance_m": 0.0},
+}
 NOMINAL = "nominal"  # GPS satellites without a file of elements
 FIRST_YEAR, LAST_YEAR = 1980, 2200  # GPS time begins in 1980; xarray's nanoseconds end in 2262
 MOST_SAMPLES = 1000
@@ -50,6 +58,18 @@ def iso_utc(time: str | datetime | np.datetime64) -> str:
     """Return a time (as for `parse_time`) as ISO 8601 UTC with a trailing Z."""
     parsed = parse_time(time)
     return parsed.isoformat(timespec="seconds" if parsed.microsecond == 0 else "microseconds").replace("+00:00", "Z")
+
+
+def not_negative(name: str, value: float) -> float:
+    """Return metres that must not be below 0, as a float.
+
+    Raises:
+      InputError: they are, or are no finite number.
+    """
+    metres = finite(name, value, "metres")
+    if metres < 0:
+        raise InputError(f"{name} must be 0 or a positive number of metres, got {metres:g}")
+    return metres
 
 
 def each(values: Any) -> tuple:
@@ -173,43 +193,61 @@ class Terrain:
     credit: str = ""
 
 
-@dataclass(frozen=True)
-class Preset:
-    """Settings of routes, under the names of a scenario's ``[planning]``.
+@typed
+@dataclass(frozen=True, kw_only=True)
+class Planning:
+    """How paths are sought: a scenario's ``[planning]``, and the default of every such argument.
 
     Attributes:
-      cost_model: how steps are costed (`jaxurban.planners.cost_model.CostModel`).
-      obstacles: where planners may fly (`jaxurban.maps.metric_maps.MetricMaps`).
-      clearance_m: horizontal distance from buildings as high as the path.
-      vertical_clearance_m: height over roofs.
-    """
-
-    cost_model: Literal["cell", "line"] = "line"
-    obstacles: Literal["touched", "centre"] = "touched"
-    clearance_m: float = 0.0
-    vertical_clearance_m: float = 3.0
-
-    @classmethod
-    def of(cls, name: str) -> "Preset":
-        """Return the preset of a name, ``""`` for the defaults.
-
-        Raises:
-          InputError: an unknown name.
-        """
-        return PRESETS[one_of("preset", name, PRESETS)]
-
-
-DEFAULTS = Preset()
-PRESETS = {"": DEFAULTS, PAPER: Preset("cell", "centre", 0.0, 0.0)}
-
-
-def planning_under(preset: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings of a ``[planning]``: those given, and else those of a preset, theirs where none is named.
+      preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance where those are left out.
+      planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...
+      cost_model: how steps are costed (`jaxurban.planners.cost_model.CostModel`); left out: ``"line"``.
+      obstacles: where planners may fly (`jaxurban.maps.metric_maps.MetricMaps`); left out: ``"touched"``.
+      clearance_m: horizontal distance from buildings as high as the path; left out: 0 m.
+      vertical_clearance_m: height over roofs; left out: 3 m.
+      objective: ``"weighted"``, or ``"distance"`` for the shortest path.
+      connectivity, diagonal, reference_length_m: of the cost model.
+      budget_s: seconds that a search may take.
+      seed: of sampling planners.
+      given: the settings that are not the defaults, and those that are named beside a preset (no argument).
 
     Raises:
-      InputError: an unknown preset.
+      InputError: an unknown preset, a clearance below 0, a length or a budget that is not above 0, or a seed below 0.
     """
-    return {**asdict(Preset.of(preset or given.get("preset", ""))), **given}
+
+    preset: Literal["", "paper"] = ""
+    planner: str = "astar-plus"
+    cost_model: CostKind = OF_PRESET
+    obstacles: Obstacles = OF_PRESET
+    clearance_m: float = OF_PRESET
+    vertical_clearance_m: float = OF_PRESET
+    objective: Objective = "weighted"
+    connectivity: Literal[4, 8] = 8
+    diagonal: Diagonal = "both-free"
+    reference_length_m: float = 5.0
+    budget_s: float = 10.0
+    seed: int = 0
+    given: ClassVar[Mapping[str, Any]]
+
+    def __post_init__(self) -> None:
+        one_of("preset", self.preset, PRESETS)
+        given = {name: value for name, value in vars(self).items() if value != getattr(Planning, name)}
+        object.__setattr__(self, "given", given)
+        for name, value in (PRESETS[self.preset] | given).items():
+            object.__setattr__(self, name, value)
+        for name in CLEARANCES:
+            not_negative(name, getattr(self, name))
+        positive("reference_length_m", self.reference_length_m, "metres")
+        if not self.budget_s > 0:
+            raise InputError(f"budget_s must be a positive number of seconds, got {self.budget_s}")
+        at_least("seed", self.seed)
+
+    def under(self, preset: str) -> "Planning":
+        """Return the settings with those of a preset where none is given; ``""``: as they are."""
+        return Planning(**{**self.given, "preset": preset}) if preset else self
+
+
+DEFAULTS = Planning()
 
 
 @typed
@@ -240,9 +278,7 @@ class Vehicle:
     power_w: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius_m", finite("radius_m", self.radius_m, "metres"))
-        if self.radius_m < 0:
-            raise InputError(f"radius_m must be 0 or a positive number of metres, got {self.radius_m:g}")
+        object.__setattr__(self, "radius_m", not_negative("radius_m", self.radius_m))
         for item in fields(self)[1:]:
             if (value := getattr(self, item.name)) is not None:
                 unit = next(unit for end, unit in VEHICLE_UNITS.items() if item.name.endswith(end))

@@ -8,12 +8,10 @@ import numpy as np
 
 from jaxurban.errors import one_of, positive, typed
 from jaxurban.kernels.compiled import compiled
-from jaxurban.settings import DEFAULTS
+from jaxurban.settings import DEFAULTS, CostKind, Diagonal
 
 # (row, column) of the eight steps; bit k of a cell's moves stands for step k.
 STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
-CostKind = Literal["cell", "line"]
-Diagonal = Literal["both-free", "always"]
 
 
 @typed
@@ -33,9 +31,9 @@ class CostModel:
     """
 
     kind: CostKind = DEFAULTS.cost_model
-    reference_length_m: float = 5.0
-    connectivity: Literal[4, 8] = 8
-    diagonal: Diagonal = "both-free"
+    reference_length_m: float = DEFAULTS.reference_length_m
+    connectivity: Literal[4, 8] = DEFAULTS.connectivity
+    diagonal: Diagonal = DEFAULTS.diagonal
 
     def __post_init__(self) -> None:
         one_of("cost_model", self.kind, get_args(CostKind))

@@ -84,7 +84,7 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
     )
     maps = open_maps(folder, given["resolution_m"], obstacles=given["obstacles"])
     at = {name: given[name] for name in ("time", "time_of_day")}
-    shared = cost_map(maps, given["altitude_m"], **at, **given_rules(given))
+    shared = cost_map(maps, given["altitude_m"], objective="weighted", **at, **given_rules(given))
     shared.maps.check_altitude(given["altitude_m"])  # whose map its figures show
     Workspace.check(output, "sensitivity")
     ends = {"start": given["start"], "goal": given["goal"], "snap": take_snap(given)}

@@ -54,10 +54,10 @@ def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_j
 
     changes = [f"planning.preset={given['preset']!r}"] if given["preset"] else []
     scenario = Scenario.from_toml(scenario_file, changes)
-    planning, chosen = scenario.planning.model_dump(), scenario.study
+    planning, chosen = scenario.planning, scenario.study
     rules: dict[str, Any] = {
         "cost_model": CostModel.from_settings(
-            planning | ({"cost_model": chosen.cost_model} if chosen.cost_model else {})
+            vars(planning) | ({"cost_model": chosen.cost_model} if chosen.cost_model else {})
         ),
         "constraints": given_constraints(given).under(planning, scenario.vehicle),
     }

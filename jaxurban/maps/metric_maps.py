@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,11 +16,10 @@ from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.obstacle import stands_at
 from jaxurban.metrics.weights import normalised_map, total_map
-from jaxurban.settings import iso_utc, planning_under
+from jaxurban.settings import Obstacles, Planning, iso_utc
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown, listed
 
-Obstacles = Literal["touched", "centre"]
 OF_ROUTES = ("weights", "planning", "vehicle")  # sections of a scenario that routes over its maps are planned under
 
 
@@ -87,6 +86,11 @@ class MetricMaps(Shown):
         """
         return json.loads(self.ds.attrs.get("settings", "{}"))
 
+    @property
+    def planning(self) -> Planning:
+        """How paths over them are sought, as their scenario says it."""
+        return Planning(**self.recorded.get("planning", {}))
+
     def with_recorded(self, settings: Mapping[str, Any]) -> "MetricMaps":
         """Return the same maps as those of a run of such settings."""
         kept = {name: settings[name] for name in OF_ROUTES if name in settings}
@@ -100,7 +104,7 @@ class MetricMaps(Shown):
         centre no such roof covers, the paper's rule, which is that of ``obstacle`` and of every metric; paths then cut
         true outlines.
         """
-        return self.rule or planning_under("", self.recorded.get("planning", {}))["obstacles"]
+        return self.rule or self.planning.obstacles
 
     @property
     def facts(self) -> dict[str, str]:

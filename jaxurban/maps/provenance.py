@@ -152,8 +152,7 @@ def _companions(path: Path) -> list[Path]:
 
 def settings_of(scenario: Scenario) -> dict[str, Any]:
     """Return the settings of a scenario as run.json holds them: of ``[planning]`` those that were given."""
-    planning = scenario.planning.model_dump(exclude_unset=True)
-    return json.loads(scenario.model_dump_json(exclude_none=True)) | {"planning": planning}
+    return json.loads(scenario.model_dump_json(exclude_none=True)) | {"planning": scenario.planning.given}
 
 
 def code_hash() -> str:

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import tomli_w
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -25,13 +26,8 @@ from jaxurban.kernels.engine import Engine
 from jaxurban.maps.task import MapParams
 from jaxurban.maps.validation import (
     DifferentList,
-    NonNegative,
-    PlannerName,
-    Positive,
     PositiveInt,
-    Seed,
     WeightSettings,
-    as_list,
     changed,
     check_truths,
     sentence_of,
@@ -42,10 +38,11 @@ from jaxurban.metrics.population import Population
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.registry import find_planner
-from jaxurban.settings import BUDGET_S, DEFAULTS, Buildings, Terrain, Vehicle, iso_utc, planning_under
+from jaxurban.settings import Buildings, CostKind, Planning, Terrain, Vehicle, each, iso_utc
 from jaxurban.world.grid import check_bounds, projected_crs
 
 SYNTHETIC = "synthetic"
+MOST_INSTANCES = 1_000_000
 PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
 
 
@@ -68,29 +65,6 @@ class Region(_Section):
         check_bounds(self.bounds)
         if self.crs is not None:
             projected_crs(self.crs)
-        return self
-
-
-class PlanningSettings(_Section):
-    """How paths are sought."""
-
-    planner: PlannerName = "astar-plus"
-    preset: Literal["", "paper"] = ""
-    obstacles: Literal["touched", "centre"] = DEFAULTS.obstacles
-    clearance_m: NonNegative = DEFAULTS.clearance_m
-    vertical_clearance_m: NonNegative = DEFAULTS.vertical_clearance_m
-    cost_model: Literal["cell", "line"] = DEFAULTS.cost_model
-    objective: Literal["weighted", "distance"] = "weighted"
-    connectivity: Literal[4, 8] = 8
-    diagonal: Literal["both-free", "always"] = "both-free"
-    reference_length_m: Positive = 5.0
-    budget_s: Positive = BUDGET_S
-    seed: Seed = 0
-
-    @model_validator(mode="after")
-    def _under_preset(self) -> "PlanningSettings":
-        """Take what is left out from the preset; ``model_fields_set`` stays what was given."""
-        self.__dict__.update(planning_under(self.preset, self.model_dump(exclude_unset=True)))
         return self
 
 
@@ -122,32 +96,39 @@ class Study:
       InputError: no planner, an unknown one, or a number that is too small.
     """
 
-    instances: Annotated[PositiveInt, Field(le=1_000_000)] = 200
-    planners: Annotated[tuple[PlannerName, ...], BeforeValidator(as_list)] = PAPER_PLANNERS
-    distance_only: Annotated[tuple[PlannerName, ...], BeforeValidator(as_list)] = ("astar-dist",)
+    instances: int = 200
+    planners: str | Sequence[str] = PAPER_PLANNERS
+    distance_only: str | Sequence[str] = ("astar-dist",)
     altitudes_m: DifferentList | None = None
     land_cover: str | None = None
     weights: Annotated[tuple[WeightSettings, ...] | Literal["dirichlet"], BeforeValidator(_dirichlet_or_list)] = (
         "dirichlet"
     )
-    cost_model: Literal["cell", "line"] | None = None
-    budget_s: Positive = 2.0
-    budget_iterations: PositiveInt | None = None
-    seed: Seed = 0
+    cost_model: CostKind | None = None
+    budget_s: float = 2.0
+    budget_iterations: int | None = None
+    seed: int = 0
 
     def __post_init__(self) -> None:
         for name in ("planners", "distance_only"):
-            object.__setattr__(self, name, tuple(dict.fromkeys(as_list(getattr(self, name)))))
+            object.__setattr__(self, name, tuple(dict.fromkeys(each(getattr(self, name)))))
         if not self.planners:
             raise InputError("planners is empty: name at least one planner")
         for planner in (*self.planners, *self.distance_only):
             find_planner(planner)
         if self.cost_model is not None:
-            one_of("cost_model", self.cost_model, ("cell", "line"))
+            one_of("cost_model", self.cost_model, get_args(CostKind))
         positive("budget_s", self.budget_s, "seconds")
         for name, least in (("instances", 1), ("seed", 0), ("budget_iterations", 1)):
             if getattr(self, name) is not None:
                 at_least(name, getattr(self, name), least)
+        if self.instances > MOST_INSTANCES:
+            raise InputError(f"instances must be at most {MOST_INSTANCES:,} at each altitude, got {self.instances:,}")
+
+
+def _with_known_planner(planning: Planning) -> Planning:
+    find_planner(planning.planner)
+    return planning
 
 
 class _Places(_Section):
@@ -175,7 +156,7 @@ class Scenario(MetricSections):
     population: Population = Population()
     layers: dict[str, Layer] = Field(default_factory=dict, exclude_if=operator.not_)  # of one's own
     weights: WeightSettings = Weights()
-    planning: PlanningSettings = PlanningSettings()
+    planning: Annotated[Planning, AfterValidator(_with_known_planner)] = Planning()
     vehicle: Vehicle = Vehicle()
     study: Study = Study()
     _folder: Path = PrivateAttr(default=Path())

@@ -18,7 +18,6 @@ from pydantic import (
 
 from jaxurban.errors import InputError, check_range, nearest_name
 from jaxurban.metrics.weights import Weights
-from jaxurban.planners.registry import find_planner
 
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 NO_LIST = ("tuple_type", "list_type")
@@ -160,10 +159,7 @@ def model_in(annotation: Any) -> type | None:
 
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 PositiveInt = Annotated[int, Field(gt=0)]
-
-
 WeightTable = Annotated[  # weights by name; `Scenario` knows which names there are
     dict[str, Any], AfterValidator(lambda named: Weights(**named).checked()), PlainSerializer(Weights.to_dict)
 ]
@@ -181,14 +177,5 @@ def _all_different(values: tuple) -> tuple:
     return values
 
 
-def _known_planner(name: str) -> str:
-    find_planner(name)
-    return name
-
-
-PlannerName = Annotated[str, AfterValidator(_known_planner)]
-
-
-Seed = Annotated[int, Field(ge=0)]
 Different = AfterValidator(_all_different)
 DifferentList = Annotated[tuple[Positive, ...], BeforeValidator(as_list), Field(min_length=1), Different]

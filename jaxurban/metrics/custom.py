@@ -152,15 +152,11 @@ def check_file_names(names: Collection[str]) -> None:
 
 
 def own_metric(name: str, layer: Layer) -> Metric:
-    """Return one's own layer as a metric.
-
-    Raises:
-      InputError: a name that is not an identifier, or that is taken.
-    """
+    """Return one's own layer, under a name that `check_layers` takes, as a metric."""
     by_altitude = layer.altitudes_m is not None or callable(layer.source)
     high = layer.scale[1]
     return Metric(
-        name=check_name(name),
+        name=name,
         params=Layer,
         dims=(ALTITUDE,) if by_altitude else (),
         compute=partial(_map, name),

@@ -11,19 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import IgnoredZoneWarning, InputError, finite, nearest_name, typed
+from jaxurban.errors import IgnoredZoneWarning, InputError, nearest_name, typed
 from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import WEIGHTED_DOPS
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.paths.clearance import FILE_MARGIN_M, closed_by_clearance, closing_step_m, kept_m, nearest_said
-from jaxurban.settings import DEFAULTS, Vehicle, parse_time
+from jaxurban.settings import CLEARANCES, DEFAULTS, Planning, Vehicle, not_negative, parse_time
 
 OPERATORS: dict[str, Callable] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 BOUND = re.compile(r"\s*(\w+)\s*([<>=!]+)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|[-+]?inf|nan)\s*", re.IGNORECASE)
 MOST_NAMED = 3  # zones, in a warning
-CLEARANCES = ("clearance_m", "vertical_clearance_m")
 KEPT_CLEAR = {  # entries of `Constraints.to_dict`, as messages call them
     "clearance_m": "clearance",
     "vehicle_radius_m": "vehicle's radius",
@@ -134,8 +133,8 @@ class Constraints:
 
     def __post_init__(self) -> None:
         for name in CLEARANCES:
-            if (value := getattr(self, name)) is not None and finite(name, value, "metres") < 0:
-                raise InputError(f"{name} must be 0 or a positive number of metres, got {value:g}")
+            if (value := getattr(self, name)) is not None:
+                not_negative(name, value)
 
     @classmethod
     @typed
@@ -190,9 +189,9 @@ class Constraints:
         asked = {name: getattr(self, name) for name in CLEARANCES}
         return {name: getattr(DEFAULTS, name) if value is None else value for name, value in asked.items()}
 
-    def under(self, planning: Mapping[str, Any], vehicle: Vehicle) -> "Constraints":
-        """Return the constraints, what they leave out taken from a whole ``[planning]`` and a vehicle."""
-        rest = {**{name: planning[name] for name in CLEARANCES}, "vehicle": vehicle}
+    def under(self, planning: Planning, vehicle: Vehicle) -> "Constraints":
+        """Return the constraints, what they leave out taken from a ``[planning]`` and a vehicle."""
+        rest = {**{name: getattr(planning, name) for name in CLEARANCES}, "vehicle": vehicle}
         return replace(self, **{name: value for name, value in rest.items() if getattr(self, name) is None})
 
     def leg_margin_m(self, resolution_m: float) -> float:

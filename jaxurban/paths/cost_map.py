@@ -307,8 +307,9 @@ def cost_map(maps: GivenMaps, altitude_m: float | Levels, **asked: Any) -> CostM
     """Return the maps at one altitude, or between levels, under weights, on which any number of paths can be planned.
 
     Args:
-      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps. Weights, cost model, rule of
-        obstacles, clearances and vehicle that are left out here are as the maps' scenario gives them, if there is one.
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps. Weights, objective, cost
+        model, rule of obstacles, clearances and vehicle that are left out here are as the maps' scenario gives them, if
+        there is one.
       altitude_m: within the range of the maps' altitudes; between two of them metrics are taken linearly from both
         (`values_at`), obstacles from the roofs' own heights. Or `Levels`, for paths that climb and descend.
       asked: ``weights``, ``objective``, ``cost_model``, ``time``, ``time_of_day``, ``constraints`` and ``preset``, as
@@ -319,8 +320,7 @@ def cost_map(maps: GivenMaps, altitude_m: float | Levels, **asked: Any) -> CostM
         map that is not there, bounds of altitude that hold no level, no free cell in a volume, or more of them than
         memory holds.
     """
-    objective = asked.get("objective") or "weighted"  # whatever the scenario minimises
-    return map_for(*MapQuery.of(as_maps(maps), **asked | {"objective": objective}), altitude_m)
+    return map_for(*MapQuery.of(as_maps(maps), **asked), altitude_m)
 
 
 def map_for(maps: MetricMaps, query: MapQuery, altitude_m: float | Levels) -> CostMap:

@@ -1,19 +1,16 @@
 """What is asked of a path: which map, and how to search; the one place where what is left out takes its default."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 from jaxurban.errors import InputError, at_least, one_of, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.snapping import snap_limit_m
-from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import find_planner
-from jaxurban.settings import BUDGET_S, Vehicle, planning_under
-
-OBJECTIVES = ("weighted", "distance")
+from jaxurban.settings import DEFAULTS, CostKind, Objective, Vehicle
 
 
 def weights_on(maps: MetricMaps, given: GivenWeights) -> Weights:
@@ -76,17 +73,17 @@ class MapQuery:
         Raises:
           InputError: an unknown preset, objective or cost model, or a wrong weight.
         """
-        planning = planning_under(preset, maps.recorded.get("planning", {}))
+        planning = maps.planning.under(preset)
         if preset and maps.rule is None:
-            maps = maps.with_obstacles(planning["obstacles"])
+            maps = maps.with_obstacles(planning.obstacles)
         if not isinstance(cost_model, CostModel):
-            cost_model = CostModel.from_settings(planning | ({"cost_model": cost_model} if cost_model else {}))
+            cost_model = CostModel.from_settings(vars(planning) | ({"cost_model": cost_model} if cost_model else {}))
         limits = Constraints() if constraints is None else constraints
         return maps, MapQuery(
             time=time,
             time_of_day=time_of_day,
             weights=weights_on(maps, weights),
-            objective=one_of("objective", objective or planning.get("objective", "weighted"), OBJECTIVES),
+            objective=one_of("objective", objective or planning.objective, get_args(Objective)),
             cost_model=cost_model,
             constraints=limits.under(planning, Vehicle(**maps.recorded.get("vehicle", {}))),
         )
@@ -110,8 +107,8 @@ class PathSearch:
 
     planner: str
     heuristic: str | None = None
-    budget_s: float = BUDGET_S
-    seed: int = 0
+    budget_s: float = DEFAULTS.budget_s
+    seed: int = DEFAULTS.seed
     snap: bool | float = False
     refine: bool = False
 
@@ -141,10 +138,9 @@ class PathSearch:
           InputError: an unknown planner, a heuristic that it does not take, a wrong seed, budget or distance of
             snapping, or refinement of a path that may climb.
         """
-        recorded = {} if maps is None else maps.recorded.get("planning", {})
-        names = ("budget_s",) if is_for_volumes else ("budget_s", "planner", "seed")
-        chosen: dict[str, Any] = {"planner": "astar-volume" if is_for_volumes else "astar-plus"}
-        chosen |= {name: recorded[name] for name in names if name in recorded}
+        planning = DEFAULTS if maps is None else maps.planning
+        chosen: dict[str, Any] = {"planner": planning.planner, "seed": planning.seed}
+        chosen = {"budget_s": planning.budget_s} | ({"planner": "astar-volume"} if is_for_volumes else chosen)
         given = {"planner": planner, "heuristic": heuristic, "budget_s": budget_s, "seed": seed}
         chosen |= {name: value for name, value in given.items() if value is not None}
         search = cls(**chosen, snap=snap, refine=refine)

@@ -18,14 +18,14 @@ import pandas as pd
 from jaxurban.errors import InputError, one_of, typed
 from jaxurban.io.tables import Row, RowStore, read_table, records_of
 from jaxurban.maps.executors import cluster_client
-from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
+from jaxurban.maps.metric_maps import MetricMaps, open_maps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.preset import MapQuery
 from jaxurban.planners.base import CostKind, Status
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.progress import Report
-from jaxurban.settings import Preset
+from jaxurban.settings import Obstacles, Planning
 
 CRASHED, BAD_INPUT = "crashed", "bad-input"  # beside the names of `Status`
 KILLED = "Its worker process was killed again and again, most likely for lack of memory."
@@ -80,7 +80,7 @@ class RouteRules:
     preset: str = ""
 
     def __post_init__(self) -> None:
-        Preset.of(self.preset)  # refuses an unknown one, as the next line does
+        Planning().under(self.preset)  # refuses an unknown one, as the next line does
         CostModel.of(self.cost_model)
 
     def under(self, maps: MetricMaps) -> tuple[MetricMaps, Self]:
@@ -96,7 +96,7 @@ class RouteRules:
     def cost_map(self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> Any:
         """Return the `CostMap` of routes at an altitude and time (errors as in `jaxurban.cost_map`)."""
         rules: dict[str, Any] = {"cost_model": self.cost_model, "constraints": self.constraints, "preset": self.preset}
-        return cost_map(maps, altitude_m, time=time, time_of_day=time_of_day, **rules)
+        return cost_map(maps, altitude_m, time=time, time_of_day=time_of_day, objective="weighted", **rules)
 
 
 class RouteJob(RouteRules):

@@ -17,7 +17,7 @@ from jaxurban.paths.preset import MapQuery
 from jaxurban.paths.simplify import simplify
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import find_planner
-from jaxurban.settings import BUDGET_S
+from jaxurban.settings import DEFAULTS
 from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer.requests import Plan, Zones, parse
 from jaxurban.viewer.tiles import Kept
@@ -148,6 +148,7 @@ class Plans:
             cost_model=CostModel.from_settings(settings),
             time=at.time,
             time_of_day=at.time_of_day,
+            objective="weighted",
             constraints=self._constraints(query),
         )
 
@@ -164,4 +165,4 @@ class Plans:
 
 
 def _budget_s(planner: str) -> float:
-    return SAMPLING_BUDGET_S if planner.startswith("bitstar") else BUDGET_S
+    return SAMPLING_BUDGET_S if planner.startswith("bitstar") else DEFAULTS.budget_s

@@ -1,13 +1,11 @@
 """What the page may ask for: the parameters of each request, checked before anything is done."""
 
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from jaxurban.errors import InputError
-from jaxurban.maps.metric_maps import Obstacles
-from jaxurban.planners.base import CostKind
-from jaxurban.settings import DEFAULTS
+from jaxurban.settings import DEFAULTS, CostKind, Obstacles
 
 MOST_LETTERS = 64 * 1024  # of zones
 Index = Annotated[int, Field(strict=True, ge=0, le=10**6)]
@@ -70,9 +68,9 @@ class Plan(Request):
     goal: tuple[Degrees, Degrees]
     at: tuple[Index, Index, Index]
     weights: dict[Name, Weight]
-    planner: Name = "astar-plus"
-    cost_model: Literal[get_args(CostKind)] = DEFAULTS.cost_model  # type: ignore[valid-type]
-    obstacles: Literal[get_args(Obstacles)] = DEFAULTS.obstacles  # type: ignore[valid-type]
+    planner: Name = DEFAULTS.planner
+    cost_model: CostKind = DEFAULTS.cost_model
+    obstacles: Obstacles = DEFAULTS.obstacles
     clearance_m: Metres = DEFAULTS.clearance_m
     snap: Annotated[bool, Field(strict=True)] = True
     zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""

@@ -19,7 +19,7 @@ from jaxurban.maps.run import Maker, make_zarr, run_scenario, tasks_of
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import ALTITUDE, Metric, high_is_bad
-from jaxurban.metrics.custom import Layer, own_metric
+from jaxurban.metrics.custom import Layer, check_layers
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.risk import Risk
 from jaxurban.world.grid import Grid
@@ -161,7 +161,7 @@ def test_settings_that_are_none_are_refused(settings, words):
 @pytest.mark.parametrize("name", ["climb", "descent", "distance", "self", "gps_lower", "risk_mean", 5])
 def test_names_that_costs_and_maps_use_are_refused(name):
     with pytest.raises(InputError, match="a layer"):
-        own_metric(name, Layer("noise.tif", "high-is-bad", (0.0, 1.0)))
+        check_layers({name: Layer("noise.tif", "high-is-bad", (0.0, 1.0))})
 
 
 def test_layers_that_are_none_are_refused(task):

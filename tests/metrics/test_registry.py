@@ -12,7 +12,7 @@ import xarray as xr
 
 from jaxurban.errors import InputError
 from jaxurban.metrics.base import Scene, SoftScene
-from jaxurban.metrics.custom import Layer, held_metrics, own_metric
+from jaxurban.metrics.custom import Layer, check_layers, held_metrics, own_metric
 from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import BlockLayers
@@ -118,7 +118,7 @@ def test_maps_say_which_layers_they_hold():
 @pytest.mark.parametrize("name", ["gps", "roof", "distance", "gdop", "my noise", "class", "2nd", "time"])
 def test_a_layer_has_a_name_of_its_own(name):
     with pytest.raises(InputError, match="layer"):
-        own_metric(name, NOISE)
+        check_layers({name: NOISE})
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,10 @@ def test_what_is_named_wins_over_the_scenario(tmp_path):
     assert (maps.obstacles, maps.with_obstacles("touched").obstacles) == ("centre", "touched")
     for rule, preset in (("touched", "paper"), ("centre", "")):
         assert ju.cost_map(ju.open_maps(tmp_path, obstacles=rule), ALTITUDE_M, preset=preset).maps.obstacles == rule
+    assert on.objective == "distance"
+    assert on.plan(START, GOAL).settings["objective"] == "distance"
+    shortest = ju.cost_map(maps, ALTITUDE_M).plan(START, GOAL)
+    assert shortest.cost == ju.plan(maps, START, GOAL, altitude_m=ALTITUDE_M).cost
     planned = ju.plan(maps, START, GOAL, altitude_m=ALTITUDE_M, objective="weighted")
     assert planned.settings["objective"] == "weighted"
     defaults = ju.plan(ju.MetricMaps(MADE.ds), START, GOAL, altitude_m=ALTITUDE_M).settings

@@ -113,7 +113,7 @@ def test_a_series_of_epochs_includes_both_ends():
             {"gps": {"bounds": True, "start": "2020-04-27T00:00:00Z", "stop": "2020-04-28T00:00:00Z", "step_s": 60}},
             "every time",
         ),
-        ({"planning": {"seed": -1}}, "greater than or equal to 0"),
+        ({"planning": {"seed": -1}}, "planning: seed must be a whole number from 0 up, got -1"),
         ({"gps": {"mask_deg": 90}}, "less than 90"),
         ({"weights": {"risk": -1}}, "weights: weight risk must be a finite number >= 0"),
         ({"risk": {"distance": "round"}}, "'slice' or 'solid'"),

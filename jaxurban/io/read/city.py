@@ -83,7 +83,7 @@ def read_city(
     projected_crs(crs)
     box_m = transformer(WGS84, crs).transform_bounds(west, south, east, north, densify_pts=101)
     rise_m = TALLEST_M if terrain.source is None else TALLEST_M + RELIEF_M
-    reach_m = rise_m / math.tan(math.radians(max((gps or Gps()).mask_deg, 0.5)))
+    reach_m = rise_m / math.tan(math.radians(max((gps or Gps()).lowest_mask_deg, 0.5)))
     wide_m = (box_m[0] - reach_m, box_m[1] - reach_m, box_m[2] + reach_m, box_m[3] + reach_m)
     ground = None if terrain.source is None else read_raster(terrain.source, crs, wide_m)
     source = read_buildings(buildings, crs, bounds_m=wide_m, terrain=ground)

@@ -89,6 +89,11 @@ class Gps:
         object.__setattr__(self, "orbits", each(self.orbits))
         self._check_times()
 
+    @property
+    def lowest_mask_deg(self) -> float:
+        """The least elevation of a satellite that is used: how far away buildings may stand and hide one."""
+        return self.mask_deg
+
     def _check_times(self) -> None:
         series = self.start, self.stop, self.step_s
         if any(value is not None for value in series) and (None in series or self.times is not None):
