@@ -18,6 +18,7 @@ from pydantic import (
 
 from jaxurban.errors import InputError, check_range, nearest_name
 from jaxurban.metrics.weights import Weights
+from jaxurban.settings import each
 
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 NO_LIST = ("tuple_type", "list_type")
@@ -166,11 +167,6 @@ WeightTable = Annotated[  # weights by name; `Scenario` knows which names there 
 WeightSettings = Annotated[Weights, GetPydanticSchema(lambda _, handler: handler.generate_schema(WeightTable))]
 
 
-def as_list(value: Any) -> Any:
-    """Return a list or a tuple as it is, another value in a list."""
-    return value if isinstance(value, list | tuple) else [value]
-
-
 def _all_different(values: tuple) -> tuple:
     if len({f"{value:g}" if isinstance(value, float) else value for value in values}) < len(values):
         raise ValueError("names a value twice (file names carry six digits)")
@@ -178,4 +174,4 @@ def _all_different(values: tuple) -> tuple:
 
 
 Different = AfterValidator(_all_different)
-DifferentList = Annotated[tuple[Positive, ...], BeforeValidator(as_list), Field(min_length=1), Different]
+DifferentList = Annotated[tuple[Positive, ...], BeforeValidator(each), Field(min_length=1), Different]

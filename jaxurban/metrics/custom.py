@@ -118,22 +118,12 @@ def check_layers(layers: Any) -> Mapping[str, Layer]:
     if not (isinstance(given, Mapping) and all(isinstance(layer, Layer) for layer in given.values())):
         raise InputError('layers must be Layers by name, such as {"noise": Layer("noise.tif", "high-is-bad", (0, 80))}')
     for name in given:
-        check_name(name)
+        if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
+            raise InputError(f"a layer's name must be letters, digits and _ such as noise_day, got {name!r}")
+        if name in TAKEN:
+            raise InputError(f"a layer cannot be called {name!r}, which maps or weights use already: give another name")
     check_file_names(given)
     return given
-
-
-def check_name(name: str) -> str:
-    """Return the name of a layer.
-
-    Raises:
-      InputError: not an identifier, or a name that maps use already.
-    """
-    if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
-        raise InputError(f"a layer's name must be letters, digits and _ such as noise_day, got {name!r}")
-    if name in TAKEN:
-        raise InputError(f"a layer cannot be called {name!r}, which maps or weights use already: give it another name")
-    return name
 
 
 # What a file's name may hold behind that of its variable, of an altitude, a time of day and a time.

@@ -10,8 +10,10 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.io.read.receiver import TRACKED
+from jaxurban.maps.levels import listed_m
 from jaxurban.report.figures.receiver import LABELS, name_of, plot_scatter
 from jaxurban.report.write import Output, bullets, fill, study_outputs, table
+from jaxurban.settings import each
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.scores import COEFFICIENTS, MAIN, SPEARMAN, WITHIN
 from jaxurban.studies.receiver.validate import ReceiverValidation
@@ -31,6 +33,7 @@ def validation_outputs(found: ReceiverValidation, _: bool) -> tuple[dict[str, Ou
 def validation_markdown(found: ReceiverValidation) -> str:
     """Return the report as Markdown."""
     of, settings, scenario = found.summary, found.settings, found.scenario
+    masks_deg = each(scenario["gps"]["mask_deg"])
     is_main = found.scores.prediction == found.scores.witness.map(MAIN)
     others = found.scores[~is_main]
     facts = {
@@ -39,7 +42,7 @@ def validation_markdown(found: ReceiverValidation) -> str:
         "track": f"{of['length_m'] / 1000:.2f} km",
         "satellites in view, mean": _number(of["mean_num_visible"], 1),
         "satellites tracked, mean": _number(of.get(f"mean_{TRACKED}", math.nan), 1),
-        "maps": f"cells of {of['resolution_m']:g} m, elevation mask {scenario['gps']['mask_deg']:g} degrees, "
+        "maps": f"cells of {of['resolution_m']:g} m, elevation mask {listed_m(masks_deg)} degrees, "
         f"`oversample` {scenario['region']['oversample']}, antenna {settings.antenna_height_m:g} m above the ground",
         "orbits": f"{', '.join(f'`{name}`' for name in scenario['gps']['orbits'])}; {of['num_skies']} skies, one each "
         f"{settings.sky_step_s:g} s",
