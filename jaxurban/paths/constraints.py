@@ -241,8 +241,8 @@ class Constraints:
 
         Shapes, arguments and errors are those of `closed`.
         """
-        closed = self.closed(maps, altitude_m, time=time, time_of_day=time_of_day)
         is_free = np.stack([maps.is_free(z_m) for z_m in np.atleast_1d(altitude_m).tolist()])
+        closed = self.closed(maps, altitude_m, time=time, time_of_day=time_of_day)
         return is_free.reshape(closed.shape) & ~closed
 
     def closed(

@@ -12,6 +12,7 @@ from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.io.read.rasterise import burn
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.visibility import shadow_reach_m, visibility
+from jaxurban.settings import Buildings as BuildingSource
 from jaxurban.world.city import Buildings
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
@@ -36,7 +37,7 @@ class Manhattan:
 
 @pytest.fixture(scope="module")
 def manhattan(data_dir):
-    buildings = read_buildings(Buildings(data_dir / "osm" / "lower-manhattan.osm.pbf"), CRS).buildings
+    buildings = read_buildings(BuildingSource(data_dir / "osm" / "lower-manhattan.osm.pbf"), CRS).buildings
     return Manhattan(buildings, CityScene(buildings.polygons, buildings.height_m))
 
 
