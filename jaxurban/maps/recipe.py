@@ -161,7 +161,8 @@ def tile_maps(tile: TileScene, stage: Stage = nullcontext) -> Iterator[MapLayer]
     for name, place, values in _layers(tile, stage):
         inside, dims = held[name].inside, held[name].dims
         if inside is not None and ALTITUDE in dims:
-            values = np.where(tile.is_obstacle[place[dims.index(ALTITUDE)]], values.dtype.type(inside), values)
+            values = values.copy()
+            np.putmask(values, tile.is_obstacle[place[dims.index(ALTITUDE)]], inside)
         if tile.has_data is not None and np.issubdtype(values.dtype, np.floating):
             values = np.where(tile.has_data, values, np.float32(np.nan))
         yield MapLayer(name, place, values)

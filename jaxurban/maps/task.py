@@ -16,7 +16,7 @@ from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
 from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import BlockLayers, Population, block_layers
-from jaxurban.metrics.registry import checked_sections, known_metrics
+from jaxurban.metrics.registry import METRICS, checked_sections, known_metrics
 from jaxurban.metrics.variables import derived
 from jaxurban.metrics.visibility import shadow_reach_m
 from jaxurban.settings import Heights
@@ -58,7 +58,8 @@ class MapParams:
         object.__setattr__(self, "altitudes_m", values)
         at_least("oversample", self.oversample, 1)
         one_of("engine", self.engine, ENGINES)
-        checked_sections(self.sections)
+        defaults = {name: metric.params() for name, metric in METRICS.items() if name not in self.sections}
+        object.__setattr__(self, "sections", defaults | checked_sections(self.sections))
         gps = self.gps
         if (gps.bounds or self.heights.height_samples) and not gps.keeps_times(len(gps.utc_times or (None,))):
             raise InputError(
@@ -75,12 +76,12 @@ class MapParams:
     @property
     def gps(self) -> Gps:
         """The settings of satellites."""
-        return self.sections.get("gps") or Gps()
+        return self.sections["gps"]
 
     @property
     def population(self) -> Population:
         """The settings of people."""
-        return self.sections.get("population") or Population()
+        return self.sections["population"]
 
 
 @dataclass(frozen=True, eq=False)
