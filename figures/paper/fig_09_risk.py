@@ -12,7 +12,7 @@ PAPER = (
     "within 10 m "
     'in most grids"; at 60 m large parts of the outer boroughs and of Uptown are free of risk; at 122 m only '
     "Downtown and "
-    'Midtown remain. "The risk is one at the building."'
+    'Midtown remain, and "the risk is one at the building".'
 )
 NEAR_M = 10.0
 

@@ -1,4 +1,8 @@
-"""Downloads, one at a time, and a cache in which every file is whole and was read once."""
+"""Downloads, one at a time, and a cache in which every file is whole and was read once.
+
+The cache is our own: `pooch.retrieve` keeps a file by a hash known beforehand, and the files here change at a fixed
+address, so that age, ETag and the reader's check decide.
+"""
 
 import hashlib
 import importlib.metadata

@@ -287,7 +287,8 @@ def write_cog(
     Raises:
       OSError: the file cannot be written.
     """
-    # Overviews go through a scratch file of GDAL's own, on which Zstandard would spend a third of all time.
+    # Overviews go through a scratch file of GDAL's own, on which Zstandard would spend a third of all time; without
+    # compression GDAL chooses other cells as the nearest.
     quick = rasterio.Env(COG_TMP_COMPRESSION="PACKBITS")
     with _writing(), quick, TemporaryDirectory(SCRATCH_SUFFIX, ".plain.", path.parent) as folder:
         plain, row = Path(folder) / "plain.tif", 0

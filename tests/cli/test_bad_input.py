@@ -207,7 +207,7 @@ def test_an_output_folder_whose_name_is_no_text_is_refused(tmp_path):
 
 def test_more_instances_than_any_study_has_are_refused(tmp_path, capsys):
     scenario = write_scenario(tmp_path, "synthetic", "[study]\ninstances = 1000000000\n", SYNTHETIC_BOUNDS)
-    fails(capsys, tmp_path, scenario, "study.instances", "1000000")
+    fails(capsys, tmp_path, scenario, "study: instances must be at most 1,000,000")
 
 
 @pytest.mark.parametrize("command", ["compare", "validate"])

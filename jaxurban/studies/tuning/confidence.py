@@ -27,7 +27,8 @@ LEAST_SHARE = 0.01  # of a random walk's features
 def draw_counts(cities: np.ndarray, num_draws: int, rng: np.random.Generator) -> np.ndarray:
     """Return ``[B, N]`` how often each of ``N`` members counts in bootstrap draws.
 
-    Where there are several cities, as many of them are drawn, and for each as many of its members as it has.
+    Where there are several cities, as many of them are drawn, and for each as many of its members as it has: for the
+    percentiles of refits, where `jaxurban.studies.bootstrap` draws one group less for intervals of means.
 
     Args:
       cities: ``[N]`` the number of each member's city, from 0.
