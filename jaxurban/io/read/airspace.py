@@ -7,8 +7,8 @@ Polygon or a Circle. ED-318 (2024): GeoJSON whose properties hold ``type`` and `
 geometries hold a ``layer`` (limits) and, for a circle around a Point, an ``extent``.
 
 In doubt a zone is closed higher, lower, wider and longer than it may be meant, never less, and a warning says so.
-`uas-standards` 4.4 would refuse a whole file for one zone without a country, with hours of sunrise or with heights above
-the ellipsoid, and cut a ceiling of 36.5 m to 36.
+`uas-standards` 4.4 would refuse a whole file for one zone without a country, with hours of sunrise or with heights
+above the ellipsoid, and cut a ceiling of 36.5 m to 36.
 """
 
 import json
