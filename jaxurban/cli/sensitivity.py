@@ -67,8 +67,8 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.metric_maps import open_maps
     from jaxurban.paths.cost_map import cost_map
-    from jaxurban.report.buildings import write_buildings
-    from jaxurban.report.sensitivity import ranges, sensitivity_markdown, sensitivity_outputs
+    from jaxurban.report.buildings import BUILDINGS_FILES, write_buildings
+    from jaxurban.report.sensitivity import FILES, ranges, sensitivity_markdown, sensitivity_outputs
     from jaxurban.report.write import REPORT_FILE, save
     from jaxurban.studies.weights.study import SensitivitySettings
     from jaxurban.studies.weights.study import sensitivity as study
@@ -98,7 +98,11 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
         tell(first.search.note)
     query = {"altitude_m": given["altitude_m"]} | at | ends
     key = {"maps": shared.maps.identity, "buildings": with_buildings} | query | dict(first.settings) | asdict(how)
-    with Workspace.open(output, "sensitivity", key, overwrite=overwrite), reporting("sensitivity") as report:
+    names = [*FILES, *(f"buildings/{name}" for name in BUILDINGS_FILES if with_buildings)]
+    with (
+        Workspace.open(output, "sensitivity", key, names=names, overwrite=overwrite),
+        reporting("sensitivity") as report,
+    ):
         found = study(shared, **ends, settings=how, progress=report)
         report("report")
         save(output, sensitivity_outputs(found, given["degrees"])[0])

@@ -27,7 +27,7 @@ from jaxurban.planners.cost_model import CostModel
 from jaxurban.progress import LOG, Progress, Report, reporting
 from jaxurban.report.buildings import scenario_of
 from jaxurban.report.montecarlo import INSTANCES_FILE, check_instances
-from jaxurban.report.sensitivity_study import SensitivityStudy, write_sensitivity_study
+from jaxurban.report.sensitivity_study import FILES, SensitivityStudy, write_sensitivity_study
 from jaxurban.studies.montecarlo.sampling import (
     checked_instances,
     instances_of_queries,
@@ -101,8 +101,9 @@ def sensitivity_study(
     about = {city: maps.identity for city, maps in opened.items()}
     key = settings.to_dict() | {"maps": about, "routes": _routes_key(instances)}
     job = settings if workers == 1 or settings.num_threads is not None else replace(settings, num_threads=1)
+    names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in (ROUTES_FOLDER, REMADE_FOLDER)), *FILES]
     with (
-        Workspace.open(folder, "sensitivity-study", key, overwrite=overwrite),
+        Workspace.open(folder, "sensitivity-study", key, names=names, overwrite=overwrite),
         reporting("sensitivity", progress) as report,
     ):
         write_table(instances, folder / INSTANCES_FILE)

@@ -11,11 +11,14 @@ from jaxurban.planners.cost_model import CostModel
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
-from jaxurban.report.write import Output, fill, listed, study_outputs
+from jaxurban.report.write import REPORT_FILE, Output, files_of, fill, listed, study_outputs
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
 from jaxurban.studies.weights.sobol import FEW_SAMPLES
 from jaxurban.studies.weights.study import Sensitivity
 
+TABLES = "cost_gradient", "local", "sobol", "sobol_spread", "switches", "pareto", "triangle", "triangle_cells"
+FIGURES = "switches", "switch_routes", "sobol", "pareto", "triangle", "triangle_routes"
+FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
 ALIKE = 0.05  # routes are much the same where no outcome differs by more than this share
 MORE = 1.1  # the change of a weight that the report tells about: 10 %
 CLEAR = 2.0  # standard errors from 0

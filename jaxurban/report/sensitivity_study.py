@@ -12,7 +12,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.report.figures.sensitivity_study import study_figures
-from jaxurban.report.write import bullets, fill, framed, save, study_outputs
+from jaxurban.report.write import REPORT_FILE, bullets, files_of, fill, framed, save, study_outputs
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.queries import outcome_label, population_norms
@@ -21,6 +21,9 @@ from jaxurban.studies.weights.routes import SensitivityStudySettings
 from jaxurban.studies.weights.sobol import FEW_SAMPLES
 from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES, UNCLEAR, change_said
 
+TABLES = "routes", "weights", "summary", "sobol", "sobol_summary", "comparisons", "remade", "remade_summary"
+FIGURES = "share", "regret", "nearest", "where", "sobol", "remade"
+FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
 STATISTICS, ENDS = ("regret", "changes", "nearest", "share"), ("", "_low", "_high")
 SAMPLED = (
     "Routes were drawn by stratum and range in equal numbers, only where a path joins a pair at every altitude, not as "

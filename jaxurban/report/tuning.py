@@ -22,18 +22,20 @@ from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
-from jaxurban.report.write import REPORT_FILE, Output, bullets, fill, framed, save
+from jaxurban.report.write import REPORT_FILE, Output, bullets, files_of, fill, framed, save
 from jaxurban.studies.demonstrations import Demonstration, PlannedBeside, plan_beside
 from jaxurban.studies.montecarlo.sampling import PLACES, TIMES, sample_instances
 from jaxurban.studies.queries import maps_of
 from jaxurban.studies.read_demonstrations import demonstrations_from_paths, read_demonstrations
 from jaxurban.studies.route_pool import FitSettings
-from jaxurban.studies.tuning.compared_fits import FitComparison, compare_fits
+from jaxurban.studies.tuning.compared_fits import FitComparison, compare_fits, state_files
 from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
 from jaxurban.studies.tuning.targets import Target
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
 STATE_FILE = "fit-state.parquet"
+TABLES = "learning_curve", "fewer_examples", "fits", "targets", "weights", "examples"
+FIGURES = "weights", "learning_curve", "regret", "targets"
 EXPLAINED = 1e-4  # a demonstration within this share of the cheapest route is explained
 UNDER = "cost_model", "constraints", "preset"  # settings of routes
 ONE_FIT: dict[str, Any] = {"hold_out": 0.0, "losses": ("robust",), "by_city": False}
@@ -117,7 +119,11 @@ def run_tuning(
         fit: WeightFit | TargetFit
         found: FitComparison | None = None
         # Other fits differ in the state of the fit, which holds its settings.
-        with Workspace.open(folder, "tune", overwrite=overwrite):
+        pictures = [f"figures/{name}.png" for name in (*FIGURES, *_pictures(demonstrations))]
+        states = state_files(Path(STATE_FILE), list(cities), fits["losses"], fits["by_city"])
+        outputs = [*TABLES, *pictures, "weights.toml", REPORT_FILE]
+        names = [*map(str, states), *files_of(outputs)]
+        with Workspace.open(folder, "tune", names=names, overwrite=overwrite):
             report("rounds")
             if targets:
                 fit = fit_targets([each.query for each in demonstrations], targets, settings=how)

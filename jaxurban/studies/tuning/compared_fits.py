@@ -95,8 +95,7 @@ def compare_fits(
     plans, file = _plans(list(dict.fromkeys(city.tolist())), losses, by_city), settings.state_file
     for number, (name, loss, members) in enumerate(plans):
         seen = list(itertools.compress(demonstrations, ~is_held_out & np.isin(city, members)))
-        kept = file if file is None or not number else Path(file).with_stem(f"{Path(file).stem}-{number}")
-        how = replace(settings, state_file=kept)
+        how = replace(settings, state_file=None if file is None else state_file(Path(file), number))
         fits[name] = fit_weights(seen, scale=scale, loss=loss, bootstrap=bootstrap, settings=how)
     vectors = np.array([fit.vector for fit in fits.values()])
     cheapest = replace(settings, state_file=None).pool(queries).cheapest(vectors)[0]  # [N, F, K]
@@ -148,3 +147,13 @@ def _plans(cities: list[str], losses: Sequence[str], by_city: bool) -> list[tupl
     if by_city and len(cities) > 2:
         plans += [(f"without {city}", losses[0], [each for each in cities if each != city]) for city in cities]
     return plans
+
+
+def state_files(file: Path, cities: list[str], losses: Sequence[str], by_city: bool) -> list[Path]:
+    """Return where the searches of each fit of `compare_fits` are kept: those of the first in ``file``."""
+    return [state_file(file, number) for number in range(len(_plans(cities, losses, by_city)))]
+
+
+def state_file(file: Path, number: int) -> Path:
+    """Return where the searches of one of several fits are kept."""
+    return file.with_stem(f"{file.stem}-{number}") if number else file
