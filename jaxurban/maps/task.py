@@ -76,12 +76,12 @@ class MapParams:
     @property
     def gps(self) -> Gps:
         """The settings of satellites."""
-        return self.sections["gps"]
+        return self.sections.get("gps") or Gps()
 
     @property
     def population(self) -> Population:
         """The settings of people."""
-        return self.sections["population"]
+        return self.sections.get("population") or Population()
 
 
 @dataclass(frozen=True, eq=False)
