@@ -20,7 +20,7 @@ from tests.made_maps import made_maps
 pytestmark = pytest.mark.slow
 
 CACHES = ("NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
-BUDGET_S = 2.0
+BUDGET_S = 1.0
 COMPILING = "jaxurban compiles its kernels, which takes some 30 s, once a machine"
 SCRIPT = """
 import sys

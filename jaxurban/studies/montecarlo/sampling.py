@@ -38,18 +38,15 @@ TRUTHS = {"true": True, "false": False}
 MOST_NUMBER = 2**53  # of an instance: as far as float64 counts
 
 
-ALWAYS = tuple(name for name in Weights().to_dict() if name != "distance")  # weighed in every table of instances
-
-
 def weighed_metrics(columns: Iterable[Any]) -> tuple[str, ...]:
     """Return the metrics that instances of these columns hold weights of: the built-in ones, then one's own."""
     weighed = (name.removeprefix(WEIGHT_PREFIX) for name in map(str, columns) if name.startswith(WEIGHT_PREFIX))
-    return tuple(dict.fromkeys((*ALWAYS, *(name for name in weighed if name != "distance"))))
+    return tuple(dict.fromkeys((*METRICS, *(name for name in weighed if name != "distance"))))
 
 
 def weight_columns(metrics: Iterable[str]) -> tuple[str, ...]:
     """Return the columns of the weights of the distance and of these metrics, beside the built-in ones."""
-    return tuple(WEIGHT_PREFIX + name for name in dict.fromkeys(("distance", *ALWAYS, *metrics)))
+    return tuple(WEIGHT_PREFIX + name for name in dict.fromkeys(("distance", *METRICS, *metrics)))
 
 
 def query_columns(columns: Iterable[Any]) -> list[str]:
