@@ -171,7 +171,6 @@ WORKERS = together(  # what `given_workers` takes
         "--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786."
     ),
 )
-DEGREES = click.option("--degrees", is_flag=True, help="Label the maps of figures by longitude and latitude.")
 JSON_FLAG = click.option("--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout.")
 
 
@@ -280,7 +279,7 @@ def run_study(
       output: the folder.
       study: runs it.
       facts: of its result, for ``--json``, beside the folder and the report.
-      given: the options ``overwrite``, ``as_json`` and, where there are maps in figures, ``degrees``.
+      given: the options ``overwrite`` and ``as_json``.
     """
     from jaxurban.io.workspace import Workspace
     from jaxurban.report.write import REPORT_FILE
@@ -289,7 +288,7 @@ def run_study(
     with reporting(command) as report:
         found = study(report)
         report("report")
-        found.save(output, given["overwrite"], degrees=given.get("degrees", False))
+        found.save(output, given["overwrite"])
     tell(f"{command} finished: read {output / REPORT_FILE}, look at {output / 'figures'}")
     if given["as_json"]:
         print_json({"folder": str(output), "report": str(output / REPORT_FILE)} | facts(found))

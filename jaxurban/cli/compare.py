@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.common import DEGREES, DEVICE, JSON_FLAG, OBSTACLES, PATH, RESOLUTION, run_study
+from jaxurban.cli.common import DEVICE, JSON_FLAG, OBSTACLES, PATH, RESOLUTION, run_study
 from jaxurban.errors import InputError
 from jaxurban.progress import Report
 
@@ -23,7 +23,6 @@ from jaxurban.progress import Report
     "--tolerance", type=float, default=1e-6, show_default=True, help="Values that differ by no more are the same."
 )
 @click.option("--overwrite", is_flag=True, help="Replace another comparison in the output folder.")
-@DEGREES
 @DEVICE
 @JSON_FLAG
 def compare(folder_a: Path, folder_b: Path, output: Path, **given: Any) -> int:

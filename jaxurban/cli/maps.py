@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from jaxurban.cli.common import (
-    DEGREES,
     DEVICE_CHOICE,
     JSON_FLAG,
     PATH,
@@ -43,7 +42,6 @@ TAKEN = (".", "geotiff", "maps.zarr", "figures")  # no folder of a scenario besi
 )
 @click.option("--overwrite", is_flag=True, help="Replace maps of other settings in the output folder.")
 @click.option("--figures", is_flag=True, help="Draw the maps too, under DIR/figures.")
-@DEGREES
 @click.option(
     "--layers",
     default="",
@@ -77,8 +75,6 @@ def maps(
     """
     from jaxurban.maps.scenario import Scenario
 
-    if given["degrees"] and not given["figures"]:
-        raise click.UsageError("--degrees belongs to --figures: add that")
     changes += () if engine is None else (f'region.engine = "{engine}"',)
     resources = _resources(given)
     if len(scenario_files) == 1:
@@ -153,7 +149,7 @@ def _make(scenario: "Scenario", folder: Path, resources: "Resources", given: Set
             report("figures")
             with Workspace.open(folder, "maps --figures", is_shared=True):
                 for resolution_m, made in run.maps.items():
-                    save_figures(made, {}, folder / "figures" / f"{resolution_m:g}m", degrees=given["degrees"])
+                    save_figures(made, {}, folder / "figures" / f"{resolution_m:g}m")
     tell_warnings(run.record)
     tell(f"maps finished: {folder} (run.json tells what went in)")
     return run.record

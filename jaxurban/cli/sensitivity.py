@@ -8,7 +8,6 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import (
-    DEGREES,
     DEVICE,
     JSON_FLAG,
     PATH,
@@ -58,7 +57,6 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.option(
     "--scenario", type=SCENARIO_FILE, help="That made the maps, where --buildings needs its folder; of one DIR."
 )
-@DEGREES
 @WEIGHTS
 @click.option("-o", "output", type=PATH, default=Path("out/sensitivity"), show_default=True)
 def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **given: Any) -> int:
@@ -105,11 +103,10 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
     ):
         found = study(shared, **ends, settings=how, progress=report)
         report("report")
-        save(output, sensitivity_outputs(found, given["degrees"])[0])
+        save(output, sensitivity_outputs(found)[0])
         if with_buildings:
             report("buildings")
-            drawn = {"scenario": scenario, "degrees": given["degrees"]}
-            buildings = write_buildings(folder, first, output / "buildings", **drawn)
+            buildings = write_buildings(folder, first, output / "buildings", scenario=scenario)
             save(output, {REPORT_FILE: sensitivity_markdown(found, buildings)})
     tell(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:

@@ -9,7 +9,6 @@ import click
 
 from jaxurban.cli.common import (
     CONSTRAINTS,
-    DEGREES,
     DEVICE,
     JSON_FLAG,
     OBSTACLES,
@@ -59,7 +58,6 @@ from jaxurban.cli.common import (
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--budget", "budget_s", type=float, help="Seconds; the round under way is finished.")
 @click.option("--overwrite", is_flag=True, help="Forget a fit of other routes or settings in the output folder.")
-@DEGREES
 @DEVICE
 @JSON_FLAG
 def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
@@ -97,9 +95,8 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     )
     of_maps = {name: given[name] for name in ("resolution_m", "obstacles")}
     sources = [RoutesOnMaps(MapsFolder(folder, **of_maps), tuple(routes)) for folder, *routes in _sources(words, given)]
-    how = {name: given[name] for name in ("overwrite", "degrees")}
     command = shlex.join(["jaxurban", *(word for word in click.get_current_context().obj if word != "--json")])
-    facts = run_tuning(sources, out, settings, **how, command=command)
+    facts = run_tuning(sources, out, settings, overwrite=given["overwrite"], command=command)
     for warning in facts.get("unidentified", []) + facts.get("warnings", []):
         tell(f"warning: {warning}")
     if "message" in facts:

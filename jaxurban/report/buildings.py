@@ -18,7 +18,6 @@ from jaxurban.maps.run import tasks_of
 from jaxurban.maps.scenario import Scenario
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.buildings import plot_building_costs
-from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.write import save
 from jaxurban.studies.weights.buildings import building_costs
 
@@ -72,7 +71,6 @@ def write_buildings(
     *,
     scenario: str | Path | None = None,
     softness_m: float = 2.0,
-    degrees: bool = False,
 ) -> pd.DataFrame:
     """Write what every building costs a route: ``buildings.csv``, ``buildings.parquet`` and ``buildings.png``.
 
@@ -84,7 +82,6 @@ def write_buildings(
       out: where the files go; made if it is not there.
       scenario: file that the maps were made from, where sources have relative names.
       softness_m: see `jaxurban.studies.weights.buildings.building_costs`.
-      degrees: label the picture by longitude and latitude instead of easting and northing.
 
     Returns:
       The table of `jaxurban.studies.weights.buildings.building_costs`.
@@ -112,5 +109,5 @@ def write_buildings(
         table = building_costs(city, soft, planned, params)
     picture = {"buildings.png": partial(plot_building_costs, city, planned, table, task.region)}
     with Workspace.shared(Path(out), "sensitivity --buildings", BUILDINGS_FILES):
-        save(out, {"buildings": table.reset_index(), **in_degrees(picture, task.region, degrees)})
+        save(out, {"buildings": table.reset_index(), **picture})
     return table

@@ -30,7 +30,7 @@ Paths = Mapping[float, Sequence[PlannedPath]]
 BUDGET_S = 2.0  # what the sampling planners use up; the others need less
 
 
-def run_demo(folder: Path, report: Report, overwrite: bool = False, degrees: bool = False) -> dict[str, Any]:
+def run_demo(folder: Path, report: Report, overwrite: bool = False) -> dict[str, Any]:
     """Write the demo under ``folder`` and return what it made.
 
     Raises:
@@ -54,7 +54,7 @@ def run_demo(folder: Path, report: Report, overwrite: bool = False, degrees: boo
             for path in planned:
                 write_path(path, folder / "paths" / f"{path.search.planner}_{altitude_m:g}m.geojson")
         report("figures")
-        figures = save_figures(maps, paths, folder / "figures", degrees=degrees)
+        figures = save_figures(maps, paths, folder / "figures")
         save(folder, {SUMMARY_FILE: summary_markdown(maps, paths, run.record)})
     return {
         "folder": str(folder),

@@ -8,19 +8,18 @@ from zlib import crc32
 from jaxurban.io.geotiff import write_bands
 from jaxurban.io.store import short_number
 from jaxurban.maps.validation import NOT_SET
-from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.map_comparison import comparison_figures, heading_of
 from jaxurban.report.write import Output, bullets, fill, framed, listed, study_outputs, table
 from jaxurban.studies.map_comparison import MapComparison, unit_of
 from jaxurban.studies.queries import population_norms
 
 
-def comparison_outputs(found: MapComparison, degrees: bool) -> tuple[dict[str, Output], dict[str, Any]]:
+def comparison_outputs(found: MapComparison) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a comparison writes, by file name, and what it is of."""
     key: dict[str, Any] = {"maps": list(found.names), "of": [maps.identity for maps in (found.a, found.b)]}
     key |= {"times": dict(found.times), "tolerance": found.tolerance}
     key["values"] = crc32(found.table.to_csv().encode())  # maps in memory have no name of their own
-    figures = in_degrees(comparison_figures(found), found.grid, degrees)
+    figures = comparison_figures(found)
     size = short_number(found.grid.resolution_m)
     outputs: dict[str, Output] = {
         f"difference/{layer}_{size}m.tif": partial(_write_difference, found, layer) for layer in found.layers

@@ -260,7 +260,7 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
     return tables
 
 
-def analysis_outputs(result: BenchmarkResult, _: bool) -> tuple[dict[str, Output], dict[str, Any]]:
+def analysis_outputs(result: BenchmarkResult) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return the report, tables (CSV) and figures of a study, by file name; nothing decides them but its rows."""
     tables = tables_of(result)
     figures = study_figures(result.maps, result.table, tables)

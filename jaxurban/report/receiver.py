@@ -21,7 +21,7 @@ from jaxurban.studies.receiver.validate import ReceiverValidation
 HEADS = {WITHIN: "rank correlation within blocks", SPEARMAN: "over the whole track"}
 
 
-def validation_outputs(found: ReceiverValidation, _: bool) -> tuple[dict[str, Output], dict[str, Any]]:
+def validation_outputs(found: ReceiverValidation) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a validation writes, by file name, and what it is of."""
     rows = hashlib.sha256(found.log.epochs.to_csv(index=False).encode()).hexdigest()  # of two logs of one name
     pieces = found.pieces.assign(utc=found.pieces.utc.map(lambda time: time.isoformat()))

@@ -22,9 +22,9 @@ KINDS: dict[type[Result], tuple[str, Any]] = {  # the command, and what returns 
 }
 
 
-def save_result(found: Result, folder: Path, overwrite: bool, degrees: bool) -> list[Path]:
+def save_result(found: Result, folder: Path, overwrite: bool) -> list[Path]:
     """Write what `jaxurban.studies.result.Result.save` says."""
     command, outputs_of = KINDS[type(found)]
-    outputs, settings = outputs_of(found, degrees)
+    outputs, settings = outputs_of(found)
     with Workspace.open(folder, command, settings, names=files_of(outputs), overwrite=overwrite):
         return save(folder, outputs)

@@ -8,7 +8,6 @@ import pandas as pd
 
 from jaxurban.paths.constraints import constraints_said
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.write import REPORT_FILE, Output, files_of, fill, listed, study_outputs
@@ -26,7 +25,7 @@ TOP_BUILDINGS = 10
 RANKING = "rank", "per_metre", "height_m", "lon", "lat", "distance_m"
 
 
-def sensitivity_outputs(found: Sensitivity, degrees: bool) -> tuple[dict[str, Output], dict[str, Any]]:
+def sensitivity_outputs(found: Sensitivity) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a study of one route writes, by file name, and what it is of."""
     route = found.route
     settings = {"route": route.settings, "lonlat": route.lonlat[[0, -1]].tolist(), "weights": found.weights.tolist()}
@@ -34,8 +33,8 @@ def sensitivity_outputs(found: Sensitivity, degrees: bool) -> tuple[dict[str, Ou
     tables = {name: table.reset_index() for name, table in found.tables().items()}
     if found.triangle is not None:
         tables["triangle_cells"] = found.triangle_cells()
-    drawn = in_degrees(sensitivity_figures(found), found.maps.grid, degrees)
-    return study_outputs(sensitivity_markdown(found), tables, drawn), json.loads(json.dumps(settings, default=str))
+    outputs = study_outputs(sensitivity_markdown(found), tables, sensitivity_figures(found))
+    return outputs, json.loads(json.dumps(settings, default=str))
 
 
 def sensitivity_markdown(found: Sensitivity, buildings: pd.DataFrame | None = None) -> str:

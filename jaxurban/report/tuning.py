@@ -20,7 +20,6 @@ from jaxurban.paths.batch import plan_many
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
-from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
 from jaxurban.report.write import REPORT_FILE, Output, bullets, files_of, fill, framed, save
 from jaxurban.studies.demonstrations import Demonstration, PlannedBeside, plan_beside
@@ -76,7 +75,6 @@ def run_tuning(
     settings: TuneSettings,
     *,
     overwrite: bool = False,
-    degrees: bool = False,
     command: str = "jaxurban.report.tuning.run_tuning",
     progress: Progress = True,
 ) -> dict[str, Any]:
@@ -89,7 +87,6 @@ def run_tuning(
       folder: written to; made if it is not there.
       settings: of the fit.
       overwrite: forget the fit of other routes or settings that the folder holds.
-      degrees: label the maps of figures by longitude and latitude instead of easting and northing.
       command: for the report.
       progress: as in `jaxurban.progress.reporting`.
 
@@ -139,7 +136,7 @@ def run_tuning(
             asked["sources"] = "; ".join(f"`{routes}` over the maps in `{where}`" for routes, where in drawn_from)
             if found is not None and len(found.fits) == 1 and not found.is_held_out.any():
                 found = None  # nothing to compare
-            save(folder, outputs_of(fit, beside, asked, found, degrees))
+            save(folder, outputs_of(fit, beside, asked, found))
     facts = _facts(fit, folder)
     return facts if found is None else facts | {"fits": records_of(found.table)}
 
@@ -197,7 +194,6 @@ def outputs_of(
     beside: PlannedBeside,
     asked: Mapping[str, str],
     found: FitComparison | None = None,
-    degrees: bool = False,
 ) -> dict[str, Output]:
     """Return what a fit writes, by file name: tables, pictures, the report and weights.toml.
 
@@ -206,7 +202,6 @@ def outputs_of(
       beside: of the demonstrations with the routes under those weights.
       asked: for the report: ``sources`` of the routes, ``targets`` and ``command``.
       found: further fits, which the fit is compared with, and routes that were held out.
-      degrees: as in `run_tuning`.
     """
     pictures = _pictures(beside.demonstrations)
     first = next(iter(pictures.values()))
@@ -238,9 +233,7 @@ def outputs_of(
         tables["outcomes"] = outcomes
     outputs |= {"weights": weights.assign(unit=units), "examples": routes}
     for name, one in pictures.items():
-        outputs |= in_degrees(
-            {f"figures/{name}.png": partial(plot_routes, beside, one, vector, given)}, one.grid, degrees
-        )
+        outputs[f"figures/{name}.png"] = partial(plot_routes, beside, one, vector, given)
     tables |= {
         "weights": weights.assign(unit=units),
         "setting": _setting([*pictures.values()]),

@@ -10,17 +10,16 @@ class Result(Shown):
     """Base of what a study found."""
 
     @typed
-    def save(self, folder: str | Path, overwrite: bool = False, *, degrees: bool = False) -> list[Path]:
+    def save(self, folder: str | Path, overwrite: bool = False) -> list[Path]:
         """Write the report, tables (CSV, Parquet), figures (PNG) and maps (GeoTIFF) of a study; return the files.
 
         Args:
           folder: where to; made if it is not there.
           overwrite: replace another study of the kind in it.
-          degrees: label the maps of figures by longitude and latitude instead of easting and northing.
 
         Raises:
           InputError: the folder cannot be written to, or holds another study or other files.
         """
         from jaxurban.report.results import save_result
 
-        return save_result(self, Path(folder), overwrite, degrees)
+        return save_result(self, Path(folder), overwrite)

@@ -211,7 +211,6 @@ def test_bad_scenarios_are_one_sentence_and_exit_two(tmp_path, capsys, old, new,
         (("--workers", 0), ("--workers", "at least 1")),
         (("--workers", 2, "--memory", "1GiB"), ("raise --memory", "fewer --workers")),
         (("--workers", 2, "--cluster", "tcp://localhost:8786"), ("not both",)),
-        (("--degrees",), ("--degrees belongs to --figures",)),
     ],
 )
 def test_what_a_run_may_not_use_is_refused_in_one_sentence(tmp_path, capsys, options, words):

@@ -370,21 +370,6 @@ def test_twelve_paths_have_twelve_colours_and_stay_lines(maps):
     assert widths[0] < 10
 
 
-def test_degrees_stand_where_meridians_and_parallels_meet_the_edges(maps):
-    figure = plotting.show_degrees(plotting.plot_metric(maps, "risk"), maps.grid)
-    to_degrees = pyproj.Transformer.from_crs(maps.grid.crs, "EPSG:4326", always_xy=True)
-    for panel in panels_of(figure):
-        for axis, place in ((panel.xaxis, 0), (panel.yaxis, 1)):
-            assert len(axis.get_majorticklocs()) >= 2
-            for at_m, label in zip(axis.get_majorticklocs(), axis.get_major_formatter().seq, strict=True):
-                corner = [panel.get_xlim()[0], panel.get_ylim()[0]]
-                corner[place] = at_m
-                number, side = label[:-1].rstrip("°"), label[-1]
-                assert side == "WN"[place]
-                assert float(number) == pytest.approx(abs(to_degrees.transform(*corner)[place]), abs=1e-6)
-    assert "easting" not in texts_of(figure)
-
-
 def test_cost_is_black_where_best_and_white_where_worst(maps):
     colours = drawn(panels_of(plotting.plot_paths(maps, {}, altitudes_m=[20.0]))[0])
     total = np.where(maps.is_free(20.0, "centre"), maps.total(20.0, time_of_day="day"), np.nan)
@@ -424,7 +409,7 @@ def all_figures(maps):
     yield plotting.plot_gps_rating(maps)
     yield plotting.plot_heights(maps)
     yield plotting.plot_population(maps)
-    yield plotting.show_degrees(plotting.plot_obstacles(maps), maps.grid)
+    yield plotting.plot_obstacles(maps)
     yield plotting.plot_epochs(at_epochs(10, maps))
     many = [make_path(maps, f"a planner of a long name {number}", z) for number in range(9) for z in ALTITUDES_M]
     yield plotting.plot_paths(maps, many)

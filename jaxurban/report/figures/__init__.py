@@ -2,7 +2,6 @@
 
 from jaxurban.report.figures.files import save_figures as save_figures
 from jaxurban.report.figures.files import save_profile as save_profile
-from jaxurban.report.figures.frame import show_degrees as show_degrees
 from jaxurban.report.figures.metrics import plot_epochs as plot_epochs
 from jaxurban.report.figures.metrics import plot_gps_rating as plot_gps_rating
 from jaxurban.report.figures.metrics import plot_heights as plot_heights

@@ -12,7 +12,6 @@ from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.registry import ON_REQUEST
 from jaxurban.paths.explain import RouteReport
 from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.metrics import (
     AVAILABILITY,
     drawn_variables,
@@ -29,7 +28,7 @@ from jaxurban.report.figures.profile import plot_profile
 from jaxurban.report.write import save
 
 
-def save_figures(maps: GivenMaps, paths: Paths, folder: str | Path, *, degrees: bool = False) -> list[Path]:
+def save_figures(maps: GivenMaps, paths: Paths, folder: str | Path) -> list[Path]:
     """Write every picture of these maps and paths as PNG and return the files; each appears whole or not at all.
 
     GPS at one time is drawn at the first; of several times there is also a panel each (``gps_epochs``) and the share of
@@ -39,14 +38,12 @@ def save_figures(maps: GivenMaps, paths: Paths, folder: str | Path, *, degrees: 
       maps: from `build_maps` or `open_maps`.
       paths: one, several, a batch, or paths by altitude; empty for maps alone.
       folder: where to; made if it is not there.
-      degrees: label the maps by longitude and latitude instead of easting and northing.
 
     Raises:
       InputError: the folder cannot be written to, or holds such files that were not written so, or changed since.
     """
     maps = as_maps(maps)
-    figures = in_degrees(maps_figures(maps, paths), maps.grid, degrees)
-    outputs = {f"{name}.png": draw for name, draw in figures.items()}
+    outputs = {f"{name}.png": draw for name, draw in maps_figures(maps, paths).items()}
     with Workspace.shared(Path(folder), "maps --figures", outputs):
         return save(folder, outputs)
 

@@ -1,12 +1,11 @@
-"""Maps in a projected frame: panels of one grid with scale bar, north arrow, colour bar and legend; degrees instead.
+"""Maps in a projected frame: panels of one grid with scale bar, north arrow, colour bar and legend.
 
 Matplotlib lays all of it out.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Patch
-from matplotlib.ticker import FixedFormatter, FixedLocator, FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import Affine2D
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
@@ -34,7 +33,6 @@ OBSTACLE_COLOUR, NO_DATA_COLOUR = "#c4c4c4", "#efe4d6"
 NO_DATA_PATCH = ("no data", NO_DATA_COLOUR)
 HATCH, HATCH_COLOUR, HATCHED_GROUND = "////////", "#ffffff", "#7d7c78"
 MAP = "map"  # gid of a panel over a grid
-NUM_PLACES = 65  # along an edge, between which degrees are interpolated
 END_LOOK: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "markerfacecolor": "white"}
 ENDS = tuple(  # of a route, in a legend
     Line2D([], [], marker=marker, markersize=size, label=name, **END_LOOK)
@@ -256,46 +254,3 @@ def true_north(grid: Grid) -> tuple[float, float]:
     """Return the unit vector (east, north in the grid's frame) toward true north at the grid's centre."""
     azimuth_rad = -grid.convergence_rad(*grid.centre_lonlat)
     return math.sin(azimuth_rad), math.cos(azimuth_rad)
-
-
-def show_degrees(figure: Figure, grid: Grid) -> Figure:
-    """Label the maps of a figure by degrees, and return it; maps without ticks, as in the overview, stay without.
-
-    A tick stands where its meridian or parallel meets the map's lower or left edge: in a projection these run a little
-    askew, so that it holds at that edge.
-
-    Args:
-      figure: from any function that draws maps.
-      grid: any grid in the CRS of its maps.
-    """
-    for panel in (panel for panel in figure.axes if panel.get_gid() == MAP):
-        (west_m, east_m), (south_m, north_m) = panel.get_xlim(), panel.get_ylim()
-        x_m, y_m = np.linspace(west_m, east_m, NUM_PLACES), np.linspace(south_m, north_m, NUM_PLACES)
-        longitudes = grid.lonlat_of_xy(x_m, np.full(NUM_PLACES, south_m))[0]
-        latitudes = grid.lonlat_of_xy(np.full(NUM_PLACES, west_m), y_m)[1]
-        for axis, at_m, degrees, sides in (
-            (panel.xaxis, x_m, np.unwrap(longitudes, period=360.0), "EW"),
-            (panel.yaxis, y_m, latitudes, "NS"),
-        ):
-            low_m, high_m = axis.get_view_interval()
-            most = sum(low_m <= tick_m <= high_m for tick_m in axis.get_majorticklocs())
-            ticks = round_ticks(most - 1).tick_values(degrees[0], degrees[-1])
-            ticks = ticks[(degrees[0] <= ticks) & (ticks <= degrees[-1])]
-            axis.set_major_locator(FixedLocator(np.interp(ticks, degrees, at_m).tolist()))
-            shown = (ticks + 180) % 360 - 180 if axis is panel.xaxis else ticks
-            names = [f"{abs(tick):.7g}°{sides[0 if tick >= 0 else 1]}" for tick in shown]
-            axis.set_major_formatter(FixedFormatter(names))
-        panel.set_ylabel("")  # the letters say which it is
-        panel.set_xlabel(panel.get_xlabel().removeprefix("easting (km)").strip())
-    return figure
-
-
-def in_degrees(
-    figures: Mapping[str, Callable[[], Figure]], grid: Grid, is_wanted: bool
-) -> dict[str, Callable[[], Figure]]:
-    """Return what draws figures, their maps labelled by degrees where that is wanted."""
-
-    def labelled(draw: Callable[[], Figure]) -> Figure:
-        return show_degrees(draw(), grid)
-
-    return {name: partial(labelled, draw) if is_wanted else draw for name, draw in figures.items()}
