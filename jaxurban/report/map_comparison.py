@@ -45,14 +45,13 @@ def comparison_markdown(found: MapComparison, figures: list[str]) -> str:
     same = [str(layer) for layer, share in found.most_changed.items() if not share > 0]
     first = found.table.time.isna() | (found.table.time == found.table.time.dropna().min())
     changed = found.table[first & ~found.table.layer.isin(same)].drop(columns="time").astype(object)
-    held, cut = found.a.facts, found.cut
+    held = found.a.facts
     left_out = bullets(f"{name}: {why}" for name, why in found.left_out.items())
     return fill(
         "compare",
         credits=[found.a.attribution, found.b.attribution],
         found=found,
-        extent=f"Compared are {held['grid']} ({held['CRS']}) at {held['altitudes']}; {cut[0]:,} cells of A and "
-        f"{cut[1]:,} of B lie outside the region of the other.",
+        extent=f"Compared are {held['grid']} ({held['CRS']}) at {held['altitudes']}.",
         settings=_settings(found),
         values=framed(changed.where(changed.notna(), "")) if len(changed) else "Not one value differs.",
         unchanged=f"The same in both: {listed(same)}." if same else "",

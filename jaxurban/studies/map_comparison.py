@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 import pyproj
-import xarray as xr
 
 from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.io.files import read_json
@@ -28,7 +27,7 @@ from jaxurban.world.show import listed
 CLOSED = "closed"  # the layer of cells that no planner enters, beside ``obstacle``, the metrics' rule
 MASKS = ("obstacle", CLOSED)
 SAME = 1e-6  # values that differ by no more, as on another device, have not changed
-QUANTILES = (0.05, 0.5, 0.95)
+QUANTILES = (0.5, 0.05, 0.95)
 
 
 class OneMap(NamedTuple):
@@ -40,21 +39,36 @@ class OneMap(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SharedPart:
-    """Two sets of maps cut to what both hold, so that cell (y, x), altitude and time mean the same in both.
+class MapComparison(Result):
+    """Maps B beside maps A, on the cells, altitudes, times and layers that both hold. ``Y`` rows, ``X`` columns.
 
     Attributes:
-      a, b: the maps; those of ``b`` carry the names of ``a``'s times.
-      times: A's time and the one of B beside it.
-      left_out: what only one of them holds, with the reason.
-      cut: ``[2]`` how many of the cells of A and of B were cut off.
+      names: what A and B are called.
+      a, b: the maps, cut to what both hold (`shared_part`).
+      left_out: what only one of them holds.
+      settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; None where one
+        of them was not made by `jaxurban maps`.
+      tolerance: up to which values are the same.
+      table: a row a layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
+        hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A in the layer's ``unit``,
+        ``gained`` and ``lost``, the cells that are higher by more than ``tolerance`` in B and in A, and
+        ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` (cells that no planner enters) the
+        values are 1 where a cell is blocked and 0 elsewhere, and the cells all with data in both.
     """
 
+    names: tuple[str, str]
     a: MetricMaps
     b: MetricMaps
-    times: Mapping[str, str]
     left_out: Mapping[str, str]
-    cut: tuple[int, int]
+    settings: Differing | None = None
+    tolerance: float = SAME
+    table: pd.DataFrame = field(default_factory=pd.DataFrame)
+
+    @property
+    def times(self) -> dict[str, str]:
+        """A's time and the one of B beside it; empty where no layer varies with the time."""
+        has_times = any(TIME in array.dims for array in self.a.ds.data_vars.values())
+        return dict(zip(self.a.times, self.b.times, strict=True)) if has_times else {}
 
     @property
     def grid(self) -> Grid:
@@ -101,38 +115,18 @@ class SharedPart:
             is_known = self.a.ds["has_data"].values & self.b.ds["has_data"].values
         else:
             is_known = self.a.is_free(z_m, "centre") & self.b.is_free(z_m, "centre")
-        a, b = (_values(maps, layer, OneMap(z_m, time, time_of_day)) for maps in (self.a, self.b))
+        time_of_b = None if time is None else self.times.get(iso_utc(time), time)
+        a = _values(self.a, layer, OneMap(z_m, time, time_of_day))
+        b = _values(self.b, layer, OneMap(z_m, time_of_b, time_of_day))
         with np.errstate(invalid="ignore"):
             change = np.where(a == b, np.float32(0), b - a)  # two infinite values too
         return np.where(is_known, change, np.float32(np.nan))
 
-
-@dataclass(frozen=True, eq=False, repr=False)
-class MapComparison(SharedPart, Result):
-    """Maps B beside maps A, on the cells, altitudes, times and layers that both hold. ``Y`` rows, ``X`` columns.
-
-    Attributes:
-      names: what A and B are called.
-      table: a row a layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
-        hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A in the layer's ``unit``,
-        ``gained`` and ``lost``, the cells that are higher by more than ``tolerance`` in B and in A, and
-        ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` (cells that no planner enters) the
-        values are 1 where a cell is blocked and 0 elsewhere, and the cells all with data in both.
-      settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; None where one
-        of them was not made by `jaxurban maps`.
-      tolerance: up to which values are the same.
-    """
-
-    names: tuple[str, str]
-    table: pd.DataFrame
-    settings: Differing | None = field(default_factory=dict)
-    tolerance: float = SAME
-
     @property
     def facts(self) -> dict[str, str]:
         """What is compared, and how much of it changed."""
-        held = self.a.facts
-        facts = {"A": self.names[0], "B": self.names[1]} | {name: held[name] for name in ("grid", "CRS", "altitudes")}
+        facts = {"A": self.names[0], "B": self.names[1]}
+        facts |= {name: self.a.facts[name] for name in ("grid", "CRS", "altitudes")}
         facts["times"] = ", ".join(
             of_a if of_a == of_b else f"{of_a} of A beside {of_b} of B" for of_a, of_b in self.times.items()
         )
@@ -176,20 +170,35 @@ def compare(
         raise InputError(f"tolerance must not be negative, got {tolerance:g}")
     sides = [_side(maps, name) for maps, name in ((maps_a, "A"), (maps_b, "B"))]
     (a, name_a, settings_a), (b, name_b, settings_b) = sides
-    part = shared_part(a, b.with_obstacles(b.rule or a.obstacles), times)
+    parts = shared_part(a, b.with_obstacles(b.rule or a.obstacles), times)
+    found = MapComparison(
+        names=(name_a, name_b),
+        a=parts[0],
+        b=parts[1],
+        left_out=_left_out(a, parts[0], "B") | _left_out(b, parts[1], "A"),
+        settings=None if settings_a is None or settings_b is None else differing(settings_a, settings_b),
+        tolerance=tolerance,
+    )
     rows: list[dict[str, Any]] = []
     with reporting("compare", progress) as report:
-        for number, layer in enumerate(names := part.layers):
+        for number, layer in enumerate(names := found.layers):
             report("layers", number, len(names))
-            for place in part.places(layer):
-                change = part.of(layer, **place._asdict())
-                head = {"layer": layer, "unit": unit_of(part.a, layer), **place._asdict()}
+            for place in found.places(layer):
+                change = found.of(layer, **place._asdict())
+                head = {"layer": layer, "unit": unit_of(found.a, layer), **place._asdict()}
                 rows.append(head | _statistics(change[~np.isnan(change)], tolerance))
         report("layers", len(names), len(names))
-    settings = None if settings_a is None or settings_b is None else differing(settings_a, settings_b)
-    return MapComparison(
-        **vars(part), names=(name_a, name_b), table=pd.DataFrame(rows), settings=settings, tolerance=tolerance
-    )
+    return replace(found, table=pd.DataFrame(rows))
+
+
+def _left_out(maps: MetricMaps, part: MetricMaps, other: str) -> dict[str, str]:
+    """Return what maps hold and their shared part does not, and why."""
+    names = [str(name) for name, array in maps.ds.data_vars.items() if name not in part.ds and "y" in array.dims]
+    names += [f"altitude {z_m:g} m" for z_m in maps.altitudes_m if z_m not in part.altitudes_m]
+    names += [f"time of day {day}" for day in maps.times_of_day if day not in part.times_of_day]
+    if num_cells := int(np.prod(maps.grid.shape) - np.prod(part.grid.shape)):
+        names.append(f"{num_cells:,} cells")
+    return dict.fromkeys(names, f"{other} holds no such map")
 
 
 def _side(maps: GivenMaps | MapsFolder, otherwise: str) -> tuple[MetricMaps, str, dict[str, Any] | None]:
@@ -219,23 +228,21 @@ def _values(maps: MetricMaps, layer: str, place: OneMap) -> np.ndarray:
 def _statistics(values: np.ndarray, tolerance: float) -> dict[str, Any]:
     """Return what differences ``[N]`` come to; infinite ones count as changed and nowhere else."""
     numbers = values[np.isfinite(values)].astype(np.float64)
-    p05, median, p95 = np.quantile(numbers, QUANTILES) if len(numbers) else [np.nan] * 3
+    numbers = numbers if len(numbers) else np.array([np.nan])
     gained, lost = int((values > tolerance).sum()), int((values < -tolerance).sum())
     return {
         "cells": len(values),
-        "mean": numbers.mean() if len(numbers) else np.nan,
-        "median": median,
-        "p05": p05,
-        "p95": p95,
-        "rms": np.sqrt(np.mean(numbers**2)) if len(numbers) else np.nan,
+        "mean": numbers.mean(),
+        **dict(zip(("median", "p05", "p95"), np.quantile(numbers, QUANTILES), strict=True)),
+        "rms": np.sqrt(np.mean(numbers**2)),
         "gained": gained,
         "lost": lost,
         "share_changed": (gained + lost) / len(values) if len(values) else np.nan,
     }
 
 
-def shared_part(a: MetricMaps, b: MetricMaps, times: Mapping[str, str] | None = None) -> SharedPart:
-    """Return what two sets of maps share.
+def shared_part(a: MetricMaps, b: MetricMaps, times: Mapping[str, str] | None = None) -> tuple[MetricMaps, MetricMaps]:
+    """Return two sets of maps cut to what both hold: cell (y, x), altitude and n-th time mean the same in both.
 
     Args:
       a, b: the maps.
@@ -248,48 +255,38 @@ def shared_part(a: MetricMaps, b: MetricMaps, times: Mapping[str, str] | None = 
     grid = _shared_grid(a.grid, b.grid)
     altitudes_m = [z_m for z_m in a.altitudes_m if z_m in b.altitudes_m]
     if not altitudes_m:
-        had = (listed([f"{z_m:g}" for z_m in maps.altitudes_m]) for maps in (a, b))
-        raise InputError(
-            f"the maps share no altitude: A holds {next(had)} m and B {next(had)} m; add one of A's to B's scenario"
-        )
-    days = [item for item in a.times_of_day if item in b.times_of_day]
-    names, left_out = _shared_layers(a, b)
-    left_out |= {
-        f"altitude {z_m:g} m": f"only {which} holds it"
-        for which, maps in (("A", a), ("B", b))
-        for z_m in maps.altitudes_m
-        if z_m not in altitudes_m
-    }
-    if not days:
-        for name in [name for name in names if TIME_OF_DAY in a.ds[name].dims]:
-            names.remove(name)
-            left_out[name] = (
-                f"A's times of day ({', '.join(a.times_of_day) or 'none'}) are none of B's "
-                f"({', '.join(b.times_of_day) or 'none'})"
-            )
-    paired = _paired(a, b, times) if any(TIME in a.ds[name].dims for name in names) else {}
+        of_a, of_b = (listed([f"{z_m:g}" for z_m in maps.altitudes_m]) for maps in (a, b))
+        raise InputError(f"the maps share no altitude: A holds {of_a} m and B {of_b} m; add one of A's to B's scenario")
+    days = [day for day in a.times_of_day if day in b.times_of_day]
+    dims = {name: set(array.dims) for name, array in a.ds.data_vars.items() if {"y", "x"} <= set(array.dims)}
+    layers = [name for name in dims if name in b.ds and set(b.ds[name].dims) == dims[name]]
+    layers = [name for name in layers if days or TIME_OF_DAY not in dims[name]]
+    pairs = _paired(a, b, times) if any(TIME in dims[name] for name in layers) else {}
     parts = []
-    for maps, when in ((a, paired.keys()), (b, paired.values())):
-        shared: dict[str, Sequence[Any]] = {ALTITUDE: altitudes_m, TIME_OF_DAY: days, TIME: list(when) or maps.times}
-        parts.append(_cut(maps, grid, names, shared))
-    if paired:
-        parts[1] = MetricMaps(parts[1].ds.assign_coords(time=parts[0].ds["time"]), b.obstacles)
-    num_cells = grid.num_rows * grid.num_cols
-    cut = tuple(int(np.prod(maps.grid.shape)) - num_cells for maps in (a, b))
-    return SharedPart(parts[0], parts[1], paired, left_out, (cut[0], cut[1]))
+    for maps, of_maps in ((a, list(pairs)), (b, list(pairs.values()))):
+        ds = maps.ds.drop_vars([name for name in maps.ds.data_vars if name not in layers])
+        rows, cols = grid.window_in(replace(maps.grid, crs=grid.crs))
+        shared: list[tuple[str, Sequence[Any], Sequence[Any]]] = [
+            (ALTITUDE, maps.altitudes_m, altitudes_m),
+            (TIME, maps.times, of_maps or maps.times),
+            (TIME_OF_DAY, maps.times_of_day, days),
+        ]
+        at = {dim: [every.index(one) for one in some] for dim, every, some in shared if dim in ds.dims}
+        attrs = dict(ds.attrs, crs=grid.crs)
+        for norm in NORMS:
+            if norm in attrs and TIME_OF_DAY in at:
+                attrs[norm] = np.atleast_1d(attrs[norm])[at[TIME_OF_DAY]].tolist()
+        parts.append(MetricMaps(ds.isel(at | {"y": rows, "x": cols}).assign_attrs(attrs), maps.obstacles))
+    return parts[0], parts[1]
 
 
 def _shared_grid(a: Grid, b: Grid) -> Grid:
     """Return the cells that two grids share; cells of one CRS and one resolution coincide wherever they meet."""
-    if pyproj.CRS(a.crs) != pyproj.CRS(b.crs):
+    if pyproj.CRS(a.crs) != pyproj.CRS(b.crs) or a.resolution_m != b.resolution_m:
         raise InputError(
-            f"A's maps are in {a.crs} and B's in {b.crs}, so that no cell is in both: make one of them again with "
-            f"[region] crs = {a.crs!r}"
-        )
-    if a.resolution_m != b.resolution_m:
-        raise InputError(
-            f"A's cells are {a.resolution_m:g} m wide and B's {b.resolution_m:g} m: make one of them again with "
-            "[region] resolution_m set to the other's (a list makes both), or choose with --resolution"
+            f"A's cells are {a.resolution_m:g} m wide in {a.crs} and B's {b.resolution_m:g} m in {b.crs}, so that none "
+            f"is in both: make B again with [region] crs = {a.crs!r} and resolution_m = {a.resolution_m:g} (a list "
+            "makes several, of which --resolution chooses)"
         )
     first = max(a.first_row, b.first_row), max(a.first_col, b.first_col)
     end = (
@@ -297,63 +294,19 @@ def _shared_grid(a: Grid, b: Grid) -> Grid:
         min(a.first_col + a.num_cols, b.first_col + b.num_cols),
     )
     if end[0] <= first[0] or end[1] <= first[1]:
-        raise InputError(
-            f"the maps share no cell: A spans {_extent(a)} and B {_extent(b)} in {a.crs}; compare maps of regions that "
-            "overlap"
-        )
+        raise InputError("the maps share no cell: compare maps of regions that overlap")
     return Grid(a.crs, a.resolution_m, *first, end[0] - first[0], end[1] - first[1])
 
 
-def _extent(grid: Grid) -> str:
-    return f"{grid.x_min_m:.0f} to {grid.x_max_m:.0f} m east and {grid.y_min_m:.0f} to {grid.y_max_m:.0f} m north"
-
-
-def _shared_layers(a: MetricMaps, b: MetricMaps) -> tuple[list[str], dict[str, str]]:
-    """Return the maps that both hold along the same dims, and what only one holds."""
-    shared, left_out = [], {}
-    for name in dict.fromkeys((*map(str, a.ds.data_vars), *map(str, b.ds.data_vars))):
-        held = [maps.ds[name].dims if name in maps.ds else None for maps in (a, b)]
-        if any(dims is not None and not {"y", "x"} <= set(dims) for dims in held):
-            continue  # a number a time, no map
-        if held[0] == held[1]:
-            shared.append(name)
-        elif None in held:
-            left_out[name] = f"only {'A' if held[1] is None else 'B'} holds it"
-        else:
-            left_out[name] = "it varies along other dimensions in B"
-    return shared, left_out
-
-
 def _paired(a: MetricMaps, b: MetricMaps, times: Mapping[str, str] | None) -> dict[str, str]:
-    if times is not None:
-        pairs = {iso_utc(of_a): iso_utc(of_b) for of_a, of_b in times.items()}
-        for which, maps, wanted in (("A", a, pairs), ("B", b, pairs.values())):
-            if lost := [time for time in wanted if time not in maps.times]:
-                raise InputError(f"{which} holds no maps of {lost[0]}: it holds {listed(maps.times)}")
-        if not pairs:
-            raise InputError("times is empty: name at least one pair of times, or leave it out")
-        return pairs
-    shared = {time: time for time in a.times if time in b.times}
-    if shared:
-        return shared
-    if len(a.times) == len(b.times) == 1:
-        return {a.times[0]: b.times[0]}
-    raise InputError(
-        f"the maps share no time: A holds {listed(a.times)} and B {listed(b.times)}; name the pairs to compare, as in "
-        f"--time {a.times[0]}={b.times[0]} (times={{...}})"
-    )
-
-
-def _cut(maps: MetricMaps, grid: Grid, names: Sequence[str], wanted: Mapping[str, Sequence[Any]]) -> MetricMaps:
-    """Return the maps of these names in the cells of a grid, at the wanted altitudes and times."""
-    rows, cols = grid.window_in(replace(maps.grid, crs=grid.crs))
-    ds: xr.Dataset = maps.ds[list(names)].isel(y=rows, x=cols)
-    attrs = dict(ds.attrs, crs=grid.crs)
-    if TIME not in ds.coords:  # of maps without GPS; `MetricMaps` has times all the same
-        ds = ds.assign_coords({TIME: maps.ds[TIME]})
-    held = {ALTITUDE: maps.altitudes_m, TIME: maps.times, TIME_OF_DAY: maps.times_of_day}
-    chosen = {dim: [held[dim].index(item) for item in items] for dim, items in wanted.items() if dim in ds.dims}
-    for norm in NORMS if TIME_OF_DAY in chosen else ():
-        if norm in attrs:
-            attrs[norm] = np.atleast_1d(attrs[norm])[chosen[TIME_OF_DAY]].tolist()
-    return MetricMaps(ds.isel(chosen).assign_attrs(attrs), maps.obstacles)
+    """Return B's times by A's."""
+    pairs = {iso_utc(of_a): iso_utc(of_b) for of_a, of_b in (times or {}).items()}
+    pairs = pairs or {time: time for time in a.times if time in b.times}
+    if not pairs and len(a.times) == len(b.times) == 1:
+        pairs = {a.times[0]: b.times[0]}
+    if not (pairs and pairs.keys() <= {*a.times} and {*pairs.values()} <= {*b.times}):
+        raise InputError(
+            f"A holds the times {listed(a.times)} and B {listed(b.times)}: name pairs of these to compare, as in "
+            f"--time {a.times[0]}={b.times[0]} (times={{...}})"
+        )
+    return pairs

@@ -330,10 +330,10 @@ class Viewer:
 
 def _same_part(maps: MetricMaps, other: MetricMaps) -> MetricMaps:
     """Return the part of other maps that lies where these do."""
-    part = shared_part(maps, other)
-    if part.a.grid != maps.grid or part.a.altitudes_m != maps.altitudes_m or part.a.times != maps.times:
+    same, part = shared_part(maps, other)
+    if same.grid != maps.grid or same.altitudes_m != maps.altitudes_m or same.times != maps.times:
         raise InputError("the other maps must hold every cell, altitude and time of those that are planned on")
-    return part.b
+    return MetricMaps(part.ds.assign_coords(time=same.ds["time"]), part.rule)
 
 
 def status_said(planned: PlannedPath) -> str:

@@ -106,7 +106,7 @@ def test_only_the_cells_that_both_hold_are_compared_wherever_they_lie(maps):
     assert parts.grid.shape == (50, 80)
     assert (parts.grid.first_row, parts.grid.first_col) == (450_030, 58_010)
     np.testing.assert_array_equal(parts.of("risk", 20.0), whole.of("risk", 20.0)[30:, 10:90])
-    assert parts.cut == (30 * 80, 50 * 20)
+    assert parts.left_out == {"2,400 cells": "B holds no such map", "1,000 cells": "A holds no such map"}
 
 
 def test_altitudes_times_of_day_and_layers_of_one_alone_are_left_out_by_name(maps):
@@ -115,8 +115,8 @@ def test_altitudes_times_of_day_and_layers_of_one_alone_are_left_out_by_name(map
     found = ju.studies.compare(a, MetricMaps(ds), progress=False)
     assert found.a.altitudes_m == found.b.altitudes_m == (60.0,)
     assert found.a.times_of_day == ("night",)
-    assert set(found.left_out) == {"altitude 20 m", "lidar"}
-    assert "only A" in found.left_out["lidar"]
+    assert set(found.left_out) == {"altitude 20 m", "lidar", "time of day day"}
+    assert found.left_out["lidar"] == "B holds no such map"
     want = b.m("population", time_of_day="night") - a.m("population", time_of_day="night")
     np.testing.assert_array_equal(found.of("population"), want)
 
@@ -136,7 +136,7 @@ def test_single_times_are_set_beside_each_other_and_several_need_pairs(maps):
         ju.studies.compare(a, both, progress=False)
     paired = ju.studies.compare(a, both, times={first: later}, progress=False)
     np.testing.assert_array_equal(paired.of("gps", 60.0), ju.studies.compare(a, b, progress=False).of("gps", 60.0))
-    with pytest.raises(ju.InputError, match="B holds no maps of"):
+    with pytest.raises(ju.InputError, match="name pairs of these"):
         ju.studies.compare(a, both, times={first: first}, progress=False)
 
 
@@ -155,7 +155,7 @@ def test_maps_that_cannot_be_compared_are_refused_in_one_sentence(maps, change, 
 
 
 def test_another_resolution_is_refused_with_the_remedy(maps):
-    with pytest.raises(ju.InputError, match=r"10 m wide and B's 5 m.*resolution_m"):
+    with pytest.raises(ju.InputError, match=r"10 m wide in EPSG:32618 and B's 5 m.*resolution_m"):
         ju.studies.compare(maps[0], made_maps(resolution_m=5.0), progress=False)
 
 
