@@ -224,7 +224,7 @@ class Constraints:
 
         Where no time is named, all stay. A zone counts as in force until an hour after the time too (`zone.FLIGHT`).
         """
-        if time is None or not any(zone.periods for zone in self.zones):
+        if time is None or not any(zone.start or zone.end for zone in self.zones):
             return self
         flight = parse_time(time)
         is_on = [zone.is_in_force(flight) for zone in self.zones]

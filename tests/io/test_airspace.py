@@ -15,7 +15,7 @@ from shapely import affinity
 
 from jaxurban.errors import IgnoredZoneWarning, InputError
 from jaxurban.io.read.airspace import read_zones
-from jaxurban.io.read.zone import Zone, cell_boxes, mended, the_short_way_too, touched_cells
+from jaxurban.io.read.zone import Zone, cell_boxes, mended, touched_cells
 from jaxurban.world.grid import Grid, transformer, utm_crs
 
 GRID = Grid("EPSG:32618", 5.0, 901_000, 116_600, 70, 90)
@@ -170,27 +170,10 @@ def test_kml_is_read_with_all_its_folders_holes_and_data(tmp_path):
     assert (second.name, *heights(second)) == ("second", 30.0, 80.0)
 
 
-PRISM = "<extrude>1</extrude><altitudeMode>{}</altitudeMode>"
-
-
-@pytest.mark.parametrize(
-    ("height_m", "tags", "ceiling_m"),
-    [
-        (120, PRISM.format("relativeToGround"), 120.0),
-        (0, PRISM.format("relativeToGround"), np.inf),
-        (120, "", np.inf),  # clamped to the ground: its heights mean nothing
-        (0, "<altitudeMode>absolute</altitudeMode>", np.inf),
-    ],
-)
-def test_a_kml_prism_on_the_ground_reaches_to_its_top(tmp_path, height_m, tags, ceiling_m):
-    (zone,) = read_zones(write_kml(tmp_path / "a.kml", placemark("A", height_m, tags)))
-    assert heights(zone) == (-np.inf, ceiling_m)
-
-
-@pytest.mark.parametrize("tags", [PRISM.format("absolute"), "<altitudeMode>relativeToGround</altitudeMode>"])
-def test_kml_heights_above_the_sea_or_without_a_prism_close_every_altitude(tmp_path, tags):
+def test_heights_of_the_corners_of_kml_are_not_read_and_close_every_altitude(tmp_path):
+    tags = "<extrude>1</extrude><altitudeMode>relativeToGround</altitudeMode>"
     file = write_kml(tmp_path / "a.kml", placemark("A", 120, tags))
-    with pytest.warns(IgnoredZoneWarning, match="'A' of 'a.kml' is closed at all altitudes"):
+    with pytest.warns(IgnoredZoneWarning, match="'altitudeMode' of 'a.kml' not read.*is closed at all altitudes"):
         (zone,) = read_zones(file)
     assert heights(zone) == INFINITE
 
@@ -288,14 +271,15 @@ def closed_share(zone: Zone, west: float) -> float:
 )
 def test_a_zone_across_the_antimeridian_is_closed_on_both_sides_of_it(tmp_path, shape, west, share):
     file = write_geojson(tmp_path / "z.geojson", (shape, {}))
-    with pytest.warns(IgnoredZoneWarning, match="the short way too") if shape is JUMPING else nullcontext():
+    with pytest.warns(IgnoredZoneWarning, match="all around the Earth") if shape is JUMPING else nullcontext():
         (zone,) = read_zones(file)
     assert closed_share(zone, west) == share
 
 
-def test_an_outline_with_one_meaning_stays_as_it_is():
+def test_an_outline_with_one_meaning_stays_as_it_is(tmp_path):
     for shape in (SQUARE, BEYOND, shapely.box(-180, -90, 180, 90)):
-        assert the_short_way_too(shape) is shape
+        (zone,) = read_zones(write_geojson(tmp_path / "z.geojson", (shape, {})))
+        assert zone.polygon.equals(shape)
 
 
 def test_a_file_that_a_library_refuses_at_length_is_refused_briefly(tmp_path):

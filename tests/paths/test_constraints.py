@@ -127,7 +127,7 @@ def test_a_start_within_a_limit_is_told_which_and_where_to_go(maps, ends):
     with pytest.raises(InputError) as caught:
         ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints)
     for words in (
-        "the no-fly zone 'Heliport' (up to 100 m)",
+        "the no-fly zone 'Heliport' (from the ground to 100 m)",
         f"gps>={gps + 0.01:g} (it is {gps:g} there)",
         "nearest free",
     ):

@@ -14,9 +14,10 @@ above the ellipsoid, and cut a ceiling of 36.5 m to 36.
 import json
 import math
 import re
+import warnings
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime, time, timedelta
+from collections.abc import Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -25,84 +26,99 @@ import pandas as pd
 import shapely
 from pyproj import Geod
 
-from jaxurban.errors import InputError, check_file, finite
+from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, finite
 from jaxurban.io.read.heights import is_blank
 from jaxurban.io.read.vector import open_layers
-from jaxurban.io.read.zone import DAY, Period, Told, Zone, warn, warn_of, whole_outline
+from jaxurban.io.read.zone import TURN, Zone, mended
 
 # Properties that are read, in any case and with or without "_", "-", " " and ":". All are metres above ground.
 FLOOR_NAMES = ("floor_m", "floor_m_agl", "lower_limit_m", "min_altitude_m", "minimumAltitude", "minAltitude")
 CEILING_NAMES = ("ceiling_m", "ceiling_m_agl", "upper_limit_m", "max_altitude_m", "maximumAltitude", "maxAltitude")
 NAME_NAMES = ("name", "title", "designator", "identifier", "id")
 HEIGHT_WORDS = ("floor", "ceiling", "lower", "upper", "altitude", "height")
-KML_PROPERTIES = ("altitudemode", "extrude")  # what GDAL calls these tags
 # Properties that tell the unit or the zero of heights, by plain name: "uomDimensions", "lowerVerticalReference" ...
 UNIT_NAME = re.compile(r"^(uom|units?)|(uom|units?|datum)$|(vertical|altitude|height|limit|lower|upper).*ref")
 UNITS_READ = ("m", "metre", "metres", "meter", "meters", "agl", "sfc", "gnd", "ground", "surface", "abovegroundlevel")
-ON_THE_GROUND = "relativetoground"
 ROLE = "no-fly"
 GEOZONE_SUFFIXES = (".json", ".geojson")
+GEOZONE = re.compile(r'"(horizontalProjection|limitedApplicability|(lower|upper)Reference)"|"extent"\s*:\s*\{')
 OPEN = "NO_RESTRICTION"  # a zone that tells, and closes nothing
 ON_APPROVAL = ("REQ_AUTHORISATION", "REQ_AUTHORIZATION", "CONDITIONAL")
 METRES = {"M": 1.0, "FT": 0.3048}
-DAYS = ("MON", "TUE", "WED", "THU", "FRI", "SAT", "SUN")
-MIDNIGHT = re.compile(r"(^|T)24:00(?=(:00)?[^:])")  # an end
-NO_LIMITS = "have limits that are not metres or feet above ground, and reach on to every altitude there"
 CORNERS = 64  # of a circle: with what follows its polygon is at most 0.3 % wider
 WIDER = 1e-3  # of a circle's radius, for edges that are straight in degrees
 MOST_M = 300_000.0  # radius of a circle whose edges are as good as straight in degrees
+MOST_NAMED = 3
+NO_LIMITS = "have limits that are not metres or feet above ground, and reach on to every altitude there"
+NO_HOURS = "have days or hours, which are not read, and are closed from their first to their last time"
+ALL_AROUND = (
+    "have edges of more than 180 degrees of longitude, and are closed all around the Earth (cut them at the "
+    "antimeridian)"
+)
 GEOD = Geod(ellps="WGS84")
 Json = Mapping[str, Any]
+Notes = dict[str, list[str]]  # what must be said of zones, a sentence each, with the names that it is true of
 BROKEN = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, shapely.errors.ShapelyError)
-Facts = Mapping[str, tuple[str, Any]]  # a feature's filled properties: plain name -> name in the file, and value
 
 
 def read_zones(path: str | Path) -> tuple[Zone, ...]:
     """Return the no-fly zones of a file: GeoJSON, KML, GeoPackage, Shapefile, FlatGeobuf, GeoParquet; ED-269, ED-318.
 
-    A file of geographical zones of ED-269 or ED-318 is read as these say (`read_geozones`); of every other vector file
-    every layer (every folder of a KML file) is read; features that are not polygons are left out with a warning.
-    Floor and ceiling are the properties named in `FLOOR_NAMES` and `CEILING_NAMES`, metres above ground; where
-    several are filled, the lowest floor and the highest ceiling count, and where all are empty, the zone has none.
-    Other properties that sound like heights are ignored with a warning, and so are all heights of a zone one of
-    whose properties tells another unit or another zero than the ground. In KML, an extruded polygon
-    ``relativeToGround`` reaches from the ground to its highest corner, if every corner is above 0; any other
-    ``altitudeMode`` closes all altitudes. Outlines that cross themselves are mended so that all they enclose
-    is closed.
+    Of a vector file every layer (every folder of a KML file) is read; features that are not polygons are left out with
+    a warning. Floor and ceiling are the properties named in `FLOOR_NAMES` and `CEILING_NAMES`, metres above ground;
+    where several are filled, the lowest floor and the highest ceiling count, and where all are empty, the zone has
+    none. Other properties that sound like heights are ignored with a warning, and so are all heights of a zone one of
+    whose properties tells another unit or another zero than the ground. Heights of corners are not read.
+
+    Of ED-269 and ED-318 zones of every restriction but ``NO_RESTRICTION`` are closed; those that hold on conditions or
+    until someone authorises a flight too, which a warning says. Circles become polygons around them. Limits above the
+    ground are read in metres and feet; one above the sea or the ellipsoid is none, since the ground's height is not
+    known here, so that the zone reaches on to every altitude at that end. A zone is in force from the first to the last
+    of its times, on every day and at every hour between them, and always where one cannot be read.
+
+    Outlines that cross themselves are mended so that all they enclose is closed.
 
     Raises:
-      InputError: a file that is missing, cannot be read, has no CRS or no polygon, a polygon without area, or
-        a floor or ceiling that is not a number, or the wrong way round.
+      InputError: a file that is missing, cannot be read, has no CRS or no zone that restricts flights, an outline that
+        cannot be read or has no area, or a floor or ceiling that is not a number, or the wrong way round.
     """
-    if Path(path).is_dir():
+    path = Path(path)
+    if path.is_dir():
         raise InputError(f"{str(path)!r} is a folder: name each file of no-fly zones in it")
-    if (geozones := read_geozones(path)) is not None:
-        return geozones
-    file = Path(path).name
-    zones: list[Zone] = []
-    told: Told = defaultdict(list)
-    num_others = 0
+    notes: Notes = defaultdict(list)
+    features = _geozones(path)
+    zones = _of_vector_file(path, notes) if features is None else _of_geozones(features, path.name, notes)
+    for sentence, names in notes.items():
+        several = list(dict.fromkeys(names))
+        shown = ", ".join(map(repr, several[:MOST_NAMED])) + ", ..." * (len(several) > MOST_NAMED)
+        _warn(f"zones of {path.name!r} that {sentence}: {len(several)} ({shown})")
+    if not zones:
+        raise InputError(f"the {ROLE} file {str(path)!r} holds no polygons that restrict flights: give another file")
+    return tuple(zones)
+
+
+def _warn(sentence: str) -> None:
+    warnings.warn(sentence, IgnoredZoneWarning, stacklevel=4)
+
+
+def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:
+    """Return the zones of a file that GDAL or pyarrow reads."""
+    file, zones, num_others = path.name, list[Zone](), 0
     for frame in open_layers(path, ROLE):
         num_others += sum(not _is_all_area(shape) for shape in frame.geometry)
         areas = frame[shapely.get_dimensions(frame.geometry.to_numpy()) == 2]  # -1 where there is none
-        crs = areas.crs.to_wkt()
         properties = areas.drop(columns=areas.geometry.name)
-        _tell_ignored(properties, file)
+        _warn_of_ignored(properties, file)
         for shape, row in zip(areas.geometry, properties.to_dict("records"), strict=True):
-            facts = {_plain(name): (str(name), value) for name, value in row.items() if not is_blank(value)}
-            names = [str(facts[name][1]).strip() for name in NAME_NAMES if name in facts]
-            name = next(iter(names), f"polygon {len(zones) + 1}")
-            label = f"{name!r} of {file!r}"
+            facts = {_plain(name): value for name, value in row.items() if not is_blank(value)}
+            name = next((str(facts[name]).strip() for name in NAME_NAMES if name in facts), f"polygon {len(zones) + 1}")
             if not np.isfinite(shapely.get_coordinates(shape)).all():
-                raise InputError(f"the no-fly zone {label} has a corner that is not a number: mend the file")
-            whole = whole_outline(shapely.force_2d(shape), name, told, is_lonlat=areas.crs.is_geographic)
-            zones.append(Zone(name, whole, crs, *_heights(facts, shape, label), file))
-    warn_of(told, file)
-    if not zones:
-        raise InputError(f"the {ROLE} file {str(path)!r} holds no polygons: give a file of polygons")
-    if num_others:
-        warn(f"{num_others} feature(s) of {file!r} are not polygons and close nothing: draw them as polygons")
-    return tuple(zones)
+                raise InputError(f"the no-fly zone {name!r} of {file!r} has a corner that is not a number: mend it")
+            whole = _whole(shapely.force_2d(shape), name, notes, is_lonlat=areas.crs.is_geographic)
+            zones.append(Zone(name, whole, areas.crs.to_wkt(), *_heights(facts, f"{name!r} of {file!r}"), file))
+    if zones and num_others:
+        _warn(f"{num_others} feature(s) of {file!r} are not polygons and close nothing: draw them as polygons")
+    return zones
 
 
 def _is_all_area(shape: shapely.Geometry | None) -> bool:
@@ -114,26 +130,23 @@ def _plain(name: object) -> str:
     return re.sub(r"[_\-\s:.]", "", str(name)).lower()
 
 
-def _heights(facts: Facts, shape: shapely.Geometry, label: str) -> tuple[float, float]:
-    """Return floor and ceiling of a polygon, infinite where it has none."""
+def _heights(facts: Json, label: str) -> tuple[float, float]:
+    """Return floor and ceiling of a polygon by its filled properties, infinite where it has none."""
     floors, ceilings = (
-        [
-            finite(f"{name} of the no-fly zone {label}", value, "metres above ground")
-            for name, value in (facts[key] for key in map(_plain, wanted) if key in facts)
-        ]
-        for wanted in (FLOOR_NAMES, CEILING_NAMES)
+        [finite(f"{name} of the no-fly zone {label}", facts[_plain(name)], "metres above ground") for name in filled]
+        for filled in ([n for n in names if _plain(n) in facts] for names in (FLOOR_NAMES, CEILING_NAMES))
     )
-    if strange := (floors or ceilings) and _strange_unit(facts):
-        warn(f"{label} has heights in {strange!r}, so it is closed at all altitudes: give metres above ground")
-        floors = ceilings = []
-    elif not floors and not ceilings:
-        ceilings = _extruded(facts, shape, label)
-    return min(floors, default=-np.inf), max(ceilings, default=np.inf)
+    units = [str(value) for name, value in facts.items() if UNIT_NAME.search(name)]
+    strange = [unit for unit in units if _plain(unit) not in UNITS_READ]
+    if strange and (floors or ceilings):
+        _warn(f"{label} has heights in {strange[0]!r}, so it is closed at all altitudes: give metres above ground")
+        return -math.inf, math.inf
+    return min(floors, default=-math.inf), max(ceilings, default=math.inf)
 
 
-def _tell_ignored(properties: pd.DataFrame, file: str) -> None:
+def _warn_of_ignored(properties: pd.DataFrame, file: str) -> None:
     """Warn of filled properties that sound like heights and are not read."""
-    read = {*map(_plain, FLOOR_NAMES), *map(_plain, CEILING_NAMES), *KML_PROPERTIES}
+    read = {*map(_plain, FLOOR_NAMES), *map(_plain, CEILING_NAMES)}
     ignored = [
         str(column)
         for column in properties
@@ -143,94 +156,49 @@ def _tell_ignored(properties: pd.DataFrame, file: str) -> None:
         and not all(map(is_blank, properties[column]))
     ]
     if ignored:
-        warn(
+        _warn(
             f"{', '.join(map(repr, ignored))} of {file!r} not read: floors and ceilings are {', '.join(FLOOR_NAMES)} "
             f"and {', '.join(CEILING_NAMES)}, metres above ground, and a zone without is closed at all altitudes"
         )
 
 
-def _strange_unit(facts: Facts) -> str:
-    """Return what a property says of units or zero levels other than metres and the ground, else ""."""
-    said = (str(value) for name, (_, value) in facts.items() if UNIT_NAME.search(name))
-    return next((text for text in said if _plain(text) not in UNITS_READ), "")
-
-
-def _extruded(facts: Facts, shape: shapely.Geometry, label: str) -> list[float]:
-    """Return the ceiling of a KML prism that stands on the ground, if the polygon is one."""
-    corners_m = shapely.get_coordinates(shape, include_z=True)[:, 2]
-    if not np.any(corners_m > 0) or "altitudemode" not in facts:  # not KML, or clamped to the ground
-        return []
-    is_extruded = "extrude" in facts and facts["extrude"][1] == 1
-    if _plain(facts["altitudemode"][1]) == ON_THE_GROUND and is_extruded and np.all(corners_m > 0):
-        return [float(corners_m.max())]
-    warn(
-        f"{label} is closed at all altitudes: of KML's heights only those of polygons that are extruded "
-        "and relativeToGround are read"
-    )
-    return []
-
-
-def read_geozones(path: str | Path) -> tuple[Zone, ...] | None:
-    """Return the zones of a file of ED-269 or ED-318; None where it is another.
-
-    Closed are zones of every restriction but ``NO_RESTRICTION``; those that hold on conditions or until someone
-    authorises a flight too, which a warning says. Circles become polygons around them. Limits above the ground are read
-    in metres and feet; one above the sea or the ellipsoid is none, since the ground's height is not known here, so that
-    the zone reaches on to every altitude at that end. Times are kept as `Period`; where one cannot be read, as sunrise,
-    the zone is taken to be in force on each of its days, or always.
-
-    Raises:
-      InputError: a zone without an outline that can be read, without area or with limits that are no numbers or the
-        wrong way round, or no zone at all.
-    """
-    features = _features(Path(path))
-    if features is None:
-        return None
-    file, zones = Path(path).name, []
-    told: Told = defaultdict(list)
+def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone]:
+    """Return the zones of a file of ED-269 or ED-318."""
+    zones = []
     for number, feature in enumerate(features, start=1):
         facts = feature["properties"] if isinstance(feature.get("properties"), dict) else feature
         name = _name(facts, number)
         restriction = str(facts.get("restriction", facts.get("type", ""))).upper()
         if restriction == OPEN:
-            told["restrict nothing, and are left out"].append(name)
+            notes["restrict nothing, and are left out"].append(name)
             continue
         if restriction in ON_APPROVAL:
-            told["need an authorisation or hold on conditions, and are closed"].append(name)
+            notes["need an authorisation or hold on conditions, and are closed"].append(name)
+        start, end = _times(facts, name, notes)
         label = f"{name!r} of {file!r}"
-        periods = _periods(facts, name, told)
-        for volume, shape in _volumes(feature, label):
-            floor_m, ceiling_m = _limits(volume, label, name, told)
-            shape = whole_outline(shape, name, told, is_lonlat=True)
-            zones.append(Zone(name, shape, "EPSG:4326", floor_m, ceiling_m, file, periods))
-    warn_of(told, file)
-    if not zones:
-        raise InputError(f"the no-fly file {str(path)!r} holds no zone that restricts flights: give another file")
-    return tuple(zones)
+        try:
+            outlines = [(shape["layer"] or {}, _outline(shape)) for shape in _volumes(feature["geometry"])]
+        except BROKEN as error:
+            why = str(error) if isinstance(error, ValueError) else "a part is missing, or is of another kind"
+            raise InputError(f"the outline of the no-fly zone {label} cannot be read ({why}): mend the file") from error
+        for layer, outline in outlines:
+            whole, limits_m = _whole(outline, name, notes, is_lonlat=True), _limits(layer, label, name, notes)
+            zones.append(Zone(name, whole, "EPSG:4326", *limits_m, file, start, end))
+    return zones
 
 
-def _features(path: Path) -> list[Json] | None:
-    """Return the zones of a file, None where it is no file of ED-269 or ED-318."""
+def _geozones(path: Path) -> list[Json] | None:
+    """Return the zones of a file as they are, None where it is no file of ED-269 or ED-318."""
     if path.suffix.lower() not in GEOZONE_SUFFIXES:
         return None
     try:
         check_file(path)
-        whole = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError):
+        text = path.read_text(encoding="utf-8-sig")
+        whole = json.loads(text) if GEOZONE.search(text) else {}
+        listed = whole.get("features", whole.get("UASZoneList"))
+    except (OSError, ValueError, RecursionError, AttributeError):
         return None  # the reader of vector files says what is wrong with it
-    listed = whole.get("features", whole.get("UASZoneList")) if isinstance(whole, dict) else None
-    if not isinstance(listed, list) or not all(isinstance(feature, dict) for feature in listed):
-        return None
-    return listed if any(map(_is_geozone, listed)) else None
-
-
-def _is_geozone(feature: Json) -> bool:
-    geometry, facts = feature.get("geometry"), feature.get("properties")
-    if isinstance(geometry, list):
-        return any(isinstance(volume, dict) and "horizontalProjection" in volume for volume in geometry)
-    if not isinstance(facts, dict) or not isinstance(geometry, dict):
-        return False
-    return "limitedApplicability" in facts or any("layer" in part or "extent" in part for part in _parts(geometry))
+    return listed if isinstance(listed, list) and all(isinstance(feature, dict) for feature in listed) else None
 
 
 def _name(facts: Json, number: int) -> str:
@@ -241,43 +209,25 @@ def _name(facts: Json, number: int) -> str:
     return str(name or facts.get("identifier") or f"zone {number}").strip()
 
 
-def _parts(geometry: Json) -> list[Json]:
-    """Return the geometries of one of GeoJSON, those of a collection one by one."""
-    parts = geometry.get("geometries") if geometry.get("type") == "GeometryCollection" else [geometry]
-    return [part for part in parts if isinstance(part, dict)] if isinstance(parts, list) else []
+def _volumes(geometry: Any) -> list[dict[str, Any]]:
+    """Return the volumes of a zone as the geometries of ED-318, each with its ``layer``, None without limits."""
+    if isinstance(geometry, list):  # ED-269
+        return [{**volume["horizontalProjection"], "layer": volume} for volume in geometry]
+    parts = geometry["geometries"] if geometry["type"] == "GeometryCollection" else [geometry]
+    return [{"layer": None, **part} for part in parts]
 
 
-def _volumes(feature: Json, label: str) -> Iterator[tuple[Json, shapely.Geometry]]:
-    """Yield the limits of each volume of a zone, and its outline in longitude and latitude.
-
-    Raises:
-      InputError: an outline that is none.
-    """
-    geometry = feature.get("geometry")
-    ed269 = isinstance(geometry, list)
-    volumes = geometry if isinstance(geometry, list) else _parts(geometry) if isinstance(geometry, dict) else []
-    if not volumes:
-        raise InputError(f"the no-fly zone {label} has no geometry: mend the file")
-    for volume in volumes:
-        try:
-            limits = volume if ed269 else {**(volume.get("layer") or {})}
-            yield limits, _outline(volume["horizontalProjection"] if ed269 else volume, limits)
-        except BROKEN as error:
-            why = str(error) if isinstance(error, ValueError) else "a part is missing, or is of another kind"
-            raise InputError(f"the outline of the no-fly zone {label} cannot be read ({why}): mend the file") from error
-
-
-def _outline(shape: Json, limits: Json) -> shapely.Geometry:
-    """Return the outline of a projection of ED-269, or of a geometry of ED-318."""
+def _outline(shape: Json) -> shapely.Geometry:
+    """Return the outline of a volume."""
     kind = str(shape["type"]).lower()
-    if kind == "circle":
-        return _circle(shape["center"], float(shape["radius"]) * METRES[str(limits["uomDimensions"]).upper()])
+    if kind == "circle":  # of ED-269
+        unit_m = METRES[str(shape["layer"]["uomDimensions"]).upper()]
+        return _circle(shape["center"], float(shape["radius"]) * unit_m)
     if kind == "point":
         return _circle(shape["coordinates"], float(shape["extent"]["radius"]))  # in metres, whatever its layer
     polygons = shape["coordinates"] if kind == "multipolygon" else [shape["coordinates"]]
     rings = [[[_place(corner) for corner in ring] for ring in polygon] for polygon in polygons]
-    shapes = [shapely.Polygon(shell, holes) for shell, *holes in rings]
-    return shapes[0] if len(shapes) == 1 else shapely.union_all(shapes)
+    return shapely.union_all([shapely.Polygon(shell, holes) for shell, *holes in rings])
 
 
 def _place(corner: Sequence[Any]) -> tuple[float, float]:
@@ -304,74 +254,66 @@ def _circle(centre: Sequence[Any], radius_m: float) -> shapely.Geometry:
     return shapely.Polygon(np.column_stack([around, lats]))
 
 
-def _limits(volume: Json, label: str, name: str, told: Told) -> tuple[float, float]:
+def _limits(layer: Json, label: str, name: str, notes: Notes) -> tuple[float, float]:
     """Return floor and ceiling of a volume in metres above ground, infinite where it has none that can be used."""
-    is_ed269 = "uomDimensions" in volume or "lowerLimit" in volume or "upperLimit" in volume
-    keys = ("Limit", "VerticalReference") if is_ed269 else ("", "Reference")
-    unit = METRES.get(str(volume.get("uomDimensions", volume.get("uom", ""))).upper())
-    limits = []
-    for end, none in (("lower", -math.inf), ("upper", math.inf)):
-        value, zero = volume.get(f"{end}{keys[0]}"), str(volume.get(f"{end}{keys[1]}") or "").upper()
+    unit_m = METRES.get(str(layer.get("uomDimensions", layer.get("uom", ""))).upper())
+    limits_m = []
+    for end, none_m in (("lower", -math.inf), ("upper", math.inf)):
+        value = layer.get(f"{end}Limit", layer.get(end))
+        zero = str(layer.get(f"{end}VerticalReference", layer.get(f"{end}Reference"))).upper()
         if value is None:
-            limits.append(none)
-        elif zero != "AGL" or unit is None:
-            told[NO_LIMITS].append(name)
-            limits.append(none)
+            limits_m.append(none_m)
+        elif zero != "AGL" or unit_m is None:
+            notes[NO_LIMITS].append(name)
+            limits_m.append(none_m)
         else:
-            limits.append(finite(f"the {end} limit of the no-fly zone {label}", value, "metres or feet") * unit)
-    return limits[0], limits[1]
+            limits_m.append(finite(f"the {end} limit of the no-fly zone {label}", value, "metres or feet") * unit_m)
+    return limits_m[0], limits_m[1]
 
 
-def _periods(facts: Json, name: str, told: Told) -> tuple[Period, ...]:
-    """Return when a zone is in force, nothing for always."""
-    given = facts.get("applicability", facts.get("limitedApplicability"))
-    periods: list[Period] = []
-    for when in given if isinstance(given, list) else [given]:
-        if not isinstance(when, dict) or str(when.get("permanent", "NO")).upper() == "YES":
-            return ()
-        try:
-            start, end = (_time(when.get(key)) for key in ("startDateTime", "endDateTime"))
-            schedule = when.get("schedule") or []
-            periods += [Period(start, end, *_days(daily)) for daily in schedule] or [Period(start, end)]
-        except (ValueError, TypeError, AttributeError, KeyError):
-            told["have times that cannot be read, and are taken to be in force always"].append(name)
-            return ()
-    return tuple(periods)
+def _times(facts: Json, name: str, notes: Notes) -> tuple[datetime | None, datetime | None]:
+    """Return the first and the last time at which a zone is in force, None where it has none."""
+    periods = facts.get("applicability", facts.get("limitedApplicability")) or []
+    try:
+        if not periods or any(str(period.get("permanent", "NO")).upper() == "YES" for period in periods):
+            return None, None
+        starts, ends = (
+            [_time(text) if (text := period.get(key)) else None for period in periods]
+            for key in ("startDateTime", "endDateTime")
+        )
+    except BROKEN:
+        notes["have times that cannot be read, and are taken to be in force always"].append(name)
+        return None, None
+    if any(period.get("schedule") for period in periods):
+        notes[NO_HOURS].append(name)
+    start, end = min(filter(None, starts), default=None), max(filter(None, ends), default=None)
+    return None if None in starts else start, None if None in ends else end
 
 
-def _time(text: str | None) -> datetime | None:
-    """Return a date and time with its offset.
-
-    Raises:
-      ValueError: it is none, or has no offset.
-    """
-    if text is None:
-        return None
+def _time(text: str) -> datetime:
+    """Return a date and time with its offset; ValueError where it is none, or has no offset."""
     moment = datetime.fromisoformat(text)
     if moment.tzinfo is None:
         raise ValueError("no offset")
     return moment
 
 
-def _days(daily: Json) -> tuple[frozenset[int], tuple[timedelta, timedelta] | None]:
-    """Return the days and hours of a schedule; hours told by the sun as those of the whole day before, at and after."""
-    given = daily.get("day") or ["ANY"]
-    names = [str(day).upper() for day in (given if isinstance(given, list) else [given])]
-    days = frozenset() if "ANY" in names else frozenset(DAYS.index(day) for day in names)
-    if daily.get("startEvent") or daily.get("endEvent"):
-        return days, (-DAY / 2, DAY + DAY / 2)  # sunrise and the like, in whatever part of the world
-    if daily.get("startTime") is None and daily.get("endTime") is None:
-        return days, None
-    return days, (_clock(daily["startTime"]), _clock(MIDNIGHT.sub(r"\g<1>00:00", str(daily["endTime"]))))
+def _whole(shape: shapely.Geometry, name: str, notes: Notes, *, is_lonlat: bool) -> shapely.Geometry:
+    """Return valid polygons that close all that the outline of a zone may mean; ``notes`` get what was done.
 
-
-def _clock(text: str) -> timedelta:
-    """Return a time of day as time after midnight UTC.
-
-    Raises:
-      ValueError: it is none, or has no offset.
+    A file may mean by an edge from 179.9 to -179.9 degrees what lies between them across the antimeridian, or all the
+    rest of the way round: such a zone is closed all around the Earth. An edge that goes all the way round has but one
+    meaning.
     """
-    clock = time.fromisoformat(str(text).strip().rpartition("T")[2])
-    if (offset := clock.utcoffset()) is None:
-        raise ValueError("no offset")
-    return timedelta(hours=clock.hour, minutes=clock.minute, seconds=clock.second) - offset
+    if not shape.is_valid or shape.geom_type not in ("Polygon", "MultiPolygon"):
+        polygons = mended(shape)
+        if not shape.is_valid and not polygons.is_empty:
+            notes["have outlines that cross themselves, and close all that these enclose"].append(name)
+        shape = polygons
+    rings = [shapely.get_coordinates(part.exterior)[:, 0] for part in shapely.get_parts(shape)]
+    spans = np.concatenate([np.abs(np.diff(lon)) for lon in rings] or [[]])
+    if is_lonlat and np.any((spans > TURN / 2) & (spans < TURN)):
+        notes[ALL_AROUND].append(name)
+        _, south, _, north = shape.bounds
+        shape = shapely.box(-TURN / 2, south, TURN / 2, north)
+    return shape

@@ -1,74 +1,24 @@
 """No-fly zones: polygons with a floor, a ceiling and times, and the cells that they touch."""
 
 import hashlib
-import math
-import warnings
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 import numpy as np
 import pyproj
 import shapely
+from scipy.ndimage import binary_dilation
 from shapely import affinity
 
-from jaxurban.errors import IgnoredZoneWarning, InputError
+from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import polygonal
+from jaxurban.io.read.rasterise import burn
 from jaxurban.world.grid import Grid, transformer
 
 MAX_EDGE_M = 100.0  # longer edges are cut before they are projected: at latitude 60 they then bend less than 1 mm
 METRES_PER_DEGREE = 111_320.0
-BLOCK = 16  # cells a side that are looked at at once
 FLIGHT = timedelta(hours=1)  # from the time that is planned for: a zone in force by then is closed
-DAY = timedelta(days=1)
-ROUND = 360.0  # degrees of longitude
-MOST_NAMED = 3
-Told = dict[str, list[str]]  # what must be said of zones, a sentence each, with the names that it is true of
-CROSSING = "have outlines that cross themselves, and close all that these enclose"
-THE_SHORT_WAY = (
-    "have edges of more than 180 degrees of longitude, and are closed the short way too, across the antimeridian "
-    "(cut them there)"
-)
-
-
-@dataclass(frozen=True)
-class Period:
-    """When a zone is in force: from one time to another, and within these on some days of the week, at some hours.
-
-    Attributes:
-      start, end: times with their offsets, both included; None without one.
-      days: of the week in UTC, 0 for Monday; empty for every day.
-      daily: beginning and end after midnight UTC (before it where clocks go ahead), both included; one that ends no
-        later than it begins ends on the next day. None for the whole day.
-    """
-
-    start: datetime | None = None
-    end: datetime | None = None
-    days: frozenset[int] = frozenset()
-    daily: tuple[timedelta, timedelta] | None = None
-
-    def __str__(self) -> str:
-        return f"{self.start} {self.end} {sorted(self.days)} {self.daily}"  # one text for one period: it is hashed
-
-    __repr__ = __str__
-
-    def meets(self, begin: datetime, end: datetime) -> bool:
-        """Whether the zone is in force at some time from one to another, both included."""
-        begin = begin if self.start is None else max(begin, self.start)
-        end = end if self.end is None else min(end, self.end)
-        if begin > end:
-            return False
-        from_, to = self.daily or (timedelta(0), DAY)
-        to = to if to > from_ else to + DAY
-        midnight = begin.astimezone(UTC).replace(hour=0, minute=0, second=0, microsecond=0) - 2 * DAY
-        while midnight <= end + DAY:
-            if (
-                (not self.days or midnight.weekday() in self.days)
-                and midnight + from_ <= end
-                and begin <= midnight + to
-            ):
-                return True
-            midnight += DAY
-        return False
+TURN = 360.0  # degrees of longitude
 
 
 @dataclass(frozen=True)
@@ -81,7 +31,7 @@ class Zone:
       crs: any CRS that pyproj knows; edges are straight in it.
       floor_m, ceiling_m: metres above ground; left out, every altitude.
       source: the file it was read from.
-      periods: when it is in force; none: always.
+      start, end: times with their offsets between which it is in force, both included; None without one.
 
     Raises:
       InputError: no polygon or one without area, or a floor above the ceiling or not a number.
@@ -93,7 +43,8 @@ class Zone:
     floor_m: float = -np.inf
     ceiling_m: float = np.inf
     source: str = ""
-    periods: tuple[Period, ...] = ()
+    start: datetime | None = None
+    end: datetime | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.polygon, (shapely.Polygon, shapely.MultiPolygon)) or self.polygon.is_empty:
@@ -108,8 +59,8 @@ class Zone:
 
     @property
     def outline(self) -> str:
-        """What stands for the outline, its CRS and its periods: a hash that differs where they do."""
-        when = f" {self.periods}" if self.periods else ""
+        """What stands for the outline, its CRS and its times: a hash that differs where they do."""
+        when = f" {self.start} {self.end}" if self.start or self.end else ""
         return hashlib.sha256(f"{self.crs} {shapely.to_wkb(self.polygon, hex=True)}{when}".encode()).hexdigest()[:16]
 
     @property
@@ -120,67 +71,49 @@ class Zone:
     @property
     def heights(self) -> str:
         """Floor and ceiling, for messages."""
-        if np.isinf(self.floor_m) and np.isinf(self.ceiling_m):
-            return "at all altitudes"
-        if np.isinf(self.ceiling_m):
-            return f"from {self.floor_m:g} m up"
-        return f"up to {self.ceiling_m:g} m" if np.isinf(self.floor_m) else f"{self.floor_m:g} to {self.ceiling_m:g} m"
+        low = "the ground" if np.isinf(self.floor_m) else f"{self.floor_m:g} m"
+        return f"from {low} " + ("up" if np.isinf(self.ceiling_m) else f"to {self.ceiling_m:g} m")
 
     def is_in_force(self, time: datetime) -> bool:
         """Whether the zone is in force at a time (with its offset) or within `FLIGHT` after it."""
-        try:
-            return not self.periods or any(period.meets(time, time + FLIGHT) for period in self.periods)
-        except OverflowError:  # beside the first or the last day that has a date
-            return True
+        return (self.end is None or time <= self.end) and (self.start is None or self.start - time <= FLIGHT)
 
     def _seen_in(self, box: shapely.Geometry) -> list[shapely.Geometry]:
         """Return the outline, once more a turn on and a turn back where it or a box reaches across the antimeridian."""
         lons = (self.polygon.bounds[0], self.polygon.bounds[2], box.bounds[0], box.bounds[2])
-        if max(map(abs, lons)) <= ROUND / 2 or not pyproj.CRS.from_user_input(self.crs).is_geographic:
+        if max(map(abs, lons)) <= TURN / 2 or not pyproj.CRS.from_user_input(self.crs).is_geographic:
             return [self.polygon]
-        return [affinity.translate(self.polygon, turn) for turn in (-ROUND, 0.0, ROUND)]
+        return [affinity.translate(self.polygon, turn) for turn in (-TURN, 0.0, TURN)]
 
     def on(self, grid: Grid) -> shapely.Geometry:
         """Return the part of the zone near a grid, in the grid's CRS; empty where it is elsewhere."""
         to_file = transformer(grid.crs, self.crs)
         west, south, east, north = to_file.transform_bounds(*grid.bounds_m, densify_pts=21)
-        east += ROUND * (west > east)  # where the grid lies across the antimeridian
+        east += TURN * (west > east)  # where the grid lies across the antimeridian
         margin = 0.01 * (east - west + north - south)
         box = shapely.box(west - margin, south - margin, east + margin, north + margin)
         polygon = polygonal(shapely.union_all([shapely.intersection(seen, box) for seen in self._seen_in(box)]))
-        edge = MAX_EDGE_M / _metres_per_unit(self.crs)
+        crs = pyproj.CRS.from_user_input(self.crs)
+        unit_m = METRES_PER_DEGREE if crs.is_geographic else crs.axis_info[0].unit_conversion_factor
         project = transformer(self.crs, grid.crs)
-        moved = shapely.transform(shapely.segmentize(polygon, edge), project.transform, interleaved=False)
+        moved = shapely.transform(
+            shapely.segmentize(polygon, MAX_EDGE_M / unit_m), project.transform, interleaved=False
+        )
         return moved if moved.is_valid else mended(moved)
 
 
 def touched_cells(polygon: shapely.Geometry, grid: Grid) -> np.ndarray:
     """Return ``[Y, X]`` bool: cells that share at least a point with a polygon in the grid's CRS, borders included.
 
-    Exact (GEOS's robust predicates). Burning with ``all_touched`` leaves out cells that share only a border or a
-    corner. Blocks of cells come first, so that only those on the polygon's border are looked at one by one.
+    Burning leaves out cells that share only a border or a corner: those around what it burns are looked at one by one
+    (GEOS's robust predicates).
     """
-    closed = np.zeros(grid.shape, bool)
-    if polygon.is_empty:
-        return closed
+    wider = grid.padded(1, 1, 1, 1)
+    closed = burn(np.array([polygon]), np.ones(1), wider, 0.0, "uint8", all_touched=True) == 1
+    cells = np.argwhere(binary_dilation(closed, np.ones((3, 3))) & ~closed)
     shapely.prepare(polygon)
-    west, south, east, north = np.array(polygon.bounds) / grid.resolution_m
-    near = ((south - grid.first_row, north - grid.first_row), (west - grid.first_col, east - grid.first_col))
-    rows, cols = (
-        np.arange(max(math.floor(low) // BLOCK - 1, 0), min(math.floor(high) // BLOCK + 2, -(-size // BLOCK))) * BLOCK
-        for (low, high), size in zip(near, grid.shape, strict=True)
-    )
-    blocks = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
-    blocks = blocks[shapely.intersects(polygon, cell_boxes(grid, blocks, BLOCK))]
-    is_whole = shapely.covers(polygon, cell_boxes(grid, blocks, BLOCK))
-    for row, col in blocks[is_whole]:
-        closed[row : row + BLOCK, col : col + BLOCK] = True
-    within = np.indices((BLOCK, BLOCK)).reshape(2, -1).T
-    cells = (blocks[~is_whole][:, None] + within).reshape(-1, 2)
-    cells = cells[np.all(cells < grid.shape, axis=1)]
-    cells = cells[shapely.intersects(polygon, cell_boxes(grid, cells, 1))]
-    closed[cells[:, 0], cells[:, 1]] = True
-    return closed
+    closed[tuple(cells.T)] = shapely.intersects(polygon, cell_boxes(wider, cells, 1))
+    return closed[1:-1, 1:-1]
 
 
 def cell_boxes(grid: Grid, corners: np.ndarray, size: int) -> np.ndarray:
@@ -192,51 +125,3 @@ def cell_boxes(grid: Grid, corners: np.ndarray, size: int) -> np.ndarray:
 def mended(shape: shapely.Geometry) -> shapely.Geometry:
     """Return the polygons that an outline encloses, all that it goes around twice included."""
     return polygonal(shapely.make_valid(shape, method="structure", keep_collapsed=False))
-
-
-def whole_outline(shape: shapely.Geometry, name: str, told: Told, *, is_lonlat: bool) -> shapely.Geometry:
-    """Return valid polygons that close all that the outline of a zone may mean; ``told`` gets what was done."""
-    if not shape.is_valid or shape.geom_type not in ("Polygon", "MultiPolygon"):
-        polygons = mended(shape)
-        if not shape.is_valid and not polygons.is_empty:
-            told[CROSSING].append(name)
-        shape = polygons
-    wider = the_short_way_too(shape) if is_lonlat else shape
-    if wider is not shape:
-        told[THE_SHORT_WAY].append(name)
-    return wider
-
-
-def the_short_way_too(shape: shapely.Geometry) -> shapely.Geometry:
-    """Return a shape in longitude and latitude, and where edges span more than 180 degrees both ways that they may go.
-
-    A file may mean by 179.9, -179.9 what lies between them across the antimeridian, or all the rest of the way round.
-    The shape, which must be valid, comes back as it is where there is no such edge. An edge that goes all the way round
-    has but one meaning.
-    """
-    found = [shape]
-    for part in shapely.get_parts(shape):
-        lon, lat = shapely.get_coordinates(part.exterior).T
-        steps = np.abs(np.diff(lon))
-        if np.any((steps > ROUND / 2) & (steps < ROUND)):
-            around = np.column_stack([np.unwrap(lon, period=ROUND), lat])
-            found.append(mended(shapely.Polygon(around)))  # whole: a hole of a valid outline lies on its longer way
-    return shape if len(found) == 1 else polygonal(shapely.union_all(found))
-
-
-def _metres_per_unit(crs: str) -> float:
-    parsed = pyproj.CRS.from_user_input(crs)
-    return METRES_PER_DEGREE if parsed.is_geographic else parsed.axis_info[0].unit_conversion_factor
-
-
-def warn_of(told: Told, file: str) -> None:
-    """Warn of zones of a file, a sentence each with the first names."""
-    for sentence, names in told.items():
-        several = list(dict.fromkeys(names))
-        shown = ", ".join(map(repr, several[:MOST_NAMED])) + ", ..." * (len(several) > MOST_NAMED)
-        warn(f"zones of {file!r} that {sentence}: {len(several)} ({shown})")
-
-
-def warn(sentence: str) -> None:
-    """Warn of something in a file of zones that is not read, or read more cautiously."""
-    warnings.warn(sentence, IgnoredZoneWarning, stacklevel=3)
