@@ -56,16 +56,14 @@ with tempfile.TemporaryDirectory() as folder:
 )
 
 
-DEVICES = (
+ENGINES = (
     IMPORT
     + """
-from jaxurban.maps.executors import Resources
-assert Resources().on_device("cpu") == Resources() and Resources(num_processes=2).on_device("cpu").num_processes == 2
 for engine in ("numba", "jax"):
     ju.build_maps(ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=[60.0], engine=engine, progress=False)
 """
 )
-ACTIONS = {"import": IMPORT, "every name": EVERY_NAME, "maps and a plan": USE, "devices and engines": DEVICES}
+ACTIONS = {"import": IMPORT, "every name": EVERY_NAME, "maps and a plan": USE, "engines": ENGINES}
 
 
 @pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS.keys())

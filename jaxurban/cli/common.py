@@ -66,26 +66,28 @@ def together(*parameters: Callable) -> Callable[[Callable], Callable]:
     return add
 
 
-def _use_device(ctx: click.Context, param: click.Parameter, value: str | None) -> None:
-    """Choose the device before anything computes."""
-    if value is not None:
-        from jaxurban.maps.device import check_device
+def use_device(name: str | None) -> None:
+    """Choose what computes in this process, a command's own, and in those that it starts, and say it in the log.
 
-        if value == "cpu":
-            stay_on_cpu()
-        check_device(value)
+    Args:
+      name: ``"cpu"``, ``"gpu"``, ``"auto"`` for a GPU where JAX finds one, or None for that without a word.
 
-
-def stay_on_cpu(is_inherited: bool = True) -> None:
-    """Let JAX compute on the CPU in this process, a command's own, before its first use; and in those that it starts.
-
-    ``is_inherited``: whether in those too.
+    Raises:
+      InputError: no GPU that JAX can use.
     """
+    if name is None:
+        return
     import jax
 
-    if is_inherited:
+    if name == "cpu":
         os.environ["JAX_PLATFORMS"] = "cpu"
-    jax.config.update("jax_platforms", "cpu")
+        jax.config.update("jax_platforms", "cpu")
+    if name == "gpu" and jax.default_backend() == "cpu":
+        raise InputError(
+            "there is no GPU that JAX can use: install jaxurban[cuda13] (or cuda12) and NVIDIA's driver, or leave "
+            "--device out"
+        )
+    LOG.info(f"device: {jax.local_devices()[0].device_kind} ({jax.default_backend()})")
 
 
 LONLAT = Numbers("LON,LAT", "longitude,latitude in degrees, as in -74.0,40.7", 2)
@@ -95,7 +97,7 @@ DEVICE_CHOICE = partial(
     type=click.Choice(["auto", "cpu", "gpu"]),
     help="What computes.  [default: auto, a GPU where JAX finds one]",
 )
-DEVICE = DEVICE_CHOICE(callback=_use_device, expose_value=False)
+DEVICE = DEVICE_CHOICE(callback=lambda ctx, param, name: use_device(name), expose_value=False)
 RESOLUTION = click.option(
     "--resolution", "resolution_m", type=float, help="Of the maps, metres; needed where DIR holds several."
 )

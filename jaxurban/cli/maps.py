@@ -15,15 +15,14 @@ from jaxurban.cli.common import (
     Settings,
     names_in,
     print_json,
-    stay_on_cpu,
     tell,
     tell_warnings,
+    use_device,
 )
 from jaxurban.errors import InputError
 from jaxurban.progress import reporting
 
 if TYPE_CHECKING:
-    from jaxurban.maps.executors import Resources
     from jaxurban.maps.scenario import Scenario
 
 EXIT_BUG, EXIT_BAD_INPUT = 1, 2
@@ -50,7 +49,11 @@ TAKEN = (".", "geotiff", "maps.zarr", "figures")  # no folder of a scenario besi
     "[default: obstacles and the metrics of the cost, which are written always]",
 )
 @click.option("--memory", help="Ceiling on the memory of the whole run, such as 4GiB. [default: half of what is free]")
-@click.option("--workers", type=int, help="Work in so many processes (Dask); one a GPU. [default: a thread a core]")
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    help="Work in so many processes (Dask), on the CPU.  [default: a thread a core]",
+)
 @click.option("--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786.")
 @DEVICE_CHOICE()
 @click.option(
@@ -73,12 +76,14 @@ def maps(
     Of several scenarios each goes to a folder of its own under the output folder, named as its file; one that fails
     does not stop the others, and the exit code is then 2.
     """
+    from jaxurban.maps.memory import parse_bytes
     from jaxurban.maps.scenario import Scenario
 
     changes += () if engine is None else (f'region.engine = "{engine}"',)
-    resources = _resources(given)
+    memory = given["memory"]
+    how = {"workers": _workers(given), "memory_bytes": None if memory is None else parse_bytes(memory)}
     if len(scenario_files) == 1:
-        record = _make(Scenario.from_toml(scenario_files[0], changes), folder, resources, given)
+        record = _make(Scenario.from_toml(scenario_files[0], changes), folder, given, **how)
         if as_json:
             print_json(record)
         return 0
@@ -88,7 +93,7 @@ def maps(
     for name, file in zip(names, scenario_files, strict=True):
         tell(f"scenario {file}")
         try:
-            found[name] = _make(Scenario.from_toml(file, changes), folder / name, resources, given)
+            found[name] = _make(Scenario.from_toml(file, changes), folder / name, given, **how)
         except Exception as error:
             is_ours = isinstance(error, InputError | MemoryError)
             codes.add(EXIT_BAD_INPUT if is_ours else EXIT_BUG)
@@ -121,28 +126,27 @@ def _folder_names(scenario_files: Sequence[Path]) -> list[str]:
     return names
 
 
-def _resources(given: Settings) -> "Resources":
-    """Return what a run may use by the command's options, once what computes is settled."""
-    from jaxurban.maps.executors import Resources
-    from jaxurban.maps.memory import parse_bytes
+def _workers(given: Settings) -> int | str | None:
+    """Return the processes or the address of a cluster that the options name, if any, once what computes is settled."""
+    workers, cluster, device = given["workers"], given["cluster"], given["device"]
+    if workers is not None and cluster is not None:
+        raise InputError("give either --workers, for processes of this machine, or --cluster, not both")
+    if workers is not None and device == "gpu":
+        raise InputError(
+            "--workers compute on the CPU: leave them out to compute on one GPU, or start a `dask worker` on each and "
+            "name their scheduler by --cluster"
+        )
+    use_device(device if workers is None else "cpu")
+    return workers or cluster
 
-    memory, device = given["memory"], given["device"]
-    if device == "cpu":
-        stay_on_cpu()
-    memory_bytes = None if memory is None else parse_bytes(memory)
-    resources = Resources(memory_bytes, given["workers"], given["cluster"]).on_device(device)
-    if resources.gpus:  # which are the workers' own
-        stay_on_cpu(is_inherited=False)
-    return resources
 
-
-def _make(scenario: "Scenario", folder: Path, resources: "Resources", given: Settings) -> dict[str, Any]:
+def _make(scenario: "Scenario", folder: Path, given: Settings, **how: Any) -> dict[str, Any]:
     """Make the maps of one scenario, draw them as the options have it, and return the record of the run."""
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.run import run_scenario
 
     with reporting("maps") as report:
-        run = run_scenario(scenario, folder, report, given["overwrite"], resources, names_in(given["layers"]))
+        run = run_scenario(scenario, folder, report, given["overwrite"], layers=names_in(given["layers"]), **how)
         if given["figures"]:
             from jaxurban.report.figures import save_figures
 

@@ -2,97 +2,22 @@
 
 import os
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import dask.threaded
-import jax
 from dask.callbacks import Callback
 from dask.delayed import Delayed, delayed
 
 from jaxurban.errors import InputError, reason_of
-from jaxurban.maps.device import Gpu, bind_workers, check_device
 from jaxurban.maps.tiled import TileJob, finish_tile, raster_tile, sweep_tile
 from jaxurban.progress import LOG
 from jaxurban.world.tiling import QUADRANTS, Quadrant, Tile
 
 RETRIES = 3  # of a task whose worker was killed
 Tell = Callable[[Any], None]
-
-
-@dataclass(frozen=True)
-class Resources:
-    """What a run may use.
-
-    Attributes:
-      memory_bytes: ceiling on the memory of all processes together; None for half of what is free.
-      num_processes: worker processes of a new local Dask cluster; None to work in threads of this process.
-      cluster: address of a Dask scheduler, whose workers see the output folder under the same path, instead.
-      gpus: one for each of the ``num_processes``; empty where they compute on what JAX finds.
-    """
-
-    memory_bytes: int | None = None
-    num_processes: int | None = None
-    cluster: str | None = None
-    gpus: Sequence[Gpu] = ()
-
-    def __post_init__(self) -> None:
-        if self.num_processes is not None and self.num_processes < 1:
-            raise InputError(f"--workers must be at least 1, got {self.num_processes}")
-        if self.num_processes is not None and self.cluster is not None:
-            raise InputError("give either --workers, for a cluster of this machine's own, or --cluster, not both")
-
-    def on_device(self, name: str | None) -> "Resources":
-        """Return these, with what computes settled: in this process, or in worker processes of this machine.
-
-        The workers of a cluster compute on what they were started with.
-
-        Args:
-          name: as for `jaxurban.maps.device.check_device`; None if none was asked for.
-
-        Raises:
-          InputError: no such device.
-        """
-        if self.num_processes is not None:
-            gpus = bind_workers(name or "auto", self.num_processes)
-            return replace(self, gpus=gpus, num_processes=len(gpus) or self.num_processes)
-        if name is not None:
-            check_device(name)
-        return self
-
-    @property
-    def num_workers(self) -> int:
-        """How many tiles are worked on at a time, memory allowing: while a GPU computes one, cores read and write."""
-        if self.num_processes is None:
-            return num_cores()
-        return self.num_processes * (max(1, num_cores() // self.num_processes) if self.gpus else 1)
-
-    @property
-    def backend(self) -> str:
-        """What JAX computes on; a cluster's workers are taken to have what this process has."""
-        return "gpu" if self.gpus else jax.default_backend()
-
-    @contextmanager
-    def client(self, num_tiles: int) -> Iterator[Any]:
-        """Yield the client of a Dask cluster, None where threads do the work.
-
-        Args:
-          num_tiles: that worker processes of this machine work on at a time, all together.
-
-        Raises:
-          InputError: as `cluster_client`, or JAX does not start on a worker's GPU.
-        """
-        if self.cluster is None and self.num_processes is None:
-            yield None
-            return
-        num_threads = max(1, num_tiles // (self.num_processes or num_tiles))
-        with cluster_client(self.cluster, self.num_processes, self.gpus, num_threads) as client:
-            if self.gpus and "cpu" in client.run(jax.default_backend).values():
-                raise InputError("JAX does not start on the GPU of a worker process: mend that, or take --device cpu")
-            yield client
 
 
 def num_cores() -> int:
@@ -191,22 +116,17 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
 
 
 @contextmanager
-def cluster_client(
-    address: str | None, num_workers: int | None, gpus: Sequence[Gpu] = (), num_threads: int = 1
-) -> Iterator[Any]:
-    """Yield a client of the Dask scheduler at an address, or of a new local cluster of processes.
+def cluster_client(workers: int | str) -> Iterator[Any]:
+    """Yield a client of a Dask cluster.
 
     Args:
-      address: of the scheduler; None for a cluster of this machine's own.
-      num_workers: its processes.
-      gpus: one for each of them, which it keeps when it is killed and started again; empty: none is bound.
-      num_threads: of each process.
+      workers: the address of its scheduler, or the number of processes of a new cluster of this machine's own.
 
     Raises:
-      InputError: ``distributed`` is not installed, or no scheduler responds.
+      InputError: ``distributed`` is not installed, no scheduler responds, or a process ends while it starts.
     """
     try:
-        from distributed import Client, LocalCluster, Nanny
+        from distributed import Client, LocalCluster
         from distributed.security import Security
 
         security = Security.temporary()  # needs cryptography
@@ -215,29 +135,19 @@ def cluster_client(
             "--cluster and --workers need Dask's distributed scheduler and cryptography, which are not installed: "
             "pip install 'jaxurban[cluster]', or leave them out to work in threads"
         ) from error
-    if address is not None:
+    if isinstance(workers, str):
         try:
-            client = Client(address, timeout=10)
+            client = Client(workers, timeout=10)
         except (OSError, ValueError, TimeoutError) as error:
-            raise InputError(f"no Dask scheduler responds at --cluster {address!r}: {error}") from error
+            raise InputError(f"no Dask scheduler responds at --cluster {workers!r}: {error}") from error
         with client:
             if not client.scheduler_info()["workers"]:
-                LOG.warning(f"the cluster {address} has no worker yet: waiting for one (`dask worker {address}`)")
+                LOG.warning(f"the cluster {workers} has no worker yet: waiting for one (`dask worker {workers}`)")
             yield client
         return
-
-    class Bound(Nanny):
-        """What starts a worker process: by its number, on its GPU."""
-
-        def __init__(self, *arguments: Any, **options: Any) -> None:
-            if gpus:
-                options["env"] = gpus[options["name"]].environment
-            super().__init__(*arguments, **options)
-
     options = {
-        "n_workers": num_workers,
-        "threads_per_worker": num_threads,
-        "worker_class": Bound,
+        "n_workers": workers,
+        "threads_per_worker": 1,
         "memory_limit": 0,
         "dashboard_address": "127.0.0.1:0",  # any free port: two runs may work side by side
         # Without its certificates any user of this machine could run code as this one.

@@ -4,18 +4,19 @@ import math
 import re
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import psutil
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.lidar.hard import WORD_BITS, num_steps
 from jaxurban.maps.dataset import variables
-from jaxurban.maps.device import Gpu, gpu_free_bytes
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.base import TIME
+from jaxurban.progress import LOG
 from jaxurban.world.city import SLABS
 from jaxurban.world.grid import Grid
 from jaxurban.world.tiling import max_side_for, tile_shape
@@ -27,8 +28,7 @@ SERIES_BYTES = 384 * 2**20  # a tile's metric at every time of a long series tak
 # Measured (see docs/scale.md) and rounded up; what each metric takes of a cell is in its `Metric`.
 COMPILING_BYTES = 320 * 2**20  # what compiling takes beside the libraries, which this process holds already
 SURFACE_CELL_BYTES = 20  # rasters on the host and for JAX while they are put together, or crops of them for the lidar
-TERRAIN_CELL_BYTES = 16  # the same of the terrain
-RAISED_CELL_BYTES = 12  # where slabs hang: roofs of what stands, and of what an altitude meets (computed, not measured)
+TERRAIN_CELL_BYTES = 16  # the same of the terrain; and where slabs hang, of roofs as an altitude meets them
 WORD_BYTES = 16  # of a cell at an altitude: which of up to 64 satellites it sees, twice if supersampled
 SERIES_VALUE_BYTES = 5  # of a cell at an altitude and a time of a series: m, and whether it is within its limits
 SUBCELL_BYTES = 60  # rasters of the supersampled surface, its tops for both directions, and the lidar's order of them
@@ -81,11 +81,9 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
       tile: a part of its region, or all of it.
       around: what is rasterised for it; left out, the halo of a tile that its neighbours hand shadows on to.
     """
-    num_altitudes, is_slabs = len(task.params.altitudes_m), task.city.hanging == SLABS
+    num_altitudes, num_rasters = len(task.params.altitudes_m), task.has_terrain + (task.city.hanging == SLABS)
     series_bytes = 0 if task.keeps_times else SERIES_VALUE_BYTES * task.num_times
-    around = around or task.with_halo(tile)
-    of_cell = SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * task.has_terrain + RAISED_CELL_BYTES * is_slabs
-    needed = _num_cells(around) * of_cell
+    needed = _num_cells(around or task.with_halo(tile)) * (SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * num_rasters)
     for metric in task.metrics.values():
         reach = math.ceil(metric.reach_m(task.settings_of(metric)) / tile.resolution_m)
         needed += _num_cells(tile, reach) * metric.cell_bytes
@@ -126,23 +124,6 @@ def _num_cells(grid: Grid, halo: int = 0) -> int:
     return (grid.num_rows + 2 * halo) * (grid.num_cols + 2 * halo)
 
 
-@dataclass(frozen=True)
-class MemoryPlan:
-    """How a run keeps under its ceiling.
-
-    Attributes:
-      ceiling_bytes: memory of all processes together.
-      needed_bytes: the estimate for ``num_workers``.
-      num_workers: tiles worked on at a time, if there are so many; and GeoTIFFs.
-      num_at_once: tiles worked on at a time, which are no more than there are.
-    """
-
-    ceiling_bytes: int
-    needed_bytes: int
-    num_workers: int
-    num_at_once: int
-
-
 def free_bytes() -> int:
     """Return how much memory this process may still take: what the machine has, or its container if that is less."""
     free = psutil.virtual_memory().available
@@ -152,6 +133,12 @@ def free_bytes() -> int:
     except (OSError, ValueError, KeyError):  # another system, or "max": no limit
         return free
     return min(free, limit - used)
+
+
+def gpu_free_bytes() -> int | None:
+    """Return how much memory JAX may still take on its GPU; None where it computes on a CPU or does not say."""
+    stats = jax.local_devices()[0].memory_stats() or {}
+    return int(stats["bytes_limit"] - stats.get("bytes_in_use", 0)) if "bytes_limit" in stats else None
 
 
 def check_fits(task: MapTask) -> None:
@@ -167,104 +154,52 @@ def check_fits(task: MapTask) -> None:
         )
 
 
-def plan_memory(
-    ceiling_bytes: int | None,
-    per_tile_bytes: int,
-    num_workers: int,
-    num_processes: int = 0,
-    num_resolutions: int = 1,
-    num_tiles: int | None = None,
-) -> MemoryPlan:
-    """Return how many tiles to work on at a time, at most ``num_workers``.
+def plan_run(
+    tasks: Sequence[MapTask], ceiling_bytes: int | None = None, num_workers: int = 1, num_processes: int = 0
+) -> int:
+    """Return how many tiles (and GeoTIFFs) to work on at a time, and say in the log what that takes.
 
     Args:
+      tasks: made one after the other.
       ceiling_bytes: of all processes together; None for `DEFAULT_SHARE` of the free memory.
-      per_tile_bytes: from `tile_bytes`.
-      num_workers: wanted; each process works on as many tiles.
+      num_workers: the most; each process works on as many tiles.
       num_processes: beside this one, that do the work; 0 where its threads do.
-      num_resolutions: whose tiles are made one after the other.
-      num_tiles: that have maps; None if there are more than workers.
 
     Raises:
-      InputError: not even one tile fits (or not one in each process).
+      InputError: not even one tile fits (or not one in each process), or none into the memory of JAX's GPU.
     """
-    own, least = psutil.Process().memory_info().rss, num_processes or 1
-    if ceiling_bytes is None:
-        ceiling_bytes = int(own + DEFAULT_SHARE * free_bytes())
-    base = own + num_resolutions * PROGRAM_BYTES * least + (num_processes * WORKER_BYTES or COMPILING_BYTES)
-    fitting = int((ceiling_bytes - base) // per_tile_bytes)
-    if fitting < least:
-        remedy = "fewer --workers" if num_processes > 1 else "a coarser [region] resolution_m"
-        raise InputError(
-            f"this job needs about {told_bytes(base + per_tile_bytes * least)} of memory and may take "
-            f"{told_bytes(ceiling_bytes)}: raise --memory, or choose {remedy}, a shorter [lidar] range_m or [risk] "
-            "threshold_m, or fewer altitudes or times"
-        )
-    num = min(num_workers, fitting) // least * least
-    num_tiles = num if num_tiles is None else num_tiles
-    needed_bytes = int(base + min(num, max(num_tiles, least)) * per_tile_bytes)
-    return MemoryPlan(ceiling_bytes, needed_bytes, num, min(num, num_tiles))
-
-
-def plan_run(
-    tasks: Sequence[MapTask],
-    ceiling_bytes: int | None,
-    num_workers: int,
-    num_processes: int = 0,
-    gpus: Sequence[Gpu] = (),
-) -> MemoryPlan:
-    """Return how a run of some tasks, one after the other, keeps under its memory ceiling; arguments as `plan_memory`.
-
-    On a GPU as many tiles are worked on as its own memory holds: this process's, or those of the worker processes
-    (``gpus``).
-
-    Raises:
-      InputError: it cannot.
-    """
-    most_bytes, most_gpu_bytes, num_tiles = 0, 0, 1
+    tile_most, gpu_most, num_tiles = 0, 0, 1
     for task in tasks:
         shape, region = shape_of_tiles(task), task.region
         tile = replace(region, num_rows=shape[0], num_cols=shape[1])
         num_tiles = max(num_tiles, -(-region.num_rows // shape[0]) * -(-region.num_cols // shape[1]))
-        most_bytes = max(most_bytes, tile_bytes(task, tile), shape[0] * region.num_cols * GEOTIFF_CELL_BYTES)
-        most_gpu_bytes = max(most_gpu_bytes, tile_gpu_bytes(task, tile))
-    is_on_host = tasks[0].params.engine == "numba"
-    fitting = num_workers if is_on_host else _fitting_on_gpus(most_gpu_bytes, num_workers, gpus)
-    return plan_memory(ceiling_bytes, most_bytes, fitting, num_processes, len(tasks), num_tiles)
-
-
-def _fitting_on_gpus(per_tile_bytes: int, num_workers: int, gpus: Sequence[Gpu]) -> int:
-    """Return how many tiles GPUs hold at a time, ``num_workers`` at most and where JAX computes on a CPU.
-
-    Args:
-      per_tile_bytes: from `tile_gpu_bytes`.
-      num_workers: as for `plan_memory`.
-      gpus: of worker processes, which share the tiles alike; empty: this process's own.
-
-    Raises:
-      InputError: not one tile fits.
-    """
-    known = [free for free in ([gpu.limit_bytes for gpu in gpus] or [gpu_free_bytes()]) if free is not None]
-    if not known:
-        return num_workers
-    free = min(known)
-    if per_tile_bytes > free:
+        tile_most = max(tile_most, tile_bytes(task, tile), shape[0] * region.num_cols * GEOTIFF_CELL_BYTES)
+        gpu_most = max(gpu_most, tile_gpu_bytes(task, tile))
+    if tasks[0].params.engine != "numba" and (on_gpu := gpu_free_bytes()) is not None:
+        if gpu_most > on_gpu:
+            raise InputError(
+                f"a tile needs about {told_bytes(gpu_most)} of the GPU's memory and {told_bytes(on_gpu)} are free: end "
+                "what else uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
+            )
+        num_workers = min(num_workers, on_gpu // gpu_most)
+    own, least = psutil.Process().memory_info().rss, num_processes or 1
+    ceiling = int(own + DEFAULT_SHARE * free_bytes()) if ceiling_bytes is None else ceiling_bytes
+    base = own + len(tasks) * PROGRAM_BYTES * least + (num_processes * WORKER_BYTES or COMPILING_BYTES)
+    fitting = (ceiling - base) // tile_most
+    if fitting < least:
+        remedy = "fewer --workers" if num_processes > 1 else "a coarser [region] resolution_m"
         raise InputError(
-            f"a tile needs about {told_bytes(per_tile_bytes)} of the GPU's memory and {told_bytes(free)} are free: end "
-            "what else uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
+            f"this job needs about {told_bytes(base + tile_most * least)} of memory and may take "
+            f"{told_bytes(ceiling)}: raise --memory, or choose {remedy}, a shorter [lidar] range_m or [risk] "
+            "threshold_m, or fewer altitudes or times"
         )
-    return min(num_workers, int(free // per_tile_bytes) * max(1, len(gpus)))
-
-
-def plan_sentence(tasks: Sequence[MapTask], plan: MemoryPlan) -> str:
-    """Return what a run says of its size and memory before it begins."""
-    cells = sum(_num_cells(task.region) for task in tasks)
-    if not plan.ceiling_bytes:
-        return f"{cells:,} cells on a Dask cluster"
-    return (
-        f"{cells:,} cells, {plan.num_at_once} tile{'s' * (plan.num_at_once > 1)} at a time: about "
-        f"{told_bytes(plan.needed_bytes)} of memory at most, of {told_bytes(plan.ceiling_bytes)} allowed"
+    num_workers = min(num_workers, fitting) // least * least
+    at_once = min(num_workers, max(num_tiles, least))
+    LOG.info(
+        f"{sum(_num_cells(task.region) for task in tasks):,} cells, tiles at a time: {at_once}; about "
+        f"{told_bytes(base + at_once * tile_most)} of memory at most, of {told_bytes(ceiling)} allowed"
     )
+    return num_workers
 
 
 def least_disk_bytes(tasks: Sequence[MapTask]) -> int:

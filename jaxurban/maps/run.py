@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import dask.array
+import jax
 
 from jaxurban.errors import InputError
 from jaxurban.io import store
@@ -27,13 +28,8 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.kernels.engine import chosen
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.dataset import empty_dataset, with_series
-from jaxurban.maps.executors import (
-    Resources,
-    num_cores,
-    work_in_threads,
-    work_on_cluster,
-)
-from jaxurban.maps.memory import MemoryPlan, check_disk, plan_run, plan_sentence, shape_of_tiles
+from jaxurban.maps.executors import cluster_client, num_cores, work_in_threads, work_on_cluster
+from jaxurban.maps.memory import check_disk, plan_run, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, other_maps, run_key, run_record, write_record
 from jaxurban.maps.scenario import Scenario
@@ -110,7 +106,8 @@ def run_scenario(
     folder: Path,
     progress: Progress = True,
     overwrite: bool = False,
-    resources: Resources | None = None,
+    memory_bytes: int | None = None,
+    workers: int | str | None = None,
     layers: Sequence[str] = (),
 ) -> ScenarioRun:
     """Make the maps of a scenario under ``folder`` and return them with the record of the run.
@@ -124,20 +121,22 @@ def run_scenario(
       folder: where the maps go.
       progress: as in `jaxurban.progress.reporting`.
       overwrite: replace maps of other settings.
-      resources: what the run may use; left out, half of the free memory and a thread a core.
+      memory_bytes: ceiling on the memory of all processes together; left out, half of what is free.
+      workers: processes of a new local Dask cluster, or the address of a Dask scheduler whose workers see the output
+        folder under the same path; left out, a thread a core of this process.
       layers: variables that are GeoTIFFs too (see `jaxurban.io.geotiff.write_geotiffs`).
 
     Raises:
       InputError: bad settings or sources, too little memory or disk, a layer that the maps would not hold, or a folder
         that holds another job's maps.
     """
-    resources, started_utc = resources or Resources(), datetime.now(UTC).isoformat(timespec="seconds")
+    started_utc, backend = datetime.now(UTC).isoformat(timespec="seconds"), jax.default_backend()
     with reporting("maps", progress) as report, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         watch = Stopwatch(on_stage=report)
         inputs = hash_inputs(scenario)
-        engine = chosen(scenario.region.engine, resources.backend)
-        key = run_key(scenario, inputs, "cpu" if engine == "numba" else resources.backend)
+        engine = chosen(scenario.region.engine, backend)
+        key = run_key(scenario, inputs, "cpu" if engine == "numba" else backend)
         held_key = Workspace.settings_of(folder, "maps").get(RUN_KEY)
         if store.stored_resolutions(folder) and held_key != key and not overwrite:
             raise InputError(
@@ -152,27 +151,20 @@ def run_scenario(
         guesses = tasks[0].all_guesses
         warn_of(guesses, known=tasks[0].city.guesses)
         check_writable(folder)
-        plan = MemoryPlan(0, 0, num_cores(), num_cores())  # the machines of a cluster are not ours to measure
-        if resources.cluster is None:
-            at_most = resources.num_workers, resources.num_processes or 0, resources.gpus
-            plan = plan_run(tasks, resources.memory_bytes, *at_most)
+        num_threads = num_cores()
+        if not isinstance(workers, str):  # the machines of a cluster are not ours to measure
+            num_threads = plan_run(tasks, memory_bytes, workers or num_threads, workers or 0)
         check_disk(tasks, folder)
-        LOG.info(plan_sentence(tasks, plan))
-        if (resources.num_processes or 1) > plan.num_at_once:
-            LOG.warning(
-                f"--workers {resources.num_processes} brings nothing here: no more than {plan.num_at_once} "
-                f"tile{'s' * (plan.num_at_once > 1)} can be worked on at a time; leave it out"
-            )
         # Nothing of an older job is touched before this one can begin.
         names = [path.relative_to(folder).as_posix() for path in planned]
         how: dict[str, Any] = {"names": names, "overwrite": held_key != key, "is_shared": True, "is_mended": True}
         with (
             Workspace.open(folder, "maps", {RUN_KEY: key}, **how) as workspace,
-            resources.client(plan.num_workers) as client,
+            nullcontext() if workers is None else cluster_client(workers) as client,
         ):
             _sweep(folder, key, scenario.region.resolution_m)
             tasks = [replace(task, guesses=guesses) for task in tasks]
-            makers = [Maker(task, folder, key, plan.num_workers, client, tuple(layers)) for task in tasks]
+            makers = [Maker(task, folder, key, num_threads, client, tuple(layers)) for task in tasks]
             made = [_maps_of(maker, workspace, watch, report) for maker in makers]
             messages = [str(item.message) for item in caught]
             record = run_record(scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages, engine)

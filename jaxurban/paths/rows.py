@@ -208,8 +208,7 @@ def _cluster(workers: int | str) -> Iterator[Any]:
     if workers == 1:
         yield None
         return
-    address, num = (workers, None) if isinstance(workers, str) else (None, workers)
-    with cluster_client(address, num) as client:
+    with cluster_client(workers) as client:
         yield client
 
 

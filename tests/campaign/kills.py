@@ -21,7 +21,7 @@ import pandas as pd
 
 import jaxurban as ju
 from jaxurban.cli import main as cli
-from jaxurban.maps.executors import Resources
+from jaxurban.maps.executors import cluster_client
 from tests import tiled_runs
 from tests.campaign.cases import MOST_S, Verdict
 from tests.tiled_runs import files_of
@@ -46,7 +46,7 @@ def tiles(base: Path, folder: Path) -> None:
 
 def tiles_by_workers(base: Path, folder: Path) -> None:
     """Make them in worker processes."""
-    with Resources(num_processes=2).client(2) as client:
+    with cluster_client(2) as client:
         tiled_runs.make(folder, tiled_runs.city(), client=client)
 
 

@@ -28,7 +28,7 @@ def test_a_cluster_without_workers_is_warned_of(tmp_path, caplog):
             while not file.exists():
                 time.sleep(0.1)
             address = json.loads(file.read_text())["address"]
-            with cluster_client(address, None):
+            with cluster_client(address):
                 pass
         finally:
             scheduler.kill()
@@ -46,7 +46,7 @@ def end_first_child(code: int) -> None:
 
 @pytest.mark.slow
 def test_who_holds_no_certificate_of_the_run_does_not_reach_its_workers():
-    with cluster_client(None, 1) as client:
+    with cluster_client(1) as client:
         address = client.scheduler_info()["address"]
         assert address.startswith("tls://127.0.0.1")
         with pytest.raises(OSError, match=r"127\.0\.0\.1"):
@@ -58,5 +58,5 @@ def test_who_holds_no_certificate_of_the_run_does_not_reach_its_workers():
 @pytest.mark.slow
 def test_a_worker_killed_while_it_starts_is_one_sentence():
     Thread(target=end_first_child, args=(signal.SIGKILL,), daemon=True).start()
-    with pytest.raises(InputError, match="a worker process ended while it started"), cluster_client(None, 1):
+    with pytest.raises(InputError, match="a worker process ended while it started"), cluster_client(1):
         pass

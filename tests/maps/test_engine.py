@@ -12,7 +12,6 @@ from jaxurban.errors import InputError
 from jaxurban.io import store
 from jaxurban.kernels.engine import chosen, runs_numba
 from jaxurban.maps.build import compute_maps
-from jaxurban.maps.executors import Resources
 from jaxurban.maps.run import make_zarr
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics import lidar, risk, visibility
@@ -153,7 +152,7 @@ def test_numba_beside_a_gpu_is_planned_and_recorded_as_on_a_cpu(tmp_path, monkey
     )
     from jaxurban.maps.run import run_scenario
 
-    monkeypatch.setattr(Resources, "backend", "gpu")
+    monkeypatch.setattr("jaxurban.maps.run.jax.default_backend", lambda: "gpu")
     monkeypatch.setattr("jaxurban.maps.memory.gpu_free_bytes", lambda: 1)
     made = run_scenario(scenario, tmp_path / "beside", progress=False).record
     monkeypatch.undo()

@@ -1,13 +1,17 @@
 """The memory plan: what fits, what is refused, and that a real run stays under its ceiling."""
 
 import json
+import logging
 import re
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import jax
 import numpy as np
+import psutil
 import pytest
 import rasterio
 from affine import Affine
@@ -17,9 +21,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps import memory
 from jaxurban.maps.memory import (
     parse_bytes,
-    plan_memory,
     plan_run,
-    plan_sentence,
     shape_of_tiles,
     tile_bytes,
     told_bytes,
@@ -46,14 +48,6 @@ def test_what_is_no_size_is_refused(text):
         parse_bytes(text)
 
 
-def test_as_many_tiles_at_a_time_as_fit():
-    plan = plan_memory(None, 1000, 3)
-    assert plan.num_workers == 3
-    assert plan.needed_bytes <= plan.ceiling_bytes
-    each = 2 * GIB
-    assert plan_memory(plan.needed_bytes + int(1.5 * each), each, 8).num_workers == 1
-
-
 @pytest.mark.parametrize(
     ("num_bytes", "said"),
     [(1, "less than 1 MiB"), (90 * 2**20, "90 MiB"), (1.26 * GIB, "1.3 GiB"), (2000 * GIB, "2,000 GiB")],
@@ -62,20 +56,42 @@ def test_sizes_are_told_as_people_read_them(num_bytes, said):
     assert told_bytes(num_bytes) == said
 
 
-def test_no_more_tiles_at_a_time_are_told_than_there_are():
+@pytest.fixture
+def small() -> MapTask:
+    """A region of one tile."""
     city, region = ju.demo_city(700, 700), ju.Grid("EPSG:32618", 2.0, 0, 0, 300, 300)
-    task = MapTask(city, region, Sky(("",), (), np.empty((1, 0)), np.empty((1, 0)), (), np.empty((1, 0))), MapParams())
-    plan = plan_run([task], None, 2)
-    assert (plan.num_workers, plan.num_at_once) == (2, 1)  # two threads write GeoTIFFs
-    assert "90,000 cells, 1 tile at a time" in plan_sentence([task], plan)
-    assert plan_run([replace(task, region=replace(region, num_rows=3000))], None, 2).num_at_once == 2
+    return MapTask(city, region, Sky(("",), (), np.empty((1, 0)), np.empty((1, 0)), (), np.empty((1, 0))), MapParams())
 
 
-def test_a_job_that_cannot_fit_is_refused_naming_the_knob():
+def test_as_many_tiles_at_a_time_as_fit_and_no_more_are_told_than_there_are(small, monkeypatch, caplog):
+    caplog.set_level(logging.INFO, "jaxurban")
+    assert plan_run([small], None, 2) == 2  # two threads write GeoTIFFs
+    assert "90,000 cells, tiles at a time: 1; about" in caplog.text
+    plan_run([replace(small, region=replace(small.region, num_rows=3000))], None, 2)
+    assert "tiles at a time: 2; about" in caplog.text
+    monkeypatch.setattr(memory, "tile_bytes", lambda task, tile: 2 * GIB)
+    needed = psutil.Process().memory_info().rss + memory.COMPILING_BYTES + memory.PROGRAM_BYTES + 2 * GIB
+    assert plan_run([small], needed + GIB, 8) == 1
+    monkeypatch.setattr(memory, "tile_bytes", lambda task, tile: GIB // 4)
+    assert plan_run([small], 26 * GIB, 16, 4) == 16
+    assert plan_run([small], 6 * GIB, 16, 4) == 8  # each process works on as many
+
+
+def test_a_job_that_cannot_fit_is_refused_naming_the_knob(small):
     with pytest.raises(InputError, match="raise --memory"):
-        plan_memory(GIB // 8, GIB, 2)
+        plan_run([small], GIB // 8, 2)
     with pytest.raises(InputError, match="fewer --workers"):
-        plan_memory(2 * GIB, 1000, 64, num_processes=64)
+        plan_run([small], 2 * GIB, 64, num_processes=64)
+
+
+def test_as_many_tiles_as_a_gpu_holds_are_worked_on(small, monkeypatch):
+    stats = {"bytes_limit": 4 * GIB, "bytes_in_use": GIB}
+    monkeypatch.setattr(jax, "local_devices", lambda: [SimpleNamespace(memory_stats=lambda: stats)])
+    monkeypatch.setattr(memory, "tile_gpu_bytes", lambda task, tile: int(1.2 * GIB))
+    assert plan_run([small], 200 * GIB, 8) == 2
+    stats["bytes_in_use"] = 3 * GIB
+    with pytest.raises(InputError, match=r"about 1\.2 GiB of the GPU's memory and 1\.0 GiB are free"):
+        plan_run([small], 200 * GIB, 8)
 
 
 def test_on_a_gpu_the_forecast_holds_what_its_shapes_of_kernels_take_as_compiled():

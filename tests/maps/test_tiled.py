@@ -19,7 +19,6 @@ import xarray as xr
 from jaxurban.io import store
 from jaxurban.io.folders import WorkFolder
 from jaxurban.maps.build import compute_maps
-from jaxurban.maps.device import Gpu
 from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.run import Maker, make_zarr
 from jaxurban.metrics.custom import Layer
@@ -206,7 +205,7 @@ def test_kill_9_of_the_run_three_times_over(tmp_path, cache, whole, seed):
 def kill_workers(folder: Path, cache: str, seed: int, num_kills: int, whole: dict[str, bytes]) -> None:
     """Kill random workers of two, each a random moment after some tiles are finished."""
     rng, killed = random.Random(seed), []
-    with cluster_client(None, 2) as client:
+    with cluster_client(2) as client:
 
         def kill() -> None:
             for n in range(num_kills):
@@ -223,14 +222,6 @@ def kill_workers(folder: Path, cache: str, seed: int, num_kills: int, whole: dic
         killer.join()
     assert len(killed) == num_kills
     assert files_of(folder) == whole
-
-
-@pytest.mark.slow
-def test_processes_of_several_threads_as_gpus_have_them_change_no_byte(city, whole, tmp_path):
-    pytest.importorskip("distributed", reason="needs the cluster extra")
-    with cluster_client(None, 2, [Gpu("0"), Gpu("1")], num_threads=2) as client:
-        make(tmp_path, city, client=client)
-    assert files_of(tmp_path) == whole
 
 
 @pytest.mark.slow

@@ -18,7 +18,6 @@ from jaxurban.io import files
 from jaxurban.io.store import settings_of
 from jaxurban.maps import provenance as record
 from jaxurban.maps import run as pipeline
-from jaxurban.maps.executors import Resources
 from jaxurban.maps.scenario import Scenario
 from jaxurban.world.city import Buildings, Raster
 from tests.cli_runs import assert_one_sentence, run
@@ -87,8 +86,8 @@ def test_what_a_killed_worker_left_half_written_is_gone_when_the_run_ends(job, m
 
 @pytest.mark.slow
 def test_worker_processes_write_the_same_geotiffs(tmp_path):
-    for name, resources in (("threads", None), ("processes", Resources(num_processes=2))):
-        pipeline.run_scenario(Scenario.from_dict(SETTINGS), tmp_path / name, resources=resources, layers=("all",))
+    for name, workers in (("threads", None), ("processes", 2)):
+        pipeline.run_scenario(Scenario.from_dict(SETTINGS), tmp_path / name, workers=workers, layers=("all",))
     threads, processes = (
         {file.name: file.read_bytes() for file in (tmp_path / name / "geotiff").iterdir()}
         for name in ("threads", "processes")

@@ -215,7 +215,7 @@ def test_a_planner_that_kills_its_worker_costs_its_own_rows_alone(folder, result
 
     runs = (PlannerRun("ptp", "weighted"), PlannerRun("killer", "weighted"), PlannerRun("astar-dist", "weighted"))
     tasks = [InstanceRuns(instance, runs) for instance in result.instances[:2].to_dict("records")]
-    with dask.config.set({"distributed.scheduler.allowed-failures": 0}), cluster_client(None, 2) as client:
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}), cluster_client(2) as client:
         client.register_plugin(Killer())
         found = list(
             solve_on(
