@@ -45,16 +45,6 @@ def send(body: bytes, status: int = 200, **headers: str) -> Reply:
     return reply
 
 
-def unless_known(etag: str, body: bytes) -> Reply:
-    """Reply 304 to a request that knows the version, else the body."""
-
-    def reply(handler: BaseHTTPRequestHandler) -> None:
-        is_known = handler.headers.get("If-None-Match") == etag
-        (send(b"", 304) if is_known else send(body, ETag=etag))(handler)
-
-    return reply
-
-
 def drip(server: Server, piece: bytes, every_s: float) -> Reply:
     """Reply with a piece again and again, for `LONGEST_S` at most; an empty one is silence."""
 

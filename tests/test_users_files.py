@@ -244,19 +244,6 @@ def test_the_demo_replaces_no_scenario_or_summary_of_the_users(tmp_path, monkeyp
         assert run(capsys, "demo", "-o", tmp_path)[0] == 0
 
 
-def test_a_scenario_that_was_fetched_and_edited_is_kept(tmp_path):
-    from jaxurban.io.fetch import staged
-
-    def fetch(**options):
-        with staged(tmp_path, [], **options) as stage:
-            (stage / "scenario.toml").write_text("fetched")
-
-    fetch(overwrite=False)
-    (tmp_path / "scenario.toml").write_text(PLANTED)
-    fetch(overwrite=True)
-    assert [(tmp_path / name).read_text() for name in ("scenario.toml", "kept/scenario.toml")] == ["fetched", PLANTED]
-
-
 def test_a_refused_overwrite_has_removed_nothing(job_of_maps, monkeypatch, capsys):
     monkeypatch.chdir(job_of_maps)
     for command in (("maps",), ("study", "--workers", 1)):

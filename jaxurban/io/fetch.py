@@ -1,291 +1,338 @@
-"""The files that the maps of a region need, from public sources into a folder, and the settings that use them."""
+"""The files that the maps of a region need, from public sources into a folder, and a scenario that uses them."""
 
-import io
 import json
 import os
 import re
 import shutil
 import tempfile
-import zipfile
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from functools import partial
-from itertools import chain
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import Any, TypeVar
-from urllib.parse import urlsplit
+from typing import Any
+from urllib.parse import quote, urlsplit
 
-import geopandas as gpd
-import pandas as pd
 import shapely
+import tomli_w
 
-from jaxurban.errors import InputError, readable
-from jaxurban.io.download import Cache, megabytes
-from jaxurban.io.fetch_plan import BLOCK_MARGIN_M, COUNTY_DIGITS, FILES, NYC_BOX, NYC_FIELD, FetchJob, plan_fetch
-from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, write_whole
-from jaxurban.io.read.census import read_districts
-from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
-from jaxurban.io.read.osm import cut_buildings, header_box
-from jaxurban.io.read.osm import read_osm as read_outlines
-from jaxurban.io.read.vector import open_frame
+from jaxurban.errors import InputError, one_of, readable
+from jaxurban.io.download import Source, cache_folder, download
+from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, only_writer, sweep_scraps
+from jaxurban.io.read.census import read_blocks, read_districts
+from jaxurban.io.read.orbits import WARN_AGE_DAYS, look_angles, middle_epoch, read_orbits
+from jaxurban.io.read.osm import cut_buildings, format_of, header_box, read_osm
+from jaxurban.io.read.vector import OF_DAMAGED
 from jaxurban.io.workspace import Workspace
+from jaxurban.metrics.population import Population
 from jaxurban.progress import LOG
 from jaxurban.settings import NOMINAL
-from jaxurban.world.city import ReadIssue
+from jaxurban.world.grid import WGS84, Bounds, check_bounds, transformer, utm_crs
 
-MOST_COUNTIES = 12
-CUT_REMEDY = "fetch it again, put it in order with `osmium sort`, or name another"
+DAY_S = 24 * 3600.0
+MOST_OVERPASS_KM2 = 100.0  # a dense city of this size is some 200 MB of XML and a minute of a shared server's time
+MOST_MARGIN_M = 20_000.0
+BLOCK_MARGIN_M = 100.0  # the maps' box is snapped outward and densified, and NAD83 is a metre or two off WGS 84
+# Where the Census Bureau counts people and the city has districts, roughly.
+CENSUS_BOX, NYC_BOX = (-180.0, 17.0, -64.0, 72.0), (-74.26, 40.49, -73.70, 40.92)
 NOON = "T12:00:00Z"
-BLOCK_ID = r"([0-9]{15})$"  # state 2, county 3, tract 6, block 4 digits; anything may stand before
-BLOCK_FIELDS = ("GEOID20", "GEOID10", "GEOID")
-SHAPEFILE_PARTS = (".shp", ".shx", ".dbf", ".prj")
 RECORD_FILE, SCENARIO_FILE = "fetch.json", "scenario.toml"
-COUNTS_FILE, BLOCKS_FILE = FILES["census"]
-(DISTRICTS_FILE,), (ORBITS_FILE,) = FILES["districts"], FILES["orbits"]
+BLOCK_FIELD = "GEOID"
 REMEDY = f"{ELSEWHERE}, or pass --overwrite, which keeps it under another name"
-Content = TypeVar("Content")
+# TIGERweb has the counts and the outlines of blocks in one layer, and unlike the Census Data API asks for no key; it
+# sends nothing where a query is not ordered. CelesTrak updates every two hours and wants programs to stop at the first
+# refusal; two-line elements cannot name satellites catalogued since 2026, so its OMM (CSV) is asked for.
+SOURCES = {
+    source.name: source
+    for source in (
+        Source(
+            "osm",
+            "https://overpass-api.de/api/interpreter?data={query}",
+            "buildings.osm",
+            "© OpenStreetMap contributors",
+            "ODbL 1.0: keep the credit, share changed data alike",
+            DAY_S,
+        ),
+        Source(
+            "census",
+            "https://tigerweb.geo.census.gov/arcgis/rest/services/TIGERweb/tigerWMS_Census2020/MapServer/10/query"
+            "?where=1%3D1&geometry={west},{south},{east},{north}&geometryType=esriGeometryEnvelope&inSR=4326"
+            "&spatialRel=esriSpatialRelIntersects&outFields=GEOID,POP100&returnGeometry=true&outSR=4326"
+            "&geometryPrecision=7&orderByFields=GEOID&f=geojson",
+            "blocks.geojson",
+            "U.S. Census Bureau",
+            "public domain (U.S. government work)",
+            30 * DAY_S,
+        ),
+        Source(
+            "districts",
+            "https://services5.arcgis.com/GfwWNkhOj9bNBqoJ/arcgis/rest/services/NYC_Community_Districts/FeatureServer"
+            "/0/query?where=1%3D1&outFields=*&outSR=4326&f=pgeojson",
+            "districts.geojson",
+            "New York City Department of City Planning",
+            "NYC Open Data terms",
+            30 * DAY_S,
+        ),
+        Source(
+            "orbits",
+            "https://celestrak.org/NORAD/elements/gp.php?GROUP=gps-ops&FORMAT=csv",
+            "gps-ops.txt",
+            "CelesTrak (T. S. Kelso), from 18th Space Defense Squadron data",
+            "free; once in two hours at most",
+            DAY_S / 12,
+            num_tries=1,
+        ),
+    )
+}
+OVERPASS = (
+    "[out:xml][timeout:180][bbox:{south},{west},{north},{east}];"
+    '(way["building"];way["building:part"];relation["building"];relation["building:part"];);(._;>;);out body;'
+)
 Settings = dict[str, Any]
 
 
-@contextmanager
-def staged(folder: Path, what: Collection[str], *, overwrite: bool) -> Iterator[Path]:
-    """Yield a scratch folder whose files move into ``folder`` if the block succeeds, the scenario last.
+@dataclass(frozen=True)
+class FetchJob:
+    """The settings of a fetch; checked when made.
+
+    Attributes:
+      bounds: west, south, east, north of the region in degrees.
+      what: names of `SOURCES`.
+      day: of the GPS maps; None for the elements' own time (of nominal ones: today).
+      urls: URL templates by source that replace the known ones.
+      margin_m: how far around the region buildings are fetched.
+
+    Raises:
+      InputError: a setting that is none, or a margin out of range.
+    """
+
+    bounds: tuple[float, ...]
+    what: Sequence[str] = tuple(SOURCES)
+    day: date | None = None
+    urls: Mapping[str, str] = field(default_factory=dict)
+    margin_m: float = 1000.0
+
+    def __post_init__(self) -> None:
+        check_bounds(self.bounds)
+        for name in self.what or ("",):
+            one_of("--what", name, SOURCES)
+        for name in self.urls:
+            one_of("--source", name, SOURCES)
+        if not 0 <= self.margin_m <= MOST_MARGIN_M:
+            raise InputError(f"the margin must be from 0 to {MOST_MARGIN_M:,.0f} m, got {self.margin_m:g}")
+
+    @property
+    def crs(self) -> str:
+        """The region's UTM zone."""
+        west, south, east, north = self.bounds
+        return utm_crs((west + east) / 2, (south + north) / 2)
+
+    def box_m(self, margin_m: float) -> Bounds:
+        """Return the region's projected box in metres, grown by a margin."""
+        to_m = transformer(WGS84, self.crs)
+        x_min, y_min, x_max, y_max = to_m.transform_bounds(*check_bounds(self.bounds), densify_pts=21)
+        return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
+
+    def box(self, margin_m: float) -> Bounds:
+        """Return west, south, east, north of the region's projected box, grown by a margin."""
+        return transformer(self.crs, WGS84).transform_bounds(*self.box_m(margin_m), densify_pts=21)
+
+    def requests(self) -> tuple[list[Source], list[str]]:
+        """Return the sources to ask, each with its URL for the region, and a sentence for each part that is left out.
+
+        Raises:
+          InputError: a URL that cannot be used, a region too large for the Overpass API, or nothing can be fetched.
+        """
+        region, reasons = shapely.box(*self.bounds), {}
+        if not region.intersects(shapely.box(*CENSUS_BOX)):
+            reasons["census"] = (
+                "population: no source is known outside the United States, so the layer is left out; set [population] "
+                "blocks to a file of your own"
+            )
+        if not region.intersects(shapely.box(*NYC_BOX)):
+            reasons["districts"] = (
+                "districts: none are known for this region (only New York City's), so every block counts as "
+                "residential; set [population] districts to a file of your own"
+            )
+        if self.day is not None and abs((self.day - datetime.now(UTC).date()).days) > WARN_AGE_DAYS:
+            reasons["orbits"] = (
+                f"element sets: CelesTrak has the current ones only, and {self.day} is not within "
+                f"{WARN_AGE_DAYS:.0f} days; historical ones need a login at space-track.org (free), so the nominal "
+                "constellation stands in; set [gps] orbits to a file of your own"
+            )
+        left_out = [reasons[name] for name in self.what if name in reasons.keys() - self.urls.keys()]
+        sources = [self._source(name) for name in SOURCES if name in self.what and reasons.get(name) not in left_out]
+        if not sources:
+            raise InputError(f"nothing of --what can be fetched here ({'; '.join(left_out)})")
+        return sources, left_out
+
+    def _source(self, name: str) -> Source:
+        """Return a source with its URL for the region, and the terms of the place that it is from."""
+        source, template = SOURCES[name], self.urls.get(name, SOURCES[name].url)
+        margin_m = self.margin_m if name == "osm" else BLOCK_MARGIN_M
+        sides = zip(("west", "south", "east", "north"), self.box(margin_m), strict=True)
+        places = {side: f"{value:.6f}" for side, value in sides}
+        try:
+            url = template.format(**places, query=quote(OVERPASS.format(**places), safe=""))
+            parts = urlsplit(url)
+            if parts.scheme not in ("http", "https") or not parts.hostname:
+                raise ValueError("no address of the web")
+        except (ValueError, LookupError, AttributeError) as error:
+            raise InputError(
+                f"the URL {template!r} of the source {name!r} cannot be used ({error}): it must begin with https:// or "
+                "http:// and a host; {query}, {west}, {south}, {east} and {north} may stand in it, other braces doubled"
+            ) from error
+        x_min, y_min, x_max, y_max = self.box_m(margin_m)
+        area_km2 = (x_max - x_min) * (y_max - y_min) / 1e6
+        if name == "osm" and "{" in template and area_km2 > MOST_OVERPASS_KM2:
+            raise InputError(
+                f"the region with its margin of {margin_m:g} m has {area_km2:,.0f} km2, and the Overpass API, a shared "
+                f"server, is asked for {MOST_OVERPASS_KM2:g} km2 at most: give an extract that covers it with "
+                "--source osm=URL (download.geofabrik.de has them), or a smaller region"
+            )
+        if name == "osm":
+            return replace(source, url=url, file=source.file + ".pbf" * parts.path.endswith(".pbf"))
+        if name in self.urls:
+            source = replace(source, credit=parts.hostname, licence="ask its publisher")
+        return replace(source, url=url)
+
+
+def fetch(job: FetchJob, folder: Path, *, most_bytes: int, overwrite: bool = False) -> Settings:
+    """Get the files of a job into a folder, with ``scenario.toml``, which uses them, and ``fetch.json``.
+
+    All come into the folder at the end, the scenario last. There is none without ``osm`` in ``what``, as maps need
+    buildings.
 
     Args:
+      job: what to get.
       folder: where to; made if it is not there.
-      what: of `FILES`, beside the record and the scenario.
+      most_bytes: the largest file accepted.
       overwrite: set aside what is there under these names; else only what an earlier fetch wrote, and nobody changed,
         may be there.
 
-    Raises:
-      InputError: a file of these names is in the way, or the folder cannot be written to.
-    """
-    with Workspace.open(folder, "fetch", is_shared=True) as workspace:
-        names = chain(*(FILES[each] for each in what), (RECORD_FILE, SCENARIO_FILE))
-        if not overwrite:
-            workspace.check_way((folder / name for name in names), REMEDY)
-        with tempfile.TemporaryDirectory(SCRATCH_SUFFIX, ".fetch.", folder) as stage:
-            workspace.begin(Path(stage))
-            yield Path(stage)
-            for path in sorted(Path(stage).iterdir(), key=lambda path: path.name == SCENARIO_FILE):
-                target = folder / path.name
-                if overwrite and os.path.lexists(target) and not workspace.is_own(target):
-                    workspace.set_aside(target)
-                workspace.put(path, target)
-
-
-def fetch(job: FetchJob, folder: Path, cache: Cache) -> tuple[Settings, Settings]:
-    """Get the files of a job into a folder; return the settings of a scenario that uses them, and the record.
-
-    The settings are those of ``scenario.toml`` by section; paths in them are relative to the folder. They have no
-    ``buildings`` where ``osm`` is not in ``what``. The record says of every file where it is from, whose it is, its
-    length and its SHA-256, and what was left out; it is also written as ``fetch.json``.
+    Returns:
+      What ``fetch.json`` holds: of every file where it is from, whose it is, when it came, its length and its SHA-256,
+      and what was left out.
 
     Raises:
       InputError: something cannot be had, or the folder cannot be written to. Finished downloads stay in the cache.
     """
-    requests, left_out = plan_fetch(job)
-    names = {name for name, _ in requests}
-    parts = Fetching(job, folder, cache, left_out)
-    settings: Settings = {"region": {"bounds": list(job.bounds)}}
-    if "osm" in names:
-        settings["buildings"] = {"source": parts.buildings()}
-    settings["gps"] = {"orbits": NOMINAL, "times": [f"{job.day or datetime.now(UTC).date()}{NOON}"]}
-    if "orbits" in names:
-        settings["gps"] = parts.orbits()
-    if "population" in names and (population := parts.census()):
-        settings["population"] = population
-    if "districts" in names:
-        settings.get("population", {}).update(parts.districts())
-    record = {
-        "bounds": list(job.bounds),
-        "files": parts.files,
-        "left_out": left_out,
-        "num_requests": cache.num_requests,
+    sources, left_out = job.requests()
+    names = [*(source.file for source in sources), RECORD_FILE, SCENARIO_FILE]
+    with Workspace.open(folder, "fetch", is_shared=True) as workspace:
+        if not overwrite:
+            workspace.check_way((folder / name for name in names), REMEDY)
+        with (
+            only_writer(cache_folder(), "set XDG_CACHE_HOME to another folder that can be written to"),
+            tempfile.TemporaryDirectory(SCRATCH_SUFFIX, ".fetch.", folder) as scratch,
+        ):
+            stage = Path(scratch)
+            workspace.begin(stage)
+            sweep_scraps(cache_folder())
+            record = _fetch(job, sources, left_out, stage, most_bytes)
+            for path in sorted(stage.iterdir(), key=lambda path: path.name == SCENARIO_FILE):
+                target = folder / path.name
+                if overwrite and os.path.lexists(target) and not workspace.is_own(target):
+                    workspace.set_aside(target)
+                workspace.put(path, target)
+    return record
+
+
+def _fetch(job: FetchJob, sources: Sequence[Source], left_out: list[str], stage: Path, most_bytes: int) -> Settings:
+    """Get files into an empty folder, with a scenario and the record, which is returned."""
+    today = datetime.now(UTC).date()
+    settings: Settings = {
+        "region": {"bounds": list(job.bounds)},
+        "gps": {"orbits": NOMINAL, "times": [f"{job.day or today}{NOON}"]},
     }
-    write_whole(folder / RECORD_FILE, json.dumps(record, indent=1, ensure_ascii=False) + "\n")
-    return settings, record
+    files = []
+    for source in sources:
+        path = download(source, most_bytes)
+        try:
+            with readable(path, f"{source.name} data", "run the same command again", *OF_DAMAGED, what=source.url):
+                part = READERS[source.name](job, path, stage / source.file)
+        except InputError as error:
+            path.unlink()
+            raise InputError(str(error).replace(str(path), source.url)) from error
+        if not part:
+            left_out.append("population: the census has no block in this region, so the layer is left out")
+            continue
+        if not (stage / source.file).exists():
+            shutil.copyfile(path, stage / source.file)
+        for section, values in part.items():
+            settings.setdefault(section, {}).update(values)
+        files.append(
+            {
+                "source": source.name,
+                "file": source.file,
+                "credit": source.credit,
+                "licence": source.licence,
+                "url": source.url,
+                "fetched_utc": datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="seconds"),
+                "num_bytes": path.stat().st_size,
+                "sha256": path.name.split("-")[1],
+            }
+        )
+    record = {"bounds": list(job.bounds), "files": files, "left_out": left_out}
+    (stage / RECORD_FILE).write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    if "blocks" not in settings.get("population", {}):  # districts alone
+        settings.pop("population", None)
+    if "buildings" in settings:
+        credits = [f"# {file['source']}: {file['credit']} ({file['licence']})" for file in files]
+        head = "\n".join(["# Made by jaxurban fetch; fetch.json says where each file is from.", *credits])
+        (stage / SCENARIO_FILE).write_text(f"{head}\n\n{tomli_w.dumps(settings)}", encoding="utf-8")
+    return record
 
 
-@dataclass
-class Fetching:
-    """A job under way: each method gets one part and returns what the scenario says of it."""
-
-    job: FetchJob
-    folder: Path
-    cache: Cache
-    left_out: list[str]
-    files: list[Settings] = field(default_factory=list)
-
-    def _get(self, name: str, file: str, read: Callable[[Path], Content], **part: Any) -> tuple[Path, Content]:
-        """Return a download and what it holds, and note of which file it is."""
-        source = self.job.sources[name]
-        path, facts, content = self.cache.get(source, self.job.url(name, **part), read)
-        facts = {key: value for key, value in facts.items() if key != "etag"}
-        terms = source.credit, source.licence
-        if name in self.job.urls and name != "osm":  # whose data are under its terms wherever they are from
-            terms = str(urlsplit(facts["url"]).hostname), "ask its publisher"
-        self.files.append({"source": name, "file": file, "credit": terms[0], "licence": terms[1], **facts})
-        return path, content
-
-    def buildings(self) -> str:
-        """Get the buildings; return their file."""
-        path, (name, problem) = self._get("osm", "", self.read_osm)
-        self.files[-1]["file"] = name
-        if problem:
-            raise InputError(f"{self.job.url('osm')} {problem}")
-        if not (self.folder / name).exists():
-            shutil.copyfile(path, self.folder / name)
-        return name
-
-    def read_osm(self, path: Path) -> tuple[str, str]:
-        """Read OpenStreetMap data, an extract cut to the region; return the file's name, and why it does not serve."""
-        with path.open("rb") as file:
-            is_extract = b"OSMHeader" in file.read(20)  # PBF, each block of which bears its own checksum
-        name, file_format = FILES["osm"][is_extract], "pbf" if is_extract else "osm"
-        if is_extract:
-            LOG.info(f"osm: cutting the region and {self.job.margin_m:g} m around it out of the extract")
-            with readable(path, "OpenStreetMap data", CUT_REMEDY, RuntimeError):
-                cut_buildings(path, self.folder / name, self.job.box(self.job.margin_m))
-        elif remark := re.search(rb"<remark>\s*(.*?)\s*</remark>", path.read_bytes(), re.DOTALL):
-            # With status 200 the Overpass API sends what it had when its time or memory ran out.
-            said = remark[1].decode("utf-8", "replace")
-            raise InputError(f"the server says {said!r}: ask for a smaller region, or later")
-        outlines = read_outlines(self.folder / name if is_extract else path, file_format)
-        covered, problem = header_box(path, file_format), ""
-        if covered is not None and not shapely.box(*covered).contains(shapely.box(*self.job.bounds)):
-            shown = ", ".join(f"{value:.3f}" for value in covered)
-            problem = f"covers {shown} (west, south, east, north), not all of the region: name another with --extract"
-        elif not shapely.get_num_coordinates(outlines.polygons).any():
-            bare = outlines.issues[ReadIssue.WAYS_WITH_MISSING_NODES]
-            problem = "has no building in the region: check --bounds, longitude first"
-            if bare:
-                problem = f"has {bare:,} buildings but not their nodes: ask for them too, as with (._;>;)"
-        if problem and not is_extract:
-            raise InputError(f"it {problem}")
-        return name, problem  # an extract is kept: it may serve another region
-
-    def orbits(self) -> Settings:
-        """Get the element sets."""
-        path, time = self._get("orbits", ORBITS_FILE, self.read_orbits)
-        shutil.copyfile(path, self.folder / ORBITS_FILE)
-        LOG.info(f"orbits: the GPS maps are of {time}")
-        return {"orbits": ORBITS_FILE, "times": [time]}
-
-    def read_orbits(self, path: Path) -> str:
-        """Read element sets; return the time of the maps, at which they may not be too old."""
-        orbits = read_orbits(path)
-        time = f"{self.job.day}{NOON}" if self.job.day else str(middle_epoch(orbits))
-        look_angles(orbits, [time], 0.0, 0.0)
-        return time
-
-    def census(self) -> Settings:
-        """Get people and blocks; nothing where there are none."""
-        table = self._counts()
-        counties = list(self.job.counties) or sorted(set(_block_ids(table).str[:COUNTY_DIGITS]))
-        if not counties:
-            self.left_out.append("population: the census has no block in this region, so the layer is left out")
-            return {}
-        if len(counties) > MOST_COUNTIES:
-            raise InputError(
-                f"the population table names {len(counties)} counties: say with --county which of them "
-                f"the region needs ({', '.join(counties[:3])} ...)"
-            )
-        read = partial(read_block_zip, most_bytes=self.cache.most_bytes)
-        frames = [self._get("blocks", BLOCKS_FILE, read, county=county)[1] for county in counties]
-        blocks = pd.concat([frame.to_crs(frames[0].crs) for frame in frames], ignore_index=True)
-        west, south, east, north = self.job.box(BLOCK_MARGIN_M)
-        blocks = gpd.GeoDataFrame(blocks, crs=frames[0].crs).cx[west:east, south:north]
-        if blocks.empty:
-            raise InputError(f"no block of {', '.join(counties)} touches the region: check --county and --bounds")
-        blocks.sort_values("GEOID").to_parquet(self.folder / BLOCKS_FILE, index=False)
-        table.to_csv(self.folder / COUNTS_FILE, index=False)
-        return {"blocks": BLOCKS_FILE, "block_field": "GEOID", "table": COUNTS_FILE}
-
-    def _counts(self) -> pd.DataFrame:
-        """Return the whole table of population, which may come in pages."""
-        table, has_more = pd.DataFrame(), True
-        while has_more:
-            _, (page, has_more) = self._get("population", COUNTS_FILE, read_counts, offset=len(table))
-            table = pd.concat([table, page], ignore_index=True)
-            if has_more and (page.empty or table.duplicated().any()):
-                raise InputError(
-                    f"{self.files[-1]['url']} says that there is more to send, but sends nothing new: run it again "
-                    "later, ask for a smaller region, or give a table of the whole region with --source population=URL"
-                )
-        return table
-
-    def districts(self) -> Settings:
-        """Get the districts."""
-        path, _ = self._get("districts", DISTRICTS_FILE, self.read_districts)
-        shutil.copyfile(path, self.folder / DISTRICTS_FILE)
-        found: Settings = {"districts": DISTRICTS_FILE, "district_field": self.job.district_field}
-        if self.job.district_field != NYC_FIELD or not shapely.box(*self.job.bounds).intersects(shapely.box(*NYC_BOX)):
-            found["commercial"] = []
-            self.left_out.append(
-                "commercial districts: none are marked, so nobody commutes into any; list their "
-                "labels in [population] commercial"
-            )
-        return found
-
-    def read_districts(self, path: Path) -> None:
-        """Read the GeoJSON of districts, which must hold some."""
-        if not path.read_bytes().removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
-            raise InputError("it is not GeoJSON")
-        if not len(read_districts(path, self.job.crs, self.job.district_field)[0]):
-            raise InputError("it holds no polygons on this globe")
+def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
+    """Read OpenStreetMap data, an extract cut to the region with its margin."""
+    file_format = format_of(target)
+    if file_format == "osm" and (remark := re.search(rb"<remark>\s*(.*?)\s*</remark>", path.read_bytes(), re.DOTALL)):
+        # With status 200 the Overpass API sends what it had when its time or memory ran out.
+        reason = remark[1].decode("utf-8", "replace")
+        raise InputError(f"the server of {str(path)!r} says {reason!r}: ask for a smaller region, or later")
+    box = header_box(path, file_format)
+    if box is not None and not shapely.box(*box).contains(shapely.box(*job.bounds)):
+        shown = ", ".join(f"{value:.3f}" for value in box)
+        raise InputError(
+            f"{str(path)!r} covers {shown} (west, south, east, north), not all of the region: name another extract "
+            "with --source osm=URL"
+        )
+    if file_format == "pbf":
+        LOG.info(f"osm: cutting the region and {job.margin_m:g} m around it out of the extract")
+        cut_buildings(path, target, job.box(job.margin_m))
+    outlines = read_osm(target if target.exists() else path, file_format)
+    if not shapely.get_num_coordinates(outlines.polygons).any():
+        raise InputError(f"{str(path)!r} has no building in the region: check --bounds, longitude first")
+    return {"buildings": {"source": target.name}}
 
 
-def read_block_zip(path: Path, most_bytes: int) -> gpd.GeoDataFrame:
-    """Return the blocks of a zipped Shapefile: their id, as ``GEOID``, and their polygons.
-
-    Raises:
-      InputError: it would unpack to more than ``most_bytes``, or holds no Shapefile of blocks.
-      zipfile.BadZipFile, OSError: another kind of file, or a damaged one.
-    """
-    with zipfile.ZipFile(path) as archive, tempfile.TemporaryDirectory() as folder:
-        parts = [info for info in archive.infolist() if Path(info.filename).suffix.lower() in SHAPEFILE_PARTS]
-        if sum(info.file_size for info in parts) > most_bytes:
-            raise InputError(f"it unpacks to more than {megabytes(most_bytes)}: raise --max-size")
-        archive.extractall(folder, parts)
-        shapes = list(Path(folder).rglob("*.[sS][hH][pP]"))
-        if len(shapes) != 1:
-            raise InputError(f"the zip does not hold one Shapefile, but {', '.join(archive.namelist()[:8])}")
-        frame = open_frame(shapes[0], "blocks")
-    fields = [name for name in BLOCK_FIELDS if name in frame.columns]
-    if not fields:
-        raise InputError(f"its fields are {', '.join(map(str, frame.columns))}, none of {', '.join(BLOCK_FIELDS)}")
-    return frame[[fields[0], "geometry"]].rename(columns={fields[0]: "GEOID"})
+def _read_census(job: FetchJob, path: Path, target: Path) -> Settings:
+    """Read census blocks with their people; nothing where there are none."""
+    content = json.loads(path.read_bytes())
+    if "features" not in content:
+        raise InputError(f"{str(path)!r} holds no features but {str(content)[:200]}: run the same command later")
+    if any(of.get("exceededTransferLimit") for of in (content, content.get("properties", {}))):
+        raise InputError(f"{str(path)!r} holds a part of the region's blocks only: ask for a smaller region")
+    if not content["features"]:
+        return {}
+    read_blocks(Population(blocks=path, block_field=BLOCK_FIELD), job.crs)
+    return {"population": {"blocks": target.name, "block_field": BLOCK_FIELD}}
 
 
-def read_counts(path: Path) -> tuple[pd.DataFrame, bool]:
-    """Return a table of population by block, as text, and whether the server has more to send.
-
-    It is what TIGERweb sends (JSON), or a CSV with a column of 15-digit block ids.
-
-    Raises:
-      InputError: an error message of TIGERweb, or no ids of blocks.
-      ValueError, LookupError, TypeError: another kind of file, or a damaged one.
-    """
-    text, has_more = path.read_bytes().decode("utf-8-sig", "replace"), False
-    if not text.lstrip().startswith("{"):
-        table = pd.read_csv(io.StringIO(text), dtype=str, keep_default_na=False, index_col=False)
-    else:
-        content = json.loads(text)
-        if "features" not in content:
-            raise InputError(f"it is JSON without features: {str(content.get('error', content))[:200]}")
-        rows = [row["attributes"] for row in content["features"]]
-        table = pd.DataFrame(rows, columns=["GEOID", "POP100"]).astype(str)
-        has_more = bool(content.get("exceededTransferLimit"))
-        if not rows:
-            return table, has_more
-    if not _block_ids(table).size:
-        raise InputError(f"no column of it holds 15-digit block ids; it begins with {text[:40]!r}")
-    return table, has_more
+def _read_districts(job: FetchJob, path: Path, target: Path) -> Settings:
+    """Read district polygons."""
+    if not len(read_districts(path, job.crs)[0]):
+        raise InputError(f"{str(path)!r} holds no polygons: name another file with --source districts=URL")
+    return {"population": {"districts": target.name}}
 
 
-def _block_ids(table: pd.DataFrame) -> pd.Series:
-    columns = [table[name].astype(str).str.extract(BLOCK_ID)[0].dropna() for name in table]
-    return max(columns, key=len, default=pd.Series(dtype=str))
+def _read_orbits(job: FetchJob, path: Path, target: Path) -> Settings:
+    """Read element sets, which may not be too old for the time of the maps."""
+    orbits = read_orbits(path)
+    time = f"{job.day}{NOON}" if job.day else str(middle_epoch(orbits))
+    look_angles(orbits, [time], 0.0, 0.0)
+    LOG.info(f"orbits: the GPS maps are of {time}")
+    return {"gps": {"orbits": target.name, "times": [time]}}
+
+
+READERS = {"osm": _read_osm, "census": _read_census, "districts": _read_districts, "orbits": _read_orbits}
