@@ -1,6 +1,6 @@
 from jaxurban.studies.demonstrations import Demonstration as Demonstration
-from jaxurban.studies.read_demonstrations import demonstrations_from_paths as demonstrations_from_paths
-from jaxurban.studies.read_demonstrations import read_demonstrations as read_demonstrations
+from jaxurban.studies.demonstrations import demonstrations_from_paths as demonstrations_from_paths
+from jaxurban.studies.demonstrations import read_demonstrations as read_demonstrations
 from jaxurban.studies.route_pool import FitSettings as FitSettings
 from jaxurban.studies.tuning.compared_fits import compare_fits as compare_fits
 from jaxurban.studies.tuning.target_fit import fit_targets as fit_targets

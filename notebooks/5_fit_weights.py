@@ -25,7 +25,7 @@ import jaxurban as ju
 from jaxurban.report.figures import plot_paths
 from jaxurban.report.figures.tuning import plot_learning, plot_routes, plot_weights
 from jaxurban.report.tuning import weight_units
-from jaxurban.studies.demonstrations import plan_beside
+from jaxurban.studies.demonstrations import optimal_demonstrations
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
@@ -65,17 +65,17 @@ unit = demonstrations[0].query.cost_map
 plot_weights(fit, [weight_units(unit)[name] for name in fit.names])
 
 # %% [markdown]
-# ## How it was found, and how many routes it takes
+# ## How it was found
 #
 # Each round searches for routes under the weights so far, and moves these until the pilot's routes are as near to the
-# cheapest as they can be. *Regret* is by how much they are dearer than the cheapest route. On the right: fits to fewer
-# routes, judged by the routes that they have not seen.
+# cheapest as they can be. *Regret* is by how much they are dearer than the cheapest route.
 
 # %%
 plot_learning(fit)
 
 # %%
-plot_routes(plan_beside(demonstrations, fit.weights), unit, fit.vector)
+planned = optimal_demonstrations([shown.query for shown in demonstrations], fit.weights)
+plot_routes(demonstrations, planned, unit, fit.vector)
 
 # %% [markdown]
 # ## Would it choose as the pilot does?

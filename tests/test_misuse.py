@@ -143,9 +143,9 @@ WRONG: dict[str, Any] = {
         ("altitudes_m", "nest_with_m", "MetricMaps.m.altitude_m", "factors", "parameter_factors"), (-1e300, 1e300)
     ),
     **dict.fromkeys(("weekday", "weekend", "scale", "field_of_view_deg", "bounds"), (1.0, 2.0, 3.0, 4.0, 5.0)),
-    **dict.fromkeys(("compare_fits.scale", "fit_weights.scale", "loss"), "metres"),
+    **dict.fromkeys(("compare_fits.scale", "fit_weights.scale"), "metres"),
     **{name: {} for name in ("cities", "scenarios", "sources")},
-    **{name: [] for name in ("queries", "demonstrations", "paths", "losses", "targets")},
+    **{name: [] for name in ("queries", "demonstrations", "paths", "targets")},
     **dict.fromkeys(("seed", "height_seed", "height_samples", "num_heights", "bootstrap", "num_samples"), -1),
     **dict.fromkeys(("max_rounds", "max_plans", "num", "num_segments", "num_threads", "workers"), 0),
     **dict.fromkeys(("budget_iterations", "oversample", "num_rows", "num_cols", "beams", "azimuths"), 0),

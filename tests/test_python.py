@@ -319,7 +319,7 @@ def test_studies_of_routes_refuse_volumes():
             study()
     path = ju.plan(MAPS, START, GOAL, altitude_m=20.0)
     climbing = dataclasses.replace(path, z_m=path.z_m + np.arange(len(path.z_m)))
-    with pytest.raises(InputError, match="demonstration '1' changes its altitude"):
+    with pytest.raises(InputError, match="path 1: it changes its altitude"):
         ju.fit.demonstrations_from_paths(climbing, MAPS)
 
 

@@ -37,7 +37,6 @@ from jaxurban.cli.common import (
 @click.option(
     "--hold-out", type=float, help="Share of the routes that no fit sees and all are judged by.  [default: 0]"
 )
-@click.option("--losses", help="Compare fits by these, as robust,plain.  [default: robust]")
 @click.option("--by-city", is_flag=True, help="Also fit to each city alone, and without each.")
 @click.option("--wish", "wishes", multiple=True, help="Fit to outcomes, such as mean_gps>=0.8; repeatable.")
 @click.option("--metrics", help="Fit only these, as gps,risk; the others get weight 0.  [default: all of the maps]")
@@ -73,13 +72,11 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     def named(*options: str) -> dict[str, Any]:
         return {name: given[name] for name in options if given[name] is not None}
 
-    fits = named("scale", "bootstrap", "hold_out", "losses") | ({"by_city": True} if given["by_city"] else {})
+    fits = named("scale", "bootstrap", "hold_out") | ({"by_city": True} if given["by_city"] else {})
     if given["wishes"] and fits:
         raise click.UsageError(
-            "--scale, --bootstrap, --hold-out, --losses and --by-city belong to fits without --wish: leave them out"
+            "--scale, --bootstrap, --hold-out and --by-city belong to fits without --wish: leave them out"
         )
-    if "losses" in fits:
-        fits["losses"] = names_in(fits["losses"])
     on_maps = named("altitude_m", "time", "time_of_day", "cost_model", "preset")
     on_maps["constraints"] = given_constraints(given)
     if given["metrics"] is not None:

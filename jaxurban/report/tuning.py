@@ -21,23 +21,28 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
-from jaxurban.report.write import REPORT_FILE, Output, bullets, files_of, fill, framed, save
-from jaxurban.studies.demonstrations import Demonstration, PlannedBeside, plan_beside
+from jaxurban.report.write import REPORT_FILE, Output, bullets, files_of, fill, save
+from jaxurban.studies.demonstrations import (
+    Demonstration,
+    compared_routes,
+    demonstrations_from_paths,
+    optimal_demonstrations,
+    read_demonstrations,
+)
 from jaxurban.studies.montecarlo.sampling import PLACES, TIMES, sample_instances
 from jaxurban.studies.queries import maps_of
-from jaxurban.studies.read_demonstrations import demonstrations_from_paths, read_demonstrations
 from jaxurban.studies.route_pool import FitSettings
-from jaxurban.studies.tuning.compared_fits import FitComparison, compare_fits, state_files
+from jaxurban.studies.tuning.compared_fits import ALL, FitComparison, compare_fits
 from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
 from jaxurban.studies.tuning.targets import Target
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
 STATE_FILE = "fit-state.parquet"
-TABLES = "learning_curve", "fewer_examples", "fits", "targets", "weights", "examples"
+TABLES = "learning_curve", "fits", "targets", "weights", "examples"
 FIGURES = "weights", "learning_curve", "regret", "targets"
 EXPLAINED = 1e-4  # a demonstration within this share of the cheapest route is explained
 UNDER = "cost_model", "constraints", "preset"  # settings of routes
-ONE_FIT: dict[str, Any] = {"hold_out": 0.0, "losses": ("robust",), "by_city": False}
+ONE_FIT: dict[str, Any] = {"hold_out": 0.0, "by_city": False}
 
 
 class RoutesOnMaps(NamedTuple):
@@ -57,7 +62,7 @@ class TuneSettings:
         the pilot's.
       pilot: weights under which the routes of sampled instances are planned.
       targets: fit to these, such as ``mean_gps>=0.8``, instead of to the routes.
-      fits: further arguments of `compare_fits`: hold_out, losses, by_city, scale, bootstrap; left out, one fit to all.
+      fits: further arguments of `compare_fits`: hold_out, by_city, scale, bootstrap; left out, one fit to all.
       fit: of the search.
     """
 
@@ -117,26 +122,25 @@ def run_tuning(
         found: FitComparison | None = None
         # Other fits differ in the state of the fit, which holds its settings.
         pictures = [f"figures/{name}.png" for name in (*FIGURES, *_pictures(demonstrations))]
-        states = state_files(Path(STATE_FILE), list(cities), fits["losses"], fits["by_city"])
         outputs = [*TABLES, *pictures, "weights.toml", REPORT_FILE]
-        names = [*map(str, states), *files_of(outputs)]
+        names = [STATE_FILE, *files_of(outputs)]
         with Workspace.open(folder, "tune", names=names, overwrite=overwrite):
             report("rounds")
             if targets:
                 fit = fit_targets([each.query for each in demonstrations], targets, settings=how)
             else:
                 found = compare_fits(cities, **fits, settings=how)
-                fit = found.best
+                fit = found.fits[ALL]
                 demonstrations = list(compress(demonstrations, ~found.is_held_out))
             report("routes under the fitted weights")
-            beside = plan_beside(demonstrations, fit.weights)
+            planned = optimal_demonstrations([each.query for each in demonstrations], fit.weights)
             report("figures and report")
             drawn_from = [(_routes_said(source, settings), str(source.maps.folder)) for source in sources]
             asked = {"targets": ", ".join(map(str, targets)), "command": command}
             asked["sources"] = "; ".join(f"`{routes}` over the maps in `{where}`" for routes, where in drawn_from)
             if found is not None and len(found.fits) == 1 and not found.is_held_out.any():
                 found = None  # nothing to compare
-            save(folder, outputs_of(fit, beside, asked, found))
+            save(folder, outputs_of(fit, demonstrations, planned, asked, found))
     facts = _facts(fit, folder)
     return facts if found is None else facts | {"fits": records_of(found.table)}
 
@@ -191,7 +195,8 @@ def _routes_said(source: RoutesOnMaps, settings: TuneSettings) -> str:
 
 def outputs_of(
     fit: WeightFit | TargetFit,
-    beside: PlannedBeside,
+    demonstrations: Sequence[Demonstration],
+    planned: Sequence[Demonstration],
     asked: Mapping[str, str],
     found: FitComparison | None = None,
 ) -> dict[str, Output]:
@@ -199,14 +204,18 @@ def outputs_of(
 
     Args:
       fit: of the weights.
-      beside: of the demonstrations with the routes under those weights.
+      demonstrations, planned: the routes as given, and those under the weights.
       asked: for the report: ``sources`` of the routes, ``targets`` and ``command``.
       found: further fits, which the fit is compared with, and routes that were held out.
     """
-    pictures = _pictures(beside.demonstrations)
+    pictures = _pictures(demonstrations)
     first = next(iter(pictures.values()))
     units = [weight_units(first)[name] for name in fit.names]
-    vector, routes, fields = fit.weights.vector(fit.names), beside.table, dict[str, Any](asked)
+    vector, routes, fields = (
+        fit.weights.vector(fit.names),
+        compared_routes(demonstrations, planned),
+        dict[str, Any](asked),
+    )
     tables: dict[str, pd.DataFrame] = {}
     outputs: dict[str, Output] = {
         "learning_curve": fit.curve,
@@ -216,10 +225,9 @@ def outputs_of(
     if isinstance(fit, WeightFit):
         template, given, weights = "imitation", "demonstration", fit.table().reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
-        outputs["fewer_examples"] = fit.by_demonstrations
         outputs["figures/regret.png"] = lambda: plot_regret(fit, [*routes["name"]])
         tables["regrets"] = _regrets(fit)
-        fields |= {"fits": "", "fewer": framed(fit.by_demonstrations)}
+        fields["fits"] = ""
         fields |= {name: bullets(getattr(fit, name)) or "None." for name in ("unidentified", "warnings")}
         if found is not None:
             outputs["fits"] = found.table
@@ -233,11 +241,11 @@ def outputs_of(
         tables["outcomes"] = outcomes
     outputs |= {"weights": weights.assign(unit=units), "examples": routes}
     for name, one in pictures.items():
-        outputs[f"figures/{name}.png"] = partial(plot_routes, beside, one, vector, given)
+        outputs[f"figures/{name}.png"] = partial(plot_routes, demonstrations, planned, one, vector, given)
     tables |= {
         "weights": weights.assign(unit=units),
         "setting": _setting([*pictures.values()]),
-        "means": _means(beside),
+        "means": _means(routes),
     }
     report = fill(
         template,
@@ -287,9 +295,9 @@ def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _means(beside: PlannedBeside) -> pd.DataFrame:
+def _means(routes: pd.DataFrame) -> pd.DataFrame:
     """Return the means over routes of their length and of each metric along them, as given and under the weights."""
-    mean = beside.table.mean(numeric_only=True)
+    mean = routes.mean(numeric_only=True)
     names = [name for name in mean.index if f"planned_{name}" in mean.index]
     planned = mean[[f"planned_{name}" for name in names]].to_numpy()
     return pd.DataFrame({"mean over routes": names, "as given": mean[names].to_numpy(), "planned": planned})

@@ -1,27 +1,41 @@
-"""Demonstrations: routes that were shown, measured as planners' routes are, and beside those that weights lead to."""
+"""Demonstrations: routes of files and planned paths, each on the map that it was flown on."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import shapely
 from scipy.ndimage import distance_transform_edt
 
-from jaxurban.errors import InputError, typed
+from jaxurban.errors import InputError, LeftOutWarning, OtherSettingsWarning, typed
+from jaxurban.io.read.routes import read_routes
+from jaxurban.io.tables import SUFFIXES
+from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.weights import Weights
+from jaxurban.paths.constraints import Constraints, constraints_said
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.snapping import MAX_SNAP_M, XY, Place, snap_note
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.rows import RouteRules
+from jaxurban.paths.snapping import MAX_SNAP_M, XY, snap_note
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.base import Cell, CostKind, Problem
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.studies.queries import RouteQuery
+from jaxurban.world.grid import Grid
 
 ON_CENTRE = 0.01  # of a cell side: a point this near a centre is the centre, written with few decimals
 # A line is followed on the grid within so many cells to either side, the next where obstacles close the one before.
 CORRIDORS_CELLS = (1.5, 3.0, 6.0, 12.0, 24.0)
 DRAWN_CELLS = 3.0  # the route that was meant by a line is within so many cells of it
+MOST_REASONS = 3  # in an error; a warning has them all
+
+MapOf = Callable[[float, str | None, str | None], CostMap]  # by altitude, time and time of day
 
 
 @typed
@@ -72,6 +86,169 @@ class Demonstration:
         return np.min([self.features, *(self.query.sums(route_m)[0] for route_m in routes_m)], axis=0)
 
 
+@typed
+def read_demonstrations(
+    file: str | Path,
+    maps: GivenMaps,
+    altitude_m: float | None = None,
+    time: str | None = None,
+    time_of_day: str | None = None,
+    *,
+    cost_model: CostModel | CostKind | None = None,
+    constraints: Constraints | None = None,
+    preset: str = "",
+    metrics: Sequence[str] | None = None,
+) -> list[Demonstration]:
+    """Return the routes of a file as demonstrations; lists of several files or cities may be joined with ``+``.
+
+    Lines are taken as they are; ends in closed cells move to free ones by at most 50 m, and lines of no use are left
+    out with a warning that says which and why. A table of queries holds no lines: `plan_many` plans it, and
+    `demonstrations_from_paths` takes its paths, or this function the ``.geojson`` that they were saved to.
+
+    Altitude and times are those given here; where left out, the feature's own properties ``altitude_m``, ``time`` and
+    ``time_of_day`` (paths that jaxurban wrote carry them); without these, times are the maps' first ones.
+
+    Args:
+      file: GeoJSON, KML, GPX, or another vector file, with LineStrings, or a mission (``.plan``).
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      altitude_m, time, time_of_day: of every route.
+      cost_model: of every route; left out, the one that jaxurban's own paths were planned under.
+      constraints: no-fly zones, bounds and clearances, as in `plan`.
+      preset: as in `plan`; of the cost model where no route names one.
+      metrics: those whose weights are to be fitted; all if left out.
+
+    Raises:
+      InputError: no lines, or none with an altitude, on a map, inside the maps and past obstacles, or paths that were
+        planned under different cost models.
+    """
+    if Path(file).suffix.lower() in SUFFIXES:
+        raise InputError(
+            f"{str(file)!r} is a table, which holds no lines: plan its queries first (plan_many) and save the paths as "
+            ".geojson"
+        )
+    routes = read_routes(file)
+    planned = [(f"route {route.name!r} of {str(file)!r}", route.settings) for route in routes]
+    rules = RouteRules(cost_model=cost_model, constraints=constraints or Constraints(), preset=preset)
+    grid, map_of = _cost_maps(maps, planned, rules, metrics)
+    demonstrations, reasons = [], []
+    for number, route in enumerate(routes, start=1):
+        z_m = route.altitude_m if altitude_m is None else altitude_m
+        place = ", ".join(f"{degrees:.6f}" for degrees in route.lonlat[0])
+        label = f"line {number} ({route.name!r}, from {place})"
+        try:
+            if z_m is None:
+                raise InputError("it has no altitude: give it a property altitude_m, or pass --altitude (altitude_m=)")
+            on = map_of(float(z_m), time or route.time, time_of_day or route.time_of_day)
+            xy_m = np.stack(grid.xy_of_lonlat(*route.lonlat.T), axis=-1)
+            demonstrations.append(demonstration_from_line(on, xy_m, route.name))
+        except InputError as error:
+            reasons.append(f"{label}: {error}")
+    if not demonstrations:
+        raise InputError(f"no line of {str(file)!r} is of use: {'; '.join(reasons[:MOST_REASONS])}")
+    if reasons:
+        left_out = f"{len(reasons)} of {len(routes)} lines of {str(file)!r} were left out: {'; '.join(reasons)}"
+        warnings.warn(left_out, LeftOutWarning, stacklevel=3)
+    return demonstrations
+
+
+@typed
+def demonstrations_from_paths(
+    paths: PlannedPath | Sequence[PlannedPath],
+    maps: GivenMaps,
+    *,
+    cost_model: CostModel | CostKind | None = None,
+    constraints: Constraints | None = None,
+    preset: str = "",
+    metrics: Sequence[str] | None = None,
+) -> list[Demonstration]:
+    """Return planned paths as demonstrations, each on the map that it was planned on.
+
+    Args:
+      paths, maps: from `plan`, one or several, and the maps that they were planned on, or their folder.
+      constraints: those that they were planned under; a path does not carry its zones.
+      cost_model, preset, metrics: as in `read_demonstrations`.
+
+    Raises:
+      InputError: a path without points, maps that are not those of the paths, or paths that were planned under
+        different cost models.
+    """
+    paths = [paths] if isinstance(paths, PlannedPath) else list(paths)
+    if not paths:
+        raise InputError("there are no paths: give at least one")
+    planned = [(f"path {number}", path.settings) for number, path in enumerate(paths, start=1)]
+    rules = RouteRules(cost_model=cost_model, constraints=constraints or Constraints(), preset=preset)
+    _, map_of = _cost_maps(maps, planned, rules, metrics)
+    demonstrations = []
+    for number, path in enumerate(paths, start=1):
+        try:
+            demonstrations.append(_from_path(map_of, path, f"{number}"))
+        except InputError as error:
+            raise InputError(f"path {number}: {error}") from error
+    return demonstrations
+
+
+def _from_path(map_of: MapOf, path: PlannedPath, name: str) -> Demonstration:
+    if len(path.z_m) and np.ptp(path.z_m) > 0:
+        raise InputError("it changes its altitude, and fits take one: leave it out")
+    if len(path.xy_m) == 0:
+        raise InputError(f"it has no points ({path.status.value}): leave it out")
+    on = map_of(path.altitude_m, path.settings["time"], path.settings["time_of_day"])
+    if not all(on.is_free[on.cell_of("it", XY(*xy_m.tolist()))[1]] for xy_m in path.xy_m[[0, -1]]):
+        raise InputError(
+            "it starts or ends in a cell that is closed here: give the maps and constraints that it was planned on, or "
+            "choose obstacles = centre if it was planned by centres"
+        )
+    return demonstration_from_line(on, path.xy_m, name)
+
+
+def _cost_maps(
+    given: GivenMaps, planned: Sequence[tuple[str, Mapping]], rules: RouteRules, metrics: Sequence[str] | None
+) -> tuple[Grid, MapOf]:
+    """Return the maps' grid, and a function of altitude, time and time of day: the cost map there, made once.
+
+    The cost model is the one given, else the one that the routes, by name with their settings, were planned under, else
+    the default. Warns of the first route that was planned under another one, or under other constraints.
+
+    Raises:
+      InputError: settings whose cost model is none, or routes that name different ones.
+    """
+    maps, settled = rules.under(as_maps(given))
+    models = {name: CostModel.from_settings(settings) for name, settings in planned if "cost_model" in settings}
+    if rules.cost_model is None and models:
+        (name, model), *others = models.items()
+        if differing := [f"{other} under {its}" for other, its in others if its != model]:
+            raise InputError(
+                f"{name} was planned under the cost model {model} and {differing[0]}: fit them apart, or name one for "
+                "all (--cost-model, cost_model=)"
+            )
+        settled = replace(settled, cost_model=model)
+    fitted = settled.rules()
+    for name, settings in planned:
+        before = fitted | {key: value for key, value in settings.items() if key in fitted}
+        if _rules_said(before) != _rules_said(fitted):
+            warnings.warn(
+                f"{name} was planned under {_rules_said(before)} and is fitted under {_rules_said(fitted)}, all the "
+                "same: give what it was planned under (--cost-model, --no-fly, --require, --clearance, "
+                "--vertical-clearance; cost_model=, constraints=)",
+                OtherSettingsWarning,
+                stacklevel=4,
+            )
+            break
+
+    @cache
+    def made(*at: Any) -> CostMap:
+        whole = settled.cost_map(maps, *at)
+        return whole if metrics is None else whole.only(metrics)
+
+    return maps.grid, made
+
+
+def _rules_said(rules: Mapping[str, Any]) -> str:
+    """Return cost model and constraints, as `RouteRules.rules` holds them, for a person to read."""
+    limits = constraints_said(rules["limits"]) or "no constraints"
+    return f"the cost model {CostModel.from_settings(rules)} and {limits}"
+
+
 def optimal_demonstrations(queries: Sequence[RouteQuery], weights: Weights) -> list[Demonstration]:
     """Return the cheapest route of each query under weights as a demonstration.
 
@@ -81,21 +258,19 @@ def optimal_demonstrations(queries: Sequence[RouteQuery], weights: Weights) -> l
     return [Demonstration(query, query.cheapest(weights.vector(query.names))) for query in queries]
 
 
-def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "", label: str = "") -> Demonstration:
+def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "") -> Demonstration:
     """Return a route as a demonstration that planners of the grid could have made.
 
     A route over centres of cells is taken as it is, where straight runs may skip what lies between their ends (as
-    missions do). Any other line is redrawn on
-    the grid, leg by leg, by the shortest grid path within a narrow corridor around it: a grid path is up to
-    8.24 % longer than the line that it follows, and a demonstration must not seem cheaper than every route that it
-    is compared with. Legs are the line's own, simplified by half a cell; ends in closed cells move to the nearest free
-    ones that are joined, by at most 50 m (`jaxurban.paths.snapping`).
+    missions do). Any other line is redrawn on the grid, leg by leg, by the shortest grid path within a narrow corridor
+    around it: a grid path is up to 8.24 % longer than the line that it follows, and a demonstration must not seem
+    cheaper than every route that it is compared with. Legs are the line's own, simplified by half a cell; ends in
+    closed cells move to the nearest free ones that are joined, by at most 50 m (`jaxurban.paths.snapping`).
 
     Args:
       cost_map: from `jaxurban.cost_map`.
       xy_m: ``[N, 2]`` easting, northing in the maps' CRS, ``N >= 2``.
       name: for messages and reports.
-      label: what messages call the route; left out, by its name.
 
     Raises:
       InputError: fewer than two points, points that are not finite, or a route that leaves the maps, ends where
@@ -103,43 +278,33 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "",
     """
     grid = cost_map.grid
     points = np.asarray(xy_m, np.float64)
-    label = label or (f"demonstration {name!r}" if name else "the demonstration")
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
-        raise InputError(f"{label} must be [N, 2] finite metres with N >= 2, got shape {points.shape}")
+        raise InputError(f"a route must be [N, 2] finite metres with N >= 2, got shape {points.shape}")
     local = (points - np.array([grid.x_min_m, grid.y_min_m])) / grid.resolution_m
     if np.any(local < 0) or np.any(local >= (grid.num_cols, grid.num_rows)):
-        raise InputError(f"{label} leaves the maps: clip it to their region, or make maps of a larger one")
+        raise InputError("it leaves the maps: clip it to their region, or make maps of a larger one")
     note, drawn_cells, filled = "", 0.0, _filled(local)
     if _is_grid_path(cost_map, filled):
         local = np.floor(filled) + 0.5  # decimals lost in a file must not make a diagonal step graze a third cell
     else:
-        ends = _free_ends(cost_map, points, label)
+        try:
+            ends = cost_map.ends(XY(*points[0].tolist()), XY(*points[-1].tolist()), snap=True)
+        except InputError as error:
+            raise InputError(
+                "it starts or ends inside an obstacle or in a closed cell, and no free cell is within "
+                f"{MAX_SNAP_M:g} m of it: move that end there"
+            ) from error
         for k, end in ((0, ends[0]), (-1, ends[1])):
             if end.is_snapped:
                 local[k] = np.array(end.cell[::-1]) + 0.5
-        local, widest = _follow(cost_map, local, label)
+        local, widest = _follow(cost_map, local)
         wide = f"followed within {widest * grid.resolution_m:.0f} m, since obstacles close the way nearer to it"
         notes = [snap_note(*ends).removesuffix("."), wide if widest > CORRIDORS_CELLS[0] else ""]
         note, drawn_cells = "; ".join(filter(None, notes)), max(widest, DRAWN_CELLS)
     start, goal = (tuple(cell) for cell in np.floor(local[[0, -1], ::-1]).astype(int).tolist())
     if start == goal:
-        raise InputError(f"{label} starts and ends in one cell: leave it out, or cut it in two")
+        raise InputError("it starts and ends in one cell: leave it out, or cut it in two")
     return Demonstration(RouteQuery(cost_map, start, goal, name), local * grid.resolution_m, note, drawn_cells)
-
-
-def _free_ends(cost_map: CostMap, xy_m: np.ndarray, label: str) -> tuple[Place, Place]:
-    """Return the free cells in which a line starts and ends, moved by at most `MAX_SNAP_M`."""
-    ends = {"start": XY(*xy_m[0].tolist()), "goal": XY(*xy_m[-1].tolist())}
-    for name, end in ends.items():
-        cell = cost_map.cell_of(name, end)[1]
-        try:
-            cost_map.locate(name, end, snap=True)
-        except InputError as error:
-            raise InputError(
-                f"the {name} of {label} is {cost_map.why_closed(cell)}, and no free cell is within {MAX_SNAP_M:g} m of "
-                "it: move it there"
-            ) from error
-    return cost_map.ends(*ends.values(), snap=True)
 
 
 def _filled(local: np.ndarray) -> np.ndarray:
@@ -164,7 +329,7 @@ def _is_grid_path(cost_map: CostMap, local: np.ndarray) -> bool:
     )
 
 
-def _follow(cost_map: CostMap, local: np.ndarray, label: str) -> tuple[np.ndarray, float]:
+def _follow(cost_map: CostMap, local: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the centres ``[N, 2]`` of a grid path along a line, in cell sides, and the corridor that it needed."""
     line = shapely.LineString(local).simplify(0.5)
     corners = shapely.get_coordinates(line)
@@ -182,7 +347,7 @@ def _follow(cost_map: CostMap, local: np.ndarray, label: str) -> tuple[np.ndarra
                 break
         else:
             raise InputError(
-                f"{label} cannot be followed through free cells at {cost_map.altitude_m:g} m within "
+                f"it cannot be followed through free cells at {cost_map.altitude_m:g} m within "
                 f"{CORRIDORS_CELLS[-1] * cost_map.grid.resolution_m:.0f} m of it: fly higher, or draw it elsewhere"
             )
         widest = max(widest, width)
@@ -204,68 +369,29 @@ def _shortest_within(
     ends = [(cell[0] - int(low[0]), cell[1] - int(low[1])) for cell in (start, goal)]
     if not all(is_free[end] for end in ends):
         return None
-    found = astar(
-        Problem(
-            np.zeros((1, *is_free.shape)),
-            is_free,
-            start=ends[0],
-            goal=ends[1],
-            resolution_m=1.0,
-            weights=1.0,
-            cost_model=cost_map.cost_model,
-            leg_margin_m=cost_map.leg_margin_m / cost_map.grid.resolution_m,
-        )
-    )
-    return found.points_m + low[::-1] if found.status.has_path else None
+    costs, margin = np.zeros((1, *is_free.shape)), cost_map.leg_margin_m / cost_map.grid.resolution_m
+    path = astar(Problem(costs, is_free, ends[0], ends[1], 1.0, 1.0, cost_map.cost_model, leg_margin_m=margin))
+    return path.points_m + low[::-1] if path.status.has_path else None
 
 
-@dataclass(frozen=True, eq=False)
-class PlannedBeside:
-    """Routes under weights, beside the demonstrations that have the same ends.
+def compared_routes(demonstrations: Sequence[Demonstration], planned: Sequence[Demonstration]) -> pd.DataFrame:
+    """Return a row a demonstration: where it lies, and what a planned route between the same ends is beside it.
 
-    Attributes:
-      demonstrations: as given.
-      planned: the cheapest routes under the weights.
-      table: a row a demonstration: where it lies, ``length_m`` and the mean of each metric along it, the same of the
-        planned route (``planned_length_m`` ...), and ``overlap``, the share of the demonstration's cells that the
-        planned route shares.
+    ``length_m`` and the mean of each metric along it, the same of the planned route (``planned_length_m`` ...), and
+    ``overlap``, the share of the demonstration's cells that the planned route shares.
     """
-
-    demonstrations: tuple[Demonstration, ...]
-    planned: tuple[Demonstration, ...]
-    table: pd.DataFrame
-
-
-def plan_beside(demonstrations: Sequence[Demonstration], weights: Weights) -> PlannedBeside:
-    """Return each demonstration beside the cheapest route under weights between its ends."""
-    planned = optimal_demonstrations([each.query for each in demonstrations], weights)
     rows = []
-    for number, (given, found) in enumerate(zip(demonstrations, planned, strict=True), start=1):
-        on = given.query.cost_map
-        cells = _cells(given)
-        rows.append(
-            {
-                "name": given.query.name or f"{number}",
-                "altitude_m": on.altitude_m,
-                "time": on.time,
-                "time_of_day": on.time_of_day,
-                **_means(given, ""),
-                **_means(found, "planned_"),
-                "overlap": len(cells & _cells(found)) / len(cells),
-                "note": given.note,
-            }
-        )
-    return PlannedBeside(tuple(demonstrations), tuple(planned), pd.DataFrame(rows))
-
-
-def _means(route: Demonstration, prefix: str) -> dict[str, float]:
-    length_m, *sums = route.sums[1].tolist()
-    means = zip(route.query.cost_map.names, sums, strict=True)
-    return {f"{prefix}length_m": length_m} | {f"{prefix}mean_{name}": value / length_m for name, value in means}
-
-
-def _cells(route: Demonstration) -> set[tuple[int, int]]:
-    return cells_of(route.points_m, route.query.cost_map.grid.resolution_m)
+    for number, (shown, route) in enumerate(zip(demonstrations, planned, strict=True), start=1):
+        on = shown.query.cost_map
+        row = {"name": shown.query.name or f"{number}", "altitude_m": on.altitude_m}
+        row |= {"time": on.time, "time_of_day": on.time_of_day}
+        for prefix, each in (("", shown), ("planned_", route)):
+            length_m, *integrals = each.sums[1].tolist()
+            row[f"{prefix}length_m"] = length_m
+            row |= {f"{prefix}mean_{name}": sum_m / length_m for name, sum_m in zip(on.names, integrals, strict=True)}
+        cells, planned_cells = (cells_of(each.points_m, on.grid.resolution_m) for each in (shown, route))
+        rows.append(row | {"overlap": len(cells & planned_cells) / len(cells), "note": shown.note})
+    return pd.DataFrame(rows)
 
 
 def cells_of(points_m: np.ndarray, resolution_m: float) -> set[tuple[int, int]]:

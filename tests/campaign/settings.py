@@ -131,7 +131,6 @@ def of_options() -> Iterator[Case]:
     for option, value in (
         *(("--sample", text) for text in ("0", "-1", "x", "1.5")),
         *(("--hold-out", text) for text in ("-1", "2", "nan", "1e300")),
-        *(("--losses", text) for text in ("robust,plane", "")),
         *(("--metrics", text) for text in ("gsp", "")),
         *(("--bootstrap", text) for text in ("-1", "x")),
         *(("--pilot", text) for text in ("gps", "gps=-1", "gsp=1", "gps=0")),

@@ -42,7 +42,7 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     assert sum(facts["weights"].values()) == pytest.approx(1)
     assert facts["mean_regret"] < 1e-3
     names = {path.name for path in (tmp_path / "out").rglob("*.*")}
-    for table in ("weights", "examples", "learning_curve", "fewer_examples"):
+    for table in ("weights", "examples", "learning_curve"):
         assert {f"{table}.csv", f"{table}.parquet"} <= names
         assert len(pd.read_parquet(tmp_path / "out" / f"{table}.parquet"))
     assert {"weights.png", "learning_curve.png", "regret.png", "routes_1.png"} <= names
@@ -155,12 +155,12 @@ def test_cities_are_fitted_together_and_judged_by_routes_held_out(made, tmp_path
     write_zarr(small_maps().ds, tmp_path / "second")
     queries = made_queries(cost_map(small_maps(), 20.0), 12, seed=1)
     write_geojson(tmp_path / "second.geojson", optimal_demonstrations(queries, HIDDEN))
-    options = ("--hold-out", 0.25, "--losses", "robust,plain", "--by-city", "--bootstrap", 8)
+    options = ("--hold-out", 0.25, "--by-city", "--bootstrap", 8)
     arguments = (made / "maps", made / "routes.geojson", tmp_path / "second", tmp_path / "second.geojson")
     code, out, err = run(capsys, "tune", *arguments, "-o", tmp_path / "out", *options, "--rounds", 14, "--json")
     assert code == 0, err
     facts = json.loads(out)
-    assert [row["fit"] for row in facts["fits"]] == ["robust", "plain", "only maps", "only second"]
+    assert [row["fit"] for row in facts["fits"]] == ["all", "only maps", "only second"]
     assert facts["fits"][0]["held_out_regret"] < 1e-3
     report = (tmp_path / "out" / "report.md").read_text()
     for words in ("## Fits compared", "7 of 28 routes were held out", "| only second |"):
@@ -185,7 +185,7 @@ def test_sampled_instances_are_flown_by_the_pilot_and_need_one(made, tmp_path, c
             ("tune", made / "maps", made / "routes.geojson", "-o", tmp_path / "b", "--sample", 3),
             ("choose one of both",),
         ),
-        (("tune", made / "maps", made / "routes.geojson", "-o", tmp_path / "b", "--losses", "rubust"), ("rubust",)),
+        (("tune", made / "maps", made / "routes.geojson", "-o", tmp_path / "b", "--hold-out", 1), ("hold_out",)),
     ):
         code, _, err = run(capsys, *arguments)
         assert code == 2

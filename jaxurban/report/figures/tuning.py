@@ -28,7 +28,7 @@ from jaxurban.report.figures.style import (
     show_plain_log,
     styled,
 )
-from jaxurban.studies.demonstrations import PlannedBeside
+from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.tuning.target_fit import TargetFit
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
@@ -83,13 +83,12 @@ def plot_weights(fit: WeightFit | TargetFit, units: Sequence[str]) -> Figure:
 
 @styled
 def plot_learning(fit: WeightFit | TargetFit) -> Figure:
-    """Return the fit's course by round, and, of imitation, what fewer demonstrations would have given.
+    """Return the fit's course by round.
 
     No less than a millionth is shown of regrets and losses.
     """
     curve, is_imitation = fit.curve, isinstance(fit, WeightFit)
-    fewer = fit.by_demonstrations if isinstance(fit, WeightFit) else pd.DataFrame()
-    figure, axes = panels(3 if len(fewer) else 2, "Learning curves", panel_in=(2.5, 2.6))
+    figure, axes = panels(2, "Learning curves", panel_in=(2.5, 2.6))
     for name, colour, label in (
         ("mean_regret", PLANNED_COLOUR, "mean regret of demonstrations"),
         ("worst_gap", SHORTEST_COLOUR, "largest gain by a new route"),
@@ -110,19 +109,9 @@ def plot_learning(fit: WeightFit | TargetFit) -> Figure:
             axes[1].plot(curve["round"], curve[target] / (row.wished or 1), "o-", label=target, **LINE)
         axes[1].axhline(1.0, color=FAINT_INK, linewidth=0.6)
         axes[1].set_ylabel("outcome / its bound")
-    for panel in axes[:2]:
+    for panel in axes:
         panel.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
         panel.set(xlabel="round", xlim=(0.5, len(curve) + 0.5))
-    if len(fewer):
-        regrets = 100 * fewer[["held_out_regret", "worst_held_out_regret"]].clip(lower=LEAST_SHOWN)
-        for (_, shown), style, label in zip(regrets.items(), ("o-", "o:"), ("mean", "worst of 8"), strict=True):
-            axes[2].plot(fewer["num_examples"], shown, style, color=PLANNED_COLOUR, label=label, **LINE)
-        # Limits of their own, since all regrets may be the same.
-        axes[2].set_ylim(regrets.to_numpy().min() / 2, regrets.to_numpy().max() * 2)
-        axes[2].set(yscale="log", xlabel="demonstrations fitted", ylabel="regret of the others (%)")
-        show_plain_log(axes[2].yaxis)
-        axes[2].set_xscale("log", base=2)
-        axes[2].set_xticks(fewer["num_examples"], [f"{num}" for num in fewer["num_examples"]])
     for panel in axes:
         panel.legend()
     return figure
@@ -170,22 +159,27 @@ def plot_targets(fit: TargetFit) -> Figure:
     return figure
 
 
-def plot_routes(beside: PlannedBeside, cost_map: CostMap, weights: np.ndarray, given: str = "demonstration") -> Figure:
+def plot_routes(
+    demonstrations: Sequence[Demonstration],
+    planned: Sequence[Demonstration],
+    cost_map: CostMap,
+    weights: np.ndarray,
+    given: str = "demonstration",
+) -> Figure:
     """Return a map of the cost under weights with the demonstrations on it and the routes that the weights lead to.
 
     Args:
-      beside: from `plan_beside`.
-      cost_map: one of its demonstrations' maps; only those on it are drawn.
+      demonstrations: as given.
+      planned: the cheapest routes under the weights between the same ends.
+      cost_map: one of their maps; only those on it are drawn.
       weights: ``[K]`` distance and the map's metrics.
       given: what the demonstrations are called: a fit to targets takes only their ends.
     """
     grid, maps = cost_map.grid, cost_map.maps
-    shown = [k for k, each in enumerate(beside.demonstrations) if each.query.cost_map is cost_map]
+    both = [pair for pair in zip(demonstrations, planned, strict=True) if pair[0].query.cost_map is cost_map]
     title = joined(f"{cost_map.altitude_m:g} m above ground", cost_map.time_of_day)
-    overlap = beside.table["overlap"].iloc[shown].mean()
-    note = joined(frame_note(maps, cost_map.time), f"{100 * overlap:.0f} % of the {given}s' cells shared")
     fitted = dict(zip(("distance", *cost_map.names), weights.tolist(), strict=True))
-    note = f"{note}\n{rules_said(map_settings(cost_map) | {'weights': fitted})}"
+    note = f"{frame_note(maps, cost_map.time)}\n{rules_said(map_settings(cost_map) | {'weights': fitted})}"
     cost = weighted_sum(cost_map.costs, weights[1:])
     free = cost[cost_map.is_free]
     least, most = float(free.min()), float(np.percentile(free, 99))
@@ -198,9 +192,9 @@ def plot_routes(beside: PlannedBeside, cost_map: CostMap, weights: np.ndarray, g
     heading = f"{given.capitalize()}s and routes under the fitted weights"
     figure, (panel,) = draw_maps(grid, panels, heading, note, legend=legend, colours=colours)
     corner = np.array([grid.x_min_m, grid.y_min_m])
-    for k in shown:
-        panel.plot(*(beside.demonstrations[k].points_m + corner).T, color=DEMONSTRATION_COLOUR, linewidth=3.4, zorder=3)
-        panel.plot(*(beside.planned[k].points_m + corner).T, color=PLANNED_COLOUR, linewidth=1.1, zorder=4)
-        query = beside.demonstrations[k].query
-        mark_ends(panel, grid.xy_of_cell(*query.start), grid.xy_of_cell(*query.goal), size=0.68)
+    for shown, route in both:
+        panel.plot(*(shown.points_m + corner).T, color=DEMONSTRATION_COLOUR, linewidth=3.4, zorder=3)
+        panel.plot(*(route.points_m + corner).T, color=PLANNED_COLOUR, linewidth=1.1, zorder=4)
+        start, goal = (grid.xy_of_cell(*cell) for cell in (shown.query.start, shown.query.goal))
+        mark_ends(panel, start, goal, size=0.68)
     return figure

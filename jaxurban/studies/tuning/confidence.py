@@ -1,19 +1,17 @@
-"""How sure fitted weights are: what demonstrations cannot tell, and what others, or fewer, would have shown."""
+"""How sure fitted weights are: what demonstrations cannot tell, and what others would have shown."""
 
 from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pandas as pd
 from scipy.optimize import linprog
 
 from jaxurban.studies.queries import RouteQuery, maps_of
 from jaxurban.studies.route_pool import NOT_A_ROUTE, RoutePool
-from jaxurban.studies.tuning.fenchel_young import FitTask, descend, fenchel_young_loss, regrets, weights_of
+from jaxurban.studies.tuning.fenchel_young import FitTask, descend, fenchel_young_loss
 
 STEPS = 100  # of each refit, which starts at the fit of all demonstrations
-NUM_SUBSETS = 8  # of each size
 FAR = 1e6  # times a demonstration's cost: beyond are rows that only fill up the arrays
 UNBOUNDED = 3  # status of scipy.optimize.linprog
 NO_TRUST = 1e-12  # so that a sum of trusts is never 0
@@ -44,42 +42,19 @@ def draw_counts(cities: np.ndarray, num_draws: int, rng: np.random.Generator) ->
     return counts
 
 
-def refit(
-    log_weights: np.ndarray, task: FitTask, counts: np.ndarray, rng: np.random.Generator
-) -> tuple[np.ndarray, pd.DataFrame]:
-    """Return ``[B, K]`` log weights fitted to demonstrations drawn anew with replacement, and what fewer of them give.
+def refit(log_weights: np.ndarray, task: FitTask, counts: np.ndarray) -> np.ndarray:
+    """Return ``[B, K]`` log weights fitted to demonstrations drawn anew with replacement, none where there is only one.
 
-    All over the routes that are known: no search is made. The table has a row for each number of demonstrations 2, 4,
-    8 ... below all of them: ``held_out_regret``, the mean regret of those that the fit did not see (trusted ones; the
-    mean over 8 random subsets), and ``worst_held_out_regret``, the largest of the 8. It is empty without bootstrap.
+    All over the routes that are known: no search is made.
 
     Args:
       log_weights: ``[K]`` of the fit of all demonstrations.
       task: its routes, noise and trust.
       counts: ``[B, Q]`` how often each demonstration is drawn.
-      rng: what is drawn.
     """
-    num = len(task.demo)
-    if len(counts) == 0 or num < 2:
-        return np.empty((0, len(log_weights))), pd.DataFrame()
-    sizes = [2**k for k in range(1, 31) if 2**k < num]
-    masks = np.array([rng.permutation(num) < size for size in sizes for _ in range(NUM_SUBSETS)]).reshape(-1, num)
-    trust = np.asarray(task.trust)
-    trusts = jnp.asarray(np.concatenate([counts, masks]) * trust + NO_TRUST)
-    fits = np.asarray(_fits(jnp.asarray(log_weights), task, trusts))
-    held_out = []
-    for mask, fitted in zip(masks, fits[len(counts) :], strict=True):
-        left = ~mask * trust + NO_TRUST
-        held_out.append(np.sum(left * np.asarray(regrets(weights_of(jnp.asarray(fitted)), task))) / left.sum())
-    by_size = np.array(held_out).reshape(-1, NUM_SUBSETS)
-    table = pd.DataFrame(
-        {
-            "num_examples": sizes,
-            "held_out_regret": by_size.mean(axis=1),
-            "worst_held_out_regret": by_size.max(axis=1, initial=0.0),
-        }
-    )
-    return fits[: len(counts)], table
+    if len(counts) == 0 or len(task.demo) < 2:
+        return np.empty((0, len(log_weights)))
+    return np.asarray(_fits(jnp.asarray(log_weights), task, jnp.asarray(counts * np.asarray(task.trust) + NO_TRUST)))
 
 
 @jax.jit

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 
 FIRST_RATE, LAST_RATE = 0.05, 0.005  # of Adam, in log weight a step
 LEAST_REGRET = 0.01  # demonstrations much nearer than this to the cheapest are trusted; less distrusted good ones
-LOSSES = "robust", "plain"
 
 
 class FitTask(NamedTuple):

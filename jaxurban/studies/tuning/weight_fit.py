@@ -26,7 +26,6 @@ from jaxurban.studies.tuning.confidence import (
     refit,
 )
 from jaxurban.studies.tuning.fenchel_young import (
-    LOSSES,
     FitTask,
     descend,
     draw_log_noise,
@@ -70,7 +69,6 @@ class WeightFit:
       best_mean_regret: the least mean regret that any weights were found to reach.
       curve: a row a round: noise, loss, mean_regret, worst_gap (by which share a searched route was cheaper than
         all known ones), new_routes, num_plans, elapsed_s and each weight.
-      by_demonstrations: what fewer demonstrations would have given (see `confidence.refit`).
       unidentified: sentences on weights that the demonstrations say nothing about.
       warnings: further sentences that a reader must know.
       num_plans: searches made.
@@ -88,7 +86,6 @@ class WeightFit:
     trust: np.ndarray
     best_mean_regret: float
     curve: pd.DataFrame
-    by_demonstrations: pd.DataFrame
     unidentified: tuple[str, ...]
     warnings: tuple[str, ...]
     num_plans: int
@@ -123,7 +120,6 @@ def fit_weights(
     demonstrations: Sequence[Demonstration],
     *,
     scale: str = "simplex",
-    loss: str = "robust",
     bootstrap: int = 200,
     settings: FitSettings | None = None,
 ) -> WeightFit:
@@ -134,7 +130,7 @@ def fit_weights(
     round betters none. The noise shrinks from round to round: wide noise leads from anywhere, narrow noise ends near
     the middle of the weights that explain the demonstrations. From there the mean regret itself is brought down, and
     demonstrations that stay far costlier than most are trusted less (a redescending weight on their regret), so that
-    some detours do not bend the fit; other losses do otherwise, for comparison (`compare_fits`).
+    some detours do not bend the fit.
 
     Only the direction of W can be found; its length is set by ``scale``. The weight of a layer that is constant
     over the maps cannot be identified, and ``unidentified`` says so: under ``line`` (or where it costs nothing) it
@@ -143,7 +139,6 @@ def fit_weights(
     Args:
       demonstrations: from `read_demonstrations` or `demonstrations_from_paths`; of one or several maps.
       scale: ``"simplex"``: weights sum to 1; ``"distance"``: the distance weight is 1.
-      loss: ``"robust"``, as described above; ``"plain"``: all count alike.
       bootstrap: fits on demonstrations drawn anew, for intervals, cities first where there are several; 0 for none.
       settings: of the search. The noise shrinks over 7 rounds, patience with far costlier demonstrations over 6 more;
         after them it ends where a round betters nothing.
@@ -152,7 +147,6 @@ def fit_weights(
       InputError: no demonstrations, maps that do not go together, or a wrong setting.
     """
     one_of("scale", scale, ("simplex", "distance"))
-    one_of("loss", loss, LOSSES)
     at_least("bootstrap", bootstrap)
     begin_s, settings = time.perf_counter(), settings or FitSettings()
     demonstrations = list(demonstrations)
@@ -165,12 +159,11 @@ def fit_weights(
     is_fitted = np.array([name not in silent for name in names])
     demo = np.array([each.features for each in demonstrations])
     noise_rounds = min(settings.max_rounds, NOISE_ROUNDS)
-    least_rounds = min(settings.max_rounds, TRUST_ROUNDS + DOUBT_ROUNDS + 1 if loss != "plain" else NOISE_ROUNDS)
-    known = [each.sums for each in demonstrations]
-    shown = fingerprint(demo)
-    pool = settings.pool(queries, known, fit="imitation", loss=loss, noise_rounds=noise_rounds, demonstrations=shown)
+    least_rounds = min(settings.max_rounds, TRUST_ROUNDS + DOUBT_ROUNDS + 1)
+    how = {"fit": "imitation", "noise_rounds": noise_rounds, "demonstrations": fingerprint(demo)}
+    pool = settings.pool(queries, [each.sums for each in demonstrations], **how)
     unit = np.where(is_fitted, feature_units(queries, demo), 1.0)
-    fit = _Fit(pool, demo, unit, is_fitted, settings.seed, loss == "robust")
+    fit = _Fit(pool, demo, unit, is_fitted, settings.seed)
     rows: list[dict[str, Any]] = []
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         for number in range(settings.max_rounds):
@@ -183,7 +176,7 @@ def fit_weights(
                 break
         regret = fit.searched_regret(fit.log_weights)
         best = fit.least_mean_regret(float(regret.mean()))
-        draws, interval, fewer = _refitted(fit, demonstrations, scale, bootstrap)
+        draws, interval = _refitted(fit, demonstrations, scale, bootstrap)
     cost, spread = fit.weights * demo.mean(axis=0), fit.weights * demo.std(axis=0)
     return WeightFit(
         names=names,
@@ -196,7 +189,6 @@ def fit_weights(
         trust=fit.trust,
         best_mean_regret=best,
         curve=pd.DataFrame(rows),
-        by_demonstrations=fewer,
         unidentified=(
             *(_said_of_constant(name, name in silent) for name in constant),
             *_open(names, constant, interval),
@@ -218,7 +210,6 @@ class _Fit:
     unit: np.ndarray  # [K] what features are counted in
     is_fitted: np.ndarray  # [K]
     seed: int
-    is_robust: bool
     log_weights: np.ndarray = field(init=False)  # [F] of features in those units
     trust: np.ndarray = field(init=False)  # [Q]
 
@@ -257,7 +248,7 @@ class _Fit:
         searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
         here = self.task(NUM_NOISE, noise, rng)
         objective = fenchel_young_loss if number < TRUST_ROUNDS else mean_regret
-        if number >= TRUST_ROUNDS and self.is_robust:
+        if number >= TRUST_ROUNDS:
             patience = FIRST_DOUBT ** max(0.0, 1 - (number - TRUST_ROUNDS) / DOUBT_ROUNDS)
             regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), here))
             self.trust = redescending_trust(regret, patience)
@@ -312,21 +303,21 @@ class _Fit:
 
 def _refitted(
     fit: _Fit, demonstrations: Sequence[Demonstration], scale: str, bootstrap: int
-) -> tuple[np.ndarray, np.ndarray, pd.DataFrame]:
-    """Return ``[B, K]`` weights of bootstrap fits, ``[2, K]`` their interval, and what fewer demonstrations give."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``[B, K]`` weights of bootstrap fits and ``[2, K]`` their interval."""
     rng, num = np.random.default_rng([IN_BOOTSTRAP, 0, fit.seed]), len(fit.unit)
     cities = np.unique([id(each.query.cost_map.maps) for each in demonstrations], return_inverse=True)[1]
     task = fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng)
-    log_draws, fewer = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng), rng)
+    log_draws = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng))
     draws = np.array([_scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, num)
     if not bootstrap:
-        return draws, np.full((2, num), np.nan), fewer
+        return draws, np.full((2, num), np.nan)
     sides = np.ones(num) if scale == "simplex" else np.eye(num)[0]
     low, high = fit.near_optimal_range(sides, np.array([each.least_features for each in demonstrations]))
     if len(draws):
         by_draw = np.percentile(draws, [5, 95], axis=0)
         low, high = np.minimum(by_draw[0], low), np.maximum(by_draw[1], high)
-    return draws, np.stack([low, high]), fewer
+    return draws, np.stack([low, high])
 
 
 def _scaled(weights: np.ndarray, scale: str) -> np.ndarray:

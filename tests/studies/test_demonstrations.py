@@ -160,7 +160,7 @@ def test_drawn_lines_start_in_free_cells_near_their_ends_and_those_of_no_use_are
     inside, start, goal = (maps.grid.xy_of_cell(*map(int, cell)) for cell in (walls[0], query.start, query.goal))
     away = (start[0] - 1e5, start[1])
     file = write_lines(tmp_path / "lines.geojson", maps, (inside, goal), (away, goal), (start, goal))
-    left_out = r"1 of 3 lines of '.*' were left out: line 2 \('2', from -7\d\.\d+, 40\.\d+\) leaves the maps"
+    left_out = r"1 of 3 lines of '.*' were left out: line 2 \('2', from -7\d\.\d+, 40\.\d+\): it leaves the maps"
     with pytest.warns(LeftOutWarning, match=left_out):
         first, third = ju.fit.read_demonstrations(file, maps, altitude_m=20.0)
     assert unit.is_free[first.query.start]
@@ -177,7 +177,7 @@ def test_a_line_that_starts_far_inside_an_obstacle_names_its_place_and_asks_for_
     maps.ds["obstacle"][:, 5:25, 5:25] = 1
     inside, goal = (maps.grid.xy_of_cell(*cell) for cell in ((15, 15), (33, 30)))
     file = write_lines(tmp_path / "lines.geojson", maps, (inside, goal))
-    with pytest.raises(InputError, match=r"the start of line 1 \('1', from .*\) is inside an obstacle") as caught:
+    with pytest.raises(InputError, match=r"line 1 \('1', from .*\): it starts or ends inside an obstacle") as caught:
         ju.fit.read_demonstrations(file, maps, altitude_m=20.0)
     assert "no free cell is within 50 m of it" in str(caught.value)
     assert "give" not in str(caught.value)
