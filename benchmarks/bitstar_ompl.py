@@ -21,11 +21,10 @@ from tqdm import tqdm
 from jaxurban.kernels.line.segment_cost import segment_cost
 from jaxurban.maps.metric_maps import open_maps
 from jaxurban.metrics.weights import Weights
-from jaxurban.planners.any_angle import theta_star
+from jaxurban.planners.any_angle import refine, theta_star
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.bitstar.bounds import cost_grid_of
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
-from jaxurban.planners.refine import refine
 
 
 def problem_on(layers: np.ndarray, is_free: np.ndarray, resolution_m: float, distance_weight: float) -> Problem:

@@ -27,9 +27,8 @@ from jaxurban.metrics.gps import soft as soft_gps_metric
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
-from jaxurban.planners.bitstar.planner import EDGES_TOGETHER, NODES_TOGETHER
-from jaxurban.planners.cost_model import STEPS
-from jaxurban.planners.frontier import CELLS_TOGETHER, QUERIES_TOGETHER
+from jaxurban.planners.bulk import CELLS_TOGETHER, EDGES_TOGETHER, NODES_TOGETHER, QUERIES_TOGETHER
+from jaxurban.planners.cost import STEPS
 from jaxurban.studies.tuning import confidence, fenchel_young, target_fit
 from jaxurban.studies.tuning.targets import Target
 from jaxurban.studies.weights import buildings

@@ -25,8 +25,9 @@ from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.risk import Risk, compute_risk, soft_risk
 from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.planners.base import Problem
-from jaxurban.planners.batch import solve_many
-from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
+from jaxurban.planners.bitstar.planner import bitstar_plus
+from jaxurban.planners.bulk import solve_batched
+from jaxurban.planners.registry import solve_many
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface
@@ -282,8 +283,10 @@ def bitstar(run: Run) -> None:
     for backend in backends(run):
 
         def cost(backend: str = backend) -> np.ndarray:
-            options = BitStarOptions(backend=backend)
-            path = bitstar_plus(query, budget_s=np.inf, max_samples=num_samples, options=options)
+            limits = {"budget_s": np.inf, "max_samples": num_samples}
+            if backend == "numba":
+                return np.array([bitstar_plus(query, **limits).cost])
+            ((_, path),) = solve_batched([query], planner="bitstar-plus", heuristic="plus", seeds=[0], **limits)
             return np.array([path.cost])
 
         run.timed(f"BIT* of {num_samples} samples", cost, num_samples, "samples", COST, by=backend)

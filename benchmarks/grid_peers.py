@@ -20,10 +20,9 @@ from tqdm import tqdm
 
 import jaxurban as ju
 from benchmarks.common import ROOT, Row, Timing, load, machine, markdown, row, write_json
-from jaxurban.planners.astar import astar
+from jaxurban.planners.astar import astar, make_landmarks
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.planners.bounds import make_landmarks
-from jaxurban.planners.cost_model import STEPS, CostModel
+from jaxurban.planners.cost import STEPS, CostModel
 from jaxurban.planners.grid_search import NO_HEURISTIC, Graph, GridSearch, Heuristic, graph_of
 
 CITY_M = (10_000.0, 20_000.0)

@@ -38,7 +38,7 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.explain import explain
 from jaxurban.paths.export.qgc_plan import ENDS
 from jaxurban.paths.export.write import write_path
-from jaxurban.paths.simplify import simplify
+from jaxurban.paths.path import simplify
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.world.city import Buildings

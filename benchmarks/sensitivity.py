@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from jaxurban.maps.metric_maps import open_maps
 from jaxurban.metrics.weights import Weights
-from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.plan import cost_map
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import EXACT, find_breakpoints

@@ -16,7 +16,8 @@ from scipy import ndimage
 
 import jaxurban as ju
 from benchmarks.common import load, machine
-from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.plan import cost_map
 from jaxurban.planners.base import Cell
 from jaxurban.studies.demonstrations import Demonstration, optimal_demonstrations
 from jaxurban.studies.queries import RouteQuery

@@ -11,10 +11,9 @@ from matplotlib.axes import Axes
 from scipy.optimize import minimize_scalar
 
 import jaxurban as ju
-from jaxurban.planners.any_angle import theta_star
+from jaxurban.planners.any_angle import refine, theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Path, Problem
-from jaxurban.planners.refine import refine
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
 STYLES = {"A* on the grid": ("tab:red", 1.2), "Theta*": ("tab:orange", 1.4), "Theta*, refined": ("black", 1.6)}

@@ -10,9 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from jaxurban.planners.astar import astar
+from jaxurban.planners.astar import astar, heuristic_at, make_heuristic
 from jaxurban.planners.base import Problem
-from jaxurban.planners.bounds import heuristic_at, make_heuristic
 
 COST = np.array([[0.0, 5.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 0.0]])  # row 0 in the south
 START, CULPRIT, GOAL = (0, 0), (1, 0), (0, 2)

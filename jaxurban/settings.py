@@ -201,7 +201,7 @@ class Planning:
     Attributes:
       preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance where those are left out.
       planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...
-      cost_model: how steps are costed (`jaxurban.planners.cost_model.CostModel`); left out: ``"line"``.
+      cost_model: how steps are costed (`jaxurban.planners.cost.CostModel`); left out: ``"line"``.
       obstacles: where planners may fly (`jaxurban.maps.metric_maps.MetricMaps`); left out: ``"touched"``.
       clearance_m: horizontal distance from buildings as high as the path; left out: 0 m.
       vertical_clearance_m: height over roofs; left out: 3 m.

@@ -32,11 +32,10 @@ import numpy as np
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.planners.astar import astar
+from jaxurban.planners.astar import astar, heuristic_at, make_heuristic
 from jaxurban.planners.base import Problem
-from jaxurban.planners.bitstar.batches import BitStarOptions
 from jaxurban.planners.bitstar.planner import bitstar_plus
-from jaxurban.planners.bounds import heuristic_at, make_heuristic
+from jaxurban.planners.bulk import solve_batched
 from jaxurban.report.figures import plot_paths
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
@@ -103,7 +102,11 @@ query = weighted.problem.between(*places)
 rows = {}
 for backend in ("numba", "jax"):
     many = ju.plan_many(maps, pairs, altitude_m=20.0, cost_model="line", backend=backend, budget_s=120.0)
-    one = bitstar_plus(query, max_samples=2_000, options=BitStarOptions(backend=backend), budget_s=120.0)
+    limits = {"max_samples": 2_000, "budget_s": 120.0}
+    if backend == "numba":
+        one = bitstar_plus(query, **limits)
+    else:
+        ((_, one),) = solve_batched([query], planner="bitstar-plus", heuristic="plus", seeds=[0], **limits)
     rows["astar-plus", backend] = len(pairs), sum(path.cost for path in many), {path.search.backend for path in many}
     rows["bitstar-plus", backend] = 1, one.cost, {one.backend}
 pd.DataFrame(rows, ["queries", "sum of costs", "what ran"]).T.sort_index()

@@ -1,10 +1,11 @@
-"""Planning off the grid without samples: PTP, the straight segment; Theta*, any-angle search; shortcuts.
+"""Planning off the grid without samples: PTP, the straight segment; Theta*, any-angle search; refinement of any path.
 
 Theta* works under the line cost model (Nash, Daniel, Koenig & Felner 2007). In compiled parts points are x, y in cell
 sides from the map's southwest corner, inside it; nodes are flat cell numbers.
 """
 
 import time
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,10 @@ GROW, SHRINK = 1.5, 0.5  # of a waypoint's step, where it helped and where it di
 CHUNK = 10_000  # expansions between two looks at the clock: some 5 to 50 ms
 FIRST_HEAP = 4096  # entries; doubled when full
 SPACING = 0.4  # cell sides between the points that shortcuts join; 0.7 loses 0.04 %, 0.34 gains 0.01 %
+LONGEST = 8  # cell sides that a segment may grow to
+SPACINGS = (LONGEST, 4, 2, 1)  # cell sides between waypoints, one level after the other: long bends first
+ROUNDS = 20  # moves of every waypoint on a level
+FIRST_STEP, LAST_STEP = 1.0, 1e-3  # cell sides: a waypoint's step when a level begins, and where it ends
 REACH = 64  # points that a shortcut may span: 128 gains less than 0.001 % (both on Lower Manhattan)
 
 
@@ -57,17 +62,17 @@ def ptp(problem: Problem, *, budget_s: float = np.inf, seed: int = 0) -> Path:
 def theta_star(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heuristic: str = "plus") -> Path:
     """Return a path of straight segments between cells and points between them, free of the grid's eight directions.
 
-    Theta* lets a cell hang from the parent of its neighbour, by the straight segment, where that is
-    cheaper than the step; then the path is cut short between points along it, at their best (dynamic
-    programming). Segments are costed, and tested for obstacles, over the exact cells that
-    they cross. Never costlier than the cheapest grid path. Of ``diagonal`` only ``"always"`` plays a part: then a
-    path may pass between two obstacles that touch at a corner. ``connectivity`` plays none.
+    Theta* lets a cell hang from the parent of its neighbour, by the straight segment, where that is cheaper than the
+    step; then the path is cut short between points along it, at their best (dynamic programming). Segments are costed,
+    and tested for obstacles, over the exact cells that they cross. Never costlier than the cheapest grid path. Of
+    ``diagonal`` only ``"always"`` plays a part: then a path may pass between two obstacles that touch at a corner.
+    ``connectivity`` plays none.
 
     Differs from the paper: with map costs the straight segment may be the dearer one, so both ways are
     costed and compared; the paper always takes the segment where it is free, which can end above A*.
 
-    The status is OPTIMAL where the cost meets a lower bound of every curve (as on an empty map), else
-    FEASIBLE. The budget and Ctrl-C are heeded within some 50 ms. Deterministic; the seed plays no part.
+    OPTIMAL where the cost meets a lower bound of every curve (as on an empty map), else FEASIBLE. The budget and Ctrl-C
+    are heeded within some 50 ms. Deterministic; the seed plays no part.
 
     Args:
       problem: the query, under the ``line`` cost model, or under any where only length costs.
@@ -102,6 +107,86 @@ def theta_star(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heu
     )
 
 
+@compiled_first()
+def refine(problem: Problem, path: Path, *, budget_s: float = np.inf) -> Path:
+    """Return the path with its waypoints moved to where it costs less under the ``line`` model; its ends stay.
+
+    Level by level the path is subdivided, more finely each time, and cut short again. On each level waypoints move
+    along the directions of the grid and of their segments (a compass search, which follows the kinks that cell borders
+    and corners of obstacles give the exact cost), by steps that grow and shrink. A move is made only where it lowers
+    the exact cost of the two segments that it changes: the path stays free and never gets costlier. Where the whole
+    does not end up cheaper the path itself comes back, with a note.
+
+    The status is OPTIMAL where the cost meets a lower bound of every curve (`bitstar.bounds`, with map costs),
+    BUDGET_FEASIBLE where the path had it or the budget ended before the last level, else FEASIBLE. Deterministic. The
+    search's time and the refinement's, without compilation, are added up.
+
+    Args:
+      problem: the query, under the ``line`` cost model, or under any where only length costs.
+      path: what a planner returned for it; where there is no path it comes back as it is.
+      budget_s: seconds of refinement.
+
+    Raises:
+      InputError: the ``cell`` cost model with map costs, or a path that is blocked or off the map.
+    """
+    check_line_model(problem, "refinement")
+    if not path.status.has_path:
+        return path
+    before = problem.cost_of(path.points_m)
+    if before == np.inf:
+        raise InputError(
+            "the path crosses an obstacle, passes between two that touch at a corner, or leaves the map: give one "
+            "that was planned for this problem"
+        )
+    begin_s = time.perf_counter()
+    end_s = begin_s + budget_s
+    islands = problem.islands
+    is_reachable = islands == islands[problem.start]
+    cost_grid = cost_grid_of(problem, is_reachable)
+    # A point on the map's outer border belongs to no cell.
+    xy = np.minimum(path.points_m / problem.resolution_m, np.array(problem.is_free.shape[::-1]) * (1 - TIE))
+    best, points_m, is_spent = before, path.points_m, False
+    for spacing in SPACINGS:
+        moved, _ = subdivided(xy, spacing)
+        _move(cost_grid, moved, end_s)
+        moved = shortened(cost_grid, moved)
+        moved_m = moved * problem.resolution_m
+        moved_m[[0, -1]] = path.points_m[[0, -1]]
+        cost = problem.cost_of(moved_m)
+        if cost < best:
+            xy, points_m, best = moved, moved_m, cost
+        is_spent = time.perf_counter() >= end_s
+        if is_spent:
+            break
+    begin_s -= path.elapsed_s
+    if not best < before * (1 - TIE):
+        note = " ".join(filter(None, (path.note, "Refinement found nothing cheaper.")))
+        return replace(path, elapsed_s=time.perf_counter() - begin_s, note=note)
+    note = f"Refinement lowered what the search minimises by {1 - best / before:.2%}."
+    ran = path.ran | {"graph": EVERY_PATH, "note": " ".join(filter(None, (path.note, note)))}
+    status = Status.BUDGET_FEASIBLE if is_spent or path.status is Status.BUDGET_FEASIBLE else Status.FEASIBLE
+    # A grid planner's own bound holds for grid paths only.
+    lower_bound = make_bounds("plus", problem, is_reachable).from_start_to_goal()
+    return Path.of(problem, points_m, status, lower_bound, begin_s, **ran)
+
+
+def _compass(xy: np.ndarray) -> list[np.ndarray]:
+    """Return directions ``[N, 2]`` along which cost maps have edges: those of cells, and past corners of obstacles."""
+    onward = np.diff(xy, axis=0, append=xy[-1:])
+    return [*(np.broadcast_to(axis, xy.shape) for axis in np.eye(2)), onward, np.roll(onward, 1, axis=0)]
+
+
+def _move(cost_grid: CostGrid, xy: np.ndarray, end_s: float) -> None:
+    """Move waypoints, altered in place, round after round, until the steps are small or time is up."""
+    steps = [np.full(len(xy), FIRST_STEP) for _ in _compass(xy)]
+    for _ in range(ROUNDS):
+        if time.perf_counter() >= end_s or max(step.max() for step in steps) < LAST_STEP:
+            break
+        for direction, step in zip(_compass(xy), steps, strict=True):
+            direction = direction / np.maximum(np.hypot(*direction.T), np.finfo(float).tiny)[:, None]
+            move_points(cost_grid, xy, direction, step, float(LONGEST))
+
+
 def check_line_model(problem: Problem, what: str) -> None:
     """Refuse the ``cell`` cost model, but where only length costs, since there the models agree.
 
@@ -115,13 +200,8 @@ def check_line_model(problem: Problem, what: str) -> None:
         )
 
 
-def subdivided(xy: np.ndarray, longest: float) -> np.ndarray:
-    """Return a polyline ``[N, 2]`` with points added so that no segment is longer; its course stays the same."""
-    return _with_parts(xy, longest)[0]
-
-
-def _with_parts(xy: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a subdivided polyline ``[M, 2]``, and ``[M]`` which of its points were added."""
+def subdivided(xy: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a polyline ``[M, 2]`` with points added so that no segment is longer, and ``[M]`` which they are."""
     num_parts = np.maximum(1, np.ceil(np.hypot(*np.diff(xy, axis=0).T) / longest)).astype(np.int64)
     at = np.arange(num_parts.sum()) - np.repeat(np.cumsum(num_parts) - num_parts, num_parts)
     share = (at / np.repeat(num_parts, num_parts))[:, None]
@@ -132,7 +212,7 @@ def _with_parts(xy: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]
 
 def shortened(cost_grid: CostGrid, xy: np.ndarray) -> np.ndarray:
     """Return a polyline cut short between points along it at their best, with no points that do nothing."""
-    points, is_added = _with_parts(xy, SPACING)
+    points, is_added = subdivided(xy, SPACING)
     # Between points on borders a segment could run along an obstacle's wall.
     is_near_border = (np.abs(points - np.rint(points)) < MARGIN).any(axis=1)
     return shortcut(cost_grid, shortcut(cost_grid, points[~(is_added & is_near_border)], REACH), REACH)

@@ -1,15 +1,44 @@
-"""A* on the grid, 4- or 8-connected, and through a stack of levels: both cost models, several heuristics."""
+"""A* on the grid, 4- or 8-connected, and through a stack of levels, and its estimates of the cost to the goal, by name.
+
+Landmarks are a few cells whose distances to all others bound the cost between any two (differential heuristics): with
+S(L, n) the cost between landmark L and node n, the triangle inequality gives |S(L, n) - S(L, t)| as a bound from n to
+t, admissible and consistent (Goldberg & Harrelson 2005; Sturtevant et al. 2009). S must be symmetric. The ``line``
+model is; under ``cell`` a step costs the cell entered, so S counts half of each of its two cells, and a path from n to
+t costs S plus (c(t) - c(n)) / 2: one field serves both ways.
+"""
 
 import time
 from functools import partial
 
 import numpy as np
+from scipy.ndimage import label
 
-from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, PAUSED
-from jaxurban.planners.base import Path, Problem, Status
-from jaxurban.planners.bounds import AUTO, PRINTED, TABLES, has_tables, heuristic_at, make_heuristic
+from jaxurban.errors import one_of
+from jaxurban.kernels.search.bounds import printed_plus_field, sums_to
+from jaxurban.kernels.search.heap import CLOSED, EXHAUSTED, FOUND, PAUSED
+from jaxurban.kernels.search.tiles import TileBound, tile_bound
+from jaxurban.planners.base import Cell, Path, Problem, Status
 from jaxurban.planners.compiled_first import compiled_first
-from jaxurban.planners.grid_search import GridSearch, cell_of, graph_of, way_m
+from jaxurban.planners.grid_search import (
+    NO_HEURISTIC,
+    GridSearch,
+    Heuristic,
+    LandmarkBound,
+    cell_of,
+    estimate,
+    graph_of,
+    height_cost,
+    rises_m,
+    way_m,
+)
+
+ADMISSIBLE = ("none", "euclidean", "octile", "tiles", "landmarks", "exact")  # all of them consistent too
+PRINTED = ("plus-printed", "plus-printed-from-0")
+HEURISTICS = ADMISSIBLE + PRINTED
+VOLUME_HEURISTICS = ("none", "octile", "plus")  # all admissible and consistent
+AUTO = "auto"  # "tiles" for one query; of many, `planners.registry` chooses by what they share
+NUM_LANDMARKS = 8  # 8 float64 fill a cache line
+FEW = 2_000  # expansions, where the end may be near
 
 
 @compiled_first()
@@ -31,7 +60,7 @@ def astar(
       problem: the query.
       budget_s: seconds of search and of the tables that its heuristic needs.
       seed: taken for the planner contract.
-      heuristic: a name of `bounds.HEURISTICS`, or ``"auto"``: ``tiles``; in a volume one of `bounds.VOLUME_HEURISTICS`.
+      heuristic: a name of `HEURISTICS`, or ``"auto"``: ``tiles``; in a volume one of `VOLUME_HEURISTICS`.
         The path says which ran.
       reopen: expand a node again when a cheaper way to it turns up after it was closed. It changes
         nothing with a consistent heuristic, as all admissible ones here are; with a printed one it
@@ -44,15 +73,14 @@ def astar(
     begin_s = time.perf_counter()
     end_s = begin_s + budget_s
     name = "tiles" if heuristic == AUTO else heuristic
-    tables = "" if has_tables(name, problem) else TABLES[name]
+    is_made = True
     try:
-        bound, made = make_heuristic(name, problem, end_s), "took"
+        bound = make_heuristic(name, problem, end_s)
     except TimeoutError:
-        bound, made = make_heuristic("octile", problem), "were not done in"
-    took_s = time.perf_counter() - begin_s
+        bound, is_made = make_heuristic("octile", problem), False
     start, goal = (cell_of(problem, node) for node in (problem.start, problem.goal))
     search = GridSearch(graph_of(problem), bound, start, goal)
-    ended = search.run(reopen=reopen, end_s=end_s) if made == "took" else PAUSED
+    ended = search.run(reopen=reopen, end_s=end_s) if is_made else PAUSED
     points_m, lower_bound = np.empty(0), search.low_f if ended == PAUSED else np.inf
     if ended == FOUND:
         status = Status.FEASIBLE if name in PRINTED else Status.OPTIMAL
@@ -70,7 +98,7 @@ def astar(
         num_expanded=search.num_expanded,
         planner=planner,
         heuristic=name,
-        note=f"{tables} {made} {took_s:.3g} s." if tables else "",
+        note="" if is_made else f"The tables of the heuristic {name!r} were not done in time.",
     )
 
 
@@ -78,3 +106,205 @@ def astar(
 astar_dist = partial(astar, heuristic="euclidean", planner="astar-dist")
 astar_plus = partial(astar, heuristic=AUTO, planner="astar-plus")
 volume_astar = partial(astar, heuristic="plus", planner="astar-volume")  # through a stack of levels, 26-connected
+
+
+def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuristic:
+    """Return a heuristic for a problem's goal, map, weights and cost model.
+
+    - ``none``: 0, which makes A* Dijkstra's search.
+    - ``euclidean``: ``distance_weight`` times the straight distance (the paper's h_dist).
+    - ``octile``: the least length of an 8-connected path; Manhattan distance at connectivity 4. In a volume plus what
+      changing to the goal's level costs at least: a step that rises by d is longer than its horizontal part s by
+      ``sqrt(s^2 + d^2) - s``, which is least for the longest s (a diagonal).
+    - ``tiles``: octile or, where larger, the cost to go over tiles of 8 x 8 cells that cost what their cheapest cell
+      does (admissible, consistent).
+    - ``landmarks``: octile or, where larger, the best landmark's bound (admissible, consistent).
+    - ``exact``: the cost to go itself.
+    - ``plus-printed``, ``plus-printed-from-0``: octile, plus the paper's box minima, summed over indices
+      1..dx or 0..dx-1: **not** admissible. Under the ``line`` model every line counts in full.
+    - ``plus``, of volumes: octile or, where larger, the cost to the goal over the map of each column's cheapest level,
+      plus the same for the change of level; of what is reached before ``end_s``.
+
+    Args:
+      name: of `HEURISTICS`, or of `VOLUME_HEURISTICS`.
+      problem: the query.
+      end_s: time of `time.perf_counter` to give up at.
+
+    Raises:
+      InputError: an unknown name.
+      TimeoutError: the clock passed ``end_s`` before the tables that all queries share were made.
+    """
+    one_of("heuristic", name, HEURISTICS if problem.levels_m is None else VOLUME_HEURISTICS)
+    per_side = problem.distance_weight * problem.resolution_m
+    octile = NO_HEURISTIC._replace(
+        straight=per_side, diagonal=per_side * (np.sqrt(2) - 1 if problem.cost_model.connectivity == 8 else 1)
+    )
+    if problem.levels_m is not None:
+        return _volume_heuristic(name, problem, octile, end_s)
+    if name == "none":
+        return NO_HEURISTIC
+    if name == "exact":
+        return NO_HEURISTIC._replace(field=cost_to_go(problem, end_s))
+    if name == "euclidean":
+        return NO_HEURISTIC._replace(euclidean=per_side)
+    if name == "landmarks":
+        return octile._replace(landmarks=landmark_bound(problem, make_landmarks(problem, end_s=end_s)))
+    if name == "tiles":
+        return octile._replace(tiles=_tile_bound(problem))
+    if name == "octile":
+        return octile
+    layers = problem.costs * problem.layer_weights[:, None, None]
+    field = printed_plus_field(layers, problem.goal, first_index=int(name == "plus-printed"))
+    if problem.cost_model.kind == "line":
+        field *= problem.resolution_m / problem.cost_model.reference_length_m
+    # Inf comes of NaN inside obstacles here; the search would take it for a proof that there is no way.
+    return octile._replace(field=np.minimum(field, np.finfo(np.float64).max / 2, out=field))
+
+
+def _tile_bound(problem: Problem) -> TileBound:
+    """Return the tiles' bound on the cost to the problem's goal."""
+    graph = graph_of(problem)
+    share = graph.from_share + graph.to_share
+    straight, diagonal = ((float(graph.step_cost[step]), float(share[step])) for step in (0, -1))
+    if problem.cost_model.connectivity == 4:
+        diagonal = (2 * straight[0], 2 * straight[1])
+    return tile_bound(problem.tile_minima, straight, diagonal, problem.start, problem.goal)
+
+
+def _volume_heuristic(name: str, problem: Problem, octile: Heuristic, end_s: float) -> Heuristic:
+    _, goal_row, goal_col = problem.goal
+    _, num_rows, num_cols = problem.is_free.shape
+    # The least that changing from each level to the goal's costs beside horizontal length.
+    longest_m = problem.resolution_m * (np.sqrt(2) if problem.cost_model.connectivity == 8 else 1)
+    rise_m = rises_m(problem)
+    change = problem.distance_weight * (np.hypot(longest_m, rise_m) - longest_m) + height_cost(problem, rise_m)
+    rise = sums_to(problem.goal[0], change[:-1, 2], change[1:, 0])
+    if name == "none":
+        return NO_HEURISTIC._replace(num_rows=num_rows, rise=np.zeros(len(rise_m)))
+    if name == "octile":
+        return octile._replace(num_rows=num_rows, rise=rise)
+    rows, cols = np.abs(np.arange(num_rows) - goal_row)[:, None], np.abs(np.arange(num_cols) - goal_col)
+    length = octile.straight * np.maximum(rows, cols) + octile.diagonal * np.minimum(rows, cols)
+    field = np.maximum(length, _seen_from_above(problem, end_s))
+    return NO_HEURISTIC._replace(field=field, num_rows=num_rows, rise=rise)
+
+
+def _seen_from_above(problem: Problem, end_s: float) -> np.ndarray:
+    """Return ``[Y, X]`` the cost to the goal's cell if every cell could be crossed at its cheapest level.
+
+    Costs beyond some of those above the start's, or beyond what is reached before ``end_s``, are cut there: the lesser
+    of two consistent bounds is one too, and it is sooner done.
+    """
+    cost, is_free = problem.cost.min(axis=0), np.any(problem.is_free, axis=0)
+    (_, *start), (_, *goal) = problem.start, problem.goal
+    weights, model = [problem.distance_weight, 1.0], problem.cost_model
+    plan = Problem(cost[None], is_free, tuple(start), tuple(goal), problem.resolution_m, weights, model)
+    graph = graph_of(plan)
+    backwards = graph._replace(from_share=graph.to_share, to_share=graph.from_share)
+    search = GridSearch(backwards, NO_HEURISTIC, plan.goal, None)
+    ended, is_met = PAUSED, False
+    while ended == PAUSED and not is_met and time.perf_counter() < end_s:
+        is_met = bool(search.states[plan.start] & CLOSED)  # and goes on once more
+        ended = search.run(end_s=0.0, chunk=FEW + search.num_expanded // 4)
+    costs = search.costs_from_start(final=True).reshape(is_free.shape)
+    return costs if ended == EXHAUSTED else np.minimum(costs, costs.max(where=np.isfinite(costs), initial=0.0))
+
+
+def heuristic_at(heuristic: Heuristic, cell: Cell, goal: Cell) -> float:
+    """Return ``h`` at a cell."""
+    return float(estimate(heuristic, *cell, *goal))
+
+
+def symmetric_costs(problem: Problem, end_s: float = np.inf) -> np.ndarray:
+    """Return ``[Y, X]`` the costs between a problem's goal and every cell, inf without a way, by Dijkstra's search.
+
+    Under the ``cell`` model half of each of a step's two cells is counted (see above), so that the cost is the
+    same both ways.
+
+    Args:
+      problem: of any map and weights; its start plays no part.
+      end_s: time of `time.perf_counter` to give up at.
+
+    Raises:
+      TimeoutError: the clock passed it.
+    """
+    search = GridSearch(graph_of(problem, is_symmetric=True), NO_HEURISTIC, problem.goal, None)
+    if search.run(end_s=end_s) != EXHAUSTED:
+        raise TimeoutError
+    return search.costs_from_start().reshape(problem.is_free.shape)
+
+
+def cost_to_go(problem: Problem, end_s: float = np.inf) -> np.ndarray:
+    """Return ``[Y, X]`` the exact cost from every cell to a problem's goal, inf without a way.
+
+    It is kept with the map for all queries to the same goal, until another goal's takes its place: a search with
+    ``heuristic="exact"`` then walks down on it.
+
+    Args:
+      problem, end_s: as in `symmetric_costs`.
+
+    Raises:
+      TimeoutError: the clock passed it; nothing new is kept.
+    """
+    kept: dict[tuple[int, ...], np.ndarray] = problem.shared.get("costs_to_go", {})
+    if problem.goal not in kept:
+        costs = symmetric_costs(problem, end_s)
+        if problem.cost_model.kind == "cell":
+            half = 0.5 * (problem.cost[problem.goal] - np.where(problem.is_free, problem.cost, 0.0))
+            costs = np.maximum(costs + half, 0.0)  # rounding might leave less
+        kept = problem.shared["costs_to_go"] = {problem.goal: costs}
+    return kept[problem.goal]
+
+
+def make_landmarks(problem: Problem, num: int = NUM_LANDMARKS, end_s: float = np.inf) -> LandmarkBound:
+    """Return landmarks for a problem's map and weights, built once for all its queries (`Problem.between`).
+
+    Landmarks that are there already are returned, whatever their number; `landmark_bound` turns them to a goal. The
+    bound is lowered by one unit in the last place of the largest cost, for every cell, more than the sums along any
+    path can lose, so that rounding never lifts it above the true cost.
+
+    Args:
+      problem: the query; its start and goal play no part.
+      num: how many, where the map has as many cells.
+      end_s: time of `time.perf_counter` to give up at.
+
+    Raises:
+      TimeoutError: the clock passed it.
+    """
+    if "landmarks" not in problem.shared:
+        cells = landmark_cells(problem, num)
+        costs = np.empty((*problem.is_free.shape, len(cells)))
+        for k, cell in enumerate(cells):
+            costs[..., k] = symmetric_costs(problem.between(cell, cell), end_s)
+        largest = np.max(costs, where=np.isfinite(costs), initial=0.0)
+        slack = float(largest) * problem.is_free.size * np.finfo(np.float64).eps
+        cost_share = 0.5 if problem.cost_model.kind == "cell" else 0.0
+        problem.shared["landmarks"] = LandmarkBound(costs, costs[cells[0]], problem.cost, cost_share, -slack)
+    made: LandmarkBound = problem.shared["landmarks"]
+    return made
+
+
+def landmark_cells(problem: Problem, num: int) -> list[Cell]:
+    """Return up to ``num`` cells of the largest connected part of the map, far from its middle and from each other.
+
+    The first is the cell farthest from the mean, each next one the cell farthest from all before, in a
+    straight line. Choosing by cost instead, or by the share of shortest paths left uncovered (avoid, Goldberg
+    & Werneck 2005), saved no more expansions on Lower Manhattan and needs searches of its own.
+    """
+    # A diagonal step between two free neighbours joins what they join already.
+    parts, _ = label(problem.is_free, np.ones((3, 3)) if problem.cost_model.joins_corners else None)
+    rows, cols = np.nonzero(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]))
+    away = np.hypot(rows - rows.mean(), cols - cols.mean())
+    cells: list[Cell] = []
+    nearest = np.full(rows.size, np.inf)
+    while len(cells) < min(num, rows.size):
+        i = np.argmax(nearest if cells else away)
+        cells.append((int(rows[i]), int(cols[i])))
+        nearest = np.minimum(nearest, np.hypot(rows - rows[i], cols - cols[i]))
+    return cells
+
+
+def landmark_bound(problem: Problem, landmarks: LandmarkBound) -> LandmarkBound:
+    """Return the landmarks' bound on the cost to a problem's goal."""
+    goal_term = landmarks.cost_share * float(problem.cost[problem.goal]) + landmarks.goal_term
+    return landmarks._replace(at_goal=landmarks.costs[problem.goal], goal_term=goal_term)

@@ -11,8 +11,7 @@ import numpy as np
 from jaxurban.errors import InputError, positive
 from jaxurban.kernels.search.tiles import tile_minima
 from jaxurban.kernels.search.weighing import are_costs, in_rows, weighted_sum
-from jaxurban.planners.cost import CostKind, PathFeatures, path_features
-from jaxurban.planners.cost_model import CostModel, allowed_moves
+from jaxurban.planners.cost import CostKind, CostModel, PathFeatures, allowed_moves, path_features
 
 Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest
 T = TypeVar("T")

@@ -47,11 +47,6 @@ def compiled_first(**options: Any) -> Callable[[Callable[..., Path]], Callable[.
     return decorate
 
 
-def power_of_two(number: int) -> int:
-    """Return the least power of two that is not below a number, so that few shapes are compiled."""
-    return 1 << (number - 1).bit_length()
-
-
 def _few_cells(problem: Problem) -> Problem:
     """Return a problem of the same types where only length costs, and the straight way is blocked: all code runs."""
     is_volume = problem.levels_m is not None

@@ -18,7 +18,6 @@ from jaxurban.kernels.search.heap import (
     PAUSED,
     REACHED,
     UNREACHED,
-    Queue,
     drop_top,
     empty_queue,
     grown,
@@ -27,7 +26,7 @@ from jaxurban.kernels.search.heap import (
 )
 from jaxurban.kernels.search.tiles import TileBound, tile_estimate
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.planners.cost_model import STEPS
+from jaxurban.planners.cost import STEPS
 
 # (levels up, rows, columns): the eight steps of a level, those that also climb, and descend, straight up, and down.
 ALL_STEPS = np.array([(up, *step) for up in (0, 1, -1) for step in STEPS] + [(1, 0, 0), (-1, 0, 0)])
@@ -86,24 +85,12 @@ class LandmarkBound(NamedTuple):
     goal_term: float
 
 
-class LevelBound(NamedTuple):
-    """What a volume's levels add to a bound. ``H`` of them.
-
-    Attributes:
-      num_rows: of a level.
-      rise: ``[H]`` float64 the least cost of changing to the goal's level.
-    """
-
-    num_rows: int
-    rise: np.ndarray
-
-
 class Heuristic(NamedTuple):
     """A bound ``h(n)`` on the cost to the goal, evaluated node by node. ``Y`` rows, ``X`` columns.
 
     With ``dr, dc`` rows and columns to the goal: a distance part ``euclidean * hypot(dr, dc)
     + straight * max(dr, dc) + diagonal * min(dr, dc)``, plus ``field[r, c]`` where it has any cells. Landmarks or
-    tiles may raise it. In a volume rows and columns are those of the plan, and ``levels`` adds its part.
+    tiles may raise it. In a volume rows and columns are those of the plan, and ``rise`` of the level is added.
 
     Attributes:
       euclidean, straight, diagonal: cost per cell side.
@@ -111,7 +98,8 @@ class Heuristic(NamedTuple):
         the whole cost to go; inf proves that there is no way.
       landmarks, tiles: further bounds, of which the largest counts. A type of its own where there is one, so
         that the search is compiled without it for all others.
-      levels: of a volume.
+      num_rows: of a level of a volume.
+      rise: ``[H]`` float64 the least cost of changing from each level to the goal's; None on one altitude.
     """
 
     euclidean: float
@@ -120,7 +108,8 @@ class Heuristic(NamedTuple):
     field: np.ndarray
     landmarks: LandmarkBound | None = None
     tiles: TileBound | None = None
-    levels: LevelBound | None = None
+    num_rows: int = 0
+    rise: np.ndarray | None = None
 
 
 NO_HEURISTIC = Heuristic(0.0, 0.0, 0.0, np.empty((0, 0)))  # 0, which makes A* Dijkstra's search
@@ -197,20 +186,6 @@ def way_m(problem: Problem, states: np.ndarray, steps: np.ndarray) -> np.ndarray
     return xy_m if problem.levels_m is None else np.column_stack([xy_m, problem.levels_m[level]])
 
 
-class GridNodes(NamedTuple):
-    """What is known of each node, and those that are open. ``M`` nodes.
-
-    Attributes:
-      g: ``[M]`` float64 cost of the cheapest way found to each node; anything where it is `UNREACHED`.
-      state: ``[M]`` uint8 (see `UNREACHED` and the names after it).
-      queue: the open nodes.
-    """
-
-    g: np.ndarray
-    state: np.ndarray
-    queue: Queue
-
-
 # Inlined by force: LLVM would not, and counting references to the arrays took four fifths of the time.
 @compiled(forceinline=True)
 def _raised(value, landmarks, tiles, row, col):
@@ -230,17 +205,17 @@ def _raised(value, landmarks, tiles, row, col):
 
 
 @compiled(forceinline=True)
-def _on_plan(levels, row, goal_row):
+def _on_plan(num_rows, rise, row, goal_row):
     """Return the rows of a cell and of the goal on their levels, and what changing from one level to the other adds."""
-    if levels is None:  # likewise
+    if rise is None:  # likewise
         return row, goal_row, 0.0
-    return row % levels.num_rows, goal_row % levels.num_rows, levels.rise[row // levels.num_rows]
+    return row % num_rows, goal_row % num_rows, rise[row // num_rows]
 
 
 @compiled(forceinline=True)
 def estimate(heuristic, row, col, goal_row, goal_col):
     """Return ``h`` at a cell (see `Heuristic`)."""
-    row, goal_row, value = _on_plan(heuristic.levels, row, goal_row)
+    row, goal_row, value = _on_plan(heuristic.num_rows, heuristic.rise, row, goal_row)
     dr, dc = abs(row - goal_row), abs(col - goal_col)
     value += heuristic.straight * max(dr, dc) + heuristic.diagonal * min(dr, dc)
     if heuristic.euclidean > 0.0:
@@ -265,7 +240,7 @@ def _steps_from(plane, moves, cost, node):
 
 
 @compiled(nogil=True)
-def advance(graph, heuristic, goal, reopen, nodes, max_expanded):
+def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
     """Expand nodes in order of f until the goal is met, none is open, or ``max_expanded`` are done.
 
     ``f = g + h``. The queue holds outdated entries, which are skipped: a node's newest entry is
@@ -274,11 +249,19 @@ def advance(graph, heuristic, goal, reopen, nodes, max_expanded):
 
     All neighbours are looked at before any is changed, without branches, which would go the wrong way half of the time.
 
+    Args:
+      graph, heuristic: what is searched, by which bound.
+      goal: a node, or `NOWHERE`.
+      reopen: see above.
+      g: ``[M]`` float64 cost of the cheapest way found to each node; anything where it is `UNREACHED`.
+      state: ``[M]`` uint8 (see `UNREACHED` and the names after it).
+      queue: the open nodes.
+      max_expanded: nodes.
+
     Returns: how the chunk ended, and the nodes expanded.
     """
     goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
     offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
-    g, state, queue = nodes.g, nodes.state, nodes.queue
     near = queue.near
     # A way to a node is cheaper where it costs less than this times the way known; a closed node that is kept has none.
     if_closed = ROUNDING if reopen else -1.0
@@ -342,14 +325,14 @@ class GridSearch:
         cost = float(graph.sample.mean()) if graph.sample.size else 0.0
         queue = empty_queue(FIRST_ENTRIES, float(np.mean(graph.step_cost + (graph.from_share + graph.to_share) * cost)))
         # Memory that is not written to is not taken: what the search does not come to costs nothing.
-        self._nodes = GridNodes(np.empty(num_nodes), np.zeros(num_nodes, np.uint8), queue)
-        self._nodes.g[self.start], self._nodes.state[self.start] = 0.0, NO_PARENT | REACHED
+        self._g, self._state, self._queue = np.empty(num_nodes), np.zeros(num_nodes, np.uint8), queue
+        self._g[self.start], self._state[self.start] = 0.0, NO_PARENT | REACHED
         insert(queue, 0.0 if goal is None else estimate(heuristic, *start, *goal), self.start)
 
     @property
     def states(self) -> np.ndarray:
         """``[Y, X]`` uint8 of each node, levels stacked row upon row."""
-        return self._nodes.state.reshape(-1, self.graph.num_cols)
+        return self._state.reshape(-1, self.graph.num_cols)
 
     def costs_from_start(self, *, final: bool = False) -> np.ndarray:
         """Return ``[M]`` float64 the cost of the cheapest way found to each node, inf without one.
@@ -357,16 +340,15 @@ class GridSearch:
         Args:
           final: leave out what a further search may still lower.
         """
-        np.copyto(self._nodes.g, np.inf, where=self._nodes.state & (CLOSED if final else REACHED) == 0)
-        return self._nodes.g
+        np.copyto(self._g, np.inf, where=self._state & (CLOSED if final else REACHED) == 0)
+        return self._g
 
     @property
     def low_f(self) -> float:
         """The least f in the queue, inf where it is empty."""
-        (g, state, queue), graph = self._nodes, self.graph
-        near = queue.near
+        near, graph = self._queue.near, self.graph
         if not near.size[0]:
-            refill(queue, graph.num_cols, graph.moves, graph.cost, g, state)
+            refill(self._queue, graph.num_cols, graph.moves, graph.cost, self._g, self._state)
         return float(near.f[0]) if near.size[0] else np.inf
 
     def run(self, *, reopen: bool = False, end_s: float = np.inf, chunk: int = 0) -> int:
@@ -378,11 +360,12 @@ class GridSearch:
           chunk: expansions between two looks at it; left out, `CHUNK`.
         """
         while True:
-            ended, num_done = advance(self.graph, self.heuristic, self.goal, reopen, self._nodes, chunk or CHUNK)
+            known = self._g, self._state, self._queue
+            ended, num_done = advance(self.graph, self.heuristic, self.goal, reopen, *known, chunk or CHUNK)
             self.num_expanded += num_done
             if ended in (FOUND, EXHAUSTED):
                 return int(ended)
             if ended == FULL:
-                self._nodes = self._nodes._replace(queue=grown(self._nodes.queue))
+                self._queue = grown(self._queue)
             if time.perf_counter() >= end_s:
                 return PAUSED

@@ -1,16 +1,47 @@
-"""The planners by name: those that stay on one altitude, and those that fly between levels."""
+"""The planners by name, on one altitude and between levels; many problems at once, in threads or together in JAX."""
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
+from typing import Literal, get_args
 
-from jaxurban.errors import InputError, nearest_name
+import jax
+import numpy as np
+
+from jaxurban.errors import InputError, at_least, nearest_name, one_of
 from jaxurban.planners.any_angle import ptp, theta_star
-from jaxurban.planners.astar import astar_dist, astar_plus, volume_astar
-from jaxurban.planners.base import Path, Planner
+from jaxurban.planners.astar import (
+    AUTO,
+    HEURISTICS,
+    NUM_LANDMARKS,
+    VOLUME_HEURISTICS,
+    astar_dist,
+    astar_plus,
+    cost_to_go,
+    make_landmarks,
+    volume_astar,
+)
+from jaxurban.planners.base import Cell, Path, Planner, Problem
 from jaxurban.planners.bitstar.bounds import HEURISTICS as OFF_GRID_HEURISTICS
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
-from jaxurban.planners.bounds import AUTO, HEURISTICS, VOLUME_HEURISTICS
+from jaxurban.planners.bulk import solve_batched, solve_by_frontier
+
+Outcome = tuple[int, Path | Exception]
+Backend = Literal["auto", "numba", "jax"]
+
+EXACT_PLANNERS = ("astar-dist", "astar-plus")  # which the frontier search can stand for
+FRONTIER_HEURISTICS = (None, AUTO, "octile")
+SAMPLING_PLANNERS = ("bitstar-dist", "bitstar-plus")  # whose batches `solve_batched` searches in bulk
+FEW_TO_ONE_GOAL = 8  # queries to one goal from which the costs to it are computed for the whole map
+# Others on one map and weights beyond which landmarks are made. On Lower Manhattan making them costs what some 50
+# queries save (docs/heuristics.md).
+FEW_QUERIES = 16
+# Of one field, cautious: 7e6 on half a million cells, less where the map outgrows the cache.
+NODES_PER_S = 3e6
+GPU_BATCH = 32  # queries from which a GPU is worth its start
 
 
 @dataclass(frozen=True)
@@ -77,3 +108,152 @@ def find_planner(name: str, heuristic: str | None = None, *, is_for_volumes: boo
             f"planner {name!r} takes no heuristic {heuristic!r}{nearest_name(heuristic, entry.heuristics)}: {accepted}"
         )
     return partial(entry.run, heuristic=heuristic)
+
+
+def solve_many(
+    problems: Sequence[Problem],
+    *,
+    planner: str = "astar-plus",
+    heuristic: str | None = None,
+    backend: Backend = "auto",
+    budget_s: float = np.inf,
+    seed: int = 0,
+    num_threads: int | None = None,
+    only: Sequence[int] | None = None,
+) -> Generator[Outcome]:
+    """Yield ``(index, path)`` of every problem as it is done; a planner's crash is an exception in the path's place.
+
+    Close the iterator, or let Ctrl-C end the loop over it, to stop: no further search begins, and what was
+    yielded is yours.
+
+    - ``"numba"``: the planner itself, query by query, on ``num_threads`` threads. The compiled A* leaves them
+      free to run side by side.
+    - ``"jax"``: all queries together; for ``astar-dist`` and ``astar-plus`` by the frontier search, which gives their
+      results (see `solve_by_frontier`), for ``bitstar-dist`` and ``bitstar-plus`` batch by batch (see `solve_batched`).
+    - ``"auto"``: ``"jax"`` where JAX has a GPU, the planner is ``astar-dist`` or ``astar-plus`` and there are at least
+      `GPU_BATCH` queries; else ``"numba"``, which is several times as fast on a CPU.
+
+    Where the planner chooses its heuristic itself, as ``astar-plus`` does, `choose_heuristics` does so from all
+    problems, and what queries share is made first: fields, by Dijkstra's search in Numba, on which ``"exact"`` walks in
+    Numba too. Each path's backend and heuristic say what ran.
+
+    Args:
+      problems: the queries; those on one map should come from one `Problem` by `Problem.between`.
+      planner, heuristic: names as in the registry.
+      backend: see above.
+      budget_s: seconds for each query.
+      seed: for each query.
+      num_threads: of ``"numba"``; left out, one for every processor that this process may use.
+      only: the problems to solve, by number; all of them have their say in what is chosen.
+
+    Raises:
+      InputError: an unknown planner, heuristic or backend, a planner or heuristic that ``"jax"`` does not
+        have, or a wrong number of threads.
+    """
+    find_planner(planner, heuristic)
+    one_of("backend", backend, get_args(Backend))
+    if num_threads is not None:
+        at_least("num_threads", num_threads, 1)
+    only = range(len(problems)) if only is None else only
+    if backend == "jax" and planner in SAMPLING_PLANNERS:
+        chosen, some = heuristic or PLANNERS[planner].default_heuristic, [problems[index] for index in only]
+        paths = solve_batched(some, planner=planner, heuristic=chosen, seeds=[seed] * len(some), budget_s=budget_s)
+        return ((only[k], path) for k, path in paths)
+    is_for_frontier = planner in EXACT_PLANNERS and heuristic in FRONTIER_HEURISTICS
+    if backend == "jax" and not is_for_frontier:
+        raise InputError(
+            f"backend 'jax' runs {' and '.join(EXACT_PLANNERS)} with heuristic octile, and "
+            f"{' and '.join(SAMPLING_PLANNERS)}, not {planner!r} with {heuristic or 'its own'}: take backend='numba'"
+        )
+    if backend == "auto":
+        has_gpu = is_for_frontier and len(problems) >= GPU_BATCH and jax.default_backend() != "cpu"
+        backend = "jax" if has_gpu else "numba"
+    num_threads = num_threads or _num_processors()
+
+    def outcomes() -> Generator[Outcome]:
+        heuristics = choose_heuristics(problems, planner, heuristic, budget_s)
+        run = partial(_in_threads, problems, num_threads=num_threads)
+        to_one_goal: dict[tuple[int, Cell], list[int]] = {}
+        if heuristic != "exact":  # which makes each goal's field in a thread
+            for index in only:
+                if heuristics[index] == "exact":
+                    to_one_goal.setdefault((problems[index].map_key, problems[index].goal), []).append(index)
+        walk = partial(find_planner(planner, "exact" if to_one_goal else None), budget_s=budget_s, seed=seed)
+        for indices in to_one_goal.values():
+            cost_to_go(problems[indices[0]])
+            yield from run(indices, walk)
+        walked = set(chain.from_iterable(to_one_goal.values()))
+        alone = [index for index in only if index not in walked]
+        if backend == "jax":
+            together = [problems[index] for index in alone]
+            for k, path in solve_by_frontier(together, planner=planner, budget_s=budget_s):
+                yield alone[k], path
+            return
+        for problem in {problems[k].map_key: problems[k] for k in alone if heuristics[k] == "landmarks"}.values():
+            make_landmarks(problem)
+        for name in dict.fromkeys(heuristics[index] for index in alone):
+            search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)
+            yield from run([index for index in alone if heuristics[index] == name], search)
+
+    return outcomes()
+
+
+def choose_heuristics(
+    problems: Sequence[Problem], planner: str, heuristic: str | None, budget_s: float
+) -> list[str | None]:
+    """Return the heuristic of each problem, which all of them decide, and neither a clock nor what was solved before.
+
+    For planners that choose theirs: ``"exact"`` to goals that at least `FEW_TO_ONE_GOAL` queries on a map share (A*
+    alone), ``"landmarks"`` on a map with more than `FEW_QUERIES` others; where the fields should take no more than half
+    of the budgets of those that share them. Else the one named; None is the planner's default.
+    """
+    heuristics = [heuristic] * len(problems)
+    if (heuristic or PLANNERS[planner].default_heuristic) != AUTO:
+        return heuristics
+    by_goal: dict[tuple[int, Cell], list[int]] = {}
+    others: dict[int, list[int]] = {}
+    for index, problem in enumerate(problems):
+        by_goal.setdefault((problem.map_key, problem.goal), []).append(index)
+
+    def choose(name: str, indices: list[int], fewest: int, num_fields: int) -> bool:
+        expected_s = num_fields * problems[indices[0]].is_free.size / NODES_PER_S
+        is_chosen = len(indices) >= fewest and expected_s <= 0.5 * budget_s * len(indices)
+        for index in indices if is_chosen else ():
+            heuristics[index] = name
+        return is_chosen
+
+    for (map_key, _), indices in by_goal.items():
+        if planner not in EXACT_PLANNERS or not choose("exact", indices, FEW_TO_ONE_GOAL, 1):
+            others.setdefault(map_key, []).extend(indices)
+    for indices in others.values():
+        choose("landmarks", indices, FEW_QUERIES + 1, NUM_LANDMARKS)
+    return heuristics
+
+
+def _num_processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _in_threads(
+    problems: Sequence[Problem], indices: list[int], search: Callable[[Problem], Path], num_threads: int
+) -> Iterator[Outcome]:
+    """Yield the outcome of each search as it ends; few are begun ahead, so that closing stops soon."""
+    waiting = iter(indices)
+    running: dict[Future[Path], int] = {}
+    pool = ThreadPoolExecutor(num_threads, thread_name_prefix="planner")
+    try:
+        while True:
+            for index in waiting:
+                running[pool.submit(search, problems[index])] = index
+                if len(running) >= 2 * num_threads:
+                    break
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                index = running.pop(future)
+                error = future.exception()
+                if error is not None and not isinstance(error, Exception):
+                    raise error
+                yield index, future.result() if error is None else error
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)

@@ -18,8 +18,6 @@ NUDGES = (1.5, 3.0)  # by how many such distances points may move where the path
 DIRECTIONS = 8
 SPACING = 1.0  # cell sides between the points along a path at which it may turn
 PART = 0.3  # cell sides: five parts make a diagonal step, whose corner then lies within one of them
-SHORT_M = 1.0  # legs shorter than this between two turns are left out where one turn does for both
-ALIKE = 0.05  # sine of the angle between legs that run alike
 STUCK = 1e9  # what a leg that is not clear counts among nudges, so that there are as few as can be
 REACH = 256  # points that a leg may span, lest a way over open land of thousands takes seconds
 AHEAD = 1e-12  # relative: sums this much smaller are smaller
@@ -113,38 +111,8 @@ def _fewest(is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: flo
         moved = nudged(is_free, xy, is_movable, offsets, margin)
         tolerance -= float(np.hypot(*(moved - xy).T).max())
         xy = moved
-    xy = subdivided(xy, SPACING)
-    kept = fewest_legs(is_free, xy, tolerance, margin)
-    return _without_short_legs(is_free, xy, kept, tolerance, margin, SHORT_M / side_m)
-
-
-def _without_short_legs(
-    is_free: np.ndarray, xy: np.ndarray, kept: np.ndarray, tolerance: float, margin: float, short: float
-) -> np.ndarray:
-    """Return the points kept ``[W, 2]``, two that a short leg joins replaced by one where that stays clear and near.
-
-    Where the legs before and after meet, or at one of the two, or in their middle.
-    """
-    points, at = list(xy[kept]), kept.tolist()
-    for k in range(len(points) - 3, 0, -1):
-        before, here, there, after = points[k - 1 : k + 3]
-        middles = [_crossing(before, here, there, after), (here + there) / 2, here, there]
-        for middle in middles if np.hypot(*(there - here)) < short else ():
-            way, was = np.array([before, middle, after]), xy[at[k - 1] : at[k + 2] + 1]
-            off = max(farthest(was, way), farthest(middle[None], was))
-            if off <= tolerance and are_clear(is_free, way, margin).all():
-                points[k : k + 2], at[k : k + 2] = [middle], [at[k]]
-                break
-    return np.array(points)
-
-
-def _crossing(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Return where the lines through two legs meet; their middle where they run alike."""
-    (u_x, u_y), (v_x, v_y), (w_x, w_y) = b - a, c - d, d - a
-    turn = u_x * v_y - u_y * v_x
-    if abs(turn) < ALIKE * np.hypot(u_x, u_y) * np.hypot(v_x, v_y):
-        return (b + c) / 2
-    return a + (b - a) * ((w_x * v_y - w_y * v_x) / turn)
+    xy, _ = subdivided(xy, SPACING)
+    return np.asarray(xy[fewest_legs(is_free, xy, tolerance, margin)])
 
 
 def farthest(before: np.ndarray, after: np.ndarray) -> float:
@@ -155,7 +123,7 @@ def farthest(before: np.ndarray, after: np.ndarray) -> float:
 
 def _divided(xy: np.ndarray, is_far: np.ndarray) -> np.ndarray:
     """Return the points with others along the legs that are not clear, `PART` apart."""
-    parts = [xy[k : k + 1] if is_far[k] else subdivided(xy[k : k + 2], PART)[:-1] for k in range(len(is_far))]
+    parts = [xy[k : k + 1] if is_far[k] else subdivided(xy[k : k + 2], PART)[0][:-1] for k in range(len(is_far))]
     return np.concatenate([*parts, xy[-1:]])
 
 

@@ -10,10 +10,10 @@ from scipy.ndimage import label
 import jaxurban as ju
 from benchmarks.random_routes import read_plan
 from jaxurban.cli import main as cli
-from jaxurban.paths.cost_map import cost_map
 from jaxurban.paths.export.qgc_plan import GROUND_TOLERANCE_M
 from jaxurban.paths.export.write import write_path
-from jaxurban.paths.ground import elevation_at
+from jaxurban.paths.path import elevation_at
+from jaxurban.paths.plan import cost_map
 from jaxurban.paths.snapping import XY
 from tests.mavlink import mission_reader
 

@@ -12,8 +12,9 @@ from jaxurban.metrics.gps import soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.planners.base import Problem
-from jaxurban.planners.batch import solve_many
-from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
+from jaxurban.planners.bitstar.planner import bitstar_plus
+from jaxurban.planners.bulk import solve_batched
+from jaxurban.planners.registry import solve_many
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface
@@ -149,8 +150,8 @@ def test_costs_of_many_queries_are_those_of_numba(gpu, queries):
 
 
 def test_bitstar_finds_the_same_cost_at_equal_samples(gpu, queries):
-    costs = []
-    for backend in ("jax", "numba"):
-        options = BitStarOptions(backend=backend)
-        costs.append(bitstar_plus(queries[0], budget_s=np.inf, max_samples=500, options=options).cost)
-    assert costs[0] == pytest.approx(costs[1], rel=1e-9)
+    expected = bitstar_plus(queries[0], budget_s=np.inf, max_samples=500)
+    ((_, found),) = solve_batched(
+        queries[:1], planner="bitstar-plus", heuristic="plus", seeds=[0], budget_s=np.inf, max_samples=500
+    )
+    assert found.cost == pytest.approx(expected.cost, rel=1e-9)

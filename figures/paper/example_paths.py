@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from figures.paper.common import PATH_M, TOWNS, Caption, Town, save
 from jaxurban.maps.scenario import PAPER_PLANNERS
-from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.cost_map import CostMap, PathSearch
 from jaxurban.paths.path import PlannedPath, finish, map_settings
-from jaxurban.paths.preset import PathSearch
+from jaxurban.paths.plan import cost_map
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.registry import find_planner
 from jaxurban.report.figures.frame import NO_DATA_COLOUR, MapLayer, MapPanel, add_scale, draw_layers, draw_maps

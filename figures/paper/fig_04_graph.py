@@ -9,7 +9,7 @@ from matplotlib.patches import Patch, Rectangle
 
 from figures.paper.common import PATH_M, TOWNS, Caption, save
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.planners.cost_model import STEPS, CostModel, allowed_moves
+from jaxurban.planners.cost import STEPS, CostModel, allowed_moves
 from jaxurban.planners.grid_search import graph_of
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.style import INK, SMALL_PT, TEXT_PT, chart

@@ -1,6 +1,7 @@
 """Figure 5 of the paper: how BIT* works, four moments of a real search on the synthetic city."""
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -15,9 +16,8 @@ from figures.paper.common import Caption, save
 from jaxurban.paths.path import map_settings
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
-from jaxurban.planners.bitstar.batches import Batch, BitStarOptions
 from jaxurban.planners.bitstar.bounds import make_bounds
-from jaxurban.planners.bitstar.planner import bitstar_plus
+from jaxurban.planners.bitstar.planner import Batches, BitStarOptions, bitstar_plus
 from jaxurban.planners.bitstar.tree import Tree
 from jaxurban.report.figures.frame import MapLayer, MapPanel, draw_maps, flat_layer
 from jaxurban.report.figures.metrics import percent
@@ -48,15 +48,12 @@ def query(maps: ju.MetricMaps, weights: ju.Weights) -> Problem:
     return problem.between(start, goal)
 
 
-def run(problem: Problem) -> list[Batch]:
-    """Return every batch of a search that repeats exactly."""
-    batches: list[Batch] = []
-    bitstar_plus(
-        problem,
-        seed=SEED,
-        budget_s=np.inf,
-        options=BitStarOptions(BATCH_SAMPLES, growth=0, max_batches=NUM_BATCHES, on_batch=batches.append),
-    )
+def run(problem: Problem) -> list[Batches]:
+    """Return a search that repeats exactly as it was after each batch."""
+    batches: list[Batches] = []
+    limits = {"growth": 0, "max_batches": NUM_BATCHES}
+    options = BitStarOptions(BATCH_SAMPLES, **limits, on_batch=lambda now: batches.append(copy(now)))
+    bitstar_plus(problem, seed=SEED, budget_s=np.inf, options=options)
     return batches
 
 
@@ -108,16 +105,16 @@ class Picture:
         if samples:
             panel.plot(*xy_m[~is_joined].T, "o", mfc="none", mec=SAMPLE, mew=0.7, markersize=3, zorder=6)
 
-    def path(self, panel: Axes, batch: Batch) -> None:
+    def path(self, panel: Axes, batch: Batches) -> None:
         """Draw the batch's best path."""
-        xy_m = self.at_m(batch.tree.xy[batch.path])
+        xy_m = self.at_m(batch.tree.xy[batch.tree.path()])
         panel.plot(*xy_m.T, color="white", linewidth=4.4, solid_joinstyle="round", zorder=8)
         panel.plot(*xy_m.T, color=INK, linewidth=2.4, solid_joinstyle="round", zorder=9)
 
-    def ends(self, panel: Axes, batch: Batch) -> None:
+    def ends(self, panel: Axes, batch: Batches) -> None:
         """Mark start and goal."""
         look = {"linestyle": "none", "markeredgecolor": "black", "markerfacecolor": "white", "zorder": 20}
-        start_m, goal_m = self.at_m(batch.tree.xy[batch.path[[0, -1]]])
+        start_m, goal_m = self.at_m(batch.tree.xy[batch.tree.path()[[0, -1]]])
         panel.plot(*start_m, marker="o", markersize=7, **look)
         panel.plot(*goal_m, marker="*", markersize=13, **look)
 
@@ -127,16 +124,16 @@ def num_edges(tree: Tree) -> int:
     return int((tree.parent >= 0).sum())
 
 
-def panel_titles(problem: Problem, batches: Sequence[Batch], kept: Tree) -> list[str]:
+def panel_titles(problem: Problem, batches: Sequence[Batches], kept: Tree) -> list[str]:
     """Return what each panel shows, with its numbers."""
-    first, second, last = batches[1], batches[2], batches[-1]
+    first, second, last, number = batches[1], batches[2], batches[-1], len(batches) - 1
     drawn, num_dropped = sum(len(batch.samples) for batch in batches), len(first.tree.xy) - len(kept.xy)
     left = percent(share_left(problem, first.cost))
     return [
         f"(a) batch 1: {len(first.samples)} samples, {num_edges(first.tree)} tree edges, cost {first.cost:,.0f}",
         f"(b) smaller space: {left} of free cells, {num_dropped} samples dropped",
         f"(c) batch 2: {len(second.samples)} new samples, {num_edges(kept)} tree edges kept",
-        f"(d) batch {last.number}: {drawn} samples drawn, {num_edges(last.tree)} tree edges, cost {last.cost:,.0f}",
+        f"(d) batch {number}: {drawn} samples drawn, {num_edges(last.tree)} tree edges, cost {last.cost:,.0f}",
     ]
 
 
@@ -162,7 +159,7 @@ def legend() -> list[Artist]:
     return list(handles.values())
 
 
-def caption(maps: ju.MetricMaps, problem: Problem, batches: Sequence[Batch]) -> Caption:
+def caption(maps: ju.MetricMaps, problem: Problem, batches: Sequence[Batches]) -> Caption:
     last, cost = batches[-1], [batch.cost for batch in batches[1:]]
     on_grid, usual = astar(problem), query(maps, ju.Weights())
     usual_cost = run(usual)[-1].cost
@@ -170,7 +167,7 @@ def caption(maps: ju.MetricMaps, problem: Problem, batches: Sequence[Batch]) -> 
     return Caption(
         PAPER,
         f"A real run of ours, which repeats exactly (seed {SEED}). The cost falls from {cost[0]:,.0f} to "
-        f"{cost[-1]:,.0f} in {last.number} batches; the cheapest path on the grid of {RESOLUTION_M:g} m cells costs "
+        f"{cost[-1]:,.0f} in {len(cost)} batches; the cheapest path on the grid of {RESOLUTION_M:g} m cells costs "
         f"{on_grid.cost:,.0f}, for it turns by 45 degrees only. In the end {sides[0]} of the free cells can still hold "
         f"a cheaper path; by distance alone it would be {sides[1]}.",
         "Ours leaves out what distance and the cheapest map costs on the way rule out (solid line), not distance alone "

@@ -67,11 +67,11 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     """Plan a path over the maps in DIR."""
     from jaxurban.maps.levels import Levels
     from jaxurban.maps.metric_maps import open_maps
-    from jaxurban.paths.cost_map import map_for
+    from jaxurban.paths.cost_map import PathSearch
     from jaxurban.paths.explain import check_flight, explain
     from jaxurban.paths.export.write import MISSION, encoder_of
-    from jaxurban.paths.preset import MapQuery, PathSearch
-    from jaxurban.paths.simplify import simplify
+    from jaxurban.paths.path import simplify
+    from jaxurban.paths.plan import cost_map
 
     with_report, is_volume, snap = given["with_report"], given["is_volume"], take_snap(given)
     flight = {name: given[name] for name in ("speed_m_s", "power_w", "swath_m") if given[name] is not None}
@@ -98,7 +98,8 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
         start, goal = (*start, altitude_m), (*goal, goal_altitude_m)
         altitude_m = Levels(**{name: given[name] for name in LEVEL_OPTIONS if given[name] is not None})
     search = PathSearch.of(maps, is_volume, snap=snap, **taken_by(PathSearch.of, given))
-    shared = map_for(*MapQuery.of(maps, **taken_by(MapQuery.of, given | given_rules(given))), altitude_m)
+    rules = given | given_rules(given) | {"maps": maps, "altitude_m": altitude_m}
+    shared = cost_map(**taken_by(cost_map, rules))
     planned, maps = shared.planned(start, goal, search), shared.maps
     if simplify_m:
         planned = simplify(planned, shared, simplify_m)
@@ -124,10 +125,9 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
 
 def _write(file: Path, planned: "PlannedPath", on: "CostMap", report: "RouteReport | None", given: Settings) -> None:
     """Write a path to a file, simplified where it is a file of waypoints and nothing was said, and tell of it."""
-    from jaxurban.paths.export.gpx_kml import elevation_note
     from jaxurban.paths.export.qgc_plan import mission_note
-    from jaxurban.paths.export.write import MISSION, WAYPOINTS, write_path
-    from jaxurban.paths.simplify import simplify
+    from jaxurban.paths.export.write import MISSION, WAYPOINTS, elevation_note, write_path
+    from jaxurban.paths.path import simplify
 
     if not planned.status.has_path:
         tell(f"no path, so {file} was not written" + (" (an older one is still there)" if file.exists() else ""))

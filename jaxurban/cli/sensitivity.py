@@ -64,7 +64,7 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.metric_maps import open_maps
-    from jaxurban.paths.cost_map import cost_map
+    from jaxurban.paths.plan import cost_map
     from jaxurban.report.buildings import BUILDINGS_FILES, write_buildings
     from jaxurban.report.sensitivity import FILES, ranges, sensitivity_markdown, sensitivity_outputs
     from jaxurban.report.write import REPORT_FILE, save

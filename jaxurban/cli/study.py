@@ -49,7 +49,7 @@ def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_j
     from jaxurban.maps.scenario import Scenario
     from jaxurban.paths.rows import HAS_PATH
     from jaxurban.planners.base import EXIT_NO_PATH
-    from jaxurban.planners.cost_model import CostModel
+    from jaxurban.planners.cost import CostModel
     from jaxurban.report.benchmark import check_exportable, export_benchmark
 
     changes = [f"planning.preset={given['preset']!r}"] if given["preset"] else []

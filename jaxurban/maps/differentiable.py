@@ -16,7 +16,7 @@ from jaxurban.metrics.registry import METRICS, checked_sections
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.base import Problem
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.world.surface import Surface
 
 CELLS_STEP = 256  # visited cells are filled up to a multiple of it, so that programs meet few shapes

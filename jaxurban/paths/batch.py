@@ -1,8 +1,8 @@
 """plan_many: thousands of queries over metric maps, none of which is lost once it is done."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path as FilePath
 from typing import Any
@@ -11,23 +11,25 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError, taken_by, typed
-from jaxurban.io.tables import fingerprint
+from jaxurban.io.tables import RowStore, fingerprint
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
-from jaxurban.paths.cost_map import CostMap, map_for
-from jaxurban.paths.path import finish
-from jaxurban.paths.preset import MapQuery, PathSearch
-from jaxurban.paths.queries import BatchResults, PlannedPaths, QueryResult, read_queries
+from jaxurban.paths.cost_map import CostMap, PathSearch
+from jaxurban.paths.path import PlannedPath, finish
+from jaxurban.paths.plan import cost_map
+from jaxurban.paths.queries import NOT_RUN, PlannedPaths, Query, path_of, read_queries, row_of
 from jaxurban.paths.rows import BAD_INPUT, failure
 from jaxurban.paths.snapping import Place, Point
-from jaxurban.planners.base import Path
-from jaxurban.planners.batch import Backend, solve_many
+from jaxurban.planners.base import Path, Status
+from jaxurban.planners.registry import Backend, solve_many
 from jaxurban.progress import LOG, Progress, reporting
 
 HELD_BYTES = 2 * 2**30  # of weighed maps at a time
 BYTES_A_CELL = 160  # of a cost map: layers, metrics, landmarks
+ENDED_BY_BUDGET = (Status.BUDGET_EMPTY.value, Status.BUDGET_FEASIBLE.value)
+NEEDED = {"query", "status", "message", "key", "budget_s", "search", "x_m", "y_m"}  # of a file of results
 
 
-@partial(typed, makers=(MapQuery.of, PathSearch.of))
+@partial(typed, makers=(cost_map, PathSearch.of))
 def plan_many(
     maps: GivenMaps,
     queries: pd.DataFrame | Sequence[tuple[Point, Point]],
@@ -56,17 +58,18 @@ def plan_many(
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps; what is left out is as their
         scenario gives it, as in `plan`.
-      queries: pairs of places or a table (see `read_queries`); a table's rows may have altitude, time, time of
-        day and weights of their own.
+      queries: pairs of places ``((lon, lat), (lon, lat))``, which may be an array ``[N, 2, 2]``, or a table (see
+        `read_queries`), whose rows may have altitude, time, time of day and weights of their own.
       altitude_m: for queries that say nothing of their own.
       backend: ``"numba"``, ``"jax"`` or ``"auto"`` (see `solve_many`).
       strict: raise the first error or crash instead.
       file: where to keep the results, named ``.parquet``.
       num_threads: of the ``"numba"`` backend.
       progress: as in `jaxurban.progress.reporting`.
-      asked: of all queries, as in `plan`: ``weights``, ``time`` and ``time_of_day`` for queries that say nothing of
-        their own, ``objective``, ``cost_model``, ``constraints`` and ``preset``, ``planner``, ``heuristic``,
-        ``budget_s`` and ``seed`` of each query, and ``snap``; not ``refine``.
+      weights, time, time_of_day: as in `plan`, for queries that say nothing of their own.
+      objective, cost_model, constraints, preset: which map, as in `plan`.
+      planner, heuristic, budget_s, seed, snap: of each query, as in `plan`.
+      refine: of a single plan only.
 
     Raises:
       InputError: an argument that is wrong for all queries, a file that holds results of other queries; with
@@ -76,111 +79,135 @@ def plan_many(
     search = PathSearch.of(maps, **taken_by(PathSearch.of, asked))
     if search.refine:
         raise InputError("refine is of a single plan: leave it out, and refine the paths that matter")
-    if file is not None and (FilePath(file).suffix != ".parquet" or not FilePath(file).parent.is_dir()):
-        raise InputError(f"file {str(file)!r} must end in .parquet and lie in a folder that exists")
-    maps, query = MapQuery.of(maps, **taken_by(MapQuery.of, asked))
+    if file is not None and not FilePath(file).parent.is_dir():
+        raise InputError(f"the folder of {str(file)!r} does not exist: make it first, or name another file")
+    most_maps = max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(maps.grid.shape))))
+    of_map, when = taken_by(cost_map, asked), {name: asked.get(name) for name in ("time", "time_of_day")}
 
-    @lru_cache(maxsize=max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(maps.grid.shape)))))
+    @lru_cache(maxsize=most_maps)
     def map_of(altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
-        return map_for(maps, replace(query, time=time, time_of_day=time_of_day), altitude_m)
+        return cost_map(maps, altitude_m, **of_map | {"time": time, "time_of_day": time_of_day})
 
-    map_of(maps.altitudes_m[0] if altitude_m is None else altitude_m, query.time, query.time_of_day)  # wrong for all
-    defaults = {"altitude_m": altitude_m, "metrics": maps.metrics} | taken_by(read_queries, vars(query))
-    batch = read_queries(queries, **defaults)
-    book = BatchResults(batch, None if file is None else FilePath(file))
-    job = _Job(map_of, search, backend, num_threads, strict, book)
+    weights = map_of(maps.altitudes_m[0] if altitude_m is None else altitude_m, *when.values()).weights  # wrong for all
+    batch = read_queries(queries, altitude_m=altitude_m, weights=weights, metrics=maps.metrics, **when)
+    results = _Results(batch, None if file is None else RowStore(FilePath(file), ["query"]))
+    chosen = {name: getattr(search, name) for name in ("planner", "heuristic", "budget_s", "seed")}
+    solve = partial(solve_many, **chosen, backend=backend, num_threads=num_threads)
     was_interrupted = False
     try:
         with reporting("plan_many", progress) as report:
-            for _ in job.run():
-                report("queries", len(book.results), len(batch), **book.counts)
+            for num_done, _ in enumerate(_done(results, map_of, most_maps, search, solve, strict), start=1):
+                report("queries", num_done, len(batch), **results.counts)
     except KeyboardInterrupt:
         was_interrupted = True
-        LOG.warning("interrupted: %d of %d queries are done", len(book.results), len(batch))
+        LOG.warning("interrupted: %d of %d queries are done", sum(results.counts.values()), len(batch))
     finally:
-        book.save()
-    return book.paths(was_interrupted)
+        results.save()
+    return PlannedPaths(results.rows, results.paths, was_interrupted)
 
 
-@dataclass(frozen=True, eq=False)
-class _Job:
-    """The way of a batch: cost maps are made as far as they can be held, their queries located and solved."""
+class _Results:
+    """What became of each query so far, and the file that keeps it, from which a batch that was ended goes on."""
 
-    map_of: Any  # of altitude, time and time of day; which holds as many as there is room for
-    search: PathSearch
-    backend: Backend
-    num_threads: int | None
-    strict: bool
-    book: BatchResults
+    def __init__(self, queries: Sequence[Query], store: RowStore | None) -> None:
+        self.queries, self._store = queries, store
+        not_run = NOT_RUN, "The batch ended before this query was done."
+        self.rows = [row_of(k, query, *not_run) for k, query in enumerate(queries)]
+        self.paths: list[PlannedPath | None] = [None] * len(queries)
+        self.counts = {"paths": 0, "none": 0}
+        if store is not None and not all(row.keys() >= NEEDED and row["query"] < len(queries) for row in store.rows):
+            raise InputError(f"{str(store.file)!r} holds no results of these queries: name another file, or remove it")
 
-    def run(self) -> Iterator[int]:
-        """Do the batch; yield each query's number when it has its result."""
-        by_map: dict[tuple, list[int]] = {}
-        for k, query in enumerate(self.book.queries):
-            if query.error:
-                yield self._refuse(k, query.error)
-            else:
-                by_map.setdefault((query.altitude_m, query.time, query.time_of_day, query.weights), []).append(k)
-        groups, at_once = list(by_map.values()), self.map_of.cache_info().maxsize
-        for first in range(0, len(groups), at_once):
-            yield from self._run_groups(groups[first : first + at_once])
+    def add(self, k: int, status: str, message: str, path: PlannedPath | None = None, key: str = "") -> int:
+        """Note a result, keep it in the file, and return the query's number."""
+        self.rows[k], self.paths[k] = row_of(k, self.queries[k], status, message, path, key), path
+        self.counts["paths" if path is not None and path.status.has_path else "none"] += 1
+        if self._store is not None:
+            self._store.add([self.rows[k]])
+        return k
 
-    def _run_groups(self, groups: Sequence[list[int]]) -> Iterator[int]:
+    def take(self, k: int, key: str, budget_s: float, finish: Callable[[Path], PlannedPath]) -> bool:
+        """Return whether the file holds the result of a query, and note it; not one that a smaller budget ended."""
+        row = None if self._store is None else self._store.get(k)
+        if self._store is None or row is None or row["status"] == BAD_INPUT:
+            return False
+        if row["key"] != key:
+            raise InputError(
+                f"{str(self._store.file)!r} holds results of other queries (query {k} differs in its place, map, "
+                "weights or planner): name another file, or remove it"
+            )
+        if row["status"] in ENDED_BY_BUDGET and row["budget_s"] < budget_s:
+            return False
+        path = None if row["search"] is None else finish(path_of(row))
+        if path is not None:
+            kept_s = row["budget_s"] if np.isfinite(row["budget_s"]) else None
+            path = replace(path, settings={**path.settings, "budget_s": kept_s})
+        self.add(k, row["status"], row["message"], path, key)
+        return True
+
+    def save(self) -> None:
+        """Write what is known, with what an earlier run knew and this one has not come to yet."""
+        if self._store is not None:
+            self._store.save()
+
+
+def _done(
+    results: _Results,
+    map_of: Callable[..., CostMap],
+    most_maps: int,
+    search: PathSearch,
+    solve: partial[Any],
+    strict: bool,
+) -> Iterator[int]:
+    """Make cost maps as far as they can be held, locate their queries and solve them; yield the number of each done."""
+
+    def refuse(k: int, error: InputError | str) -> int:
+        if strict:
+            raise InputError(f"query {k}: {error}")
+        return results.add(k, BAD_INPUT, str(error))
+
+    by_map: dict[tuple, list[int]] = {}
+    for k, query in enumerate(results.queries):
+        if query.error:
+            yield refuse(k, query.error)
+        else:
+            by_map.setdefault((query.altitude_m, query.time, query.time_of_day, query.weights), []).append(k)
+    waiting = list(by_map.items())
+    while waiting:
+        groups, waiting = waiting[:most_maps], waiting[most_maps:]
         located: list[tuple[int, str, CostMap, tuple[Place, Place]]] = []
-        waiting: list[int] = []  # by their numbers among those located
-        search = self.search
-        for group in groups:
-            first = self.book.queries[group[0]]
+        unsolved: list[int] = []  # by their numbers among those located
+        for (*at, weights), numbers in groups:
             try:
-                shared = self.map_of(first.altitude_m, first.time, first.time_of_day).with_weights(first.weights)
+                shared = map_of(*at).with_weights(weights)
             except InputError as error:
-                yield from [self._refuse(k, str(error)) for k in group]
+                yield from [refuse(k, error) for k in numbers]
                 continue
-            digest = self._digest(shared)
-            for k in group:
+            # What stands for the map and the settings of the search, but for its budget.
+            settings = (shared.weights, shared.objective, shared.cost_model, shared.leg_margin_m)
+            of_search = (replace(search, snap=False, budget_s=np.inf), solve.keywords["backend"])
+            digest = fingerprint(shared.costs, shared.is_free, (*settings, of_search))
+            for k in numbers:
                 try:
-                    ends = shared.ends(self.book.queries[k].start, self.book.queries[k].goal, snap=search.snap)
+                    ends = shared.ends(results.queries[k].start, results.queries[k].goal, snap=search.snap)
                 except InputError as error:
-                    yield self._refuse(k, str(error))
+                    yield refuse(k, error)
                     continue
                 key = fingerprint(digest, ends)
                 located.append((k, key, shared, ends))
-                if self.book.take(k, key, search.budget_s, partial(finish, shared, ends=ends, search=search)):
+                if results.take(k, key, search.budget_s, partial(finish, shared, ends=ends, search=search)):
                     yield k
                 else:
-                    waiting.append(len(located) - 1)
+                    unsolved.append(len(located) - 1)
         problems = [shared.problem.between(ends[0].cell, ends[1].cell) for _, _, shared, ends in located]
-        outcomes = solve_many(
-            problems,
-            planner=search.planner,
-            heuristic=search.heuristic,
-            backend=self.backend,
-            budget_s=search.budget_s,
-            seed=search.seed,
-            num_threads=self.num_threads,
-            only=waiting,
-        )
-        with closing(outcomes):
+        with closing(solve(problems, only=unsolved)) as outcomes:
             for i, outcome in outcomes:
                 k, key, shared, ends = located[i]
                 if isinstance(outcome, Path):
                     planned = finish(shared, outcome, ends, search)
-                    self.book.add(k, QueryResult(planned.status.value, planned.message, planned, key))
-                elif self.strict:
+                    yield results.add(k, planned.status.value, planned.message, planned, key)
+                elif strict:
                     raise outcome
                 else:
                     failed = failure(outcome)
-                    self.book.add(k, QueryResult(failed["status"], failed["note"], key=key))
-                yield k
-
-    def _refuse(self, k: int, error: str) -> int:
-        if self.strict:
-            raise InputError(f"query {k}: {error}")
-        self.book.add(k, QueryResult(BAD_INPUT, error))
-        return k
-
-    def _digest(self, shared: CostMap) -> str:
-        """Return what stands for a cost map and the settings of the search, but for its budget."""
-        search = (replace(self.search, snap=False, budget_s=np.inf), self.backend)
-        settings = (shared.weights, shared.objective, shared.cost_model, shared.leg_margin_m, search)
-        return fingerprint(shared.costs, shared.is_free, settings)
+                    yield results.add(k, failed["status"], failed["note"], key=key)

@@ -1,6 +1,5 @@
 """What a pilot should know of a planned route before it is flown, in short sentences, each with its level."""
 
-import math
 from collections.abc import Iterator
 from typing import Literal
 
@@ -56,8 +55,8 @@ def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None
     Also reported: an end over a roof; climbs, descents and turns beyond the limits of the vehicle that it was planned
     for. A sentence each, what is guessed first.
 
-    Distances are measured from the route to the edges of cells, so that 0 is contact; obstacles outside the region
-    count as far as the risk map knows them (`explain`).
+    Distances are measured from the route to the edges of cells, so that 0 is contact; obstacles outside the region are
+    not known.
 
     Args:
       planned: a path, from `plan`.
@@ -75,7 +74,7 @@ def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None
     return [
         *guess_cautions(maps, profile),
         *_fix(profile),
-        _clearance(profile, maps, apart_m),
+        _clearance(profile, apart_m),
         *_roofs(profile, above_m),
         *_ends(profile),
         *(Caution(sentence, "limit") for sentence in _manoeuvres(planned)),
@@ -105,39 +104,29 @@ def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
     longest = sorted(sorted(segments, key=lambda ends: ends[0] - ends[1])[:MOST_SEGMENTS])
     where = ", ".join(f"{from_m:.0f} to {to_m:.0f} m" for from_m, to_m in longest)
     all_m, left = sum(to_m - from_m for from_m, to_m in segments), len(segments) - len(longest)
-    more = f" and {left} shorter segment{'s' * (left > 1)}" if left else ""
     yield Caution(
         f"GPS: no fix (fewer than four satellites) on {all_m:.0f} of {profile['to_m'].iloc[-1]:.0f} m: "
-        f"from {where} along the route{more}.",
+        f"from {where} along the route{f' and {left} shorter segment(s)' * (left > 0)}.",
         "limit",
     )
 
 
-def _clearance(profile: pd.DataFrame, maps: MetricMaps, apart_m: float) -> Caution:
+def _clearance(profile: pd.DataFrame, apart_m: float) -> Caution:
     inside, outside = (int(np.argmin(profile[name])) for name in (CLEARANCE, OUTSIDE))
     inside_m, outside_m = float(profile[CLEARANCE].iloc[inside]), float(profile[OUTSIDE].iloc[outside])
-    within_m = outside_m + math.sqrt(2) * maps.grid.resolution_m  # what risk takes for its distance, at most
-    is_told = within_m < maps.ds.attrs.get("risk_threshold_m", 0.0) and maps.ds.attrs["risk_distance"] == "slice"
-    least_m = inside_m
     if inside_m <= outside_m:
         sentence = f"Buildings: the nearest at flight height is {inside_m:.1f} m away, {_at(profile, inside)}"
-    elif is_told and profile[CLEARANCE].iloc[outside] > within_m + maps.grid.resolution_m:
-        least_m = within_m
-        sentence = (
-            f"Buildings: the nearest at flight height stands outside the region, {outside_m:.1f} to {within_m:.1f} m "
-            f"away, {_at(profile, outside)}"
-        )
     else:
-        known = f"; in the region the nearest is {inside_m:.1f} m away" if math.isfinite(inside_m) else ""
+        nearest = f"; in the region the nearest is {inside_m:.1f} m away" if np.isfinite(inside_m) else ""
         sentence = (
-            f"Buildings: none at flight height is within {outside_m:.1f} m, {_at(profile, outside)}; what stands "
-            f"farther outside the region is not known{known}"
+            f"Buildings: none at flight height is within {outside_m:.1f} m, {_at(profile, outside)}, as far as the "
+            f"maps reach; what stands beyond their border is not known{nearest}"
         )
     if is_guess := CLEARANCE in guessed_clearances(profile):
         guessed_m = float(profile[TO_GUESSED].min())
         nearest = f"the nearest of those is {guessed_m:.1f} m away" if guessed_m > 0 else "the route passes over some"
         sentence += f", if guessed roofs are right: {nearest}"
-    is_beyond = least_m < apart_m - ROUNDING or least_m <= 0
+    is_beyond = inside_m < apart_m - ROUNDING or inside_m <= 0
     return Caution(f"{sentence}.", "limit" if is_beyond else "guess" if is_guess else "note")
 
 
@@ -181,29 +170,30 @@ def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
     moved_m = np.diff(np.column_stack([planned.xy_m, planned.z_m]), axis=0)
     air_m = np.linalg.norm(moved_m, axis=1)
     along_m, speed_m_s = np.append(0.0, np.cumsum(air_m)), vehicle.speed_m_s
-    rises = (("climb", vehicle.max_climb_m_s, moved_m[:, 2]), ("descent", vehicle.max_descent_m_s, -moved_m[:, 2]))
-    for name, most_m_s, rise_m in rises:
+    slope = moved_m[:, 2] / np.where(air_m > 0, air_m, 1.0)
+    for name, most_m_s, share in (
+        ("climb", vehicle.max_climb_m_s, slope),
+        ("descent", vehicle.max_descent_m_s, -slope),
+    ):
         if most_m_s is None or speed_m_s is None:
             continue
-        needed_m_s = speed_m_s * rise_m / np.where(air_m > 0, air_m, 1.0)
-        if num := int((needed_m_s > most_m_s * (1 + ROUNDING)).sum()):
-            steepest = int(np.argmax(needed_m_s))
+        if num := int((speed_m_s * share > most_m_s * (1 + ROUNDING)).sum()):
+            steepest = int(np.argmax(share))
             yield (
-                f"Vehicle: {num} leg{'s' * (num > 1)} would need more than {most_m_s:g} m/s of {name} at {speed_m_s:g} "
-                f"m/s; the steepest, {along_m[steepest]:.0f} m along the route, is flown at "
-                f"{speed_m_s * most_m_s / needed_m_s[steepest]:.2g} m/s at most."
+                f"Vehicle: at {speed_m_s:g} m/s {num} leg(s) would need more than {most_m_s:g} m/s of {name}; the "
+                f"steepest, {along_m[steepest]:.0f} m along the route, is flown at {most_m_s / share[steepest]:.2g} "
+                "m/s at most."
             )
     if vehicle.max_turn_deg is None:
         return
-    ahead = np.hypot(moved_m[:, 0], moved_m[:, 1]) > 0  # straight up and down there is no heading
+    ahead = np.flatnonzero(np.hypot(moved_m[:, 0], moved_m[:, 1]))  # straight up and down there is no heading
     heading_deg = np.degrees(np.arctan2(moved_m[ahead, 1], moved_m[ahead, 0]))
     turn_deg = np.abs((np.diff(heading_deg) + 180) % 360 - 180)
     if num := int((turn_deg > vehicle.max_turn_deg * (1 + ROUNDING)).sum()):
         sharpest = int(np.argmax(turn_deg))
-        at_m = along_m[np.flatnonzero(ahead)[sharpest + 1]]
         yield (
-            f"Vehicle: {num} turn{'s are' if num > 1 else ' is'} sharper than {vehicle.max_turn_deg:g} degrees; the "
-            f"sharpest, of {turn_deg[sharpest]:.0f} degrees, is {at_m:.0f} m along the route."
+            f"Vehicle: {num} turn(s) are sharper than {vehicle.max_turn_deg:g} degrees; the sharpest, of "
+            f"{turn_deg[sharpest]:.0f} degrees, is {along_m[ahead[sharpest + 1]]:.0f} m along the route."
         )
 
 

@@ -1,36 +1,44 @@
-"""Constraints: cells that no path may enter, whatever it would save: no-fly zones, bounds on any map, clearances."""
+"""Constraints: cells that no path may enter, whatever it would save: no-fly zones, bounds on any map, clearances.
+
+A clearance is kept between the squares of cells, so that no point of a free cell is nearer to the outline of a
+building, which lies within the cells that it touches. These distances come in steps: 0, 1, 1.41, 2, 2.24 ... cells.
+What is asked beyond a step, up to half a cell, the legs of routes keep from closed cells; more closes the next step.
+A straight line from a leg to an obstacle runs through closed cells last: so it is as long as both together, or longer.
+"""
 
 import math
 import operator
 import re
 import warnings
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import binary_dilation, distance_transform_edt, minimum_filter
 
 from jaxurban.errors import IgnoredZoneWarning, InputError, nearest_name, typed
 from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.gps import WEIGHTED_DOPS
-from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
-from jaxurban.paths.clearance import FILE_MARGIN_M, closed_by_clearance, closing_step_m, kept_m, nearest_said
+from jaxurban.metrics.registry import known_metrics
+from jaxurban.planners.base import Cell
 from jaxurban.settings import CLEARANCES, DEFAULTS, Planning, Vehicle, not_negative, parse_time
+from jaxurban.world.show import listed
 
 OPERATORS: dict[str, Callable] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 BOUND = re.compile(r"\s*(\w+)\s*([<>=!]+)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|[-+]?inf|nan)\s*", re.IGNORECASE)
-MOST_NAMED = 3  # zones, in a warning
 KEPT_CLEAR = {  # entries of `Constraints.to_dict`, as messages call them
     "clearance_m": "clearance",
     "vehicle_radius_m": "vehicle's radius",
     "vertical_clearance_m": "vertical clearance",
 }
-Cell = tuple[int, ...]
 Altitudes = float | Sequence[float]
-Require = str | Mapping[str, tuple[str, float]] | Iterable[str]
+# What a file may take from a clearance: 8 mm by the seventh decimal of a degree, and up to 35 mm where a program draws
+# a leg of 1 km straight in degrees instead of in the maps' CRS (length^2 / 8 R x tan of a latitude up to 60 degrees).
+FILE_MARGIN_M = 0.05
+MOST_LEG_MARGIN = 0.49  # cell sides: steps between the centres of cells keep half a side from closed cells
 
 
 @dataclass(frozen=True)
@@ -68,12 +76,12 @@ class Bound:
         Raises:
           InputError: text that does not read name, comparison, number.
         """
-        if (found := BOUND.fullmatch(text)) is None:
+        if (parts := BOUND.fullmatch(text)) is None:
             raise InputError(
                 f"the bound {text!r} must read name, one of {', '.join(OPERATORS)}, number, as in gps>=0.3 or "
                 "num_visible>=4"
             )
-        return cls(found[1], found[2], float(found[3]))
+        return cls(parts[1], parts[2], float(parts[3]))
 
     def is_kept(
         self, maps: MetricMaps, altitude_m: float, time: str | None = None, time_of_day: str | None = None
@@ -87,11 +95,10 @@ class Bound:
         """
         variable = maps.variable(self.variable)
         if variable not in maps.ds or maps.ds[variable].dims[-2:] != ("y", "x"):
-            held = sorted(str(name) for name, array in maps.ds.data_vars.items() if array.dims[-2:] == ("y", "x"))
-            made_by = _made_by(variable, held)
-            meant = "" if made_by else nearest_name(self.variable, held)
+            names = sorted(str(name) for name, array in maps.ds.data_vars.items() if array.dims[-2:] == ("y", "x"))
             raise InputError(
-                f"the bound {self} is on a map that these maps do not hold{meant}: they hold {', '.join(held)}{made_by}"
+                f"the bound {self} is on a map that these maps do not hold{nearest_name(self.variable, names)}: choose "
+                f"one of {', '.join(names)}, or make maps that hold it"
             )
         is_kept = maps.ds["has_data"].values.copy()
         for z_m in maps.around(altitude_m):
@@ -141,7 +148,7 @@ class Constraints:
     def read(
         cls,
         no_fly: str | Path | Iterable[str | Path] = (),
-        require: Require = (),
+        require: str | Iterable[str] = (),
         *,
         clearance_m: float | None = None,
         vertical_clearance_m: float | None = None,
@@ -151,19 +158,14 @@ class Constraints:
 
         Args:
           no_fly: a file of polygons or several (GeoJSON, KML ...; `read_zones` says what is read).
-          require: ``"gps>=0.3"``, a list of such, or ``{"gps": (">=", 0.3)}``.
-          clearance_m: least horizontal distance to buildings as high as a path.
-          vertical_clearance_m: least height over roofs.
-          vehicle: what flies.
+          require: ``"gps>=0.3"``, or a list of such.
+          clearance_m, vertical_clearance_m, vehicle: the attributes.
 
         Raises:
           InputError: a file or a bound that cannot be read, or a clearance below 0.
         """
         files = [no_fly] if isinstance(no_fly, (str, Path)) else no_fly
-        if isinstance(require, Mapping):
-            bounds = [_bound(name, given) for name, given in require.items()]
-        else:
-            bounds = [Bound.parse(text) for text in ([require] if isinstance(require, str) else require)]
+        bounds = [Bound.parse(text) for text in ([require] if isinstance(require, str) else require)]
         zones = tuple(zone for file in files for zone in read_zones(file))
         return cls(zones, tuple(bounds), clearance_m, vertical_clearance_m, vehicle)
 
@@ -173,21 +175,16 @@ class Constraints:
     @property
     def keeps_clear(self) -> bool:
         """Whether paths keep a distance from obstacles."""
-        return bool(self.horizontal_m or self._vertical_m)
+        return self.horizontal_m > 0 or self._clearances_m["vertical_clearance_m"] > 0
 
     @property
     def horizontal_m(self) -> float:
         """The clearance and the vehicle's radius."""
-        return self._clearances_m[CLEARANCES[0]] + (self.vehicle or Vehicle()).radius_m
-
-    @property
-    def _vertical_m(self) -> float:
-        return self._clearances_m[CLEARANCES[1]]
+        return self._clearances_m["clearance_m"] + (self.vehicle or Vehicle()).radius_m
 
     @property
     def _clearances_m(self) -> dict[str, float]:
-        asked = {name: getattr(self, name) for name in CLEARANCES}
-        return {name: getattr(DEFAULTS, name) if value is None else value for name, value in asked.items()}
+        return {name: getattr(self if getattr(self, name) is not None else DEFAULTS, name) for name in CLEARANCES}
 
     def under(self, planning: Planning, vehicle: Vehicle) -> "Constraints":
         """Return the constraints, what they leave out taken from a ``[planning]`` and a vehicle."""
@@ -229,9 +226,8 @@ class Constraints:
         flight = parse_time(time)
         is_on = [zone.is_in_force(flight) for zone in self.zones]
         if off := [zone.label for zone, on in zip(self.zones, is_on, strict=True) if not on]:
-            shown = ", ".join(off[:MOST_NAMED]) + ", ..." * (len(off) > MOST_NAMED)
-            sentence = f"zones not in force at {time} nor within an hour, which close nothing: {len(off)} ({shown})"
-            warnings.warn(sentence, IgnoredZoneWarning, stacklevel=3)
+            sentence = f"zones not in force at {time} nor within an hour, which close nothing: {len(off)}"
+            warnings.warn(f"{sentence} ({listed(off)})", IgnoredZoneWarning, stacklevel=3)
         return replace(self, zones=tuple(zone for zone, on in zip(self.zones, is_on, strict=True) if on))
 
     def is_free(
@@ -257,8 +253,7 @@ class Constraints:
         Args:
           maps: the metric maps.
           altitude_m: above ground, or ``[K]`` ascending levels; with bounds, within the range of the maps' altitudes.
-          time: UTC time of the GPS map; the first if left out.
-          time_of_day: of the population map; the first if left out.
+          time, time_of_day: of the GPS and the population map; the first if left out.
 
         Raises:
           InputError: a bound on a map that is not there, or an unknown altitude, time or time of day.
@@ -283,7 +278,7 @@ class Constraints:
             for bound in self.bounds:
                 level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
             if self.keeps_clear:
-                level_closed |= closed_by_clearance(maps, z_m, self.horizontal_m, self._vertical_m)
+                level_closed |= self._too_near(maps, z_m)
         return closed if np.ndim(altitude_m) else closed[0]
 
     def reasons(
@@ -296,22 +291,17 @@ class Constraints:
             for zone in self.zones
             if zone.floor_m <= altitude_m <= zone.ceiling_m and zone.on(maps.grid).intersects(box)
         ]
-        bounds = []
-        for bound in self.bounds:
-            if not bound.is_kept(maps, altitude_m, time, time_of_day)[cell]:
-                around_m = maps.around(altitude_m)
-                values = [maps.m(bound.variable, z_m, time=time, time_of_day=time_of_day)[cell] for z_m in around_m]
-                # Between two altitudes the nearer map's, over an obstacle of the lower one the upper's.
-                at = min(range(len(values)), key=lambda k: (np.isnan(values[k]), abs(around_m[k] - altitude_m)))
-                where = "there" if around_m[at] == altitude_m else f"there at {around_m[at]:g} m"
-                bounds.append(f"the bound {bound} (it is {values[at]:g} {where})")
-        clear_m = self.horizontal_m, self._vertical_m
-        if self.keeps_clear and closed_by_clearance(maps, altitude_m, *clear_m)[cell]:
-            phrase, is_over = nearest_said(maps, altitude_m, *clear_m, cell)
-            said = clearances_said(self.to_dict())
-            kept = said[-1:] if is_over else said[: len(said) - bool(self._vertical_m)]
-            return [*zones, *bounds, f"the {' and the '.join(kept)} ({phrase})"]
-        return zones + bounds
+        bounds = [
+            f"the bound {bound}"
+            for bound in self.bounds
+            if not bound.is_kept(maps, altitude_m, time, time_of_day)[cell]
+        ]
+        is_near = self.keeps_clear and self._too_near(maps, altitude_m)[cell]
+        kept = f"the {' and the '.join(clearances_said(self.to_dict()))} that is kept from obstacles and the border"
+        return [*zones, *bounds, *([kept] if is_near else [])]
+
+    def _too_near(self, maps: MetricMaps, altitude_m: float) -> np.ndarray:
+        return closed_by_clearance(maps, altitude_m, self.horizontal_m, self._clearances_m["vertical_clearance_m"])
 
 
 def constraints_said(record: Mapping[str, Any]) -> str:
@@ -333,20 +323,81 @@ def kept_said(record: Mapping[str, Any], resolution_m: float) -> str:
     return f"at least {kept:g} m kept on cells of {resolution_m:g} m" if kept > asked_m + FILE_MARGIN_M else ""
 
 
-def _made_by(variable: str, held: Collection[str]) -> str:
-    """Return what makes a variable that not all maps hold, as settings of a scenario; empty for others."""
-    made_of = {name: (f"[{name}]", (*metric.variables,)) for name, metric in ON_REQUEST.items()}
-    made_of["gps"] = '[gps] weighting = "elevation"', WEIGHTED_DOPS
-    for name, (setting, variables) in made_of.items():
-        is_series = f"{name}_availability" in held
-        if variable in variables or (is_series and name == "gps" and variable in METRICS["gps"].variables):
-            told = '[gps] series = "epochs" instead of statistics' if is_series else setting
-            return f" (a scenario with {told} makes it)"
-    return ""
+def obstacles_within(maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` bool: a roof that touches the cell reaches an altitude, or ends less than ``vertical_m`` below.
+
+    Roofs count where the maps' rule of obstacles has them, and where a distance is kept in every cell that they touch.
+    Cells without data and roofs of unknown height count, bare ground does not. Over terrain a roof is as high as it is
+    over the lowest ground within ``horizontal_m``, from which a path may pass it. No file is lower than planned.
+
+    Raises:
+      InputError: maps that hold no touched roofs.
+    """
+    name = "roof_touched" if horizontal_m or maps.obstacles == "touched" else "roof"
+    if name not in maps.ds:
+        raise InputError(
+            "these maps hold no 'roof_touched', from which a clearance is measured: make them again, or keep none "
+            "(clearance_m and vertical_clearance_m 0, no radius of the vehicle)"
+        )
+    roof_m = maps.m(name)
+    reached_m = np.float32(altitude_m - vertical_m)
+    over_m = roof_m + _over_lowest_ground_m(maps, horizontal_m) if "terrain" in maps.ds else roof_m
+    is_obstacle = (over_m >= reached_m) & (roof_m > 0) | np.isnan(roof_m) | ~maps.ds["has_data"].values
+    if altitude_m in maps.altitudes_m:
+        is_obstacle |= maps.m("obstacle", altitude_m) != 0
+    return is_obstacle
 
 
-def _bound(name: str, given: object) -> Bound:
-    """Return the bound that a mapping gives as ``{name: (comparison, value)}``."""
-    if not isinstance(given, (tuple, list)) or len(given) != 2:
-        raise InputError(f"the bound on {name!r} must be a comparison and a number, as in ('>=', 0.3), got {given!r}")
-    return Bound.parse(f"{name}{given[0]}{given[1]}")
+def _over_lowest_ground_m(maps: MetricMaps, reach_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` how much higher each cell's ground is than the lowest known within a reach (and more) of it."""
+    ground_m = np.where(maps.ds["has_data"].values, maps.m("terrain"), np.inf)
+    cells = min(math.ceil(reach_m / maps.grid.resolution_m) + 1, max(ground_m.shape))  # squares, not centres, so near
+    lowest_m = minimum_filter(ground_m, 2 * cells + 1, mode="nearest")
+    return np.subtract(ground_m, lowest_m, out=np.zeros_like(ground_m), where=np.isfinite(ground_m))
+
+
+def distance_to_obstacles_m(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` exact distance from each cell's square to the nearest obstacle's, or to the maps' border.
+
+    Squares of ``[Y, X]`` obstacles that touch, by a side or a corner, are 0 apart. What stands beyond the border is not
+    known, so that it counts as an obstacle.
+    """
+    # From a cell's centre to the obstacles grown by one cell all around it is as far as from square to square.
+    grown = binary_dilation(np.pad(is_obstacle, 1, constant_values=True), np.ones((3, 3), bool))
+    return distance_transform_edt(~grown)[1:-1, 1:-1] * resolution_m
+
+
+def closing_step_m(horizontal_m: float, resolution_m: float) -> tuple[float, float]:
+    """Return a clearance as the distance between squares below which cells are closed, and what legs keep beside it.
+
+    A least distance to obstacles of 0 closes the cells of obstacles alone.
+    """
+    if horizontal_m == 0:
+        return 0.0, 0.0
+    sides = (horizontal_m + FILE_MARGIN_M) / resolution_m
+    whole = np.arange(math.ceil(sides) + 1)
+    steps = np.unique(np.hypot(whole, whole[:, None]))
+    step = float(steps[np.searchsorted(steps, sides - MOST_LEG_MARGIN)])
+    return step * resolution_m, max(0.0, sides - step) * resolution_m
+
+
+def kept_m(horizontal_m: float, resolution_m: float) -> float:
+    """Return what routes keep at least of obstacles under a clearance that is asked, in their files too."""
+    return max(horizontal_m, closing_step_m(horizontal_m, resolution_m)[0] - FILE_MARGIN_M * (horizontal_m > 0))
+
+
+def closed_by_clearance(maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` bool: cells that a clearance closes at an altitude.
+
+    Args:
+      maps: the metric maps; a distance is kept from the roofs that touch a cell, whatever their rule of obstacles is.
+      altitude_m: above ground.
+      horizontal_m: least distance to obstacles and to the maps' border, beside `FILE_MARGIN_M`, of legs that keep the
+        margin of `closing_step_m`; 0 keeps none.
+      vertical_m: least height over roofs; those less far below the altitude are obstacles too.
+    """
+    is_obstacle = obstacles_within(maps, altitude_m, horizontal_m, vertical_m)
+    step_m, _ = closing_step_m(horizontal_m, maps.grid.resolution_m)
+    if step_m == 0:
+        return is_obstacle
+    return distance_to_obstacles_m(is_obstacle, maps.grid.resolution_m) < step_m * (1 - 1e-9)

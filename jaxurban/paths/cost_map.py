@@ -1,6 +1,5 @@
 """CostMap: metric maps at one altitude, or between several, under weights, ready for any number of queries."""
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
@@ -8,31 +7,111 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import InputError, finite, one_of, typed
-from jaxurban.maps.levels import SAME_M, Levels, listed_m, values_at
-from jaxurban.maps.memory import free_bytes, told_bytes
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
-from jaxurban.metrics.weights import GivenWeights
+from jaxurban.errors import InputError, one_of, typed
+from jaxurban.maps.levels import SAME_M, Levels, listed_m
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.path import PlannedPath, finish
-from jaxurban.paths.preset import MapQuery, PathSearch, weights_on
-from jaxurban.paths.snapping import XY, Place, Point, islands_at, islands_of, joined_ends, places_near, why_closed
+from jaxurban.paths.snapping import (
+    XY,
+    Place,
+    Point,
+    islands_at,
+    islands_of,
+    joined_ends,
+    one_place,
+    places_near,
+    snap_limit_m,
+    why_closed,
+)
 from jaxurban.planners.any_angle import check_line_model
+from jaxurban.planners.any_angle import refine as refine_path
+from jaxurban.planners.astar import AUTO, make_landmarks
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.planners.bounds import AUTO, make_landmarks
-from jaxurban.planners.cost import PathFeatures
-from jaxurban.planners.refine import refine as refine_path
+from jaxurban.planners.cost import CostModel, PathFeatures
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.progress import saying_later
-from jaxurban.settings import iso_utc
+from jaxurban.settings import DEFAULTS, Planning
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown
 
-NODE_BYTES = 64  # of a volume and a search that visits all of it (docs/volume.md)
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
 
 
+def weights_on(maps: MetricMaps, given: GivenWeights) -> Weights:
+    """Return weights that are given whole, or with what they do not name as the maps' scenario has it.
+
+    Raises:
+      InputError: a weight that is none, or of a metric that the maps do not hold.
+    """
+    return Weights.of(given, maps.recorded.get("weights")).checked(maps.metrics)
+
+
+@dataclass(frozen=True)
+class PathSearch:
+    """How a path is searched for: what does not change the map.
+
+    Attributes:
+      planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...
+      heuristic: None: the planner's own.
+      budget_s: seconds that the search may take.
+      seed: for sampling planners.
+      snap: move a start or goal inside an obstacle or closed by a constraint to the nearest free cell (of its level)
+        that is joined to the other end, instead of failing: True by at most 50 m, a number by at most so many metres.
+        The path's message says how far.
+      refine: move the waypoints of what the planner found downhill, off the grid (`planners.any_angle`); within what
+        is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
+    """
+
+    planner: str
+    heuristic: str | None = None
+    budget_s: float = DEFAULTS.budget_s
+    seed: int = DEFAULTS.seed
+    snap: bool | float = False
+    refine: bool = False
+
+    @classmethod
+    @typed
+    def of(
+        cls,
+        maps: MetricMaps | None = None,
+        is_for_volumes: bool = False,
+        *,
+        planner: str | None = None,
+        heuristic: str | None = None,
+        budget_s: float | None = None,
+        seed: int | None = None,
+        snap: bool | float = False,
+        refine: bool = False,
+    ) -> "PathSearch":
+        """Return a search whose values can be; what is left out is as the maps' scenario says it.
+
+        Args:
+          maps: None where no scenario is asked.
+          is_for_volumes: whether the path may climb, for which no scenario names planner or seed.
+          planner: if nothing names it, ``"astar-plus"``, and between levels ``"astar-volume"``.
+          heuristic, budget_s, seed, snap, refine: the attributes.
+
+        Raises:
+          InputError: an unknown planner, a heuristic that it does not take, a wrong seed, budget or distance of
+            snapping, or refinement of a path that may climb.
+        """
+        scenario = {} if maps is None else dict(maps.planning.given)
+        if is_for_volumes:
+            scenario = {"planner": "astar-volume"} | {k: scenario[k] for k in ("budget_s",) if k in scenario}
+        given = {"planner": planner, "budget_s": budget_s, "seed": seed}
+        planning = Planning(**scenario | {name: value for name, value in given.items() if value is not None})
+        search = cls(planning.planner, heuristic, planning.budget_s, planning.seed, snap, refine)
+        snap_limit_m(search.snap)
+        if is_for_volumes and search.refine:
+            raise InputError("refine moves waypoints on one altitude: leave it out of a path that climbs and descends")
+        find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)
+        return search
+
+
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class CostMap(Shown, MapQuery):
+class CostMap(Shown):
     """Metric maps at one altitude, or between levels, under weights. ``L`` metrics, ``Y`` rows, ``X`` columns.
 
     Queries share it, and with it what planners derive from the map. The cost of a path is weights . features
@@ -44,7 +123,11 @@ class CostMap(Shown, MapQuery):
       levels: how the path may climb and descend; None on one altitude.
       time: UTC time of the GPS map; None where a long series keeps statistics over time.
       time_of_day: of the population map; None without one.
-      weights, objective, cost_model, constraints: as in `MapQuery`.
+      weights: of the path's cost.
+      objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
+      cost_model: how steps are costed and which are allowed.
+      constraints: no-fly zones, bounds on maps and clearances; no path enters a cell that they close. A zone between
+        two levels closes the lower one.
       names: the metrics of the layers.
       costs: ``[L, Y, X]`` float32 their costs c_j in [0, 1], not weighted, those of m = 0 where a closed cell has no
         value; ``[L, K, Y, X]`` in a volume.
@@ -55,6 +138,12 @@ class CostMap(Shown, MapQuery):
     maps: MetricMaps
     altitudes_m: np.ndarray
     levels: Levels | None
+    time: str | None
+    time_of_day: str | None
+    weights: Weights
+    objective: str
+    cost_model: CostModel
+    constraints: Constraints
     names: tuple[str, ...]
     costs: np.ndarray
     is_free: np.ndarray
@@ -267,9 +356,18 @@ class CostMap(Shown, MapQuery):
         return why_closed(self, cell, level)
 
     @partial(typed, makers=(PathSearch.of,))
-    def plan(self, start: Point | XY, goal: Point | XY, **asked: Any) -> PlannedPath:
-        """Return a path between two places, given as in `locate`, searched for as `PathSearch.of` says (errors too)."""
-        return self.planned(start, goal, PathSearch.of(None, self.levels is not None, **asked))
+    def plan(
+        self,
+        start: Point | XY | None = None,
+        goal: Point | XY | None = None,
+        *,
+        start_xy_m: Point | None = None,
+        goal_xy_m: Point | None = None,
+        **asked: Any,
+    ) -> PlannedPath:
+        """Return a path between two places, given as in `jaxurban.plan`, searched for as `PathSearch.of` says."""
+        ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
+        return self.planned(*ends, PathSearch.of(None, self.levels is not None, **asked))
 
     def planned(self, start: Point | XY, goal: Point | XY, search: PathSearch) -> PlannedPath:
         """Return a path between two places, given as in `locate`, searched for in one way."""
@@ -300,71 +398,3 @@ class CostMap(Shown, MapQuery):
     def terrain_m(self) -> np.ndarray | None:
         """``[Y, X]`` elevation of the ground; None where the maps hold no terrain."""
         return self.maps.m("terrain") if "terrain" in self.maps.ds else None
-
-
-@partial(typed, makers=(MapQuery.of,))
-def cost_map(maps: GivenMaps, altitude_m: float | Levels, **asked: Any) -> CostMap:
-    """Return the maps at one altitude, or between levels, under weights, on which any number of paths can be planned.
-
-    Args:
-      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps. Weights, objective, cost
-        model, rule of obstacles, clearances and vehicle that are left out here are as the maps' scenario gives them, if
-        there is one.
-      altitude_m: within the range of the maps' altitudes; between two of them metrics are taken linearly from both
-        (`values_at`), obstacles from the roofs' own heights. Or `Levels`, for paths that climb and descend.
-      asked: ``weights``, ``objective``, ``cost_model``, ``time``, ``time_of_day``, ``constraints`` and ``preset``, as
-        in `MapQuery.of`.
-
-    Raises:
-      InputError: an altitude beyond the maps', an unknown time, time of day or objective, a wrong weight, a bound on a
-        map that is not there, bounds of altitude that hold no level, no free cell in a volume, or more of them than
-        memory holds.
-    """
-    return map_for(*MapQuery.of(as_maps(maps), **asked), altitude_m)
-
-
-def map_for(maps: MetricMaps, query: MapQuery, altitude_m: float | Levels) -> CostMap:
-    """Return the cost map of a query (altitude and errors as in `cost_map`)."""
-    query = replace(query, constraints=query.constraints.at(query.time))
-    if isinstance(altitude_m, Levels):
-        made = map_at(maps, altitude_m.of(maps.altitudes_m), altitude_m, query)
-        _ = made.shortest  # no free cell in a volume is refused at once
-        return made
-    altitudes_m = np.array([finite("altitude_m", altitude_m, "metres, or Levels")])
-    maps.around(altitudes_m[0])
-    return map_at(maps, altitudes_m, None, query)
-
-
-def map_at(maps: MetricMaps, altitudes_m: np.ndarray, levels: Levels | None, query: MapQuery) -> CostMap:
-    """Return the cost map of a query at altitudes that the maps reach."""
-    needed, left = len(altitudes_m) * math.prod(maps.grid.shape) * NODE_BYTES, free_bytes()
-    if levels is not None and needed > left:
-        raise InputError(
-            f"a volume of {len(altitudes_m)} levels of {' x '.join(map(str, maps.grid.shape))} cells takes up to "
-            f"{told_bytes(needed)} of memory and {told_bytes(left)} are free: choose a longer level_step_m, closer "
-            "altitude bounds, or coarser maps"
-        )
-    when: dict[str, Any] = {"time": query.time, "time_of_day": query.time_of_day}
-    is_free = query.constraints.is_free(maps, altitudes_m.tolist(), **when)
-    costs = np.empty((len(maps.metrics), *is_free.shape), np.float32)
-    is_under_sky = cache(maps.is_under_sky)
-    for (name, metric), layers in zip(maps.metrics.items(), costs, strict=True):
-        read = cache(partial(maps.m, name, **when))
-        is_flat = "altitude" not in maps.ds[maps.variable(name)].dims
-        for level, z_m in enumerate(altitudes_m.tolist()):
-            m = read(maps.altitudes_m[0]) if is_flat else values_at(z_m, maps.altitudes_m, read, is_under_sky)
-            # What is missing where nobody may fly counts as m = 0: searches take numbers alone.
-            layers[level] = metric.cost(np.where(np.isnan(m) & ~is_free[level], np.float32(0), m))
-    known_when = {
-        "time": maps.default_time if query.time is None else iso_utc(query.time),
-        "time_of_day": query.time_of_day or next(iter(maps.times_of_day), None),
-    }
-    return CostMap(
-        **vars(query) | known_when,
-        maps=maps,
-        altitudes_m=altitudes_m,
-        levels=levels,
-        names=tuple(maps.metrics),
-        costs=costs[:, 0] if levels is None else costs,
-        is_free=is_free[0] if levels is None else is_free,
-    )

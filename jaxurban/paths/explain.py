@@ -16,20 +16,21 @@ from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cautions import Caution, cautions
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import CostMap, map_at
+from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.preset import MapQuery
+from jaxurban.paths.plan import map_at
 from jaxurban.paths.profile import (
     CLEARANCE,
     FEWEST_SATELLITES,
     OUTSIDE,
     OVER_ROOF,
     VISIBLE,
-    RouteProfile,
     cut_evenly,
+    cut_on,
     guessed_clearances,
+    profile_of,
 )
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.settings import Vehicle
 
 SECONDS_PER_HOUR = 3600.0
@@ -140,7 +141,7 @@ def explain(
     no acceleration, the same power in climb and descent. Clearance (``nearest_wall_m``) is the exact distance from the
     route to the square of the nearest cell with a roof at its altitude (see `clearance_m`); of the highest roof
     that touches a cell, where the maps hold it, so that 0 is contact. What stands outside the region they do not
-    hold, but risk was made with it: ``walls_outside_m`` is how far at least the obstacles out there are.
+    hold: ``walls_outside_m`` is how far at least the obstacles out there are, the distance to the border.
     Where a route climbs, each cell takes the maps of the level nearest to it, as the planner did; of satellites and
     obstacles that below, where there are fewer of the ones and more of the others.
 
@@ -159,13 +160,12 @@ def explain(
     maps = as_maps(maps)
     if num_segments < 1:
         raise InputError(f"num_segments must be at least 1, got {num_segments}")
-    route = RouteProfile.of(planned, maps)
+    cut, names, grid = cut_on(planned, maps), tuple(maps.metrics), maps.grid
     flight = {"speed_m_s": speed_m_s, "power_w": power_w}
     vehicle = Vehicle.of(planned.settings)
     vehicle = replace(vehicle, **{name: value for name, value in flight.items() if value is not None})
     positive("swath_m", swath_m, "metres")
-    cut, names, grid = route.cut, tuple(maps.metrics), maps.grid
-    profile = route.table({name: name for name in names} | EXTRA_MAPS)
+    profile = profile_of(planned, maps, cut, {name: name for name in names} | EXTRA_MAPS)
     on = _cost_map_of(planned, maps)
     states = cut.points_m[:, : 2 if on.levels is None else 3]
     lonlat = np.stack(grid.lonlat_of_xy(states[:, 0] + grid.x_min_m, states[:, 1] + grid.y_min_m), axis=-1)
@@ -226,15 +226,17 @@ def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
         levels = Levels(climb_cost=settings.get("climb_cost"), descent_cost=settings.get("descent_cost", 0.0))
         levels_m = np.asarray(settings["levels_m"], float)
         altitudes_m = levels_m[(levels_m >= planned.z_m.min()) & (levels_m <= planned.z_m.max())]
-    query = MapQuery(
+    on = map_at(
+        maps.with_obstacles("centre"),
+        altitudes_m,
+        levels,
         **{name: settings[name] for name in ("time", "time_of_day", "objective")},
         weights=Weights.of(settings["weights"]),
         cost_model=CostModel.from_settings(settings),
         constraints=Constraints((), (), 0.0, 0.0),
     )
-    made = map_at(maps.with_obstacles("centre"), altitudes_m, levels, query)
     names = [name for name in settings["weights"] if name != "distance"]
-    return replace(made, is_free=np.ones_like(made.is_free)).only(names)
+    return replace(on, is_free=np.ones_like(on.is_free)).only(names)
 
 
 def check_flight(speed_m_s: float | None = None, power_w: float | None = None, swath_m: float = 10.0) -> None:

@@ -1,4 +1,4 @@
-"""PlannedPath: a path over metric maps with its cost, metrics and settings, and what must be said of it."""
+"""PlannedPath: a path over metric maps, its cost, metrics, settings and the ground under it, and what is said of it."""
 
 import math
 from collections.abc import Mapping
@@ -8,25 +8,53 @@ from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from jaxurban.errors import InputError, typed
 from jaxurban.io.read.zone import Zone
+from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.paths.constraints import kept_said
+from jaxurban.paths.export.base import MOST_BULGE_M
 from jaxurban.paths.export.write import MISSION, write_path
-from jaxurban.paths.ground import Ground, ground_along
-from jaxurban.paths.preset import PathSearch
 from jaxurban.paths.snapping import Place, pocket_note, snap_note, what_would_join
 from jaxurban.planners.base import Path, Status
+from jaxurban.planners.simplify import farthest
+from jaxurban.planners.simplify import simplify as simplify_path
+from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown
 
 if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps
     from jaxurban.paths.cautions import Caution
-    from jaxurban.paths.cost_map import CostMap
+    from jaxurban.paths.cost_map import CostMap, PathSearch
     from jaxurban.paths.explain import RouteReport
 
-
+SAME_PLACE_M = 1e-6  # of a path in the maps' CRS and from its map's corner
 OF_SEARCH = ("graph", "num_expanded", "elapsed_s", "setup_s", "planner", "heuristic", "backend")
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The ground under a path, at its points and between them. ``G`` places in order of travel.
+
+    Every second place is halfway between its neighbours, between which the ground is a parabola.
+
+    Attributes:
+      at: ``[G]`` places along the path, counted in its points: 2.5 is halfway from the third point to the fourth.
+      lonlat: ``[G, 2]`` longitude, latitude in degrees.
+      elevation_m: ``[G]`` above the zero of the terrain file, whatever its vertical datum is.
+    """
+
+    at: np.ndarray
+    lonlat: np.ndarray
+    elevation_m: np.ndarray
+
+    @property
+    def cover_m(self) -> np.ndarray:
+        """``[G]`` elevations that, joined by straight lines, are nowhere below the ground."""
+        cover_m = self.elevation_m.copy()  # a parabola that bulges up lies below its tangents, which meet in the middle
+        cover_m[1::2] += np.maximum(cover_m[1::2] - (cover_m[:-1:2] + cover_m[2::2]) / 2, 0.0)
+        return cover_m
 
 
 @dataclass(frozen=True, repr=False)
@@ -155,7 +183,7 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def finish(on: "CostMap", path: Path, ends: tuple[Place, Place], search: PathSearch) -> PlannedPath:
+def finish(on: "CostMap", path: Path, ends: tuple[Place, Place], search: "PathSearch") -> PlannedPath:
     """Return a planner's path with its weighted cost, its metrics, its coordinates and its settings.
 
     Args:
@@ -259,3 +287,92 @@ def _between_m(on: "CostMap") -> list[float]:
     """Return the two altitudes that metrics are interpolated between; none in a volume or where the maps hold it."""
     around = [] if on.levels is not None else on.maps.around(on.altitude_m)
     return around if len(around) == 2 else []
+
+
+def ground_along(points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> Ground:
+    """Return the ground under a polyline, at its points, wherever it bends and as often as it bulges between them.
+
+    Args:
+      points_m: ``[N, 2]`` x, y from the grid's southwest corner, N at least 1.
+      terrain_m: ``[Y, X]`` elevation of the ground in each cell.
+      grid: of ``terrain_m``.
+    """
+    between_centres = crossed_cells(points_m + grid.resolution_m / 2, grid.resolution_m)  # where the ground bends
+    leg, is_bend = between_centres.segment, np.diff(between_centres.segment) == 0
+    bends = np.unique(np.append(np.arange(len(points_m)), (leg + between_centres.shares[:, 1])[:-1][is_bend]))
+    *_, elevation_m = _halved(bends, points_m, terrain_m, grid)
+    bulge_m = np.abs(elevation_m[1::2] - (elevation_m[:-1:2] + elevation_m[2::2]) / 2)
+    pieces = np.fmax(np.ceil(np.sqrt(bulge_m / MOST_BULGE_M)), 1)  # each of n bulges by the bulge / n²
+    bends = np.interp(np.arange(pieces.sum() + 1), np.append(0, np.cumsum(pieces)), bends)
+    at, x_m, y_m, elevation_m = _halved(bends, points_m, terrain_m, grid)
+    lonlat = np.stack(grid.lonlat_of_xy(x_m + grid.x_min_m, y_m + grid.y_min_m), axis=-1)
+    return Ground(at, lonlat, elevation_m)
+
+
+def _halved(bends: np.ndarray, points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> tuple[np.ndarray, ...]:
+    """Return places along a path and halfway between them, ``[2 N - 1]``, their x and y, and the elevation there."""
+    at = np.interp(np.arange(2 * len(bends) - 1) / 2, np.arange(len(bends)), bends)
+    x_m, y_m = (np.interp(at, np.arange(len(points_m)), values) for values in points_m.T)
+    return at, x_m, y_m, elevation_at(x_m, y_m, terrain_m, grid.resolution_m)
+
+
+def elevation_at(x_m: np.ndarray, y_m: np.ndarray, terrain_m: np.ndarray, resolution_m: float) -> np.ndarray:
+    """Return ``[M]`` the elevation at points, bilinear between cell centres; that of the cell beside missing data.
+
+    Args:
+      x_m, y_m: ``[M]`` from the southwest corner.
+      terrain_m: ``[Y, X]`` elevation at cell centres; as at the border beyond the outermost centres.
+      resolution_m: side of a cell.
+    """
+    place = np.clip(np.stack([y_m, x_m]) / resolution_m - 0.5, 0, np.array(terrain_m.shape)[:, None] - 1)
+    smooth_m = map_coordinates(terrain_m, place, np.float64, order=1, mode="nearest")
+    return np.where(np.isnan(smooth_m), terrain_m[tuple(np.rint(place).astype(int))], smooth_m)
+
+
+@typed
+def simplify(planned: PlannedPath, on: "CostMap", tolerance_m: float) -> PlannedPath:
+    """Return the path with the fewest straight legs that keep within a tolerance of it and to free cells.
+
+    A mission of tens of waypoints comes out of one of hundreds. Every leg keeps 2 cm from every cell that is closed by
+    an obstacle or a constraint, so that no rounding of coordinates takes it into one (`jaxurban.planners.simplify`
+    says what is done where the path itself passes nearer). The altitudes above ground stay, and so do the ends. Cost,
+    metrics and length are those of the new path; its message says the tolerance, the waypoints before and after, how
+    far the path was moved at most, and how its cost changed.
+
+    Args:
+      planned: from `plan`, or from a batch; without a path it comes back as it is.
+      on: the cost map that it was planned on, as from `cost_map` with the same arguments: it knows the free cells.
+      tolerance_m: how far the path may be from where it was, in plan.
+
+    Raises:
+      InputError: a tolerance that is not a positive number of metres, or a cost map under other settings, constraints
+        or in another region than the path's.
+    """
+    if not planned.status.has_path:
+        return planned
+    # Only its own map knows what the path keeps clear of.
+    a_level = {"levels_m": None, "altitude_m": planned.altitude_m}  # unless the cost map has levels
+    of_path = {"crs": planned.crs, **a_level, **planned.settings}
+    of_map = {"crs": on.grid.crs, **a_level, **map_settings(on)}
+    if on.levels is None:
+        of_map["altitude_m"] = on.altitude_m
+    corner_m = np.array([on.grid.x_min_m, on.grid.y_min_m])
+    others = [name for name, value in of_map.items() if of_path.get(name) != value]
+    if not np.allclose(planned.search.points_m[:, :2] + corner_m, planned.xy_m, rtol=0.0, atol=SAME_PLACE_M):
+        others.append("region")
+    if others:
+        raise InputError(
+            f"the path was planned under another {' and another '.join(others)} than those of this cost map: give the "
+            "cost map that it was planned on"
+        )
+    points_m = planned.search.points_m
+    simpler = simplify_path(on.problem, planned.search, tolerance_m)
+    after = measured(on, simpler.points_m)
+    note = (
+        f"Simplified to {tolerance_m:g} m: {len(simpler.points_m)} of {len(points_m)} waypoints, at most "
+        f"{farthest(points_m[:, :2], simpler.points_m[:, :2]):.2f} m from the planned path; the weighted cost is "
+        f"{after['cost']:.3f}, before {planned.cost:.3f}."
+    )
+    search = replace(simpler, note=" ".join(filter(None, (simpler.note, note))))
+    settings = {**planned.settings, "simplify_m": tolerance_m}
+    return replace(planned, **after, status=simpler.status, search=search, settings=settings)

@@ -1,18 +1,149 @@
-"""plan: a path between two places over metric maps, evaluated the same way for every planner."""
+"""plan and cost_map: from maps and what is left to their scenario to a cost map, and to a path on it."""
 
-from functools import partial
-from typing import Any
+import math
+from functools import cache, partial
+from typing import Any, get_args
 
-from jaxurban.errors import taken_by, typed
-from jaxurban.maps.levels import Levels
-from jaxurban.maps.metric_maps import GivenMaps, as_maps
-from jaxurban.paths.cost_map import map_for
+import numpy as np
+
+from jaxurban.errors import InputError, finite, one_of, taken_by, typed
+from jaxurban.maps.levels import Levels, values_at
+from jaxurban.maps.memory import free_bytes, told_bytes
+from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.cost_map import CostMap, PathSearch, weights_on
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.preset import MapQuery, PathSearch
 from jaxurban.paths.snapping import Point, one_place
+from jaxurban.planners.cost import CostModel
+from jaxurban.settings import CostKind, Objective, Vehicle, iso_utc
+
+NODE_BYTES = 64  # of a volume and a search that visits all of it (docs/volume.md)
 
 
-@partial(typed, makers=(MapQuery.of, PathSearch.of))
+def rules_on(
+    maps: MetricMaps, cost_model: CostModel | CostKind | None, constraints: Constraints | None, preset: str
+) -> tuple[MetricMaps, CostModel, Constraints]:
+    """Return maps under their rule of obstacles, cost model and constraints, with all that is left out written out.
+
+    It is as the maps' scenario says, or as the preset does (see `cost_map`).
+
+    Raises:
+      InputError: an unknown preset or cost model.
+    """
+    planning = maps.planning.under(preset)
+    if preset and maps.rule is None:
+        maps = maps.with_obstacles(planning.obstacles)
+    if not isinstance(cost_model, CostModel):
+        cost_model = CostModel.from_settings(vars(planning) | ({"cost_model": cost_model} if cost_model else {}))
+    vehicle = Vehicle(**maps.recorded.get("vehicle", {}))
+    return maps, cost_model, (constraints or Constraints()).under(planning, vehicle)
+
+
+@typed
+def cost_map(
+    maps: GivenMaps,
+    altitude_m: float | Levels,
+    *,
+    weights: GivenWeights = None,
+    objective: str | None = None,
+    cost_model: CostModel | CostKind | None = None,
+    time: str | None = None,
+    time_of_day: str | None = None,
+    constraints: Constraints | None = None,
+    preset: str = "",
+) -> CostMap:
+    """Return the maps at one altitude, or between levels, under weights, on which any number of paths can be planned.
+
+    Weights, objective, cost model, rule of obstacles, clearances and vehicle that are left out here are as the maps'
+    scenario gives them, if there is one.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      altitude_m: within the range of the maps' altitudes; between two of them metrics are taken linearly from both
+        (`values_at`), obstacles from the roofs' own heights. Or `Levels`, for paths that climb and descend.
+      weights: of distance and metrics by name; those not named are as the scenario has them, or as in `Weights()`.
+      objective: ``"weighted"``, or ``"distance"`` for the shortest path, whose weighted cost is reported.
+      cost_model: how steps are costed, or its kind alone: ``"line"``, the default, or ``"cell"`` (the paper).
+      time: UTC time of the GPS map, the first if left out. Where it is named, zones that are not in force then, nor
+        within an hour, close nothing (`Constraints.at`).
+      time_of_day: of the population map; the first if left out.
+      constraints: no-fly zones, bounds on maps and clearances, from `Constraints.read`; no path enters a cell that they
+        close. Left out, paths keep 3 m over roofs.
+      preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance, instead of the defaults of
+        what is left out here and in the scenario.
+
+    Raises:
+      InputError: an altitude beyond the maps', an unknown time, time of day, preset, cost model or objective, a wrong
+        weight, a bound on a map that is not there, bounds of altitude that hold no level, no free cell in a volume, or
+        more of them than memory holds.
+    """
+    maps, model, limits = rules_on(as_maps(maps), cost_model, constraints, preset)
+    rules: dict[str, Any] = {
+        "weights": weights_on(maps, weights),
+        "objective": one_of("objective", objective or maps.planning.objective, get_args(Objective)),
+        "cost_model": model,
+        "constraints": limits.at(time),
+        "time": time,
+        "time_of_day": time_of_day,
+    }
+    if isinstance(altitude_m, Levels):
+        volume = map_at(maps, altitude_m.of(maps.altitudes_m), altitude_m, **rules)
+        _ = volume.shortest  # no free cell in a volume is refused at once
+        return volume
+    altitudes_m = np.array([finite("altitude_m", altitude_m, "metres, or Levels")])
+    maps.around(altitudes_m[0])
+    return map_at(maps, altitudes_m, None, **rules)
+
+
+def map_at(
+    maps: MetricMaps,
+    altitudes_m: np.ndarray,
+    levels: Levels | None,
+    *,
+    weights: Weights,
+    objective: str,
+    cost_model: CostModel,
+    constraints: Constraints,
+    time: str | None,
+    time_of_day: str | None,
+) -> CostMap:
+    """Return the cost map at altitudes that the maps reach (see `CostMap`)."""
+    needed, left = len(altitudes_m) * math.prod(maps.grid.shape) * NODE_BYTES, free_bytes()
+    if levels is not None and needed > left:
+        raise InputError(
+            f"a volume of {len(altitudes_m)} levels of {' x '.join(map(str, maps.grid.shape))} cells takes up to "
+            f"{told_bytes(needed)} of memory and {told_bytes(left)} are free: choose a longer level_step_m, closer "
+            "altitude bounds, or coarser maps"
+        )
+    when: dict[str, Any] = {"time": time, "time_of_day": time_of_day}
+    is_free = constraints.is_free(maps, altitudes_m.tolist(), **when)
+    costs = np.empty((len(maps.metrics), *is_free.shape), np.float32)
+    is_under_sky = cache(maps.is_under_sky)
+    for (name, metric), layers in zip(maps.metrics.items(), costs, strict=True):
+        read = cache(partial(maps.m, name, **when))
+        is_flat = "altitude" not in maps.ds[maps.variable(name)].dims
+        for level, z_m in enumerate(altitudes_m.tolist()):
+            m = read(maps.altitudes_m[0]) if is_flat else values_at(z_m, maps.altitudes_m, read, is_under_sky)
+            # What is missing where nobody may fly counts as m = 0: searches take numbers alone.
+            layers[level] = metric.cost(np.where(np.isnan(m) & ~is_free[level], np.float32(0), m))
+    return CostMap(
+        maps=maps,
+        altitudes_m=altitudes_m,
+        levels=levels,
+        time=maps.default_time if time is None else iso_utc(time),
+        time_of_day=time_of_day or next(iter(maps.times_of_day), None),
+        weights=weights,
+        objective=objective,
+        cost_model=cost_model,
+        constraints=constraints,
+        names=tuple(maps.metrics),
+        costs=costs[:, 0] if levels is None else costs,
+        is_free=is_free[0] if levels is None else is_free,
+    )
+
+
+@partial(typed, makers=(cost_map, PathSearch.of))
 def plan(
     maps: GivenMaps,
     start: Point | None = None,
@@ -26,12 +157,11 @@ def plan(
     """Return a path from ``start`` to ``goal``, at one altitude or between levels.
 
     For many queries on one map and weights, make a `cost_map` once and call its ``plan``: what planners derive from
-    the map is then shared.
+    the map is then shared. What is left out here is as the maps' scenario gives it (``[weights]``, ``[planning]`` and
+    ``[vehicle]``), as for the command ``plan``, if there is one (`MetricMaps.recorded`).
 
     Args:
-      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps. What is left out here is as
-        their scenario's ``[weights]``, ``[planning]`` and ``[vehicle]`` give it, as for the command ``plan``, if there
-        is one (`MetricMaps.recorded`).
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
       start, goal: longitude, latitude in degrees; between levels also an altitude, one of the levels (left out, the
         lowest that is free there).
       altitude_m: within the range of the maps' altitudes; between two of them metrics are taken linearly from both,
@@ -40,9 +170,16 @@ def plan(
         length in space, and each metre of climb and descent; 8 neighbours are 26 there. ``objective="distance"`` leaves
         climb and descent out too.
       start_xy_m, goal_xy_m: easting, northing in the maps' CRS (and altitude), instead of ``start`` and ``goal``.
-      asked: which map (``weights``, ``objective``, ``cost_model``, ``time``, ``time_of_day``, ``constraints`` and
-        ``preset``, as in `MapQuery.of`), and how to search (``planner``, ``heuristic``, ``budget_s``, ``seed``,
-        ``snap`` and ``refine``, as in `PathSearch.of`).
+      weights: numbers by name, such as ``{"gps": 2.0}``: how much the distance (per metre) and each metric count.
+      objective, cost_model, time, time_of_day, constraints, preset: which map, as in `cost_map`.
+      planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` (the default), ``"bitstar-dist"``, ``"bitstar-plus"`` or
+        ``"theta-star"``; between levels ``"astar-volume"``.
+      heuristic: of the planner; left out, its own.
+      budget_s: seconds that the search may take.
+      seed: for sampling planners.
+      snap: move a start or goal that is not free to the nearest free cell: True by at most 50 m, a number by at most so
+        many metres (`PathSearch`).
+      refine: then move the waypoints downhill, off the grid.
 
     Raises:
       InputError: a place outside the maps or inside an obstacle or a constraint (names it and the nearest free cell, or
@@ -52,4 +189,4 @@ def plan(
     maps = as_maps(maps)
     search = PathSearch.of(maps, isinstance(altitude_m, Levels), **taken_by(PathSearch.of, asked))
     ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
-    return map_for(*MapQuery.of(maps, **taken_by(MapQuery.of, asked)), altitude_m).planned(*ends, search)
+    return cost_map(maps, altitude_m, **taken_by(cost_map, asked)).planned(*ends, search)

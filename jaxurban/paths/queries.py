@@ -1,8 +1,8 @@
-"""The queries of a batch, how they are read, what became of each, and the file that keeps that."""
+"""The queries of a batch, how they are read, and what became of each."""
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path as FilePath
 from typing import Any
@@ -11,12 +11,11 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError, finite, nearest_name, typed
-from jaxurban.io.tables import SUFFIXES, RowStore, write_table
+from jaxurban.io.tables import SUFFIXES, Row, write_table
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.export.write import FORMATS, write_path
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.rows import BAD_INPUT
 from jaxurban.paths.snapping import XY, Point
 from jaxurban.planners.base import Path, Status
 from jaxurban.world.show import Shown
@@ -26,8 +25,6 @@ IN_METRES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
 WEIGHT_PREFIX = "w_"
 COLUMNS = (*LONLAT, *IN_METRES, "altitude_m", "time", "time_of_day")
 NOT_RUN = "not-run"  # beside the names of `Status` and what `jaxurban.paths.rows` adds
-ENDED_BY_BUDGET = (Status.BUDGET_EMPTY.value, Status.BUDGET_FEASIBLE.value)
-NEEDED = {"query", "status", "message", "key", "budget_s", "search", "x_m", "y_m"}  # of a file of results
 
 
 @dataclass(frozen=True)
@@ -85,7 +82,7 @@ def read_queries(
     A row that cannot be read (a number missing, a negative weight) becomes a query with an ``error``.
 
     Raises:
-      InputError: a column that is not known or missing.
+      InputError: a column that is not known or missing, or pairs that are none.
     """
     no_place = (np.nan, np.nan)
     base = Query(no_place, no_place, np.nan, time, time_of_day, Weights.of(weights).checked(metrics))
@@ -94,7 +91,7 @@ def read_queries(
     if altitude_m is not None:
         base = replace(base, altitude_m=finite("altitude_m", altitude_m, "metres"))
     if not isinstance(queries, pd.DataFrame):
-        return [_of_pair(pair, base) for pair in queries]
+        queries = _table_of(queries)
     if unknown := [name for name in map(str, queries.columns) if name not in known]:
         raise InputError(
             f"queries have unknown columns {unknown}{nearest_name(unknown[0], known)}: leave them out, in pandas by "
@@ -109,13 +106,18 @@ def read_queries(
     return [_of_row(row, names, base) for row in queries.to_dict("records")]
 
 
-def _of_pair(pair: tuple[Point, Point], base: Query) -> Query:
+def _table_of(pairs: Sequence[tuple[Point, Point]]) -> pd.DataFrame:
+    """Return pairs of places as a table; raise InputError where they are not of that shape."""
     try:
-        (start_lon, start_lat), (goal_lon, goal_lat) = pair
-        numbers = [float(value) for value in (start_lon, start_lat, goal_lon, goal_lat)]
-    except (TypeError, ValueError):
-        return replace(base, error=f"a query must be ((lon, lat), (lon, lat)), got {pair!r}")
-    return _of_row(dict(zip(LONLAT, numbers, strict=True)), LONLAT, base)
+        places = np.array(list(pairs), float)
+    except (TypeError, ValueError):  # no numbers, or not as many in each
+        places = np.empty(0)
+    if len(pairs) and places.shape[1:] != (2, 2):
+        raise InputError(
+            "queries must be pairs of places in degrees, [((lon, lat), (lon, lat)), ...] or an array [N, 2, 2], or a "
+            f"table with the columns {', '.join(LONLAT)}"
+        )
+    return pd.DataFrame(places.reshape(-1, 4), columns=list(LONLAT))
 
 
 def _of_row(row: Mapping, names: Sequence[str], base: Query) -> Query:
@@ -145,57 +147,38 @@ def _of_row(row: Mapping, names: Sequence[str], base: Query) -> Query:
     return query
 
 
-@dataclass(frozen=True, eq=False)
-class QueryResult:
-    """What became of one query.
-
-    Attributes:
-      status: the name of a `Status`, or `BAD_INPUT`, `CRASHED` or `NOT_RUN`.
-      message: what happened, in a sentence or two.
-      path: what the planner gave; None where it did not run to its end.
-      key: stands for the query: map, weights, places, planner and settings.
-    """
-
-    status: str
-    message: str
-    path: PlannedPath | None = None
-    key: str = ""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class PlannedPaths(Shown, Sequence[PlannedPath | None]):
     """The paths of a batch in the order of its queries; None where there is not even a planner's verdict.
 
     Attributes:
-      queries: of the batch.
-      results: what became of each.
+      rows: of `to_dataframe`, with the path's points, one a query.
+      paths: what the planner gave; None where it did not run to its end.
       was_interrupted: whether Ctrl-C ended the batch before its end.
     """
 
-    queries: Sequence[Query]
-    results: Sequence[QueryResult]
+    rows: Sequence[Row]
+    paths: Sequence[PlannedPath | None]
     was_interrupted: bool = False
 
     def __len__(self) -> int:
-        return len(self.results)
+        return len(self.paths)
 
     def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, slice):
-            return [result.path for result in self.results[index]]
-        return self.results[index].path
+        return self.paths[index]
 
     @property
     def facts(self) -> dict[str, str]:
         """How many queries ended how, and what the paths cost and measure together."""
-        ends = Counter(result.status for result in self.results)
-        found = [path for path in self if path is not None and path.status.has_path]
-        heuristics = Counter(path.search.heuristic for path in self if path is not None)
+        ends = Counter(row["status"] for row in self.rows)
+        reached = [path for path in self.paths if path is not None and path.status.has_path]
+        heuristics = Counter(path.search.heuristic for path in self.paths if path is not None)
         return {
             "queries": f"{len(self):,}" + (" (interrupted)" if self.was_interrupted else ""),
             "statuses": ", ".join(f"{status} {number:,}" for status, number in ends.most_common()) or "none",
             "heuristics": ", ".join(f"{name} {number:,}" for name, number in heuristics.most_common()) or "none",
-            "cost": f"{sum(path.cost for path in found):,.2f} of {len(found):,} paths",
-            "length": f"{sum(path.length_m for path in found) / 1000:,.1f} km",
+            "cost": f"{sum(path.cost for path in reached):,.2f} of {len(reached):,} paths",
+            "length": f"{sum(path.length_m for path in reached) / 1000:,.1f} km",
         }
 
     @typed
@@ -226,66 +209,24 @@ class PlannedPaths(Shown, Sequence[PlannedPath | None]):
           with_points: also the columns ``x_m`` and ``y_m``, the path's eastings and northings as lists, and
             ``search``, the rest of what the planner reported, as JSON.
         """
-        rows = [_row(k, *pair) for k, pair in enumerate(zip(self.queries, self.results, strict=True))]
-        table = pd.DataFrame(rows, columns=list(dict.fromkeys(name for row in rows for name in row)))
+        table = pd.DataFrame(self.rows)
         return table if with_points else table.drop(columns=["x_m", "y_m", "search", "key"], errors="ignore")
 
 
-class BatchResults:
-    """The results so far, and their file, from which a batch that was ended goes on."""
+def row_of(
+    k: int, query: Query, status: str, message: str, planned: PlannedPath | None = None, key: str = ""
+) -> dict[str, Any]:
+    """Return what became of a query as a flat row.
 
-    def __init__(self, queries: list[Query], file: FilePath | None) -> None:
-        self.queries = queries
-        self.results: dict[int, QueryResult] = {}
-        self.counts = {"paths": 0, "none": 0}
-        self._store = None if file is None else RowStore(file, ["query"])
-        for row in () if self._store is None else self._store.rows:
-            if not row.keys() >= NEEDED or row["query"] >= len(queries):
-                raise InputError(f"{str(file)!r} holds no results of these queries: name another file, or remove it")
-
-    def add(self, k: int, result: QueryResult) -> None:
-        """Note a result, and keep it in the file."""
-        self.results[k] = result
-        has_path = result.path is not None and result.path.status.has_path
-        self.counts["paths" if has_path else "none"] += 1
-        if self._store is not None:
-            self._store.add([_row(k, self.queries[k], result)])
-
-    def take(self, k: int, key: str, budget_s: float, finish: Callable[[Path], PlannedPath]) -> bool:
-        """Return whether the file holds the result of a query, and note it; not one that a smaller budget ended."""
-        row = None if self._store is None else self._store.get(k)
-        if self._store is None or row is None or row["status"] == BAD_INPUT:
-            return False
-        if row["key"] == key and row["status"] in ENDED_BY_BUDGET and row["budget_s"] < budget_s:
-            return False
-        if row["key"] != key:
-            raise InputError(
-                f"{str(self._store.file)!r} holds results of other queries (query {k} differs in its place, map, "
-                "weights or planner): name another file, or remove it"
-            )
-        path = None if row["search"] is None else finish(_path_of(row))
-        if path is not None:
-            kept_s = row["budget_s"] if np.isfinite(row["budget_s"]) else None
-            path = replace(path, settings={**path.settings, "budget_s": kept_s})
-        self.add(k, QueryResult(row["status"], row["message"], path, key))
-        return True
-
-    def paths(self, was_interrupted: bool) -> PlannedPaths:
-        """Return the results of all queries, those too that were not run."""
-        not_run = QueryResult(NOT_RUN, "The batch ended before this query was done.")
-        results = [self.results.get(k, not_run) for k in range(len(self.queries))]
-        return PlannedPaths(self.queries, results, was_interrupted)
-
-    def save(self) -> None:
-        """Write what is known, with what an earlier run knew and this one has not come to yet."""
-        if self._store is not None:
-            self._store.save()
-
-
-def _row(k: int, query: Query, result: QueryResult) -> dict[str, Any]:
-    """Return a result as a flat row."""
-    row: dict[str, Any] = {"query": k, **query.to_dict(), "status": result.status, "message": result.message}
-    planned = result.path
+    Args:
+      k: its number.
+      query: as it was asked.
+      status: the name of a `Status`, or `BAD_INPUT`, `CRASHED` or `NOT_RUN`.
+      message: what happened, in a sentence or two.
+      planned: what the planner gave; None where it did not run to its end.
+      key: stands for the query: map, weights, places, planner and settings.
+    """
+    row: dict[str, Any] = {"query": k, **query.to_dict(), "status": status, "message": message}
     points: dict[str, Any] = {"budget_s": None, "x_m": None, "y_m": None, "search": None}
     if planned is not None:
         facts = planned.to_dict()
@@ -300,15 +241,15 @@ def _row(k: int, query: Query, result: QueryResult) -> dict[str, Any]:
         budget_s = planned.settings["budget_s"]
         points = {"budget_s": np.inf if budget_s is None else budget_s, "search": json.dumps(rest)}
         points |= {"x_m": planned.xy_m[:, 0], "y_m": planned.xy_m[:, 1]}
-    return row | points | {"key": result.key}
+    return row | points | {"key": key}
 
 
-def _path_of(row: dict[str, Any]) -> Path:
-    """Return the planner's path from a row that `_row` made."""
+def path_of(row: Row) -> Path:
+    """Return the planner's path from a row that `row_of` made."""
     rest = json.loads(row["search"])
     points_m = np.empty((0, 2))
     if rest["points_m"]:
         xy_m = np.stack([row["x_m"], row["y_m"]], axis=1)
         points_m = xy_m - (xy_m[0] - rest["points_m"][0])
     rest |= {"status": Status(rest["status"]), "points_m": points_m, "history": tuple(map(tuple, rest["history"]))}
-    return Path(**{item.name: rest[item.name] for item in fields(Path) if item.name in rest})  # older files hold more
+    return Path(**rest)

@@ -20,10 +20,10 @@ from jaxurban.io.tables import Row, RowStore, read_table, records_of
 from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.metric_maps import MetricMaps, open_maps
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import CostMap, cost_map
-from jaxurban.paths.preset import MapQuery
+from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.plan import cost_map, rules_on
 from jaxurban.planners.base import CostKind, Status
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Report
 from jaxurban.settings import Obstacles, Planning
 
@@ -84,10 +84,9 @@ class RouteRules:
         CostModel.of(self.cost_model)
 
     def under(self, maps: MetricMaps) -> tuple[MetricMaps, Self]:
-        """Return maps and rules, with all that holds on them written out (`MapQuery.of`)."""
-        rules: dict[str, Any] = {"cost_model": self.cost_model, "constraints": self.constraints, "preset": self.preset}
-        maps, query = MapQuery.of(maps, **rules)
-        return maps, replace(self, cost_model=query.cost_model, constraints=query.constraints, preset="")
+        """Return maps and rules, with all that holds on them written out (`rules_on`)."""
+        maps, cost_model, constraints = rules_on(maps, self.cost_model, self.constraints, self.preset)
+        return maps, replace(self, cost_model=cost_model, constraints=constraints, preset="")
 
     def rules(self) -> dict[str, Any]:
         """Return cost model and constraints as plain, JSON-ready values."""

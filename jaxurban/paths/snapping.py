@@ -27,7 +27,7 @@ class XY(NamedTuple):
     altitude_m: float | None = None
 
 
-def one_place(name: str, lonlat: Point | None, xy_m: Point | None) -> Point | XY:
+def one_place(name: str, lonlat: Point | XY | None, xy_m: Point | None) -> Point | XY:
     """Return a place that is given in degrees or in metres (`XY` always is).
 
     Raises:

@@ -15,7 +15,7 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.planners.base import Status
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.report.write import fill
 from jaxurban.studies.montecarlo.analysis import each
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics, weight_columns

@@ -19,7 +19,7 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.constraints import Constraints, constraints_said
 from jaxurban.paths.rows import CRASHED, MapsFolder, check_workers, run_rows
 from jaxurban.planners.base import CostKind
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.sensitivity_study import weights_said

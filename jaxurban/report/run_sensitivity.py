@@ -23,7 +23,7 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
 from jaxurban.paths.rows import MapsFolder, Source, check_workers, run_rows, solve_here, tasks_of
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.progress import LOG, Progress, Report, reporting
 from jaxurban.report.buildings import scenario_of
 from jaxurban.report.montecarlo import INSTANCES_FILE, check_instances

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.paths.constraints import constraints_said
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.write import REPORT_FILE, Output, files_of, fill, listed, study_outputs

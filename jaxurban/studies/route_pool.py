@@ -25,7 +25,7 @@ from jaxtyping import Array, Float
 from jaxurban.errors import InputError, at_least, one_of, typed
 from jaxurban.io.tables import RowStore, fingerprint
 from jaxurban.metrics.weights import AnyArray
-from jaxurban.planners.batch import solve_many
+from jaxurban.planners.registry import solve_many
 from jaxurban.progress import Progress
 from jaxurban.studies.queries import RouteQuery, maps_of
 

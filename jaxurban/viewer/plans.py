@@ -9,13 +9,12 @@ from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.cost_map import CostMap, weights_on
 from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.export.write import FORMATS, WAYPOINTS
-from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.preset import MapQuery
-from jaxurban.paths.simplify import simplify
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.paths.path import PlannedPath, simplify
+from jaxurban.paths.plan import cost_map, rules_on
+from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.settings import DEFAULTS
 from jaxurban.studies.map_comparison import OneMap
@@ -43,9 +42,8 @@ class Plans:
     """
 
     def __init__(self, maps: MetricMaps, folder: str = "", weights: GivenWeights = None, preset: str = "") -> None:
-        self.maps, query = MapQuery.of(maps, weights=weights, preset=preset)
-        self.cost_model, self.limits = query.cost_model, query.constraints
-        self.weights, self.folder = query.weights, folder
+        self.maps, self.cost_model, self.limits = rules_on(maps, None, None, preset)
+        self.weights, self.folder = weights_on(maps, weights), folder
         self._cost_maps, self._routes, self._reports = (Kept(most, lambda _: 1) for most in (2, NUM_ROUTES, NUM_ROUTES))
 
     def route(self, query: Plan, at: OneMap) -> PlannedPath:

@@ -15,7 +15,7 @@ from jaxurban.io.store import OPENED
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.weights import GivenWeights
-from jaxurban.paths.export.waypoints import waypoints
+from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, cautious_profile, without_fix
 from jaxurban.planners.base import Status

@@ -31,16 +31,6 @@ class TileBound(NamedTuple):
     at_goal: float
 
 
-class StepCost(NamedTuple):
-    """The least that a step over cells of cost c takes: ``straight[0] + straight[1] * c``, or ``diagonal`` so.
-
-    A diagonal one takes no less than a straight one, and no more than two.
-    """
-
-    straight: tuple[float, float]
-    diagonal: tuple[float, float]
-
-
 @compiled(nogil=True)
 def tile_minima(cost, is_free):
     """Return ``[I + 2, J + 2]`` the cheapest free cell of every tile, inf without one and in the frame.
@@ -68,13 +58,8 @@ def tile_minima(cost, is_free):
 
 
 @compiled(nogil=True)
-def costs_at_corners(minima, step_cost, start, goal):
-    """Return what Dijkstra's search from the goal's tile over lattice points gives, for a search from start to goal.
-
-    Args:
-      minima: of `tile_minima`.
-      step_cost: `StepCost`.
-      start, goal: cells.
+def _costs_at_corners(minima, straight, diagonal, start, goal):
+    """Return what Dijkstra's search from the goal's tile over lattice points gives, for `tile_bound`.
 
     Returns:
       ``[I + 1, J + 1]`` float64 the costs to the goal's tile, at most the search's limit, and whether a way joins
@@ -115,7 +100,7 @@ def costs_at_corners(minima, step_cost, start, goal):
         ):
             if minimum == np.inf:
                 continue
-            side, across = _steps(step_cost, minimum)
+            side, across = _steps(straight, diagonal, minimum)
             to_cost = value + (across if is_diagonal else side)
             if to_cost < cost[to]:
                 cost[to] = to_cost
@@ -127,19 +112,20 @@ def costs_at_corners(minima, step_cost, start, goal):
 
 
 @compiled(nogil=True)
-def tile_bound(corners, is_joined, minima, step_cost, goal):
-    """Return the bound that a search at the corners gives.
+def tile_bound(minima, straight, diagonal, start, goal):
+    """Return the bound on the cost to the goal, for a search from start to goal.
 
     Args:
-      corners, is_joined: of `costs_at_corners`.
       minima: of `tile_minima`.
-      step_cost: `StepCost`.
-      goal: cell.
+      straight: the least that a straight step over cells of cost c takes is ``straight[0] + straight[1] * c``.
+      diagonal: the same of a diagonal one: no less than a straight one, and no more than two.
+      start, goal: cells.
     """
+    corners, is_joined = _costs_at_corners(minima, straight, diagonal, start, goal)
     centres = np.empty((corners.shape[0] - 1, corners.shape[1] - 1))
     for i in range(centres.shape[0]):
         for j in range(centres.shape[1]):
-            side, across = _steps(step_cost, minima[i + 1, j + 1])
+            side, across = _steps(straight, diagonal, minima[i + 1, j + 1])
             sw, se, nw, ne = corners[i, j], corners[i, j + 1], corners[i + 1, j], corners[i + 1, j + 1]
             # The highest middle to which no plane is too steep; it need not lie above all corners.
             value = max(max(sw, se), max(nw, ne))
@@ -152,9 +138,8 @@ def tile_bound(corners, is_joined, minima, step_cost, goal):
 
 
 @compiled(forceinline=True)
-def _steps(step_cost, minimum):
+def _steps(straight, diagonal, minimum):
     """Return what going along a side, and along a diagonal, of a tile costs at least."""
-    straight, diagonal = step_cost.straight, step_cost.diagonal
     return TILE * (straight[0] + straight[1] * minimum), TILE * (diagonal[0] + diagonal[1] * minimum)
 
 

@@ -1,39 +1,199 @@
 """BIT*: batch informed trees, an anytime planner that leaves the grid (Gammell, Srinivasa & Barfoot 2015).
 
-One query's graphs are searched in order of lower bounds, compiled by Numba; many queries' in bulk, in JAX.
+One query's graphs are searched in order of lower bounds, compiled by Numba; between two searches is decided what is
+drawn, kept and reported. `planners.bulk` searches many queries' in bulk.
 """
 
 import time
-from collections.abc import Generator, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache, partial
-from itertools import islice
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, at_least, positive
 from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.search.heap import EXHAUSTED, FULL, Heap
-from jaxurban.kernels.search.sample_graph import NO_PARENT, NO_QUERY, Samples, Sizes, search_samples
-from jaxurban.planners.base import Path, Problem
-from jaxurban.planners.bitstar.batches import DEFAULTS, Batches, BitStarOptions, Budget, begun, check_limits, ended
-from jaxurban.planners.bitstar.bounds import cost_grid_of
-from jaxurban.planners.bitstar.tree import EDGE, NOT_COSTED, BatchGraph, advance
-from jaxurban.planners.compiled_first import compiled_first, power_of_two
+from jaxurban.planners.base import EVERY_PATH, ROUNDING, Path, Problem, Status
+from jaxurban.planners.bitstar.bounds import (
+    Bounds,
+    InformedSet,
+    cost_grid_of,
+    graph_radius,
+    make_bounds,
+    reachable_cells,
+)
+from jaxurban.planners.bitstar.tree import EDGE, NOT_COSTED, BatchGraph, Tree, advance
+from jaxurban.planners.compiled_first import compiled_first
 
 CHUNK = 20_000  # queue entries between two looks at the clock: some 20 ms
 FIRST_QUEUE = 4096  # entries; doubled when full
-QUERIES_TOGETHER = {"cpu": 64, "gpu": 256}
-MOST_NODES = {"cpu": 2**18, "gpu": 2**21}  # of all queries that run together: some 2 kB each
-FEWEST_NODES = 1024  # room for so many, and for 4, 16 ... times as many, so that few shapes are compiled
-# What a turn does together: on a CPU what fits into its caches.
-NODES_TOGETHER = {"cpu": 256, "gpu": 2**16}
-EDGES_TOGETHER = {"cpu": 2**12, "gpu": 2**20}
-CANDIDATES, EDGES = 256, 64  # room at first (see `Sizes`); doubled where needed
+MOST_IN_A_BATCH = 100_000  # samples, so that the clock is looked at between them
 
 
+@dataclass(frozen=True)
+class BitStarOptions:
+    """How batches are made, what ends a search beside time and samples, and how it is run.
+
+    Attributes:
+      batch_samples: samples of a batch, at least.
+      growth: samples of a batch per sample in use, at least; up to 100,000. 0 keeps batches even.
+      eta: factor of the radius, > 1 for paths that come ever nearer to the optimum.
+      max_batches: end after so many.
+      target_cost: end with a path this cheap.
+      min_improvement: end with the first batch that improves a path by a smaller share of its cost.
+      on_batch: called with the `Batches` when one ends, to draw or record it; its time counts towards the budget.
+
+    Raises:
+      InputError: a number out of its range.
+    """
+
+    batch_samples: int = 100
+    growth: float = 1.0
+    eta: float = 1.1
+    max_batches: int | None = None
+    target_cost: float = 0.0
+    min_improvement: float = 0.0
+    on_batch: "Callable[[Batches], None] | None" = None
+
+    def __post_init__(self) -> None:
+        at_least("batch_samples", self.batch_samples, 1)
+        positive("eta", self.eta)
+        for name in ("growth", "target_cost", "min_improvement"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(f"{name} must be a number >= 0, got {getattr(self, name)}")
+        if self.max_batches is not None:
+            at_least("max_batches", self.max_batches)
+
+
+DEFAULTS = BitStarOptions()
+
+
+def check_limits(budget_s: float, max_samples: int | None, options: BitStarOptions) -> None:
+    """Refuse what no search can be run with.
+
+    Raises:
+      InputError: a number of samples out of its range, or no limit of time, batches or samples.
+    """
+    if max_samples is not None:
+        at_least("max_samples", max_samples)
+    if budget_s == np.inf and options.max_batches is None and max_samples is None:
+        raise InputError("budget_s is inf and nothing else ends the search: give it, max_batches or max_samples")
+
+
+class Batches:
+    """One query between two searches of its graph; whoever searches it puts what was found into the tree.
+
+    Attributes:
+      bounds: of the query.
+      tree: start, goal and samples; a search alters it.
+      samples: ``[K, 2]`` x, y of what the last batch added, in cell sides, as all of the tree.
+      radius: nodes this near each other are joined.
+      cost: of the best path, inf without one.
+      num_costed: edges whose cost was computed; the search counts them.
+      history: after each batch, that of the straight segment first: seconds, samples drawn, cost.
+      is_done, is_spent: whether the search has ended, and whether a limit of time, batches or samples ended it.
+      is_reachable: ``[Y, X]`` bool cells that paths may cross.
+      begin_s, end_s: of `time.perf_counter`, between which the search may run.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        heuristic: str,
+        is_reachable: np.ndarray,
+        options: BitStarOptions,
+        seed: int,
+        budget_s: float,
+        max_samples: int | None,
+    ) -> None:
+        self.begin_s = time.perf_counter()
+        self.end_s, self.max_samples = self.begin_s + budget_s, max_samples
+        self.options, self.is_reachable = options, is_reachable
+        self.bounds: Bounds = make_bounds(heuristic, problem, is_reachable)
+        self.tree, self.radius = Tree.of_ends(self.bounds), np.inf
+        self.cost = np.inf
+        self.num_costed = self._num_drawn = 0
+        self.history: list[tuple[float, int, float]] = []
+        self.is_done, self.is_spent = problem.start == problem.goal, False
+        self.samples = np.empty((0, 2))
+        self._informed = InformedSet(self.bounds, is_reachable)
+        self._rng = np.random.default_rng(seed)
+
+    @property
+    def xy(self) -> np.ndarray:
+        """``[N, 2]`` the best path in cell sides; none without one."""
+        if (self.bounds.start == self.bounds.goal).all():
+            return self.bounds.start[None]
+        return self.tree.xy[self.tree.path()]
+
+    def end(self, most_nodes: float = np.inf) -> None:
+        """Record the batch whose graph was searched; begin the next, of up to so many nodes, or end."""
+        last_cost, self.cost = self.cost, min(self.cost, self.tree.path_cost(self.tree.path()))
+        self.history.append((time.perf_counter() - self.begin_s, self._num_drawn, self.cost))
+        if self.options.on_batch is not None:
+            self.options.on_batch(self)
+        self.is_done = True
+        if self.cost <= max(self.bounds.from_start_to_goal() * ROUNDING, self.options.target_cost):
+            return
+        if last_cost < np.inf and last_cost - self.cost < self.options.min_improvement * last_cost:
+            return
+        self.tree = self.tree.pruned()
+        self._informed.shrink(self.cost)
+        num_wanted = self._num_wanted(most_nodes)
+        self.is_spent = num_wanted <= 0 or time.perf_counter() >= self.end_s
+        if self.is_spent:
+            return
+        self.samples = self._informed.sample(num_wanted, self._rng)
+        self._num_drawn += len(self.samples)
+        self.tree = self.tree.with_samples(self.samples, self.bounds)
+        self.radius = graph_radius(len(self.tree.xy), self._informed.measure, self.options.eta)
+        self.is_done = not len(self.samples)
+
+    def _num_wanted(self, most_nodes: float) -> int:
+        """Return how many samples the next batch is to have, 0 or less where a limit is reached."""
+        if self.options.max_batches is not None and len(self.history) > self.options.max_batches:
+            return 0
+        num_left = np.inf if self.max_samples is None else self.max_samples - self._num_drawn
+        num_wanted = max(self.options.batch_samples, int(self.options.growth * len(self.tree.xy)))
+        return int(min(num_wanted, MOST_IN_A_BATCH, num_left, most_nodes - len(self.tree.xy)))
+
+
+def begun(
+    problem: Problem, heuristic: str, options: BitStarOptions, seed: int, budget_s: float, max_samples: int | None
+) -> Batches | None:
+    """Return a query's batches before the first search, that of the straight segment; None where there is no path."""
+    is_reachable = reachable_cells(problem)
+    if is_reachable is None:
+        return None
+    return Batches(problem, heuristic, is_reachable, options, seed, budget_s, max_samples)
+
+
+def ended(
+    problem: Problem, batches: Batches | None, begin_s: float, planner: str, heuristic: str, backend: str
+) -> Path:
+    """Return the path of a query whose batches have ended, costed anew along the exact cells that it crosses."""
+    points_m, status, lower_bound = np.empty(0), Status.NO_PATH, np.inf
+    if batches is not None:
+        points_m = batches.xy * problem.resolution_m
+        found = Status.BUDGET_FEASIBLE if batches.is_spent else Status.FEASIBLE
+        status, lower_bound = found if len(points_m) else Status.BUDGET_EMPTY, batches.bounds.from_start_to_goal()
+    return Path.of(
+        problem,
+        points_m,
+        status,
+        lower_bound,
+        begin_s,
+        graph=EVERY_PATH,
+        num_expanded=0 if batches is None else batches.num_costed,
+        planner=planner,
+        heuristic=heuristic,
+        backend=backend,
+        history=() if batches is None else tuple(batches.history),
+    )
+
+
+@compiled_first(budget_s=np.inf, max_samples=20)
 def bitstar(
     problem: Problem,
     *,
@@ -50,7 +210,7 @@ def bitstar(
     searches that graph in order of lower bounds, keeping the tree. Batch 0 is the straight segment.
     Edges are costed, and tested for obstacles, over the exact cells that they cross. With a limit of
     batches or samples a run repeats exactly for its seed; the budget and Ctrl-C are heeded within some
-    20 ms of search, and between batches (with the ``"jax"`` backend only there).
+    20 ms of search, and between batches.
 
     The status is OPTIMAL where the cost meets the lower bound, NO_PATH where obstacles part start and
     goal, FEASIBLE where ``target_cost`` or ``min_improvement`` ended the search. Of ``diagonal`` only
@@ -76,19 +236,11 @@ def bitstar(
       InputError: an unknown heuristic, a number out of its range, or no limit of time, batches or samples.
     """
     check_limits(budget_s, max_samples, options)
-    if options.backend == "jax":
-        paths = solve_batched(
-            [problem],
-            planner=planner,
-            heuristic=heuristic,
-            seeds=[seed],
-            budget_s=budget_s,
-            max_samples=max_samples,
-            options=options,
-        )
-        return next(paths)[1]
-    limits = {"budget_s": budget_s, "max_samples": max_samples}
-    return _in_order(problem, heuristic=heuristic, seed=seed, options=options, planner=planner, **limits)
+    begin_s = time.perf_counter()
+    batches = begun(problem, heuristic, options, seed, budget_s, max_samples)
+    if batches is not None and not batches.is_done:
+        _search(cost_grid_of(problem, batches.is_reachable), batches)
+    return ended(problem, batches, begin_s, planner, heuristic, "numba")
 
 
 # The paper's two: guided by the straight distance, and by distance and map costs.
@@ -96,26 +248,7 @@ bitstar_dist = partial(bitstar, heuristic="euclidean", planner="bitstar-dist")
 bitstar_plus = partial(bitstar, heuristic="plus", planner="bitstar-plus")
 
 
-@compiled_first(budget_s=np.inf, max_samples=20)
-def _in_order(
-    problem: Problem,
-    *,
-    heuristic: str,
-    budget_s: float,
-    max_samples: int | None,
-    seed: int = 0,
-    options: BitStarOptions = DEFAULTS,
-    planner: str = "bitstar",
-) -> Path:
-    """Return the path of `bitstar`, whose graphs are searched in order of lower bounds."""
-    begin_s = time.perf_counter()
-    batches = begun(problem, heuristic, options, seed)
-    if batches is not None and not batches.is_done:
-        _search(cost_grid_of(problem, batches.is_reachable), batches, Budget(begin_s, begin_s + budget_s, max_samples))
-    return ended(problem, batches, begin_s, planner, heuristic, "numba")
-
-
-def _search(cost_grid: CostGrid, batches: Batches, budget: Budget) -> None:
+def _search(cost_grid: CostGrid, batches: Batches) -> None:
     """Search the graph of one batch after the other, until something ends them."""
     queue = Heap.empty(FIRST_QUEUE, EDGE)
     while not batches.is_done:
@@ -127,9 +260,9 @@ def _search(cost_grid: CostGrid, batches: Batches, budget: Budget) -> None:
             batches.num_costed += num_costed
             if chunk == FULL:
                 queue = queue.grown()
-            if chunk == EXHAUSTED or time.perf_counter() >= budget.end_s:
+            if chunk == EXHAUSTED or time.perf_counter() >= batches.end_s:
                 break
-        batches.end(budget)
+        batches.end()
 
 
 def _filled(queue: Heap, f: np.ndarray) -> Heap:
@@ -141,178 +274,3 @@ def _filled(queue: Heap, f: np.ndarray) -> Heap:
     queue.f[: len(f)], edges["origin"], edges["target"], edges["cost"] = f[order], order, order, NOT_COSTED
     queue.size[0] = len(f)
     return queue
-
-
-def solve_batched(
-    problems: Sequence[Problem],
-    *,
-    planner: str,
-    heuristic: str,
-    seeds: Sequence[int],
-    budget_s: float = np.inf,
-    max_samples: int | None = None,
-    options: BitStarOptions = DEFAULTS,
-) -> Generator[tuple[int, Path]]:
-    """Yield ``(index, path)`` of every problem as it is done: BIT* whose graphs are searched by `search_samples`.
-
-    Batches are those of `bitstar`, and so is the informed set. Of a batch's graph, and of the tree that the batches
-    before left, the cheapest path is found: the cost that Dijkstra's search gives, which never rises from batch to
-    batch. All edges that may help are costed, which are more than `bitstar` takes up with ``"numba"``.
-
-    Queries on one map run together, up to `QUERIES_TOGETHER`; ``elapsed_s``, to which the budget applies, is then the
-    wall time of all, compiling left out. A batch is made no larger than what the time left is likely to search, but
-    once begun it is searched to its end. With a limit of batches or samples a run repeats exactly for its seed,
-    whatever runs beside it.
-
-    Args:
-      problems: the queries. Queries made by `Problem.between` share their map on the device.
-      planner: the name that the paths carry.
-      heuristic: as in `bitstar`.
-      seeds: of the samples, one for each query.
-      budget_s: seconds for each.
-      max_samples: of each.
-      options: as in `bitstar`.
-
-    Raises:
-      InputError: as in `bitstar`, or more or fewer seeds than problems, or problems with a margin of legs.
-    """
-    check_limits(budget_s, max_samples, options)
-    if len(seeds) != len(problems):
-        raise InputError(f"seeds must be one for each of {len(problems)} problems, got {len(seeds)}")
-    if any(problem.leg_margin_m for problem in problems):
-        raise InputError("BIT* with backend 'jax' tests no legs for this clearance: take backend='numba'")
-    budget = Budget(0.0, budget_s, max_samples)
-
-    def paths() -> Generator[tuple[int, Path]]:
-        kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
-        by_map: dict[int, list[int]] = {}
-        for index, problem in enumerate(problems):
-            by_map.setdefault(problem.map_key, []).append(index)
-        for indices in by_map.values():
-            waiting = iter(indices)
-            graphs = _Graphs(cost_grid_of(problems[indices[0]], problems[indices[0]].is_free), kind)
-            while group := list(islice(waiting, QUERIES_TOGETHER[kind])):
-                begin_s = time.perf_counter()
-                queries = {index: begun(problems[index], heuristic, options, seeds[index]) for index in group}
-                for index, now in _run_together(graphs, queries, budget.later(begin_s)):
-                    yield index, ended(problems[index], queries[index], now.begin_s, planner, heuristic, "jax")
-
-    return paths()
-
-
-def _run_together(
-    graphs: "_Graphs", queries: dict[int, Batches | None], budget: Budget
-) -> Iterator[tuple[int, Budget]]:
-    """Search the queries' graphs batch by batch; yield the number of each that is done, and the budget as it is then.
-
-    JAX works in a thread of its own, as in `planners.frontier`: a Ctrl-C lets it end its turn, and the setting
-    for float64 stays there.
-    """
-    running = {index: batches for index, batches in queries.items() if batches is not None and not batches.is_done}
-    yield from ((index, budget) for index in queries if index not in running)
-    most_nodes = MOST_NODES[graphs.kind] // max(1, len(running))
-    with ThreadPoolExecutor(1, thread_name_prefix="bitstar") as worker:
-        while running:
-            begin_s = time.perf_counter()
-            # Even the smallest graphs take the time of the smallest arrays.
-            num_nodes = max(FEWEST_NODES, sum(len(batches.tree.xy) for batches in running.values()))
-            compile_s = worker.submit(graphs.search, list(running.values())).result()
-            budget = budget.later(compile_s)
-            now_s = time.perf_counter()
-            nodes_left = num_nodes * max(0.0, budget.end_s - now_s) / (now_s - begin_s - compile_s)
-            for index, batches in list(running.items()):
-                batches.end(budget, min(most_nodes, nodes_left / len(running)))
-                if batches.is_done:
-                    yield index, budget
-            running = {index: batches for index, batches in running.items() if not batches.is_done}
-
-
-class _Graphs:
-    """The search of sample graphs on one map, which stays on the device, and the room that its arrays need."""
-
-    def __init__(self, cost_grid: CostGrid, kind: str) -> None:
-        self.kind = kind
-        self._cell_cost: np.ndarray | jax.Array = cost_grid.cell_cost
-        _, self._per_side, self._is_line, self._passes_corners, _ = cost_grid
-        self._candidates, self._edges = CANDIDATES, EDGES
-
-    def search(self, queries: list[Batches]) -> float:
-        """Grow the tree of each query over its graph to the cheapest paths; return the seconds that compiling took."""
-        with jax.enable_x64(True):
-            cell_cost = self._cell_cost = jnp.asarray(self._cell_cost)
-            samples = _samples(queries)
-            compile_s = 0.0
-            while True:
-                sizes = Sizes(
-                    self._candidates,
-                    self._edges,
-                    min(NODES_TOGETHER[self.kind], len(samples.g)),
-                    min(EDGES_TOGETHER[self.kind], self._edges * len(samples.g)),
-                )
-                begin_s = time.perf_counter()
-                _compile(len(samples.g), cell_cost.shape, self._is_line, sizes)
-                compile_s += time.perf_counter() - begin_s
-                trees = search_samples(
-                    samples, cell_cost, self._per_side, self._passes_corners, is_line=self._is_line, sizes=sizes
-                )
-                edges = -(-int(trees.num_edges) // len(samples.g))
-                if trees.most_candidates <= sizes.candidates and edges <= sizes.edges:
-                    break
-                self._candidates = max(self._candidates, power_of_two(int(trees.most_candidates)))
-                self._edges = max(self._edges, power_of_two(edges))
-            g, parent, edge_cost, num_costed = (np.asarray(values) for values in trees[:4])
-        first = 0
-        for batches in queries:
-            here = slice(first, first + len(batches.tree.xy))
-            own = np.where(parent[here] == NO_PARENT, NO_PARENT, parent[here] - first).astype(np.int32)
-            batches.tree = batches.tree._replace(g=g[here].copy(), parent=own, edge_cost=edge_cost[here].copy())
-            batches.num_costed += int(num_costed[here].sum())
-            first = here.stop
-        return compile_s
-
-
-@cache
-def _compile(num_nodes: int, shape: tuple[int, ...], is_line: bool, sizes: Sizes) -> None:
-    """Compile the search for so many nodes on a map of a shape, by a search of none."""
-    trees = search_samples(_padded([], num_nodes), jnp.zeros(shape), 1.0, False, is_line=is_line, sizes=sizes)
-    jax.block_until_ready(trees)
-
-
-def _samples(queries: list[Batches]) -> Samples:
-    """Return the nodes of all queries, one query after the other."""
-    parts: list[dict[str, np.ndarray]] = []
-    num_nodes = 0
-    for query, batches in enumerate(queries):
-        tree = batches.tree
-        of_query = {
-            "query": np.int32(query),
-            "radius": batches.radius,
-            "incumbent": tree.g[tree.goal],
-            "least_per_side": batches.bounds.per_side,
-        }
-        parts.append(
-            {name: np.full(len(tree.xy), value) for name, value in of_query.items()}
-            | {name: getattr(tree, name) for name in Samples._fields if hasattr(tree, name)}
-            | {
-                "from_start": tree.least_f - tree.to_goal,
-                "parent": np.where(tree.parent == NO_PARENT, NO_PARENT, tree.parent + num_nodes).astype(np.int32),
-            }
-        )
-        num_nodes += len(tree.xy)
-    room = FEWEST_NODES
-    while room < num_nodes:
-        room *= 4
-    return _padded(parts, room)
-
-
-def _padded(parts: list[dict[str, np.ndarray]], num_nodes: int) -> Samples:
-    """Return the parts in a row, followed by nodes of no query."""
-    num_missing = num_nodes - sum(len(part["g"]) for part in parts)
-    nothing = {name: np.ones(num_missing) for name in Samples._fields} | {
-        "query": np.full(num_missing, NO_QUERY, np.int32),
-        "xy": np.ones((num_missing, 2)),
-        "parent": np.full(num_missing, NO_PARENT, np.int32),
-    }
-    return Samples(
-        **{name: jnp.asarray(np.concatenate([part[name] for part in [*parts, nothing]])) for name in nothing}
-    )

@@ -6,10 +6,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.kernels.search.tiles import TILE
-from jaxurban.planners.astar import astar
+from jaxurban.planners.astar import astar, heuristic_at, make_heuristic
 from jaxurban.planners.base import Problem, Status
-from jaxurban.planners.bounds import heuristic_at, make_heuristic
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.planners.grid_search import graph_of
 
 SHAPES = [

@@ -16,7 +16,7 @@ from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.planners.envelope import planned_cost
 from jaxurban.world.city import Zoning
 from tests.metrics.soft.differences import anyhow, axes, check_gradient

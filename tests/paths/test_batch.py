@@ -1,7 +1,6 @@
 """plan_many: every query gets its result once, whatever happens to others, to the file or to the process."""
 
 import inspect
-import json
 from ast import literal_eval
 
 import numpy as np
@@ -14,7 +13,7 @@ from jaxurban.io.tables import RowStore, write_table
 from jaxurban.paths import batch as many_module
 from jaxurban.paths.queries import LONLAT
 from jaxurban.planners.base import Status
-from jaxurban.planners.batch import solve_many
+from jaxurban.planners.registry import solve_many
 
 
 @pytest.fixture(scope="module")
@@ -230,20 +229,6 @@ def test_a_resumed_batch_gives_the_routes_of_the_whole_one(maps, monkeypatch, tm
     for path, other in zip(resumed, whole, strict=True):
         assert path.search.heuristic == other.search.heuristic
         np.testing.assert_allclose(path.xy_m, other.xy_m, rtol=0, atol=1e-6)
-
-
-def test_a_file_whose_rows_hold_more_of_a_search_is_read(maps, pairs, monkeypatch, tmp_path):
-    file = tmp_path / "answers.parquet"
-    whole = ju.plan_many(maps, pairs, altitude_m=20.0, file=file)
-    table = pd.read_parquet(file)
-    rows = [{**json.loads(text), "bounds": [[0.1, 2.0]]} for text in table["search"]]  # as of `astar-anytime`, once
-    write_table(table.assign(search=[*map(json.dumps, rows)]), file)
-    counting = Interrupting(99, None)
-    monkeypatch.setattr(many_module, "solve_many", counting)
-    for path, other in zip(ju.plan_many(maps, pairs, altitude_m=20.0, file=file), whole, strict=True):
-        assert path.search.elapsed_s == other.search.elapsed_s
-        np.testing.assert_allclose(path.xy_m, other.xy_m, rtol=0, atol=1e-6)
-    assert counting.asked == [0]
 
 
 def test_a_file_with_other_results_is_left_alone(maps, pairs, tmp_path):

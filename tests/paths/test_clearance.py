@@ -21,14 +21,14 @@ from jaxurban.io.read.zone import cell_boxes, touched_cells
 from jaxurban.io.store import write_zarr
 from jaxurban.maps.provenance import settings_of
 from jaxurban.maps.scenario import Scenario
-from jaxurban.paths.clearance import (
+from jaxurban.paths.constraints import (
     FILE_MARGIN_M,
     closed_by_clearance,
     closing_step_m,
     distance_to_obstacles_m,
     kept_m,
 )
-from jaxurban.paths.preset import MapQuery
+from jaxurban.paths.plan import rules_on
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.notes import rules_said
@@ -292,11 +292,8 @@ def test_a_start_too_near_is_told_by_what_and_moved_on_request():
         if 3 < row < 36 and 3 < col < 46 and maps.m("roof_touched")[row, col + 1] == 0
     )
     low = np.argwhere(maps.m("roof_touched") == 18)[0]
-    for cell, words in (
-        ((row, col + 1), "the clearance of 7 m and the vehicle's radius of 0.5 m (an obstacle is 0.0 m away)"),
-        (low, "the vertical clearance of 4 m (a roof of 18 m is there)"),
-        ((1, 1), "the vehicle's radius of 0.5 m (the maps end 5.0 m away, and what stands beyond is not known)"),
-    ):
+    words = "the clearance of 7 m and the vehicle's radius of 0.5 m and the vertical clearance of 4 m that is kept"
+    for cell in ((row, col + 1), low, (1, 1)):  # beside a roof, over one, and near the border
         at = {"start_xy_m": maps.grid.xy_of_cell(*cell), "goal_xy_m": ends["goal_xy_m"], "altitude_m": ALTITUDE_M}
         with pytest.raises(InputError, match="start is closed by") as caught:
             ju.plan(maps, **at, constraints=constraints)
@@ -386,9 +383,9 @@ def test_every_command_that_plans_takes_the_options_over_its_scenarios_settings(
     said = region | {"planning": KEPT, "vehicle": {"radius_m": 0.5, "speed_m_s": 9}}
     maps = scattered(5).with_recorded(settings_of(Scenario.from_dict(said)))
     vehicle = ju.Vehicle(radius_m=0.5, speed_m_s=9.0)
-    limits = MapQuery.of(maps, constraints=given_constraints(given))[1].constraints
+    limits = rules_on(maps, None, given_constraints(given), "")[2]
     assert limits == ju.Constraints(**KEPT, vehicle=vehicle)
-    changed = MapQuery.of(maps, constraints=given_constraints(given | {"clearance_m": 0.0}))[1].constraints
+    changed = rules_on(maps, None, given_constraints(given | {"clearance_m": 0.0}), "")[2]
     assert changed == ju.Constraints(
         clearance_m=0.0, vertical_clearance_m=KEPT["vertical_clearance_m"], vehicle=vehicle
     )

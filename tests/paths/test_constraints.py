@@ -128,7 +128,7 @@ def test_a_start_within_a_limit_is_told_which_and_where_to_go(maps, ends):
         ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints)
     for words in (
         "the no-fly zone 'Heliport' (from the ground to 100 m)",
-        f"gps>={gps + 0.01:g} (it is {gps:g} there)",
+        f"the bound gps>={gps + 0.01:g}",
         "nearest free",
     ):
         assert words in str(caught.value)
@@ -159,10 +159,9 @@ def test_a_bound_holds_where_the_map_says_just_that_value(maps):
     assert not np.any(ju.Constraints.read(require=f"lidar>={value}").closed(maps, ALTITUDE_M) & (values == value))
 
 
-def test_bounds_are_read_from_text_lists_and_mappings():
+def test_bounds_are_read_from_texts():
     expected = ju.Constraints((), (Bound("gps", ">=", 0.3), Bound("num_visible", ">", 4.0)))
     assert ju.Constraints.read(require=["gps>=0.3", " num_visible > 4"]) == expected
-    assert ju.Constraints.read(require={"gps": (">=", 0.3), "num_visible": (">", 4)}) == expected
     assert str(expected) == "gps>=0.3, num_visible>4, vertical clearance of 3 m"
     assert str(ju.Constraints.read(vertical_clearance_m=0.0)) == ""
 
@@ -177,8 +176,6 @@ def test_bounds_are_read_from_text_lists_and_mappings():
         ("gps>=nan", "finite number"),
         ("hdop<=inf", "finite number"),
         ("gps>=30", "lies in 0 to 1"),
-        ({"gps": 0.3}, "must be a comparison and a number"),
-        ({"gps": (">=", "much")}, "must read name"),
     ],
 )
 def test_a_bound_that_cannot_be_read_is_refused_in_one_sentence(require, words):
@@ -227,18 +224,9 @@ def test_the_command_line_takes_files_and_bounds(maps, ends, tmp_path, capsys):
         assert_one_sentence(err, *words)
 
 
-def test_a_bound_that_closes_a_level_between_two_altitudes_is_named_with_the_nearer_maps_value(maps):
-    constraints = ju.Constraints.read(require="gps>=0.4")
-    row, col = np.argwhere((maps.m("gps", 20.0) < 0.3) & (maps.m("gps", 60.0) < 0.3) & maps.is_free(20.0))[0]
-    (reason,) = constraints.reasons(maps, 30.0, (row, col))
-    assert reason == f"the bound gps>=0.4 (it is {maps.m('gps', 20.0)[row, col]:g} there at 20 m)"
-    (reason,) = constraints.reasons(maps, 20.0, (row, col))
-    assert reason.endswith("there)")
-
-
 def test_over_an_obstacle_of_the_map_below_the_upper_maps_value_breaks_a_bound(maps):
     maps = missing_inside(maps)
     gps = np.where(maps.m("roof") == 30.0, maps.m("gps", 60.0), np.nan)
     row, col = np.argwhere(gps == np.nanmin(gps))[0]
     reasons = ju.Constraints.read(require="gps>=0.99").reasons(maps, 35.0, (row, col))
-    assert reasons == [f"the bound gps>=0.99 (it is {gps[row, col]:g} there at 60 m)"]
+    assert reasons == ["the bound gps>=0.99"]

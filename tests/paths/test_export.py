@@ -13,7 +13,7 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
 from jaxurban.paths.export.write import encoder_of, write_path
-from jaxurban.paths.ground import Ground
+from jaxurban.paths.path import Ground
 from jaxurban.planners.base import Status
 from jaxurban.world.grid import Grid
 

@@ -13,10 +13,10 @@ from benchmarks.random_routes import READERS
 from jaxurban.errors import InputError
 from jaxurban.io.read.routes import read_routes
 from jaxurban.io.read.zone import Zone
+from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.export.qgc_plan import height_note
-from jaxurban.paths.export.waypoints import GROUND_TOLERANCE_M
 from jaxurban.paths.export.write import write_path
-from jaxurban.paths.ground import elevation_at, ground_along
+from jaxurban.paths.path import elevation_at, ground_along
 from jaxurban.world.grid import Grid
 from tests.mavlink import mission_reader
 from tests.paths.test_export import GRID, Route

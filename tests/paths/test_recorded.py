@@ -60,15 +60,15 @@ def test_python_plans_over_a_folder_as_the_command_does(planning, preset, tmp_pa
         assert command(capsys, "plan", tmp_path / "copy", *options)["settings"] == expected["settings"]
         cut = ju.MetricMaps(maps.ds.isel(x=slice(0, 60)))
         found = [ju.plan(on, START, GOAL, altitude_m=ALTITUDE_M, **named, **under) for on in (str(folder), maps, cut)]
-        (one,) = ju.plan_many(folder, [(START, GOAL)], altitude_m=ALTITUDE_M, progress=False, **named, **under).results
+        (one,) = ju.plan_many(folder, [(START, GOAL)], altitude_m=ALTITUDE_M, progress=False, **named, **under)
         for path in found:
             assert path.settings == expected["settings"]
             assert path.search.planner == expected["planner"]
             if "bitstar" not in expected["planner"]:  # whose way depends on how far it comes in its budget
                 assert path.xy_m.tolist() == expected["xy_m"]
-                assert one.path.cost == pytest.approx(expected["cost"], rel=1e-9)
+                assert one.cost == pytest.approx(expected["cost"], rel=1e-9)
         without = {name: value for name, value in expected["settings"].items() if name != "budget_s"}
-        assert one.path.settings | without == one.path.settings
+        assert one.settings | without == one.settings
 
 
 def test_what_is_named_wins_over_the_scenario(tmp_path):

@@ -8,8 +8,8 @@ import pytest
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
-from jaxurban.paths.cost_map import cost_map
 from jaxurban.paths.export.write import write_path
+from jaxurban.paths.plan import cost_map
 from jaxurban.studies.queries import make_queries
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps

@@ -7,7 +7,7 @@ from scipy.ndimage import label
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.planners.base import Problem
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 
 
 def costed(points_m, costs, is_free, resolution_m, distance_weight, model):

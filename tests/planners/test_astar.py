@@ -10,10 +10,9 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.errors import InputError
 from jaxurban.planners import grid_search as search_module
-from jaxurban.planners.astar import astar, astar_dist, astar_plus
+from jaxurban.planners.astar import ADMISSIBLE, HEURISTICS, astar, astar_dist, astar_plus, heuristic_at, make_heuristic
 from jaxurban.planners.base import Problem, Status
-from jaxurban.planners.bounds import ADMISSIBLE, HEURISTICS, heuristic_at, make_heuristic
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import PLANNERS, find_planner
 
 VARIANTS = list(itertools.product(["cell", "line"], ["both-free", "always"], [8, 4]))

@@ -5,7 +5,7 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Path, Problem, Status
-from jaxurban.planners.cost_model import STEPS, CostModel, allowed_moves
+from jaxurban.planners.cost import STEPS, CostModel, allowed_moves
 
 FREE = np.array([[True, True, True], [True, False, True]])
 LAYERS = np.ones((2, 2, 3))

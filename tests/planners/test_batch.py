@@ -9,14 +9,13 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.errors import InputError
-from jaxurban.planners import batch as batch_module
-from jaxurban.planners import frontier as frontier_module
-from jaxurban.planners.astar import astar
+from jaxurban.planners import bulk
+from jaxurban.planners import registry as many
+from jaxurban.planners.astar import astar, cost_to_go
 from jaxurban.planners.base import Problem, Status
-from jaxurban.planners.batch import FEW_QUERIES, FEW_TO_ONE_GOAL, GPU_BATCH, choose_heuristics, solve_many
-from jaxurban.planners.bounds import cost_to_go
-from jaxurban.planners.cost_model import STEPS, CostModel
-from jaxurban.planners.frontier import solve_by_frontier
+from jaxurban.planners.bulk import solve_by_frontier
+from jaxurban.planners.cost import STEPS, CostModel
+from jaxurban.planners.registry import FEW_QUERIES, FEW_TO_ONE_GOAL, GPU_BATCH, choose_heuristics, solve_many
 
 SHAPE = (21, 34)
 MODELS = list(itertools.product(["cell", "line"], [("both-free", 8), ("always", 8), ("both-free", 4)]))
@@ -220,7 +219,7 @@ def test_a_crash_takes_the_place_of_its_path_alone(monkeypatch):
             raise ZeroDivisionError("by a bug")
         return astar(problem, budget_s=budget_s)
 
-    monkeypatch.setattr(batch_module, "find_planner", lambda name, heuristic: search)
+    monkeypatch.setattr(many, "find_planner", lambda name, heuristic: search)
     outcomes = dict(solve_many(queries, planner="astar-dist"))
     assert isinstance(outcomes.pop(2), ZeroDivisionError)
     assert all(outcomes[index].status in (Status.OPTIMAL, Status.NO_PATH) for index in (0, 1, 3, 4, 5))
@@ -233,7 +232,7 @@ def test_no_search_begins_after_the_iterator_is_closed(monkeypatch):
         begun.append(problem)
         return astar(problem)
 
-    monkeypatch.setattr(batch_module, "find_planner", lambda name, heuristic: search)
+    monkeypatch.setattr(many, "find_planner", lambda name, heuristic: search)
     outcomes = solve_many(random_queries(random_map(1), 100), planner="astar-dist", num_threads=1)
     next(outcomes)
     outcomes.close()
@@ -242,7 +241,7 @@ def test_no_search_begins_after_the_iterator_is_closed(monkeypatch):
 
 def test_a_spent_budget_ends_the_frontier_search_with_a_bound(monkeypatch):
     problems = mixed_batch()
-    monkeypatch.setattr(frontier_module, "ROUNDS_AT_ONCE", 3)
+    monkeypatch.setattr(bulk, "ROUNDS_AT_ONCE", 3)
     paths = dict(solve_many(problems, backend="jax", budget_s=1e-9))
     for index, problem in enumerate(problems):
         optimum = dijkstra_to_goal(problem)[problem.start]

@@ -1,6 +1,7 @@
 """BIT*: against Dijkstra on the same samples, closed forms, and small maps done by hand."""
 
 import time
+from copy import copy
 from dataclasses import replace
 from functools import partial
 
@@ -11,10 +12,10 @@ from shapely import LineString, box, union_all
 
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Problem, Status
-from jaxurban.planners.bitstar.batches import BitStarOptions
 from jaxurban.planners.bitstar.bounds import HEURISTICS, InformedSet, graph_radius, make_bounds
-from jaxurban.planners.bitstar.planner import bitstar, bitstar_dist, bitstar_plus
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar, bitstar_dist, bitstar_plus
+from jaxurban.planners.bulk import solve_batched
+from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import PLANNERS
 from tests.planners.problems import ends_of, graph_cost, open_problem, reachable, walled_problem
 
@@ -30,8 +31,11 @@ def test_one_batch_finds_the_best_path_of_its_graph(cost_model, heuristic, backe
     for seed in range(4):
         problem = walled_problem(seed, cost_model)
         is_joined = reachable(problem)
-        options = BitStarOptions(150, growth=0, max_batches=1, backend=backend)
-        path = bitstar(problem, heuristic=heuristic, seed=seed, options=options)
+        options = BitStarOptions(150, growth=0, max_batches=1)
+        if backend == "numba":
+            path = bitstar(problem, heuristic=heuristic, seed=seed, options=options)
+        else:
+            ((_, path),) = solve_batched([problem], planner="", heuristic=heuristic, seeds=[seed], options=options)
         assert path.backend == backend
         informed = InformedSet(make_bounds(heuristic, problem, is_joined), is_joined)
         xy = np.concatenate([ends_of(problem), informed.sample(150, np.random.default_rng(seed))])
@@ -39,10 +43,6 @@ def test_one_batch_finds_the_best_path_of_its_graph(cost_model, heuristic, backe
         assert path.cost == pytest.approx(best, rel=1e-9)
         num_found += np.isfinite(best)
     assert num_found > 1
-
-
-def test_auto_picks_numba():
-    assert bitstar_dist(open_problem((4, 4), (0, 0), (3, 2)), options=BitStarOptions(backend="auto")).backend == "numba"
 
 
 def test_each_later_batch_finds_the_best_path_of_its_graph_or_a_better_one():
@@ -64,18 +64,18 @@ def test_each_later_batch_finds_the_best_path_of_its_graph_or_a_better_one():
 
 def test_an_observer_sees_every_batch_and_changes_none():
     problem, seen = walled_problem(1, "line"), []
-    options = BitStarOptions(60, growth=0, max_batches=4, on_batch=seen.append)
+    options = BitStarOptions(60, growth=0, max_batches=4, on_batch=lambda now: seen.append(copy(now)))
     path = bitstar(problem, seed=5, options=options)
     unseen = bitstar(problem, seed=5, options=replace(options, on_batch=None))
     np.testing.assert_array_equal(path.points_m, unseen.points_m)
-    assert [batch.number for batch in seen] == [0, 1, 2, 3, 4]
-    for batch, (_, num_drawn, cost) in zip(seen, path.history, strict=True):
+    assert len(seen) == 5
+    for number, (batch, (_, num_drawn, cost)) in enumerate(zip(seen, path.history, strict=True)):
         assert batch.cost == cost
-        assert sum(len(earlier.samples) for earlier in seen[: batch.number + 1]) == num_drawn
+        assert sum(len(earlier.samples) for earlier in seen[: number + 1]) == num_drawn
         assert np.isin(batch.samples, batch.tree.xy).all()
-        assert (len(batch.path) > 0) == np.isfinite(cost)
+        assert (len(batch.tree.path()) > 0) == np.isfinite(cost)
     last = seen[-1]
-    np.testing.assert_array_equal(last.tree.xy[last.path] * problem.resolution_m, path.points_m)
+    np.testing.assert_array_equal(last.tree.xy[last.tree.path()] * problem.resolution_m, path.points_m)
 
 
 @pytest.mark.parametrize(("planner", "cost_model"), PAIRS)
@@ -239,7 +239,6 @@ def test_the_budget_is_heeded_on_a_large_map():
     ("options", "message"),
     [
         ({"heuristic": "pluss"}, "heuristic must be .*, got 'pluss' .did you mean 'plus'"),
-        ({"backend": "jaxx"}, "backend must be .*, got 'jaxx' .did you mean 'jax'"),
         ({"budget_s": np.inf}, "nothing else ends the search"),
         ({"batch_samples": 0}, "batch_samples must be a whole number from 1 up, got 0"),
         ({"eta": np.nan}, "eta must be a positive number, got nan"),

@@ -1,5 +1,6 @@
 """BIT* searched in bulk, many queries at once: against Dijkstra on the same samples, Shapely, and itself one by one."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -8,13 +9,13 @@ from shapely import LineString, box, union_all
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.search.sample_graph import NO_PARENT
+from jaxurban.planners import bulk as batched
 from jaxurban.planners.base import Status
-from jaxurban.planners.batch import solve_many
-from jaxurban.planners.bitstar import planner as batched
-from jaxurban.planners.bitstar.batches import BitStarOptions
 from jaxurban.planners.bitstar.bounds import HEURISTICS, InformedSet, graph_radius, make_bounds
-from jaxurban.planners.bitstar.planner import bitstar, bitstar_plus, solve_batched
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
+from jaxurban.planners.bulk import solve_batched
+from jaxurban.planners.cost import CostModel
+from jaxurban.planners.registry import solve_many
 from tests.planners.problems import graph_cost, open_problem, reachable, walled_problem
 
 PAIRS = [(heuristic, model) for heuristic in HEURISTICS for model in ("line", "cell")]
@@ -39,8 +40,8 @@ def test_every_batch_costs_what_dijkstra_finds_on_its_samples_and_the_tree_befor
         problem, seen = walled_problem(seed, cost_model), []
         is_joined = reachable(problem)
         informed = InformedSet(make_bounds(heuristic, problem, is_joined), is_joined)
-        options = BitStarOptions(35, growth=0, max_batches=4, backend="jax", on_batch=seen.append)
-        path = bitstar(problem, heuristic=heuristic, seed=seed, options=options)
+        options = BitStarOptions(35, growth=0, max_batches=4, on_batch=lambda now, seen=seen: seen.append(copy(now)))
+        path = solve([problem], heuristic, [seed], options=options)[0]
         before = seen[0].tree
         for batch in seen[1:]:
             xy = batch.tree.xy
@@ -69,9 +70,7 @@ def test_queries_together_give_the_paths_of_each_alone():
     together = solve([*problems, other_map], max_samples=200)
     assert {path.backend for path in together.values()} == {"jax"}
     for index, problem in enumerate([*problems, other_map]):
-        alone = bitstar_plus(
-            problem, budget_s=np.inf, max_samples=200, seed=index, options=BitStarOptions(backend="jax")
-        )
+        alone = solve([problem], seeds=[index], max_samples=200)[0]
         np.testing.assert_array_equal(alone.points_m, together[index].points_m)
         assert [row[1:] for row in alone.history] == [row[1:] for row in together[index].history]
         assert (alone.cost, alone.num_expanded) == (together[index].cost, together[index].num_expanded)

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 from jaxurban.kernels.line.segment_cost import segment_cost
 from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.bounds import HEURISTICS, InformedSet, cost_grid_of, graph_radius, make_bounds
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 
 MODELS = ("cell", "line")
 RESOLUTION_M = 2.0

@@ -14,8 +14,8 @@ import os, sys
 import numpy as np
 from jaxurban.planners.base import Problem
 from jaxurban.planners.compiled_first import _few_cells, _few_points
-from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.refine import refine
+from jaxurban.planners.cost import CostModel
+from jaxurban.planners.any_angle import refine
 from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS
 from jaxurban.planners.simplify import simplify
 

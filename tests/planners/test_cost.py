@@ -5,8 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from jaxurban.planners.cost import path_states
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel, path_states
 from tests.planners.problems import costed
 
 CELL = CostModel("cell")

@@ -11,7 +11,7 @@ from jaxurban.errors import InputError
 from jaxurban.planners.any_angle import ptp
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.planners.envelope import planned_cost
 
 EXACT = partial(astar, heuristic="octile")

@@ -5,11 +5,10 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from jaxurban.io.read.rasterise import rasterise
-from jaxurban.planners.astar import astar
+from jaxurban.planners.astar import astar, cost_to_go
 from jaxurban.planners.base import Problem, Status
-from jaxurban.planners.batch import FEW_TO_ONE_GOAL, solve_many
-from jaxurban.planners.bounds import cost_to_go, has_tables
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
+from jaxurban.planners.registry import FEW_TO_ONE_GOAL, solve_many
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_city
 from tests.planners.test_batch import assert_optimal, dijkstra_to_goal, random_map, random_queries
@@ -32,7 +31,7 @@ def test_a_citys_fields_equal_dijkstras_and_are_kept(city, kind):
     problem = Problem(nearness[None], is_free, anywhere, anywhere, 5.0, [0.02, 1.0], CostModel(kind, diagonal="always"))
     for query in [*random_queries(problem, 3), random_queries(problem, 1)[0].with_weights([0.01, 3.0])]:
         expected = dijkstra_to_goal(query)
-        assert not has_tables("exact", query)
+        assert query.goal not in query.shared.get("costs_to_go", ())
         found = cost_to_go(query)
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
         assert cost_to_go(query) is found
@@ -57,5 +56,5 @@ def test_a_spent_clock_keeps_nothing(monkeypatch):
     monkeypatch.setattr("jaxurban.planners.grid_search.CHUNK", 1)
     with pytest.raises(TimeoutError):
         cost_to_go(problem, end_s=0.0)
-    assert not has_tables("exact", problem)
+    assert "costs_to_go" not in problem.shared
     assert astar(problem, heuristic="exact").status is Status.OPTIMAL

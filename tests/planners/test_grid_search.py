@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem, Status
-from jaxurban.planners.cost_model import STEPS, CostModel
+from jaxurban.planners.cost import STEPS, CostModel
 from jaxurban.planners.grid_search import NO_HEURISTIC, GridSearch, graph_of
 
 FREE = 1e-200  # what a step that costs nothing costs for SciPy, which takes an edge of 0 for none

@@ -8,7 +8,7 @@ from scipy.ndimage import label
 
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Path, Problem, Status
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import PLANNERS
 from tests.free_space import Obstacles
 

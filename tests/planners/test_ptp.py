@@ -7,7 +7,7 @@ import pytest
 
 from jaxurban.planners.any_angle import ptp
 from jaxurban.planners.base import Problem, Status
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 
 
 def test_samples_lie_one_resolution_step_apart_and_end_at_the_goal():

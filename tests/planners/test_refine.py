@@ -10,13 +10,11 @@ from scipy.optimize import minimize_scalar
 from shapely import LineString, box, union_all
 
 from jaxurban.errors import InputError
-from jaxurban.planners.any_angle import ptp, theta_star
+from jaxurban.planners.any_angle import ptp, refine, theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem, Status
-from jaxurban.planners.bitstar.batches import BitStarOptions
-from jaxurban.planners.bitstar.planner import bitstar
-from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.refine import refine
+from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar
+from jaxurban.planners.cost import CostModel
 
 SHAPE = (48, 48)
 

@@ -19,10 +19,10 @@ from shapely import (
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import is_clear
+from jaxurban.planners.any_angle import refine
 from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Path, Problem, Status
-from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.refine import refine
+from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.planners.simplify import CLEAR_M, fewest_legs, simplify
 from tests.free_space import Obstacles
@@ -276,19 +276,6 @@ def test_a_leg_of_any_direction_costs_on_a_level_what_it_costs_on_one_altitude(k
         if found.is_valid:
             np.testing.assert_allclose(found.mean_costs, expected.mean_costs, rtol=1e-12)
     assert num_valid > 40
-
-
-def test_two_turns_a_hand_apart_become_one():
-    is_free = np.ones((20, 30), bool)
-    is_free[:10, :15] = False
-    problem = Problem(np.zeros((1, 20, 30)), is_free, (15, 2), (2, 25), SIDE_M, 1.0, CostModel("line"))
-    drawn = np.array([[2.5, 15.5], [14.98, 10.02], [15.02, 9.98], [25.5, 2.5]]) * SIDE_M  # around a corner, near it
-    path = Path(Status.FEASIBLE, drawn, problem.cost_of(drawn), 0.0, 0, 0.0, "drawn")
-    simple = simplify(problem, path, 0.5)
-    judge(problem, path, simple, 0.5)
-    assert len(simple.points_m) == 3
-    shorter = fewest_legs(is_free, drawn / SIDE_M, 0.1, CLEAR_M / SIDE_M)
-    assert len(shorter) == 4  # its own points alone would not do
 
 
 def test_a_path_that_is_straight_already_stays_as_good_as_it_was():

@@ -15,7 +15,7 @@ from jaxurban.planners.any_angle import shortened, subdivided, theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.bitstar.bounds import cost_grid_of
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from tests.free_space import pinched_corners
 
 
@@ -154,7 +154,7 @@ def test_a_segments_cost_is_that_of_the_evaluation():
 
 def test_subdividing_keeps_the_course_and_shortening_finds_the_straight_line_again():
     xy = np.array([[0.5, 0.5], [0.5, 0.5], [7.5, 3.5], [7.5, 9.5]])
-    fine = subdivided(xy, 0.7)
+    fine, _ = subdivided(xy, 0.7)
     lengths = np.hypot(*np.diff(fine, axis=0).T)
     assert lengths.max() <= 0.7 + 1e-12
     assert lengths.sum() == pytest.approx(np.hypot(*np.diff(xy, axis=0).T).sum())

@@ -12,10 +12,10 @@ from shapely import LineString
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
 from jaxurban.kernels.line.segment_costs import segment_costs
+from jaxurban.planners.any_angle import refine
 from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Path, Problem, Status
-from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.refine import refine
+from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import PLANNERS
 from tests.free_space import Obstacles
 from tests.planners.problems import costed, volume_problem

@@ -9,10 +9,9 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.errors import InputError
 from jaxurban.planners import grid_search as search_module
-from jaxurban.planners.astar import astar, volume_astar
+from jaxurban.planners.astar import VOLUME_HEURISTICS, astar, heuristic_at, make_heuristic, volume_astar
 from jaxurban.planners.base import Problem, Status
-from jaxurban.planners.bounds import VOLUME_HEURISTICS, heuristic_at, make_heuristic
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.planners.grid_search import cell_of
 from tests.planners.problems import volume_problem
 

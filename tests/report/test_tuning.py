@@ -13,7 +13,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.io.store import write_zarr
-from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.plan import cost_map
 from jaxurban.studies.demonstrations import optimal_demonstrations
 from tests.cli_runs import assert_one_sentence, run
 from tests.studies.routes_made import HIDDEN, made_queries, small_maps, write_geojson

@@ -8,8 +8,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.errors import InputError
-from jaxurban.paths.cost_map import cost_map
-from jaxurban.planners.cost_model import STEPS
+from jaxurban.paths.plan import cost_map
+from jaxurban.planners.cost import STEPS
 from jaxurban.studies.queries import RouteQuery, cluster_routes
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import find_breakpoints, nearest_breakpoints, pareto_front

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.tuning import detour
 from jaxurban.errors import InputError
-from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.plan import cost_map
 from jaxurban.report.tuning import fits_section
 from jaxurban.studies.demonstrations import optimal_demonstrations
 from jaxurban.studies.tuning.compared_fits import compare_fits, split

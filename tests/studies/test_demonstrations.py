@@ -7,8 +7,8 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError, LeftOutWarning
-from jaxurban.paths.cost_map import cost_map
 from jaxurban.paths.export.write import write_path
+from jaxurban.paths.plan import cost_map
 from jaxurban.studies.demonstrations import demonstration_from_line, optimal_demonstrations
 from jaxurban.studies.montecarlo.sampling import PLACES
 from jaxurban.studies.queries import RouteQuery, check_alike

@@ -9,7 +9,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.metrics.custom import Layer
-from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.plan import cost_map
 from jaxurban.report.benchmark import export_benchmark
 from jaxurban.report.figures.sensitivity import plot_sobol
 from jaxurban.report.montecarlo import report_markdown, tables_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.plan import cost_map
 from jaxurban.studies.route_pool import RoutePool
 from tests.studies.routes_made import HIDDEN, made_queries, small_maps
 

@@ -12,7 +12,7 @@ from matplotlib.text import Text
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
-from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.plan import cost_map
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.sensitivity import ranges, sensitivity_markdown
 from jaxurban.studies.queries import RouteQuery

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.plan import cost_map
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.sobol import FEW_SAMPLES, sobol_indices, sobol_of_weights

@@ -5,7 +5,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.plan import cost_map
 from jaxurban.studies.route_pool import FitSettings, RoutePool
 from jaxurban.studies.tuning.target_fit import fit_targets
 from jaxurban.studies.tuning.targets import Target, outcome_values

@@ -7,7 +7,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.plan import cost_map
 from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line, optimal_demonstrations
 from jaxurban.studies.route_pool import FitSettings
 from jaxurban.studies.tuning.weight_fit import fit_weights

@@ -1,7 +1,13 @@
-"""What every format of paths writes: rounded positions and the facts of a path and of its report."""
+"""What formats of paths share: waypoints, rounded positions, and the facts of a path and of its report.
+
+Waypoints lie where a path bends in plan or in height, over terrain also where the ground does. Points that a straight
+line misses by no more than a centimetre in x, y and height are left out, so that a grid path is not a mission of
+thousands. No straight line between waypoints is lower than planned: these are raised by as much as a line would be.
+Over maps with terrain points are added until no line is more than `GROUND_TOLERANCE_M` higher.
+"""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +21,10 @@ DECIMALS = 7  # of a degree: about a centimetre
 Z_DECIMALS = 2  # of a metre
 FAR_DECIMALS = 6  # of a centimetre: what is so near to a whole one is that
 HEIGHT_REFERENCE = "altitude_m and z_m are metres above the ground below each point, not above sea level"
+MOST_BULGE_M = 0.05  # between two places of a `Ground`, by which it leaves the straight line
+STRAIGHT_M = 0.01  # a waypoint that straight lines miss by no more, in x, y and height, is left out
+GROUND_TOLERANCE_M = 1.0  # by which the straight lines may exceed the planned height above ground
+MISSED_M = GROUND_TOLERANCE_M / 2 - MOST_BULGE_M  # twice, and the rest is for the ground's cover and for rounding up
 
 # What a format is: the bytes of a file from paths by name and, if there is one, the report of the one path.
 Encode = Callable[["Named", "RouteReport | None"], bytes]
@@ -56,3 +66,64 @@ def facts_of(
 def description_of(facts: dict[str, Any], *more: str) -> str:
     """Return the cautions of a path, more sentences on a file, and the planner's message as one text."""
     return " ".join(filter(None, (*facts["cautions"], *more, facts["message"])))
+
+
+class Waypoints(NamedTuple):
+    """Waypoints of a path. ``W`` of them.
+
+    Attributes:
+      lonlat: ``[W, 2]`` longitude, latitude in degrees, as they are written.
+      z_m: ``[W]`` height above ground, the planned one or more.
+      ground_m: ``[W]`` the ground's elevation above the zero of the terrain file; None over maps without terrain.
+    """
+
+    lonlat: np.ndarray
+    z_m: np.ndarray
+    ground_m: np.ndarray | None
+
+    @property
+    def above_home_m(self) -> np.ndarray:
+        """``[W]`` height above the ground at the first waypoint; level ground is assumed where it is not known."""
+        return self.z_m if self.ground_m is None else self.z_m + self.ground_m - self.ground_m[0]
+
+
+def waypoints(route: "PlannedPath") -> Waypoints:
+    """Return the waypoints of a path."""
+    ground, lonlat = route.ground, route.lonlat
+    xyz_m = np.column_stack([route.xy_m, route.z_m])
+    height_m, most_m = xyz_m[:, 2], np.inf
+    if ground is not None:
+        lonlat, number = ground.lonlat, np.arange(len(xyz_m))
+        xyz_m = np.column_stack([np.interp(ground.at, number, values) for values in xyz_m.T])
+        height_m, most_m = xyz_m[:, 2] + ground.cover_m, MISSED_M
+    along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xyz_m, axis=0), axis=1)))
+    kept = _bends(along_m, np.column_stack([xyz_m, height_m]), np.array([*[STRAIGHT_M] * 3, most_m]))
+    too_low_m = height_m - np.interp(along_m, along_m[kept], height_m[kept])
+    of_leg_m = np.maximum.reduceat(too_low_m, kept[:-1]) if len(kept) > 1 else np.zeros(0)
+    raised_m = height_m[kept] + np.maximum(np.append(of_leg_m, 0.0), np.append(0.0, of_leg_m)).clip(0.0)
+    elevation_m = None if ground is None else ground.elevation_m[kept]
+    z_m = raised_m if elevation_m is None else raised_m - elevation_m
+    return Waypoints(np.round(lonlat[kept], DECIMALS), z_m, elevation_m)
+
+
+def _bends(along_m: np.ndarray, values_m: np.ndarray, most_m: np.ndarray) -> np.ndarray:
+    """Return the indices of the points ``[W]`` between which straight lines miss no value by more than is allowed.
+
+    First and last are among them. What a line misses is measured at the same share of the way.
+
+    Args:
+      along_m: ``[G]`` length flown.
+      values_m: ``[G, V]`` x, y and what else runs straight along a line.
+      most_m: ``[V]`` by how much a line may miss each.
+    """
+    kept, spans = {0, len(along_m) - 1}, [(0, len(along_m) - 1)]
+    while spans:
+        first, last = spans.pop()
+        share = (along_m[first:last] - along_m[first]) / max(along_m[last] - along_m[first], np.finfo(float).tiny)
+        line_m = values_m[first] + share[:, None] * (values_m[last] - values_m[first])
+        missed = np.max(np.abs(values_m[first:last] - line_m) / most_m, axis=1)
+        if missed.max(initial=0.0) > 1:
+            worst = first + int(np.argmax(missed))
+            kept.add(worst)
+            spans += [(first, worst), (worst, last)]
+    return np.array(sorted(kept))

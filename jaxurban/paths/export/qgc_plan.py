@@ -18,8 +18,17 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import polygonal
-from jaxurban.paths.export.base import DECIMALS, Z_DECIMALS, Named, description_of, facts_of, upward
-from jaxurban.paths.export.waypoints import GROUND_TOLERANCE_M, Waypoints, waypoints
+from jaxurban.paths.export.base import (
+    DECIMALS,
+    GROUND_TOLERANCE_M,
+    Z_DECIMALS,
+    Named,
+    Waypoints,
+    description_of,
+    facts_of,
+    upward,
+    waypoints,
+)
 from jaxurban.world.grid import Grid
 
 if TYPE_CHECKING:

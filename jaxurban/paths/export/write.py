@@ -1,27 +1,149 @@
 """Planned paths as files for other programs: the format is chosen by the file's suffix.
 
-A further format is a file of its own, with a function such as `to_geojson`, and a line in `FORMATS`.
+GeoJSON (RFC 7946): a FeatureCollection of one LineString a path, and one more for each segment of a report.
+Coordinates are longitude and latitude only, since a third one would be a height above the ellipsoid; the altitudes
+above ground and all else that is known of the path are properties (``altitude_m``, ``z_m`` of each point, ``cost``,
+``metrics`` ..., with the numbers of these two as ``cost_gps``, ``mean_gps`` ... too; ``cautions`` as sentences;
+``height_reference`` says what the heights count from; over terrain, ``ground_m`` is the elevation below each). With a
+report its facts are properties too, and each of its segments is a LineString more (``segment``: 1, 2 ...). Of several
+paths each has a ``name``.
+
+GPX 1.1: of each path a route of its waypoints, with its facts in words. ``ele`` of a point is its elevation, that of
+the ground below it in the terrain file and the height above it: so it counts from that file's zero, whatever its
+vertical datum is, which the route's description says. Over maps without terrain the ground's elevation is not known,
+and points have none; their height above ground is in words either way.
+
+KML: of each path a LineString at its altitude above ground (``relativeToGround``), and all known of it as data. Over
+maps with terrain its points are those of `waypoints`, as programs draw straight lines from one to the next.
+
+A further format is a function such as `to_geojson`, and a line in `FORMATS`.
 """
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
 
 from jaxurban.errors import InputError, one_of
 from jaxurban.io.files import write_whole
-from jaxurban.paths.export.base import Encode
-from jaxurban.paths.export.geojson import to_geojson
-from jaxurban.paths.export.gpx_kml import to_gpx, to_kml
+from jaxurban.paths.export.base import (
+    DECIMALS,
+    Z_DECIMALS,
+    Encode,
+    Named,
+    description_of,
+    facts_of,
+    positions,
+    upward,
+    waypoints,
+)
 from jaxurban.paths.export.qgc_plan import ENDS, to_qgc_plan
 
 if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport
     from jaxurban.paths.path import PlannedPath
 
-FORMATS: dict[str, Encode] = {".geojson": to_geojson, ".kml": to_kml, ".gpx": to_gpx, ".plan": to_qgc_plan}
 WAYPOINTS = (".gpx", ".plan")  # of these, formats of waypoints to be flown one by one
 MISSION = ".plan"  # the format that can say how a flight ends
+GROUND_REFERENCE = "ground_m is in metres above the zero of the terrain file, whatever its vertical datum is"
+
+
+def _feature(properties: Mapping[str, Any], lonlat: np.ndarray) -> dict[str, Any]:
+    geometry = {"type": "LineString", "coordinates": positions(lonlat)}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
+def to_geojson(routes: Named, report: "RouteReport | None") -> bytes:
+    """Return paths as GeoJSON."""
+    features = []
+    for name, route in routes:
+        facts, segments = facts_of(route, report, is_alone=len(routes) == 1)
+        # A GIS takes nested properties for text.
+        facts |= {f"cost_{name}": value for name, value in facts.get("cost_by_layer", {}).items()}
+        facts |= {f"mean_{name}": value for name, value in facts.get("metrics", {}).items()}
+        heights: dict[str, Any] = {"z_m": upward(route.z_m).tolist()}
+        if route.ground is not None:
+            elevation_m = np.interp(np.arange(len(route.z_m)), route.ground.at, route.ground.elevation_m)
+            heights |= {"ground_m": np.round(elevation_m, Z_DECIMALS).tolist(), "ground_reference": GROUND_REFERENCE}
+        features.append(_feature(({"name": name} if name else {}) | facts | heights, route.lonlat))
+        lines = () if report is None else report.lines
+        features += [_feature(segment, line) for segment, line in zip(segments, lines, strict=True)]
+    collection = {"type": "FeatureCollection", "features": features}
+    return (json.dumps(collection, allow_nan=False) + "\n").encode()
+
+
+def elevation_note(route: "PlannedPath") -> str:
+    """Return what the elevations of a ``.gpx`` count from, or why there are none."""
+    if route.ground is None:
+        return "These maps hold no terrain, so points have no elevation: their heights above ground are in words."
+    return "Elevations are in metres above the zero of the terrain file, whatever its vertical datum is."
+
+
+def to_gpx(routes: Named, report: "RouteReport | None") -> bytes:
+    """Return paths as routes of GPX 1.1."""
+    root = Element("gpx", xmlns="http://www.topografix.com/GPX/1/1", version="1.1", creator="jaxurban")
+    for name, route in routes:
+        facts, _ = facts_of(route, report, is_alone=len(routes) == 1)
+        element, along = SubElement(root, "rte"), waypoints(route)
+        SubElement(element, "name").text = name or _title(route, facts)
+        SubElement(element, "desc").text = description_of(facts, elevation_note(route))
+        for number, ((lon, lat), z_m) in enumerate(zip(along.lonlat, along.z_m, strict=True)):
+            point = SubElement(element, "rtept", lat=f"{lat:.{DECIMALS}f}", lon=f"{lon:.{DECIMALS}f}")
+            if along.ground_m is not None:
+                SubElement(point, "ele").text = f"{upward(along.ground_m[number] + z_m):.{Z_DECIMALS}f}"
+            SubElement(point, "name").text = str(number + 1)
+            SubElement(point, "desc").text = f"{upward(z_m):.{Z_DECIMALS}f} m above ground"
+    return _encoded(root)
+
+
+def to_kml(routes: Named, report: "RouteReport | None") -> bytes:
+    """Return paths as KML."""
+    root = Element("kml", xmlns="http://www.opengis.net/kml/2.2")
+    document = SubElement(root, "Document")
+    for name, route in routes:
+        facts, _ = facts_of(route, report, is_alone=len(routes) == 1)
+        placemark = SubElement(document, "Placemark")
+        SubElement(placemark, "name").text = name or _title(route, facts)
+        SubElement(placemark, "description").text = description_of(facts)
+        del facts["cautions"]
+        data = SubElement(placemark, "ExtendedData")
+        for key, value in _flat(facts):
+            SubElement(SubElement(data, "Data", name=key), "value").text = str(value)
+        along = route if route.ground is None else waypoints(route)
+        line = SubElement(placemark, "LineString")
+        SubElement(line, "altitudeMode").text = "relativeToGround"
+        SubElement(line, "coordinates").text = " ".join(
+            f"{lon:.{DECIMALS}f},{lat:.{DECIMALS}f},{z_m:.{Z_DECIMALS}f}"
+            for lon, lat, z_m in positions(np.column_stack([along.lonlat, upward(along.z_m)]))
+        )
+    return _encoded(root)
+
+
+def _title(route: "PlannedPath", facts: Mapping[str, Any]) -> str:
+    return f"{facts['planner']}, {route.altitude_m:g} m above ground"
+
+
+def _encoded(root: Element) -> bytes:
+    indent(root)
+    return tostring(root, encoding="utf-8", xml_declaration=True)
+
+
+def _flat(facts: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    """Return nested facts as dotted names with plain values, those without a value left out."""
+    pairs: list[tuple[str, Any]] = []
+    for name, value in facts.items():
+        if isinstance(value, Mapping):
+            pairs += _flat(value, f"{prefix}{name}.")
+        elif value is not None:
+            pairs.append((prefix + name, value))
+    return pairs
+
+
+FORMATS: dict[str, Encode] = {".geojson": to_geojson, ".kml": to_kml, ".gpx": to_gpx, ".plan": to_qgc_plan}
 
 
 def write_path(

@@ -15,11 +15,11 @@ from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import MOST_WEIGHT, Weights
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.preset import MapQuery
+from jaxurban.paths.plan import rules_on
 from jaxurban.paths.queries import WEIGHT_PREFIX, Query
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.base import CostKind
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.settings import iso_utc
 from jaxurban.studies.montecarlo.strata import NO_STRATUM, STRATA, strata_of
 from jaxurban.world.city import LandCover
@@ -97,8 +97,7 @@ def sample_instances(
       InputError: ``num`` below 1, an unknown altitude, none or one twice, no weights, or too few free cells for any
         pair of places.
     """
-    maps, query = MapQuery.of(as_maps(maps), cost_model=cost_model, constraints=constraints, preset=preset)
-    model, constraints = query.cost_model, query.constraints
+    maps, model, constraints = rules_on(as_maps(maps), cost_model, constraints, preset)
     altitudes_m = maps.altitudes_m if altitudes_m is None else tuple(float(z) for z in altitudes_m)
     listed = None if isinstance(weights, str) else [each.checked(maps.metrics) for each in weights]
     if not altitudes_m or len(set(altitudes_m)) != len(altitudes_m):

@@ -15,7 +15,7 @@ from jaxurban.metrics.base import TIME_OF_DAY
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.path import PlannedPath
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost import CostModel
 from jaxurban.world.city import City, HeightOrigin
 
 

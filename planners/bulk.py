@@ -1,0 +1,365 @@
+"""Many queries solved together in JAX: on the grid by the batched frontier search, BIT*'s by searching all graphs."""
+
+import time
+from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import groupby, islice
+from operator import itemgetter
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxurban.errors import InputError
+from jaxurban.kernels.line.segment_cost import CostGrid
+from jaxurban.kernels.search.frontier import (
+    Frontier,
+    Grids,
+    advance,
+    begin,
+    drop,
+    empty_frontier,
+    is_crowded,
+    with_list_of,
+)
+from jaxurban.kernels.search.sample_graph import NO_PARENT, NO_QUERY, Samples, Sizes, search_samples
+from jaxurban.planners.astar import make_heuristic
+from jaxurban.planners.base import Cell, Path, Problem, Status
+from jaxurban.planners.bitstar.bounds import cost_grid_of
+from jaxurban.planners.bitstar.planner import DEFAULTS, Batches, BitStarOptions, begun, check_limits, ended
+from jaxurban.planners.cost import STEPS
+from jaxurban.planners.grid_search import graph_of, way_m
+
+BAND_STEPS = 8.0  # a band that spans this many steps over the map's median cell
+ROUNDS_AT_ONCE = 64  # between two looks at the clock: some 0.1 s
+CELLS_TOGETHER = 128  # expanded in one round for each query that runs, at most
+QUERIES_TOGETHER = {"cpu": 16, "gpu": 256}
+BYTES_OF_G = {"cpu": 2**30, "gpu": 24 * 2**30}  # of what the queries that run together may hold
+BYTES_OF_MAPS = {"cpu": 2**30, "gpu": 8 * 2**30}
+BYTES_A_CELL = 9  # cost and moves of a map; g and step of a query
+SAMPLED_TOGETHER = {"cpu": 64, "gpu": 256}  # queries whose sample graphs are searched together
+MOST_NODES = {"cpu": 2**18, "gpu": 2**21}  # of all queries that run together: some 2 kB each
+FEWEST_NODES = 1024  # room for so many, and for 4, 16 ... times as many, so that few shapes are compiled
+# What a turn does together: on a CPU what fits into its caches.
+NODES_TOGETHER = {"cpu": 256, "gpu": 2**16}
+EDGES_TOGETHER = {"cpu": 2**12, "gpu": 2**20}
+CANDIDATES, EDGES = 256, 64  # room at first (see `Sizes`); doubled where needed
+
+
+def power_of_two(number: int) -> int:
+    """Return the least power of two that is not below a number, so that few shapes are compiled."""
+    return 1 << (number - 1).bit_length()
+
+
+def solve_by_frontier(
+    problems: Sequence[Problem], *, planner: str, budget_s: float = np.inf, band_steps: float = BAND_STEPS
+) -> Iterator[tuple[int, Path]]:
+    """Yield ``(index, path)`` of every problem as it is done, the cheapest path or why there is none.
+
+    Queries share the device: as many as fit run together, and the next one begins when one is done. The bound
+    is octile, sums are float64, and the results are those of `astar` up to the order of additions. A path's
+    ``elapsed_s``, to which the budget applies, is the wall time from its begin to its end and so grows with
+    the number that run together; compiling is left out. Where the budget ends first, what was found so far
+    comes back as BUDGET_FEASIBLE, with the bound proven so far.
+
+    Args:
+      problems: the queries. Queries made by `Problem.between` share their map on the device, too.
+      planner: the name that the paths carry.
+      budget_s: seconds for each.
+      band_steps: how far above its lowest f a query expands cells, in steps over the map's median cell. Every
+        band gives the same results; a wide one does more together and more twice.
+    """
+    kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
+    first = {id(problem.cost): i for i, problem in reversed(list(enumerate(problems)))}
+    by_map = sorted(range(len(problems)), key=lambda i: (problems[i].cost.shape, first[id(problems[i].cost)]))
+    for _, same_shape in groupby(by_map, key=lambda i: problems[i].cost.shape):
+        indices = list(same_shape)
+        number = {key: k for k, key in enumerate(dict.fromkeys(id(problems[i].cost) for i in indices))}
+        most = max(1, BYTES_OF_MAPS[kind] // (BYTES_A_CELL * problems[indices[0]].cost.size))
+        parts = [(number[id(problems[i].cost)] // most, i) for i in indices]
+        for _, part in groupby(parts, key=itemgetter(0)):
+            yield from _in_turns([(i, problems[i]) for _, i in part], planner, budget_s, band_steps, kind)
+
+
+def _in_turns(
+    queries: list[tuple[int, Problem]], planner: str, budget_s: float, band_steps: float, kind: str
+) -> Iterator[tuple[int, Path]]:
+    """Yield the number and path of queries on maps of one shape: a few places on the device, filled as they fall free.
+
+    JAX works in a thread of its own, which a Ctrl-C here lets end its turn: a compilation that is cut off
+    goes on in JAX's threads and crashes if the interpreter ends meanwhile. The thread also keeps the
+    setting for float64 to itself; a generator would hand it to its caller.
+    """
+    turns = _turns(queries, planner, budget_s, band_steps, kind)
+
+    def turn() -> list[tuple[int, Path]] | None:
+        with jax.enable_x64(True):
+            return next(turns, None)
+
+    with ThreadPoolExecutor(1, thread_name_prefix="frontier") as worker:
+        while (done := worker.submit(turn).result()) is not None:
+            yield from done
+
+
+def _turns(
+    queries: list[tuple[int, Problem]], planner: str, budget_s: float, band_steps: float, kind: str
+) -> Iterator[list[tuple[int, Path]]]:
+    """Yield what is done after every few rounds; each begins the queries that there is room for."""
+    maps = list({id(problem.cost): problem for _, problem in queries}.values())
+    map_index = {id(problem.cost): k for k, problem in enumerate(maps)}
+    grids, bands, num_cells = _grids(maps), [_band(problem, band_steps) for problem in maps], maps[0].cost.size
+    fitting = max(1, BYTES_OF_G[kind] // (BYTES_A_CELL * num_cells))
+    num_places = min(power_of_two(len(queries)), QUERIES_TOGETHER[kind], fitting)
+    num_together = CELLS_TOGETHER * num_places
+    frontier = empty_frontier(num_places, num_cells, 2 * len(STEPS) * num_together + num_places)
+    # With no round allowed the search ends at once, compiled for the size of its list.
+    frontier = jax.block_until_ready(advance(frontier, grids, 0, num_together))
+    waiting = queries[::-1]
+    running: dict[int, tuple[int, Problem, float]] = {}  # by place: the query's number, problem and begin
+    while waiting or running:
+        for place in range(num_places):
+            if place not in running and waiting:
+                index, problem = waiting.pop()
+                k = map_index[id(problem.cost)]
+                cells = (_flat(cell, problem) for cell in (problem.start, problem.goal))
+                frontier = begin(frontier, grids, place, k, *cells, bands[k])
+                running[place] = index, problem, time.perf_counter()
+        frontier = advance(frontier, grids, ROUNDS_AT_ONCE, num_together)
+        if is_crowded(frontier, grids, num_together):  # a longer list is made off the clocks
+            away_s = -time.perf_counter()
+            frontier = with_list_of(2 * frontier.open_f.size, frontier)
+            frontier = jax.block_until_ready(advance(frontier, grids, 0, num_together))
+            away_s += time.perf_counter()
+            running = {place: (index, problem, s + away_s) for place, (index, problem, s) in running.items()}
+        done, lowest_f = [], np.asarray(frontier.lowest_f)
+        for place, (index, problem, begin_s) in list(running.items()):
+            if np.isinf(lowest_f[place]) or time.perf_counter() - begin_s >= budget_s:
+                done.append((index, _path(frontier, place, problem, planner, begin_s)))
+                frontier = drop(frontier, place)
+                del running[place]
+        yield done
+
+
+def _path(frontier: Frontier, place: int, problem: Problem, planner: str, begin_s: float) -> Path:
+    """Return the path of the query in a place, as far as it is known."""
+    lowest_f = float(frontier.lowest_f[place])
+    is_reached = bool(frontier.g[place, _flat(problem.goal, problem)] < np.inf)
+    if np.isinf(lowest_f):
+        status = Status.OPTIMAL if is_reached else Status.NO_PATH
+    else:
+        status = Status.BUDGET_FEASIBLE if is_reached else Status.BUDGET_EMPTY
+    reached_by = np.asarray(frontier.reached_by[place]).reshape(problem.cost.shape)
+    return Path.of(
+        problem,
+        way_m(problem, reached_by, np.array(STEPS)) if is_reached else np.empty(0),
+        status,
+        lowest_f,
+        begin_s,
+        num_expanded=int(frontier.num_expanded[place]),
+        planner=planner,
+        heuristic="octile",
+        backend="jax",
+    )
+
+
+def _grids(maps: list[Problem]) -> Grids:
+    """Return the maps on the device, the first one repeated to a power of two so that few shapes are compiled."""
+    maps = maps + maps[:1] * (power_of_two(len(maps)) - len(maps))
+    graphs = [graph_of(problem) for problem in maps]
+    bounds = [make_heuristic("octile", problem) for problem in maps]
+    # A cell that no path may cross can cost anything, NaN too, which would spread.
+    cost = np.stack([np.where(problem.is_free, problem.cost, 0.0).ravel() for problem in maps])
+    arrays = {"cost": cost, "steps": np.array(STEPS, np.int32), "num_cols": np.int32(graphs[0].num_cols)}
+    for name in ("moves", "step_cost", "from_share", "to_share"):
+        arrays[name] = np.stack([getattr(graph, name) for graph in graphs])
+    for name in ("straight", "diagonal"):
+        arrays[name] = np.array([getattr(bound, name) for bound in bounds])
+    return Grids(**jax.device_put(arrays))
+
+
+def _band(problem: Problem, band_steps: float) -> float:
+    graph = graph_of(problem)
+    share = graph.from_share[0] + graph.to_share[0]
+    step = float(graph.step_cost[0] + share * np.median(problem.cost[problem.is_free]))
+    return band_steps * step if step > 0 else 0.0  # 0 times a band without end is not a number
+
+
+def _flat(cell: Cell, problem: Problem) -> int:
+    return cell[0] * problem.cost.shape[1] + cell[1]
+
+
+def solve_batched(
+    problems: Sequence[Problem],
+    *,
+    planner: str,
+    heuristic: str,
+    seeds: Sequence[int],
+    budget_s: float = np.inf,
+    max_samples: int | None = None,
+    options: BitStarOptions = DEFAULTS,
+) -> Generator[tuple[int, Path]]:
+    """Yield ``(index, path)`` of every problem as it is done: BIT* whose graphs are searched by `search_samples`.
+
+    Batches are those of `bitstar`, and so is the informed set. Of a batch's graph, and of the tree that the batches
+    before left, the cheapest path is found: the cost that Dijkstra's search gives, which never rises from batch to
+    batch. All edges that may help are costed, which are more than `bitstar` takes up with ``"numba"``.
+
+    Queries on one map run together, up to `SAMPLED_TOGETHER`; ``elapsed_s``, to which the budget applies, is then the
+    wall time of all, compiling left out. A batch is made no larger than what the time left is likely to search, but
+    once begun it is searched to its end. With a limit of batches or samples a run repeats exactly for its seed,
+    whatever runs beside it.
+
+    Args:
+      problems: the queries. Queries made by `Problem.between` share their map on the device.
+      planner: the name that the paths carry.
+      heuristic: as in `bitstar`.
+      seeds: of the samples, one for each query.
+      budget_s: seconds for each.
+      max_samples: of each.
+      options: as in `bitstar`.
+
+    Raises:
+      InputError: as in `bitstar`, or more or fewer seeds than problems, or problems with a margin of legs.
+    """
+    check_limits(budget_s, max_samples, options)
+    if len(seeds) != len(problems):
+        raise InputError(f"seeds must be one for each of {len(problems)} problems, got {len(seeds)}")
+    if any(problem.leg_margin_m for problem in problems):
+        raise InputError("BIT* with backend 'jax' tests no legs for this clearance: take backend='numba'")
+
+    def paths() -> Generator[tuple[int, Path]]:
+        kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
+        by_map: dict[int, list[int]] = {}
+        for index, problem in enumerate(problems):
+            by_map.setdefault(problem.map_key, []).append(index)
+        for indices in by_map.values():
+            waiting = iter(indices)
+            graphs = _Graphs(cost_grid_of(problems[indices[0]], problems[indices[0]].is_free), kind)
+            while group := list(islice(waiting, SAMPLED_TOGETHER[kind])):
+                begin_s = time.perf_counter()
+                queries = {
+                    index: begun(problems[index], heuristic, options, seeds[index], budget_s, max_samples)
+                    for index in group
+                }
+                for index, compile_s in _run_together(graphs, queries):
+                    query = problems[index], queries[index], begin_s + compile_s
+                    yield index, ended(*query, planner, heuristic, "jax")
+
+    return paths()
+
+
+def _run_together(graphs: "_Graphs", queries: dict[int, Batches | None]) -> Iterator[tuple[int, float]]:
+    """Search the queries' graphs batch by batch; yield the number of each that is done, and the seconds of compiling.
+
+    JAX works in a thread of its own, as in `_in_turns`: a Ctrl-C lets it end its turn, and the setting for float64
+    stays there.
+    """
+    running = {index: batches for index, batches in queries.items() if batches is not None and not batches.is_done}
+    yield from ((index, 0.0) for index in queries if index not in running)
+    most_nodes, all_compile_s = MOST_NODES[graphs.kind] // max(1, len(running)), 0.0
+    with ThreadPoolExecutor(1, thread_name_prefix="bitstar") as worker:
+        while running:
+            begin_s = time.perf_counter()
+            # Even the smallest graphs take the time of the smallest arrays.
+            num_nodes = max(FEWEST_NODES, sum(len(batches.tree.xy) for batches in running.values()))
+            compile_s = worker.submit(graphs.search, list(running.values())).result()
+            now_s, all_compile_s = time.perf_counter(), all_compile_s + compile_s
+            for index, batches in list(running.items()):
+                batches.begin_s, batches.end_s = batches.begin_s + compile_s, batches.end_s + compile_s
+                nodes_left = num_nodes * max(0.0, batches.end_s - now_s) / (now_s - begin_s - compile_s)
+                batches.end(min(most_nodes, nodes_left / len(running)))
+                if batches.is_done:
+                    yield index, all_compile_s
+            running = {index: batches for index, batches in running.items() if not batches.is_done}
+
+
+class _Graphs:
+    """The search of sample graphs on one map, which stays on the device, and the room that its arrays need."""
+
+    def __init__(self, cost_grid: CostGrid, kind: str) -> None:
+        self.kind = kind
+        self._cell_cost: np.ndarray | jax.Array = cost_grid.cell_cost
+        _, self._per_side, self._is_line, self._passes_corners, _ = cost_grid
+        self._candidates, self._edges = CANDIDATES, EDGES
+
+    def search(self, queries: list[Batches]) -> float:
+        """Grow the tree of each query over its graph to the cheapest paths; return the seconds that compiling took."""
+        with jax.enable_x64(True):
+            cell_cost = self._cell_cost = jnp.asarray(self._cell_cost)
+            samples = _samples(queries)
+            compile_s = 0.0
+            while True:
+                sizes = Sizes(
+                    self._candidates,
+                    self._edges,
+                    min(NODES_TOGETHER[self.kind], len(samples.g)),
+                    min(EDGES_TOGETHER[self.kind], self._edges * len(samples.g)),
+                )
+                begin_s = time.perf_counter()
+                _compile(len(samples.g), cell_cost.shape, self._is_line, sizes)
+                compile_s += time.perf_counter() - begin_s
+                trees = search_samples(
+                    samples, cell_cost, self._per_side, self._passes_corners, is_line=self._is_line, sizes=sizes
+                )
+                edges = -(-int(trees.num_edges) // len(samples.g))
+                if trees.most_candidates <= sizes.candidates and edges <= sizes.edges:
+                    break
+                self._candidates = max(self._candidates, power_of_two(int(trees.most_candidates)))
+                self._edges = max(self._edges, power_of_two(edges))
+            g, parent, edge_cost, num_costed = (np.asarray(values) for values in trees[:4])
+        first = 0
+        for batches in queries:
+            here = slice(first, first + len(batches.tree.xy))
+            own = np.where(parent[here] == NO_PARENT, NO_PARENT, parent[here] - first).astype(np.int32)
+            batches.tree = batches.tree._replace(g=g[here].copy(), parent=own, edge_cost=edge_cost[here].copy())
+            batches.num_costed += int(num_costed[here].sum())
+            first = here.stop
+        return compile_s
+
+
+@cache
+def _compile(num_nodes: int, shape: tuple[int, ...], is_line: bool, sizes: Sizes) -> None:
+    """Compile the search for so many nodes on a map of a shape, by a search of none."""
+    trees = search_samples(_padded([], num_nodes), jnp.zeros(shape), 1.0, False, is_line=is_line, sizes=sizes)
+    jax.block_until_ready(trees)
+
+
+def _samples(queries: list[Batches]) -> Samples:
+    """Return the nodes of all queries, one query after the other."""
+    parts: list[dict[str, np.ndarray]] = []
+    num_nodes = 0
+    for query, batches in enumerate(queries):
+        tree = batches.tree
+        of_query = {
+            "query": np.int32(query),
+            "radius": batches.radius,
+            "incumbent": tree.g[tree.goal],
+            "least_per_side": batches.bounds.per_side,
+        }
+        parts.append(
+            {name: np.full(len(tree.xy), value) for name, value in of_query.items()}
+            | {name: getattr(tree, name) for name in Samples._fields if hasattr(tree, name)}
+            | {
+                "from_start": tree.least_f - tree.to_goal,
+                "parent": np.where(tree.parent == NO_PARENT, NO_PARENT, tree.parent + num_nodes).astype(np.int32),
+            }
+        )
+        num_nodes += len(tree.xy)
+    room = FEWEST_NODES
+    while room < num_nodes:
+        room *= 4
+    return _padded(parts, room)
+
+
+def _padded(parts: list[dict[str, np.ndarray]], num_nodes: int) -> Samples:
+    """Return the parts in a row, followed by nodes of no query."""
+    num_missing = num_nodes - sum(len(part["g"]) for part in parts)
+    nothing = {name: np.ones(num_missing) for name in Samples._fields} | {
+        "query": np.full(num_missing, NO_QUERY, np.int32),
+        "xy": np.ones((num_missing, 2)),
+        "parent": np.full(num_missing, NO_PARENT, np.int32),
+    }
+    return Samples(
+        **{name: jnp.asarray(np.concatenate([part[name] for part in [*parts, nothing]])) for name in nothing}
+    )
