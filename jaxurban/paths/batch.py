@@ -18,7 +18,7 @@ from jaxurban.paths.path import PlannedPath, finish
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.queries import NOT_RUN, PlannedPaths, Query, path_of, read_queries, row_of
 from jaxurban.paths.rows import BAD_INPUT, failure
-from jaxurban.paths.snapping import Place, Point
+from jaxurban.paths.snapping import End, Point
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.registry import Backend, solve_many
 from jaxurban.progress import LOG, Progress, reporting
@@ -175,7 +175,7 @@ def _done(
     waiting = list(by_map.items())
     while waiting:
         groups, waiting = waiting[:most_maps], waiting[most_maps:]
-        located: list[tuple[int, str, CostMap, tuple[Place, Place]]] = []
+        located: list[tuple[int, str, CostMap, tuple[End, End]]] = []
         unsolved: list[int] = []  # by their numbers among those located
         for (*at, weights), numbers in groups:
             try:

@@ -106,7 +106,7 @@ def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
     all_m, left = sum(to_m - from_m for from_m, to_m in segments), len(segments) - len(longest)
     yield Caution(
         f"GPS: no fix (fewer than four satellites) on {all_m:.0f} of {profile['to_m'].iloc[-1]:.0f} m: "
-        f"from {where} along the route{f' and {left} shorter segment(s)' * (left > 0)}.",
+        f"from {where} along the route{f' and {left} shorter' * (left > 0)}.",
         "limit",
     )
 
@@ -180,7 +180,7 @@ def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
         if num := int((speed_m_s * share > most_m_s * (1 + ROUNDING)).sum()):
             steepest = int(np.argmax(share))
             yield (
-                f"Vehicle: at {speed_m_s:g} m/s {num} leg(s) would need more than {most_m_s:g} m/s of {name}; the "
+                f"Vehicle: legs that would need more than {most_m_s:g} m/s of {name} at {speed_m_s:g} m/s: {num}; the "
                 f"steepest, {along_m[steepest]:.0f} m along the route, is flown at {most_m_s / share[steepest]:.2g} "
                 "m/s at most."
             )
@@ -192,7 +192,7 @@ def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
     if num := int((turn_deg > vehicle.max_turn_deg * (1 + ROUNDING)).sum()):
         sharpest = int(np.argmax(turn_deg))
         yield (
-            f"Vehicle: {num} turn(s) are sharper than {vehicle.max_turn_deg:g} degrees; the sharpest, of "
+            f"Vehicle: turns sharper than {vehicle.max_turn_deg:g} degrees: {num}; the sharpest, of "
             f"{turn_deg[sharpest]:.0f} degrees, is {along_m[ahead[sharpest + 1]]:.0f} m along the route."
         )
 

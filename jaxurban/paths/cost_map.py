@@ -15,7 +15,7 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.path import PlannedPath, finish
 from jaxurban.paths.snapping import (
     XY,
-    Place,
+    End,
     Point,
     islands_at,
     islands_of,
@@ -279,7 +279,7 @@ class CostMap(Shown):
             raise InputError(f"{name}: {error}") from error
         return (float(x_m), float(y_m)), (int(row), int(col))
 
-    def locate(self, name: str, place: Point | XY, *, snap: bool | float = False) -> Place:
+    def locate(self, name: str, place: Point | XY, *, snap: bool | float = False) -> End:
         """Return the cell of a place given in degrees or in metres; in a volume the node.
 
         Args:
@@ -295,7 +295,7 @@ class CostMap(Shown):
         """
         return self._places_near(name, place, snap)[0]
 
-    def ends(self, start: Point | XY, goal: Point | XY, *, snap: bool | float = False) -> tuple[Place, Place]:
+    def ends(self, start: Point | XY, goal: Point | XY, *, snap: bool | float = False) -> tuple[End, End]:
         """Return the cells of a query, as `locate` does; snapping moves them to cells that free ones join (errors too).
 
         Where none within reach are joined, to the nearest free ones.
@@ -304,7 +304,7 @@ class CostMap(Shown):
         is_snapped = starts[0].is_snapped or goals[0].is_snapped
         return joined_ends(self, starts, goals) if is_snapped else (starts[0], goals[0])
 
-    def _places_near(self, name: str, place: Point | XY, snap: bool | float) -> list[Place]:
+    def _places_near(self, name: str, place: Point | XY, snap: bool | float) -> list[End]:
         xy_m, cell = self.cell_of(name, place)
         return places_near(self, name, xy_m, self._level_of(name, cell, place[2:]), cell, snap)
 

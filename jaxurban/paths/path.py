@@ -16,7 +16,7 @@ from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.paths.constraints import kept_said
 from jaxurban.paths.export.base import MOST_BULGE_M
 from jaxurban.paths.export.write import MISSION, write_path
-from jaxurban.paths.snapping import Place, pocket_note, snap_note, what_would_join
+from jaxurban.paths.snapping import End, pocket_note, snap_note, what_would_join
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.simplify import farthest
 from jaxurban.planners.simplify import simplify as simplify_path
@@ -183,7 +183,7 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def finish(on: "CostMap", path: Path, ends: tuple[Place, Place], search: "PathSearch") -> PlannedPath:
+def finish(on: "CostMap", path: Path, ends: tuple[End, End], search: "PathSearch") -> PlannedPath:
     """Return a planner's path with its weighted cost, its metrics, its coordinates and its settings.
 
     Args:
@@ -232,7 +232,7 @@ def measured(on: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _note(on: "CostMap", path: Path, ends: tuple[Place, Place]) -> str:
+def _note(on: "CostMap", path: Path, ends: tuple[End, End]) -> str:
     """Return what the planner noted, and what a reader of the path must know beside it."""
     has_path = path.status.has_path
     notes = [path.note]

@@ -6,7 +6,7 @@ Every row is on disk when it is counted: after any end, Ctrl-C and ``kill -9`` i
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import groupby
@@ -193,22 +193,12 @@ def run_rows(
     store = RowStore(file, job.key, has_parts=True)
     tasks = tasks_of(instances, job, store)
     try:
-        with _cluster(workers if tasks else 1) as client:
+        with nullcontext() if workers == 1 or not tasks else cluster_client(workers) as client:
             solve = solve_here if client is None else partial(solve_on, client)
             keep_rows(store, solve(tasks, sources, job), sum(len(task.runs) for task in tasks), report)
     finally:
         store.save(columns(store.rows))
     return read_table(file, "rows")
-
-
-@contextmanager
-def _cluster(workers: int | str) -> Iterator[Any]:
-    """Yield the Dask client of several workers, None for one, which is this process."""
-    if workers == 1:
-        yield None
-        return
-    with cluster_client(workers) as client:
-        yield client
 
 
 def solve_here(

@@ -1,9 +1,9 @@
 """The ends of a query: why a cell is closed, the nearest free one, never in silence, and what joins two of them."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import generate_binary_structure, label
@@ -33,45 +33,39 @@ def one_place(name: str, lonlat: Point | XY | None, xy_m: Point | None) -> Point
     Raises:
       InputError: it is given in neither, or in both, or is not two numbers, and maybe an altitude.
     """
-    if lonlat is None and xy_m is None:
-        raise InputError(f"{name} is missing: give it as longitude, latitude or as {name}_xy_m")
-    if lonlat is not None and xy_m is not None:
-        raise InputError(f"{name}: give it either as longitude, latitude or as {name}_xy_m, and not both")
+    if (lonlat is None) == (xy_m is None):
+        raise InputError(f"{name}: give it either as longitude, latitude or as {name}_xy_m")
     if isinstance(lonlat, XY):
         lonlat, xy_m = None, lonlat
-    given = lonlat if xy_m is None else xy_m
+    place: Any = lonlat if xy_m is None else xy_m
     try:
-        numbers = [None if value is None else float(value) for value in (() if given is None else given)]
+        numbers: Any = [None if value is None else float(value) for value in place]
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) not in (2, 3) or None in numbers[:2]:
         what = "longitude, latitude in degrees" if xy_m is None else "easting, northing in metres"
-        raise InputError(f"{name} must be {what} such as {SUCH_AS[xy_m is None]}, got {given!r}")
+        raise InputError(f"{name} must be {what} such as {SUCH_AS[xy_m is None]}, got {place!r}")
     return XY(*numbers) if xy_m is not None else tuple(numbers)
 
 
 @dataclass(frozen=True)
-class Place:
+class End:
     """Where a query starts or ends.
 
     Attributes:
       cell: row and column; in a volume level, row and column.
       snap_distance_m: from the place that was given to the centre of the cell.
       is_snapped: the cell of the given place was closed, so this is another one.
-      passed_m: how far away a nearer free cell is that nothing joins to the other end; None where there is none.
-      num_passed: how many free cells are joined to that one.
     """
 
     cell: Cell
     snap_distance_m: float
     is_snapped: bool = False
-    passed_m: float | None = None
-    num_passed: int = 0
 
 
 def places_near(
     on: "CostMap", name: str, xy_m: tuple[float, float], level: int, cell: Cell, snap: bool | float
-) -> list[Place]:
+) -> list[End]:
     """Return the cell of a place; if it is closed and ``snap`` allows it, of each island the nearest free cell.
 
     The nearest one of all comes first.
@@ -90,7 +84,7 @@ def places_near(
     """
     cap_m, is_free, of_level = snap_limit_m(snap), on.levels_free[level], () if on.levels is None else (level,)
     if is_free[cell]:
-        return [Place((*of_level, *cell), float(np.hypot(*np.subtract(on.grid.xy_of_cell(*cell), xy_m))))]
+        return [End((*of_level, *cell), float(np.hypot(*np.subtract(on.grid.xy_of_cell(*cell), xy_m))))]
     rows, cols = np.nonzero(is_free)
     if rows.size == 0:
         raise InputError(f"{name} is {on.why_closed(cell, level)}, and no cell is free at this altitude: {on.remedy}")
@@ -110,44 +104,29 @@ def places_near(
         )
     _, first = np.unique(on.islands[of_level][rows[near], cols[near]], return_index=True)
     nearest_of = near[np.sort(first)]
-    return [Place((*of_level, int(rows[k]), int(cols[k])), float(away_m[k]), True) for k in nearest_of]
+    return [End((*of_level, int(rows[k]), int(cols[k])), float(away_m[k]), True) for k in nearest_of]
 
 
-def joined_ends(on: "CostMap", starts: list[Place], goals: list[Place]) -> tuple[Place, Place]:
+def joined_ends(on: "CostMap", starts: list[End], goals: list[End]) -> tuple[End, End]:
     """Return the start and the goal, of those that `places_near` gives, that free cells join and that move the least.
 
     Where no two are joined, the nearest ones.
     """
     islands = on.islands
 
-    def apart_then_moved_m(ends: tuple[Place, Place]) -> tuple[bool, float]:
+    def apart_then_moved_m(ends: tuple[End, End]) -> tuple[bool, float]:
         return bool(islands[ends[0].cell] != islands[ends[1].cell]), sum(end.snap_distance_m for end in ends)
 
-    best = min(product(starts, goals), key=apart_then_moved_m)
-    start, goal = (
-        end
-        if end is nearest
-        else replace(end, passed_m=nearest.snap_distance_m, num_passed=int(np.sum(islands == islands[nearest.cell])))
-        for end, nearest in zip(best, (starts[0], goals[0]), strict=True)
-    )
-    return start, goal
+    return min(product(starts, goals), key=apart_then_moved_m)
 
 
-def snap_note(start: Place, goal: Place) -> str:
+def snap_note(start: End, goal: End) -> str:
     """Return a sentence for each end that was moved out of a closed cell, empty where none was."""
-    sentences = []
-    for name, place in (("start", start), ("goal", goal)):
-        passed = ""
-        if place.passed_m is not None:
-            pocket = f"{place.passed_m:.1f} m away, lies in a pocket of {place.num_passed:,} cells"
-            passed = f" that is joined to the other end (a nearer one, {pocket})"
-        if place.is_snapped:
-            moved = f"it was moved {place.snap_distance_m:.1f} m, to the nearest free cell{passed}"
-            sentences.append(f"The {name} was not free: {moved}.")
-    return " ".join(sentences)
+    moved_m = {name: end.snap_distance_m for name, end in (("start", start), ("goal", goal)) if end.is_snapped}
+    return " ".join(f"The {name} was not free: it was moved {m:.1f} m, to a free cell." for name, m in moved_m.items())
 
 
-def pocket_note(on: "CostMap", start: Place, goal: Place) -> str:
+def pocket_note(on: "CostMap", start: End, goal: End) -> str:
     """Return a sentence on which of two ends that nothing joins is closed in, empty where they are joined."""
     islands = on.islands
     if islands[start.cell] == islands[goal.cell]:
@@ -221,9 +200,10 @@ def why_closed(on: "CostMap", cell: Cell, level: int = 0) -> str:
         where = "inside an obstacle (or where there are no data)"
     if on.levels is None:
         return f"{where} at {z_m:g} m"
-    levels_m, free = on.altitudes_m, np.flatnonzero(on.levels_free[:, cell[0], cell[1]])
-    if free.size:
-        return f"{where} at {z_m:g} m; the lowest free level there is {levels_m[free[0]]:g} m"
+    levels_m = on.altitudes_m.tolist()
+    free_m = [levels_m[k] for k in np.flatnonzero(on.levels_free[:, cell[0], cell[1]])]
+    if free_m:
+        return f"{where} at {z_m:g} m; the lowest free level there is {free_m[0]:g} m"
     higher_m = [z_m for z_m in sorted(maps.altitudes_m) if z_m > levels_m[-1]]
     lowest_m = next((z_m for z_m in higher_m if on.constraints.is_free(maps, z_m, **when)[cell]), None)
     above = "" if lowest_m is None else f"; the lowest free altitude there is {lowest_m:g} m (raise max_altitude_m)"

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import distance_transform_edt
 
 import jaxurban as ju
 from jaxurban.errors import InputError
@@ -146,7 +145,7 @@ def test_what_was_asked_of_clearances_is_the_limit(maps):
 def test_segments_without_a_fix_are_told_with_their_places(maps):
     assert ju.cautions(straight(maps), maps)[0] == (
         "GPS: no fix (fewer than four satellites) on 210 of 800 m: from 295 to 395 m, 595 to 645 m, 745 to 775 m "
-        "along the route and 2 shorter segments."
+        "along the route and 2 shorter."
     )
     always = ju.MetricMaps(maps.ds.assign(num_visible=maps.ds["num_visible"] * 0 + 9))
     assert not any(sentence.startswith("GPS") for sentence in ju.cautions(straight(always), always))
@@ -190,36 +189,19 @@ def test_a_route_through_cells_that_a_building_touches_is_not_told_as_over_its_r
     assert any(sentence.startswith("Roofs: the least height over one is 8.0 m") for sentence in told)
 
 
-def test_walls_just_outside_the_region_count():
-    """Routes 15 m inside the east border: past a tower on it, past one 20 m outside it, and 100 m from that one."""
-    wide = np.zeros((40, 60), bool)  # 20 columns of 10 m more than the region has
-    wide[5:7, 40:44] = wide[18:20, 42:44] = True
-    risk = np.minimum(distance_transform_edt(~wide, 10.0) / 50.0, 1.0).astype(np.float32)[None, :, :40]
-    maps, open_air = made_maps(40, 40, altitudes_m=(20.0,)), np.zeros((40, 40), np.float32)
-    maps = ju.MetricMaps(
-        maps.ds.assign(
-            risk=(("altitude", "y", "x"), risk),
-            obstacle=maps.ds["obstacle"] * 0,
-            **dict.fromkeys(("roof", "roof_touched"), (("y", "x"), open_air)),
-            num_visible=maps.ds["num_visible"] * 0 + 9,
-        ).assign_attrs(risk_threshold_m=50.0, risk_distance="slice")
-    )
-    grid = maps.grid
-    solid = ju.MetricMaps(maps.ds.assign_attrs(risk_distance="solid"))
-    unknown = "what stands farther outside the region is not known."
-    for first, last, true_m in ((3, 8, 15.0), (16, 21, 35.0), (30, 35, np.hypot(35.0, 100.0))):
-        ends = {"start_xy_m": grid.xy_of_cell(first, 38), "goal_xy_m": grid.xy_of_cell(last, 38)}
-        path = ju.plan(maps, **ends, altitude_m=20.0, objective="distance")
-        totals, (told, *_) = ju.explain(path, maps).totals, ju.cautions(path, maps)
-        assert totals["nearest_wall_m"] == np.inf
-        if true_m < 50.0:
-            assert true_m - 10.0 < totals["walls_outside_m"] <= true_m  # less than a diagonal is lost
-            low_m, high_m = map(float, re.search(r"outside the region, (\S+) to (\S+) m away", told).groups())
-            assert low_m - 0.05 <= true_m <= high_m
-        else:
-            assert told.startswith("Buildings: none at flight height is within 35.9 m")  # the threshold less a diagonal
-            assert told.endswith(unknown)
-        assert ju.cautions(path, solid)[0].endswith(unknown)  # that risk counts roofs below too
+def test_what_may_stand_outside_the_region_is_no_nearer_than_the_border(maps):
+    roof_free = dict.fromkeys(("roof", "roof_touched"), (("y", "x"), np.zeros(maps.grid.shape, np.float32)))
+    bare = ju.MetricMaps(maps.ds.assign(obstacle=maps.ds["obstacle"] * 0, **roof_free))
+    for on, nearest_m in ((bare, np.inf), (maps, 195.0)):
+        ends = {"start_xy_m": on.grid.xy_of_cell(1, 60), "goal_xy_m": on.grid.xy_of_cell(4, 60)}
+        path = ju.plan(on, **ends, altitude_m=ALTITUDE_M, objective="distance")
+        totals = ju.explain(path, on).totals
+        assert (totals["walls_outside_m"], totals["nearest_wall_m"]) == (15.0, nearest_m)
+        (caution,) = (each for each in ju.cautions(path, on) if each.startswith("Buildings"))
+        assert caution.startswith("Buildings: none at flight height is within 15.0 m")
+        assert "what stands beyond their border is not known" in caution
+        assert caution.level == "note"
+        assert ("in the region the nearest is 195.0 m away" in caution) == np.isfinite(nearest_m)
 
 
 def test_satellites_are_whole_numbers_everywhere(maps):

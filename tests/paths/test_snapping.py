@@ -92,7 +92,7 @@ def test_how_far_is_told_in_text_json_and_files(maps, ends, tmp_path, capsys):
     files = [tmp_path / f"path{suffix}" for suffix in (".geojson", ".kml", ".plan")]
     outputs = [part for file in files for part in ("-o", file)]
     code, out, _ = run(capsys, *arguments, "--snap-distance", 80, *outputs)
-    told = "The start was not free: it was moved 70.0 m, to the nearest free cell."
+    told = "The start was not free: it was moved 70.0 m, to a free cell."
     assert code == 0
     assert told in out
     assert "start 70.0 m, goal 0.0 m" in out
@@ -122,8 +122,7 @@ def test_a_court_that_is_closed_in_is_passed_for_the_nearest_cell_joined_to_the_
     path = ju.plan(with_court, **backward, altitude_m=ALTITUDE_M, snap=75.0)
     assert path.status.has_path
     assert path.snap_distance_m == pytest.approx((0.0, 70.0), abs=0.01)
-    passed = "that is joined to the other end (a nearer one, 20.0 m away, lies in a pocket of 6 cells)."
-    assert f"The goal was not free: it was moved 70.0 m, to the nearest free cell {passed}" in path.to_dict()["message"]
+    assert "The goal was not free: it was moved 70.0 m, to a free cell." in path.to_dict()["message"]
 
 
 def test_two_ends_in_the_block_move_to_cells_that_are_joined(with_court, ends):

@@ -70,7 +70,7 @@ def test_paths_cost_what_dijkstra_finds(seed, dtype):
 def test_costs_to_all_cells_are_dijkstras_whatever_the_memory_held(seed, reopen, left_there):
     problem = random_problem(seed)
     search = GridSearch(graph_of(problem), NO_HEURISTIC, problem.start, None)
-    search._nodes.g[search._nodes.state == 0] = left_there
+    search._g[search._state == 0] = left_there
     assert search.run(reopen=reopen) == EXHAUSTED
     found = search.costs_from_start().reshape(problem.is_free.shape)
     np.testing.assert_allclose(found, costs_to_all(problem), rtol=1e-12, atol=1e5 * FREE)
