@@ -23,8 +23,7 @@ import numpy as np
 
 import jaxurban as ju
 from jaxurban.report.figures import plot_paths
-from jaxurban.report.figures.tuning import plot_learning, plot_routes, plot_weights
-from jaxurban.report.tuning import weight_units
+from jaxurban.report.figures.tuning import plot_routes, plot_weights
 from jaxurban.studies.demonstrations import optimal_demonstrations
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
@@ -61,8 +60,7 @@ table.insert(0, "pilot's own", vector / vector.sum())
 table.round(4)
 
 # %%
-unit = demonstrations[0].query.cost_map
-plot_weights(fit, [weight_units(unit)[name] for name in fit.names])
+plot_weights(fit)
 
 # %% [markdown]
 # ## How it was found
@@ -71,11 +69,11 @@ plot_weights(fit, [weight_units(unit)[name] for name in fit.names])
 # cheapest as they can be. *Regret* is by how much they are dearer than the cheapest route.
 
 # %%
-plot_learning(fit)
+fit.curve[["round", "mean_regret", "worst_gap"]].tail()
 
 # %%
 planned = optimal_demonstrations([shown.query for shown in demonstrations], fit.weights)
-plot_routes(demonstrations, planned, unit, fit.vector)
+plot_routes(demonstrations, planned, demonstrations[0].query.cost_map, fit.vector)
 
 # %% [markdown]
 # ## Would it choose as the pilot does?

@@ -26,7 +26,6 @@ from jaxurban.report.figures.sensitivity import (
     plot_breakpoint_routes,
     plot_breakpoints,
     plot_pareto,
-    plot_sobol,
     plot_triangle,
     plot_triangle_routes,
 )
@@ -82,10 +81,11 @@ plot_triangle_routes(found)
 # ## All weights at once
 #
 # Sobol indices: the share of the variation in what the route is like that a weight explains alone (first-order), and
-# with all its interactions (total). The bars are 95 % confidence intervals; more samples (`num_samples`) narrow them.
+# with all its interactions (total). `first_ci` and `total_ci` are the half-widths of 95 % confidence intervals, which
+# more samples (`num_samples`) narrow.
 
 # %%
-plot_sobol(found)
+found.sobol.table.round(2)
 
 # %% [markdown]
 # ## What can be had for what

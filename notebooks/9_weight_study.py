@@ -28,7 +28,7 @@ from pathlib import Path
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_regret, plot_shares, plot_where
+from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_regret, plot_where
 
 sizes = {"narrow": (900, 1_800), "square": (1_400, 1_400), "small": (800, 1_000)}
 cities = {name: ju.demo_city(*size, seed=number) for number, (name, size) in enumerate(sizes.items())}
@@ -83,7 +83,7 @@ found.tables["comparisons"].head(6)
 # level, and no measure of importance: a number added to a layer everywhere raises its share and changes no route.
 
 # %%
-plot_shares(summary)
+summary[summary.cut == "city"].pivot(index="weight_name", columns="value", values="share").round(2)
 
 # %% [markdown]
 # ## How near the next route is

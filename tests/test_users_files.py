@@ -1,5 +1,6 @@
 """Attempts to lose a user's file: every command, before, during, between and after killed runs."""
 
+import importlib
 import os
 import shutil
 import signal
@@ -9,6 +10,7 @@ import textwrap
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import zarr
 
@@ -227,18 +229,19 @@ def job_of_maps(tmp_path, capsys) -> Path:
     return tmp_path
 
 
-def test_the_demo_replaces_no_scenario_or_summary_of_the_users(tmp_path, monkeypatch, capsys):
-    from jaxurban.report import demo
-
+def test_the_demo_replaces_no_scenario_or_table_of_the_users(tmp_path, monkeypatch, capsys):
+    demo = importlib.import_module("jaxurban.cli.demo")
     monkeypatch.setattr(demo, "BOUNDS", (-74.0, 40.755, -73.993, 40.761))
     monkeypatch.setattr(demo, "RESOLUTION_M", 20.0)
-    monkeypatch.setattr(demo, "demo_paths", lambda maps: {})
-    monkeypatch.setattr(demo, "save_figures", lambda *_, **__: [])
-    for name in ("scenario.toml", "summary.md"):
+    monkeypatch.setattr(demo, "BUDGET_S", 0.01)
+    monkeypatch.setattr("jaxurban.report.figures.save_figures", lambda *_, **__: [])
+    for name in ("scenario.toml", "paths/paths.csv"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(PLANTED)
         code, _, err = run(capsys, "demo", "-o", tmp_path, "--overwrite")
         assert (code, name in err) == (2, True)
-        assert [path.name for path in tmp_path.iterdir()] == [name]
+        assert (tmp_path / name).read_text() == PLANTED
+        assert not (tmp_path / "checksums.json").exists()
         (tmp_path / name).unlink()
     for _ in range(2):
         assert run(capsys, "demo", "-o", tmp_path)[0] == 0
@@ -345,13 +348,15 @@ def test_an_empty_name_is_not_the_current_folder(tmp_path, command, monkeypatch,
 
 
 @pytest.mark.slow
-def test_the_demo_writes_maps_routes_figures_and_a_summary(tmp_path, monkeypatch, capsys):
-    from jaxurban.report import demo
-
+def test_the_demo_writes_maps_routes_and_figures(tmp_path, monkeypatch, capsys):
+    demo = importlib.import_module("jaxurban.cli.demo")
     monkeypatch.setattr(demo, "BOUNDS", (-74.0, 40.755, -73.986, 40.767))
     monkeypatch.setattr(demo, "RESOLUTION_M", 20.0)
     assert run(capsys, "demo", "-o", tmp_path / "out")[0] == 0
-    summary = (tmp_path / "out" / "summary.md").read_text()
     written = [route.name for route in (tmp_path / "out" / "paths").glob("*.geojson")]
     assert {name.rpartition("_")[0] for name in written} >= {"ptp", "astar-dist", "astar-plus", "bitstar-plus"}
-    assert all(f"figures/{picture.name}" in summary for picture in (tmp_path / "out" / "figures").glob("*.png"))
+    drawn = {picture.stem for picture in (tmp_path / "out" / "figures").glob("*.png")}
+    assert drawn >= {"overview", "gps", "lidar", "risk", "population", "paths"}
+    table = pd.read_csv(tmp_path / "out" / "paths" / "paths.csv")
+    assert len(table) == 5 * table["altitude_m"].nunique()
+    assert table["cost"].notna().sum() == len(written)

@@ -1,4 +1,4 @@
-"""jaxurban demo."""
+"""jaxurban demo: maps of the synthetic city, paths over them and pictures, for a reader new to them."""
 
 from pathlib import Path
 
@@ -7,6 +7,15 @@ import click
 from jaxurban.cli.common import DEVICE, JSON_FLAG, PATH, print_json, tell
 from jaxurban.progress import reporting
 
+BOUNDS = (-74.0, 40.755, -73.955, 40.80)  # about 3.8 x 5 km: the synthetic city scales itself to the box
+RESOLUTION_M = 5.0
+ENDS = (0.30, 0.12), (0.62, 0.80)  # of the paths, shares of the region's width and height from its southwest corner
+BUDGET_S = 2.0  # what the sampling planners use up; the others need less
+SNAP_M = 500.0  # the ends may lie in a building
+DAY_UP_TO_M = 60.0  # night above, as in the paper's figures
+SCENARIO_FILE, PATHS_FOLDER, TABLE_FILE = "scenario.toml", "paths", "paths/paths.csv"
+COLUMNS = "altitude_m", "settings.time_of_day", "planner", "status", "cost", "length_m", "elapsed_s"
+
 
 @click.command()
 @click.option("-o", "folder", type=PATH, default=Path("out/demo"), show_default=True)
@@ -14,12 +23,51 @@ from jaxurban.progress import reporting
 @DEVICE
 @JSON_FLAG
 def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
-    """Maps of the synthetic city, paths over them, pictures and a summary."""
-    from jaxurban.report.demo import run_demo
+    """Maps of the synthetic city, the paths of every planner across it, and pictures."""
+    import pandas as pd
 
+    from jaxurban.io.store import RUN_FILE
+    from jaxurban.io.workspace import Workspace
+    from jaxurban.maps.run import run_scenario
+    from jaxurban.maps.scenario import PAPER_PLANNERS, Scenario
+    from jaxurban.paths.plan import plan
+    from jaxurban.report.figures import save_figures
+    from jaxurban.report.write import save
+
+    region = {"bounds": BOUNDS, "resolution_m": RESOLUTION_M}
+    scenario = Scenario.from_dict({"region": region, "buildings": {"source": "synthetic"}})
+    Workspace.check(folder, "demo", (SCENARIO_FILE, TABLE_FILE), is_shared=True)
     with reporting("demo") as report:
-        made = run_demo(folder, report, overwrite)
-    tell(f"demo finished: read {folder / 'summary.md'}, look at {folder / 'figures'}")
+        maps = run_scenario(scenario, folder, progress=report, overwrite=overwrite).maps[RESOLUTION_M]
+        report("paths")
+        x_min_m, y_min_m, x_max_m, y_max_m = maps.grid.bounds_m
+        start, goal = ((x_min_m + x * (x_max_m - x_min_m), y_min_m + y * (y_max_m - y_min_m)) for x, y in ENDS)
+        paths = [
+            plan(
+                maps,
+                start_xy_m=start,
+                goal_xy_m=goal,
+                altitude_m=altitude_m,
+                planner=planner,
+                time_of_day="day" if altitude_m <= DAY_UP_TO_M else "night",
+                snap=SNAP_M,
+                budget_s=BUDGET_S,
+            )
+            for altitude_m in maps.altitudes_m
+            for planner in PAPER_PLANNERS
+        ]
+        facts = [path.to_dict() for path in paths]
+        table = pd.json_normalize(facts)
+        table = table[[*COLUMNS, *table.filter(like="metrics.")]]
+        with Workspace.open(folder, "demo", is_shared=True):
+            save(folder, {SCENARIO_FILE: scenario.to_toml(), TABLE_FILE: table})
+            for path in paths:
+                if path.status.has_path:
+                    path.save(folder / PATHS_FOLDER / f"{path.search.planner}_{path.altitude_m:g}m.geojson")
+            report("figures")
+            figures = save_figures(maps, paths, folder / "figures")
+    tell(f"demo finished: look at {folder / 'figures'}, the paths are in {folder / PATHS_FOLDER}")
     if as_json:
-        print_json(made)
+        drawn = [str(figure) for figure in figures]
+        print_json({"folder": str(folder), "record": str(folder / RUN_FILE), "figures": drawn, "paths": facts})
     return 0

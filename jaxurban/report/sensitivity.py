@@ -16,7 +16,7 @@ from jaxurban.studies.weights.sobol import FEW_SAMPLES
 from jaxurban.studies.weights.study import Sensitivity
 
 TABLES = "cost_gradient", "local", "sobol", "sobol_spread", "switches", "pareto", "triangle", "triangle_cells"
-FIGURES = "switches", "switch_routes", "sobol", "pareto", "triangle", "triangle_routes"
+FIGURES = "switches", "switch_routes", "pareto", "triangle", "triangle_routes"
 FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
 ALIKE = 0.05  # routes are much the same where no outcome differs by more than this share
 MORE = 1.1  # the change of a weight that the report tells about: 10 %

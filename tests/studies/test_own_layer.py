@@ -11,7 +11,6 @@ from jaxurban.io.store import write_zarr
 from jaxurban.metrics.custom import Layer
 from jaxurban.paths.plan import cost_map
 from jaxurban.report.benchmark import export_benchmark
-from jaxurban.report.figures.sensitivity import plot_sobol
 from jaxurban.report.montecarlo import report_markdown, tables_of
 from jaxurban.report.sensitivity import sensitivity_markdown
 from jaxurban.studies.demonstrations import optimal_demonstrations
@@ -63,7 +62,6 @@ def test_sensitivity_finds_the_breakpoints_of_its_weight(maps, ends, monkeypatch
     assert found.front.points["noise"].is_monotonic_decreasing != found.front.points["noise"].is_monotonic_increasing
     assert found.sobol.table.loc[("mean_noise", "noise"), "total"] > 0.1
     assert "| noise | " in sensitivity_markdown(found)
-    assert "noise" in [panel.get_title(loc="left") for panel in plot_sobol(found).axes]
 
 
 def test_a_benchmark_draws_its_weight_and_tells_its_mean_in_rows_report_and_export(maps, tmp_path):

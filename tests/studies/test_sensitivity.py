@@ -112,7 +112,7 @@ def test_report_names_every_weight_and_every_file_that_it_shows(found, tmp_path)
     for name in found.names:
         assert name in report
     shown = {part.split(")")[0] for part in report.split("](")[1:]}
-    assert len(shown) == 6
+    assert len(shown) == 5
     assert {f"figures/{file.name}" for file in files if file.suffix == ".png"} == shown
     for name, table in found.tables().items():
         for read, suffix in ((pd.read_csv, "csv"), (pd.read_parquet, "parquet")):

@@ -1,4 +1,4 @@
-"""Pictures of what weights do to a route: breakpoints along lines, over a triangle, Sobol indices, the Pareto front."""
+"""Pictures of what weights do to a route: breakpoints along lines, over a triangle, the Pareto front."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -27,18 +27,15 @@ from jaxurban.report.figures.style import (
     add_colour_bar,
     chart,
     dress,
-    legend_below,
     panels,
     show_plain,
     styled,
 )
 from jaxurban.report.write import counted, listed
-from jaxurban.studies.queries import outcome_label
 from jaxurban.studies.weights.study import Sensitivity
 
-GIVEN_COLOUR, FIRST_COLOUR, TOTAL_COLOUR = "#d62728", "#0072b2", "#e69f00"
+GIVEN_COLOUR, FIRST_COLOUR = "#d62728", "#0072b2"
 ON_ROUTES_COLOUR = "#ffffff"  # of the given weights' route over others of all colours
-SHARES_SHOWN = (-0.5, 1.6)  # Sobol indices lie in 0 to 1: longer intervals are cut
 NUMBER_LOOK = {"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": INK, "linewidth": 0.4, "alpha": 0.85}
 PALE = 0.6  # of white in the colour of the other routes of a kind
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, math.sqrt(3) / 2]])  # of the triangle on the page
@@ -50,7 +47,6 @@ def sensitivity_figures(found: Sensitivity) -> dict[str, Callable[[], Figure]]:
     figures = {
         "switches": lambda: plot_breakpoints(found),
         "switch_routes": lambda: plot_breakpoint_routes(found),
-        "sobol": lambda: plot_sobol(found),
         "pareto": lambda: plot_pareto(found),
     }
     if found.triangle is not None:
@@ -149,30 +145,6 @@ def plot_triangle_routes(found: Sensitivity) -> Figure:
         width = 1.6 + 0.5 * k  # where they coincide, all are seen
         look: dict[str, Any] = {"zorder": 4 + len(found.triangle_routes) - k, "solid_joinstyle": "round"}
         panel.plot(*xy_m.T, color=SERIES_COLOURS[k], linewidth=width, **look)
-    return figure
-
-
-@styled
-def plot_sobol(found: Sensitivity) -> Figure:
-    """Return first-order and total Sobol indices of each outcome, with confidence intervals."""
-    table = found.sobol.table
-    outcomes = list(dict.fromkeys(table.index.get_level_values("outcome")))
-    figure, axes = panels(len(outcomes), "Which weights decide what the route is like", shares_y=True)
-    look: dict[str, Any] = {"ecolor": INK, "capsize": 2, "error_kw": {"linewidth": 0.8}}
-    kinds = ("first", FIRST_COLOUR, "first-order: alone"), ("total", TOTAL_COLOUR, "total: with its interactions")
-    for panel, outcome in zip(axes, outcomes, strict=True):
-        rows = table.loc[outcome]
-        place = np.arange(len(rows))
-        for side, (kind, colour, label) in enumerate(kinds):
-            values, ends = rows[kind].fillna(0), rows[f"{kind}_ci"].fillna(0)
-            panel.bar(place + 0.38 * side - 0.19, values, 0.36, color=colour, yerr=ends, label=label, **look)
-        if rows["first"].isna().all():
-            panel.text(0.5, 0.5, "does not vary", transform=panel.transAxes, ha="center", size=TEXT_PT)
-        panel.set_xticks(place, list(rows.index))
-        panel.axhline(0, color=FAINT_INK, linewidth=0.6)
-        panel.set_title(outcome_label(outcome))
-    axes[0].set(ylim=SHARES_SHOWN, ylabel="share of variance (1)")
-    legend_below(figure, axes[0])
     return figure
 
 

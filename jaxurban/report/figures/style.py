@@ -4,7 +4,7 @@ import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -85,21 +85,19 @@ def panels(
     return figure, axes[:num]
 
 
-def dress(panel: Axes, grid: Literal["x", "y"] = "y") -> None:
-    """Give a panel its ticks and its lines along one axis."""
+def dress(panel: Axes) -> None:
+    """Give a panel its ticks and its lines across."""
     panel.tick_params(labelsize=SMALL_PT, length=3, color=FAINT_INK)
-    panel.grid(axis=grid, linewidth=0.4, alpha=0.5)
+    panel.grid(axis="y", linewidth=0.4, alpha=0.5)
 
 
-def legend_below(figure: Figure, panel: Axes, columns: int = LEGEND_COLUMNS) -> None:
+def legend_below(figure: Figure, panel: Axes) -> None:
     """Write the legend of a panel at the foot of its figure."""
     handles, names = panel.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=min(columns, len(names)))
+    figure.legend(handles, names, loc="outside lower center", ncols=min(LEGEND_COLUMNS, len(names)))
 
 
-def dots(
-    panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, look: Mapping[str, Any], is_across: bool = False
-) -> None:
+def dots(panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, look: Mapping[str, Any]) -> None:
     """Draw a statistic of a table's rows with its intervals at ``x``; hollow where there is none."""
     values, low, high = (rows[f"{name}{end}"].to_numpy(np.float64) for end in ("", "_low", "_high"))
     is_known, label = np.isfinite(low), look.get("label")
@@ -107,10 +105,7 @@ def dots(
         if which.any():
             ends = np.nan_to_num(np.stack([values - low, high - values])[:, which]).clip(min=0)
             look_here = {**DOT, **look, "label": label, "markerfacecolor": face}
-            if is_across:
-                panel.errorbar(values[which], x[which], xerr=ends, **look_here)
-            else:
-                panel.errorbar(x[which], values[which], yerr=ends, **look_here)
+            panel.errorbar(x[which], values[which], yerr=ends, **look_here)
             label = None
 
 
