@@ -7,7 +7,6 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import JSON_FLAG, PATH, print_json
-from jaxurban.errors import InputError
 
 
 @click.command()
@@ -29,9 +28,7 @@ def _of_maps(folder: Path) -> dict[str, Any]:
     from jaxurban.maps.metric_maps import open_maps
 
     facts: dict[str, Any] = {}
-    resolutions_m = sorted(stored_resolutions(folder))
-    if not resolutions_m:
-        raise InputError(f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`")
+    resolutions_m: list[Any] = sorted(stored_resolutions(folder)) or [None]
     for resolution_m in resolutions_m:
         maps = open_maps(folder, resolution_m)
         told = {"bounds": _bounds_of(maps.grid), **maps.facts, "guesses": ", ".join(maps.guesses) or "none"}

@@ -6,23 +6,24 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
+from xml.sax.saxutils import quoteattr
 
+import matplotlib
 import numpy as np
 import rasterio
 import xarray as xr
 from affine import Affine
+from matplotlib.colors import to_hex
 from rasterio.shutil import copy as copy_raster
 from rasterio.windows import Window
 
 from jaxurban.errors import one_of
-from jaxurban.io.attributes import CAVEAT, no_value
 from jaxurban.io.files import SCRATCH_SUFFIX, holds_bytes, whole_file, write_whole
-from jaxurban.io.qgis import style
 from jaxurban.io.store import GEOTIFF_FOLDER, short_number
 from jaxurban.io.workspace import Each
-from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
 from jaxurban.metrics.custom import held_metrics, held_variables
-from jaxurban.metrics.variables import SERIES
+from jaxurban.metrics.variables import CAVEAT, SERIES, no_value
 from jaxurban.world.grid import Grid
 
 BLOCK = 512  # cells of a block's side
@@ -30,6 +31,7 @@ LEVEL = 1  # of Zstandard: on these maps a predictor takes more time and more by
 ALL = "all"  # stands for every map that is held
 CREDIT = "attribution"  # attribute of the maps
 RUN_KEY = "run_key"
+NUM_PLACES = 17  # of a colour map in QGIS styles, from low to high
 
 
 def geotiff_names(held: Collection[str], metrics: Iterable[str], layers: Sequence[str] = ()) -> list[str]:
@@ -305,3 +307,57 @@ def write_cog(
         with rasterio.open(path) as file:  # GDAL does not report every disk that fills up; the map is the file's end
             for _, window in file.block_windows(1):
                 file.read(1, window=window)
+
+
+def ramp_of(ds: xr.Dataset, variable: Variable) -> tuple[np.ndarray, list[str]]:
+    """Return ascending values and their colours, ``#rrggbb`` and linear in between; values are read if they decide."""
+    scale, places = variable.scale, np.linspace(0, 1, NUM_PLACES)
+    low, span = scale.range(ds.attrs, lambda: _ends(ds, variable.name))
+    shares = {"linear": places, "sqrt": places**2, "log": 1000 ** (places - 1)}[scale.stretch]
+    return low + span * shares, [to_hex(colour) for colour in matplotlib.colormaps[scale.colour_map](places)]
+
+
+def _ends(ds: xr.Dataset, name: str) -> tuple[float, float]:
+    """Return the lowest and the highest value of a variable, 0 where there is none; a layer is read at a time."""
+    lows, highs = [], []
+    for index in np.ndindex(ds[name].shape[:-2]):
+        values = ds[name].variable[index].values
+        values = values[np.isfinite(values)]
+        if values.size:
+            lows.append(float(values.min()))
+            highs.append(float(values.max()))
+    return min(lows, default=0.0), max(highs, default=0.0)
+
+
+def style(ds: xr.Dataset, name: str) -> str:
+    """Return the QGIS style (QML) of a variable of maps.
+
+    Args:
+      ds: the maps.
+      name: of the variable.
+    """
+    variable = held_variables(ds)[name]
+    if variable.classes:
+        entries = "".join(
+            f'<paletteEntry value="{value}" color="{colour}" alpha="255" label={quoteattr(label)}/>'
+            for value, (label, colour) in enumerate(variable.classes)
+        )
+        renderer = f'type="paletted"><rasterTransparency/><colorPalette>{entries}</colorPalette>'
+    else:
+        values, colours = ramp_of(ds, variable)
+        low, high = float(values[0]), float(values[-1])
+        items = "".join(
+            f'<item value="{value!r}" color="{colour}" alpha="255" label="{value:.4g}"/>'
+            for value, colour in zip(values.tolist(), colours, strict=True)
+        )
+        renderer = (
+            f'type="singlebandpseudocolor" classificationMin="{low!r}" classificationMax="{high!r}">'
+            '<rasterTransparency/><rastershader><colorrampshader colorRampType="INTERPOLATED" classificationMode="1" '
+            f'clip="0" minimumValue="{low!r}" maximumValue="{high!r}">{items}</colorrampshader></rastershader>'
+        )
+    return (
+        "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
+        f'<qgis version="3.28.0" styleCategories="Symbology">\n<pipe>\n'
+        f'<rasterrenderer band="1" opacity="1" alphaBand="-1" nodataColor="" {renderer}</rasterrenderer>\n'
+        "</pipe>\n<blendMode>0</blendMode>\n</qgis>\n"
+    )

@@ -22,7 +22,6 @@ from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
 from jaxurban.errors import InputError, RemadeError
-from jaxurban.io.attributes import NEEDED, no_value
 from jaxurban.io.files import (
     SCRATCH_SUFFIX,
     checksum_of,
@@ -32,7 +31,8 @@ from jaxurban.io.files import (
     whole_file,
     write_whole,
 )
-from jaxurban.io.workspace import RECORD_FILE, Workspace, recorded
+from jaxurban.io.workspace import Workspace, recorded
+from jaxurban.metrics.variables import NEEDED, no_value
 from jaxurban.world.tiling import tile_shape
 
 RUN_FILE = "run.json"
@@ -43,6 +43,9 @@ GDAL_CRS = "_CRS"  # attribute: the CRS as GDAL's Zarr driver reads it
 OPENED = "opened"  # encoding of a dataset that was opened: what checks that its files are still those
 METADATA = ".zmetadata"  # of a Zarr: its metadata and those of its arrays once more
 OF_ZARR = METADATA, ".zattrs", ".zgroup", "zarr.json"  # files by which a Zarr is known, of version 3 the last
+OTHER_VERSION = (
+    "comes from another version of jaxurban, or without its checksums.json: make the maps anew in a new folder"
+)
 TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
 
 
@@ -68,6 +71,16 @@ def stored_resolutions(folder: Path) -> dict[float, Path]:
     names = (re.fullmatch(rf"{ZARR_FOLDER}/{NUMBER_M}/{METADATA}", name) for name in recorded(folder))
     found = {float(match[1]): (folder / match[0]).parent for match in names if match}
     return {resolution_m: path for resolution_m, path in sorted(found.items()) if path.is_dir()}
+
+
+def check_version(folder: Path) -> None:
+    """Raise InputError if a folder holds maps, or the record of a run, and its own record names none of these."""
+    run, files = folder / RUN_FILE, list(folder.glob(f"{ZARR_FOLDER}/[0-9]*m"))
+    if run.is_file() and b'"run_key"' in run.read_bytes():
+        files.append(run)
+    written = {Path(folder, *Path(name).parts[:2]) for name in recorded(folder)}
+    if files and written.isdisjoint(files):
+        raise InputError(f"{str(folder)!r} {OTHER_VERSION}")
 
 
 def stored_key(folder: Path, resolution_m: float) -> str | None:
@@ -227,30 +240,11 @@ def put_zarr(made: Path, path: Path, checksums: Mapping[str, str]) -> None:
     made_of = {name: checksums.get(name) or checksum_of(file) for name, file in files.items()}
     with Workspace.shared(path.parents[1], "maps") as workspace:
         workspace.put_folder(made, path, made_of, METADATA)
-        write_root(path.parents[1])
 
 
 def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
     """Add variables that are not maps to a Zarr."""
     _to_zarr(ds.drop_vars(list(ds.coords)), path, "a")
-
-
-def write_root(folder: Path) -> list[Path]:
-    """Write the files that make one Zarr of all resolutions under ``folder``, and return those that were stale."""
-    names = [path.name for path in stored_resolutions(folder).values()]
-    hint = f"maps of several resolutions: open one with xarray.open_zarr(..., group=...), of {', '.join(names)}"
-    parts: dict[str, Any] = {".zgroup": {"zarr_format": 2}, ".zattrs": {"comment": hint}}
-    for path in stored_resolutions(folder).values():
-        with suppress(OSError, ValueError):  # of damaged ones
-            held = json.loads((path / METADATA).read_bytes())["metadata"]
-            parts |= {f"{path.name}/{name}": part for name, part in held.items()}
-    root = {name: parts[name] for name in (".zgroup", ".zattrs")}
-    root[METADATA] = {"metadata": parts, "zarr_consolidated_format": 1}
-    files = {folder / ZARR_FOLDER / name: json.dumps(value).encode() for name, value in root.items()}
-    stale = [file for file, data in files.items() if not (file.is_file() and file.read_bytes() == data)]
-    for file in stale:
-        write_whole(file, files[file])
-    return stale
 
 
 def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
@@ -262,11 +256,7 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     if folder.is_file():
         raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
     listed = ", ".join(map(short_number, sorted(found := stored_resolutions(folder))))
-    if not found and (folder / ZARR_FOLDER).is_dir():
-        raise InputError(
-            f"{str(folder / RECORD_FILE)!r} has no checksums of the maps there (which an older version made, or which "
-            "were copied without it): make them again in another folder, or copy that file too"
-        )
+    check_version(folder)
     if not found:
         raise InputError(f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`")
     if resolution_m is None and len(found) > 1:

@@ -266,7 +266,7 @@ class Workspace:
         except OSError as error:
             why = f"and cannot be moved ({reason_of(error)})"
             raise InputError(f"{str(path)!r} is in the way {why}: move it, or {ELSEWHERE}") from error
-        LOG.warning(f"{str(path)!r} was not as `jaxurban {self.command}` wrote it: it is {str(aside)!r} now")
+        LOG.warning(f"{str(path)!r} was changed since `jaxurban {self.command}` wrote it: it is kept as {str(aside)!r}")
 
     def remove_all(self) -> None:
         """Remove all own files; what was changed since, or is not own, stays and is reported."""

@@ -14,10 +14,9 @@ import shapely
 from jaxtyping import DTypeLike
 
 from jaxurban.errors import GuessWarning, InputError, positive, typed
-from jaxurban.io.layers import bands_of
 from jaxurban.io.read.guesses import Guesses, nominal_guess, time_guess, warn_of
 from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
-from jaxurban.io.read.rasterise import building_index
+from jaxurban.io.read.rasterise import bands_of, building_index
 from jaxurban.kernels.engine import Engine, on_device_of
 from jaxurban.maps.dataset import empty_dataset, with_series
 from jaxurban.maps.differentiable import SoftCity, SoftParams

@@ -10,11 +10,10 @@ import pyproj
 import xarray as xr
 from xarray.indexes import PandasIndex
 
-from jaxurban.io.attributes import CAVEAT
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import TimeTotals
 from jaxurban.metrics.base import TIME, UNDERSIDE, Variable
-from jaxurban.metrics.variables import NO_METRICS, derived
+from jaxurban.metrics.variables import CAVEAT, NO_METRICS, derived
 from jaxurban.world.city import SLABS, joined_credits
 
 PLANE = ("y", "x")

@@ -315,10 +315,10 @@ class MetricMaps(Shown):
             was not written so or was changed since, or variables that nobody could read back: without obstacles, or a
             name that is a path.
         """
-        from jaxurban.io.attributes import NEEDED
         from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
         from jaxurban.io.store import RUN_FILE, are_of_a_run, write_zarr
         from jaxurban.io.workspace import Workspace
+        from jaxurban.metrics.variables import NEEDED
 
         if lost := [name for name in NEEDED if name not in self.ds]:
             raise InputError(f"these maps lack {', '.join(lost)}, without which nothing can open them: put it back")

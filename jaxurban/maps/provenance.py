@@ -27,7 +27,7 @@ from jaxurban.world.city import Blocks, City, Zoning
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky
 
-COMPANIED_SUFFIXES = (".shp", ".tif", ".tiff", ".asc", ".img", ".vrt")
+COMPANIED_SUFFIXES = (".shp", ".tif", ".tiff", ".asc", ".img")
 REPORTED_VERSIONS = (
     "jaxurban",
     "jax",

@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxurban.io.layers import layer_values
-from jaxurban.io.read.rasterise import build_surface, highest_top_m
+from jaxurban.io.read.rasterise import build_surface, highest_top_m, layer_values
 from jaxurban.kernels.shadows.sweep import Ring
 from jaxurban.maps.dataset import variables
 from jaxurban.maps.height_uncertainty import Spread, perturbed_cities

@@ -20,9 +20,8 @@ from jaxurban.io import store
 from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, sweep_scraps
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
-from jaxurban.io.layers import bands_of
 from jaxurban.io.read.guesses import warn_of
-from jaxurban.io.read.rasterise import check_has_data, rasterise
+from jaxurban.io.read.rasterise import bands_of, check_has_data, rasterise
 from jaxurban.io.store import stored_key
 from jaxurban.io.workspace import Workspace
 from jaxurban.kernels.engine import chosen
@@ -137,6 +136,7 @@ def run_scenario(
         inputs = hash_inputs(scenario)
         engine = chosen(scenario.region.engine, backend)
         key = run_key(scenario, inputs, "cpu" if engine == "numba" else backend)
+        store.check_version(folder)
         held_key = Workspace.settings_of(folder, "maps").get(RUN_KEY)
         if store.stored_resolutions(folder) and held_key != key and not overwrite:
             raise InputError(
@@ -227,8 +227,6 @@ def _maps_of(maker: Maker, workspace: Workspace, watch: Stopwatch, report: Repor
         scale = (time.perf_counter() - began) / (sum(seconds.values()) or 1.0)
         for name, busy_s in seconds.items():
             watch.add(name, busy_s * scale)
-    for path in store.write_root(folder):
-        LOG.warning(f"{str(path)!r} was missing or damaged: it is written again")
     ds = store.open_zarr(folder.resolve(), resolution_m)
     with watch.stage("verify"):
         stale = workspace.broken(geotiff_paths(ds, folder, maker.layers), maker.each)
@@ -237,8 +235,8 @@ def _maps_of(maker: Maker, workspace: Workspace, watch: Stopwatch, report: Repor
             LOG.warning(f"{str(path)!r} was changed and stays: remove it, and the same command writes it again")
         stale = [path for path in stale if path not in edited]
         for path in stale:
-            if is_kept:
-                LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
+            if is_kept and not workspace.is_changed(path):  # else it is reported when it is set aside
+                LOG.warning(f"{str(path)!r} is missing: writing it again")
     with watch.stage("write_geotiff"):
         write_geotiffs(ds, folder, maker.each, only=stale, layers=maker.layers)
         sweep_scraps(folder / store.GEOTIFF_FOLDER)  # of workers that were killed, whose files others have written

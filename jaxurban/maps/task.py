@@ -95,7 +95,7 @@ class MapTask:
       params: settings.
       layers: cost layers of one's own, by name.
       bands: values of the layers that are not functions, by name: one band, or one for each of the layer's
-        ``altitudes_m``; rasters, or arrays on the region's cells (see `jaxurban.io.layers.bands_of`).
+        ``altitudes_m``; rasters, or arrays on the region's cells (see `jaxurban.io.read.rasterise.bands_of`).
       guesses: behind the maps (see `jaxurban.io.read.guesses`), for those who look at them.
 
     Raises:

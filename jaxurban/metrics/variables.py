@@ -1,13 +1,17 @@
 """The maps that no metric makes, and the statistics of those that one does: what each is, in one table."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from jaxurban.metrics.base import ALTITUDE, TIME, UNDERSIDE, Metric, Scale, Variable
 
 FREE_COLOUR, BUILT_COLOUR, GUESSED_COLOUR, NO_DATA_COLOUR = "#f4f4ee", "#4a4a4a", "#d55e00", "#bdbdbd"
+CAVEAT = "comment"  # attribute: what whoever reads the values must know; the name is that of the CF conventions
+NEEDED = ("obstacle", "has_data")  # without these maps it is not a folder of maps
 SERIES = ("availability", "median", "p05")  # what is kept of a long series, behind the metric's name
 _roof = partial(Variable, unit="m", scale=Scale(high=None, stretch="sqrt", zero="no building"))
 
@@ -99,3 +103,13 @@ def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
         }
         for kind, rows in kinds.items()
     }
+
+
+def names_in(attributes: Mapping[str, Any], name: str) -> list[str]:
+    """Return the names in an attribute, which holds them as one text: NetCDF 3 takes no lists of texts."""
+    return [part for part in attributes.get(name, "").split(", ") if part]
+
+
+def no_value(dtype: np.dtype) -> Any:
+    """Return what stands for no value in files: NaN, the highest unsigned number; None where there is nothing such."""
+    return {"f": np.nan, "u": np.iinfo(dtype).max if dtype.kind == "u" else None}.get(dtype.kind)

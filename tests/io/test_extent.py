@@ -4,7 +4,6 @@ import json
 
 import pytest
 import shapely
-import xarray as xr
 
 import jaxurban as ju
 from jaxurban.errors import InputError
@@ -69,9 +68,3 @@ def test_info_says_what_a_folder_of_maps_holds(tmp_path, capsys):
     assert "10 x 10 cells of 50 m" in out
     assert "gps, lidar, population, risk" in out
     assert run(capsys, "info", tmp_path / "nothing")[0] == 2
-
-
-def test_the_root_of_several_resolutions_says_that_it_is_one(tmp_path):
-    ju.build_maps(ju.demo_city(500, 500), resolution_m=50, altitudes_m=[20.0]).save(tmp_path)
-    root = xr.open_zarr(tmp_path / "maps.zarr")
-    assert "xarray.open_zarr(..., group=...), of 50m" in root.attrs["comment"]

@@ -1,5 +1,7 @@
 """What is written opens in others' hands: xarray, rioxarray, GDAL, geopandas and QGIS, values equal to the maps'."""
 
+import re
+import shutil
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -14,13 +16,16 @@ import xarray as xr
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io.geotiff import write_geotiffs
-from jaxurban.io.qgis import ramp_of
+from jaxurban.io.geotiff import ramp_of, write_geotiffs
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.custom import Layer, check_file_names, held_variables
 from jaxurban.report.figures import metrics as figures
 from tests import tiled_runs
+from tests.cli_runs import run
+from tests.test_damage import SETTINGS
+from tests.tiled_runs import files_of
 
 rioxarray = pytest.importorskip("rioxarray", reason="needs the dev extra")
 rio_cogeo = pytest.importorskip("rio_cogeo", reason="needs the dev extra")
@@ -44,7 +49,7 @@ def folder(maps, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def opened(folder) -> xr.Dataset:
-    return xr.open_zarr(folder / "maps.zarr", group="20m")
+    return xr.open_zarr(folder / "maps.zarr/20m")
 
 
 def expected(maps: MetricMaps, name: str, **at: int) -> np.ndarray:
@@ -102,7 +107,6 @@ def test_maps_are_saved_beside_those_of_a_resolution_that_cannot_be_read(maps, t
         (tmp_path / "maps.zarr" / name).parent.mkdir(parents=True)
         (tmp_path / "maps.zarr" / name).write_text(text)
     xr.testing.assert_identical(ju.open_maps(maps.save(tmp_path), 20).ds.load(), maps.ds)
-    assert xr.open_datatree(tmp_path / "maps.zarr", engine="zarr").groups == ("/", "/20m")
 
 
 def test_maps_that_nothing_could_open_are_not_written(maps, tmp_path):
@@ -121,8 +125,7 @@ def test_satellites_of_a_chunk_that_goes_after_opening_are_none(maps, tmp_path):
     assert not found["num_visible"].values.any()
 
 
-def test_xarray_opens_the_group_and_the_tree(maps, folder, opened):
-    assert xr.open_datatree(folder / "maps.zarr", engine="zarr").groups == ("/", "/20m")
+def test_xarray_opens_the_group(maps, folder, opened):
     assert list(opened["y"].values) == list(maps.grid.y_m[::-1])
     np.testing.assert_array_equal(opened["time"].values, maps.ds["time"].values)
     assert (maps.ds["obstacle"].values != 0).any()
@@ -163,7 +166,7 @@ def test_gdal_opens_every_map_of_the_zarr(maps, folder):
     for name, array in maps.ds.data_vars.items():
         for index in np.ndindex(array.shape[:-2]):
             place = "".join(f":{part}" for part in index)
-            with rasterio.open(f'ZARR:"{folder / "maps.zarr"}":/20m/{name}{place}') as file:
+            with rasterio.open(f'ZARR:"{folder / "maps.zarr/20m"}":/{name}{place}') as file:
                 assert file.bounds == maps.grid.bounds_m
                 assert file.crs == rasterio.crs.CRS.from_user_input(maps.grid.crs)
                 found = file.read(1, masked=True).astype(np.float64).filled(np.nan)
@@ -264,14 +267,28 @@ def test_a_layer_that_is_not_there_is_refused_before_anything_is_written(maps, t
     assert not (tmp_path / "out").exists()
 
 
-def test_maps_of_an_older_format_are_refused_with_the_remedy(folder, tmp_path):
-    old = tmp_path / "maps.zarr" / "5m"
-    (old / "obstacle").mkdir(parents=True)
-    (old / "zarr.json").write_text('{"zarr_format": 3, "node_type": "group"}')
-    with pytest.raises(
-        InputError, match=r"checksums.json. has no checksums .*an older version.*: make them again in another folder"
+@pytest.mark.parametrize("layout", ["zarr", "run.json", "copy"])
+def test_maps_of_another_version_are_refused_everywhere_with_the_one_remedy(folder, tmp_path, capsys, layout):
+    old = tmp_path / "old"
+    if layout == "copy":
+        shutil.copytree(folder, old)
+        (old / "checksums.json").unlink()
+    else:
+        file, text = {"zarr": ("maps.zarr/5m/zarr.json", "{}"), "run.json": ("run.json", '{"run_key": "a"}')}[layout]
+        (old / file).parent.mkdir(parents=True)
+        (old / file).write_text(text)
+    before, words = files_of(old), "comes from another version of jaxurban.*make the maps anew in a new folder"
+    with pytest.raises(InputError, match=words):
+        ju.open_maps(old)
+    (tmp_path / "a.toml").write_text(Scenario.from_dict(SETTINGS).to_toml())
+    for command in (
+        ("info", old),
+        ("maps", tmp_path / "a.toml", "-o", old),
+        ("maps", tmp_path / "a.toml", "-o", old, "--overwrite"),
     ):
-        ju.open_maps(tmp_path)
+        code, _, err = run(capsys, *command)
+        assert (code, re.search(words, err) is not None) == (2, True), err
+    assert files_of(old) == before
 
 
 @pytest.mark.parametrize(

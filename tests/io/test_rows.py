@@ -89,7 +89,7 @@ def test_damaged_rows_are_reported_set_aside_and_made_again(tmp_path, damage):
         with logged() as warned, opened(tmp_path) as store:
             assert [each["k"] for each in store.rows] == ([2] if file.suffix == ".parquet" else [])
         kept = tmp_path / "kept" / file.relative_to(tmp_path)
-        assert warned == [f"{str(file)!r} was not as `jaxurban study` wrote it: it is {str(kept)!r} now"]
+        assert warned == [f"{str(file)!r} was changed since `jaxurban study` wrote it: it is kept as {str(kept)!r}"]
         assert kept.read_bytes() == data
     with opened(tmp_path) as store:
         store.add([row(1, "a"), row(2, "b", 0.25)])

@@ -13,7 +13,7 @@ import xarray as xr
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io import store
-from jaxurban.io.layers import bands_of, layer_values
+from jaxurban.io.read.rasterise import bands_of, layer_values
 from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.run import Maker, make_zarr, run_scenario, tasks_of
 from jaxurban.maps.scenario import Scenario

@@ -180,7 +180,7 @@ def test_damaged_rows_are_set_aside_and_made_again(folder, result, tmp_path):
     (out / "rows.parquet").write_bytes(data[:100] + bytes([data[100] ^ 1]) + data[101:])
     with logged() as warned:
         found = ju.studies.study(folder, out, 12, settings=SETTINGS).rows
-    assert any("rows.parquet' was not as `jaxurban study` wrote it: it is" in each for each in warned)
+    assert any("rows.parquet' was changed since `jaxurban study` wrote it: it is" in each for each in warned)
     same_rows(found, result.rows)
 
 

@@ -19,9 +19,15 @@ from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.guesses import FLAT_GROUND, count_guesses, district_guesses, height_guesses, warn_of
 from jaxurban.io.read.osm import OSM_SUFFIXES, format_of, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, box_between, count_tags, meets, to_buildings
-from jaxurban.io.read.raster import RASTER_SUFFIXES, check_range, raster_extent_m, read_raster
+from jaxurban.io.read.raster import (
+    RASTER_SUFFIXES,
+    check_is_no_surface,
+    check_range,
+    heights_of_surface,
+    raster_extent_m,
+    read_raster,
+)
 from jaxurban.io.read.sampling import pixel_xy
-from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import Population
@@ -147,7 +153,7 @@ def read_buildings(
       crs: projected CRS of what comes back.
       bounds_m: x_min, y_min, x_max, y_max in ``crs``; buildings whose box does not touch it are left out. Which parts
         replace which outlines does not depend on it. None keeps all.
-      terrain: elevation of the ground; also tells whether a raster of heights is one.
+      terrain: elevation of the ground, for a surface.
 
     Raises:
       InputError: no such file, an unknown suffix, a file that cannot be read or is in a wrong CRS, (raster) cells that
@@ -232,7 +238,7 @@ def _read_roofs(path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrai
     if kind == "surface":
         roofs, issues = heights_of_surface(name, raster, terrain, crs)
     else:
-        check_is_no_surface(name, raster, terrain, crs)
+        check_is_no_surface(name, raster, crs)
         is_below = raster.values < 0
         roofs = replace(raster, values=np.where(is_below, np.float32(0), raster.values))
         issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}

@@ -1,11 +1,11 @@
-"""Rasters from files: building heights and terrain, read where they are needed."""
+"""Rasters from files: building heights, terrain and surface models (roofs, trees and ground above sea level)."""
 
 import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pyproj
@@ -14,21 +14,19 @@ from affine import Affine
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
-from jaxurban.errors import InputError, readable, reason_of
-from jaxurban.io.read.sampling import transformed
-from jaxurban.world.city import Raster
+from jaxurban.errors import InputError, readable
+from jaxurban.io.read.sampling import heights_above, pixel_xy, transformed
+from jaxurban.world.city import Raster, ReadIssue, ReadIssues
 from jaxurban.world.grid import WGS84, Bounds, check_on_earth, transformer, where_it_lies
 
-# By the end of their names, the drivers of GDAL that may open them: others read what a file tells them to.
+# By the end of their names, the drivers of GDAL that may open them: others (as of .vrt) read what a file tells them to.
 DRIVERS = {
     **dict.fromkeys((".tif", ".tiff"), "GTiff"),
     **dict.fromkeys((".bil", ".flt"), "EHdr"),
     **dict.fromkeys((".dt0", ".dt1", ".dt2"), "DTED"),
-    **{".vrt": "VRT", ".asc": "AAIGrid", ".img": "HFA", ".hgt": "SRTMHGT", ".png": "PNG"},
+    **{".asc": "AAIGrid", ".img": "HFA", ".hgt": "SRTMHGT", ".png": "PNG"},
 }
 RASTER_SUFFIXES = tuple(DRIVERS)
-SOURCE_TAGS = ("sourcefilename", "sourcedataset")  # of a .vrt; GDAL takes them in any case and namespace
-HEAD_BYTES = 4096  # GDAL knows a file by no more, blanks passed over
 OWN_VALUES, HEIGHTS = "in a unit of your own", "heights in metres"
 TERRAIN_RANGE_M = (-500.0, 9000.0)  # the shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m
 _MARGIN_PIXELS = 2  # bilinear sampling reaches half a pixel beyond the bounds, a curved border a little more
@@ -41,6 +39,16 @@ _SURVEY_FEET = dict.fromkeys(
     ("us-ft", "ftus", "us survey foot", "us survey feet", "foot_us", "us foot", "survey foot"), 1200 / 3937
 )
 UNITS_M = {**_METRES, **_FEET, **_SURVEY_FEET}
+
+# Surface models.
+GROUND_M = 2.0  # nothing this low above the terrain is a building: noise of two models, cars, hedges
+BLOCK_M = 100.0  # wider than most halls: a street, a yard or a clearing lies in almost every block of a city
+SAMPLES_A_SIDE = 20  # of a block
+LOW_SHARE = 0.05  # of a block's samples lie below its low level: pits, noise and holes
+RELIEF_M = 3.0  # of a block on which something stands: water and fields tell nothing
+# Shares of blocks whose low level is more than GROUND_M from 0. Heights above ground: Bilbao 0.002, Gothenburg (surface
+# less terrain) 0; surfaces: Gothenburg 0.62 (a quay), Bilbao 0.83 (a river and hills).
+MOST_RAISED = 0.4
 
 
 def read_raster(
@@ -140,8 +148,6 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
         suffix = Path(path).suffix.lower()
         if suffix not in DRIVERS:
             raise ValueError(f"of rasters {', '.join(DRIVERS)} are read: convert it with `gdal_translate`")
-        if suffix == ".vrt":
-            _check_sources(Path(path))
         with rasterio.open(path, driver=DRIVERS[suffix]) as source:
             if source.count != 1 and holds != OWN_VALUES:
                 raise InputError(f"{name} has {source.count} bands: give a raster with one band, {holds}")
@@ -159,26 +165,6 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
                 )
             check_on_earth(name, source.crs.to_wkt())
             yield source
-
-
-def _check_sources(path: Path) -> None:
-    """Raise ValueError unless all that a .vrt is made of are rasters in files of this machine, and not on a server."""
-    try:
-        elements = list(ElementTree.fromstring(path.read_bytes()).iter())
-    except ElementTree.ParseError as error:
-        raise ValueError(reason_of(error)) from error
-    for element in elements:
-        tag, text = element.tag.rpartition("}")[2].lower(), element.text or ""
-        if any(sign in text for sign in ("/vsi", "://")):
-            raise ValueError(f"it names {text!r}, which is no file here")
-        if tag in SOURCE_TAGS:
-            is_relative = element.get("relativeToVRT") == "1"
-            source = path.parent / text if is_relative else Path(text)
-            if not source.is_file():
-                raise ValueError(f"it names {str(source)!r}, which is no file here")
-            with source.open("rb") as file:
-                if file.read(HEAD_BYTES).lstrip()[:1] in (b"<", b"{"):
-                    raise ValueError(f"it names {source.name!r}, which may name others: only files of pixels are read")
 
 
 def _horizontal_crs(source: rasterio.DatasetReader) -> str:
@@ -231,3 +217,95 @@ def raster_window(name: str, source: rasterio.DatasetReader, crs: str, bounds_m:
     raise InputError(
         f"{name} does not reach the region: {where}; give a raster that covers it, or change [region] bounds"
     )
+
+
+def heights_of_surface(name: str, surface: Raster, terrain: Raster | None, crs: str) -> tuple[Raster, ReadIssues]:
+    """Return the heights of a surface model above the terrain, and how many cells were taken for ground, by issue.
+
+    What stands less than `GROUND_M` above the terrain, or below it, is ground.
+
+    Args:
+      name: of the file, for messages.
+      surface: elevations.
+      terrain: of the ground, on any grid.
+      crs: projected CRS in metres.
+
+    Raises:
+      InputError: no terrain, or surface and terrain do not belong together.
+    """
+    if terrain is None:
+        raise InputError(
+            f'[buildings] kind = "surface" takes the ground from below {name}: give its elevation as [terrain] source'
+        )
+    above = heights_above(surface, terrain)
+    num_sunken, num = int(np.sum(above.values < -GROUND_M)), int(np.isfinite(above.values).sum())
+    if num_sunken > num / 2:
+        raise InputError(
+            f"{name} lies below the terrain in {num_sunken / num:.0%} of its cells: if it holds heights above ground, "
+            'leave out [buildings] kind = "surface"; else bring both to one vertical datum and unit'
+        )
+    if (raised := _raised_share(above, crs)) > MOST_RAISED:
+        raise InputError(
+            f"{name} is more than {GROUND_M:g} m off the terrain all over {raised:.0%} of its blocks of {BLOCK_M:g} m, "
+            "streets and yards included: bring both to one vertical datum and unit, and check which of them is the "
+            "terrain"
+        )
+    warnings.warn(
+        f"heights are {name} less the terrain: trees, bridges and cranes in it count as buildings, and what is lower "
+        f"than {GROUND_M:g} m as ground",
+        stacklevel=2,
+    )
+    is_ground = above.values < GROUND_M
+    issues = {
+        ReadIssue.CELLS_BELOW_GROUND: int(np.sum(above.values < 0)),
+        ReadIssue.CELLS_NEAR_GROUND: int(np.sum(is_ground)),
+    }
+    return replace(above, values=np.where(is_ground, np.float32(0), above.values)), issues
+
+
+def check_is_no_surface(name: str, heights: Raster, crs: str) -> None:
+    """Raise InputError if a raster of heights above ground looks like a surface model.
+
+    In a city's heights almost every block of 100 m has some ground, which is near 0.
+
+    Args:
+      name: of the file, for messages.
+      heights: the raster.
+      crs: projected CRS in metres.
+    """
+    if (raised := _raised_share(heights, crs)) > MOST_RAISED:
+        raise InputError(
+            f"{name} looks like a surface model, elevations and not heights above ground: {raised:.0%} of its blocks "
+            f'of {BLOCK_M:g} m with something on them have no ground near 0; set [buildings] kind = "surface" and give '
+            "the elevation of the ground as [terrain] source, or give heights above ground (0 where nothing stands)"
+        )
+
+
+def _raised_share(raster: Raster, crs: str) -> float:
+    """Return the share of the blocks on which something stands without ground near 0; 0 if nothing stands."""
+    level_m = low_levels(raster, crs)
+    return float(np.mean(np.abs(level_m) > GROUND_M)) if len(level_m) else 0.0
+
+
+def low_levels(raster: Raster, crs: str) -> np.ndarray:
+    """Return the low level of each block of 100 m of a raster on which something stands, ``[N]`` metres.
+
+    Args:
+      raster: elevations or heights, metres.
+      crs: projected CRS in metres, to measure pixels in.
+    """
+    num_rows, num_cols = raster.values.shape
+    row, col = num_rows / 2 + np.array([0, 1, 0]), num_cols / 2 + np.array([0, 0, 1])
+    x_m, y_m = pixel_xy(raster, row, col, crs)
+    down_m, right_m = np.hypot(x_m[1:] - x_m[0], y_m[1:] - y_m[0])
+    height, width = (max(1, round(BLOCK_M / pixel_m)) for pixel_m in (down_m, right_m))  # of a block
+    padded = np.pad(raster.values, ((0, -num_rows % height), (0, -num_cols % width)), constant_values=np.nan)
+    blocks = padded.reshape(len(padded) // height, height, -1, width).swapaxes(1, 2)
+    samples = blocks[..., :: -(-height // SAMPLES_A_SIDE), :: -(-width // SAMPLES_A_SIDE)]
+    values = np.sort(samples.reshape(samples.shape[0] * samples.shape[1], -1), axis=1)  # NaN last
+    num = np.isfinite(values).sum(axis=1)
+    is_told = num >= values.shape[1] / 4
+    values, num = values[is_told], num[is_told]
+    each = np.arange(len(values))
+    low_m, high_m = values[each, (LOW_SHARE * num).astype(int)], values[each, num - 1]
+    return low_m[high_m - low_m >= RELIEF_M]

@@ -1,7 +1,6 @@
 """Rasters on the cells of a Grid, and where their pixels lie; maps of outlines need no more of rasters than this."""
 
 import itertools
-import math
 from dataclasses import replace
 from typing import Literal
 
@@ -60,15 +59,6 @@ def pixel_xy(raster: Raster, row: np.ndarray, col: np.ndarray, crs: str) -> tupl
     """Return the coordinates in ``crs`` of places in a raster, by rows and columns of its values (0.5: a centre)."""
     x, y = transformed(Affine(*raster.transform), col + raster.first_col, row + raster.first_row)
     return transformer(raster.crs, crs).transform(x, y)
-
-
-def thinned(raster: Raster, most_pixels: int) -> Raster:
-    """Return every k-th pixel of every k-th row, as pixels around the same centres: about ``most_pixels`` of them."""
-    k = max(1, math.ceil(math.sqrt(raster.values.size / most_pixels)))
-    a, b, c, d, e, f = raster.transform
-    col, row = raster.first_col + 0.5 - k / 2, raster.first_row + 0.5 - k / 2
-    transform = a * k, b * k, a * col + b * row + c, d * k, e * k, d * col + e * row + f
-    return Raster(raster.values[::k, ::k], transform, raster.crs)
 
 
 def heights_above(surface: Raster, ground: Raster) -> Raster:

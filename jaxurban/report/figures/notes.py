@@ -4,10 +4,10 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from jaxurban.io.attributes import CAVEAT, names_in
 from jaxurban.io.read.guesses import is_of_sky
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.variables import CAVEAT, names_in
 from jaxurban.paths.constraints import clearances_said, kept_said
 from jaxurban.world.grid import Grid
 
