@@ -56,8 +56,8 @@ def test_a_zone_may_be_written_in_several_ways(zone):
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        (GOOD.iloc[:0], ("no rows", "num_tracked")),
-        (GOOD.drop(columns="utc"), ("no times", "utc")),
+        (GOOD.iloc[:0], ("has 0 rows", "num_tracked")),
+        (GOOD.drop(columns="utc"), ("of the columns lon_deg", "columns utc")),
         (GOOD.assign(utc=GOOD.utc.str.rstrip("Z")), ("without a zone", "local", "+09:00")),
         (GOOD.assign(utc=pd.to_datetime(GOOD.utc).dt.tz_localize(None)), ("without a zone", "local")),
         (GOOD.assign(utc=[1545199657.0] * 3), ("'1545199657.0'", "GPS time")),
@@ -66,8 +66,8 @@ def test_a_zone_may_be_written_in_several_ways(zone):
         (GOOD.assign(utc=[*GOOD.utc[:2], "12/19/2018 06:07:39Z"]), ("'12/19/2018 06:07:39Z'", "write UTC")),
         (GOOD.assign(utc="2018-12-19"), ("without a zone",)),
         (GOOD.assign(utc=[None, *GOOD.utc[1:]]), ("a time, which is none", "remove rows without")),
-        (GOOD.drop(columns="lat_deg"), ("no column lat_deg",)),
-        (GOOD.drop(columns="num_tracked"), ("none of the columns num_tracked", "error_2d_m")),
+        (GOOD.drop(columns="lat_deg"), ("of the columns utc, lon_deg, num_tracked: give", "lat_deg")),
+        (GOOD.drop(columns="num_tracked"), ("of the columns utc, lon_deg, lat_deg: give", "error_2d_m")),
         (GOOD.assign(lon_deg=[np.nan, 139.0, 139.0]), ("has nan in lon_deg of 1 row(s)", "remove")),
         (GOOD.assign(lat_deg=139.0), ("from -90 to 90", "swapped")),
         (GOOD.assign(utc=GOOD.utc[0]), ("two rows at 2018-12-19T06:07:38", "one row an epoch")),
@@ -77,9 +77,9 @@ def test_a_zone_may_be_written_in_several_ways(zone):
         (GOOD.assign(error_2d_m=-0.5), ("has -0.5 in error_2d_m", "a number from 0 to inf")),
         (GOOD.assign(**{" utc": GOOD.utc}), ("two columns utc", "keep one")),
         (GOOD.assign(**{"lat_deg ": GOOD.lat_deg}), ("two columns lat_deg",)),
-        (GOOD.rename(columns={"utc": "Time"}), ("no times", "but 'Time', 'lon_deg'")),
+        (GOOD.rename(columns={"utc": "Time"}), ("of the columns Time, lon_deg",)),
         (GOOD.assign(num_tracked="many"), ("'many'", "num_tracked")),
-        (GOOD.assign(num_tracked=np.nan), ("no value in num_tracked", "remove")),
+        (GOOD.assign(num_tracked=np.nan), ("nan in num_tracked of 3 row(s)", "remove")),
     ],
 )
 def test_what_is_wrong_with_a_log_is_one_sentence(table, words):

@@ -3,7 +3,6 @@
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from textwrap import shorten
 
 import numpy as np
 import pandas as pd
@@ -12,9 +11,9 @@ from jaxurban.errors import InputError
 from jaxurban.io.tables import read_table
 
 UTC, LON, LAT = "utc", "lon_deg", "lat_deg"
-OTHER_NAMES = {LON: "lon", LAT: "lat"}
+OTHER_NAMES = {"lon": LON, "lat": LAT}
 WITNESSES = TRACKED, ERROR = "num_tracked", "error_2d_m"  # what a log may hold of how well the receiver did
-MOST_COLUMNS_SAID = 120  # characters of the columns that a log has
+MOST_NAMED = 12  # columns, in an error
 RANGES = {  # of a value; no receiver has channels for more satellites
     LON: (-180.0, 180.0),
     LAT: (-90.0, 90.0),
@@ -63,37 +62,25 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
     """
     table = source if isinstance(source, pd.DataFrame) else read_table(source, "receiver log")
     name = "the table" if table is source else str(source)
-    if table.empty:
-        raise _wrong(name, f"has no rows: {REMEDY}")
-    table = _named(table, name)
-    table = table.assign(**{UTC: _times(table[UTC], name)})
-    for column in RANGES:
-        if column in table:
-            table[column] = _numbers(table, column, name)
+    names = [str(column).strip() for column in table.columns]
+    table = table.set_axis([OTHER_NAMES.get(column, column) for column in names], axis="columns")
+    known = [column for column in (UTC, *RANGES) if column in table]
+    if known[:3] != [UTC, LON, LAT] or len(known) == 3 or table.empty:
+        raise _wrong(
+            name, f"has {len(table)} rows of the columns {', '.join(names[:MOST_NAMED])}: {REMEDY}, parted by commas"
+        )
+    if twice := [column for column in known if (table.columns == column).sum() > 1]:
+        raise _wrong(name, f"has two columns {twice[0]}: keep one")
+    table = table.assign(**{UTC: _times(table[UTC], name)}, **{c: _numbers(table[c], name) for c in known[1:]})
     table = table.sort_values(UTC, kind="stable", ignore_index=True)
     if (is_second := table[UTC].duplicated()).any():
         at = table[UTC][is_second].iloc[0].isoformat()
         raise _wrong(name, f"has two rows at {at}: keep one row an epoch")
-    return ReceiverLog(name, table[[UTC, LON, LAT, *(each for each in WITNESSES if each in table)]])
+    return ReceiverLog(name, table[known])
 
 
 def _wrong(name: str, why: str) -> InputError:
     return InputError(f"the receiver log {name!r} {why}")
-
-
-def _named(table: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Return a table whose columns have our names, if it holds what is needed."""
-    table = table.rename(columns={column: str(column).strip() for column in table.columns})
-    table = table.rename(columns={other: ours for ours, other in OTHER_NAMES.items() if ours not in table})
-    if twice := [column for column in (UTC, LON, LAT, *WITNESSES) if (table.columns == column).sum() > 1]:
-        raise _wrong(name, f"has two columns {twice[0]}: keep one")
-    if missing := [column for column in (UTC, LON, LAT) if column not in table]:
-        what = f"no times (a column {UTC})" if missing[0] == UTC else f"no column {missing[0]}"
-        held = shorten(", ".join(map(repr, table.columns)), MOST_COLUMNS_SAID, placeholder=" ...")
-        raise _wrong(name, f"has {what}, but {held}: {REMEDY}, parted by commas")
-    if not any(column in table for column in WITNESSES):
-        raise _wrong(name, f"has none of the columns {', '.join(WITNESSES)}, to tell how well it did: add one")
-    return table
 
 
 def _times(column: pd.Series, name: str) -> pd.Series:
@@ -111,18 +98,15 @@ def _times(column: pd.Series, name: str) -> pd.Series:
     return times
 
 
-def _numbers(table: pd.DataFrame, column: str, name: str) -> pd.Series:
-    """Return a column of numbers, NaN where a receiver told none; no place may lack any, nor all of a witness."""
-    low, high = RANGES[column]
-    values = pd.to_numeric(table[column], errors="coerce").astype(float)
-    is_left_out = table[column].isna() & (column not in (LON, LAT))
-    is_wrong = ~(np.isfinite(values) & values.between(low, high) | is_left_out)
-    if pd.api.types.is_bool_dtype(table[column]):
-        is_wrong |= True
-    if len(wrong := table[column][is_wrong].tolist()):  # a list's numbers are Python's
-        hint = " (longitude and latitude may be swapped)" if column == LAT else ""
-        rule = f"where a number from {low:g} to {high:g} belongs{hint}: mend them, or remove the rows"
-        raise _wrong(name, f"has {wrong[0]!r} in {column} of {len(wrong)} row(s), {rule}")
-    if column in WITNESSES and values.isna().all():
-        raise _wrong(name, f"has no value in {column}: fill it, or remove the column")
+def _numbers(column: pd.Series, name: str) -> pd.Series:
+    """Return a column of numbers, NaN where a receiver gave none; no place may lack any, nor all of a witness."""
+    low, high = RANGES[str(column.name)]
+    values = pd.to_numeric(column, errors="coerce").astype(float)
+    may_lack = column.name in WITNESSES and bool(column.notna().any())
+    is_wrong = ~(np.isfinite(values) & values.between(low, high) | (column.isna() & may_lack))
+    if (is_wrong | pd.api.types.is_bool_dtype(column)).any():
+        wrong = column[is_wrong | pd.api.types.is_bool_dtype(column)].tolist()  # a list's numbers are Python's
+        hint = " (longitude and latitude may be swapped)" if column.name == LAT else ""
+        rule = f"where a number from {low:g} to {high:g} belongs{hint}: mend them, or remove the rows or the column"
+        raise _wrong(name, f"has {wrong[0]!r} in {column.name} of {len(wrong)} row(s), {rule}")
     return values

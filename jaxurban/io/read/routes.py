@@ -1,8 +1,6 @@
 """Routes from files: lines that someone flew, drew or planned."""
 
-import ast
 import json
-import re
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
@@ -24,7 +22,6 @@ FOLLOWS_GROUND = "follow the ground"  # in the note of a mission that jaxurban w
 PLAN_SUFFIX = ".plan"  # of QGroundControl's missions
 # MAVLink's commands to fly to a place: waypoints, loitering, take-off; and those to land there.
 FLOWN, LANDINGS = (16, 17, 18, 19, 22, 31, 82, 84), (21, 85)
-FLAT = re.compile(r"settings[._](?:(weights|limits)[._])?(\w+)")  # columns of our KML, as GDAL names them
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +31,8 @@ class Route:
     Attributes:
       lonlat: ``[N, 2]`` longitude, latitude in degrees.
       name: its ``name`` property, or its number in the file, from 1.
-      altitude_m, time_of_day, time: of the feature's properties (of paths that jaxurban wrote: of their
-        ``settings``), None where they are not given.
+      altitude_m, time_of_day, time: of the feature's properties (of paths that jaxurban wrote as GeoJSON: of
+        their ``settings``), None where they are not given.
       settings: of paths that jaxurban wrote, those they were planned under; else empty.
     """
 
@@ -93,24 +90,12 @@ def _is_finite(geometry: shapely.Geometry) -> bool:
 
 
 def _settings(row: Any) -> dict[str, Any]:
-    """Return what jaxurban's own paths keep under ``settings``: one object, or flat in the columns of a KML file."""
+    """Return what jaxurban's own paths keep under ``settings``, an object or its text."""
     settings = row.get("settings")
     if isinstance(settings, str):
         with suppress(ValueError, RecursionError):
             settings = json.loads(settings)
-    if isinstance(settings, dict):
-        return dict(settings)
-    flat: dict[str, Any] = {}
-    for column, text in row.items():
-        found = FLAT.fullmatch(str(column))
-        if found is None or not isinstance(text, str):
-            continue
-        group, name = found.groups()
-        value: Any = text
-        with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
-            value = ast.literal_eval(text)
-        (flat.setdefault(group, {}) if group else flat)[name] = value
-    return flat
+    return dict(settings) if isinstance(settings, dict) else {}
 
 
 def _mission(file: Path) -> Route:
