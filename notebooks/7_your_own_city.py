@@ -146,7 +146,7 @@ city = ju.City.from_files(
 )
 again = ju.build_maps(city, scenario.region.bounds, resolution_m=5.0, altitudes_m=(20.0, 60.0))
 print(f"the same maps: {np.array_equal(again.m('gps', 20.0), maps.m('gps', 20.0), equal_nan=True)}")
-city.counts
+city.buildings.origin_counts()
 
 # %% [markdown]
 # ## A route

@@ -212,7 +212,7 @@ def versions() -> dict[str, str]:
 
 
 def _building_record(city: City, region: Grid) -> dict[str, Any]:
-    record: dict[str, Any] = {"faults": dict(city.read_issues), "source_counts": dict(city.counts)}
+    record: dict[str, Any] = {"faults": dict(city.read_issues)}
     if city.buildings is None:
         assert city.roofs is not None
         highest_m = float(np.nanmax(city.roofs.values, initial=0.0))

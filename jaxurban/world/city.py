@@ -243,7 +243,6 @@ class City(Shown):
       blocks: census blocks, or None without population data.
       terrain: raster of ground elevation, or None for flat ground.
       read_issues: what the readers met, mended and left out, counted by `jaxurban.world.city.ReadIssue`.
-      counts: what the building source holds, counted by name.
       sources: path by role, for provenance (empty for the synthetic city).
       guesses: what was supposed where the sources are silent, see `jaxurban.io.read.guesses`.
       attribution: the credit that the licence of the sources asks for wherever pictures are shown.
@@ -263,7 +262,6 @@ class City(Shown):
     blocks: Blocks | None = None
     terrain: Raster | None = None
     read_issues: ReadIssues = field(default_factory=dict)
-    counts: Mapping[str, int] = field(default_factory=dict)
     terrain_extent_m: tuple[float, float, float, float] | None = None
     sources: Mapping[str, str] = field(default_factory=dict)
     attribution: str = ""

@@ -41,8 +41,8 @@ def test_bounds_limit_what_is_kept_but_not_which_parts_replace_outlines(street):
     east = read_buildings(Buildings(street), UTM, bounds_m=(X + 125, Y, X + 200, Y + 5))
     assert whole.buildings.height_m.tolist() == [1, 3, 4]
     assert east.buildings.height_m.tolist() == [4]
-    assert (east.file_extent_m, east.issues, east.counts) == (whole.file_extent_m, whole.issues, whole.counts)
-    assert whole.area.bounds == whole.file_extent_m == pytest.approx((X, Y, X + 140, Y + 10))
+    assert east.read_issues == whole.read_issues
+    assert whole.area.bounds == pytest.approx((X, Y, X + 140, Y + 10))
     assert east.area.bounds == pytest.approx((X + 120, Y, X + 140, Y + 10))
 
 
@@ -58,8 +58,8 @@ def test_a_height_raster_gives_roofs(tmp_path):
     source = read_buildings(Buildings(write_raster(tmp_path / "roofs.TIF", np.float32([[-0.5, 12.0]]))), UTM)
     assert source.buildings is None
     np.testing.assert_array_equal(source.roofs.values, [[0, 12]])
-    assert source.issues == {"cells_below_ground": 1}
-    assert source.area.bounds == source.file_extent_m == pytest.approx((X, Y, X + 20, Y + 10))
+    assert source.read_issues == {"cells_below_ground": 1}
+    assert source.area.bounds == pytest.approx((X, Y, X + 20, Y + 10))
 
 
 @pytest.mark.parametrize("value", [np.nan, 1001.0, -9999.0])
@@ -113,4 +113,3 @@ def test_a_sub_box_of_a_real_city_holds_the_same_buildings(data_dir):
     assert 0 < inside.sum() < len(whole.buildings)
     assert shapely.equals_exact(part.buildings.polygons, whole.buildings.polygons[inside]).all()
     np.testing.assert_array_equal(part.buildings.height_m, whole.buildings.height_m[inside])
-    assert part.file_extent_m == whole.file_extent_m

@@ -39,7 +39,7 @@ def test_a_file_without_outlines_says_that_bounds_are_needed(tmp_path):
 
 
 def test_bounds_elsewhere_name_the_extent_and_a_swap(town):
-    with pytest.raises(InputError, match=r"it covers about -74\.012\d, 40\.705\d, -74\.007\d, 40\.709\d"):
+    with pytest.raises(InputError, match=r"it covers about -74\.012\d, 40\.706\d, -74\.008\d, 40\.709\d"):
         ju.City.from_files(town, bounds=(10.0, 50.0, 10.01, 50.01))
     with pytest.raises(InputError, match="look swapped"):
         ju.City.from_files(town, bounds=(41.881, -87.64, 41.882, -87.62))

@@ -159,8 +159,8 @@ def test_an_outline_stays_as_a_podium_under_hanging_parts_where_no_part_stands(t
     geopandas.GeoDataFrame(rows, geometry=[whole, lobby, top, standing, beside], crs=CRS).to_file(path)
     for hanging, count in ((SLABS, 1), (TO_GROUND, None)):
         source = read_buildings(Buildings(path, hanging=hanging), CRS)
-        assert source.issues["outlines_replaced_by_parts"] == 1
-        assert source.issues.get("outlines_kept_as_podiums") == count
+        assert source.read_issues["outlines_replaced_by_parts"] == 1
+        assert source.read_issues.get("outlines_kept_as_podiums") == count
         extent_m = (X_M, Y_M, X_M + SIDE_M, Y_M + SIDE_M)
         surface = build_surface(City(CRS, extent_m, source.buildings, hanging=hanging), GRID, GRID)
         low, high = np.asarray(obstacles_on(surface, [2.0, 60.0]))

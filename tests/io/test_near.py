@@ -89,18 +89,14 @@ def test_buildings_near_a_region_are_those_of_the_whole_file_in_its_order(path):
     part = read_buildings(Buildings(path), UTM, bounds_m=BOX_M)
     assert facts_of(part) == kept_of_whole(path, UTM, BOX_M)
     assert part.buildings.is_part.any()
-    assert part.issues["outlines_replaced_by_parts"] > 0
+    assert part.read_issues["outlines_replaced_by_parts"] > 0
 
 
-def test_what_lies_elsewhere_is_left_out_and_the_whole_extent_is_told(path):
+def test_what_lies_elsewhere_is_left_out(path):
     near, whole = read_vector(path, Near(BOX_M, UTM)), read_vector(path)
     assert 0.3 * len(whole.polygons) < len(near.polygons) < 0.7 * len(whole.polygons)
-    assert whole.extent is None
-    np.testing.assert_allclose(near.extent, shapely.total_bounds(whole.polygons), atol=1e-9)
+    assert (near.is_part, whole.is_part) == (True, False)
     assert near.issues == whole.issues == {"non_polygons": int(path.suffix != ".shp")}
-    part = read_buildings(Buildings(path), UTM, bounds_m=BOX_M)
-    all_of_it = read_buildings(Buildings(path), UTM)
-    np.testing.assert_allclose(part.file_extent_m, all_of_it.file_extent_m, atol=400.0)  # of a box in degrees
 
 
 def test_a_turned_crs_gives_the_same_buildings(path):
@@ -116,7 +112,7 @@ def test_a_region_without_buildings_is_told_of_by_the_whole_file(path):
     part, whole = read_buildings(Buildings(path), UTM, bounds_m=away), read_buildings(Buildings(path), UTM)
     assert len(part.buildings) == 0
     assert part.area.equals(whole.area)
-    assert (part.file_extent_m, part.counts, part.issues) == (whole.file_extent_m, whole.counts, whole.issues)
+    assert part.read_issues == whole.read_issues
 
 
 def test_an_outline_wider_than_the_margin_comes_with_the_parts_at_its_far_end(tmp_path):
@@ -126,7 +122,7 @@ def test_an_outline_wider_than_the_margin_comes_with_the_parts_at_its_far_end(tm
     for name in ("city.gpkg", "city.parquet"):
         path = write(gpd.GeoDataFrame(columns, geometry=[long, *ends], crs=UTM), tmp_path / name)
         part = read_buildings(Buildings(path), UTM, bounds_m=(X, Y, X + 100, Y + 100))
-        assert part.issues["outlines_replaced_by_parts"] == 1
+        assert part.read_issues["outlines_replaced_by_parts"] == 1
         assert len(part.buildings) == 0
 
 

@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.outlines import Outlines, count_tags, polygonal, to_buildings
+from jaxurban.io.read.outlines import Outlines, polygonal, to_buildings
 from jaxurban.settings import Buildings
 from jaxurban.world.city import HeightOrigin
 
@@ -200,26 +200,3 @@ def test_a_file_without_building_or_box_is_refused():
 def test_heights_in_z_are_ignored():
     buildings, _, _ = stand([shapely.force_3d(box(0, 0, 1, 1), 99.0)])
     assert not shapely.has_z(buildings.polygons).any()
-
-
-def test_tags_are_counted_before_any_rule():
-    outlines = Outlines(
-        np.full(5, None, object),
-        {
-            "building": np.array(["yes", "no", "yes", None, "yes"], object),
-            "part": np.array([None, None, None, "yes", "yes"], object),
-            "height": np.array(["5", "x", None, "5", None], object),
-            "levels": np.array(["5", None, "2", None, None], object),
-        },
-        UTM,
-        None,
-        {},
-    )
-    assert count_tags(outlines) == {
-        "building_areas": 4,
-        "with_height": 2,
-        "levels_only": 1,
-        "neither": 1,
-        "part_areas": 1,
-        "areas_tagged_both": 1,
-    }

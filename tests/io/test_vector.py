@@ -79,7 +79,7 @@ def test_columns_of_one_meaning_fill_each_others_gaps(tmp_path):
     )
     source = read_buildings(Buildings(path), UTM)
     assert source.buildings.height_m.tolist() == [9.0, 6.0, 10.0]
-    assert source.issues["heights_unusable"] == 1
+    assert source.read_issues["heights_unusable"] == 1
 
 
 def test_the_rules_for_parts_hold_for_vector_files(tmp_path):
@@ -88,9 +88,8 @@ def test_the_rules_for_parts_hold_for_vector_files(tmp_path):
     frame(columns).to_file(path)
     source = read_buildings(Buildings(path), UTM)
     assert source.buildings.height_m.tolist() == [8.0]
-    assert source.issues["outlines_replaced_by_parts"] == 1
-    assert source.issues["not_buildings"] == 1
-    assert (source.counts["building_areas"], source.counts["part_areas"]) == (1, 1)
+    assert source.read_issues["outlines_replaced_by_parts"] == 1
+    assert source.read_issues["not_buildings"] == 1
 
 
 def test_what_overture_says_is_underground_is_left_out(tmp_path):
@@ -105,7 +104,7 @@ def test_points_are_counted_and_left_out_and_collections_give_their_polygons(tmp
     frame({"height": [1, 2, 3]}, [SQUARE.centroid, mixed, SQUARE]).to_file(path)
     source = read_buildings(Buildings(path), UTM)
     assert source.buildings.height_m.tolist() == [2.0, 3.0]
-    assert source.issues["non_polygons"] == 1
+    assert source.read_issues["non_polygons"] == 1
 
 
 def test_empty_and_broken_geometries_are_counted(tmp_path):
@@ -116,7 +115,7 @@ def test_empty_and_broken_geometries_are_counted(tmp_path):
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
     source = read_buildings(Buildings(path), "EPSG:32631")
     assert len(source.buildings) == 1
-    assert (source.issues["polygons_dropped"], source.issues["polygons_repaired"]) == (2, 1)
+    assert (source.read_issues["polygons_dropped"], source.read_issues["polygons_repaired"]) == (2, 1)
 
 
 def test_metres_in_a_geojson_are_refused_with_the_remedy(tmp_path):

@@ -6,8 +6,9 @@ region at least, and a line in `OUTLINE_READERS`.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,7 +19,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.guesses import FLAT_GROUND, count_guesses, district_guesses, height_guesses, warn_of
 from jaxurban.io.read.osm import OSM_SUFFIXES, format_of, header_box, read_osm
-from jaxurban.io.read.outlines import Near, Outlines, box_between, count_tags, meets, to_buildings
+from jaxurban.io.read.outlines import Near, Outlines, meets, to_buildings
 from jaxurban.io.read.raster import (
     RASTER_SUFFIXES,
     check_is_no_surface,
@@ -32,7 +33,7 @@ from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import Population
 from jaxurban.settings import MAX_HEIGHT_M, SLABS
-from jaxurban.world.city import Buildings, City, Raster, ReadIssue, ReadIssues, joined_credits
+from jaxurban.world.city import City, Raster, ReadIssue, joined_credits
 from jaxurban.world.grid import WGS84, Bounds, check_bounds, projected_crs, transformer, utm_crs, where_it_lies
 
 OutlineReader = Callable[[Path, Near | None, bool], Outlines]
@@ -46,30 +47,6 @@ BLOCKS_A_SIDE = 64  # into which a raster with holes is cut
 LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
 TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
 RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
-
-
-@dataclass(frozen=True)
-class BuildingSource:
-    """What a file of buildings holds: outlines, or a raster of roof heights.
-
-    Attributes:
-      buildings: outlines that stand, or None for a raster.
-      roofs: roof heights above ground, or None for outlines.
-      area: where it knows what stands, in the city's CRS: of what was kept; the whole file's where nothing was.
-      file_extent_m: x_min, y_min, x_max, y_max in the city's CRS of the whole file.
-      issues: what was met, mended and left out in what was read, counted by `jaxurban.world.city.ReadIssue`: in
-        an OpenStreetMap file all of it, in other files the surroundings of the region.
-      counts: outlines that were read by tags, before any rule (see `count_tags`); empty for a raster.
-      attribution: the credit that the licence asks for, "" where nothing is known.
-    """
-
-    buildings: Buildings | None
-    roofs: Raster | None
-    area: shapely.Geometry
-    file_extent_m: Bounds
-    issues: ReadIssues
-    counts: dict[str, int]
-    attribution: str = ""
 
 
 def read_city(
@@ -94,8 +71,8 @@ def read_city(
     ground = None if terrain.source is None else read_raster(terrain.source, crs, wide_m)
     source = read_buildings(buildings, crs, bounds_m=wide_m, terrain=ground)
     if not buildings.allow_none:
-        _check_has_building(buildings, source, bounds, box_m, crs)
-    issues = dict(source.issues)
+        _check_has_building(buildings, source, bounds, box_m)
+    issues = dict(source.read_issues)
     guesses = height_guesses(source.buildings, box_m, buildings)
     people = population or Population()
     files = {"buildings": buildings.source, "terrain": terrain.source}
@@ -108,45 +85,37 @@ def read_city(
     if terrain.source is None:
         guesses |= FLAT_GROUND
     warn_of(guesses)
-    return City(
-        crs=crs,
-        extent_m=source.area.bounds,
-        buildings=source.buildings,
-        roofs=source.roofs,
+    return replace(
+        source,
         blocks=blocks,
         terrain=ground,
         terrain_extent_m=None if terrain.source is None else raster_extent_m(terrain.source, crs),
         read_issues=issues,
-        counts=source.counts,
         attribution=joined_credits(source.attribution, buildings.credit, terrain.credit, people.credit),
         guesses=guesses,
         sources={role: str(path) for role, path in files.items() if path is not None},
         bounds=(west, south, east, north),
-        area=source.area,
-        hanging=buildings.hanging,
     )
 
 
-def _check_has_building(
-    buildings: settings.Buildings, source: BuildingSource, bounds: Sequence[float], box_m: Bounds, crs: str
-) -> None:
+def _check_has_building(buildings: settings.Buildings, source: City, bounds: Sequence[float], box_m: Bounds) -> None:
     """Raise InputError unless a building stands in the region: any outline there, or any cell of a raster."""
     if source.buildings is not None:
         if shapely.intersects(source.buildings.polygons, shapely.box(*box_m)).any():
             return
     elif source.roofs is not None and (source.roofs.values > 0).any():
         return
-    extent = transformer(crs, WGS84).transform_bounds(*source.file_extent_m)
     raise InputError(
-        f"{str(buildings.source)!r} has no building in the region {list(bounds)}: {where_it_lies(extent, bounds)}; "
+        f"{str(buildings.source)!r} has no building in the region {list(bounds)}: "
+        f"{where_it_lies(lonlat_extent(buildings.source), bounds)}; "
         "move [region] bounds there, or set [buildings] allow_none = true if there are none"
     )
 
 
 def read_buildings(
     file: settings.Buildings, crs: str, *, bounds_m: Bounds | None = None, terrain: Raster | None = None
-) -> BuildingSource:
-    """Return the buildings in a file.
+) -> City:
+    """Return the buildings in a file as a city of these alone, with the area where the file knows what stands.
 
     Args:
       file: which, and what to make of it.
@@ -173,10 +142,10 @@ def read_buildings(
         raise InputError(f'[buildings] kind = "surface" is for rasters, and {str(path)!r} is not one: leave it out')
     if bounds_m is not None:
         outlines = read(path, Near(bounds_m, crs), is_slabs)
-        source = _source_of(file, outlines, crs, bounds_m)
-        if outlines.extent is None or len(source.buildings or ()):
-            return source
-    return _source_of(file, read(path, None, is_slabs), crs, bounds_m)  # what nothing is near of tells all it covers
+        city = _city_of(file, outlines, crs, bounds_m)
+        if not outlines.is_part or len(city.buildings or ()):
+            return city
+    return _city_of(file, read(path, None, is_slabs), crs, bounds_m)  # what nothing is near of tells all it covers
 
 
 def _reader_of(path: Path) -> OutlineReader | None:
@@ -214,25 +183,20 @@ def lonlat_extent(path: str | Path) -> Bounds:
     return transformer(outlines.crs, WGS84).transform_bounds(*shapely.total_bounds(outlines.polygons))
 
 
-def _source_of(file: settings.Buildings, outlines: Outlines, crs: str, bounds_m: Bounds | None) -> BuildingSource:
+def _city_of(file: settings.Buildings, outlines: Outlines, crs: str, bounds_m: Bounds | None) -> City:
     """Return the buildings that outlines make, those that touch ``bounds_m``."""
     buildings, boxes_m, issues = to_buildings(file, outlines, crs)
-    if outlines.extent is None:
-        area = area_of_outlines(buildings.polygons, boxes_m)
-        file_extent_m: Bounds | None = area.bounds
-    else:
-        area = shapely.Polygon()
-        file_extent_m = box_between(outlines.extent, outlines.crs, crs)
+    area = shapely.Polygon() if outlines.is_part else area_of_outlines(buildings.polygons, boxes_m)
     if bounds_m is not None:
         buildings = buildings.take(meets(buildings.boxes_m.T, bounds_m))
         near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
         kept = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
         area = area if kept.is_empty else kept
-    file_extent_m = area.bounds if file_extent_m is None else file_extent_m
-    return BuildingSource(buildings, None, area, file_extent_m, issues, count_tags(outlines), outlines.attribution)
+    facts: dict[str, Any] = {"read_issues": issues, "attribution": outlines.attribution, "hanging": file.hanging}
+    return City(crs, area.bounds, buildings, area=area, **facts)
 
 
-def _read_roofs(path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrain: Raster | None) -> BuildingSource:
+def _read_roofs(path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrain: Raster | None) -> City:
     """Return a raster's heights; those below 0 (noise of surface minus terrain) are ground and are counted."""
     name, raster = repr(str(path)), read_raster(path, crs, bounds_m)
     if kind == "surface":
@@ -243,7 +207,8 @@ def _read_roofs(path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrai
         roofs = replace(raster, values=np.where(is_below, np.float32(0), raster.values))
         issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
     check_range(name, raster.values if kind == "height" else roofs.values, (LOWEST_ROOF_M, MAX_HEIGHT_M))
-    return BuildingSource(None, roofs, area_of_raster(roofs, crs), raster_extent_m(path, crs), issues, {})
+    area = area_of_raster(roofs, crs)
+    return City(crs, area.bounds, roofs=roofs, area=area, read_issues=issues)
 
 
 def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.Geometry:

@@ -54,8 +54,7 @@ class Outlines:
       boxes: x_min, y_min, x_max, y_max in ``crs`` each, that the file says it covers.
       issues: what the reader met.
       attribution: the credit that the data's licence asks for.
-      extent: x_min, y_min, x_max, y_max in ``crs`` of all that the file holds, where these are the outlines near a
-        region only; None where they are all.
+      is_part: whether these are the outlines near a region only.
     """
 
     polygons: np.ndarray
@@ -64,7 +63,7 @@ class Outlines:
     boxes: tuple[Bounds, ...]
     issues: ReadIssues
     attribution: str = ""
-    extent: Bounds | None = None
+    is_part: bool = False
 
     def column(self, name: str) -> np.ndarray:
         """Return a tag of every outline, ``[N]`` objects, None where it is missing."""
@@ -145,25 +144,6 @@ def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
     return tags
 
 
-def count_tags(outlines: Outlines) -> dict[str, int]:
-    """Return how many outlines the file tags as what, before any rule is applied.
-
-    ``building_areas`` split into ``with_height``, ``levels_only`` and ``neither``; ``part_areas`` are tagged
-    ``building:part`` only, ``areas_tagged_both`` are among the ``building_areas``.
-    """
-    building, part, height, levels = (is_given(outlines.column(n)) for n in ("building", "part", "height", "levels"))
-    if "building" not in outlines.tags:
-        building = ~part
-    return {
-        "building_areas": int(np.sum(building)),
-        "with_height": int(np.sum(building & height)),
-        "levels_only": int(np.sum(building & ~height & levels)),
-        "neither": int(np.sum(building & ~height & ~levels)),
-        "part_areas": int(np.sum(part & ~building)),
-        "areas_tagged_both": int(np.sum(part & building)),
-    }
-
-
 def to_buildings(file: settings.Buildings, outlines: Outlines, crs: str) -> tuple[Buildings, list[Bounds], ReadIssues]:
     """Return the buildings that stand, the boxes in ``crs`` that the file declares to cover, and its issues.
 
@@ -189,7 +169,7 @@ def to_buildings(file: settings.Buildings, outlines: Outlines, crs: str) -> tupl
     polygons, index = polygons[is_sound], index[is_sound]
     to_city = transformer(outlines.crs, crs)
     boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
-    if not (boxes_m or len(index) or outlines.extent):
+    if not (boxes_m or len(index) or outlines.is_part):
         raise InputError(f"{str(file.source)!r} holds no building: give a file with polygons of buildings")
 
     is_part, is_deck = is_part[index], is_deck[index]

@@ -15,7 +15,7 @@ import shapely
 from jaxurban.errors import InputError, readable
 from jaxurban.io.read.outlines import Near, Outlines, extent_of, is_of_buildings, near_rows, polygonal, tags_of
 from jaxurban.world.city import ReadIssue
-from jaxurban.world.grid import Bounds, check_on_earth
+from jaxurban.world.grid import check_on_earth
 
 PARQUET_SUFFIXES = (".parquet", ".geoparquet")
 INDEXED_SUFFIXES = (".gpkg", ".shp")  # whose features are found by their boxes
@@ -170,11 +170,8 @@ def _check(name: str, frame: gpd.GeoDataFrame, extent: Sequence[float]) -> None:
         )
 
 
-def _read_near(path: str | Path, near: Near) -> tuple[gpd.GeoDataFrame, Bounds] | None:
-    """Return the buildings near a region by the index of a GeoPackage or a Shapefile, in order, and the box of all.
-
-    None where boxes do not tell.
-    """
+def _read_near(path: str | Path, near: Near) -> gpd.GeoDataFrame | None:
+    """Return the buildings near a region by the index of a GeoPackage or a Shapefile, in order; None without one."""
     if Path(path).suffix.lower() not in INDEXED_SUFFIXES:
         return None
     name = _name(path, BUILDINGS)
@@ -191,7 +188,7 @@ def _read_near(path: str | Path, near: Near) -> tuple[gpd.GeoDataFrame, Bounds] 
         options: dict[str, Any] = {"columns": columns, "bbox": box, "on_invalid": "ignore", "fid_as_index": True}
         frame = pyogrio.read_dataframe(path, layer=layer, **options).sort_index().reset_index(drop=True)
     _check(name, frame, facts["total_bounds"])
-    return frame, facts["total_bounds"]
+    return frame
 
 
 def _polygon_layer(path: str | Path, wanted: str) -> str:
@@ -225,14 +222,12 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
       InputError: a file that cannot be read, has no CRS, or holds coordinates beyond the globe though its CRS is in
         degrees; a GeoPackage with several layers of polygons and not one of them called ``buildings``.
     """
-    extent, found = None, None if near is None else _read_near(path, near)
-    if found is not None:
-        frame, extent = found
-    else:
+    frame = None if near is None else _read_near(path, near)
+    is_part = frame is not None
+    if frame is None:
         frame = open_frame(path, BUILDINGS, allow_empty=True)
         if near is not None and (box := near.box_in(frame.crs.to_wkt())):
-            boxes = shapely.bounds(frame.geometry.to_numpy())
-            frame, extent = frame[near_rows(boxes, box)], extent_of(boxes)
+            frame, is_part = frame[near_rows(shapely.bounds(frame.geometry.to_numpy()), box)], True
     shapes = np.array(frame.geometry, object)
     is_mixed = shapely.get_type_id(shapes) == shapely.GeometryType.GEOMETRYCOLLECTION
     shapes[is_mixed] = [polygonal(shape) for shape in shapes[is_mixed]]
@@ -243,7 +238,7 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
         crs=frame.crs.to_wkt(),
         boxes=(),
         issues={ReadIssue.NON_POLYGONS: int(np.sum(~is_polygon))},
-        extent=extent,
+        is_part=is_part,
     )
 
 
