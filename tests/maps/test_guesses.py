@@ -75,7 +75,9 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     houses = write_buildings(tmp_path / "town.geojson", ["30", None, None, "25"], [None, "4", None, "2"])
     code, _, err = run(capsys, "maps", write_scenario(tmp_path), "-o", tmp_path / "out")
     assert code == 0
-    sentence = "heights of 50 % of the 4 buildings in the region are guessed (1 by 3 m a level, 1 the default of 10 m)"
+    sentence = (
+        "50 % of the heights of the 4 buildings in the region are guessed (1 by 3 m a level, 1 the default of 10 m)"
+    )
     assert [line for line in err.splitlines() if sentence in line and line.startswith("jaxurban: warning: ")]
     found = json.loads((tmp_path / "out/run.json").read_text())["warnings"]
     assert sum(sentence in warning for warning in found) == 1
@@ -283,10 +285,10 @@ def test_counts_that_are_read_as_zero_are_told(tmp_path, counts, words):
     [
         ("BoroCD", (101, 107), None, {"COMMERCIAL", "RESIDENTIAL"}, None),
         ("boro_cd", (101, 107), None, {"COMMERCIAL", "RESIDENTIAL"}, None),
-        ("ward", (101, 107), None, {"RESIDENTIAL"}, "nobody says which districts of 'districts.geojson' (ward) are"),
+        ("ward", (101, 107), None, {"RESIDENTIAL"}, "commercial lists no district of 'districts.geojson' (ward), so"),
         ("ward", (101, 107), (107,), {"COMMERCIAL", "RESIDENTIAL"}, None),
         ("ward", (1, 2), (), {"RESIDENTIAL"}, None),
-        ("ward", (1, 2), (101, 102), {"RESIDENTIAL"}, "has no district (ward) of the [population] commercial list"),
+        ("ward", (1, 2), (101, 102), {"RESIDENTIAL"}, "commercial lists no district of 'districts.geojson' (ward), so"),
     ],
 )
 def test_new_yorks_commercial_districts_are_no_other_citys(tmp_path, field, labels, commercial, zoned, words):

@@ -17,7 +17,7 @@ import shapely
 from jaxurban import settings
 from jaxurban.errors import InputError
 from jaxurban.io.read.census import read_blocks
-from jaxurban.io.read.guesses import FLAT_GROUND, count_guesses, district_guesses, height_guesses, warn_of
+from jaxurban.io.read.guesses import FLAT_GROUND, census_guesses, height_guesses, warn_of
 from jaxurban.io.read.osm import OSM_SUFFIXES, format_of, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets, to_buildings
 from jaxurban.io.read.raster import (
@@ -81,7 +81,7 @@ def read_city(
     if people.blocks is not None:
         blocks, block_issues = read_blocks(people, crs, wide_m)
         issues |= block_issues
-        guesses |= count_guesses(block_issues, blocks) | district_guesses(block_issues, people)
+        guesses |= census_guesses(block_issues, blocks, people)
     if terrain.source is None:
         guesses |= FLAT_GROUND
     warn_of(guesses)

@@ -49,6 +49,11 @@ def percent(share: float) -> str:
     return "< 1 %" if 0 < share < 0.01 else "> 99 %" if 0.99 < share < 1 else f"{100 * share:.0f} %"
 
 
+def _of_share(share: float, name: str, sentence: str, least: float = TOLD_SHARE) -> Guesses:
+    """Return the guess on a share of something, which begins its name and its sentence; none up to ``least``."""
+    return {f"{percent(share)} of {name}": f"{percent(share)} of {sentence}"} if share > least else {}
+
+
 def guessed_share(buildings: Buildings, bounds_m: Bounds) -> float:
     """Return the share of the buildings in a box whose height is guessed, 0 without a building."""
     is_guessed = buildings.is_guessed[shapely.intersects(buildings.polygons, shapely.box(*bounds_m))]
@@ -57,56 +62,48 @@ def guessed_share(buildings: Buildings, bounds_m: Bounds) -> float:
 
 def height_guesses(buildings: Buildings | None, bounds_m: Bounds, file: settings.Buildings) -> Guesses:
     """Return what was supposed of the heights of the buildings in a box; nothing of a height raster."""
-    if buildings is None or (share := guessed_share(buildings, bounds_m)) < TOLD_SHARE:
+    if buildings is None:
         return {}
     inside = buildings.take(shapely.intersects(buildings.polygons, shapely.box(*bounds_m)))
     numbers = vars(file) | {"layer_clearance_m": LAYER_CLEARANCE_M}
     counts = {words: int((inside.origin == origin).sum()) for origin, words in GUESSED_BY.items()}
     how = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
-    return {
-        f"{percent(share)} of heights": (
-            f"the heights of {percent(share)} of the {len(inside):,} buildings in the region are guessed ({how}): give "
-            "a source with heights, or set [buildings] level_height_m and default_height_m"
-        )
-    }
+    return _of_share(
+        guessed_share(buildings, bounds_m),
+        "heights",
+        f"the heights of the {len(inside):,} buildings in the region are guessed ({how}): give a source with heights, "
+        "or set [buildings] level_height_m and default_height_m",
+    )
 
 
-def count_guesses(issues: ReadIssues, blocks: Blocks) -> Guesses:
-    """Return what was supposed of the people in census blocks, by the issues of `read_blocks`."""
-    if not blocks.night_count.any():
-        return {"nobody": "all census counts in and around the region are 0: check [population] table and its count"}
+def census_guesses(issues: ReadIssues, blocks: Blocks, files: Population) -> Guesses:
+    """Return what was supposed of the people in census blocks and of their districts.
+
+    Args:
+      issues: of `read_blocks`.
+      blocks: that were read.
+      files: that they were read from.
+    """
+    guesses = {}
     num_missing, num_unreadable = issues[ReadIssue.BLOCKS_WITHOUT_COUNT], issues[ReadIssue.COUNTS_UNREADABLE]
-    if not num_missing:
-        return {}
-    return {
-        f"{num_missing:,} blocks without a count": (
+    if not blocks.night_count.any():
+        guesses["nobody"] = "all census counts in and around the region are 0: check [population] table and its count"
+    elif num_missing:
+        guesses[f"{num_missing:,} blocks without a count"] = (
             f"{num_missing:,} of {len(blocks):,} census blocks in and around the region are read as 0 people (in "
             f"{num_unreadable:,} the count cannot be read, {num_missing - num_unreadable:,} have none): mend the "
             "counts, or write 0 where nobody lives"
         )
-    }
-
-
-def district_guesses(issues: ReadIssues, files: Population) -> Guesses:
-    """Return what was supposed of the districts: that no district is commercial, as nobody says which.
-
-    Args:
-      issues: of `read_blocks`.
-      files: that were read.
-    """
-    if files.districts is None:
-        return {}
-    name, field = Path(files.districts).name, files.district_field
-    if files.commercial is None and not files.commercial_labels:
-        found = f"nobody says which districts of {name!r} ({field}) are commercial, so all count as residential"
-    elif files.commercial and issues[ReadIssue.COMMERCIAL_NOT_FOUND] == len(files.commercial):
-        found = f"{name!r} has no district ({field}) of the [population] commercial list, so all count as residential"
-    else:
-        return {}
-    return {
-        "no commercial district": f"{found} and by day every block takes gamma_residential: list the labels in "
-        "[population] commercial, or give [] for none"
-    }
+    listed = files.commercial or files.commercial_labels
+    is_known = bool(listed) and issues[ReadIssue.COMMERCIAL_NOT_FOUND] < len(listed)
+    means_none = files.commercial is not None and not files.commercial
+    if files.districts is not None and not (is_known or means_none):
+        guesses["no commercial district"] = (
+            f"[population] commercial lists no district of {Path(files.districts).name!r} ({files.district_field}), so "
+            "all count as residential and by day every block takes gamma_residential: list the labels, or give [] for "
+            "none"
+        )
+    return guesses
 
 
 def is_of_sky(name: str) -> bool:
@@ -157,7 +154,13 @@ def region_guesses(
     """
     guesses = {**city.guesses, **sky.guesses}
     if city.sources:
-        guesses |= _visibility_guesses(city, region, sky, altitude_m)
+        _, share = leaving_shares(city, region, sky, altitude_m)
+        guesses |= _of_share(
+            share,
+            BEYOND_DATA,
+            f"the visibility results at {altitude_m:g} m are of rays that leave the data below the highest roof and "
+            "count as clear there, so GPS may look better than it is: give buildings farther around",
+        )
     else:
         guesses.pop(NOMINAL_SKY, None)
     guesses |= _coverage_guesses(city, region) | _hanging_guesses(city, region)
@@ -165,7 +168,11 @@ def region_guesses(
         guesses |= _layer_guesses(name, values[0], region)
     if city.blocks is not None and people is not None:
         if city.sources and {*params.times_of_day} - {"night"}:
-            guesses |= _factor_guess(params)
+            guesses["people by factors"] = (
+                f"people by day are not counted: they are the census's times {params.gamma_commercial:g} in commercial "
+                f"districts and {params.gamma_residential:g} elsewhere; set [population] gamma_commercial and "
+                "gamma_residential"
+            )
         guesses |= _scale_guesses(city.blocks, region.bounds_m, people, params)
     return guesses
 
@@ -195,20 +202,22 @@ def outside_share(region: Grid, known: shapely.Geometry) -> float:
 
 def _coverage_guesses(city: City, region: Grid) -> Guesses:
     """Return how much of the region is taken as free of buildings, or of people, as nothing is known there."""
-    guesses = {}
-    if (outside := outside_share(region, city.known_area)) > TOLD_SHARE:
-        guesses[f"{percent(outside)} of the region without data"] = (
-            f"{percent(outside)} of the region lies beyond what the building source covers and is taken as free of "
-            "buildings: give a source that covers it, or a smaller region"
-        )
+    guesses = _of_share(
+        outside_share(region, city.known_area),
+        "the region without data",
+        "the region lies beyond what the building source covers and is taken as free of buildings: give a source that "
+        "covers it, or a smaller region",
+    )
     if city.blocks is not None and city.sources:
         box = shapely.box(*region.bounds_m)
-        empty = 1.0 - float(shapely.area(shapely.intersection(city.blocks.polygons, box)).sum()) / float(box.area)
-        if empty > EMPTY_SHARE:
-            guesses[f"{percent(empty)} of the region without census"] = (
-                f"{percent(empty)} of the region lies in no census block and is taken as without people: give blocks "
-                "that cover it, unless it is water"
-            )
+        inhabited_m2 = shapely.area(shapely.intersection(city.blocks.polygons, box)).sum()
+        guesses |= _of_share(
+            1.0 - float(inhabited_m2) / float(box.area),
+            "the region without census",
+            "the region lies in no census block and is taken as without people: give blocks that cover it, unless it "
+            "is water",
+            EMPTY_SHARE,
+        )
     return guesses
 
 
@@ -216,23 +225,21 @@ def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesse
     """Return how much of the region a layer's raster closes, as it ends before or has large holes."""
     if not isinstance(band, Raster):
         return {}
-    (num_rows, num_cols), along = band.values.shape, np.linspace(0.0, 1.0, SIDE_POINTS)
-    row = np.concatenate([0 * along, along, 0 * along + 1, 1 - along]) * num_rows
-    col = np.concatenate([along, 0 * along + 1, 1 - along, 0 * along]) * num_cols
-    raster = shapely.Polygon(np.stack(pixel_xy(band, row, col, region.crs), -1))
-    outside = outside_share(region, shapely.make_valid(raster))
-    guesses = {}
-    if outside > TOLD_SHARE:
-        guesses[f"{percent(outside)} of the region beyond layer {name}"] = (
-            f"{percent(outside)} of the region lies beyond the raster of layer {name} and is closed to every path: "
-            "give a raster that covers it, or a smaller region"
-        )
-    if (empty := float(np.isnan(band.values).mean())) > EMPTY_SHARE:
-        guesses[f"{percent(empty)} of layer {name} without a value"] = (
-            f"{percent(empty)} of the pixels of layer {name} hold no value and are closed to every path: fill them, "
-            'unless they are meant to be closed, or set nan = "error"'
-        )
-    return guesses
+    num_rows, num_cols = band.values.shape
+    border = shapely.get_coordinates(shapely.segmentize(shapely.box(0, 0, 1, 1), 1 / SIDE_POINTS))
+    raster = shapely.Polygon(np.stack(pixel_xy(band, border[:, 1] * num_rows, border[:, 0] * num_cols, region.crs), -1))
+    return _of_share(
+        outside_share(region, shapely.make_valid(raster)),
+        f"the region beyond layer {name}",
+        f"the region lies beyond the raster of layer {name} and is closed to every path: give a raster that covers it, "
+        "or a smaller region",
+    ) | _of_share(
+        float(np.isnan(band.values).mean()),
+        f"layer {name} without a value",
+        f"the pixels of layer {name} hold no value and are closed to every path: fill them, unless they are meant to "
+        'be closed, or set nan = "error"',
+        EMPTY_SHARE,
+    )
 
 
 def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tuple[float, float]:
@@ -245,29 +252,6 @@ def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tup
     run_m = max(highest_top_m(city) - altitude_m, 0.0) / np.tan(sky.elevation_rad[sky.is_in_view])
     leaves = rays_leaving(city, region, run_m * np.sin(azimuth_rad), run_m * np.cos(azimuth_rad))
     return float(leaves.any(axis=1).mean()), float(leaves.mean())
-
-
-def _visibility_guesses(city: City, region: Grid, sky: Sky, altitude_m: float) -> Guesses:
-    _, share = leaving_shares(city, region, sky, altitude_m)
-    if share < TOLD_SHARE:
-        return {}
-    return {
-        f"{percent(share)} of {BEYOND_DATA}": (
-            f"{percent(share)} of the visibility results at {altitude_m:g} m are of rays that leave the data below the "
-            "highest roof and count as clear there, so GPS may look better than it is: give buildings farther around"
-        )
-    }
-
-
-def _factor_guess(params: Population) -> Guesses:
-    """Return that the people of other times than the night are the census's, times a factor."""
-    return {
-        "people by factors": (
-            f"people by day are not counted: they are the census's times {params.gamma_commercial:g} in commercial "
-            f"districts and {params.gamma_residential:g} elsewhere; set [population] gamma_commercial and "
-            "gamma_residential"
-        )
-    }
 
 
 def _scale_guesses(blocks: Blocks, bounds_m: Bounds, population_layers: BlockLayers, params: Population) -> Guesses:
