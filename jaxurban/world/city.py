@@ -76,7 +76,6 @@ class ReadIssue(StrEnum):
       CELLS_NEAR_GROUND: of a surface model: taken for ground.
       BLOCKS_WITHOUT_COUNT: kept with 0 people: no row, or a count that cannot be read.
       COUNTS_UNREADABLE: of these, those with a count that cannot be read.
-      COUNTS_WITH_NOTE: such as 123 (r45678); the number counts.
       COUNTS_WITHOUT_BLOCK: rows of the table for blocks that the whole blocks file lacks.
       BLOCKS_WITHOUT_POLYGON: left out.
       BLOCKS_WITHOUT_DISTRICT: in district 13.
@@ -107,7 +106,6 @@ class ReadIssue(StrEnum):
     CELLS_NEAR_GROUND = "cells_near_ground"
     BLOCKS_WITHOUT_COUNT = "blocks_without_count"
     COUNTS_UNREADABLE = "counts_unreadable"
-    COUNTS_WITH_NOTE = "counts_with_note"
     COUNTS_WITHOUT_BLOCK = "counts_without_block"
     BLOCKS_WITHOUT_POLYGON = "blocks_without_polygon"
     BLOCKS_WITHOUT_DISTRICT = "blocks_without_district"

@@ -47,7 +47,6 @@ def test_blocks_of_any_format_join_the_table_of_two_header_rows(tmp_path, sf1, s
     assert {name: number for name, number in issues.items() if number} == {
         "blocks_without_count": 1,
         "blocks_without_district": 3,
-        "counts_with_note": 1,
         "counts_without_block": 1,
     }
 

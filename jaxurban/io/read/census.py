@@ -1,6 +1,7 @@
 """Census blocks: polygons joined to a population table, or the pixels of a raster of people; and their districts."""
 
 import re
+from collections import Counter
 from collections.abc import Collection
 from pathlib import Path
 
@@ -22,19 +23,14 @@ from jaxurban.world.grid import Bounds, projected_crs, transformer
 # FactFinder), 2020 P1 and DHC, TIGER with counts, GIS joins, and plain tables.
 COUNT_COLUMNS = (
     *("p001001", "d001", "p1_001n", "p0010001", "pop10", "pop20", "pop100", "u7h001", "h7v001"),
-    *("population", "total_population", "pop_total", "pop", "total", "count"),
+    *("population", "total_population", "pop_total", "pop", "people", "total", "count"),
 )
 GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")  # summary level, variant and component, before the digits of the id
 # A number as spreadsheets write it (1,200 or 1 200 or +5 or 1.2E+03), with a note such as (r45678) or none.
-COUNT = re.compile(r"\s*(\+?\d[\d,\s]*(?:\.\d*)?(?:[eE]\+?\d{1,2})?)\s*(\(.*\))?\s*")
+COUNT = re.compile(r"\s*(\+?\d[\d,\s]*(?:\.\d*)?(?:[eE]\+?\d{1,2})?)\s*(?:\(.*\))?\s*")
 
 AREAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 PAPER_DISTRICTS = tuple(range(101, 113))  # Manhattan's twelve; 164 is Central Park
-ISSUES = (
-    *(ReadIssue.BLOCKS_WITHOUT_COUNT, ReadIssue.COUNTS_UNREADABLE, ReadIssue.BLOCKS_WITHOUT_POLYGON),
-    *(ReadIssue.BLOCKS_WITHOUT_DISTRICT, ReadIssue.INVALID_BLOCK_POLYGONS, ReadIssue.INVALID_DISTRICT_POLYGONS),
-    *(ReadIssue.COUNTS_WITH_NOTE, ReadIssue.COUNTS_WITHOUT_BLOCK, ReadIssue.COMMERCIAL_NOT_FOUND),
-)
 
 
 def read_blocks(files: Population, crs: str, bounds_m: Bounds | None = None) -> tuple[Blocks, ReadIssues]:
@@ -49,7 +45,7 @@ def read_blocks(files: Population, crs: str, bounds_m: Bounds | None = None) -> 
       InputError: a file or field is missing or unreadable, ids are not unique, no row joins any block, or no block
         touches the box.
     """
-    issues: ReadIssues = dict.fromkeys(ISSUES, 0)
+    issues: Counter[ReadIssue] = Counter()
     assert files.blocks is not None
     if Path(files.blocks).suffix.lower() in RASTER_SUFFIXES:
         if files.table is not None:
@@ -110,7 +106,7 @@ def read_people(
     return shapely.polygons(rings), raster.values[row, col], ids
 
 
-def _polygons(files: Population, crs: str, bounds_m: Bounds | None, issues: ReadIssues) -> gpd.GeoDataFrame:
+def _polygons(files: Population, crs: str, bounds_m: Bounds | None, issues: Counter[ReadIssue]) -> gpd.GeoDataFrame:
     """Return block polygons with ``_id`` and ``_count``, NaN where there is none; ``issues`` gets what was met."""
     path, field = str(files.blocks), files.block_field
     frame = _open(path, "blocks", field, "[population] block_field")
@@ -125,8 +121,7 @@ def _polygons(files: Population, crs: str, bounds_m: Bounds | None, issues: Read
     else:
         counts = _counts_in_table(files.table, key, f"{field!r} of {path!r}")
     issues[ReadIssue.COUNTS_WITHOUT_BLOCK] = int((~counts.index.isin(key)).sum())
-    frame = frame.assign(_id=block_id, _count=key.map(counts.number), _note=key.map(counts.note))
-    frame["_has_row"] = key.isin(counts.index)
+    frame = frame.assign(_id=block_id, _count=key.map(counts), _has_row=key.isin(counts.index))
     frame, num_lost, num_invalid = clean_polygons(frame, crs, bounds_m)
     num_unreadable = int((frame["_count"].isna() & frame["_has_row"]).sum())
     if num_unreadable == len(frame) > 0:
@@ -135,7 +130,6 @@ def _polygons(files: Population, crs: str, bounds_m: Bounds | None, issues: Read
         )
     issues[ReadIssue.COUNTS_UNREADABLE], issues[ReadIssue.BLOCKS_WITHOUT_POLYGON] = num_unreadable, num_lost
     issues[ReadIssue.INVALID_BLOCK_POLYGONS] = num_invalid
-    issues[ReadIssue.COUNTS_WITH_NOTE] = int(frame["_note"].eq(True).sum())
     return frame
 
 
@@ -194,11 +188,10 @@ def _keys(column: pd.Series) -> pd.Series:
     return _ids(column).str.lstrip("0")
 
 
-def _parse_counts(column: pd.Series, key: pd.Series) -> pd.DataFrame:
-    """Return ``number`` (NaN where unreadable) and ``note`` (whether the count carries one) by key."""
-    parts = column.astype(str).str.extract(f"^{COUNT.pattern}$")
-    number = pd.to_numeric(parts[0].str.replace(r"[,\s]", "", regex=True), errors="coerce").to_numpy(np.float64)
-    return pd.DataFrame({"number": number, "note": parts[1].notna().to_numpy()}, index=pd.Index(key))
+def _parse_counts(column: pd.Series, key: pd.Series) -> pd.Series:
+    """Return counts of people by key, NaN where unreadable."""
+    number = column.astype(str).str.extract(f"^{COUNT.pattern}$")[0].str.replace(r"[,\s]", "", regex=True)
+    return pd.Series(pd.to_numeric(number, errors="coerce").to_numpy(np.float64), index=pd.Index(key, name="key"))
 
 
 def _count_column(columns: pd.Index) -> str | None:
@@ -207,7 +200,7 @@ def _count_column(columns: pd.Index) -> str | None:
     return next((by_name[name] for name in COUNT_COLUMNS if name in by_name), None)
 
 
-def _counts_in_blocks(fields: pd.DataFrame, key: pd.Series, path: str | Path) -> pd.DataFrame:
+def _counts_in_blocks(fields: pd.DataFrame, key: pd.Series, path: str | Path) -> pd.Series:
     """Return the counts that the blocks file itself holds, by key."""
     column = _count_column(fields.columns)
     if column is None:
@@ -218,7 +211,7 @@ def _counts_in_blocks(fields: pd.DataFrame, key: pd.Series, path: str | Path) ->
     return _parse_counts(fields[column], key)
 
 
-def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd.DataFrame:
+def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd.Series:
     """Return the counts of a CSV by key; ``wanted`` names the field that they are to join, for messages."""
     name = f"[population] table {str(path)!r}"
     with readable(path, "CSV", "check the path and the file", what=name):  # pandas' parser errors are ValueErrors
@@ -235,19 +228,15 @@ def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd
             f"its last row is {shown}: check [population] block_field and that the table is of the same census"
         )
     if count is None:
-        numeric = [c for c in num_joined if c != id_column and table[c].iloc[1:].str.fullmatch(COUNT.pattern).all()]
-        if len(numeric) != 1:
-            raise InputError(
-                f"{name} has no column of population that its name makes known: "
-                f"name one of {', '.join(repr(column) for column in num_joined if column != id_column)} 'population'"
-            )
-        count = numeric[0]
+        raise InputError(
+            f"{name} has no column of population that its name makes known: "
+            f"name one of {', '.join(repr(column) for column in num_joined if column != id_column)} 'population'"
+        )
     if not COUNT.fullmatch(table[count].iloc[0]) and not _keys(table[id_column][:1]).isin(block_keys).any():
         table = table.iloc[1:]  # the second header row
     counts = _parse_counts(table[count], _keys(table[id_column]))
-    counts = counts[~(counts.index.duplicated() & counts.reset_index().duplicated().to_numpy())]
-    twice = counts.index[counts.index.duplicated() & counts.index.isin(block_keys)]
-    if len(twice):
+    counts = counts[~counts.reset_index().duplicated().to_numpy()]
+    if len(twice := counts.index[counts.index.duplicated() & counts.index.isin(block_keys)]):
         raise InputError(
             f"{name} has more than one count for the block {twice[0]!r}: give a table with one row of total "
             "population a block"

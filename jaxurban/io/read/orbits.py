@@ -12,10 +12,8 @@ from datetime import UTC, date, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
-from sgp4 import omm
 from sgp4.api import WGS72, Satrec
 from sgp4.io import verify_checksum
 from skyfield.api import EarthSatellite, Timescale, load, wgs84
@@ -27,11 +25,6 @@ from jaxurban.world.sky import Sky
 
 WARN_AGE_DAYS = 14.0  # SGP4 keeps GPS satellites within about 0.1 degree for two weeks
 TLE_LENGTH = 69
-OPTIONAL_FIELDS = {  # of an OMM: the standard leaves them optional, and SGP4 does not need them
-    **dict.fromkeys(("EPHEMERIS_TYPE", "ELEMENT_SET_NO", "REV_AT_EPOCH", "BSTAR"), "0"),
-    **dict.fromkeys(("MEAN_MOTION_DOT", "MEAN_MOTION_DDOT"), "0"),
-    **{"OBJECT_ID": "", "CLASSIFICATION_TYPE": "U"},
-}
 # How CelesTrak and Space-Track name navigation satellites. GSAT with fewer than four digits is an Indian
 # communications satellite, and Cosmos any Soviet or Russian one: an element file is taken to hold those that navigate.
 SYSTEM_NAMES = {
@@ -42,7 +35,7 @@ SYSTEM_NAMES = {
     "qzss": re.compile(r"QZS"),
     "navic": re.compile(r"IRNSS|NVS"),
 }
-REMEDY = 'give a TLE file or an OMM file (csv, json or xml) such as CelesTrak\'s gps-ops, or "nominal"'
+REMEDY = 'give a TLE file or an OMM file (csv or json) such as CelesTrak\'s gps-ops, or "nominal"'
 
 # Orbit plane -> right ascension of the ascending node, and argument of latitude of its slots 1 to 4; degrees, at
 # 1993-07-01 00:00 UTC. Source: GPS SPS Performance Standard (2001), Table 3-1, Reference Orbit Slot Assignments.
@@ -97,7 +90,7 @@ def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
     """Return the satellites of a file, or the nominal GPS constellation for ``"nominal"``, or of several of these.
 
     Read are two-line elements with or without name lines and orbit mean-elements messages (OMM) as
-    CSV, JSON or XML; the content decides, not the file's name. Each satellite's constellation follows from its name.
+    CSV or JSON; the content decides, not the file's name. Each satellite's constellation follows from its name.
 
     Raises:
       InputError: no source, no such file, another kind of file, a cut or damaged element set, two of one satellite,
@@ -183,19 +176,16 @@ def _check_twice(orbits: Orbits) -> None:
 
 def _read_file(source: str | Path) -> list[EarthSatellite]:
     """Return the satellites of one file."""
-    errors = (csv.Error, ElementTree.ParseError, AttributeError, TypeError)  # the latter: a segment without its parts
-    with readable(source, "whole element sets", REMEDY, *errors, what=f"the orbits file {source}"):
+    with readable(source, "whole element sets", REMEDY, csv.Error, what=f"the orbits file {source}"):
         text = Path(source).read_bytes().decode("utf-8-sig").lstrip()
         header = text.partition("\n")[0]
-        messages: list[Any] | None = None
+        messages: Any = None
         if text.startswith(("{", "[")):
-            parsed = json.loads(text)
-            messages = parsed if isinstance(parsed, list) else [parsed]
-        elif text.startswith("<"):
-            messages = list(omm.parse_xml(io.StringIO(text)))
+            messages = json.loads(text)
         elif "MEAN_MOTION" in header and "," in header:
-            messages = list(csv.DictReader(io.StringIO(text)))
-    satellites = _from_tles(text, source) if messages is None else _from_omms(messages, source)
+            messages = csv.DictReader(io.StringIO(text))
+    listed = [messages] if isinstance(messages, dict) else messages
+    satellites = _from_tles(text, source) if listed is None else _from_omms(listed, source)
     if not satellites:
         raise InputError(f"the orbits file {source} holds no element set: {REMEDY}")
     return satellites
@@ -226,7 +216,7 @@ def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatelli
     satellites = []
     for number, message in enumerate(messages, start=1):
         try:
-            fields = {**OPTIONAL_FIELDS, **message}
+            fields = {**message}
             # SGP4's reader wants the fraction of a second, which the standard leaves optional.
             epoch = parse_time(fields["EPOCH"]).replace(tzinfo=None)
             fields["EPOCH"] = epoch.strftime("%Y-%m-%dT%H:%M:%S.%f")
@@ -235,15 +225,11 @@ def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatelli
             elements = (model.no_kozai, model.ecco, model.inclo, model.nodeo, model.argpo, model.mo)
             if not all(map(math.isfinite, elements)):
                 raise ValueError("an element is not finite")
+            if str(fields.get("TIME_SYSTEM") or "UTC").strip().upper() != "UTC":
+                raise ValueError(f"its TIME_SYSTEM is {fields['TIME_SYSTEM']}, and only UTC is read")
         except (KeyError, TypeError, ValueError) as error:
             reason = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)
             raise InputError(f"element set {number} of {source} is cut or not an OMM ({reason}): {REMEDY}") from error
-        time_system = str(fields.get("TIME_SYSTEM") or "").strip() or "UTC"
-        if time_system.upper() != "UTC":
-            raise InputError(
-                f"element set {number} of {source} has TIME_SYSTEM {time_system}, and only UTC is read: turn its EPOCH "
-                "into UTC (GPS time is 18 s ahead of it since 2017)"
-            )
         satellite.name = str(fields.get("OBJECT_NAME") or f"catalogue number {model.satnum}").strip()
         satellites.append(satellite)
     return satellites
@@ -273,13 +259,8 @@ def look_angles(
       StaleElementsWarning: elements older than `WARN_AGE_DAYS` at a time.
 
     Raises:
-      InputError: text that is not a time, a point off the Earth, elements too old, or ones that SGP4
-        cannot carry to a time.
+      InputError: text that is not a time, elements too old, or ones that SGP4 cannot carry to a time.
     """
-    if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 360):
-        raise InputError(
-            f"the point of the look angles must be a longitude and a latitude in degrees, got {lon_deg}, {lat_deg}"
-        )
     utc = [parse_time(time) for time in times]
     point = wgs84.latlon(lat_deg, lon_deg, elevation_m=height_m)
     azimuth_rad, elevation_rad, age_days = np.zeros((3, len(utc), len(orbits.satellites)))
