@@ -278,7 +278,7 @@ def write_cog(
     Args:
       path: where to.
       grid: of the map.
-      dtype: of its values; what stands for no value is `jaxurban.io.attributes.no_value`.
+      dtype: of its values; what stands for no value is `jaxurban.metrics.variables.no_value`.
       rows: parts ``[y, x]`` of the map, all its rows from the north to the south; each but the last has a multiple of
         `BLOCK` rows, as GDAL writes a block that is full once.
       is_averaged: whether overviews hold means of the cells that they cover, NaN left out, else the nearest cell.

@@ -207,7 +207,7 @@ def cut_json():
         (b"[]", "holds no element set"),
         (b"[1, 2]", "not an OMM"),
         (b'[{"OBJECT_NAME": ', "cannot be read as whole element sets"),
-        (cut_json().encode(), "no MEAN_MOTION|no ARG_OF_PERICENTER"),
+        (cut_json().encode(), "cut or not an OMM .no [A-Z_]+"),
         (b"<html><body>Not found</body></html>", "holds no element set"),
         (b"<ndm><omm>", "holds no element set"),
         (b"OBJECT_NAME,EPOCH,MEAN_MOTION\nGPS,2024-03-31T12:00:07,2.0", "element set 1 .* is cut"),
