@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 @RESOLUTION
 @OBSTACLES
 @PRESET
-@click.option("--other", type=PATH, metavar="DIR", help="Further maps, to look at differences.")
 @click.option("--export", type=PATH, metavar="PAGE.html", help="Write one file to look at, and end.")
 @click.option(
     "--size", "size_mib", type=click.FloatRange(min=1), default=25, show_default=True, help="MiB of --export at most."
@@ -49,18 +48,10 @@ def view(folder: Path, export: Path | None, size_mib: float, port: int, no_brows
     return 0
 
 
-def _viewer(
-    folder: Path, resolution_m: float | None, obstacles: str | None, preset: str | None, other: Path | None
-) -> "Viewer":
+def _viewer(folder: Path, resolution_m: float | None, obstacles: str | None, preset: str | None) -> "Viewer":
     """Return the viewer of maps in a folder, which plans as the maps were made to be planned on."""
     from jaxurban.maps.metric_maps import open_maps
     from jaxurban.viewer.viewer import Viewer
 
     maps = open_maps(folder, resolution_m, obstacles=obstacles)  # type: ignore[arg-type]
-    return Viewer(
-        maps,
-        None if other is None else open_maps(other, maps.grid.resolution_m),
-        names=(folder.resolve().name, "" if other is None else other.resolve().name),
-        folder=str(folder),
-        preset=preset or "",
-    )
+    return Viewer(maps, name=folder.resolve().name, folder=str(folder), preset=preset or "")

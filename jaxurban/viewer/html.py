@@ -16,7 +16,7 @@ from typing import Any
 
 from jaxurban.errors import InputError
 from jaxurban.io.files import write_whole
-from jaxurban.viewer.requests import Nothing, Shown
+from jaxurban.viewer.requests import Request, Shown
 from jaxurban.viewer.tiles import TILE, strides_of
 from jaxurban.viewer.viewer import Viewer, as_json
 
@@ -67,7 +67,7 @@ def write_page(viewer: Viewer, file: str | Path, most_bytes: int) -> int:
     """Write the page with all maps of the viewer, as fine as a number of bytes allows, and return how many it has.
 
     Every n-th cell is in it, the middle one of n x n; n is the smallest power of two that fits. It holds layers and
-    their values under the pointer; differences and routes need the maps.
+    their values under the pointer; routes need the maps.
 
     Args:
       viewer: of the maps.
@@ -93,8 +93,8 @@ def write_page(viewer: Viewer, file: str | Path, most_bytes: int) -> int:
 
 
 def _maps_of(viewer: Viewer) -> Iterator[Shown]:
-    """Yield every map of the first run."""
-    for name, layer in viewer.layers[0].items():
+    """Yield every map."""
+    for name, layer in viewer.layers.items():
         sizes = (max(len(held), 1) if dim in layer.dims else 1 for dim, held in viewer.axes.items())
         for altitude, time, day in product(*map(range, sizes)):
             yield Shown(layer=name, at=(altitude, time, day))
@@ -102,12 +102,12 @@ def _maps_of(viewer: Viewer) -> Iterator[Shown]:
 
 def _page(viewer: Viewer, maps: list[Shown], stride: int, most_bytes: int) -> bytes | None:
     """Return the page with every map at one stride; None where it has more bytes."""
-    scene = viewer.scene(Nothing()) | {"strides": [stride], "can_plan": False, "key": ""}
+    scene = viewer.scene(Request()) | {"strides": [stride], "can_plan": False, "key": ""}
     answers: dict[str, Any] = {_key("scene", {}): scene}
     num_bytes = 0
     num_rows, num_cols = (-(-size // (stride * TILE)) for size in viewer.maps.grid.shape)
     for shown in maps:
-        told = {"layer": shown.layer, "at": list(shown.at), "minus": None}
+        told = {"layer": shown.layer, "at": list(shown.at)}
         answers[_key("legend", told)] = viewer.legend(shown)
         for row, col in product(range(num_rows), range(num_cols)):
             tile = told | {"stride": stride, "row": row, "col": col}
@@ -115,7 +115,7 @@ def _page(viewer: Viewer, maps: list[Shown], stride: int, most_bytes: int) -> by
             num_bytes += len(answers[_key("tile", tile)])
         if num_bytes > most_bytes:
             return None
-    page = html_page(as_json(answers).decode(), viewer.names[0]).encode()
+    page = html_page(as_json(answers).decode(), viewer.name).encode()
     return page if len(page) <= most_bytes else None
 
 

@@ -13,7 +13,6 @@ from matplotlib.colors import BoundaryNorm, Normalize
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, Variable, high_is_bad
 from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR
-from jaxurban.report.figures.map_comparison import difference_colours
 from jaxurban.report.figures.metrics import EMPTY_COLOUR, drawn_variables, metric_colours, values_of
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
 from jaxurban.report.figures.style import Colours, bar_ticks, tick_label
@@ -22,12 +21,11 @@ from jaxurban.viewer.markup import legend
 
 H_NORM, COST_OF = "h_norm", "cost:"
 OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)  # how values travel: a cell in an obstacle; one not drawn
-DIFFERENCE = "the first less the second (red: the first is higher)"
 BAR_IN = 2.6  # length of the colour bar on the page, which decides how many ticks have room
 
 
 @dataclass(frozen=True)
-class Layer:
+class DrawnLayer:
     """A layer that can be drawn.
 
     Attributes:
@@ -62,19 +60,19 @@ class Layer:
         return values
 
 
-def layers_of(maps: MetricMaps) -> dict[str, Layer]:
+def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
     """Return every layer of these maps that can be drawn, by name, those that are looked at most first."""
-    found: dict[str, Layer] = {}
+    found: dict[str, DrawnLayer] = {}
 
     def add(name: str, group: str) -> None:
-        found[name] = Layer(name, variables[name], group, partial(_held, maps, name), partial(_metric, maps, name))
+        found[name] = DrawnLayer(name, variables[name], group, partial(_held, maps, name), partial(_metric, maps, name))
 
     variables = drawn_variables(maps)
     flown = tuple(dict.fromkeys((ALTITUDE, *(dim for name in maps.metrics for dim in variables[name].dims))))
     for name in maps.metrics:
         add(name, "Metrics")
     total = Variable(H_NORM, "all costs together, H_norm", dims=flown)
-    found[H_NORM] = Layer(
+    found[H_NORM] = DrawnLayer(
         H_NORM, total, "Costs", partial(_h_norm, maps), partial(_always, COST_COLOURS), BLOCKED_COLOUR
     )
     for name, metric in maps.metrics.items():
@@ -82,7 +80,7 @@ def layers_of(maps: MetricMaps) -> dict[str, Layer]:
         is_m = metric.cost is high_is_bad
         scale = Colours(metric.colour_map if is_m else f"{metric.colour_map}_r", Normalize(0, 1), label)
         cost = Variable(f"{COST_OF}{name}", f"cost of {metric.label}", dims=variables[name].dims)
-        found[cost.name] = Layer(cost.name, cost, "Costs", partial(_cost, maps, name), partial(_always, scale))
+        found[cost.name] = DrawnLayer(cost.name, cost, "Costs", partial(_cost, maps, name), partial(_always, scale))
     for group in ("Satellites", "Ground", "Further maps"):
         for name, variable in variables.items():
             if name not in found and group == _group(maps, variable):
@@ -120,25 +118,14 @@ def _always(colours: Colours, _: np.ndarray) -> Colours:
     return colours
 
 
-def difference(values: np.ndarray, minus: np.ndarray) -> np.ndarray:
-    """Return ``[Y, X]`` values less others: `OBSTACLE` where one of them is, `NOTHING` where no number comes out."""
-    with np.errstate(invalid="ignore"):
-        found = values - minus
-    found[~np.isfinite(found)] = NOTHING
-    found[(values == OBSTACLE) | (minus == OBSTACLE)] = OBSTACLE
-    return found
-
-
-def legend_of(maps: MetricMaps, layer: Layer, values: np.ndarray, *, is_difference: bool = False) -> dict[str, Any]:
+def legend_of(maps: MetricMaps, layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
     """Return how values become colours on the page, as JSON holds it.
 
     ``edges`` has one number more than there are ``colours`` (base64, three bytes each): colour k is drawn from edge k
     up to edge k + 1, the first and the last one beyond them too. ``flat`` are the colours of cells in obstacles, of
     those without a value, and of a value of 0, where that is drawn apart; ``html`` is the legend.
     """
-    is_changed = np.isfinite(values) & (values != 0)
-    scale = difference_colours(np.abs(values[is_changed]), DIFFERENCE) if is_difference else layer.colours(values)
-    zero = "" if is_difference else layer.variable.scale.zero
+    scale, zero = layer.colours(values), layer.variable.scale.zero
     patches = [(zero, EMPTY_COLOUR)] if zero else []
     patches += [("obstacle", layer.blocked)] if ALTITUDE in layer.dims and layer.name != "obstacle" else []
     patches += [NO_DATA_PATCH] if np.isnan(values).any() or not maps.ds["has_data"].values.all() else []

@@ -1,5 +1,6 @@
 """Routes for the viewer: planned as ``jaxurban plan`` does, on cost maps that are kept while only weights change."""
 
+import json
 import shlex
 import tempfile
 from dataclasses import replace
@@ -18,7 +19,7 @@ from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.settings import DEFAULTS
 from jaxurban.studies.map_comparison import OneMap
-from jaxurban.viewer.requests import Plan, Zones, parse
+from jaxurban.viewer.requests import Plan
 from jaxurban.viewer.tiles import Kept
 
 ZONES_FILE = "zones.geojson"  # what the page saves drawn zones as, and the command names
@@ -155,7 +156,10 @@ class Plans:
         kept = replace(self.limits, clearance_m=query.clearance_m)
         if not query.zones:
             return kept
-        parse(Zones, query.zones)
+        try:
+            json.loads(query.zones)
+        except (ValueError, RecursionError) as error:
+            raise InputError("zones: must be GeoJSON of polygons") from error
         with tempfile.TemporaryDirectory() as folder:
             file = FilePath(folder) / ZONES_FILE
             file.write_text(query.zones, encoding="utf-8")

@@ -11,39 +11,25 @@ MOST_LETTERS = 64 * 1024  # of zones
 Index = Annotated[int, Field(strict=True, ge=0, le=10**6)]
 Name = Annotated[str, Field(max_length=100)]
 Degrees = Annotated[float, Field(strict=True, ge=-360, le=360)]
-Corner = Annotated[float, Field(strict=True, ge=-180, le=180)]
 Metres = Annotated[float, Field(strict=True, ge=0, le=10**5)]
 Weight = Annotated[float, Field(strict=True, ge=0, le=10**30)]
 
 
 class Request(BaseModel):
-    """Parameters of a request; those that are not known are refused."""
+    """Parameters of a request, none here; those that are not known are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Nothing(Request):
-    """No parameters."""
-
-
-class Which(Request):
+class Shown(Request):
     """A map: its layer, and the numbers of its altitude, time and time of day in the lists of the scene."""
 
     layer: Name
     at: tuple[Index, Index, Index]
-    run: Index = 0
-
-
-class Shown(Request):
-    """What is drawn: a map, or what is left of it after another is taken off."""
-
-    layer: Name
-    at: tuple[Index, Index, Index]
-    minus: Which | None = None
 
 
 class Tile(Shown):
-    """A tile of it (`jaxurban.viewer.tiles`)."""
+    """A tile of a map (`jaxurban.viewer.tiles`)."""
 
     stride: Index
     row: Index
@@ -76,28 +62,6 @@ class Plan(Request):
     zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
 
 
-class Polygon(Request):
-    """The geometry of a zone: rings of longitude and latitude, each closed."""
-
-    type: Literal["Polygon"]
-    coordinates: list[Annotated[list[tuple[Corner, Corner]], Field(min_length=4)]]
-
-
-class Zone(Request):
-    """A no-fly zone."""
-
-    type: Literal["Feature"]
-    properties: dict[str, str]
-    geometry: Polygon
-
-
-class Zones(Request):
-    """What `Plan.zones` holds."""
-
-    type: Literal["FeatureCollection"]
-    features: Annotated[list[Zone], Field(min_length=1)]
-
-
 class Save(Plan):
     """A route as a file of a format."""
 
@@ -105,13 +69,13 @@ class Save(Plan):
 
 
 def parse(kind: type[Request], given: Any) -> Any:
-    """Return the parameters of a request, or what their text holds.
+    """Return the parameters of a request.
 
     Raises:
       InputError: they are not those of its kind.
     """
     try:
-        return kind.model_validate_json(given) if kind is Zones else kind.model_validate(given)
+        return kind.model_validate(given)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part)[:40] for part in first["loc"]) or "the request"

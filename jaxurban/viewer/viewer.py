@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cached_property
 from html import escape
 from typing import Any, NamedTuple
@@ -23,12 +23,12 @@ from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.metrics import line_colour
 from jaxurban.report.figures.notes import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.paths import planner_colours
-from jaxurban.studies.map_comparison import OneMap, shared_part
+from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer import markup
-from jaxurban.viewer.layers import H_NORM, Layer, difference, layers_of, legend_of
+from jaxurban.viewer.layers import H_NORM, DrawnLayer, layers_of, legend_of
 from jaxurban.viewer.markup import number, options, sentences
 from jaxurban.viewer.plans import Plans
-from jaxurban.viewer.requests import Cell, Nothing, Plan, Request, Save, Shown, Tile, Which, parse
+from jaxurban.viewer.requests import Cell, Plan, Request, Save, Shown, Tile, parse
 from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, strides_of, tile_bytes
 
 JSON, BYTES = "application/json", "application/octet-stream"
@@ -54,16 +54,15 @@ class Answer(NamedTuple):
 
 
 class Viewer:
-    """Maps, or two sets of them, and the answers to what the page asks.
+    """Maps, and the answers to what the page asks.
 
     Args:
       maps: that are looked at and planned on.
-      other: further maps that hold every cell, altitude and time of these, whose layers can be taken off.
-      names: what the maps, and the others, are called.
+      name: what they are called.
       folder, weights, preset: of `Plans`.
 
     Raises:
-      InputError: the others do not, or as of `Plans`.
+      InputError: as of `Plans`.
 
     Attributes:
       key: of this viewer alone: a page that has another's answers asks for no more of them here.
@@ -72,20 +71,18 @@ class Viewer:
     def __init__(
         self,
         maps: MetricMaps,
-        other: MetricMaps | None = None,
         *,
-        names: tuple[str, ...] = ("the maps", "the other maps"),
+        name: str = "the maps",
         folder: str = "",
         weights: GivenWeights = None,
         preset: str = "",
     ) -> None:
         self.plans = Plans(maps, folder, weights, preset)
-        self.runs = [self.plans.maps] if other is None else [self.plans.maps, _same_part(maps, other)]
-        self.names = names[: len(self.runs)]
-        self.layers = [layers_of(each) for each in self.runs]
+        self.maps, self.name = self.plans.maps, name
+        self.layers = layers_of(self.maps)
         self.kept, self.key = Kept(), uuid4().hex
         self._answers: dict[str, tuple[type[Request], Callable[[Any], Any]]] = {
-            "scene": (Nothing, self.scene),
+            "scene": (Request, self.scene),
             "legend": (Shown, self.legend),
             "tile": (Tile, self.tile),
             "values": (Cell, self.values_at),
@@ -93,11 +90,6 @@ class Viewer:
             "report": (Plan, self.report),
             "save": (Save, self.save),
         }
-
-    @property
-    def maps(self) -> MetricMaps:
-        """The maps that are planned on."""
-        return self.runs[0]
 
     def answer(self, name: Any, params: Any) -> Answer:
         """Return what a request gives: JSON, or the bytes of a tile or a file.
@@ -118,14 +110,12 @@ class Viewer:
         """
         if key not in ("", self.key):
             raise RemadeError("the maps of this page were made again or removed since they were opened: load it again")
-        for maps in self.runs:
-            if OPENED in maps.ds.encoding:
-                maps.ds.encoding[OPENED].check()
+        if OPENED in self.maps.ds.encoding:
+            self.maps.ds.encoding[OPENED].check()
 
-    def scene(self, _: Nothing) -> dict[str, Any]:
+    def scene(self, _: Request) -> dict[str, Any]:
         """Return what the page must know before it asks for anything else; ``html`` fills its places by name."""
-        grid, maps, layers = self.maps.grid, self.maps, self.layers[0]
-        names = ("distance", *maps.metrics)
+        grid = self.maps.grid
         north_deg = math.degrees(grid.convergence_rad(*grid.centre_lonlat))
         return {
             "key": self.key,
@@ -136,15 +126,15 @@ class Viewer:
             "lonlat": lonlat_fit(grid),
             "layers": [
                 {"name": name, "told": _told(layer), "dims": layer.dims, "unit": unit_of(layer)}
-                for name, layer in layers.items()
+                for name, layer in self.layers.items()
             ],
             "tile": TILE,
             "strides": strides_of(grid.shape),
-            "weights": {name: float(self.plans.weights[name]) for name in names},
+            "weights": {name: float(self.plans.weights[name]) for name in self._labels},
             "planner_colours": PLANNER_LINES,
             "fields": {
                 "cost_model": self.plans.cost_model.kind,
-                "obstacles": maps.obstacles,
+                "obstacles": self.maps.obstacles,
                 "clearance_m": self.plans.limits.clearance_m,
             },
             "can_plan": True,
@@ -153,33 +143,26 @@ class Viewer:
 
     def _texts(self, north_deg: float) -> dict[str, str]:
         """Return the texts and lists of the page by the names of their places."""
-        grid, maps, layers = self.maps.grid, self.maps, self.layers[0]
+        grid, maps, layers = self.maps.grid, self.maps, self.layers
         cells = f"{grid.num_rows:,} × {grid.num_cols:,} cells of {grid.resolution_m:g} m"
         summaries = {name: entry.summary for name, entry in PLANNERS.items()}
         first = next((name for name in ("gps", H_NORM) if name in layers), next(iter(layers)))
         north = f"true north {abs(north_deg):.2f}° {'west' if north_deg > 0 else 'east'} of the grid's north"
         guessed = guesses_said(maps, has_sky=True)
-        altitudes = [f"{z_m:g} m" for z_m in maps.altitudes_m]
-        lists = {
-            "altitude": options(altitudes),
-            "time_of_day": options(maps.times_of_day),
-            "time": options([*map(time_said, self.axes[TIME])]),
-            "layer": markup.layer_options(
-                ((name, each.variable.heading, each.group) for name, each in layers.items()), first
-            ),
-        }
         return {
-            "title": escape(self.names[0]),
+            "title": escape(self.name),
             "guesses": escape(guessed and f"Guessed: {guessed}"),
             "guesses-text": escape("\n".join(maps.guesses.values())),
             "place": "<br>".join([place_said(grid), f"{cells} · {grid.crs}", north]),
             "credit": escape(maps.attribution),
             "sliders": markup.sliders(self._labels, self._colours),
             "planners": markup.planners(summaries, PLANNER_LINES, "astar-plus"),
-            **lists,
-            **{f"minus-{name}": text for name, text in lists.items()},
-            "minus-run": options(self.names, -1) if len(self.runs) > 1 else "",
-            "minus-altitude": options(altitudes, -1 if len(self.runs) == 1 else 0),
+            "altitude": options([f"{z_m:g} m" for z_m in maps.altitudes_m]),
+            "time_of_day": options(maps.times_of_day),
+            "time": options([*map(time_said, self.axes[TIME])]),
+            "layer": markup.layer_options(
+                ((name, each.variable.heading, each.group) for name, each in layers.items()), first
+            ),
             "north": f'<path d="M0-12 5 8 0 4-5 8Z" transform="rotate({-north_deg:.2f})"/>',
         }
 
@@ -211,40 +194,28 @@ class Viewer:
             chosen.append(held[index] if dim in dims and held else None)
         return OneMap(*chosen)
 
-    def values(self, which: Which) -> np.ndarray:
-        """Return the values ``[Y, X]`` of a map as they travel (`Layer.values`)."""
-        if which.run >= len(self.runs):
-            raise InputError(f"run {which.run} is not there: {len(self.runs)} are shown, numbered from 0")
-        maps, layers = self.runs[which.run], self.layers[which.run]
-        layer = layers[one_of("layer", which.layer, layers)]
-        at = self.place(which.at, layer.dims)
-        return self.kept.get((which.run, which.layer, at), lambda: layer.values(maps, at))
-
-    def shown(self, shown: Shown) -> np.ndarray:
-        """Return the values ``[Y, X]`` that are drawn."""
-        first = Which(layer=shown.layer, at=shown.at)
-        if shown.minus is None:
-            return self.values(first)
-        minus, key = shown.minus, ("difference", first.model_dump_json(), shown.minus.model_dump_json())
-        parts = self.values(first), self.values(minus)
-        return self.kept.get(key, lambda: difference(*parts))
+    def values(self, shown: Shown) -> np.ndarray:
+        """Return the values ``[Y, X]`` of a map as they travel (`DrawnLayer.values`)."""
+        layer = self.layers[one_of("layer", shown.layer, self.layers)]
+        at = self.place(shown.at, layer.dims)
+        return self.kept.get((shown.layer, at), lambda: layer.values(self.maps, at))
 
     def legend(self, shown: Shown) -> dict[str, Any]:
         """Return how these values become colours (`legend_of`)."""
-        values = self.shown(shown)  # refuses a layer that is not there
-        return legend_of(self.maps, self.layers[0][shown.layer], values, is_difference=shown.minus is not None)
+        values = self.values(shown)  # refuses a layer that is not there
+        return legend_of(self.maps, self.layers[shown.layer], values)
 
     def tile(self, tile: Tile) -> bytes:
         """Return a tile of what is drawn (`tile_bytes`)."""
-        return tile_bytes(self.shown(tile), tile.stride, tile.row, tile.col)
+        return tile_bytes(self.values(tile), tile.stride, tile.row, tile.col)
 
     def values_at(self, cell: Cell) -> list[dict[str, Any]]:
         """Return the value of every layer in a cell: name, what it is told as, value (None for none) and unit."""
         grid = self.maps.grid
         if not (cell.row < grid.num_rows and cell.col < grid.num_cols):
             raise InputError(f"the cell {cell.row}, {cell.col} is outside: there are {grid.num_rows} x {grid.num_cols}")
-        found, is_inside = [], self._value_in(self.layers[0]["obstacle"], cell) != 0
-        for name, layer in self.layers[0].items():
+        found, is_inside = [], self._value_in(self.layers["obstacle"], cell) != 0
+        for name, layer in self.layers.items():
             if not (heading := _told(layer)):
                 continue
             is_hidden = is_inside and ALTITUDE in layer.dims and name != "obstacle"  # nor has it satellites in view
@@ -256,19 +227,19 @@ class Viewer:
                 found.append(told | in_cell | {"value": _number(value * grid.resolution_m**2 / 1e6)})
         return found
 
-    def _value_in(self, layer: Layer, cell: Cell) -> float:
+    def _value_in(self, layer: DrawnLayer, cell: Cell) -> float:
         """Return a layer's value in a cell; of maps on disk a block around it is read and kept."""
         at = self.place(cell.at, layer.dims)
         variable = self.maps.variable(layer.name)
         if variable not in self.maps.ds:
-            found = self.values(Which(layer=layer.name, at=cell.at))[cell.row, cell.col]
+            found = self.values(Shown(layer=layer.name, at=cell.at))[cell.row, cell.col]
             return float(found) if np.isfinite(found) else math.nan
         array = self.maps.ds[variable]
         row, col = cell.row // BLOCK * BLOCK, cell.col // BLOCK * BLOCK
-        numbers = zip((ALTITUDE, TIME, TIME_OF_DAY), cell.at, strict=True)
-        part: dict[str, Any] = {dim: number for dim, number in numbers if dim in array.dims}
+        part: dict[str, Any] = dict(zip((ALTITUDE, TIME, TIME_OF_DAY), cell.at, strict=True))
         part |= {"y": slice(row, row + BLOCK), "x": slice(col, col + BLOCK)}
-        block = self.kept.get(("block", layer.name, at, row, col), lambda: array.isel(part).values)
+        key = "block", layer.name, at, row, col
+        block = self.kept.get(key, lambda: array.isel(part, missing_dims="ignore").values)
         return float(block[cell.row - row, cell.col - col])
 
     def plan(self, query: Plan) -> dict[str, Any]:
@@ -283,7 +254,7 @@ class Viewer:
             "has_path": has_path,
             "xy_m": planned.xy_m,
             "cost": _number(planned.cost),
-            "cost_by_layer": planned.cost_by_layer,
+            "cost_by_layer": dict(planned.cost_by_layer),
             "button": markup.route_button(query.planner, PLANNER_LINES[query.planner], text, notes),
             "html": markup.costs(planned.cost_by_layer, self._labels, self._colours),
             "message": " ".join(filter(None, (planned.search.sentence, planned.search.note))),
@@ -328,14 +299,6 @@ class Viewer:
         return self.plans.file(asked, self.place(query.at), f".{query.format}")
 
 
-def _same_part(maps: MetricMaps, other: MetricMaps) -> MetricMaps:
-    """Return the part of other maps that lies where these do."""
-    same, part = shared_part(maps, other)
-    if same.grid != maps.grid or same.altitudes_m != maps.altitudes_m or same.times != maps.times:
-        raise InputError("the other maps must hold every cell, altitude and time of those that are planned on")
-    return MetricMaps(part.ds.assign_coords(time=same.ds["time"]), part.rule)
-
-
 def status_said(planned: PlannedPath) -> str:
     """Return how a planner ended, among which paths, and how far above the cheapest of them its path is at most."""
     search, has_path = planned.search, planned.status.has_path
@@ -344,12 +307,12 @@ def status_said(planned: PlannedPath) -> str:
     return f"{planned.status.value}{graph}{f', at most {search.gap:.1%} above the cheapest' if is_between else ''}"
 
 
-def unit_of(layer: Layer) -> str:
+def unit_of(layer: DrawnLayer) -> str:
     """Return the unit of a layer's values as people read it; "" for m, for counts and for dilutions of precision."""
     return {"1": "", "km-2": "per km²"}.get(layer.variable.unit, layer.variable.unit)
 
 
-def _told(layer: Layer) -> str:
+def _told(layer: DrawnLayer) -> str:
     """Return what a layer is called in the list of values of a cell; "" where it is not in it."""
     if layer.group == "Costs" and layer.name != H_NORM:
         return ""
@@ -358,15 +321,7 @@ def _told(layer: Layer) -> str:
 
 def as_json(value: Any) -> bytes:
     """Return a value as JSON; arrays are lists."""
-    return json.dumps(value, allow_nan=False, separators=(",", ":"), default=_plain).encode()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return dict(value)
-    raise TypeError(f"no JSON for {type(value).__name__}")
+    return json.dumps(value, allow_nan=False, separators=(",", ":"), default=lambda array: array.tolist()).encode()
 
 
 def _number(value: float) -> float | None:

@@ -14,22 +14,21 @@ if TYPE_CHECKING:
 
 
 @typed
-def view(maps: GivenMaps, *, weights: GivenWeights = None, other: GivenMaps | None = None, preset: str = "") -> Any:
+def view(maps: GivenMaps, *, weights: GivenWeights = None, preset: str = "") -> Any:
     """Return a widget to look at maps and plan on them, which a notebook shows as the last line of a cell.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder; routes are planned as their scenario's ``[planning]`` and
         ``[vehicle]`` say, if there is one.
       weights: where the sliders start; left out, those of the scenario, else `Weights()`.
-      other: further maps that hold every cell, altitude and time of these, to look at differences.
       preset: ``"paper"``: where the page starts, as in `jaxurban.cost_map`.
 
     Raises:
-      InputError: anywidget is not installed, the maps cannot be opened, or the others do not hold the same.
+      InputError: anywidget is not installed, or the maps cannot be opened.
     """
-    held = as_maps(maps)
-    others, folder = None if other is None else as_maps(other), "" if held is maps else str(maps)
-    return widget_of(Viewer(held, others, folder=folder, weights=weights, preset=preset))
+    opened = as_maps(maps)
+    folder = "" if opened is maps else str(maps)
+    return widget_of(Viewer(opened, folder=folder, weights=weights, preset=preset))
 
 
 def widget_of(viewer: Viewer) -> "AnyWidget":

@@ -35,7 +35,6 @@ def test_it_writes_one_file_that_asks_nobody(folder, tmp_path, capsys):
         (["--export", "page.txt"], ["page.txt", ".html"]),
         (["--export", "no/such/place/page.html"], ["no/such/place"]),
         (["--resolution", "7"], ["7 m"]),
-        (["--other", "no/such/place"], ["no/such/place"]),
         (["--size", "0.0001"], ["--size"]),
         (["--port", "99999"], ["--port"]),
     ],

@@ -39,7 +39,7 @@ def browser():
 
 @pytest.fixture(scope="module")
 def page(browser, folder):
-    viewer = Viewer(MAPS, folder=str(folder), names=("city",))
+    viewer = Viewer(MAPS, folder=str(folder), name="city")
     with served(viewer) as server, opened(browser, server.url) as (page, asked, wrong):
         yield page
         assert asked
@@ -293,7 +293,7 @@ def test_the_keyboard_alone_plans_a_route(page):
 
 def test_the_exported_file_shows_maps_and_values_without_any_server(browser, tmp_path):
     file = tmp_path / "page.html"
-    assert write_page(Viewer(MAPS, names=("city",)), file, 10 * 2**20) == file.stat().st_size < 10 * 2**20
+    assert write_page(Viewer(MAPS, name="city"), file, 10 * 2**20) == file.stat().st_size < 10 * 2**20
     with opened(browser, file.as_uri()) as (page, asked, wrong):
         cell = FREE[5000].tolist()
         assert point_at(page, cell)["gps"] == float(MAPS.m("gps", 20.0)[tuple(cell)])

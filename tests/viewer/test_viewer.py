@@ -54,11 +54,11 @@ def answer(viewer: Viewer, name: str, **params):
 def viewer(tmp_path_factory) -> Viewer:
     folder = tmp_path_factory.mktemp("maps")
     MAPS.save(folder)
-    return Viewer(MAPS, MAPS, folder=str(folder))
+    return Viewer(MAPS, folder=str(folder))
 
 
-def tile_of(viewer: Viewer, layer: str, at: list[int], **more) -> np.ndarray:
-    data = answer(viewer, "tile", layer=layer, at=at, stride=1, row=0, col=0, **more)
+def tile_of(viewer: Viewer, layer: str, at: list[int]) -> np.ndarray:
+    data = answer(viewer, "tile", layer=layer, at=at, stride=1, row=0, col=0)
     planes = np.frombuffer(zlib.decompress(data), np.uint8).reshape(4, -1)
     return np.ascontiguousarray(planes.T).view("<f4").reshape(MAPS.grid.shape)
 
@@ -74,16 +74,6 @@ def test_a_cost_is_that_of_the_metric_and_h_norm_that_of_the_maps(viewer):
     free = MAPS.is_free(20.0, "centre")
     assert np.array_equal(tile_of(viewer, "cost:gps", [0, 0, 0])[free], (1 - MAPS.m("gps", 20.0))[free])
     assert np.array_equal(tile_of(viewer, "h_norm", [0, 0, 1])[free], MAPS.normalised(20.0, time_of_day="night")[free])
-
-
-def test_a_difference_is_that_of_the_two_maps(viewer):
-    minus = {"layer": "gps", "at": [1, 0, 0], "run": 1}
-    got = tile_of(viewer, "gps", [0, 0, 0], minus=minus)
-    both = MAPS.is_free(20.0, "centre") & MAPS.is_free(60.0, "centre")
-    assert np.array_equal(got[both], (MAPS.m("gps", 20.0) - MAPS.m("gps", 60.0))[both])
-    assert (got[~both] == -np.inf).all()
-    legend = answer(viewer, "legend", layer="gps", at=[0, 0, 0], minus=minus)
-    assert legend["edges"][0] == -legend["edges"][-1]
 
 
 def test_colours_are_those_of_the_figures(viewer):
@@ -280,7 +270,7 @@ def test_what_is_not_there_is_refused(viewer, name, params):
 
 def test_names_out_of_files_cannot_become_markup():
     ds = MAPS.ds.assign_attrs(attribution="<script>alert(1)</script>")
-    scene = answer(Viewer(type(MAPS)(ds), names=("<b>x</b>",)), "scene")
+    scene = answer(Viewer(type(MAPS)(ds), name="<b>x</b>"), "scene")
     assert "<script" not in json.dumps(scene)
     assert "<b>" not in scene["html"]["title"]
 

@@ -10,7 +10,7 @@ import pytest
 from jaxurban.errors import InputError
 from jaxurban.io.files import write_json
 from jaxurban.viewer.html import part
-from jaxurban.viewer.requests import Nothing
+from jaxurban.viewer.requests import Request
 from jaxurban.viewer.viewer import Viewer
 from jaxurban.viewer.widget import reply_to, view, widget_of
 from tests.cli_runs import run
@@ -48,20 +48,15 @@ def test_the_widget_carries_the_page_and_replies_to_it(monkeypatch):
     assert len(buffers[0]) > 100
 
 
-def test_maps_of_other_cells_are_refused():
-    with pytest.raises(InputError, match="hold every cell"):
-        view(MAPS, other=made_maps(20, 30))
-
-
 def test_over_a_runs_folder_the_page_plans_as_the_command_that_it_prints(tmp_path, monkeypatch, capsys):
     made = made_maps()
     made.save(tmp_path)
-    planning = {"clearance_m": 4.0, "vertical_clearance_m": 15.0, "diagonal": "always"}
+    planning = {"clearance_m": 4.0, "vertical_clearance_m": 15.0, "diagonal": "always", "objective": "distance"}
     settings = {"planning": planning, "vehicle": {"radius_m": 7.0}, "weights": {"gps": 3.0}}
     write_json(tmp_path / "run.json", {"settings": settings})
     monkeypatch.setattr("jaxurban.viewer.widget.widget_of", lambda viewer: viewer)
     viewer = view(str(tmp_path))
-    scene = viewer.scene(Nothing())
+    scene = viewer.scene(Request())
     assert (scene["weights"]["gps"], scene["fields"]["clearance_m"]) == (3.0, 4.0)
     free = np.argwhere(made.is_free(60.0))
     start, goal = (np.round(made.grid.lonlat_of_cell(*free[k]), 7).tolist() for k in (5, -9))

@@ -49,7 +49,7 @@ function inFile(answers) { // the values under the pointer come from the tiles
     const [y, x] = [row, col].map(cell => Math.floor(cell / stride)), [r, c] = [y, x].map(k => Math.floor(k / tile));
     const wide = Math.min(tile, Math.ceil(cols / stride) - c * tile);
     return Promise.all(layers.filter(layer => layer.told).map(async layer => {
-      const request = { layer: layer.name, at: ofLayer(layer, at), minus: null, stride, row: r, col: c };
+      const request = { layer: layer.name, at: ofLayer(layer, at), stride, row: r, col: c };
       const value = (await unpack(await ask('tile', request)))[(y - r * tile) * wide + x - c * tile];
       return { ...layer, value: Number.isFinite(value) ? value : null };
     }));
@@ -99,12 +99,9 @@ async function start(root, ask) {
     const [x, y] = toMetres(left, top), scale = clamp(view.scale * factor, side / 40, Math.max(wide, high) / 100);
     Object.assign(view, { x: x + (view.x - x) * scale / view.scale, y: y + (view.y - y) * scale / view.scale, scale });
   };
-  const places = (which = '') => DIMS.map(name => +field(which + name).value);
+  const places = () => DIMS.map(name => +field(name).value);
   const show = guard(async () => {
-    const layer = layers[field('layer').value], less = layers[field('minus-layer').value];
-    const minus = is('minus').open
-      ? { layer: less.name, at: ofLayer(less, places('minus-')), run: +field('minus-run').value } : null;
-    const request = { layer: layer.name, at: ofLayer(layer, places()), minus };
+    const layer = layers[field('layer').value], request = { layer: layer.name, at: ofLayer(layer, places()) };
     state.asked = JSON.stringify(request);
     const legend = await ask('legend', request), rgb = fromBase64(legend.colours);
     if (state.asked !== JSON.stringify(request)) return; // another one was asked for meanwhile
@@ -414,8 +411,7 @@ async function start(root, ask) {
     setWeight(name, value);
   }
   for (const each of all('select, input:not([type="range"])')) each.onchange = () => { show(); plan(); };
-  is('minus').ontoggle = show;
-  root.querySelector('nav').hidden = is('minus').hidden = !scene.can_plan;
+  root.querySelector('nav').hidden = !scene.can_plan;
   for (const button of all('[data-tab]')) button.onclick = () => {
     state.tab = button.dataset.tab;
     for (const each of all('[data-tab]')) each.ariaSelected = each === button;
