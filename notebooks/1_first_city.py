@@ -43,7 +43,7 @@ for path in paths:
 # start, the star the goal.
 
 # %%
-plot_overview(maps, {20.0: paths})
+plot_overview(maps, paths)
 
 # %% [markdown]
 # ## The paths, closer
@@ -52,7 +52,7 @@ plot_overview(maps, {20.0: paths})
 # altitudes; here is the one that was asked for.
 
 # %%
-plot_paths(maps, {20.0: paths}, altitudes_m=[20.0])
+plot_paths(maps, paths)
 
 # %% [markdown]
 # ## Why this way

@@ -67,7 +67,7 @@ pd.DataFrame(
 ).T
 
 # %%
-plot_paths(maps, {20.0: list(paths.values())})
+plot_paths(maps, list(paths.values()))
 
 # %% [markdown]
 # ## How soon

@@ -158,7 +158,7 @@ city.buildings.origin_counts()
 start, goal = (WEST + 0.00090, SOUTH + 0.00060), (east - 0.00029, north - 0.00043)
 route = ju.plan(maps, start, goal, altitude_m=20.0)
 print(f"{route.status.value}: {route.length_m:,.0f} m, cost {route.cost:.1f}")
-plot_overview(maps, {20.0: [route]})
+plot_overview(maps, route)
 
 # %% [markdown]
 # Other weights, other routes: in a running notebook, set two ends in the viewer and let a slider go.

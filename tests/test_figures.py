@@ -53,7 +53,7 @@ def test_a_window_shows_the_grid_where_it_is_and_nothing_beyond():
     assert np.array_equal(shown[5:, :20], layer.values[:35, 30:])
     assert (shown[:5] == -1).all()
     assert (shown[:, 20:] == -1).all()
-    plain = replace(layer, values=layer.values.astype(np.float32), is_classes=False)
+    plain = layer._replace(values=layer.values.astype(np.float32))
     assert np.isnan(example_paths.crop(plain, GRID, part).values[:5]).all()
 
 

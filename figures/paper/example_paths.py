@@ -129,13 +129,13 @@ def window(grid: Grid, paths: Sequence[PlannedPath]) -> Grid:
 
 def crop(layer: MapLayer, grid: Grid, part: Grid) -> MapLayer:
     """Return what a layer on ``grid`` shows in ``part``; NaN, or class -1, beyond the grid."""
-    beyond = np.int8(-1) if layer.is_classes else np.float32(np.nan)
+    beyond = np.int8(-1) if layer.values.dtype.kind == "i" else np.float32(np.nan)
     values = np.full(part.shape, beyond, layer.values.dtype)
     row, col = part.first_row - grid.first_row, part.first_col - grid.first_col
     rows = slice(max(row, 0), min(row + part.num_rows, grid.num_rows))
     cols = slice(max(col, 0), min(col + part.num_cols, grid.num_cols))
     values[rows.start - row : rows.stop - row, cols.start - col : cols.stop - col] = layer.values[rows, cols]
-    return replace(layer, values=values)
+    return layer._replace(values=values)
 
 
 def draw(town: Town, shared: CostMap, cases: Sequence[Case], results: Sequence[list[PlannedPath]]) -> Figure:

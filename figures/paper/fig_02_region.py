@@ -23,7 +23,6 @@ from figures.paper.common import (
     synthetic_city,
 )
 from jaxurban.report.figures.frame import MapPanel, draw_maps
-from jaxurban.report.figures.metrics import ROOF_TICKS_M
 from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.style import FAINT_INK, INK, Colours
 from jaxurban.world.city import OTHER_DISTRICT
@@ -145,7 +144,7 @@ def draw_synthetic() -> None:
         "suburb": outline(FAINT_INK, 0.4, fill=FAR_LAND),
         "water": outline(FAINT_INK, 0.4, fill=WATER),
     }
-    ticks = [tick for tick in ROOF_TICKS_M if tick <= buildings.height_m.max()]
+    ticks = [tick for tick in (0, 5, 20, 50, 100, 200, 400, 800) if tick <= buildings.height_m.max()]
     roofs = Colours(ROOFS, norm, "roof above ground (m)", ticks=ticks)
     figure, panel = begin("The synthetic city: land, park, districts and roofs", legend, colours=roofs)
     flat = {"linewidth": 0, "rasterized": True}

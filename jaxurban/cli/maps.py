@@ -153,7 +153,7 @@ def _make(scenario: "Scenario", folder: Path, given: Settings, **how: Any) -> di
             report("figures")
             with Workspace.open(folder, "maps --figures", is_shared=True):
                 for resolution_m, made in run.maps.items():
-                    save_figures(made, {}, folder / "figures" / f"{resolution_m:g}m")
+                    save_figures(made, (), folder / "figures" / f"{resolution_m:g}m")
     tell_warnings(run.record)
     tell(f"maps finished: {folder} (run.json tells what went in)")
     return run.record

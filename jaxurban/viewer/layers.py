@@ -21,7 +21,6 @@ from jaxurban.viewer.markup import legend
 
 H_NORM, COST_OF = "h_norm", "cost:"
 OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)  # how values travel: a cell in an obstacle; one not drawn
-BAR_IN = 2.6  # length of the colour bar on the page, which decides how many ticks have room
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ def legend_of(maps: MetricMaps, layer: DrawnLayer, values: np.ndarray) -> dict[s
         steps = np.linspace(0, 1, 257)
         edges = scale.norm.inverse(steps)
         colours = scale(np.asarray(scale.norm.inverse((steps[:-1] + steps[1:]) / 2)), bytes=True)[:, :3]
-        ticks = bar_ticks(scale, BAR_IN, is_lying=True)
+        ticks = bar_ticks(scale)
         texts = [tick_label(value) for value in ticks]
         texts[0] = f"≤ {texts[0]}" if scale.extend in ("min", "both") else texts[0]
         texts[-1] = f"≥ {texts[-1]}" if scale.extend in ("max", "both") else texts[-1]

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 from matplotlib.patches import StepPatch
 
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.report.figures import plot_profile, save_profile
+from jaxurban.report.figures.frame import GUESSED_COLOUR
 from jaxurban.report.figures.profile import NO_FIX_COLOUR
 from tests.made_maps import made_maps
 
@@ -49,13 +51,13 @@ def test_the_curves_are_the_values_of_the_report_by_distance(maps, planned):
     assert all(panel.get_legend() for panel in (heights, metrics, walls))
 
 
-def test_roofs_of_guessed_height_are_hatched(maps, planned):
+def test_roofs_of_guessed_height_are_told_apart(maps, planned):
     report = ju.explain(planned, maps)
     profile = report.profile.assign(roof_m=12.0, roof_guessed=report.profile.index < 5)
     heights = plot_profile(planned, maps, replace(report, profile=profile)).axes[0]
-    hatched = steps(heights)["of guessed height"]
-    assert hatched.get_hatch()
-    np.testing.assert_array_equal(hatched.get_data().values, np.where(profile.index < 5, 12.0, 0.0))
+    guessed = steps(heights)["of guessed height"]
+    assert to_hex(guessed.get_facecolor()) == GUESSED_COLOUR
+    np.testing.assert_array_equal(guessed.get_data().values, np.where(profile.index < 5, 12.0, 0.0))
     assert "of guessed height" not in steps(plot_profile(planned, maps, report).axes[0])
 
 

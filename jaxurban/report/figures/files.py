@@ -23,7 +23,7 @@ from jaxurban.report.figures.metrics import (
     plot_population,
     plot_sensor_choice,
 )
-from jaxurban.report.figures.paths import Paths, by_altitude, plot_overview, plot_paths
+from jaxurban.report.figures.paths import Paths, paths_in, plot_overview, plot_paths
 from jaxurban.report.figures.profile import plot_profile
 from jaxurban.report.write import save
 
@@ -36,7 +36,7 @@ def save_figures(maps: GivenMaps, paths: Paths, folder: str | Path) -> list[Path
 
     Args:
       maps: from `build_maps` or `open_maps`.
-      paths: one, several, a batch, or paths by altitude; empty for maps alone.
+      paths: one, several or a batch; empty for maps alone.
       folder: where to; made if it is not there.
 
     Raises:
@@ -57,12 +57,12 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> dict[str, Callable[[], Figur
         **{name: partial(plot_metric, maps, name) for name in maps.metrics if name != "population"},
         "sensor_choice": lambda: plot_sensor_choice(maps),
     }
-    if any(by_altitude(paths).values()):
+    if paths_in(paths):
         figures["paths"] = lambda: plot_paths(maps, paths)
     else:
         for time_of_day in maps.times_of_day or (None,):
             name = "cost" if len(maps.times_of_day) < 2 else f"cost_{time_of_day}"
-            figures[name] = partial(plot_paths, maps, {}, time_of_day=time_of_day)
+            figures[name] = partial(plot_paths, maps, (), time_of_day=time_of_day)
     for name, variable in drawn_variables(maps).items():
         is_of_series = name.endswith(("_availability", "_p05")) and maps.variable(variable.of) != variable.of
         if name == AVAILABILITY or is_of_series or variable.of in ON_REQUEST:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from jaxurban.errors import one_of
 from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
-from jaxurban.report.figures.frame import OBSTACLE_COLOUR, MapLayer, MapPanel, draw_maps, flat_layer, round_length_m
+from jaxurban.report.figures.frame import OBSTACLE_COLOUR, MapLayer, MapPanel, draw_maps, flat_layer
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.notes import ground_said, guesses_said, joined, meaning_of, symbol_of, time_said
 from jaxurban.report.figures.style import Colours
@@ -75,8 +75,7 @@ def plot_difference(found: MapComparison, layer: str, *, time: str | None = None
 def difference_colours(changed: np.ndarray, label: str, most: float = np.inf) -> Colours:
     """Return a scale as far on either side of 0, at most ``most``, which holds `SHOWN_SHARE` of changes' sizes."""
     finite = changed[np.isfinite(changed)]
-    limit = round_length_m(max(float(np.quantile(finite, SHOWN_SHARE)) if len(finite) else 1.0, 1e-12), down=False)
-    limit = min(limit, most)
+    limit = min(most, max(1e-12, float(np.quantile(finite, SHOWN_SHARE)))) if len(finite) else 1.0
     extend = "both" if len(changed) and float(changed.max()) > limit else "neither"
     return Colours(DIVERGING, Normalize(-limit, limit), label, extend, (-limit, 0.0, limit))
 

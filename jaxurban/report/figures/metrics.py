@@ -8,7 +8,6 @@ import matplotlib
 import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize, PowerNorm
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -18,27 +17,23 @@ from jaxurban.metrics.gps import RATING_UPPER_GDOP, Rating, rating
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR, derived
 from jaxurban.report.figures.frame import (
-    HATCH,
-    HATCH_COLOUR,
-    HATCHED_GROUND,
+    GUESSED_COLOUR,
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
     LegendEntry,
     MapLayer,
     MapPanel,
     classes_layer,
-    draw_hatch,
     draw_maps,
     flat_layer,
 )
-from jaxurban.report.figures.notes import availability_threshold, frame_note, meaning_of, short_time, symbol_of
+from jaxurban.report.figures.notes import availability_threshold, frame_note, meaning_of, symbol_of
 from jaxurban.report.figures.style import Colours, ends_of
 
 AVAILABILITY = "gps_availability"
 DISTANCE_COLOUR = "#555555"
 UNITS = {"1": "", "km-2": "", "m": " in metres"}  # behind what a colour bar names; others as they are
 EMPTY_COLOUR = "#ffffff"
-ROOF_TICKS_M = (0, 5, 20, 50, 100, 200, 400, 800)
 
 
 def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tuple[str, str]]:
@@ -125,8 +120,7 @@ def colours_of(
     if scale.stretch == "log":
         return Colours(scale.colour_map, LogNorm(high / 1000, high), label, extend="min")
     if scale.stretch == "sqrt":
-        ticks = [tick for tick in ROOF_TICKS_M if tick <= high]
-        return Colours(scale.colour_map, PowerNorm(0.5, low, high), label, ticks=ticks)
+        return Colours(scale.colour_map, PowerNorm(0.5, low, high), label)
     return Colours(scale.colour_map, Normalize(low, high), label, "max" if scale.is_better_low else "neither", ticks)
 
 
@@ -176,9 +170,7 @@ def plot_metric(
     if ALTITUDE not in dims:
         times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
         items = times_of_day if TIME_OF_DAY in dims else (None,)
-        panels = [
-            MapPanel(item or "", [MapLayer(maps.m(name, time_of_day=item), colours, bool(classes))]) for item in items
-        ]
+        panels = [MapPanel(item or "", [MapLayer(maps.m(name, time_of_day=item), colours)]) for item in items]
         heading, note, patches = variable.heading, frame_note(maps, has_sky=False), obstacle_patches(maps)[1:]
     else:
         time, over = (time or maps.times[0]) if TIME in dims else None, ""
@@ -187,7 +179,7 @@ def plot_metric(
         panels = [_panel(maps, name, variable, f"{z:g} m", z, time) for z in altitudes_m or maps.altitudes_m]
         heading, patches = f"{variable.heading}{over}, by altitude above ground", obstacle_patches(maps)
         has_sky = bool(variable.of) and TIME in maps.metrics[variable.of].dims
-        note = frame_note(maps, time, has_sky=has_sky, is_median=name in maps.metrics, of=name)
+        note = frame_note(maps, time, has_sky=has_sky, of=name)
     look: dict[str, Any] = {"legend": [*classes, *patches], "colours": None if classes else colours}
     return draw_maps(maps.grid, panels, heading, note, **look)[0]
 
@@ -207,7 +199,7 @@ def plot_epochs(maps: GivenMaps, name: str = "gps", *, altitude_m: float | None 
     z = min(maps.altitudes_m) if altitude_m is None else altitude_m
     timed = {each: variable for each, variable in drawn_variables(maps).items() if TIME in variable.dims}
     variable = timed[one_of("a map of each time", name, timed)]
-    panels = [_panel(maps, name, variable, short_time(time), z, time) for time in maps.times]
+    panels = [_panel(maps, name, variable, time[5:16].replace("T", " "), z, time) for time in maps.times]
     heading, note = f"{variable.heading} at each epoch, {z:g} m above ground", frame_note(maps, of=name)
     look: dict[str, Any] = {"legend": obstacle_patches(maps), "colours": metric_colours(maps, name)}
     return draw_maps(maps.grid, panels, heading, note, **look)[0]
@@ -222,17 +214,15 @@ def _panel(maps: MetricMaps, name: str, variable: Variable, what: str, altitude_
 def _middle_of(maps: MetricMaps, name: str, variable: Variable, altitude_m: float, time: str | None) -> str:
     """Return the mean over free cells as a text, with a unit; the median of counts and of what may be infinite."""
     values = values_of(maps, name, altitude_m, time)[maps.is_free(altitude_m, "centre")]
-    unit, places = ("", 2) if variable.unit == "1" else (f" {variable.unit}", 0)
+    unit = "" if variable.unit == "1" else f" {variable.unit}"
     if values.size == 0:
         return "no free cell"
     if variable.classes:
         return f"{percent(values.mean(dtype=np.float64))} {variable.classes[1][0]}"
-    if np.issubdtype(variable.dtype, np.integer):
-        return f"median {np.quantile(values, 0.5, method='lower'):.0f}{unit}"
-    if not variable.is_averaged:
+    if np.issubdtype(variable.dtype, np.integer) or not variable.is_averaged:
         middle = np.quantile(values, 0.5, method="higher")
-        return f"median {middle:.{places}f}{unit}" if np.isfinite(middle) else "undetermined in most free cells"
-    return f"mean {values.mean(dtype=np.float64):.{places}f}{unit}"
+        return f"median {middle:.3g}{unit}" if np.isfinite(middle) else "undetermined in most free cells"
+    return f"mean {values.mean(dtype=np.float64):.{0 if unit else 2}f}{unit}"
 
 
 def plot_obstacles(maps: GivenMaps, *, altitudes_m: Sequence[float] | None = None) -> Figure:
@@ -358,7 +348,7 @@ def roof_layers(maps: MetricMaps) -> list[MapLayer]:
 def plot_heights(maps: GivenMaps) -> Figure:
     """Return roof heights above ground and, where it is not flat, the terrain's elevation.
 
-    Roofs of guessed height are hatched.
+    Where maps know which roofs have a guessed height, a panel shows these.
     """
     maps = as_maps(maps)
     legend: list[LegendEntry] = [("no building", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
@@ -367,11 +357,13 @@ def plot_heights(maps: GivenMaps) -> Figure:
         low_m, high_m = ends_of(terrain_m := maps.m("terrain"))
         ground = MapLayer(terrain_m, replace(metric_colours(maps, "terrain", terrain_m), label=""))
         panels.append(MapPanel(f"terrain, {low_m:.0f} to {high_m:.0f} m", [ground]))
-    is_guessed = maps.m("roof_guessed") & (maps.m("roof") > 0) if "roof_guessed" in maps.ds else None
-    if is_guessed is not None:
-        name = f"height guessed\n({percent(is_guessed.sum() / max((maps.m('roof') > 0).sum(), 1))} of roofs)"
-        legend.append(Patch(facecolor=HATCHED_GROUND, edgecolor=HATCH_COLOUR, hatch=HATCH, label=name))
-    figure, axes = draw_maps(maps.grid, panels, "Heights (m)", frame_note(maps, has_sky=False), legend=legend)
-    if is_guessed is not None:
-        draw_hatch(axes[0], maps.grid, is_guessed)
-    return figure
+    if "roof_guessed" in maps.ds:
+        is_roof = maps.m("roof") > 0
+        is_guessed = maps.m("roof_guessed") & is_roof
+        share = percent(is_guessed.sum() / max(is_roof.sum(), 1))
+        of_roofs = [flat_layer(maps.m("roof") == 0, EMPTY_COLOUR), flat_layer(is_roof, OBSTACLE_COLOUR)]
+        panels.append(
+            MapPanel(f"height guessed: {share} of roofs", [*of_roofs, flat_layer(is_guessed, GUESSED_COLOUR)])
+        )
+        legend.append(("height guessed", GUESSED_COLOUR))
+    return draw_maps(maps.grid, panels, "Heights (m)", frame_note(maps, has_sky=False), legend=legend)[0]

@@ -20,8 +20,8 @@ RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ra
 
 
 def _panels(num: int, heading: str) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a row of panels."""
-    return panels(num, heading, panel_in=(2.45, 2.38), most_in_row=num, shares_y=True)
+    """Return a figure with panels of one scale."""
+    return panels(num, heading, panel_in=(2.45, 2.38), shares_y=True)
 
 
 def _by_altitude(
@@ -93,7 +93,7 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame, *, time: str | N
         correlation = f", r = {row.correlation:+.2f}" if np.isfinite(row.correlation) else ""
         panel.set(xlim=(0, 1), xlabel="m_gps", title=f"{row.altitude_m:g} m{correlation}")
     axes[0].set_ylabel("m_lidar")
-    add_colour_bar(figure, axes, SHARES, 2.2)
+    add_colour_bar(figure, axes, SHARES)
     return figure
 
 

@@ -13,21 +13,15 @@ from jaxurban.world.grid import Grid
 
 GAP = "  ·  "  # between two facts of a line
 MOST_RULES = 2  # weights, or the like, of the routes of one picture
-SYSTEMS = {
-    **{"gps": "GPS", "galileo": "Galileo", "glonass": "GLONASS"},
-    **{"beidou": "BeiDou", "qzss": "QZSS", "navic": "NavIC"},
-}
 
 
-def frame_note(
-    maps: MetricMaps, time: str | None = None, *, has_sky: bool = True, is_median: bool = True, of: str | None = None
-) -> str:
+def frame_note(maps: MetricMaps, time: str | None = None, *, has_sky: bool = True, of: str | None = None) -> str:
     """Return the lines below a figure's heading: caveats and guesses, if any; the sky, cells, CRS, place, credit.
 
     ``has_sky``: the figure shows something of GPS, at a time or, left out, over all times of a series; guesses of the
-    sky and caveats are told only there. ``is_median``: see `sky_said`. ``of``: the map that is shown alone.
+    sky and caveats stand only there. ``of``: the map that is shown alone.
     """
-    sky = sky_said(maps, time, is_median=is_median) if has_sky else ""
+    sky = sky_said(maps, time) if has_sky else ""
     caveats = caveats_said(maps, of) if has_sky else []
     guessed = [f"Guessed: {guesses}"] if (guesses := guesses_said(maps, has_sky)) else []
     return "\n".join([*caveats, *guessed, joined(sky, *ground_said(maps))])
@@ -111,33 +105,9 @@ def time_said(time: str) -> str:
     return f"{time[:10]} {time[11:16]} UTC"
 
 
-def short_time(time: str) -> str:
-    """Return an ISO time for the title of a small panel: month, day, hour and minute; the note has the year."""
-    return f"{time[5:10]} {time[11:16]}"
-
-
-def sky_said(maps: MetricMaps, time: str | None, *, is_median: bool = True) -> str:
-    """Return the time of GPS maps, which one it is of several, the constellations, and the satellites in view.
-
-    In view are as many as the freest cell sees at the highest altitude. Without a time: of all of them, the statistics
-    of a long series too. ``is_median``: what is shown of these rests on the median over the epochs.
-    """
-    systems = " and ".join(SYSTEMS.get(name, name) for name in names_in(maps.ds.attrs, "constellations"))
-    if maps.default_time is None:
-        span = f"{time_said(maps.times[0])} to {time_said(maps.times[-1])}"
-        told = f" of {systems}" if systems else ""
-        num = len(names_in(maps.ds.attrs, "satellites"))
-        median = ", m_gps their median" if is_median else ""
-        return f"{len(maps.times)} epochs, {span}{median}; {num} satellites{told}"
-    times = maps.times if time is None else (time,)
-    told = systems
-    if "num_visible" in maps.ds:
-        counts = [int(maps.m("num_visible", max(maps.altitudes_m), time=each).max()) for each in times]
-        low, high = min(counts), max(counts)
-        told = " ".join(filter(None, (f"{low}" if low == high else f"{low} to {high}", systems, "satellites in view")))
-    if len(times) > 1:
-        when = f"{len(times)} epochs, {time_said(times[0])} to {time_said(times[-1])}"
-    else:
-        of_all = f" (epoch {maps.times.index(times[0]) + 1} of {len(maps.times)})" if len(maps.times) > 1 else ""
-        when = f"{time_said(times[0])}{of_all}"
-    return ", ".join(filter(None, (when, told)))
+def sky_said(maps: MetricMaps, time: str | None) -> str:
+    """Return the time of GPS maps, or the first and last of all of them, and the constellations."""
+    times = maps.times if time is None or maps.default_time is None else (time,)
+    span = f"{len(times)} epochs, {time_said(times[0])} to {time_said(times[-1])}"
+    systems = " and ".join(name.upper() for name in names_in(maps.ds.attrs, "constellations"))
+    return ", ".join(filter(None, (time_said(times[0]) if len(times) == 1 else span, systems)))

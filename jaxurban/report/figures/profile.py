@@ -12,7 +12,7 @@ from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, GUESSED, without_fix
-from jaxurban.report.figures.frame import HATCH, HATCH_COLOUR
+from jaxurban.report.figures.frame import GUESSED_COLOUR
 from jaxurban.report.figures.metrics import BUILT_COLOUR
 from jaxurban.report.figures.notes import frame_note
 from jaxurban.report.figures.style import FAINT_INK, SMALL_PT, TEXT_PT, chart, dress, show_plain, styled
@@ -28,8 +28,8 @@ SIZE_IN = 10.0, 6.1
 def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | None = None) -> Figure:
     """Return altitude and roofs beneath, metrics, and the clearance along a route, one above the other.
 
-    Segments with fewer than four satellites in view are shaded, roofs of guessed height hatched. The numbers on top are
-    the report's segments.
+    Segments with fewer than four satellites in view are shaded, roofs of guessed height coloured. The numbers on top
+    are the report's segments.
 
     Args:
       planned: from `plan`.
@@ -81,8 +81,7 @@ def _draw_heights(panel: Axes, planned: PlannedPath, profile: pd.DataFrame, edge
     panel.stairs(profile["roof_m"], edges_km, fill=True, color=BUILT_COLOUR, label="roofs beneath")
     if GUESSED in profile and profile[GUESSED].any():
         guessed_m = profile["roof_m"].where(profile[GUESSED], 0.0)
-        hatched = panel.stairs(guessed_m, edges_km, fill=True, color=BUILT_COLOUR, label="of guessed height")
-        hatched.set(edgecolor=HATCH_COLOUR, hatch=HATCH, linewidth=0)
+        panel.stairs(guessed_m, edges_km, fill=True, color=GUESSED_COLOUR, label="of guessed height")
     moved_m = np.diff(np.column_stack([planned.xy_m, planned.z_m]), axis=0)
     along_km = np.append(0.0, np.cumsum(np.linalg.norm(moved_m, axis=1))) / 1000
     panel.plot(along_km, planned.z_m, color=ALTITUDE_COLOUR, linewidth=1.6, label="flight altitude")

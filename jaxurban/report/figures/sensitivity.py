@@ -164,7 +164,7 @@ def plot_pareto(found: Sensitivity) -> Figure:
     star: dict[str, Any] = {"marker": "*", "s": 220, "edgecolors": GIVEN_COLOUR, "label": "given weights"}
     panel.scatter(given[0], given[1], c=given[-1:], **star, **look)
     if len(labels) == 3:
-        add_colour_bar(figure, [panel], colours, 3.0)
+        add_colour_bar(figure, [panel], colours)
     panel.set(xlabel=labels[0], ylabel=labels[1])
     panel.margins(0.06)
     dress(panel)

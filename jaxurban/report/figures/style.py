@@ -15,7 +15,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import FixedLocator, FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 SMALL_PT, TEXT_PT = 8.0, 9.0  # of tick labels, of titles and notes
 INK, FAINT_INK = "#1a1a1a", "#555555"
@@ -24,7 +24,7 @@ HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.4, 0.15, 15.0  # of a heading; of a line of
 SERIES_COLOURS = ("#d55e00", "#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#f0e442")
 MARKERS = "osD^vP*X"
 DOT: dict[str, Any] = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
-LETTER_IN, LABEL_IN = 0.065, 0.17  # width and height that a letter of a tick label takes
+LABEL_LETTERS = 32  # on a line of a colour bar's label
 
 styled = rc_context(  # a decorator of functions that draw; ticks are made later, so `dress` sets theirs
     {
@@ -43,9 +43,8 @@ styled = rc_context(  # a decorator of functions that draw; ticks are made later
         "figure.facecolor": "white",
     }
 )
-TICKS_PER_DECADE: tuple[tuple[float, ...], ...] = ((1.0,), (1.0, 2.0, 5.0), tuple(range(1, 10)))
 LEGEND_COLUMNS = 6
-FEW_TICKS = 3  # that a logarithmic axis has at least
+WIDE = 5.0  # an axis whose ends differ by this factor has ticks at 1, 2 and 5 of each decade
 EDGE_IN, GAP_IN, TITLE_IN = 0.2, 0.6, 0.8
 
 
@@ -61,8 +60,13 @@ def chart(width_in: float, height_in: float, heading: str, note: str = "") -> Fi
     return figure
 
 
+def columns_of(num: int) -> int:
+    """Return how many of several panels stand side by side."""
+    return 2 if num == 4 else min(num, 3)
+
+
 def panels(
-    num: int, heading: str, *, panel_in: tuple[float, float] = (2.9, 2.0), most_in_row: int = 3, shares_y: bool = False
+    num: int, heading: str, *, panel_in: tuple[float, float] = (2.9, 2.0), shares_y: bool = False
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with so many panels of equal size.
 
@@ -70,10 +74,9 @@ def panels(
       num: of panels.
       heading: see `chart`.
       panel_in: width and height of a panel, about.
-      most_in_row: panels side by side; four are two above two where that is 3.
       shares_y: whether the panels have one scale, labelled at the left of each row.
     """
-    num_cols = min(most_in_row, num) if (num, most_in_row) != (4, 3) else 2
+    num_cols = columns_of(num)
     num_rows = math.ceil(num / num_cols)
     width_in, height_in = num_cols * (panel_in[0] + GAP_IN), num_rows * (panel_in[1] + TITLE_IN)
     figure = chart(max(width_in, 6.4), height_in, heading)
@@ -116,15 +119,9 @@ def show_plain(axis: Axis) -> None:
 
 
 def show_plain_log(axis: Axis) -> None:
-    """Label a logarithmic axis with plain numbers: powers of ten, and where these are few finer ones."""
+    """Label a logarithmic axis with plain numbers: 1, 2 and 5 of each decade, or round numbers where it is short."""
     low, high = axis.get_view_interval()
-    for subs in TICKS_PER_DECADE:
-        locator: Locator = LogLocator(subs=subs)
-        if sum(low <= tick <= high for tick in locator.tick_values(low, high)) >= FEW_TICKS:
-            break
-    else:
-        locator = MaxNLocator(FEW_TICKS)
-    axis.set_major_locator(locator)
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if high > WIDE * low else MaxNLocator(4))
     show_plain(axis)
 
 
@@ -162,47 +159,27 @@ def tick_label(value: float) -> str:
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def bar_ticks(colours: Colours, length_in: float, is_lying: bool) -> list[float]:
-    """Return both ends of a scale, and between them the ticks whose labels have room on a bar of a length."""
-    low, high = float(colours.norm.vmin or 0.0), float(colours.norm.vmax or 0.0)
+def bar_ticks(colours: Colours) -> list[float]:
+    """Return where a colour bar has ticks: its own, else both ends and values between them at equal distances."""
     if colours.ticks is not None:
-        inner = list(colours.ticks)
-    else:
-        locator = LogLocator() if isinstance(colours.norm, LogNorm) else MaxNLocator(5)
-        inner = [float(value) for value in locator.tick_values(low, high)]
-
-    def room_in(one: float, other: float) -> float:
-        """Return how far apart two ticks are, beyond what their labels take."""
-        apart_in = abs(float(colours.norm(one)) - float(colours.norm(other))) * length_in
-        letters = (len(tick_label(one)) + len(tick_label(other))) / 2
-        return apart_in - (LETTER_IN * (letters + 1) if is_lying else LABEL_IN)
-
-    shown = [low, high]
-    for value in inner:
-        if low < value < high and all(room_in(value, other) >= 0 for other in shown):
-            shown.append(value)
-    return sorted(shown)
+        return list(colours.ticks)
+    num = 4 if isinstance(colours.norm, LogNorm) else 5
+    return np.asarray(colours.norm.inverse(np.linspace(0, 1, num))).tolist()
 
 
-def add_colour_bar(
-    figure: Figure, axes: Sequence[Axes], colours: Colours, length_in: float, location: str = "right"
-) -> None:
-    """Add a colour bar of about a length beside (``right``) or below (``bottom``) panels."""
-    is_lying = location == "bottom"
+def add_colour_bar(figure: Figure, axes: Sequence[Axes], colours: Colours, location: str = "right") -> None:
+    """Add a colour bar beside (``right``) or below (``bottom``) panels."""
     bar = figure.colorbar(
         ScalarMappable(cmap=colours.cmap, norm=colours.norm),
         ax=axes,
         location=location,
         extend=colours.extend,
-        aspect=length_in / (0.09 if is_lying else 0.16),
-        panchor="NW" if is_lying else False,
+        ticks=bar_ticks(colours),
+        format=FuncFormatter(lambda value, _: tick_label(value)),
+        aspect=25,
+        panchor="NW" if location == "bottom" else False,
     )
-    width = max(24 if is_lying else 12, int(length_in * 15))  # letters on a line of the label
-    lines = [part for line in colours.label.splitlines() for part in textwrap.wrap(line, width)]
-    bar.set_label("\n".join(lines), size=SMALL_PT)
+    bar.set_label("\n".join(textwrap.fill(line, LABEL_LETTERS) for line in colours.label.splitlines()), size=SMALL_PT)
     bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)
     bar.outline.set(linewidth=0.4)
     bar.ax.minorticks_off()
-    axis = bar.ax.xaxis if is_lying else bar.ax.yaxis
-    axis.set_major_locator(FixedLocator(bar_ticks(colours, length_in, is_lying)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: tick_label(value)))
