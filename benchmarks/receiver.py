@@ -30,9 +30,17 @@ from jaxurban.maps.validation import changed
 from jaxurban.report.figures.receiver import name_of
 from jaxurban.report.receiver import score_table, with_interval
 from jaxurban.report.write import table
+from jaxurban.studies.bootstrap import Interval
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE
-from jaxurban.studies.receiver.scores import COEFFICIENTS, SPEARMAN, WITHIN, Scored, compared, spearman
-from jaxurban.studies.receiver.validate import ReceiverValidation, paired
+from jaxurban.studies.receiver.validate import (
+    COEFFICIENTS,
+    SPEARMAN,
+    WITHIN,
+    ReceiverValidation,
+    compared,
+    paired,
+    spearman,
+)
 
 PAGE, TEMPLATE = ROOT / "docs" / "validation_receiver.md", Path(__file__).with_name("receiver_page.md")
 DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT / ".." / "shared" / "data")).resolve() / "tokyo"
@@ -209,7 +217,7 @@ def _cells(validation: ReceiverValidation, prediction: str) -> tuple[str, ...]:
     return seen, with_interval(row, WITHIN), f"{row['within_shifts_95']:.2f}", with_interval(row, SPEARMAN)
 
 
-def _difference(scored: Scored) -> str:
+def _difference(scored: Interval) -> str:
     return f"{scored.value:+.3f} ({scored.low:+.3f} to {scored.high:+.3f})"
 
 

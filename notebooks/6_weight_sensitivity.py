@@ -44,7 +44,7 @@ print(f"{found.num_plans:,} searches in {found.elapsed_s:.1f} s")
 # matters.
 
 # %%
-found.local.cost.round(3)
+found.cost.round(3)
 
 # %% [markdown]
 # ## One weight at a time

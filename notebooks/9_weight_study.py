@@ -67,16 +67,6 @@ summary[summary.cut == "all"].sort_values("regret", ascending=False)[
 plot_regret(summary, found.settings.wrong)
 
 # %% [markdown]
-# ## Differences that are worth a test
-#
-# The study makes some twenty comparisons and corrects their p for that (Holm). These are the first six. They were made
-# up on the same routes, so they are ideas to test on others. More cities would be needed for anything about cities in
-# general, however many routes there are.
-
-# %%
-found.tables["comparisons"].head(6)
-
-# %% [markdown]
 # ## Shares of the cost
 #
 # A weight's share of what the cheapest route costs is the gradient of the cost by the logarithm of the weight. It is a
@@ -110,5 +100,4 @@ shutil.rmtree(folder)
 # %% [markdown]
 # ## A question to try
 #
-# Do ten more routes in each city settle a comparison that is open now? Ask for 20, and look at its p. What would settle
-# one over cities?
+# Do ten more routes in each city narrow an interval? Ask for 20. What would it take to say something of other cities?

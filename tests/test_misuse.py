@@ -139,9 +139,7 @@ WRONG: dict[str, Any] = {
     "log": "no-such.csv",
     **dict.fromkeys(("PlannedPath.save.file", "PlannedPaths.save.file", "PlannedPath.save.more"), "path.txt"),
     **dict.fromkeys(("plan_many.file", "FitSettings.state_file"), "no/such/place.parquet"),
-    **dict.fromkeys(
-        ("altitudes_m", "nest_with_m", "MetricMaps.m.altitude_m", "factors", "parameter_factors"), (-1e300, 1e300)
-    ),
+    **dict.fromkeys(("altitudes_m", "nest_with_m", "MetricMaps.m.altitude_m", "factors"), (-1e300, 1e300)),
     **dict.fromkeys(("weekday", "weekend", "scale", "field_of_view_deg", "bounds"), (1.0, 2.0, 3.0, 4.0, 5.0)),
     **dict.fromkeys(("compare_fits.scale", "fit_weights.scale"), "metres"),
     **{name: {} for name in ("cities", "scenarios", "sources")},

@@ -111,7 +111,7 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
     tell(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
         tables = {name: records_of(table.reset_index()) for name, table in found.tables().items()}
-        result = {"route": found.route.to_dict(), "ranges": {name: ranges(found, name) for name in found.vary}}
+        result = {"route": found.route.to_dict(), "ranges": {name: ranges(found, name) for name in found.lines}}
         print_json(result | {"tables": tables, "num_plans": found.num_plans, "elapsed_s": found.elapsed_s})
     return 0
 
@@ -131,14 +131,10 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
     "--samples", "num_samples", type=int, default=32, show_default=True, help="Of each route for Sobol; a power of two."
 )
 @click.option("--heights", type=click.IntRange(min=0), default=0, help="Plan on maps of so many draws of heights.")
-@click.option("--parameters", is_flag=True, help="Plan on maps of other thresholds, range and gammas.")
-@click.option(
-    "--parameter-factors", type=Numbers("X,...", "numbers, as in 0.5,2"), help="Of --parameters.  [default: 0.5,2]"
-)
 @click.option(
     "--scenario",
     type=SCENARIO_FILE,
-    help="That made the maps, where --heights or --parameters needs its folder; of one DIR.",
+    help="That made the maps, where --heights needs its folder; of one DIR.",
 )
 @WORKERS
 @WEIGHTS
@@ -154,18 +150,14 @@ def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, over
 
     if given["queries"] is not None and (given["num_routes"] is not None or given["altitudes_m"]):
         raise click.UsageError("--queries names the routes: leave out --routes and --altitudes, or --queries")
-    if given["parameter_factors"] and not given["parameters"]:
-        raise click.UsageError("--parameter-factors belongs to --parameters: add that")
     scenario = given["scenario"]
-    if scenario is not None and not ((given["heights"] or given["parameters"]) and len(folders) == 1):
-        raise click.UsageError("--scenario belongs to --heights and --parameters of one DIR")
+    if scenario is not None and not (given["heights"] and len(folders) == 1):
+        raise click.UsageError("--scenario belongs to --heights of one DIR")
     workers, rules = given_workers(given), given_rules(given)
     weights = rules.pop("weights")
     settings = SensitivityStudySettings(
         vary=names_in(given["vary"]),
         num_heights=given["heights"],
-        has_parameters=given["parameters"],
-        parameter_factors=given["parameter_factors"] or (0.5, 2.0),
         **rules,
         **{name: given[name] for name in ("factors", "wrong", "num_samples", "seed")},
     )
@@ -185,8 +177,7 @@ def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, over
         tell("warning: no route was found, so that nothing can be said: the report tells why")
     tell(f"study of sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
-        shown = ("summary", "comparisons")
-        kept = {name: records_of(table) for name, table in found.tables.items() if name.endswith(shown)}
+        kept = {name: records_of(table) for name, table in found.tables.items() if name.endswith("summary")}
         statuses = found.rows.status.value_counts().to_dict()
         print_json({"folder": str(output), "statuses": statuses, "tables": kept})
     return 0 if has_route else EXIT_NO_PATH

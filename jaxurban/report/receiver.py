@@ -15,8 +15,7 @@ from jaxurban.report.figures.receiver import LABELS, name_of, plot_scatter
 from jaxurban.report.write import Output, bullets, fill, study_outputs, table
 from jaxurban.settings import each
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
-from jaxurban.studies.receiver.scores import COEFFICIENTS, MAIN, SPEARMAN, WITHIN
-from jaxurban.studies.receiver.validate import ReceiverValidation
+from jaxurban.studies.receiver.validate import COEFFICIENTS, MAIN, SPEARMAN, WITHIN, ReceiverValidation
 
 HEADS = {WITHIN: "rank correlation within blocks", SPEARMAN: "over the whole track"}
 

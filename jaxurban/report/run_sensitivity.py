@@ -40,7 +40,6 @@ from jaxurban.studies.weights.routes import (
     ROUTE_KEY,
     OnPerturbedMaps,
     SensitivityStudySettings,
-    num_perturbed,
     perturbed_tasks,
     row_columns,
 )
@@ -110,7 +109,7 @@ def sensitivity_study(
         file = folder / ROUTES_FOLDER / ROWS_FILE
         rows = run_rows(file, job, instances, given, row_columns, workers=workers, report=report)
         remade, skipped = pd.DataFrame(), tuple[str, ...]()
-        if settings.num_heights or settings.has_parameters:
+        if settings.num_heights:
             remade, skipped = _remade(folder, instances, given, opened, settings, scenarios, report)
         report("report")
         is_sampled = not isinstance(routes, pd.DataFrame)
@@ -281,10 +280,10 @@ def _remade(
                 skipped.append(f"{city}: {error}")
                 LOG.warning(f"no maps of {city} are made anew: {error}")
                 continue
-            stage, total = f"maps of {city} made anew", num_perturbed(task, settings)
-            for number, (changed, at, perturbed) in enumerate(perturbed_tasks(task, settings)):
+            stage, total = f"maps of {city} made anew", settings.num_heights
+            for number, perturbed in enumerate(perturbed_tasks(task, settings)):
                 report(stage, number, total)
-                job = OnPerturbedMaps(nominal=maps, changed=changed, at=at, **rules)
+                job = OnPerturbedMaps(nominal=maps, draw=number, **rules)
                 if left := tasks_of(instances[instances.city == city], job, store):
                     with warnings.catch_warnings():
                         warnings.simplefilter("ignore", GuessWarning)  # said when the nominal maps were made

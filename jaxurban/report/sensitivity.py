@@ -1,6 +1,7 @@
 """report.md of a sensitivity study: what would change the route and what would not, as tables and figures."""
 
 import json
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,10 @@ from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.write import REPORT_FILE, Output, files_of, fill, listed, study_outputs
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
-from jaxurban.studies.weights.sobol import FEW_SAMPLES
+from jaxurban.studies.weights.sobol import FEW_SAMPLES, NOISE
 from jaxurban.studies.weights.study import Sensitivity
 
-TABLES = "cost_gradient", "local", "sobol", "sobol_spread", "switches", "pareto", "triangle", "triangle_cells"
+TABLES = "cost_gradient", "local", "sobol", "switches", "pareto", "triangle", "triangle_cells"
 FIGURES = "switches", "switch_routes", "pareto", "triangle", "triangle_routes"
 FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
 ALIKE = 0.05  # routes are much the same where no outcome differs by more than this share
@@ -29,7 +30,7 @@ def sensitivity_outputs(found: Sensitivity) -> tuple[dict[str, Output], dict[str
     """Return what a study of one route writes, by file name, and what it is of."""
     route = found.route
     settings = {"route": route.settings, "lonlat": route.lonlat[[0, -1]].tolist(), "weights": found.weights.tolist()}
-    settings |= {"vary": found.vary, "factors": found.factors, "triangle": found.triangle_names}
+    settings |= asdict(found.settings)
     tables = {name: table.reset_index() for name, table in found.tables().items()}
     if found.triangle is not None:
         tables["triangle_cells"] = found.triangle_cells()
@@ -60,34 +61,35 @@ def sensitivity_markdown(found: Sensitivity, buildings: pd.DataFrame | None = No
         limits=constraints_said(settings["limits"]) or "none",
         cost_model=CostModel.from_settings(settings),
         note=" ".join(filter(None, (route.search.note, *route.cautions))),
-        names=", ".join(found.triangle_names),
-        total=found.weights[[found.names.index(name) for name in found.triangle_names]].sum(),
+        names=", ".join(found.settings.triangle),
+        total=found.weights[[found.names.index(name) for name in found.settings.triangle]].sum(),
         objectives=listed(found.front.objectives),
         ALIKE=ALIKE,
         MORE=MORE - 1,
         CLEAR=CLEAR,
         FEW_SAMPLES=FEW_SAMPLES,
+        NOISE=NOISE,
     )
 
 
 def shown_tables(found: Sensitivity) -> dict[str, pd.DataFrame]:
     """Return the tables of the report by name."""
-    points, outcomes, sobol = found.front.points[[*found.front.objectives]], found.local.outcomes, found.sobol.table
-    at = [{"weight": name, **ranges(found, name), "routes": len(found.lines[name].cells)} for name in found.vary]
+    points, outcomes, sobol = found.front.points[[*found.front.objectives]], found.outcomes, found.sobol
+    at = [{"weight": name, **ranges(found, name), "routes": len(found.lines[name].cells)} for name in found.lines]
     values = outcomes["value"].groupby("outcome", sort=False).first()
     change = outcomes["expected_slope"] * np.log(MORE) / outcomes["expected"].abs().clip(lower=1e-12)
     is_clear = outcomes["expected_slope"].abs() > CLEAR * outcomes["expected_slope_se"]
     changes = change.map("{:+.1%}".format).where(is_clear, "unclear").unstack().loc[values.index, [*found.names]].T
-    spread = found.sobol.spread[["lowest", "highest"]]
+    spread = sobol.groupby("outcome", sort=False)[["lowest", "highest"]].first()
     total = [f"{total:.2f} ± {half:.2f}" for total, half in sobol[["total", "total_ci"]].to_numpy()]
-    shares = pd.Series(total, sobol.index).where(sobol["total"].notna(), "").unstack()[[*found.vary]]
+    shares = pd.Series(total, sobol.index).where(sobol["total"].notna(), "").unstack()[[*found.lines]]
     tables = {
         "outcomes": pd.DataFrame({"value": values, "unit": [outcome_unit(str(name)) for name in values.index]}),
         "indices": spread.join(shares).loc[spread.index],
     }
     tables = {name: table.rename(index=outcome_label).rename_axis("outcome") for name, table in tables.items()}
     tables["changes"] = changes.rename(columns=outcome_label).rename_axis(f"{MORE - 1:.0%} more of", axis=0)
-    tables |= {"costs": found.local.cost, "ends": points.loc[[points[name].idxmin() for name in points]]}
+    tables |= {"costs": found.cost, "ends": points.loc[[points[name].idxmin() for name in points]]}
     tables = {name: table.reset_index() for name, table in tables.items()} | {"ranges": pd.DataFrame(at)}
     if found.triangle is not None:
         routes = found.tables()["triangle"]

@@ -19,9 +19,9 @@ from jaxurban.studies.queries import outcome_label, population_norms
 from jaxurban.studies.weights import summary
 from jaxurban.studies.weights.routes import SensitivityStudySettings
 from jaxurban.studies.weights.sobol import FEW_SAMPLES
-from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES, UNCLEAR, change_said
+from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES, UNCLEAR
 
-TABLES = "routes", "weights", "summary", "sobol", "sobol_summary", "comparisons", "remade", "remade_summary"
+TABLES = "routes", "weights", "summary", "sobol", "sobol_summary", "remade", "remade_summary"
 FIGURES = "regret", "nearest", "where"
 FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
 STATISTICS, ENDS = ("regret", "changes", "nearest", "share"), ("", "_low", "_high")
@@ -69,7 +69,6 @@ class SensitivityStudy:
         shares = summary.shares_table(routes)
         if len(shares):
             found |= {"sobol": shares, "sobol_summary": summary.summarise_shares(shares)}
-        found["comparisons"] = summary.comparisons_of(found["weights"], shares)
         if len(self.remade) and self.remade.status.isin(HAS_PATH).any():
             found |= {"remade": self.remade, "remade_summary": summary.summarise_remade(self.remade)}
         return found
@@ -129,7 +128,6 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     is_part = order.cut.isin(CUTS) & ~is_whole & (order.weight != "distance")
     shown = order[["of", "weight", "cities", "routes", *(f"{name}{end}" for name in STATISTICS for end in ENDS)]]
     found = {"by_all": shown[is_whole], "where": shown[is_part]}
-    found["comparisons"] = tables["comparisons"]
     if "sobol_summary" in tables:
         total = tables["sobol_summary"].query("kind == 'total'")
         is_clear, at_most = total.verdict == CLEAR, total.share_high.where(total.verdict == UNCLEAR).clip(lower=0)
@@ -138,9 +136,8 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
         found["sobol"] = total[["outcome", "weight_name", *(f"share{end}" for end in ENDS), "at most", "verdict"]]
     if "remade_summary" in tables:
         remade = tables["remade_summary"]
-        changed = [change_said(*each) for each in zip(remade.changed, remade.factor, strict=True)]
         names = [f"{name}{end}" for name in ("is_other", "nominal_regret", "nominal_is_closed") for end in ENDS]
-        found["perturbed"] = remade.assign(changed=changed)[["changed", "of", "routes", *names]]
+        found["perturbed"] = remade[["of", "routes", *names]]
     return found
 
 

@@ -26,7 +26,7 @@ Statistic = Literal["mean", "median", "share"]  # the last of values that are 0 
 class Interval(NamedTuple):
     """A statistic and its 95 % interval; NaN without values, the interval also with fewer than `FEWEST_GROUPS`."""
 
-    mean: float
+    value: float
     low: float
     high: float
 
@@ -99,17 +99,6 @@ class Clusters:
             return Interval(0.0, 0.0, 1 - least) if plain == 0 else Interval(1.0, least, 1.0)
         return Interval(float(plain), *ends_of(self.drawn(values, statistic), num_groups))
 
-    def difference(self, values: Values, is_in: np.ndarray) -> tuple[Interval, int]:
-        """Return the mean of the values that are in, less that of the others, with its interval; and its groups.
-
-        These are those of the part that has fewer: what scatters most has no more degrees of freedom.
-        """
-        parts = [np.where(chosen, np.asarray(values, np.float64), np.nan) for chosen in (is_in, ~is_in)]
-        num_groups = min(self.groups_of(~np.isnan(part)) for part in parts)
-        first, second = (self.interval(part).mean for part in parts)
-        drawn = self.drawn(parts[0]) - self.drawn(parts[1])
-        return Interval(first - second, *ends_of(drawn, num_groups)), num_groups
-
 
 def ends_of(drawn: np.ndarray, num_groups: int) -> tuple[float, float]:
     """Return the 95 % interval of a statistic drawn ``[B]`` times; NaN with too few groups, or where it is unknown.
@@ -128,12 +117,8 @@ def ends_of(drawn: np.ndarray, num_groups: int) -> tuple[float, float]:
 
 def reach_of(num_groups: int) -> float:
     """Return how many standard errors of its draws an interval reaches to each side."""
-    return _student(num_groups) * np.sqrt(num_groups / (num_groups - 1))
-
-
-def _student(num_groups: int) -> float:
-    """Return how many standard errors Student's 95 % interval reaches to each side."""
-    return float(special.stdtrit(num_groups - 1, (1 + LEVEL) / 2))
+    student = special.stdtrit(num_groups - 1, (1 + LEVEL) / 2)
+    return float(student * np.sqrt(num_groups / (num_groups - 1)))
 
 
 def draws_of(num_groups: int, seed: int | Sequence[int] = 0) -> np.ndarray:
@@ -148,26 +133,3 @@ def median_of(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
     passed = np.cumsum(counts[:, order], axis=-1)
     half_passed = passed * 2 >= passed[:, -1:] * (1 - ROUNDING)
     return np.where(passed[:, -1] > 0, values[order][np.argmax(half_passed, axis=-1)], np.nan)
-
-
-def p_value(interval: Interval, value: float, num_groups: int) -> float:
-    """Return the two-sided p of a value that a statistic may have; NaN without an interval.
-
-    It is Student's t, the standard error being that of the interval's arm on the value's side, so that p is below 0.05
-    where the interval leaves the value out; and never less than 2 ** (1 - G), what G signs that are all alike give.
-    """
-    arm = interval.mean - interval.low if value < interval.mean else interval.high - interval.mean
-    if not np.isfinite(arm) or value == interval.mean:
-        return np.nan if not np.isfinite(arm) else 1.0
-    errors = abs(value - interval.mean) / arm * _student(num_groups) if arm > 0 else np.inf
-    return max(float(2 * special.stdtr(num_groups - 1, -errors)), 2.0 ** (1 - num_groups))
-
-
-def holm(p_values: Sequence[float]) -> np.ndarray:
-    """Return Holm's adjusted p of several tests (Scand. J. Stat. 6, 1979): the chance that any is wrong; NaN stays."""
-    p = np.asarray(p_values, np.float64)
-    adjusted, known = np.full(p.shape, np.nan), np.flatnonzero(np.isfinite(p))
-    order = known[np.argsort(p[known], kind="stable")]
-    steps = p[order] * np.arange(len(order), 0, -1)
-    adjusted[order] = np.minimum(np.maximum.accumulate(steps), 1.0)
-    return adjusted

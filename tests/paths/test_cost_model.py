@@ -124,7 +124,7 @@ def costs_of_every_way(maps, ends, planned, under, closed, folder) -> dict[str, 
     costs["explain"] = ju.explain(planned, maps).totals["cost"]
     found = ju.studies.sensitivity(ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS, **under), *ends, settings=QUICK)
     costs["sensitivity"] = found.route.cost
-    costs["sensitivity's gradient"] = float(found.local.cost["gradient"] @ VECTOR)
+    costs["sensitivity's gradient"] = float(found.cost["gradient"] @ VECTOR)
     given = found.breakpoints("gps").query("is_given")
     assert given.length_m.item() == pytest.approx(planned.length_m, rel=1e-9)
     write_path(planned, folder / "route.geojson")

@@ -7,6 +7,7 @@ import pytest
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
+import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.paths.plan import cost_map
 from jaxurban.planners.cost import STEPS
@@ -116,26 +117,6 @@ def test_a_line_on_which_nothing_changes_has_one_cell(query):
     assert found.breakpoints.size == 0
 
 
-@pytest.mark.parametrize(
-    ("corners", "options", "word"),
-    [
-        (np.ones((4, 5)), {}, "corners"),
-        (np.zeros((2, 5)), {}, "not all 0"),
-        (-np.ones((2, 5)), {}, "not negative"),
-        (np.ones((2, 5)), {"tolerance": 0.0}, "tolerance"),
-        (np.ones((2, 5)), {"max_plans": 0}, "max_plans"),
-    ],
-)
-def test_wrong_corners_and_settings_are_refused(query, corners, options, word):
-    with pytest.raises(InputError, match=word):
-        find_breakpoints(RoutePool([query]), corners, **options)
-
-
-def test_breakpoints_of_two_queries_at_once_are_refused(query):
-    with pytest.raises(InputError, match="one query"):
-        find_breakpoints(RoutePool([query, query]), np.ones((2, 5)))
-
-
 @pytest.mark.parametrize("objectives", [("distance", "risk"), ("distance", "population", "risk")])
 def test_no_route_under_any_weights_is_below_the_hull_of_the_front(query, objectives):
     front = pareto_front(RoutePool([query]), objectives)
@@ -161,10 +142,12 @@ def test_with_a_tolerance_no_point_of_the_front_is_dominated_either(query):
         assert not np.any(np.all(exact <= one * (1 + 1e-9), axis=1) & np.any(exact < one * (1 - 1e-9), axis=1))
 
 
-@pytest.mark.parametrize("objectives", [("risk",), ("risk", "risk"), ("risk", "wind")])
-def test_a_front_takes_two_or_three_known_features(query, objectives):
-    with pytest.raises(InputError):
-        pareto_front(RoutePool([query]), objectives)
+@pytest.mark.parametrize(
+    "wrong", [{"objectives": ("risk",)}, {"triangle": ("risk", "gps", "gps")}, {"tolerance": 0.0}, {"max_plans": 0}]
+)
+def test_wrong_settings_are_refused(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        ju.studies.SensitivitySettings(**wrong)
 
 
 def test_clusters_gather_what_is_alike_and_begin_with_the_given_one():

@@ -60,7 +60,7 @@ def test_sensitivity_finds_the_breakpoints_of_its_weight(maps, ends, monkeypatch
     assert found.names == NAMES
     assert len(found.breakpoints("noise")) > 1
     assert found.front.points["noise"].is_monotonic_decreasing != found.front.points["noise"].is_monotonic_increasing
-    assert found.sobol.table.loc[("mean_noise", "noise"), "total"] > 0.1
+    assert found.sobol.loc[("mean_noise", "noise"), "total"] > 0.1
     assert "| noise | " in sensitivity_markdown(found)
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import spearmanr
 
-from jaxurban.studies.receiver.scores import half_width, shifted, spearman, within_blocks, without_each_block
+from jaxurban.studies.receiver.validate import half_width, shifted, spearman, within_blocks, without_each_block
 
 RNG = np.random.default_rng(4)
 A, B = RNG.integers(0, 9, 60).astype(float), RNG.integers(0, 9, 60).astype(float)

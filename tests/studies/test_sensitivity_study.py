@@ -23,8 +23,8 @@ from jaxurban.paths.rows import InstanceRuns, solve_here
 from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_where, study_figures
 from jaxurban.report.sensitivity_study import shown_tables, study_markdown
 from jaxurban.studies.montecarlo.sampling import sample_joined
-from jaxurban.studies.weights.routes import OnPerturbedMaps, parameters_of, perturbed_tasks, with_parameter
-from jaxurban.studies.weights.summary import comparisons_of, shares_table, summarise, summarise_shares
+from jaxurban.studies.weights.routes import OnPerturbedMaps
+from jaxurban.studies.weights.summary import summarise, summarise_shares
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 
@@ -218,10 +218,8 @@ def test_the_report_names_every_figure_and_no_share_below_zero(found):
     assert "| -" not in sobol.replace("| ---", "")
     assert "2 samples each; with fewer than 64" in report
     assert report.count("© a made city") == 1
-    general = found.tables["comparisons"].query("part == 'over cities'")
-    assert len(general) == 1
-    assert general[["low", "high", "p"]].isna().all(axis=None), "two cities say nothing of others"
-    assert report.index("| of | weight | cities | routes | regret |") < report.index("| quantity | part | first |")
+    assert "over cities" not in [*found.tables["summary"].cut], "two cities say nothing of others"
+    assert "| of | weight | cities | routes | regret |" in report
 
 
 def test_the_report_says_whether_routes_were_drawn_or_given(found):
@@ -281,45 +279,6 @@ def made_summary() -> pd.DataFrame:
     return summarise(made_weights({"gps": 0.01}), 2.0)
 
 
-def compared(weights: pd.DataFrame) -> pd.DataFrame:
-    return comparisons_of(weights, shares_table(weights))
-
-
-def test_comparisons_are_told_from_chance_where_what_is_known_is_clear_and_only_there():
-    table = compared(made_weights({"gps": 0.03, "risk": 0.02, "lidar": 0.0101})).set_index("part")
-    for part in ("all", "a", "b"):
-        assert table.loc[part, ["quantity", "first", "second"]].tolist() == ["regret", "gps", "risk"]
-        assert table.loc[part, "low"] < 0.01 < table.loc[part, "high"]
-        assert table.loc[part, "p"] < 0.05
-    assert np.isnan(table.loc["over cities", "p"]), "two cities say nothing of cities in general"
-    alike = compared(made_weights({"gps": 0.03, "risk": 0.03}))
-    assert alike[alike.part != "over cities"].p.gt(0.05).all()
-    few = compared(made_weights({"gps": 0.03, "risk": 0.0}, 2))
-    assert few.p.isna().all(), "four pairs support nothing"
-
-
-def test_a_layer_of_one_altitude_alone_is_not_compared_with_another():
-    table = made_weights({"gps": 0.03, "risk": 0.02})
-    high = table.assign(altitude_m=60.0)
-    found = compared(pd.concat([table, high[high.weight_name == "gps"].assign(regret=0.01)]))
-    (row,) = found[found["first"] == "20 m"].to_dict("records")
-    assert (row["quantity"], row["second"]) == ("regret of gps", "60 m")
-    assert row["difference"] == pytest.approx(0.02, abs=0.001)
-
-
-@pytest.mark.slow
-def test_of_equal_weights_a_difference_is_told_in_fewer_than_one_study_of_twenty():
-    """Four weights that cost the same, in two strata: no difference is true."""
-    wrong = 0
-    for seed in range(60):
-        table = made_weights(dict.fromkeys(("gps", "risk", "lidar", "population"), 0.03), 15, 0.01, seed)
-        table.loc[table.instance % 2 == 0, ["start_stratum", "goal_stratum"]] = "dense"
-        found = compared(table)
-        assert (found.second == "elsewhere").sum() == 8
-        wrong += (found.p < 0.05).any()
-    assert wrong <= 6  # of 60: 3 expected at most
-
-
 def test_a_share_of_the_cost_is_no_measure_of_harm():
     """Route A: 100 m, nothing of the layer. B: 1 m and 197 of it. Half the weight chooses B, which costs 98 % more."""
     features = {"A": np.array([100.0, 0.0]), "B": np.array([1.0, 197.0])}
@@ -329,7 +288,7 @@ def test_a_share_of_the_cost_is_no_measure_of_harm():
     table = made_weights({"layer": cost["B"] / cost["A"] - 1, "other": 0.001}, 10)
     table["elasticity"] = np.where(table.weight_name == "layer", 0.0, 0.5)
     rows = summarise(table, 2.0)
-    first = shown_tables({"summary": rows, "comparisons": rows})["by_all"].iloc[0]
+    first = shown_tables({"summary": rows})["by_all"].iloc[0]
     assert (first.weight, first.share) == ("layer", 0.0)
     assert first.regret == pytest.approx(0.98, abs=0.01)
 
@@ -356,7 +315,7 @@ def test_a_share_that_is_not_told_from_zero_is_words_and_no_number_below_zero():
     ]
     told = summarise_shares(pd.DataFrame(rows)).set_index(["weight_name", "kind"])
     assert told.loc[("gps", "first"), "share"] < 0
-    shown = shown_tables({"summary": made_summary(), "comparisons": told, "sobol_summary": told.reset_index()})["sobol"]
+    shown = shown_tables({"summary": made_summary(), "sobol_summary": told.reset_index()})["sobol"]
     gps, risk = shown.set_index("weight_name").loc[["gps", "risk"]].to_dict("records")
     assert np.isnan(gps["share"])
     assert gps["verdict"] == "not told from 0"
@@ -367,7 +326,7 @@ def test_a_share_that_is_not_told_from_zero_is_words_and_no_number_below_zero():
 
 
 def perturbed_rows(nominal, other, instances):
-    job = OnPerturbedMaps(nominal=nominal, changed="heights", at=0.0)
+    job = OnPerturbedMaps(nominal=nominal, draw=0)
     tasks = [InstanceRuns(instance, job.runs) for instance in instances]
     return pd.DataFrame(row for rows in solve_here(tasks, {"a": other}, job) for row in rows)
 
@@ -418,12 +377,10 @@ def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
     code, text, err = run(capsys, "sensitivity-study", *cities, *options)
     assert code == 0, err
     assert json.loads(text)["statuses"] == {"optimal": 2 * 8 * 2}
-    remade = ["--heights", 2, "--parameters", "--parameter-factors", "0.5"]
-    code, text, err = run(capsys, "sensitivity-study", *cities, *options, *remade)
+    code, text, err = run(capsys, "sensitivity-study", *cities, *options, "--heights", 2)
     assert code == 0, err
     told = json.loads(text)["tables"]["remade_summary"]
-    assert {row["changed"] for row in told} >= {"heights", "gps.gdop_threshold", "lidar.range_m", "risk.threshold_m"}
-    heights = next(row for row in told if row["changed"] == "heights" and row["of"] == "all")
+    heights = next(row for row in told if row["of"] == "all")
     assert heights["is_other"] == 0, "the synthetic city knows its heights"
     assert "## Other heights, other parameters" in (out / "report.md").read_text()
     queries = tmp_path / "queries.csv"
@@ -434,25 +391,6 @@ def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
     code, _, err = run(capsys, "sensitivity-study", cities[0], *options)
     assert code == 0, err
     assert len(pd.read_parquet(tmp_path / "q/routes/rows.parquet")) == 16
-
-
-def test_parameters_are_every_number_that_metrics_are_differentiated_by():
-    from jaxurban.maps.build import view_sky
-    from jaxurban.maps.task import MapParams, MapTask
-
-    city = ju.demo_city(900.0, 600.0, centre_lonlat=(-73.995, 40.7575))
-    grid = ju.Grid.from_bounds((-74.0, 40.755, -73.99, 40.76), 50.0, city.crs)
-    sky = view_sky(grid, ju.Gps())
-    task = MapTask(city, grid, sky, MapParams())
-    found = parameters_of(task)
-    assert found == {
-        **{"gps.gdop_threshold": 20.0, "lidar.range_m": 100.0, "risk.threshold_m": 50.0},
-        **{"population.gamma_commercial": 3.0, "population.gamma_residential": 0.5},
-    }
-    changed = with_parameter(task, "risk.threshold_m", 25.0)
-    assert parameters_of(changed) == found | {"risk.threshold_m": 25.0}
-    made = list(perturbed_tasks(task, ju.studies.SensitivityStudySettings(num_heights=3, has_parameters=True)))
-    assert [changed for changed, _, _ in made] == ["heights"] * 3 + [name for name in found for _ in range(2)]
 
 
 def test_own_layers_take_part_by_their_name(found):
@@ -469,8 +407,6 @@ def test_own_layers_take_part_by_their_name(found):
         (["--altitudes", "low"], ["--altitudes", "20,60"]),
         (["--samples", 3], ["power of two"]),
         (["--wrong", 1], ["wrong"]),
-        (["--parameter-factors", "2"], ["--parameters"]),
-        (["--parameters", "--parameter-factors", "1"], ["must not be 1"]),
         (["--vary", "gpss"], ["a weight that varies", "'gps'", "'gpss'"]),
         (["--vary", "gps,gps"], ["vary must name each weight once", "gps, gps"]),
         (["--vary", "gps", "--weights", "gps=0"], ["weight gps is 0 on every route"]),

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.paths.plan import cost_map
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.weights.sobol import FEW_SAMPLES, sobol_indices, sobol_of_weights
+from jaxurban.studies.weights.sobol import FEW_SAMPLES, check_vary, sobol_indices, sobol_of_weights
 from tests.made_maps import made_maps
 
 GIVEN = np.array([0.1, 1.0, 1.0, 1.0, 1.0])
@@ -30,11 +31,11 @@ KNOWN = {
 
 
 def ishigami(num_samples: int, seed: int):
-    def evaluate(x):
+    def evaluate(unit):
+        x = PI * (2 * unit - 1)
         return {"y": np.sin(x[:, 0]) + A * np.sin(x[:, 1]) ** 2 + B * x[:, 2] ** 4 * np.sin(x[:, 0])}
 
-    ends = PI * np.ones(3)
-    return sobol_indices(evaluate, NAMES, -ends, ends, num_samples=num_samples, seed=seed).table.loc["y"]
+    return sobol_indices(evaluate, NAMES, num_samples, seed).loc["y"]
 
 
 def test_indices_of_the_ishigami_function_are_the_known_ones():
@@ -57,46 +58,50 @@ def test_intervals_from_the_fewest_samples_contain_the_known_indices_in_93_of_10
 
 
 def test_a_product_of_log_uniform_factors_has_equal_first_order_indices_in_its_logarithm():
-    low, high = np.array([0.1, 1.0]), np.array([10.0, 100.0])
-    found = sobol_indices(lambda x: {"y": np.log(x[:, 0] * x[:, 1])}, NAMES[:2], low, high, is_log=True)
-    np.testing.assert_allclose(found.table["first"], 0.5, atol=0.05)
-    assert found.spread.loc["y", "mean"] == pytest.approx(np.log(10), abs=0.05)
+    found = sobol_indices(lambda x: {"y": np.log(0.1 * 100 ** x[:, 0] * 100 ** x[:, 1])}, NAMES[:2], 128)
+    np.testing.assert_allclose(found["first"], 0.5, atol=0.05)
+    assert found["mean"].to_numpy() == pytest.approx(np.log(10), abs=0.05)
 
 
 def test_an_outcome_that_does_not_vary_has_no_indices():
-    found = sobol_indices(lambda x: {"y": np.ones(len(x))}, NAMES[:2], np.zeros(2), np.ones(2), num_samples=4)
-    assert found.table.isna().all().all()
+    found = sobol_indices(lambda x: {"y": np.ones(len(x))}, NAMES[:2], 4)
+    assert found[["first", "first_ci", "total", "total_ci"]].isna().all().all()
 
 
 def test_the_same_seed_gives_the_same_indices_and_intervals():
     def once():
-        return sobol_indices(lambda x: {"y": x[:, 0] * x[:, 1]}, NAMES[:2], np.zeros(2), np.ones(2), num_samples=8)
+        return sobol_indices(lambda x: {"y": x[:, 0] * x[:, 1]}, NAMES[:2], 8)
 
-    assert once().table.equals(once().table)
+    assert once().equals(once())
 
 
 def test_indices_of_weights_come_with_intervals_and_take_n_times_factors_plus_2_plans(queries):
     pool = RoutePool(queries)
     told: list[int] = []
-    found = sobol_of_weights(pool, GIVEN, ("population", "risk"), num_samples=16, on_plans=told.append)
-    assert found.num_evaluations == 16 * 4
+    found = sobol_of_weights(pool, GIVEN, [3, 4], (0.1, 10.0), 16, on_plans=told.append)
     assert pool.num_plans == told[-1] == 2 * 16 * 4
-    assert list(found.table.loc["people"].index) == ["population", "risk"]
-    assert np.isfinite(found.table.loc["people"]).all().all()
-    assert (found.spread["lowest"] <= found.spread["highest"]).all()
+    assert list(found.loc["people"].index) == ["population", "risk"]
+    assert np.isfinite(found.loc["people"]).all().all()
+    assert (found["lowest"] <= found["highest"]).all()
 
 
 @pytest.mark.parametrize(
-    ("vary", "options", "word"),
+    ("vary", "word"), [(("rsk",), "did you mean 'risk'"), ((), "nothing varies"), (("gps",), "weight gps is 0")]
+)
+def test_weights_that_cannot_vary_are_refused(queries, vary, word):
+    with pytest.raises(InputError, match=word):
+        check_vary(queries[0].names, np.array([0.1, 0.0, 1.0, 1.0, 1.0]), vary)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "word"),
     [
-        (("rsk",), {}, "did you mean 'risk'"),
-        ((), {}, "at least one"),
-        (("gps",), {}, "weight gps is 0"),
-        (("risk",), {"factors": (2.0, 3.0)}, "range"),
-        (("risk",), {"num_samples": 12}, "power of two"),
+        ({"factors": (2.0, 3.0)}, "from below 1 to above 1"),
+        ({"num_samples": 12}, "power of two"),
+        ({"vary": ("gps", "gps")}, "each weight once"),
     ],
 )
-def test_wrong_settings_are_refused(queries, vary, options, word):
-    weights = np.array([0.1, 0.0, 1.0, 1.0, 1.0])
-    with pytest.raises(InputError, match=word):
-        sobol_of_weights(RoutePool(queries[:1]), weights, vary, **options)
+def test_wrong_settings_are_refused_by_both_studies(wrong, word):
+    for settings in (ju.studies.SensitivitySettings, ju.studies.SensitivityStudySettings):
+        with pytest.raises(InputError, match=word):
+            settings(**wrong)

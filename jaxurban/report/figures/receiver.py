@@ -8,8 +8,7 @@ from matplotlib.ticker import MaxNLocator
 from jaxurban.io.read.receiver import ERROR, TRACKED
 from jaxurban.report.figures.style import ends_of, panels, show_plain_log, styled
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE
-from jaxurban.studies.receiver.scores import SPEARMAN, WITHIN
-from jaxurban.studies.receiver.validate import ReceiverValidation
+from jaxurban.studies.receiver.validate import SPEARMAN, WITHIN, ReceiverValidation
 
 NAMES = {NUM_VISIBLE: "satellites in view", "gps": "GPS quality m"}
 LABELS = {TRACKED: "satellites tracked", ERROR: "horizontal error (m)"}

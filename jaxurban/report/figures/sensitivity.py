@@ -57,8 +57,8 @@ def sensitivity_figures(found: Sensitivity) -> dict[str, Callable[[], Figure]]:
 @styled
 def plot_breakpoints(found: Sensitivity) -> Figure:
     """Return the cheapest cost along the range of each weight, a dot where the route changes; red: the given weight."""
-    figure, axes = panels(len(found.vary), "Cheapest cost along the range of each weight", shares_y=True)
-    for panel, name in zip(axes, found.vary, strict=True):
+    figure, axes = panels(len(found.lines), "Cheapest cost along the range of each weight", shares_y=True)
+    for panel, name in zip(axes, found.lines, strict=True):
         line, column = found.lines[name], found.names.index(name)
         ends = line.corners[:, column]
         shares = np.sort(np.append((np.geomspace(ends[0], ends[1], 400) - ends[0]) / np.ptp(ends), line.breakpoints))
@@ -81,13 +81,14 @@ def plot_breakpoints(found: Sensitivity) -> Figure:
 
 def plot_breakpoint_routes(found: Sensitivity) -> Figure:
     """Return a map for each weight with the routes along its range, coloured by where they are the cheapest."""
-    titles = [f"{name}: {counted(len(found.lines[name].cells), 'route')}" for name in found.vary]
-    powers = range(*(math.ceil(math.log10(factor) - 1e-9) for factor in (found.factors[0], 10 * found.factors[1])))
+    titles = [f"{name}: {counted(len(found.lines[name].cells), 'route')}" for name in found.lines]
+    low, high = found.settings.factors
+    powers = range(*(math.ceil(math.log10(factor) - 1e-9) for factor in (low, 10 * high)))
     ticks = [10.0**power for power in powers]
-    colours = Colours("viridis", LogNorm(*found.factors), "weight, as a multiple of the given one", ticks=ticks)
+    colours = Colours("viridis", LogNorm(low, high), "weight, as a multiple of the given one", ticks=ticks)
     legend = [("given weights\n(dashed)", ON_ROUTES_COLOUR)]
     figure, axes = _maps(found, titles, "Cheapest routes along the range of each weight", legend, colours)
-    for panel, name in zip(axes, found.vary, strict=True):
+    for panel, name in zip(axes, found.lines, strict=True):
         table = found.breakpoints(name)
         middle = np.sqrt(table["from"] * table["to"]) / found.weights[found.names.index(name)]
         widths = np.linspace(3.2, 1.4, len(table))
@@ -104,7 +105,7 @@ def plot_triangle(found: Sensitivity) -> Figure:
     """Return the partition of the triangle of three weights into the cells of its cheapest routes, by cluster."""
     parts = found.triangle
     assert parts is not None, "drawn only where there is a triangle"
-    at = [found.names.index(name) for name in found.triangle_names]
+    at = [found.names.index(name) for name in found.settings.triangle]
     figure = chart(8.8, 4.5, f"{len(parts.cells)} cheapest routes over a triangle of weights")
     panel = figure.subplots()
     for number, (cell, cluster) in enumerate(zip(parts.cells, found.clusters, strict=True)):
@@ -117,7 +118,7 @@ def plot_triangle(found: Sensitivity) -> Figure:
         panel.text(x, y, str(cluster), bbox=NUMBER_LOOK, **look)
     panel.add_patch(Polygon(CORNERS, fill=False, edgecolor=INK, linewidth=0.9))
     panel.plot(*(found.weights[at] / found.weights[at].sum() @ CORNERS), markersize=13, **STAR)
-    for (x, y), name in zip(CORNERS, found.triangle_names, strict=True):
+    for (x, y), name in zip(CORNERS, found.settings.triangle, strict=True):
         panel.text(x, y + (0.04 if y else -0.04), f"all on {name}", **look)
     panel.set(xlim=(-0.12, 1.12), ylim=(-0.08, 0.95), aspect="equal")
     panel.set_axis_off()
@@ -137,7 +138,7 @@ def plot_triangle(found: Sensitivity) -> Figure:
 
 def plot_triangle_routes(found: Sensitivity) -> Figure:
     """Return the map with a route of each cluster, in the colours of `plot_triangle`."""
-    title = f"{len(found.clusters)} routes over the triangle of {listed(found.triangle_names)}: one of each cluster"
+    title = f"{len(found.clusters)} routes over the triangle of {listed(found.settings.triangle)}: one of each cluster"
     names = [f"cluster {k + 1}" + ("" if k else "\n(given weights)") for k in range(len(found.triangle_routes))]
     legend = list(zip(names, SERIES_COLOURS, strict=False))
     figure, (panel,) = _maps(found, [title], "Clusters of routes over a triangle of weights", legend)
@@ -155,7 +156,7 @@ def plot_pareto(found: Sensitivity) -> Figure:
     figure = chart(7.6, 4.0, f"Best trade-offs between {listed(front.objectives)}")
     panel = figure.subplots()
     points = front.points[[*front.objectives]].to_numpy()
-    given = found.local.cost["gradient"].loc[[*front.objectives]].to_numpy()
+    given = found.cost["gradient"].loc[[*front.objectives]].to_numpy()
     last = np.append(points[:, -1], given[-1])
     labels = [_feature_label(found, name) for name in front.objectives]
     colours = Colours("viridis", Normalize(last.min(), last.max()), labels[-1])

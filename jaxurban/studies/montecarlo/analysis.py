@@ -171,7 +171,7 @@ def paired(table: pd.DataFrame) -> pd.DataFrame:
                 "both": len(both),
                 "only_first": int((cost[first].notna() & cost[second].isna()).sum()),
                 "only_second": int((cost[second].notna() & cost[first].isna()).sum()),
-                "cost_ratio": np.exp(interval.mean),
+                "cost_ratio": np.exp(interval.value),
                 "low": np.exp(interval.low),
                 "high": np.exp(interval.high),
                 "first_cheaper": float((log_ratio < -1e-3).mean()) if len(both) else np.nan,

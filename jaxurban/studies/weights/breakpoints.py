@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, one_of
 from jaxurban.studies.queries import outcomes_of
 from jaxurban.studies.route_pool import RoutePool
 
@@ -118,10 +117,8 @@ def find_breakpoints(
       on_plans: gets the number of searches made after each round.
 
     Raises:
-      InputError: a pool of several queries, other corners, a wrong setting, or the query has no path.
+      InputError: the query has no path.
     """
-    corners = np.asarray(corners, np.float64)
-    _check(pool, corners, tolerance, max_plans)
     before = pool.num_plans
     growing = _Growing(corners, tolerance)
     is_complete = True
@@ -164,10 +161,8 @@ def nearest_breakpoints(
       factors: the ends of the range, below and above 1.
 
     Raises:
-      InputError: a pool of several queries, or the query has no path.
+      InputError: the query has no path.
     """
-    _check_one(pool)
-    weights = np.asarray(weights, np.float64)
     given = pool.cheapest(weights[None])[0, 0, 0]
     at = np.tile(np.asarray(factors, np.float64), (len(columns), 1))
     is_due = np.tile(weights[list(columns), None] > 0, 2)
@@ -210,9 +205,9 @@ def pareto_front(
       tolerance, max_plans, on_plans: as in `find_breakpoints`.
 
     Raises:
-      InputError: other names, a wrong setting, or the query has no path.
+      InputError: the query has no path.
     """
-    columns = check_objectives(objectives, pool.names)
+    columns = [pool.names.index(name) for name in objectives]
     alone = np.eye(len(pool.names))[columns]
     # In units of what routes have of each, so that no objective is squeezed into a corner of the triangle.
     size = pool.cheapest(alone)[0, 0][:, columns].max(axis=0)
@@ -220,17 +215,6 @@ def pareto_front(
     corners = shares @ (alone / np.where(size > 0, size, 1.0)[:, None])
     found = find_breakpoints(pool, corners, tolerance=tolerance, max_plans=max_plans, on_plans=on_plans)
     return replace(found, objectives=tuple(objectives))
-
-
-def check_objectives(objectives: Sequence[str], names: Sequence[str]) -> list[int]:
-    """Return the columns of the objectives among the weights' names.
-
-    Raises:
-      InputError: not two or three, one twice, or an unknown name (names the nearest one).
-    """
-    if len(objectives) not in (2, 3) or len(set(objectives)) < len(objectives):
-        raise InputError(f"a front lies between 2 or 3 different objectives, got {', '.join(objectives) or 'none'}")
-    return [names.index(one_of("a feature of these maps", name, names)) for name in objectives]
 
 
 class _Growing:
@@ -307,26 +291,3 @@ def _size(cell: np.ndarray) -> float:
 
 def _key(place: np.ndarray) -> tuple[int, ...]:
     return tuple(np.round(place / SAME_POINT).astype(np.int64).tolist())
-
-
-def _check(pool: RoutePool, corners: np.ndarray, tolerance: float, max_plans: int | None) -> None:
-    num_weights = len(pool.names)
-    _check_one(pool)
-    if corners.ndim != 2 or len(corners) not in (2, 3) or corners.shape[1] != num_weights:
-        raise InputError(f"corners must be 2 or 3 sets of {num_weights} weights, got shape {corners.shape}")
-    if not np.all((corners >= 0) & (corners < np.inf)) or np.any(corners.sum(axis=1) == 0):
-        raise InputError(f"weights must be finite, not negative and not all 0, got {corners.tolist()}")
-    check_tolerance(tolerance)
-    if max_plans is not None and max_plans < 1:
-        raise InputError(f"max_plans must be at least 1, got {max_plans}")
-
-
-def _check_one(pool: RoutePool) -> None:
-    if len(pool.queries) != 1:
-        raise InputError(f"breakpoints are those of one query, got {len(pool.queries)}: give one at a time")
-
-
-def check_tolerance(tolerance: float) -> None:
-    """Raise InputError unless a tolerance is one that costs in float64 allow."""
-    if not EXACT <= tolerance < 1:
-        raise InputError(f"tolerance must be at least {EXACT:g} and below 1, got {tolerance}")

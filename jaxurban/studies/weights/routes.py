@@ -1,17 +1,16 @@
 """What weights do to each of many routes, and how it differs on maps made anew: a row a route.
 
 A row is made alone, so that any number can be made side by side. Maps are made anew with heights drawn as well as they
-are known, or other parameters of the metrics.
+are known.
 """
 
 import math
 import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
-import jax
 import numpy as np
 
 from jaxurban.errors import InputError, at_least, positive, typed
@@ -28,15 +27,14 @@ from jaxurban.studies.montecarlo.trial import located
 from jaxurban.studies.queries import RouteQuery, outcomes_of
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import nearest_breakpoints
-from jaxurban.studies.weights.sobol import check_vary, sobol_of_weights
+from jaxurban.studies.weights.sobol import check_sampling, check_vary, sobol_of_weights
 
 ROUTE_KEY = ("city", *KEY)
-HEIGHTS = "heights"
-REMADE_KEY = ("changed", "at", *ROUTE_KEY)
+REMADE_KEY = ("draw", *ROUTE_KEY)
 SAME_SUMS = 1e-9  # relative: routes whose sums differ by less are one route
 OF_WEIGHT = ("elasticity", "below", "above", "regret_low", "regret_high")  # columns of each weight, as "below:gps"
 OF_SHARE = ("first", "first_ci", "total", "total_ci")  # and of each outcome too, as "first:gps:length_m"
-TEXTS = ("city", "status", "note", "vary", "changed")
+TEXTS = ("city", "status", "note", "vary")
 
 
 @typed
@@ -52,9 +50,6 @@ class SensitivityStudySettings(RouteJob):
       wrong: a wrong weight is so many times too large or too small.
       num_samples: N of each route's Sobol indices, a power of two, N x (2 + weights that vary) searches; 0: none.
       num_heights: also plan on maps of so many draws of all heights (see `jaxurban.maps.height_uncertainty`).
-      has_parameters: also plan on maps of which each parameter of the metrics that is a number (thresholds, range,
-        gammas) is set to these times its value:
-      parameter_factors: each neither 1 nor below 0.
       seed: of the sampling of routes and weights, mixed with the city's name and the route's number.
       num_threads: of the searches of a route; left out, one a core, and one where several processes work.
       cost_model, constraints, preset: see `jaxurban.paths.rows.RouteRules`.
@@ -68,8 +63,6 @@ class SensitivityStudySettings(RouteJob):
     wrong: float = 2.0
     num_samples: int = 32
     num_heights: int = 0
-    has_parameters: bool = False
-    parameter_factors: tuple[float, ...] = (0.5, 2.0)
     seed: int = 0
     num_threads: int | None = None
 
@@ -77,23 +70,12 @@ class SensitivityStudySettings(RouteJob):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least("seed", self.seed)
+        check_sampling(self)
         at_least("num_heights", self.num_heights)
         if self.num_threads is not None:
             at_least("num_threads", self.num_threads, 1)
-        if len(set(self.vary)) < len(self.vary):
-            raise InputError(f"vary must name each weight once, got {', '.join(self.vary)}")
-        if len(self.factors) != 2 or not 0 < self.factors[0] < 1 < self.factors[1] < math.inf:
-            raise InputError(f"factors must be two, from below 1 to above 1, as 0.1, 10, got {self.factors}")
         if not positive("wrong", self.wrong) > 1:
             raise InputError(f"wrong must be a factor above 1 such as 2, got {self.wrong}")
-        if self.num_samples < 0 or self.num_samples == 1 or self.num_samples & (self.num_samples - 1):
-            raise InputError(f"num_samples must be 0 or a power of two such as 32, got {self.num_samples}")
-        for factor in self.parameter_factors:
-            if positive("parameter_factors", factor) == 1:
-                raise InputError("factors of parameters must not be 1, which changes nothing: give some such as 0.5, 2")
-        if self.has_parameters and not self.parameter_factors:
-            raise InputError("parameter_factors is empty: name at least one such as 2, or leave out the parameters")
 
     def to_dict(self) -> dict[str, Any]:
         """Return what decides a row, as plain, JSON-ready values."""
@@ -147,8 +129,7 @@ def route_facts(on: CostMap, instance: Row, settings: SensitivityStudySettings) 
     query, weights = query_of(on, instance)
     names = query.names
     vary = settings.vary or tuple(name for name, weight in zip(names[1:], weights[1:], strict=True) if weight > 0)
-    if not vary:
-        raise InputError("no metric of these maps has a weight above 0, so nothing varies: give one, or name vary")
+    columns = check_vary(names, weights, vary)
     first = astar(query.problem(weights))
     if not first.status.has_path:
         return {"status": first.status.value, "note": first.status.sentence}
@@ -162,7 +143,6 @@ def route_facts(on: CostMap, instance: Row, settings: SensitivityStudySettings) 
     facts |= {name: float(value) for name, value in outcomes_of(integrals, names).items()}
     facts |= {f"elasticity:{name}": float(w * f / cost) for name, w, f in zip(names, weights, features, strict=True)}
     pool = RoutePool([query], workers=settings.num_threads)
-    columns = check_vary(pool, weights, vary, settings.factors)
     nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
     wrong = np.tile(weights, (2 * len(vary), 1))
     wrong[np.arange(len(wrong)), np.repeat(columns, 2)] *= np.tile([1 / settings.wrong, settings.wrong], len(vary))
@@ -173,53 +153,20 @@ def route_facts(on: CostMap, instance: Row, settings: SensitivityStudySettings) 
     if settings.num_samples:
         of_route = [settings.seed, zlib.crc32(instance["city"].encode()), int(instance["instance"])]
         seed = int(np.random.SeedSequence(of_route).generate_state(1)[0])
-        shares = sobol_of_weights(
-            pool, weights, vary, factors=settings.factors, num_samples=settings.num_samples, seed=seed % 2**31
-        )
-        for share in shares.table.reset_index().to_dict("records"):
+        shares = sobol_of_weights(pool, weights, columns, settings.factors, settings.num_samples, seed % 2**31)
+        for share in shares.reset_index().to_dict("records"):
             where = f"{share['factor']}:{share['outcome']}"
             facts |= {f"{kind}:{where}": float(share[kind]) for kind in OF_SHARE}
     return facts | {"num_plans": pool.num_plans + 1, "elapsed_s": time.perf_counter() - begin_s}
 
 
-def parameters_of(task: MapTask) -> dict[str, float]:
-    """Return every parameter of the metrics that is a number to differentiate by, as ``{"lidar.range_m": 100.0}``."""
-    found: dict[str, float] = {}
-    for name, metric in task.metrics.items():
-        settings = task.settings_of(metric)
-        if name not in task.layers and is_dataclass(settings):
-            leaves, _ = jax.tree_util.tree_flatten_with_path(settings)
-            found |= {f"{name}.{path[0].name}": float(value) for path, value in leaves if len(path) == 1}
-    return found
-
-
-def with_parameter(task: MapTask, parameter: str, value: float) -> MapTask:
-    """Return a task with one parameter of its metrics (see `parameters_of`) set."""
-    name, _, field = parameter.partition(".")
-    settings: Any = replace(task.settings_of(task.metrics[name]), **{field: value})
-    return replace(task, params=replace(task.params, sections={**task.params.sections, name: settings}))
-
-
-def perturbed_tasks(task: MapTask, settings: SensitivityStudySettings) -> Iterator[tuple[str, float, MapTask]]:
-    """Yield what is changed, at what, and the task of the maps made anew.
-
-    Changed are ``"heights"``, at the number of the draw, or a parameter such as ``"lidar.range_m"``, at its factor.
-    """
+def perturbed_tasks(task: MapTask, settings: SensitivityStudySettings) -> Iterator[MapTask]:
+    """Yield the tasks of maps made anew, one for each draw of heights."""
     params = task.params
     gps, heights = replace(params.gps, bounds=False), replace(params.heights, height_samples=0)
     plain = replace(task, params=replace(params, heights=heights, sections={**params.sections, "gps": gps}))
-    cities = perturbed_cities(task.city, heights.height_std_m, settings.num_heights, settings.seed)
-    for number, city in enumerate(cities):
-        yield HEIGHTS, float(number), replace(plain, city=city)
-    for parameter, value in parameters_of(plain).items() if settings.has_parameters else ():
-        for factor in settings.parameter_factors:
-            yield parameter, factor, with_parameter(plain, parameter, value * factor)
-
-
-def num_perturbed(task: MapTask, settings: SensitivityStudySettings) -> int:
-    """Return how many `perturbed_tasks` yields."""
-    num_parameters = len(parameters_of(task)) if settings.has_parameters else 0
-    return settings.num_heights + num_parameters * len(settings.parameter_factors)
+    for city in perturbed_cities(task.city, heights.height_std_m, settings.num_heights, settings.seed):
+        yield replace(plain, city=city)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -233,20 +180,19 @@ class OnPerturbedMaps(RouteJob):
 
     Attributes:
       nominal: the maps of the study.
-      changed, at: of the others, see `perturbed_tasks`.
+      draw: number of the draw of heights of the others.
     """
 
     nominal: MetricMaps
-    changed: str
-    at: float
+    draw: int
 
     key = REMADE_KEY
-    run_key = "changed", "at"
+    run_key = ("draw",)
 
     @property
     def runs(self) -> list[Run]:
-        """The change."""
-        return [(self.changed, self.at)]
+        """The draw."""
+        return [(self.draw,)]
 
     def cost_map(self, maps: MetricMaps, *at: Any) -> tuple[CostMap, CostMap]:
         """Return the cost maps of the nominal maps and of the others."""

@@ -3,14 +3,14 @@
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, at_least, typed
+from jaxurban.errors import InputError, at_least, one_of, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
@@ -19,20 +19,8 @@ from jaxurban.progress import Progress, reporting
 from jaxurban.studies.queries import RouteQuery, check_flat, cluster_routes, outcomes_of
 from jaxurban.studies.result import Result
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.weights.breakpoints import (
-    Partition,
-    check_objectives,
-    check_tolerance,
-    find_breakpoints,
-    pareto_front,
-)
-from jaxurban.studies.weights.sobol import (
-    LocalSensitivity,
-    SobolIndices,
-    check_vary,
-    local_sensitivity,
-    sobol_of_weights,
-)
+from jaxurban.studies.weights.breakpoints import EXACT, Partition, find_breakpoints, pareto_front
+from jaxurban.studies.weights.sobol import check_sampling, check_vary, cost_gradient, outcome_slopes, sobol_of_weights
 
 NUM_CLUSTERS = 7  # of routes over a triangle: a picture of more colours is hard to read
 
@@ -46,13 +34,12 @@ class Sensitivity(Result):
       route: the cheapest route under the given weights.
       names: ``"distance"`` and the metrics.
       weights: ``[K]`` as given.
-      vary: the weights that vary.
-      factors: each from the first to the second of these times its value.
-      local: derivatives at the given weights.
-      sobol: shares of variance over the whole range.
+      settings: what was varied, how far, and how finely; what was left out is filled in.
+      cost, outcomes: derivatives at the given weights (`cost_gradient`, `outcome_slopes`).
+      sobol: shares of variance over the whole range (`sobol_indices`).
       lines: of each varied weight, the routes along its range, the others as given.
-      triangle_names, triangle: three weights that share their total in all ways, the others as given; None with
-        less than three that vary.
+      triangle: three weights that share their total in all ways, the others as given; None with less than three that
+        vary.
       front: routes between objectives.
       clusters, representatives: ``[R]`` the cluster of each route of the triangle, and ``[M]`` the route that
         represents each, that of the given weights first (see `cluster_routes`).
@@ -65,12 +52,11 @@ class Sensitivity(Result):
     route: PlannedPath
     names: tuple[str, ...]
     weights: np.ndarray
-    vary: tuple[str, ...]
-    factors: tuple[float, float]
-    local: LocalSensitivity
-    sobol: SobolIndices
+    settings: "SensitivitySettings"
+    cost: pd.DataFrame
+    outcomes: pd.DataFrame
+    sobol: pd.DataFrame
     lines: dict[str, Partition]
-    triangle_names: tuple[str, ...]
     triangle: Partition | None
     front: Partition
     clusters: np.ndarray
@@ -83,15 +69,15 @@ class Sensitivity(Result):
     @property
     def facts(self) -> dict[str, str]:
         """The route, and of each weight that varies its share of the cost and how many routes its range holds."""
-        low, high = self.factors
-        shares = dict(zip(self.names, self.local.cost["elasticity"], strict=True))
+        low, high = self.settings.factors
+        shares = dict(zip(self.names, self.cost["elasticity"], strict=True))
         return {
             "route": f"cost {self.route.cost:,.2f}, {self.route.length_m:,.0f} m at {self.route.altitude_m:g} m",
             "each weight varies": f"from {low:g} to {high:g} times its value",
         } | {
             name: f"{weight:g}, {shares[name]:.1%} of the cost, routes over its range: {len(self.lines[name].cells)}"
             for name, weight in zip(self.names, self.weights, strict=True)
-            if name in self.vary
+            if name in self.lines
         }
 
     def breakpoints(self, name: str) -> pd.DataFrame:
@@ -114,18 +100,17 @@ class Sensitivity(Result):
     def tables(self) -> dict[str, pd.DataFrame]:
         """Return all tables by name."""
         found = {
-            "cost_gradient": self.local.cost,
-            "local": self.local.outcomes,
-            "sobol": self.sobol.table,
-            "sobol_spread": self.sobol.spread,
-            "switches": pd.concat([self.breakpoints(name) for name in self.vary]),
+            "cost_gradient": self.cost,
+            "local": self.outcomes,
+            "sobol": self.sobol,
+            "switches": pd.concat([self.breakpoints(name) for name in self.lines]),
             "pareto": self.front.points,
         }
         if self.triangle is not None:
             middles = self.triangle.weights_at(self.triangle.middles)
             found["triangle"] = pd.DataFrame(
                 {"share": self.triangle.sizes, "kind": self.clusters + 1}
-                | {f"{name}_at_middle": middles[:, self.names.index(name)] for name in self.triangle_names}
+                | {f"{name}_at_middle": middles[:, self.names.index(name)] for name in self.settings.triangle}
                 | outcomes_of(self.triangle.integrals, self.names),
                 pd.RangeIndex(1, len(middles) + 1, name="route"),
             )
@@ -137,11 +122,9 @@ class Sensitivity(Result):
         The shares sum to 1. Corners of a cell follow each other around it; routes are numbered as in `tables`.
         """
         assert self.triangle is not None, "there is no triangle"
-        numbered = enumerate(self.triangle.cells, start=1)
-        return pd.concat(
-            [pd.DataFrame(cell, columns=list(self.triangle_names)).assign(route=number) for number, cell in numbered],
-            ignore_index=True,
-        )
+        columns = list(self.settings.triangle)
+        cells = [pd.DataFrame(cell, columns=columns).assign(route=k) for k, cell in enumerate(self.triangle.cells, 1)]
+        return pd.concat(cells, ignore_index=True)
 
 
 @typed
@@ -172,9 +155,16 @@ class SensitivitySettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        at_least("seed", self.seed)
+        check_sampling(self)
         at_least("num_samples", self.num_samples, 2)
         at_least("max_plans", self.max_plans, 1)
+        if not EXACT <= self.tolerance < 1:
+            raise InputError(f"tolerance must be at least {EXACT:g} and below 1, got {self.tolerance}")
+        for name, names, counts in (("triangle", self.triangle, (0, 3)), ("objectives", self.objectives, (0, 2, 3))):
+            if len(names) not in counts or len(set(names)) < len(names):
+                raise InputError(
+                    f"{name} must name {' or '.join(map(str, counts[1:]))} different weights, got {', '.join(names)}"
+                )
 
 
 @typed
@@ -207,48 +197,45 @@ def sensitivity(
     begin_s, settings = time.perf_counter(), settings or SensitivitySettings()
     query, route = _plan(cost_map, start, goal, snap)
     names, given, pool = query.names, cost_map.weight_vector, RoutePool([query])
-    at = {name: column for column, name in enumerate(names)}
-    varied = tuple(settings.vary) or tuple(name for name in names[1:] if given[at[name]] > 0)
-    columns = check_vary(pool, given, varied, settings.factors)
-    if settings.objectives:
-        check_objectives(settings.objectives, names)
-    check_tolerance(settings.tolerance)
+    vary = settings.vary or tuple(name for name, weight in zip(names[1:], given[1:], strict=True) if weight > 0)
+    columns = check_vary(names, given, vary)
+    for name in (*settings.triangle, *settings.objectives):
+        one_of("a weight of triangle and objectives", name, names)
     with reporting("sensitivity", progress) as report:
         report("local")
-        local = local_sensitivity(pool, given, seed=settings.seed)
-        by_share = sorted(varied, key=lambda name: -local.cost["elasticity"][name])
-        three = _three(settings.triangle, by_share, names)
-        objectives = tuple(settings.objectives) or ("distance", *[name for name in by_share if name != "distance"][:2])
-        sobol = sobol_of_weights(
-            pool,
-            given,
-            varied,
-            factors=settings.factors,
-            num_samples=settings.num_samples,
-            seed=settings.seed,
-            on_plans=partial(report, "sobol"),
+        features, integrals = pool.cheapest(given[None])[:, :, 0]
+        cost = cost_gradient(names, given, features)
+        outcomes = outcome_slopes(pool, given, integrals, seed=settings.seed)
+        by_share = tuple(sorted(vary, key=lambda name: -cost["elasticity"][name]))
+        others = tuple(name for name in by_share if name != "distance")
+        settings = replace(
+            settings,
+            vary=vary,
+            triangle=settings.triangle or (by_share[:3] if len(by_share) >= 3 else ()),
+            objectives=settings.objectives or ("distance", *others[:2]),
         )
+        on_plans = partial(report, "sobol")
+        sobol = sobol_of_weights(pool, given, columns, settings.factors, settings.num_samples, settings.seed, on_plans)
         lines = {}
-        for name, column in zip(varied, columns, strict=True):
+        for name, column in zip(vary, columns, strict=True):
             ends = np.tile(given, (2, 1))
             ends[:, column] *= settings.factors
             lines[name] = find_breakpoints(pool, ends, on_plans=partial(report, f"breakpoints of {name}"))
         roughly: dict[str, Any] = {"tolerance": settings.tolerance, "max_plans": settings.max_plans}
         on_plans = partial(report, "triangle")
-        shared, clusters, representatives = _triangle(pool, given, three, **roughly, on_plans=on_plans)
-        front = pareto_front(pool, objectives, **roughly, on_plans=partial(report, "Pareto front"))
+        shared, clusters, representatives = _triangle(pool, given, settings.triangle, **roughly, on_plans=on_plans)
+        front = pareto_front(pool, settings.objectives, **roughly, on_plans=partial(report, "Pareto front"))
         report("routes")
         return Sensitivity(
             maps=cost_map.maps,
             route=route,
             names=names,
             weights=given,
-            vary=varied,
-            factors=settings.factors,
-            local=local,
+            settings=settings,
+            cost=cost,
+            outcomes=outcomes,
             sobol=sobol,
             lines=lines,
-            triangle_names=three,
             triangle=shared,
             front=front,
             clusters=clusters,
@@ -299,12 +286,3 @@ def _plan(cost_map: CostMap, start: Point, goal: Point, snap: bool | float) -> t
     if ends[0] == ends[1]:
         raise InputError("start and goal lie in one cell, so there is no route to study: set them further apart")
     return RouteQuery(cost_map, ends[0], ends[1]), route
-
-
-def _three(given: Sequence[str], by_share: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
-    """Return the weights of the triangle, none where less than three vary."""
-    if not given:
-        return tuple(by_share[:3]) if len(by_share) >= 3 else ()
-    if len(set(given)) != 3 or len(given) != 3 or any(name not in names for name in given):
-        raise InputError(f"a triangle takes three of the weights {', '.join(names)}, got {', '.join(given)}")
-    return tuple(given)

@@ -2,7 +2,7 @@
 
 Intervals are 95 % (of mean regrets some 90 %), by bootstrap over pairs of places within their cities, all altitudes of
 a pair drawn together: they are of these cities. From 8 cities on there is a second one, for which whole cities are
-drawn. Differences are many: their p are corrected over all of them by Holm's method.
+drawn.
 """
 
 from collections.abc import Callable, Iterator
@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.paths.rows import HAS_PATH
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval, Statistic, holm, p_value
-from jaxurban.studies.weights.routes import HEIGHTS, OF_SHARE, OF_WEIGHT, ROUTE_KEY
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval, Statistic
+from jaxurban.studies.weights.routes import OF_SHARE, OF_WEIGHT, ROUTE_KEY
 
 DESCRIBED = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "distance_m")
 ALL = "all"
@@ -106,7 +106,7 @@ def pairs_of(table: pd.DataFrame) -> Clusters:
 
 def named(name: str, interval: Interval) -> dict[str, float]:
     """Return an interval as columns."""
-    return {name: interval.mean, f"{name}_low": interval.low, f"{name}_high": interval.high}
+    return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
 
 
 def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
@@ -132,71 +132,6 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
                     row |= named(statistic, clusters.interval(values(of_weight), put))
                 rows.append(row)
     return pd.DataFrame(rows)
-
-
-def comparisons_of(weights: pd.DataFrame, shares: pd.DataFrame) -> pd.DataFrame:
-    """Return what is larger than what: a row a comparison, ``quantity`` of ``first`` less that of ``second``.
-
-    Compared are, in each ``part`` of the routes, the weight of the largest mean regret (and, of each outcome, of the
-    largest total Sobol share) with the one that it is least clearly ahead of, route by route; and the regret of each
-    weight at the lowest altitude with that at the highest, pair by pair, and in each stratum with that elsewhere.
-    ``p`` is two-sided, of no difference, and corrected over all rows; of the weight that was picked as the first it is
-    one-sided, times the number of weights. NaN with fewer pairs or cities than an interval takes.
-
-    Args:
-      weights: from `weights_table`.
-      shares: from `shares_table`.
-    """
-    varied = weights[weights.varies & weights.regret.notna()]
-    rows = _leads(varied, "regret", "regret", ALL)
-    if varied.city.nunique() > 1:
-        for city, part in varied.groupby("city", sort=False):
-            rows += _leads(part, "regret", "regret", str(city))
-        rows += _leads(varied, "regret", "regret", OVER_CITIES)
-    for name, part in varied.groupby("weight_name", sort=False):
-        rows += _apart(part.reset_index(drop=True), f"regret of {name}")
-    for outcome, part in shares[shares.total.notna()].groupby("outcome", sort=False):
-        rows += _leads(part, "total", f"total Sobol share of {outcome}", ALL)
-    table = pd.DataFrame(rows, columns=["quantity", "part", "first", "second", "difference", "low", "high", "p"])
-    return table.assign(p=holm(table.p.tolist()))
-
-
-def _leads(rows: pd.DataFrame, column: str, quantity: str, part: str) -> list[tuple[Any, ...]]:
-    """Return the least clear lead of the weight with the largest mean of a column; none without another weight.
-
-    Weights that some city lacks are left out.
-    """
-    wide = rows.pivot(index=list(ROUTE_KEY), columns="weight_name", values=column)
-    wide = wide.loc[:, wide.notna().groupby(level="city").any().all()]
-    if wide.shape[1] < 2:
-        return []
-    first, tests = str(wide.mean().idxmax()), []
-    for name in map(str, wide.columns.drop(first)):
-        both = wide[[first, name]].dropna().reset_index()
-        clusters = Clusters(both.city) if part == OVER_CITIES else pairs_of(both)
-        lead = clusters.interval(both[first] - both[name])
-        p = p_value(lead, 0.0, clusters.num_groups)
-        tests.append((quantity, part, first, name, *lead, float(np.minimum(1.0, p / 2 * len(wide.columns)))))
-    return [max(tests, key=lambda test: (np.nan_to_num(test[-1], nan=np.inf), -test[4]))]
-
-
-def _apart(part: pd.DataFrame, quantity: str) -> list[tuple[Any, ...]]:
-    """Return how far the regrets of one weight are apart between altitudes, and between strata."""
-    rows: list[tuple[Any, ...]] = []
-    low, high = part.altitude_m.min(), part.altitude_m.max()
-    wide = part.pivot(index=["city", "instance"], columns="altitude_m", values="regret")
-    both = wide[[low, high]].dropna().reset_index() if low < high else wide[:0]
-    if len(both):
-        clusters = pairs_of(both)
-        more = clusters.interval(both[low] - both[high])
-        rows.append((quantity, ALL, f"{low:g} m", f"{high:g} m", *more, p_value(more, 0.0, clusters.num_groups)))
-    clusters = pairs_of(part)
-    for stratum in sorted({*part.start_stratum.dropna(), *part.goal_stratum.dropna()}):
-        is_in = ((part.start_stratum == stratum) | (part.goal_stratum == stratum)).to_numpy()
-        if not is_in.all():
-            more, num_groups = clusters.difference(part.regret, is_in)
-            rows.append((quantity, ALL, stratum, "elsewhere", *more, p_value(more, 0.0, num_groups)))
-    return rows
 
 
 def shares_table(routes: pd.DataFrame) -> pd.DataFrame:
@@ -232,39 +167,22 @@ def summarise_shares(shares: pd.DataFrame) -> pd.DataFrame:
 
 
 def summarise_remade(remade: pd.DataFrame) -> pd.DataFrame:
-    """Return how far routes change on maps made anew: a row for each change, of all, of each city and each altitude.
+    """Return how far routes change on maps of other heights: a row for all, for each city and each altitude.
 
-    Of heights all draws together, draws and routes being drawn both; of parameters each factor. Columns are means of
-    those of `jaxurban.studies.weights.routes.OnPerturbedMaps`.
+    All draws together, draws and routes being drawn both. Columns are means of those of
+    `jaxurban.studies.weights.routes.OnPerturbedMaps`.
     """
-    rows = []
-    found = remade[remade.status.isin(HAS_PATH)]
-    found = found.assign(at=found["at"].where(found.changed != HEIGHTS))
-    draws = remade["at"].reindex(found.index)
-    for (changed, at), part in found.groupby(["changed", "at"], sort=False, dropna=False):
-        cuts = [(ALL, ALL, part)]
-        for cut in ("city", "altitude_m"):
-            cuts += [(cut, _told(value), rows_at) for value, rows_at in part.groupby(cut, sort=False)]
-        for cut, value, rows_at in cuts:
-            clusters, num_cities = pairs_of(rows_at), rows_at.city.nunique()
-            num_pairs = clusters.num_groups + num_cities - 1
-            if changed == HEIGHTS:  # both drawn
-                clusters = clusters.crossed(Clusters(draws[rows_at.index], seed=1))
-            row: dict[str, Any] = {"changed": changed, "factor": at, "cut": cut, "of": value}
-            row |= {
-                "routes": len(rows_at),
-                "draws": draws[rows_at.index].nunique(),
-                "pairs": num_pairs,
-                "cities": num_cities,
-                "groups": clusters.num_groups,
-            }
-            for statistic in REMADE_STATISTICS:
-                put: Statistic = "share" if statistic in SHARES_OF_ROUTES else "mean"
-                row |= named(statistic, clusters.interval(rows_at[statistic], put))
-            rows.append(row)
+    rows, found = [], remade[remade.status.isin(HAS_PATH)]
+    cuts = [(ALL, ALL, found)]
+    for cut in ("city", "altitude_m"):
+        cuts += [(cut, _told(value), part) for value, part in found.groupby(cut, sort=False)]
+    for cut, value, part in cuts:
+        pairs, num_cities = pairs_of(part), part.city.nunique()
+        clusters = pairs.crossed(Clusters(part.draw, seed=1))
+        row: dict[str, Any] = {"cut": cut, "of": value, "routes": len(part), "draws": part.draw.nunique()}
+        row |= {"pairs": pairs.num_groups + num_cities - 1, "cities": num_cities, "groups": clusters.num_groups}
+        for statistic in REMADE_STATISTICS:
+            put: Statistic = "share" if statistic in SHARES_OF_ROUTES else "mean"
+            row |= named(statistic, clusters.interval(part[statistic], put))
+        rows.append(row)
     return pd.DataFrame(rows)
-
-
-def change_said(changed: str, factor: float) -> str:
-    """Return what was changed in perturbed maps, in words."""
-    return "heights drawn as well as they are known" if changed == HEIGHTS else f"{changed} x {factor:g}"
