@@ -30,7 +30,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.planners.bulk import CELLS_TOGETHER, EDGES_TOGETHER, NODES_TOGETHER, QUERIES_TOGETHER
 from jaxurban.planners.cost import STEPS
 from jaxurban.studies.tuning import confidence, fenchel_young, target_fit
-from jaxurban.studies.tuning.targets import Target
+from jaxurban.studies.tuning.target_fit import Target
 from jaxurban.studies.weights import buildings
 from jaxurban.world import surface
 from jaxurban.world.grid import Grid

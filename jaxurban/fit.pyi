@@ -3,6 +3,6 @@ from jaxurban.studies.demonstrations import demonstrations_from_paths as demonst
 from jaxurban.studies.demonstrations import read_demonstrations as read_demonstrations
 from jaxurban.studies.route_pool import FitSettings as FitSettings
 from jaxurban.studies.tuning.compared_fits import compare_fits as compare_fits
+from jaxurban.studies.tuning.target_fit import Target as Target
 from jaxurban.studies.tuning.target_fit import fit_targets as fit_targets
-from jaxurban.studies.tuning.targets import Target as Target
 from jaxurban.studies.tuning.weight_fit import fit_weights as fit_weights

@@ -211,7 +211,7 @@ WRONG |= {
         "compare.times": {"now": "then"},
         "scenario": "no.toml",
     },
-    **{"time_of_day": "noon", "times_of_day": ("noon",), "Target.parse.metrics": RIGHT, "profile": RIGHT},
+    **{"time_of_day": "noon", "times_of_day": ("noon",), "profile": RIGHT},
     **{
         "plan_many.queries": pd.DataFrame({"start": [1]}),
         "sample_instances.weights": "uniform",

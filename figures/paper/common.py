@@ -24,7 +24,7 @@ from jaxurban.maps.run import ScenarioRun, load_city, run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.report.figures import plot_metric
 from jaxurban.report.write import framed, write_png
-from jaxurban.studies.montecarlo.strata import STRATA, strata_of
+from jaxurban.studies.montecarlo.sampling import STRATA, strata_of
 from jaxurban.world.city import Blocks, City
 from jaxurban.world.grid import Grid
 

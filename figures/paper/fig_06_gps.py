@@ -5,7 +5,7 @@ import numpy as np
 from figures.paper.common import ALTITUDES_M, Caption, Town, draw_metric, in_strata, means, shares
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
-from jaxurban.studies.montecarlo.complementarity import GOOD
+from jaxurban.studies.montecarlo.analysis import GOOD
 
 PAPER = (
     "Maps without a number. Accuracy is highest over the river, over Central Park and over low houses, and low among "

@@ -5,7 +5,7 @@ import numpy as np
 from figures.paper.common import Caption, Town, draw_metric, means, shares
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.risk import Risk
-from jaxurban.studies.montecarlo.strata import STRATA, strata_of
+from jaxurban.studies.montecarlo.sampling import STRATA, strata_of
 
 PAPER = (
     'Maps without a number. At 20 m, but for the river, New Jersey and Central Park, "a building can be found '

@@ -26,7 +26,7 @@ from jaxurban.report.sensitivity_study import weights_said
 from jaxurban.report.write import Output, counted, fill, listed, study_outputs
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
-from jaxurban.studies.montecarlo.complementarity import complementarity
+from jaxurban.studies.montecarlo.analysis import complementarity
 from jaxurban.studies.montecarlo.sampling import (
     KEY,
     checked_instances,

@@ -33,8 +33,7 @@ from jaxurban.studies.montecarlo.sampling import PLACES, TIMES, sample_instances
 from jaxurban.studies.queries import maps_of
 from jaxurban.studies.route_pool import FitSettings
 from jaxurban.studies.tuning.compared_fits import ALL, FitComparison, compare_fits
-from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
-from jaxurban.studies.tuning.targets import Target
+from jaxurban.studies.tuning.target_fit import Target, TargetFit, fit_targets
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
 STATE_FILE = "fit-state.parquet"
@@ -108,7 +107,7 @@ def run_tuning(
             f"the maps in {str(twice[0])!r} are named twice, so that their routes would count twice: name them once"
         )
     opened, fits = [source.maps.open() for source in sources], ONE_FIT | dict(settings.fits)
-    targets = [Target.parse(text, opened[0].metrics) for text in settings.targets]
+    targets = [Target.parse(text) for text in settings.targets]
     with reporting("tune", progress) as report:
         report("routes")
         cities: dict[str, list[Demonstration]] = {}

@@ -108,7 +108,7 @@ def test_without_a_route_no_building_costs_anything(folder, route, tmp_path):
 def test_a_route_of_another_altitude_or_of_unknown_weights_is_refused(folder, route):
     (task,) = tasks_of(Scenario.from_dict(SETTINGS))
     soft, params = soften(task), SoftParams(25.0, 2.0)
-    with pytest.raises(InputError, match="planned at 25 m and params say 60 m: take the same altitude"):
+    with pytest.raises(InputError, match=r"one CRS, cell size and altitude, got .* 25.0 m and .* 60.0 m"):
         building_costs(task.city, soft, route, replace(params, altitude_m=60.0))
     with pytest.raises(InputError, match="unknown weight 'rsk'"):
         building_costs(task.city, soft, route, params, {"rsk": 5})

@@ -17,7 +17,7 @@ from jaxurban.studies.demonstrations import optimal_demonstrations
 from jaxurban.studies.montecarlo.trial import row_columns
 from jaxurban.studies.queries import weights_from
 from jaxurban.studies.route_pool import FitSettings
-from jaxurban.studies.tuning.targets import Target, outcome_values
+from jaxurban.studies.tuning.target_fit import Target, outcome_values
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.studies.routes_made import made_queries
@@ -95,7 +95,7 @@ def test_weights_are_fitted_to_it_and_other_layers_weigh_nothing_then(maps):
     (deaf,) = made_queries(cost_map(maps, 20.0).only(("gps",)), 1)
     assert weights_from(deaf, np.ones(2))["noise"] == 0  # not 1, as a weight that nobody names
     sums = np.array([each.sums.ravel() for each in shown])
-    target = Target.parse("mean_noise<=0.2", maps.metrics)
+    target = Target.parse("mean_noise<=0.2")
     expected = np.mean(sums[:, -1] / sums[:, 3])
     assert float(outcome_values(sums, sums, queries[0].names, [target])[0]) == pytest.approx(expected)
     with pytest.raises(InputError, match="did you mean 'mean_noise'"):

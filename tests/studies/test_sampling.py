@@ -9,8 +9,14 @@ from scipy.ndimage import label
 from jaxurban.errors import InputError
 from jaxurban.io.tables import write_table
 from jaxurban.metrics.weights import Weights
-from jaxurban.studies.montecarlo.sampling import RANGES, read_instances, sample_instances, weight_columns
-from jaxurban.studies.montecarlo.strata import STRATA, strata_of
+from jaxurban.studies.montecarlo.sampling import (
+    RANGES,
+    STRATA,
+    read_instances,
+    sample_instances,
+    strata_of,
+    weight_columns,
+)
 from jaxurban.world.city import LandCover
 from tests.made_maps import made_maps
 

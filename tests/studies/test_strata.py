@@ -3,7 +3,7 @@
 import numpy as np
 import shapely
 
-from jaxurban.studies.montecarlo.strata import HIGH_RISE_M, NO_STRATUM, STRATA, share_around, strata_of
+from jaxurban.studies.montecarlo.sampling import HIGH_RISE_M, NO_STRATUM, STRATA, share_around, strata_of
 from jaxurban.world.city import LandCover
 from tests.made_maps import made_maps
 

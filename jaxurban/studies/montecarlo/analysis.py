@@ -1,25 +1,30 @@
-"""What the rows of a Monte Carlo benchmark say: tables, each a DataFrame that a reader can check.
+"""What a Monte Carlo benchmark says: tables, each a DataFrame that a reader can check.
 
-All take the rows joined with their instances (`joined`). A path's *ratio* is its cost over the cheapest one that any
-planner found for the same instance at the same altitude, under the benchmark's cost model.
+All but `complementarity`, which is of the maps, take the rows joined with their instances (`joined`). A path's *ratio*
+is its cost over the cheapest one that any planner found for the same instance at the same altitude, under the
+benchmark's cost model.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.rows import BAD_INPUT, HAS_PATH
 from jaxurban.planners.base import Status
-from jaxurban.studies.bootstrap import Clusters
+from jaxurban.studies.bootstrap import Clusters, draws_of, ends_of
 from jaxurban.studies.montecarlo.sampling import KEY, RANGES
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 
 CLOSE, NEAR = 1.01, 1.05  # ratios that count as the best, and as near it
 OFTEN = 0.8  # least share of joined pairs solved for a planner's metrics to be compared
 RELIABLE = 0.95  # least share of joined pairs solved for a planner to be advised
+GOOD = 0.5  # a sensor serves where its m is at least this
+TILE_M = 500.0  # cells nearer than this are much alike, so whole tiles are drawn
+FEWEST = 0.005  # share of cells where GPS is poor, below which nothing is said about them
 
 
 def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
@@ -250,3 +255,53 @@ def choices(table: pd.DataFrame) -> pd.DataFrame:
     order = {name: number for number, name in enumerate(range_names(rows))}
     found.sort(key=lambda row: (row["altitude_m"], order[row["range"]]))
     return pd.DataFrame(found)
+
+
+def complementarity(
+    maps: MetricMaps, *, altitudes_m: Sequence[float] | None = None, time: str | None = None
+) -> pd.DataFrame:
+    """Return whether GPS and lidar complement each other over the free cells, the paper's main finding.
+
+    A row for each altitude, lowest first. ``gps``, ``lidar``: mean m. ``gps_serves``, ``lidar_serves``,
+    ``either_serves``: shares of cells with m >= 0.5. ``lidar_where_gps_poor``, ``lidar_where_gps_good``: mean m_lidar
+    where m_gps < 0.5 and elsewhere. ``correlation`` of the two, with its 95 % interval (``_low``, ``_high``) by the
+    bootstrap over tiles of 500 m, the same tiles drawn at every altitude. NaN where a metric does not vary, GPS is poor
+    in fewer than 0.5 % of the cells, or there are fewer than eight tiles.
+
+    Args:
+      maps: with gps and lidar.
+      altitudes_m: some of the maps' altitudes; all if left out.
+      time: UTC time of the GPS map; the first if left out.
+    """
+    side = max(1, round(TILE_M / maps.grid.resolution_m))
+    rows, cols = np.indices(maps.grid.shape, np.int32) // side
+    tile = rows * (int(cols.max()) + 1) + cols
+    free_tiles = np.unique(tile[np.logical_or.reduce([maps.is_free(z, "centre") for z in maps.altitudes_m])])
+    tile, draws = np.searchsorted(free_tiles, tile), draws_of(len(free_tiles))
+    found: list[dict[str, float]] = []
+    for altitude_m in sorted(maps.altitudes_m if altitudes_m is None else altitudes_m):
+        is_free = maps.is_free(altitude_m, "centre")
+        gps = maps.m("gps", altitude_m, time=time)[is_free].astype(np.float64)
+        lidar = maps.m("lidar", altitude_m)[is_free].astype(np.float64)
+        parts = (np.ones_like(gps), gps, lidar, gps**2, lidar**2, gps * lidar)
+        sums = np.stack([np.bincount(tile[is_free], part, len(free_tiles)) for part in parts], axis=1)
+        serves = {"gps": gps >= GOOD, "lidar": lidar >= GOOD, "either": (gps >= GOOD) | (lidar >= GOOD)}
+        is_poor = ~serves["gps"]
+        row = {"altitude_m": altitude_m, "gps": gps.mean(), "lidar": lidar.mean()}
+        row |= {f"{name}_serves": where.mean() for name, where in serves.items()}
+        has_poor = FEWEST <= is_poor.mean() < 1
+        row["lidar_where_gps_poor"] = lidar[is_poor].mean() if has_poor else np.nan
+        row["lidar_where_gps_good"] = lidar[~is_poor].mean() if has_poor else np.nan
+        row["correlation"] = correlation_of(sums.sum(axis=0)[None])[0]
+        ends = ends_of(correlation_of(draws @ sums), len(free_tiles))
+        found.append(row | dict(zip(("correlation_low", "correlation_high"), ends, strict=True)))
+    return pd.DataFrame(found)
+
+
+def correlation_of(sums: np.ndarray) -> np.ndarray:
+    """Return ``[B]`` correlations, NaN where one is constant, from ``[B, 6]`` sums of 1, a, b, a a, b b and a b."""
+    n, a, b, aa, bb, ab = sums.T
+    n = np.maximum(n, 1.0)  # a draw of tiles without a free cell at this altitude varies in nothing
+    spread = np.maximum(aa / n - (a / n) ** 2, 0) * np.maximum(bb / n - (b / n) ** 2, 0)
+    varies = spread > 1e-12
+    return np.where(varies, (ab / n - a * b / n**2) / np.sqrt(np.where(varies, spread, 1.0)), np.nan)

@@ -1,6 +1,7 @@
 """Weights fitted to targets: those under which routes meet them, and which targets conflict."""
 
 import itertools
+import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,17 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pandas as pd
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
-from jaxurban.errors import InputError, typed
-from jaxurban.metrics.registry import METRICS
+from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.progress import Report, reporting
 from jaxurban.studies.queries import RouteQuery, check_alike, weights_from
 from jaxurban.studies.route_pool import FitSettings, RoutePool, draw_pairs, known_route_sums
 from jaxurban.studies.tuning.confidence import feature_units
 from jaxurban.studies.tuning.fenchel_young import adam
-from jaxurban.studies.tuning.targets import Target, outcome_values
 
 FIRST_RATE, LAST_RATE = 0.2, 0.02  # of Adam, in log weight a step
 FIRST_NOISE, LAST_NOISE = 0.7, 0.05  # of the perturbed planner, from the first to the last step
@@ -32,7 +31,54 @@ FAR_SPREAD, NEAR_SPREAD = 3.0, 0.1  # of the candidates' log weights about the b
 NUM_TRIED, NUM_PROBES = 3, 8  # weights planned for, and searches around the best, a round
 PROBE_NOISE = (0.05, 0.8)  # of those searches' log weights, from the nearest to the farthest
 PATIENCE = 3  # rounds that better nothing
+MEAN = "mean_"  # of a metric along a route
 MET = 0.02  # a target is met if it is missed by no more than this share
+
+
+@typed
+@dataclass(frozen=True)
+class Target:
+    """A bound on an outcome of routes, averaged over a set of queries.
+
+    Attributes:
+      outcome: ``detour``: mean of length over the shortest route's, less 1. ``mean_gps`` and the like: mean over
+        queries of the mean m along the route. ``people``: sum over queries of the integral of m_population along the
+        route, as a share of the shortest routes'. ``length_m``: mean length.
+      sense: ``">="`` or ``"<="``.
+      value: the bound.
+
+    Raises:
+      InputError: another sense, or a value that no route reaches or that is no number.
+    """
+
+    outcome: str
+    sense: str
+    value: float
+
+    def __post_init__(self) -> None:
+        one_of("the sense of a target", self.sense, (">=", "<="))
+        if not np.isfinite(self.value):
+            raise InputError(f"target {str(self)!r} must end in a finite number")
+        most = 1.0 if self.outcome.startswith(MEAN) else np.inf
+        if (self.sense == ">=" and self.value > most) or (self.sense == "<=" and self.value < 0):
+            raise InputError(f"target {str(self)!r} cannot be met: {self.outcome} lies between 0 and {most:g}")
+
+    @classmethod
+    @typed
+    def parse(cls, text: str) -> "Target":
+        """Return the target in ``"mean_gps>=0.8"``.
+
+        Raises:
+          InputError: another form, or a value that is not a number.
+        """
+        match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(\S+)\s*", text)
+        if not match:
+            raise InputError(f"target {text!r} must read like mean_gps>=0.8 or detour<=0.15")
+        outcome, sense, number = match.groups()
+        return cls(outcome, sense, finite(f"the bound of target {text!r}", number))
+
+    def __str__(self) -> str:
+        return f"{self.outcome} {self.sense} {self.value:g}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,14 +158,16 @@ def fit_targets(
     names = check_alike(queries)
     if not targets:
         raise InputError("there are no targets: give at least one, such as mean_gps>=0.8")
-    known = tuple(dict.fromkeys((*METRICS, *queries[0].cost_map.maps.metrics)))
     asked = [targets] if isinstance(targets, str) else targets
-    wanted = [(Target.parse(each, known) if isinstance(each, str) else each).checked(known) for each in asked]
+    wanted = [Target.parse(each) if isinstance(each, str) else each for each in asked]
+    outcomes = (
+        "detour",
+        "length_m",
+        *(["people"] if "population" in names else []),
+        *(MEAN + name for name in names[1:]),
+    )
     for target in wanted:
-        if target.metric is not None and target.metric not in names:
-            raise InputError(
-                f"target {str(target)!r}: {target.metric} is not among the metrics, {', '.join(names[1:])}"
-            )
+        one_of("the outcome of a target", target.outcome, outcomes)
     given = None if start is None else start.vector(names)
     pool = settings.pool(
         queries,
@@ -231,6 +279,31 @@ class _Search:
     def _corners(self) -> np.ndarray:
         """Return ``[K, K]`` log weights of which each cares for one thing mostly."""
         return self.log_start + np.log(CORNER) * np.eye(len(self.log_start))
+
+
+def outcome_values(
+    sums: Float[AnyArray, "Q J"], shortest: Float[AnyArray, "Q J"], names: Sequence[str], targets: Sequence[Target]
+) -> Float[Array, " N"]:
+    """Return the targets' outcomes of routes.
+
+    Args:
+      sums: features and integrals ``[Q, 2 K]`` of the routes.
+      shortest: those of the shortest routes.
+      names: ``[K]`` the weights.
+      targets: ``[N]``.
+    """
+    num = len(names)
+    length_m, base_m = sums[:, num], shortest[:, num]
+    values = []
+    for target in targets:
+        if target.outcome in ("length_m", "detour"):
+            values.append(jnp.mean(length_m) if target.outcome == "length_m" else jnp.mean(length_m / base_m) - 1)
+            continue
+        is_share = target.outcome == "people"
+        column = num + list(names).index("population" if is_share else target.outcome.removeprefix(MEAN))
+        along, base = sums[:, column], shortest[:, column]
+        values.append(jnp.sum(along) / jnp.maximum(jnp.sum(base), 1e-9) if is_share else jnp.mean(along / length_m))
+    return jnp.stack(values)
 
 
 def _missed(values: AnyArray, bound: AnyArray, sign: AnyArray) -> Array:

@@ -24,17 +24,14 @@ def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVis
     region = soft.surface.region
     if not planned.status.has_path:
         raise InputError("there is no route, so no building costs it anything: plan one that reaches its goal")
-    if planned.crs != region.crs or planned.settings["resolution_m"] != region.resolution_m:
-        raise InputError(
-            f"the route lies on cells of {planned.settings['resolution_m']:g} m in {planned.crs} and the soft city on "
-            f"cells of {region.resolution_m:g} m in {region.crs}: make both from the same maps"
-        )
     if len(planned.z_m) and np.ptp(planned.z_m) > 0:
         raise InputError("the route changes its altitude and a soft city has one: plan it at that altitude")
-    wanted_m = float(np.asarray(params.altitude_m))
-    if not np.isclose(planned.altitude_m, wanted_m):
+    of_route = planned.crs, planned.settings["resolution_m"], round(planned.altitude_m, 3)
+    of_soft = region.crs, region.resolution_m, round(float(np.asarray(params.altitude_m)), 3)
+    if of_route != of_soft:
         raise InputError(
-            f"the route was planned at {planned.altitude_m:g} m and params say {wanted_m:g} m: take the same altitude"
+            "the route and the soft city must have one CRS, cell size and altitude, got "
+            f"{', '.join(map(str, of_route))} m and {', '.join(map(str, of_soft))} m: make both from the same maps"
         )
     time_of_day = planned.settings["time_of_day"]
     if soft.population is not None and time_of_day is not None and time_of_day != soft.time_of_day:
