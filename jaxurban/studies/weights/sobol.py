@@ -44,7 +44,7 @@ def check_sampling(settings: Any) -> None:
         raise InputError(f"vary must name each weight once, got {', '.join(settings.vary)}")
     if len(settings.factors) != 2 or not 0 < settings.factors[0] < 1 < settings.factors[1] < math.inf:
         raise InputError(
-            f"factors (--range) must be two, from below 1 to above 1 times the weights, as 0.1,10, got "
+            f"factors must be two (--range), from below 1 to above 1 times the weights, as 0.1,10, got "
             f"{settings.factors}"
         )
     if settings.num_samples < 0 or settings.num_samples == 1 or settings.num_samples & (settings.num_samples - 1):
