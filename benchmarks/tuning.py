@@ -71,12 +71,12 @@ def run(unit: CostMap, number: int, options: argparse.Namespace) -> tuple[float,
         demonstrations[k] = detour(demonstrations[k], hidden, rng)
     fit = fit_weights(demonstrations, settings=FitSettings(seed=number))
     spread = hidden * np.array([each.features for each in demonstrations]).std(axis=0)
-    cosine = float(fit.spread @ spread / np.linalg.norm(spread))
+    cosine = float(fit.table["spread"] @ spread / np.linalg.norm(spread))
     unseen = draw_queries(unit, rng, NUM_UNSEEN)
     costs = [RoutePool(unseen).cheapest(weights[None])[0, :, 0] @ hidden for weights in (hidden, fit.vector)]
     regret = float(np.mean(costs[1] / costs[0]) - 1)
     told = hidden / hidden.sum()
-    inside = float(np.mean((fit.interval[0] <= told) & (told <= fit.interval[1])))
+    inside = float(np.mean((fit.table["low"] <= told) & (told <= fit.table["high"])))
     print(
         f"| {', '.join(f'{value:.3f}' for value in told)} | {cosine:.6f} | {100 * regret:.4f} | {inside:.0%} "
         f"| {fit.elapsed_s:.1f} | {fit.num_plans} | {len(fit.curve)} |",

@@ -54,7 +54,7 @@ print(f"{len(shown)} routes of {min(p.length_m for p in shown):,.0f} to {max(p.l
 fit = ju.fit.fit_weights(demonstrations, bootstrap=50)
 for sentence in (*fit.unidentified, *fit.warnings):
     print(sentence)
-table = fit.table()
+table = fit.table.copy()
 vector = np.array([getattr(own, name) for name in fit.names])
 table.insert(0, "pilot's own", vector / vector.sum())
 table.round(4)
@@ -105,4 +105,4 @@ plot_paths(maps, two, names=["default weights", "fitted weights"])
 # %% [markdown]
 # ## A question to try
 #
-# How few routes are enough? Fit to the first 3, 5 and 10 of `shown`, and watch the intervals of `fit.table()` widen.
+# How few routes are enough? Fit to the first 3, 5 and 10 of `shown`, and watch the intervals of `fit.table` widen.

@@ -248,7 +248,6 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
     tables = {
         "choices": analysis.choices(table),
         "success": analysis.success(table),
-        "surroundings": analysis.surroundings(table),
         "costs": analysis.costs(table),
         "paired": analysis.paired(table),
         "times": analysis.times(table),
@@ -276,7 +275,7 @@ def report_markdown(result: BenchmarkResult, tables: dict[str, pd.DataFrame], fi
     budget = f"{study.budget_s:g} s a run" if samples is None else f"{samples} samples, others to their end"
     return fill(
         "study",
-        {**tables, "success": _by_range(tables["success"]), "surroundings": _by_stratum(tables["surroundings"])},
+        {**tables, "success": _by_range(tables["success"])},
         figures,
         [result.maps.attribution],
         instances=counted(table.instance.nunique(), "instance"),
@@ -302,9 +301,3 @@ def _by_range(success: pd.DataFrame) -> pd.DataFrame:
     rows = itertools.product(sorted(success.planner.unique()), analysis.range_names(success))
     shares = shares.reindex(pd.MultiIndex.from_tuples(rows, names=shares.index.names))
     return shares.rename(columns=lambda z: f"{z:g} m").reset_index()
-
-
-def _by_stratum(surroundings: pd.DataFrame) -> pd.DataFrame:
-    """Return shares at the lowest altitude by stratum, a column a planner."""
-    low = surroundings[surroundings.altitude_m == surroundings.altitude_m.min()]
-    return low.pivot(index=["stratum", "pairs"], columns="planner", values="share").reset_index()

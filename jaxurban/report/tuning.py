@@ -217,7 +217,7 @@ def outputs_of(
     tables: dict[str, pd.DataFrame] = {}
     outputs: dict[str, Output] = {"learning_curve": fit.curve}
     if isinstance(fit, WeightFit):
-        template, given, weights = "imitation", "demonstration", fit.table().reset_index()
+        template, given, weights = "imitation", "demonstration", fit.table.reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         outputs["figures/weights.png"] = lambda: plot_weights(fit)
         tables["regrets"] = _regrets(fit)
@@ -305,7 +305,7 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
         "elapsed_s": fit.elapsed_s,
     }
     if isinstance(fit, WeightFit):
-        low, high = (dict(zip(fit.names, ends.tolist(), strict=True)) for ends in fit.interval)
+        low, high = (fit.table[end].to_dict() for end in ("low", "high"))
         has_interval = all(value == value for value in low.values())
         return facts | {
             "interval": {name: [low[name], high[name]] for name in fit.names} if has_interval else None,

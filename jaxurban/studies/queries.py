@@ -129,39 +129,24 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
     """
     if not queries:
         raise InputError("there are no routes to look at (demonstrations, queries or cities): give at least one")
-    first = queries[0].cost_map
-    for other in maps_of(queries):
-        if other.weight_names != first.weight_names:
-            raise InputError(
-                f"the routes lie on maps of different metrics, {', '.join(first.weight_names)} and "
-                f"{', '.join(other.weight_names)}: make all maps from the same kinds of sources"
-            )
-        if other.cost_model != first.cost_model:
-            raise InputError(
-                f"the routes are costed by different cost models, {first.cost_model} and {other.cost_model}: name one "
-                "for all (--cost-model, cost_model=)"
-            )
-        if other.grid.resolution_m != first.grid.resolution_m and first.cost_model.kind == "cell":
-            raise InputError(
-                "the routes lie on maps of different resolutions, on which the 'cell' cost model costs differently: "
-                "use cost_model='line'"
-            )
-        if _norms(other) != _norms(first):
-            remedy = "make the maps with [population] normalise set to a number per km2"
-            if population_norms(other.maps) == population_norms(first.maps):
-                remedy = f"take one time of day (--time-of-day, time_of_day=), or {remedy}"
-            raise InputError(
-                "population is normalised by different numbers on these maps, so that one weight means different "
-                f"things: {remedy}"
-            )
-    return first.weight_names
-
-
-def _norms(cost_map: CostMap) -> float | None:
-    """Return what population is divided by at the map's time of day; None without population."""
-    if "population" not in cost_map.names or cost_map.time_of_day is None:
-        return None
-    return population_norms(cost_map.maps).get(cost_map.time_of_day)
+    maps = maps_of(queries)
+    is_cell = maps[0].cost_model.kind == "cell"
+    of_maps: dict[str, list[Any]] = {
+        "metrics: make all from the same kinds of sources": [", ".join(on.weight_names) for on in maps],
+        "cost models: name one for all (--cost-model, cost_model=)": [on.cost_model for on in maps],
+        "resolutions, on which the 'cell' cost model costs differently: use cost_model='line'": [
+            f"{on.grid.resolution_m:g} m" if is_cell else "" for on in maps
+        ],
+        "numbers by which population is normalised, so that one weight means different things: make the maps with "
+        "[population] normalise set to a number per km2, or take one time of day (--time-of-day, time_of_day=)": [
+            population_norms(on.maps).get(on.time_of_day or "") if "population" in on.names else None for on in maps
+        ],
+    }
+    for remedy, values in of_maps.items():
+        for value in values:
+            if value != values[0]:
+                raise InputError(f"the routes lie on maps of {values[0]} and {value}, different {remedy}")
+    return queries[0].names
 
 
 def population_norms(maps: MetricMaps) -> dict[str, float]:

@@ -313,7 +313,7 @@ def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(folde
         code, _, err = run(capsys, *asked, "--overwrite", "--also", folder, line)
     assert code == 2
     assert "1 no-fly zone, risk>=0.08, vertical clearance of 3 m and is fitted under" in err
-    assert "error: the routes are costed by different cost models, 'cell'" in err
+    assert "different cost models: name one for all" in err
 
 
 def test_a_studys_queries_keep_to_its_constraints_and_are_joined_by_its_rule_for_diagonal_steps(maps, closing):

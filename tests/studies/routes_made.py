@@ -49,7 +49,7 @@ def cosine(fit, demonstrations: Sequence[Demonstration], hidden: ju.Weights) -> 
     """Return the cosine between w_j x std(phi_j) of a fit and of hidden weights."""
     vector = np.array([float(getattr(hidden, name)) for name in fit.names])
     spread = vector * np.std([each.features for each in demonstrations], axis=0)
-    return float(fit.spread @ spread / np.linalg.norm(spread))
+    return float(fit.table["spread"].to_numpy() @ spread / np.linalg.norm(spread))
 
 
 def write_geojson(file: Path, demonstrations: Sequence[Demonstration], **properties) -> Path:

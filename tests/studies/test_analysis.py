@@ -58,18 +58,6 @@ def test_success_counts_paths_pairs_and_crashes(table):
     assert found.loc[(LINE, "short")].share == pytest.approx(4 / 6)
 
 
-def test_surroundings_count_a_pair_in_both_of_its_strata(table):
-    named = table.assign(start_stratum="water", goal_stratum=np.where(table.instance < 3, "water", "high-rise"))
-    found = analysis.surroundings(named).set_index(["stratum", "planner"])
-    assert found.loc[("water", LINE)].pairs == 11  # the pair that nothing joins is left out
-    assert found.loc[("water", LINE)].share == pytest.approx(4 / 11)
-    assert found.loc[("high-rise", LINE)].pairs == 8
-    assert found.loc[("high-rise", LINE)].share == pytest.approx(1 / 8)
-    assert found.loc[("high-rise", DEAR)].near == pytest.approx(1 / 8)  # 1.2 times the cheapest, but for one
-    assert analysis.surroundings(table.assign(start_stratum=None, goal_stratum=None)).empty
-    assert analysis.surroundings(table).empty
-
-
 def test_costs_and_times_are_by_planner_and_altitude(table):
     cost = analysis.costs(table).set_index("planner")
     assert cost.loc[DEAR, "median"] == pytest.approx(1.2)

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import jaxurban as ju
@@ -39,7 +40,7 @@ def test_hidden_weights_come_back_from_optimal_routes(fit, demonstrations):
 
 def test_intervals_hold_the_hidden_weights(fit):
     hidden = VECTOR / VECTOR.sum()
-    low, high = fit.interval
+    low, high = fit.table[["low", "high"]].to_numpy().T
     assert np.all(low <= fit.vector)
     assert np.all(fit.vector <= high)
     assert np.sum((low <= hidden) & (hidden <= high)) >= 4  # of 5
@@ -60,7 +61,7 @@ def test_intervals_of_thinned_routes_contain_the_weights_that_they_were_planned_
         [demonstration_from_line(unit, thinned(each.points_m) + corner_m) for each in shown], bootstrap=20
     )
     truth = hidden.vector(unit.weight_names)
-    low, high = fit.interval
+    low, high = fit.table[["low", "high"]].to_numpy().T
     assert np.all(low <= truth / truth.sum())
     assert np.all(truth / truth.sum() <= high)
 
@@ -88,7 +89,7 @@ def test_a_fit_that_stopped_ends_bit_for_bit_as_one_that_did_not(demonstrations,
     resumed = fit_weights(demonstrations, bootstrap=40, settings=kept)
     assert searched == list(range(1, len(fit.curve) + 1))
     np.testing.assert_array_equal(resumed.vector, fit.vector)
-    np.testing.assert_array_equal(resumed.interval, fit.interval)
+    pd.testing.assert_frame_equal(resumed.table, fit.table)
     np.testing.assert_array_equal(resumed.regret, fit.regret)
     with pytest.raises(InputError, match=r"its fit of routes and maps is .* given now"):
         fit_weights(demonstrations[1:], settings=kept)
@@ -111,7 +112,7 @@ def test_detours_in_a_fifth_of_the_demonstrations_are_told_and_hardly_bend_the_f
     assert np.all(fit.trust[::5] < 0.2)
     assert np.median(np.delete(fit.trust, range(0, NUM, 5))) > 0.9
     assert any("not optimal under any weights" in warning for warning in fit.warnings)
-    assert np.isnan(fit.interval).all()
+    assert fit.table[["low", "high"]].isna().all(axis=None)
 
 
 @pytest.mark.parametrize("cost_model", ["cell", "line"])

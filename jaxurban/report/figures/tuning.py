@@ -24,7 +24,7 @@ PALE = 1.6  # the scale goes on so far beyond the map's costs, so that routes st
 @styled
 def plot_weights(fit: WeightFit) -> Figure:
     """Return each fitted weight with its interval; one that cannot be identified has neither."""
-    table = fit.table().rename(columns={"low": "weight_low", "high": "weight_high"})
+    table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
     table = table.where(table.weight > 0)
     figure, (panel,) = panels(1, "Fitted weights and their intervals", panel_in=(5.9, 2.5))
     dots(panel, np.arange(len(table)), table, "weight", {"color": PLANNED_COLOUR, "marker": "o"})

@@ -84,25 +84,6 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
     return found.reset_index()
 
 
-def surroundings(table: pd.DataFrame) -> pd.DataFrame:
-    """Return how often each planner finds a path by altitude and by the stratum that a pair starts or ends in.
-
-    ``pairs`` are those that some path joins, each counted in both of its strata; ``share`` are solved, ``near``
-    within 5 % of the cheapest path known. Empty where the instances name no strata.
-    """
-    rows = weighted_rows(table)
-    rows = rows[rows.is_joined]
-    ends = [rows.assign(stratum=rows[name]) for name in ("start_stratum", "goal_stratum") if name in rows]
-    by = ["stratum", "altitude_m", "planner"]
-    found = pd.concat(ends).dropna(subset="stratum") if ends else rows.assign(stratum=None).iloc[:0]
-    found = found.drop_duplicates([*KEY, "planner", "stratum"]).assign(is_near=lambda rows: rows.ratio <= NEAR)
-    return (
-        found.groupby(by)
-        .agg(pairs=("has_path", "size"), share=("has_path", "mean"), near=("is_near", "mean"))
-        .reset_index()
-    )
-
-
 def costs(table: pd.DataFrame) -> pd.DataFrame:
     """Return how far above the cheapest path known each planner's paths are, by altitude."""
     rows = weighted_rows(table)

@@ -110,12 +110,9 @@ def sample_instances(
     if not altitudes_m or len(set(altitudes_m)) != len(altitudes_m):
         listing = ", ".join(f"{z:g}" for z in altitudes_m) or "none"
         raise InputError(f"altitudes_m must name at least one altitude and none twice, got {listing}")
-    if num < 1:
-        raise InputError(f"a benchmark needs at least 1 instance (instances, num), got {num}")
-    if listed is None and weights != DIRICHLET:
-        raise InputError(f"weights must be {DIRICHLET!r} or a list of Weights, got {weights!r}")
-    if listed is not None and not listed:
-        raise InputError(f"weights is an empty list: give at least one, or {DIRICHLET!r}")
+    at_least("num", num, 1)
+    if not listed and weights != DIRICHLET:
+        raise InputError(f"weights must be {DIRICHLET!r} or a list of at least one Weights, got {weights!r}")
     for altitude_m in altitudes_m:
         maps.check_altitude(altitude_m)
     is_free = np.logical_and.reduce([_always_free(maps, z, constraints) for z in altitudes_m])

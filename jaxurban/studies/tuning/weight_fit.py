@@ -58,11 +58,11 @@ class WeightFit:
     Attributes:
       names: ``"distance"`` and the metrics.
       weights: of the given scale; 0 for a metric whose weight cannot be identified.
-      shares: ``[K]`` part of the demonstrations' cost that each weight makes up; they sum to 1.
-      spread: ``[K]`` w_j x std(phi_j) over the demonstrations, scaled to length 1: what fits are compared by.
-      interval: ``[2, K]`` 5th and 95th percentile of the weights over bootstrap fits, widened to all weights that
-        explain the demonstrations as well (`confidence.near_optimal_range`), or, of lines that were redrawn on the
-        grid, any routes within 3 cells of them; NaN without bootstrap.
+      table: a row a weight, by its name: ``weight``; ``low`` and ``high``, 5th and 95th percentile over bootstrap fits,
+        widened to all weights that explain the demonstrations as well (`confidence.near_optimal_range`), or, of lines
+        that were redrawn on the grid, any routes within 3 cells of them, NaN without bootstrap; ``share_of_cost``, part
+        of the demonstrations' cost that it makes up; ``spread``, w_j x std(phi_j) over the demonstrations, scaled to
+        length 1: what fits are compared by.
       draws: ``[B, K]`` the weights of the bootstrap fits.
       regret: ``[Q]`` by which share each is costlier than the cheapest route under the weights, by search.
       trust: ``[Q]`` in [0, 1] weight that each demonstration had in the end.
@@ -78,9 +78,7 @@ class WeightFit:
 
     names: tuple[str, ...]
     weights: Weights
-    shares: np.ndarray
-    spread: np.ndarray
-    interval: np.ndarray
+    table: pd.DataFrame
     draws: np.ndarray
     regret: np.ndarray
     trust: np.ndarray
@@ -99,20 +97,7 @@ class WeightFit:
 
     def __str__(self) -> str:
         """Return the table of weights and what a reader must know, a line each."""
-        return "\n".join([self.table().to_string(float_format="{:.3g}".format), *self.unidentified, *self.warnings])
-
-    def table(self) -> pd.DataFrame:
-        """Return a row a weight: weight, its interval, share of cost, spread."""
-        return pd.DataFrame(
-            {
-                "weight": self.vector,
-                "low": self.interval[0],
-                "high": self.interval[1],
-                "share_of_cost": self.shares,
-                "spread": self.spread,
-            },
-            index=pd.Index(self.names, name="name"),
-        )
+        return "\n".join([self.table.to_string(float_format="{:.3g}".format), *self.unidentified, *self.warnings])
 
 
 @typed
@@ -178,12 +163,12 @@ def fit_weights(
         best = fit.least_mean_regret(float(regret.mean()))
         draws, interval = _refitted(fit, demonstrations, scale, bootstrap)
     cost, spread = fit.weights * demo.mean(axis=0), fit.weights * demo.std(axis=0)
+    columns = {"weight": _scaled(fit.weights, scale), "low": interval[0], "high": interval[1]}
+    columns |= {"share_of_cost": cost / cost.sum(), "spread": spread / max(float(np.linalg.norm(spread)), 1e-300)}
     return WeightFit(
         names=names,
         weights=weights_from(queries[0], _scaled(fit.weights, scale)),
-        shares=cost / cost.sum(),
-        spread=spread / max(float(np.linalg.norm(spread)), 1e-300),
-        interval=interval,
+        table=pd.DataFrame(columns, pd.Index(names, name="name")),
         draws=draws,
         regret=regret,
         trust=fit.trust,
