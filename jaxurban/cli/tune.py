@@ -53,7 +53,6 @@ from jaxurban.cli.common import (
 @click.option("--scale", type=click.Choice(["simplex", "distance"]), help="Weights sum to 1, or distance weighs 1.")
 @click.option("--bootstrap", type=click.IntRange(min=0), help="Fits for the intervals.  [default: 200]")
 @click.option("--rounds", "max_rounds", type=click.IntRange(min=1), help="Of searches, at most.")
-@click.option("--backend", type=click.Choice(["numba", "jax"]), help="Of A*; jax pays on a GPU.  [default: numba]")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--budget", "budget_s", type=float, help="Seconds; the round under way is finished.")
 @click.option("--overwrite", is_flag=True, help="Forget a fit of other routes or settings in the output folder.")
@@ -88,7 +87,7 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
         pilot=None if given["pilot"] is None else Weights.parse(given["pilot"], nothing),
         targets=given["wishes"],
         fits=fits,
-        fit=FitSettings(**named("max_rounds", "seed", "budget_s", "backend")),
+        fit=FitSettings(**named("max_rounds", "seed", "budget_s")),
     )
     of_maps = {name: given[name] for name in ("resolution_m", "obstacles")}
     sources = [RoutesOnMaps(MapsFolder(folder, **of_maps), tuple(routes)) for folder, *routes in _sources(words, given)]

@@ -15,24 +15,21 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxurban.errors import InputError, at_least, one_of, typed
+from jaxurban.errors import InputError, at_least, typed
 from jaxurban.io.tables import RowStore, fingerprint
 from jaxurban.metrics.weights import AnyArray
-from jaxurban.planners.registry import solve_many
 from jaxurban.progress import Progress
 from jaxurban.studies.queries import RouteQuery, maps_of
 
-Backend = Literal["numba", "jax"]
 DIGITS = 10  # of features: routes that agree in so many cost the same under every W
 BLOCK = 64  # routes a query: arrays grow by so many at once, so that compiled code meets few shapes
-TOGETHER = 32  # searches at a time of JAX: each holds a cost map of its own
 FEW_CELLS = 1 << 15  # a search over fewer is over sooner than a thread has taken it up
 NOT_A_ROUTE = 1e12  # features that fill up the arrays: never the cheapest
 
@@ -52,7 +49,6 @@ class RoutePool:
         known: Sequence[np.ndarray] = (),
         workers: int | None = None,
         store: RowStore | None = None,
-        backend: Backend = "numba",
     ) -> None:
         """Begin with no route.
 
@@ -61,12 +57,7 @@ class RoutePool:
           known: ``[2, K]`` of a route of each query to begin with.
           workers: threads of search, but for small maps; one a core if left out.
           store: searches in it are not made again, the others are kept in it.
-          backend: of A*: ``"numba"``, or ``"jax"`` for many searches together, which pays on a GPU.
-
-        Raises:
-          InputError: another backend.
         """
-        self._backend = one_of("backend", backend, ("numba", "jax"))
         self.queries = tuple(queries)
         self.names = self.queries[0].names
         self.num_plans = 0
@@ -124,14 +115,7 @@ class RoutePool:
     def _search_all(self, weights: np.ndarray) -> np.ndarray:
         """Return ``[2, Q, M, K]`` as `cheapest` does: the one place where routes are searched for."""
         jobs = [(query, w) for query, each in zip(self.queries, weights, strict=True) for w in each]
-        if self._backend == "jax":
-            points: list[np.ndarray] = []
-            for begin in range(0, len(jobs), TOGETHER):
-                some = jobs[begin : begin + TOGETHER]
-                problems = [query.problem(w) for query, w in some]
-                paths = dict(solve_many(problems, planner="astar-dist", backend="jax"))
-                points += [query.points_of(paths[k]) for k, (query, _) in enumerate(some)]
-        elif all(query.cost_map.is_free.size < FEW_CELLS for query in self.queries):
+        if all(query.cost_map.is_free.size < FEW_CELLS for query in self.queries):
             points = [query.cheapest(w) for query, w in jobs]
         else:
             with ThreadPoolExecutor(self._workers) as threads:
@@ -162,7 +146,6 @@ class FitSettings:
       seed: of all noise.
       budget_s: seconds; the fit ends after the round in which they run out.
       workers: threads of search; a thread a core if left out.
-      backend: of A*: see `RoutePool`.
       state_file: where searches are kept, named ``.parquet``; a fit of the same queries and settings goes on from it,
         to the same weights, bit for bit, as if it had not stopped.
       progress: gets a call after every round, as in `jaxurban.progress.reporting`.
@@ -175,7 +158,6 @@ class FitSettings:
     seed: int = 0
     budget_s: float = np.inf
     workers: int | None = None
-    backend: Backend = "numba"
     state_file: str | Path | None = None
     progress: Progress = False
 
@@ -185,7 +167,6 @@ class FitSettings:
                 "max_rounds must be >= 1, budget_s > 0 and seed >= 0, got "
                 f"{self.max_rounds}, {self.budget_s} and {self.seed}"
             )
-        one_of("backend", self.backend, get_args(Backend))
         if self.workers is not None:
             at_least("workers", self.workers, 1)
 
@@ -196,7 +177,7 @@ class FitSettings:
         goes on: what is in the state file is found there, bit for bit.
 
         Raises:
-          InputError: a state file that is damaged, or of other queries, maps or settings; another backend.
+          InputError: a state file that is damaged, or of other queries, maps or settings.
         """
         store = None
         if self.state_file is not None:
@@ -207,7 +188,7 @@ class FitSettings:
             routes = fingerprint(on_maps, [(query.start, query.goal) for query in queries])
             settings = {"fit of routes and maps": routes, "seed": self.seed, **fit}
             store = RowStore(Path(self.state_file), ["weights"], settings=settings)
-        return RoutePool(queries, known, self.workers, store, self.backend)
+        return RoutePool(queries, known, self.workers, store)
 
 
 def draw_pairs(seed: int, num_noise: int, num_weights: int) -> np.ndarray:

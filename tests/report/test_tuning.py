@@ -74,7 +74,7 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
     assert code == 0, err
     facts = json.loads(out)
     assert not facts["is_met"]
-    assert "Even alone, mean_gps >= 0.999 was not reached" in facts["message"]
+    assert "misses mean_gps >= 0.999 (reached " in facts["message"]
     assert (tmp_path / "out" / "figures" / "routes_1.png").is_file()
     report = (tmp_path / "out" / "report.md").read_text()
     assert (report.count(facts["message"]), report.count("© a made city")) == (1, 1)

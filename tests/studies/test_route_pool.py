@@ -5,10 +5,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from jaxurban.errors import InputError
 from jaxurban.paths.plan import cost_map
 from jaxurban.studies.route_pool import RoutePool
-from tests.studies.routes_made import HIDDEN, made_queries, small_maps
+from tests.studies.routes_made import made_queries, small_maps
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +43,3 @@ def test_one_more_route_takes_as_much_beside_2000_known_ones_as_beside_20(querie
         tracemalloc.stop()
         assert pool.num_routes == num + 1
     assert bytes_taken[1] < 2 * bytes_taken[0]
-
-
-@pytest.mark.slow
-def test_both_backends_find_routes_of_one_cost(queries):
-    weights = HIDDEN.vector(queries[0].names)
-    costs = [RoutePool(queries, backend=backend).cheapest(weights[None])[0] @ weights for backend in ("numba", "jax")]
-    np.testing.assert_allclose(costs[0], costs[1], rtol=1e-9)
-    with pytest.raises(InputError, match="backend"):
-        RoutePool(queries, backend="cuda")

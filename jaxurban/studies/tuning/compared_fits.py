@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, typed
+from jaxurban.errors import InputError, at_least, one_of, typed
 from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import check_alike
@@ -67,6 +67,8 @@ def compare_fits(
       InputError: no routes, maps that do not go together, a share that is none, or too few routes to hold some out.
     """
     settings = settings or FitSettings()
+    at_least("bootstrap", bootstrap)
+    one_of("scale", scale, ("simplex", "distance"))
     if not 0 <= hold_out <= MOST_HELD_OUT:
         raise InputError(f"hold_out must be a share from 0 to {MOST_HELD_OUT:g}, got {hold_out}")
     demonstrations = [each for shown in cities.values() for each in shown]

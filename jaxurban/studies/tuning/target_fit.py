@@ -56,6 +56,8 @@ class Target:
     value: float
 
     def __post_init__(self) -> None:
+        if not self.outcome.startswith(MEAN):
+            one_of("outcome", self.outcome, ("detour", "length_m", "people"))
         one_of("the sense of a target", self.sense, (">=", "<="))
         if not np.isfinite(self.value):
             raise InputError(f"target {str(self)!r} must end in a finite number")
@@ -115,17 +117,11 @@ class TargetFit:
         if self.is_met:
             return "All targets are met."
         missed = [f"{target} (reached {row.reached:.4g})" for target, row in self.outcomes.iterrows() if not row.is_met]
-        parts = [f"Not all targets were met; the best trade-off found misses {', '.join(missed)}."]
+        sentence = f"Not all targets were met; the best trade-off found misses {', '.join(missed)}."
         if self.conflicts:
             pairs = "; ".join(f"{one} with {other}" for one, other in self.conflicts)
-            parts.append(f"These conflict, as far as the search could find: {pairs}.")
-        elif self.alone["is_met"].all():
-            parts.append("Each two of them can be met together, but not all.")
-        lost = [(target, row.reached) for target, row in self.alone.iterrows() if not row.is_met]
-        parts += [f"Even alone, {target} was not reached: at best {reached:.4g}." for target, reached in lost]
-        if not self.is_in_budget:
-            parts.append("The budget ended the search: a larger one may find better.")
-        return " ".join(parts)
+            sentence += f" These conflict, as far as the search could find: {pairs}."
+        return sentence + ("" if self.is_in_budget else " The budget ended the search: a larger one may find better.")
 
 
 @typed

@@ -311,13 +311,8 @@ def _scaled(weights: np.ndarray, scale: str) -> np.ndarray:
 
 
 def _said_of_constant(name: str, is_left_out: bool) -> str:
-    said = f"The {name} layer is the same everywhere on these maps, so its weight cannot be identified"
-    if is_left_out:
-        return f"{said} and is left at 0."
-    return (
-        f"{said} as a weight of {name}: under the cost model 'cell' it only counts steps, of which diagonals save "
-        "some, and the value given here stands for that."
-    )
+    value = "is left at 0" if is_left_out else "stands for the steps that diagonals save under the cost model 'cell'"
+    return f"The {name} layer is the same everywhere on these maps, so its weight cannot be identified and {value}."
 
 
 def _open(names: Sequence[str], constant: Sequence[str], interval: np.ndarray) -> list[str]:
