@@ -20,10 +20,9 @@ from jaxurban.kernels.search import frontier, sample_graph
 from jaxurban.kernels.shadows import sweep
 from jaxurban.kernels.shadows.sweep import shadow_heights
 from jaxurban.kernels.soft_step import satellite_weights
-from jaxurban.maps import pipeline
+from jaxurban.maps import build
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams
-from jaxurban.metrics import availability, gps, lidar, obstacle, population, risk, visibility
-from jaxurban.metrics.gps import soft as soft_gps_metric
+from jaxurban.metrics import gps, gps_soft, lidar, population, risk, visibility
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
@@ -196,19 +195,19 @@ def returns_at(roof_m, ground_m, heights_m, scan, cells):
     return soft_lidar.soft_returns_at(soft_lidar.ScansAt(roof_m, ground_m, heights_m, scan, RAYS, 2.0, cells))
 
 
-def inputs() -> tuple[pipeline.MapInputs, visibility.SkyView]:
+def inputs() -> tuple[build.MapInputs, visibility.SkyView]:
     """Return what all maps of a region of 8 M cells at one time are made of."""
     settings = {"gps": gps.Gps(), "population": population.Population()}
     ready = {"lidar": array(4, STEPS_5M), "population": (BLOCKS, array(2))}
     fixed = ("lidar", Lidar()), ("risk", Risk())
     sky = visibility.SkyView(lines(), satellites(NUM_SATELLITES), WHOLE)
-    return pipeline.MapInputs(soft_city().surface, ALTITUDES_M, ready, settings, fixed), sky
+    return build.MapInputs(soft_city().surface, ALTITUDES_M, ready, settings, fixed), sky
 
 
 RINGS = sweep.Ring(*(array(NUM_SATELLITES, *side.shape) for side in RING))
 
 KERNELS: dict[str, Callable[[], Call]] = {
-    "all maps": lambda: Call(jax.jit(pipeline.all_maps), inputs()),
+    "all maps": lambda: Call(jax.jit(build.all_maps), inputs()),
     "shadows: doubling": lambda: Call(
         sweep.shadow_heights_at_once, (array(*SURFACE), lines()), {"passes": sweep.num_passes(max(SURFACE))}
     ),
@@ -217,7 +216,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
         sweep.visible_words, (array(*SURFACE), array(4, 1, 1), lines(), WHOLE), {"window": WINDOW}
     ),
     "surface: cut": lambda: Call(surface._cut, (part(REGION),)),
-    "obstacle": lambda: Call(obstacle._mask, (array(*REGION), ALTITUDES_M)),
+    "obstacle": lambda: Call(jax.jit(surface.obstacle_mask), (array(*REGION), ALTITUDES_M)),
     "risk": lambda: Call(
         risk._risk, (part(REGION, 10), None, None, ALTITUDES_M), DISTANCE_5M | {"halo": 10, "is_solid": False}
     ),
@@ -242,9 +241,8 @@ KERNELS: dict[str, Callable[[], Call]] = {
         gps.maps_of_words, (array(1, *REGION, dtype=jnp.uint32), satellites(16, 8, 2), NUMBER)
     ),
     "GPS, soft": lambda: Call(
-        soft_gps_metric._soft_gps, (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None), {"window": WINDOW}
+        gps_soft._soft_gps, (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None), {"window": WINDOW}
     ),
-    "GPS series, sums of rows": lambda: Call(availability.row_sums, (array(*REGION), array(*REGION, dtype=bool))),
     "lidar: flat, 5 m": lambda: Call(
         hard.count_returns, (around(REGION, STEPS_5M - 1, 1), array(1, STEPS_5M), STARTS), RAYS_5M
     ),
@@ -294,7 +292,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "distance: soft, of a path, terrain, gradient": lambda: Call(
         gradient(nearest_at, (0, 1)), (around(REGION, 10), around(REGION, 10), HEIGHTS_M, CELLS)
     ),
-    "obstacle: soft": lambda: Call(obstacle.soft_obstacle, (array(*REGION), NUMBER, NUMBER)),
+    "obstacle: soft": lambda: Call(surface.soft_obstacle, (array(*REGION), NUMBER, NUMBER)),
     "population: of blocks": lambda: Call(population.layers_of_blocks, (BLOCKS, array(2), population.Population())),
     "population: under cells": lambda: Call(population.map_blocks, (int32(*REGION), array(40_000))),
     "population, gradient by gammas": lambda: Call(

@@ -17,7 +17,7 @@ from embreex.rtcore_scene import EmbreeScene
 
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.world.city import Buildings
+from jaxurban.world.city import Footprints
 from tests.embree_scene import roof_triangles, wall_triangles
 
 BATCH_RAYS = 200_000
@@ -100,7 +100,7 @@ def _serve(pipe: Connection, triangles: np.ndarray) -> None:
 class EmbreePool:
     """Embree on every core; each of n processes takes every n-th point, so that all have as much to do."""
 
-    def __init__(self, buildings: Buildings):
+    def __init__(self, buildings: Footprints):
         polygons, height_m = buildings.polygons, buildings.height_m
         triangles = np.concatenate([wall_triangles(polygons, height_m), roof_triangles(polygons, height_m)])
         self.origin_m = np.round(triangles.reshape(-1, 3).mean(axis=0))[:2]

@@ -21,11 +21,11 @@ from benchmarks.scenes import ALTITUDES_M, PLACES, Scene, load_place, load_scene
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.gps import Gps, maps_of_choices, satellites_of
 from jaxurban.metrics.lidar import Lidar, compute_lidar
-from jaxurban.metrics.obstacle import obstacles_on
 from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import InView
+from jaxurban.world.surface import obstacles_on
 
 RESOLUTIONS_M = (10.0, 5.0, 2.0, 1.0)
 CITY_RESOLUTION_M, CITY_ALTITUDES_M = 5.0, ALTITUDES_M[:2]

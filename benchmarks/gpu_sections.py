@@ -21,7 +21,6 @@ from benchmarks.gpu_inputs import load_problem, load_surface
 from jaxurban.kernels.distance.nearest import capped_distance, capped_distance_over_terrain
 from jaxurban.metrics.gps import maps_of_choices, satellites_of, soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
-from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.risk import Risk, compute_risk, soft_risk
 from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.planners.base import Problem
@@ -30,7 +29,7 @@ from jaxurban.planners.bulk import solve_batched
 from jaxurban.planners.registry import solve_many
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import InView
-from jaxurban.world.surface import Surface
+from jaxurban.world.surface import Surface, obstacle_mask
 
 RUN_S, MOST_RUNS = 5.0, 5  # after the first run: until so many seconds are spent, or so many runs
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)

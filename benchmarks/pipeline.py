@@ -13,13 +13,12 @@ from jaxurban.io.read.rasterise import build_surface
 from jaxurban.maps.build import compute_maps
 from jaxurban.metrics.gps import Gps, maps_of_choices, satellites_of
 from jaxurban.metrics.lidar import Lidar, compute_lidar
-from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import Population, block_layers, map_blocks
 from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import InView
-from jaxurban.world.surface import Surface
+from jaxurban.world.surface import Surface, obstacle_mask
 from jaxurban.world.synthetic import demo_city
 
 GROWTH_RESOLUTION_M = 2.0

@@ -41,7 +41,7 @@ from jaxurban.paths.export.write import write_path
 from jaxurban.paths.path import simplify
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.world.city import Buildings
+from jaxurban.world.city import Footprints
 from tests.free_space import Obstacles
 
 ALTITUDE_M, LEAST_APART_M, SPEED_M_S, BUDGET_S = 20.0, 300.0, 8.0, 0.3
@@ -65,7 +65,7 @@ Closed = dict[float, Obstacles]  # cells of each level, by its altitude
 class Outlines:
     """Exact outlines of a city as the witness. ``N`` points of a route, ``x, y, z``; a leg counts at its lower end."""
 
-    def __init__(self, buildings: Buildings) -> None:
+    def __init__(self, buildings: Footprints) -> None:
         self.polygons, self.height_m = buildings.polygons, buildings.height_m
         self.tree = shapely.STRtree(self.polygons)
 

@@ -26,7 +26,7 @@ import jaxurban as ju
 from benchmarks.common import ROOT
 from jaxurban.errors import StaleElementsWarning
 from jaxurban.io.read.receiver import ERROR, TRACKED
-from jaxurban.maps.validation import changed
+from jaxurban.maps.scenario import changed
 from jaxurban.report.figures.receiver import name_of
 from jaxurban.report.receiver import score_table, with_interval
 from jaxurban.report.write import table

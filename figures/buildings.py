@@ -6,8 +6,8 @@ import jax
 import numpy as np
 
 import jaxurban as ju
-from jaxurban.maps.build import compute_maps, soften, view_sky
-from jaxurban.maps.differentiable import SoftParams
+from jaxurban.maps.build import compute_maps, view_sky
+from jaxurban.maps.differentiable import SoftParams, soften
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.report.figures.buildings import plot_building_costs
 from jaxurban.report.write import write_png

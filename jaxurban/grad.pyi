@@ -1,6 +1,6 @@
+from jaxurban.maps.build import all_maps as all_maps
 from jaxurban.maps.build import map_inputs as map_inputs
-from jaxurban.maps.build import soft_city as soft_city
 from jaxurban.maps.differentiable import SoftCity as SoftCity
 from jaxurban.maps.differentiable import SoftParams as SoftParams
-from jaxurban.maps.pipeline import all_maps as all_maps
+from jaxurban.maps.differentiable import soft_city as soft_city
 from jaxurban.planners.envelope import planned_cost as planned_cost

@@ -1,11 +1,12 @@
-"""Public names, fetched when they are first used: JAX, Numba and the readers take seconds to import.
+"""Public names, fetched when they are first used, and how what bears them shows itself: one line, or a table.
 
-The command line must react, to ``--help`` and to Ctrl-C, before that. A stub beside a module says to type checkers, and
-here, where each of its names is.
+JAX, Numba and the readers take seconds to import, and the command line must react, to ``--help`` and to Ctrl-C, before
+that. A stub beside a module says to type checkers, and here, where each of its names is.
 """
 
 import ast
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from html import escape
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -44,3 +45,26 @@ def find_public(name: str) -> Any:
         if name in module.__all__ and name not in NAMESPACES:
             return getattr(module, name)
     raise KeyError(name)
+
+
+class Shown:
+    """Base of what tells its `facts`; those that are empty are left out."""
+
+    @property
+    def facts(self) -> Mapping[str, str]:
+        """What it is, fact by name."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({'; '.join(f'{name}: {fact}' for name, fact in self.facts.items() if fact)})"
+
+    def _repr_html_(self) -> str:
+        rows = (f"<tr><th>{escape(name)}</th><td>{escape(fact)}</td></tr>" for name, fact in self.facts.items() if fact)
+        return f"<table><caption>{type(self).__name__}</caption>{''.join(rows)}</table>"
+
+
+def listed(values: list[str] | tuple[str, ...], most: int = 6) -> str:
+    """Return values with commas; of many the first and the last ones, and how many there are."""
+    if len(values) <= most:
+        return ", ".join(values)
+    return f"{', '.join(values[: most - 1])} ... {values[-1]} ({len(values)})"

@@ -4,7 +4,6 @@ The same objects are arguments of the functions of Python. A metric's section is
 planned under where the caller leaves it out is here too; docs/mathematics.md lists every departure from the paper.
 """
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
@@ -105,9 +104,7 @@ class HeightStd:
 
     def __post_init__(self) -> None:
         for item in fields(self):
-            value = getattr(self, item.name)
-            if not (math.isfinite(value) and value >= 0):
-                raise InputError(f"height_std_m {item.name} must be a number of metres >= 0, got {value}")
+            not_negative(f"height_std_m {item.name}", getattr(self, item.name))
 
 
 @typed

@@ -83,7 +83,6 @@ def geometry(
     dtype: type = np.float32,
     multiple_of: int = 1,
     clocks: Clocks | None = None,
-    weights: ArrayLike | None = None,
 ) -> Geometry:
     """Return the geometry of all satellites, computed in float64 on the host.
 
@@ -95,7 +94,6 @@ def geometry(
       multiple_of: satellites that weigh nothing are added up to a multiple of this, so that few
         programs are compiled.
       clocks: which clock each satellite has; left out, all share one.
-      weights: ``[S]`` of the satellites where they count differently, as one over the variance of a range; left out, 1.
     """
     directions = np.asarray(directions, float).reshape(-1, 3)
     num = len(directions)
@@ -103,7 +101,7 @@ def geometry(
     clocks = clocks or Clocks(np.zeros(num, int), 1)
     members, counts, rows = np.zeros((clocks.num, padded)), np.zeros(padded), np.zeros((padded, 3))
     members[np.asarray(clocks.numbers, int), np.arange(num)] = 1
-    counts[:num] = 1 if weights is None else weights
+    counts[:num] = 1
     sums = members @ counts
     means = (members * counts)[:, :num] @ directions / np.where(sums > 0, sums, 1.0)[:, None]
     centred, basis = directions - members[:, :num].T @ means, np.eye(3)

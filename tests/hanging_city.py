@@ -3,7 +3,7 @@
 import numpy as np
 import shapely
 
-from jaxurban.world.city import SLABS, Buildings, City, Hanging, HeightOrigin, Raster
+from jaxurban.world.city import SLABS, City, Footprints, Hanging, HeightOrigin, Raster
 
 CRS, X_M, Y_M, SIDE_M = "EPSG:32618", 583_000.0, 4_507_000.0, 600.0
 DECK = shapely.box(X_M + 60, Y_M + 190, X_M + 540, Y_M + 214)
@@ -28,7 +28,7 @@ def city(hanging: Hanging = SLABS, with_terrain: bool = False) -> City:
     """Return the city; with terrain, over hills."""
     polygons, floor_m, top_m = zip(*STANDING, *HANGING, strict=True)
     number = len(polygons)
-    buildings = Buildings(
+    buildings = Footprints(
         np.array(polygons, object),
         np.array(top_m),
         np.array(floor_m),

@@ -13,7 +13,7 @@ from benchmarks.embree_peer import Caster, scan_until_first_return, see_satellit
 from benchmarks.random_routes import Outlines, legs_m, prices, tables
 from benchmarks.structure import code_lines_and_tokens, num_arguments, record_classes
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.world.city import Buildings
+from jaxurban.world.city import Footprints
 from tests.embree_scene import roof_triangles, wall_triangles
 
 
@@ -72,7 +72,7 @@ def test_a_scan_returns_over_the_angle_that_a_tower_fills():
 def test_what_a_route_cuts_is_measured_once_on_the_outline_and_at_the_lower_end_of_a_climb():
     polygons = np.array([shapely.box(50, 0, 60, 10), shapely.box(55, 0, 60, 10)])  # the second lies in the first
     zero = np.zeros(2)
-    outlines = Outlines(Buildings(polygons, zero + 30.0, zero, zero.astype(np.uint8), zero > 0))
+    outlines = Outlines(Footprints(polygons, zero + 30.0, zero, zero.astype(np.uint8), zero > 0))
     through = [[0, 4, 20], [100, 4, 20]]
     assert outlines.cut(np.array(through, float)) == pytest.approx((10.0, 4.0), abs=1e-4)
     assert outlines.cut(np.array([[0, 10, 20], [100, 10, 20]], float)) == (0.0, 0.0)  # along the wall
@@ -140,7 +140,9 @@ def test_results_differ_by_name_and_by_share_and_ratios_have_an_interval():
 
 def test_clearance_is_to_the_outlines_that_reach_the_lower_end_of_a_leg_and_height_over_those_beneath():
     one = np.zeros(1)
-    outlines = Outlines(Buildings(np.array([shapely.box(50, 0, 60, 10)]), one + 40, one, one.astype(np.uint8), one > 0))
+    outlines = Outlines(
+        Footprints(np.array([shapely.box(50, 0, 60, 10)]), one + 40, one, one.astype(np.uint8), one > 0)
+    )
     beside = np.array([[0.0, 22, 30], [100, 22, 30], [100, 60, 30]])
     assert outlines.nearest_m(beside) == pytest.approx(12.0)
     assert outlines.nearest_m(beside + np.array([0, 0, 20])) == outlines.over_roofs_m(beside) == np.inf

@@ -179,7 +179,7 @@ WRONG |= dict.fromkeys(
 WRONG |= {
     **{"connectivity": 5, "diagonal": "never", "obstacles": "toched", "backend": "gpu", "engine": "gpu"},
     **{"kind": "roof", "nan": "open"},
-    **{"hanging": "in the air", "clocks": "two", "weighting": "sine"},
+    **{"hanging": "in the air", "clocks": "two"},
     **{
         "series": "all",
         "quantity": "people",

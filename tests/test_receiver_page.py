@@ -12,7 +12,7 @@ import jaxurban as ju
 from benchmarks import receiver
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.maps.validation import changed
+from jaxurban.maps.scenario import changed
 from jaxurban.metrics.gps import METRIC
 from jaxurban.report.receiver import with_interval
 from jaxurban.studies.receiver import prediction

@@ -277,7 +277,7 @@ def test_a_scenario_has_its_section():
     anew = runpy.run_path(settings.__file__)["Scenario"]  # as if the registry had always held it
     places = {"region": {"bounds": [-74.0, 40.75, -73.99, 40.76]}, "buildings": {"source": "synthetic"}}
     scenario = anew.from_dict(places | {"toy": {"scale_m": 5.0}})
-    assert scenario.map_params.of("toy") == ToyParams(5.0)
+    assert scenario.map_params.sections["toy"] == ToyParams(5.0)
     assert anew.from_dict(places).weights.toy == 1.0
     with pytest.raises(InputError, match=r"unknown key 'toy.scale' .*'scale_m'"):
         anew.from_dict(places | {"toy": {"scale": 5.0}})

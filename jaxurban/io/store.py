@@ -33,7 +33,7 @@ from jaxurban.io.files import (
 )
 from jaxurban.io.workspace import Workspace, recorded
 from jaxurban.metrics.variables import NEEDED, no_value
-from jaxurban.world.tiling import tile_shape
+from jaxurban.world.grid import tile_shape
 
 RUN_FILE = "run.json"
 ZARR_FOLDER = "maps.zarr"

@@ -1,41 +1,44 @@
-"""build_maps: a city and a sky in, the metric maps of a region out."""
+"""build_maps: a city and a sky in, the metric maps of a region out; and all_maps, the same as one pure function.
+
+`map_inputs` makes ready on the host what a city, a sky and settings say; `all_maps` then computes the maps of one time,
+to be jitted, mapped over (`jax.vmap`) and exported. It defines what the maps are: `jaxurban.maps.recipe`, which makes
+them layer by layer and on a CPU in threads, gives the same bits outside obstacles (population: but for float32's last
+bit). Supersampled maps, spreads, statistics over time and own layers are the recipe's alone.
+"""
 
 import json
-import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import shapely
-from jaxtyping import DTypeLike
+from jaxtyping import Array, Float
 
-from jaxurban.errors import GuessWarning, InputError, positive, typed
+from jaxurban.errors import InputError, positive, typed
 from jaxurban.io.read.guesses import Guesses, nominal_guess, time_guess, warn_of
 from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
-from jaxurban.io.read.rasterise import bands_of, building_index
+from jaxurban.io.read.rasterise import bands_of
 from jaxurban.kernels.engine import Engine, on_device_of
-from jaxurban.maps.dataset import empty_dataset, with_series
-from jaxurban.maps.differentiable import SoftCity, SoftParams
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.pipeline import MapInputs, inputs_of, skies_of
 from jaxurban.maps.recipe import TileScene, tile_maps
-from jaxurban.maps.task import PAPER_ALTITUDES_M, MapParams, MapTask
+from jaxurban.maps.task import PAPER_ALTITUDES_M, MapParams, MapTask, empty_dataset, with_series
+from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scene
 from jaxurban.metrics.custom import Layer, check_layers
 from jaxurban.metrics.gps import Gps
-from jaxurban.metrics.population import BlockPopulation
-from jaxurban.metrics.registry import checked_sections
-from jaxurban.metrics.visibility import SkyView
+from jaxurban.metrics.registry import ON_REQUEST, checked_sections, known_metrics
+from jaxurban.metrics.visibility import SkyView, visible_words
+from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.progress import Progress, Stage, Stopwatch, reporting
 from jaxurban.settings import NOMINAL, Heights
-from jaxurban.world.city import SLABS, TO_GROUND, City
+from jaxurban.world.city import SLABS, City
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky
-from jaxurban.world.surface import Surface
+from jaxurban.world.surface import Surface, obstacle_mask
 
 PAPER_TIME = "2020-04-27T16:00:00Z"
 
@@ -85,7 +88,7 @@ def build_maps(
     layers = check_layers(layers)
     region = grid if grid is not None else _region(city, bounds, resolution_m)
     params = MapParams(altitudes_m, oversample, heights or Heights(), sections, engine)
-    _check_region(city, region, is_own=grid is None and bounds is None)
+    check_region(city, region, is_own=grid is None and bounds is None)
     sky = view_sky(region, params.gps)
     task = MapTask(city, region, sky, params, layers, bands_of(layers, region, params.altitudes_m))
     check_fits(task)
@@ -93,7 +96,7 @@ def build_maps(
         return compute_maps(task, stage=Stopwatch(on_stage=report).stage)
 
 
-def _check_region(city: City, region: Grid, is_own: bool = False) -> None:
+def check_region(city: City, region: Grid, is_own: bool = False) -> None:
     """Raise InputError unless a region is where the city is; the city's own was accepted when that was read."""
     if region.crs != city.crs:
         raise InputError(f"the grid is in {region.crs} and the city in {city.crs}: build the grid in the city's CRS")
@@ -163,6 +166,81 @@ def compute_maps(task: MapTask, surface: Surface | None = None, stage: Stage = n
     return MetricMaps(ds if task.keeps_times else with_series(ds, task, tile.totals))
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class MapInputs:
+    """What the maps of a region depend on besides the sky. ``A`` altitudes; may be traced.
+
+    Attributes:
+      surface: roofs, terrain and census blocks on the region and its margin.
+      altitudes_m: ``[A]`` above the ground.
+      ready: what metrics have made of these on the host, by name (`Metric.ready`): the lidar's beams go with the
+        altitudes.
+      settings: of the metrics by name; their leaves may be traced.
+      fixed: the same of metrics that look beyond a cell: how far decides shapes, so these are plain numbers.
+    """
+
+    surface: Surface
+    altitudes_m: Float[Array, " A"]
+    ready: dict[str, Any]
+    settings: dict[str, Any]
+    fixed: tuple[tuple[str, Any], ...] = field(metadata={"static": True})
+
+    @property
+    def metrics(self) -> dict[str, tuple[Metric, Any]]:
+        """The metrics with their settings, by name, in the order of the cost."""
+        held = self.settings | dict(self.fixed)
+        return {name: (metric, held[name]) for name, metric in known_metrics().items() if name in held}
+
+
+def inputs_of(task: MapTask) -> MapInputs:
+    """Return a task's surface and settings, made ready for `all_maps`.
+
+    Raises:
+      InputError: what `all_maps` knows nothing of: slabs, finer cells for rays, spreads and own layers.
+    """
+    params = task.params
+    if task.city.hanging == SLABS:
+        raise InputError(
+            'the maps as one function know no slabs: read the city with hanging = "to_ground", or make the maps with '
+            "build_maps"
+        )
+    if params.oversample > 1 or params.heights.height_samples or task.layers:
+        raise InputError(
+            "the maps as one function know no oversample, height_samples or own layers: leave them out, or make the "
+            "maps with build_maps"
+        )
+    if asked := [name for name, metric in task.metrics.items() if name in ON_REQUEST and metric.traced is None]:
+        raise InputError(
+            f"the maps as one function hold no {' and no '.join(asked)}: leave it out, or make the maps with build_maps"
+        )
+    surface, blocks = jax.tree.map(jnp.asarray, task.surface()), task.city.blocks
+    ready: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
+    fixed: dict[str, Any] = {}
+    for name, metric in task.metrics.items():
+        if metric.traced is None:
+            continue
+        given = task.settings_of(metric)
+        (fixed if metric.reach_m(given) else settings)[name] = given
+        if metric.ready is not None:
+            ready[name] = metric.ready(surface, params.altitudes_m, given, blocks)
+    altitudes_m = jnp.asarray(params.altitudes_m, surface.roof_m.dtype)
+    return MapInputs(surface, altitudes_m, ready, settings, tuple(fixed.items()))
+
+
+def skies_of(task: MapTask, surface: Surface) -> SkyView:
+    """Return the skies of all times of a task over its surface, every field stacked along the times ``[T, ...]``.
+
+    One time is ``jax.tree.map(lambda values: values[t], views)``; all of them are mapped over by
+    ``jax.vmap(all_maps, (None, 0))``. Times with fewer satellites than the fullest are filled up.
+    """
+    skies = [task.in_view(t) for t in range(task.num_times)]
+    most = max(1, *(len(in_view.numbers) for in_view in skies))
+    views = [SkyView.of(surface, *in_view.angles, most, in_view.clocks) for in_view in skies]
+    return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
+
+
 @typed
 def map_inputs(
     city: City, grid: Grid, *, altitudes_m: Sequence[float] = PAPER_ALTITUDES_M, **metrics: Any
@@ -178,74 +256,66 @@ def map_inputs(
       InputError: a grid off the city, unreadable or stale orbits, or settings that `all_maps` does not know.
     """
     params = MapParams(altitudes_m, sections=checked_sections(metrics, map_inputs))
-    _check_region(city, grid)
+    check_region(city, grid)
     task = MapTask(city, grid, view_sky(grid, params.gps), params)
     inputs = inputs_of(task)
     return inputs, skies_of(task, inputs.surface)
 
 
 @typed
-def soft_city(city: City, grid: Grid, params: SoftParams, *, layers: Mapping[str, Layer] | None = None) -> SoftCity:
-    """Return a city made ready for soft, differentiable cost layers on the cells of a grid.
+def all_maps(inputs: MapInputs, sky: SkyView, weights: GivenWeights = None) -> dict[str, Array]:
+    """Return every map of a region at one time, by its variable. Pure: jit it, map over it, export it.
 
-    They are float32, or float64 under ``jax.enable_x64(True)``.
-
-    Args:
-      city: with outlines.
-      grid: of the layers, such as that of maps.
-      params: as the maps will have them; of several times and times of day the first ones. Their ranges and
-        thresholds, their altitude and the city's highest roof are as far as is looked: parameters may not go beyond.
-      layers: cost layers of one's own, by name; those that are functions with a soft form take part.
-
-    Raises:
-      InputError: a grid that does not fit the city, a city whose roofs are a height raster, or unreadable or stale
-        orbits.
-    """
-    _check_region(city, grid)
-    settings = MapParams((float(params.altitude_m),), sections=params.sections)
-    task = MapTask(city, grid, view_sky(grid, settings.gps), settings, check_layers(layers))
-    return soften(task, dtype=jax.dtypes.canonicalize_dtype(np.float64))
-
-
-def soften(
-    task: MapTask, *, time_index: int = 0, time_of_day: str | None = None, dtype: DTypeLike = np.float32
-) -> SoftCity:
-    """Return a city made ready for soft, differentiable cost layers (on cells of the region, never supersampled).
-
-    What hangs reaches the ground in them; of a city with slabs that is warned of.
+    ``jax.vmap`` over any leaf: skies or times (`skies_of`), roofs, altitudes with their beams, the GDOP threshold,
+    gammas, weights. Gradients are those of the hard maps: of the threshold, the gammas and the weights.
 
     Args:
-      task: a city with outlines, the grid of the layers, the sky, and settings. Their lidar range and d_thresh, their
-        lowest altitude and the city's highest roof are as far as is looked: parameters may not go beyond.
-      time_index: which of the sky's times.
-      time_of_day: of the population; left out, the first of the settings.
-      dtype: float32, or float64 under ``jax.enable_x64(True)``.
+      inputs: from `inputs_of`.
+      sky: of one time.
+      weights: give ``cost`` too, the weighted sum of the metrics' costs, ``[A, y, x]`` or, with population,
+        ``[A, D, y, x]``: what a step into a cell costs beside its length.
+
+    Returns:
+      ``obstacle`` uint8 ``[A, y, x]`` and all maps of each metric with a traced form: ``gps``, its DOPs and
+      ``num_visible``, ``lidar`` and ``risk`` ``[A, y, x]``, and with census blocks ``population`` and ``density``
+      ``[D, y, x]``. Inside obstacles, where `build_maps` has NaN, they are finite or, as DOPs, inf, so that gradients
+      stay finite; NaN where the surface has no data, but integers keep what they are there.
 
     Raises:
-      InputError: a city whose roofs are a height raster, or no such time.
+      InputError: skies of several times, or weights that are none.
     """
-    if task.city.hanging == SLABS:
-        warnings.warn(
-            "soft layers know no slabs: in them, and in their gradients, everything that hangs reaches the ground",
-            GuessWarning,
-            stacklevel=3,
+    if np.ndim(sky.num):
+        raise InputError(
+            f"sky must be of one time, got {len(sky.num)}: take jax.vmap(all_maps, (None, 0)), or one by "
+            "jax.tree.map(lambda values: values[0], skies)"
         )
-        task = replace(task, city=replace(task.city, hanging=TO_GROUND))
-    if not 0 <= time_index < task.num_times:
-        raise InputError(f"time_index must be 0 to {task.num_times - 1}, one of the sky's times, got {time_index}")
-    city, params, in_view = task.city, task.params, task.in_view(time_index)
-    building = building_index(city, task.with_margin(), params.heights.all_touched)
-    assert city.buildings is not None
-    surface = task.surface()
-    terrain_m = None if surface.terrain_m is None else jnp.asarray(surface.terrain_m, dtype)
-    surface = replace(surface, roof_m=jnp.asarray(surface.roof_m, dtype), terrain_m=terrain_m)
-    return SoftCity(
-        surface=surface,
-        building=jnp.asarray(building),
-        height_m=jnp.asarray(city.buildings.height_m, dtype),
-        view=SkyView.of(surface, *in_view.angles, clocks=in_view.clocks),
-        population=None if city.blocks is None else BlockPopulation.of(city.blocks, task.region.bounds_m, dtype),
-        time_of_day=time_of_day or params.population.times_of_day[0],
-        reach_m=tuple((name, float(metric.reach_m(task.settings_of(metric)))) for name, metric in task.metrics.items()),
-        own=tuple(task.layers.items()),
-    )
+    surface, altitudes_m = inputs.surface, inputs.altitudes_m
+    is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
+    words = jnp.where(is_obstacle, jnp.uint32(0), visible_words(surface, altitudes_m, sky))
+    maps = {"obstacle": is_obstacle.astype(jnp.uint8)}
+    scene = Scene(surface, altitudes_m, words=words, satellites=sky.satellites, engine="jax")
+    for name, (metric, settings) in inputs.metrics.items():
+        assert metric.traced is not None
+        maps |= metric.traced(replace(scene, ready=inputs.ready.get(name)), settings)
+    if weights is not None:
+        maps["cost"] = _weighted(inputs, maps, Weights.of(weights))
+    if surface.has_data is not None:
+        has_data = surface.crop(surface.has_data)  # after the cost, so that its derivatives stay finite
+        maps = {
+            name: jnp.where(has_data, values, jnp.nan) if jnp.issubdtype(values.dtype, jnp.floating) else values
+            for name, values in maps.items()
+        }
+    return maps
+
+
+def _weighted(inputs: MapInputs, maps: dict[str, Array], weights: Weights) -> Array:
+    """Return the sum of the metrics' costs times their weights."""
+    metrics = [metric for metric, _ in inputs.metrics.values()]
+    has_times = any(TIME_OF_DAY in metric.dims for metric in metrics)
+    total = jnp.zeros(())
+    for metric in metrics:
+        m = maps[metric.name]
+        if has_times:
+            m = m[None] if TIME_OF_DAY in metric.dims else m[:, None]
+        total = total + jnp.asarray(weights[metric.name]) * metric.cost(m)
+    return total

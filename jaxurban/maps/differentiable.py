@@ -1,22 +1,29 @@
 """SoftCity: a city's cost layers, and a path's cost, as one differentiable function of heights and parameters."""
 
-from dataclasses import dataclass, field
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, DTypeLike, Float, Int
 
-from jaxurban.errors import one_of, typed
+from jaxurban.errors import GuessWarning, InputError, one_of, typed
+from jaxurban.io.read.rasterise import building_index
+from jaxurban.maps.build import check_region, view_sky
+from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import Metric, SoftScene
-from jaxurban.metrics.custom import Layer, metrics_of
+from jaxurban.metrics.custom import Layer, check_layers, metrics_of
 from jaxurban.metrics.population import BlockPopulation
 from jaxurban.metrics.registry import METRICS, checked_sections
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.base import Problem
 from jaxurban.planners.cost import CostModel
+from jaxurban.world.city import SLABS, TO_GROUND, City
+from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
 CELLS_STEP = 256  # visited cells are filled up to a multiple of it, so that programs meet few shapes
@@ -198,4 +205,71 @@ def path_visits(
         jnp.asarray(np.pad(cells, ((0, padding), (0, 0)), mode="edge" if len(cells) else "constant"), jnp.int32),
         jnp.asarray(np.pad(times, (0, padding))),
         jnp.asarray(np.hypot(*np.diff(points_m, axis=0).T).sum()),
+    )
+
+
+@typed
+def soft_city(city: City, grid: Grid, params: SoftParams, *, layers: Mapping[str, Layer] | None = None) -> SoftCity:
+    """Return a city made ready for soft, differentiable cost layers on the cells of a grid.
+
+    They are float32, or float64 under ``jax.enable_x64(True)``.
+
+    Args:
+      city: with outlines.
+      grid: of the layers, such as that of maps.
+      params: as the maps will have them; of several times and times of day the first ones. Their ranges and
+        thresholds, their altitude and the city's highest roof are as far as is looked: parameters may not go beyond.
+      layers: cost layers of one's own, by name; those that are functions with a soft form take part.
+
+    Raises:
+      InputError: a grid that does not fit the city, a city whose roofs are a height raster, or unreadable or stale
+        orbits.
+    """
+    check_region(city, grid)
+    settings = MapParams((float(params.altitude_m),), sections=params.sections)
+    task = MapTask(city, grid, view_sky(grid, settings.gps), settings, check_layers(layers))
+    return soften(task, dtype=jax.dtypes.canonicalize_dtype(np.float64))
+
+
+def soften(
+    task: MapTask, *, time_index: int = 0, time_of_day: str | None = None, dtype: DTypeLike = np.float32
+) -> SoftCity:
+    """Return a city made ready for soft, differentiable cost layers (on cells of the region, never supersampled).
+
+    What hangs reaches the ground in them; of a city with slabs that is warned of.
+
+    Args:
+      task: a city with outlines, the grid of the layers, the sky, and settings. Their lidar range and d_thresh, their
+        lowest altitude and the city's highest roof are as far as is looked: parameters may not go beyond.
+      time_index: which of the sky's times.
+      time_of_day: of the population; left out, the first of the settings.
+      dtype: float32, or float64 under ``jax.enable_x64(True)``.
+
+    Raises:
+      InputError: a city whose roofs are a height raster, or no such time.
+    """
+    if task.city.hanging == SLABS:
+        warnings.warn(
+            "soft layers know no slabs: in them, and in their gradients, everything that hangs reaches the ground",
+            GuessWarning,
+            stacklevel=3,
+        )
+        task = replace(task, city=replace(task.city, hanging=TO_GROUND))
+    if not 0 <= time_index < task.num_times:
+        raise InputError(f"time_index must be 0 to {task.num_times - 1}, one of the sky's times, got {time_index}")
+    city, params, in_view = task.city, task.params, task.in_view(time_index)
+    building = building_index(city, task.with_margin(), params.heights.all_touched)
+    assert city.buildings is not None
+    surface = task.surface()
+    terrain_m = None if surface.terrain_m is None else jnp.asarray(surface.terrain_m, dtype)
+    surface = replace(surface, roof_m=jnp.asarray(surface.roof_m, dtype), terrain_m=terrain_m)
+    return SoftCity(
+        surface=surface,
+        building=jnp.asarray(building),
+        height_m=jnp.asarray(city.buildings.height_m, dtype),
+        view=SkyView.of(surface, *in_view.angles, clocks=in_view.clocks),
+        population=None if city.blocks is None else BlockPopulation.of(city.blocks, task.region.bounds_m, dtype),
+        time_of_day=time_of_day or params.population.times_of_day[0],
+        reach_m=tuple((name, float(metric.reach_m(task.settings_of(metric)))) for name, metric in task.metrics.items()),
+        own=tuple(task.layers.items()),
     )

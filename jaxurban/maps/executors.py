@@ -12,9 +12,8 @@ from dask.callbacks import Callback
 from dask.delayed import Delayed, delayed
 
 from jaxurban.errors import InputError, reason_of
-from jaxurban.maps.tiled import TileJob, finish_tile, raster_tile, sweep_tile
+from jaxurban.maps.tiled import QUADRANTS, Quadrant, Tile, TileJob, finish_tile, raster_tile, sweep_tile
 from jaxurban.progress import LOG
-from jaxurban.world.tiling import QUADRANTS, Quadrant, Tile
 
 RETRIES = 3  # of a task whose worker was killed
 Tell = Callable[[Any], None]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxurban.errors import InputError, finite, typed
+from jaxurban.errors import InputError, finite, positive, typed
 
 SAME_M = 1e-6  # altitudes this close are one
 MOST_LEVELS = 10_000
@@ -46,32 +46,21 @@ class Levels:
         """Return ``[K]`` ascending levels: the altitudes within the bounds, and with a step also every step between.
 
         Raises:
-          InputError: bounds that cross or hold no altitude, or a step that is not positive.
+          InputError: bounds that hold no altitude, or a step that is not positive.
         """
-        held, step_m = np.array(sorted(altitudes_m)), self.level_step_m
-        lowest = held[0] if self.min_altitude_m is None else self.min_altitude_m
-        highest = held[-1] if self.max_altitude_m is None else self.max_altitude_m
-        if not lowest <= highest:
+        known_m, step_m = np.array(sorted(altitudes_m)), self.level_step_m
+        lowest = known_m[0] if self.min_altitude_m is None else self.min_altitude_m
+        highest = known_m[-1] if self.max_altitude_m is None else self.max_altitude_m
+        inside = known_m[(known_m >= lowest) & (known_m <= highest)]
+        low, high = max(lowest, known_m[0]), min(highest, known_m[-1])
+        if low > high or (step_m is None and inside.size == 0):
             raise InputError(
-                f"min_altitude_m {lowest:g} must not be above max_altitude_m {highest:g}: the maps hold "
-                f"{listed_m(held)} m"
+                f"the maps hold no altitude from {lowest:g} to {highest:g} m, only {listed_m(known_m)} m: change "
+                "min_altitude_m or max_altitude_m, or give level_step_m to fly between the maps' altitudes"
             )
-        inside = held[(held >= lowest) & (held <= highest)]
         if step_m is None:
-            if inside.size == 0:
-                raise InputError(
-                    f"the maps hold no altitude from {lowest:g} to {highest:g} m, only {listed_m(held)} m: widen "
-                    "min_altitude_m or max_altitude_m, or give level_step_m to fly between them"
-                )
             return inside
-        if not 0 < step_m < np.inf:
-            raise InputError(f"level_step_m must be a positive number of metres, got {step_m:g}")
-        low, high = max(lowest, held[0]), min(highest, held[-1])
-        if low > high:
-            raise InputError(
-                f"the maps reach from {held[0]:g} to {held[-1]:g} m, not to {lowest:g} to {highest:g} m: move the "
-                "bounds"
-            )
+        positive("level_step_m", step_m, "metres")
         if (high - low) / step_m > MOST_LEVELS:
             raise InputError(f"level_step_m {step_m:g} makes more than {MOST_LEVELS} levels: choose a longer step")
         fixed = np.unique([low, *inside, high])

@@ -13,16 +13,15 @@ import psutil
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.lidar.hard import WORD_BITS, num_steps
-from jaxurban.maps.dataset import variables
-from jaxurban.maps.task import MapTask
+from jaxurban.maps.task import MapTask, variables
 from jaxurban.metrics.base import TIME
 from jaxurban.progress import LOG
 from jaxurban.world.city import SLABS
-from jaxurban.world.grid import Grid
-from jaxurban.world.tiling import max_side_for, tile_shape
+from jaxurban.world.grid import MAX_SIDE, Grid, tile_shape
 
 UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 DEFAULT_SHARE = 0.5  # of the memory that is free when a run begins
+LEAST_SIDE = 64  # of a tile, in cells
 SERIES_BYTES = 384 * 2**20  # a tile's metric at every time of a long series takes at most this
 
 # Measured (see docs/scale.md) and rounded up; what each metric takes of a cell is in its `Metric`.
@@ -70,7 +69,7 @@ def shape_of_tiles(task: MapTask) -> tuple[int, int]:
     if task.keeps_times:
         return tile_shape(task.region.shape)
     series_bytes = 4 * task.num_times * len(task.params.altitudes_m)
-    return tile_shape(task.region.shape, max_side_for(series_bytes, SERIES_BYTES))
+    return tile_shape(task.region.shape, int(min(MAX_SIDE, max(LEAST_SIDE, math.sqrt(SERIES_BYTES / series_bytes)))))
 
 
 def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
@@ -91,7 +90,7 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
     if task.params.engine == "jax" and task.has_terrain and "lidar" in task.metrics:
         needed += _num_cells(tile) * TERRAIN_GPU_BYTES
     of_margin = SPREAD_CELL_BYTES * num_altitudes * bool(task.params.heights.height_samples)
-    if task.params.oversample > 1 or task.params.gps.bounds:
+    if task.params.oversample > 1:
         of_margin += SUBCELL_BYTES * task.params.oversample**2
     return needed + of_margin * _num_cells(task.with_margin(tile)) if of_margin else needed
 
@@ -103,7 +102,7 @@ def tile_gpu_bytes(task: MapTask, tile: Grid) -> int:
     with a halo of its own, these bits are up to 32 times the cells around.
     """
     satellites = int(task.sky.is_in_view.sum(axis=1).max())
-    steps = num_steps(tile.resolution_m, task.params.of("lidar").range_m)
+    steps = num_steps(tile.resolution_m, task.params.sections["lidar"].range_m)
     bands = replace(tile, num_rows=-(-tile.num_rows // WORD_BITS))
     flat = LIDAR_GPU_WORD_BYTES * steps * _num_cells(bands, steps - 1)
     lidar = TERRAIN_GPU_BYTES * _num_cells(tile) if task.has_terrain else flat

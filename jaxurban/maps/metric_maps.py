@@ -7,18 +7,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
-from jaxurban.metrics.obstacle import stands_at
-from jaxurban.metrics.weights import normalised_map, total_map
+from jaxurban.public import Shown, listed
 from jaxurban.settings import Obstacles, Planning, iso_utc
 from jaxurban.world.grid import Grid
-from jaxurban.world.show import Shown, listed
+from jaxurban.world.surface import stands_at
 
 OF_ROUTES = ("weights", "planning", "vehicle")  # sections of a scenario that routes over its maps are planned under
 
@@ -286,13 +284,15 @@ class MetricMaps(Shown):
     @typed
     def total(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
         """Return H_total, the unweighted sum of the cost layers, ``[y, x]``; NaN where one of them is missing."""
-        return np.asarray(total_map(self.costs(altitude_m, time=time, time_of_day=time_of_day)))
+        return np.sum([*self.costs(altitude_m, time=time, time_of_day=time_of_day).values()], axis=0)
 
     @typed
     def normalised(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
         """Return H_norm, H_total brought to [0, 1] over free cells, NaN elsewhere, ``[y, x]``."""
         total = self.total(altitude_m, time=time, time_of_day=time_of_day)
-        return np.asarray(normalised_map(jnp.asarray(total), jnp.asarray(self.is_free(altitude_m, "centre"))))
+        is_free = self.is_free(altitude_m, "centre")
+        low, high = (edge(total[is_free], initial=end) for edge, end in ((np.min, np.inf), (np.max, -np.inf)))
+        return np.where(is_free, (total - low) / (high - low if high > low else 1), np.float32(np.nan))
 
     @typed
     def prefers_gps(self, altitude_m: float, *, time: str | None = None) -> np.ndarray:

@@ -19,7 +19,6 @@ from jaxurban.io.read.guesses import leaving_shares
 from jaxurban.io.store import RUN_FILE, short_number
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
-from jaxurban.maps.validation import differences_said, differing
 from jaxurban.metrics.population import Population
 from jaxurban.progress import LOG
 from jaxurban.settings import NOMINAL, each
@@ -29,20 +28,14 @@ from jaxurban.world.sky import Sky
 
 COMPANIED_SUFFIXES = (".shp", ".tif", ".tiff", ".asc", ".img")
 REPORTED_VERSIONS = (
-    "jaxurban",
-    "jax",
-    "jaxlib",
-    "numpy",
-    "osmium",
-    "pyproj",
-    "rasterio",
-    "shapely",
-    "skyfield",
-    "xarray",
-    "zarr",
+    *("jaxurban", "jax", "jaxlib", "numpy", "osmium", "pyproj"),
+    *("rasterio", "shapely", "skyfield", "xarray", "zarr"),
 )
 NOT_OF_MAPS = ("weights", "planning", "vehicle", "study")  # sections of the scenario that no map depends on
+MOST_SAID, NOT_SET = 6, "not set"  # of differing settings in one sentence
 MAP_FOLDERS = ("kernels", "world", "metrics", "io", "maps")  # of the package: what maps depend on
+
+Differing = dict[str, tuple[Any, Any]]  # old and new value by dotted key, None for what is not set
 
 
 def run_record(
@@ -184,22 +177,50 @@ def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]], backend: str)
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
 
 
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return settings by dotted key, as ``region.resolution_m``; what is None is left out."""
+    found: dict[str, Any] = {}
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{prefix}{name}.")
+        elif value is not None:
+            found[f"{prefix}{name}"] = value
+    return found
+
+
+def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Differing:
+    """Return what differs between settings, as JSON holds them: old and new value by dotted key, None: not set."""
+    before, after = _flat(old), _flat(new)
+    return {key: (before.get(key), after.get(key)) for key in after | before if before.get(key) != after.get(key)}
+
+
+def differences_said(settings: Differing) -> str:
+    """Return differing settings in words: ``gps.mask_deg was 5.0, now 10.0``; of many the first ones."""
+    words = [f"{key} was {_shown(old)}, now {_shown(new)}" for key, (old, new) in settings.items()]
+    more = [f"and {len(words) - MOST_SAID} more"] if len(words) > MOST_SAID else []
+    return "; ".join(words[:MOST_SAID] + more)
+
+
+def _shown(value: Any) -> str:
+    return NOT_SET if value is None else repr(value)
+
+
 def other_maps(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[str, str]]) -> str:
     """Return how the maps under a folder differ from a scenario: by their record in settings, files, versions."""
     try:
-        held = read_json(folder / RUN_FILE)
-        settings, files, made_by = held["settings"], held["inputs"], held["versions"]
+        record = read_json(folder / RUN_FILE)
+        settings, files, made_by = record["settings"], record["inputs"], record["versions"]
     except (OSError, ValueError, LookupError):
         return "maps of other settings or inputs, or made by another version of jaxurban or its libraries"
-    found = differing(_of_maps(settings), _of_maps(settings_of(scenario)))
-    said = [f"of other settings ({differences_said(found)})"] if found else []
-    sums = [{role: file.get("sha256") for role, file in each.items()} for each in (files, inputs)]
-    roles = [role for role in {**files, **inputs} if not said or (role in files and role in inputs)]
-    if others := [role for role in roles if sums[0].get(role) != sums[1].get(role)]:
-        said.append(f"of other input files ({', '.join(others)}: what they hold has changed)")
-    if found := differing(made_by, versions()):
-        said.append(f"made by other versions ({differences_said(found)})")
-    return f"maps {' and '.join(said) or 'made by other code of jaxurban, or on another device'}"
+    words = []
+    if changed := differing(_of_maps(settings), _of_maps(settings_of(scenario))):
+        words.append(f"of other settings ({differences_said(changed)})")
+    sums = ({role: file.get("sha256") for role, file in each.items()} for each in (files, inputs))
+    if roles := [role for role in differing(*sums) if not changed or (role in files and role in inputs)]:
+        words.append(f"of other input files ({', '.join(roles)}: what they hold has changed)")
+    if changed := differing(made_by, versions()):
+        words.append(f"made by other versions ({differences_said(changed)})")
+    return f"maps {' and '.join(words) or 'made by other code of jaxurban, or on another device'}"
 
 
 def versions() -> dict[str, str]:

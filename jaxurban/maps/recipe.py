@@ -2,38 +2,32 @@
 
 A region in memory is one tile; a tiled run does many of the same; spreads by uncertain heights do it on surfaces
 whose roofs have moved. Who runs it, and where the layers go, is the caller's.
+
+Uncertain heights: every sample draws one error for each building (never one for each cell: a roof moves as a whole),
+and the city is rasterised and mapped anew. Errors are normal, independent between buildings, with a standard deviation
+by where the height came from; heights never fall below 0.
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, layer_values
 from jaxurban.kernels.shadows.sweep import Ring
-from jaxurban.maps.dataset import variables
-from jaxurban.maps.height_uncertainty import Spread, perturbed_cities
-from jaxurban.maps.supersampling import (
-    Bands,
-    build_supersampled_surface,
-    lower_bands,
-    plain_bands,
-    upper_bands,
-    visibility_at_centres,
-)
-from jaxurban.maps.task import MapTask
-from jaxurban.metrics.availability import TimeTotals, row_sums, series_statistics
-from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, AnyArray, Metric, Scene
-from jaxurban.metrics.obstacle import obstacles_on, region_roofs
+from jaxurban.maps.task import MapTask, variables
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Scene
 from jaxurban.metrics.population import BlockLayers
+from jaxurban.metrics.variables import SCALE, TimeTotals, series_statistics
 from jaxurban.metrics.visibility import visibility
 from jaxurban.progress import Stage
-from jaxurban.world.city import TO_GROUND, City
-from jaxurban.world.surface import Surface
+from jaxurban.settings import HeightStd
+from jaxurban.world.city import City, HeightOrigin
+from jaxurban.world.surface import Surface, obstacles_on, region_roofs
 
 
 class MapLayer(NamedTuple):
@@ -75,20 +69,11 @@ class TileScene:
     @cached_property
     def supersampled(self) -> Surface | None:
         """The surface ``oversample`` times finer that rays see; None where that is the tile's own."""
-        params = self.task.params
-        return None if params.oversample == 1 else self.supersampled_surface(params.heights.all_touched)
-
-    @cached_property
-    def _bands(self) -> Bands:
-        assert self.supersampled is not None
-        return plain_bands(self.supersampled, self.task.params.oversample)
-
-    def supersampled_surface(self, all_touched: bool, city: City | None = None) -> Surface:
-        """Return the tile and all that shadows it, rasterised ``oversample`` times finer, of another city if given."""
-        task, region = self.task, self.surface.region
-        return build_supersampled_surface(
-            city or task.city, region, task.with_margin(region), task.params.oversample, all_touched
-        )
+        task, region, n = self.task, self.surface.region, self.task.params.oversample
+        if n == 1:
+            return None
+        bare, grids = replace(task.city, blocks=None), (region.refined(n), task.with_margin(region).refined(n))
+        return replace(build_surface(bare, *grids, task.params.heights.all_touched), roof_touched_m=None)
 
     def surfaces_at(self, altitude_m: float) -> tuple[Surface, Surface | None]:
         """Return what an altitude meets: the surface and the finer one, if any; keeps the last."""
@@ -101,27 +86,18 @@ class TileScene:
     def words(self, time_index: int) -> np.ndarray:
         """Return the visibility words ``[W, A, y, x]`` of a time; keeps the last."""
         if time_index not in self._seen:
-            self.keep(time_index, np.asarray(self._words(time_index)))
+            self.forget()
+            in_view, params, rings = self.task.in_view(time_index), self.task.params, None
+            if self.rings is not None and self.supersampled is None:
+                rings = [self.rings[time_index, int(s)] for s in in_view.numbers]
+            where = self.supersampled or self.surface, *in_view.angles, params.altitudes_m
+            words = visibility(*where, rings, params.engine, params.oversample)
+            self._seen[time_index] = np.asarray(words)
         return self._seen[time_index]
-
-    def keep(self, time_index: int, words: np.ndarray) -> None:
-        """Let `words` return these for a time, and forget all others."""
-        self.forget()
-        self._seen[time_index] = words
 
     def forget(self) -> None:
         """Free the memory of the words that are kept."""
         self._seen.clear()
-
-    def _words(self, time_index: int) -> AnyArray:
-        in_view = self.task.in_view(time_index)
-        altitudes_m = np.asarray(self.task.params.altitudes_m)
-        if self.supersampled is not None:
-            return visibility_at_centres(self._bands, *in_view.angles, altitudes_m)
-        rings = None
-        if self.rings is not None:
-            rings = [self.rings[time_index, int(s)] for s in in_view.numbers]
-        return visibility(self.surface, *in_view.angles, altitudes_m, rings, self.task.params.engine)
 
     def at(self, metric: Metric, place: tuple[int, ...], only_m: bool = False) -> Scene:
         """Return what a metric may look at, at one place along its dims; ``only_m``: for m and nothing else."""
@@ -176,10 +152,7 @@ def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     for number, (name, metric) in enumerate(by_sky):
         is_series = TIME in metric.dims and not task.keeps_times
         yield from _staged((_statistics if is_series else _maps)(tile, metric), stage, name)
-        has_bounds = TIME in metric.dims and metric.is_monotone and task.params.gps.bounds
-        if has_bounds:
-            yield from _staged(_bounds(tile, metric), stage, f"{name}_bounds")
-        if has_bounds or not any(TIME in later.dims for _, later in by_sky[number + 1 :]):
+        if not any(TIME in later.dims for _, later in by_sky[number + 1 :]):
             tile.forget()
     if task.params.heights.height_samples:
         yield from _staged(_height_spread(tile), stage, "height_spread")
@@ -217,18 +190,16 @@ def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
     is_counted = ~tile.is_obstacle
     if tile.has_data is not None:
         is_counted &= tile.has_data
-    counted = [jax.device_put(of_altitude) for of_altitude in is_counted]
-    totals = TimeTotals.zero(tile.task.num_times, len(is_counted))
-    totals.num_free[:] = is_counted.sum(axis=(1, 2))
     m = np.empty((tile.task.num_times, *is_counted.shape), np.float32)
+    totals = TimeTotals(np.zeros(m.shape[:2], np.int64), is_counted.sum(axis=(1, 2)))
     is_available = np.empty(m.shape, np.uint8) if metric.available else None
     for name, (t, a), values in _maps(tile, metric, only_m=is_available is None):
         if is_available is not None and name == metric.available:
             is_available[t, a] = values
         if name != metric.name:
             continue
-        m[t, a] = m_now = values
-        totals.m_sum[t, a] = np.asarray(row_sums(m_now, counted[a])).sum(dtype=np.int64)
+        m[t, a] = values
+        totals.m_sum[t, a] = np.sum(np.rint(m[t, a] * np.float32(SCALE)), where=is_counted[a], dtype=float)
     tile.totals[metric.name] = totals
     for a in range(m.shape[1]):
         threshold, of_altitude = tile.task.params.gps.availability_threshold, None
@@ -236,23 +207,6 @@ def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
             of_altitude = is_available[:, a]
         for what, values in series_statistics(m[:, a], threshold, of_altitude).items():
             yield MapLayer(f"{metric.name}_{what}", (a,), values)
-
-
-def _bounds(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
-    """Yield ``{metric}_lower`` and ``_upper``, which bracket the true m of free cells: roofs from above and below.
-
-    What hangs reaches the ground in the one, and is not there in the other.
-    """
-    task = tile.task
-    settings, altitudes_m = task.settings_of(metric), np.asarray(task.params.altitudes_m)
-    to_ground = replace(task.city, hanging=TO_GROUND)
-    for end, make_bands, *rules in (("lower", upper_bands, True, to_ground), ("upper", lower_bands, False, None)):
-        bands = make_bands(tile.supersampled_surface(*rules), task.params.oversample)
-        for t in range(task.num_times):
-            tile.keep(t, visibility_at_centres(bands, *task.in_view(t).angles, altitudes_m))
-            for a in range(len(altitudes_m)):
-                found = metric.compute(tile.at(metric, (t, a), only_m=True), settings)
-                yield MapLayer(f"{metric.name}_{end}", (t, a), found[metric.name])
 
 
 def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
@@ -295,3 +249,69 @@ def _rasters(tile: TileScene) -> Iterator[MapLayer]:
         yield MapLayer("roof_guessed", (), surface.roof_guessed)
     if surface.terrain_m is not None:
         yield MapLayer("terrain", (), surface.crop(surface.terrain_m))
+
+
+TAIL = 0.05  # the percentiles reported are the 5th and the 95th
+
+
+def perturbed_cities(city: City, height_std_m: HeightStd, num_samples: int, seed: int) -> Iterator[City]:
+    """Yield the city with heights drawn anew, once a sample; the same seed gives the same cities."""
+    if city.roofs is not None:
+        from scipy.ndimage import label
+
+        labels, num_buildings = label(np.nan_to_num(city.roofs.values) > 0, structure=np.ones((3, 3)))
+    for sample in range(num_samples):
+        rng = np.random.default_rng([seed, sample])
+        if city.buildings is not None:
+            by_origin = asdict(height_std_m) | {"layer": height_std_m.default, "generated": 0.0}
+            std_m = np.array([by_origin[origin.name.lower()] for origin in HeightOrigin])[city.buildings.origin]
+            errors_m = rng.standard_normal(len(city.buildings)) * std_m
+            height_m = np.maximum(city.buildings.height_m + errors_m, 0.0)
+            floor_m = city.buildings.min_height_m
+            floor_m = np.where(floor_m > 0, np.maximum(floor_m + errors_m, 0.0), floor_m)  # what hangs moves as a whole
+            yield replace(city, buildings=replace(city.buildings, height_m=height_m, min_height_m=floor_m))
+        else:
+            assert city.roofs is not None
+            errors_m = np.append(0.0, rng.standard_normal(num_buildings) * height_std_m.raster)[labels]
+            values = np.where(labels > 0, np.maximum(city.roofs.values + errors_m, 0.0), city.roofs.values)
+            yield replace(city, roofs=replace(city.roofs, values=values.astype(np.float32)))
+
+
+class Spread:
+    """Mean, standard deviation and the two tail percentiles of arrays that come one by one.
+
+    Mean and deviation after Welford (1962). For the percentiles only the lowest and the highest few arrays are kept:
+    of 32 samples three each.
+    """
+
+    def __init__(self, num_samples: int):
+        self.num_samples, self.count = num_samples, 0
+        position = TAIL * (num_samples - 1)
+        self.below = math.floor(position)
+        self.share = position - self.below
+        self.kept = min(self.below + 2, num_samples)
+
+    def add(self, values: np.ndarray) -> None:
+        """Take in one more array, of the shape of all others."""
+        values = np.asarray(values, np.float32)
+        if self.count == 0:
+            self.mean, self.squares = np.zeros_like(values), np.zeros_like(values)
+            self.lowest = self.highest = np.empty((0, *values.shape), np.float32)
+        self.count += 1
+        from_old = values - self.mean
+        self.mean += from_old / self.count
+        self.squares += from_old * (values - self.mean)
+        self.lowest = np.sort(np.concatenate([self.lowest, values[None]]), axis=0)[: self.kept]
+        self.highest = np.sort(np.concatenate([self.highest, values[None]]), axis=0)[-self.kept :]
+
+    def results(self) -> dict[str, np.ndarray]:
+        """Return ``mean``, ``std`` (of the sample, n - 1), ``p05`` and ``p95`` (linear between samples)."""
+        last = self.kept - 1
+        low, low_next = self.lowest[self.below], self.lowest[min(self.below + 1, last)]
+        high, high_next = self.highest[last - self.below], self.highest[max(last - self.below - 1, 0)]
+        return {
+            "mean": self.mean,
+            "std": np.sqrt(self.squares / max(self.count - 1, 1)),
+            "p05": low + self.share * (low_next - low),
+            "p95": high + self.share * (high_next - high),
+        }

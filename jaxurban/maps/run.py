@@ -26,21 +26,19 @@ from jaxurban.io.store import stored_key
 from jaxurban.io.workspace import Workspace
 from jaxurban.kernels.engine import chosen
 from jaxurban.maps.build import view_sky
-from jaxurban.maps.dataset import empty_dataset, with_series
 from jaxurban.maps.executors import cluster_client, num_cores, work_in_threads, work_on_cluster
 from jaxurban.maps.memory import check_disk, plan_run, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, other_maps, run_key, run_record, write_record
 from jaxurban.maps.scenario import Scenario
-from jaxurban.maps.task import MapTask
-from jaxurban.maps.tiled import TileJob
-from jaxurban.metrics.availability import TimeTotals
+from jaxurban.maps.task import MapTask, empty_dataset, with_series
+from jaxurban.maps.tiled import TileJob, Tiling
+from jaxurban.metrics.variables import TimeTotals
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
 from jaxurban.settings import NOMINAL, each
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_city_for_bounds
-from jaxurban.world.tiling import Tiling
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,11 @@
 
 import operator
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, cast, get_args
 
 import tomli_w
 from pydantic import (
@@ -15,23 +15,17 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    GetPydanticSchema,
+    PlainSerializer,
     PrivateAttr,
     ValidationError,
     create_model,
     model_validator,
 )
 
-from jaxurban.errors import InputError, at_least, one_of, positive, readable, typed
+from jaxurban.errors import InputError, at_least, check_range, nearest_name, one_of, positive, readable, typed
 from jaxurban.kernels.engine import Engine
 from jaxurban.maps.task import MapParams
-from jaxurban.maps.validation import (
-    DifferentList,
-    PositiveInt,
-    WeightSettings,
-    changed,
-    check_truths,
-    sentence_of,
-)
 from jaxurban.metrics.custom import Layer, check_layers
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import Population
@@ -44,15 +38,35 @@ from jaxurban.world.grid import check_bounds, projected_crs
 SYNTHETIC = "synthetic"
 MOST_INSTANCES = 1_000_000
 PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
+UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+MUST_BE = {
+    **dict.fromkeys(("tuple_type", "list_type"), "must be a list in brackets"),
+    **dict.fromkeys(("model_type", "dict_type", "dataclass_type"), "must be a table of settings"),
+}
+CONFIG = ConfigDict(extra="forbid", frozen=True)
+PositiveInt = Annotated[int, Field(gt=0)]
+WeightTable = Annotated[  # weights by name; `Scenario` knows which names there are
+    dict[str, Any], AfterValidator(lambda named: Weights(**named).checked()), PlainSerializer(Weights.to_dict)
+]
+WeightSettings = Annotated[Weights, GetPydanticSchema(lambda _, handler: handler.generate_schema(WeightTable))]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+def _all_different(values: tuple) -> tuple:
+    if len({f"{value:g}" if isinstance(value, float) else value for value in values}) < len(values):
+        raise ValueError("names a value twice (file names carry six digits)")
+    return values
 
 
-class Region(_Section):
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+DifferentList = Annotated[
+    tuple[Positive, ...], BeforeValidator(each), Field(min_length=1), AfterValidator(_all_different)
+]
+
+
+class Region(BaseModel):
     """Where, how fine and how high, and by which engine."""
 
+    model_config = CONFIG
     bounds: tuple[float, float, float, float]
     crs: str | None = None
     resolution_m: DifferentList = (5.0,)
@@ -126,26 +140,16 @@ class Study:
             raise InputError(f"instances must be at most {MOST_INSTANCES:,} at each altitude, got {self.instances:,}")
 
 
-def _with_known_planner(planning: Planning) -> Planning:
-    find_planner(planning.planner)
-    return planning
-
-
-class _Places(_Section):
-    region: Region
-    buildings: Buildings
-    terrain: Terrain = Terrain()
-
-
 LEFT_OUT = Field(default=None, exclude_if=operator.not_)  # not made
-OF_METRICS: dict[str, Any] = {
+SECTIONS: dict[str, Any] = {  # in the order in which `Scenario.to_toml` writes them
+    **{"region": (Region, ...), "buildings": (Buildings, ...), "terrain": (Terrain, Terrain())},
     **{name: (metric.params, metric.params()) for name, metric in METRICS.items()},
     **{name: (metric.params | None, LEFT_OUT) for name, metric in ON_REQUEST.items()},
 }
-MetricSections: Any = create_model("MetricSections", __base__=_Places, **OF_METRICS)
+Sections: Any = create_model("Sections", __config__=CONFIG, **SECTIONS)
 
 
-class Scenario(MetricSections):
+class Scenario(Sections):
     """All settings of one job; a section for each metric of the registry. Only ``region`` and ``buildings`` are needed.
 
     Attributes:
@@ -156,7 +160,7 @@ class Scenario(MetricSections):
     population: Population = Population()
     layers: dict[str, Layer] = Field(default_factory=dict, exclude_if=operator.not_)  # of one's own
     weights: WeightSettings = Weights()
-    planning: Annotated[Planning, AfterValidator(_with_known_planner)] = Planning()
+    planning: Planning = Planning()
     vehicle: Vehicle = Vehicle()
     study: Study = Study()
     _folder: Path = PrivateAttr(default=Path())
@@ -164,11 +168,12 @@ class Scenario(MetricSections):
     @model_validator(mode="before")
     @classmethod
     def _no_truth_for_a_number(cls, settings: Any) -> Any:
-        check_truths(settings, cls)
+        _check_truths(settings, cls)
         return _with_times_as_text(settings)
 
     @model_validator(mode="after")
     def _check(self) -> "Scenario":
+        find_planner(self.planning.planner)
         self._check_layers()
         self._request_what_is_weighed()
         _ = self.map_params  # which refuses what does not go together
@@ -221,7 +226,7 @@ class Scenario(MetricSections):
         try:
             scenario = cls.model_validate(_with_bounds(settings, folder or Path()))
         except ValidationError as error:
-            raise InputError(f"{name}: {sentence_of(error, cls, settings)}") from error
+            raise InputError(f"{name}: {_sentence_of(error, settings)}") from error
         if folder is not None:
             scenario._folder = folder
         return scenario
@@ -273,3 +278,89 @@ def _with_bounds(settings: Mapping[str, Any], folder: Path) -> Mapping[str, Any]
     from jaxurban.io.read.city import lonlat_extent  # imported here: it brings the readers
 
     return {**settings, "region": {**region, "bounds": lonlat_extent(folder / source)}}
+
+
+def changed(settings: dict[str, Any], changes: Iterable[str]) -> dict[str, Any]:
+    """Return settings with changes, later ones over earlier ones.
+
+    Args:
+      settings: nested, as TOML reads them.
+      changes: ``key=value`` each: a dotted key of the scenario, and a value as TOML writes it.
+
+    Raises:
+      InputError: no ``=``, or a value that is not TOML.
+    """
+    for change in changes:
+        key, equals, value = change.partition("=")
+        if not equals:
+            raise InputError(f"--set {change!r} must be key=value, as in gps.mask_deg=10")
+        try:
+            settings = _merged(settings, tomllib.loads(f"{key} = {value}"))
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(
+                f"--set {change!r} is not TOML ({error}): write texts in quotes, as in "
+                "buildings.source='\"town.osm\"', and lists in brackets, as in region.altitudes_m=[20,60]"
+            ) from error
+    return settings
+
+
+def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    tables = [name for name, value in new.items() if isinstance(value, Mapping) and isinstance(old.get(name), Mapping)]
+    return {**old, **new, **{name: _merged(old[name], new[name]) for name in tables}}
+
+
+def _sentence_of(error: ValidationError, settings: Any) -> str:
+    """Return the first error of a validation of settings as one sentence that names the setting."""
+    first = error.errors()[0]
+    model: type = Scenario
+    *parents, last = first["loc"] or ("",)
+    names = []
+    for part in parents:
+        model = model_in(fields_of(model).get(str(part))) or model
+        if _holds(settings, part):  # the rest are pydantic's names for the types of a union
+            settings = settings[part]
+            names.append(str(part))
+    if first["type"] == "missing" or _holds(settings, last):
+        names.append(str(last))
+    where = ".".join(names)
+    if first["type"] in UNKNOWN:
+        valid = list(fields_of(model))
+        hint = nearest_name(str(last), valid) or f"; the valid ones are {', '.join(valid)}"
+        return f"unknown {'key' if parents else 'section'} {where!r}{hint}"
+    if first["type"] == "missing":
+        return f"{where!r} is required and missing"
+    message = MUST_BE.get(first["type"], first["msg"].removeprefix("Value error, "))
+    got = "" if first["type"] == "value_error" else f", got {first['input']!r}"
+    return f"{where and f'{where}: '}{message[0].lower()}{message[1:]}{got}"
+
+
+def _check_truths(settings: Any, model: type, where: str = "") -> None:
+    """Raise ValueError for true or false where a setting is none, and for numbers beyond all measure."""
+    known = fields_of(model)
+    for name, value in settings.items() if isinstance(settings, Mapping) else ():
+        if isinstance(value, bool) and name in known and known[name] is not bool:
+            raise ValueError(f"{where}{name} cannot be {str(value).lower()}: give a number, a text or a list")
+        check_range(f"{where}{name}", value)
+        if inner := model_in(known.get(name)):
+            _check_truths(value, inner, f"{where}{name}: ")
+
+
+def fields_of(model: type) -> dict[str, Any]:
+    """Return the annotation of each field of a pydantic model or a dataclass, by name."""
+    if issubclass(model, BaseModel):
+        return {name: field.annotation for name, field in model.model_fields.items()}
+    return {field.name: field.type for field in fields(cast(Any, model))}
+
+
+def _holds(settings: Any, part: str | int) -> bool:
+    """Return whether settings have such a key, or such a place in a list."""
+    if isinstance(part, int):
+        return isinstance(settings, Sequence) and not isinstance(settings, str) and part < len(settings)
+    return isinstance(settings, Mapping) and part in settings
+
+
+def model_in(annotation: Any) -> type | None:
+    """Return the model or dataclass that an annotation names, on its own or in a list or union; None if none."""
+    if isinstance(annotation, type) and (issubclass(annotation, BaseModel) or is_dataclass(annotation)):
+        return annotation
+    return next(filter(None, map(model_in, get_args(annotation))), None)

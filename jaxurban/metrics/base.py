@@ -5,27 +5,19 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, DTypeLike, Float, Int, UInt
+from jaxtyping import Array, Float, Int
 
 from jaxurban.kernels.engine import Engine
 from jaxurban.world.surface import Surface
 
 if TYPE_CHECKING:
-    from jaxurban.kernels.dop import Geometry
     from jaxurban.metrics.visibility import SkyView
     from jaxurban.world.city import Blocks
 
 AnyArray = Array | np.ndarray
 ALTITUDE, TIME, TIME_OF_DAY = "altitude", "time", "time_of_day"
 UNDERSIDE = "underside"  # of maps in which something hangs: its lowest floor above the ground, 0 where nothing does
-
-
-def in_type(values: Any, dtype: DTypeLike) -> AnyArray:
-    """Return numbers as an array of a type; on the host, where no program is compiled for it, if JAX holds none yet."""
-    is_held = any(isinstance(value, jax.Array) for value in jax.tree.leaves(values))
-    return jnp.asarray(values, dtype) if is_held else np.asarray(values, dtype)
 
 
 def high_is_bad(m: AnyArray) -> AnyArray:
@@ -44,11 +36,6 @@ COSTS = {"high-is-bad": high_is_bad, "low-is-bad": low_is_bad}
 def no_reach_m(params: Any) -> float:
     """Return 0: a metric that looks at nothing beside its own cell."""
     return 0.0
-
-
-def always(params: Any) -> bool:
-    """Return True: a variable that is made under all settings."""
-    return True
 
 
 class Scale(NamedTuple):
@@ -106,7 +93,6 @@ class Variable:
       dims: along which it varies beside y and x.
       of: the metric that makes it; "" for none. A metric gives name, dims and caveat to all of its variables.
       is_averaged: whether overviews may hold means of it, which of counts and of what may be infinite are neither.
-      is_made: whether it is made under some settings of its metric.
       standard_name: of the CF conventions; "" for none.
       caveat: what whoever reads it must know.
     """
@@ -124,7 +110,6 @@ class Variable:
     dims: tuple[str, ...] = ()
     of: str = ""
     is_averaged: bool = True
-    is_made: Callable[[Any], bool] = always
     standard_name: str = ""
     caveat: str = ""
 
@@ -138,6 +123,9 @@ class Variable:
 @dataclass(frozen=True, eq=False)
 class Scene:
     """What a metric may look at for its maps of one tile, at one place along its dims. ``y, x`` cells of the tile.
+
+    `Metric.traced` gets one of arrays that JAX traces, at all altitudes and times of day at once: ``altitude_m`` is
+    ``[A]`` there, ``words`` ``[W, A, y, x]``, and of the others but the surface only the last two are given.
 
     Attributes:
       surface: roofs, terrain and census blocks on the tile (``surface.region``), roofs and terrain on the margin too
@@ -157,6 +145,8 @@ class Scene:
         they hold nothing.
       only_m: further variables are not looked at, and need not be made.
       engine: which form of its kernels runs (`jaxurban.kernels.engine`).
+      satellites: the geometry of those of the time (`jaxurban.kernels.dop.Geometry`), for traced metrics.
+      ready: what `Metric.ready` has made on the host, for traced metrics.
     """
 
     surface: Surface
@@ -170,23 +160,7 @@ class Scene:
     rasters: dict[str, np.ndarray] = field(default_factory=dict)
     only_m: bool = False
     engine: Engine = "auto"
-
-
-class TracedScene(NamedTuple):
-    """What a metric may look at for its maps at all altitudes and times of day at once, as arrays that JAX traces.
-
-    Attributes:
-      surface: roofs, terrain and blocks.
-      altitudes_m: ``[A]`` above the ground.
-      satellites: the geometry of those of one time.
-      words: ``[W, A, y, x]`` which of them each cell sees, as in `Scene`; none inside obstacles.
-      ready: what `Metric.ready` has made on the host.
-    """
-
-    surface: Surface
-    altitudes_m: Float[Array, " A"]
-    satellites: "Geometry"
-    words: UInt[Array, "W A y x"]
+    satellites: Any = None
     ready: Any = None
 
 
@@ -243,10 +217,9 @@ class Metric:
       ready: returns what ``traced`` needs beside, made on the host of a surface, altitudes, settings, and the census
         blocks, if any; None where it needs nothing.
       soft: returns m of a soft scene, on its cells, with gradients; None where there is none.
-      also: every further variable that ``compute`` returns, under some settings or under all.
+      also: every further variable that ``compute`` returns.
       available: which of these, 0 or 1, says that a position is available, for its share of the times of a series;
         "" where that is m above a threshold.
-      is_monotone: one more satellite in view never makes m less, so that roofs from above and below bracket it.
       recorded: setting of each attribute that its maps have, by the attribute's name.
       caveat: what every output of it says to whoever reads it.
       cell_bytes: what computing it holds at its highest, of each cell of a tile and of those within its reach; with a
@@ -265,12 +238,11 @@ class Metric:
     unit: str = "1"
     inside: float | None = np.nan
     reach_m: Callable[[Any], float] = no_reach_m
-    traced: Callable[[TracedScene, Any], dict[str, jax.Array]] | None = None
+    traced: Callable[[Scene, Any], dict[str, jax.Array]] | None = None
     ready: "Callable[[Surface, Sequence[float], Any, Blocks | None], Any] | None" = None
     soft: Callable[[SoftScene, Any], jax.Array] | None = None
     also: tuple[Variable, ...] = ()
     available: str = ""
-    is_monotone: bool = True
     recorded: Mapping[str, str] = field(default_factory=dict)
     caveat: str = ""
     cell_bytes: int = 16
@@ -292,10 +264,6 @@ class Metric:
         return {
             each.name: replace(each, of=self.name, dims=self.dims, caveat=self.caveat) for each in (own, *self.also)
         }
-
-    def under(self, params: Any) -> "Metric":
-        """Return the metric as it is under some settings, with the variables that it then returns."""
-        return replace(self, also=tuple(each for each in self.also if each.is_made(params)))
 
     @property
     def one_is(self) -> str:

@@ -24,13 +24,14 @@ from jaxurban.metrics.variables import NO_METRICS, derived
 from jaxurban.world.surface import Surface
 
 COLOURS = ("#56b4e9", "#d55e00", "#7f3c8d", "#80604d")  # of lines, none a built-in metric's
-COLOUR_MAP = "cividis"
 TAKEN = {
     *("distance", "climb", "descent", "self", "lon", "lat", ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref"),
     *NO_METRICS,
     *(name for metric in known_metrics().values() for name in metric.variables),
     *(name for metric in known_metrics().values() for made in derived(metric).values() for name in made),
 }
+# What a file's name holds behind that of its variable: an altitude, a time of day, a time.
+_OF_A_FILE = re.compile(r"\w+_(\d+m|day|night|\d{8}T\d{6}Z)")
 
 
 @typed
@@ -75,13 +76,12 @@ class Layer:
             )
         one_of("cost", self.cost, COSTS)
         one_of("nan", self.nan, ("closed", "error"))
-        scale = _numbers("scale", self.scale)
+        scale = [finite("scale", value) for value in self.scale]
         if not (len(scale) == 2 and scale[0] < scale[1]):
-            raise InputError(f"scale must be two ascending numbers such as [0, 80], got {list(scale)}")
-        if self.altitudes_m is not None and len(set(heights := _numbers("altitudes_m", self.altitudes_m))) < len(
-            heights
-        ):
-            raise InputError(f"altitudes_m must name different altitudes, one for each band, got {list(heights)}")
+            raise InputError(f"scale must be two ascending numbers such as [0, 80], got {scale}")
+        heights = [finite("altitudes_m", value, "metres") for value in self.altitudes_m or ()]
+        if len(set(heights)) < len(heights):
+            raise InputError(f"altitudes_m must name different altitudes, one for each band, got {heights}")
         if not finite("reach_m", self.reach_m, "metres") >= 0:
             raise InputError(f"reach_m must be 0 or a positive number of metres, got {self.reach_m}")
         if self.reach_m and not callable(self.source):
@@ -101,13 +101,6 @@ class Layer:
         return jnp.clip((jnp.asarray(values) - low) / (high - low), 0, 1)
 
 
-def _numbers(name: str, values: Any) -> tuple[float, ...]:
-    """Return finite numbers, or raise InputError."""
-    if isinstance(values, str) or not np.iterable(values):
-        raise InputError(f"{name} must be a list of numbers, got {values!r}")
-    return tuple(finite(name, value) for value in values)
-
-
 def check_layers(layers: Any) -> Mapping[str, Layer]:
     """Return cost layers of one's own by name, none where they are left out.
 
@@ -119,26 +112,12 @@ def check_layers(layers: Any) -> Mapping[str, Layer]:
         raise InputError('layers must be Layers by name, such as {"noise": Layer("noise.tif", "high-is-bad", (0, 80))}')
     for name in given:
         if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
-            raise InputError(f"a layer's name must be letters, digits and _ such as noise_day, got {name!r}")
-        if name in TAKEN:
-            raise InputError(f"a layer cannot be called {name!r}, which maps or weights use already: give another name")
-    check_file_names(given)
-    return given
-
-
-# What a file's name may hold behind that of its variable, of an altitude, a time of day and a time.
-_OF_A_FILE = re.compile(r"(?P<of>\w+?)(_\d+m)?(?P<day>_day|_night)?(_\d{8}T\d{6}Z)?")
-
-
-def check_file_names(names: Collection[str]) -> None:
-    """Raise InputError where a layer's name is that of another map's file, as ``noise_20m`` is of ``noise`` at 20 m."""
-    for name in names:
-        match = _OF_A_FILE.fullmatch(name)
-        of = match["of"] if match else name
-        if match and of != name and (of in TAKEN or (of in names and not match["day"])):
+            raise InputError(f"a layer's name must be letters, digits and _ such as noise_2024, got {name!r}")
+        if name in TAKEN or _OF_A_FILE.fullmatch(name):
             raise InputError(
-                f"a layer cannot be called {name!r} beside {of!r}, one of whose files has that name: give it another"
+                f"a layer cannot be called {name!r}: maps, their files or weights use such names: give another name"
             )
+    return given
 
 
 def own_metric(name: str, layer: Layer) -> Metric:
@@ -156,7 +135,7 @@ def own_metric(name: str, layer: Layer) -> Metric:
         label=name,
         one_means=f"{name} of {high:g} or more",
         colour=colour_of(name),
-        colour_map=COLOUR_MAP,
+        colour_map="cividis",
         inside=None,
     )
 
@@ -193,7 +172,7 @@ def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
         if name in ds or (TIME in metric.dims and f"{name}_median" in ds)
     }
     own = {str(name): json.loads(held.attrs["layer"]) for name, held in ds.variables.items() if "layer" in held.attrs}
-    return known | {name: own_metric(name, layer_of(own[name])) for name in sorted(own)}
+    return known | {name: own_metric(name, Layer(**own[name])) for name in sorted(own)}
 
 
 def held_variables(ds: xr.Dataset) -> dict[str, Variable]:
@@ -201,21 +180,13 @@ def held_variables(ds: xr.Dataset) -> dict[str, Variable]:
     known = dict(NO_METRICS)
     for name, metric in held_metrics(ds).items():
         made = derived(metric)
-        known |= made["series"] if f"{name}_median" in ds else metric.variables | made["bounds"] | made["spread"]
+        known |= made["series"] if f"{name}_median" in ds else metric.variables | made["spread"]
     maps = {str(name): array for name, array in ds.data_vars.items() if array.dims[-2:] == ("y", "x")}
-    return {name: known[name] if name in known else _described(name, array) for name, array in maps.items()}
-
-
-def _described(name: str, array: xr.DataArray) -> Variable:
-    said = str(array.attrs.get("long_name", name)), str(array.attrs.get("units", "1"))
-    scale, dims = Scale("viridis", low=None, high=None), tuple(map(str, array.dims[:-2]))
-    return Variable(name, *said, dtype=array.dtype.type, scale=scale, dims=dims)
-
-
-def layer_of(record: Mapping[str, Any]) -> Layer:
-    """Return the layer of a `Layer.record`."""
-    lists = {name: tuple(value) for name, value in record.items() if isinstance(value, list)}
-    return Layer(**{**record, **lists})
+    for name, array in maps.items():
+        long_name, unit = (str(array.attrs.get(key, other)) for key, other in (("long_name", name), ("units", "1")))
+        dims, scale = tuple(map(str, array.dims[:-2])), Scale("viridis", low=None, high=None)
+        known.setdefault(name, Variable(name, long_name, unit, dtype=array.dtype.type, scale=scale, dims=dims))
+    return {name: known[name] for name in maps}
 
 
 def _map(name: str, scene: Scene, layer: Layer) -> dict[str, jax.Array]:

@@ -18,10 +18,9 @@ from jaxurban.kernels.lidar import hard as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel
 from jaxurban.kernels.lidar.flat_cpu import count_on_host
 from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS, count_on_terrain_on_host
-from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, TracedScene, in_type, low_is_bad, on_scene
-from jaxurban.metrics.obstacle import obstacle_mask, soft_obstacle
+from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, low_is_bad, on_scene
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
-from jaxurban.world.surface import Part, Surface
+from jaxurban.world.surface import Part, Surface, in_type, obstacle_mask, soft_obstacle
 
 MAX_COUNT = 100_000  # beams, and scan positions: of a mistyped number no table of them is made
 
@@ -185,7 +184,7 @@ def lidar_at_centres(
     """Return m_lidar at the map's cells with rays through the supersampled surface: `compute_lidar`, supersampled.
 
     Args:
-      supersampled: from `jaxurban.maps.supersampling.build_supersampled_surface`.
+      supersampled: the surface n times finer.
       oversample: n.
       is_obstacle: where nobody flies: m is 0 there.
       altitudes_m: ``[A]`` heights above ground.
@@ -263,8 +262,8 @@ def _ready(surface: Surface, altitudes_m: Sequence[float], params: Lidar, *_: An
     return jnp.asarray(beam_heights(altitudes_m, params, surface))
 
 
-def _traced(scene: TracedScene, params: Lidar) -> dict[str, Array]:
-    return {"lidar": lidar_of_beams(scene.surface, scene.altitudes_m, scene.ready, params)}
+def _traced(scene: Scene, params: Lidar) -> dict[str, Array]:
+    return {"lidar": lidar_of_beams(scene.surface, scene.altitude_m, scene.ready, params)}
 
 
 METRIC = Metric(

@@ -13,7 +13,7 @@ from jax import lax
 from jaxtyping import Array, DTypeLike, Float, Int, Integer
 
 from jaxurban.errors import InputError, nearest_name, one_of, typed
-from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scale, Scene, SoftScene, TracedScene, Variable, high_is_bad
+from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scale, Scene, SoftScene, Variable, high_is_bad
 from jaxurban.metrics.settings import check_value, differentiable
 from jaxurban.settings import each
 from jaxurban.world.city import Blocks, Zoning
@@ -352,7 +352,7 @@ def _ready(surface: Surface, _: Any, params: Population, blocks: Any) -> tuple:
     return _made_ready(blocks, params, surface.region.bounds_m)
 
 
-def _traced(scene: TracedScene, params: Population) -> dict[str, Array]:
+def _traced(scene: Scene, params: Population) -> dict[str, Array]:
     return _on_cells(scene.surface, layers_of_blocks(*scene.ready, params))
 
 

@@ -217,7 +217,6 @@ METRIC = Metric(
     colour_map="cividis",
     also=(_level("hpl", "horizontal"), _level("vpl", "vertical"), WITHIN),
     available=WITHIN_LIMITS,
-    is_monotone=False,
     recorded={name: name for name in ("horizontal_alert_limit_m", "vertical_alert_limit_m")},
     caveat=CAVEAT,
     cell_bytes=40,  # the distinct patterns at worst, their number in each cell, and one altitude's maps

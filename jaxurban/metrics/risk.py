@@ -16,10 +16,9 @@ from jaxurban.errors import one_of, typed
 from jaxurban.kernels.distance import nearest as kernel
 from jaxurban.kernels.distance.nearest_cpu import distance_on_host
 from jaxurban.kernels.engine import Engine, runs_numba
-from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, TracedScene, in_type, low_is_bad, on_scene
-from jaxurban.metrics.obstacle import stands_at
+from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, low_is_bad, on_scene
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
-from jaxurban.world.surface import Part, Surface
+from jaxurban.world.surface import Part, Surface, in_type, stands_at
 
 DISTANCES = ("slice", "solid")
 
@@ -81,8 +80,11 @@ def compute_risk(
     sizes = {"resolution_m": surface.grid.resolution_m, "cap_m": params.threshold_m}
     altitudes = in_type(altitudes_m, surface.roof_m.dtype)
     if terrain is None and runs_numba(engine, surface.roof_m, altitudes):
-        roof = surface.part(np.asarray(surface.roof_m), halo)
-        return _risk_on_host(roof, ceiling, np.asarray(altitudes), halo=halo, is_solid=is_solid, **sizes)
+        roof_m = surface.part(np.asarray(surface.roof_m), halo).cut()
+        ceiling_m = None if ceiling is None else ceiling.cut()
+        sources = (_sources(np, roof_m, ceiling_m, altitude_m, is_solid) for altitude_m in np.asarray(altitudes))
+        nearest = [distance_on_host(source_m2, halo=halo, **sizes) for source_m2 in sources]
+        return _share(np.stack(nearest), params.threshold_m)
     roof = surface.part(surface.roof_m, halo)
     return _risk(roof, terrain, ceiling, altitudes, halo=halo, is_solid=is_solid, **sizes)
 
@@ -101,23 +103,6 @@ def _share(distance_m: Any, cap_m: float) -> Any:
     """Return distances as shares of the cap, by a product: XLA makes one of a division, and the bits must agree."""
     one = distance_m.dtype.type(1)
     return distance_m * (one / one.dtype.type(cap_m))
-
-
-def _risk_on_host(
-    roof: Part,
-    ceiling: Part | None,
-    altitudes_m: np.ndarray,
-    *,
-    resolution_m: float,
-    cap_m: float,
-    halo: int,
-    is_solid: bool,
-) -> np.ndarray:
-    """Return `_risk` without terrain, to the bit, by the kernel for a CPU."""
-    roof_m, ceiling_m = roof.cut(), None if ceiling is None else ceiling.cut()
-    sources = (_sources(np, roof_m, ceiling_m, altitude_m, is_solid) for altitude_m in altitudes_m)
-    nearest = partial(distance_on_host, halo=halo, resolution_m=resolution_m, cap_m=cap_m)
-    return _share(np.stack([nearest(source_m2) for source_m2 in sources]), cap_m)
 
 
 @partial(jax.jit, static_argnames=("resolution_m", "cap_m", "halo", "is_solid"))
@@ -212,8 +197,8 @@ def _map(scene: Scene, params: Risk) -> dict[str, AnyArray]:
     return {"risk": np.asarray(compute_risk(scene.surface, [scene.altitude_m], params, scene.engine))[0]}
 
 
-def _traced(scene: TracedScene, params: Risk) -> dict[str, Array]:
-    return {"risk": jnp.asarray(compute_risk(scene.surface, scene.altitudes_m, params, "jax"))}
+def _traced(scene: Scene, params: Risk) -> dict[str, Array]:
+    return {"risk": jnp.asarray(compute_risk(scene.surface, scene.altitude_m, params, "jax"))}
 
 
 METRIC = Metric(

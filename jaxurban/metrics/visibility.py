@@ -9,16 +9,15 @@ import pandas as pd
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from jaxurban.errors import InputError
 from jaxurban.kernels.dop import Clocks, Geometry, geometry, unit_vectors
 from jaxurban.kernels.engine import Engine, runs_numba
 from jaxurban.kernels.shadows import sweep
 from jaxurban.kernels.shadows.slabs import Receivers, hide_behind_slabs
 from jaxurban.kernels.shadows.sweep import WORD_BITS, Line, Ring, digital_lines, stacked
 from jaxurban.kernels.shadows.sweep_cpu import hand_on, mark_visible
-from jaxurban.metrics.base import AnyArray, in_type
+from jaxurban.metrics.base import AnyArray
 from jaxurban.world.grid import Grid
-from jaxurban.world.surface import PER_CELL, Surface
+from jaxurban.world.surface import PER_CELL, Slabs, Surface, in_type
 
 
 def shadow_reach_m(
@@ -52,21 +51,6 @@ def shadow_reach_m(
     return west, south, east, north
 
 
-def above_horizon(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Return azimuths and elevations of satellites as float64.
-
-    Raises:
-      InputError: a satellite below the horizon.
-    """
-    azimuth, elevation = np.asarray(azimuth_rad, float), np.asarray(elevation_rad, float)
-    if np.any(elevation < 0):
-        raise InputError(
-            f"elevation_rad holds a satellite {-math.degrees(elevation.min()):.1f} degrees below the horizon: "
-            "give those at or above the elevation mask only"
-        )
-    return azimuth, elevation
-
-
 class SkyView(NamedTuple):
     """The satellites of one time over one surface, made ready on the host. ``S`` satellites, some of them to fill up.
 
@@ -98,11 +82,8 @@ class SkyView(NamedTuple):
           azimuth_rad, elevation_rad: of the satellites at or above the mask; none are one that fills up.
           multiple_of: satellites are filled up to a multiple of this, so that few programs are compiled.
           clocks: of the satellites; left out, all share one.
-
-        Raises:
-          InputError: a satellite below the horizon.
         """
-        azimuth, elevation = above_horizon(np.atleast_1d(azimuth_rad), np.atleast_1d(elevation_rad))
+        azimuth, elevation = (np.atleast_1d(np.asarray(angles, float)) for angles in (azimuth_rad, elevation_rad))
         dtype = np.dtype(surface.roof_m.dtype).type
         satellites = geometry(unit_vectors(azimuth, elevation), dtype, multiple_of, clocks)
         num, grid = len(azimuth), surface.grid
@@ -159,6 +140,7 @@ def visibility(
     altitudes_m: ArrayLike | Sequence[float],
     rings: Sequence[Ring] | None = None,
     engine: Engine = "auto",
+    every: int = 1,
 ) -> UInt[AnyArray, "W A y x"]:
     """Return which satellites are seen from each cell's centre, as bits.
 
@@ -169,16 +151,16 @@ def visibility(
     Args:
       surface: roofs and terrain; what stands outside it shadows nothing.
       azimuth_rad: ``[S]`` clockwise from grid north.
-      elevation_rad: ``[S]`` above the horizon.
+      elevation_rad: ``[S]`` above the horizon, none below it.
       altitudes_m: ``[A]`` heights above the ground.
       rings: ``[S]`` what the grids around the region hand on, by satellite; the surface's own margin is
         not looked at then, but for its slabs.
       engine: which form runs, see `jaxurban.kernels.engine`; what slabs hide is Numba's.
-
-    Raises:
-      InputError: a satellite below the horizon.
+      every: n, of a surface n times finer than the map, by Numba under any engine: the cells are every n-th of the
+        region both ways, from ``n // 2`` on. With an odd n they hold the centres of the map's cells; with an even one,
+        whose centres are corners of four cells, they lie half a cell northeast of them.
     """
-    azimuth, elevation = above_horizon(azimuth_rad, elevation_rad)
+    azimuth, elevation = np.asarray(azimuth_rad, float), np.asarray(elevation_rad, float)
     altitudes, (rows, cols) = in_type(altitudes_m, surface.roof_m.dtype), surface.window
     top_m, grid, (num_rows, num_cols) = surface.top_m, surface.grid, surface.region.shape
     ground_m = None if surface.terrain_m is None else surface.terrain_m[rows, cols]
@@ -186,39 +168,32 @@ def visibility(
     if rings is not None:
         top_m, grid, first_row, first_col, ring = top_m[rows, cols], surface.region, 0, 0, _stacked_rings(rings)
     num_words = max(1, -(-len(azimuth) // WORD_BITS))
-    words: Any = np.zeros((num_words, len(altitudes), num_rows, num_cols), np.uint32)
-    if len(azimuth) and runs_numba(engine, top_m, altitudes):
+    words: Any = np.zeros((num_words, len(altitudes), num_rows // every, num_cols // every), np.uint32)
+    if len(azimuth) and (every > 1 or runs_numba(engine, top_m, altitudes)):
         lines = stacked(lines_over(grid.padded(1, 1, 1, 1), azimuth, elevation))
         ground = None if ground_m is None else np.ascontiguousarray(ground_m)
         tops = np.ascontiguousarray(top_m)
-        mark_visible(words, tops, ground, np.asarray(altitudes), lines, (first_row, first_col), ring)
+        mark_visible(words, tops, ground, np.asarray(altitudes), lines, (first_row, first_col), ring, every=every)
     elif len(azimuth):
         lines = stacked(lines_over(grid if ring is None else grid.padded(1, 1, 1, 1), azimuth, elevation))
         window = first_row, first_row + num_rows, first_col, first_col + num_cols, 1
         height_m, num = _heights(ground_m, altitudes), np.int32(len(azimuth))
         words = sweep.visible_words(top_m, height_m, lines, num, ring, window=window)
-    return words if surface.slabs is None else without_hidden(np.array(words), surface, azimuth, elevation, altitudes)
+    if surface.slabs is None:
+        return words
+    return _without_hidden(np.array(words), surface, surface.slabs, azimuth, elevation, altitudes, every)
 
 
-def without_hidden(
+def _without_hidden(
     words: UInt[np.ndarray, "W A y x"],
     surface: Surface,
+    slabs: Slabs,
     azimuth_rad: np.ndarray,
     elevation_rad: np.ndarray,
     altitudes_m: AnyArray,
-    every: int = 1,
+    every: int,
 ) -> UInt[np.ndarray, "W A y x"]:
-    """Return visibility words, altered, without the satellites that the surface's slabs hide.
-
-    Args:
-      words: as `visibility` gives them, on every ``every``-th cell of the region both ways, from ``every // 2`` on.
-      surface: whose slabs count.
-      azimuth_rad, elevation_rad: ``[S]`` of the satellites.
-      altitudes_m: ``[A]`` heights above the ground.
-      every: see above.
-    """
-    if (slabs := surface.slabs) is None:
-        return words
+    """Return visibility words, altered, without the satellites that slabs hide; arguments as for `visibility`."""
     region, middle = surface.region, every // 2
     first_row, first_col = (
         (first + middle) * PER_CELL + PER_CELL // 2 for first in (region.first_row, region.first_col)

@@ -5,9 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxurban.errors import InputError, nearest_name, typed
 from jaxurban.metrics.base import AnyArray as AnyArray
@@ -148,19 +146,3 @@ def _number(name: str, value: Any) -> float:
     if not 0 <= number <= MOST_WEIGHT:
         raise InputError(f"weight {name} must be a finite number >= 0, at most {MOST_WEIGHT:g}, got {value}")
     return number
-
-
-def total_map(costs: Mapping[str, Float[AnyArray, "Y X"]]) -> Float[Array, "Y X"]:
-    """Return H_total, the unweighted sum of the cost layers."""
-    return sum((jnp.asarray(cost) for cost in costs.values()), jnp.zeros(()))
-
-
-def normalised_map(total: Float[Array, "Y X"], is_free: Array) -> Float[Array, "Y X"]:
-    """Return H_norm: ``total`` brought to [0, 1] by its minimum and maximum over free cells.
-
-    NaN outside free cells; 0 everywhere where the total is constant.
-    """
-    low = jnp.min(jnp.where(is_free, total, jnp.inf))
-    high = jnp.max(jnp.where(is_free, total, -jnp.inf))
-    span = jnp.where(high > low, high - low, 1.0)
-    return jnp.where(is_free, (total - low) / span, jnp.nan)

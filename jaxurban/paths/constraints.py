@@ -24,8 +24,8 @@ from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import known_metrics
 from jaxurban.planners.base import Cell
+from jaxurban.public import listed
 from jaxurban.settings import CLEARANCES, DEFAULTS, Planning, Vehicle, not_negative, parse_time
-from jaxurban.world.show import listed
 
 OPERATORS: dict[str, Callable] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 BOUND = re.compile(r"\s*(\w+)\s*([<>=!]+)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|[-+]?inf|nan)\s*", re.IGNORECASE)

@@ -32,9 +32,9 @@ from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import CostModel, PathFeatures
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.progress import saying_later
+from jaxurban.public import Shown
 from jaxurban.settings import DEFAULTS, Planning
 from jaxurban.world.grid import Grid
-from jaxurban.world.show import Shown
 
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
 

@@ -20,8 +20,8 @@ from jaxurban.paths.snapping import End, pocket_note, snap_note, what_would_join
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.simplify import farthest
 from jaxurban.planners.simplify import simplify as simplify_path
+from jaxurban.public import Shown
 from jaxurban.world.grid import Grid
-from jaxurban.world.show import Shown
 
 if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps

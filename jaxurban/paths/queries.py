@@ -18,7 +18,7 @@ from jaxurban.paths.export.write import FORMATS, write_path
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import XY, Point
 from jaxurban.planners.base import Path, Status
-from jaxurban.world.show import Shown
+from jaxurban.public import Shown
 
 LONLAT = ("start_lon", "start_lat", "goal_lon", "goal_lat")
 IN_METRES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")

@@ -11,8 +11,7 @@ from jaxurban.errors import InputError, typed
 from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE
 from jaxurban.io.workspace import Workspace
-from jaxurban.maps.build import soften
-from jaxurban.maps.differentiable import SoftParams
+from jaxurban.maps.differentiable import SoftParams, soften
 from jaxurban.maps.provenance import hash_inputs
 from jaxurban.maps.run import tasks_of
 from jaxurban.maps.scenario import Scenario

@@ -7,7 +7,7 @@ from zlib import crc32
 
 from jaxurban.io.geotiff import write_bands
 from jaxurban.io.store import short_number
-from jaxurban.maps.validation import NOT_SET
+from jaxurban.maps.provenance import NOT_SET
 from jaxurban.report.figures.map_comparison import comparison_figures, heading_of
 from jaxurban.report.write import Output, bullets, fill, framed, listed, study_outputs, table
 from jaxurban.studies.map_comparison import MapComparison, unit_of

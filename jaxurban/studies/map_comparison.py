@@ -14,15 +14,15 @@ from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
-from jaxurban.maps.validation import Differing, differing
+from jaxurban.maps.provenance import Differing, differing
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
+from jaxurban.public import listed
 from jaxurban.settings import iso_utc
 from jaxurban.studies.queries import NORMS
 from jaxurban.studies.result import Result
 from jaxurban.world.grid import Grid
-from jaxurban.world.show import listed
 
 CLOSED = "closed"  # the layer of cells that no planner enters, beside ``obstacle``, the metrics' rule
 MASKS = ("obstacle", CLOSED)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from jaxurban.errors import typed
-from jaxurban.world.show import Shown
+from jaxurban.public import Shown
 
 
 class Result(Shown):

@@ -1,7 +1,7 @@
 """City: what stands and who lives in a region, as vectors in one projected CRS."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from enum import IntEnum, StrEnum
 from functools import cached_property
 from pathlib import Path
@@ -12,10 +12,10 @@ import shapely
 
 from jaxurban import settings
 from jaxurban.errors import InputError, one_of, typed
+from jaxurban.public import Shown
 from jaxurban.settings import SLABS as SLABS
 from jaxurban.settings import TO_GROUND as TO_GROUND
 from jaxurban.settings import Hanging as Hanging
-from jaxurban.world.show import Shown
 
 if TYPE_CHECKING:
     from jaxurban.metrics.gps import Gps
@@ -133,7 +133,7 @@ class _Rows:
 
 
 @dataclass(frozen=True)
-class Buildings(_Rows):
+class Footprints(_Rows):
     """Building outlines as prisms with a flat roof. ``B`` buildings.
 
     Attributes:
@@ -255,7 +255,7 @@ class City(Shown):
 
     crs: str
     extent_m: tuple[float, float, float, float]
-    buildings: Buildings | None = None
+    buildings: Footprints | None = None
     roofs: Raster | None = None
     blocks: Blocks | None = None
     terrain: Raster | None = None
@@ -298,10 +298,6 @@ class City(Shown):
     def known_area(self) -> shapely.Geometry:
         """Where the building source knows what stands: a building far off does not make the land between known."""
         return shapely.box(*self.extent_m) if self.area is None else self.area
-
-    def credited(self, *credits: str) -> Self:
-        """Return the same city with further credits; empty ones, and those that it has, add nothing."""
-        return replace(self, attribution=joined_credits(self.attribution, *credits))
 
     @classmethod
     @typed

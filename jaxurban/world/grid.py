@@ -18,6 +18,7 @@ WGS84 = "EPSG:4326"
 MAX_SCALE_ERROR = 0.01  # of a projection at the region: within a UTM zone it stays below 0.001
 MOST_CELLS = 1e12
 MAX_SNAP_CELLS = 1000  # of the coarsest resolution that the region may be snapped to
+MAX_SIDE = 1024  # cells of a tile's side at most: about 0.2 GiB of work at four altitudes
 Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max in a projected CRS, metres
 
 
@@ -129,6 +130,15 @@ def _common_multiple_m(resolutions_m: Sequence[float]) -> float:
     denominator = math.lcm(*(fraction.denominator for fraction in fractions))
     numerator = math.lcm(*(int(fraction * denominator) for fraction in fractions))
     return numerator / denominator
+
+
+def tile_shape(shape: tuple[int, int], max_side: int = MAX_SIDE) -> tuple[int, int]:
+    """Return rows and columns of the fewest equal tiles of at most ``max_side`` that cover ``shape``.
+
+    It depends on the region alone, never on the machine, as files are cut into the same tiles.
+    """
+    rows, cols = (-(-size // -(-size // max_side)) for size in shape)
+    return rows, cols
 
 
 @typed
@@ -305,20 +315,14 @@ class Grid:
         """Return row and column of the cells that hold geographic points.
 
         Raises:
-          InputError: a point is outside the grid; says so if swapping the two would put it inside.
+          InputError: a point is outside the grid.
         """
         x_m, y_m = self.xy_of_lonlat(lon_deg, lat_deg)
         if not np.all(self.contains_xy(x_m, y_m)):
-            hint = ""
-            with np.errstate(invalid="ignore"):
-                if np.all(self.contains_xy(*self.xy_of_lonlat(lat_deg, lon_deg))):
-                    hint = "; longitude comes first: swap the two numbers"
-            (west, south), (east, north) = (
-                self.lonlat_of_xy(x, y) for x, y in ((self.x_min_m, self.y_min_m), (self.x_max_m, self.y_max_m))
-            )
+            west, south, east, north = transformer(self.crs, WGS84).transform_bounds(*self.bounds_m)
             raise InputError(
-                f"the point {lon_deg}, {lat_deg} (longitude, latitude) is outside the region, which spans about "
-                f"{west:.4f} to {east:.4f} and {south:.4f} to {north:.4f}{hint}"
+                f"the point {lon_deg}, {lat_deg} (longitude comes first) is outside the region, which spans about "
+                f"{west:.4f} to {east:.4f} and {south:.4f} to {north:.4f}"
             )
         return self.cell_of_xy(x_m, y_m)
 

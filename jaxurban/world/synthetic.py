@@ -8,9 +8,9 @@ import numpy as np
 import shapely
 
 from jaxurban.errors import InputError, at_least, typed
-from jaxurban.world.city import OTHER_DISTRICT, Blocks, Buildings, City, HeightOrigin, LandCover, Zoning
+from jaxurban.world.city import OTHER_DISTRICT, Blocks, City, Footprints, HeightOrigin, LandCover, Zoning
 from jaxurban.world.grid import WGS84, check_bounds, projected_crs, transformer, utm_crs
-from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, Box, CityPlan, Part, StreetFrame
+from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, Box, CityPlan, Land, StreetFrame
 
 MAX_WIDTH_M, MAX_HEIGHT_M = 10_000.0, 20_000.0  # the paper's region
 MIN_SIDE_M = 400.0
@@ -144,7 +144,7 @@ class _Cells:
         return self.frame.xy(*((self.low_m + self.high_m) / 2).T)
 
 
-def _lay_out_cells(plan: CityPlan, part: Part) -> tuple[_Cells, np.ndarray]:
+def _lay_out_cells(plan: CityPlan, part: Land) -> tuple[_Cells, np.ndarray]:
     """Return the street blocks of a part, and their outlines as far as they lie ashore and in the box."""
     along, across = part.frame.local(shapely.get_coordinates(plan.box))
     rows = np.arange(math.floor(along.min() / part.pitch_m[0]), math.ceil(along.max() / part.pitch_m[0]))
@@ -222,7 +222,7 @@ def _lay_out_lots(rng: np.random.Generator, cells: _Cells, is_single: np.ndarray
     )
 
 
-def _erect(rng: np.random.Generator, plan: CityPlan, cells: _Cells) -> tuple[Buildings, np.ndarray]:
+def _erect(rng: np.random.Generator, plan: CityPlan, cells: _Cells) -> tuple[Footprints, np.ndarray]:
     """Return the buildings on street blocks, and the block that each stands on."""
     district, n = cells.district, len(cells.district)
     is_island = district != OTHER_DISTRICT
@@ -275,7 +275,7 @@ def _erect(rng: np.random.Generator, plan: CityPlan, cells: _Cells) -> tuple[Bui
     for cluster, tallest_m in TALLEST_M.items():
         near = plan.depth_in(cluster, cells.centre_xy[block[is_tower]]) > 0.3
         top_m[near] *= tallest_m / top_m[near].max(initial=1.0)
-    buildings = Buildings(
+    buildings = Footprints(
         polygons=np.r_[polygons, shafts],
         height_m=np.concatenate([height_m, np.maximum(top_m, 40.0)]).round(1),
         min_height_m=np.zeros(m + num_towers),
@@ -312,7 +312,7 @@ def _build(extent_m: Box, crs: str, seed: int) -> City:
     return City(
         crs=crs,
         extent_m=extent_m,
-        buildings=Buildings(*(np.concatenate([getattr(b, f.name) for b in buildings]) for f in fields(Buildings))),
+        buildings=Footprints(*(np.concatenate([getattr(b, f.name) for b in buildings]) for f in fields(Footprints))),
         blocks=Blocks(
             polygons=np.concatenate(outlines),
             night_count=np.concatenate(people),

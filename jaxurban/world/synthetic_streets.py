@@ -84,7 +84,7 @@ class StreetFrame:
 
 
 @dataclass(frozen=True)
-class Part:
+class Land:
     """An area of land with one street grid; land may reach beyond the box.
 
     Attributes:
@@ -101,7 +101,7 @@ class Part:
 
 
 class CityPlan:
-    """The macro layout, scaled to a box; see `Part` for what each area of land gets."""
+    """The macro layout, scaled to a box; see `Land` for what each area of land gets."""
 
     def __init__(self, extent_m: Box) -> None:
         x_min, y_min, x_max, y_max = extent_m
@@ -123,7 +123,7 @@ class CityPlan:
         self.park_along_m = first * self.street_pitch_m, max(end, first + 1) * self.street_pitch_m
         self.park_across_m = num_park * self.avenue_pitch_m / 2
 
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[Land]:
         """Return the island and, where the box reaches them, the suburbs beyond its two rivers."""
         shore_s = np.linspace(-1.0, 1.0, 161)
         west, east = (PchipInterpolator(SHORES[:, 0], SHORES[:, side])(shore_s) for side in (1, 2))
@@ -135,9 +135,9 @@ class CityPlan:
         east_side = self._polygon(np.r_[bank_s, far_s, -far_s], np.r_[bank_q, far_q, far_q])
         west_side = self._polygon(np.array([-far_s, far_s, far_s, -far_s]), np.repeat([WEST_BANK_Q, -far_q], 2))
         parts = [
-            Part(True, island, self.frame, (self.street_pitch_m, self.avenue_pitch_m)),
-            Part(False, west_side, replace(self.frame, bearing_rad=WEST_BEARING_RAD), SUBURB_PITCH_M),
-            Part(False, east_side, replace(self.frame, bearing_rad=EAST_BEARING_RAD), SUBURB_PITCH_M),
+            Land(True, island, self.frame, (self.street_pitch_m, self.avenue_pitch_m)),
+            Land(False, west_side, replace(self.frame, bearing_rad=WEST_BEARING_RAD), SUBURB_PITCH_M),
+            Land(False, east_side, replace(self.frame, bearing_rad=EAST_BEARING_RAD), SUBURB_PITCH_M),
         ]
         return [part for part in parts if shapely.area(shapely.intersection(part.land, self.box)) > 0]
 

@@ -4,8 +4,7 @@ import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
-from jaxurban.maps.scenario import Scenario
-from jaxurban.maps.validation import fields_of, model_in
+from jaxurban.maps.scenario import Scenario, fields_of, model_in
 from tests.campaign.cases import REFUSED, TOLD, Case
 
 OPEN = ("layers", "weights")  # sections whose keys are names that a user chooses

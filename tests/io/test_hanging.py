@@ -12,12 +12,11 @@ from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.osm import cut_buildings, read_osm
 from jaxurban.io.read.outlines import to_buildings
 from jaxurban.io.read.rasterise import build_surface, rasterise
-from jaxurban.metrics.obstacle import obstacles_on
 from jaxurban.metrics.visibility import visibility
 from jaxurban.settings import Buildings
 from jaxurban.world.city import SLABS, TO_GROUND, City, HeightOrigin
 from jaxurban.world.grid import Grid
-from jaxurban.world.surface import PER_CELL
+from jaxurban.world.surface import PER_CELL, obstacles_on
 from tests.hanging_city import CRS, DECK, SIDE_M, X_M, Y_M, city
 
 GRID = Grid(CRS, 2.0, int(Y_M / 2), int(X_M / 2), int(SIDE_M / 2), int(SIDE_M / 2))

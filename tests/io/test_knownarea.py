@@ -9,7 +9,7 @@ import jaxurban as ju
 from jaxurban.io.read.city import area_of_outlines, area_of_raster, read_buildings
 from jaxurban.io.read.guesses import leaving_shares, outside_share, rays_leaving
 from jaxurban.maps.build import view_sky
-from jaxurban.world.city import Buildings, Raster
+from jaxurban.world.city import Footprints, Raster
 
 UTM = "EPSG:32618"
 X, Y = 583000.0, 4506000.0
@@ -64,7 +64,7 @@ def test_rays_leave_where_no_data_are_even_if_they_end_where_some_are():
     city = ju.City(
         UTM,
         area.bounds,
-        Buildings(np.array([], object), zero, zero, zero.astype(np.uint8), zero > 0),
+        Footprints(np.array([], object), zero, zero, zero.astype(np.uint8), zero > 0),
         area=area,
     )
     region = ju.Grid(UTM, 10.0, round(Y / 10), round(X / 10), 10, 10)

@@ -20,7 +20,7 @@ from jaxurban.io.geotiff import ramp_of, write_geotiffs
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.scenario import Scenario
-from jaxurban.metrics.custom import Layer, check_file_names, held_variables
+from jaxurban.metrics.custom import Layer, check_layers, held_variables
 from jaxurban.report.figures import metrics as figures
 from tests import tiled_runs
 from tests.cli_runs import run
@@ -291,17 +291,9 @@ def test_maps_of_another_version_are_refused_everywhere_with_the_one_remedy(fold
     assert files_of(old) == before
 
 
-@pytest.mark.parametrize(
-    "names", [("noise", "noise_20m"), ("population_day",), ("gps_20m_20200427T160000Z",), ("risk_60m",)]
-)
-def test_a_layer_with_the_name_of_anothers_file_is_refused(names):
-    with pytest.raises(InputError, match="one of whose files has that name: give it another"):
-        check_file_names(names)
-    check_file_names(["noise_20m", "noise_day", "wind_60m"])
-
-
-def test_layers_whose_files_would_be_one_are_refused_by_build_maps():
-    city = tiled_runs.city()
-    flat = Layer(lambda surface, altitude_m: surface.crop(surface.roof_m), "high-is-bad", (0, 1))
-    with pytest.raises(InputError, match="noise_20m"):
-        ju.build_maps(city, resolution_m=50.0, altitudes_m=(20.0,), layers={"noise": flat, "noise_20m": flat})
+@pytest.mark.parametrize("name", ["noise_20m", "population_day", "gps_20m_20200427T160000Z", "risk_60m"])
+def test_a_layer_with_the_name_of_anothers_file_is_refused(name):
+    flat = Layer(np.zeros((2, 2)), "high-is-bad", (0, 1))
+    with pytest.raises(InputError, match=f"cannot be called '{name}': maps, their files"):
+        check_layers({name: flat})
+    check_layers({"noise_m": flat, "day_noise": flat})

@@ -13,7 +13,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.read.census import read_blocks
 from jaxurban.maps.provenance import population_totals
-from jaxurban.world.city import Buildings, City, Zoning
+from jaxurban.world.city import City, Footprints, Zoning
 from jaxurban.world.grid import Grid, transformer
 
 CRS = "EPSG:32618"
@@ -70,7 +70,7 @@ def test_maps_of_pixels_that_cells_divide_hold_everybody(tmp_path):
     values = np.arange(1.0, 13.0).reshape(3, 4)
     path = write_people(tmp_path / "p.tif", values, Affine(100, 0, X0, 0, -100, Y0 + 300))
     blocks, _ = read_blocks(ju.Population(blocks=path), CRS)
-    tower = Buildings(
+    tower = Footprints(
         np.array([shapely.box(X0 + 11, Y0 + 11, X0 + 29, Y0 + 29)]),
         *(np.array([value]) for value in (30.0, 0.0, np.uint8(0), False)),
     )

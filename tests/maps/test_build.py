@@ -12,7 +12,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.files import read_json
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
-from jaxurban.world.city import Buildings
+from jaxurban.world.city import Footprints
 
 REFERENCE = (-73.97, 40.78)
 
@@ -33,7 +33,7 @@ def box_city(*boxes: tuple[float, float, float, float, float]) -> ju.City:
     polygons = np.array([shapely.box(x0 + a, y0 + b, x0 + c, y0 + d) for a, b, c, d, _ in boxes], object)
     heights = np.array([box[4] for box in boxes], float)
     zeros = np.zeros(len(boxes))
-    buildings = Buildings(polygons, heights, zeros, zeros.astype(np.uint8), zeros.astype(bool))
+    buildings = Footprints(polygons, heights, zeros, zeros.astype(np.uint8), zeros.astype(bool))
     return ju.City("EPSG:32618", (x0, y0, x0 + 400.0, y0 + 400.0), buildings)
 
 

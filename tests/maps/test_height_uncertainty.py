@@ -10,10 +10,10 @@ import shapely
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.maps.build import build_maps, compute_maps, view_sky
-from jaxurban.maps.height_uncertainty import HeightStd, Spread, perturbed_cities
+from jaxurban.maps.recipe import HeightStd, Spread, perturbed_cities
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.world.city import Buildings, HeightOrigin, Raster
+from jaxurban.world.city import Footprints, HeightOrigin, Raster
 from jaxurban.world.grid import Grid
 
 X0, Y0 = 500_000.0, 4_500_000.0
@@ -27,7 +27,7 @@ DEFAULT, EXACT = HeightStd(), HeightStd(0.0, 0.0, 0.0, 0.0)
 def city() -> ju.City:
     polygons = np.array([shapely.box(X0 + x, Y0 + y, X0 + x + 20, Y0 + y + 30) for x, y in ((30, 40), (90, 60))])
     origin = np.array([HeightOrigin.HEIGHT, HeightOrigin.DEFAULT], np.uint8)
-    buildings = Buildings(polygons, np.array([30.0, 10.0]), np.zeros(2), origin, np.zeros(2, bool))
+    buildings = Footprints(polygons, np.array([30.0, 10.0]), np.zeros(2), origin, np.zeros(2, bool))
     return ju.City(UTM, (X0, Y0, X0 + 140.0, Y0 + 120.0), buildings)
 
 
@@ -117,7 +117,7 @@ def test_a_height_raster_moves_by_connected_buildings(city):
 
 
 def test_bad_settings_are_refused(city, sky):
-    with pytest.raises(InputError, match="levels must be a number of metres >= 0"):
+    with pytest.raises(InputError, match="levels must be 0 or a positive number of metres"):
         HeightStd(levels=-1.0)
     with pytest.raises(InputError, match="height_samples must be 0, for none, or from 2"):
         spread_of(city, sky, num_samples=1)

@@ -14,7 +14,7 @@ from jaxurban.paths.queries import IN_METRES
 from jaxurban.paths.snapping import islands_of
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.world.city import Buildings
+from jaxurban.world.city import Footprints
 from tests.paths.volumes import plan_volume
 
 CRS = "EPSG:32618"
@@ -27,7 +27,7 @@ def walled(*walls, height_m=50.0, resolution_m=5.0, altitudes_m=(20.0, 60.0)):
     """Return maps of a square with walls: x_min, y_min, x_max, y_max each, metres from its corner."""
     polygons = np.array([shapely.box(X_M + a, Y_M + b, X_M + c, Y_M + d) for a, b, c, d in walls], object)
     zero = np.zeros(len(polygons))
-    buildings = Buildings(polygons, zero + height_m, zero, zero.astype(np.uint8), zero > 0)
+    buildings = Footprints(polygons, zero + height_m, zero, zero.astype(np.uint8), zero > 0)
     city = ju.City(CRS, (X_M, Y_M, X_M + SIDE_M, Y_M + SIDE_M), buildings)
     return ju.build_maps(city, resolution_m=resolution_m, altitudes_m=altitudes_m)
 

@@ -158,7 +158,7 @@ def test_settings_that_are_none_are_refused(settings, words):
         Layer(**{"source": Path("noise.tif"), "cost": "high-is-bad", "scale": (0.0, 1.0)} | settings)
 
 
-@pytest.mark.parametrize("name", ["climb", "descent", "distance", "self", "gps_lower", "risk_mean", 5])
+@pytest.mark.parametrize("name", ["climb", "descent", "distance", "self", "risk_mean", 5])
 def test_names_that_costs_and_maps_use_are_refused(name):
     with pytest.raises(InputError, match="a layer"):
         check_layers({name: Layer("noise.tif", "high-is-bad", (0.0, 1.0))})

@@ -11,8 +11,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.maps.build import compute_maps, view_sky
-from jaxurban.maps.pipeline import all_maps, inputs_of, skies_of
+from jaxurban.maps.build import all_maps, compute_maps, inputs_of, skies_of, view_sky
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Dop
 from jaxurban.world.city import Raster
@@ -161,16 +160,6 @@ def replace_leaf(params, name, value):
     """A settings object with a traced leaf."""
     leaves, tree = jax.tree_util.tree_flatten_with_path(params)
     return jax.tree_util.tree_unflatten(tree, [value if path[0].name == name else leaf for path, leaf in leaves])
-
-
-def test_other_altitudes_go_with_their_beams(inputs, views):
-    sky, alone = at(views, 0), inputs.at_altitudes([60.0])
-    np.testing.assert_array_equal(all_maps(alone, sky)["lidar"][0], all_maps(inputs, sky)["lidar"][1])
-    with pytest.raises(InputError, match=r"holds what shadows 20 m and higher, got altitudes_m \[10.0, 60.0\]"):
-        inputs.at_altitudes([10.0, 60.0])
-    for others_m in ([], [np.nan], [np.inf]):
-        with pytest.raises(InputError, match="holds what shadows 20 m and higher, got"):
-            inputs.at_altitudes(others_m)
 
 
 def test_it_is_exported_for_cpu_and_cuda_and_read_back(inputs, views):

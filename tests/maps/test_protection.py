@@ -11,8 +11,8 @@ from scipy.ndimage import label
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.store import open_zarr
-from jaxurban.maps.build import compute_maps, soften, view_sky
-from jaxurban.maps.pipeline import inputs_of
+from jaxurban.maps.build import compute_maps, inputs_of, view_sky
+from jaxurban.maps.differentiable import soften
 from jaxurban.maps.run import Maker, make_zarr
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask

@@ -1,4 +1,4 @@
-"""Supersampling: the answers of the supersampled surface at the map's cells, crops, bounds."""
+"""Supersampling: the answers of the supersampled surface at the map's cells, and of crops."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -6,21 +6,11 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.errors import InputError
-from jaxurban.maps.scenario import Scenario
-from jaxurban.maps.supersampling import (
-    lower_bands,
-    plain_bands,
-    upper_bands,
-    visibility_at_centres,
-)
-from jaxurban.maps.task import MapParams
 from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
-from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.visibility import visibility
-from jaxurban.world.city import Buildings
+from jaxurban.world.city import Footprints
 from jaxurban.world.grid import Grid
-from jaxurban.world.surface import Surface
+from jaxurban.world.surface import Surface, obstacle_mask
 
 UTM = "EPSG:32618"
 OUTER = Grid(UTM, 6.0, 750_000, 96_000, 40, 44)
@@ -53,7 +43,7 @@ def fine_city(oversample: int, region: Grid = REGION, outer: Grid = OUTER, terra
 def test_satellites_at_centres_are_those_of_the_full_fine_sweep(oversample, terrain):
     supersampled = fine_city(oversample, terrain=terrain)
     centre = slice(oversample // 2, None, oversample)
-    found = visibility_at_centres(plain_bands(supersampled, oversample), *ANGLES.T, [10.0, 25.0])
+    found = visibility(supersampled, *ANGLES.T, [10.0, 25.0], every=oversample)
     expected = np.asarray(visibility(supersampled, *ANGLES.T, [10.0, 25.0]))[..., centre, centre]
     assert len(np.unique(expected)) > 10
     np.testing.assert_array_equal(found, expected)
@@ -68,7 +58,7 @@ def test_a_sub_box_equals_the_crop_bit_for_bit(terrain):
     found = []
     for region, outer in ((REGION, OUTER), (inner, around)):
         supersampled = fine_city(3, region, outer, terrain)
-        seen = visibility_at_centres(plain_bands(supersampled, 3), *angles.T, [10.0, 25.0])
+        seen = visibility(supersampled, *angles.T, [10.0, 25.0], every=3)
         free = jnp.zeros((2, *region.shape), bool)
         found.append((np.asarray(seen), np.asarray(lidar_at_centres(supersampled, 3, free, [10.0, 25.0], params))))
     window = inner.window_in(REGION)
@@ -86,44 +76,14 @@ def test_oversampling_by_one_is_the_plain_lidar():
     )
 
 
-@pytest.mark.parametrize("oversample", [1, 3])
-def test_who_is_seen_past_the_upper_roofs_is_seen_past_the_lower_ones(oversample):
-    supersampled = fine_city(oversample)
-    seen = [
-        np.asarray(visibility_at_centres(make(supersampled, oversample), *ANGLES.T, [10.0, 25.0]))
-        for make in (upper_bands, lower_bands)
-    ]
-    assert np.all(seen[0] & ~seen[1] == 0)
-    assert np.any(seen[0] != seen[1])
-
-
 @pytest.mark.slow
-def test_bounds_are_ordered_and_fine_maps_keep_the_obstacles_of_plain_ones():
+def test_fine_maps_keep_the_obstacles_of_plain_ones():
     x0, y0 = 500_000.0, 4_500_000.0
     polygons = np.array([shapely.box(x0 + x, y0 + y, x0 + x + 23, y0 + y + 31) for x in (40, 110) for y in (50, 120)])
     zeros = np.zeros(4)
-    buildings = Buildings(polygons, np.array([20.0, 60, 90, 35]), zeros, zeros.astype(np.uint8), zeros.astype(bool))
+    buildings = Footprints(polygons, np.array([20.0, 60, 90, 35]), zeros, zeros.astype(np.uint8), zeros.astype(bool))
     city = ju.City(UTM, (x0, y0, x0 + 200.0, y0 + 200.0), buildings)
     options = {"resolution_m": 10.0, "altitudes_m": (15.0, 40.0), "lidar": Lidar(azimuths=24)}
-    plain, supersampled = (
-        ju.build_maps(city, oversample=oversample, gps=ju.Gps(bounds=oversample > 1), **options)
-        for oversample in (1, 3)
-    )
+    plain, supersampled = (ju.build_maps(city, oversample=oversample, **options) for oversample in (1, 3))
     np.testing.assert_array_equal(plain.ds["obstacle"], supersampled.ds["obstacle"])
-    assert not (supersampled.ds["gps_lower"] > supersampled.ds["gps_upper"]).any()
-    assert (supersampled.ds["gps_lower"] < supersampled.ds["gps_upper"]).any()
     assert not np.array_equal(plain.ds["lidar"], supersampled.ds["lidar"])
-    with pytest.raises(InputError, match="odd oversample"):
-        ju.build_maps(city, oversample=2, gps=ju.Gps(bounds=True), **options)
-
-
-def test_a_scenario_with_bounds_wants_an_odd_oversample():
-    settings = {
-        "region": {"bounds": [-74.0, 40.7, -73.9, 40.8], "oversample": 4},
-        "buildings": {"source": "synthetic"},
-        "gps": {"bounds": True},
-    }
-    with pytest.raises(InputError, match="odd"):
-        Scenario.from_dict(settings)
-    with pytest.raises(InputError, match="oversample must be a whole number from 1 up"):
-        MapParams(oversample=0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxurban.metrics.availability import SCALE, TimeTotals, series_statistics
+from jaxurban.metrics.variables import SCALE, TimeTotals, series_statistics
 
 
 @pytest.mark.parametrize("num_times", [1, 2, 7, 24, 288])
@@ -35,7 +35,7 @@ def test_totals_give_means_and_the_worst_epoch_in_any_order():
         TimeTotals(np.rint(m[..., i : i + 10] * SCALE).astype(int).sum(axis=2), np.full(2, 10))
         for i in range(0, 100, 10)
     ]
-    forward, backward = TimeTotals.zero(5, 2), TimeTotals.zero(5, 2)
+    forward, backward = (TimeTotals(np.zeros((5, 2), int), np.zeros(2, int)) for _ in range(2))
     for part in parts:
         forward += part
     for part in parts[::-1]:

@@ -10,7 +10,8 @@ import pytest
 from jaxurban.errors import InputError
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
-from jaxurban.metrics.gps import Gps, Rating, gps_metric, hard, maps_of_words, rating, satellites_of
+from jaxurban.metrics import gps
+from jaxurban.metrics.gps import Gps, Rating, gps_metric, maps_of_words, rating, satellites_of
 from jaxurban.metrics.visibility import shadow_reach_m, visibility
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import InView
@@ -190,12 +191,6 @@ def test_a_hill_hides_a_low_satellite_from_the_valley_and_not_from_its_top():
     assert sees[30:].all()
 
 
-def test_a_satellite_below_the_horizon_is_refused():
-    roof_m, grid = random_city(6, 7)
-    with pytest.raises(InputError, match=r"3\.0 degrees below the horizon"):
-        compute_gps(surface_of(roof_m, grid, grid), [0.0], np.radians([-3.0]), ALTITUDES_M)
-
-
 @pytest.mark.parametrize("threshold", [1.0, math.nan, math.inf, -3.0])
 def test_a_threshold_of_1_or_less_is_refused(threshold):
     with pytest.raises(InputError, match="gdop_threshold must be a number above 1"):
@@ -213,10 +208,10 @@ def test_maps_by_way_of_the_subsets_that_are_seen_are_those_of_every_cell_to_the
     expected = maps_of_words(jnp.where(is_obstacle, 0, words), satellites_of(in_view), Gps().gdop_threshold)
 
     def of_a_block(block, *arguments):
-        assert block.shape[1:] == (hard.BLOCK_CELLS,)
+        assert block.shape[1:] == (gps.BLOCK_CELLS,)
         return maps_of_words(block, *arguments)
 
-    monkeypatch.setattr(hard, "maps_of_words", of_a_block)
+    monkeypatch.setattr(gps, "maps_of_words", of_a_block)
     found = gps_maps(words, is_obstacle, in_view)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_array_equal(one, other)

@@ -1,4 +1,4 @@
-"""A receiver clock for each system, weighted DOPs, and HDOP and VDOP as metrics: in maps, paths and gradients."""
+"""A receiver clock for each system, and HDOP and VDOP as metrics: in maps, paths and gradients."""
 
 from dataclasses import replace
 
@@ -11,13 +11,13 @@ import scipy
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.kernels.dop import Clocks
-from jaxurban.maps.build import compute_maps, soften, view_sky
-from jaxurban.maps.pipeline import inputs_of, skies_of
+from jaxurban.maps.build import compute_maps, inputs_of, skies_of, view_sky
+from jaxurban.maps.differentiable import soften
 from jaxurban.maps.provenance import run_key
 from jaxurban.maps.recipe import TileScene
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS, Gps, maps_of_words, satellites_of
+from jaxurban.metrics.gps import DOPS, Gps, maps_of_words, satellites_of
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.world.sky import InView, Sky
 from tests.io.test_orbits import walker_tle
@@ -39,7 +39,7 @@ def task(tmp_path_factory) -> MapTask:
     params = MapParams(
         altitudes_m=(Z_M,),
         sections={
-            "gps": Gps(weighting="elevation", mask_deg=10.0),
+            "gps": Gps(mask_deg=10.0),
             "lidar": Lidar(beams=2, azimuths=8, range_m=40.0),
             "gps_horizontal": ju.metrics.Dop(4.0),
             "gps_vertical": ju.metrics.Dop(),
@@ -53,7 +53,7 @@ def maps(task) -> ju.MetricMaps:
     return compute_maps(task)
 
 
-def exact_dops(task, words, is_weighted=False):
+def exact_dops(task, words):
     """Every DOP of every cell in float64, [5, y, x], at the first time."""
     azimuth, elevation, systems = map(np.asarray, task.in_view(0)[:3])
     level = np.cos(elevation)
@@ -62,7 +62,7 @@ def exact_dops(task, words, is_weighted=False):
     for cell, word in np.ndenumerate(words):
         seen = (int(word) >> np.arange(len(azimuth))) & 1 == 1
         clocks = [systems[seen] == system for system in SYSTEMS if np.any(systems[seen] == system)]
-        matrix = np.column_stack([*clocks, places[seen]]) * (np.sin(elevation[seen])[:, None] if is_weighted else 1.0)
+        matrix = np.column_stack([*clocks, places[seen]])
         if seen.any() and np.linalg.matrix_rank(matrix) == matrix.shape[1]:
             variance = np.diag(np.linalg.inv(matrix.T @ matrix))
             position = variance[-3:].sum()
@@ -71,23 +71,24 @@ def exact_dops(task, words, is_weighted=False):
     return found
 
 
-@pytest.mark.parametrize(("names", "is_weighted"), [(tuple(DOPS), False), (WEIGHTED_DOPS, True)])
-def test_maps_of_two_systems_equal_float64_with_two_clocks(task, maps, names, is_weighted):
+def test_maps_of_two_systems_equal_float64_with_two_clocks(task, maps):
     scene = TileScene(task, task.surface()).at(task.metrics["gps"], (0, 0))
     words = np.where(scene.is_obstacle, 0, np.asarray(scene.words[0]))
-    exact = exact_dops(task, words, is_weighted)
+    exact = exact_dops(task, words)
     is_useful = exact[0] < 20
     assert is_useful.sum() > 500
     is_free = ~np.asarray(scene.is_obstacle)
     assert np.isinf(exact[0][is_free]).any()
-    for name, expected in zip(names, exact, strict=True):
+    for name, expected in zip(DOPS, exact, strict=True):
         found = maps.m(name, Z_M)
         np.testing.assert_allclose(found[is_useful], expected[is_useful], rtol=1e-5)
         np.testing.assert_array_equal(np.isinf(found), np.isinf(expected) & is_free)
 
 
 def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task, maps):
-    shared = replace(task.params, sections={"lidar": task.params.of("lidar"), "gps": Gps(clocks="one", mask_deg=10.0)})
+    shared = replace(
+        task.params, sections={"lidar": task.params.sections["lidar"], "gps": Gps(clocks="one", mask_deg=10.0)}
+    )
     one = compute_maps(replace(task, params=shared))
     less, more = (each.m("pdop", Z_M)[maps.is_free(Z_M, "centre")] for each in (one, maps))
     assert np.all(less <= more * (1 + 1e-5))
@@ -111,8 +112,8 @@ def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task,
         np.testing.assert_array_equal(found, other)
 
 
-def test_weighted_dops_and_new_metrics_are_there_only_where_they_are_asked_for(task, maps):
-    new = {*WEIGHTED_DOPS, "gps_horizontal", "gps_vertical"}
+def test_new_metrics_are_there_only_where_they_are_asked_for(task, maps):
+    new = {"gps_horizontal", "gps_vertical"}
     assert new <= {*maps.ds.data_vars}
     assert list(maps.metrics) == [*("gps", "lidar", "population", "risk"), "gps_horizontal", "gps_vertical"]
     plain = replace(task, params=replace(task.params, sections={}))
@@ -142,12 +143,12 @@ def test_hdop_and_vdop_are_cost_layers_under_a_weight_and_limits_of_a_path(maps)
 
 
 def test_maps_that_were_saved_hold_the_new_layers_and_say_what_they_are(maps, tmp_path):
-    held = ju.open_maps(maps.save(tmp_path / "maps", layers=("wgdop", "whdop")))
+    held = ju.open_maps(maps.save(tmp_path / "maps", layers=("gdop", "hdop")))
     assert list(held.metrics) == list(maps.metrics)
     np.testing.assert_array_equal(held.m("gps_vertical", Z_M), maps.m("gps_vertical", Z_M))
-    assert held.ds["whdop"].attrs["long_name"] == "horizontal dilution of precision, weighted by elevation"
-    assert np.isnan(held.m("whdop", Z_M)[held.m("obstacle", Z_M) == 1]).all()
-    assert len([*(tmp_path / "maps" / "geotiff").glob("whdop_*.tif")]) == len(TIMES)
+    assert held.ds["hdop"].attrs["long_name"] == "horizontal dilution of precision"
+    assert np.isnan(held.m("hdop", Z_M)[held.m("obstacle", Z_M) == 1]).all()
+    assert len([*(tmp_path / "maps" / "geotiff").glob("hdop_*.tif")]) == len(TIMES)
 
 
 def test_patterns_and_cells_give_the_same_bits_with_several_clocks():
@@ -195,21 +196,19 @@ def test_soft_maps_follow_the_clocks_and_their_gradients_equal_finite_difference
 
 
 def test_what_cannot_be_had_is_one_sentence(task):
-    with pytest.raises(InputError, match="bounds of m_gps hold for one clock"):
-        replace(task, params=replace(task.params, sections={"gps": Gps(bounds=True)}))
-    with pytest.raises(InputError, match="know no oversample, bounds, weighting"):
-        inputs_of(task)
+    with pytest.raises(InputError, match="know no oversample"):
+        inputs_of(replace(task, params=replace(task.params, oversample=3)))
     with pytest.raises(InputError, match="clocks must be 'system' or 'one', got 'two'"):
         Gps(clocks="two")
     with pytest.raises(InputError, match="dop_threshold must be a number above 1"):
         ju.metrics.Dop(1.0)
 
 
-def test_a_runs_key_tells_clocks_and_weighting_apart():
+def test_a_runs_key_tells_clocks_and_metrics_apart():
     bare = {"region": {"bounds": [-74.0, 40.75, -73.99, 40.76]}, "buildings": {"source": "synthetic"}}
-    asked = [{}, {"gps": {"clocks": "one"}}, {"gps": {"weighting": "elevation"}}, {"gps_horizontal": {}}]
+    asked = [{}, {"gps": {"clocks": "one"}}, {"gps_horizontal": {}}]
     scenarios = [Scenario.from_dict(bare | more) for more in asked]
     assert len({run_key(scenario, {}, "cpu") for scenario in scenarios}) == len(asked)
     assert scenarios[0].gps_horizontal is None
-    assert scenarios[3].gps_horizontal == ju.metrics.Dop()
+    assert scenarios[2].gps_horizontal == ju.metrics.Dop()
     assert Scenario.from_dict(bare | {"weights": {"gps_vertical": 2.0}}).gps_vertical == ju.metrics.Dop()

@@ -13,7 +13,7 @@ from jaxurban.io.read.rasterise import burn
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.visibility import shadow_reach_m, visibility
 from jaxurban.settings import Buildings as BuildingSource
-from jaxurban.world.city import Buildings
+from jaxurban.world.city import Footprints
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 from tests.embree_scene import CityScene
@@ -31,7 +31,7 @@ BARS_2M = ((0.988, 0.996, 0.998), (0.86, 0.91, 0.91), (0.99, 0.99, 0.99))
 
 @dataclass(frozen=True)
 class Manhattan:
-    buildings: Buildings
+    buildings: Footprints
     scene: CityScene
 
 

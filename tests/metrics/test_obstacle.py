@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxurban.metrics.obstacle import obstacle_mask
+from jaxurban.world.surface import obstacle_mask
 
 
 def test_a_cell_is_an_obstacle_up_to_its_roof_and_free_above():

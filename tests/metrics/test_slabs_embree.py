@@ -8,10 +8,10 @@ import shapely
 
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.metrics.obstacle import obstacles_on
 from jaxurban.metrics.visibility import shadow_reach_m, visibility
-from jaxurban.world.city import SLABS, Buildings, City
+from jaxurban.world.city import SLABS, City, Footprints
 from jaxurban.world.grid import Grid
+from jaxurban.world.surface import obstacles_on
 from tests.embree_scene import CityScene
 
 CRS, X_M, Y_M = "EPSG:32618", 583_000.0, 4_507_000.0
@@ -26,7 +26,7 @@ ELEVATION_RAD = np.radians(np.tile([10.0, 20.0, 33.0, 48.0, 63.0, 80.0], 4))
 
 def city_of(polygons: list, floor_m: list, top_m: list, hanging: str) -> City:
     number = len(polygons)
-    buildings = Buildings(
+    buildings = Footprints(
         np.array(polygons, object),
         np.array(top_m),
         np.array(floor_m),

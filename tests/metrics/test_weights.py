@@ -7,7 +7,7 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.weights import Weights, normalised_map, total_map
+from jaxurban.metrics.weights import Weights
 
 
 def test_population_is_its_own_cost_and_the_others_are_one_minus_m():
@@ -15,16 +15,6 @@ def test_population_is_its_own_cost_and_the_others_are_one_minus_m():
     np.testing.assert_array_equal(METRICS["population"].cost(m), m)
     for name in ("gps", "lidar", "risk"):
         np.testing.assert_array_equal(METRICS[name].cost(m), 1 - m)
-
-
-def test_normalised_map_spans_zero_to_one_over_free_cells_only():
-    total = total_map({"gps": jnp.array([[1.0, 2.0, 9.0]]), "risk": jnp.array([[0.0, 1.0, 9.0]])})
-    h = normalised_map(total, jnp.array([[True, True, False]]))
-    np.testing.assert_array_equal(h, [[0.0, 1.0, np.nan]])
-
-
-def test_a_constant_total_normalises_to_zero():
-    np.testing.assert_array_equal(normalised_map(jnp.full((2, 2), 3.0), jnp.ones((2, 2), bool)), np.zeros((2, 2)))
 
 
 def test_weights_are_parsed_over_a_base():

@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 from jaxurban.metrics.gps import Gps, GpsMaps, maps_of_choices, satellites_of
-from jaxurban.metrics.obstacle import obstacles_on
 from jaxurban.metrics.population import BlockLayers, Population, block_layers, map_blocks
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.sky import InView
+from jaxurban.world.surface import obstacles_on
 
 
 def compute_gps(surface, azimuth_rad, elevation_rad, altitudes_m, params=None, clocks=None):

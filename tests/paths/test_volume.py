@@ -228,9 +228,9 @@ def test_waypoints_of_a_plan_keep_the_path_and_its_altitudes(path, tmp_path):
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"min_altitude_m": 80.0, "max_altitude_m": 40.0}, "must not be above max_altitude_m 40"),
+        ({"min_altitude_m": 80.0, "max_altitude_m": 40.0}, "hold no altitude from 80 to 40 m"),
         ({"min_altitude_m": 70.0, "max_altitude_m": 90.0}, "hold no altitude from 70 to 90 m, only 20, 60, 100 m"),
-        ({"min_altitude_m": 120.0, "max_altitude_m": 150.0, "level_step_m": 5.0}, "reach from 20 to 100 m"),
+        ({"min_altitude_m": 120.0, "max_altitude_m": 150.0, "level_step_m": 5.0}, "hold no altitude from 120 to 150 m"),
         ({"level_step_m": 0.0}, "level_step_m"),
         ({"level_step_m": 1e-9}, "10000 levels"),
         ({"goal_altitude_m": 30.0}, "goal altitude 30 m is none of the levels 20, 60, 100 m"),

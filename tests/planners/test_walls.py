@@ -11,7 +11,7 @@ from jaxurban.io.read.rasterise import rasterise
 from jaxurban.maps.metric_maps import Obstacles
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.world.city import Buildings
+from jaxurban.world.city import Footprints
 from tests.made_maps import made_maps
 
 SIDE = 40  # cells of the region
@@ -35,7 +35,7 @@ class Wall:
         axis = shapely.LineString([middle_m - half_length * along_m, middle_m + half_length * along_m])
         self.outline = shapely.buffer(axis, thickness_m / 2, cap_style="flat")
         zero = np.zeros(1)
-        buildings = Buildings(np.array([self.outline]), zero + HEIGHT_M, zero, zero.astype(np.uint8), zero > 0)
+        buildings = Footprints(np.array([self.outline]), zero + HEIGHT_M, zero, zero.astype(np.uint8), zero > 0)
         roofs = rasterise(ju.City(grid.crs, grid.bounds_m, buildings), grid)
         obstacle = np.stack([roofs.roof_m >= z_m for z_m in maps.altitudes_m]).astype(np.uint8)
         layers = {"roof": roofs.roof_m, "roof_touched": roofs.roof_touched_m, "obstacle": obstacle}

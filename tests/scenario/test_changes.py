@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from jaxurban.maps import provenance
-from jaxurban.maps.scenario import Scenario
-from jaxurban.maps.validation import changed, differences_said, differing
+from jaxurban.maps.provenance import differences_said, differing
+from jaxurban.maps.scenario import Scenario, changed
 from tests.campaign.settings import keys_of
 from tests.cli_runs import assert_one_sentence, run
 

@@ -19,7 +19,7 @@ from jaxurban.io.store import settings_of
 from jaxurban.maps import provenance as record
 from jaxurban.maps import run as pipeline
 from jaxurban.maps.scenario import Scenario
-from jaxurban.world.city import Buildings, Raster
+from jaxurban.world.city import Footprints, Raster
 from tests.cli_runs import assert_one_sentence, run
 
 REGION = {"bounds": [-74.0, 40.755, -73.993, 40.761], "resolution_m": 20, "altitudes_m": [20]}
@@ -180,7 +180,7 @@ def test_a_hill_beyond_the_buildings_hides_low_satellites():
     city = ju.City(
         "EPSG:32618",
         (x, y, x + 400.0, y + 400.0),
-        Buildings(
+        Footprints(
             np.array([shapely.box(x, y, x + 20, y + 20)], object), zero + 5, zero, zero.astype(np.uint8), zero > 0
         ),
         terrain=Raster(heights, (50.0, 0.0, x - 2_800.0, 0.0, -50.0, y + 2_600.0), "EPSG:32618"),

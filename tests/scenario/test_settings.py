@@ -110,7 +110,10 @@ def test_a_series_of_epochs_includes_both_ends():
         ),
         ({"gps": {"start": "2010-04-27T00:00:00Z", "stop": "2020-04-26T00:00:00Z", "step_s": 1}}, "make step_s longer"),
         (
-            {"gps": {"bounds": True, "start": "2020-04-27T00:00:00Z", "stop": "2020-04-28T00:00:00Z", "step_s": 60}},
+            {
+                "buildings": {"source": "synthetic", "height_samples": 2},
+                "gps": {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-28T00:00:00Z", "step_s": 60},
+            },
             "every time",
         ),
         ({"planning": {"seed": -1}}, "planning: seed must be a whole number from 0 up, got -1"),

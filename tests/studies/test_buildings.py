@@ -12,8 +12,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.files import write_json
 from jaxurban.io.store import RUN_FILE
-from jaxurban.maps.build import soften
-from jaxurban.maps.differentiable import SoftParams
+from jaxurban.maps.differentiable import SoftParams, soften
 from jaxurban.maps.run import run_scenario, tasks_of
 from jaxurban.maps.scenario import Scenario
 from jaxurban.report.buildings import write_buildings

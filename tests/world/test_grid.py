@@ -67,12 +67,6 @@ def test_nan_is_outside():
     assert not grid.contains_xy(math.nan, grid.y_min_m)
 
 
-def test_swapped_point_is_recognised():
-    grid = Grid.from_bounds(LOWER_MANHATTAN, 5.0)
-    with pytest.raises(InputError, match="swap the two numbers"):
-        grid.cell_of_lonlat(40.71, -74.0)
-
-
 def test_convergence_of_lower_manhattan_is_065_degrees():
     grid = Grid.from_bounds(LOWER_MANHATTAN, 5.0)
     convergence_rad = grid.convergence_rad(-74.0, 40.715)

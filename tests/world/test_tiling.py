@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxurban.errors import InputError
-from jaxurban.world.grid import Grid
-from jaxurban.world.tiling import QUADRANTS, Tiling, quadrant_of, tile_shape
+from jaxurban.maps.tiled import QUADRANTS, Tiling, quadrant_of
+from jaxurban.world.grid import Grid, tile_shape
 
 sizes = st.integers(1, 90)
 margins = st.integers(0, 130)

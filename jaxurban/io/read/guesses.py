@@ -18,7 +18,7 @@ from jaxurban.io.read.heights import LAYER_CLEARANCE_M
 from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.metrics.population import BlockLayers, Population, region_blocks
-from jaxurban.world.city import GUESSED_BY, SLABS, Blocks, Buildings, City, Raster, ReadIssue, ReadIssues
+from jaxurban.world.city import GUESSED_BY, SLABS, Blocks, City, Footprints, Raster, ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky
 
@@ -54,13 +54,13 @@ def _of_share(share: float, name: str, sentence: str, least: float = TOLD_SHARE)
     return {f"{percent(share)} of {name}": f"{percent(share)} of {sentence}"} if share > least else {}
 
 
-def guessed_share(buildings: Buildings, bounds_m: Bounds) -> float:
+def guessed_share(buildings: Footprints, bounds_m: Bounds) -> float:
     """Return the share of the buildings in a box whose height is guessed, 0 without a building."""
     is_guessed = buildings.is_guessed[shapely.intersects(buildings.polygons, shapely.box(*bounds_m))]
     return float(is_guessed.mean()) if is_guessed.size else 0.0
 
 
-def height_guesses(buildings: Buildings | None, bounds_m: Bounds, file: settings.Buildings) -> Guesses:
+def height_guesses(buildings: Footprints | None, bounds_m: Bounds, file: settings.Buildings) -> Guesses:
     """Return what was supposed of the heights of the buildings in a box; nothing of a height raster."""
     if buildings is None:
         return {}

@@ -13,7 +13,7 @@ import pandas as pd
 
 from jaxurban import settings
 from jaxurban.settings import MAX_HEIGHT_M
-from jaxurban.world.city import Buildings, HeightOrigin, ReadIssue, ReadIssues
+from jaxurban.world.city import Footprints, HeightOrigin, ReadIssue, ReadIssues
 
 FOOT_M = 0.3048  # international foot, exact
 INCH_M = 0.0254  # international inch, exact
@@ -107,7 +107,7 @@ def estimate_heights(
     is_part: np.ndarray,
     rules: settings.Buildings,
     issues: ReadIssues,
-) -> Buildings:
+) -> Footprints:
     """Return every outline with its height: that of its tag, else that of its levels, else the default.
 
     A value that cannot be read, or a height that is zero, negative or above `MAX_HEIGHT_M`, falls to the next
@@ -117,7 +117,7 @@ def estimate_heights(
       tags: ``[N]`` arrays of numbers, or of objects (text, numbers or None), by name: ``height``, ``levels``,
         ``roof_levels`` (added to ``levels``; alone they say nothing), ``min_height``, ``min_level``; a missing name is
         an empty column.
-      polygons, is_part: ``[N]`` as of `Buildings`.
+      polygons, is_part: ``[N]`` as of `Footprints`.
       rules: height of one level, and where nothing usable is given.
       issues: gets how many values could not be used.
     """
@@ -144,7 +144,7 @@ def estimate_heights(
     issues[ReadIssue.HEIGHTS_UNUSABLE] = int(np.sum(given_height & ~has_height))
     issues[ReadIssue.LEVELS_UNUSABLE], issues[ReadIssue.MIN_HEIGHTS_UNUSABLE] = int(num_levels), int(num_min)
     origins = [HeightOrigin.HEIGHT, HeightOrigin.LEVELS]
-    return Buildings(
+    return Footprints(
         polygons,
         np.select([has_height, has_levels], [height_m, levels_m], rules.default_height_m),
         np.select([has_min, has_min_level], [min_height_m, min_level_m], 0.0),
@@ -153,7 +153,7 @@ def estimate_heights(
     )
 
 
-def with_decks(buildings: Buildings, is_deck: np.ndarray, layer: np.ndarray) -> Buildings:
+def with_decks(buildings: Footprints, is_deck: np.ndarray, layer: np.ndarray) -> Footprints:
     """Return buildings of which decks hang: from ``min_height`` to ``height`` where both are given.
 
     Without ``min_height`` a deck is `DECK_DEPTH_M` deep, below its ``height``; with neither it hangs at

@@ -1,4 +1,4 @@
-"""Outlines as a vector file holds them, near a region, and the rules that make Buildings of them."""
+"""Outlines as a vector file holds them, near a region, and the rules that make Footprints of them."""
 
 import math
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from jaxurban import settings
 from jaxurban.errors import InputError
 from jaxurban.io.read.heights import estimate_heights, is_given, with_decks
 from jaxurban.settings import SLABS
-from jaxurban.world.city import Buildings, HeightOrigin, ReadIssue, ReadIssues
+from jaxurban.world.city import Footprints, HeightOrigin, ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds, transformer
 
 MARGIN_M = 1000.0  # more than projections tilt boxes against each other, and than most outlines and their parts reach
@@ -144,7 +144,7 @@ def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
     return tags
 
 
-def to_buildings(file: settings.Buildings, outlines: Outlines, crs: str) -> tuple[Buildings, list[Bounds], ReadIssues]:
+def to_buildings(file: settings.Buildings, outlines: Outlines, crs: str) -> tuple[Footprints, list[Bounds], ReadIssues]:
     """Return the buildings that stand, the boxes in ``crs`` that the file declares to cover, and its issues.
 
     Left out are ``building=no`` without ``building:part``, and ``location=underground`` or ``layer`` below 0. An
@@ -282,8 +282,8 @@ def _covered_share(polygons: np.ndarray, outline: np.ndarray, shared: np.ndarray
 
 
 def _podiums(
-    buildings: Buildings, outline: np.ndarray, part: np.ndarray, is_replaced: np.ndarray
-) -> tuple[Buildings, np.ndarray]:
+    buildings: Footprints, outline: np.ndarray, part: np.ndarray, is_replaced: np.ndarray
+) -> tuple[Footprints, np.ndarray]:
     """Return buildings whose replaced outlines are podiums where they have one, and which these are, ``[N]`` bool.
 
     A podium lies under an outline's own hanging parts where none of its parts stands, up to their lowest floor.
@@ -302,7 +302,9 @@ def _podiums(
     return replace(buildings, polygons=polygons, height_m=height_m, origin=origin), is_podium
 
 
-def _with_outline_heights(buildings: Buildings, outline: np.ndarray, part: np.ndarray, issues: ReadIssues) -> Buildings:
+def _with_outline_heights(
+    buildings: Footprints, outline: np.ndarray, part: np.ndarray, issues: ReadIssues
+) -> Footprints:
     """Return buildings whose parts without a height have that of their highest outline whose height is known."""
     height_m, origin = buildings.height_m.copy(), buildings.origin.copy()
     is_default = origin == HeightOrigin.DEFAULT
@@ -315,7 +317,7 @@ def _with_outline_heights(buildings: Buildings, outline: np.ndarray, part: np.nd
     return replace(buildings, height_m=height_m, origin=origin)
 
 
-def _above_underside(buildings: Buildings, issues: ReadIssues) -> Buildings:
+def _above_underside(buildings: Footprints, issues: ReadIssues) -> Footprints:
     """Return buildings every roof of which is above its underside."""
     height_m, min_height_m = buildings.height_m, buildings.min_height_m
     is_wrong, is_estimate = min_height_m >= height_m, buildings.origin != HeightOrigin.HEIGHT

@@ -15,7 +15,7 @@ from jaxurban.io.read.outlines import meets
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.kernels.outlines import burn_outlines, settle
 from jaxurban.metrics.custom import Layer
-from jaxurban.world.city import SLABS, Buildings, City, Raster
+from jaxurban.world.city import SLABS, City, Footprints, Raster
 from jaxurban.world.grid import WGS84, Grid, transformer
 from jaxurban.world.surface import NO_BUILDING, PER_CELL, Slabs, Surface
 
@@ -97,7 +97,7 @@ def rasterise(city: City, grid: Grid, all_touched: bool = False, tells_guessed: 
 
 
 def _burn_roofs(
-    buildings: Buildings, grid: Grid, all_touched: bool, tells_guessed: bool
+    buildings: Footprints, grid: Grid, all_touched: bool, tells_guessed: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return roofs by centres and by touch, and, if wanted, whether the height of either of a cell is guessed."""
     polygons, height_m = buildings.polygons, buildings.height_m
@@ -109,7 +109,7 @@ def _burn_roofs(
     return roofs_m[centre], roofs_m[touched], is_guessed[touched] | is_guessed[centre]
 
 
-def _burn_ranks(buildings: Buildings, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _burn_ranks(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the buildings from low to high, ``[B]``, and which of them has each cell, by centres and by touch.
 
     Of buildings of one height the last one is the higher one. Without a building the rank is `NO_BUILDING`.
@@ -256,7 +256,7 @@ def _starts(counts: np.ndarray) -> np.ndarray:
 
 
 def burn_hanging(
-    buildings: Buildings, grid: Grid, roof_m: np.ndarray, terrain_m: np.ndarray | None, all_touched: bool
+    buildings: Footprints, grid: Grid, roof_m: np.ndarray, terrain_m: np.ndarray | None, all_touched: bool
 ) -> Slabs:
     """Return what hangs freely over the cells of a grid; what rests on a roof raises it.
 

@@ -9,7 +9,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from jaxurban.errors import one_of
-from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
+from jaxurban.metrics.gps import DOPS
 from jaxurban.report.figures.frame import OBSTACLE_COLOUR, MapLayer, MapPanel, draw_maps, flat_layer
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.notes import ground_said, guesses_said, joined, meaning_of, symbol_of, time_said
@@ -56,7 +56,7 @@ def plot_difference(found: MapComparison, layer: str, *, time: str | None = None
     drawn = [(place, row) for place, row in zip(places, rows, strict=True) if place.time == time]
     maps = [found.of(layer, **place._asdict()) for place, _ in drawn]
     changed = np.concatenate([np.abs(values[np.abs(values) > found.tolerance]) for values in maps])
-    most = MOST_DOP if layer in (*DOPS, *WEIGHTED_DOPS) else np.inf
+    most = MOST_DOP if layer in DOPS else np.inf
     colours = difference_colours(changed, _label(found, layer), most)
     has_data, panels = found.a.ds["has_data"].values & found.b.ds["has_data"].values, []
     for (place, row), values in zip(drawn, maps, strict=True):

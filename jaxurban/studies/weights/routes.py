@@ -15,8 +15,8 @@ import numpy as np
 
 from jaxurban.errors import InputError, at_least, positive, typed
 from jaxurban.io.tables import Row
-from jaxurban.maps.height_uncertainty import perturbed_cities
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.recipe import perturbed_cities
 from jaxurban.maps.task import MapTask
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import RouteJob, Run
@@ -49,7 +49,7 @@ class SensitivityStudySettings(RouteJob):
         these times each weight.
       wrong: a wrong weight is so many times too large or too small.
       num_samples: N of each route's Sobol indices, a power of two, N x (2 + weights that vary) searches; 0: none.
-      num_heights: also plan on maps of so many draws of all heights (see `jaxurban.maps.height_uncertainty`).
+      num_heights: also plan on maps of so many draws of all heights (see `jaxurban.maps.recipe`).
       seed: of the sampling of routes and weights, mixed with the city's name and the route's number.
       num_threads: of the searches of a route; left out, one a core, and one where several processes work.
       cost_model, constraints, preset: see `jaxurban.paths.rows.RouteRules`.
@@ -162,9 +162,8 @@ def route_facts(on: CostMap, instance: Row, settings: SensitivityStudySettings) 
 
 def perturbed_tasks(task: MapTask, settings: SensitivityStudySettings) -> Iterator[MapTask]:
     """Yield the tasks of maps made anew, one for each draw of heights."""
-    params = task.params
-    gps, heights = replace(params.gps, bounds=False), replace(params.heights, height_samples=0)
-    plain = replace(task, params=replace(params, heights=heights, sections={**params.sections, "gps": gps}))
+    heights = replace(task.params.heights, height_samples=0)
+    plain = replace(task, params=replace(task.params, heights=heights))
     for city in perturbed_cities(task.city, heights.height_std_m, settings.num_heights, settings.seed):
         yield replace(plain, city=city)
 

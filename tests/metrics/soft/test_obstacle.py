@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxurban.metrics.obstacle import obstacle_mask, soft_obstacle
+from jaxurban.world.surface import obstacle_mask, soft_obstacle
 
 ROOF_M = jnp.array([0.0, 5.0, 17.9, 18.0, 18.5, 19.0, 19.9, 20.0, 21.0, 300.0])
 

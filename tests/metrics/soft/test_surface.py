@@ -8,7 +8,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import build_surface, building_index, rasterise
-from jaxurban.world.city import Buildings, City, Raster
+from jaxurban.world.city import City, Footprints, Raster
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import NO_BUILDING, roofs_of
 from jaxurban.world.synthetic import demo_city
@@ -21,7 +21,7 @@ def city_of(outlines, height_m) -> City:
     count = len(height_m)
     zeros = np.zeros(count)
     outlines = np.array(outlines, object)
-    buildings = Buildings(outlines, np.asarray(height_m, float), zeros, zeros.astype(np.uint8), zeros.astype(bool))
+    buildings = Footprints(outlines, np.asarray(height_m, float), zeros, zeros.astype(np.uint8), zeros.astype(bool))
     return City(CRS, (0.0, 0.0, 40.0, 40.0), buildings)
 
 

@@ -1,24 +1,34 @@
-"""GPS quality: settings of the metric, and how well the satellites seen from each cell fix a position."""
+"""GPS: how well the satellites seen from each cell fix a position; on request level and upright apart."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 from enum import IntEnum
 from functools import partial
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, UInt, UInt8
 
 from jaxurban.errors import InputError, at_least, one_of, positive, typed
 from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
-from jaxurban.metrics.base import AnyArray
+from jaxurban.metrics.base import (
+    ALTITUDE,
+    TIME,
+    AnyArray,
+    Metric,
+    Scale,
+    Scene,
+    SoftScene,
+    Variable,
+    low_is_bad,
+)
+from jaxurban.metrics.gps_soft import gps_metric, soft_gps
 from jaxurban.metrics.settings import check_value, differentiable
 from jaxurban.metrics.visibility import distinct_choices
 from jaxurban.settings import NOMINAL, each, iso_utc, parse_time
@@ -28,7 +38,6 @@ MOST_TIMES = 100_000  # a year in steps of five minutes
 MAX_STORED_TIMES = 24  # a longer series keeps statistics over time instead of every time's maps
 SERIES = ("auto", "epochs", "statistics")
 CLOCKS = ("system", "one")
-WEIGHTINGS = ("none", "elevation")
 
 
 @differentiable("gdop_threshold")
@@ -40,19 +49,17 @@ class Gps:
     Attributes:
       gdop_threshold: GDOP at and above which m is 0, > 1.
       series: what is kept of several times: every one of them (``"epochs"``), statistics over time
-        (``"statistics"``, see `jaxurban.metrics.availability`), or statistics above `MAX_STORED_TIMES`
+        (``"statistics"``, see `jaxurban.metrics.variables`), or statistics above `MAX_STORED_TIMES`
         (``"auto"``).
       availability_threshold: m above which a position counts as available, in [0, 1).
       clocks: of the receiver, which are solved for beside the position: one for each ``"system"`` that is seen, as
         their times differ by what nobody knows, or ``"one"`` for all, as in the paper, which has but one system.
-      weighting: ``"elevation"`` gives the weighted DOPs ``wgdop``, ``wpdop``, ``whdop``, ``wvdop`` and ``wtdop`` too.
       orbits: ``"nominal"``, a TLE or OMM file, or several of these (other constellations).
       times: UTC times, ISO 8601, whole seconds; left out, see `jaxurban.maps.build.view_sky`.
       start, stop, step_s: a series of times instead, its end included; UTC and seconds.
       mask_deg: elevation mask; lower satellites are not used.
       max_age_days: older element sets are refused.
       reference: longitude, latitude where look angles are taken; left out, the region's centre.
-      bounds: also make ``gps_lower`` and ``gps_upper``, which bracket the true m (``oversample`` odd).
 
     Raises:
       InputError: a value that is none of these, or times that are not different.
@@ -62,7 +69,6 @@ class Gps:
     series: Literal["auto", "epochs", "statistics"] = "auto"
     availability_threshold: float = 0.5
     clocks: Literal["system", "one"] = "system"
-    weighting: Literal["none", "elevation"] = "none"
     orbits: str | Path | Sequence[str | Path] = (NOMINAL,)
     times: str | Sequence[str] | None = None
     start: str | None = None
@@ -71,14 +77,12 @@ class Gps:
     mask_deg: float = 5.0
     max_age_days: float = 90.0
     reference: tuple[float, float] | None = None
-    bounds: bool = False
 
     def __post_init__(self) -> None:
         what = "a number above 1 (such as 20)"
         check_value("gdop_threshold", self.gdop_threshold, what, lambda threshold: threshold > 1)
         one_of("series", self.series, SERIES)
         one_of("clocks", self.clocks, CLOCKS)
-        one_of("weighting", self.weighting, WEIGHTINGS)
         what = "a value of m from 0 to below 1"
         check_value("availability_threshold", self.availability_threshold, what, lambda m: (m >= 0) & (m < 1))
         if not 0 <= self.mask_deg < 90:
@@ -155,24 +159,6 @@ class GpsMaps(NamedTuple):
     num_visible: UInt8[AnyArray, "*C"]
 
 
-def gps_metric(gdop: Float[AnyArray, "*C"], gdop_threshold: float | Array) -> Float[Array, "*C"]:
-    """Return m = (T - min(GDOP, T)) / (T - 1), clipped to [0, 1]; 0 at GDOP = inf.
-
-    Source: the paper's equation of m_gps, its GDOP_cut taken as T = GDOP_thresh. The derivative is 0
-    beyond the threshold.
-    """
-    return jnp.clip((gdop_threshold - jnp.minimum(gdop, gdop_threshold)) / (gdop_threshold - 1), 0, 1)
-
-
-def elevation_weights(elevation_rad: ArrayLike) -> np.ndarray:
-    """Return ``[S]`` weights of satellites, sin^2 of the elevation: one over the variance of a range, 1 at the zenith.
-
-    Source: Dach, Lutz, Walser and Fridez 2015, Bernese GNSS Software 5.2, elevation-dependent weighting w = cos^2 z;
-    the term of RTKLIB's variance of relative positioning that grows as 1 / sin^2 (Takasu, RTKLIB 2.4, rtkpos.c).
-    """
-    return np.sin(np.asarray(elevation_rad, float)) ** 2
-
-
 @jax.jit
 def maps_of_words(words: UInt[AnyArray, "W ..."], satellites: Geometry, gdop_threshold: float | Array) -> GpsMaps:
     """Return the maps of the satellites whose bits are set, made block by block of cells.
@@ -209,11 +195,9 @@ def _in_equal_blocks(
     return GpsMaps(*(values[:size].reshape(shape) for values in maps))
 
 
-def satellites_of(in_view: InView, is_weighted: bool = False) -> Geometry:
-    """Return the geometry of satellites; ``is_weighted``: each with the weight of its elevation."""
-    weights = elevation_weights(in_view.elevation_rad) if is_weighted else None
-    directions = unit_vectors(*in_view.angles)
-    return geometry(directions, multiple_of=SATELLITES_STEP, clocks=in_view.clocks, weights=weights)
+def satellites_of(in_view: InView) -> Geometry:
+    """Return the geometry of satellites."""
+    return geometry(unit_vectors(*in_view.angles), multiple_of=SATELLITES_STEP, clocks=in_view.clocks)
 
 
 def maps_of_choices(
@@ -245,3 +229,108 @@ class Rating(IntEnum):
 def rating(gdop: np.ndarray) -> np.ndarray:
     """Return the `Rating` of each GDOP as uint8, in the shape given; upper limits count in."""
     return np.searchsorted(RATING_UPPER_GDOP, gdop, side="left").astype(np.uint8)
+
+
+DOPS = {"gdop": "geometric", "pdop": "position", "hdop": "horizontal", "vdop": "vertical", "tdop": "time"}
+
+_dop = partial(Variable, inside=np.nan, scale=Scale("viridis_r", 1.0, 20.0, is_better_low=True), is_averaged=False)
+ALSO = (  # the scale of DOPs ends where the paper's rating turns poor
+    *(_dop(name, f"{kind} dilution of precision", symbol=name.upper()) for name, kind in DOPS.items()),
+    Variable(
+        "num_visible", "satellites in view", dtype=np.uint8, inside=0, scale=Scale("viridis", high=None, least=4.0)
+    ),
+)
+
+
+def _named(maps: GpsMaps) -> dict[str, Any]:
+    return {"gps": maps.m, **{name: getattr(maps, name) for name in (*DOPS, "num_visible")}}
+
+
+def _maps(scene: Scene, params: Gps) -> dict[str, Any]:
+    """Return m, the DOPs and the satellites seen."""
+    maps, number = _of_choices(scene, params.gdop_threshold)
+    named = {"gps": maps.m} if scene.only_m else _named(maps)
+    return {name: np.take(values, number) for name, values in named.items()}
+
+
+def _of_choices(scene: Scene, threshold: float) -> tuple[GpsMaps, np.ndarray]:
+    return maps_of_choices(scene.words, scene.is_obstacle, satellites_of(scene.in_view), threshold)
+
+
+def _traced(scene: Scene, params: Gps) -> dict[str, Any]:
+    return _named(maps_of_words(scene.words, scene.satellites, params.gdop_threshold))
+
+
+def _soft(dop: str, threshold: str, scene: SoftScene, params: Any) -> Array:
+    """Return soft m of one DOP, whose threshold is a setting of this name."""
+    here = scene.surface, scene.altitude_m, getattr(params, threshold), scene.softness_m, scene.view
+    return soft_gps(*here, dop=dop, cells=scene.cells)
+
+
+METRIC = Metric(
+    name="gps",
+    params=Gps,
+    dims=(TIME, ALTITUDE),
+    compute=_maps,
+    traced=_traced,
+    soft=partial(_soft, "gdop", "gdop_threshold"),
+    cost=low_is_bad,
+    label="GPS quality",
+    one_means="GDOP of 1, the best possible",
+    colour="#0072b2",
+    colour_map="viridis",
+    also=ALSO,
+    cell_bytes=72,  # DOPs, m and the number of the choice, and what makes them
+)
+
+
+@differentiable("dop_threshold")
+@typed
+@dataclass(frozen=True)
+class Dop:
+    """Settings of a metric of one DOP. A pytree whose leaf is the threshold.
+
+    Attributes:
+      dop_threshold: DOP at and above which m is 0, > 1; m is 1 at a DOP of 1 and below.
+
+    Raises:
+      InputError: a value that is none.
+    """
+
+    dop_threshold: float = 20.0
+
+    def __post_init__(self) -> None:
+        what = "a number above 1 (such as 20)"
+        check_value("dop_threshold", self.dop_threshold, what, lambda threshold: threshold > 1)
+
+
+def _map_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Array]:
+    """Return m of one DOP of a scene."""
+    maps, number = _of_choices(scene, params.dop_threshold)
+    return {name: gps_metric(np.take(getattr(maps, dop), number), params.dop_threshold)}
+
+
+def _traced_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Array]:
+    maps = maps_of_words(scene.words, scene.satellites, params.dop_threshold)
+    return {name: gps_metric(getattr(maps, dop), params.dop_threshold)}
+
+
+def _metric(name: str, dop: str, label: str, colour: str, colour_map: str) -> Metric:
+    compute: Callable = partial(_map_of, name, dop)
+    return Metric(
+        name=name,
+        params=Dop,
+        dims=(TIME, ALTITUDE),
+        compute=compute,
+        traced=partial(_traced_of, name, dop),
+        soft=partial(_soft, dop, "dop_threshold"),
+        cost=low_is_bad,
+        label=label,
+        one_means=f"{dop.upper()} of 1 or less",
+        colour=colour,
+        colour_map=colour_map,
+    )
+
+
+HORIZONTAL = _metric("gps_horizontal", "hdop", "GPS quality, horizontal", "#117733", "YlGnBu_r")
+VERTICAL = _metric("gps_vertical", "vdop", "GPS quality, vertical", "#882255", "PuBuGn_r")

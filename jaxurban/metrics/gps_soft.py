@@ -1,4 +1,4 @@
-"""GPS quality with gradients: satellites come into view over a softness."""
+"""m of GDOP, and GPS quality with gradients: satellites come into view over a softness."""
 
 import math
 from collections.abc import Callable
@@ -13,13 +13,21 @@ from jaxtyping import Array, Float, Int
 from jaxurban.kernels.dop import dops
 from jaxurban.kernels.shadows.sweep import Window, shadow_heights
 from jaxurban.kernels.soft_step import satellite_weights
-from jaxurban.metrics.gps.hard import gps_metric
-from jaxurban.metrics.obstacle import soft_obstacle
+from jaxurban.metrics.base import AnyArray
 from jaxurban.metrics.settings import check_softness
 from jaxurban.metrics.visibility import SkyView
-from jaxurban.world.surface import Surface
+from jaxurban.world.surface import Surface, soft_obstacle
 
 SOFT_BLOCK_CELLS = 2**12  # made at once: half as many are faster on a CPU, and a third more launches on a GPU
+
+
+def gps_metric(gdop: Float[AnyArray, "*C"], gdop_threshold: float | Array) -> Float[Array, "*C"]:
+    """Return m = (T - min(GDOP, T)) / (T - 1), clipped to [0, 1]; 0 at GDOP = inf.
+
+    Source: the paper's equation of m_gps, its GDOP_cut taken as T = GDOP_thresh. The derivative is 0
+    beyond the threshold.
+    """
+    return jnp.clip((gdop_threshold - jnp.minimum(gdop, gdop_threshold)) / (gdop_threshold - 1), 0, 1)
 
 
 def _in_blocks(metric: Callable[[Array], Array], weights: Array) -> Array:
@@ -42,7 +50,6 @@ def soft_gps(
     *,
     dop: str = "gdop",
     cells: Int[Array, "P 2"] | None = None,
-    oversample: int = 1,
 ) -> Float[Array, "y x"] | Float[Array, " P"]:
     """Return soft m_gps at one altitude, on the region ``[y, x]`` or at chosen cells ``[P]``.
 
@@ -65,15 +72,13 @@ def soft_gps(
       dop: which of `jaxurban.kernels.dop.Dops`; ``"hdop"`` and the like take the place of GDOP.
       cells: row and column in the region; left out, the whole region. The shadows are cast over the whole
         surface either way. One program is compiled for each number of cells.
-      oversample: n, for a surface n times finer than the map (`jaxurban.maps.supersampling`): receivers stand in every
-        n-th cell.
 
     Raises:
       InputError: a softness below 0.
     """
     check_softness(softness_m)
     rows, cols = surface.window
-    window = rows.start, rows.stop, cols.start, cols.stop, oversample
+    window = rows.start, rows.stop, cols.start, cols.stop, 1
     numbers = altitude_m, threshold, softness_m
     return _soft_gps(surface.roof_m, surface.terrain_m, *numbers, view, cells, window=window, dop=dop)
 
@@ -92,7 +97,7 @@ def _soft_gps(
     dop: str = "gdop",
 ) -> Array:
     roof_m = jnp.asarray(roof_m)
-    first_row, end_row, first_col, end_col, every = window
+    first_row, end_row, first_col, end_col, _ = window
     altitude, threshold, softness = (jnp.asarray(v, roof_m.dtype) for v in (altitude_m, dop_threshold, softness_m))
     shadows_m = shadow_heights(roof_m if terrain_m is None else terrain_m + roof_m, view.lines, window)
 
@@ -100,7 +105,7 @@ def _soft_gps(
         return values if cells is None else values[..., cells[:, 0], cells[:, 1]]
 
     def at_receivers(values: Array) -> Array:
-        return chosen(values[first_row + every // 2 : end_row : every, first_col + every // 2 : end_col : every])
+        return chosen(values[first_row:end_row, first_col:end_col])
 
     height_m = altitude if terrain_m is None else at_receivers(terrain_m) + altitude
     weights = satellite_weights(height_m, chosen(shadows_m), softness)
