@@ -175,35 +175,24 @@ def _split(rng: np.random.Generator, start: np.ndarray, end: np.ndarray, num: np
     return owner, start[owner] + (total - size - before) * scale, start[owner] + (total - before) * scale
 
 
-@dataclass(frozen=True)
-class _Lots:
-    """Lots, ``n`` of them: block, where its street front lies, which way it runs from there, depth, two sides."""
-
-    block: np.ndarray
-    front_m: np.ndarray
-    sign: np.ndarray
-    depth_m: np.ndarray
-    left_m: np.ndarray
-    right_m: np.ndarray
-
-    def take(self, index: np.ndarray) -> "_Lots":
-        return _Lots(*(getattr(self, field.name)[index] for field in fields(self)))
-
-    def outline(self, frame: StreetFrame, *points: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        """Return ``[n, k, 2]``: points given by their distance from the front and from the left side."""
-        along = np.stack([self.front_m + self.sign * depth for depth, _ in points], axis=-1)
-        return frame.xy(along, np.stack([self.left_m + side for _, side in points], axis=-1))
+def _outline(lots: np.recarray, frame: StreetFrame, *points: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return ``[n, k, 2]``: points of lots, given by their distance from the front and from the left side."""
+    along = np.stack([lots.front_m + lots.sign * depth for depth, _ in points], axis=-1)
+    return frame.xy(along, np.stack([lots.left_m + side for _, side in points], axis=-1))
 
 
-def _rectangle(lots: _Lots, frame: StreetFrame, front, back, left, right) -> np.ndarray:
+def _rectangle(lots: np.recarray, frame: StreetFrame, front, back, left, right) -> np.ndarray:
     """Return ``[n, 4, 2]``: a rectangle set back from the four sides of each lot."""
     deep, wide = lots.depth_m - back, lots.right_m - lots.left_m - right
     front, left = (np.broadcast_to(inset, deep.shape) for inset in (front, left))
-    return lots.outline(frame, (front, left), (front, wide), (deep, wide), (deep, left))
+    return _outline(lots, frame, (front, left), (front, wide), (deep, wide), (deep, left))
 
 
-def _lay_out_lots(rng: np.random.Generator, cells: _Cells, is_single: np.ndarray, lot_m: np.ndarray) -> _Lots:
-    """Return the lots of blocks: one row through the block where ``is_single``, else two rows back to back."""
+def _lay_out_lots(rng: np.random.Generator, cells: _Cells, is_single: np.ndarray, lot_m: np.ndarray) -> np.recarray:
+    """Return the lots of blocks: one row through the block where ``is_single``, else two rows back to back.
+
+    Of each: its ``block``, where its street front lies, which way it runs from there (``sign``), depth, and two sides.
+    """
     street_m, avenue_m = cells.street_m
     block = np.repeat(np.arange(len(is_single)), np.where(is_single, 1, 2))
     is_second = np.r_[False, block[1:] == block[:-1]]
@@ -212,14 +201,15 @@ def _lay_out_lots(rng: np.random.Generator, cells: _Cells, is_single: np.ndarray
     row, left_m, right_m = _split(rng, left_m, right_m, num)
     block, is_second = block[row], is_second[row]
     low_m, high_m = cells.low_m[block, 0] + street_m / 2, cells.high_m[block, 0] - street_m / 2
-    return _Lots(
-        block=block,
-        front_m=np.where(is_second, high_m, low_m),
-        sign=np.where(is_second, -1.0, 1.0),
-        depth_m=(high_m - low_m) / np.where(is_single[block], 1, 2),
-        left_m=left_m,
-        right_m=right_m,
-    )
+    columns = {
+        "block": block,
+        "front_m": np.where(is_second, high_m, low_m),
+        "sign": np.where(is_second, -1.0, 1.0),
+        "depth_m": (high_m - low_m) / np.where(is_single[block], 1, 2),
+        "left_m": left_m,
+        "right_m": right_m,
+    }
+    return np.rec.fromarrays([*columns.values()], dtype=[(name, values.dtype) for name, values in columns.items()])
 
 
 def _erect(rng: np.random.Generator, plan: CityPlan, cells: _Cells) -> tuple[Footprints, np.ndarray]:
@@ -236,7 +226,7 @@ def _erect(rng: np.random.Generator, plan: CityPlan, cells: _Cells) -> tuple[Foo
     lots = _lay_out_lots(rng, cells, is_single, np.select([has_towers, has_slabs, is_island], [54.0, 60.0, 27.0], 44.0))
     is_square = rng.random(n) < np.where(is_island, 0.025 * ~has_towers, 0.05)
     is_vacant = rng.random(len(lots.block)) < np.where(is_island, 0.04, 0.12)[lots.block]
-    lots = lots.take(is_core[lots.block] | ~(is_square[lots.block] | is_vacant))
+    lots = lots[is_core[lots.block] | ~(is_square[lots.block] | is_vacant)]
     block, wide_m, m = lots.block, lots.right_m - lots.left_m, len(lots.block)
     median_m = (
         MEDIAN_HEIGHT_M[district % 13][block] * (1 + 1.2 * depth_of[block]) * np.where(has_slabs, 1.5, 1.0)[block]
@@ -251,18 +241,18 @@ def _erect(rng: np.random.Generator, plan: CityPlan, cells: _Cells) -> tuple[Foo
     is_ell = ~is_single[block] & (shape < 0.25)
 
     def rectangles(which: np.ndarray, front, back, left, right) -> np.ndarray:
-        return shapely.polygons(_rectangle(lots.take(which), cells.frame, front, back, left, right))
+        return shapely.polygons(_rectangle(lots[which], cells.frame, front, back, left, right))
 
     polygons = np.empty(m, object)
     bar = ~(is_tower | is_court | is_ell)
     polygons[bar] = rectangles(bar, front_m[bar], back_m[bar], side_m[bar], side_m[bar])
-    ring, hole = (_rectangle(lots.take(is_court), cells.frame, d, d, d, d) for d in (1.5, 16.0))
+    ring, hole = (_rectangle(lots[is_court], cells.frame, d, d, d, d) for d in (1.5, 16.0))
     polygons[is_court] = shapely.polygons(ring, holes=shapely.linearrings(hole)[:, None])
     # An L: a bar along the street with a wing behind its left half.
-    some, front, left = lots.take(is_ell), front_m[is_ell], side_m[is_ell]
+    some, front, left = lots[is_ell], front_m[is_ell], side_m[is_ell]
     deep, rear, right, middle = some.depth_m * 0.6, some.depth_m * 0.93, wide_m[is_ell] - left, wide_m[is_ell] * 0.45
     ell = (front, left), (front, right), (deep, right), (deep, middle), (rear, middle), (rear, left)
-    polygons[is_ell] = shapely.polygons(some.outline(cells.frame, *ell))
+    polygons[is_ell] = shapely.polygons(_outline(some, cells.frame, *ell))
     # A tower is an outline as high as its podium, and a part that stands on it.
     polygons[is_tower] = rectangles(is_tower, 1.5, 1.5, 1.0, 1.0)
     num_towers = int(is_tower.sum())
