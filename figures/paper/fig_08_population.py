@@ -32,7 +32,7 @@ class Island(NamedTuple):
 def island() -> Island:
     blocks = manhattan_blocks()
     grid = Grid.from_bounds(BOUNDS, CELL_M)
-    index = burn(blocks.polygons, np.arange(len(blocks)), grid, NO_BLOCK, "int32")
+    index = burn(blocks.polygons, np.arange(len(blocks)), grid, NO_BLOCK, "int32")[0]
     return Island(grid, np.where(index == NO_BLOCK, np.nan, map_blocks(index, block_layers(blocks).density_per_km2)))
 
 

@@ -20,7 +20,7 @@ from jaxurban.errors import GuessWarning
 from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.guesses import FLAT_GROUND, _scale_guesses, has_guessed_roofs, leaving_shares
 from jaxurban.io.read.orbits import nominal_satellites
-from jaxurban.io.read.rasterise import build_surface, burn, burn_touched
+from jaxurban.io.read.rasterise import build_surface, burn
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.provenance import population_totals
 from jaxurban.maps.run import run_scenario
@@ -83,7 +83,7 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     assert sum(sentence in warning for warning in found) == 1
     maps = ju.open_maps(tmp_path / "out")
     assert "50 % of heights" in maps.guesses
-    guessed = burn(houses[1:3], np.ones(2), maps.grid, 0, "uint8").astype(bool)
+    guessed = burn(houses[1:3], np.ones(2), maps.grid, 0, "uint8")[0].astype(bool)
     assert guessed.sum() == 32
     np.testing.assert_array_equal(maps.m("roof_guessed"), guessed)
     figure = plotting.plot_heights(maps)
@@ -122,7 +122,7 @@ def test_one_guessed_roof_of_many_is_known_by_all_cells_that_it_touches(tmp_path
     region = Grid.from_bounds(bounds, 15.0, CRS)
     assert has_guessed_roofs(city, region)
     surface = build_surface(city, region, region, tells_guessed=True)
-    touched = burn_touched(shapely.buffer(houses[-1:], -0.01), np.ones(1), region, 0, "uint8")[1]
+    touched = burn(shapely.buffer(houses[-1:], -0.01), np.ones(1), region, 0, "uint8")[1]
     np.testing.assert_array_equal(surface.roof_guessed, touched.astype(bool))
 
 

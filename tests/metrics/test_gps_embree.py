@@ -59,7 +59,7 @@ def test_visibility_agrees_with_embree(data_dir, manhattan, time, resolution_m, 
     assert elevation.min() < math.radians(lowest_deg)
     margins_m = shadow_reach_m(azimuth, elevation, manhattan.buildings.height_m.max(), 20.0, resolution_m)
     grid = region.padded(*(math.ceil(min(margin, 2000) / resolution_m) for margin in margins_m))  # no data beyond
-    roof_m = burn(manhattan.buildings.polygons, manhattan.buildings.height_m, grid, 0.0, "float32")
+    roof_m = burn(manhattan.buildings.polygons, manhattan.buildings.height_m, grid, 0.0, "float32")[0]
     surface = Surface(jnp.asarray(roof_m), None, None, None, grid, region)
     words = np.asarray(visibility(surface, azimuth, elevation, ALTITUDES_M))[0]
 

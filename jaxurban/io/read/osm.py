@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import osmium
@@ -42,7 +41,7 @@ _AREA_RELATIONS = ("multipolygon", "boundary")  # what libosmium makes areas of
 def read_osm(path: str | Path, file_format: str | None = None, *, has_decks: bool = False) -> Outlines:
     """Return the areas tagged ``building`` or ``building:part`` of an OSM file, ways and multipolygon relations.
 
-    Coordinates are longitude and latitude; ``boxes`` are the file header's. Areas that
+    Coordinates are longitude and latitude; the box is the file header's (of several the first). Areas that
     libosmium cannot assemble (rings that cross themselves) are rebuilt from their lines, each loop filled.
     Nodes and ways with negative ids (an editor's, not yet uploaded) are unknown to pyosmium: their nodes are missing.
 
@@ -96,7 +95,7 @@ def _read(path: str | Path, file_format: str, has_decks: bool) -> Outlines:
         polygons=polygons,
         tags=tags_of({tag: np.array(values, object) for tag, values in columns.items()}),
         crs=WGS84,
-        boxes=_xml_boxes(path) if file_format == "osm" else tuple(filter(None, [header_box(path, file_format)])),
+        boxes=tuple(filter(None, [header_box(path, file_format)])),
         attribution=OSM_CREDIT,
         issues={
             ReadIssue.OPEN_WAYS: len(open_ways),
@@ -150,19 +149,6 @@ def header_box(path: str | Path, file_format: str) -> Bounds | None:
     if not box.valid():
         return None
     return box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat
-
-
-def _xml_boxes(path: str | Path) -> tuple[Bounds, ...]:
-    """Return the boxes that an XML file declares; pyosmium gives the first one only."""
-    boxes = []
-    with open(path, "rb") as file:
-        for _, element in ElementTree.iterparse(file, events=("start",)):
-            if element.tag == "bounds":
-                west, south, east, north = (float(element.get(s, "")) for s in ("minlon", "minlat", "maxlon", "maxlat"))
-                boxes.append((west, south, east, north))
-            elif element.tag in ("node", "way", "relation"):
-                break
-    return tuple(boxes)
 
 
 def cut_buildings(source: Path, target: Path, box: Bounds) -> None:

@@ -1,12 +1,12 @@
 """Outlines as a vector file holds them, near a region, and the rules that make Footprints of them."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import shapely
 from pyproj.exceptions import ProjError
 
@@ -176,8 +176,7 @@ def to_buildings(file: settings.Buildings, outlines: Outlines, crs: str) -> tupl
     tags = {name: column[index] for name, column in outlines.tags.items()}
     buildings = estimate_heights(tags, polygons, is_part, file, issues)
     if is_deck.any():
-        layer = np.array([_number(text) for text in _texts(outlines.column("layer")[index])])
-        buildings = with_decks(buildings, is_deck, layer)
+        buildings = with_decks(buildings, is_deck, _layers(outlines.column("layer")[index]))
     outline, part, shared = _own_parts(polygons, ~is_part & ~is_deck, is_part)
     buildings = _above_underside(_with_outline_heights(buildings, outline, part, issues), issues)
     is_replaced = _covered_share(polygons, outline, shared) >= REPLACED_SHARE
@@ -198,6 +197,11 @@ def _texts(column: np.ndarray) -> np.ndarray:
     return words
 
 
+def _layers(column: np.ndarray) -> np.ndarray:
+    """Return the numbers in a tag of every outline, ``[N]`` float64, NaN where there is none."""
+    return pd.to_numeric(pd.Series(_texts(column)), errors="coerce").to_numpy(np.float64)
+
+
 def _stands_as_what(
     outlines: Outlines, has_decks: bool, issues: ReadIssues
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -214,23 +218,10 @@ def _stands_as_what(
         is_deck &= ~is_building
     is_building = is_building | is_deck
     is_below = _texts(outlines.column("location")) == "underground"
-    is_below |= _is_negative(_texts(outlines.column("layer")))
+    is_below |= _layers(outlines.column("layer")) < 0
     issues[ReadIssue.NOT_BUILDINGS] = int(np.sum(~is_building))
     issues[ReadIssue.UNDERGROUND] = int(np.sum(is_building & is_below))
     return is_building & ~is_below, is_part, is_deck & ~is_part
-
-
-def _is_negative(layers: np.ndarray) -> np.ndarray:
-    """Return which layers, ``[N]`` texts, are numbers below 0."""
-    below = {layer for layer in set(layers) if _number(layer) < 0}
-    return np.array([layer in below for layer in layers], bool) if below else np.zeros(len(layers), bool)
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 def _project(polygons: np.ndarray, source: str, crs: str, issues: ReadIssues) -> tuple[np.ndarray, np.ndarray]:

@@ -87,9 +87,7 @@ def rasterise(city: City, grid: Grid, all_touched: bool = False, tells_guessed: 
     if city.buildings is not None and city.hanging == SLABS:
         standing = city.buildings.take(city.buildings.min_height_m == 0)
         boxes_m = standing.boxes_m
-        roof_m = burn(
-            standing.polygons, standing.height_m, grid, 0.0, "float32", boxes_m=boxes_m, all_touched=all_touched
-        )
+        roof_m = burn(standing.polygons, standing.height_m, grid, 0.0, "float32", boxes_m=boxes_m)[all_touched]
         slabs = burn_hanging(city.buildings, grid, roof_m, terrain_m, all_touched)
     arrays: dict[str, Any] = {"roof_m": roof_m, "terrain_m": terrain_m, "has_data": has_data, "block": None}
     arrays |= {"roof_touched_m": touched_m, "roof_guessed": guessed}
@@ -102,7 +100,7 @@ def _burn_roofs(
     """Return roofs by centres and by touch, and, if wanted, whether the height of either of a cell is guessed."""
     polygons, height_m = buildings.polygons, buildings.height_m
     if not tells_guessed:
-        return *burn_touched(polygons, height_m, grid, 0.0, "float32", boxes_m=buildings.boxes_m), None
+        return *burn(polygons, height_m, grid, 0.0, "float32", boxes_m=buildings.boxes_m), None
     by_height, centre, touched = _burn_ranks(buildings, grid)
     roofs_m = np.append(height_m[by_height], 0.0).astype(np.float32)  # without a building the rank is -1
     is_guessed = np.append(buildings.is_guessed[by_height], False)
@@ -117,7 +115,7 @@ def _burn_ranks(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarr
     by_height = np.argsort(buildings.height_m, kind="stable")
     rank = np.empty_like(by_height)
     rank[by_height] = np.arange(len(rank))
-    return by_height, *burn_touched(buildings.polygons, rank, grid, NO_BUILDING, "int32", boxes_m=buildings.boxes_m)
+    return by_height, *burn(buildings.polygons, rank, grid, NO_BUILDING, "int32", boxes_m=buildings.boxes_m)
 
 
 def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndarray:
@@ -139,7 +137,8 @@ def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:
     if city.blocks is None:
         return None
     blocks = city.blocks
-    return burn(blocks.polygons, np.arange(len(blocks)), grid, NO_BLOCK, "int32", boxes_m=blocks.boxes_m)
+    numbers = np.arange(len(blocks))
+    return burn(blocks.polygons, numbers, grid, NO_BLOCK, "int32", boxes_m=blocks.boxes_m, has_touched=False)[0]
 
 
 def check_has_data(has_data: Iterable[Any], city: City) -> None:
@@ -183,11 +182,14 @@ def burn(
     dtype: str,
     *,
     boxes_m: np.ndarray | None = None,
-    all_touched: bool = False,
-) -> np.ndarray:
-    """Return ``values`` burnt at the cells whose centre lies in ``polygons``, the highest value where they overlap.
+    has_touched: bool = True,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``values`` burnt at the cells whose centre lies in ``polygons``, and at those that share area with them.
 
-    Every cell depends on its own place alone: a part of a grid is burnt as the whole is. Threads may burn at once.
+    Of polygons that overlap the highest value counts. Every cell depends on its own place alone: a part of a grid is
+    burnt as the whole is. Threads may burn at once. A polygon that ends on a border of cells does not touch the next
+    one. GDAL's ``all_touched`` is not used: it misses cells that an edge enters by less than a hundredth of a side,
+    along up to a whole side.
 
     Args:
       polygons: ``[N]`` shapely Polygons and MultiPolygons in the grid's CRS.
@@ -196,33 +198,10 @@ def burn(
       fill: value of cells that no polygon holds.
       dtype: of the result.
       boxes_m: ``[4, N]`` x_min, y_min, x_max, y_max of the polygons, from those who keep them; left out, computed.
-      all_touched: burn every cell that shares area with a polygon.
+      has_touched: False leaves the second array empty.
 
     Returns:
-      ``[Y, X]`` array of ``dtype``, row 0 in the south.
-    """
-    both = burn_touched(polygons, values, grid, fill, dtype, boxes_m=boxes_m, has_touched=all_touched)
-    return both[1 if all_touched else 0]
-
-
-def burn_touched(
-    polygons: np.ndarray,
-    values: np.ndarray,
-    grid: Grid,
-    fill: float,
-    dtype: str,
-    *,
-    boxes_m: np.ndarray | None = None,
-    has_touched: bool = True,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return what `burn` does, and the highest value among the polygons that share area with each cell.
-
-    A polygon that ends on a border of cells does not touch the next one. GDAL's ``all_touched`` is not used: it
-    misses cells that an edge enters by less than a hundredth of a side, along up to a whole side.
-
-    Args:
-      polygons, values, grid, fill, dtype, boxes_m: as there.
-      has_touched: False leaves the second array empty.
+      Two ``[Y, X]`` arrays of ``dtype``, row 0 in the south.
     """
     centre, touched = (np.full(shape, fill, dtype) for shape in (grid.shape, grid.shape if has_touched else (0, 0)))
     boxes = shapely.bounds(polygons) if boxes_m is None else boxes_m.T
@@ -275,12 +254,11 @@ def burn_hanging(
     places, heights = [np.empty((2, 0), np.int64)], [np.empty((2, 0), np.float32)]
     for i in np.flatnonzero(is_near & (buildings.min_height_m > 0)):
         window = _window(finer, buildings.boxes_m[:, i])
-        held = np.stack(
-            np.nonzero(burn(buildings.polygons[i : i + 1], np.ones(1), window, 0.0, "float32", all_touched=all_touched))
-        )
-        places.append(held + np.array([[window.first_row], [window.first_col]]))
+        covered = burn(buildings.polygons[i : i + 1], np.ones(1), window, 0.0, "float32")[all_touched]
+        at = np.stack(np.nonzero(covered))
+        places.append(at + np.array([[window.first_row], [window.first_col]]))
         of_one = np.array([[buildings.min_height_m[i]], [buildings.height_m[i]]], np.float32)
-        heights.append(np.broadcast_to(of_one, held.shape))
+        heights.append(np.broadcast_to(of_one, at.shape))
     (row, col), (floor_m, top_m) = (np.concatenate(values, axis=1) for values in (places, heights))
     cell = (row // PER_CELL - grid.first_row) * grid.num_cols + col // PER_CELL - grid.first_col
     order = np.lexsort((floor_m, cell))

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +38,7 @@ ESCAPE = re.compile(rb"\\u00([2-7][0-9a-fA-F])")  # a plain letter of JSON in di
 _POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
-def open_frame(path: str | Path, role: str, *, allow_empty: bool = False) -> gpd.GeoDataFrame:
+def open_frame(path: str | Path, role: str, *, allow_empty: bool = False, near: Near | None = None) -> gpd.GeoDataFrame:
     """Return the features of a vector file (of a format in `BEGINNINGS`), as they are.
 
     A ring of too few points becomes an empty place, and no error.
@@ -48,12 +47,13 @@ def open_frame(path: str | Path, role: str, *, allow_empty: bool = False) -> gpd
       path: the file.
       role: what it holds, for messages; the layer of this name is taken where several hold polygons.
       allow_empty: accept a file without a single feature.
+      near: of buildings in GeoPackages and Shapefiles those are left out that are not near this region.
 
     Raises:
       InputError: no such file, not a readable vector file, no geometry, no CRS, coordinates beyond the globe though
         the CRS is in degrees, or several layers of polygons and not one of them called ``role``.
     """
-    (frame,) = _read(path, role, every_layer=False)
+    (frame,) = _read(path, role, near=near)
     if not allow_empty and (frame.empty or frame.geometry.isna().all()):
         raise InputError(f"the {role} file {str(path)!r} holds no polygons: give a file of polygons")
     return frame
@@ -70,22 +70,27 @@ def open_layers(path: str | Path, role: str) -> list[gpd.GeoDataFrame]:
     return _read(path, role, every_layer=True)
 
 
-def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoDataFrame]:
+def _read(
+    path: str | Path, role: str, *, every_layer: bool = False, near: Near | None = None
+) -> list[gpd.GeoDataFrame]:
     """Return the features of the one layer of polygons, or of every layer, checked."""
-    name = _name(path, role)
+    name = f"the {role} file {str(path)!r}"
     with readable(path, "a vector file", WHOLE, *OF_DAMAGED, what=name):
         _check_format(Path(path))
         if Path(path).suffix.lower() in PARQUET_SUFFIXES:
             frames = [_read_parquet(path, for_buildings=role == BUILDINGS)]
         else:
             layers = [layer for layer, _ in pyogrio.list_layers(path)] if every_layer else [_polygon_layer(path, role)]
-            on_invalid = "raise" if every_layer else "ignore"
-            frames = [pyogrio.read_dataframe(path, layer=layer, on_invalid=on_invalid) for layer in layers]
+            options: dict[str, Any] = {"on_invalid": "raise" if every_layer else "ignore", "fid_as_index": True}
+            if near is not None and Path(path).suffix.lower() in INDEXED_SUFFIXES:
+                options |= _only_near(path, layers[0], near)
+            frames = [pyogrio.read_dataframe(path, layer=layer, **options) for layer in layers]
+            frames = [frame.sort_index().reset_index(drop=True) for frame in frames]
     frames = [frame for frame in frames if isinstance(frame, gpd.GeoDataFrame)]
     if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
     for frame in frames:
-        _check(name, frame, frame.total_bounds)
+        _check(name, frame)
     return frames
 
 
@@ -137,17 +142,12 @@ def _links_crs(text: bytes) -> bool:
     return False
 
 
-def _name(path: str | Path, role: str) -> str:
-    return f"the {role} file {str(path)!r}"
-
-
-def _check(name: str, frame: gpd.GeoDataFrame, extent: Sequence[float]) -> None:
+def _check(name: str, frame: gpd.GeoDataFrame) -> None:
     """Make text of what a frame's columns hold beside numbers and text, and check its place on the Earth.
 
     Args:
       name: of the file, for messages.
       frame: changed in place.
-      extent: x_min, y_min, x_max, y_max of all features in the file.
 
     Raises:
       InputError: no CRS, one that is no place on the Earth, or coordinates beyond the globe though it is in degrees.
@@ -161,7 +161,7 @@ def _check(name: str, frame: gpd.GeoDataFrame, extent: Sequence[float]) -> None:
             "(a Shapefile has it in its .prj)"
         )
     check_on_earth(name, frame.crs.to_wkt())
-    x_min, y_min, x_max, y_max = extent
+    x_min, y_min, x_max, y_max = frame.total_bounds
     if frame.crs.is_geographic and (max(-x_min, x_max) > 360 or max(-y_min, y_max) > 90):
         raise InputError(
             f"{name} is in degrees by its CRS but has coordinates such as {x_max:.0f}, {y_max:.0f}: declare the "
@@ -170,25 +170,15 @@ def _check(name: str, frame: gpd.GeoDataFrame, extent: Sequence[float]) -> None:
         )
 
 
-def _read_near(path: str | Path, near: Near) -> gpd.GeoDataFrame | None:
-    """Return the buildings near a region by the index of a GeoPackage or a Shapefile, in order; None without one."""
-    if Path(path).suffix.lower() not in INDEXED_SUFFIXES:
-        return None
-    name = _name(path, BUILDINGS)
-    with readable(path, "a vector file", WHOLE, *OF_DAMAGED, what=name):
-        _check_format(Path(path))
-        layer = _polygon_layer(path, BUILDINGS)
-        facts = pyogrio.read_info(path, layer=layer, force_total_bounds=True)
-        box = near.box_in(facts["crs"]) if facts["crs"] and facts["geometry_type"] else None
-        if box is None or facts["total_bounds"] is None:
-            return None
-        _, sides = pyogrio.read_bounds(path, layer=layer, bbox=box)
-        box = extent_of(sides.T) if sides.size else box  # with all that touches one of these, see `near_rows`
-        columns = [column for column in facts["fields"] if is_of_buildings(column)]
-        options: dict[str, Any] = {"columns": columns, "bbox": box, "on_invalid": "ignore", "fid_as_index": True}
-        frame = pyogrio.read_dataframe(path, layer=layer, **options).sort_index().reset_index(drop=True)
-    _check(name, frame, facts["total_bounds"])
-    return frame
+def _only_near(path: str | Path, layer: str, near: Near) -> dict[str, Any]:
+    """Return how pyogrio reads the buildings near a region alone, by the index of the file."""
+    facts = pyogrio.read_info(path, layer=layer)
+    box = near.box_in(facts["crs"]) if facts["crs"] and facts["geometry_type"] else None
+    if box is None:
+        return {}
+    _, sides = pyogrio.read_bounds(path, layer=layer, bbox=box)
+    box = extent_of(sides.T) if sides.size else box  # with all that touches one of these, see `near_rows`
+    return {"bbox": box, "columns": [column for column in facts["fields"] if is_of_buildings(column)]}
 
 
 def _polygon_layer(path: str | Path, wanted: str) -> str:
@@ -222,12 +212,10 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
       InputError: a file that cannot be read, has no CRS, or holds coordinates beyond the globe though its CRS is in
         degrees; a GeoPackage with several layers of polygons and not one of them called ``buildings``.
     """
-    frame = None if near is None else _read_near(path, near)
-    is_part = frame is not None
-    if frame is None:
-        frame = open_frame(path, BUILDINGS, allow_empty=True)
-        if near is not None and (box := near.box_in(frame.crs.to_wkt())):
-            frame, is_part = frame[near_rows(shapely.bounds(frame.geometry.to_numpy()), box)], True
+    frame = open_frame(path, BUILDINGS, allow_empty=True, near=near)
+    box = None if near is None else near.box_in(frame.crs.to_wkt())
+    if box is not None:
+        frame = frame[near_rows(shapely.bounds(frame.geometry.to_numpy()), box)]
     shapes = np.array(frame.geometry, object)
     is_mixed = shapely.get_type_id(shapes) == shapely.GeometryType.GEOMETRYCOLLECTION
     shapes[is_mixed] = [polygonal(shape) for shape in shapes[is_mixed]]
@@ -238,7 +226,7 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
         crs=frame.crs.to_wkt(),
         boxes=(),
         issues={ReadIssue.NON_POLYGONS: int(np.sum(~is_polygon))},
-        is_part=is_part,
+        is_part=box is not None,
     )
 
 
