@@ -158,7 +158,6 @@ def test_the_highest_value_wins_in_any_order(fill, dtype):
     for order in (np.arange(len(polygons)), rng.permutation(len(polygons))):
         centre, touched = burn(polygons[order], values[order], grid, fill, dtype)
         np.testing.assert_array_equal(centre, expected)
-        np.testing.assert_array_equal(centre, expected)
         assert centre.dtype == touched.dtype == dtype
         assert np.all(touched >= centre)
 

@@ -270,7 +270,7 @@ def test_survey_feet_on_the_ground_and_above_it_are_honoured_and_guessed_nowhere
     place = Affine(10, 0, 980_000, 0, -10, 200_000)
     read = read_raster(write(RAMP, crs="EPSG:2263+6360", transform=place), UTM)
     np.testing.assert_allclose(read.values, RAMP * 1200 / 3937, rtol=1e-6)
-    with pytest.raises(InputError, match=r"US survey foot on the ground and does not say.*gdal_edit\.py -units m"):
+    with pytest.raises(InputError, match=r"does not say plainly.*US survey foot.*gdal_edit\.py -units m"):
         read_raster(write(RAMP, crs="EPSG:2263", transform=place), UTM)
     np.testing.assert_allclose(read_raster(write(RAMP, crs="EPSG:2263", transform=place, units="m"), UTM).values, RAMP)
 

@@ -256,25 +256,21 @@ def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tup
 
 def _scale_guesses(blocks: Blocks, bounds_m: Bounds, population_layers: BlockLayers, params: Population) -> Guesses:
     """Return that one block sets the population's scale, at the first time of day where one does."""
-    if params.normalise != "max":
-        return {}
     in_region = region_blocks(blocks, bounds_m)
-    for m, norm in zip(
-        np.asarray(population_layers.m, float)[:, in_region], population_layers.norm_per_km2, strict=True
-    ):
-        inhabited = m[m > 0]
-        if len(inhabited) < 3 or (inhabited > SCALE_M).sum() > max(1, SCALE_SHARE * len(inhabited)):
-            continue
-        top = in_region[m.argmax()]
-        unit = "people" if params.quantity == "count" else "people per km2"
-        usual = float(f"{float(norm) * np.percentile(inhabited, 99):.1g}")
-        return {
-            "one block sets the population scale": (
-                f"census block {blocks.block_id[top]} ({blocks.area_m2[top]:,.0f} m2) with {float(norm):,.0f} {unit} "
-                f"sets the population scale alone: the median inhabited block gets {np.median(inhabited):.2f}; set "
-                f'[population] normalise to a percentile such as "p99" or to a number of {unit} such as {usual:.0f}'
-            )
-        }
+    for m, norm in zip(np.asarray(population_layers.m, float), population_layers.norm_per_km2, strict=True):
+        inhabited = m[in_region][m[in_region] > 0]
+        num_high = (inhabited > SCALE_M).sum()
+        if params.normalise == "max" and len(inhabited) >= 3 and num_high <= max(1, SCALE_SHARE * len(inhabited)):
+            top, unit = in_region[m[in_region].argmax()], "people" if params.quantity == "count" else "people per km2"
+            usual = float(f"{float(norm) * np.percentile(inhabited, 99):.1g}")
+            return {
+                "one block sets the population scale": (
+                    f"census block {blocks.block_id[top]} ({blocks.area_m2[top]:,.0f} m2) with {float(norm):,.0f} "
+                    f"{unit} sets the population scale alone: the median inhabited block gets "
+                    f'{np.median(inhabited):.2f}; set [population] normalise to a percentile such as "p99" or to a '
+                    f"number of {unit} such as {usual:.0f}"
+                )
+            }
     return {}
 
 

@@ -158,17 +158,13 @@ def middle_epoch(orbits: Orbits) -> str | None:
 
 def _check_twice(orbits: Orbits) -> None:
     """Raise InputError where a satellite comes twice, or GPS satellites beside the nominal ones."""
-    nominal = orbits.of(NOMINAL)
-    from_files: dict[int, str] = {}
+    nominal, from_files = orbits.of(NOMINAL), dict[int, str]()
     for satellite, source in zip(orbits.satellites, orbits.sources, strict=True):
         if source == NOMINAL:
             continue
         if nominal and _system(satellite.name) == "gps":
-            raise InputError(
-                f'orbits names "{NOMINAL}", which is GPS, and {source} with GPS satellites: leave one of the two out'
-            )
-        number = satellite.model.satnum
-        if number in from_files:
+            raise InputError(f'"{NOMINAL}" is GPS, and so are satellites of {source}: leave one of the two out')
+        if (number := satellite.model.satnum) in from_files:
             places = " and ".join(dict.fromkeys([from_files[number], source]))
             raise InputError(f"2 element sets of satellite {number} are in {places}: keep the one nearest in time")
         from_files[number] = source
@@ -303,16 +299,14 @@ def _check_age(
     sources: Sequence[str], iso: Sequence[str], names: Sequence[str], age_days: np.ndarray, max_age_days: float
 ) -> None:
     """Warn of stale elements, refuse those older than ``max_age_days``."""
-    oldest_days = age_days.max(initial=0.0)
-    if oldest_days <= min(WARN_AGE_DAYS, max_age_days):
+    if (oldest_days := age_days.max(initial=0.0)) <= min(WARN_AGE_DAYS, max_age_days):
         return
     t, s = np.argwhere(age_days == oldest_days)[0]
+    age = f"the elements of {names[s]} in {sources[s]} are {oldest_days:.0f} days away from {iso[t]}"
     remedy = f'use elements of that date (CelesTrak, Space-Track) or orbits = "{NOMINAL}"'
-    found = f"the elements of {names[s]} in {sources[s]} are {oldest_days:.0f} days away from {iso[t]}"
     if oldest_days > max_age_days:
-        raise InputError(f"{found}, more than max_age_days = {max_age_days:g}: {remedy}")
-    told = f"{found}: it is used where they put it, which is uncertain; {remedy}"
-    warnings.warn(told, StaleElementsWarning, stacklevel=3)
+        raise InputError(f"{age}, more than max_age_days = {max_age_days:g}: {remedy}")
+    warnings.warn(f"{age}, so its place is uncertain: {remedy}", StaleElementsWarning, stacklevel=3)
 
 
 def _system(name: str) -> str:

@@ -180,21 +180,17 @@ def _unit_m(name: str, source: rasterio.DatasetReader) -> float:
     Raises:
       InputError: it is not known.
     """
-    remedy = "say which with `gdal_edit.py -units m` (or ft, or 'US survey foot')"
-    written = source.units[0]
-    if written and written.strip().lower() not in UNITS_M:
-        raise InputError(f"{name} gives its heights in {written!r}, a unit that is not known here: {remedy}")
-    of_band = UNITS_M[written.strip().lower()] if written else None
-    axes = pyproj.CRS(source.crs.to_wkt()).axis_info
-    of_axis = next((axis.unit_conversion_factor for axis in axes[2:] if axis.direction == "up"), None)
-    if of_band is not None and of_axis is not None and abs(of_band - of_axis) > 1e-9:
-        raise InputError(f"{name} gives its heights in {written!r} but its CRS in units of {of_axis:.7g} m: {remedy}")
-    known_m = of_band if of_band is not None else of_axis
-    if known_m is None and source.crs.is_projected and abs(axes[0].unit_conversion_factor - 1.0) > 1e-9:
+    written, axes = source.units[0], pyproj.CRS(source.crs.to_wkt()).axis_info
+    units_m = [UNITS_M.get(written.strip().lower(), math.nan)] if written else []
+    units_m += [axis.unit_conversion_factor for axis in axes[2:] if axis.direction == "up"]
+    is_in_metres = not source.crs.is_projected or abs(axes[0].unit_conversion_factor - 1.0) < 1e-9
+    if not (np.ptp(units_m) <= 1e-9 if units_m else is_in_metres):
         raise InputError(
-            f"{name} is in {axes[0].unit_name} on the ground and does not say whether its heights are too: {remedy}"
+            f"{name} does not say plainly in which unit its heights are (of its band {written!r}, of its CRS "
+            f"{', '.join(axis.unit_name for axis in axes)}): say it with `gdal_edit.py -units m` (or ft, or 'US survey "
+            "foot')"
         )
-    return 1.0 if known_m is None else known_m
+    return units_m[0] if units_m else 1.0
 
 
 def raster_window(name: str, source: rasterio.DatasetReader, crs: str, bounds_m: Bounds | None) -> Window:
