@@ -61,7 +61,7 @@ from jaxurban.cli.common import (
 def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     """Fit weights to demonstrated ROUTES over the maps in each DIR, or to targets for outcomes.
 
-    ROUTES are files of lines (GeoJSON, KML, a .plan). Several DIRs, each with its ROUTES, are fitted together.
+    ROUTES are files of lines (GeoJSON, KML, GPX). Several DIRs, each with its ROUTES, are fitted together.
     """
     from jaxurban.metrics.weights import Weights
     from jaxurban.paths.rows import MapsFolder

@@ -109,7 +109,7 @@ def read_demonstrations(
     ``time_of_day`` (paths that jaxurban wrote carry them); without these, times are the maps' first ones.
 
     Args:
-      file: GeoJSON, KML, GPX, or another vector file, with LineStrings, or a mission (``.plan``).
+      file: GeoJSON, KML, GPX, or another vector file, with LineStrings.
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
       altitude_m, time, time_of_day: of every route.
       cost_model: of every route; left out, the one that jaxurban's own paths were planned under.

@@ -116,7 +116,7 @@ def of_texts() -> Iterator[Case]:
             f"zones.geojson: {told}", (*PLAN, "--no-fly", "{in}/z.geojson"), partial(put, "z.geojson", content), TOLD
         )
         yield Case(f"zones.kml: {told}", (*PLAN, "--no-fly", "{in}/z.kml"), partial(put, "z.kml", content), TOLD)
-        for suffix in (".geojson", ".plan", ".csv", ".parquet", ".kml"):
+        for suffix in (".geojson", ".csv", ".parquet", ".kml"):
             yield Case(
                 f"routes{suffix}: {told}",
                 ("tune", "{base}", "{in}/r" + suffix, "-o", "{out}"),

@@ -11,7 +11,6 @@ import shapely
 
 from benchmarks.random_routes import READERS
 from jaxurban.errors import InputError
-from jaxurban.io.read.routes import read_routes
 from jaxurban.io.read.zone import Zone
 from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.export.qgc_plan import height_note
@@ -305,13 +304,3 @@ def test_gpx_holds_several_routes_by_name(tmp_path):
     write_path(routes, tmp_path / "paths.gpx", names=["a", "b & c", "d"])
     root = ElementTree.parse(tmp_path / "paths.gpx").getroot()
     assert [rte.findtext(f"{GPX}name") for rte in root] == ["a", "b & c", "d"]
-
-
-def test_a_mission_that_ends_anyhow_is_read_back_as_the_route_that_it_is(tmp_path):
-    route = random_route(1, over_hill=False)
-    for end in ("land", "return", "none"):
-        write_path(route, tmp_path / "path.plan", Report(5.0), end=end)
-        (read,) = read_routes(tmp_path / "path.plan")
-        line = shapely.LineString(np.column_stack(GRID.xy_of_lonlat(*read.lonlat.T)))
-        assert shapely.hausdorff_distance(line, shapely.LineString(route.xy_m)) < 0.03
-        assert read.altitude_m == 60.0

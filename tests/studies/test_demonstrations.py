@@ -53,12 +53,11 @@ def test_planned_paths_are_demonstrations_of_zero_regret(maps, demonstrations, t
     np.testing.assert_allclose(read.features, taken[0].features, rtol=1e-12)
 
 
-@pytest.mark.parametrize("suffix", [".geojson", ".plan"])
-def test_files_of_paths_bring_their_cost_model_and_their_features(maps, demonstrations, tmp_path, suffix):
+def test_files_of_paths_bring_their_cost_model_and_their_features(maps, demonstrations, tmp_path):
     (start, goal), *_ = ends_of(maps, demonstrations)
     path = ju.plan(maps, start_xy_m=start, goal_xy_m=goal, altitude_m=20.0, weights=HIDDEN, cost_model="line")
-    write_path(path, tmp_path / f"path{suffix}")
-    (read,) = ju.fit.read_demonstrations(tmp_path / f"path{suffix}", maps)
+    write_path(path, tmp_path / "path.geojson")
+    (read,) = ju.fit.read_demonstrations(tmp_path / "path.geojson", maps)
     assert read.query.cost_map.cost_model.kind == "line"
     assert read.query.cost_map.altitude_m == path.altitude_m
     assert read.features @ HIDDEN.vector(read.query.names) == pytest.approx(path.cost, rel=1e-9)
@@ -78,16 +77,6 @@ def test_a_table_of_queries_is_planned_first_and_its_paths_are_taken_at_their_ow
     paths.save(tmp_path / "paths.csv")
     with pytest.raises(InputError, match="is a table, which holds no lines: plan its queries first"):
         ju.fit.read_demonstrations(tmp_path / "paths.csv", maps)
-
-
-def test_wrong_missions_are_one_sentence(maps, tmp_path):
-    for text, words in (
-        ('{"mission": {"items": []}}', "no mission of two waypoints"),
-        ("[]", "cannot be read as a mission"),
-    ):
-        (tmp_path / "broken.plan").write_text(text)
-        with pytest.raises(InputError, match=words):
-            ju.fit.read_demonstrations(tmp_path / "broken.plan", maps)
 
 
 def test_a_drawn_line_is_followed_on_the_grid_around_obstacles(maps):

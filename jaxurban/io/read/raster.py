@@ -127,10 +127,15 @@ def raster_extent_m(path: str | Path, crs: str) -> Bounds:
       InputError: as for `read_raster`.
     """
     with open_raster(path) as source:
-        col, row = np.array([0, source.width, 0, source.width]), np.array([0, 0, source.height, source.height])
-        x, y = transformed(source.transform, col, row)
-        to_city = transformer(_horizontal_crs(source), crs)
-    x_min, y_min, x_max, y_max = to_city.transform_bounds(x.min(), y.min(), x.max(), y.max())
+        return _extent_of(source, crs)
+
+
+def _extent_of(source: rasterio.DatasetReader, crs: str) -> Bounds:
+    """Return the box in a CRS around an open raster."""
+    col, row = np.array([0, source.width, 0, source.width]), np.array([0, 0, source.height, source.height])
+    x, y = transformed(source.transform, col, row)
+    box = x.min(), y.min(), x.max(), y.max()
+    x_min, y_min, x_max, y_max = transformer(_horizontal_crs(source), crs).transform_bounds(*box)
     return x_min, y_min, x_max, y_max
 
 
@@ -207,9 +212,7 @@ def raster_window(name: str, source: rasterio.DatasetReader, crs: str, bounds_m:
         end_row = min(source.height, math.ceil(row.max()) + _MARGIN_PIXELS)
         if first_col < end_col and first_row < end_row:
             return Window(first_col, first_row, end_col - first_col, end_row - first_row)
-    corners = transformed(source.transform, np.array([0, source.width]), np.array([source.height, 0]))
-    extent = transformer(_horizontal_crs(source), WGS84).transform_bounds(*np.transpose(corners).ravel())
-    where = where_it_lies(extent, transformer(crs, WGS84).transform_bounds(*bounds_m))
+    where = where_it_lies(_extent_of(source, WGS84), transformer(crs, WGS84).transform_bounds(*bounds_m))
     raise InputError(
         f"{name} does not reach the region: {where}; give a raster that covers it, or change [region] bounds"
     )

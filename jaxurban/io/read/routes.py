@@ -12,16 +12,12 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.errors import InputError, LeftOutWarning, finite, readable
+from jaxurban.errors import InputError, LeftOutWarning, finite
 from jaxurban.io.read.vector import open_layers
 
 SEGMENT_PROPERTY = "segment"  # of lines that repeat a part of jaxurban's own route, for its report
 ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY = "altitude_m", "time_of_day", "time"
 PROPERTIES = ("name", ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY)
-FOLLOWS_GROUND = "follow the ground"  # in the note of a mission that jaxurban wrote over terrain
-PLAN_SUFFIX = ".plan"  # of QGroundControl's missions
-# MAVLink's commands to fly to a place: waypoints, loitering, take-off; and those to land there.
-FLOWN, LANDINGS = (16, 17, 18, 19, 22, 31, 82, 84), (21, 85)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,15 +41,13 @@ class Route:
 
 
 def read_routes(file: str | Path) -> list[Route]:
-    """Return the lines of a vector file, each part of a MultiLineString a route of its own, or a ``.plan``'s mission.
+    """Return the lines of a vector file, each part of a MultiLineString a route of its own.
 
     Segments that jaxurban wrote beside a route, for its report, are left out.
 
     Raises:
       InputError: no such file, no line in it, or an altitude that is not a number.
     """
-    if Path(file).suffix.lower() == PLAN_SUFFIX:
-        return [_mission(Path(file))]
     routes: list[Route] = []
     num_others = 0
     layers = (frame.to_crs("EPSG:4326") for frame in open_layers(file, "routes"))
@@ -96,34 +90,3 @@ def _settings(row: Any) -> dict[str, Any]:
         with suppress(ValueError, RecursionError):
             settings = json.loads(settings)
     return dict(settings) if isinstance(settings, dict) else {}
-
-
-def _mission(file: Path) -> Route:
-    """Return the waypoints of a mission of QGroundControl as a route.
-
-    Its altitude is that of the first waypoint above home, where all are alike or jaxurban wrote the mission over
-    terrain, so that they follow the ground; otherwise it is not known.
-
-    Raises:
-      InputError: the file cannot be read, or holds no mission of two waypoints.
-    """
-    errors = (LookupError, TypeError, AttributeError)
-    what = f"the routes file {str(file)!r}"
-    with readable(file, "a mission of QGroundControl", "give a whole one", *errors, what=what):
-        plan = json.loads(file.read_text(encoding="utf-8"))
-        items = plan["mission"]["items"]
-        flown = [item for item in items if item.get("type") == "SimpleItem" and item["command"] in FLOWN + LANDINGS]
-        places = [(*item["params"][4:7], item["command"] in FLOWN) for item in flown]
-        known = np.array([place for place in places if None not in place], np.float64).reshape(-1, 4)
-        lat, lon, z_m, is_flown = known[np.any(known[:, :2] != 0, axis=1)].T  # none: land where you are
-        settings = dict(plan.get("settings", {}))
-    if len(np.unique(np.stack([lon, lat], axis=1), axis=0)) < 2:
-        raise InputError(
-            f"{str(file)!r} holds no mission of two waypoints or more: give one, or another file of routes"
-        )
-    z_m = z_m[is_flown == 1]
-    is_known = len(z_m) > 0 and (np.ptp(z_m) == 0 or FOLLOWS_GROUND in str(plan.get("note", "")))
-    times = (settings.get(TIME_OF_DAY_PROPERTY), settings.get(TIME_PROPERTY))
-    lonlat = np.stack([lon, lat], axis=1)
-    is_new = np.append(True, np.any(np.diff(lonlat, axis=0) != 0, axis=1))
-    return Route(lonlat[is_new], file.stem, float(z_m[0]) if is_known else None, *times, settings)
