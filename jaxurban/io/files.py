@@ -145,15 +145,10 @@ def sweep_scraps(*folders: Path) -> None:
             remove(scrap)
 
 
-def holds_bytes(file: Path) -> bool:
-    """Return whether a path is a file that is not empty."""
-    return file.is_file() and file.stat().st_size > 0
-
-
-def digest_of(path: Path, algorithm: str = "sha256") -> str:
-    """Return the SHA-256 of a file, or another checksum, in hexadecimal."""
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal."""
     with path.open("rb") as file:
-        return hashlib.file_digest(file, algorithm).hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def is_as_written(path: Path, checksums: Container[str]) -> bool:

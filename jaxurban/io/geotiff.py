@@ -18,7 +18,7 @@ from rasterio.shutil import copy as copy_raster
 from rasterio.windows import Window
 
 from jaxurban.errors import one_of
-from jaxurban.io.files import SCRATCH_SUFFIX, holds_bytes, whole_file, write_whole
+from jaxurban.io.files import SCRATCH_SUFFIX, whole_file, write_whole
 from jaxurban.io.store import GEOTIFF_FOLDER, short_number
 from jaxurban.io.workspace import Each
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
@@ -135,7 +135,7 @@ def geotiff_paths(ds: xr.Dataset, folder: Path, layers: Sequence[str]) -> list[P
 
 def missing_geotiffs(ds: xr.Dataset, folder: Path) -> list[Path]:
     """Return the GeoTIFFs and styles of obstacles and metrics that are not there, or empty."""
-    return [path for path in geotiff_paths(ds, folder, ()) if not holds_bytes(path)]
+    return [path for path in geotiff_paths(ds, folder, ()) if not (path.is_file() and path.stat().st_size)]
 
 
 def write_geotiffs(

@@ -193,14 +193,6 @@ def fingerprint(*parts: Any) -> str:
     return digest.hexdigest()[:16]
 
 
-def first_difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
-    """Return in which setting a stored job differs from this one, for a message; None where in none."""
-    for name, value in json.loads(json.dumps(now)).items():
-        if before.get(name) != value:
-            return f"its {name.replace('_', ' ')} is {before.get(name)}, and {value} is given now"
-    return None
-
-
 def _read_rows(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
     remedy = "name another file or folder, or remove this one, and what it held is made again"
     with readable(file, "results", remedy, pa.ArrowException):
@@ -209,6 +201,8 @@ def _read_rows(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
             raise InputError(f"{str(file)!r} is damaged, or not a file of such results: {remedy}")
         table = pq.read_table(io.BytesIO(data))
     before = json.loads((table.schema.metadata or {}).get(SETTINGS, b"{}"))
-    if difference := first_difference(before, settings):
-        raise InputError(f"{str(file)!r} is of other settings ({difference}): pass --overwrite, or {remedy}")
+    for name, value in json.loads(json.dumps(settings)).items():
+        if before.get(name) != value:
+            difference = f"its {name.replace('_', ' ')} is {before.get(name)}, and {value} is given now"
+            raise InputError(f"{str(file)!r} is of other settings ({difference}): pass --overwrite, or {remedy}")
     return records_of(table.to_pandas())

@@ -51,9 +51,7 @@ RELIEF_M = 3.0  # of a block on which something stands: water and fields tell no
 MOST_RAISED = 0.4
 
 
-def read_raster(
-    path: str | Path, crs: str, bounds_m: Bounds | None = None, *, range_m: tuple[float, float] = TERRAIN_RANGE_M
-) -> Raster:
+def read_raster(path: str | Path, crs: str, bounds_m: Bounds | None = None) -> Raster:
     """Return a single-band raster file, or the part of it that covers some bounds.
 
     The file's scale and offset are applied, then its vertical unit: that of the band, or of a CRS with a vertical axis
@@ -63,7 +61,6 @@ def read_raster(
       path: a single-band file whose name ends as in `DRIVERS`, with a CRS.
       crs: projected CRS of ``bounds_m``.
       bounds_m: x_min, y_min, x_max, y_max; the window is two pixels wider on each side. None: the whole file.
-      range_m: a value beyond these is not a height but, most likely, an undeclared nodata value.
 
     Raises:
       InputError: a file that cannot be read, has several bands, no CRS or no position, does not reach the
@@ -71,7 +68,7 @@ def read_raster(
         is unknown: a name that is none, two that differ, or a CRS in feet that says nothing of heights.
     """
     (raster,) = read_bands(path, crs, bounds_m, holds=HEIGHTS)
-    check_range(repr(str(path)), raster.values, range_m)
+    check_range(repr(str(path)), raster.values, TERRAIN_RANGE_M)
     return raster
 
 

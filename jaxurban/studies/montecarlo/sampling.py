@@ -310,7 +310,7 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
     if cover is not None:
         for name, shape in (("park", cover.park), ("water", cover.water)):
             parts = shapely.get_parts(shape)
-            strata[burn(parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8") == 1] = STRATA.index(name)
+            strata[burn(parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8")[0] == 1] = STRATA.index(name)
     strata[~has_data] = NO_STRATUM
     return strata
 
