@@ -17,7 +17,6 @@ from jaxurban.metrics.population import Population as Population
 from jaxurban.metrics.risk import Risk as Risk
 from jaxurban.metrics.weights import Weights as Weights
 from jaxurban.paths.batch import plan_many as plan_many
-from jaxurban.paths.cautions import cautions as cautions
 from jaxurban.paths.constraints import Constraints as Constraints
 from jaxurban.paths.cost_map import CostMap as CostMap
 from jaxurban.paths.explain import RouteReport as RouteReport
@@ -26,6 +25,7 @@ from jaxurban.paths.path import PlannedPath as PlannedPath
 from jaxurban.paths.path import simplify as simplify
 from jaxurban.paths.plan import cost_map as cost_map
 from jaxurban.paths.plan import plan as plan
+from jaxurban.paths.profile import cautions as cautions
 from jaxurban.paths.queries import PlannedPaths as PlannedPaths
 from jaxurban.paths.snapping import XY as XY
 from jaxurban.planners.cost import CostModel as CostModel

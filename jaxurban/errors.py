@@ -102,7 +102,8 @@ def typed(public: Public, makers: Sequence[Callable] = ()) -> Public:
             if allowed and not any(is_one(value) for _, is_one in allowed):
                 listed = _either(dict.fromkeys(told for told, _ in allowed))
                 unit = next((f" ({unit})" for end, unit in UNITS.items() if name.endswith(end)), "")
-                raise InputError(f"{name} must be {listed}{unit}, got {_shown(value)}")
+                order = f": call {public.__name__}({', '.join(in_order)})" if _is_class_of_ours(type(value)) else ""
+                raise InputError(f"{name} must be {listed}{unit}, got {_shown(value)}{order}")
             check_range(name, value)
         try:
             signature.bind(*args, **kwargs)

@@ -14,7 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import CostGrid, is_pinched, segment_cost
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, drop_top, push
-from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status, cell_centre_m
+from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import Bounds, cost_grid_of, make_bounds, reachable_cells
 from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.cost import sample_segment
@@ -42,7 +42,7 @@ def ptp(problem: Problem, *, budget_s: float = np.inf, seed: int = 0) -> Path:
     tried. The lower bound is the distance alone and holds for any path.
     """
     begin_s = time.perf_counter()
-    start_m, goal_m = (np.array(cell_centre_m(cell, problem.resolution_m)) for cell in (problem.start, problem.goal))
+    start_m, goal_m = ((np.array(cell[::-1]) + 0.5) * problem.resolution_m for cell in (problem.start, problem.goal))
     points_m = sample_segment(start_m, goal_m, problem.resolution_m)
     is_valid = problem.features(points_m).is_valid
     return Path.of(
@@ -132,12 +132,7 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf) -> Path:
     check_line_model(problem, "refinement")
     if not path.status.has_path:
         return path
-    before = problem.cost_of(path.points_m)
-    if before == np.inf:
-        raise InputError(
-            "the path crosses an obstacle, passes between two that touch at a corner, or leaves the map: give one "
-            "that was planned for this problem"
-        )
+    before = problem.checked_cost(path.points_m)
     begin_s = time.perf_counter()
     end_s = begin_s + budget_s
     islands = problem.islands

@@ -203,6 +203,16 @@ class Problem:
         """Return the cost of a path (points as in `features`); inf where it is not valid."""
         return self.features(points_m).cost(self.weights)
 
+    def checked_cost(self, points_m: np.ndarray) -> float:
+        """Return the cost of a path (points as in `features`); raise InputError where it is not valid."""
+        cost = self.cost_of(points_m)
+        if cost == np.inf:
+            raise InputError(
+                "the path crosses cells that are not free on this cost map, passes between two closed ones that touch "
+                "at a corner, or leaves the map: give one that was planned on it"
+            )
+        return cost
+
     def _changed(self, **values: Any) -> "Problem":
         other = copy.copy(self)
         for name, value in values.items():
@@ -363,9 +373,3 @@ class Planner(Protocol):
 
     def __call__(self, problem: Problem, *, budget_s: float, seed: int) -> Path:
         """Return the path found within ``budget_s`` seconds of search."""
-
-
-def cell_centre_m(cell: Cell, resolution_m: float) -> tuple[float, float]:
-    """Return x, y of a cell's centre, metres from the map's southwest corner."""
-    row, col = cell
-    return (col + 0.5) * resolution_m, (row + 0.5) * resolution_m

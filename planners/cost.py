@@ -5,6 +5,7 @@ cost(path) = weights . phi(path)        phi = (metres, cost of each layer[, metr
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -236,9 +237,9 @@ def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
     if (nodes < 0).any() or (nodes >= (num_levels, num_rows, num_cols)).any():
         return False
     steps, is_climb = np.diff(nodes, axis=0), np.diff(points_m[:, 2]) != 0
-    for first, last in _runs(~is_climb):
+    for level, first, last in level_parts(problem, points_m):
         way = crossed_cells(points_m[first : last + 1, :2], problem.resolution_m)
-        if not _is_way(problem, problem.is_free[nodes[first, 0]], way):
+        if level is not None and not _is_way(problem, problem.is_free[level], way):
             return False
     is_node = np.append(is_climb, len(nodes) == 1) | np.append(False, is_climb)
     if np.abs(steps[is_climb]).max(initial=0) > 1 or not problem.is_free[tuple(nodes[is_node].T)].all():
@@ -249,10 +250,15 @@ def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
     return bool(np.all(problem.moves[level, row, col] & problem.moves[to_level, row, col] & bit == bit))
 
 
-def _runs(is_in: np.ndarray) -> list[tuple[int, int]]:
-    """Return the first and the last point of every run of legs ``[N - 1]`` that are in."""
-    changes = np.flatnonzero(np.diff(np.concatenate([[False], is_in, [False]]).astype(np.int8)))
-    return [(int(first), int(last)) for first, last in changes.reshape(-1, 2)]
+def level_parts(problem: "Problem", points_m: np.ndarray) -> list[tuple[int | None, int, int]]:
+    """Return the parts of a path: its level (None: it changes), and the first and last point."""
+    last = len(points_m) - 1
+    if problem.levels_m is None:
+        return [(0, 0, last)]
+    is_level = np.diff(points_m[:, 2]) == 0
+    cuts = [0, *(np.flatnonzero(is_level[1:] != is_level[:-1]) + 1).tolist(), last]
+    level = np.searchsorted(problem.levels_m, points_m[:, 2])
+    return [(int(level[a]) if is_level[a] else None, a, b) for a, b in pairwise(cuts)] if last else []
 
 
 def sample_segment(start_m: np.ndarray, end_m: np.ndarray, step_m: float) -> np.ndarray:

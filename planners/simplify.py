@@ -1,17 +1,17 @@
 """Simplification of any planner's path: the fewest straight legs within a tolerance, all clear of closed cells."""
 
 import time
-from itertools import pairwise
 
 import numpy as np
 import shapely
 
-from jaxurban.errors import InputError, positive
+from jaxurban.errors import positive
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import are_clear, is_clear
 from jaxurban.planners.any_angle import subdivided
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.compiled_first import compiled_first
+from jaxurban.planners.cost import level_parts
 
 CLEAR_M = 0.02  # that legs keep from closed cells, so that coordinates of 7 decimals of a degree cannot enter them
 NUDGES = (1.5, 3.0)  # by how many such distances points may move where the path itself passes nearer
@@ -50,15 +50,11 @@ def simplify(problem: Problem, path: Path, tolerance_m: float) -> Path:
     tolerance_m = positive("tolerance_m", tolerance_m, "metres")
     if not path.status.has_path:
         return path
-    before = problem.cost_of(path.points_m)
-    if before == np.inf:
-        raise InputError(
-            "the path crosses cells that are not free on this cost map: simplify it on the one that it was planned on"
-        )
+    problem.checked_cost(path.points_m)
     begin_s = time.perf_counter()
     parts = [path.points_m[:1]]
     num_near = 0
-    for level, first, last in _level_parts(problem, path.points_m):
+    for level, first, last in level_parts(problem, path.points_m):
         points_m = path.points_m[first : last + 1]
         if level is not None:
             is_free = problem.is_free if problem.levels_m is None else problem.is_free[level]
@@ -78,17 +74,6 @@ def simplify(problem: Problem, path: Path, tolerance_m: float) -> Path:
     said = f"{num_near} of its legs pass nearer than {100 * CLEAR_M:g} cm to a closed cell, as the planned path does."
     ran = path.ran | {"note": " ".join(filter(None, (path.note, said if num_near else "")))}
     return Path.of(problem, points_m, status, path.lower_bound, begin_s - path.elapsed_s, **ran)
-
-
-def _level_parts(problem: Problem, points_m: np.ndarray) -> list[tuple[int | None, int, int]]:
-    """Return the parts of a path: its level (None: it changes), and the first and last point."""
-    last = len(points_m) - 1
-    if problem.levels_m is None:
-        return [(0, 0, last)]
-    is_level = np.diff(points_m[:, 2]) == 0
-    cuts = [0, *(np.flatnonzero(is_level[1:] != is_level[:-1]) + 1).tolist(), last]
-    level = np.searchsorted(problem.levels_m, points_m[:, 2])
-    return [(int(level[a]) if is_level[a] else None, a, b) for a, b in pairwise(cuts)] if last else []
 
 
 def _fewest(is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: float, margin: float) -> np.ndarray:

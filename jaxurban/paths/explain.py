@@ -14,7 +14,6 @@ from jaxurban.maps.levels import Levels
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import Weights
-from jaxurban.paths.cautions import Caution, cautions
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
@@ -25,6 +24,8 @@ from jaxurban.paths.profile import (
     OUTSIDE,
     OVER_ROOF,
     VISIBLE,
+    Caution,
+    cautions,
     cut_evenly,
     cut_on,
     guessed_clearances,
@@ -36,7 +37,6 @@ from jaxurban.settings import Vehicle
 SECONDS_PER_HOUR = 3600.0
 DENSITY = "density_per_km2"
 EXTRA_MAPS = {VISIBLE: VISIBLE, "density": DENSITY, "terrain": "terrain_m"}
-UNITS = {"_m": "m", "_s": "s", "_wh": "Wh"}  # by the end of a name
 SEGMENT_HEADS = {  # what a terminal has room for beside the costs; `RouteReport.segments` has more
     "min_gps": "min gps",
     "people_overflown": "people",
@@ -59,9 +59,6 @@ class RouteReport:
         What the maps or the arguments do not tell is left out.
       segments: a row for each of a few parts of nearly equal length: the same, ``from_m`` and ``to_m`` along
         the route, and ``min_*`` and ``max_*`` of each metric. The sums of costs, lengths and people are the totals.
-      extremes: a row for each metric, the satellites in view, people per km2 and the clearance: ``mean`` over
-        the length (of the satellites, a whole number, the ``median`` instead), ``min`` and ``max``, and where along
-        the route (``*_at_m``) and on the map (``*_lon``, ``*_lat``) they are.
       profile: a row for each cell that a step of the route crosses, in order: ``from_m`` and ``to_m``, the
         middle's ``lon``, ``lat`` and ``z_m``, and the value of every map.
       lines: longitude and latitude ``[K, 2]`` of each segment.
@@ -71,46 +68,29 @@ class RouteReport:
 
     totals: Mapping[str, float]
     segments: pd.DataFrame
-    extremes: pd.DataFrame
     profile: pd.DataFrame
     lines: tuple[np.ndarray, ...]
     settings: Mapping[str, float | None]
     cautions: list[Caution]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return totals, cautions, extremes and segments as plain, JSON-ready values (None for no number)."""
+        """Return totals, cautions and segments as plain, JSON-ready values (None for no number)."""
         return {
             **_plain(self.settings),
             **_plain(self.totals),
             "cautions": self.cautions,
-            "extremes": {
-                str(name): _plain_extremes(str(name), row) for name, row in self.extremes.to_dict("index").items()
-            },
             "segments": [{"segment": number, **_plain(row)} for number, row in self.segments.to_dict("index").items()],
         }
 
     def table(self) -> str:
-        """Return the report for a terminal: totals, extremes, segments."""
-        return "\n\n".join(["\n".join(self._totals()), self._extremes(), self._segments()])
+        """Return the report for a terminal: totals and segments."""
+        return "\n\n".join(["\n".join(self._totals()), self._segments()])
 
     def _totals(self) -> Iterator[str]:
-        guessed = guessed_clearances(self.profile)
+        notes = dict.fromkeys(guessed_clearances(self.profile), " (if guessed roofs are right)")
+        notes["people_overflown"] = f" (strip of {self.settings['swath_m']:g} m)"
         for name, value in self.totals.items():
-            label, unit = next(
-                ((name.removesuffix(end), unit) for end, unit in UNITS.items() if name.endswith(end)), (name, "")
-            )
-            unit = f"(strip of {self.settings['swath_m']:g} m)" if name == "people_overflown" else unit
-            unit += " (if guessed roofs are right)" * (name in guessed)
-            yield f"{label.replace('_', ' '):<22}{_short(value)} {unit}".rstrip()
-
-    def _extremes(self) -> str:
-        shown = self.extremes[["mean", "min", "min_at_m", "max", "max_at_m"]].map(_short)
-        for end in ("min_at_m", "max_at_m"):
-            shown[end] = self.extremes[end].map("{:,.0f}".format)
-        if VISIBLE in shown.index:
-            shown.at[VISIBLE, "mean"] = f"median {self.extremes['median'][VISIBLE]:.0f}"
-        shown.columns = pd.Index(["mean", "min", "at m", "max", "at m"], name="along the route")
-        return shown.rename_axis(None).to_string(col_space=9)
+            yield f"{name.replace('_', ' '):<24}{_short(value)}{notes.get(name, '')}"
 
     def _segments(self) -> str:
         names = [str(name) for name in self.segments]
@@ -205,7 +185,6 @@ def explain(
     return RouteReport(
         totals={name: value for name, value in whole.items() if name not in left_out},
         segments=segments,
-        extremes=_extremes(profile, names),
         profile=profile,
         lines=tuple(lonlat[first : last + 1] for first, last in parts),
         settings={"swath_m": swath_m} | {name: getattr(vehicle, name) for name in flight},
@@ -245,33 +224,9 @@ def check_flight(speed_m_s: float | None = None, power_w: float | None = None, s
     positive("swath_m", swath_m, "metres")
 
 
-def _extremes(profile: pd.DataFrame, metrics: tuple[str, ...]) -> pd.DataFrame:
-    names = [name for name in (*metrics, VISIBLE, DENSITY, CLEARANCE) if name in profile]
-    length_m = (profile["to_m"] - profile["from_m"]).to_numpy()
-    along, rows = length_m if length_m.any() else None, {}  # None: a route without length, of one place
-    for name in names:
-        values = profile[name].to_numpy()
-        if name == VISIBLE:
-            middle = float(np.quantile(values, 0.5, weights=along, method="inverted_cdf"))  # one of the values
-            rows[name] = {"mean": math.nan, "median": middle}
-        else:
-            rows[name] = {"mean": float(np.average(values, weights=along)), "median": math.nan}
-        for end, place in (("min", np.argmin(values)), ("max", np.argmax(values))):
-            at = profile.iloc[place]
-            rows[name] |= {end: values[place], f"{end}_at_m": (at["from_m"] + at["to_m"]) / 2}
-            rows[name] |= {f"{end}_lon": at["lon"], f"{end}_lat": at["lat"]}
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("quantity")
-
-
 def _plain(values: Mapping[Any, Any]) -> dict[str, float | None]:
     """Return numbers as JSON takes them: None for none, and for no number."""
     return {str(key): None if v is None or not math.isfinite(v) else float(v) for key, v in values.items()}
-
-
-def _plain_extremes(name: str, row: Mapping[Any, Any]) -> dict[str, float | None]:
-    """Return a row of extremes: satellites as whole numbers with their median, all else with its mean."""
-    plain = _plain({key: value for key, value in row.items() if key != ("mean" if name == VISIBLE else "median")})
-    return plain | ({key: int(row[key]) for key in ("median", "min", "max")} if name == VISIBLE else {})
 
 
 def _short(value: float) -> str:

@@ -25,9 +25,9 @@ from jaxurban.world.grid import Grid
 
 if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps
-    from jaxurban.paths.cautions import Caution
     from jaxurban.paths.cost_map import CostMap, PathSearch
     from jaxurban.paths.explain import RouteReport
+    from jaxurban.paths.profile import Caution
 
 SAME_PLACE_M = 1e-6  # of a path in the maps' CRS and from its map's corner
 OF_SEARCH = ("graph", "num_expanded", "elapsed_s", "setup_s", "planner", "heuristic", "backend")
@@ -101,7 +101,7 @@ class PlannedPath(Shown):
     @cached_property
     def cautions(self) -> "list[Caution]":
         """What a pilot should know of it (`jaxurban.cautions`); empty without a path, or without its maps."""
-        from jaxurban.paths.cautions import cautions
+        from jaxurban.paths.profile import cautions
 
         return [] if self.maps is None or not self.status.has_path else cautions(self, self.maps)
 

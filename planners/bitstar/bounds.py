@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxurban.errors import one_of
-from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.line.traversal import DIAGONAL_SIDES
 from jaxurban.kernels.search.bounds import line_minima
@@ -60,13 +59,8 @@ class Bounds(NamedTuple):
 
     def through_cells(self, cells: np.ndarray) -> np.ndarray:
         """Return ``[M]`` the sum of both bounds at the centres of free cells, given as flat numbers."""
-        row_mid, col_mid = (0.5 * (sums[:-1] + sums[1:]) for sums in (self.row_sum, self.col_sum))
-        through = np.zeros(len(cells))
-        for end, end_row, end_col, rows, cols in self._ends():
-            rows, cols = rows + np.abs(row_mid - end_row), cols + np.abs(col_mid - end_col)
-            _add_bound(through, cells, end[0], end[1], self.per_side, rows, cols)
-        goal_col, goal_row = self.goal.astype(np.int64)
-        return through + self.enter.reshape(-1)[cells] + self.enter[goal_row, goal_col]
+        row, col = np.divmod(cells, self.enter.shape[1])
+        return np.add(*self.from_start_and_to_goal(np.stack([col, row], axis=1) + 0.5))
 
     def _ends(self) -> list[tuple[np.ndarray, float, float, np.ndarray, np.ndarray]]:
         """Return, of start and goal, the point, ``row_sum`` and ``col_sum`` there, and rows' and columns' parts."""
@@ -91,17 +85,6 @@ class Bounds(NamedTuple):
             np.interp(xy[:, axis], np.arange(len(sums)), sums) for axis, sums in ((1, self.row_sum), (0, self.col_sum))
         )
         return row_at, col_at, self.enter[row, col]
-
-
-@compiled()
-def _add_bound(through, cells, end_x, end_y, per_side, rows, cols):
-    """Add the bound between the centres of cells and an end to ``through``."""
-    num_cols = len(cols)
-    for k in range(len(cells)):
-        row = cells[k] // num_cols
-        col = cells[k] - row * num_cols
-        dx, dy = col + 0.5 - end_x, row + 0.5 - end_y
-        through[k] += per_side * np.sqrt(dx * dx + dy * dy) + max(rows[row], cols[col])
 
 
 def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> Bounds:

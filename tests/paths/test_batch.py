@@ -99,6 +99,9 @@ def test_one_signature_lists_what_functions_pass_on_and_names_what_none_takes(ma
     many, one = (set(inspect.signature(function).parameters) for function in (ju.plan_many, ju.plan))
     assert {"time", "weights", "preset", "planner", "snap"} <= many & one
     assert "asked" not in many | one
+    for function in (ju.plan_many, ju.plan, ju.cost_map):  # their help names each
+        arguments = function.__doc__[function.__doc__.index("Args:") :]
+        assert [name for name in inspect.signature(function).parameters if name not in arguments] == []
     with pytest.raises(InputError, match=r"plan_many: there is no argument 'planer' \(did you mean 'planner'\?\)"):
         ju.plan_many(maps, pairs, altitude_m=20.0, planer="ptp")
     with pytest.raises(InputError, match="refine is of a single plan"):
@@ -116,6 +119,15 @@ def test_one_signature_lists_what_functions_pass_on_and_names_what_none_takes(ma
 def test_a_table_with_wrong_columns_is_refused(maps, columns, message):
     with pytest.raises(InputError, match=message):
         ju.plan_many(maps, pd.DataFrame([[0.0] * len(columns)], columns=columns), altitude_m=20.0)
+
+
+@pytest.mark.parametrize("shape", [(3, 4), (2, 2), (3, 3), (3, 2, 3)])
+def test_pairs_of_another_shape_are_refused_at_once(maps, pairs, shape):
+    array = np.array(pairs)
+    assert ju.plan_many(maps, array, altitude_m=20.0)[0].cost == ju.plan_many(maps, pairs[:1], altitude_m=20.0)[0].cost
+    for wrong in (np.zeros(shape), np.zeros(shape).tolist(), [pairs[0], pairs[1][0]], [("a", "b")]):
+        with pytest.raises(InputError, match=r"queries must be pairs of places in degrees, .* an array \[N, 2, 2\]"):
+            ju.plan_many(maps, wrong, altitude_m=20.0)
 
 
 def test_drawn_instances_are_planned_without_the_columns_that_a_refusal_names(maps):

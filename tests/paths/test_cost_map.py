@@ -63,6 +63,7 @@ def test_thirty_equal_plans_are_one_route(maps, shortest, pairs):
     for start, goal in pairs:
         ends = {"start_xy_m": start, "goal_xy_m": goal}
         alone = ju.plan(maps, **ends, altitude_m=20.0, objective="distance")
+        np.testing.assert_array_equal(shortest.plan(**ends).xy_m, alone.xy_m)
         for _ in range(30):
             path = shortest.plan(start, goal)
             assert path.search.heuristic == alone.search.heuristic == "tiles"

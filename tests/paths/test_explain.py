@@ -103,24 +103,20 @@ def test_clearance_is_that_of_shapely(maps, planned, report):
     walls = shapely.union_all(shapely.box(x_m - 5, y_m - 5, x_m + 5, y_m + 5))
     line = shapely.LineString(planned.xy_m)
     assert report.totals["nearest_wall_m"] == pytest.approx(line.distance(walls), abs=1e-6)
-    place = report.extremes.loc["nearest_wall_m"]
-    at = shapely.Point(maps.grid.xy_of_lonlat(place["min_lon"], place["min_lat"]))
+    place = report.profile.loc[report.profile["nearest_wall_m"].idxmin()]
+    at = shapely.Point(maps.grid.xy_of_lonlat(place["lon"], place["lat"]))
     assert at.distance(walls) == pytest.approx(line.distance(walls), abs=5.0)
 
 
-def test_extremes_lie_on_the_route_where_they_are_said_to_be(maps, planned, report):
-    line = shapely.LineString(planned.xy_m)
+def test_the_profile_holds_the_maps_values_along_the_route(maps, planned, report):
+    line, profile = shapely.LineString(planned.xy_m), report.profile
+    x_m, y_m = maps.grid.xy_of_lonlat(profile["lon"], profile["lat"])
+    along_m = (profile["from_m"] + profile["to_m"]) / 2
+    assert shapely.distance(shapely.points(x_m, y_m), line.interpolate(along_m)).max() < 0.01
     for name in maps.metrics:
         shown = maps.m(name, ALTITUDE_M, time_of_day="night")
-        rows, cols = maps.grid.cell_of_xy(*planned.xy_m.T)
-        row = report.extremes.loc[name]
-        assert row["min"] <= shown[rows, cols].min() <= shown[rows, cols].max() <= row["max"]
-        for end in ("min", "max"):
-            x_m, y_m = maps.grid.xy_of_lonlat(row[f"{end}_lon"], row[f"{end}_lat"])
-            assert shown[maps.grid.cell_of_xy(x_m, y_m)] == row[end]
-            at = line.interpolate(row[f"{end}_at_m"])
-            assert at.distance(shapely.Point(x_m, y_m)) < 0.01
-    assert report.segments["min_gps"].min() == report.extremes.loc["gps", "min"]
+        np.testing.assert_array_equal(profile[name], shown[maps.grid.cell_of_xy(x_m, y_m)])
+    assert report.segments["min_gps"].min() == profile["gps"].min()
 
 
 def test_segments_follow_each_other_along_the_route(planned, report):
@@ -179,6 +175,8 @@ def test_wrong_arguments_are_named(maps, planned, changed, words):
 
 
 def test_other_maps_and_a_missing_path_are_refused(maps, ends, planned):
+    with pytest.raises(InputError, match=r"got MetricMaps: call explain\(planned, maps\)"):
+        ju.explain(maps, planned)
     with pytest.raises(InputError, match="these maps are 20 m"):
         ju.explain(planned, made_maps(40, 50, resolution_m=20.0))
     blocked = route(maps, ends, planner="ptp")

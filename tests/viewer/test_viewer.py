@@ -13,10 +13,10 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.metrics.weights import Weights
-from jaxurban.paths.cautions import cautions
 from jaxurban.paths.explain import explain
 from jaxurban.paths.path import simplify
 from jaxurban.paths.plan import cost_map, plan
+from jaxurban.paths.profile import cautions
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer.layers import layers_of, legend_of

@@ -51,7 +51,7 @@ def facts_of(
     ``is_alone``: of one of several paths in a file the cautions are only what its maps guess, since all else takes some
     hundredths of a second a path.
     """
-    from jaxurban.paths.cautions import guess_cautions
+    from jaxurban.paths.profile import guess_cautions
 
     known = {} if report is None else report.to_dict()
     segments = known.pop("segments", [])

@@ -13,8 +13,9 @@ the ground below it in the terrain file and the height above it: so it counts fr
 vertical datum is, which the route's description says. Over maps without terrain the ground's elevation is not known,
 and points have none; their height above ground is in words either way.
 
-KML: of each path a LineString at its altitude above ground (``relativeToGround``), and all known of it as data. Over
-maps with terrain its points are those of `waypoints`, as programs draw straight lines from one to the next.
+KML: of each path a LineString at its altitude above ground (``relativeToGround``), and all known of it as data, JSON
+where it is no text. Over maps with terrain its points are those of `waypoints`, as programs draw straight lines from
+one to the next.
 
 A further format is a function such as `to_geojson`, and a line in `FORMATS`.
 """
@@ -111,8 +112,9 @@ def to_kml(routes: Named, report: "RouteReport | None") -> bytes:
         SubElement(placemark, "description").text = description_of(facts)
         del facts["cautions"]
         data = SubElement(placemark, "ExtendedData")
-        for key, value in _flat(facts):
-            SubElement(SubElement(data, "Data", name=key), "value").text = str(value)
+        for key, value in facts.items():
+            text = value if isinstance(value, str) else json.dumps(value)
+            SubElement(SubElement(data, "Data", name=key), "value").text = text
         along = route if route.ground is None else waypoints(route)
         line = SubElement(placemark, "LineString")
         SubElement(line, "altitudeMode").text = "relativeToGround"
@@ -130,17 +132,6 @@ def _title(route: "PlannedPath", facts: Mapping[str, Any]) -> str:
 def _encoded(root: Element) -> bytes:
     indent(root)
     return tostring(root, encoding="utf-8", xml_declaration=True)
-
-
-def _flat(facts: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    """Return nested facts as dotted names with plain values, those without a value left out."""
-    pairs: list[tuple[str, Any]] = []
-    for name, value in facts.items():
-        if isinstance(value, Mapping):
-            pairs += _flat(value, f"{prefix}{name}.")
-        elif value is not None:
-            pairs.append((prefix + name, value))
-    return pairs
 
 
 FORMATS: dict[str, Encode] = {".geojson": to_geojson, ".kml": to_kml, ".gpx": to_gpx, ".plan": to_qgc_plan}
