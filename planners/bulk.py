@@ -27,7 +27,7 @@ from jaxurban.kernels.search.sample_graph import NO_PARENT, NO_QUERY, Samples, S
 from jaxurban.planners.astar import make_heuristic
 from jaxurban.planners.base import Cell, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import cost_grid_of
-from jaxurban.planners.bitstar.planner import DEFAULTS, Batches, BitStarOptions, begun, check_limits, ended
+from jaxurban.planners.bitstar.planner import DEFAULTS, Batches, BitStarOptions, check_limits
 from jaxurban.planners.cost import STEPS
 from jaxurban.planners.grid_search import graph_of, way_m
 
@@ -237,40 +237,36 @@ def solve_batched(
             waiting = iter(indices)
             graphs = _Graphs(cost_grid_of(problems[indices[0]], problems[indices[0]].is_free), kind)
             while group := list(islice(waiting, SAMPLED_TOGETHER[kind])):
-                begin_s = time.perf_counter()
-                queries = {
-                    index: begun(problems[index], heuristic, options, seeds[index], budget_s, max_samples)
-                    for index in group
-                }
-                for index, compile_s in _run_together(graphs, queries):
-                    query = problems[index], queries[index], begin_s + compile_s
-                    yield index, ended(*query, planner, heuristic, "jax")
+                limits = budget_s, max_samples
+                queries = {k: Batches(problems[k], heuristic, options, seeds[k], *limits) for k in group}
+                for index in _run_together(graphs, queries):
+                    yield index, queries[index].path(planner, "jax")
 
     return paths()
 
 
-def _run_together(graphs: "_Graphs", queries: dict[int, Batches | None]) -> Iterator[tuple[int, float]]:
-    """Search the queries' graphs batch by batch; yield the number of each that is done, and the seconds of compiling.
+def _run_together(graphs: "_Graphs", queries: dict[int, Batches]) -> Iterator[int]:
+    """Search the queries' graphs batch by batch; yield the number of each that is done.
 
     JAX works in a thread of its own, as in `_in_turns`: a Ctrl-C lets it end its turn, and the setting for float64
     stays there.
     """
-    running = {index: batches for index, batches in queries.items() if batches is not None and not batches.is_done}
-    yield from ((index, 0.0) for index in queries if index not in running)
-    most_nodes, all_compile_s = MOST_NODES[graphs.kind] // max(1, len(running)), 0.0
+    running = {index: batches for index, batches in queries.items() if not batches.is_done}
+    yield from (index for index in queries if index not in running)
+    most_nodes = MOST_NODES[graphs.kind] // max(1, len(running))
     with ThreadPoolExecutor(1, thread_name_prefix="bitstar") as worker:
         while running:
             begin_s = time.perf_counter()
             # Even the smallest graphs take the time of the smallest arrays.
             num_nodes = max(FEWEST_NODES, sum(len(batches.tree.xy) for batches in running.values()))
             compile_s = worker.submit(graphs.search, list(running.values())).result()
-            now_s, all_compile_s = time.perf_counter(), all_compile_s + compile_s
+            now_s = time.perf_counter()
             for index, batches in list(running.items()):
                 batches.begin_s, batches.end_s = batches.begin_s + compile_s, batches.end_s + compile_s
                 nodes_left = num_nodes * max(0.0, batches.end_s - now_s) / (now_s - begin_s - compile_s)
                 batches.end(min(most_nodes, nodes_left / len(running)))
                 if batches.is_done:
-                    yield index, all_compile_s
+                    yield index
             running = {index: batches for index, batches in running.items() if not batches.is_done}
 
 

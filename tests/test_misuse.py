@@ -335,7 +335,7 @@ def test_a_wrong_value_names_the_argument(name, parameter, tmp_path, monkeypatch
         (lambda: ju.plan(MAPS, START, altitude_m=20), "goal is missing: give it as"),
         (
             lambda: ju.plan(MAPS, START, GOAL, altitude_m=20, start_xy_m=(0, 0)),
-            "start: give it either as longitude, latitude or as start_xy_m, and not both",
+            "start must be given in one way, not both: give it as longitude, latitude or as start_xy_m",
         ),
         (
             lambda: ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"], errors="ignore")).m(

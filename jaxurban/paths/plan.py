@@ -10,7 +10,7 @@ from jaxurban.errors import InputError, finite, one_of, taken_by, typed
 from jaxurban.maps.levels import Levels, values_at
 from jaxurban.maps.memory import free_bytes, told_bytes
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
-from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, PathSearch, weights_on
 from jaxurban.paths.path import PlannedPath
@@ -101,14 +101,12 @@ def map_at(
     altitudes_m: np.ndarray,
     levels: Levels | None,
     *,
-    weights: Weights,
-    objective: str,
-    cost_model: CostModel,
     constraints: Constraints,
     time: str | None,
     time_of_day: str | None,
+    **rules: Any,
 ) -> CostMap:
-    """Return the cost map at altitudes that the maps reach (see `CostMap`)."""
+    """Return the cost map at altitudes that the maps reach; ``rules`` are further attributes of `CostMap`."""
     needed, left = len(altitudes_m) * math.prod(maps.grid.shape) * NODE_BYTES, free_bytes()
     if levels is not None and needed > left:
         raise InputError(
@@ -133,10 +131,8 @@ def map_at(
         levels=levels,
         time=maps.default_time if time is None else iso_utc(time),
         time_of_day=time_of_day or next(iter(maps.times_of_day), None),
-        weights=weights,
-        objective=objective,
-        cost_model=cost_model,
         constraints=constraints,
+        **rules,
         names=tuple(maps.metrics),
         costs=costs[:, 0] if levels is None else costs,
         is_free=is_free[0] if levels is None else is_free,

@@ -34,7 +34,8 @@ def one_place(name: str, lonlat: Point | XY | None, xy_m: Point | None) -> Point
       InputError: it is given in neither, or in both, or is not two numbers, and maybe an altitude.
     """
     if (lonlat is None) == (xy_m is None):
-        raise InputError(f"{name}: give it either as longitude, latitude or as {name}_xy_m")
+        fault = "is missing" if xy_m is None else "must be given in one way, not both"
+        raise InputError(f"{name} {fault}: give it as longitude, latitude or as {name}_xy_m")
     if isinstance(lonlat, XY):
         lonlat, xy_m = None, lonlat
     place: Any = lonlat if xy_m is None else xy_m

@@ -21,7 +21,6 @@ from jaxurban.planners.bitstar.bounds import (
     cost_grid_of,
     graph_radius,
     make_bounds,
-    reachable_cells,
 )
 from jaxurban.planners.bitstar.tree import EDGE, NOT_COSTED, BatchGraph, Tree, advance
 from jaxurban.planners.compiled_first import compiled_first
@@ -85,7 +84,7 @@ class Batches:
     """One query between two searches of its graph; whoever searches it puts what was found into the tree.
 
     Attributes:
-      bounds: of the query.
+      problem: the query, and ``bounds`` of its paths.
       tree: start, goal and samples; a search alters it.
       samples: ``[K, 2]`` x, y of what the last batch added, in cell sides, as all of the tree.
       radius: nodes this near each other are joined.
@@ -101,31 +100,25 @@ class Batches:
         self,
         problem: Problem,
         heuristic: str,
-        is_reachable: np.ndarray,
         options: BitStarOptions,
         seed: int,
         budget_s: float,
         max_samples: int | None,
     ) -> None:
-        self.begin_s = time.perf_counter()
+        self.begin_s, islands = time.perf_counter(), problem.islands
         self.end_s, self.max_samples = self.begin_s + budget_s, max_samples
-        self.options, self.is_reachable = options, is_reachable
-        self.bounds: Bounds = make_bounds(heuristic, problem, is_reachable)
+        self.problem, self.options, self._heuristic = problem, options, heuristic
+        self.is_reachable = islands == islands[problem.start]
+        self.bounds: Bounds = make_bounds(heuristic, problem, self.is_reachable)
         self.tree, self.radius = Tree.of_ends(self.bounds), np.inf
         self.cost = np.inf
         self.num_costed = self._num_drawn = 0
         self.history: list[tuple[float, int, float]] = []
-        self.is_done, self.is_spent = problem.start == problem.goal, False
+        self._is_joined = bool(self.is_reachable[problem.goal])
+        self.is_done, self.is_spent = problem.start == problem.goal or not self._is_joined, False
         self.samples = np.empty((0, 2))
-        self._informed = InformedSet(self.bounds, is_reachable)
+        self._informed = InformedSet(self.bounds, self.is_reachable)
         self._rng = np.random.default_rng(seed)
-
-    @property
-    def xy(self) -> np.ndarray:
-        """``[N, 2]`` the best path in cell sides; none without one."""
-        if (self.bounds.start == self.bounds.goal).all():
-            return self.bounds.start[None]
-        return self.tree.xy[self.tree.path()]
 
     def end(self, most_nodes: float = np.inf) -> None:
         """Record the batch whose graph was searched; begin the next, of up to so many nodes, or end."""
@@ -158,39 +151,19 @@ class Batches:
         num_wanted = max(self.options.batch_samples, int(self.options.growth * len(self.tree.xy)))
         return int(min(num_wanted, MOST_IN_A_BATCH, num_left, most_nodes - len(self.tree.xy)))
 
-
-def begun(
-    problem: Problem, heuristic: str, options: BitStarOptions, seed: int, budget_s: float, max_samples: int | None
-) -> Batches | None:
-    """Return a query's batches before the first search, that of the straight segment; None where there is no path."""
-    is_reachable = reachable_cells(problem)
-    if is_reachable is None:
-        return None
-    return Batches(problem, heuristic, is_reachable, options, seed, budget_s, max_samples)
-
-
-def ended(
-    problem: Problem, batches: Batches | None, begin_s: float, planner: str, heuristic: str, backend: str
-) -> Path:
-    """Return the path of a query whose batches have ended, costed anew along the exact cells that it crosses."""
-    points_m, status, lower_bound = np.empty(0), Status.NO_PATH, np.inf
-    if batches is not None:
-        points_m = batches.xy * problem.resolution_m
-        found = Status.BUDGET_FEASIBLE if batches.is_spent else Status.FEASIBLE
-        status, lower_bound = found if len(points_m) else Status.BUDGET_EMPTY, batches.bounds.from_start_to_goal()
-    return Path.of(
-        problem,
-        points_m,
-        status,
-        lower_bound,
-        begin_s,
-        graph=EVERY_PATH,
-        num_expanded=0 if batches is None else batches.num_costed,
-        planner=planner,
-        heuristic=heuristic,
-        backend=backend,
-        history=() if batches is None else tuple(batches.history),
-    )
+    def path(self, planner: str, backend: str) -> Path:
+        """Return the path when the batches have ended, costed anew along the exact cells that it crosses."""
+        xy, status, lower_bound = np.empty(0), Status.NO_PATH, np.inf
+        if self._is_joined:
+            is_there = (self.bounds.start == self.bounds.goal).all()
+            xy = self.bounds.start[None] if is_there else self.tree.xy[self.tree.path()]
+            reached = Status.BUDGET_FEASIBLE if self.is_spent else Status.FEASIBLE
+            status, lower_bound = reached if len(xy) else Status.BUDGET_EMPTY, self.bounds.from_start_to_goal()
+        ran = {"planner": planner, "heuristic": self._heuristic, "backend": backend, "num_expanded": self.num_costed}
+        points_m, history = xy * self.problem.resolution_m, tuple(self.history)
+        return Path.of(
+            self.problem, points_m, status, lower_bound, self.begin_s, graph=EVERY_PATH, history=history, **ran
+        )
 
 
 @compiled_first(budget_s=np.inf, max_samples=20)
@@ -236,11 +209,10 @@ def bitstar(
       InputError: an unknown heuristic, a number out of its range, or no limit of time, batches or samples.
     """
     check_limits(budget_s, max_samples, options)
-    begin_s = time.perf_counter()
-    batches = begun(problem, heuristic, options, seed, budget_s, max_samples)
-    if batches is not None and not batches.is_done:
+    batches = Batches(problem, heuristic, options, seed, budget_s, max_samples)
+    if not batches.is_done:
         _search(cost_grid_of(problem, batches.is_reachable), batches)
-    return ended(problem, batches, begin_s, planner, heuristic, "numba")
+    return batches.path(planner, "numba")
 
 
 # The paper's two: guided by the straight distance, and by distance and map costs.

@@ -44,7 +44,7 @@ class RandomRoute(Route):
 
     @property
     def z_m(self):
-        return self.facts["z_m"]
+        return np.array(self.facts["z_m"])
 
 
 def random_route(seed: int, over_hill: bool) -> RandomRoute:
@@ -56,7 +56,7 @@ def random_route(seed: int, over_hill: bool) -> RandomRoute:
         points_m = (np.clip(200 + np.cumsum(steps, axis=0), 0, 399) + 0.5) * GRID.resolution_m
     z_m = np.full(len(points_m), 60.0) if seed % 4 < 2 else rng.uniform(20, 120, len(points_m))
     ground = ground_along(points_m, HILL_M, GRID) if over_hill else None
-    return RandomRoute(points_m + CORNER_M, facts={"z_m": z_m}, ground=ground)
+    return RandomRoute(points_m + CORNER_M, facts={"z_m": z_m.tolist()}, ground=ground)
 
 
 @pytest.mark.parametrize("over_hill", [True, False])
@@ -118,7 +118,7 @@ def test_no_leg_of_a_file_is_lower_over_the_ground_than_planned_nor_a_metre_high
     for seed in range(8):
         points_m = random_route(seed, over_hill=False).xy_m - CORNER_M
         ground = ground_along(points_m, terrain_m, GRID)
-        write_path(RandomRoute(points_m + CORNER_M, facts={"z_m": np.full(len(points_m), 60.004)}, ground=ground), file)
+        write_path(RandomRoute(points_m + CORNER_M, facts={"z_m": [60.004] * len(points_m)}, ground=ground), file)
         xyz_m = heights_over_the_sea(file, terrain_m)
         at = np.linspace(0, len(xyz_m) - 1, 100 * len(xyz_m) + 1)
         x_m, y_m, z_m = (np.interp(at, np.arange(len(xyz_m)), values) for values in xyz_m.T)
@@ -222,7 +222,7 @@ def test_what_is_no_end_or_has_none_is_refused(tmp_path):
 def zoned(zones) -> RandomRoute:
     """A level route at 60 m along the middle of the region."""
     xy_m = np.array([[200.0, 1000.0], [1800.0, 1000.0]]) + CORNER_M
-    return RandomRoute(xy_m, facts={"z_m": np.full(2, 60.0)}, zones=tuple(zones))
+    return RandomRoute(xy_m, facts={"z_m": [60.0, 60.0]}, zones=tuple(zones))
 
 
 def disc(x_m, y_m, radius_m) -> shapely.Polygon:

@@ -142,7 +142,7 @@ def test_neither_a_planner_nor_refinement_takes_a_short_cut_through_a_diagonal_w
     is_free[-1, -1] = True  # the way around
     problem = walled_problem(is_free)
     through = run(name, always(problem))
-    with pytest.raises(InputError, match="passes between two that touch at a corner"):
+    with pytest.raises(InputError, match="passes between two closed ones that touch at a corner"):
         refine(problem, through)
     assert refine(always(problem), through).cost <= through.cost < np.inf
     path = run(name, problem)
