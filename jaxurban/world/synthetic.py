@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 import shapely
@@ -122,30 +122,12 @@ def _clip(polygons: np.ndarray, area: shapely.Polygon) -> np.ndarray:
     return clipped
 
 
-@dataclass(frozen=True)
-class _Cells:
-    """Street blocks of one part of the city, ``n`` of them, out to the middle of the streets around them.
+def _lay_out_cells(plan: CityPlan, part: Land) -> tuple[np.recarray, np.ndarray]:
+    """Return the street blocks of a part, and their outlines as far as they lie ashore and in the box.
 
-    Attributes:
-      frame: of the street grid.
-      low_m, high_m: ``[n, 2]`` along and across, the two opposite corners, streets included.
-      street_m: width of streets (at the ends along) and of avenues (at the ends across).
-      district: ``[n]`` int32.
+    Blocks reach to the middle of the streets around them. Of each: ``low_m`` and ``high_m``, its two opposite corners
+    along and across the part's frame, ``centre_xy`` and ``district``.
     """
-
-    frame: StreetFrame
-    low_m: np.ndarray
-    high_m: np.ndarray
-    street_m: tuple[float, float]
-    district: np.ndarray
-
-    @property
-    def centre_xy(self) -> np.ndarray:
-        return self.frame.xy(*((self.low_m + self.high_m) / 2).T)
-
-
-def _lay_out_cells(plan: CityPlan, part: Land) -> tuple[_Cells, np.ndarray]:
-    """Return the street blocks of a part, and their outlines as far as they lie ashore and in the box."""
     along, across = part.frame.local(shapely.get_coordinates(plan.box))
     rows = np.arange(math.floor(along.min() / part.pitch_m[0]), math.ceil(along.max() / part.pitch_m[0]))
     # Avenues half a pitch off the axis: with an odd number of columns the park lies between two of them.
@@ -161,8 +143,9 @@ def _lay_out_cells(plan: CityPlan, part: Land) -> tuple[_Cells, np.ndarray]:
     if part.is_island:
         district = plan.district(centre_xy)
         kept &= ~shapely.contains_xy(plan.park(), centre_xy)
-    street_m = float(np.clip(0.225 * part.pitch_m[0], 8.0, 18.0)), float(np.clip(0.11 * part.pitch_m[1], 14.0, 30.0))
-    return _Cells(part.frame, low_m[kept], high_m[kept], street_m, district[kept]), outline[kept]
+    of_blocks = {"low_m": low_m, "high_m": high_m, "centre_xy": centre_xy, "district": district}
+    kinds = [(name, values.dtype, values.shape[1:]) for name, values in of_blocks.items()]
+    return np.rec.fromarrays([*of_blocks.values()], dtype=kinds)[kept], outline[kept]
 
 
 def _split(rng: np.random.Generator, start: np.ndarray, end: np.ndarray, num: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -188,12 +171,14 @@ def _rectangle(lots: np.recarray, frame: StreetFrame, front, back, left, right) 
     return _outline(lots, frame, (front, left), (front, wide), (deep, wide), (deep, left))
 
 
-def _lay_out_lots(rng: np.random.Generator, cells: _Cells, is_single: np.ndarray, lot_m: np.ndarray) -> np.recarray:
+def _lay_out_lots(
+    rng: np.random.Generator, part: Land, cells: np.recarray, is_single: np.ndarray, lot_m: np.ndarray
+) -> np.recarray:
     """Return the lots of blocks: one row through the block where ``is_single``, else two rows back to back.
 
     Of each: its ``block``, where its street front lies, which way it runs from there (``sign``), depth, and two sides.
     """
-    street_m, avenue_m = cells.street_m
+    street_m, avenue_m = part.street_m
     block = np.repeat(np.arange(len(is_single)), np.where(is_single, 1, 2))
     is_second = np.r_[False, block[1:] == block[:-1]]
     left_m, right_m = cells.low_m[block, 1] + avenue_m / 2, cells.high_m[block, 1] - avenue_m / 2
@@ -212,7 +197,7 @@ def _lay_out_lots(rng: np.random.Generator, cells: _Cells, is_single: np.ndarray
     return np.rec.fromarrays([*columns.values()], dtype=[(name, values.dtype) for name, values in columns.items()])
 
 
-def _erect(rng: np.random.Generator, plan: CityPlan, cells: _Cells) -> tuple[Footprints, np.ndarray]:
+def _erect(rng: np.random.Generator, plan: CityPlan, part: Land, cells: np.recarray) -> tuple[Footprints, np.ndarray]:
     """Return the buildings on street blocks, and the block that each stands on."""
     district, n = cells.district, len(cells.district)
     is_island = district != OTHER_DISTRICT
@@ -223,7 +208,9 @@ def _erect(rng: np.random.Generator, plan: CityPlan, cells: _Cells) -> tuple[Foo
     has_towers = (chance < 1.2 * depth_of - 0.1) | is_core
     has_slabs = ~has_towers & (chance > 0.93)
     is_single = has_towers | has_slabs | ((cells.high_m - cells.low_m)[:, 0] < 55.0)
-    lots = _lay_out_lots(rng, cells, is_single, np.select([has_towers, has_slabs, is_island], [54.0, 60.0, 27.0], 44.0))
+    lots = _lay_out_lots(
+        rng, part, cells, is_single, np.select([has_towers, has_slabs, is_island], [54.0, 60.0, 27.0], 44.0)
+    )
     is_square = rng.random(n) < np.where(is_island, 0.025 * ~has_towers, 0.05)
     is_vacant = rng.random(len(lots.block)) < np.where(is_island, 0.04, 0.12)[lots.block]
     lots = lots[is_core[lots.block] | ~(is_square[lots.block] | is_vacant)]
@@ -241,18 +228,18 @@ def _erect(rng: np.random.Generator, plan: CityPlan, cells: _Cells) -> tuple[Foo
     is_ell = ~is_single[block] & (shape < 0.25)
 
     def rectangles(which: np.ndarray, front, back, left, right) -> np.ndarray:
-        return shapely.polygons(_rectangle(lots[which], cells.frame, front, back, left, right))
+        return shapely.polygons(_rectangle(lots[which], part.frame, front, back, left, right))
 
     polygons = np.empty(m, object)
     bar = ~(is_tower | is_court | is_ell)
     polygons[bar] = rectangles(bar, front_m[bar], back_m[bar], side_m[bar], side_m[bar])
-    ring, hole = (_rectangle(lots[is_court], cells.frame, d, d, d, d) for d in (1.5, 16.0))
+    ring, hole = (_rectangle(lots[is_court], part.frame, d, d, d, d) for d in (1.5, 16.0))
     polygons[is_court] = shapely.polygons(ring, holes=shapely.linearrings(hole)[:, None])
     # An L: a bar along the street with a wing behind its left half.
     some, front, left = lots[is_ell], front_m[is_ell], side_m[is_ell]
     deep, rear, right, middle = some.depth_m * 0.6, some.depth_m * 0.93, wide_m[is_ell] - left, wide_m[is_ell] * 0.45
     ell = (front, left), (front, right), (deep, right), (deep, middle), (rear, middle), (rear, left)
-    polygons[is_ell] = shapely.polygons(_outline(some, cells.frame, *ell))
+    polygons[is_ell] = shapely.polygons(_outline(some, part.frame, *ell))
     # A tower is an outline as high as its podium, and a part that stands on it.
     polygons[is_tower] = rectangles(is_tower, 1.5, 1.5, 1.0, 1.0)
     num_towers = int(is_tower.sum())
@@ -283,7 +270,7 @@ def _build(extent_m: Box, crs: str, seed: int) -> City:
     for part in parts:
         cells, outline = _lay_out_cells(plan, part)
         dry = part.land.buffer(-plan.margin_m)
-        houses, block = _erect(rng, plan, cells)
+        houses, block = _erect(rng, plan, part, cells)
         houses = replace(houses, polygons=_clip(houses.polygons, (plan.box & dry) - plan.broadway()))
         kept = shapely.area(houses.polygons) > MIN_BUILDING_M2
         area_km2, num_blocks = shapely.area(outline) / 1e6, len(outline)

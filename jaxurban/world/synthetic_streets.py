@@ -99,6 +99,12 @@ class Land:
     frame: StreetFrame
     pitch_m: tuple[float, float]
 
+    @property
+    def street_m(self) -> tuple[float, float]:
+        """Width of streets and of avenues."""
+        street_m, avenue_m = np.clip(0.225 * self.pitch_m[0], 8.0, 18.0), np.clip(0.11 * self.pitch_m[1], 14.0, 30.0)
+        return float(street_m), float(avenue_m)
+
 
 class CityPlan:
     """The macro layout, scaled to a box; see `Land` for what each area of land gets."""
