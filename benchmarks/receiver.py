@@ -27,8 +27,7 @@ from benchmarks.common import ROOT
 from jaxurban.errors import StaleElementsWarning
 from jaxurban.io.read.receiver import ERROR, TRACKED
 from jaxurban.maps.scenario import changed
-from jaxurban.report.figures.receiver import name_of
-from jaxurban.report.receiver import score_table, with_interval
+from jaxurban.report.receiver import name_of, score_table, with_interval
 from jaxurban.report.write import table
 from jaxurban.studies.bootstrap import Interval
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE

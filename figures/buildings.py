@@ -9,7 +9,7 @@ import jaxurban as ju
 from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.differentiable import SoftParams, soften
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.report.figures.buildings import plot_building_costs
+from jaxurban.report.buildings import plot_building_costs
 from jaxurban.report.write import write_png
 from jaxurban.studies.weights.buildings import building_costs
 from jaxurban.world.grid import Grid

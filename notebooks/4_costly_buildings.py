@@ -30,8 +30,8 @@ import numpy as np
 import pandas as pd
 
 import jaxurban as ju
+from jaxurban.report.buildings import plot_building_costs
 from jaxurban.report.figures import plot_paths
-from jaxurban.report.figures.buildings import plot_building_costs
 
 city = ju.demo_city(width_m=1_600, height_m=1_600)
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(25.0,))

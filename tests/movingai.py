@@ -1,10 +1,17 @@
 """Reading MovingAI's grid benchmark files, for tests of what is written and of what was published."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from jaxurban.report.benchmark import GridProblem
+
+class GridProblem(NamedTuple):
+    """A shortest-path query on a map, cells as (row, column) from the southwest; ``length`` in cell sides."""
+
+    start: tuple[int, int]
+    goal: tuple[int, int]
+    length: float
 
 
 def read_map(file: Path) -> np.ndarray:

@@ -18,9 +18,17 @@ from jaxurban.paths.path import PlannedPath, finish, map_settings
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.registry import find_planner
-from jaxurban.report.figures.frame import NO_DATA_COLOUR, MapLayer, MapPanel, add_scale, draw_layers, draw_maps
+from jaxurban.report.figures.frame import (
+    NO_DATA_COLOUR,
+    MapLayer,
+    MapPanel,
+    add_scale,
+    draw_layers,
+    draw_maps,
+    joined,
+    rules_said,
+)
 from jaxurban.report.figures.metrics import obstacle_patches
-from jaxurban.report.figures.notes import joined, rules_said
 from jaxurban.report.figures.paths import (
     BLOCKED_COLOUR,
     COST_COLOURS,

@@ -22,8 +22,7 @@ from figures.paper.common import (
     save,
     synthetic_city,
 )
-from jaxurban.report.figures.frame import MapPanel, draw_maps
-from jaxurban.report.figures.notes import joined
+from jaxurban.report.figures.frame import MapPanel, draw_maps, joined
 from jaxurban.report.figures.style import FAINT_INK, INK, Colours
 from jaxurban.world.city import OTHER_DISTRICT
 from jaxurban.world.grid import WGS84, Grid, transformer

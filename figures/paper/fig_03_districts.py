@@ -20,8 +20,7 @@ from figures.paper.common import (
     synthetic_city,
 )
 from jaxurban.metrics.population import Population, block_layers
-from jaxurban.report.figures.frame import MapPanel, draw_maps
-from jaxurban.report.figures.notes import joined
+from jaxurban.report.figures.frame import MapPanel, draw_maps, joined
 from jaxurban.report.figures.style import INK, Colours
 from jaxurban.world.city import Blocks
 from jaxurban.world.grid import Grid

@@ -19,9 +19,8 @@ from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.bounds import make_bounds
 from jaxurban.planners.bitstar.planner import Batches, BitStarOptions, bitstar_plus
 from jaxurban.planners.bitstar.tree import Tree
-from jaxurban.report.figures.frame import MapLayer, MapPanel, draw_maps, flat_layer
+from jaxurban.report.figures.frame import MapLayer, MapPanel, draw_maps, flat_layer, frame_note, rules_said
 from jaxurban.report.figures.metrics import percent
-from jaxurban.report.figures.notes import frame_note, rules_said
 from jaxurban.report.figures.style import FAINT_INK, INK, Colours
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0

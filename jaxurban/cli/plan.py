@@ -86,7 +86,7 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
         raise InputError(f"--simplify must be metres from 0 up, got {simplify_m:g}")
     with_report |= "speed_m_s" in flight
     if profile is not None:
-        from jaxurban.report.figures.files import check_picture, save_profile
+        from jaxurban.report.figures.profile import check_picture, save_profile
 
         check_picture(profile)
     maps = open_maps(folder, given["resolution_m"], obstacles=given["obstacles"])

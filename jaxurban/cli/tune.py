@@ -1,6 +1,5 @@
 """jaxurban tune."""
 
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -65,7 +64,7 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     """
     from jaxurban.metrics.weights import Weights
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.report.tuning import RoutesOnMaps, TuneSettings, run_tuning
+    from jaxurban.report.tuning import TuneSettings, run_tuning
     from jaxurban.studies.route_pool import FitSettings
 
     def named(*options: str) -> dict[str, Any]:
@@ -90,9 +89,10 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
         fit=FitSettings(**named("max_rounds", "seed", "budget_s")),
     )
     of_maps = {name: given[name] for name in ("resolution_m", "obstacles")}
-    sources = [RoutesOnMaps(MapsFolder(folder, **of_maps), tuple(routes)) for folder, *routes in _sources(words, given)]
-    command = shlex.join(["jaxurban", *(word for word in click.get_current_context().obj if word != "--json")])
-    facts = run_tuning(sources, out, settings, overwrite=given["overwrite"], command=command)
+    sources: dict[MapsFolder, list[Path]] = {}
+    for folder, *routes in _sources(words, given):
+        sources.setdefault(MapsFolder(folder, **of_maps), []).extend(routes)
+    facts = run_tuning(sources, out, settings, overwrite=given["overwrite"])
     for warning in facts.get("unidentified", []) + facts.get("warnings", []):
         tell(f"warning: {warning}")
     if "message" in facts:

@@ -1,8 +1,7 @@
 """Instances as a public benchmark: MovingAI files for shortest paths, maps and Parquet for weighted ones."""
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,7 +16,6 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.planners.base import Status
 from jaxurban.planners.cost import CostModel
 from jaxurban.report.write import fill
-from jaxurban.studies.montecarlo.analysis import each
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics, weight_columns
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED, Benchmark
 
@@ -29,14 +27,6 @@ FREE, BLOCKED = ".", "@"
 BUCKET = 4  # problems are sorted into buckets of so many cells of optimal length
 
 
-class GridProblem(NamedTuple):
-    """A shortest-path query on a map, cells as (row, column) from the southwest; ``length`` in cell sides."""
-
-    start: tuple[int, int]
-    goal: tuple[int, int]
-    length: float
-
-
 def write_map(is_free: np.ndarray, file: Path) -> None:
     """Write ``[Y, X]`` free cells as a ``.map`` file."""
     num_rows, num_cols = is_free.shape
@@ -45,16 +35,18 @@ def write_map(is_free: np.ndarray, file: Path) -> None:
     write_whole(file, f"type octile\nheight {num_rows}\nwidth {num_cols}\nmap\n".encode() + text.tobytes())
 
 
-def write_scenarios(problems: Iterable[GridProblem], shape: tuple[int, int], map_name: str, file: Path) -> None:
-    """Write problems on a map of a shape (rows, columns) as a ``.scen`` file, short ones first."""
+def write_scenarios(problems: pd.DataFrame, shape: tuple[int, int], map_name: str, file: Path) -> None:
+    """Write shortest-path queries on a map of a shape (rows, columns) as a ``.scen`` file, short ones first.
+
+    ``problems``: ``start_row``, ``start_col``, ``goal_row`` and ``goal_col`` from the southwest, and the ``length`` of
+    the shortest path in cell sides.
+    """
     num_rows, num_cols = shape
-    lines = ["version 1"]
-    for start, goal, length in sorted(problems, key=lambda problem: problem.length):
-        (row0, col0), (row1, col1) = start, goal
-        places = (col0, num_rows - 1 - row0, col1, num_rows - 1 - row1)
-        facts = (int(length / BUCKET), map_name, num_cols, num_rows, *places, f"{length:.8f}")
-        lines.append("\t".join(map(str, facts)))
-    write_whole(file, "\n".join(lines) + "\n")
+    shown = problems.sort_values("length", kind="stable")
+    ends = {"x0": shown.start_col, "y0": num_rows - 1 - shown.start_row}
+    ends |= {"x1": shown.goal_col, "y1": num_rows - 1 - shown.goal_row, "length": shown.length.map("{:.8f}".format)}
+    of_map = {"bucket": (shown.length / BUCKET).astype(int), "map": map_name, "width": num_cols, "height": num_rows}
+    write_whole(file, "version 1\n" + pd.DataFrame(of_map | ends).to_csv(sep="\t", header=False, index=False))
 
 
 def export_benchmark(
@@ -153,16 +145,11 @@ def _write_grid(
         (rows.objective == DISTANCE) & (rows.status == Status.OPTIMAL.value) & rows.planner.isin(GRID_PLANNERS)
     ]
     proven = proven[proven.altitude_m == altitude_m].drop_duplicates("instance")
-    lengths = dict(zip(proven.instance, proven.length_m, strict=True))
-    problems = []
-    for pair in each(instances[instances.altitude_m == altitude_m]):
-        if pair.instance in lengths:
-            start, goal = (
-                tuple(int(number) for number in grid.cell_of_xy(x_m, y_m))
-                for x_m, y_m in ((pair.start_x_m, pair.start_y_m), (pair.goal_x_m, pair.goal_y_m))
-            )
-            length = lengths[pair.instance] / grid.resolution_m
-            problems.append(GridProblem((start[0], start[1]), (goal[0], goal[1]), length))
+    pairs = instances[instances.altitude_m == altitude_m].merge(proven[["instance", "length_m"]], on="instance")
+    start_row, start_col = grid.cell_of_xy(pairs.start_x_m.to_numpy(), pairs.start_y_m.to_numpy())
+    goal_row, goal_col = grid.cell_of_xy(pairs.goal_x_m.to_numpy(), pairs.goal_y_m.to_numpy())
+    cells = {"start_row": start_row, "start_col": start_col, "goal_row": goal_row, "goal_col": goal_col}
+    problems = pd.DataFrame(cells | {"length": pairs.length_m.to_numpy() / grid.resolution_m})
     write_map(is_free, folder / GRID_FOLDER / f"{stem}.map")
     write_scenarios(problems, is_free.shape, f"{stem}.map", folder / GRID_FOLDER / f"{stem}.map.scen")
     return len(problems)

@@ -1,11 +1,16 @@
 """What buildings cost a route over a folder of maps: the sources read again, a table and a map written."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import geopandas as gpd
 import jax
 import numpy as np
 import pandas as pd
+import shapely
+from matplotlib.colors import SymLogNorm
+from matplotlib.figure import Figure
 
 from jaxurban.errors import InputError, typed
 from jaxurban.io.files import read_json
@@ -16,9 +21,67 @@ from jaxurban.maps.provenance import hash_inputs
 from jaxurban.maps.run import tasks_of
 from jaxurban.maps.scenario import Scenario
 from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.buildings import plot_building_costs
+from jaxurban.report.figures.frame import (
+    ENDS,
+    LegendEntry,
+    MapPanel,
+    draw_maps,
+    joined,
+    place_said,
+    rules_said,
+    time_said,
+)
+from jaxurban.report.figures.paths import draw_ends
+from jaxurban.report.figures.style import Colours
 from jaxurban.report.write import save
 from jaxurban.studies.weights.buildings import building_costs
+from jaxurban.world.city import City
+from jaxurban.world.grid import Grid
+
+ROUTE_COLOUR, LAND_COLOUR = "#111111", "#d9d9d9"
+MARGIN_M = 250.0  # around the route
+
+
+def plot_building_costs(city: City, planned: PlannedPath, table: pd.DataFrame, grid: Grid) -> Figure:
+    """Return the map of the buildings near a route, coloured by what one more metre of each costs the route.
+
+    Colours are logarithmic on both sides of zero: red costs, blue helps, white has no effect.
+
+    Args:
+      city: whose outlines are drawn.
+      planned: the route.
+      table: from `jaxurban.studies.weights.buildings.building_costs`.
+      grid: the region; what lies beyond it is not drawn.
+    """
+    assert city.buildings is not None
+    settings, polygons = planned.settings, city.buildings.polygons
+    place = f"{planned.altitude_m:g} m above ground", time_said(settings["time"]), settings["time_of_day"]
+    cells = f"softness {table.attrs['softness_m']:g} m", f"{grid.resolution_m:g} m cells", grid.crs, place_said(grid)
+    note = f"{joined(*place, *cells, city.attribution)}\n{rules_said(settings)}"
+    most = max(float(table.per_metre.abs().max()) if len(table) else 0.0, 1e-12)
+    ticks = -most, -most / 100, 0.0, most / 100, most
+    norm = SymLogNorm(most / 1000, vmin=-most, vmax=most)
+    colours = Colours("RdBu_r", norm, "cost per metre of height", ticks=ticks)
+    low = np.maximum(planned.xy_m.min(axis=0) - MARGIN_M, grid.bounds_m[:2])
+    high = np.minimum(planned.xy_m.max(axis=0) + MARGIN_M, grid.bounds_m[2:])
+    first = np.floor(low / grid.resolution_m + 1e-6).astype(int)
+    num_cols, num_rows = map(int, np.ceil(high / grid.resolution_m - 1e-6).astype(int) - first)
+    near = replace(grid, first_row=int(first[1]), first_col=int(first[0]), num_rows=num_rows, num_cols=num_cols)
+    panels = [MapPanel(f"{planned.search.planner}, cost {planned.cost:,.1f}")]
+    heading = "What one more metre of each building costs the route"
+    legend: list[LegendEntry] = [("route", ROUTE_COLOUR), *ENDS]
+    figure, (panel,) = draw_maps(near, panels, heading, note, legend=legend, colours=colours)
+    panel.set_facecolor(LAND_COLOUR)
+    per_metre = np.zeros(len(polygons))
+    per_metre[table.building] = table.per_metre
+    is_near = shapely.intersects(polygons, shapely.box(*near.bounds_m))
+    look = {"edgecolor": "#555555", "linewidth": 0.25, "aspect": None, "autolim": False}
+    if is_near.any():
+        gpd.GeoSeries(polygons[is_near]).plot(ax=panel, color=list(colours(per_metre[is_near])), **look)
+    panel.plot(*planned.xy_m.T, color=ROUTE_COLOUR, linewidth=1.5, solid_joinstyle="round", zorder=4)
+    draw_ends(panel, [planned])
+    return figure
+
 
 BUILDINGS_FILES = "buildings.csv", "buildings.parquet", "buildings.png"
 

@@ -23,7 +23,7 @@ from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.sensitivity_study import weights_said
-from jaxurban.report.write import Output, counted, fill, listed, study_outputs
+from jaxurban.report.write import Output, fill, listed, study_outputs
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.analysis import complementarity
@@ -278,7 +278,7 @@ def report_markdown(result: BenchmarkResult, tables: dict[str, pd.DataFrame], fi
         {**tables, "success": _by_range(tables["success"])},
         figures,
         [result.maps.attribution],
-        instances=counted(table.instance.nunique(), "instance"),
+        num_instances=table.instance.nunique(),
         num_runs=len(table),
         planners=listed(sorted(table.planner.unique())),
         grid=result.maps.grid,

@@ -9,7 +9,7 @@ import pandas as pd
 
 from jaxurban.paths.constraints import constraints_said
 from jaxurban.planners.cost import CostModel
-from jaxurban.report.figures.notes import joined
+from jaxurban.report.figures.frame import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.write import REPORT_FILE, Output, files_of, fill, listed, study_outputs
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -43,13 +43,6 @@ UNDER = "cost_model", "constraints", "preset"  # settings of routes
 ONE_FIT: dict[str, Any] = {"hold_out": 0.0, "by_city": False}
 
 
-class RoutesOnMaps(NamedTuple):
-    """The folder of maps, and the files of routes that lie on them; none where instances are sampled."""
-
-    maps: MapsFolder
-    routes: tuple[Path, ...] = ()
-
-
 @dataclass(frozen=True)
 class TuneSettings:
     """How weights are fitted.
@@ -73,12 +66,11 @@ class TuneSettings:
 
 
 def run_tuning(
-    sources: Sequence[RoutesOnMaps],
+    sources: Mapping[MapsFolder, Sequence[Path]],
     folder: Path,
     settings: TuneSettings,
     *,
     overwrite: bool = False,
-    command: str = "jaxurban.report.tuning.run_tuning",
     progress: Progress = True,
 ) -> dict[str, Any]:
     """Fit weights, write everything under ``folder``, and return the facts that ``--json`` prints.
@@ -86,11 +78,11 @@ def run_tuning(
     A run that was interrupted goes on where it stopped; one that had finished ends at the same weights again.
 
     Args:
-      sources: routes and maps; all of them are fitted together.
+      sources: of each folder of maps the files of routes that lie on them, none where instances are sampled; all of
+        them are fitted together.
       folder: written to; made if it is not there.
       settings: of the fit.
       overwrite: forget the fit of other routes or settings that the folder holds.
-      command: for the report.
       progress: as in `jaxurban.progress.reporting`.
 
     Raises:
@@ -101,19 +93,20 @@ def run_tuning(
         raise InputError(f"cannot write to the output folder {str(folder)!r}: it is a file")
     if settings.pilot is not None and not any(settings.pilot.to_dict().values()):
         raise InputError("every weight of the pilot is 0, so that all routes cost the same: give one above 0 (--pilot)")
-    drawn = [Path(source.maps.folder).resolve() for source in sources if not source.routes]
-    if twice := [each for each in drawn if drawn.count(each) > 1]:
+    lacking = [source.folder for source, files in sources.items() if not files and settings.sample is None]
+    if lacking:
         raise InputError(
-            f"the maps in {str(twice[0])!r} are named twice, so that their routes would count twice: name them once"
+            f"there are no routes for the maps in {str(lacking[0])!r}: name files of routes after it, or sample "
+            "instances (--sample)"
         )
-    opened, fits = [source.maps.open() for source in sources], ONE_FIT | dict(settings.fits)
+    opened, fits = [source.open() for source in sources], ONE_FIT | dict(settings.fits)
     targets = [Target.parse(text) for text in settings.targets]
     with reporting("tune", progress) as report:
         report("routes")
         cities: dict[str, list[Demonstration]] = {}
-        names = _names_of([Path(source.maps.folder).resolve() for source in sources])
-        for source, maps, name in zip(sources, opened, names, strict=True):
-            cities.setdefault(name, []).extend(_demonstrations(source, maps, settings))
+        names = _names_of([Path(source.folder).resolve() for source in sources])
+        for files, maps, name in zip(sources.values(), opened, names, strict=True):
+            cities.setdefault(name, []).extend(_demonstrations(files, maps, settings))
         demonstrations = [each for shown in cities.values() for each in shown]
         how = replace(settings.fit, state_file=folder / STATE_FILE, progress=report)
         fit: WeightFit | TargetFit
@@ -133,8 +126,9 @@ def run_tuning(
             report("routes under the fitted weights")
             planned = optimal_demonstrations([each.query for each in demonstrations], fit.weights)
             report("figures and report")
-            drawn_from = [(_routes_said(source, settings), str(source.maps.folder)) for source in sources]
-            asked = {"targets": ", ".join(map(str, targets)), "command": command}
+            sampled = f"{settings.sample} instances sampled with seed {settings.fit.seed}"
+            drawn_from = [(", ".join(map(str, files)) or sampled, source.folder) for source, files in sources.items()]
+            asked = {"targets": ", ".join(map(str, targets))}
             asked["sources"] = "; ".join(f"`{routes}` over the maps in `{where}`" for routes, where in drawn_from)
             if found is not None and len(found.fits) == 1 and not found.is_held_out.any():
                 found = None  # nothing to compare
@@ -153,17 +147,12 @@ def _names_of(folders: Sequence[Path]) -> list[str]:
     return [names[folder] for folder in folders]
 
 
-def _demonstrations(source: RoutesOnMaps, maps: MetricMaps, settings: TuneSettings) -> list[Demonstration]:
-    """Return the routes of one source on its maps."""
+def _demonstrations(files: Sequence[Path], maps: MetricMaps, settings: TuneSettings) -> list[Demonstration]:
+    """Return the routes on the maps of one folder."""
     if settings.sample is None:
-        if not source.routes:
-            raise InputError(
-                f"there are no routes for the maps in {str(source.maps.folder)!r}: name files of routes after it, or "
-                "sample instances (--sample)"
-            )
-        return [each for file in source.routes for each in read_demonstrations(file, maps, **settings.routes)]
-    if source.routes:
-        raise InputError(f"{str(source.routes[0])!r} holds routes, and others are to be sampled: choose one of both")
+        return [each for file in files for each in read_demonstrations(file, maps, **settings.routes)]
+    if files:
+        raise InputError(f"{str(files[0])!r} holds routes, and others are to be sampled: choose one of both")
     if settings.pilot is None and not settings.targets:
         raise InputError("sampled instances have no routes of their own: name the weights of the pilot who flies them")
     given = settings.routes
@@ -184,13 +173,6 @@ def _demonstrations(source: RoutesOnMaps, maps: MetricMaps, settings: TuneSettin
     return demonstrations_from_paths(paths, maps, metrics=given.get("metrics"), **under)
 
 
-def _routes_said(source: RoutesOnMaps, settings: TuneSettings) -> str:
-    """Return where the routes of a source are from, for the report."""
-    if settings.sample is not None:
-        return f"{settings.sample} instances sampled with seed {settings.fit.seed}"
-    return ", ".join(map(str, source.routes))
-
-
 def outputs_of(
     fit: WeightFit | TargetFit,
     demonstrations: Sequence[Demonstration],
@@ -203,17 +185,14 @@ def outputs_of(
     Args:
       fit: of the weights.
       demonstrations, planned: the routes as given, and those under the weights.
-      asked: for the report: ``sources`` of the routes, ``targets`` and ``command``.
+      asked: for the report: ``sources`` of the routes, and ``targets``.
       found: further fits, which the fit is compared with, and routes that were held out.
     """
     pictures = _pictures(demonstrations)
     first = next(iter(pictures.values()))
     units = [weight_units(first)[name] for name in fit.names]
-    vector, routes, fields = (
-        fit.weights.vector(fit.names),
-        compared_routes(demonstrations, planned),
-        dict[str, Any](asked),
-    )
+    vector, fields = fit.weights.vector(fit.names), dict[str, Any](asked)
+    routes = compared_routes(demonstrations, planned)
     tables: dict[str, pd.DataFrame] = {}
     outputs: dict[str, Output] = {"learning_curve": fit.curve}
     if isinstance(fit, WeightFit):
@@ -305,10 +284,9 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
         "elapsed_s": fit.elapsed_s,
     }
     if isinstance(fit, WeightFit):
-        low, high = (fit.table[end].to_dict() for end in ("low", "high"))
-        has_interval = all(value == value for value in low.values())
+        ends = fit.table[["low", "high"]].to_numpy()
         return facts | {
-            "interval": {name: [low[name], high[name]] for name in fit.names} if has_interval else None,
+            "interval": None if np.isnan(ends).all() else dict(zip(fit.names, ends.tolist(), strict=True)),
             "mean_regret": float(fit.regret.mean()),
             "best_mean_regret": fit.best_mean_regret,
             "is_settled": fit.is_settled,
@@ -341,14 +319,9 @@ def weights_toml(fit: WeightFit | TargetFit, on: CostMap) -> str:
         f"# They belong to the cost model {on.cost_model.kind!r}{_where(on)}: plan with",
         f"#   --cost-model {on.cost_model.kind} --weights {weights_option(fit.weights)}",
         "[weights]",
-        *(f"{name} = {_toml_number(value)}" for name, value in fit.weights.to_dict().items()),
+        *(f"{name} = {value:.6g}" for name, value in fit.weights.to_dict().items()),
     ]
     return "\n".join(lines) + "\n"
-
-
-def _toml_number(value: float) -> str:
-    text = f"{value:.6g}"
-    return text if any(mark in text for mark in ".e") else f"{text}.0"
 
 
 def _where(on: CostMap) -> str:

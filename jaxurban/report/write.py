@@ -133,11 +133,6 @@ def cell(value: Any) -> str:
     return "" if not math.isfinite(value) else f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
-def short(value: float) -> str:
-    """Return a number with about three digits, thousands with commas."""
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
-
-
 def listed(items: Iterable[str]) -> str:
     """Return ``a``, ``a and b`` or ``a, b and c``."""
     *most, last = items
@@ -147,8 +142,3 @@ def listed(items: Iterable[str]) -> str:
 def bullets(lines: Iterable[str]) -> str:
     """Return a list, a line each."""
     return "\n".join(f"- {line}" for line in lines)
-
-
-def counted(number: int, noun: str, plural: str = "") -> str:
-    """Return ``1 instance``, ``2 instances``."""
-    return f"{number} {noun if number == 1 else plural or f'{noun}s'}"

@@ -20,8 +20,8 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, cautious_profile, without_fix
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
+from jaxurban.report.figures.frame import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.metrics import line_colour
-from jaxurban.report.figures.notes import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer import markup

@@ -1,10 +1,11 @@
 """MovingAI's files: written and read back, and the published ones read."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from jaxurban.report.benchmark import GridProblem, write_map, write_scenarios
-from tests.movingai import read_map, read_scenarios
+from jaxurban.report.benchmark import write_map, write_scenarios
+from tests.movingai import GridProblem, read_map, read_scenarios
 
 
 def test_a_map_is_written_north_first_and_read_back(tmp_path):
@@ -16,7 +17,9 @@ def test_a_map_is_written_north_first_and_read_back(tmp_path):
 
 def test_problems_are_sorted_by_length_and_read_back(tmp_path):
     problems = [GridProblem((0, 0), (1, 2), 9.5), GridProblem((1, 1), (0, 1), 1.0)]
-    write_scenarios(problems, (2, 3), "a.map", tmp_path / "a.map.scen")
+    cells = [(*start, *goal, length) for start, goal, length in problems]
+    table = pd.DataFrame(cells, columns=["start_row", "start_col", "goal_row", "goal_col", "length"])
+    write_scenarios(table, (2, 3), "a.map", tmp_path / "a.map.scen")
     lines = (tmp_path / "a.map.scen").read_text().splitlines()
     assert lines[0] == "version 1"
     assert lines[1].split("\t") == ["0", "a.map", "3", "2", "1", "0", "1", "1", "1.00000000"]

@@ -31,7 +31,7 @@ from jaxurban.paths.constraints import (
 from jaxurban.paths.plan import rules_on
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.report.figures.notes import rules_said
+from jaxurban.report.figures.frame import rules_said
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.paths.volumes import plan_volume

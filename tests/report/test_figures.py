@@ -22,10 +22,9 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import Path, Status
 from jaxurban.report import figures as plotting
-from jaxurban.report.figures.files import maps_figures
 from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps
 from jaxurban.report.figures.metrics import percent
-from jaxurban.report.figures.paths import PLANNER_COLOURS
+from jaxurban.report.figures.paths import PLANNER_COLOURS, maps_figures
 from jaxurban.report.figures.style import chart
 from jaxurban.report.write import DPI, write_png
 from jaxurban.world.grid import Grid

@@ -9,8 +9,7 @@ from matplotlib.colors import Normalize
 from matplotlib.text import Text
 
 import jaxurban as ju
-from jaxurban.report.figures.map_comparison import comparison_figures, difference_colours, plot_difference
-from jaxurban.report.map_comparison import comparison_markdown
+from jaxurban.report.map_comparison import comparison_figures, comparison_markdown, difference_colours, plot_difference
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.studies.test_map_comparison import changed_from

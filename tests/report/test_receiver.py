@@ -7,8 +7,7 @@ import pytest
 from matplotlib.text import Text
 
 import jaxurban as ju
-from jaxurban.report.figures.receiver import plot_scatter
-from jaxurban.report.receiver import validation_markdown, with_interval
+from jaxurban.report.receiver import plot_scatter, validation_markdown, with_interval
 from tests.cli_runs import assert_one_sentence, run
 from tests.receiver_logs import SCENARIO, drive, found, scenario, true_log
 

@@ -179,7 +179,6 @@ def test_sampled_instances_are_flown_by_the_pilot_and_need_one(made, tmp_path, c
     for arguments, words in (
         (sampled, ("name the weights of the pilot",)),
         ((*sampled, "--pilot", "distance=0,gps=0"), ("every weight of the pilot is 0",)),
-        ((*sampled, made / "maps", "--pilot", "gps=1"), ("named twice",)),
         (("tune", made / "maps", "-o", tmp_path / "other"), ("name files of routes", "--sample")),
         (
             ("tune", made / "maps", made / "routes.geojson", "-o", tmp_path / "b", "--sample", 3),

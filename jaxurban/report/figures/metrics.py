@@ -23,11 +23,14 @@ from jaxurban.report.figures.frame import (
     LegendEntry,
     MapLayer,
     MapPanel,
+    availability_threshold,
     classes_layer,
     draw_maps,
     flat_layer,
+    frame_note,
+    meaning_of,
+    symbol_of,
 )
-from jaxurban.report.figures.notes import availability_threshold, frame_note, meaning_of, symbol_of
 from jaxurban.report.figures.style import Colours, ends_of
 
 AVAILABILITY = "gps_availability"

@@ -1,7 +1,9 @@
-"""Pictures of paths over the normalised cost, and the overview of one region."""
+"""Pictures of paths over the normalised cost, the overview of one region, and all pictures of a region as PNG."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from itertools import cycle
+from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -11,19 +13,41 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal, Stroke
 
 from jaxurban.errors import InputError
+from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.metrics.registry import ON_REQUEST
 from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.frame import ENDS, LegendEntry, MapLayer, MapPanel, draw_maps, mark_ends
+from jaxurban.report.figures.frame import (
+    ENDS,
+    LegendEntry,
+    MapLayer,
+    MapPanel,
+    draw_maps,
+    frame_note,
+    joined,
+    mark_ends,
+    rules_said,
+    time_said,
+)
 from jaxurban.report.figures.metrics import (
+    AVAILABILITY,
+    drawn_variables,
     free_layer,
     layers_above_zero,
     metric_colours,
     obstacle_layer,
     obstacle_patches,
+    plot_epochs,
+    plot_gps_rating,
+    plot_heights,
+    plot_metric,
+    plot_obstacles,
+    plot_population,
+    plot_sensor_choice,
     roof_layers,
 )
-from jaxurban.report.figures.notes import frame_note, joined, rules_said, time_said
 from jaxurban.report.figures.style import Colours
+from jaxurban.report.write import save
 
 # The paper's colours (tab10), then the rest of tab10 for planners that it does not have.
 PLANNER_COLOURS = {
@@ -207,3 +231,51 @@ def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = N
     figure, axes = draw_maps(maps.grid, panels, heading, note, legend=legend, has_ticks=False)
     draw_paths(axes[-1], found, [colours[path.search.planner] for path in found])
     return figure
+
+
+def save_figures(maps: GivenMaps, paths: Paths, folder: str | Path) -> list[Path]:
+    """Write every picture of these maps and paths as PNG and return the files; each appears whole or not at all.
+
+    GPS at one time is drawn at the first; of several times there is also a panel each (``gps_epochs``) and the share of
+    them at which it is good enough (``gps_availability``), of a long series the latter and what 5 % stay below.
+
+    Args:
+      maps: from `build_maps` or `open_maps`.
+      paths: one, several or a batch; empty for maps alone.
+      folder: where to; made if it is not there.
+
+    Raises:
+      InputError: the folder cannot be written to, or holds such files that were not written so, or changed since.
+    """
+    maps = as_maps(maps)
+    outputs = {f"{name}.png": draw for name, draw in maps_figures(maps, paths).items()}
+    with Workspace.shared(Path(folder), "maps --figures", outputs):
+        return save(folder, outputs)
+
+
+def maps_figures(maps: MetricMaps, paths: Paths) -> dict[str, Callable[[], Figure]]:
+    """Return what draws each picture of these maps and paths, by file name."""
+    figures: dict[str, Callable[[], Figure]] = {
+        "overview": lambda: plot_overview(maps, paths),
+        "heights": lambda: plot_heights(maps),
+        "obstacle": lambda: plot_obstacles(maps),
+        **{name: partial(plot_metric, maps, name) for name in maps.metrics if name != "population"},
+        "sensor_choice": lambda: plot_sensor_choice(maps),
+    }
+    if paths_in(paths):
+        figures["paths"] = lambda: plot_paths(maps, paths)
+    else:
+        for time_of_day in maps.times_of_day or (None,):
+            name = "cost" if len(maps.times_of_day) < 2 else f"cost_{time_of_day}"
+            figures[name] = partial(plot_paths, maps, (), time_of_day=time_of_day)
+    for name, variable in drawn_variables(maps).items():
+        is_of_series = name.endswith(("_availability", "_p05")) and maps.variable(variable.of) != variable.of
+        if name == AVAILABILITY or is_of_series or variable.of in ON_REQUEST:
+            figures[name] = partial(plot_metric, maps, name)
+    if len(maps.times) > 1 and maps.default_time is not None:
+        figures["gps_epochs"] = lambda: plot_epochs(maps)
+    if "gdop" in maps.ds:  # statistics over a long series hold none
+        figures["gps_rating"] = lambda: plot_gps_rating(maps)
+    if "density" in maps.ds:
+        figures["population"] = lambda: plot_population(maps)
+    return figures

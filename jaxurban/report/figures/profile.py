@@ -1,5 +1,6 @@
 """The profile of a planned route: what it meets, by distance flown."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,14 +9,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
+from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, GUESSED, without_fix
-from jaxurban.report.figures.frame import GUESSED_COLOUR
+from jaxurban.report.figures.frame import GUESSED_COLOUR, frame_note
 from jaxurban.report.figures.metrics import BUILT_COLOUR
-from jaxurban.report.figures.notes import frame_note
 from jaxurban.report.figures.style import FAINT_INK, SMALL_PT, TEXT_PT, chart, dress, show_plain, styled
+from jaxurban.report.write import save
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#d62728", "#5b3a8c", "#ffd9d4"
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most
@@ -110,3 +112,22 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
     panel.yaxis.set_major_locator(FixedLocator([tick for tick in CLEARANCE_TICKS_M if tick <= top_m]))
     panel.yaxis.set_minor_locator(NullLocator())
     show_plain(panel.yaxis)
+
+
+def check_picture(file: str | Path) -> None:
+    """Raise InputError unless `save_profile` can write this file: call it before a long search."""
+    file = Path(file)
+    if file.suffix.lower() != ".png":
+        raise InputError(f"cannot draw {str(file)!r}: end its name in .png")
+    if not file.parent.is_dir() or file.is_dir():
+        raise InputError(f"cannot write {str(file)!r}: name a file in a folder that is there")
+
+
+def save_profile(planned: PlannedPath, maps: GivenMaps, file: str | Path, report: RouteReport | None = None) -> None:
+    """Write the profile of a route (`plot_profile`) as PNG; the file appears whole or not at all.
+
+    Raises:
+      InputError: there is no path, the maps are others, or the file cannot be written.
+    """
+    check_picture(file)
+    save(Path(file).parent, {Path(file).name: lambda: plot_profile(planned, maps, report)})

@@ -14,9 +14,8 @@ from matplotlib.patches import Patch, Polygon
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import LogLocator, NullLocator
 
-from jaxurban.report.figures.frame import ENDS, LegendEntry, MapPanel, draw_maps
-from jaxurban.report.figures.metrics import obstacle_patches, percent
-from jaxurban.report.figures.notes import frame_note, joined, rules_said
+from jaxurban.report.figures.frame import ENDS, LegendEntry, MapPanel, draw_maps, frame_note, joined, rules_said
+from jaxurban.report.figures.metrics import obstacle_patches
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, cost_layers, draw_ends
 from jaxurban.report.figures.style import (
     FAINT_INK,
@@ -31,12 +30,11 @@ from jaxurban.report.figures.style import (
     show_plain,
     styled,
 )
-from jaxurban.report.write import counted, listed
+from jaxurban.report.write import listed
 from jaxurban.studies.weights.study import Sensitivity
 
 GIVEN_COLOUR, FIRST_COLOUR = "#d62728", "#0072b2"
 ON_ROUTES_COLOUR = "#ffffff"  # of the given weights' route over others of all colours
-NUMBER_LOOK = {"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": INK, "linewidth": 0.4, "alpha": 0.85}
 PALE = 0.6  # of white in the colour of the other routes of a kind
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, math.sqrt(3) / 2]])  # of the triangle on the page
 STAR: dict[str, Any] = {"linestyle": "none", "marker": "*", "color": "white", "markeredgecolor": "black"}
@@ -74,14 +72,14 @@ def plot_breakpoints(found: Sensitivity) -> Figure:
         for axis in (panel.xaxis, panel.yaxis):
             show_plain(axis)
         panel.set(xlim=ends, xlabel=f"weight of {name} (1)")
-        panel.set_title(f"{name}: {counted(len(line.breakpoints), 'breakpoint')}")
+        panel.set_title(f"{name}, breakpoints: {len(line.breakpoints)}")
     axes[0].set_ylabel("cheapest cost (1)")
     return figure
 
 
 def plot_breakpoint_routes(found: Sensitivity) -> Figure:
     """Return a map for each weight with the routes along its range, coloured by where they are the cheapest."""
-    titles = [f"{name}: {counted(len(found.lines[name].cells), 'route')}" for name in found.lines]
+    titles = [f"{name}, routes: {len(found.lines[name].cells)}" for name in found.lines]
     low, high = found.settings.factors
     powers = range(*(math.ceil(math.log10(factor) - 1e-9) for factor in (low, 10 * high)))
     ticks = [10.0**power for power in powers]
@@ -112,27 +110,18 @@ def plot_triangle(found: Sensitivity) -> Figure:
         paleness = 0.0 if number in found.representatives else PALE
         colour = (1 - paleness) * np.array(to_rgb(SERIES_COLOURS[cluster])) + paleness
         panel.add_patch(Polygon(cell @ CORNERS, facecolor=colour, edgecolor="white", linewidth=0.5))
-    look: dict[str, Any] = {"ha": "center", "va": "center", "size": TEXT_PT, "color": INK}
-    for cluster, number in enumerate(found.representatives, start=1):
-        x, y = parts.cells[number].mean(axis=0) @ CORNERS
-        panel.text(x, y, str(cluster), bbox=NUMBER_LOOK, **look)
     panel.add_patch(Polygon(CORNERS, fill=False, edgecolor=INK, linewidth=0.9))
     panel.plot(*(found.weights[at] / found.weights[at].sum() @ CORNERS), markersize=13, **STAR)
     for (x, y), name in zip(CORNERS, found.settings.triangle, strict=True):
-        panel.text(x, y + (0.04 if y else -0.04), f"all on {name}", **look)
+        panel.text(x, y + (0.04 if y else -0.04), f"all on {name}", ha="center", va="center", size=TEXT_PT, color=INK)
     panel.set(xlim=(-0.12, 1.12), ylim=(-0.08, 0.95), aspect="equal")
     panel.set_axis_off()
-    lengths_km = found.tables()["triangle"]["length_m"].to_numpy()[found.representatives] / 1000
-    shares, counts = np.bincount(found.clusters, parts.sizes), np.bincount(found.clusters)
-    names = [
-        f"{k + 1}: {percent(shares[k])}, {counts[k]}, {length_km:.2f} km" for k, length_km in enumerate(lengths_km)
-    ]
+    names = [f"cluster {k + 1}" for k in range(len(found.representatives))]
     handles: list[Patch | Line2D] = [
         Patch(facecolor=colour, label=name) for name, colour in zip(names, SERIES_COLOURS, strict=False)
     ]
     handles.append(Line2D([], [], markersize=11, label="given weights", **STAR))
-    title = "cluster: share of the triangle, routes,\nlength of the route in full colour"
-    figure.legend(handles=handles, title=title, alignment="left", loc="outside right upper")
+    figure.legend(handles=handles, loc="outside right upper")
     return figure
 
 

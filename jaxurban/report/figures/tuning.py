@@ -9,9 +9,19 @@ from matplotlib.figure import Figure
 from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import map_settings
-from jaxurban.report.figures.frame import ENDS, LegendEntry, MapLayer, MapPanel, draw_maps, flat_layer, mark_ends
+from jaxurban.report.figures.frame import (
+    ENDS,
+    LegendEntry,
+    MapLayer,
+    MapPanel,
+    draw_maps,
+    flat_layer,
+    frame_note,
+    joined,
+    mark_ends,
+    rules_said,
+)
 from jaxurban.report.figures.metrics import obstacle_patches
-from jaxurban.report.figures.notes import frame_note, joined, rules_said
 from jaxurban.report.figures.paths import BLOCKED_COLOUR
 from jaxurban.report.figures.style import Colours, dots, panels, show_plain_log, styled
 from jaxurban.studies.demonstrations import Demonstration
