@@ -15,7 +15,7 @@ from jaxurban.kernels import dop
 from jaxurban.kernels.distance import nearest as distance
 from jaxurban.kernels.lidar import hard
 from jaxurban.kernels.lidar import soft as soft_lidar
-from jaxurban.kernels.line import segment_costs
+from jaxurban.kernels.line.segment_cost import segment_costs
 from jaxurban.kernels.search import frontier, sample_graph
 from jaxurban.kernels.shadows import sweep
 from jaxurban.kernels.shadows.sweep import shadow_heights
@@ -298,8 +298,8 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "population, gradient by gammas": lambda: Call(
         gradient(soft_people, 2), (int32(*REGION), BLOCKS, population.Population())
     ),
-    "edges of BIT*, line": lambda: Call(segment_costs.segment_costs, EDGES, LINE, True),
-    "edges of BIT*, cell": lambda: Call(segment_costs.segment_costs, EDGES, CELL, True),
+    "edges of BIT*, line": lambda: Call(segment_costs, EDGES, LINE, True),
+    "edges of BIT*, cell": lambda: Call(segment_costs, EDGES, CELL, True),
     "BIT*: a batch": lambda: Call(
         sample_graph.search_samples,
         (SAMPLES, float64(*REGION), float64(), array(dtype=bool)),

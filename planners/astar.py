@@ -14,9 +14,8 @@ import numpy as np
 from scipy.ndimage import label
 
 from jaxurban.errors import one_of
-from jaxurban.kernels.search.bounds import printed_plus_field, sums_to
+from jaxurban.kernels.search.bounds import TileBound, printed_plus_field, tile_bound
 from jaxurban.kernels.search.heap import CLOSED, EXHAUSTED, FOUND, PAUSED
-from jaxurban.kernels.search.tiles import TileBound, tile_bound
 from jaxurban.planners.base import Cell, Path, Problem, Status
 from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.grid_search import (
@@ -178,7 +177,8 @@ def _volume_heuristic(name: str, problem: Problem, octile: Heuristic, end_s: flo
     longest_m = problem.resolution_m * (np.sqrt(2) if problem.cost_model.connectivity == 8 else 1)
     rise_m = rises_m(problem)
     change = problem.distance_weight * (np.hypot(longest_m, rise_m) - longest_m) + height_cost(problem, rise_m)
-    rise = sums_to(problem.goal[0], change[:-1, 2], change[1:, 0])
+    up, down, goal = change[:-1, 2], change[1:, 0], problem.goal[0]
+    rise = np.concatenate([np.cumsum(up[:goal][::-1])[::-1], [0.0], np.cumsum(down[goal:])])
     if name == "none":
         return NO_HEURISTIC._replace(num_rows=num_rows, rise=np.zeros(len(rise_m)))
     if name == "octile":

@@ -9,8 +9,7 @@ from typing import Any, Protocol, Self, TypeVar
 import numpy as np
 
 from jaxurban.errors import InputError, positive
-from jaxurban.kernels.search.tiles import tile_minima
-from jaxurban.kernels.search.weighing import are_costs, in_rows, weighted_sum
+from jaxurban.kernels.search.bounds import tile_minima
 from jaxurban.planners.cost import CostKind, CostModel, PathFeatures, allowed_moves, path_features
 
 Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest
@@ -18,6 +17,7 @@ T = TypeVar("T")
 
 EVERY_PATH = "paths at any angle"  # of `Path.graph`
 NO_COST = "The path costs nothing under these weights, so its shape means nothing: weigh the distance too."
+CELLS_AT_ONCE = 2**14  # of layers that are added up: a core's cache holds them
 ROUNDING = 1 + 1e-12  # a path that much above the lower bound is the best one
 EXIT_PATH, EXIT_NO_PATH, EXIT_BUDGET = 0, 3, 4
 
@@ -117,7 +117,7 @@ class Problem:
         object.__setattr__(self, "cost_model", CostModel.of(self.cost_model))
         positive("resolution_m", self.resolution_m, "metres")
         # Each layer, not only the sum, so that a negative one cannot hide behind another; NaN fails too.
-        if not are_costs(in_rows(costs), in_rows(is_free[None])[0]):
+        if not (((costs >= 0) & (costs < np.inf)) | ~is_free).all():
             raise InputError("costs must be finite and not negative on free cells: check the maps")
         object.__setattr__(self, "costs", costs)
         object.__setattr__(self, "is_free", is_free)
@@ -261,7 +261,7 @@ class Problem:
 
     @property
     def tile_minima(self) -> np.ndarray:
-        """``[I + 2, J + 2]`` the cheapest free cell of every tile, in a frame (see `kernels.search.tiles`)."""
+        """``[I + 2, J + 2]`` the cheapest free cell of every tile, in a frame (see `kernels.search.bounds`)."""
         if "tile_minima" not in self.shared:
             self.shared["tile_minima"] = tile_minima(self.cost, self.is_free)
         minima: np.ndarray = self.shared["tile_minima"]
@@ -373,3 +373,18 @@ class Planner(Protocol):
 
     def __call__(self, problem: Problem, *, budget_s: float, seed: int) -> Path:
         """Return the path found within ``budget_s`` seconds of search."""
+
+
+def weighted_sum(costs: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return ``[*cells]`` float64 the weighted sum of layers ``[L, *cells]``, added in their order.
+
+    Some rows at a time, which a core's cache holds: the same weights give the same bits whoever sums them.
+    """
+    sums = np.zeros(costs.shape[1:])
+    num_rows = max(1, CELLS_AT_ONCE * len(sums) // max(sums.size, 1))
+    for first in range(0, len(sums), num_rows):
+        rows = slice(first, first + num_rows)
+        for layer, weight in zip(costs, weights, strict=True):
+            if weight != 0:
+                sums[rows] += weight * layer[rows]
+    return sums

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.search.bounds import TileBound, tile_estimate
 from jaxurban.kernels.search.heap import (
     CLOSED,
     EXHAUSTED,
@@ -24,7 +25,6 @@ from jaxurban.kernels.search.heap import (
     insert,
     refill,
 )
-from jaxurban.kernels.search.tiles import TileBound, tile_estimate
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import STEPS
 

@@ -48,27 +48,6 @@ def disc(radius_m: float, resolution_m: float) -> Int[np.ndarray, "D 2"]:
     return offsets[order[run_m[order] < radius_m]].astype(np.int32)
 
 
-def _padded_and_size(raster: Float[Array, "Y X"], axis: int, window: int) -> tuple[Array, int]:
-    """Return a raster with a margin of inf at both ends of an axis, and its own size along it."""
-    pad = [(0, 0), (0, 0)]
-    pad[axis] = (window, window)
-    return jnp.pad(raster, pad, constant_values=jnp.inf), raster.shape[axis]
-
-
-def _min_plus(squared_m2: jax.Array, axis: int, window: int, resolution_m: float) -> jax.Array:
-    """Return the lower envelope of parabolas along one axis, over offsets up to ``window`` cells."""
-    padded, size = _padded_and_size(squared_m2, axis, window)
-
-    def add_offset(nearest, offset):
-        run_m2 = (offset * resolution_m).astype(nearest.dtype) ** 2
-        before = lax.dynamic_slice_in_dim(padded, window - offset, size, axis)
-        after = lax.dynamic_slice_in_dim(padded, window + offset, size, axis)
-        return jnp.minimum(nearest, jnp.minimum(before, after) + run_m2), None
-
-    nearest, _ = lax.scan(add_offset, squared_m2, jnp.arange(1, window + 1), unroll=OFFSETS_PER_PASS)
-    return nearest
-
-
 @partial(jax.jit, static_argnames=("resolution_m", "cap_m"))
 def capped_distance(source_m2: Float[Array, "Y X"], *, resolution_m: float, cap_m: float) -> Float[Array, "Y X"]:
     """Return the distance to the nearest source, at most ``cap_m``, ``[Y, X]`` metres.
@@ -84,8 +63,8 @@ def capped_distance(source_m2: Float[Array, "Y X"], *, resolution_m: float, cap_
     which is exact up to the cap.
     """
     window = window_cells(cap_m, resolution_m)
-    along_rows = _min_plus(source_m2, 1, window, resolution_m)
-    return capped_root(_min_plus(along_rows, 0, window, resolution_m), cap_m)
+    along_rows, _ = _lower_envelope(source_m2, 1, window, resolution_m)
+    return capped_root(_lower_envelope(along_rows, 0, window, resolution_m)[0], cap_m)
 
 
 @partial(jax.jit, static_argnames=("resolution_m", "cap_m"))
@@ -135,7 +114,8 @@ def squared_drop(drop_m: Float[Array, "*n"], scale_m: Float[Array, ""]) -> Float
 
 def _lower_envelope(squared_m2: jax.Array, axis: int, window: int, resolution_m: float) -> tuple[jax.Array, jax.Array]:
     """Return the lower envelope of parabolas along one axis, and the offset of the cell that it comes from."""
-    padded, size = _padded_and_size(squared_m2, axis, window)
+    margins = [(window, window) if k == axis else (0, 0) for k in (0, 1)]
+    padded, size = jnp.pad(squared_m2, margins, constant_values=jnp.inf), squared_m2.shape[axis]
 
     def look(state, offset):
         nearest, where = state

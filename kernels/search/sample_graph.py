@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxurban.kernels.line.segment_costs import segment_costs
+from jaxurban.kernels.line.segment_cost import segment_costs
 
 NO_QUERY = -1
 NO_PARENT = -1

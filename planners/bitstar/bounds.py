@@ -10,7 +10,6 @@ import numpy as np
 from jaxurban.errors import one_of
 from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.line.traversal import DIAGONAL_SIDES
-from jaxurban.kernels.search.bounds import line_minima
 from jaxurban.planners.base import Problem
 
 HEURISTICS = ("euclidean", "plus")
@@ -121,7 +120,8 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
     if heuristic == "euclidean":
         return bounds
     cheapest = problem.cost[is_reachable].min()
-    minima = [np.where(np.isfinite(m), m - cheapest, 0.0) for m in line_minima(problem.cost, is_reachable)]
+    cost = np.where(is_reachable, problem.cost, np.inf)
+    minima = [np.where(np.isfinite(m), m - cheapest, 0.0) for m in (cost.min(axis=1), cost.min(axis=0))]
     if problem.cost_model.kind == "line":
         sides_per_reference = problem.resolution_m / problem.cost_model.reference_length_m
         row_sum, col_sum = (np.append(0.0, np.cumsum(m)) * sides_per_reference for m in minima)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxurban.kernels.search.bounds import line_minima, printed_plus_field, sums_to
+from jaxurban.kernels.search.bounds import printed_plus_field
 
 
 def box_reduction(layers, goal, first_index):
@@ -36,15 +36,3 @@ def test_the_printed_field_counts_the_nodes_own_column_where_the_goal_lies_west(
     layers = np.array([[[1.0, 0.0, 5.0]]])  # goal, free ground, node
     assert printed_plus_field(layers, (0, 0), 1)[0, 2] == 5.0  # the true map cost of going west is 0 + 1
     assert printed_plus_field(layers[..., ::-1], (0, 2), 1)[0, 0] == 1.0  # mirrored it is right
-
-
-def test_a_line_of_obstacles_has_no_cheapest_cell():
-    is_free = np.array([[True, False, True], [True, False, True]])
-    rows, cols = line_minima(np.full((2, 3), 2.0), is_free)
-    np.testing.assert_array_equal(rows, [2, 2])
-    np.testing.assert_array_equal(cols, [2, np.inf, 2])
-
-
-def test_sums_along_a_row_count_the_steps_between():
-    np.testing.assert_array_equal(sums_to(2, np.array([2.0, 4.0, 8.0]), np.array([1.0, 2.0, 4.0])), [6, 4, 0, 4])
-    np.testing.assert_array_equal(sums_to(0, np.empty(0), np.empty(0)), [0])

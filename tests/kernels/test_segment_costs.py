@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from shapely import LineString, box
 
-from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
-from jaxurban.kernels.line.segment_costs import segment_costs
+from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost, segment_costs
 
 SHAPE = (9, 12)
 NUM_SEGMENTS = 200

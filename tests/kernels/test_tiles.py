@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from jaxurban.kernels.search.tiles import TILE
+from jaxurban.kernels.search.bounds import TILE
 from jaxurban.planners.astar import astar, heuristic_at, make_heuristic
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.cost import CostModel

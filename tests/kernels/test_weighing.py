@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxurban.kernels.search.weighing import are_costs, weighted_sum
+from jaxurban.planners.base import weighted_sum
 
 
 def random_layers(seed, dtype=np.float32, cells=(7, 19), num_layers=4):
@@ -39,17 +39,3 @@ def test_sums_are_taken_over_cells_of_any_shape(cells):
     costs, weights = np.ones((2, *cells), np.float32), np.array([0.5, 2.0])
     np.testing.assert_array_equal(weighted_sum(costs, weights), np.full(cells, 2.5))
     np.testing.assert_array_equal(weighted_sum(costs[:0], weights[:0]), np.zeros(cells))
-
-
-@pytest.mark.parametrize("wrong", [-1e-30, -np.inf, np.inf, np.nan])
-def test_one_wrong_cost_on_a_free_cell_is_found_and_one_elsewhere_is_not(wrong):
-    is_free = np.random.default_rng(1).random((5, 33)) < 0.5
-    for dtype in (np.float32, np.float64):
-        costs = np.zeros((3, 5, 33), dtype)
-        costs[1, ~is_free] = wrong
-        costs[0, 0] = -0.0
-        assert are_costs(costs, is_free)
-        for cell in np.argwhere(is_free):
-            one_wrong = costs.copy()
-            one_wrong[(2, *cell)] = wrong
-            assert not are_costs(one_wrong, is_free)

@@ -10,8 +10,7 @@ import pytest
 from shapely import LineString
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
-from jaxurban.kernels.line.segment_costs import segment_costs
+from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost, segment_costs
 from jaxurban.planners.any_angle import refine
 from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Path, Problem, Status

@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import map_settings
 from jaxurban.report.figures.frame import (
@@ -65,7 +64,7 @@ def plot_routes(
     title = joined(f"{cost_map.altitude_m:g} m above ground", cost_map.time_of_day)
     fitted = dict(zip(("distance", *cost_map.names), weights.tolist(), strict=True))
     note = f"{frame_note(maps, cost_map.time)}\n{rules_said(map_settings(cost_map) | {'weights': fitted})}"
-    cost = weighted_sum(cost_map.costs, weights[1:])
+    cost = np.tensordot(weights[1:], cost_map.costs, axes=1)
     free = cost[cost_map.is_free]
     least, most = float(free.min()), float(np.percentile(free, 99))
     norm = Normalize(least, least + max(PALE * (most - least), 1e-12))
