@@ -235,16 +235,12 @@ def heights_of_surface(name: str, surface: Raster, terrain: Raster | None, crs: 
         )
     above = heights_above(surface, terrain)
     num_sunken, num = int(np.sum(above.values < -GROUND_M)), int(np.isfinite(above.values).sum())
-    if num_sunken > num / 2:
+    raised = _raised_share(above, crs)
+    if num_sunken > num / 2 or raised > MOST_RAISED:
         raise InputError(
-            f"{name} lies below the terrain in {num_sunken / num:.0%} of its cells: if it holds heights above ground, "
-            'leave out [buildings] kind = "surface"; else bring both to one vertical datum and unit'
-        )
-    if (raised := _raised_share(above, crs)) > MOST_RAISED:
-        raise InputError(
-            f"{name} is more than {GROUND_M:g} m off the terrain all over {raised:.0%} of its blocks of {BLOCK_M:g} m, "
-            "streets and yards included: bring both to one vertical datum and unit, and check which of them is the "
-            "terrain"
+            f"{name} does not stand on the terrain ({num_sunken / num:.0%} of its cells lie below it, {raised:.0%} of "
+            f"its blocks of {BLOCK_M:g} m are off it all over, streets and yards included): bring both to one vertical "
+            'datum and unit, or leave out [buildings] kind = "surface" if it holds heights above ground'
         )
     warnings.warn(
         f"heights are {name} less the terrain: trees, bridges and cranes in it count as buildings, and what is lower "
