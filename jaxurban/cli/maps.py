@@ -19,7 +19,7 @@ from jaxurban.cli.common import (
     tell_warnings,
     use_device,
 )
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, at_least
 from jaxurban.progress import reporting
 
 if TYPE_CHECKING:
@@ -49,11 +49,7 @@ TAKEN = (".", "geotiff", "maps.zarr", "figures")  # no folder of a scenario besi
     "[default: obstacles and the metrics of the cost, which are written always]",
 )
 @click.option("--memory", help="Ceiling on the memory of the whole run, such as 4GiB. [default: half of what is free]")
-@click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    help="Work in so many processes (Dask), on the CPU.  [default: a thread a core]",
-)
+@click.option("--workers", type=int, help="Work in so many processes (Dask), on the CPU.  [default: a thread a core]")
 @click.option("--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786.")
 @DEVICE_CHOICE()
 @click.option(
@@ -129,6 +125,8 @@ def _folder_names(scenario_files: Sequence[Path]) -> list[str]:
 def _workers(given: Settings) -> int | str | None:
     """Return the processes or the address of a cluster that the options name, if any, once what computes is settled."""
     workers, cluster, device = given["workers"], given["cluster"], given["device"]
+    if workers is not None:
+        at_least("--workers", workers, 1)
     if workers is not None and cluster is not None:
         raise InputError("give either --workers, for processes of this machine, or --cluster, not both")
     if workers is not None and device == "gpu":

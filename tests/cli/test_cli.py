@@ -208,7 +208,7 @@ def test_bad_scenarios_are_one_sentence_and_exit_two(tmp_path, capsys, old, new,
     [
         (("--memory", "much"), ("4GiB", "much")),
         (("--memory", "100MiB"), ("raise --memory", "100 MiB", "resolution_m")),
-        (("--workers", 0), ("--workers", "at least 1")),
+        (("--workers", 0), ("--workers", "from 1 up")),
         (("--workers", 2, "--memory", "1GiB"), ("raise --memory", "fewer --workers")),
         (("--workers", 2, "--cluster", "tcp://localhost:8786"), ("not both",)),
     ],
