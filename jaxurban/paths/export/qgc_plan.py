@@ -100,7 +100,7 @@ def to_qgc_plan(routes: Named, report: "RouteReport | None", end: str = "land") 
         "groundStation": "QGroundControl",
         # No key of the format: readers leave it alone.
         "note": description_of(facts, mission_note(route, end)),
-        "settings": facts.get("settings", {}),  # nor is this: what the path was planned under, for fits of weights
+        "settings": facts.get("settings", {}),  # nor is this: what the path was planned under
         "mission": {
             "version": 2,
             "firmwareType": MAV_AUTOPILOT_PX4,
