@@ -26,8 +26,6 @@ from jaxurban.report.figures.sensitivity import (
     plot_breakpoint_routes,
     plot_breakpoints,
     plot_pareto,
-    plot_triangle,
-    plot_triangle_routes,
 )
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
@@ -66,18 +64,6 @@ plot_breakpoint_routes(found)
 found.breakpoints("lidar").drop(columns="weight_name").round(3)
 
 # %% [markdown]
-# ## Three weights against each other
-#
-# Three weights share their sum in all ways. Each colour is a cluster of routes; the star is where the given weights
-# lie.
-
-# %%
-plot_triangle(found)
-
-# %%
-plot_triangle_routes(found)
-
-# %% [markdown]
 # ## All weights at once
 #
 # Sobol indices: the share of the variation in what the route is like that a weight explains alone (first-order), and
@@ -85,7 +71,7 @@ plot_triangle_routes(found)
 # more samples (`num_samples`) narrow.
 
 # %%
-found.sobol.table.round(2)
+found.sobol.round(2)
 
 # %% [markdown]
 # ## What can be had for what

@@ -126,7 +126,7 @@ GOOD: dict[str, Callable[[], dict[str, Any]]] = {
 WRONG: dict[str, Any] = {
     **dict.fromkeys(("planner", "planners", "distance_only", "heuristic", "objective"), "a-star"),
     **dict.fromkeys(("cost_model", "preset", "CostModel.kind"), "cells"),
-    **dict.fromkeys(("CostMap.only.metrics", "metrics", "vary", "triangle", "objectives"), ("gsp",)),
+    **dict.fromkeys(("CostMap.only.metrics", "metrics", "vary", "objectives"), ("gsp",)),
     **dict.fromkeys(("start", "goal", "reference", "centre_lonlat"), (1e300, 0.0)),
     **dict.fromkeys(("start_xy_m", "goal_xy_m"), ("east", "north")),
     "PlannedPath.save.end": "hover",
@@ -221,7 +221,7 @@ WRONG |= {
 WRONG |= dict.fromkeys(  # known only with the maps, the files or the folder, or as good as none
     (
         *("building_costs.weights", "FitSettings.state_file", "MapsFolder.folder", "sensitivity_study.scenarios"),
-        *("SensitivitySettings.vary", "SensitivitySettings.triangle", "SensitivitySettings.objectives"),
+        *("SensitivitySettings.vary", "SensitivitySettings.objectives"),
         *("SensitivityStudySettings.vary", "write_buildings.out", "write_buildings.scenario"),
         *("Population.blocks", "City.from_files.terrain", "Gps.orbits", "Buildings.source", "Terrain.source"),
         *("read_demonstrations.metrics", "Study.land_cover"),

@@ -214,7 +214,7 @@ def test_nothing_is_lost_after_a_kill_and_the_run_goes_on(place, job, name, ende
 
 def test_refused_options_leave_no_record(job_of_maps, monkeypatch, capsys):
     monkeypatch.chdir(job_of_maps)
-    for more in (("--triangle", "gps"), ("--pareto", "gps,gps"), ("--range", "0,1"), ("--vary", "x")):
+    for more in (("--pareto", "gps,gps"), ("--range", "0,1"), ("--vary", "x")):
         assert run(capsys, "sensitivity", "maps", *ENDS, "-o", "out", *more)[0] == 2
         assert not os.path.exists("out/checksums.json")
     for more in (("--range", "0,1"), ("--vary", "x")):

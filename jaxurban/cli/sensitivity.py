@@ -48,11 +48,8 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.command()
 @ROUTE
 @click.option("--samples", "num_samples", type=int, default=128, show_default=True, help="For Sobol; a power of two.")
-@click.option(
-    "--triangle", default="", metavar="A,B,C", help="Three weights to share.  [default: those that cost most]"
-)
 @click.option("--pareto", default="", metavar="A,B[,C]", help="What to trade.  [default: distance, the two dearest]")
-@click.option("--tolerance", type=float, default=1e-3, show_default=True, help="Of triangle and front; 1e-9 is exact.")
+@click.option("--tolerance", type=float, default=1e-3, show_default=True, help="Of the front; 1e-9 is exact.")
 @click.option("--buildings", "with_buildings", is_flag=True, help="Also rank buildings by what they cost the route.")
 @click.option(
     "--scenario", type=SCENARIO_FILE, help="That made the maps, where --buildings needs its folder; of one DIR."
@@ -76,7 +73,6 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
         raise click.UsageError("--scenario belongs to --buildings: add that")
     how = SensitivitySettings(
         vary=names_in(given["vary"]),
-        triangle=names_in(given["triangle"]),
         objectives=names_in(given["pareto"]),
         **{name: given[name] for name in ("factors", "num_samples", "tolerance", "seed")},
     )

@@ -16,8 +16,8 @@ from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
 from jaxurban.studies.weights.sobol import FEW_SAMPLES, NOISE
 from jaxurban.studies.weights.study import Sensitivity
 
-TABLES = "cost_gradient", "local", "sobol", "switches", "pareto", "triangle", "triangle_cells"
-FIGURES = "switches", "switch_routes", "pareto", "triangle", "triangle_routes"
+TABLES = "cost_gradient", "local", "sobol", "switches", "pareto"
+FIGURES = "switches", "switch_routes", "pareto"
 FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
 ALIKE = 0.05  # routes are much the same where no outcome differs by more than this share
 MORE = 1.1  # the change of a weight that the report tells about: 10 %
@@ -32,8 +32,6 @@ def sensitivity_outputs(found: Sensitivity) -> tuple[dict[str, Output], dict[str
     settings = {"route": route.settings, "lonlat": route.lonlat[[0, -1]].tolist(), "weights": found.weights.tolist()}
     settings |= asdict(found.settings)
     tables = {name: table.reset_index() for name, table in found.tables().items()}
-    if found.triangle is not None:
-        tables["triangle_cells"] = found.triangle_cells()
     outputs = study_outputs(sensitivity_markdown(found), tables, sensitivity_figures(found))
     return outputs, json.loads(json.dumps(settings, default=str))
 
@@ -61,8 +59,6 @@ def sensitivity_markdown(found: Sensitivity, buildings: pd.DataFrame | None = No
         limits=constraints_said(settings["limits"]) or "none",
         cost_model=CostModel.from_settings(settings),
         note=" ".join(filter(None, (route.search.note, *route.cautions))),
-        names=", ".join(found.settings.triangle),
-        total=found.weights[[found.names.index(name) for name in found.settings.triangle]].sum(),
         objectives=listed(found.front.objectives),
         ALIKE=ALIKE,
         MORE=MORE - 1,
@@ -90,13 +86,7 @@ def shown_tables(found: Sensitivity) -> dict[str, pd.DataFrame]:
     tables = {name: table.rename(index=outcome_label).rename_axis("outcome") for name, table in tables.items()}
     tables["changes"] = changes.rename(columns=outcome_label).rename_axis(f"{MORE - 1:.0%} more of", axis=0)
     tables |= {"costs": found.cost, "ends": points.loc[[points[name].idxmin() for name in points]]}
-    tables = {name: table.reset_index() for name, table in tables.items()} | {"ranges": pd.DataFrame(at)}
-    if found.triangle is not None:
-        routes = found.tables()["triangle"]
-        clusters = routes.groupby("kind").agg(share=("share", "sum"), routes=("kind", "size"))
-        lengths_m = routes["length_m"].to_numpy()[found.representatives]
-        tables["clusters"] = clusters.rename_axis("cluster").reset_index().assign(length_m=lengths_m)
-    return tables
+    return {name: table.reset_index() for name, table in tables.items()} | {"ranges": pd.DataFrame(at)}
 
 
 def ranges(found: Sensitivity, name: str) -> dict[str, float]:

@@ -182,30 +182,3 @@ def outcomes_of(integrals: Float[AnyArray, "*N K"], names: Sequence[str]) -> dic
         outcome: integrals[..., k] if outcome in (LENGTH, PEOPLE) else integrals[..., k] / length_m
         for k, outcome in enumerate(outcome_names(names))
     }
-
-
-def cluster_routes(values: np.ndarray, sizes: np.ndarray, first: int, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``[N]`` the cluster of each route, and ``[M]`` the route that represents each, ``M <= most``.
-
-    Clusters are as different as can be: each begins with the route least like all before it (farthest-point
-    clustering; Gonzalez 1985), and the others join the most alike. Cluster 0 is that of ``first``, which represents it;
-    the route of the largest cell represents each other cluster.
-
-    Args:
-      values: ``[N, J]`` by which routes are compared, each in units of its spread.
-      sizes: ``[N]`` of the routes' cells.
-      first: number of a route.
-      most: clusters.
-    """
-    spread = values.std(axis=0)
-    scaled = values / np.where(spread > 0, spread, 1.0)
-    seeds = [first]
-    apart = np.linalg.norm(scaled - scaled[first], axis=1)
-    cluster = np.zeros(len(values), int)
-    while len(seeds) < most and apart.max() > 0:
-        seeds.append(int(apart.argmax()))
-        away = np.linalg.norm(scaled - scaled[seeds[-1]], axis=1)
-        cluster = np.where(away < apart, len(seeds) - 1, cluster)
-        apart = np.minimum(apart, away)
-    largest = [int(np.argmax(np.where(cluster == k, sizes, -1.0))) for k in range(1, len(seeds))]
-    return cluster, np.array([first, *largest])

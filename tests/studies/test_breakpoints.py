@@ -11,7 +11,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.paths.plan import cost_map
 from jaxurban.planners.cost import STEPS
-from jaxurban.studies.queries import RouteQuery, cluster_routes
+from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import find_breakpoints, nearest_breakpoints, pareto_front
 from tests.made_maps import made_maps
@@ -142,19 +142,10 @@ def test_with_a_tolerance_no_point_of_the_front_is_dominated_either(query):
         assert not np.any(np.all(exact <= one * (1 + 1e-9), axis=1) & np.any(exact < one * (1 - 1e-9), axis=1))
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"objectives": ("risk",)}, {"triangle": ("risk", "gps", "gps")}, {"tolerance": 0.0}, {"max_plans": 0}]
-)
+@pytest.mark.parametrize("wrong", [{"objectives": ("risk",)}, {"tolerance": 0.0}, {"max_plans": 0}])
 def test_wrong_settings_are_refused(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         ju.studies.SensitivitySettings(**wrong)
-
-
-def test_clusters_gather_what_is_alike_and_begin_with_the_given_one():
-    values = np.array([[0.0, 0], [0.1, 0], [5, 5], [5.1, 5], [0, 0.1]])
-    cluster, representatives = cluster_routes(values, np.array([1.0, 2, 1, 3, 1]), first=4, most=2)
-    assert cluster.tolist() == [0, 0, 1, 1, 0]
-    assert representatives.tolist() == [4, 3]
 
 
 def test_nearest_breakpoints_are_where_dijkstra_first_finds_a_cheaper_route(query):

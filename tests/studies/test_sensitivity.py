@@ -110,7 +110,7 @@ def test_report_names_every_weight_and_every_file_that_it_shows(found, tmp_path)
     for name in found.names:
         assert name in report
     shown = {part.split(")")[0] for part in report.split("](")[1:]}
-    assert len(shown) == 5
+    assert len(shown) == 3
     assert {f"figures/{file.name}" for file in files if file.suffix == ".png"} == shown
     for name, table in found.tables().items():
         for read, suffix in ((pd.read_csv, "csv"), (pd.read_parquet, "parquet")):
@@ -154,7 +154,6 @@ def test_command_writes_the_study_and_prints_json(folder, ends, tmp_path, capsys
     assert code == 0, err
     told = json.loads(out)
     assert set(told["ranges"]) == {"risk", "population"}
-    assert "triangle" not in told["tables"]
     assert (tmp_path / "out" / "report.md").exists()
 
 
@@ -165,7 +164,6 @@ def test_command_writes_the_study_and_prints_json(folder, ends, tmp_path, capsys
         (["--range", "1"], ["--range", "0.1,10"]),
         (["--range", "2,3"], ["range"]),
         (["--samples", 3], ["power of two"]),
-        (["--triangle", "gps,risk"], ["triangle"]),
         (["--pareto", "gps"], ["objectives"]),
         (["--weights", "wind=1"], ["wind"]),
         (["--tolerance", 0], ["tolerance"]),

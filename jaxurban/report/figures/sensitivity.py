@@ -1,4 +1,4 @@
-"""Pictures of what weights do to a route: breakpoints along lines, over a triangle, the Pareto front."""
+"""Pictures of what weights do to a route: breakpoints along lines, the Pareto front."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LogNorm, Normalize, to_rgb
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import LogLocator, NullLocator
 
@@ -20,8 +18,6 @@ from jaxurban.report.figures.paths import BLOCKED_COLOUR, cost_layers, draw_ends
 from jaxurban.report.figures.style import (
     FAINT_INK,
     INK,
-    SERIES_COLOURS,
-    TEXT_PT,
     Colours,
     add_colour_bar,
     chart,
@@ -35,21 +31,15 @@ from jaxurban.studies.weights.study import Sensitivity
 
 GIVEN_COLOUR, FIRST_COLOUR = "#d62728", "#0072b2"
 ON_ROUTES_COLOUR = "#ffffff"  # of the given weights' route over others of all colours
-PALE = 0.6  # of white in the colour of the other routes of a kind
-CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, math.sqrt(3) / 2]])  # of the triangle on the page
-STAR: dict[str, Any] = {"linestyle": "none", "marker": "*", "color": "white", "markeredgecolor": "black"}
 
 
 def sensitivity_figures(found: Sensitivity) -> dict[str, Callable[[], Figure]]:
     """Return what draws each figure, by file name."""
-    figures = {
+    return {
         "switches": lambda: plot_breakpoints(found),
         "switch_routes": lambda: plot_breakpoint_routes(found),
         "pareto": lambda: plot_pareto(found),
     }
-    if found.triangle is not None:
-        figures |= {"triangle": lambda: plot_triangle(found), "triangle_routes": lambda: plot_triangle_routes(found)}
-    return figures
 
 
 @styled
@@ -95,46 +85,6 @@ def plot_breakpoint_routes(found: Sensitivity) -> Figure:
         edge = [Stroke(linewidth=2.4, foreground=INK), Normal()]
         look = {"linewidth": 1.2, "linestyle": (0, (3, 2)), "path_effects": edge, "zorder": 6}
         panel.plot(*found.route.xy_m.T, color=ON_ROUTES_COLOUR, **look)
-    return figure
-
-
-@styled
-def plot_triangle(found: Sensitivity) -> Figure:
-    """Return the partition of the triangle of three weights into the cells of its cheapest routes, by cluster."""
-    parts = found.triangle
-    assert parts is not None, "drawn only where there is a triangle"
-    at = [found.names.index(name) for name in found.settings.triangle]
-    figure = chart(8.8, 4.5, f"{len(parts.cells)} cheapest routes over a triangle of weights")
-    panel = figure.subplots()
-    for number, (cell, cluster) in enumerate(zip(parts.cells, found.clusters, strict=True)):
-        paleness = 0.0 if number in found.representatives else PALE
-        colour = (1 - paleness) * np.array(to_rgb(SERIES_COLOURS[cluster])) + paleness
-        panel.add_patch(Polygon(cell @ CORNERS, facecolor=colour, edgecolor="white", linewidth=0.5))
-    panel.add_patch(Polygon(CORNERS, fill=False, edgecolor=INK, linewidth=0.9))
-    panel.plot(*(found.weights[at] / found.weights[at].sum() @ CORNERS), markersize=13, **STAR)
-    for (x, y), name in zip(CORNERS, found.settings.triangle, strict=True):
-        panel.text(x, y + (0.04 if y else -0.04), f"all on {name}", ha="center", va="center", size=TEXT_PT, color=INK)
-    panel.set(xlim=(-0.12, 1.12), ylim=(-0.08, 0.95), aspect="equal")
-    panel.set_axis_off()
-    names = [f"cluster {k + 1}" for k in range(len(found.representatives))]
-    handles: list[Patch | Line2D] = [
-        Patch(facecolor=colour, label=name) for name, colour in zip(names, SERIES_COLOURS, strict=False)
-    ]
-    handles.append(Line2D([], [], markersize=11, label="given weights", **STAR))
-    figure.legend(handles=handles, loc="outside right upper")
-    return figure
-
-
-def plot_triangle_routes(found: Sensitivity) -> Figure:
-    """Return the map with a route of each cluster, in the colours of `plot_triangle`."""
-    title = f"{len(found.clusters)} routes over the triangle of {listed(found.settings.triangle)}: one of each cluster"
-    names = [f"cluster {k + 1}" + ("" if k else "\n(given weights)") for k in range(len(found.triangle_routes))]
-    legend = list(zip(names, SERIES_COLOURS, strict=False))
-    figure, (panel,) = _maps(found, [title], "Clusters of routes over a triangle of weights", legend)
-    for k, xy_m in reversed(list(enumerate(found.triangle_routes))):
-        width = 1.6 + 0.5 * k  # where they coincide, all are seen
-        look: dict[str, Any] = {"zorder": 4 + len(found.triangle_routes) - k, "solid_joinstyle": "round"}
-        panel.plot(*xy_m.T, color=SERIES_COLOURS[k], linewidth=width, **look)
     return figure
 
 

@@ -1,7 +1,6 @@
 """sensitivity: what would change one planned route, and what would not: all weight studies of one query together."""
 
 import time
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,13 +15,11 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import Point
 from jaxurban.progress import Progress, reporting
-from jaxurban.studies.queries import RouteQuery, check_flat, cluster_routes, outcomes_of
+from jaxurban.studies.queries import RouteQuery, check_flat, outcomes_of
 from jaxurban.studies.result import Result
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import EXACT, Partition, find_breakpoints, pareto_front
 from jaxurban.studies.weights.sobol import check_sampling, check_vary, cost_gradient, outcome_slopes, sobol_of_weights
-
-NUM_CLUSTERS = 7  # of routes over a triangle: a picture of more colours is hard to read
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,13 +35,8 @@ class Sensitivity(Result):
       cost, outcomes: derivatives at the given weights (`cost_gradient`, `outcome_slopes`).
       sobol: shares of variance over the whole range (`sobol_indices`).
       lines: of each varied weight, the routes along its range, the others as given.
-      triangle: three weights that share their total in all ways, the others as given; None with less than three that
-        vary.
       front: routes between objectives.
-      clusters, representatives: ``[R]`` the cluster of each route of the triangle, and ``[M]`` the route that
-        represents each, that of the given weights first (see `cluster_routes`).
-      line_routes, triangle_routes: ``[N, 2]`` easting and northing of the routes of each line, in the order of
-        its cells, and of those that represent the triangle's clusters.
+      line_routes: ``[N, 2]`` easting and northing of the routes of each line, in the order of its cells.
       num_plans, elapsed_s: searches and wall time.
     """
 
@@ -57,12 +49,8 @@ class Sensitivity(Result):
     outcomes: pd.DataFrame
     sobol: pd.DataFrame
     lines: dict[str, Partition]
-    triangle: Partition | None
     front: Partition
-    clusters: np.ndarray
-    representatives: np.ndarray
     line_routes: dict[str, list[np.ndarray]]
-    triangle_routes: list[np.ndarray]
     num_plans: int
     elapsed_s: float
 
@@ -99,32 +87,13 @@ class Sensitivity(Result):
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Return all tables by name."""
-        found = {
+        return {
             "cost_gradient": self.cost,
             "local": self.outcomes,
             "sobol": self.sobol,
             "switches": pd.concat([self.breakpoints(name) for name in self.lines]),
             "pareto": self.front.points,
         }
-        if self.triangle is not None:
-            middles = self.triangle.weights_at(self.triangle.middles)
-            found["triangle"] = pd.DataFrame(
-                {"share": self.triangle.sizes, "kind": self.clusters + 1}
-                | {f"{name}_at_middle": middles[:, self.names.index(name)] for name in self.settings.triangle}
-                | outcomes_of(self.triangle.integrals, self.names),
-                pd.RangeIndex(1, len(middles) + 1, name="route"),
-            )
-        return found
-
-    def triangle_cells(self) -> pd.DataFrame:
-        """Return the cells of the triangle: a row for each corner of each, its ``route`` and its share of each weight.
-
-        The shares sum to 1. Corners of a cell follow each other around it; routes are numbered as in `tables`.
-        """
-        assert self.triangle is not None, "there is no triangle"
-        columns = list(self.settings.triangle)
-        cells = [pd.DataFrame(cell, columns=columns).assign(route=k) for k, cell in enumerate(self.triangle.cells, 1)]
-        return pd.concat(cells, ignore_index=True)
 
 
 @typed
@@ -137,18 +106,16 @@ class SensitivitySettings:
         unit unless it is named, since only ratios of weights choose a route.
       factors: each varies from the first to the second of these times its value.
       num_samples: N of the Sobol indices, a power of two; N x (2 + weights that vary) searches.
-      triangle: three weights; left out: the three varied ones with the largest shares of the route's cost.
       objectives: two or three features for the Pareto front; left out: distance and the two varied metrics with the
         largest shares.
-      tolerance: of the triangle and the front, a share of the cost.
-      max_plans: searches that the triangle, and the front, may take each.
+      tolerance: of the front, a share of the cost.
+      max_plans: searches that the front may take.
       seed: of the Sobol sequence and the noise.
     """
 
     vary: tuple[str, ...] = ()
     factors: tuple[float, float] = (0.1, 10.0)
     num_samples: int = 128
-    triangle: tuple[str, ...] = ()
     objectives: tuple[str, ...] = ()
     tolerance: float = 1e-3
     max_plans: int = 5000
@@ -160,11 +127,8 @@ class SensitivitySettings:
         at_least("max_plans", self.max_plans, 1)
         if not EXACT <= self.tolerance < 1:
             raise InputError(f"tolerance must be at least {EXACT:g} and below 1, got {self.tolerance}")
-        for name, names, counts in (("triangle", self.triangle, (0, 3)), ("objectives", self.objectives, (0, 2, 3))):
-            if len(names) not in counts or len(set(names)) < len(names):
-                raise InputError(
-                    f"{name} must name {' or '.join(map(str, counts[1:]))} different weights, got {', '.join(names)}"
-                )
+        if len(self.objectives) not in (0, 2, 3) or len(set(self.objectives)) < len(self.objectives):
+            raise InputError(f"objectives must name 2 or 3 different weights, got {', '.join(self.objectives)}")
 
 
 @typed
@@ -179,8 +143,8 @@ def sensitivity(
 ) -> Sensitivity:
     """Return what would change the cheapest route of a query, and what would not.
 
-    Along the lines all breakpoints are found. The triangle and the front hold as many routes as maps have cells,
-    nearly: there the tolerance leaves out those that never save more than this share of the cost.
+    Along the lines all breakpoints are found. The front holds as many routes as maps have cells, nearly: there the
+    tolerance leaves out those that never save more than this share of the cost.
 
     Args:
       cost_map: from `jaxurban.cost_map`; the weights vary around its own.
@@ -199,21 +163,15 @@ def sensitivity(
     names, given, pool = query.names, cost_map.weight_vector, RoutePool([query])
     vary = settings.vary or tuple(name for name, weight in zip(names[1:], given[1:], strict=True) if weight > 0)
     columns = check_vary(names, given, vary)
-    for name in (*settings.triangle, *settings.objectives):
-        one_of("a weight of triangle and objectives", name, names)
+    for name in settings.objectives:
+        one_of("each of objectives", name, names)
     with reporting("sensitivity", progress) as report:
         report("local")
         features, integrals = pool.cheapest(given[None])[:, :, 0]
         cost = cost_gradient(names, given, features)
         outcomes = outcome_slopes(pool, given, integrals, seed=settings.seed)
-        by_share = tuple(sorted(vary, key=lambda name: -cost["elasticity"][name]))
-        others = tuple(name for name in by_share if name != "distance")
-        settings = replace(
-            settings,
-            vary=vary,
-            triangle=settings.triangle or (by_share[:3] if len(by_share) >= 3 else ()),
-            objectives=settings.objectives or ("distance", *others[:2]),
-        )
+        by_share = sorted((name for name in vary if name != "distance"), key=lambda name: -cost["elasticity"][name])
+        settings = replace(settings, vary=vary, objectives=settings.objectives or ("distance", *by_share[:2]))
         on_plans = partial(report, "sobol")
         sobol = sobol_of_weights(pool, given, columns, settings.factors, settings.num_samples, settings.seed, on_plans)
         lines = {}
@@ -221,10 +179,8 @@ def sensitivity(
             ends = np.tile(given, (2, 1))
             ends[:, column] *= settings.factors
             lines[name] = find_breakpoints(pool, ends, on_plans=partial(report, f"breakpoints of {name}"))
-        roughly: dict[str, Any] = {"tolerance": settings.tolerance, "max_plans": settings.max_plans}
-        on_plans = partial(report, "triangle")
-        shared, clusters, representatives = _triangle(pool, given, settings.triangle, **roughly, on_plans=on_plans)
-        front = pareto_front(pool, settings.objectives, **roughly, on_plans=partial(report, "Pareto front"))
+        how: dict[str, Any] = {"tolerance": settings.tolerance, "max_plans": settings.max_plans}
+        front = pareto_front(pool, settings.objectives, **how, on_plans=partial(report, "Pareto front"))
         report("routes")
         return Sensitivity(
             maps=cost_map.maps,
@@ -236,45 +192,19 @@ def sensitivity(
             outcomes=outcomes,
             sobol=sobol,
             lines=lines,
-            triangle=shared,
             front=front,
-            clusters=clusters,
-            representatives=representatives,
-            line_routes={name: _routes(query, line, slice(None)) for name, line in lines.items()},
-            triangle_routes=[] if shared is None else _routes(query, shared, representatives),
+            line_routes={name: _routes(query, line) for name, line in lines.items()},
             num_plans=pool.num_plans,
             elapsed_s=time.perf_counter() - begin_s,
         )
 
 
-def _triangle(
-    pool: RoutePool, given: np.ndarray, three: Sequence[str], **how: Any
-) -> tuple[Partition | None, np.ndarray, np.ndarray]:
-    """Return the partition of a triangle of three weights, its clusters and what represents each; none without three.
-
-    Args:
-      pool: of the query.
-      given: ``[K]`` weights; the three share their total in all ways, the others stay.
-      three: their names.
-      how: further arguments of `find_breakpoints`.
-    """
-    if not three:
-        return None, np.empty(0, int), np.empty(0, int)
-    columns = [pool.names.index(name) for name in three]
-    total = given[columns]
-    corners = np.tile(given, (3, 1))
-    corners[:, columns] = np.eye(3) * total.sum()
-    shared = find_breakpoints(pool, corners, **how)
-    values = np.stack(list(outcomes_of(shared.integrals, pool.names).values()), axis=-1)
-    return shared, *cluster_routes(values, shared.sizes, int(shared.route_at(total / total.sum())), NUM_CLUSTERS)
-
-
-def _routes(query: RouteQuery, parts: Partition, which: np.ndarray | slice) -> list[np.ndarray]:
-    """Return ``[N, 2]`` easting, northing of the cheapest route in the middle of some cells of a partition."""
+def _routes(query: RouteQuery, line: Partition) -> list[np.ndarray]:
+    """Return ``[N, 2]`` easting, northing of the cheapest route in the middle of each cell of a line."""
     corner_m = np.array([query.cost_map.grid.x_min_m, query.cost_map.grid.y_min_m])
     with ThreadPoolExecutor() as threads:
-        found = threads.map(query.cheapest, parts.weights_at(parts.middles[which]))
-        return [points_m + corner_m for points_m in found]
+        routes = threads.map(query.cheapest, line.weights_at(line.middles))
+        return [points_m + corner_m for points_m in routes]
 
 
 def _plan(cost_map: CostMap, start: Point, goal: Point, snap: bool | float) -> tuple[RouteQuery, PlannedPath]:
