@@ -110,7 +110,7 @@ def typed(public: Public, makers: Sequence[Callable] = ()) -> Public:
         except TypeError as error:
             wrong = next((name for name in kwargs if name not in names), "")
             places = [place_of(wrong, each) for each in (function, *makers)]
-            meant = nearest_name(wrong, names, 0.8) or next(filter(None, places), nearest_name(wrong, names))
+            meant = nearest_name(wrong, names, 0.8) or next(filter(None, places), nearest_name(wrong, names, 0.6))
             fault = f"there is no argument {wrong!r}{meant}" if wrong else str(error)
             raise InputError(f"{public.__name__}: {fault}") from error
         try:

@@ -319,6 +319,7 @@ def test_a_wrong_value_names_the_argument(name, parameter, tmp_path, monkeypatch
             lambda: ju.build_maps(ju.demo_city(500, 500), altitude_m=20),
             r"build_maps: there is no argument 'altitude_m' \(did you mean 'altitudes_m'\?\)",
         ),
+        (lambda: ju.studies.study(MAPS, "here", planers=["ptp"]), "study: there is no argument 'planers'$"),
         (
             lambda: ju.plan("maps", (0, 0), (1, 1), altitude_m=20, constraints={"gps": 0.3}),
             r"Constraints\.read\(require=\[\"gps>=0\.3\"\]\)",

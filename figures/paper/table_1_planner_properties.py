@@ -8,7 +8,7 @@ from figures.paper.common import PATH_M, SYNTHETIC, Caption, save_table
 from jaxurban.maps.scenario import PAPER_PLANNERS
 from jaxurban.paths.rows import solve_instance
 from jaxurban.studies.montecarlo.analysis import joined
-from jaxurban.studies.montecarlo.trial import INVALID, WEIGHTED, Benchmark, PlannerRun
+from jaxurban.studies.montecarlo.trial import INVALID, WEIGHTED, Benchmark
 
 ALTITUDE_M, NUM_QUERIES, NUM_SAMPLES, SEED = 20.0, 40, 2000, 0
 PAPER = "Seven properties by which planners are judged, each with its definition. No planner is rated by them."
@@ -50,7 +50,7 @@ def trial() -> pd.DataFrame:
     for (time, time_of_day), asked in queries.groupby(["time", "time_of_day"]):
         on = settings.cost_map(maps, ALTITUDE_M, time, time_of_day)
         for query in asked.to_dict("records"):
-            rows += solve_instance(settings, on, query, [PlannerRun(name, WEIGHTED) for name in PAPER_PLANNERS])
+            rows += solve_instance(settings, on, query, [(name, WEIGHTED) for name in PAPER_PLANNERS])
     return joined(pd.DataFrame(rows), queries)
 
 

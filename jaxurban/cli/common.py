@@ -17,7 +17,7 @@ from jaxurban.progress import LOG, Report, reporting
 
 if TYPE_CHECKING:
     from jaxurban.paths.constraints import Constraints
-    from jaxurban.studies.result import Result
+    from jaxurban.studies.queries import Result
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]

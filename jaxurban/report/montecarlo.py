@@ -38,7 +38,7 @@ from jaxurban.studies.montecarlo.sampling import (
     with_connection,
 )
 from jaxurban.studies.montecarlo.trial import Benchmark, free_cell, row_columns
-from jaxurban.studies.result import Result
+from jaxurban.studies.queries import Result
 from jaxurban.world.city import LandCover
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_cover_for_bounds

@@ -10,8 +10,8 @@ from jaxurban.report.receiver import validation_outputs
 from jaxurban.report.sensitivity import sensitivity_outputs
 from jaxurban.report.write import files_of, save
 from jaxurban.studies.map_comparison import MapComparison
+from jaxurban.studies.queries import Result
 from jaxurban.studies.receiver.validate import ReceiverValidation
-from jaxurban.studies.result import Result
 from jaxurban.studies.weights.study import Sensitivity
 
 KINDS: dict[type[Result], tuple[str, Any]] = {  # the command, and what returns the files and what decides them
@@ -23,7 +23,7 @@ KINDS: dict[type[Result], tuple[str, Any]] = {  # the command, and what returns 
 
 
 def save_result(found: Result, folder: Path, overwrite: bool) -> list[Path]:
-    """Write what `jaxurban.studies.result.Result.save` says."""
+    """Write what `jaxurban.studies.queries.Result.save` says."""
     command, outputs_of = KINDS[type(found)]
     outputs, settings = outputs_of(found)
     with Workspace.open(folder, command, settings, names=files_of(outputs), overwrite=overwrite):

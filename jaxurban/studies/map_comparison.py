@@ -20,8 +20,7 @@ from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
 from jaxurban.public import listed
 from jaxurban.settings import iso_utc
-from jaxurban.studies.queries import NORMS
-from jaxurban.studies.result import Result
+from jaxurban.studies.queries import NORMS, Result
 from jaxurban.world.grid import Grid
 
 CLOSED = "closed"  # the layer of cells that no planner enters, beside ``obstacle``, the metrics' rule

@@ -1,7 +1,8 @@
-"""Queries of a study, and what routes between their ends add up: length, quality along it, population crossed."""
+"""What studies share: how a result is saved, queries, and what routes between their ends add up."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,31 @@ from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.snapping import Point
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Cell, Path, Problem
+from jaxurban.planners.base import Cell, Problem
+from jaxurban.public import Shown
 
 NORMS = ("pop_norm_per_km2", "pop_norm_per_block")  # attributes of maps that go with the times of day
 LENGTH, PEOPLE = "length_m", "people"
 PLAIN = {LENGTH: ("length", "m"), PEOPLE: ("population crossed", "m at the highest density")}  # label, unit
+
+
+class Result(Shown):
+    """Base of what a study found."""
+
+    @typed
+    def save(self, folder: str | Path, overwrite: bool = False) -> list[Path]:
+        """Write the report, tables (CSV, Parquet), figures (PNG) and maps (GeoTIFF) of a study; return the files.
+
+        Args:
+          folder: where to; made if it is not there.
+          overwrite: replace another study of the kind in it.
+
+        Raises:
+          InputError: the folder cannot be written to, or holds another study or other files.
+        """
+        from jaxurban.report.results import save_result
+
+        return save_result(self, Path(folder), overwrite)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,15 +73,10 @@ class RouteQuery:
         Raises:
           InputError: start and goal are not connected.
         """
-        return self.points_of(astar(self.problem(weights)))
-
-    def points_of(self, found: Path | Exception) -> np.ndarray:
-        """Return the points of what a planner found for this query, or raise what it raised (see `cheapest`)."""
-        if isinstance(found, Exception):
-            raise found
-        if not found.status.has_path:
+        path = astar(self.problem(weights))
+        if not path.status.has_path:
             raise InputError(f"no path joins the ends of route {self.name!r}: leave it out")
-        return found.points_m
+        return path.points_m
 
     def sums(self, points_m: np.ndarray) -> np.ndarray:
         """Return ``[2, K]`` what a valid route ``[N, 2]`` adds up, in metres from the map's southwest corner.

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxurban.errors import InputError, at_least, typed
+from jaxurban.errors import InputError, typed
 from jaxurban.io.tables import RowStore, fingerprint
 from jaxurban.metrics.weights import AnyArray
 from jaxurban.progress import Progress
@@ -84,11 +84,6 @@ class RoutePool:
                 filled[:, query, : len(routes)] = np.stack([*routes.values()], axis=1)
         return filled
 
-    @property
-    def features(self) -> np.ndarray:
-        """``[Q, R, K]`` features of all `routes`."""
-        return self.routes[0]
-
     def cheapest(self, weights: np.ndarray) -> np.ndarray:
         """Return ``[2, Q, M, K]`` features and integrals of the cheapest routes, by search; new ones join the pool.
 
@@ -145,7 +140,6 @@ class FitSettings:
       max_rounds: of searches; fewer where nothing is left to better.
       seed: of all noise.
       budget_s: seconds; the fit ends after the round in which they run out.
-      workers: threads of search; a thread a core if left out.
       state_file: where searches are kept, named ``.parquet``; a fit of the same queries and settings goes on from it,
         to the same weights, bit for bit, as if it had not stopped.
       progress: gets a call after every round, as in `jaxurban.progress.reporting`.
@@ -157,7 +151,6 @@ class FitSettings:
     max_rounds: int = 20
     seed: int = 0
     budget_s: float = np.inf
-    workers: int | None = None
     state_file: str | Path | None = None
     progress: Progress = False
 
@@ -167,8 +160,6 @@ class FitSettings:
                 "max_rounds must be >= 1, budget_s > 0 and seed >= 0, got "
                 f"{self.max_rounds}, {self.budget_s} and {self.seed}"
             )
-        if self.workers is not None:
-            at_least("workers", self.workers, 1)
 
     def pool(self, queries: Sequence[RouteQuery], known: Sequence[np.ndarray] = (), **fit: Any) -> RoutePool:
         """Return the routes of a fit; ``fit`` holds, beside the seed, all that its searches follow from.
@@ -188,7 +179,7 @@ class FitSettings:
             routes = fingerprint(on_maps, [(query.start, query.goal) for query in queries])
             settings = {"fit of routes and maps": routes, "seed": self.seed, **fit}
             store = RowStore(Path(self.state_file), ["weights"], settings=settings)
-        return RoutePool(queries, known, self.workers, store)
+        return RoutePool(queries, known, store=store)
 
 
 def draw_pairs(seed: int, num_noise: int, num_weights: int) -> np.ndarray:

@@ -24,7 +24,7 @@ from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.report.benchmark import export_benchmark
 from jaxurban.report.montecarlo import report_markdown, tables_of
-from jaxurban.studies.montecarlo.trial import DISTANCE, Benchmark, PlannerRun
+from jaxurban.studies.montecarlo.trial import DISTANCE, Benchmark
 from tests.cli_runs import assert_one_sentence, run
 from tests.logs import logged
 from tests.made_maps import made_maps
@@ -213,7 +213,7 @@ def test_a_planner_that_kills_its_worker_costs_its_own_rows_alone(folder, result
 
             PLANNERS["killer"] = PlannerEntry(lambda problem, **limits: os._exit(1), "")
 
-    runs = (PlannerRun("ptp", "weighted"), PlannerRun("killer", "weighted"), PlannerRun("astar-dist", "weighted"))
+    runs = (("ptp", "weighted"), ("killer", "weighted"), ("astar-dist", "weighted"))
     tasks = [InstanceRuns(instance, runs) for instance in result.instances[:2].to_dict("records")]
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), cluster_client(2) as client:
         client.register_plugin(Killer())

@@ -142,7 +142,6 @@ def test_instances_survive_their_file(instances, tmp_path, suffix):
         (lambda table: table.assign(w_gps=[1.0, None]), ["row 2", "got nan"]),
         (lambda table: table.assign(instance=0.5), ["whole number"]),
         (lambda table: table.assign(instance=-3), ["whole number >= 0", "got -3"]),
-        (lambda table: table.assign(is_connected=["True", "maybe"]), ["row 2", "true or false", "'maybe'"]),
         (lambda table: table.assign(start_x_m="west"), ["start_x_m", "west"]),
         (lambda table: pd.concat([table, table]), ["instance 0 at 20 m twice"]),
         (lambda table: table[:0], ["no row"]),

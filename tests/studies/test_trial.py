@@ -9,10 +9,10 @@ from jaxurban.planners.any_angle import ptp
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.registry import PLANNERS, PlannerEntry
 from jaxurban.studies.montecarlo.sampling import sample_instances
-from jaxurban.studies.montecarlo.trial import Benchmark, PlannerRun, row_columns
+from jaxurban.studies.montecarlo.trial import Benchmark, row_columns
 from tests.made_maps import made_maps
 
-WEIGHTED = [PlannerRun(name, "weighted") for name in ("ptp", "astar-dist", "astar-plus")]
+WEIGHTED = [(name, "weighted") for name in ("ptp", "astar-dist", "astar-plus")]
 NO_CLOCKS = {"elapsed_s": 0, "setup_s": 0}
 FEW_SAMPLES = Benchmark(study=ju.studies.Study(budget_iterations=300))
 
@@ -61,7 +61,7 @@ def test_rows_say_what_plan_says(maps, instances, cost_model):
 
 
 def test_the_shortest_path_is_no_longer_and_no_cheaper_than_the_cheapest(maps, instances):
-    runs = [PlannerRun("astar-dist", "weighted"), PlannerRun("astar-dist", "distance")]
+    runs = [("astar-dist", "weighted"), ("astar-dist", "distance")]
     for instance in instances:
         cheapest, shortest = solve_instance(Benchmark(), Benchmark().cost_map(maps, 20.0, None, None), instance, runs)
         assert cheapest["cost"] <= shortest["cost"] * (1 + 1e-12)
@@ -70,7 +70,7 @@ def test_the_shortest_path_is_no_longer_and_no_cheaper_than_the_cheapest(maps, i
 
 
 def test_an_iteration_budget_repeats_exactly_but_for_the_time(maps, instances):
-    runs = [PlannerRun("bitstar-dist", "weighted"), PlannerRun("bitstar-plus", "weighted")]
+    runs = [("bitstar-dist", "weighted"), ("bitstar-plus", "weighted")]
     first, again = (
         solve_instance(FEW_SAMPLES, FEW_SAMPLES.cost_map(maps, 20.0, None, None), instances[0], runs) for _ in range(2)
     )
@@ -82,9 +82,9 @@ def test_an_iteration_budget_repeats_exactly_but_for_the_time(maps, instances):
 
 def test_a_row_does_not_depend_on_what_was_asked_before(maps, instances):
     runs = [
-        PlannerRun("astar-plus", "distance"),
-        PlannerRun("astar-dist", "weighted"),
-        PlannerRun("astar-plus", "weighted"),
+        ("astar-plus", "distance"),
+        ("astar-dist", "weighted"),
+        ("astar-plus", "weighted"),
     ]
     used = FEW_SAMPLES.cost_map(maps, 20.0, None, None)
     for _ in range(20):
@@ -110,7 +110,7 @@ def cheating(problem, *, budget_s, seed):
 def test_a_planner_that_crashes_or_cheats_is_a_row_and_the_next_one_is_asked(maps, instances, monkeypatch):
     monkeypatch.setitem(PLANNERS, "crashing", PlannerEntry(crashing, ""))
     monkeypatch.setitem(PLANNERS, "cheating", PlannerEntry(cheating, ""))
-    runs = [PlannerRun(name, "weighted") for name in ("crashing", "cheating", "astar-dist")]
+    runs = [(name, "weighted") for name in ("crashing", "cheating", "astar-dist")]
     rows = solve_instance(Benchmark(), Benchmark().cost_map(maps, 20.0, None, None), instances[0], runs)
     assert [row["status"] for row in rows] == ["crashed", "invalid", "optimal"]
     assert rows[0]["note"] == "RuntimeError: out of ideas"
@@ -124,7 +124,7 @@ def test_a_start_in_an_obstacle_or_off_the_map_is_a_row(maps, instances):
     on = Benchmark().cost_map(maps, 20.0, None, None)
     for place, word in (((x_m, y_m), "obstacle"), ((0.0, 0.0), "outside")):
         query = instances[0] | {"start_x_m": place[0], "start_y_m": place[1]}
-        (found,) = solve_instance(Benchmark(), on, query, [PlannerRun("ptp", "weighted")])
+        (found,) = solve_instance(Benchmark(), on, query, [("ptp", "weighted")])
         assert found["status"] == "bad-input"
         assert word in found["note"]
 
@@ -138,7 +138,7 @@ def test_a_pair_that_no_path_joins_is_a_row_without_numbers(maps, instances):
         Benchmark(),
         Benchmark().cost_map(walled, 20.0, None, None),
         instances[0],
-        [PlannerRun("astar-plus", "weighted")],
+        [("astar-plus", "weighted")],
     )
     assert found["status"] == "no-path"
     assert found["cost"] is None

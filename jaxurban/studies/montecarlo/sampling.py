@@ -41,7 +41,6 @@ PLACES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
 KEY = ("instance", "altitude_m")
 TIMES = ("time", "time_of_day")
 OPTIONAL = (*TIMES, "start_stratum", "goal_stratum", "range", "is_connected")  # None where a file holds none
-TRUTHS = {"true": True, "false": False}
 MOST_NUMBER = 2**53  # of an instance: as far as float64 counts
 
 
@@ -372,9 +371,6 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
         raise InputError(f"{name} holds instance {number:g} at {altitude_m:g} m twice: number them anew")
     for column in OPTIONAL:
         table[column] = table[column].astype(object).where(table[column].notna(), None) if column in table else None
-    truths = table["is_connected"].map(lambda value: TRUTHS.get(str(value).lower()))
-    _refuse((truths.isna() & table["is_connected"].notna()).to_numpy(), table["is_connected"], "true or false", name)
-    table["is_connected"] = truths.astype(object).where(truths.notna(), None)
     if "distance_m" not in table:
         table["distance_m"] = np.hypot(table.goal_x_m - table.start_x_m, table.goal_y_m - table.start_y_m)
     return table

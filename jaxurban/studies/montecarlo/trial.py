@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -24,13 +24,6 @@ INVALID = "invalid"  # beside the names of `Status` and what `jaxurban.paths.row
 COST_KINDS: tuple[CostKind, ...] = ("cell", "line")
 
 
-class PlannerRun(NamedTuple):
-    """A planner under an objective, ``"weighted"`` or ``"distance"``."""
-
-    planner: str
-    objective: str
-
-
 @dataclass(frozen=True, kw_only=True)
 class Benchmark(RouteJob):
     """Every planner of a study on every instance, under one set of rules; costs are reported under both cost models.
@@ -43,14 +36,14 @@ class Benchmark(RouteJob):
     study: Study = field(default_factory=Study)
 
     key = (*KEY, "planner", "objective")
-    run_key = PlannerRun._fields
+    run_key = ("planner", "objective")
 
     @property
-    def runs(self) -> list[PlannerRun]:
-        """What is run on every instance."""
+    def runs(self) -> list[Run]:
+        """Each planner with its objective, ``"weighted"`` or ``"distance"``."""
         return [
-            *(PlannerRun(name, WEIGHTED) for name in self.study.planners),
-            *(PlannerRun(name, DISTANCE) for name in self.study.distance_only),
+            *((name, WEIGHTED) for name in self.study.planners),
+            *((name, DISTANCE) for name in self.study.distance_only),
         ]
 
     def seed_of(self, instance: int) -> int:

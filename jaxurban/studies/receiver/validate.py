@@ -24,8 +24,8 @@ from jaxurban.io.read.receiver import ERROR, TRACKED, UTC, ReceiverLog, read_rec
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, reporting
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
+from jaxurban.studies.queries import Result
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE, ReceiverSettings, Track, predict, region_of, task_at
-from jaxurban.studies.result import Result
 
 MAIN = {TRACKED: NUM_VISIBLE, ERROR: "hdop"}
 MORE_IS_BETTER = (TRACKED, NUM_VISIBLE, "gps")  # of all else, dilutions of precision and errors, less is

@@ -141,7 +141,7 @@ def indistinct_weights(pool: RoutePool, unit: np.ndarray, weights: np.ndarray, i
       weights: ``[K]`` W of features in their own units.
       is_fitted: ``[K]`` the weights that are judged.
     """
-    routes, names = pool.features, np.array(pool.names)[is_fitted]
+    routes, names = pool.routes[0], np.array(pool.names)[is_fitted]
     cost = np.where(routes[..., 0] < NOT_A_ROUTE, routes @ weights, np.inf)
     competes = cost <= cost.min(axis=1, keepdims=True) * (1 + COMPETES)
     cheapest = np.take_along_axis(routes, cost.argmin(axis=1)[:, None, None], axis=1)

@@ -217,7 +217,7 @@ class _Fit:
         shape = (len(self.demo), num_noise, len(self.log_weights))
         return FitTask(
             jnp.asarray((self.demo / self.unit)[:, self.is_fitted]),
-            jnp.asarray((self.pool.features / self.unit)[:, :, self.is_fitted]),
+            jnp.asarray((self.pool.routes[0] / self.unit)[:, :, self.is_fitted]),
             jnp.asarray(draw_log_noise(rng, shape, noise)),
             jnp.asarray(self.trust),
         )
@@ -229,7 +229,7 @@ class _Fit:
         probes[:, 0] = 1.0
         probed = self.weights * probes
         num_known = self.pool.num_routes
-        expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.features), axis=-1)
+        expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.routes[0]), axis=-1)
         searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
         here = self.task(NUM_NOISE, noise, rng)
         objective = fenchel_young_loss if number < TRUST_ROUNDS else mean_regret
@@ -331,10 +331,9 @@ def _warnings(
     """Yield the further sentences that a reader of the fit must know."""
     num = len(demonstrations)
     if num < FEW * num_weights:
-        many = "1 demonstration is" if num == 1 else f"{num} demonstrations are"
         yield (
-            f"{many} few for {num_weights} weights, which are fitted all the same: others of the same kind may ask for "
-            "quite other ones."
+            f"There are few demonstrations ({num}) for {num_weights} weights, which are fitted all the same: others of "
+            "the same kind may ask for quite other ones."
         )
     if best > OPTIMAL_REGRET:
         yield (

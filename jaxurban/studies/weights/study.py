@@ -15,8 +15,7 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import Point
 from jaxurban.progress import Progress, reporting
-from jaxurban.studies.queries import RouteQuery, check_flat, outcomes_of
-from jaxurban.studies.result import Result
+from jaxurban.studies.queries import Result, RouteQuery, check_flat, outcomes_of
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import EXACT, Partition, find_breakpoints, pareto_front
 from jaxurban.studies.weights.sobol import check_sampling, check_vary, cost_gradient, outcome_slopes, sobol_of_weights
