@@ -6,7 +6,6 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import DEVICE, JSON_FLAG, OBSTACLES, PATH, RESOLUTION, run_study
-from jaxurban.errors import InputError
 from jaxurban.progress import Report
 
 
@@ -14,9 +13,6 @@ from jaxurban.progress import Report
 @click.argument("folder_a", metavar="DIR_A", type=PATH)
 @click.argument("folder_b", metavar="DIR_B", type=PATH)
 @click.option("-o", "output", type=PATH, required=True, help="Output folder.")
-@click.option(
-    "--time", "times", multiple=True, metavar="A=B", help="Set B's time B beside A's time A, UTC; repeatable."
-)
 @RESOLUTION
 @OBSTACLES
 @click.option(
@@ -35,18 +31,9 @@ def compare(folder_a: Path, folder_b: Path, output: Path, **given: Any) -> int:
     sides = [MapsFolder(folder, given["resolution_m"], given["obstacles"]) for folder in (folder_a, folder_b)]
 
     def study(report: Report) -> MapComparison:
-        return compare_maps(*sides, times=_times(given["times"]), tolerance=given["tolerance"], progress=report)
+        return compare_maps(*sides, tolerance=given["tolerance"], progress=report)
 
     def facts(found: MapComparison) -> dict[str, Any]:
         return {"left_out": dict(found.left_out), "settings": found.settings, "layers": records_of(found.table)}
 
     return run_study("compare", output, study, facts, given)
-
-
-def _times(pairs: tuple[str, ...]) -> dict[str, str] | None:
-    """Return B's times by A's."""
-    if wrong := [pair for pair in pairs if pair.count("=") != 1]:
-        raise InputError(
-            f"--time {wrong[0]!r} must be A's time=B's time, as in 2026-07-01T06:00:00Z=2026-07-01T18:00:00Z"
-        )
-    return dict(pair.split("=") for pair in pairs) or None

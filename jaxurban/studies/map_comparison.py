@@ -145,7 +145,6 @@ def compare(
     maps_a: GivenMaps | MapsFolder,
     maps_b: GivenMaps | MapsFolder,
     *,
-    times: Mapping[str, str] | None = None,
     tolerance: float = SAME,
     progress: Progress = True,
 ) -> MapComparison:
@@ -156,8 +155,6 @@ def compare(
     Args:
       maps_a, maps_b: from `build_maps` or `open_maps`, or folders of one resolution's maps; a `MapsFolder` where a
         folder holds several, or planners are to keep another rule of obstacles.
-      times: B's time by A's, to set maps of different times beside each other; left out, the times that both hold, and
-        where each holds a single one, these two.
       tolerance: by how much values may differ, in their unit, and have not changed.
       progress: as in `jaxurban.progress.reporting`.
 
@@ -169,7 +166,7 @@ def compare(
         raise InputError(f"tolerance must not be negative, got {tolerance:g}")
     sides = [_side(maps, name) for maps, name in ((maps_a, "A"), (maps_b, "B"))]
     (a, name_a, settings_a), (b, name_b, settings_b) = sides
-    parts = shared_part(a, b.with_obstacles(b.rule or a.obstacles), times)
+    parts = shared_part(a, b.with_obstacles(b.rule or a.obstacles))
     found = MapComparison(
         names=(name_a, name_b),
         a=parts[0],
@@ -240,13 +237,10 @@ def _statistics(values: np.ndarray, tolerance: float) -> dict[str, Any]:
     }
 
 
-def shared_part(a: MetricMaps, b: MetricMaps, times: Mapping[str, str] | None = None) -> tuple[MetricMaps, MetricMaps]:
+def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
     """Return two sets of maps cut to what both hold: cell (y, x), altitude and n-th time mean the same in both.
 
-    Args:
-      a, b: the maps.
-      times: B's time by A's, for maps of different times; left out, the times that both hold, and where each holds a
-        single one, these two.
+    Of times those that both hold, and where each holds a single one, these two.
 
     Raises:
       InputError: another CRS or resolution, no cell, altitude or layer that both hold, or times that do not pair.
@@ -260,7 +254,7 @@ def shared_part(a: MetricMaps, b: MetricMaps, times: Mapping[str, str] | None = 
     dims = {name: set(array.dims) for name, array in a.ds.data_vars.items() if {"y", "x"} <= set(array.dims)}
     layers = [name for name in dims if name in b.ds and set(b.ds[name].dims) == dims[name]]
     layers = [name for name in layers if days or TIME_OF_DAY not in dims[name]]
-    pairs = _paired(a, b, times) if any(TIME in dims[name] for name in layers) else {}
+    pairs = _paired(a, b) if any(TIME in dims[name] for name in layers) else {}
     parts = []
     for maps, of_maps in ((a, list(pairs)), (b, list(pairs.values()))):
         ds = maps.ds.drop_vars([name for name in maps.ds.data_vars if name not in layers])
@@ -297,15 +291,13 @@ def _shared_grid(a: Grid, b: Grid) -> Grid:
     return Grid(a.crs, a.resolution_m, *first, end[0] - first[0], end[1] - first[1])
 
 
-def _paired(a: MetricMaps, b: MetricMaps, times: Mapping[str, str] | None) -> dict[str, str]:
+def _paired(a: MetricMaps, b: MetricMaps) -> dict[str, str]:
     """Return B's times by A's."""
-    pairs = {iso_utc(of_a): iso_utc(of_b) for of_a, of_b in (times or {}).items()}
-    pairs = pairs or {time: time for time in a.times if time in b.times}
-    if not pairs and len(a.times) == len(b.times) == 1:
-        pairs = {a.times[0]: b.times[0]}
-    if not (pairs and pairs.keys() <= {*a.times} and {*pairs.values()} <= {*b.times}):
-        raise InputError(
-            f"A holds the times {listed(a.times)} and B {listed(b.times)}: name pairs of these to compare, as in "
-            f"--time {a.times[0]}={b.times[0]} (times={{...}})"
-        )
-    return pairs
+    if len(a.times) == len(b.times) == 1:
+        return {a.times[0]: b.times[0]}
+    if shared := {time: time for time in a.times if time in b.times}:
+        return shared
+    raise InputError(
+        f"the maps share no time, A holds {listed(a.times)} and B {listed(b.times)}: compare maps of a single time "
+        "each, as in MetricMaps(maps.ds.isel(time=[0]))"
+    )

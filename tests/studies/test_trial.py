@@ -33,13 +33,13 @@ def test_rows_say_what_plan_says(maps, instances, cost_model):
     settings = Benchmark(cost_model=ju.CostModel(cost_model))
     for instance in instances[:4]:
         on = settings.cost_map(maps, 20.0, None, instance["time_of_day"])
-        for run, row in zip(WEIGHTED, solve_instance(settings, on, instance, WEIGHTED), strict=True):
+        for (planner, _), row in zip(WEIGHTED, solve_instance(settings, on, instance, WEIGHTED), strict=True):
             query = {
                 "start_xy_m": (instance["start_x_m"], instance["start_y_m"]),
                 "goal_xy_m": (instance["goal_x_m"], instance["goal_y_m"]),
                 "altitude_m": 20.0,
                 "time_of_day": instance["time_of_day"],
-                "planner": run.planner,
+                "planner": planner,
                 "weights": ju.Weights(
                     **{n: instance[f"w_{n}"] for n in ("distance", "gps", "lidar", "population", "risk")}
                 ),
@@ -55,7 +55,7 @@ def test_rows_say_what_plan_says(maps, instances, cost_model):
             assert row["length_m"] == pytest.approx(told.length_m)
             assert row["detour"] == pytest.approx(told.length_m / instance["distance_m"])
             assert {name: row[f"m_{name}"] for name in told.metrics} == pytest.approx(dict(told.metrics), abs=1e-6)
-            if run.planner == "ptp":  # the same path under either model
+            if planner == "ptp":  # the same path under either model
                 assert row["cost_cell"] == pytest.approx(planned["cell"].cost, rel=1e-12)
                 assert row["cost_line"] == pytest.approx(planned["line"].cost, rel=1e-12)
 
