@@ -105,9 +105,9 @@ def test_given_weights_take_turns(maps):
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
-        ({"num": 0}, "at least 1"),
+        ({"num": 0}, "num must be a whole number from 1 up"),
         ({"weights": "uniform"}, "uniform"),
-        ({"weights": []}, "empty"),
+        ({"weights": []}, "at least one Weights"),
         ({"altitudes_m": [33]}, "33"),
         ({"altitudes_m": [60, 60]}, "twice"),
         ({"altitudes_m": []}, "none"),
