@@ -66,6 +66,14 @@ def together(*parameters: Callable) -> Callable[[Callable], Callable]:
     return add
 
 
+def stay_on_cpu() -> None:
+    """Let JAX compute on the CPU in a command's own process, before its first use, and in those that it starts."""
+    import jax
+
+    os.environ["JAX_PLATFORMS"] = "cpu"
+    jax.config.update("jax_platforms", "cpu")
+
+
 def use_device(name: str | None) -> None:
     """Choose what computes in this process, a command's own, and in those that it starts, and say it in the log.
 
@@ -80,8 +88,7 @@ def use_device(name: str | None) -> None:
     import jax
 
     if name == "cpu":
-        os.environ["JAX_PLATFORMS"] = "cpu"
-        jax.config.update("jax_platforms", "cpu")
+        stay_on_cpu()
     if name == "gpu" and jax.default_backend() == "cpu":
         raise InputError(
             "there is no GPU that JAX can use: install jaxurban[cuda13] (or cuda12) and NVIDIA's driver, or leave "

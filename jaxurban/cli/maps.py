@@ -15,6 +15,7 @@ from jaxurban.cli.common import (
     Settings,
     names_in,
     print_json,
+    stay_on_cpu,
     tell,
     tell_warnings,
     use_device,
@@ -134,7 +135,9 @@ def _workers(given: Settings) -> int | str | None:
             "--workers compute on the CPU: leave them out to compute on one GPU, or start a `dask worker` on each and "
             "name their scheduler by --cluster"
         )
-    use_device(device if workers is None else "cpu")
+    if workers is not None:
+        stay_on_cpu()
+    use_device(device)
     return workers or cluster
 
 
