@@ -28,7 +28,7 @@ from pathlib import Path
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_regret, plot_where
+from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_regret
 
 sizes = {"narrow": (900, 1_800), "square": (1_400, 1_400), "small": (800, 1_000)}
 cities = {name: ju.demo_city(*size, seed=number) for number, (name, size) in enumerate(sizes.items())}
@@ -86,10 +86,10 @@ plot_nearest(found.tables["weights"], found.settings.wrong)
 # %% [markdown]
 # ## Where a weight matters
 #
-# By altitude and by what lies below start and goal.
+# The regret by what lies below start and goal, and by altitude.
 
 # %%
-plot_where(summary, found.settings.wrong)
+summary[summary.cut == "stratum, altitude_m"].pivot(index="value", columns="weight_name", values="regret").round(4)
 
 # %% [markdown]
 # Every number lies in `folder / "study"` as CSV and Parquet, with a report. It can be deleted:

@@ -22,7 +22,7 @@ from jaxurban.studies.weights.sobol import FEW_SAMPLES
 from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES, UNCLEAR
 
 TABLES = "routes", "weights", "summary", "sobol", "sobol_summary", "remade", "remade_summary"
-FIGURES = "regret", "nearest", "where"
+FIGURES = "regret", "nearest"
 FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
 STATISTICS, ENDS = ("regret", "changes", "nearest", "share"), ("", "_low", "_high")
 SAMPLED = (

@@ -20,7 +20,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.metrics.custom import Layer
 from jaxurban.paths.rows import InstanceRuns, solve_here
-from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_where, study_figures
+from jaxurban.report.figures.sensitivity_study import plot_nearest, study_figures
 from jaxurban.report.sensitivity_study import shown_tables, study_markdown
 from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.studies.weights.routes import OnPerturbedMaps
@@ -230,12 +230,8 @@ def test_the_report_says_whether_routes_were_drawn_or_given(found):
 
 
 def test_panels_that_are_compared_share_their_scale(found):
-    figures = (plot_where(found.tables["summary"], 2.0), plot_nearest(found.tables["weights"], 2.0))
-    for figure, axis in zip(figures, "yx", strict=True):
-        limits = {getattr(panel, f"get_{axis}lim")() for panel in figure.axes}
-        assert len(limits) == 1
-    shown = found.tables["summary"].query("cut == 'stratum, altitude_m'").regret_high.max()
-    assert figures[0].axes[0].get_ylim()[1] >= np.nan_to_num(shown)
+    figure = plot_nearest(found.tables["weights"], 2.0)
+    assert len({panel.get_xlim() for panel in figure.axes}) == 1
 
 
 def test_the_report_says_by_what_population_is_normalised_in_each_city(found):

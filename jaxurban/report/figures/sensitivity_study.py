@@ -1,11 +1,10 @@
-"""Pictures of a weight study over many routes: regrets and breakpoints by weight, city, stratum and altitude.
+"""Pictures of a weight study over many routes: regrets by weight and city, breakpoints by altitude.
 
 Bars are intervals over pairs of places; a hollow mark has too few pairs for one.
 """
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -33,13 +32,7 @@ def study_figures(tables: Mapping[str, pd.DataFrame], wrong: float) -> dict[str,
     return {
         "regret": partial(plot_regret, tables["summary"], wrong),
         "nearest": partial(plot_nearest, tables["weights"], wrong),
-        "where": partial(plot_where, tables["summary"], wrong),
     }
-
-
-def _look(k: int, name: str) -> dict[str, Any]:
-    """Return how the marks of one of several series are drawn."""
-    return {"color": SERIES_COLOURS[k % len(SERIES_COLOURS)], "marker": MARKERS[k % len(MARKERS)], "label": name}
 
 
 @styled
@@ -52,7 +45,8 @@ def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
     figure, (panel,) = panels(1, heading, panel_in=(5.9, 2.5))
     for k, city in enumerate(cities):
         rows = part[part.value == city].set_index("weight_name").reindex(weights)
-        dots(panel, np.arange(len(weights)) + (k - (len(cities) - 1) / 2) * 0.18, rows, "regret", _look(k, city))
+        look = {"color": SERIES_COLOURS[k % len(SERIES_COLOURS)], "marker": MARKERS[k % len(MARKERS)], "label": city}
+        dots(panel, np.arange(len(weights)) + (k - (len(cities) - 1) / 2) * 0.18, rows, "regret", look)
     panel.set_xticks(range(len(weights)), weights)
     panel.set(xlim=(-0.6, len(weights) - 0.4), ylabel="regret (share of the cost)")
     panel.set_ylim(bottom=0)
@@ -90,31 +84,4 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
         show_plain_log(panel.xaxis)
         panel.yaxis.set_major_formatter(PercentFormatter(1.0))
     legend_below(figure, axes[0])
-    return figure
-
-
-@styled
-def plot_where(summary: pd.DataFrame, wrong: float) -> Figure:
-    """Return the regret of each wrong weight by stratum (of start or goal) and altitude, a panel a weight."""
-    held = set(summary.cut)
-    cut = next(each for each in ("stratum, altitude_m", "stratum", "altitude_m", ALL) if each in {*held, ALL})
-    part = summary[(summary.cut == cut) & summary.regret.notna()]
-    split = part.value.astype(str).str.rpartition(", ")
-    is_both = cut.startswith("stratum,")
-    part = part.assign(place=split[0] if is_both else part.value.astype(str), kind=split[2] if is_both else "")
-    names, ticks, kinds = part.weight_name.unique(), sorted(part.place.unique()), list(part.kind.unique())
-    heading = f"Regret of a weight that is {wrong:g} times wrong, by where routes start or end"
-    figure, axes = panels(max(1, len(names)), heading, shares_y=True)
-    for panel, name in zip(axes, names, strict=False):
-        for k, kind in enumerate(kinds):
-            rows = part[(part.weight_name == name) & (part.kind == kind)]
-            x = np.array([ticks.index(place) for place in rows.place], float)
-            dots(panel, x + (k - (len(kinds) - 1) / 2) * 0.2, rows, "regret", _look(k, kind))
-        panel.set_title(name)
-        panel.set_xticks(range(len(ticks)), ticks)
-        panel.set_xlim(-0.6, len(ticks) - 0.4)
-        panel.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))
-    axes[0].set_ylim(bottom=0)  # of all panels, once everything is drawn
-    if any(kinds):
-        legend_below(figure, axes[0])
     return figure
