@@ -2,16 +2,14 @@
 
 import base64
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.colors import BoundaryNorm, Normalize
 
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.base import ALTITUDE, TIME, Variable, high_is_bad
+from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Variable, high_is_bad
 from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR
 from jaxurban.report.figures.metrics import EMPTY_COLOUR, drawn_variables, metric_colours, values_of
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
@@ -25,66 +23,83 @@ OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)  # how values travel
 
 @dataclass(frozen=True)
 class DrawnLayer:
-    """A layer that can be drawn.
+    """A layer of maps that can be drawn.
 
     Attributes:
+      maps: that it is of.
       name: as requests name it.
       variable: what it is.
       group: of the list that it stands in.
-      read: returns its values ``[Y, X]`` at a place.
-      colours: returns how these values are drawn.
-      blocked: colour of cells inside obstacles.
+      cost_of: the metric whose cost it is, if it is one's.
     """
 
+    maps: MetricMaps
     name: str
     variable: Variable
     group: str
-    read: Callable[[OneMap], np.ndarray]
-    colours: Callable[[np.ndarray], Colours]
-    blocked: str = OBSTACLE_COLOUR
+    cost_of: Metric | None = None
 
     @property
     def dims(self) -> tuple[str, ...]:
         """Of ``altitude``, ``time`` and ``time_of_day``, those that it varies with."""
         return self.variable.dims
 
-    def values(self, maps: MetricMaps, at: OneMap) -> np.ndarray:
+    @property
+    def is_hidden(self) -> bool:
+        """Whether it has no values inside obstacles."""
+        return ALTITUDE in self.dims and self.name != "obstacle"
+
+    @property
+    def blocked(self) -> str:
+        """Colour of cells inside obstacles."""
+        return BLOCKED_COLOUR if self.name == H_NORM else OBSTACLE_COLOUR
+
+    def values(self, at: OneMap) -> np.ndarray:
         """Return ``[Y, X]`` float32; at an altitude `OBSTACLE` and `NOTHING` stand where there is no value."""
-        values = np.asarray(self.read(at), np.float32)
-        if ALTITUDE not in self.dims or self.name == "obstacle" or at.altitude_m is None:
+        values = np.asarray(self._read(at), np.float32)
+        if not self.is_hidden or at.altitude_m is None:
             return values
-        values = np.where(maps.is_free(at.altitude_m, "centre"), values, NOTHING)
-        is_blocked = (maps.m("obstacle", at.altitude_m) != 0) & maps.ds["has_data"].values
+        values = np.where(self.maps.is_free(at.altitude_m, "centre"), values, NOTHING)
+        is_blocked = (self.maps.m("obstacle", at.altitude_m) != 0) & self.maps.ds["has_data"].values
         np.copyto(values, OBSTACLE, where=is_blocked)
         return values
+
+    def _read(self, at: OneMap) -> np.ndarray:
+        maps, name = self.maps, self.cost_of.name if self.cost_of else self.name
+        if name == H_NORM:
+            altitude_m = maps.altitudes_m[0] if at.altitude_m is None else at.altitude_m
+            return maps.normalised(altitude_m, time=at.time, time_of_day=at.time_of_day)
+        if maps.variable(name) not in maps.ds and at.altitude_m is not None:
+            values = values_of(maps, name, at.altitude_m, at.time)
+        else:
+            values = maps.m(name, at.altitude_m, time=at.time, time_of_day=at.time_of_day)
+        return np.asarray(self.cost_of.cost(values)) if self.cost_of else values
+
+    def colours(self, values: np.ndarray) -> Colours:
+        """Return how these values are drawn."""
+        if self.name == H_NORM:
+            return COST_COLOURS
+        if (metric := self.cost_of) is not None:
+            label = f"c_{metric.name}, cost before its weight (0: best, 1: worst)"
+            is_m = metric.cost is high_is_bad
+            return Colours(metric.colour_map if is_m else f"{metric.colour_map}_r", Normalize(0, 1), label)
+        return metric_colours(self.maps, self.name, None if self.dims else values)
 
 
 def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
     """Return every layer of these maps that can be drawn, by name, those that are looked at most first."""
-    found: dict[str, DrawnLayer] = {}
-
-    def add(name: str, group: str) -> None:
-        found[name] = DrawnLayer(name, variables[name], group, partial(_held, maps, name), partial(_metric, maps, name))
-
     variables = drawn_variables(maps)
     flown = tuple(dict.fromkeys((ALTITUDE, *(dim for name in maps.metrics for dim in variables[name].dims))))
-    for name in maps.metrics:
-        add(name, "Metrics")
-    total = Variable(H_NORM, "all costs together, H_norm", dims=flown)
-    found[H_NORM] = DrawnLayer(
-        H_NORM, total, "Costs", partial(_h_norm, maps), partial(_always, COST_COLOURS), BLOCKED_COLOUR
-    )
+    layers = [DrawnLayer(maps, name, variables[name], "Metrics") for name in maps.metrics]
+    layers.append(DrawnLayer(maps, H_NORM, Variable(H_NORM, "all costs together, H_norm", dims=flown), "Costs"))
     for name, metric in maps.metrics.items():
-        label = f"c_{name}, cost before its weight (0: best, 1: worst)"
-        is_m = metric.cost is high_is_bad
-        scale = Colours(metric.colour_map if is_m else f"{metric.colour_map}_r", Normalize(0, 1), label)
         cost = Variable(f"{COST_OF}{name}", f"cost of {metric.label}", dims=variables[name].dims)
-        found[cost.name] = DrawnLayer(cost.name, cost, "Costs", partial(_cost, maps, name), partial(_always, scale))
+        layers.append(DrawnLayer(maps, cost.name, cost, "Costs", metric))
     for group in ("Satellites", "Ground", "Further maps"):
         for name, variable in variables.items():
-            if name not in found and group == _group(maps, variable):
-                add(name, group)
-    return found
+            if name not in maps.metrics and group == _group(maps, variable):
+                layers.append(DrawnLayer(maps, name, variable, group))
+    return {layer.name: layer for layer in layers}
 
 
 def _group(maps: MetricMaps, variable: Variable) -> str:
@@ -94,30 +109,7 @@ def _group(maps: MetricMaps, variable: Variable) -> str:
     return "Further maps" if ALTITUDE in variable.dims and variable.name != "obstacle" else "Ground"
 
 
-def _held(maps: MetricMaps, name: str, at: OneMap) -> np.ndarray:
-    if maps.variable(name) not in maps.ds and at.altitude_m is not None:
-        return values_of(maps, name, at.altitude_m, at.time)
-    return maps.m(name, at.altitude_m, time=at.time, time_of_day=at.time_of_day)
-
-
-def _cost(maps: MetricMaps, name: str, at: OneMap) -> np.ndarray:
-    return np.asarray(maps.metrics[name].cost(_held(maps, name, at)))
-
-
-def _h_norm(maps: MetricMaps, at: OneMap) -> np.ndarray:
-    altitude_m = maps.altitudes_m[0] if at.altitude_m is None else at.altitude_m
-    return maps.normalised(altitude_m, time=at.time, time_of_day=at.time_of_day)
-
-
-def _metric(maps: MetricMaps, name: str, values: np.ndarray) -> Colours:
-    return metric_colours(maps, name, None if drawn_variables(maps)[name].dims else values)
-
-
-def _always(colours: Colours, _: np.ndarray) -> Colours:
-    return colours
-
-
-def legend_of(maps: MetricMaps, layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
+def legend_of(layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
     """Return how values become colours on the page, as JSON holds it.
 
     ``edges`` has one number more than there are ``colours`` (base64, three bytes each): colour k is drawn from edge k
@@ -126,8 +118,8 @@ def legend_of(maps: MetricMaps, layer: DrawnLayer, values: np.ndarray) -> dict[s
     """
     scale, zero = layer.colours(values), layer.variable.scale.zero
     patches = [(zero, EMPTY_COLOUR)] if zero else []
-    patches += [("obstacle", layer.blocked)] if ALTITUDE in layer.dims and layer.name != "obstacle" else []
-    patches += [NO_DATA_PATCH] if np.isnan(values).any() or not maps.ds["has_data"].values.all() else []
+    patches += [("obstacle", layer.blocked)] if layer.is_hidden else []
+    patches += [NO_DATA_PATCH] if np.isnan(values).any() or not layer.maps.ds["has_data"].values.all() else []
     flat = [layer.blocked, NO_DATA_PATCH[1], EMPTY_COLOUR if zero else None]
     if isinstance(scale.norm, BoundaryNorm):  # classes, and no bar
         edges, ticks, marks = scale.norm.boundaries, [], []

@@ -198,12 +198,12 @@ class Viewer:
         """Return the values ``[Y, X]`` of a map as they travel (`DrawnLayer.values`)."""
         layer = self.layers[one_of("layer", shown.layer, self.layers)]
         at = self.place(shown.at, layer.dims)
-        return self.kept.get((shown.layer, at), lambda: layer.values(self.maps, at))
+        return self.kept.get((shown.layer, at), lambda: layer.values(at))
 
     def legend(self, shown: Shown) -> dict[str, Any]:
         """Return how these values become colours (`legend_of`)."""
         values = self.values(shown)  # refuses a layer that is not there
-        return legend_of(self.maps, self.layers[shown.layer], values)
+        return legend_of(self.layers[shown.layer], values)
 
     def tile(self, tile: Tile) -> bytes:
         """Return a tile of what is drawn (`tile_bytes`)."""
@@ -218,8 +218,7 @@ class Viewer:
         for name, layer in self.layers.items():
             if not (heading := _told(layer)):
                 continue
-            is_hidden = is_inside and ALTITUDE in layer.dims and name != "obstacle"  # nor has it satellites in view
-            value = math.nan if is_hidden else self._value_in(layer, cell)
+            value = math.nan if is_inside and layer.is_hidden else self._value_in(layer, cell)
             told = {"name": name, "told": heading, "unit": unit_of(layer)}
             found.append(told | {"value": _number(value)})
             if name == "density":

@@ -277,10 +277,10 @@ def test_names_out_of_files_cannot_become_markup():
 
 def test_the_legend_names_cells_without_a_value_where_there_are_any():
     layer = layers_of(MAPS)["risk"]
-    values = layer.values(MAPS, OneMap(20.0))
-    assert "no data" not in legend_of(MAPS, layer, values)["html"]
+    values = layer.values(OneMap(20.0))
+    assert "no data" not in legend_of(layer, values)["html"]
     values[3, 4] = np.nan
-    assert "no data" in legend_of(MAPS, layer, values)["html"]
+    assert "no data" in legend_of(layer, values)["html"]
 
 
 def test_a_cell_inside_an_obstacle_has_no_quality(viewer):
