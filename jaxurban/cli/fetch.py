@@ -6,8 +6,9 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.common import JSON_FLAG, PATH, Numbers, names_in, print_json, tell
+from jaxurban.cli.common import JSON_FLAG, PATH, Numbers, names_in, print_json
 from jaxurban.errors import InputError
+from jaxurban.progress import LOG
 
 
 @click.command()
@@ -57,19 +58,17 @@ def fetch(
     job = FetchJob(bounds, names_in(what), day and day.date(), urls, margin_m)
     most_bytes = parse_bytes(max_size, "--max-size")
     if is_dry_run:
-        sources, left_out = job.requests()
-        requests = [{"source": source.name, "url": source.url} for source in sources]
-        record: dict[str, Any] = {"requests": requests, "left_out": left_out}
+        record: dict[str, Any] = {"requests": [{"source": each.name, "url": each.url} for each in job.requests()]}
         if not as_json:
-            print("\n".join(f"{source.name}: {source.url}" for source in sources))
+            print("\n".join(f"{each['source']}: {each['url']}" for each in record["requests"]))
     else:
         record = fetch_files(job, folder, most_bytes=most_bytes, overwrite=overwrite)
+        for note in record["left_out"]:
+            LOG.info(note)
         if "osm" in job.what:
-            tell(f"fetched into {folder}: run `jaxurban maps {folder / SCENARIO_FILE} -o OUT`")
+            LOG.info(f"fetched into {folder}: run `jaxurban maps {folder / SCENARIO_FILE} -o OUT`")
         else:
-            tell(f"fetched into {folder}; no scenario is written without osm, as maps need buildings")
-    for note in record["left_out"]:
-        tell(note)
+            LOG.info(f"fetched into {folder}; no scenario is written without osm, as maps need buildings")
     if as_json:
         print_json(record)
     return 0

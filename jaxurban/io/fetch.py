@@ -19,7 +19,7 @@ from jaxurban.errors import InputError, one_of, readable
 from jaxurban.io.download import Source, cache_folder, download
 from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, only_writer, sweep_scraps
 from jaxurban.io.read.census import read_blocks, read_districts
-from jaxurban.io.read.orbits import WARN_AGE_DAYS, look_angles, middle_epoch, read_orbits
+from jaxurban.io.read.orbits import WARN_AGE_DAYS, middle_epoch, read_orbits
 from jaxurban.io.read.osm import cut_buildings, format_of, header_box, read_osm
 from jaxurban.io.read.vector import OF_DAMAGED
 from jaxurban.io.workspace import Workspace
@@ -32,8 +32,6 @@ DAY_S = 24 * 3600.0
 MOST_OVERPASS_KM2 = 100.0  # a dense city of this size is some 200 MB of XML and a minute of a shared server's time
 MOST_MARGIN_M = 20_000.0
 BLOCK_MARGIN_M = 100.0  # the maps' box is snapped outward and densified, and NAD83 is a metre or two off WGS 84
-# Where the Census Bureau counts people and the city has districts, roughly.
-CENSUS_BOX, NYC_BOX = (-180.0, 17.0, -64.0, 72.0), (-74.26, 40.49, -73.70, 40.92)
 NOON = "T12:00:00Z"
 RECORD_FILE, SCENARIO_FILE = "fetch.json", "scenario.toml"
 BLOCK_FIELD = "GEOID"
@@ -82,6 +80,14 @@ SOURCES = {
             num_tries=1,
         ),
     )
+}
+NOTHING = {  # what is said where a file holds nothing for the region or the day
+    "census": "population: the census has no block in this region (it counts the United States), so the layer is left "
+    "out; set [population] blocks to a file of your own",
+    "districts": "districts: these (New York City's) do not touch this region, so every block counts as residential; "
+    "set [population] districts to a file of your own",
+    "orbits": f"element sets: these are more than {WARN_AGE_DAYS:.0f} days from --date, so the nominal constellation "
+    "stands in; historical ones need a login at space-track.org (free): set [gps] orbits to a file of them",
 }
 OVERPASS = (
     "[out:xml][timeout:180][bbox:{south},{west},{north},{east}];"
@@ -136,34 +142,13 @@ class FetchJob:
         """Return west, south, east, north of the region's projected box, grown by a margin."""
         return transformer(self.crs, WGS84).transform_bounds(*self.box_m(margin_m), densify_pts=21)
 
-    def requests(self) -> tuple[list[Source], list[str]]:
-        """Return the sources to ask, each with its URL for the region, and a sentence for each part that is left out.
+    def requests(self) -> list[Source]:
+        """Return the sources to ask, each with its URL for the region.
 
         Raises:
-          InputError: a URL that cannot be used, a region too large for the Overpass API, or nothing can be fetched.
+          InputError: a URL that cannot be used, or a region too large for the Overpass API.
         """
-        region, reasons = shapely.box(*self.bounds), {}
-        if not region.intersects(shapely.box(*CENSUS_BOX)):
-            reasons["census"] = (
-                "population: no source is known outside the United States, so the layer is left out; set [population] "
-                "blocks to a file of your own"
-            )
-        if not region.intersects(shapely.box(*NYC_BOX)):
-            reasons["districts"] = (
-                "districts: none are known for this region (only New York City's), so every block counts as "
-                "residential; set [population] districts to a file of your own"
-            )
-        if self.day is not None and abs((self.day - datetime.now(UTC).date()).days) > WARN_AGE_DAYS:
-            reasons["orbits"] = (
-                f"element sets: CelesTrak has the current ones only, and {self.day} is not within "
-                f"{WARN_AGE_DAYS:.0f} days; historical ones need a login at space-track.org (free), so the nominal "
-                "constellation stands in; set [gps] orbits to a file of your own"
-            )
-        left_out = [reasons[name] for name in self.what if name in reasons.keys() - self.urls.keys()]
-        sources = [self._source(name) for name in SOURCES if name in self.what and reasons.get(name) not in left_out]
-        if not sources:
-            raise InputError(f"nothing of --what can be fetched here ({'; '.join(left_out)})")
-        return sources, left_out
+        return [self._source(name) for name in SOURCES if name in self.what]
 
     def _source(self, name: str) -> Source:
         """Return a source with its URL for the region, and the terms of the place that it is from."""
@@ -216,7 +201,7 @@ def fetch(job: FetchJob, folder: Path, *, most_bytes: int, overwrite: bool = Fal
     Raises:
       InputError: something cannot be had, or the folder cannot be written to. Finished downloads stay in the cache.
     """
-    sources, left_out = job.requests()
+    sources = job.requests()
     names = [*(source.file for source in sources), RECORD_FILE, SCENARIO_FILE]
     with Workspace.open(folder, "fetch", is_shared=True) as workspace:
         if not overwrite:
@@ -228,7 +213,7 @@ def fetch(job: FetchJob, folder: Path, *, most_bytes: int, overwrite: bool = Fal
             stage = Path(scratch)
             workspace.begin(stage)
             sweep_scraps(cache_folder())
-            record = _fetch(job, sources, left_out, stage, most_bytes)
+            record = _fetch(job, sources, stage, most_bytes)
             for path in sorted(stage.iterdir(), key=lambda path: path.name == SCENARIO_FILE):
                 target = folder / path.name
                 if overwrite and os.path.lexists(target) and not workspace.is_own(target):
@@ -237,14 +222,14 @@ def fetch(job: FetchJob, folder: Path, *, most_bytes: int, overwrite: bool = Fal
     return record
 
 
-def _fetch(job: FetchJob, sources: Sequence[Source], left_out: list[str], stage: Path, most_bytes: int) -> Settings:
+def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: int) -> Settings:
     """Get files into an empty folder, with a scenario and the record, which is returned."""
     today = datetime.now(UTC).date()
     settings: Settings = {
         "region": {"bounds": list(job.bounds)},
         "gps": {"orbits": NOMINAL, "times": [f"{job.day or today}{NOON}"]},
     }
-    files = []
+    files, left_out = [], []
     for source in sources:
         path = download(source, most_bytes)
         try:
@@ -254,7 +239,7 @@ def _fetch(job: FetchJob, sources: Sequence[Source], left_out: list[str], stage:
             path.unlink()
             raise InputError(str(error).replace(str(path), source.url)) from error
         if not part:
-            left_out.append("population: the census has no block in this region, so the layer is left out")
+            left_out.append(NOTHING[source.name])
             continue
         if not (stage / source.file).exists():
             shutil.copyfile(path, stage / source.file)
@@ -272,6 +257,8 @@ def _fetch(job: FetchJob, sources: Sequence[Source], left_out: list[str], stage:
                 "sha256": path.name.split("-")[1],
             }
         )
+    if not files:
+        raise InputError(f"nothing of --what can be fetched here ({'; '.join(left_out)})")
     record = {"bounds": list(job.bounds), "files": files, "left_out": left_out}
     (stage / RECORD_FILE).write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     if "blocks" not in settings.get("population", {}):  # districts alone
@@ -320,17 +307,21 @@ def _read_census(job: FetchJob, path: Path, target: Path) -> Settings:
 
 
 def _read_districts(job: FetchJob, path: Path, target: Path) -> Settings:
-    """Read district polygons."""
-    if not len(read_districts(path, job.crs)[0]):
+    """Read district polygons; nothing where none touches the region."""
+    polygons = read_districts(path, job.crs)[0]
+    if not len(polygons):
         raise InputError(f"{str(path)!r} holds no polygons: name another file with --source districts=URL")
+    if not shapely.intersects(polygons, shapely.box(*job.box_m(BLOCK_MARGIN_M))).any():
+        return {}
     return {"population": {"districts": target.name}}
 
 
 def _read_orbits(job: FetchJob, path: Path, target: Path) -> Settings:
-    """Read element sets, which may not be too old for the time of the maps."""
-    orbits = read_orbits(path)
-    time = f"{job.day}{NOON}" if job.day else str(middle_epoch(orbits))
-    look_angles(orbits, [time], 0.0, 0.0)
+    """Read element sets; nothing where they are too old for the day of the maps."""
+    epoch = str(middle_epoch(read_orbits(path)))
+    if job.day and abs((job.day - date.fromisoformat(epoch[:10])).days) > WARN_AGE_DAYS:
+        return {}
+    time = f"{job.day}{NOON}" if job.day else epoch
     LOG.info(f"orbits: the GPS maps are of {time}")
     return {"gps": {"orbits": target.name, "times": [time]}}
 

@@ -4,7 +4,7 @@ import json
 import re
 import tempfile
 import tomllib
-from datetime import UTC, date, datetime, timedelta
+from datetime import UTC, date, datetime
 
 import geopandas as gpd
 import numpy as np
@@ -205,9 +205,10 @@ def test_a_run_that_fails_leaves_the_folder_as_it_was(server, tmp_path, capsys):
 def test_old_element_sets_serve_their_own_date_only(server, tmp_path, capsys):
     server.put("/orbits", send(tle(date(2020, 4, 27))))
     today = datetime.now(UTC).date()
-    code, _, err = fetch(capsys, server, tmp_path / "a", "--what", "osm,orbits", "--date", today)
-    assert code == 2
-    assert "days away from" in err.splitlines()[-1]
+    code, _, err = fetch(capsys, server, tmp_path / "now", "--what", "osm,orbits", "--date", today)
+    assert (code, "the nominal constellation stands in" in err) == (0, True)
+    gps = Scenario.from_toml(tmp_path / "now/scenario.toml").gps
+    assert (gps.orbits, gps.utc_times) == (("nominal",), (f"{today}T12:00:00Z",))
     code, _, err = fetch(capsys, server, tmp_path / "own", "--what", "osm,orbits")
     assert (code, "the GPS maps are of 2020-04-27T12:00:00Z" in err) == (0, True)
     assert Scenario.from_toml(tmp_path / "own/scenario.toml").gps.utc_times == ("2020-04-27T12:00:00Z",)
@@ -322,12 +323,18 @@ def test_a_failure_keeps_what_has_arrived_and_the_same_command_goes_on(server, t
     assert server.paths().count("/osm") == 1
 
 
-def test_where_the_census_counts_nobody_the_layer_is_left_out(server, tmp_path, capsys):
+def test_what_holds_nothing_for_the_region_is_left_out_and_that_is_said(server, tmp_path, capsys):
     server.put("/census", send(b'{"type": "FeatureCollection", "features": []}'))
+    server.put("/districts", send(districts_geojson().replace(b"-74.0", b"-75.0")))
     code, _, err = fetch(capsys, server, tmp_path / "a")
     assert code == 0
     assert "the census has no block in this region" in err
-    assert Scenario.from_toml(tmp_path / "a/scenario.toml").population.blocks is None
+    assert "do not touch this region" in err
+    population = Scenario.from_toml(tmp_path / "a/scenario.toml").population
+    assert (population.blocks, population.districts) == (None, None)
+    code, _, err = fetch(capsys, server, tmp_path / "b", "--what", "census,districts")
+    assert (code, (tmp_path / "b").exists()) == (2, False)
+    assert_one_sentence(err.splitlines()[-1], "nothing of --what can be fetched here")
 
 
 def test_terms_are_those_of_the_place_but_for_open_street_map(server, tmp_path, capsys):
@@ -363,13 +370,11 @@ def test_bad_input_is_one_sentence_and_makes_no_request(server, tmp_path, capsys
 
 
 def requests_of(**settings):
-    sources, left_out = FetchJob(**({"bounds": BOUNDS} | settings)).requests()
-    return {source.name: source for source in sources}, " ".join(left_out)
+    return {source.name: source for source in FetchJob(**({"bounds": BOUNDS} | settings)).requests()}
 
 
 def test_the_known_sources_are_asked_by_name():
-    sources, left_out = requests_of()
-    assert left_out == ""
+    sources = requests_of()
     assert sources["osm"].url.startswith("https://overpass-api.de/api/interpreter?data=%5Bout%3Axml%5D")
     assert "tigerWMS_Census2020/MapServer/10/query" in sources["census"].url
     assert sources["orbits"].num_tries == 1  # CelesTrak wants programs to stop at a refusal
@@ -380,24 +385,5 @@ def test_a_large_region_needs_an_extract_and_takes_one_of_any_size():
     wide = (-74.2, 40.6, -73.8, 40.9)
     with pytest.raises(InputError, match="100 km2 at most"):
         requests_of(bounds=wide)
-    sources, _ = requests_of(bounds=wide, urls={"osm": "https://a.example/town.osm.pbf"})
+    sources = requests_of(bounds=wide, urls={"osm": "https://a.example/town.osm.pbf"})
     assert sources["osm"].file == "buildings.osm.pbf"
-
-
-def test_abroad_no_population_and_no_districts_are_known_and_that_is_said():
-    abroad = (24.93, 60.16, 24.96, 60.18)
-    sources, left_out = requests_of(bounds=abroad)
-    assert list(sources) == ["osm", "orbits"]
-    assert "no source is known outside the United States" in left_out
-    assert "only New York City's" in left_out
-    with pytest.raises(InputError, match="nothing of --what can be fetched here"):
-        requests_of(bounds=abroad, what=["districts"])
-    assert list(requests_of(bounds=abroad, what=["districts"], urls={"districts": "https://a.example/d"})[0]) == [
-        "districts"
-    ]
-
-
-def test_old_dates_get_the_nominal_satellites_and_the_reason():
-    sources, left_out = requests_of(day=TODAY - timedelta(days=2000))
-    assert "orbits" not in sources
-    assert "login at space-track.org" in left_out
