@@ -306,7 +306,7 @@ def studies(folder: Path) -> tuple[Took, Facts]:
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
         scenario, out, table = Path(scratch, "scenario.toml"), Path(scratch, "out"), Path(scratch, "queries.csv")
         scenario.write_text(SCENARIOS["small"])
-        took = jaxurban("study", "study", scenario, "-o", out, "--budget-iterations", 300, "--workers", 1)
+        took = jaxurban("study", "study", scenario, "-o", out, "--set", "study.budget_iterations=300", "--workers", 1)
         queries(ju.open_maps(out), 3, 6).assign(altitude_m=ALTITUDE_M).to_csv(table, index=False)
         asked = ("--queries", table, "--samples", 16, "--workers", 1)
         took |= jaxurban("sensitivity", "sensitivity", out, *asked, "-o", Path(scratch, "sensitivity"))

@@ -32,7 +32,7 @@ instances = 2
 planners = ["astar-dist"]
 altitudes_m = [60]
 """
-ENDS = ("--start", "-73.999,40.756", "--goal", "-73.994,40.76", "--altitude", 60, "--snap", "--snap-distance", 200)
+ENDS = ("--start", "-73.999,40.756", "--goal", "-73.994,40.76", "--altitude", 60, "--snap", 200)
 COMMANDS = {  # what runs, and what makes it another run
     "maps": (("maps", "town.toml"), ("--set", "gps.mask_deg=15", "--overwrite")),
     "compare": (("compare", "maps", "maps"), ("--tolerance", 0.5, "--overwrite")),

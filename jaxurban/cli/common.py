@@ -161,21 +161,16 @@ ROUTE = together(  # a route over maps, under costs
     RULES,
     click.option(
         "--snap",
-        is_flag=True,
-        help="Move a start or goal inside an obstacle to the nearest free cell, by 50 m at most.",
-    ),
-    click.option(
-        "--snap-distance",
-        "snap_distance_m",
         type=float,
-        metavar="METRES",
-        help="--snap by at most so far instead of 50 m.",
+        is_flag=False,
+        flag_value="50",
+        metavar="[METRES]",
+        callback=lambda ctx, param, metres: False if metres is None else metres,
+        help="Move a start or goal inside an obstacle to the nearest free cell, by 50 m or METRES at most.",
     ),
 )
 WORKERS = together(  # what `given_workers` takes
-    click.option(
-        "--workers", type=click.IntRange(min=1), help="Processes.  [default: one a core, where Dask is installed]"
-    ),
+    click.option("--workers", type=click.IntRange(min=1), help="Processes (Dask).  [default: all cores]"),
     click.option(
         "--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786."
     ),
@@ -188,13 +183,7 @@ def names_in(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
-def take_snap(given: Settings) -> bool | float:
-    """Take the options of snapping out of ``given``; return what `jaxurban.plan` takes as ``snap``."""
-    is_wanted, distance_m = given.pop("snap"), given.pop("snap_distance_m")
-    return is_wanted if distance_m is None else distance_m
-
-
-def given_constraints(given: Settings) -> "Constraints":
+def given_constraints(options: Settings) -> "Constraints":
     """Return what the options of `CONSTRAINTS` ask for.
 
     Raises:
@@ -202,51 +191,41 @@ def given_constraints(given: Settings) -> "Constraints":
     """
     from jaxurban.paths.constraints import CLEARANCES, Constraints
 
-    return Constraints.read(given["no_fly"], given["require"], **{name: given[name] for name in CLEARANCES})
+    return Constraints.read(options["no_fly"], options["require"], **{name: options[name] for name in CLEARANCES})
 
 
-def given_rules(given: Settings) -> Settings:
+def given_rules(options: Settings) -> Settings:
     """Return what the options of routes' costs ask for, as the functions of Python take it."""
     from jaxurban.metrics.weights import Weights
 
     return {
-        "weights": Weights.named_in(given["weights_text"]),
-        "cost_model": given["cost_model"],
-        "constraints": given_constraints(given),
-        "preset": given["preset"] or "",
+        "weights": Weights.named_in(options["weights_text"]),
+        "cost_model": options["cost_model"],
+        "constraints": given_constraints(options),
+        "preset": options["preset"] or "",
     }
 
 
-def tell_warnings(record: Settings) -> None:
-    """Print the warnings of a run on stderr, a line each."""
-    for warning in record["warnings"]:
-        tell(f"warning: {warning}")
-
-
-def tell(message: str) -> None:
-    """Print a message on stderr, through the log."""
-    LOG.info(message)
-
-
-def given_workers(given: Settings) -> int | str:
-    """Return the address or the processes that the options of `WORKERS` name; left out, a process a core.
-
-    One process where Dask's scheduler is not installed, which a warning says.
+def given_workers(options: Settings) -> int | str | None:
+    """Return the processes or the address that the options of `WORKERS` name, None where they name neither.
 
     Raises:
       InputError: both.
     """
+    if options["workers"] is not None and options["cluster"] is not None:
+        raise InputError("give either --workers, for processes of this machine, or --cluster, not both")
+    return options["workers"] or options["cluster"]
+
+
+def all_cores() -> int:
+    """Return how many processes use this machine: one, which a message says, where Dask's scheduler is missing."""
     from importlib.util import find_spec
 
     from jaxurban.maps.executors import num_cores
 
-    if given["workers"] is not None and given["cluster"] is not None:
-        raise InputError("give either --workers, for processes of this machine, or --cluster, not both")
-    if wanted := given["cluster"] or given["workers"]:
-        return wanted
     if find_spec("distributed") is not None:
         return num_cores()
-    tell("working on one core: several need Dask's scheduler, pip install 'jaxurban[cluster]'")
+    LOG.info("working on one core: several need Dask's scheduler, pip install 'jaxurban[cluster]'")
     return 1
 
 
@@ -274,34 +253,26 @@ def logged_on_stderr() -> Iterator[None]:
         LOG.setLevel(level)
 
 
-def run_study(
-    command: str,
-    output: Path,
-    study: Callable[[Report], StudyResult],
-    facts: Callable[[StudyResult], Settings],
-    given: Settings,
-) -> int:
-    """Run a study, write what it found to a folder that is checked before, say where to read it, and return 0.
+def run_study(command: str, output: Path, study: Callable[[Report], StudyResult], overwrite: bool) -> StudyResult:
+    """Return what a study gives its progress to and finds, written to a folder that is checked before it runs.
 
     Args:
       command: that runs.
       output: the folder.
       study: runs it.
-      facts: of its result, for ``--json``, beside the folder and the report.
-      given: the options ``overwrite`` and ``as_json``.
+      overwrite: replace another run of the command in the folder.
     """
     from jaxurban.io.workspace import Workspace
     from jaxurban.report.write import REPORT_FILE
 
     Workspace.check(output, command)
     with reporting(command) as report:
-        found = study(report)
+        result = study(report)
         report("report")
-        found.save(output, given["overwrite"])
-    tell(f"{command} finished: read {output / REPORT_FILE}, look at {output / 'figures'}")
-    if given["as_json"]:
-        print_json({"folder": str(output), "report": str(output / REPORT_FILE)} | facts(found))
-    return 0
+        result.save(output, overwrite)
+    figures = output / "figures"
+    LOG.info(f"{command} finished: read {output / REPORT_FILE}" + f", look at {figures}" * figures.is_dir())
+    return result
 
 
 def print_json(value: Any) -> None:

@@ -1,12 +1,12 @@
-"""jaxurban compare."""
+"""jaxurban compare, of maps with others, and jaxurban validate, of maps with a receiver's log."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from jaxurban.cli.common import DEVICE, JSON_FLAG, OBSTACLES, PATH, RESOLUTION, run_study
-from jaxurban.progress import Report
+from jaxurban.cli.common import DEVICE, JSON_FLAG, OBSTACLES, PATH, RESOLUTION, Numbers, print_json, run_study
 
 
 @click.command()
@@ -21,19 +21,64 @@ from jaxurban.progress import Report
 @click.option("--overwrite", is_flag=True, help="Replace another comparison in the output folder.")
 @DEVICE
 @JSON_FLAG
-def compare(folder_a: Path, folder_b: Path, output: Path, **given: Any) -> int:
+def compare(folder_a: Path, folder_b: Path, output: Path, **options: Any) -> int:
     """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time."""
     from jaxurban.io.tables import records_of
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.studies.map_comparison import MapComparison
     from jaxurban.studies.map_comparison import compare as compare_maps
 
-    sides = [MapsFolder(folder, given["resolution_m"], given["obstacles"]) for folder in (folder_a, folder_b)]
+    study = partial(
+        compare_maps,
+        *(MapsFolder(folder, options["resolution_m"], options["obstacles"]) for folder in (folder_a, folder_b)),
+        tolerance=options["tolerance"],
+    )
+    result = run_study("compare", output, lambda report: study(progress=report), options["overwrite"])
+    if options["as_json"]:
+        facts = {"left_out": dict(result.left_out), "settings": result.settings, "layers": records_of(result.table)}
+        print_json({"folder": str(output), "report": str(output / "report.md"), **facts})
+    return 0
 
-    def study(report: Report) -> MapComparison:
-        return compare_maps(*sides, tolerance=given["tolerance"], progress=report)
 
-    def facts(found: MapComparison) -> dict[str, Any]:
-        return {"left_out": dict(found.left_out), "settings": found.settings, "layers": records_of(found.table)}
+NUMBER = partial(click.option, type=float, show_default=True)
 
-    return run_study("compare", output, study, facts, given)
+
+@click.command()
+@click.argument("scenario_file", metavar="SCENARIO", type=PATH)
+@click.argument("log_file", metavar="LOG", type=PATH)
+@click.option("-o", "output", type=PATH, required=True, help="Output folder.")
+@click.option("--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a setting of SCENARIO; repeatable.")
+@NUMBER("--antenna-height", "antenna_height_m", default=2.0, help="Metres of the antenna above the ground.")
+@NUMBER("--sky-step", "sky_step_s", default=30.0, help="Seconds for which satellites stand still.")
+@NUMBER("--piece", "piece_m", default=25.0, help="Metres of track; medians are compared.")
+@click.option(
+    "--pieces",
+    "other_pieces_m",
+    type=Numbers("M,...", "numbers, as in 10,50"),
+    default="10,50,100",
+    show_default=True,
+    help="Lengths to report too, metres.",
+)
+@NUMBER("--block", "block_m", default=200.0, help="Metres of track within which ranks compare.")
+@click.option("--overwrite", is_flag=True, help="Replace another validation in the output folder.")
+@DEVICE
+@JSON_FLAG
+def validate(scenario_file: Path, log_file: Path, output: Path, changes: tuple[str, ...], **options: Any) -> int:
+    """Compare the log of a receiver (LOG, .csv or .parquet) with maps of SCENARIO made at its times and its height.
+
+    LOG has the columns utc, lon_deg, lat_deg and num_tracked or error_2d_m, a row an epoch.
+    """
+    import pandas as pd
+
+    from jaxurban.io.tables import records_of
+    from jaxurban.maps.scenario import Scenario
+    from jaxurban.studies.receiver.prediction import ReceiverSettings
+    from jaxurban.studies.receiver.validate import validate as validate_log
+
+    settings = ReceiverSettings(**{name: options[name] for name in ReceiverSettings.__dataclass_fields__})
+    study = partial(validate_log, Scenario.from_toml(scenario_file, changes), log_file, settings)
+    result = run_study("validate", output, lambda report: study(progress=report), options["overwrite"])
+    if options["as_json"]:
+        (summary,) = records_of(pd.DataFrame([result.summary]))
+        facts = {"summary": summary, "scores": records_of(result.scores), "guesses": list(result.guesses)}
+        print_json({"folder": str(output), "report": str(output / "report.md"), **facts})
+    return 0

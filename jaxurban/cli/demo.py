@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import DEVICE, JSON_FLAG, PATH, print_json, tell
+from jaxurban.cli.common import DEVICE, JSON_FLAG, PATH, print_json
 from jaxurban.progress import reporting
 
 BOUNDS = (-74.0, 40.755, -73.955, 40.80)  # about 3.8 x 5 km: the synthetic city scales itself to the box
@@ -66,7 +66,7 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
                     path.save(folder / PATHS_FOLDER / f"{path.search.planner}_{path.altitude_m:g}m.geojson")
             report("figures")
             figures = save_figures(maps, paths, folder / "figures")
-    tell(f"demo finished: look at {folder / 'figures'}, the paths are in {folder / PATHS_FOLDER}")
+    LOG.info(f"demo finished: look at {folder / 'figures'}, the paths are in {folder / PATHS_FOLDER}")
     if as_json:
         drawn = [str(figure) for figure in figures]
         print_json({"folder": str(folder), "record": str(folder / RUN_FILE), "figures": drawn, "paths": facts})

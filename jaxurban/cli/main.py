@@ -17,8 +17,8 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.common import logged_on_stderr, tell
-from jaxurban.cli.compare import compare
+from jaxurban.cli.common import logged_on_stderr
+from jaxurban.cli.compare import compare, validate
 from jaxurban.cli.demo import demo
 from jaxurban.cli.fetch import fetch
 from jaxurban.cli.info import info
@@ -27,10 +27,9 @@ from jaxurban.cli.plan import plan
 from jaxurban.cli.sensitivity import sensitivity, sensitivity_study
 from jaxurban.cli.study import study
 from jaxurban.cli.tune import tune
-from jaxurban.cli.validate import validate
 from jaxurban.cli.view import view
 from jaxurban.errors import InputError, platform_remedy, reason_of
-from jaxurban.progress import interrupted
+from jaxurban.progress import LOG, interrupted
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 
@@ -67,7 +66,7 @@ def _set_up_libraries() -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
-    warnings.showwarning = lambda message, *_, **__: tell(f"warning: {message}")
+    warnings.showwarning = lambda message, *_, **__: LOG.info(f"warning: {message}")
     signal.signal(signal.SIGINT, _interrupt)
     sys.unraisablehook = _show_unraisable
     with logged_on_stderr():
@@ -120,7 +119,7 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 def _end_interrupted() -> None:
     """End the process at once: libraries' threads that were writing would only complain of the interpreter's end."""
-    tell("interrupted; finished files are kept, and the same command resumes")
+    LOG.info("interrupted; finished files are kept, and the same command resumes")
     for stream in filter(None, (sys.stdout, sys.stderr)):
         stream.flush()
     os._exit(EXIT_INTERRUPTED)
@@ -158,5 +157,5 @@ def _show_unraisable(unraisable: Any) -> None:
 
 
 def _fail(sentence: str) -> int:
-    tell(f"error: {sentence}")
+    LOG.info(f"error: {sentence}")
     return EXIT_BAD_INPUT

@@ -1,6 +1,5 @@
 """jaxurban plan."""
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,10 +14,9 @@ from jaxurban.cli.common import (
     Settings,
     given_rules,
     print_json,
-    take_snap,
-    tell,
 )
-from jaxurban.errors import InputError, taken_by
+from jaxurban.errors import taken_by
+from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap
@@ -63,58 +61,53 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 @click.option("--end", type=click.Choice(["land", "return", "none"]), help="Of a .plan.  [default: land, at the goal]")
 @DEVICE
 @JSON_FLAG
-def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: bool, **given: Any) -> int:
+def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: bool, **options: Any) -> int:
     """Plan a path over the maps in DIR."""
     from jaxurban.maps.levels import Levels
     from jaxurban.maps.metric_maps import open_maps
     from jaxurban.paths.cost_map import PathSearch
-    from jaxurban.paths.explain import check_flight, explain
+    from jaxurban.paths.explain import explain
     from jaxurban.paths.export.write import MISSION, encoder_of
     from jaxurban.paths.path import simplify
     from jaxurban.paths.plan import cost_map
 
-    with_report, is_volume, snap = given["with_report"], given["is_volume"], take_snap(given)
-    flight = {name: given[name] for name in ("speed_m_s", "power_w", "swath_m") if given[name] is not None}
-    if "swath_m" in flight and not (with_report or profile is not None or "speed_m_s" in flight):
-        raise click.UsageError("--swath is the report's: add --report")
-    _check_volume_options(is_volume, given)
+    flight = {name: options[name] for name in ("speed_m_s", "power_w", "swath_m") if options[name] is not None}
+    is_volume, with_report = options["is_volume"], options["with_report"] or bool(flight)
+    for name in () if is_volume else ("goal_altitude_m", *LEVEL_OPTIONS):
+        if options[name] is not None:
+            raise click.UsageError(f"--{name.removesuffix('_m').replace('_', '-')} belongs to --volume: add that")
     for file in files:
         encoder_of(file)
-    if given["end"] is not None and not any(file.suffix.lower() == MISSION for file in files):
+    if options["end"] is not None and not any(file.suffix.lower() == MISSION for file in files):
         raise click.UsageError("--end is of a mission: add -o FILE.plan")
-    if (simplify_m := given["simplify_m"]) is not None and not 0 <= simplify_m < math.inf:
-        raise InputError(f"--simplify must be metres from 0 up, got {simplify_m:g}")
-    with_report |= "speed_m_s" in flight
     if profile is not None:
         from jaxurban.report.figures.profile import check_picture, save_profile
 
         check_picture(profile)
-    maps = open_maps(folder, given["resolution_m"], obstacles=given["obstacles"])
-    own = {name: value for name, value in maps.recorded.get("vehicle", {}).items() if name in ("speed_m_s", "power_w")}
-    check_flight(**own | flight)
-    start, goal, altitude_m = given["start"], given["goal"], given["altitude_m"]
+    maps = open_maps(folder, options["resolution_m"], obstacles=options["obstacles"])
+    start, goal, altitude_m = options["start"], options["goal"], options["altitude_m"]
     if is_volume:
-        goal_altitude_m = altitude_m if given["goal_altitude_m"] is None else given["goal_altitude_m"]
+        goal_altitude_m = altitude_m if options["goal_altitude_m"] is None else options["goal_altitude_m"]
         start, goal = (*start, altitude_m), (*goal, goal_altitude_m)
-        altitude_m = Levels(**{name: given[name] for name in LEVEL_OPTIONS if given[name] is not None})
-    search = PathSearch.of(maps, is_volume, snap=snap, **taken_by(PathSearch.of, given))
-    rules = given | given_rules(given) | {"maps": maps, "altitude_m": altitude_m}
+        altitude_m = Levels(**{name: options[name] for name in LEVEL_OPTIONS if options[name] is not None})
+    search = PathSearch.of(maps, is_volume, **taken_by(PathSearch.of, options))
+    rules = options | given_rules(options) | {"maps": maps, "altitude_m": altitude_m}
     shared = cost_map(**taken_by(cost_map, rules))
     planned, maps = shared.planned(start, goal, search), shared.maps
-    if simplify_m:
-        planned = simplify(planned, shared, simplify_m)
+    if options["simplify_m"]:
+        planned = simplify(planned, shared, options["simplify_m"])
     is_explained = planned.status.has_path and (with_report or profile is not None)
     report = explain(planned, maps, **flight) if is_explained else None
     for file in files:
-        _write(file, planned, shared, report if with_report else None, given)
+        _write(file, planned, shared, report if with_report else None, options)
     if report is not None and profile is not None:
         save_profile(planned, maps, profile, report)
-        tell(f"wrote {profile}")
+        LOG.info(f"wrote {profile}")
     facts = planned.to_dict()
     if planned.status.has_path:
         facts["cautions"] = planned.cautions
         for sentence in facts["cautions"]:
-            tell(sentence)
+            LOG.info(sentence)
     if as_json:
         explained = {"report": report.to_dict()} if report is not None else {}
         print_json(facts | explained | {name: getattr(planned, name).tolist() for name in ("lonlat", "xy_m", "z_m")})
@@ -123,30 +116,24 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     return planned.status.exit_code
 
 
-def _write(file: Path, planned: "PlannedPath", on: "CostMap", report: "RouteReport | None", given: Settings) -> None:
-    """Write a path to a file, simplified where it is a file of waypoints and nothing was said, and tell of it."""
+def _write(file: Path, planned: "PlannedPath", on: "CostMap", report: "RouteReport | None", options: Settings) -> None:
+    """Write a path to a file, simplified where it is a file of waypoints and --simplify is left out, and say so."""
     from jaxurban.paths.export.qgc_plan import mission_note
     from jaxurban.paths.export.write import MISSION, WAYPOINTS, elevation_note, write_path
     from jaxurban.paths.path import simplify
 
     if not planned.status.has_path:
-        tell(f"no path, so {file} was not written" + (" (an older one is still there)" if file.exists() else ""))
+        LOG.info(f"no path, so {file} was not written" + " (an older one is still there)" * file.exists())
         return
-    suffix, said = file.suffix.lower(), []
+    suffix, notes = file.suffix.lower(), []
     if suffix in WAYPOINTS:
-        if given["simplify_m"] is None:
+        if options["simplify_m"] is None:
             plain, planned = planned, simplify(planned, on, on.grid.resolution_m / 2)
-            said = [f"{planned.search.note.removeprefix(plain.search.note).strip()} (--simplify 0 keeps every turn)"]
-        said.append(mission_note(planned, given["end"] or "land") if suffix == MISSION else elevation_note(planned))
-    write_path(planned, file, report, end=given["end"] if suffix == MISSION else None)
-    tell(" ".join([f"wrote {file}" + ":" * bool(said), *said]))
-
-
-def _check_volume_options(is_volume: bool, given: Settings) -> None:
-    """Raise unless the options of --volume come with it."""
-    for name in () if is_volume else ("goal_altitude_m", *LEVEL_OPTIONS):
-        if given[name] is not None:
-            raise click.UsageError(f"--{name.removesuffix('_m').replace('_', '-')} belongs to --volume: add that")
+            notes = [f"{planned.search.note.removeprefix(plain.search.note).strip()} (--simplify 0 keeps every turn)"]
+        is_mission = suffix == MISSION
+        notes.append(mission_note(planned, options["end"] or "land") if is_mission else elevation_note(planned))
+    write_path(planned, file, report, end=options["end"] if suffix == MISSION else None)
+    LOG.info(" ".join([f"wrote {file}" + ":" * bool(notes), *notes]))
 
 
 def _path_table(facts: Settings) -> str:

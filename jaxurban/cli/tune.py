@@ -1,6 +1,5 @@
 """jaxurban tune."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +16,13 @@ from jaxurban.cli.common import (
     given_constraints,
     names_in,
     print_json,
-    tell,
 )
+from jaxurban.progress import LOG
 
 
 @click.command()
 @click.argument("words", metavar="DIR [ROUTES]...", type=PATH, nargs=-1, required=True)
 @click.option("-o", "out", type=PATH, required=True, help="Output folder.")
-@click.option(
-    "--also",
-    type=(PATH, PATH),
-    multiple=True,
-    metavar="DIR ROUTES",
-    help="Further maps and routes, fitted together with the first; repeatable.",
-)
 @click.option("--sample", type=click.IntRange(min=1), help="Draw so many instances a city instead of reading ROUTES.")
 @click.option("--pilot", help="Weights as gps=1,risk=2, that plan the routes of --sample; 0 if not named.")
 @click.option(
@@ -57,7 +49,7 @@ from jaxurban.cli.common import (
 @click.option("--overwrite", is_flag=True, help="Forget a fit of other routes or settings in the output folder.")
 @DEVICE
 @JSON_FLAG
-def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
+def tune(words: tuple[Path, ...], out: Path, **options: Any) -> int:
     """Fit weights to demonstrated ROUTES over the maps in each DIR, or to targets for outcomes.
 
     ROUTES are files of lines (GeoJSON, KML, GPX). Several DIRs, each with its ROUTES, are fitted together.
@@ -67,50 +59,43 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     from jaxurban.report.tuning import TuneSettings, run_tuning
     from jaxurban.studies.route_pool import FitSettings
 
-    def named(*options: str) -> dict[str, Any]:
-        return {name: given[name] for name in options if given[name] is not None}
+    def named(*names: str) -> dict[str, Any]:
+        return {name: options[name] for name in names if options[name] is not None}
 
-    fits = named("scale", "bootstrap", "hold_out") | ({"by_city": True} if given["by_city"] else {})
-    if given["wishes"] and fits:
+    fits = named("scale", "bootstrap", "hold_out") | ({"by_city": True} if options["by_city"] else {})
+    if options["wishes"] and fits:
         raise click.UsageError(
             "--scale, --bootstrap, --hold-out and --by-city belong to fits without --wish: leave them out"
         )
     on_maps = named("altitude_m", "time", "time_of_day", "cost_model", "preset")
-    on_maps["constraints"] = given_constraints(given)
-    if given["metrics"] is not None:
-        on_maps["metrics"] = names_in(given["metrics"])
+    on_maps["constraints"] = given_constraints(options)
+    if options["metrics"] is not None:
+        on_maps["metrics"] = names_in(options["metrics"])
     nothing = Weights(**dict.fromkeys(Weights().to_dict(), 0.0))
     settings = TuneSettings(
         routes=on_maps,
-        sample=given["sample"],
-        pilot=None if given["pilot"] is None else Weights.parse(given["pilot"], nothing),
-        targets=given["wishes"],
+        sample=options["sample"],
+        pilot=None if options["pilot"] is None else Weights.parse(options["pilot"], nothing),
+        targets=options["wishes"],
         fits=fits,
         fit=FitSettings(**named("max_rounds", "seed", "budget_s")),
     )
-    of_maps = {name: given[name] for name in ("resolution_m", "obstacles")}
+    of_maps = {name: options[name] for name in ("resolution_m", "obstacles")}
     sources: dict[MapsFolder, list[Path]] = {}
-    for folder, *routes in _sources(words, given):
-        sources.setdefault(MapsFolder(folder, **of_maps), []).extend(routes)
-    facts = run_tuning(sources, out, settings, overwrite=given["overwrite"])
+    for word in words:
+        if word.is_dir() or not sources:
+            folder = MapsFolder(word, **of_maps)
+            sources.setdefault(folder, [])
+        else:
+            sources[folder].append(word)
+    facts = run_tuning(sources, out, settings, overwrite=options["overwrite"])
     for warning in facts.get("unidentified", []) + facts.get("warnings", []):
-        tell(f"warning: {warning}")
+        LOG.info(f"warning: {warning}")
     if "message" in facts:
-        tell(facts["message"])
-    tell(f"tune finished: read {out / 'report.md'}; the weights are in {out / 'weights.toml'}")
-    if given["as_json"]:
+        LOG.info(facts["message"])
+    LOG.info(f"tune finished: read {out / 'report.md'}; the weights are in {out / 'weights.toml'}")
+    if options["as_json"]:
         print_json(facts)
     else:
         print(facts["weights_option"])
     return 0
-
-
-def _sources(words: tuple[Path, ...], given: Mapping[str, Any]) -> list[list[Path]]:
-    """Return the folders of maps, each with the routes that follow it."""
-    sources = [[words[0]]]
-    for word in words[1:]:
-        if word.is_dir():
-            sources.append([word])
-        else:
-            sources[-1].append(word)
-    return [*sources, *map(list, given["also"])]

@@ -218,12 +218,6 @@ def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
     return replace(on, is_free=np.ones_like(on.is_free)).only(names)
 
 
-def check_flight(speed_m_s: float | None = None, power_w: float | None = None, swath_m: float = 10.0) -> None:
-    """Raise InputError unless `explain` takes these values: call it before a long search."""
-    Vehicle(speed_m_s=speed_m_s, power_w=power_w)
-    positive("swath_m", swath_m, "metres")
-
-
 def _plain(values: Mapping[Any, Any]) -> dict[str, float | None]:
     """Return numbers as JSON takes them: None for none, and for no number."""
     return {str(key): None if v is None or not math.isfinite(v) else float(v) for key, v in values.items()}

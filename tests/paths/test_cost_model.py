@@ -310,7 +310,7 @@ def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(folde
     line = routes_file(tmp_path / "line.geojson", [plans[ju.CostModel("line", 4.0), "none"]])
     with warnings.catch_warnings():
         warnings.simplefilter("always")
-        code, _, err = run(capsys, *asked, "--overwrite", "--also", folder, line)
+        code, _, err = run(capsys, *asked, folder, line, "--overwrite")
     assert code == 2
     assert "1 no-fly zone, risk>=0.08, vertical clearance of 3 m and is fitted under" in err
     assert "different cost models: name one for all" in err

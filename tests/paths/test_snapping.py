@@ -56,7 +56,7 @@ def snapped(way, maps, ends, snap) -> float:
 @pytest.mark.parametrize("way", ["plan", "volume", "many", "study"])
 def test_a_place_is_moved_by_at_most_50_m_or_as_far_as_is_said(way, maps, ends):
     for snap, cap in ((True, "50 m"), (69.0, "69 m")):
-        told = rf"70 m away, farther than it may be moved \({cap}\).*--snap-distance 7[01]"
+        told = rf"70 m away, farther than it may be moved \({cap}\).*--snap 7[01]"
         with pytest.raises(InputError, match=told):
             snapped(way, maps, ends, snap)
     assert snapped(way, maps, ends, 75.0) == pytest.approx(70.0, abs=0.01)
@@ -88,10 +88,10 @@ def test_how_far_is_told_in_text_json_and_files(maps, ends, tmp_path, capsys):
     for snap in ((), ("--snap",)):
         code, _, err = run(capsys, *arguments, *snap)
         assert code == 2
-        assert_one_sentence(err, "70 m away", "--snap-distance 7")
+        assert_one_sentence(err, "70 m away", "--snap 7")
     files = [tmp_path / f"path{suffix}" for suffix in (".geojson", ".kml", ".plan")]
     outputs = [part for file in files for part in ("-o", file)]
-    code, out, _ = run(capsys, *arguments, "--snap-distance", 80, *outputs)
+    code, out, _ = run(capsys, *arguments, "--snap", 80, *outputs)
     told = "The start was not free: it was moved 70.0 m, to a free cell."
     assert code == 0
     assert told in out
@@ -100,7 +100,7 @@ def test_how_far_is_told_in_text_json_and_files(maps, ends, tmp_path, capsys):
         assert told in file.read_text()
     (feature,) = json.loads(files[0].read_text())["features"]
     assert feature["properties"]["snap_distance_m"]["start"] == pytest.approx(70.0, abs=0.01)
-    code, out, _ = run(capsys, *arguments, "--snap-distance", 80, "--json")
+    code, out, _ = run(capsys, *arguments, "--snap", 80, "--json")
     facts = json.loads(out)
     assert told in facts["message"]
     assert facts["snap_distance_m"] == {"start": pytest.approx(70.0, abs=0.01), "goal": pytest.approx(0.0, abs=0.01)}

@@ -1,7 +1,6 @@
 """Settings changed from outside the file, and what a folder of other maps is told to differ in."""
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
@@ -120,34 +119,3 @@ def test_of_many_differences_the_first_are_said():
     assert said.endswith("and 4 more")
     assert differing({"a": {"b": None}}, {"a": {}}) == {}
     assert differing({"a": {"b": 1}}, {}) == {"a.b": (1, None)}
-
-
-def test_several_scenarios_go_to_folders_of_their_names_and_one_failing_loses_no_other(file, tmp_path, capsys):
-    (tmp_path / "bad.toml").write_text(TEXT.replace("source", "sauce"), encoding="utf-8")
-    (tmp_path / "last.toml").write_text(TEXT, encoding="utf-8")
-    files = (file, tmp_path / "bad.toml", tmp_path / "missing.toml", tmp_path / "last.toml")
-    code, out, err = run(capsys, "maps", *files, "-o", tmp_path / "out", "--json", "--set", "gps.mask_deg=12")
-    assert code == 2
-    assert "2 of 4 scenarios finished; bad failed; missing failed" in err
-    assert err.count("error: ") == 2
-    assert err.count(f"{files[1]}") == 2  # the scenario that begins, and its error
-    for name in ("town", "last"):
-        held = json.loads((tmp_path / "out" / name / "run.json").read_text())["settings"]
-        assert held["gps"]["mask_deg"] == 12.0
-    found = json.loads(out)["scenarios"]
-    assert "'buildings.source' is required" in found["bad"]["error"]
-    assert found["last"]["run_key"] == found["town"]["run_key"]
-    assert run(capsys, "maps", file, files[-1], "-o", tmp_path / "out", "--set", "gps.mask_deg=12")[0] == 0
-
-
-def test_two_scenarios_of_one_name_are_refused_before_any_work(file, tmp_path, capsys):
-    (tmp_path / "more").mkdir()
-    shutil.copy(file, tmp_path / "more/town.toml")
-    code, _, err = run(capsys, "maps", file, tmp_path / "more/town.toml", "-o", tmp_path / "out")
-    assert code == 2
-    assert_one_sentence(err, "'town'")
-    shutil.copy(file, tmp_path / "geotiff.toml")
-    code, _, err = run(capsys, "maps", file, tmp_path / "geotiff.toml", "-o", tmp_path / "out")
-    assert code == 2
-    assert_one_sentence(err, "'geotiff'", "rename")
-    assert not (tmp_path / "out").exists()
