@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from jaxurban.cli.common import DEVICE, JSON_FLAG, PATH, print_json
-from jaxurban.progress import reporting
+from jaxurban.progress import LOG, reporting
 
 BOUNDS = (-74.0, 40.755, -73.955, 40.80)  # about 3.8 x 5 km: the synthetic city scales itself to the box
 RESOLUTION_M = 5.0
@@ -23,7 +23,7 @@ COLUMNS = "altitude_m", "settings.time_of_day", "planner", "status", "cost", "le
 @DEVICE
 @JSON_FLAG
 def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
-    """Maps of the synthetic city, the paths of every planner across it, and pictures."""
+    """Make maps of the synthetic city, the paths of every planner across it, and pictures."""
     import pandas as pd
 
     from jaxurban.io.store import RUN_FILE

@@ -209,8 +209,8 @@ def test_the_command_simplifies_missions_unless_told_otherwise_and_says_so(maps,
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--simplify", -1), "metres from 0 up"),
-        (("--simplify", "nan"), "metres from 0 up"),
+        (("--simplify", -1), "tolerance_m must be a positive number of metres"),
+        (("--simplify", "nan"), "tolerance_m must be a positive number of metres"),
         (("--end", "land"), "add -o FILE.plan"),
         (("--end", "hover", "-o", "x.plan"), "land"),
     ],
