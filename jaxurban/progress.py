@@ -1,5 +1,6 @@
 """Progress of long jobs: a bar on a terminal, elsewhere lines in the log "jaxurban"; and how long stages take."""
 
+import io
 import logging
 import sys
 import threading
@@ -7,10 +8,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 LOG = logging.getLogger("jaxurban")
 SILENT_S = 5.0  # that a search may last before the log says that it runs
-EVERY_S = 10.0  # between two lines on one stage; shorter ones have none
+EVERY_S = 10.0  # between two lines of the log on one stage; shorter ones have none
+BRIEF_S = 0.5  # a stage that ends sooner shows no bar
 
 interrupted = threading.Event()  # set by the command line at Ctrl-C, which is lost where a callback of JAX gets it
 Stage = Callable[[str], AbstractContextManager[object]]  # `Stopwatch.stage`, or nullcontext where nothing is timed
@@ -37,9 +40,6 @@ class Report:
         """Show what the job reported."""
         if self._function:
             self._function(stage, done, total)
-
-    def finish(self) -> None:
-        """End a job that went well."""
 
 
 @dataclass
@@ -98,57 +98,51 @@ def reporting(title: str, progress: Progress = True) -> Iterator[Report]:
     elif progress is not True:
         yield Report(progress or None)
     else:
-        report = _Bar(title) if sys.stderr.isatty() else _Lines(title)
+        report = _Bar(title)
         try:
             yield report
-            report.finish()
         finally:
-            if isinstance(report, _Bar):
-                report.bar.close()
+            report.close()
 
 
 class _Bar(Report):
-    """The bar of the stage that runs."""
+    """The bar of the stage that runs; where stderr is not a terminal, its numbers in the log every `EVERY_S`."""
 
     def __init__(self, title: str) -> None:
-        from tqdm import tqdm
-
         self.title, self.stage = title, ""
-        self.bar = tqdm(desc=title, file=sys.stderr)
+        self.bar: Any = None
 
     def show(self, stage: str, done: int, total: int, counts: Mapping[str, object]) -> None:
+        from tqdm import tqdm
+
         if stage != self.stage:
+            self.close()
+            is_terminal = sys.stderr.isatty()
             self.stage = stage
-            self.bar.reset()
-            self.bar.initial = self.bar.n = done
-            self.bar.set_description(f"{self.title}: {stage}", refresh=False)
+            self.bar = tqdm(
+                desc=f"{self.title}: {stage}",
+                initial=done,
+                file=sys.stderr if is_terminal else _Log(),
+                leave=is_terminal,
+                mininterval=0.1 if is_terminal else EVERY_S,
+                delay=BRIEF_S if is_terminal else EVERY_S,
+                ncols=None if is_terminal else 0,
+            )
         self.bar.total = total or None
         self.bar.set_postfix(counts, refresh=False)
         self.bar.update(done - self.bar.n)
 
+    def close(self) -> None:
+        """End the stage that runs."""
+        if self.bar is not None:
+            self.bar.update(0)  # shows a long stage without counts
+            self.bar.close()
 
-class _Lines(Report):
-    """Lines in the log on stages that last `EVERY_S` or longer: on the way now and then, and at their end."""
 
-    def __init__(self, title: str) -> None:
-        self.title, self.stage, self.how_far, self.first_done = title, "", "", 0
-        self.stage_s = self.told_s = time.perf_counter()
+class _Log(io.StringIO):
+    """A file whose lines go to the log."""
 
-    def show(self, stage: str, done: int, total: int, counts: Mapping[str, object]) -> None:
-        now_s = time.perf_counter()
-        if stage != self.stage:
-            self._end_stage(now_s)
-            self.stage, self.stage_s, self.told_s, self.first_done = stage, now_s, now_s, done
-        parts = [f"{done} of {total}" if total else f"{done}"] if done or total else []
-        self.how_far = "".join(f", {part}" for part in (*parts, *(f"{name} {value}" for name, value in counts.items())))
-        if now_s - self.told_s >= EVERY_S:
-            self.told_s, spent_s, made = now_s, now_s - self.stage_s, done - self.first_done
-            left = f", about {spent_s * (total - done) / made:.0f} s left" if made > 0 and done < total else ""
-            LOG.info(f"{self.title}: {stage}{self.how_far}, {spent_s:.0f} s{left}")
-
-    def _end_stage(self, now_s: float) -> None:
-        if self.stage and now_s - self.stage_s >= EVERY_S:
-            LOG.info(f"{self.title}: {self.stage}{self.how_far}: done in {now_s - self.stage_s:.1f} s")
-
-    def finish(self) -> None:
-        self._end_stage(time.perf_counter())
+    def write(self, text: str) -> int:
+        if line := text.strip():
+            LOG.info(line)
+        return len(text)
