@@ -77,8 +77,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     stdout = sys.stdout
     try:
         _set_up_libraries()
-        words = list(sys.argv[1:] if arguments is None else arguments)  # commands find them in their context
-        code = app.main(args=words, prog_name="jaxurban", standalone_mode=False, obj=words)
+        code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
         if sys.stdout is not None:
             sys.stdout.flush()  # what cannot be printed is told now, not at the interpreter's end
     except InputError as error:
