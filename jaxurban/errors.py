@@ -1,6 +1,5 @@
 """The exceptions of jaxurban, all under one root."""
 
-import difflib
 import functools
 import inspect
 import math
@@ -12,13 +11,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from jaxurban.public import find_public
+from jaxurban.public import alike, find_public, near
 
 Choice = TypeVar("Choice")
 Public = TypeVar("Public", bound=Callable)
-Kind = tuple[str, Callable[[Any], bool]]  # what messages call it, and what tells its values
+Kind = tuple[str, Callable[[Any], bool]]  # what messages call it, and whether a value is of it
 MOST_SAID = 300  # characters of what a library says that a message passes on
 
 
@@ -54,121 +53,69 @@ class OtherSettingsWarning(UserWarning):
     """Routes are fitted under other settings than they were planned under: one sentence for the user."""
 
 
-def nearest_name(name: str, valid: Iterable[str], least: float = 0.5) -> str:
-    """Return ``" (did you mean 'x'?)"`` for the valid name that begins with ``name`` or is closest to it, or ``""``."""
-    names = list(valid)
-    begun = [each for each in names if str(name) and each.startswith(str(name))]
-    close = difflib.get_close_matches(str(name), begun or names, n=1, cutoff=0.0 if begun else least)
-    return f" (did you mean {close[0]!r}?)" if close else ""
+def nearest_name(name: str, valid: Iterable[str]) -> str:
+    """Return ``" (did you mean 'x'?)"`` for the valid names that one resembles (`near`), ``""`` where it does none."""
+    names = near(name, valid)
+    return f" (did you mean {_either(map(repr, names))}?)" if names else ""
 
 
 def typed(public: Public, makers: Sequence[Callable] = ()) -> Public:
     """Return a function or a class that answers an argument of another kind than its annotation names by InputError.
 
     Arguments are looked at before anything runs, generously: any real number for a float (NumPy's too), anything with
-    items for a sequence, text for a path. Of sequences of our own classes each item is looked at.
+    items for a sequence, text for a path; of lists, tuples and dicts each item is looked at.
 
     Args:
       public: the function or class.
       makers: functions to which it passes its further keywords on (`taken_by`): what they take by keyword alone, it
         takes too.
     """
-    is_class = inspect.isclass(public)
-    function = public.__init__ if is_class else public
+    function = public.__init__ if inspect.isclass(public) else public
     signature = inspect.signature(function)
     if makers:
         *own, _ = signature.parameters.values()
         passed = {p.name: p for maker in makers for p in inspect.signature(maker).parameters.values()}
         own += [p for name, p in passed.items() if p.kind is p.KEYWORD_ONLY and name not in signature.parameters]
         signature = signature.replace(parameters=own)
-    parameters = signature.parameters.values()
-    in_order = [p.name for p in parameters if p.kind is not p.KEYWORD_ONLY]
-    the_rest = [p.name for p in parameters if p.kind is p.VAR_POSITIONAL]
-    further = next((p.name for p in parameters if p.kind is p.VAR_KEYWORD), None)
-    names = {p.name for p in parameters}
+    parameters = signature.parameters
+    in_order = [name for name, p in parameters.items() if p.kind is not p.KEYWORD_ONLY]
+    call = f": call {public.__name__}({', '.join(in_order)})"
+    further = next((name for name, p in parameters.items() if p.kind is p.VAR_KEYWORD), "")
 
     @functools.cache
-    def kinds() -> dict[str | None, list[Kind]]:  # at the first call, when every module that annotations name is there
-        hints: dict[str, Any] = {}
-        for each in (*makers, function):
-            hints |= get_type_hints(each, localns=_PublicNames())
-        return {name: _kinds(hint) for name, hint in hints.items() if name in names}
+    def kinds() -> dict[str, list[Kind]]:  # at the first call, when every module that annotations name is there
+        return {name: _kinds(hint) for name, hint in _hints(checked).items()}
 
     @functools.wraps(function)
     def checked(*args, **kwargs):
-        named = zip((*in_order, *the_rest * len(args)), args, strict=False)
-        for name, value in (*named, *kwargs.items()):
-            allowed = [] if name == further else kinds().get(name if name in names else further, [])
-            if allowed and not any(is_one(value) for _, is_one in allowed):
-                listed = _either(dict.fromkeys(told for told, _ in allowed))
-                unit = next((f" ({unit})" for end, unit in UNITS.items() if name.endswith(end)), "")
-                order = f": call {public.__name__}({', '.join(in_order)})" if _is_class_of_ours(type(value)) else ""
-                raise InputError(f"{name} must be {listed}{unit}, got {_shown(value)}{order}")
-            check_range(name, value)
         try:
-            signature.bind(*args, **kwargs)
+            values = signature.bind(*args, **kwargs).arguments
         except TypeError as error:
-            wrong = next((name for name in kwargs if name not in names), "")
-            places = [place_of(wrong, each) for each in (function, *makers)]
-            meant = nearest_name(wrong, names, 0.8) or next(filter(None, places), nearest_name(wrong, names, 0.6))
-            fault = f"there is no argument {wrong!r}{meant}" if wrong else str(error)
+            wrong = next((name for name in kwargs if name not in parameters), "")
+            fault = f"there is no argument {wrong!r}{_home_of(wrong, checked)}" if wrong else str(error)
             raise InputError(f"{public.__name__}: {fault}") from error
+        for name, value in (values.pop(further, {}) | values).items():
+            _check_kind(name, value, kinds().get(name if name in parameters else further, []), call)
+            check_range(name, value)
         try:
             return function(*args, **kwargs)
         except (RuntimeError, AssertionError) as error:
-            if remedy := platform_remedy(error):
+            if remedy := platform_remedy():
                 raise InputError(remedy) from error
             raise
 
-    if is_class:
-        public.__init__ = checked  # type: ignore[method-assign]
-        return public
+    hints = [each.__annotations__ for each in (*makers, function)]
+    checked.__annotations__ = {name: hint for each in hints for name, hint in each.items()}
     checked.__signature__ = signature  # type: ignore[attr-defined]
-    return checked  # type: ignore[return-value]
+    if public is function:
+        return checked  # type: ignore[return-value]
+    public.__init__ = checked  # type: ignore[method-assign]
+    return public
 
 
 def taken_by(maker: Callable, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return those of some keywords that a function takes."""
     return {name: given[name] for name in inspect.signature(maker).parameters if name in given}
-
-
-def _either(choices: Iterable[str]) -> str:
-    *others, last = choices
-    return f"{', '.join(others)} or {last}" if others else last
-
-
-def place_of(name: str, function: Callable, levels: int = 2) -> str:
-    """Return ``" (give constraints=Constraints.read(name=...))"`` for an argument of what makes another, or ``""``."""
-    makers = []
-    for parameter, hint in get_type_hints(function, localns=_PublicNames()).items():
-        for kind in (hint, *get_args(hint)):
-            with suppress(KeyError):
-                if parameter != "return" and find_public(getattr(kind, "__name__", "")):
-                    called = re.split(",| or ", MADE_BY.get(kind.__name__, kind.__name__))[0]
-                    name_of_class, _, method = called.partition(".")
-                    maker = find_public(name_of_class)
-                    makers.append((parameter, called, getattr(maker, method) if method else maker))
-    for parameter, called, maker in makers:
-        if name in inspect.signature(maker).parameters:
-            return f" (give {parameter}={called}({name}=...))"
-    for parameter, called, maker in makers if levels > 1 else ():
-        if place := place_of(name, maker, levels - 1):
-            return place.replace("give ", f"give {parameter}={called}(") + ")"
-    return ""
-
-
-def platform_remedy(error: Exception) -> str:
-    """Return what to do where an error comes from JAX's start on the platforms that are chosen, else an empty text."""
-    chosen = os.environ.get("JAX_PLATFORMS")
-    if not chosen:
-        return ""
-    if "JAX_PLATFORMS" not in str(error):  # as of CUDA without its plugin
-        import jax
-
-        with suppress(RuntimeError, AssertionError):
-            jax.devices()
-            return ""
-    return f"JAX does not work under JAX_PLATFORMS={chosen}: unset it, or choose another value"
 
 
 class _PublicNames(dict):
@@ -178,101 +125,111 @@ class _PublicNames(dict):
         return find_public(name)
 
 
+def _hints(function: Callable) -> dict[str, Any]:
+    """Return the type hints of the arguments of a function or a class."""
+    function = function.__init__ if inspect.isclass(function) else function
+    hints, parameters = get_type_hints(function, localns=_PublicNames()), inspect.signature(function).parameters
+    hints |= {name: Iterable[hints[name]] for name, p in parameters.items() if p.kind is p.VAR_POSITIONAL}  # type: ignore
+    return {name: hints[name] for name in parameters if name in hints}
+
+
+def _home_of(name: str, function: Callable) -> str:
+    """Return what is meant by an argument that a function does not take: ``" (give gps=Gps(mask_deg=...))"``.
+
+    Beside its own arguments those of what makes them are looked through, and so on, the nearest first; with or without
+    their units, and after the name of what is made (``gps_mask``).
+    """
+    own = [each for each in inspect.signature(function).parameters if each not in ("self", "cls")]
+    homes = dict.fromkeys(own, "")
+    ways: list[tuple[Callable, str, str]] = [(function, "", "{}")]
+    for taker, made, way in ways:  # grows on the way
+        for argument, hint in _hints(taker).items():
+            bare = re.sub("_(m|s|m_s|deg|w)$", "", argument)
+            for each in (argument, bare, f"{made}_{argument}", f"{made}_{bare}"):
+                homes.setdefault(each, "" if argument in own and not made else way.format(f"{argument}=..."))
+            for kind in map(_name_of, (hint, *get_args(hint))):
+                with suppress(KeyError):
+                    called = MADE_BY.get(kind, kind).split(" or ")[0].split(",")[0]
+                    if (maker := find_public(called)) not in (before for before, *_ in ways):
+                        ways.append((maker, argument, way.format(f"{argument}={called}({{}})")))
+                        homes.setdefault(kind.lower(), way.format(f"{argument}={called}(...)"))
+    found = alike(name, own, MOST_ALIKE) or alike(name, homes, MOST_ALIKE) or near(name, own)
+    if not found:
+        return f"; it takes {', '.join(own)}"
+    return f" (give {homes[found[0]]})" if homes[found[0]] else f" (did you mean {found[0]!r}?)"
+
+
+def platform_remedy() -> str:
+    """Return what to do where JAX does not start on the platforms that are chosen, else an empty text."""
+    if chosen := os.environ.get("JAX_PLATFORMS"):
+        import jax
+
+        try:
+            jax.devices()
+        except (RuntimeError, AssertionError):  # the latter as of CUDA without its plugin
+            return f"JAX does not work under JAX_PLATFORMS={chosen}: unset it, or choose another value"
+    return ""
+
+
 def check_range(name: str, value: Any) -> None:
     """Raise InputError where a number, or one in a list of them, is beyond what any such number can be.
 
     Without end (``inf``) may be what has no unit of length or angle, such as a budget of seconds; of what is no number
     (NaN) functions tell themselves.
     """
+    most = _by_end(name, MOST_OF, MOST)
     for number in value if isinstance(value, list | tuple) else (value,):
-        if not isinstance(number, numbers.Real):
-            continue
-        if isinstance(number, numbers.Integral) and abs(int(number)) > MOST_WHOLE:
-            raise InputError(f"{name} must be a whole number of at most {MOST_WHOLE}, got {number!r}")
-        most = next((most for end, most in MOST_OF.items() if name.endswith(end)), MOST)
-        is_endless = most == MOST and isinstance(number, float) and math.isinf(number)
-        if abs(float(number)) > most and not is_endless:
-            unit = next((f" {unit}" for end, unit in UNITS.items() if name.endswith(end) and end[0] == "_"), "")
-            raise InputError(f"{name} must be a finite number, of at most {most:.0e}{unit}, got {number!r}")
+        is_number = isinstance(number, numbers.Real) and not (most == MOST and abs(number) == math.inf)
+        if is_number and abs(number) > most:
+            raise InputError(f"{name} must be a finite number of at most {most:.0e}{_unit(name)}, got {number!r}")
+
+
+def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
+    if kinds and not any(fits(value) for _, fits in kinds):
+        called = list(dict.fromkeys(called for called, _ in kinds))
+        hint = nearest_name(str(value), [each.strip("'") for each in called if each.startswith("'")])
+        order = call if type(value).__module__.startswith(f"{__name__.partition('.')[0]}.") else ""
+        raise InputError(f"{name} must be {_either(called)}{_unit(name)}, got {_shown(value)}{hint or order}")
 
 
 def _kinds(hint: Any) -> list[Kind]:
-    """Return how messages call each kind that a type hint allows, and what tells its values; none: anything goes."""
+    """Return the kinds that a type hint allows; none: anything goes."""
     hint = getattr(hint, "array_type", hint)  # of jaxtyping's shapes
-    origin = get_origin(hint) or hint
+    origin, parts = get_origin(hint) or hint, [part for part in get_args(hint) if part is not Ellipsis]
     if origin in (Union, types.UnionType):
-        parts = [_kinds(part) for part in get_args(hint)]
-        return [kind for part in parts for kind in part] if all(parts) else []
-    if origin is Annotated:
-        return _kinds(get_args(hint)[0])
-    if origin is Literal:  # which of them, the function itself checks
-        return list(dict.fromkeys(KINDS[type(choice)] for choice in get_args(hint)))
-    if origin in (Sequence, Iterable, tuple, Mapping) and (item := _kind_of_items(hint)):
-        return [item]
-    if origin in KINDS:
-        return [KINDS[origin]]
-    return [(_called(origin), lambda value: isinstance(value, origin))] if _is_class_of_ours(origin) else []
+        kinds = [_kinds(part) for part in parts]
+        return [kind for each in kinds for kind in each] if all(kinds) else []
+    if origin is Literal:
+        return [(repr(choice), functools.partial(_is_choice, choice)) for choice in parts]
+    if origin is Any or not inspect.isclass(origin):
+        return []
+    name = _name_of(origin)
+    made_by = f" (from {MADE_BY[name]})" if name in MADE_BY else ""
+    called, fits = KINDS.get(HOLDERS.get(origin, origin), (name + made_by, lambda value: isinstance(value, origin)))
+    is_dict = HOLDERS.get(origin) is Mapping
+    of = parts[1:] if is_dict else parts
+    items = _kinds(of[0]) if origin in HOLDERS and len({*of}) == 1 and get_origin(of[0]) is not tuple else []
+
+    def holds(value: Any) -> bool:
+        value = (value,) if isinstance(value, str) else value  # one text is often taken for several
+        values = value.values() if is_dict and fits(value) else value if type(value) in (list, tuple, dict) else ()
+        return fits(value) and all(any(is_one(item) for _, is_one in items) for item in values)
+
+    several = " or ".join(re.sub("^a ([a-z ]+?)(?= of |$)", r"\1s", each) for each, _ in items)
+    return [(f"{called} of {several}", holds) if items else (called, fits)]
 
 
-def _called(kind: type) -> str:
-    name = kind.__name__
-    article = "" if name.endswith("s") else "an " if name[0] in "AEIOU" else "a "
-    return f"{article}{name}" + (f" (from {MADE_BY[name]})" if name in MADE_BY else "")
+def _is_choice(choice: Any, value: Any) -> bool:
+    return isinstance(value, str | numbers.Integral) and value == choice
 
 
-def _kind_of_items(hint: Any) -> Kind | None:
-    """Return the kind of a sequence of texts, of numbers or of our own classes, or a dict of these; None for others."""
-    origin, *given = get_origin(hint), *get_args(hint)
-    is_dict = origin is Mapping
-    if not given or given[1 + is_dict :] not in ([], [...]):
-        return None
-    items = given[is_dict]
-    if items is str and not is_dict:
-        return "a sequence of texts", lambda value: isinstance(value, Iterable)  # one text is often taken for one
-    is_of_numbers = items is float and origin in (Sequence, Iterable)  # not a place, which may hold None
-    if not (is_of_numbers or _names_ours(items)):
-        return None
-    kinds = _kinds(items)
-    told = "numbers" if is_of_numbers else " or ".join(re.sub("^an? ", "", told) for told, _ in kinds)
-    has_items = KINDS[origin][1]
-
-    def is_one(value: Any) -> bool:
-        if not has_items(value) or isinstance(value, Iterator):  # which can be read only once
-            return has_items(value)
-        return all(any(is_one(item) for _, is_one in kinds) for item in (value.values() if is_dict else value))
-
-    return f"{'a dict' if is_dict else 'a sequence'} of {told}", is_one
+def _name_of(kind: Any) -> str:
+    return getattr(kind, "__name__", "").rpartition(".")[2]
 
 
-def _names_ours(hint: Any) -> bool:
-    return _is_class_of_ours(hint) or any(map(_names_ours, get_args(hint)))
-
-
-def _is_class_of_ours(hint: Any) -> bool:
-    ours = (__name__.partition(".")[0], "pandas", "xarray", "jax")
-    return inspect.isclass(hint) and hint.__module__.partition(".")[0] in ours
-
-
-def _is_number(value: Any) -> bool:
-    is_scalar = isinstance(value, numbers.Real) or getattr(value, "shape", None) == ()
-    return is_scalar and not isinstance(value, bool)
-
-
-KINDS: dict[Any, Kind] = {
-    bool: ("True or False", lambda value: type(value).__name__ in ("bool", "bool_")),
-    int: ("a whole number", lambda value: isinstance(value, numbers.Integral) and not isinstance(value, bool)),
-    float: ("a number", _is_number),
-    # A time may be of any kind where a text is asked for.
-    str: ("a text", lambda value: isinstance(value, str | datetime) or type(value).__name__ == "datetime64"),
-    Path: ("a path", lambda value: isinstance(value, str | os.PathLike)),
-    types.NoneType: ("None", lambda value: value is None),
-    **dict.fromkeys(
-        (Sequence, Iterable, list, tuple),
-        ("a sequence", lambda value: isinstance(value, Iterable) and not isinstance(value, str | bytes)),
-    ),
-    **dict.fromkeys((Mapping, dict), ("a dict", lambda value: isinstance(value, Mapping))),
-    Callable: ("a function", callable),
-}
+def _either(choices: Iterable[str]) -> str:
+    *others, last = choices
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 def _shown(value: Any) -> str:
@@ -282,27 +239,50 @@ def _shown(value: Any) -> str:
     return repr(value) if isinstance(value, str | numbers.Number | None) else type(value).__name__
 
 
-MOST_WHOLE = 2**63 - 1
-MOST = 1e30  # of a number: its square is no overflow, nor it itself in float32
-MOST_OF = {"_m": 1e8, "_deg": 1e3}  # the whole way round the Earth is 4e7 m
+def _by_end(name: str, table: Mapping[str, Any], default: Any) -> Any:
+    return next((value for end, value in table.items() if name.endswith(end)), default)
+
+
+def _unit(name: str) -> str:
+    unit = _by_end(name, UNITS, "")
+    return unit and f" ({unit})"
+
+
+def _is_number(value: Any) -> bool:
+    is_scalar = isinstance(value, numbers.Real) or getattr(value, "shape", None) == ()
+    return is_scalar and not isinstance(value, bool)
+
+
+HOLDERS: dict[Any, Any] = dict.fromkeys((Iterable, Sequence, list, tuple), Iterable) | {Mapping: Mapping, dict: Mapping}
+KINDS: dict[Any, Kind] = {
+    bool: ("True or False", lambda value: type(value).__name__ in ("bool", "bool_")),
+    int: ("a whole number", lambda value: isinstance(value, numbers.Integral) and not isinstance(value, bool)),
+    float: ("a number", _is_number),
+    # A time may be of any kind where a text is asked for.
+    str: ("a text", lambda value: isinstance(value, str | datetime) or type(value).__name__ == "datetime64"),
+    Path: ("a path", lambda value: isinstance(value, str | os.PathLike)),
+    types.NoneType: ("None", lambda value: value is None),
+    Iterable: ("a sequence", lambda value: isinstance(value, Iterable) and not isinstance(value, str | bytes)),
+    Mapping: ("a dict", lambda value: isinstance(value, Mapping)),
+    Callable: ("a function", callable),
+}
 MOST_SHOWN = 4  # values of a list
-UNITS = {  # what messages add, by the end of an argument's name
+MOST_ALIKE = 0.9  # of an argument of something else: it must hardly differ
+MOST = 2**63 - 1  # of a number: NumPy holds it, and its square is no overflow in float32
+MOST_OF = {"_m": 1e8, "_deg": 1e3}  # by the end of an argument's name; the whole way round the Earth is 4e7 m
+UNITS = {  # likewise
     **dict.fromkeys(("start", "goal", "lonlat", "reference"), "longitude, latitude in degrees"),
-    **dict.fromkeys(("_xy_m",), "easting, northing in metres"),
-    **{"bounds": "west, south, east, north in degrees", "_m_s": "metres per second"},
-    **{"_m": "metres", "_s": "seconds", "_deg": "degrees", "_w": "watts"},
+    **{"bounds": "west, south, east, north in degrees", "_xy_m": "easting, northing in metres"},
+    **{"_m_s": "metres per second", "_m": "metres", "_s": "seconds", "_deg": "degrees", "_w": "watts"},
 }
 MADE_BY = {  # what no constructor is meant for
     "Constraints": 'Constraints.read, as in Constraints.read(require=["gps>=0.3"])',
     "City": "City.from_files or demo_city",
     "CostMap": "cost_map",
     "Demonstration": "read_demonstrations",
-    "MapComparison": "compare",
     "MetricMaps": "build_maps or open_maps",
-    "ReceiverValidation": "validate",
     "PlannedPath": "plan or plan_many",
     "RouteQuery": "make_queries",
-    "Sensitivity": "sensitivity",
     "SoftCity": "soft_city",
 }
 
@@ -315,21 +295,35 @@ def one_of(name: str, value: Choice, choices: Iterable[Choice]) -> Choice:
     """
     valid = list(choices)
     if value not in valid:
-        hint = nearest_name(str(value), [str(choice) for choice in valid])
+        hint = nearest_name(str(value), map(str, valid))
         raise InputError(f"{name} must be {_either(map(repr, valid))}, got {value!r}{hint}")
     return value
 
 
-def positive(name: str, value: Any, unit: str = "") -> float:
-    """Return a number that must be above 0, as a float.
+def finite(name: str, value: Any, unit: str = "", *, least: float = -math.inf, called: str = "finite") -> float:
+    """Return a number (or the one that a text spells) that must be finite, as a float.
+
+    Args:
+      name: of the argument.
+      value: the number.
+      unit: for the message.
+      least: what it must be above, and
+      called: what such a number is called.
 
     Raises:
-      InputError: it is 0 or below, not finite, or not a number.
+      InputError: it is not, or is not a number.
     """
-    number = _number(value)
-    if not 0 < number < math.inf:
-        raise InputError(f"{name} must be a positive number{unit and f' of {unit}'}, got {value!r}")
+    number = math.nan
+    with suppress(TypeError, ValueError, OverflowError):
+        number = math.nan if isinstance(value, bool) else float(value)
+    if not least < number < math.inf:
+        raise InputError(f"{name} must be a {called} number{unit and f' of {unit}'}, got {value!r}")
     return number
+
+
+def positive(name: str, value: Any, unit: str = "") -> float:
+    """Return a number that must be above 0, as a float (see `finite`)."""
+    return finite(name, value, unit, least=0, called="positive")
 
 
 def at_least(name: str, value: Any, least: int = 0) -> int:
@@ -342,26 +336,6 @@ def at_least(name: str, value: Any, least: int = 0) -> int:
     if not is_whole or int(value) < least:
         raise InputError(f"{name} must be a whole number from {least} up, got {_shown(value)}")
     return int(value)
-
-
-def finite(name: str, value: Any, unit: str = "") -> float:
-    """Return a number (or the one that a text spells) that must be finite, as a float.
-
-    Raises:
-      InputError: it is not, or is not a number.
-    """
-    number = _number(value, bool)
-    if not math.isfinite(number):
-        raise InputError(f"{name} must be a finite number{unit and f' of {unit}'}, got {value!r}")
-    return number
-
-
-def _number(value: Any, refused: Any = bool | str) -> float:
-    """Return a value as a float; NaN where it is none, or of a type that is refused."""
-    try:
-        return math.nan if isinstance(value, refused) else float(value)
-    except (TypeError, ValueError, OverflowError):
-        return math.nan
 
 
 def reason_of(error: BaseException) -> str:

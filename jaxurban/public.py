@@ -5,13 +5,15 @@ that. A stub beside a module says to type checkers, and here, where each of its 
 """
 
 import ast
-from collections.abc import Callable, Mapping
+import difflib
+from collections.abc import Callable, Iterable, Mapping
 from html import escape
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 NAMESPACES = ("fit", "grad", "metrics", "studies")  # modules of the package whose names are public too
+LEAST_ALIKE = 0.66  # as two letters of three are
 
 
 def public_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
@@ -27,24 +29,50 @@ def public_names(package: str, file: str) -> tuple[Callable[[str], Any], Callabl
     def fetch(name: str) -> Any:
         home = homes.get(name)
         if home is None:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+            raise AttributeError(f"module {package!r} has no attribute {name!r}{_elsewhere(name)}")
         return import_module(f"{package}.{name}") if home == package else getattr(import_module(home), name)
 
     return fetch, lambda: sorted(homes), sorted(homes)
 
 
+def _elsewhere(name: str) -> str:
+    known = {} if name.startswith("_") else _public_homes()
+    found = near(name, known) or [each for each in known if name.startswith(each)]
+    return f" (did you mean {' or '.join(f'{known[each]}.{each}' for each in found)}?)" if found else ""
+
+
+def _public_homes() -> dict[str, str]:
+    """Return the module of each public name: the package, or one of its namespaces."""
+    package = __name__.rpartition(".")[0]
+    modules = [import_module(home) for home in (package, *(f"{package}.{each}" for each in NAMESPACES))]
+    return {name: module.__name__ for module in modules for name in module.__all__ if name not in NAMESPACES}
+
+
 def find_public(name: str) -> Any:
-    """Return what has a public name, at the top of the package or in one of its namespaces.
+    """Return what has a public name, at the top of the package or in one of its namespaces, or a method of it.
 
     Raises:
       KeyError: nothing has.
     """
-    package = __name__.rpartition(".")[0]
-    for home in (package, *(f"{package}.{namespace}" for namespace in NAMESPACES)):
-        module = import_module(home)
-        if name in module.__all__ and name not in NAMESPACES:
-            return getattr(module, name)
-    raise KeyError(name)
+    name, _, method = name.partition(".")
+    thing = getattr(import_module(_public_homes()[name]), name)
+    return getattr(thing, method) if method else thing
+
+
+def near(name: str, valid: Iterable[str]) -> list[str]:
+    """Return the one of some names that begins with a wrong one, or else is most like it, if one is."""
+    names = list(valid)
+    begun = [each for each in names if each.startswith(name)]
+    return begun if len(begun) == 1 else alike(name, names)
+
+
+def alike(name: str, valid: Iterable[str], least: float = LEAST_ALIKE) -> list[str]:
+    """Return the one of some names that is most like a wrong one, if one is.
+
+    Case does not count, and the first letters must agree: who mistypes a name seldom mistypes that.
+    """
+    names = {each.lower(): each for each in valid if each[:1].lower() == name[:1].lower()}
+    return [names[each] for each in difflib.get_close_matches(name.lower(), names, n=1, cutoff=least)]
 
 
 class Shown:

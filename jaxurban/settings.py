@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
-from jaxurban.errors import InputError, at_least, finite, one_of, positive, typed
+from jaxurban.errors import InputError, at_least, finite, positive, typed
 
 CostKind = Literal["cell", "line"]
 Diagonal = Literal["both-free", "always"]
@@ -167,8 +167,6 @@ class Buildings(Heights):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        one_of("kind", self.kind, ("height", "surface"))
-        one_of("hanging", self.hanging, (TO_GROUND, SLABS))
         for name in ("default_height_m", "level_height_m"):
             if not 0 < getattr(self, name) <= MAX_HEIGHT_M:
                 raise InputError(
@@ -227,7 +225,6 @@ class Planning:
     given: ClassVar[Mapping[str, Any]]
 
     def __post_init__(self) -> None:
-        one_of("preset", self.preset, PRESETS)
         given = {name: value for name, value in vars(self).items() if value != getattr(Planning, name)}
         object.__setattr__(self, "given", given)
         for name, value in (PRESETS[self.preset] | given).items():

@@ -1,13 +1,12 @@
 """Which form of a kernel runs: Numba's on the host, or JAX's wherever JAX computes."""
 
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import jax
 import numpy as np
 
 Engine = Literal["auto", "numba", "jax"]
-ENGINES: tuple[str, ...] = get_args(Engine)
 
 
 def chosen(engine: str, platform: str | None = None) -> str:

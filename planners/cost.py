@@ -47,9 +47,6 @@ class CostModel:
     diagonal: Diagonal = DEFAULTS.diagonal
 
     def __post_init__(self) -> None:
-        one_of("cost_model", self.kind, get_args(CostKind))
-        one_of("connectivity", self.connectivity, (4, 8))
-        one_of("diagonal", self.diagonal, get_args(Diagonal))
         length_m = positive("reference_length_m", self.reference_length_m, "metres")
         object.__setattr__(self, "reference_length_m", length_m)
 
@@ -63,7 +60,7 @@ class CostModel:
     def from_settings(cls, settings: Mapping[str, Any]) -> "CostModel":
         """Return the model that settings give under the names of `settings`; what they leave out is the default."""
         given = {name: settings.get(name, default) for name, default in cls().settings.items()}
-        return cls(given.pop("cost_model"), **given)
+        return cls(one_of("cost_model", given.pop("cost_model"), get_args(CostKind)), **given)
 
     @property
     def passes_corners(self) -> bool:

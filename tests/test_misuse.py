@@ -5,6 +5,7 @@ parameter's name. A new parameter fails until somebody writes there what a wrong
 """
 
 import functools
+import importlib
 import inspect
 import re
 import tempfile
@@ -18,6 +19,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError
+from jaxurban.metrics.registry import known_metrics
 from jaxurban.public import NAMESPACES, find_public
 from tests.made_maps import made_maps
 
@@ -57,6 +59,8 @@ def held(what: str) -> Any:
         "paths": lambda: ju.plan_many(MAPS, [(START, GOAL)], altitude_m=20.0, progress=False),
         "comparison": lambda: ju.studies.compare(MAPS, MAPS, progress=False),
         "cost_map": lambda: ju.cost_map(MAPS, 20.0),
+        "inputs": lambda: ju.grad.map_inputs(held("city"), held("grid"), altitudes_m=(20.0,)),
+        "soft": lambda: ju.grad.soft_city(held("city"), held("grid"), ju.grad.SoftParams(altitude_m=20.0)),
         "query": lambda: ju.studies.make_queries(held("cost_map"), [(START, GOAL)])[0],
         "shown": lambda: ju.fit.demonstrations_from_paths(held("path"), MAPS)[0],
     }[what]()
@@ -93,7 +97,11 @@ GOOD: dict[str, Callable[[], dict[str, Any]]] = {
     "Target": lambda: {"outcome": "detour", "sense": "<=", "value": 0.1},
     "Weights.parse": lambda: {"text": "gps=1"},
     "build_maps": lambda: {"city": held("city"), "resolution_m": 50.0, "altitudes_m": (20.0,), "progress": False},
-    "building_costs": lambda: {"city": held("city")},
+    "all_maps": lambda: dict(zip(("inputs", "sky"), held("inputs"), strict=True)),
+    "building_costs": lambda: {
+        **{"city": held("city"), "soft": held("soft"), "planned": held("path")},
+        "params": ju.grad.SoftParams(altitude_m=20.0),
+    },
     "cautions": lambda: {"planned": held("path"), "maps": MAPS},
     "compare": lambda: {"maps_a": MAPS, "maps_b": MAPS, "progress": False},
     "compare_fits": lambda: {"cities": {"here": [held("shown")]}},
@@ -191,7 +199,7 @@ WRONG |= {
     **{"outcome": "beauty", "crs": "EPSG:4326", "source": 5, "credit": RIGHT, "block_field": RIGHT, "require": "gps"},
     **{"district_field": RIGHT, "commercial": RIGHT, "weights": {"gsp": 1.0}},
     **{
-        "CostModel.from_settings.settings": {"cost_model": "cells"},
+        "CostModel.from_settings.settings": {"connectivity": 5},
         "Scenario.from_dict.settings": {**SETTINGS, "reigon": {}},
     },
     **{
@@ -319,7 +327,6 @@ def test_a_wrong_value_names_the_argument(name, parameter, tmp_path, monkeypatch
             lambda: ju.build_maps(ju.demo_city(500, 500), altitude_m=20),
             r"build_maps: there is no argument 'altitude_m' \(did you mean 'altitudes_m'\?\)",
         ),
-        (lambda: ju.studies.study(MAPS, "here", planers=["ptp"]), "study: there is no argument 'planers'$"),
         (
             lambda: ju.plan("maps", (0, 0), (1, 1), altitude_m=20, constraints={"gps": 0.3}),
             r"Constraints\.read\(require=\[\"gps>=0\.3\"\]\)",
@@ -350,3 +357,69 @@ def test_a_wrong_value_names_the_argument(name, parameter, tmp_path, monkeypatch
 def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy(call, sentence):
     with pytest.raises(InputError, match=sentence):
         call()
+
+
+HOMES = {
+    "build_maps": {
+        **{"mask_deg": "gps=Gps(mask_deg=...)", "mask": "gps=Gps(mask_deg=...)", "gps_mask": "gps=Gps(mask_deg=...)"},
+        "times_of_day": "population=Population(time_of_day=...)",
+        "height_std": "heights=Heights(height_std_m=...)",
+        "population_table": "population=Population(table=...)",
+        "default_height_m": "city=City.from_files(buildings=Buildings(default_height_m=...))",
+    },
+    "plan": {
+        "levels": "altitude_m=Levels(...)",
+        "max_altitude_m": "altitude_m=Levels(max_altitude_m=...)",
+        "speed": "constraints=Constraints.read(vehicle=Vehicle(speed_m_s=...))",
+    },
+    "study": {"planers": "settings=Study(planners=...)"},
+}
+
+
+@pytest.mark.parametrize(("name", "wrong"), [(name, wrong) for name, homes in HOMES.items() for wrong in homes])
+def test_an_argument_of_what_makes_another_is_given_there(name, wrong):
+    with pytest.raises(
+        InputError, match=re.escape(f"{name}: there is no argument {wrong!r} (give {HOMES[name][wrong]})")
+    ):
+        CALLS[name](**GOOD[name](), **{wrong: 1})
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        *(("build_maps", wrong) for wrong in ("metrics", "weights", "device", "seed")),
+        *(("plan", wrong) for wrong in ("closed", "volume", "simplify", "time_limit")),
+        *(("cost_map", "snap"), ("MetricMaps.save", "overwrite")),
+    ],
+)
+def test_an_argument_like_no_other_is_answered_by_the_list_of_all_and_no_guess(name, wrong):
+    good = GOOD[name]()
+    method = CALLS[name].__get__(good.pop("self")) if "self" in good else CALLS[name]
+    with pytest.raises(InputError) as raised:
+        method(**good, **{wrong: 1})
+    takes = ", ".join(inspect.signature(method).parameters)
+    assert str(raised.value) == f"{name.rpartition('.')[2]}: there is no argument {wrong!r}; it takes {takes}"
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "home"),
+    [
+        ("jaxurban", "fit_weights", "jaxurban.fit.fit_weights"),
+        ("jaxurban", "all_maps", "jaxurban.grad.all_maps"),
+        ("jaxurban", "Dop", "jaxurban.metrics.Dop"),
+        ("jaxurban", "GpsParams", "jaxurban.Gps"),
+        ("jaxurban.fit", "plan", "jaxurban.plan"),
+        ("jaxurban", "openmaps", "jaxurban.open_maps"),
+    ],
+)
+def test_a_name_that_is_public_elsewhere_is_said_to_be_there(module, name, home):
+    with pytest.raises(AttributeError, match=rf"has no attribute '{name}' \(did you mean {re.escape(home)}\?\)"):
+        getattr(importlib.import_module(module), name)
+    assert not hasattr(ju, "BenchmarkSettings")
+
+
+def test_help_lists_the_sections_that_maps_are_made_with():
+    parameters = inspect.signature(ju.build_maps).parameters
+    assert {name: parameters[name].annotation for name in known_metrics()} == {
+        name: metric.params | None for name, metric in known_metrics().items()
+    }

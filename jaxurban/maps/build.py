@@ -10,6 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -30,7 +31,7 @@ from jaxurban.maps.task import PAPER_ALTITUDES_M, MapParams, MapTask, empty_data
 from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scene
 from jaxurban.metrics.custom import Layer, check_layers
 from jaxurban.metrics.gps import Gps
-from jaxurban.metrics.registry import ON_REQUEST, checked_sections, known_metrics
+from jaxurban.metrics.registry import ON_REQUEST, known_metrics, sections_of
 from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.progress import Progress, Stage, Stopwatch, reporting
@@ -43,7 +44,7 @@ from jaxurban.world.surface import Surface, obstacle_mask
 PAPER_TIME = "2020-04-27T16:00:00Z"
 
 
-@typed
+@partial(typed, makers=(sections_of,))
 def build_maps(
     city: City,
     bounds: Sequence[float] | None = None,
@@ -84,10 +85,9 @@ def build_maps(
     positive("resolution_m", resolution_m, "metres")
     if grid is not None and bounds is not None:
         raise InputError("give either bounds or grid, and not both")
-    sections = checked_sections(metrics, build_maps)
     layers = check_layers(layers)
     region = grid if grid is not None else _region(city, bounds, resolution_m)
-    params = MapParams(altitudes_m, oversample, heights or Heights(), sections, engine)
+    params = MapParams(altitudes_m, oversample, heights or Heights(), sections_of(**metrics), engine)
     check_region(city, region, is_own=grid is None and bounds is None)
     sky = view_sky(region, params.gps)
     task = MapTask(city, region, sky, params, layers, bands_of(layers, region, params.altitudes_m))
@@ -241,7 +241,7 @@ def skies_of(task: MapTask, surface: Surface) -> SkyView:
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
 
 
-@typed
+@partial(typed, makers=(sections_of,))
 def map_inputs(
     city: City, grid: Grid, *, altitudes_m: Sequence[float] = PAPER_ALTITUDES_M, **metrics: Any
 ) -> tuple[MapInputs, SkyView]:
@@ -255,7 +255,7 @@ def map_inputs(
     Raises:
       InputError: a grid off the city, unreadable or stale orbits, or settings that `all_maps` does not know.
     """
-    params = MapParams(altitudes_m, sections=checked_sections(metrics, map_inputs))
+    params = MapParams(altitudes_m, sections=sections_of(**metrics))
     check_region(city, grid)
     task = MapTask(city, grid, view_sky(grid, params.gps), params)
     inputs = inputs_of(task)
@@ -266,11 +266,11 @@ def map_inputs(
 def all_maps(inputs: MapInputs, sky: SkyView, weights: GivenWeights = None) -> dict[str, Array]:
     """Return every map of a region at one time, by its variable. Pure: jit it, map over it, export it.
 
-    ``jax.vmap`` over any leaf: skies or times (`skies_of`), roofs, altitudes with their beams, the GDOP threshold,
+    ``jax.vmap`` over any leaf: skies or times, roofs, altitudes with their beams, the GDOP threshold,
     gammas, weights. Gradients are those of the hard maps: of the threshold, the gammas and the weights.
 
     Args:
-      inputs: from `inputs_of`.
+      inputs: from `map_inputs`, which gives the skies too.
       sky: of one time.
       weights: give ``cost`` too, the weighted sum of the metrics' costs, ``[A, y, x]`` or, with population,
         ``[A, D, y, x]``: what a step into a cell costs beside its length.

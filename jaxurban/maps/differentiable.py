@@ -50,8 +50,7 @@ class SoftParams:
     sections: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        defaults = {name: metric.params() for name, metric in METRICS.items() if name not in self.sections}
-        object.__setattr__(self, "sections", defaults | checked_sections(self.sections))
+        object.__setattr__(self, "sections", checked_sections(self.sections))
 
     def settings_of(self, metric: Metric) -> Any:
         """Return the settings of a metric."""

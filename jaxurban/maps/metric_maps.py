@@ -5,12 +5,12 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from jaxurban.errors import InputError, finite, one_of, typed
+from jaxurban.errors import InputError, finite, typed
 from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.public import Shown, listed
@@ -74,7 +74,6 @@ class MetricMaps(Shown):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ds", _placed(self.ds))
-        one_of("obstacles", self.obstacles, get_args(Obstacles))
 
     @property
     def recorded(self) -> dict[str, Any]:
@@ -245,7 +244,7 @@ class MetricMaps(Shown):
           InputError: maps that hold no touched roofs, an unknown rule, or an altitude that is no number.
         """
         altitude_m = finite("altitude_m", altitude_m, "metres")
-        rule = one_of("obstacles", obstacles or self.obstacles, get_args(Obstacles))
+        rule = obstacles or self.obstacles
         is_free = self.ds["has_data"].values
         is_held = altitude_m in self.altitudes_m
         if is_held:

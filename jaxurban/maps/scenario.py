@@ -23,7 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from jaxurban.errors import InputError, at_least, check_range, nearest_name, one_of, positive, readable, typed
+from jaxurban.errors import InputError, at_least, check_range, nearest_name, positive, readable, typed
 from jaxurban.kernels.engine import Engine
 from jaxurban.maps.task import MapParams
 from jaxurban.metrics.custom import Layer, check_layers
@@ -130,8 +130,6 @@ class Study:
             raise InputError("planners is empty: name at least one planner")
         for planner in (*self.planners, *self.distance_only):
             find_planner(planner)
-        if self.cost_model is not None:
-            one_of("cost_model", self.cost_model, get_args(CostKind))
         positive("budget_s", self.budget_s, "seconds")
         for name, least in (("instances", 1), ("seed", 0), ("budget_iterations", 1)):
             if getattr(self, name) is not None:

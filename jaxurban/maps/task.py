@@ -13,15 +13,15 @@ import pyproj
 import xarray as xr
 from xarray.indexes import PandasIndex
 
-from jaxurban.errors import InputError, at_least, one_of, typed
+from jaxurban.errors import InputError, at_least, typed
 from jaxurban.io.read.guesses import Guesses, has_guessed_roofs, region_guesses
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
-from jaxurban.kernels.engine import ENGINES, Engine
+from jaxurban.kernels.engine import Engine
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Variable
 from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import BlockLayers, Population, block_layers
-from jaxurban.metrics.registry import METRICS, checked_sections
+from jaxurban.metrics.registry import checked_sections
 from jaxurban.metrics.variables import CAVEAT, NO_METRICS, TimeTotals, derived
 from jaxurban.metrics.visibility import shadow_reach_m
 from jaxurban.settings import Heights
@@ -62,9 +62,7 @@ class MapParams:
             raise InputError(f"altitudes_m must be different positive numbers of metres above ground, got {[*values]}")
         object.__setattr__(self, "altitudes_m", values)
         at_least("oversample", self.oversample, 1)
-        one_of("engine", self.engine, ENGINES)
-        defaults = {name: metric.params() for name, metric in METRICS.items() if name not in self.sections}
-        object.__setattr__(self, "sections", defaults | checked_sections(self.sections))
+        object.__setattr__(self, "sections", checked_sections(self.sections))
         gps = self.gps
         if self.heights.height_samples and not gps.keeps_times(len(gps.utc_times or (None,))):
             raise InputError(

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from jaxurban.errors import InputError, finite, one_of, typed
+from jaxurban.errors import InputError, finite, typed
 from jaxurban.metrics.base import ALTITUDE, COSTS, TIME, TIME_OF_DAY, Metric, Scale, Scene, SoftScene, Variable
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.metrics.variables import NO_METRICS, derived
@@ -74,8 +74,6 @@ class Layer:
                 "source must be the path of a raster, an array or a function of (surface, altitude_m), got "
                 f"{type(self.source).__name__}"
             )
-        one_of("cost", self.cost, COSTS)
-        one_of("nan", self.nan, ("closed", "error"))
         scale = [finite("scale", value) for value in self.scale]
         if not (len(scale) == 2 and scale[0] < scale[1]):
             raise InputError(f"scale must be two ascending numbers such as [0, 80], got {scale}")

@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, UInt, UInt8
 
-from jaxurban.errors import InputError, at_least, one_of, positive, typed
+from jaxurban.errors import InputError, at_least, positive, typed
 from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
 from jaxurban.metrics.base import (
     ALTITUDE,
@@ -81,8 +81,6 @@ class Gps:
     def __post_init__(self) -> None:
         what = "a number above 1 (such as 20)"
         check_value("gdop_threshold", self.gdop_threshold, what, lambda threshold: threshold > 1)
-        one_of("series", self.series, SERIES)
-        one_of("clocks", self.clocks, CLOCKS)
         what = "a value of m from 0 to below 1"
         check_value("availability_threshold", self.availability_threshold, what, lambda m: (m >= 0) & (m < 1))
         if not 0 <= self.mask_deg < 90:

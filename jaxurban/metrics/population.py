@@ -12,7 +12,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, DTypeLike, Float, Int, Integer
 
-from jaxurban.errors import InputError, nearest_name, one_of, typed
+from jaxurban.errors import InputError, nearest_name, typed
 from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scale, Scene, SoftScene, Variable, high_is_bad
 from jaxurban.metrics.settings import check_value, differentiable
 from jaxurban.settings import each
@@ -83,7 +83,6 @@ class Population:
     def __post_init__(self) -> None:
         for name in ("gamma_commercial", "gamma_residential"):
             check_value(name, getattr(self, name), "finite and not negative", lambda gamma: gamma >= 0)
-        one_of("quantity", self.quantity, ("density", "count"))
         _percentile(self.normalise)
         for name in ("weekday", "weekend"):
             shares = self.profile(name)

@@ -1,11 +1,10 @@
 """The metrics of the cost, in the paper's order, and those made on request: a new one is a file and a line here."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import fields
-from inspect import signature
+from collections.abc import Mapping
+from inspect import Parameter, Signature
 from typing import Any
 
-from jaxurban.errors import InputError, nearest_name, place_of
+from jaxurban.errors import InputError, one_of
 from jaxurban.metrics import gps, lidar, population, protection, risk
 from jaxurban.metrics.base import Metric
 
@@ -21,27 +20,29 @@ def known_metrics() -> dict[str, Metric]:
     return {**METRICS, **ON_REQUEST}
 
 
-def checked_sections(sections: Mapping[str, Any], function: Callable | None = None) -> dict[str, Any]:
-    """Return settings by the name of their metric; those that are None are left out.
+def sections_of(**sections: Any) -> dict[str, Any]:
+    """Return the settings of metrics that are given, by the metric's name; those made on request are made if named."""
+    return {name: section for name, section in sections.items() if section is not None}
 
-    Args:
-      sections: an object of `Metric.params` each.
-      function: of which they are further arguments, for the message.
+
+sections_of.__annotations__ = {name: metric.params | None for name, metric in known_metrics().items()}
+sections_of.__signature__ = Signature(  # type: ignore[attr-defined]
+    [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=hint)
+        for name, hint in sections_of.__annotations__.items()
+    ]
+)
+
+
+def checked_sections(sections: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of metrics by name, with the defaults of the metrics of every cost.
 
     Raises:
-      InputError: a name that is no metric's (names the nearest one, or where it belongs), or another metric's settings.
+      InputError: a name that is no metric's, or another metric's settings.
     """
     known = known_metrics()
     for name, section in sections.items():
-        if name not in known:
-            choices = [*known, *(() if function is None else signature(function).parameters)]
-            homes = (key for key, metric in known.items() if name in {field.name for field in fields(metric.params)})
-            home = next((f" (give {key}={known[key].params.__name__}({name}=...))" for key in homes), "")
-            place = place_of(name, function) if function else ""
-            found = f"there is no argument {name!r}" if function else f"there is no metric {name!r}"
-            where = f"{function.__name__}: " if function else ""
-            raise InputError(f"{where}{found}{home or place or nearest_name(name, choices)}")
-        if section is not None and not isinstance(section, known[name].params):
-            kind = known[name].params.__name__
-            raise InputError(f"{name} must be a {kind}, as in {name}={kind}(), got {type(section).__name__}")
-    return {name: section for name, section in sections.items() if section is not None}
+        kind = known[one_of("the metric of a section", name, known)].params
+        if not isinstance(section, kind):
+            raise InputError(f"{name} must be {kind.__name__}, got {type(section).__name__}")
+    return {name: metric.params() for name, metric in METRICS.items()} | dict(sections)

@@ -12,15 +12,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from jaxurban.errors import one_of, typed
+from jaxurban.errors import typed
 from jaxurban.kernels.distance import nearest as kernel
 from jaxurban.kernels.distance.nearest_cpu import distance_on_host
 from jaxurban.kernels.engine import Engine, runs_numba
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, low_is_bad, on_scene
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
 from jaxurban.world.surface import Part, Surface, in_type, stands_at
-
-DISTANCES = ("slice", "solid")
 
 
 @differentiable("threshold_m")
@@ -43,7 +41,6 @@ class Risk:
 
     def __post_init__(self) -> None:
         check_value("threshold_m", self.threshold_m, "a positive number of metres", lambda reach_m: reach_m > 0)
-        one_of("distance", self.distance, DISTANCES)
 
 
 def compute_risk(

@@ -2,11 +2,11 @@
 
 import math
 from functools import cache, partial
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import InputError, finite, one_of, taken_by, typed
+from jaxurban.errors import InputError, finite, taken_by, typed
 from jaxurban.maps.levels import Levels, values_at
 from jaxurban.maps.memory import free_bytes, told_bytes
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -46,7 +46,7 @@ def cost_map(
     altitude_m: float | Levels,
     *,
     weights: GivenWeights = None,
-    objective: str | None = None,
+    objective: Objective | None = None,
     cost_model: CostModel | CostKind | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
@@ -81,7 +81,7 @@ def cost_map(
     maps, model, limits = rules_on(as_maps(maps), cost_model, constraints, preset)
     rules: dict[str, Any] = {
         "weights": weights_on(maps, weights),
-        "objective": one_of("objective", objective or maps.planning.objective, get_args(Objective)),
+        "objective": objective or maps.planning.objective,
         "cost_model": model,
         "constraints": limits.at(time),
         "time": time,

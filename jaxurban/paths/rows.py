@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self, get_args
+from typing import Any, ClassVar, NamedTuple, Self
 
 import pandas as pd
 
-from jaxurban.errors import InputError, one_of, typed
+from jaxurban.errors import InputError, typed
 from jaxurban.io.tables import Row, RowStore, read_table, records_of
 from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.metric_maps import MetricMaps, open_maps
@@ -47,10 +47,6 @@ class MapsFolder:
     folder: str | Path
     resolution_m: float | None = None
     obstacles: Obstacles | None = None
-
-    def __post_init__(self) -> None:
-        if self.obstacles is not None:
-            one_of("obstacles", self.obstacles, get_args(Obstacles))
 
     def at(self, opened: MetricMaps) -> "MapsFolder":
         """Return the folder by its whole path, with the resolution and the rule of its opened maps."""

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 
 from jaxurban import settings
-from jaxurban.errors import InputError, one_of, typed
+from jaxurban.errors import InputError, typed
 from jaxurban.public import Shown
 from jaxurban.settings import SLABS as SLABS
 from jaxurban.settings import TO_GROUND as TO_GROUND
@@ -269,7 +269,6 @@ class City(Shown):
     hanging: Hanging = TO_GROUND
 
     def __post_init__(self) -> None:
-        one_of("hanging", self.hanging, (TO_GROUND, SLABS))
         if (self.buildings is None) == (self.roofs is None):
             raise InputError("a City needs either buildings (outlines) or roofs (a height raster), and not both")
 

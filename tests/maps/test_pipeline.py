@@ -178,7 +178,7 @@ def test_from_a_notebook_it_gives_the_maps_of_build_maps(task, made):
     found = jax.vmap(ju.grad.all_maps, (None, 0))(inputs, skies)
     for name, values in made.items():
         assert_same(name, found[name], values)
-    with pytest.raises(InputError, match="city must be a City"):
+    with pytest.raises(InputError, match="city must be City"):
         ju.grad.map_inputs(5, grid)
     with pytest.raises(InputError, match=r"sky must be of one time, got 2: take jax\.vmap"):
         ju.grad.all_maps(inputs, skies)

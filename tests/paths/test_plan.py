@@ -96,8 +96,8 @@ def test_a_place_inside_an_obstacle_is_refused_or_snapped(maps, ends):
     ("changed", "words"),
     [
         ({"planner": "astar-pluss"}, "did you mean 'astar-plus'"),
-        ({"objective": "fast"}, "'weighted' or 'distance'"),
-        ({"cost_model": "cells"}, "'cell' or 'line'"),
+        ({"objective": "fast"}, "'weighted', 'distance' or None"),
+        ({"cost_model": "cells"}, "CostModel, 'cell', 'line' or None"),
         ({"altitude_m": 10.0}, "from 20 to 600 m"),
         ({"start": (-73.97, 40.78)}, "not both"),
         ({"weights": {"gps": float("nan")}}, "gps must be a finite number"),

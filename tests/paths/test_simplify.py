@@ -163,7 +163,7 @@ def test_another_cost_map_or_no_tolerance_is_refused_in_one_sentence(maps):
     for wrong in (0.0, -1.0, float("inf"), "far"):
         with pytest.raises(InputError, match="tolerance_m must be"):
             ju.simplify(path, on, wrong)
-    with pytest.raises(InputError, match="planned must be a PlannedPath"):
+    with pytest.raises(InputError, match="planned must be PlannedPath"):
         ju.simplify(None, on, 2.0)
 
 

@@ -27,7 +27,7 @@ def make(costs=LAYERS, is_free=FREE, start=(0, 0), goal=(0, 2), resolution_m=1.0
         ({"resolution_m": 0.0}, "resolution_m must be a positive"),
         ({"weights": -0.1}, "weights must be"),
         ({"weights": np.nan}, "weights must be"),
-        ({"cost_model": "cells"}, "cost_model must be"),
+        ({"cost_model": "cells"}, "kind must be 'cell' or 'line', got 'cells'"),
     ],
 )
 def test_a_wrong_problem_is_refused_with_a_sentence_that_names_it(changes, message):

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, at_least, one_of, typed
+from jaxurban.errors import InputError, at_least, typed
 from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import check_alike
 from jaxurban.studies.route_pool import FitSettings
 from jaxurban.studies.tuning.fenchel_young import trust_of, usual_regret
-from jaxurban.studies.tuning.weight_fit import DISTRUSTED, WeightFit, fit_weights
+from jaxurban.studies.tuning.weight_fit import DISTRUSTED, WeightFit, WeightScale, fit_weights
 
 ALL = "all"
 SPLIT = 0  # stream of random numbers
@@ -47,7 +47,7 @@ def compare_fits(
     *,
     hold_out: float = 0.25,
     by_city: bool = True,
-    scale: str = "simplex",
+    scale: WeightScale = "simplex",
     bootstrap: int = 200,
     settings: FitSettings | None = None,
 ) -> FitComparison:
@@ -68,7 +68,6 @@ def compare_fits(
     """
     settings = settings or FitSettings()
     at_least("bootstrap", bootstrap)
-    one_of("scale", scale, ("simplex", "distance"))
     if not 0 <= hold_out <= MOST_HELD_OUT:
         raise InputError(f"hold_out must be a share from 0 to {MOST_HELD_OUT:g}, got {hold_out}")
     demonstrations = [each for shown in cities.values() for each in shown]

@@ -3,14 +3,14 @@
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import at_least, one_of, typed
+from jaxurban.errors import at_least, typed
 from jaxurban.io.tables import fingerprint
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
@@ -36,6 +36,7 @@ from jaxurban.studies.tuning.fenchel_young import (
     weights_of,
 )
 
+WeightScale = Literal["simplex", "distance"]
 FIRST_NOISE, LAST_NOISE = 0.3, 0.03  # standard deviation of log weights: first far, in the end close to the minimum
 NOISE_ROUNDS = 7  # in which the noise shrinks
 NUM_NOISE, NUM_PROBES = 32, 2  # noises a query in the loss; searches a query and round under perturbed weights
@@ -104,7 +105,7 @@ class WeightFit:
 def fit_weights(
     demonstrations: Sequence[Demonstration],
     *,
-    scale: str = "simplex",
+    scale: WeightScale = "simplex",
     bootstrap: int = 200,
     settings: FitSettings | None = None,
 ) -> WeightFit:
@@ -131,7 +132,6 @@ def fit_weights(
     Raises:
       InputError: no demonstrations, maps that do not go together, or a wrong setting.
     """
-    one_of("scale", scale, ("simplex", "distance"))
     at_least("bootstrap", bootstrap)
     begin_s, settings = time.perf_counter(), settings or FitSettings()
     demonstrations = list(demonstrations)
