@@ -123,7 +123,7 @@ def test_a_folder_stands_for_its_maps(paths, folder):
 
 
 def test_pictures_take_one_path_several_or_a_batch(paths):
-    for given in (paths[0], [paths[0], paths[1]], paths, {20.0: [paths[0]]}):
+    for given in (paths[0], [paths[0], paths[1]], paths):
         assert "20 m" in plot_paths(MAPS, given).axes[0].get_title("left")
     assert plot_overview(MAPS, paths).axes
     with pytest.raises(InputError, match="paths must be paths from plan"):
