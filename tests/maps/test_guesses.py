@@ -88,7 +88,7 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     np.testing.assert_array_equal(maps.m("roof_guessed"), guessed)
     figure = plotting.plot_heights(maps)
     texts = [text.get_text() for text in figure.findobj(Text)]
-    assert "height guessed\n(50 % of roofs)" in texts
+    assert "height guessed: 50 % of roofs" in texts
     assert any(text.startswith("Guessed: 50 % of heights") for text in texts)
 
 
