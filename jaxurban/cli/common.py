@@ -106,7 +106,7 @@ DEVICE_CHOICE = partial(
 )
 DEVICE = DEVICE_CHOICE(callback=lambda ctx, param, name: use_device(name), expose_value=False)
 RESOLUTION = click.option(
-    "--resolution", "resolution_m", type=float, help="Of the maps, metres; needed where DIR holds several."
+    "--resolution", "resolution_m", type=float, help="Cell size of the maps, metres; needed where DIR holds several."
 )
 OBSTACLES = click.option(
     "--obstacles",
@@ -115,8 +115,8 @@ OBSTACLES = click.option(
     "paths then cut true outlines.  [default: the scenario's, else touched]",
 )
 CONSTRAINTS = together(  # which `given_constraints` takes
-    click.option("--no-fly", type=PATH, multiple=True, help="Closed polygons (GeoJSON, KML); repeatable."),
-    click.option("--require", multiple=True, help="What must hold all along, such as gps>=0.3; repeatable."),
+    click.option("--no-fly", type=PATH, multiple=True, help="A file of closed polygons (GeoJSON, KML); repeatable."),
+    click.option("--require", multiple=True, help="A bound that must hold all along, such as gps>=0.3; repeatable."),
     click.option(
         "--clearance",
         "clearance_m",
@@ -129,7 +129,7 @@ CONSTRAINTS = together(  # which `given_constraints` takes
         "vertical_clearance_m",
         type=float,
         metavar="METRES",
-        help="Keep so high over roofs, or clear of them.  [default: the scenario's, else 3]",
+        help="Fly at least so high over roofs, or beside them.  [default: the scenario's, else 3]",
     ),
 )
 COST_MODEL = click.option(
@@ -146,7 +146,7 @@ RULES = together(  # what `given_rules` takes, and which maps
     PRESET,
     COST_MODEL,
     OBSTACLES,
-    click.option("--weights", "weights_text", default="", help="As gps=1,risk=2; those not named keep their values."),
+    click.option("--weights", "weights_text", default="", help="Such as gps=1,risk=2; others keep their values."),
     CONSTRAINTS,
 )
 ROUTE = together(  # a route over maps, under costs

@@ -30,7 +30,7 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 @click.command()
 @ROUTE
 @click.option("--planner", help="ptp, astar-dist, astar-plus ... [default: the scenario's, else astar-plus]")
-@click.option("--heuristic", help="Left out: the planner's own.")
+@click.option("--heuristic", help="Lower bound of the search.  [default: the planner's own]")
 @click.option("--objective", type=click.Choice(["weighted", "distance"]), help="What to minimise.")
 @click.option("--budget", "budget_s", type=float, help="Seconds that the search may take.")
 @click.option("--seed", type=click.IntRange(min=0))
@@ -49,7 +49,7 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 @click.option("--power", "power_w", type=float, help="Watts in flight, for energy.  [default: the vehicle's]")
 @click.option("--swath", "swath_m", type=float, help="Of the strip of people overflown, metres.  [default: 10]")
 @click.option("--profile", type=PATH, help="Draw what the route meets, as PNG.")
-@click.option("-o", "files", type=PATH, multiple=True, help="Such as a .geojson, .kml, .gpx or .plan; repeatable.")
+@click.option("-o", "files", type=PATH, multiple=True, help="Write a .geojson, .kml, .gpx or .plan; repeatable.")
 @click.option(
     "--simplify",
     "simplify_m",
@@ -58,7 +58,7 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
     help="Fewest straight legs within so far of the path, clear of closed cells; 0 for every turn.  [default: in .gpx "
     "and .plan half a cell, else 0]",
 )
-@click.option("--end", type=click.Choice(["land", "return", "none"]), help="Of a .plan.  [default: land, at the goal]")
+@click.option("--end", type=click.Choice(["land", "return", "none"]), help="How a .plan ends.  [default: land]")
 @DEVICE
 @JSON_FLAG
 def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: bool, **options: Any) -> int:
