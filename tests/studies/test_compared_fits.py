@@ -104,7 +104,7 @@ def test_wrong_choices_are_one_sentence(cities, wrong, words):
     few = {name: shown[:4] for name, shown in cities.items()}
     with pytest.raises(InputError, match=words):
         compare_fits(few, **wrong)
-    with pytest.raises(InputError, match="cities must be a dict of sequence of Demonstration"):
+    with pytest.raises(InputError, match="cities must be a dict of sequences of Demonstration"):
         compare_fits({"Aton": [5]})
 
 

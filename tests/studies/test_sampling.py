@@ -138,7 +138,7 @@ def test_instances_survive_their_file(instances, tmp_path, suffix):
     [
         (lambda table: table.drop(columns="w_gps"), ["lacks", "w_gps"]),
         (lambda table: table.assign(w_gps=-1.0), ["row 1", "w_gps", ">= 0", "-1.0"]),
-        (lambda table: table.assign(w_gps=1e308), ["row 1", "w_gps", "at most 9e+18", "1e+308"]),
+        (lambda table: table.assign(w_gps=1e308), ["row 1", "w_gps", "at most 1e+30", "1e+308"]),
         (lambda table: table.assign(w_gps=[1.0, None]), ["row 2", "got nan"]),
         (lambda table: table.assign(instance=0.5), ["whole number"]),
         (lambda table: table.assign(instance=-3), ["whole number >= 0", "got -3"]),
