@@ -150,7 +150,7 @@ def test_bands_and_shapes_that_do_not_fit_are_refused(task):
         ({"scale": (0.0, 1.0, 2.0)}, "scale must be two ascending numbers"),
         ({"scale": 5.0}, "scale must be a sequence"),
         ({"altitudes_m": (20.0, 20.0)}, "altitudes_m must name different altitudes"),
-        ({"altitudes_m": 20.0}, "altitudes_m must be a sequence or None"),
+        ({"altitudes_m": 20.0}, "altitudes_m must be a sequence of numbers or None"),
     ],
 )
 def test_settings_that_are_none_are_refused(settings, words):
