@@ -338,13 +338,14 @@ def first(folder: Path) -> tuple[Took, Facts]:
 
 
 TIMES = [f"2024-05-29T{hour:02d}:00:00Z" for hour in range(0, 24, 4)]
+SPREAD = {"gps": ju.Gps(bounds=True), "heights": ju.Heights(height_samples=2)}
 WORKLOADS: dict[str, Callable[[Path], tuple[Took, Facts]]] = {
     "build_maps": partial(build, "build_maps", 5_000, 10_000, {"altitudes_m": (20.0, 60.0)}),
     "series": partial(
         build, "series", 5_000, 5_000, {"gps": ju.Gps(times=TIMES), "altitudes_m": (20.0, 40.0, 60.0, 122.0)}
     ),
     "supersampled": partial(build, "supersampled", 2_500, 5_000, {"oversample": 2}),
-    "spread": partial(build, "spread", 1_000, 1_000, {"oversample": 3, "heights": ju.Heights(height_samples=2)}),
+    "spread": partial(build, "spread", 1_000, 1_000, {"oversample": 3, **SPREAD}),
     "terrain": terrain,
     "gradient": gradient,
     "astar": astar,

@@ -197,7 +197,7 @@ def inputs_of(task: MapTask) -> MapInputs:
     """Return a task's surface and settings, made ready for `all_maps`.
 
     Raises:
-      InputError: what `all_maps` knows nothing of: slabs, finer cells for rays, spreads and own layers.
+      InputError: what `all_maps` knows nothing of: slabs, finer cells for rays, bounds, spreads and own layers.
     """
     params = task.params
     if task.city.hanging == SLABS:
@@ -205,10 +205,10 @@ def inputs_of(task: MapTask) -> MapInputs:
             'the maps as one function know no slabs: read the city with hanging = "to_ground", or make the maps with '
             "build_maps"
         )
-    if params.oversample > 1 or params.heights.height_samples or task.layers:
+    if params.oversample > 1 or params.gps.bounds or params.heights.height_samples or task.layers:
         raise InputError(
-            "the maps as one function know no oversample, height_samples or own layers: leave them out, or make the "
-            "maps with build_maps"
+            "the maps as one function know no oversample, bounds, height_samples or own layers: leave them out, or "
+            "make the maps with build_maps"
         )
     if asked := [name for name, metric in task.metrics.items() if name in ON_REQUEST and metric.traced is None]:
         raise InputError(

@@ -90,7 +90,7 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
     if task.params.engine == "jax" and task.has_terrain and "lidar" in task.metrics:
         needed += _num_cells(tile) * TERRAIN_GPU_BYTES
     of_margin = SPREAD_CELL_BYTES * num_altitudes * bool(task.params.heights.height_samples)
-    if task.params.oversample > 1:
+    if task.params.oversample > 1 or task.params.gps.bounds:
         of_margin += SUBCELL_BYTES * task.params.oversample**2
     return needed + of_margin * _num_cells(task.with_margin(tile)) if of_margin else needed
 

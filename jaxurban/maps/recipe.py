@@ -23,10 +23,10 @@ from jaxurban.maps.task import MapTask, variables
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Scene
 from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.variables import SCALE, TimeTotals, series_statistics
-from jaxurban.metrics.visibility import visibility
+from jaxurban.metrics.visibility import bounding_visibility, visibility
 from jaxurban.progress import Stage
 from jaxurban.settings import HeightStd
-from jaxurban.world.city import City, HeightOrigin
+from jaxurban.world.city import TO_GROUND, City, HeightOrigin
 from jaxurban.world.surface import Surface, obstacles_on, region_roofs
 
 
@@ -69,11 +69,14 @@ class TileScene:
     @cached_property
     def supersampled(self) -> Surface | None:
         """The surface ``oversample`` times finer that rays see; None where that is the tile's own."""
+        params = self.task.params
+        return None if params.oversample == 1 else self.finer(self.task.city, params.heights.all_touched)
+
+    def finer(self, city: City, all_touched: bool) -> Surface:
+        """Return a city on the tile and all that shadows it, rasterised ``oversample`` times finer."""
         task, region, n = self.task, self.surface.region, self.task.params.oversample
-        if n == 1:
-            return None
-        bare, grids = replace(task.city, blocks=None), (region.refined(n), task.with_margin(region).refined(n))
-        return replace(build_surface(bare, *grids, task.params.heights.all_touched), roof_touched_m=None)
+        bare, grids = replace(city, blocks=None), (region.refined(n), task.with_margin(region).refined(n))
+        return replace(build_surface(bare, *grids, all_touched), roof_touched_m=None)
 
     def surfaces_at(self, altitude_m: float) -> tuple[Surface, Surface | None]:
         """Return what an altitude meets: the surface and the finer one, if any; keeps the last."""
@@ -86,14 +89,17 @@ class TileScene:
     def words(self, time_index: int) -> np.ndarray:
         """Return the visibility words ``[W, A, y, x]`` of a time; keeps the last."""
         if time_index not in self._seen:
-            self.forget()
             in_view, params, rings = self.task.in_view(time_index), self.task.params, None
             if self.rings is not None and self.supersampled is None:
                 rings = [self.rings[time_index, int(s)] for s in in_view.numbers]
             where = self.supersampled or self.surface, *in_view.angles, params.altitudes_m
-            words = visibility(*where, rings, params.engine, params.oversample)
-            self._seen[time_index] = np.asarray(words)
+            self.keep(time_index, np.asarray(visibility(*where, rings, params.engine, params.oversample)))
         return self._seen[time_index]
+
+    def keep(self, time_index: int, words: np.ndarray) -> None:
+        """Let `words` return these for a time, and forget all others."""
+        self.forget()
+        self._seen[time_index] = words
 
     def forget(self) -> None:
         """Free the memory of the words that are kept."""
@@ -152,7 +158,10 @@ def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     for number, (name, metric) in enumerate(by_sky):
         is_series = TIME in metric.dims and not task.keeps_times
         yield from _staged((_statistics if is_series else _maps)(tile, metric), stage, name)
-        if not any(TIME in later.dims for _, later in by_sky[number + 1 :]):
+        has_bounds = name == "gps" and task.params.gps.bounds
+        if has_bounds:
+            yield from _staged(_bounds(tile, metric), stage, f"{name}_bounds")
+        if has_bounds or not any(TIME in later.dims for _, later in by_sky[number + 1 :]):
             tile.forget()
     if task.params.heights.height_samples:
         yield from _staged(_height_spread(tile), stage, "height_spread")
@@ -207,6 +216,23 @@ def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
             of_altitude = is_available[:, a]
         for what, values in series_statistics(m[:, a], threshold, of_altitude).items():
             yield MapLayer(f"{metric.name}_{what}", (a,), values)
+
+
+def _bounds(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
+    """Yield ``{metric}_lower`` and ``_upper``, which bracket the true m of free cells: roofs that hide most and least.
+
+    What hangs reaches the ground in the one, and is not there in the other. One satellite more never makes m less.
+    """
+    task, params = tile.task, tile.task.params
+    to_ground = replace(task.city, hanging=TO_GROUND)
+    for end, city, is_lower in (("lower", to_ground, True), ("upper", task.city, False)):
+        fine = replace(tile.finer(city, all_touched=is_lower), slabs=None)
+        for t in range(task.num_times):
+            view = *task.in_view(t).angles, params.altitudes_m, params.oversample
+            tile.keep(t, bounding_visibility(fine, *view, hides_most=is_lower))
+            for a in range(len(params.altitudes_m)):
+                made = metric.compute(tile.at(metric, (t, a), only_m=True), task.settings_of(metric))
+                yield MapLayer(f"{metric.name}_{end}", (t, a), made[metric.name])
 
 
 def _height_spread(tile: TileScene) -> Iterator[MapLayer]:

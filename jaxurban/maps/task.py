@@ -46,8 +46,8 @@ class MapParams:
       engine: which form of the kernels runs; it changes no bit of the maps on a CPU.
 
     Raises:
-      InputError: altitudes or an oversample that are none, an unknown engine, sections of no metric, or spreads of a
-        series that keeps no single time's maps.
+      InputError: altitudes or an oversample that are none, an unknown engine, sections of no metric, or bounds or
+        spreads of a series that keeps no single time's maps, or bounds with an even oversample.
     """
 
     altitudes_m: Sequence[float] = PAPER_ALTITUDES_M
@@ -64,11 +64,13 @@ class MapParams:
         at_least("oversample", self.oversample, 1)
         object.__setattr__(self, "sections", checked_sections(self.sections))
         gps = self.gps
-        if self.heights.height_samples and not gps.keeps_times(len(gps.utc_times or (None,))):
+        if (gps.bounds or self.heights.height_samples) and not gps.keeps_times(len(gps.utc_times or (None,))):
             raise InputError(
-                "[buildings] height_samples need the maps of every time: give fewer times, or set [gps] series = "
-                "'epochs'"
+                "[gps] bounds and [buildings] height_samples need the maps of every time: give fewer times, or set "
+                "[gps] series = 'epochs'"
             )
+        if gps.bounds and self.oversample % 2 == 0:
+            raise InputError(f"[gps] bounds need an odd oversample, got {self.oversample}: use 3 or 5")
 
     @property
     def gps(self) -> Gps:
@@ -96,7 +98,7 @@ class MapTask:
       guesses: behind the maps (see `jaxurban.io.read.guesses`), for those who look at them.
 
     Raises:
-      InputError: layers whose names would be those of maps of the spread.
+      InputError: bounds of GPS under several clocks, or layers whose names would be those of maps of the spread.
     """
 
     city: City
@@ -108,6 +110,11 @@ class MapTask:
     guesses: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.params.gps.bounds and self.in_view(0).clocks is not None:
+            raise InputError(
+                "bounds of m_gps hold for one clock: with several, a first satellite of the first system may raise "
+                "GDOP. Set [gps] clocks = 'one', or give the orbits of one system"
+            )
         spreads = {each for name in self.spread_metrics for each in derived(self.metrics[name])["spread"]}
         if taken := spreads & {*self.layers}:
             raise InputError(f"a layer cannot be called {min(taken)!r}, a map of the spread: give it another name")
@@ -218,6 +225,8 @@ def variables(task: MapTask) -> dict[str, Variable]:
             found |= derived(metric)["series"]
             continue
         found |= metric.variables
+        if name == "gps" and task.params.gps.bounds:
+            found |= derived(metric)["bounds"]
         if name in task.spread_metrics:
             found |= derived(metric)["spread"]
     are_made = {

@@ -52,6 +52,7 @@ class Gps:
         (``"statistics"``, see `jaxurban.metrics.variables`), or statistics above `MAX_STORED_TIMES`
         (``"auto"``).
       availability_threshold: m above which a position counts as available, in [0, 1).
+      bounds: also make ``gps_lower`` and ``gps_upper``, which bracket the true m (``oversample`` odd, one clock).
       clocks: of the receiver, which are solved for beside the position: one for each ``"system"`` that is seen, as
         their times differ by what nobody knows, or ``"one"`` for all, as in the paper, which has but one system.
       orbits: ``"nominal"``, a TLE or OMM file, or several of these (other constellations).
@@ -68,6 +69,7 @@ class Gps:
     gdop_threshold: float = 20.0
     series: Literal["auto", "epochs", "statistics"] = "auto"
     availability_threshold: float = 0.5
+    bounds: bool = False
     clocks: Literal["system", "one"] = "system"
     orbits: str | Path | Sequence[str | Path] = (NOMINAL,)
     times: str | Sequence[str] | None = None

@@ -64,8 +64,8 @@ NO_METRICS = {
 def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
     """Return what is made of a metric's own map, by kind and by name.
 
-    ``"series"``: over many times, cell by cell; ``"region"``: the same over all cells; ``"spread"``: over uncertain
-    heights.
+    ``"series"``: over many times, cell by cell; ``"region"``: the same over all cells; ``"bounds"``: what brackets it;
+    ``"spread"``: over uncertain heights.
     """
     own, dims = metric.variables[metric.name], tuple(dim for dim in metric.dims if dim != TIME)
     share, always_so = "above the threshold", f"m_{own.name} is above the threshold"
@@ -82,6 +82,7 @@ def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
             "epoch_mean": ("mean over free cells", own.one_means),
             "worst_time": ("time of the least mean over free cells", ""),
         },
+        "bounds": {"lower": ("at least", ""), "upper": ("at most", "")},
         "spread": {
             "mean": (f"mean {uncertain}", ""),
             "std": (f"standard deviation {uncertain}", ""),

@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, UInt
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from jaxurban.kernels.dop import Clocks, Geometry, geometry, unit_vectors
 from jaxurban.kernels.engine import Engine, runs_numba
@@ -18,6 +20,8 @@ from jaxurban.kernels.shadows.sweep_cpu import hand_on, mark_visible
 from jaxurban.metrics.base import AnyArray
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import PER_CELL, Slabs, Surface, in_type
+
+WHOLE_ROW_STEPS = 0.5  # from a row's middle to where a ray enters it
 
 
 def shadow_reach_m(
@@ -212,6 +216,56 @@ def _without_hidden(
         elevation_rad,
         surface.grid.resolution_m / PER_CELL,
     )
+    return words
+
+
+def bounding_visibility(
+    surface: Surface,
+    azimuth_rad: np.ndarray,
+    elevation_rad: np.ndarray,
+    altitudes_m: Sequence[float],
+    every: int,
+    *,
+    hides_most: bool,
+) -> UInt[np.ndarray, "W A y x"]:
+    """Return `visibility` that is certain: under roofs that hide at least, or at most, what the city hides.
+
+    Those that hide most: a ray meets the highest of the three cells of a row that the true ray may cross, from where
+    it enters the row. Those that hide least: only cells whose eight neighbours are covered too count, and a ray meets
+    the lowest of the three. Who is seen under the first is seen in truth, and who is hidden under the second is hidden
+    in truth, but for gaps between outlines narrower than a cell. This holds for flat-topped prisms over the surface's
+    terrain, taken as steps. With cells as wide as the map's (``every`` 1) both are valid but wide.
+
+    Args:
+      surface: ``every`` times finer than the map. For most: everything reaches the ground, and roofs cover all cells
+        that they touch. For least: roofs at the cells' centres, nothing hangs.
+      azimuth_rad, elevation_rad, altitudes_m: as for `visibility`.
+      every: odd.
+      hides_most: which.
+    """
+    altitudes, (rows, cols) = np.asarray(altitudes_m, surface.roof_m.dtype), surface.window
+    middles = slice(every // 2, None, every)
+    extreme = maximum_filter1d if hides_most else minimum_filter1d
+    reached = partial(extreme, size=3, mode="constant", cval=-np.inf)
+    top_m = np.asarray(surface.top_m)
+    covered_m = top_m if hides_most else reached(reached(top_m, axis=0), axis=1)
+    num_words = max(1, -(-len(azimuth_rad) // WORD_BITS))
+    words = np.zeros((num_words, len(altitudes), *(size // every for size in surface.region.shape)), np.uint32)
+    ground_m = None if surface.terrain_m is None else np.ascontiguousarray(surface.terrain_m[rows, cols])
+    mark_visible(
+        words,
+        reached(covered_m, axis=1),
+        ground_m,
+        altitudes,
+        stacked(lines_over(surface.grid.padded(1, 1, 1, 1), azimuth_rad, elevation_rad)),
+        (rows.start, cols.start),
+        every=every,
+        entry_steps=WHOLE_ROW_STEPS,
+        turned_top_m=reached(covered_m, axis=0),
+    )
+    if hides_most:  # the roof over the receiver's own cell hides all
+        own_m = np.where(np.asarray(surface.roof_m) > 0, top_m, -np.inf)[rows, cols][middles, middles]
+        words *= own_m <= _heights(None if ground_m is None else ground_m[middles, middles], altitudes)
     return words
 
 

@@ -53,6 +53,8 @@ def mark_visible(
     rings: Ring | None = None,
     *,
     every: int = 1,
+    entry_steps: float = ENTRY_STEPS,
+    turned_top_m: Float[np.ndarray, "Y X"] | None = None,
 ) -> None:
     """Set the bit of every satellite in the visibility words where it is seen.
 
@@ -67,14 +69,17 @@ def mark_visible(
       first_cell: row and column of the region's southwest cell in the surface.
       rings: what the grids around the surface hand on, fields stacked along ``S``; left out, nothing stands there.
       every: n: receivers stand in every n-th cell of the region both ways, from ``n // 2`` on; the words are theirs.
+      entry_steps: share of a step before a cell's middle at which a ray meets its roof.
+      turned_top_m: the tops for lines that head east or west; left out, those for all.
     """
     ground_m = np.empty((0, 0), top_m.dtype) if ground_m is None else ground_m
     for heading in np.unique(lines.heading):
         is_turned, toward_last = heading in (EAST, WEST), heading in (NORTH, EAST)
-        bundle = _bundle(lines, heading, top_m, rings)
+        tops = turned_top_m if is_turned and turned_top_m is not None else top_m
+        bundle = _bundle(lines, heading, tops, rings, entry_steps)
         no_edges = np.empty((0, 2, 0), top_m.dtype)
         region = first_cell[::-1] if is_turned else first_cell
-        _sweep(words, top_m, ground_m, altitudes_m, bundle, region, is_turned, toward_last, no_edges, no_edges, every)
+        _sweep(words, tops, ground_m, altitudes_m, bundle, region, is_turned, toward_last, no_edges, no_edges, every)
 
 
 def hand_on(top_m: Float[np.ndarray, "Y X"], lines: Line, rings: Ring) -> Ring:
@@ -94,7 +99,9 @@ def hand_on(top_m: Float[np.ndarray, "Y X"], lines: Line, rings: Ring) -> Ring:
     return Ring(rows[:, 0], rows[:, 1], cols[:, 0], cols[:, 1])
 
 
-def _bundle(lines: Line, heading: int, top_m: np.ndarray, rings: Ring | None) -> _Bundle:
+def _bundle(
+    lines: Line, heading: int, top_m: np.ndarray, rings: Ring | None, entry_steps: float = ENTRY_STEPS
+) -> _Bundle:
     """Return what a sweep needs of the lines of one heading and of the rings."""
     number = np.flatnonzero(lines.heading == heading)
     num_rows, num_cols = top_m.shape if heading in (NORTH, SOUTH) else top_m.shape[::-1]
@@ -113,7 +120,7 @@ def _bundle(lines: Line, heading: int, top_m: np.ndarray, rings: Ring | None) ->
             south_m, north_m, west_m, east_m = west_m, east_m, south_m[:, 1:-1], north_m[:, 1:-1]
         near_m, left_m, right_m = north_m if heading in (NORTH, EAST) else south_m, west_m, east_m
     borders = (np.ascontiguousarray(side, top_m.dtype) for side in (near_m, left_m, right_m))
-    return _Bundle(number, drop_m, top_m.dtype.type(ENTRY_STEPS) * drop_m, shifts, *borders)
+    return _Bundle(number, drop_m, top_m.dtype.type(entry_steps) * drop_m, shifts, *borders)
 
 
 @compiled(nogil=True)

@@ -73,7 +73,7 @@ def test_jax_gives_the_bits_of_numba_for_two_constellations_and_calls_no_form_of
 def test_over_terrain_around_slabs_and_on_finer_cells_the_bits_are_equal():
     params = replace(PARAMS, altitudes_m=(2.0, 13.0))
     solid = replace(params, sections=params.sections | {"risk": ju.Risk(distance="solid")})
-    finer = replace(params, oversample=3)
+    finer = replace(params, oversample=3, sections=params.sections | {"gps": ju.Gps(bounds=True)})
     for each in (params, solid, finer):
         assert_same(*both(MapTask(hanging_city(with_terrain=True), REGION, sky(), each)))
 

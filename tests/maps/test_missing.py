@@ -17,7 +17,7 @@ from tests import hanging_city, tiled_runs
 
 DOPS = "gdop pdop hdop vdop tdop"
 MISSING = {  # undefined inside obstacles
-    *f"gps {DOPS} lidar risk protection hpl vpl".split(),
+    *f"gps gps_lower gps_upper {DOPS} lidar risk protection hpl vpl".split(),
     *(f"{name}_{what}" for name in ("gps", "lidar", "risk", "protection") for what in ("mean", "std", "p05", "p95")),
     *(f"{name}_{what}" for name in ("gps", "protection") for what in ("availability", "median", "p05")),
 }
@@ -39,13 +39,13 @@ def made(name: str) -> MetricMaps:
     how |= {"protection": Protection()}
     how |= {
         "times": {"layers": {"noise": noise}, "gps": Gps(times=TIMES)},
-        "spreads": {"oversample": 3, "heights": ju.Heights(height_samples=2)},
+        "bounds and spreads": {"oversample": 3, "gps": Gps(bounds=True), "heights": ju.Heights(height_samples=2)},
         "series": {"gps": Gps(times=TIMES, series="statistics")},
     }[name]
     return ju.build_maps(ju.demo_city(600, 500), **how)
 
 
-@pytest.fixture(scope="module", params=["terrain and holes", "slabs", "times", "spreads", "series"])
+@pytest.fixture(scope="module", params=["terrain and holes", "slabs", "times", "bounds and spreads", "series"])
 def maps(request) -> MetricMaps:
     return made(request.param)
 

@@ -16,6 +16,7 @@ from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import UNDERSIDE
 from jaxurban.metrics.custom import Layer
+from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import visibility
@@ -98,6 +99,15 @@ def test_finer_rays_agree_with_those_of_the_cells(maps):
     assert same.mean() > 0.93
     assert finer.m("num_visible", 2.0)[ON_DECK] == maps.m("num_visible", 2.0)[ON_DECK]
     np.testing.assert_array_equal(finer.ds["obstacle"], maps.ds["obstacle"])
+
+
+@pytest.mark.slow
+def test_bounds_bracket_maps_with_slabs():
+    bounded = {**PARAMS.sections, "gps": Gps(bounds=True)}
+    ds = compute_maps(task(city(), bounded, oversample=3, altitudes_m=(2.0,))).ds
+    is_free = np.broadcast_to(ds["obstacle"].values == 0, ds["gps"].shape)
+    assert np.mean((ds["gps_lower"].values <= ds["gps"].values)[is_free]) > 0.99
+    assert np.mean((ds["gps"].values <= ds["gps_upper"].values)[is_free]) > 0.99
 
 
 def test_a_slab_moves_as_a_whole_where_heights_are_drawn():

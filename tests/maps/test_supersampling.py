@@ -1,4 +1,4 @@
-"""Supersampling: the answers of the supersampled surface at the map's cells, and of crops."""
+"""Supersampling: the answers of the supersampled surface at the map's cells, crops, bounds."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -6,8 +6,10 @@ import pytest
 import shapely
 
 import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
-from jaxurban.metrics.visibility import visibility
+from jaxurban.metrics.visibility import bounding_visibility, visibility
 from jaxurban.world.city import Footprints
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface, obstacle_mask
@@ -76,14 +78,37 @@ def test_oversampling_by_one_is_the_plain_lidar():
     )
 
 
+@pytest.mark.parametrize("oversample", [1, 3])
+def test_who_is_seen_past_roofs_that_hide_most_is_seen_past_those_that_hide_least(oversample):
+    view = fine_city(oversample), *ANGLES.T, [10.0, 25.0], oversample
+    most, least = (bounding_visibility(*view, hides_most=hides_most) for hides_most in (True, False))
+    assert np.all(most & ~least == 0)
+    assert np.any(most != least)
+
+
 @pytest.mark.slow
-def test_fine_maps_keep_the_obstacles_of_plain_ones():
+def test_bounds_are_ordered_and_fine_maps_keep_the_obstacles_of_plain_ones():
     x0, y0 = 500_000.0, 4_500_000.0
     polygons = np.array([shapely.box(x0 + x, y0 + y, x0 + x + 23, y0 + y + 31) for x in (40, 110) for y in (50, 120)])
     zeros = np.zeros(4)
     buildings = Footprints(polygons, np.array([20.0, 60, 90, 35]), zeros, zeros.astype(np.uint8), zeros.astype(bool))
     city = ju.City(UTM, (x0, y0, x0 + 200.0, y0 + 200.0), buildings)
     options = {"resolution_m": 10.0, "altitudes_m": (15.0, 40.0), "lidar": Lidar(azimuths=24)}
-    plain, supersampled = (ju.build_maps(city, oversample=oversample, **options) for oversample in (1, 3))
+    plain, supersampled = (
+        ju.build_maps(city, oversample=oversample, gps=ju.Gps(bounds=oversample > 1), **options)
+        for oversample in (1, 3)
+    )
     np.testing.assert_array_equal(plain.ds["obstacle"], supersampled.ds["obstacle"])
+    assert not (supersampled.ds["gps_lower"] > supersampled.ds["gps_upper"]).any()
+    assert (supersampled.ds["gps_lower"] < supersampled.ds["gps_upper"]).any()
     assert not np.array_equal(plain.ds["lidar"], supersampled.ds["lidar"])
+
+
+def test_bounds_want_an_odd_oversample():
+    settings = {
+        "region": {"bounds": [-74.0, 40.7, -73.9, 40.8], "oversample": 4},
+        "buildings": {"source": "synthetic"},
+        "gps": {"bounds": True},
+    }
+    with pytest.raises(InputError, match="odd oversample"):
+        Scenario.from_dict(settings)

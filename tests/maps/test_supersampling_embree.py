@@ -1,4 +1,4 @@
-"""Supersampled answers against Embree rays through the exact prisms of Lower Manhattan."""
+"""Supersampled answers and bounds against Embree rays through the exact prisms of Lower Manhattan."""
 
 import math
 
@@ -9,7 +9,7 @@ from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.metrics.visibility import visibility
+from jaxurban.metrics.visibility import bounding_visibility, visibility
 from jaxurban.settings import Buildings
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
@@ -39,7 +39,7 @@ def bits(words: np.ndarray, num: int) -> np.ndarray:
     return np.array([(np.asarray(words)[0] >> np.uint32(s)) & 1 == 1 for s in range(num)])
 
 
-def test_oversampled_answers_of_lower_manhattan_hold_against_embree(data_dir):
+def test_oversampled_answers_and_bounds_of_lower_manhattan_hold_against_embree(data_dir):
     region = Grid.from_bounds((-74.02, 40.70, -73.98, 40.73), 5.0, "EPSG:32618", nest_with_m=(2, 5, 10))
     outer = region.padded(200, 220, 240, 160)  # as far as the file reaches
     buildings = read_buildings(Buildings(data_dir / "osm" / "lower-manhattan.osm.pbf"), region.crs).buildings
@@ -55,10 +55,14 @@ def test_oversampled_answers_of_lower_manhattan_hold_against_embree(data_dir):
     assert angles[1].min() < math.radians(8.5)
     directions = unit_vectors(*angles)
     surface = build_surface(city, region, outer)
-    fine = build_surface(city, region.refined(OVERSAMPLE), outer.refined(OVERSAMPLE))
+    finer = city, region.refined(OVERSAMPLE), outer.refined(OVERSAMPLE)
+    fine, touched = (build_surface(*finer, all_touched) for all_touched in (False, True))
+    view = *angles, ALTITUDES_M, OVERSAMPLE
     makers = {
         "plain": lambda: visibility(surface, *angles, ALTITUDES_M),
         "fine": lambda: visibility(fine, *angles, ALTITUDES_M, every=OVERSAMPLE),
+        "surely seen": lambda: bounding_visibility(touched, *view, hides_most=True),
+        "maybe seen": lambda: bounding_visibility(fine, *view, hides_most=False),
     }
     words = {name: bits(make(), len(directions)) for name, make in makers.items()}
     rng = np.random.default_rng(1)
@@ -72,6 +76,11 @@ def test_oversampled_answers_of_lower_manhattan_hold_against_embree(data_dir):
         m = {name: metric_of(values, directions) for name, values in seen.items()}
         exact_m = metric_of(is_clear, directions)
         within = {name: (np.abs(values - exact_m) <= 0.02).mean() for name, values in m.items()}
-        print(altitude_m, "m: agreement", agreement, "m within 0.02", within)
+        certain = (seen["surely seen"] == seen["maybe seen"]).mean()
+        print(altitude_m, "m: agreement", agreement, "m within 0.02", within, "certain answers", certain)
         assert agreement["fine"] >= max(AGREEMENT[k], agreement["plain"])
         assert within["fine"] >= WITHIN[k]
+        assert not np.any(seen["surely seen"] & ~is_clear)
+        assert not np.any(is_clear & ~seen["maybe seen"])
+        assert np.all((m["surely seen"] <= exact_m + 1e-9) & (exact_m <= m["maybe seen"] + 1e-9))
+        assert certain >= 0.93

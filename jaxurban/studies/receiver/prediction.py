@@ -133,7 +133,7 @@ def task_at(scenario: Scenario, times: Sequence[str], grid: Grid, antenna_height
     Nothing of people, of layers of one's own and of uncertainty is in it: satellites depend on none.
     """
     of_log: dict[str, Any] = {"times": tuple(times), "start": None, "stop": None, "step_s": None}
-    of_log |= {"reference": scenario.gps.reference or grid.centre_lonlat, "series": "epochs"}
+    of_log |= {"reference": scenario.gps.reference or grid.centre_lonlat, "series": "epochs", "bounds": False}
     region = {"resolution_m": (grid.resolution_m,), "altitudes_m": (antenna_height_m,)}
     update = {
         "region": scenario.region.model_copy(update=region),

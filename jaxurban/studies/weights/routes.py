@@ -162,8 +162,9 @@ def route_facts(on: CostMap, instance: Row, settings: SensitivityStudySettings) 
 
 def perturbed_tasks(task: MapTask, settings: SensitivityStudySettings) -> Iterator[MapTask]:
     """Yield the tasks of maps made anew, one for each draw of heights."""
-    heights = replace(task.params.heights, height_samples=0)
-    plain = replace(task, params=replace(task.params, heights=heights))
+    params = task.params
+    gps, heights = replace(params.gps, bounds=False), replace(params.heights, height_samples=0)
+    plain = replace(task, params=replace(params, heights=heights, sections={**params.sections, "gps": gps}))
     for city in perturbed_cities(task.city, heights.height_std_m, settings.num_heights, settings.seed):
         yield replace(plain, city=city)
 
