@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxurban.errors import InputError, positive
 from jaxurban.kernels.search.bounds import tile_minima
+from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.planners.cost import CostKind, CostModel, PathFeatures, allowed_moves, path_features
 
 Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest
@@ -17,7 +18,6 @@ T = TypeVar("T")
 
 EVERY_PATH = "paths at any angle"  # of `Path.graph`
 NO_COST = "The path costs nothing under these weights, so its shape means nothing: weigh the distance too."
-CELLS_AT_ONCE = 2**14  # of layers that are added up: a core's cache holds them
 ROUNDING = 1 + 1e-12  # a path that much above the lower bound is the best one
 EXIT_PATH, EXIT_NO_PATH, EXIT_BUDGET = 0, 3, 4
 
@@ -373,18 +373,3 @@ class Planner(Protocol):
 
     def __call__(self, problem: Problem, *, budget_s: float, seed: int) -> Path:
         """Return the path found within ``budget_s`` seconds of search."""
-
-
-def weighted_sum(costs: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return ``[*cells]`` float64 the weighted sum of layers ``[L, *cells]``, added in their order.
-
-    Some rows at a time, which a core's cache holds: the same weights give the same bits whoever sums them.
-    """
-    sums = np.zeros(costs.shape[1:])
-    num_rows = max(1, CELLS_AT_ONCE * len(sums) // max(sums.size, 1))
-    for first in range(0, len(sums), num_rows):
-        rows = slice(first, first + num_rows)
-        for layer, weight in zip(costs, weights, strict=True):
-            if weight != 0:
-                sums[rows] += weight * layer[rows]
-    return sums

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxurban.planners.base import weighted_sum
+from jaxurban.kernels.search.weighing import weighted_sum
 
 
 def random_layers(seed, dtype=np.float32, cells=(7, 19), num_layers=4):

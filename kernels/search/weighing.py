@@ -1,0 +1,35 @@
+"""What cells cost under weights: layers times their weights, added up in their order, row by row.
+
+The layers lie apart, so that one pass reads each of them once. Sums are float64; the same weights give the same bits
+whoever sums them.
+"""
+
+import math
+
+import numpy as np
+
+from jaxurban.kernels.compiled import compiled
+
+
+@compiled(nogil=True)
+def _weigh_rows(costs, weights, sums):
+    """Set ``sums`` ``[Y, X]`` to the weighted sums of layers ``[L, Y, X]``; layers of weight 0 are not read."""
+    for row in range(sums.shape[0]):
+        total = sums[row]
+        total[:] = 0.0
+        for layer in range(weights.size):
+            weight = weights[layer]
+            if weight != 0.0:
+                line = costs[layer, row]
+                for k in range(total.size):
+                    total[k] += weight * line[k]
+
+
+def weighted_sum(costs: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return ``[*cells]`` float64 the weighted sum of layers ``[L, *cells]``, added in their order."""
+    shape = costs.shape[1:]
+    layers = np.ascontiguousarray(costs).reshape(len(costs), math.prod(shape[:-1]), shape[-1])
+    layers.flags.writeable = False  # as compiled loops expect, whoever asks
+    sums = np.empty(layers.shape[1:])
+    _weigh_rows(layers, np.asarray(weights, np.float64), sums)
+    return sums.reshape(shape)
