@@ -137,7 +137,7 @@ def _of_row(row: Mapping, names: Sequence[str], base: Query) -> Query:
             time_of_day=given.get("time_of_day", base.time_of_day),
             weights=base.weights.replace(**{name: float(given[column]) for name, column in weights.items()}).checked(),
         )
-        for end, place in (("start", query.start[:2]), ("goal", query.goal[:2])):
+        for end, place in (("start", (start_x, start_y)), ("goal", (goal_x, goal_y))):
             if not np.isfinite(place).all():
                 raise InputError(f"{end} needs two finite numbers, got {place}")
         if not np.isfinite(query.altitude_m):

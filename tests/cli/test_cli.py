@@ -142,7 +142,7 @@ def test_weights_change_the_cost(made, capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--start", "40.7565,-73.9985", "--goal", GOAL, "--altitude", 60), ("start", "swap")),
+        (("--start", "40.7565,-73.9985", "--goal", GOAL, "--altitude", 60), ("start", "longitude comes first")),
         (("--start", "-75,40.7565", "--goal", GOAL, "--altitude", 60), ("start", "outside the region")),
         (("--start", "here", "--goal", GOAL, "--altitude", 60), ("longitude,latitude",)),
         (("--start", START, "--goal", GOAL, "--altitude", 61), ("altitude", "from 20 to 60 m")),

@@ -347,7 +347,7 @@ def test_terms_are_those_of_the_place_but_for_open_street_map(server, tmp_path, 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--what", "osm,sensus"), ("'sensus'", "did you mean 'census'")),
+        (("--what", "osm,censsus"), ("'censsus'", "did you mean 'census'")),
         (("--what", ","), ("--what must be 'osm', 'census'",)),
         (("--source", "osm"), ("--source must be NAME=URL",)),
         (("--source", "orbit=http://x.example"), ("did you mean 'orbits'",)),

@@ -74,7 +74,9 @@ def test_as_many_tiles_at_a_time_as_fit_and_no_more_are_told_than_there_are(smal
     assert plan_run([small], needed + GIB, 8) == 1
     monkeypatch.setattr(memory, "tile_bytes", lambda task, tile: GIB // 4)
     assert plan_run([small], 26 * GIB, 16, 4) == 16
-    assert plan_run([small], 6 * GIB, 16, 4) == 8  # each process works on as many
+    of_each = memory.PROGRAM_BYTES + memory.WORKER_BYTES
+    ceiling = psutil.Process().memory_info().rss + 4 * of_each + 10 * GIB // 4
+    assert plan_run([small], ceiling, 16, 4) == 8  # each process works on as many
 
 
 def test_a_job_that_cannot_fit_is_refused_naming_the_knob(small):

@@ -98,7 +98,8 @@ def test_a_series_keeps_the_share_of_times_within_both_limits():
             Bound.parse(bound).is_kept(series, ALTITUDE_M)
     with pytest.raises(InputError, match="hold Protection statistics over 3 epochs"):
         series.m("protection", time=TIMES[0])
-    assert "at every epoch" in str([axes.get_ylabel() for axes in plot_metric(series, STATISTICS[0]).axes])
+    labels = [axes.get_ylabel() for axes in plot_metric(series, STATISTICS[0]).axes]
+    assert "at every epoch" in " ".join(" ".join(labels).split())
 
 
 @pytest.mark.slow
