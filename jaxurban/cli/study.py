@@ -52,7 +52,7 @@ def study(
     from jaxurban.report.benchmark import check_exportable, export_benchmark
     from jaxurban.report.montecarlo import land_cover_of
     from jaxurban.report.montecarlo import study as run_study
-    from jaxurban.studies.montecarlo.sampling import read_instances
+    from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
 
     preset = [f"planning.preset={options['preset']!r}"] if options["preset"] else []
     scenario = Scenario.from_toml(scenario_file, (*changes, *preset))
@@ -72,12 +72,15 @@ def study(
         run = run_scenario(scenario, folder, report, options["overwrite"])
     for warning in run.record["warnings"]:
         LOG.warning(f"warning: {warning}")
+    source = MapsFolder(folder, options["resolution_m"] or scenario.region.resolution_m[0])
+    if instances is None:
+        sampled = {name: getattr(settings, name) for name in ("altitudes_m", "weights", "seed")}
+        instances = sample_instances(source.open(), settings.instances, cover=cover, **sampled, **rules)
     result = run_study(
-        MapsFolder(folder, options["resolution_m"] or scenario.region.resolution_m[0]),
+        source,
         folder / "study",
         instances,
         settings=settings,
-        cover=cover,
         workers=workers,
         overwrite=options["overwrite"],
         **rules,

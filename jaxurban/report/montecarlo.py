@@ -84,7 +84,6 @@ def study(
     cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
     preset: str = "",
-    cover: LandCover | None = None,
     workers: int | str = 1,
     overwrite: bool = False,
     progress: Progress = True,
@@ -104,7 +103,6 @@ def study(
       settings: planners and budgets.
       cost_model, constraints, preset: of all routes (see `jaxurban.paths.rows.RouteRules`); a cost model that is left
         out is as the settings say, and else as the scenario of the maps.
-      cover: water and parks, strata of their own among sampled instances.
       workers: processes of this machine, 1 works in this process; or the address of a Dask scheduler, whose workers see
         the maps' folder under the same path.
       overwrite: replace a benchmark of other settings.
@@ -129,7 +127,7 @@ def study(
     if not isinstance(instances, pd.DataFrame):
         asked: dict[str, Any] = {name: getattr(job.study, name) for name in ("altitudes_m", "weights", "seed")}
         rules: dict[str, Any] = {"cost_model": model, "constraints": constraints}
-        instances = sample_instances(opened, job.study.instances, cover=cover, **asked, **rules)
+        instances = sample_instances(opened, job.study.instances, **asked, **rules)
     else:
         instances = checked_instances(instances, "instances")
         check_instances(instances, opened)
