@@ -215,7 +215,7 @@ def _kinds(hint: Any) -> list[Kind]:
         values = value.values() if is_dict and fits(value) else value if type(value) in (list, tuple, dict) else ()
         return fits(value) and all(any(is_one(item) for _, is_one in items) for item in values)
 
-    several = " or ".join(re.sub("^a ([a-z ]+?)(?= of |$)", r"\1s", each) for each, _ in items)
+    several = " or ".join(re.sub("^a ([a-z ]+?)(?= of |$)", r"\1s", each) for each, _ in items if each != "None")
     return [(f"{called} of {several}", holds) if items else (called, fits)]
 
 
