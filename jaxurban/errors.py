@@ -100,7 +100,7 @@ def typed(public: Public, makers: Sequence[Callable] = ()) -> Public:
         try:
             return function(*args, **kwargs)
         except (RuntimeError, AssertionError) as error:
-            if remedy := platform_remedy():
+            if remedy := platform_remedy(error):
                 raise InputError(remedy) from error
             raise
 
@@ -159,16 +159,18 @@ def _home_of(name: str, function: Callable) -> str:
     return f" (give {homes[found[0]]})" if homes[found[0]] else f" (did you mean {found[0]!r}?)"
 
 
-def platform_remedy() -> str:
-    """Return what to do where JAX does not start on the platforms that are chosen, else an empty text."""
-    if chosen := os.environ.get("JAX_PLATFORMS"):
+def platform_remedy(error: BaseException) -> str:
+    """Return what to do where an error comes from JAX's start on the platforms that are chosen, else an empty text."""
+    chosen = os.environ.get("JAX_PLATFORMS")
+    if not chosen:
+        return ""
+    if "JAX_PLATFORMS" not in str(error):  # as of CUDA without its plugin
         import jax
 
-        try:
+        with suppress(RuntimeError, AssertionError):
             jax.devices()
-        except (RuntimeError, AssertionError):  # the latter as of CUDA without its plugin
-            return f"JAX does not work under JAX_PLATFORMS={chosen}: unset it, or choose another value"
-    return ""
+            return ""
+    return f"JAX does not work under JAX_PLATFORMS={chosen}: unset it, or choose another value"
 
 
 def check_range(name: str, value: Any) -> None:

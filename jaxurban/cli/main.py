@@ -134,7 +134,7 @@ def _remedy_in_environment(error: Exception) -> str:
             return f"{name.partition('_')[0]} does not work under {name}={value}: unset it, or choose another value"
         if name == "NUMBA_DISABLE_JIT" and value not in ("", "0"):
             return f"jaxurban needs Numba's compiler: unset {name}"
-    return platform_remedy()
+    return platform_remedy(error)
 
 
 def _drop_stdout() -> None:

@@ -279,7 +279,7 @@ def test_a_long_series_can_be_drawn_and_planned_on(tmp_path):
     ends = [(float(maps.grid.x_m[col]), float(maps.grid.y_m[row])) for row, col in (free[0], free[-1])]
     path = ju.plan(maps, start_xy_m=ends[0], goal_xy_m=ends[1], altitude_m=20.0)
     assert path.settings["time"] is None
-    names = {file.name for file in save_figures(maps, {20.0: [path]}, tmp_path / "figures")}
+    names = {file.name for file in save_figures(maps, [path], tmp_path / "figures")}
     assert {"gps.png", "sensor_choice.png", "paths.png", "overview.png"} <= names
 
 
