@@ -88,3 +88,11 @@ def test_few_blocks_have_no_interval():
     scored = within_blocks(A, B, np.repeat(np.arange(6), 10))
     assert np.isfinite(scored.value)
     assert np.isnan(scored.low)
+
+
+def test_without_the_one_block_that_disagrees_all_agree_and_no_interval_nor_warning_comes():
+    a, blocks = np.arange(80.0), np.repeat(np.arange(8), 10)
+    b = np.where(blocks == 7, a[::-1] + 70.0, a)
+    scored = within_blocks(a, b, blocks)
+    assert 0 < scored.value < 1
+    assert np.isnan([scored.low, scored.high]).all()

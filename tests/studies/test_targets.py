@@ -74,6 +74,7 @@ def test_a_target_beyond_all_routes_is_said_to_be_missed_alone(queries):
     [
         ("mean_gps", "must read like"),
         ("detour<=x", "finite number"),
+        ("gps>=0.8", "outcome must be 'mean_NAME of a metric', 'detour'"),
     ],
 )
 def test_a_target_that_cannot_be_read_is_refused(text, words):

@@ -67,7 +67,7 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
     known = [column for column in (UTC, *RANGES) if column in table]
     if known[:3] != [UTC, LON, LAT] or len(known) == 3 or table.empty:
         raise _wrong(
-            name, f"has {len(table)} rows of the columns {', '.join(names[:MOST_NAMED])}: {REMEDY}, parted by commas"
+            name, f"has {len(table)} rows of the columns {', '.join(names[:MOST_NAMED])}: {REMEDY}, separated by commas"
         )
     if twice := [column for column in known if (table.columns == column).sum() > 1]:
         raise _wrong(name, f"has two columns {twice[0]}: keep one")

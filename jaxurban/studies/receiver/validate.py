@@ -236,7 +236,8 @@ def within_blocks(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> Interval:
     value = spearman(a, b, blocks)
     if not abs(value) < 1:
         return Interval(value, np.nan, np.nan)
-    half = half_width(np.arctanh(without_each_block(a, b, blocks)))
+    with np.errstate(divide="ignore", invalid="ignore"):  # the rest agrees wholly without some block: no interval
+        half = half_width(np.arctanh(without_each_block(a, b, blocks)))
     low, high = np.tanh(np.arctanh(value) + np.array([-half, half]))
     return Interval(value, float(low), float(high))
 

@@ -57,7 +57,7 @@ class Target:
 
     def __post_init__(self) -> None:
         if not self.outcome.startswith(MEAN):
-            one_of("outcome", self.outcome, ("detour", "length_m", "people"))
+            one_of("outcome", self.outcome, ("mean_NAME of a metric", "detour", "length_m", "people"))
         one_of("the sense of a target", self.sense, (">=", "<="))
         if not np.isfinite(self.value):
             raise InputError(f"target {str(self)!r} must end in a finite number")
