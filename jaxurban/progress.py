@@ -129,6 +129,7 @@ class _Bar(Report):
                 ncols=None if is_terminal else 0,
             )
         self.bar.total = total or None
+        self.bar.bar_format = None if total else "{desc} [{elapsed}{postfix}]"
         self.bar.set_postfix(counts, refresh=False)
         self.bar.update(done - self.bar.n)
 
