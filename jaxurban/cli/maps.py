@@ -76,11 +76,16 @@ def maps(scenario_file: Path, folder: Path, changes: tuple[str, ...], **options:
             workers=workers,
             memory_bytes=None if memory is None else parse_bytes(memory),
         )
-        if options["figures"]:
-            from jaxurban.report.figures import save_figures
+        with Workspace.open(folder, "maps --figures", is_shared=True) as pictures:
+            drawn, made_by = pictures.settings.copy(), Workspace.settings_of(folder, "maps")
+            pictures.settings.update(made_by)
+            if pictures.written and drawn != made_by:
+                pictures.remove(list(pictures.written))
+                LOG.info("the pictures of the former maps are removed; --figures draws those of these maps")
+            if options["figures"]:
+                from jaxurban.report.figures import save_figures
 
-            report("figures")
-            with Workspace.open(folder, "maps --figures", is_shared=True):
+                report("figures")
                 for resolution_m, made in run.maps.items():
                     save_figures(made, (), folder / "figures" / f"{resolution_m:g}m")
     for warning in run.record["warnings"]:

@@ -257,6 +257,23 @@ def test_a_long_series_of_epochs_is_kept_as_statistics(tmp_path, capsys):
     assert_one_sentence(err, "statistics over 29 epochs", 'series = "epochs"')
 
 
+@pytest.mark.slow
+def test_pictures_of_former_maps_are_removed_but_not_what_the_user_changed(tmp_path, capsys):
+    scenario, out = tmp_path / "scenario.toml", tmp_path / "out"
+    scenario.write_text(SCENARIO)
+    command = "maps", scenario, "-o", out
+    assert run(capsys, *command, "--figures")[0] == 0
+    figures = out / "figures" / "20m"
+    drawn = {file.name for file in figures.iterdir()}
+    assert run(capsys, *command)[0] == 0
+    assert {file.name for file in figures.iterdir()} == drawn
+    (figures / "gps.png").write_bytes(b"mine")
+    code, _, err = run(capsys, *command, "--overwrite", "--set", "gps.mask_deg=10")
+    assert code == 0
+    assert "the pictures of the former maps are removed" in err
+    assert [file.name for file in figures.iterdir()] == ["gps.png"]
+
+
 def test_an_output_folder_that_is_a_file_is_refused(tmp_path, capsys):
     scenario = tmp_path / "scenario.toml"
     scenario.write_text(SCENARIO)
