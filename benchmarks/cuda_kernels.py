@@ -216,7 +216,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
         sweep.visible_words, (array(*SURFACE), array(4, 1, 1), lines(), WHOLE), {"window": WINDOW}
     ),
     "surface: cut": lambda: Call(surface._cut, (part(REGION),)),
-    "obstacle": lambda: Call(jax.jit(surface.obstacle_mask), (array(*REGION), ALTITUDES_M)),
+    "obstacle": lambda: Call(surface._stand_at, (array(*REGION), array(4, 1, 1))),
     "risk": lambda: Call(
         risk._risk, (part(REGION, 10), None, None, ALTITUDES_M), DISTANCE_5M | {"halo": 10, "is_solid": False}
     ),

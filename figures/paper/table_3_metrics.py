@@ -7,18 +7,18 @@ import pandas as pd
 from figures.paper.common import Caption, save_table
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, high_is_bad
 from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.variables import NO_METRICS
 from jaxurban.metrics.weights import Weights
 
 PAPER = "Five metrics of maps (GPS, lidar, obstacle, population, risk) and one of paths (distance)."
 CHANGES = {ALTITUDE: "altitude", TIME: "time", TIME_OF_DAY: "time of day"}
 
 
-def of_map(name: str, dims: tuple[str, ...], one_means: str, cost: str) -> dict[str, str]:
-    """Return the row of a map, described by its module's first line."""
-    described = importlib.import_module(f"jaxurban.metrics.{name}").__doc__.split(":", 1)[1].split(";")[0]
+def of_map(name: str, described: str, dims: tuple[str, ...], one_means: str, cost: str) -> dict[str, str]:
+    """Return the row of a map."""
     return {
         "Metric": f"m_{name}",
-        "Description": described.strip().rstrip("."),
+        "Description": described,
         "Type": "map",
         "Changes with": ", ".join(["place", *(CHANGES[dim] for dim in dims)]),
         "m = 1 means": one_means,
@@ -28,10 +28,13 @@ def of_map(name: str, dims: tuple[str, ...], one_means: str, cost: str) -> dict[
 
 
 def main() -> None:
-    rows = [of_map("obstacle", (ALTITUDE,), "a roof reaches this altitude", "none: no path may cross it")]
+    obstacle = NO_METRICS["obstacle"]
+    where = "where a building stands at the height of flight"
+    rows = [of_map("obstacle", where, obstacle.dims, obstacle.one_means, "none: no path may cross it")]
     for name, metric in METRICS.items():
         cost = f"{'m' if metric.cost is high_is_bad else '1 - m'}, weight {Weights()[name]:g}"
-        rows.append(of_map(name, metric.dims, metric.one_means, cost))
+        first_line = importlib.import_module(f"jaxurban.metrics.{name}").__doc__.split(":", 1)[1].split(";")[0]
+        rows.append(of_map(name, first_line.strip().rstrip("."), metric.dims, metric.one_means, cost))
     rows.sort(key=lambda row: row["Metric"])
     (path,) = (name for name in Weights().to_dict() if name not in METRICS)
     rows.append(
