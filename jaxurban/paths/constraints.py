@@ -175,12 +175,17 @@ class Constraints:
     @property
     def keeps_clear(self) -> bool:
         """Whether paths keep a distance from obstacles."""
-        return self.horizontal_m > 0 or self._clearances_m["vertical_clearance_m"] > 0
+        return self.horizontal_m > 0 or self.vertical_m > 0
 
     @property
     def horizontal_m(self) -> float:
         """The clearance and the vehicle's radius."""
         return self._clearances_m["clearance_m"] + (self.vehicle or Vehicle()).radius_m
+
+    @property
+    def vertical_m(self) -> float:
+        """The vertical clearance."""
+        return self._clearances_m["vertical_clearance_m"]
 
     @property
     def _clearances_m(self) -> dict[str, float]:
@@ -278,7 +283,7 @@ class Constraints:
             for bound in self.bounds:
                 level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
             if self.keeps_clear:
-                level_closed |= self._too_near(maps, z_m)
+                level_closed |= closed_by_clearance(maps, z_m, self)
         return closed if np.ndim(altitude_m) else closed[0]
 
     def reasons(
@@ -296,12 +301,9 @@ class Constraints:
             for bound in self.bounds
             if not bound.is_kept(maps, altitude_m, time, time_of_day)[cell]
         ]
-        is_near = self.keeps_clear and self._too_near(maps, altitude_m)[cell]
+        is_near = self.keeps_clear and closed_by_clearance(maps, altitude_m, self)[cell]
         kept = f"the {' and the '.join(clearances_said(self.to_dict()))} that is kept from obstacles and the border"
         return [*zones, *bounds, *([kept] if is_near else [])]
-
-    def _too_near(self, maps: MetricMaps, altitude_m: float) -> np.ndarray:
-        return closed_by_clearance(maps, altitude_m, self.horizontal_m, self._clearances_m["vertical_clearance_m"])
 
 
 def constraints_said(record: Mapping[str, Any]) -> str:
@@ -368,11 +370,8 @@ def distance_to_obstacles_m(is_obstacle: np.ndarray, resolution_m: float) -> np.
 
 
 def closing_step_m(horizontal_m: float, resolution_m: float) -> tuple[float, float]:
-    """Return a clearance as the distance between squares below which cells are closed, and what legs keep beside it.
-
-    A least distance to obstacles of 0 closes the cells of obstacles alone.
-    """
-    if horizontal_m == 0:
+    """Return a clearance as the distance between squares below which cells are closed, and what legs keep beside it."""
+    if horizontal_m == 0:  # closes the cells of obstacles alone
         return 0.0, 0.0
     sides = (horizontal_m + FILE_MARGIN_M) / resolution_m
     whole = np.arange(math.ceil(sides) + 1)
@@ -386,18 +385,14 @@ def kept_m(horizontal_m: float, resolution_m: float) -> float:
     return max(horizontal_m, closing_step_m(horizontal_m, resolution_m)[0] - FILE_MARGIN_M * (horizontal_m > 0))
 
 
-def closed_by_clearance(maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float) -> np.ndarray:
-    """Return ``[Y, X]`` bool: cells that a clearance closes at an altitude.
+def closed_by_clearance(maps: MetricMaps, altitude_m: float, constraints: Constraints) -> np.ndarray:
+    """Return ``[Y, X]`` bool: cells that the clearances of constraints close at an altitude above the ground.
 
-    Args:
-      maps: the metric maps; a distance is kept from the roofs that touch a cell, whatever their rule of obstacles is.
-      altitude_m: above ground.
-      horizontal_m: least distance to obstacles and to the maps' border, beside `FILE_MARGIN_M`, of legs that keep the
-        margin of `closing_step_m`; 0 keeps none.
-      vertical_m: least height over roofs; those less far below the altitude are obstacles too.
+    The horizontal one is kept from obstacles and the maps' border, beside `FILE_MARGIN_M`, by legs that keep the margin
+    of `closing_step_m`; roofs less than the vertical one below the altitude are obstacles too.
     """
-    is_obstacle = obstacles_within(maps, altitude_m, horizontal_m, vertical_m)
-    step_m, _ = closing_step_m(horizontal_m, maps.grid.resolution_m)
+    is_obstacle = obstacles_within(maps, altitude_m, constraints.horizontal_m, constraints.vertical_m)
+    step_m, _ = closing_step_m(constraints.horizontal_m, maps.grid.resolution_m)
     if step_m == 0:
         return is_obstacle
     return distance_to_obstacles_m(is_obstacle, maps.grid.resolution_m) < step_m * (1 - 1e-9)

@@ -145,7 +145,7 @@ def test_unknown_roofs_and_cells_without_data_are_kept_clear_of():
     roof_m[10, 10], has_data[20, 30] = np.nan, False
     plane = {name: (("y", "x"), values) for name, values in (("roof_touched", roof_m), ("has_data", has_data))}
     unknown = ju.MetricMaps(maps.ds.assign(obstacle=0 * maps.ds["obstacle"], **plane))
-    closed = closed_by_clearance(unknown, ALTITUDE_M, 3.0, 0.0)
+    closed = closed_by_clearance(unknown, ALTITUDE_M, ju.Constraints(clearance_m=3.0, vertical_clearance_m=0.0))
     by_hand = np.zeros(maps.grid.shape, bool)
     by_hand[9:12, 9:12] = by_hand[19:22, 29:32] = True
     by_hand[[0, -1]] = by_hand[:, [0, -1]] = True
