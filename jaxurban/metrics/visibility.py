@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, UInt
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from jaxurban.kernels.dop import Clocks, Geometry, geometry, unit_vectors
 from jaxurban.kernels.engine import Engine, runs_numba
@@ -243,6 +242,8 @@ def bounding_visibility(
       every: odd.
       hides_most: which.
     """
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
     altitudes, (rows, cols) = np.asarray(altitudes_m, surface.roof_m.dtype), surface.window
     middles = slice(every // 2, None, every)
     extreme = maximum_filter1d if hides_most else minimum_filter1d
