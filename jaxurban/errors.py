@@ -191,7 +191,8 @@ def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
         called = list(dict.fromkeys(called for called, _ in kinds))
         hint = nearest_name(str(value), [each.strip("'") for each in called if each.startswith("'")])
         order = call if type(value).__module__.startswith(f"{__name__.partition('.')[0]}.") else ""
-        raise InputError(f"{name} must be {_either(called)}{_unit(name)}, got {_shown(value)}{hint or order}")
+        unit = _unit(name) if any("number" in each for each in called) else ""
+        raise InputError(f"{name} must be {_either(called)}{unit}, got {_shown(value)}{hint or order}")
 
 
 def _kinds(hint: Any) -> list[Kind]:
@@ -278,6 +279,8 @@ UNITS = {  # likewise
     **{"_m_s": "metres per second", "_m": "metres", "_s": "seconds", "_deg": "degrees", "_w": "watts"},
 }
 MADE_BY = {  # what no constructor is meant for
+    "Bound": "Constraints.read",
+    "Zone": "Constraints.read",
     "Constraints": 'Constraints.read, as in Constraints.read(require=["gps>=0.3"])',
     "City": "City.from_files or demo_city",
     "CostMap": "cost_map",

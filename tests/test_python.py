@@ -233,7 +233,7 @@ def test_a_thing_of_another_kind_is_one_sentence(call, words):
         (lambda: MAPS.is_free("low"), "altitude_m must be a number (metres), got 'low'"),
         (lambda: ju.Scenario.from_toml(5), "path must be a text or a path, got 5"),
         (lambda: ju.Constraints.read(5), "no_fly must be a text, a path or a sequence of texts or paths, got 5"),
-        (lambda: ju.Constraints(5), "zones must be a sequence of Zone, got 5"),
+        (lambda: ju.Constraints(5), "zones must be a sequence of Zone (from Constraints.read), got 5"),
         (lambda: ju.studies.MapsFolder(5), "folder must be a text or a path, got 5"),
         (lambda: ju.demo_city(seed="a"), "seed must be a whole number, got 'a'"),
         (lambda: ju.demo_city(width_m=[1]), "width_m must be a number (metres), got list of 1"),
