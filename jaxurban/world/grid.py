@@ -22,8 +22,9 @@ MAX_SIDE = 1024  # cells of a tile's side at most: about 0.2 GiB of work at four
 Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max in a projected CRS, metres
 
 
+@lru_cache(maxsize=32)
 def utm_crs(lon_deg: float, lat_deg: float) -> str:
-    """Return the authority code of the WGS 84 / UTM zone that holds a point, as ``"EPSG:32618"``.
+    """Return the authority code of the WGS 84 / UTM zone that holds a point, as ``"EPSG:32618"`` (cached).
 
     Raises:
       InputError: no UTM zone covers the point (near the poles).

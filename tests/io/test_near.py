@@ -15,9 +15,8 @@ from jaxurban.io.read.outlines import MARGIN_M, Near
 from jaxurban.io.read.vector import read_vector
 from jaxurban.settings import Buildings
 from jaxurban.world.city import City
+from tests.io.made_files import LAT, LON, UTM, WGS84, X, Y, box, write_vector
 
-UTM, WGS84 = "EPSG:32618", "EPSG:4326"
-X, Y = 583000.0, 4506000.0
 BOX_M = (X, Y, X + 900.0, Y + 900.0)
 FORMATS = ["city.geojson", "city.gpkg", "city.shp", "city.parquet", "covered.parquet"]
 
@@ -31,18 +30,11 @@ def town(num=600):
     shapes = shapely.box(*corner.T, *(corner + size).T)
     shapes[::7] = shapely.difference(shapes[::7], shapely.buffer(shapely.centroid(shapes[::7]), 1.0))
     shapes[1::9] = shapely.union(shapes[1::9], shapely.transform(shapes[1::9], lambda xy_m: xy_m + 70.0))
-    columns = {
-        "building": ["yes"] * num,
-        "part": [None] * num,
-        "height": rng.uniform(3, 90, num).round(2),
-        "levels": [None if k % 3 else str(k % 11) for k in range(num)],
-    }
-    frame = gpd.GeoDataFrame(columns, geometry=shapes, crs=UTM).rename(columns={"part": "building:part"})
-    halves = frame[:40].copy()
-    halves["building"], halves["building:part"] = None, "yes"
-    halves.geometry = shapely.intersection(
-        shapes[:40], shapely.box(*corner[:40].T, *(corner + size * [0.95, 1])[:40].T)
-    )
+    levels = [None if k % 3 else str(k % 11) for k in range(num)]
+    columns = {"building": "yes", "building:part": None, "height": rng.uniform(3, 90, num).round(2), "levels": levels}
+    frame = gpd.GeoDataFrame(columns, geometry=shapes, crs=UTM)
+    halves = frame[:40].assign(**{"building": None, "building:part": "yes"})
+    halves.geometry = shapely.intersection(halves.geometry, shapely.box(*corner.T, *(corner + size * [0.95, 1]).T)[:40])
     point = frame[:1].set_geometry(shapely.points([[X, Y]]), crs=UTM)
     return gpd.GeoDataFrame(gpd.pd.concat([frame, halves, point], ignore_index=True), crs=UTM)
 
@@ -62,13 +54,7 @@ def write(frame, path):
 def facts_of(source):
     """Return what can be compared of buildings that were read."""
     b = source.buildings
-    return (
-        shapely.to_wkb(b.polygons).tolist(),
-        b.height_m.tolist(),
-        b.min_height_m.tolist(),
-        b.origin.tolist(),
-        (b.is_part.tolist()),
-    )
+    return [values.tolist() for values in (shapely.to_wkb(b.polygons), b.height_m, b.min_height_m, b.origin, b.is_part)]
 
 
 @pytest.fixture(params=FORMATS)
@@ -79,8 +65,7 @@ def path(tmp_path, request):
 def kept_of_whole(path, crs, bounds_m):
     """Return the facts of the buildings of the whole file whose box touches the bounds."""
     whole = read_buildings(Buildings(path), crs)
-    x_min, y_min, x_max, y_max = whole.buildings.boxes_m
-    is_kept = (x_min <= bounds_m[2]) & (x_max >= bounds_m[0]) & (y_min <= bounds_m[3]) & (y_max >= bounds_m[1])
+    is_kept = shapely.intersects(shapely.box(*whole.buildings.boxes_m), shapely.box(*bounds_m))
     assert 40 < is_kept.sum() < 0.5 * len(is_kept)
     return facts_of(replace(whole, buildings=whole.buildings.take(is_kept)))
 
@@ -115,24 +100,17 @@ def test_a_region_without_buildings_is_told_of_by_the_whole_file(path):
     assert part.read_issues == whole.read_issues
 
 
-def test_an_outline_wider_than_the_margin_comes_with_the_parts_at_its_far_end(tmp_path):
-    long = shapely.box(X, Y, X + 5 * MARGIN_M, Y + 10)
-    ends = [shapely.box(X + a * MARGIN_M, Y, X + b * MARGIN_M, Y + 10) for a, b in ((0.5, 4.8), (4.8, 5.0))]
+@pytest.mark.parametrize("name", ["city.gpkg", "city.parquet"])
+def test_an_outline_wider_than_the_margin_comes_with_the_parts_at_its_far_end(tmp_path, name):
+    ends_m = MARGIN_M * np.array([[0, 5.0], [0.5, 4.8], [4.8, 5.0]])
     columns = {"building": ["yes", None, None], "building:part": [None, "yes", "yes"], "height": [9.0, 8.0, 7.0]}
-    for name in ("city.gpkg", "city.parquet"):
-        path = write(gpd.GeoDataFrame(columns, geometry=[long, *ends], crs=UTM), tmp_path / name)
-        part = read_buildings(Buildings(path), UTM, bounds_m=(X, Y, X + 100, Y + 100))
-        assert part.read_issues["outlines_replaced_by_parts"] == 1
-        assert len(part.buildings) == 0
+    write_vector(tmp_path / name, [box(west, 0, east, 10) for west, east in ends_m], **columns)
+    part = read_buildings(Buildings(tmp_path / name), UTM, bounds_m=(X, Y, X + 100, Y + 100))
+    assert part.read_issues["outlines_replaced_by_parts"] == 1
+    assert len(part.buildings) == 0
 
 
-def change_metadata(path, change):
-    """Write a GeoParquet file again with what ``change`` returns of its "geo" metadata."""
-    table = pq.read_table(path)
-    changed = change(json.loads(table.schema.metadata[b"geo"]))
-    pq.write_table(table.replace_schema_metadata({b"geo": json.dumps(changed)}), path)
-
-
+@pytest.mark.parametrize("near", [Near(BOX_M, UTM), None])
 @pytest.mark.parametrize(
     "damage",
     [
@@ -140,16 +118,18 @@ def change_metadata(path, change):
         lambda geo: geo | {"columns": []},
         lambda geo: geo | {"columns": {"foo": geo["columns"]["geometry"]}, "primary_column": "foo"},
         lambda geo: geo | {"columns": {"geometry": []}},
+        lambda geo: geo | {"columns": {"geometry": geo["columns"]["geometry"] | {"encoding": "polygon"}}},
         lambda geo: [geo],
         lambda geo: None,
     ],
 )
-def test_damaged_metadata_of_geoparquet_are_one_sentence(tmp_path, damage):
+def test_damaged_metadata_of_geoparquet_are_one_sentence(tmp_path, damage, near):
     path = write(town(60), tmp_path / "city.parquet")
-    change_metadata(path, damage)
-    for near in (Near(BOX_M, UTM), None):
-        with pytest.raises(InputError, match=r"city\.parquet' cannot be read as a vector file .*: give a whole one"):
-            read_vector(path, near)
+    table = pq.read_table(path)
+    changed = damage(json.loads(table.schema.metadata[b"geo"]))
+    pq.write_table(table.replace_schema_metadata({b"geo": json.dumps(changed)}), path)
+    with pytest.raises(InputError, match=r"city\.parquet' cannot be read as a vector file .*: give a whole one"):
+        read_vector(path, near)
 
 
 @pytest.mark.parametrize("near", [Near(BOX_M, UTM), None])
@@ -161,25 +141,13 @@ def test_heights_that_pandas_wrote_as_an_index_are_read(tmp_path, near):
 
 
 def test_coordinates_beyond_the_globe_are_refused_though_those_near_are_sound(tmp_path):
-    frame = town().to_crs(WGS84)
-    frame = gpd.GeoDataFrame(
-        gpd.pd.concat([frame, frame[:1].set_geometry([shapely.box(X, Y, X + 1, Y + 1)], crs=WGS84)])
-    )
+    shapes = [shapely.box(LON, LAT, LON + 1e-4, LAT + 1e-4), box(0, 0, 1, 1)]
     with pytest.raises(InputError, match=r"city\.parquet.*degrees"):
-        read_vector(write(frame, tmp_path / "city.parquet"), Near(BOX_M, UTM))
-
-
-@pytest.mark.parametrize("change", [{"crs": None}, {"encoding": "polygon"}])
-def test_a_geoparquet_file_that_tells_no_boxes_is_read_as_a_whole_or_refused(tmp_path, change):
-    path = write(town(), tmp_path / "city.parquet")
-    change_metadata(path, lambda geo: geo | {"columns": {"geometry": geo["columns"]["geometry"] | change}})
-    with pytest.raises(InputError, match=r"city\.parquet"):
-        read_vector(path, Near(BOX_M, UTM))
+        read_vector(write_vector(tmp_path / "city.parquet", shapes, WGS84), Near(BOX_M, UTM))
 
 
 @pytest.mark.parametrize("suffix", [".geojson", ".gpkg"])
 def test_a_file_without_a_feature_has_no_building_in_the_region(tmp_path, suffix):
-    path = tmp_path / f"none{suffix}"
-    gpd.GeoDataFrame({"height": [3.0]}, geometry=[shapely.Point()], crs="EPSG:4326").to_file(path)
+    path = write_vector(tmp_path / f"none{suffix}", [shapely.Point()], WGS84, height=[3.0])
     with pytest.raises(InputError, match=r"no building in the region|holds no"):
         City.from_files(path, bounds=(139.69, 35.68, 139.70, 35.69))
