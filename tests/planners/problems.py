@@ -8,7 +8,9 @@ from scipy.ndimage import label
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from jaxurban.kernels.line.segment_cost import segment_cost
 from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.bitstar.bounds import cost_grid_of
 from jaxurban.planners.cost import CostModel
 
 LEVELS_M = np.array([20.0, 22.0, 29.0, 60.0])
@@ -130,11 +132,11 @@ def reachable(problem):
 
 def graph_cost(problem, xy, radius, more_edges=()):
     """Least cost from node 0 to node 1 over all edges within the radius, and more ``(origin, target)``, by SciPy."""
-    edges = np.zeros((len(xy), len(xy)))
+    edges, cost_grid = np.zeros((len(xy), len(xy))), cost_grid_of(problem, problem.is_free)
     within = np.argwhere(np.hypot(*(xy[:, None] - xy).transpose(2, 0, 1)) <= radius)
     for i, j in [*within, *more_edges]:
         if i != j:
-            cost = problem.cost_of(xy[[i, j]] * problem.resolution_m)
+            cost = segment_cost(cost_grid, *xy[i], *xy[j], np.inf)
             edges[i, j] = cost if np.isfinite(cost) else 0.0
     return dijkstra(edges, indices=0)[1]
 
