@@ -7,51 +7,38 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError
-from jaxurban.io.store import write_zarr
-from jaxurban.planners.base import Status
 from jaxurban.report.figures.metrics import obstacle_layer
-from tests.cli_runs import assert_one_sentence, run
-from tests.made_maps import made_maps
+from tests.cli_runs import run
+from tests.paths.volumes import options_of
 
 LOW_M, Z_M, HIGH_M = 20.0, 35.0, 60.0
-
-
-@pytest.fixture(scope="module")
-def maps() -> ju.MetricMaps:
-    return made_maps()
-
-
-@pytest.fixture(scope="module")
-def ends(maps) -> dict:
-    free = np.argwhere(maps.is_free(Z_M))
-    return {"start_xy_m": maps.grid.xy_of_cell(*free[10]), "goal_xy_m": maps.grid.xy_of_cell(*free[-10])}
 
 
 def test_metrics_run_linearly_between_two_maps_and_obstacles_are_the_roofs(maps):
     on = ju.cost_map(maps, Z_M, time_of_day="night")
     share = (Z_M - LOW_M) / (HIGH_M - LOW_M)
     assert np.array_equal(on.is_free, maps.m("roof_touched") < Z_M)
+    for rule, name in (("centre", "roof"), ("touched", "roof_touched")):
+        for z_m in (Z_M, HIGH_M):
+            assert np.array_equal(maps.is_free(z_m, rule), maps.m(name) < z_m)
     over_roof = maps.m("obstacle", LOW_M) == 1
     for name, layer in zip(on.names, on.costs, strict=True):
         low, high = (maps.m(name, z_m, time_of_day="night") for z_m in (LOW_M, HIGH_M))
         by_hand = 1 - np.where(over_roof, high, (1 - share) * low + share * high)
         by_hand = maps.m(name, time_of_day="night") if name == "population" else by_hand
         np.testing.assert_allclose(layer[on.is_free], by_hand[on.is_free], atol=1e-6)
+    volume = ju.cost_map(maps, ju.Levels(Z_M, Z_M, 10.0), time_of_day="night")  # of one level
+    assert np.array_equal(on.costs, volume.costs[:, 0])
+    assert np.array_equal(on.is_free, volume.is_free[0])
+    drawn = obstacle_layer(maps, Z_M).values
+    assert np.array_equal(drawn == 0, maps.m("roof") >= Z_M)  # -1: not drawn
 
 
 @pytest.mark.parametrize("z_m", [LOW_M, HIGH_M])
 def test_an_altitude_of_the_maps_takes_their_bits(maps, z_m):
     on = ju.cost_map(maps, z_m)
     assert np.array_equal(on.is_free, maps.is_free(z_m))
-    for layer, cost in zip(on.costs, maps.costs(z_m).values(), strict=True):
-        assert np.array_equal(layer, np.asarray(cost))
-
-
-def test_a_volume_of_one_level_is_the_same_map(maps):
-    flat, volume = ju.cost_map(maps, Z_M), ju.cost_map(maps, ju.Levels(Z_M, Z_M, 10.0))
-    assert np.array_equal(flat.costs, volume.costs[:, 0])
-    assert np.array_equal(flat.is_free, volume.is_free[0])
+    assert np.array_equal(on.costs, [*maps.costs(z_m).values()])
 
 
 @pytest.mark.parametrize("planner", ["astar-plus", "theta-star", "bitstar-plus"])
@@ -71,47 +58,19 @@ def test_a_path_flies_there_and_says_what_its_metrics_are(maps, ends, planner, t
     assert "interpolated" not in held.to_dict()["message"]
 
 
-def test_obstacles_are_drawn_as_the_roofs_stand(maps):
-    drawn = obstacle_layer(maps, Z_M).values
-    assert np.array_equal(drawn == 0, maps.m("roof") >= Z_M)  # -1: not drawn
-
-
 def test_a_batch_takes_any_altitude_and_refuses_one_beyond(maps, ends):
-    (start_x_m, start_y_m), (goal_x_m, goal_y_m) = ends.values()
-    columns = {"start_x_m": start_x_m, "start_y_m": start_y_m, "goal_x_m": goal_x_m, "goal_y_m": goal_y_m}
-    batch = ju.plan_many(maps, pd.DataFrame([columns] * 3).assign(altitude_m=[Z_M, 19.0, 60.5]), progress=False)
-    assert batch[0].cost == ju.plan(maps, **ends, altitude_m=Z_M).cost
+    xy = pd.DataFrame([np.ravel([*ends.values()])], columns=["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"])
+    table = pd.concat([xy] * 3, ignore_index=True).assign(altitude_m=[Z_M, 19.0, 60.5])
+    batch = ju.plan_many(maps, table, progress=False)
+    (one,) = ju.plan_many(maps, xy, altitude_m=Z_M, progress=False)
+    assert batch[0].cost == one.cost == ju.plan(maps, **ends, altitude_m=Z_M).cost
     rows = batch.to_dataframe()
     assert rows.status.tolist() == ["optimal", "bad-input", "bad-input"]
     assert rows.message[1] == "there are no maps for altitude 19 m: these maps reach from 20 to 60 m"
-    xy = pd.DataFrame([columns])
-    assert ju.plan_many(maps, xy, altitude_m=Z_M, progress=False)[0].cost == batch[0].cost
-    with pytest.raises(InputError, match="there are no maps for altitude 19 m: these maps reach from 20 to 60 m"):
-        ju.plan_many(maps, xy, altitude_m=19.0, progress=False)
 
 
-@pytest.mark.parametrize("altitude_m", [19.999, 60.001, -1.0, np.nan, np.inf])
-def test_beyond_the_maps_range_is_refused(maps, ends, altitude_m):
-    with pytest.raises(InputError, match=r"from 20 to 60 m|finite number"):
-        ju.plan(maps, **ends, altitude_m=altitude_m)
-
-
-def test_the_command_line_takes_any_altitude_and_a_study_of_one_route_the_maps(maps, ends, tmp_path, capsys):
-    write_zarr(maps.ds, tmp_path / "maps")
-    places = [
-        word
-        for name in ("start", "goal")
-        for word in (f"--{name}", "{},{}".format(*maps.grid.lonlat_of_xy(*ends[f"{name}_xy_m"])))
-    ]
-    profile = tmp_path / "profile.png"
-    code, out, _ = run(capsys, "plan", tmp_path / "maps", *places, "--altitude", 35, "--json", "--profile", profile)
-    assert (code, json.loads(out)["status"]) == (0, Status.OPTIMAL.value)
-    assert profile.exists()
-    code, out, err = run(capsys, "plan", tmp_path / "maps", *places, "--altitude", 61)
-    assert (code, out) == (2, "")
-    assert_one_sentence(err, "altitude 61 m", "from 20 to 60 m")
-    code, out, err = run(
-        capsys, "sensitivity", tmp_path / "maps", *places, "--altitude", 35, "-o", tmp_path / "sensitivity"
-    )
-    assert (code, out) == (2, "")
-    assert_one_sentence(err, "no maps for altitude 35")
+def test_the_command_line_takes_any_altitude_and_draws_its_profile(folder, maps, ends, tmp_path, capsys):
+    options = (*options_of(maps, **ends, altitude_m=35), "--json", "--profile", tmp_path / "profile.png")
+    code, out, _ = run(capsys, "plan", folder, *options)
+    assert (code, json.loads(out)["status"]) == (0, "optimal")
+    assert (tmp_path / "profile.png").exists()

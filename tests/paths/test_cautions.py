@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.paths.export.write import FORMATS
 from tests.cli_runs import run
 from tests.made_maps import made_maps
-from tests.paths.volumes import plan_volume
+from tests.paths.volumes import ends_at, options_of, plan_volume, with_roofs
 
 ALTITUDE_M, ROW = 20.0, 20
 
@@ -23,25 +22,22 @@ def maps() -> ju.MetricMaps:
     """Open ground of 10 m cells, a roof of 12 m under columns 30 to 39, and a tower north of columns 60 to 69."""
     maps = made_maps(40, 100, altitudes_m=(20.0, 60.0))
     shape = maps.grid.shape
-    obstacle, roof_m = np.zeros((2, *shape), np.uint8), np.zeros(shape, np.float32)
-    visible = np.full(shape, 7, np.uint8)
-    obstacle[0, ROW + 4 : ROW + 9, 60:70] = 1
+    roof_m, visible = np.zeros(shape, np.float32), np.full(shape, 7, np.uint8)
     roof_m[ROW + 4 : ROW + 9, 60:70] = 30.0
     roof_m[ROW, 30:40] = 12.0
     for low, high in ((25, 27), (40, 50), (52, 53), (70, 75), (85, 88)):
         visible[:, low:high] = 3
-    return ju.MetricMaps(
-        maps.ds.assign(
-            obstacle=(("altitude", "y", "x"), obstacle),
-            **dict.fromkeys(("roof", "roof_touched"), (("y", "x"), roof_m)),
-            num_visible=maps.ds["num_visible"] * 0 + visible,
-        )
-    )
+    return with_roofs(maps, roof_m, num_visible=maps.ds["num_visible"] * 0 + visible)
+
+
+def levels_of(path, maps) -> dict[str, str]:
+    """Return the level of each caution by its first word."""
+    return {line.split(":")[0]: line.level for line in ju.cautions(path, maps)}
 
 
 def straight(maps, first=10, last=90, **options) -> ju.PlannedPath:
     """Return the path due east along the middle row, from the middle of one cell to that of another."""
-    ends = {"start_xy_m": maps.grid.xy_of_cell(ROW, first), "goal_xy_m": maps.grid.xy_of_cell(ROW, last)}
+    ends = ends_at(maps, (ROW, first), (ROW, last))
     return ju.plan(maps, **ends, altitude_m=ALTITUDE_M, objective="distance", **options)
 
 
@@ -66,10 +62,9 @@ def test_what_the_maps_guess_is_the_first_caution_with_the_length_past_guessed_r
         "100 m over them."
     )
     assert first.level == "guess"
+    passes = "if guessed roofs are right: the route passes over some."
     assert any("is 8.0 m" in line and line.endswith("(a guessed roof of 12.0 m).") for line in others)
-    assert any(
-        "35.0 m away" in line and "if guessed roofs are right: the route passes over some." in line for line in others
-    )
+    assert any("35.0 m away" in line and passes in line for line in others)
     assert not any("uess" in line for line in ju.cautions(straight(maps), maps))
 
 
@@ -84,15 +79,10 @@ def test_only_what_rests_on_a_guessed_roof_is_called_guessed(maps):
 
 
 def test_a_stretch_without_a_fix_and_a_roof_close_below_are_beyond_limits(maps):
-    levels = {line.split(":")[0]: line.level for line in ju.cautions(straight(maps), maps)}
-    assert levels == {"GPS": "limit", "Buildings": "note", "Roofs": "note"}
+    assert levels_of(straight(maps), maps) == {"GPS": "limit", "Buildings": "note", "Roofs": "note"}
     roof_m = np.where(maps.m("roof") == 12.0, ALTITUDE_M - 0.4, maps.m("roof"))
-    low = ju.MetricMaps(maps.ds.assign(**dict.fromkeys(("roof", "roof_touched"), (("y", "x"), roof_m))))
-    assert [
-        line.level
-        for line in ju.cautions(straight(low, constraints=ju.Constraints(vertical_clearance_m=0.0)), low)
-        if line.startswith("Roofs")
-    ] == ["limit"]
+    low = with_roofs(maps, roof_m)
+    assert levels_of(straight(low, constraints=ju.Constraints(vertical_clearance_m=0.0)), low)["Roofs"] == "limit"
 
 
 def test_every_file_of_a_route_says_what_is_guessed(maps, tmp_path):
@@ -132,8 +122,7 @@ def test_a_simplified_route_has_the_cautions_of_its_own_legs(maps):
 
 def test_what_was_asked_of_clearances_is_the_limit(maps):
     def levels(**limits):
-        asked = replace(path, settings=path.settings | {"limits": limits})
-        return {line.split(":")[0]: line.level for line in ju.cautions(asked, maps)}
+        return levels_of(replace(path, settings=path.settings | {"limits": limits}), maps)
 
     path = straight(maps)  # 35 m from the tower, 8 m over the roof
     assert levels(clearance_m=34.0, vertical_clearance_m=8.0)["Buildings"] == "note"
@@ -150,9 +139,8 @@ def test_segments_without_a_fix_are_told_with_their_places(maps):
     always = ju.MetricMaps(maps.ds.assign(num_visible=maps.ds["num_visible"] * 0 + 9))
     assert not any(sentence.startswith("GPS") for sentence in ju.cautions(straight(always), always))
     series = ju.MetricMaps(maps.ds.drop_vars("num_visible"))
-    assert "GPS: these maps hold no satellite counts, so where there is no fix is not known." in ju.cautions(
-        straight(maps), series
-    )
+    unknown = "GPS: these maps hold no satellite counts, so where there is no fix is not known."
+    assert unknown in ju.cautions(straight(maps), series)
 
 
 def test_the_nearest_building_and_the_least_height_over_a_roof_are_told(maps):
@@ -190,11 +178,9 @@ def test_a_route_through_cells_that_a_building_touches_is_not_told_as_over_its_r
 
 
 def test_what_may_stand_outside_the_region_is_no_nearer_than_the_border(maps):
-    roof_free = dict.fromkeys(("roof", "roof_touched"), (("y", "x"), np.zeros(maps.grid.shape, np.float32)))
-    bare = ju.MetricMaps(maps.ds.assign(obstacle=maps.ds["obstacle"] * 0, **roof_free))
+    bare = with_roofs(maps, np.zeros(maps.grid.shape, np.float32))
     for on, nearest_m in ((bare, np.inf), (maps, 195.0)):
-        ends = {"start_xy_m": on.grid.xy_of_cell(1, 60), "goal_xy_m": on.grid.xy_of_cell(4, 60)}
-        path = ju.plan(on, **ends, altitude_m=ALTITUDE_M, objective="distance")
+        path = ju.plan(on, **ends_at(on, (1, 60), (4, 60)), altitude_m=ALTITUDE_M, objective="distance")
         totals = ju.explain(path, on).totals
         assert (totals["walls_outside_m"], totals["nearest_wall_m"]) == (15.0, nearest_m)
         (caution,) = (each for each in ju.cautions(path, on) if each.startswith("Buildings"))
@@ -204,20 +190,15 @@ def test_what_may_stand_outside_the_region_is_no_nearer_than_the_border(maps):
         assert ("in the region the nearest is 195.0 m away" in caution) == np.isfinite(nearest_m)
 
 
-def test_satellites_are_whole_numbers_everywhere(maps):
-    path = straight(maps)
-    report = ju.explain(path, maps)
-    assert report.profile["num_visible"].dtype.kind == "i"
-    assert set(report.profile["num_visible"]) == {3, 7}
-
-
-def test_between_two_altitudes_the_satellites_are_those_of_the_lower_map(maps):
+def test_satellites_are_whole_numbers_and_between_two_altitudes_those_of_the_lower_map(maps):
+    profile = ju.explain(straight(maps), maps).profile
+    assert profile["num_visible"].dtype.kind == "i"
+    assert set(profile["num_visible"]) == {3, 7}
     visible = maps.ds["num_visible"].copy(deep=True)
     visible[:, 1] = 10
     higher = ju.MetricMaps(maps.ds.assign(num_visible=visible))
-    ends = {"start_xy_m": maps.grid.xy_of_cell(ROW, 20), "goal_xy_m": maps.grid.xy_of_cell(ROW, 30)}
     heights = {"start_altitude_m": 30.0, "goal_altitude_m": 30.0, "level_step_m": 10.0}
-    path = plan_volume(higher, **ends, **heights, objective="distance")
+    path = plan_volume(higher, **ends_at(maps, (ROW, 20), (ROW, 30)), **heights, objective="distance")
     profile = ju.explain(path, higher).profile
     assert (path.z_m == 30.0).all()
     cells = higher.grid.cell_of_lonlat(profile["lon"], profile["lat"])
@@ -227,38 +208,23 @@ def test_between_two_altitudes_the_satellites_are_those_of_the_lower_map(maps):
 
 def test_the_command_line_tells_it_on_stderr_and_in_json(maps, tmp_path, capsys):
     write_zarr(with_guesses(maps, LOW_ROOF).ds, tmp_path / "maps")
-    lonlat = ["{:.9f},{:.9f}".format(*maps.grid.lonlat_of_cell(ROW, col)) for col in (33, 90)]
-    arguments = ("plan", tmp_path / "maps", "--start", lonlat[0], "--goal", lonlat[1], "--altitude", 20)
+    arguments = ("plan", tmp_path / "maps", *options_of(maps, **ends_at(maps, (ROW, 33), (ROW, 90))))
     code, out, err = run(capsys, *arguments)
     assert code == 0
     for words in ("GPS: no fix", "Buildings: the nearest at flight", "Roofs: the least height", "The start is over"):
-        assert words in err
-        assert words not in out
+        assert (words in err, words in out) == (True, False)
     _, out, err = run(capsys, *arguments, "--json")
     told = json.loads(out)["cautions"]
     assert err.splitlines() == [f"jaxurban: {sentence}" for sentence in told]
     assert told[0].startswith("Guessed: 40 % of heights, nominal satellites; ")
 
 
-def test_without_a_path_there_is_nothing_to_caution_of(maps):
-    zone = np.zeros((2, *maps.grid.shape), np.uint8)
-    zone[:, :, 50] = 1
-    cut = ju.MetricMaps(maps.ds.assign(obstacle=(("altitude", "y", "x"), zone)))
-    with pytest.raises(InputError, match="there is no path"):
-        ju.cautions(straight(cut), cut)
-
-
 def test_a_wall_beside_a_climb_counts_as_soon_as_it_reaches_above_the_route(maps):
     roof_m = np.zeros(maps.grid.shape, np.float32)
     roof_m[ROW + 4 : ROW + 9, 40:45] = 55.0  # beside the climb from 20 to 60 m, nearer to 60 than to 20 at its top
-    around = ju.MetricMaps(
-        maps.ds.assign(
-            obstacle=(("altitude", "y", "x"), np.stack([roof_m >= 20.0, roof_m >= 60.0]).astype(np.uint8)),
-            **dict.fromkeys(("roof", "roof_touched"), (("y", "x"), roof_m)),
-        )
-    )
-    ends = {"start_xy_m": maps.grid.xy_of_cell(ROW, 41), "goal_xy_m": maps.grid.xy_of_cell(ROW, 43)}
-    path = plan_volume(around, **ends, start_altitude_m=20.0, goal_altitude_m=60.0, objective="distance")
+    around = with_roofs(maps, roof_m)
+    climb = {"start_altitude_m": 20.0, "goal_altitude_m": 60.0, "objective": "distance"}
+    path = plan_volume(around, **ends_at(maps, (ROW, 41), (ROW, 43)), **climb)
     climbing = ju.explain(path, around).profile
     is_low = (climbing["z_m"] > 41.0) & (climbing["z_m"] < 55.0)
     assert (climbing.loc[is_low, "nearest_wall_m"] == 35.0).all()

@@ -19,7 +19,7 @@ from jaxurban.io.store import write_zarr
 from jaxurban.paths.export.write import write_path
 from jaxurban.studies.montecarlo.trial import Benchmark
 from jaxurban.studies.weights import sobol
-from tests.cli_runs import assert_one_sentence, run
+from tests.cli_runs import run
 from tests.made_maps import made_maps
 from tests.studies.routes_made import write_geojson
 
@@ -358,18 +358,3 @@ def test_a_folder_keeps_one_study_under_one_set_of_constraints(maps, closing, tm
     settings = Benchmark(constraints=closing["constraints"])
     assert pickle.loads(pickle.dumps(settings)) == settings  # so that a worker reads its maps once
     assert len({settings, pickle.loads(pickle.dumps(settings))}) == 1
-
-
-def test_a_benchmark_that_its_format_cannot_hold_is_refused_before_the_study(tmp_path, capsys):
-    scenario = tmp_path / "city.toml"
-    text = "[region]\nbounds = [-74.0, 40.755, -73.99, 40.762]\n[buildings]\nsource = 'synthetic'\n"
-    for planning, options, words in (
-        ("[planning]\nconnectivity = 4", (), ("not 4 and 'both-free'", "--benchmark")),
-        ("[planning]\ndiagonal = 'always'", (), ("not 8 and 'always'",)),
-        ("", ("--require", "gps>=0.1"), ("--require or --benchmark",)),
-    ):
-        scenario.write_text(text + planning)
-        code, _, err = run(capsys, "study", scenario, "-o", tmp_path / "out", "--benchmark", tmp_path / "b", *options)
-        assert code == 2
-        assert_one_sentence(err, *words)
-    assert not (tmp_path / "out").exists()

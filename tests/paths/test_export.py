@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 import shapely
 
-from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
-from jaxurban.paths.export.write import encoder_of, write_path
+from jaxurban.paths.export.write import write_path
 from jaxurban.paths.path import Ground
 from jaxurban.planners.base import Status
 from jaxurban.world.grid import Grid
@@ -157,23 +156,6 @@ def test_an_old_file_is_replaced_and_no_scrap_stays(route, tmp_path):
     write_path(route, tmp_path / "path.geojson")
     assert [file.name for file in tmp_path.iterdir()] == ["path.geojson"]
     assert json.loads((tmp_path / "path.geojson").read_text())["type"] == "FeatureCollection"
-
-
-@pytest.mark.parametrize(
-    ("name", "fault"),
-    [
-        ("path.gpz", "end its name in one of .geojson, .kml, .gpx, .plan"),
-        ("path", "end its name in one of"),
-        ("missing/path.kml", "does not exist"),
-        ("folder.kml", "is a folder"),
-    ],
-)
-def test_a_file_that_cannot_be_is_refused_in_one_sentence(name, fault, route, tmp_path):
-    (tmp_path / "folder.kml").mkdir()
-    for call in (lambda file: write_path(route, file), encoder_of):
-        with pytest.raises(InputError, match=fault):
-            call(tmp_path / name)
-    assert [file.name for file in tmp_path.iterdir()] == ["folder.kml"]
 
 
 def test_a_climb_on_a_straight_line_is_a_waypoint_with_its_altitude_in_every_format(tmp_path):

@@ -10,7 +10,6 @@ import pytest
 import shapely
 
 from benchmarks.random_routes import READERS
-from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
 from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.export.qgc_plan import height_note
@@ -208,15 +207,6 @@ def test_a_mission_sets_its_speed_after_take_off_and_ends_as_it_is_told(end, las
     assert {None: "landing at the goal", "land": "landing at the goal", "return": "not checked", "none": "without"}[
         end
     ] in note
-
-
-def test_what_is_no_end_or_has_none_is_refused(tmp_path):
-    route = random_route(4, over_hill=False)
-    with pytest.raises(InputError, match="end must be 'land', 'return' or 'none'"):
-        write_path(route, tmp_path / "path.plan", end="hover")
-    with pytest.raises(InputError, match=r"only a \.plan says how the flight ends"):
-        write_path(route, tmp_path / "path.kml", end="land")
-    assert not list(tmp_path.iterdir())
 
 
 def zoned(zones) -> RandomRoute:

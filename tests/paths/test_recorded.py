@@ -10,7 +10,7 @@ from jaxurban.io.files import write_json
 from jaxurban.maps.provenance import settings_of
 from jaxurban.maps.run import run_scenario
 from jaxurban.viewer.plans import Plans
-from tests.cli_runs import assert_one_sentence, run
+from tests.cli_runs import run
 from tests.made_maps import made_maps
 from tests.scenario.test_changes import TEXT
 
@@ -136,10 +136,3 @@ def test_a_run_knows_its_scenario_in_memory_and_in_its_folder(tmp_path):
     (tmp_path / "out" / "run.json").unlink()
     with pytest.raises(ju.InputError, match=r"run.json.*is missing: run the same `jaxurban maps` command again"):
         ju.open_maps(tmp_path / "out")
-
-
-def test_many_routes_over_cities_of_other_scenarios_are_refused(tmp_path, capsys):
-    folders = [folder_of(tmp_path / name, vehicle={"radius_m": r}) for name, r in (("a", 1.0), ("b", 2.0))]
-    code, _, err = run(capsys, "sensitivity-study", *folders, "--routes", 1, "-o", tmp_path / "out")
-    assert code == 2
-    assert_one_sentence(err, "a and b give other weights, cost models, clearances or vehicles")

@@ -9,7 +9,6 @@ import shapely
 from scipy.interpolate import RegularGridInterpolator
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
 from jaxurban.io.store import write_zarr
 from jaxurban.paths.export.base import GROUND_TOLERANCE_M
@@ -141,32 +140,6 @@ def test_a_path_between_levels_keeps_its_climbs_and_its_report(maps):
             assert obstacles(on, level).crossed_m(leg) == 0.0
 
 
-def test_another_cost_map_or_no_tolerance_is_refused_in_one_sentence(maps):
-    on = ju.cost_map(maps, ALTITUDE_M)
-    path = on.plan(*ends_of(maps))
-    for other in (ju.cost_map(maps, 60.0), ju.cost_map(maps, ju.Levels()), ju.cost_map(made_maps(), ALTITUDE_M)):
-        with pytest.raises(InputError, match="give the cost map that it was planned on"):
-            ju.simplify(path, other, 2.0)
-    kept = ju.cost_map(maps, ALTITUDE_M, constraints=ju.Constraints.read(clearance_m=6.0))
-    near = np.argwhere(kept.is_free)
-    clear = kept.plan(*(ju.XY(*maps.grid.xy_of_cell(*near[at])) for at in (10, 20)))
-    for route, other, said in (  # each would move the path by what it was not planned under
-        (clear, on, "limits"),
-        (path, kept, "limits"),
-        (path, ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS), "weights"),
-        (path, ju.cost_map(maps.with_obstacles("centre"), ALTITUDE_M), "obstacles"),
-        (path, ju.cost_map(maps, ALTITUDE_M, cost_model="cell"), "cost_model"),
-        (replace(path, xy_m=path.xy_m + 5.0), on, "region"),
-    ):
-        with pytest.raises(InputError, match=f"another {said}.*: give the cost map that it was planned on"):
-            ju.simplify(route, other, 2.0)
-    for wrong in (0.0, -1.0, float("inf"), "far"):
-        with pytest.raises(InputError, match="tolerance_m must be"):
-            ju.simplify(path, on, wrong)
-    with pytest.raises(InputError, match="planned must be PlannedPath"):
-        ju.simplify(None, on, 2.0)
-
-
 @pytest.fixture(scope="module")
 def folder(maps, tmp_path_factory):
     folder = tmp_path_factory.mktemp("made") / "maps"
@@ -204,18 +177,3 @@ def test_the_command_simplifies_missions_unless_told_otherwise_and_says_so(maps,
     assert coarse == same_few == facts["num_points"] <= few
     assert facts["settings"]["simplify_m"] == 8
     assert json.loads(plan.read_text())["mission"]["items"][-1]["command"] == 20
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--simplify", -1), "tolerance_m must be a positive number of metres"),
-        (("--simplify", "nan"), "tolerance_m must be a positive number of metres"),
-        (("--end", "land"), "add -o FILE.plan"),
-        (("--end", "hover", "-o", "x.plan"), "land"),
-    ],
-)
-def test_what_cannot_be_simplified_or_ended_is_one_sentence_and_exit_two(maps, folder, options, words, capsys):
-    code, out, err = run(capsys, "plan", folder, *query(maps), *options)
-    assert (code, out) == (2, "")
-    assert words in err

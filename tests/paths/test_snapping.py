@@ -73,13 +73,6 @@ def test_the_free_cell_nearest_to_the_place_itself_is_taken(maps, ends):
         assert path.snap_distance_m[0] == pytest.approx(6.0)
 
 
-@pytest.mark.parametrize("snap", [0.0, -1.0, float("nan"), "50"])
-def test_a_snap_that_is_no_distance_is_refused(snap, maps, ends):
-    for way in ("plan", "volume", "many", "study"):
-        with pytest.raises(InputError, match="snap must be True"):
-            snapped(way, maps, ends, snap)
-
-
 def test_how_far_is_told_in_text_json_and_files(maps, ends, tmp_path, capsys):
     write_zarr(maps.ds, tmp_path / "maps")
     lonlat = {name: "{:.9f},{:.9f}".format(*maps.grid.lonlat_of_xy(*xy_m)) for name, xy_m in ends.items()}

@@ -1,4 +1,6 @@
-"""Paths between levels, for tests that give places in metres and altitudes apart."""
+"""Scenes and calls that tests of paths share: maps with other roofs, places in metres, options of a command."""
+
+import numpy as np
 
 import jaxurban as ju
 
@@ -12,3 +14,21 @@ def plan_volume(
     levels = ju.Levels(**{name: options.pop(name) for name in LEVELS if name in options})
     ends = {"start_xy_m": (*start_xy_m, start_altitude_m), "goal_xy_m": (*goal_xy_m, goal_altitude_m)}
     return ju.plan(maps, altitude_m=levels, **ends, **options)
+
+
+def ends_at(maps, start, goal) -> dict:
+    """Return the middles of two cells as arguments of `ju.plan`."""
+    return {"start_xy_m": maps.grid.xy_of_cell(*start), "goal_xy_m": maps.grid.xy_of_cell(*goal)}
+
+
+def options_of(maps, start_xy_m, goal_xy_m, altitude_m=20) -> tuple:
+    """Return the options by which a command plans between two places."""
+    start, goal = ("{:.9f},{:.9f}".format(*maps.grid.lonlat_of_xy(*xy_m)) for xy_m in (start_xy_m, goal_xy_m))
+    return ("--start", start, "--goal", goal, "--altitude", altitude_m)
+
+
+def with_roofs(maps, roof_m, **more) -> ju.MetricMaps:
+    """Return maps with other roofs, ``[rows, cols]`` in metres, the obstacles that they are, and other layers."""
+    obstacle = np.stack([roof_m >= z_m for z_m in maps.altitudes_m]).astype(np.uint8)
+    roofs = dict.fromkeys(("roof", "roof_touched"), (("y", "x"), roof_m.astype(np.float32)))
+    return ju.MetricMaps(maps.ds.assign(obstacle=(("altitude", "y", "x"), obstacle), **roofs, **more))

@@ -1,0 +1,290 @@
+"""What the planning of paths refuses: each in one sentence that names what is wrong; a command exits with 2."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import psutil
+import pytest
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.io.files import write_json
+from jaxurban.io.store import write_zarr
+from jaxurban.maps.scenario import Scenario
+from jaxurban.paths.constraints import Bound
+from jaxurban.paths.export.write import encoder_of, write_path
+from jaxurban.planners.registry import PLANNERS
+from jaxurban.studies.queries import make_queries
+from tests.cli_runs import assert_one_sentence, run
+from tests.made_maps import made_maps
+from tests.paths.volumes import options_of, plan_volume
+
+Z_M, NAN = 20.0, float("nan")
+REGION = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}
+PLACE = (-73.97, 40.78)
+
+
+class Scene:
+    """Maps, a path on them, and what is called with arguments that are right but for those given."""
+
+    def __init__(self, maps, ends):
+        self.maps, self.ends, self.grid = maps, ends, maps.grid
+        self.on = ju.cost_map(maps, Z_M)
+        self.path = self.on.plan(**{name.removesuffix("_xy_m"): ju.XY(*xy_m) for name, xy_m in ends.items()})
+        self.kept = ju.cost_map(maps, Z_M, constraints=ju.Constraints.read(clearance_m=6.0))
+        near = np.argwhere(self.kept.is_free)
+        self.clear = self.kept.plan(*(ju.XY(*maps.grid.xy_of_cell(*near[k])) for k in (10, 20)))
+        self.blocked = self.plan(planner="ptp")
+        self.pairs = [tuple(tuple(map(float, maps.grid.lonlat_of_xy(*xy_m))) for xy_m in ends.values())] * 3
+
+    def plan(self, **changed):
+        return ju.plan(self.maps, **({"altitude_m": Z_M} | self.ends | changed))
+
+    def levels(self, **changed):
+        return plan_volume(self.maps, **(self.ends | changed))
+
+    def many(self, queries=None, **options):
+        queries = self.pairs if queries is None else queries
+        return ju.plan_many(self.maps, queries, **({"altitude_m": Z_M} | options), progress=False)
+
+    def queries(self, snap):
+        return make_queries(self.on, self.pairs, snap=snap)
+
+    def table(self, *columns):
+        return self.many(pd.DataFrame([[0.0] * len(columns)], columns=columns))
+
+    def closed(self, require):
+        return ju.Constraints.read(require=require).closed(self.maps, Z_M)
+
+    def explain(self, **changed):
+        return ju.explain(self.path, self.maps, **changed)
+
+    def simplify(self, path=None, on=None, tolerance_m=2.0, **options):
+        on = on or ju.cost_map(self.maps, **({"altitude_m": Z_M} | options))
+        return ju.simplify(path or self.path, on, tolerance_m)
+
+
+@pytest.fixture(scope="module")
+def scene(maps, ends) -> Scene:
+    return Scene(maps, ends)
+
+
+ANOTHER = "another {}.*: give the cost map that it was planned on"
+OTHER = "give the cost map that it was planned on"
+PAIRS = r"queries must be pairs of places in degrees, .* an array \[N, 2, 2\]"
+LONLAT = ("start_lon", "start_lat", "goal_lon")
+METRES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
+REFUSED = [
+    # what is planned
+    (lambda s: s.plan(planner="astar-pluss"), "did you mean 'astar-plus'"),
+    (lambda s: s.plan(planner="astar"), "unknown planner 'astar' .did you mean 'astar-plus'"),
+    (lambda s: s.plan(planner="bitstar"), "unknown planner 'bitstar' .did you mean 'bitstar-plus'"),
+    (lambda s: s.plan(planner="theta"), "unknown planner 'theta' .did you mean 'theta-star'"),
+    (lambda s: s.plan(objective="fast"), "'weighted', 'distance' or None"),
+    (lambda s: s.plan(cost_model="cells"), "CostModel, 'cell', 'line' or None"),
+    (lambda s: s.plan(start=PLACE), "not both"),
+    (lambda s: s.plan(weights={"gps": NAN}), "gps must be a finite number"),
+    (lambda s: s.plan(preset="papers"), "preset must be '' or 'paper', got 'papers'"),
+    (lambda s: s.plan(cost_model="cell", refine=True), "cost_model='line'"),
+    (lambda s: s.plan(planner="bitstar-dist", seed=-1), "seed must be a whole number"),
+    (lambda s: s.plan(planner="bitstar-dist", seed=1.5), "seed must be a whole number"),
+    *[
+        (lambda s, name=name, risk=risk: s.plan(planner=name, weights=ju.Weights(risk=risk)), "weight risk must be a")
+        for name in PLANNERS
+        for risk in (NAN, -1.0)
+    ],
+    *[
+        (lambda s, z_m=z_m: s.plan(altitude_m=z_m), r"from 20 to 60 m|finite number")
+        for z_m in (10.0, 19.999, 60.001, -1.0, NAN, np.inf)
+    ],
+    *[
+        (lambda s, snap=snap, ask=ask: getattr(s, ask)(snap=snap), "snap must be True")
+        for snap in (0.0, -1.0, NAN, "50")
+        for ask in ("plan", "levels", "many", "queries")
+    ],
+    # between levels
+    (lambda s: s.levels(min_altitude_m=80.0, max_altitude_m=40.0), "hold no altitude from 80 to 40 m"),
+    (lambda s: s.levels(min_altitude_m=30.0, max_altitude_m=50.0), "no altitude from 30 to 50 m, only 20, 60 m"),
+    (lambda s: s.levels(min_altitude_m=70.0, max_altitude_m=90.0, level_step_m=5.0), "no altitude from 70 to 90 m"),
+    (lambda s: s.levels(level_step_m=0.0), "level_step_m"),
+    (lambda s: s.levels(level_step_m=1e-9), "10000 levels"),
+    (lambda s: s.levels(goal_altitude_m=30.0), "goal altitude 30 m is none of the levels 20, 60 m"),
+    (lambda s: s.levels(climb_cost=-1.0), "climb_cost"),
+    (lambda s: s.levels(descent_cost=NAN), "descent_cost"),
+    (lambda s: s.levels(weights=ju.Weights(gps=-1.0)), "weight gps"),
+    (lambda s: s.levels(heuristic="plsu"), "did you mean 'plus'"),
+    (lambda s: s.levels(start=PLACE), "not both"),
+    (lambda s: s.levels(planner="ptp"), "does not fly in a volume"),
+    (lambda s: s.levels(refine=True), "leave it out"),
+    (lambda s: ju.cost_map(s.maps, ju.Levels(20.0, 60.0, 40.0)).prepare(), "landmarks are for one altitude"),
+    # many at once
+    (lambda s: s.many(planer="ptp"), r"plan_many: there is no argument 'planer' \(did you mean 'planner'\?\)"),
+    (lambda s: s.many(refine=True), "refine is of a single plan"),
+    (lambda s: s.many(planner="a-star"), "unknown planner"),
+    (lambda s: s.many(objective="beauty"), "objective must be"),
+    (lambda s: s.many(cost_model="area"), "cost_model must be"),
+    (lambda s: s.many(backend="gpu"), "backend must be 'auto', 'numba' or 'jax'"),
+    (lambda s: s.many(altitude_m=19.0), "there are no maps for altitude 19 m: these maps reach from 20 to 60 m"),
+    (lambda s: s.table(*LONLAT, "goal_lat", "w_gsp"), "did you mean 'w_gps'"),
+    (lambda s: s.table(*LONLAT), "lack the columns goal_lat"),
+    (lambda s: s.table(*METRES, "goal_lon"), "not in both"),
+    *[
+        (lambda s, shape=shape, of=of: s.many(of(np.zeros(shape))), PAIRS)
+        for shape in ((3, 4), (2, 2), (3, 3), (3, 2, 3))
+        for of in (np.asarray, np.ndarray.tolist)
+    ],
+    (lambda s: s.many([s.pairs[0], s.pairs[1][0]]), PAIRS),
+    (lambda s: s.many([("a", "b")]), PAIRS),
+    # constraints and vehicles
+    *[
+        (lambda s, name=name, value=value: ju.Constraints.read(**{name: value}), name)
+        for name in ("clearance_m", "vertical_clearance_m")
+        for value in (-1.0, NAN, np.inf, "wide")
+    ],
+    (lambda s: s.closed("gps=>0.3"), "comparison '=>': use >=, <=, >, <"),
+    (lambda s: s.closed("gps==0.3"), "comparison '=='"),
+    (lambda s: s.closed("gps>=much"), "must read name"),
+    (lambda s: s.closed("0.3"), "must read name"),
+    (lambda s: s.closed("gps>=nan"), "finite number"),
+    (lambda s: s.closed("hdop<=inf"), "finite number"),
+    (lambda s: s.closed("gps>=30"), "lies in 0 to 1"),
+    (lambda s: s.closed("gpz>0.3"), "did you mean 'gps'"),
+    (lambda s: s.closed("gps_epoch_mean>0"), "do not hold"),
+    (lambda s: Bound("lidar", ">=", 0.4).is_kept(s.maps, 61.0), "no maps for altitude 61"),
+    (
+        lambda s: s.plan(constraints=ju.Constraints.read(require="hdop<=0.1"), snap=True),
+        r"no cell is free at this altitude: .* loosen the constraints \(hdop<=0.1, vertical clear",
+    ),
+    (
+        lambda s: ju.Constraints(clearance_m=1.0).is_free(
+            ju.MetricMaps(s.maps.ds.drop_vars("roof_touched"), "centre"), Z_M
+        ),
+        "'roof_touched', from which a clearance is measured",
+    ),
+    (lambda s: ju.Vehicle(radius_m=-0.1), "radius_m must be 0 or a positive number of metres"),
+    (lambda s: ju.Vehicle(speed_m_s=0.0), "speed_m_s must be a positive number of metres per second"),
+    (lambda s: ju.Vehicle(max_turn_deg=181.0), "max_turn_deg must be at most 180 degrees"),
+    (lambda s: ju.Vehicle(power_w=100.0), "give the speed"),
+    (lambda s: ju.Vehicle(max_descent_m_s="slow"), "max_descent_m_s must be a number or None"),
+    (lambda s: Scenario.from_dict(REGION | {"vehicle": {"radius_cm": 40}}), "radius_m"),
+    (
+        lambda s: Scenario.from_dict(REGION | {"vehicle": {"max_climb_m_s": 0}}),
+        r"vehicle.*max_climb_m_s must be a positive number",
+    ),
+    # of a path
+    (lambda s: s.explain(speed_m_s=0.0), "speed_m_s must be a positive number of metres per second, got 0.0"),
+    (lambda s: s.explain(speed_m_s=NAN), "speed_m_s"),
+    (lambda s: s.explain(power_w=200.0), "give the speed"),
+    (lambda s: s.explain(swath_m=-1.0), "swath_m"),
+    (lambda s: s.explain(num_segments=0), "num_segments"),
+    (lambda s: ju.explain(s.maps, s.path), r"got MetricMaps: call explain\(planned, maps\)"),
+    (lambda s: ju.explain(s.path, made_maps(40, 50, resolution_m=20.0)), "these maps are 20 m"),
+    (lambda s: ju.explain(s.blocked, s.maps), "there is no path to explain"),
+    (lambda s: ju.cautions(s.blocked, s.maps), "there is no path"),
+    (lambda s: s.simplify(altitude_m=60.0), OTHER),
+    (lambda s: s.simplify(altitude_m=ju.Levels()), OTHER),
+    (lambda s: s.simplify(on=ju.cost_map(made_maps(40, 50, resolution_m=20.0), Z_M)), OTHER),
+    (lambda s: s.simplify(s.clear), ANOTHER.format("limits")),
+    (lambda s: s.simplify(on=s.kept), ANOTHER.format("limits")),
+    (lambda s: s.simplify(weights={"gps": 2.0}), ANOTHER.format("weights")),
+    (lambda s: s.simplify(on=ju.cost_map(s.maps.with_obstacles("centre"), Z_M)), ANOTHER.format("obstacles")),
+    (lambda s: s.simplify(cost_model="cell"), ANOTHER.format("cost_model")),
+    (lambda s: s.simplify(replace(s.path, xy_m=s.path.xy_m + 5.0)), ANOTHER.format("region")),
+    *[
+        (lambda s, wrong=wrong: s.simplify(tolerance_m=wrong), "tolerance_m must be")
+        for wrong in (0.0, -1.0, np.inf, "far")
+    ],
+    (lambda s: ju.simplify(None, s.on, 2.0), "planned must be PlannedPath"),
+]
+
+
+@pytest.mark.parametrize(("call", "words"), REFUSED, ids=lambda value: value if isinstance(value, str) else "")
+def test_what_cannot_be_planned_is_refused_in_one_sentence(scene, call, words):
+    with pytest.raises(InputError, match=words) as refused:
+        call(scene)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("path.gpz", {}, "end its name in one of .geojson, .kml, .gpx, .plan"),
+        ("path", {}, "end its name in one of"),
+        ("missing/path.kml", {}, "does not exist"),
+        ("folder.kml", {}, "is a folder"),
+        ("path.plan", {"end": "hover"}, "end must be 'land', 'return' or 'none'"),
+        ("path.kml", {"end": "land"}, r"only a \.plan says how the flight ends"),
+    ],
+)
+def test_a_file_that_cannot_be_is_refused_in_one_sentence(scene, name, options, words, tmp_path):
+    (tmp_path / "folder.kml").mkdir()
+    for call in (lambda file: write_path(scene.path, file, **options), *([] if options else [encoder_of])):
+        with pytest.raises(InputError, match=words):
+            call(tmp_path / name)
+    assert [file.name for file in tmp_path.iterdir()] == ["folder.kml"]
+
+
+def test_too_little_memory_is_told_before_it_runs_out(scene, monkeypatch):
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=100_000))
+    with pytest.raises(InputError, match=r"volume of 2 levels of 80 x 100 cells .* choose a longer level_step_m"):
+        scene.levels()
+
+
+@pytest.mark.parametrize(
+    ("command", "options", "words"),
+    [
+        ("plan", ("--altitude", 61), ("altitude 61 m", "from 20 to 60 m")),
+        ("plan", ("--clearance", -3), ("clearance_m must be 0 or a positive number of metres, got -3",)),
+        ("plan", ("--no-fly", "none.kml"), ("none.kml", "does not exist")),
+        ("plan", ("--require", "gps"), ("gps>=0.3",)),
+        ("plan", ("--climb-cost", 1), ("--climb-cost", "--volume")),
+        ("plan", ("--volume", "--planner", "ptp"), ("choose one of astar-volume",)),
+        ("plan", ("--profile", "p.jpg"), ("end its name in .png",)),
+        ("plan", ("--profile", "none/p.png"), ("folder that is there",)),
+        ("plan", ("--swath", 0), ("swath_m",)),
+        ("plan", ("--simplify", -1), ("tolerance_m must be a positive number of metres",)),
+        ("plan", ("--simplify", "nan"), ("tolerance_m must be a positive number of metres",)),
+        ("plan", ("--end", "land"), ("add -o FILE.plan",)),
+        ("plan", ("--end", "hover", "-o", "x.plan"), ("land",)),
+        ("sensitivity", ("--altitude", 35, "-o", "out"), ("no maps for altitude 35",)),
+    ],
+)
+def test_a_command_refuses_in_one_sentence_and_ends_with_2(
+    folder, maps, ends, command, options, words, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(capsys, command, folder, *options_of(maps, **ends), *options)
+    assert (code, out) == (2, "")
+    assert_one_sentence(err, *words)
+
+
+@pytest.mark.parametrize(
+    ("planning", "options", "words"),
+    [
+        ("[planning]\nconnectivity = 4", (), ("not 4 and 'both-free'", "--benchmark")),
+        ("[planning]\ndiagonal = 'always'", (), ("not 8 and 'always'",)),
+        ("", ("--require", "gps>=0.1"), ("--require or --benchmark",)),
+    ],
+)
+def test_a_benchmark_that_its_format_cannot_hold_is_refused_before_the_study(
+    planning, options, words, tmp_path, capsys
+):
+    text = "[region]\nbounds = [-74.0, 40.755, -73.99, 40.762]\n[buildings]\nsource = 'synthetic'\n"
+    (tmp_path / "city.toml").write_text(text + planning)
+    study = ("study", tmp_path / "city.toml", "-o", tmp_path / "out", "--benchmark", tmp_path / "b")
+    code, _, err = run(capsys, *study, *options)
+    assert code == 2
+    assert_one_sentence(err, *words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_many_routes_over_cities_of_other_scenarios_are_refused(tmp_path, capsys):
+    for name, radius_m in (("a", 1.0), ("b", 2.0)):
+        write_zarr(made_maps(40, 60).ds, tmp_path / name)
+        write_json(tmp_path / name / "run.json", {"settings": {"vehicle": {"radius_m": radius_m}}})
+    cities = (tmp_path / "a", tmp_path / "b")
+    code, _, err = run(capsys, "sensitivity-study", *cities, "--routes", 1, "-o", tmp_path / "out")
+    assert code == 2
+    assert_one_sentence(err, "a and b give other weights, cost models, clearances or vehicles")
