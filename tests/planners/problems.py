@@ -130,15 +130,20 @@ def reachable(problem):
     return islands == islands[problem.start]
 
 
-def graph_cost(problem, xy, radius, more_edges=()):
-    """Least cost from node 0 to node 1 over all edges within the radius, and more ``(origin, target)``, by SciPy."""
+def sample_edges(problem, xy, radius, more_edges=()):
+    """Return ``[N, N]`` the costs of edges between points within the radius, and more ``(origin, target)``; 0: none."""
     edges, cost_grid = np.zeros((len(xy), len(xy))), cost_grid_of(problem, problem.is_free)
     within = np.argwhere(np.hypot(*(xy[:, None] - xy).transpose(2, 0, 1)) <= radius)
     for i, j in [*within, *more_edges]:
         if i != j:
             cost = segment_cost(cost_grid, *xy[i], *xy[j], np.inf)
             edges[i, j] = cost if np.isfinite(cost) else 0.0
-    return dijkstra(edges, indices=0)[1]
+    return edges
+
+
+def graph_cost(problem, xy, radius, more_edges=(), ends=(0, 1)):
+    """Return the least cost from one point to another over `sample_edges`, by SciPy."""
+    return dijkstra(sample_edges(problem, xy, radius, more_edges), indices=ends[0])[ends[1]]
 
 
 def ends_of(problem):

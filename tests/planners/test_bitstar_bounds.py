@@ -1,17 +1,14 @@
-"""BIT*'s edge costs, bounds and samples: against the evaluation of paths, Dijkstra on dense graphs, and areas."""
-
-import itertools
+"""BIT*'s bounds and samples: against Dijkstra on dense graphs, closed forms, and areas."""
 
 import numpy as np
 import pytest
 from scipy.sparse.csgraph import dijkstra
 
-from jaxurban.kernels.line.segment_cost import segment_cost
 from jaxurban.planners.base import Problem
-from jaxurban.planners.bitstar.bounds import HEURISTICS, InformedSet, cost_grid_of, graph_radius, make_bounds
+from jaxurban.planners.bitstar.bounds import HEURISTICS, InformedSet, graph_radius, make_bounds
 from jaxurban.planners.cost import CostModel
+from tests.planners.problems import ends_of, sample_edges
 
-MODELS = ("cell", "line")
 RESOLUTION_M = 2.0
 
 
@@ -24,45 +21,8 @@ def true_cost(problem, *xy):
     return problem.cost_of(np.array(xy) * RESOLUTION_M)
 
 
-@pytest.mark.parametrize("cost_model", MODELS)
-def test_an_edge_costs_what_the_evaluation_of_paths_says(cost_model):
-    rng = np.random.default_rng(0)
-    problem = problem_on(rng.random((12, 15)), cost_model, (0, 0), (0, 0), rng.random((12, 15)) < 0.93)
-    problem = problem.between(*(tuple(cell) for cell in np.argwhere(problem.is_free)[[0, -1]]))
-    anywhere = rng.uniform(0, 1, (600, 2, 2)) * (15, 12)
-    near = np.clip(anywhere[:200, :1] + rng.uniform(-1.2, 1.2, (200, 1, 2)), 0.01, 11.9)
-    near = np.concatenate([anywhere[:200, :1], near], axis=1)
-    centres = rng.integers(0, 12, (600, 2, 2)) + 0.5
-    cost_grid = cost_grid_of(problem, problem.is_free)
-    num_blocked = 0
-    for a, b in np.concatenate([anywhere, near, centres]):
-        cost = segment_cost(cost_grid, *a, *b, np.inf)
-        if np.array_equal(a, b):
-            assert cost == 0
-            continue
-        assert cost == pytest.approx(true_cost(problem, a, b), rel=1e-9)
-        assert segment_cost(cost_grid, *a, *b, cost) == np.inf
-        assert segment_cost(cost_grid, *a, *b, cost * 1.001 + 1e-9) in (cost, np.inf)
-        num_blocked += np.isinf(cost)
-    assert 100 < num_blocked < 1300
-
-
-def dense_graph(problem, rng, num_points, longest):
-    """Return points, the start and goal first, and the cost of each edge no longer than that, 0 for none."""
-    ends = [[cell[1] + 0.5, cell[0] + 0.5] for cell in (problem.start, problem.goal)]
-    num_rows, num_cols = problem.is_free.shape
-    xy = rng.uniform(0, 1, (num_points, 2)) * (num_cols, num_rows)
-    xy = np.concatenate([ends, xy[problem.is_free[xy[:, 1].astype(int), xy[:, 0].astype(int)]]])
-    cost = np.zeros((len(xy), len(xy)))
-    for i, j in itertools.permutations(range(len(xy)), 2):
-        if np.hypot(*(xy[i] - xy[j])) <= longest:
-            edge = true_cost(problem, xy[i], xy[j])
-            cost[i, j] = edge if np.isfinite(edge) else 0.0
-    return xy, cost
-
-
 @pytest.mark.parametrize("heuristic", HEURISTICS)
-@pytest.mark.parametrize("cost_model", MODELS)
+@pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_no_path_of_a_dense_graph_costs_less_than_the_bounds(cost_model, heuristic):
     rng = np.random.default_rng(1)
     num_leaps = 0
@@ -73,7 +33,9 @@ def test_no_path_of_a_dense_graph_costs_less_than_the_bounds(cost_model, heurist
         is_free[0, 1] = is_free[5, 5] = True
         problem = problem_on(cost, cost_model, (0, 1), (5, 5), is_free)
         bounds = make_bounds(heuristic, problem, is_free)
-        xy, edges = dense_graph(problem, rng, 170, 1.45)
+        xy = rng.uniform(0, 1, (170, 2)) * (7, 6)
+        xy = np.concatenate([ends_of(problem), xy[is_free[xy[:, 1].astype(int), xy[:, 0].astype(int)]]])
+        edges = sample_edges(problem, xy, 1.45)
         from_start, to_goal = bounds.from_start_and_to_goal(xy)
         reached, back = dijkstra(edges, indices=0), dijkstra(edges.T, indices=1)
         assert np.isfinite(reached[1])

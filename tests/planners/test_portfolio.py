@@ -332,7 +332,10 @@ def test_costs_never_rise_and_seeds_repeat(name, model):
     np.testing.assert_array_equal(first.points_m, again.points_m)
     assert (first.cost, first.num_expanded) == (again.cost, again.num_expanded)
     assert [entry[1:] for entry in first.history] == [entry[1:] for entry in again.history]
-    costs = [cost for _, _, cost in first.history]
-    assert all(np.less_equal(costs[1:], costs[:-1]))
-    if costs:
+    if first.history:
+        at_s, num_samples, costs = np.array(first.history).T
+        assert np.all(costs[1:] <= costs[:-1])
+        assert np.all((np.diff(num_samples) > 0) & (np.diff(at_s) > 0))
+        assert (first.status, num_samples[0], num_samples[-1]) == (Status.BUDGET_FEASIBLE, 0, 1500)
         assert first.cost == pytest.approx(costs[-1], rel=1e-9)
+        assert first.cost != run(name, problem, seed=5, num_samples=1500).cost
