@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from benchmarks.common import Row, Side, clocked, in_turn, row
+from benchmarks.common import Row, Side, clocked, in_turn
 from benchmarks.embree_peer import Answers, EmbreePool, scan_until_first_return, see_satellites
 from benchmarks.scenes import ALTITUDES_M, Scene
 from jaxurban.kernels.dop import unit_vectors
@@ -50,10 +50,8 @@ def occlusion(scene: Scene, pool: EmbreePool, num_runs: int) -> Row:
     free = np.asarray(surface.crop(surface.roof_m)).ravel() < np.array(ALTITUDES_M)[:, None]
     agree = [np.mean((seen == found["seen"])[k][:, free[k]]) for k in range(len(ALTITUDES_M))]
     note = f"{scene.name}, 5 m; in free cells {' / '.join(f'{100 * a:.1f}' for a in agree)} % agree at 20 / 60 / 122 m"
-    num_answers = found["seen"].size
-    return row(
-        "GPS occlusion", PEER, "answers", (num_answers, times["ours"]), (num_answers, times[PEER]), bar=40, note=note
-    )
+    num = found["seen"].size
+    return Row("GPS occlusion", PEER, "answers", num, num, *times.values(), bar=40, note=note)
 
 
 def lidar(scene: Scene, pool: EmbreePool, num_runs: int) -> Row:
@@ -72,10 +70,8 @@ def lidar(scene: Scene, pool: EmbreePool, num_runs: int) -> Row:
     free = np.asarray(surface.crop(surface.roof_m)).ravel()[chosen] < LIDAR_ALTITUDE_M
     error = (np.asarray(ours()).ravel()[chosen] - found["scan"])[free]
     note = f"{scene.name}, 5 m, 20 m up; mean absolute difference of m {np.abs(error).mean():.4f}"
-    ours_units, peer_units = (cells * params.azimuths for cells in (len(centres_m), NUM_LIDAR_CELLS))
-    return row(
-        "lidar", PEER, "scan positions", (ours_units, times["ours"]), (peer_units, times[PEER]), bar=300, note=note
-    )
+    nums = (cells * params.azimuths for cells in (len(centres_m), NUM_LIDAR_CELLS))
+    return Row("lidar", PEER, "scan positions", *nums, *times.values(), bar=300, note=note)
 
 
 def measure(scene: Scene, num_runs: int) -> list[Row]:

@@ -1,13 +1,12 @@
 """Timing of two sides in turn, the rows of the table, and what the machine is."""
 
 import importlib.metadata
-import json
 import os
 import platform
 import subprocess
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import jax
@@ -17,26 +16,23 @@ import psutil
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
     *("jaxurban", "jax", "jaxlib", "numba", "numpy", "scipy"),
-    *("embreex", "opencv-python-headless", "edt", "pyastar2d", "scikit-image", "tcod"),
+    *("embreex", "opencv-python-headless", "edt", "pyastar2d", "scikit-image", "tcod", "sidereon"),
 )
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds of one side: of the first run less a later one (compiling), and of each run after it.
+    """Seconds of one side, of each run after the first.
 
     Attributes:
       wall_s: of each run.
       cpu_s: of each run, all threads and processes of that side together.
+      compile_s: CPU seconds of the first run less those of a later one.
     """
 
     wall_s: list[float]
     cpu_s: list[float]
     compile_s: float = 0.0
-
-    @property
-    def median_s(self) -> float:
-        return float(np.median(self.wall_s))
 
     @property
     def median_cpu_s(self) -> float:
@@ -59,7 +55,7 @@ def clocked(work: Callable[[], object]) -> Side:
 
 def in_turn(sides: dict[str, Side], num_runs: int) -> dict[str, Timing]:
     """Return the timing of each side, run in turn so that the machine's other load hits all alike."""
-    first_s = {name: run()[0] for name, run in sides.items()}
+    first = {name: run() for name, run in sides.items()}
     runs: dict[str, list[tuple[float, float]]] = {name: [] for name in sides}
     for _ in range(num_runs):
         for name, run in sides.items():
@@ -67,7 +63,7 @@ def in_turn(sides: dict[str, Side], num_runs: int) -> dict[str, Timing]:
     timings = {}
     for name, pairs in runs.items():
         wall_s, cpu_s = (list(seconds) for seconds in zip(*pairs, strict=True))
-        timings[name] = Timing(wall_s, cpu_s, max(0.0, first_s[name] - float(np.median(wall_s))))
+        timings[name] = Timing(wall_s, cpu_s, max(0.0, first[name][1] - float(np.median(cpu_s))))
     return timings
 
 
@@ -79,66 +75,30 @@ class Row:
       name: what is computed.
       peer: who else computes it.
       unit: what is counted.
-      ours_per_s: units per second.
-      peer_per_s: the peer's.
-      ratio_cpu: the ratio of units per CPU second, which other load on the machine hardly moves.
+      num_ours, num_peer: units in a run.
+      ours, theirs: the raw timings.
       bar: least ratio asked for, None where none is.
-      ours, peer_runs: the raw timings.
       note: what else was found, such as how far the answers agree.
     """
 
     name: str
     peer: str
     unit: str
-    ours_per_s: float
-    peer_per_s: float
-    ratio_cpu: float
-    bar: float | None
+    num_ours: float
+    num_peer: float
     ours: Timing
-    peer_runs: Timing
+    theirs: Timing
+    bar: float | None = None
     note: str = ""
 
     @property
+    def per_cpu_s(self) -> tuple[float, float]:
+        """Our rate and the peer's, units a CPU second by the medians."""
+        return self.num_ours / self.ours.median_cpu_s, self.num_peer / self.theirs.median_cpu_s
+
+    @property
     def ratio(self) -> float:
-        return self.ours_per_s / self.peer_per_s
-
-
-def row(
-    name: str,
-    peer: str,
-    unit: str,
-    ours: tuple[float, Timing],
-    theirs: tuple[float, Timing],
-    bar: float | None = None,
-    note: str = "",
-) -> Row:
-    """Return a row from ``(units in a run, timing)`` of both sides."""
-    ours_per_s, peer_per_s = (units / timing.median_s for units, timing in (ours, theirs))
-    ours_per_cpu_s, peer_per_cpu_s = (units / timing.median_cpu_s for units, timing in (ours, theirs))
-    ratio_cpu = ours_per_cpu_s / peer_per_cpu_s
-    return Row(name, peer, unit, ours_per_s, peer_per_s, ratio_cpu, bar, ours[1], theirs[1], note)
-
-
-@dataclass(frozen=True)
-class Growth:
-    """How the time of one metric grows: slope of log seconds on log cells.
-
-    Attributes:
-      cells, wall_s, cpu_s: of each size, medians of several runs.
-      bar: the greatest slope asked for.
-    """
-
-    name: str
-    cells: list[int]
-    wall_s: list[float]
-    cpu_s: list[float]
-    bar: float
-    slope: float = field(init=False)
-    slope_cpu: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        for slope, seconds in (("slope", self.wall_s), ("slope_cpu", self.cpu_s)):
-            object.__setattr__(self, slope, float(np.polyfit(np.log(self.cells), np.log(seconds), 1)[0]))
+        return self.per_cpu_s[0] / self.per_cpu_s[1]
 
 
 def amount(value: float) -> str:
@@ -149,25 +109,22 @@ def amount(value: float) -> str:
     return f"{value:.3g}"
 
 
-def markdown(rows: list[Row], growths: list[Growth]) -> str:
-    """Return the tables that ``make bench`` prints."""
-    lines = [
-        "| computed | peer | unit | ours a second | peer's a second | ratio | per CPU second | bar | compile | note |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    lines += [
-        f"| {r.name} | {r.peer} | {r.unit} | {amount(r.ours_per_s)} | {amount(r.peer_per_s)} | {r.ratio:.3g} "
-        f"| {r.ratio_cpu:.3g} | {'' if r.bar is None else f'{r.bar:g}'} | {r.ours.compile_s:.2f} s | {r.note} |"
+def table(head: list[str], rows: list[list[str]]) -> str:
+    """Return rows in Markdown."""
+    return "\n".join(f"| {' | '.join(row)} |" for row in [head, ["---"] * len(head), *rows])
+
+
+def markdown(rows: list[Row]) -> str:
+    """Return the table that ``make bench`` prints: rates and ratios are of CPU seconds."""
+    head = ["computed", "peer", "unit", "ours a CPU second", "peer's", "ratio", "bar", "compiling", "note"]
+    cells = [
+        [
+            *(r.name, r.peer, r.unit, *map(amount, r.per_cpu_s), f"{r.ratio:.3g}"),
+            *("" if r.bar is None else f"{r.bar:g}", f"{r.ours.compile_s:.2f} s", r.note),
+        ]
         for r in rows
     ]
-    if growths:
-        lines += ["", "| growth of | cells | seconds | slope | slope, CPU seconds | bar |", "|---|---|---|---|---|---|"]
-        lines += [
-            f"| {g.name} | {', '.join(map(amount, g.cells))} | {', '.join(f'{s:.3g}' for s in g.wall_s)} "
-            f"| {g.slope:.2f} | {g.slope_cpu:.2f} | {g.bar:.2f} |"
-            for g in growths
-        ]
-    return "\n".join(lines)
+    return table(head, cells)
 
 
 def version(package: str) -> str:
@@ -175,15 +132,6 @@ def version(package: str) -> str:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
         return "not installed"
-
-
-def copy_gb_per_s() -> float:
-    """Return how fast one core copies 256 MiB with NumPy, bytes read and written, the best of 7."""
-    source = np.ones(2**26, np.float32)
-    target = np.empty_like(source)
-    np.copyto(target, source)
-    best_s = min(clocked(lambda: np.copyto(target, source))()[1] for _ in range(7))
-    return 2 * source.nbytes / best_s / 1e9
 
 
 def machine() -> dict[str, object]:
@@ -202,16 +150,5 @@ def machine() -> dict[str, object]:
         "python": platform.python_version(),
         "versions": {package: version(package) for package in PACKAGES},
         "commit": commit.stdout.strip() or "unknown",
-        "numpy_copy_gb_per_s": round(copy_gb_per_s(), 1),
+        "load_averages": [round(value, 2) for value in os.getloadavg()],
     }
-
-
-def load() -> list[float]:
-    """Return the load averages over 1, 5 and 15 minutes."""
-    return [round(value, 2) for value in os.getloadavg()]
-
-
-def write_json(path: Path, report: dict[str, object], rows: list[Row], growths: list[Growth]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    report = report | {"rows": [asdict(r) | {"ratio": r.ratio} for r in rows], "growth": [asdict(g) for g in growths]}
-    path.write_text(json.dumps(report, indent=2) + "\n")

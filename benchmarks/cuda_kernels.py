@@ -100,17 +100,14 @@ def satellites(num: int, multiple_of: int = 8, num_clocks: int = 1) -> dop.Geome
 
 GROWN = tuple(side + 2 for side in TILE)
 RING = sweep.Ring(array(GROWN[1]), array(GROWN[1]), array(TILE[0]), array(TILE[0]))
-PER_CELL = 3  # subcells a cell side, of supersampled maps
 WINDOW = (MARGIN, MARGIN + REGION[0], MARGIN, MARGIN + REGION[1], 1)
 VIEW = visibility.SkyView(lines(), satellites(NUM_SATELLITES, 1), WHOLE)
 
 NUM_AZIMUTHS, NUM_BEAMS, RANGE_M = 360, 16, 100.0
-STEPS_5M, STEPS_FINE = (hard.num_steps(side_m, RANGE_M) for side_m in (5.0, 5.0 / PER_CELL))
+STEPS_5M = hard.num_steps(5.0, RANGE_M)
 RAYS = hard.ray_offsets(NUM_AZIMUTHS, STEPS_5M)
 STARTS = hard.phase_starts(RAYS, 1)
 RAYS_5M = {"halo": STEPS_5M - 1}
-FINE_RAYS = hard.phase_starts(hard.ray_offsets(NUM_AZIMUTHS, STEPS_FINE), PER_CELL)
-FINE_HALO = hard.halo_cells(STEPS_FINE, PER_CELL)
 SCAN = soft_lidar.Scan(NUMBER, NUMBER, NUMBER, array(NUM_BEAMS), array(NUM_BEAMS))
 
 
@@ -128,7 +125,7 @@ def part(shape: tuple[int, int], halo: int = 0) -> surface.Part:
 DISTANCE_5M = {"resolution_m": 5.0, "cap_m": 50.0}
 NEAREST = {"resolution_m": 5.0, "halo": 10}
 EDGES = float64(*REGION), float64(1024, 2), float64(1024, 2), float64()
-LINE, CELL = ({"is_line": is_line, "passes_corners": array(dtype=bool)} for is_line in (True, False))
+LINE = {"is_line": True, "passes_corners": array(dtype=bool)}
 
 NUM_QUERIES, NUM_CELLS = QUERIES_TOGETHER["gpu"], TILE[0] * TILE[1]
 TOGETHER = {"num_together": CELLS_TOGETHER * NUM_QUERIES}
@@ -223,22 +220,15 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "shadows: height": lambda: Call(sweep.shadow_height, (array(*SURFACE), line(SURFACE))),
     "shadows: sweep": lambda: Call(sweep.sweep, (array(*SURFACE), line(SURFACE))),
     "shadows: height in a ring": lambda: Call(sweep.shadow_height, (array(*TILE), line(GROWN), RING)),
-    "shadows: soft weights": lambda: Call(jax.jit(soft_shadow_weights), (array(*SURFACE), lines())),
     "shadows: soft weights, gradient": lambda: Call(gradient(soft_shadow_weights), (array(*SURFACE), lines())),
     "DOPs of weights": lambda: Call(dop.dops, (satellites(9, 1), array(9, gps.BLOCK_CELLS))),
     "DOPs of words": lambda: Call(dop.dops_of_words, (satellites(9), array(1, *REGION, dtype=jnp.uint32))),
     "GPS maps, 9 satellites": lambda: Call(
         gps.maps_of_words, (array(1, *REGION, dtype=jnp.uint32), satellites(9), NUMBER)
     ),
-    "GPS maps, 31 satellites": lambda: Call(
-        gps.maps_of_words, (array(1, *REGION, dtype=jnp.uint32), satellites(31), NUMBER)
-    ),
     "DOPs of weights, 2 clocks, gradient": lambda: Call(
         gradient(lambda geometry, weights: dop.dops(geometry, weights).gdop, 1),
         (satellites(16, 1, 2), array(16, gps.BLOCK_CELLS)),
-    ),
-    "GPS maps, 16 satellites, 2 clocks": lambda: Call(
-        gps.maps_of_words, (array(1, *REGION, dtype=jnp.uint32), satellites(16, 8, 2), NUMBER)
     ),
     "GPS, soft": lambda: Call(
         gps_soft._soft_gps, (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None), {"window": WINDOW}
@@ -263,11 +253,6 @@ KERNELS: dict[str, Callable[[], Call]] = {
     ),
     "lidar: share": lambda: Call(
         lidar._share, (array(4, *REGION, dtype=jnp.int32), part(REGION), ALTITUDES_M), {"num_azimuths": NUM_AZIMUTHS}
-    ),
-    "lidar: supersampled, tile": lambda: Call(
-        hard.count_returns_by_steps,
-        (around(TILE, FINE_HALO, PER_CELL**2), array(1, STEPS_FINE), FINE_RAYS),
-        {"halo": FINE_HALO},
     ),
     "lidar: soft, tile": lambda: Call(soft_lidar.soft_returns, (around(TILE, STEPS_5M - 1), SCAN, RAYS, NUMBER)),
     "lidar: soft, tile, gradient": lambda: Call(
@@ -299,7 +284,6 @@ KERNELS: dict[str, Callable[[], Call]] = {
         gradient(soft_people, 2), (int32(*REGION), BLOCKS, population.Population())
     ),
     "edges of BIT*, line": lambda: Call(segment_costs, EDGES, LINE, True),
-    "edges of BIT*, cell": lambda: Call(segment_costs, EDGES, CELL, True),
     "BIT*: a batch": lambda: Call(
         sample_graph.search_samples,
         (SAMPLES, float64(*REGION), float64(), array(dtype=bool)),

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from benchmarks.common import machine
-from benchmarks.dilution import LEAST_SATELLITES
+from benchmarks.common import machine, table
 from benchmarks.embree_peer import EmbreePool, scan_until_first_return, see_satellites
+from benchmarks.metric_peers import LEAST_SATELLITES, numpy_inverse
 from benchmarks.scenes import ALTITUDES_M, PLACES, Scene, load_place, load_scene
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.gps import Gps, maps_of_choices, satellites_of
@@ -61,11 +61,9 @@ def compute(scene: Scene, resolution_m: float) -> Maps:
 
 def exact_gps(directions: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Return ``[N]`` m_gps of ``[S, N]`` visibility, in float64."""
-    matrix = np.column_stack([directions, -np.ones(len(directions))])
     gdop = np.full(seen.shape[1], np.inf)
     enough = np.flatnonzero(seen.sum(axis=0) >= LEAST_SATELLITES)
-    normal = np.einsum("sn,si,sj->nij", seen[:, enough].astype(float), matrix, matrix)
-    gdop[enough] = np.sqrt(np.trace(np.linalg.inv(normal), axis1=1, axis2=2))
+    gdop[enough] = numpy_inverse(directions, seen[:, enough].T.astype(float))[0]
     threshold = GPS.gdop_threshold
     return np.clip((threshold - np.minimum(gdop, threshold)) / (threshold - 1), 0, 1)
 
@@ -148,8 +146,8 @@ def is_right(maps: Maps, k: int, seen: np.ndarray, y: np.ndarray, x: np.ndarray)
     return answers == seen
 
 
-def compare(truth: Truth, resolution_m: float, lines: dict[str, list[str]]) -> None:
-    """Add the lines of one resolution to each metric's table."""
+def compare(truth: Truth, resolution_m: float, rows: dict[str, list[list[str]]]) -> None:
+    """Add the rows of one resolution to each metric's table."""
     maps, region = compute(truth.scene, resolution_m), truth.scene.region(resolution_m)
     for k, altitude_m in enumerate(ALTITUDES_M):
         rng = np.random.default_rng(k)
@@ -162,24 +160,23 @@ def compare(truth: Truth, resolution_m: float, lines: dict[str, list[str]]) -> N
         cell = ((anywhere_m - (x_min, y_min)) / resolution_m).astype(int)
         called = maps.roof_m[cell[:, 1], cell[:, 0]] >= altitude_m
         free = np.flatnonzero(~inside & ~called)[:NUM_GPS_POINTS]
-        start = f"| {altitude_m:.0f} m | {resolution_m:g} m |"
-        lines["obstacle"].append(f"{start} {mean_of(called != inside, 100, 2)} |")
+        start = (f"{altitude_m:.0f} m", f"{resolution_m:g} m")
+        rows["obstacle"].append([*start, mean_of(called != inside, 100, 2)])
 
         centre, seen = truth.errors(maps, k, slice_tree, *centres)
         anywhere, _ = truth.errors(maps, k, slice_tree, anywhere_m[free], cell[free, 1], cell[free, 0])
         right = is_right(maps, k, seen, *centres[1:])
-        shares = " | ".join(share(right, among) for among in (np.ones_like(seen), ~seen, seen))
-        far = " | ".join(mean_of(np.abs(errors["gps"])) for errors in (centre, anywhere))
-        lines["gps"].append(f"{start} {shares} | {far} |")
+        shares = (share(right, among) for among in (np.ones_like(seen), ~seen, seen))
+        rows["gps"].append([*start, *shares, *(mean_of(np.abs(errors["gps"])) for errors in (centre, anywhere))])
         for name in ("lidar", "risk"):
             cells = (np.abs(centre[name]), centre[name], np.abs(anywhere[name]), anywhere[name])
-            lines[name].append(f"{start} {' | '.join(mean_of(values) for values in cells)} |")
+            rows[name].append([*start, *map(mean_of, cells)])
 
 
-def city_lines(truth: Truth) -> list[str]:
-    """Return a city's lines of the table by city."""
+def city_rows(truth: Truth) -> list[list[str]]:
+    """Return a city's rows of the table by city."""
     maps, region = compute(truth.scene, CITY_RESOLUTION_M), truth.scene.region(CITY_RESOLUTION_M)
-    lines = []
+    rows = []
     for k, altitude_m in enumerate(CITY_ALTITUDES_M):
         centres = free_centres(maps, k, region, np.random.default_rng(k))
         errors, seen = truth.errors(maps, k, truth.slice_tree(altitude_m), *centres)
@@ -194,40 +191,22 @@ def city_lines(truth: Truth) -> list[str]:
             f"{mean_of(near_m, digits=2)} m",
             f"{100 * np.mean(true_risk < 1):.0f}",
         ]
-        lines.append(f"| {truth.scene.name} | {altitude_m:.0f} m | {' | '.join(cells)} |")
-    return lines
+        rows.append([truth.scene.name, f"{altitude_m:.0f} m", *cells])
+    return rows
 
 
-HEADS = {
-    "gps": "lines of sight right, % | of those blocked | of those clear | error of m at centres | error of m anywhere",
-    "lidar": "error of m at centres | its bias | error of m anywhere | its bias",
-    "risk": "error of m at centres | its bias | error of m anywhere | its bias",
-    "obstacle": "points called wrongly, %",
+ERRORS = ["error of m at centres", "its bias", "error of m anywhere", "its bias"]
+SIGHT = ["lines of sight right, %", "of those blocked", "of those clear"]
+TABLES = {  # title and columns, after those of altitude and cells
+    "gps": ("GPS: lines of sight and m_gps", [*SIGHT, "error of m at centres", "error of m anywhere"]),
+    "lidar": ("Lidar: m_lidar, 16 beams x 360 azimuths, 100 m", ERRORS),
+    "risk": ("Risk: m_risk, 50 m, by distance to the outlines of the slice", ERRORS),
+    "obstacle": ("Obstacle: free or not", ["points called wrongly, %"]),
 }
-TITLES = {
-    "gps": "GPS: lines of sight and m_gps",
-    "lidar": "Lidar: m_lidar, 16 beams x 360 azimuths, 100 m",
-    "risk": "Risk: m_risk, 50 m, by distance to the outlines of the slice",
-    "obstacle": "Obstacle: free or not",
-}
-
-
-CITY_HEAD = (
-    "cells with m_gps within 0.02, % | error of m_gps | lines of sight right, % | of those blocked | of those clear "
-    "| error of m_lidar | its bias | walls near are farther by | cells near walls, %"
-)
-
-
-def printed(start: str, head: str, lines: list[str]) -> None:
-    """Print a table in Markdown."""
-    columns = f"| {start} | {head} |"
-    print(columns, "|---" * (columns.count("|") - 1) + "|", *lines, sep="\n", flush=True)
-
-
-def order(line: str) -> tuple[float, float]:
-    """Return what a line is sorted by: its altitude, then its cells from coarse to fine."""
-    altitude, cells = (float(part.split()[0]) for part in line.split("|")[1:3])
-    return altitude, -cells
+CITY_HEAD = [
+    *("city", "altitude", "cells with m_gps within 0.02, %", "error of m_gps", *SIGHT),
+    *("error of m_lidar", "its bias", "walls near are farther by", "cells near walls, %"),
+]
 
 
 def main() -> None:
@@ -238,19 +217,19 @@ def main() -> None:
     options = parser.parse_args()
     print(f"commit {machine()['commit']}")
     if options.by_city:
-        rows = []
+        found = []
         for place in (place for place in PLACES.values() if place.is_here):
             with exact(load_place(place)) as truth:
-                rows += city_lines(truth)
-        printed("city | altitude", CITY_HEAD, rows)
+                found += city_rows(truth)
+        print(table(CITY_HEAD, found))
         return
-    lines: dict[str, list[str]] = {name: [] for name in HEADS}
+    rows: dict[str, list[list[str]]] = {name: [] for name in TABLES}
     with exact(load_scene()) as truth:
-        for resolution_m in options.resolutions:
-            compare(truth, resolution_m, lines)
-    for name, head in HEADS.items():
-        print(f"\n## {TITLES[name]}\n")
-        printed("altitude | cells", head, sorted(lines[name], key=order))
+        for resolution_m in sorted(options.resolutions, reverse=True):
+            compare(truth, resolution_m, rows)
+    for name, (title, head) in TABLES.items():
+        by_altitude = sorted(rows[name], key=lambda row: float(row[0].split()[0]))
+        print(f"\n## {title}\n\n{table(['altitude', 'cells', *head], by_altitude)}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,23 +1,21 @@
-"""The synthetic city of `benchmarks.gpu` as compressed arrays: surfaces, a sky and a map of costs, a few megabytes."""
+"""The synthetic city of `benchmarks.gpu` as compressed arrays: surfaces and a sky, a few megabytes."""
 
 from pathlib import Path
 
 import numpy as np
 
 from jaxurban.metrics.gps import Gps
-from jaxurban.planners.base import Problem
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
 RESOLUTIONS_M = (5.0, 2.0)
 SIZE_M, SMALL_SIZE_M = (10_000.0, 20_000.0), (1_000.0, 1_000.0)  # width, height
-ALTITUDE_M = 20.0  # of the map of costs
 CM = 100.0  # roofs are kept in whole centimetres
 
 
 def make_inputs(folder: Path, is_small: bool) -> None:
     """Write the arrays of the city that are not in the folder yet."""
-    if (folder / "problem.npz").exists():
+    if (folder / f"surface_{RESOLUTIONS_M[-1]:g}m.npz").exists():
         return
     import jaxurban as ju  # the readers, which a machine that gets these files needs not have
     from jaxurban.io.read.rasterise import build_surface
@@ -38,14 +36,6 @@ def make_inputs(folder: Path, is_small: bool) -> None:
             grid=np.array([region.first_row, region.first_col, *region.shape]),
             crs=city.crs,
         )
-    maps = ju.build_maps(city, resolution_m=RESOLUTIONS_M[0], altitudes_m=(ALTITUDE_M,), progress=False)
-    problem = ju.cost_map(maps, ALTITUDE_M).problem
-    np.savez_compressed(
-        folder / "problem.npz",
-        cost=np.round(np.nan_to_num(problem.cost, nan=1.0), 4).astype(np.float32),
-        is_free=problem.is_free,
-        distance_weight=problem.distance_weight,
-    )
 
 
 def load_surface(folder: Path, resolution_m: float) -> tuple[Surface, np.ndarray, np.ndarray]:
@@ -56,12 +46,3 @@ def load_surface(folder: Path, resolution_m: float) -> tuple[Surface, np.ndarray
     grid = Grid(str(kept["crs"]), resolution_m, *(int(number) for number in kept["grid"]))
     roof_m = jnp.asarray(kept["roof_cm"].astype(np.float32) / np.float32(CM))
     return Surface(roof_m, None, None, None, grid, grid), kept["azimuth_rad"], kept["elevation_rad"]
-
-
-def load_problem(folder: Path) -> Problem:
-    """Return a problem on the map of costs; its start and goal are any free cell."""
-    kept = np.load(folder / "problem.npz")
-    is_free = kept["is_free"]
-    cost = np.where(is_free, kept["cost"].astype(np.float64), 0.0)
-    anywhere = tuple(int(number) for number in np.argwhere(is_free)[0])
-    return Problem(cost[None], is_free, anywhere, anywhere, RESOLUTIONS_M[0], float(kept["distance_weight"]), "cell")

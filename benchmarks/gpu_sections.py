@@ -15,18 +15,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.ndimage import label
 
-from benchmarks.gpu_inputs import load_problem, load_surface
+from benchmarks.gpu_inputs import load_surface
 from jaxurban.kernels.distance.nearest import capped_distance, capped_distance_over_terrain
 from jaxurban.metrics.gps import maps_of_choices, satellites_of, soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.risk import Risk, compute_risk, soft_risk
 from jaxurban.metrics.visibility import SkyView, visibility
-from jaxurban.planners.base import Problem
-from jaxurban.planners.bitstar.planner import bitstar_plus
-from jaxurban.planners.bulk import solve_batched
-from jaxurban.planners.registry import solve_many
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface, obstacle_mask
@@ -41,7 +36,6 @@ SAME = {"share": 1e-6}, "1e-6 of the answers"
 METRES = {"absolute": 1e-5}, "1e-5 m"
 DOP = {"relative": 1e-4, "share": 1e-6}, "1e-4 of a DOP, but for 1e-6 of them"
 UNIT = {"absolute": 1e-4, "share": 1e-6}, "1e-4, but for 1e-6 of them"
-COST = {"relative": 1e-9}, "1e-9 of a cost"
 GRADIENT = {"of_largest": 1e-3, "share": 1e-6}, "1e-3 of the largest, but for 1e-6 of them"
 Tolerance = tuple[dict[str, float], str]
 
@@ -51,7 +45,7 @@ class Run:
     """One section on one side. `timed` adds a row and writes all of them, so that what was measured outlives a kill.
 
     Attributes:
-      side: the name that the rows carry; ``"CPU"`` is where Numba runs, and what others are compared with.
+      side: the name that the rows carry.
       inputs: folder of `gpu_inputs`.
       answers: folder of rows and answers.
     """
@@ -63,10 +57,6 @@ class Run:
     is_small: bool
     rows: list[dict] = field(default_factory=list)
 
-    @property
-    def is_reference(self) -> bool:
-        return self.side == "CPU"
-
     def timed(
         self,
         name: str,
@@ -75,7 +65,6 @@ class Run:
         unit: str,
         tolerance: Tolerance | None = None,
         *,
-        by: str = "",
         every: int = 1,
     ) -> Any:
         """Time something and return its answer.
@@ -85,7 +74,6 @@ class Run:
           work: gives arrays of one shape each time.
           units, unit: how much is computed, of what.
           tolerance: left out, nothing is compared.
-          by: what computes it, behind the side's name.
           every: of the rows of the answer one is compared in so many.
         """
         first_s, seconds = 0.0, list[float]()
@@ -99,7 +87,7 @@ class Run:
         row = {
             "section": self.section,
             "name": name,
-            "by": f"{self.side}{by and f', {by}'}",
+            "by": self.side,
             "seconds": float(np.median(seconds)),
             "first_s": first_s,
             "units": units,
@@ -119,9 +107,6 @@ class Run:
 
     def surface(self, resolution_m: float = 5.0) -> tuple[Surface, np.ndarray, np.ndarray]:
         return load_surface(self.inputs, resolution_m)
-
-    def problem(self) -> Problem:
-        return load_problem(self.inputs)
 
 
 def copy(run: Run) -> None:
@@ -249,48 +234,6 @@ def pipeline(run: Run) -> None:
     run.timed("the metrics of all maps", metrics, units, "cells x altitudes", UNIT, every=8)
 
 
-def random_queries(problem: Problem, num: int) -> list[Problem]:
-    """Return queries between cells of the largest part of the map that hangs together."""
-    parts, _ = label(problem.is_free)
-    cells = np.argwhere(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]))
-    pairs = np.random.default_rng(0).choice(len(cells), (num, 2))
-    return [problem.between(*(tuple(int(v) for v in cells[k]) for k in pair)) for pair in pairs]
-
-
-def backends(run: Run) -> tuple[str, ...]:
-    """Return which backends of the planners a side runs: Numba on the CPU, JAX on the GPU, in a trial both there."""
-    if run.is_reference:
-        return ("numba", "jax") if run.is_small else ("numba",)
-    return ("jax",)
-
-
-def frontier(run: Run) -> None:
-    problem, num = run.problem(), 8 if run.is_small else 256
-    for backend in backends(run):
-
-        def costs(backend: str = backend) -> np.ndarray:
-            queries = random_queries(problem, num)
-            found = dict(solve_many(queries, backend=backend, heuristic="octile"))
-            return np.array([found[k].cost for k in range(num)])
-
-        run.timed(f"{num} queries at once, octile", costs, num, "plans", COST, by=backend)
-
-
-def bitstar(run: Run) -> None:
-    query = random_queries(run.problem(), 4)[3]
-    num_samples = 1000 if run.is_small else 10_000
-    for backend in backends(run):
-
-        def cost(backend: str = backend) -> np.ndarray:
-            limits = {"budget_s": np.inf, "max_samples": num_samples}
-            if backend == "numba":
-                return np.array([bitstar_plus(query, **limits).cost])
-            ((_, path),) = solve_batched([query], planner="bitstar-plus", heuristic="plus", seeds=[0], **limits)
-            return np.array([path.cost])
-
-        run.timed(f"BIT* of {num_samples} samples", cost, num_samples, "samples", COST, by=backend)
-
-
 def gradients(run: Run) -> None:
     """Gradients by all roofs of the mean metric along a path of 512 cells."""
     surface, azimuth_rad, elevation_rad = run.surface()
@@ -309,10 +252,7 @@ def gradients(run: Run) -> None:
         )
 
 
-SECTIONS = {
-    section.__name__: section
-    for section in (copy, occlusion, lidar, distance, dops, pipeline, frontier, bitstar, gradients)
-}
+SECTIONS = {section.__name__: section for section in (copy, occlusion, lidar, distance, dops, pipeline, gradients)}
 
 
 def main() -> None:

@@ -1,25 +1,23 @@
 """A* on a city of 2000 x 4000 cells against pyastar2d, scikit-image's MCP and tcod, each on its own cost model.
 
-``python -m benchmarks.grid_peers`` needs the ``bench`` extra. One run times every side on the same random
-queries, in turn, and checks query by query that both find the same cost. Prints a Markdown table and writes
-JSON. Each peer stops at the goal, and what either side needs once for a map is made before the clock starts; in the row
-of one-off queries it is made within.
+Every side is timed on the same random queries, in turn, and query by query both find the same cost. Each peer stops at
+the goal, and what either side needs once for a map is made before the clock starts; in the row of one-off queries it is
+made within.
 """
 
-import argparse
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import label
 from tqdm import tqdm
 
 import jaxurban as ju
-from benchmarks.common import ROOT, Row, Timing, load, machine, markdown, row, write_json
+from benchmarks.common import Row, Timing
+from benchmarks.scenes import Scene
 from jaxurban.planners.astar import astar, make_landmarks
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import STEPS, CostModel
@@ -27,6 +25,7 @@ from jaxurban.planners.grid_search import NO_HEURISTIC, Graph, GridSearch, Heuri
 
 CITY_M = (10_000.0, 20_000.0)
 RESOLUTION_M = 5.0
+QUERIES_A_RUN = 10
 ALTITUDE_M = 20.0
 FLOAT32_ROUNDING = 1e-5  # pyastar2d adds float32 costs over some thousand steps
 TCOD_CARDINAL, TCOD_DIAGONAL = 5, 7
@@ -220,13 +219,6 @@ def solve_graph(graph: Graph, bound: Heuristic, start: Cell, goal: Cell) -> floa
     return search.cost_to(search.goal)
 
 
-def timed(work: Callable[[Cell, Cell], float], query: tuple[Cell, Cell]) -> tuple[float, float, float]:
-    """Return what a solver found, its wall and its CPU seconds."""
-    wall_s, cpu_s = time.perf_counter(), time.process_time()
-    cost = work(*query)
-    return cost, time.perf_counter() - wall_s, time.process_time() - cpu_s
-
-
 def run(contest: Contest, queries: list[tuple[Cell, Cell]]) -> Row:
     """Return the row of one peer over all queries; the last one warms both sides up and does not count.
 
@@ -238,31 +230,24 @@ def run(contest: Contest, queries: list[tuple[Cell, Cell]]) -> Row:
     for k, query in enumerate(tqdm([queries[-1], *queries[:-1]], desc=contest.peer, file=sys.stderr)):
         contest.prepare()
         costs = {}
-        for side in ("ours", "theirs"):
-            costs[side], wall_s, cpu_s = timed(getattr(contest, side), query)
+        for side in seconds:
+            wall_s, cpu_s = time.perf_counter(), time.process_time()
+            costs[side] = getattr(contest, side)(*query)
             if k:
-                seconds[side].append((wall_s, cpu_s))
+                seconds[side].append((time.perf_counter() - wall_s, time.process_time() - cpu_s))
         worst = max(worst, abs(costs["ours"] / costs["theirs"] - 1))
         assert worst <= contest.rtol, f"{contest.peer}: {costs} from {query[0]} to {query[1]}"
     ours, theirs = (Timing(*(list(values) for values in zip(*pairs, strict=True))) for pairs in seconds.values())
-    ratios, cpu_ratios = np.divide(theirs.wall_s, ours.wall_s), np.divide(theirs.cpu_s, ours.cpu_s)
+    ratios = np.divide(theirs.cpu_s, ours.cpu_s)
     note = f"{contest.model}; costs differ by {worst:.1e} at most; ratio by query {np.median(ratios):.3g} (median), "
-    note += f"{ratios.min():.3g} to {ratios.max():.3g}, of CPU seconds {np.median(cpu_ratios):.3g} (median); "
-    note += f"ours {1e3 * ours.median_s:.0f} ms"
-    return row("A*", contest.peer, "searches", (1, ours), (1, theirs), contest.bar, note)
+    note += f"{ratios.min():.3g} to {ratios.max():.3g}; ours {1e3 * ours.median_cpu_s:.0f} ms"
+    return Row("A*", contest.peer, "searches", 1, 1, ours, theirs, contest.bar, note)
 
 
-def main() -> None:
-    """Run the contests that the command line asks for."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "grid_peers.json")
-    parser.add_argument("--queries", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--size", type=float, nargs=2, default=CITY_M, metavar="METRES", help="width and height")
-    options = parser.parse_args()
-    begin_load = load()
-    city = load_city(tuple(options.size))
-    queries = random_queries(city.is_free, options.queries + 1, options.seed)
+def measure(_: Scene, num_runs: int) -> list[Row]:
+    """Return a row for each peer, over ten queries a run of the others."""
+    city = load_city(CITY_M)
+    queries = random_queries(city.is_free, QUERIES_A_RUN * num_runs + 1, 0)
     contests = (
         against_pyastar2d,
         against_pyastar2d_once,
@@ -271,19 +256,4 @@ def main() -> None:
         against_mcp_geometric,
         against_tcod,
     )
-    rows = [run(contest(city), queries) for contest in contests]
-    size = " x ".join(map(str, city.is_free.shape[::-1]))
-    print(f"Synthetic city, {size} cells of 5 m, 20 m up, by day, default weights; {options.queries} queries.\n")
-    print(markdown(rows, []))
-    report = {
-        "machine": machine(),
-        "load_averages": [begin_load, load()],
-        "cells": size,
-        "queries": options.queries,
-    }
-    print(f"\n{report}")
-    write_json(options.output, report, rows, [])
-
-
-if __name__ == "__main__":
-    main()
+    return [run(contest(city), queries) for contest in contests]

@@ -1,16 +1,15 @@
-"""Protection maps of a district against sidereon, a call a choice of satellites: ``python -m benchmarks.protection``.
+"""Protection maps of a district against sidereon, a call a choice of satellites.
 
 Tokyo, all of the file at 5 m (2.7 million cells), GPS and Galileo, one altitude. Visibility is made beforehand and not
 counted. Where the file is missing, the synthetic city in the box of Lower Manhattan under nominal orbits.
 """
 
-import argparse
 from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.common import Row, clocked, in_turn, machine, markdown, row
-from benchmarks.scenes import MASK_DEG, SYNTHETIC, TOKYO, Place, load_place
+from benchmarks.common import Row, clocked, in_turn
+from benchmarks.scenes import MASK_DEG, SYNTHETIC, TOKYO, Place, Scene, load_place
 from benchmarks.sidereon_peer import Peer
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.task import MapParams, MapTask
@@ -45,9 +44,10 @@ def views(
     return is_obstacle, [(of_time, task.in_view(t)) for t, of_time in enumerate(words)]
 
 
-def measure(place: Place, altitude_m: float, num_runs: int) -> list[Row]:
+def measure(_: Scene, num_runs: int) -> list[Row]:
     """Return the row of the protection maps; its note says how many patterns there are, and how far levels differ."""
-    is_obstacle, [(words, in_view)] = views(place, altitude_m, RESOLUTION_M, [place.time])
+    place = DISTRICT if DISTRICT.is_here else SYNTHETIC
+    is_obstacle, [(words, in_view)] = views(place, ALTITUDE_M, RESOLUTION_M, [place.time])
     patterns, _ = distinct_choices(words, is_obstacle)
     peer = Peer(ranging_of(in_view, PARAMS), in_view.systems, PARAMS.budget)
     sides = {
@@ -62,26 +62,9 @@ def measure(place: Place, altitude_m: float, num_runs: int) -> list[Row]:
     num_other = int((np.isfinite(ours) != np.isfinite(theirs)).any(axis=0).sum())
     num, share = patterns.shape[1], np.isfinite(theirs[0]).mean()
     note = (
-        f"{place.name} at {altitude_m:g} m: {is_obstacle.size:,} cells, {len(in_view.systems)} satellites, {num:,} "
+        f"{place.name} at {ALTITUDE_M:g} m: {is_obstacle.size:,} cells, {len(in_view.systems)} satellites, {num:,} "
         f"patterns, {share:.0%} with levels; levels below {NEAR_M:g} m differ by {apart_m:.0e} m at most, {num_other} "
         f"patterns have levels in one alone; the maps take {times['ours'].median_cpu_s:.2f} CPU s"
     )
-    return [
-        row("protection levels", "sidereon", "patterns", (num, times["levels"]), (num, times["sidereon"]), note=note)
-    ]
-
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=5, help="of which medians are taken")
-    parser.add_argument("--altitudes", type=float, nargs="+", default=[ALTITUDE_M], help="metres above ground")
-    options = parser.parse_args()
-    place = DISTRICT if DISTRICT.is_here else SYNTHETIC
-    rows = [each for altitude_m in options.altitudes for each in measure(place, altitude_m, options.runs)]
-    print(markdown(rows, []))
-    print(f"\n{machine()}")
-
-
-if __name__ == "__main__":
-    main()
+    levels = times["levels"], times["sidereon"]
+    return [Row("protection levels", "sidereon", "patterns", num, num, *levels, note=note)]

@@ -30,7 +30,7 @@ from scipy.ndimage import label
 from tqdm import tqdm
 
 import jaxurban as ju
-from benchmarks.common import load, machine
+from benchmarks.common import machine, table
 from benchmarks.scenes import PLACES, Scene, load_place
 from jaxurban.io.read.zone import Zone
 from jaxurban.maps.build import compute_maps
@@ -288,8 +288,7 @@ def prices(flown: pd.DataFrame) -> dict[tuple[str, ...], dict[str, str]]:
 def markdown(keys: list[str], rows: dict[tuple[str, ...], dict[str, str]]) -> str:
     """Return rows by city, rule and planner."""
     head = [*keys, *next(iter(rows.values()), {})]
-    cells = [head, ["---"] * len(head), *([*key, *row.values()] for key, row in rows.items())]
-    return "\n".join(f"| {' | '.join(row)} |" for row in cells)
+    return table(head, [[*key, *row.values()] for key, row in rows.items()])
 
 
 def main() -> None:
@@ -308,7 +307,7 @@ def main() -> None:
         rows = pd.concat(pool.map(fly, *zip(*how, strict=True)))
     if asked.csv:
         rows.to_csv(asked.csv, index=False)
-    print(f"{tables(rows)}\n\n{machine()}, load {load()}")
+    print(f"{tables(rows)}\n\n{machine()}")
 
 
 if __name__ == "__main__":

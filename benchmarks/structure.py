@@ -1,7 +1,7 @@
 """How large the code of one or several checkouts is, in one table: ``python -m benchmarks.structure [CHECKOUT ...]``.
 
 Code lines are lines without blanks, comments and docstrings, links counted once; tokens are Python's own, without
-these. With ``-v`` the long and the wide functions and the record classes are listed too.
+these. With ``-v`` the long and the wide functions are listed too.
 """
 
 import argparse
@@ -10,18 +10,16 @@ import io
 import os
 import subprocess
 import tokenize
-import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.common import ROOT
+from benchmarks.common import ROOT, table
 
 SOURCES = ("jaxurban", "kernels", "planners")
 OTHERS = ("tests", "benchmarks", "figures", "notebooks")
 TEXTS = (".pyi", ".js", ".css", ".md")  # of the sources: stubs, the viewer's page, templates of reports
 MOST_LINES, MOST_ARGUMENTS, NUM_LONGEST = 60, 8, 5
-RECORD_BASES = {"NamedTuple", "TypedDict", "BaseModel"}
 NO_CODE = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 Table = dict[str, str]  # of one checkout: what is counted, and how many
@@ -54,31 +52,6 @@ def num_arguments(function: Function) -> int:
     return len(names) - is_bound + len(given.kwonlyargs) + bool(given.vararg) + bool(given.kwarg)
 
 
-def record_classes(classes: list[ast.ClassDef]) -> list[str]:
-    """Return the names of the dataclasses, NamedTuples, TypedDicts and pydantic models, and of what derives from these.
-
-    A class derived from a dataclass counts where it is decorated as one itself.
-    """
-
-    def last_name(node: ast.expr) -> str:
-        while isinstance(node, (ast.Call, ast.Subscript)):
-            node = node.func if isinstance(node, ast.Call) else node.value
-        return ast.unparse(node).rpartition(".")[2]
-
-    bases = {node.name: {last_name(base) for base in node.bases} for node in classes}
-    records = set(RECORD_BASES)
-    while found := {name for name, of in bases.items() if of & records} - records:
-        records |= found
-    decorated = {node.name for node in classes if "dataclass" in map(last_name, node.decorator_list)}
-    return sorted(node.name for node in classes if node.name in records | decorated)
-
-
-def num_layers(checkout: Path) -> int:
-    """Return how many entries the layers of the import contract have."""
-    settings = tomllib.loads((checkout / "pyproject.toml").read_text(encoding="utf-8"))
-    return sum(len(contract.get("layers", ())) for contract in settings["tool"]["importlinter"]["contracts"])
-
-
 def measure(checkout: Path, details: list[str]) -> Table:
     """Return the table of one checkout; what is behind the counts goes to ``details``."""
     lines: Counter[str] = Counter()
@@ -86,7 +59,6 @@ def measure(checkout: Path, details: list[str]) -> Table:
     num_tokens = 0
     long: list[str] = []
     wide: list[str] = []
-    classes: list[ast.ClassDef] = []
     for file in files_of(checkout, SOURCES, ".py"):
         text, path = file.read_text(encoding="utf-8"), file.relative_to(checkout)
         code, tokens = code_lines_and_tokens(text)
@@ -95,17 +67,14 @@ def measure(checkout: Path, details: list[str]) -> Table:
         num_tokens += tokens
         lengths[str(path)] = text.count("\n")
         for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.ClassDef):
-                classes.append(node)
-            elif isinstance(node, Function):
+            if isinstance(node, Function):
                 num = len(code & set(range(node.lineno, node.end_lineno + 1)))
                 if num > MOST_LINES:
                     long.append(f"{path}:{node.lineno} {node.name} has {num} code lines")
                 if num_arguments(node) > MOST_ARGUMENTS:
                     wide.append(f"{path}:{node.lineno} {node.name} takes {num_arguments(node)} arguments")
-    records = record_classes(classes)
     longest = sorted(lengths, key=lambda path: -lengths[path])[:NUM_LONGEST]
-    details += [*sorted(long), *sorted(wide), f"record classes: {', '.join(records)}"]
+    details += [*sorted(long), *sorted(wide)]
     others = {}
     for top in OTHERS:
         texts = (file.read_text(encoding="utf-8") for file in files_of(checkout, (top,), ".py"))
@@ -118,21 +87,11 @@ def measure(checkout: Path, details: list[str]) -> Table:
         **{f"  {folder}": f"{count:,}" for folder, count in sorted(lines.items())},
         "code tokens": f"{num_tokens:,}",
         "files": f"{len(lengths)}",
-        "import layers": f"{num_layers(checkout)}",
         f"functions over {MOST_LINES} code lines": f"{len(long)}",
         f"functions with more than {MOST_ARGUMENTS} arguments": f"{len(wide)}",
-        "record classes": f"{len(records)}",
         **{f"longest file, {rank}": f"{path} {lengths[path]}" for rank, path in enumerate(longest, start=1)},
         **others,
     }
-
-
-def markdown(columns: dict[str, Table]) -> str:
-    """Return tables side by side; what a checkout lacks stays blank."""
-    names = dict.fromkeys(name for table in columns.values() for name in table)
-    rows = [["", *columns], ["---"] * (len(columns) + 1)]
-    rows += [[name, *(table.get(name, "") for table in columns.values())] for name in names]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def label_of(checkout: Path) -> str:
@@ -145,7 +104,7 @@ def main() -> None:
     """Print what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkouts", nargs="*", type=Path, default=[ROOT], metavar="CHECKOUT", help="default: this one")
-    parser.add_argument("-v", "--verbose", action="store_true", help="also list functions and records")
+    parser.add_argument("-v", "--verbose", action="store_true", help="also list the functions")
     asked = parser.parse_args()
     columns: dict[str, Table] = {}
     for checkout in asked.checkouts:
@@ -153,7 +112,8 @@ def main() -> None:
         columns[label_of(checkout)] = measure(checkout, details)
         if asked.verbose:
             print("\n".join([label_of(checkout), *details, ""]))
-    print(markdown(columns))
+    names = dict.fromkeys(name for each in columns.values() for name in each)
+    print(table(["", *columns], [[name, *(each.get(name, "") for each in columns.values())] for name in names]))
 
 
 if __name__ == "__main__":

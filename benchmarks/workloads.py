@@ -64,21 +64,6 @@ altitudes_m = [20, 60, 122, 600]
 [buildings]
 source = "synthetic"
 """,
-    "manhattan": f"""
-[region]
-bounds = [-74.02, 40.70, -73.98, 40.73]
-resolution_m = 5.0
-altitudes_m = [20]
-[buildings]
-source = "{DATA}/osm/lower-manhattan.osm.pbf"
-[gps]
-orbits = "{DATA}/gps/gps-ops_2020-04-27.tle"
-times = ["2020-04-27T16:00:00Z"]
-[population]
-blocks = "{DATA}/census/tl_2010_36061_tabblock10.shp"
-table = "{DATA}/census/DECENNIALSF12010.P1_nyc_blocks.csv"
-districts = "{DATA}/districts/nyc_community_districts.geojson"
-""",
     "small": """
 [region]
 bounds = [-73.976, 40.7755, -73.964, 40.7845]
@@ -271,15 +256,7 @@ def fit(folder: Path) -> tuple[Took, Facts]:
     """`fit_weights` on 20 routes; reading them is left out."""
     maps, file = opened(folder, SMALL), folder / "routes.geojson"
     if not file.exists():
-        lines = [
-            {
-                "type": "Feature",
-                "properties": {"altitude_m": ALTITUDE_M},
-                "geometry": {"type": "LineString", "coordinates": path.lonlat.tolist()},
-            }
-            for path in ju.plan_many(maps, queries(maps, 20, 1), altitude_m=ALTITUDE_M, weights=HIDDEN)
-        ]
-        file.write_text(json.dumps({"type": "FeatureCollection", "features": lines}))
+        ju.plan_many(maps, queries(maps, 20, 1), altitude_m=ALTITUDE_M, weights=HIDDEN).save(file)
     routes = ju.fit.read_demonstrations(file, maps)
 
     def work() -> Facts:  # the numbers alone, whatever holds them
@@ -358,7 +335,6 @@ WORKLOADS: dict[str, Callable[[Path], tuple[Took, Facts]]] = {
     "studies": studies,
     "memory": memory,
     "first": first,
-    "manhattan": partial(files, "manhattan"),
     "tokyo": partial(files, "tokyo"),
     "paper": partial(files, "paper"),
 }

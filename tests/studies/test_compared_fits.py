@@ -1,18 +1,29 @@
 """Fits compared: each judged by routes that it has not seen, and bad routes told from good ones."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from benchmarks.tuning import detour
 from jaxurban.errors import InputError
 from jaxurban.paths.plan import cost_map
 from jaxurban.report.tuning import fits_section
-from jaxurban.studies.demonstrations import optimal_demonstrations
+from jaxurban.studies.demonstrations import Demonstration, optimal_demonstrations
 from jaxurban.studies.tuning.compared_fits import compare_fits, split
 from jaxurban.studies.tuning.confidence import draw_counts
 from tests.studies.routes_made import HIDDEN, made_queries, small_maps
 
 NUM = 16
+
+
+def detour(query, rng):
+    """Return the cheapest route by way of a random cell that makes it at most 1.6 times as far."""
+    weights, free = HIDDEN.vector(query.names), np.argwhere(query.cost_map.is_free)
+    by_way = sum(np.hypot(*(free - np.array(end)).T) for end in (query.start, query.goal))
+    near = free[by_way <= 1.6 * np.hypot(*np.subtract(query.start, query.goal))]
+    via = tuple(near[rng.integers(len(near))].tolist())
+    first, second = replace(query, goal=via).cheapest(weights), replace(query, start=via).cheapest(weights)
+    return Demonstration(query, np.concatenate([first, second[1:]]))
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +36,7 @@ def cities():
             made_queries(cost_map(small_maps(), 20.0, cost_model="cell"), NUM, seed=number), HIDDEN
         )
         for k in range(0, NUM, 5):
-            shown[k] = detour(shown[k], HIDDEN.vector(shown[k].query.names), rng)
+            shown[k] = detour(shown[k].query, rng)
         made[name] = shown
     return made
 
