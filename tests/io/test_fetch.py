@@ -18,7 +18,7 @@ from jaxurban.io.fetch import SOURCES, FetchJob
 from jaxurban.io.files import only_writer
 from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.orbits import _timescale, nominal_satellites
-from jaxurban.io.read.osm import cut_buildings
+from jaxurban.io.read.osm import cut_buildings, read_osm
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.settings import Buildings
@@ -251,9 +251,10 @@ def test_an_extract_is_checked_and_cut_to_the_region(server, tmp_path, capsys):
 
 
 @pytest.mark.data
-def test_a_cut_extract_holds_the_same_buildings(data_dir, tmp_path):
+def test_a_cut_extract_holds_the_same_buildings_and_the_decks(data_dir, tmp_path):
     source, cut = data_dir / "osm/lower-manhattan.osm.pbf", tmp_path / "cut.osm.pbf"
-    cut_buildings(source, cut, (-74.0150, 40.7020, -74.0080, 40.7080))
+    cut_buildings(source, cut, (-74.02, 40.70, -73.99, 40.72))
+    assert 20 < np.sum(read_osm(cut, has_decks=True).column("man_made") == "bridge") < 58  # of the whole
     inside_m = (583_400.0, 4_506_200.0, 583_700.0, 4_506_600.0)
     whole, part = (read_buildings(Buildings(path), "EPSG:32618", bounds_m=inside_m).buildings for path in (source, cut))
     assert len(part.polygons) == len(whole.polygons) > 50

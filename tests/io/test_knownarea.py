@@ -1,6 +1,5 @@
 """Where a city's sources know what stands: joined over boxes and buildings, and not stretched by what is far off."""
 
-import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
@@ -10,24 +9,23 @@ from jaxurban.io.read.city import area_of_outlines, area_of_raster, read_buildin
 from jaxurban.io.read.guesses import leaving_shares, outside_share, rays_leaving
 from jaxurban.maps.build import view_sky
 from jaxurban.world.city import Footprints, Raster
+from tests.io import made_files
+from tests.io.made_files import UTM, WGS84, X, Y, line, osm
 
-UTM = "EPSG:32618"
-X, Y = 583000.0, 4506000.0
 BOUNDS = (-74.016, 40.704, -74.010, 40.708)
 
 
-def house(x_m, y_m, side_m=20.0):
-    return shapely.box(X + x_m, Y + y_m, X + x_m + side_m, Y + y_m + side_m)
+def house(x_m, y_m):
+    return made_files.box(x_m, y_m, x_m + 20, y_m + 20)
 
 
 def box(*sides_m):
-    return X + sides_m[0], Y + sides_m[1], X + sides_m[2], Y + sides_m[3]
+    return made_files.box(*sides_m).bounds
 
 
-def write(path, lonlat_boxes, height_m=30.0):
+def write(path, lonlat_boxes):
     boxes = [shapely.box(*each) for each in lonlat_boxes]
-    gpd.GeoDataFrame({"height": [height_m] * len(boxes)}, geometry=boxes, crs="EPSG:4326").to_file(path)
-    return path
+    return made_files.write_vector(path, boxes, WGS84, height=[30.0] * len(boxes))
 
 
 def test_boxes_are_joined_and_buildings_beyond_them_count():
@@ -50,7 +48,7 @@ def test_a_wreck_far_off_is_known_but_not_the_way_there():
 
 def test_a_raster_is_known_where_it_holds_data():
     values = np.zeros((100, 100), np.float32)
-    raster = Raster(values, (10.0, 0, X, 0, -10.0, Y + 1_000), UTM)
+    raster = Raster(values, tuple(made_files.north_up(10.0, 100))[:6], UTM)
     assert area_of_raster(raster, UTM).equals(shapely.box(*box(0, 0, 1_000, 1_000)))
     values[:, 50:] = np.nan
     area = area_of_raster(raster, UTM)
@@ -61,12 +59,8 @@ def test_a_raster_is_known_where_it_holds_data():
 def test_rays_leave_where_no_data_are_even_if_they_end_where_some_are():
     area = shapely.union_all([shapely.box(*box(0, 0, 100, 100)), shapely.box(*box(300, 0, 400, 100))])
     zero = np.zeros(0)
-    city = ju.City(
-        UTM,
-        area.bounds,
-        Footprints(np.array([], object), zero, zero, zero.astype(np.uint8), zero > 0),
-        area=area,
-    )
+    none = Footprints(np.array([], object), zero, zero, zero.astype(np.uint8), zero > 0)
+    city = ju.City(UTM, area.bounds, none, area=area)
     region = ju.Grid(UTM, 10.0, round(Y / 10), round(X / 10), 10, 10)
     east_m, north_m = np.array([4.0, 300.0, 8.0]), np.array([0.0, 0.0, 0.0])
     leaves = rays_leaving(city, region, east_m, north_m).reshape(10, 10, 3)
@@ -89,16 +83,11 @@ def test_a_city_keeps_its_bounds_and_a_wreck_does_not_stretch_its_maps(tmp_path)
 @pytest.mark.slow
 def test_what_is_kept_beyond_a_declared_box_still_shadows(tmp_path):
     """Two boxes, of which libosmium tells the first: a tower in the second shadows the first's streets."""
-    corners = [(-74.0120, 40.7000), (-74.0100, 40.7000), (-74.0100, 40.7020), (-74.0120, 40.7020)]
-    nodes = "".join(f'<node id="{i}" lat="{lat}" lon="{lon}"/>' for i, (lon, lat) in enumerate(corners, 1))
-    way = "".join(f'<nd ref="{i}"/>' for i in (1, 2, 3, 4, 1))
-    tags = '<tag k="building" v="yes"/><tag k="height" v="500"/>'
-    elements = f'{nodes}<way id="9">{way}{tags}</way>'
+    corners = shapely.box(-74.0120, 40.7000, -74.0100, 40.7020).exterior.coords
     first, second = ((-74.016, 40.704, -74.010, 40.708), (-74.016, 40.699, -74.010, 40.703))
 
     def seen(name, *boxes):
-        declared = "".join(f'<bounds minlon="{a}" minlat="{b}" maxlon="{c}" maxlat="{d}"/>' for a, b, c, d in boxes)
-        (tmp_path / name).write_text(f'<osm version="0.6">{declared}{elements}</osm>')
+        (tmp_path / name).write_text(osm(line(9, corners, building="yes", height="500"), boxes=boxes))
         city = ju.City.from_files(ju.Buildings(tmp_path / name, allow_none=True), bounds=BOUNDS, crs=UTM)
         return ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,)).m("num_visible", 20.0)
 
@@ -110,11 +99,8 @@ def test_what_is_kept_beyond_a_declared_box_still_shadows(tmp_path):
 
 
 def test_rays_are_told_to_leave_a_town_beside_a_wreck(tmp_path):
-    town = [
-        (-74.016 + i / 2000, 40.704 + j / 2000, -74.0158 + i / 2000, 40.7042 + j / 2000)
-        for i in range(13)
-        for j in range(9)
-    ]
+    corners = [(-74.016 + i / 2000, 40.704 + j / 2000) for i in range(13) for j in range(9)]
+    town = [(lon, lat, lon + 0.0002, lat + 0.0002) for lon, lat in corners]
     alone = ju.City.from_files(write(tmp_path / "a.geojson", town), bounds=BOUNDS, crs=UTM)
     wrecks = [(-74.12, 40.62, -74.119, 40.621), (-73.92, 40.79, -73.919, 40.791)]
     beside = ju.City.from_files(write(tmp_path / "b.geojson", [*town, *wrecks]), bounds=BOUNDS, crs=UTM)

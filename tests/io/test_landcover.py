@@ -10,17 +10,18 @@ from jaxurban.maps.scenario import Scenario
 from jaxurban.report.montecarlo import land_cover_of
 from jaxurban.world.grid import WGS84, transformer
 from jaxurban.world.synthetic import demo_city, demo_cover
+from tests.io.made_files import line, osm
 
 BOX = shapely.box(0, 0, 3000, 2000)
 CRS = "EPSG:32618"
 
 
-def line(*points: tuple[float, float]) -> shapely.LineString:
+def coast(*points: tuple[float, float]) -> shapely.LineString:
     return shapely.LineString(points)
 
 
 def test_the_sea_is_on_the_right_of_a_coast_that_crosses_the_box():
-    northward = line((1000, -500), (1000, 900), (1200, 2500))
+    northward = coast((1000, -500), (1000, 900), (1200, 2500))
     wet = sea([northward], BOX)
     assert shapely.contains_xy(wet, 2000, 1000)
     assert not shapely.contains_xy(wet, 500, 1000)
@@ -30,56 +31,45 @@ def test_the_sea_is_on_the_right_of_a_coast_that_crosses_the_box():
 
 
 def test_an_island_is_land_in_the_sea_and_the_coast_may_come_in_pieces():
-    pieces = [line((1000, 500), (2000, 500), (2000, 1500)), line((2000, 1500), (1000, 1500), (1000, 500))]
+    pieces = [coast((1000, 500), (2000, 500), (2000, 1500)), coast((2000, 1500), (1000, 1500), (1000, 500))]
     assert shapely.equals(sea(pieces, BOX), shapely.difference(BOX, shapely.box(1000, 500, 2000, 1500)))
 
 
 def test_a_coast_that_was_cut_shortly_before_the_border_is_led_on_to_it():
-    cut = [line((1000, 120), (1000, 1000)), line((1000, 1000), (1000, 1850))]
+    cut = [coast((1000, 120), (1000, 1000)), coast((1000, 1000), (1000, 1850))]
     assert shapely.area(sea(cut, BOX)) == pytest.approx(2000 * 2000)
 
 
 def test_two_shores_of_a_river_leave_the_water_between_them():
-    west, east = line((1000, -10), (1000, 2010)), line((1600, 2010), (1600, -10))
+    west, east = coast((1000, -10), (1000, 2010)), coast((1600, 2010), (1600, -10))
     assert shapely.area(sea([west, east], BOX)) == pytest.approx(600 * 2000)
 
 
 def test_a_coast_with_a_gap_in_the_middle_warns():
-    broken = [line((1000, -10), (1000, 900)), line((1000, 901), (1000, 2010))]
+    broken = [coast((1000, -10), (1000, 900)), coast((1000, 901), (1000, 2010))]
     with pytest.warns(UserWarning, match="the coast lines have a gap"):
         sea(broken, BOX)
 
 
-def test_a_box_without_a_shore_is_wet_or_dry_by_the_nearest_coast():
-    west = line((-1000, -5000), (-1000, 5000))
+def test_a_box_without_a_shore_is_wet_or_dry_by_the_nearest_coast_and_dry_without_one():
+    west = coast((-1000, -5000), (-1000, 5000))
     assert shapely.equals(sea([west], BOX), BOX)  # the box lies on its right
     assert sea([shapely.reverse(west)], BOX).is_empty
-
-
-def test_no_coast_is_no_sea():
     assert sea([], BOX).is_empty
 
 
-def osm_file(tmp_path, ways: dict[int, tuple[dict[str, str], list[tuple[float, float]]]]):
-    """Write an OSM XML file of ways, points in metres from a corner in Lower Manhattan."""
-    to_degrees = transformer(CRS, WGS84)
-    nodes, bodies = [], []
-    for way, (tags, points) in ways.items():
-        refs = {}
-        for number, (x_m, y_m) in enumerate(points):
-            refs.setdefault((x_m, y_m), way * 100 + number)
-        for (x_m, y_m), ref in refs.items():
-            lon, lat = to_degrees.transform(583_000 + x_m, 4_507_000 + y_m)
-            nodes.append(f'<node id="{ref}" version="1" lat="{lat:.9f}" lon="{lon:.9f}"/>')
-        nds = "".join(f'<nd ref="{refs[point]}"/>' for point in points)
-        bodies.append(
-            f'<way id="{way}" version="1">{nds}'
-            + "".join(f'<tag k="{k}" v="{v}"/>' for k, v in tags.items())
-            + "</way>"
-        )
-    file = tmp_path / "cover.osm"
-    file.write_text('<osm version="0.6">' + "".join(nodes + bodies) + "</osm>", encoding="utf-8")
-    return file
+BOUNDS_M = (583_000, 4_507_000, 584_000, 4_508_000)
+
+
+def cover_of(tmp_path, *ways):
+    """Return the land cover of an OSM file of lines: pairs of a tag and points in metres from a corner of the box."""
+    to_degrees = transformer(CRS, WGS84).transform
+    lines = [
+        line(number, [to_degrees(BOUNDS_M[0] + x_m, BOUNDS_M[1] + y_m) for x_m, y_m in points], **tags)
+        for number, (tags, points) in enumerate(ways, 1)
+    ]
+    (tmp_path / "cover.osm").write_text(osm(*lines))
+    return read_land_cover(tmp_path / "cover.osm", CRS, BOUNDS_M)
 
 
 def square(x_m: float, y_m: float, side_m: float) -> list[tuple[float, float]]:
@@ -87,42 +77,30 @@ def square(x_m: float, y_m: float, side_m: float) -> list[tuple[float, float]]:
 
 
 def test_tagged_water_parks_and_the_sea_are_read_within_the_box(tmp_path):
-    file = osm_file(
+    cover = cover_of(
         tmp_path,
-        {
-            1: ({"natural": "water"}, square(100, 100, 100)),
-            2: ({"leisure": "park"}, square(400, 100, 200)),
-            3: ({"landuse": "cemetery"}, square(900, 900, 200)),
-            4: ({"natural": "coastline"}, [(300, -50), (300, 1050)]),
-            5: ({"building": "yes"}, square(700, 300, 50)),
-            6: ({"natural": "coastline"}, [(0, -50), (0, -20)]),
-        },
+        ({"natural": "water"}, square(100, 100, 100)),
+        ({"leisure": "park"}, square(400, 100, 200)),
+        ({"landuse": "cemetery"}, square(900, 900, 200)),
+        ({"natural": "coastline"}, [(300, -50), (300, 1050)]),
+        ({"building": "yes"}, square(700, 300, 50)),
+        ({"natural": "coastline"}, [(0, -50), (0, -20)]),
     )
-    cover = read_land_cover(file, CRS, (583_000, 4_507_000, 584_000, 4_508_000))
     assert shapely.area(cover.park) == pytest.approx(200**2 + 100**2, rel=1e-4)  # the cemetery reaches out of the box
     assert shapely.area(cover.water) == pytest.approx(100**2 + 700 * 1000, rel=1e-3)
-    assert np.allclose(shapely.bounds(cover.water), (583_100, 4_507_000, 584_000, 4_508_000), atol=0.1)
+    assert np.allclose(shapely.bounds(cover.water), (583_100, *BOUNDS_M[1:]), atol=0.1)
 
 
 def test_an_island_drawn_as_one_closed_coast_is_neither_park_nor_water(tmp_path):
-    file = osm_file(tmp_path, {1: ({"natural": "coastline"}, square(300, 300, 200))})  # land on the left: inside
-    cover = read_land_cover(file, CRS, (583_000, 4_507_000, 584_000, 4_508_000))
+    cover = cover_of(tmp_path, ({"natural": "coastline"}, square(300, 300, 200)))  # land on the left: inside
     assert cover.park.is_empty
     assert shapely.area(cover.water) == pytest.approx(1e6 - 200**2, rel=1e-3)
 
 
 def test_a_file_without_water_or_parks_has_none(tmp_path):
-    file = osm_file(tmp_path, {1: ({"building": "yes"}, square(100, 100, 100))})
-    cover = read_land_cover(file, CRS, (583_000, 4_507_000, 584_000, 4_508_000))
+    cover = cover_of(tmp_path, ({"building": "yes"}, square(100, 100, 100)))
     assert cover.water.is_empty
     assert cover.park.is_empty
-
-
-def test_a_damaged_file_names_the_remedy(tmp_path):
-    file = tmp_path / "broken.osm.pbf"
-    file.write_bytes(b"not a pbf at all")
-    with pytest.raises(InputError, match=r"fetch it again, or name another file in \[study\] land_cover"):
-        read_land_cover(file, CRS, (583_000, 4_507_000, 584_000, 4_508_000))
 
 
 def test_the_synthetic_citys_water_holds_no_building_and_its_park_none():
@@ -143,8 +121,8 @@ def scenario(source: str, **study) -> Scenario:
 def test_a_study_takes_the_land_cover_from_where_there_is_one(tmp_path):
     assert land_cover_of(scenario("synthetic")) is not None
     assert land_cover_of(scenario("heights.tif")) is None
-    file = osm_file(tmp_path, {1: ({"leisure": "park"}, square(100, 100, 100))})
-    assert land_cover_of(scenario("heights.tif", land_cover=str(file))) is not None
+    cover_of(tmp_path, ({"leisure": "park"}, square(100, 100, 100)))
+    assert land_cover_of(scenario("heights.tif", land_cover=str(tmp_path / "cover.osm"))) is not None
     with pytest.raises(InputError, match="land_cover must be an OpenStreetMap file"):
         land_cover_of(scenario("heights.tif", land_cover="cover.tif"))
 

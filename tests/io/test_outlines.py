@@ -1,202 +1,228 @@
-"""Which outlines stand, and how high."""
+"""Which outlines stand, and how high: heights as people spell them, parts, what hangs and what is below ground."""
+
+import math
 
 import numpy as np
 import pytest
 import shapely
 
 from jaxurban.errors import InputError
+from jaxurban.io.read.heights import estimate_heights, parse_count, parse_length_m
 from jaxurban.io.read.outlines import Outlines, polygonal, to_buildings
 from jaxurban.settings import Buildings
 from jaxurban.world.city import HeightOrigin
+from tests.io.made_files import SQUARE, UTM, WGS84, X, Y, box
 
-UTM = "EPSG:32618"
-X, Y = 583000.0, 4506000.0
-
-
-def box(x_min, y_min, x_max, y_max):
-    return shapely.box(X + x_min, Y + y_min, X + x_max, Y + y_max)
-
-
-def stand(polygons, box=None, **columns):
-    outlines = Outlines(
-        polygons=np.array(polygons, object),
-        tags={name: np.array(values, object) for name, values in columns.items()},
-        crs=UTM,
-        boxes=() if box is None else (box,),
-        issues={"open_ways": 7},
-    )
-    return to_buildings(Buildings("city.osm"), outlines, UTM)
-
-
-def outline_and_parts(*parts, outline_height="50", part_height="30", **columns):
-    """An outline of 10 x 10 m and its parts."""
-    num_parts = len(parts)
-    return stand(
-        [box(0, 0, 10, 10), *parts],
-        building=["yes"] + [None] * num_parts,
-        part=[None] + ["yes"] * num_parts,
-        height=[outline_height] + [part_height] * num_parts,
-        **columns,
-    )
+# Spellings from https://wiki.openstreetmap.org/wiki/Key:height; feet and inches by their definition (0.3048, 0.0254 m).
+SPELLINGS = {
+    0.0: ("0",),
+    0.5: (".5",),
+    3.6576: ("12'",),
+    3.81: ("12'6\"", "12' 6", "12′6″", "12’6”", "12'6''", "12 ft 6 in"),
+    5.0: ("3;5", "unknown;5"),
+    6.096: ("3 m; 20 ft",),
+    7.0: ("7 metres", "7 meter"),
+    12.0: ("12",),
+    12.192: ("40 ft", "40ft", "40 feet"),
+    12.5: ("12.5 m", "12,5"),
+    30.0: ("~30", "ca. 30 m"),
+    228.6: ("228.6M",),
+    241.0: (" 241m ",),
+    math.nan: ("", "high", "-5", "10-12", "1e2", "12 km", "12 6", "5 storeys", "inf", "nan", '6"', ";", "+3"),
+}
 
 
-def test_an_outline_covered_to_nine_tenths_gives_way_to_its_parts():
-    buildings, _, issues = outline_and_parts(box(0, 0, 5, 10), box(5, 0, 9, 10))
-    assert buildings.is_part.tolist() == [True, True]
-    assert buildings.height_m.tolist() == [30, 30]
-    assert issues["outlines_replaced_by_parts"] == 1
+@pytest.mark.parametrize(("text", "length_m"), [(text, m) for m, texts in SPELLINGS.items() for text in texts])
+def test_a_spelling_gives_its_length_in_metres(text, length_m):
+    assert parse_length_m(text) == pytest.approx(length_m, abs=1e-12, nan_ok=True)
 
 
-def test_an_outline_covered_less_stays_beside_its_parts():
-    buildings, _, issues = outline_and_parts(box(0, 0, 5, 10), box(5, 0, 8.9, 10))
-    assert buildings.height_m.tolist() == [50, 30, 30]
-    assert issues["outlines_replaced_by_parts"] == 0
+def test_levels_are_bare_numbers():
+    assert [parse_count(text) for text in ("5", "2.5", "2,5", "1;4", "~3")] == [5, 2.5, 2.5, 4, 3]
+    assert all(math.isnan(parse_count(text)) for text in ("5 m", "5'", "3-4", "-1", "many"))
 
 
-def test_parts_that_overlap_each_other_count_once():
-    buildings, _, _ = outline_and_parts(box(0, 0, 6, 10), box(0, 0, 6, 10))
-    assert len(buildings) == 3
+def estimate(tags):
+    tags = {name: np.array(values, object) for name, values in tags.items()}
+    nothing, issues = np.full(len(next(iter(tags.values()))), None, object), {}
+    heights = estimate_heights(tags, nothing, nothing, Buildings("city.osm"), issues)
+    return heights, {name: count for name, count in issues.items() if count}
 
 
-def test_a_neighbours_part_replaces_no_outline():
-    """A podium of 100 x 100 m around a tower of 10 x 10 m that is mapped as a building of its own."""
-    buildings, _, _ = outline_and_parts(box(-50, -50, 50, 50), outline_height="200", part_height="10")
-    assert buildings.height_m.tolist() == [200, 10]
+@pytest.mark.parametrize(
+    ("tags", "height_m", "issues"),
+    [
+        ({"height": []}, [], {}),
+        ({"height": ["828"]}, [828], {}),  # of the highest known building
+        *(
+            ({"height": [bad], "levels": ["4"]}, [12], {"heights_unusable": 1})
+            for bad in ("0", "-3", "tall", "1001", "9999 ft", 0, -1.0, 5000.0)
+        ),
+        *(({"levels": [bad]}, [10], {"levels_unusable": 1}) for bad in ("0", "-1", "some", "400")),
+        (
+            {"levels": ["4", "0", None, "4"], "roof_levels": ["1", "1", "2", "?"]},
+            [15, 3, 10, 12],
+            {"levels_unusable": 1},
+        ),
+        ({"height": [12, np.float32(7.5), None, math.nan, "  ", [3]]}, [12, 7.5, *[10] * 4], {"heights_unusable": 1}),
+    ],
+)
+def test_what_cannot_be_used_falls_to_levels_or_the_default_and_is_counted(tags, height_m, issues):
+    heights, found = estimate(tags)
+    np.testing.assert_allclose(heights.height_m, height_m)
+    assert found == issues
 
 
-@pytest.mark.parametrize("columns", [{"location": [None, "underground"]}, {"layer": ["1", "-1"]}])
-def test_a_part_below_ground_replaces_no_outline(columns):
-    buildings, _, issues = outline_and_parts(box(0, 0, 10, 10), **columns)
-    assert buildings.height_m.tolist() == [50]
-    assert issues["underground"] == 1
+def test_height_wins_over_levels_and_levels_over_the_default():
+    heights, issues = estimate({"height": ["20", None, None], "levels": ["3", "3", None]})
+    np.testing.assert_allclose(heights.height_m, [20, 9, 10])
+    assert heights.origin.tolist() == [HeightOrigin.HEIGHT, HeightOrigin.LEVELS, HeightOrigin.DEFAULT]
+    assert (heights.origin.dtype, issues) == (np.uint8, {})
 
 
-def test_an_outline_that_is_tagged_as_a_part_too_stands_as_a_part():
-    buildings, _, issues = stand(
-        [box(0, 0, 10, 10), box(0, 0, 10, 10)], building=["yes", "yes"], part=["yes", None], height=["8", "9"]
-    )
-    assert buildings.height_m.tolist() == [8]
-    assert buildings.is_part.tolist() == [True]
-    assert issues["outlines_replaced_by_parts"] == 1
+def test_undersides_come_from_min_height_then_min_level_then_the_ground():
+    heights, issues = estimate({"min_height": ["5", "x", None, "0"], "min_level": ["1", "2", "2", None]})
+    np.testing.assert_allclose(heights.min_height_m, [5, 6, 6, 0])
+    assert issues == {"min_heights_unusable": 1}
 
 
-def test_what_is_tagged_no_is_left_out():
-    buildings, _, issues = stand(
-        [box(2 * i, 0, 2 * i + 1, 1) for i in range(5)],
-        building=["no", "yes", "no", "false", None],
-        part=[None, "no", "yes", None, None],
-        height=["1", "2", "3", "4", "5"],
-    )
-    assert buildings.height_m.tolist() == [2, 3]
-    assert buildings.is_part.tolist() == [False, True]
-    assert issues["not_buildings"] == 3
+def stand(polygons, boxes=(), crs=UTM, **columns):
+    """Return the buildings of outlines, the declared boxes, and what was counted beside the reader's own count."""
+    tags = {name: np.array(values, object) for name, values in columns.items()}
+    outlines = Outlines(np.array(polygons, object), tags, crs, boxes, {"open_ways": 7})
+    buildings, boxes_m, issues = to_buildings(Buildings("city.osm"), outlines, UTM)
+    assert issues.pop("open_ways") == 7
+    return buildings, boxes_m, {name: count for name, count in issues.items() if count}
 
 
-def test_what_is_underground_is_left_out_and_other_layers_are_not():
-    buildings, _, issues = stand(
-        [box(0, 0, 1, 1)] * 6,
-        building=["yes"] * 6,
-        location=["underground", "indoor", None, None, None, None],
-        layer=[None, None, "-1", "2", "0", "ground"],
-        height=["1", "2", "3", "4", "5", "6"],
-    )
-    assert buildings.height_m.tolist() == [2, 4, 5, 6]
-    assert issues["underground"] == 2
+def over(*parts, height="50", part_height="30", **columns):
+    """An outline of 10 x 10 m and parts."""
+    num = len(parts)
+    kinds = {"building": ["yes"] + [None] * num, "part": [None] + ["yes"] * num}
+    return {"polygons": [box(0, 0, 10, 10), *parts], "height": [height] + [part_height] * num} | kinds | columns
 
 
-def test_without_a_building_column_every_outline_is_a_building():
-    buildings, _, _ = stand([box(0, 0, 1, 1)] * 2, height=["1", None])
-    assert buildings.height_m.tolist() == [1, 10]
+def on_one_square(num, **columns):
+    return {"polygons": [box(0, 0, 1, 1)] * num} | columns
 
 
-def test_a_part_without_height_takes_its_outlines():
-    buildings, _, issues = outline_and_parts(box(0, 0, 10, 5), box(0, 5, 10, 10), part_height=None)
-    assert buildings.height_m.tolist() == [50, 50]
-    assert buildings.origin.tolist() == [HeightOrigin.HEIGHT] * 2
-    assert issues["parts_given_outline_height"] == 2
+WHOLE, WEST, EAST = box(0, 0, 10, 10), box(0, 0, 5, 10), box(5, 0, 10, 10)
+REPLACED = {"outlines_replaced_by_parts": 1}
+CASES = {
+    "covered to nine tenths": (over(WEST, box(5, 0, 9, 10)), [], [30, 30], REPLACED),
+    "covered less": (over(WEST, box(5, 0, 8.9, 10)), [50], [30, 30], {}),
+    "parts that overlap count once": (over(box(0, 0, 6, 10), box(0, 0, 6, 10)), [50], [30, 30], {}),
+    # A podium of 100 x 100 m around a tower of 10 x 10 m that is mapped as a building of its own.
+    "a neighbour's part": (over(box(-50, -50, 50, 50), height="200", part_height="10"), [200], [10], {}),
+    "a part in a tunnel": (over(WHOLE, location=[None, "underground"]), [50], [], {"underground": 1}),
+    "a part of a layer below": (over(WHOLE, layer=["1", "-1"]), [50], [], {"underground": 1}),
+    "an outline that is a part too": (
+        {"polygons": [WHOLE, WHOLE], "building": ["yes", "yes"], "part": ["yes", None], "height": ["8", "9"]},
+        [],
+        [8],
+        REPLACED,
+    ),
+    "tagged no": (
+        {
+            "polygons": [box(2 * i, 0, 2 * i + 1, 1) for i in range(5)],
+            "building": ["no", "yes", "no", "false", None],
+            "part": [None, "no", "yes", None, None],
+            "height": ["1", "2", "3", "4", "5"],
+        },
+        [2],
+        [3],
+        {"not_buildings": 3},
+    ),
+    "underground, and other layers": (
+        on_one_square(
+            6,
+            building=["yes"] * 6,
+            location=["underground", "indoor", None, None, None, None],
+            layer=[None, None, "-1", "2", "0", "ground"],
+            height=["1", "2", "3", "4", "5", "6"],
+        ),
+        [2, 4, 5, 6],
+        [],
+        {"underground": 2},
+    ),
+    "no column says what is a building": (on_one_square(2, height=["1", None]), [1, 10], [], {}),
+    "parts without height take their outline's": (
+        over(WEST, EAST, part_height=None),
+        [],
+        [50, 50],
+        REPLACED | {"parts_given_outline_height": 2},
+    ),
+    "a part takes the highest of its outlines": (
+        {
+            "polygons": [WHOLE, box(0, 0, 20, 20), box(1, 1, 9, 5)],
+            "building": ["yes", "yes", None],
+            "part": [None, None, "yes"],
+            "height": ["40", "60", None],
+        },
+        [40, 60],
+        [60],
+        {"parts_given_outline_height": 1},
+    ),
+    "neither part nor outline has a height": (over(WHOLE, height=None, part_height=None), [], [10], REPLACED),
+}
 
 
-def test_a_part_takes_the_highest_of_its_outlines():
-    buildings, _, _ = stand(
-        [box(0, 0, 10, 10), box(0, 0, 20, 20), box(1, 1, 9, 5)],
-        building=["yes", "yes", None],
-        part=[None, None, "yes"],
-        height=["40", "60", None],
-    )
-    assert buildings.height_m.tolist() == [40, 60, 60]
+@pytest.mark.parametrize(("columns", "outlines_m", "parts_m", "issues"), CASES.values(), ids=CASES)
+def test_outlines_give_way_to_parts_that_cover_them_and_what_is_no_building_is_left_out(
+    columns, outlines_m, parts_m, issues
+):
+    buildings, _, found = stand(**columns)
+    assert buildings.height_m[~buildings.is_part].tolist() == outlines_m
+    assert buildings.height_m[buildings.is_part].tolist() == parts_m
+    assert found == issues
 
 
-def test_a_part_without_height_in_an_outline_without_height_has_the_default():
-    buildings, _, issues = outline_and_parts(box(0, 0, 10, 10), outline_height=None, part_height=None)
-    assert buildings.height_m.tolist() == [10]
-    assert buildings.origin.tolist() == [HeightOrigin.DEFAULT]
-    assert issues["parts_given_outline_height"] == 0
+def test_the_height_that_a_part_takes_from_its_outline_has_its_origin():
+    origins = [stand(**over(WHOLE, height=of, part_height=None))[0].origin.tolist() for of in ("50", None)]
+    assert origins == [[HeightOrigin.HEIGHT], [HeightOrigin.DEFAULT]]
 
 
-def test_hanging_parts_are_counted_and_keep_their_underside():
-    buildings, _, issues = outline_and_parts(box(0, 0, 10, 10), min_height=[None, "12"])
-    assert buildings.min_height_m.tolist() == [12]
-    assert buildings.height_m.tolist() == [30]
-    assert issues["parts_hanging"] == 1
-
-
-def test_an_estimated_roof_is_raised_above_its_underside():
-    buildings, _, issues = stand([box(0, 0, 1, 1)] * 2, levels=[None, "2"], min_height=["18", "20"])
-    assert buildings.height_m.tolist() == [28, 26]
-    assert issues["min_heights_above_roof"] == 0
-
-
-def test_an_underside_above_a_tagged_roof_is_a_fault():
-    buildings, _, issues = stand([box(0, 0, 1, 1)] * 2, height=["5", "5"], min_height=["5", "9"])
-    assert buildings.height_m.tolist() == [5, 5]
-    assert buildings.min_height_m.tolist() == [0, 0]
-    assert issues["min_heights_above_roof"] == 2
-    assert issues["parts_hanging"] == 0
+@pytest.mark.parametrize(
+    ("columns", "min_height_m", "height_m", "issues"),
+    [
+        (over(WHOLE, min_height=[None, "12"]), [12], [30], REPLACED | {"parts_hanging": 1}),
+        # An estimated roof is raised above its underside; an underside above a tagged roof is a fault.
+        (on_one_square(2, levels=[None, "2"], min_height=["18", "20"]), [18, 20], [28, 26], {"parts_hanging": 2}),
+        (on_one_square(2, height=["5", "5"], min_height=["5", "9"]), [0, 0], [5, 5], {"min_heights_above_roof": 2}),
+    ],
+)
+def test_undersides_are_kept_below_roofs(columns, min_height_m, height_m, issues):
+    buildings, _, found = stand(**columns)
+    assert (buildings.min_height_m.tolist(), buildings.height_m.tolist()) == (min_height_m, height_m)
+    assert found == issues
 
 
 def test_a_bow_tie_is_repaired_and_a_line_is_dropped():
     bow_tie = shapely.Polygon([(X, Y), (X + 10, Y + 10), (X + 10, Y), (X, Y + 10)])
     line = shapely.Polygon([(X, Y), (X + 10, Y), (X, Y), (X, Y)])
-    buildings, _, issues = stand([bow_tie, line, None, shapely.Polygon(), box(0, 0, 1, 1)])
-    assert len(buildings) == 2
+    buildings, _, issues = stand([bow_tie, line, None, shapely.Polygon(), shapely.force_3d(box(0, 0, 1, 1), 99.0)])
     assert shapely.is_valid(buildings.polygons).all()
-    assert shapely.area(buildings.polygons[0]) == pytest.approx(50)
-    assert (issues["polygons_repaired"], issues["polygons_dropped"]) == (1, 3)
-    assert issues["open_ways"] == 7  # the reader's own
+    assert not shapely.has_z(buildings.polygons).any()
+    assert shapely.area(buildings.polygons) == pytest.approx([50, 1])
+    assert issues == {"polygons_repaired": 1, "polygons_dropped": 3}
 
 
 def test_polygonal_keeps_polygons_only():
-    mixed = shapely.GeometryCollection(
-        [shapely.Point(0, 0), shapely.MultiPolygon([shapely.box(0, 0, 1, 1)]), shapely.box(1, 0, 2, 1)]
-    )
-    assert polygonal(mixed).equals(shapely.box(0, 0, 2, 1))
+    two = [shapely.MultiPolygon([shapely.box(0, 0, 1, 1)]), shapely.box(1, 0, 2, 1)]
+    assert polygonal(shapely.GeometryCollection([shapely.Point(0, 0), *two])).equals(shapely.box(0, 0, 2, 1))
     assert polygonal(shapely.Point(0, 0)).is_empty
 
 
 def test_outlines_that_the_crs_cannot_hold_are_left_out_and_counted():
-    outlines = Outlines(
-        np.array([shapely.box(-74, 40.7, -73.9, 40.8), shapely.box(15, 0, 16, 1)]), {}, "EPSG:4326", (), {}
-    )
-    buildings, _, issues = to_buildings(Buildings("x"), outlines, UTM)
-    assert (len(buildings), issues["outside_crs"]) == (1, 1)
+    buildings, _, issues = stand([SQUARE, shapely.box(15, 0, 16, 1)], crs=WGS84)
+    assert (len(buildings), issues) == (1, {"outside_crs": 1})
 
 
-def test_the_boxes_that_a_file_declares_come_in_the_citys_crs():
-    assert stand([box(1, 2, 3, 4)], box=(X, Y, X + 9, Y + 9))[1] == [pytest.approx((X, Y, X + 9, Y + 9))]
+def test_the_boxes_that_a_file_declares_come_in_the_citys_crs_and_without_buildings_are_an_empty_city():
+    declared = (X, Y, X + 9, Y + 9)
+    assert stand([box(1, 2, 3, 4)], [declared])[1] == [pytest.approx(declared)]
     assert stand([box(1, 2, 3, 4)])[1] == []
-
-
-def test_a_declared_box_without_buildings_is_an_empty_city():
-    buildings, boxes_m, _ = stand([], box=(X, Y, X + 9, Y + 9))
-    assert len(buildings) == 0
-    assert boxes_m == [pytest.approx((X, Y, X + 9, Y + 9))]
-
-
-def test_a_file_without_building_or_box_is_refused():
+    buildings, boxes_m, _ = stand([], [declared])
+    assert (len(buildings), boxes_m) == (0, [pytest.approx(declared)])
     with pytest.raises(InputError, match=r"city\.osm.*holds no building"):
         stand([])
-
-
-def test_heights_in_z_are_ignored():
-    buildings, _, _ = stand([shapely.force_3d(box(0, 0, 1, 1), 99.0)])
-    assert not shapely.has_z(buildings.polygons).any()
