@@ -2,14 +2,22 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check -q
+PIP = $(@D)/bin/python -m pip --disable-pip-version-check -q
 SOURCES := pyproject.toml constraints.txt
 CUDA_VENV := .venv-cuda
+NEWEST := .venv-newest
+OLDEST := .venv-oldest
 RAN := out/notebooks/.ran
-CUDA_PIP := $(CUDA_VENV)/bin/python -m pip --disable-pip-version-check -q
 CUDA_COMPILER := jax-cuda13-plugin jax-cuda13-pjrt nvidia-cuda-nvcc nvidia-nvvm nvidia-cuda-runtime nvidia-nvjitlink
 
-.PHONY: demo test test-slow test-docs campaign lint wheel notebooks figures bench bench-gpu cuda-compile docs clean
+# The first of these versions of Python that answers, by its name or through pyenv.
+answering = $(shell for version in $(1); do for python in python$$version "env PYENV_VERSION=$$version python3"; do \
+  $$python -c "import sys; sys.exit('%d.%d' % sys.version_info[:2] != '$$version')" 2> /dev/null && echo $$python && exit; \
+  done; done)
+NEWEST_PYTHON = $(call answering,3.14 3.13 3.12)
+FLOOR := $(shell sed -n 's/^requires-python = ">=\(.*\)"/\1/p' pyproject.toml)
+
+.PHONY: demo test test-newest renew-newest test-oldest test-slow test-docs campaign lint wheel notebooks figures bench bench-gpu cuda-compile docs clean
 
 demo: $(VENV)/.run
 	$(BIN)/jaxurban demo -o out/demo --overwrite
@@ -17,6 +25,23 @@ demo: $(VENV)/.run
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+# The same tests with the packages that were the newest at the last `make renew-newest`.
+test-newest:
+	@$(if $(NEWEST_PYTHON),$(MAKE) $(NEWEST)/.dev,echo "make test-newest is skipped: no Python 3.12 to 3.14 answers")
+	@if [ -e $(NEWEST)/.dev ]; then $(NEWEST)/bin/python -m pytest -n 2 --dist loadfile; fi
+
+renew-newest:
+	rm -rf $(NEWEST)
+	: > constraints-newest.txt
+	$(MAKE) $(NEWEST)/.dev
+	$(NEWEST)/bin/python -m pip freeze --all --exclude pip --exclude-editable > constraints-newest.txt
+	touch $(NEWEST)/.dev
+
+# The same tests with the oldest packages that pyproject.toml allows: these use what others of them have deprecated.
+test-oldest: $(OLDEST)/.dev
+	PYTHONWARNINGS=ignore::DeprecationWarning $(OLDEST)/bin/python -m pytest -n 2 --dist loadfile \
+	  -W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning
 
 # All tests that are marked slow, by the marker alone: tests/test_suite.py holds that `.ci/run` runs each.
 test-slow: $(VENV)/.dev
@@ -68,9 +93,11 @@ cuda-compile: $(CUDA_VENV)/.compiler
 	    "$$(grep -m 1 ERROR $(CUDA_VENV)/pip.log || tail -n 1 $(CUDA_VENV)/pip.log)"; fi
 
 clean:
-	rm -rf $(VENV) $(CUDA_VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(CUDA_VENV) $(NEWEST) $(OLDEST) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
-$(VENV)/bin/python $(CUDA_VENV)/bin/python:
+$(NEWEST)/bin/python: PYTHON = $(or $(NEWEST_PYTHON),python3.12)
+$(OLDEST)/bin/python: PYTHON = $(or $(call answering,$(FLOOR)),python$(FLOOR))
+$(VENV)/bin/python $(CUDA_VENV)/bin/python $(NEWEST)/bin/python $(OLDEST)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "jaxurban needs Python 3.11 or newer: name one with make PYTHON=python3.12" >&2; exit 2; }
 	$(PYTHON) -m venv $(dir $(@D))
@@ -92,9 +119,20 @@ $(VENV)/.docs: $(VENV)/.run
 	$(PIP) install -c constraints.txt --no-build-isolation -e '.[docs]'
 	touch $@
 
+$(NEWEST)/.dev: $(NEWEST)/bin/python pyproject.toml constraints-newest.txt
+	$(PIP) install -c constraints-newest.txt setuptools
+	$(PIP) install -c constraints-newest.txt --no-build-isolation -e '.[dev]'
+	touch $@
+
+$(OLDEST)/.dev: $(OLDEST)/bin/python pyproject.toml
+	grep -oE '[A-Za-z][A-Za-z0-9_-]*(\[[a-z0-9]+\])?>=[0-9.a-z]+' pyproject.toml | sed -E 's/(\[.*\])?>=/==/' > $(@D)/floors.txt
+	$(PIP) install -c $(@D)/floors.txt setuptools
+	$(PIP) install -c $(@D)/floors.txt --no-build-isolation -e '.[dev]'
+	touch $@
+
 $(CUDA_VENV)/.compiler: $(CUDA_VENV)/bin/python $(SOURCES) constraints-cuda.txt
 	@rm -f $@
 	@echo "installing the compiler for GPUs into $(CUDA_VENV)"
-	@if $(CUDA_PIP) install -c constraints-cuda.txt setuptools 2> $(CUDA_VENV)/pip.log && \
-	  $(CUDA_PIP) install -c constraints-cuda.txt --no-build-isolation -e . $(CUDA_COMPILER) 2> $(CUDA_VENV)/pip.log; \
+	@if $(PIP) install -c constraints-cuda.txt setuptools 2> $(CUDA_VENV)/pip.log && \
+	  $(PIP) install -c constraints-cuda.txt --no-build-isolation -e . $(CUDA_COMPILER) 2> $(CUDA_VENV)/pip.log; \
 	  then touch $@; fi

@@ -12,6 +12,10 @@ PROGRAMS = Path(__file__).parents[1] / ".pytest_cache" / "programs"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(PROGRAMS))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
+# A warning of deprecation fails in the commands and workers that tests start, too.
+DEPRECATIONS = ("DeprecationWarning", "PendingDeprecationWarning", "FutureWarning")
+os.environ.setdefault("PYTHONWARNINGS", ",".join(f"error::{kind}" for kind in DEPRECATIONS))
+
 # Which test compiles first on a fresh machine says nothing of what it tests.
 logging.getLogger("jaxurban.compiling").disabled = True
 
