@@ -151,18 +151,7 @@ def ends_of(problem):
     return np.array([[cell[1] + 0.5, cell[0] + 0.5] for cell in (problem.start, problem.goal)])
 
 
-def volume_problem(
-    cost,
-    is_free,
-    levels_m,
-    start,
-    goal,
-    resolution_m,
-    distance_weight,
-    climb_cost=0.0,
-    descent_cost=0.0,
-    cost_model="cell",
-):
-    """Return a problem between levels with one layer of weight 1."""
-    weights = [distance_weight, 1.0, climb_cost, descent_cost]
-    return Problem(np.asarray(cost)[None], is_free, start, goal, resolution_m, weights, cost_model, levels_m)
+def volume_problem(cost, is_free, levels_m, start, goal, resolution_m, distance_weight):
+    """Return a problem between levels with one layer of weight 1; heights cost nothing."""
+    weights = [distance_weight, 1.0, 0.0, 0.0]
+    return Problem(np.asarray(cost)[None], is_free, start, goal, resolution_m, weights, "cell", levels_m)
