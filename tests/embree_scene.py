@@ -1,9 +1,14 @@
 """Exact prisms of buildings as an Embree scene: the outside witness of occlusion and lidar."""
 
+from typing import Self
+
 import numpy as np
 import shapely
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
+
+from jaxurban.kernels.dop import unit_vectors
+from jaxurban.metrics.lidar import Lidar
 
 
 def wall_triangles(polygons: np.ndarray, height_m: np.ndarray, floor_m: np.ndarray | None = None) -> np.ndarray:
@@ -63,3 +68,18 @@ class CityScene:
     def is_blocked(self, start_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return whether rays meet a wall or a roof, ``[N]`` bool."""
         return np.isfinite(self.distance_m(start_m, direction))
+
+    def sees(self, start_m: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return which of ``[S, 3]`` directions are free from ``[N, 3]`` points, ``[S, N]`` bool."""
+        return np.array([~self.is_blocked(start_m, np.tile(d, (len(start_m), 1))) for d in directions])
+
+    def scan(self, start_m: np.ndarray, lidar: Lidar, ground: Self | None = None) -> np.ndarray:
+        """Return the share of scan positions that return from a wall at each point, every beam a ray, ``[N]``."""
+        azimuth_rad = 2 * np.pi * np.arange(lidar.azimuths) / lidar.azimuths
+        returned = np.zeros((len(start_m), lidar.azimuths), bool)
+        for elevation_rad in sorted(lidar.elevations_rad, key=abs):  # the likeliest beams first, to save rays
+            point, k = np.nonzero(~returned)
+            ray = start_m[point], unit_vectors(azimuth_rad[k], np.full(len(k), elevation_rad))
+            wall_m, ground_m = self.distance_m(*ray), np.inf if ground is None else ground.distance_m(*ray)
+            returned[point, k] = (wall_m <= lidar.range_m) & (wall_m <= ground_m)
+        return returned.mean(axis=1)

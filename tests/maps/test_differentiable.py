@@ -16,14 +16,11 @@ from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
-from jaxurban.planners.cost import CostModel
 from jaxurban.planners.envelope import planned_cost
 from jaxurban.world.city import Zoning
-from tests.metrics.soft.differences import anyhow, axes, check_gradient
-from tests.metrics.soft.scene import ALTITUDE_M, CELLS, REGION, scene, surface_of
+from tests.metrics.soft.scene import ALTITUDE_M, BUILDING, CELLS, HEIGHT_M, REGION, check_gradient, surface_of
 from tests.metrics.whole_maps import compute_gps
 
-HEIGHT_M, BUILDING = scene()
 AZIMUTH_RAD = np.radians([10.0, 80.0, 190.0, 285.0, 140.0])
 ELEVATION_RAD = np.radians([35.0, 50.0, 25.0, 40.0, 65.0])
 PARAMS = SoftParams(
@@ -71,113 +68,101 @@ def with_sections(**sections):
     return replace(PARAMS, sections={**PARAMS.sections, **sections})
 
 
-def problem_of(soft, params=PARAMS, weights=WEIGHTS, cost_model="cell"):
-    """The planning question on the soft layers; obstacles are those of the city's own heights."""
-    costs = np.asarray(layers_of(soft, soft.height_m, params))
-    is_free = np.asarray(soft.surface.crop(soft.surface.roof_m)) < ALTITUDE_M
-    return Problem(costs, is_free, START, GOAL, REGION.resolution_m, vector_of(soft, weights), cost_model)
-
-
-def test_softness_0_gives_the_costs_of_the_exact_maps():
+@pytest.fixture
+def soft():
+    """The city in float64."""
     with jax.enable_x64(True):
-        soft = city()
-        found = dict(zip(soft.names, layers_of(soft, soft.height_m, replace(PARAMS, softness_m=0.0)), strict=True))
-    surface = city(np.float32).surface
+        yield city()
+
+
+def problem_of(soft, cost_model="cell"):
+    """The planning question on the soft layers; obstacles are those of the city's own heights."""
+    costs = np.asarray(layers_of(soft, soft.height_m, PARAMS))
+    is_free = np.asarray(soft.surface.crop(soft.surface.roof_m)) < ALTITUDE_M
+    return Problem(costs, is_free, START, GOAL, REGION.resolution_m, vector_of(soft, WEIGHTS), cost_model)
+
+
+def visits_of(problem):
+    return path_visits(astar(problem).points_m, REGION.shape, REGION.resolution_m, problem.cost_model)
+
+
+def test_softness_0_gives_the_costs_of_the_exact_maps(soft):
+    found = dict(zip(soft.names, layers_of(soft, soft.height_m, replace(PARAMS, softness_m=0.0)), strict=True))
+    surface, sections = surface_of(HEIGHT_M.astype(np.float32), BUILDING), PARAMS.sections
     exact = {
-        "gps": compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, [ALTITUDE_M], PARAMS.sections["gps"]).m,
-        "lidar": compute_lidar(surface, [ALTITUDE_M], PARAMS.sections["lidar"]),
-        "risk": compute_risk(surface, [ALTITUDE_M], PARAMS.sections["risk"]),
+        "gps": compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, [ALTITUDE_M], sections["gps"]).m,
+        "lidar": compute_lidar(surface, [ALTITUDE_M], sections["lidar"]),
+        "risk": compute_risk(surface, [ALTITUDE_M], sections["risk"]),
     }
     for name, m in exact.items():
         np.testing.assert_allclose(found[name], 1 - m[0], atol=2e-6, err_msg=name)
 
 
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
-def test_a_path_on_chosen_cells_costs_what_the_whole_maps_do(cost_model):
-    with jax.enable_x64(True):
-        soft = city()
-        problem = problem_of(soft, cost_model=cost_model)
-        found = astar(problem)
-        visits = path_visits(found.points_m, REGION.shape, REGION.resolution_m, CostModel(cost_model))
-        assert visits.cells.shape == (CELLS_STEP, 2)
-        cost, _ = cost_and_slopes(soft, soft.height_m, PARAMS, WEIGHTS, visits)
-        np.testing.assert_allclose(cost, found.cost, rtol=1e-12)
-        np.testing.assert_allclose(visits.length_m, problem.features(found.points_m).phi[0])
+def test_a_path_on_chosen_cells_costs_what_the_whole_maps_do(soft, cost_model):
+    problem = problem_of(soft, cost_model)
+    found = astar(problem)
+    visits = visits_of(problem)
+    assert visits.cells.shape == (CELLS_STEP, 2)
+    cost, _ = cost_and_slopes(soft, soft.height_m, PARAMS, WEIGHTS, visits)
+    np.testing.assert_allclose(cost, found.cost, rtol=1e-12)
+    np.testing.assert_allclose(visits.length_m, problem.features(found.points_m).phi[0])
 
 
-def test_the_gradient_of_a_path_agrees_with_finite_differences_in_everything():
-    with jax.enable_x64(True):
-        soft = city()
-        points_m = astar(problem_of(soft)).points_m
-        visits = path_visits(points_m, REGION.shape, REGION.resolution_m, CostModel("cell"))
-        leaves, shape = jax.tree.flatten((PARAMS, WEIGHTS))
-        names = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_flatten_with_path((PARAMS, WEIGHTS))[0]]
-        inputs = {"heights": soft.height_m} | dict(zip(names, map(jnp.asarray, leaves), strict=True))
+def test_the_gradient_of_a_path_agrees_with_finite_differences_in_everything(soft):
+    visits = visits_of(problem_of(soft))
+    leaves, shape = jax.tree.flatten((soft.height_m, PARAMS, WEIGHTS))
+    inputs = {str(number): jnp.asarray(leaf) for number, leaf in enumerate(leaves)}
 
-        def value_and_gradient(inputs):
-            params, weights = jax.tree.unflatten(shape, [inputs[name] for name in names])
-            value, (by_height, *others) = cost_and_slopes(soft, inputs["heights"], params, weights, visits)
-            return value, {"heights": by_height} | dict(zip(names, jax.tree.leaves(others), strict=True))
+    def value_and_gradient(inputs):
+        numbers = [leaf if leaf.ndim else float(leaf) for leaf in inputs.values()]  # the program of the other tests
+        value, slopes = cost_and_slopes(soft, *jax.tree.unflatten(shape, numbers), visits)
+        return value, dict(zip(inputs, jax.tree.leaves(slopes), strict=True))
 
-        by_height = value_and_gradient(inputs)[1]["heights"]
-        directions = {name: [1.0] for name in names}
-        check_gradient(
-            value_and_gradient, inputs, directions | {"heights": [*axes(by_height, 4), anyhow(HEIGHT_M.shape)]}
-        )
+    check_gradient(value_and_gradient, inputs)
 
 
-def test_the_gradient_of_the_path_is_that_of_replanned_costs():
-    with jax.enable_x64(True):
-        soft = city()
-        problem = problem_of(soft)
-        visits = path_visits(astar(problem).points_m, REGION.shape, REGION.resolution_m, CostModel("cell"))
-        _, (by_height, by_params, _) = cost_and_slopes(soft, soft.height_m, PARAMS, WEIGHTS, visits)
+def test_the_gradient_of_the_path_is_that_of_replanned_costs(soft):
+    problem = problem_of(soft)
+    _, (by_height, by_params, _) = cost_and_slopes(soft, soft.height_m, PARAMS, WEIGHTS, visits_of(problem))
 
-        def replanned(height_m=soft.height_m, params=PARAMS):
-            return astar(problem.with_costs(np.asarray(layers_of(soft, height_m, params)))).cost
+    def replanned(height_m=soft.height_m, params=PARAMS):
+        return astar(problem.with_costs(np.asarray(layers_of(soft, height_m, params)))).cost
 
-        for building in np.argsort(-np.abs(by_height))[:3]:
-            step = 1e-5 * np.eye(len(HEIGHT_M))[building]
-            slope = (replanned(soft.height_m + step) - replanned(soft.height_m - step)) / 2e-5
-            np.testing.assert_allclose(by_height[building], slope, rtol=1e-4)
-        ends = [replanned(params=with_sections(risk=Risk(37.0 + step))) for step in (1e-5, -1e-5)]
-        np.testing.assert_allclose(by_params.sections["risk"].threshold_m, (ends[0] - ends[1]) / 2e-5, rtol=1e-4)
+    for building in np.argsort(-np.abs(by_height))[:3]:
+        step = 1e-5 * np.eye(len(HEIGHT_M))[building]
+        slope = (replanned(soft.height_m + step) - replanned(soft.height_m - step)) / 2e-5
+        np.testing.assert_allclose(by_height[building], slope, rtol=1e-4)
+    ends = [replanned(params=with_sections(risk=Risk(37.0 + step))) for step in (1e-5, -1e-5)]
+    np.testing.assert_allclose(by_params.sections["risk"].threshold_m, (ends[0] - ends[1]) / 2e-5, rtol=1e-4)
 
 
 @pytest.mark.slow
-def test_the_gradient_through_the_planner_and_the_whole_maps_is_that_of_the_path():
-    with jax.enable_x64(True):
-        soft = city()
-        problem = problem_of(soft)
-        planned = planned_cost(problem, astar)
+def test_the_gradient_through_the_planner_and_the_whole_maps_is_that_of_the_path(soft):
+    problem = problem_of(soft)
+    planned = planned_cost(problem, astar)
 
-        @jax.jit
-        def optimal(height_m, params, weights):
-            return planned(soft.layers(height_m, params), vector_of(soft, weights))
+    def optimal(height_m, params, weights):
+        return planned(soft.layers(height_m, params), vector_of(soft, weights))
 
-        inputs = (soft.height_m, PARAMS, WEIGHTS)
-        through_maps = jax.jit(jax.grad(optimal, (0, 1, 2)))(*inputs)
-        visits = path_visits(astar(problem).points_m, REGION.shape, REGION.resolution_m, CostModel("cell"))
-        _, of_the_path = cost_and_slopes(soft, *inputs, visits)
-        for one, other in zip(jax.tree.leaves(through_maps), jax.tree.leaves(of_the_path), strict=True):
-            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+    inputs = (soft.height_m, PARAMS, WEIGHTS)
+    through_maps = jax.jit(jax.grad(optimal, (0, 1, 2)))(*inputs)
+    _, of_the_path = cost_and_slopes(soft, *inputs, visits_of(problem))
+    for one, other in zip(jax.tree.leaves(through_maps), jax.tree.leaves(of_the_path), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
-def test_one_program_serves_other_values_and_other_skies():
-    with jax.enable_x64(True):
-        soft = city()
-        first = layers_of(soft, soft.height_m, PARAMS)
-        compiled = layers_of._cache_size()
-        assert compiled == 1
-        others = [
-            (soft, soft.height_m + 1, PARAMS),
-            (replace(soft, view=SkyView.of(soft.surface, AZIMUTH_RAD + 0.3, ELEVATION_RAD)), soft.height_m, PARAMS),
-            (soft, soft.height_m, replace(with_sections(risk=Risk(25.0)), altitude_m=31.0, softness_m=0.5)),
-            (soft, soft.height_m, with_sections(gps=Gps(9.0), lidar=replace(PARAMS.sections["lidar"], range_m=21.0))),
-        ]
-        found = [layers_of(*arguments) for arguments in others]
-        assert layers_of._cache_size() == compiled
-        assert all(float(jnp.abs(layers - first).max()) > 1e-3 for layers in found)
+def test_one_program_serves_other_values_and_other_skies(soft):
+    first = layers_of(soft, soft.height_m, PARAMS)
+    compiled = layers_of._cache_size()
+    for arguments in (
+        (soft, soft.height_m + 1, PARAMS),
+        (replace(soft, view=SkyView.of(soft.surface, AZIMUTH_RAD + 0.3, ELEVATION_RAD)), soft.height_m, PARAMS),
+        (soft, soft.height_m, replace(with_sections(risk=Risk(25.0)), altitude_m=31.0, softness_m=0.5)),
+        (soft, soft.height_m, with_sections(gps=Gps(9.0), lidar=replace(PARAMS.sections["lidar"], range_m=21.0))),
+    ):
+        assert float(jnp.abs(layers_of(*arguments) - first).max()) > 1e-3
+    assert layers_of._cache_size() == compiled == 1
 
 
 def test_altitudes_are_batched_by_vmap_in_float32_too():

@@ -9,19 +9,15 @@ import pytest
 import scipy
 
 import jaxurban as ju
-from jaxurban.errors import InputError
-from jaxurban.kernels.dop import Clocks
-from jaxurban.maps.build import compute_maps, inputs_of, skies_of, view_sky
+from jaxurban.maps.build import compute_maps, skies_of, view_sky
 from jaxurban.maps.differentiable import soften
 from jaxurban.maps.provenance import run_key
 from jaxurban.maps.recipe import TileScene
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.gps import DOPS, Gps, maps_of_words, satellites_of
+from jaxurban.metrics.gps import DOPS, Gps, satellites_of
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.world.sky import InView, Sky
 from tests.io.test_orbits import walker_tle
-from tests.metrics.whole_maps import gps_maps
 
 TIMES = ("2020-04-27T03:00:00Z", "2020-04-27T09:00:00Z")
 SYSTEMS = ("gps", "galileo")
@@ -96,14 +92,9 @@ def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task,
     assert maps.ds.attrs["gps_clocks"] == "system"
     assert one.ds.attrs["gps_clocks"] == "one"
     gps = [i for i, system in enumerate(task.sky.systems) if system == "gps"]
-    sky = Sky(
-        task.sky.times,
-        tuple(task.sky.names[i] for i in gps),
-        task.sky.azimuth_rad[:, gps],
-        task.sky.elevation_rad[:, gps],
-        ("gps",) * len(gps),
-        task.sky.element_age_days[:, gps],
-    )
+    of_gps = {name: getattr(task.sky, name)[:, gps] for name in ("azimuth_rad", "elevation_rad", "element_age_days")}
+    names = tuple(task.sky.names[i] for i in gps)
+    sky = replace(task.sky, names=names, systems=("gps",) * len(gps), **of_gps)
     alone = replace(task, sky=sky)
     assert alone.in_view(0).clocks is None
     both = alone, replace(alone, params=shared)
@@ -151,19 +142,6 @@ def test_maps_that_were_saved_hold_the_new_layers_and_say_what_they_are(maps, tm
     assert len([*(tmp_path / "maps" / "geotiff").glob("hdop_*.tif")]) == len(TIMES)
 
 
-def test_patterns_and_cells_give_the_same_bits_with_several_clocks():
-    rng = np.random.default_rng(1)
-    in_view = InView(rng.uniform(0, 2 * np.pi, 20), rng.uniform(0.1, 1.5, 20), (), clocks=Clocks(np.arange(20) % 2, 2))
-    subsets = rng.integers(0, 2**20, 40, dtype=np.uint32)
-    words = jnp.asarray(subsets[rng.integers(0, 40, (1, 150, 130))])
-    is_obstacle = jnp.asarray(rng.random((150, 130)) < 0.2)
-    expected = maps_of_words(jnp.where(is_obstacle, 0, words), satellites_of(in_view), Gps().gdop_threshold)
-    found = gps_maps(words, is_obstacle, in_view)
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_array_equal(one, other)
-    assert len(np.unique(found.gdop)) > 15
-
-
 def test_clocks_keep_their_numbers_at_every_time_and_skies_of_all_times_stack(task):
     clocks = [task.in_view(t).clocks for t in range(len(TIMES))]
     assert {each.num for each in clocks} == {2}
@@ -193,15 +171,6 @@ def test_soft_maps_follow_the_clocks_and_their_gradients_equal_finite_difference
             step = 1e-5 * (np.arange(len(slope)) == building)
             expected = (total(soft.height_m + step) - total(soft.height_m - step)) / 2e-5
             np.testing.assert_allclose(slope[building], expected, rtol=1e-5)
-
-
-def test_what_cannot_be_had_is_one_sentence(task):
-    with pytest.raises(InputError, match="know no oversample"):
-        inputs_of(replace(task, params=replace(task.params, oversample=3)))
-    with pytest.raises(InputError, match="clocks must be 'system' or 'one', got 'two'"):
-        Gps(clocks="two")
-    with pytest.raises(InputError, match="dop_threshold must be a number above 1"):
-        ju.metrics.Dop(1.0)
 
 
 def test_a_runs_key_tells_clocks_and_metrics_apart():

@@ -2,9 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
-from jaxurban.errors import InputError
 from jaxurban.metrics.lidar import METRIC, Lidar, compute_lidar
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
@@ -42,20 +40,6 @@ def test_lidar_is_a_share_zero_inside_obstacles_and_above_every_reach():
     np.testing.assert_allclose(m * 60, np.round(m * 60), atol=1e-4)
 
 
-@pytest.mark.parametrize("is_hilly", [False, True])
-def test_the_map_of_a_sub_box_equals_the_crop_of_the_larger_map(is_hilly):
-    roof_m = random_roof()
-    terrain_m = 20 + 10 * np.sin(np.indices(roof_m.shape).sum(0) / 11) if is_hilly else None
-    params = Lidar(beams=4, azimuths=12)
-    whole = compute_lidar(surface_of(roof_m, GRID, inner(GRID, MARGIN), terrain_m), [20.0], params)
-    grid = GRID.padded(-7, -3, -2, -11)  # cells cut off in the west, south, east and north
-    region = inner(grid, MARGIN)
-    rows, cols = grid.window_in(GRID)
-    cut_terrain_m = None if terrain_m is None else terrain_m[rows, cols]
-    part = compute_lidar(surface_of(roof_m[rows, cols], grid, region, cut_terrain_m), [20.0], params)
-    np.testing.assert_array_equal(part, whole[(slice(None), *region.window_in(inner(GRID, MARGIN)))])
-
-
 def test_nothing_stands_beyond_the_surface():
     roof_m = random_roof()
     padded = GRID.padded(30, 30, 30, 30)
@@ -81,19 +65,3 @@ def test_a_single_beam_lies_in_the_middle_and_several_at_equal_steps():
     np.testing.assert_allclose(Lidar(beams=1, field_of_view_deg=(-10, 20)).elevations_rad, np.deg2rad([5]))
     np.testing.assert_allclose(np.rad2deg(Lidar().elevations_rad), np.arange(-15, 16, 2), atol=1e-12)
     assert METRIC.reach_m(Lidar(range_m=70.0)) == 70.0
-
-
-@pytest.mark.parametrize(
-    ("settings", "name"),
-    [
-        ({"beams": 0}, "beams"),
-        ({"azimuths": 2.5}, "azimuths"),
-        ({"field_of_view_deg": (15.0, -15.0)}, "field_of_view_deg"),
-        ({"field_of_view_deg": (-90.0, 15.0)}, "field_of_view_deg"),
-        ({"range_m": float("nan")}, "range_m"),
-        ({"range_m": 0.0}, "range_m"),
-    ],
-)
-def test_impossible_lidars_are_refused_by_name(settings, name):
-    with pytest.raises(InputError, match=name):
-        Lidar(**settings)

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -9,17 +8,13 @@ import shapely
 from affine import Affine
 from rasterio.features import rasterize
 
-from jaxurban.errors import InputError
 from jaxurban.io.read.census import read_blocks
 from jaxurban.maps.provenance import population_totals
 from jaxurban.metrics.population import (
     Population,
-    block_metric,
     block_people,
     day_share,
     density_per_km2,
-    map_blocks,
-    normaliser,
 )
 from jaxurban.world.city import Blocks, Zoning
 from tests.metrics.whole_maps import population_maps
@@ -105,56 +100,6 @@ def test_totals_add_up_by_zoning():
     assert totals["night"] == {"commercial": 100.0, "residential": 400.0, "other": 200.0, "total": 700.0}
     assert totals["day"] == {"commercial": 300.0, "residential": 200.0, "other": 100.0, "total": 600.0}
     assert population_totals(BLOCKS, bounds_m=(110, 10, 190, 90))["night"]["total"] == 400.0
-
-
-def test_gradients_with_respect_to_the_gammas_equal_finite_differences():
-    rng = np.random.default_rng(3)
-    with jax.enable_x64(True):
-        night, area = jnp.asarray(rng.uniform(1, 100, 20)), jnp.asarray(rng.uniform(1e3, 1e4, 20))
-        zoning, block = jnp.asarray(rng.integers(0, 3, 20)), jnp.asarray(rng.integers(-1, 20, (4, 5)))
-
-        @partial(jax.jit, static_argnums=1)
-        def total(gammas, normalise):
-            values = density_per_km2(block_people(night, zoning, 0.7, *gammas), area)
-            return (map_blocks(block, block_metric(values, normaliser(values, normalise))) ** 2).sum()
-
-        at, step = jnp.array([2.0, 0.6]), 1e-6
-        for normalise in ("max", "p80"):
-            gradient = jax.grad(total)(at, normalise)
-            by_difference = [
-                (total(at + e, normalise) - total(at - e, normalise)) / (2 * step) for e in step * np.eye(2)
-            ]
-            np.testing.assert_allclose(gradient, by_difference, rtol=1e-6, atol=1e-9)
-
-
-def test_people_run_under_jit_and_vmap():
-    people = jax.jit(jax.vmap(block_people, in_axes=(None, None, 0, None, None)))
-    result = people(jnp.asarray(BLOCKS.night_count), jnp.asarray(BLOCKS.zoning), jnp.array([0.0, 1.0]), 3.0, 0.5)
-    np.testing.assert_allclose(result, [[100, 400, 200, 0], [300, 200, 100, 0]])
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"gamma_commercial": -1.0}, "gamma_commercial must be finite"),
-        ({"gamma_residential": float("nan")}, "gamma_residential must be finite"),
-        ({"quantity": "people"}, "'density' or 'count'"),
-        ({"normalise": "median"}, "a percentile such as 'p95'"),
-        ({"normalise": "p0"}, "a percentile such as 'p95'"),
-        ({"normalise": 0.0}, "a positive number per km2"),
-        ({"weekday": (1.0,) * 23}, "24 shares"),
-    ],
-)
-def test_wrong_settings_are_refused(settings, message):
-    with pytest.raises(InputError, match=message):
-        Population(**settings)
-
-
-def test_an_unknown_time_of_day_names_the_nearest():
-    with pytest.raises(InputError, match="did you mean 'night'"):
-        day_share("nigth")
-    with pytest.raises(InputError, match="weekday-08"):
-        day_share("weekday-24")
 
 
 @pytest.mark.data

@@ -4,7 +4,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.errors import InputError
 from jaxurban.metrics.base import Scene
 from jaxurban.metrics.protection import (
     METRIC,
@@ -88,18 +87,3 @@ def test_it_is_made_on_request_and_no_metric_of_every_cost():
     assert METRIC.colour not in {metric.colour for metric in METRICS.values()}
     assert "no multipath" in METRIC.caveat
     assert "no integrity" in METRIC.caveat
-
-
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({"horizontal_alert_limit_m": 0.0}, "horizontal_alert_limit_m must be positive metres"),
-        ({"bias_m": -1.0}, "bias_m must be 0 or more metres"),
-        ({"p_const": 0.5}, "p_const must be a probability from 0 to below 0.1"),
-        ({"phmi_vertical": 0.0}, "phmi_vertical must be a probability from 1e-15 to 0.1"),
-        ({"tolerance_m": (0.05, 0.0)}, "tolerance_m must be positive metres"),
-    ],
-)
-def test_a_wrong_setting_is_one_sentence(wrong, words):
-    with pytest.raises(InputError, match=words):
-        Protection(**wrong)

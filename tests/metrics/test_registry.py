@@ -12,7 +12,7 @@ import xarray as xr
 
 from jaxurban.errors import InputError
 from jaxurban.metrics.base import Scene, SoftScene
-from jaxurban.metrics.custom import Layer, check_layers, held_metrics, own_metric
+from jaxurban.metrics.custom import Layer, held_metrics, own_metric
 from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.registry import METRICS
@@ -112,25 +112,3 @@ def test_maps_say_which_layers_they_hold():
     held = held_metrics(ds)
     assert list(held) == ["gps", "risk", "noise"]
     assert held["noise"].cost(1.0) == 1.0
-
-
-@pytest.mark.parametrize("name", ["gps", "roof", "distance", "gdop", "my noise", "class", "2nd", "time"])
-def test_a_layer_has_a_name_of_its_own(name):
-    with pytest.raises(InputError, match="layer"):
-        check_layers({name: NOISE})
-
-
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({"source": 5}, "source must be the path"),
-        ({"cost": "high"}, "cost must be 'high-is-bad' or 'low-is-bad', got 'high'"),
-        ({"scale": (1.0, 1.0)}, "two ascending numbers"),
-        ({"scale": (0.0, np.inf)}, "scale must be a finite number"),
-        ({"nan": "close"}, "did you mean 'closed'"),
-        ({"reach_m": 5.0}, "how far a function looks"),
-    ],
-)
-def test_a_wrong_layer_is_one_sentence(wrong, words):
-    with pytest.raises(InputError, match=words):
-        Layer(**{"source": "n.tif", "cost": "high-is-bad", "scale": (0.0, 80.0), **wrong})

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from jaxurban.errors import InputError
 from jaxurban.metrics.risk import METRIC, Risk, compute_risk
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
@@ -74,16 +73,6 @@ def test_one_metre_above_a_roof_is_close_only_in_solid():
     np.testing.assert_allclose(compute_risk(surface_of(roof_m), [60.0], Risk(distance="solid"))[above], 1 / 50)
 
 
-@pytest.mark.parametrize("distance", ["slice", "solid"])
-def test_the_map_of_a_sub_box_equals_the_crop_of_the_larger_map(distance):
-    roof_m, params = random_roof(), Risk(distance=distance)
-    whole = compute_risk(surface_of(roof_m), ALTITUDES_M, params)
-    grid = GRID.padded(-4, -9, -5, -3)
-    region = grid.padded(-10, -10, -10, -10)
-    part = compute_risk(surface_of(roof_m[grid.window_in(GRID)], grid, region), ALTITUDES_M, params)
-    np.testing.assert_array_equal(part, whole[(slice(None), *region.window_in(REGION))])
-
-
 @pytest.mark.slow
 def test_solid_risk_has_finite_gradients_in_heights_and_altitude():
     roof_m = jnp.asarray(random_roof())
@@ -99,10 +88,3 @@ def test_solid_risk_has_finite_gradients_in_heights_and_altitude():
 
 def test_reach_is_the_threshold():
     assert METRIC.reach_m(Risk(threshold_m=35.0)) == 35.0
-
-
-def test_impossible_settings_are_refused_by_name():
-    with pytest.raises(InputError, match="threshold_m"):
-        Risk(threshold_m=-1.0)
-    with pytest.raises(InputError, match="did you mean 'slice'"):
-        Risk(distance="slize")

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from jaxurban.metrics.gps import Gps, GpsMaps, maps_of_choices, satellites_of
 from jaxurban.metrics.population import BlockLayers, Population, block_layers, map_blocks
 from jaxurban.metrics.visibility import visibility
@@ -26,3 +28,8 @@ def population_maps(block, blocks, times_of_day=("day", "night"), params=None, b
     """Return the metric and the density over a region at each time of day, and the norm."""
     m, density, norm = block_layers(blocks, replace(params or Population(), time_of_day=times_of_day), bounds_m)
     return BlockLayers(map_blocks(block, m), map_blocks(block, density), norm)
+
+
+def seen(words, num):
+    """Return visibility words as ``[S, A, y, x]`` bool."""
+    return np.array([(np.asarray(words)[s // 32] >> np.uint32(s % 32)) & 1 == 1 for s in range(num)])

@@ -1,0 +1,176 @@
+"""Soft metrics of one scene: derivatives, limits, types, chosen cells, batches, and that one program serves all."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxurban.metrics.risk import Risk, compute_risk
+from tests.metrics.soft.scene import ALTITUDE_M, BUILDING, CASES, CELLS, HALO, HEIGHT_M, REGION, check_gradient
+
+MIX = np.random.default_rng(1).uniform(0.5, 1.5, REGION.shape)
+HAS_ROOF = (BUILDING >= 0)[REGION.window_in(CASES["gps"].surface().grid)]
+
+
+@partial(jax.jit, static_argnums=0)
+@partial(jax.value_and_grad, argnums=1, has_aux=True)
+def mix_and_slopes(name, inputs, view):
+    m = CASES[name].m(inputs, view)
+    return jnp.sum(jnp.asarray(MIX, m.dtype) * m), m
+
+
+@partial(jax.jit, static_argnums=0)
+def map_of(name, inputs, view):
+    return CASES[name].m(inputs, view)
+
+
+def soft_map(name, **changes):
+    """Return the float32 map of a case."""
+    return map_of(name, CASES[name].inputs(np.float32, **changes), CASES[name].view())
+
+
+def apart(name, softness_m, z_m=ALTITUDE_M):
+    exact = CASES[name].exact(CASES[name].surface(), z_m)
+    return jnp.abs(soft_map(name, softness_m=softness_m, altitude_m=z_m) - exact)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_derivatives_equal_central_differences_and_float32_keeps_the_values(name):
+    with jax.enable_x64(True):
+        view, inputs = CASES[name].view(np.float64), CASES[name].inputs()
+
+        def value_and_gradient(inputs):
+            (value, _), gradient = mix_and_slopes(name, inputs, view)
+            return value, gradient
+
+        check_gradient(value_and_gradient, inputs, zero={"softness_m"} if name.startswith("solid") else ())
+        m = mix_and_slopes(name, inputs, view)[0][1]
+    assert soft_map(name).dtype == np.float32
+    np.testing.assert_allclose(soft_map(name), m, atol=1e-4 if name == "gps" else 1e-5)
+
+
+def test_float32_keeps_slopes_of_gps_to_1e_3_of_the_largest():
+    case = CASES["gps"]
+    with jax.enable_x64(True):
+        _, expected = mix_and_slopes("gps", case.inputs(), case.view(np.float64))
+    _, found = mix_and_slopes("gps", case.inputs(np.float32), case.view())
+    for name, slope in expected.items():
+        assert found[name].dtype == np.float32
+        np.testing.assert_allclose(found[name], slope, atol=1e-3 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_one_program_serves_all_altitudes_limits_softnesses_heights_and_skies(name):
+    case = CASES[name]
+    for program, dtype in ((map_of, np.float32), (mix_and_slopes, np.float64)):
+        with jax.enable_x64(dtype == np.float64):
+            start = program._cache_size()
+            for i, softness_m in enumerate((2.0, 0.1, 0.0)):
+                changes = {"altitude_m": ALTITUDE_M + i, "limit": case.limit - i, "height_m": HEIGHT_M * (1 + i / 10)}
+                found = program(name, case.inputs(dtype, softness_m=softness_m, **changes), case.view(dtype, 0.1 * i))
+                assert all(np.all(np.isfinite(values)) for values in jax.tree.leaves(found))
+            assert program._cache_size() <= start + 1
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_softness_0_is_the_exact_map_and_the_solid_has_no_softness(name):
+    exact = CASES[name].exact(CASES[name].surface(), ALTITUDE_M)
+    assert 0.05 < exact.mean() < 0.95
+    for z_m in (ALTITUDE_M, 3.0):
+        assert apart(name, 3.0 if name.startswith("solid") else 0.0, z_m).max() < 1e-5
+
+
+@pytest.mark.parametrize("name", ["gps", "lidar", "lidar over hills"])
+def test_each_halving_of_the_softness_comes_nearer_to_the_exact_map(name):
+    means = [float(apart(name, 2.0**-power).mean()) for power in range(-3, 7)]
+    assert (np.diff(means) < 0).all()
+    assert means[-1] < 1e-3
+
+
+def test_each_halving_comes_nearer_to_the_slice_until_no_roof_lies_so_little_below():
+    means = np.array([float(apart("risk", 2.0**-power).mean()) for power in range(-5, 8)])
+    is_apart = means[:-1] > 1e-6
+    assert is_apart.sum() > 3
+    assert (np.diff(means)[is_apart] < 0).all()
+    assert means[-1] < 1e-6
+
+
+def test_a_softness_of_the_threshold_makes_the_solid_of_the_slice():
+    solid = compute_risk(CASES["risk"].surface(), [ALTITUDE_M], Risk(39.0, "solid"))[0]
+    np.testing.assert_allclose(soft_map("risk", softness_m=39.0), solid, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["gps", "lidar", "risk"])
+def test_a_roof_at_the_altitude_is_an_obstacle_at_every_softness(name):
+    for softness_m in (0.0, 1.0, 2.0):
+        m = soft_map(name, softness_m=softness_m, altitude_m=20.0, height_m=np.full(len(HEIGHT_M), 20.0))
+        assert (m[HAS_ROOF] == 0).all()
+        assert (m[~HAS_ROOF] > 0).any()
+
+
+def test_level_terrain_changes_nothing_of_the_lidar():
+    level = soft_map("lidar over hills", terrain_m=np.full(BUILDING.shape, 30.0))
+    np.testing.assert_allclose(level, soft_map("lidar"), atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["gps", "lidar", "risk"])
+def test_chosen_cells_with_altitudes_of_their_own_and_batches_give_the_values_of_the_map(name):
+    """Satellites that fill up change nothing: those of the map are filled up, those of the cells are not."""
+    case, own_m = CASES[name], jnp.array([-8.0, 0.0, 9.0, -8.0, 0.0])
+    several = [case.inputs(np.float32, height_m=HEIGHT_M * (1 - i / 10), limit=case.limit - i) for i in range(2)]
+    if name == "gps":
+        filled, alone = (case.view(multiple_of=number).lines.drop_m for number in (32, 1))
+        assert len(alone) < len(filled) == 32
+        several = [inputs | {"drop_m": alone} for inputs in several]
+
+    @jax.jit
+    @jax.vmap
+    def at_cells(inputs):
+        return case.m(inputs | {"altitude_m": inputs["altitude_m"] + own_m}, case.view(multiple_of=1), CELLS)
+
+    found = at_cells(jax.tree.map(lambda *values: jnp.stack(values), *several))
+    assert len(np.unique(found)) > 3
+    for i, cells_m in enumerate(found):
+        changes = {"height_m": HEIGHT_M * (1 - i / 10), "limit": case.limit - i}
+        for at, (row, col) in enumerate(CELLS):
+            expected = soft_map(name, altitude_m=ALTITUDE_M + own_m[at], **changes)[row, col]
+            np.testing.assert_allclose(cells_m[at], expected, atol=1e-6)
+
+
+def test_of_gps_a_higher_roof_never_helps_and_a_higher_receiver_never_harms():
+    with jax.enable_x64(True):
+        _, slopes = mix_and_slopes("gps", CASES["gps"].inputs(), CASES["gps"].view(np.float64))
+    assert np.asarray(slopes["roof_m"]).max() <= 0 < float(slopes["altitude_m"])
+
+
+def test_softness_0_has_no_gradient_of_gps_by_heights_and_the_exact_one_of_the_slice_by_its_threshold():
+    found = {}
+    for name, softness_m in (("gps", 0.0), ("risk", 0.0)):
+        with jax.enable_x64(True):
+            inputs = CASES[name].inputs(softness_m=softness_m)
+            found[name] = jax.tree.map(np.asarray, mix_and_slopes(name, inputs, CASES[name].view(np.float64)))
+    assert not found["gps"][1]["height_m"].any()
+    (_, m), slopes = found["risk"]
+    np.testing.assert_allclose(slopes["limit"], -(MIX * m)[m < 1].sum() / CASES["risk"].limit, rtol=1e-9)
+
+
+def test_of_risk_a_roof_above_the_altitude_has_no_gradient_and_one_below_brings_risk_as_it_grows():
+    height_m = np.where(np.arange(len(HEIGHT_M)) % 2, 30.0, 18.0)
+    with jax.enable_x64(True):
+        inputs = CASES["risk"].inputs(height_m=height_m, altitude_m=20.0, softness_m=4.0)
+        slope = np.asarray(mix_and_slopes("risk", inputs, CASES["risk"].view(np.float64))[1]["height_m"])
+    assert (slope[1::2] == 0).all()
+    assert (slope[::2] <= 0).all()
+    assert (slope[::2] < 0).any()
+
+
+@pytest.mark.parametrize(("num", "wall_m"), [(0, 0.0), (9, 5000.0)])
+def test_where_no_satellite_is_there_or_seen_m_and_its_slopes_are_0_and_not_nan(num, wall_m):
+    with jax.enable_x64(True):
+        view = CASES["gps"].view(np.float64, num=num)
+        ground_m = np.pad(np.zeros(REGION.shape), HALO, constant_values=wall_m)
+        inputs = CASES["gps"].inputs(softness_m=1e-3, terrain_m=ground_m, drop_m=view.lines.drop_m)
+        found = mix_and_slopes("gps", inputs, view)
+    assert not any(np.any(values) for values in jax.tree.leaves(found))
