@@ -3,6 +3,7 @@
 import os
 import uuid
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from typing import Any
@@ -122,7 +123,8 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
       workers: the address of its scheduler, or the number of processes of a new cluster of this machine's own.
 
     Raises:
-      InputError: ``distributed`` is not installed, no scheduler responds, or a process ends while it starts.
+      InputError: ``distributed`` is not installed, no scheduler responds, it is lost in the block, or a process ends
+        while it starts.
     """
     try:
         from distributed import Client, LocalCluster
@@ -142,7 +144,13 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
         with client:
             if not client.scheduler_info()["workers"]:
                 LOG.warning(f"the cluster {workers} has no worker yet: waiting for one (`dask worker {workers}`)")
-            yield client
+            try:
+                yield client
+            except CancelledError as error:
+                raise InputError(
+                    f"the Dask scheduler at {workers} was lost: start it again, or leave --cluster out, and run the "
+                    "same again; what is finished is kept"
+                ) from error
         return
     options = {
         "n_workers": workers,

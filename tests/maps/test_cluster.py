@@ -1,50 +1,118 @@
-"""A Dask cluster of somebody else's without workers, and one of our own."""
+"""Dask clusters, of somebody else's and of our own: without workers, without certificates, with processes killed."""
 
 import json
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from threading import Thread
 
 import psutil
 import pytest
 
 from jaxurban.errors import InputError
+from jaxurban.maps import run as pipeline
 from jaxurban.maps.executors import cluster_client
+from jaxurban.maps.scenario import Scenario
+from tests.tiled_runs import files_of
 
 pytest.importorskip("distributed", reason="needs the cluster extra")
 from distributed import Client
 from distributed.security import Security
 
+pytestmark = pytest.mark.slow
+SCENARIO = """
+[region]
+bounds = [-74.0, 40.755, -73.995, 40.759]
+resolution_m = 20
+altitudes_m = [20]
+[buildings]
+source = "synthetic"
+[gps]
+mask_deg = 40
+"""
+MANY_TILES = """
+import sys
+from jaxurban.cli.main import main
+from jaxurban.maps import run
+run.shape_of_tiles = lambda task: (8, 8)
+main(sys.argv[1:])
+"""
 
-@pytest.mark.slow
-def test_a_cluster_without_workers_is_warned_of(tmp_path, caplog):
-    file = tmp_path / "scheduler.json"
-    options = ["--port", "0", "--dashboard-address", "127.0.0.1:0", "--host", "127.0.0.1"]
-    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", *options, "--scheduler-file", str(file)]
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as scheduler:
+
+@contextmanager
+def process(*words: object, **how: object) -> Iterator[subprocess.Popen]:
+    """Run Python; it is ended with the block."""
+    with subprocess.Popen([sys.executable, *map(str, words)], stderr=subprocess.PIPE, text=True, **how) as started:
         try:
-            while not file.exists():
-                time.sleep(0.1)
-            address = json.loads(file.read_text())["address"]
-            with cluster_client(address):
-                pass
+            yield started
         finally:
-            scheduler.kill()
+            started.kill()
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory) -> Iterator[tuple[str, subprocess.Popen]]:
+    """The address of a scheduler, and its process."""
+    file = tmp_path_factory.mktemp("cluster") / "scheduler.json"
+    options = ["--port", "0", "--dashboard-address", "127.0.0.1:0", "--host", "127.0.0.1", "--scheduler-file", file]
+    with process("-m", "distributed.cli.dask_scheduler", *options) as started:
+        while not file.exists():
+            time.sleep(0.1)
+        yield json.loads(file.read_text())["address"], started
+
+
+def test_a_cluster_without_workers_is_warned_of(scheduler, caplog):
+    address, _ = scheduler
+    with cluster_client(address):
+        pass
     assert f"the cluster {address} has no worker yet: waiting for one" in caplog.text
+
+
+def test_each_process_of_a_cluster_is_killed_in_turn_and_no_map_is_lost(scheduler, tmp_path, monkeypatch):
+    def again(folder: Path, workers: str | None = None) -> dict[str, bytes]:
+        pipeline.run_scenario(Scenario.from_toml(tmp_path / "town.toml"), folder, progress=False, workers=workers)
+        return {name: data for name, data in files_of(folder).items() if name not in ("run.json", "checksums.json")}
+
+    def worker() -> subprocess.Popen:
+        return stack.enter_context(process("-m", "distributed.cli.dask_worker", address, "--no-nanny"))
+
+    (address, of_scheduler), stack = scheduler, ExitStack()
+    (tmp_path / "town.toml").write_text(SCENARIO)
+    monkeypatch.setattr(pipeline, "shape_of_tiles", lambda task: (8, 8))
+    whole = again(tmp_path / "whole")
+    with stack:
+        workers = [worker(), worker()]
+        for victim in ("one", "two", "client", "scheduler"):
+            out = tmp_path / victim
+            with process(
+                "-c", MANY_TILES, "maps", "town.toml", "-o", victim, "--cluster", address, cwd=tmp_path
+            ) as run:
+                while len(list(out.glob("maps.zarr/.20m*/done/*.json"))) < 3:
+                    assert run.poll() is None, run.stderr.read()
+                    time.sleep(0.01)
+                ({"client": run, "scheduler": of_scheduler}.get(victim) or workers.pop(0)).kill()
+                *_, told = ["", *run.stderr.read().splitlines()]
+                code = run.wait()
+            assert code == {"client": -signal.SIGKILL, "scheduler": 2}.get(victim, 0), told
+            assert ("was lost: start it again" in told) == (victim == "scheduler")
+            if code == 0:
+                workers.append(worker())
+            assert again(out, address if victim == "client" else None) == whole
 
 
 def end_first_child(code: int) -> None:
     """End the first worker process that this process starts, as soon as it is there."""
-    while not (
-        children := [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
-    ):
+    children: list[psutil.Process] = []
+    while not children:
+        with suppress(psutil.Error):  # one of an earlier test that has ended
+            children = [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
         time.sleep(0.01)
     children[0].send_signal(code)
 
 
-@pytest.mark.slow
 def test_who_holds_no_certificate_of_the_run_does_not_reach_its_workers():
     with cluster_client(1) as client:
         address = client.scheduler_info()["address"]
@@ -55,7 +123,6 @@ def test_who_holds_no_certificate_of_the_run_does_not_reach_its_workers():
             Client(address, security=Security.temporary(), timeout=2)
 
 
-@pytest.mark.slow
 def test_a_worker_killed_while_it_starts_is_one_sentence():
     Thread(target=end_first_child, args=(signal.SIGKILL,), daemon=True).start()
     with pytest.raises(InputError, match="a worker process ended while it started"), cluster_client(1):
