@@ -1,0 +1,252 @@
+"""People and where they are: census blocks with their tables, districts and zoning, rasters of people."""
+
+from itertools import pairwise
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+import rasterio
+import shapely
+from affine import Affine
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.io.read.census import clean_polygons, largest_overlap, read_blocks, read_districts, zoning_of
+from jaxurban.maps.provenance import population_totals
+from jaxurban.world.city import OTHER_DISTRICT, City, Footprints, Zoning
+from jaxurban.world.grid import Grid, transformer
+from tests.io.made_files import UTM, WGS84, X, Y, box, north_up, write_raster, write_vector
+
+IDS = ["360610001001000", "360610001001001", "360610001001002"]
+COM, RES, OTHER = Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER
+
+
+def blocks_in(path, ids=IDS, **fields):
+    """Write one block of 100 m x 100 m an id, in a row, in NAD83 as the Census does."""
+    shapes = [box(100 * i, 0, 100 * i + 100, 100) for i in range(len(ids))]
+    return write_vector(path, shapes, to="EPSG:4269", GEOID10=ids, **fields)
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Read blocks with a table given as its text or as a frame."""
+
+    def read_table(table=None, blocks="b.gpkg", bounds_m=None, **files):
+        path = tmp_path / blocks if (tmp_path / blocks).exists() else blocks_in(tmp_path / blocks)
+        if table is not None:
+            text = table if isinstance(table, str) else pd.DataFrame(table).to_csv(index=False)
+            (tmp_path / "t.csv").write_text(text)
+            files["table"] = tmp_path / "t.csv"
+        return read_blocks(ju.Population(blocks=path, **files), UTM, bounds_m)
+
+    return read_table
+
+
+SF1 = (
+    '"GEO_ID","NAME","P001001"\n"id","Geographic Area Name","Total"\n'
+    f'"1000000US{IDS[0]}","Block 1000, New York County","123(r45678)"\n'
+    f'"1000000US{IDS[2]}","Block 1002, New York County","1,400"\n'
+    '"1000000US360470001001000","Block 1000, Kings County","7"\n'
+)
+
+
+@pytest.mark.parametrize("suffix", [".shp", ".gpkg", ".geojson", ".parquet"])
+def test_blocks_of_any_format_join_the_table_of_two_header_rows(read, suffix):
+    blocks, issues = read(SF1, f"blocks{suffix}")
+    assert blocks.block_id.tolist() == IDS
+    assert blocks.night_count.tolist() == [123, 0, 1400]
+    np.testing.assert_allclose(blocks.area_m2, 1e4, rtol=1e-4)
+    assert (set(blocks.district), set(blocks.zoning)) == ({OTHER_DISTRICT}, {OTHER})
+    counted = {"blocks_without_count": 1, "blocks_without_district": 3, "counts_without_block": 1}
+    assert {name: number for name, number in issues.items() if number} == counted
+
+
+@pytest.mark.parametrize(
+    ("table", "counts", "num_without"),
+    [
+        ({"people": [1, 2, 3], "name": list("abc"), "block": IDS}, [1, 2, 3], 0),  # whatever columns are called
+        ({"id": IDS, "population": ["1", "n/a", "-4"]}, [1, 0, 0], 2),
+        ({"id": [IDS[0]] * 2, "population": [9, 9]}, [9, 0, 0], 2),  # equal rows count once
+    ],
+)
+def test_a_plain_table_joins_and_a_count_that_cannot_be_read_is_nobody(read, table, counts, num_without):
+    blocks, issues = read(table)
+    assert blocks.night_count.tolist() == counts
+    assert (issues["blocks_without_count"], issues["counts_without_block"]) == (num_without, 0)
+
+
+@pytest.mark.parametrize("as_numbers", [False, True])
+def test_ids_join_also_as_numbers_and_without_their_leading_zero(read, tmp_path, as_numbers):
+    ids = ["060370001001000", "060370001001001"]
+    blocks_in(tmp_path / "b.gpkg", [int(each) for each in ids] if as_numbers else ids)
+    blocks, _ = read({"GEOID": [int(each) for each in ids], "POP100": [5, 6]})
+    assert blocks.night_count.tolist() == [5, 6]
+    assert as_numbers or blocks.block_id.tolist() == ids
+
+
+def test_counts_can_lie_in_the_blocks_file(read, tmp_path):
+    blocks_in(tmp_path / "b.gpkg", POP10=[4, 5, 6], HOUSING10=[1, 2, 3])
+    assert read()[0].night_count.tolist() == [4, 5, 6]
+
+
+def test_only_blocks_that_touch_the_region_are_kept(read):
+    blocks, issues = read(SF1, "b.shp", box(210, 10, 900, 90).bounds)
+    assert blocks.block_id.tolist() == IDS[2:]
+    assert issues["counts_without_block"] == 1  # against the whole file, not the region
+    with pytest.raises(InputError, match="no block that touches the region"):
+        read(SF1, "b.shp", (0, 0, 10, 10))
+
+
+def test_districts_set_label_and_zoning(read, tmp_path):
+    districts = write_vector(tmp_path / "d.gpkg", [box(0, 0, 160, 100), box(160, 0, 200, 100)], BoroCD=[101, 107])
+    blocks, issues = read(SF1, districts=districts, commercial=(101,))
+    assert blocks.district.tolist() == [101, 101, OTHER_DISTRICT]
+    assert blocks.zoning.tolist() == [COM, COM, OTHER]
+    assert issues["blocks_without_district"] == 1
+
+
+@pytest.mark.parametrize(
+    ("field", "sentence"),
+    [
+        ("GEOID20", "no field 'GEOID20' .did you mean 'GEOID10'"),
+        ("TRACT", "id '1' more than once in 'TRACT'"),
+        ("NAME", "joins no block: no column holds ids such as 'x'"),
+    ],
+)
+def test_a_wrong_block_field_is_refused_with_the_remedy(read, tmp_path, field, sentence):
+    blocks_in(tmp_path / "b.gpkg", TRACT=["1", "1", "2"], NAME=["x", "y", "z"])
+    with pytest.raises(InputError, match=sentence):
+        read(SF1, block_field=field)
+
+
+@pytest.mark.data
+def test_manhattan_has_its_census_by_district(data_dir):
+    files = ju.Population(
+        blocks=data_dir / "census/tl_2010_36061_tabblock10.shp",
+        table=data_dir / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
+        districts=data_dir / "districts/nyc_community_districts.geojson",
+    )
+    blocks, issues = read_blocks(files, UTM)
+    assert (len(blocks), issues["blocks_without_count"]) == (3950, 0)
+    night = population_totals(blocks)["night"]
+    assert night == {"commercial": 611_934, "residential": 965_451, "other": 8_488, "total": 1_585_873}
+    assert blocks.night_count[blocks.district == 164].sum() == 25
+    assert set(blocks.district) >= {*range(101, 113), 164, OTHER_DISTRICT}
+
+
+sides = st.tuples(*[st.integers(0, 20)] * 2, *[st.integers(1, 9)] * 2)
+boxes = sides.map(lambda b: (b[0], b[1], b[0] + b[2], b[1] + b[3]))
+
+
+@settings(max_examples=50)
+@given(
+    st.lists(boxes, min_size=1, max_size=6), st.lists(st.tuples(boxes, st.integers(101, 104)), min_size=1, max_size=6)
+)
+def test_largest_overlap_equals_counting_unit_squares(blocks, districts):
+    polygons = shapely.box(*np.array(blocks, float).T)
+    areas = shapely.box(*np.array([corners for corners, _ in districts], float).T)
+    labels = np.array([label for _, label in districts], np.int32)
+    shared = np.zeros((len(blocks), 105), int)
+    for i, (x0, y0, x1, y1) in enumerate(blocks):
+        for (a0, b0, a1, b1), label in districts:
+            shared[i, label] += sum(a0 <= x < a1 and b0 <= y < b1 for x in range(x0, x1) for y in range(y0, y1))
+    expected = np.where(shared.any(axis=1), shared.argmax(axis=1), OTHER_DISTRICT)  # argmax: the smallest label wins
+    np.testing.assert_array_equal(largest_overlap(polygons, areas, labels), expected)
+
+
+@pytest.mark.parametrize(
+    ("districts", "commercial", "labels", "expected"),
+    [
+        (
+            [101, 106, 107, 112, 164, 208, OTHER_DISTRICT],
+            range(101, 107),
+            [*range(101, 113), 164, 208],  # Manhattan's, as in the paper
+            [COM, COM, RES, RES, OTHER, OTHER, OTHER],
+        ),
+        ([101, 106], (101,), range(101, 113), [COM, RES]),  # the rest of the twelve
+        ([1, 2, 3, OTHER_DISTRICT], (1,), (1, 2, 3), [COM, RES, RES, OTHER]),  # another city's
+    ],
+)
+def test_districts_that_are_not_commercial_are_residential_but_for_those_that_nobody_lists(
+    districts, commercial, labels, expected
+):
+    assert zoning_of(np.array(districts), tuple(commercial), labels).tolist() == expected
+
+
+def test_text_labels_are_read_as_numbers_and_reprojected(tmp_path):
+    path = write_vector(tmp_path / "d.geojson", [box(0, 0, 100, 100)], to=WGS84, code=["0104"])
+    polygons, labels, num_invalid = read_districts(path, UTM, "code")
+    assert (labels.tolist(), num_invalid) == ([104], 0)
+    assert shapely.area(polygons) == pytest.approx([1e4], rel=1e-4)
+
+
+def test_invalid_polygons_are_repaired_and_points_and_what_lies_beyond_the_box_left_out():
+    bow_tie = shapely.Polygon([(X, Y), (X + 10, Y + 10), (X + 10, Y), (X, Y + 10)])
+    frame = gpd.GeoDataFrame(
+        geometry=[bow_tie, shapely.Point(X + 6, Y + 1), box(0, 0, 5, 5), box(20, 0, 30, 9)], crs=UTM
+    )
+    cleaned, num_lost, num_invalid = clean_polygons(frame.to_crs(WGS84), UTM, box(4, 0, 15, 10).bounds)
+    assert (num_lost, num_invalid) == (1, 1)
+    assert cleaned.area.to_dict() == pytest.approx({0: 50, 2: 25}, rel=1e-4)
+    assert cleaned.is_valid.all()
+
+
+@pytest.fixture(scope="module")
+def degrees(tmp_path_factory):
+    """Counts on pixels of 3 arc seconds, as WorldPop gives them, a few without data."""
+    rng = np.random.default_rng(0)
+    values = rng.gamma(0.5, 40.0, (30, 40)).astype(np.float32)
+    values[rng.random(values.shape) < 0.1] = -99999.0
+    lon, lat = transformer(UTM, WGS84).transform(X, Y)
+    place = Affine(1 / 1200, 0, lon, 0, -1 / 1200, lat)
+    return write_raster(tmp_path_factory.mktemp("people") / "people.tif", values, place, WGS84, -99999.0)
+
+
+def test_every_person_of_a_raster_is_in_one_block(degrees):
+    blocks, _ = read_blocks(ju.Population(blocks=degrees), UTM)
+    with rasterio.open(degrees) as file:
+        counts = file.read(1, masked=True)
+    assert blocks.night_count.sum() == counts.astype(np.float64).sum()
+    assert len(blocks) == counts.count()
+    np.testing.assert_allclose(shapely.union_all(blocks.polygons).area, blocks.area_m2.sum(), rtol=1e-9)  # no overlap
+
+
+def test_boxes_share_out_people_by_area(degrees):
+    """The boxes of a mesh cut pixels anyhow; together they hold everybody, as GeoPandas counts them too."""
+    blocks, _ = read_blocks(ju.Population(blocks=degrees), UTM)
+    x_min, y_min, x_max, y_max = shapely.total_bounds(blocks.polygons)
+    frame = gpd.GeoDataFrame({"people": blocks.night_count}, geometry=blocks.polygons, crs=UTM)
+    total = 0.0
+    for low_x, high_x in pairwise(np.linspace(x_min, x_max, 4)):
+        for low_y, high_y in pairwise(np.linspace(y_min, y_max, 3)):
+            part = low_x, low_y, high_x, high_y
+            inside = population_totals(blocks, bounds_m=part, is_cut=True)["night"]["total"]
+            cut = gpd.clip(frame, part)
+            assert inside == pytest.approx((cut.people * cut.area / frame.area[cut.index]).sum(), rel=1e-9)
+            total += inside
+    assert total == pytest.approx(blocks.night_count.sum(), rel=1e-12)
+
+
+def test_maps_of_pixels_that_cells_divide_hold_everybody(tmp_path):
+    values = np.arange(1.0, 13.0).reshape(3, 4)
+    blocks, _ = read_blocks(ju.Population(blocks=write_raster(tmp_path / "p.tif", values, north_up(100, 3))), UTM)
+    numbers = (np.array([value]) for value in (30.0, 0.0, np.uint8(0), False))
+    tower = Footprints(np.array([box(11, 11, 29, 29)]), *numbers)
+    city = City(UTM, box(0, 0, 400, 300).bounds, buildings=tower, blocks=blocks)
+    maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0,))
+    cells = maps.m("density", time_of_day="night") * maps.grid.resolution_m**2 / 1e6
+    assert cells.sum(dtype=np.float64) == pytest.approx(values.sum(), rel=1e-6)
+    here = Grid(UTM, 10.0, round(Y / 10), round(X / 10), 30, 40).window_in(maps.grid)
+    np.testing.assert_allclose(cells[here][::-1].reshape(3, 10, 4, 10).sum(axis=(1, 3)), values, rtol=1e-6)
+
+
+def test_districts_and_bounds_of_a_raster_of_people_are_as_of_census_blocks(degrees, tmp_path):
+    everywhere = write_vector(tmp_path / "d.gpkg", [box(-1e4, -1e4, 1e4, 0)], BoroCD=[101])
+    bounds_m = box(500, -900, 800, -500).bounds
+    blocks, _ = read_blocks(ju.Population(blocks=degrees, districts=everywhere), UTM, bounds_m)
+    assert set(blocks.zoning) == {COM}
+    assert blocks.touches(bounds_m).all()
+    assert 10 < len(blocks) < 60
