@@ -21,11 +21,12 @@ from jaxurban.studies.montecarlo.trial import Benchmark
 from jaxurban.studies.weights import sobol
 from tests.cli_runs import run
 from tests.made_maps import made_maps
+from tests.paths.volumes import with_roofs
 from tests.studies.routes_made import write_geojson
 
 ALTITUDE_M = 20.0
 WEIGHTS = ju.Weights(distance=0.05, gps=1.0, lidar=0.5, population=0.7, risk=1.3)
-VECTOR = np.array([WEIGHTS.distance, WEIGHTS.gps, WEIGHTS.lidar, WEIGHTS.population, WEIGHTS.risk])
+VECTOR = np.array([*WEIGHTS.to_dict().values()])
 START, GOAL = (1, 1), (24, 28)
 MODELS = [
     ju.CostModel(kind, 4.0, connectivity, diagonal)
@@ -33,39 +34,47 @@ MODELS = [
 ]
 QUICK_MODELS = [MODELS[k] for k in (0, 3, 5, 6)]  # each value of each part with each other's; the rest is slow
 QUICK = ju.studies.SensitivitySettings(vary=("gps",), num_samples=2, objectives=("distance", "gps"), max_plans=10)
+QUICK_OPTIONS = ("--vary", "gps", "--samples", 2, "--pareto", "distance,gps", "-o")
 REQUIRE = "risk>=0.08"
+REGION = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}
 
 
 @pytest.fixture(scope="module")
 def maps() -> ju.MetricMaps:
     """Maps of scattered obstacles, which many diagonal steps pass at a corner."""
-    maps = made_maps(26, 30)
     rng = np.random.default_rng(4)
-    is_wall = rng.random(maps.grid.shape) < 0.3
+    is_wall = rng.random((26, 30)) < 0.3
     for row, col in (START, GOAL):
         is_wall[row - 1 : row + 2, col - 1 : col + 2] = False
-    maps.ds["obstacle"][:] = is_wall.astype(np.uint8)
-    for name in ("roof", "roof_touched"):
-        maps.ds[name][:] = np.where(is_wall, np.float32(80.0), np.float32(0.0))
+    maps = with_roofs(made_maps(26, 30), np.where(is_wall, 80.0, 0.0))
     for name in ("gps", "lidar", "population", "risk"):
         maps.ds[name][:] = rng.uniform(0.05, 1.0, maps.ds[name].shape).astype(np.float32)
     return maps
 
 
+@pytest.fixture(autouse=True)
+def few_draws(monkeypatch):
+    monkeypatch.setattr(sobol, "NUM_REPEATS", 2)
+    monkeypatch.setattr(sobol, "NUM_NOISE", 2)
+
+
 @pytest.fixture(scope="module")
 def ends(maps) -> tuple:
-    return tuple(tuple(float(v) for v in maps.grid.lonlat_of_cell(*cell)) for cell in (START, GOAL))
+    return tuple(tuple(map(float, maps.grid.lonlat_of_cell(*cell))) for cell in (START, GOAL))
+
+
+@pytest.fixture(scope="module")
+def options(ends) -> tuple:
+    places = (f"--{name}={lon},{lat}" for name, (lon, lat) in zip(("start", "goal"), ends, strict=True))
+    return (*places, "--altitude", ALTITUDE_M, "--json")
 
 
 @pytest.fixture(scope="module")
 def zone_file(maps, ends, tmp_path_factory):
     """A no-fly zone across the straight way between the ends."""
-    middle = np.mean(ends, axis=0)
+    geometry = shapely.geometry.mapping(shapely.LineString(ends).centroid.buffer(0.0004, quad_segs=1))
     file = tmp_path_factory.mktemp("zones") / "zone.geojson"
-    geometry = shapely.geometry.mapping(shapely.Point(middle).buffer(0.0004, quad_segs=1))
-    features = [{"type": "Feature", "properties": {"name": "square"}, "geometry": geometry}]
-    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
-    return file
+    return features_file(file, [{"type": "Feature", "properties": {"name": "square"}, "geometry": geometry}])
 
 
 @pytest.fixture(scope="module")
@@ -73,26 +82,31 @@ def closing(zone_file) -> dict:
     return {"none": ju.Constraints(), "constraints": ju.Constraints.read(zone_file, REQUIRE)}
 
 
+def features_file(file, features):
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    return file
+
+
+def routes_file(file, planned):
+    """Write planned paths into one file and return it."""
+    each = [path.save(file.with_name(f"{number}.geojson")) for number, path in enumerate(planned)]
+    return features_file(file, [json.loads(route.read_text())["features"][0] for route in each])
+
+
 def instances_of(maps) -> pd.DataFrame:
     """The one query of a study."""
-    places = [maps.grid.xy_of_cell(*cell) for cell in (START, GOAL)]
-    row = {"instance": 0, "altitude_m": ALTITUDE_M, "crs": maps.grid.crs}
-    row |= {
-        f"{end}_{axis}_m": value
-        for end, xy in zip(("start", "goal"), places, strict=True)
-        for axis, value in zip("xy", xy, strict=True)
-    }
-    names = ("distance", "gps", "lidar", "population", "risk")
-    return pd.DataFrame([row | {f"w_{name}": value for name, value in zip(names, VECTOR, strict=True)}])
+    names = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
+    ends = dict(zip(names, np.ravel([maps.grid.xy_of_cell(*cell) for cell in (START, GOAL)]), strict=True))
+    weights = {f"w_{name}": weight for name, weight in WEIGHTS.to_dict().items()}
+    return pd.DataFrame([{"instance": 0, "altitude_m": ALTITUDE_M, "crs": maps.grid.crs} | ends | weights])
 
 
 @pytest.fixture(scope="module")
 def plans(maps, ends, closing) -> dict:
     """The path of `plan` under every cost model and constraints."""
+    where = {"altitude_m": ALTITUDE_M, "weights": WEIGHTS}
     return {
-        (model, name): ju.plan(
-            maps, *ends, altitude_m=ALTITUDE_M, weights=WEIGHTS, cost_model=model, constraints=constraints
-        )
+        (model, name): ju.plan(maps, *ends, **where, cost_model=model, constraints=constraints)
         for model in MODELS
         for name, constraints in closing.items()
     }
@@ -108,9 +122,7 @@ def test_each_part_of_a_cost_model_and_constraints_change_the_cost(plans):
 @pytest.mark.parametrize(
     "model", [pytest.param(m, marks=() if m in QUICK_MODELS else pytest.mark.slow) for m in MODELS], ids=str
 )
-def test_every_way_gives_one_path_one_cost(maps, ends, plans, closing, model, constrained, tmp_path, monkeypatch):
-    monkeypatch.setattr(sobol, "NUM_REPEATS", 2)
-    monkeypatch.setattr(sobol, "NUM_NOISE", 2)
+def test_every_way_gives_one_path_one_cost(maps, ends, plans, closing, model, constrained, tmp_path):
     closed = {"constraints": closing[constrained]}
     costs = costs_of_every_way(maps, ends, plans[model, constrained], {"cost_model": model} | closed, closed, tmp_path)
     assert costs == pytest.approx(dict.fromkeys(costs, plans[model, constrained].cost), rel=1e-9)
@@ -164,10 +176,8 @@ def low_roofs(maps) -> ju.MetricMaps:
     ],
 )
 def test_without_a_model_every_way_has_the_rules_of_scenario_and_preset_and_one_cost(
-    low_roofs, ends, preset, planning, rules, tmp_path, monkeypatch, capsys
+    low_roofs, ends, options, preset, planning, rules, tmp_path, capsys
 ):
-    monkeypatch.setattr(sobol, "NUM_REPEATS", 2)
-    monkeypatch.setattr(sobol, "NUM_NOISE", 2)
     under = {"preset": preset} if preset else {}
     kind, rule, clearance_m = rules
     constraints = ju.Constraints(vertical_clearance_m=clearance_m)
@@ -182,35 +192,27 @@ def test_without_a_model_every_way_has_the_rules_of_scenario_and_preset_and_one_
     costs = {"plan": planned.cost} | costs_of_every_way(low_roofs, ends, planned, under, under, tmp_path)
     for planner in ("astar-dist", "astar-plus"):
         costs[planner] = ju.plan(low_roofs, *ends, **where, **under, planner=planner).cost
-    places = [f"--{name}={lon},{lat}" for name, (lon, lat) in zip(("start", "goal"), ends, strict=True)]
-    quick = ("--vary", "gps", "--samples", 2, "--pareto", "distance,gps", "-o", tmp_path / "study-of-one")
-    options = ("--altitude", ALTITUDE_M, "--json", *(("--preset", preset) if preset else ()))
-    for command, more in (("plan", ()), ("sensitivity", quick)):
-        facts = json.loads(run(capsys, command, tmp_path / "maps", *places, *options, *more)[1])
+    options += ("--preset", preset) if preset else ()
+    for command, more in (("plan", ()), ("sensitivity", (*QUICK_OPTIONS, tmp_path / "study-of-one"))):
+        facts = json.loads(run(capsys, command, tmp_path / "maps", *options, *more)[1])
         costs[f"the command {command}"] = facts.get("route", facts)["cost"]
     assert costs == pytest.approx(dict.fromkeys(costs, expected.cost), rel=1e-9)
 
 
-def test_a_preset_sets_only_what_is_left_out(low_roofs, ends):
+def test_a_preset_sets_only_what_is_left_out(low_roofs):
     paper = {"altitude_m": ALTITUDE_M, "preset": "paper"}
     assert ju.cost_map(low_roofs, **paper, cost_model="line").cost_model.kind == "line"
     kept = ju.cost_map(low_roofs, **paper, constraints=ju.Constraints(vertical_clearance_m=3.0))
     assert kept.constraints.vertical_clearance_m == 3.0
     bounded = ju.cost_map(low_roofs, **paper, constraints=ju.Constraints.read(require="gps>=0.1"))
     assert (bounded.constraints.vertical_clearance_m, bounded.maps.obstacles) == (0.0, "centre")
-    with pytest.raises(ju.InputError, match="preset must be '' or 'paper', got 'papers'"):
-        ju.plan(low_roofs, *ends, altitude_m=ALTITUDE_M, preset="papers")
-    region = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}
-    planning = ju.Scenario.from_dict(region | {"planning": {"preset": "paper", "clearance_m": 2.0}}).planning
-    assert (planning.cost_model, planning.obstacles, planning.clearance_m) == ("cell", "centre", 2.0)
-    assert planning.vertical_clearance_m == 0.0
-    again = ju.Scenario.from_dict(region).planning
-    assert (again.cost_model, again.obstacles, again.vertical_clearance_m, again.budget_s) == (
-        "line",
-        "touched",
-        3.0,
-        10.0,
-    )
+    for planning, expected in (
+        ({"preset": "paper", "clearance_m": 2.0}, {"cost_model": "cell", "obstacles": "centre", "clearance_m": 2.0}),
+        ({"preset": "paper"}, {"vertical_clearance_m": 0.0}),
+        ({}, {"cost_model": "line", "obstacles": "touched", "vertical_clearance_m": 3.0, "budget_s": 10.0}),
+    ):
+        kept = vars(ju.Scenario.from_dict(REGION | {"planning": planning}).planning)
+        assert expected.items() <= kept.items()
 
 
 @pytest.fixture(scope="module")
@@ -219,39 +221,25 @@ def folder(maps, tmp_path_factory):
     folder = tmp_path_factory.mktemp("maps")
     write_zarr(maps.ds, folder)
     planning = ju.CostModel("line", 4.0, 4, "always").settings
-    settings = {"planning": planning, "weights": WEIGHTS.to_dict()}
-    write_json(folder / "run.json", {"settings": settings})
+    write_json(folder / "run.json", {"settings": {"planning": planning, "weights": WEIGHTS.to_dict()}})
     return folder
 
 
 def test_commands_plan_one_path_under_the_scenarios_cost_model_and_the_same_constraints(
-    folder, ends, plans, zone_file, tmp_path, capsys
+    folder, options, plans, zone_file, tmp_path, capsys
 ):
-    places = [f"--{name}={lon},{lat}" for name, (lon, lat) in zip(("start", "goal"), ends, strict=True)]
-    where = (folder, *places, "--altitude", ALTITUDE_M, "--json")
-    quick = ("--vary", "gps", "--samples", 2, "--pareto", "distance,gps", "-o", tmp_path)
-    model, options = ju.CostModel("line", 4.0, 4, "always"), ("--no-fly", zone_file, "--require", REQUIRE)
+    where = (folder, *options, "--no-fly", zone_file, "--require", REQUIRE)
+    expected = plans[ju.CostModel("line", 4.0, 4, "always"), "constraints"]
     for found in (
-        json.loads(run(capsys, "plan", *where, *options)[1]),
-        json.loads(run(capsys, "sensitivity", *where, *options, *quick)[1])["route"],
+        json.loads(run(capsys, "plan", *where)[1]),
+        json.loads(run(capsys, "sensitivity", *where, *QUICK_OPTIONS, tmp_path)[1])["route"],
     ):
-        assert found["cost"] == pytest.approx(plans[model, "constraints"].cost, rel=1e-9)
-        assert found["settings"] == plans[model, "constraints"].settings
-    said = (tmp_path / "report.md").read_text()
-    assert (
+        assert found["cost"] == pytest.approx(expected.cost, rel=1e-9)
+        assert found["settings"] == expected.settings
+    rules = (
         "'line' (reference length 4 m, 4 neighbours, diagonal steps 'always'), constraints: 1 no-fly zone, risk>=0.08"
-        in said
     )
-
-
-def routes_file(file, planned):
-    """Write planned paths into one file and return it."""
-    features = []
-    for number, path in enumerate(planned):
-        write_path(path, file.with_name(f"{number}.geojson"))
-        features += json.loads(file.with_name(f"{number}.geojson").read_text())["features"]
-    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
-    return file
+    assert rules in (tmp_path / "report.md").read_text()
 
 
 def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_differing_ones_are_told(
@@ -318,20 +306,16 @@ def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(folde
 
 def test_a_studys_queries_keep_to_its_constraints_and_are_joined_by_its_rule_for_diagonal_steps(maps, closing):
     constraints = closing["constraints"]
+    is_free = constraints.is_free(maps, ALTITUDE_M)
     for diagonal, islands in (("both-free", None), ("always", np.ones((3, 3)))):
-        model = ju.CostModel("line", 5.0, 8, diagonal)
-        asked = ju.studies.sample_instances(
-            maps, 30, altitudes_m=[ALTITUDE_M], cost_model=model, constraints=constraints
-        )
-        is_free = constraints.is_free(maps, ALTITUDE_M)
+        how = {"altitudes_m": [ALTITUDE_M], "cost_model": ju.CostModel("line", 5.0, 8, diagonal)}
+        asked = ju.studies.sample_instances(maps, 30, **how, constraints=constraints)
         labels, _ = label(is_free, islands)
         ends = [labels[maps.grid.cell_of_xy(asked[f"{end}_x_m"], asked[f"{end}_y_m"])] for end in ("start", "goal")]
         assert np.all(ends)  # 0 where no path may fly
         assert ((ends[0] == ends[1]) == asked.is_connected).all()
-        open_maps = ju.studies.sample_instances(maps, 30, altitudes_m=[ALTITUDE_M], cost_model=model)
-        assert not constraints.is_free(maps, ALTITUDE_M)[
-            maps.grid.cell_of_xy(open_maps.start_x_m, open_maps.start_y_m)
-        ].all()
+        anywhere = ju.studies.sample_instances(maps, 30, **how)
+        assert not is_free[maps.grid.cell_of_xy(anywhere.start_x_m, anywhere.start_y_m)].all()
 
 
 def test_a_folder_keeps_one_study_under_one_set_of_constraints(maps, closing, tmp_path):
@@ -344,17 +328,13 @@ def test_a_folder_keeps_one_study_under_one_set_of_constraints(maps, closing, tm
     kept = json.loads((tmp_path / "checksums.json").read_text())["study"]["settings"]
     assert ju.CostModel.from_settings(kept) == ju.CostModel("line")
     assert kept["set of constraints"] == str(closing["constraints"])
-    with pytest.raises(
-        ju.InputError,
-        match=r"its set of constraints is 1 no-fly zone, risk>=0.08, vertical clearance of 3 m, now vertical",
-    ):
+    other = "its set of constraints is 1 no-fly zone, risk>=0.08, vertical clearance of 3 m, now vertical"
+    with pytest.raises(ju.InputError, match=other):
         study()
     (zone,) = closing["constraints"].zones
-    redrawn = dataclasses.replace(
-        closing["constraints"], zones=(dataclasses.replace(zone, polygon=zone.polygon.buffer(1e-4)),)
-    )
+    redrawn = dataclasses.replace(zone, polygon=zone.polygon.buffer(1e-4))
     with pytest.raises(ju.InputError, match="outlines of no-fly zones"):
-        study(redrawn)
+        study(dataclasses.replace(closing["constraints"], zones=(redrawn,)))
     settings = Benchmark(constraints=closing["constraints"])
     assert pickle.loads(pickle.dumps(settings)) == settings  # so that a worker reads its maps once
     assert len({settings, pickle.loads(pickle.dumps(settings))}) == 1

@@ -1,209 +1,373 @@
-"""Paths written for other programs are read back by those programs' own readers."""
+"""Paths written for other programs are read back by those programs' own readers, over hills and flat ground."""
 
 import json
-from dataclasses import dataclass, field, replace
-from typing import Any
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
-import geopandas
+import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
+from scipy.interpolate import RegularGridInterpolator
 
+from benchmarks.random_routes import READERS
 from jaxurban.io.read.zone import Zone
+from jaxurban.paths.export.base import GROUND_TOLERANCE_M
+from jaxurban.paths.export.qgc_plan import height_note
 from jaxurban.paths.export.write import write_path
-from jaxurban.paths.path import Ground
+from jaxurban.paths.path import elevation_at, ground_along
 from jaxurban.planners.base import Status
 from jaxurban.world.grid import Grid
+from tests.mavlink import mission_reader
+from tests.paths.volumes import made_path
 
 GRID = Grid("EPSG:32618", 5.0, 901_000, 116_600, 400, 400)
 KML = {"k": "http://www.opengis.net/kml/2.2"}
-
-
-@dataclass(frozen=True)
-class Route:
-    """A path as `plan` returns it, without the planning."""
-
-    xy_m: np.ndarray
-    status: Status = Status.OPTIMAL
-    altitude_m: float = 60.0
-    facts: dict[str, Any] = field(default_factory=dict)
-    climb_m: float = 0.0
-    ground: Ground | None = None
-    crs: str = GRID.crs
-    zones: tuple[Zone, ...] = ()
-    cautions: tuple[str, ...] = ()
-    maps: None = None
-
-    @property
-    def z_m(self):
-        """Rises by ``climb_m`` at the fourth point, and stays there."""
-        return self.altitude_m + self.climb_m * (np.arange(len(self.xy_m)) >= 3)
-
-    @property
-    def lonlat(self):
-        return np.stack(GRID.lonlat_of_xy(*self.xy_m.T), axis=-1)
-
-    def to_dict(self):
-        return {
-            "planner": "astar-plus",
-            "message": "Cheapest & best < 1.",
-            "altitude_m": self.altitude_m,
-            "cost": 12.5,
-            "lower_bound": None,
-            "cost_by_layer": {"distance": 2.5, "gps": 10.0},
-            "metrics": {"gps": 0.75, "risk": 0.5},
-            **self.facts,
-        }
+GPX = "{http://www.topografix.com/GPX/1/1}"
+RTE_ORDER = ("name", "cmt", "desc", "src", "link", "number", "type", "extensions", "rtept")  # of GPX 1.1's schema
+WPT_ORDER = ("ele", "time", "magvar", "geoidheight", "name", "cmt", "desc", "src", "link", "sym", "type")
+SIDE_M = GRID.num_cols * GRID.resolution_m
+CORNER_M = np.array([GRID.x_min_m, GRID.y_min_m])
+RASTER_M = 0.02  # what a raster of 5 m cells loses of the hill below
 
 
 def staircase() -> np.ndarray:
     """300 points: 100 steps east, 100 north-east, 99 north."""
     steps = np.repeat([[1, 0], [1, 1], [0, 1]], [100, 100, 99], axis=0)
     cells = np.vstack([[0, 0], np.cumsum(steps, axis=0)])
-    return np.array([GRID.x_min_m, GRID.y_min_m]) + (cells + 0.5) * GRID.resolution_m
+    return CORNER_M + (cells + 0.5) * GRID.resolution_m
 
 
 @pytest.fixture
-def route() -> Route:
-    return Route(staircase())
+def route():
+    return made_path(GRID, staircase(), note="Cheapest & best < 1.")
 
 
-def test_geojson_is_read_by_geopandas_at_the_same_place(route, tmp_path):
+def plan_in(file) -> dict:
+    return json.loads(file.read_text())
+
+
+def test_geojson_is_read_by_geopandas_at_the_same_place_and_holds_no_nan(route, tmp_path):
     file = tmp_path / "path.geojson"
+    file.write_text("old")
     assert write_path(route, file)
-    frame = geopandas.read_file(file)
-    assert len(frame) == 1
-    assert frame.crs.to_epsg() == 4326
-    assert frame["cost"][0] == 12.5
-    assert frame["altitude_m"][0] == 60.0
-    assert frame[["mean_gps", "mean_risk"]].to_numpy().tolist() == [[0.75, 0.5]]  # beside the nested ``metrics``
-    assert frame["cost_gps"][0] == 10.0
-    line = frame.to_crs(GRID.crs).geometry[0]
-    assert not line.has_z
-    np.testing.assert_allclose(shapely.get_coordinates(line), route.xy_m, atol=0.02)
-
-
-def test_geojson_keeps_nested_properties_and_writes_no_nan(route, tmp_path):
-    write_path(route, tmp_path / "path.geojson")
-    text = (tmp_path / "path.geojson").read_text()
-    (feature,) = json.loads(text, parse_constant=pytest.fail)["features"]
+    assert [each.name for each in tmp_path.iterdir()] == ["path.geojson"]  # no scrap stays
+    (frame,) = gpd.read_file(file).to_crs(GRID.crs).itertuples()
+    assert (frame.cost, frame.altitude_m, frame.cost_gps) == (1234.56, 60.0, 1000.0)
+    assert (frame.mean_gps, frame.mean_risk) == (0.75, 0.5)  # beside the nested ``metrics``
+    assert gpd.read_file(file).crs.to_epsg() == 4326
+    assert not frame.geometry.has_z
+    np.testing.assert_allclose(shapely.get_coordinates(frame.geometry), route.xy_m, atol=0.02)
+    (feature,) = json.loads(file.read_text(), parse_constant=pytest.fail)["features"]
     assert feature["properties"]["metrics"] == {"gps": 0.75, "risk": 0.5}
     assert feature["properties"]["lower_bound"] is None
 
 
-def test_kml_line_lies_at_its_altitude_above_ground(route, tmp_path):
+def test_kml_is_read_by_gdal_and_its_line_lies_at_its_altitude_above_ground(route, tmp_path):
     file = tmp_path / "path.kml"
     assert write_path(route, file)
     root = ElementTree.parse(file).getroot()
-    assert root.findtext(".//k:description", namespaces=KML) == "Cheapest & best < 1."
+    assert root.findtext(".//k:description", namespaces=KML).endswith("Cheapest & best < 1.")
     assert json.loads(root.findtext(".//k:Data[@name='metrics']/k:value", namespaces=KML))["gps"] == 0.75
-    line = root.find(".//k:LineString", KML)
-    assert line.findtext("k:altitudeMode", namespaces=KML) == "relativeToGround"
-    points = np.array(
-        [[float(v) for v in p.split(",")] for p in line.findtext("k:coordinates", namespaces=KML).split()]
-    )
-    np.testing.assert_allclose(points[:, :2], route.lonlat, atol=1e-7)
-    assert np.all(points[:, 2] == 60.0)
-
-
-def test_kml_is_read_by_gdal(route, tmp_path):
-    write_path(route, tmp_path / "path.kml")
-    line = geopandas.read_file(tmp_path / "path.kml").geometry[0]
-    np.testing.assert_allclose(shapely.get_coordinates(line), route.lonlat, atol=1e-7)
+    assert root.findtext(".//k:LineString/k:altitudeMode", namespaces=KML) == "relativeToGround"
+    lonlatz = shapely.get_coordinates(gpd.read_file(file).geometry[0], include_z=True)
+    np.testing.assert_allclose(lonlatz[:, :2], route.lonlat, atol=1e-7)
+    assert np.all(lonlatz[:, 2] == 60.0)
 
 
 def test_plan_has_a_waypoint_at_turns_only(route, tmp_path):
     file = tmp_path / "path.plan"
     assert write_path(route, file)
-    plan = json.loads(file.read_text())
+    plan = plan_in(file)
     assert (plan["fileType"], plan["version"], plan["groundStation"]) == ("Plan", 1, "QGroundControl")
     items = plan["mission"]["items"]
-    assert [item["command"] for item in items] == [22, 16, 16, 16, 21]
     assert [item["doJumpId"] for item in items] == [1, 2, 3, 4, 5]
-    assert all(item["frame"] == 3 for item in items)
     assert [item["params"][6] for item in items] == [60.0, 60.0, 60.0, 60.0, 0.0]
     assert items[4]["params"][4:6] == items[3]["params"][4:6]
-    latlon = np.array([item["params"][4:6] for item in items[:4]])
-    np.testing.assert_allclose(latlon[:, ::-1], route.lonlat[[0, 100, 200, 299]], atol=1e-7)
-    assert plan["mission"]["plannedHomePosition"][:2] == items[0]["params"][4:6]
-
-
-def test_plan_keeps_a_path_that_turns_back_on_itself(tmp_path):
+    np.testing.assert_allclose(READERS[".plan"](file)[:, :2], route.lonlat[[0, 100, 200, 299]], atol=1e-7)
     there_and_back = np.array([[0.0, 0], [100, 0], [50, 0]]) + staircase()[0]
-    write_path(Route(there_and_back), tmp_path / "path.plan", end="none")
-    assert len(json.loads((tmp_path / "path.plan").read_text())["mission"]["items"]) == 3
+    write_path(made_path(GRID, there_and_back), file, end="none")
+    assert len(plan_in(file)["mission"]["items"]) == 3
 
 
 @pytest.mark.parametrize("suffix", [".geojson", ".kml", ".gpx", ".plan", ".KML"])
 def test_path_from_a_place_to_itself_is_written(suffix, tmp_path):
-    assert write_path(Route(staircase()[:1]), tmp_path / f"path{suffix}")
+    assert write_path(made_path(GRID, staircase()[:1]), tmp_path / f"path{suffix}")
     assert (tmp_path / f"path{suffix}").stat().st_size > 0
 
 
-def test_without_a_path_nothing_is_written_and_an_old_file_stays(route, tmp_path):
+def test_without_a_path_nothing_is_written_and_an_old_file_stays(tmp_path):
     old = tmp_path / "path.kml"
     old.write_text("old")
-    blocked = replace(route, status=Status.BLOCKED, xy_m=np.empty((0, 2)))
+    blocked = made_path(GRID, [], status=Status.BLOCKED)
     assert not write_path(blocked, tmp_path / "path.geojson")
     assert not write_path(blocked, old)
-    assert [file.name for file in tmp_path.iterdir()] == ["path.kml"]
-    assert old.read_text() == "old"
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("path.kml", "old")]
 
 
-def test_an_old_file_is_replaced_and_no_scrap_stays(route, tmp_path):
-    (tmp_path / "path.geojson").write_text("old")
-    write_path(route, tmp_path / "path.geojson")
-    assert [file.name for file in tmp_path.iterdir()] == ["path.geojson"]
-    assert json.loads((tmp_path / "path.geojson").read_text())["type"] == "FeatureCollection"
-
-
-def test_a_climb_on_a_straight_line_is_a_waypoint_with_its_altitude_in_every_format(tmp_path):
-    east = np.column_stack([np.linspace(0, 45, 10), np.zeros(10)]) + staircase()[0]
-    route = Route(east, climb_m=12.25)
-    for suffix in (".geojson", ".kml", ".plan"):
-        write_path(route, tmp_path / f"path{suffix}")
-    items = json.loads((tmp_path / "path.plan").read_text())["mission"]["items"]
-    assert [item["Altitude"] for item in items] == [60.0, 60.0, 72.25, 72.25, 0.0]
-    frame = geopandas.read_file(tmp_path / "path.geojson")
-    assert list(frame["z_m"][0]) == route.z_m.tolist()
-    text = ElementTree.parse(tmp_path / "path.kml").find(".//{*}coordinates").text
-    assert [float(point.split(",")[2]) for point in text.split()] == route.z_m.tolist()
-
-
-@dataclass(frozen=True)
-class Report:
-    """What `explain` tells, without the explaining."""
-
-    lines: tuple[np.ndarray, ...]
-
-    def to_dict(self):
-        segments = [{"segment": 1, "cost": 5.0, "people_overflown": None}, {"segment": 2, "cost": 7.5}]
-        return {"speed_m_s": 12.0, "people_overflown": 31.5, "segments": segments}
-
-
-@pytest.fixture
-def report(route) -> Report:
-    return Report((route.lonlat[:150], route.lonlat[149:]))
-
-
-def test_geojson_with_a_report_holds_the_path_and_a_line_for_each_segment(route, report, tmp_path):
-    file = tmp_path / "path.geojson"
-    assert write_path(route, file, report)
-    path, first, second = json.loads(file.read_text(), parse_constant=pytest.fail)["features"]
-    assert (path["properties"]["cost"], path["properties"]["people_overflown"]) == (12.5, 31.5)
-    assert "segments" not in path["properties"]
-    assert (first["properties"]["segment"], second["properties"]["cost"]) == (1, 7.5)
-    frame = geopandas.read_file(file)
+def test_files_take_the_facts_of_a_report_and_geojson_a_line_for_each_segment(route, tmp_path):
+    segments = [{"segment": 1, "cost": 5.0, "people_overflown": None}, {"segment": 2, "cost": 7.5}]
+    facts = {"speed_m_s": 12.0, "people_overflown": 31.5, "segments": segments}
+    report = SimpleNamespace(lines=(route.lonlat[:150], route.lonlat[149:]), to_dict=facts.copy)
+    files = {suffix: tmp_path / f"path{suffix}" for suffix in READERS}
+    assert all(write_path(route, file, report) for file in files.values())
+    features = json.loads(files[".geojson"].read_text(), parse_constant=pytest.fail)["features"]
+    path, first, second = (feature["properties"] for feature in features)
+    assert (path["cost"], path["people_overflown"], "segments" in path) == (1234.56, 31.5, False)
+    assert (first["segment"], second["cost"]) == (1, 7.5)
+    frame = gpd.read_file(files[".geojson"])
     assert frame["segment"].tolist()[1:] == [1, 2]
-    whole = shapely.line_merge(shapely.union_all(frame.geometry[1:].to_list()))
-    assert whole.equals(frame.geometry[0])
-
-
-def test_kml_and_plan_take_the_facts_of_a_report(route, report, tmp_path):
-    write_path(route, tmp_path / "path.kml", report)
-    root = ElementTree.parse(tmp_path / "path.kml").getroot()
+    assert shapely.line_merge(shapely.union_all(frame.geometry[1:].to_list())).equals(frame.geometry[0])
+    root = ElementTree.parse(files[".kml"]).getroot()
     assert root.findtext(".//k:Data[@name='people_overflown']/k:value", namespaces=KML) == "31.5"
-    write_path(route, tmp_path / "path.plan", report)
-    mission = json.loads((tmp_path / "path.plan").read_text())["mission"]
+    mission = plan_in(files[".plan"])["mission"]
     assert (mission["cruiseSpeed"], mission["hoverSpeed"]) == (12.0, 12.0)
+
+
+@pytest.fixture(scope="module")
+def reader():
+    with mission_reader() as reader:
+        yield reader
+
+
+def hill_m(x_m, y_m):
+    """Return the ground's elevation: 120 m of relief, slopes up to 46 %."""
+    return 75.0 + 40.0 * np.sin(x_m / 160.0) * np.cos(y_m / 210.0) + 20.0 * np.sin((x_m + y_m) / 330.0)
+
+
+HILL_M = hill_m(*np.meshgrid(*((np.arange(GRID.num_cols) + 0.5) * GRID.resolution_m,) * 2))
+
+
+def random_route(seed: int, over_hill: bool):
+    """Return up to 12 points anywhere, level or climbing; on odd seeds along the grid, at cells' middles."""
+    rng = np.random.default_rng(seed)
+    points_m = rng.uniform(20, SIDE_M - 20, (rng.integers(2, 13), 2))
+    if seed % 2:
+        steps = np.repeat(rng.integers(-1, 2, (8, 2)), rng.integers(1, 25, 8), axis=0)
+        points_m = (np.clip(200 + np.cumsum(steps, axis=0), 0, 399) + 0.5) * GRID.resolution_m
+    z_m = 60.0 if seed % 4 < 2 else rng.uniform(20, 120, len(points_m))
+    return made_path(GRID, points_m + CORNER_M, z_m, ground=ground_along(points_m, HILL_M, GRID) if over_hill else None)
+
+
+@pytest.mark.parametrize("over_hill", [True, False])
+def test_what_mavsdk_reads_is_the_path_in_place_and_in_height(over_hill, reader, tmp_path):
+    file = tmp_path / "path.plan"
+    num_added = 0
+    for seed in range(25):
+        route = random_route(seed, over_hill)
+        assert write_path(route, file)
+        assert reader.differences(file) == []
+        commands, places = reader.read(file)
+        assert commands == [22] + [16] * (len(places) - 2) + [21]
+        landing, places = places[-1], places[:-1]
+        np.testing.assert_allclose(landing[:2], places[-1, :2], atol=1e-7)
+        assert -0.02 < places[-1, 2] - landing[2] - route.z_m[-1] < GROUND_TOLERANCE_M
+        lat, lon, home_m = plan_in(file)["mission"]["plannedHomePosition"]
+        np.testing.assert_allclose([lon, lat], route.lonlat[0], atol=1e-7)
+        xy_m = np.column_stack(GRID.xy_of_lonlat(*places[:, :2].T)) - CORNER_M
+        path = shapely.LineString(np.column_stack([route.xy_m - CORNER_M, route.z_m]))
+        flown = shapely.LineString(np.column_stack([xy_m, places[:, 2]]))
+        assert flown.hausdorff_distance(path) < 0.03  # a centimetre, and the digits of a degree
+        # Walked along in step, so that a path that crosses itself cannot hide a wrong height.
+        share = np.linspace(0, 1, 4000)
+        here, planned = (
+            shapely.get_coordinates(shapely.line_interpolate_point(line, share, normalized=True), include_z=True)
+            for line in (flown, path)
+        )
+        assert np.hypot(*(here - planned)[:, :2].T).max() < 0.2
+        ground_m = hill_m(*here[:, :2].T) if over_hill else 0.0
+        missed_m = home_m + here[:, 2] - ground_m - planned[:, 2]
+        if over_hill:
+            assert home_m == pytest.approx(hill_m(*(route.xy_m[0] - CORNER_M)), abs=RASTER_M)
+            # and what z changes over 0.2 m of a climb
+            assert -0.25 < missed_m.min() < missed_m.max() < GROUND_TOLERANCE_M + 0.25
+            num_added += len(places) - len(shapely.get_coordinates(path.simplify(0.01)))
+        else:
+            assert home_m == 0.0
+            assert np.abs(missed_m).max() < 0.3
+    assert num_added > 50 or not over_hill
+
+
+def test_only_ground_that_bends_adds_waypoints(tmp_path):
+    ends_m = np.array([[100.0, 1000.0], [1900.0, 1000.0]])
+    x_m = (np.arange(GRID.num_cols) + 0.5) * GRID.resolution_m
+    slope_m = np.tile(0.1 * x_m, (GRID.num_rows, 1))
+    ridge_m = np.tile(100.0 - 0.1 * np.abs(x_m - 1002.5), (GRID.num_rows, 1))
+    for terrain_m, heights_m in ((slope_m, [60.0, 240.0]), (ridge_m, [60.0, 150.25, 60.5])):
+        write_path(
+            made_path(GRID, ends_m + CORNER_M, ground=ground_along(ends_m, terrain_m, GRID)), tmp_path / "path.plan"
+        )
+        items = plan_in(tmp_path / "path.plan")["mission"]["items"]
+        np.testing.assert_allclose([item["Altitude"] for item in items[:-1]], heights_m, atol=0.3)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "slope", "bump_m"), [(".plan", 0.2, 3.0), (".gpx", 0.2, 3.0), (".kml", 0.2, 3.0), (".plan", 0.54, 8.0)]
+)
+def test_no_leg_of_a_file_is_lower_over_the_ground_than_planned_nor_a_metre_higher(suffix, slope, bump_m, tmp_path):
+    """Over bumps from cell to cell on a slope; bilinear ground, each written leg sampled every 5 cm."""
+    rng, file = np.random.default_rng(0), tmp_path / f"path{suffix}"
+    terrain_m = slope * (GRID.x_m - GRID.x_min_m) + rng.uniform(0.0, bump_m, GRID.shape)
+    for seed in range(8):
+        points_m = random_route(seed, over_hill=False).xy_m - CORNER_M
+        ground = ground_along(points_m, terrain_m, GRID)
+        write_path(made_path(GRID, points_m + CORNER_M, 60.004, ground=ground), file)
+        xyz_m = heights_over_the_sea(file, terrain_m)
+        at = np.linspace(0, len(xyz_m) - 1, 100 * len(xyz_m) + 1)
+        x_m, y_m, z_m = (np.interp(at, np.arange(len(xyz_m)), values) for values in xyz_m.T)
+        above_m = z_m - elevation_at(x_m, y_m, terrain_m, GRID.resolution_m)
+        # 2 cm aside, by digits of a degree and bends left out, the ground is a centimetre or two higher
+        assert 60.004 - 0.02 < above_m.min() < above_m.max() < 60.004 + GROUND_TOLERANCE_M
+        assert above_m.max() > 60.3
+
+
+def heights_over_the_sea(file, terrain_m) -> np.ndarray:
+    """Return x, y and the elevation of the points that a file's straight legs join, ``[W, 3]``."""
+    if file.suffix == ".gpx":
+        points = ElementTree.parse(file).getroot().iter(f"{GPX}rtept")
+        lonlatz = np.array([[float(p.get("lon")), float(p.get("lat")), float(p.findtext(f"{GPX}ele"))] for p in points])
+    else:
+        lonlatz = READERS[file.suffix](file)
+    x_m, y_m = np.subtract(np.stack(GRID.xy_of_lonlat(*lonlatz[:, :2].T)), CORNER_M[:, None])
+    zero_m = 0.0
+    if file.suffix == ".kml":
+        zero_m = elevation_at(x_m, y_m, terrain_m, GRID.resolution_m)
+    elif file.suffix == ".plan":
+        zero_m = plan_in(file)["mission"]["plannedHomePosition"][2]
+    return np.column_stack([x_m, y_m, lonlatz[:, 2] + zero_m])
+
+
+def test_files_say_which_height_they_give_and_what_the_ground_is_taken_for(tmp_path):
+    for over_hill, words in ((False, "level ground is assumed"), (True, "vertical datum")):
+        route = random_route(3, over_hill)
+        for suffix in READERS:
+            write_path(route, tmp_path / f"path{suffix}")
+        assert words in height_note(route)
+        assert words in plan_in(tmp_path / "path.plan")["note"]
+        (feature,) = plan_in(tmp_path / "path.geojson")["features"]
+        assert ("ground_m" in feature["properties"]) == over_hill
+    for suffix in (".geojson", ".kml"):
+        said = (tmp_path / f"path{suffix}").read_text()
+        assert "metres above the ground below each point, not above sea level" in said
+    expected_m = hill_m(*(route.xy_m - CORNER_M).T)
+    np.testing.assert_allclose(feature["properties"]["ground_m"], expected_m, atol=RASTER_M)
+    assert "zero of the terrain file" in feature["properties"]["ground_reference"]
+
+
+def test_the_ground_is_that_of_scipys_interpolation_and_of_the_cell_beside_missing_data():
+    rng = np.random.default_rng(0)
+    terrain_m = rng.uniform(0, 50, (7, 9))
+    x_m, y_m = rng.uniform(1, 17, 200), rng.uniform(1, 13, 200)
+    by_scipy = RegularGridInterpolator((np.arange(7) * 2 + 1.0, np.arange(9) * 2 + 1.0), terrain_m)
+    np.testing.assert_allclose(elevation_at(x_m, y_m, terrain_m, 2.0), by_scipy(np.column_stack([y_m, x_m])))
+    assert elevation_at(np.array([0.1]), np.array([0.2]), terrain_m, 2.0) == terrain_m[0, 0]
+    terrain_m[3, 4] = np.nan
+    assert elevation_at(np.array([7.5]), np.array([7.0]), terrain_m, 2.0) == terrain_m[3, 3]
+    one = Grid(GRID.crs, 5.0, 0, 0, 1, 1)
+    assert ground_along(np.array([[2.0, 2.0]]), np.array([[7.0]]), one).elevation_m.tolist() == [7.0]
+
+
+@pytest.mark.parametrize(
+    ("end", "last", "said"),
+    [
+        (None, [21], "landing at the goal"),
+        ("land", [21], "landing at the goal"),
+        ("return", [20], "not checked"),
+        ("none", [], "without"),
+    ],
+)
+@pytest.mark.parametrize("speed_m_s", [None, 7.5])
+def test_a_mission_sets_its_speed_after_take_off_and_ends_as_it_is_told(end, last, said, speed_m_s, reader, tmp_path):
+    route, file = random_route(4, over_hill=True), tmp_path / "path.plan"
+    report = SimpleNamespace(to_dict=lambda: {"speed_m_s": speed_m_s, "segments": []})
+    write_path(route, file, None if speed_m_s is None else report, end=end)
+    assert reader.differences(file) == []
+    items, _ = reader.items(file)
+    speed = [] if speed_m_s is None else [178]
+    commands = [item.command for item in items]
+    assert commands == [22, *speed, *[16] * (len(items) - 1 - len(speed) - len(last)), *last]
+    if speed:
+        assert (items[1].param1, items[1].param2, items[1].param3) == (1.0, 7.5, -1.0)
+    assert said in plan_in(file)["note"]
+
+
+def zoned(zones):
+    """A level route at 60 m along the middle of the region."""
+    return made_path(GRID, np.array([[200.0, 1000.0], [1800.0, 1000.0]]) + CORNER_M, zones=tuple(zones))
+
+
+def disc(x_m, y_m, radius_m) -> shapely.Polygon:
+    return shapely.Point(CORNER_M[0] + x_m, CORNER_M[1] + y_m).buffer(radius_m)
+
+
+def square(x_m, y_m, half_m, **heights) -> Zone:
+    return Zone(f"{x_m:g},{y_m:g}", shapely.envelope(disc(x_m, y_m, half_m)), GRID.crs, **heights)
+
+
+def in_degrees(shape):
+    return shapely.transform(shape, lambda xy_m: np.column_stack(GRID.lonlat_of_xy(*xy_m.T)))
+
+
+def in_metres(shape):
+    return shapely.transform(shape, lambda lonlat: np.column_stack(GRID.xy_of_lonlat(*lonlat.T)))
+
+
+def test_zones_near_the_route_at_its_heights_are_the_geofence_without_holes_and_others_are_told(reader, tmp_path):
+    ring = disc(1000, 1400, 200).difference(shapely.union_all([disc(920, 1400, 40), disc(1080, 1400, 40)]))
+    held = [square(600, 1300, 100), square(1500, 800, 50, floor_m=50.0, ceiling_m=60.0), Zone("ring", ring, GRID.crs)]
+    lonlat = Zone("degrees", in_degrees(disc(1000, 600, 80)))
+    left_out = [square(1000, 1000, 30, ceiling_m=50.0), square(300, 1200, 40, floor_m=61.0)]
+    far = [square(1000, 9000, 100)]
+    file = tmp_path / "path.plan"
+    write_path(zoned([*held, lonlat, *left_out, *far]), file)
+    assert reader.differences(file) == []
+    plan = plan_in(file)
+    assert "keeps out of 4 no-fly zones within 1 km" in plan["note"]
+    assert "2 above or below the flight are left out" in plan["note"]
+    rings = [np.array(ring["polygon"])[:, ::-1] for ring in plan["geoFence"]["polygons"]]
+    fenced = in_metres(shapely.union_all([shapely.Polygon(ring) for ring in rings]))
+    wanted = shapely.union_all([*(zone.polygon for zone in held), in_metres(lonlat.polygon)])
+    assert shapely.hausdorff_distance(fenced, wanted) < 0.05
+    assert shapely.symmetric_difference(fenced, wanted).area < 1e-4 * wanted.area
+
+
+def test_a_route_without_zones_or_far_from_them_has_an_empty_geofence(tmp_path):
+    for zones in ([], [square(1000, 9000, 100)]):
+        write_path(zoned(zones), tmp_path / "path.plan")
+        assert plan_in(tmp_path / "path.plan")["geoFence"]["polygons"] == []
+
+
+@pytest.mark.parametrize("over_hill", [True, False])
+def test_gpx_is_a_route_that_gdal_reads_in_the_schemas_order_with_elevations_over_terrain_only(over_hill, tmp_path):
+    file = tmp_path / "path.gpx"
+    for seed in range(6):
+        route = random_route(seed, over_hill)
+        assert write_path(route, file)
+        root = ElementTree.parse(file).getroot()
+        assert (root.tag, root.get("version"), root.get("creator")) == (f"{GPX}gpx", "1.1", "jaxurban")
+        (rte,) = root
+        for element, order in ((rte, RTE_ORDER), *((point, WPT_ORDER) for point in rte.findall(f"{GPX}rtept"))):
+            places = [order.index(child.tag.removeprefix(GPX)) for child in element]
+            assert places == sorted(places)
+        points = rte.findall(f"{GPX}rtept")
+        places = np.array([[float(point.get(key)) for key in ("lon", "lat")] for point in points])
+        (line,) = gpd.read_file(file, layer="routes").geometry
+        np.testing.assert_allclose(shapely.get_coordinates(line), places)
+        xy_m = np.column_stack(GRID.xy_of_lonlat(*places.T))
+        assert shapely.hausdorff_distance(shapely.LineString(xy_m), shapely.LineString(route.xy_m)) < 0.03
+        elevations = [point.findtext(f"{GPX}ele") for point in points]
+        above = [float(point.findtext(f"{GPX}desc").split()[0]) for point in points]
+        if not over_hill:
+            assert set(elevations) == {None}
+            assert "no elevation" in rte.findtext(f"{GPX}desc")
+            continue
+        assert "zero of the terrain file" in rte.findtext(f"{GPX}desc")
+        ground_m = np.array(elevations, float) - above
+        np.testing.assert_allclose(ground_m, hill_m(*(xy_m - CORNER_M).T), atol=RASTER_M + 0.05)
+
+
+def test_gpx_holds_several_routes_by_name(tmp_path):
+    routes = [random_route(seed, over_hill=False) for seed in range(3)]
+    write_path(routes, tmp_path / "paths.gpx", names=["a", "b & c", "d"])
+    root = ElementTree.parse(tmp_path / "paths.gpx").getroot()
+    assert [rte.findtext(f"{GPX}name") for rte in root] == ["a", "b & c", "d"]

@@ -16,16 +16,15 @@ from tests.scenario.test_changes import TEXT
 
 ALTITUDE_M = 20.0
 MADE = made_maps(40, 60)
-START, GOAL = (
-    tuple(float(v) for v in MADE.grid.lonlat_of_cell(*np.argwhere(MADE.is_free(ALTITUDE_M))[k])) for k in (5, -9)
-)
+CELLS = np.argwhere(MADE.is_free(ALTITUDE_M))[[5, -9]]
+START, GOAL = (tuple(map(float, MADE.grid.lonlat_of_cell(*cell))) for cell in CELLS)
 PLANNING = [
     {},
     {"vertical_clearance_m": 0.0, "obstacles": "centre"},
     {"clearance_m": 1.0, "cost_model": "cell", "connectivity": 4},
     {"preset": "paper", "vertical_clearance_m": 3.0},
     {"planner": "astar-dist", "objective": "distance"},
-    {"planner": "bitstar-plus", "seed": 5, "budget_s": 0.5},
+    {"planner": "bitstar-plus", "seed": 5, "budget_s": 0.1},
 ]
 
 
@@ -51,9 +50,9 @@ def test_python_plans_over_a_folder_as_the_command_does(planning, preset, tmp_pa
     folder = folder_of(tmp_path / "a", planning=planning, vehicle={"radius_m": 3.0, "speed_m_s": 9.0}, weights=weights)
     maps, under = ju.open_maps(folder), {"preset": preset}
     maps.save(tmp_path / "copy")
-    for named, text in (({}, ""), ({"weights": {"lidar": 4.0}, "cost_model": "line"}, "lidar=4")):
-        options = ["--weights", text, "--cost-model", "line"] if text else []
-        options += ["--preset", preset] if preset else []
+    line = ({"weights": {"lidar": 4.0}, "cost_model": "line"}, ("--weights", "lidar=4", "--cost-model", "line"))
+    for named, options in (({}, ()), line):
+        options += ("--preset", preset) if preset else ()
         expected = command(capsys, "plan", folder, *options)
         assert expected["settings"]["limits"]["vehicle_radius_m"] == 3.0
         assert expected["settings"]["weights"]["gps"] == 3.0
@@ -75,12 +74,8 @@ def test_what_is_named_wins_over_the_scenario(tmp_path):
     planning = {"clearance_m": 1.0, "vertical_clearance_m": 5.0, "obstacles": "centre", "objective": "distance"}
     maps = ju.open_maps(folder_of(tmp_path, planning=planning, vehicle={"radius_m": 3.0}))
     on = ju.cost_map(maps, ALTITUDE_M, constraints=ju.Constraints(clearance_m=0.0, vehicle=ju.Vehicle(radius_m=1.0)))
-    assert on.constraints.to_dict() == {
-        "no_fly": [],
-        "require": [],
-        "vertical_clearance_m": 5.0,
-        "vehicle_radius_m": 1.0,
-    }
+    limits = {"no_fly": [], "require": [], "vertical_clearance_m": 5.0}
+    assert on.constraints.to_dict() == limits | {"vehicle_radius_m": 1.0}
     assert (maps.obstacles, maps.with_obstacles("touched").obstacles) == ("centre", "touched")
     for rule, preset in (("touched", "paper"), ("centre", "")):
         assert ju.cost_map(ju.open_maps(tmp_path, obstacles=rule), ALTITUDE_M, preset=preset).maps.obstacles == rule
@@ -91,7 +86,7 @@ def test_what_is_named_wins_over_the_scenario(tmp_path):
     planned = ju.plan(maps, START, GOAL, altitude_m=ALTITUDE_M, objective="weighted")
     assert planned.settings["objective"] == "weighted"
     defaults = ju.plan(ju.MetricMaps(MADE.ds), START, GOAL, altitude_m=ALTITUDE_M).settings
-    assert defaults["limits"] == {"no_fly": [], "require": [], "vertical_clearance_m": 3.0}
+    assert defaults["limits"] == limits | {"vertical_clearance_m": 3.0}
 
 
 def test_a_presets_rule_is_one_for_commands_studies_and_the_viewer(tmp_path, capsys):

@@ -8,12 +8,11 @@ import pytest
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
-from jaxurban.paths.export.write import write_path
 from jaxurban.paths.plan import cost_map
 from jaxurban.studies.queries import make_queries
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
-from tests.paths.volumes import plan_volume
+from tests.paths.volumes import ends_at, options_of, plan_volume, with_roofs
 
 ALTITUDE_M, SIDE = 20.0, 30
 START_CELL, GOAL_CELL = (15, 6), (15, 27)
@@ -22,35 +21,28 @@ START_CELL, GOAL_CELL = (15, 6), (15, 27)
 @pytest.fixture(scope="module")
 def maps() -> ju.MetricMaps:
     """One block of 13 x 13 cells of 10 m: the start is in its middle, the goal outside."""
-    maps = made_maps(SIDE, SIDE, altitudes_m=(20.0, 60.0))
-    obstacle = np.zeros((2, SIDE, SIDE), np.uint8)
-    obstacle[0, 9:22, 0:13] = 1
-    roof_m = 30.0 * obstacle[0].astype(np.float32)
-    return ju.MetricMaps(maps.ds.assign(obstacle=(("altitude", "y", "x"), obstacle), roof=(("y", "x"), roof_m)))
-
-
-def middle(maps, cell) -> tuple[float, float]:
-    return tuple(float(value) for value in maps.grid.xy_of_cell(*cell))
+    roof_m = np.zeros((SIDE, SIDE))
+    roof_m[9:22, 0:13] = 30.0
+    return with_roofs(made_maps(SIDE, SIDE), roof_m)
 
 
 @pytest.fixture(scope="module")
 def ends(maps) -> dict:
-    return {"start_xy_m": middle(maps, START_CELL), "goal_xy_m": middle(maps, GOAL_CELL)}
+    return ends_at(maps, START_CELL, GOAL_CELL)
 
 
 def snapped(way, maps, ends, snap) -> float:
     """Return how far one way of planning moves the start."""
-    lonlat = {name: tuple(map(float, maps.grid.lonlat_of_xy(*xy_m))) for name, xy_m in ends.items()}
-    if way == "plan":
-        return ju.plan(maps, **ends, altitude_m=ALTITUDE_M, snap=snap).snap_distance_m[0]
-    if way == "volume":
-        path = plan_volume(maps, **ends, start_altitude_m=20.0, snap=snap)
-        return path.snap_distance_m[0]
-    if way == "many":
-        pairs = [(lonlat["start_xy_m"], lonlat["goal_xy_m"])]
-        return ju.plan_many(maps, pairs, altitude_m=ALTITUDE_M, snap=snap, strict=True)[0].snap_distance_m[0]
-    (query,) = make_queries(cost_map(maps, ALTITUDE_M), [(lonlat["start_xy_m"], lonlat["goal_xy_m"])], snap=snap)
-    return 10.0 * np.hypot(*np.subtract(query.start, maps.grid.cell_of_xy(*ends["start_xy_m"])))
+    pairs = [tuple(tuple(map(float, maps.grid.lonlat_of_xy(*xy_m))) for xy_m in ends.values())]
+    if way == "study":
+        (query,) = make_queries(cost_map(maps, ALTITUDE_M), pairs, snap=snap)
+        return 10.0 * np.hypot(*np.subtract(query.start, maps.grid.cell_of_xy(*ends["start_xy_m"])))
+    path = {
+        "plan": lambda: ju.plan(maps, **ends, altitude_m=ALTITUDE_M, snap=snap),
+        "volume": lambda: plan_volume(maps, **ends, start_altitude_m=20.0, snap=snap),
+        "many": lambda: ju.plan_many(maps, pairs, altitude_m=ALTITUDE_M, snap=snap, strict=True)[0],
+    }[way]()
+    return path.snap_distance_m[0]
 
 
 @pytest.mark.parametrize("way", ["plan", "volume", "many", "study"])
@@ -60,24 +52,21 @@ def test_a_place_is_moved_by_at_most_50_m_or_as_far_as_is_said(way, maps, ends):
         with pytest.raises(InputError, match=told):
             snapped(way, maps, ends, snap)
     assert snapped(way, maps, ends, 75.0) == pytest.approx(70.0, abs=0.01)
-    near = ends | {"start_xy_m": middle(maps, (15, 10))}
+    near = ends_at(maps, (15, 10), GOAL_CELL)
     assert snapped(way, maps, near, True) == pytest.approx(30.0, abs=0.01)
 
 
 def test_the_free_cell_nearest_to_the_place_itself_is_taken(maps, ends):
-    corner_m = np.array(middle(maps, (21, 12)))  # of the block; its two free neighbours are as near to its middle
+    corner_m = np.array(maps.grid.xy_of_cell(21, 12))  # of the block; its two free neighbours are as near to its middle
     for aside, cell in (((4.0, 0.0), (21, 13)), ((0.0, 4.0), (22, 12))):
-        start_xy_m = tuple(corner_m + aside)
-        path = ju.plan(maps, start_xy_m=start_xy_m, goal_xy_m=ends["goal_xy_m"], altitude_m=ALTITUDE_M, snap=True)
+        path = ju.plan(maps, **(ends | {"start_xy_m": tuple(corner_m + aside)}), altitude_m=ALTITUDE_M, snap=True)
         assert tuple(map(int, maps.grid.cell_of_xy(*path.xy_m[0]))) == cell
         assert path.snap_distance_m[0] == pytest.approx(6.0)
 
 
 def test_how_far_is_told_in_text_json_and_files(maps, ends, tmp_path, capsys):
     write_zarr(maps.ds, tmp_path / "maps")
-    lonlat = {name: "{:.9f},{:.9f}".format(*maps.grid.lonlat_of_xy(*xy_m)) for name, xy_m in ends.items()}
-    arguments = ("plan", tmp_path / "maps", "--start", lonlat["start_xy_m"], "--goal", lonlat["goal_xy_m"])
-    arguments += ("--altitude", 20)
+    arguments = ("plan", tmp_path / "maps", *options_of(maps, **ends))
     for snap in ((), ("--snap",)):
         code, _, err = run(capsys, *arguments, *snap)
         assert code == 2
@@ -89,8 +78,7 @@ def test_how_far_is_told_in_text_json_and_files(maps, ends, tmp_path, capsys):
     assert code == 0
     assert told in out
     assert "start 70.0 m, goal 0.0 m" in out
-    for file in files:
-        assert told in file.read_text()
+    assert all(told in file.read_text() for file in files)
     (feature,) = json.loads(files[0].read_text())["features"]
     assert feature["properties"]["snap_distance_m"]["start"] == pytest.approx(70.0, abs=0.01)
     code, out, _ = run(capsys, *arguments, "--snap", 80, "--json")
@@ -102,40 +90,39 @@ def test_how_far_is_told_in_text_json_and_files(maps, ends, tmp_path, capsys):
 @pytest.fixture(scope="module")
 def with_court(maps) -> ju.MetricMaps:
     """The block with a court of 3 x 2 cells east of the start's middle: 20 m from it, the street 70 m."""
-    obstacle, roof_m = maps.ds["obstacle"].values.copy(), maps.m("roof").copy()
-    obstacle[0, 14:17, 8:10] = roof_m[14:17, 8:10] = 0
-    return ju.MetricMaps(maps.ds.assign(obstacle=(("altitude", "y", "x"), obstacle), roof=(("y", "x"), roof_m)))
+    roof_m = maps.m("roof").copy()
+    roof_m[14:17, 8:10] = 0
+    return with_roofs(maps, roof_m)
 
 
 @pytest.mark.parametrize("way", ["plan", "many", "study"])
 def test_a_court_that_is_closed_in_is_passed_for_the_nearest_cell_joined_to_the_other_end(way, with_court, ends):
     assert snapped(way, with_court, ends, 75.0) == pytest.approx(70.0, abs=0.01)
     assert snapped(way, with_court, ends, 25.0) == pytest.approx(20.0, abs=0.01)  # no such cell within reach
-    backward = {"start_xy_m": ends["goal_xy_m"], "goal_xy_m": ends["start_xy_m"]}
+    backward = dict(zip(ends, reversed(ends.values()), strict=True))
     path = ju.plan(with_court, **backward, altitude_m=ALTITUDE_M, snap=75.0)
     assert path.status.has_path
     assert path.snap_distance_m == pytest.approx((0.0, 70.0), abs=0.01)
     assert "The goal was not free: it was moved 70.0 m, to a free cell." in path.to_dict()["message"]
 
 
-def test_two_ends_in_the_block_move_to_cells_that_are_joined(with_court, ends):
+def test_two_ends_in_the_block_move_to_cells_that_are_joined(with_court):
     """Together they move the least: both into the court, although the street is as near to the second one."""
-    near = {"start_xy_m": middle(with_court, (15, 7)), "goal_xy_m": middle(with_court, (15, 11))}
-    path = ju.plan(with_court, **near, altitude_m=ALTITUDE_M, snap=True)
-    assert path.snap_distance_m == pytest.approx((10.0, 20.0), abs=0.01)
-    far = {"start_xy_m": middle(with_court, (15, 7)), "goal_xy_m": middle(with_court, (9, 12))}
-    assert ju.plan(with_court, **far, altitude_m=ALTITUDE_M, snap=True).snap_distance_m[0] == pytest.approx(10.0)
+    near, far = (
+        ju.plan(with_court, **ends_at(with_court, (15, 7), goal), altitude_m=ALTITUDE_M, snap=True).snap_distance_m
+        for goal in ((15, 11), (9, 12))
+    )
+    assert near == pytest.approx((10.0, 20.0), abs=0.01)
+    assert far[0] == pytest.approx(10.0)
 
 
 def test_no_path_names_the_pocket_and_the_nearest_cell_that_is_joined(with_court, ends):
     message = ju.plan(with_court, **ends, altitude_m=ALTITUDE_M, snap=25.0).to_dict()["message"]
-    assert (
-        "The start lies in a pocket of 6 free cells, and the nearest cell that is joined to the goal is 50 m" in message
-    )
+    pocket = "The start lies in a pocket of 6 free cells, and the nearest cell that is joined to the goal is 50 m"
+    assert pocket in message
 
 
-def test_a_free_place_says_nothing_of_snapping(maps, ends, tmp_path):
-    path = ju.plan(maps, start_xy_m=middle(maps, (3, 3)), goal_xy_m=ends["goal_xy_m"], altitude_m=20.0, snap=True)
+def test_a_free_place_says_nothing_of_snapping(maps, tmp_path):
+    path = ju.plan(maps, **ends_at(maps, (3, 3), GOAL_CELL), altitude_m=20.0, snap=True)
     assert "not free" not in path.to_dict()["message"]
-    write_path(path, tmp_path / "path.kml")
-    assert "not free" not in (tmp_path / "path.kml").read_text()
+    assert "not free" not in path.save(tmp_path / "path.kml").read_text()

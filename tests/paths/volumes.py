@@ -1,8 +1,9 @@
-"""Scenes and calls that tests of paths share: maps with other roofs, places in metres, options of a command."""
+"""Scenes and calls that tests of paths share: maps with other roofs, paths by hand, places, options of a command."""
 
 import numpy as np
 
 import jaxurban as ju
+from jaxurban.planners.base import Path, Status
 
 LEVELS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost", "descent_cost")
 
@@ -32,3 +33,17 @@ def with_roofs(maps, roof_m, **more) -> ju.MetricMaps:
     obstacle = np.stack([roof_m >= z_m for z_m in maps.altitudes_m]).astype(np.uint8)
     roofs = dict.fromkeys(("roof", "roof_touched"), (("y", "x"), roof_m.astype(np.float32)))
     return ju.MetricMaps(maps.ds.assign(obstacle=(("altitude", "y", "x"), obstacle), **roofs, **more))
+
+
+def made_path(
+    grid, xy_m, altitude_m=60.0, status=Status.OPTIMAL, planner="astar-plus", note="", **changed
+) -> ju.PlannedPath:
+    """Return a path that nobody planned, whose altitudes are one or ``[N]``; without one it has no points."""
+    xy_m = np.asarray(xy_m, float) if status.has_path else np.empty((0, 2))
+    z_m = np.array(np.broadcast_to(altitude_m, len(xy_m)), float)
+    sums = {"cost": 1234.56, "length_m": 5678.0} if status.has_path else {"cost": np.inf, "length_m": np.inf}
+    made = {"cost_by_layer": {"distance": 234.56, "gps": 1000.0}, "metrics": {"gps": 0.75, "risk": 0.5}, "settings": {}}
+    made |= {"lonlat": np.stack(grid.lonlat_of_xy(*xy_m.T), axis=-1), "snap_distance_m": (0.0, 0.0), "crs": grid.crs}
+    made["search"] = Path(status, xy_m, 1.0, -np.inf, 1, 0.1, planner, note=note)
+    first_m = float(np.ravel(altitude_m)[0])
+    return ju.PlannedPath(status=status, xy_m=xy_m, z_m=z_m, altitude_m=first_m, **(sums | made | changed))

@@ -20,7 +20,7 @@ from jaxurban.io.read.guesses import BEYOND_DATA, NOMINAL_SKY
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.path import PlannedPath
-from jaxurban.planners.base import Path, Status
+from jaxurban.planners.base import Status
 from jaxurban.report import figures as plotting
 from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps
 from jaxurban.report.figures.metrics import percent
@@ -28,6 +28,7 @@ from jaxurban.report.figures.paths import PLANNER_COLOURS, maps_figures
 from jaxurban.report.figures.style import chart
 from jaxurban.report.write import DPI, write_png
 from jaxurban.world.grid import Grid
+from tests.paths.volumes import made_path
 
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
 FLOWN = ("altitude", "y", "x")
@@ -78,13 +79,9 @@ def make_maps(rows=34, cols=40, resolution_m=100.0, has_all_data=True) -> Metric
 def make_path(maps, planner, altitude_m, status=Status.OPTIMAL, time_of_day="day") -> PlannedPath:
     grid = maps.grid
     ends = np.array([[0.2, 0.1], [0.5, 0.6], [0.8, 0.9]]) * (grid.num_cols, grid.num_rows) * grid.resolution_m
-    xy_m = ends + np.array([grid.x_min_m, grid.y_min_m]) if status.has_path else np.empty((0, 2))
-    where = {"xy_m": xy_m, "lonlat": xy_m, "z_m": np.full(len(xy_m), altitude_m), "altitude_m": altitude_m}
-    sums = {"cost": 1234.56, "length_m": 5678.0} if status.has_path else {"cost": np.inf, "length_m": np.inf}
-    more = {"cost_by_layer": {}, "metrics": {}, "snap_distance_m": (0.0, 0.0), "crs": grid.crs}
+    xy_m = ends + np.array([grid.x_min_m, grid.y_min_m])
     settings = RULES | {"time": "2020-04-27T16:00:00Z", "time_of_day": time_of_day}
-    search = Path(status, xy_m, 1.0, 0.0, 1, 0.1, planner)
-    return PlannedPath(status=status, **where, **sums, **more, search=search, settings=settings)
+    return made_path(grid, xy_m, altitude_m, status, planner, settings=settings)
 
 
 def make_paths(maps):
