@@ -42,201 +42,123 @@ METHODS = {  # of what they return
     "PlannedPath": ("save",),
     "PlannedPaths": ("save", "to_dataframe"),
 }
+QUERY = [*START, *GOAL, 20.0, 1.0]
+COLUMNS = ["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m", "w_gps"]
+SIZES = {"first_row": 0, "first_col": 0, "num_rows": 2, "num_cols": 2}
+PLAIN = {
+    **dict.fromkeys(("maps", "maps_a", "maps_b", "MetricMaps"), MAPS),
+    **{"start": START, "goal": GOAL, "altitude_m": 20.0, "progress": False, "bounds": BOUNDS, "resolution_m": 5.0},
+    **{"build_maps.resolution_m": 50.0, "build_maps.altitudes_m": (20.0,), "build_maps.progress": False},
+    **{"queries": [(START, GOAL)], "pairs": [(START, GOAL)], "targets": ["detour<=0.1"], "tolerance_m": 1.0},
+    **{"crs": "EPSG:32618", **SIZES, "settings": SETTINGS, "file": "/proc/none.kml", "folder": "/proc/none"},
+    **{"Buildings.source": "town.osm", "buildings": __file__, "City.from_files.bounds": BOUNDS, "name": "gps"},
+    **{"source": "noise.tif", "cost": "high-is-bad", "scale": (0.0, 80.0), "text": "gps=1"},
+    **{"Target.parse.text": "detour<=0.1", "outcome": "detour", "sense": "<=", "value": 0.1},
+    **{"path": str(Path(__file__).parents[1] / "pyproject.toml"), "out": "/proc/none", "log": "no-such.csv"},
+    **{"sample_instances.num": 1, "study.instances": 1, "sensitivity_study.routes": 1, "sources": {"here": MAPS}},
+    **{"obstacles": "touched", "metrics": ["gps"], "CostModel.from_settings.settings": {}},
+}
+MADE_ONCE: dict[str, Callable[[], Any]] = {
+    "city": lambda: ju.demo_city(400, 400),
+    "grid": lambda: ju.build_maps(good("city"), resolution_m=50.0, altitudes_m=(20.0,), progress=False).grid,
+    **dict.fromkeys(("planned", "paths", "PlannedPath"), lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0)),
+    "PlannedPaths": lambda: ju.plan_many(MAPS, [(START, GOAL)], altitude_m=20.0, progress=False),
+    "read_demonstrations.file": lambda: good("planned").save(Path(tempfile.mkdtemp()) / "path.geojson"),
+    "MapComparison": lambda: ju.studies.compare(MAPS, MAPS, progress=False),
+    **dict.fromkeys(("cost_map", "CostMap", "on"), lambda: ju.cost_map(MAPS, 20.0)),
+    "inputs": lambda: ju.grad.map_inputs(good("city"), good("grid"), altitudes_m=(20.0,))[0],
+    "sky": lambda: ju.grad.map_inputs(good("city"), good("grid"), altitudes_m=(20.0,))[1],
+    "params": lambda: ju.grad.SoftParams(altitude_m=20.0),
+    "soft": lambda: ju.grad.soft_city(good("city"), good("grid"), good("params")),
+    "fit_targets.queries": lambda: ju.studies.make_queries(good("cost_map"), [(START, GOAL)]),
+    "problem": lambda: good("fit_targets.queries")[0].problem(np.ones(5)),
+    "demonstrations": lambda: ju.fit.demonstrations_from_paths(good("planned"), MAPS),
+    "cities": lambda: {"here": good("demonstrations")},
+    "scenario": lambda: ju.Scenario.from_dict(SETTINGS),
+}
 
 
 @functools.cache
-def held(what: str) -> Any:
-    """Return one of the things that calls are made with, made when it is first asked for."""
-    return {
-        "city": lambda: ju.demo_city(400, 400),
-        "grid": lambda: ju.build_maps(held("city"), resolution_m=50.0, altitudes_m=(20.0,), progress=False).grid,
-        "table": lambda: pd.DataFrame(
-            [[*START, *GOAL, 20.0, 1.0]],
-            columns=["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m", "w_gps"],
-        ),
-        "path": lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0),
-        "file": lambda: held("path").save(Path(tempfile.mkdtemp()) / "path.geojson"),
-        "paths": lambda: ju.plan_many(MAPS, [(START, GOAL)], altitude_m=20.0, progress=False),
-        "comparison": lambda: ju.studies.compare(MAPS, MAPS, progress=False),
-        "cost_map": lambda: ju.cost_map(MAPS, 20.0),
-        "inputs": lambda: ju.grad.map_inputs(held("city"), held("grid"), altitudes_m=(20.0,)),
-        "soft": lambda: ju.grad.soft_city(held("city"), held("grid"), ju.grad.SoftParams(altitude_m=20.0)),
-        "query": lambda: ju.studies.make_queries(held("cost_map"), [(START, GOAL)])[0],
-        "shown": lambda: ju.fit.demonstrations_from_paths(held("path"), MAPS)[0],
-    }[what]()
+def good(what: str) -> Any:
+    """Return what calls take for a parameter, by its name or by "function.parameter", made when it is first asked for.
+
+    What methods are called on is by the name of its class.
+    """
+    return MADE_ONCE[what]() if what in MADE_ONCE else PLAIN[what]
 
 
-# What a call needs beside the argument that is wrong, by the function; of methods what they are called on is "self".
-GOOD: dict[str, Callable[[], dict[str, Any]]] = {
-    "Buildings": lambda: {"source": "town.osm"},
-    "City.from_files": lambda: {"buildings": __file__, "bounds": BOUNDS},
-    "CostMap.only": lambda: {"self": held("cost_map")},
-    "CostMap.plan": lambda: {"self": held("cost_map"), "start": START, "goal": GOAL},
-    "Grid": lambda: dict(crs="EPSG:32618", resolution_m=5.0, first_row=0, first_col=0, num_rows=2, num_cols=2),
-    "Grid.from_bounds": lambda: {"bounds": BOUNDS, "resolution_m": 5.0},
-    "Layer": lambda: {"source": "noise.tif", "cost": "high-is-bad", "scale": (0.0, 80.0)},
-    "MapsFolder": lambda: {"folder": "here"},
-    **dict.fromkeys(
-        ("MetricMaps.check_altitude", "MetricMaps.costs", "MetricMaps.total", "MetricMaps.normalised"),
-        lambda: {"self": MAPS, "altitude_m": 20.0},
-    ),
-    "MetricMaps.m": lambda: {"self": MAPS, "name": "gps", "altitude_m": 20.0},
-    "MetricMaps.is_free": lambda: {"self": MAPS, "altitude_m": 20.0},
-    "MetricMaps.with_obstacles": lambda: {"self": MAPS},
-    "MapComparison.save": lambda: {"self": held("comparison"), "folder": "/proc/none"},
-    "MetricMaps.save": lambda: {"self": MAPS, "folder": "/proc/none"},
-    "PlannedPath.save": lambda: {"self": held("path"), "file": "/proc/none.kml"},
-    "PlannedPaths.to_dataframe": lambda: {"self": held("paths")},
-    "PlannedPaths.save": lambda: {"self": held("paths")},
-    "Scenario.from_toml": lambda: {"path": str(Path(__file__).parents[1] / "pyproject.toml")},
-    "Scenario.from_dict": lambda: {"settings": SETTINGS},
-    "SoftParams": lambda: {"altitude_m": 20.0},
-    "Target.parse": lambda: {"text": "detour<=0.1"},
-    "map_inputs": lambda: {"city": held("city"), "grid": held("grid")},
-    "open_maps": lambda: {"folder": "no/such/place"},
-    "Target": lambda: {"outcome": "detour", "sense": "<=", "value": 0.1},
-    "Weights.parse": lambda: {"text": "gps=1"},
-    "build_maps": lambda: {"city": held("city"), "resolution_m": 50.0, "altitudes_m": (20.0,), "progress": False},
-    "all_maps": lambda: dict(zip(("inputs", "sky"), held("inputs"), strict=True)),
-    "building_costs": lambda: {
-        **{"city": held("city"), "soft": held("soft"), "planned": held("path")},
-        "params": ju.grad.SoftParams(altitude_m=20.0),
-    },
-    "cautions": lambda: {"planned": held("path"), "maps": MAPS},
-    "compare": lambda: {"maps_a": MAPS, "maps_b": MAPS, "progress": False},
-    "compare_fits": lambda: {"cities": {"here": [held("shown")]}},
-    "cost_map": lambda: {"maps": MAPS, "altitude_m": 20.0},
-    "demonstrations_from_paths": lambda: {"paths": held("path"), "maps": MAPS},
-    "explain": lambda: {"planned": held("path"), "maps": MAPS},
-    "fit_targets": lambda: {"queries": [held("query")], "targets": ["detour<=0.1"]},
-    "fit_weights": lambda: {"demonstrations": [held("shown")]},
-    "make_queries": lambda: {"cost_map": held("cost_map"), "pairs": [(START, GOAL)]},
-    "simplify": lambda: {"planned": held("path"), "on": held("cost_map"), "tolerance_m": 1.0},
-    "plan": lambda: {"maps": MAPS, "start": START, "goal": GOAL, "altitude_m": 20.0},
-    "plan_many": lambda: {"maps": MAPS, "queries": [(START, GOAL)], "altitude_m": 20.0, "progress": False},
-    "planned_cost": lambda: {"problem": held("query").problem(np.ones(5))},
-    "read_demonstrations": lambda: {"file": held("file"), "maps": MAPS},
-    "sample_instances": lambda: {"maps": MAPS, "num": 1},
-    "sensitivity": lambda: {"cost_map": held("cost_map"), "start": START, "goal": GOAL},
-    "sensitivity_study": lambda: {"sources": {"here": MAPS}, "folder": "/proc/none", "routes": 1, "progress": False},
-    "soft_city": lambda: {
-        "city": held("city"),
-        "grid": held("grid"),
-        "params": ju.grad.SoftParams(altitude_m=20.0),
-    },
-    "study": lambda: {"maps": MAPS, "folder": "/proc/none", "instances": 1, "progress": False},
-    "validate": lambda: {"scenario": ju.Scenario.from_dict(SETTINGS), "log": "no-such.csv", "progress": False},
-    "view": lambda: {"maps": MAPS},
-    "write_buildings": lambda: {"folder": "no/such/place", "planned": held("path"), "out": "/proc/none"},
-}
+def good_arguments(name: str) -> dict[str, Any]:
+    """Return what a call needs beside the argument that is wrong; of methods what they are called on is "self"."""
+    home, _, _ = name.rpartition(".")
+    found = {"self": good(home)} if home in METHODS else {}
+    parameters = inspect.signature(CALLS[name]).parameters
+    usual = {"altitude_m", "progress", *(("start", "goal") if "goal" in parameters else ())}
+    for parameter, of in parameters.items():
+        own = f"{name}.{parameter}"
+        if own in MADE_ONCE or own in PLAIN:
+            found[parameter] = good(own)
+        elif of.kind in (of.VAR_POSITIONAL, of.VAR_KEYWORD) or parameter == "self":
+            continue
+        elif of.default is of.empty or parameter in usual:
+            found[parameter] = good(parameter)
+    return found
+
 
 # A wrong value of each parameter, by its name, or by "function.parameter" where it is another one.
-WRONG: dict[str, Any] = {
-    **dict.fromkeys(("planner", "planners", "distance_only", "heuristic", "objective"), "a-star"),
-    **dict.fromkeys(("cost_model", "preset", "CostModel.kind"), "cells"),
-    **dict.fromkeys(("CostMap.only.metrics", "metrics", "vary", "objectives"), ("gsp",)),
-    **dict.fromkeys(("start", "goal", "reference", "centre_lonlat"), (1e300, 0.0)),
-    **dict.fromkeys(("start_xy_m", "goal_xy_m"), ("east", "north")),
-    "PlannedPath.save.end": "hover",
-    **dict.fromkeys(("time", "MetricMaps.m.time"), "yesterday"),
-    **dict.fromkeys(("folder", "maps", "maps_a", "maps_b", "other", "path", "file"), "no/such/place"),
-    **dict.fromkeys(("MetricMaps.save.folder", "MapComparison.save.folder"), "/proc/none"),
-    "other_pieces_m": (-1.0,),
-    **dict.fromkeys(("study.folder", "sensitivity_study.folder", "out"), "/proc/none"),
-    **dict.fromkeys(("blocks", "table", "districts", "terrain", "buildings", "no_fly", "orbits"), "no-such.file"),
-    "log": "no-such.csv",
-    **dict.fromkeys(("PlannedPath.save.file", "PlannedPaths.save.file", "PlannedPath.save.more"), "path.txt"),
-    **dict.fromkeys(("plan_many.file", "FitSettings.state_file"), "no/such/place.parquet"),
-    **dict.fromkeys(("altitudes_m", "nest_with_m", "MetricMaps.m.altitude_m", "factors"), (-1e300, 1e300)),
-    **dict.fromkeys(("weekday", "weekend", "scale", "field_of_view_deg", "bounds"), (1.0, 2.0, 3.0, 4.0, 5.0)),
-    **dict.fromkeys(("compare_fits.scale", "fit_weights.scale"), "metres"),
-    **{name: {} for name in ("cities", "scenarios", "sources")},
-    **{name: [] for name in ("queries", "demonstrations", "paths", "targets")},
-    **dict.fromkeys(("seed", "height_seed", "height_samples", "num_heights", "bootstrap", "num_samples"), -1),
-    **dict.fromkeys(("max_rounds", "max_plans", "num", "num_segments", "num_threads", "workers"), 0),
-    **dict.fromkeys(("budget_iterations", "oversample", "num_rows", "num_cols", "beams", "azimuths"), 0),
-    **dict.fromkeys(("routes", "instances"), -1),
-    **dict.fromkeys((f"HeightStd.{origin}" for origin in ("height", "levels", "default", "raster")), -1.0),
-    **dict.fromkeys(("first_row", "first_col"), 10**30),
-}
-# Numbers where a finite range is meant.
-WRONG |= dict.fromkeys(
-    (
-        *("altitude_m", "resolution_m", "width_m", "height_m", "min_altitude_m", "max_altitude_m", "level_step_m"),
-        *("climb_cost", "descent_cost", "reference_length_m", "reach_m", "range_m", "threshold_m", "snap", "tolerance"),
-        *("default_height_m", "level_height_m", "mask_deg", "max_age_days", "wrong", "hold_out", "softness_m"),
-        *("antenna_height_m", "piece_m", "block_m", "sky_step_s"),
-        *("speed_m_s", "power_w", "swath_m", "value", "gdop_threshold", "availability_threshold", "normalise"),
-        "dop_threshold",
-        *("horizontal_alert_limit_m", "vertical_alert_limit_m", "sigma_ura_m", "sigma_ure_m", "bias_m", "p_sat"),
-        *("p_const_gps", "p_const", "phmi_horizontal", "phmi_vertical", "pfa_horizontal", "pfa_vertical"),
-        *("p_unmonitored",),
-        *(
-            "clearance_m",
-            "vertical_clearance_m",
-            "radius_m",
-            "max_climb_m_s",
-            "max_descent_m_s",
-            "max_turn_deg",
-            "tolerance_m",
-        ),
-        *("gamma_commercial", "gamma_residential", "distance", "gps", "lidar", "population", "risk", "own", "budget_s"),
-    ),
-    1e300,
+LAYERS = {"gps": ju.Layer("a.tif", "high-is-bad", (0, 1))}
+WRONG_VALUES: tuple[tuple[Any, str], ...] = (
+    ("a-star", "planner planners distance_only heuristic objective"),
+    ("cells", "cost_model preset CostModel.kind"),
+    (("gsp",), "CostMap.only.metrics metrics layers"),
+    ((1e300, 0.0), "start goal reference centre_lonlat"),
+    (("east", "north"), "start_xy_m goal_xy_m"),
+    ("now", "time MetricMaps.m.time stop"),
+    ("no/such/place", "folder maps maps_a maps_b path file"),
+    ("/proc/none", "MetricMaps.save.folder study.folder sensitivity_study.folder"),
+    ("no-such.file", "table districts buildings no_fly log"),
+    ("path.txt", "PlannedPath.save.file PlannedPaths.save.file PlannedPath.save.more"),
+    ("no/such/place.parquet", "plan_many.file"),
+    ((-1e300, 1e300), "altitudes_m nest_with_m MetricMaps.m.altitude_m factors"),
+    ((1.0, 2.0, 3.0, 4.0, 5.0), "weekday weekend scale field_of_view_deg bounds"),
+    ({}, "cities sources"),
+    ([], "queries demonstrations paths targets times"),
+    (-1, "seed height_seed height_samples num_heights bootstrap num_samples routes instances"),
+    (0, "max_rounds max_plans num num_segments num_threads workers budget_iterations oversample num_rows num_cols"),
+    (0, "beams azimuths step_s"),
+    (-1.0, "HeightStd.height HeightStd.levels HeightStd.default HeightStd.raster"),
+    (10**30, "first_row first_col"),
+    (1e300, "altitude_m resolution_m width_m height_m min_altitude_m max_altitude_m level_step_m climb_cost budget_s"),
+    (1e300, "descent_cost reference_length_m reach_m range_m threshold_m snap tolerance default_height_m wrong"),
+    (1e300, "level_height_m mask_deg max_age_days hold_out softness_m antenna_height_m piece_m block_m sky_step_s"),
+    (1e300, "speed_m_s power_w swath_m value gdop_threshold availability_threshold normalise dop_threshold distance"),
+    (1e300, "horizontal_alert_limit_m vertical_alert_limit_m sigma_ura_m sigma_ure_m bias_m p_sat p_const p_const_gps"),
+    (1e300, "phmi_horizontal phmi_vertical pfa_horizontal pfa_vertical p_unmonitored clearance_m tolerance_m"),
+    (1e300, "vertical_clearance_m radius_m max_climb_m_s max_descent_m_s max_turn_deg gamma_commercial"),
+    (1e300, "gamma_residential"),
+    (5, "connectivity source"),
+    ("EPSG:4326", "crs"),
+    ("gps", "require text"),
+    ("none such", "diagonal obstacles backend engine kind nan hanging clocks series quantity Risk.distance cost sense"),
+    ("none such", "outcome time_of_day PlannedPath.save.end MetricMaps.m.name compare_fits.scale fit_weights.scale"),
+    ("none such", "sample_instances.weights"),
+    (("gps.mask_deg",), "changes"),
+    ((-1.0,), "other_pieces_m"),
+    ((0.0, 1e-4), "Protection.tolerance_m"),
+    ([5], "pairs"),
+    ({"gsp": 1.0}, "weights SoftParams.sections"),
+    ({"connectivity": 5}, "CostModel.from_settings.settings"),
+    ({**SETTINGS, "reigon": {}}, "Scenario.from_dict.settings"),
+    (LAYERS, "build_maps.layers"),
+    (pd.DataFrame({"start": [1]}), "plan_many.queries"),
+    (RIGHT, "credit block_field district_field commercial Scenario.from_dict.name Scenario.from_dict.folder zones"),
+    # Known only with the maps, the files or the folder, or as good as none.
+    (RIGHT, "Constraints.bounds soft_city.layers all_maps.weights building_costs.weights MapsFolder.folder"),
+    (RIGHT, "sensitivity_study.scenarios SensitivitySettings.vary SensitivitySettings.objectives open_maps.obstacles"),
+    (RIGHT, "SensitivityStudySettings.vary write_buildings.out write_buildings.scenario Population.blocks"),
+    (RIGHT, "City.from_files.terrain Gps.orbits Buildings.source Terrain.source read_demonstrations.metrics"),
+    (RIGHT, "Study.land_cover FitSettings.state_file"),
 )
-WRONG |= {
-    **{"connectivity": 5, "diagonal": "never", "obstacles": "toched", "backend": "gpu", "engine": "gpu"},
-    **{"kind": "roof", "nan": "open"},
-    **{"hanging": "in the air", "clocks": "two"},
-    **{
-        "series": "all",
-        "quantity": "people",
-        "Risk.distance": "sphere",
-        "cost": "bad",
-        "sense": "=",
-        "time": "now",
-    },
-    **{"outcome": "beauty", "crs": "EPSG:4326", "source": 5, "credit": RIGHT, "block_field": RIGHT, "require": "gps"},
-    **{"district_field": RIGHT, "commercial": RIGHT, "weights": {"gsp": 1.0}},
-    **{
-        "CostModel.from_settings.settings": {"connectivity": 5},
-        "Scenario.from_dict.settings": {**SETTINGS, "reigon": {}},
-    },
-    **{
-        "Scenario.from_dict.name": RIGHT,
-        "Scenario.from_dict.folder": RIGHT,
-        "MetricMaps.m.name": "gsp",
-        "zones": RIGHT,
-    },
-    **{"Constraints.bounds": RIGHT, "layers": ("gsp",), "changes": ("gps.mask_deg",), "text": "gps", "base": RIGHT},
-    **{"build_maps.layers": {"gps": ju.Layer("a.tif", "high-is-bad", (0, 1))}, "soft_city.layers": RIGHT, "pairs": [5]},
-    **{
-        "SoftParams.sections": {"gsp": 1},
-        "Protection.tolerance_m": (0.0, 1e-4),
-        "times": (),
-        "stop": "yesterday",
-        "step_s": 0,
-        "compare.times": {"now": "then"},
-        "scenario": "no.toml",
-    },
-    **{"time_of_day": "noon", "times_of_day": ("noon",), "profile": RIGHT},
-    **{
-        "plan_many.queries": pd.DataFrame({"start": [1]}),
-        "sample_instances.weights": "uniform",
-        "all_maps.weights": RIGHT,
-    },
-}
-WRONG |= dict.fromkeys(  # known only with the maps, the files or the folder, or as good as none
-    (
-        *("building_costs.weights", "FitSettings.state_file", "MapsFolder.folder", "sensitivity_study.scenarios"),
-        *("SensitivitySettings.vary", "SensitivitySettings.objectives"),
-        *("SensitivityStudySettings.vary", "write_buildings.out", "write_buildings.scenario"),
-        *("Population.blocks", "City.from_files.terrain", "Gps.orbits", "Buildings.source", "Terrain.source"),
-        *("read_demonstrations.metrics", "Study.land_cover"),
-        "open_maps.obstacles",
-    ),
-    RIGHT,
-)
+WRONG = {name: value for value, names in WRONG_VALUES for name in names.split()}
 
 
 def public() -> Iterator[tuple[str, Callable[..., Any]]]:
@@ -262,14 +184,15 @@ PARAMETERS = [
 ]
 
 
-def call(name: str, parameter: str, value: Any, good: dict[str, Any]) -> str:
+def call(name: str, parameter: str, value: Any) -> str:
     """Return what a call with a wrong argument answers."""
-    function, given = CALLS[name], {**good, parameter: value}
+    function, needed = CALLS[name], good_arguments(name)
+    given = {**needed, parameter: value}
     kind = inspect.signature(function).parameters[parameter].kind
     if kind is kind.VAR_POSITIONAL:
-        given = {**good, "file": "path.geojson"}
+        given = {**needed, "file": "path.geojson"}
     if kind is kind.VAR_KEYWORD:
-        given = {**good, f"my_{parameter}": value}
+        given = {**needed, f"my_{parameter}": value}
     args = (given.pop("self"),) if "self" in given else ()
     args += (given.pop("file"), value) if kind is kind.VAR_POSITIONAL else ()
     with pytest.raises(InputError) as raised:
@@ -280,8 +203,7 @@ def call(name: str, parameter: str, value: Any, good: dict[str, Any]) -> str:
 @pytest.mark.parametrize(("name", "parameter"), PARAMETERS)
 def test_a_wrong_type_names_the_argument(name, parameter, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    good = GOOD.get(name, dict)()
-    told = call(name, parameter, object(), good)
+    told = call(name, parameter, object())
     assert parameter in told
     assert "\n" not in told
 
@@ -310,7 +232,7 @@ def test_a_wrong_value_names_the_argument(name, parameter, tmp_path, monkeypatch
     assert value is not None, f"write a wrong value of {name}.{parameter} into WRONG, or RIGHT"
     if value is RIGHT:
         return
-    told = call(name, parameter, value, GOOD.get(name, dict)())
+    told = call(name, parameter, value)
     assert re.search(words_of(parameter, value), told, re.IGNORECASE)
     assert "\n" not in told
 
@@ -351,7 +273,7 @@ def test_a_wrong_value_names_the_argument(name, parameter, tmp_path, monkeypatch
             ),
             "there are no maps for time of day noon: these maps hold none, so leave it out",
         ),
-        (lambda: held("path").save("a\0.plan"), r"cannot write 'a\\x00\.plan': no file's name can hold NUL"),
+        (lambda: good("planned").save("a\0.plan"), r"cannot write 'a\\x00\.plan': no file's name can hold NUL"),
     ],
 )
 def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy(call, sentence):
@@ -381,7 +303,7 @@ def test_an_argument_of_what_makes_another_is_given_there(name, wrong):
     with pytest.raises(
         InputError, match=re.escape(f"{name}: there is no argument {wrong!r} (give {HOMES[name][wrong]})")
     ):
-        CALLS[name](**GOOD[name](), **{wrong: 1})
+        CALLS[name](**good_arguments(name), **{wrong: 1})
 
 
 @pytest.mark.parametrize(
@@ -393,10 +315,10 @@ def test_an_argument_of_what_makes_another_is_given_there(name, wrong):
     ],
 )
 def test_an_argument_like_no_other_is_answered_by_the_list_of_all_and_no_guess(name, wrong):
-    good = GOOD[name]()
-    method = CALLS[name].__get__(good.pop("self")) if "self" in good else CALLS[name]
+    given = good_arguments(name)
+    method = CALLS[name].__get__(given.pop("self")) if "self" in given else CALLS[name]
     with pytest.raises(InputError) as raised:
-        method(**good, **{wrong: 1})
+        method(**given, **{wrong: 1})
     takes = ", ".join(inspect.signature(method).parameters)
     assert str(raised.value) == f"{name.rpartition('.')[2]}: there is no argument {wrong!r}; it takes {takes}"
 
