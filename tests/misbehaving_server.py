@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import urlsplit
 
@@ -12,12 +12,26 @@ LONGEST_S = 20.0  # so that a client which waits for ever fails its test and doe
 Reply = Callable[[BaseHTTPRequestHandler], None]
 
 
-class Server:
+class Handler(BaseHTTPRequestHandler):
+    """Gives the replies of its server."""
+
+    def do_GET(self) -> None:
+        self.server.asked.append((self.path, dict(self.headers)))
+        replies = self.server.replies.get(urlsplit(self.path).path, [send(b"nothing here", 404)])
+        with suppress(BrokenPipeError, ConnectionResetError):
+            (replies.pop(0) if len(replies) > 1 else replies[0])(self)
+
+    def log_message(self, *_: object) -> None:
+        """Stay quiet."""
+
+
+class Server(ThreadingHTTPServer):
     """Replies by path, and what was asked: path with query, and headers."""
 
-    def __init__(self, url: str) -> None:
-        self.url = url
-        self.replies: dict[str, Reply | list[Reply]] = {}
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.url = f"http://127.0.0.1:{self.server_port}"
+        self.replies: dict[str, list[Reply]] = {}
         self.asked: list[tuple[str, dict[str, str]]] = []
         self.ended = threading.Event()  # set when the test is over: the silent replies end too
 
@@ -45,13 +59,13 @@ def send(body: bytes, status: int = 200, **headers: str) -> Reply:
     return reply
 
 
-def drip(server: Server, piece: bytes, every_s: float) -> Reply:
+def drip(piece: bytes, every_s: float) -> Reply:
     """Reply with a piece again and again, for `LONGEST_S` at most; an empty one is silence."""
 
     def reply(handler: BaseHTTPRequestHandler) -> None:
         send(b"", Content_Length="")(handler)
         begun_s = time.monotonic()
-        while not server.ended.wait(every_s) and time.monotonic() < begun_s + LONGEST_S:
+        while not handler.server.ended.wait(every_s) and time.monotonic() < begun_s + LONGEST_S:
             handler.wfile.write(piece)
 
     return reply
@@ -60,28 +74,12 @@ def drip(server: Server, piece: bytes, every_s: float) -> Reply:
 @contextmanager
 def serve() -> Iterator[Server]:
     """Yield a server on a port of its own."""
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            server.asked.append((self.path, dict(self.headers)))
-            replies = server.replies.get(urlsplit(self.path).path, [send(b"nothing here", 404)])
-            reply = replies.pop(0) if len(replies) > 1 else replies[0]
-            try:
-                reply(self)
-            except (BrokenPipeError, ConnectionResetError):
-                self.close_connection = True
-
-        def log_message(self, *_: object) -> None:
-            """Stay quiet."""
-
-    httpd = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    server = Server(f"http://127.0.0.1:{httpd.server_port}")
-    thread = threading.Thread(target=httpd.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    try:
-        yield server
-    finally:
-        server.ended.set()
-        httpd.shutdown()
-        thread.join()
-        httpd.server_close()
+    with Server() as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.ended.set()
+            server.shutdown()
+            thread.join()
