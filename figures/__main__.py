@@ -1,6 +1,7 @@
 """Draw the figures: ``python -m figures`` all of them, ``python -m figures gps volume`` those whose names hold a word.
 
-Each is a module with a ``main``, here or in `figures.paper`, and writes its pictures beside itself.
+Each is a module with a ``main``, here or in `figures.paper`, and writes its pictures beside itself. With ``--small`` those
+of the paper are drawn on coarser cells, under out/figures-small.
 """
 
 import argparse
@@ -21,6 +22,7 @@ def names() -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m figures", description=__doc__.splitlines()[0])
     parser.add_argument("words", nargs="*", metavar="WORD", help="draw only what has one of these words in its name")
+    parser.add_argument("--small", action="store_true", help="coarser cells for the paper's, to see that all are drawn")
     words = parser.parse_args().words
     chosen = [name for name in names() if not words or any(word in name for word in words)]
     if not chosen:

@@ -1,10 +1,12 @@
 """What the paper's figures and tables share: two cities, captions in words, and files to look at and to print.
 
 `TOWNS` are the synthetic city, over the paper's 10 x 20 km, and Lower Manhattan, where the data files are at hand
-(``JAXURBAN_DATA``, default ``../shared/data``). Their maps are made once, under out/figures.
+(``JAXURBAN_DATA``, default ``../shared/data``). Their maps are made once, under out/figures. With ``--small`` all is
+drawn on coarser cells, under out/figures-small alone, to see that it can be.
 """
 
 import os
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
@@ -29,9 +31,10 @@ from jaxurban.world.city import Blocks, City
 from jaxurban.world.grid import Grid
 
 ROOT = Path(__file__).parents[2]
-HERE, OUT = ROOT / "figures" / "paper", ROOT / "out" / "figures"
+IS_SMALL = "--small" in sys.argv  # of `python -m figures`
+HERE, OUT = ROOT / "figures" / "paper", ROOT / "out" / ("figures-small" if IS_SMALL else "figures")
 DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT.parent / "shared" / "data"))
-MAP_M, PATH_M = 2.0, 5.0  # the paper's cells: of its maps, of its paths
+MAP_M, PATH_M = (10.0, 20.0) if IS_SMALL else (2.0, 5.0)  # the paper's cells: of its maps, of its paths
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
 BOUNDS = (-74.03, 40.68, -73.9107, 40.86)  # the paper's region: 10 x 20 km around Manhattan
 EPOCH = "2020-04-27T16:00:00Z"
@@ -194,8 +197,8 @@ def save(figure: Figure, name: str, caption: Caption) -> None:
 
 
 def kept(name: str) -> Path:
-    """Return where a picture or table is kept: not beside the scripts if it lacks the other city's part."""
-    return HERE if len(TOWNS) > 1 or name.endswith(f"_{SYNTHETIC.name}") else OUT
+    """Return where a picture or table is kept: not beside the scripts if it is small or lacks the other city's part."""
+    return HERE if not IS_SMALL and (len(TOWNS) > 1 or name.endswith(f"_{SYNTHETIC.name}")) else OUT
 
 
 def save_table(table: pd.DataFrame, name: str, title: str, caption: Caption) -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from figures.paper.common import PATH_M, TOWNS, Caption, Town, save
+from figures.paper.common import IS_SMALL, PATH_M, TOWNS, Caption, Town, save
 from jaxurban.maps.scenario import PAPER_PLANNERS
 from jaxurban.paths.cost_map import CostMap, PathSearch
 from jaxurban.paths.path import PlannedPath, finish, map_settings
@@ -42,7 +42,7 @@ from jaxurban.studies.montecarlo.trial import draws_samples
 from jaxurban.world.grid import Grid
 
 DAY_UP_TO_M = 60.0  # the paper draws day at 20 and 60 m, night above
-NUM_SAMPLES = 10_000  # of BIT*: the pictures repeat exactly, as under a budget in seconds they would not
+NUM_SAMPLES = 500 if IS_SMALL else 10_000  # of BIT*: the pictures repeat exactly, as under a budget in seconds they would not
 # Beside colours, for print in black and white; dashes let the line beneath show.
 DASHES = {"ptp": ":", "astar-plus": (0, (5, 2.5)), "bitstar-plus": (0, (2, 1.2))}
 MARGIN = 0.12
