@@ -5,24 +5,16 @@ import pytest
 from benchmarks.cuda_compile import count, faults, unlisted
 from benchmarks.cuda_kernels import KERNELS
 
-# Twelve turns of two kernels and one for the condition; within each turn a loop whose end is data, of one kernel and
-# none for its condition; then a branch of three kernels or one, a copy, and a call of one kernel.
+# Twelve turns of a kernel and one for the condition; within each turn a loop whose end is data, of one kernel and none
+# for its condition; then a branch of three kernels or one, a copy, and a call of one kernel.
 PROGRAM = """HloModule jit_f, is_scheduled=true, entry_computation_layout={(f32[8]{0})->f32[8]{0}}
 
-%fused (p: f32[8]) -> f32[8] {
+%few (p: f32[8]) -> f32[8] {
   %p = f32[8]{0} parameter(0)
-  %a.1 = f32[8]{0} add(%p, %p)
-  ROOT %a = f32[8]{0} multiply(%a.1, %p)
+  ROOT %one = f32[8]{0} fusion(%p), kind=kLoop, calls=%fused
 }
 
-%inner (s: (s32[], f32[8])) -> (s32[], f32[8]) {
-  %s = (s32[], f32[8]{0}) parameter(0)
-  %x = f32[8]{0} get-tuple-element(%s), index=1
-  %one = f32[8]{0} fusion(%x), kind=kLoop, calls=%fused
-  ROOT %t = (s32[], f32[8]{0}) tuple(%x, %one)
-}
-
-%inner_end (s: (s32[], f32[8])) -> pred[] {
+%end (s: (s32[], f32[8])) -> pred[] {
   %s = (s32[], f32[8]{0}) parameter(0)
   ROOT %is_on = pred[] bitcast(%s)
 }
@@ -30,13 +22,8 @@ PROGRAM = """HloModule jit_f, is_scheduled=true, entry_computation_layout={(f32[
 %outer (s: (s32[], f32[8])) -> (s32[], f32[8]) {
   %s = (s32[], /*index=1*/f32[8]{0:S(5)}) parameter(0)
   %first = f32[8]{0} fusion(%s), kind=kLoop, calls=%fused
-  %loop = (s32[], f32[8]{0}) while(%s), condition=%inner_end, body=%inner
+  %loop = (s32[], f32[8]{0}) while(%s), condition=%end, body=%few
   ROOT %t = (s32[], f32[8]{0}) tuple(%first, %loop)
-}
-
-%outer_end (s: (s32[], f32[8])) -> pred[] {
-  %s = (s32[], f32[8]{0}) parameter(0)
-  ROOT %is_on = pred[] fusion(%s), kind=kLoop, calls=%fused
 }
 
 %many (p: f32[8]) -> f32[8] {
@@ -46,15 +33,10 @@ PROGRAM = """HloModule jit_f, is_scheduled=true, entry_computation_layout={(f32[
   ROOT %k.3 = f32[8]{0} fusion(%k.2), kind=kInput, calls=%fused
 }
 
-%few (p: f32[8]) -> f32[8] {
-  %p = f32[8]{0} parameter(0)
-  ROOT %k = f32[8]{0} fusion(%p), kind=kLoop, calls=%fused
-}
-
 ENTRY %main (x: f32[8]) -> f32[8] {
   %x = f32[8]{0} parameter(0)
   %c = s32[] constant(0)
-  %l = (s32[], f32[8]{0}) while(%x), condition=%outer_end, body=%outer, backend_config={"known_trip_count":{"n":"12"}}
+  %l = (s32[], f32[8]{0}) while(%x), condition=%few, body=%outer, backend_config={"known_trip_count":{"n":"12"}}
   %chosen = f32[8]{0} conditional(%c, %x, %x), branch_computations={%many, %few}
   %copied = f32[8]{0} copy(%chosen)
   ROOT %called = f32[8]{0} call(%copied), to_apply=%few
@@ -65,9 +47,6 @@ ROW = {"launches": 100, "data_loops": 1, "temporary_mib": 10.0}
 
 def test_launches_are_those_of_all_turns_and_of_the_longest_branch():
     assert count(PROGRAM) == (12 * (1 + 1 + 1) + 3 + 1 + 1, 1)
-
-
-def test_text_without_an_entry_is_no_program():
     with pytest.raises(ValueError, match="no ENTRY"):
         count("HloModule jit_f")
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
+import numpy as np
 import pandas as pd
 import pytest
 import shapely
@@ -29,12 +30,9 @@ from tests.cli_runs import run
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^( *)```([\w-]*)[^\n]*\n(.*?)^\1```[ \t]*$", re.MULTILINE | re.DOTALL)
-LONG_PAGES = {  # marked slow
-    *("docs/reference/api.md", "docs/sensitivity.md", "docs/study.md", "docs/tuning.md", "docs/tutorial.md"),
-    *("docs/howto/own_city.md", "docs/howto/own_layer.md", "docs/howto/batches.md", "docs/howto/compare.md"),
-    *("docs/howto/one_function.md", "docs/howto/receiver.md"),
-    "docs/howto/viewer.md",
-}
+IS_LONG = re.compile(  # a page that is marked slow
+    r"(api|sensitivity|study|tuning|tutorial|own_city|own_layer|batches|compare|one_function|receiver|viewer)\.md$"
+).search
 
 SCENARIO = """
 [region]
@@ -71,15 +69,6 @@ def name_of(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
 
-def with_code(is_long: bool) -> list[Any]:
-    """Return the pages that have blocks to run."""
-    return [
-        pytest.param(page, id=name_of(page))
-        for page in PAGES
-        if (name_of(page) in LONG_PAGES) == is_long and {block.language for block in blocks_of(page)} & set(RUNNERS)
-    ]
-
-
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory) -> Path:
     """The folder that pages start from."""
@@ -90,29 +79,22 @@ def prepared(tmp_path_factory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         app.main(["maps", "scenario.toml", "-o", "out/manhattan"], standalone_mode=False)
-    write(folder / "heliports.kml", [shapely.Point(-74.009, 40.701).buffer(0.0005)], {"Name": ["Heliport"]})
-    write(folder / "parks.geojson", [shapely.box(-73.999, 40.712, -73.997, 40.714)], {"ceiling_m": [50.0]})
+    write(folder / "heliports.kml", [shapely.Point(-74.009, 40.701).buffer(0.0005)], Name=["Heliport"])
+    write(folder / "parks.geojson", [shapely.box(-73.999, 40.712, -73.997, 40.714)], ceiling_m=[50.0])
     houses = [shapely.box(x, y, x + 0.0008, y + 0.0006) for x in (-74.013, -74.010) for y in (40.706, 40.709)]
-    write(folder / "buildings.geojson", houses, {"height": [12.0, 30.0, 55.0, 90.0]})
+    write(folder / "buildings.geojson", houses, height=[12.0, 30.0, 55.0, 90.0])
     ids = ["360610001001000", "360610001001001"]
     write(
-        folder / "blocks.geojson",
-        [shapely.box(-74.016, 40.704, -74.011, 40.712), shapely.box(-74.011, 40.704, -74.006, 40.712)],
-        {"GEOID10": ids},
+        folder / "blocks.geojson", [shapely.box(x, 40.704, x + 0.005, 40.712) for x in (-74.016, -74.011)], GEOID10=ids
     )
     pd.DataFrame({"GEOID10": ids, "P001001": [400, 1200]}).to_csv(folder / "population.csv", index=False)
-    maps = ju.open_maps(folder / "out/manhattan")
-    ends = [
-        ((-74.016, 40.704), (-73.99, 40.729)),
-        ((-74.01, 40.705), (-73.985, 40.725)),
-        ((-74, 40.71), (-74.01, 40.725)),
-    ]
-    routes = [ju.plan(maps, start, goal, altitude_m=60.0, snap=True) for start, goal in ends]
-    write(folder / "routes.geojson", [shapely.LineString(path.lonlat) for path in routes], {"altitude_m": [60.0] * 3})
+    ends = [-74.016, 40.704, -73.99, 40.729, -74.01, 40.705, -73.985, 40.725, -74, 40.71, -74.01, 40.725]
+    pairs = np.reshape(ends, (3, 2, 2)).tolist()
+    ju.plan_many(folder / "out/manhattan", pairs, altitude_m=60.0, snap=True).save(folder / "routes.geojson")
     return folder
 
 
-def write(file: Path, shapes: list, columns: dict[str, list]) -> None:
+def write(file: Path, shapes: list, **columns: list) -> None:
     gpd.GeoDataFrame(columns, geometry=shapes, crs="EPSG:4326").to_file(file, driver={".kml": "KML"}.get(file.suffix))
 
 
@@ -143,7 +125,7 @@ def run_shell(block: Block, page: Path, namespace: dict[str, Any], capsys) -> No
         match words:
             case ["jaxurban", *arguments]:
                 if reason := why_not_run(arguments):
-                    parse(arguments, reason)
+                    assert app.commands[arguments[0]].make_context(arguments[0], arguments[1:]), reason
                 else:
                     code, _, err = run(capsys, *arguments)
                     assert code == 0, f"{name_of(page)}:{block.line}: {shlex.join(words)}\n{err}"
@@ -184,45 +166,25 @@ def why_not_run(arguments: list[str]) -> str:
     return ""
 
 
-def parse(arguments: list[str], reason: str) -> None:
-    command, *options = arguments
-    assert app.commands[command].make_context(command, options), reason
-
-
 Runner = Callable[[Block, Path, dict[str, Any], Any], None]
 RUNNERS: dict[str, Runner] = {"python": run_python, "toml": keep_toml, "sh": run_shell}
 NOT_RUN = {"text", "math"}  # diagrams, and formulas, which `make docs` turns into MathML or fails
 
 
-def run_page(page: Path, capsys) -> None:
+def with_code() -> Iterator[Any]:
+    """Yield the pages that have blocks to run."""
+    for page in PAGES:
+        if {block.language for block in blocks_of(page)} & set(RUNNERS):
+            marks = [pytest.mark.slow] * bool(IS_LONG(page.name))
+            yield pytest.param(page, id=name_of(page), marks=marks)
+
+
+@pytest.mark.parametrize("page", [*with_code()])
+def test_the_blocks_of_a_page_run_in_their_order(page, folder, capsys):
     namespace: dict[str, Any] = {"__name__": "__main__"}
     for block in blocks_of(page):
         if block.language not in NOT_RUN:
             RUNNERS[block.language](block, page, namespace, capsys)
-
-
-@pytest.mark.parametrize("page", with_code(is_long=False))
-def test_the_blocks_of_a_page_run_in_their_order(page, folder, capsys):
-    run_page(page, capsys)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("page", with_code(is_long=True))
-def test_the_blocks_of_a_page_that_takes_long_run_in_their_order(page, folder, capsys):
-    run_page(page, capsys)
-
-
-@pytest.mark.parametrize("page", with_code(is_long=True))
-def test_a_page_that_takes_long_compiles_and_its_commands_parse(page, folder, capsys):
-    for block in blocks_of(page):
-        if block.language == "python":
-            compile(block.text, str(page), "exec")
-        elif block.language == "toml":
-            keep_toml(block, page, {}, capsys)
-        elif block.language == "sh":
-            for words in commands_of(block):
-                if words[0] == "jaxurban":
-                    parse(words[1:], "see the test above")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -4,7 +4,6 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +56,7 @@ def test_a_window_shows_the_grid_where_it_is_and_nothing_beyond():
     assert np.isnan(example_paths.crop(plain, GRID, part).values[:5]).all()
 
 
-def test_a_figure_is_drawn_anew_as_picture_and_for_print(tmp_path, monkeypatch):
+def test_a_figure_is_drawn_anew_for_the_eye_and_for_print_and_kept_apart_where_a_city_is_missing(tmp_path, monkeypatch):
     monkeypatch.setattr(common, "HERE", tmp_path)
     monkeypatch.setattr(common, "OUT", tmp_path / "print")
     monkeypatch.setattr(common, "TOWNS", (common.SYNTHETIC, common.MANHATTAN))
@@ -66,14 +65,10 @@ def test_a_figure_is_drawn_anew_as_picture_and_for_print(tmp_path, monkeypatch):
     text = (tmp_path / "fig_99_try.md").read_text(encoding="utf-8")
     assert all(f"**{head}.** {said}" in text for head, said in zip(common.HEADS, CAPTION, strict=True))
     assert (tmp_path / "print" / "fig_99_try.pdf").read_bytes()[:4] == b"%PDF"
-
-
-def test_without_the_data_files_what_shows_both_cities_is_kept_apart(monkeypatch):
     monkeypatch.setattr(common, "TOWNS", (common.SYNTHETIC,))
-    assert common.kept("fig_06_gps_synthetic") == common.HERE
-    assert common.kept("table_4_dop_rating") == common.OUT
-    monkeypatch.setattr(common, "TOWNS", (common.SYNTHETIC, common.MANHATTAN))
-    assert common.kept("table_4_dop_rating") == common.HERE
+    assert [common.kept(name) for name in ("fig_06_gps_synthetic", "table_4_dop_rating")] == [common.HERE, common.OUT]
+    monkeypatch.setattr(common, "IS_SMALL", True)
+    assert common.kept("fig_06_gps_synthetic") == common.OUT
 
 
 def test_an_unknown_figure_is_answered_with_those_there_are():
@@ -81,11 +76,3 @@ def test_an_unknown_figure_is_answered_with_those_there_are():
     assert done.returncode == 2
     assert "no figure has nosuch in its name" in done.stderr
     assert "fig_06_gps" in done.stderr
-
-
-def test_every_script_of_figures_can_be_run():
-    names = import_module("figures.__main__").names()
-    assert {script.stem for script in SCRIPTS} < {name.rpartition(".")[2] for name in names}
-    for name in names:
-        source = (ROOT / name.replace(".", "/")).with_suffix(".py").read_text(encoding="utf-8")
-        assert "\ndef main() -> None:\n" in source, f"{name} has no main()"

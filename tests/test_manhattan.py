@@ -6,17 +6,11 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
+from figures.paper.common import CENSUS, ORBITS, OSM
 from tests.cli_runs import run
 
 pytestmark = pytest.mark.data
 
-BLOCKS = {
-    "blocks": "census/tl_2010_36061_tabblock10.shp",
-    "table": "census/DECENNIALSF12010.P1_nyc_blocks.csv",
-    "districts": "districts/nyc_community_districts.geojson",
-}
-BUILDINGS = "osm/lower-manhattan.osm.pbf"
-ORBITS = "gps/gps-ops_2020-04-27.tle"
 REFERENCE = (-74.0, 40.715)
 
 
@@ -25,8 +19,8 @@ def test_the_census_of_all_manhattan_adds_up(data_dir, tmp_path, capsys):
     scenario = tmp_path / "manhattan.toml"
     scenario.write_text(
         "[region]\nbounds = [-74.05, 40.68, -73.90, 40.885]\nresolution_m = 10\naltitudes_m = [600]\n"
-        f'[buildings]\nsource = "{data_dir / BUILDINGS}"\n[population]\n'
-        + "".join(f'{key} = "{data_dir / path}"\n' for key, path in BLOCKS.items())
+        f'[buildings]\nsource = "{OSM}"\n[population]\n'
+        + "".join(f'{key} = "{path}"\n' for key, path in CENSUS.items())
     )
     assert run(capsys, "maps", scenario, "-o", tmp_path / "out")[0] == 0
     night = json.loads((tmp_path / "out" / "run.json").read_text())["population"]["night"]
@@ -39,10 +33,8 @@ def test_the_census_of_all_manhattan_adds_up(data_dir, tmp_path, capsys):
 @pytest.mark.slow
 def test_maps_of_a_sub_box_equal_the_crop_of_lower_manhattan(data_dir):
     def maps_of(bounds):
-        city = ju.City.from_files(data_dir / BUILDINGS, bounds=bounds)
-        return ju.build_maps(
-            city, bounds, altitudes_m=(20.0, 122.0), gps=ju.Gps(orbits=data_dir / ORBITS, reference=REFERENCE)
-        )
+        city = ju.City.from_files(OSM, bounds=bounds)
+        return ju.build_maps(city, bounds, altitudes_m=(20.0, 122.0), gps=ju.Gps(orbits=ORBITS, reference=REFERENCE))
 
     whole, part = maps_of((-74.02, 40.70, -73.98, 40.73)), maps_of((-74.011, 40.705, -74.002, 40.712))
     rows, cols = part.grid.window_in(whole.grid)

@@ -1,6 +1,5 @@
 """A metric defined here in whole, and a raster of one's own: each runs through everything, as built-in ones do."""
 
-import json
 import runpy
 from dataclasses import dataclass, replace
 
@@ -28,11 +27,9 @@ from jaxurban.planners.registry import PLANNERS
 from jaxurban.progress import Report
 from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
 from jaxurban.studies.demonstrations import optimal_demonstrations
-from jaxurban.studies.weights import sobol
 from jaxurban.viewer.layers import layers_of
 from jaxurban.world.sky import Sky
 from tests import tiled_runs
-from tests.cli_runs import run
 from tests.made_maps import made_maps
 
 REACH_M = 40.0  # two cells of the tiled job
@@ -89,14 +86,10 @@ def _toy(monkeypatch):
 
 
 @pytest.fixture
-def _only_quick(_toy):
+def _only_quick(_toy, monkeypatch):
     """Leave out the metrics that take seconds to compile."""
-    known = dict(METRICS)
     for name in ("gps", "lidar", "risk"):
-        del METRICS[name]
-    yield
-    METRICS.clear()
-    METRICS.update(known)  # in their order
+        monkeypatch.delitem(METRICS, name)
 
 
 @pytest.fixture(scope="module")
@@ -161,31 +154,17 @@ def test_every_planner_pays_for_it(maps, ends, planner):
 
 
 @pytest.mark.slow
-def test_batches_fits_sensitivity_and_studies_take_it(maps, ends, path, tmp_path, monkeypatch):
-    monkeypatch.setattr(sobol, "NUM_REPEATS", 2)
-    monkeypatch.setattr(sobol, "NUM_NOISE", 2)
+def test_batches_and_fits_take_it(maps, ends, path):
     table = pd.DataFrame([dict(zip(("start_lon", "start_lat", "goal_lon", "goal_lat"), np.ravel(ends), strict=True))])
     table = table.assign(**{f"w_{name}": value for name, value in WEIGHTS.items()})
     batch = ju.plan_many(maps, table, altitude_m=ALTITUDE_M, progress=False)
     assert batch[0].cost == pytest.approx(path.cost, rel=1e-9)
     assert batch.to_dataframe().cost_toy.item() == pytest.approx(path.cost_by_layer["toy"])
     on = ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS)
-    quick = ju.studies.SensitivitySettings(vary=("toy",), num_samples=2, objectives=("distance", "toy"), max_plans=10)
-    found = ju.studies.sensitivity(on, *ends, settings=quick)
-    assert found.names == ("distance", *maps.metrics)
-    assert found.route.cost == pytest.approx(path.cost, rel=1e-9)
     hidden = ju.Weights(**dict.fromkeys(METRICS, 0.0) | {"distance": 0.1, "toy": 0.9})
     shown = optimal_demonstrations(ju.studies.make_queries(on, [ends, ends[::-1]]), hidden)
     fit = ju.fit.fit_weights(shown, bootstrap=2, settings=ju.fit.FitSettings(max_rounds=1))
     assert fit.weights["toy"] > 0
-    weights = [ju.Weights(**dict.fromkeys(METRICS, 0.0) | WEIGHTS)]
-    instances = ju.studies.sample_instances(maps, 1, altitudes_m=[ALTITUDE_M], weights=weights)
-    settings = ju.studies.Study(planners=["astar-plus"], distance_only=(), budget_s=1.0)
-    result = ju.studies.study(maps, tmp_path / "study", instances, settings=settings, progress=False)
-    assert result.instances.w_toy.item() == 2.0
-    row = result.rows.iloc[0]
-    assert row.status == "optimal"
-    assert 0 < row.m_toy < 1
 
 
 def test_pictures_show_it(maps, path, tmp_path):
@@ -228,49 +207,6 @@ def shade() -> ju.Layer:
         return surface.crop(surface.roof_m) / altitude_m
 
     return ju.Layer(of, "high-is-bad", (0.0, 4.0), soft=of)
-
-
-SCENARIO = """
-[region]
-bounds = [-74.0, 40.75, -73.995, 40.754]
-resolution_m = 20
-altitudes_m = [60]
-[buildings]
-source = "synthetic"
-[lidar]
-beams = 2
-azimuths = 8
-range_m = 40
-[layers.noise]
-source = "noise.tif"
-cost = "high-is-bad"
-scale = [0, 80]
-"""
-
-
-@pytest.mark.slow
-def test_a_raster_from_a_scenario_runs_through_the_commands(tmp_path, capsys):
-    (tmp_path / "scenario.toml").write_text(SCENARIO)
-    profile = {"driver": "GTiff", "height": 40, "width": 50, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
-    transform = rasterio.Affine(0.0002, 0, -74.003, 0, -0.0002, 40.7555)
-    values = np.tile(np.linspace(0, 100, 50, dtype=np.float32), (40, 1))
-    with rasterio.open(tmp_path / "noise.tif", "w", transform=transform, **profile) as file:
-        file.write(values, 1)
-    code, _, err = run(capsys, "maps", tmp_path / "scenario.toml", "-o", tmp_path / "maps")
-    assert code == 0, err
-    with rasterio.open(tmp_path / "maps" / "geotiff" / "noise_20m.tif") as file:
-        m = file.read(1)
-    assert 0 < np.nanmin(m) < np.nanmax(m) <= 1
-    arguments = ("--start", "-73.9995,40.7503", "--goal", "-73.9965,40.7532", "--altitude", 60, "--snap", "--report")
-    code, out, err = run(capsys, "plan", tmp_path / "maps", *arguments, "--weights", "noise=2", "--json")
-    assert code == 0, err
-    found = json.loads(out)
-    assert found["settings"]["weights"]["noise"] == 2.0
-    assert 0 < found["cost_by_layer"]["noise"] == pytest.approx(found["report"]["cost_of_noise"], rel=1e-9)
-    assert found["report"]["cost"] == pytest.approx(found["cost"], rel=1e-9)
-    code, out, _ = run(capsys, "plan", tmp_path / "maps", *arguments, "--weights", "noise=2")
-    assert "+noise" in out
-    assert "cost of noise" in out
 
 
 def test_a_scenario_has_its_section():

@@ -67,16 +67,7 @@ def write_routes(maps: Any, file: Path, number: int, altitude_m: float, weights:
     x_m, y_m = maps.ds["x"].values[at[..., 1]], maps.ds["y"].values[at[..., 0]]
     queries = {"start_x_m": x_m[:, 0], "start_y_m": y_m[:, 0], "goal_x_m": x_m[:, 1], "goal_y_m": y_m[:, 1]}
     paths = ju.plan_many(maps, pd.DataFrame(queries), altitude_m=altitude_m, weights=ju.Weights(**weights))
-    lines = [
-        {
-            "type": "Feature",
-            "properties": {"altitude_m": altitude_m},
-            "geometry": {"type": "LineString", "coordinates": path.lonlat.tolist()},
-        }
-        for path in paths
-        if len(path.lonlat) > 1
-    ]
-    file.write_text(json.dumps({"type": "FeatureCollection", "features": lines}))
+    paths.save(file)
     found = [{"status": path.status.value, "cost": path.cost, "length_m": path.length_m} for path in paths]
     return {"plan_many": {f"{key} {k}": value for k, path in enumerate(found) for key, value in path.items()}}
 
