@@ -84,7 +84,7 @@ docs: $(VENV)/.docs $(RAN)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 bench: $(VENV)/.bench
-	$(BIN)/python -m benchmarks.run_all
+	$(BIN)/python -m benchmarks.run_all $(if $(RUNS),--runs $(RUNS))
 
 bench-gpu: $(VENV)/.run
 	$(BIN)/python -m benchmarks.gpu
