@@ -34,11 +34,7 @@ def test_a_map_that_differs_by_more_than_a_processor_makes_it_is_told():
     new["hdop"][is_judged] *= 1 + 1e-4
     new["num_visible"].flat[:3] += 1
     del new["roof"]
-    assert [name for name, is_same in verdicts(net.judge_maps(old, new)).items() if not is_same] == [
-        "hdop",
-        "lidar",
-        "roof",
-    ]
+    assert [row.what for row in net.judge_maps(old, new) if not row.is_same] == ["hdop", "lidar", "roof"]
     new["obstacle"] = ~old["obstacle"]
     assert not verdicts(net.judge_maps(old, new))["obstacle"]
 

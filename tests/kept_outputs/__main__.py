@@ -119,15 +119,14 @@ def judge_maps(old: dict[str, np.ndarray], new: dict[str, np.ndarray]) -> Iterat
             continue
         before, after = old[name].astype(float), new[name].astype(float)
         is_of_sky, is_real = OF_THE_SKY.search(name) is not None, old[name].dtype.kind == "f"
-        is_judged = np.ones(before.shape, bool)
-        if is_real and is_of_sky and old.get("gdop", before[:0]).shape == before.shape == new.get("gdop", before).shape:
-            is_judged = (old["gdop"] <= GDOP_JUDGED) | (new["gdop"] <= GDOP_JUDGED * (1 - 1e-5))
         same = np.isclose(after, before, rtol=1e-5, atol=1e-6, equal_nan=True) if is_real else after == before
-        most, number = int(FLIPS * before.size) if is_of_sky else 0, int((is_judged & ~same).sum())
-        both = is_judged & np.isfinite(before) & np.isfinite(after)
-        largest = np.abs(after[both] - before[both]).max(initial=0)
-        told = f"{largest:.1e} ({number} of {before.size} cells)"
-        yield Row(name, told, f"{'1e-5' if is_real else 'equal'} but in {most} cells", number <= most)
+        if is_real and is_of_sky and all("gdop" in of and of["gdop"].shape == before.shape for of in (old, new)):
+            same |= (old["gdop"] > GDOP_JUDGED) & (new["gdop"] > GDOP_JUDGED * (1 - 1e-5))
+        most, number = int(FLIPS * before.size) if is_of_sky else 0, int((~same).sum())
+        off = ~same & np.isfinite(before) & np.isfinite(after)
+        largest = np.abs(after[off] - before[off]).max(initial=0)
+        allowed = f"{'1e-5' if is_real else 'equal'} but in {most} cells"
+        yield Row(name, f"{largest:.1e} ({number} of {before.size} cells)", allowed, number <= most)
 
 
 def judge_numbers(old: Numbers, new: Numbers) -> Iterator[Row]:
@@ -135,11 +134,10 @@ def judge_numbers(old: Numbers, new: Numbers) -> Iterator[Row]:
     for what in sorted(old.keys() | new.keys()):
         before, after = old.get(what, {}), new.get(what, {})
         allowed = 1e-6 if what.startswith(("fit", "sensitivity")) or OF_THE_SKY.search(what) else 1e-9
-        shares = {key: share(before.get(key, ""), after.get(key, "")) for key in before.keys() | after.keys()}
+        shares = {key: share(before.get(key, ""), after.get(key, "")) for key in sorted(before.keys() | after.keys())}
         beyond = [key for key, value in shares.items() if value > (1e-6 if OF_THE_SKY.search(key) else allowed)]
-        worst = max(sorted(beyond or shares), key=lambda key: shares[key])
-        told = f"{shares[worst]:.1e} ({worst})" if shares[worst] else "0"
-        yield Row(what, told, f"{allowed:.0e}", not beyond)
+        worst = max(beyond or shares, key=lambda key: shares[key])
+        yield Row(what, f"{shares[worst]:.1e} ({worst})", f"{allowed:.0e}", not beyond)
 
 
 def share(before: Any, after: Any) -> float:
