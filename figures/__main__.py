@@ -1,7 +1,7 @@
 """Draw the figures: ``python -m figures`` all of them, ``python -m figures gps volume`` those whose names hold a word.
 
-Each is a module with a ``main``, here or in `figures.paper`, and writes its pictures beside itself. With ``--small`` those
-of the paper are drawn on coarser cells, under out/figures-small.
+Each is a module with a ``main``, here or in `figures.paper`, and writes its pictures beside itself. With ``--small``
+those of the paper are drawn on coarser cells, under out/figures-small.
 """
 
 import argparse

@@ -42,7 +42,8 @@ from jaxurban.studies.montecarlo.trial import draws_samples
 from jaxurban.world.grid import Grid
 
 DAY_UP_TO_M = 60.0  # the paper draws day at 20 and 60 m, night above
-NUM_SAMPLES = 500 if IS_SMALL else 10_000  # of BIT*: the pictures repeat exactly, as under a budget in seconds they would not
+# Of BIT*: the pictures repeat exactly, as under a budget in seconds they would not.
+NUM_SAMPLES = 500 if IS_SMALL else 10_000
 # Beside colours, for print in black and white; dashes let the line beneath show.
 DASHES = {"ptp": ":", "astar-plus": (0, (5, 2.5)), "bitstar-plus": (0, (2, 1.2))}
 MARGIN = 0.12
