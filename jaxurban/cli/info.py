@@ -57,7 +57,7 @@ def _of_file(file: Path) -> dict[str, Any]:
         num_rows, num_cols = raster.values.shape
         return facts | {"CRS": raster.crs, "cells": f"{num_rows:,} x {num_cols:,}", **_range_of(raster.values)}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+        warnings.simplefilter("ignore", UserWarning)
         city = City.from_files(Buildings(file, allow_none=True))
     facts |= {name: value for name, value in city.facts.items() if value and name != "terrain"}
     if city.buildings is not None and len(city.buildings):

@@ -107,9 +107,9 @@ def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:
     for frame in open_layers(path, ROLE):
         num_others += sum(not _is_all_area(shape) for shape in frame.geometry)
         areas = frame[shapely.get_dimensions(frame.geometry.to_numpy()) == 2]  # -1 where there is none
-        properties = areas.drop(columns=areas.geometry.name)
-        _warn_of_ignored(properties, file)
-        for shape, row in zip(areas.geometry, properties.to_dict("records"), strict=True):
+        _warn_of_ignored(areas.drop(columns=areas.geometry.name), file)
+        for row in areas.to_dict("records"):
+            shape = row.pop(areas.geometry.name)
             facts = {_plain(name): value for name, value in row.items() if not is_blank(value)}
             name = next((str(facts[name]).strip() for name in NAME_NAMES if name in facts), f"polygon {len(zones) + 1}")
             if not np.isfinite(shapely.get_coordinates(shape)).all():
