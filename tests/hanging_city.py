@@ -1,13 +1,22 @@
 """A small city in which parts and a deck hang over the ground, for tests."""
 
+from dataclasses import replace
+
 import numpy as np
 import shapely
 
+from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.metrics.lidar import Lidar
 from jaxurban.world.city import SLABS, City, Footprints, Hanging, HeightOrigin, Raster
+from jaxurban.world.grid import Grid
+from tests.tiled_runs import sky
 
 CRS, X_M, Y_M, SIDE_M = "EPSG:32618", 583_000.0, 4_507_000.0, 600.0
 DECK = shapely.box(X_M + 60, Y_M + 190, X_M + 540, Y_M + 214)
 DECK_FLOOR_M, DECK_TOP_M = 12.0, 13.5
+RESOLUTION_M = 5.0
+REGION = Grid(CRS, RESOLUTION_M, int((Y_M + 100) // 5), int((X_M + 50) // 5), 67, 93)
+PARAMS = MapParams(altitudes_m=(2.0, 12.0, 13.0, 20.0, 42.0), sections={"lidar": Lidar(azimuths=36, range_m=70.0)})
 # Outline, floor and top of each.
 STANDING = [
     (shapely.box(X_M + 40, Y_M + 240, X_M + 90, Y_M + 300), 0.0, 70.0),
@@ -27,14 +36,8 @@ HANGING = [
 def city(hanging: Hanging = SLABS, with_terrain: bool = False) -> City:
     """Return the city; with terrain, over hills."""
     polygons, floor_m, top_m = zip(*STANDING, *HANGING, strict=True)
-    number = len(polygons)
-    buildings = Footprints(
-        np.array(polygons, object),
-        np.array(top_m),
-        np.array(floor_m),
-        np.full(number, HeightOrigin.HEIGHT, np.uint8),
-        np.ones(number, bool),
-    )
+    origin, is_part = np.full(len(polygons), HeightOrigin.HEIGHT, np.uint8), np.ones(len(polygons), bool)
+    buildings = Footprints(np.array(polygons, object), np.array(top_m), np.array(floor_m), origin, is_part)
     terrain = None
     if with_terrain:
         size = int(SIDE_M // 25)
@@ -43,3 +46,8 @@ def city(hanging: Hanging = SLABS, with_terrain: bool = False) -> City:
     extent_m = (X_M, Y_M, X_M + SIDE_M, Y_M + SIDE_M)
     ground_m = None if terrain is None else extent_m
     return City(CRS, extent_m, buildings, terrain=terrain, terrain_extent_m=ground_m, hanging=hanging)
+
+
+def task(of: City, **settings) -> MapTask:
+    """Return the maps of a region of the city, with other ``settings`` than `PARAMS`."""
+    return MapTask(of, REGION, sky(), replace(PARAMS, **settings))

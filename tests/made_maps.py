@@ -3,13 +3,22 @@
 from collections.abc import Sequence
 
 import numpy as np
+import shapely
 import xarray as xr
 from scipy.ndimage import gaussian_filter
 
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.world.city import City, Footprints
 from jaxurban.world.grid import Grid
 
 FLOWN = ("altitude", "y", "x")
+
+
+def city_of_boxes(boxes: Sequence, height_m, side_m: float, corner_m=(0.0, 0.0), crs: str = "EPSG:32618") -> City:
+    """Return a square city of boxes (x_min, y_min, x_max, y_max from its corner) that stand on the ground."""
+    outlines, zero = shapely.box(*(np.transpose(boxes) + np.tile(corner_m, 2)[:, None])), np.zeros(len(boxes))
+    buildings = Footprints(outlines, zero + height_m, zero, zero.astype(np.uint8), zero > 0)
+    return City(crs, (*corner_m, corner_m[0] + side_m, corner_m[1] + side_m), buildings)
 
 
 def made_maps(

@@ -1,10 +1,14 @@
 """A small job cut into many tiles, for tests in this process and in others: ``python -m tests.tiled_runs FOLDER``."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 
+from jaxurban.io import store
+from jaxurban.maps.build import compute_maps
 from jaxurban.maps.run import Maker, make_zarr
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
@@ -37,16 +41,11 @@ def city(with_terrain: bool = False) -> City:
     x_min, y_min, x_max, y_max = made.extent_m
     rng = np.random.default_rng(0)
     size = int((x_max - x_min) // 25), int((y_max - y_min) // 25)
-    transform = (25.0, 0.0, x_min, 0.0, -25.0, y_max)
     heights = np.where(rng.random(size) < 0.3, rng.uniform(5, 200, size), 0).astype(np.float32)
     heights[20:24, 30:33] = np.nan
-    hills = (rng.random(size) * 40).astype(np.float32)
-    return City(
-        made.crs,
-        made.extent_m,
-        roofs=Raster(heights, transform, made.crs),
-        terrain=Raster(hills, transform, made.crs),
-    )
+    place = (25.0, 0.0, x_min, 0.0, -25.0, y_max), made.crs
+    terrain = Raster((rng.random(size) * 40).astype(np.float32), *place)
+    return City(made.crs, made.extent_m, roofs=Raster(heights, *place), terrain=terrain)
 
 
 def region(of: City) -> Grid:
@@ -73,6 +72,17 @@ def make(folder: Path, of: City, shape=RAGGED, series: str = "epochs", num_worke
     """Make the job's Zarr under ``folder``."""
     make_zarr(maker(folder, of, series, num_workers, client), Report(), shape)
     return folder / "maps.zarr" / "20m"
+
+
+def check_tiles(of: MapTask, folder: Path, shape=RAGGED, **options) -> xr.Dataset:
+    """Make the tiles of a task under ``folder``, with ``options`` of its parameters: they equal the untiled maps."""
+    made = replace(of, guesses=of.all_guesses, params=replace(of.params, **options))
+    make_zarr(Maker(made, folder, "key", 2), Report(), shape)
+    found, expected = store.open_zarr(folder, None).load(), compute_maps(of).ds
+    assert found.attrs.pop("run_key") == "key"
+    xr.testing.assert_identical(found, expected)
+    assert {name: array.dtype for name, array in found.items()} == {n: array.dtype for n, array in expected.items()}
+    return found
 
 
 def files_of(folder: Path) -> dict[str, bytes]:

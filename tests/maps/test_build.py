@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-import shapely
 import xarray as xr
 
 import jaxurban as ju
@@ -12,9 +11,9 @@ from jaxurban.errors import InputError
 from jaxurban.io.files import read_json
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
-from jaxurban.world.city import Footprints
+from tests.made_maps import city_of_boxes
 
-REFERENCE = (-73.97, 40.78)
+REFERENCE, CORNER_M = (-73.97, 40.78), (500_000.0, 4_500_000.0)
 
 
 @pytest.fixture(scope="module")
@@ -27,30 +26,13 @@ def maps(city) -> ju.MetricMaps:
     return ju.build_maps(city, resolution_m=10.0, gps=ju.Gps(reference=REFERENCE))
 
 
-def box_city(*boxes: tuple[float, float, float, float, float]) -> ju.City:
-    """Return a city of boxes: x_min, y_min, x_max, y_max, height, metres from 500,000 and 4,500,000."""
-    x0, y0 = 500_000.0, 4_500_000.0
-    polygons = np.array([shapely.box(x0 + a, y0 + b, x0 + c, y0 + d) for a, b, c, d, _ in boxes], object)
-    heights = np.array([box[4] for box in boxes], float)
-    zeros = np.zeros(len(boxes))
-    buildings = Footprints(polygons, heights, zeros, zeros.astype(np.uint8), zeros.astype(bool))
-    return ju.City("EPSG:32618", (x0, y0, x0 + 400.0, y0 + 400.0), buildings)
-
-
-def test_values_are_metrics(maps):
+def test_values_are_metrics_and_a_cell_is_an_obstacle_exactly_where_a_roof_reaches_it(maps):
     for altitude_m in maps.altitudes_m:
         for name in ("gps", "lidar", "risk", "population"):
             values = maps.m(name, altitude_m)[maps.is_free(altitude_m, "centre")]
             assert ((values >= 0) & (values <= 1)).all()
-
-
-def test_the_maps_say_how_far_risk_looked(maps):
-    assert (maps.ds.attrs["risk_threshold_m"], maps.ds.attrs["risk_distance"]) == (50.0, "slice")
-
-
-def test_a_cell_is_an_obstacle_exactly_where_a_roof_reaches_it(maps):
-    for altitude_m in maps.altitudes_m:
         np.testing.assert_array_equal(maps.m("obstacle", altitude_m) == 1, maps.m("roof") >= altitude_m)
+    assert (maps.ds.attrs["risk_threshold_m"], maps.ds.attrs["risk_distance"]) == (50.0, "slice")
 
 
 def test_gps_improves_and_lidar_fades_with_altitude(maps):
@@ -70,22 +52,13 @@ def test_maps_of_a_sub_box_equal_the_crop_bit_for_bit(city, maps):
 
 
 def test_maps_and_cities_show_what_they_are(city, maps):
-    assert repr(maps).startswith(
-        "MetricMaps(grid: 150 x 150 cells of 10 m; CRS: EPSG:32618; altitudes: 20, 60, 122, 600 m"
-    )
+    assert repr(maps).startswith("MetricMaps(grid: 150 x 150 cells of 10 m; CRS: EPSG:32618; altitudes: 20, 60, 122, ")
     assert "metrics: gps, lidar, population, risk" in repr(maps)
+    assert "'gps': <GPS quality: 1 means" in repr(maps.metrics)
+    assert " at 0x" not in repr(maps.metrics)
     assert repr(city).startswith("City(CRS: EPSG:32618; extent: 1.5 x 1.5 km; buildings: ")
     for shown in (maps, city):
         assert all(f"<th>{name}</th>" in shown._repr_html_() for name, fact in shown.facts.items() if fact)
-
-
-def test_saved_maps_reopen_equal(maps, tmp_path):
-    maps.save(tmp_path)
-    again = ju.open_maps(tmp_path)
-    xr.testing.assert_identical(again.ds, maps.ds)
-    assert again.grid == maps.grid
-    assert again.times == ("2020-04-27T16:00:00Z",)
-    assert again.times_of_day == ("day", "night")
 
 
 def test_maps_with_an_own_layer_are_written_as_netcdf_by_xarray_alone(tmp_path):
@@ -97,34 +70,16 @@ def test_maps_with_an_own_layer_are_written_as_netcdf_by_xarray_alone(tmp_path):
         assert json.loads(read.attrs["guesses"]) == made.guesses
 
 
-def test_the_metrics_of_maps_print_their_names(maps):
-    assert "'gps': <GPS quality: 1 means" in repr(maps.metrics)
-    assert " at 0x" not in repr(maps.metrics)
-
-
-def test_a_lone_wall_shadows_and_endangers_what_stands_near():
-    maps = ju.build_maps(
-        box_city((180, 180, 220, 220, 100)),
-        resolution_m=10.0,
-        altitudes_m=(20.0, 150.0),
-        gps=ju.Gps(reference=(-75.0, 40.65)),
-    )
-    risk, seen = maps.m("risk", 20.0), maps.m("num_visible", 20.0)
-    assert risk[20, 23] == pytest.approx(20.0 / 50.0)  # two cells east of the wall's last one
-    assert (maps.m("risk", 150.0) == 1.0).all()
-    assert seen.max() == maps.m("num_visible", 150.0).min()  # above the roof nothing is hidden
-    assert seen[15:25, 15:25][seen[15:25, 15:25] > 0].min() < seen.max()
-
-
-def test_north_of_a_tower_lies_more_shadow_than_south_of_it():
+def test_a_lone_tower_shadows_the_north_more_than_the_south_and_endangers_what_stands_near():
     # Seen from New York most GPS satellites stand in the south: their orbits are inclined by 55 degrees.
-    maps = ju.build_maps(
-        box_city((180, 180, 220, 220, 200)),
-        resolution_m=10.0,
-        altitudes_m=(20.0,),
-        gps=ju.Gps(times=[f"2020-04-27T{hour:02d}:00:00Z" for hour in range(0, 24, 4)], reference=(-75.0, 40.65)),
-    )
-    seen = maps.ds["num_visible"].values[:, 0].astype(int).sum(axis=0)
+    gps = ju.Gps(times=[f"2020-04-27T{hour:02d}:00:00Z" for hour in range(0, 24, 4)], reference=(-75.0, 40.65))
+    city = city_of_boxes([(180, 180, 220, 220)], 200.0, 400.0, CORNER_M)
+    maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0, 250.0), gps=gps)
+    assert maps.m("risk", 20.0)[20, 23] == pytest.approx(20.0 / 50.0)  # two cells east of the wall's last one
+    assert (maps.m("risk", 250.0) == 1.0).all()
+    seen, open_sky = maps.ds["num_visible"].values.astype(int).sum(axis=0)
+    assert (open_sky == seen.max()).all()  # above the roof nothing is hidden
+    assert 0 < seen[seen > 0].min() < seen.max()
     assert seen[22:32, 18:22].sum() < seen[8:18, 18:22].sum()
 
 
@@ -139,7 +94,8 @@ def test_several_epochs_are_kept_apart(city):
 
 
 def test_maps_without_people_have_no_population_layer():
-    maps = ju.build_maps(box_city((0, 0, 50, 50, 30)), resolution_m=10.0, altitudes_m=(20.0,))
+    city = city_of_boxes([(0, 0, 50, 50)], 30.0, 400.0, CORNER_M)
+    maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0,))
     assert "population" not in maps.ds
     assert tuple(maps.metrics) == ("gps", "lidar", "risk")
     with pytest.raises(InputError, match="hold no 'population'"):

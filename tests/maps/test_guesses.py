@@ -22,7 +22,6 @@ from jaxurban.io.read.guesses import FLAT_GROUND, _scale_guesses, has_guessed_ro
 from jaxurban.io.read.orbits import nominal_satellites
 from jaxurban.io.read.rasterise import build_surface, burn
 from jaxurban.maps.build import view_sky
-from jaxurban.maps.provenance import population_totals
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
@@ -37,11 +36,12 @@ X0, Y0 = 584_000.0, 4_507_000.0
 BOUNDS = tuple(transformer(CRS, WGS84).transform_bounds(X0 + 5, Y0 + 5, X0 + 395, Y0 + 395))
 
 
-def write_buildings(path, heights, levels):
+def write_buildings(path, heights, levels=None):
     """Write a row of houses of 40 m x 40 m, and a covering one so that the data reach all of the region."""
     x = X0 + 20.0 + 90.0 * np.arange(len(heights))
     houses = shapely.box(x, Y0 + 100, x + 40, Y0 + 140)
     corners = shapely.box([X0 - 100, X0 + 450], [Y0 - 100, Y0 + 450], [X0 - 90, X0 + 460], [Y0 - 90, Y0 + 460])
+    levels = levels or [None] * len(heights)
     frame = gpd.GeoDataFrame(
         {"building": "yes", "height": [*heights, "5", "5"], "building:levels": [*levels, None, None]},
         geometry=[*houses, *corners],
@@ -67,8 +67,19 @@ def told_by(function):
     return result, [str(item.message) for item in caught if item.category is GuessWarning]
 
 
-def is_of_ground(sentence):
-    return sentence in FLAT_GROUND.values()
+def town(tmp_path, heights=("30",) * 4, **options):
+    """Return a city of houses read from a file, and what Python was warned of."""
+    write_buildings(tmp_path / "town.geojson", heights)
+    return told_by(lambda: City.from_files(tmp_path / "town.geojson", **{"bounds": BOUNDS, "crs": CRS} | options))
+
+
+def guesses_of(city, region=None, **sections):
+    region = region or Grid.from_bounds(BOUNDS, 10.0, CRS)
+    return MapTask(city, region, view_sky(region, ju.Gps()), MapParams((20.0,), sections=sections)).all_guesses
+
+
+def texts_of(maps):
+    return [text.get_text() for text in plotting.plot_heights(maps).findobj(Text)]
 
 
 def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_picture(tmp_path, capsys):
@@ -86,62 +97,40 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     guessed = burn(houses[1:3], np.ones(2), maps.grid, 0, "uint8")[0].astype(bool)
     assert guessed.sum() == 32
     np.testing.assert_array_equal(maps.m("roof_guessed"), guessed)
-    figure = plotting.plot_heights(maps)
-    texts = [text.get_text() for text in figure.findobj(Text)]
+    texts = texts_of(maps)
     assert "height guessed: 50 % of roofs" in texts
     assert any(text.startswith("Guessed: 50 % of heights") for text in texts)
 
 
-def test_of_known_heights_without_terrain_only_the_ground_is_guessed(tmp_path):
-    write_buildings(tmp_path / "town.geojson", ["30"] * 4, [None] * 4)
-    city, told = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
+def test_of_known_heights_without_terrain_only_the_ground_is_guessed_and_over_terrain_nothing(tmp_path):
+    city, told = town(tmp_path)
     assert [*city.guesses] == ["flat ground"]
     assert told == [*city.guesses.values()]
     maps, _ = told_by(lambda: ju.build_maps(city, BOUNDS, resolution_m=10.0, altitudes_m=[20.0]))
     assert "roof_guessed" not in maps.ds
-    texts = [text.get_text() for text in plotting.plot_heights(maps).findobj(Text)]
+    texts = texts_of(maps)
     assert not any("height guessed" in text for text in texts)
     assert any(text.startswith("Guessed: flat ground") for text in texts)
-
-
-def test_over_terrain_the_ground_is_no_guess(tmp_path):
-    write_buildings(tmp_path / "town.geojson", ["30"] * 4, [None] * 4)
     transform = Affine(50.0, 0.0, X0 - 500.0, 0.0, -50.0, Y0 + 1500.0)
-    profile = {"width": 40, "height": 40, "count": 1, "dtype": "float32", "crs": CRS, "transform": transform}
-    with rasterio.open(tmp_path / "ground.tif", "w", driver="GTiff", **profile) as file:
+    with rasterio.open(tmp_path / "ground.tif", "w", "GTiff", 40, 40, 1, CRS, transform, "float32") as file:
         file.write(np.zeros((40, 40), np.float32), 1)
-    options = {"bounds": BOUNDS, "crs": CRS, "terrain": tmp_path / "ground.tif"}
-    city, told = told_by(lambda: City.from_files(tmp_path / "town.geojson", **options))
+    city, told = town(tmp_path, terrain=tmp_path / "ground.tif")
     assert (told, city.guesses) == ([], {})
 
 
 def test_one_guessed_roof_of_many_is_known_by_all_cells_that_it_touches(tmp_path):
-    houses = write_buildings(tmp_path / "town.geojson", ["30"] * 30 + [None], [None] * 31)
     bounds = transformer(CRS, WGS84).transform_bounds(X0 + 5, Y0 + 5, X0 + 2805, Y0 + 395)
-    city, _ = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=bounds, crs=CRS))
+    city, _ = town(tmp_path, ["30"] * 30 + [None], bounds=bounds)
     region = Grid.from_bounds(bounds, 15.0, CRS)
     assert has_guessed_roofs(city, region)
     surface = build_surface(city, region, region, tells_guessed=True)
-    touched = burn(shapely.buffer(houses[-1:], -0.01), np.ones(1), region, 0, "uint8")[1]
+    guessed = shapely.box(X0 + 20 + 90 * 30, Y0 + 100, X0 + 60 + 90 * 30, Y0 + 140)
+    touched = burn(np.array([guessed.buffer(-0.01)]), np.ones(1), region, 0, "uint8")[1]
     np.testing.assert_array_equal(surface.roof_guessed, touched.astype(bool))
 
 
-def test_people_of_the_day_are_a_guess_of_those_who_sleep_there():
-    def guesses(times_of_day):
-        city = replace(ju.demo_city(500, 500), blocks=blocks_of(60.0, 60.0), crs=CRS, sources={"blocks": "blocks.shp"})
-        city = replace(city, extent_m=(X0, Y0, X0 + 1000.0, Y0 + 1000.0))
-        region = Grid.from_bounds(BOUNDS, 10.0, CRS)
-        sky = view_sky(region, ju.Gps())
-        params = MapParams((20.0,), sections={"population": ju.Population(time_of_day=times_of_day)})
-        return MapTask(city, region, sky, params).all_guesses
-
-    assert "times 3 in commercial districts and 0.5 elsewhere" in guesses(("day", "night"))["people by factors"]
-    assert "people by factors" not in guesses(("night",))
-
-
 def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path):
-    write_buildings(tmp_path / "town.geojson", ["300", None, None, "25"], [None] * 4)
-    city, at_reading = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
+    city, at_reading = town(tmp_path, ["300", None, None, "25"])
     maps, at_building = told_by(lambda: ju.build_maps(city, BOUNDS, resolution_m=10.0, altitudes_m=[20.0]))
     assert [*at_reading, *at_building] == list(maps.guesses.values())
     assert len(at_reading) == 2
@@ -154,9 +143,8 @@ def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path)
 
 
 def test_the_synthetic_city_guesses_nothing():
-    city, region = ju.demo_city(500, 500), Grid.from_bounds((-73.971, 40.7795, -73.969, 40.7805), 20.0, CRS)
-    sky = view_sky(region, ju.Gps())
-    assert MapTask(city, region, sky, MapParams()).all_guesses == {}
+    region = Grid.from_bounds((-73.971, 40.7795, -73.969, 40.7805), 20.0, CRS)
+    assert guesses_of(ju.demo_city(500, 500), region) == {}
 
 
 def elements_of(day, path):
@@ -167,7 +155,7 @@ def elements_of(day, path):
 
 
 def test_elements_without_times_stand_at_their_own_time_and_nominal_ones_at_the_papers(tmp_path):
-    write_buildings(tmp_path / "town.geojson", ["30"] * 4, [None] * 4)
+    city, _ = town(tmp_path)
     orbits = elements_of(date(2026, 8, 7), tmp_path / "gps.tle")
     scenario = Scenario.from_toml(write_scenario(tmp_path, '[gps]\norbits = "gps.tle"\n'))
     made = run_scenario(scenario, tmp_path / "out")
@@ -177,83 +165,69 @@ def test_elements_without_times_stand_at_their_own_time_and_nominal_ones_at_the_
     assert view_sky(region, ju.Gps()).times == ("2020-04-27T16:00:00Z",)
     asked = view_sky(region, ju.Gps(orbits=orbits, times="2026-08-08T00:00:00Z"))
     assert (asked.times, asked.guesses) == (("2026-08-08T00:00:00Z",), {})
-    city, _ = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
     maps, told = told_by(lambda: ju.build_maps(city, grid=region, altitudes_m=[20.0], gps=ju.Gps(orbits=orbits)))
     assert maps.times == ("2026-08-07T12:00:00Z",)
     assert any("satellites stand as at" in sentence for sentence in told)
 
 
 def test_the_share_of_answers_beyond_the_data_is_that_of_rays_followed_one_by_one(tmp_path):
-    write_buildings(tmp_path / "town.geojson", ["60", "30", "30", "30"], [None] * 4)
-    city, _ = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
+    city, _ = town(tmp_path, ["60", "30", "30", "30"])
     region = Grid.from_bounds(BOUNDS, 20.0, CRS)
     times = ["2020-04-27T16:00:00Z", "2020-04-27T19:00:00Z"]
     sky = view_sky(region, ju.Gps(times=times))
-    leaving = []
-    for t, s in np.argwhere(sky.elevation_rad >= np.radians(5.0)):
-        run_m = (60.0 - 20.0) / np.tan(sky.elevation_rad[t, s])
-        x_m = region.x_m[None, :] + run_m * np.sin(sky.azimuth_rad[t, s])
-        y_m = region.y_m[:, None] + run_m * np.cos(sky.azimuth_rad[t, s])
-        x_min, y_min, x_max, y_max = city.known_extent_m
-        leaving.append(((x_m < x_min) | (x_m > x_max) | (y_m < y_min) | (y_m > y_max)).mean())
+    t, s = np.nonzero(sky.elevation_rad >= np.radians(5.0))
+    run_m, toward = (60.0 - 20.0) / np.tan(sky.elevation_rad[t, s]), sky.azimuth_rad[t, s]
+    x_m = region.x_m[None, None] + (run_m * np.sin(toward))[:, None, None]
+    y_m = region.y_m[None, :, None] + (run_m * np.cos(toward))[:, None, None]
+    x_min, y_min, x_max, y_max = city.known_extent_m
+    leaving = (x_m < x_min) | (x_m > x_max) | (y_m < y_min) | (y_m > y_max)
     assert 0.01 < np.mean(leaving) < 0.99
     assert leaving_shares(city, region, sky, 20.0)[1] == pytest.approx(np.mean(leaving), abs=1e-12)
 
 
-def blocks_of(*sides_m, people=100.0):
-    """Square blocks in a row, each with the same people."""
-    x = X0 + np.r_[0.0, np.cumsum(sides_m)[:-1]]
-    polygons = shapely.box(x, Y0, x + np.array(sides_m), Y0 + np.array(sides_m))
-    num = len(sides_m)
-    zoning = np.full(num, Zoning.RESIDENTIAL, np.uint8)
-    return Blocks(polygons, np.full(num, people), np.full(num, 107, np.int32), zoning, np.arange(num).astype(object))
+def peopled(*sides_m):
+    """A city of square blocks in a row, each with 100 people."""
+    x, side_m, num = X0 + np.r_[0.0, np.cumsum(sides_m)[:-1]], np.array(sides_m), len(sides_m)
+    polygons, zoning = shapely.box(x, Y0, x + side_m, Y0 + side_m), np.full(num, Zoning.RESIDENTIAL, np.uint8)
+    number = np.arange(num)
+    blocks = Blocks(polygons, np.full(num, 100.0), np.full(num, 107, np.int32), zoning, number.astype(object))
+    extent_m = X0, Y0, X0 + 1000.0, Y0 + 1000.0
+    return replace(ju.demo_city(500, 500), blocks=blocks, crs=CRS, extent_m=extent_m)
 
 
-def scale_guess(blocks, **settings):
-    city = replace(ju.demo_city(500, 500), blocks=blocks, crs=CRS, extent_m=(X0, Y0, X0 + 1000.0, Y0 + 1000.0))
-    region = Grid.from_bounds(BOUNDS, 10.0, CRS)
-    sky = view_sky(region, ju.Gps())
-    params = MapParams(altitudes_m=(20.0,), sections={"population": Population(**settings)})
-    return MapTask(city, region, sky, params).all_guesses.get("one block sets the population scale")
+@pytest.mark.parametrize(("times", "is_guessed"), [(("day", "night"), True), (("night",), False)])
+def test_people_of_the_day_are_a_guess_of_those_who_sleep_there(times, is_guessed):
+    city = replace(peopled(60.0, 60.0), sources={"blocks": "blocks.shp"})
+    said = guesses_of(city, population=Population(time_of_day=times)).get("people by factors", "")
+    assert ("times 3 in commercial districts and 0.5 elsewhere" in said) == is_guessed
 
 
-def test_one_tiny_block_that_sets_the_population_scale_is_told_with_its_remedy():
-    said = scale_guess(blocks_of(10.0, 60.0, 60.0, 60.0, 60.0))
-    assert "census block 0 (100 m2) with 1,000,000 people per km2" not in said  # by day half of them are away
-    assert "census block 0 (100 m2) with 500,000 people per km2 sets the population scale alone" in said
-    assert "the median inhabited block gets 0.03; set [population] normalise to" in said
-    assert scale_guess(blocks_of(10.0, 60.0, 60.0, 60.0, 60.0), normalise="p95") is None
-    assert scale_guess(blocks_of(10.0, 60.0, 60.0, 60.0, 60.0), normalise=3e4) is None
-    assert scale_guess(blocks_of(50.0, 60.0, 60.0, 60.0, 60.0)) is None
+@pytest.mark.parametrize(
+    ("side_m", "settings", "is_told"),
+    [(10.0, {}, True), (10.0, {"normalise": "p95"}, False), (10.0, {"normalise": 3e4}, False), (50.0, {}, False)],
+)
+def test_one_tiny_block_that_sets_the_population_scale_is_told_with_its_remedy(side_m, settings, is_told):
+    guesses = guesses_of(peopled(side_m, 60.0, 60.0, 60.0, 60.0), population=Population(**settings))
+    said = guesses.get("one block sets the population scale", "")
+    # By day half of its 1,000,000 people per km2 are away.
+    assert ("census block 0 (100 m2) with 500,000 people per km2 sets the population scale alone" in said) == is_told
+    assert ("the median inhabited block gets 0.03; set [population] normalise to" in said) == is_told
+    assert bool(said) == is_told
 
 
 @pytest.mark.data
 def test_manhattans_tiny_block_is_told(data_dir):
     census = data_dir / "census"
-    blocks, _ = read_blocks(
-        ju.Population(
-            blocks=census / "tl_2010_36061_tabblock10.shp", table=census / "DECENNIALSF12010.P1_nyc_blocks.csv"
-        ),
-        CRS,
-    )
+    files = "tl_2010_36061_tabblock10.shp", "DECENNIALSF12010.P1_nyc_blocks.csv"
+    blocks, _ = read_blocks(ju.Population(blocks=census / files[0], table=census / files[1]), CRS)
     people = block_layers(blocks, Population(time_of_day="night"))
     (said,) = _scale_guesses(blocks, tuple(shapely.total_bounds(blocks.polygons)), people, Population()).values()
     for words in ("(1,820 m2)", "709,326 people per km2", "gets 0.06"):
         assert words in said
 
 
-def test_people_in_the_region_are_counted_by_area():
-    blocks = blocks_of(100.0, 100.0, people=100.0)
-    box = (X0 + 25.0, Y0, X0 + 200.0, Y0 + 50.0)
-    assert population_totals(blocks, None, box)["night"]["total"] == 200.0
-    inside = population_totals(blocks, None, box, is_cut=True)
-    assert inside["night"]["residential"] == pytest.approx(100 * 0.75 * 0.5 + 100 * 0.5)
-    assert inside["day"]["total"] == pytest.approx(0.5 * inside["night"]["total"])
-
-
 def write_people(tmp_path, counts, labels=(101, 102), field="BoroCD"):
-    """Write a town with three blocks, their counts, and two districts."""
-    write_buildings(tmp_path / "town.geojson", ["30"] * 4, [None] * 4)
+    """Write three blocks, their counts, and two districts."""
     ids = [f"36061000100100{i}" for i in range(3)]
     x = X0 + 140.0 * np.arange(3) - 10
     blocks = gpd.GeoDataFrame({"GEOID10": ids}, geometry=shapely.box(x, Y0 - 10, x + 140, Y0 + 410), crs=CRS)
@@ -266,6 +240,12 @@ def write_people(tmp_path, counts, labels=(101, 102), field="BoroCD"):
     return ju.Population(**files, districts=tmp_path / "districts.geojson", district_field=field)
 
 
+def assert_told(told, words):
+    """Besides the flat ground nothing was told but one sentence, or nothing at all."""
+    others = [sentence for sentence in told if sentence not in FLAT_GROUND.values()]
+    assert [words in sentence for sentence in others] == ([] if words is None else [True])
+
+
 @pytest.mark.parametrize(
     ("counts", "words"),
     [
@@ -275,9 +255,8 @@ def write_people(tmp_path, counts, labels=(101, 102), field="BoroCD"):
     ],
 )
 def test_counts_that_are_read_as_zero_are_told(tmp_path, counts, words):
-    people = write_people(tmp_path, counts)
-    _, told = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS, population=people))
-    assert [words in sentence for sentence in told if not is_of_ground(sentence)] == ([] if words is None else [True])
+    _, told = town(tmp_path, population=write_people(tmp_path, counts))
+    assert_told(told, words)
 
 
 @pytest.mark.parametrize(
@@ -293,14 +272,12 @@ def test_counts_that_are_read_as_zero_are_told(tmp_path, counts, words):
 )
 def test_new_yorks_commercial_districts_are_no_other_citys(tmp_path, field, labels, commercial, zoned, words):
     people = replace(write_people(tmp_path, ("10", "20", "30"), labels, field), commercial=commercial)
-    city, told = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS, population=people))
-    assert {Zoning(zoning).name for zoning in city.blocks.zoning} - {"OTHER"} == zoned - {"OTHER"}
-    assert [words in sentence for sentence in told if not is_of_ground(sentence)] == ([] if words is None else [True])
+    city, told = town(tmp_path, population=people)
+    assert {Zoning(zoning).name for zoning in city.blocks.zoning} - {"OTHER"} == zoned
+    assert_told(told, words)
 
 
 def test_a_region_beyond_the_data_is_told(tmp_path):
-    write_buildings(tmp_path / "town.geojson", ["30"] * 4, [None] * 4)
-    city, _ = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
+    city, _ = town(tmp_path)
     far = Grid(CRS, 10.0, int(Y0 / 10), int(X0 / 10), 40, 100)
-    sky = view_sky(far, ju.Gps())
-    assert "54 % of the region without data" in MapTask(city, far, sky, MapParams()).all_guesses
+    assert "54 % of the region without data" in guesses_of(city, far)

@@ -25,9 +25,10 @@ DEFAULT, EXACT = HeightStd(), HeightStd(0.0, 0.0, 0.0, 0.0)
 
 @pytest.fixture(scope="module")
 def city() -> ju.City:
-    polygons = np.array([shapely.box(X0 + x, Y0 + y, X0 + x + 20, Y0 + y + 30) for x, y in ((30, 40), (90, 60))])
+    x, y = X0 + np.array([30, 90]), Y0 + np.array([40, 60])
     origin = np.array([HeightOrigin.HEIGHT, HeightOrigin.DEFAULT], np.uint8)
-    buildings = Footprints(polygons, np.array([30.0, 10.0]), np.zeros(2), origin, np.zeros(2, bool))
+    outlines, heights_m = shapely.box(x, y, x + 20, y + 30), np.array([30.0, 10.0])
+    buildings = Footprints(outlines, heights_m, np.zeros(2), origin, np.zeros(2, bool))
     return ju.City(UTM, (X0, Y0, X0 + 140.0, Y0 + 120.0), buildings)
 
 
@@ -37,13 +38,12 @@ def sky():
 
 
 def spread_of(city, sky, region=REGION, *, num_samples, seed=0, height_std=DEFAULT):
-    params = MapParams(
-        (12.0, 31.0),
-        heights=ju.Heights(height_samples=num_samples, height_seed=seed, height_std_m=height_std),
-        sections={"lidar": LIDAR},
-    )
+    heights = ju.Heights(height_samples=num_samples, height_seed=seed, height_std_m=height_std)
+    ds = compute_maps(
+        MapTask(city, region, sky, MapParams((12.0, 31.0), heights=heights, sections={"lidar": LIDAR}))
+    ).ds
     names = [f"{metric}_{what}" for metric in ("gps", "lidar", "risk") for what in ("mean", "std", "p05", "p95")]
-    return compute_maps(MapTask(city, region, sky, params)).ds[[*names, "obstacle_share"]]
+    return ds[[*names, "obstacle_share"]]
 
 
 @pytest.mark.parametrize("num_samples", [2, 5, 21, 60])

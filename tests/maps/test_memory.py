@@ -9,28 +9,25 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import geopandas as gpd
 import jax
 import numpy as np
 import psutil
 import pytest
 import rasterio
+import shapely
 from affine import Affine
 
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.maps import memory
-from jaxurban.maps.memory import (
-    parse_bytes,
-    plan_run,
-    shape_of_tiles,
-    tile_bytes,
-    told_bytes,
-)
+from jaxurban.maps.memory import parse_bytes, plan_run, shape_of_tiles, tile_bytes, told_bytes
 from jaxurban.maps.metric_maps import open_maps
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.world.city import Raster
 from jaxurban.world.sky import Sky
+from tests.cli_runs import run
 
 GIB = 2**30
 
@@ -59,8 +56,9 @@ def test_sizes_are_told_as_people_read_them(num_bytes, said):
 @pytest.fixture
 def small() -> MapTask:
     """A region of one tile."""
-    city, region = ju.demo_city(700, 700), ju.Grid("EPSG:32618", 2.0, 0, 0, 300, 300)
-    return MapTask(city, region, Sky(("",), (), np.empty((1, 0)), np.empty((1, 0)), (), np.empty((1, 0))), MapParams())
+    nobody = np.empty((1, 0))
+    region, sky = ju.Grid("EPSG:32618", 2.0, 0, 0, 300, 300), Sky(("",), (), nobody, nobody, (), nobody)
+    return MapTask(ju.demo_city(700, 700), region, sky, MapParams())
 
 
 def test_as_many_tiles_at_a_time_as_fit_and_no_more_are_told_than_there_are(small, monkeypatch, caplog):
@@ -105,18 +103,17 @@ def test_on_a_gpu_the_forecast_holds_what_its_shapes_of_kernels_take_as_compiled
     assert 0.6 * memory.TERRAIN_GPU_BYTES < terrain <= memory.TERRAIN_GPU_BYTES
 
 
-def test_tiles_do_not_depend_on_the_machine_and_shrink_for_long_series():
-    city, region = ju.demo_city(700, 700), ju.Grid("EPSG:32618", 2.0, 0, 0, 10_000, 5_000)
-    sky = Sky(("",), (), np.empty((1, 0)), np.empty((1, 0)), (), np.empty((1, 0)))
-    short = MapTask(city, region, sky, MapParams())
-    params = MapParams(sections={"gps": Gps(series="statistics")})
-    long = replace(short, region=replace(region, resolution_m=5.0), sky=replace(sky, times=("",) * 288), params=params)
+def test_tiles_do_not_depend_on_the_machine_and_shrink_for_long_series(small):
+    short = replace(small, region=replace(small.region, num_rows=10_000, num_cols=5_000))
+    params, region = MapParams(sections={"gps": Gps(series="statistics")}), replace(short.region, resolution_m=5.0)
+    long = replace(short, region=region, sky=replace(small.sky, times=("",) * 288), params=params)
     assert shape_of_tiles(short) == (1000, 1000)
     rows, cols = shape_of_tiles(long)
     assert rows * cols * 288 * 4 * 4 <= 400 * 2**20
-    tiles = [replace(task.region, num_rows=r, num_cols=c) for task, r, c in ((long, rows, cols), (short, 1000, 1000))]
-    hills = replace(city, terrain=Raster(np.zeros((2, 2), np.float32), (1.0, 0.0, 0.0, 0.0, -1.0, 0.0), city.crs))
-    assert tile_bytes(long, tiles[0]) < 3 * tile_bytes(replace(short, city=hills), tiles[1])
+    crs = small.city.crs
+    hills = replace(small.city, terrain=Raster(np.zeros((2, 2), np.float32), (1.0, 0.0, 0.0, 0.0, -1.0, 0.0), crs))
+    short, tile = replace(short, city=hills), replace(short.region, num_rows=1000, num_cols=1000)
+    assert tile_bytes(long, replace(region, num_rows=rows, num_cols=cols)) < 3 * tile_bytes(short, tile)
 
 
 @pytest.mark.parametrize("cell_m", [0.2, 0.1, 0.05])
@@ -127,9 +124,8 @@ def test_a_region_of_fine_cells_that_cannot_fit_is_refused_before_it_begins(cell
     x_m, y_m = city.extent_m[0] + 300, city.extent_m[1] + 300
     num = round(200 / cell_m)
     grid = ju.Grid(city.crs, cell_m, round(y_m / cell_m), round(x_m / cell_m), num, num)
-    with pytest.raises(
-        InputError, match=r"cells of 0\.\d+ m need about .* GiB of memory at once and 1\.0 GiB are free: "
-    ):
+    sentence = r"cells of 0\.\d+ m need about .* GiB of memory at once and 1\.0 GiB are free: "
+    with pytest.raises(InputError, match=sentence):
         ju.build_maps(city, grid=grid)
 
 
@@ -139,14 +135,9 @@ def test_the_command_refuses_fine_cells_that_cannot_fit(cell_m, tmp_path, capsys
         f"[region]\nbounds = [-73.985, 40.755, -73.979, 40.759]\nresolution_m = {cell_m}\n"
         '[buildings]\nsource = "synthetic"\n'
     )
-    from jaxurban.cli.main import main
-
-    with pytest.raises(SystemExit) as ended:
-        main(["maps", str(tmp_path / "fine.toml"), "-o", str(tmp_path / "out"), "--memory", "1GiB"])
-    assert ended.value.code == 2
-    assert re.search(
-        r"needs about [\d.]+ GiB of memory and may take 1\.0 GiB: raise --memory.*range_m", capsys.readouterr().err
-    )
+    code, _, err = run(capsys, "maps", tmp_path / "fine.toml", "-o", tmp_path / "out", "--memory", "1GiB")
+    assert code == 2
+    assert re.search(r"needs about [\d.]+ GiB of memory and may take 1\.0 GiB: raise --memory.*range_m", err)
     assert not (tmp_path / "out" / "run.json").exists()
 
 
@@ -168,47 +159,42 @@ PEAK = (
 )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("cell_m", "range_m", "threshold_m"), [(0.4, 100, 50), (0.2, 40, 10), (0.1, 30, 10)])
-def test_the_estimate_of_fine_cells_is_above_the_truth_and_not_twice_it(tmp_path, cell_m, range_m, threshold_m):
-    """Measured in a process of its own, on the yard of a tower, whose walls the lidar sees."""
-    told, peak = told_and_peak(tmp_path, YARD + f"[lidar]\nrange_m = {range_m}\n", cell_m, threshold_m)
-    assert peak < told + 0.05 * GIB  # told to a tenth
-    assert told < 2 * peak
+def peak_of(*arguments) -> tuple[str, int]:
+    """Return what ``jaxurban`` says on the terminal, and the most memory that it takes in a process of its own."""
+    done = subprocess.run([sys.executable, "-c", PEAK, *arguments], capture_output=True, text=True, check=True)
+    return done.stderr, int(done.stdout.split()[-1]) * 1024
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("cell_m", "range_m"), [(0.4, 100), (0.2, 100), (0.1, 30)])
-def test_over_terrain_the_estimate_is_above_the_truth_and_not_1_6_times_it(tmp_path, cell_m, range_m):
-    ground_m = 5 + 4 * np.sin(np.arange(60)[:, None] / 5) * np.cos(np.arange(60) / 7)
-    hills = {"width": 60, "height": 60, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
-    place = Affine(0.0002, 0, -73.985, 0, -0.0002, 40.755)
-    with rasterio.open(tmp_path / "hills.tif", "w", driver="GTiff", transform=place, **hills) as file:
-        file.write(ground_m.astype(np.float32), 1)
-    sections = YARD + f'[lidar]\nrange_m = {range_m}\n[terrain]\nsource = "hills.tif"\n'
-    told, peak = told_and_peak(tmp_path, sections, cell_m)
-    assert peak < told + 0.05 * GIB  # told to a tenth
-    assert told < 1.6 * peak
-
-
-YARD = '[buildings]\nsource = "tower.geojson"\n'
-
-
-def told_and_peak(tmp_path, sections, cell_m, threshold_m=10):
-    """Return what `jaxurban maps` forecasts for the yard of a tower, and what it takes, in bytes."""
+@pytest.mark.parametrize(
+    ("cell_m", "range_m", "threshold_m", "terrain", "times"),
+    [
+        (0.4, 100, 50, "", 2.0),
+        (0.2, 40, 10, "", 2.0),
+        (0.1, 30, 10, "", 2.0),
+        (0.4, 100, 10, '[terrain]\nsource = "hills.tif"\n', 1.6),
+        (0.2, 100, 10, '[terrain]\nsource = "hills.tif"\n', 1.6),
+    ],
+)
+def test_the_estimate_of_fine_cells_is_above_the_truth_and_not_twice_it(
+    tmp_path, cell_m, range_m, threshold_m, terrain, times
+):
+    """On the yard of a tower, whose walls the lidar sees."""
     (tmp_path / "fine.toml").write_text(
         f"[region]\nbounds = [-73.98, 40.75, -73.9795, 40.7504]\nresolution_m = {cell_m}\naltitudes_m = 20\n"
-        f"{sections}[risk]\nthreshold_m = {threshold_m}\n"
+        f'[buildings]\nsource = "tower.geojson"\n[lidar]\nrange_m = {range_m}\n'
+        f"{terrain}[risk]\nthreshold_m = {threshold_m}\n"
     )
-    ring = [[-73.98, 40.75], [-73.9799, 40.75], [-73.9799, 40.7501], [-73.98, 40.7501], [-73.98, 40.75]]
-    (tmp_path / "tower.geojson").write_text(
-        '{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"height": 25}, '
-        f'"geometry": {{"type": "Polygon", "coordinates": [{ring}]}}}}]}}'
-    )
-    arguments = ["maps", tmp_path / "fine.toml", "-o", tmp_path / "out"]
-    done = subprocess.run([sys.executable, "-c", PEAK, *arguments], capture_output=True, text=True, check=True)
-    told = parse_bytes(re.search(r"about ([\d.]+ [GM]iB) of memory at most", done.stderr)[1])
-    return told, int(done.stdout.split()[-1]) * 1024
+    tower = gpd.GeoDataFrame({"height": [25]}, geometry=[shapely.box(-73.98, 40.75, -73.9799, 40.7501)], crs=4326)
+    tower.to_file(tmp_path / "tower.geojson")
+    ground_m = 5 + 4 * np.sin(np.arange(60)[:, None] / 5) * np.cos(np.arange(60) / 7)
+    place = Affine(0.0002, 0, -73.985, 0, -0.0002, 40.755)
+    with rasterio.open(tmp_path / "hills.tif", "w", "GTiff", 60, 60, 1, "EPSG:4326", place, "float32") as file:
+        file.write(ground_m.astype(np.float32), 1)
+    said, peak = peak_of("maps", tmp_path / "fine.toml", "-o", tmp_path / "out")
+    told = parse_bytes(re.search(r"about ([\d.]+ [GM]iB) of memory at most", said)[1])
+    assert peak < told + 0.05 * GIB  # told to a tenth
+    assert told < times * peak
 
 
 @pytest.mark.slow
@@ -217,7 +203,6 @@ def test_a_run_stays_under_its_ceiling_on_a_region_that_needs_several_times_more
     (tmp_path / "scenario.toml").write_text(
         '[region]\nbounds = [-74.03, 40.69, -73.912, 40.76]\nresolution_m = 2\n[buildings]\nsource = "synthetic"\n'
     )
-    arguments = ["maps", tmp_path / "scenario.toml", "-o", tmp_path / "out", "--memory", "1.25GiB"]
-    done = subprocess.run([sys.executable, "-c", PEAK, *arguments], capture_output=True, text=True, check=True)
-    assert int(done.stdout.split()[-1]) * 1024 < 1.25 * GIB
+    _, peak = peak_of("maps", tmp_path / "scenario.toml", "-o", tmp_path / "out", "--memory", "1.25GiB")
+    assert peak < 1.25 * GIB
     assert open_maps(tmp_path / "out").ds.nbytes > 2 * 1.25 * GIB

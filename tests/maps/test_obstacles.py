@@ -14,28 +14,27 @@ from jaxurban.paths.queries import IN_METRES
 from jaxurban.paths.snapping import islands_of
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.world.city import Footprints
+from tests.made_maps import city_of_boxes
 from tests.paths.volumes import plan_volume
 
-CRS = "EPSG:32618"
 X_M, Y_M = 500_000.0, 4_500_000.0  # southwest corner of the region
 SIDE_M = 200.0
 ENDS = {"start_xy_m": (X_M + 102.5, Y_M + 12.5), "goal_xy_m": (X_M + 102.5, Y_M + 187.5)}
 
 
-def walled(*walls, height_m=50.0, resolution_m=5.0, altitudes_m=(20.0, 60.0)):
+def walled(*walls, height_m=50.0):
     """Return maps of a square with walls: x_min, y_min, x_max, y_max each, metres from its corner."""
-    polygons = np.array([shapely.box(X_M + a, Y_M + b, X_M + c, Y_M + d) for a, b, c, d in walls], object)
-    zero = np.zeros(len(polygons))
-    buildings = Footprints(polygons, zero + height_m, zero, zero.astype(np.uint8), zero > 0)
-    city = ju.City(CRS, (X_M, Y_M, X_M + SIDE_M, Y_M + SIDE_M), buildings)
-    return ju.build_maps(city, resolution_m=resolution_m, altitudes_m=altitudes_m)
+    city = city_of_boxes(walls, height_m, SIDE_M, (X_M, Y_M))
+    return ju.build_maps(city, resolution_m=5.0, altitudes_m=(20.0, 60.0))
+
+
+WALLS = (-50, 97.6, 97.4, 102.4), (109.4, 97.6, 250, 102.4)
 
 
 @pytest.fixture(scope="module")
 def gap():
     """A wall across the region with a gap of 12 m, whose edges lie beyond the middle of cells."""
-    return walled((-50, 97.6, 97.4, 102.4), (109.4, 97.6, 250, 102.4))
+    return walled(*WALLS)
 
 
 @pytest.mark.parametrize("planner", PLANNERS)
@@ -45,10 +44,9 @@ def test_no_planner_enters_a_cell_that_a_building_touches(gap, planner):
     path = ju.plan(gap, **ENDS, altitude_m=20.0, planner=planner, cost_model="line", budget_s=0.2)
     assert path.settings["obstacles"] == "touched"
     if path.status.has_path:
-        line = shapely.LineString(path.xy_m)
-        for wall in ((-50, 97.6, 97.4, 102.4), (109.4, 97.6, 250, 102.4)):
-            box = shapely.box(X_M + wall[0], Y_M + wall[1], X_M + wall[2], Y_M + wall[3])
-            assert not shapely.intersects(line, box)
+        assert not shapely.intersects(
+            shapely.LineString(path.xy_m - (X_M, Y_M)), shapely.box(*np.transpose(WALLS))
+        ).any()
     else:
         assert path.status is Status.BLOCKED
 
@@ -69,51 +67,33 @@ def test_the_cautious_mask_closes_all_that_the_paper_closes(gap):
     np.testing.assert_array_equal(gap.is_free(60.0), gap.is_free(60.0, "centre"))
 
 
-def test_what_is_blocked_by_hand_is_blocked(gap):
+def test_what_is_blocked_by_hand_and_a_roof_of_unknown_height_are_blocked(gap):
     closed = ju.MetricMaps(gap.ds.assign(obstacle=gap.ds["obstacle"] * 0 + 1))
-    assert not closed.is_free(20.0).any()
-
-
-def test_a_roof_of_unknown_height_is_blocked(gap):
     unknown = ju.MetricMaps(gap.ds.assign(roof_touched=gap.ds["roof_touched"] * np.float32(np.nan)))
-    assert not unknown.is_free(20.0).any()
-    assert not unknown.is_free(21.0).any()
+    assert not any(maps.is_free(z_m).any() for maps, z_m in ((closed, 20.0), (unknown, 20.0), (unknown, 21.0)))
 
 
-def test_no_path_says_what_would_join_start_and_goal():
-    maps = walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4))  # a gap of 6.1 m: one cell by centres
-    path = ju.plan(maps, **ENDS, altitude_m=20.0)
-    assert path.status is Status.NO_PATH
-    message = path.to_dict()["message"]
-    assert "Start and goal are joined at 60 m. A smaller clearance or finer maps may join them too" in message
-    assert ju.plan(maps.with_obstacles("centre"), **ENDS, altitude_m=20.0).status is Status.OPTIMAL
+NARROW = (-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4)  # a gap of 6.1 m: one cell by centres
 
 
-def test_no_path_tells_what_would_not_help_either():
-    maps = walled((-50, 95.0, 250, 105.0), height_m=90.0)
-    path = ju.plan(maps, **ENDS, altitude_m=20.0)
-    message = path.to_dict()["message"]
-    assert "not joined at a greater altitude of these maps" in message
-
-
-def test_a_climb_between_cells_that_only_a_touch_closes_says_so():
-    maps = walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4))
-    path = plan_volume(maps, **ENDS, max_altitude_m=20.0)
-    assert path.status is Status.NO_PATH
-    assert "joined with max_altitude_m 60 m. A smaller clearance" in path.to_dict()["message"]
-    assert plan_volume(maps, **ENDS, max_altitude_m=60.0).status is Status.OPTIMAL
-
-
-def test_a_climb_that_no_greater_altitude_joins_says_so():
-    maps = walled((-50, 95.0, 250, 105.0), height_m=90.0, altitudes_m=(20.0, 40.0, 60.0))
-    message = plan_volume(maps, **ENDS, max_altitude_m=40.0).to_dict()["message"]
-    assert "not joined at a greater altitude of these maps" in message
-    top = plan_volume(maps, **ENDS).to_dict()["message"]
-    assert "altitude of these maps" not in top
+def test_no_path_says_what_would_join_start_and_goal_and_what_would_not():
+    narrow, closed = walled(*NARROW), walled((-50, 95.0, 250, 105.0), height_m=90.0)
+    joined = "Start and goal are joined at 60 m. A smaller clearance or finer maps may join them too"
+    for path, words in (
+        (ju.plan(narrow, **ENDS, altitude_m=20.0), joined),
+        (plan_volume(narrow, **ENDS, max_altitude_m=20.0), "joined with max_altitude_m 60 m. A smaller clearance"),
+        (ju.plan(closed, **ENDS, altitude_m=20.0), "not joined at a greater altitude of these maps"),
+        (plan_volume(closed, **ENDS, max_altitude_m=20.0), "not joined at a greater altitude of these maps"),
+    ):
+        assert path.status is Status.NO_PATH
+        assert words in path.to_dict()["message"]
+    assert ju.plan(narrow.with_obstacles("centre"), **ENDS, altitude_m=20.0).status is Status.OPTIMAL
+    assert plan_volume(narrow, **ENDS, max_altitude_m=60.0).status is Status.OPTIMAL
+    assert "altitude of these maps" not in plan_volume(closed, **ENDS).to_dict()["message"]
 
 
 def test_what_would_join_is_found_once_for_a_batch(monkeypatch):
-    maps, labelled = walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4)), []
+    maps, labelled = walled(*NARROW), []
 
     def label_and_count(is_free, cuts_corners):
         labelled.append(is_free)
@@ -127,16 +107,24 @@ def test_what_would_join_is_found_once_for_a_batch(monkeypatch):
 
 
 def test_a_study_of_a_route_that_is_not_there_says_what_would_join_its_ends():
-    maps = walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4))
+    maps = walled(*NARROW)
     ends = {name.removesuffix("_xy_m"): maps.grid.lonlat_of_xy(*xy_m) for name, xy_m in ENDS.items()}
     with pytest.raises(InputError, match="joined at 60 m"):
         ju.studies.sensitivity(ju.cost_map(maps, 20.0), **ends)
 
 
-def test_a_start_that_only_a_touch_closes_is_told_apart(gap):
+def test_ends_that_only_a_touch_closes_are_told_apart_and_name_the_rule_under_which_they_are_free(gap):
     row, col = np.argwhere(gap.is_free(20.0, "centre") & ~gap.is_free(20.0))[0]
+    ends = {**ENDS, "start_xy_m": tuple(map(float, gap.grid.xy_of_cell(row, col)))}
     with pytest.raises(InputError, match="in a cell that an obstacle touches"):
-        ju.plan(gap, start_xy_m=gap.grid.xy_of_cell(row, col), goal_xy_m=ENDS["goal_xy_m"], altitude_m=20.0)
+        ju.plan(gap, **ends, altitude_m=20.0)
+    with pytest.raises(InputError, match="in a cell that an obstacle touches at 20 m; the lowest free level there"):
+        plan_volume(gap, **ends, start_altitude_m=20.0)
+    by_centre = gap.with_obstacles("centre")
+    path = ju.plan(by_centre, **ends, altitude_m=20.0)
+    assert ju.fit.demonstrations_from_paths([path], by_centre)
+    with pytest.raises(InputError, match="choose obstacles = centre"):
+        ju.fit.demonstrations_from_paths([path], gap)
 
 
 def test_maps_without_touched_roofs_are_refused_for_planning(gap):
@@ -146,21 +134,3 @@ def test_maps_without_touched_roofs_are_refused_for_planning(gap):
     assert ju.plan(old.with_obstacles("centre"), **ENDS, altitude_m=20.0).status.has_path
     with pytest.raises(InputError, match="'touched', 'centre'"):
         replace(gap, rule="edges")
-
-
-def test_an_example_that_only_a_touch_closes_names_the_rule_under_which_it_is_free(gap):
-    row, col = np.argwhere(gap.is_free(20.0, "centre") & ~gap.is_free(20.0))[0]
-    by_centre = gap.with_obstacles("centre")
-    start_xy_m = tuple(map(float, gap.grid.xy_of_cell(row, col)))
-    path = ju.plan(by_centre, start_xy_m=start_xy_m, goal_xy_m=ENDS["goal_xy_m"], altitude_m=20.0)
-    assert ju.fit.demonstrations_from_paths([path], by_centre)
-    with pytest.raises(InputError, match="choose obstacles = centre"):
-        ju.fit.demonstrations_from_paths([path], gap)
-
-
-def test_a_start_in_a_volume_that_only_a_touch_closes_is_told_apart(gap):
-    row, col = np.argwhere(gap.is_free(20.0, "centre") & ~gap.is_free(20.0))[0]
-    start_xy_m = tuple(map(float, gap.grid.xy_of_cell(row, col)))
-    ends = {"start_xy_m": start_xy_m, "goal_xy_m": ENDS["goal_xy_m"]}
-    with pytest.raises(InputError, match="in a cell that an obstacle touches at 20 m; the lowest free level there"):
-        plan_volume(gap, **ends, start_altitude_m=20.0)

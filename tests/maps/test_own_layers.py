@@ -1,30 +1,23 @@
 """Cost layers of one's own in the maps: rasters, arrays and functions, tiled and whole, saved and opened."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import rasterio
 import rasterio.warp
-import xarray as xr
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io import store
 from jaxurban.io.read.rasterise import bands_of, layer_values
 from jaxurban.maps.build import compute_maps, view_sky
-from jaxurban.maps.run import Maker, make_zarr, run_scenario, tasks_of
+from jaxurban.maps.run import run_scenario, tasks_of
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.base import ALTITUDE, Metric, high_is_bad
-from jaxurban.metrics.custom import Layer, check_layers
-from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.risk import Risk
+from jaxurban.metrics.custom import Layer
 from jaxurban.world.grid import Grid
 from tests import tiled_runs
-from tests.tiled_runs import RAGGED
 
 REACH_M = 60.0
 
@@ -41,30 +34,15 @@ def highest_around(surface, altitude_m):
 def write_raster(path, grid, bands, nodata=np.nan):
     """Write bands of a raster of 35 m pixels over a grid and 100 m around it."""
     x_min, _, _, y_max = grid.bounds_m
-    with rasterio.open(
-        path, "w", "GTiff", bands.shape[2], bands.shape[1], len(bands), grid.crs,
-        rasterio.Affine(35.0, 0.0, x_min - 100.0, 0.0, -35.0, y_max + 100.0), "float32", nodata,
-    ) as file:  # fmt: skip
+    place = rasterio.Affine(35.0, 0.0, x_min - 100.0, 0.0, -35.0, y_max + 100.0)
+    count, height, width = bands.shape
+    with rasterio.open(path, "w", "GTiff", width, height, count, grid.crs, place, "float32", nodata) as file:
         file.write(bands.astype(np.float32))
 
 
-def no_building(scene, settings):
-    return {"bare": scene.surface.crop(scene.surface.roof_m == 0).astype(jnp.float32)}
-
-
 @pytest.fixture(scope="module")
-def bare():
-    """A further metric in the registry."""
-    words = {"label": "Bare", "one_means": "no building", "colour": "#123456", "colour_map": "cividis"}
-    with pytest.MonkeyPatch.context() as patched:
-        metric = Metric("bare", Risk, (ALTITUDE,), no_building, high_is_bad, **words)
-        patched.setitem(METRICS, "bare", metric)
-        yield metric
-
-
-@pytest.fixture(scope="module")
-def task(bare, tmp_path_factory):
-    """A task with a raster with a hole, two bands of another, an array, a function and a further metric."""
+def task(tmp_path_factory):
+    """A task with a raster with a hole, two bands of another, an array and a function."""
     folder, plain = tmp_path_factory.mktemp("layers"), tiled_runs.task(tiled_runs.city())
     rng = np.random.default_rng(0)
     noise, wind = rng.uniform(20, 90, (1, 40, 40)), rng.uniform(0, 30, (2, 40, 40))
@@ -87,27 +65,18 @@ def maps(task):
 
 
 @pytest.mark.slow
-def test_tiles_of_own_layers_equal_the_untiled_maps_bit_for_bit(task, maps, tmp_path):
-    make_zarr(Maker(task, tmp_path, "key", 2), lambda *progress: None, RAGGED)
-    found = store.open_zarr(tmp_path, None)
-    del found.attrs["run_key"]
-    xr.testing.assert_identical(found.load(), maps.ds)
+def test_tiles_of_own_layers_equal_the_untiled_maps_bit_for_bit(task, tmp_path):
+    tiled_runs.check_tiles(task, tmp_path)
 
 
 def test_layers_are_scaled_by_fixed_numbers_and_bands_go_by_altitude(task, maps):
-    assert tuple(maps.metrics) == ("gps", "lidar", "population", "risk", "bare", "noise", "shade", "walls", "wind")
+    assert tuple(maps.metrics) == ("gps", "lidar", "population", "risk", "noise", "shade", "walls", "wind")
     m, values = maps.m("shade", 20.0), task.layers["shade"].source
     np.testing.assert_allclose(m, values, rtol=1e-6)
     np.testing.assert_allclose(maps.costs(20.0)["shade"], 1 - values, atol=1e-6)
     assert not np.array_equal(maps.m("wind", 20.0), maps.m("wind", 60.0))
     low, high = maps.m("walls", 20.0), maps.m("walls", 60.0)
     np.testing.assert_allclose(high - low, 0.1 * 40 / 1000, atol=1e-6)
-
-
-def test_a_further_metric_needs_no_line_in_the_maps(maps):
-    assert maps.ds["bare"].attrs["one_means"] == "no building"
-    is_bare = np.where(maps.m("obstacle", 60.0) == 1, np.nan, maps.m("roof") == 0)
-    np.testing.assert_array_equal(maps.costs(60.0)["bare"], is_bare)
 
 
 def test_a_cell_without_a_value_is_closed_at_every_altitude(maps):
@@ -118,12 +87,6 @@ def test_a_cell_without_a_value_is_closed_at_every_altitude(maps):
         assert maps.is_free(altitude_m).any()
 
 
-def test_a_missing_value_is_an_error_where_told(task):
-    strict = {"noise": replace(task.layers["noise"], nan="error")}
-    with pytest.raises(InputError, match="layer 'noise' has no value in"):
-        compute_maps(replace(task, layers=strict))
-
-
 def test_opened_maps_know_their_layers(maps, tmp_path):
     maps.save(tmp_path)
     again = ju.open_maps(tmp_path)
@@ -132,48 +95,36 @@ def test_opened_maps_know_their_layers(maps, tmp_path):
         np.testing.assert_array_equal(again.costs(20.0)[name], cost, err_msg=name)
 
 
-def test_bands_and_shapes_that_do_not_fit_are_refused(task):
-    grid, altitudes_m = task.region, task.params.altitudes_m
-    values = np.zeros((2, *grid.shape))
-    for layer, message in (
-        (Layer(values, "high-is-bad", (0.0, 1.0)), "has 2 bands for 1 altitude: name the altitude"),
-        (Layer(values, "high-is-bad", (0.0, 1.0), altitudes_m=(20.0, 50.0)), "has no band for 60 m"),
-        (Layer(values[:, 1:], "high-is-bad", (0.0, 1.0)), "has values of shape"),
+def test_bands_shapes_and_layers_that_do_not_fit_are_refused(task):
+    def layer(values, **how):
+        return Layer(values, "high-is-bad", (0.0, 1.0), **how)
+
+    grid, values = task.region, np.zeros((2, *task.region.shape))
+    for made, message in (
+        (layer(values), "has 2 bands for 1 altitude: name the altitude"),
+        (layer(values, altitudes_m=(20.0, 50.0)), "has no band for 60 m"),
+        (layer(values[:, 1:]), "has values of shape"),
+        (layer(values[0] + 1j), "layer 'noise' must be an array of real numbers, got complex128"),
     ):
         with pytest.raises(InputError, match=message):
-            bands_of({"noise": layer}, grid, altitudes_m)
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"scale": (0.0, 1.0, 2.0)}, "scale must be two ascending numbers"),
-        ({"scale": 5.0}, "scale must be a sequence"),
-        ({"altitudes_m": (20.0, 20.0)}, "altitudes_m must name different altitudes"),
-        ({"altitudes_m": 20.0}, "altitudes_m must be a sequence of numbers or None"),
-    ],
-)
-def test_settings_that_are_none_are_refused(settings, words):
-    with pytest.raises(InputError, match=words):
-        Layer(**{"source": Path("noise.tif"), "cost": "high-is-bad", "scale": (0.0, 1.0)} | settings)
-
-
-@pytest.mark.parametrize("name", ["climb", "descent", "distance", "self", "risk_mean", 5])
-def test_names_that_costs_and_maps_use_are_refused(name):
-    with pytest.raises(InputError, match="a layer"):
-        check_layers({name: Layer("noise.tif", "high-is-bad", (0.0, 1.0))})
-
-
-def test_layers_that_are_none_are_refused(task):
-    for layers in ({"noise": 5}, [Layer("noise.tif", "high-is-bad", (0.0, 1.0))], np.zeros(3)):
+            bands_of({"noise": made}, grid, task.params.altitudes_m)
+    for layers in ({"noise": 5}, [layer("noise.tif")], np.zeros(3)):
         with pytest.raises(InputError, match="layers must be a dict of Layer or None"):
-            ju.build_maps(task.city, grid=task.region, layers=layers)
+            ju.build_maps(task.city, grid=grid, layers=layers)
+    strict = {"noise": replace(task.layers["noise"], nan="error")}
+    with pytest.raises(InputError, match="layer 'noise' has no value in"):
+        compute_maps(replace(task, layers=strict))
 
 
 def test_a_function_that_looks_beyond_its_reach_is_told(task):
     short = {"walls": replace(task.layers["walls"], reach_m=REACH_M / 2)}
     with pytest.raises(InputError, match="looks 60 m sideways, beyond its reach_m"):
         compute_maps(replace(task, layers=short))
+
+
+def with_raster(city, grid, path):
+    layers = {"noise": Layer(str(path), "high-is-bad", (0, 80))}
+    return MapTask(city, grid, view_sky(grid, ju.Gps()), MapParams(), layers, bands_of(layers, grid, (60.0,)))
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32618", "EPSG:4326"])
@@ -185,9 +136,7 @@ def test_a_raster_that_ends_inside_the_region_is_told_with_the_share_that_it_clo
     at = rasterio.Affine(right, 0.0, edges[0] - 0.1 * width, 0.0, -up, edges[3] + width)
     with rasterio.open(tmp_path / "part.tif", "w", "GTiff", 50, 50, 1, crs, at, "float32") as file:
         file.write(np.zeros((1, 50, 50), np.float32))
-    layers = {"noise": Layer(str(tmp_path / "part.tif"), "high-is-bad", (0, 80))}
-    sky = view_sky(grid, ju.Gps())
-    task = MapTask(city, grid, sky, MapParams(), layers, bands_of(layers, grid, (60.0,)))
+    task = with_raster(city, grid, tmp_path / "part.tif")
     ((name, told),) = ((name, told) for name, told in task.all_guesses.items() if "layer" in name)
     closed = np.isnan(layer_values(task.bands["noise"], grid, grid)).mean()
     assert told.startswith(f"{100 * closed:.0f} % of the region lies beyond the raster of layer noise and is closed")
@@ -200,9 +149,7 @@ def test_large_holes_of_a_raster_are_told(tmp_path):
     values = np.zeros((1, 40, 40))
     values[0, :, :10] = -1
     write_raster(tmp_path / "noise.tif", grid, values, nodata=-1)
-    layers = {"noise": Layer(str(tmp_path / "noise.tif"), "high-is-bad", (0, 80))}
-    sky = view_sky(grid, ju.Gps())
-    told = MapTask(city, grid, sky, MapParams(), layers, bands_of(layers, grid, (60.0,))).all_guesses
+    told = with_raster(city, grid, tmp_path / "noise.tif").all_guesses
     (sentence,) = (sentence for name, sentence in told.items() if "layer noise without" in name)
     assert "% of the pixels of layer noise hold no value and are closed to every path" in sentence
 
@@ -216,8 +163,6 @@ def test_masked_and_infinite_values_are_no_values(is_masked):
     layers = {"noise": Layer(given, "high-is-bad", (0, 80))}
     ((band,),) = bands_of(layers, grid, (60.0,)).values()
     np.testing.assert_array_equal(np.isnan(band), lost)
-    with pytest.raises(InputError, match="layer 'noise' must be an array of real numbers, got complex128"):
-        bands_of({"noise": Layer(values + 1j, "high-is-bad", (0, 80))}, grid, (60.0,))
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """Protection levels in whole maps, files, paths and pictures: made where asked for, with what they leave out told."""
 
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -10,20 +9,14 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io.store import open_zarr
 from jaxurban.maps.build import compute_maps, inputs_of, view_sky
 from jaxurban.maps.differentiable import soften
-from jaxurban.maps.run import Maker, make_zarr
-from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.protection import CAVEAT, Protection
-from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.constraints import Bound
 from jaxurban.planners.base import Status
-from jaxurban.progress import Report
 from jaxurban.report.figures import plot_metric
-from tests import tiled_runs
 from tests.cli_runs import assert_one_sentence, run
 
 ALTITUDE_M, TIMES = 20.0, [f"2020-04-27T{hour:02d}:30:00Z" for hour in (0, 6, 12)]
@@ -40,21 +33,9 @@ def task_of(sections=ASKED, times=TIMES[:1]) -> MapTask:
     return MapTask(city, region, sky, MapParams(altitudes_m=(ALTITUDE_M,), sections=sections))
 
 
-@contextmanager
-def only_quick():
-    """Leave out the metrics that take seconds to compile."""
-    known = dict(METRICS)
-    for name in ("lidar", "risk"):
-        del METRICS[name]
-    yield
-    METRICS.clear()
-    METRICS.update(known)  # in their order
-
-
 @pytest.fixture(scope="module")
 def maps():
-    with only_quick():
-        return compute_maps(task_of())
+    return compute_maps(task_of())
 
 
 def ends_of(maps, altitude_m):
@@ -70,7 +51,7 @@ def ends(maps):
 
 
 def test_maps_hold_it_where_somebody_asks(maps):
-    assert [*maps.metrics] == ["gps", "protection"]
+    assert [*maps.metrics] == ["gps", "lidar", "risk", "protection"]
     assert "protection" not in task_of({}).metrics
     hpl_m, is_free = maps.m("hpl", ALTITUDE_M), maps.m("obstacle", ALTITUDE_M) == 0
     assert np.isinf(hpl_m[is_free & (maps.m("num_visible", ALTITUDE_M) < 4)]).all()
@@ -83,9 +64,8 @@ def test_maps_hold_it_where_somebody_asks(maps):
 
 
 def test_a_series_keeps_the_share_of_times_within_both_limits():
-    with only_quick():
-        each = compute_maps(task_of(times=TIMES))
-        series = compute_maps(task_of({**ASKED, "gps": Gps(series="statistics")}, TIMES))
+    each = compute_maps(task_of(times=TIMES))
+    series = compute_maps(task_of({**ASKED, "gps": Gps(series="statistics")}, TIMES))
     assert {*STATISTICS} < {*series.ds}
     assert "hpl" not in series.ds
     shares = each.ds["within_limits"].mean("time").where(each.ds["obstacle"] == 0)
@@ -102,29 +82,11 @@ def test_a_series_keeps_the_share_of_times_within_both_limits():
     assert "at every epoch" in " ".join(" ".join(labels).split())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("series", ["epochs", "statistics"])
-def test_tiles_equal_the_whole(tmp_path, series):
-    made = tiled_runs.task(tiled_runs.city(), series)
-    wide = Protection(1e4, 1e4, p_const_gps=0.0)  # of the few satellites of that sky
-    task = replace(made, params=replace(made.params, sections={**made.params.sections, "protection": wide}))
-    with only_quick():
-        whole = compute_maps(task).ds
-        make_zarr(Maker(task, tmp_path / "tiled", "key", 1, None), Report(), (16, 16))
-    names = ("protection", "hpl", "vpl", "within_limits") if series == "epochs" else STATISTICS
-    with open_zarr(tmp_path / "tiled", tiled_runs.RESOLUTION_M) as tiled:
-        for name in names:
-            np.testing.assert_array_equal(tiled[name], whole[name])
-            assert len(np.unique(whole[name])) > 1
-
-
 def test_files_tell_what_it_leaves_out(maps, tmp_path):
     folder = maps.save(tmp_path, layers=("hpl",))
     with rasterio.open(folder / "geotiff" / "hpl_20m_10m.tif") as file:
         assert file.units == ("m",)
         assert file.tags()["comment"] == CAVEAT
-        is_obstacle = maps.m("obstacle", ALTITUDE_M)[::-1] == 1
-        np.testing.assert_array_equal(np.isnan(file.read(1)), is_obstacle)
     again = ju.open_maps(folder)
     assert again.ds["vpl"].attrs["comment"] == CAVEAT
     assert [*again.metrics] == [*maps.metrics]
@@ -136,8 +98,7 @@ def test_a_path_keeps_a_bound_on_it_and_its_note_tells(maps, ends):
     path = ju.plan(maps, *ends, altitude_m=ALTITUDE_M, constraints=limits, weights={"protection": 0.0})
     assert path.status is Status.OPTIMAL
     assert CAVEAT in path.search.note
-    first_m = maps.grid.x_min_m, maps.grid.y_min_m
-    col, row = ((path.xy_m - first_m) // maps.grid.resolution_m).astype(int).T
+    col, row = ((path.xy_m - maps.grid.bounds_m[:2]) // maps.grid.resolution_m).astype(int).T
     assert (maps.m("hpl", ALTITUDE_M)[row, col] <= 40).all()
     weighed = ju.plan(maps, *ends, altitude_m=ALTITUDE_M, weights={"protection": 2.0})
     assert CAVEAT in weighed.search.note
@@ -151,7 +112,7 @@ def test_maps_without_it_refuse_a_bound_on_it_and_say_that_its_weight_is_ignored
     with pytest.raises(InputError, match="on a map that these maps do not hold"):
         ju.plan(without, *ends, altitude_m=ALTITUDE_M, constraints=limits)
     path = ju.plan(without, *ends, altitude_m=ALTITUDE_M, weights={"protection": 2.0})
-    assert "These maps hold no lidar and no population and no risk and no protection" in path.search.note
+    assert "These maps hold no population and no protection" in path.search.note
     assert "protection" not in ju.plan(without, *ends, altitude_m=ALTITUDE_M).search.note
 
 
@@ -164,19 +125,6 @@ def test_pictures_have_units_limits_and_the_caveat(maps, name, words):
     assert words in str([*entries, *(axes.get_ylabel() for axes in figure.axes)])
     assert "no integrity" in " ".join(" ".join(text.get_text() for text in figure.texts).split())
     assert any(hasattr(axes, "_colorbar") for axes in figure.axes) == (name != "within_limits")  # yes and no are a key
-
-
-def test_a_section_or_a_weight_asks_for_it():
-    assert Scenario.from_dict(MINIMAL).protection is None
-    assert "protection" not in Scenario.from_dict(MINIMAL).model_dump()
-    section = Scenario.from_dict(MINIMAL | {"protection": {"horizontal_alert_limit_m": 25}})
-    assert section.protection == Protection(horizontal_alert_limit_m=25.0)
-    weighed = Scenario.from_dict(MINIMAL | {"weights": {"protection": 1}})
-    assert weighed.map_params.sections["protection"] == Protection()
-    assert "[protection]" in weighed.to_toml()
-    assert Scenario.from_dict(MINIMAL | {"weights": {"protection": 0}}).protection is None
-    with pytest.raises(InputError, match=r"protection.*p_sat must be a probability"):
-        Scenario.from_dict(MINIMAL | {"protection": {"p_sat": 2}})
 
 
 def test_what_has_no_gradient_says_so():
@@ -195,10 +143,6 @@ resolution_m = 20
 altitudes_m = [60]
 [buildings]
 source = "synthetic"
-[lidar]
-beams = 2
-azimuths = 8
-range_m = 40
 [protection]
 """
 
@@ -209,10 +153,10 @@ def test_the_commands_make_it_and_plan_under_a_bound_on_it(tmp_path, capsys):
     code, _, err = run(capsys, "maps", tmp_path / "scenario.toml", "-o", tmp_path / "maps")
     assert code == 0, err
     start, goal = (f"{lon},{lat}" for lon, lat in ends_of(ju.open_maps(tmp_path / "maps"), 60.0))
-    ends = ("--start", start, "--goal", goal, "--altitude", 60)
-    code, out, err = run(capsys, "plan", tmp_path / "maps", *ends, "--require", "hpl<=40", "--require", "vpl<=1000")
+    command = "plan", tmp_path / "maps", "--start", start, "--goal", goal, "--altitude", 60, "--require"
+    code, out, err = run(capsys, *command, "hpl<=40", "--require", "vpl<=1000")
     assert code == 0, err
     assert "no integrity" in " ".join((out + err).split())
-    code, _, err = run(capsys, "plan", tmp_path / "maps", *ends, "--require", "hlp<=40")
+    code, _, err = run(capsys, *command, "hlp<=40")
     assert code == 2
     assert_one_sentence(err, "did you mean 'hpl'")

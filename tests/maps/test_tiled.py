@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,23 +15,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import xarray as xr
 
 from jaxurban.io import store
 from jaxurban.io.folders import WorkFolder
-from jaxurban.maps.build import compute_maps
 from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.run import Maker, make_zarr
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.custom import Layer
+from jaxurban.metrics.protection import Protection
+from jaxurban.metrics.risk import Risk
 from jaxurban.progress import Report
-from tests import tiled_runs
-from tests.tiled_runs import RAGGED, files_of, make, task
+from jaxurban.settings import Heights
+from tests import hanging_city, tiled_runs
+from tests.tiled_runs import RAGGED, check_tiles, files_of, make, task
 
 WORK = Path("maps.zarr") / ".20m.jaxurban-part"
-
-
-def untiled(city, series) -> xr.Dataset:
-    return compute_maps(task(city, series)).ds
+WIDE = Protection(1e4, 1e4, p_const_gps=0.0)  # of the few satellites of that sky
+STATISTICS = ["protection_availability", "protection_median", "protection_p05"]
 
 
 @pytest.fixture(scope="module")
@@ -39,20 +40,7 @@ def city():
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    """Compiled programs, for other processes: a run shall be killed at work and not while it compiles."""
-    settings = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
-    before = [jax.config.values[name] for name in settings]
-    folder = str(tmp_path_factory.mktemp("jax"))
-    for name, value in zip(settings, (folder, 0.0), strict=True):
-        jax.config.update(name, value)
-    yield folder
-    for name, value in zip(settings, before, strict=True):
-        jax.config.update(name, value)
-
-
-@pytest.fixture(scope="module")
-def made(city, cache, tmp_path_factory):
+def made(city, tmp_path_factory):
     folder = tmp_path_factory.mktemp("tiled")
     make(folder, city)
     return folder
@@ -63,21 +51,45 @@ def whole(made) -> dict[str, bytes]:
     return files_of(made)
 
 
-def assert_equal(folder, expected: xr.Dataset) -> None:
-    found = store.open_zarr(folder, None)
-    assert found.attrs.pop("run_key") == "key"
-    xr.testing.assert_identical(found.load(), expected)
-    assert {name: array.dtype for name, array in found.items()} == {n: array.dtype for n, array in expected.items()}
+def with_section(series: str = "epochs", with_terrain: bool = False, **section) -> MapTask:
+    of = task(tiled_runs.city(with_terrain), series)
+    return replace(of, params=replace(of.params, sections={**of.params.sections, **section}))
 
 
-def test_ragged_tiles_equal_the_untiled_maps(city, made):
-    expected = untiled(city, "epochs")
-    assert expected["num_visible"].values.max() > expected["num_visible"].values.min()
-    assert_equal(made, expected)
+def slabs(with_terrain: bool = False, **settings) -> MapTask:
+    return hanging_city.task(hanging_city.city(with_terrain=with_terrain), altitudes_m=(2.0, 13.0), **settings)
+
+
+JOBS = {  # the task, the shape of its tiles, and how tiles differ in their settings
+    "epochs": (with_section, RAGGED, {}),
+    "statistics": (lambda: with_section("statistics"), RAGGED, {}),
+    "terrain with holes": (lambda: with_section(with_terrain=True), RAGGED, {}),
+    "slabs over terrain": (lambda: slabs(with_terrain=True), (34, 58), {}),
+}
+SLOW = {
+    "solid risk over terrain": (lambda: with_section(with_terrain=True, risk=Risk(distance="solid")), RAGGED, {}),
+    "terrain, tiles by JAX": (lambda: with_section(with_terrain=True), RAGGED, {"engine": "jax"}),
+    "protection": (lambda: with_section(protection=WIDE), (16, 16), {}),
+    "protection's statistics": (lambda: with_section("statistics", protection=WIDE), (16, 16), {}),
+    "slabs": (slabs, (34, 58), {}),
+    "slabs that touch": (lambda: slabs(heights=Heights(all_touched=True)), (34, 58), {}),
+    "slabs and finer rays": (lambda: slabs(oversample=3), (34, 58), {}),
+} | {f"tiles of {shape}": (JOBS["epochs"][0], shape, {}) for shape in [(47, 39), (1, 39), (47, 5), (7, 11), (46, 38)]}
+
+
+@pytest.mark.parametrize("name", [*JOBS, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
+def test_tiles_equal_the_untiled_maps(name, tmp_path):
+    of, shape, options = (JOBS | SLOW)[name]
+    found = check_tiles(of(), tmp_path, shape, **options)
+    if "terrain with holes" in name:
+        assert np.isnan(found["gps"].values).any()
+    varied = {"protection": ["protection", "hpl", "vpl", "within_limits"], "protection's statistics": STATISTICS}
+    for variable in varied.get(name, ["risk"]):
+        assert len(np.unique(found[variable])) > 1
 
 
 @pytest.mark.parametrize("num_threads", [2, 1])
-def test_while_a_tiles_results_are_waited_for_another_tile_is_begun(city, cache, tmp_path, num_threads):
+def test_while_a_tiles_results_are_waited_for_another_tile_is_begun(city, tmp_path, num_threads):
     """So does a GPU compute one tile while another's maps travel; with one thread it would have to wait."""
     first, another, in_time = threading.Lock(), threading.Event(), []
 
@@ -100,35 +112,20 @@ def test_while_a_tiles_results_are_waited_for_another_tile_is_begun(city, cache,
     assert in_time == [num_threads > 1]
 
 
-def test_statistics_over_time_of_tiles_equal_the_untiled_ones(city, tmp_path):
-    make(tmp_path, city, series="statistics")
-    assert_equal(tmp_path, untiled(city, "statistics"))
-
-
-def test_tiles_on_terrain_with_holes_in_the_data_equal_the_untiled_maps(tmp_path):
-    city = tiled_runs.city(with_terrain=True)
-    make(tmp_path, city)
-    expected = untiled(city, "epochs")
-    assert np.isnan(expected["gps"].values).any()
-    assert_equal(tmp_path, expected)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("shape", [(47, 39), (1, 39), (47, 5), (7, 11), (46, 38)])
-def test_any_shape_of_tiles_gives_the_same_maps(city, tmp_path, shape):
-    make(tmp_path, city, shape)
-    assert_equal(tmp_path, untiled(city, "epochs"))
-
-
-def test_nothing_of_the_work_is_left(made):
-    assert sorted(path.name for path in (made / "maps.zarr").iterdir()) == ["20m"]
-
-
-def test_a_chunk_is_a_tile(made):
+def test_a_chunk_is_a_tile_and_nothing_of_the_work_is_left(made):
     assert store.open_zarr(made, None)["risk"].encoding["chunks"] == (1, *RAGGED)
+    assert [path.name for path in (made / "maps.zarr").iterdir()] == ["20m"]
 
 
-@pytest.mark.parametrize("num_workers", [1, 2, 4])
+@contextmanager
+def cluster_of(num_workers: int):
+    distributed = pytest.importorskip("distributed", reason="needs the cluster extra")
+    options = {"processes": False, "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
+    with distributed.LocalCluster(n_workers=num_workers, **options) as cluster, distributed.Client(cluster) as client:
+        yield client
+
+
+@pytest.mark.parametrize("num_workers", [1, 3])
 def test_any_number_of_dask_workers_gives_the_same_bytes(city, whole, tmp_path, num_workers, monkeypatch):
     suffixes, finish = set(), WorkFolder.finish
 
@@ -137,9 +134,7 @@ def test_any_number_of_dask_workers_gives_the_same_bytes(city, whole, tmp_path, 
         finish(work, *target)
 
     monkeypatch.setattr(WorkFolder, "finish", look_and_finish)
-    distributed = pytest.importorskip("distributed", reason="needs the cluster extra")
-    options = {"processes": False, "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
-    with distributed.LocalCluster(n_workers=num_workers, **options) as cluster, distributed.Client(cluster) as client:
+    with cluster_of(num_workers) as client:
         make(tmp_path, city, client=client)
     assert files_of(tmp_path) == whole
     is_chunk = {suffix for suffix in suffixes if suffix[1:].isdigit()}
@@ -147,13 +142,18 @@ def test_any_number_of_dask_workers_gives_the_same_bytes(city, whole, tmp_path, 
     assert suffixes - is_chunk == {"", ".txt", ".npz", ".json"}
 
 
-def start(folder: Path, cache: str) -> subprocess.Popen:
-    environment = {
-        **os.environ,
-        "JAX_COMPILATION_CACHE_DIR": cache,
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-        "JAX_PLATFORMS": "cpu",
-    }
+def test_a_worker_that_dies_as_the_job_goes_costs_nothing(city, whole, tmp_path, monkeypatch):
+    def failing(client, name, **options):
+        raise OSError("Stream is closed")
+
+    with cluster_of(1) as client:
+        monkeypatch.setattr(type(client), "unregister_worker_plugin", failing)
+        make(tmp_path, city, client=client)
+    assert files_of(tmp_path) == whole
+
+
+def start(folder: Path) -> subprocess.Popen:
+    environment = os.environ | {"JAX_PLATFORMS": "cpu"}  # programs are kept by the settings of conftest.py
     return subprocess.Popen([sys.executable, "-m", "tests.tiled_runs", str(folder)], env=environment)
 
 
@@ -171,81 +171,49 @@ def tear_unfinished(folder: Path) -> None:
             chunk.write_bytes(chunk.read_bytes()[:5])
 
 
-def kill_and_resume(folder: Path, cache: str, seed: int, num_kills: int, whole: dict[str, bytes]) -> None:
-    """Kill a run some times, each after a random number of further tiles and a random moment, then let it finish."""
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "num_kills"), [(0, 2), (1, 3)])
+def test_kill_9_of_the_run_loses_no_finished_tile_and_changes_no_byte(tmp_path, whole, seed, num_kills):
+    """Each kill comes after a random number of further tiles and a random moment; at last the run finishes."""
     rng = random.Random(seed)
     kept: dict[str, int] = {}
     for _ in range(num_kills):
-        process = start(folder, cache)
+        process = start(tmp_path)
         wanted, later_s = len(kept) + rng.randint(1, 8 // num_kills), rng.uniform(0, 0.05)
-        while process.poll() is None and len(done_tiles(folder)) < wanted:
+        while process.poll() is None and len(done_tiles(tmp_path)) < wanted:
             time.sleep(0.002)
         time.sleep(later_s)
         process.kill()
         assert process.wait() == -signal.SIGKILL
-        marked = done_tiles(folder)
+        marked = done_tiles(tmp_path)
         assert kept.items() <= marked.items()  # none was done again
         kept = marked
-        tear_unfinished(folder)
-    assert start(folder, cache).wait(timeout=200) == 0
-    assert files_of(folder) == whole
+        tear_unfinished(tmp_path)
+    assert start(tmp_path).wait(timeout=200) == 0
+    assert files_of(tmp_path) == whole
 
 
 @pytest.mark.slow
-def test_kill_9_of_the_run_loses_no_finished_tile_and_changes_no_byte(tmp_path, cache, whole):
-    kill_and_resume(tmp_path, cache, 0, 2, whole)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 7))
-def test_kill_9_of_the_run_three_times_over(tmp_path, cache, whole, seed):
-    kill_and_resume(tmp_path, cache, seed, 3, whole)
-
-
-def kill_workers(folder: Path, cache: str, seed: int, num_kills: int, whole: dict[str, bytes]) -> None:
-    """Kill random workers of two, each a random moment after some tiles are finished."""
+@pytest.mark.parametrize(("seed", "num_kills"), [(0, 1), (1, 3)])
+def test_kill_9_of_workers_costs_only_their_tiles(tmp_path, whole, seed, num_kills):
+    """Random workers of two are killed, each a random moment after some tiles are finished."""
+    pytest.importorskip("distributed", reason="needs the cluster extra")
     rng, killed = random.Random(seed), []
     with cluster_client(2) as client:
 
         def kill() -> None:
             for n in range(num_kills):
-                while len(done_tiles(folder)) < 2 + 3 * n:
+                while len(done_tiles(tmp_path)) < 2 + 3 * n:
                     time.sleep(0.002)
                 time.sleep(rng.uniform(0, 0.1))
-                pids = list(client.run(os.getpid).values())
-                os.kill(rng.choice(pids), signal.SIGKILL)
+                os.kill(rng.choice(list(client.run(os.getpid).values())), signal.SIGKILL)
                 killed.append(True)
 
         killer = threading.Thread(target=kill)
         killer.start()
-        make(folder, tiled_runs.city(), client=client)
+        make(tmp_path, tiled_runs.city(), client=client)
         killer.join()
     assert len(killed) == num_kills
-    assert files_of(folder) == whole
-
-
-@pytest.mark.slow
-def test_kill_9_of_a_worker_costs_only_its_tile(tmp_path, cache, whole):
-    pytest.importorskip("distributed", reason="needs the cluster extra")
-    kill_workers(tmp_path, cache, 0, 1, whole)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 8))
-def test_kill_9_of_workers_three_times_a_run(tmp_path, cache, whole, seed):
-    kill_workers(tmp_path, cache, seed, 3, whole)
-
-
-def test_a_worker_that_dies_as_the_job_goes_costs_nothing(city, whole, tmp_path, monkeypatch):
-    distributed = pytest.importorskip("distributed", reason="needs the cluster extra")
-
-    def failing(client, name, **options):
-        raise OSError("Stream is closed")
-
-    monkeypatch.setattr(distributed.Client, "unregister_worker_plugin", failing)
-    options = {"processes": False, "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
-    with distributed.LocalCluster(n_workers=1, **options) as cluster, distributed.Client(cluster) as client:
-        make(tmp_path, city, client=client)
     assert files_of(tmp_path) == whole
 
 

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.kernels.dop import Clocks
 from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
 from jaxurban.metrics import gps
@@ -16,18 +15,13 @@ from jaxurban.metrics.visibility import shadow_reach_m, visibility
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface
-from tests.metrics.whole_maps import compute_gps, gps_maps, seen
+from tests.metrics.whole_maps import compute_gps, gps_maps, seen, surface_on
 
 ALTITUDES_M = [20.0, 60.0]
 # Axes, diagonals and directions a hair beside them, high and low.
 AZIMUTH_DEG = [0.0, 90.0, 180.0, 270.0, 45.0, 135.0, 225.0, 315.0, 44.999, 89.999, 200.0, 20.0, 155.0]
 ELEVATION_DEG = [35.0, 50.0, 15.0, 60.0, 30.0, 40.0, 70.0, 25.0, 55.0, 20.0, 80.0, 10.0, 45.0]
 AZIMUTH_RAD, ELEVATION_RAD = np.radians(AZIMUTH_DEG), np.radians(ELEVATION_DEG)
-
-
-def surface_of(roof_m, grid, region, terrain_m=None):
-    terrain_m = None if terrain_m is None else jnp.asarray(terrain_m, jnp.float32)
-    return Surface(jnp.asarray(roof_m, jnp.float32), terrain_m, None, None, grid, region)
 
 
 def random_city(num_rows=200, num_cols=220, share=0.02, seed=0):
@@ -50,31 +44,6 @@ def test_ratings_follow_the_papers_table():
     assert [[Rating(r).name for r in row] for row in rating(gdop)] == names
 
 
-@pytest.mark.data
-@pytest.mark.parametrize(
-    ("file", "time"),
-    [
-        ("gps-ops_2012-12-07.tle", "2012-12-07T05:30:00Z"),
-        ("gps-ops_2020-04-27.tle", "2020-04-27T16:00:00Z"),
-        ("gps-ops_2024-03-31_omm.csv", "2024-03-31T20:00:00Z"),
-    ],
-)
-def test_dops_under_open_sky_equal_an_independent_computation(data_dir, file, time):
-    sky = look_angles(read_orbits(data_dir / "gps" / file), [time], -74.0, 40.715).under(5.0)
-    azimuth, elevation = sky.azimuth_rad[0], sky.elevation_rad[0]
-    grid = Grid("EPSG:32618", 5.0, 900_000, 116_000, 4, 5)
-    maps = compute_gps(surface_of(np.zeros(grid.shape), grid, grid), azimuth, elevation, [20.0])
-    level = np.cos(elevation)
-    places = np.sin(azimuth) * level, np.cos(azimuth) * level, np.sin(elevation)
-    matrix = np.column_stack([*places, -np.ones(len(level))])
-    variance = np.diag(np.linalg.inv(matrix.T @ matrix))
-    dops = np.sqrt([variance.sum(), variance[:3].sum(), variance[:2].sum(), variance[2], variance[3]])
-    for name, value in zip(("gdop", "pdop", "hdop", "vdop", "tdop"), dops, strict=True):
-        np.testing.assert_allclose(getattr(maps, name), value, rtol=1e-5)
-    np.testing.assert_allclose(maps.m, (20 - dops[0]) / 19, rtol=1e-5)
-    assert np.all(maps.num_visible == len(azimuth))
-
-
 def test_over_terrain_maps_of_a_sub_box_equal_the_crop_of_the_larger_map_bit_for_bit():
     roof_m, grid = random_city()
     ground_m = 15 * np.sin(np.arange(200)[:, None] / 20) * np.cos(np.arange(220) / 30)
@@ -85,7 +54,7 @@ def test_over_terrain_maps_of_a_sub_box_equal_the_crop_of_the_larger_map_bit_for
     maps = []
     for on, region in ((grid, large), (small.padded(*(math.ceil(margin / 5.0) for margin in margins_m)), small)):
         where = on.window_in(grid)
-        surface = surface_of(roof_m[where], on, region, ground_m[where])
+        surface = surface_on(roof_m[where], on, region, ground_m[where])
         maps.append(compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, ALTITUDES_M))
     for whole, part in zip(*map(jax.tree.leaves, maps), strict=True):
         np.testing.assert_array_equal(whole[:, *small.window_in(large)], part)
@@ -104,7 +73,7 @@ def test_each_bit_is_a_shadow_height_compared_with_the_altitude():
     roof_m, grid = random_city(60, 70)
     region = Grid(grid.crs, 5.0, grid.first_row + 9, grid.first_col + 4, 40, 50)
     azimuth, elevation = np.resize(AZIMUTH_RAD, 35), np.resize(ELEVATION_RAD, 35)
-    words = visibility(surface_of(roof_m, grid, region), azimuth, elevation, ALTITUDES_M)
+    words = visibility(surface_on(roof_m, grid, region), azimuth, elevation, ALTITUDES_M)
     assert words.shape == (2, 2, 40, 50)
     for s in (0, 7, 31, 32, 34):
         line = digital_line(azimuth[s], elevation[s], 5.0, grid.first_row, grid.first_col, grid.shape)
@@ -128,7 +97,7 @@ def test_visibility_keeps_float64_where_only_the_caller_enabled_it():
 def test_inside_obstacles_nothing_is_seen_and_fewer_than_four_satellites_give_m_0():
     roof_m, grid = random_city(40, 50, share=0.3)
     altitudes_m = [5.0, 60.0]
-    maps = compute_gps(surface_of(roof_m, grid, grid), AZIMUTH_RAD, ELEVATION_RAD, altitudes_m)
+    maps = compute_gps(surface_on(roof_m, grid, grid), AZIMUTH_RAD, ELEVATION_RAD, altitudes_m)
     inside, few = roof_m >= np.array(altitudes_m)[:, None, None], np.asarray(maps.num_visible) < 4
     assert np.all(np.asarray(maps.num_visible)[inside] == 0)
     assert (few & ~inside).any()
@@ -141,22 +110,10 @@ def test_inside_obstacles_nothing_is_seen_and_fewer_than_four_satellites_give_m_
 
 def test_without_satellites_m_is_0():
     roof_m, grid = random_city(6, 7)
-    maps = compute_gps(surface_of(roof_m, grid, grid), np.zeros(0), np.zeros(0), ALTITUDES_M)
+    maps = compute_gps(surface_on(roof_m, grid, grid), np.zeros(0), np.zeros(0), ALTITUDES_M)
     assert maps.m.shape == (2, 6, 7)
     assert not np.any(maps.m)
     assert not np.any(maps.num_visible)
-
-
-def test_a_hill_hides_a_low_satellite_from_the_valley_and_not_from_its_top():
-    grid = Grid("EPSG:32618", 5.0, 900_000, 116_000, 60, 4)
-    ground_m = np.zeros(grid.shape)
-    ground_m[30:35] = 100.0
-    words = visibility(surface_of(np.zeros(grid.shape), grid, grid, ground_m), [0.0], np.radians([30.0]), [20.0])
-    sees = np.asarray(words)[0, 0, :, 0] == 1
-    shadow_cells = (100 - 20) / math.tan(math.radians(30)) / 5  # 27.7 cells south of row 30
-    assert sees[:2].all()
-    assert not sees[30 - int(shadow_cells) : 30].any()
-    assert sees[30:].all()
 
 
 @pytest.mark.parametrize(("num", "clocks"), [(20, None), (40, None), (20, Clocks(np.arange(20) % 2, 2))])

@@ -11,17 +11,19 @@ import scipy
 import jaxurban as ju
 from jaxurban.maps.build import compute_maps, skies_of, view_sky
 from jaxurban.maps.differentiable import soften
-from jaxurban.maps.provenance import run_key
 from jaxurban.maps.recipe import TileScene
-from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import DOPS, Gps, satellites_of
 from jaxurban.metrics.lidar import Lidar
 from tests.io.test_orbits import walker_tle
+from tests.metrics.soft.scene import check_gradient
 
 TIMES = ("2020-04-27T03:00:00Z", "2020-04-27T09:00:00Z")
 SYSTEMS = ("gps", "galileo")
 Z_M = 5.0
+LIDAR = Lidar(beams=2, azimuths=8, range_m=40.0)
+NEW = {"gps_horizontal": ju.metrics.Dop(4.0), "gps_vertical": ju.metrics.Dop()}
+SECTIONS = {"gps": Gps(mask_deg=10.0), "lidar": LIDAR, **NEW}
 
 
 @pytest.fixture(scope="module")
@@ -32,16 +34,7 @@ def task(tmp_path_factory) -> MapTask:
     city = ju.demo_city(width_m=500, height_m=500)
     grid = ju.Grid(city.crs, 10.0, *(int(np.ceil(v / 10.0)) + 5 for v in city.extent_m[1::-1]), 32, 32)
     sky = view_sky(grid, ju.Gps(orbits=["nominal", file], times=TIMES, mask_deg=10.0))
-    params = MapParams(
-        altitudes_m=(Z_M,),
-        sections={
-            "gps": Gps(mask_deg=10.0),
-            "lidar": Lidar(beams=2, azimuths=8, range_m=40.0),
-            "gps_horizontal": ju.metrics.Dop(4.0),
-            "gps_vertical": ju.metrics.Dop(),
-        },
-    )
-    return MapTask(city, grid, sky, params)
+    return MapTask(city, grid, sky, MapParams(altitudes_m=(Z_M,), sections=SECTIONS))
 
 
 @pytest.fixture(scope="module")
@@ -82,9 +75,7 @@ def test_maps_of_two_systems_equal_float64_with_two_clocks(task, maps):
 
 
 def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task, maps):
-    shared = replace(
-        task.params, sections={"lidar": task.params.sections["lidar"], "gps": Gps(clocks="one", mask_deg=10.0)}
-    )
+    shared = replace(task.params, sections={"lidar": LIDAR, "gps": Gps(clocks="one", mask_deg=10.0)})
     one = compute_maps(replace(task, params=shared))
     less, more = (each.m("pdop", Z_M)[maps.is_free(Z_M, "centre")] for each in (one, maps))
     assert np.all(less <= more * (1 + 1e-5))
@@ -104,11 +95,10 @@ def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task,
 
 
 def test_new_metrics_are_there_only_where_they_are_asked_for(task, maps):
-    new = {"gps_horizontal", "gps_vertical"}
-    assert new <= {*maps.ds.data_vars}
-    assert list(maps.metrics) == [*("gps", "lidar", "population", "risk"), "gps_horizontal", "gps_vertical"]
+    assert {*NEW} <= {*maps.ds.data_vars}
+    assert list(maps.metrics) == ["gps", "lidar", "population", "risk", *NEW]
     plain = replace(task, params=replace(task.params, sections={}))
-    assert not new & {*plain.metrics, *(name for metric in plain.metrics.values() for name in metric.variables)}
+    assert not {*NEW} & {*plain.metrics, *(name for metric in plain.metrics.values() for name in metric.variables)}
 
 
 def test_hdop_and_vdop_are_cost_layers_under_a_weight_and_limits_of_a_path(maps):
@@ -118,18 +108,19 @@ def test_hdop_and_vdop_are_cost_layers_under_a_weight_and_limits_of_a_path(maps)
         np.testing.assert_allclose(maps.costs(Z_M)[name], 1 - expected, atol=1e-6)
     components, _ = scipy.ndimage.label(maps.is_free(Z_M))
     free = np.argwhere(components == np.argmax(np.bincount(components[components > 0])))
-    start, goal = (tuple(map(float, maps.grid.lonlat_of_cell(*free[at]))) for at in (0, -1))
-    weights = {"distance": 0.1, "gps": 0, "lidar": 0, "population": 0, "risk": 0, "gps_vertical": 0}
-    path = ju.plan(maps, start, goal, altitude_m=Z_M, weights=weights | {"gps_horizontal": 3.0})
+    ends = [tuple(map(float, maps.grid.lonlat_of_cell(*free[at]))) for at in (0, -1)]
+    weights = dict.fromkeys(maps.metrics, 0.0) | {"distance": 0.1}
+    path, plain = (
+        ju.plan(maps, *ends, altitude_m=Z_M, weights=weights | {"gps_horizontal": weight}) for weight in (3.0, 0.0)
+    )
     assert path.cost_by_layer["gps_horizontal"] > 0
-    plain = ju.plan(maps, start, goal, altitude_m=Z_M, weights=weights | {"gps_horizontal": 0.0})
     assert path.metrics["gps_horizontal"] > plain.metrics["gps_horizontal"]
     limit = float(np.median(maps.m("hdop", Z_M)[tuple(free.T)]))
     limits = ju.Constraints.read(require=f"hdop<={limit:g}")
     kept = limits.is_free(maps, Z_M)
     np.testing.assert_array_equal(kept, maps.is_free(Z_M) & (maps.m("hdop", Z_M) <= np.float32(f"{limit:g}")))
     assert 0 < kept.sum() < maps.is_free(Z_M).sum()
-    bounded = ju.plan(maps, start, goal, altitude_m=Z_M, constraints=limits, snap=200.0)
+    bounded = ju.plan(maps, *ends, altitude_m=Z_M, constraints=limits, snap=200.0)
     assert "hdop" in str(bounded.settings["limits"])
 
 
@@ -157,27 +148,12 @@ def test_soft_maps_follow_the_clocks_and_their_gradients_equal_finite_difference
     cells = jnp.asarray(np.argwhere(np.ones((6, 5), bool)) * 3)
     with jax.enable_x64(True):
         soft = soften(task, dtype=np.float64)
-        params = ju.grad.SoftParams(Z_M, 3.0, sections={"gps": task.params.gps, **dict(task.params.sections)})
-        assert {"gps_horizontal", "gps_vertical"} <= set(soft.names)
+        params = ju.grad.SoftParams(Z_M, 3.0, sections=SECTIONS)
+        assert {*NEW} <= set(soft.names)
 
-        @jax.jit
-        def total(height_m):
-            return sum(jnp.sum(soft.layer(name, height_m, params, cells)) for name in ("gps", "gps_horizontal"))
+        def total(inputs):
+            return sum(
+                jnp.sum(soft.layer(name, inputs["height_m"], params, cells)) for name in ("gps", "gps_horizontal")
+            )
 
-        slope = jax.jit(jax.grad(total))(soft.height_m)
-        strongest = np.argsort(-np.abs(slope))[:5]
-        assert np.abs(slope[strongest]).min() > 1e-4
-        for building in strongest:
-            step = 1e-5 * (np.arange(len(slope)) == building)
-            expected = (total(soft.height_m + step) - total(soft.height_m - step)) / 2e-5
-            np.testing.assert_allclose(slope[building], expected, rtol=1e-5)
-
-
-def test_a_runs_key_tells_clocks_and_metrics_apart():
-    bare = {"region": {"bounds": [-74.0, 40.75, -73.99, 40.76]}, "buildings": {"source": "synthetic"}}
-    asked = [{}, {"gps": {"clocks": "one"}}, {"gps_horizontal": {}}]
-    scenarios = [Scenario.from_dict(bare | more) for more in asked]
-    assert len({run_key(scenario, {}, "cpu") for scenario in scenarios}) == len(asked)
-    assert scenarios[0].gps_horizontal is None
-    assert scenarios[2].gps_horizontal == ju.metrics.Dop()
-    assert Scenario.from_dict(bare | {"weights": {"gps_vertical": 2.0}}).gps_vertical == ju.metrics.Dop()
+        check_gradient(jax.jit(jax.value_and_grad(total)), {"height_m": soft.height_m}, rtol=1e-5)

@@ -1,11 +1,10 @@
 """The lidar metric on a surface."""
 
-import jax.numpy as jnp
 import numpy as np
 
-from jaxurban.metrics.lidar import METRIC, Lidar, compute_lidar
+from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.world.grid import Grid
-from jaxurban.world.surface import Surface
+from tests.metrics.whole_maps import surface_on
 
 GRID = Grid("EPSG:32618", 5.0, 901_000, 116_000, 110, 120)
 PARAMS = Lidar(azimuths=60)
@@ -18,19 +17,10 @@ def random_roof(seed: int = 0) -> np.ndarray:
     return blocks.astype(np.float32)
 
 
-def surface_of(roof_m: np.ndarray, grid: Grid, region: Grid, terrain_m=None) -> Surface:
-    terrain = None if terrain_m is None else jnp.asarray(terrain_m, jnp.float32)
-    return Surface(jnp.asarray(roof_m), terrain, None, None, grid, region)
-
-
-def inner(grid: Grid, cells: int) -> Grid:
-    return grid.padded(-cells, -cells, -cells, -cells)
-
-
 def test_lidar_is_a_share_zero_inside_obstacles_and_above_every_reach():
     roof_m = random_roof()
-    region = inner(GRID, MARGIN)
-    m = np.asarray(compute_lidar(surface_of(roof_m, GRID, region), [20.0, 60.0, 600.0], PARAMS))
+    region = GRID.padded(*4 * [-MARGIN])
+    m = np.asarray(compute_lidar(surface_on(roof_m, GRID, region), [20.0, 60.0, 600.0], PARAMS))
     assert m.shape == (3, *region.shape)
     assert m.dtype == np.float32
     assert m.min() == 0
@@ -43,8 +33,8 @@ def test_lidar_is_a_share_zero_inside_obstacles_and_above_every_reach():
 def test_nothing_stands_beyond_the_surface():
     roof_m = random_roof()
     padded = GRID.padded(30, 30, 30, 30)
-    alone = compute_lidar(surface_of(roof_m, GRID, GRID), [20.0], PARAMS)
-    among_nothing = compute_lidar(surface_of(np.pad(roof_m, 30), padded, GRID), [20.0], PARAMS)
+    alone = compute_lidar(surface_on(roof_m, GRID, GRID), [20.0], PARAMS)
+    among_nothing = compute_lidar(surface_on(np.pad(roof_m, 30), padded, GRID), [20.0], PARAMS)
     np.testing.assert_array_equal(alone, among_nothing)
 
 
@@ -55,8 +45,8 @@ def test_terrain_hides_what_lies_behind_a_ridge():
     terrain_m[:, 26] = 60.0
     grid = Grid("EPSG:32618", 5.0, 0, 0, 41, 41)
     params = Lidar(azimuths=4)
-    flat = compute_lidar(surface_of(roof_m, grid, grid), [20.0], params)
-    hidden = compute_lidar(surface_of(roof_m, grid, grid, terrain_m), [20.0], params)
+    flat = compute_lidar(surface_on(roof_m, grid, grid), [20.0], params)
+    hidden = compute_lidar(surface_on(roof_m, grid, grid, terrain_m), [20.0], params)
     assert flat[0, 20, 20] == hidden[0, 20, 30] == 0.25  # due east, 60 and 10 m away
     assert hidden[0, 20, 20] == 0
 
@@ -64,4 +54,3 @@ def test_terrain_hides_what_lies_behind_a_ridge():
 def test_a_single_beam_lies_in_the_middle_and_several_at_equal_steps():
     np.testing.assert_allclose(Lidar(beams=1, field_of_view_deg=(-10, 20)).elevations_rad, np.deg2rad([5]))
     np.testing.assert_allclose(np.rad2deg(Lidar().elevations_rad), np.arange(-15, 16, 2), atol=1e-12)
-    assert METRIC.reach_m(Lidar(range_m=70.0)) == 70.0

@@ -4,21 +4,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.metrics.base import Scene
 from jaxurban.metrics.protection import (
     METRIC,
     Protection,
     galileo_receiver_sigma_m,
     levels_of_satellites,
     protection_maps,
-    protection_metric,
     ranging_of,
 )
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.world.sky import InView
 from tests.kernels.test_protection import EXAMPLE
-from tests.metrics.soft.scene import ALTITUDE_M, surface_of
-from tests.metrics.soft.scene import scene as soft_scene
 
 PARAMS = Protection()
 
@@ -46,10 +42,6 @@ def test_galileo_has_a_table_that_ends_at_5_degrees():
     np.testing.assert_array_equal(found.p_const[found.constellation], [1e-4, 1e-8, 1e-4])
 
 
-def test_the_metric_falls_to_0_at_the_alert_limit():
-    np.testing.assert_allclose(protection_metric(np.array([0.0, 10.0, 40.0, 41.0, np.inf]), 40.0), [1, 0.75, 0, 0, 0])
-
-
 @pytest.mark.parametrize("counts", [(9, 0), (7, 6), (40, 30)])
 def test_every_cell_has_the_levels_of_its_own_satellites(counts):
     in_view, draw = drawn(*counts), np.random.default_rng(3)
@@ -67,17 +59,6 @@ def test_every_cell_has_the_levels_of_its_own_satellites(counts):
     np.testing.assert_array_equal(maps["within_limits"], (hpl_m <= 40) & (vpl_m <= 35))
     assert not maps["protection"][is_obstacle].any()
     assert maps["within_limits"].any()
-
-
-def test_a_scene_gives_all_maps():
-    height_m, building = soft_scene()
-    surface = surface_of(height_m.astype(np.float32), building)
-    words = jnp.full((1, *surface.region.shape), 0b111111111, jnp.uint32)
-    nowhere = jnp.zeros(surface.region.shape, bool)
-    scene = Scene(surface, ALTITUDE_M, nowhere, in_view=drawn(9, 0), words=words)
-    found = METRIC.compute(scene, PARAMS)
-    assert {*found} == {*METRIC.variables}
-    assert len(np.unique(found["hpl"])) == 1
 
 
 def test_it_is_made_on_request_and_no_metric_of_every_cost():

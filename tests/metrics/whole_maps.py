@@ -2,13 +2,20 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxurban.metrics.gps import Gps, GpsMaps, maps_of_choices, satellites_of
 from jaxurban.metrics.population import BlockLayers, Population, block_layers, map_blocks
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.sky import InView
-from jaxurban.world.surface import obstacles_on
+from jaxurban.world.surface import Surface, obstacles_on
+
+
+def surface_on(roof_m, grid, region, terrain_m=None):
+    """Return a float32 surface of roofs, and terrain where there is any."""
+    terrain_m = None if terrain_m is None else jnp.asarray(terrain_m, jnp.float32)
+    return Surface(jnp.asarray(roof_m, jnp.float32), terrain_m, None, None, grid, region)
 
 
 def compute_gps(surface, azimuth_rad, elevation_rad, altitudes_m, params=None, clocks=None):

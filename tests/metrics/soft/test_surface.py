@@ -4,25 +4,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import build_surface, building_index, rasterise
-from jaxurban.world.city import City, Footprints, Raster
+from jaxurban.world.city import City, Raster
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import NO_BUILDING, roofs_of
 from jaxurban.world.synthetic import demo_city
+from tests.made_maps import city_of_boxes
 
 CRS = "EPSG:32618"
 GRID = Grid(CRS, 5.0, 0, 0, 8, 8)
-
-
-def city_of(outlines, height_m) -> City:
-    count = len(height_m)
-    zeros = np.zeros(count)
-    outlines = np.array(outlines, object)
-    buildings = Footprints(outlines, np.asarray(height_m, float), zeros, zeros.astype(np.uint8), zeros.astype(bool))
-    return City(CRS, (0.0, 0.0, 40.0, 40.0), buildings)
 
 
 @pytest.mark.parametrize("all_touched", [False, True])
@@ -42,7 +34,7 @@ def test_roofs_by_index_are_the_burnt_roofs_exactly(all_touched):
 
 
 def test_where_buildings_overlap_the_higher_one_has_the_cell_and_all_of_the_gradient():
-    city = city_of([shapely.box(0, 0, 20, 20), shapely.box(10, 10, 30, 30), shapely.box(12, 12, 18, 18)], [30, 20, 10])
+    city = city_of_boxes([(0, 0, 20, 20), (10, 10, 30, 30), (12, 12, 18, 18)], [30, 20, 10], 40.0)
     building = building_index(city, GRID)
     np.testing.assert_array_equal(np.unique(building), [NO_BUILDING, 0, 1])  # the third one is covered
     gradient = jax.grad(lambda h: roofs_of(h, jnp.asarray(building)).sum())(jnp.asarray([30.0, 20.0, 10.0]))
@@ -50,9 +42,8 @@ def test_where_buildings_overlap_the_higher_one_has_the_cell_and_all_of_the_grad
 
 
 def test_a_region_without_buildings_has_none():
-    city = city_of([shapely.box(0, 0, 20, 20)], [30])
-    away = Grid(CRS, 5.0, 100, 100, 4, 4)
-    assert (building_index(city, away) == NO_BUILDING).all()
+    city = city_of_boxes([(0, 0, 20, 20)], 30.0, 40.0)
+    assert (building_index(city, Grid(CRS, 5.0, 100, 100, 4, 4)) == NO_BUILDING).all()
 
 
 def test_a_height_raster_has_no_buildings_to_differentiate_by():
