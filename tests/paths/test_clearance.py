@@ -1,6 +1,5 @@
 """Clearance as a hard limit: what it closes, that every planner, climb and file keeps it, and what is said of it."""
 
-import itertools
 import json
 from dataclasses import replace
 from importlib import import_module
@@ -14,13 +13,10 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from benchmarks.random_routes import READERS
-from jaxurban.cli.common import given_constraints
 from jaxurban.errors import InputError, OtherSettingsWarning
 from jaxurban.io.files import write_json
 from jaxurban.io.read.zone import cell_boxes, touched_cells
 from jaxurban.io.store import write_zarr
-from jaxurban.maps.provenance import settings_of
-from jaxurban.maps.scenario import Scenario
 from jaxurban.paths.constraints import (
     FILE_MARGIN_M,
     closed_by_clearance,
@@ -28,7 +24,6 @@ from jaxurban.paths.constraints import (
     distance_to_obstacles_m,
     kept_m,
 )
-from jaxurban.paths.plan import rules_on
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.frame import rules_said
@@ -72,12 +67,12 @@ def assert_keeps_clear(maps, xyz_m, clearance_m, vertical_clearance_m) -> None:
     if np.ptp(xyz_m[:, 2]):
         at = np.linspace(0, len(xyz_m) - 1, 20 * (len(xyz_m) - 1) + 1)
         xyz_m = np.column_stack([np.interp(at, np.arange(len(xyz_m)), values) for values in xyz_m.T])
-    for start, end in itertools.pairwise(xyz_m if len(xyz_m) > 1 else [*xyz_m, *xyz_m]):
-        leg, z_m = shapely.LineString([start[:2], end[:2]]), min(start[2], end[2])
-        as_high = roof_m + vertical_clearance_m >= z_m
-        assert shapely.distance(boxes[as_high], leg).min(initial=np.inf) >= clearance_m
-        beneath = shapely.intersects(boxes, leg)
-        assert (z_m - roof_m[beneath]).min(initial=np.inf) > vertical_clearance_m
+    xyz_m = xyz_m if len(xyz_m) > 1 else np.repeat(xyz_m, 2, axis=0)
+    legs = shapely.linestrings(np.stack([xyz_m[:-1, :2], xyz_m[1:, :2]], axis=1))
+    over_m = np.minimum(xyz_m[:-1, 2], xyz_m[1:, 2]) - roof_m[:, None]
+    away_m = shapely.distance(boxes[:, None], legs)
+    assert away_m.min(where=over_m <= vertical_clearance_m, initial=np.inf) >= clearance_m
+    assert over_m.min(where=away_m == 0, initial=np.inf) > vertical_clearance_m
 
 
 def ends_in(maps, is_free) -> list[dict[str, tuple[float, float]]]:
@@ -119,13 +114,9 @@ def test_the_distance_is_that_between_squares_and_to_the_border(seed, share, sid
 @pytest.mark.parametrize("altitude_m", [20.0, 33.0, 60.0])
 def test_closed_is_what_lies_nearer_to_a_roof_than_the_step_of_the_clearance_under_either_rule(rule, altitude_m):
     maps = scattered(1)
-    cells = np.argwhere(np.ones(maps.grid.shape, bool))
-    boxes, roof_m = boxes_of(maps)
-    own = cell_boxes(maps.grid, cells, 1)
-    tree = shapely.STRtree(boxes[roof_m + 4.0 >= altitude_m])
-    near = np.unique(tree.query(own, predicate="dwithin", distance=4.99)[0])  # legs keep the other 2.05 m
-    by_hand = np.zeros(maps.grid.shape, bool)
-    by_hand[tuple(cells[near].T)] = True
+    own, (boxes, roof_m) = cell_boxes(maps.grid, np.argwhere(np.ones(maps.grid.shape)), 1), boxes_of(maps)
+    high = shapely.union_all(boxes[roof_m + 4.0 >= altitude_m])
+    by_hand = shapely.dwithin(own, high, 4.99).reshape(maps.grid.shape)  # legs keep the other 2.05 m
     by_hand[[0, -1]] = by_hand[:, [0, -1]] = True  # 0 m from the border
     constraints = ju.Constraints.read(**KEPT)
     assert np.array_equal(constraints.closed(maps.with_obstacles(rule), altitude_m), by_hand)
@@ -134,12 +125,9 @@ def test_closed_is_what_lies_nearer_to_a_roof_than_the_step_of_the_clearance_und
 
 def test_a_vertical_clearance_alone_closes_roofs_that_end_too_near_below_and_no_border():
     maps = scattered(2)
-    closed = ju.Constraints(vertical_clearance_m=8.0).closed(maps, ALTITUDE_M)
-    assert np.array_equal(closed, maps.m("roof_touched") >= 12)
-    closed = ju.Constraints(vertical_clearance_m=7.5).closed(maps, ALTITUDE_M)
-    assert np.array_equal(closed, maps.m("roof_touched") > 12.5)
-    everything = ju.Constraints(vertical_clearance_m=100.0).closed(maps, ALTITUDE_M)
-    assert np.array_equal(everything, maps.m("roof_touched") > 0)  # bare ground is no roof
+    for least_m, lowest_m in ((8.0, 12.0), (7.5, 12.5), (100.0, 1e-9)):  # bare ground is no roof
+        closed = ju.Constraints(vertical_clearance_m=least_m).closed(maps, ALTITUDE_M)
+        assert np.array_equal(closed, maps.m("roof_touched") >= lowest_m)
 
 
 def test_unknown_roofs_and_cells_without_data_are_kept_clear_of():
@@ -165,7 +153,7 @@ def test_every_planner_keeps_it_and_every_file_too(planner, seed, clearance_m, t
         on = ju.cost_map(maps, altitude_m, cost_model="line", constraints=constraints)
         for ends in ends_in(maps, on.is_free):
             start, goal = (ju.XY(*xy_m) for xy_m in ends.values())
-            path = on.plan(start, goal, planner=planner, budget_s=0.2, refine=refine)
+            path = on.plan(start, goal, planner=planner, budget_s=0.3, refine=refine)
             if not path.status.has_path:
                 continue
             num_found += 1
@@ -232,14 +220,12 @@ def test_a_path_through_the_corners_of_free_cells_keeps_it_after_rounding(tmp_pa
     path = ju.plan(maps, **ends_in(maps, is_free)[0], altitude_m=ALTITUDE_M, constraints=constraints)
     boxes, roof_m = boxes_of(maps)
     high = shapely.union_all(boxes[roof_m + 2.0 >= ALTITUDE_M])
-    corners = shapely.get_coordinates(cell_boxes(maps.grid, np.argwhere(is_free), 1)).reshape(-1, 5, 2)
-    nearest = corners.reshape(-1, 2)[np.argsort(shapely.distance(shapely.points(corners.reshape(-1, 2)), high))[:50]]
-    for x_m, y_m in nearest:
-        xy_m = np.array([[x_m, y_m]] * 2)
+    corners_m = shapely.get_coordinates(cell_boxes(maps.grid, np.argwhere(is_free), 1))
+    nearest_m = corners_m[np.argsort(shapely.distance(shapely.points(corners_m), high))[:50]]
+    for xy_m in np.stack([nearest_m, nearest_m], axis=1):
         lonlat = np.stack(maps.grid.lonlat_of_xy(*xy_m.T), axis=-1)
         there = replace(path, xy_m=xy_m, lonlat=lonlat, z_m=np.full(2, ALTITUDE_M))
-        there.save(tmp_path / "corner.geojson")
-        read_m = maps.grid.xy_of_lonlat(*READERS[".geojson"](tmp_path / "corner.geojson")[0, :2])
+        read_m = maps.grid.xy_of_lonlat(*READERS[".geojson"](there.save(tmp_path / "corner.geojson"))[0, :2])
         assert high.distance(shapely.Point(read_m)) >= 4.95
 
 
@@ -260,10 +246,9 @@ def test_a_start_too_near_is_told_by_what_and_moved_on_request():
     low = np.argwhere(maps.m("roof_touched") == 18)[0]
     words = "the clearance of 7 m and the vehicle's radius of 0.5 m and the vertical clearance of 4 m that is kept"
     for cell in ((row, col + 1), low, (1, 1)):  # beside a roof, over one, and near the border
-        at = {"start_xy_m": maps.grid.xy_of_cell(*cell), "goal_xy_m": ends["goal_xy_m"], "altitude_m": ALTITUDE_M}
-        with pytest.raises(InputError, match="start is closed by") as caught:
+        at = ends | {"start_xy_m": maps.grid.xy_of_cell(*cell), "altitude_m": ALTITUDE_M}
+        with pytest.raises(InputError, match=f"start is closed by.*{words}"):
             ju.plan(maps, **at, constraints=constraints)
-        assert words in str(caught.value)
         assert ju.plan(maps, **at, constraints=constraints, snap=True).status is Status.OPTIMAL
 
 
@@ -314,7 +299,7 @@ def test_the_command_line_takes_clearances_and_the_scenarios(tmp_path, capsys):
     write_json(tmp_path / "maps" / "run.json", {"settings": stored})
     limits = {"no_fly": [], "require": [], "vehicle_radius_m": 1.5, "vehicle_speed_m_s": 8.0}
     for options, kept in (
-        ((), {"clearance_m": 7.0, "vertical_clearance_m": 3.0}),
+        ((), {"clearance_m": 7.0, "vertical_clearance_m": 3.0}),  # without options the scenario's
         (("--clearance", 0, "--vertical-clearance", 4), {"vertical_clearance_m": 4.0}),
     ):
         code, out, _ = run(capsys, *command, *options)
@@ -324,19 +309,10 @@ def test_the_command_line_takes_clearances_and_the_scenarios(tmp_path, capsys):
         assert facts["report"]["time_s"] == pytest.approx(facts["length_m"] / 8)
 
 
-def test_every_command_that_plans_takes_the_options_over_its_scenarios_settings():
+def test_every_command_that_plans_takes_the_options():
     for module in ("plan", "study", "sensitivity", "tune"):
         command = getattr(import_module(f"jaxurban.cli.{module}"), module)
         assert {"--clearance", "--vertical-clearance"} <= {name for param in command.params for name in param.opts}
-    region = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}
-    given = {"no_fly": (), "require": (), "clearance_m": None, "vertical_clearance_m": None}
-    assert given_constraints(given) == ju.Constraints()
-    said = region | {"planning": KEPT, "vehicle": {"radius_m": 0.5, "speed_m_s": 9}}
-    maps = scattered(5).with_recorded(settings_of(Scenario.from_dict(said)))
-    vehicle = ju.Vehicle(radius_m=0.5, speed_m_s=9.0)
-    for changed in ({}, {"clearance_m": 0.0}):
-        limits = rules_on(maps, None, given_constraints(given | changed), "")[2]
-        assert limits == ju.Constraints(**(KEPT | changed), vehicle=vehicle)
 
 
 def test_over_terrain_what_stands_higher_up_the_slope_is_as_high_as_a_path():

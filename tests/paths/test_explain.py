@@ -56,7 +56,7 @@ def report(planned, maps) -> ju.RouteReport:
 def test_segments_add_up_to_the_paths_cost_layer_by_layer(maps, ends, planner, cost_model):
     if planner == "ptp":
         maps = ju.MetricMaps(maps.ds.assign({name: maps.ds[name] * 0 for name in ("obstacle", "roof_touched")}))
-    path = route(maps, ends, planner=planner, cost_model=cost_model, budget_s=0.2)
+    path = route(maps, ends, planner=planner, cost_model=cost_model, budget_s=0.3)
     for num_segments in (1, 10):
         report = ju.explain(path, maps, num_segments=num_segments)
         assert len(report.segments) == num_segments

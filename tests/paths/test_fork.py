@@ -9,7 +9,6 @@ import pytest
 SCRIPT = """
 import os, signal, warnings
 import numpy as np
-import pandas as pd
 import jax.numpy as jnp
 import jaxurban as ju
 from tests.made_maps import made_maps
@@ -18,17 +17,15 @@ warnings.simplefilter("ignore")  # Python 3.12 and JAX warn of forks
 jnp.ones(3).sum().block_until_ready()
 maps = made_maps(60, 80)
 constraints = ju.Constraints(clearance_m=5.0, vertical_clearance_m=3.0)
-free = np.argwhere(ju.cost_map(maps, 20.0, constraints=constraints).is_free)
-(start, goal) = ends = [tuple(map(float, maps.grid.xy_of_cell(*free[k]))) for k in (0, -1)]
-columns = ["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
+cells = np.argwhere(ju.cost_map(maps, 20.0, constraints=constraints).is_free)[[0, -1]]
+ends = [tuple(map(float, maps.grid.lonlat_of_cell(*cell))) for cell in cells]
 
 def costs():
-    given = {"start_xy_m": start, "goal_xy_m": goal, "constraints": constraints, "cost_model": "line", "snap": True}
-    paths = [ju.plan(maps, altitude_m=20.0, planner=name, **given) for name in ("ptp", "astar-plus", "theta-star")]
-    paths.append(ju.plan(maps, altitude_m=ju.Levels(20.0, 60.0, 20.0), **given))
+    how = {"constraints": constraints, "cost_model": "line", "snap": True}
+    paths = [ju.plan(maps, *ends, altitude_m=20.0, planner=name, **how) for name in ("ptp", "astar-plus", "theta-star")]
+    paths.append(ju.plan(maps, *ends, altitude_m=ju.Levels(20.0, 60.0, 20.0), **how))
     ju.explain(paths[1], maps)
-    table = pd.DataFrame([[*start, *goal]] * 3, columns=columns)
-    paths += list(ju.plan_many(maps, table, altitude_m=60.0, snap=True, progress=False))
+    paths += list(ju.plan_many(maps, [ends] * 3, altitude_m=60.0, snap=True, progress=False))
     return [path.cost for path in paths]
 
 before = costs()

@@ -36,6 +36,7 @@ class Scene:
         self.kept = ju.cost_map(maps, Z_M, constraints=ju.Constraints.read(clearance_m=6.0))
         near = np.argwhere(self.kept.is_free)
         self.clear = self.kept.plan(*(ju.XY(*maps.grid.xy_of_cell(*near[k])) for k in (10, 20)))
+        self.untouched = ju.MetricMaps(maps.ds.drop_vars("roof_touched"), "centre")
         self.blocked = self.plan(planner="ptp")
         self.pairs = [tuple(tuple(map(float, maps.grid.lonlat_of_xy(*xy_m))) for xy_m in ends.values())] * 3
 
@@ -48,9 +49,6 @@ class Scene:
     def many(self, queries=None, **options):
         queries = self.pairs if queries is None else queries
         return ju.plan_many(self.maps, queries, **({"altitude_m": Z_M} | options), progress=False)
-
-    def queries(self, snap):
-        return make_queries(self.on, self.pairs, snap=snap)
 
     def table(self, *columns):
         return self.many(pd.DataFrame([[0.0] * len(columns)], columns=columns))
@@ -71,11 +69,21 @@ def scene(maps, ends) -> Scene:
     return Scene(maps, ends)
 
 
-ANOTHER = "another {}.*: give the cost map that it was planned on"
 OTHER = "give the cost map that it was planned on"
+ANOTHER = "another {}.*: " + OTHER
 PAIRS = r"queries must be pairs of places in degrees, .* an array \[N, 2, 2\]"
 LONLAT = ("start_lon", "start_lat", "goal_lon")
 METRES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
+NO_CELL = r"no cell is free at this altitude: .* loosen the constraints \(hdop<=0.1, vertical clear"
+NO_DISTANCES, NO_NUMBERS = (0.0, -1.0, NAN, "50"), (-1.0, NAN, np.inf, "wide")
+SHAPES = ((3, 4), (2, 2), (3, 3), (3, 2, 3))
+
+
+def each(call, values, words):
+    """Return a row of the table for each value."""
+    return [(lambda s, value=value: call(s, value), words) for value in values]
+
+
 REFUSED = [
     # what is planned
     (lambda s: s.plan(planner="astar-pluss"), "did you mean 'astar-plus'"),
@@ -90,20 +98,14 @@ REFUSED = [
     (lambda s: s.plan(cost_model="cell", refine=True), "cost_model='line'"),
     (lambda s: s.plan(planner="bitstar-dist", seed=-1), "seed must be a whole number"),
     (lambda s: s.plan(planner="bitstar-dist", seed=1.5), "seed must be a whole number"),
-    *[
-        (lambda s, name=name, risk=risk: s.plan(planner=name, weights=ju.Weights(risk=risk)), "weight risk must be a")
-        for name in PLANNERS
-        for risk in (NAN, -1.0)
-    ],
-    *[
-        (lambda s, z_m=z_m: s.plan(altitude_m=z_m), r"from 20 to 60 m|finite number")
-        for z_m in (10.0, 19.999, 60.001, -1.0, NAN, np.inf)
-    ],
-    *[
-        (lambda s, snap=snap, ask=ask: getattr(s, ask)(snap=snap), "snap must be True")
-        for snap in (0.0, -1.0, NAN, "50")
-        for ask in ("plan", "levels", "many", "queries")
-    ],
+    *each(lambda s, name: s.plan(planner=name, weights=ju.Weights(risk=NAN)), PLANNERS, "weight risk must be a"),
+    *each(lambda s, name: s.plan(planner=name, weights=ju.Weights(risk=-1)), PLANNERS, "weight risk must be a"),
+    *each(lambda s, z_m: s.plan(altitude_m=z_m), (10.0, 19.999, 60.001, -1.0), "from 20 to 60 m"),
+    *each(lambda s, z_m: s.plan(altitude_m=z_m), (NAN, np.inf), "from 20 to 60 m|finite number"),
+    *each(lambda s, snap: s.plan(snap=snap), NO_DISTANCES, "snap must be True"),
+    *each(lambda s, snap: s.levels(snap=snap), NO_DISTANCES, "snap must be True"),
+    *each(lambda s, snap: s.many(snap=snap), NO_DISTANCES, "snap must be True"),
+    *each(lambda s, snap: make_queries(s.on, s.pairs, snap=snap), NO_DISTANCES, "snap must be True"),
     # between levels
     (lambda s: s.levels(min_altitude_m=80.0, max_altitude_m=40.0), "hold no altitude from 80 to 40 m"),
     (lambda s: s.levels(min_altitude_m=30.0, max_altitude_m=50.0), "no altitude from 30 to 50 m, only 20, 60 m"),
@@ -130,19 +132,13 @@ REFUSED = [
     (lambda s: s.table(*LONLAT, "goal_lat", "w_gsp"), "did you mean 'w_gps'"),
     (lambda s: s.table(*LONLAT), "lack the columns goal_lat"),
     (lambda s: s.table(*METRES, "goal_lon"), "not in both"),
-    *[
-        (lambda s, shape=shape, of=of: s.many(of(np.zeros(shape))), PAIRS)
-        for shape in ((3, 4), (2, 2), (3, 3), (3, 2, 3))
-        for of in (np.asarray, np.ndarray.tolist)
-    ],
+    *each(lambda s, shape: s.many(np.zeros(shape)), SHAPES, PAIRS),
+    *each(lambda s, shape: s.many(np.zeros(shape).tolist()), SHAPES, PAIRS),
     (lambda s: s.many([s.pairs[0], s.pairs[1][0]]), PAIRS),
     (lambda s: s.many([("a", "b")]), PAIRS),
     # constraints and vehicles
-    *[
-        (lambda s, name=name, value=value: ju.Constraints.read(**{name: value}), name)
-        for name in ("clearance_m", "vertical_clearance_m")
-        for value in (-1.0, NAN, np.inf, "wide")
-    ],
+    *each(lambda s, wrong: ju.Constraints.read(clearance_m=wrong), NO_NUMBERS, "clearance_m"),
+    *each(lambda s, wrong: ju.Constraints.read(vertical_clearance_m=wrong), NO_NUMBERS, "vertical_clearance_m"),
     (lambda s: s.closed("gps=>0.3"), "comparison '=>': use >=, <=, >, <"),
     (lambda s: s.closed("gps==0.3"), "comparison '=='"),
     (lambda s: s.closed("gps>=much"), "must read name"),
@@ -153,26 +149,15 @@ REFUSED = [
     (lambda s: s.closed("gpz>0.3"), "did you mean 'gps'"),
     (lambda s: s.closed("gps_epoch_mean>0"), "do not hold"),
     (lambda s: Bound("lidar", ">=", 0.4).is_kept(s.maps, 61.0), "no maps for altitude 61"),
-    (
-        lambda s: s.plan(constraints=ju.Constraints.read(require="hdop<=0.1"), snap=True),
-        r"no cell is free at this altitude: .* loosen the constraints \(hdop<=0.1, vertical clear",
-    ),
-    (
-        lambda s: ju.Constraints(clearance_m=1.0).is_free(
-            ju.MetricMaps(s.maps.ds.drop_vars("roof_touched"), "centre"), Z_M
-        ),
-        "'roof_touched', from which a clearance is measured",
-    ),
+    (lambda s: s.plan(constraints=ju.Constraints.read(require="hdop<=0.1"), snap=True), NO_CELL),
+    (lambda s: ju.Constraints(clearance_m=1.0).is_free(s.untouched, Z_M), "'roof_touched', from which a clearance is"),
     (lambda s: ju.Vehicle(radius_m=-0.1), "radius_m must be 0 or a positive number of metres"),
     (lambda s: ju.Vehicle(speed_m_s=0.0), "speed_m_s must be a positive number of metres per second"),
     (lambda s: ju.Vehicle(max_turn_deg=181.0), "max_turn_deg must be at most 180 degrees"),
     (lambda s: ju.Vehicle(power_w=100.0), "give the speed"),
     (lambda s: ju.Vehicle(max_descent_m_s="slow"), "max_descent_m_s must be a number or None"),
     (lambda s: Scenario.from_dict(REGION | {"vehicle": {"radius_cm": 40}}), "radius_m"),
-    (
-        lambda s: Scenario.from_dict(REGION | {"vehicle": {"max_climb_m_s": 0}}),
-        r"vehicle.*max_climb_m_s must be a positive number",
-    ),
+    (lambda s: Scenario.from_dict(REGION | {"vehicle": {"max_climb_m_s": 0}}), "vehicle.*max_climb_m_s must be a pos"),
     # of a path
     (lambda s: s.explain(speed_m_s=0.0), "speed_m_s must be a positive number of metres per second, got 0.0"),
     (lambda s: s.explain(speed_m_s=NAN), "speed_m_s"),
@@ -192,10 +177,7 @@ REFUSED = [
     (lambda s: s.simplify(on=ju.cost_map(s.maps.with_obstacles("centre"), Z_M)), ANOTHER.format("obstacles")),
     (lambda s: s.simplify(cost_model="cell"), ANOTHER.format("cost_model")),
     (lambda s: s.simplify(replace(s.path, xy_m=s.path.xy_m + 5.0)), ANOTHER.format("region")),
-    *[
-        (lambda s, wrong=wrong: s.simplify(tolerance_m=wrong), "tolerance_m must be")
-        for wrong in (0.0, -1.0, np.inf, "far")
-    ],
+    *each(lambda s, wrong: s.simplify(tolerance_m=wrong), (0.0, -1.0, np.inf, "far"), "tolerance_m must be"),
     (lambda s: ju.simplify(None, s.on, 2.0), "planned must be PlannedPath"),
 ]
 

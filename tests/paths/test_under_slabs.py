@@ -17,7 +17,8 @@ from tests.tiled_runs import sky
 
 REGION = Grid(CRS, 10.0, int(Y_M // 10) + 2, int(X_M // 10) + 2, 54, 56)
 ALTITUDES_M = (5.0, 13.0, 20.0)
-START, GOAL = (X_M + 300.0, Y_M + 165.0), (X_M + 300.0, Y_M + 245.0)  # south and north of the deck
+UNDER = (X_M + 300.0, Y_M + 205.0)  # the deck; the ends are south and north of it
+ENDS = {"start_xy_m": (X_M + 300.0, Y_M + 165.0), "goal_xy_m": (X_M + 300.0, Y_M + 245.0)}
 RULES = ("touched", "centre")
 
 
@@ -34,10 +35,9 @@ def maps() -> ju.MetricMaps:
 def in_buildings(path: ju.PlannedPath, rule: str) -> bool:
     """Whether a path is in a prism anywhere: a true one or, under the rule of centres, one less its outermost cells."""
     within_m = 0.0 if rule == "touched" else REGION.resolution_m / 2**0.5
-    along = np.linspace(0, len(path.xy_m) - 1, 40 * len(path.xy_m))
     number = np.arange(len(path.xy_m))
-    x, y = (np.interp(along, number, values) for values in path.xy_m.T)
-    z = np.interp(along, number, np.broadcast_to(path.z_m, len(number)))
+    along = np.linspace(0, len(number) - 1, 40 * len(number))
+    x, y, z = (np.interp(along, number, values) for values in (*path.xy_m.T, path.z_m))
     points = shapely.points(x, y)
     return any(
         np.any(shapely.contains_properly(polygon.buffer(-within_m), points) & (z > floor_m) & (z < top_m))
@@ -47,22 +47,20 @@ def in_buildings(path: ju.PlannedPath, rule: str) -> bool:
 
 @pytest.mark.parametrize("rule", RULES)
 def test_where_planners_may_fly_is_where_they_may_if_everything_reaches_the_ground(maps, rule):
-    grounded = made(TO_GROUND).with_obstacles(rule)
+    slabs, grounded = (held.with_obstacles(rule) for held in (maps, made(TO_GROUND)))
     for z_m in (5.0, 9.0, 12.5, 13.0, 14.0, 20.0):
-        np.testing.assert_array_equal(maps.with_obstacles(rule).is_free(z_m), grounded.is_free(z_m))
+        np.testing.assert_array_equal(slabs.is_free(z_m), grounded.is_free(z_m))
         for clearance_m in ((0.0, 0.0), (15.0, 3.0)):
-            np.testing.assert_array_equal(
-                obstacles_within(maps.with_obstacles(rule), z_m, *clearance_m),
-                obstacles_within(grounded, z_m, *clearance_m),
-            )
+            closed = (obstacles_within(held, z_m, *clearance_m) for held in (slabs, grounded))
+            np.testing.assert_array_equal(*closed)
 
 
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("planner", ["astar-dist", "astar-plus", "theta-star", "bitstar-plus"])
 @pytest.mark.parametrize("altitude_m", [5.0, 13.0])
 def test_no_path_at_an_altitude_goes_through_or_under_a_deck(maps, rule, planner, altitude_m):
-    ends = {"start_xy_m": START, "goal_xy_m": GOAL, "altitude_m": altitude_m}
-    path = ju.plan(maps.with_obstacles(rule), **ends, planner=planner, cost_model="line", budget_s=0.3)
+    how = {"altitude_m": altitude_m, "planner": planner, "cost_model": "line", "budget_s": 0.3}
+    path = ju.plan(maps.with_obstacles(rule), **ENDS, **how)
     assert path.length_m > 400  # around the deck, which is 80 m to cross
     assert not in_buildings(path, rule)
     row, col = maps.grid.cell_of_xy(*path.xy_m.T)
@@ -72,15 +70,8 @@ def test_no_path_at_an_altitude_goes_through_or_under_a_deck(maps, rule, planner
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("step_m", [None, 1.0, 4.0])
 def test_a_path_that_climbs_goes_over_the_deck_and_not_through_it(maps, rule, step_m):
-    path = plan_volume(
-        maps.with_obstacles(rule),
-        start_xy_m=START,
-        goal_xy_m=GOAL,
-        start_altitude_m=5.0,
-        goal_altitude_m=5.0,
-        level_step_m=step_m,
-        climb_cost=0.01,
-    )
+    heights = {"start_altitude_m": 5.0, "goal_altitude_m": 5.0, "level_step_m": step_m, "climb_cost": 0.01}
+    path = plan_volume(maps.with_obstacles(rule), **ENDS, **heights)
     assert not in_buildings(path, rule)
     over = np.array([shapely.contains_properly(DECK, shapely.Point(x, y)) for x, y in path.xy_m])
     assert over.any()
@@ -88,21 +79,15 @@ def test_a_path_that_climbs_goes_over_the_deck_and_not_through_it(maps, rule, st
 
 
 def test_nobody_climbs_from_under_a_deck(maps):
-    under = (X_M + 300.0, Y_M + 205.0)
-    assert maps.m("obstacle", 5.0)[maps.grid.cell_of_xy(*under)] == 0
+    under = maps.grid.cell_of_xy(*UNDER)
+    assert [maps.m("obstacle", z_m)[under] for z_m in (5.0, 13.0)] == [0, 1]
+    climb = {"start_xy_m": UNDER, "goal_xy_m": ENDS["goal_xy_m"], "start_altitude_m": 5.0, "goal_altitude_m": 20.0}
     with pytest.raises(ju.InputError, match="obstacle"):
-        plan_volume(
-            maps.with_obstacles("centre"),
-            start_xy_m=under,
-            goal_xy_m=GOAL,
-            start_altitude_m=5.0,
-            goal_altitude_m=20.0,
-        )
-    assert maps.m("obstacle", 13.0)[maps.grid.cell_of_xy(*under)] == 1
+        plan_volume(maps.with_obstacles("centre"), **climb)
 
 
 def test_between_two_altitudes_values_over_a_deck_are_those_above_it(maps):
-    over = maps.grid.cell_of_xy(X_M + 300.0, Y_M + 205.0)
+    over = maps.grid.cell_of_xy(*UNDER)
     costs = ju.cost_map(maps, ju.Levels(level_step_m=1.0))
     level = int(np.flatnonzero(costs.altitudes_m == 15.0)[0])
     lidar = list(maps.metrics).index("lidar")

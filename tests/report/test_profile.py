@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.patches import StepPatch
 
 import jaxurban as ju
@@ -13,6 +13,7 @@ from jaxurban.report.figures import plot_profile, save_profile
 from jaxurban.report.figures.frame import GUESSED_COLOUR
 from jaxurban.report.figures.profile import NO_FIX_COLOUR
 from tests.made_maps import made_maps
+from tests.paths.volumes import ends_at
 
 
 @pytest.fixture(scope="module")
@@ -22,18 +23,24 @@ def maps() -> ju.MetricMaps:
 
 @pytest.fixture(scope="module")
 def planned(maps) -> ju.PlannedPath:
-    free = np.argwhere(maps.is_free(20.0))
-    ends = {"start_xy_m": maps.grid.xy_of_cell(*free[10]), "goal_xy_m": maps.grid.xy_of_cell(*free[-10])}
-    return ju.plan(maps, **ends, altitude_m=20.0, weights=ju.Weights(risk=5.0))
+    cells = np.argwhere(maps.is_free(20.0))[[10, -10]]
+    return ju.plan(maps, **ends_at(maps, *cells), altitude_m=20.0, weights=ju.Weights(risk=5.0))
+
+
+@pytest.fixture(scope="module")
+def report(planned, maps) -> ju.RouteReport:
+    return ju.explain(planned, maps)
 
 
 def steps(panel) -> dict[str, StepPatch]:
     return {patch.get_label(): patch for patch in panel.patches if isinstance(patch, StepPatch)}
 
 
-def test_the_curves_are_the_values_of_the_report_by_distance(maps, planned):
-    report = ju.explain(planned, maps)
-    heights, metrics, walls = plot_profile(planned, maps, report).axes
+def test_the_curves_are_the_values_of_the_report_by_distance_under_altitude_and_time_of_day(maps, planned, report):
+    figure = plot_profile(planned, maps, report)
+    heights, metrics, walls = figure.axes
+    heading = f", 20 m above ground, {planned.settings['time_of_day']}, cost "
+    assert any(heading in text.get_text() for text in figure.texts)
     edges_km = np.append(report.profile["from_m"], report.profile["to_m"].iloc[-1]) / 1000
     for panel, label, name in (
         (heights, "roofs beneath", "roof_m"),
@@ -51,8 +58,7 @@ def test_the_curves_are_the_values_of_the_report_by_distance(maps, planned):
     assert all(panel.get_legend() for panel in (heights, metrics, walls))
 
 
-def test_roofs_of_guessed_height_are_told_apart(maps, planned):
-    report = ju.explain(planned, maps)
+def test_roofs_of_guessed_height_are_told_apart(maps, planned, report):
     profile = report.profile.assign(roof_m=12.0, roof_guessed=report.profile.index < 5)
     heights = plot_profile(planned, maps, replace(report, profile=profile)).axes[0]
     guessed = steps(heights)["of guessed height"]
@@ -61,17 +67,12 @@ def test_roofs_of_guessed_height_are_told_apart(maps, planned):
     assert "of guessed height" not in steps(plot_profile(planned, maps, report).axes[0])
 
 
-def test_stretches_without_a_fix_are_shaded_over_their_whole_length(maps, planned):
-    report = ju.explain(planned, maps)
+def test_stretches_without_a_fix_are_shaded_over_their_whole_length(maps, planned, report):
     figure = plot_profile(planned, maps, report)
-    (shade, *_) = shaded = [p for p in figure.axes[1].patches if p.get_facecolor()[:3] == rgb(NO_FIX_COLOUR)]
-    assert sum(patch.get_width() for patch in shaded) * 1000 == pytest.approx(report.totals["under_4_satellites_m"])
-    assert shade.get_width() > 0
+    widths = [p.get_width() for p in figure.axes[1].patches if p.get_facecolor()[:3] == to_rgb(NO_FIX_COLOUR)]
+    assert sum(widths) * 1000 == pytest.approx(report.totals["under_4_satellites_m"])
+    assert widths[0] > 0
     assert "under 4 satellites" in [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
-
-
-def rgb(colour: str) -> tuple[float, ...]:
-    return tuple(int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
 
 
 def test_a_profile_without_walls_or_of_one_place_is_drawn(maps, planned, tmp_path):
@@ -84,16 +85,9 @@ def test_a_profile_without_walls_or_of_one_place_is_drawn(maps, planned, tmp_pat
         save_profile(planned, maps, tmp_path / "a.pdf")
 
 
-def test_the_profile_names_its_altitude_and_time_of_day(maps, planned):
-    told = [text.get_text() for text in plot_profile(planned, maps).texts]
-    assert any(f", 20 m above ground, {planned.settings['time_of_day']}, cost " in line for line in told)
-
-
-def test_clearance_has_gaps_only_where_a_route_is_above_every_obstacle(maps, planned):
-    report = ju.explain(planned, maps)
-    profile = report.profile.assign(
-        nearest_wall_m=report.profile["nearest_wall_m"].where(report.profile.index > 3, np.inf)
-    )
+def test_clearance_has_gaps_only_where_a_route_is_above_every_obstacle(maps, planned, report):
+    clear_m = report.profile["nearest_wall_m"].where(report.profile.index > 3, np.inf)
+    profile = report.profile.assign(nearest_wall_m=clear_m)
     walls = plot_profile(planned, maps, replace(report, profile=profile)).axes[2]
     drawn = steps(walls)["clearance"].get_data().values
     assert np.isnan(drawn[:4]).all()
