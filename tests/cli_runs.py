@@ -1,18 +1,31 @@
-"""Running the command line in this process, for tests."""
+"""Running the command line in this process, and the small town that it is run on."""
 
+import json
 import math
+from pathlib import Path
 from unittest.mock import patch
 
 import pytest
+import shapely
 
 from jaxurban import progress
 from jaxurban.cli import main as cli
+
+TOWN = """
+[region]
+bounds = [-74.0, 40.755, -73.993, 40.761]
+resolution_m = 20
+altitudes_m = [20, 60]
+[buildings]
+source = "synthetic"
+"""
+ENDS = "--start=-73.999,40.756", "--goal=-73.994,40.76"  # over the town
 
 
 def run(capsys, *arguments: object) -> tuple[int, str, str]:
     """Return exit code, stdout and stderr of one command."""
     # An error stands alone only in the first seconds of a job, which may be long on a busy machine.
-    with pytest.raises(SystemExit) as ended, patch.object(progress, "EVERY_S", math.inf):
+    with pytest.raises(SystemExit) as ended, patch.multiple(progress, EVERY_S=math.inf, SILENT_S=600.0):
         cli.main([str(argument) for argument in arguments])
     out, err = capsys.readouterr()
     return ended.value.code, out, err
@@ -24,3 +37,17 @@ def assert_one_sentence(err: str, *words: str) -> None:
     assert len(err.strip().splitlines()) == 1, err
     for word in words:
         assert word in err
+
+
+def outlines(*polygons: shapely.Polygon) -> str:
+    """Return buildings of 30 m as GeoJSON."""
+    building = {"type": "Feature", "properties": {"height": "30"}}
+    features = [building | {"geometry": shapely.geometry.mapping(each)} for each in polygons]
+    return json.dumps({"type": "FeatureCollection", "features": features})
+
+
+def write_city(folder: Path, *polygons: shapely.Polygon) -> Path:
+    """Write buildings and a scenario of them; return the scenario's file."""
+    (folder / "city.geojson").write_text(outlines(*polygons))
+    (folder / "town.toml").write_text(TOWN.replace("synthetic", "city.geojson"))
+    return folder / "town.toml"

@@ -39,16 +39,10 @@ def drive() -> pd.DataFrame:
     """Return a second's place and time a row, by the shortest ways along free cells between random ones."""
     is_free = np.asarray(surface().roof_m)[surface().window] < 2.0
     cells = np.argwhere(is_free)
-    number = np.full(is_free.shape, -1)
-    number[is_free] = np.arange(len(cells))
-    pairs = np.concatenate(
-        [
-            np.stack([a[both], b[both]])
-            for a, b in ((number[1:], number[:-1]), (number[:, 1:], number[:, :-1]))
-            for both in [(a >= 0) & (b >= 0)]
-        ],
-        axis=1,
-    )
+    number = np.where(is_free, np.cumsum(is_free).reshape(is_free.shape) - 1, -1)
+    beside = ((number[1:], number[:-1]), (number[:, 1:], number[:, :-1]))
+    pairs = np.concatenate([np.reshape(each, (2, -1)) for each in beside], axis=1)
+    pairs = pairs[:, (pairs >= 0).all(axis=0)]
     graph = coo_matrix((np.ones(pairs.shape[1]), pairs), shape=(len(cells),) * 2)
     stops = np.random.default_rng(5).integers(len(cells), size=NUM_LEGS + 1)
     _, before = dijkstra(graph, directed=False, indices=stops[:-1], return_predecessors=True, unweighted=True)

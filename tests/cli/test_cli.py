@@ -1,4 +1,4 @@
-"""The command line: exit codes, one sentence for bad input, nothing half-written, resuming."""
+"""The command line: what commands write and say, resuming, interruption, and which device computes."""
 
 import json
 import os
@@ -8,33 +8,19 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.request
 from pathlib import Path
 
+import jax
 import pytest
+from shapely import box
 
-from jaxurban.cli import main as cli
+from jaxurban.cli.common import use_device
 from jaxurban.cli.plan import _path_table
-from tests.cli_runs import assert_one_sentence, run
+from tests.cli_runs import ENDS, TOWN, assert_one_sentence, run, write_city
 
-SCENARIO = """
-[region]
-bounds = [-74.0, 40.755, -73.99, 40.765]
-resolution_m = 20
-altitudes_m = [20, 60]
-[buildings]
-source = "synthetic"
-"""
-START, GOAL = "-73.9985,40.7565", "-73.9915,40.7635"
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("maps")
-    (folder / "scenario.toml").write_text(SCENARIO)
-    with pytest.raises(SystemExit) as ended:
-        cli.main(["maps", str(folder / "scenario.toml"), "-o", str(folder / "out")])
-    assert ended.value.code == 0
-    return folder / "out"
+AT_60_M = (*ENDS, "--altitude", 60, "--snap", "--json")
+TLE = "gps/gps-ops_2020-04-27.tle"
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
@@ -45,72 +31,44 @@ def files_of(folder: Path) -> dict[str, bytes]:
     }
 
 
+def names_in(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
 def test_maps_writes_the_files_of_the_contract(made):
-    names = {path.name for path in (made / "geotiff").iterdir()}
     per_altitude = {f"{metric}_{z}m_20m.tif" for metric in ("obstacle", "gps", "lidar", "risk") for z in (20, 60)}
     styles = {f"{metric}_20m.qml" for metric in ("obstacle", "gps", "lidar", "risk", "population")}
-    assert names == per_altitude | styles | {"population_day_20m.tif", "population_night_20m.tif"}
+    people = {"population_day_20m.tif", "population_night_20m.tif"}
+    assert names_in(made / "geotiff") == per_altitude | styles | people
     assert (made / "maps.zarr" / "20m" / ".zmetadata").is_file()
     record = json.loads((made / "run.json").read_text())
-    for key in (
-        "versions",
-        "settings",
-        "inputs",
-        "buildings",
-        "satellites",
-        "rays_leave_data_share",
-        "population",
-        "elapsed_s",
-        "started_utc",
-    ):
-        assert key in record
+    keys = {"versions", "settings", "inputs", "buildings", "satellites", "rays_leave_data_share", "started_utc"}
+    assert keys <= set(record)
     assert set(record["population"]["night"]) == {"commercial", "residential", "other", "total"}
     assert {"read", "gps", "lidar", "risk", "population"} <= set(record["elapsed_s"])
 
 
 def test_a_rerun_gives_the_same_bytes(made, tmp_path, capsys):
-    code, _, _ = run(capsys, "maps", made.parent / "scenario.toml", "-o", tmp_path / "again")
-    assert code == 0
-    assert files_of(tmp_path / "again") == files_of(made)
-    first, second = (json.loads((folder / "run.json").read_text()) for folder in (made, tmp_path / "again"))
+    assert run(capsys, "maps", made.parent / "town.toml", "-o", tmp_path)[0] == 0
+    assert files_of(tmp_path) == files_of(made)
+    first, second = (json.loads((folder / "run.json").read_text()) for folder in (made, tmp_path))
     for record in (first, second):
         del record["elapsed_s"], record["started_utc"], record["checksum"]
     assert first == second
 
 
-def test_a_finished_job_is_not_done_again(made, capsys):
+def test_a_finished_job_is_not_done_again_and_tells_its_size_before_it_begins(made, capsys):
     zarr = made / "maps.zarr" / "20m" / ".zmetadata"
     before = zarr.stat().st_mtime_ns
-    code, _, _ = run(capsys, "maps", made.parent / "scenario.toml", "-o", made)
+    code, _, err = run(capsys, "maps", made.parent / "town.toml", "-o", made, "--memory", "8GiB")
     assert (code, zarr.stat().st_mtime_ns) == (0, before)
-
-
-def test_another_jobs_maps_are_not_overwritten_unless_asked(made, tmp_path, capsys):
-    other = tmp_path / "other.toml"
-    other.write_text(SCENARIO.replace("[20, 60]", "[20, 40]"))
-    kept = files_of(made)
-    code, _, err = run(capsys, "maps", other, "-o", made)
-    assert code == 2
-    assert_one_sentence(err, "--overwrite")
-    assert files_of(made) == kept
+    assert re.search(r"\b[1-9][\d,]* cells, ", err.splitlines()[0])
+    assert "of 8.0 GiB allowed" in err.splitlines()[0]
 
 
 @pytest.mark.parametrize("planner", ["ptp", "astar-dist", "astar-plus"])
 def test_plan_prints_one_json_object(made, capsys, planner):
-    code, out, err = run(
-        capsys,
-        "plan",
-        made,
-        "--start",
-        START,
-        f"--goal={GOAL}",
-        "--altitude",
-        60,
-        "--planner",
-        planner,
-        "--snap",
-        "--json",
-    )
+    code, out, err = run(capsys, "plan", made, *AT_60_M, "--planner", planner)
     facts = json.loads(out)
     assert facts["planner"] == planner
     assert code == {"optimal": 0, "feasible": 0, "blocked": 3, "no-path": 3}[facts["status"]]
@@ -120,195 +78,90 @@ def test_plan_prints_one_json_object(made, capsys, planner):
     assert "error" not in err
 
 
-def test_plan_writes_each_file_asked_for(made, tmp_path, capsys):
+def test_plan_writes_each_file_asked_for_and_weights_change_the_cost(made, tmp_path, capsys):
     files = [tmp_path / f"path{suffix}" for suffix in (".geojson", ".kml", ".plan")]
-    options = [part for file in files for part in ("-o", file)]
-    code, out, _ = run(capsys, "plan", made, "--start", START, "--goal", GOAL, "--altitude", 60, "--snap", *options)
+    code, out, _ = run(capsys, "plan", made, *AT_60_M[:-1], *(part for file in files for part in ("-o", file)))
     assert code == 0
     assert "status" in out
     assert all(file.stat().st_size > 0 for file in files)
+    costs = [json.loads(run(capsys, "plan", made, *AT_60_M, "--weights", f"gps={gps}")[1])["cost"] for gps in (1, 5)]
+    assert costs[0] < costs[1]
 
 
-def test_weights_change_the_cost(made, capsys):
-    def cost(*options):
-        _, out, _ = run(
-            capsys, "plan", made, "--start", START, "--goal", GOAL, "--altitude", 60, "--snap", "--json", *options
-        )
-        return json.loads(out)["cost"]
-
-    assert cost("--weights", "gps=5") > cost()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--start", "40.7565,-73.9985", "--goal", GOAL, "--altitude", 60), ("start", "longitude comes first")),
-        (("--start", "-75,40.7565", "--goal", GOAL, "--altitude", 60), ("start", "outside the region")),
-        (("--start", "here", "--goal", GOAL, "--altitude", 60), ("longitude,latitude",)),
-        (("--start", START, "--goal", GOAL, "--altitude", 61), ("altitude", "from 20 to 60 m")),
-        (("--start", START, "--goal", GOAL, "--altitude", 60, "--planner", "astar"), ("astar-",)),
-        (("--start", START, "--goal", GOAL, "--altitude", 60, "--heuristic", "octil"), ("octile",)),
-        (("--start", START, "--goal", GOAL, "--altitude", 60, "--time-of-day", "noon"), ("day, night",)),
-        (("--start", START, "--goal", GOAL, "--altitude", 60, "--weights", "gsp=1"), ("did you mean 'gps'",)),
-        (("--start", START, "--goal", GOAL, "--altitude", 60, "--resolution", 5), ("20 m",)),
-        (("--start", START, "--goal", GOAL, "--altitude", 60, "-o", "path.txt"), (".geojson",)),
-        (("--start", START, "--altitude", 60), ("--goal",)),
-        (("--start", START, "--goal", GOAL, "--altitude", "high"), ("--altitude",)),
-    ],
-)
-def test_bad_plan_input_is_one_sentence_and_exit_two(made, capsys, arguments, words):
-    code, out, err = run(capsys, "plan", made, *arguments)
-    assert (code, out) == (2, "")
-    assert_one_sentence(err, *words)
+def test_a_goal_that_is_walled_in_ends_with_exit_code_three(tmp_path, capsys):
+    court = box(-73.9965, 40.7575, -73.995, 40.7585)
+    scenario = write_city(tmp_path, box(-73.9975, 40.7568, -73.994, 40.7592) - court)
+    assert run(capsys, "maps", scenario, "-o", tmp_path / "out")[0] == 0
+    goal = "--goal={},{}".format(*court.centroid.coords[0])
+    code, out, err = run(capsys, "plan", tmp_path / "out", ENDS[0], goal, "--altitude", 20, "--json")
+    assert (code, err) == (3, "")
+    facts = json.loads(out)
+    assert (facts["status"], facts["cost"]) == ("no-path", None)
+    assert "fly higher" in facts["message"]
 
 
-def test_a_start_inside_a_building_names_the_nearest_free_cell(made, capsys):
-    import jaxurban as ju
+def test_a_region_without_buildings_is_fine_when_asked_for(tmp_path, capsys):
+    scenario = write_city(tmp_path, box(-73.95, 40.75, -73.949, 40.751))
+    assert run(capsys, "maps", scenario, "-o", tmp_path / "out", "--set", "buildings.allow_none=true")[0] == 0
 
-    maps = ju.open_maps(made)
-    blocked = [int(value[0]) for value in (~maps.is_free(20.0, "centre")).nonzero()]
-    lon, lat = maps.grid.lonlat_of_cell(*blocked)
-    arguments = ("plan", made, "--start", f"{lon},{lat}", "--goal", GOAL, "--altitude", 20)
-    code, _, err = run(capsys, *arguments)
+
+def test_elements_weeks_old_warn_and_work_and_years_old_are_refused(made, tmp_path, capsys, data_dir):
+    job = ("maps", made.parent / "town.toml", "-o", tmp_path, "--set", f'gps.orbits="{data_dir / TLE}"', "--set")
+    code, _, err = run(capsys, *job, 'gps.times=["2026-01-01T00:00:00Z"]')
     assert code == 2
-    assert_one_sentence(err, "start is inside an obstacle", "nearest free cell", "--snap")
-    code, out, _ = run(capsys, *arguments, "--snap", "--json")
-    assert code in (0, 2, 3)
-    if code == 0:
-        assert json.loads(out)["snap_distance_m"]["start"] > 0
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ('source = "synthetic"', 'source = "none.osm.pbf"', ("the buildings file", "none.osm.pbf", "does not exist")),
-        ("resolution_m", "resolution", ("resolution_m",)),
-        ("[-74.0, 40.755, -73.99, 40.765]", "[40.755, -120.0, 40.765, -73.99]", ("longitude first",)),
-        ("altitudes_m = [20, 60]", "altitudes_m = []", ("altitudes_m",)),
-        ("[buildings]", '[gps]\norbits = "bad.osm.pbf"\n[buildings]', ("bad.osm.pbf",)),
-        ("[buildings]", "[gps]\nmask_deg = 89.9\n[buildings]", ("no satellite is above", "mask_deg")),
-        ("resolution_m = 20", "resolution_m = 0.001", ("GiB", "resolution_m")),
-        ("[buildings]", "[lidar]\nrange_m = 1e8\n[buildings]", ("GiB", "range_m")),
-        ("[buildings]", "[risk]\nthreshold_m = 1e8\n[buildings]", ("GiB", "threshold_m")),
-    ],
-)
-def test_bad_scenarios_are_one_sentence_and_exit_two(tmp_path, capsys, old, new, words):
-    scenario = tmp_path / "scenario.toml"
-    assert old in SCENARIO
-    scenario.write_text(SCENARIO.replace(old, new))
-    (tmp_path / "bad.osm.pbf").write_bytes(b"\x00\x01\x02 not orbits")
-    code, out, err = run(capsys, "maps", scenario, "-o", tmp_path / "out")
-    assert (code, out) == (2, "")
-    assert_one_sentence(err, *words)
-    assert not list((tmp_path / "out").rglob("*.tif"))
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--memory", "much"), ("4GiB", "much")),
-        (("--memory", "100MiB"), ("raise --memory", "100 MiB", "resolution_m")),
-        (("--workers", 0), ("--workers", "x>=1")),
-        (("--workers", 2, "--memory", "1GiB"), ("raise --memory", "fewer --workers")),
-        (("--workers", 2, "--cluster", "tcp://localhost:8786"), ("not both",)),
-    ],
-)
-def test_what_a_run_may_not_use_is_refused_in_one_sentence(tmp_path, capsys, options, words):
-    scenario = tmp_path / "scenario.toml"
-    scenario.write_text(SCENARIO)
-    code, out, err = run(capsys, "maps", scenario, "-o", tmp_path / "out", *options)
-    assert (code, out) == (2, "")
-    assert_one_sentence(err.splitlines()[-1], *words)  # below what computes
-
-
-def test_the_size_of_the_job_is_told_before_it_begins(made, capsys):
-    _, _, err = run(capsys, "maps", made.parent / "scenario.toml", "-o", made, "--memory", "8GiB")
-    assert re.search(r"\b[1-9][\d,]* cells, ", err.splitlines()[0])
-    assert "of 8.0 GiB allowed" in err.splitlines()[0]
+    assert_one_sentence(err, "days", "max_age_days")
+    code, _, err = run(capsys, *job, 'gps.times=["2020-05-20T00:00:00Z"]')
+    assert code == 0
+    assert "warning: " in err
+    (warning,) = json.loads((tmp_path / "run.json").read_text())["warnings"]
+    assert "days" in warning
 
 
 def test_further_maps_are_written_when_they_are_asked_for(made, tmp_path, capsys):
-    scenario, out = made.parent / "scenario.toml", tmp_path / "out"
-    shutil.copytree(made, out)
-    code, _, err = run(capsys, "maps", scenario, "-o", out, "--layers", "hdop,rooof")
-    assert code == 2
-    assert_one_sentence(err, "rooof", "roof")
-    assert run(capsys, "maps", scenario, "-o", out, "--layers", "hdop,roof")[0] == 0
-    names = {path.name for path in (out / "geotiff").iterdir()} - {path.name for path in (made / "geotiff").iterdir()}
+    out = shutil.copytree(made, tmp_path / "out")
+    assert run(capsys, "maps", made.parent / "town.toml", "-o", out, "--layers", "hdop,roof")[0] == 0
+    names = names_in(out / "geotiff") - names_in(made / "geotiff")
     assert names == {"hdop_20m_20m.tif", "hdop_60m_20m.tif", "hdop_20m.qml", "roof_20m.tif", "roof_20m.qml"}
 
 
-def test_a_long_series_of_epochs_is_kept_as_statistics(tmp_path, capsys):
-    scenario = tmp_path / "scenario.toml"
-    series = '[gps]\nstart = "2020-04-27T00:00:00Z"\nstop = "2020-04-27T23:59:00Z"\nstep_s = 3000\n'
-    scenario.write_text(SCENARIO + series)
-    assert run(capsys, "maps", scenario, "-o", tmp_path / "out")[0] == 0
-    names = {path.name for path in (tmp_path / "out" / "geotiff").iterdir()}
+def test_a_long_series_of_epochs_is_kept_as_statistics(made, tmp_path, capsys):
+    series = ('start="2020-04-27T00:00:00Z"', 'stop="2020-04-27T23:59:00Z"', "step_s=3000")
+    given = (part for setting in series for part in ("--set", f"gps.{setting}"))
+    assert run(capsys, "maps", made.parent / "town.toml", "-o", tmp_path, *given)[0] == 0
+    names = names_in(tmp_path / "geotiff")
     assert {f"gps_{kind}_{z}m_20m.tif" for kind in ("availability", "median", "p05") for z in (20, 60)} <= names
     assert not {name for name in names if name.startswith("gps_20m")}
-    code, out, _ = run(
-        capsys, "plan", tmp_path / "out", "--start", START, "--goal", GOAL, "--altitude", 60, "--snap", "--json"
-    )
+    code, out, _ = run(capsys, "plan", tmp_path, *AT_60_M)
     assert (code, json.loads(out)["cost_by_layer"]["gps"] > 0) == (0, True)
-    code, _, err = run(
-        capsys, "plan", tmp_path / "out", "--start", START, "--goal", GOAL, "--altitude", 60, "--time", "2020-04-27"
-    )
+    code, _, err = run(capsys, "plan", tmp_path, *AT_60_M, "--time", "2020-04-27")
     assert code == 2
     assert_one_sentence(err, "statistics over 29 epochs", 'series = "epochs"')
 
 
 @pytest.mark.slow
-def test_pictures_of_former_maps_are_removed_but_not_what_the_user_changed(tmp_path, capsys):
-    scenario, out = tmp_path / "scenario.toml", tmp_path / "out"
-    scenario.write_text(SCENARIO)
-    command = "maps", scenario, "-o", out
+def test_pictures_of_former_maps_are_removed_but_not_what_the_user_changed(made, tmp_path, capsys):
+    command = "maps", made.parent / "town.toml", "-o", tmp_path
     assert run(capsys, *command, "--figures")[0] == 0
-    figures = out / "figures" / "20m"
-    drawn = {file.name for file in figures.iterdir()}
+    figures = tmp_path / "figures" / "20m"
+    drawn = names_in(figures)
     assert run(capsys, *command)[0] == 0
-    assert {file.name for file in figures.iterdir()} == drawn
+    assert names_in(figures) == drawn
     (figures / "gps.png").write_bytes(b"mine")
     code, _, err = run(capsys, *command, "--overwrite", "--set", "gps.mask_deg=10")
     assert code == 0
     assert "the pictures of the former maps are removed" in err
-    assert [file.name for file in figures.iterdir()] == ["gps.png"]
-
-
-def test_an_output_folder_that_is_a_file_is_refused(tmp_path, capsys):
-    scenario = tmp_path / "scenario.toml"
-    scenario.write_text(SCENARIO)
-    (tmp_path / "out").write_text("a file")
-    code, _, err = run(capsys, "maps", scenario, "-o", tmp_path / "out")
-    assert code == 2
-    assert_one_sentence(err, "cannot write to the output folder")
-
-
-def test_an_unknown_command_is_a_usage_error(capsys):
-    code, _, err = run(capsys, "mpas")
-    assert code == 2
-    assert_one_sentence(err, "mpas")
+    assert names_in(figures) == {"gps.png"}
 
 
 @pytest.mark.slow
 def test_ctrl_c_exits_130_leaves_no_scrap_and_resumes(tmp_path):
-    scenario = tmp_path / "scenario.toml"
-    scenario.write_text(SCENARIO.replace("resolution_m = 20", "resolution_m = [20, 2]"))
+    (tmp_path / "town.toml").write_text(TOWN.replace("resolution_m = 20", "resolution_m = [20, 2]"))
     out = tmp_path / "out"
-    command = [
-        sys.executable,
-        "-c",
-        "from jaxurban.cli.main import main; main()",
-        "maps",
-        str(scenario),
-        "-o",
-        str(out),
-    ]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ)
+    command = [sys.executable, "-m", "jaxurban", "maps", tmp_path / "town.toml", "-o", out]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     # Interrupt once the first resolution is down and the second is under way.
     deadline = time.monotonic() + 120
-    while (
-        not (out / "geotiff" / "risk_60m_20m.tif").exists() and time.monotonic() < deadline and process.poll() is None
-    ):
+    while not (out / "geotiff/risk_60m_20m.tif").exists() and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=120)
@@ -316,13 +169,10 @@ def test_ctrl_c_exits_130_leaves_no_scrap_and_resumes(tmp_path):
     assert "interrupted" in err
     assert "Traceback" not in err
     work = out / "maps.zarr" / ".2m.jaxurban-part"  # what the next run goes on with
-    assert not [
-        path
-        for path in out.rglob("*")
-        if path.name.endswith(".jaxurban-part") and path != work and work not in path.parents
-    ]
+    scraps = [path for path in out.rglob("*.jaxurban-part") if path != work and work not in path.parents]
+    assert not scraps
     assert not (out / "run.json").exists()
-    kept = {n: data for n, data in files_of(out).items() if ".jaxurban-part" not in n}
+    kept = {name: data for name, data in files_of(out).items() if ".jaxurban-part" not in name}
     assert kept
     assert subprocess.run(command, stderr=subprocess.PIPE, timeout=200, check=False).returncode == 0
     finished = files_of(out)
@@ -350,3 +200,42 @@ def test_the_table_of_a_path_parts_long_names_from_their_numbers():
     assert lines[-1].split(maxsplit=2)[2] == "0.100 s, after 3.0 s of compiling"
     assert f"{'mean m_gps_horizontal':<36}0.900" in lines
     assert "cost of a_layer_of_a_very_long_name 0.500" in lines
+
+
+def test_view_writes_one_file_that_asks_nobody(made, tmp_path, capsys):
+    code, _, err = run(capsys, "view", made, "--export", tmp_path / "page.html")
+    assert code == 0
+    assert "open it in a browser" in err
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert not re.findall(r'(?:src|href)="(?!data:)', page)
+    assert "connect-src 'none'" in page
+
+
+@pytest.mark.slow
+def test_view_serves_until_ctrl_c_and_then_ends_without_an_error(made):
+    command = [sys.executable, "-m", "jaxurban", "view", str(made), "--no-browser"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
+        address = re.search(r"http://127\.0\.0\.1:\d+/", running.stderr.readline())[0]
+        with urllib.request.urlopen(address, timeout=20) as page:
+            assert b"<!doctype html>" in page.read()
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=30)
+    assert running.returncode == 0
+    assert "Traceback" not in said
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="states what holds where JAX has no GPU")
+def test_the_device_is_told(caplog):
+    caplog.set_level("INFO", "jaxurban")
+    use_device(None)
+    use_device("auto")
+    assert caplog.messages == ["device: cpu (cpu)"]
+
+
+@pytest.mark.parametrize("options", [["--device", "cpu"], ["--workers", "2"]])
+def test_the_cpu_is_for_a_command_and_for_its_workers(monkeypatch, tmp_path, capsys, options):
+    set_up = {}
+    monkeypatch.setattr(jax.config, "update", set_up.__setitem__)
+    monkeypatch.setenv("JAX_PLATFORMS", "")
+    code, _, _ = run(capsys, "maps", tmp_path / "none.toml", "-o", tmp_path, *options)
+    assert (code, set_up, os.environ["JAX_PLATFORMS"]) == (2, {"jax_platforms": "cpu"}, "cpu")

@@ -10,9 +10,8 @@ from jaxurban.io.files import write_json
 from jaxurban.maps.provenance import settings_of
 from jaxurban.maps.run import run_scenario
 from jaxurban.viewer.plans import Plans
-from tests.cli_runs import run
+from tests.cli_runs import TOWN, run
 from tests.made_maps import made_maps
-from tests.scenario.test_changes import TEXT
 
 ALTITUDE_M = 20.0
 MADE = made_maps(40, 60)
@@ -91,7 +90,7 @@ def test_what_is_named_wins_over_the_scenario(tmp_path):
 def test_a_presets_rule_is_one_for_scenarios_studies_and_the_viewer(tmp_path):
     given = {"vertical_clearance_m": 3.0, "cost_model": "line"}  # the defaults, but given
     lines = "\n".join(f"{name} = {json.dumps(value)}" for name, value in given.items())
-    (tmp_path / "town.toml").write_text(f"{TEXT}[planning]\n{lines}\n", encoding="utf-8")
+    (tmp_path / "town.toml").write_text(f"{TOWN}[planning]\n{lines}\n", encoding="utf-8")
     study = ju.Scenario.from_toml(tmp_path / "town.toml", ["planning.preset='paper'"]).planning
     assert (study.cost_model, study.obstacles, study.vertical_clearance_m) == ("line", "centre", 3.0)
     settings = settings_of(ju.Scenario.from_toml(tmp_path / "town.toml"))
@@ -108,7 +107,7 @@ def test_a_presets_rule_is_one_for_scenarios_studies_and_the_viewer(tmp_path):
 
 
 def test_a_run_knows_its_scenario_in_memory_and_in_its_folder(tmp_path):
-    (tmp_path / "town.toml").write_text(f"{TEXT}[planning]\nobstacles = 'centre'\n[vehicle]\nradius_m = 2\n")
+    (tmp_path / "town.toml").write_text(f"{TOWN}[planning]\nobstacles = 'centre'\n[vehicle]\nradius_m = 2\n")
     (held,) = run_scenario(ju.Scenario.from_toml(tmp_path / "town.toml"), tmp_path / "out").maps.values()
     opened = ju.open_maps(tmp_path / "out")
     for maps in (held, opened):

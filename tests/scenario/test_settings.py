@@ -1,5 +1,6 @@
-"""Scenario: defaults, TOML there and back, one sentence an error."""
+"""Scenario: defaults, TOML there and back, changes from outside the file, and what other maps are said to differ in."""
 
+import json
 import tomllib
 from pathlib import Path
 
@@ -7,13 +8,20 @@ import jax
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.maps.scenario import Scenario
+from jaxurban.maps import provenance
+from jaxurban.maps.provenance import differences_said, differing
+from jaxurban.maps.scenario import Scenario, changed
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
+from tests.campaign.settings import keys_of
+from tests.cli_runs import TOWN, assert_one_sentence, run
 
 NOISE = {"source": "noise.tif", "cost": "high-is-bad", "scale": [0, 80]}
-MINIMAL = {"region": {"bounds": [-74.02, 40.70, -73.98, 40.73]}, "buildings": {"source": "synthetic"}}
+REGION = {"bounds": [-74.02, 40.70, -73.98, 40.73]}
+MINIMAL = {"region": REGION, "buildings": {"source": "synthetic"}}
+SERIES = {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-27T00:10:00Z", "step_s": 300}
+SPREAD = {"source": "synthetic", "height_samples": 2}
 
 
 def test_only_region_and_buildings_are_required():
@@ -22,26 +30,21 @@ def test_only_region_and_buildings_are_required():
     assert scenario.gps.utc_times is None
     assert scenario.weights.distance == 0.1
     assert scenario.is_synthetic
+    assert "layers" not in scenario.model_dump()
 
 
-def test_toml_round_trip_keeps_every_setting(tmp_path):
-    scenario = Scenario.from_dict(
-        MINIMAL | {"gps": {"times": ["2020-04-27T12:00:00-04:00"], "reference": [-74.0, 40.7]}}
-    )
-    path = tmp_path / "scenario.toml"
+def test_toml_keeps_every_setting_and_paths_are_relative_to_the_file(tmp_path):
+    given = MINIMAL | {"gps": {"times": ["2020-04-27T12:00:00-04:00"], "reference": [-74.0, 40.7]}}
+    given |= {"layers": {"noise": NOISE | {"altitudes_m": [20, 60]}}, "weights": {"noise": 2, "gps": 3}}
+    scenario, path = Scenario.from_dict(given), tmp_path / "scenario.toml"
     path.write_text(scenario.to_toml())
     again = Scenario.from_toml(path)
     assert again.model_dump() == scenario.model_dump()
     assert again.gps.utc_times == ("2020-04-27T16:00:00Z",)
-
-
-def test_a_layer_of_ones_own_and_its_weight_survive_toml(tmp_path):
-    given = MINIMAL | {"layers": {"noise": NOISE | {"altitudes_m": [20, 60]}}, "weights": {"noise": 2, "gps": 3}}
-    (tmp_path / "s.toml").write_text(Scenario.from_dict(given).to_toml())
-    scenario = Scenario.from_toml(tmp_path / "s.toml")
-    assert scenario.layers["noise"].altitudes_m == (20.0, 60.0)
-    assert scenario.weights == Weights(gps=3.0, noise=2.0)
-    assert "layers" not in Scenario.from_dict(MINIMAL).model_dump()
+    assert again.layers["noise"].altitudes_m == (20.0, 60.0)
+    assert again.weights == Weights(gps=3.0, noise=2.0)
+    assert again.path_of("city.osm.pbf") == tmp_path.resolve() / "city.osm.pbf"
+    assert again.path_of("/elsewhere/x.tle") == Path("/elsewhere/x.tle")
 
 
 def test_a_section_is_the_metrics_own_parameters_and_has_gradients():
@@ -52,43 +55,23 @@ def test_a_section_is_the_metrics_own_parameters_and_has_gradients():
     assert jax.grad(lambda gps: gps.gdop_threshold**2)(scenario.gps).gdop_threshold == 20.0
 
 
-def test_paths_are_relative_to_the_file(tmp_path):
-    path = tmp_path / "scenario.toml"
-    path.write_text(tomllib_text({"buildings": 'source = "city.osm.pbf"'}))
-    scenario = Scenario.from_toml(path)
-    assert scenario.path_of(scenario.buildings.source) == tmp_path.resolve() / "city.osm.pbf"
-    assert scenario.path_of("/elsewhere/x.tle") == Path("/elsewhere/x.tle")
-
-
-def tomllib_text(extra: dict[str, str]) -> str:
-    text = "[region]\nbounds = [-74.02, 40.70, -73.98, 40.73]\n"
-    text += "".join(f"[{section}]\n{line}\n" for section, line in extra.items())
-    tomllib.loads(text)
-    return text
-
-
-def test_a_time_series_survives_toml(tmp_path):
-    series = {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-27T01:00:00Z", "step_s": 600}
-    (tmp_path / "s.toml").write_text(Scenario.from_dict(MINIMAL | {"gps": series}).to_toml())
-    assert len(Scenario.from_toml(tmp_path / "s.toml").gps.utc_times) == 7
-
-
-def test_a_series_of_epochs_includes_both_ends():
-    series = {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-27T00:10:00Z", "step_s": 300}
-    times = Scenario.from_dict(MINIMAL | {"gps": series}).gps.utc_times
-    assert times == ("2020-04-27T00:00:00Z", "2020-04-27T00:05:00Z", "2020-04-27T00:10:00Z")
+def test_a_series_of_epochs_includes_both_ends_and_survives_toml(tmp_path):
+    scenario, times = Scenario.from_dict(MINIMAL | {"gps": SERIES}), [f"2020-04-27T00:{n:02}:00Z" for n in (0, 5, 10)]
+    (tmp_path / "s.toml").write_text(scenario.to_toml())
+    assert scenario.gps.utc_times == Scenario.from_toml(tmp_path / "s.toml").gps.utc_times == tuple(times)
 
 
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"region": {"bounds": [-74.02, 40.70, -73.98, 40.73], "resolution": 5}}, "'resolution_m'"),
+        ({"region": REGION | {"resolution": 5}}, "'resolution_m'"),
         ({"regoin": {}}, "did you mean 'region'"),
         ({"lidar": {"bems": 3}}, "did you mean 'beams'"),
-        ({"region": {"bounds": [-74.02, 40.70, -73.98, 40.73], "resolution_m": -5}}, "greater than 0"),
-        ({"region": {"bounds": [-74.02, 40.70, -73.98, 40.73], "altitudes_m": [20, 20]}}, "twice"),
+        ({"region": REGION | {"resolution_m": -5}}, "greater than 0"),
+        ({"region": REGION | {"altitudes_m": [20, 20]}}, "twice"),
+        ({"region": REGION | {"altitudes_m": []}}, "altitudes_m"),
         ({"region": {"bounds": [40.70, -120.0, 40.73, -73.98]}}, "longitude first"),
-        ({"region": {"bounds": [-74.02, 40.70, -73.98, 40.73], "crs": "EPSG:4326"}}, "not a projected CRS"),
+        ({"region": REGION | {"crs": "EPSG:4326"}}, "not a projected CRS"),
         ({"gps": {"times": []}}, "times must be different"),
         ({"gps": {"times": ["2020-04-27T16:00:00Z", "2020-04-27T12:00:00-04:00"]}}, "different"),
         ({"gps": {"times": ["2020-04-27T16:00:00.5Z"]}}, "whole seconds"),
@@ -104,18 +87,9 @@ def test_a_series_of_epochs_includes_both_ends():
         ({"planning": {"planner": "astr-plus"}}, "did you mean 'astar-plus'"),
         ({"gps": {"times": ["noon"]}}, "gps: 'noon' is not a time"),
         ({"gps": {"start": "2020-04-27T00:00:00Z"}}, "needs all of start, stop and step_s"),
-        (
-            {"gps": {"start": "2020-04-27T00:00:00", "stop": "2020-04-26T00:00:00Z", "step_s": 60}},
-            "stop, 2020-04-26.*, is before start",
-        ),
-        ({"gps": {"start": "2010-04-27T00:00:00Z", "stop": "2020-04-26T00:00:00Z", "step_s": 1}}, "make step_s longer"),
-        (
-            {
-                "buildings": {"source": "synthetic", "height_samples": 2},
-                "gps": {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-28T00:00:00Z", "step_s": 60},
-            },
-            "every time",
-        ),
+        ({"gps": SERIES | {"stop": "2020-04-26T00:00:00Z"}}, "stop, 2020-04-26.*, is before start"),
+        ({"gps": SERIES | {"start": "2010-04-27T00:00:00Z", "step_s": 1}}, "make step_s longer"),
+        ({"buildings": SPREAD, "gps": SERIES | {"stop": "2020-04-28T00:00:00Z", "step_s": 60}}, "every time"),
         ({"planning": {"seed": -1}}, "planning: seed must be a whole number from 0 up, got -1"),
         ({"gps": {"mask_deg": 90}}, "less than 90"),
         ({"weights": {"risk": -1}}, "weights: weight risk must be a finite number >= 0"),
@@ -127,10 +101,7 @@ def test_a_series_of_epochs_includes_both_ends():
         ({"study": {"altitudes_m": [60, 60]}}, "twice"),
         ({"study": {"weights": []}}, "study.weights: must be 'dirichlet' or a list"),
         ({"study": {"weights": "uniform"}}, "must be 'dirichlet' or a list such as .*, got 'uniform'"),
-        (
-            {"study": {"weights": [{"gps": 1.0}, {"riks": 4.0}]}},
-            r"study.weights.1: unknown weight 'riks' \(did you mean 'risk'",
-        ),
+        ({"study": {"weights": [{"gps": 1.0}, {"riks": 4.0}]}}, r"study.weights.1: .*'riks' \(did you mean 'risk'"),
         ({"weights": {"noise": 2.0}}, "weights: unknown weight 'noise'"),
         ({"weights": {"gps": True}}, "weights: gps must be a number"),
         ({"layers": {"noise": {"source": "n.tif"}}}, "'layers.noise.cost' is required"),
@@ -149,13 +120,78 @@ def test_a_bad_setting_is_one_sentence(settings, words):
     assert "\n" not in str(caught.value)
 
 
-def test_missing_and_broken_files_are_one_sentence(tmp_path):
-    with pytest.raises(InputError, match="does not exist: check the path"):
-        Scenario.from_toml(tmp_path / "none.toml")
-    broken = tmp_path / "broken.toml"
-    broken.write_text("[region\n")
-    with pytest.raises(InputError, match="cannot be read as a scenario in TOML"):
-        Scenario.from_toml(broken)
-    broken.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="cannot be read as a scenario in TOML"):
-        Scenario.from_toml(broken)
+@pytest.mark.parametrize("content", [None, b"[region\n", b"\xff\xfe\x00"])
+def test_missing_and_broken_files_are_one_sentence(tmp_path, content):
+    if content is not None:
+        (tmp_path / "file.toml").write_bytes(content)
+    words = "does not exist: check the path" if content is None else "cannot be read as a scenario in TOML"
+    with pytest.raises(InputError, match=words):
+        Scenario.from_toml(tmp_path / "file.toml")
+
+
+@pytest.fixture
+def file(tmp_path) -> Path:
+    (tmp_path / "town.toml").write_text(TOWN, encoding="utf-8")
+    return tmp_path / "town.toml"
+
+
+@pytest.mark.parametrize(
+    ("change", "section", "name", "value"),
+    [
+        ("gps.mask_deg=10", "gps", "mask_deg", 10.0),
+        ("region.altitudes_m=[30, 60]", "region", "altitudes_m", (30.0, 60.0)),
+        ("buildings . level_height_m = 2.5", "buildings", "level_height_m", 2.5),
+        ('planning.cost_model="line"', "planning", "cost_model", "line"),
+        ("weights.risk=2", "weights", "risk", 2.0),
+    ],
+)
+def test_a_value_is_read_as_toml(file, change, section, name, value):
+    assert getattr(getattr(Scenario.from_toml(file, [change]), section), name) == value
+
+
+def test_a_change_is_as_if_the_file_said_it(file, tmp_path):
+    (tmp_path / "other.toml").write_text(TOWN.replace("[20, 60]", "[20]") + "[gps]\nmask_deg = 7\n", encoding="utf-8")
+    other = Scenario.from_toml(tmp_path / "other.toml")
+    there = Scenario.from_toml(file, ["region.altitudes_m=[20]", "gps.mask_deg=3", "gps.mask_deg=7"])
+    assert there == other
+    assert provenance.run_key(there, {}, "cpu") == provenance.run_key(other, {}, "cpu")
+
+
+def test_the_settings_that_are_given_stay_as_they_are():
+    given = {"gps": {"mask_deg": 5}, "region": {"altitudes_m": [20]}}
+    copy = json.loads(json.dumps(given))
+    assert changed(given, ["gps.mask_deg=9", "lidar.range_m=50"])["lidar"] == {"range_m": 50}
+    assert given == copy
+
+
+def test_keys_of_a_scenario_are_those_of_its_record(file):
+    record, known = provenance.settings_of(Scenario.from_toml(file)), keys_of(Scenario)
+    assert [f"{s}.{k}" for s, keys in record.items() if s != "weights" for k in keys if f"{s}.{k}" not in known] == []
+
+
+def test_a_folder_of_other_maps_says_which_settings_differ(job, file, capsys):
+    assert run(capsys, "maps", file, "-o", job, "--set", "weights.gps=3", "--set", "planning.seed=2")[0] == 0
+    code, _, err = run(capsys, "maps", file, "-o", job, "--set", "gps.mask_deg=10", "--set", "gps.max_age_days=3.5")
+    assert code == 2
+    assert_one_sentence(err, "gps.mask_deg was 5.0, now 10.0; gps.max_age_days was 90.0, now 3.5", "--overwrite")
+
+
+def test_a_folder_of_other_files_or_versions_says_so(job, monkeypatch):
+    scenario = Scenario.from_dict(tomllib.loads(TOWN))
+    found = provenance.other_maps(job, scenario, {"terrain": {"path": "t.tif", "sha256": "1"}})
+    assert found == "maps of other input files (terrain: what they hold has changed)"
+    assert "other code" in provenance.other_maps(job, scenario, {})
+    made_by = json.loads((job / "run.json").read_text())["versions"]
+    monkeypatch.setattr(provenance, "versions", lambda: made_by | {"jax": "9"})
+    assert "maps made by other versions (jax was" in provenance.other_maps(job, scenario, {})
+    (job / "run.json").unlink()
+    assert "or made by another version" in provenance.other_maps(job, scenario, {})
+
+
+def test_of_many_differences_the_first_are_said():
+    old, new = ({"s": {f"k{n}": n * factor for n in range(1, 10)}} for factor in (1, 2))
+    said = differences_said(differing(old, new | {"t": {"x": 1}}))
+    assert said.startswith("s.k1 was 1, now 2; ")
+    assert said.endswith("and 4 more")
+    assert differing({"a": {"b": None}}, {"a": {}}) == {}
+    assert differing({"a": {"b": 1}}, {}) == {"a.b": (1, None)}

@@ -5,15 +5,24 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 from scipy import ndimage
 
 import jaxurban as ju
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.custom import Layer
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import RouteQuery
 from tests.made_maps import made_maps
 
+NUM = 16  # demonstrations of every fit: other shapes are compiled anew
+NUM_ROUTES = 9  # of the study of weights, a city
+STUDY = ju.studies.Study(budget_iterations=200, seed=2)
+WEIGHT_STUDY = ju.studies.SensitivityStudySettings(num_samples=2, seed=3)
 HIDDEN = ju.Weights(distance=0.02, gps=0.35, lidar=0.15, population=0.2, risk=0.28)
 
 
@@ -52,20 +61,53 @@ def cosine(fit, demonstrations: Sequence[Demonstration], hidden: ju.Weights) -> 
     return float(fit.table["spread"].to_numpy() @ spread / np.linalg.norm(spread))
 
 
-def write_geojson(file: Path, demonstrations: Sequence[Demonstration], **properties) -> Path:
-    """Write demonstrations as lines through the centres of their cells."""
+def write_lines(file: Path, maps: MetricMaps, *lines_m: np.ndarray, **properties) -> Path:
+    """Write lines ``[N, 2]`` of eastings and northings with one set of properties; return the file."""
     features = []
-    for each in demonstrations:
-        grid = each.query.cost_map.grid
-        xy_m = each.points_m + np.array([grid.x_min_m, grid.y_min_m])
-        lonlat = np.round(np.stack(grid.lonlat_of_xy(xy_m[:, 0], xy_m[:, 1]), axis=-1), 7)
-        known = {"altitude_m": each.query.cost_map.altitude_m} | properties
-        features.append(
-            {
-                "type": "Feature",
-                "properties": {name: value for name, value in known.items() if value is not None},
-                "geometry": {"type": "LineString", "coordinates": lonlat.tolist()},
-            }
-        )
+    for line_m in lines_m:
+        lonlat = np.round(np.stack(maps.grid.lonlat_of_xy(*np.transpose(line_m)), axis=-1), 7).tolist()
+        shape = {"type": "LineString", "coordinates": lonlat}
+        features.append({"type": "Feature", "properties": properties, "geometry": shape})
     file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
     return file
+
+
+def write_geojson(file: Path, demonstrations: Sequence[Demonstration], **properties) -> Path:
+    """Write demonstrations as lines through the centres of their cells; a property of None is left out."""
+    on = demonstrations[0].query.cost_map
+    known = {"altitude_m": on.altitude_m} | properties
+    lines_m = [each.points_m + np.array([on.grid.x_min_m, on.grid.y_min_m]) for each in demonstrations]
+    return write_lines(file, on.maps, *lines_m, **{name: each for name, each in known.items() if each is not None})
+
+
+def with_noise(maps: MetricMaps, loud: np.ndarray) -> MetricMaps:
+    """Return maps with a cost layer of their own, called noise, of values from 0 to 1."""
+    layer = {"layer": json.dumps(Layer("noise.tif", "high-is-bad", (0.0, 1.0)).record)}
+    return MetricMaps(maps.ds.assign(noise=(("y", "x"), loud.astype(np.float32), layer)))
+
+
+def run_study(name: str, folders: Sequence[Path], out: Path, num: object = None, **how):
+    """Run the study of planners on the first of two folders, or that of weights on both; without a number, as usual."""
+    if name == "study":
+        return ju.studies.study(folders[0], out, 12 if num is None else num, **{"settings": STUDY} | how)
+    num = NUM_ROUTES if num is None else num
+    return ju.studies.sensitivity_study(folders, out, num, **{"settings": WEIGHT_STUDY} | how)
+
+
+def same_rows(one: pd.DataFrame, other: pd.DataFrame) -> None:
+    """Check that rows are equal but for their times."""
+    one, other = (rows.drop(columns=["elapsed_s", "setup_s"], errors="ignore") for rows in (one, other))
+    pd.testing.assert_frame_equal(one, other, check_like=True)
+
+
+def assert_on_the_page(name: str, figure: Figure) -> None:
+    """Check that no text of a figure but its ticks' leaves the page."""
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw(renderer)
+    sides = [axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)]
+    ticks = {id(label) for axis in sides for label in axis.get_ticklabels(which="both")}
+    for text in figure.findobj(Text):
+        if text.get_visible() and text.get_text().strip() and id(text) not in ticks:
+            box = text.get_window_extent(renderer)
+            assert min(box.x0, box.y0) > -1, (name, text.get_text())
+            assert max(box.x1 - figure.bbox.width, box.y1 - figure.bbox.height) < 1, (name, text.get_text())

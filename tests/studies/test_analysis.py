@@ -1,4 +1,4 @@
-"""Tables of a study, on rows made up so that every number can be worked out by hand."""
+"""Tables of a study on rows made up so that every number can be worked out by hand; GPS and lidar on such maps."""
 
 import numpy as np
 import pandas as pd
@@ -6,15 +6,15 @@ import pytest
 
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.trial import row_columns
+from tests.made_maps import made_maps
 
 CHEAP, DEAR, LINE = "astar-plus", "bitstar-dist", "ptp"
 
 
 def row(instance: int, planner: str, cost: float | None, *, objective="weighted", status="", **facts) -> dict:
     told = {"status": status or ("feasible" if cost else "blocked"), "cost": cost, "elapsed_s": 0.1, "length_m": 100.0}
-    return dict.fromkeys(row_columns()) | {"altitude_m": 20.0, "instance": instance} | told | {
-        "planner": planner, "objective": objective, "m_gps": 0.5, "m_risk": 0.5, "num_expanded": 1,
-    } | facts  # fmt: skip
+    told |= {"planner": planner, "objective": objective, "m_gps": 0.5, "m_risk": 0.5, "num_expanded": 1}
+    return dict.fromkeys(row_columns()) | {"altitude_m": 20.0, "instance": instance} | told | facts
 
 
 @pytest.fixture(scope="module")
@@ -30,11 +30,8 @@ def table() -> pd.DataFrame:
     return analysis.joined(pd.DataFrame(rows), instances)
 
 
-def test_a_pair_is_joined_unless_no_path_was_proven(table):
+def test_a_pair_is_joined_unless_no_path_was_proven_and_ratios_are_to_the_cheapest_of_any_planner(table):
     assert set(table[~table.is_joined].instance) == {10}
-
-
-def test_ratios_are_to_the_cheapest_of_any_planner(table):
     first = table[(table.instance == 1) & (table.objective == "weighted")].set_index("planner").ratio
     assert first.to_dict() == pytest.approx({CHEAP: 1.0, DEAR: 1.2, LINE: 1.02})
     assert table[table.status == "blocked"].ratio.isna().all()
@@ -104,3 +101,37 @@ def test_the_planner_to_choose_answers_reliably_and_costs_least(table):
     assert short.straight_enough == pytest.approx(4 / 6)
     long = found.loc["long"]
     assert (long.joined_pairs, long.reliable, long.cheapest, long.fastest_near_best) == (5, DEAR, DEAR, "none")
+
+
+@pytest.fixture
+def maps():
+    """Maps where GPS is poor in the west, lidar good there; higher up less of both."""
+    made, rng = made_maps(300, 240), np.random.default_rng(5)
+    for level, share in enumerate((0.5, 0.2)):
+        is_west, shape = np.arange(240) < share * 240, (300, 240)
+        made.ds["gps"][0, level] = np.where(is_west, 0.3, 0.9) + rng.uniform(-0.1, 0.1, shape)
+        made.ds["lidar"][level] = np.where(is_west, 0.8, 0.1 - 0.05 * level) + rng.uniform(0, 0.05, shape)
+    return made
+
+
+def test_complementarity_is_numpys_over_the_free_cells_of_the_altitudes_that_are_chosen(maps):
+    assert analysis.complementarity(maps, altitudes_m=[60]).altitude_m.tolist() == [60.0]
+    for row in analysis.complementarity(maps).itertuples():
+        is_free = maps.is_free(row.altitude_m, "centre")
+        gps, lidar = (maps.m(name, row.altitude_m)[is_free].astype(float) for name in ("gps", "lidar"))
+        assert row.gps == pytest.approx(gps.mean())
+        assert row.correlation == pytest.approx(np.corrcoef(gps, lidar)[0, 1])
+        assert row.correlation_low <= row.correlation <= row.correlation_high
+        assert row.lidar_where_gps_poor == pytest.approx(lidar[gps < 0.5].mean())
+        assert row.lidar_where_gps_good == pytest.approx(lidar[gps >= 0.5].mean())
+        assert row.either_serves == pytest.approx(((gps >= 0.5) | (lidar >= 0.5)).mean())
+
+
+def test_a_few_tiles_give_no_interval_and_a_sky_without_buildings_no_correlation(maps):
+    few = analysis.complementarity(made_maps(100, 90))
+    assert few.correlation.notna().all()
+    assert few.correlation_low.isna().all()
+    maps.ds["gps"][:] = 0.95
+    maps.ds["lidar"][:] = 0.0
+    table = analysis.complementarity(maps)
+    assert table[["correlation", "lidar_where_gps_poor"]].isna().all(axis=None)

@@ -35,12 +35,15 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def route(folder):
     maps = ju.open_maps(folder)
-    grid = maps.grid
-    ends = [
-        (grid.x_min_m + share * (grid.x_max_m - grid.x_min_m), grid.y_min_m + share * (grid.y_max_m - grid.y_min_m))
-        for share in (0.1, 0.9)
-    ]
-    return ju.plan(maps, start_xy_m=ends[0], goal_xy_m=ends[1], altitude_m=25.0, snap=True)
+    x_m, y_m = (np.quantile(along, (0.1, 0.9)) for along in (maps.grid.x_m, maps.grid.y_m))
+    start, goal = zip(x_m.tolist(), y_m.tolist(), strict=True)
+    return ju.plan(maps, start_xy_m=start, goal_xy_m=goal, altitude_m=25.0, snap=True)
+
+
+@pytest.fixture(scope="module")
+def task():
+    (task,) = tasks_of(Scenario.from_dict(SETTINGS))
+    return task
 
 
 @pytest.fixture(scope="module")
@@ -49,16 +52,13 @@ def table(folder, route, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_the_table_agrees_with_finite_differences_of_the_soft_cost(route, table):
-    scenario = Scenario.from_dict(SETTINGS)
-    (task,) = tasks_of(scenario)
-    city, maps = task.city, task.params
-    params = SoftParams(25.0, 2.0, dict(maps.sections))
+def test_the_table_agrees_with_finite_differences_of_the_soft_cost(task, route, table):
+    params = SoftParams(25.0, 2.0, dict(task.params.sections))
     with jax.enable_x64(True):
         soft = soften(task, dtype=np.float64)
 
         def cost(height_m):
-            return building_costs(city, replace(soft, height_m=height_m), route, params).attrs["soft_cost"]
+            return building_costs(task.city, replace(soft, height_m=height_m), route, params).attrs["soft_cost"]
 
         np.testing.assert_allclose(cost(soft.height_m), table.attrs["soft_cost"], rtol=1e-12)
         assert len(table) > 12
@@ -81,36 +81,38 @@ def test_a_folder_of_maps_gives_table_and_picture(folder, route, tmp_path):
     assert table.lat.between(lat - 0.02, lat + 0.02).all()
 
 
-def test_other_sources_than_those_of_the_maps_are_refused(folder, route, tmp_path):
-    with pytest.raises(InputError, match=r"cannot read .*run.json"):
-        write_buildings(tmp_path, route, tmp_path)
+@pytest.fixture
+def others(folder, tmp_path):
+    """Return a folder whose maps were made with another file of orbits."""
     record = json.loads((folder / RUN_FILE).read_text())
     record["inputs"]["orbits"] = {"path": "sky.tle", "sha256": "0"}
     record["settings"]["gps"]["orbits"] = ["sky.tle"]
     write_json(tmp_path / RUN_FILE, record)
+    return tmp_path
+
+
+def test_other_sources_than_those_of_the_maps_are_refused(others, route, tmp_path):
+    with pytest.raises(InputError, match=r"cannot read .*run.json"):
+        write_buildings(tmp_path / "nowhere", route, tmp_path)
     with pytest.raises(InputError, match=r"'sky.tle'\) were not found"):
-        write_buildings(tmp_path, route, tmp_path)
+        write_buildings(others, route, tmp_path)
     (tmp_path / "sky.tle").write_text("another sky")
     with pytest.raises(InputError, match=r"'sky.tle' is not the file"):
-        write_buildings(tmp_path, route, tmp_path)
+        write_buildings(others, route, tmp_path)
 
 
-def test_without_a_route_no_building_costs_anything(folder, route, tmp_path):
-    nowhere = replace(route, status=type(route.status).NO_PATH)
-    with pytest.raises(InputError, match="there is no route"):
-        write_buildings(folder, nowhere, tmp_path)
-    coarse = replace(route, settings={**route.settings, "resolution_m": 20.0})
-    with pytest.raises(InputError, match="20 m"):
-        write_buildings(folder, coarse, tmp_path)
-
-
-def test_a_route_of_another_altitude_or_of_unknown_weights_is_refused(folder, route):
-    (task,) = tasks_of(Scenario.from_dict(SETTINGS))
+def test_other_routes_weights_and_altitudes_are_refused(folder, route, task, tmp_path):
     soft, params = soften(task), SoftParams(25.0, 2.0)
-    with pytest.raises(InputError, match=r"one CRS, cell size and altitude, got .* 25.0 m and .* 60.0 m"):
-        building_costs(task.city, soft, route, replace(params, altitude_m=60.0))
-    with pytest.raises(InputError, match="unknown weight 'rsk'"):
-        building_costs(task.city, soft, route, params, {"rsk": 5})
+    nowhere = replace(route, status=type(route.status).NO_PATH)
+    coarse = replace(route, settings={**route.settings, "resolution_m": 20.0})
     climbing = replace(route, z_m=route.z_m + np.arange(len(route.z_m)))
-    with pytest.raises(InputError, match="the route changes its altitude"):
-        building_costs(task.city, soft, climbing, params)
+    high = replace(params, altitude_m=60.0)
+    for sentence, call, given in (
+        ("there is no route", write_buildings, (folder, nowhere, tmp_path)),
+        ("20 m", write_buildings, (folder, coarse, tmp_path)),
+        ("one CRS, cell size and altitude, got .* 25.0 m and .* 60.0", building_costs, (task.city, soft, route, high)),
+        ("unknown weight 'rsk'", building_costs, (task.city, soft, route, params, {"rsk": 5})),
+        ("the route changes its altitude", building_costs, (task.city, soft, climbing, params)),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            call(*given)

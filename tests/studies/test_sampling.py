@@ -1,4 +1,4 @@
-"""Instances: what the seed decides, where places lie, what weights they carry, and files of them."""
+"""Instances: what the seed decides, where places lie, what weights they carry, and the strata of the maps."""
 
 import numpy as np
 import pandas as pd
@@ -6,14 +6,16 @@ import pytest
 import shapely
 from scipy.ndimage import label
 
-from jaxurban.errors import InputError
 from jaxurban.io.tables import write_table
 from jaxurban.metrics.weights import Weights
 from jaxurban.studies.montecarlo.sampling import (
+    HIGH_RISE_M,
+    NO_STRATUM,
     RANGES,
     STRATA,
     read_instances,
     sample_instances,
+    share_around,
     strata_of,
     weight_columns,
 )
@@ -23,9 +25,11 @@ from tests.made_maps import made_maps
 
 @pytest.fixture(scope="module")
 def maps():
+    """Return maps whose eastern half is open and whose southern edge has no data."""
     made = made_maps(150, 120)
     made.ds["roof"][:, 60:] = 0.0
     made.ds["obstacle"][:, :, 60:] = 0
+    made.ds["has_data"][:5] = False
     return made
 
 
@@ -48,18 +52,6 @@ def test_places_are_free_at_every_altitude_and_the_same_at_each(maps, instances)
         cells = maps.grid.cell_of_xy(instances[f"{end}_x_m"].to_numpy(), instances[f"{end}_y_m"].to_numpy())
         assert all(maps.is_free(z)[cells].all() for z in maps.altitudes_m)
         assert (np.array(STRATA)[strata_of(maps)[cells]] == instances[f"{end}_stratum"]).all()
-
-
-def test_water_and_parks_are_strata_where_the_land_cover_is_known(maps):
-    grid = maps.grid
-    lake = shapely.box(grid.x_max_m - 300, grid.y_min_m, grid.x_max_m, grid.y_max_m)
-    park = shapely.box(grid.x_min_m, grid.y_max_m - 200, grid.x_min_m + 400, grid.y_max_m)
-    found = sample_instances(maps, 60, cover=LandCover(lake, park))
-    assert {"water", "park"} <= set(found.start_stratum) & set(found.goal_stratum)
-    for name, shape in (("water", lake), ("park", park)):
-        for end in ("start", "goal"):
-            at = found[found[f"{end}_stratum"] == name]
-            assert shapely.contains_xy(shape, at[f"{end}_x_m"], at[f"{end}_y_m"]).all()
 
 
 def test_straight_distances_lie_within_the_limits_of_their_range(maps, instances):
@@ -102,61 +94,55 @@ def test_given_weights_take_turns(maps):
     assert found.w_distance.tolist() == [0.1, 0.2, 0.1]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        ({"num": 0}, "num must be a whole number from 1 up"),
-        ({"weights": "uniform"}, "uniform"),
-        ({"weights": []}, "at least one Weights"),
-        ({"altitudes_m": [33]}, "33"),
-        ({"altitudes_m": [60, 60]}, "twice"),
-        ({"altitudes_m": []}, "none"),
-    ],
-)
-def test_wrong_arguments_are_named(maps, arguments, word):
-    with pytest.raises(InputError, match=word):
-        sample_instances(maps, **arguments)
-
-
-def test_maps_without_two_free_cells_are_refused():
-    maps = made_maps(20, 20)
-    maps.ds["obstacle"][:] = 1
-    with pytest.raises(InputError, match="fewer than two cells"):
-        sample_instances(maps, 1)
-
-
 @pytest.mark.parametrize("suffix", [".parquet", ".csv"])
 def test_instances_survive_their_file(instances, tmp_path, suffix):
-    file = write_table(instances, tmp_path / f"instances{suffix}")
-    found = read_instances(file)
+    found = read_instances(write_table(instances, tmp_path / f"instances{suffix}"))
     for column in instances.columns:
         assert found[column].tolist() == instances[column].tolist()
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda table: table.drop(columns="w_gps"), ["lacks", "w_gps"]),
-        (lambda table: table.assign(w_gps=-1.0), ["row 1", "w_gps", ">= 0", "-1.0"]),
-        (lambda table: table.assign(w_gps=1e308), ["row 1", "w_gps", "at most 1e+30", "1e+308"]),
-        (lambda table: table.assign(w_gps=[1.0, None]), ["row 2", "got nan"]),
-        (lambda table: table.assign(instance=0.5), ["whole number"]),
-        (lambda table: table.assign(instance=-3), ["whole number >= 0", "got -3"]),
-        (lambda table: table.assign(start_x_m="west"), ["start_x_m", "west"]),
-        (lambda table: pd.concat([table, table]), ["instance 0 at 20 m twice"]),
-        (lambda table: table[:0], ["no row"]),
-    ],
-)
-def test_a_wrong_file_is_named_with_its_fault(instances, tmp_path, change, words):
-    file = write_table(change(instances[:2]), tmp_path / "instances.csv")
-    with pytest.raises(InputError) as error:
-        read_instances(file)
-    for word in ("instances.csv", *words):
-        assert word in str(error.value)
+def around(mask: np.ndarray, row: int, col: int, half: int) -> np.ndarray:
+    return mask[max(0, row - half) : row + half + 1, max(0, col - half) : col + half + 1]
 
 
-def test_a_file_that_is_none_is_refused(tmp_path):
-    (tmp_path / "a.parquet").write_text("no table")
-    for name, word in (("a.parquet", "cannot be read"), ("b.csv", "does not exist"), ("c.txt", "end its name")):
-        with pytest.raises(InputError, match=word):
-            read_instances(tmp_path / name)
+def test_the_share_around_a_cell_is_counted_over_the_square_inside_the_map():
+    mask = np.random.default_rng(0).random((13, 9)) < 0.3
+    wanted = [around(mask, row, col, 2).mean() for row, col in np.ndindex(mask.shape)]
+    np.testing.assert_array_equal(share_around(mask, 2).ravel(), wanted)
+
+
+def test_every_cell_lies_in_the_stratum_that_its_surroundings_define(maps):
+    roof_m, strata = maps.m("roof"), strata_of(maps)
+    assert set(np.unique(strata)) == {
+        NO_STRATUM,
+        *(STRATA.index(each) for each in STRATA if each not in ("water", "park")),
+    }
+    assert (strata[:5] == NO_STRATUM).all()
+    rng = np.random.default_rng(1)
+    for row, col in zip(rng.integers(5, 150, 300), rng.integers(0, 120, 300), strict=True):
+        near, far = around(roof_m, row, col, 12), around(roof_m, row, col, 25)
+        if (near >= HIGH_RISE_M).mean() >= 0.1:
+            wanted = "high-rise"
+        elif (near > 0).mean() >= 0.1:
+            wanted = "low-rise"
+        else:
+            wanted = "open" if far.any() else "wide-open"
+        assert STRATA[strata[row, col]] == wanted
+
+
+def test_water_and_parks_are_the_cells_whose_centre_they_hold_and_places_lie_in_them(maps):
+    x_m, y_m = maps.grid.x_min_m, maps.grid.y_min_m
+    river, park = shapely.box(x_m, y_m, x_m + 304, y_m + 1500), shapely.box(x_m + 294, y_m + 96, x_m + 700, y_m + 504)
+    strata, plain = strata_of(maps, LandCover(river, park)), strata_of(maps)
+    in_river, in_park = np.zeros((2, *maps.grid.shape), bool)
+    in_river[5:, :30] = True  # centres at 5, 15, ... 295 m; water wins over a park
+    in_park[10:50, 30:70] = True
+    assert (strata[in_river] == STRATA.index("water")).all()
+    assert (strata[in_park] == STRATA.index("park")).all()
+    assert np.array_equal(strata[~(in_river | in_park)], plain[~(in_river | in_park)])
+    found = sample_instances(maps, 60, cover=LandCover(river, park))
+    for name, shape in (("water", river), ("park", park)):
+        for end in ("start", "goal"):
+            at = found[found[f"{end}_stratum"] == name]
+            assert len(at)
+            assert shapely.contains_xy(shape, at[f"{end}_x_m"], at[f"{end}_y_m"]).all()

@@ -1,67 +1,242 @@
-"""Local derivatives, and the whole study with its report, figures and command."""
+"""Weights of one route: breakpoints against SciPy's Dijkstra, Sobol indices, derivatives, report and command."""
 
-import dataclasses
 import json
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.text import Text
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
 
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
-from jaxurban.paths.plan import cost_map
+from jaxurban.planners.cost import STEPS
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.sensitivity import ranges, sensitivity_markdown
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.weights.sobol import cost_gradient, outcome_slopes
-from tests.cli_runs import assert_one_sentence, run
-from tests.made_maps import made_maps
+from jaxurban.studies.weights.breakpoints import find_breakpoints, nearest_breakpoints, pareto_front
+from jaxurban.studies.weights.sobol import FEW_SAMPLES, cost_gradient, outcome_slopes, sobol_indices, sobol_of_weights
+from tests.cli_runs import run
+from tests.studies.routes_made import assert_on_the_page
 
 GIVEN = np.array([0.1, 1.0, 1.0, 1.0, 1.0])
+NAMES, LETTERS = ("distance", "gps", "lidar", "population", "risk"), ("x1", "x2", "x3")
+TRIANGLE = np.tile(GIVEN, (3, 1))
+TRIANGLE[:, [1, 3, 4]] = 3 * np.eye(3)
+SIDE = 12
+THREE = ("distance", "population", "risk")
+
+
+def dijkstra_cost(query: RouteQuery, weights: np.ndarray) -> float:
+    """Return the cheapest cost by SciPy, over edges that are made here."""
+    unit = query.cost_map
+    price = weights[0] + np.tensordot(weights[1:], unit.costs, 1) / unit.cost_model.reference_length_m
+    is_free, price = np.pad(unit.is_free, 1), np.pad(price, 1)
+    (row, col), number = np.nonzero(is_free), np.arange(is_free.size).reshape(is_free.shape)
+    edges = csr_matrix((is_free.size, is_free.size))
+    for rows, cols in STEPS:
+        is_open = is_free[row + rows, col + cols] & is_free[row + rows, col] & is_free[row, col + cols]
+        tail, head = (row[is_open], col[is_open]), (row[is_open] + rows, col[is_open] + cols)
+        cost = np.hypot(rows, cols) * unit.grid.resolution_m * (price[tail] + price[head]) / 2
+        edges += csr_matrix((cost, (number[tail], number[head])), edges.shape)
+    start, goal = (number[row + 1, col + 1] for row, col in (query.start, query.goal))
+    return float(dijkstra(edges, indices=start)[goal])
+
+
+def line_of(name: str) -> np.ndarray:
+    ends = np.tile(GIVEN, (2, 1))
+    ends[:, NAMES.index(name)] *= (0.1, 10.0)
+    return ends
 
 
 @pytest.fixture(scope="module")
-def maps():
-    return made_maps(30, 36)
+def exact(crossing):
+    return find_breakpoints(RoutePool([crossing]), TRIANGLE)
 
 
-@pytest.fixture(scope="module")
-def ends(maps):
-    return [tuple(map(float, maps.grid.lonlat_of_cell(*cell))) for cell in ((4, 1), (28, 34))]
+def test_cheapest_costs_over_a_triangle_equal_dijkstra_at_every_place_of_a_grid(crossing, exact):
+    u, v = np.meshgrid(*2 * [(np.arange(SIDE) + 0.5) / SIDE])
+    shares = np.stack([1 - np.sqrt(u), np.sqrt(u) * (1 - v), np.sqrt(u) * v], -1).reshape(-1, 3)
+    truth = [dijkstra_cost(crossing, weights) for weights in exact.weights_at(shares)]
+    np.testing.assert_allclose(exact.cost_at(shares), truth, rtol=1e-9)
+    assert exact.is_complete
+    assert len(exact.cells) > 10, "a grid of many routes is what tells"
 
 
-@pytest.fixture(scope="module")
-def found(maps, ends):
-    return ju.studies.sensitivity(
-        cost_map(maps, 20.0, cost_model="line"), *ends, settings=ju.studies.SensitivitySettings(num_samples=4)
+def test_cells_cover_the_triangle_once_and_hold_their_own_route(exact):
+    assert exact.sizes.sum() == pytest.approx(1, abs=1e-9)
+    assert np.all(np.diff(exact.sizes) <= 0)
+    np.testing.assert_array_equal(exact.route_at(exact.middles), np.arange(len(exact.cells)))
+
+
+@pytest.mark.parametrize("name", ["risk", "population"])
+def test_along_a_line_the_route_changes_at_the_cuts_and_has_ever_less_of_a_rising_weight(crossing, name):
+    found = find_breakpoints(RoutePool([crossing]), line_of(name))
+    ends = np.concatenate([[0.0], found.breakpoints, [1.0]])
+    assert np.all(np.diff(ends) > 0)
+    assert len(found.cells) >= 3
+    assert np.all(np.diff(found.features[:, NAMES.index(name)]) < 0)
+    for route, (begin, end) in enumerate(pairwise(ends)):
+        inside = np.linspace(begin, end, 5)[1:-1]
+        weights = found.weights_at(np.stack([1 - inside, inside], -1))
+        truth = [dijkstra_cost(crossing, each) for each in weights]
+        np.testing.assert_allclose(weights @ found.features[route], truth, rtol=1e-9)
+
+
+def test_a_tolerance_leaves_out_routes_but_costs_stay_within_it_and_a_limit_of_searches_is_told(crossing, exact):
+    rough = find_breakpoints(RoutePool([crossing]), TRIANGLE, tolerance=0.01)
+    shares = np.random.default_rng(0).dirichlet(np.ones(3), 500)
+    assert len(rough.cells) < len(exact.cells)
+    assert rough.num_plans < exact.num_plans
+    assert np.all(rough.cost_at(shares) <= exact.cost_at(shares) * 1.01)
+    assert not find_breakpoints(RoutePool([crossing]), TRIANGLE, max_plans=5).is_complete
+
+
+def test_a_line_on_which_nothing_changes_has_one_cell(crossing):
+    found = find_breakpoints(RoutePool([crossing]), np.stack([GIVEN, 3 * GIVEN]))
+    assert len(found.cells) == 1
+    assert found.breakpoints.size == 0
+
+
+def is_dominated(one: np.ndarray, points: np.ndarray, slack: float = 0.0) -> bool:
+    return bool(np.any(np.all(points <= one * (1 + slack), axis=1) & np.any(points < one * (1 - slack), axis=1)))
+
+
+@pytest.mark.parametrize("objectives", [("distance", "risk"), THREE])
+def test_no_route_under_any_weights_is_below_the_hull_of_the_front(crossing, objectives):
+    points = pareto_front(RoutePool([crossing]), objectives).points[list(objectives)].to_numpy()
+    assert not any(is_dominated(one, points) for one in points)
+    for shares in np.random.default_rng(1).dirichlet(np.ones(len(objectives)), 20):
+        weights = np.zeros(len(NAMES))
+        weights[[NAMES.index(name) for name in objectives]] = shares
+        assert np.min(points @ shares) == pytest.approx(dijkstra_cost(crossing, weights), rel=1e-9)
+
+
+def test_with_a_tolerance_no_point_of_the_front_is_dominated_either(crossing):
+    exact, rough = (
+        pareto_front(RoutePool([crossing]), THREE, tolerance=tolerance).points.to_numpy()[:, :3]
+        for tolerance in (1e-9, 0.05)
     )
+    assert len(rough) < len(exact)
+    assert not any(is_dominated(one, exact, 1e-9) for one in rough)
+
+
+def test_nearest_breakpoints_are_the_first_along_the_line_where_dijkstra_finds_a_cheaper_route(crossing):
+    pool = RoutePool([crossing])
+    found = nearest_breakpoints(pool, GIVEN, range(1, 5), (0.1, 10.0))
+    given = pool.cheapest(GIVEN[None])[0, 0, 0]
+    assert np.isfinite(found).sum() > 4, "a grid of many routes is what tells"
+    for column, ends in zip(range(1, 5), found, strict=True):
+        factors = 0.1 + find_breakpoints(RoutePool([crossing]), line_of(NAMES[column])).breakpoints * 9.9
+        first = [factors[factors < 1].max(initial=-np.inf), factors[factors > 1].min(initial=np.inf)]
+        np.testing.assert_allclose(ends, np.where(np.isfinite(first), first, np.nan), rtol=1e-6)
+        for nearest, end in zip(ends, (0.1, 10.0), strict=True):
+            step = np.sign(end - 1) * 1e-4
+            inside, outside = (end, None) if np.isnan(nearest) else (nearest * (1 - step), nearest * (1 + step))
+            for factor in filter(None, (inside, outside)):
+                weights = GIVEN.copy()
+                weights[column] *= factor
+                saved = 1 - dijkstra_cost(crossing, weights) / (weights @ given)
+                assert (saved > 1e-12) == (factor == outside), (column, factor, saved)
+
+
+def test_a_weight_of_zero_has_no_nearest_breakpoint(crossing):
+    assert np.isnan(nearest_breakpoints(RoutePool([crossing]), GIVEN * [1, 0, 1, 1, 1], [1], (0.1, 10.0))).all()
+
+
+A, B, PI = 7.0, 0.1, np.pi
+# Parts of the variance in closed form (Ishigami and Homma, ISUMA 1990).
+ONE, TWO, BOTH = 0.5 * (1 + B * PI**4 / 5) ** 2, A**2 / 8, B**2 * PI**8 * (1 / 18 - 1 / 50)
+KNOWN = {
+    kind: np.array(parts) / (ONE + TWO + BOTH)
+    for kind, parts in (("first", (ONE, TWO, 0)), ("total", (ONE + BOTH, TWO, BOTH)))
+}
+
+
+def ishigami(num_samples: int, seed: int):
+    def evaluate(unit):
+        x = PI * (2 * unit - 1)
+        return {"y": np.sin(x[:, 0]) + A * np.sin(x[:, 1]) ** 2 + B * x[:, 2] ** 4 * np.sin(x[:, 0])}
+
+    return sobol_indices(evaluate, LETTERS, num_samples, seed).loc["y"]
+
+
+def test_indices_of_the_ishigami_function_are_the_known_ones():
+    table = ishigami(1024, 0)
+    for kind, known in KNOWN.items():
+        off = np.abs(table[kind].to_numpy() - known)
+        assert np.all(off < 0.03), (kind, off)
+        assert np.all(off < table[f"{kind}_ci"])
+        assert np.all(table[f"{kind}_ci"] < 0.1)
+
+
+@pytest.mark.slow
+def test_intervals_from_the_fewest_samples_contain_the_known_indices_in_93_of_100_cases(monkeypatch):
+    monkeypatch.setattr("jaxurban.studies.weights.sobol.NUM_RESAMPLES", 200)
+    inside = np.zeros((2, 3))
+    for seed in range(2000):
+        table = ishigami(FEW_SAMPLES, seed)
+        inside += [np.abs(table[kind] - known) <= table[f"{kind}_ci"] for kind, known in KNOWN.items()]
+    assert (inside >= 0.93 * 2000).all(), inside / 2000
+
+
+def test_a_product_of_log_uniform_factors_has_equal_first_order_indices_in_its_logarithm():
+    found = sobol_indices(lambda x: {"y": np.log(0.1 * 100 ** x[:, 0] * 100 ** x[:, 1])}, LETTERS[:2], 128)
+    np.testing.assert_allclose(found["first"], 0.5, atol=0.05)
+    assert found["mean"].to_numpy() == pytest.approx(np.log(10), abs=0.05)
+
+
+def test_the_same_seed_gives_the_same_indices_and_an_outcome_that_does_not_vary_has_none():
+    first, again = (sobol_indices(lambda x: {"y": x[:, 0] * x[:, 1]}, LETTERS[:2], 8) for _ in range(2))
+    assert first.equals(again)
+    found = sobol_indices(lambda x: {"y": np.ones(len(x))}, LETTERS[:2], 4)
+    assert found[["first", "first_ci", "total", "total_ci"]].isna().all().all()
+
+
+def test_indices_of_weights_come_with_intervals_and_take_n_times_factors_plus_2_plans(crossing):
+    pool = RoutePool([crossing, RouteQuery(crossing.cost_map, (4, 34), (28, 1))])
+    told: list[int] = []
+    found = sobol_of_weights(pool, GIVEN, [3, 4], (0.1, 10.0), 16, on_plans=told.append)
+    assert pool.num_plans == told[-1] == 2 * 16 * 4
+    assert list(found.loc["people"].index) == ["population", "risk"]
+    assert np.isfinite(found.loc["people"]).all().all()
+    assert (found["lowest"] <= found["highest"]).all()
 
 
 @pytest.fixture(scope="module")
-def folder(maps, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("maps")
-    write_zarr(maps.ds, folder)
-    return folder
+def found(crossing, ends):
+    return ju.studies.sensitivity(crossing.cost_map, *ends, settings=ju.studies.SensitivitySettings(num_samples=4))
 
 
-def test_gradient_of_the_cheapest_cost_equals_central_differences(maps):
-    query = RouteQuery(cost_map(maps, 20.0, cost_model="line"), (4, 1), (28, 34))
-    pool = RoutePool([query])
-    cost = cost_gradient(query.names, GIVEN, pool.cheapest(GIVEN[None])[0, :, 0])
-    for column, name in enumerate(query.names):
+@pytest.fixture
+def command(crossed, ends, tmp_path, capsys):
+    """Return what runs the command of a small study, with other options, over its maps or others."""
+    write_zarr(crossed.ds, tmp_path / "maps")
+    few = ("--vary", "risk,population", "--samples", 2, "--pareto", "distance,risk", "-o", tmp_path / "out")
+
+    def runs(*options, start=ends[0]):
+        places = ["--start={:.9f},{:.9f}".format(*start), "--goal={:.9f},{:.9f}".format(*ends[1]), "--altitude", 20]
+        return run(capsys, "sensitivity", tmp_path / "maps", *places, *few, *options)
+
+    return runs
+
+
+def test_gradient_of_the_cheapest_cost_equals_central_differences(crossing):
+    pool = RoutePool([crossing])
+    cost = cost_gradient(crossing.names, GIVEN, pool.cheapest(GIVEN[None])[0, :, 0])
+    for column, name in enumerate(crossing.names):
         step = np.eye(len(GIVEN))[column] * 1e-6
         costs = [w @ pool.cheapest(w[None, None])[0, 0, 0] for w in (GIVEN + step, GIVEN - step)]
         assert cost.loc[name, "gradient"] == pytest.approx((costs[0] - costs[1]) / 2e-6, rel=1e-6)
     assert cost["elasticity"].sum() == pytest.approx(1)
 
 
-def test_expected_outcomes_answer_to_weights_as_differences_of_many_searches_do(maps):
-    query = RouteQuery(cost_map(maps, 20.0, cost_model="line"), (4, 1), (28, 34))
-    pool = RoutePool([query])
+def test_expected_outcomes_answer_to_weights_as_differences_of_many_searches_do(crossing):
+    pool = RoutePool([crossing])
     noise = 0.5
     row = outcome_slopes(pool, GIVEN, pool.cheapest(GIVEN[None])[1, :, 0], noise).loc[("mean_risk", "risk")]
     drawn = np.random.default_rng(5).normal(size=(600, len(GIVEN))) * noise
@@ -74,14 +249,14 @@ def test_expected_outcomes_answer_to_weights_as_differences_of_many_searches_do(
     assert row["expected_slope"] > 0
 
 
-def test_the_route_stays_the_same_inside_its_range_and_changes_outside(maps, ends, found):
+def test_the_route_stays_the_same_inside_its_range_and_changes_outside(crossed, ends, found):
     for name in found.lines:
         at = ranges(found, name)
         assert at["alike_from"] <= at["same_from"] <= 1 <= at["same_to"] <= at["alike_to"]
         for value, is_same in ((at["same_to"] * 0.999, True), (at["same_to"] * 1.001, False)):
             if at["same_to"] < 10:
                 weights = ju.Weights(**{name: value})
-                other = ju.plan(maps, *ends, altitude_m=20.0, cost_model="line", weights=weights)
+                other = ju.plan(crossed, *ends, altitude_m=20.0, cost_model="line", weights=weights)
                 sums = [(route.length_m, *route.metrics.values()) for route in (other, found.route)]
                 assert np.allclose(*sums, rtol=1e-9) == is_same
 
@@ -117,90 +292,31 @@ def test_report_names_every_weight_and_every_file_that_it_shows(found, tmp_path)
             assert len(read(tmp_path / "out" / "tables" / f"{name}.{suffix}")) == len(table)
     found.save(tmp_path / "out")
     for change in ({"factors": (0.5, 2.0)}, {"num_samples": 8}, {"tolerance": 0.1}, {"seed": 1}):
-        other = dataclasses.replace(found, settings=dataclasses.replace(found.settings, **change))
+        other = replace(found, settings=replace(found.settings, **change))
         with pytest.raises(InputError, match="another run of `jaxurban sensitivity`"):
             other.save(tmp_path / "out")
 
 
 def test_no_text_of_a_figure_leaves_the_page(found):
     for name, draw in sensitivity_figures(found).items():
-        figure = draw()
-        renderer = FigureCanvasAgg(figure).get_renderer()
-        figure.draw(renderer)
-        width, height = figure.bbox.size
-        axes = [axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)]
-        ticks = {id(label) for axis in axes for label in axis.get_ticklabels()}
-        for text in figure.findobj(Text):
-            if text.get_visible() and text.get_text().strip() and id(text) not in ticks:
-                box = text.get_window_extent(renderer)
-                is_inside = box.x0 > -1 and box.y0 > -1 and box.x1 < width + 1 and box.y1 < height + 1
-                assert is_inside, (name, text.get_text())
+        assert_on_the_page(name, draw())
 
 
-def test_command_writes_the_study_and_prints_json(folder, ends, tmp_path, capsys):
-    places = ["--start={},{}".format(*ends[0]), "--goal={},{}".format(*ends[1]), "--altitude", 20]
-    options = [
-        "--vary",
-        "risk,population",
-        "--samples",
-        2,
-        "--pareto",
-        "distance,risk",
-        "-o",
-        tmp_path / "out",
-        "--json",
-    ]
-    code, out, err = run(capsys, "sensitivity", folder, *places, *options)
+def test_the_command_prints_json_and_tells_a_start_that_was_moved_there_and_in_the_report(crossed, command, tmp_path):
+    start = crossed.grid.lonlat_of_cell(*np.argwhere(~crossed.is_free(20.0))[0])
+    code, out, err = command("--snap", "--json", start=start)
     assert code == 0, err
-    told = json.loads(out)
-    assert set(told["ranges"]) == {"risk", "population"}
-    assert (tmp_path / "out" / "report.md").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--vary", "rsk"], ["rsk", "risk"]),
-        (["--range", "1"], ["--range", "0.1,10"]),
-        (["--range", "2,3"], ["range"]),
-        (["--samples", 3], ["power of two"]),
-        (["--pareto", "gps"], ["objectives"]),
-        (["--weights", "wind=1"], ["wind"]),
-        (["--tolerance", 0], ["tolerance"]),
-    ],
-)
-def test_wrong_options_are_one_sentence_and_exit_2(folder, ends, tmp_path, capsys, options, words):
-    places = ["--start={},{}".format(*ends[0]), "--goal={},{}".format(*ends[1]), "--altitude", 20]
-    code, _, err = run(capsys, "sensitivity", folder, *places, "-o", tmp_path / "out", *options)
-    assert code == 2
-    assert_one_sentence(err, *words)
-
-
-def test_a_start_that_was_moved_is_told_on_the_terminal_and_in_the_report(maps, folder, ends, tmp_path, capsys):
-    row, col = np.argwhere(~maps.is_free(20.0))[0]
-    start = "{:.9f},{:.9f}".format(*maps.grid.lonlat_of_cell(row, col))
-    places = [f"--start={start}", "--goal={},{}".format(*ends[1]), "--altitude", 20, "--snap"]
-    options = ["--vary", "risk", "--samples", 2, "--pareto", "distance,risk", "-o", tmp_path / "out"]
-    code, _, err = run(capsys, "sensitivity", folder, *places, *options)
-    assert code == 0, err
-    for text in (err, (tmp_path / "out" / "report.md").read_text()):
+    assert set(json.loads(out)["ranges"]) == {"risk", "population"}
+    report = (tmp_path / "out" / "report.md").read_text()
+    for text in (err, report):
         assert "The start was not free: it was moved 30.0 m, to a free cell." in text
-    assert "obstacles: touched" in (tmp_path / "out" / "report.md").read_text()
+    assert "obstacles: touched" in report
 
 
-def test_a_walled_goal_is_exit_3_and_in_python_an_error(maps, ends, tmp_path, capsys):
-    ds = maps.ds.copy(deep=True)
-    ds["obstacle"].values[:, 15, :] = 1
-    walled = ju.MetricMaps(ds)
-    write_zarr(ds, tmp_path / "maps")
-    places = ["--start={},{}".format(*ends[0]), "--goal={},{}".format(*ends[1]), "--altitude", 20]
-    code, _, err = run(capsys, "sensitivity", tmp_path / "maps", *places, "-o", tmp_path / "out")
+def test_a_walled_goal_is_exit_3(crossed, command, tmp_path):
+    obstacle = crossed.ds["obstacle"].copy(deep=True)
+    obstacle[:, 15] = 1
+    write_zarr(crossed.ds.assign(obstacle=obstacle), tmp_path / "maps")
+    code, _, err = command()
     assert code == 3
     assert "joins start and goal" in err
-    with pytest.raises(InputError, match="no route to study"):
-        ju.studies.sensitivity(cost_map(walled, 20.0), *ends)
-
-
-def test_start_and_goal_in_one_cell_are_refused(maps, ends):
-    with pytest.raises(InputError, match="one cell"):
-        ju.studies.sensitivity(cost_map(maps, 20.0), ends[0], ends[0])

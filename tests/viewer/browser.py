@@ -38,8 +38,8 @@ def chromium() -> Iterator[Any]:
 
 
 @contextmanager
-def opened(browser: Any, url: str) -> Iterator[tuple[Any, list[str], list[str]]]:
-    """Open a page; yield it, the addresses that were asked for, and what went wrong on it."""
+def opened(browser: Any, url: str, is_well: bool = True) -> Iterator[Any]:
+    """Open a page and yield it; in the end it has asked nobody else, and, if it is to be well, nothing went wrong."""
     asked: list[str] = []
     wrong: list[str] = []
 
@@ -55,5 +55,17 @@ def opened(browser: Any, url: str) -> Iterator[tuple[Any, list[str], list[str]]]
     page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
     page.goto(url)
     page.wait_for_selector(READY, timeout=60_000)
-    yield page, asked, wrong
+    yield page
+    assert asked
+    assert all(address.startswith((url, "data:", "blob:")) for address in asked)
+    assert not (is_well and wrong), wrong
     context.close()
+
+
+@contextmanager
+def shown(
+    browser: Any, viewer: Viewer, again: Callable[[], Viewer] | None = None, is_well: bool = True
+) -> Iterator[Any]:
+    """Serve a viewer and open its page."""
+    with served(viewer, again) as server, opened(browser, server.url, is_well) as page:
+        yield page

@@ -1,7 +1,6 @@
 """The server: what it answers, and 300 hostile requests that it refuses in a sentence."""
 
 import http.client
-import itertools
 import json
 import socket
 import zlib
@@ -19,12 +18,7 @@ from tests.viewer.browser import served
 
 MAPS = made_maps(40, 60)
 FREE = MAPS.is_free(20.0)
-PLAN = {
-    "start": [-75.0, 0.0],
-    "goal": [-75.0, 0.0],
-    "at": [0, 0, 0],
-    "weights": {"distance": 0.1},
-}
+PLAN = {"start": [-75.0, 0.0], "goal": [-75.0, 0.0], "at": [0, 0, 0], "weights": {"distance": 0.1}}
 TILE = {"layer": "gps", "at": [0, 0, 0], "stride": 1, "row": 0, "col": 0}
 
 
@@ -47,14 +41,19 @@ def ask(server, method: str, path: str, body: bytes = b"", **headers: str) -> tu
         return reply.status, reply.read()
 
 
-def test_the_page_and_its_scene_are_served(server):
+def post(server, name: str, body: object = None) -> tuple[int, bytes]:
+    return ask(server, "POST", f"/ask/{name}", json.dumps(body or {}).encode())
+
+
+def test_the_page_and_its_scene_are_served_on_this_machine_alone(server):
     status, page = ask(server, "GET", "/")
     assert status == 200
     assert b"<!doctype html>" in page
-    status, scene = ask(server, "POST", "/ask/scene", b"{}")
+    status, scene = post(server, "scene")
     assert status == 200
     assert json.loads(scene)["rows"] == 40
-    assert ask(server, "POST", "/ask/tile", json.dumps(TILE).encode())[0] == 200
+    assert post(server, "tile", TILE)[0] == 200
+    assert server.server_address[0] == "127.0.0.1"
 
 
 def hostile(port: int) -> list[tuple[str, str, bytes, dict]]:
@@ -65,8 +64,6 @@ def hostile(port: int) -> list[tuple[str, str, bytes, dict]]:
         *("/maps.zarr/5m/.zmetadata", "/run.json", "/ask", "/ask/", "/favicon.ico", "/index.html", "/viewer.js", "/?a"),
         *("/ask/scene/../tile", "/ask/__class__", "/ask/_cost_map", "/a" * 5000, "http://evil.example/", "*"),
     ]
-    found = [("GET", path, b"", {}) for path in paths] + [("POST", path, b"{}", {}) for path in paths]
-    found += [(method, "/", b"{}", {}) for method in ("PUT", "DELETE", "OPTIONS", "TRACE", "PATCH", "CONNECT", "FOO")]
     hosts = [
         "evil.example",
         f"evil.example:{port}",
@@ -77,29 +74,12 @@ def hostile(port: int) -> list[tuple[str, str, bytes, dict]]:
         f"[::1]:{port}",
         own + ".",
     ]
-    found += [("POST", "/ask/scene", b"{}", {"Host": host}) for host in hosts]
-    found += [("GET", "/", b"", {"Host": host}) for host in hosts]
-    origins = [
-        "http://evil.example",
-        "null",
-        "https://" + own,
-        "http://127.0.0.1",
-        f"http://evil.example:{port}",
-        "file://",
-    ]
-    found += [("POST", "/ask/scene", b"{}", {"Origin": origin}) for origin in origins]
-    found += [("GET", "/", b"", {"Origin": origin}) for origin in origins]
-    kinds = [
-        "text/plain",
-        "application/x-www-form-urlencoded",
-        "multipart/form-data; boundary=x",
-        "",
-        "application/jsonx",
-    ]
-    found += [("POST", "/ask/scene", b"{}", {"Content-Type": kind}) for kind in kinds]
+    origins = ["evil.example", "127.0.0.1", f"evil.example:{port}"]
+    origins = ["null", "https://" + own, "file://", *(f"http://{origin}" for origin in origins)]
+    kinds = ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data; boundary=x", "application/jsonx"]
     lengths = ["-1", "1e9", "99999999999999999999", "0x10", "", " ", "+5", str(MOST_BODY + 1), "²", "1, 1"]
-    found += [("POST", "/ask/scene", b"{}", {"Content-Length": n.encode().decode("latin-1")}) for n in lengths]
-    found += [("POST", "/ask/scene", b"0\r\n\r\n", {"Transfer-Encoding": "chunked"})]
+    headers = [{"Host": host} for host in hosts] + [{"Origin": origin} for origin in origins]
+    methods = ("PUT", "DELETE", "OPTIONS", "TRACE", "PATCH", "CONNECT", "FOO")
     bodies = [
         b"",
         b"{",
@@ -113,34 +93,35 @@ def hostile(port: int) -> list[tuple[str, str, bytes, dict]]:
         b"NaN",
         b"{" + b'"a":' * 9000,
     ]
-    found += [("POST", f"/ask/{name}", body, {}) for name, body in itertools.product(("scene", "tile", "plan"), bodies)]
+    found = [
+        *((method, path, body, {}) for path in paths for method, body in (("GET", b""), ("POST", b"{}"))),
+        *((method, "/", b"{}", {}) for method in methods),
+        *(("POST", "/ask/scene", b"{}", header) for header in headers),
+        *(("GET", "/", b"", header) for header in headers),
+        *(("POST", "/ask/scene", b"{}", {"Content-Type": kind}) for kind in kinds),
+        *(("POST", "/ask/scene", b"{}", {"Content-Length": n.encode().decode("latin-1")}) for n in lengths),
+        ("POST", "/ask/scene", b"0\r\n\r\n", {"Transfer-Encoding": "chunked"}),
+        *(("POST", f"/ask/{name}", body, {}) for name in ("scene", "tile", "plan") for body in bodies),
+    ]
     odd = [-1, 10**9, 10**30, 1.5, "0", None, [], {}, True, "x" * 5000, [0] * 999]
-    for name, request in (("tile", TILE), ("plan", PLAN | {"planner": "astar-plus"})):
-        for key, value in itertools.product(request, odd):
-            found.append(("POST", f"/ask/{name}", json.dumps(request | {key: value}).encode(), {}))
-    for key, value in itertools.product(("row", "col", "at"), odd):
-        found.append(
-            ("POST", "/ask/values", json.dumps({"at": [0, 0, 0], "row": 0, "col": 0, key: value}).encode(), {})
-        )
+    asked = [
+        ("tile", TILE),
+        ("plan", PLAN | {"planner": "astar-plus"}),
+        ("values", {"at": [0, 0, 0], "row": 0, "col": 0}),
+    ]
+    wrong = [(name, given | {key: value}) for name, given in asked for key in given for value in odd]
     zones = ["x", "[]", '{"features":1}', '{"features":[{}]}', "{" * 999, '{"type":"FeatureCollection","features":[]}']
-    ring = [[[0, 0], [1, 1]], [[0, 0]], [], [["a", "b"]], [[1e9, 0], [0, 1], [1, 1]], [[0, 0, 0, 0]] * 4, None]
-    zones += [
-        json.dumps({"features": [{"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [each]}}]})
-        for each in ring
-    ]
-    odd_plans = [{"zones": text} for text in zones]
-    odd_plans += [
-        {"weights": each} for each in ({"noise": 1}, {"gps": -1}, {"gps": "1"}, {"gps": 1e31}, {"": 1}, {"own": 1})
-    ]
+    rings = [[[0, 0], [1, 1]], [[0, 0]], [], [["a", "b"]], [[1e9, 0], [0, 1], [1, 1]], [[0, 0, 0, 0]] * 4, None]
+    shapes = [{"type": "Polygon", "coordinates": [ring]} for ring in rings]
+    zones += [json.dumps({"features": [{"type": "Feature", "geometry": shape}]}) for shape in shapes]
+    weights = ({"noise": 1}, {"gps": -1}, {"gps": "1"}, {"gps": 1e31}, {"": 1}, {"own": 1})
+    odd_plans = [{"zones": text} for text in zones] + [{"weights": each} for each in weights]
     odd_plans += [{"planner": "rm -rf"}, {"planner": "astar-volume"}, {"cost_model": "x"}, {"obstacles": "x"}]
     odd_plans += [{"clearance_m": -1}, {"clearance_m": "1"}, {"extra": 1}, {"start": [0, 0]}, {"goal": [40.0, -75.0]}]
-    found += [("POST", "/ask/plan", json.dumps(PLAN | each).encode(), {}) for each in odd_plans]
-    for name in ("save", "report", "legend", "values"):
-        found += [
-            ("POST", f"/ask/{name}", json.dumps(each).encode(), {}) for each in ({}, {"format": "../x"}, {"at": []})
-        ]
-    found.remove(("POST", "/ask/scene", b"{}", {"Content-Type": ""}))
-    return found
+    wrong += [("plan", PLAN | each) for each in odd_plans]
+    odd_asked = ({}, {"format": "../x"}, {"at": []})
+    wrong += [(name, given) for name in ("save", "report", "legend", "values") for given in odd_asked]
+    return found + [("POST", f"/ask/{name}", json.dumps(given).encode(), {}) for name, given in wrong]
 
 
 def test_300_hostile_requests_are_refused_in_a_sentence_and_none_reaches_a_traceback(server, caplog, capfd):
@@ -154,7 +135,7 @@ def test_300_hostile_requests_are_refused_in_a_sentence_and_none_reaches_a_trace
     assert not caplog.records
     out, err = capfd.readouterr()
     assert "Traceback" not in out + err
-    assert ask(server, "POST", "/ask/scene", b"{}")[0] == 200
+    assert post(server, "scene")[0] == 200
 
 
 @pytest.mark.parametrize(
@@ -189,19 +170,18 @@ def test_maps_that_were_made_again_are_refused_until_the_page_is_loaded_again(tm
 
     MAPS.save(tmp_path)
     with served(opened(), again=opened) as server:
-        key = json.loads(ask(server, "POST", "/ask/scene", b"{}")[1])["key"]
-        tile = json.dumps(TILE).encode()
-        status, old = ask(server, "POST", f"/ask/tile?{key}", tile)
+        key = json.loads(post(server, "scene")[1])["key"]
+        status, old = post(server, f"tile?{key}", TILE)
         assert status == 200
         type(MAPS)(MAPS.ds.assign(gps=0.5 * MAPS.ds["gps"])).save(tmp_path)
-        for address in ("/ask/tile", f"/ask/tile?{key}"):  # also what is kept of the old ones
-            status, sentence = ask(server, "POST", address, tile)
+        for name in ("tile", f"tile?{key}"):  # also what is kept of the old ones
+            status, sentence = post(server, name, TILE)
             assert status == 409
             assert b"were made again" in sentence
         assert ask(server, "GET", "/")[0] == 200
-        assert ask(server, "POST", f"/ask/tile?{key}", tile)[0] == 409  # another page, still open
-        other = json.loads(ask(server, "POST", "/ask/scene", b"{}")[1])["key"]
-        status, new = ask(server, "POST", f"/ask/tile?{other}", tile)
+        assert post(server, f"tile?{key}", TILE)[0] == 409  # another page, still open
+        other = json.loads(post(server, "scene")[1])["key"]
+        status, new = post(server, f"tile?{other}", TILE)
         is_free = np.isfinite(values(old))
         assert np.allclose(values(new)[is_free], 0.5 * values(old)[is_free])
 
@@ -209,7 +189,7 @@ def test_maps_that_were_made_again_are_refused_until_the_page_is_loaded_again(tm
 @pytest.mark.slow
 def test_none_of_500_connections_at_once_is_reset(server):
     with ThreadPoolExecutor(500) as threads:
-        replies = [threads.submit(ask, server, "POST", "/ask/scene", b"{}") for _ in range(500)]
+        replies = [threads.submit(post, server, "scene") for _ in range(500)]
     assert {reply.result()[0] for reply in replies} == {200}
 
 
@@ -220,13 +200,8 @@ def test_a_request_that_does_not_go_on_ends(server, monkeypatch):
         assert connection.recv(1) == b""
 
 
-def test_the_server_listens_on_this_machine_alone(server):
-    assert server.server_address[0] == "127.0.0.1"
-
-
 def test_a_browser_is_told_to_load_nothing_from_elsewhere(server):
-    connection = http.client.HTTPConnection("127.0.0.1", server.server_port)
-    with closing(connection):
+    with closing(http.client.HTTPConnection("127.0.0.1", server.server_port)) as connection:
         connection.request("GET", "/")
         policy = connection.getresponse().headers["Content-Security-Policy"]
     assert "default-src 'none'" in policy

@@ -1,4 +1,4 @@
-"""What the page is told, against the maps themselves, and routes against ``jaxurban plan``."""
+"""What the page is told, against the maps and ``jaxurban plan``, and the page as a widget in a notebook."""
 
 import base64
 import html
@@ -6,12 +6,14 @@ import json
 import math
 import re
 import shlex
+import sys
 import zlib
 
 import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
+from jaxurban.io.files import write_json
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.explain import explain
 from jaxurban.paths.path import simplify
@@ -19,13 +21,17 @@ from jaxurban.paths.plan import cost_map, plan
 from jaxurban.paths.profile import cautions
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.studies.map_comparison import OneMap
+from jaxurban.viewer.html import part
 from jaxurban.viewer.layers import layers_of, legend_of
 from jaxurban.viewer.markup import number
+from jaxurban.viewer.requests import Request
 from jaxurban.viewer.viewer import Viewer
+from jaxurban.viewer.widget import reply_to, view, widget_of
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 
-MAPS = made_maps()
+MAPS, LITTLE = made_maps(), made_maps(24, 30)
+TILE = {"layer": "gps", "at": [0, 0, 0], "stride": 1, "row": 0, "col": 0}
 CELLS = np.argwhere(MAPS.is_free(20.0))
 ENDS = [np.round(MAPS.grid.lonlat_of_cell(*CELLS[at]), 7).tolist() for at in (5, -9)]
 NEAR = np.round(MAPS.grid.lonlat_of_cell(*CELLS[np.hypot(*(CELLS - CELLS[5] - [7, 6]).T).argmin()]), 7).tolist()
@@ -37,11 +43,8 @@ def square(row: int, col: int, size: int) -> str:
     """Return a zone over a square of cells, as the page sends it."""
     corners = [(row, col), (row, col + size), (row + size, col + size), (row + size, col), (row, col)]
     ring = [np.round(MAPS.grid.lonlat_of_cell(*corner), 7).tolist() for corner in corners]
-    feature = {
-        "type": "Feature",
-        "properties": {"name": "zone 1"},
-        "geometry": {"type": "Polygon", "coordinates": [ring]},
-    }
+    shape = {"type": "Polygon", "coordinates": [ring]}
+    feature = {"type": "Feature", "properties": {"name": "zone 1"}, "geometry": shape}
     return json.dumps({"type": "FeatureCollection", "features": [feature]})
 
 
@@ -63,35 +66,35 @@ def tile_of(viewer: Viewer, layer: str, at: list[int]) -> np.ndarray:
     return np.ascontiguousarray(planes.T).view("<f4").reshape(MAPS.grid.shape)
 
 
-@pytest.mark.parametrize("name", ["gps", "lidar", "risk", "hdop", "num_visible"])
-def test_tiles_hold_the_maps_values_and_mark_obstacles(viewer, name):
-    got, free = tile_of(viewer, name, [1, 0, 0]), MAPS.is_free(60.0, "centre")
-    assert np.array_equal(got[free], MAPS.m(name, 60.0)[free].astype(np.float32))
-    assert np.array_equal(got == -np.inf, MAPS.m("obstacle", 60.0) == 1)
+def values_in(viewer: Viewer, cell, at=(0, 0, 0)) -> dict:
+    """Return what the page says of a cell, by layer."""
+    found = answer(viewer, "values", at=[*at], row=int(cell[0]), col=int(cell[1]))
+    return {each["name"]: each["value"] for each in found}
 
 
-def test_a_cost_is_that_of_the_metric_and_h_norm_that_of_the_maps(viewer):
+def test_tiles_hold_the_maps_values_and_mark_obstacles_and_every_layer_can_be_asked_for(viewer):
+    free = MAPS.is_free(60.0, "centre")
+    for name in ("gps", "lidar", "risk", "hdop", "num_visible"):
+        got = tile_of(viewer, name, [1, 0, 0])
+        assert np.array_equal(got[free], MAPS.m(name, 60.0)[free].astype(np.float32))
+        assert np.array_equal(got == -np.inf, MAPS.m("obstacle", 60.0) == 1)
     free = MAPS.is_free(20.0, "centre")
     assert np.array_equal(tile_of(viewer, "cost:gps", [0, 0, 0])[free], (1 - MAPS.m("gps", 20.0))[free])
     assert np.array_equal(tile_of(viewer, "h_norm", [0, 0, 1])[free], MAPS.normalised(20.0, time_of_day="night")[free])
+    for name in layers_of(MAPS):
+        assert "html" in answer(viewer, "legend", layer=name, at=[0, 0, 0])
+        assert tile_of(viewer, name, [0, 0, 0]).shape == MAPS.grid.shape
 
 
 def test_colours_are_those_of_the_figures(viewer):
     legend = answer(viewer, "legend", layer="hdop", at=[0, 0, 0])
+    assert [legend["ticks"][k] for k in (0, -1)] == [1, 20]
     colours = np.frombuffer(base64.b64decode(legend["colours"]), np.uint8).reshape(-1, 3)
     values = np.linspace(0.5, 25, 777)
     index = np.clip(np.searchsorted(legend["edges"], values, side="right") - 1, 0, len(colours) - 1)
     of_figures = metric_colours(MAPS, "hdop")(values, bytes=True)[:, :3]
     assert np.abs(colours[index].astype(int) - of_figures.astype(int)).max() <= 4  # beside an edge, one colour on
     assert (colours[index] == of_figures).all(axis=1).mean() > 0.99
-    assert legend["ticks"][0] == 1
-    assert legend["ticks"][-1] == 20
-
-
-def test_every_layer_of_the_maps_can_be_asked_for(viewer):
-    for name in layers_of(MAPS):
-        assert "html" in answer(viewer, "legend", layer=name, at=[0, 0, 0])
-        assert len(answer(viewer, "tile", layer=name, at=[0, 0, 0], stride=1, row=0, col=0)) > 50
 
 
 def test_obstacles_are_drawn_by_classes(viewer):
@@ -107,21 +110,23 @@ def test_maps_of_a_long_series_are_shown_by_their_median(viewer):
     ds = ds.drop_vars("gps").assign(gps_median=gps, gps_p05=0.5 * gps, gps_availability=gps)
     series = Viewer(type(MAPS)(ds))
     assert np.array_equal(tile_of(series, "gps", [0, 0, 0]), tile_of(viewer, "gps", [0, 0, 0]), equal_nan=True)
-    row, col = CELLS[700].tolist()
-    found = {each["name"]: each["value"] for each in answer(series, "values", at=[0, 0, 0], row=row, col=col)}
-    assert found["gps"] == float(gps[0, row, col])
+    assert values_in(series, CELLS[700])["gps"] == float(gps[0, *CELLS[700]])
     assert answer(series, "plan", **QUERY)["has_path"]
     assert answer(series, "scene")["html"]["time"] == ""
 
 
-def test_values_in_a_cell_are_the_maps_own(viewer):
+def test_values_in_a_cell_are_the_maps_own_and_inside_an_obstacle_there_is_no_quality(viewer):
     row, col = CELLS[700].tolist()
-    found = {each["name"]: each["value"] for each in answer(viewer, "values", at=[1, 0, 1], row=row, col=col)}
+    found = values_in(viewer, CELLS[700], at=(1, 0, 1))
     for name in ("gps", "lidar", "risk", "num_visible"):
         assert found[name] == float(MAPS.m(name, 60.0)[row, col])
     assert found["population"] == float(MAPS.m("population", time_of_day="night")[row, col])
     assert found["people"] == pytest.approx(float(MAPS.m("density", time_of_day="night")[row, col]) * 1e-4)
     assert found["roof"] == float(MAPS.m("roof")[row, col])
+    wall = tuple(np.argwhere(MAPS.m("obstacle", 20.0) != 0)[0])
+    said = values_in(viewer, wall)
+    assert (said["gps"], said["lidar"], said["num_visible"], said["obstacle"]) == (None, None, None, 1)
+    assert said["roof"] == MAPS.m("roof")[wall]
 
 
 @pytest.mark.parametrize(
@@ -145,13 +150,11 @@ def test_a_route_is_that_of_the_printed_command_coordinate_for_coordinate(viewer
     code, out, err = run(capsys, *arguments, "--json")
     found = json.loads(out)
     assert code == (0 if shown["has_path"] else 3), err
-    assert found["xy_m"] == shown["xy_m"]
-    assert found["cost"] == shown["cost"]
-    assert found["cost_by_layer"] == shown["cost_by_layer"]
+    assert all(found[name] == shown[name] for name in ("xy_m", "cost", "cost_by_layer"))
     assert found["settings"]["weights"] == WEIGHTS
-    saved = answer(viewer, "save", **QUERY | more | {"format": "geojson"}) if shown["has_path"] else None
-    if saved is not None:
-        assert json.loads(saved)["features"][0]["geometry"]["coordinates"] == np.round(found["lonlat"], 7).tolist()
+    if shown["has_path"]:
+        saved = json.loads(answer(viewer, "save", **QUERY | more | {"format": "geojson"}))
+        assert saved["features"][0]["geometry"]["coordinates"] == np.round(found["lonlat"], 7).tolist()
 
 
 def test_a_zone_changes_the_route_and_no_point_of_it_lies_inside(viewer):
@@ -173,8 +176,12 @@ def test_new_weights_give_what_a_plan_from_scratch_gives(viewer):
         assert shown["cost"] == scratch.cost
 
 
-def test_a_report_tells_what_the_route_meets(viewer):
+def test_a_report_tells_what_the_route_meets_and_cautions_stand_outside_it_each_with_its_level(viewer):
     found = answer(viewer, "report", **QUERY)
+    told = cautions(plan(MAPS, *ENDS, altitude_m=20.0, weights=Weights(**WEIGHTS), time_of_day="night"), MAPS)
+    assert found["cautions"] == "".join(f'<p class="jv-{each.level}">{html.escape(each)}</p>' for each in told)
+    assert told
+    assert not any(each in found["report-text"] for each in told)
     assert len(found["xy"]) == len(found["to_share"]) > 10
     assert found["to_share"][-1] == pytest.approx(1, abs=1e-4)
     assert "<svg" in found["profile"]
@@ -194,22 +201,6 @@ def test_a_route_names_its_status_and_each_end_that_was_moved_with_its_cause(vie
     any_angle = answer(viewer, "plan", **QUERY | {"planner": "theta-star", "cost_model": "line"})
     gap = r"<small>feasible \(paths at any angle\), at most [\d.]+% above the cheapest</small>"
     assert re.search(gap, any_angle["button"])
-
-
-def test_cautions_stand_outside_the_report_each_with_its_level(viewer):
-    found = answer(viewer, "report", **QUERY)
-    told = cautions(plan(MAPS, *ENDS, altitude_m=20.0, weights=Weights(**WEIGHTS), time_of_day="night"), MAPS)
-    assert found["cautions"] == "".join(f'<p class="jv-{each.level}">{html.escape(each)}</p>' for each in told)
-    assert told
-    assert not any(each in found["report-text"] for each in told)
-
-
-def test_guesses_of_the_maps_stand_on_the_page_before_any_route():
-    ds = MAPS.ds.assign_attrs(guesses=json.dumps({"89 % of heights": "the heights of 89 % are <guessed>"}))
-    texts = answer(Viewer(type(MAPS)(ds)), "scene")["html"]
-    assert texts["guesses"] == "Guessed: 89 % of heights"
-    assert texts["guesses-text"] == "the heights of 89 % are &lt;guessed&gt;"
-    assert answer(Viewer(MAPS), "scene")["html"]["guesses"] == ""
 
 
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
@@ -244,35 +235,35 @@ def test_a_profile_labels_the_flight_at_its_height_and_distances_so_that_none_eq
     assert f"least clearance {number(nearest_m['nearest_wall_m'])} m" in near
 
 
-@pytest.mark.parametrize("name", ["plan", "report"])
-def test_a_planner_that_is_none_is_refused_everywhere(viewer, name):
-    with pytest.raises(InputError, match="planner"):
-        viewer.answer(name, QUERY | {"planner": "rm -rf"})
-
-
 @pytest.mark.parametrize("name", ["geojson", "kml", "plan", "gpx"])
 def test_a_route_is_saved_in_every_format(viewer, name):
     assert len(answer(viewer, "save", **QUERY, format=name)) > 300
 
 
-def test_maps_in_memory_have_no_command():
-    assert answer(Viewer(MAPS), "plan", **QUERY)["command"] == ""
-
-
 @pytest.mark.parametrize(
     ("name", "params"),
-    [("tile", {"layer": "gps", "at": [0, 0, 0], "stride": 3, "row": 0, "col": 0}), ("nothing", {})],
+    [
+        ("plan", QUERY | {"planner": "rm -rf"}),
+        ("report", QUERY | {"planner": "rm -rf"}),
+        ("tile", TILE | {"stride": 3}),
+        ("nothing", {}),
+    ],
 )
 def test_what_is_not_there_is_refused(viewer, name, params):
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="planner" if name in ("plan", "report") else None):
         viewer.answer(name, params)
 
 
-def test_names_out_of_files_cannot_become_markup():
-    ds = MAPS.ds.assign_attrs(attribution="<script>alert(1)</script>")
+def test_guesses_stand_on_the_page_before_any_route_names_cannot_become_markup_and_maps_in_memory_have_no_command():
+    attrs = {"guesses": json.dumps({"89 % of heights": "the heights of 89 % are <guessed>"})}
+    ds = MAPS.ds.assign_attrs(attrs, attribution="<script>alert(1)</script>")
     scene = answer(Viewer(type(MAPS)(ds), name="<b>x</b>"), "scene")
+    assert scene["html"]["guesses"] == "Guessed: 89 % of heights"
+    assert scene["html"]["guesses-text"] == "the heights of 89 % are &lt;guessed&gt;"
     assert "<script" not in json.dumps(scene)
     assert "<b>" not in scene["html"]["title"]
+    assert answer(Viewer(MAPS), "scene")["html"]["guesses"] == ""
+    assert answer(Viewer(MAPS), "plan", **QUERY)["command"] == ""
 
 
 def test_the_legend_names_cells_without_a_value_where_there_are_any():
@@ -283,8 +274,79 @@ def test_the_legend_names_cells_without_a_value_where_there_are_any():
     assert "no data" in legend_of(layer, values)["html"]
 
 
-def test_a_cell_inside_an_obstacle_has_no_quality(viewer):
-    row, col = np.argwhere(MAPS.m("obstacle", 20.0) != 0)[0].tolist()
-    said = {each["name"]: each["value"] for each in answer(viewer, "values", at=[0, 0, 0], row=row, col=col)}
-    assert (said["gps"], said["lidar"], said["num_visible"], said["obstacle"]) == (None, None, None, 1)
-    assert said["roof"] == MAPS.m("roof")[row, col]
+def test_messages_are_answered_as_requests_are():
+    viewer = Viewer(LITTLE)
+    reply, buffers = reply_to(viewer, {"id": 7, "name": "scene", "parameters": {}})
+    assert (reply["id"], reply["json"]["rows"], buffers) == (7, 24, [])
+    reply, buffers = reply_to(viewer, {"id": 8, "name": "tile", "parameters": TILE})
+    assert reply == {"id": 8}
+    assert buffers == [viewer.answer("tile", TILE).body]
+
+
+@pytest.mark.parametrize("message", [None, [], {}, {"id": 1, "name": "tile"}, {"id": 1, "name": [], "parameters": {}}])
+def test_what_is_no_request_is_answered_by_a_sentence(message):
+    reply, buffers = reply_to(Viewer(LITTLE), message)
+    assert reply["error"]
+    assert not buffers
+
+
+def test_the_widget_carries_the_page_and_replies_to_it(monkeypatch):
+    pytest.importorskip("anywidget", reason="anywidget is not installed")
+    widget, sent = widget_of(Viewer(LITTLE)), []
+    monkeypatch.setattr(type(widget), "send", lambda _, content, buffers: sent.append((content, buffers)))
+    assert widget._esm == part("script")
+    assert widget.markup == part("markup")
+    widget._handle_custom_msg({"id": 3, "name": "tile", "parameters": TILE}, [])
+    ((reply, buffers),) = sent
+    assert reply == {"id": 3}
+    assert len(buffers[0]) > 100
+
+
+def test_over_a_runs_folder_the_page_plans_as_the_command_that_it_prints(tmp_path, monkeypatch, capsys):
+    MAPS.save(tmp_path)
+    planning = {"clearance_m": 4.0, "vertical_clearance_m": 15.0, "diagonal": "always", "objective": "distance"}
+    settings = {"planning": planning, "vehicle": {"radius_m": 7.0}, "weights": {"gps": 3.0}}
+    write_json(tmp_path / "run.json", {"settings": settings})
+    monkeypatch.setattr("jaxurban.viewer.widget.widget_of", lambda viewer: viewer)
+    viewer = view(str(tmp_path))
+    scene = viewer.scene(Request())
+    assert (scene["weights"]["gps"], scene["fields"]["clearance_m"]) == (3.0, 4.0)
+    query = QUERY | {"at": [1, 0, 0], "weights": scene["weights"], "clearance_m": 4.0}
+    found = json.loads(viewer.answer("plan", query).body)
+    code, _, err = run(capsys, *shlex.split(found["command"])[1:], "-o", tmp_path / "route.geojson")
+    assert code == 0, err
+    saved = viewer.answer("save", query | {"format": "geojson"}).body, (tmp_path / "route.geojson").read_bytes()
+    page, command = ([each["geometry"] for each in json.loads(data)["features"]] for data in saved)
+    assert page == command
+
+
+def test_without_anywidget_the_remedy_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "anywidget", None)
+    with pytest.raises(InputError, match=r"pip install 'jaxurban\[notebook\]'"):
+        view(LITTLE)
+
+
+@pytest.mark.slow
+def test_a_notebook_that_shows_the_viewer_runs_and_holds_the_widget(tmp_path):
+    pytest.importorskip("anywidget", reason="anywidget is not installed")
+    import nbformat
+    from nbclient import NotebookClient
+
+    LITTLE.save(tmp_path / "city")
+    code = "import jaxurban as ju\nju.view(ju.open_maps('city'), weights={'gps': 2})"
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(code)])
+    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    (shown,) = [output for output in notebook.cells[0].outputs if output.output_type == "execute_result"]
+    model = shown["data"]["application/vnd.jupyter.widget-view+json"]["model_id"]
+    state = notebook.metadata["widgets"]["application/vnd.jupyter.widget-state+json"]["state"][model]["state"]
+    assert state["_anywidget_id"].endswith("ViewerWidget")
+    assert "jv-map" in state["markup"]
+
+
+def test_the_public_name_stays_the_function_after_its_package_was_imported():
+    import jaxurban as ju
+    import jaxurban.viewer.server
+
+    assert jaxurban.viewer.server
+    assert ju.view is view
+    assert ju.view is view  # once more: the first look imports

@@ -1,0 +1,180 @@
+"""What commands refuse: one sentence that names what is wrong, exit code 2, and nothing written."""
+
+import os
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import osmium
+import pytest
+import rasterio
+from affine import Affine
+from shapely import box
+
+from jaxurban.errors import InputError
+from jaxurban.io.files import check_writable
+from tests.cli_runs import ENDS, assert_one_sentence, outlines, run
+
+NEAR = (-74.0, 40.755, -73.999, 40.756)  # a part of the town
+MAPS, PLAN = "maps town.toml -o {out}", f"plan maps {' '.join(ENDS)} --altitude"
+SET, FROM = f"{MAPS} --set", f"{MAPS} --set buildings.source="
+ROUTE, ROUTES = f"sensitivity maps {' '.join(ENDS)} --altitude 60 -o {{out}}", "sensitivity-study maps -o {out}"
+REFUSED = [
+    ("mpas", "mpas"),
+    ("plan maps --start=40.756,-73.999 --goal=-73.994,40.76 --altitude 60", "start", "longitude comes first"),
+    ("plan maps --start=-75,40.756 --goal=-73.994,40.76 --altitude 60", "start", "outside the region"),
+    ("plan maps --start=here --goal=-73.994,40.76 --altitude 60", "longitude,latitude"),
+    ("plan maps --start=-73.999,40.756 --altitude 60", "--goal"),
+    (f"{PLAN} 61", "altitude", "from 20 to 60 m"),
+    (f"{PLAN} high", "--altitude"),
+    (f"{PLAN} 60 --planner astar", "astar-"),
+    (f"{PLAN} 60 --heuristic octil", "octile"),
+    (f"{PLAN} 60 --time-of-day noon", "day, night"),
+    (f"{PLAN} 60 --weights gsp=1", "did you mean 'gps'"),
+    (f"{PLAN} 60 --resolution 5", "20 m"),
+    (f"{PLAN} 60 -o path.txt", ".geojson"),
+    (f"{MAPS} --memory much", "4GiB", "much"),
+    (f"{MAPS} --memory 100MiB", "raise --memory", "100 MiB", "resolution_m"),
+    (f"{MAPS} --workers 0", "--workers", "x>=1"),
+    (f"{MAPS} --workers 2 --memory 1GiB", "raise --memory", "fewer --workers"),
+    (f"{MAPS} --workers 2 --cluster tcp://localhost:8786", "give either --workers", "not both"),
+    (f"{MAPS} --workers 2 --device gpu", "start a `dask worker` on each"),
+    (f"{MAPS} --layers hdop,rooof", "rooof", "roof"),
+    ("study town.toml -o {out} --workers 2 --cluster tcp://nowhere:1", "--workers", "--cluster"),
+    ("maps town.toml -o file", "cannot write to the output folder"),
+    ("maps deep.toml -o {out}", "deep.toml"),
+    ("maps dotted.toml -o {out}", "dotted.toml"),
+    ("compare nothing nothing -o taken", "notes.txt' is there already, and not from"),  # before anything is read
+    ("validate town.toml nothing.csv -o taken", "notes.txt' is there already, and not from"),
+    (f"{SET} gps.mask_degree=10", "'gps.mask_degree'", "'mask_deg'"),
+    (f"{SET} mask_deg=10", "unknown section 'mask_deg'", "gps, "),
+    (f"{SET} region.range_m=10", "'region.range_m'", "bounds, "),
+    (f"{SET} gsp.mask_deg=10", "'gsp'", "'gps'"),
+    (f"{SET} gps.mask_deg", "key=value"),
+    (f"{SET} buildings.source=town.osm", "not TOML", "quotes"),
+    (f"{SET} gps.mask_deg=true", "mask_deg"),
+    (f"{SET} gps.mask_deg=95", "gps.mask_deg", "--set gps.mask_deg=95"),
+    (f"{SET} gps.mask_deg=89.9", "no satellite is above", "mask_deg"),
+    (f"{SET} region=5", "region", "table of settings"),
+    (
+        f"{FROM}'\"near.geojson\"' --set region.bounds=[40.755,-74.0,40.761,-73.993]",
+        "latitude and longitude look swapped",
+    ),
+    (f"{SET} weights.gsp=2", "'gsp'"),
+    (f"{SET} region.resolution_m=0.001", "GiB", "resolution_m"),
+    (f"{SET} lidar.range_m=1e8", "GiB", "range_m"),
+    (f"{SET} risk.threshold_m=1e8", "GiB", "threshold_m"),
+    (f"{SET} study.instances=1000000000", "study: instances must be at most 1,000,000"),
+    (f"{SET} 'gps.orbits=\"bad.osm.pbf\"'", "bad.osm.pbf"),
+    *(
+        (f"{SET} 'gps.times=[\"{time}\"]'", f"gps: '{time}' is not a time")
+        for time in ("9999-12-31T23:59:59-10:00", "0001-01-01T00:00:00+10:00", "1979-12-31T00:00:00Z")
+    ),
+    (f"{FROM}'\"none.osm.pbf\"'", "the buildings file", "none.osm.pbf", "does not exist"),
+    (f"{FROM}'\"torn.osm.pbf\"'", "torn.osm.pbf", "cannot be read"),
+    (f"{FROM}'\"metres.geojson\"'", "metres.geojson", "CRS"),
+    (f"{FROM}'\"far.geojson\"'", "no building in the region", "-73.95", "allow_none"),
+    (f"{FROM}'\"endless.geojson\"'", "a pipe or a device"),
+    (f"{FROM}'\"a\\u0000b.geojson\"'", "buildings", "null"),
+    (f"{FROM}'\"heights.tif\"'", "heights.tif", "NaN", "nodata"),
+    (f"{FROM}'\"heights_with_nodata.tif\"'", "heights_with_nodata.tif", "NaN", "nodata"),
+    ("view maps --no-browser --export page.txt", "page.txt", ".html"),
+    ("view maps --no-browser --export no/such/place/page.html", "no/such/place"),
+    ("view maps --no-browser --resolution 7", "7 m"),
+    ("view maps --no-browser --size 0.0001", "--size"),
+    ("view maps --no-browser --port 99999", "--port"),
+    ("view maps --no-browser --port {port}", "cannot listen", "--port"),
+    (f"{ROUTE} --vary rsk", "rsk", "risk"),
+    (f"{ROUTE} --range 1", "--range", "0.1,10"),
+    (f"{ROUTE} --range 2,3", "range"),
+    (f"{ROUTE} --samples 3", "power of two"),
+    (f"{ROUTE} --pareto gps", "objectives"),
+    (f"{ROUTE} --weights wind=1", "wind"),
+    (f"{ROUTE} --tolerance 0", "tolerance"),
+    (f"{ROUTES} --routes 3 --queries a.csv", "--queries"),
+    (f"{ROUTES} --altitudes low", "--altitudes", "20,60"),
+    (f"{ROUTES} --samples 3", "power of two"),
+    (f"{ROUTES} --wrong 1", "wrong"),
+    (f"{ROUTES} --vary gpss", "a weight that varies", "'gps'", "'gpss'"),
+    (f"{ROUTES} --vary gps,gps", "vary must name each weight once", "gps, gps"),
+    (f"{ROUTES} --vary gps --weights gps=0", "weight gps is 0 on every route"),
+    (f"{ROUTES} --weights gps=0,lidar=0,risk=0,population=0", "every metric has weight 0", "give one a weight"),
+    ("sensitivity-study maps maps -o {out}", "maps, maps", "name each once"),
+]
+
+
+@pytest.fixture(scope="module")
+def desk(made, tmp_path_factory):
+    """Return a folder of the town's scenario and maps, and of files that are of no use."""
+    desk = tmp_path_factory.mktemp("desk")
+    shutil.copy(made.parent / "town.toml", desk)
+    (desk / "maps").symlink_to(made)
+    for name, text in {
+        "file": "a file",
+        "taken/notes.txt": "mine",
+        "deep.toml": "a = " + "{a = " * 3000 + "1" + "}" * 3000,
+        "dotted.toml": ".".join("a" * 5000) + " = 1",
+        "bad.osm.pbf": "\x00\x01\x02 not orbits",
+        "metres.geojson": outlines(box(583_000.0, 4_506_000.0, 583_100.0, 4_506_100.0)),
+        "near.geojson": outlines(box(*NEAR)),
+        "far.geojson": outlines(box(-73.95, 40.75, -73.949, 40.751)),
+    }.items():
+        (desk / name).parent.mkdir(exist_ok=True)
+        (desk / name).write_text(text)
+    (desk / "endless.geojson").symlink_to("/dev/zero")
+    with osmium.SimpleWriter(str(desk / "torn.osm.pbf")) as writer:
+        for i in range(4000):
+            writer.add_node(osmium.osm.mutable.Node(id=i + 1, location=(NEAR[0] + i * 1e-6, NEAR[1])))
+    whole = (desk / "torn.osm.pbf").read_bytes()
+    (desk / "torn.osm.pbf").write_bytes(whole[: len(whole) * 2 // 3])
+    heights = np.full((60, 60), 12.0, np.float32)
+    heights[10, 10] = np.nan
+    profile = {"driver": "GTiff", "width": 60, "height": 60, "count": 1, "dtype": "float32", "crs": "EPSG:32618"}
+    profile["transform"] = Affine(20.0, 0.0, 584_300.0, 0.0, -20.0, 4_513_000.0)
+    for name, nodata in (("heights.tif", None), ("heights_with_nodata.tif", -1.0)):
+        with rasterio.open(desk / name, "w", nodata=nodata, **profile) as file:
+            file.write(heights, 1)
+    return desk
+
+
+@pytest.mark.parametrize(
+    ("line", "words"), [(line, words) for line, *words in REFUSED], ids=[row[0] for row in REFUSED]
+)
+def test_bad_input_is_one_sentence_and_exit_code_2_and_writes_nothing(desk, tmp_path, capsys, monkeypatch, line, words):
+    monkeypatch.chdir(desk)
+    before = sorted(desk.rglob("*"))
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        given = shlex.split(line.format(out=tmp_path / "out", port=taken.getsockname()[1]))
+        code, out, err = run(capsys, *given)
+    assert (code, out) == (2, "")
+    assert_one_sentence(err, *words)
+    assert not [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
+    assert sorted(desk.rglob("*")) == before
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="states what holds where JAX has no GPU")
+def test_a_gpu_that_is_not_there_is_refused(tmp_path, capsys):
+    code, _, err = run(capsys, "demo", "-o", tmp_path / "out", "--device", "gpu")
+    assert code == 2
+    assert_one_sentence(err, "there is no GPU that JAX can use")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("setting", ["JAX_PLATFORMS=bogus", "JAX_PLATFORMS=cuda", "JAX_ENABLE_X64=bogus"])
+def test_a_variable_of_the_environment_that_libraries_refuse_is_one_sentence(desk, tmp_path, setting):
+    name, value = setting.split("=")
+    command = [sys.executable, "-m", "jaxurban", "maps", desk / "town.toml", "-o", tmp_path / "out"]
+    done = subprocess.run(command, env=os.environ | {name: value}, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, ""), done.stderr
+    assert_one_sentence(done.stderr.splitlines()[-1], name)
+    assert "Traceback" not in done.stderr
+
+
+def test_an_output_folder_whose_name_is_no_text_is_refused(tmp_path):
+    with pytest.raises(InputError, match="cannot write to the output folder"):
+        check_writable(tmp_path / "\udcff")

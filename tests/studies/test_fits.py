@@ -1,0 +1,315 @@
+"""Weights fitted to routes and to targets: hidden weights come back, fits are compared, and what cannot be is said."""
+
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.paths.plan import cost_map
+from jaxurban.report.tuning import fits_section
+from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line, optimal_demonstrations
+from jaxurban.studies.route_pool import FitSettings, RoutePool
+from jaxurban.studies.tuning.compared_fits import compare_fits, split
+from jaxurban.studies.tuning.confidence import draw_counts
+from jaxurban.studies.tuning.target_fit import Target, fit_targets, outcome_values
+from jaxurban.studies.tuning.weight_fit import fit_weights
+from tests.studies.routes_made import HIDDEN, NUM, cosine, made_queries, thinned
+
+VECTOR = HIDDEN.vector(("distance", "gps", "lidar", "population", "risk"))
+FEW = 6  # queries for targets
+
+
+@pytest.fixture(scope="module")
+def fit(demonstrations):
+    return fit_weights(demonstrations, bootstrap=40)
+
+
+def test_hidden_weights_come_back_from_optimal_routes_and_their_intervals_hold_them(fit, demonstrations):
+    assert cosine(fit, demonstrations, HIDDEN) > 0.999
+    assert fit.regret.mean() < 1e-4
+    assert fit.best_mean_regret <= fit.regret.mean() + 1e-12
+    assert fit.unidentified == fit.warnings == ()
+    assert sum(fit.vector) == pytest.approx(1)
+    assert f"{fit}".splitlines()[2].split()[:2] == ["distance", f"{fit.vector[0]:.3g}"]
+    hidden = VECTOR / VECTOR.sum()
+    low, high = fit.table[["low", "high"]].to_numpy().T
+    assert np.all(low <= fit.vector)
+    assert np.all(fit.vector <= high)
+    assert np.sum((low <= hidden) & (hidden <= high)) >= 4  # of 5
+    assert np.all(high - low < 0.5)
+    first, last = fit.curve.iloc[0], fit.curve.iloc[-1]
+    assert last.loss < 0.2 * first.loss
+    assert last.worst_gap < first.worst_gap
+    assert len(fit.curve) < 20
+    assert fit.is_settled
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["cell", "line"])
+@pytest.mark.parametrize("seed", range(4))
+def test_intervals_of_thinned_routes_contain_the_weights_that_they_were_planned_under(small, kind, seed):
+    """Each sixth point alone is known: redrawn, such routes cost up to 4 % more than the ones that were meant."""
+    unit, rng = cost_map(small, 20.0, cost_model=kind), np.random.default_rng(seed)
+    hidden = ju.Weights(**dict(zip(unit.weight_names, VECTOR * np.exp(0.7 * rng.normal(size=5)), strict=True)))
+    corner_m = np.array([small.grid.x_min_m, small.grid.y_min_m])
+    shown = optimal_demonstrations(made_queries(unit, NUM, seed), hidden)
+    drawn = [demonstration_from_line(unit, thinned(each.points_m) + corner_m) for each in shown]
+    truth = hidden.vector(unit.weight_names)
+    low, high = fit_weights(drawn, bootstrap=20).table[["low", "high"]].to_numpy().T
+    assert np.all(low <= truth / truth.sum())
+    assert np.all(truth / truth.sum() <= high)
+
+
+def test_a_fit_that_stopped_ends_bit_for_bit_as_one_that_did_not(demonstrations, fit, tmp_path):
+    def stop(stage, done, total):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    kept = FitSettings(state_file=tmp_path / "state.parquet", progress=stop)
+    with pytest.raises(KeyboardInterrupt):
+        fit_weights(demonstrations, bootstrap=40, settings=kept)
+    searched = []
+    kept = replace(kept, progress=lambda stage, done, total: searched.append(done))
+    resumed = fit_weights(demonstrations, bootstrap=40, settings=kept)
+    assert searched == list(range(1, len(fit.curve) + 1))
+    np.testing.assert_array_equal(resumed.vector, fit.vector)
+    pd.testing.assert_frame_equal(resumed.table, fit.table)
+    np.testing.assert_array_equal(resumed.regret, fit.regret)
+    with pytest.raises(InputError, match=r"its fit of routes and maps is .* given now"):
+        fit_weights(demonstrations[1:], settings=kept)
+
+
+def fitted(maps, hidden=HIDDEN, on=lambda unit: unit, cost_model="line", altitude_m=20.0, max_rounds=20, **how):
+    """Return routes planned under hidden weights on maps, and their fit."""
+    unit = on(cost_map(maps, altitude_m, cost_model=cost_model))
+    shown = optimal_demonstrations(made_queries(unit, NUM), hidden)
+    return shown, fit_weights(shown, settings=FitSettings(max_rounds=max_rounds), **{"bootstrap": 0} | how)
+
+
+@pytest.mark.parametrize("cost_model", ["cell", "line"])
+def test_the_weight_of_a_constant_layer_is_said_to_be_unknown_and_bends_no_other(small, cost_model):
+    maps = ju.MetricMaps(small.ds.assign(risk=xr.full_like(small.ds["risk"], 0.25)))
+    _, fit = fitted(maps, cost_model=cost_model)
+    assert [said for said in fit.unidentified if "risk" in said and "cannot be identified" in said]
+    assert fit.regret.mean() < 1e-4
+    assert fit.weights.gps / fit.weights.population == pytest.approx(HIDDEN.gps / HIDDEN.population, rel=0.1)
+    if cost_model == "line":
+        assert fit.weights.risk == 0
+
+
+def test_two_layers_that_are_one_cannot_be_told_apart(small):
+    _, fit = fitted(ju.MetricMaps(small.ds.assign(risk=small.ds["lidar"])), max_rounds=3)
+    sentence = "The weights of lidar and risk cannot be told apart: competing routes trade them at one rate."
+    assert sentence in fit.unidentified
+
+
+def test_several_altitudes_are_fitted_together(small):
+    shown = [
+        each
+        for altitude_m in (20.0, 60.0)
+        for each in optimal_demonstrations(
+            made_queries(cost_map(small, altitude_m, cost_model="cell"), NUM // 2), HIDDEN
+        )
+    ]
+    fit = fit_weights(shown, bootstrap=0, scale="distance")
+    assert fit.weights.distance == pytest.approx(1)
+    assert cosine(fit, shown, HIDDEN) > 0.999
+
+
+def test_only_chosen_metrics_are_fitted(small):
+    hidden = HIDDEN.replace(lidar=0.0)
+    shown, fit = fitted(small, hidden, on=lambda unit: unit.only(("gps", "population", "risk")))
+    assert fit.names == ("distance", "gps", "population", "risk")
+    assert fit.weights.lidar == 0
+    assert cosine(fit, shown, hidden) > 0.998
+
+
+def test_weights_stay_finite_where_every_demonstration_avoids_a_cost_altogether(small):
+    people = xr.zeros_like(small.ds["population"])
+    people[:, 16:20, 18:22] = 1.0
+    maps, hidden = ju.MetricMaps(small.ds.assign(population=people)), HIDDEN.replace(population=50.0)
+    shown, fit = fitted(maps, hidden, altitude_m=60.0, max_rounds=4, bootstrap=8)
+    assert max(each.features[3] for each in shown) == 0
+    assert np.isfinite(fit.vector).all()
+    assert fit.regret.mean() < 0.01
+
+
+def detour(query, rng):
+    """Return the cheapest route by way of a random cell that makes it at most 1.6 times as far."""
+    free = np.argwhere(query.cost_map.is_free)
+    far = sum(np.hypot(*(free - np.array(end)).T) for end in (query.start, query.goal))
+    near = free[far <= 1.6 * np.hypot(*np.subtract(query.start, query.goal))]
+    via = tuple(near[rng.integers(len(near))].tolist())
+    there, on = (replace(query, **end).cheapest(VECTOR) for end in ({"goal": via}, {"start": via}))
+    return Demonstration(query, np.concatenate([there, on[1:]]))
+
+
+@pytest.fixture(scope="module")
+def spoilt(demonstrations):
+    """Return routes of two cities, a fifth of which go by way of a random place."""
+    rng, unit = np.random.default_rng(0), demonstrations[0].query.cost_map
+    made = [*demonstrations, *optimal_demonstrations(made_queries(unit, NUM, seed=1), HIDDEN)]
+    for k in (*range(0, NUM, 5), *range(NUM, 2 * NUM, 5)):
+        made[k] = detour(made[k].query, rng)
+    return made
+
+
+@pytest.fixture(scope="module")
+def found(spoilt):
+    return compare_fits({"Aton": spoilt[:NUM], "Beton": spoilt[NUM:]}, bootstrap=20)
+
+
+def regret_of(shown, weights) -> np.ndarray:
+    """Return by which share each route costs more than the cheapest, by a search of its own."""
+    best = [each.query.sums(each.query.cheapest(weights))[0] @ weights for each in shown]
+    return np.array([each.features @ weights for each in shown]) / best - 1
+
+
+def test_a_fit_finds_the_pilot_among_detours(found, spoilt):
+    fits = found.table.set_index("fit")
+    best = found.fits["all"]
+    assert [*fits.index] == ["all", "only Aton", "only Beton"]
+    spread = np.array([each.features for each in spoilt])[~found.is_held_out].std(axis=0)
+    one, other = best.vector * spread, VECTOR * spread
+    assert one @ other / np.linalg.norm(one) / np.linalg.norm(other) > 0.999
+    assert fits.held_out_regret["all"] < 1e-3
+    is_bad = found.is_bad[~found.is_held_out]
+    assert np.all(best.trust[is_bad] < 0.2)
+    assert np.median(best.trust[~is_bad]) > 0.9
+    assert any("not optimal under any weights" in warning for warning in best.warnings)
+
+
+def test_every_detour_that_costs_much_is_told_as_bad_held_out_or_not(found, spoilt):
+    is_detour = regret_of(spoilt, VECTOR) > 0.02
+    assert is_detour.sum() >= 6
+    np.testing.assert_array_equal(found.is_bad, is_detour)
+    assert found.is_held_out[is_detour].any()
+    assert [*found.is_held_out.reshape(2, NUM).sum(axis=1)] == [NUM // 4] * 2
+
+
+def test_regrets_are_those_of_a_search_of_ones_own(found, spoilt):
+    good = found.is_held_out & ~found.is_bad
+    regret = regret_of(spoilt, found.fits["only Aton"].vector)[good].mean()
+    assert found.table.held_out_regret[1] == pytest.approx(regret, abs=1e-12)
+
+
+def test_groups_stay_together_and_every_city_keeps_its_share():
+    city, group = np.repeat(["a", "b"], [40, 20]), np.arange(60) // 2
+    is_held_out = split(city, group, 0.25, seed=3)
+    assert [is_held_out[city == name].sum() for name in "ab"] == [10, 4]
+    assert np.all(is_held_out[::2] == is_held_out[1::2])
+    assert np.any(is_held_out != split(city, group, 0.25, seed=4))
+    assert not split(city, group, 0.0, seed=3).any()
+    with pytest.raises(InputError, match="too few to hold some out"):
+        split(np.array(["a"]), np.array([0]), 0.25, seed=0)
+
+
+def test_draws_of_several_cities_take_whole_cities_and_of_one_its_members():
+    rng = np.random.default_rng(0)
+    counts = draw_counts(np.repeat([0, 1, 2], [5, 3, 4]), 400, rng)
+    by_city = np.add.reduceat(counts, [0, 5, 8], axis=1) / [5, 3, 4]
+    assert np.all(by_city == np.round(by_city))
+    assert np.all(by_city.sum(axis=1) == 3)
+    np.testing.assert_allclose(counts.mean(axis=0), 1, atol=0.3)
+    assert np.all(draw_counts(np.zeros(7, int), 50, rng).sum(axis=1) == 7)
+
+
+def test_the_report_has_the_regret_of_each_fit_and_counts_the_routes_held_out_and_bad(found):
+    text = fits_section(found)
+    assert f"{NUM // 2} of {2 * NUM} routes were held out" in text
+    assert f"{found.is_bad.sum()} of all routes are bad" in text
+    for row in found.table.itertuples():
+        assert f"| {row.fit} | {row.cities} | {row.num_fitted} | {row.held_out_regret:.3g} |" in text
+
+
+@pytest.fixture(scope="module")
+def queries(small):
+    return made_queries(cost_map(small, 20.0).only(("gps", "lidar")), FEW)
+
+
+def targets(*texts: str) -> list[Target]:
+    return [Target.parse(text) for text in texts]
+
+
+def outcomes_under_many_weights(queries) -> np.ndarray:
+    """Return mean_gps and mean_lidar ``[N, 2]`` of planned routes under a grid of weights (brute force)."""
+    pool = RoutePool(queries)
+    shortest = np.concatenate(pool.cheapest(np.tile([1.0, 0.0, 0.0], (FEW, 1, 1)))[:, :, 0], axis=-1)
+    scale = [0.0, *np.logspace(-1, 2.5, 8)]
+    weights = np.array([[1.0, a, b] for a in scale for b in scale])
+    found = np.concatenate(pool.cheapest(weights), axis=-1)
+    wanted, names = targets("mean_gps>=0", "mean_lidar>=0"), queries[0].names
+    return np.array([outcome_values(sums, shortest, names, wanted) for sums in np.moveaxis(found, 1, 0)])
+
+
+def test_targets_are_met_where_brute_force_meets_them_and_conflict_where_it_does_not(queries, tmp_path):
+    values = outcomes_under_many_weights(queries)
+    most = values.max(axis=0)
+    gps, lidar = values[np.argmax(np.min(values / most, axis=1))]
+    reachable = targets(f"mean_gps>={gps:.4f}", f"mean_lidar>={lidar:.4f}")
+    kept = FitSettings(state_file=tmp_path / "state.parquet")
+    fit = fit_targets(queries, reachable, settings=kept)
+    assert fit.is_met
+    assert fit.outcomes["missed_by"].max() <= 0.02
+    assert fit.sentence == "All targets are met."
+    weights = np.array([[fit.weights[name] for name in fit.names]])
+    planned = RoutePool(queries).cheapest(np.broadcast_to(weights, (FEW, 1, 3)))[1, :, 0]
+    assert np.mean(planned[:, 2] / planned[:, 0]) == pytest.approx(fit.outcomes["reached"].iloc[1])
+    again = fit_targets(queries, reachable, settings=kept)
+    assert again.weights == fit.weights
+    assert again.num_plans == fit.num_plans
+
+    missed = np.maximum(1 - values / most, 0)
+    assert missed.max(axis=1).min() > 0.03  # no weights of the grid meet both
+    fit = fit_targets(queries, targets(f"mean_gps>={most[0]}", f"mean_lidar>={most[1]}"))
+    assert not fit.is_met
+    assert len(fit.conflicts) == 1
+    assert fit.alone["is_met"].all()
+    assert "conflict" in fit.sentence
+    assert np.sum(fit.outcomes["missed_by"] ** 2) <= 1.02 * np.sum(missed**2, axis=1).min()
+
+
+def test_a_target_beyond_all_routes_is_said_to_be_missed_alone(queries):
+    fit = fit_targets(queries, targets("mean_gps>=0.1", "mean_lidar>=0.999"))
+    assert not fit.is_met
+    assert fit.conflicts == ()
+    assert not fit.alone.is_met["mean_lidar >= 0.999"]
+
+
+@pytest.mark.slow
+def test_on_the_synthetic_city_a_reachable_pair_is_met_and_an_unreachable_one_told():
+    maps = ju.build_maps(ju.demo_city(3000, 3000), resolution_m=10.0, altitudes_m=(60.0,))
+    queries = made_queries(cost_map(maps, 60.0, cost_model="line"), 12, apart=60.0)
+    reachable = fit_targets(queries, targets("mean_lidar>=0.07", "detour<=0.2"))
+    assert reachable.is_met
+    assert reachable.outcomes["missed_by"].max() <= 0.02
+    unreachable = fit_targets(queries, targets("mean_lidar>=0.09", "detour<=0.001"))
+    assert not unreachable.is_met
+    assert unreachable.conflicts == (("mean_lidar >= 0.09", "detour <= 0.001"),)
+    assert unreachable.outcomes["reached"].iloc[0] > 0.07  # the best trade-off found
+
+
+@pytest.fixture
+def pool(queries):
+    """Return a pool that knows 2,000 random routes of one query."""
+    pool, rng = RoutePool(queries[:1]), np.random.default_rng(0)
+    for route in rng.uniform(1, 100, (2_000, 2, len(pool.names))):
+        pool._add(0, route)
+    return pool
+
+
+def test_a_route_of_the_same_features_is_kept_once_in_the_memory_of_one(pool):
+    route = np.random.default_rng(1).uniform(1, 100, (2, 3))
+    for shift in (0.0, 1e-14, 1e-3):
+        pool._add(0, route * (1 + shift))
+    assert pool.num_routes == 2_002
+    assert pool.routes[:, 0, 2_000].tolist() == route.tolist()
+    tracemalloc.start()
+    pool._add(0, route)  # known by now: nothing is copied
+    assert tracemalloc.get_traced_memory()[1] < pool.routes.nbytes / 4
+    tracemalloc.stop()
