@@ -31,7 +31,6 @@ def test_problems_are_sorted_by_length_and_read_back(tmp_path):
 def test_a_published_map_and_its_scenarios_are_read(data_dir):
     is_free = read_map(data_dir / "movingai" / "Berlin_0_256.map")
     problems = read_scenarios(data_dir / "movingai" / "Berlin_0_256.map.scen")
-    assert is_free.shape == (256, 256)
-    assert len(problems) == 930
+    assert (is_free.shape, len(problems)) == ((256, 256), 930)
     assert all(is_free[problem.start] and is_free[problem.goal] for problem in problems)
     assert problems[0] == GridProblem((255 - 165, 248), (255 - 164, 249), 2.0)

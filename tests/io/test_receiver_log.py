@@ -17,15 +17,6 @@ GOOD = pd.DataFrame(
 )
 
 
-def refused(table: pd.DataFrame, *words: str) -> None:
-    with pytest.raises(InputError) as raised:
-        read_receiver_log(table)
-    told = str(raised.value)
-    assert "\n" not in told
-    for word in words:
-        assert word in told
-
-
 def test_epochs_come_in_the_order_of_their_times():
     log = read_receiver_log(GOOD)
     assert log.epochs.num_tracked.tolist() == [7, 8, 9]
@@ -83,12 +74,8 @@ def test_a_zone_may_be_written_in_several_ways(zone):
     ],
 )
 def test_what_is_wrong_with_a_log_is_one_sentence(table, words):
-    refused(table, *words)
-
-
-def test_an_empty_file_and_a_missing_one_are_refused(tmp_path):
-    (tmp_path / "log.csv").write_text("")
-    with pytest.raises(InputError, match="cannot be read as csv"):
-        read_receiver_log(tmp_path / "log.csv")
-    with pytest.raises(InputError, match="does not exist"):
-        read_receiver_log(tmp_path / "none.csv")
+    with pytest.raises(InputError) as raised:
+        read_receiver_log(table)
+    said = str(raised.value)
+    assert "\n" not in said
+    assert [word for word in words if word not in said] == []
