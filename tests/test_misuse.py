@@ -28,7 +28,7 @@ FREE = np.argwhere(MAPS.is_free(20.0))
 START, GOAL = (MAPS.grid.lonlat_of_cell(*FREE[at]) for at in (0, -1))
 BOUNDS = (-74.0, 40.755, -73.997, 40.757)
 SETTINGS = {"region": {"bounds": BOUNDS}, "buildings": {"source": "synthetic"}}
-RIGHT = "every value of the type is a right one here"
+RIGHT, LEFT_OUT = "every value of the type is a right one here", object()
 MADE = (  # what functions return; XY is looked at where it is used
     "GuessWarning",
     *("MetricMaps", "CostMap", "MapComparison", "PlannedPath", "PlannedPaths", "RouteReport", "SensitivityStudy"),
@@ -42,8 +42,6 @@ METHODS = {  # of what they return
     "PlannedPath": ("save",),
     "PlannedPaths": ("save", "to_dataframe"),
 }
-QUERY = [*START, *GOAL, 20.0, 1.0]
-COLUMNS = ["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m", "w_gps"]
 SIZES = {"first_row": 0, "first_col": 0, "num_rows": 2, "num_cols": 2}
 PLAIN = {
     **dict.fromkeys(("maps", "maps_a", "maps_b", "MetricMaps"), MAPS),
@@ -237,48 +235,33 @@ def test_a_wrong_value_names_the_argument(name, parameter, tmp_path, monkeypatch
     assert "\n" not in told
 
 
+WITHOUT_PEOPLE = ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"]))
+
+
 @pytest.mark.parametrize(
-    ("call", "sentence"),
+    ("name", "changed", "sentence"),
     [
-        (lambda: ju.plan("maps", (0, 0), (1, 1)), "plan: missing a required (keyword-only )?argument: 'altitude_m'"),
+        ("plan", {"altitude_m": LEFT_OUT}, "argument: 'altitude_m'"),
+        ("plan", {"altitudes_m": 20}, "plan: there is no argument 'altitudes_m' (did you mean 'altitude_m'?)"),
+        ("build_maps", {"altitude_m": 20}, "there is no argument 'altitude_m' (did you mean 'altitudes_m'?)"),
+        ("plan", {"constraints": {"gps": 0.3}}, 'Constraints.read(require=["gps>=0.3"])'),
+        ("plan", {"start": LEFT_OUT}, "start is missing: give it as longitude, latitude or as start_xy_m"),
+        ("plan", {"goal": LEFT_OUT}, "goal is missing: give it as"),
+        ("plan", {"start_xy_m": (0, 0)}, "start must be given in one way, not both: give it as longitude, latitude or"),
         (
-            lambda: ju.plan("maps", (0, 0), (1, 1), altitudes_m=20),
-            r"plan: there is no argument 'altitudes_m' \(did you mean 'altitude_m'\?\)",
+            "MetricMaps.m",
+            {"self": WITHOUT_PEOPLE, "time_of_day": "noon"},
+            "noon: these maps hold none, so leave it out",
         ),
-        (
-            lambda: ju.build_maps(ju.demo_city(500, 500), altitude_m=20),
-            r"build_maps: there is no argument 'altitude_m' \(did you mean 'altitudes_m'\?\)",
-        ),
-        (
-            lambda: ju.plan("maps", (0, 0), (1, 1), altitude_m=20, constraints={"gps": 0.3}),
-            r"Constraints\.read\(require=\[\"gps>=0\.3\"\]\)",
-        ),
-        (
-            lambda: ju.plan("maps", (0, 0), (1, 1), altitude_m=20, clearance_m=5.0),
-            r"'clearance_m' \(give constraints=Constraints\.read\(clearance_m=\.\.\.\)\)",
-        ),
-        (
-            lambda: ju.cost_map("maps", 20, radius_m=0.5),
-            r"'radius_m' \(give constraints=Constraints\.read\(vehicle=Vehicle\(radius_m=\.\.\.\)\)\)",
-        ),
-        (lambda: ju.plan(MAPS, altitude_m=20), "start is missing: give it as longitude, latitude or as start_xy_m"),
-        (lambda: ju.plan(MAPS, START, altitude_m=20), "goal is missing: give it as"),
-        (
-            lambda: ju.plan(MAPS, START, GOAL, altitude_m=20, start_xy_m=(0, 0)),
-            "start must be given in one way, not both: give it as longitude, latitude or as start_xy_m",
-        ),
-        (
-            lambda: ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"], errors="ignore")).m(
-                "gps", time_of_day="noon"
-            ),
-            "there are no maps for time of day noon: these maps hold none, so leave it out",
-        ),
-        (lambda: good("planned").save("a\0.plan"), r"cannot write 'a\\x00\.plan': no file's name can hold NUL"),
+        ("PlannedPath.save", {"file": "a\0.plan"}, r"cannot write 'a\x00.plan': no file's name can hold NUL"),
     ],
 )
-def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy(call, sentence):
-    with pytest.raises(InputError, match=sentence):
-        call()
+def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy(name, changed, sentence):
+    given = {key: value for key, value in {**good_arguments(name), **changed}.items() if value is not LEFT_OUT}
+    arguments = [given.pop("self")] if "self" in given else []
+    with pytest.raises(InputError) as raised:
+        CALLS[name](*arguments, **given)
+    assert sentence in str(raised.value)
 
 
 HOMES = {
@@ -289,7 +272,9 @@ HOMES = {
         "population_table": "population=Population(table=...)",
         "default_height_m": "city=City.from_files(buildings=Buildings(default_height_m=...))",
     },
+    "cost_map": {"radius_m": "constraints=Constraints.read(vehicle=Vehicle(radius_m=...))"},
     "plan": {
+        "clearance_m": "constraints=Constraints.read(clearance_m=...)",
         "levels": "altitude_m=Levels(...)",
         "max_altitude_m": "altitude_m=Levels(max_altitude_m=...)",
         "speed": "constraints=Constraints.read(vehicle=Vehicle(speed_m_s=...))",

@@ -18,42 +18,32 @@ def is_private(name: str) -> bool:
     return name.startswith("_") and not name.startswith("__")
 
 
-def own_names(tree: ast.AST) -> set[str]:
+def own_names(nodes: list[ast.AST]) -> set[str]:
     """Return the names that a file defines itself: functions, classes, fields, attributes set on ``self``."""
-    found = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
-            if isinstance(node, ast.Name):
-                found.add(node.id)
-            elif ast.unparse(node.value) in ("self", "cls"):
-                found.add(node.attr)
-    return found
+    set_here = [node for node in nodes if isinstance(getattr(node, "ctx", None), ast.Store)]
+    found = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    found |= {node.id for node in set_here if isinstance(node, ast.Name)}
+    of_self = [node for node in set_here if isinstance(node, ast.Attribute)]
+    return found | {node.attr for node in of_self if ast.unparse(node.value) in ("self", "cls")}
 
 
 def private_names(source: str) -> list[str]:
     """Return what a source names of others that is private."""
-    tree, found = ast.parse(source), []
-    known = own_names(tree) | OF_NAMEDTUPLE
-    for node in ast.walk(tree):
-        modules = []
+    nodes, modules, names = list(ast.walk(ast.parse(source))), [], []
+    for node in nodes:
         if isinstance(node, ast.Import):
-            modules = [alias.name for alias in node.names]
+            modules += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            modules = [f"{node.module}.{alias.name}" for alias in node.names]
-        for module in modules:
-            parts = module.split(".")
-            if parts[0] != "jaxurban" and any(map(is_private, parts)):
-                found.append(module)
-            if parts[:2] == ["numba", "core"]:
-                found.append("numba.core")
-        if isinstance(node, ast.Attribute) and is_private(node.attr) and node.attr not in known:
-            found.append(f".{node.attr}")
-        if isinstance(node, ast.Attribute) and ast.unparse(node) == "numba.core":
-            found.append("numba.core")
-        is_text_access = isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "setattr", "hasattr")
-        if is_text_access and isinstance(node.args[1], ast.Constant) and is_private(str(node.args[1].value)):
-            found.append(f".{node.args[1].value}")
-    return found
+            modules += [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Attribute):
+            names.append(node.attr)
+            modules += ["numba.core"] * (ast.unparse(node) == "numba.core")
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "setattr", "hasattr"):
+            names.append(str(getattr(node.args[1], "value", "")))
+    known = own_names(nodes) | OF_NAMEDTUPLE
+    found = [f".{name}" for name in names if is_private(name) and name not in known]
+    found += [name for name in modules if any(map(is_private, name.split("."))) and not name.startswith("jaxurban.")]
+    return found + ["numba.core" for name in modules if name.startswith("numba.core")]
 
 
 @pytest.mark.parametrize(
