@@ -9,13 +9,12 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from benchmarks.random_routes import read_plan
-from jaxurban.cli import main as cli
+from jaxurban.cli.main import app
 from jaxurban.paths.export.qgc_plan import GROUND_TOLERANCE_M
 from jaxurban.paths.export.write import write_path
 from jaxurban.paths.path import elevation_at
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.snapping import XY
-from tests.mavlink import mission_reader
 
 pytestmark = pytest.mark.data
 
@@ -38,9 +37,7 @@ azimuths = 60
 def folder(data_dir, tmp_path_factory):
     folder = tmp_path_factory.mktemp("bilbao")
     (folder / "bilbao.toml").write_text(SCENARIO.format(folder=(data_dir / "raster").resolve()))
-    with pytest.raises(SystemExit) as ended:
-        cli.main(["maps", str(folder / "bilbao.toml"), "-o", str(folder / "out")])
-    assert ended.value.code == 0
+    app.main(["maps", str(folder / "bilbao.toml"), "-o", str(folder / "out")], standalone_mode=False)
     return folder / "out"
 
 
@@ -60,9 +57,6 @@ def test_rasters_that_do_not_align_become_maps(folder):
     seen, ground, bare = maps.m("num_visible", 20.0), maps.m("terrain"), maps.m("roof") == 0
     low, high = np.quantile(ground, [0.1, 0.9])
     assert seen[bare & (ground >= high)].mean() >= seen[bare & (ground <= low)].mean()
-
-
-def test_run_json_tells_of_the_rasters(folder):
     record = json.loads((folder / "run.json").read_text())
     assert record["buildings"]["height_origin_shares"] == {"raster": 1.0}
     assert 0 < record["buildings"]["highest_m"] <= 52
@@ -70,26 +64,29 @@ def test_run_json_tells_of_the_rasters(folder):
     assert all(0 <= share <= 1 for share in record["rays_leave_data_share"].values())
 
 
-def test_missions_over_the_hills_keep_their_height_above_ground_as_mavsdk_reads_them(folder, tmp_path):
+def flown(file, grid):
+    """Return how high home is, and easting, northing and altitude of a mission's places ``[3, N]``."""
+    lon, lat, z_m = read_plan(file).T
+    home_m = json.loads(file.read_text())["mission"]["plannedHomePosition"][2]
+    return home_m, np.stack([*grid.xy_of_lonlat(lon, lat), z_m + home_m])
+
+
+def test_missions_over_the_hills_keep_their_height_above_ground(folder, tmp_path):
     maps, file, apart_m, rng = ju.open_maps(folder), tmp_path / "path.plan", [], np.random.default_rng(5)
     free, terrain_m = np.argwhere(maps.is_free(60.0)), maps.m("terrain")
     weighted = cost_map(maps, 60.0)
-    with mission_reader() as reader:
-        uphill = free[np.argsort(terrain_m[tuple(free.T)])[-200:]]
-        for start, goal in zip(rng.permutation(free)[:10], rng.permutation(uphill)[:10], strict=True):
-            ends = (XY(*maps.grid.xy_of_cell(*cell)) for cell in (start, goal))
-            path = weighted.plan(*ends, planner="astar-dist")
-            write_path(path, file, end="none")
-            _, places = reader.read(file)
-            home_m = json.loads(file.read_text())["mission"]["plannedHomePosition"][2]
-            assert home_m == pytest.approx(terrain_m[tuple(start)], abs=0.01)
-            flown = shapely.LineString(np.column_stack([*maps.grid.xy_of_lonlat(*places[:, :2].T), places[:, 2]]))
-            assert flown.hausdorff_distance(shapely.LineString(path.xy_m)) < 0.05
-            for xy_m in path.xy_m:  # the middles of cells, where the raster says how high the ground is
-                above_m = home_m + flown.interpolate(flown.project(shapely.Point(xy_m))).z
-                above_m -= terrain_m[maps.grid.cell_of_xy(*xy_m)]
-                assert 60.0 - 0.02 < above_m < 60.0 + GROUND_TOLERANCE_M
-            apart_m.append(abs(places[-1, 2] - 60.0))
+    uphill = free[np.argsort(terrain_m[tuple(free.T)])[-200:]]
+    for start, goal in zip(rng.permutation(free)[:10], rng.permutation(uphill)[:10], strict=True):
+        path = weighted.plan(*(XY(*maps.grid.xy_of_cell(*cell)) for cell in (start, goal)), planner="astar-dist")
+        write_path(path, file, end="none")
+        home_m, xyz_m = flown(file, maps.grid)
+        assert home_m == pytest.approx(terrain_m[tuple(start)], abs=0.01)
+        line = shapely.LineString(xyz_m.T)
+        assert line.hausdorff_distance(shapely.LineString(path.xy_m)) < 0.05
+        for xy_m in path.xy_m:  # the middles of cells, where the raster says how high the ground is
+            above_m = line.interpolate(line.project(shapely.Point(xy_m))).z - terrain_m[maps.grid.cell_of_xy(*xy_m)]
+            assert 60.0 - 0.02 < above_m < 60.0 + GROUND_TOLERANCE_M
+        apart_m.append(abs(xyz_m[2, -1] - home_m - 60.0))
     assert max(apart_m) > 20.0  # what it would be off the ground were the ground's difference left out
 
 
@@ -106,9 +103,7 @@ def test_forty_simplified_missions_keep_the_clearance_over_every_roof_that_a_leg
     for start, goal in cells[:80].reshape(40, 2, 2):
         ends = (XY(*grid.xy_of_cell(*cell)) for cell in (start, goal))
         write_path(ju.simplify(on.plan(*ends, planner="theta-star"), on, 5.0), file)
-        lon, lat, z_m = read_plan(file).T
-        z_m += json.loads(file.read_text())["mission"]["plannedHomePosition"][2]
-        x_m, y_m = grid.xy_of_lonlat(lon, lat)
+        _, (x_m, y_m, z_m) = flown(file, grid)
         along_m = np.append(0.0, np.cumsum(np.hypot(np.diff(x_m), np.diff(y_m))))
         at_m = np.arange(0.0, along_m[-1], 0.1)
         x_m, y_m, z_m = (np.interp(at_m, along_m, values) for values in (x_m, y_m, z_m))
