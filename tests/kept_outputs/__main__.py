@@ -10,7 +10,6 @@ import contextlib
 import io
 import json
 import re
-import runpy
 import shlex
 import shutil
 import sys
@@ -25,6 +24,7 @@ import pandas as pd
 import tomli_w
 
 import jaxurban as ju
+from jaxurban.cli.main import main
 
 HERE = Path(__file__).parent
 SCENES = tomllib.loads((HERE / "scenes.toml").read_text(encoding="utf-8"))
@@ -50,13 +50,13 @@ class Row(NamedTuple):
 
 def command(words: list[str]) -> str:
     """Run a command of jaxurban in this process and return what it prints; no path is no failure."""
-    printed, sys.argv = io.StringIO(), ["jaxurban", *words]
-    try:
-        with contextlib.redirect_stdout(printed):
-            runpy.run_module("jaxurban", run_name="__main__")
-    except SystemExit as end:
-        if end.code not in (None, 0, 3):
-            raise RuntimeError(f"{shlex.join(sys.argv)} ended with {end.code}") from end
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        try:
+            main(words)
+        except SystemExit as end:
+            if end.code not in (None, 0, 3):
+                raise RuntimeError(f"jaxurban {shlex.join(words)} ended with {end.code}") from end
     return printed.getvalue()
 
 
@@ -153,7 +153,14 @@ def kept(name: str) -> tuple[dict[str, np.ndarray], Numbers]:
         return dict(arrays), json.loads((HERE / f"{name}.json").read_text(encoding="utf-8"))
 
 
-def main() -> None:
+def compared(name: str, folder: Path) -> list[Row]:
+    """Return how what is made of a scene in a folder differs from what is kept."""
+    arrays, numbers = made(name, folder)
+    old_arrays, old_numbers = kept(name)
+    return [*judge_maps(old_arrays, arrays), *judge_numbers(old_numbers, numbers)]
+
+
+def compare_or_renew() -> None:
     """Compare or renew the scenes that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=("compare", "renew"))
@@ -164,19 +171,18 @@ def main() -> None:
     is_same = True
     for name in asked.scenes or SCENES:
         with tempfile.TemporaryDirectory(prefix="kept-outputs-") as folder:
-            arrays, numbers = made(name, Path(folder))
-        if asked.what == "renew":
-            np.savez_compressed(HERE / f"{name}.npz", **arrays)
-            (HERE / f"{name}.json").write_text(json.dumps(numbers, indent=0) + "\n", encoding="utf-8")
-            continue
-        old_arrays, old_numbers = kept(name)
-        for row in (*judge_maps(old_arrays, arrays), *judge_numbers(old_numbers, numbers)):
-            is_same &= row.is_same
-            verdict = "same" if row.is_same else "DIFFERENT"
-            print(f"{name:<10} {row.what:<28} {row.difference:<44} {row.allowed:<20} {verdict}")
+            if asked.what == "renew":
+                arrays, numbers = made(name, Path(folder))
+                np.savez_compressed(HERE / f"{name}.npz", **arrays)
+                (HERE / f"{name}.json").write_text(json.dumps(numbers, indent=0) + "\n", encoding="utf-8")
+                continue
+            for row in compared(name, Path(folder)):
+                is_same &= row.is_same
+                verdict = "same" if row.is_same else "DIFFERENT"
+                print(f"{name:<10} {row.what:<28} {row.difference:<44} {row.allowed:<20} {verdict}")
     if not is_same:
         sys.exit(RENEWING)
 
 
 if __name__ == "__main__":
-    main()
+    compare_or_renew()
