@@ -17,7 +17,7 @@ answering = $(shell for version in $(1); do for python in python$$version "env P
 NEWEST_PYTHON = $(call answering,3.14 3.13 3.12)
 FLOOR := $(shell sed -n 's/^requires-python = ">=\(.*\)"/\1/p' pyproject.toml)
 
-.PHONY: demo test test-newest renew-newest test-oldest test-slow test-docs campaign lint wheel notebooks figures figures-small bench bench-gpu cuda-compile docs clean
+.PHONY: demo test test-newest renew-newest test-oldest test-slow test-docs lint wheel notebooks figures figures-small bench bench-gpu cuda-compile docs clean
 
 demo: $(VENV)/.run
 	$(BIN)/jaxurban demo -o out/demo --overwrite
@@ -46,10 +46,6 @@ test-oldest: $(OLDEST)/.dev
 # All tests that are marked slow, by the marker alone: tests/test_suite.py holds that `.ci/run` runs each.
 test-slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
-
-# Some 1,300 hostile inputs and 60 kills: half an hour. PART and KILLS make it less.
-campaign: $(VENV)/.dev
-	$(BIN)/python -m tests.campaign --part $(or $(PART),1) --kills $(or $(KILLS),60)
 
 test-docs: $(VENV)/.dev
 	$(BIN)/python -m pytest -m 'slow or not slow' tests/test_docs.py
