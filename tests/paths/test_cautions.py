@@ -143,18 +143,14 @@ def test_segments_without_a_fix_are_told_with_their_places(maps):
     assert unknown in ju.cautions(straight(maps), series)
 
 
-def test_the_nearest_building_and_the_least_height_over_a_roof_are_told(maps):
+def test_the_nearest_building_the_least_height_over_a_roof_and_an_end_over_one_are_told(maps):
     told = ju.cautions(straight(maps), maps)
     assert re.match(r"Buildings: the nearest at flight height is 35\.0 m away, (49|5\d)\d m along the route\.", told[1])
     assert re.match(r"Roofs: the least height over one is 8\.0 m, [12]\d\d m .* \(a roof of 12\.0 m\)\.", told[2])
-    assert not any("The start" in line or "The goal" in line for line in told)
-
-
-def test_an_end_over_a_roof_is_told(maps):
-    told = ju.cautions(straight(maps, first=33), maps)
-    assert "The start is over a roof of 12.0 m, not over the ground." in told
-    assert not any("The goal" in line for line in told)
-    assert "The goal is over a roof of 12.0 m, not over the ground." in ju.cautions(straight(maps, last=33), maps)
+    for options, ends in (({}, []), ({"first": 33}, ["start"]), ({"last": 33}, ["goal"])):
+        told = ju.cautions(straight(maps, **options), maps)
+        at_ends = [line for line in told if line.startswith(("The start", "The goal"))]
+        assert at_ends == [f"The {end} is over a roof of 12.0 m, not over the ground." for end in ends]
 
 
 def test_roofs_that_touch_a_cell_count_where_the_maps_hold_them(maps):
@@ -179,15 +175,16 @@ def test_a_route_through_cells_that_a_building_touches_is_not_told_as_over_its_r
 
 def test_what_may_stand_outside_the_region_is_no_nearer_than_the_border(maps):
     bare = with_roofs(maps, np.zeros(maps.grid.shape, np.float32))
-    for on, nearest_m in ((bare, np.inf), (maps, 195.0)):
-        path = ju.plan(on, **ends_at(on, (1, 60), (4, 60)), altitude_m=ALTITUDE_M, objective="distance")
+    south, north = ends_at(maps, (1, 60), (4, 60)), ends_at(maps, (38, 60), (35, 60))
+    for on, ends, nearest_m in ((bare, south, np.inf), (maps, south, 195.0), (maps, north, 65.0)):
+        path = ju.plan(on, **ends, altitude_m=ALTITUDE_M, objective="distance")
         totals = ju.explain(path, on).totals
         assert (totals["walls_outside_m"], totals["nearest_wall_m"]) == (15.0, nearest_m)
         (caution,) = (each for each in ju.cautions(path, on) if each.startswith("Buildings"))
         assert caution.startswith("Buildings: none at flight height is within 15.0 m")
         assert "what stands beyond their border is not known" in caution
         assert caution.level == "note"
-        assert ("in the region the nearest is 195.0 m away" in caution) == np.isfinite(nearest_m)
+        assert (f"in the region the nearest is {nearest_m} m away" in caution) == np.isfinite(nearest_m)
 
 
 def test_satellites_are_whole_numbers_and_between_two_altitudes_those_of_the_lower_map(maps):

@@ -17,13 +17,14 @@ ALTITUDE_M = 20.0
 MADE = made_maps(40, 60)
 CELLS = np.argwhere(MADE.is_free(ALTITUDE_M))[[5, -9]]
 START, GOAL = (tuple(map(float, MADE.grid.lonlat_of_cell(*cell))) for cell in CELLS)
-PLANNING = [
-    {},
-    {"vertical_clearance_m": 0.0, "obstacles": "centre"},
-    {"clearance_m": 1.0, "cost_model": "cell", "connectivity": 4},
-    {"preset": "paper", "vertical_clearance_m": 3.0},
-    {"planner": "astar-dist", "objective": "distance"},
-    {"planner": "theta-star", "seed": 5, "budget_s": 9.0},
+PLANNING = [  # with the preset that is named
+    ({}, ""),
+    ({}, "paper"),
+    ({"vertical_clearance_m": 0.0, "obstacles": "centre"}, ""),
+    ({"clearance_m": 1.0, "cost_model": "cell", "connectivity": 4}, "paper"),
+    ({"preset": "paper", "vertical_clearance_m": 3.0}, ""),
+    ({"planner": "astar-dist", "objective": "distance"}, "paper"),
+    ({"planner": "theta-star", "seed": 5, "budget_s": 9.0}, ""),
 ]
 
 
@@ -42,8 +43,7 @@ def command(capsys, name, folder, *options):
     return json.loads(out)
 
 
-@pytest.mark.parametrize("preset", ["", "paper"])
-@pytest.mark.parametrize("planning", PLANNING, ids=lambda planning: ",".join(planning) or "none")
+@pytest.mark.parametrize(("planning", "preset"), PLANNING)
 def test_python_plans_over_a_folder_as_the_command_does(planning, preset, tmp_path, capsys):
     weights = ju.Weights(distance=0.02, gps=3.0, risk=0.5).to_dict()
     folder = folder_of(tmp_path / "a", planning=planning, vehicle={"radius_m": 3.0, "speed_m_s": 9.0}, weights=weights)

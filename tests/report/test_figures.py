@@ -173,32 +173,29 @@ def test_dops_beyond_the_scale_are_drawn_as_its_end():
     assert drawn(panel)[row, col] == to_hex(matplotlib.colormaps["viridis_r"](1.0))
 
 
-def test_gps_rating_has_the_papers_classes(maps):
-    figure = plotting.plot_gps_rating(maps)
+def test_classes_people_and_costs_have_the_colours_of_their_values(maps):
+    rating, people = plotting.plot_gps_rating(maps), plotting.plot_population(maps)
+    cost, choice = plotting.plot_paths(maps, (), altitudes_m=[20.0]), plotting.plot_sensor_choice(maps)
     gdop, is_free = maps.m("gdop", 20.0), maps.is_free(20.0, "centre")
-    colours = drawn(panels_of(figure)[0])
     steps = matplotlib.colormaps["viridis"](np.linspace(1, 0, 6))
-    assert set(colours[is_free & (gdop > 4) & (gdop <= 6)]) == {to_hex(steps[2])}
-    assert set(colours[is_free & (gdop > 8) & (gdop <= 20)]) == {to_hex(steps[4])}
-
-
-def test_sensor_choice_is_gps_where_it_beats_lidar(maps):
-    figure = plotting.plot_sensor_choice(maps)
-    for panel, z in zip(panels_of(figure), ALTITUDES_M, strict=True):
+    at_night = maps.m("density", time_of_day="night")[5, 20]
+    share = 1 + np.log10(at_night / maps.ds["density"].values.max()) / 3  # of one scale for day and night
+    norm = np.where(is_free, maps.normalised(20.0, time_of_day="day"), np.nan)
+    expected = [
+        (rating, 0, is_free & (gdop > 4) & (gdop <= 6), to_hex(steps[2])),
+        (rating, 0, is_free & (gdop > 8) & (gdop <= 20), to_hex(steps[4])),
+        (people, 0, np.s_[:, :10], "#ffffff"),
+        (people, 1, np.s_[5:6, 20:21], to_hex(matplotlib.colormaps["magma_r"](share))),
+        (cost, 0, norm == np.nanmin(norm), "#000000"),
+        (cost, 0, norm == np.nanmax(norm), "#ffffff"),
+    ]
+    for k, z in enumerate(ALTITUDES_M):
         is_gps, is_free = maps.m("gps", z) > maps.m("lidar", z), maps.is_free(z, "centre")
-        colours = drawn(panel)
-        assert set(colours[is_free & is_gps].tolist()) <= {METRICS["gps"].colour}
-        assert set(colours[is_free & ~is_gps].tolist()) <= {METRICS["lidar"].colour}
-        assert f"{z:g} m  ·  GPS in {percent(is_gps[is_free].mean())}" in texts_of(figure)
-
-
-def test_people_of_both_times_share_one_scale(maps):
-    colours = [drawn(panel) for panel in panels_of(plotting.plot_population(maps))]
-    assert set(colours[0][:, :10].ravel()) == {"#ffffff"}
-    scale = matplotlib.colormaps["magma_r"]
-    highest = maps.ds["density"].values.max()
-    share = 1 + np.log10(maps.m("density", time_of_day="night")[5, 20] / highest) / 3
-    assert colours[1][5, 20] == to_hex(scale(share))
+        assert f"{z:g} m  ·  GPS in {percent(is_gps[is_free].mean())}" in texts_of(choice)
+        for name, cells in (("gps", is_free & is_gps), ("lidar", is_free & ~is_gps)):
+            expected += [(choice, k, cells, METRICS[name].colour)] if cells.any() else []
+    for figure, k, cells, colour in expected:
+        assert set(drawn(panels_of(figure)[k])[cells].ravel()) == {colour}
 
 
 def test_paths_have_the_papers_colours_and_coinciding_ones_both_show(maps):
@@ -302,13 +299,6 @@ def test_twelve_paths_have_twelve_colours_and_stay_lines(maps):
     widths = [line.get_linewidth() for line in lines]
     assert sorted(set(widths), reverse=True) == widths
     assert widths[0] < 10
-
-
-def test_cost_is_black_where_best_and_white_where_worst(maps):
-    colours = drawn(panels_of(plotting.plot_paths(maps, (), altitudes_m=[20.0]))[0])
-    norm = np.where(maps.is_free(20.0, "centre"), maps.normalised(20.0, time_of_day="day"), np.nan)
-    assert colours[np.unravel_index(np.nanargmin(norm), norm.shape)] == "#000000"
-    assert colours[np.unravel_index(np.nanargmax(norm), norm.shape)] == "#ffffff"
 
 
 @pytest.mark.parametrize(("rows", "cols", "resolution_m"), [(34, 40, 100.0), (100, 50, 200.0), (30, 75, 20.0)])
