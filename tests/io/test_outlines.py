@@ -108,6 +108,14 @@ def on_one_square(num, **columns):
 
 WHOLE, WEST, EAST = box(0, 0, 10, 10), box(0, 0, 5, 10), box(5, 0, 10, 10)
 REPLACED = {"outlines_replaced_by_parts": 1}
+OF_TWO = {"building": ["yes", "yes", None], "part": [None, None, "yes"], "height": ["40", "60", None]}
+NO = {"building": ["no", "yes", "no", "false", None], "part": [None, "no", "yes", None, None], "height": list("12345")}
+LAYERS = {
+    "building": ["yes"] * 6,
+    "location": ["underground", "indoor", None, None, None, None],
+    "layer": [None, None, "-1", "2", "0", "ground"],
+    "height": list("123456"),
+}
 CASES = {
     "covered to nine tenths": (over(WEST, box(5, 0, 9, 10)), [], [30, 30], REPLACED),
     "covered less": (over(WEST, box(5, 0, 8.9, 10)), [50], [30, 30], {}),
@@ -117,51 +125,19 @@ CASES = {
     "a part in a tunnel": (over(WHOLE, location=[None, "underground"]), [50], [], {"underground": 1}),
     "a part of a layer below": (over(WHOLE, layer=["1", "-1"]), [50], [], {"underground": 1}),
     "an outline that is a part too": (
-        {"polygons": [WHOLE, WHOLE], "building": ["yes", "yes"], "part": ["yes", None], "height": ["8", "9"]},
-        [],
-        [8],
-        REPLACED,
+        on_one_square(2, building=["yes", "yes"], part=["yes", None], height=["8", "9"]),
+        *([], [8], REPLACED),
     ),
-    "tagged no": (
-        {
-            "polygons": [box(2 * i, 0, 2 * i + 1, 1) for i in range(5)],
-            "building": ["no", "yes", "no", "false", None],
-            "part": [None, "no", "yes", None, None],
-            "height": ["1", "2", "3", "4", "5"],
-        },
-        [2],
-        [3],
-        {"not_buildings": 3},
-    ),
-    "underground, and other layers": (
-        on_one_square(
-            6,
-            building=["yes"] * 6,
-            location=["underground", "indoor", None, None, None, None],
-            layer=[None, None, "-1", "2", "0", "ground"],
-            height=["1", "2", "3", "4", "5", "6"],
-        ),
-        [2, 4, 5, 6],
-        [],
-        {"underground": 2},
-    ),
+    "tagged no": (NO | {"polygons": [box(2 * i, 0, 2 * i + 1, 1) for i in range(5)]}, [2], [3], {"not_buildings": 3}),
+    "underground, and other layers": (on_one_square(6, **LAYERS), [2, 4, 5, 6], [], {"underground": 2}),
     "no column says what is a building": (on_one_square(2, height=["1", None]), [1, 10], [], {}),
     "parts without height take their outline's": (
         over(WEST, EAST, part_height=None),
-        [],
-        [50, 50],
-        REPLACED | {"parts_given_outline_height": 2},
+        *([], [50, 50], REPLACED | {"parts_given_outline_height": 2}),
     ),
     "a part takes the highest of its outlines": (
-        {
-            "polygons": [WHOLE, box(0, 0, 20, 20), box(1, 1, 9, 5)],
-            "building": ["yes", "yes", None],
-            "part": [None, None, "yes"],
-            "height": ["40", "60", None],
-        },
-        [40, 60],
-        [60],
-        {"parts_given_outline_height": 1},
+        OF_TWO | {"polygons": [WHOLE, box(0, 0, 20, 20), box(1, 1, 9, 5)]},
+        *([40, 60], [60], {"parts_given_outline_height": 1}),
     ),
     "neither part nor outline has a height": (over(WHOLE, height=None, part_height=None), [], [10], REPLACED),
 }
