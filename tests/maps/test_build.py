@@ -115,12 +115,8 @@ def test_normalised_map_spans_free_cells(maps):
 
 
 def test_one_run_over_several_resolutions_shares_its_box(tmp_path):
-    scenario = Scenario.from_dict(
-        {
-            "region": {"bounds": [-74.0, 40.755, -73.99, 40.765], "resolution_m": [20, 10], "altitudes_m": 20},
-            "buildings": {"source": "synthetic"},
-        }
-    )
+    region = {"bounds": [-74.0, 40.755, -73.995, 40.76], "resolution_m": [20, 10], "altitudes_m": 20}
+    scenario = Scenario.from_dict({"region": region, "buildings": {"source": "synthetic"}})
     run = run_scenario(scenario, tmp_path)
     assert len({maps.grid.bounds_m for maps in run.maps.values()}) == 1
     assert read_json(tmp_path / "run.json") == run.record

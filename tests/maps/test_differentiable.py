@@ -23,16 +23,9 @@ from tests.metrics.whole_maps import compute_gps
 
 AZIMUTH_RAD = np.radians([10.0, 80.0, 190.0, 285.0, 140.0])
 ELEVATION_RAD = np.radians([35.0, 50.0, 25.0, 40.0, 65.0])
-PARAMS = SoftParams(
-    ALTITUDE_M,
-    2.0,
-    {
-        "gps": Gps(20.0),
-        "lidar": Lidar(beams=2, field_of_view_deg=(-9.0, 6.0), azimuths=16, range_m=33.0),
-        "risk": Risk(37.0),
-        "population": Population(normalise=400_000.0),
-    },
-)
+LIDAR = Lidar(beams=2, field_of_view_deg=(-9.0, 6.0), azimuths=16, range_m=33.0)
+SECTIONS = {"gps": Gps(20.0), "lidar": LIDAR, "risk": Risk(37.0), "population": Population(normalise=400_000.0)}
+PARAMS = SoftParams(ALTITUDE_M, 2.0, SECTIONS)
 WEIGHTS = Weights(0.05, gps=1.0, lidar=0.7, population=0.4, risk=1.2)
 START, GOAL = (1, 1), (13, 16)
 REACH_M = (("gps", 0.0), ("lidar", 40.0), ("population", 0.0), ("risk", 40.0))
@@ -88,13 +81,12 @@ def visits_of(problem):
 
 def test_softness_0_gives_the_costs_of_the_exact_maps(soft):
     found = dict(zip(soft.names, layers_of(soft, soft.height_m, replace(PARAMS, softness_m=0.0)), strict=True))
-    surface, sections = surface_of(HEIGHT_M.astype(np.float32), BUILDING), PARAMS.sections
-    exact = {
-        "gps": compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, [ALTITUDE_M], sections["gps"]).m,
-        "lidar": compute_lidar(surface, [ALTITUDE_M], sections["lidar"]),
-        "risk": compute_risk(surface, [ALTITUDE_M], sections["risk"]),
-    }
-    for name, m in exact.items():
+    surface = surface_of(HEIGHT_M.astype(np.float32), BUILDING)
+    for name, m in (
+        ("gps", compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, [ALTITUDE_M], SECTIONS["gps"]).m),
+        ("lidar", compute_lidar(surface, [ALTITUDE_M], LIDAR)),
+        ("risk", compute_risk(surface, [ALTITUDE_M], SECTIONS["risk"])),
+    ):
         np.testing.assert_allclose(found[name], 1 - m[0], atol=2e-6, err_msg=name)
 
 
@@ -159,7 +151,7 @@ def test_one_program_serves_other_values_and_other_skies(soft):
         (soft, soft.height_m + 1, PARAMS),
         (replace(soft, view=SkyView.of(soft.surface, AZIMUTH_RAD + 0.3, ELEVATION_RAD)), soft.height_m, PARAMS),
         (soft, soft.height_m, replace(with_sections(risk=Risk(25.0)), altitude_m=31.0, softness_m=0.5)),
-        (soft, soft.height_m, with_sections(gps=Gps(9.0), lidar=replace(PARAMS.sections["lidar"], range_m=21.0))),
+        (soft, soft.height_m, with_sections(gps=Gps(9.0), lidar=replace(LIDAR, range_m=21.0))),
     ):
         assert float(jnp.abs(layers_of(*arguments) - first).max()) > 1e-3
     assert layers_of._cache_size() == compiled == 1

@@ -82,12 +82,8 @@ def test_on_lower_manhattan_the_bits_are_equal(data_dir):
     bounds = (-74.02, 40.70, -73.98, 40.73)
     town = ju.City.from_files(data_dir / "osm" / "lower-manhattan.osm.pbf", bounds=bounds)
     orbits = data_dir / "gps" / "gps-ops_2020-04-27.tle"
-    assert_same(
-        *(
-            ju.build_maps(town, bounds, altitudes_m=(20.0, 60.0, 122.0), engine=engine, gps=ju.Gps(orbits=orbits)).ds
-            for engine in ("numba", "jax")
-        )
-    )
+    how = {"altitudes_m": (20.0, 60.0, 122.0), "gps": ju.Gps(orbits=orbits)}
+    assert_same(*(ju.build_maps(town, bounds, engine=engine, **how).ds for engine in ("numba", "jax")))
 
 
 def test_what_is_traced_is_jaxs_and_auto_is_numba_on_a_cpu_alone():
@@ -116,6 +112,7 @@ def test_a_wrong_engine_is_one_sentence(town, tmp_path, capsys):
     assert run(capsys, "maps", town, "-o", tmp_path, "--engine", "jx")[0] == 2
 
 
+@pytest.mark.slow
 def test_a_run_records_its_engine_and_another_one_keeps_its_maps(town, tmp_path, capsys, called):
     def engines(*options):
         assert run(capsys, "maps", town, "-o", tmp_path / "out", *options)[0] == 0

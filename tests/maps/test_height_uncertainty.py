@@ -37,11 +37,10 @@ def sky():
     return view_sky(REGION, ju.Gps(times=["2020-04-27T16:00:00Z"]))
 
 
-def spread_of(city, sky, region=REGION, *, num_samples, seed=0, height_std=DEFAULT):
+def spread_of(city, sky, *, num_samples, seed=0, height_std=DEFAULT):
     heights = ju.Heights(height_samples=num_samples, height_seed=seed, height_std_m=height_std)
-    ds = compute_maps(
-        MapTask(city, region, sky, MapParams((12.0, 31.0), heights=heights, sections={"lidar": LIDAR}))
-    ).ds
+    params = MapParams((12.0, 31.0), heights=heights, sections={"lidar": LIDAR})
+    ds = compute_maps(MapTask(city, REGION, sky, params)).ds
     names = [f"{metric}_{what}" for metric in ("gps", "lidar", "risk") for what in ("mean", "std", "p05", "p95")]
     return ds[[*names, "obstacle_share"]]
 
@@ -92,14 +91,6 @@ def test_a_roof_moves_as_a_whole_and_a_seed_repeats_its_draws(city, sky):
     again, other = (spread_of(city, sky, num_samples=8, seed=seed) for seed in (4, 5))
     assert spread.identical(again)
     assert not spread.identical(other)
-
-
-def test_the_spread_of_a_tile_is_the_crop_of_the_whole(city, sky):
-    tile = Grid(UTM, 10.0, REGION.first_row + 3, REGION.first_col + 2, 6, 7)
-    whole, part = (spread_of(city, sky, region, num_samples=4) for region in (REGION, tile))
-    rows, cols = tile.window_in(REGION)
-    for name in part:
-        np.testing.assert_array_equal(part[name], whole[name][..., rows, cols])
 
 
 def test_a_height_raster_moves_by_connected_buildings(city):

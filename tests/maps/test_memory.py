@@ -32,25 +32,14 @@ from tests.cli_runs import run
 GIB = 2**30
 
 
-@pytest.mark.parametrize(
-    ("text", "num_bytes"), [("4GiB", 4 * GIB), ("512 MB", 512 * 2**20), ("1.5g", 3 * GIB // 2), ("2048", 2048)]
-)
-def test_sizes_are_read(text, num_bytes):
-    assert parse_bytes(text) == num_bytes
-
-
-@pytest.mark.parametrize("text", ["", "GiB", "-4GiB", "0", "4 gigs", "4GiB free"])
-def test_what_is_no_size_is_refused(text):
-    with pytest.raises(InputError, match="such as 4GiB"):
-        parse_bytes(text)
-
-
-@pytest.mark.parametrize(
-    ("num_bytes", "said"),
-    [(1, "less than 1 MiB"), (90 * 2**20, "90 MiB"), (1.26 * GIB, "1.3 GiB"), (2000 * GIB, "2,000 GiB")],
-)
-def test_sizes_are_told_as_people_read_them(num_bytes, said):
-    assert told_bytes(num_bytes) == said
+def test_sizes_are_read_and_said_as_people_write_them():
+    for text, num_bytes in (("4GiB", 4 * GIB), ("512 MB", 512 * 2**20), ("1.5g", 3 * GIB // 2), ("2048", 2048)):
+        assert parse_bytes(text) == num_bytes
+    for text in ("", "GiB", "-4GiB", "0", "4 gigs", "4GiB free"):
+        with pytest.raises(InputError, match="such as 4GiB"):
+            parse_bytes(text)
+    sizes = {1: "less than 1 MiB", 90 * 2**20: "90 MiB", 1.26 * GIB: "1.3 GiB", 2000 * GIB: "2,000 GiB"}
+    assert [told_bytes(num_bytes) for num_bytes in sizes] == [*sizes.values()]
 
 
 @pytest.fixture

@@ -167,11 +167,9 @@ def test_masked_and_infinite_values_are_no_values(is_masked):
 
 @pytest.mark.slow
 def test_a_scenario_names_a_raster_layer(tmp_path):
-    settings = {
-        "region": {"bounds": [-74.0, 40.755, -73.993, 40.761], "resolution_m": 20, "altitudes_m": [20]},
-        "buildings": {"source": "synthetic"},
-        "layers": {"noise": {"source": "noise.tif", "cost": "high-is-bad", "scale": [0, 80]}},
-    }
+    region = {"bounds": [-74.0, 40.755, -73.993, 40.761], "resolution_m": 20, "altitudes_m": [20]}
+    layers = {"noise": {"source": "noise.tif", "cost": "high-is-bad", "scale": [0, 80]}}
+    settings = {"region": region, "buildings": {"source": "synthetic"}, "layers": layers}
     (tmp_path / "scenario.toml").write_text(Scenario.from_dict(settings).to_toml())
     scenario = Scenario.from_toml(tmp_path / "scenario.toml")
     grid = ju.Grid.from_bounds(scenario.region.bounds, 20.0, None)

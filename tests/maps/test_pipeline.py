@@ -101,6 +101,7 @@ def test_where_the_terrain_is_unknown_the_maps_are_too_and_the_cost_s_derivative
     assert float(by_risk) == pytest.approx(maps["cost"].shape[1] * np.nansum(risk_cost), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_over_times_it_is_every_time_s_maps(task, inputs, views):
     assert len({len(task.in_view(t).numbers) for t in range(task.num_times)}) > 1  # some skies are filled up
     made = jax.jit(jax.vmap(all_maps, (None, 0)))(inputs, views)
@@ -143,6 +144,7 @@ def replace_leaf(params, name, value):
     return jax.tree_util.tree_unflatten(tree, [value if path[0].name == name else leaf for path, leaf in leaves])
 
 
+@pytest.mark.slow
 def test_it_is_exported_for_cpu_and_cuda_and_read_back(inputs, views):
     sky = at(views, 0)
     leaves, tree = jax.tree.flatten((inputs, sky))

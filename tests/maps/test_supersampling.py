@@ -1,6 +1,5 @@
 """Supersampling: the answers of the supersampled surface at the map's cells, crops, bounds."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -8,6 +7,7 @@ from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
 from jaxurban.metrics.visibility import bounding_visibility, visibility
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface, obstacle_mask
+from tests.metrics.whole_maps import surface_on
 
 UTM = "EPSG:32618"
 OUTER = Grid(UTM, 6.0, 750_000, 96_000, 40, 44)
@@ -24,8 +24,7 @@ def fine_city(oversample: int, terrain: bool = False) -> Surface:
     coarse = rng.uniform(0, 40, (20, 20)) * (rng.random((20, 20)) < 0.3)
     roof_m = coarse[row * 20 // grid.num_rows, col * 20 // grid.num_cols]
     ground_m = 6 * np.sin(row / grid.num_rows * 9) + 5 * np.cos(col / grid.num_cols * 7)
-    roof_m, ground_m = (jnp.asarray(values, jnp.float32) for values in (roof_m, ground_m))
-    return Surface(roof_m, ground_m if terrain else None, None, None, grid, region)
+    return surface_on(roof_m, grid, region, ground_m if terrain else None)
 
 
 @pytest.mark.parametrize("terrain", [False, True])

@@ -31,7 +31,11 @@ from tests.tiled_runs import RAGGED, check_tiles, files_of, make, task
 
 WORK = Path("maps.zarr") / ".20m.jaxurban-part"
 WIDE = Protection(1e4, 1e4, p_const_gps=0.0)  # of the few satellites of that sky
-STATISTICS = ["protection_availability", "protection_median", "protection_p05"]
+VARIED = {  # maps that must not be the same everywhere
+    "protection": ["protection", "hpl", "vpl", "within_limits"],
+    "protection's statistics": ["protection_availability", "protection_median", "protection_p05"],
+    "drawn heights": ["risk_std", "gps_p05", "obstacle_share"],
+}
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +77,7 @@ SLOW = {
     "protection's statistics": (lambda: with_section("statistics", protection=WIDE), (16, 16), {}),
     "slabs": (slabs, (34, 58), {}),
     "slabs that touch": (lambda: slabs(heights=Heights(all_touched=True)), (34, 58), {}),
+    "drawn heights": (lambda: slabs(heights=Heights(height_samples=3)), (34, 58), {}),
     "slabs and finer rays": (lambda: slabs(oversample=3), (34, 58), {}),
 } | {f"tiles of {shape}": (JOBS["epochs"][0], shape, {}) for shape in [(47, 39), (1, 39), (47, 5), (7, 11), (46, 38)]}
 
@@ -83,8 +88,7 @@ def test_tiles_equal_the_untiled_maps(name, tmp_path):
     found = check_tiles(of(), tmp_path, shape, **options)
     if "terrain with holes" in name:
         assert np.isnan(found["gps"].values).any()
-    varied = {"protection": ["protection", "hpl", "vpl", "within_limits"], "protection's statistics": STATISTICS}
-    for variable in varied.get(name, ["risk"]):
+    for variable in VARIED.get(name, ["risk"]):
         assert len(np.unique(found[variable])) > 1
 
 

@@ -20,15 +20,10 @@ def run(tmp_path_factory):
     for i, system in enumerate(WALKER):
         files.append(folder / f"{system}.tle")
         files[-1].write_text(walker_tle(system, 40_000 + 100 * i))
-    scenario = Scenario.from_dict(
-        {
-            "region": {"bounds": [-74.0, 40.755, -73.995, 40.76], "resolution_m": 20, "altitudes_m": [20, 800]},
-            "buildings": {"source": "synthetic"},
-            "gps": {"orbits": ["nominal", *map(str, files)], "times": [TIME], "mask_deg": 5.0},
-            "lidar": {"azimuths": 12},
-        }
-    )
-    return run_scenario(scenario, folder / "out"), folder / "out"
+    region = {"bounds": [-74.0, 40.755, -73.995, 40.76], "resolution_m": 20, "altitudes_m": [20, 800]}
+    gps = {"orbits": ["nominal", *map(str, files)], "times": [TIME], "mask_deg": 5.0}
+    sections = {"region": region, "buildings": {"source": "synthetic"}, "gps": gps, "lidar": {"azimuths": 12}}
+    return run_scenario(Scenario.from_dict(sections), folder / "out"), folder / "out"
 
 
 def test_more_than_32_satellites_of_four_systems_count_in_the_dops_of_an_open_sky(run):

@@ -15,7 +15,7 @@ from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky
 from jaxurban.world.surface import Surface
 from tests.embree_scene import CityScene
-from tests.metrics.whole_maps import seen
+from tests.metrics.whole_maps import seen, surface_on
 
 GRID = Grid("EPSG:32618", 5.0, 900_000, 100_000, 48, 48)
 REGION = Grid("EPSG:32618", 5.0, 900_012, 100_012, 24, 24)
@@ -43,10 +43,9 @@ class World:
         self.start_m = np.column_stack([*REGION.xy_of_cell(self.row, self.col), own_m + ALTITUDE_M])
 
     def surface(self, oversample: int = 1) -> Surface:
-        block = np.ones((oversample, oversample))
-        roof_m, terrain_m = (jnp.asarray(np.kron(v, block), jnp.float32) for v in (self.roof_m, self.terrain_m))
+        roof_m, terrain_m = (np.kron(v, np.ones((oversample, oversample))) for v in (self.roof_m, self.terrain_m))
         grid, region = GRID.refined(oversample), REGION.refined(oversample)
-        return Surface(roof_m, terrain_m if self.ground else None, None, None, grid, region)
+        return surface_on(roof_m, grid, region, terrain_m if self.ground else None)
 
     def is_clear(self, angles: np.ndarray) -> np.ndarray:
         """Return ``[S, N]`` whether the free cells see each direction."""

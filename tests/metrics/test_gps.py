@@ -116,7 +116,7 @@ def test_without_satellites_m_is_0():
     assert not np.any(maps.num_visible)
 
 
-@pytest.mark.parametrize(("num", "clocks"), [(20, None), (40, None), (20, Clocks(np.arange(20) % 2, 2))])
+@pytest.mark.parametrize(("num", "clocks"), [(40, None), (20, Clocks(np.arange(20) % 2, 2))])
 def test_maps_by_way_of_the_subsets_that_are_seen_are_those_of_every_cell_to_the_bit(num, clocks, monkeypatch):
     rng = np.random.default_rng(num)
     in_view = InView(rng.uniform(0, 2 * np.pi, num), rng.uniform(0.1, 1.5, num), (), clocks=clocks)

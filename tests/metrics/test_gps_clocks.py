@@ -94,13 +94,6 @@ def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task,
         np.testing.assert_array_equal(found, other)
 
 
-def test_new_metrics_are_there_only_where_they_are_asked_for(task, maps):
-    assert {*NEW} <= {*maps.ds.data_vars}
-    assert list(maps.metrics) == ["gps", "lidar", "population", "risk", *NEW]
-    plain = replace(task, params=replace(task.params, sections={}))
-    assert not {*NEW} & {*plain.metrics, *(name for metric in plain.metrics.values() for name in metric.variables)}
-
-
 def test_hdop_and_vdop_are_cost_layers_under_a_weight_and_limits_of_a_path(maps):
     for name, dop, threshold in (("gps_horizontal", "hdop", 4.0), ("gps_vertical", "vdop", 20.0)):
         expected = np.clip((threshold - np.minimum(maps.m(dop, Z_M), threshold)) / (threshold - 1), 0, 1)
@@ -122,15 +115,6 @@ def test_hdop_and_vdop_are_cost_layers_under_a_weight_and_limits_of_a_path(maps)
     assert 0 < kept.sum() < maps.is_free(Z_M).sum()
     bounded = ju.plan(maps, *ends, altitude_m=Z_M, constraints=limits, snap=200.0)
     assert "hdop" in str(bounded.settings["limits"])
-
-
-def test_maps_that_were_saved_hold_the_new_layers_and_say_what_they_are(maps, tmp_path):
-    held = ju.open_maps(maps.save(tmp_path / "maps", layers=("gdop", "hdop")))
-    assert list(held.metrics) == list(maps.metrics)
-    np.testing.assert_array_equal(held.m("gps_vertical", Z_M), maps.m("gps_vertical", Z_M))
-    assert held.ds["hdop"].attrs["long_name"] == "horizontal dilution of precision"
-    assert np.isnan(held.m("hdop", Z_M)[held.m("obstacle", Z_M) == 1]).all()
-    assert len([*(tmp_path / "maps" / "geotiff").glob("hdop_*.tif")]) == len(TIMES)
 
 
 def test_clocks_keep_their_numbers_at_every_time_and_skies_of_all_times_stack(task):

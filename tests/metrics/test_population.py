@@ -20,51 +20,41 @@ from jaxurban.world.city import Blocks, Zoning
 from tests.metrics.whole_maps import population_maps
 
 # Four blocks of 100 m x 100 m in a row: commercial, residential, other, empty.
+WEST_M = np.arange(4) * 100.0
 BLOCKS = Blocks(
-    polygons=shapely.box(np.arange(4) * 100.0, 0.0, np.arange(4) * 100.0 + 100.0, 100.0),
+    polygons=shapely.box(WEST_M, 0.0, WEST_M + 100.0, 100.0),
     night_count=np.array([100.0, 400.0, 200.0, 0.0]),
     district=np.array([101, 107, 13, 102], np.int32),
     zoning=np.array([Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER, Zoning.COMMERCIAL], np.uint8),
     block_id=np.array(["a", "b", "c", "d"], object),
 )
+UNEQUAL = replace(BLOCKS, polygons=shapely.box(WEST_M, 0.0, WEST_M + 100.0, [9, 1, 4, 1]))
 BLOCK = jnp.array([[0, 1, 2], [3, -1, 0]])
 
 
-def test_night_is_the_census_and_day_multiplies_by_gamma():
+def test_night_is_the_census_day_multiplies_by_gamma_and_the_densest_block_of_the_time_has_m_one():
     maps = population_maps(BLOCK, BLOCKS, ("night", "day"))
     np.testing.assert_allclose(maps.density_per_km2[0], [[1e4, 4e4, 2e4], [0, 0, 1e4]])
     np.testing.assert_allclose(maps.density_per_km2[1], [[3e4, 2e4, 1e4], [0, 0, 3e4]])
-
-
-def test_the_densest_block_of_the_time_of_day_has_m_one_and_cells_without_a_block_zero():
-    maps = population_maps(BLOCK, BLOCKS, ("night", "day"))
     np.testing.assert_allclose(maps.norm_per_km2, [4e4, 3e4])
-    np.testing.assert_allclose(maps.m[0], [[0.25, 1, 0.5], [0, 0, 0.25]])
     np.testing.assert_allclose(maps.m[1], [[1, 2 / 3, 1 / 3], [0, 0, 1]], rtol=1e-6)
     assert maps.m.dtype == jnp.float32
 
 
-def test_only_blocks_that_touch_the_region_set_the_maximum():
-    maps = population_maps(BLOCK, BLOCKS, ("night",), bounds_m=(210, 10, 290, 90))
-    np.testing.assert_allclose(maps.norm_per_km2, [2e4])
-    np.testing.assert_allclose(maps.m[0], [[0.5, 1, 1], [0, 0, 0.5]])
-
-
-def test_a_number_or_a_percentile_normalises_and_clips():
-    by_number = population_maps(BLOCK, BLOCKS, ("night",), Population(normalise=2e4))
-    np.testing.assert_allclose(by_number.m[0], [[0.5, 1, 1], [0, 0, 0.5]])
-    by_percentile = population_maps(BLOCK, BLOCKS, ("night",), Population(normalise="p50"))
-    np.testing.assert_allclose(by_percentile.norm_per_km2, [2e4])  # the median of the three inhabited blocks
-    np.testing.assert_allclose(by_percentile.m[0], by_number.m[0])
-
-
-def test_counts_ignore_the_area():
-    unequal = replace(
-        BLOCKS, polygons=shapely.box(np.arange(4) * 100.0, 0.0, np.arange(4) * 100.0 + 100.0, [9, 1, 4, 1])
-    )
-    maps = population_maps(BLOCK, unequal, ("night",), Population(quantity="count"))
-    np.testing.assert_allclose(maps.norm_per_km2, [400])
-    np.testing.assert_allclose(maps.m[0], [[0.25, 1, 0.5], [0, 0, 0.25]])
+@pytest.mark.parametrize(
+    ("blocks", "settings", "bounds_m", "norm", "m"),
+    [
+        (BLOCKS, {}, None, 4e4, [0.25, 1, 0.5]),
+        (BLOCKS, {}, (210, 10, 290, 90), 2e4, [0.5, 1, 1]),  # only blocks that touch the region count
+        (BLOCKS, {"normalise": 2e4}, None, 2e4, [0.5, 1, 1]),
+        (BLOCKS, {"normalise": "p50"}, None, 2e4, [0.5, 1, 1]),  # the median of the three inhabited blocks
+        (UNEQUAL, {"quantity": "count"}, None, 400, [0.25, 1, 0.5]),  # counts ignore the area
+    ],
+)
+def test_a_number_a_percentile_or_the_greatest_of_the_region_normalises_and_clips(blocks, settings, bounds_m, norm, m):
+    maps = population_maps(BLOCK, blocks, ("night",), Population(**settings), bounds_m)
+    np.testing.assert_allclose(maps.norm_per_km2, [norm])
+    np.testing.assert_allclose(maps.m[0], [m, [0, 0, m[0]]])
 
 
 def test_a_region_without_people_has_m_zero_everywhere():
