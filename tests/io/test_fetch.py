@@ -133,10 +133,8 @@ def test_a_dry_run_lists_the_requests_and_makes_none(server, tmp_path, capsys):
     assert (code, server.asked, (tmp_path / "a").exists()) == (0, [], False)
     assert [line.partition(":")[0] for line in out.splitlines()] == list(SOURCES)
     _, out, _ = fetch(capsys, server, tmp_path / "a", "--dry-run", "--json")
-    assert [row["url"] for row in json.loads(out)["requests"]][2:] == [
-        f"{server.url}/districts",
-        f"{server.url}/orbits",
-    ]
+    urls = [row["url"] for row in json.loads(out)["requests"]]
+    assert urls[2:] == [f"{server.url}/districts", f"{server.url}/orbits"]
 
 
 def test_only_what_is_asked_for_is_fetched(server, tmp_path, capsys):

@@ -75,10 +75,7 @@ def test_subcells_hold_the_area_of_a_deck(rasters):
 
 @pytest.mark.parametrize("with_terrain", [False, True])
 def test_a_part_of_a_grid_holds_the_slabs_of_the_whole(with_terrain):
-    whole, part = (
-        city(with_terrain=with_terrain),
-        replace(GRID, first_row=GRID.first_row + 60, num_rows=50, num_cols=77),
-    )
+    whole, part = city(with_terrain=with_terrain), Grid(CRS, 2.0, GRID.first_row + 60, GRID.first_col, 50, 77)
     large, small = rasterise(whole, GRID), rasterise(whole, part)
     row, col = large.slabs.row // PER_CELL - part.first_row, large.slabs.col // PER_CELL - part.first_col
     inside = (row >= 0) & (row < 50) & (col < 77)
@@ -101,8 +98,7 @@ BRIDGES = {  # their tags, from where to where they hang in metres, and whether 
 
 def test_decks_of_bridges_hang_by_their_tags_or_by_their_layer(tmp_path):
     tags, spans_m, guessed = zip(*BRIDGES.values(), strict=True)
-    rows = [
-        *({"man_made": "bridge"} | each for each in tags),
+    rows = [{"man_made": "bridge"} | each for each in tags] + [
         {"building": "yes", "height": "20"},
         {"man_made": "pier"},
     ]
@@ -132,16 +128,13 @@ def test_an_outline_stays_as_a_podium_under_hanging_parts_where_no_part_stands(t
     """A tower of 75 m of which a part from 20 m up and one from the ground are mapped: its lobby is no air."""
     x_m, y_m = X_M + 100, Y_M + 100
     lobby, standing = shapely.box(x_m, y_m, x_m + 40, y_m + 60), shapely.box(x_m + 40, y_m, x_m + 60, y_m + 60)
+    top, beside = (shapely.box(x, y_m + 10, x + 10, y_m + 20) for x in (x_m + 10, x_m + 200))
     tower = {
         shapely.union(lobby, standing): {"building": "yes", "height": "75"},
         lobby: {"building:part": "yes", "height": "75", "min_height": "20"},
-        shapely.box(x_m + 10, y_m + 10, x_m + 20, y_m + 20): {
-            "building:part": "yes",
-            "height": "90",
-            "min_height": "75",
-        },
+        top: {"building:part": "yes", "height": "90", "min_height": "75"},
         standing: {"building:part": "yes", "height": "30"},
-        shapely.box(x_m + 200, y_m, x_m + 220, y_m + 20): {"building": "yes", "height": "12"},
+        beside: {"building": "yes", "height": "12"},
     }
     path = tmp_path / "city.gpkg"
     geopandas.GeoDataFrame(list(tower.values()), geometry=list(tower), crs=CRS).to_file(path)

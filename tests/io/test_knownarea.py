@@ -80,7 +80,6 @@ def test_a_city_keeps_its_bounds_and_a_wreck_does_not_stretch_its_maps(tmp_path)
     assert (x_max - x_min) * (y_max - y_min) < 1e6
 
 
-@pytest.mark.slow
 def test_what_is_kept_beyond_a_declared_box_still_shadows(tmp_path):
     """Two boxes, of which libosmium tells the first: a tower in the second shadows the first's streets."""
     corners = shapely.box(-74.0120, 40.7000, -74.0100, 40.7020).exterior.coords

@@ -20,42 +20,35 @@ def coast(*points: tuple[float, float]) -> shapely.LineString:
     return shapely.LineString(points)
 
 
-def test_the_sea_is_on_the_right_of_a_coast_that_crosses_the_box():
-    northward = coast((1000, -500), (1000, 900), (1200, 2500))
-    wet = sea([northward], BOX)
-    assert shapely.contains_xy(wet, 2000, 1000)
-    assert not shapely.contains_xy(wet, 500, 1000)
-    dry = sea([shapely.reverse(northward)], BOX)
-    assert shapely.contains_xy(dry, 500, 1000)
-    assert shapely.area(wet) + shapely.area(dry) == pytest.approx(BOX.area)
+NORTHWARD, WEST = coast((1000, -500), (1000, 900), (1200, 2500)), coast((-1000, -5000), (-1000, 5000))
+ISLAND = [coast((1000, 500), (2000, 500), (2000, 1500)), coast((2000, 1500), (1000, 1500), (1000, 500))]
+SHORES = [coast((1000, -10), (1000, 2010)), coast((1600, 2010), (1600, -10))]
 
 
-def test_an_island_is_land_in_the_sea_and_the_coast_may_come_in_pieces():
-    pieces = [coast((1000, 500), (2000, 500), (2000, 1500)), coast((2000, 1500), (1000, 1500), (1000, 500))]
-    assert shapely.equals(sea(pieces, BOX), shapely.difference(BOX, shapely.box(1000, 500, 2000, 1500)))
-
-
-def test_a_coast_that_was_cut_shortly_before_the_border_is_led_on_to_it():
-    cut = [coast((1000, 120), (1000, 1000)), coast((1000, 1000), (1000, 1850))]
-    assert shapely.area(sea(cut, BOX)) == pytest.approx(2000 * 2000)
-
-
-def test_two_shores_of_a_river_leave_the_water_between_them():
-    west, east = coast((1000, -10), (1000, 2010)), coast((1600, 2010), (1600, -10))
-    assert shapely.area(sea([west, east], BOX)) == pytest.approx(600 * 2000)
+@pytest.mark.parametrize(
+    ("coasts", "area_m2", "is_wet"),  # the last at 500, 1300 and 2500 m from the west, halfway up
+    [
+        ([NORTHWARD], 3_924_375, [False, True, True]),  # the sea is on its right
+        ([shapely.reverse(NORTHWARD)], 6e6 - 3_924_375, [True, False, False]),
+        (ISLAND, 6e6 - 1e6, [True, False, True]),
+        # Cut shortly before the border: it is led on to it.
+        ([coast((1000, 120), (1000, 1000)), coast((1000, 1000), (1000, 1850))], 4e6, [False, True, True]),
+        (SHORES, 600 * 2000, [False, True, False]),
+        ([WEST], 6e6, [True, True, True]),  # no shore in the box: by the nearest
+        ([shapely.reverse(WEST)], 0, [False, False, False]),
+        ([], 0, [False, False, False]),
+    ],
+)
+def test_the_sea_is_what_coasts_have_on_their_right(coasts, area_m2, is_wet):
+    wet = sea(coasts, BOX)
+    assert shapely.area(wet) == pytest.approx(area_m2)
+    assert shapely.contains_xy(wet, [500, 1300, 2500], [1000] * 3).tolist() == is_wet
 
 
 def test_a_coast_with_a_gap_in_the_middle_warns():
     broken = [coast((1000, -10), (1000, 900)), coast((1000, 901), (1000, 2010))]
     with pytest.warns(UserWarning, match="the coast lines have a gap"):
         sea(broken, BOX)
-
-
-def test_a_box_without_a_shore_is_wet_or_dry_by_the_nearest_coast_and_dry_without_one():
-    west = coast((-1000, -5000), (-1000, 5000))
-    assert shapely.equals(sea([west], BOX), BOX)  # the box lies on its right
-    assert sea([shapely.reverse(west)], BOX).is_empty
-    assert sea([], BOX).is_empty
 
 
 BOUNDS_M = (583_000, 4_507_000, 584_000, 4_508_000)
