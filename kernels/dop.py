@@ -106,7 +106,7 @@ def geometry(
     means = (members * counts)[:, :num] @ directions / np.where(sums > 0, sums, 1.0)[:, None]
     centred, basis = directions - members[:, :num].T @ means, np.eye(3)
     scaled = centred * np.sqrt(counts[:num, None])
-    if np.linalg.matrix_rank(scaled) == 3:
+    if num >= 3 and np.linalg.matrix_rank(scaled) == 3:
         basis = np.linalg.inv(np.linalg.qr(scaled).R)
         rows[:num] = centred @ basis
     return Geometry(*(np.asarray(part, dtype) for part in (rows, basis, means @ basis, members, counts)))
