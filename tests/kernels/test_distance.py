@@ -22,33 +22,35 @@ def brute_force(drop_m, is_source, resolution_m, cap_m):
     return np.minimum(np.sqrt(nearest_m2), cap_m)
 
 
-@pytest.mark.parametrize(("resolution_m", "cap_m", "share"), [(5.0, 50.0, 0.01), (2.0, 33.0, 0.002)])
-def test_distance_equals_scipys_up_to_the_cap(resolution_m, cap_m, share):
-    is_source = np.random.default_rng(0).random((131, 90)) < share
-    distance_m = capped_distance(jnp.where(is_source, 0.0, INF), resolution_m=resolution_m, cap_m=cap_m)
-    expected = np.minimum(distance_transform_edt(~is_source, sampling=resolution_m), cap_m)
+def test_distance_equals_scipys_up_to_the_cap():
+    is_source = np.random.default_rng(0).random((131, 90)) < 0.01
+    distance_m = capped_distance(jnp.where(is_source, 0.0, INF), resolution_m=5.0, cap_m=50.0)
+    expected = np.minimum(distance_transform_edt(~is_source, sampling=5.0), 50.0)
     np.testing.assert_allclose(distance_m, expected, atol=1e-4)
-    assert (np.asarray(distance_m)[expected == cap_m] == np.float32(cap_m)).all()
+    assert (np.asarray(distance_m)[expected == 50.0] == 50.0).all()
 
 
-def test_distance_without_sources_is_the_cap():
-    distance_m = capped_distance(jnp.full((131, 90), INF), resolution_m=5.0, cap_m=50.0)
-    np.testing.assert_array_equal(distance_m, 50.0)
-
-
-def test_distance_from_sources_below_equals_brute_force():
+@pytest.mark.parametrize("share", [0.01, 0.0])
+def test_distance_from_sources_below_equals_brute_force_and_without_any_is_the_cap(share):
     rng = np.random.default_rng(1)
-    is_source = rng.random((131, 90)) < 0.01
+    is_source = rng.random((131, 90)) < share
     depth_m = rng.uniform(0, 60, is_source.shape).astype(np.float32)
-    source_m2 = jnp.where(is_source, depth_m**2, INF)
-    distance_m = capped_distance(source_m2, resolution_m=5.0, cap_m=50.0)
+    distance_m = capped_distance(jnp.where(is_source, depth_m**2, INF), resolution_m=5.0, cap_m=50.0)
     expected = brute_force(lambda i, j: depth_m[i, j], is_source, 5.0, 50.0)
     np.testing.assert_allclose(distance_m, expected, atol=1e-4)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (131, 90), (40, 700), (600, 33)])
-@pytest.mark.parametrize(("resolution_m", "cap_m"), [(5.0, 50.0), (2.0, 33.0), (3.0, 3.0)])
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize(
+    ("shape", "resolution_m", "cap_m", "dtype"),
+    [
+        ((1, 1), 3.0, 3.0, np.float32),
+        ((131, 90), 5.0, 50.0, np.float32),
+        ((131, 90), 2.0, 33.0, np.float64),
+        ((40, 700), 3.0, 3.0, np.float64),
+        ((40, 700), 5.0, 50.0, np.float64),
+        ((600, 33), 2.0, 33.0, np.float32),
+    ],
+)
 def test_the_kernel_for_a_cpu_gives_the_same_bits(shape, resolution_m, cap_m, dtype):
     rng = np.random.default_rng(3)
     is_source = rng.random(shape) < 0.002

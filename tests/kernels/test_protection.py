@@ -124,27 +124,23 @@ def test_the_published_example_has_its_published_levels():
     assert vpl_m == pytest.approx(19.2, abs=0.05)
 
 
-@pytest.mark.parametrize("counts", [(5,), (9,), (4, 4), (3, 6), (8, 1), (9, 7), (5, 4, 4), (12, 10, 11)])
-def test_levels_are_those_of_the_equations(counts):
-    p_const = (1e-8, 1e-4, 1e-4)[: len(counts)]
-    for seed in range(5):
-        satellites = drawn(seed, counts, p_const=p_const)
-        np.testing.assert_allclose(levels_of(satellites, FINE), slow_levels(satellites, FINE), rtol=1e-9, atol=1e-7)
+SINGLE = [(counts, 1e-5, (1e-8, 1e-4, 1e-4)) for counts in ((5,), (9,), (4, 4), (3, 6), (8, 1), (9, 7), (5, 4, 4))]
+PAIRS = [((6, 6), 1e-4, (0.0, 1e-4)), ((8,), 3e-4, (0.0,)), ((14, 13, 14), 2e-5, (0.0, 1e-4, 1e-5))]
 
 
-@pytest.mark.parametrize(("counts", "p_sat"), [((6, 6), 1e-4), ((8,), 3e-4), ((14, 13, 14), 2e-5)])
-def test_pairs_of_faults_are_monitored_until_what_is_left_is_little(counts, p_sat):
-    satellites = drawn(7, counts, p_sat=p_sat, p_const=(0.0, 1e-4, 1e-5)[: len(counts)])
-    found = levels_of(satellites, FINE)
-    assert np.isfinite(found).all()
-    np.testing.assert_allclose(found, slow_levels(satellites, FINE), rtol=1e-9)
+@pytest.mark.parametrize(("counts", "p_sat", "p_const"), SINGLE + PAIRS)
+def test_levels_are_those_of_the_equations_with_pairs_of_faults_until_what_is_left_is_little(counts, p_sat, p_const):
+    for seed in range(3) if p_sat == 1e-5 else [7]:
+        satellites = drawn(seed, counts, p_sat=p_sat, p_const=p_const[: len(counts)])
+        found = levels_of(satellites, FINE)
+        assert np.isfinite(found).all() or p_sat == 1e-5
+        np.testing.assert_allclose(found, slow_levels(satellites, FINE), rtol=1e-9, atol=1e-7)
 
 
 def test_levels_are_rounded_up_by_their_tolerance_at_most():
     satellites = drawn(1, (8, 7))
-    exact, rounded = np.array(levels_of(satellites, FINE)), np.array(levels_of(satellites))
-    assert (rounded >= exact).all()
-    assert (rounded - exact <= [np.hypot(0.05, 0.05), 1e-4]).all()
+    lifted_m = np.subtract(levels_of(satellites), levels_of(satellites, FINE))
+    assert ((lifted_m >= 0) & (lifted_m <= [np.hypot(0.05, 0.05), 1e-4])).all()
 
 
 def test_without_faults_a_level_is_a_multiple_of_its_standard_deviation_and_the_bias():
@@ -154,17 +150,14 @@ def test_without_faults_a_level_is_a_multiple_of_its_standard_deviation_and_the_
     assert levels_of(satellites)[1] == pytest.approx(expected_m + np.abs(of_up) @ satellites.bias_m, abs=1e-9)
 
 
-def test_too_few_satellites_and_those_on_one_cone_have_no_level():
+def test_what_no_subset_stands_for_too_few_satellites_and_those_on_one_cone_have_no_level():
     satellites = drawn(3, (4, 1), p_sat=0.0, p_const=(0.0, 0.0))
     patterns = np.array([[0, 0b00111, 0b10111, 0b01111, 0b11111]], np.uint32)
     is_finite = np.isfinite(protection_levels(patterns, satellites, BUDGET))
     np.testing.assert_array_equal(is_finite, [[False, False, False, True, True]] * 2)
     cone = unit_vectors(np.linspace(0, 2 * np.pi, 8, endpoint=False), np.full(8, 0.6))
     assert levels_of(ranging(cone, np.zeros(8, int), (np.ones(8), np.ones(8)), p_const=(0.0,))) == (np.inf, np.inf)
-
-
-def test_what_no_subset_stands_for_leaves_no_level():
-    """All of one constellation may fail at once; without another nothing would tell."""
+    # All of one constellation may fail at once; without another nothing would tell.
     assert np.isfinite(levels_of(drawn(4, (9,), p_const=(1e-8,)))).all()
     assert levels_of(drawn(4, (9,), p_const=(1e-7,))) == (np.inf, np.inf)
 

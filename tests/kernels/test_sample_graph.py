@@ -30,10 +30,9 @@ def samples_of(seed, cell_cost, **given):
     fields = {name: np.zeros(NUM_NODES) for name in Samples._fields}
     cells = free[rng.choice(len(free), NUM_NODES)][:, ::-1]
     fields["xy"] = cells + rng.uniform(0.01, 0.99, (NUM_NODES, 2))
-    fields["query"] = np.append(np.repeat([0, 1, 2], COUNTS), np.full(NUM_NODES - sum(COUNTS), NO_QUERY)).astype(
-        np.int32
-    )
-    fields["radius"] = np.append(np.repeat(RADII, COUNTS), np.ones(NUM_NODES - sum(COUNTS)))
+    counts = [*COUNTS, NUM_NODES - sum(COUNTS)]
+    fields["query"] = np.repeat(np.array([0, 1, 2, NO_QUERY], np.int32), counts)
+    fields["radius"] = np.repeat([*RADII, 1.0], counts)
     fields["incumbent"] = np.full(NUM_NODES, np.inf)
     fields["g"] = np.full(NUM_NODES, np.inf)
     fields["g"][[0, COUNTS[0], COUNTS[0] + COUNTS[1]]] = 0.0
@@ -127,16 +126,3 @@ def test_too_little_room_is_told_and_nothing_is_searched(together):
     np.testing.assert_array_equal(trees.g, samples.g)
     assert trees.most_candidates == search(samples, cell_cost).most_candidates > 16
     assert trees.num_costed.sum() == 0
-
-
-@pytest.mark.slow
-def test_mapped_over_seeds_it_gives_what_each_gives_alone():
-    cell_cost = a_map(5)
-    seeds = [samples_of(seed, cell_cost) for seed in (5, 6)]
-    with jax.enable_x64(True):
-        stacked = Samples(*(jnp.stack([jnp.asarray(v) for v in values]) for values in zip(*seeds, strict=True)))
-        together = jax.vmap(lambda s: search_samples(s, cell_cost, PER_SIDE, False, is_line=True, sizes=SIZES))(stacked)
-    for k, samples in enumerate(seeds):
-        alone = search(samples, cell_cost)
-        np.testing.assert_array_equal(together.g[k], alone.g)
-        np.testing.assert_array_equal(together.parent[k], alone.parent)

@@ -44,11 +44,8 @@ def test_a_diagonal_through_corners_crosses_only_the_cells_on_it(resolution_m, r
 
 CROSSED = {
     "a knight's step": ([[0.5, 0.5], [2.5, 1.5]], [(0, 0), (0, 1), (1, 1), (1, 2)]),
-    "and back": ([[2.5, 1.5], [0.5, 0.5]], [(1, 2), (1, 1), (0, 1), (0, 0)]),
     "along a border: north": ([[0.0, 2.0], [3.0, 2.0]], [(2, 0), (2, 1), (2, 2)]),
-    "along a border: north, and back": ([[3.0, 2.0], [0.0, 2.0]], [(2, 2), (2, 1), (2, 0)]),
     "along a border: east": ([[2.0, 0.0], [2.0, 3.0]], [(0, 2), (1, 2), (2, 2)]),
-    "along a border: east, and back": ([[2.0, 3.0], [2.0, 0.0]], [(2, 2), (1, 2), (0, 2)]),
     "a border that is touched": ([[0.5, 0.5], [1.0, 0.75], [0.5, 0.9]], [(0, 0), (0, 0)]),
     "a border that is touched from the east": ([[1.5, 0.5], [1.0, 0.75], [1.5, 0.9]], [(0, 1), (0, 1)]),
     "beyond the map": ([[0.5, 0.5], [-1.5, 0.5]], [(0, 0), (0, -1), (0, -2)]),
@@ -60,6 +57,7 @@ CROSSED = {
 @pytest.mark.parametrize(("points", "expected"), CROSSED.values(), ids=CROSSED)
 def test_cells_are_crossed_in_the_order_of_the_way(points, expected):
     assert cells(points) == expected
+    assert cells(points[::-1]) == expected[::-1]
 
 
 def test_a_border_that_rounding_moved_is_still_the_border():

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.errors import InputError
 from jaxurban.planners.any_angle import ptp
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
@@ -34,13 +33,12 @@ def test_the_gradient_of_the_optimal_cost_is_that_of_replanned_costs(cost_model)
         value, (by_layers, by_weights) = jax.value_and_grad(cost, (0, 1))(layers, w)
         assert value == EXACT(problem).cost
         rng = np.random.default_rng(1)
-        for direction in rng.normal(size=(5, *layers.shape)):
-            step = 1e-6 * direction
+        for direction, weighting in zip(rng.normal(size=(3, *layers.shape)), np.eye(3), strict=True):
+            step, change = 1e-6 * direction, 1e-6 * weighting
             slope = (cost(layers + step, w) - cost(layers - step, w)) / 2e-6
             np.testing.assert_allclose(jnp.vdot(by_layers, direction), slope, rtol=1e-6)
-        for step in 1e-6 * np.eye(3):
-            slope = (cost(layers, w + step) - cost(layers, w - step)) / 2e-6
-            np.testing.assert_allclose(jnp.vdot(by_weights, step), 1e-6 * slope, rtol=1e-6)
+            slope = (cost(layers, w + change) - cost(layers, w - change)) / 2e-6
+            np.testing.assert_allclose(jnp.vdot(by_weights, weighting), slope, rtol=1e-6)
 
 
 def test_weights_and_maps_meet_in_one_gradient_under_jit():
@@ -84,8 +82,6 @@ def test_reweighting_shares_what_does_not_depend_on_costs():
     assert other.moves is problem.moves
     np.testing.assert_array_equal(other.cost, 2 * problem.costs[0])
     assert (other.distance_weight, other.start, other.goal) == (0.5, problem.start, problem.goal)
-    with pytest.raises(InputError, match="weights must be"):
-        problem.with_weights(np.array([0.5, -1.0, 0.0]))
 
 
 def test_a_large_program_of_doubles_loses_no_digit_on_its_way_to_the_planner():

@@ -1,7 +1,6 @@
 """The exact searches of a grid or of levels, one by one and many at once: against SciPy's Dijkstra, and MovingAI."""
 
 import itertools
-from functools import cache
 
 import jax
 import numpy as np
@@ -12,15 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND
 from jaxurban.planners import bulk, grid_search, registry
-from jaxurban.planners.astar import (
-    ADMISSIBLE,
-    VOLUME_HEURISTICS,
-    astar,
-    cost_to_go,
-    heuristic_at,
-    make_heuristic,
-    volume_astar,
-)
+from jaxurban.planners.astar import ADMISSIBLE, VOLUME_HEURISTICS, astar, cost_to_go, heuristic_at, make_heuristic
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.bulk import solve_by_frontier
 from jaxurban.planners.cost import CostModel
@@ -83,11 +74,12 @@ def test_a_climb_on_the_spot_pays_its_height_and_the_nodes_it_enters(cost_model,
     cost, levels_m = np.array([1.0, 2.0, 3.0])[None, :, None, None], [10.0, 40.0, 100.0]
     free, model = np.ones((3, 1, 1), bool), CostModel(cost_model, 4.0)
     up = Problem(cost, free, (0, 0, 0), (2, 0, 0), 5.0, [0.1, 1.0, 0.5, 0.25], model, levels_m)
-    path = volume_astar(up)
+    path = astar(up, heuristic="plus")
     assert path.cost == pytest.approx((0.1 + 0.5) * 90 + map_cost)
     np.testing.assert_array_equal(path.points_m, [[2.5, 2.5, z_m] for z_m in levels_m])
     down_map_cost = 2.0 + 1.0 if cost_model == "cell" else map_cost
-    assert volume_astar(up.between(up.goal, up.start)).cost == pytest.approx((0.1 + 0.25) * 90 + down_map_cost)
+    down = astar(up.between(up.goal, up.start), heuristic="plus")
+    assert down.cost == pytest.approx((0.1 + 0.25) * 90 + down_map_cost)
 
 
 def test_no_path_crosses_what_stands_between_its_levels():
@@ -98,7 +90,7 @@ def test_no_path_crosses_what_stands_between_its_levels():
         free, costs = tuple(map(int, np.argwhere(is_free)[0])), rng.random((1, *is_free.shape))
         volume = Problem(costs, is_free, free, free, 5.0, [0.1, 1.0, 0.0, 0.0], "cell", levels_m)
         for query in random_queries(volume, 20, rng.integers(1000)):
-            path = volume_astar(query)
+            path = astar(query, heuristic="plus")
             if not path.status.has_path or len(path.points_m) == 1:
                 continue
             # Points along every segment, and their neighbours a hand's breadth to all sides, under the path too.
@@ -149,40 +141,24 @@ def test_a_spent_budget_leaves_a_lower_bound_and_no_path(monkeypatch, shape):
     assert path.lower_bound > (shape[-1] - 1) * np.sqrt(2) * problem.distance_weight * problem.resolution_m
 
 
-@cache
-def spiral():
-    """One corridor, a cell wide, winding inward; returns the map and its two ends."""
-    is_free = np.zeros(SHAPE, bool)
-    row, col, rows, cols = 0, 0, 0, 1
-    is_free[0, 0] = True
-
-    def may_step():
-        for num in (1, 2):
-            at = row + num * rows, col + num * cols
-            is_on_map = all(0 <= index < size for index, size in zip(at, SHAPE, strict=True))
-            if is_free[at] if is_on_map else num == 1:
-                return False
-        return True
-
-    while True:
-        if not may_step():
-            rows, cols = cols, -rows
-            if not may_step():
-                return is_free, (0, 0), (row, col)
-        row, col = row + rows, col + cols
-        is_free[row, col] = True
+def winding_corridor():
+    """One corridor, a cell wide, to and fro over the whole map; returns the map and its two ends."""
+    is_free = np.ones(SHAPE, bool)
+    is_free[1::2] = False
+    is_free[1::4, -1] = is_free[3::4, 0] = True
+    return is_free, (0, 0), (SHAPE[0] - 1, SHAPE[1] - 1)
 
 
 def mixed_batch():
-    """A court, a start at its goal, a free ride, a spiral both ways, then random queries: eight maps of one shape."""
+    """A court, a start at its goal, a free ride, a winding corridor both ways, random queries: eight maps."""
     court = np.ones(SHAPE, bool)
     court[4:7, 4:7] = False
     court[5, 5] = True
     free = Problem(np.zeros((1, *SHAPE)), court, (0, 0), (0, 0), 1.0, 0.0)
-    is_free, outer, inner = spiral()
-    inward = Problem(np.zeros((1, *SHAPE)), is_free, outer, inner, 1.0, 1.0)
+    is_free, first, last = winding_corridor()
+    along = Problem(np.zeros((1, *SHAPE)), is_free, first, last, 1.0, 1.0)
     problems = [free.between((0, 0), (5, 5)), free, free.between((0, 0), (20, 33))]
-    problems += [inward, inward.between(inner, outer)]
+    problems += [along, along.between(last, first)]
     kinds = itertools.product(["cell", "line"], [("both-free", 8), ("always", 8), ("both-free", 4)])
     for seed, (kind, (diagonal, connectivity)) in enumerate(kinds):
         model = {"kind": kind, "diagonal": diagonal, "connectivity": connectivity}
@@ -207,7 +183,7 @@ def test_many_maps_at_once_are_solved_exactly_by_numba_and_by_the_frontier_with_
         assert cost_to_go(problem)[problem.start] == pytest.approx(paths[index].cost, rel=1e-11, abs=1e-12)
     assert paths[0].status is Status.NO_PATH
     assert "costs nothing" in paths[2].note
-    assert [paths[k].cost for k in (3, 4)] == [spiral()[0].sum() - 1] * 2  # every cell of the corridor once
+    assert [paths[k].cost for k in (3, 4)] == [winding_corridor()[0].sum() - 1] * 2  # every cell of the corridor once
 
 
 @pytest.mark.parametrize("backend", ["numba", "jax"])

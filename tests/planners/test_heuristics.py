@@ -4,16 +4,7 @@ import numpy as np
 import pytest
 
 from jaxurban.kernels.search.bounds import TILE, printed_plus_field
-from jaxurban.planners.astar import (
-    astar,
-    astar_dist,
-    astar_plus,
-    cost_to_go,
-    heuristic_at,
-    landmark_cells,
-    make_heuristic,
-    make_landmarks,
-)
+from jaxurban.planners.astar import astar, cost_to_go, heuristic_at, landmark_cells, make_heuristic, make_landmarks
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.cost import CostModel
 from tests.planners.problems import costs_to_goal, random_problem, random_queries
@@ -122,13 +113,12 @@ def test_tables_are_made_once_for_all_queries_that_they_serve():
 
 def test_auto_takes_tiles_however_often_it_is_asked_and_whatever_was_made():
     problem = city()
-    first = astar_plus(problem)
+    first = astar(problem, heuristic="auto")
     for name in ("landmarks", "exact"):
         assert astar(problem, heuristic=name).heuristic == name
-        path = astar_plus(problem)
+        path = astar(problem, heuristic="auto")
         assert path.heuristic == "tiles"
         np.testing.assert_array_equal(path.points_m, first.points_m)
-    assert astar_dist(problem, heuristic="auto").heuristic == "tiles"
 
 
 @pytest.mark.parametrize("name", ["landmarks", "exact"])
@@ -175,7 +165,7 @@ def test_the_printed_h_plus_misses_the_way_around_a_wall(name, start, goal, reop
     printed = astar(problem, heuristic=name, reopen=reopen)
     assert (printed.cost, printed.status) == (pytest.approx(5 + 2), Status.FEASIBLE)
     assert printed.lower_bound == pytest.approx(2)
-    exact = astar_plus(problem)
+    exact = astar(problem, heuristic="auto")
     assert exact.cost == pytest.approx(2 + 2 * np.sqrt(2))
     cells = np.floor(exact.points_m[:, ::-1]).astype(int).tolist()
     assert cells == [[0, start], [1, start], [2, 1], [1, goal], [0, goal]]
