@@ -21,39 +21,43 @@ def found():
     return ju.studies.compare(a, changed_from(a), progress=False)
 
 
-@pytest.mark.slow
-def test_the_folder_holds_report_tables_maps_and_figures(found, tmp_path):
-    found.save(tmp_path / "ab")
-    report = (tmp_path / "ab/report.md").read_text(encoding="utf-8")
+@pytest.fixture(scope="module")
+def saved(found, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compared") / "ab"
+    found.save(folder)
+    return folder
+
+
+def test_the_folder_holds_report_tables_maps_and_figures(found, saved):
+    report = (saved / "report.md").read_text(encoding="utf-8")
     for name in comparison_figures(found):
         assert f"figures/{name}.png" in report
-        assert (tmp_path / f"ab/figures/{name}.png").stat().st_size > 5000
-    table = pd.read_csv(tmp_path / "ab/tables/layers.csv")
-    assert len(table) == len(pd.read_parquet(tmp_path / "ab/tables/layers.parquet")) == len(found.table)
+        assert (saved / f"figures/{name}.png").stat().st_size > 5000
+    table = pd.read_csv(saved / "tables/layers.csv")
+    assert len(table) == len(pd.read_parquet(saved / "tables/layers.parquet")) == len(found.table)
     for row in found.table.query("layer == 'obstacle'").itertuples():
         assert f"| {row.gained} | {row.lost} |" in report
     with pytest.raises(ju.InputError, match="holds another run") as refused:
-        ju.studies.compare(found.b, found.a, progress=False).save(tmp_path / "ab")
+        ju.studies.compare(found.b, found.a, progress=False).save(saved)
     assert len(str(refused.value)) < 600
     assert report.count("© a made city") == 1
     assert "population is divided by" not in report
-    b = ju.MetricMaps(found.b.ds.assign_attrs(pop_norm_per_km2=[123.0, 4e4]))
-    a = ju.MetricMaps(found.a.ds.assign_attrs(pop_norm_per_km2=[5e4, 4e4]))
-    ju.studies.compare(a, b, progress=False).save(tmp_path / "norms")
-    report = (tmp_path / "norms/report.md").read_text(encoding="utf-8")
+    a, b = (
+        ju.MetricMaps(maps.ds.assign_attrs(pop_norm_per_km2=[day, 4e4]))
+        for maps, day in ((found.a, 5e4), (found.b, 123))
+    )
+    report = comparison_markdown(ju.studies.compare(a, b, progress=False), [])
     assert f"| population is divided by, {a.times_of_day[0]} | `50,000` | `123` |" in report
 
 
-def test_difference_maps_open_elsewhere_north_up_with_band_names(found, tmp_path):
-    found.save(tmp_path)
-    with rasterio.open(tmp_path / "difference/risk_10m.tif") as file:
+def test_difference_maps_open_elsewhere_north_up_with_band_names(found, saved):
+    with rasterio.open(saved / "difference/risk_10m.tif") as file:
         assert file.descriptions == ("20 m", "60 m")
         assert file.crs.to_epsg() == 32618
         assert file.tags()["difference"] == "B - A"
         np.testing.assert_array_equal(file.read(2)[::-1], found.of("risk", 60.0))
-        x_m, y_m = file.xy(0, 0)
-        assert (x_m, y_m) == (found.grid.x_m[0], found.grid.y_m[-1])
-    with rasterio.open(tmp_path / "difference/population_10m.tif") as file:
+        assert file.xy(0, 0) == (found.grid.x_m[0], found.grid.y_m[-1])
+    with rasterio.open(saved / "difference/population_10m.tif") as file:
         assert file.descriptions == ("day", "night")
 
 
@@ -96,18 +100,21 @@ def test_a_report_of_the_same_maps_says_why_it_shows_no_picture(found):
     assert "## Figures\n\nNone: a layer is drawn where it differs." in comparison_markdown(same, [])
 
 
+def said_in(figure) -> str:
+    return "\n".join(text.get_text() for text in figure.findobj(Text))
+
+
 def test_the_legend_names_what_is_blocked_where(found):
     for layer, words in (("closed", "blocked in A and B"), ("gps", "blocked in A or B")):
-        assert words in {text.get_text() for text in plot_difference(found, layer).findobj(Text)}
+        assert words in said_in(plot_difference(found, layer)).splitlines()
 
 
 def test_a_figure_names_the_time_of_both(found):
+    hours = {f"2020-04-27T{hour}:00": maps for hour, maps in ((19, found.a), (20, found.b))}
     a, b = (
-        ju.MetricMaps(maps.ds.assign_coords(time=np.array([time], "datetime64[ns]")))
-        for maps, time in ((found.a, "2020-04-27T19:00:00"), (found.b, "2020-04-27T20:00:00"))
+        ju.MetricMaps(maps.ds.assign_coords(time=np.array([time], "datetime64[ns]"))) for time, maps in hours.items()
     )
     both = ju.studies.compare(a, b, progress=False)
-    shown = "\n".join(text.get_text() for text in plot_difference(both, "gps").findobj(Text))
-    assert "2020-04-27 19:00 UTC" in shown
-    assert "2020-04-27 20:00 UTC" in shown
+    shown = said_in(plot_difference(both, "gps"))
+    assert all(f"2020-04-27 {hour}:00 UTC" in shown for hour in (19, 20))
     assert "gps" in comparison_figures(both)
