@@ -82,10 +82,6 @@ def test_the_extent_is_that_of_the_whole_file_in_the_citys_crs(tmp_path):
     assert raster_extent_m(path, ELSEWHERE) == pytest.approx(expected, abs=0.01)
 
 
-def test_row_0_is_in_the_south():
-    np.testing.assert_array_equal(resample_raster(raster(RAMP), grid(10, 3, 4)), RAMP[::-1])
-
-
 @pytest.mark.parametrize(
     ("how", "pixels", "cells"),  # whose centres lie at 2, 6, 10 (the border), 14 and 18 m
     [

@@ -31,17 +31,20 @@ def test_a_file_is_read_as_the_table_that_it_holds(suffix, tmp_path):
     pd.testing.assert_frame_equal(read_receiver_log(file).epochs, read_receiver_log(GOOD).epochs)
 
 
-def test_an_offset_from_utc_is_taken_off():
-    local = GOOD.assign(utc=[time.replace("T06", "T15").replace("Z", "+09:00") for time in GOOD.utc])
-    pd.testing.assert_frame_equal(read_receiver_log(local).epochs, read_receiver_log(GOOD).epochs)
-    zoned = GOOD.assign(utc=pd.to_datetime(GOOD.utc).dt.tz_convert("Asia/Tokyo"))
-    assert read_receiver_log(zoned).epochs.utc.tolist() == read_receiver_log(GOOD).epochs.utc.tolist()
+ZONES = (" UTC", "UTC", " gmt", "+00", "+0000", "+00:00", ".000Z", ".000 +00:00")
 
 
-@pytest.mark.parametrize("zone", [" UTC", "UTC", " gmt", "+00", "+0000", "+00:00", ".000Z", ".000 +00:00"])
-def test_a_zone_may_be_written_in_several_ways(zone):
-    written = GOOD.assign(utc=GOOD.utc.str.replace("T", " ").str.replace("Z", zone))
-    assert read_receiver_log(written).epochs.utc.tolist() == read_receiver_log(GOOD).epochs.utc.tolist()
+@pytest.mark.parametrize(
+    "utc",
+    [
+        GOOD.utc.str.replace("T06", "T15").str.replace("Z", "+09:00"),
+        pd.to_datetime(GOOD.utc).dt.tz_convert("Asia/Tokyo"),
+        *(GOOD.utc.str.replace("T", " ").str.replace("Z", zone) for zone in ZONES),
+    ],
+)
+def test_an_offset_from_utc_is_taken_off_and_a_zone_may_be_written_in_several_ways(utc):
+    read, expected = (read_receiver_log(table).epochs for table in (GOOD.assign(utc=utc), GOOD))
+    pd.testing.assert_frame_equal(read, expected)
 
 
 @pytest.mark.parametrize(
