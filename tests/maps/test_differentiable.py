@@ -18,7 +18,7 @@ from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.planners.envelope import planned_cost
 from jaxurban.world.city import Zoning
-from tests.metrics.soft.scene import ALTITUDE_M, BUILDING, CELLS, HEIGHT_M, REGION, check_gradient, surface_of
+from tests.metrics.soft.scene import ALTITUDE_M, BUILDING, HEIGHT_M, REGION, check_gradient, surface_of
 from tests.metrics.whole_maps import compute_gps
 
 AZIMUTH_RAD = np.radians([10.0, 80.0, 190.0, 285.0, 140.0])
@@ -155,18 +155,6 @@ def test_one_program_serves_other_values_and_other_skies(soft):
     ):
         assert float(jnp.abs(layers_of(*arguments) - first).max()) > 1e-3
     assert layers_of._cache_size() == compiled == 1
-
-
-def test_altitudes_are_batched_by_vmap_in_float32_too():
-    soft = city(np.float32)
-
-    def layers_at(z_m):
-        return jnp.stack([soft.layer(name, soft.height_m, replace(PARAMS, altitude_m=z_m), CELLS) for name in few])
-
-    few = ("population", "risk")
-    both = jax.vmap(layers_at)(jnp.array([ALTITUDE_M, 31.0], jnp.float32))
-    assert both.dtype == jnp.float32
-    np.testing.assert_allclose(both[1], layers_at(31.0), atol=1e-6)
 
 
 def test_a_city_without_people_has_no_such_layer():

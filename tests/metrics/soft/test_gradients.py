@@ -108,6 +108,8 @@ def test_a_roof_at_the_altitude_is_an_obstacle_at_every_softness(name):
         m = soft_map(name, softness_m=softness_m, altitude_m=20.0, height_m=np.full(len(HEIGHT_M), 20.0))
         assert (m[HAS_ROOF] == 0).all()
         assert (m[~HAS_ROOF] > 0).any()
+    just_below = soft_map(name, softness_m=2.0, altitude_m=20.0, height_m=np.full(len(HEIGHT_M), 19.9))
+    assert (just_below[HAS_ROOF] < 0.06).all()
 
 
 def test_level_terrain_changes_nothing_of_the_lidar():
