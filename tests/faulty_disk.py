@@ -106,3 +106,9 @@ def harm(file: Path, damage: str, rng: random.Random) -> None:
     else:
         cut = data[: rng.randrange(len(data))]
         file.write_bytes(cut if damage == "cut" else flipped(data, rng.randrange(8 * len(data))))
+
+
+def values_of(folder: Path) -> dict[str, bytes]:
+    """Return all that is read of the maps in a folder."""
+    maps = jaxurban.open_maps(folder).ds.load()
+    return {str(name): array.values.tobytes() for name, array in maps.variables.items() if array.dtype.kind != "T"}

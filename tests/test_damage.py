@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.files import read_json, write_json
 from jaxurban.maps import run as pipeline
@@ -17,7 +16,7 @@ from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Report
 from tests import tiled_runs
 from tests.cli_runs import assert_one_sentence, run
-from tests.faulty_disk import DAMAGES, harm
+from tests.faulty_disk import DAMAGES, harm, values_of
 from tests.logs import logged
 from tests.tiled_runs import files_of
 
@@ -39,11 +38,6 @@ def finished(tmp_path_factory) -> Path:
 @pytest.fixture
 def job(finished, tmp_path) -> Path:
     return Path(shutil.copytree(finished, tmp_path / "job"))
-
-
-def values_of(folder: Path) -> dict[str, bytes]:
-    maps = ju.open_maps(folder).ds.load()
-    return {str(name): array.values.tobytes() for name, array in maps.variables.items() if array.dtype.kind != "T"}
 
 
 def told_on_use(job: Path) -> str:
@@ -97,7 +91,7 @@ def test_new_weights_change_the_record_and_not_its_times(job):
 
 @pytest.mark.parametrize("part", ["chunks", ".z*", "geotiff", "run.json"])
 def test_damage_to_every_file_of_a_kind_is_told_and_mended(job, part):
-    """Files are deleted, cut and flipped by turns; the slow test does each of it to each file alone."""
+    """Files are deleted, cut and flipped by turns; `test_interrupted` damages one at a time."""
     before, values, rng = files_of(job), values_of(job), random.Random(0)
     files = [path for path in job.rglob("*") if path.is_file() and _is_of(path.relative_to(job), part)]
     assert len(files) >= {"chunks": 20, ".z*": 40, "geotiff": 6, "run.json": 1}[part]
@@ -153,28 +147,6 @@ def _is_of(path: Path, part: str) -> bool:
     if path.parts[0] != "maps.zarr":
         return part in path.parts
     return part == (".z*" if is_metadata else "chunks")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_every_single_file_is_told_and_mended(job, damage):
-    """Drawn ones. The only damage that nobody tells of changes no value: bits of a chunk's frame that mean nothing."""
-    before, values, rng = files_of(job), values_of(job), random.Random(damage)
-    for name in rng.sample([*without_times(before), "run.json"], 15):
-        harm(job / name, damage, rng)
-        told = mend(job)
-        if name.endswith(".qml") and damage != "deleted":  # stays until it is removed
-            assert "was changed and stays" in told[0]
-            (job / name).unlink()
-            mend(job)
-        assert told or (damage == "flipped" and "maps.zarr" in name and ".z" not in Path(name).name), name
-        assert values_of(job) == values
-        after = files_of(job)
-        assert without_times(after).keys() == without_times(before).keys()
-        lasting = {other for other, data in without_times(before).items() if after[other] != data}
-        assert lasting <= ({name} if not told else set()), name
-        for other in lasting:
-            (job / other).write_bytes(before[other])
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from jaxurban.io import tables
 from jaxurban.io.files import SCRATCH_SUFFIX
 from jaxurban.maps import run as pipeline
 from jaxurban.maps.scenario import Scenario
-from tests.faulty_disk import DAMAGES, WAYS, Killed, counted, harm
+from tests.faulty_disk import DAMAGES, WAYS, Killed, counted, harm, values_of
 from tests.made_maps import made_maps
 from tests.tiled_runs import files_of
 
@@ -186,9 +186,9 @@ def test_a_step_that_does_not_come_off_loses_nothing(place, tmp_path, scene, way
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES)
 def test_no_step_that_does_not_come_off_loses_anything(place, tmp_path, scene, wanted, capsys):
-    """Each in one of the three ways by turns where a run takes long, else in all three."""
+    """Each in all three ways, of more than 30 each in one of them; of two scenes like others a part."""
     num, made = wanted(scene)
-    for at, way in itertools.product(range(1, num + 1), WAYS):
+    for at, way in itertools.product(range(1, num + 1, 4 if scene in ("routes", "saved") else 1), WAYS):
         if num < 30 or WAYS[at % 3] == way:
             disturb(place, tmp_path / f"{at}{way}/out", scene, way, at, made, capsys)
 
@@ -259,11 +259,6 @@ class MapsFolder(RuleBasedStateMachine):
         assert {file: file.read_bytes() for file in self.mine} == self.mine
 
 
-def values_of(folder: Path) -> dict[str, bytes]:
-    maps = ju.open_maps(folder).ds.load()
-    return {str(name): array.values.tobytes() for name, array in maps.variables.items() if array.dtype.kind != "T"}
-
-
 def make_maps(folder: Path, mask: str, overwrite: bool = False) -> None:
     made = tomllib.loads(SCENARIO.replace("mask_deg = 60", f"mask_deg = {mask}"))
     pipeline.run_scenario(Scenario.from_dict(made), folder, progress=False, overwrite=overwrite)
@@ -281,7 +276,7 @@ def whole(mask: str) -> dict[str, bytes]:
     return {name: data for name, data in files_of(whole_folder(mask)).items() if name not in RECORDS}
 
 
-@pytest.mark.parametrize("num", [2, pytest.param(25, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("num", [2, pytest.param(12, marks=pytest.mark.slow)])
 def test_a_folder_of_maps_holds_what_the_last_runs_made_and_the_users_files(num):
     how = settings(max_examples=num, stateful_step_count=8, derandomize=True, suppress_health_check=list(HealthCheck))
     run_state_machine_as_test(MapsFolder, settings=how)

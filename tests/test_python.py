@@ -238,10 +238,6 @@ def test_studies_of_routes_refuse_volumes():
         ju.fit.demonstrations_from_paths(climbing, MAPS)
 
 
-def test_routes_may_come_from_a_generator(paths):
-    assert len(ju.fit.demonstrations_from_paths((path for path in paths[:2]), MAPS)) == 2
-
-
 def test_numbers_and_sequences_of_numpy_are_taken_as_python_s():
     assert ju.fit.FitSettings(max_rounds=np.int64(3), budget_s=np.float32(2.0)).max_rounds == 3
     assert ju.demo_city(np.float64(400.0), np.int32(400), seed=np.int64(0)).extent_m == ju.demo_city(400, 400).extent_m
@@ -259,10 +255,11 @@ def test_an_error_of_the_engine_s_own_stays_one():
         root("three")
 
 
-def test_places_in_metres_folders_and_single_paths_are_taken_where_many_are(paths, folder):
+def test_places_in_metres_folders_generators_and_single_paths_are_taken_where_many_are(paths, folder):
     ends = [ju.XY(*map(float, MAPS.grid.xy_of_cell(*FREE[at]))) for at in (0, -1)]
     path = ju.plan(MAPS, *ends, altitude_m=20.0, weights={"risk": 5})
     assert path.cost == paths[0].cost
+    assert len(ju.fit.demonstrations_from_paths((each for each in paths[:2]), MAPS)) == 2
     (shown,) = ju.fit.demonstrations_from_paths(path, folder)
     assert shown.query.cost_map.maps.grid == MAPS.grid
     assert len(ju.studies.sample_instances(folder, 2, altitudes_m=[20.0])) == 2

@@ -314,8 +314,9 @@ class MetricMaps(Shown):
             was not written so or was changed since, or variables that nobody could read back: without obstacles, or a
             name that is a path.
         """
+        from jaxurban.io.files import sweep_scraps
         from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
-        from jaxurban.io.store import RUN_FILE, are_of_a_run, write_zarr
+        from jaxurban.io.store import GEOTIFF_FOLDER, RUN_FILE, are_of_a_run, write_zarr
         from jaxurban.io.workspace import Workspace
         from jaxurban.metrics.variables import NEEDED
 
@@ -336,6 +337,7 @@ class MetricMaps(Shown):
                 workspace.settings.clear()
             write_zarr(ds, folder)
             write_geotiffs(ds, folder, layers=layers)
+            sweep_scraps(folder / GEOTIFF_FOLDER)  # of GDAL, from a run that was killed
             if not are_of_a_run(folder):
                 workspace.remove([RUN_FILE])
         return folder

@@ -2,12 +2,14 @@
 
 import subprocess
 import sys
+from contextlib import suppress
 
 import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.io import files
 from jaxurban.io.workspace import Workspace, recorded
+from tests.faulty_disk import Killed, counted
 from tests.logs import logged
 
 
@@ -102,6 +104,17 @@ def test_after_kill_9_a_users_file_is_the_users_and_scratch_goes(tmp_path):
         write(tmp_path, overwrite=overwrite)
         assert names_of(tmp_path) == ["checksums.json", "figures/3.txt", *kept, "figures/mine.txt"]
     assert (tmp_path / "figures" / "mine.txt").read_text() == "mine"
+
+
+def test_a_kill_between_the_record_and_the_file_leaves_the_old_file_known(tmp_path):
+    """Or at any other step."""
+    for at in range(1, 12):
+        write(tmp_path, text=f"newest {at}")
+        with suppress(Killed, InputError, OSError), counted(tmp_path, at) as steps:
+            write(tmp_path, text="newer")
+        assert steps.is_over
+    write(tmp_path, text="newest")
+    assert (tmp_path / "figures" / "3.txt").read_text() == "newest"
 
 
 def test_a_run_that_was_refused_leaves_nothing(tmp_path):
