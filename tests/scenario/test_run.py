@@ -102,7 +102,7 @@ def test_a_disk_that_fills_up_is_one_sentence_and_leaves_nothing_half_written(tm
         "from jaxurban.cli.main import main; main(sys.argv[1:])"
     )
     command = [sys.executable, "-c", limited, "maps", tmp_path / "scenario.toml", "-o", tmp_path / "out"]
-    environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "cache")}
+    environment = os.environ | {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "1e9"}  # which writes none
     ended = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=200, check=False)
     assert ended.returncode == 2, ended.stderr
     assert "cannot write" in ended.stderr.splitlines()[-1]

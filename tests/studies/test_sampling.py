@@ -8,17 +8,8 @@ from scipy.ndimage import label
 
 from jaxurban.io.tables import write_table
 from jaxurban.metrics.weights import Weights
-from jaxurban.studies.montecarlo.sampling import (
-    HIGH_RISE_M,
-    NO_STRATUM,
-    RANGES,
-    STRATA,
-    read_instances,
-    sample_instances,
-    share_around,
-    strata_of,
-    weight_columns,
-)
+from jaxurban.studies.montecarlo import sampling
+from jaxurban.studies.montecarlo.sampling import STRATA, read_instances, sample_instances, strata_of
 from jaxurban.world.city import LandCover
 from tests.made_maps import made_maps
 
@@ -58,7 +49,7 @@ def test_straight_distances_lie_within_the_limits_of_their_range(maps, instances
     diagonal_m = float(np.hypot(*maps.grid.shape)) * maps.grid.resolution_m
     away_m = np.hypot(instances.goal_x_m - instances.start_x_m, instances.goal_y_m - instances.start_y_m)
     np.testing.assert_allclose(instances.distance_m, away_m)
-    for name, (low, high) in RANGES.items():
+    for name, (low, high) in sampling.RANGES.items():
         share = away_m[instances.range == name] / diagonal_m
         assert len(share)
         assert share.between(low, high).all()
@@ -80,7 +71,7 @@ def test_the_mark_of_connection_is_that_of_the_islands_of_free_cells(maps, insta
 
 
 def test_dirichlet_shares_sum_to_one_with_distance_per_reference_length(instances):
-    shares = instances[list(weight_columns(()))].to_numpy() * [5.0, 1, 1, 1, 1]
+    shares = instances[list(sampling.weight_columns(()))].to_numpy() * [5.0, 1, 1, 1, 1]
     np.testing.assert_allclose(shares.sum(axis=1), 1)
     assert (shares > 0).all()
     np.testing.assert_allclose(shares.mean(axis=0), 0.2, atol=0.08)
@@ -108,20 +99,20 @@ def around(mask: np.ndarray, row: int, col: int, half: int) -> np.ndarray:
 def test_the_share_around_a_cell_is_counted_over_the_square_inside_the_map():
     mask = np.random.default_rng(0).random((13, 9)) < 0.3
     wanted = [around(mask, row, col, 2).mean() for row, col in np.ndindex(mask.shape)]
-    np.testing.assert_array_equal(share_around(mask, 2).ravel(), wanted)
+    np.testing.assert_array_equal(sampling.share_around(mask, 2).ravel(), wanted)
 
 
 def test_every_cell_lies_in_the_stratum_that_its_surroundings_define(maps):
     roof_m, strata = maps.m("roof"), strata_of(maps)
     assert set(np.unique(strata)) == {
-        NO_STRATUM,
+        sampling.NO_STRATUM,
         *(STRATA.index(each) for each in STRATA if each not in ("water", "park")),
     }
-    assert (strata[:5] == NO_STRATUM).all()
+    assert (strata[:5] == sampling.NO_STRATUM).all()
     rng = np.random.default_rng(1)
     for row, col in zip(rng.integers(5, 150, 300), rng.integers(0, 120, 300), strict=True):
         near, far = around(roof_m, row, col, 12), around(roof_m, row, col, 25)
-        if (near >= HIGH_RISE_M).mean() >= 0.1:
+        if (near >= sampling.HIGH_RISE_M).mean() >= 0.1:
             wanted = "high-rise"
         elif (near > 0).mean() >= 0.1:
             wanted = "low-rise"

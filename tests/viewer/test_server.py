@@ -64,35 +64,16 @@ def hostile(port: int) -> list[tuple[str, str, bytes, dict]]:
         *("/maps.zarr/5m/.zmetadata", "/run.json", "/ask", "/ask/", "/favicon.ico", "/index.html", "/viewer.js", "/?a"),
         *("/ask/scene/../tile", "/ask/__class__", "/ask/_cost_map", "/a" * 5000, "http://evil.example/", "*"),
     ]
-    hosts = [
-        "evil.example",
-        f"evil.example:{port}",
-        "127.0.0.1",
-        "localhost:1",
-        "",
-        "0.0.0.0",
-        f"[::1]:{port}",
-        own + ".",
-    ]
+    hosts = ["evil.example", f"evil.example:{port}", "127.0.0.1", "localhost:1", "", "0.0.0.0"]
+    hosts += [f"[::1]:{port}", own + "."]
     origins = ["evil.example", "127.0.0.1", f"evil.example:{port}"]
     origins = ["null", "https://" + own, "file://", *(f"http://{origin}" for origin in origins)]
     kinds = ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data; boundary=x", "application/jsonx"]
     lengths = ["-1", "1e9", "99999999999999999999", "0x10", "", " ", "+5", str(MOST_BODY + 1), "²", "1, 1"]
     headers = [{"Host": host} for host in hosts] + [{"Origin": origin} for origin in origins]
     methods = ("PUT", "DELETE", "OPTIONS", "TRACE", "PATCH", "CONNECT", "FOO")
-    bodies = [
-        b"",
-        b"{",
-        b"[]",
-        b"null",
-        b"1",
-        b'"x"',
-        b"\xff\xfe",
-        b"[" * 60_000,
-        b'{"a":1}',
-        b"NaN",
-        b"{" + b'"a":' * 9000,
-    ]
+    bodies = [b"", b"{", b"[]", b"null", b"1", b'"x"', b"\xff\xfe", b"[" * 60_000, b'{"a":1}', b"NaN"]
+    bodies += [b"{" + b'"a":' * 9000]
     found = [
         *((method, path, body, {}) for path in paths for method, body in (("GET", b""), ("POST", b"{}"))),
         *((method, "/", b"{}", {}) for method in methods),
@@ -104,11 +85,8 @@ def hostile(port: int) -> list[tuple[str, str, bytes, dict]]:
         *(("POST", f"/ask/{name}", body, {}) for name in ("scene", "tile", "plan") for body in bodies),
     ]
     odd = [-1, 10**9, 10**30, 1.5, "0", None, [], {}, True, "x" * 5000, [0] * 999]
-    asked = [
-        ("tile", TILE),
-        ("plan", PLAN | {"planner": "astar-plus"}),
-        ("values", {"at": [0, 0, 0], "row": 0, "col": 0}),
-    ]
+    cell = {"at": [0, 0, 0], "row": 0, "col": 0}
+    asked = [("tile", TILE), ("plan", PLAN | {"planner": "astar-plus"}), ("values", cell)]
     wrong = [(name, given | {key: value}) for name, given in asked for key in given for value in odd]
     zones = ["x", "[]", '{"features":1}', '{"features":[{}]}', "{" * 999, '{"type":"FeatureCollection","features":[]}']
     rings = [[[0, 0], [1, 1]], [[0, 0]], [], [["a", "b"]], [[1e9, 0], [0, 1], [1, 1]], [[0, 0, 0, 0]] * 4, None]
