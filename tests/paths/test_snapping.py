@@ -62,6 +62,8 @@ def test_the_free_cell_nearest_to_the_place_itself_is_taken(maps, ends):
         path = ju.plan(maps, **(ends | {"start_xy_m": tuple(corner_m + aside)}), altitude_m=ALTITUDE_M, snap=True)
         assert tuple(map(int, maps.grid.cell_of_xy(*path.xy_m[0]))) == cell
         assert path.snap_distance_m[0] == pytest.approx(6.0)
+    just_as_far = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, snap=70.0)
+    assert just_as_far.snap_distance_m[0] == 70.0
 
 
 def test_how_far_is_told_in_text_json_and_files(maps, ends, tmp_path, capsys):
