@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 
 from jaxurban.errors import positive
-from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.compiled import compiled, on_host
 from jaxurban.kernels.line.segment_cost import are_clear, is_clear
 from jaxurban.planners.any_angle import subdivided
 from jaxurban.planners.base import Path, Problem, Status
@@ -80,7 +80,7 @@ def _fewest(is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: flo
     """Return the waypoints ``[W, 2]`` of a path of points ``[N, 2]`` on one level, in cell sides, as the margin is."""
     if len(xy) < 2:
         return xy
-    tolerance = tolerance_m / side_m
+    is_free, tolerance = on_host(is_free), tolerance_m / side_m
     rings = np.minimum(np.array(NUDGES) * CLEAR_M / side_m, tolerance / 4)
     turn = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)

@@ -70,7 +70,7 @@ def crossed_cells(points_m: np.ndarray, resolution_m: float) -> Crossings:
     border = np.rint(points)
     points = np.where(np.abs(points - border) < TOUCH_CELLS, border, points)
     most_parts = int(np.abs(np.diff(np.floor(points), axis=0)).sum()) + len(points)
-    segment, row, col, length = _walk(points, most_parts)
+    segment, row, col, length = _walk(np.ascontiguousarray(points), most_parts)
     length_m = length * resolution_m
     if points_m.shape[1] == 3:
         legs_m = np.diff(points_m, axis=0).T

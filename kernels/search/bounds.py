@@ -178,7 +178,7 @@ def printed_plus_field(layers: np.ndarray, goal: tuple[int, ...], first_index: i
     """
     field = np.zeros(layers.shape[1:])
     for layer in layers:
-        _add_printed_layer(layer, goal[0], goal[1], first_index, field)
+        _add_printed_layer(np.ascontiguousarray(layer), goal[0], goal[1], first_index, field)
     return field
 
 

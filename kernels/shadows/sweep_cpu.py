@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt
 
-from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.compiled import compiled, on_host
 from jaxurban.kernels.shadows.sweep import EAST, ENTRY_STEPS, NORTH, SOUTH, WEST, WORD_BITS, Line, Ring
 
 STRIP = 16  # rows of a sweep at a time: columns of a cache line, where they are turned
@@ -79,7 +79,8 @@ def mark_visible(
         bundle = _bundle(lines, heading, tops, rings, entry_steps)
         no_edges = np.empty((0, 2, 0), top_m.dtype)
         region = first_cell[::-1] if is_turned else first_cell
-        _sweep(words, tops, ground_m, altitudes_m, bundle, region, is_turned, toward_last, no_edges, no_edges, every)
+        surface = on_host(tops), on_host(ground_m)
+        _sweep(words, *surface, altitudes_m, bundle, region, is_turned, toward_last, no_edges, no_edges, every)
 
 
 def hand_on(top_m: Float[np.ndarray, "Y X"], lines: Line, rings: Ring) -> Ring:
@@ -89,13 +90,13 @@ def hand_on(top_m: Float[np.ndarray, "Y X"], lines: Line, rings: Ring) -> Ring:
     """
     num, (num_rows, num_cols), dtype = len(lines.heading), top_m.shape, top_m.dtype
     rows, cols = np.empty((num, 2, num_cols), dtype), np.empty((num, 2, num_rows), dtype)
-    nothing = np.empty((0, 0, *top_m.shape), np.uint32), top_m, np.empty((0, 0), dtype), np.empty(0, dtype)
+    no_words, no_altitudes_m = np.empty((0, 0, *top_m.shape), np.uint32), np.empty(0, dtype)
+    surface = on_host(top_m), on_host(np.empty((0, 0), dtype))
     for heading in np.unique(lines.heading):
         is_turned, toward_last = heading in (EAST, WEST), heading in (NORTH, EAST)
-        words, tops, ground_m, altitudes_m = nothing
         bundle = _bundle(lines, heading, top_m, rings)
         ends, sides = (cols, rows) if is_turned else (rows, cols)
-        _sweep(words, tops, ground_m, altitudes_m, bundle, (0, 0), is_turned, toward_last, ends, sides, 1)
+        _sweep(no_words, *surface, no_altitudes_m, bundle, (0, 0), is_turned, toward_last, ends, sides, 1)
     return Ring(rows[:, 0], rows[:, 1], cols[:, 0], cols[:, 1])
 
 
