@@ -2,6 +2,8 @@
 
 import logging
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -31,3 +33,11 @@ def data_dir() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"real data not found at {DATA}: set JAXURBAN_DATA")
     return DATA
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile what most tests run before the workers of a first run start."""
+    if getattr(config.option, "numprocesses", None) and not PROGRAMS.is_dir():
+        command = [sys.executable, "-m", "tests.compile_first"]
+        for each in [subprocess.Popen([*command, part], cwd=PROGRAMS.parents[1]) for part in ("maps", "paths")]:
+            each.wait()

@@ -1,0 +1,32 @@
+"""Compiles what most tests run: ``python -m tests.compile_first maps`` and ``paths``, at the same time.
+
+`tests/conftest.py` does so once, before the workers of a first run start: else either would compile the same.
+"""
+
+import sys
+
+import numpy as np
+
+import jaxurban as ju
+from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS, find_planner
+from tests.planners.problems import open_problem, volume_problem
+
+
+def maps() -> None:
+    """Build the maps of a small city by either engine."""
+    for engine in ("numba", "jax"):
+        ju.build_maps(ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=(20.0, 60.0), engine=engine)
+
+
+def paths() -> None:
+    """Plan by every planner, on a plane and between levels."""
+    shape, ends = (2, 6, 6), ((0, 0, 0), (1, 5, 4))
+    volume = volume_problem(np.zeros(shape), np.ones(shape, bool), [10.0, 20.0], *ends, 2.0, 1.0)
+    plane = open_problem(shape[1:], (0, 0), (5, 4))
+    for problem, planners in ((plane, PLANNERS), (volume, VOLUME_PLANNERS)):
+        for name in planners:
+            find_planner(name, is_for_volumes=problem is volume)(problem, budget_s=0.05, seed=0)
+
+
+if __name__ == "__main__":
+    {"maps": maps, "paths": paths}[sys.argv[1]]()
