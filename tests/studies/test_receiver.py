@@ -186,10 +186,10 @@ def test_every_shift_is_scored_and_only_none_finds_the_pairs_again():
 @pytest.mark.parametrize("num_blocks", [8, 39])
 def test_95_percent_intervals_within_blocks_and_of_differences_hold_the_truth_in_93_percent_of_2000_tracks(num_blocks):
     truth = spearman(*track(np.random.default_rng(0), 20_000), blocks(20_000))
-    rng, of, holds = np.random.default_rng(num_blocks), blocks(num_blocks), []
+    (rng, of_two), of, holds = (np.random.default_rng(num_blocks) for _ in range(2)), blocks(num_blocks), []
     for _ in range(2000):
-        receiver, one, other = track(rng, num_blocks, num_maps=2)
-        scored = within_blocks(receiver, one, of)
+        scored = within_blocks(*track(rng, num_blocks), of)
+        receiver, one, other = track(of_two, num_blocks, num_maps=2)
         value, without = (
             score(receiver, one, of) - score(receiver, other, of) for score in (spearman, without_each_block)
         )
