@@ -169,8 +169,13 @@ def _receiver_phase(oversample: int) -> int:
 def _share(returns: Array, roof: Part, altitudes_m: Array, *, num_azimuths: int) -> Array:
     """Return the share of scan positions that return, 0 inside obstacles."""
     roof_m = roof.cut()
-    share = returns.astype(roof_m.dtype) / num_azimuths
-    return jnp.where(obstacle_mask(roof_m, altitudes_m), 0.0, share)
+    is_obstacle = obstacle_mask(roof_m, altitudes_m)
+    return _share_outside(returns.astype(roof_m.dtype), is_obstacle, num_azimuths=num_azimuths)
+
+
+@partial(jax.jit, static_argnames="num_azimuths")  # compiled, it rounds alike for every caller
+def _share_outside(returns: Array, is_obstacle: Array, *, num_azimuths: int) -> Array:
+    return jnp.where(is_obstacle, 0.0, returns / num_azimuths)
 
 
 def lidar_at_centres(
@@ -192,7 +197,8 @@ def lidar_at_centres(
       engine: as in `compute_lidar`.
     """
     counts = _counts(supersampled, beam_heights(altitudes_m, params, supersampled), params, oversample, engine)
-    return jnp.where(is_obstacle, 0.0, jnp.asarray(counts, supersampled.roof_m.dtype) / params.azimuths)
+    returns = jnp.asarray(counts, supersampled.roof_m.dtype)
+    return _share_outside(returns, is_obstacle, num_azimuths=params.azimuths)
 
 
 def soft_lidar(
