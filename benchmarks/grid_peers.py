@@ -21,7 +21,7 @@ from benchmarks.scenes import Scene
 from jaxurban.planners.astar import astar, make_landmarks
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import STEPS, CostModel
-from jaxurban.planners.grid_search import NO_HEURISTIC, Graph, GridSearch, Heuristic, graph_of
+from jaxurban.planners.grid_search import NO_HEURISTIC, Graph, GridSearch, Heuristic, graph_of, way_m
 
 CITY_M = (10_000.0, 20_000.0)
 RESOLUTION_M = 5.0
@@ -187,7 +187,11 @@ def against_tcod(city: City) -> Contest:
         to_share=np.where(is_diagonal, float(TCOD_DIAGONAL), float(TCOD_CARDINAL)),
     )
     model = "the cell entered x 5, diagonally x 7, whole numbers"
-    return Contest("tcod", model, 3.0, lambda *ends: solve_graph(ours_graph, bound, *ends), theirs, 0.0, finder.clear)
+
+    def ours(start: Cell, goal: Cell) -> float:
+        return solve_graph(problem.between(start, goal), ours_graph, bound)
+
+    return Contest("tcod", model, 3.0, ours, theirs, 0.0, finder.clear)
 
 
 def problem_of(cost: np.ndarray, is_free: np.ndarray, resolution_m, distance_weight, cost_model="cell") -> Problem:
@@ -211,12 +215,12 @@ def solver(problem: Problem, heuristic: str = "tiles") -> Callable[[Cell, Cell],
     return lambda start, goal: astar(problem.between(start, goal), heuristic=heuristic).cost
 
 
-def solve_graph(graph: Graph, bound: Heuristic, start: Cell, goal: Cell) -> float:
-    """Return the cost of the cheapest path over a graph whose steps are costed as no problem's are."""
-    search = GridSearch(graph, bound, start, goal)
+def solve_graph(problem: Problem, graph: Graph, bound: Heuristic) -> float:
+    """Return the cost of the cheapest path over a graph whose steps are costed as no problem's are; makes the path."""
+    search = GridSearch(graph, bound, problem.start, problem.goal)
     search.run()
-    search.points_m(1.0)
-    return search.cost_to(search.goal)
+    way_m(problem, search.states, graph.steps)
+    return float(search.costs_from_start()[search.goal])
 
 
 def run(contest: Contest, queries: list[tuple[Cell, Cell]]) -> Row:
