@@ -1,7 +1,7 @@
 """A metric defined here in whole, and a raster of one's own: each runs through everything, as built-in ones do."""
 
 import runpy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -10,25 +10,19 @@ import numpy as np
 import pandas as pd
 import pytest
 import rasterio
-import xarray as xr
 from jax.test_util import check_grads
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io.store import open_zarr
 from jaxurban.maps import scenario as settings
-from jaxurban.maps.build import compute_maps
 from jaxurban.maps.differentiable import path_visits
-from jaxurban.maps.run import Maker, make_zarr
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import ALTITUDE, Metric, Scale, Variable, low_is_bad
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.settings import differentiable
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.progress import Report
 from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
 from jaxurban.viewer.layers import layers_of
-from jaxurban.world.sky import Sky
 from tests import tiled_runs
 from tests.made_maps import made_maps
 
@@ -114,15 +108,9 @@ def path(maps, ends) -> ju.PlannedPath:
 @pytest.mark.slow
 @pytest.mark.usefixtures("_only_quick")
 def test_tiles_equal_the_whole_and_files_hold_it(tmp_path):
-    city = tiled_runs.city()
-    grid = replace(tiled_runs.region(city), num_rows=30, num_cols=28)
-    zenith = np.full((1, 1), np.pi / 2)
-    sky = Sky(("2020-04-27T16:00:00Z",), ("G1",), 0 * zenith, zenith, ("gps",), 0 * zenith)
-    task = MapTask(city, grid, sky, MapParams(altitudes_m=(ALTITUDE_M,)))
-    whole = compute_maps(task)
-    make_zarr(Maker(task, tmp_path / "tiled", "key", 1, None), Report(), (16, 16))
-    with open_zarr(tmp_path / "tiled", 20.0) as tiled:
-        xr.testing.assert_identical(tiled["toy"].drop_attrs(), whole.ds["toy"].drop_attrs())
+    city, params = tiled_runs.city(), MapParams(altitudes_m=(ALTITUDE_M,))
+    task = MapTask(city, tiled_runs.region(city), tiled_runs.sky(), params)
+    whole = ju.MetricMaps(tiled_runs.check_tiles(task, tmp_path / "tiled"))
     m = whole.m("toy", ALTITUDE_M)
     assert 0 < np.nanmin(m) < np.nanmax(m) < 1
     assert len(np.unique(m)) > 10

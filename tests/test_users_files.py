@@ -2,7 +2,6 @@
 
 import contextlib
 import importlib
-import os
 import shutil
 from pathlib import Path
 
@@ -162,23 +161,6 @@ def test_nothing_is_lost_that_a_user_changed_or_that_was_there_before(place, job
     assert_kept(planted, out)
 
 
-def test_refused_options_leave_no_record(job_of_maps, monkeypatch, capsys):
-    monkeypatch.chdir(job_of_maps)
-    for more in (("--pareto", "gps,gps"), ("--range", "0,1"), ("--vary", "x")):
-        assert run(capsys, "sensitivity", "maps", *ENDS, "-o", "out", *more)[0] == 2
-        assert not os.path.exists("out/checksums.json")
-    for more in (("--range", "0,1"), ("--vary", "x")):
-        assert run(capsys, "sensitivity-study", "maps", "--routes", 2, "-o", "out", *more)[0] == 2
-        assert not os.path.exists("out/checksums.json")
-
-
-@pytest.fixture
-def job_of_maps(tmp_path, capsys) -> Path:
-    (tmp_path / "town.toml").write_text(SCENARIO)
-    assert run(capsys, "maps", tmp_path / "town.toml", "-o", tmp_path / "maps")[0] == 0
-    return tmp_path
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", OF_THEIR_OWN)
 def test_every_output_is_checked_before_any_older_one_is_removed(place, job, name, monkeypatch, capsys):
@@ -234,17 +216,19 @@ def test_what_a_user_adds_to_the_zarr_is_kept_and_the_maps_are_read(place, job, 
         assert {each: each.read_bytes() for each in kept} == kept
 
 
-def test_a_file_among_unfinished_maps_that_are_not_gone_on_with_is_moved(job_of_maps, monkeypatch, capsys):
-    monkeypatch.chdir(job_of_maps)
-    work = job_of_maps / "maps/maps.zarr/.10m.jaxurban-part"
+def test_a_file_among_unfinished_maps_that_are_not_gone_on_with_is_moved(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "town.toml").write_text(SCENARIO)
+    assert run(capsys, "maps", "town.toml", "-o", "maps")[0] == 0
+    work = tmp_path / "maps/maps.zarr/.10m.jaxurban-part"
     for name in ("key.txt", "zarr/gps/.zarray", "zarr/gps/0.1.2", "zarr/gps/mine.txt"):
         (work / name).parent.mkdir(parents=True, exist_ok=True)
         (work / name).write_text(PLANTED)
     code, _, err = run(capsys, "maps", "town.toml", "-o", "maps")
     assert (code, work.exists()) == (0, False), err
-    files = [path for path in (job_of_maps / "maps/kept").rglob("*") if path.is_file()]
+    files = [path for path in (tmp_path / "maps/kept").rglob("*") if path.is_file()]
     assert [(path.name, path.read_text()) for path in files] == [("mine.txt", PLANTED)]
-    assert str(files[0].relative_to(job_of_maps)) in err
+    assert str(files[0].relative_to(tmp_path)) in err
 
 
 @pytest.mark.parametrize("command", [("maps", "town.toml"), ("study", "town.toml"), ("demo",), ("tune", "maps")])
@@ -257,6 +241,7 @@ def test_an_empty_name_is_not_the_current_folder(tmp_path, command, monkeypatch,
     assert [path.name for path in tmp_path.iterdir()] == ["town.toml"]
 
 
+@pytest.mark.slow
 def test_the_demo_replaces_no_file_of_the_users_and_writes_maps_routes_and_figures(tmp_path, monkeypatch, capsys):
     demo = importlib.import_module("jaxurban.cli.demo")
     monkeypatch.setattr(demo, "BOUNDS", (-74.0, 40.755, -73.993, 40.761))

@@ -18,17 +18,14 @@ from shapely import box
 from jaxurban.cli.common import use_device
 from jaxurban.cli.plan import _path_table
 from tests.cli_runs import ENDS, TOWN, assert_one_sentence, run, write_city
+from tests.tiled_runs import files_of
 
 AT_60_M = (*ENDS, "--altitude", 60, "--snap", "--json")
 TLE = "gps/gps-ops_2020-04-27.tle"
 
 
-def files_of(folder: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file() and path.name not in ("run.json", "checksums.json")
-    }
+def outputs_of(folder: Path) -> dict[str, bytes]:
+    return {name: data for name, data in files_of(folder).items() if name not in ("run.json", "checksums.json")}
 
 
 def names_in(folder: Path) -> set[str]:
@@ -50,7 +47,7 @@ def test_maps_writes_the_files_of_the_contract(made):
 
 def test_a_rerun_gives_the_same_bytes(made, tmp_path, capsys):
     assert run(capsys, "maps", made.parent / "town.toml", "-o", tmp_path)[0] == 0
-    assert files_of(tmp_path) == files_of(made)
+    assert outputs_of(tmp_path) == outputs_of(made)
     first, second = (json.loads((folder / "run.json").read_text()) for folder in (made, tmp_path))
     for record in (first, second):
         del record["elapsed_s"], record["started_utc"], record["checksum"]
@@ -175,7 +172,7 @@ def test_ctrl_c_exits_130_leaves_no_scrap_and_resumes(tmp_path):
     kept = {name: data for name, data in files_of(out).items() if ".jaxurban-part" not in name}
     assert kept
     assert subprocess.run(command, stderr=subprocess.PIPE, timeout=200, check=False).returncode == 0
-    finished = files_of(out)
+    finished = outputs_of(out)
     assert all(finished[name] == data for name, data in kept.items())
     assert (out / "run.json").exists()
     assert not work.exists()

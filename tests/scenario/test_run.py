@@ -1,9 +1,6 @@
 """Jobs: what makes maps current, what is swept, what a full disk and a damaged folder do."""
 
-import os
 import shutil
-import subprocess
-import sys
 import tomllib
 from dataclasses import replace
 
@@ -20,9 +17,10 @@ from jaxurban.io.store import settings_of
 from jaxurban.maps import provenance as record
 from jaxurban.maps import run as pipeline
 from jaxurban.maps.scenario import Scenario
-from jaxurban.world.city import Footprints, Raster
+from jaxurban.world.city import Raster
 from tests.cli_runs import TOWN, run, write_city
-from tests.made_maps import made_maps
+from tests.made_maps import city_of_boxes, made_maps
+from tests.tiled_runs import files_of
 
 SETTINGS = tomllib.loads(TOWN)
 REGION = SETTINGS["region"]
@@ -32,10 +30,6 @@ LONG = {"gps": {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-27T06:00:00Z",
 def job_of(**sections) -> Scenario:
     """Return the town's scenario with other sections."""
     return Scenario.from_dict(SETTINGS | sections)
-
-
-def bytes_in(folder) -> dict:
-    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def far_ends(maps) -> dict:
@@ -79,7 +73,7 @@ def test_what_a_killed_worker_left_half_written_is_gone_when_the_run_ends(job, m
 def test_worker_processes_write_the_same_geotiffs(job, tmp_path):
     for folder, workers in ((job, None), (tmp_path / "processes", 2)):
         pipeline.run_scenario(job_of(), folder, workers=workers, layers=("all",))
-    threads, processes = (bytes_in(folder / "geotiff") for folder in (job, tmp_path / "processes"))
+    threads, processes = (files_of(folder / "geotiff") for folder in (job, tmp_path / "processes"))
     assert len(threads) > 20
     assert threads == processes
 
@@ -94,22 +88,6 @@ def test_a_folder_in_the_way_of_a_file_is_kept_and_a_failed_job_leaves_no_empty_
     assert not (tmp_path / "out").exists()
 
 
-def test_a_disk_that_fills_up_is_one_sentence_and_leaves_nothing_half_written(tmp_path):
-    (tmp_path / "scenario.toml").write_text(job_of().to_toml())
-    limited = (
-        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)); "
-        "from jaxurban.cli.main import main; main(sys.argv[1:])"
-    )
-    command = [sys.executable, "-c", limited, "maps", tmp_path / "scenario.toml", "-o", tmp_path / "out"]
-    environment = os.environ | {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "1e9"}  # which writes none
-    ended = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=200, check=False)
-    assert ended.returncode == 2, ended.stderr
-    assert "cannot write" in ended.stderr.splitlines()[-1]
-    assert "Traceback" not in ended.stderr
-    assert not (tmp_path / "out" / "run.json").exists()
-
-
 def test_a_free_cell_without_a_value_is_never_without_cost(job):
     maps = ju.open_maps(job)
     maps.ds["gps"][:] = np.nan
@@ -118,15 +96,10 @@ def test_a_free_cell_without_a_value_is_never_without_cost(job):
 
 
 def test_a_hill_beyond_the_buildings_hides_low_satellites():
-    x, y, zero = 500_000.0, 4_500_000.0, np.zeros(1)
+    x, y = 500_000.0, 4_500_000.0
+    flat = city_of_boxes([(0, 0, 20, 20)], 5.0, 400.0, (x, y))
     heights = np.zeros((120, 120), np.float32)
     heights[80:90] = 3_000.0  # a ridge 1.5 to 2 km south of the region
-    house = np.array([shapely.box(x, y, x + 20, y + 20)], object)
-    flat = ju.City(
-        "EPSG:32618",
-        (x, y, x + 400.0, y + 400.0),
-        Footprints(house, zero + 5, zero, zero.astype(np.uint8), zero > 0),
-    )
     ridge = Raster(heights, (50.0, 0.0, x - 2_800.0, 0.0, -50.0, y + 2_600.0), "EPSG:32618")
     extent_m = (x - 2_800.0, y - 3_400.0, x + 3_200.0, y + 2_600.0)
     seen, open_sky = (
@@ -143,11 +116,11 @@ def test_a_changed_scenario_is_refused_with_both_differences_and_a_new_folder(jo
     made = files.read_json(job / "run.json")
     inputs = {"orbits": {"path": "town.csv", "sha256": "of the old elements"}}
     files.write_json(job / "run.json", made | {"inputs": inputs, "settings": made["settings"] | orbits})
-    before = bytes_in(job)
+    before = files_of(job)
     both = r"altitudes_m was \[20.*other input files \(orbits.*-o \S*job-2\).*--overwrite"
     with pytest.raises(InputError, match=both):
         pipeline.run_scenario(job_of(**orbits, region=REGION | {"altitudes_m": altitudes_m}), job)
-    assert bytes_in(job) == before
+    assert files_of(job) == before
 
 
 def test_saved_maps_have_the_record_of_their_own_run_or_none(job, tmp_path):

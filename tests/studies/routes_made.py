@@ -86,6 +86,13 @@ def with_noise(maps: MetricMaps, loud: np.ndarray) -> MetricMaps:
     return MetricMaps(maps.ds.assign(noise=(("y", "x"), loud.astype(np.float32), layer)))
 
 
+def walled(maps: MetricMaps, *where) -> MetricMaps:
+    """Return maps with an obstacle at every altitude everywhere, or at some rows, or some cells of them."""
+    obstacle = maps.ds["obstacle"].copy(deep=True)
+    obstacle[:, *where] = 1
+    return MetricMaps(maps.ds.assign(obstacle=obstacle))
+
+
 def run_study(name: str, folders: Sequence[Path], out: Path, num: object = None, **how):
     """Run the study of planners on the first of two folders, or that of weights on both; without a number, as usual."""
     if name == "study":
