@@ -38,19 +38,6 @@ def test_nothing_stands_beyond_the_surface():
     np.testing.assert_array_equal(alone, among_nothing)
 
 
-def test_terrain_hides_what_lies_behind_a_ridge():
-    roof_m = np.zeros((41, 41), np.float32)
-    roof_m[20, 32] = 25.0
-    terrain_m = np.zeros((41, 41))
-    terrain_m[:, 26] = 60.0
-    grid = Grid("EPSG:32618", 5.0, 0, 0, 41, 41)
-    params = Lidar(azimuths=4)
-    flat = compute_lidar(surface_on(roof_m, grid, grid), [20.0], params)
-    hidden = compute_lidar(surface_on(roof_m, grid, grid, terrain_m), [20.0], params)
-    assert flat[0, 20, 20] == hidden[0, 20, 30] == 0.25  # due east, 60 and 10 m away
-    assert hidden[0, 20, 20] == 0
-
-
 def test_a_single_beam_lies_in_the_middle_and_several_at_equal_steps():
     np.testing.assert_allclose(Lidar(beams=1, field_of_view_deg=(-10, 20)).elevations_rad, np.deg2rad([5]))
     np.testing.assert_allclose(np.rad2deg(Lidar().elevations_rad), np.arange(-15, 16, 2), atol=1e-12)

@@ -10,20 +10,10 @@ from tests.metrics.soft.scene import check_gradient
 ROOF_M = jnp.array([0.0, 5.0, 17.9, 18.0, 18.5, 19.0, 19.9, 20.0, 21.0, 300.0])
 
 
-def test_a_cell_is_an_obstacle_up_to_its_roof_and_free_above():
-    roof_m = np.array([[0.0, 19.9, 20.0], [60.0, 60.1, 0.0]], np.float32)
-    np.testing.assert_array_equal(
-        obstacle_mask(roof_m, [20.0, 60.0, 122.0]),
-        [
-            [[False, False, True], [True, True, False]],
-            [[False, False, False], [True, True, False]],
-            [[False, False, False], [False, False, False]],
-        ],
-    )
-
-
-def test_bare_ground_is_free_even_at_altitude_zero():
-    assert not obstacle_mask(np.zeros((2, 2), np.float32), [0.0]).any()
+def test_a_cell_is_an_obstacle_up_to_its_roof_and_free_above_and_bare_ground_is_free_even_at_altitude_zero():
+    roof_m, z_m = np.array([[0.0, 19.9, 20.0, 60.0, 60.1]], np.float32), np.array([0.0, 20.0, 60.0, 122.0])
+    expected = [[0, 1, 1, 1, 1], [0, 0, 1, 1, 1], [0, 0, 0, 1, 1], [0, 0, 0, 0, 0]]
+    np.testing.assert_array_equal(obstacle_mask(roof_m, z_m)[:, 0], expected)
 
 
 def test_a_soft_obstacle_is_never_less_than_the_exact_one_and_the_same_beyond_one_softness():

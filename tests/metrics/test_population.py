@@ -1,3 +1,5 @@
+"""Population: densities, norms and hours of the week, and gradients in gammas and counts."""
+
 from dataclasses import replace
 
 import jax
@@ -5,18 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from affine import Affine
-from rasterio.features import rasterize
 
-from jaxurban.io.read.census import read_blocks
 from jaxurban.maps.provenance import population_totals
 from jaxurban.metrics.population import (
+    BlockPopulation,
     Population,
     block_people,
     day_share,
     density_per_km2,
+    soft_population,
 )
 from jaxurban.world.city import Blocks, Zoning
+from tests.metrics.soft.scene import check_gradient
 from tests.metrics.whole_maps import population_maps
 
 # Four blocks of 100 m x 100 m in a row: commercial, residential, other, empty.
@@ -98,15 +100,59 @@ def test_totals_add_up_by_zoning():
     assert inside["day"]["total"] == pytest.approx(0.5 * inside["night"]["total"])
 
 
-@pytest.mark.data
-def test_the_night_density_map_of_manhattan_sums_to_its_census(data_dir):
-    census, files = data_dir / "census", ("tl_2010_36061_tabblock10.shp", "DECENNIALSF12010.P1_nyc_blocks.csv")
-    blocks, _ = read_blocks(Population(blocks=census / files[0], table=census / files[1]), "EPSG:32618")
-    x_min, y_min, x_max, y_max = shapely.total_bounds(blocks.polygons)
-    x_min, y_max, size = np.floor(x_min / 10) * 10, np.ceil(y_max / 10) * 10, 10.0
-    shape = int((y_max - y_min) / size) + 1, int((x_max - x_min) / size) + 1
-    outlines, place = zip(blocks.polygons, range(len(blocks)), strict=True), Affine(size, 0, x_min, 0, -size, y_max)
-    block = rasterize(outlines, shape, fill=-1, transform=place, dtype="int32")
-    maps = population_maps(jnp.asarray(block), blocks, ("night",))
-    people = np.asarray(maps.density_per_km2, np.float64).sum() * size**2 / 1e6
-    assert people == pytest.approx(1_585_873, rel=0.005)
+# Twelve blocks side by side, of which the last two lie beyond the bounds.
+BOUNDS_M, RNG = (0.0, 0.0, 950.0, 100.0), np.random.default_rng(0)
+ZONING = RNG.permutation(np.repeat([Zoning.COMMERCIAL, Zoning.RESIDENTIAL], 6)).astype(np.uint8)
+EAST_M = 100.0 * np.arange(12)
+ROW = Blocks(
+    polygons=shapely.box(EAST_M, 0.0, EAST_M + RNG.uniform(40, 90, 12), 100.0),
+    night_count=RNG.uniform(10, 500, 12),
+    district=np.zeros(12, np.int32),
+    zoning=ZONING,
+    block_id=np.arange(12).astype(object),
+)
+CELLS = jnp.asarray(np.random.default_rng(1).integers(-1, 12, (6, 7)), jnp.int32)
+
+
+@pytest.mark.parametrize(("time_of_day", "normalise"), [("day", "max"), ("night", 30_000.0), ("weekend-20", "p80")])
+def test_as_a_function_of_gammas_and_counts_it_is_the_metrics_own_map(time_of_day, normalise):
+    params = Population(normalise=normalise)
+    expected = population_maps(CELLS, ROW, [time_of_day], params, BOUNDS_M).m[0]
+    population, cells = BlockPopulation.of(ROW, BOUNDS_M), np.array([[0, 0], [5, 6], [2, 3]])
+    np.testing.assert_array_equal(soft_population(CELLS, population, time_of_day, params), expected)
+    at_cells = soft_population(CELLS, population, time_of_day, params, cells=cells)
+    np.testing.assert_array_equal(at_cells, expected[*cells.T])
+
+
+@pytest.mark.parametrize(
+    ("quantity", "normalise"), [("density", "max"), ("density", "p80"), ("density", 150_000.0), ("count", "max")]
+)
+def test_gradients_of_population_agree_with_finite_differences(quantity, normalise):
+    params = Population(normalise=normalise, quantity=quantity)
+    with jax.enable_x64(True):
+        population, weight = BlockPopulation.of(ROW, BOUNDS_M, np.float64), RNG.uniform(size=CELLS.shape)
+
+        @jax.jit
+        @jax.value_and_grad
+        def total(inputs):
+            gammas = {name: inputs[name] for name in ("gamma_commercial", "gamma_residential")}
+            those = population._replace(night_count=inputs["night_count"], area_m2=inputs["area_m2"])
+            return (weight * soft_population(CELLS, those, "weekday-18", replace(params, **gammas))).sum()
+
+        gammas = {"gamma_commercial": jnp.asarray(2.0), "gamma_residential": jnp.asarray(0.6)}
+        inputs = {"night_count": population.night_count, "area_m2": population.area_m2} | gammas
+        check_gradient(total, inputs, zero={"area_m2"} if quantity == "count" else ())
+
+
+def test_gammas_are_leaves_of_the_settings_and_batches_take_no_new_compilation():
+    population = BlockPopulation.of(ROW, BOUNDS_M)
+
+    @jax.jit
+    def m(params, night_count):
+        return soft_population(CELLS, population._replace(night_count=night_count), "day", params)
+
+    several = [Population(gamma_commercial=g, gamma_residential=h) for g, h in ((3.0, 0.5), (2.0, 0.7))]
+    one_by_one = jnp.stack([m(params, population.night_count) for params in several])
+    assert m._cache_size() == 1
+    stacked = jax.tree.map(lambda *gammas: jnp.asarray(gammas), *several)
+    np.testing.assert_allclose(jax.vmap(m, (0, None))(stacked, population.night_count), one_by_one, rtol=1e-6)

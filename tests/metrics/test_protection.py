@@ -5,14 +5,12 @@ import numpy as np
 import pytest
 
 from jaxurban.metrics.protection import (
-    METRIC,
     Protection,
     galileo_receiver_sigma_m,
     levels_of_satellites,
     protection_maps,
     ranging_of,
 )
-from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.world.sky import InView
 from tests.kernels.test_protection import EXAMPLE
 
@@ -59,9 +57,3 @@ def test_every_cell_has_the_levels_of_its_own_satellites(counts):
     np.testing.assert_array_equal(maps["within_limits"], (hpl_m <= 40) & (vpl_m <= 35))
     assert not maps["protection"][is_obstacle].any()
     assert maps["within_limits"].any()
-
-
-def test_it_is_made_on_request_and_no_metric_of_every_cost():
-    assert "protection" not in METRICS
-    assert [*known_metrics()] == [*METRICS, *ON_REQUEST]
-    assert METRIC.colour not in {metric.colour for metric in METRICS.values()}

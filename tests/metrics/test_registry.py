@@ -13,7 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.metrics.base import Scene, SoftScene
 from jaxurban.metrics.custom import Layer, held_metrics, own_metric
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.world.surface import obstacle_mask
@@ -35,7 +35,8 @@ def test_metrics_stand_in_the_papers_order_and_an_unknown_one_is_named():
     assert [float(metric.cost(0.25)) for metric in METRICS.values()] == [0.75, 0.75, 0.25, 0.75]
     assert [metric.reach_m(metric.params()) for metric in METRICS.values()] == [0.0, 100.0, 0.0, 50.0]
     assert [METRICS["lidar"].reach_m(Lidar(range_m=70.0)), METRICS["risk"].reach_m(Risk(35.0))] == [70.0, 35.0]
-    assert len({metric.colour for metric in METRICS.values()}) == len(METRICS)
+    assert [*known_metrics()] == [*METRICS, *ON_REQUEST]
+    assert len({metric.colour for metric in known_metrics().values()}) == len(known_metrics())
 
 
 @pytest.mark.parametrize("layer", [NOISE, QUIET])
@@ -80,12 +81,8 @@ def test_maps_say_which_layers_they_hold():
     assert held["noise"].cost(1.0) == 1.0
 
 
-def test_weights_are_parsed_over_a_base():
-    weights = Weights.parse("gps=2, risk=0", Weights(lidar=7.0))
-    assert weights == Weights(gps=2.0, lidar=7.0, risk=0.0)
-
-
-def test_weights_carry_any_name_and_a_name_that_is_left_out_weighs_one():
+def test_weights_are_parsed_over_a_base_carry_any_name_and_a_name_that_is_left_out_weighs_one():
+    assert Weights.parse("gps=2, risk=0", Weights(lidar=7.0)) == Weights(gps=2.0, lidar=7.0, risk=0.0)
     weights = Weights.parse("noise=2,gps=3")
     assert (weights["noise"], weights["gps"], weights["crowd"]) == (2.0, 3.0, 1.0)
     assert weights == Weights(gps=3.0, noise=2.0) == Weights.of({"noise": 2.0, "gps": 3.0})

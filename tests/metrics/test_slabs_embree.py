@@ -1,19 +1,118 @@
-"""Visibility under and beside what hangs, against Embree rays through the exact prisms."""
+"""Angles at the edge (zenith, mask, axes, diagonals, from a hill downward), and under a deck, against Embree.
+
+The world of angles is made of cells, each a column up to its terrain or roof, so that Embree sees the rasters.
+"""
 
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
 
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.kernels.dop import unit_vectors
+from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
 from jaxurban.metrics.visibility import shadow_reach_m, visibility
 from jaxurban.world.city import SLABS, City, Footprints
 from jaxurban.world.grid import Grid
-from jaxurban.world.surface import obstacles_on
+from jaxurban.world.sky import Sky
+from jaxurban.world.surface import Surface, obstacles_on
 from tests.embree_scene import CityScene
-from tests.metrics.whole_maps import seen
+from tests.metrics.whole_maps import seen, surface_on
+
+GRID = Grid("EPSG:32618", 5.0, 900_000, 100_000, 48, 48)
+REGION = Grid("EPSG:32618", 5.0, 900_012, 100_012, 24, 24)
+OVERSAMPLE, ALTITUDE_M = 5, 8.0
+
+
+class World:
+    """Roofs and terrain in whole cells, and the same as columns for Embree."""
+
+    def __init__(self, hill_m: float):
+        rng = np.random.default_rng(5)
+        is_roof = np.kron(rng.random((16, 16)) < 0.25, np.ones((3, 3))) > 0
+        self.roof_m = np.where(is_roof, np.kron(rng.integers(6, 40, (16, 16)), np.ones((3, 3))), 0.0)
+        row, col = np.indices(GRID.shape)
+        self.terrain_m = np.round(hill_m * np.exp(-((row - 24) ** 2 + (col - 24) ** 2) / 150.0), 1)
+        x, y = (v.ravel() * 5.0 for v in (col + GRID.first_col, row + GRID.first_row))
+        # A millimetre less: a ray along a diagonal runs through corners, which must not count as hits.
+        cells = shapely.box(x + 1e-3, y + 1e-3, x + 5.0 - 1e-3, y + 5.0 - 1e-3)
+        top_m, is_roof = (self.terrain_m + self.roof_m).ravel(), self.roof_m.ravel() > 0
+        self.buildings = CityScene(cells[is_roof], top_m[is_roof])
+        self.ground = CityScene(cells, np.where(is_roof, 0.0, self.terrain_m.ravel())) if hill_m else None
+        free = self.roof_m[REGION.window_in(GRID)] < ALTITUDE_M
+        self.row, self.col = np.nonzero(free)
+        own_m = self.terrain_m[REGION.window_in(GRID)][free]
+        self.start_m = np.column_stack([*REGION.xy_of_cell(self.row, self.col), own_m + ALTITUDE_M])
+
+    def surface(self, oversample: int = 1) -> Surface:
+        roof_m, terrain_m = (np.kron(v, np.ones((oversample, oversample))) for v in (self.roof_m, self.terrain_m))
+        grid, region = GRID.refined(oversample), REGION.refined(oversample)
+        return surface_on(roof_m, grid, region, terrain_m if self.ground else None)
+
+    def is_clear(self, angles: np.ndarray) -> np.ndarray:
+        """Return ``[S, N]`` whether the free cells see each direction."""
+        scenes = [scene for scene in (self.buildings, self.ground) if scene is not None]
+        return np.all([scene.sees(self.start_m, unit_vectors(*angles.T)) for scene in scenes], axis=0)
+
+    def seen(self, oversample: int, angles: np.ndarray) -> np.ndarray:
+        words = visibility(self.surface(oversample), *angles.T, [ALTITUDE_M], every=oversample)
+        return seen(words, len(angles))[:, 0, self.row, self.col]
+
+
+@pytest.fixture(scope="module", params=[0.0, 25.0], ids=["flat", "hill"])
+def world(request) -> World:
+    return World(request.param)
+
+
+AXES = [(azimuth, elevation) for azimuth in (0, 90, 180, 270) for elevation in (5, 20, 50)]
+DIAGONALS = [(azimuth, elevation) for azimuth in (45, 135, 225, 315) for elevation in (5, 20, 50)]
+
+
+@pytest.mark.parametrize(
+    ("angles_deg", "plain", "fine"),
+    [([(0, 90), (123, 90)], 1.0, 1.0), (AXES, 0.97, 0.993), (DIAGONALS, 0.93, 0.985)],
+    ids=["zenith", "axes", "diagonals"],
+)
+def test_edge_angles_agree_with_embree(world, angles_deg, plain, fine):
+    angles = np.radians(angles_deg)
+    is_clear = world.is_clear(angles)
+    shares = [(world.seen(n, angles) == is_clear).mean() for n in (1, OVERSAMPLE)]
+    print(shares, is_clear.mean())
+    assert shares[0] >= plain
+    assert shares[1] >= fine
+    assert is_clear.all() == (plain == 1)  # the zenith is seen from every free cell
+
+
+def test_a_satellite_exactly_at_the_mask_counts_and_one_below_does_not():
+    mask_rad = np.radians(5.0)
+    elevation = np.array([[mask_rad, np.nextafter(mask_rad, 0), 1.0, 0.7, 0.9, 1.2]])
+    azimuth = np.array([[0.3, 1.0, 2.0, 3.5, 5.0, 6.0]])
+    sky = Sky(("2020-04-27T16:00:00Z",), tuple("abcdef"), azimuth, elevation, ("gps",) * 6, np.zeros((1, 6)))
+    above = sky.under(5.0)
+    assert above.names == tuple("acdef")
+    assert above.count_by_system() == {"gps": [5]}
+    world, angles = World(0.0), np.column_stack([above.azimuth_rad[0], above.elevation_rad[0]])
+    agrees = world.seen(OVERSAMPLE, angles) == world.is_clear(angles)
+    assert agrees.mean() >= 0.98
+    assert agrees[0].mean() >= 0.98
+
+
+def test_a_lidar_on_a_hill_looking_down_agrees_with_embree():
+    world, params = World(25.0), Lidar(beams=8, field_of_view_deg=(-25.0, 5.0), azimuths=40, range_m=55.0)
+    expected = world.buildings.scan(world.start_m, params, world.ground)
+    on_top = world.terrain_m[REGION.window_in(GRID)][world.row, world.col] > 15
+    assert on_top.sum() > 20
+    free = jnp.zeros((1, *REGION.shape), bool)
+    plain = compute_lidar(world.surface(), [ALTITUDE_M], params)
+    fine = lidar_at_centres(world.surface(OVERSAMPLE), OVERSAMPLE, free, [ALTITUDE_M], params)
+    for m, bar in ((plain, 0.035), (fine, 0.012)):
+        error = np.abs(np.asarray(m)[0, world.row, world.col] - expected)
+        print(error.mean(), error[on_top].mean())
+        assert error.mean() <= bar
+        assert error[on_top].mean() <= bar
+
 
 CRS, X_M, Y_M = "EPSG:32618", 583_000.0, 4_507_000.0
 RESOLUTION_M = 2.0

@@ -1,21 +1,16 @@
 """Soft GPS cell by cell as it is defined, and the two forms of the soft lidar."""
 
 import math
-from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-import pytest
 
-from jaxurban.kernels.lidar import hard, soft
 from tests.metrics.soft.scene import (
     ALTITUDE_M,
     AZIMUTH_RAD,
     CASES,
     ELEVATION_RAD,
     GRID,
-    LIDAR,
     REGION,
 )
 
@@ -61,36 +56,3 @@ def test_soft_gps_equals_its_definition_cell_by_cell():
     assert np.mean((expected > 0) & (expected < 0.85)) > 0.1
     assert (expected == 0).any()
     np.testing.assert_allclose(found, expected, atol=1e-9)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("num_azimuths", [7, 80])  # a GPU takes them at once, or in two turns
-def test_the_form_of_the_lidar_for_a_gpu_gives_the_values_and_gradients_of_the_one_for_a_cpu(num_azimuths):
-    rng = np.random.default_rng(0)
-    steps = hard.num_steps(5.0, 40.0)
-    shape = 15 + 2 * (steps - 1), 12 + 2 * (steps - 1)
-    roof_m = jnp.asarray(np.where(rng.random(shape) < 0.3, rng.uniform(5, 40, shape), 0.0))
-    terrain_m = jnp.asarray(rng.uniform(0, 6, shape))
-    offsets, softness_m = hard.ray_offsets(num_azimuths, steps), jnp.asarray(2.0)
-    cells = jnp.asarray(rng.integers(0, (15, 12), (20, 2)))
-    weight = jnp.asarray(rng.uniform(0.5, 1.5, (15, 12)))
-
-    def of_map(form, altitude_m, range_m, roof_m):
-        scan = soft.scan_of(altitude_m, range_m, LIDAR.elevations_rad, 5.0)
-        return (weight * form(roof_m, scan, offsets, softness_m)).sum()
-
-    def of_cells(form, altitude_m, range_m, roof_m, terrain_m=None):
-        scan = soft.scan_of(0.0 * altitude_m, range_m, LIDAR.elevations_rad, 5.0)
-        heights_m = altitude_m + jnp.arange(len(cells))
-        at = soft.ScansAt(roof_m, terrain_m, heights_m, scan, offsets, softness_m, cells)
-        return (weight[cells[:, 0], cells[:, 1]] * form(at)).sum()
-
-    fields = (roof_m,) if num_azimuths == 7 else (roof_m, terrain_m)
-    of_all, at_cells = (soft.one_by_one, soft.together), (soft.one_by_one_at, soft.together_at)
-    for total, given, forms in ((of_map, (roof_m,), of_all), (of_cells, fields, at_cells)):
-        at = jnp.asarray(15.0), jnp.asarray(39.0), *given
-        cpu, gpu = (jax.jit(jax.value_and_grad(partial(total, form), range(len(at))))(*at) for form in forms)
-        np.testing.assert_allclose(gpu[0], cpu[0], rtol=1e-6)
-        for found, expected in zip(gpu[1], cpu[1], strict=True):
-            assert np.abs(expected).max() > 1e-3
-            np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())

@@ -21,15 +21,9 @@ ALTITUDE_M = 20.0
 
 @pytest.mark.slow
 @pytest.mark.data
-@pytest.mark.parametrize("city_name", ["synthetic", "lower-manhattan"])
-def test_each_halving_comes_nearer_and_the_last_map_is_the_exact_one_but_for_half_a_percent(city_name, request):
-    if city_name == "synthetic":
-        city = ju.demo_city(1500, 1500)
-        region = ju.Grid(city.crs, 5.0, *(round(edge / 5) for edge in city.extent_m[1::-1]), 300, 300)
-    else:
-        data = request.getfixturevalue("data_dir")
-        city = ju.City.from_files(data / "osm" / "lower-manhattan.osm.pbf", bounds=LOWER_MANHATTAN)
-        region = ju.Grid.from_bounds(LOWER_MANHATTAN, 5.0, city.crs)
+def test_each_halving_comes_nearer_and_the_last_map_is_the_exact_one_but_for_half_a_percent(data_dir):
+    city = ju.City.from_files(data_dir / "osm" / "lower-manhattan.osm.pbf", bounds=LOWER_MANHATTAN)
+    region = ju.Grid.from_bounds(LOWER_MANHATTAN, 5.0, city.crs)
     sky = view_sky(region, ju.Gps(times=["2020-04-27T16:00:00Z"]))
     surface, angles = MapTask(city, region, sky, MapParams()).surface(), (sky.azimuth_rad[0], sky.elevation_rad[0])
     gps = compute_gps(surface, *angles, [ALTITUDE_M]).m[0]
