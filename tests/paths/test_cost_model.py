@@ -272,7 +272,7 @@ def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_diff
 
 def test_routes_of_other_constraints_than_the_fits_are_told(maps, plans, zone_file, tmp_path):
     free, limited = (plans[MODELS[0], name] for name in ("none", "constraints"))
-    file = routes_file(tmp_path / "routes.geojson", [limited])
+    file = limited.save(tmp_path / "route.kml")
     constraints = "1 no-fly zone, risk>=0.08, vertical clearance of 3 m"
     with pytest.warns(OtherSettingsWarning, match=rf"and {constraints} and is fitted .*--no-fly, --require"):
         ju.fit.read_demonstrations(file, maps)

@@ -14,7 +14,7 @@ from jaxurban.io.files import write_json
 from jaxurban.io.store import write_zarr
 from jaxurban.maps.scenario import Scenario
 from jaxurban.paths.constraints import Bound
-from jaxurban.paths.export.write import encoder_of, write_path
+from jaxurban.paths.export.write import write_path
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.studies.queries import make_queries
 from tests.cli_runs import assert_one_sentence, run
@@ -33,9 +33,6 @@ class Scene:
         self.maps, self.ends, self.grid = maps, ends, maps.grid
         self.on = ju.cost_map(maps, Z_M)
         self.path = self.on.plan(**{name.removesuffix("_xy_m"): ju.XY(*xy_m) for name, xy_m in ends.items()})
-        self.kept = ju.cost_map(maps, Z_M, constraints=ju.Constraints.read(clearance_m=6.0))
-        near = np.argwhere(self.kept.is_free)
-        self.clear = self.kept.plan(*(ju.XY(*maps.grid.xy_of_cell(*near[k])) for k in (10, 20)))
         self.untouched = ju.MetricMaps(maps.ds.drop_vars("roof_touched"), "centre")
         self.blocked = self.plan(planner="ptp")
         self.pairs = [tuple(tuple(map(float, maps.grid.lonlat_of_xy(*xy_m))) for xy_m in ends.values())] * 3
@@ -59,8 +56,8 @@ class Scene:
     def explain(self, **changed):
         return ju.explain(self.path, self.maps, **changed)
 
-    def simplify(self, path=None, on=None, tolerance_m=2.0, **options):
-        on = on or ju.cost_map(self.maps, **({"altitude_m": Z_M} | options))
+    def simplify(self, path=None, maps=None, tolerance_m=2.0, **options):
+        on = ju.cost_map(maps or self.maps, **({"altitude_m": Z_M} | options))
         return ju.simplify(path or self.path, on, tolerance_m)
 
 
@@ -86,9 +83,7 @@ def each(call, values, words):
 
 REFUSED = [
     # what is planned
-    (lambda s: s.plan(planner="astar-pluss"), "did you mean 'astar-plus'"),
     (lambda s: s.plan(planner="astar"), "unknown planner 'astar' .did you mean 'astar-plus'"),
-    (lambda s: s.plan(planner="bitstar"), "unknown planner 'bitstar' .did you mean 'bitstar-plus'"),
     (lambda s: s.plan(planner="theta"), "unknown planner 'theta' .did you mean 'theta-star'"),
     (lambda s: s.plan(objective="fast"), "'weighted', 'distance' or None"),
     (lambda s: s.plan(cost_model="cells"), "CostModel, 'cell', 'line' or None"),
@@ -98,10 +93,8 @@ REFUSED = [
     (lambda s: s.plan(cost_model="cell", refine=True), "cost_model='line'"),
     (lambda s: s.plan(planner="bitstar-dist", seed=-1), "seed must be a whole number"),
     (lambda s: s.plan(planner="bitstar-dist", seed=1.5), "seed must be a whole number"),
-    *each(lambda s, name: s.plan(planner=name, weights=ju.Weights(risk=NAN)), PLANNERS, "weight risk must be a"),
     *each(lambda s, name: s.plan(planner=name, weights=ju.Weights(risk=-1)), PLANNERS, "weight risk must be a"),
-    *each(lambda s, z_m: s.plan(altitude_m=z_m), (10.0, 19.999, 60.001, -1.0), "from 20 to 60 m"),
-    *each(lambda s, z_m: s.plan(altitude_m=z_m), (NAN, np.inf), "from 20 to 60 m|finite number"),
+    *each(lambda s, z_m: s.plan(altitude_m=z_m), (19.999, 60.001, NAN, np.inf), "from 20 to 60 m|finite number"),
     *each(lambda s, snap: s.plan(snap=snap), NO_DISTANCES, "snap must be True"),
     *each(lambda s, snap: s.levels(snap=snap), NO_DISTANCES, "snap must be True"),
     *each(lambda s, snap: s.many(snap=snap), NO_DISTANCES, "snap must be True"),
@@ -115,9 +108,7 @@ REFUSED = [
     (lambda s: s.levels(goal_altitude_m=30.0), "goal altitude 30 m is none of the levels 20, 60 m"),
     (lambda s: s.levels(climb_cost=-1.0), "climb_cost"),
     (lambda s: s.levels(descent_cost=NAN), "descent_cost"),
-    (lambda s: s.levels(weights=ju.Weights(gps=-1.0)), "weight gps"),
     (lambda s: s.levels(heuristic="plsu"), "did you mean 'plus'"),
-    (lambda s: s.levels(start=PLACE), "not both"),
     (lambda s: s.levels(planner="ptp"), "does not fly in a volume"),
     (lambda s: s.levels(refine=True), "leave it out"),
     (lambda s: ju.cost_map(s.maps, ju.Levels(20.0, 60.0, 40.0)).prepare(), "landmarks are for one altitude"),
@@ -126,7 +117,6 @@ REFUSED = [
     (lambda s: s.many(refine=True), "refine is of a single plan"),
     (lambda s: s.many(planner="a-star"), "unknown planner"),
     (lambda s: s.many(objective="beauty"), "objective must be"),
-    (lambda s: s.many(cost_model="area"), "cost_model must be"),
     (lambda s: s.many(backend="gpu"), "backend must be 'auto', 'numba' or 'jax'"),
     (lambda s: s.many(altitude_m=19.0), "there are no maps for altitude 19 m: these maps reach from 20 to 60 m"),
     (lambda s: s.table(*LONLAT, "goal_lat", "w_gsp"), "did you mean 'w_gps'"),
@@ -140,11 +130,8 @@ REFUSED = [
     *each(lambda s, wrong: ju.Constraints.read(clearance_m=wrong), NO_NUMBERS, "clearance_m"),
     *each(lambda s, wrong: ju.Constraints.read(vertical_clearance_m=wrong), NO_NUMBERS, "vertical_clearance_m"),
     (lambda s: s.closed("gps=>0.3"), "comparison '=>': use >=, <=, >, <"),
-    (lambda s: s.closed("gps==0.3"), "comparison '=='"),
-    (lambda s: s.closed("gps>=much"), "must read name"),
-    (lambda s: s.closed("0.3"), "must read name"),
-    (lambda s: s.closed("gps>=nan"), "finite number"),
-    (lambda s: s.closed("hdop<=inf"), "finite number"),
+    *each(lambda s, text: s.closed(text), ("gps>=much", "0.3"), "must read name"),
+    *each(lambda s, text: s.closed(text), ("gps>=nan", "hdop<=inf"), "finite number"),
     (lambda s: s.closed("gps>=30"), "lies in 0 to 1"),
     (lambda s: s.closed("gpz>0.3"), "did you mean 'gps'"),
     (lambda s: s.closed("gps_epoch_mean>0"), "do not hold"),
@@ -152,15 +139,12 @@ REFUSED = [
     (lambda s: s.plan(constraints=ju.Constraints.read(require="hdop<=0.1"), snap=True), NO_CELL),
     (lambda s: ju.Constraints(clearance_m=1.0).is_free(s.untouched, Z_M), "'roof_touched', from which a clearance is"),
     (lambda s: ju.Vehicle(radius_m=-0.1), "radius_m must be 0 or a positive number of metres"),
-    (lambda s: ju.Vehicle(speed_m_s=0.0), "speed_m_s must be a positive number of metres per second"),
     (lambda s: ju.Vehicle(max_turn_deg=181.0), "max_turn_deg must be at most 180 degrees"),
-    (lambda s: ju.Vehicle(power_w=100.0), "give the speed"),
     (lambda s: ju.Vehicle(max_descent_m_s="slow"), "max_descent_m_s must be a number or None"),
     (lambda s: Scenario.from_dict(REGION | {"vehicle": {"radius_cm": 40}}), "radius_m"),
     (lambda s: Scenario.from_dict(REGION | {"vehicle": {"max_climb_m_s": 0}}), "vehicle.*max_climb_m_s must be a pos"),
     # of a path
-    (lambda s: s.explain(speed_m_s=0.0), "speed_m_s must be a positive number of metres per second, got 0.0"),
-    (lambda s: s.explain(speed_m_s=NAN), "speed_m_s"),
+    *each(lambda s, wrong: s.explain(speed_m_s=wrong), (0.0, NAN), "speed_m_s must be a positive number of metres"),
     (lambda s: s.explain(power_w=200.0), "give the speed"),
     (lambda s: s.explain(swath_m=-1.0), "swath_m"),
     (lambda s: s.explain(num_segments=0), "num_segments"),
@@ -168,13 +152,11 @@ REFUSED = [
     (lambda s: ju.explain(s.path, made_maps(40, 50, resolution_m=20.0)), "these maps are 20 m"),
     (lambda s: ju.explain(s.blocked, s.maps), "there is no path to explain"),
     (lambda s: ju.cautions(s.blocked, s.maps), "there is no path"),
-    (lambda s: s.simplify(altitude_m=60.0), OTHER),
-    (lambda s: s.simplify(altitude_m=ju.Levels()), OTHER),
-    (lambda s: s.simplify(on=ju.cost_map(made_maps(40, 50, resolution_m=20.0), Z_M)), OTHER),
-    (lambda s: s.simplify(s.clear), ANOTHER.format("limits")),
-    (lambda s: s.simplify(on=s.kept), ANOTHER.format("limits")),
+    *each(lambda s, z_m: s.simplify(altitude_m=z_m), (60.0, ju.Levels()), OTHER),
+    (lambda s: s.simplify(maps=made_maps(40, 50, resolution_m=20.0)), OTHER),
+    (lambda s: s.simplify(constraints=ju.Constraints(clearance_m=6.0)), ANOTHER.format("limits")),
     (lambda s: s.simplify(weights={"gps": 2.0}), ANOTHER.format("weights")),
-    (lambda s: s.simplify(on=ju.cost_map(s.maps.with_obstacles("centre"), Z_M)), ANOTHER.format("obstacles")),
+    (lambda s: s.simplify(maps=s.maps.with_obstacles("centre")), ANOTHER.format("obstacles")),
     (lambda s: s.simplify(cost_model="cell"), ANOTHER.format("cost_model")),
     (lambda s: s.simplify(replace(s.path, xy_m=s.path.xy_m + 5.0)), ANOTHER.format("region")),
     *each(lambda s, wrong: s.simplify(tolerance_m=wrong), (0.0, -1.0, np.inf, "far"), "tolerance_m must be"),
@@ -202,9 +184,8 @@ def test_what_cannot_be_planned_is_refused_in_one_sentence(scene, call, words):
 )
 def test_a_file_that_cannot_be_is_refused_in_one_sentence(scene, name, options, words, tmp_path):
     (tmp_path / "folder.kml").mkdir()
-    for call in (lambda file: write_path(scene.path, file, **options), *([] if options else [encoder_of])):
-        with pytest.raises(InputError, match=words):
-            call(tmp_path / name)
+    with pytest.raises(InputError, match=words):
+        write_path(scene.path, tmp_path / name, **options)
     assert [file.name for file in tmp_path.iterdir()] == ["folder.kml"]
 
 
@@ -220,14 +201,11 @@ def test_too_little_memory_is_told_before_it_runs_out(scene, monkeypatch):
         ("plan", ("--altitude", 61), ("altitude 61 m", "from 20 to 60 m")),
         ("plan", ("--clearance", -3), ("clearance_m must be 0 or a positive number of metres, got -3",)),
         ("plan", ("--no-fly", "none.kml"), ("none.kml", "does not exist")),
-        ("plan", ("--require", "gps"), ("gps>=0.3",)),
         ("plan", ("--climb-cost", 1), ("--climb-cost", "--volume")),
         ("plan", ("--volume", "--planner", "ptp"), ("choose one of astar-volume",)),
         ("plan", ("--profile", "p.jpg"), ("end its name in .png",)),
         ("plan", ("--profile", "none/p.png"), ("folder that is there",)),
-        ("plan", ("--swath", 0), ("swath_m",)),
         ("plan", ("--simplify", -1), ("tolerance_m must be a positive number of metres",)),
-        ("plan", ("--simplify", "nan"), ("tolerance_m must be a positive number of metres",)),
         ("plan", ("--end", "land"), ("add -o FILE.plan",)),
         ("plan", ("--end", "hover", "-o", "x.plan"), ("land",)),
         ("sensitivity", ("--altitude", 35, "-o", "out"), ("no maps for altitude 35",)),
