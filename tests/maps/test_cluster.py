@@ -105,12 +105,14 @@ def test_each_process_of_a_cluster_is_killed_in_turn_and_no_map_is_lost(schedule
 
 def end_first_child(code: int) -> None:
     """End the first worker process that this process starts, as soon as it is there."""
-    children: list[psutil.Process] = []
-    while not children:
-        with suppress(psutil.Error):  # one of an earlier test that has ended
-            children = [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
+    has_ended = False
+    while not has_ended:
+        for child in psutil.Process().children():
+            with suppress(psutil.Error):  # one of an earlier test that has ended
+                if not has_ended and "spawn_main" in " ".join(child.cmdline()):
+                    child.send_signal(code)
+                    has_ended = True
         time.sleep(0.01)
-    children[0].send_signal(code)
 
 
 def test_who_holds_no_certificate_of_the_run_does_not_reach_its_workers():
