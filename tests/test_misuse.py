@@ -271,41 +271,29 @@ HOMES = {
         "height_std": "heights=Heights(height_std_m=...)",
         "population_table": "population=Population(table=...)",
         "default_height_m": "city=City.from_files(buildings=Buildings(default_height_m=...))",
+        **dict.fromkeys(("metrics", "weights", "device", "seed"), ""),
     },
-    "cost_map": {"radius_m": "constraints=Constraints.read(vehicle=Vehicle(radius_m=...))"},
+    "cost_map": {"radius_m": "constraints=Constraints.read(vehicle=Vehicle(radius_m=...))", "snap": ""},
+    "MetricMaps.save": {"overwrite": ""},
     "plan": {
         "clearance_m": "constraints=Constraints.read(clearance_m=...)",
         "levels": "altitude_m=Levels(...)",
         "max_altitude_m": "altitude_m=Levels(max_altitude_m=...)",
         "speed": "constraints=Constraints.read(vehicle=Vehicle(speed_m_s=...))",
+        **dict.fromkeys(("closed", "volume", "simplify", "time_limit"), ""),
     },
     "study": {"planers": "settings=Study(planners=...)"},
 }
 
 
 @pytest.mark.parametrize(("name", "wrong"), [(name, wrong) for name, homes in HOMES.items() for wrong in homes])
-def test_an_argument_of_what_makes_another_is_given_there(name, wrong):
-    with pytest.raises(
-        InputError, match=re.escape(f"{name}: there is no argument {wrong!r} (give {HOMES[name][wrong]})")
-    ):
-        CALLS[name](**good_arguments(name), **{wrong: 1})
-
-
-@pytest.mark.parametrize(
-    ("name", "wrong"),
-    [
-        *(("build_maps", wrong) for wrong in ("metrics", "weights", "device", "seed")),
-        *(("plan", wrong) for wrong in ("closed", "volume", "simplify", "time_limit")),
-        *(("cost_map", "snap"), ("MetricMaps.save", "overwrite")),
-    ],
-)
-def test_an_argument_like_no_other_is_answered_by_the_list_of_all_and_no_guess(name, wrong):
-    given = good_arguments(name)
+def test_an_unknown_argument_is_answered_by_what_takes_it_or_by_the_list_of_all_and_no_guess(name, wrong):
+    given, home = good_arguments(name), HOMES[name][wrong]
     method = CALLS[name].__get__(given.pop("self")) if "self" in given else CALLS[name]
     with pytest.raises(InputError) as raised:
         method(**given, **{wrong: 1})
-    takes = ", ".join(inspect.signature(method).parameters)
-    assert str(raised.value) == f"{name.rpartition('.')[2]}: there is no argument {wrong!r}; it takes {takes}"
+    remedy = f" (give {home})" if home else f"; it takes {', '.join(inspect.signature(method).parameters)}"
+    assert str(raised.value) == f"{name.rpartition('.')[2]}: there is no argument {wrong!r}{remedy}"
 
 
 @pytest.mark.parametrize(

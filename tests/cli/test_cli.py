@@ -203,9 +203,7 @@ def test_view_writes_one_file_that_asks_nobody(made, tmp_path, capsys):
     code, _, err = run(capsys, "view", made, "--export", tmp_path / "page.html")
     assert code == 0
     assert "open it in a browser" in err
-    page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert not re.findall(r'(?:src|href)="(?!data:)', page)
-    assert "connect-src 'none'" in page
+    assert not re.findall(r'(?:src|href)="(?!data:)', (tmp_path / "page.html").read_text(encoding="utf-8"))
 
 
 @pytest.mark.slow

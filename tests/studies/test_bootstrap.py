@@ -160,9 +160,3 @@ def test_intervals_contain_the_truth_in_93_of_100_cases_and_less_often_where_val
         interval, truth = drawn(rng)
         inside += interval.low <= truth <= interval.high
     assert inside >= (0.91 if made == "exponential" else 0.93) * 2000, inside / 2000
-
-
-def test_eight_normal_values_have_the_interval_of_student():
-    rng, clusters = np.random.default_rng(4), Clusters(np.arange(8))
-    intervals = [clusters.interval(rng.normal(size=8)) for _ in range(2000)]
-    assert sum(each.low <= 0 <= each.high for each in intervals) >= 1860

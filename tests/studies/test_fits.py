@@ -84,9 +84,9 @@ def test_a_fit_that_stopped_ends_bit_for_bit_as_one_that_did_not(demonstrations,
         fit_weights(demonstrations[1:], settings=kept)
 
 
-def fitted(maps, hidden=HIDDEN, on=lambda unit: unit, cost_model="line", altitude_m=20.0, max_rounds=20, **how):
+def fitted(maps, hidden=HIDDEN, cost_model="line", altitude_m=20.0, max_rounds=20, **how):
     """Return routes planned under hidden weights on maps, and their fit."""
-    unit = on(cost_map(maps, altitude_m, cost_model=cost_model))
+    unit = cost_map(maps, altitude_m, cost_model=cost_model)
     shown = optimal_demonstrations(made_queries(unit, NUM), hidden)
     return shown, fit_weights(shown, settings=FitSettings(max_rounds=max_rounds), **{"bootstrap": 0} | how)
 
@@ -119,14 +119,6 @@ def test_several_altitudes_are_fitted_together(small):
     fit = fit_weights(shown, bootstrap=0, scale="distance")
     assert fit.weights.distance == pytest.approx(1)
     assert cosine(fit, shown, HIDDEN) > 0.999
-
-
-def test_only_chosen_metrics_are_fitted(small):
-    hidden = HIDDEN.replace(lidar=0.0)
-    shown, fit = fitted(small, hidden, on=lambda unit: unit.only(("gps", "population", "risk")))
-    assert fit.names == ("distance", "gps", "population", "risk")
-    assert fit.weights.lidar == 0
-    assert cosine(fit, shown, hidden) > 0.998
 
 
 def test_weights_stay_finite_where_every_demonstration_avoids_a_cost_altogether(small):
