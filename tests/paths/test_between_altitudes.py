@@ -1,15 +1,11 @@
 """Any altitude between those of the maps: metrics linear between them, obstacles exact, told, and refused beyond."""
 
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
 
 import jaxurban as ju
 from jaxurban.report.figures.metrics import obstacle_layer
-from tests.cli_runs import run
-from tests.paths.volumes import options_of
 
 LOW_M, Z_M, HIGH_M = 20.0, 35.0, 60.0
 
@@ -67,10 +63,3 @@ def test_a_batch_takes_any_altitude_and_refuses_one_beyond(maps, ends):
     rows = batch.to_dataframe()
     assert rows.status.tolist() == ["optimal", "bad-input", "bad-input"]
     assert rows.message[1] == "there are no maps for altitude 19 m: these maps reach from 20 to 60 m"
-
-
-def test_the_command_line_takes_any_altitude_and_draws_its_profile(folder, maps, ends, tmp_path, capsys):
-    options = (*options_of(maps, **ends, altitude_m=35), "--json", "--profile", tmp_path / "profile.png")
-    code, out, _ = run(capsys, "plan", folder, *options)
-    assert (code, json.loads(out)["status"]) == (0, "optimal")
-    assert (tmp_path / "profile.png").exists()

@@ -16,10 +16,9 @@ from jaxurban.paths.constraints import Bound
 from jaxurban.planners.base import Status
 from tests.cli_runs import run
 from tests.made_maps import missing_inside
-from tests.paths.volumes import options_of, plan_volume
+from tests.paths.volumes import REGION, options_of, plan_volume
 
 ALTITUDE_M = 20.0
-REGION = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}
 
 
 def zone_of_cells(maps, row, col, size, name="park", **heights) -> Zone:

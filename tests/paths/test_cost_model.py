@@ -21,7 +21,7 @@ from jaxurban.studies.montecarlo.trial import Benchmark
 from jaxurban.studies.weights import sobol
 from tests.cli_runs import run
 from tests.made_maps import made_maps
-from tests.paths.volumes import with_roofs
+from tests.paths.volumes import REGION, with_roofs
 from tests.studies.routes_made import write_geojson
 
 ALTITUDE_M = 20.0
@@ -36,7 +36,6 @@ QUICK_MODELS = [MODELS[k] for k in (0, 3, 5, 6)]  # each value of each part with
 QUICK = ju.studies.SensitivitySettings(vary=("gps",), num_samples=2, objectives=("distance", "gps"), max_plans=10)
 QUICK_OPTIONS = ("--vary", "gps", "--samples", 2, "--pareto", "distance,gps", "-o")
 REQUIRE = "risk>=0.08"
-REGION = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}
 
 
 @pytest.fixture(scope="module")
@@ -296,9 +295,8 @@ def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(folde
     assert f"| {model} | {constraints} | touched |" in report
     assert "--cost-model cell" in (tmp_path / "fit" / "weights.toml").read_text()
     line = routes_file(tmp_path / "line.geojson", [plans[ju.CostModel("line", 4.0), "none"]])
-    with warnings.catch_warnings():
-        warnings.simplefilter("always")
-        code, _, err = run(capsys, *asked, folder, line, "--overwrite")
+    warnings.simplefilter("always")
+    code, _, err = run(capsys, *asked, folder, line, "--overwrite")
     assert code == 2
     assert "1 no-fly zone, risk>=0.08, vertical clearance of 3 m and is fitted under" in err
     assert "different cost models: name one for all" in err

@@ -34,11 +34,10 @@ def outlines(maps, is_wall) -> shapely.Geometry:
 
 def assert_costs_of(path, report) -> None:
     """Check that totals and the sum of segments are the path's costs, layer by layer."""
+    expected = {"cost": path.cost, "length_m": path.length_m}
+    expected |= {f"cost_of_{name}": value for name, value in path.cost_by_layer.items()}
     for totals in (report.totals, report.segments.sum()):
-        assert totals["cost"] == pytest.approx(path.cost, rel=1e-9)
-        assert totals["length_m"] == pytest.approx(path.length_m, rel=1e-9)
-        for name, value in path.cost_by_layer.items():
-            assert totals[f"cost_of_{name}"] == pytest.approx(value, rel=1e-9, abs=1e-9)
+        assert {name: totals[name] for name in expected} == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -143,8 +142,8 @@ def test_the_report_is_json_ready_and_its_table_holds_every_segment(report):
     assert any(line.startswith("people overflown") and "(strip of 8 m)" in line for line in lines)
 
 
-def test_the_command_line_prints_writes_and_draws_the_report(folder, maps, ends, tmp_path, capsys):
-    arguments = ("plan", folder, *options_of(maps, **ends), "--speed", 12, "--power", 300, "--report")
+def test_the_command_line_prints_writes_and_draws_the_report_at_any_altitude(folder, maps, ends, tmp_path, capsys):
+    arguments = ("plan", folder, *options_of(maps, **ends, altitude_m=35), "--speed", 12, "--power", 300, "--report")
     code, out, err = run(capsys, *arguments, "--profile", tmp_path / "p.png", "-o", tmp_path / "p.geojson")
     assert (code, "people overflown" in out, "segment" in out) == (0, True, True)
     assert f"wrote {tmp_path / 'p.png'}" in err

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.paths.export.write import write_path
 from jaxurban.planners.base import EVERY_PATH, Status
 
@@ -63,15 +62,6 @@ def test_start_equal_to_goal_costs_nothing(town_ends, planned):
     for altitude_m in (20.0, VOLUME):
         path = planned(goal_xy_m=town_ends["start_xy_m"], altitude_m=altitude_m)
         assert (path.cost, path.length_m, len(path.xy_m), len(path.z_m)) == (0.0, 0.0, 1, 1)
-
-
-def test_a_place_inside_an_obstacle_is_refused_or_snapped(town, planned):
-    row, col = np.argwhere(~town.is_free(20.0))[0]
-    inside = town.grid.xy_of_cell(row, col)
-    with pytest.raises(InputError, match="nearest free cell"):
-        planned(start_xy_m=inside)
-    nearest_m = 10.0 * np.sqrt(((np.argwhere(town.is_free(20.0)) - [row, col]) ** 2).sum(axis=1).min())
-    assert planned(start_xy_m=inside, snap=True).snap_distance_m[0] == pytest.approx(nearest_m)
 
 
 @pytest.mark.parametrize("altitude_m", [20.0, ju.Levels()])

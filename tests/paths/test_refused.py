@@ -19,10 +19,9 @@ from jaxurban.planners.registry import PLANNERS
 from jaxurban.studies.queries import make_queries
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
-from tests.paths.volumes import options_of, plan_volume
+from tests.paths.volumes import REGION, options_of, plan_volume
 
 Z_M, NAN = 20.0, float("nan")
-REGION = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}
 PLACE = (-73.97, 40.78)
 
 

@@ -5,6 +5,7 @@ import numpy as np
 import jaxurban as ju
 from jaxurban.planners.base import Path, Status
 
+REGION = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}
 LEVELS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost", "descent_cost")
 
 
