@@ -260,12 +260,6 @@ def test_a_zone_across_the_antimeridian_is_closed_on_both_sides_of_it(file, name
     assert touched_cells(read.on(grid), grid).mean() == share
 
 
-@pytest.mark.parametrize("shape", [SQUARE, BEYOND, EVERYWHERE])
-def test_an_outline_with_one_meaning_stays_as_it_is(file, shape):
-    (read,) = read_zones(write_features(file, (shape, {})))
-    assert read.polygon.equals(shape)
-
-
 @pytest.mark.parametrize("wrapper", ["features", "UASZoneList"])
 def test_a_zone_of_ed269_is_read_with_its_outline_hole_and_limits(file, wrapper):
     hole = [[LON, LAT], [LON + 0.0002, LAT], [LON, LAT + 0.0002]]

@@ -58,19 +58,6 @@ def test_level_and_default_heights_are_settings(tmp_path):
     assert source.buildings.origin_counts() == {"levels": 1, "default": 1}
 
 
-@pytest.mark.data
-def test_a_sub_box_of_a_real_city_holds_the_same_buildings(data_dir):
-    path = data_dir / "osm" / "boston-back-bay.osm.pbf"
-    bounds_m = (328500.0, 4690500.0, 329000.0, 4691000.0)
-    whole = read_buildings(Buildings(path), "EPSG:32619").buildings
-    part = read_buildings(Buildings(path), "EPSG:32619", bounds_m=bounds_m).buildings
-    x_min, y_min, x_max, y_max = shapely.bounds(whole.polygons).T
-    inside = (x_min <= bounds_m[2]) & (x_max >= bounds_m[0]) & (y_min <= bounds_m[3]) & (y_max >= bounds_m[1])
-    assert 0 < inside.sum() < len(whole)
-    assert shapely.equals_exact(part.polygons, whole.polygons[inside]).all()
-    np.testing.assert_array_equal(part.height_m, whole.height_m[inside])
-
-
 EXTENT = (-74.012, 40.706, -74.008, 40.709)
 
 

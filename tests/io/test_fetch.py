@@ -12,7 +12,6 @@ import pytest
 import shapely
 from sgp4.exporter import export_tle
 
-from jaxurban.errors import InputError
 from jaxurban.io.fetch import SOURCES, FetchJob
 from jaxurban.io.files import only_writer
 from jaxurban.io.read.city import read_buildings
@@ -341,9 +340,7 @@ def test_the_known_sources_are_asked_by_name():
     assert "{" not in "".join(source.url for source in sources.values())
 
 
-def test_a_large_region_needs_an_extract_and_takes_one_of_any_size():
+def test_a_large_region_takes_an_extract_of_any_size():
     wide = (-74.2, 40.6, -73.8, 40.9)
-    with pytest.raises(InputError, match="100 km2 at most"):
-        requests_of(bounds=wide)
     sources = requests_of(bounds=wide, urls={"osm": "https://a.example/town.osm.pbf"})
     assert sources["osm"].file == "buildings.osm.pbf"

@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.io.read.city import area_of_outlines, area_of_raster, read_buildings
+from jaxurban.io.read.city import area_of_outlines, area_of_raster
 from jaxurban.io.read.guesses import leaving_shares, outside_share, rays_leaving
 from jaxurban.maps.build import view_sky
 from jaxurban.world.city import Footprints, Raster
@@ -107,11 +107,3 @@ def test_rays_are_told_to_leave_a_town_beside_a_wreck(tmp_path):
     sky = view_sky(grid, ju.Gps(times=("2020-04-27T16:00:00Z",)))
     shares = [leaving_shares(city, grid, sky, 20.0)[0] for city in (alone, beside)]
     assert shares[0] == shares[1] > 0.1
-
-
-def test_the_kept_area_of_a_file_is_that_of_its_part(tmp_path):
-    path = write(tmp_path / "c.geojson", [(-74.0159, 40.7041, -74.0150, 40.7050), (-72.0, 42.0, -71.999, 42.001)])
-    bounds_m = ju.Grid.from_bounds(BOUNDS, 20.0, UTM).bounds_m
-    part, whole = read_buildings(ju.Buildings(path), UTM, bounds_m=bounds_m), read_buildings(ju.Buildings(path), UTM)
-    assert part.area.area < 2e4
-    assert whole.area.area < 4e4

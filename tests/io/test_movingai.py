@@ -2,7 +2,6 @@
 
 import numpy as np
 import pandas as pd
-import pytest
 
 from jaxurban.report.benchmark import write_map, write_scenarios
 from tests.movingai import GridProblem, read_map, read_scenarios
@@ -25,12 +24,3 @@ def test_problems_are_sorted_by_length_and_read_back(tmp_path):
     assert lines[1].split("\t") == ["0", "a.map", "3", "2", "1", "0", "1", "1", "1.00000000"]
     assert lines[2].startswith("2\t")
     assert read_scenarios(tmp_path / "a.map.scen") == problems[::-1]
-
-
-@pytest.mark.data
-def test_a_published_map_and_its_scenarios_are_read(data_dir):
-    is_free = read_map(data_dir / "movingai" / "Berlin_0_256.map")
-    problems = read_scenarios(data_dir / "movingai" / "Berlin_0_256.map.scen")
-    assert (is_free.shape, len(problems)) == ((256, 256), 930)
-    assert all(is_free[problem.start] and is_free[problem.goal] for problem in problems)
-    assert problems[0] == GridProblem((255 - 165, 248), (255 - 164, 249), 2.0)

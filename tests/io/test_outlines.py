@@ -8,7 +8,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.heights import estimate_heights, parse_count, parse_length_m
-from jaxurban.io.read.outlines import Outlines, polygonal, to_buildings
+from jaxurban.io.read.outlines import Outlines, to_buildings
 from jaxurban.settings import Buildings
 from jaxurban.world.city import HeightOrigin
 from tests.io.made_files import SQUARE, UTM, WGS84, X, Y, box
@@ -181,12 +181,6 @@ def test_a_bow_tie_is_repaired_and_a_line_is_dropped():
     assert not shapely.has_z(buildings.polygons).any()
     assert shapely.area(buildings.polygons) == pytest.approx([50, 1])
     assert issues == {"polygons_repaired": 1, "polygons_dropped": 3}
-
-
-def test_polygonal_keeps_polygons_only():
-    two = [shapely.MultiPolygon([shapely.box(0, 0, 1, 1)]), shapely.box(1, 0, 2, 1)]
-    assert polygonal(shapely.GeometryCollection([shapely.Point(0, 0), *two])).equals(shapely.box(0, 0, 2, 1))
-    assert polygonal(shapely.Point(0, 0)).is_empty
 
 
 def test_outlines_that_the_crs_cannot_hold_are_left_out_and_counted():

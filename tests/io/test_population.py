@@ -1,6 +1,5 @@
 """People and where they are: census blocks with their tables, districts and zoning, rasters of people."""
 
-from itertools import pairwise
 
 import geopandas as gpd
 import numpy as np
@@ -212,22 +211,6 @@ def test_every_person_of_a_raster_is_in_one_block(degrees):
     assert blocks.night_count.sum() == counts.astype(np.float64).sum()
     assert len(blocks) == counts.count()
     np.testing.assert_allclose(shapely.union_all(blocks.polygons).area, blocks.area_m2.sum(), rtol=1e-9)  # no overlap
-
-
-def test_boxes_share_out_people_by_area(degrees):
-    """The boxes of a mesh cut pixels anyhow; together they hold everybody, as GeoPandas counts them too."""
-    blocks, _ = read_blocks(ju.Population(blocks=degrees), UTM)
-    x_min, y_min, x_max, y_max = shapely.total_bounds(blocks.polygons)
-    frame = gpd.GeoDataFrame({"people": blocks.night_count}, geometry=blocks.polygons, crs=UTM)
-    total = 0.0
-    for low_x, high_x in pairwise(np.linspace(x_min, x_max, 4)):
-        for low_y, high_y in pairwise(np.linspace(y_min, y_max, 3)):
-            part = low_x, low_y, high_x, high_y
-            inside = population_totals(blocks, bounds_m=part, is_cut=True)["night"]["total"]
-            cut = gpd.clip(frame, part)
-            assert inside == pytest.approx((cut.people * cut.area / frame.area[cut.index]).sum(), rel=1e-9)
-            total += inside
-    assert total == pytest.approx(blocks.night_count.sum(), rel=1e-12)
 
 
 def test_maps_of_pixels_that_cells_divide_hold_everybody(tmp_path):

@@ -27,6 +27,7 @@ def ds() -> xr.Dataset:
             "obstacle": (flown, (rng.random(shape) > 0.8).astype(np.uint8)),
             "gps": (("time", *flown), rng.random((2, *shape), np.float32)),
             "population": (("time_of_day", "y", "x"), rng.random((2, 30, 40), np.float32)),
+            "num_visible": (("time", *flown), np.ones((2, *shape), np.uint8)),
             "has_data": (("y", "x"), np.arange(1200).reshape(30, 40) > 0),
         },
         coords={
@@ -48,12 +49,6 @@ def ds() -> xr.Dataset:
         ds[name].attrs.update(units="1", one_means=f"one of {name}")
     ds["gps"] = ds["gps"].where(ds["obstacle"] == 0).where(ds["has_data"])
     return ds
-
-
-def test_zarr_reopens_equal(ds, tmp_path):
-    assert store.write_zarr(ds, tmp_path) == tmp_path / "maps.zarr" / "2.5m"
-    xr.testing.assert_identical(store.open_zarr(tmp_path, None), ds)
-    xr.testing.assert_identical(store.open_zarr(tmp_path, 2.5), ds)
 
 
 def test_geotiffs_are_named_tagged_and_north_up(ds, tmp_path):
@@ -140,7 +135,7 @@ def test_any_flipped_bit_of_the_metadata_is_told_on_opening(ds, tmp_path):
 def test_every_missing_or_empty_chunk_is_told_on_opening(ds, tmp_path):
     path = store.write_zarr(ds, tmp_path)
     chunks = chunks_in(path)
-    assert len(chunks) == 2 + 4 + 2 + 1 + 5  # maps, and coordinates
+    assert len(chunks) == 2 + 4 + 4 + 2 + 1 + 5  # maps, and coordinates
     for file in chunks:
         whole = file.read_bytes()
         for damage in (lambda file: file.unlink(), lambda file: file.write_bytes(b""), cut):
@@ -154,12 +149,13 @@ def test_every_missing_or_empty_chunk_is_told_on_opening(ds, tmp_path):
 def test_a_chunk_that_goes_after_opening_reads_as_blocked_or_unknown(ds, tmp_path):
     path = store.write_zarr(ds, tmp_path)
     found = store.open_zarr(tmp_path, None)
-    for name in ("obstacle", "gps", "has_data"):
+    for name in ("obstacle", "gps", "num_visible", "has_data"):
         for file in chunks_in(path / name):
             file.unlink()
     assert (found["obstacle"].values == 1).all()
     assert np.isnan(found["gps"].values).all()
     assert not found["has_data"].values.any()
+    assert not found["num_visible"].values.any()
 
 
 def cut(file: Path) -> None:
@@ -173,10 +169,11 @@ def chunks_in(path: Path) -> list[Path]:
 def test_opening_says_what_there_is(ds, tmp_path):
     with pytest.raises(InputError, match="holds no metric maps"):
         store.open_zarr(tmp_path, None)
-    store.write_zarr(ds, tmp_path)
+    assert store.write_zarr(ds, tmp_path) == tmp_path / "maps.zarr" / "2.5m"
     store.write_zarr(ds.assign_attrs(resolution_m=5.0), tmp_path)
     with pytest.raises(InputError, match=r"holds maps at 2\.5, 5 m"):
         store.open_zarr(tmp_path, None)
+    xr.testing.assert_identical(store.open_zarr(tmp_path, 2.5), ds)
     with pytest.raises(InputError, match="holds no maps at 3 m"):
         store.open_zarr(tmp_path, 3.0)
 
