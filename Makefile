@@ -43,7 +43,7 @@ test-oldest: $(OLDEST)/.dev
 	PYTHONWARNINGS=ignore::DeprecationWarning $(OLDEST)/bin/python -m pytest -n 2 --dist loadfile \
 	  -W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning
 
-# All tests that are marked slow, by the marker alone: tests/test_suite.py holds that `.ci/run` runs each.
+# All tests that are marked slow, by the marker alone: tests/test_repository.py holds that `.ci/run` runs each.
 test-slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 

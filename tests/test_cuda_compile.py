@@ -10,12 +10,10 @@ from benchmarks.cuda_kernels import KERNELS
 PROGRAM = """HloModule jit_f, is_scheduled=true, entry_computation_layout={(f32[8]{0})->f32[8]{0}}
 
 %few (p: f32[8]) -> f32[8] {
-  %p = f32[8]{0} parameter(0)
   ROOT %one = f32[8]{0} fusion(%p), kind=kLoop, calls=%fused
 }
 
 %end (s: (s32[], f32[8])) -> pred[] {
-  %s = (s32[], f32[8]{0}) parameter(0)
   ROOT %is_on = pred[] bitcast(%s)
 }
 
@@ -27,7 +25,6 @@ PROGRAM = """HloModule jit_f, is_scheduled=true, entry_computation_layout={(f32[
 }
 
 %many (p: f32[8]) -> f32[8] {
-  %p = f32[8]{0} parameter(0)
   %k.1 = f32[8]{0} fusion(%p), kind=kLoop, calls=%fused
   %k.2 = (f32[8]{0}, u8[16]{0}) custom-call(%k.1), custom_call_target="__cublas$gemm"
   ROOT %k.3 = f32[8]{0} fusion(%k.2), kind=kInput, calls=%fused

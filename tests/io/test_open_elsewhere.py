@@ -19,13 +19,11 @@ from jaxurban.errors import InputError
 from jaxurban.io.geotiff import BLOCK, profile_of, ramp_of, write_cog, write_geotiffs
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.custom import Layer, check_layers, held_variables
 from jaxurban.report.figures import metrics as figures
 from jaxurban.world.grid import Grid
 from tests import tiled_runs
-from tests.cli_runs import run
-from tests.test_damage import SETTINGS
+from tests.cli_runs import TOWN, run
 from tests.tiled_runs import files_of
 
 rioxarray = pytest.importorskip("rioxarray", reason="needs the dev extra")
@@ -232,7 +230,7 @@ def test_maps_of_another_version_are_refused_everywhere_with_the_one_remedy(fold
     before, words = files_of(old), "comes from another version of jaxurban.*make the maps anew in a new folder"
     with pytest.raises(InputError, match=words):
         ju.open_maps(old)
-    (tmp_path / "a.toml").write_text(Scenario.from_dict(SETTINGS).to_toml())
+    (tmp_path / "a.toml").write_text(TOWN)
     maps = "maps", tmp_path / "a.toml", "-o", old
     for command in (("info", old), maps, (*maps, "--overwrite")):
         code, _, err = run(capsys, *command)

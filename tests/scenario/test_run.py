@@ -24,7 +24,6 @@ from tests.tiled_runs import files_of
 
 SETTINGS = tomllib.loads(TOWN)
 REGION = SETTINGS["region"]
-LONG = {"gps": {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-27T06:00:00Z", "step_s": 900}}
 
 
 def job_of(**sections) -> Scenario:
@@ -133,8 +132,9 @@ def test_saved_maps_have_the_record_of_their_own_run_or_none(job, tmp_path):
     assert settings_of(job) == {}
 
 
-def test_open_maps_refuse_to_read_those_of_another_run(job, tmp_path):
-    maps, swapped = ju.open_maps(job), ju.open_maps(shutil.copytree(job, tmp_path / "swapped"))
+def test_open_maps_refuse_to_read_those_of_another_run_or_that_were_saved_over_them(job, tmp_path):
+    folders = job, *(shutil.copytree(job, tmp_path / name) for name in ("swapped", "saved"))
+    maps, swapped, saved = map(ju.open_maps, folders)
     ends = far_ends(maps)
     chunk = job / "maps.zarr/20m/gps/0.0.0.0"
     chunk.unlink()
@@ -143,7 +143,8 @@ def test_open_maps_refuse_to_read_those_of_another_run(job, tmp_path):
     pipeline.run_scenario(job_of(gps={"mask_deg": 15.0}), job, overwrite=True)
     (tmp_path / "swapped").rename(tmp_path / "old")
     shutil.copytree(job, tmp_path / "swapped")
-    for each in (maps, swapped):
+    made_maps(20, 20, resolution_m=20.0).save(tmp_path / "saved")
+    for each in (maps, swapped, saved):
         with pytest.raises(InputError, match="made again or removed since they were opened"):
             each.m("risk", 20.0)
         with pytest.raises(InputError, match="open them again"):
@@ -151,31 +152,10 @@ def test_open_maps_refuse_to_read_those_of_another_run(job, tmp_path):
     assert ju.open_maps(job).m("gps", 20.0).size
 
 
-def test_open_maps_refuse_to_read_those_that_were_saved_over_them(tmp_path):
-    made = made_maps(20, 20)
-    made.save(tmp_path)
-    maps = ju.open_maps(tmp_path)
-    maps.m("risk", 20.0)
-    made.save(tmp_path)
-    with pytest.raises(InputError, match="made again or removed"):
-        maps.m("risk", 20.0)
-
-
 def test_a_second_run_in_the_same_folder_is_refused(job):
     with files.only_writer(job), pytest.raises(InputError, match="another run is writing"):
         pipeline.run_scenario(job_of(), job)
     pipeline.run_scenario(job_of(), job)
-
-
-@pytest.mark.slow
-def test_a_long_series_can_be_drawn_and_planned_on(tmp_path):
-    from jaxurban.report.figures import save_figures
-
-    maps = pipeline.run_scenario(job_of(**LONG), tmp_path).maps[20.0]
-    path = ju.plan(maps, **far_ends(maps))
-    assert path.settings["time"] is None
-    names = {file.name for file in save_figures(maps, [path], tmp_path / "figures")}
-    assert {"gps.png", "sensor_choice.png", "paths.png", "overview.png"} <= names
 
 
 def test_spreads_are_not_taken_for_statistics_over_time(tmp_path):

@@ -36,15 +36,15 @@ def small_maps() -> MetricMaps:
     return maps
 
 
-def made_queries(unit: CostMap, num: int, seed: int = 0, apart: float = 18.0) -> list[RouteQuery]:
-    """Return queries between random free cells that are connected and at least so many cells apart."""
+def made_queries(unit: CostMap, num: int, seed: int = 0) -> list[RouteQuery]:
+    """Return queries between random free cells that are connected and at least 18 cells apart."""
     labels, _ = ndimage.label(unit.is_free)
     free = np.argwhere(labels == np.bincount(labels[labels > 0]).argmax())
     rng = np.random.default_rng(seed)
     queries: list[RouteQuery] = []
     while len(queries) < num:
         a, b = free[rng.integers(len(free), size=2)].tolist()
-        if np.hypot(a[0] - b[0], a[1] - b[1]) >= apart:
+        if np.hypot(a[0] - b[0], a[1] - b[1]) >= 18.0:
             queries.append(RouteQuery(unit, (a[0], a[1]), (b[0], b[1])))
     return queries
 

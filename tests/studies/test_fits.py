@@ -272,19 +272,6 @@ def test_a_target_beyond_all_routes_is_said_to_be_missed_alone(queries):
     assert not fit.alone.is_met["mean_lidar >= 0.999"]
 
 
-@pytest.mark.slow
-def test_on_the_synthetic_city_a_reachable_pair_is_met_and_an_unreachable_one_told():
-    maps = ju.build_maps(ju.demo_city(3000, 3000), resolution_m=10.0, altitudes_m=(60.0,))
-    queries = made_queries(cost_map(maps, 60.0, cost_model="line"), 12, apart=60.0)
-    reachable = fit_targets(queries, targets("mean_lidar>=0.07", "detour<=0.2"))
-    assert reachable.is_met
-    assert reachable.outcomes["missed_by"].max() <= 0.02
-    unreachable = fit_targets(queries, targets("mean_lidar>=0.09", "detour<=0.001"))
-    assert not unreachable.is_met
-    assert unreachable.conflicts == (("mean_lidar >= 0.09", "detour <= 0.001"),)
-    assert unreachable.outcomes["reached"].iloc[0] > 0.07  # the best trade-off found
-
-
 def test_a_route_of_the_same_features_is_kept_once_in_the_memory_of_one(queries):
     pool = RoutePool(queries[:1])
     *others, route = np.random.default_rng(0).uniform(1, 100, (2_001, 2, len(pool.names)))

@@ -65,6 +65,6 @@ def test_weights_are_fitted_to_it_and_other_layers_weigh_nothing_then(noisy):
     (deaf,) = made_queries(cost_map(noisy, 20.0).only(("gps",)), 1)
     assert weights_from(deaf, np.ones(2))["noise"] == 0  # not 1, as a weight that nobody names
     sums = np.array([each.sums.ravel() for each in shown])
-    target = Target.parse("mean_noise<=0.2")
-    expected = np.mean(sums[:, -1] / sums[:, 3])
-    assert float(outcome_values(sums, sums, queries[0].names, [target])[0]) == pytest.approx(expected)
+    targets = [Target.parse(text) for text in ("mean_noise<=0.2", "detour<=0.2")]
+    expected = np.mean(sums[:, -1] / sums[:, 3]), 0.25
+    assert outcome_values(sums, 0.8 * sums, queries[0].names, targets).tolist() == pytest.approx(expected)

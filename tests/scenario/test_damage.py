@@ -3,7 +3,7 @@
 import itertools
 import json
 import random
-import shutil
+import tomllib
 import warnings
 from pathlib import Path
 
@@ -15,29 +15,12 @@ from jaxurban.maps import run as pipeline
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Report
 from tests import tiled_runs
-from tests.cli_runs import assert_one_sentence, run
+from tests.cli_runs import ENDS, TOWN, assert_one_sentence, run
 from tests.faulty_disk import DAMAGES, harm, values_of
 from tests.logs import logged
 from tests.tiled_runs import files_of
 
-SETTINGS = {
-    "region": {"bounds": [-74.0, 40.755, -73.993, 40.761], "resolution_m": 20, "altitudes_m": [20]},
-    "buildings": {"source": "synthetic"},
-}
-ENDS = ("--start", "-73.999,40.756", "--goal", "-73.994,40.76", "--altitude", 20, "--snap")
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("finished")
-    pipeline.run_scenario(Scenario.from_dict(SETTINGS), folder)
-    (folder.parent / "scenario.toml").write_text(Scenario.from_dict(SETTINGS).to_toml())
-    return folder
-
-
-@pytest.fixture
-def job(finished, tmp_path) -> Path:
-    return Path(shutil.copytree(finished, tmp_path / "job"))
+SETTINGS = tomllib.loads(TOWN)
 
 
 def told_on_use(job: Path) -> str:
@@ -153,7 +136,7 @@ def test_a_file_in_the_place_of_a_folder_of_maps_is_one_sentence(tmp_path, name)
 )
 def test_planning_on_damaged_maps_is_one_sentence(job, capsys, part, damage):
     harm(job / part, damage, random.Random(2))
-    code, out, err = run(capsys, "plan", job, *ENDS)
+    code, out, err = run(capsys, "plan", job, *ENDS, "--altitude", 20, "--snap")
     assert (code, out) == (2, "")
     assert_one_sentence(err, "run the same `jaxurban maps` command again", str(job))
 

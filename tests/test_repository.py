@@ -1,0 +1,175 @@
+"""The repository's own rules: which tests run, what sources may name of libraries, which tables of the docs are old."""
+
+import ast
+import importlib.util
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+OPTIONS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
+
+
+def pytest_arguments(target: str) -> str:
+    """Return what a target of the Makefile passes to pytest."""
+    recipe = re.search(rf"^{target}:[^\n]*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert recipe
+    return recipe[1].replace("\\\n", " ").split("-m pytest", 1)[1].strip()
+
+
+def test_the_marker_slow_alone_parts_the_tests_that_make_test_runs_from_those_of_make_test_slow():
+    assert "-m 'not slow and not gpu'" in OPTIONS["addopts"]
+    assert {marker.split(":")[0] for marker in OPTIONS["markers"]} == {"slow", "gpu", "data"}
+    assert pytest_arguments("test") == "-n 2 --dist loadfile"
+    assert pytest_arguments("test-newest") == "-n 2 --dist loadfile; fi"
+    assert pytest_arguments("test-slow") == "-n 2 --dist loadfile -m slow"
+
+
+def test_the_checks_before_a_landing_run_both():
+    called = re.findall(r"^make (\S+)$", (ROOT / ".ci/run").read_text(), re.MULTILINE)
+    assert {"test", "test-slow"} <= set(called)
+
+
+def test_no_test_is_where_pytest_does_not_look():
+    known = ("tests", "build", "out")
+    others = [path for path in ROOT.iterdir() if not path.match(".venv*") and path.name not in known]
+    assert OPTIONS["testpaths"] == ["tests"]
+    assert [file for path in others for file in (path, *path.rglob("*")) if file.match("test_*.py")] == []
+    names = [path for path in (ROOT / "tests").rglob("*.py") if "\ndef test_" in path.read_text(encoding="utf-8")]
+    assert [path.name for path in names if not path.name.startswith("test_")] == []
+
+
+FILES = sorted(path for folder in ("jaxurban", "kernels", "planners") for path in (ROOT / folder).rglob("*.py"))
+OF_NAMEDTUPLE = {"_replace", "_fields", "_asdict", "_make"}  # documented
+EXCEPTIONS = {
+    "jaxurban/cli/main.py: ._exit": "Python documents os._exit",
+    "kernels/compiled.py: numba.core": "Numba documents its event API under this name; without it a message is lost",
+}
+
+
+def is_private(name: str) -> bool:
+    return name.startswith("_") and not name.startswith("__")
+
+
+def own_names(nodes: list[ast.AST]) -> set[str]:
+    """Return the names that a file defines itself: functions, classes, fields, attributes set on ``self``."""
+    set_here = [node for node in nodes if isinstance(getattr(node, "ctx", None), ast.Store)]
+    found = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    found |= {node.id for node in set_here if isinstance(node, ast.Name)}
+    of_self = [node for node in set_here if isinstance(node, ast.Attribute)]
+    return found | {node.attr for node in of_self if ast.unparse(node.value) in ("self", "cls")}
+
+
+def private_names(source: str) -> list[str]:
+    """Return what a source names of others that is private."""
+    nodes, modules, names = list(ast.walk(ast.parse(source))), [], []
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            modules += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            modules += [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Attribute):
+            names.append(node.attr)
+            modules += ["numba.core"] * (ast.unparse(node) == "numba.core")
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "setattr", "hasattr"):
+            names.append(str(getattr(node.args[1], "value", "")))
+    known = own_names(nodes) | OF_NAMEDTUPLE
+    found = [f".{name}" for name in names if is_private(name) and name not in known]
+    found += [name for name in modules if any(map(is_private, name.split("."))) and not name.startswith("jaxurban.")]
+    return found + ["numba.core" for name in modules if name.startswith("numba.core")]
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import numba\nnumba.jit(f)._cache = 3",
+        "from numba.core import types",
+        "import numba\nnumba.core.types",
+        "from rasterio._err import CPLE_BaseError",
+        "import jax._src.core",
+        "import multiprocessing\ngetattr(multiprocessing.current_process(), '_inheriting', False)",
+    ],
+)
+def test_a_private_name_of_a_library_is_found(source):
+    assert private_names(source)
+
+
+def test_private_names_of_ones_own_and_of_named_tuples_are_none():
+    assert not private_names(
+        "class A:\n    def f(self):\n        self._b = 1\n        return self._b, self.t._replace(x=1)"
+    )
+
+
+def test_no_source_names_a_private_attribute_of_a_library():
+    assert len(FILES) > 150
+    found = {
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in FILES
+        for name in private_names(path.read_text(encoding="utf-8"))
+    }
+    assert found == set(EXCEPTIONS)
+
+
+PAGES = sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md"))
+PAST_SCRIPT = re.compile(r"`((?:benchmarks|figures/paper)/\w+\.py)`\s+of commit ([0-9a-f]{7,40})")
+SPEC = importlib.util.spec_from_file_location("stale_tables", ROOT / "docs" / "stale_tables.py")
+stale_tables = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(stale_tables)
+
+
+def git(folder: Path, *arguments: str) -> str:
+    who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+    return subprocess.run(["git", *who, *arguments], cwd=folder, check=True, capture_output=True, text=True).stdout
+
+
+def test_a_table_goes_by_the_last_commit_named_before_its_code():
+    page = "commit 1111111 ... at commit 2222222.\n<!-- measured code: a b/c -->\ncommit 3333333\n| table without |\n"
+    assert stale_tables.tables_of(page) == [("2222222", ["a", "b/c"])]
+
+
+def test_commits_that_change_the_code_make_a_table_stale_and_others_do_not(tmp_path):
+    git(tmp_path, "init", "-q")
+    commits = []
+    for name in ("kernels/a.py", "docs/b.md", "kernels/c.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("1")
+        git(tmp_path, "add", "-A")
+        git(tmp_path, "commit", "-qm", name)
+        commits.append(git(tmp_path, "rev-parse", "--short=7", "HEAD").strip())
+    assert [stale_tables.changes_since(commit, ["kernels"], tmp_path) for commit in commits] == [1, 1, 0]
+    assert stale_tables.changes_since("0000000", ["kernels"], tmp_path) == 0
+
+
+@pytest.mark.parametrize(("num", "said"), [(1, "1 commit to kernels, planners"), (2, "2 commits to kernels, planners")])
+def test_a_stale_table_is_listed_with_how_many_commits_are_later(num, said, monkeypatch, tmp_path):
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "page.md").write_text("commit 1111111\n<!-- measured code: kernels planners -->\n")
+    monkeypatch.setattr(stale_tables, "ROOT", tmp_path)
+    monkeypatch.setattr(stale_tables, "changes_since", lambda commit, folders: num)
+    assert stale_tables.stale_tables() == [f"docs/page.md: the table of commit 1111111 is older than {said}"]
+
+
+def test_without_a_repository_or_without_git_no_table_is_stale(tmp_path, monkeypatch):
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    assert stale_tables.changes_since("54f463f", ["kernels"], tmp_path) == 0
+    monkeypatch.setenv("PATH", "")
+    assert stale_tables.changes_since("54f463f", ["kernels"]) == 0
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_page_names_code_that_exists(page):
+    for _, folders in stale_tables.tables_of((ROOT / page).read_text(encoding="utf-8")):
+        assert [folder for folder in folders if not (ROOT / folder).exists()] == []
+
+
+def test_the_history_holds_every_script_that_a_page_names_with_its_commit():
+    asked = ["git", "-C", str(ROOT), "rev-parse", "--is-shallow-repository"]
+    if subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip() != "false":
+        pytest.skip("no repository with its whole history")
+    named = {match for page in PAGES for match in PAST_SCRIPT.findall((ROOT / page).read_text(encoding="utf-8"))}
+    assert named
+    for script, commit in named:
+        git(ROOT, "cat-file", "-e", f"{commit}:{script}")
