@@ -65,13 +65,9 @@ class CityScene:
         hit = self.scene.run(start, np.asarray(direction, np.float32), query="DISTANCE")
         return np.where(hit < 1e30, hit, np.inf)
 
-    def is_blocked(self, start_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Return whether rays meet a wall or a roof, ``[N]`` bool."""
-        return np.isfinite(self.distance_m(start_m, direction))
-
     def sees(self, start_m: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Return which of ``[S, 3]`` directions are free from ``[N, 3]`` points, ``[S, N]`` bool."""
-        return np.array([~self.is_blocked(start_m, np.tile(d, (len(start_m), 1))) for d in directions])
+        return np.array([np.isinf(self.distance_m(start_m, np.tile(d, (len(start_m), 1)))) for d in directions])
 
     def scan(self, start_m: np.ndarray, lidar: Lidar, ground: Self | None = None) -> np.ndarray:
         """Return the share of scan positions that return from a wall at each point, every beam a ray, ``[N]``."""

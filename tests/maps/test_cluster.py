@@ -17,6 +17,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps import run as pipeline
 from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.scenario import Scenario
+from tests.cli_runs import TOWN
 from tests.tiled_runs import files_of
 
 pytest.importorskip("distributed", reason="needs the cluster extra")
@@ -24,16 +25,6 @@ from distributed import Client
 from distributed.security import Security
 
 pytestmark = pytest.mark.slow
-SCENARIO = """
-[region]
-bounds = [-74.0, 40.755, -73.995, 40.759]
-resolution_m = 20
-altitudes_m = [20]
-[buildings]
-source = "synthetic"
-[gps]
-mask_deg = 40
-"""
 MANY_TILES = """
 import sys
 from jaxurban.cli.main import main
@@ -80,7 +71,7 @@ def test_each_process_of_a_cluster_is_killed_in_turn_and_no_map_is_lost(schedule
         return stack.enter_context(process("-m", "distributed.cli.dask_worker", address, "--no-nanny"))
 
     (address, of_scheduler), stack = scheduler, ExitStack()
-    (tmp_path / "town.toml").write_text(SCENARIO)
+    (tmp_path / "town.toml").write_text(TOWN)
     monkeypatch.setattr(pipeline, "shape_of_tiles", lambda task: (8, 8))
     whole = again(tmp_path / "whole")
     with stack:

@@ -17,15 +17,14 @@ from skyfield.api import load
 
 import jaxurban as ju
 from jaxurban.errors import GuessWarning
-from jaxurban.io.read.census import read_blocks
-from jaxurban.io.read.guesses import FLAT_GROUND, _scale_guesses, has_guessed_roofs, leaving_shares
+from jaxurban.io.read.guesses import FLAT_GROUND, has_guessed_roofs, leaving_shares
 from jaxurban.io.read.orbits import nominal_satellites
 from jaxurban.io.read.rasterise import build_surface, burn
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.population import Population, block_layers
+from jaxurban.metrics.population import Population
 from jaxurban.report import figures as plotting
 from jaxurban.world.city import Blocks, City, Zoning
 from jaxurban.world.grid import WGS84, Grid, transformer
@@ -203,17 +202,6 @@ def test_one_tiny_block_that_sets_the_population_scale_is_told_with_its_remedy(s
     assert ("census block 0 (100 m2) with 500,000 people per km2 sets the population scale alone" in said) == is_told
     assert ("the median inhabited block gets 0.03; set [population] normalise to" in said) == is_told
     assert bool(said) == is_told
-
-
-@pytest.mark.data
-def test_manhattans_tiny_block_is_told(data_dir):
-    census = data_dir / "census"
-    files = "tl_2010_36061_tabblock10.shp", "DECENNIALSF12010.P1_nyc_blocks.csv"
-    blocks, _ = read_blocks(ju.Population(blocks=census / files[0], table=census / files[1]), CRS)
-    people = block_layers(blocks, Population(time_of_day="night"))
-    (said,) = _scale_guesses(blocks, tuple(shapely.total_bounds(blocks.polygons)), people, Population()).values()
-    for words in ("(1,820 m2)", "709,326 people per km2", "gets 0.06"):
-        assert words in said
 
 
 def write_people(tmp_path, counts, labels=(101, 102), field="BoroCD"):

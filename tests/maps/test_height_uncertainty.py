@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import shapely
 
 import jaxurban as ju
 from jaxurban.errors import InputError
@@ -13,8 +12,9 @@ from jaxurban.maps.build import build_maps, compute_maps, view_sky
 from jaxurban.maps.recipe import HeightStd, Spread, perturbed_cities
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.world.city import Footprints, HeightOrigin, Raster
+from jaxurban.world.city import HeightOrigin, Raster
 from jaxurban.world.grid import Grid
+from tests.made_maps import city_of_boxes
 
 X0, Y0 = 500_000.0, 4_500_000.0
 UTM = "EPSG:32618"
@@ -25,11 +25,9 @@ DEFAULT, EXACT = HeightStd(), HeightStd(0.0, 0.0, 0.0, 0.0)
 
 @pytest.fixture(scope="module")
 def city() -> ju.City:
-    x, y = X0 + np.array([30, 90]), Y0 + np.array([40, 60])
+    made = city_of_boxes([(30, 40, 50, 70), (90, 60, 110, 90)], np.array([30.0, 10.0]), 140.0, (X0, Y0), UTM)
     origin = np.array([HeightOrigin.HEIGHT, HeightOrigin.DEFAULT], np.uint8)
-    outlines, heights_m = shapely.box(x, y, x + 20, y + 30), np.array([30.0, 10.0])
-    buildings = Footprints(outlines, heights_m, np.zeros(2), origin, np.zeros(2, bool))
-    return ju.City(UTM, (X0, Y0, X0 + 140.0, Y0 + 120.0), buildings)
+    return replace(made, buildings=replace(made.buildings, origin=origin))
 
 
 @pytest.fixture(scope="module")

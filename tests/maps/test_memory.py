@@ -3,6 +3,7 @@
 import json
 import logging
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -20,13 +21,25 @@ from affine import Affine
 
 import jaxurban as ju
 from jaxurban.errors import InputError
+from jaxurban.io.folders import WorkFolder
 from jaxurban.maps import memory
-from jaxurban.maps.memory import parse_bytes, plan_run, shape_of_tiles, tile_bytes, told_bytes
+from jaxurban.maps.memory import (
+    check_disk,
+    least_disk_bytes,
+    parse_bytes,
+    plan_run,
+    shape_of_tiles,
+    tile_bytes,
+    told_bytes,
+)
 from jaxurban.maps.metric_maps import open_maps
+from jaxurban.maps.run import Maker, make_zarr
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
+from jaxurban.progress import Report
 from jaxurban.world.city import Raster
 from jaxurban.world.sky import Sky
+from tests import tiled_runs
 from tests.cli_runs import run
 
 GIB = 2**30
@@ -105,7 +118,7 @@ def test_tiles_do_not_depend_on_the_machine_and_shrink_for_long_series(small):
     assert tile_bytes(long, replace(region, num_rows=rows, num_cols=cols)) < 3 * tile_bytes(short, tile)
 
 
-@pytest.mark.parametrize("cell_m", [0.2, 0.1, 0.05])
+@pytest.mark.parametrize("cell_m", [0.2, 0.05])
 def test_a_region_of_fine_cells_that_cannot_fit_is_refused_before_it_begins(cell_m, monkeypatch):
     """At 0.05 m the lidar looks 2,000 cells far: a yard and what is around it are 64 million cells."""
     monkeypatch.setattr(memory, "free_bytes", lambda: GIB)
@@ -118,11 +131,9 @@ def test_a_region_of_fine_cells_that_cannot_fit_is_refused_before_it_begins(cell
         ju.build_maps(city, grid=grid)
 
 
-@pytest.mark.parametrize("cell_m", [0.1, 0.05])
-def test_the_command_refuses_fine_cells_that_cannot_fit(cell_m, tmp_path, capsys):
+def test_the_command_refuses_fine_cells_that_cannot_fit(tmp_path, capsys):
     (tmp_path / "fine.toml").write_text(
-        f"[region]\nbounds = [-73.985, 40.755, -73.979, 40.759]\nresolution_m = {cell_m}\n"
-        '[buildings]\nsource = "synthetic"\n'
+        '[region]\nbounds = [-73.985, 40.755, -73.979, 40.759]\nresolution_m = 0.1\n[buildings]\nsource = "synthetic"\n'
     )
     code, _, err = run(capsys, "maps", tmp_path / "fine.toml", "-o", tmp_path / "out", "--memory", "1GiB")
     assert code == 2
@@ -195,3 +206,41 @@ def test_a_run_stays_under_its_ceiling_on_a_region_that_needs_several_times_more
     _, peak = peak_of("maps", tmp_path / "scenario.toml", "-o", tmp_path / "out", "--memory", "1.25GiB")
     assert peak < 1.25 * GIB
     assert open_maps(tmp_path / "out").ds.nbytes > 2 * 1.25 * GIB
+
+
+@pytest.fixture(scope="module")
+def amid() -> MapTask:
+    """300 x 280 cells of 4 m amid buildings."""
+    city = tiled_runs.city()
+    first_col, first_row = (int(value // 4) + 40 for value in city.extent_m[:2])
+    return MapTask(city, ju.Grid(city.crs, 4.0, first_row, first_col, 300, 280), tiled_runs.sky(), tiled_runs.params())
+
+
+def test_less_is_asked_for_than_the_maps_and_their_work_folder_take(amid, tmp_path, monkeypatch):
+    most, finish = [], WorkFolder.finish
+
+    def counted(work, *target):
+        most.append(sum(file.stat().st_size for file in tmp_path.rglob("*") if file.is_file()))
+        finish(work, *target)
+
+    monkeypatch.setattr(WorkFolder, "finish", counted)
+    make_zarr(Maker(amid, tmp_path, "key", 2), Report())
+    assert 0.1 * most[0] < least_disk_bytes([amid]) < most[0]
+
+
+def test_finer_maps_and_more_altitudes_take_more(amid):
+    least = least_disk_bytes([amid])
+    assert least < least_disk_bytes([amid, amid]) < 2 * least
+    assert least_disk_bytes([replace(amid, params=replace(amid.params, altitudes_m=(20.0, 60.0, 122.0)))]) > least
+
+
+def test_a_disk_too_small_for_the_least_is_refused_and_old_maps_count_as_free(amid, tmp_path, monkeypatch):
+    least = least_disk_bytes([amid])
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=least))
+    check_disk([amid], tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=least - 1000))
+    with pytest.raises(InputError, match=r"at least .* of disk and .* are free in .*: use a smaller region"):
+        check_disk([amid], tmp_path)
+    (tmp_path / "maps.zarr").mkdir()
+    (tmp_path / "maps.zarr" / "chunk").write_bytes(bytes(1000))
+    check_disk([amid], tmp_path)

@@ -55,18 +55,12 @@ def folder(maps, tmp_path_factory) -> Path:
     return maps.save(tmp_path_factory.mktemp("maps"), layers=("all",))
 
 
-def inside(maps: MetricMaps, array: xr.DataArray) -> np.ndarray:
-    """Return where a map of the maps lies inside obstacles, in its shape; nowhere where it has no altitude."""
-    is_inside = maps.ds["obstacle"].values != 0 if "altitude" in array.dims else False
-    return np.broadcast_to(is_inside, array.shape)
-
-
 def test_every_map_is_missing_where_its_variable_says_so(maps):
-    is_lost, found = ~maps.ds["has_data"].values, set()
+    is_lost, is_obstacle, found = ~maps.ds["has_data"].values, maps.ds["obstacle"].values != 0, set()
     for name, array in maps.ds.data_vars.items():
         if array.dims[-2:] != ("y", "x"):
             continue
-        values, is_inside = array.values, inside(maps, array)
+        values, is_inside = array.values, np.broadcast_to(is_obstacle & ("altitude" in array.dims), array.shape)
         assert (name in MISSING) + (name in NONE) + (name in HELD) == 1, name
         found.add(name)
         if name in NONE:

@@ -17,11 +17,10 @@ from jaxurban.metrics.protection import CAVEAT, Protection
 from jaxurban.paths.constraints import Bound
 from jaxurban.planners.base import Status
 from jaxurban.report.figures import plot_metric
-from tests.cli_runs import assert_one_sentence, run
+from tests.cli_runs import TOWN, assert_one_sentence, run
 
 ALTITUDE_M, TIMES = 20.0, [f"2020-04-27T{hour:02d}:30:00Z" for hour in (0, 6, 12)]
 ASKED = {"protection": Protection()}
-MINIMAL = {"region": {"bounds": [-74.02, 40.70, -73.98, 40.73]}, "buildings": {"source": "synthetic"}}
 STATISTICS = ("protection_availability", "protection_median", "protection_p05")
 
 
@@ -136,20 +135,9 @@ def test_what_has_no_gradient_says_so():
         soft.layer("protection", soft.height_m, ju.grad.SoftParams(altitude_m=ALTITUDE_M))
 
 
-SCENARIO = """
-[region]
-bounds = [-74.0, 40.755, -73.99, 40.765]
-resolution_m = 20
-altitudes_m = [60]
-[buildings]
-source = "synthetic"
-[protection]
-"""
-
-
 @pytest.mark.slow
 def test_the_commands_make_it_and_plan_under_a_bound_on_it(tmp_path, capsys):
-    (tmp_path / "scenario.toml").write_text(SCENARIO)
+    (tmp_path / "scenario.toml").write_text(TOWN + "[protection]")
     code, _, err = run(capsys, "maps", tmp_path / "scenario.toml", "-o", tmp_path / "maps")
     assert code == 0, err
     start, goal = (f"{lon},{lat}" for lon, lat in ends_of(ju.open_maps(tmp_path / "maps"), 60.0))

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
 from jaxurban.metrics.visibility import bounding_visibility, visibility
 from jaxurban.world.grid import Grid
-from jaxurban.world.surface import Surface, obstacle_mask
+from jaxurban.world.surface import Surface
 from tests.metrics.whole_maps import surface_on
 
 UTM = "EPSG:32618"
@@ -36,15 +35,6 @@ def test_satellites_at_centres_are_those_of_the_full_fine_sweep(oversample, terr
     expected = np.asarray(visibility(supersampled, *ANGLES.T, [10.0, 25.0]))[..., centre, centre]
     assert len(np.unique(expected)) > 10
     np.testing.assert_array_equal(found, expected)
-
-
-def test_oversampling_by_one_is_the_plain_lidar():
-    supersampled = fine_city(1)
-    params = Lidar(beams=4, azimuths=12, range_m=40.0)
-    is_obstacle = obstacle_mask(supersampled.crop(supersampled.roof_m), [10.0])
-    np.testing.assert_array_equal(
-        lidar_at_centres(supersampled, 1, is_obstacle, [10.0], params), compute_lidar(supersampled, [10.0], params)
-    )
 
 
 @pytest.mark.parametrize("oversample", [1, 3])

@@ -16,7 +16,7 @@ from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 from tests.embree_scene import CityScene
-from tests.metrics.whole_maps import seen
+from tests.metrics.whole_maps import gdop_by_inverse, seen
 
 pytestmark = pytest.mark.data
 
@@ -105,13 +105,8 @@ def test_lidar_agrees_with_embree_at_5_m(city, scene, altitude_m, mean_error, bi
 
 
 def metric_of(is_seen: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Return m by NumPy's inverse, for ``[S, N]`` answers."""
-    rows = np.column_stack([directions, -np.ones(len(directions))])
-    normal = np.einsum("sn,si,sj->nij", is_seen.astype(float), rows, rows)
-    is_determined = (is_seen.sum(axis=0) >= 4) & (np.linalg.cond(normal) < 1e8)
-    inverse = np.linalg.inv(np.where(is_determined[:, None, None], normal, np.eye(4)))
-    gdop = np.where(is_determined, np.sqrt(np.trace(inverse, axis1=1, axis2=2)), np.inf)
-    return np.clip((20 - np.minimum(gdop, 20)) / 19, 0, 1)
+    """Return m for ``[S, N]`` answers."""
+    return np.clip((20 - np.minimum(gdop_by_inverse(is_seen.astype(float), directions), 20)) / 19, 0, 1)
 
 
 @pytest.mark.slow

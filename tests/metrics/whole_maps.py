@@ -40,3 +40,12 @@ def population_maps(block, blocks, times_of_day=("day", "night"), params=None, b
 def seen(words, num):
     """Return visibility words as ``[S, A, y, x]`` bool."""
     return np.array([(np.asarray(words)[s // 32] >> np.uint32(s % 32)) & 1 == 1 for s in range(num)])
+
+
+def gdop_by_inverse(weights, directions):
+    """Return GDOP by NumPy's inverse for weights ``[S, ...]``, inf where the position is undetermined."""
+    rows = np.column_stack([directions, -np.ones(len(directions))])
+    normal = np.einsum("s...,si,sj->...ij", weights, rows, rows)
+    is_determined = np.linalg.cond(normal) < 1e8
+    inverse = np.linalg.inv(np.where(is_determined[..., None, None], normal, np.eye(4)))
+    return np.where(is_determined, np.sqrt(np.trace(inverse, axis1=-2, axis2=-1)), np.inf)

@@ -7,11 +7,27 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxurban.kernels.dop import unit_vectors
+from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
 from jaxurban.metrics.risk import Risk, compute_risk
-from tests.metrics.soft.scene import ALTITUDE_M, BUILDING, CASES, CELLS, HALO, HEIGHT_M, REGION, check_gradient
+from tests.metrics.soft.scene import (
+    ALTITUDE_M,
+    AZIMUTH_RAD,
+    BUILDING,
+    CASES,
+    CELLS,
+    ELEVATION_RAD,
+    GRID,
+    HALO,
+    HEIGHT_M,
+    REGION,
+    check_gradient,
+)
+from tests.metrics.whole_maps import gdop_by_inverse
 
 MIX = np.random.default_rng(1).uniform(0.5, 1.5, REGION.shape)
-HAS_ROOF = (BUILDING >= 0)[REGION.window_in(CASES["gps"].surface().grid)]
+WINDOW = REGION.window_in(GRID)
+HAS_ROOF = (BUILDING >= 0)[WINDOW]
 
 
 @partial(jax.jit, static_argnums=0)
@@ -82,19 +98,15 @@ def test_softness_0_is_the_exact_map_and_the_solid_has_no_softness(name):
         assert apart(name, 3.0 if name.startswith("solid") else 0.0, z_m).max() < 1e-5
 
 
-@pytest.mark.parametrize("name", ["gps", "lidar", "lidar over hills"])
+@pytest.mark.parametrize("name", ["gps", "lidar", "lidar over hills", "risk"])
 def test_each_halving_of_the_softness_comes_nearer_to_the_exact_map(name):
-    means = [float(apart(name, 2.0**-power).mean()) for power in range(-3, 7)]
-    assert (np.diff(means) < 0).all()
-    assert means[-1] < 1e-3
-
-
-def test_each_halving_comes_nearer_to_the_slice_until_no_roof_lies_so_little_below():
-    means = np.array([float(apart("risk", 2.0**-power).mean()) for power in range(-5, 8)])
+    """Of the slice until no roof lies so little below."""
+    halvings, last = (range(-5, 8), 1e-6) if name == "risk" else (range(-3, 7), 1e-3)
+    means = np.array([float(apart(name, 2.0**-power).mean()) for power in halvings])
     is_apart = means[:-1] > 1e-6
-    assert is_apart.sum() > 3
+    assert is_apart.sum() > (3 if name == "risk" else 8)
     assert (np.diff(means)[is_apart] < 0).all()
-    assert means[-1] < 1e-6
+    assert means[-1] < last
 
 
 def test_a_softness_of_the_threshold_makes_the_solid_of_the_slice():
@@ -176,3 +188,20 @@ def test_where_no_satellite_is_there_or_seen_m_and_its_slopes_are_0_and_not_nan(
         inputs = CASES["gps"].inputs(softness_m=1e-3, terrain_m=ground_m, drop_m=view.lines.drop_m)
         found = mix_and_slopes("gps", inputs, view)
     assert not any(np.any(values) for values in jax.tree.leaves(found))
+
+
+def test_soft_gps_equals_its_definition_cell_by_cell():
+    case, softness_m, angles = CASES["gps"], 2.0, (AZIMUTH_RAD, ELEVATION_RAD)
+    with jax.enable_x64(True):
+        (_, found), _ = mix_and_slopes("gps", case.inputs(), case.view(np.float64))
+        roof_m, place = case.surface(np.float64).roof_m, (GRID.resolution_m, GRID.first_row, GRID.first_col, GRID.shape)
+        lines = [digital_line(*toward, *place) for toward in zip(*angles, strict=True)]
+        shadows_m = np.array([shadow_height(roof_m + case.ground_m, line) for line in lines])
+    clear_m = (case.ground_m + ALTITUDE_M - shadows_m)[:, *WINDOW]
+    gdop = gdop_by_inverse((1 + np.exp(-clear_m / softness_m)) ** -2, unit_vectors(*angles))
+    roof_m = np.asarray(roof_m)[WINDOW]
+    t = np.where(roof_m > 0, np.clip((ALTITUDE_M - roof_m) / softness_m, 0, 1), 1)
+    expected = t**3 * (10 - 15 * t + 6 * t**2) * (case.limit - np.minimum(gdop, case.limit)) / (case.limit - 1)
+    assert np.mean((expected > 0) & (expected < 0.85)) > 0.1
+    assert (expected == 0).any()
+    np.testing.assert_allclose(found, expected, atol=1e-9)

@@ -41,12 +41,9 @@ def test_where_buildings_overlap_the_higher_one_has_the_cell_and_all_of_the_grad
     np.testing.assert_array_equal(gradient, [16, 12, 0])
 
 
-def test_a_region_without_buildings_has_none():
+def test_a_region_without_buildings_and_a_height_raster_have_none_to_differentiate_by():
     city = city_of_boxes([(0, 0, 20, 20)], 30.0, 40.0)
     assert (building_index(city, Grid(CRS, 5.0, 100, 100, 4, 4)) == NO_BUILDING).all()
-
-
-def test_a_height_raster_has_no_buildings_to_differentiate_by():
     raster = Raster(np.ones((8, 8), np.float32), (5.0, 0.0, 0.0, 0.0, -5.0, 40.0), CRS)
     with pytest.raises(InputError, match="gradients by building need outlines"):
         building_index(City(CRS, (0.0, 0.0, 40.0, 40.0), roofs=raster), GRID)
