@@ -82,13 +82,14 @@ def ends_in(maps, is_free) -> list[dict[str, tuple[float, float]]]:
     return [ends_at(maps, *cells[[first, last]]) for first, last in ((0, -1), (len(cells) // 3, -len(cells) // 5))]
 
 
-def lonlatz_of(path, folder) -> dict[str, np.ndarray]:
-    """Write a path in every format and return what is read, by suffix."""
-    return {suffix: read(path.save(folder / f"route{suffix}")) for suffix, read in READERS.items()}
+def lonlatz_of(path, folder) -> list[np.ndarray]:
+    """Write a path in every format and return what is read."""
+    return [read(path.save(folder / f"route{suffix}")) for suffix, read in READERS.items()]
 
 
-def assert_files_keep_clear(maps, path, folder, **kept) -> None:
-    for lonlatz in lonlatz_of(path, folder).values():
+def assert_it_and_its_files_keep_clear(maps, path, folder, **kept) -> None:
+    assert_keeps_clear(maps, np.column_stack([path.xy_m, path.z_m]), **kept)
+    for lonlatz in lonlatz_of(path, folder):
         assert_keeps_clear(maps, np.column_stack([*maps.grid.xy_of_lonlat(*lonlatz[:, :2].T), lonlatz[:, 2]]), **kept)
 
 
@@ -159,8 +160,7 @@ def test_every_planner_keeps_it_and_every_file_too(planner, seed, clearance_m, t
             num_found += 1
             assert sum(path.cost_by_layer.values()) == pytest.approx(path.cost)
             for route in (path, ju.simplify(path, on, 2.5)):
-                assert_keeps_clear(maps, np.column_stack([route.xy_m, route.z_m]), **kept)
-                assert_files_keep_clear(maps, route, tmp_path, **kept)
+                assert_it_and_its_files_keep_clear(maps, route, tmp_path, **kept)
     assert num_found == 4 or planner == "ptp"
 
 
@@ -209,8 +209,7 @@ def test_paths_that_climb_keep_it_and_their_files_too(seed, tmp_path):
         path = plan_volume(maps, **ends, **climbs, constraints=constraints)
         assert path.status is Status.OPTIMAL
         assert np.ptp(path.z_m) == 40
-        assert_keeps_clear(maps, np.column_stack([path.xy_m, path.z_m]), **KEPT)
-        assert_files_keep_clear(maps, path, tmp_path, **KEPT)
+        assert_it_and_its_files_keep_clear(maps, path, tmp_path, **KEPT)
 
 
 def test_a_path_through_the_corners_of_free_cells_keeps_it_after_rounding(tmp_path):
@@ -234,7 +233,7 @@ def test_files_round_an_altitude_up_so_that_what_is_just_free_stays_so(tmp_path)
     assert not constraints.closed(maps, 20.004)[maps.m("roof_touched") == 12].any()  # 4 mm more than 8 m over 12 m
     is_free = constraints.is_free(maps, 20.004)
     path = ju.plan(maps, **ends_in(maps, is_free)[0], altitude_m=20.004, constraints=constraints)
-    assert all(np.all(lonlatz[:, 2] == 20.01) for lonlatz in lonlatz_of(path, tmp_path).values())
+    assert all(np.all(lonlatz[:, 2] == 20.01) for lonlatz in lonlatz_of(path, tmp_path))
 
 
 def test_a_start_too_near_is_told_by_what_and_moved_on_request():

@@ -206,8 +206,10 @@ def test_a_preset_sets_only_what_is_left_out(low_roofs):
     bounded = ju.cost_map(low_roofs, **paper, constraints=ju.Constraints.read(require="gps>=0.1"))
     assert (bounded.constraints.vertical_clearance_m, bounded.maps.obstacles) == (0.0, "centre")
     for planning, expected in (
-        ({"preset": "paper", "clearance_m": 2.0}, {"cost_model": "cell", "obstacles": "centre", "clearance_m": 2.0}),
-        ({"preset": "paper"}, {"vertical_clearance_m": 0.0}),
+        (
+            {"preset": "paper", "clearance_m": 2.0},
+            {"cost_model": "cell", "vertical_clearance_m": 0.0, "clearance_m": 2.0},
+        ),
         ({}, {"cost_model": "line", "obstacles": "touched", "vertical_clearance_m": 3.0, "budget_s": 10.0}),
     ):
         kept = vars(ju.Scenario.from_dict(REGION | {"planning": planning}).planning)

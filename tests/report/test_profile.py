@@ -23,8 +23,8 @@ def maps() -> ju.MetricMaps:
 
 @pytest.fixture(scope="module")
 def planned(maps) -> ju.PlannedPath:
-    cells = np.argwhere(maps.is_free(20.0))[[10, -10]]
-    return ju.plan(maps, **ends_at(maps, *cells), altitude_m=20.0, weights=ju.Weights(risk=5.0))
+    ends = ends_at(maps, *np.argwhere(maps.is_free(20.0))[[10, -10]])
+    return ju.plan(maps, **ends, altitude_m=20.0, weights=ju.Weights(risk=5.0))
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from jaxurban.studies.demonstrations import optimal_demonstrations
 from tests.cli_runs import assert_one_sentence, run
 from tests.studies.routes_made import HIDDEN, made_queries, small_maps, write_geojson
 
-NUM = 16
+NUM, BOTH = 16, ("maps", "routes.geojson")
 FILE = Path(__file__)
 
 
@@ -84,33 +84,25 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("sources", "options", "words"),
     [
-        (("--altitude", 13), ("13", "from 20 to 60 m")),
-        (("--wish", "mean_gsp>=1"), ("mean_gps",)),
-        (("--wish", "mean_gps>=0.8", "--bootstrap", 3), ("--bootstrap",)),
-        (("--metrics", "gsp"), ("gsp", "gps")),
-        (("--resolution", 7), ("7",)),
-        (("--budget", -1), ("budget_s",)),
-        (("--sample", 3), ("choose one of both",)),
-        (("--hold-out", 1), ("hold_out",)),
-        (("-o", FILE), ("it is a file",)),
+        (BOTH, ("--altitude", 13), ("13", "from 20 to 60 m")),
+        (BOTH, ("--wish", "mean_gsp>=1"), ("mean_gps",)),
+        (BOTH, ("--wish", "mean_gps>=0.8", "--bootstrap", 3), ("--bootstrap",)),
+        (BOTH, ("--metrics", "gsp"), ("gsp", "gps")),
+        (BOTH, ("--resolution", 7), ("7",)),
+        (BOTH, ("--budget", -1), ("budget_s",)),
+        (BOTH, ("--sample", 3), ("choose one of both",)),
+        (BOTH, ("--hold-out", 1), ("hold_out",)),
+        (BOTH, ("-o", FILE), ("it is a file",)),
+        (("maps",), ("--sample", 6, "--metrics", "gps"), ("name the weights of the pilot",)),
+        (("maps",), ("--sample", 6, "--pilot", "distance=0,gps=0"), ("every weight of the pilot is 0",)),
+        (("maps",), (), ("name files of routes", "--sample")),
     ],
 )
-def test_bad_input_is_one_sentence_and_exit_two(made, tmp_path, capsys, options, words):
-    assert_refused(tune(capsys, made, "-o", tmp_path / "out", *options), *words)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--sample", 6), ("name the weights of the pilot",)),
-        (("--sample", 6, "--pilot", "distance=0,gps=0"), ("every weight of the pilot is 0",)),
-        ((), ("name files of routes", "--sample")),
-    ],
-)
-def test_maps_alone_need_instances_and_a_pilot(made, tmp_path, capsys, options, words):
-    assert_refused(run(capsys, "tune", made / "maps", "-o", tmp_path / "out", "--metrics", "gps", *options), *words)
+def test_bad_input_is_one_sentence_and_exit_two(made, tmp_path, capsys, sources, options, words):
+    sources = [made / name for name in sources]
+    assert_refused(run(capsys, "tune", *sources, "-o", tmp_path / "out", *options), *words)
 
 
 @pytest.mark.slow
