@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import shapely
 
-from jaxurban.errors import InputError
 from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.outlines import to_buildings
@@ -149,8 +148,3 @@ def test_an_outline_stays_as_a_podium_under_hanging_parts_where_no_part_stands(t
         assert high.sum() == lobby.area / 4
         words = np.asarray(visibility(surface, np.zeros(1), np.array([0.1]), [2.0]))  # north, through the lobby
         assert words[0, 0][cell_of(120, 90)] == 0
-
-
-def test_a_word_that_is_no_way_to_hang_is_refused():
-    with pytest.raises(InputError, match="slabs"):
-        Buildings("roofs.tif", hanging="slab")

@@ -1,6 +1,5 @@
 """People and where they are: census blocks with their tables, districts and zoning, rasters of people."""
 
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd

@@ -155,7 +155,6 @@ IN_FEET = {"crs": "EPSG:2263", "transform": Affine(10, 0, 980_000, 0, -10, 200_0
         (read_pixels, "a.tif", pixels(1, **IN_FEET), r"does not say plainly.*US survey foot.*gdal_edit\.py -units m"),
         (partial(read_pixels, bounds_m=(X + 9000, Y, X + 9100, Y + 100)), "a.tif", pixels(1), "not reach the region"),
         *((READERS["city.osm"], "a.osm", text, "cannot be read as OpenStreetMap data") for text in BROKEN_OSM),
-        (counts, "a.csv", b"", "cannot be read as CSV"),
         (counts, "a.csv", b"id,population\n", "joins no block"),
         (counts, "a.csv", f"id,a,b\n{BLOCK},1,2\n".encode(), "name one of 'a', 'b' 'population'"),
         (counts, "a.csv", f"id,population\n{BLOCK},1\n{BLOCK},2\n".encode(), "more than one count for the block"),

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxurban.errors import InputError
-from jaxurban.maps.tiled import QUADRANTS, Tiling, quadrant_of
+from jaxurban.maps.tiled import QUADRANTS, Tiling
 from jaxurban.world.grid import Grid, tile_shape
 
 sizes = st.integers(1, 90)
@@ -54,12 +54,6 @@ def test_tiles_waste_less_than_one_cell_a_tile_along_each_side(rows, cols, most)
         num = -(-size // side)
         assert side <= most
         assert num * side - size < num
-
-
-def test_quadrants_are_named_by_where_the_source_stands():
-    assert quadrant_of(east=0.5, north=0.5) == (1, 1)
-    assert quadrant_of(east=-0.5, north=0.5) == (1, -1)
-    assert quadrant_of(east=0.0, north=-1.0) == (-1, 1)
 
 
 def test_a_tile_without_cells_is_refused():
