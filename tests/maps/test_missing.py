@@ -60,7 +60,7 @@ def test_every_map_is_missing_where_its_variable_says_so(maps):
     for name, array in maps.ds.data_vars.items():
         if array.dims[-2:] != ("y", "x"):
             continue
-        values, is_inside = array.values, np.broadcast_to(is_obstacle & ("altitude" in array.dims), array.shape)
+        values, is_inside = array.values, np.broadcast_to("altitude" in array.dims and is_obstacle, array.shape)
         assert (name in MISSING) + (name in NONE) + (name in HELD) == 1, name
         found.add(name)
         if name in NONE:
