@@ -1,4 +1,4 @@
-"""Every code block of README and docs does what it says.
+"""Every code block of README and docs does what it says; notebooks are stored as text (`make notebooks` runs them).
 
 The blocks of a page run in order, in one folder and one Python namespace. The folder holds what pages take for
 granted: a small `scenario.toml` of the synthetic city over Lower Manhattan's bounds, its maps in `out/manhattan`, and
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
+import jupytext
 import numpy as np
 import pandas as pd
 import pytest
@@ -28,6 +29,8 @@ from jaxurban.public import NAMESPACES
 from tests.cli_runs import run
 
 ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "notebooks"
+NOTEBOOKS = sorted(FOLDER.glob("[0-9]*.py"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^( *)```([\w-]*)[^\n]*\n(.*?)^\1```[ \t]*$", re.MULTILINE | re.DOTALL)
 IS_LONG = re.compile(  # a page that is marked slow
@@ -213,3 +216,22 @@ def test_the_python_page_names_every_public_name():
     spaces = {name: getattr(ju, name) for name in NAMESPACES}
     names = [*ju.__all__, *(f"{space}.{name}" for space, module in spaces.items() for name in module.__all__)]
     assert sorted(re.findall(r"`([\w.]+)`", "\n".join(table))) == sorted({*names} - {*spaces})
+
+
+def test_notebooks_are_numbered_and_listed_in_their_order():
+    assert [int(path.name.split("_")[0]) for path in NOTEBOOKS] == list(range(1, 10))
+    assert re.findall(r"\((\d\w+\.py)\)", (FOLDER / "README.md").read_text()) == [path.name for path in NOTEBOOKS]
+    assert not list(FOLDER.glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_paired_text_and_asks_one_question_first(path):
+    notebook = jupytext.read(path)
+    assert notebook.metadata["jupytext"]["formats"] == "ipynb,py:percent"
+    title, question = (line for line in notebook.cells[0].source.splitlines()[:3] if line)
+    assert title.startswith(f"# {path.name[0]}. ")
+    assert re.fullmatch(r"\*\*.+\?\*\*", question)
+    assert question.strip("*") in (FOLDER / "README.md").read_text()
+    asked = [cell.source for cell in notebook.cells if cell.source.startswith("## A question to try\n")]
+    assert asked == [notebook.cells[-1].source]
+    assert "?" in asked[0]
