@@ -30,12 +30,10 @@ def zone_of_cells(maps, row, col, size, name="park", **heights) -> Zone:
 def test_constraints_close_what_their_zones_touch_and_their_bounds_forbid(maps):
     zone = zone_of_cells(maps, 40, 30, 20, ceiling_m=30.0)
     constraints = ju.Constraints((zone,), (Bound("gps", ">=", 0.5), Bound("density", "<", 30_000)))
-    by_hand = np.zeros(maps.grid.shape, bool)
-    by_hand[40:60, 30:50] = True
-    low = by_hand | (maps.m("gps", 20.0) < 0.5) | (maps.m("density", 20.0, time_of_day="night") >= 30_000)
-    high = (maps.m("gps", 60.0) < 0.5) | (maps.m("density", 60.0, time_of_day="night") >= 30_000)
-    assert np.array_equal(constraints.closed(maps, 20.0, time_of_day="night"), low)
-    assert np.array_equal(constraints.closed(maps, 60.0, time_of_day="night"), high)
+    for z_m in (20.0, 60.0):
+        by_hand = (maps.m("gps", z_m) < 0.5) | (maps.m("density", z_m, time_of_day="night") >= 30_000)
+        by_hand[40:60, 30:50] |= z_m == 20.0
+        assert np.array_equal(constraints.closed(maps, z_m, time_of_day="night"), by_hand)
 
 
 def test_a_zone_closes_from_its_floor_to_its_ceiling_both_included(maps):
@@ -83,10 +81,9 @@ def test_no_planner_enters_a_zone_or_breaks_a_bound(maps, ends, planner, require
 def test_constraints_that_close_nothing_change_nothing(maps, ends):
     far = Zone("far", shapely.box(10, 10, 11, 11))
     high = zone_of_cells(maps, 0, 0, 80, floor_m=500.0)
-    plain = ju.plan(maps, **ends, altitude_m=ALTITUDE_M)
     constraints = ju.Constraints((far, high), (Bound("gps", ">=", 0.0),))
     limited = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints)
-    assert limited.cost == plain.cost
+    assert limited.cost == ju.plan(maps, **ends, altitude_m=ALTITUDE_M).cost
     assert limited.settings["limits"]["require"] == ["gps>=0"]
     assert limited.settings["limits"]["no_fly"][1].items() >= {"name": "park", "floor_m": 500.0}.items()
     assert json.loads(json.dumps(limited.to_dict())) == limited.to_dict()
@@ -97,10 +94,9 @@ def test_a_start_within_a_limit_is_told_which_and_where_to_go(maps, ends):
     gps = float(maps.m("gps", ALTITUDE_M)[row, col])
     zone = zone_of_cells(maps, row, col, 3, name="Heliport", ceiling_m=100.0)
     constraints = ju.Constraints((zone,), (Bound("gps", ">=", gps + 0.01),))
-    with pytest.raises(InputError) as caught:
+    told = rf"the no-fly zone 'Heliport' \(from the ground to 100 m\).*the bound gps>={gps + 0.01:g}.*nearest free"
+    with pytest.raises(InputError, match=told):
         ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints)
-    told = ("the no-fly zone 'Heliport' (from the ground to 100 m)", f"the bound gps>={gps + 0.01:g}", "nearest free")
-    assert all(words in str(caught.value) for words in told)
     moved = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=ju.Constraints((zone,)), snap=True)
     assert not shapely.LineString(moved.xy_m).intersects(zone.polygon)
 
@@ -138,7 +134,7 @@ def test_the_command_line_takes_files_and_bounds(folder, maps, ends, tmp_path, c
     corners = np.column_stack(maps.grid.lonlat_of_xy(*shapely.get_coordinates(square.polygon).T)).tolist()
     shape = {"type": "Polygon", "coordinates": [corners]}
     feature = {"type": "Feature", "properties": {"name": "park", "height": 9}, "geometry": shape}
-    (tmp_path / "zones.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    (tmp_path / "zones.geojson").write_text(json.dumps(feature))
     warnings.simplefilter("default", IgnoredZoneWarning)
     options = ("--no-fly", tmp_path / "zones.geojson", "--require", "num_visible>=4", "--require", "risk>0.1")
     code, out, err = run(capsys, "plan", folder, *options_of(maps, **ends), *options, "--json", "--snap")

@@ -136,9 +136,9 @@ def test_what_the_maps_do_not_hold_is_left_out(maps, planned):
 def test_the_report_is_json_ready_and_its_table_holds_every_segment(report):
     facts = report.to_dict()
     assert json.loads(json.dumps(facts, allow_nan=False)) == facts
-    assert [segment["segment"] for segment in facts["segments"]] == list(range(1, 11))
     lines = report.table().splitlines()
-    assert sum(line[:7].strip().isdigit() for line in lines) == 10
+    numbers = [int(line[:7]) for line in lines if line[:7].strip().isdigit()]
+    assert numbers == [segment["segment"] for segment in facts["segments"]] == list(range(1, 11))
     assert any(line.startswith("people overflown") and "(strip of 8 m)" in line for line in lines)
 
 
@@ -161,7 +161,7 @@ def test_a_climb_is_costed_at_the_levels_it_joins(maps, ends, cost_model):
     settings = flat.settings | {"levels_m": [20.0, 60.0], "climb_cost": 0.3, "descent_cost": 0.05}
     climbing = replace(flat, xy_m=xy_m, z_m=np.array([20.0, 60.0, 60.0]), settings=settings)
     totals = ju.explain(climbing, maps, speed_m_s=5.0).totals
-    row, col = (int(value) for value in maps.grid.cell_of_xy(*xy_m[0]))
+    row, col = map(int, maps.grid.cell_of_xy(*xy_m[0]))
     low, high, beside = (
         1 - float(maps.m("lidar", z)[row, at]) for z, at in ((20.0, col), (60.0, col), (60.0, col + 1))
     )
@@ -175,8 +175,7 @@ def test_between_two_altitudes_the_maps_are_linear_and_walls_stand_to_their_roof
     flat = of_one_place(maps, ends)
     between = replace(flat, z_m=np.array([31.0]), settings=flat.settings | {"levels_m": [31.0]})
     totals = ju.explain(between, maps).totals
-    cell = tuple(int(value) for value in maps.grid.cell_of_xy(*flat.xy_m[0]))
-    low, high = (float(maps.m("gps", z)[cell]) for z in (20.0, 60.0))
+    low, high = (float(maps.m("gps", z)[maps.grid.cell_of_xy(*flat.xy_m[0])]) for z in (20.0, 60.0))
     assert totals["mean_gps"] == pytest.approx(low + (31 - 20) / 40 * (high - low), rel=1e-6)
     walls = outlines(maps, maps.m("roof") >= 31.0)
     assert totals["nearest_wall_m"] == pytest.approx(shapely.Point(flat.xy_m[0]).distance(walls), abs=1e-6)

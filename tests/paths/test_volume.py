@@ -55,8 +55,6 @@ def test_a_single_altitude_equals_2d(maps, cost_model):
         expected, path = flat.plan(*places), volume.plan(*places)
         assert path.cost == pytest.approx(expected.cost, rel=1e-9)
         assert path.status is expected.status
-        if expected.status.has_path:
-            assert set(path.cost_by_layer) == set(expected.cost_by_layer) | {"climb", "descent"}
         assert set(path.z_m) <= {20.0}
 
 
@@ -104,15 +102,14 @@ def test_start_under_the_goal_goes_straight_up_and_is_written(maps, ends, tmp_pa
     up = plan_volume(maps, **here, goal_altitude_m=60.0, objective="distance")
     assert up.length_m == pytest.approx(40.0)
     for suffix, read in READERS.items():
-        up.save(tmp_path / f"up{suffix}")
-        assert read(tmp_path / f"up{suffix}")[:, 2].tolist() == up.z_m.tolist() == [20.0, 60.0]
+        assert read(up.save(tmp_path / f"up{suffix}"))[:, 2].tolist() == up.z_m.tolist() == [20.0, 60.0]
 
 
 def test_files_hold_every_points_altitude(maps, path, tmp_path):
     lonlatz = np.column_stack([path.lonlat, path.z_m])
     for suffix in (".geojson", ".kml"):
-        path.save(tmp_path / f"path{suffix}")
-        assert np.all(np.abs(READERS[suffix](tmp_path / f"path{suffix}") - lonlatz) <= (1e-7, 1e-7, 0.005))
+        found = READERS[suffix](path.save(tmp_path / f"path{suffix}"))
+        assert np.all(np.abs(found - lonlatz) <= (1e-7, 1e-7, 0.005))
 
 
 def test_the_command_line_plans_through_the_volume(maps, ends, tmp_path, capsys):
