@@ -84,24 +84,19 @@ def test_tiles_hold_the_maps_values_and_mark_obstacles_and_every_layer_can_be_as
     for name in layers_of(MAPS):
         assert "html" in answer(viewer, "legend", layer=name, at=[0, 0, 0])
         assert tile_of(viewer, name, [0, 0, 0]).shape == MAPS.grid.shape
+    assert np.array_equal(tile_of(viewer, "obstacle", [0, 0, 0]), MAPS.m("obstacle", 20.0))
 
 
 def test_colours_are_those_of_the_figures(viewer):
     legend = answer(viewer, "legend", layer="hdop", at=[0, 0, 0])
     assert [legend["ticks"][k] for k in (0, -1)] == [1, 20]
+    assert answer(viewer, "legend", layer="obstacle", at=[0, 0, 0])["edges"] == [-0.5, 0.5, 1.5]  # two classes
     colours = np.frombuffer(base64.b64decode(legend["colours"]), np.uint8).reshape(-1, 3)
     values = np.linspace(0.5, 25, 777)
     index = np.clip(np.searchsorted(legend["edges"], values, side="right") - 1, 0, len(colours) - 1)
     of_figures = metric_colours(MAPS, "hdop")(values, bytes=True)[:, :3]
     assert np.abs(colours[index].astype(int) - of_figures.astype(int)).max() <= 4  # beside an edge, one colour on
     assert (colours[index] == of_figures).all(axis=1).mean() > 0.99
-
-
-def test_obstacles_are_drawn_by_classes(viewer):
-    legend = answer(viewer, "legend", layer="obstacle", at=[0, 0, 0])
-    assert legend["edges"] == [-0.5, 0.5, 1.5]
-    assert "free" in legend["html"]
-    assert np.array_equal(tile_of(viewer, "obstacle", [0, 0, 0]), MAPS.m("obstacle", 20.0))
 
 
 def test_maps_of_a_long_series_are_shown_by_their_median(viewer):
