@@ -22,22 +22,17 @@ from tests.studies.routes_made import WEIGHT_STUDY, assert_on_the_page
 KEY = ["city", "instance", "altitude_m"]
 
 
-@pytest.fixture
-def found(weight_study):
-    return weight_study
-
-
-def test_every_weight_of_a_city_is_studied_and_own_layers_by_their_name(found):
-    assert (found.rows.status == "optimal").all()
-    weights = found.tables["weights"]
+def test_every_weight_of_a_city_is_studied_and_own_layers_by_their_name(weight_study):
+    assert (weight_study.rows.status == "optimal").all()
+    weights = weight_study.tables["weights"]
     assert set(weights[weights.city == "beta"].weight_name) == {"distance", "gps", "lidar", "risk", "noise"}
     assert set(weights[weights.city == "alpha"].weight_name) == {"distance", "gps", "lidar", "risk", "population"}
-    summary = found.tables["summary"]
+    summary = weight_study.tables["summary"]
     assert summary[(summary.cut == "all") & (summary.weight_name == "noise")].cities.tolist() == [1]
 
 
-def test_rows_are_what_planning_under_each_weight_gives(folders, found):
-    table = found.rows.merge(found.instances, on=KEY).iloc[[0, 7, 20]]
+def test_rows_are_what_planning_under_each_weight_gives(folders, weight_study):
+    table = weight_study.rows.merge(weight_study.instances, on=KEY).iloc[[0, 7, 20]]
     for row in table.to_dict("records"):
         maps = ju.open_maps(folders[row["city"] == "beta"])
         ends = [ju.XY(row[f"{end}_x_m"], row[f"{end}_y_m"]) for end in ("start", "goal")]
@@ -60,8 +55,8 @@ def test_rows_are_what_planning_under_each_weight_gives(folders, found):
                 assert row[f"regret_{side}:{name}"] == pytest.approx(cost / best.cost - 1, abs=1e-9)
 
 
-def test_elasticities_sum_to_one_and_a_route_that_no_factor_changes_has_no_regret(found):
-    weights = found.tables["weights"]
+def test_elasticities_sum_to_one_and_a_route_that_no_factor_changes_has_no_regret(weight_study):
+    weights = weight_study.tables["weights"]
     np.testing.assert_allclose(weights.groupby(KEY).elasticity.sum(), 1.0)
     calm = weights[weights.varies & (weights.nearest > 2.0)]
     assert len(calm) > 5
@@ -69,22 +64,22 @@ def test_elasticities_sum_to_one_and_a_route_that_no_factor_changes_has_no_regre
     assert (weights[weights.varies].nearest >= 1).all()
 
 
-def test_maps_in_memory_and_a_table_of_queries_give_the_same_rows(alpha, found, tmp_path):
-    of_alpha = found.instances[found.instances.city == "alpha"]
-    asked = of_alpha[of_alpha.instance == found.instances.instance[0]]
+def test_maps_in_memory_and_a_table_of_queries_give_the_same_rows(alpha, weight_study, tmp_path):
+    of_alpha = weight_study.instances[weight_study.instances.city == "alpha"]
+    asked = of_alpha[of_alpha.instance == weight_study.instances.instance[0]]
     queries = asked[["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m", "time", "time_of_day"]]
     again = ju.studies.sensitivity_study({"alpha": alpha}, tmp_path, queries, settings=WEIGHT_STUDY)
     kinds = ("cost", "elasticity", "below", "above", "people")
-    columns = [name for name in found.rows if name.partition(":")[0] in kinds and "noise" not in name]
-    first = found.rows.merge(asked[KEY], on=KEY).sort_values("altitude_m")[columns]
+    columns = [name for name in weight_study.rows if name.partition(":")[0] in kinds and "noise" not in name]
+    first = weight_study.rows.merge(asked[KEY], on=KEY).sort_values("altitude_m")[columns]
     np.testing.assert_allclose(again.rows.sort_values("altitude_m")[columns].astype(float), first.astype(float))
     assert not again.is_sampled
     assert again.instances.start_stratum.tolist() == asked.start_stratum.tolist()
     assert again.instances.range.tolist() == asked.range.tolist()
 
 
-def test_a_route_that_fails_is_a_row_with_its_status(alpha, folders, found, tmp_path):
-    rows = found.instances[found.instances.city == "alpha"].iloc[:3].copy()
+def test_a_route_that_fails_is_a_row_with_its_status(alpha, folders, weight_study, tmp_path):
+    rows = weight_study.instances[weight_study.instances.city == "alpha"].iloc[:3].copy()
     rows["instance"] = [0, 1, 2]
     wall = np.argwhere(~alpha.is_free(20.0))[0]
     rows.loc[rows.index[0], ["goal_x_m", "goal_y_m"]] = alpha.grid.xy_of_cell(*wall)
@@ -98,25 +93,25 @@ def test_a_route_that_fails_is_a_row_with_its_status(alpha, folders, found, tmp_
     assert "| 20 m | 3 | 3 | 1 |" in asked
 
 
-def test_the_report_names_every_figure_and_no_share_below_zero(found):
-    report = (found.folder / "report.md").read_text()
+def test_the_report_names_every_figure_and_no_share_below_zero(weight_study):
+    report = (weight_study.folder / "report.md").read_text()
     shown = {part.split(")")[0] for part in report.split("](")[1:]}
-    assert shown == {f"figures/{each.name}" for each in (found.folder / "figures").glob("*.png")}
-    for name, table in found.tables.items():
-        assert len(pd.read_parquet(found.folder / "tables" / f"{name}.parquet")) == len(table)
+    assert shown == {f"figures/{each.name}" for each in (weight_study.folder / "figures").glob("*.png")}
+    for name, table in weight_study.tables.items():
+        assert len(pd.read_parquet(weight_study.folder / "tables" / f"{name}.parquet")) == len(table)
     assert "nan" not in report.replace("dominant", "")
     sobol = report.split("## What the routes are like")[1].split("##")[0]
     assert "| -" not in sobol.replace("| ---", "")
     assert "2 samples each; with fewer than 64" in report
     assert report.count("© a made city") == 1
-    assert "over cities" not in [*found.tables["summary"].cut], "two cities say nothing of others"
+    assert "over cities" not in [*weight_study.tables["summary"].cut], "two cities say nothing of others"
     assert "| of | weight | cities | routes | regret |" in report
     assert "Routes were drawn by stratum" in report
 
 
-def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_population(found):
-    alpha = ju.MetricMaps(found.maps["alpha"].ds.assign_attrs(pop_norm_per_km2=[5e4, 3e4]))
-    report = study_markdown(replace(found, is_sampled=False, maps={**found.maps, "alpha": alpha}))
+def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_population(weight_study):
+    alpha = ju.MetricMaps(weight_study.maps["alpha"].ds.assign_attrs(pop_norm_per_km2=[5e4, 3e4]))
+    report = study_markdown(replace(weight_study, is_sampled=False, maps={**weight_study.maps, "alpha": alpha}))
     assert "drawn by stratum" not in report
     assert "those of the table that was given" in report
     alpha, beta = report.split("\n\n")[1].splitlines()[2:]
@@ -124,10 +119,10 @@ def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_pop
     assert beta.endswith("|  |")
 
 
-def test_no_text_of_a_figure_leaves_the_page_and_panels_that_are_compared_share_their_scale(found):
-    for name, draw in study_figures(found.tables, 2.0).items():
+def test_no_text_of_a_figure_leaves_the_page_and_panels_that_are_compared_share_their_scale(weight_study):
+    for name, draw in study_figures(weight_study.tables, 2.0).items():
         assert_on_the_page(name, draw())
-    figure = plot_nearest(found.tables["weights"], 2.0)
+    figure = plot_nearest(weight_study.tables["weights"], 2.0)
     assert len({panel.get_xlim() for panel in figure.axes}) == 1
 
 
