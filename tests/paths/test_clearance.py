@@ -261,8 +261,8 @@ def test_no_path_names_the_clearance_among_what_may_join():
     message = ju.plan(walled, **ends, altitude_m=ALTITUDE_M, constraints=constraints).to_dict()["message"]
     assert "Constraints were on (clearance of 6 m, vertical clearance of 3 m)" in message
     assert "not joined at a greater altitude of these maps. A smaller clearance or finer maps may join them" in message
-    message = plan_volume(walled, **ends, constraints=constraints).to_dict()["message"]
-    assert "A smaller clearance or finer maps may join them" in message
+    between = plan_volume(walled, **ends, constraints=constraints).to_dict()["message"]
+    assert "A smaller clearance or finer maps may join them" in between
     assert ju.plan(walled, **ends, altitude_m=ALTITUDE_M).status is Status.OPTIMAL
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from jaxurban.paths.export.write import write_path
 from jaxurban.planners.base import EVERY_PATH, Status
 
 WEIGHTS = ju.Weights(distance=0.2, gps=0.5, lidar=2.0, population=3.0, risk=1.5)
@@ -79,7 +78,7 @@ def test_a_weight_without_a_layer_or_a_free_distance_is_told(town, town_ends, pl
     assert "distance weighs nothing" in planned(weights={"distance": 0.0}).to_dict()["message"]
 
 
-def test_facts_are_json_ready_and_an_unbounded_budget_is_written_as_none(planned, tmp_path):
+def test_facts_are_json_ready_and_an_unbounded_budget_is_written_as_none(planned):
     path = planned(budget_s=float("inf"))
     facts = path.to_dict()
     assert json.loads(json.dumps(facts)) == facts
@@ -87,7 +86,6 @@ def test_facts_are_json_ready_and_an_unbounded_budget_is_written_as_none(planned
     assert "the cheapest one on the 8-neighbour grid; one off it, at any angle, may be cheaper" in facts["message"]
     assert facts["settings"]["weights"]["distance"] == 0.1
     assert facts["settings"]["budget_s"] is None
-    assert write_path(path, tmp_path / "path.geojson")
     assert set(path.metrics) == {"gps", "lidar", "population", "risk"}
     assert all(0.0 <= value <= 1.0 for value in path.metrics.values())
 

@@ -110,10 +110,9 @@ def test_a_run_knows_its_scenario_in_memory_and_in_its_folder(tmp_path):
     (tmp_path / "town.toml").write_text(f"{TOWN}[planning]\nobstacles = 'centre'\n[vehicle]\nradius_m = 2\n")
     (held,) = run_scenario(ju.Scenario.from_toml(tmp_path / "town.toml"), tmp_path / "out").maps.values()
     opened = ju.open_maps(tmp_path / "out")
+    recorded = {"planning": {"obstacles": "centre"}, "vehicle": {"radius_m": 2.0}}
     for maps in (held, opened):
-        assert maps.recorded["planning"] == {"obstacles": "centre"}
-        assert maps.recorded["vehicle"] == {"radius_m": 2.0}
-        assert maps.obstacles == "centre"
+        assert (maps.recorded | recorded, maps.obstacles) == (maps.recorded, "centre")
     (tmp_path / "out" / "run.json").unlink()
     with pytest.raises(ju.InputError, match=r"run.json.*is missing: run the same `jaxurban maps` command again"):
         ju.open_maps(tmp_path / "out")

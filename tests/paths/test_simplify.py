@@ -83,8 +83,7 @@ def test_the_message_tells_tolerance_waypoints_and_how_the_cost_changed(maps):
     assert f"the weighted cost is {simple.cost:.3f}, before {path.cost:.3f}." in said
     assert (path.status, simple.status) == (Status.OPTIMAL, Status.FEASIBLE)
     assert simple.to_dict()["num_points"] == len(simple.xy_m)
-    farther = ju.simplify(path, on, 30.0)
-    assert len(farther.xy_m) <= len(simple.xy_m)
+    assert len(ju.simplify(path, on, 30.0).xy_m) <= len(simple.xy_m)
 
 
 def test_a_path_around_a_no_fly_zone_and_within_bounds_stays_so_and_its_mission_is_fenced(maps, tmp_path):

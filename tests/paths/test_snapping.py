@@ -78,10 +78,9 @@ def test_how_far_is_told_in_text_json_and_files(maps, ends, tmp_path, capsys):
     assert all(told in file.read_text() for file in files)
     (feature,) = json.loads(files[0].read_text())["features"]
     assert feature["properties"]["snap_distance_m"]["start"] == pytest.approx(70.0, abs=0.01)
-    code, out, _ = run(capsys, *arguments, "--snap", 80, "--json")
-    facts = json.loads(out)
+    facts = json.loads(run(capsys, *arguments, "--snap", 80, "--json")[1])
     assert told in facts["message"]
-    assert facts["snap_distance_m"] == {"start": pytest.approx(70.0, abs=0.01), "goal": pytest.approx(0.0, abs=0.01)}
+    assert facts["snap_distance_m"] == pytest.approx({"start": 70.0, "goal": 0.0}, abs=0.01)
 
 
 @pytest.fixture(scope="module")
