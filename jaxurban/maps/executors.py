@@ -128,6 +128,7 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
     """
     try:
         from distributed import Client, LocalCluster
+        from distributed.comm import CommClosedError
         from distributed.security import Security
 
         security = Security.temporary()  # needs cryptography
@@ -146,7 +147,7 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
                 LOG.warning(f"the cluster {workers} has no worker yet: waiting for one (`dask worker {workers}`)")
             try:
                 yield client
-            except CancelledError as error:
+            except (CancelledError, CommClosedError) as error:
                 raise InputError(
                     f"the Dask scheduler at {workers} was lost: start it again, or leave --cluster out, and run the "
                     "same again; what is finished is kept"

@@ -25,6 +25,7 @@ from distributed import Client
 from distributed.security import Security
 
 pytestmark = pytest.mark.slow
+SCENARIO = TOWN.replace("-73.993, 40.761", "-73.995, 40.759").replace("[20, 60]", "[20]")
 MANY_TILES = """
 import sys
 from jaxurban.cli.main import main
@@ -71,7 +72,7 @@ def test_each_process_of_a_cluster_is_killed_in_turn_and_no_map_is_lost(schedule
         return stack.enter_context(process("-m", "distributed.cli.dask_worker", address, "--no-nanny"))
 
     (address, of_scheduler), stack = scheduler, ExitStack()
-    (tmp_path / "town.toml").write_text(TOWN)
+    (tmp_path / "town.toml").write_text(SCENARIO)
     monkeypatch.setattr(pipeline, "shape_of_tiles", lambda task: (8, 8))
     whole = again(tmp_path / "whole")
     with stack:
