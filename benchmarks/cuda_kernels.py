@@ -254,6 +254,9 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "lidar: share": lambda: Call(
         lidar._share, (array(4, *REGION, dtype=jnp.int32), part(REGION), ALTITUDES_M), {"num_azimuths": NUM_AZIMUTHS}
     ),
+    "lidar: share at centres": lambda: Call(
+        lidar._share_outside, (array(4, *REGION), array(4, *REGION, dtype=bool)), {"num_azimuths": NUM_AZIMUTHS}
+    ),
     "lidar: soft, tile": lambda: Call(soft_lidar.soft_returns, (around(TILE, STEPS_5M - 1), SCAN, RAYS, NUMBER)),
     "lidar: soft, tile, gradient": lambda: Call(
         gradient(soft_lidar.soft_returns, (0, 1)), (around(TILE, STEPS_5M - 1), SCAN, RAYS, NUMBER)
