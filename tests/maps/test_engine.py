@@ -71,6 +71,17 @@ def test_over_terrain_around_slabs_and_on_finer_cells_the_bits_are_equal():
         assert_same(*both(replace(of, params=replace(of.params, **settings))))
 
 
+@pytest.mark.slow
+@pytest.mark.data
+def test_on_lower_manhattan_the_bits_are_equal(data_dir):
+    bounds = (-74.02, 40.70, -73.98, 40.73)
+    town = ju.City.from_files(data_dir / "osm" / "lower-manhattan.osm.pbf", bounds=bounds)
+    gps = ju.Gps(orbits=data_dir / "gps" / "gps-ops_2020-04-27.tle")
+    assert_same(
+        *(ju.build_maps(town, bounds, altitudes_m=(20.0, 60.0), engine=name, gps=gps).ds for name in ("numba", "jax"))
+    )
+
+
 def test_what_is_traced_is_jaxs_and_auto_is_numba_on_a_cpu_alone():
     assert (chosen("auto", "cpu"), chosen("auto", "gpu"), chosen("numba", "gpu")) == ("numba", "jax", "numba")
     traced = []
