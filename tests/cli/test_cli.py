@@ -169,7 +169,7 @@ def test_ctrl_c_exits_130_leaves_no_scrap_and_resumes(tmp_path):
     scraps = [path for path in out.rglob("*.jaxurban-part") if path != work and work not in path.parents]
     assert not scraps
     assert not (out / "run.json").exists()
-    kept = {name: data for name, data in files_of(out).items() if ".jaxurban-part" not in name}
+    kept = {name: data for name, data in outputs_of(out).items() if ".jaxurban-part" not in name}
     assert kept
     assert subprocess.run(command, stderr=subprocess.PIPE, timeout=200, check=False).returncode == 0
     finished = outputs_of(out)
