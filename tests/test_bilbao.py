@@ -9,6 +9,7 @@ from scipy.ndimage import label
 import jaxurban as ju
 from benchmarks.random_routes import read_plan
 from jaxurban.cli.main import app
+from jaxurban.io.read.raster import read_raster
 from jaxurban.paths.export.qgc_plan import GROUND_TOLERANCE_M
 from jaxurban.paths.export.write import write_path
 from jaxurban.paths.path import elevation_at
@@ -40,8 +41,11 @@ def folder(data_dir, tmp_path_factory):
     return folder / "out"
 
 
-def test_rasters_that_do_not_align_become_maps(folder):
+def test_rasters_that_do_not_align_become_maps(folder, data_dir):
     maps = ju.open_maps(folder)
+    for kind, extremes_m in (("building_heights", (0, 52)), ("dem", (-2, 103))):  # as published
+        values = read_raster(data_dir / "raster" / f"bilbao_{kind}.tif", "EPSG:25830").values
+        assert (values.min(), values.max()) == extremes_m
     assert maps.ds["has_data"].all()
     for name in ("gps", "lidar", "risk"):
         values = maps.ds[name].values

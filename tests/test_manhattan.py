@@ -1,6 +1,7 @@
 """Real Manhattan through the whole program: the census adds up, and a sub-box equals the crop."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -19,12 +20,14 @@ def test_the_census_of_all_manhattan_adds_up(data_dir, tmp_path, capsys):
     scenario = tmp_path / "manhattan.toml"
     scenario.write_text(
         "[region]\nbounds = [-74.05, 40.68, -73.90, 40.885]\nresolution_m = 10\naltitudes_m = [600]\n"
-        f'[buildings]\nsource = "{OSM}"\n[population]\n'
+        f'[buildings]\nsource = "{OSM}"\n[population]\ntime_of_day = "night"\n'
         + "".join(f'{key} = "{path}"\n' for key, path in CENSUS.items())
     )
     assert run(capsys, "maps", scenario, "-o", tmp_path / "out")[0] == 0
-    night = json.loads((tmp_path / "out" / "run.json").read_text())["population"]["night"]
+    record = json.loads((tmp_path / "out" / "run.json").read_text())
+    night = record["population"]["night"]
     assert (night["commercial"], night["residential"], night["total"]) == (611_934, 965_451, 1_585_873)
+    assert re.search(r"\(1,820 m2\) with 709,326 people per km2 .* gets 0\.06;", "\n".join(record["warnings"]))
     maps = ju.open_maps(tmp_path / "out")
     people = maps.m("density", time_of_day="night").sum(dtype=float) * (10.0 / 1000.0) ** 2
     assert people == pytest.approx(1_585_873, rel=0.005)
