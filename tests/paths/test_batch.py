@@ -1,6 +1,7 @@
 """plan_many: every query gets its result once, whatever happens to others, to the file or to the process."""
 
 import inspect
+import re
 from ast import literal_eval
 
 import numpy as np
@@ -33,7 +34,7 @@ def many(town):
 
 @pytest.mark.parametrize("backend", ["numba", pytest.param("jax", marks=pytest.mark.slow)])
 def test_a_batch_gives_the_paths_of_single_plans_in_order(town, many, pairs, backend):
-    how = {"altitude_m": 20.0, "cost_model": "line", "budget_s": np.inf}
+    how = {"altitude_m": 35.0, "cost_model": "line", "budget_s": np.inf}  # between those of the maps
     batch = many(pairs, **how, backend=backend)
     assert (len(batch), batch.was_interrupted) == (len(pairs), False)
     for pair, path in zip(pairs, batch, strict=True):
@@ -43,10 +44,11 @@ def test_a_batch_gives_the_paths_of_single_plans_in_order(town, many, pairs, bac
 
 
 def test_each_row_of_a_table_has_its_own_altitude_time_of_day_and_weights(town, many, pairs):
-    own = {"altitude_m": [20, np.nan, 600], "time_of_day": ["night", None, "day"], "w_risk": [np.nan, 7.0, 0.0]}
+    own = {"altitude_m": [20, np.nan, 35], "time_of_day": ["night", None, "day"], "w_risk": [np.nan, 7.0, 0.0]}
     table = pd.DataFrame([np.ravel(pairs[0])] * 3, columns=list(LONLAT)).assign(**own)
     batch = many(table, weights=ju.Weights(gps=2.0))
-    assert [path.altitude_m for path in batch] == [20, 20, 600]
+    assert [path.altitude_m for path in batch] == [20, 20, 35]
+    assert batch[2].cost == ju.plan(town, *pairs[0], altitude_m=35.0, weights={"gps": 2.0, "risk": 0.0}).cost
     assert [path.settings["time_of_day"] for path in batch] == ["night", town.times_of_day[0], "day"]
     assert [path.settings["weights"]["risk"] for path in batch] == [1, 7, 0]
     assert {path.settings["weights"]["gps"] for path in batch} == {2}
@@ -66,9 +68,7 @@ def test_a_query_that_cannot_be_asked_is_a_row_with_its_sentence(town, many, pai
     table = pd.DataFrame([np.ravel(pair) for pair in pairs], columns=list(LONLAT))
     table.loc[1, ["start_lon", "start_lat"]] = wall
     table.loc[2, "goal_lat"] = np.nan
-    table["altitude_m"] = [20.0, 20, 20, 13, 20, 20]
-    table["w_gps"] = [1.0, 1, 1, 1, -1, 1]
-    batch = many(table)
+    batch = many(table.assign(altitude_m=[20.0, 20, 20, 13, 20, 20], w_gps=[1.0, 1, 1, 1, -1, 1]))
     rows = batch.to_dataframe()
     assert rows["status"].tolist() == ["optimal", *["bad-input"] * 4, "optimal"]
     for k, words in {1: "nearest free cell", 2: "two finite numbers", 3: "altitude", 4: "weight gps must be"}.items():
@@ -78,7 +78,7 @@ def test_a_query_that_cannot_be_asked_is_a_row_with_its_sentence(town, many, pai
     assert many(table[:2], snap=True)[1].snap_distance_m[0] > 0
 
 
-def test_one_signature_lists_what_functions_pass_on_and_names_what_none_takes(town, pairs):
+def test_one_signature_lists_what_functions_pass_on_and_names_what_none_takes():
     many, one = (set(inspect.signature(function).parameters) for function in (ju.plan_many, ju.plan))
     assert {"time", "weights", "preset", "planner", "snap"} <= many & one
     assert "asked" not in many | one
@@ -91,7 +91,7 @@ def test_drawn_instances_are_planned_without_the_columns_that_a_refusal_names(to
     drawn = ju.studies.sample_instances(town, 2).query("altitude_m == 20")
     with pytest.raises(InputError, match=r"unknown columns \[.*queries\.drop\(columns=") as refused:
         many(drawn)
-    named = literal_eval(str(refused.value)[str(refused.value).index("[") : str(refused.value).index("]") + 1])
+    named = literal_eval(re.search(r"\[.*?\]", str(refused.value))[0])
     assert all(path.status is Status.OPTIMAL for path in many(drawn.drop(columns=[*named, *LONLAT])))
 
 

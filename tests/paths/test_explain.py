@@ -1,4 +1,4 @@
-"""The report of a route: facts that anyone can recompute from the maps."""
+"""The report of a route, cut at cell borders: facts that anyone can recompute from the maps."""
 
 import itertools
 import json
@@ -11,6 +11,9 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.io.read.zone import cell_boxes
+from jaxurban.kernels.line.traversal import crossed_cells
+from jaxurban.paths.profile import clearance_m, cut_evenly, nearest_level_m
+from jaxurban.planners.cost import path_states
 from tests.cli_runs import run
 from tests.made_maps import missing_inside
 from tests.paths.volumes import options_of
@@ -18,6 +21,8 @@ from tests.paths.volumes import options_of
 ALTITUDE_M = 20.0
 MODELS = (("cell", "line"), (4.0,), (4, 8), ("both-free", "always"))
 WEIGHTS = ju.Weights(distance=0.2, gps=0.5, lidar=2.0, population=3.0, risk=1.5)
+OBSTACLES = np.random.default_rng(3).random((30, 40)) < 0.08
+RES = 5.0
 
 
 def route(maps, ends, **settings) -> ju.PlannedPath:
@@ -188,3 +193,57 @@ def test_over_an_obstacle_of_the_map_below_every_number_is_known(maps):
     profile = ju.explain(planned, maps).profile
     assert (profile["roof_m"] == 30.0).any()
     assert np.isfinite(profile[["gps", "lidar", "risk", "walls_outside_m", "nearest_wall_m"]]).all(axis=None)
+
+
+def straight_walk(seed: int, num: int = 12) -> np.ndarray:
+    return np.random.default_rng(seed).uniform((0, 0), (40 * RES, 30 * RES), (num, 2))
+
+
+def test_a_climb_is_longer_in_the_air_than_over_the_ground():
+    way_m = [[2.5, 2.5, 20.0], [32.5, 42.5, 20.0], [32.5, 42.5, 60.0], [62.5, 42.5, 20.0]]
+    crossings = crossed_cells(np.array(way_m), RES)
+    ends_m = crossings.ends_m
+    np.testing.assert_allclose(ends_m[1:, 0], ends_m[:-1, 1])
+    np.testing.assert_allclose(np.linalg.norm(np.diff(ends_m, axis=1)[:, 0], axis=1), crossings.length_m, atol=1e-9)
+    over_m = np.hypot(*np.diff(ends_m[:, :, :2], axis=1)[:, 0].T)
+    assert over_m.sum() == pytest.approx(50 + 0 + 30)
+    assert crossings.length_m.sum() == pytest.approx(50 + 40 + 50)
+    straight_up = over_m == 0
+    assert np.stack([crossings.row, crossings.col], axis=1)[straight_up].tolist() == [[8, 6]] * 2
+    np.testing.assert_allclose(ends_m[straight_up][0], [[32.5, 42.5, 20], [32.5, 42.5, 40]])
+
+
+@pytest.mark.parametrize("points", [[[12.5, 7.5]], [[12.5, 7.5], [12.5, 7.5]]])
+def test_a_route_of_one_place_is_one_crossing_of_no_length(points):
+    crossings = crossed_cells(np.array(points), RES)
+    assert [crossings.row.tolist(), crossings.col.tolist(), crossings.length_m.tolist()] == [[1], [2], [0]]
+    assert cut_evenly(np.array(points[:1]), 10).size == 0
+
+
+def test_segments_are_equal_up_to_a_step():
+    states_m = path_states(straight_walk(2), RES)
+    segment = cut_evenly(states_m, 7)
+    length_m = np.bincount(segment, np.linalg.norm(np.diff(states_m, axis=0), axis=1))
+    assert np.array_equal(np.unique(segment), np.arange(7))
+    assert np.all(np.diff(segment) >= 0)
+    assert np.ptp(length_m) <= 2 * RES
+    assert np.array_equal(cut_evenly(states_m[:4], 10), [0, 1, 2])
+
+
+def test_clearance_is_the_distance_that_shapely_measures_however_far_an_obstacle_is():
+    rows, cols = np.nonzero(OBSTACLES) * np.array(RES)
+    walls = shapely.union_all(shapely.box(cols, rows, cols + RES, rows + RES))
+    free = np.argwhere(~OBSTACLES)[:, ::-1] * RES + RES / 2
+    walk = straight_walk(4)
+    for lines in (np.stack([walk[:-1], walk[1:]], axis=1), np.stack([free, free], axis=1)):
+        by_shapely = shapely.distance(shapely.linestrings(lines), walls)
+        np.testing.assert_allclose(clearance_m(lines, OBSTACLES, RES), by_shapely, atol=1e-9)
+    one = np.zeros((30, 400), bool)
+    one[10, 399] = True
+    line = np.array([[[2.5, 52.5], [7.5, 52.5]]])
+    assert clearance_m(line, one, RES)[0] == pytest.approx(399 * RES - 7.5)
+    assert np.isinf(clearance_m(line, np.zeros_like(one), RES)[0])
+
+
+def test_the_lower_of_two_altitudes_as_near_is_taken():
+    assert nearest_level_m(np.array([20.0, 40.0, 41.0, 500.0]), (60.0, 20.0)).tolist() == [20, 20, 60, 60]

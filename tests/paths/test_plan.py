@@ -1,16 +1,20 @@
-"""plan: places to cells, and costs that anyone can recompute from the maps, at an altitude and between levels."""
+"""plan: places to cells, costs that anyone can recompute from the maps, any altitude, maps weighed once for many."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import jaxurban as ju
+from jaxurban import progress
 from jaxurban.planners.base import EVERY_PATH, Status
+from jaxurban.report.figures.metrics import obstacle_layer
 
 WEIGHTS = ju.Weights(distance=0.2, gps=0.5, lidar=2.0, population=3.0, risk=1.5)
 NOTHING = ju.Weights(**dict.fromkeys(WEIGHTS.to_dict(), 0.0))
 VOLUME = ju.Levels(climb_cost=0.3, descent_cost=0.1)
+LOW_M, Z_M, HIGH_M = 20.0, 35.0, 60.0
 
 
 @pytest.fixture(scope="module")
@@ -101,3 +105,114 @@ def test_a_refined_path_leaves_the_grid_and_is_never_costlier(planned):
 def test_refinement_has_its_share_of_a_sampling_planners_budget(planned):
     path = planned(cost_model="line", planner="bitstar-dist", budget_s=0.3, refine=True)
     assert "refine" in path.search.note.lower()
+
+
+def test_metrics_run_linearly_between_two_maps_and_obstacles_are_the_roofs(maps):
+    on = ju.cost_map(maps, Z_M, time_of_day="night")
+    share = (Z_M - LOW_M) / (HIGH_M - LOW_M)
+    assert np.array_equal(on.is_free, maps.m("roof_touched") < Z_M)
+    for rule, name in (("centre", "roof"), ("touched", "roof_touched")):
+        for z_m in (Z_M, HIGH_M):
+            assert np.array_equal(maps.is_free(z_m, rule), maps.m(name) < z_m)
+    over_roof = maps.m("obstacle", LOW_M) == 1
+    for name, layer in zip(on.names, on.costs, strict=True):
+        low, high = (maps.m(name, z_m, time_of_day="night") for z_m in (LOW_M, HIGH_M))
+        by_hand = 1 - np.where(over_roof, high, (1 - share) * low + share * high)
+        by_hand = maps.m(name, time_of_day="night") if name == "population" else by_hand
+        np.testing.assert_allclose(layer[on.is_free], by_hand[on.is_free], atol=1e-6)
+    volume = ju.cost_map(maps, ju.Levels(Z_M, Z_M, 10.0), time_of_day="night")  # of one level
+    assert np.array_equal(on.costs, volume.costs[:, 0])
+    assert np.array_equal(on.is_free, volume.is_free[0])
+    drawn = obstacle_layer(maps, Z_M).values
+    assert np.array_equal(drawn == 0, maps.m("roof") >= Z_M)  # -1: not drawn
+
+
+@pytest.mark.parametrize("z_m", [LOW_M, HIGH_M])
+def test_an_altitude_of_the_maps_takes_their_bits(maps, z_m):
+    on = ju.cost_map(maps, z_m)
+    assert np.array_equal(on.is_free, maps.is_free(z_m))
+    assert np.array_equal(on.costs, [*maps.costs(z_m).values()])
+
+
+@pytest.mark.parametrize("planner", ["astar-plus", "theta-star", "bitstar-plus"])
+def test_a_path_flies_there_and_says_what_its_metrics_are(maps, ends, planner, tmp_path):
+    path = ju.plan(maps, **ends, altitude_m=Z_M, planner=planner, cost_model="line", budget_s=0.3)
+    assert path.status.has_path
+    assert set(path.z_m) == {Z_M}
+    assert "Metrics at 35 m are interpolated between the maps of 20 and 60 m." in path.to_dict()["message"]
+    assert path.settings["metrics_between_m"] == [LOW_M, HIGH_M]
+    report = ju.explain(path, maps)
+    assert report.totals["cost"] == pytest.approx(path.cost, rel=1e-9)
+    assert report.totals["mean_gps"] == pytest.approx(path.metrics["gps"], rel=1e-9)
+    (again,) = ju.fit.read_demonstrations(path.save(tmp_path / "route.geojson"), maps)
+    assert again.query.cost_map.altitude_m == Z_M
+    held = ju.plan(maps, **ends, altitude_m=HIGH_M)
+    assert "metrics_between_m" not in held.settings
+    assert "interpolated" not in held.to_dict()["message"]
+
+
+@pytest.fixture(scope="module")
+def shortest(town) -> ju.CostMap:
+    """Many routes are as short as the shortest."""
+    return ju.cost_map(town, 20.0, objective="distance")
+
+
+@pytest.fixture(scope="module")
+def pairs(shortest) -> list:
+    free = np.random.default_rng(2).choice(np.argwhere(shortest.is_free), (4, 2))
+    return [[ju.XY(*shortest.grid.xy_of_cell(*cell)) for cell in pair] for pair in free]
+
+
+def test_maps_weighed_once_give_the_paths_of_separate_plans(town, pairs):
+    how = {"altitude_m": 20.0, "weights": ju.Weights(gps=3.0), "cost_model": "line"}
+    weighted = ju.cost_map(town, **how)
+    for pair in pairs:
+        once, anew = weighted.plan(*pair), ju.plan(town, *pair, **how)
+        assert (once.cost, once.metrics, once.settings) == (anew.cost, anew.metrics, anew.settings)
+    assert weighted.problem is weighted.problem
+
+
+def test_the_metrics_of_a_path_are_the_means_over_the_length_in_each_cell(planned):
+    path = planned(cost_model=ju.CostModel("line", 1.0), weights=ju.Weights(0))
+    for name, mean in path.metrics.items():
+        mean_cost = mean if name == "population" else 1 - mean
+        assert path.cost_by_layer[name] == pytest.approx(mean_cost * path.length_m, rel=1e-6)
+
+
+def test_rounding_takes_no_mean_out_of_0_to_1(town):
+    rounded = SimpleNamespace(mean_costs=np.full(4, np.nextafter(1.0, 2.0)))
+    means = ju.cost_map(town, 600.0).means(rounded)
+    assert means == {"gps": 0.0, "lidar": 0.0, "population": 1.0, "risk": 0.0}
+
+
+def test_equal_plans_are_one_route(town, shortest, pairs):
+    for start, goal in pairs:
+        alone = ju.plan(town, start, goal, altitude_m=20.0, objective="distance")
+        for _ in range(30):
+            path = shortest.plan(start, goal)
+            assert path.search.heuristic == alone.search.heuristic == "tiles"
+            np.testing.assert_array_equal(path.xy_m, alone.xy_m)
+
+
+def test_a_prepared_map_plans_by_landmarks_at_the_same_cost_and_leaves_the_other_as_it_was(town, shortest, pairs):
+    before = [shortest.plan(*pair) for pair in pairs]
+    prepared = shortest.prepare()
+    for pair, path in zip(pairs, before, strict=True):
+        guided, after = prepared.plan(*pair), shortest.plan(*pair)
+        assert (guided.search.heuristic, after.search.heuristic) == ("landmarks", "tiles")
+        assert guided.search.cost == pytest.approx(path.search.cost, rel=1e-9)
+        np.testing.assert_array_equal(after.xy_m, path.xy_m)
+    assert prepared.plan(*pairs[0], heuristic="octile").search.heuristic == "octile"
+    assert prepared.plan(*pairs[0], planner="astar-dist").search.heuristic == "euclidean"
+    assert prepared.with_weights({"gps": 2}).plan(*pairs[0]).search.heuristic == "tiles"
+    assert prepared.only(["gps"]).plan(*pairs[0]).search.heuristic == "tiles"
+
+
+def test_a_search_that_lasts_says_so_and_for_how_long(town, shortest, pairs, monkeypatch, caplog):
+    monkeypatch.setattr(progress, "SILENT_S", 0.01)
+    ju.cost_map(town, 20.0).plan(*pairs[1], planner="bitstar-dist", budget_s=0.5)
+    assert "bitstar-dist is at work: its search may take up to 0.5 s (budget_s)" in caplog.text
+    caplog.clear()
+    monkeypatch.setattr(progress, "SILENT_S", 5.0)
+    shortest.plan(*pairs[0])
+    assert not caplog.records

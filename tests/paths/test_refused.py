@@ -17,12 +17,14 @@ from jaxurban.paths.constraints import Bound
 from jaxurban.paths.export.write import write_path
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.studies.queries import make_queries
-from tests.cli_runs import assert_one_sentence, run
+from tests.cli_runs import TOWN, assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.paths.volumes import REGION, options_of, plan_volume
 
 Z_M, NAN = 20.0, float("nan")
 PLACE = (-73.97, 40.78)
+STUDY = ("town.toml", "-o", "out", "--benchmark", "b")
+NOWHERE = ju.Constraints.read(require="hdop<=0.1")
 
 
 class Scene:
@@ -34,7 +36,7 @@ class Scene:
         self.path = self.on.plan(**{name.removesuffix("_xy_m"): ju.XY(*xy_m) for name, xy_m in ends.items()})
         self.untouched = ju.MetricMaps(maps.ds.drop_vars("roof_touched"), "centre")
         self.blocked = self.plan(planner="ptp")
-        self.pairs = [tuple(tuple(map(float, maps.grid.lonlat_of_xy(*xy_m))) for xy_m in ends.values())] * 3
+        self.pairs = [[list(map(float, maps.grid.lonlat_of_xy(*xy_m))) for xy_m in ends.values()]] * 3
 
     def plan(self, **changed):
         return ju.plan(self.maps, **({"altitude_m": Z_M} | self.ends | changed))
@@ -135,7 +137,8 @@ REFUSED = [
     (lambda s: s.closed("gpz>0.3"), "did you mean 'gps'"),
     (lambda s: s.closed("gps_epoch_mean>0"), "do not hold"),
     (lambda s: Bound("lidar", ">=", 0.4).is_kept(s.maps, 61.0), "no maps for altitude 61"),
-    (lambda s: s.plan(constraints=ju.Constraints.read(require="hdop<=0.1"), snap=True), NO_CELL),
+    (lambda s: s.plan(constraints=NOWHERE, snap=True), NO_CELL),
+    (lambda s: ju.cost_map(s.maps, Z_M, constraints=NOWHERE).prepare(), "no cell is free at 20 m: "),
     (lambda s: ju.Constraints(clearance_m=1.0).is_free(s.untouched, Z_M), "'roof_touched', from which a clearance is"),
     (lambda s: ju.Vehicle(radius_m=-0.1), "radius_m must be 0 or a positive number of metres"),
     (lambda s: ju.Vehicle(max_turn_deg=181.0), "max_turn_deg must be at most 180 degrees"),
@@ -208,42 +211,28 @@ def test_too_little_memory_is_told_before_it_runs_out(scene, monkeypatch):
         ("plan", ("--end", "land"), ("add -o FILE.plan",)),
         ("plan", ("--end", "hover", "-o", "x.plan"), ("land",)),
         ("sensitivity", ("--altitude", 35, "-o", "out"), ("no maps for altitude 35",)),
+        ("study", ("--set", "planning.connectivity=4"), ("not 4 and 'both-free'", "--benchmark")),
+        ("study", ("--set", "planning.diagonal='always'"), ("not 8 and 'always'",)),
+        ("study", ("--require", "gps>=0.1"), ("--require or --benchmark",)),
     ],
 )
 def test_a_command_refuses_in_one_sentence_and_ends_with_2(
     folder, maps, ends, command, options, words, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    code, out, err = run(capsys, command, folder, *options_of(maps, **ends), *options)
+    (tmp_path / "town.toml").write_text(TOWN)
+    on = (folder, *options_of(maps, **ends)) if command != "study" else STUDY
+    code, out, err = run(capsys, command, *on, *options)
     assert (code, out) == (2, "")
     assert_one_sentence(err, *words)
-
-
-@pytest.mark.parametrize(
-    ("planning", "options", "words"),
-    [
-        ("[planning]\nconnectivity = 4", (), ("not 4 and 'both-free'", "--benchmark")),
-        ("[planning]\ndiagonal = 'always'", (), ("not 8 and 'always'",)),
-        ("", ("--require", "gps>=0.1"), ("--require or --benchmark",)),
-    ],
-)
-def test_a_benchmark_that_its_format_cannot_hold_is_refused_before_the_study(
-    planning, options, words, tmp_path, capsys
-):
-    text = "[region]\nbounds = [-74.0, 40.755, -73.99, 40.762]\n[buildings]\nsource = 'synthetic'\n"
-    (tmp_path / "city.toml").write_text(text + planning)
-    study = ("study", tmp_path / "city.toml", "-o", tmp_path / "out", "--benchmark", tmp_path / "b")
-    code, _, err = run(capsys, *study, *options)
-    assert code == 2
-    assert_one_sentence(err, *words)
-    assert not (tmp_path / "out").exists()
+    assert [file.name for file in tmp_path.iterdir()] == ["town.toml"]
 
 
 def test_many_routes_over_cities_of_other_scenarios_are_refused(tmp_path, capsys):
-    for name, radius_m in (("a", 1.0), ("b", 2.0)):
-        write_zarr(made_maps(40, 60).ds, tmp_path / name)
-        write_json(tmp_path / name / "run.json", {"settings": {"vehicle": {"radius_m": radius_m}}})
-    cities = (tmp_path / "a", tmp_path / "b")
+    cities = [tmp_path / "a", tmp_path / "b"]
+    for radius_m, city in enumerate(cities):
+        write_zarr(made_maps(40, 60).ds, city)
+        write_json(city / "run.json", {"settings": {"vehicle": {"radius_m": radius_m}}})
     code, _, err = run(capsys, "sensitivity-study", *cities, "--routes", 1, "-o", tmp_path / "out")
     assert code == 2
     assert_one_sentence(err, "a and b give other weights, cost models, clearances or vehicles")
