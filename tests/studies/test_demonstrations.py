@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import shapely
 
 import jaxurban as ju
 from jaxurban.errors import InputError, LeftOutWarning
@@ -73,14 +74,17 @@ def test_a_table_of_queries_is_planned_first_and_its_paths_are_taken_at_their_ow
         ju.fit.read_demonstrations(tmp_path / "paths.csv", small)
 
 
-def test_a_drawn_line_is_followed_on_the_grid_around_obstacles(unit):
+def test_a_drawn_line_is_followed_on_the_grid_around_obstacles_in_the_narrowest_corridor(unit):
     free = np.argwhere(unit.is_free)
     a, b = (np.array(unit.grid.xy_of_cell(*map(int, free[k]))) for k in (0, -1))
-    drawn = demonstration_from_line(unit, np.array([a, (a + b) / 2 + 3.0, b]), "drawn")
+    line_m, corner_m = np.array([a, (a + b) / 2 + 3.0, b]), np.array([unit.grid.x_min_m, unit.grid.y_min_m])
+    drawn = demonstration_from_line(unit, line_m, "drawn")
     assert unit.problem.features(drawn.points_m).is_valid
     np.testing.assert_allclose(np.abs(np.diff(drawn.points_m, axis=0)).max(axis=1), unit.grid.resolution_m)
     straight_m = np.hypot(*(b - a))
     assert straight_m <= drawn.sums[1, 0] < 1.5 * straight_m
+    assert 15.0 < shapely.distance(shapely.points(drawn.points_m + corner_m), shapely.LineString(line_m)).max() <= 30.0
+    assert drawn.note.startswith("followed within 30 m")  # corridors are of 15, 30 and 60 m
 
 
 def test_drawn_lines_start_in_free_cells_near_their_ends_and_those_of_no_use_are_listed(small, unit, tmp_path):

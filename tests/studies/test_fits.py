@@ -196,8 +196,6 @@ def test_groups_stay_together_and_every_city_keeps_its_share():
     assert np.all(is_held_out[::2] == is_held_out[1::2])
     assert np.any(is_held_out != split(city, group, 0.25, seed=4))
     assert not split(city, group, 0.0, seed=3).any()
-    with pytest.raises(InputError, match="too few to hold some out"):
-        split(np.array(["a"]), np.array([0]), 0.25, seed=0)
 
 
 def test_draws_of_several_cities_take_whole_cities_and_of_one_its_members():
@@ -272,6 +270,12 @@ def test_a_target_beyond_all_routes_is_said_to_be_missed_alone(queries):
     assert not fit.alone.is_met["mean_lidar >= 0.999"]
 
 
+def test_a_target_of_the_detour_is_met_beside_a_metric_s_or_conflicts_with_it(queries):
+    assert fit_targets(queries, targets("mean_lidar>=0.57", "detour<=0.2")).is_met
+    conflicts = fit_targets(queries, targets("mean_lidar>=0.57", "detour<=0.001")).conflicts
+    assert conflicts == (("mean_lidar >= 0.57", "detour <= 0.001"),)
+
+
 def test_a_route_of_the_same_features_is_kept_once_in_the_memory_of_one(queries):
     pool = RoutePool(queries[:1])
     *others, route = np.random.default_rng(0).uniform(1, 100, (2_001, 2, len(pool.names)))
@@ -283,5 +287,5 @@ def test_a_route_of_the_same_features_is_kept_once_in_the_memory_of_one(queries)
     assert pool.routes[:, 0, 2_000].tolist() == route.tolist()
     tracemalloc.start()
     pool._add(0, route)  # known by now: nothing is copied
-    assert tracemalloc.get_traced_memory()[1] < pool.routes.nbytes / 4
+    assert tracemalloc.get_traced_memory()[1] < pool.routes.nbytes / 50  # twice what it takes beside 20 of them
     tracemalloc.stop()

@@ -76,7 +76,7 @@ def test_another_study_takes_the_folder_where_it_is_asked_to(folders, one, tmp_p
 
 
 def test_instances_of_a_file_are_joined_as_these_maps_have_it(alpha, one, study, tmp_path):
-    instances = study.instances.assign(is_connected=~study.instances.is_connected)
+    instances = study.instances.assign(is_connected=~study.instances.is_connected).drop(columns="distance_m")
     instances.loc[0, ["start_x_m", "start_y_m"]] = alpha.grid.xy_of_cell(*np.argwhere(~alpha.is_free(20.0))[0])
     instances.loc[1, "goal_x_m"] = 1e12
     found = one(tmp_path, instances)

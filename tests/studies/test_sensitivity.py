@@ -247,7 +247,7 @@ def test_expected_outcomes_answer_to_weights_as_differences_of_many_searches_do(
 def test_the_route_stays_the_same_inside_its_range_and_changes_outside(crossed, ends, found):
     for name in found.lines:
         at = ranges(found, name)
-        assert at["alike_from"] <= at["same_from"] <= 1 <= at["same_to"] <= at["alike_to"]
+        assert 0.1 <= at["alike_from"] <= at["same_from"] <= 1 <= at["same_to"] <= at["alike_to"] <= 10
         for value, is_same in ((at["same_to"] * 0.999, True), (at["same_to"] * 1.001, False)):
             if at["same_to"] < 10:
                 weights = ju.Weights(**{name: value})
