@@ -1,13 +1,16 @@
-"""Small files of every kind that is read, written where a test wants them."""
+"""Small files of every kind that is read, written where a test wants them, and the check that one is refused."""
 
 import json
 from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
+import pytest
 import rasterio
 import shapely
 from affine import Affine
+
+from jaxurban.errors import InputError
 
 UTM, WGS84 = "EPSG:32618", "EPSG:4326"
 X, Y = 583_000.0, 4_506_000.0  # a place in Lower Manhattan
@@ -18,6 +21,19 @@ SQUARE = shapely.box(LON, LAT, LON + 0.001, LAT + 0.001)
 def box(x_min, y_min, x_max, y_max):
     """Return a box in metres from the place."""
     return shapely.box(X + x_min, Y + y_min, X + x_max, Y + y_max)
+
+
+def refused(read, path, content, sentence):
+    """Check that what is written at a path is refused in one sentence that names it; return the sentence."""
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content is not None:
+        content(path)
+    with pytest.raises(InputError, match=sentence) as caught:
+        read(path)
+    assert "\n" not in str(caught.value)
+    assert path.name in str(caught.value)
+    return str(caught.value)
 
 
 def write_vector(path: Path, shapes, crs=UTM, to=None, **columns) -> Path:

@@ -12,7 +12,7 @@ import jaxurban as ju
 from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.rasterise import burn
-from jaxurban.io.read.zone import cell_boxes
+from jaxurban.io.read.zone import cell_boxes, touched_cells
 
 CRS = "EPSG:32618"
 OUTER = (900_000, 110_000, 40, 40)  # first row and column, rows, columns
@@ -53,8 +53,12 @@ def test_every_cell_that_shares_area_with_an_outline_is_touched():
             polygon = polygon.difference(shapely.centroid(polygon).buffer(3.0))
         if rng.random() < 0.3:
             polygon = shapely.union(polygon, shapely.box(*centre_m, *(centre_m + 0.01)))
-        polygons.append(polygon)
-    check_touched(polygons, rng.uniform(3, 90, len(polygons)), grid)
+        polygons += [polygon] * (not polygon.is_empty)
+    values = rng.uniform(3, 90, len(polygons))
+    check_touched(polygons, values, grid)
+    by_gdal = gdal(np.array(polygons), values, grid, 0.0, "float32", all_touched=True)  # no corner lies on a border
+    np.testing.assert_array_equal(burnt(polygons, values, grid)[1], by_gdal)
+    np.testing.assert_array_equal(touched_cells(shapely.union_all(polygons), grid), by_gdal > 0)
 
 
 def test_an_outline_that_ends_on_borders_of_cells_touches_no_cell_beyond_them():
@@ -104,13 +108,13 @@ def with_ties(rng, num=30):
     return made
 
 
-def gdal(polygons, values, grid, fill, dtype):
-    """Return what GDAL burns by centres, the highest value last."""
+def gdal(polygons, values, grid, fill, dtype, **how):
+    """Return what GDAL burns, the highest value last."""
     order = np.argsort(values, kind="stable")
     to_cells = np.array([grid.first_col, grid.first_row])
     in_cells = shapely.transform(polygons[order], lambda xy_m: xy_m / grid.resolution_m - to_cells)
     shapes = list(zip(in_cells, values[order].tolist(), strict=True))
-    return rasterize(shapes, grid.shape, fill=fill, transform=Affine.identity(), dtype=dtype)
+    return rasterize(shapes, grid.shape, fill=fill, transform=Affine.identity(), dtype=dtype, **how)
 
 
 def test_borders_through_centres_fall_as_gdal_has_them():

@@ -65,6 +65,7 @@ def test_an_offset_from_utc_is_taken_off_and_a_zone_may_be_written_in_several_wa
         (GOOD.assign(lat_deg=139.0), ("from -90 to 90", "swapped")),
         (GOOD.assign(utc=GOOD.utc[0]), ("two rows at 2018-12-19T06:07:38", "one row an epoch")),
         (GOOD.assign(num_tracked=[8, -1, 9]), ("has -1 in num_tracked", "a number from 0 to 200")),
+        (GOOD.assign(num_tracked=[8, 1e9, 9]), ("a number from 0 to 200",)),
         (GOOD.assign(num_tracked=True), ("has True in num_tracked",)),
         (GOOD.assign(error_2d_m=-0.5), ("has -0.5 in error_2d_m", "a number from 0 to inf")),
         (GOOD.assign(**{" utc": GOOD.utc}), ("two columns utc", "keep one")),

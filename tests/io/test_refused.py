@@ -12,7 +12,6 @@ import pytest
 from affine import Affine
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.city import read_buildings
@@ -24,7 +23,7 @@ from jaxurban.io.read.vector import open_layers, read_vector
 from jaxurban.maps.scenario import Scenario
 from jaxurban.settings import Buildings
 from jaxurban.world.city import SLABS
-from tests.io.made_files import SQUARE, UTM, WGS84, X, Y, box, write_features, write_raster, write_vector
+from tests.io.made_files import SQUARE, UTM, WGS84, X, Y, box, refused, write_features, write_raster, write_vector
 
 BLOCK = "360610001001000"
 
@@ -77,18 +76,6 @@ FAULTS = {
     "zeros": (bytes(200), "."),
     "cut short": (b'{"type": "FeatureCollection", "features": [{', "."),
 }
-
-
-def refused(read, path, content, sentence):
-    """Check that what is written at a path is refused in one sentence that names it."""
-    if isinstance(content, bytes):
-        path.write_bytes(content)
-    elif content is not None:
-        content(path)
-    with pytest.raises(InputError, match=sentence) as caught:
-        read(path)
-    assert "\n" not in str(caught.value)
-    assert path.name in str(caught.value)
 
 
 @pytest.mark.parametrize("fault", FAULTS)
