@@ -1,4 +1,4 @@
-"""The GPS metric and its maps: equations, crops, obstacles, terrain."""
+"""The GPS metric and its maps: equations, obstacles, subsets of satellites; supersampled answers and bounds."""
 
 import math
 
@@ -11,7 +11,7 @@ from jaxurban.kernels.dop import Clocks
 from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
 from jaxurban.metrics import gps
 from jaxurban.metrics.gps import Gps, Rating, gps_metric, maps_of_words, rating, satellites_of
-from jaxurban.metrics.visibility import shadow_reach_m, visibility
+from jaxurban.metrics.visibility import bounding_visibility, shadow_reach_m, visibility
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface
@@ -22,7 +22,6 @@ AZIMUTH_DEG = [0.0, 90.0, 180.0, 270.0, 45.0, 135.0, 225.0, 315.0, 44.999, 89.99
 ELEVATION_DEG = [35.0, 50.0, 15.0, 60.0, 30.0, 40.0, 70.0, 25.0, 55.0, 20.0, 80.0, 10.0, 45.0]
 RNG = np.random.default_rng(0)
 GRID = Grid("EPSG:32618", 5.0, 901_000, 116_000, 40, 50)  # far from the CRS's origin
-
 
 ROOF_M = np.where(RNG.random(GRID.shape) < 0.3, RNG.uniform(5, 60, GRID.shape), 0)
 
@@ -93,3 +92,37 @@ def test_maps_by_way_of_the_subsets_that_are_seen_are_those_of_every_cell_to_the
         np.testing.assert_array_equal(one, other)
         assert one.dtype == other.dtype
     assert len(np.unique(found.gdop)) > 20
+
+
+OUTER = Grid("EPSG:32618", 6.0, 750_000, 96_000, 40, 44)
+REGION = Grid("EPSG:32618", 6.0, 750_009, 96_007, 20, 24)
+ANGLES = np.radians([AZIMUTH_DEG, ELEVATION_DEG])
+
+
+def fine_city(oversample: int, terrain: bool = False) -> Surface:
+    """Return boxes of subcells, the same for every oversample."""
+    grid, rng = OUTER.refined(oversample), np.random.default_rng(3)
+    row, col = np.indices(grid.shape)
+    coarse = rng.uniform(0, 40, (20, 20)) * (rng.random((20, 20)) < 0.3)
+    roof_m = coarse[row * 20 // grid.num_rows, col * 20 // grid.num_cols]
+    ground_m = 6 * np.sin(row / grid.num_rows * 9) + 5 * np.cos(col / grid.num_cols * 7)
+    return surface_on(roof_m, grid, REGION.refined(oversample), ground_m if terrain else None)
+
+
+@pytest.mark.parametrize("terrain", [False, True])
+@pytest.mark.parametrize("oversample", [3, 2])
+def test_satellites_at_centres_are_those_of_the_full_fine_sweep(oversample, terrain):
+    supersampled = fine_city(oversample, terrain=terrain)
+    centre = slice(oversample // 2, None, oversample)
+    found = visibility(supersampled, *ANGLES, [10.0, 25.0], every=oversample)
+    expected = np.asarray(visibility(supersampled, *ANGLES, [10.0, 25.0]))[..., centre, centre]
+    assert len(np.unique(expected)) > 10
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("oversample", [1, 3])
+def test_who_is_seen_past_roofs_that_hide_most_is_seen_past_those_that_hide_least(oversample):
+    view = fine_city(oversample), *ANGLES, [10.0, 25.0], oversample
+    most, least = (bounding_visibility(*view, hides_most=hides_most) for hides_most in (True, False))
+    assert np.all(most & ~least == 0)
+    assert np.any(most != least)

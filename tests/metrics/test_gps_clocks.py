@@ -1,4 +1,4 @@
-"""A receiver clock for each system, and HDOP and VDOP as metrics: in maps, paths and gradients."""
+"""A receiver clock for each system, more satellites than a word holds, HDOP and VDOP as metrics; their gradients."""
 
 from dataclasses import replace
 
@@ -6,17 +6,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy
 
 import jaxurban as ju
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.maps.build import compute_maps, skies_of, view_sky
 from jaxurban.maps.differentiable import soften
 from jaxurban.maps.recipe import TileScene
+from jaxurban.maps.run import run_scenario
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import DOPS, Gps, satellites_of
 from jaxurban.metrics.lidar import Lidar
-from tests.io.test_orbits import walker_tle
+from tests.io.test_orbits import WALKER, walker_tle
 from tests.kernels.test_dop import inverse_dops
 from tests.metrics.soft.scene import check_gradient
 
@@ -44,18 +44,13 @@ def maps(task) -> ju.MetricMaps:
     return compute_maps(task)
 
 
-def exact_dops(task, words):
-    """Every DOP of every cell in float64, [5, y, x], at the first time."""
-    azimuth, elevation, systems = map(np.asarray, task.in_view(0)[:3])
-    is_seen = (words.astype(np.int64).reshape(-1, 1) >> np.arange(len(azimuth))) & 1
-    found = inverse_dops(unit_vectors(azimuth, elevation), (systems == "galileo").astype(int), is_seen)
-    return found.reshape(5, *words.shape)
-
-
 def test_maps_of_two_systems_equal_float64_with_two_clocks(task, maps):
     scene = TileScene(task, task.surface()).at(task.metrics["gps"], (0, 0))
-    words = np.where(scene.is_obstacle, 0, np.asarray(scene.words[0]))
-    exact = exact_dops(task, words)
+    words = np.where(scene.is_obstacle, 0, np.asarray(scene.words[0], np.int64))
+    azimuth, elevation, systems = map(np.asarray, task.in_view(0)[:3])
+    is_seen = (words.reshape(-1, 1) >> np.arange(len(azimuth))) & 1
+    dops = inverse_dops(unit_vectors(azimuth, elevation), (systems == "galileo").astype(int), is_seen)
+    exact = dops.reshape(5, *words.shape)
     is_useful = exact[0] < 20
     assert is_useful.sum() > 500
     is_free = ~np.asarray(scene.is_obstacle)
@@ -86,20 +81,11 @@ def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task,
         np.testing.assert_array_equal(found, other)
 
 
-def test_hdop_and_vdop_are_cost_layers_under_a_weight(maps):
+def test_hdop_and_vdop_are_cost_layers(maps):
     for name, dop, threshold in (("gps_horizontal", "hdop", 4.0), ("gps_vertical", "vdop", 20.0)):
         expected = np.clip((threshold - np.minimum(maps.m(dop, Z_M), threshold)) / (threshold - 1), 0, 1)
         np.testing.assert_allclose(maps.m(name, Z_M), expected, atol=1e-6)
         np.testing.assert_allclose(maps.costs(Z_M)[name], 1 - expected, atol=1e-6)
-    components, _ = scipy.ndimage.label(maps.is_free(Z_M))
-    free = np.argwhere(components == np.argmax(np.bincount(components[components > 0])))
-    ends = [tuple(map(float, maps.grid.lonlat_of_cell(*free[at]))) for at in (0, -1)]
-    weights = dict.fromkeys(maps.metrics, 0.0) | {"distance": 0.1}
-    path, plain = (
-        ju.plan(maps, *ends, altitude_m=Z_M, weights=weights | {"gps_horizontal": weight}) for weight in (3.0, 0.0)
-    )
-    assert path.cost_by_layer["gps_horizontal"] > 0
-    assert path.metrics["gps_horizontal"] > plain.metrics["gps_horizontal"]
 
 
 def test_clocks_keep_their_numbers_at_every_time_and_skies_of_all_times_stack(task):
@@ -126,3 +112,28 @@ def test_soft_maps_follow_the_clocks_and_their_gradients_equal_finite_difference
             )
 
         check_gradient(jax.jit(jax.value_and_grad(total)), {"height_m": soft.height_m}, rtol=1e-5)
+
+
+def test_more_than_32_satellites_of_four_systems_count_in_the_dops_of_an_open_sky_and_in_run_json(tmp_path):
+    files = [tmp_path / f"{system}.tle" for system in WALKER]
+    for i, file in enumerate(files):
+        file.write_text(walker_tle(file.stem, 40_000 + 100 * i))
+    region = {"bounds": [-74.0, 40.755, -73.995, 40.76], "resolution_m": 20, "altitudes_m": [20, 800]}
+    gps = {"orbits": ["nominal", *map(str, files)], "times": TIMES[0], "mask_deg": 5.0}
+    sections = {"region": region, "buildings": {"source": "synthetic"}, "gps": gps, "lidar": {"azimuths": 12}}
+    made = run_scenario(ju.Scenario.from_dict(sections), tmp_path / "out")
+    record, ds = made.record, made.maps[20.0].ds
+    above = [s for s in record["satellites"] if s["elevation_deg"][0] >= 5.0]
+    assert len(above) > 32
+    azimuth, elevation = (np.radians([s[name][0] for s in above]) for name in ("azimuth_grid_deg", "elevation_deg"))
+    clocks = np.array([("gps", *WALKER).index(s["system"]) for s in above])
+    gdop = inverse_dops(unit_vectors(azimuth, elevation), clocks, np.ones((1, len(above))))[0, 0]
+    low, high = (ds.sel(altitude=z_m) for z_m in (20, 800))
+    assert (high["num_visible"] == len(above)).all()  # above all roofs
+    np.testing.assert_allclose(high["gdop"], gdop, rtol=1e-4)
+    assert low["num_visible"].min() < len(above)
+    counts = record["satellites_above_mask"]
+    assert set(counts) == {"gps", *WALKER}
+    assert sum(count for (count,) in counts.values()) == len(above)
+    assert {role for role in record["inputs"] if role.startswith("orbits")} == {"orbits", "orbits_2", "orbits_3"}
+    assert record["settings"]["gps"]["orbits"][0] == "nominal"

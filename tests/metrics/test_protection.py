@@ -1,9 +1,10 @@
-"""Protection maps: range errors as published, the metric, one level a choice of satellites, and who asks for them."""
+"""Protection maps: range errors as published, one level a choice of satellites; sidereon's ARAIM of real cities."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from benchmarks import scenes
 from jaxurban.metrics.protection import (
     Protection,
     galileo_receiver_sigma_m,
@@ -11,6 +12,7 @@ from jaxurban.metrics.protection import (
     protection_maps,
     ranging_of,
 )
+from jaxurban.metrics.visibility import distinct_choices
 from jaxurban.world.sky import InView
 from tests.kernels.test_protection import EXAMPLE
 
@@ -57,3 +59,35 @@ def test_every_cell_has_the_levels_of_its_own_satellites(counts):
     np.testing.assert_array_equal(maps["within_limits"], (hpl_m <= 40) & (vpl_m <= 35))
     assert not maps["protection"][is_obstacle].any()
     assert maps["within_limits"].any()
+
+
+PATTERNS = 5000  # of each city
+CITIES = {
+    "DISTRICT": [f"2018-12-19T{hour:02d}:20:00Z" for hour in (6, 7)],  # of Tokyo
+    "MANHATTAN": [f"2020-04-27T{hour:02d}:00:00Z" for hour in range(24)],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.data
+@pytest.mark.usefixtures("data_dir")
+@pytest.mark.parametrize("city", CITIES)
+def test_levels_of_what_a_city_leaves_in_view_are_sidereons(city):
+    peer = pytest.importorskip("benchmarks.protection", reason="sidereon (dev extra) is not installed")
+    place = getattr(peer, city, None) or getattr(scenes, city)
+    is_obstacle, seen = peer.views(place, 20.0, 5.0, CITIES[city])
+    num, num_near = 0, 0
+    for words, in_view in seen:
+        patterns, _ = distinct_choices(words, is_obstacle)
+        patterns = patterns[:, : PATTERNS - num]
+        ours = levels_of_satellites(in_view, PARAMS, patterns)
+        theirs = peer.Peer(ranging_of(in_view, PARAMS), in_view.systems, PARAMS.budget).levels(patterns)
+        np.testing.assert_array_equal(np.isfinite(ours), np.isfinite(theirs))
+        # Beyond, satellites that all but leave the position undetermined magnify rounding.
+        is_near, is_had = theirs < peer.NEAR_M, np.isfinite(theirs)
+        off_m = np.abs(ours[is_had] - theirs[is_had])
+        assert (off_m <= 1e-6 * np.where(is_near, 1.0, theirs)[is_had]).all()
+        num += patterns.shape[1]
+        num_near += int(is_near.all(axis=0).sum())
+    assert num == PATTERNS
+    assert num_near > PATTERNS / 3
