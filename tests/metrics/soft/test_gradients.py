@@ -1,4 +1,4 @@
-"""Soft metrics of one scene: derivatives, limits (of Lower Manhattan too), types, chosen cells, batches, one program."""
+"""Soft metrics of one scene: derivatives, limits (of Lower Manhattan too), types, chosen cells, batches, programs."""
 
 from functools import partial
 
