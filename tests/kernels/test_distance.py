@@ -22,12 +22,13 @@ def brute_force(drop_m, is_source, resolution_m, cap_m):
     return np.minimum(np.sqrt(nearest_m2), cap_m)
 
 
-def test_distance_equals_scipys_up_to_the_cap():
-    is_source = np.random.default_rng(0).random((131, 90)) < 0.01
-    distance_m = capped_distance(jnp.where(is_source, 0.0, INF), resolution_m=5.0, cap_m=50.0)
-    expected = np.minimum(distance_transform_edt(~is_source, sampling=5.0), 50.0)
+@pytest.mark.parametrize(("resolution_m", "cap_m", "share"), [(5.0, 50.0, 0.01), (2.0, 33.0, 0.002)])
+def test_distance_equals_scipys_up_to_the_cap(resolution_m, cap_m, share):
+    is_source = np.random.default_rng(0).random((131, 90)) < share
+    distance_m = capped_distance(jnp.where(is_source, 0.0, INF), resolution_m=resolution_m, cap_m=cap_m)
+    expected = np.minimum(distance_transform_edt(~is_source, sampling=resolution_m), cap_m)
     np.testing.assert_allclose(distance_m, expected, atol=1e-4)
-    assert (np.asarray(distance_m)[expected == 50.0] == 50.0).all()
+    assert (np.asarray(distance_m)[expected == cap_m] == cap_m).all()
 
 
 @pytest.mark.parametrize("share", [0.01, 0.0])

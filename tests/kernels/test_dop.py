@@ -10,7 +10,7 @@ from jaxurban.kernels.dop import Clocks, Dops, dops, dops_of_words, geometry, un
 
 RING = unit_vectors(np.radians([0.0, 50.0, 130.0, 200.0, 300.0, 20.0]), np.full(6, np.radians(40.0)))
 RING_AND_ZENITH = np.vstack([RING, [0.0, 0.0, 1.0]])
-NUM_CHOICES = 2000  # at once in every test, of 16 or 48 satellites and 1 or 3 clocks: few programs are compiled
+NUM_CHOICES = 2000  # at once in every test, of 16 or 48 satellites and 1 or 4 clocks: few programs are compiled
 SLOPE = jax.jit(jax.grad(lambda satellites, w: jnp.sum(jnp.minimum(dops(satellites, w).gdop, 20.0)), argnums=1))
 
 
@@ -45,9 +45,9 @@ def words_of(is_seen, num_words=1):
 
 
 def dops_seen(directions, is_seen, numbers=None):
-    """Return ``[5, N]`` the DOPs of N choices of satellites; with ``numbers``, of up to three clocks."""
+    """Return ``[5, N]`` the DOPs of N choices of satellites; with ``numbers``, of up to four clocks."""
     is_seen = np.atleast_2d(np.asarray(is_seen, bool))
-    clocks = None if numbers is None else Clocks(np.array(numbers), 3)
+    clocks = None if numbers is None else Clocks(np.array(numbers), 4)
     satellites = geometry(directions, multiple_of=16, clocks=clocks)
     words = words_of(is_seen, -(-len(satellites.rows) // 32))
     return np.array(dops_of_words(satellites, jnp.asarray(words)))[:, : len(is_seen)]
@@ -69,7 +69,7 @@ def assert_as_float64(directions, numbers, is_seen):
     assert np.all(found[:, np.isinf(expected[0])] > 300)
 
 
-@pytest.mark.parametrize(("num", "num_systems"), [(6, 1), (12, 1), (16, 2), (33, 3)])
+@pytest.mark.parametrize(("num", "num_systems"), [(6, 1), (12, 1), (16, 2), (33, 4)])
 def test_dops_below_20_of_random_skies_equal_float64_to_1e_5(num, num_systems):
     numbers = np.random.default_rng(num).permutation(np.arange(num) % num_systems) if num_systems > 1 else None
     assert_as_float64(random_sky(num, num), numbers, random_choices(num, num))
@@ -108,7 +108,7 @@ def test_four_satellites_at_the_corners_of_a_tetrahedron_have_known_dops():
 @pytest.mark.parametrize("numbers", [None, np.arange(12) % 2])
 def test_satellites_that_fill_up_change_no_bit(numbers):
     # A sum has as many terms, some of them 0, and is added up in the same order (up to 31 of them).
-    directions, clocks = random_sky(12, 5), None if numbers is None else Clocks(numbers, 3)
+    directions, clocks = random_sky(12, 5), None if numbers is None else Clocks(numbers, 4)
     words = jnp.asarray(words_of(random_choices(1, 12)))
     plain = dops_of_words(geometry(directions, clocks=clocks), words)
     np.testing.assert_array_equal(plain, dops_of_words(geometry(directions, multiple_of=16, clocks=clocks), words))
@@ -172,7 +172,7 @@ def test_more_clocks_never_lower_the_dops_of_the_position():
 )
 def test_sets_without_a_rank_give_inf_and_a_finite_gradient(numbers, seen):
     assert np.all(np.isinf(dops_seen(RING_AND_ZENITH, seen, numbers)))
-    clocks = None if numbers is None else Clocks(np.array(numbers), 3)
+    clocks = None if numbers is None else Clocks(np.array(numbers), 4)
     assert np.all(np.isfinite(SLOPE(geometry(RING_AND_ZENITH, clocks=clocks), jnp.array(seen, jnp.float32))))
 
 

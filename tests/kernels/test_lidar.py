@@ -274,7 +274,8 @@ def test_counts_can_be_traced_and_exported_and_for_a_gpu_have_no_loop_whose_end_
         assert cpu >= {"while", "cond"}
 
 
-@pytest.mark.parametrize(("num_azimuths", "on_terrain"), [(16, False), pytest.param(43, True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("on_terrain", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("num_azimuths", [16, pytest.param(43, marks=pytest.mark.slow)])
 def test_soft_returns_of_both_forms_are_the_same_for_any_number_of_azimuths(num_azimuths, on_terrain):
     halo, softness_m, range_m = 4, jnp.float32(2.0), jnp.float32(20.0)
     roof_m = jnp.asarray(random_city(9, halo, seed=2))
@@ -299,7 +300,7 @@ def test_soft_returns_of_both_forms_are_the_same_for_any_number_of_azimuths(num_
     np.testing.assert_allclose(by_gpu, by_cpu, rtol=1e-6)
     for of_gpu, of_cpu in list(zip(gpu_slopes, cpu_slopes, strict=True))[: 4 if on_terrain else 3]:
         assert float(jnp.abs(of_cpu).max()) > 1e-4
-        np.testing.assert_allclose(of_gpu, of_cpu, rtol=1e-4, atol=1e-7)
+        np.testing.assert_allclose(of_gpu, of_cpu, atol=1e-7)
 
 
 def test_a_gpu_takes_azimuths_in_few_groups_whatever_their_number():

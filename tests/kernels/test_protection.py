@@ -130,11 +130,11 @@ PAIRS = [((6, 6), 1e-4, (0.0, 1e-4)), ((8,), 3e-4, (0.0,)), ((14, 13, 14), 2e-5,
 
 @pytest.mark.parametrize(("counts", "p_sat", "p_const"), SINGLE + PAIRS)
 def test_levels_are_those_of_the_equations_with_pairs_of_faults_until_what_is_left_is_little(counts, p_sat, p_const):
-    for seed in range(3) if p_sat == 1e-5 else [7]:
+    for seed in range(5) if p_sat == 1e-5 else [7]:
         satellites = drawn(seed, counts, p_sat=p_sat, p_const=p_const[: len(counts)])
         found = levels_of(satellites, FINE)
         assert np.isfinite(found).all() or p_sat == 1e-5
-        np.testing.assert_allclose(found, slow_levels(satellites, FINE), rtol=1e-9, atol=1e-7)
+        np.testing.assert_allclose(found, slow_levels(satellites, FINE), rtol=1e-9, atol=1e-7 if p_sat == 1e-5 else 0)
 
 
 def test_levels_are_rounded_up_by_their_tolerance_at_most():

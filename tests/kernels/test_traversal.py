@@ -18,7 +18,7 @@ def test_crossed_cells_and_lengths_equal_shapely_intersections(resolution_m):
     num = 8
     corners = np.arange(num) * resolution_m
     boxes = shapely.box(*np.meshgrid(corners, corners), *(np.array(np.meshgrid(corners, corners)) + resolution_m))
-    for _ in range(20):
+    for _ in range(40):
         points_m = rng.uniform(0, num * resolution_m, (4, 2))
         crossings = crossed_cells(points_m, resolution_m)
         for s in range(3):

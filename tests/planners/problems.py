@@ -116,7 +116,7 @@ def assert_optimal(path, problem, optimum=None):
         assert (path.status, path.cost, path.lower_bound, path.points_m.shape) == none
         return
     assert path.status is Status.OPTIMAL
-    np.testing.assert_allclose(path.cost, optimum, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(path.cost, optimum, rtol=1e-12, atol=1e-12)
     assert path.lower_bound == path.cost
     assert problem.features(path.points_m).is_valid
     cells = np.floor(path.points_m[:, 1::-1] / problem.resolution_m).astype(int)

@@ -56,7 +56,7 @@ def bends_of(is_free):
 
 def test_on_uniform_maps_paths_come_near_the_shortest_way_around_corners():
     excess = []
-    for seed in range(8):
+    for seed in range(12):
         drawn = random_problem(seed, (10, 12), kind="line", diagonal="both-free")
         problem = drawn.with_weights([1.0, 0.0, 0.0, 0.0])
         path = theta_star(problem)
@@ -64,9 +64,9 @@ def test_on_uniform_maps_paths_come_near_the_shortest_way_around_corners():
             framed = np.pad(problem.is_free, 1)
             bends = np.array(bends_of(framed)) - 1
             best = graph_cost(problem, np.concatenate([ends_of(problem), bends]), np.inf)
-            assert path.cost >= best * (1 - 1e-6)
+            assert path.cost >= best * (1 - 1e-9)
             excess.append(path.cost / best - 1)
-    assert len(excess) > 3
+    assert len(excess) > 6
     # Turns lie in the middle of cells and not on corners: that much is lost on obstacles of one cell.
     assert np.mean(excess) < 0.05
     assert max(excess) < 0.12
@@ -92,7 +92,7 @@ def test_two_media_are_crossed_as_snells_law_asks(planner, within):
 
     best = minimize_scalar(refracted, bounds=(0, 74), method="bounded").fun
     assert best * (1 - 1e-9) <= planner(problem).cost < within * best
-    assert min(astar(problem).cost, ptp(problem).cost) > 1.015 * best
+    assert min(astar(problem).cost, ptp(problem).cost) > 1.02 * best
 
 
 @pytest.mark.parametrize(

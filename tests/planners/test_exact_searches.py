@@ -17,7 +17,7 @@ from jaxurban.planners.bulk import solve_by_frontier
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.grid_search import NO_HEURISTIC, GridSearch, cell_of, graph_of
 from jaxurban.planners.registry import FEW_QUERIES, FEW_TO_ONE_GOAL, GPU_BATCH, choose_heuristics, solve_many
-from tests.movingai import read_map, read_scenarios
+from tests.movingai import GridProblem, read_map, read_scenarios
 from tests.planners.problems import assert_optimal, costs_to_goal, edges_of, random_problem, random_queries
 
 SHAPE = (21, 34)
@@ -31,14 +31,11 @@ def test_bounds_are_admissible_and_consistent_and_paths_cost_what_dijkstra_finds
     problem = random_problem(seed, shape, dtype)
     edges = edges_of(problem)
     to_go, steps, goal = costs_to_goal(problem, edges), edges.tocoo(), cell_of(problem, problem.goal)
-    slack, octile = 1e-12 * to_go.max(where=np.isfinite(to_go), initial=0.0), None
+    slack = 1e-12 * to_go.max(where=np.isfinite(to_go), initial=0.0)
     for name in ADMISSIBLE if problem.levels_m is None else VOLUME_HEURISTICS:
         bound = make_heuristic(name, problem)
         h = np.array([heuristic_at(bound, cell_of(problem, node), goal) for node in np.ndindex(shape)])
-        octile = h if name == "octile" else octile
-        # Landmarks allow for rounding themselves, where they raise the bound by distance.
-        most = np.maximum(to_go.ravel(), octile) if name == "landmarks" else to_go.ravel() + slack
-        assert (h <= most)[problem.is_free.ravel()].all()
+        assert (h <= to_go.ravel() + slack)[problem.is_free.ravel()].all()
         rounding = 1e-12 * h.max(where=np.isfinite(h), initial=0.0)  # also of cells that no way joins to the goal
         assert (h[steps.row] <= steps.data + h[steps.col] + rounding).all()
         if name == "exact":
@@ -88,12 +85,12 @@ def test_a_climb_on_the_spot_pays_its_height_and_the_nodes_it_enters(cost_model,
 
 def test_no_path_crosses_what_stands_between_its_levels():
     rng, num_checked, levels_m = np.random.default_rng(5), 0, np.array([20.0, 22.0, 29.0, 60.0])
-    for _ in range(20):
+    for _ in range(40):
         roof_m = np.where(rng.random((12, 12)) < 0.5, 0.0, rng.uniform(10.0, 72.0, (12, 12)))
         is_free = roof_m < levels_m[:, None, None]
         free, costs = tuple(map(int, np.argwhere(is_free)[0])), rng.random((1, *is_free.shape))
         volume = Problem(costs, is_free, free, free, 5.0, [0.1, 1.0, 0.0, 0.0], "cell", levels_m)
-        for query in random_queries(volume, 20, rng.integers(1000)):
+        for query in random_queries(volume, 50, rng.integers(1000)):
             path = astar(query, heuristic="plus")
             if not path.status.has_path or len(path.points_m) == 1:
                 continue
@@ -104,7 +101,7 @@ def test_no_path_crosses_what_stands_between_its_levels():
                 col, row = np.floor((points[:, :2] + aside_m) / 5.0).astype(int).T
                 assert np.all(roof_m[row, col] < points[:, 2])
             num_checked += 1
-    assert num_checked > 300
+    assert num_checked > 1500
 
 
 def test_chunks_and_a_growing_queue_change_nothing(monkeypatch):
@@ -140,7 +137,8 @@ def test_a_spent_budget_leaves_a_lower_bound_and_no_path(monkeypatch, shape):
         astar(problem, heuristic=name)  # makes what it needs beforehand
         path = astar(problem, heuristic=name, budget_s=1e-9)
         assert (path.status, path.num_expanded, len(path.points_m)) == (Status.BUDGET_EMPTY, 50, 0)
-        assert 0 <= path.lower_bound <= optimum * (1 + 1e-12)
+        # The exact costs to go are added up from the other end.
+        assert 0 <= path.lower_bound <= (np.nextafter(optimum, np.inf) if name == "exact" else optimum)
     path = astar(problem, heuristic="octile", budget_s=1e-9)
     assert path.lower_bound > (shape[-1] - 1) * np.sqrt(2) * problem.distance_weight * problem.resolution_m
 
@@ -259,7 +257,7 @@ def test_a_spent_budget_ends_the_frontier_search_with_a_bound(monkeypatch):
     paths = dict(solve_many(problems, backend="jax", budget_s=1e-9))
     for index, problem in enumerate(problems):
         optimum = costs_to_goal(problem)[problem.start]
-        assert paths[index].lower_bound <= optimum * (1 + 1e-12) + 1e-12
+        assert paths[index].lower_bound <= optimum * (1 + 1e-12)
         assert paths[index].cost >= optimum * (1 - 1e-12)
     assert paths[3].status is Status.BUDGET_EMPTY
     assert paths[3].lower_bound > 0
@@ -284,7 +282,10 @@ MOVINGAI = [
 def test_the_published_lengths_of_movingai_are_reproduced(data_dir, name, backend, heuristic, every):
     is_free = read_map(data_dir / "movingai" / f"{name}.map")
     queries = read_scenarios(data_dir / "movingai" / f"{name}.map.scen")
-    assert len(queries) == {"NewYork_0_512": 1790, "Berlin_0_256": 930}[name]
+    sizes = {"NewYork_0_512": ((512, 512), 1790), "Berlin_0_256": ((256, 256), 930)}
+    assert (is_free.shape, len(queries)) == sizes[name]
+    if name == "Berlin_0_256":
+        assert queries[0] == GridProblem((255 - 165, 248), (255 - 164, 249), 2.0)
     on_map = Problem(np.zeros((1, *is_free.shape)), is_free, queries[0].start, queries[0].goal, 1.0, 1.0)
     problems = [on_map.between(query.start, query.goal) for query in queries[::every]]
     for index, path in solve_many(problems, backend=backend, heuristic=heuristic):

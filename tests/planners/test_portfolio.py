@@ -239,7 +239,8 @@ def test_corridors_one_cell_wide_are_flown(name, model):
         return
     # Through cell centres; the taut string bends at the corridor's inner corners (15, 4) and (16, 3).
     taut = np.hypot(12.5, 0.5) + np.sqrt(2) + np.hypot(11.5, 0.5)
-    assert SIDE_M * taut * (1 - EXACT) <= path.cost <= SIDE_M * 27
+    longest = 27 if name.startswith("astar") else 1.02 * taut
+    assert taut * (1 - EXACT) <= path.cost / SIDE_M <= longest
     assert Obstacles(is_free, SIDE_M).crossed_m(path.points_m) < 1e-6
 
 
@@ -312,11 +313,12 @@ def large_problem() -> Problem:
 def test_a_small_budget_is_heeded_on_a_large_map(name):
     problem = large_problem()
     straight = PLANNERS["ptp"].run(problem)
-    search = partial(refine, path=straight) if name == "refinement" else PLANNERS[name].run
-    search(problem.between((5, 5), (5, 6)) if name != "refinement" else problem, budget_s=1e-3)
-    begin_s = time.perf_counter()
-    path = search(problem, budget_s=0.3 if name.startswith("bitstar") else 1e-3)
-    assert time.perf_counter() - begin_s < 1.5
+    given = (problem, straight) if name == "refinement" else (problem,)
+    search = refine if name == "refinement" else PLANNERS[name].run
+    search(*given, budget_s=1e-3)
+    begin_s, budget_s = time.perf_counter(), 0.3 if name.startswith("bitstar") else 1e-3
+    path = search(*given, budget_s=budget_s)
+    assert time.perf_counter() - begin_s < budget_s + 0.5
     if name in ("ptp", "refinement") or name.startswith("bitstar"):
         assert path.status.has_path
         assert path.cost <= straight.cost
