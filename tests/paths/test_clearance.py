@@ -1,6 +1,5 @@
 """Clearance as a hard limit: what it closes, that every planner, climb and file keeps it, and what is said of it."""
 
-import json
 from dataclasses import replace
 from importlib import import_module
 
@@ -14,9 +13,7 @@ from scipy.ndimage import label
 import jaxurban as ju
 from benchmarks.random_routes import READERS
 from jaxurban.errors import InputError
-from jaxurban.io.files import write_json
 from jaxurban.io.read.zone import cell_boxes, touched_cells
-from jaxurban.io.store import write_zarr
 from jaxurban.paths.constraints import (
     FILE_MARGIN_M,
     closed_by_clearance,
@@ -27,9 +24,8 @@ from jaxurban.paths.constraints import (
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.frame import rules_said
-from tests.cli_runs import run
 from tests.made_maps import made_maps
-from tests.paths.volumes import ends_at, options_of, plan_volume, with_roofs
+from tests.paths.volumes import ends_at, plan_volume, with_roofs
 
 SIDE_M, ALTITUDE_M = 5.0, 20.0
 KEPT = {"clearance_m": 7.0, "vertical_clearance_m": 4.0}
@@ -93,7 +89,7 @@ def assert_it_and_its_files_keep_clear(maps, path, folder, **kept) -> None:
         assert_keeps_clear(maps, np.column_stack([*maps.grid.xy_of_lonlat(*lonlatz[:, :2].T), lonlatz[:, 2]]), **kept)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=40)
 @given(
     seed=st.integers(0, 2**32 - 1),
     share=st.sampled_from([0.0, 0.01, 0.05, 0.5]),
@@ -164,7 +160,7 @@ def test_every_planner_keeps_it_and_every_file_too(planner, seed, clearance_m, t
     assert num_found == 4 or planner == "ptp"
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(12))
 def test_no_leg_comes_nearer_to_random_outlines_than_is_asked(seed, tmp_path):
     """Whatever is asked, at any angle: theta* and A*, refined and simplified, against the outlines by Shapely."""
     rng, maps = np.random.default_rng(seed), made_maps(40, 50, resolution_m=SIDE_M)
@@ -276,21 +272,6 @@ def test_without_a_clearance_nothing_is_kept_or_closed_and_paths_come_nearer():
     path = ju.plan(maps, **ends_in(maps, kept.is_free(maps, ALTITUDE_M))[0], altitude_m=ALTITUDE_M)
     with pytest.raises(AssertionError):
         assert_keeps_clear(maps, np.column_stack([path.xy_m, path.z_m]), **KEPT)
-
-
-def test_a_commands_clearances_win_over_the_scenarios_which_gives_the_rest(tmp_path, capsys):
-    maps = scattered(15)
-    write_zarr(maps.ds, tmp_path / "maps")
-    ends = ends_in(maps, ju.Constraints.read(clearance_m=9.0).is_free(maps, ALTITUDE_M))[0]
-    command = ("plan", tmp_path / "maps", *options_of(maps, **ends), "--json", "--report")
-    stored = {"planning": {"clearance_m": 7.0}, "vehicle": {"radius_m": 1.5, "speed_m_s": 8.0}}
-    write_json(tmp_path / "maps" / "run.json", {"settings": stored})
-    code, out, _ = run(capsys, *command, "--clearance", 0, "--vertical-clearance", 4)
-    facts = json.loads(out)
-    assert code == 0
-    limits = {"vertical_clearance_m": 4.0, "vehicle_radius_m": 1.5, "vehicle_speed_m_s": 8.0}
-    assert facts["settings"]["limits"] == {"no_fly": [], "require": []} | limits
-    assert facts["report"]["time_s"] == pytest.approx(facts["length_m"] / 8)
 
 
 def test_every_command_that_plans_takes_the_options():

@@ -79,9 +79,11 @@ def test_no_planner_enters_a_zone_or_breaks_a_bound(maps, ends, planner, require
 
 
 def test_constraints_that_close_nothing_change_nothing(maps, ends):
-    far = Zone("far", shapely.box(10, 10, 11, 11))
+    far = Zone("far", shapely.box(10, 10, 11, 11), source="far.kml")
     high = zone_of_cells(maps, 0, 0, 80, floor_m=500.0)
     constraints = ju.Constraints((far, high), (Bound("gps", ">=", 0.0),))
+    with pytest.warns(IgnoredZoneWarning, match="no zone of 'far.kml' lies in the maps' region"):
+        assert not ju.Constraints((far,), vertical_clearance_m=0.0).closed(maps, ALTITUDE_M).any()
     limited = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints)
     assert limited.cost == ju.plan(maps, **ends, altitude_m=ALTITUDE_M).cost
     assert limited.settings["limits"]["require"] == ["gps>=0"]
@@ -121,12 +123,6 @@ def test_bounds_are_read_from_texts():
     assert ju.Constraints.read(require=["gps>=0.3", " num_visible > 4"]) == expected
     assert str(expected) == "gps>=0.3, num_visible>4, vertical clearance of 3 m"
     assert str(ju.Constraints.read(vertical_clearance_m=0.0)) == ""
-
-
-def test_a_file_for_another_place_is_told(maps):
-    far = Zone("far", shapely.box(10, 10, 11, 11), source="far.kml")
-    with pytest.warns(IgnoredZoneWarning, match="no zone of 'far.kml' lies in the maps' region"):
-        assert not ju.Constraints((far,), vertical_clearance_m=0.0).closed(maps, ALTITUDE_M).any()
 
 
 def test_the_command_line_takes_files_and_bounds(folder, maps, ends, tmp_path, capsys):

@@ -10,8 +10,8 @@ import jaxurban as ju
 from jaxurban import progress
 from jaxurban.planners.base import EVERY_PATH, Status
 from jaxurban.report.figures.metrics import obstacle_layer
+from tests.paths.volumes import WEIGHTS
 
-WEIGHTS = ju.Weights(distance=0.2, gps=0.5, lidar=2.0, population=3.0, risk=1.5)
 NOTHING = ju.Weights(**dict.fromkeys(WEIGHTS.to_dict(), 0.0))
 VOLUME = ju.Levels(climb_cost=0.3, descent_cost=0.1)
 LOW_M, Z_M, HIGH_M = 20.0, 35.0, 60.0

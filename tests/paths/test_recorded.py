@@ -49,12 +49,16 @@ def test_python_plans_over_a_folder_as_the_command_does(planning, preset, tmp_pa
     folder = folder_of(tmp_path / "a", planning=planning, vehicle={"radius_m": 3.0, "speed_m_s": 9.0}, weights=weights)
     maps, under = ju.open_maps(folder), {"preset": preset}
     maps.save(tmp_path / "copy")
-    line = ({"weights": {"lidar": 4.0}, "cost_model": "line"}, ("--weights", "lidar=4", "--cost-model", "line"))
-    for named, options in (({}, ()), line):
-        options += ("--preset", preset) if preset else ()
+    limits = {"clearance_m": 0.0, "vertical_clearance_m": 4.0}
+    given = {"weights": {"lidar": 4.0}, "cost_model": "line", "constraints": ju.Constraints(**limits)}
+    line = ("--weights", "lidar=4", "--cost-model", "line", "--clearance", 0, "--vertical-clearance", 4)
+    for named, options in (({}, ()), (given, line)):
+        options += ("--report", "--preset", preset) if preset else ("--report",)
         expected = command(capsys, "plan", folder, *options)
-        assert expected["settings"]["limits"]["vehicle_radius_m"] == 3.0
-        assert expected["settings"]["weights"]["gps"] == 3.0
+        assert expected["report"]["time_s"] == pytest.approx(expected["length_m"] / 9)
+        stated = expected["settings"]["limits"]
+        assert (stated["vehicle_radius_m"], expected["settings"]["weights"]["gps"]) == (3.0, 3.0)
+        assert not named or {name: stated.get(name, 0.0) for name in limits} == limits
         assert command(capsys, "plan", tmp_path / "copy", *options)["settings"] == expected["settings"]
         cut = ju.MetricMaps(maps.ds.isel(x=slice(0, 60)))
         found = [ju.plan(on, START, GOAL, altitude_m=ALTITUDE_M, **named, **under) for on in (str(folder), maps, cut)]

@@ -15,10 +15,9 @@ from jaxurban.planners.base import Status
 from tests.cli_runs import run
 from tests.free_space import Obstacles
 from tests.made_maps import made_maps
-from tests.paths.volumes import options_of
+from tests.paths.volumes import WEIGHTS, options_of
 
 ALTITUDE_M = 20.0
-WEIGHTS = ju.Weights(distance=0.2, gps=0.5, lidar=2.0, population=3.0, risk=1.5)
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,10 @@ import jaxurban as ju
 from benchmarks.random_routes import READERS
 from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
-from jaxurban.maps.levels import Levels
 from jaxurban.planners.base import Status
 from tests.cli_runs import run
 from tests.made_maps import made_maps
-from tests.paths.volumes import ends_at, options_of, plan_volume
-
-WEIGHTS = ju.Weights(distance=0.2, gps=0.5, lidar=2.0, population=3.0, risk=1.5)
+from tests.paths.volumes import WEIGHTS, ends_at, options_of, plan_volume
 
 
 @pytest.fixture(scope="module")
@@ -29,27 +26,19 @@ def ends(maps) -> dict:
     return ends_at(maps, *np.argwhere(ju.Constraints().is_free(maps, 20.0))[[3, -3]])
 
 
-@pytest.fixture(scope="module")
-def path(maps, ends) -> ju.PlannedPath:
-    """A path that climbs and descends."""
-    path = plan_volume(maps, **ends, goal_altitude_m=60.0, level_step_m=10.0, climb_cost=0.01, weights=WEIGHTS)
-    assert len(np.unique(path.z_m)) > 2
-    return path
-
-
 def test_levels_are_the_altitudes_within_the_bounds_and_steps_between():
     held = (60.0, 20.0, 122.0)
-    np.testing.assert_array_equal(Levels().of(held), [20, 60, 122])
-    np.testing.assert_array_equal(Levels(30.0, 122.0).of(held), [60, 122])
-    np.testing.assert_array_equal(Levels(30.0, 110.0, 25.0).of(held), [30, 55, 60, 80, 105, 110])
-    np.testing.assert_array_equal(Levels(10.0, 70.0, 10.0).of(held), [20, 30, 40, 50, 60, 70])
-    np.testing.assert_array_equal(Levels(50.0, 50.0, 10.0).of(held), [50])
+    np.testing.assert_array_equal(ju.Levels().of(held), [20, 60, 122])
+    np.testing.assert_array_equal(ju.Levels(30.0, 122.0).of(held), [60, 122])
+    np.testing.assert_array_equal(ju.Levels(30.0, 110.0, 25.0).of(held), [30, 55, 60, 80, 105, 110])
+    np.testing.assert_array_equal(ju.Levels(10.0, 70.0, 10.0).of(held), [20, 30, 40, 50, 60, 70])
+    np.testing.assert_array_equal(ju.Levels(50.0, 50.0, 10.0).of(held), [50])
 
 
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_a_single_altitude_equals_2d(maps, cost_model):
     settings = {"weights": WEIGHTS, "cost_model": cost_model, "time_of_day": "night"}
-    flat, volume = (ju.cost_map(maps, at, **settings) for at in (20.0, Levels(max_altitude_m=20.0)))
+    flat, volume = (ju.cost_map(maps, at, **settings) for at in (20.0, ju.Levels(max_altitude_m=20.0)))
     for pair in np.random.default_rng(0).choice(np.argwhere(flat.is_free), (25, 2)):
         places = [ju.XY(*maps.grid.xy_of_cell(*cell)) for cell in pair]
         expected, path = flat.plan(*places), volume.plan(*places)
@@ -105,7 +94,9 @@ def test_start_under_the_goal_goes_straight_up_and_is_written(maps, ends, tmp_pa
         assert read(up.save(tmp_path / f"up{suffix}"))[:, 2].tolist() == up.z_m.tolist() == [20.0, 60.0]
 
 
-def test_files_hold_every_points_altitude(maps, path, tmp_path):
+def test_files_hold_every_points_altitude(maps, ends, tmp_path):
+    path = plan_volume(maps, **ends, goal_altitude_m=60.0, level_step_m=10.0, climb_cost=0.01, weights=WEIGHTS)
+    assert len(np.unique(path.z_m)) > 2
     lonlatz = np.column_stack([path.lonlat, path.z_m])
     for suffix in (".geojson", ".kml"):
         found = READERS[suffix](path.save(tmp_path / f"path{suffix}"))

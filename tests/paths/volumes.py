@@ -6,6 +6,7 @@ import jaxurban as ju
 from jaxurban.planners.base import Path, Status
 
 REGION = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}
+WEIGHTS = ju.Weights(distance=0.2, gps=0.5, lidar=2.0, population=3.0, risk=1.5)
 LEVELS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost", "descent_cost")
 
 
