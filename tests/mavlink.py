@@ -4,6 +4,8 @@ import json
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import zip_longest
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from mavsdk.plugins.mission_raw import MissionItem, MissionRaw
 RELATIVE_TO_HOME = 3  # MAV_FRAME_GLOBAL_RELATIVE_ALT
 EXCLUSION = 5002  # MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
 DISCOVERY_S = 20.0
+NUMBERS = attrgetter("param1", "param2", "param3", "param4", "z")
 
 
 class Reader:
@@ -42,29 +45,20 @@ class Reader:
         plan = json.loads(file.read_text())
         rings = [ring["polygon"] for ring in plan["geoFence"]["polygons"]]
         assert not any(ring["inclusion"] for ring in plan["geoFence"]["polygons"])
-        wanted = [
-            [(item["command"], item["frame"], *_as_read(item)) for item in plan["mission"]["items"]],
-            [(EXCLUSION, len(ring), *_in_units(*corner)) for ring in rings for corner in ring],
-        ]
+        wanted = [(item["command"], item["frame"], *_as_read(item)) for item in plan["mission"]["items"]]
+        wanted += [(EXCLUSION, len(ring), *_in_units(*corner)) for ring in rings for corner in ring]
         mission, fence = self.items(file)
-        read = [
-            [
-                (i.command, i.frame, *_floats(i.param1, i.param2, i.param3, i.param4), i.x, i.y, *_floats(i.z))
-                for i in mission
-            ],
-            [(i.command, int(i.param1), i.x, i.y) for i in fence],
-        ]
-        if [len(items) for items in read] != [len(items) for items in wanted]:
-            return [f"{[len(items) for items in read]} items instead of {[len(items) for items in wanted]}"]
-        pairs = zip(read[0] + read[1], wanted[0] + wanted[1], strict=True)
+        read = [(item.command, item.frame, item.x, item.y, *_floats(*NUMBERS(item))) for item in mission]
+        read += [(item.command, int(item.param1), item.x, item.y) for item in fence]
+        pairs = zip_longest(read, wanted)
         return [f"{one} instead of {other}" for one, other in pairs if str(one) != str(other)]  # NaN is NaN as text
 
 
 def _as_read(item: dict) -> tuple:
-    """Return a written item's four parameters, its place and its height as MAVLink carries them."""
+    """Return a written item's place, its four parameters and its height as MAVLink carries them."""
     *params, lat, lon, z_m = item["params"]
     place = _in_units(lat, lon) if item["frame"] == RELATIVE_TO_HOME else (round(lat), round(lon))
-    return (*_floats(*params), *place, *_floats(z_m))
+    return (*place, *_floats(*params, z_m))
 
 
 def _floats(*values: float | None) -> tuple[float, ...]:

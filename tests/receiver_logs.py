@@ -1,15 +1,16 @@
 """A made-up drive through the synthetic city, whose receiver is known: it tracks what the maps see, and some noise."""
 
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
 
 import jaxurban as ju
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.maps.run import load_city
+from jaxurban.planners.astar import astar
+from jaxurban.planners.base import Problem
 from jaxurban.studies.receiver.validate import ReceiverValidation
 from jaxurban.world.surface import Surface
 
@@ -36,24 +37,12 @@ def surface() -> Surface:
 
 @cache
 def drive() -> pd.DataFrame:
-    """Return a second's place and time a row, by the shortest ways along free cells between random ones."""
-    is_free = np.asarray(surface().roof_m)[surface().window] < 2.0
-    cells = np.argwhere(is_free)
-    number = np.where(is_free, np.cumsum(is_free).reshape(is_free.shape) - 1, -1)
-    beside = ((number[1:], number[:-1]), (number[:, 1:], number[:, :-1]))
-    pairs = np.concatenate([np.reshape(each, (2, -1)) for each in beside], axis=1)
-    pairs = pairs[:, (pairs >= 0).all(axis=0)]
-    graph = coo_matrix((np.ones(pairs.shape[1]), pairs), shape=(len(cells),) * 2)
-    stops = np.random.default_rng(5).integers(len(cells), size=NUM_LEGS + 1)
-    _, before = dijkstra(graph, directed=False, indices=stops[:-1], return_predecessors=True, unweighted=True)
-    way: list[int] = []
-    for leg, goal in enumerate(stops[1:]):
-        back = [goal]
-        while before[leg, back[-1]] >= 0:
-            back.append(before[leg, back[-1]])
-        way += back[::-1]
-    grid = surface().region
-    corners = np.stack(grid.xy_of_cell(*cells[way].T), axis=1)
+    """Return a second's place and time a row, by the shortest ways along free streets between random cells."""
+    is_free, grid = np.asarray(surface().roof_m)[surface().window] < 2.0, surface().region
+    cells, no_costs, model = np.argwhere(is_free), np.zeros((1, *is_free.shape)), ju.CostModel(connectivity=4)
+    stops = cells[np.random.default_rng(5).integers(len(cells), size=NUM_LEGS + 1)].tolist()
+    legs = [Problem(no_costs, is_free, *map(tuple, ends), grid.resolution_m, 1.0, model) for ends in pairwise(stops)]
+    corners = np.concatenate([astar(leg).points_m for leg in legs]) + np.array([grid.x_min_m, grid.y_min_m])
     along_m = np.cumsum(np.hypot(*np.diff(corners, axis=0, prepend=corners[:1]).T))
     at_m = np.arange(0.0, along_m[-1], SPEED_M_S)
     lon, lat = grid.lonlat_of_xy(*(np.interp(at_m, along_m, values) for values in corners.T))

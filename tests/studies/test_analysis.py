@@ -1,4 +1,4 @@
-"""Tables of a study on rows made up so that every number can be worked out by hand; GPS and lidar on such maps."""
+"""Tables of a study on rows made up so that every number can be worked out by hand; GPS and lidar on made maps."""
 
 import numpy as np
 import pandas as pd
@@ -103,18 +103,8 @@ def test_the_planner_to_choose_answers_reliably_and_costs_least(table):
     assert (long.joined_pairs, long.reliable, long.cheapest, long.fastest_near_best) == (5, DEAR, DEAR, "none")
 
 
-@pytest.fixture
-def maps():
-    """Maps where GPS is poor in the west, lidar good there; higher up less of both."""
-    made, rng = made_maps(300, 240), np.random.default_rng(5)
-    for level, share in enumerate((0.5, 0.2)):
-        is_west, shape = np.arange(240) < share * 240, (300, 240)
-        made.ds["gps"][0, level] = np.where(is_west, 0.3, 0.9) + rng.uniform(-0.1, 0.1, shape)
-        made.ds["lidar"][level] = np.where(is_west, 0.8, 0.1 - 0.05 * level) + rng.uniform(0, 0.05, shape)
-    return made
-
-
-def test_complementarity_is_numpys_over_the_free_cells_of_the_altitudes_that_are_chosen(maps):
+def test_complementarity_is_numpys_over_the_free_cells_of_the_altitudes_that_are_chosen():
+    maps = made_maps(300, 240)
     assert analysis.complementarity(maps, altitudes_m=[60]).altitude_m.tolist() == [60.0]
     for row in analysis.complementarity(maps).itertuples():
         is_free = maps.is_free(row.altitude_m, "centre")
@@ -127,11 +117,11 @@ def test_complementarity_is_numpys_over_the_free_cells_of_the_altitudes_that_are
         assert row.either_serves == pytest.approx(((gps >= 0.5) | (lidar >= 0.5)).mean())
 
 
-def test_a_few_tiles_give_no_interval_and_a_sky_without_buildings_no_correlation(maps):
-    few = analysis.complementarity(made_maps(100, 90))
+def test_a_few_tiles_give_no_interval_and_a_sky_without_buildings_no_correlation():
+    maps = made_maps(100, 90)
+    few = analysis.complementarity(maps)
     assert few.correlation.notna().all()
     assert few.correlation_low.isna().all()
     maps.ds["gps"][:] = 0.95
     maps.ds["lidar"][:] = 0.0
-    table = analysis.complementarity(maps)
-    assert table[["correlation", "lidar_where_gps_poor"]].isna().all(axis=None)
+    assert analysis.complementarity(maps)[["correlation", "lidar_where_gps_poor"]].isna().all(axis=None)

@@ -46,13 +46,11 @@ def task():
     return task
 
 
-@pytest.fixture(scope="module")
-def table(folder, route, tmp_path_factory):
-    return write_buildings(folder, route, tmp_path_factory.mktemp("out"))
-
-
 @pytest.mark.slow
-def test_the_table_agrees_with_finite_differences_of_the_soft_cost(task, route, table):
+def test_the_table_agrees_with_finite_differences_of_the_soft_cost_and_is_written_with_its_picture(
+    task, folder, route, tmp_path
+):
+    table = write_buildings(folder, route, tmp_path)
     params = SoftParams(25.0, 2.0, dict(task.params.sections))
     with jax.enable_x64(True):
         soft = soften(task, dtype=np.float64)
@@ -68,11 +66,6 @@ def test_the_table_agrees_with_finite_differences_of_the_soft_cost(task, route, 
             step = 1e-5 * np.eye(len(soft.height_m))[row.building]
             slope = (cost(soft.height_m + step) - cost(soft.height_m - step)) / 2e-5
             np.testing.assert_allclose(row.per_metre, slope, rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.slow
-def test_a_folder_of_maps_gives_table_and_picture(folder, route, tmp_path):
-    table = write_buildings(folder, route, tmp_path)
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "buildings.csv", index_col="rank"), table, check_like=True)
     assert len(pd.read_parquet(tmp_path / "buildings.parquet")) == len(table)
     assert (tmp_path / "buildings.png").stat().st_size > 10_000
@@ -81,24 +74,18 @@ def test_a_folder_of_maps_gives_table_and_picture(folder, route, tmp_path):
     assert table.lat.between(lat - 0.02, lat + 0.02).all()
 
 
-@pytest.fixture
-def others(folder, tmp_path):
-    """Return a folder whose maps were made with another file of orbits."""
+def test_other_sources_than_those_of_the_maps_are_refused(folder, route, tmp_path):
     record = json.loads((folder / RUN_FILE).read_text())
     record["inputs"]["orbits"] = {"path": "sky.tle", "sha256": "0"}
     record["settings"]["gps"]["orbits"] = ["sky.tle"]
     write_json(tmp_path / RUN_FILE, record)
-    return tmp_path
-
-
-def test_other_sources_than_those_of_the_maps_are_refused(others, route, tmp_path):
     with pytest.raises(InputError, match=r"cannot read .*run.json"):
         write_buildings(tmp_path / "nowhere", route, tmp_path)
     with pytest.raises(InputError, match=r"'sky.tle'\) were not found"):
-        write_buildings(others, route, tmp_path)
+        write_buildings(tmp_path, route, tmp_path)
     (tmp_path / "sky.tle").write_text("another sky")
     with pytest.raises(InputError, match=r"'sky.tle' is not the file"):
-        write_buildings(others, route, tmp_path)
+        write_buildings(tmp_path, route, tmp_path)
 
 
 def test_other_routes_weights_and_altitudes_are_refused(folder, route, task, tmp_path):

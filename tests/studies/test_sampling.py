@@ -96,12 +96,6 @@ def around(mask: np.ndarray, row: int, col: int, half: int) -> np.ndarray:
     return mask[max(0, row - half) : row + half + 1, max(0, col - half) : col + half + 1]
 
 
-def test_the_share_around_a_cell_is_counted_over_the_square_inside_the_map():
-    mask = np.random.default_rng(0).random((13, 9)) < 0.3
-    wanted = [around(mask, row, col, 2).mean() for row, col in np.ndindex(mask.shape)]
-    np.testing.assert_array_equal(sampling.share_around(mask, 2).ravel(), wanted)
-
-
 def test_every_cell_lies_in_the_stratum_that_its_surroundings_define(maps):
     roof_m, strata = maps.m("roof"), strata_of(maps)
     assert set(np.unique(strata)) == {

@@ -256,7 +256,9 @@ def test_the_route_stays_the_same_inside_its_range_and_changes_outside(crossed, 
                 assert np.allclose(*sums, rtol=1e-9) == is_same
 
 
-def test_it_shows_what_each_weight_does_and_its_report_every_file(found, tmp_path):
+def test_it_shows_what_each_weight_does_its_report_every_file_and_its_figures_their_whole_text(found, tmp_path):
+    for name, draw in sensitivity_figures(found).items():
+        assert_on_the_page(name, draw())
     for name in found.lines:
         assert f"{len(found.lines[name].cells)}" in found.facts[name].rpartition(": ")[2]
         assert f"{name}: {found.weights[found.names.index(name)]:g}, " in repr(found)
@@ -278,11 +280,6 @@ def test_it_shows_what_each_weight_does_and_its_report_every_file(found, tmp_pat
     found.save(tmp_path / "out")
     with pytest.raises(InputError, match="another run of `jaxurban sensitivity`"):
         replace(found, settings=replace(found.settings, tolerance=0.1)).save(tmp_path / "out")
-
-
-def test_no_text_of_a_figure_leaves_the_page(found):
-    for name, draw in sensitivity_figures(found).items():
-        assert_on_the_page(name, draw())
 
 
 def test_the_command_prints_json_and_tells_a_start_that_was_moved_there_and_in_the_report(crossed, command, tmp_path):
