@@ -3,22 +3,15 @@
 import json
 import warnings
 from dataclasses import replace
-from datetime import date
 
-import geopandas as gpd
 import numpy as np
 import pytest
-import rasterio
 import shapely
 from matplotlib.text import Text
-from rasterio import Affine
-from sgp4.exporter import export_tle
-from skyfield.api import load
 
 import jaxurban as ju
 from jaxurban.errors import GuessWarning
 from jaxurban.io.read.guesses import FLAT_GROUND, has_guessed_roofs, leaving_shares
-from jaxurban.io.read.orbits import nominal_satellites
 from jaxurban.io.read.rasterise import build_surface, burn
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.run import run_scenario
@@ -27,22 +20,20 @@ from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.population import Population
 from jaxurban.report import figures as plotting
 from jaxurban.world.city import Blocks, City, Zoning
-from jaxurban.world.grid import WGS84, Grid, transformer
+from jaxurban.world.grid import Grid, transformer
 from tests.cli_runs import run
+from tests.io.made_files import UTM, WGS84, X, Y, box, north_up, write_raster, write_vector
+from tests.io.test_orbits import walker_tle
 
-CRS = "EPSG:32618"
-X0, Y0 = 584_000.0, 4_507_000.0
-BOUNDS = tuple(transformer(CRS, WGS84).transform_bounds(X0 + 5, Y0 + 5, X0 + 395, Y0 + 395))
+BOUNDS = tuple(transformer(UTM, WGS84).transform_bounds(*box(5, 5, 395, 395).bounds))
 
 
 def write_buildings(path, heights, levels=None):
     """Write a row of houses of 40 m x 40 m, and a covering one so that the data reach all of the region."""
-    x = X0 + 20.0 + 90.0 * np.arange(len(heights))
-    houses = shapely.box(x, Y0 + 100, x + 40, Y0 + 140)
-    corners = shapely.box([X0 - 100, X0 + 450], [Y0 - 100, Y0 + 450], [X0 - 90, X0 + 460], [Y0 - 90, Y0 + 460])
+    houses = [box(x, 100, x + 40, 140) for x in 20 + 90 * np.arange(len(heights))]
     levels = [*(levels or [None] * len(heights)), None, None]
     tags = {"building": "yes", "height": [*heights, "5", "5"], "building:levels": levels}
-    gpd.GeoDataFrame(tags, geometry=[*houses, *corners], crs=CRS).to_crs(4326).to_file(path)
+    write_vector(path, [*houses, box(-100, -100, -90, -90), box(450, 450, 460, 460)], to=WGS84, **tags)
     return houses
 
 
@@ -62,11 +53,11 @@ def told_by(function):
 def town(tmp_path, heights=("30",) * 4, **options):
     """Return a city of houses read from a file, and what Python was warned of."""
     write_buildings(tmp_path / "town.geojson", heights)
-    return told_by(lambda: City.from_files(tmp_path / "town.geojson", **{"bounds": BOUNDS, "crs": CRS} | options))
+    return told_by(lambda: City.from_files(tmp_path / "town.geojson", **{"bounds": BOUNDS, "crs": UTM} | options))
 
 
 def guesses_of(city, region=None, **sections):
-    region = region or Grid.from_bounds(BOUNDS, 10.0, CRS)
+    region = region or Grid.from_bounds(BOUNDS, 10.0, UTM)
     return MapTask(city, region, view_sky(region, ju.Gps()), MapParams((20.0,), sections=sections)).all_guesses
 
 
@@ -84,7 +75,7 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     assert sum(sentence in warning for warning in found) == 1
     maps = ju.open_maps(tmp_path / "out")
     assert "50 % of heights" in maps.guesses
-    guessed = burn(houses[1:3], np.ones(2), maps.grid, 0, "uint8")[0].astype(bool)
+    guessed = burn(np.array(houses[1:3]), np.ones(2), maps.grid, 0, "uint8")[0].astype(bool)
     assert guessed.sum() == 32
     np.testing.assert_array_equal(maps.m("roof_guessed"), guessed)
     texts = texts_of(maps)
@@ -101,21 +92,19 @@ def test_of_known_heights_without_terrain_only_the_ground_is_guessed_and_over_te
     texts = texts_of(maps)
     assert not any("height guessed" in text for text in texts)
     assert any(text.startswith("Guessed: flat ground") for text in texts)
-    transform = Affine(50.0, 0.0, X0 - 500.0, 0.0, -50.0, Y0 + 1500.0)
-    with rasterio.open(tmp_path / "ground.tif", "w", "GTiff", 40, 40, 1, CRS, transform, "float32") as file:
-        file.write(np.zeros((40, 40), np.float32), 1)
+    write_raster(tmp_path / "ground.tif", np.zeros((40, 40), np.float32), north_up(50, 40, X - 500, Y - 500))
     city, told = town(tmp_path, terrain=tmp_path / "ground.tif")
     assert (told, city.guesses) == ([], {})
 
 
 def test_one_guessed_roof_of_many_is_known_by_all_cells_that_it_touches(tmp_path):
-    bounds = transformer(CRS, WGS84).transform_bounds(X0 + 5, Y0 + 5, X0 + 2805, Y0 + 395)
+    bounds = transformer(UTM, WGS84).transform_bounds(*box(5, 5, 2805, 395).bounds)
     city, _ = town(tmp_path, ["30"] * 30 + [None], bounds=bounds)
-    region = Grid.from_bounds(bounds, 15.0, CRS)
+    region = Grid.from_bounds(bounds, 15.0, UTM)
     assert has_guessed_roofs(city, region)
     surface = build_surface(city, region, region, tells_guessed=True)
-    guessed = shapely.box(X0 + 20 + 90 * 30, Y0 + 100, X0 + 60 + 90 * 30, Y0 + 140)
-    touched = burn(np.array([guessed.buffer(-0.01)]), np.ones(1), region, 0, "uint8")[1]
+    guessed = box(20 + 90 * 30, 100, 60 + 90 * 30, 140).buffer(-0.01)
+    touched = burn(np.array([guessed]), np.ones(1), region, 0, "uint8")[1]
     np.testing.assert_array_equal(surface.roof_guessed, touched.astype(bool))
 
 
@@ -133,36 +122,30 @@ def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path)
 
 
 def test_the_synthetic_city_guesses_nothing():
-    region = Grid.from_bounds((-73.971, 40.7795, -73.969, 40.7805), 20.0, CRS)
+    region = Grid.from_bounds((-73.971, 40.7795, -73.969, 40.7805), 20.0, UTM)
     assert guesses_of(ju.demo_city(500, 500), region) == {}
-
-
-def elements_of(day, path):
-    """Write the nominal satellites as two-line elements, whose epochs are noon of a day."""
-    satellites = nominal_satellites(day, load.timescale(builtin=True))
-    path.write_text("".join(f"{s.name}\n" + "\n".join(export_tle(s.model)) + "\n" for s in satellites))
-    return path
 
 
 def test_elements_without_times_stand_at_their_own_time_and_nominal_ones_at_the_papers(tmp_path):
     city, _ = town(tmp_path)
-    orbits = elements_of(date(2026, 8, 7), tmp_path / "gps.tle")
-    scenario = Scenario.from_toml(write_scenario(tmp_path, '[gps]\norbits = "gps.tle"\n'))
+    orbits = tmp_path / "galileo.tle"
+    orbits.write_text(walker_tle("galileo", 40_000))
+    scenario = Scenario.from_toml(write_scenario(tmp_path, '[gps]\norbits = "galileo.tle"\n'))
     made = run_scenario(scenario, tmp_path / "out")
-    assert made.record["epochs"] == ["2026-08-07T12:00:00Z"]
-    assert any("satellites stand as at 2026-08-07T12:00:00Z" in warning for warning in made.record["warnings"])
+    assert made.record["epochs"] == ["2020-04-27T00:00:00Z"]
+    assert any("satellites stand as at 2020-04-27T00:00:00Z" in warning for warning in made.record["warnings"])
     region = made.maps[10.0].grid
     assert view_sky(region, ju.Gps()).times == ("2020-04-27T16:00:00Z",)
-    asked = view_sky(region, ju.Gps(orbits=orbits, times="2026-08-08T00:00:00Z"))
-    assert (asked.times, asked.guesses) == (("2026-08-08T00:00:00Z",), {})
+    asked = view_sky(region, ju.Gps(orbits=orbits, times="2020-04-28T00:00:00Z"))
+    assert (asked.times, asked.guesses) == (("2020-04-28T00:00:00Z",), {})
     maps, told = told_by(lambda: ju.build_maps(city, grid=region, altitudes_m=[20.0], gps=ju.Gps(orbits=orbits)))
-    assert maps.times == ("2026-08-07T12:00:00Z",)
+    assert maps.times == ("2020-04-27T00:00:00Z",)
     assert any("satellites stand as at" in sentence for sentence in told)
 
 
 def test_the_share_of_answers_beyond_the_data_is_that_of_rays_followed_one_by_one(tmp_path):
     city, _ = town(tmp_path, ["60", "30", "30", "30"])
-    region = Grid.from_bounds(BOUNDS, 20.0, CRS)
+    region = Grid.from_bounds(BOUNDS, 20.0, UTM)
     sky = view_sky(region, ju.Gps(times=["2020-04-27T16:00:00Z", "2020-04-27T19:00:00Z"]))
     t, s = np.nonzero(sky.elevation_rad >= np.radians(5.0))
     run_m, toward = (60.0 - 20.0) / np.tan(sky.elevation_rad[t, s]), sky.azimuth_rad[t, s]
@@ -176,12 +159,12 @@ def test_the_share_of_answers_beyond_the_data_is_that_of_rays_followed_one_by_on
 
 def peopled(*sides_m):
     """A city of square blocks in a row, each with 100 people."""
-    x, side_m, num = X0 + np.r_[0.0, np.cumsum(sides_m)[:-1]], np.array(sides_m), len(sides_m)
-    polygons, zoning = shapely.box(x, Y0, x + side_m, Y0 + side_m), np.full(num, Zoning.RESIDENTIAL, np.uint8)
+    x, side_m, num = X + np.r_[0.0, np.cumsum(sides_m)[:-1]], np.array(sides_m), len(sides_m)
+    polygons, zoning = shapely.box(x, Y, x + side_m, Y + side_m), np.full(num, Zoning.RESIDENTIAL, np.uint8)
     number = np.arange(num)
     blocks = Blocks(polygons, np.full(num, 100.0), np.full(num, 107, np.int32), zoning, number.astype(object))
-    extent_m = X0, Y0, X0 + 1000.0, Y0 + 1000.0
-    return replace(ju.demo_city(500, 500), blocks=blocks, crs=CRS, extent_m=extent_m)
+    extent_m = X, Y, X + 1000.0, Y + 1000.0
+    return replace(ju.demo_city(500, 500), blocks=blocks, crs=UTM, extent_m=extent_m)
 
 
 @pytest.mark.parametrize(("times", "is_guessed"), [(("day", "night"), True), (("night",), False)])
@@ -207,15 +190,13 @@ def test_one_tiny_block_that_sets_the_population_scale_is_told_with_its_remedy(s
 def write_people(tmp_path, counts, labels=(101, 102), field="BoroCD"):
     """Write three blocks, their counts, and two districts."""
     ids = [f"36061000100100{i}" for i in range(3)]
-    x = X0 + 140.0 * np.arange(3) - 10
-    blocks = gpd.GeoDataFrame({"GEOID10": ids}, geometry=shapely.box(x, Y0 - 10, x + 140, Y0 + 410), crs=CRS)
-    blocks.to_file(tmp_path / "blocks.gpkg")
+    shapes = [box(x, -10, x + 140, 410) for x in 140 * np.arange(3) - 10]
+    blocks = write_vector(tmp_path / "blocks.gpkg", shapes, GEOID10=ids)
     lines = [f'"{block}","{count}"' for block, count in zip(ids, counts, strict=False)]
     (tmp_path / "counts.csv").write_text("\n".join(["GEOID10,population", *lines]))
-    halves = shapely.box([X0 - 50, X0 + 200], Y0 - 50, [X0 + 200, X0 + 500], Y0 + 500)
-    gpd.GeoDataFrame({field: labels}, geometry=halves, crs=CRS).to_crs(4326).to_file(tmp_path / "districts.geojson")
-    files = {"blocks": tmp_path / "blocks.gpkg", "table": tmp_path / "counts.csv"}
-    return ju.Population(**files, districts=tmp_path / "districts.geojson", district_field=field)
+    halves = box(-50, -50, 200, 500), box(200, -50, 500, 500)
+    districts = write_vector(tmp_path / "districts.geojson", halves, to=WGS84, **{field: labels})
+    return ju.Population(blocks=blocks, table=tmp_path / "counts.csv", districts=districts, district_field=field)
 
 
 def assert_told(told, words):
@@ -257,5 +238,5 @@ def test_new_yorks_commercial_districts_are_no_other_citys(tmp_path, field, labe
 
 def test_a_region_beyond_the_data_is_told(tmp_path):
     city, _ = town(tmp_path)
-    far = Grid(CRS, 10.0, int(Y0 / 10), int(X0 / 10), 40, 100)
+    far = Grid(UTM, 10.0, int(Y / 10), int(X / 10), 40, 100)
     assert "54 % of the region without data" in guesses_of(city, far)
