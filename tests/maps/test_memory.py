@@ -10,12 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import geopandas as gpd
 import jax
 import numpy as np
 import psutil
 import pytest
-import rasterio
 import shapely
 from affine import Affine
 
@@ -41,6 +39,7 @@ from jaxurban.world.city import Raster
 from jaxurban.world.sky import Sky
 from tests import tiled_runs
 from tests.cli_runs import run
+from tests.io.made_files import WGS84, write_raster, write_vector
 
 GIB = 2**30
 
@@ -185,12 +184,10 @@ def test_the_estimate_of_fine_cells_is_above_the_truth_and_not_twice_it(
         f'[buildings]\nsource = "tower.geojson"\n[lidar]\nrange_m = {range_m}\n'
         f"{terrain}[risk]\nthreshold_m = {threshold_m}\n"
     )
-    tower = gpd.GeoDataFrame({"height": [25]}, geometry=[shapely.box(-73.98, 40.75, -73.9799, 40.7501)], crs=4326)
-    tower.to_file(tmp_path / "tower.geojson")
+    write_vector(tmp_path / "tower.geojson", [shapely.box(-73.98, 40.75, -73.9799, 40.7501)], WGS84, height=[25])
     ground_m = 5 + 4 * np.sin(np.arange(60)[:, None] / 5) * np.cos(np.arange(60) / 7)
     place = Affine(0.0002, 0, -73.985, 0, -0.0002, 40.755)
-    with rasterio.open(tmp_path / "hills.tif", "w", "GTiff", 60, 60, 1, "EPSG:4326", place, "float32") as file:
-        file.write(ground_m.astype(np.float32), 1)
+    write_raster(tmp_path / "hills.tif", ground_m.astype(np.float32), place, WGS84)
     said, peak = peak_of("maps", tmp_path / "fine.toml", "-o", tmp_path / "out")
     told = parse_bytes(re.search(r"about ([\d.]+ [GM]iB) of memory at most", said)[1])
     assert peak < told + 0.05 * GIB  # told to a tenth

@@ -72,9 +72,10 @@ def test_every_map_is_missing_where_its_variable_says_so(maps):
 
 
 def test_files_hold_what_memory_holds(maps, folder):
-    opened, raw = ju.open_maps(folder).ds, xr.open_zarr(folder / "maps.zarr/20m")
+    opened, raw = ju.open_maps(folder), xr.open_zarr(folder / "maps.zarr/20m")
+    assert [*opened.metrics] == [*maps.metrics]
     for name, array in maps.ds.data_vars.items():
-        assert opened[name].values.tobytes() == array.values.tobytes(), name
+        assert opened.ds[name].values.tobytes() == array.values.tobytes(), name
         if array.dims[-2:] == ("y", "x"):
             np.testing.assert_array_equal(raw[name].values[..., ::-1, :], array.values.astype(float), str(name))
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import rasterio
-import rasterio.warp
+from affine import Affine
+from rasterio.warp import transform_bounds
 
 import jaxurban as ju
 from jaxurban.errors import InputError
@@ -18,6 +18,7 @@ from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.custom import Layer
 from jaxurban.world.grid import Grid
 from tests import tiled_runs
+from tests.io.made_files import write_raster
 
 REACH_M = 60.0
 
@@ -31,13 +32,10 @@ def highest_around(surface, altitude_m):
     return jnp.stack(shifted).max(axis=0) + 0.1 * altitude_m
 
 
-def write_raster(path, grid, bands, nodata=np.nan):
-    """Write bands of a raster of 35 m pixels over a grid and 100 m around it."""
-    x_min, _, _, y_max = grid.bounds_m
-    place = rasterio.Affine(35.0, 0.0, x_min - 100.0, 0.0, -35.0, y_max + 100.0)
-    count, height, width = bands.shape
-    with rasterio.open(path, "w", "GTiff", width, height, count, grid.crs, place, "float32", nodata) as file:
-        file.write(bands.astype(np.float32))
+def write_layer(path, grid, values, nodata=None):
+    """Write a raster of 35 m pixels, or bands of it, over a grid and 100 m around it."""
+    place = Affine(35, 0, grid.bounds_m[0] - 100, 0, -35, grid.bounds_m[3] + 100)
+    write_raster(path, values.astype(np.float32), place, grid.crs, nodata, bands=np.atleast_3d(values.T).shape[2])
 
 
 @pytest.fixture(scope="module")
@@ -45,10 +43,10 @@ def task(tmp_path_factory):
     """A task with a raster with a hole, two bands of another, an array and a function."""
     folder, plain = tmp_path_factory.mktemp("layers"), tiled_runs.task(tiled_runs.city())
     rng = np.random.default_rng(0)
-    noise, wind = rng.uniform(20, 90, (1, 40, 40)), rng.uniform(0, 30, (2, 40, 40))
-    noise[0, 15:18, 12:15] = np.nan
-    write_raster(folder / "noise.tif", plain.region, noise)
-    write_raster(folder / "wind.tif", plain.region, wind)
+    noise, wind = rng.uniform(20, 90, (40, 40)), rng.uniform(0, 30, (2, 40, 40))
+    noise[15:18, 12:15] = np.nan
+    write_layer(folder / "noise.tif", plain.region, noise)
+    write_layer(folder / "wind.tif", plain.region, wind)
     layers = {
         "noise": Layer("noise.tif", "high-is-bad", (0.0, 80.0)),
         "wind": Layer("wind.tif", "high-is-bad", (0.0, 25.0), altitudes_m=(60.0, 20.0)),
@@ -87,14 +85,6 @@ def test_a_cell_without_a_value_is_closed_at_every_altitude(maps):
         assert maps.is_free(altitude_m).any()
 
 
-def test_opened_maps_know_their_layers(maps, tmp_path):
-    maps.save(tmp_path)
-    again = ju.open_maps(tmp_path)
-    assert tuple(again.metrics) == tuple(maps.metrics)
-    for name, cost in maps.costs(20.0).items():
-        np.testing.assert_array_equal(again.costs(20.0)[name], cost, err_msg=name)
-
-
 def test_bands_shapes_and_layers_that_do_not_fit_are_refused(task):
     def layer(values, **how):
         return Layer(values, "high-is-bad", (0.0, 1.0), **how)
@@ -130,12 +120,11 @@ def with_raster(city, grid, path):
 @pytest.mark.parametrize("crs", ["EPSG:32618", "EPSG:4326"])
 def test_a_raster_that_ends_inside_the_region_is_told_with_the_share_that_it_closes(crs, tmp_path):
     city, grid = ju.demo_city(500, 500), Grid("EPSG:32618", 20.0, 225_500, 29_250, 100, 100)
-    edges = rasterio.warp.transform_bounds(grid.crs, crs, *grid.bounds_m)
+    edges = transform_bounds(grid.crs, crs, *grid.bounds_m)
     width = (edges[2] - edges[0]) * 0.6
     right, up = 1.1 * width / 50, (edges[3] - edges[1] + 2 * width) / 50
-    at = rasterio.Affine(right, 0.0, edges[0] - 0.1 * width, 0.0, -up, edges[3] + width)
-    with rasterio.open(tmp_path / "part.tif", "w", "GTiff", 50, 50, 1, crs, at, "float32") as file:
-        file.write(np.zeros((1, 50, 50), np.float32))
+    at = Affine(right, 0.0, edges[0] - 0.1 * width, 0.0, -up, edges[3] + width)
+    write_raster(tmp_path / "part.tif", np.zeros((50, 50), np.float32), at, crs)
     task = with_raster(city, grid, tmp_path / "part.tif")
     ((name, told),) = ((name, told) for name, told in task.all_guesses.items() if "layer" in name)
     closed = np.isnan(layer_values(task.bands["noise"], grid, grid)).mean()
@@ -146,9 +135,9 @@ def test_a_raster_that_ends_inside_the_region_is_told_with_the_share_that_it_clo
 
 def test_large_holes_of_a_raster_are_told(tmp_path):
     city, grid = ju.demo_city(500, 500), Grid("EPSG:32618", 20.0, 225_500, 29_250, 20, 20)
-    values = np.zeros((1, 40, 40))
-    values[0, :, :10] = -1
-    write_raster(tmp_path / "noise.tif", grid, values, nodata=-1)
+    values = np.zeros((40, 40))
+    values[:, :10] = -1
+    write_layer(tmp_path / "noise.tif", grid, values, nodata=-1)
     told = with_raster(city, grid, tmp_path / "noise.tif").all_guesses
     (sentence,) = (sentence for name, sentence in told.items() if "layer noise without" in name)
     assert "% of the pixels of layer noise hold no value and are closed to every path" in sentence
@@ -173,7 +162,7 @@ def test_a_scenario_names_a_raster_layer(tmp_path):
     (tmp_path / "scenario.toml").write_text(Scenario.from_dict(settings).to_toml())
     scenario = Scenario.from_toml(tmp_path / "scenario.toml")
     grid = ju.Grid.from_bounds(scenario.region.bounds, 20.0, None)
-    write_raster(tmp_path / "noise.tif", grid, np.full((1, 40, 40), 20.0))
+    write_layer(tmp_path / "noise.tif", grid, np.full((40, 40), 20.0))
     (task,) = tasks_of(scenario)
     assert task.params.sections["risk"] == scenario.risk
     run = run_scenario(scenario, tmp_path / "out")
