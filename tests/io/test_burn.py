@@ -1,22 +1,30 @@
-"""Burning: which cells an outline covers, by their centres and by any area that they share with it."""
+"""Burning: which cells an outline covers, by centres and by any shared area, and what hangs over which."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
+import geopandas
 import numpy as np
 import pytest
 import shapely
 from affine import Affine
 from rasterio.features import rasterize
 
-import jaxurban as ju
 from jaxurban.io.read.city import read_buildings
-from jaxurban.io.read.outlines import polygonal
-from jaxurban.io.read.rasterise import burn
+from jaxurban.io.read.osm import read_osm
+from jaxurban.io.read.outlines import polygonal, to_buildings
+from jaxurban.io.read.rasterise import build_surface, burn, rasterise
 from jaxurban.io.read.zone import cell_boxes, touched_cells
+from jaxurban.metrics.visibility import visibility
+from jaxurban.settings import Buildings
+from jaxurban.world.city import SLABS, TO_GROUND, City, HeightOrigin
+from jaxurban.world.grid import Grid
+from jaxurban.world.surface import PER_CELL, obstacles_on
+from tests.hanging_city import CRS, DECK, SIDE_M, X_M, Y_M, city
+from tests.io.made_files import line, osm
 
-CRS = "EPSG:32618"
 OUTER = (900_000, 110_000, 40, 40)  # first row and column, rows, columns
-BORDERS = ju.Grid(CRS, 1.0, 0, 0, 40, 40)
+BORDERS = Grid(CRS, 1.0, 0, 0, 40, 40)
 
 
 def burnt(polygons, values, grid):
@@ -42,7 +50,7 @@ def check_touched(polygons, values, grid):
 
 def test_every_cell_that_shares_area_with_an_outline_is_touched():
     rng = np.random.default_rng(1)
-    grid = ju.Grid(CRS, 2.5, *OUTER)
+    grid = Grid(CRS, 2.5, *OUTER)
     corner_m = np.array([grid.x_min_m, grid.y_min_m])
     polygons = []
     for _ in range(60):
@@ -62,7 +70,7 @@ def test_every_cell_that_shares_area_with_an_outline_is_touched():
 
 
 def test_an_outline_that_ends_on_borders_of_cells_touches_no_cell_beyond_them():
-    grid = ju.Grid(CRS, 5.0, *OUTER)
+    grid = Grid(CRS, 5.0, *OUTER)
     x_m, y_m = grid.x_min_m, grid.y_min_m
     centre, touched = burnt([shapely.box(x_m + 10, y_m + 15, x_m + 35, y_m + 40)], [9.0], grid)
     np.testing.assert_array_equal(centre, touched)
@@ -70,7 +78,7 @@ def test_an_outline_that_ends_on_borders_of_cells_touches_no_cell_beyond_them():
 
 
 def test_a_wall_thinner_than_a_cell_is_touched_all_along_and_leaves_no_gap_at_corners():
-    grid = ju.Grid(CRS, 5.0, *OUTER)
+    grid = Grid(CRS, 5.0, *OUTER)
     middle_m = np.array([grid.x_min_m, grid.y_min_m]) + 100.0
     for degrees in range(0, 91, 10):
         along = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
@@ -143,9 +151,9 @@ def test_tiles_burnt_by_threads_at_once_are_the_whole_even_on_ties(resolution_m)
     polygons = shapely.transform(with_ties(rng), lambda xy: (xy + np.array(OUTER[1::-1])) * resolution_m)
     values = rng.uniform(3, 90, len(polygons))
     boxes_m = shapely.bounds(polygons).T
-    whole, tiles = ju.Grid(CRS, resolution_m, *OUTER), []
+    whole, tiles = Grid(CRS, resolution_m, *OUTER), []
     for row in range(0, 40, 10):
-        tiles += [ju.Grid(CRS, resolution_m, OUTER[0] + row, OUTER[1] + col, 10, 8) for col in range(0, 40, 8)]
+        tiles += [Grid(CRS, resolution_m, OUTER[0] + row, OUTER[1] + col, 10, 8) for col in range(0, 40, 8)]
 
     def burn_tile(tile):
         return burn(polygons, values, tile, 0.0, "float32", boxes_m=boxes_m)
@@ -158,7 +166,7 @@ def test_tiles_burnt_by_threads_at_once_are_the_whole_even_on_ties(resolution_m)
 
 
 def test_a_centre_in_a_hole_is_not_held_and_an_outline_far_larger_than_the_grid_is():
-    grid = ju.Grid(CRS, 1.0, 900_000, 110_000, 6, 6)
+    grid = Grid(CRS, 1.0, 900_000, 110_000, 6, 6)
     wide = shapely.box(0, 0, 1e6, 1e7).difference(shapely.box(110_002, 900_001, 110_004, 900_005))
     centre, touched = burnt([wide], [7.0], grid)
     expected = np.full((6, 6), 7.0)
@@ -168,7 +176,7 @@ def test_a_centre_in_a_hole_is_not_held_and_an_outline_far_larger_than_the_grid_
 
 
 def test_empty_and_missing_polygons_and_those_elsewhere_leave_the_fill():
-    grid = ju.Grid(CRS, 5.0, *OUTER)
+    grid = Grid(CRS, 5.0, *OUTER)
     for polygons in ([], [None, shapely.Polygon()], [shapely.box(0, 0, 1, 1)]):
         assert (burn(np.array(polygons, object), np.ones(len(polygons)), grid, -1, "int32")[0] == -1).all()
 
@@ -178,11 +186,142 @@ def test_empty_and_missing_polygons_and_those_elsewhere_leave_the_fill():
 def test_every_roof_of_lower_manhattan_lies_in_the_cells_that_gdal_gives_it_and_in_all_that_it_shares_area_with(
     data_dir,
 ):
-    found = read_buildings(ju.Buildings(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings
+    found = read_buildings(Buildings(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings
     for resolution_m in (5.0, 2.0, 5 / 3):
-        grid = ju.Grid.from_bounds((-74.02, 40.70, -73.98, 40.73), resolution_m, CRS)
+        grid = Grid.from_bounds((-74.02, 40.70, -73.98, 40.73), resolution_m, CRS)
         outlines = found.polygons, found.height_m, grid, 0.0, "float32"
         np.testing.assert_array_equal(burn(*outlines)[0], gdal(*outlines))
     for resolution_m in (5.0, 2.0):
-        grid = ju.Grid.from_bounds((-74.014, 40.703, -74.006, 40.709), resolution_m, CRS)
+        grid = Grid.from_bounds((-74.014, 40.703, -74.006, 40.709), resolution_m, CRS)
         check_touched(found.polygons, found.height_m, grid)
+
+
+GRID = Grid(CRS, 2.0, int(Y_M / 2), int(X_M / 2), int(SIDE_M / 2), int(SIDE_M / 2))
+
+
+def cell_of(x_m: float, y_m: float) -> tuple[int, int]:
+    return int(y_m // 2), int(x_m // 2)
+
+
+@pytest.fixture(scope="module")
+def rasters():
+    return rasterise(city(), GRID)
+
+
+def test_without_what_hangs_the_rasters_are_the_same_to_the_bit():
+    whole = city()
+    standing = replace(whole, buildings=whole.buildings.take(whole.buildings.min_height_m == 0))
+    slabs, plain = rasterise(standing, GRID), rasterise(replace(standing, hanging=TO_GROUND), GRID)
+    assert plain.slabs is None
+    assert len(slabs.slabs.row) == 0
+    np.testing.assert_array_equal(slabs.roof_m, plain.roof_m)
+    np.testing.assert_array_equal(slabs.roof_touched_m, plain.roof_touched_m)
+
+
+def test_a_part_that_rests_on_a_roof_raises_it(rasters):
+    assert [rasters.roof_m[cell_of(x_m, 270)] for x_m in (115, 103, 95)] == [55, 15, 0]
+
+
+def test_slabs_as_if_they_reached_the_ground_are_the_roofs_without_slabs(rasters):
+    to_ground = rasterise(city(TO_GROUND), GRID)
+    np.testing.assert_array_equal(rasters.slabs.raised(rasters.roof_m, GRID), to_ground.roof_m)
+    np.testing.assert_array_equal(rasters.roof_touched_m, to_ground.roof_touched_m)
+    assert [made.roof_m[cell_of(300, 202)] for made in (rasters, to_ground)] == [0, 13.5]
+
+
+def test_touched_slabs_as_if_they_reached_the_ground_are_no_lower_than_the_touched_roofs():
+    touched = rasterise(city(), GRID, all_touched=True)
+    raised_m = touched.slabs.raised(touched.roof_m, GRID)
+    to_ground_m = rasterise(city(TO_GROUND), GRID, all_touched=True).roof_m
+    assert np.all(raised_m >= to_ground_m)
+    assert np.sum(raised_m != to_ground_m) <= 1  # a corner that enters a cell by less than outlines are snapped
+
+
+def test_two_slabs_over_a_cell_stay_two(rasters):
+    slabs, cells = rasters.slabs.over_cells(GRID)
+    here = np.all(np.transpose(cells) == cell_of(240, 340), axis=1)
+    assert sorted(zip(slabs.floor_m[here], slabs.top_m[here], strict=True)) == [(6, 8), (40, 44)]
+    assert rasters.slabs.lowest_floors(GRID)[cell_of(240, 340)] == 6
+
+
+def test_subcells_hold_the_area_of_a_deck(rasters):
+    of_deck = rasters.slabs.floor_m == 12
+    assert of_deck.sum() * (2.0 / PER_CELL) ** 2 == pytest.approx(DECK.area, rel=0.01)
+
+
+@pytest.mark.parametrize("with_terrain", [False, True])
+def test_a_part_of_a_grid_holds_the_slabs_of_the_whole(with_terrain):
+    whole, part = city(with_terrain=with_terrain), Grid(CRS, 2.0, GRID.first_row + 60, GRID.first_col, 50, 77)
+    large, small = rasterise(whole, GRID), rasterise(whole, part)
+    row, col = large.slabs.row // PER_CELL - part.first_row, large.slabs.col // PER_CELL - part.first_col
+    inside = (row >= 0) & (row < 50) & (col < 77)
+    expected = large.slabs.take(inside)
+    assert len(expected.row) > 1000
+    for name, one, other in zip(expected._fields, expected, small.slabs, strict=True):
+        np.testing.assert_array_equal(one, other, name)
+    np.testing.assert_array_equal(large.roof_m[60:110, :77], small.roof_m)
+
+
+BRIDGES = {  # their tags, from where to where they hang in metres, and whether that is a guess
+    "given": ({"min_height": "6", "height": "7.5"}, (6, 7.5), False),
+    "underside": ({"min_height": "6"}, (6, 7), False),
+    "top": ({"height": "41"}, (40, 41), False),
+    "layer": ({"layer": "2"}, (10, 11), True),
+    "nothing": ({}, (5, 6), True),
+    "upside down": ({"min_height": "9", "height": "7"}, (9, 10), False),
+}
+
+
+def test_decks_of_bridges_hang_by_their_tags_or_by_their_layer(tmp_path):
+    tags, spans_m, guessed = zip(*BRIDGES.values(), strict=True)
+    rows = [{"man_made": "bridge"} | each for each in tags] + [
+        {"building": "yes", "height": "20"},
+        {"man_made": "pier"},
+    ]
+    shapes = [shapely.box(X_M + 40 * i, Y_M, X_M + 40 * i + 30, Y_M + 8) for i in range(len(rows))]
+    path = tmp_path / "city.gpkg"
+    geopandas.GeoDataFrame(rows, geometry=shapes, crs=CRS).to_file(path)
+    assert read_buildings(Buildings(path), CRS).buildings.height_m.tolist() == [20]
+    decks = read_buildings(Buildings(path, hanging=SLABS), CRS).buildings
+    assert list(zip(decks.min_height_m, decks.height_m, strict=True)) == [*spans_m, (0, 20)]
+    assert [origin == HeightOrigin.LAYER for origin in decks.origin] == [*guessed, False]
+    assert decks.is_guessed.tolist() == [*guessed, False]
+
+
+def test_an_osm_file_gives_bridges_only_where_slabs_are_asked(tmp_path):
+    kinds = {"man_made": "bridge", "layer": "1"}, {"man_made": "pier"}, {"building": "yes"}
+    squares = [shapely.box(-74 + i, 40, -74 + i + 1e-3, 40.001).exterior.coords for i in range(3)]
+    path = tmp_path / "city.osm"
+    path.write_text(osm(*(line(1 + i, squares[i], **kinds[i]) for i in range(3))))
+    plain, slabs = read_osm(path), read_osm(path, has_decks=True)
+    assert (len(plain.polygons), len(slabs.polygons)) == (1, 2)
+    for hanging, floors_m in ((SLABS, [0, 5]), (TO_GROUND, [0])):
+        buildings, _, _ = to_buildings(Buildings(path, hanging=hanging), slabs, "EPSG:32618")
+        assert sorted(buildings.min_height_m.tolist()) == floors_m
+
+
+def test_an_outline_stays_as_a_podium_under_hanging_parts_where_no_part_stands(tmp_path):
+    """A tower of 75 m of which a part from 20 m up and one from the ground are mapped: its lobby is no air."""
+    x_m, y_m = X_M + 100, Y_M + 100
+    lobby, standing = shapely.box(x_m, y_m, x_m + 40, y_m + 60), shapely.box(x_m + 40, y_m, x_m + 60, y_m + 60)
+    top, beside = (shapely.box(x, y_m + 10, x + 10, y_m + 20) for x in (x_m + 10, x_m + 200))
+    tower = {
+        shapely.union(lobby, standing): {"building": "yes", "height": "75"},
+        lobby: {"building:part": "yes", "height": "75", "min_height": "20"},
+        top: {"building:part": "yes", "height": "90", "min_height": "75"},
+        standing: {"building:part": "yes", "height": "30"},
+        beside: {"building": "yes", "height": "12"},
+    }
+    path = tmp_path / "city.gpkg"
+    geopandas.GeoDataFrame(list(tower.values()), geometry=list(tower), crs=CRS).to_file(path)
+    for hanging, count in ((SLABS, 1), (TO_GROUND, None)):
+        source = read_buildings(Buildings(path, hanging=hanging), CRS)
+        assert source.read_issues["outlines_replaced_by_parts"] == 1
+        assert source.read_issues.get("outlines_kept_as_podiums") == count
+        extent_m = (X_M, Y_M, X_M + SIDE_M, Y_M + SIDE_M)
+        surface = build_surface(City(CRS, extent_m, source.buildings, hanging=hanging), GRID, GRID)
+        low, high = np.asarray(obstacles_on(surface, [2.0, 60.0]))
+        assert low[50:80, 50:80].all()  # 60 m from 100 m on, in cells of 2 m
+        assert high.sum() == lobby.area / 4
+        words = np.asarray(visibility(surface, np.zeros(1), np.array([0.1]), [2.0]))  # north, through the lobby
+        assert words[0, 0][cell_of(120, 90)] == 0

@@ -1,11 +1,15 @@
-"""Maps on disk: reopened equal, named by the contract, whole or not there."""
+"""Maps, rows and JSON on disk: reopened equal, named by the contract, whole or not there, and damage is said."""
 
 import fcntl
 import itertools
+import json
 import random
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import rasterio
 import xarray as xr
@@ -14,40 +18,24 @@ import zarr
 from jaxurban.errors import InputError
 from jaxurban.io import files, store
 from jaxurban.io.geotiff import missing_geotiffs, write_geotiffs
+from jaxurban.io.tables import RowStore, write_table
 from jaxurban.io.workspace import Workspace
 from tests.faulty_disk import flipped
+from tests.logs import logged
+from tests.made_maps import made_maps
 
 
 @pytest.fixture
 def ds() -> xr.Dataset:
-    rng = np.random.default_rng(0)
-    flown, shape = ("altitude", "y", "x"), (2, 30, 40)
-    ds = xr.Dataset(
-        {
-            "obstacle": (flown, (rng.random(shape) > 0.8).astype(np.uint8)),
-            "gps": (("time", *flown), rng.random((2, *shape), np.float32)),
-            "population": (("time_of_day", "y", "x"), rng.random((2, 30, 40), np.float32)),
-            "num_visible": (("time", *flown), np.ones((2, *shape), np.uint8)),
-            "has_data": (("y", "x"), np.arange(1200).reshape(30, 40) > 0),
-        },
-        coords={
-            "y": 1000.0 + np.arange(30) * 2.5 + 1.25,
-            "x": 500.0 + np.arange(40) * 2.5 + 1.25,
-            "altitude": [20.0, 60.5],
-            "time": np.array(["2020-04-27T16:00:00", "2020-04-27T16:05:00"], "datetime64[ns]"),
-            "time_of_day": np.array(["day", "night"], np.dtypes.StringDType()),
-        },
-        attrs={
-            "crs": "EPSG:32618",
-            "resolution_m": 2.5,
-            "first_row": 400,
-            "first_col": 200,
-            "pop_norm_per_km2": [3.0, 2.0],
-        },
-    )
+    made = made_maps(30, 40, (20.0, 60.5), 2.5).ds.drop_vars("spatial_ref")
+    made["has_data"][0, 0] = False
+    made["gps"] = made["gps"].where(made["obstacle"] == 0).where(made["has_data"])
+    flown = made[["gps", "num_visible"]]
+    later = (0.5 * flown).assign_coords(time=flown.time + np.timedelta64(5, "m"))
+    ds = xr.concat([flown, later], "time").astype({"gps": np.float32, "num_visible": np.uint8})
+    ds = ds.assign(made[["obstacle", "population", "has_data"]]).assign_attrs(made.attrs, pop_norm_per_km2=[3.0, 2.0])
     for name in ("obstacle", "gps", "population"):
         ds[name].attrs.update(units="1", one_means=f"one of {name}")
-    ds["gps"] = ds["gps"].where(ds["obstacle"] == 0).where(ds["has_data"])
     return ds
 
 
@@ -121,13 +109,10 @@ def test_any_flipped_bit_of_the_metadata_is_told_on_opening(ds, tmp_path):
     path = store.write_zarr(ds, tmp_path)
     for file in sorted(path.rglob(".z*")):
         whole = file.read_bytes()
-        for bit in random.Random(0).sample(range(8 * len(whole)), 15):
-            file.write_bytes(flipped(whole, bit))
+        for bit in (*random.Random(0).sample(range(8 * len(whole)), 15), None):
+            file.unlink() if bit is None else file.write_bytes(flipped(whole, bit))
             with pytest.raises(InputError, match=r"\.zmetadata.*not as they were written.*jaxurban maps"):
                 store.open_zarr(tmp_path, None)
-        file.unlink()
-        with pytest.raises(InputError, match=r"\.zmetadata.*not as they were written.*jaxurban maps"):
-            store.open_zarr(tmp_path, None)
         file.write_bytes(whole)
     xr.testing.assert_identical(store.open_zarr(tmp_path, None), ds)
 
@@ -138,8 +123,8 @@ def test_every_missing_or_empty_chunk_is_told_on_opening(ds, tmp_path):
     assert len(chunks) == 2 + 4 + 4 + 2 + 1 + 5  # maps, and coordinates
     for file in chunks:
         whole = file.read_bytes()
-        for damage in (lambda file: file.unlink(), lambda file: file.write_bytes(b""), cut):
-            damage(file)
+        for left in (b"", whole[:-1], None):
+            file.unlink() if left is None else file.write_bytes(left)
             with pytest.raises(InputError, match="is missing or cut: run the same `jaxurban maps`") as told:
                 store.open_zarr(tmp_path, None)
             assert str(file) in str(told.value)
@@ -156,10 +141,6 @@ def test_a_chunk_that_goes_after_opening_reads_as_blocked_or_unknown(ds, tmp_pat
     assert np.isnan(found["gps"].values).all()
     assert not found["has_data"].values.any()
     assert not found["num_visible"].values.any()
-
-
-def cut(file: Path) -> None:
-    file.write_bytes(file.read_bytes()[:-1])
 
 
 def chunks_in(path: Path) -> list[Path]:
@@ -232,3 +213,104 @@ def test_any_part_of_opened_maps_is_that_part_of_all_of_them(ds, tmp_path):
                 key = {"y": rows, "x": cols, **dict.fromkeys(array.dims[:-2], at)}
                 found = maps[name].isel(key).values
                 assert np.array_equal(found, array.isel(key).values, equal_nan=array.dtype.kind == "f")
+
+
+@contextmanager
+def opened(folder):
+    with Workspace.open(folder, "study", is_shared=True, is_mended=True):
+        yield RowStore(folder / "rows.parquet", ("k", "name"), has_parts=True)
+
+
+def saved(store: RowStore) -> pd.DataFrame:
+    store.save({"k": "int64", "name": "object", "value": "float64"})
+    return pd.read_parquet(store.file)
+
+
+def row(k: int, name: str, value: float | None = None) -> dict:
+    return {"k": k, "name": name, "value": value}
+
+
+def test_saving_joins_all_parts_into_one_table_in_order_and_keeps_numbers_bit_for_bit(tmp_path):
+    rows = [row(k, "a", value) for k, value in enumerate((0.1 + 0.2, 1e-300, 2**53 + 1.0, None))]
+    with opened(tmp_path) as store:
+        store.add(rows[2:])
+        store.add(rows[:2])
+        assert len(list((tmp_path / "parts").iterdir())) == 2
+    for _ in range(2):  # as they are in the parts, and in the table
+        with opened(tmp_path) as store:
+            assert saved(store).k.tolist() == [0, 1, 2, 3]
+            assert store.rows == rows
+            assert [(2, name) in store for name in "ab"] == [True, False]
+        assert not (tmp_path / "parts").exists()
+
+
+def other_digit(data: bytes) -> bytes:
+    """A digit of a number becomes another: what no reader of the format can see."""
+    return flipped(data, 8 * (data.index(b"0.25") + 2 if b"0.25" in data else data.index(b"name") - 1))
+
+
+@pytest.mark.parametrize("damage", [other_digit, lambda data: data[: len(data) // 2], lambda data: b""])
+def test_damaged_rows_are_reported_set_aside_and_made_again(tmp_path, damage):
+    with opened(tmp_path) as store:
+        store.add([row(1, "a")])
+        saved(store)
+        store.add([row(2, "b", 0.25)])
+    for file in (tmp_path / "rows.parquet", next((tmp_path / "parts").glob("*.json"))):
+        data = damage(file.read_bytes())
+        file.write_bytes(data)
+        with logged() as warned, opened(tmp_path) as store:
+            assert [each["k"] for each in store.rows] == ([2] if file.suffix == ".parquet" else [])
+        kept = tmp_path / "kept" / file.relative_to(tmp_path)
+        assert warned == [f"{str(file)!r} was changed since `jaxurban study` wrote it: it is kept as {str(kept)!r}"]
+        assert kept.read_bytes() == data
+    with opened(tmp_path) as store:
+        store.add([row(1, "a"), row(2, "b", 0.25)])
+        assert saved(store).k.tolist() == [1, 2]
+
+
+def test_parts_and_damaged_rows_of_the_users_are_kept(tmp_path):
+    theirs = tmp_path / "parts" / f"{32 * 'b'}.json"
+    for k in (1, 2):
+        with opened(tmp_path) as store:
+            store.add([row(k, "a")])
+            theirs.write_text(json.dumps({"rows": [row(3, "c")]}))
+            saved(store)
+        assert list((tmp_path / "parts").iterdir()) == [theirs]
+        (tmp_path / "rows.parquet").write_text(f"edit {k}")
+        with opened(tmp_path) as store:
+            assert store.rows == []
+    assert [path.read_text() for path in sorted((tmp_path / "kept").iterdir())] == ["edit 1", "edit 2"]
+
+
+TABLE = pd.DataFrame({"k": [1, 2], "x_m": [[0.5, 1.5], None], "name": ["a", "b"]})
+RESULTS = {"rows": [{"cost": 0.1 + 0.2, "name": "ä"}], "none": None}
+
+
+@pytest.mark.parametrize(
+    ("write", "read", "sentence"),
+    [
+        (partial(write_table, TABLE), lambda file: RowStore(file, ["k"]), "is damaged, or not a file of such results"),
+        (lambda file: files.write_json(file, RESULTS), files.read_json, "not as it was written"),
+    ],
+)
+def test_any_flipped_bit_of_results_is_told(tmp_path, write, read, sentence):
+    write(file := tmp_path / "a.parquet")
+    read(file)
+    whole = file.read_bytes()
+    flips = (flipped(whole, bit) for bit in random.Random(0).sample(range(8 * len(whole)), 150))
+    for data in (*flips, whole[:-1], whole[:20], b""):
+        file.write_bytes(data)
+        with pytest.raises((InputError, ValueError), match=sentence):
+            read(file)
+
+
+def test_rows_of_other_settings_are_refused_and_settings_are_kept(tmp_path):
+    file = tmp_path / "a.parquet"
+    store = RowStore(file, ["k"], settings={"seed": 3})
+    store.add([{"k": "one", "found": np.arange(3.0).tobytes()}])
+    store.save()
+    assert np.frombuffer(RowStore(file, ["k"], settings={"seed": 3}).get("one")["found"]).tolist() == [0.0, 1.0, 2.0]
+    with pytest.raises(InputError, match=r"of other settings .its seed is 3, and 4 is given now.: pass --overwrite"):
+        RowStore(file, ["k"], settings={"seed": 4})
+    with pytest.raises(InputError, match=r"a\.npz' must end in \.parquet"):
+        RowStore(tmp_path / "a.npz", ["k"])
