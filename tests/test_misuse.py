@@ -1,7 +1,8 @@
 """Python misuse: for each parameter of each public function a wrong type and a wrong value, told by its name.
 
 The functions, their parameters and what is of a wrong type come from the package; a wrong value is in `WRONG`, by the
-parameter's name. A new parameter fails until somebody writes there what a wrong value is, or that there is none.
+parameter's name, or goes by its type. A new parameter of another type fails until somebody writes there what a wrong
+value is, or that there is none.
 """
 
 import functools
@@ -125,20 +126,14 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     (0, "beams azimuths step_s"),
     (-1.0, "HeightStd.height HeightStd.levels HeightStd.default HeightStd.raster"),
     (10**30, "first_row first_col"),
-    (1e300, "altitude_m resolution_m width_m height_m min_altitude_m max_altitude_m level_step_m climb_cost budget_s"),
-    (1e300, "descent_cost reference_length_m reach_m range_m threshold_m snap tolerance default_height_m wrong"),
-    (1e300, "level_height_m mask_deg max_age_days hold_out softness_m antenna_height_m piece_m block_m sky_step_s"),
-    (1e300, "speed_m_s power_w swath_m value gdop_threshold availability_threshold normalise dop_threshold distance"),
-    (1e300, "horizontal_alert_limit_m vertical_alert_limit_m sigma_ura_m sigma_ure_m bias_m p_sat p_const p_const_gps"),
-    (1e300, "phmi_horizontal phmi_vertical pfa_horizontal pfa_vertical p_unmonitored clearance_m tolerance_m"),
-    (1e300, "vertical_clearance_m radius_m max_climb_m_s max_descent_m_s max_turn_deg gamma_commercial"),
-    (1e300, "gamma_residential"),
     (5, "connectivity source"),
     ("EPSG:4326", "crs"),
     ("gps", "require text"),
-    ("none such", "diagonal obstacles backend engine kind nan hanging clocks series quantity Risk.distance cost sense"),
-    ("none such", "outcome time_of_day PlannedPath.save.end MetricMaps.m.name compare_fits.scale fit_weights.scale"),
-    ("none such", "sample_instances.weights"),
+    (
+        "none such",
+        "nan hanging clocks quantity outcome time_of_day PlannedPath.save.end MetricMaps.m.name cost sense kind",
+    ),
+    ("none such", "sample_instances.weights compare_fits.scale fit_weights.scale"),
     (("gps.mask_deg",), "changes"),
     ((-1.0,), "other_pieces_m"),
     ((0.0, 1e-4), "Protection.tolerance_m"),
@@ -157,6 +152,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     (RIGHT, "Study.land_cover FitSettings.state_file"),
 )
 WRONG = {name: value for value, names in WRONG_VALUES for name in names.split()}
+WRONG_BY_TYPE = {"float": 1e300, "Literal": "none such"}  # of all other parameters
 
 
 def public() -> Iterator[tuple[str, Callable[..., Any]]]:
@@ -208,25 +204,22 @@ def test_a_wrong_type_names_the_argument(name, parameter, tmp_path, monkeypatch)
 
 def words_of(parameter: str, value: Any) -> str:
     """Return what a sentence may call an argument: its name, the name in words, or the text that is wrong in it."""
-    texts = [value] if isinstance(value, str) else filter(lambda item: isinstance(item, str), _items(value))
-    return "|".join([parameter, parameter.removesuffix("_m").replace("_", " "), *map(re.escape, texts)])
+    items = value if isinstance(value, list | tuple | dict) else [value]
+    texts = [re.escape(item) for item in items if isinstance(item, str)]
+    return "|".join([parameter, parameter.removesuffix("_m").replace("_", " "), *texts])
 
 
-def _items(value: Any) -> Any:
-    return value if isinstance(value, list | tuple | dict) else ()
+def types_of(name: str, parameter: str) -> set[str]:
+    """Return what a parameter takes; none for a flag, a function or a thing whose own class is tested here."""
+    hint = str(inspect.signature(CALLS[name]).parameters[parameter].annotation).partition("Callable[")[0]
+    return {*re.findall(r"\b(str|int|float|Path|Sequence|Iterable|tuple|Any|Mapping|dict|Literal)\b", hint)}
 
 
-def is_checked_elsewhere(name: str, parameter: str) -> bool:
-    """Return whether a parameter takes nothing but a flag, a function or a thing whose own class is tested here."""
-    hint = str(inspect.signature(CALLS[name]).parameters[parameter].annotation)
-    told = re.sub(r"Callable\[.*", "", hint)
-    return not re.search(r"\b(str|int|float|Path|Sequence|Iterable|tuple|Any|Mapping|dict|Literal)\b", told)
-
-
-@pytest.mark.parametrize(("name", "parameter"), [each for each in PARAMETERS if not is_checked_elsewhere(*each)])
+@pytest.mark.parametrize(("name", "parameter"), [each for each in PARAMETERS if types_of(*each)])
 def test_a_wrong_value_names_the_argument(name, parameter, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    value = WRONG.get(f"{name}.{parameter}", WRONG.get(parameter))
+    of_type = [wrong for kind, wrong in WRONG_BY_TYPE.items() if kind in types_of(name, parameter)]
+    value = WRONG.get(f"{name}.{parameter}", WRONG.get(parameter, *of_type))
     assert value is not None, f"write a wrong value of {name}.{parameter} into WRONG, or RIGHT"
     if value is RIGHT:
         return
@@ -248,11 +241,7 @@ WITHOUT_PEOPLE = ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"]))
         ("plan", {"start": LEFT_OUT}, "start is missing: give it as longitude, latitude or as start_xy_m"),
         ("plan", {"goal": LEFT_OUT}, "goal is missing: give it as"),
         ("plan", {"start_xy_m": (0, 0)}, "start must be given in one way, not both: give it as longitude, latitude or"),
-        (
-            "MetricMaps.m",
-            {"self": WITHOUT_PEOPLE, "time_of_day": "noon"},
-            "noon: these maps hold none, so leave it out",
-        ),
+        ("MetricMaps.m", {"self": WITHOUT_PEOPLE, "time_of_day": "noon"}, "these maps hold none, so leave it out"),
         ("PlannedPath.save", {"file": "a\0.plan"}, r"cannot write 'a\x00.plan': no file's name can hold NUL"),
     ],
 )

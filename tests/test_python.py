@@ -40,21 +40,16 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize(
-    ("what", "words"),
-    [
-        ("path", ("PlannedPath", "status: optimal", "astar-plus", "altitude: 20 m", "gps 0.")),
-        ("paths", ("PlannedPaths", "queries: 3", "optimal 2, bad-input 1", "of 2 paths")),
-    ],
-)
-def test_paths_show_a_few_facts_and_no_arrays(what, words, paths):
-    shown = {"path": paths[0], "paths": paths}[what]
-    text, html = repr(shown), shown._repr_html_()
-    assert all(word in text for word in words)
-    assert len(text) < 250
-    assert "array" not in text
-    assert html.count("<table>") == 1
-    assert html.count("<tr>") == len(shown.facts)
+def test_paths_show_a_few_facts_and_no_arrays(paths):
+    for shown, words in (
+        (paths[0], ("PlannedPath", "status: optimal", "astar-plus", "altitude: 20 m", "gps 0.")),
+        (paths, ("PlannedPaths", "queries: 3", "optimal 2, bad-input 1", "of 2 paths")),
+    ):
+        text, html = repr(shown), shown._repr_html_()
+        assert all(word in text for word in words)
+        assert len(text) < 250
+        assert "array" not in text
+        assert (html.count("<table>"), html.count("<tr>")) == (1, len(shown.facts))
 
 
 UNDER_PLATFORMS = """
@@ -74,14 +69,15 @@ assert before[1] == after[1] == before[0]["JAX_PLATFORMS"] == after[0]["JAX_PLAT
 @pytest.mark.slow
 @pytest.mark.parametrize("platforms", ["bogus", "cuda", "cpu,bogus"])
 def test_platforms_without_a_device_are_one_sentence(platforms, tmp_path):
-    env = {**os.environ, "JAX_PLATFORMS": platforms, "XDG_CACHE_HOME": str(tmp_path)}
-    env |= {"CUDA_VISIBLE_DEVICES": ""}
+    env = os.environ | {"JAX_PLATFORMS": platforms, "XDG_CACHE_HOME": str(tmp_path), "CUDA_VISIBLE_DEVICES": ""}
     done = subprocess.run([sys.executable, "-c", UNDER_PLATFORMS], env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"JAX does not work under JAX_PLATFORMS={platforms}: unset it, or choose another value\n"
 
 
-def test_a_path_saves_itself_in_every_format(paths, tmp_path):
+def test_a_path_keeps_its_weights_by_name_and_saves_itself_in_every_format(paths, tmp_path):
+    weights = json.loads(json.dumps(paths[0].to_dict()))["settings"]["weights"]
+    assert (weights["risk"], weights["gps"]) == (5.0, 1.0)
     files = [tmp_path / f"path{suffix}" for suffix in (".geojson", ".kml", ".plan")]
     assert paths[0].save(*files) == files[0]
     for file in files:
@@ -128,11 +124,6 @@ def test_pictures_take_one_path_several_or_a_batch(paths):
     assert plot_overview(MAPS, paths).axes
     with pytest.raises(InputError, match="paths must be paths from plan"):
         plot_paths(MAPS, [5])
-
-
-def test_a_path_keeps_its_weights_by_name(paths):
-    assert paths[0].settings["weights"]["risk"] == 5.0
-    assert json.loads(json.dumps(paths[0].to_dict()))["settings"]["weights"]["gps"] == 1.0
 
 
 def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
@@ -198,13 +189,7 @@ def test_a_fault_of_a_user_s_function_is_not_laid_to_an_argument():
 
     layers = {"wind": ju.Layer(broken, "high-is-bad", (0, 12))}
     with pytest.raises(TypeError, match="a fault of the user's"):
-        ju.build_maps(
-            ju.demo_city(400, 400),
-            resolution_m=20.0,
-            altitudes_m=(20.0,),
-            layers=layers,
-            population=ju.Population(time_of_day="day"),
-        )
+        ju.build_maps(ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=(20.0,), layers=layers)
 
 
 def test_times_may_be_datetimes_of_any_kind():
@@ -217,12 +202,9 @@ def test_times_may_be_datetimes_of_any_kind():
 
 def test_studies_of_routes_refuse_volumes():
     volume = ju.cost_map(MAPS, ju.Levels())
-    for study in (
-        lambda: ju.studies.sensitivity(volume, START, GOAL),
-        lambda: ju.studies.make_queries(volume, [(START, GOAL)]),
-    ):
+    for study, *given in ((ju.studies.sensitivity, START, GOAL), (ju.studies.make_queries, [(START, GOAL)])):
         with pytest.raises(InputError, match="needs one altitude, not Levels"):
-            study()
+            study(volume, *given)
     path = ju.plan(MAPS, START, GOAL, altitude_m=20.0)
     climbing = dataclasses.replace(path, z_m=path.z_m + np.arange(len(path.z_m)))
     with pytest.raises(InputError, match="path 1: it changes its altitude"):

@@ -114,18 +114,11 @@ def file(tmp_path) -> Path:
     return tmp_path / "town.toml"
 
 
-@pytest.mark.parametrize(
-    ("change", "section", "name", "value"),
-    [
-        ("gps.mask_deg=10", "gps", "mask_deg", 10.0),
-        ("region.altitudes_m=[30, 60]", "region", "altitudes_m", (30.0, 60.0)),
-        ("buildings . level_height_m = 2.5", "buildings", "level_height_m", 2.5),
-        ('planning.cost_model="line"', "planning", "cost_model", "line"),
-        ("weights.risk=2", "weights", "risk", 2.0),
-    ],
-)
-def test_a_value_is_read_as_toml(file, change, section, name, value):
-    assert getattr(getattr(Scenario.from_toml(file, [change]), section), name) == value
+def test_values_are_read_as_toml(file):
+    changes = "gps.mask_deg=10", "region.altitudes_m=[30, 60]", "buildings . level_height_m = 2.5", "weights.risk=2"
+    made = Scenario.from_toml(file, [*changes, 'planning.cost_model="line"'])
+    assert (made.gps.mask_deg, made.region.altitudes_m, made.buildings.level_height_m) == (10.0, (30.0, 60.0), 2.5)
+    assert (made.weights.risk, made.planning.cost_model) == (2.0, "line")
 
 
 def test_a_change_is_as_if_the_file_said_it(file, tmp_path):

@@ -15,7 +15,6 @@ from jaxurban.errors import InputError
 from jaxurban.maps.executors import cluster_client
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.rows import InstanceRuns, MapsFolder, solve_instance, solve_on
-from jaxurban.planners.any_angle import ptp
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Path as Route
 from jaxurban.planners.base import Problem, Status
@@ -246,9 +245,8 @@ def crashing(problem, *, budget_s, seed):
 
 
 def cheating(problem, *, budget_s, seed):
-    found = ptp(problem)
     corners = np.array([[0.0, 0.0], [problem.is_free.shape[1], problem.is_free.shape[0]]]) * problem.resolution_m
-    return Route(Status.FEASIBLE, corners, 1.0, 0.0, 1, found.elapsed_s, "cheating")
+    return Route(Status.FEASIBLE, corners, 1.0, 0.0, 1, 0.0, "cheating")
 
 
 def test_a_planner_that_crashes_or_cheats_is_a_row_and_the_next_one_is_asked(alpha, instances, monkeypatch):
