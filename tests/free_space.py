@@ -13,6 +13,11 @@ def pinched_corners(is_free: np.ndarray) -> np.ndarray:
     return np.argwhere(is_pinched)[:, ::-1] + 1.0
 
 
+def line_of(points_m: np.ndarray) -> LineString:
+    """The line of a path; of one point, a line of no length."""
+    return LineString(points_m if len(points_m) > 1 else np.repeat(points_m, 2, axis=0))
+
+
 class Obstacles:
     """Boxes of the cells that are not free, and all around the map, as Shapely sees them."""
 
@@ -26,11 +31,14 @@ class Obstacles:
 
     def is_pinched(self, points_m: np.ndarray) -> bool:
         """Whether a path runs through a corner at which two obstacles touch that have none beside it."""
-        line = LineString(points_m if len(points_m) > 1 else np.repeat(points_m, 2, axis=0))
-        return len(self._pinches.query(line, "dwithin", self._touch_m)) > 0
+        return len(self._pinches.query(line_of(points_m), "dwithin", self._touch_m)) > 0
+
+    def is_near(self, points_m: np.ndarray, distance_m: float) -> bool:
+        """Whether a path passes nearer than that to an obstacle."""
+        return len(self._tree.query(line_of(points_m), "dwithin", distance_m)) > 0
 
     def crossed_m(self, points_m: np.ndarray) -> float:
-        """Length of a path within obstacles; one point counts as a path of no length."""
-        line = LineString(points_m if len(points_m) > 1 else np.repeat(points_m, 2, axis=0))
+        """Length of a path within obstacles."""
+        line = line_of(points_m)
         near = self._tree.geometries[self._tree.query(line)]
         return float(length(intersection(near, line)).sum()) if len(near) else 0.0

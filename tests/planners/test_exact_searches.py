@@ -268,7 +268,7 @@ MOVINGAI = [
     ("numba", "octile", 1),
     ("numba", None, 1),
     ("numba", "landmarks", 1),
-    ("numba", "exact", 20),
+    ("numba", "exact", 5),
     ("jax", None, 100),
 ]
 

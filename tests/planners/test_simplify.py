@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, label
-from shapely import LineString, box, distance, dwithin, hausdorff_distance, points, prepare, union_all
+from shapely import LineString, box, distance, hausdorff_distance, points, prepare, union_all
 
 from jaxurban.kernels.line.segment_cost import is_clear
 from jaxurban.planners.astar import volume_astar
@@ -19,10 +19,12 @@ from tests.planners.test_portfolio import check_simplified
 SIDE_M = 5.0
 
 
-def closed_squares(is_free, side=1.0, grown=0.0):
-    """The squares of the cells that are not free and of a frame around the map, grown on all sides."""
+def closed_squares(is_free, grown):
+    """The union of the cells that are not free and of a frame around the map, grown on all sides; prepared."""
     rows, cols = np.nonzero(~np.pad(is_free, 1))
-    return box((cols - 1) * side - grown, (rows - 1) * side - grown, cols * side + grown, rows * side + grown)
+    squares = union_all(box(cols - 1 - grown, rows - 1 - grown, cols + grown, rows + grown))
+    prepare(squares)
+    return squares
 
 
 def city(seed, shape=(40, 40), share_free=0.72):
@@ -42,8 +44,7 @@ def test_a_segment_is_clear_where_it_meets_no_grown_square():
         rng = np.random.default_rng(seed)
         is_free = rng.random((9, 12)) < 0.8
         margin = rng.choice([0.004, 0.05, 0.3])
-        squares = union_all(closed_squares(is_free, grown=margin))
-        prepare(squares)
+        squares = closed_squares(is_free, margin)
         for _ in range(300):
             ends = rng.uniform(0, [12, 9], (2, 2))
             if rng.random() < 0.3:
@@ -62,8 +63,7 @@ def test_a_segment_is_clear_where_it_meets_no_grown_square():
 
 def fewest_by_brute_force(is_free, xy, tolerance, margin):
     """Legs and sum of squares of the best way over every pair of points, each leg tested by Shapely."""
-    squares = union_all(closed_squares(is_free, grown=margin))
-    prepare(squares)
+    squares = closed_squares(is_free, margin)
     best = [(0, 0.0)] + [(len(xy), np.inf)] * (len(xy) - 1)
     for j in range(1, len(xy)):
         for i in range(j):
@@ -147,8 +147,7 @@ def test_through_a_volume_each_level_is_simplified_on_its_own_cells(kind):
         for (a, b), level_leg in zip(pairwise(simple.points_m), is_level, strict=True):
             if level_leg:
                 level = int(np.searchsorted(problem.levels_m, a[2]))
-                squares = union_all(closed_squares(problem.is_free[level], SIDE_M))
-                assert not dwithin(squares, LineString([a[:2], b[:2]]), CLEAR_M * (1 - 1e-6))
+                assert not Obstacles(problem.is_free[level], SIDE_M).is_near([a[:2], b[:2]], CLEAR_M * (1 - 1e-6))
         before, after = (
             [(a, b) for a, b in pairwise(found.points_m.tolist()) if a[2] != b[2]] for found in (path, simple)
         )
@@ -176,11 +175,3 @@ def test_a_leg_of_any_direction_costs_on_a_level_what_it_costs_on_one_altitude(k
         if found.is_valid:
             np.testing.assert_allclose(found.mean_costs, expected.mean_costs, rtol=1e-12)
     assert num_valid > 40
-
-
-def test_a_path_that_is_straight_already_stays_as_good_as_it_was():
-    problem = Problem(np.zeros((1, 9, 30)), np.ones((9, 30), bool), (3, 2), (3, 25), SIDE_M, 1.0, CostModel("line"))
-    found = find_planner("theta-star")(problem, budget_s=1.0, seed=0)
-    simple = simplify(problem, found, 1.0)
-    assert (found.status, simple.status) == (Status.OPTIMAL, Status.OPTIMAL)
-    np.testing.assert_array_equal(simple.points_m, found.points_m)
