@@ -61,7 +61,7 @@ def north_up(pixel_m: float, num_rows: int, x_m: float = X, y_m: float = Y) -> A
 
 
 def write_raster(path: Path, values, transform=None, crs=UTM, nodata=None, bands=1, **more) -> Path:
-    """Write values of one band or of each (row 0 in the north) as a GeoTIFF of 10 m pixels at the place, or elsewhere."""
+    """Write one or several bands (row 0 in the north) as a GeoTIFF of 10 m pixels at the place, or elsewhere."""
     values = np.asarray(values)
     transform = transform or north_up(10, values.shape[-2])
     profile = {"driver": "GTiff", "count": bands, "dtype": values.dtype, "crs": crs, "nodata": nodata}

@@ -81,11 +81,6 @@ def test_a_lone_tower_shadows_the_north_more_than_the_south_and_endangers_what_s
         maps.m("gdop", 20.0, time="2021-01-01T00:00:00Z")
 
 
-def test_no_satellite_above_the_mask_is_an_error(city):
-    with pytest.raises(InputError, match="no satellite is above"):
-        ju.build_maps(city, resolution_m=20.0, gps=ju.Gps(mask_deg=89.9))
-
-
 def test_normalised_map_spans_free_cells(maps):
     h = maps.normalised(20.0, time_of_day="day")
     free = maps.is_free(20.0, "centre")
@@ -136,6 +131,7 @@ def test_a_section_or_a_weight_asks_for_a_metric_on_request(name):
     ("sections", "words"),
     [
         ({"protection": {"p_sat": 2}}, r"protection.*p_sat must be a probability"),
+        ({"region": {"bounds": BOUNDS, "engine": "jx"}}, r"region\.engine: .*'auto', 'numba' or 'jax'"),
         (hanging("floating"), r"buildings\.hanging"),
         ({"region": {"bounds": BOUNDS, "oversample": 4}, "gps": {"bounds": True}}, "odd oversample"),
     ],

@@ -38,7 +38,6 @@ from jaxurban.progress import Report
 from jaxurban.world.city import Raster
 from jaxurban.world.sky import Sky
 from tests import tiled_runs
-from tests.cli_runs import run
 from tests.io.made_files import WGS84, write_raster, write_vector
 
 GIB = 2**30
@@ -76,13 +75,6 @@ def test_as_many_tiles_at_a_time_as_fit_and_no_more_are_told_than_there_are(smal
     of_each = memory.PROGRAM_BYTES + memory.WORKER_BYTES
     ceiling = psutil.Process().memory_info().rss + 4 * of_each + 10 * GIB // 4
     assert plan_run([small], ceiling, 16, 4) == 8  # each process works on as many
-
-
-def test_a_job_that_cannot_fit_is_refused_naming_the_knob(small):
-    with pytest.raises(InputError, match="raise --memory"):
-        plan_run([small], GIB // 8, 2)
-    with pytest.raises(InputError, match="fewer --workers"):
-        plan_run([small], 2 * GIB, 64, num_processes=64)
 
 
 def test_as_many_tiles_as_a_gpu_holds_are_worked_on(small, monkeypatch):
@@ -128,16 +120,6 @@ def test_a_region_of_fine_cells_that_cannot_fit_is_refused_before_it_begins(cell
     sentence = r"cells of 0\.\d+ m need about .* GiB of memory at once and 1\.0 GiB are free: "
     with pytest.raises(InputError, match=sentence):
         ju.build_maps(city, grid=grid)
-
-
-def test_the_command_refuses_fine_cells_that_cannot_fit(tmp_path, capsys):
-    (tmp_path / "fine.toml").write_text(
-        '[region]\nbounds = [-73.985, 40.755, -73.979, 40.759]\nresolution_m = 0.1\n[buildings]\nsource = "synthetic"\n'
-    )
-    code, _, err = run(capsys, "maps", tmp_path / "fine.toml", "-o", tmp_path / "out", "--memory", "1GiB")
-    assert code == 2
-    assert re.search(r"needs about [\d.]+ GiB of memory and may take 1\.0 GiB: raise --memory.*range_m", err)
-    assert not (tmp_path / "out" / "run.json").exists()
 
 
 def test_a_containers_limit_counts(tmp_path, monkeypatch):

@@ -12,12 +12,13 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import bands_of, layer_values
 from jaxurban.maps.build import compute_maps, view_sky
-from jaxurban.maps.run import run_scenario, tasks_of
+from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.custom import Layer
 from jaxurban.world.grid import Grid
 from tests import tiled_runs
+from tests.cli_runs import TOWN
 from tests.io.made_files import write_raster
 
 REACH_M = 60.0
@@ -50,7 +51,7 @@ def task(tmp_path_factory):
     layers = {
         "noise": Layer("noise.tif", "high-is-bad", (0.0, 80.0)),
         "wind": Layer("wind.tif", "high-is-bad", (0.0, 25.0), altitudes_m=(60.0, 20.0)),
-        "shade": Layer(rng.random(plain.region.shape), "low-is-bad", (0.0, 1.0)),
+        "shade": Layer(rng.uniform(-0.2, 1.2, plain.region.shape), "low-is-bad", (0.0, 1.0)),
         "walls": Layer(highest_around, "high-is-bad", (0.0, 1000.0), reach_m=REACH_M),
     }
     bands = bands_of(layers, plain.region, plain.params.altitudes_m, folder)
@@ -67,11 +68,13 @@ def test_tiles_of_own_layers_equal_the_untiled_maps_bit_for_bit(task, tmp_path):
     tiled_runs.check_tiles(task, tmp_path)
 
 
-def test_layers_are_scaled_by_fixed_numbers_and_bands_go_by_altitude(task, maps):
+def test_layers_are_scaled_by_fixed_numbers_and_cut_and_bands_go_by_altitude(task, maps):
     assert tuple(maps.metrics) == ("gps", "lidar", "population", "risk", "noise", "shade", "walls", "wind")
-    m, values = maps.m("shade", 20.0), task.layers["shade"].source
+    m, values = maps.m("shade", 20.0), np.clip(task.layers["shade"].source, 0, 1)
     np.testing.assert_allclose(m, values, rtol=1e-6)
     np.testing.assert_allclose(maps.costs(20.0)["shade"], 1 - values, atol=1e-6)
+    np.testing.assert_array_equal(maps.costs(20.0)["noise"], maps.m("noise"))
+    assert maps.ds["noise"].dims == ("y", "x")
     assert not np.array_equal(maps.m("wind", 20.0), maps.m("wind", 60.0))
     low, high = maps.m("walls", 20.0), maps.m("walls", 60.0)
     np.testing.assert_allclose(high - low, 0.1 * 40 / 1000, atol=1e-6)
@@ -156,15 +159,11 @@ def test_masked_and_infinite_values_are_no_values(is_masked):
 
 @pytest.mark.slow
 def test_a_scenario_names_a_raster_layer(tmp_path):
-    region = {"bounds": [-74.0, 40.755, -73.993, 40.761], "resolution_m": 20, "altitudes_m": [20]}
-    layers = {"noise": {"source": "noise.tif", "cost": "high-is-bad", "scale": [0, 80]}}
-    settings = {"region": region, "buildings": {"source": "synthetic"}, "layers": layers}
-    (tmp_path / "scenario.toml").write_text(Scenario.from_dict(settings).to_toml())
+    noise = '[layers.noise]\nsource = "noise.tif"\ncost = "high-is-bad"\nscale = [0, 80]\n'
+    (tmp_path / "scenario.toml").write_text(TOWN + noise)
     scenario = Scenario.from_toml(tmp_path / "scenario.toml")
-    grid = ju.Grid.from_bounds(scenario.region.bounds, 20.0, None)
+    grid = Grid.from_bounds(scenario.region.bounds, 20.0, None)
     write_layer(tmp_path / "noise.tif", grid, np.full((40, 40), 20.0))
-    (task,) = tasks_of(scenario)
-    assert task.params.sections["risk"] == scenario.risk
     run = run_scenario(scenario, tmp_path / "out")
     np.testing.assert_allclose(run.maps[20.0].m("noise"), 0.25)
     assert run.record["inputs"]["layer_noise"]["path"] == "noise.tif"

@@ -121,7 +121,7 @@ def test_it_maps_over_sixteen_skies_thresholds_gammas_heights_and_weights(inputs
         return jax.vmap(lambda value: all_maps(replace(inputs, **change(value)), sky))(jnp.asarray(values))
 
     def with_leaf(metric, name):
-        return lambda value: {"settings": given | {metric: replace_leaf(given[metric], name, value)}}
+        return lambda value: {"settings": given | {metric: replace(given[metric], **{name: value})}}
 
     some = over([5.0, 20.0], with_leaf("gps", "gdop_threshold"))["gps"]
     np.testing.assert_array_equal(some[1], plain["gps"])
@@ -136,12 +136,6 @@ def test_it_maps_over_sixteen_skies_thresholds_gammas_heights_and_weights(inputs
     costs = jax.vmap(lambda risk: all_maps(inputs, sky, ju.Weights(risk=risk))["cost"])(jnp.asarray([1.0, 3.0]))
     more = np.broadcast_to(2 * (1 - plain["risk"])[:, None], costs[0].shape)
     np.testing.assert_allclose(costs[1] - costs[0], more, atol=1e-5)
-
-
-def replace_leaf(params, name, value):
-    """A settings object with a traced leaf."""
-    leaves, tree = jax.tree_util.tree_flatten_with_path(params)
-    return jax.tree_util.tree_unflatten(tree, [value if path[0].name == name else leaf for path, leaf in leaves])
 
 
 @pytest.mark.slow

@@ -47,17 +47,12 @@ def scene(city) -> CityScene:
     return CityScene(city.buildings.polygons, city.buildings.height_m)
 
 
-@pytest.fixture(scope="module")
-def angles_at(data_dir):
-    """Azimuths and elevations at a time."""
-
-    def angles(time: str) -> tuple[np.ndarray, np.ndarray]:
-        orbits, convergence_rad = data_dir / "gps" / "gps-ops_2020-04-27.tle", region_of().convergence_rad(*REFERENCE)
-        sky = look_angles(read_orbits(orbits), [time], *REFERENCE, convergence_rad=convergence_rad).under(5.0)
-        assert sky.elevation_rad.min() < math.radians(8.5 if time == EARLY else 18)
-        return sky.azimuth_rad[0], sky.elevation_rad[0]
-
-    return angles
+def angles_at(data_dir, time: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return azimuths and elevations at a time."""
+    orbits, convergence_rad = data_dir / "gps" / "gps-ops_2020-04-27.tle", region_of().convergence_rad(*REFERENCE)
+    sky = look_angles(read_orbits(orbits), [time], *REFERENCE, convergence_rad=convergence_rad).under(5.0)
+    assert sky.elevation_rad.min() < math.radians(8.5 if time == EARLY else 18)
+    return sky.azimuth_rad[0], sky.elevation_rad[0]
 
 
 def receivers(surface: Surface, altitude_m: float, num: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -76,8 +71,8 @@ def check_shares(is_seen: np.ndarray, is_clear: np.ndarray, bars, k: int) -> Non
 
 
 @pytest.mark.parametrize(("resolution_m", "bars"), [(5.0, BARS_5M), pytest.param(2.0, BARS_2M, marks=pytest.mark.slow)])
-def test_visibility_agrees_with_embree(city, scene, angles_at, resolution_m, bars):
-    angles, region = angles_at(LATE), region_of(resolution_m)
+def test_visibility_agrees_with_embree(city, scene, data_dir, resolution_m, bars):
+    angles, region = angles_at(data_dir, LATE), region_of(resolution_m)
     margins_m = shadow_reach_m(*angles, city.buildings.height_m.max(), 20.0, resolution_m)
     grid = region.padded(*(math.ceil(min(margin, 2000) / resolution_m) for margin in margins_m))  # no data beyond
     surface = build_surface(city, region, grid)
@@ -110,8 +105,8 @@ def metric_of(is_seen: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_plain_and_oversampled_answers_and_bounds_hold_against_embree(city, scene, angles_at):
-    region, angles = region_of(), angles_at(EARLY)
+def test_plain_and_oversampled_answers_and_bounds_hold_against_embree(city, scene, data_dir):
+    region, angles = region_of(), angles_at(data_dir, EARLY)
     outer, directions = region.padded(200, 220, 240, 160), unit_vectors(*angles)
     surface = build_surface(city, region, outer)
     finer = city, region.refined(OVERSAMPLE), outer.refined(OVERSAMPLE)
@@ -128,10 +123,8 @@ def test_plain_and_oversampled_answers_and_bounds_hold_against_embree(city, scen
         row, col, start_m = receivers(surface, altitude_m, 4000)
         is_clear = scene.sees(start_m, directions)
         of = {name: values[:, k, row, col] for name, values in words.items()}
-        m, exact_m = (
-            {name: metric_of(values, directions) for name, values in of.items()},
-            metric_of(is_clear, directions),
-        )
+        m = {name: metric_of(values, directions) for name, values in of.items()}
+        exact_m = metric_of(is_clear, directions)
         check_shares(of["plain"], is_clear, BARS_5M, k)
         assert (of["fine"] == is_clear).mean() >= max(AGREEMENT[k], (of["plain"] == is_clear).mean())
         assert (np.abs(m["fine"] - exact_m) <= 0.02).mean() >= WITHIN[k]

@@ -19,9 +19,8 @@ REGION = GRID.padded(-10, -10, -10, -10)  # a margin of 50 m
 ALTITUDES_M = [20.0, 60.0, 122.0]
 
 
-def random_roof() -> np.ndarray:
-    rng = np.random.default_rng(0)
-    return np.where(rng.random(GRID.shape) < 0.03, rng.uniform(3, 130, GRID.shape), 0).astype(np.float32)
+RNG = np.random.default_rng(0)
+SCATTERED_M = np.where(RNG.random(GRID.shape) < 0.03, RNG.uniform(3, 130, GRID.shape), 0).astype(np.float32)
 
 
 def solid_by_brute_force(roof_m, terrain_m, altitude_m, threshold_m):
@@ -36,10 +35,9 @@ def solid_by_brute_force(roof_m, terrain_m, altitude_m, threshold_m):
 
 @pytest.mark.parametrize(("distance", "relief_m"), [("slice", 0.0), ("slice", 50.0), ("solid", 0.0), ("solid", 40.0)])
 def test_the_slice_is_scipys_distance_transform_over_any_terrain_and_the_solid_that_of_brute_force(distance, relief_m):
-    roof_m, ground_m = random_roof(), np.random.default_rng(1).uniform(0, relief_m, GRID.shape)
+    roof_m, ground_m = SCATTERED_M, np.random.default_rng(1).uniform(0, relief_m, GRID.shape)
     surface = surface_on(roof_m, GRID, REGION, ground_m if relief_m else None)
     m = compute_risk(surface, ALTITUDES_M, Risk(distance=distance))
-    assert m.shape == (3, *REGION.shape)
     assert m.dtype == jnp.float32
     for altitude_m, got in zip(ALTITUDES_M, m, strict=True):
         if distance == "slice":
@@ -54,30 +52,25 @@ LIDAR = Lidar(azimuths=60)
 MARGIN = 20  # cells of 5 m in a range of 100 m
 
 
-def random_blocks(seed: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    blocks = np.kron(rng.gamma(1.0, 20.0, (22, 24)) * (rng.random((22, 24)) < 0.3), np.ones((5, 5)))
-    return blocks.astype(np.float32)
+BLOCKS = RNG.gamma(1.0, 20.0, (22, 24)) * (RNG.random((22, 24)) < 0.3)
+BLOCKS_M = np.kron(BLOCKS, np.ones((5, 5))).astype(np.float32)
 
 
 def test_lidar_is_a_share_zero_inside_obstacles_and_above_every_reach():
-    roof_m = random_blocks()
     region = WIDE.padded(*4 * [-MARGIN])
-    m = np.asarray(compute_lidar(surface_on(roof_m, WIDE, region), [20.0, 60.0, 600.0], LIDAR))
-    assert m.shape == (3, *region.shape)
+    m = np.asarray(compute_lidar(surface_on(BLOCKS_M, WIDE, region), [20.0, 60.0, 600.0], LIDAR))
     assert m.dtype == np.float32
     assert m.min() == 0
     assert 0.5 < m.max() <= 1
-    assert (m[0][roof_m[MARGIN:-MARGIN, MARGIN:-MARGIN] >= 20] == 0).all()
+    assert (m[0][BLOCKS_M[MARGIN:-MARGIN, MARGIN:-MARGIN] >= 20] == 0).all()
     assert (m[2] == 0).all()
     np.testing.assert_allclose(m * 60, np.round(m * 60), atol=1e-4)
 
 
 def test_nothing_stands_beyond_the_surface():
-    roof_m = random_blocks()
     padded = WIDE.padded(30, 30, 30, 30)
-    alone = compute_lidar(surface_on(roof_m, WIDE, WIDE), [20.0], LIDAR)
-    among_nothing = compute_lidar(surface_on(np.pad(roof_m, 30), padded, WIDE), [20.0], LIDAR)
+    alone = compute_lidar(surface_on(BLOCKS_M, WIDE, WIDE), [20.0], LIDAR)
+    among_nothing = compute_lidar(surface_on(np.pad(BLOCKS_M, 30), padded, WIDE), [20.0], LIDAR)
     np.testing.assert_array_equal(alone, among_nothing)
 
 
