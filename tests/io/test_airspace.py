@@ -131,36 +131,27 @@ def test_heights_are_metres_above_ground_and_else_close_every_altitude_and_say_s
     assert heights(read) == expected
 
 
-def placemark(name, height_m=0, tags="", data="", east=0.0, hole=""):
-    corners = " ".join(f"{lon + east},{lat},{height_m}" for lon, lat in RING)
-    ring = "<{0}BoundaryIs><LinearRing><coordinates>{1}</coordinates></LinearRing></{0}BoundaryIs>"
-    extra = "".join(f'<Data name="{key}"><value>{value}</value></Data>' for key, value in dict(data).items())
-    return (
-        f"<Placemark><name>{name}</name><ExtendedData>{extra}</ExtendedData><Polygon>{tags}"
-        f"{ring.format('outer', corners)}{ring.format('inner', hole) if hole else ''}</Polygon></Placemark>"
-    )
+def placemark(name, *rings, data="", tags=""):
+    drawn = ""
+    for kind, ring in zip(("outer", "inner"), rings, strict=False):
+        corners = " ".join(f"{lon},{lat},120" for lon, lat in ring)
+        drawn += f"<{kind}BoundaryIs><LinearRing><coordinates>{corners}</coordinates></LinearRing></{kind}BoundaryIs>"
+    about = f"<name>{name}</name><ExtendedData>{data}</ExtendedData>"
+    return f"<Placemark>{about}<Polygon>{tags}{drawn}</Polygon></Placemark>"
 
 
-def read_kml(tmp_path, *placemarks):
+def test_kml_is_read_with_all_its_folders_holes_and_data_but_for_the_heights_of_its_corners(tmp_path):
+    hole = [(LON, LAT), (LON + 0.0002, LAT), (LON, LAT + 0.0002), (LON, LAT)]
+    data = '<Data name="floor_m"><value>30</value></Data><Data name="ceiling_m"><value>80</value></Data>'
+    inner = f"<Folder><name>in</name>{placemark('second', RING, data=data)}</Folder>"
+    third = placemark("third", RING, tags="<extrude>1</extrude><altitudeMode>relativeToGround</altitudeMode>")
+    document = f"{placemark('first', RING, hole)}<Folder><name>out</name>{inner}</Folder>{third}"
     head = '<?xml version="1.0"?><kml xmlns="http://www.opengis.net/kml/2.2"><Document>'
-    (tmp_path / "a.kml").write_text(head + "".join(placemarks) + "</Document></kml>")
-    return read_zones(tmp_path / "a.kml")
-
-
-def test_kml_is_read_with_all_its_folders_holes_and_data(tmp_path):
-    hole = " ".join(f"{LON + x},{LAT + y},0" for x, y in [(0, 0), (0.0002, 0), (0, 0.0002), (0, 0)])
-    second = placemark("second", data={"floor_m": 30, "ceiling_m": "80"}, east=0.002)
-    inner = f"<Folder><name>out</name><Folder><name>in</name>{second}</Folder></Folder>"
-    first, second = read_kml(tmp_path, placemark("first", hole=hole), inner)
-    assert (first.name, *heights(first), len(first.polygon.interiors)) == ("first", *INFINITE, 1)
-    assert (second.name, *heights(second)) == ("second", 30.0, 80.0)
-
-
-def test_heights_of_the_corners_of_kml_are_not_read_and_close_every_altitude(tmp_path):
-    tags = "<extrude>1</extrude><altitudeMode>relativeToGround</altitudeMode>"
+    (tmp_path / "a.kml").write_text(f"{head}{document}</Document></kml>")
     with pytest.warns(IgnoredZoneWarning, match=r"'altitudeMode' of 'a.kml' not read.*is closed at all altitudes"):
-        (read,) = read_kml(tmp_path, placemark("A", 120, tags))
-    assert heights(read) == INFINITE
+        read = {each.name: each for each in read_zones(tmp_path / "a.kml")}
+    assert [heights(read[name]) for name in ("first", "second", "third")] == [INFINITE, (30.0, 80.0), INFINITE]
+    assert len(read["first"].polygon.interiors) == 1
 
 
 def test_what_is_no_polygon_closes_nothing_and_is_told(file):
@@ -256,19 +247,13 @@ def test_a_zone_across_the_antimeridian_is_closed_on_both_sides_of_it(file, name
 
 
 @pytest.mark.parametrize("wrapper", ["features", "UASZoneList"])
-def test_a_zone_of_ed269_is_read_with_its_outline_hole_and_limits(file, wrapper):
+def test_a_zone_of_ed269_is_read_with_its_outline_hole_and_limits_and_one_of_two_volumes_is_two(file, wrapper):
     hole = [[LON, LAT], [LON + 0.0002, LAT], [LON, LAT + 0.0002]]
-    (read,) = read_zones(ed269(file, zone(polygon(RING, hole, **agl(10, 120))), wrapper=wrapper))
-    assert (read.name, read.source, read.crs, read.start, read.end) == ("Findel", "a.geojson", WGS84, None, None)
-    assert heights(read) == (10.0, 120.0)
-    assert read.polygon.equals(shapely.Polygon(RING, [hole]))
-
-
-def test_feet_are_feet_and_a_zone_of_two_volumes_is_two(file):
-    low, high = polygon(**agl(0, 100), uomDimensions="FT"), circle(500, **agl(50, None))
-    first, second = read_zones(ed269(file, zone(low, high)))
-    np.testing.assert_allclose(heights(first), (0.0, 30.48))
-    assert heights(second) == (50.0, np.inf)
+    volumes = polygon(RING, hole, **agl(10, 120)), circle(500, uomDimensions="FT", **agl(100, None))
+    first, second = read_zones(ed269(file, zone(*volumes), wrapper=wrapper))
+    assert (first.name, first.source, first.crs, first.start, first.end) == ("Findel", "a.geojson", WGS84, None, None)
+    assert first.polygon.equals(shapely.Polygon(RING, [hole]))
+    assert (heights(first), heights(second)) == ((10.0, 120.0), (pytest.approx(30.48), np.inf))
 
 
 @pytest.mark.parametrize(

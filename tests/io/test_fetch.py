@@ -23,6 +23,7 @@ from jaxurban.settings import Buildings
 from tests.cli_runs import assert_one_sentence, run
 from tests.io.made_files import node, osm, way
 from tests.misbehaving_server import send
+from tests.tiled_runs import files_of
 
 BOUNDS = (-74.010, 40.710, -74.008, 40.7115)
 REGION = ",".join(map(str, BOUNDS))
@@ -98,10 +99,6 @@ def cached(tmp_path):
     return [path for path in (tmp_path / "cache").rglob("*") if path.is_file() and "fetch" in path.parts]
 
 
-def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
-
-
 def test_what_is_fetched_makes_maps(server, tmp_path, capsys):
     folder = tmp_path / "town"
     code, out, err = fetch(capsys, server, folder, "--json")
@@ -116,7 +113,7 @@ def test_what_is_fetched_makes_maps(server, tmp_path, capsys):
     assert server.paths() == [f"/{name}" for name in SOURCES]
     assert fetch(capsys, server, tmp_path / "again")[0] == 0
     assert len(server.asked) == 4  # the copies are fresh
-    assert contents(folder) == contents(tmp_path / "again")
+    assert files_of(folder) == files_of(tmp_path / "again")
     assert "OpenStreetMap contributors" in (folder / "scenario.toml").read_text(encoding="utf-8")
     moved = folder.rename(tmp_path / "moved")  # paths are relative
     made = run_scenario(Scenario.from_toml(moved / "scenario.toml"), tmp_path / "out")
@@ -152,7 +149,7 @@ def test_files_of_ones_own_are_not_replaced_unless_asked(server, tmp_path, capsy
     folder.mkdir()
     (folder / name).write_text("mine")
     code, out, err = fetch(capsys, server, folder)
-    assert (code, out, server.asked, contents(folder)) == (2, "", [], {name: b"mine"})
+    assert (code, out, server.asked, files_of(folder)) == (2, "", [], {name: b"mine"})
     assert_one_sentence(err, name, "--overwrite", "-o")
     assert fetch(capsys, server, folder, "--overwrite")[0] == 0
     assert (folder / "kept" / name).read_text() == "mine"
@@ -175,13 +172,13 @@ def test_what_an_earlier_fetch_wrote_is_replaced_unless_somebody_changed_it(serv
 
 def test_a_run_that_fails_leaves_the_folder_as_it_was(server, tmp_path, capsys):
     fetch(capsys, server, tmp_path / "a")
-    before = contents(tmp_path / "a")
+    before = files_of(tmp_path / "a")
     server.put("/census", send(blocks_geojson(3)))
     server.put("/orbits", send(WEB_PAGE))
     places = ("--source", f"census={server.url}/census?new", "--source", f"orbits={server.url}/orbits?new")
     assert fetch(capsys, server, tmp_path / "a", "--overwrite", *places)[0] == 2
     assert "/census?new" in [path for path, _ in server.asked]
-    assert contents(tmp_path / "a") == before
+    assert files_of(tmp_path / "a") == before
 
 
 def test_old_element_sets_serve_their_own_date_only(server, tmp_path, capsys):

@@ -251,12 +251,10 @@ TAGS = {"metric": "gps", "credit": "© those who measured it"}
 
 
 def map_of(shape: tuple[int, int], dtype: type) -> np.ndarray:
-    rng = np.random.default_rng(1)
+    values = np.random.default_rng(1).random(shape, np.float32)
     if dtype == np.uint8:
-        return rng.choice(np.array([0, 1, 255], np.uint8), shape)
-    values = rng.random(shape, np.float32)
-    values[rng.random(shape) < 0.2] = np.nan
-    return values
+        return np.array([0, 1, 255], np.uint8)[(3 * values).astype(int)]
+    return np.where(values < 0.2, np.nan, values)
 
 
 def write(path, values: np.ndarray, is_averaged: bool, num_rows: int = BLOCK) -> None:

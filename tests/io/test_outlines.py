@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.heights import estimate_heights, is_given, parse_count, parse_length_m
+from jaxurban.io.read.heights import is_given, parse_count, parse_length_m
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.outlines import Outlines, to_buildings
 from jaxurban.settings import Buildings
@@ -43,50 +43,6 @@ def test_levels_are_bare_numbers():
     assert all(math.isnan(parse_count(text)) for text in ("5 m", "5'", "3-4", "-1", "many"))
 
 
-def estimate(tags):
-    tags = {name: np.array(values, object) for name, values in tags.items()}
-    nothing, issues = np.full(len(next(iter(tags.values()))), None, object), {}
-    heights = estimate_heights(tags, nothing, nothing, Buildings("city.osm"), issues)
-    return heights, {name: count for name, count in issues.items() if count}
-
-
-@pytest.mark.parametrize(
-    ("tags", "height_m", "issues"),
-    [
-        ({"height": []}, [], {}),
-        ({"height": ["828"]}, [828], {}),  # of the highest known building
-        *(
-            ({"height": [bad], "levels": ["4"]}, [12], {"heights_unusable": 1})
-            for bad in ("0", "-3", "tall", "1001", "9999 ft", 0, -1.0, 5000.0)
-        ),
-        *(({"levels": [bad]}, [10], {"levels_unusable": 1}) for bad in ("0", "-1", "some", "400")),
-        (
-            {"levels": ["4", "0", None, "4"], "roof_levels": ["1", "1", "2", "?"]},
-            [15, 3, 10, 12],
-            {"levels_unusable": 1},
-        ),
-        ({"height": [12, np.float32(7.5), None, math.nan, "  ", [3]]}, [12, 7.5, *[10] * 4], {"heights_unusable": 1}),
-    ],
-)
-def test_what_cannot_be_used_falls_to_levels_or_the_default_and_is_counted(tags, height_m, issues):
-    heights, found = estimate(tags)
-    np.testing.assert_allclose(heights.height_m, height_m)
-    assert found == issues
-
-
-def test_height_wins_over_levels_and_levels_over_the_default():
-    heights, issues = estimate({"height": ["20", None, None], "levels": ["3", "3", None]})
-    np.testing.assert_allclose(heights.height_m, [20, 9, 10])
-    assert heights.origin.tolist() == [HeightOrigin.HEIGHT, HeightOrigin.LEVELS, HeightOrigin.DEFAULT]
-    assert (heights.origin.dtype, issues) == (np.uint8, {})
-
-
-def test_undersides_come_from_min_height_then_min_level_then_the_ground():
-    heights, issues = estimate({"min_height": ["5", "x", None, "0"], "min_level": ["1", "2", "2", None]})
-    np.testing.assert_allclose(heights.min_height_m, [5, 6, 6, 0])
-    assert issues == {"min_heights_unusable": 1}
-
-
 def stand(polygons, boxes=(), crs=UTM, **columns):
     """Return the buildings of outlines, the declared boxes, and what was counted beside the reader's own count."""
     tags = {name: np.array(values, object) for name, values in columns.items()}
@@ -105,6 +61,30 @@ def over(*parts, height="50", part_height="30", **columns):
 
 def on_one_square(num, **columns):
     return {"polygons": [box(0, 0, 1, 1)] * num} | columns
+
+
+@pytest.mark.parametrize(
+    ("tags", "height_m", "issues"),
+    [
+        ({"height": ["20", None, None], "levels": ["3", "3", None]}, [20, 9, 10], {}),
+        ({"height": ["828"]}, [828], {}),  # of the highest known building
+        *(
+            ({"height": [bad], "levels": ["4"]}, [12], {"heights_unusable": 1})
+            for bad in ("0", "-3", "tall", "1001", "9999 ft", 0, -1.0, 5000.0)
+        ),
+        *(({"levels": [bad]}, [10], {"levels_unusable": 1}) for bad in ("0", "-1", "some", "400")),
+        (
+            {"levels": ["4", "0", None, "4"], "roof_levels": ["1", "1", "2", "?"]},
+            [15, 3, 10, 12],
+            {"levels_unusable": 1},
+        ),
+        ({"height": [12, np.float32(7.5), None, math.nan, "  ", [3]]}, [12, 7.5, *[10] * 4], {"heights_unusable": 1}),
+    ],
+)
+def test_what_cannot_be_used_falls_to_levels_or_the_default_and_is_counted(tags, height_m, issues):
+    buildings, _, found = stand(**on_one_square(len(height_m), **tags))
+    np.testing.assert_allclose(buildings.height_m, height_m)
+    assert found == issues
 
 
 WHOLE, WEST, EAST = box(0, 0, 10, 10), box(0, 0, 5, 10), box(5, 0, 10, 10)
@@ -165,6 +145,10 @@ def test_the_height_that_a_part_takes_from_its_outline_has_its_origin():
         (over(WHOLE, min_height=[None, "12"]), [12], [30], REPLACED | {"parts_hanging": 1}),
         # An estimated roof is raised above its underside; an underside above a tagged roof is a fault.
         (on_one_square(2, levels=[None, "2"], min_height=["18", "20"]), [18, 20], [28, 26], {"parts_hanging": 2}),
+        (
+            on_one_square(4, min_height=["5", "x", None, "0"], min_level=["1", "2", "2", None]),
+            *([5, 6, 6, 0], [10] * 4, {"min_heights_unusable": 1, "parts_hanging": 3}),
+        ),
         (on_one_square(2, height=["5", "5"], min_height=["5", "9"]), [0, 0], [5, 5], {"min_heights_above_roof": 2}),
     ],
 )

@@ -14,7 +14,6 @@ import numpy as np
 import pyproj
 import pytest
 
-from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import open_maps
 from jaxurban.viewer.html import html_page, part, policy_of
 from jaxurban.viewer.server import MOST_BODY
@@ -96,6 +95,7 @@ def hostile(port: int) -> list[tuple[str, str, bytes, dict]]:
     cell = {"at": [0, 0, 0], "row": 0, "col": 0}
     asked = [("tile", ASKED), ("plan", PLAN | {"planner": "astar-plus"}), ("values", cell)]
     wrong = [(name, given | {key: value}) for name, given in asked for key in given for value in odd]
+    wrong += [("tile", ASKED | each) for each in ({"stride": 0}, {"stride": 3}, {"row": 1}, {"col": 1})]
     zones = ["x", "[]", '{"features":1}', '{"features":[{}]}', "{" * 999, '{"type":"FeatureCollection","features":[]}']
     rings = [[[0, 0], [1, 1]], [[0, 0]], [], [["a", "b"]], [[1e9, 0], [0, 1], [1, 1]], [[0, 0, 0, 0]] * 4, None]
     shapes = [{"type": "Polygon", "coordinates": [ring]} for ring in rings]
@@ -215,12 +215,6 @@ def test_the_last_stride_is_one_tile():
     assert strides_of((256, 256)) == [1]
     assert strides_of((257, 10)) == [1, 2]
     assert len(middles(700, strides_of(VALUES.shape)[-1])) <= TILE
-
-
-@pytest.mark.parametrize("place", [(3, 0, 0), (1, -1, 0), (1, 3, 0), (1, 0, 99), (0, 0, 0)])
-def test_a_tile_that_is_not_there_is_refused(place):
-    with pytest.raises(InputError):
-        tile_bytes(VALUES, *place)
 
 
 def test_what_is_kept_stays_below_its_bound():
