@@ -46,11 +46,8 @@ def write_vector(path: Path, shapes, crs=UTM, to=None, **columns) -> Path:
 
 def write_features(path: Path, *features, **more) -> Path:
     """Write pairs of a shape (of Shapely or of JSON) and its properties as GeoJSON, also what no library would."""
-    shapes = [getattr(shape, "__geo_interface__", shape) for shape, _ in features]
-    listed = [
-        {"type": "Feature", "properties": about, "geometry": shape}
-        for shape, (_, about) in zip(shapes, features, strict=True)
-    ]
+    pairs = [(getattr(shape, "__geo_interface__", shape), about) for shape, about in features]
+    listed = [{"type": "Feature", "properties": about, "geometry": shape} for shape, about in pairs]
     path.write_text(json.dumps({"type": "FeatureCollection", "features": listed} | more))
     return path
 

@@ -124,6 +124,10 @@ def test_every_format_in_every_crs_gives_the_same_building(tmp_path, suffix, crs
     assert source.area.bounds == pytest.approx(expected.bounds, abs=0.01)
 
 
+ONE_MEANING = {"levels": ["2", "2", None], "building:levels": ["3", None, None], "height": [None, None, "-1"]}
+KINDS = {"building": ["yes", None, None], "building:part": [None, "yes", None], "height": ["9", "8", "7"]}
+
+
 @pytest.mark.parametrize(
     ("columns", "height_m", "issues"),
     [
@@ -137,16 +141,8 @@ def test_every_format_in_every_crs_gives_the_same_building(tmp_path, suffix, crs
         ({"roof:height": ["4"]}, [10.0], {}),  # the height of the roof alone
         ({"heightroof": [4]}, [10.0], {}),  # New York's, in feet
         ({"height": [5.0, 6.0, 7.0], "is_underground": [True, False, None]}, [6, 7], {"underground": 1}),
-        (
-            {"levels": ["2", "2", None], "building:levels": ["3", None, None], "height": [None, None, "-1"]},
-            [9, 6, 10],  # of one meaning: they fill each other's gaps
-            {"heights_unusable": 1},
-        ),
-        (
-            {"building": ["yes", None, None], "building:part": [None, "yes", None], "height": ["9", "8", "7"]},
-            [8],
-            {"outlines_replaced_by_parts": 1, "not_buildings": 1},
-        ),
+        (ONE_MEANING, [9, 6, 10], {"heights_unusable": 1}),  # they fill each other's gaps
+        (KINDS, [8], {"outlines_replaced_by_parts": 1, "not_buildings": 1}),
     ],
 )
 def test_common_columns_are_understood(tmp_path, columns, height_m, issues):

@@ -4,8 +4,8 @@ import itertools
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
-import geopandas
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 from affine import Affine
@@ -23,7 +23,7 @@ from jaxurban.world.city import SLABS, TO_GROUND, City, HeightOrigin
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import PER_CELL, obstacles_on
 from tests.hanging_city import CRS, DECK, SIDE_M, X_M, Y_M, city
-from tests.io.made_files import line, osm
+from tests.io.made_files import line, osm, write_vector
 
 OUTER = (900_000, 110_000, 40, 40)  # first row and column, rows, columns
 BORDERS = Grid(CRS, 1.0, 0, 0, 40, 40)
@@ -181,9 +181,7 @@ def test_empty_and_missing_polygons_and_those_elsewhere_leave_the_fill():
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_every_roof_of_lower_manhattan_lies_in_the_cells_that_gdal_gives_it_and_in_all_that_it_shares_area_with(
-    data_dir,
-):
+def test_every_roof_of_lower_manhattan_lies_in_the_cells_of_gdal_and_in_all_that_it_shares_area_with(data_dir):
     found = read_buildings(Buildings(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings
     for resolution_m in (5.0, 2.0, 5 / 3):
         grid = Grid.from_bounds((-74.02, 40.70, -73.98, 40.73), resolution_m, CRS)
@@ -272,13 +270,9 @@ BRIDGES = {  # their tags, from where to where they hang in metres, and whether 
 
 def test_decks_of_bridges_hang_by_their_tags_or_by_their_layer(tmp_path):
     tags, spans_m, guessed = zip(*BRIDGES.values(), strict=True)
-    rows = [{"man_made": "bridge"} | each for each in tags] + [
-        {"building": "yes", "height": "20"},
-        {"man_made": "pier"},
-    ]
+    rows = [*({"man_made": "bridge"} | each for each in tags), {"building": "yes", "height": 20}, {"man_made": "pier"}]
     shapes = [shapely.box(X_M + 40 * i, Y_M, X_M + 40 * i + 30, Y_M + 8) for i in range(len(rows))]
-    path = tmp_path / "city.gpkg"
-    geopandas.GeoDataFrame(rows, geometry=shapes, crs=CRS).to_file(path)
+    path = write_vector(tmp_path / "city.gpkg", shapes, CRS, **pd.DataFrame(rows))
     assert read_buildings(Buildings(path), CRS).buildings.height_m.tolist() == [20]
     decks = read_buildings(Buildings(path, hanging=SLABS), CRS).buildings
     assert list(zip(decks.min_height_m, decks.height_m, strict=True)) == [*spans_m, (0, 20)]
@@ -310,8 +304,7 @@ def test_an_outline_stays_as_a_podium_under_hanging_parts_where_no_part_stands(t
         standing: {"building:part": "yes", "height": "30"},
         beside: {"building": "yes", "height": "12"},
     }
-    path = tmp_path / "city.gpkg"
-    geopandas.GeoDataFrame(list(tower.values()), geometry=list(tower), crs=CRS).to_file(path)
+    path = write_vector(tmp_path / "city.gpkg", tower, CRS, **pd.DataFrame(tower.values()))
     for hanging, count in ((SLABS, 1), (TO_GROUND, None)):
         source = read_buildings(Buildings(path, hanging=hanging), CRS)
         assert source.read_issues["outlines_replaced_by_parts"] == 1

@@ -15,14 +15,8 @@ from skyfield.api import EarthSatellite, load, wgs84
 from skyfield.framelib import itrs
 
 from jaxurban.errors import InputError, StaleElementsWarning
-from jaxurban.io.read.orbits import (
-    LATITUDE_RATE_DEG,
-    SLOTS,
-    look_angles,
-    middle_epoch,
-    nominal_satellites,
-    read_orbits,
-)
+from jaxurban.io.read import orbits as elements
+from jaxurban.io.read.orbits import look_angles, middle_epoch, nominal_satellites, read_orbits
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.settings import parse_time
 from tests.io.made_files import refused
@@ -134,7 +128,7 @@ EPOCH = datetime(1993, 7, 1, tzinfo=UTC)
 
 
 def test_the_nominal_constellation_stands_as_published_at_its_epoch():
-    node, latitude = np.radians(list(SLOTS.values())).T
+    node, latitude = np.radians(list(elements.SLOTS.values())).T
     tilt, greenwich = math.radians(55), math.radians(15 * (18 + 36 / 60 + 14.4 / 3600))  # Table 3-1 of the standard
     lon = node - greenwich + np.arctan2(np.cos(tilt) * np.sin(latitude), np.cos(latitude))
     lat = np.arcsin(np.sin(tilt) * np.sin(latitude))
@@ -147,7 +141,7 @@ def test_the_nominal_constellation_stands_as_published_at_its_epoch():
 @pytest.mark.parametrize("num_turns", [1, 10_000, 25_000])
 def test_the_nominal_ground_track_repeats_for_decades(num_turns):
     # Twice round the Earth; UT1 stays within 6 s of UTC until then: 0.03 degrees.
-    later = EPOCH + timedelta(days=num_turns * 720 / LATITUDE_RATE_DEG)
+    later = EPOCH + timedelta(days=num_turns * 720 / elements.LATITUDE_RATE_DEG)
     (_, before), (radius, after) = earth_fixed(EPOCH), earth_fixed(later)
     np.testing.assert_allclose(radius, 26559.7, atol=17)
     assert separation_deg(before, after).max() < 0.2
@@ -168,10 +162,11 @@ def omm(kind, epoch, **fields):
     return row.to_csv(index=False) if kind == "csv" else row.to_json(orient="records")
 
 
+NOON, OF_OTHERS, AT_THREE = "2024-03-31T12:00:00", ("GPS", "TAI"), "2024-03-31T03:00:00"
+
+
 @pytest.mark.parametrize("kind", ["csv", "json"])
-@pytest.mark.parametrize(
-    "epoch", ["2024-03-31T12:00:00+09:00", "2024-03-31T03:00:00Z", "2024-03-31T03:00:00", "2024-03-30T22:00:00.0-05:00"]
-)
+@pytest.mark.parametrize("epoch", [f"{NOON}+09:00", f"{AT_THREE}Z", AT_THREE, "2024-03-30T22:00:00.0-05:00"])
 def test_the_epoch_of_an_omm_may_bear_an_offset(tmp_path, kind, epoch):
     orbits = read_orbits(written(tmp_path, omm(kind, epoch, TIME_SYSTEM="utc")))
     read = orbits.satellites[0].epoch.utc_datetime()
@@ -198,11 +193,8 @@ def test_the_epoch_of_an_omm_may_bear_an_offset(tmp_path, kind, epoch):
         (TLE.replace("54.4469", "54.4569").encode(), "element set of .* checksum"),
         (TLE.encode() + b"GPS BIIA-14 (PRN 26)\n", "must follow each other"),
         (2 * TLE.encode(), "2 element sets of satellite 20959"),
-        *(
-            (omm(kind, "2024-03-31T12:00:00", TIME_SYSTEM=system).encode(), f"TIME_SYSTEM is {system}, and only UTC")
-            for kind in ("csv", "json")
-            for system in ("GPS", "TAI")
-        ),
+        *((omm("csv", NOON, TIME_SYSTEM=each).encode(), f"TIME_SYSTEM is {each}, and only UTC") for each in OF_OTHERS),
+        *((omm("json", NOON, TIME_SYSTEM=each).encode(), f"TIME_SYSTEM is {each}, and only UTC") for each in OF_OTHERS),
     ],
 )
 def test_a_file_that_is_no_orbits_is_refused_in_one_sentence(tmp_path, content, message):

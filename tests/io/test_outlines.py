@@ -63,21 +63,18 @@ def on_one_square(num, **columns):
     return {"polygons": [box(0, 0, 1, 1)] * num} | columns
 
 
+NO_HEIGHTS = ("0", "-3", "tall", "1001", "9999 ft", 0, -1.0, 5000.0)
+ROOFS = {"levels": ["4", "0", None, "4"], "roof_levels": ["1", "1", "2", "?"]}
+
+
 @pytest.mark.parametrize(
     ("tags", "height_m", "issues"),
     [
         ({"height": ["20", None, None], "levels": ["3", "3", None]}, [20, 9, 10], {}),
         ({"height": ["828"]}, [828], {}),  # of the highest known building
-        *(
-            ({"height": [bad], "levels": ["4"]}, [12], {"heights_unusable": 1})
-            for bad in ("0", "-3", "tall", "1001", "9999 ft", 0, -1.0, 5000.0)
-        ),
+        *(({"height": [bad], "levels": ["4"]}, [12], {"heights_unusable": 1}) for bad in NO_HEIGHTS),
         *(({"levels": [bad]}, [10], {"levels_unusable": 1}) for bad in ("0", "-1", "some", "400")),
-        (
-            {"levels": ["4", "0", None, "4"], "roof_levels": ["1", "1", "2", "?"]},
-            [15, 3, 10, 12],
-            {"levels_unusable": 1},
-        ),
+        (ROOFS, [15, 3, 10, 12], {"levels_unusable": 1}),
         ({"height": [12, np.float32(7.5), None, math.nan, "  ", [3]]}, [12, 7.5, *[10] * 4], {"heights_unusable": 1}),
     ],
 )
@@ -87,6 +84,7 @@ def test_what_cannot_be_used_falls_to_levels_or_the_default_and_is_counted(tags,
     assert found == issues
 
 
+UNDERSIDES = {"min_height": ["5", "x", None, "0"], "min_level": ["1", "2", "2", None]}
 WHOLE, WEST, EAST = box(0, 0, 10, 10), box(0, 0, 5, 10), box(5, 0, 10, 10)
 REPLACED = {"outlines_replaced_by_parts": 1}
 OF_TWO = {"building": ["yes", "yes", None], "part": [None, None, "yes"], "height": ["40", "60", None]}
@@ -145,10 +143,7 @@ def test_the_height_that_a_part_takes_from_its_outline_has_its_origin():
         (over(WHOLE, min_height=[None, "12"]), [12], [30], REPLACED | {"parts_hanging": 1}),
         # An estimated roof is raised above its underside; an underside above a tagged roof is a fault.
         (on_one_square(2, levels=[None, "2"], min_height=["18", "20"]), [18, 20], [28, 26], {"parts_hanging": 2}),
-        (
-            on_one_square(4, min_height=["5", "x", None, "0"], min_level=["1", "2", "2", None]),
-            *([5, 6, 6, 0], [10] * 4, {"min_heights_unusable": 1, "parts_hanging": 3}),
-        ),
+        (on_one_square(4, **UNDERSIDES), [5, 6, 6, 0], [10] * 4, {"min_heights_unusable": 1, "parts_hanging": 3}),
         (on_one_square(2, height=["5", "5"], min_height=["5", "9"]), [0, 0], [5, 5], {"min_heights_above_roof": 2}),
     ],
 )
