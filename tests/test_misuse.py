@@ -242,10 +242,28 @@ WITHOUT_PEOPLE = ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"]))
         ("plan", {"goal": LEFT_OUT}, "goal is missing: give it as"),
         ("plan", {"start_xy_m": (0, 0)}, "start must be given in one way, not both: give it as longitude, latitude or"),
         ("MetricMaps.m", {"self": WITHOUT_PEOPLE, "time_of_day": "noon"}, "these maps hold none, so leave it out"),
+        ("plan", {"maps": 5}, "maps must be MetricMaps (from build_maps or open_maps), a text or a path"),
+        ("plan", {"start": 5.0}, "start must be a sequence of numbers or None (longitude, latitude in degrees"),
+        ("plan", {"goal": ("a", 1)}, "(longitude, latitude in degrees), got tuple of 'a', 1"),
+        ("plan", {"altitude_m": "low"}, "altitude_m must be a number or Levels (metres"),
+        ("plan", {"weights": 5}, "weights must be Weights, a dict of numbers or None"),
+        ("plan", {"weights": {"self": 1}}, "weights must be Weights or numbers"),
+        ("sensitivity", {"cost_map": MAPS}, "cost_map must be CostMap (from cost_map), got MetricMaps"),
+        ("fit_weights", {"demonstrations": 5}, "a sequence of Demonstration (from read_demonstrations), got 5"),
+        ("build_maps", {"gps": ju.Lidar()}, "gps must be Gps or None, got Lidar"),
+        ("MetricMaps.is_free", {"obstacles": "toched"}, "or None, got 'toched' (did you mean 'touched'"),
+        ("MetricMaps.is_free", {"altitude_m": float("nan")}, "altitude_m must be a finite number"),
+        ("Constraints.read", {"no_fly": 5}, "must be a text, a path or a sequence of texts or paths, got 5"),
+        ("Constraints", {"zones": 5}, "zones must be a sequence of Zone (from Constraints.read), got 5"),
+        ("FitSettings", {"max_rounds": True}, "max_rounds must be a whole number, got True"),
+        ("SensitivitySettings", {"seed": -1}, "seed must be a whole number from 0 up, got -1"),
+        ("SensitivitySettings", {"vary": 5}, "vary must be a sequence of texts, got 5"),
         ("PlannedPath.save", {"file": "a\0.plan"}, r"cannot write 'a\x00.plan': no file's name can hold NUL"),
     ],
 )
-def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy(name, changed, sentence):
+def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy_or_the_kinds_that_they_may_be(
+    name, changed, sentence
+):
     given = {key: value for key, value in {**good_arguments(name), **changed}.items() if value is not LEFT_OUT}
     arguments = [given.pop("self")] if "self" in given else []
     with pytest.raises(InputError) as raised:

@@ -60,27 +60,22 @@ def command(words: list[str]) -> str:
     return printed.getvalue()
 
 
-def write_routes(maps: Any, file: Path, number: int, altitude_m: float, weights: dict[str, float]) -> Numbers:
-    """Plan between free cells drawn at random, under ``plan_many``; write those found as GeoJSON and return all."""
+def write_routes(maps: Any, number: int, altitude_m: float, weights: dict[str, float]) -> None:
+    """Plan between free cells drawn at random, under ``plan_many``; write those found, and a table of all."""
     free = np.argwhere(ju.Constraints().is_free(maps, altitude_m))
     at = free[np.random.default_rng(5).integers(len(free), size=(number, 2))]
     x_m, y_m = maps.ds["x"].values[at[..., 1]], maps.ds["y"].values[at[..., 0]]
     queries = {"start_x_m": x_m[:, 0], "start_y_m": y_m[:, 0], "goal_x_m": x_m[:, 1], "goal_y_m": y_m[:, 1]}
     paths = ju.plan_many(maps, pd.DataFrame(queries), altitude_m=altitude_m, weights=ju.Weights(**weights))
-    paths.save(file)
-    found = [{"status": path.status.value, "cost": path.cost, "length_m": path.length_m} for path in paths]
-    return {"plan_many": {f"{key} {k}": value for k, path in enumerate(found) for key, value in path.items()}}
+    for suffix in ("geojson", "parquet"):
+        paths.save(f"routes.{suffix}")
 
 
 def of_table(file: Path, by: list[str], columns: list[str]) -> dict[str, Any]:
     """Return the columns of a table, row by row; numbers where there are none count as none."""
-    table = (pd.read_parquet if file.suffix == ".parquet" else pd.read_csv)(file).sort_values(by)
-    names = [" ".join(map(str, row)) for row in table[by].itertuples(index=False)]
-    return {
-        f"{column} {name}": None if pd.isna(value) else value
-        for column in columns
-        for name, value in zip(names, table[column].tolist(), strict=True)
-    }
+    table = (pd.read_parquet if file.suffix == ".parquet" else pd.read_csv)(file).set_index(by)[columns].astype(object)
+    values = table.where(table.notna(), None).stack(future_stack=True)
+    return {" ".join(map(str, (name[-1], *name[:-1]))): value for name, value in values.items()}
 
 
 def made(name: str, folder: Path) -> tuple[dict[str, np.ndarray], Numbers]:
@@ -99,7 +94,7 @@ def made(name: str, folder: Path) -> tuple[dict[str, np.ndarray], Numbers]:
         }
         arrays["obstacle"] = is_wall
         if "routes" in scene:
-            numbers |= write_routes(maps, Path("routes.geojson"), **scene["routes"])
+            write_routes(maps, **scene["routes"])
         for what, line in scene["commands"].items():
             words = shlex.split(line.format(**scene["ends"]))
             printed = command([*words, *(["--json"] if words[0] == "plan" else [])])

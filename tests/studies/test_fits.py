@@ -109,13 +109,8 @@ def test_two_layers_that_are_one_cannot_be_told_apart(small):
 
 
 def test_several_altitudes_are_fitted_together(small):
-    shown = [
-        each
-        for altitude_m in (20.0, 60.0)
-        for each in optimal_demonstrations(
-            made_queries(cost_map(small, altitude_m, cost_model="cell"), NUM // 2), HIDDEN
-        )
-    ]
+    units = [cost_map(small, altitude_m, cost_model="cell") for altitude_m in (20.0, 60.0)]
+    shown = [each for unit in units for each in optimal_demonstrations(made_queries(unit, NUM // 2), HIDDEN)]
     fit = fit_weights(shown, bootstrap=0, scale="distance")
     assert fit.weights.distance == pytest.approx(1)
     assert cosine(fit, shown, HIDDEN) > 0.999
@@ -221,10 +216,6 @@ def queries(small):
     return made_queries(cost_map(small, 20.0).only(("gps", "lidar")), FEW)
 
 
-def targets(*texts: str) -> list[Target]:
-    return [Target.parse(text) for text in texts]
-
-
 def outcomes_under_many_weights(queries) -> np.ndarray:
     """Return mean_gps and mean_lidar ``[N, 2]`` of planned routes under a grid of weights (brute force)."""
     pool = RoutePool(queries)
@@ -232,7 +223,7 @@ def outcomes_under_many_weights(queries) -> np.ndarray:
     scale = [0.0, *np.logspace(-1, 2.5, 8)]
     weights = np.array([[1.0, a, b] for a in scale for b in scale])
     found = np.concatenate(pool.cheapest(weights), axis=-1)
-    wanted, names = targets("mean_gps>=0", "mean_lidar>=0"), queries[0].names
+    wanted, names = [Target.parse(f"mean_{name}>=0") for name in ("gps", "lidar")], queries[0].names
     return np.array([outcome_values(sums, shortest, names, wanted) for sums in np.moveaxis(found, 1, 0)])
 
 
@@ -240,7 +231,7 @@ def test_targets_are_met_where_brute_force_meets_them_and_conflict_where_it_does
     values = outcomes_under_many_weights(queries)
     most = values.max(axis=0)
     gps, lidar = values[np.argmax(np.min(values / most, axis=1))]
-    reachable = targets(f"mean_gps>={gps:.4f}", f"mean_lidar>={lidar:.4f}")
+    reachable = [f"mean_gps>={gps:.4f}", f"mean_lidar>={lidar:.4f}"]
     kept = FitSettings(state_file=tmp_path / "state.parquet")
     fit = fit_targets(queries, reachable, settings=kept)
     assert fit.is_met
@@ -255,7 +246,7 @@ def test_targets_are_met_where_brute_force_meets_them_and_conflict_where_it_does
 
     missed = np.maximum(1 - values / most, 0)
     assert missed.max(axis=1).min() > 0.03  # no weights of the grid meet both
-    fit = fit_targets(queries, targets(f"mean_gps>={most[0]}", f"mean_lidar>={most[1]}"))
+    fit = fit_targets(queries, [f"mean_gps>={most[0]}", f"mean_lidar>={most[1]}"])
     assert not fit.is_met
     assert len(fit.conflicts) == 1
     assert fit.alone["is_met"].all()
@@ -264,15 +255,15 @@ def test_targets_are_met_where_brute_force_meets_them_and_conflict_where_it_does
 
 
 def test_a_target_beyond_all_routes_is_said_to_be_missed_alone(queries):
-    fit = fit_targets(queries, targets("mean_gps>=0.1", "mean_lidar>=0.999"))
+    fit = fit_targets(queries, ["mean_gps>=0.1", "mean_lidar>=0.999"])
     assert not fit.is_met
     assert fit.conflicts == ()
     assert not fit.alone.is_met["mean_lidar >= 0.999"]
 
 
 def test_a_target_of_the_detour_is_met_beside_a_metric_s_or_conflicts_with_it(queries):
-    assert fit_targets(queries, targets("mean_lidar>=0.57", "detour<=0.2")).is_met
-    conflicts = fit_targets(queries, targets("mean_lidar>=0.57", "detour<=0.001")).conflicts
+    assert fit_targets(queries, ["mean_lidar>=0.57", "detour<=0.2"]).is_met
+    conflicts = fit_targets(queries, ["mean_lidar>=0.57", "detour<=0.001"]).conflicts
     assert conflicts == (("mean_lidar >= 0.57", "detour <= 0.001"),)
 
 

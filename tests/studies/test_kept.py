@@ -1,7 +1,6 @@
 """What both studies share: rows that are complete, kept through a kill, the same from one worker and from two."""
 
 import json
-import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +11,6 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from tests.logs import logged
 from tests.studies.routes_made import run_study, same_rows
 
 KEY = ["instance", "altitude_m"]
@@ -60,14 +58,3 @@ def test_a_killed_study_goes_on_with_no_row_lost_or_doubled(kept, folders, tmp_p
 def test_two_workers_give_the_rows_of_one(kept, tmp_path):
     _, result, again, _ = kept
     same_rows(again(tmp_path, workers=2).rows, result.rows)
-
-
-@pytest.mark.slow
-def test_damaged_rows_are_set_aside_and_made_again(folders, study, tmp_path):
-    out = shutil.copytree(study.folder, tmp_path / "out")
-    data = (out / "rows.parquet").read_bytes()
-    (out / "rows.parquet").write_bytes(data[:100] + bytes([data[100] ^ 1]) + data[101:])
-    with logged() as warned:
-        found = run_study("study", folders, out).rows
-    assert any("rows.parquet' was changed since `jaxurban study` wrote it: it is" in each for each in warned)
-    same_rows(found, study.rows)

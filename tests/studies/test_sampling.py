@@ -98,10 +98,7 @@ def around(mask: np.ndarray, row: int, col: int, half: int) -> np.ndarray:
 
 def test_every_cell_lies_in_the_stratum_that_its_surroundings_define(maps):
     roof_m, strata = maps.m("roof"), strata_of(maps)
-    assert set(np.unique(strata)) == {
-        sampling.NO_STRATUM,
-        *(STRATA.index(each) for each in STRATA if each not in ("water", "park")),
-    }
+    assert {*np.unique(strata[5:])} == {STRATA.index(each) for each in {*STRATA} - {"water", "park"}}
     assert (strata[:5] == sampling.NO_STRATUM).all()
     rng = np.random.default_rng(1)
     for row, col in zip(rng.integers(5, 150, 300), rng.integers(0, 120, 300), strict=True):
