@@ -8,7 +8,6 @@ from itertools import combinations
 import matplotlib
 import numpy as np
 import pytest
-import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.text import Text
@@ -32,14 +31,8 @@ from tests.made_maps import made_maps
 from tests.paths.volumes import made_path
 
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
-RULES = {
-    "cost_model": "line",
-    "weights": {"distance": 0.1, "gps": 1.0},
-    "objective": "weighted",
-    "obstacles": "touched",
-    "limits": {"vertical_clearance_m": 3.0},
-    "resolution_m": 5.0,
-}
+RULES = {"cost_model": "line", "objective": "weighted", "obstacles": "touched", "resolution_m": 5.0}
+RULES |= {"weights": {"distance": 0.1, "gps": 1.0}, "limits": {"vertical_clearance_m": 3.0}}
 
 
 def make_maps(rows=34, cols=40, resolution_m=100.0, has_all_data=True) -> MetricMaps:
@@ -59,7 +52,7 @@ def make_maps(rows=34, cols=40, resolution_m=100.0, has_all_data=True) -> Metric
     ds = ds.assign({name: values.where(ds["has_data"]) for name, values in ds.items() if values.dtype.kind == "f"})
     ds["gps"].attrs["one_means"] = "GDOP of 1, the best possible"
     first = {f"first_{name}": round(side_m / resolution_m) for name, side_m in (("row", 4_507_000), ("col", 583_000))}
-    return MetricMaps(ds.assign_attrs(first, attribution=""))
+    return MetricMaps(ds.assign_attrs(first))
 
 
 def make_path(maps, planner, status=Status.OPTIMAL, altitude_m=20.0, time_of_day="day") -> PlannedPath:
@@ -215,10 +208,9 @@ def test_colour_bars_carry_both_ends_and_satellites_whole_numbers(maps, name):
 def at_epochs(num, maps=None):
     maps = maps or make_maps()
     times = np.datetime64("2020-04-27T16:00:00", "ns") + 3 * np.timedelta64(1, "h") * np.arange(num)
-    parts = [maps.ds.assign_coords(time=[time]) for time in times]
-    ds = xr.concat(parts, "time", data_vars="minimal", coords="minimal", compat="override", join="outer")
-    ds["gps"] = ds["gps"] * xr.DataArray(np.linspace(1, 0.3, num).astype(np.float32), dims="time")
-    ds["num_visible"][:] = (7 + np.arange(num, dtype=np.uint8))[:, None, None, None]
+    ds = maps.ds.isel(time=[0] * num).assign_coords(time=times)
+    ds["gps"] *= np.linspace(1, 0.3, num).astype(np.float32)[:, None, None, None]
+    ds["num_visible"] += np.arange(num, dtype=np.uint8)[:, None, None, None]
     return MetricMaps(ds.assign_attrs(maps.ds.attrs, constellations="galileo, gps"))
 
 
@@ -228,6 +220,7 @@ def test_every_epoch_is_drawn_and_the_share_of_good_ones():
     text = texts_of(plotting.plot_epochs(maps))
     assert all(f"04-27 {time}  ·  mean" in text for time in ("16:00", "19:00", "22:00"))
     assert "3 epochs, 2020-04-27 16:00 UTC to 2020-04-27 22:00 UTC, GALILEO and GPS" in text
+    assert "2020-04-27 16:00 UTC, GALILEO and GPS" in texts_of(plotting.plot_metric(maps, "gps"))
     figure = plotting.plot_metric(maps, "gps_availability")
     share = np.mean([maps.m("gps", 60.0, time=time) > 0.5 for time in maps.times], axis=0)
     is_free, panel = maps.is_free(60.0, "centre"), panels_of(figure)[1]

@@ -134,6 +134,8 @@ def plot_paths(
     figure, axes = draw_maps(maps.grid, panels, heading, note, legend=legend, colours=COST_COLOURS)
     for panel, here in zip(axes, on_panels, strict=True):
         draw_paths(panel, [path for path, _ in here], [colours[name] for _, name in here])
+    if every:
+        figure.draw_without_rendering()  # the layout of many lines below panels settles only at its second drawing
     return figure
 
 
