@@ -13,7 +13,6 @@ from jaxurban.errors import IgnoredZoneWarning, InputError
 from jaxurban.io.read.zone import Zone, cell_boxes
 from jaxurban.maps.scenario import Scenario
 from jaxurban.paths.constraints import Bound
-from jaxurban.planners.base import Status
 from tests.cli_runs import run
 from tests.made_maps import missing_inside
 from tests.paths.volumes import REGION, options_of, plan_volume
@@ -101,15 +100,6 @@ def test_a_start_within_a_limit_is_told_which_and_where_to_go(maps, ends):
         ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints)
     moved = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=ju.Constraints((zone,)), snap=True)
     assert not shapely.LineString(moved.xy_m).intersects(zone.polygon)
-
-
-def test_without_a_path_the_constraints_are_named(maps, ends):
-    middle_m = shapely.LineString([*ends.values()]).centroid.y
-    wall = shapely.box(maps.grid.x_min_m - 20, middle_m - 20, maps.grid.x_max_m + 20, middle_m + 20)
-    zone = Zone("wall", wall, maps.grid.crs)
-    path = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=ju.Constraints((zone,)))
-    assert path.status is Status.NO_PATH
-    assert "Constraints were on (1 no-fly zone, vertical clearance of 3 m): they close" in path.to_dict()["message"]
 
 
 def test_a_bound_holds_where_the_map_says_just_that_value(maps):

@@ -95,8 +95,11 @@ def test_what_is_along_the_route_is_what_shapely_finds_in_its_cells(maps, planne
     assert report.totals["people_overflown"] == pytest.approx(density[tuple(cells)] / 1e6 @ length_m * 8.0)
 
 
-def test_clearance_is_that_of_shapely(maps, planned, report):
-    walls, line = outlines(maps, maps.m("obstacle", ALTITUDE_M) == 1), shapely.LineString(planned.xy_m)
+@pytest.mark.parametrize("z_m", [ALTITUDE_M, 31.0])
+def test_clearance_is_that_of_shapely_to_the_walls_that_reach_up_there(maps, ends, z_m):
+    planned = route(maps, ends, altitude_m=z_m)
+    report, line = ju.explain(planned, maps), shapely.LineString(planned.xy_m)
+    walls = outlines(maps, maps.m("roof") >= z_m)
     assert report.totals["nearest_wall_m"] == pytest.approx(line.distance(walls), abs=1e-6)
     place = report.profile.loc[report.profile["nearest_wall_m"].idxmin()]
     at = shapely.Point(maps.grid.xy_of_lonlat(place["lon"], place["lat"]))
@@ -178,16 +181,6 @@ def test_a_climb_is_costed_at_the_levels_it_joins(maps, ends, cost_model):
     expected = {"length_m": 50.0, "time_s": 10.0, "cost_of_climb": 0.3 * 40, "cost_of_descent": 0.0}
     expected |= {"cost_of_lidar": 2.0 * by_hand, "cost_of_distance": 0.2 * 50.0}
     assert {name: totals[name] for name in expected} == pytest.approx(expected)
-
-
-def test_between_two_altitudes_the_maps_are_linear_and_walls_stand_to_their_roofs(maps, ends):
-    flat = of_one_place(maps, ends)
-    between = replace(flat, z_m=np.array([31.0]), settings=flat.settings | {"levels_m": [31.0]})
-    totals = ju.explain(between, maps).totals
-    low, high = (float(maps.m("gps", z)[maps.grid.cell_of_xy(*flat.xy_m[0])]) for z in (20.0, 60.0))
-    assert totals["mean_gps"] == pytest.approx(low + (31 - 20) / 40 * (high - low), rel=1e-6)
-    walls = outlines(maps, maps.m("roof") >= 31.0)
-    assert totals["nearest_wall_m"] == pytest.approx(shapely.Point(flat.xy_m[0]).distance(walls), abs=1e-6)
 
 
 def test_over_an_obstacle_of_the_map_below_every_number_is_known(maps):

