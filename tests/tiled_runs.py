@@ -78,6 +78,7 @@ def check_tiles(of: MapTask, folder: Path, shape=RAGGED, **options) -> xr.Datase
     """Make the tiles of a task under ``folder``, with ``options`` of its parameters: they equal the untiled maps."""
     made = replace(of, guesses=of.all_guesses, params=replace(of.params, **options))
     make_zarr(Maker(made, folder, "key", 2), Report(), shape)
+    assert len(list((folder / "maps.zarr").iterdir())) == 1  # nothing of the work is left
     found, expected = store.open_zarr(folder, None).load(), compute_maps(of).ds
     assert found.attrs.pop("run_key") == "key"
     xr.testing.assert_identical(found, expected)

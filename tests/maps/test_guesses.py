@@ -234,9 +234,3 @@ def test_new_yorks_commercial_districts_are_no_other_citys(tmp_path, field, labe
     city, told = town(tmp_path, population=people)
     assert {Zoning(zoning).name for zoning in city.blocks.zoning} - {"OTHER"} == zoned
     assert_told(told, words)
-
-
-def test_a_region_beyond_the_data_is_told(tmp_path):
-    city, _ = town(tmp_path)
-    far = Grid(UTM, 10.0, int(Y / 10), int(X / 10), 40, 100)
-    assert "54 % of the region without data" in guesses_of(city, far)

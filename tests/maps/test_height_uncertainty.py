@@ -8,7 +8,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.maps.build import build_maps, compute_maps, view_sky
+from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.recipe import HeightStd, Spread, perturbed_cities
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.lidar import Lidar
@@ -30,13 +30,9 @@ def city() -> ju.City:
     return replace(made, buildings=replace(made.buildings, origin=origin))
 
 
-@pytest.fixture(scope="module")
-def sky():
-    return view_sky(REGION, ju.Gps(times=["2020-04-27T16:00:00Z"]))
-
-
-def spread_of(city, sky, *, num_samples, seed=0, height_std=DEFAULT):
+def spread_of(city, *, num_samples, seed=0, height_std=DEFAULT):
     heights = ju.Heights(height_samples=num_samples, height_seed=seed, height_std_m=height_std)
+    sky = view_sky(REGION, ju.Gps(times=["2020-04-27T16:00:00Z"]))
     params = MapParams((12.0, 31.0), heights=heights, sections={"lidar": LIDAR})
     ds = compute_maps(MapTask(city, REGION, sky, params)).ds
     names = [f"{metric}_{what}" for metric in ("gps", "lidar", "risk") for what in ("mean", "std", "p05", "p95")]
@@ -56,9 +52,9 @@ def test_spreads_are_numpys_moments_and_percentiles(num_samples):
         np.testing.assert_allclose(found[name], np.percentile(samples, share, axis=0), rtol=1e-5)
 
 
-def test_heights_known_exactly_have_no_spread(city, sky):
-    maps = build_maps(city, grid=REGION, altitudes_m=(12.0, 31.0), lidar=LIDAR).ds
-    spread = spread_of(city, sky, height_std=EXACT, num_samples=3)
+def test_heights_known_exactly_have_no_spread(city):
+    maps = ju.build_maps(city, grid=REGION, altitudes_m=(12.0, 31.0), lidar=LIDAR).ds
+    spread = spread_of(city, height_std=EXACT, num_samples=3)
     for name in ("gps", "lidar", "risk"):
         assert spread[f"{name}_std"].dims == maps[name].dims
         assert not np.nan_to_num(spread[f"{name}_std"]).any()
@@ -79,14 +75,14 @@ def test_the_share_of_obstacles_is_the_normal_laws(city):
     assert abs(np.corrcoef(heights.T)[0, 1]) < 0.05
 
 
-def test_a_roof_moves_as_a_whole_and_a_seed_repeats_its_draws(city, sky):
-    spread = spread_of(city, sky, num_samples=8, seed=4)
+def test_a_roof_moves_as_a_whole_and_a_seed_repeats_its_draws(city):
+    spread = spread_of(city, num_samples=8, seed=4)
     share = spread["obstacle_share"].values
     assert len(np.unique(share[1, 4:7, 3:5])) == 1
     assert 0 < share[0, 6:9, 9:11].max() < 1
     assert (spread["risk_std"].values > 0).any()
     assert not (spread["gps_p05"] > spread["gps_p95"]).any()
-    again, other = (spread_of(city, sky, num_samples=8, seed=seed) for seed in (4, 5))
+    again, other = (spread_of(city, num_samples=8, seed=seed) for seed in (4, 5))
     assert spread.identical(again)
     assert not spread.identical(other)
 
@@ -105,8 +101,8 @@ def test_a_height_raster_moves_by_connected_buildings(city):
         assert error[:, building].std() == pytest.approx(2.0, rel=0.2)
 
 
-def test_bad_settings_are_refused(city, sky):
+def test_bad_settings_are_refused(city):
     with pytest.raises(InputError, match="levels must be 0 or a positive number of metres"):
         HeightStd(levels=-1.0)
     with pytest.raises(InputError, match="height_samples must be 0, for none, or from 2"):
-        spread_of(city, sky, num_samples=1)
+        spread_of(city, num_samples=1)

@@ -65,7 +65,6 @@ def receivers(surface: Surface, altitude_m: float, num: int) -> tuple[np.ndarray
 def check_shares(is_seen: np.ndarray, is_clear: np.ndarray, bars, k: int) -> None:
     agrees = is_seen == is_clear
     shares = agrees.mean(), agrees[~is_clear].mean(), agrees[is_clear].mean()
-    print(f"{ALTITUDES_M[k]} m up:", *(f"{share:.4f}" for share in shares))
     for share, bar in zip(shares, bars, strict=True):
         assert share >= bar[k]
 

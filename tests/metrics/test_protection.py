@@ -19,12 +19,6 @@ from tests.kernels.test_protection import EXAMPLE
 PARAMS = Protection()
 
 
-def drawn(num_gps: int, num_galileo: int, seed: int = 0) -> InView:
-    draw, num = np.random.default_rng(seed), num_gps + num_galileo
-    systems = ("gps",) * num_gps + ("galileo",) * num_galileo
-    return InView(draw.uniform(0, 2 * np.pi, num), np.arcsin(draw.uniform(0.15, 1, num)), systems)
-
-
 def test_range_errors_are_those_of_the_published_example():
     east, north, up = -EXAMPLE[:, :3].T
     in_view = InView(np.arctan2(east, north), np.arctan2(up, np.hypot(east, north)), ("gps",) * len(EXAMPLE))
@@ -44,8 +38,8 @@ def test_galileo_has_a_table_that_ends_at_5_degrees():
 
 @pytest.mark.parametrize("counts", [(9, 0), (7, 6), (40, 30)])
 def test_every_cell_has_the_levels_of_its_own_satellites(counts):
-    in_view, draw = drawn(*counts), np.random.default_rng(3)
-    num = sum(counts)
+    draw, num, systems = np.random.default_rng(3), sum(counts), np.repeat(["gps", "galileo"], counts)
+    in_view = InView(draw.uniform(0, 2 * np.pi, num), np.arcsin(draw.uniform(0.15, 1, num)), tuple(systems))
     words = draw.integers(0, 2**32, (-(-num // 32), 9, 11), dtype=np.uint32)
     words[-1] &= np.uint32(2 ** (num % 32) - 1)
     words[:, 3:5] = words[:, :1]

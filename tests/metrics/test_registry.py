@@ -24,9 +24,8 @@ VALUES = np.linspace(-10.0, 100.0, REGION.num_rows * REGION.num_cols).reshape(RE
 NOISE = Layer("noise.tif", "high-is-bad", (0.0, 80.0))
 
 
-def here() -> Scene:
-    is_obstacle = obstacle_mask(SURFACE.crop(SURFACE.roof_m), [ALTITUDE_M])[0]
-    return Scene(SURFACE, ALTITUDE_M, is_obstacle)
+IS_OBSTACLE = obstacle_mask(SURFACE.crop(SURFACE.roof_m), [ALTITUDE_M])[0]
+HERE = Scene(SURFACE, ALTITUDE_M, IS_OBSTACLE)
 
 
 def test_metrics_stand_in_the_papers_order_and_an_unknown_one_is_named():
@@ -49,7 +48,7 @@ def test_a_function_sees_the_surface_and_has_gradients_where_it_has_a_soft_form(
     metric = own_metric("shade", layer)
     pickle.loads(pickle.dumps(own_metric("noise", NOISE).compute))  # for workers
     assert (metric.dims, metric.reach_m(layer)) == (("altitude",), 10.0)
-    m = metric.compute(here(), layer)["shade"]
+    m = metric.compute(HERE, layer)["shade"]
     np.testing.assert_allclose(m, np.clip(np.asarray(SURFACE.crop(SURFACE.roof_m)) / ALTITUDE_M / 2, 0, 1), rtol=1e-6)
     view = CASES["gps"].view()
 
@@ -60,7 +59,7 @@ def test_a_function_sees_the_surface_and_has_gradients_where_it_has_a_soft_form(
     assert jax.grad(total)(ALTITUDE_M) < 0
     wrong = Layer(lambda surface, altitude_m: np.zeros((2, 2)), "high-is-bad", (0.0, 1.0))
     with pytest.raises(InputError, match="one value for each cell"):
-        own_metric("wrong", wrong).compute(here(), wrong)
+        own_metric("wrong", wrong).compute(HERE, wrong)
 
 
 def test_maps_say_which_layers_they_hold():

@@ -79,7 +79,6 @@ def test_edge_angles_agree_with_embree(world, angles_deg, plain, fine):
     angles = np.radians(angles_deg)
     is_clear = world.is_clear(angles)
     shares = [(world.seen(n, angles) == is_clear).mean() for n in (1, OVERSAMPLE)]
-    print(shares, is_clear.mean())
     assert shares[0] >= plain
     assert shares[1] >= fine
     assert is_clear.all() == (plain == 1)  # the zenith is seen from every free cell
@@ -102,7 +101,6 @@ def test_a_lidar_on_a_hill_looking_down_agrees_with_embree():
     fine = lidar_at_centres(world.surface(OVERSAMPLE), OVERSAMPLE, free, [ALTITUDE_M], params)
     for m, bar in ((plain, 0.035), (fine, 0.012)):
         error = np.abs(np.asarray(m)[0, world.row, world.col] - expected)
-        print(error.mean(), error[on_top].mean())
         assert error.mean() <= bar
         assert error[on_top].mean() <= bar
 
