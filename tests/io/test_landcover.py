@@ -9,7 +9,6 @@ from jaxurban.io.read.osm import read_land_cover, sea
 from jaxurban.maps.scenario import Scenario
 from jaxurban.report.montecarlo import land_cover_of
 from jaxurban.world.grid import WGS84, transformer
-from jaxurban.world.synthetic import demo_city, demo_cover
 from tests.io.made_files import line, osm
 
 BOX = shapely.box(0, 0, 3000, 2000)
@@ -91,19 +90,9 @@ def test_an_island_drawn_as_one_closed_coast_is_neither_park_nor_water(tmp_path)
     assert cover_of(tmp_path, ({"building": "yes"}, square(100, 100, 100))).water.is_empty
 
 
-def test_the_synthetic_citys_water_holds_no_building_and_its_park_none():
-    city = demo_city(3000, 4000)
-    cover = demo_cover(city.extent_m)
-    assert not shapely.intersects(city.buildings.polygons, cover.park).any()
-    assert shapely.area(shapely.intersection(city.buildings.polygons, cover.water)).sum() == 0
-    assert shapely.area(cover.water) > 1e6
-    assert shapely.area(cover.park) > 1e5
-
-
 def scenario(source: str, **study) -> Scenario:
-    return Scenario.from_dict(
-        {"region": {"bounds": (-74.0, 40.755, -73.99, 40.762)}, "buildings": {"source": source}, "study": study}
-    )
+    region = {"bounds": (-74.0, 40.755, -73.99, 40.762)}
+    return Scenario.from_dict({"region": region, "buildings": {"source": source}, "study": study})
 
 
 def test_a_study_takes_the_land_cover_from_where_there_is_one(tmp_path):

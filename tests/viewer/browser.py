@@ -1,11 +1,13 @@
 """A real browser for tests of the viewer: Debian's or whatever chromium there is, with every other host blocked."""
 
 import shutil
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Thread
 from typing import Any
 
+import numpy as np
 import pytest
 
 from jaxurban.viewer.server import ViewerServer
@@ -13,11 +15,18 @@ from jaxurban.viewer.viewer import Viewer
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SIZE = {"width": 1280, "height": 720}
+Again = Callable[[], Viewer] | None
 READY = '.jv[data-ready="yes"]'
 
 
+def unpacked(data: bytes) -> np.ndarray:
+    """Return the values of a tile."""
+    planes = np.frombuffer(zlib.decompress(data), np.uint8).reshape(4, -1)
+    return np.ascontiguousarray(planes.T).view("<f4").ravel()
+
+
 @contextmanager
-def served(viewer: Viewer, again: Callable[[], Viewer] | None = None) -> Iterator[ViewerServer]:
+def served(viewer: Viewer, again: Again = None) -> Iterator[ViewerServer]:
     """Serve a viewer from a thread of this process."""
     with ViewerServer(viewer, again=again) as server:
         Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
@@ -40,8 +49,7 @@ def chromium() -> Iterator[Any]:
 @contextmanager
 def opened(browser: Any, url: str, is_well: bool = True) -> Iterator[Any]:
     """Open a page and yield it; in the end it has asked nobody else, and, if it is to be well, nothing went wrong."""
-    asked: list[str] = []
-    wrong: list[str] = []
+    asked, wrong = list[str](), list[str]()
 
     def let_through(route: Any) -> None:
         asked.append(route.request.url)
@@ -63,9 +71,7 @@ def opened(browser: Any, url: str, is_well: bool = True) -> Iterator[Any]:
 
 
 @contextmanager
-def shown(
-    browser: Any, viewer: Viewer, again: Callable[[], Viewer] | None = None, is_well: bool = True
-) -> Iterator[Any]:
+def shown(browser: Any, viewer: Viewer, again: Again = None, is_well: bool = True) -> Iterator[Any]:
     """Serve a viewer and open its page."""
     with served(viewer, again) as server, opened(browser, server.url, is_well) as page:
         yield page

@@ -6,7 +6,6 @@ import http.client
 import json
 import re
 import socket
-import zlib
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
@@ -21,7 +20,7 @@ from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, middles, strides_of, t
 from jaxurban.viewer.viewer import Viewer
 from jaxurban.world.grid import Grid
 from tests.made_maps import made_maps
-from tests.viewer.browser import served
+from tests.viewer.browser import served, unpacked
 
 MAPS = made_maps(40, 60)
 FREE = MAPS.is_free(20.0)
@@ -184,11 +183,6 @@ def test_a_request_that_does_not_go_on_ends(server, monkeypatch):
 
 
 VALUES = np.random.default_rng(3).normal(size=(700, 530)).astype(np.float32)
-
-
-def unpacked(data: bytes) -> np.ndarray:
-    planes = np.frombuffer(zlib.decompress(data), np.uint8).reshape(4, -1)
-    return np.ascontiguousarray(planes.T).view("<f4").ravel()
 
 
 @pytest.mark.parametrize("stride", strides_of(VALUES.shape))

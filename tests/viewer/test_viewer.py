@@ -7,10 +7,10 @@ import math
 import re
 import shlex
 import sys
-import zlib
 
 import numpy as np
 import pytest
+import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.files import write_json
@@ -29,6 +29,7 @@ from jaxurban.viewer.viewer import Viewer
 from jaxurban.viewer.widget import reply_to, view, widget_of
 from tests.cli_runs import run
 from tests.made_maps import made_maps
+from tests.viewer.browser import unpacked
 
 MAPS, LITTLE = made_maps(), made_maps(24, 30)
 TILE = {"layer": "gps", "at": [0, 0, 0], "stride": 1, "row": 0, "col": 0}
@@ -41,9 +42,8 @@ QUERY = {"start": ENDS[0], "goal": ENDS[1], "at": [0, 0, 1], "weights": WEIGHTS}
 
 def square(row: int, col: int, size: int) -> str:
     """Return a zone over a square of cells, as the page sends it."""
-    corners = [(row, col), (row, col + size), (row + size, col + size), (row + size, col), (row, col)]
-    ring = [np.round(MAPS.grid.lonlat_of_cell(*corner), 7).tolist() for corner in corners]
-    shape = {"type": "Polygon", "coordinates": [ring]}
+    (west, east), (south, north) = np.round(MAPS.grid.lonlat_of_cell([row, row + size], [col, col + size]), 7)
+    shape = shapely.geometry.mapping(shapely.box(west, south, east, north))
     feature = {"type": "Feature", "properties": {"name": "zone 1"}, "geometry": shape}
     return json.dumps({"type": "FeatureCollection", "features": [feature]})
 
@@ -61,9 +61,7 @@ def viewer(tmp_path_factory) -> Viewer:
 
 
 def tile_of(viewer: Viewer, layer: str, at: list[int]) -> np.ndarray:
-    data = answer(viewer, "tile", layer=layer, at=at, stride=1, row=0, col=0)
-    planes = np.frombuffer(zlib.decompress(data), np.uint8).reshape(4, -1)
-    return np.ascontiguousarray(planes.T).view("<f4").reshape(MAPS.grid.shape)
+    return unpacked(answer(viewer, "tile", layer=layer, at=at, stride=1, row=0, col=0)).reshape(MAPS.grid.shape)
 
 
 def values_in(viewer: Viewer, cell, at=(0, 0, 0)) -> dict:
@@ -303,9 +301,8 @@ def test_a_notebook_that_shows_the_viewer_runs_and_holds_the_widget(tmp_path):
 
 
 def test_the_public_name_stays_the_function_after_its_package_was_imported():
-    import jaxurban as ju
     import jaxurban.viewer.server
 
     assert jaxurban.viewer.server
-    assert ju.view is view
-    assert ju.view is view  # once more: the first look imports
+    assert jaxurban.view is view
+    assert jaxurban.view is view  # once more: the first look imports

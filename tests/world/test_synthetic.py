@@ -1,4 +1,5 @@
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -7,9 +8,10 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.world.city import OTHER_DISTRICT, City, HeightOrigin, Zoning
 from jaxurban.world.grid import Grid
-from jaxurban.world.synthetic import demo_city, demo_city_for_bounds
+from jaxurban.world.synthetic import demo_city, demo_city_for_bounds, demo_cover
 from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, CityPlan
 
+NO_SIZES_M = [(12_000, 20_000), (10_000, 25_000), (100, 1000), (1000, float("nan"))]
 SIZES_M = [(500, 500), (2000, 3000), (3000, 2000)]
 
 
@@ -74,9 +76,12 @@ def test_towers_stand_on_their_podium(city):
     np.testing.assert_array_equal(i, np.arange(len(parts)))
 
 
-def test_the_park_is_empty(city):
-    park = CityPlan(city.extent_m).park()
+def test_the_park_is_empty_and_no_building_stands_in_the_water(city):
+    park, cover = CityPlan(city.extent_m).park(), demo_cover(city.extent_m)
     assert not shapely.intersects(park, city.buildings.polygons).any()
+    assert cover.park.area == pytest.approx(park.intersection(cover.park).area) == pytest.approx(park.area)
+    assert shapely.area(shapely.intersection(city.buildings.polygons, cover.water)).sum() == 0
+    assert cover.water.area > 0.08 * shapely.box(*city.extent_m).area
     is_park = shapely.contains(park.buffer(1.0), city.blocks.polygons)
     assert is_park.sum() == 1
     assert city.blocks.night_count[is_park] == 0
@@ -152,10 +157,7 @@ def test_a_city_is_as_large_as_asked_also_south_of_the_equator_in_another_crs():
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        *(
-            (lambda size=size: demo_city(*size), "fits boxes from 400 m")
-            for size in ((12_000, 20_000), (10_000, 25_000), (100, 1000), (1000, float("nan")))
-        ),
+        *((partial(demo_city, *size), "fits boxes from 400 m") for size in NO_SIZES_M),
         (lambda: demo_city_for_bounds((-74.5, 40.5, -73.5, 41.0)), r"10 km \(east\) x 20 km"),
         (lambda: demo_city(1000, 1000, crs="EPSG:4326"), "not a projected CRS"),
     ],
