@@ -15,7 +15,7 @@ from jaxurban.world.grid import Grid
 
 NO_BUILDING = -1  # in a raster of building indices
 # Subcells of a cell along a side, odd, so that one has the cell's centre. Against Embree, under a deck 18 m wide and
-# 12 m up, at 2 m cells (tests/metrics/test_slabs_embree.py): 1 makes 93.6 % of the answers right at worst, 3 97.7 %, 5
+# 12 m up, at 2 m cells (tests/metrics/test_embree.py): 1 makes 93.6 % of the answers right at worst, 3 97.7 %, 5
 # 98.4 %, in twice the time of 3.
 PER_CELL = 5
 

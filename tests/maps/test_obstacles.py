@@ -43,9 +43,8 @@ def test_no_path_enters_a_cell_that_a_building_touches(gap, planner):
     path = ju.plan(gap, **ENDS, altitude_m=20.0, planner=planner, cost_model="line", budget_s=0.2)
     assert path.settings["obstacles"] == "touched"
     if path.status.has_path:
-        assert not shapely.intersects(
-            shapely.LineString(path.xy_m - (X_M, Y_M)), shapely.box(*np.transpose(WALLS))
-        ).any()
+        line = shapely.LineString(path.xy_m - (X_M, Y_M))
+        assert not shapely.intersects(line, shapely.box(*np.transpose(WALLS))).any()
     else:
         assert path.status is Status.BLOCKED
 

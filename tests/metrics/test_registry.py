@@ -1,4 +1,4 @@
-"""The metrics as one registry, their weights, and layers of one's own beside them."""
+"""The metrics as one registry, their weights, layers of one's own beside them, and what all of them refuse."""
 
 import json
 import pickle
@@ -11,17 +11,21 @@ import xarray as xr
 
 from jaxurban.errors import InputError
 from jaxurban.metrics.base import Scene, SoftScene
-from jaxurban.metrics.custom import Layer, held_metrics, own_metric
-from jaxurban.metrics.lidar import Lidar
+from jaxurban.metrics.custom import Layer, check_layers, held_metrics, own_metric
+from jaxurban.metrics.gps import Dop, Gps, soft_gps
+from jaxurban.metrics.lidar import Lidar, soft_lidar
+from jaxurban.metrics.population import Population, day_share
+from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
-from jaxurban.metrics.risk import Risk
+from jaxurban.metrics.risk import Risk, soft_risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.world.surface import obstacle_mask
 from tests.metrics.soft.scene import ALTITUDE_M, BUILDING, CASES, CELLS, HEIGHT_M, REGION, surface_of
 
 SURFACE = surface_of(HEIGHT_M.astype(np.float32), BUILDING)
 VALUES = np.linspace(-10.0, 100.0, REGION.num_rows * REGION.num_cols).reshape(REGION.shape)
-NOISE = Layer("noise.tif", "high-is-bad", (0.0, 80.0))
+LAYER = {"source": "noise.tif", "cost": "high-is-bad", "scale": (0.0, 80.0)}
+NOISE = Layer(**LAYER)
 
 
 IS_OBSTACLE = obstacle_mask(SURFACE.crop(SURFACE.roof_m), [ALTITUDE_M])[0]
@@ -80,3 +84,77 @@ def test_weights_are_parsed_over_a_base_carry_any_name_and_a_name_that_is_left_o
     assert weights.checked(["noise"]) == weights
     gradient = jax.grad(lambda w: w["noise"] ** 2 + w.gps)(weights)
     assert (gradient["noise"], gradient.gps, gradient.risk) == (4.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "words"),
+    [
+        *((Gps, {"gdop_threshold": x}, "gdop_threshold must be a number above 1") for x in (1.0, np.nan, np.inf)),
+        (Gps, {"clocks": "two"}, "clocks must be 'system' or 'one', got 'two'"),
+        (Dop, {"dop_threshold": 1.0}, "dop_threshold must be a number above 1"),
+        (Lidar, {"beams": 0}, "beams"),
+        (Lidar, {"azimuths": 2.5}, "azimuths"),
+        (Lidar, {"field_of_view_deg": (-90.0, 15.0)}, "field_of_view_deg"),
+        (Lidar, {"range_m": np.nan}, "range_m"),
+        (Lidar, {"range_m": 0.0}, "range_m"),
+        (Risk, {"threshold_m": -1.0}, "threshold_m"),
+        (Risk, {"distance": "slize"}, "did you mean 'slice'"),
+        (Population, {"gamma_commercial": -1.0}, "gamma_commercial must be finite"),
+        (Population, {"gamma_commercial": jnp.asarray(-1.0)}, "gamma_commercial must be finite"),
+        (Population, {"gamma_residential": np.nan}, "gamma_residential must be finite"),
+        (Population, {"quantity": "people"}, "'density' or 'count'"),
+        (Population, {"normalise": "median"}, "a percentile such as 'p95'"),
+        (Population, {"normalise": "p0"}, "a percentile such as 'p95'"),
+        (Population, {"normalise": 0.0}, "a positive number per km2"),
+        (Population, {"weekday": (1.0,) * 23}, "24 shares"),
+        (Protection, {"horizontal_alert_limit_m": 0.0}, "horizontal_alert_limit_m must be positive metres"),
+        (Protection, {"bias_m": -1.0}, "bias_m must be 0 or more metres"),
+        (Protection, {"p_const": 0.5}, "p_const must be a probability from 0 to below 0.1"),
+        (Protection, {"phmi_vertical": 0.0}, "phmi_vertical must be a probability from 1e-15 to 0.1"),
+        (Protection, {"tolerance_m": (0.05, 0.0)}, "tolerance_m must be positive metres"),
+        (Layer, LAYER | {"source": 5}, "source must be the path"),
+        (Layer, LAYER | {"cost": "high"}, "cost must be 'high-is-bad' or 'low-is-bad', got 'high'"),
+        (Layer, LAYER | {"scale": (1.0, 1.0)}, "two ascending numbers"),
+        (Layer, LAYER | {"scale": (0.0, 1.0, 2.0)}, "scale must be two ascending numbers"),
+        (Layer, LAYER | {"scale": (0.0, np.inf)}, "scale must be a finite number"),
+        (Layer, LAYER | {"scale": 5.0}, "scale must be a sequence"),
+        (Layer, LAYER | {"reach_m": 5.0}, "how far a function looks"),
+        (Layer, LAYER | {"altitudes_m": (20.0, 20.0)}, "altitudes_m must name different altitudes"),
+        (Layer, LAYER | {"altitudes_m": 20.0}, "altitudes_m must be a sequence of numbers or None"),
+    ],
+)
+def test_a_wrong_setting_is_one_sentence(setting, value, words):
+    with pytest.raises(InputError, match=words):
+        setting(**value)
+
+
+NAMES = "gps", "roof", "distance", "gdop", "class", "2nd", "time", "climb", "descent", "self", "risk_mean"
+
+
+@pytest.mark.parametrize("name", [*NAMES, "my noise", 5])
+def test_a_layer_has_a_name_of_its_own(name):
+    with pytest.raises(InputError, match="a layer"):
+        check_layers({name: NOISE})
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: soft_gps(SURFACE, 20.0, 20.0, -1.0, None), "softness_m must be 0"),
+        (lambda: soft_lidar(SURFACE, 20.0, Lidar(), -1.0), "softness_m must be 0"),
+        (lambda: soft_lidar(SURFACE, 20.0, Lidar(), 1.0, reach_m=30.0), "at least lidar range_m, 100 m"),
+        (lambda: jax.grad(lambda r: soft_lidar(SURFACE, 20.0, Lidar(range_m=r), 1.0).sum())(40.0), "reach_m"),
+        (lambda: jax.grad(lambda d: soft_risk(SURFACE, 20.0, Risk(d), 1.0).sum())(40.0), "by JAX: give reach_m"),
+        (lambda: day_share("nigth"), "did you mean 'night'"),
+        (lambda: day_share("weekday-24"), "weekday-08"),
+        *((lambda given=given: Weights.of(given), "numbers by name") for given in (5.0, "risk", [1.0, 2.0], {1: 2.0})),
+        (lambda: Weights.parse("noise=x"), "name=number"),
+        (lambda: Weights.parse("gps"), "name=number"),
+        (lambda: Weights.parse("gps=-1"), ">= 0"),
+        (lambda: Weights.parse("gps=nan"), "finite number"),
+        (lambda: Weights(noise=2.0).checked(["nois"]), r"unknown weight 'noise'.*'nois'"),
+    ],
+)
+def test_a_wrong_call_is_one_sentence(call, words):
+    with pytest.raises(InputError, match=words):
+        call()

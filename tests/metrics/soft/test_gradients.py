@@ -7,15 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.io.read.rasterise import build_surface
+from jaxurban.errors import InputError
+from jaxurban.io.read.rasterise import build_surface, building_index, rasterise
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
 from jaxurban.metrics.gps import Gps, soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.risk import Risk, compute_risk, soft_risk
 from jaxurban.metrics.visibility import SkyView
-from jaxurban.world.city import City
+from jaxurban.world.city import City, Raster
 from jaxurban.world.grid import Grid
+from jaxurban.world.surface import NO_BUILDING, roofs_of
+from jaxurban.world.synthetic import demo_city
+from tests.made_maps import city_of_boxes
 from tests.metrics.soft.scene import (
     ALTITUDE_M,
     AZIMUTH_RAD,
@@ -246,3 +250,38 @@ def test_each_halving_comes_nearer_to_lower_manhattan_and_the_last_map_is_its_ow
     assert (np.diff([values.mean() for values in apart]) < 0).all()
     assert (apart[-1] > 0.01).mean() < 0.005
     np.testing.assert_allclose(of_softness(0.0), expected, atol=1e-6)
+
+
+EIGHT = Grid(GRID.crs, 5.0, 0, 0, 8, 8)
+
+
+@pytest.mark.parametrize("all_touched", [False, True])
+def test_roofs_by_index_are_the_burnt_roofs_exactly(all_touched):
+    city = demo_city(600, 500)
+    x_min, y_min = city.extent_m[:2]
+    grid = Grid(city.crs, 5.0, round(y_min / 5), round(x_min / 5), 100, 120)
+    building = building_index(city, grid, all_touched)
+    assert building.dtype == np.int32
+    height_m = city.buildings.height_m.astype(np.float32)
+    roof_m = rasterise(city, grid, all_touched).roof_m
+    assert (building == NO_BUILDING).any()
+    np.testing.assert_array_equal(roofs_of(jnp.asarray(height_m), jnp.asarray(building)), roof_m)
+    region = grid.padded(-5, -5, -5, -5)
+    surface = build_surface(city, region, grid, all_touched)
+    np.testing.assert_array_equal(surface.with_heights(jnp.asarray(height_m), jnp.asarray(building)).roof_m, roof_m)
+
+
+def test_where_buildings_overlap_the_higher_one_has_the_cell_and_all_of_the_gradient():
+    city = city_of_boxes([(0, 0, 20, 20), (10, 10, 30, 30), (12, 12, 18, 18)], [30, 20, 10], 40.0)
+    building = building_index(city, EIGHT)
+    np.testing.assert_array_equal(np.unique(building), [NO_BUILDING, 0, 1])  # the third one is covered
+    gradient = jax.grad(lambda h: roofs_of(h, jnp.asarray(building)).sum())(jnp.asarray([30.0, 20.0, 10.0]))
+    np.testing.assert_array_equal(gradient, [16, 12, 0])
+
+
+def test_a_region_without_buildings_and_a_height_raster_have_none_to_differentiate_by():
+    city = city_of_boxes([(0, 0, 20, 20)], 30.0, 40.0)
+    assert (building_index(city, Grid(GRID.crs, 5.0, 100, 100, 4, 4)) == NO_BUILDING).all()
+    raster = Raster(np.ones((8, 8), np.float32), (5.0, 0.0, 0.0, 0.0, -5.0, 40.0), GRID.crs)
+    with pytest.raises(InputError, match="gradients by building need outlines"):
+        building_index(City(GRID.crs, (0.0, 0.0, 40.0, 40.0), roofs=raster), EIGHT)
