@@ -6,6 +6,7 @@ import random
 import tomllib
 import warnings
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -21,6 +22,7 @@ from tests.logs import logged
 from tests.tiled_runs import files_of
 
 SETTINGS = tomllib.loads(TOWN)
+LETTER = "run.json/letter.txt", "in the way"  # a folder in the place of the record
 
 
 def told_on_use(job: Path) -> str:
@@ -114,10 +116,13 @@ def test_the_record_of_another_run_in_the_place_of_ours_is_kept(job):
     assert read_json(job / "run.json")["run_key"] == record["run_key"]
 
 
-@pytest.mark.parametrize("name", ["maps.zarr", "geotiff"])
-def test_a_file_in_the_place_of_a_folder_of_maps_is_one_sentence(tmp_path, name):
+@pytest.mark.parametrize(
+    ("name", "sentence"), [(name, f"{name}' is a file .* move it") for name in ("maps.zarr", "geotiff")] + [LETTER]
+)
+def test_a_file_in_the_place_of_a_folder_or_a_folder_in_that_of_a_file_is_one_sentence(tmp_path, name, sentence):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("mine")
-    with pytest.raises(InputError, match=f"{name}' is a file .* move it"):
+    with pytest.raises(InputError, match=sentence):
         mend(tmp_path)
     assert (tmp_path / name).read_text() == "mine"
 
@@ -152,23 +157,15 @@ def test_damage_to_unfinished_work_is_told_and_made_again(tmp_path, monkeypatch)
     city, rng = tiled_runs.city(), random.Random(4)
     whole = files_of(tiled_runs.make(tmp_path / "whole", city).parents[1])
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline.WorkFolder, "finish", _interrupt)
+        patched.setattr(pipeline.WorkFolder, "finish", Mock(side_effect=KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             tiled_runs.make(tmp_path / "job", city)
     work = tmp_path / "job" / "maps.zarr" / ".20m.jaxurban-part"
-    parts = {
-        "an array": next((work / "arrays").glob("raster_1_*.npz")),
-        "an array as a folder": next((work / "arrays").glob("raster_2_*.npz")),
-        "a mark": work / "done" / "tile_2_2.json",
-        "a chunk": work / "zarr" / "obstacle" / "0.0.0",
-    }
-    for file, damage in zip(parts.values(), ("flipped", "a folder", "flipped", "cut"), strict=True):
+    arrays = [next((work / "arrays").glob(f"raster_{number}_*.npz")) for number in (1, 2)]
+    parts = [*arrays, work / "done" / "tile_2_2.json", work / "zarr" / "obstacle" / "0.0.0"]
+    for file, damage in zip(parts, ("flipped", "a folder", "flipped", "cut"), strict=True):
         harm(file, damage, rng)
     with logged() as told:
         pipeline.make_zarr(tiled_runs.maker(tmp_path / "job", city), Report(), tiled_runs.RAGGED)
-    assert sorted(sentence.split("'")[1] for sentence in told) == sorted(map(str, parts.values()))
+    assert sorted(sentence.split("'")[1] for sentence in told) == sorted(map(str, parts))
     assert files_of(tmp_path / "job") == whole
-
-
-def _interrupt(*_) -> None:
-    raise KeyboardInterrupt

@@ -27,10 +27,6 @@ def test_repeats_within_a_group_add_nothing():
     assert thrice == pytest.approx(once)
 
 
-def test_no_values_have_no_interval():
-    assert np.isnan(Clusters(np.empty(0)).interval(np.empty(0))).all()
-
-
 def test_draws_within_cities_leave_the_differences_of_cities_out_and_draws_of_cities_contain_them():
     rng = np.random.default_rng(2)
     num_cities, num_groups = 40, 50
@@ -72,8 +68,9 @@ def test_a_share_of_none_is_bounded_where_as_many_would_be_none_once_in_twenty_t
     assert full.low == pytest.approx(1 - found.high)
 
 
-def test_values_of_few_pairs_have_no_interval_however_many_pairs_a_table_has():
+def test_no_values_and_those_of_few_pairs_have_no_interval_however_many_pairs_a_table_has():
     """Of 60 pairs the values of 7 are known; with 8 there is an interval."""
+    assert np.isnan(Clusters(np.empty(0)).interval(np.empty(0))).all()
     pair, rng = np.arange(60), np.random.default_rng(15)
     drawn, values = Clusters(pair), pd.Series(rng.normal(size=60))
     for num, is_known in ((FEWEST_GROUPS - 1, False), (FEWEST_GROUPS, True)):
