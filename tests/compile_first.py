@@ -5,11 +5,9 @@
 
 import sys
 
-import numpy as np
-
 import jaxurban as ju
 from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS, find_planner
-from tests.planners.problems import open_problem, volume_problem
+from tests.planners.problems import random_problem
 
 
 def maps() -> None:
@@ -20,9 +18,7 @@ def maps() -> None:
 
 def paths() -> None:
     """Plan by every planner, on a plane and between levels."""
-    shape, ends = (2, 6, 6), ((0, 0, 0), (1, 5, 4))
-    volume = volume_problem(np.zeros(shape), np.ones(shape, bool), [10.0, 20.0], *ends, 2.0, 1.0)
-    plane = open_problem(shape[1:], (0, 0), (5, 4))
+    plane, volume = (random_problem(0, shape, share_free=1.0, kind="line") for shape in ((6, 6), (2, 6, 6)))
     for problem, planners in ((plane, PLANNERS), (volume, VOLUME_PLANNERS)):
         for name in planners:
             find_planner(name, is_for_volumes=problem is volume)(problem, budget_s=0.05, seed=0)

@@ -13,14 +13,13 @@ from jaxurban.kernels.distance.nearest import capped_distance, capped_distance_o
 from jaxurban.metrics.gps import soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.visibility import SkyView, visibility
-from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.bulk import solve_batched
-from jaxurban.planners.registry import solve_many
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface
 from tests.metrics.whole_maps import gps_maps
+from tests.planners.problems import walled_problem
 
 pytestmark = pytest.mark.gpu
 
@@ -129,17 +128,7 @@ def test_dilutions_are_the_same_to_a_ten_thousandth(gpu, num):
     np.testing.assert_allclose(gpu_dops[is_usable], cpu_dops[is_usable], rtol=1e-4)
 
 
-def test_searches_find_the_costs_of_numba(gpu):
-    rng = np.random.default_rng(3)
-    is_free = rng.random((150, 180)) > 0.25
-    cells = np.argwhere(is_free)
-    problem = Problem(rng.uniform(0, 1, (1, *is_free.shape)), is_free, tuple(cells[0]), tuple(cells[0]), 5.0, 0.1)
-    pairs = cells[rng.choice(len(cells), (24, 2))].tolist()
-    queries = [problem.between(tuple(start), tuple(goal)) for start, goal in pairs]
-    found, expected = (dict(solve_many(queries, backend=backend, heuristic="octile")) for backend in ("jax", "numba"))
-    costs = [[paths[k].cost for k in range(len(queries))] for paths in (found, expected)]
-    assert np.isfinite(costs[1]).sum() > 10
-    np.testing.assert_allclose(costs[0], costs[1], rtol=1e-9)
-    limits = {"budget_s": np.inf, "max_samples": 500}
-    ((_, sampled),) = solve_batched(queries[:1], planner="bitstar-plus", heuristic="plus", seeds=[0], **limits)
-    assert sampled.cost == pytest.approx(bitstar_plus(queries[0], **limits).cost, rel=1e-9)
+def test_a_sampled_search_finds_the_cost_of_numba(gpu):
+    problem, limits = walled_problem(1, "line"), {"budget_s": np.inf, "max_samples": 500}
+    ((_, sampled),) = solve_batched([problem], planner="bitstar-plus", heuristic="plus", seeds=[0], **limits)
+    assert sampled.cost == pytest.approx(bitstar_plus(problem, **limits).cost, rel=1e-9)

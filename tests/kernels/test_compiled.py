@@ -8,13 +8,11 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numba
-import numpy as np
 import pytest
 
 from jaxurban.kernels.line.traversal import walk_edge
 from jaxurban.kernels.search.heap import Heap, push
-from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS, find_planner
-from tests.planners.problems import open_problem, volume_problem
+from tests.compile_first import paths
 
 INNER = """
 from jaxurban.kernels.compiled import compiled
@@ -101,12 +99,7 @@ def test_compiled_functions_take_named_tuples_of_modules_that_theirs_import():
     """The index of a cache names their classes: where one's module goes, it cannot be read any more."""
     stranger = SimpleNamespace(py_func=walk_edge.py_func, signatures=[(numba.typeof(Heap.empty(4)),)])
     assert taken_from_elsewhere(stranger) == {Heap}
-    shape = 2, 6, 6
-    flat = open_problem(shape[1:], (0, 0), (5, 4))
-    volume = volume_problem(np.zeros(shape), np.ones(shape, bool), [10.0, 20.0], (0, 0, 0), (1, 5, 4), 2.0, 1.0)
-    for problem, planners in ((flat, PLANNERS), (volume, VOLUME_PLANNERS)):
-        for name in planners:
-            find_planner(name, is_for_volumes=problem is volume)(problem, budget_s=0.05, seed=0)
+    paths()
     modules = [module for name, module in sys.modules.items() if name.startswith("jaxurban.")]
     called = {each for module in modules for each in vars(module).values() if hasattr(each, "py_func")}
     assert push in called

@@ -45,14 +45,15 @@ def drawn(seed: int, counts, **rest) -> Ranging:
     return ranging(directions, np.repeat(np.arange(len(counts)), counts), (sigma_m, 0.7 * sigma_m), **rest)
 
 
-def all_of(satellites: Ranging) -> np.ndarray:
-    bits = np.arange(len(satellites.directions))
-    words = [sum(1 << int(b % 32) for b in bits if b // 32 == w) for w in range(-(-len(bits) // 32))]
-    return np.array(words, np.uint32)[:, None]
+def words_of(is_seen) -> np.ndarray:
+    """Return the words ``[W, N]`` of N choices of satellites ``[S, N]``."""
+    parts = [is_seen[first : first + 32] for first in range(0, len(is_seen), 32)]
+    return np.array([(part.T << np.arange(len(part))).sum(axis=1) for part in parts], np.uint32)
 
 
 def levels_of(satellites: Ranging, budget: RiskBudget = BUDGET) -> tuple[float, float]:
-    hpl_m, vpl_m = protection_levels(all_of(satellites), satellites, budget)[:, 0]
+    all_seen = np.ones((len(satellites.directions), 1), bool)
+    hpl_m, vpl_m = protection_levels(words_of(all_seen), satellites, budget)[:, 0]
     return hpl_m, vpl_m
 
 
@@ -167,11 +168,8 @@ def test_levels_do_not_depend_on_the_order_of_satellites_nor_on_those_unseen():
     seen = np.random.default_rng(1).random((42, 30)) < 0.4
     turned = Ranging(*(values[order] for values in satellites[:-1]), satellites.p_const)
 
-    def words(bits):
-        return np.array([(bits[w : w + 32].T << np.arange(len(bits[w : w + 32]))).sum(axis=1) for w in (0, 32)])
-
-    of_all = protection_levels(words(seen).astype(np.uint32), satellites, FINE)
-    np.testing.assert_allclose(protection_levels(words(seen[order]).astype(np.uint32), turned, FINE), of_all, rtol=1e-9)
+    of_all = protection_levels(words_of(seen), satellites, FINE)
+    np.testing.assert_allclose(protection_levels(words_of(seen[order]), turned, FINE), of_all, rtol=1e-9)
     chosen = np.flatnonzero(seen[:, 0])
     alone = Ranging(*(values[chosen] for values in satellites[:-1]), satellites.p_const)
     np.testing.assert_allclose(levels_of(alone, FINE), of_all[:, 0], rtol=1e-12)

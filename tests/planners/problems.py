@@ -149,9 +149,3 @@ def graph_cost(problem, xy, radius, more_edges=(), ends=(0, 1)):
 def ends_of(problem):
     """Start and goal as points, in cell sides."""
     return np.array([[cell[1] + 0.5, cell[0] + 0.5] for cell in (problem.start, problem.goal)])
-
-
-def volume_problem(cost, is_free, levels_m, start, goal, resolution_m, distance_weight):
-    """Return a problem between levels with one layer of weight 1; heights cost nothing."""
-    weights = [distance_weight, 1.0, 0.0, 0.0]
-    return Problem(np.asarray(cost)[None], is_free, start, goal, resolution_m, weights, "cell", levels_m)
