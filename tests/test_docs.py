@@ -10,7 +10,7 @@ import shlex
 import shutil
 import textwrap
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -111,12 +111,7 @@ def folder(prepared, tmp_path, monkeypatch) -> Path:
     return tmp_path / "page"
 
 
-def run_python(block: Block, page: Path, namespace: dict[str, Any], capsys) -> None:
-    source = "\n" * (block.line - 1) + block.text  # so that a traceback names the page's own line
-    exec(compile(source, str(page), "exec"), namespace)
-
-
-def keep_toml(block: Block, page: Path, namespace: dict[str, Any], capsys) -> None:
+def keep_toml(block: Block) -> None:
     """Check settings, and save them where their first line names a file."""
     settings = tomllib.loads(block.text)
     if "region" not in settings:
@@ -126,7 +121,7 @@ def keep_toml(block: Block, page: Path, namespace: dict[str, Any], capsys) -> No
         Path(named[1]).write_text(block.text, encoding="utf-8")
 
 
-def run_shell(block: Block, page: Path, namespace: dict[str, Any], capsys) -> None:
+def run_shell(block: Block, page: Path, capsys) -> None:
     for words in commands_of(block):
         match words:
             case ["jaxurban", *arguments]:
@@ -159,15 +154,14 @@ def commands_of(block: Block) -> Iterator[list[str]]:
             yield words
 
 
-Runner = Callable[[Block, Path, dict[str, Any], Any], None]
-RUNNERS: dict[str, Runner] = {"python": run_python, "toml": keep_toml, "sh": run_shell}
+RUN = {"python", "toml", "sh"}
 NOT_RUN = {"text", "math"}  # diagrams, and formulas, which `make docs` turns into MathML or fails
 
 
 def with_code() -> Iterator[Any]:
     """Yield the pages that have blocks to run."""
     for page in PAGES:
-        if {block.language for block in blocks_of(page)} & set(RUNNERS):
+        if {block.language for block in blocks_of(page)} & RUN:
             marks = [pytest.mark.slow] * bool(IS_LONG(page.name))
             yield pytest.param(page, id=name_of(page), marks=marks)
 
@@ -176,8 +170,14 @@ def with_code() -> Iterator[Any]:
 def test_the_blocks_of_a_page_run_in_their_order(page, folder, capsys):
     namespace: dict[str, Any] = {"__name__": "__main__"}
     for block in blocks_of(page):
-        if block.language not in NOT_RUN:
-            RUNNERS[block.language](block, page, namespace, capsys)
+        match block.language:
+            case "python":
+                source = "\n" * (block.line - 1) + block.text  # so that a traceback names the page's own line
+                exec(compile(source, str(page), "exec"), namespace)
+            case "toml":
+                keep_toml(block)
+            case "sh":
+                run_shell(block, page, capsys)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -186,7 +186,7 @@ def test_every_block_says_what_it_is_and_is_known_here(page):
     blocks = blocks_of(page)
     assert text.count("```") == 2 * len(blocks), "a fence is not closed, or stands within a line"
     for block in blocks:
-        assert block.language in {*RUNNERS, *NOT_RUN}, f"{name_of(page)}:{block.line}: language {block.language!r}"
+        assert block.language in RUN | NOT_RUN, f"{name_of(page)}:{block.line}: language {block.language!r}"
         is_hidden_code = block.language in NOT_RUN and re.search(r"\b(jaxurban |ju\.|import )", block.text)
         assert not is_hidden_code, f"{name_of(page)}:{block.line} holds code that no test runs"
 

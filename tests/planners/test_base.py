@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxurban.planners.base import Path, Problem, Status
-from jaxurban.planners.cost import STEPS, CostModel, allowed_moves
+from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import PLANNERS, find_planner
 
 FREE = np.array([[True, True, True], [True, False, True]])
@@ -22,28 +22,15 @@ def test_costs_inside_obstacles_may_be_anything_and_arguments_stay_writable():
     is_free[0, 0] = False
 
 
-def test_between_asks_the_same_map_between_other_cells():
+def test_a_problem_between_other_cells_or_under_other_weights_shares_what_does_not_depend_on_them():
     problem = make()
     other = problem.between((1, 0), (1, 2))
     assert (problem.start, other.start, other.goal) == ((0, 0), (1, 0), (1, 2))
     assert other.cost is problem.cost
-
-
-@pytest.mark.parametrize("connectivity", [4, 8])
-@pytest.mark.parametrize("needs_both_free", [True, False])
-def test_allowed_moves_equal_the_rule_written_out(connectivity, needs_both_free):
-    is_free = np.random.default_rng(2).random((9, 11)) < 0.6
-    moves = allowed_moves(is_free, connectivity, needs_both_free)
-
-    def free(row, col):
-        return 0 <= row < 9 and 0 <= col < 11 and bool(is_free[row, col])
-
-    for row, col in np.ndindex(9, 11):
-        for k, (rows, cols) in enumerate(STEPS):
-            expected = k < connectivity and free(row, col) and free(row + rows, col + cols)
-            if rows and cols and needs_both_free:
-                expected = expected and free(row + rows, col) and free(row, col + cols)
-            assert bool(moves[row, col] >> k & 1) == expected
+    weighed = problem.with_weights(np.array([0.5, 2.0, 0.0]))
+    assert weighed.moves is problem.moves
+    np.testing.assert_array_equal(weighed.cost, 2 * LAYERS[0])
+    assert (weighed.distance_weight, weighed.start, weighed.goal) == (0.5, problem.start, problem.goal)
 
 
 def test_planners_by_name_run_with_their_own_heuristic():

@@ -11,26 +11,17 @@ from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS
 # may use no compiled function under a signature that a plan across a few cells has not used.
 SCRIPT = """
 import os, sys
+from dataclasses import replace
 import numpy as np
-from jaxurban.planners.base import Problem
 from jaxurban.planners.compiled_first import _few_cells, _few_points
-from jaxurban.planners.cost import CostModel
 from jaxurban.planners.any_angle import refine
 from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS
 from jaxurban.planners.simplify import simplify
+from tests.planners.problems import random_problem
 
 def problem(dtype, kind, num_levels):
-    rng = np.random.default_rng(0)
-    shape = (num_levels, 40, 50) if num_levels else (40, 50)
-    is_free = rng.random(shape) < 0.8
-    ends = ((0, 1, 1), (num_levels - 1, 38, 48)) if num_levels else ((1, 1), (38, 48))
-    for end in ends:
-        is_free[end] = True
-    levels_m = 10.0 * np.arange(num_levels) if num_levels else None
-    layers = rng.random((3, *shape)).astype(dtype)
-    weights = [0.1, 1.0, 0.0, 2.0] + ([0.1, 0.2] if num_levels else [])
-    margin_m = 0.5 if dtype == np.float64 else 0.0
-    return Problem(layers, is_free, *ends, 5.0, weights, CostModel(kind, 5.0), levels_m, margin_m)
+    drawn = random_problem(0, (num_levels, 40, 50) if num_levels else (40, 50), dtype, 0.9, kind=kind)
+    return replace(drawn, leg_margin_m=0.5 if dtype == np.float64 else 0.0)
 
 def used():
     modules = [module for name, module in sys.modules.items() if name.startswith("jaxurban")]
@@ -54,6 +45,7 @@ def check(name, num_levels):
                 assert used() == before, (name, heuristic, dtype, kind, used() - before)
                 assert path.setup_s < 1.0, path.setup_s
             alterations = [(simplify, 2.0)] + [(refine,)] * (kind == "line" and not num_levels)
+            assert path.status.has_path or name == "ptp"
             for alter, *how in alterations if path.status.has_path else ():
                 alter(_few_cells(query), _few_points(_few_cells(query)), *how)
                 before = used()

@@ -76,14 +76,6 @@ def test_without_a_path_the_cost_is_infinite_and_its_gradient_zero():
     assert not by_layer.any()
 
 
-def test_reweighting_shares_what_does_not_depend_on_costs():
-    problem = make()
-    other = problem.with_weights(np.array([0.5, 2.0, 0.0]))
-    assert other.moves is problem.moves
-    np.testing.assert_array_equal(other.cost, 2 * problem.costs[0])
-    assert (other.distance_weight, other.start, other.goal) == (0.5, problem.start, problem.goal)
-
-
 def test_a_large_program_of_doubles_loses_no_digit_on_its_way_to_the_planner():
     # Programs of some size run in threads of their own, which do not know of enable_x64.
     problem = make("line", shape=(150, 160))

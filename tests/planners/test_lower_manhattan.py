@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import dijkstra
 
+from figures.paper.common import CENSUS, ORBITS, OSM
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
@@ -17,25 +18,13 @@ ALTITUDE_M = 20.0
 
 @pytest.fixture(scope="module")
 def maps(data_dir, tmp_path_factory) -> MetricMaps:
-    folder = tmp_path_factory.mktemp("lower-manhattan")
-    (folder / "scenario.toml").write_text(
-        f"""
-        [region]
-        bounds = [-74.02, 40.70, -73.98, 40.73]
-        resolution_m = 5.0
-        altitudes_m = [{ALTITUDE_M}]
-        [buildings]
-        source = "{data_dir}/osm/lower-manhattan.osm.pbf"
-        [gps]
-        orbits = "{data_dir}/gps/gps-ops_2020-04-27.tle"
-        times = ["2020-04-27T16:00:00Z"]
-        [population]
-        blocks = "{data_dir}/census/tl_2010_36061_tabblock10.shp"
-        table = "{data_dir}/census/DECENNIALSF12010.P1_nyc_blocks.csv"
-        districts = "{data_dir}/districts/nyc_community_districts.geojson"
-        """
-    )
-    return run_scenario(Scenario.from_toml(folder / "scenario.toml"), folder / "maps").maps[5.0]
+    scenario = {
+        "region": {"bounds": [-74.02, 40.70, -73.98, 40.73], "resolution_m": 5.0, "altitudes_m": [ALTITUDE_M]},
+        "buildings": {"source": str(OSM)},
+        "gps": {"orbits": str(ORBITS), "times": ["2020-04-27T16:00:00Z"]},
+        "population": {name: str(file) for name, file in CENSUS.items()},
+    }
+    return run_scenario(Scenario.from_dict(scenario), tmp_path_factory.mktemp("lower-manhattan")).maps[5.0]
 
 
 def day_problem(maps: MetricMaps, cost_model: str) -> Problem:
