@@ -31,8 +31,7 @@ ALWAYS = {"permanent": "YES"}
 
 
 def polygon(*rings, **limits):
-    shape = {"type": "Polygon", "coordinates": rings or [RING]}
-    return {"uomDimensions": "M", "horizontalProjection": shape} | limits
+    return {"uomDimensions": "M", "horizontalProjection": {"type": "Polygon", "coordinates": rings or [RING]}} | limits
 
 
 def circle(radius, uom="M", centre=(LON, LAT), **limits):
@@ -41,10 +40,7 @@ def circle(radius, uom="M", centre=(LON, LAT), **limits):
 
 
 def agl(lower, upper):
-    return dict(zip(LIMITS, (lower, upper, "AGL", "AGL"), strict=True))
-
-
-LIMITS = "lowerLimit", "upperLimit", "lowerVerticalReference", "upperVerticalReference"
+    return {"lowerLimit": lower, "upperLimit": upper, "lowerVerticalReference": "AGL", "upperVerticalReference": "AGL"}
 
 
 def zone(*volumes, name="Findel", restriction="PROHIBITED", applicability=(ALWAYS,)):

@@ -77,7 +77,6 @@ def test_window_cuts_a_sub_box():
     ("bounds", "words"),
     [
         ((-74.0, 40.7, -74.02, 40.73), "not a box"),
-        ((40.70, -120.0, 40.73, -73.98), "longitude first"),
         ((-74.02, 40.70, -73.98), "four finite numbers"),
         ((-74.02, math.nan, -73.98, 40.73), "four finite numbers"),
     ],
