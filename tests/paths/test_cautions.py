@@ -106,13 +106,6 @@ def test_the_table_of_a_route_marks_clearances_that_rest_on_guessed_roofs(maps):
         assert [line[:24].strip() for line in lines if line.endswith("(if guessed roofs are right)")] == marked
 
 
-def test_a_simplified_route_has_the_cautions_of_its_own_legs(maps):
-    on = ju.cost_map(maps, ALTITUDE_M, objective="distance")
-    path = on.plan(*(maps.grid.lonlat_of_cell(ROW, col) for col in (10, 90)))
-    simple = ju.simplify(path, on, tolerance_m=20.0)
-    assert simple.cautions == ju.cautions(simple, maps) != []
-
-
 def test_what_was_asked_of_clearances_is_the_limit(maps):
     path = straight(maps)  # 35 m from the tower, 8 m over the roof
     for radius_m, roof_m, level in ((0.0, 8.0, "note"), (2.0, 8.5, "limit")):
@@ -182,10 +175,8 @@ def test_satellites_are_whole_numbers_and_between_two_altitudes_those_of_the_low
     visible = maps.ds["num_visible"].copy(deep=True)
     visible[:, 1] = 10
     higher = ju.MetricMaps(maps.ds.assign(num_visible=visible))
-    heights = {"start_altitude_m": 30.0, "goal_altitude_m": 30.0, "level_step_m": 10.0}
-    path = plan_volume(higher, **ends_at(maps, (ROW, 20), (ROW, 30)), **heights, objective="distance")
+    path = ju.plan(higher, **ends_at(maps, (ROW, 20), (ROW, 30)), altitude_m=30.0, objective="distance")
     profile = ju.explain(path, higher).profile
-    assert (path.z_m == 30.0).all()
     cells = higher.grid.cell_of_lonlat(profile["lon"], profile["lat"])
     assert profile["num_visible"].tolist() == higher.m("num_visible", 20.0)[cells].tolist()
     assert set(profile["num_visible"]) == {3, 7}

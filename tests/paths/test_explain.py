@@ -272,15 +272,6 @@ def test_the_curves_are_the_values_of_the_report_by_distance_under_altitude_and_
     assert all(panel.get_legend() for panel in (heights, metrics, walls))
 
 
-def test_roofs_of_guessed_height_are_told_apart(maps, planned, report):
-    profile = report.profile.assign(roof_m=12.0, roof_guessed=report.profile.index < 5)
-    heights = plot_profile(planned, maps, replace(report, profile=profile)).axes[0]
-    guessed = steps(heights)["of guessed height"]
-    assert to_hex(guessed.get_facecolor()) == GUESSED_COLOUR
-    np.testing.assert_array_equal(guessed.get_data().values, np.where(profile.index < 5, 12.0, 0.0))
-    assert "of guessed height" not in steps(plot_profile(planned, maps, report).axes[0])
-
-
 def test_stretches_without_a_fix_are_shaded_over_their_whole_length(maps, planned, report):
     figure = plot_profile(planned, maps, report)
     widths = [p.get_width() for p in figure.axes[1].patches if p.get_facecolor()[:3] == to_rgb(NO_FIX_COLOUR)]
@@ -295,12 +286,15 @@ def test_a_profile_without_walls_or_of_one_place_is_drawn(maps, ends, planned, t
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.png", "b.png"]
 
 
-def test_clearance_has_gaps_only_where_a_route_is_above_every_obstacle(maps, planned, report):
-    clear_m = report.profile["nearest_wall_m"].where(report.profile.index > 3, np.inf)
-    profile = report.profile.assign(nearest_wall_m=clear_m)
-    walls = plot_profile(planned, maps, replace(report, profile=profile)).axes[2]
-    drawn = steps(walls)["clearance"].get_data().values
-    assert np.isnan(drawn[:4]).all()
-    np.testing.assert_array_equal(drawn[4:], profile["nearest_wall_m"][4:])
+def test_roofs_of_guessed_height_and_stretches_above_every_obstacle_are_told_apart(maps, planned, report):
+    is_first = report.profile.index < 5
+    clear_m = report.profile["nearest_wall_m"].mask(is_first, np.inf)
+    profile = report.profile.assign(roof_m=12.0, roof_guessed=is_first, nearest_wall_m=clear_m)
+    heights, _, walls = plot_profile(planned, maps, replace(report, profile=profile)).axes
+    guessed = steps(heights)["of guessed height"]
+    assert to_hex(guessed.get_facecolor()) == GUESSED_COLOUR
+    np.testing.assert_array_equal(guessed.get_data().values, np.where(is_first, 12.0, 0.0))
+    assert "of guessed height" not in steps(plot_profile(planned, maps, report).axes[0])
+    np.testing.assert_array_equal(steps(walls)["clearance"].get_data().values, clear_m.where(~is_first))
     assert "gaps: above every\nobstacle" in [text.get_text() for text in walls.get_legend().get_texts()]
     assert not walls.texts

@@ -12,6 +12,7 @@ from jaxurban.maps.run import run_scenario
 from jaxurban.viewer.plans import Plans
 from tests.cli_runs import TOWN, run
 from tests.made_maps import made_maps
+from tests.paths.volumes import options_of
 
 ALTITUDE_M = 20.0
 MADE = made_maps(40, 60)
@@ -35,10 +36,10 @@ def folder_of(place, **settings):
     return place
 
 
-def command(capsys, name, folder, *options):
-    """What a command says of one route."""
-    ends = [f"--{end}={lon},{lat}" for end, (lon, lat) in (("start", START), ("goal", GOAL))]
-    code, out, err = run(capsys, name, folder, *ends, "--altitude", ALTITUDE_M, "--json", *options)
+def command(capsys, folder, *options):
+    """What the command says of one route."""
+    places = options_of(MADE, *(MADE.grid.xy_of_cell(*cell) for cell in CELLS))
+    code, out, err = run(capsys, "plan", folder, *places, "--json", *options)
     assert code == 0, err
     return json.loads(out)
 
@@ -54,12 +55,12 @@ def test_python_plans_over_a_folder_as_the_command_does(planning, preset, tmp_pa
     line = ("--weights", "lidar=4", "--cost-model", "line", "--clearance", 0, "--vertical-clearance", 4)
     for named, options in (({}, ()), (given, line)):
         options += ("--report", "--preset", preset) if preset else ("--report",)
-        expected = command(capsys, "plan", folder, *options)
+        expected = command(capsys, folder, *options)
         assert expected["report"]["time_s"] == pytest.approx(expected["length_m"] / 9)
         stated = expected["settings"]["limits"]
         assert (stated["vehicle_radius_m"], expected["settings"]["weights"]["gps"]) == (3.0, 3.0)
         assert not named or {name: stated.get(name, 0.0) for name in limits} == limits
-        assert command(capsys, "plan", tmp_path / "copy", *options)["settings"] == expected["settings"]
+        assert command(capsys, tmp_path / "copy", *options)["settings"] == expected["settings"]
         cut = ju.MetricMaps(maps.ds.isel(x=slice(0, 60)))
         found = [ju.plan(on, START, GOAL, altitude_m=ALTITUDE_M, **named, **under) for on in (str(folder), maps, cut)]
         (one,) = ju.plan_many(folder, [(START, GOAL)], altitude_m=ALTITUDE_M, progress=False, **named, **under)

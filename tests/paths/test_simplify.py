@@ -53,6 +53,7 @@ def test_a_mission_of_tens_comes_out_of_a_path_of_hundreds_and_no_leg_of_the_fil
     assert simple.length_m == pytest.approx(shapely.LineString(simple.xy_m).length)
     assert simple.cost == pytest.approx(sum(simple.cost_by_layer.values()))
     assert simple.cost == pytest.approx(ju.explain(simple, maps).totals["cost"], rel=1e-9)
+    assert simple.cautions == ju.cautions(simple, maps) != path.cautions
     np.testing.assert_allclose(simple.lonlat[[0, -1]], path.lonlat[[0, -1]])
     assert (simple.settings["simplify_m"], simple.zones) == (2.5, path.zones)
     assert shapely.hausdorff_distance(shapely.LineString(path.xy_m), shapely.LineString(simple.xy_m)) <= 2.5

@@ -1,7 +1,7 @@
-"""A machine on which nothing is compiled yet gives what any other does: same statuses, routes and costs.
+"""Processes of their own plan as this one does: where nothing is compiled yet, and in a child of `os.fork`.
 
-In processes of their own, each with empty folders for all that is kept between sessions. Budgets are less than
-compiling takes, and more than the searches do.
+The first have empty folders for all that is kept between sessions, and budgets that are less than compiling takes and
+more than the searches do. A fork is how `multiprocessing` starts children on Linux, where JAX waits for ever.
 """
 
 import os
@@ -20,7 +20,37 @@ from tests.paths.volumes import ends_at, options_of
 CACHES = ("NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
 BUDGET_S = 1.0
 COMPILING = "jaxurban compiles its kernels, which takes some 30 s, once a machine"
-SCRIPT = "from tests.paths.test_empty_caches import JOBS; import sys; JOBS[sys.argv[1]](*sys.argv[2:])"
+NEW = "from tests.paths.test_processes import JOBS; import sys; JOBS[sys.argv[1]](*sys.argv[2:])"
+FORKED = """
+import os, signal, warnings
+import numpy as np
+import jax.numpy as jnp
+import jaxurban as ju
+from tests.made_maps import made_maps
+
+warnings.simplefilter("ignore")  # Python 3.12 and JAX warn of forks
+jnp.ones(3).sum().block_until_ready()
+maps = made_maps(60, 80)
+constraints = ju.Constraints(clearance_m=5.0, vertical_clearance_m=3.0)
+cells = np.argwhere(ju.cost_map(maps, 20.0, constraints=constraints).is_free)[[0, -1]]
+ends = [tuple(map(float, maps.grid.lonlat_of_cell(*cell))) for cell in cells]
+
+def costs():
+    how = {"constraints": constraints, "cost_model": "line", "snap": True}
+    paths = [ju.plan(maps, *ends, altitude_m=20.0, planner=name, **how) for name in ("ptp", "astar-plus", "theta-star")]
+    paths.append(ju.plan(maps, *ends, altitude_m=ju.Levels(20.0, 60.0, 20.0), **how))
+    ju.explain(paths[1], maps)
+    paths += list(ju.plan_many(maps, [ends] * 3, altitude_m=60.0, snap=True, progress=False))
+    return [path.cost for path in paths]
+
+before = costs()
+child = os.fork()
+if not child:
+    signal.alarm(60)
+    os._exit(0 if costs() == before else 1)
+status = os.waitpid(child, 0)[1]
+assert status == 0, f"the child ended with {status} ({signal.SIGALRM} is a hang)"
+"""
 
 
 def plan(folder, out):
@@ -57,7 +87,7 @@ def test_what_a_new_machine_plans_is_what_any_other_does(job, folder, tmp_path):
     for place in places:
         place.mkdir()
     *caches, cold, warm = places
-    command = [sys.executable, "-c", SCRIPT, job, folder, cold]
+    command = [sys.executable, "-c", NEW, job, folder, cold]
     env = {**os.environ, **dict(zip(CACHES, map(str, caches), strict=True))}
     ended = subprocess.run(command, env=env, capture_output=True, text=True, timeout=600, check=False)
     assert ended.returncode == 0, ended.stderr
@@ -68,3 +98,10 @@ def test_what_a_new_machine_plans_is_what_any_other_does(job, folder, tmp_path):
     assert (found["status"] == "optimal").mean() > 1 / 3
     clocks = found.columns.intersection(["elapsed_s", "setup_s", "search"])
     pd.testing.assert_frame_equal(found.drop(columns=clocks), expected.drop(columns=clocks), rtol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_plans_after_a_fork_are_those_before_it():
+    ended = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=300, check=False)
+    assert ended.returncode == 0, ended.stderr
