@@ -1,4 +1,4 @@
-"""Where a city's sources know what stands, and where water and parks are: tagged areas, and the sea beside its coast."""
+"""Where a city's sources know what stands, and where water and parks are: tagged areas, and the sea beside a coast."""
 
 import numpy as np
 import pytest

@@ -28,19 +28,14 @@ def blocks_in(path, ids=IDS, **fields):
     return write_vector(path, shapes, to="EPSG:4269", GEOID10=ids, **fields)
 
 
-@pytest.fixture
-def read(tmp_path):
+def read(tmp_path, table=None, blocks="b.gpkg", bounds_m=None, **files):
     """Read blocks with a table given as its text or as a frame."""
-
-    def read_table(table=None, blocks="b.gpkg", bounds_m=None, **files):
-        path = tmp_path / blocks if (tmp_path / blocks).exists() else blocks_in(tmp_path / blocks)
-        if table is not None:
-            text = table if isinstance(table, str) else pd.DataFrame(table).to_csv(index=False)
-            (tmp_path / "t.csv").write_text(text)
-            files["table"] = tmp_path / "t.csv"
-        return read_blocks(ju.Population(blocks=path, **files), UTM, bounds_m)
-
-    return read_table
+    path = tmp_path / blocks if (tmp_path / blocks).exists() else blocks_in(tmp_path / blocks)
+    if table is not None:
+        text = table if isinstance(table, str) else pd.DataFrame(table).to_csv(index=False)
+        (tmp_path / "t.csv").write_text(text)
+        files["table"] = tmp_path / "t.csv"
+    return read_blocks(ju.Population(blocks=path, **files), UTM, bounds_m)
 
 
 SF1 = (
@@ -52,8 +47,8 @@ SF1 = (
 
 
 @pytest.mark.parametrize("suffix", [".shp", ".gpkg", ".geojson", ".parquet"])
-def test_blocks_of_any_format_join_the_table_of_two_header_rows(read, suffix):
-    blocks, issues = read(SF1, f"blocks{suffix}")
+def test_blocks_of_any_format_join_the_table_of_two_header_rows(tmp_path, suffix):
+    blocks, issues = read(tmp_path, SF1, f"blocks{suffix}")
     assert blocks.block_id.tolist() == IDS
     assert blocks.night_count.tolist() == [123, 0, 1400]
     np.testing.assert_allclose(blocks.area_m2, 1e4, rtol=1e-4)
@@ -70,37 +65,37 @@ def test_blocks_of_any_format_join_the_table_of_two_header_rows(read, suffix):
         ({"id": [IDS[0]] * 2, "population": [9, 9]}, [9, 0, 0], 2),  # equal rows count once
     ],
 )
-def test_a_plain_table_joins_and_a_count_that_cannot_be_read_is_nobody(read, table, counts, num_without):
-    blocks, issues = read(table)
+def test_a_plain_table_joins_and_a_count_that_cannot_be_read_is_nobody(tmp_path, table, counts, num_without):
+    blocks, issues = read(tmp_path, table)
     assert blocks.night_count.tolist() == counts
     assert (issues["blocks_without_count"], issues["counts_without_block"]) == (num_without, 0)
 
 
 @pytest.mark.parametrize("as_numbers", [False, True])
-def test_ids_join_also_as_numbers_and_without_their_leading_zero(read, tmp_path, as_numbers):
+def test_ids_join_also_as_numbers_and_without_their_leading_zero(tmp_path, as_numbers):
     ids = ["060370001001000", "060370001001001"]
     blocks_in(tmp_path / "b.gpkg", [int(each) for each in ids] if as_numbers else ids)
-    blocks, _ = read({"GEOID": [int(each) for each in ids], "POP100": [5, 6]})
+    blocks, _ = read(tmp_path, {"GEOID": [int(each) for each in ids], "POP100": [5, 6]})
     assert blocks.night_count.tolist() == [5, 6]
     assert as_numbers or blocks.block_id.tolist() == ids
 
 
-def test_counts_can_lie_in_the_blocks_file(read, tmp_path):
+def test_counts_can_lie_in_the_blocks_file(tmp_path):
     blocks_in(tmp_path / "b.gpkg", POP10=[4, 5, 6], HOUSING10=[1, 2, 3])
-    assert read()[0].night_count.tolist() == [4, 5, 6]
+    assert read(tmp_path)[0].night_count.tolist() == [4, 5, 6]
 
 
-def test_only_blocks_that_touch_the_region_are_kept(read):
-    blocks, issues = read(SF1, "b.shp", box(210, 10, 900, 90).bounds)
+def test_only_blocks_that_touch_the_region_are_kept(tmp_path):
+    blocks, issues = read(tmp_path, SF1, "b.shp", box(210, 10, 900, 90).bounds)
     assert blocks.block_id.tolist() == IDS[2:]
     assert issues["counts_without_block"] == 1  # against the whole file, not the region
     with pytest.raises(InputError, match="no block that touches the region"):
-        read(SF1, "b.shp", (0, 0, 10, 10))
+        read(tmp_path, SF1, "b.shp", (0, 0, 10, 10))
 
 
-def test_districts_set_label_and_zoning(read, tmp_path):
+def test_districts_set_label_and_zoning(tmp_path):
     districts = write_vector(tmp_path / "d.gpkg", [box(0, 0, 160, 100), box(160, 0, 200, 100)], BoroCD=[101, 107])
-    blocks, issues = read(SF1, districts=districts, commercial=(101,))
+    blocks, issues = read(tmp_path, SF1, districts=districts, commercial=(101,))
     assert blocks.district.tolist() == [101, 101, OTHER_DISTRICT]
     assert blocks.zoning.tolist() == [COM, COM, OTHER]
     assert issues["blocks_without_district"] == 1
@@ -114,10 +109,10 @@ def test_districts_set_label_and_zoning(read, tmp_path):
         ("NAME", "joins no block: no column holds ids such as 'x'"),
     ],
 )
-def test_a_wrong_block_field_is_refused_with_the_remedy(read, tmp_path, field, sentence):
+def test_a_wrong_block_field_is_refused_with_the_remedy(tmp_path, field, sentence):
     blocks_in(tmp_path / "b.gpkg", TRACT=["1", "1", "2"], NAME=["x", "y", "z"])
     with pytest.raises(InputError, match=sentence):
-        read(SF1, block_field=field)
+        read(tmp_path, SF1, block_field=field)
 
 
 @pytest.mark.data
@@ -155,15 +150,13 @@ def test_largest_overlap_equals_counting_unit_squares(blocks, districts):
     np.testing.assert_array_equal(largest_overlap(polygons, areas, labels), expected)
 
 
+SEVEN = [101, 106, 107, 112, 164, 208, OTHER_DISTRICT]  # of Manhattan, as in the paper
+
+
 @pytest.mark.parametrize(
     ("districts", "commercial", "labels", "expected"),
     [
-        (
-            [101, 106, 107, 112, 164, 208, OTHER_DISTRICT],
-            range(101, 107),
-            [*range(101, 113), 164, 208],  # Manhattan's, as in the paper
-            [COM, COM, RES, RES, OTHER, OTHER, OTHER],
-        ),
+        (SEVEN, range(101, 107), [*range(101, 113), 164, 208], [COM, COM, RES, RES, OTHER, OTHER, OTHER]),
         ([101, 106], (101,), range(101, 113), [COM, RES]),  # the rest of the twelve
         ([1, 2, 3, OTHER_DISTRICT], (1,), (1, 2, 3), [COM, RES, RES, OTHER]),  # another city's
     ],

@@ -20,14 +20,8 @@ from tests.io.made_files import UTM, X, Y, north_up, write_raster
 ELSEWHERE = "EPSG:32617"
 
 
-@pytest.fixture
-def read(tmp_path):
-    """Write values as a raster and read it."""
-
-    def read_values(values, bounds_m=None, **how):
-        return read_raster(write_raster(tmp_path / "a.tif", values, **how), UTM, bounds_m)
-
-    return read_values
+def read(tmp_path, values, bounds_m=None, **how):
+    return read_raster(write_raster(tmp_path / "a.tif", values, **how), UTM, bounds_m)
 
 
 def grid(resolution_m, num_rows, num_cols, east_m=0.0, north_m=0.0):
@@ -53,16 +47,16 @@ def places(transform, col, row):
 RAMP = np.arange(12, dtype=np.float32).reshape(3, 4)
 
 
-def test_the_declared_nodata_value_is_nan_and_scale_and_offset_are_applied(read):
-    found = read(np.array([[0, 15, -99]], np.int16), nodata=-99, scales=0.1, offsets=2.0)
+def test_the_declared_nodata_value_is_nan_and_scale_and_offset_are_applied(tmp_path):
+    found = read(tmp_path, np.array([[0, 15, -99]], np.int16), nodata=-99, scales=0.1, offsets=2.0)
     np.testing.assert_allclose(found.values, [[2.0, 3.5, np.nan]])
-    np.testing.assert_array_equal(read(np.float32([[1, np.nan]]), nodata=np.nan).values, [[1, np.nan]])
+    np.testing.assert_array_equal(read(tmp_path, np.float32([[1, np.nan]]), nodata=np.nan).values, [[1, np.nan]])
 
 
-def test_only_the_window_around_the_bounds_is_read_and_a_fault_outside_it_is_no_matter(read):
+def test_only_the_window_around_the_bounds_is_read_and_a_fault_outside_it_is_no_matter(tmp_path):
     values = np.arange(400, dtype=np.float32).reshape(20, 20)
     values[0, 0] = np.nan
-    found = read(values, (X + 81, Y + 111, X + 99, Y + 119))
+    found = read(tmp_path, values, (X + 81, Y + 111, X + 99, Y + 119))
     assert (found.values.dtype, found.transform, found.crs) == (np.float32, (10, 0, X, 0, -10, Y + 200), UTM)
     assert (found.first_row, found.first_col) == (6, 6)  # two pixels more on each side
     np.testing.assert_array_equal(found.values, values[6:11, 6:12])
@@ -153,8 +147,8 @@ FEET = {"crs": "EPSG:2263", "transform": Affine(10, 0, 980_000, 0, -10, 200_000)
         (FEET | {"units": "m"}, 1.0),  # on the ground alone
     ],
 )
-def test_the_unit_of_heights_is_that_of_the_band_or_of_a_vertical_axis(read, how, metres):
-    found = read(RAMP, **how)
+def test_the_unit_of_heights_is_that_of_the_band_or_of_a_vertical_axis(tmp_path, how, metres):
+    found = read(tmp_path, RAMP, **how)
     np.testing.assert_allclose(found.values, RAMP * metres, rtol=1e-6)
     if "transform" not in how:
         np.testing.assert_allclose(resample_raster(found, grid(10, 3, 4)), RAMP[::-1] * metres, rtol=1e-6)
