@@ -24,19 +24,12 @@ TYPES = {"obstacle", "gps", "gdop", "hdop", "num_visible", "lidar", "risk", "pop
 one = jax.jit(all_maps)
 
 
-def task_of(has_terrain=False):
-    city = ju.demo_city(900, 900)
-    x_min, y_min, _, y_max = city.extent_m
-    if has_terrain:
-        hills_m = (15 * np.sin(np.arange(40) / 5)[:, None] * np.cos(np.arange(40) / 7)).astype(np.float32)
-        city = replace(city, terrain=Raster(hills_m, (30.0, 0.0, x_min - 150, 0.0, -30.0, y_max + 150), city.crs))
-    region = Grid(city.crs, 10.0, round(y_min / 10) + 20, round(x_min / 10) + 20, 48, 40)
-    return MapTask(city, region, view_sky(region, ju.Gps(times=TIMES)), PARAMS)
-
-
 @pytest.fixture(scope="module")
 def task():
-    return task_of()
+    city = ju.demo_city(900, 900)
+    first_col, first_row = (round(edge / 10) + 20 for edge in city.extent_m[:2])
+    region = Grid(city.crs, 10.0, first_row, first_col, 48, 40)
+    return MapTask(city, region, view_sky(region, ju.Gps(times=TIMES)), PARAMS)
 
 
 @pytest.fixture(scope="module")
@@ -70,11 +63,8 @@ def assert_as_kept(maps, expected, t=0):
         assert_same(name, values, held)
 
 
-@pytest.mark.parametrize("has_terrain", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_it_gives_the_bits_of_the_recipe(has_terrain):
-    task = task_of(has_terrain)
-    inputs = inputs_of(task)
-    views, expected = skies_of(task, inputs.surface), compute_maps(task).ds
+def test_it_gives_the_bits_of_the_recipe(task, inputs, views):
+    expected = compute_maps(task).ds
     for t in range(task.num_times):
         found = one(inputs, at(views, t))
         assert_as_kept(found, expected, t)
@@ -84,11 +74,12 @@ def test_it_gives_the_bits_of_the_recipe(has_terrain):
 
 
 @pytest.mark.slow
-def test_where_the_terrain_is_unknown_the_maps_are_too_and_the_cost_s_derivatives_are_finite():
-    task = task_of(has_terrain=True)
-    terrain = task.city.terrain
-    values = np.where(np.arange(terrain.values.shape[1]) < 15, np.nan, terrain.values).astype(np.float32)
-    task = replace(task, city=replace(task.city, terrain=replace(terrain, values=values)))
+def test_over_terrain_and_where_it_is_unknown_the_bits_are_equal_and_the_cost_s_derivatives_finite(task):
+    x_min, _, _, y_max = task.city.extent_m
+    hills_m = 15 * np.sin(np.arange(40) / 5)[:, None] * np.cos(np.arange(40) / 7)
+    hills_m[:, :15] = np.nan
+    place = (30.0, 0.0, x_min - 150, 0.0, -30.0, y_max + 150), task.city.crs
+    task = replace(task, city=replace(task.city, terrain=Raster(hills_m.astype(np.float32), *place)))
     inputs, expected = inputs_of(task), compute_maps(task).ds
     has_data = expected["has_data"].values
     assert 0.1 < has_data.mean() < 0.9

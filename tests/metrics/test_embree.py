@@ -186,8 +186,7 @@ def world(request) -> World:
     return World(request.param)
 
 
-AXES = [(azimuth, elevation) for azimuth in (0, 90, 180, 270) for elevation in (5, 20, 50)]
-DIAGONALS = [(azimuth, elevation) for azimuth in (45, 135, 225, 315) for elevation in (5, 20, 50)]
+AXES, DIAGONALS = ([(turn + 90 * k, elevation) for k in range(4) for elevation in (5, 20, 50)] for turn in (0, 45))
 
 
 @pytest.mark.parametrize(
