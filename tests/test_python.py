@@ -15,7 +15,6 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.paths.export.write import write_path
 from jaxurban.public import NAMESPACES
@@ -84,7 +83,7 @@ def test_a_path_keeps_its_weights_by_name_and_saves_itself_in_every_format(paths
         write_path(paths[0], other := file.with_stem("other"))
         assert file.read_bytes() == other.read_bytes()
     blocked = ju.plan(MAPS, START, GOAL, altitude_m=20.0, planner="ptp")
-    with pytest.raises(InputError, match="there is no path to save: The straight line"):
+    with pytest.raises(ju.InputError, match="there is no path to save: The straight line"):
         blocked.save(tmp_path / "none.geojson")
 
 
@@ -102,9 +101,9 @@ def test_a_batch_is_one_file_with_a_name_for_each_path(paths, tmp_path, suffix):
 def test_a_batch_is_a_table_too(paths, tmp_path):
     for suffix, read in ((".csv", pd.read_csv), (".parquet", pd.read_parquet)):
         assert read(paths.save(tmp_path / f"batch{suffix}")).status.tolist() == ["optimal", "optimal", "bad-input"]
-    with pytest.raises(InputError, match=r"\.parquet, \.csv, \.geojson, \.kml, \.gpx, \.plan"):
+    with pytest.raises(ju.InputError, match=r"\.parquet, \.csv, \.geojson, \.kml, \.gpx, \.plan"):
         paths.save(tmp_path / "batch.txt")
-    with pytest.raises(InputError, match=r"a \.plan holds one path, and these are 2"):
+    with pytest.raises(ju.InputError, match=r"a \.plan holds one path, and these are 2"):
         paths.save(tmp_path / "batch.plan")
 
 
@@ -122,7 +121,7 @@ def test_pictures_take_one_path_several_or_a_batch(paths):
     for given in (paths[0], [paths[0], paths[1]], paths):
         assert "20 m" in plot_paths(MAPS, given).axes[0].get_title("left")
     assert plot_overview(MAPS, paths).axes
-    with pytest.raises(InputError, match="paths must be paths from plan"):
+    with pytest.raises(ju.InputError, match="paths must be paths from plan"):
         plot_paths(MAPS, [5])
 
 
@@ -138,7 +137,7 @@ def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
 
 
 def test_a_path_is_not_explained_by_the_maps_of_another_place():
-    with pytest.raises(InputError, match="leaves the region"):
+    with pytest.raises(ju.InputError, match="leaves the region"):
         ju.explain(ju.plan(MAPS, START, GOAL, altitude_m=20.0), made_maps(8, 8))
 
 
@@ -147,7 +146,7 @@ def test_a_part_of_maps_knows_where_it_lies_and_one_with_gaps_is_refused():
     np.testing.assert_allclose(part.grid.x_m, part.ds.x.values)
     np.testing.assert_allclose(part.grid.y_m, part.ds.y.values)
     np.testing.assert_array_equal(part.is_free(20.0), MAPS.is_free(20.0)[3:20, 5:15])
-    with pytest.raises(InputError, match="cut maps by slices without a step"):
+    with pytest.raises(ju.InputError, match="cut maps by slices without a step"):
         ju.MetricMaps(MAPS.ds.isel(x=slice(5, 15, 2)))
 
 
@@ -171,11 +170,11 @@ def test_times_may_be_datetimes_of_any_kind():
 def test_studies_of_routes_refuse_volumes():
     volume = ju.cost_map(MAPS, ju.Levels())
     for study, *given in ((ju.studies.sensitivity, START, GOAL), (ju.studies.make_queries, [(START, GOAL)])):
-        with pytest.raises(InputError, match="needs one altitude, not Levels"):
+        with pytest.raises(ju.InputError, match="needs one altitude, not Levels"):
             study(volume, *given)
     path = ju.plan(MAPS, START, GOAL, altitude_m=20.0)
     climbing = dataclasses.replace(path, z_m=path.z_m + np.arange(len(path.z_m)))
-    with pytest.raises(InputError, match="path 1: it changes its altitude"):
+    with pytest.raises(ju.InputError, match="path 1: it changes its altitude"):
         ju.fit.demonstrations_from_paths(climbing, MAPS)
 
 

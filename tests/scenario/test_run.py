@@ -11,7 +11,6 @@ import rasterio
 import shapely
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io import files
 from jaxurban.io.store import settings_of
 from jaxurban.maps import provenance as record
@@ -78,7 +77,7 @@ def test_worker_processes_write_the_same_geotiffs(job, tmp_path):
 
 
 def test_a_failed_job_leaves_no_empty_folder(tmp_path):
-    with pytest.raises(InputError):
+    with pytest.raises(ju.InputError):
         pipeline.run_scenario(job_of(buildings={"source": "none.osm"}), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -86,7 +85,7 @@ def test_a_failed_job_leaves_no_empty_folder(tmp_path):
 def test_a_free_cell_without_a_value_is_never_without_cost(job):
     maps = ju.open_maps(job)
     maps.ds["gps"][:] = np.nan
-    with pytest.raises(InputError, match="finite"):
+    with pytest.raises(ju.InputError, match="finite"):
         ju.plan(maps, **far_ends(maps))
 
 
@@ -113,7 +112,7 @@ def test_a_changed_scenario_is_refused_with_both_differences_and_a_new_folder(jo
     files.write_json(job / "run.json", made | {"inputs": inputs, "settings": made["settings"] | orbits})
     before = files_of(job)
     both = r"altitudes_m was \[20.*other input files \(orbits.*-o \S*job-2\).*--overwrite"
-    with pytest.raises(InputError, match=both):
+    with pytest.raises(ju.InputError, match=both):
         pipeline.run_scenario(job_of(**orbits, region=REGION | {"altitudes_m": altitudes_m}), job)
     assert files_of(job) == before
 
@@ -141,15 +140,15 @@ def test_open_maps_refuse_to_read_those_of_another_run_or_that_were_saved_over_t
     shutil.copytree(job, tmp_path / "swapped")
     made_maps(20, 20, resolution_m=20.0).save(tmp_path / "saved")
     for each in (maps, swapped, saved):
-        with pytest.raises(InputError, match="made again or removed since they were opened"):
+        with pytest.raises(ju.InputError, match="made again or removed since they were opened"):
             each.m("risk", 20.0)
-        with pytest.raises(InputError, match="open them again"):
+        with pytest.raises(ju.InputError, match="open them again"):
             ju.plan(each, **ends)
     assert ju.open_maps(job).m("gps", 20.0).size
 
 
 def test_a_second_run_in_the_same_folder_is_refused(job):
-    with files.only_writer(job), pytest.raises(InputError, match="another run is writing"):
+    with files.only_writer(job), pytest.raises(ju.InputError, match="another run is writing"):
         pipeline.run_scenario(job_of(), job)
     pipeline.run_scenario(job_of(), job)
 

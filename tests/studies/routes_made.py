@@ -4,8 +4,10 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+import geopandas
 import numpy as np
 import pandas as pd
+import shapely
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -63,12 +65,9 @@ def cosine(fit, demonstrations: Sequence[Demonstration], hidden: ju.Weights) -> 
 
 def write_lines(file: Path, maps: MetricMaps, *lines_m: np.ndarray, **properties) -> Path:
     """Write lines ``[N, 2]`` of eastings and northings with one set of properties; return the file."""
-    features = []
-    for line_m in lines_m:
-        lonlat = np.round(np.stack(maps.grid.lonlat_of_xy(*np.transpose(line_m)), axis=-1), 7).tolist()
-        shape = {"type": "LineString", "coordinates": lonlat}
-        features.append({"type": "Feature", "properties": properties, "geometry": shape})
-    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    lonlat = [np.round(np.stack(maps.grid.lonlat_of_xy(*np.transpose(each)), axis=-1), 7) for each in lines_m]
+    lines = geopandas.GeoDataFrame([properties] * len(lonlat), geometry=[*map(shapely.LineString, lonlat)])
+    file.write_text(lines.to_json(drop_id=True))
     return file
 
 

@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io.files import write_json
 from jaxurban.io.store import RUN_FILE
 from jaxurban.maps.differentiable import SoftParams, soften
@@ -79,12 +78,12 @@ def test_other_sources_than_those_of_the_maps_are_refused(folder, route, tmp_pat
     record["inputs"]["orbits"] = {"path": "sky.tle", "sha256": "0"}
     record["settings"]["gps"]["orbits"] = ["sky.tle"]
     write_json(tmp_path / RUN_FILE, record)
-    with pytest.raises(InputError, match=r"cannot read .*run.json"):
+    with pytest.raises(ju.InputError, match=r"cannot read .*run.json"):
         write_buildings(tmp_path / "nowhere", route, tmp_path)
-    with pytest.raises(InputError, match=r"'sky.tle'\) were not found"):
+    with pytest.raises(ju.InputError, match=r"'sky.tle'\) were not found"):
         write_buildings(tmp_path, route, tmp_path)
     (tmp_path / "sky.tle").write_text("another sky")
-    with pytest.raises(InputError, match=r"'sky.tle' is not the file"):
+    with pytest.raises(ju.InputError, match=r"'sky.tle' is not the file"):
         write_buildings(tmp_path, route, tmp_path)
 
 
@@ -101,5 +100,5 @@ def test_other_routes_weights_and_altitudes_are_refused(folder, route, task, tmp
         ("unknown weight 'rsk'", building_costs, (task.city, soft, route, params, {"rsk": 5})),
         ("the route changes its altitude", building_costs, (task.city, soft, climbing, params)),
     ):
-        with pytest.raises(InputError, match=sentence):
+        with pytest.raises(ju.InputError, match=sentence):
             call(*given)

@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.errors import InputError, LeftOutWarning
+from jaxurban.errors import LeftOutWarning
 from jaxurban.paths.export.write import write_path
 from jaxurban.paths.plan import cost_map
 from jaxurban.studies.demonstrations import demonstration_from_line, optimal_demonstrations
@@ -70,7 +70,7 @@ def test_a_table_of_queries_is_planned_first_and_its_paths_are_taken_at_their_ow
     ):
         np.testing.assert_allclose([cost_of(each) for each in read], [path.cost for path in paths], rtol=1e-9)
     paths.save(tmp_path / "paths.csv")
-    with pytest.raises(InputError, match="is a table, which holds no lines: plan its queries first"):
+    with pytest.raises(ju.InputError, match="is a table, which holds no lines: plan its queries first"):
         ju.fit.read_demonstrations(tmp_path / "paths.csv", small)
 
 

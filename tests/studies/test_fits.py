@@ -9,15 +9,14 @@ import pytest
 import xarray as xr
 
 import jaxurban as ju
-from jaxurban.errors import InputError
+from jaxurban.fit import FitSettings, Target, compare_fits, fit_targets, fit_weights
 from jaxurban.paths.plan import cost_map
 from jaxurban.report.tuning import fits_section
 from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line, optimal_demonstrations
-from jaxurban.studies.route_pool import FitSettings, RoutePool
-from jaxurban.studies.tuning.compared_fits import compare_fits, split
+from jaxurban.studies.route_pool import RoutePool
+from jaxurban.studies.tuning.compared_fits import split
 from jaxurban.studies.tuning.confidence import draw_counts
-from jaxurban.studies.tuning.target_fit import Target, fit_targets, outcome_values
-from jaxurban.studies.tuning.weight_fit import fit_weights
+from jaxurban.studies.tuning.target_fit import outcome_values
 from tests.studies.routes_made import HIDDEN, NUM, cosine, made_queries, thinned
 
 VECTOR = HIDDEN.vector(("distance", "gps", "lidar", "population", "risk"))
@@ -80,7 +79,7 @@ def test_a_fit_that_stopped_ends_bit_for_bit_as_one_that_did_not(demonstrations,
     np.testing.assert_array_equal(resumed.vector, fit.vector)
     pd.testing.assert_frame_equal(resumed.table, fit.table)
     np.testing.assert_array_equal(resumed.regret, fit.regret)
-    with pytest.raises(InputError, match=r"its fit of routes and maps is .* given now"):
+    with pytest.raises(ju.InputError, match=r"its fit of routes and maps is .* given now"):
         fit_weights(demonstrations[1:], settings=kept)
 
 

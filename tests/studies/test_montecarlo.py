@@ -11,9 +11,7 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.maps.executors import cluster_client
-from jaxurban.metrics.weights import Weights
 from jaxurban.paths.rows import InstanceRuns, MapsFolder, solve_instance, solve_on
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Path as Route
@@ -21,7 +19,7 @@ from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.registry import PLANNERS, PlannerEntry
 from jaxurban.report.benchmark import export_benchmark
 from jaxurban.report.montecarlo import report_markdown, tables_of
-from jaxurban.studies.montecarlo.sampling import sample_instances, weight_columns
+from jaxurban.studies.montecarlo.sampling import weight_columns
 from jaxurban.studies.montecarlo.trial import DISTANCE, Benchmark, row_columns
 from tests.cli_runs import TOWN, run
 from tests.movingai import read_map, read_scenarios
@@ -92,7 +90,9 @@ def test_a_study_whose_instances_were_changed_is_refused(one, tmp_path):
     file = tmp_path / "instances.parquet"
     pd.read_parquet(file)[1:].to_parquet(file)
     for number in (2, 3):
-        with pytest.raises(InputError, match=r"instances are lost \(.*instances.parquet' is not as it was written\)"):
+        with pytest.raises(
+            ju.InputError, match=r"instances are lost \(.*instances.parquet' is not as it was written\)"
+        ):
             one(tmp_path, number)
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "rows.parquet"), rows)
     assert len(pd.read_parquet(file)) == 3
@@ -196,7 +196,7 @@ def test_the_command_makes_maps_study_and_report_and_reruns_a_file(tmp_path, cap
 
 @pytest.fixture(scope="module")
 def instances(alpha):
-    table = sample_instances(alpha, 12, altitudes_m=[20.0])
+    table = ju.studies.sample_instances(alpha, 12, altitudes_m=[20.0])
     return table[table.is_connected].to_dict("records")
 
 
@@ -210,7 +210,7 @@ def test_rows_say_what_plan_says(alpha, instances, cost_model):
     for instance in instances[:4]:
         rows = rows_of(alpha, instance, WEIGHTED, settings, instance["time_of_day"])
         ends = {f"{end}_xy_m": (instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal")}
-        weights = Weights(**{name.removeprefix("w_"): instance[name] for name in weight_columns(())})
+        weights = ju.Weights(**{name.removeprefix("w_"): instance[name] for name in weight_columns(())})
         how = ends | {"altitude_m": 20.0, "time_of_day": instance["time_of_day"], "weights": weights}
         for (planner, _), row in zip(WEIGHTED, rows, strict=True):
             models = {cost_model, "cell", "line"} if planner == "ptp" else {cost_model}

@@ -10,7 +10,6 @@ from scipy.signal import lfilter
 from scipy.stats import spearmanr
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.studies.receiver import prediction
 from jaxurban.studies.receiver.prediction import Track
@@ -113,7 +112,7 @@ def test_paired_differences_are_of_the_same_draws():
     other = paired(found(), found(), predictions=(None, "gdop"))
     gdop = found().scores.query("witness == 'num_tracked' and prediction == 'gdop'").within.item()
     assert other.value == pytest.approx(gdop - score(found()).within)
-    with pytest.raises(InputError, match="different logs or pieces"):
+    with pytest.raises(ju.InputError, match="different logs or pieces"):
         paired(found(), replace(found(), settings=replace(SETTINGS, piece_m=50.0)))
 
 
@@ -127,7 +126,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("sentence", REFUSED)
 def test_a_log_outside_the_region_or_of_a_short_track_is_one_sentence(sentence):
-    with pytest.raises(InputError, match=sentence):
+    with pytest.raises(ju.InputError, match=sentence):
         validated(REFUSED[sentence](true_log()))
 
 

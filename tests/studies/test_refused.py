@@ -8,15 +8,11 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError
+from jaxurban.fit import FitSettings, Target, compare_fits, fit_targets, fit_weights
 from jaxurban.io.tables import write_table
 from jaxurban.paths.plan import cost_map
 from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
 from jaxurban.studies.queries import RouteQuery, check_alike
-from jaxurban.studies.route_pool import FitSettings
-from jaxurban.studies.tuning.compared_fits import compare_fits
-from jaxurban.studies.tuning.target_fit import Target, fit_targets
-from jaxurban.studies.tuning.weight_fit import fit_weights
 from jaxurban.studies.weights.sobol import check_vary
 from tests.made_maps import made_maps
 from tests.studies.routes_made import STUDY, WEIGHT_STUDY, made_queries, run_study, small_maps, walled, write_lines
@@ -198,7 +194,7 @@ NOIS = ju.studies.SensitivitySettings(vary=("nois",))
 
 @pytest.mark.parametrize(("sentence", "call"), ROWS, ids=[sentence for sentence, _ in ROWS])
 def test_wrong_input_is_refused_in_one_sentence_and_nothing_is_written(request, tmp_path, sentence, call):
-    with pytest.raises(InputError, match=sentence) as refused:
+    with pytest.raises(ju.InputError, match=sentence) as refused:
         call(Scene(request))
     assert "\n" not in str(refused.value)
     assert not (tmp_path / "out").exists()

@@ -11,7 +11,6 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.planners.cost import STEPS
 from jaxurban.report.figures.sensitivity import sensitivity_figures
@@ -278,7 +277,7 @@ def test_it_shows_what_each_weight_does_its_report_every_file_and_its_figures_th
         for read, suffix in ((pd.read_csv, "csv"), (pd.read_parquet, "parquet")):
             assert len(read(tmp_path / "out" / "tables" / f"{name}.{suffix}")) == len(table)
     found.save(tmp_path / "out")
-    with pytest.raises(InputError, match="another run of `jaxurban sensitivity`"):
+    with pytest.raises(ju.InputError, match="another run of `jaxurban sensitivity`"):
         replace(found, settings=replace(found.settings, tolerance=0.1)).save(tmp_path / "out")
 
 
