@@ -65,10 +65,8 @@ class Block:
 
 def blocks_of(page: Path) -> list[Block]:
     text = page.read_text(encoding="utf-8")
-    return [
-        Block(found[2], textwrap.dedent(found[3]), text.count("\n", 0, found.start(3)) + 1)
-        for found in BLOCK.finditer(text)
-    ]
+    lines = [text.count("\n", 0, found.start(3)) + 1 for found in BLOCK.finditer(text)]
+    return [Block(found[1], textwrap.dedent(found[2]), n) for found, n in zip(BLOCK.findall(text), lines, strict=True)]
 
 
 def name_of(page: Path) -> str:
@@ -90,9 +88,8 @@ def prepared(tmp_path_factory) -> Path:
     houses = [shapely.box(x, y, x + 0.0008, y + 0.0006) for x in (-74.013, -74.010) for y in (40.706, 40.709)]
     write(folder / "buildings.geojson", houses, height=[12.0, 30.0, 55.0, 90.0])
     ids = ["360610001001000", "360610001001001"]
-    write(
-        folder / "blocks.geojson", [shapely.box(x, 40.704, x + 0.005, 40.712) for x in (-74.016, -74.011)], GEOID10=ids
-    )
+    blocks = [shapely.box(x, 40.704, x + 0.005, 40.712) for x in (-74.016, -74.011)]
+    write(folder / "blocks.geojson", blocks, GEOID10=ids)
     pd.DataFrame({"GEOID10": ids, "P001001": [400, 1200]}).to_csv(folder / "population.csv", index=False)
     ends = [-74.016, 40.704, -73.99, 40.729, -74.01, 40.705, -73.985, 40.725, -74, 40.71, -74.01, 40.725]
     pairs = np.reshape(ends, (3, 2, 2)).tolist()
@@ -143,9 +140,7 @@ def run_shell(block: Block, page: Path, capsys) -> None:
                 extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
                 assert target.strip(".[]") in extras["optional-dependencies"]
             case _:
-                assert words == [".", ".venv/bin/activate"], (
-                    f"{name_of(page)} asks for {shlex.join(words)!r}: not known here"
-                )
+                assert words == [".", ".venv/bin/activate"], f"{name_of(page)}: not known here: {shlex.join(words)}"
 
 
 def commands_of(block: Block) -> Iterator[list[str]]:

@@ -33,10 +33,8 @@ resolution_m = 40
 altitudes_m = [20]
 [buildings]
 """
-TO_MAPS, PLAN = (
-    ("maps", "town.toml", "-o", "out"),
-    ("plan", "../made", "--start", START, "--goal", GOAL, "--altitude", 20),
-)
+TO_MAPS = ("maps", "town.toml", "-o", "out")
+PLAN = ("plan", "../made", "--start", START, "--goal", GOAL, "--altitude", 20)
 NUM = 12  # of each kind
 
 
@@ -108,10 +106,8 @@ LOCAL_CRS = 'LOCAL_CS["a site",UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'
 RASTERS: list[dict[str, Any]] = [
     *({"pixels": pixels} for pixels in PIXELS),
     *({"crs": crs} for crs in (LOCAL_CRS, None, "EPSG:4326", "EPSG:4978")),
-    *(
-        {"values": each}
-        for each in (FLAT * np.nan, FLAT * np.inf, FLAT * 1e37, FLAT[:1, :1], FLAT.astype(np.complex64))
-    ),
+    *({"values": FLAT * each} for each in (np.nan, np.inf, 1e37)),
+    *({"values": each} for each in (FLAT[:1, :1], FLAT.astype(np.complex64))),
 ]
 
 
@@ -128,9 +124,8 @@ NUMBERS = ("1e300", "-1e300", "nan", "-5", "x", "", "[1]", "99999999999999999999
 TEXTS = ("gps", "gps=", "gps=-1", "gps=nan", "gsp=1", "=", "gps>=x", "gsp>=0.3", ">=", "noon", "\0", "/proc/full.kml")
 TUNE = ("tune", "../made", "-o", "out", "--sample", 3, "--time-of-day", "day", "--pilot", "gps=1,distance=1")
 SENSITIVITY = ("sensitivity", "../made", "-o", "out", *PLAN[2:], "--samples", 2)
-OPTIONS: tuple[
-    tuple[tuple, str, tuple[str, ...]], ...
-] = (  # commands, their options, and what is wrong for all of these
+# Commands, their options, and what is wrong for all of these.
+OPTIONS: tuple[tuple[tuple, str, tuple[str, ...]], ...] = (
     ((*PLAN, "--report", "--speed", 5, "--volume"), "--snap --speed --swath --level-step --altitude", NUMBERS),
     (PLAN, "--resolution --start --goal --seed", NUMBERS),
     (("compare", "../made", "../made", "-o", "out"), "--tolerance --resolution", NUMBERS),

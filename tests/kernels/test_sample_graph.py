@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
@@ -53,16 +52,10 @@ def by_dijkstra(samples, cell_cost, is_line=True, tree=()):
     distance = np.hypot(*(samples.xy[:, None] - samples.xy).transpose(2, 0, 1))
     is_edge = (distance <= samples.radius) & (samples.query[:, None] == samples.query) & (samples.query != NO_QUERY)
     np.fill_diagonal(is_edge, False)
-    origin, target = np.nonzero(is_edge)
-    pairs = [*zip(origin, target, strict=True), *tree]
-    costs = np.array([segment_cost(cost_grid, *samples.xy[a], *samples.xy[b], np.inf) for a, b in pairs])
-    is_free = np.isfinite(costs)
-    origin, target = np.array(pairs)[is_free].T
-    graph = np.full((NUM_NODES, NUM_NODES), np.inf)
-    np.minimum.at(graph, (origin, target), costs[is_free])
-    row, col = np.nonzero(np.isfinite(graph))
-    found = dijkstra(csr_array((graph[row, col], (row, col)), graph.shape), indices=np.flatnonzero(samples.g == 0))
-    return found.min(axis=0), is_edge
+    graph = np.full(is_edge.shape, np.inf)
+    for a, b in [*np.argwhere(is_edge), *tree]:
+        graph[a, b] = segment_cost(cost_grid, *samples.xy[a], *samples.xy[b], np.inf)
+    return dijkstra(graph, indices=np.flatnonzero(samples.g == 0), min_only=True), is_edge
 
 
 @pytest.mark.slow
