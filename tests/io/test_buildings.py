@@ -10,11 +10,9 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io.read.city import lonlat_extent, read_buildings
 from jaxurban.io.read.outlines import MARGIN_M, Near
 from jaxurban.io.read.vector import read_vector
-from jaxurban.maps.scenario import Scenario
 from jaxurban.world.grid import transformer
 from tests.cli_runs import run
 from tests.io.made_files import LAT, LON, SQUARE, UTM, WGS84, X, Y, box, write_features, write_raster, write_vector
@@ -52,7 +50,7 @@ def test_a_height_raster_gives_roofs(tmp_path):
 
 
 def test_a_crs_in_degrees_is_refused(street):
-    with pytest.raises(InputError, match="EPSG:4326"):
+    with pytest.raises(ju.InputError, match="EPSG:4326"):
         read_buildings(ju.Buildings(street), "EPSG:4326")
 
 
@@ -75,17 +73,17 @@ def town(tmp_path):
 
 
 def test_bounds_left_out_are_those_of_the_file(town):
-    scenario = Scenario.from_dict({"buildings": {"source": town.name}}, folder=town.parent)
+    scenario = ju.Scenario.from_dict({"buildings": {"source": town.name}}, folder=town.parent)
     for bounds in (lonlat_extent(town), ju.City.from_files(town).bounds, scenario.region.bounds):
         assert bounds == pytest.approx(EXTENT, abs=1e-9)
-    with pytest.raises(InputError, match=r"holds no outline.*give bounds"):
+    with pytest.raises(ju.InputError, match=r"holds no outline.*give bounds"):
         ju.City.from_files(write_features(town.with_name("empty.geojson")))
 
 
 def test_bounds_elsewhere_name_the_extent_and_a_swap(town):
-    with pytest.raises(InputError, match=r"it covers about -74\.012\d, 40\.706\d, -74\.008\d, 40\.709\d"):
+    with pytest.raises(ju.InputError, match=r"it covers about -74\.012\d, 40\.706\d, -74\.008\d, 40\.709\d"):
         ju.City.from_files(town, bounds=(10.0, 50.0, 10.01, 50.01))
-    with pytest.raises(InputError, match="look swapped"):
+    with pytest.raises(ju.InputError, match="look swapped"):
         ju.City.from_files(town, bounds=(41.881, -87.64, 41.882, -87.62))
 
 
@@ -281,7 +279,7 @@ def test_damaged_metadata_of_geoparquet_are_one_sentence(tmp_path, damage, near)
     table = pq.read_table(path)
     changed = damage(json.loads(table.schema.metadata[b"geo"]))
     pq.write_table(table.replace_schema_metadata({b"geo": json.dumps(changed)}), path)
-    with pytest.raises(InputError, match=r"city\.parquet' cannot be read as a vector file .*: give a whole one"):
+    with pytest.raises(ju.InputError, match=r"city\.parquet' cannot be read as a vector file .*: give a whole one"):
         read_vector(path, near)
 
 
@@ -295,12 +293,12 @@ def test_heights_that_pandas_wrote_as_an_index_are_read(tmp_path, near):
 
 def test_coordinates_beyond_the_globe_are_refused_though_those_near_are_sound(tmp_path):
     shapes = [shapely.box(LON, LAT, LON + 1e-4, LAT + 1e-4), box(0, 0, 1, 1)]
-    with pytest.raises(InputError, match=r"city\.parquet.*degrees"):
+    with pytest.raises(ju.InputError, match=r"city\.parquet.*degrees"):
         read_vector(write_vector(tmp_path / "city.parquet", shapes, WGS84), Near(BOX_M, UTM))
 
 
 @pytest.mark.parametrize("suffix", [".geojson", ".gpkg"])
 def test_a_file_without_a_feature_has_no_building_in_the_region(tmp_path, suffix):
     path = write_vector(tmp_path / f"none{suffix}", [shapely.Point()], WGS84, height=[3.0])
-    with pytest.raises(InputError, match=r"no building in the region|holds no"):
+    with pytest.raises(ju.InputError, match=r"no building in the region|holds no"):
         ju.City.from_files(path, bounds=(139.69, 35.68, 139.70, 35.69))

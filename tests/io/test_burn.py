@@ -12,21 +12,20 @@ from affine import Affine
 from rasterio.features import rasterize
 from scipy.ndimage import label
 
+import jaxurban as ju
 from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.outlines import polygonal, to_buildings
 from jaxurban.io.read.rasterise import build_surface, burn, rasterise
 from jaxurban.io.read.zone import cell_boxes, touched_cells
 from jaxurban.metrics.visibility import visibility
-from jaxurban.settings import Buildings
 from jaxurban.world.city import SLABS, TO_GROUND, City, HeightOrigin
-from jaxurban.world.grid import Grid
 from jaxurban.world.surface import PER_CELL, obstacles_on
 from tests.hanging_city import CRS, DECK, SIDE_M, X_M, Y_M, city
 from tests.io.made_files import line, osm, write_vector
 
 OUTER = (900_000, 110_000, 40, 40)  # first row and column, rows, columns
-BORDERS = Grid(CRS, 1.0, 0, 0, 40, 40)
+BORDERS = ju.Grid(CRS, 1.0, 0, 0, 40, 40)
 
 
 def burnt(polygons, values, grid):
@@ -52,7 +51,7 @@ def check_touched(polygons, values, grid):
 
 def test_every_cell_that_shares_area_with_an_outline_is_touched():
     rng = np.random.default_rng(1)
-    grid = Grid(CRS, 2.5, *OUTER)
+    grid = ju.Grid(CRS, 2.5, *OUTER)
     corner_m = np.array([grid.x_min_m, grid.y_min_m])
     polygons = []
     for _ in range(60):
@@ -72,7 +71,7 @@ def test_every_cell_that_shares_area_with_an_outline_is_touched():
 
 
 def test_an_outline_that_ends_on_borders_of_cells_touches_no_cell_beyond_them():
-    grid = Grid(CRS, 5.0, *OUTER)
+    grid = ju.Grid(CRS, 5.0, *OUTER)
     x_m, y_m = grid.x_min_m, grid.y_min_m
     centre, touched = burnt([shapely.box(x_m + 10, y_m + 15, x_m + 35, y_m + 40)], [9.0], grid)
     np.testing.assert_array_equal(centre, touched)
@@ -80,7 +79,7 @@ def test_an_outline_that_ends_on_borders_of_cells_touches_no_cell_beyond_them():
 
 
 def test_a_wall_thinner_than_a_cell_is_touched_all_along_and_leaves_no_gap_at_corners():
-    grid = Grid(CRS, 5.0, *OUTER)
+    grid = ju.Grid(CRS, 5.0, *OUTER)
     middle_m = np.array([grid.x_min_m, grid.y_min_m]) + 100.0
     for degrees in range(0, 91, 10):
         along = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
@@ -150,8 +149,8 @@ def test_tiles_burnt_by_threads_at_once_are_the_whole_even_on_ties(resolution_m)
     polygons = shapely.transform(with_ties(rng), lambda xy: (xy + np.array(OUTER[1::-1])) * resolution_m)
     values = rng.uniform(3, 90, len(polygons))
     boxes_m = shapely.bounds(polygons).T
-    whole, corners = Grid(CRS, resolution_m, *OUTER), itertools.product(range(0, 40, 10), range(0, 40, 8))
-    tiles = [Grid(CRS, resolution_m, OUTER[0] + row, OUTER[1] + col, 10, 8) for row, col in corners]
+    whole, corners = ju.Grid(CRS, resolution_m, *OUTER), itertools.product(range(0, 40, 10), range(0, 40, 8))
+    tiles = [ju.Grid(CRS, resolution_m, OUTER[0] + row, OUTER[1] + col, 10, 8) for row, col in corners]
 
     def burn_tile(tile):
         return burn(polygons, values, tile, 0.0, "float32", boxes_m=boxes_m)
@@ -164,7 +163,7 @@ def test_tiles_burnt_by_threads_at_once_are_the_whole_even_on_ties(resolution_m)
 
 
 def test_a_centre_in_a_hole_is_not_held_and_an_outline_far_larger_than_the_grid_is():
-    grid = Grid(CRS, 1.0, 900_000, 110_000, 6, 6)
+    grid = ju.Grid(CRS, 1.0, 900_000, 110_000, 6, 6)
     wide = shapely.box(0, 0, 1e6, 1e7).difference(shapely.box(110_002, 900_001, 110_004, 900_005))
     centre, touched = burnt([wide], [7.0], grid)
     expected = np.full((6, 6), 7.0)
@@ -174,7 +173,7 @@ def test_a_centre_in_a_hole_is_not_held_and_an_outline_far_larger_than_the_grid_
 
 
 def test_empty_and_missing_polygons_and_those_elsewhere_leave_the_fill():
-    grid = Grid(CRS, 5.0, *OUTER)
+    grid = ju.Grid(CRS, 5.0, *OUTER)
     for polygons in ([], [None, shapely.Polygon()], [shapely.box(0, 0, 1, 1)]):
         assert (burn(np.array(polygons, object), np.ones(len(polygons)), grid, -1, "int32")[0] == -1).all()
 
@@ -182,17 +181,17 @@ def test_empty_and_missing_polygons_and_those_elsewhere_leave_the_fill():
 @pytest.mark.slow
 @pytest.mark.data
 def test_every_roof_of_lower_manhattan_lies_in_the_cells_of_gdal_and_in_all_that_it_shares_area_with(data_dir):
-    found = read_buildings(Buildings(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings
+    found = read_buildings(ju.Buildings(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings
     for resolution_m in (5.0, 2.0, 5 / 3):
-        grid = Grid.from_bounds((-74.02, 40.70, -73.98, 40.73), resolution_m, CRS)
+        grid = ju.Grid.from_bounds((-74.02, 40.70, -73.98, 40.73), resolution_m, CRS)
         outlines = found.polygons, found.height_m, grid, 0.0, "float32"
         np.testing.assert_array_equal(burn(*outlines)[0], gdal(*outlines))
     for resolution_m in (5.0, 2.0):
-        grid = Grid.from_bounds((-74.014, 40.703, -74.006, 40.709), resolution_m, CRS)
+        grid = ju.Grid.from_bounds((-74.014, 40.703, -74.006, 40.709), resolution_m, CRS)
         check_touched(found.polygons, found.height_m, grid)
 
 
-GRID = Grid(CRS, 2.0, int(Y_M / 2), int(X_M / 2), int(SIDE_M / 2), int(SIDE_M / 2))
+GRID = ju.Grid(CRS, 2.0, int(Y_M / 2), int(X_M / 2), int(SIDE_M / 2), int(SIDE_M / 2))
 
 
 def cell_of(x_m: float, y_m: float) -> tuple[int, int]:
@@ -247,7 +246,7 @@ def test_subcells_hold_the_area_of_a_deck(rasters):
 
 @pytest.mark.parametrize("with_terrain", [False, True])
 def test_a_part_of_a_grid_holds_the_slabs_of_the_whole(with_terrain):
-    whole, part = city(with_terrain=with_terrain), Grid(CRS, 2.0, GRID.first_row + 60, GRID.first_col, 50, 77)
+    whole, part = city(with_terrain=with_terrain), ju.Grid(CRS, 2.0, GRID.first_row + 60, GRID.first_col, 50, 77)
     large, small = rasterise(whole, GRID), rasterise(whole, part)
     row, col = large.slabs.row // PER_CELL - part.first_row, large.slabs.col // PER_CELL - part.first_col
     inside = (row >= 0) & (row < 50) & (col < 77)
@@ -273,8 +272,8 @@ def test_decks_of_bridges_hang_by_their_tags_or_by_their_layer(tmp_path):
     rows = [*({"man_made": "bridge"} | each for each in tags), {"building": "yes", "height": 20}, {"man_made": "pier"}]
     shapes = [shapely.box(X_M + 40 * i, Y_M, X_M + 40 * i + 30, Y_M + 8) for i in range(len(rows))]
     path = write_vector(tmp_path / "city.gpkg", shapes, CRS, **pd.DataFrame(rows))
-    assert read_buildings(Buildings(path), CRS).buildings.height_m.tolist() == [20]
-    decks = read_buildings(Buildings(path, hanging=SLABS), CRS).buildings
+    assert read_buildings(ju.Buildings(path), CRS).buildings.height_m.tolist() == [20]
+    decks = read_buildings(ju.Buildings(path, hanging=SLABS), CRS).buildings
     assert list(zip(decks.min_height_m, decks.height_m, strict=True)) == [*spans_m, (0, 20)]
     assert [origin == HeightOrigin.LAYER for origin in decks.origin] == [*guessed, False]
     assert decks.is_guessed.tolist() == [*guessed, False]
@@ -288,7 +287,7 @@ def test_an_osm_file_gives_bridges_only_where_slabs_are_asked(tmp_path):
     plain, slabs = read_osm(path), read_osm(path, has_decks=True)
     assert (len(plain.polygons), len(slabs.polygons)) == (1, 2)
     for hanging, floors_m in ((SLABS, [0, 5]), (TO_GROUND, [0])):
-        buildings, _, _ = to_buildings(Buildings(path, hanging=hanging), slabs, "EPSG:32618")
+        buildings, _, _ = to_buildings(ju.Buildings(path, hanging=hanging), slabs, "EPSG:32618")
         assert sorted(buildings.min_height_m.tolist()) == floors_m
 
 
@@ -306,7 +305,7 @@ def test_an_outline_stays_as_a_podium_under_hanging_parts_where_no_part_stands(t
     }
     path = write_vector(tmp_path / "city.gpkg", tower, CRS, **pd.DataFrame(tower.values()))
     for hanging, count in ((SLABS, 1), (TO_GROUND, None)):
-        source = read_buildings(Buildings(path, hanging=hanging), CRS)
+        source = read_buildings(ju.Buildings(path, hanging=hanging), CRS)
         assert source.read_issues["outlines_replaced_by_parts"] == 1
         assert source.read_issues.get("outlines_kept_as_podiums") == count
         extent_m = (X_M, Y_M, X_M + SIDE_M, Y_M + SIDE_M)

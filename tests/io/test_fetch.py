@@ -12,14 +12,13 @@ import pytest
 import shapely
 from sgp4.exporter import export_tle
 
+import jaxurban as ju
 from jaxurban.io.fetch import SOURCES, FetchJob
 from jaxurban.io.files import only_writer
 from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.orbits import _timescale, nominal_satellites
 from jaxurban.io.read.osm import cut_buildings, read_osm
 from jaxurban.maps.run import run_scenario
-from jaxurban.maps.scenario import Scenario
-from jaxurban.settings import Buildings
 from tests.cli_runs import assert_one_sentence, run
 from tests.io.made_files import node, osm, way
 from tests.misbehaving_server import send
@@ -116,7 +115,7 @@ def test_what_is_fetched_makes_maps(server, tmp_path, capsys):
     assert files_of(folder) == files_of(tmp_path / "again")
     assert "OpenStreetMap contributors" in (folder / "scenario.toml").read_text(encoding="utf-8")
     moved = folder.rename(tmp_path / "moved")  # paths are relative
-    made = run_scenario(Scenario.from_toml(moved / "scenario.toml"), tmp_path / "out")
+    made = run_scenario(ju.Scenario.from_toml(moved / "scenario.toml"), tmp_path / "out")
     ds = next(iter(made.maps.values())).ds
     assert float(ds["obstacle"].sel(altitude=20).sum()) > float(ds["obstacle"].sel(altitude=60).sum()) == 0
     assert made.record["population"]["night"]["commercial"] == 100 + 101 + 102 + 103
@@ -186,13 +185,13 @@ def test_old_element_sets_serve_their_own_date_only(server, tmp_path, capsys):
     today = datetime.now(UTC).date()
     code, _, err = fetch(capsys, server, tmp_path / "now", "--what", "osm,orbits", "--date", today)
     assert (code, "the nominal constellation stands in" in err) == (0, True)
-    gps = Scenario.from_toml(tmp_path / "now/scenario.toml").gps
+    gps = ju.Scenario.from_toml(tmp_path / "now/scenario.toml").gps
     assert (gps.orbits, gps.utc_times) == (("nominal",), (f"{today}T12:00:00Z",))
     code, _, err = fetch(capsys, server, tmp_path / "own", "--what", "osm,orbits")
     assert (code, "the GPS maps are of 2020-04-27T12:00:00Z" in err) == (0, True)
-    assert Scenario.from_toml(tmp_path / "own/scenario.toml").gps.utc_times == ("2020-04-27T12:00:00Z",)
+    assert ju.Scenario.from_toml(tmp_path / "own/scenario.toml").gps.utc_times == ("2020-04-27T12:00:00Z",)
     assert fetch(capsys, server, tmp_path / "a", "--what", "osm,orbits", "--date", "2020-04-28")[0] == 0
-    assert Scenario.from_toml(tmp_path / "a/scenario.toml").gps.utc_times == ("2020-04-28T12:00:00Z",)
+    assert ju.Scenario.from_toml(tmp_path / "a/scenario.toml").gps.utc_times == ("2020-04-28T12:00:00Z",)
 
 
 def test_two_runs_do_not_share_the_cache_at_a_time(server, tmp_path, capsys):
@@ -207,7 +206,7 @@ def test_an_extract_is_checked_and_cut_to_the_region(server, tmp_path, capsys):
     url = server.put("/state.osm.pbf", send(body))
     code, _, err = fetch(capsys, server, tmp_path / "a", "--what", "osm", "--source", f"osm={url}")
     assert (code, server.paths()) == (0, ["/state.osm.pbf"]), err
-    found = read_buildings(Buildings(tmp_path / "a" / "buildings.osm.pbf"), "EPSG:32618").buildings
+    found = read_buildings(ju.Buildings(tmp_path / "a" / "buildings.osm.pbf"), "EPSG:32618").buildings
     assert sorted(found.height_m.tolist()) == [25, 40]
 
 
@@ -217,11 +216,11 @@ def test_a_cut_extract_holds_the_same_buildings_and_the_decks(data_dir, tmp_path
     cut_buildings(source, cut, (-74.02, 40.70, -73.99, 40.72))
     assert 20 < np.sum(read_osm(cut, has_decks=True).column("man_made") == "bridge") < 58  # of the whole
     inside_m = (583_400.0, 4_506_200.0, 583_700.0, 4_506_600.0)
-    whole = read_buildings(Buildings(source), "EPSG:32618").buildings
+    whole = read_buildings(ju.Buildings(source), "EPSG:32618").buildings
     near = whole.take(shapely.intersects(shapely.box(*whole.boxes_m), shapely.box(*inside_m)))
     assert 50 < len(near) < 0.1 * len(whole)
     for path in (source, cut):
-        part = read_buildings(Buildings(path), "EPSG:32618", bounds_m=inside_m).buildings
+        part = read_buildings(ju.Buildings(path), "EPSG:32618", bounds_m=inside_m).buildings
         assert shapely.equals_exact(part.polygons, near.polygons).all()
         np.testing.assert_array_equal(part.height_m, near.height_m)
 
@@ -296,7 +295,7 @@ def test_what_holds_nothing_for_the_region_is_left_out_and_that_is_said(server, 
     assert code == 0
     assert "the census has no block in this region" in err
     assert "do not touch this region" in err
-    population = Scenario.from_toml(tmp_path / "a/scenario.toml").population
+    population = ju.Scenario.from_toml(tmp_path / "a/scenario.toml").population
     assert (population.blocks, population.districts) == (None, None)
     code, _, err = fetch(capsys, server, tmp_path / "b", "--what", "census,districts")
     assert (code, (tmp_path / "b").exists()) == (2, False)

@@ -5,12 +5,10 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io.read.city import area_of_outlines, area_of_raster
 from jaxurban.io.read.guesses import leaving_shares, outside_share, rays_leaving
 from jaxurban.io.read.osm import read_land_cover, sea
 from jaxurban.maps.build import view_sky
-from jaxurban.maps.scenario import Scenario
 from jaxurban.report.montecarlo import land_cover_of
 from jaxurban.world.city import Footprints, Raster
 from jaxurban.world.grid import transformer
@@ -94,9 +92,9 @@ def test_an_island_drawn_as_one_closed_coast_is_neither_park_nor_water(tmp_path)
     assert cover_of(tmp_path, ({"building": "yes"}, square(100, 100, 100))).water.is_empty
 
 
-def scenario(source: str, **study) -> Scenario:
+def scenario(source: str, **study) -> ju.Scenario:
     region = {"bounds": (-74.0, 40.755, -73.99, 40.762)}
-    return Scenario.from_dict({"region": region, "buildings": {"source": source}, "study": study})
+    return ju.Scenario.from_dict({"region": region, "buildings": {"source": source}, "study": study})
 
 
 def test_a_study_takes_the_land_cover_from_where_there_is_one(tmp_path):
@@ -104,7 +102,7 @@ def test_a_study_takes_the_land_cover_from_where_there_is_one(tmp_path):
     assert land_cover_of(scenario("heights.tif")) is None
     cover_of(tmp_path, ({"leisure": "park"}, square(100, 100, 100)))
     assert land_cover_of(scenario("heights.tif", land_cover=str(tmp_path / "cover.osm"))) is not None
-    with pytest.raises(InputError, match="land_cover must be an OpenStreetMap file"):
+    with pytest.raises(ju.InputError, match="land_cover must be an OpenStreetMap file"):
         land_cover_of(scenario("heights.tif", land_cover="cover.tif"))
 
 

@@ -15,13 +15,10 @@ import xarray as xr
 from rasterio.shutil import copy
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io.geotiff import BLOCK, profile_of, ramp_of, write_cog, write_geotiffs
 from jaxurban.maps.build import compute_maps
-from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.custom import Layer, check_layers, held_variables
 from jaxurban.report.figures import metrics as figures
-from jaxurban.world.grid import Grid
 from tests import tiled_runs
 from tests.cli_runs import TOWN, run
 from tests.tiled_runs import files_of
@@ -34,7 +31,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
 
 
 @pytest.fixture(scope="module")
-def maps() -> MetricMaps:
+def maps() -> ju.MetricMaps:
     """Two times, two altitudes, on terrain, with a hole in the data and obstacles."""
     made = compute_maps(tiled_runs.task(tiled_runs.city(with_terrain=True)))
     made.ds.attrs["attribution"] = "© those who measured it"
@@ -51,7 +48,7 @@ def opened(folder) -> xr.Dataset:
     return xr.open_zarr(folder / "maps.zarr/20m")
 
 
-def expected(maps: MetricMaps, name: str, **at: int) -> np.ndarray:
+def expected(maps: ju.MetricMaps, name: str, **at: int) -> np.ndarray:
     """Return a map as files hold it, rows from the north, NaN where they hold nothing."""
     return maps.ds[name].isel(at).values.astype(np.float64)[..., ::-1, :]
 
@@ -70,7 +67,7 @@ def test_values_and_axes_of_ones_own_are_read_back(maps, tmp_path):
         changed[name].values[changed[name].values == 0] = -0.0
     changed["gps"].values[0, 0][inside] = np.nan
     changed["lidar"].values[0][inside] = 0.25
-    MetricMaps(changed).save(tmp_path)
+    ju.MetricMaps(changed).save(tmp_path)
     found = ju.open_maps(tmp_path).ds
     for name, array in changed.data_vars.items():
         assert found[name].dims == array.dims
@@ -93,8 +90,8 @@ def test_maps_are_saved_beside_those_of_a_resolution_that_cannot_be_read(maps, t
     ],
 )
 def test_what_nothing_could_open_is_refused_before_anything_is_written(maps, tmp_path, change, layers, words):
-    with pytest.raises(InputError, match=words):
-        MetricMaps(change(maps.ds)).save(tmp_path / "out", layers=layers)
+    with pytest.raises(ju.InputError, match=words):
+        ju.MetricMaps(change(maps.ds)).save(tmp_path / "out", layers=layers)
     assert not (tmp_path / "out").exists()
 
 
@@ -228,7 +225,7 @@ def test_maps_of_another_version_are_refused_everywhere_with_the_one_remedy(fold
         (old / file).parent.mkdir(parents=True)
         (old / file).write_text(text)
     before, words = files_of(old), "comes from another version of jaxurban.*make the maps anew in a new folder"
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(ju.InputError, match=words):
         ju.open_maps(old)
     (tmp_path / "a.toml").write_text(TOWN)
     maps = "maps", tmp_path / "a.toml", "-o", old
@@ -241,7 +238,7 @@ def test_maps_of_another_version_are_refused_everywhere_with_the_one_remedy(fold
 @pytest.mark.parametrize("name", ["noise_20m", "population_day", "gps_20m_20200427T160000Z", "risk_60m"])
 def test_a_layer_with_the_name_of_anothers_file_is_refused(name):
     flat = Layer(np.zeros((2, 2)), "high-is-bad", (0, 1))
-    with pytest.raises(InputError, match=f"cannot be called '{name}': maps, their files"):
+    with pytest.raises(ju.InputError, match=f"cannot be called '{name}': maps, their files"):
         check_layers({name: flat})
     check_layers({"noise_m": flat, "day_noise": flat})
 
@@ -260,7 +257,7 @@ def map_of(shape: tuple[int, int], dtype: type) -> np.ndarray:
 def write(path, values: np.ndarray, is_averaged: bool, num_rows: int = BLOCK) -> None:
     parts = (values[start : start + num_rows] for start in range(0, len(values), num_rows))
     about = {"is_averaged": is_averaged, "tags": TAGS, "title": "GPS quality", "unit": "1"}
-    write_cog(path, Grid(*CORNER, *values.shape), values.dtype, parts, **about)
+    write_cog(path, ju.Grid(*CORNER, *values.shape), values.dtype, parts, **about)
 
 
 def facts_of(path) -> list:
@@ -286,7 +283,7 @@ def facts_of(path) -> list:
 )
 def test_a_file_is_that_of_gdals_cog_driver(tmp_path, shape, dtype, is_averaged):
     values = map_of(shape, dtype)
-    with rasterio.open(tmp_path / "plain.tif", "w", **profile_of(Grid(*CORNER, *shape), values.dtype)) as file:
+    with rasterio.open(tmp_path / "plain.tif", "w", **profile_of(ju.Grid(*CORNER, *shape), values.dtype)) as file:
         file.write(values, 1)
         file.update_tags(**TAGS)
         file.set_band_description(1, "GPS quality")

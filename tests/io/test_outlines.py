@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import shapely
 
-from jaxurban.errors import InputError
+import jaxurban as ju
 from jaxurban.io.read.heights import is_given, parse_count, parse_length_m
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.outlines import Outlines, to_buildings
-from jaxurban.settings import Buildings
 from jaxurban.world.city import HeightOrigin
 from tests.io.made_files import LAT, LON, SQUARE, UTM, WGS84, X, Y, box, node, osm, refused, relation, way
 
@@ -47,7 +46,7 @@ def stand(polygons, boxes=(), crs=UTM, **columns):
     """Return the buildings of outlines, the declared boxes, and what was counted beside the reader's own count."""
     tags = {name: np.array(values, object) for name, values in columns.items()}
     outlines = Outlines(np.array(polygons, object), tags, crs, boxes, {"open_ways": 7})
-    buildings, boxes_m, issues = to_buildings(Buildings("city.osm"), outlines, UTM)
+    buildings, boxes_m, issues = to_buildings(ju.Buildings("city.osm"), outlines, UTM)
     assert issues.pop("open_ways") == 7
     return buildings, boxes_m, {name: count for name, count in issues.items() if count}
 
@@ -174,7 +173,7 @@ def test_the_boxes_that_a_file_declares_come_in_the_citys_crs_and_without_buildi
     assert stand([box(1, 2, 3, 4)])[1] == []
     buildings, boxes_m, _ = stand([], [declared])
     assert (len(buildings), boxes_m) == (0, [pytest.approx(declared)])
-    with pytest.raises(InputError, match=r"city\.osm.*holds no building"):
+    with pytest.raises(ju.InputError, match=r"city\.osm.*holds no building"):
         stand([])
 
 
@@ -244,8 +243,8 @@ def test_areas_are_assembled_and_what_makes_none_is_counted(tmp_path, elements, 
 def test_an_area_that_cannot_be_rebuilt_is_an_empty_place(tmp_path):
     outlines = read(tmp_path, corners_of(1), way(9, [1, 2, 1, 2, 1], building="yes"))
     assert len(outlines.polygons) == 1
-    with pytest.raises(InputError, match="holds no building"):
-        to_buildings(Buildings("city.osm"), outlines, "EPSG:32618")
+    with pytest.raises(ju.InputError, match="holds no building"):
+        to_buildings(ju.Buildings("city.osm"), outlines, "EPSG:32618")
 
 
 def test_the_header_gives_the_first_box(tmp_path):
@@ -268,7 +267,7 @@ def test_counts_of_a_real_file_agree_with_its_readme(data_dir, name):
     crs, known, issues = FILES[name]
     path = data_dir / "osm" / f"{name}.osm.pbf"
     outlines = read_osm(path, "pbf")
-    buildings, _, found = to_buildings(Buildings(path), outlines, crs)
+    buildings, _, found = to_buildings(ju.Buildings(path), outlines, crs)
     building, part, height, levels = (is_given(outlines.column(n)) for n in ("building", "part", "height", "levels"))
     areas = (building, building & height, building & ~height & levels, part & ~building)
     assert [area.sum() for area in areas][: len(known)] == known

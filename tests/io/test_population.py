@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io.read.census import clean_polygons, largest_overlap, read_blocks, read_districts, zoning_of
 from jaxurban.maps.provenance import population_totals
 from jaxurban.world.city import OTHER_DISTRICT, City, Footprints, Zoning
@@ -89,7 +88,7 @@ def test_only_blocks_that_touch_the_region_are_kept(tmp_path):
     blocks, issues = read(tmp_path, SF1, "b.shp", box(210, 10, 900, 90).bounds)
     assert blocks.block_id.tolist() == IDS[2:]
     assert issues["counts_without_block"] == 1  # against the whole file, not the region
-    with pytest.raises(InputError, match="no block that touches the region"):
+    with pytest.raises(ju.InputError, match="no block that touches the region"):
         read(tmp_path, SF1, "b.shp", (0, 0, 10, 10))
 
 
@@ -111,7 +110,7 @@ def test_districts_set_label_and_zoning(tmp_path):
 )
 def test_a_wrong_block_field_is_refused_with_the_remedy(tmp_path, field, sentence):
     blocks_in(tmp_path / "b.gpkg", TRACT=["1", "1", "2"], NAME=["x", "y", "z"])
-    with pytest.raises(InputError, match=sentence):
+    with pytest.raises(ju.InputError, match=sentence):
         read(tmp_path, SF1, block_field=field)
 
 

@@ -9,12 +9,10 @@ import rasterio.warp
 import shapely
 from affine import Affine
 
-from jaxurban.errors import InputError
+import jaxurban as ju
 from jaxurban.io.read.raster import check_is_no_surface, heights_of_surface, raster_extent_m, read_raster
 from jaxurban.io.read.sampling import heights_above, resample_raster
-from jaxurban.settings import Buildings
 from jaxurban.world.city import City, Raster
-from jaxurban.world.grid import Grid
 from tests.io.made_files import UTM, X, Y, north_up, write_raster
 
 ELSEWHERE = "EPSG:32617"
@@ -26,7 +24,7 @@ def read(tmp_path, values, bounds_m=None, **how):
 
 def grid(resolution_m, num_rows, num_cols, east_m=0.0, north_m=0.0):
     first_row, first_col = round((Y + north_m) / resolution_m), round((X + east_m) / resolution_m)
-    return Grid(UTM, resolution_m, first_row, first_col, num_rows, num_cols)
+    return ju.Grid(UTM, resolution_m, first_row, first_col, num_rows, num_cols)
 
 
 def raster(values, transform=None):
@@ -92,7 +90,7 @@ def test_values_follow_a_turned_raster_in_another_crs():
     turned = turned_by(29, 5, Y + 600)
     field = raster(20 + 10 * np.sin(col / 15) * np.cos(row / 15), turned)
     x_m, y_m = pyproj.Transformer.from_crs(UTM, ELSEWHERE, always_xy=True).transform(*places(turned, 60, 60))
-    on = Grid(ELSEWHERE, 5.0, int(y_m // 5) - 20, int(x_m // 5) - 20, 40, 40)
+    on = ju.Grid(ELSEWHERE, 5.0, int(y_m // 5) - 20, int(x_m // 5) - 20, 40, 40)
     source = {"src_transform": turned, "src_crs": UTM, "resampling": rasterio.warp.Resampling.bilinear}
     to = {"dst_transform": Affine(5, 0, on.x_min_m, 0, -5, on.y_max_m), "dst_crs": on.crs}
     expected = np.zeros(on.shape, np.float32)
@@ -106,8 +104,8 @@ def test_a_sub_box_equals_the_crop_bit_for_bit(tmp_path, crs, how):
     transform = Affine(2.5020579, 0, X + 0.123, 0, -2.5024088, Y + 400.321)  # no round numbers
     path = write_raster(tmp_path / "a.tif", np.random.default_rng(2).random((160, 160), np.float32), transform)
     x_min, y_min, _, _ = raster_extent_m(path, crs)
-    large = Grid(crs, 5.0, int(y_min // 5) - 3, int(x_min // 5) - 3, 86, 86)
-    small = Grid(crs, 5.0, large.first_row + 31, large.first_col + 17, 20, 30)
+    large = ju.Grid(crs, 5.0, int(y_min // 5) - 3, int(x_min // 5) - 3, 86, 86)
+    small = ju.Grid(crs, 5.0, large.first_row + 31, large.first_col + 17, 20, 30)
     whole, part = (resample_raster(read_raster(path, crs, on.bounds_m), on, how) for on in (large, small))
     np.testing.assert_array_equal(part, whole[small.window_in(large)])
 
@@ -192,7 +190,7 @@ def surface_on(terrain, heights):
 def test_a_surface_is_refused_with_the_share_seen_and_heights_are_taken_however_dense(built_share):
     check_is_no_surface("h.tif", city_heights(built_share), UTM)
     remedy = r'kind = "surface".*\[terrain\] source'
-    with pytest.raises(InputError, match=rf"'h\.tif' looks like a surface model.*\d+% of its blocks.*{remedy}"):
+    with pytest.raises(ju.InputError, match=rf"'h\.tif' looks like a surface model.*\d+% of its blocks.*{remedy}"):
         check_is_no_surface("'h.tif'", surface_on(hills(), city_heights(built_share)), UTM)
 
 
@@ -213,10 +211,10 @@ def test_a_surface_less_a_terrain_of_another_grid_gives_the_heights_back():
 def test_a_surface_needs_terrain_and_one_that_goes_with_it():
     heights = city_heights(0.5)
     surface = surface_on(hills(), heights)
-    with pytest.raises(InputError, match=r"s\.tif.*\[terrain\] source"):
+    with pytest.raises(ju.InputError, match=r"s\.tif.*\[terrain\] source"):
         heights_of_surface("s.tif", surface, None, UTM)
     for other in (heights, replace(surface, values=surface.values + 34)):
-        with pytest.raises(InputError, match=r"s\.tif does not stand on the terrain .*\d+%.*datum.*leave out"):
+        with pytest.raises(ju.InputError, match=r"s\.tif does not stand on the terrain .*\d+%.*datum.*leave out"):
             heights_of_surface("s.tif", other, hills(), UTM)
 
 
@@ -225,9 +223,9 @@ def test_gothenburgs_surface_is_refused_and_less_its_terrain_gives_a_city(data_d
     surface, terrain = (data_dir / "raster" / f"gothenburg_{kind}.tif" for kind in ("dsm", "dem"))
     options = {"bounds": (11.962, 57.7063, 11.9652, 57.708), "crs": "EPSG:3007"}
     for ground in (None, terrain):
-        with pytest.raises(InputError, match=r"gothenburg_dsm\.tif' looks like a surface model"):
+        with pytest.raises(ju.InputError, match=r"gothenburg_dsm\.tif' looks like a surface model"):
             City.from_files(surface, terrain=ground, **options)
     with pytest.warns(UserWarning, match="trees"):
-        city = City.from_files(Buildings(surface, kind="surface"), terrain=terrain, **options)
+        city = City.from_files(ju.Buildings(surface, kind="surface"), terrain=terrain, **options)
     assert 0.4 < np.mean(city.roofs.values == 0) < 0.6
     assert city.roofs.values.max() == pytest.approx(52.4, abs=0.1)

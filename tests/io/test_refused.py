@@ -20,8 +20,6 @@ from jaxurban.io.read.osm import read_land_cover, read_osm
 from jaxurban.io.read.raster import raster_extent_m, read_raster
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.io.read.vector import open_layers, read_vector
-from jaxurban.maps.scenario import Scenario
-from jaxurban.settings import Buildings
 from jaxurban.world.city import SLABS
 from tests.io.made_files import SQUARE, UTM, WGS84, X, Y, box, refused, write_features, write_raster, write_vector
 
@@ -35,7 +33,7 @@ read_layers = partial(open_layers, role="no-fly")
 
 
 def buildings(path, **settings):
-    return read_buildings(Buildings(path, **settings), UTM)
+    return read_buildings(ju.Buildings(path, **settings), UTM)
 
 
 def blocks(path, bounds_m=None, **settings):
@@ -66,7 +64,7 @@ READERS = {
     "districts.geojson": read_labels,
     **dict.fromkeys(("sky.tle", "sky.json", "sky.csv"), read_orbits),
     **dict.fromkeys(("log.csv", "log.parquet"), read_receiver_log),
-    "city.toml": Scenario.from_toml,
+    "city.toml": ju.Scenario.from_toml,
 }
 FAULTS = {
     "missing": (None, "does not exist|No such file"),

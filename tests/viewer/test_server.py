@@ -13,12 +13,11 @@ import numpy as np
 import pyproj
 import pytest
 
-from jaxurban.maps.metric_maps import open_maps
+import jaxurban as ju
 from jaxurban.viewer.html import html_page, part, policy_of
 from jaxurban.viewer.server import MOST_BODY
 from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, middles, strides_of, tile_bytes
 from jaxurban.viewer.viewer import Viewer
-from jaxurban.world.grid import Grid
 from tests.made_maps import made_maps
 from tests.viewer.browser import served, unpacked
 
@@ -148,7 +147,7 @@ def test_what_is_no_request_is_refused(server, raw, capfd):
 
 def test_maps_that_were_made_again_are_refused_until_the_page_is_loaded_again(tmp_path):
     def opened() -> Viewer:
-        return Viewer(open_maps(tmp_path))
+        return Viewer(ju.open_maps(tmp_path))
 
     MAPS.save(tmp_path)
     with served(opened(), again=opened) as server:
@@ -238,7 +237,7 @@ def test_what_is_kept_stays_below_its_bound():
 def test_the_fit_is_within_a_tenth_of_a_cell_of_proj(crs, corner, size_m, resolution_m):
     first_col, first_row = (int(value / resolution_m) for value in corner)
     size = int(size_m / resolution_m)
-    fit = lonlat_fit(Grid(crs, resolution_m, first_row, first_col, size, size))
+    fit = lonlat_fit(ju.Grid(crs, resolution_m, first_row, first_col, size, size))
     rng = np.random.default_rng(5)
     u, v = rng.uniform(-1, 1, (2, 2000))
     terms = u[:, None] ** fit["powers"][:, 0] * v[:, None] ** fit["powers"][:, 1]

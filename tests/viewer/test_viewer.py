@@ -12,13 +12,8 @@ import numpy as np
 import pytest
 import shapely
 
-from jaxurban.errors import InputError
+import jaxurban as ju
 from jaxurban.io.files import write_json
-from jaxurban.metrics.weights import Weights
-from jaxurban.paths.explain import explain
-from jaxurban.paths.path import simplify
-from jaxurban.paths.plan import cost_map, plan
-from jaxurban.paths.profile import cautions
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer.html import part
@@ -154,7 +149,7 @@ def test_a_route_is_that_of_the_printed_command_coordinate_for_coordinate(viewer
 
 def test_a_report_tells_what_the_route_meets_and_cautions_stand_outside_it_each_with_its_level(viewer):
     found = answer(viewer, "report", **QUERY)
-    told = cautions(plan(MAPS, *ENDS, altitude_m=20.0, weights=Weights(**WEIGHTS), time_of_day="night"), MAPS)
+    told = ju.cautions(ju.plan(MAPS, *ENDS, altitude_m=20.0, weights=ju.Weights(**WEIGHTS), time_of_day="night"), MAPS)
     assert found["cautions"] == "".join(f'<p class="jv-{each.level}">{html.escape(each)}</p>' for each in told)
     assert told
     assert not any(each in found["report-text"] for each in told)
@@ -188,12 +183,12 @@ def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(v
     xy_m = np.stack(MAPS.grid.xy_of_lonlat(places[:, 1], places[:, 0]), axis=-1)
     corner = np.array([MAPS.grid.x_min_m, MAPS.grid.y_min_m])
     assert np.allclose(found["mission"], xy_m - corner, atol=0.06)
-    on = cost_map(MAPS, 20.0, weights=Weights(**WEIGHTS), cost_model=cost_model, time_of_day="night")
+    on = ju.cost_map(MAPS, 20.0, weights=ju.Weights(**WEIGHTS), cost_model=cost_model, time_of_day="night")
     planned = on.plan(*ENDS)
     assert planned.cost == route["cost"]
-    mission = simplify(planned, on, MAPS.grid.resolution_m / 2)
+    mission = ju.simplify(planned, on, MAPS.grid.resolution_m / 2)
     prices = f"cost {number(mission.cost)}, {mission.cost / route['cost'] - 1:+.1%}"
-    least_m = explain(mission, MAPS).totals["nearest_wall_m"]
+    least_m = ju.explain(mission, MAPS).totals["nearest_wall_m"]
     assert found["saved"] == f"{len(places)} waypoints, {prices}, least clearance {number(least_m)} m"
 
 
@@ -207,7 +202,7 @@ def test_a_profile_labels_the_flight_at_its_height_and_distances_so_that_none_eq
         ticks = re.findall(r">([\d.]+) (k?m)</span>", drawn.replace("least clearance ", "<i>"))
         assert len({*ticks}) == len(ticks) >= 3
     assert {unit for _, unit in ticks} == {"m"}
-    nearest_m = explain(plan(MAPS, ENDS[0], NEAR, altitude_m=20.0, weights=Weights(**WEIGHTS)), MAPS).totals
+    nearest_m = ju.explain(ju.plan(MAPS, ENDS[0], NEAR, altitude_m=20.0, weights=ju.Weights(**WEIGHTS)), MAPS).totals
     assert f"least clearance {number(nearest_m['nearest_wall_m'])} m" in near
 
 
@@ -279,7 +274,7 @@ def test_over_a_runs_folder_the_page_plans_as_the_command_that_it_prints(tmp_pat
 
 def test_without_anywidget_the_remedy_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "anywidget", None)
-    with pytest.raises(InputError, match=r"pip install 'jaxurban\[notebook\]'"):
+    with pytest.raises(ju.InputError, match=r"pip install 'jaxurban\[notebook\]'"):
         view(LITTLE)
 
 

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 import shapely
 
-from jaxurban.errors import InputError
+import jaxurban as ju
 from jaxurban.world.city import OTHER_DISTRICT, City, HeightOrigin, Zoning
-from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_city, demo_city_for_bounds, demo_cover
 from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, CityPlan
 
@@ -142,7 +141,7 @@ def test_a_city_for_bounds_covers_the_region_at_every_resolution():
     bounds = (-74.02, 40.70, -74.0, 40.72)
     extent_m = demo_city_for_bounds(bounds).extent_m
     for resolution_m in (2, 5, 10):
-        region_m = Grid.from_bounds(bounds, resolution_m).bounds_m
+        region_m = ju.Grid.from_bounds(bounds, resolution_m).bounds_m
         assert np.all(np.array(extent_m[:2]) <= region_m[:2])
         assert np.all(np.array(extent_m[2:]) >= region_m[2:])
 
@@ -163,5 +162,5 @@ def test_a_city_is_as_large_as_asked_also_south_of_the_equator_in_another_crs():
     ],
 )
 def test_a_box_of_the_wrong_size_or_crs_is_refused(make, sentence):
-    with pytest.raises(InputError, match=sentence):
+    with pytest.raises(ju.InputError, match=sentence):
         make()
