@@ -84,9 +84,8 @@ def drawn(seed: int) -> list[Fault]:
         if faulty(fault) is None:
             folder = ROOT.joinpath(*Path(fault["file"]).parts[: 1 + fault["file"].startswith("jaxurban")])
             files = [file.relative_to(ROOT).as_posix() for file in sorted(folder.rglob("*.py"))]
-            found[k] = rng.choice(
-                [other for file in files for other in faults_of(file) if other["kind"] == fault["kind"]]
-            )
+            others = [other for file in files for other in faults_of(file)]
+            found[k] = rng.choice([other for other in others if other["kind"] == fault["kind"]])
     return found
 
 
@@ -101,15 +100,12 @@ def modules(tests: Path) -> dict[str, str]:
 
 def imports(texts: dict[str, str]) -> dict[str, set[str]]:
     """Return the files that each file imports; a public name counts as the module that it comes from."""
-    public = {
-        name: home for stub in (ROOT / "jaxurban").rglob("*.pyi") for home, name in PUBLIC.findall(stub.read_text())
-    }
-    found = {}
+    stubs = [stub.read_text() for stub in (ROOT / "jaxurban").rglob("*.pyi")]
+    public, found = {name: home for stub in stubs for home, name in PUBLIC.findall(stub)}, {}
     for file, text in texts.items():
         lines = IMPORT.findall(text)
-        names = {home for home, _ in lines} | {
-            f"{home}.{name}".lstrip(".") for home, line in lines for name in re.findall(r"[\w.]+", line)
-        }
+        names = {home for home, _ in lines}
+        names |= {f"{home}.{name}".lstrip(".") for home, line in lines for name in re.findall(r"[\w.]+", line)}
         if "jaxurban" in names:
             names |= {public[name] for name in re.findall(r"\.(\w+)", text) if name in public}
         found[file] = {f"{name.replace('.', '/')}.py" for name in names} & texts.keys()

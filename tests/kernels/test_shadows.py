@@ -242,9 +242,7 @@ def test_tiles_that_hand_on_give_the_words_of_the_whole(dtype):
     tiles = [(slice(*row), slice(*col)) for row, col in parts]
     found = np.zeros_like(whole)
     for s in range(len(AZIMUTH_RAD)):
-        carried_m = np.full(
-            (shape[0] + 2, shape[1] + 2), -np.inf, dtype
-        )  # what tiles hand on, in their outermost cells
+        carried_m = np.full(np.array(shape) + 2, -np.inf, dtype)  # what tiles hand on, in their outermost cells
         north, east = np.cos(AZIMUTH_RAD[s]) >= 0, np.sin(AZIMUTH_RAD[s]) >= 0
         for tile in sorted(tiles, key=lambda tile: (tile[0].start * (1 - 2 * north), tile[1].start * (1 - 2 * east))):
             row, col = (slice(part.start, part.stop + 2) for part in tile)

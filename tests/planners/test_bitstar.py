@@ -121,9 +121,8 @@ def test_queries_together_give_the_paths_of_each_alone_and_begin_as_numba_does()
 def test_a_corner_that_no_sample_can_hit_leaves_the_budget_empty():
     is_free = np.zeros((8, 8), bool)
     is_free[:4, :4] = is_free[4:, 4:] = True
-    through_corner = replace(
-        open_problem((8, 8), (1, 1), (6, 6), is_free=is_free), cost_model=CostModel("line", diagonal="always")
-    )
+    closed = open_problem((8, 8), (1, 1), (6, 6), is_free=is_free)
+    through_corner = replace(closed, cost_model=CostModel("line", diagonal="always"))
     assert bitstar_dist(through_corner).status is Status.OPTIMAL  # the straight line runs through the corner itself
     path = bitstar_dist(through_corner.between((1, 1), (6, 5)), budget_s=np.inf, max_samples=2000)
     assert (path.status, path.cost) == (Status.BUDGET_EMPTY, np.inf)
