@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from jaxurban.io.store import write_zarr
 from tests.made_maps import made_maps
 from tests.paths.volumes import ends_at
 
@@ -23,9 +22,7 @@ def ends(maps) -> dict:
 @pytest.fixture(scope="session")
 def folder(maps, tmp_path_factory):
     """The maps in a folder."""
-    folder = tmp_path_factory.mktemp("made") / "maps"
-    write_zarr(maps.ds, folder)
-    return folder
+    return maps.save(tmp_path_factory.mktemp("made") / "maps")
 
 
 @pytest.fixture(scope="session")

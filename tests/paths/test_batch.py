@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io.tables import RowStore, write_table
 from jaxurban.paths import batch as many_module
 from jaxurban.paths.queries import LONLAT
@@ -73,7 +72,7 @@ def test_a_query_that_cannot_be_asked_is_a_row_with_its_sentence(town, many, pai
     assert rows["status"].tolist() == ["optimal", *["bad-input"] * 4, "optimal"]
     for k, words in {1: "nearest free cell", 2: "two finite numbers", 3: "altitude", 4: "weight gps must be"}.items():
         assert (batch[k], words in rows["message"][k]) == (None, True)
-    with pytest.raises(InputError, match="query 1: start is inside an obstacle"):
+    with pytest.raises(ju.InputError, match="query 1: start is inside an obstacle"):
         many(table[:2], strict=True)
     assert many(table[:2], snap=True)[1].snap_distance_m[0] > 0
 
@@ -89,7 +88,7 @@ def test_one_signature_lists_what_functions_pass_on_and_names_what_none_takes():
 
 def test_drawn_instances_are_planned_without_the_columns_that_a_refusal_names(town, many):
     drawn = ju.studies.sample_instances(town, 2).query("altitude_m == 20")
-    with pytest.raises(InputError, match=r"unknown columns \[.*queries\.drop\(columns=") as refused:
+    with pytest.raises(ju.InputError, match=r"unknown columns \[.*queries\.drop\(columns=") as refused:
         many(drawn)
     named = literal_eval(re.search(r"\[.*?\]", str(refused.value))[0])
     assert all(path.status is Status.OPTIMAL for path in many(drawn.drop(columns=[*named, *LONLAT])))
@@ -183,16 +182,16 @@ def test_a_file_with_other_results_is_left_alone(many, pairs, tmp_path):
     many(pairs, file=file)
     before = file.read_bytes()
     for options in ({"weights": ju.Weights(gps=3.0)}, {"planner": "ptp"}, {"altitude_m": 600.0}):
-        with pytest.raises(InputError, match="results of other queries"):
+        with pytest.raises(ju.InputError, match="results of other queries"):
             many(pairs, **options, file=file)
-    with pytest.raises(InputError, match="no results of these queries"):
+    with pytest.raises(ju.InputError, match="no results of these queries"):
         many(pairs[:3], file=file)
     assert file.read_bytes() == before
     write_table(pd.DataFrame({"a": [1]}), file)
-    with pytest.raises(InputError, match="holds no 'query'"):
+    with pytest.raises(ju.InputError, match="holds no 'query'"):
         many(pairs, file=file)
     file.write_text("no table")
-    with pytest.raises(InputError, match="name another file"):
+    with pytest.raises(ju.InputError, match="name another file"):
         many(pairs, file=file)
 
 

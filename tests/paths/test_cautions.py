@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from jaxurban.io.store import write_zarr
 from jaxurban.paths.export.write import FORMATS
 from tests.cli_runs import run
 from tests.made_maps import made_maps
@@ -183,7 +182,7 @@ def test_satellites_are_whole_numbers_and_between_two_altitudes_those_of_the_low
 
 
 def test_the_command_line_tells_it_on_stderr_and_in_json(maps, tmp_path, capsys):
-    write_zarr(with_guesses(maps, LOW_ROOF).ds, tmp_path / "maps")
+    with_guesses(maps, LOW_ROOF).save(tmp_path / "maps")
     arguments = ("plan", tmp_path / "maps", *options_of(maps, **ends_at(maps, (ROW, 33), (ROW, 90))))
     code, out, err = run(capsys, *arguments)
     assert code == 0

@@ -12,15 +12,8 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from benchmarks.random_routes import READERS
-from jaxurban.errors import InputError
 from jaxurban.io.read.zone import cell_boxes, touched_cells
-from jaxurban.paths.constraints import (
-    FILE_MARGIN_M,
-    closed_by_clearance,
-    closing_step_m,
-    distance_to_obstacles_m,
-    kept_m,
-)
+from jaxurban.paths.constraints import FILE_MARGIN_M, closing_step_m, distance_to_obstacles_m, kept_m
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.frame import rules_said
@@ -132,7 +125,7 @@ def test_unknown_roofs_and_cells_without_data_are_kept_clear_of():
     roof_m, has_data = np.zeros(maps.grid.shape), np.ones(maps.grid.shape, bool)
     roof_m[10, 10], has_data[20, 30] = np.nan, False
     unknown = with_roofs(maps, roof_m, has_data=(("y", "x"), has_data))
-    closed = closed_by_clearance(unknown, ALTITUDE_M, ju.Constraints(clearance_m=3.0, vertical_clearance_m=0.0))
+    closed = ju.Constraints(clearance_m=3.0, vertical_clearance_m=0.0).closed(unknown, ALTITUDE_M)
     by_hand = np.zeros(maps.grid.shape, bool)
     by_hand[9:12, 9:12] = by_hand[19:22, 29:32] = True
     by_hand[[0, -1]] = by_hand[:, [0, -1]] = True
@@ -242,7 +235,7 @@ def test_a_start_too_near_is_told_by_what_and_moved_on_request():
     words = "the clearance of 7 m and the vehicle's radius of 0.5 m and the vertical clearance of 4 m that is kept"
     for cell in ((row, col + 1), low, (1, 1)):  # beside a roof, over one, and near the border
         at = ends | {"start_xy_m": maps.grid.xy_of_cell(*cell), "altitude_m": ALTITUDE_M}
-        with pytest.raises(InputError, match=f"start is closed by.*{words}"):
+        with pytest.raises(ju.InputError, match=f"start is closed by.*{words}"):
             ju.plan(maps, **at, constraints=constraints)
         assert ju.plan(maps, **at, constraints=constraints, snap=True).status is Status.OPTIMAL
 

@@ -9,10 +9,8 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.errors import IgnoredZoneWarning, InputError
+from jaxurban.errors import IgnoredZoneWarning
 from jaxurban.io.read.zone import Zone, cell_boxes
-from jaxurban.io.store import write_zarr
-from jaxurban.maps.scenario import Scenario
 from jaxurban.paths.constraints import Bound
 from jaxurban.studies.queries import make_queries
 from tests.cli_runs import run
@@ -99,7 +97,7 @@ def test_a_start_within_a_limit_is_told_which_and_where_to_go(maps, ends):
     zone = zone_of_cells(maps, row, col, 3, name="Heliport", ceiling_m=100.0)
     constraints = ju.Constraints((zone,), (Bound("gps", ">=", gps + 0.01),))
     told = rf"the no-fly zone 'Heliport' \(from the ground to 100 m\).*the bound gps>={gps + 0.01:g}.*nearest free"
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(ju.InputError, match=told):
         ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints)
     moved = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=ju.Constraints((zone,)), snap=True)
     assert not shapely.LineString(moved.xy_m).intersects(zone.polygon)
@@ -205,7 +203,7 @@ def test_turns_that_are_too_sharp_are_counted_by_heading(maps, ends):
 
 def test_a_scenario_says_it_in_one_table_and_writes_it_back():
     table = {"radius_m": 0.4, "max_climb_m_s": 3, "speed_m_s": 10, "power_w": 180.0}
-    scenario = Scenario.from_dict(REGION | {"vehicle": table})
+    scenario = ju.Scenario.from_dict(REGION | {"vehicle": table})
     assert scenario.vehicle == ju.Vehicle(**table)
     assert "max_turn_deg" not in scenario.to_toml()
     assert ju.Vehicle().radius_m == 0
@@ -242,7 +240,7 @@ def snapped(way, maps, ends, snap) -> float:
 def test_a_place_is_moved_by_at_most_50_m_or_as_far_as_is_said(way, block, inside):
     for snap, cap in ((True, "50 m"), (69.0, "69 m")):
         told = rf"70 m away, farther than it may be moved \({cap}\).*--snap 7[01]"
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(ju.InputError, match=told):
             snapped(way, block, inside, snap)
     assert snapped(way, block, inside, 75.0) == pytest.approx(70.0, abs=0.01)
     near = ends_at(block, (15, 10), GOAL_CELL)
@@ -260,7 +258,7 @@ def test_the_free_cell_nearest_to_the_place_itself_is_taken(block, inside):
 
 
 def test_how_far_is_told_in_text_json_and_files(block, inside, tmp_path, capsys):
-    write_zarr(block.ds, tmp_path / "maps")
+    block.save(tmp_path / "maps")
     arguments = ("plan", tmp_path / "maps", *options_of(block, **inside))
     files = [tmp_path / f"path{suffix}" for suffix in (".geojson", ".kml", ".plan")]
     code, out, _ = run(capsys, *arguments, "--snap", 80, *(part for file in files for part in ("-o", file)))

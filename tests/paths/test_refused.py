@@ -9,10 +9,7 @@ import psutil
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.io.files import write_json
-from jaxurban.io.store import write_zarr
-from jaxurban.maps.scenario import Scenario
 from jaxurban.paths.constraints import Bound
 from jaxurban.paths.export.write import write_path
 from jaxurban.planners.registry import PLANNERS
@@ -30,8 +27,8 @@ NOWHERE = ju.Constraints.read(require="hdop<=0.1")
 class Scene:
     """Maps, a path on them, and what is called with arguments that are right but for those given."""
 
-    def __init__(self, maps, ends):
-        self.maps, self.ends, self.grid = maps, ends, maps.grid
+    def __init__(self, maps, ends, folder):
+        self.maps, self.ends, self.folder = maps, ends, folder
         self.on = ju.cost_map(maps, Z_M)
         self.path = self.on.plan(**{name.removesuffix("_xy_m"): ju.XY(*xy_m) for name, xy_m in ends.items()})
         self.untouched = ju.MetricMaps(maps.ds.drop_vars("roof_touched"), "centre")
@@ -61,10 +58,13 @@ class Scene:
         on = ju.cost_map(maps or self.maps, **({"altitude_m": Z_M} | options))
         return ju.simplify(path or self.path, on, tolerance_m)
 
+    def write(self, name, **options):
+        return write_path(self.path, self.folder / name, **options)
+
 
 @pytest.fixture(scope="module")
-def scene(maps, ends) -> Scene:
-    return Scene(maps, ends)
+def scene(maps, ends, tmp_path_factory) -> Scene:
+    return Scene(maps, ends, tmp_path_factory.mktemp("folder.kml", numbered=False))
 
 
 OTHER = "give the cost map that it was planned on"
@@ -143,8 +143,11 @@ REFUSED = [
     (lambda s: ju.Vehicle(radius_m=-0.1), "radius_m must be 0 or a positive number of metres"),
     (lambda s: ju.Vehicle(max_turn_deg=181.0), "max_turn_deg must be at most 180 degrees"),
     (lambda s: ju.Vehicle(max_descent_m_s="slow"), "max_descent_m_s must be a number or None"),
-    (lambda s: Scenario.from_dict(REGION | {"vehicle": {"radius_cm": 40}}), "radius_m"),
-    (lambda s: Scenario.from_dict(REGION | {"vehicle": {"max_climb_m_s": 0}}), "vehicle.*max_climb_m_s must be a pos"),
+    (lambda s: ju.Scenario.from_dict(REGION | {"vehicle": {"radius_cm": 40}}), "radius_m"),
+    (
+        lambda s: ju.Scenario.from_dict(REGION | {"vehicle": {"max_climb_m_s": 0}}),
+        "vehicle.*max_climb_m_s must be a",
+    ),
     # of a path
     *each(lambda s, wrong: s.explain(speed_m_s=wrong), (0.0, NAN), "speed_m_s must be a positive number of metres"),
     (lambda s: s.explain(power_w=200.0), "give the speed"),
@@ -163,37 +166,27 @@ REFUSED = [
     (lambda s: s.simplify(replace(s.path, xy_m=s.path.xy_m + 5.0)), ANOTHER.format("region")),
     *each(lambda s, wrong: s.simplify(tolerance_m=wrong), (0.0, -1.0, np.inf, "far"), "tolerance_m must be"),
     (lambda s: ju.simplify(None, s.on, 2.0), "planned must be PlannedPath"),
+    # its files
+    (lambda s: s.write(""), "is a folder"),
+    (lambda s: s.write("path.gpz"), "end its name in one of .geojson, .kml, .gpx, .plan"),
+    (lambda s: s.write("path"), "end its name in one of"),
+    (lambda s: s.write("missing/path.kml"), "does not exist"),
+    (lambda s: s.write("path.plan", end="hover"), "end must be 'land', 'return' or 'none'"),
+    (lambda s: s.write("path.kml", end="land"), r"only a \.plan says how the flight ends"),
 ]
 
 
 @pytest.mark.parametrize(("call", "words"), REFUSED, ids=lambda value: value if isinstance(value, str) else "")
 def test_what_cannot_be_planned_is_refused_in_one_sentence(scene, call, words):
-    with pytest.raises(InputError, match=words) as refused:
+    with pytest.raises(ju.InputError, match=words) as refused:
         call(scene)
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "words"),
-    [
-        ("path.gpz", {}, "end its name in one of .geojson, .kml, .gpx, .plan"),
-        ("path", {}, "end its name in one of"),
-        ("missing/path.kml", {}, "does not exist"),
-        ("folder.kml", {}, "is a folder"),
-        ("path.plan", {"end": "hover"}, "end must be 'land', 'return' or 'none'"),
-        ("path.kml", {"end": "land"}, r"only a \.plan says how the flight ends"),
-    ],
-)
-def test_a_file_that_cannot_be_is_refused_in_one_sentence(scene, name, options, words, tmp_path):
-    (tmp_path / "folder.kml").mkdir()
-    with pytest.raises(InputError, match=words):
-        write_path(scene.path, tmp_path / name, **options)
-    assert [file.name for file in tmp_path.iterdir()] == ["folder.kml"]
+    assert not any(scene.folder.iterdir())
 
 
 def test_too_little_memory_is_told_before_it_runs_out(scene, monkeypatch):
     monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=100_000))
-    with pytest.raises(InputError, match=r"volume of 2 levels of 80 x 100 cells .* choose a longer level_step_m"):
+    with pytest.raises(ju.InputError, match=r"volume of 2 levels of 80 x 100 cells .* choose a longer level_step_m"):
         scene.levels()
 
 
@@ -231,7 +224,7 @@ def test_a_command_refuses_in_one_sentence_and_ends_with_2(
 def test_many_routes_over_cities_of_other_scenarios_are_refused(tmp_path, capsys):
     cities = [tmp_path / "a", tmp_path / "b"]
     for radius_m, city in enumerate(cities):
-        write_zarr(made_maps(40, 60).ds, city)
+        made_maps(40, 60).save(city)
         write_json(city / "run.json", {"settings": {"vehicle": {"radius_m": radius_m}}})
     code, _, err = run(capsys, "sensitivity-study", *cities, "--routes", 1, "-o", tmp_path / "out")
     assert code == 2

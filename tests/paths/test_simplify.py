@@ -10,7 +10,6 @@ import shapely
 import jaxurban as ju
 from benchmarks.random_routes import READERS
 from jaxurban.io.read.zone import Zone
-from jaxurban.io.store import write_zarr
 from jaxurban.planners.base import Status
 from tests.cli_runs import run
 from tests.free_space import Obstacles
@@ -115,7 +114,7 @@ def test_a_path_between_levels_keeps_its_climbs_and_its_report(maps):
 
 
 def test_the_command_simplifies_missions_unless_told_otherwise_and_says_so(maps, tmp_path, capsys):
-    write_zarr(maps.ds, tmp_path / "maps")
+    maps.save(tmp_path / "maps")
     start, goal = (place[:2] for place in ends_of(maps))
     query = (tmp_path / "maps", *options_of(maps, start, goal), "--snap", "--cost-model", "cell")
     plan, line = tmp_path / "path.plan", tmp_path / "path.geojson"

@@ -87,8 +87,6 @@ def test_nobody_climbs_from_under_a_deck(maps):
 
 
 def test_between_two_altitudes_values_over_a_deck_are_those_above_it(maps):
-    over = maps.grid.cell_of_xy(*UNDER)
-    costs = ju.cost_map(maps, ju.Levels(level_step_m=1.0))
-    level = int(np.flatnonzero(costs.altitudes_m == 15.0)[0])
-    lidar = list(maps.metrics).index("lidar")
-    assert costs.problem.costs[lidar, level][over] == pytest.approx(1 - maps.m("lidar", 20.0)[over])
+    over, on = maps.grid.cell_of_xy(*UNDER), ju.cost_map(maps, 15.0)
+    lidar = dict(zip(on.names, on.costs, strict=True))["lidar"]
+    assert lidar[over] == pytest.approx(1 - maps.m("lidar", 20.0)[over])

@@ -8,7 +8,6 @@ import shapely
 
 import jaxurban as ju
 from benchmarks.random_routes import READERS
-from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
 from jaxurban.planners.base import Status
 from tests.cli_runs import run
@@ -77,9 +76,9 @@ def test_start_left_on_a_roof_begins_at_the_lowest_free_level_over_it(maps, ends
     cell = np.argwhere(~maps.is_free(20.0) & maps.is_free(60.0))[0]
     there = ends | {"start_xy_m": maps.grid.xy_of_cell(*cell)}
     assert plan_volume(maps, **there).z_m[0] == 60.0
-    with pytest.raises(InputError, match=r"at 20 m; the lowest free level there is 60 m"):
+    with pytest.raises(ju.InputError, match=r"at 20 m; the lowest free level there is 60 m"):
         plan_volume(maps, **there, start_altitude_m=20.0)
-    with pytest.raises(InputError, match=r"every level from 20 to 20 m; the lowest free altitude there is 60 m"):
+    with pytest.raises(ju.InputError, match=r"every level from 20 to 20 m; the lowest free altitude there is 60 m"):
         plan_volume(maps, **there, max_altitude_m=20.0)
     moved = plan_volume(maps, **there, max_altitude_m=20.0, snap=True)
     assert moved.z_m[0] == 20.0
@@ -132,5 +131,5 @@ def test_a_volume_flies_over_a_zone_with_a_ceiling_and_around_one_without():
     around = planned(np.inf)
     assert around.status is Status.NO_PATH
     assert "Constraints were on (1 no-fly zone, vertical clearance of 3 m): they close" in around.to_dict()["message"]
-    with pytest.raises(InputError, match=r"closed by the no-fly zone 'wall'.*lowest free level there is 90 m"):
+    with pytest.raises(ju.InputError, match=r"closed by the no-fly zone 'wall'.*lowest free level there is 90 m"):
         planned(70.0, start_xy_m=maps.grid.xy_of_cell(40, 47), start_altitude_m=60.0)

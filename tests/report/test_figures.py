@@ -20,12 +20,11 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import Status
 from jaxurban.report import figures as plotting
-from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps
+from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.paths import PLANNER_COLOURS, maps_figures
 from jaxurban.report.figures.style import chart
 from jaxurban.report.write import DPI, write_png
-from jaxurban.world.grid import Grid
 from tests.made_maps import made_maps
 from tests.paths.volumes import made_path
 
@@ -386,8 +385,8 @@ def test_what_cannot_be_drawn_is_named(maps):
 
 
 def test_a_single_panel_keeps_the_maps_proportions():
-    grid = Grid("EPSG:32618", 10.0, 450_000, 58_000, 300, 100)
-    figure, (panel,) = draw_maps(grid, [MapPanel("a")], "heading", "note")
+    figure = plotting.plot_metric(make_maps(300, 100, 10.0), "risk", altitudes_m=[20.0])
+    (panel,) = panels_of(figure)
     figure.draw_without_rendering()
     box = panel.get_window_extent()
     assert box.height / box.width == pytest.approx(3.0)

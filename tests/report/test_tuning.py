@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.io.store import write_zarr
 from jaxurban.io.tables import RowStore
 from jaxurban.paths.plan import cost_map
 from jaxurban.studies.demonstrations import optimal_demonstrations
@@ -23,7 +22,7 @@ FILE = Path(__file__)
 def made(tmp_path_factory) -> tuple[Path, Path]:
     """A folder of maps, and a file of routes on them."""
     folder, maps = tmp_path_factory.mktemp("tune"), small_maps()
-    write_zarr(maps.ds, folder / "maps")
+    maps.save(folder / "maps")
     routes = optimal_demonstrations(made_queries(cost_map(maps, 20.0), 16), HIDDEN)
     return folder / "maps", write_geojson(folder / "routes.geojson", routes)
 
@@ -121,7 +120,7 @@ def test_ctrl_c_keeps_the_searches_and_the_same_command_ends_alike(made, tmp_pat
 
 @pytest.mark.slow
 def test_cities_are_fitted_together_and_judged_by_routes_held_out(made, tmp_path, capsys):
-    write_zarr(small_maps().ds, tmp_path / "second")
+    small_maps().save(tmp_path / "second")
     queries = made_queries(cost_map(small_maps(), 20.0), 12, seed=1)
     write_geojson(tmp_path / "second.geojson", optimal_demonstrations(queries, HIDDEN))
     options = ("--hold-out", 0.25, "--by-city", "--bootstrap", 8)
