@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.recipe import HeightStd, Spread, perturbed_cities
 from jaxurban.maps.task import MapParams, MapTask
@@ -99,10 +98,3 @@ def test_a_height_raster_moves_by_connected_buildings(city):
     for building in (values == 12, values == 20):
         assert np.ptp(error[:, building], axis=1).max() < 1e-5
         assert error[:, building].std() == pytest.approx(2.0, rel=0.2)
-
-
-def test_bad_settings_are_refused(city):
-    with pytest.raises(InputError, match="levels must be 0 or a positive number of metres"):
-        HeightStd(levels=-1.0)
-    with pytest.raises(InputError, match="height_samples must be 0, for none, or from 2"):
-        spread_of(city, num_samples=1)

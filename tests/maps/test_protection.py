@@ -44,11 +44,6 @@ def ends_of(maps, altitude_m):
     return tuple(tuple(map(float, maps.grid.lonlat_of_cell(*largest[at]))) for at in (0, -1))
 
 
-@pytest.fixture(scope="module")
-def ends(maps):
-    return ends_of(maps, ALTITUDE_M)
-
-
 def test_maps_hold_it_where_somebody_asks(maps):
     assert [*maps.metrics] == ["gps", "lidar", "risk", "protection"]
     assert "protection" not in task_of({}).metrics
@@ -87,8 +82,8 @@ def test_files_tell_what_it_leaves_out(maps, tmp_path):
         assert (file.units, file.tags()["comment"]) == (("m",), CAVEAT)
 
 
-def test_a_path_keeps_a_bound_on_it_and_its_note_tells(maps, ends):
-    limits = ju.Constraints.read(require="hpl<=40")
+def test_a_path_keeps_a_bound_on_it_and_its_note_tells(maps):
+    ends, limits = ends_of(maps, ALTITUDE_M), ju.Constraints.read(require="hpl<=40")
     path = ju.plan(maps, *ends, altitude_m=ALTITUDE_M, constraints=limits, weights={"protection": 0.0})
     assert path.status is Status.OPTIMAL
     assert CAVEAT in path.search.note
@@ -100,7 +95,8 @@ def test_a_path_keeps_a_bound_on_it_and_its_note_tells(maps, ends):
     assert CAVEAT not in ju.plan(maps, *ends, altitude_m=ALTITUDE_M, weights={"protection": 0.0}).search.note
 
 
-def test_maps_without_it_say_that_its_weight_is_ignored(maps, ends):
+def test_maps_without_it_say_that_its_weight_is_ignored(maps):
+    ends = ends_of(maps, ALTITUDE_M)
     without = ju.MetricMaps(maps.ds.drop_vars(["protection", "hpl", "vpl", "within_limits"]))
     path = ju.plan(without, *ends, altitude_m=ALTITUDE_M, weights={"protection": 2.0})
     assert "These maps hold no population and no protection" in path.search.note

@@ -119,10 +119,8 @@ def test_risk_of_a_slice_under_a_deck_does_not_know_of_it(maps):
 
 
 def test_own_layers_see_what_their_altitude_meets():
-    def roof(surface, altitude_m):
-        return np.asarray(surface.crop(surface.roof_m))
-
-    of = replace(task(city()), layers={"roofs": Layer(roof, "high-is-bad", scale=(0, 100))})
+    roofs = Layer(lambda surface, altitude_m: surface.crop(surface.roof_m), "high-is-bad", scale=(0, 100))
+    of = replace(task(city()), layers={"roofs": roofs})
     found = compute_maps(of)
     assert found.m("roofs", 2.0)[ON_DECK] == 0
     assert found.m("roofs", 12.0)[ON_DECK] == pytest.approx(DECK_TOP_M / 100)

@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 
 from jaxurban.errors import InputError
+from jaxurban.maps.recipe import HeightStd
 from jaxurban.metrics.base import Scene, SoftScene
 from jaxurban.metrics.custom import Layer, check_layers, held_metrics, own_metric
 from jaxurban.metrics.gps import Dop, Gps, soft_gps
@@ -19,6 +20,7 @@ from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.metrics.risk import Risk, soft_risk
 from jaxurban.metrics.weights import Weights
+from jaxurban.settings import Heights
 from jaxurban.world.surface import obstacle_mask
 from tests.metrics.soft.scene import ALTITUDE_M, BUILDING, CASES, CELLS, HEIGHT_M, REGION, surface_of
 
@@ -42,13 +44,10 @@ def test_metrics_stand_in_the_papers_order_and_an_unknown_one_is_named():
 
 
 def test_a_function_sees_the_surface_and_has_gradients_where_it_has_a_soft_form():
-    layer = Layer(
-        lambda surface, altitude_m: surface.crop(surface.roof_m) / altitude_m,
-        "high-is-bad",
-        (0.0, 2.0),
-        reach_m=10.0,
-        soft=lambda surface, altitude_m, softness_m: surface.crop(surface.roof_m) / altitude_m,
-    )
+    def shade(surface, altitude_m, softness_m=0.0):
+        return surface.crop(surface.roof_m) / altitude_m
+
+    layer = Layer(shade, "high-is-bad", (0.0, 2.0), reach_m=10.0, soft=shade)
     metric = own_metric("shade", layer)
     pickle.loads(pickle.dumps(own_metric("noise", NOISE).compute))  # for workers
     assert (metric.dims, metric.reach_m(layer)) == (("altitude",), 10.0)
@@ -112,6 +111,8 @@ def test_weights_are_parsed_over_a_base_carry_any_name_and_a_name_that_is_left_o
         (Protection, {"p_const": 0.5}, "p_const must be a probability from 0 to below 0.1"),
         (Protection, {"phmi_vertical": 0.0}, "phmi_vertical must be a probability from 1e-15 to 0.1"),
         (Protection, {"tolerance_m": (0.05, 0.0)}, "tolerance_m must be positive metres"),
+        (HeightStd, {"levels": -1.0}, "levels must be 0 or a positive number of metres"),
+        (Heights, {"height_samples": 1}, "height_samples must be 0, for none, or from 2"),
         (Layer, LAYER | {"source": 5}, "source must be the path"),
         (Layer, LAYER | {"cost": "high"}, "cost must be 'high-is-bad' or 'low-is-bad', got 'high'"),
         (Layer, LAYER | {"scale": (1.0, 1.0)}, "two ascending numbers"),
