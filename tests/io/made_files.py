@@ -15,6 +15,7 @@ from jaxurban.errors import InputError
 UTM, WGS84 = "EPSG:32618", "EPSG:4326"
 X, Y = 583_000.0, 4_506_000.0  # a place in Lower Manhattan
 LON, LAT = -74.0, 40.7
+FEET = {"crs": "EPSG:2263", "transform": Affine(10, 0, 980_000, 0, -10, 200_000)}  # New York's state plane
 SQUARE = shapely.box(LON, LAT, LON + 0.001, LAT + 0.001)
 
 

@@ -13,7 +13,7 @@ import jaxurban as ju
 from jaxurban.io.read.raster import check_is_no_surface, heights_of_surface, raster_extent_m, read_raster
 from jaxurban.io.read.sampling import heights_above, resample_raster
 from jaxurban.world.city import City, Raster
-from tests.io.made_files import UTM, X, Y, north_up, write_raster
+from tests.io.made_files import FEET, UTM, X, Y, north_up, write_raster
 
 ELSEWHERE = "EPSG:32617"
 
@@ -127,9 +127,6 @@ def test_max_misses_no_pixel_that_overlaps_a_cell_and_takes_no_other(turn_deg, p
         cell = shapely.box(x_m, y_m, x_m + resolution_m, y_m + resolution_m)
         expected = pixels[shapely.area(shapely.intersection(shapes, cell)) > 1e-5].max(initial=-1.0)
         assert found[i, j] == expected or (expected == -1.0 and np.isnan(found[i, j]))
-
-
-FEET = {"crs": "EPSG:2263", "transform": Affine(10, 0, 980_000, 0, -10, 200_000)}  # New York's state plane
 
 
 @pytest.mark.parametrize(

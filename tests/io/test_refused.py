@@ -9,7 +9,6 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
-from affine import Affine
 
 import jaxurban as ju
 from jaxurban.io.read.airspace import read_zones
@@ -21,7 +20,7 @@ from jaxurban.io.read.raster import raster_extent_m, read_raster
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.io.read.vector import open_layers, read_vector
 from jaxurban.world.city import SLABS
-from tests.io.made_files import SQUARE, UTM, WGS84, X, Y, box, refused, write_features, write_raster, write_vector
+from tests.io.made_files import FEET, SQUARE, UTM, WGS84, X, Y, box, refused, write_features, write_raster, write_vector
 
 BLOCK = "360610001001000"
 
@@ -111,7 +110,6 @@ BROKEN_OSM = (
     b'<osm version="0.6"><node id="1" lat="x" lon="0"/></osm>',
     b'<osm version="0.6"><node id="x" lat="0" lon="0"/></osm>',
 )
-IN_FEET = {"crs": "EPSG:2263", "transform": Affine(10, 0, 980_000, 0, -10, 200_000)}
 
 
 @pytest.mark.parametrize(
@@ -137,7 +135,7 @@ IN_FEET = {"crs": "EPSG:2263", "transform": Affine(10, 0, 980_000, 0, -10, 200_0
         (read_pixels, "a.tif", pixels(1, bands=2), "has 2 bands"),
         (read_pixels, "a.tif", cut_raster, "cannot be read as a raster"),
         (read_pixels, "a.tif", pixels(1, units="furlong"), "'furlong'.*-units m"),
-        (read_pixels, "a.tif", pixels(1, **IN_FEET), r"does not say plainly.*US survey foot.*gdal_edit\.py -units m"),
+        (read_pixels, "a.tif", pixels(1, **FEET), r"does not say plainly.*US survey foot.*gdal_edit\.py -units m"),
         (partial(read_pixels, bounds_m=(X + 9000, Y, X + 9100, Y + 100)), "a.tif", pixels(1), "not reach the region"),
         *((READERS["city.osm"], "a.osm", text, "cannot be read as OpenStreetMap data") for text in BROKEN_OSM),
         (counts, "a.csv", b"id,population\n", "joins no block"),

@@ -14,6 +14,7 @@ from jaxurban.maps.tiled import QUADRANTS, Tiling
 from jaxurban.world.grid import Grid, tile_shape, utm_crs
 
 LOWER_MANHATTAN = (-74.02, 40.70, -73.98, 40.73)
+NO_CRS = ("EPSG:4326", "EPSG:2263", "nonsense", "EPSG:2048", "EPSG:3857")  # which must be projected, in metres
 
 
 def test_default_crs_is_the_utm_zone_of_the_centre():
@@ -74,28 +75,19 @@ def test_window_cuts_a_sub_box():
 
 
 @pytest.mark.parametrize(
-    ("bounds", "words"),
+    ("bounds", "how", "words"),
     [
-        ((-74.0, 40.7, -74.02, 40.73), "not a box"),
-        ((-74.02, 40.70, -73.98), "four finite numbers"),
-        ((-74.02, math.nan, -73.98, 40.73), "four finite numbers"),
+        ((-74.0, 40.7, -74.02, 40.73), {}, "not a box"),
+        ((-74.02, 40.70, -73.98), {}, "four finite numbers"),
+        ((-74.02, math.nan, -73.98, 40.73), {}, "four finite numbers"),
+        *((LOWER_MANHATTAN, {"crs": crs}, "EPSG:32618") for crs in NO_CRS),
+        (LOWER_MANHATTAN, {"resolution_m": 3.14159265, "nest_with_m": (7.0,)}, "no common grid"),
     ],
 )
-def test_bad_bounds_are_refused_in_one_sentence(bounds, words):
+def test_what_makes_no_grid_is_refused_in_one_sentence(bounds, how, words):
     with pytest.raises(InputError, match=words) as caught:
-        Grid.from_bounds(bounds, 5.0)
+        Grid.from_bounds(bounds, **{"resolution_m": 5.0} | how)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:2263", "nonsense", "EPSG:2048", "EPSG:3857"])
-def test_crs_must_be_projected_in_metres(crs):
-    with pytest.raises(InputError, match="EPSG:32618"):
-        Grid.from_bounds(LOWER_MANHATTAN, 5.0, crs)
-
-
-def test_resolutions_without_a_common_grid_are_refused():
-    with pytest.raises(InputError, match="no common grid"):
-        Grid.from_bounds(LOWER_MANHATTAN, 3.14159265, nest_with_m=(7.0,))
 
 
 sizes = st.integers(1, 90)
