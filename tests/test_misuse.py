@@ -56,6 +56,7 @@ PLAIN = {
     **{"path": str(Path(__file__).parents[1] / "pyproject.toml"), "out": "/proc/none", "log": "no-such.csv"},
     **{"sample_instances.num": 1, "study.instances": 1, "sensitivity_study.routes": 1, "sources": {"here": MAPS}},
     **{"obstacles": "touched", "metrics": ["gps"], "CostModel.from_settings.settings": {}},
+    "PlannedPath.save.file": "path.geojson",
 }
 MADE_ONCE: dict[str, Callable[[], Any]] = {
     "city": lambda: ju.demo_city(400, 400),
@@ -180,15 +181,12 @@ PARAMETERS = [
 
 def call(name: str, parameter: str, value: Any) -> str:
     """Return what a call with a wrong argument answers."""
-    function, needed = CALLS[name], good_arguments(name)
-    given = {**needed, parameter: value}
-    kind = inspect.signature(function).parameters[parameter].kind
+    function, given = CALLS[name], good_arguments(name)
+    kind, args = inspect.signature(function).parameters[parameter].kind, [given.pop("self")] if "self" in given else []
     if kind is kind.VAR_POSITIONAL:
-        given = {**needed, "file": "path.geojson"}
-    if kind is kind.VAR_KEYWORD:
-        given = {**needed, f"my_{parameter}": value}
-    args = (given.pop("self"),) if "self" in given else ()
-    args += (given.pop("file"), value) if kind is kind.VAR_POSITIONAL else ()
+        args += [given.pop("file"), value]
+    else:
+        given[f"my_{parameter}" if kind is kind.VAR_KEYWORD else parameter] = value
     with pytest.raises(InputError) as raised:
         function(*args, **given)
     return str(raised.value)

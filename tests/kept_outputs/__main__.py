@@ -175,8 +175,7 @@ def compare_or_renew() -> None:
                 is_same &= row.is_same
                 verdict = "same" if row.is_same else "DIFFERENT"
                 print(f"{name:<10} {row.what:<28} {row.difference:<44} {row.allowed:<20} {verdict}")
-    if not is_same:
-        sys.exit(RENEWING)
+    sys.exit(None if is_same else RENEWING)
 
 
 if __name__ == "__main__":

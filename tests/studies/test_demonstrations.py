@@ -40,35 +40,21 @@ def test_routes_come_back_from_a_file_as_they_were(small, shown, tmp_path):
     assert len(ju.fit.read_demonstrations(file, small, altitude_m=60.0)) == 4
 
 
-def test_planned_paths_are_demonstrations_of_zero_regret_and_their_files_bring_cost_model_and_features(
-    small, shown, tmp_path
-):
-    places = [[small.grid.xy_of_cell(*cell) for cell in (each.query.start, each.query.goal)] for each in shown]
-    how = {"altitude_m": 20.0, "weights": HIDDEN, "cost_model": "line"}
-    paths = [ju.plan(small, start_xy_m=start, goal_xy_m=goal, **how) for start, goal in places]
-    taken = ju.fit.demonstrations_from_paths(paths, small)
-    weights = HIDDEN.vector(taken[0].query.names)
-    cheapest = RoutePool([each.query for each in taken]).cheapest(np.tile(weights, (4, 1, 1)))[0, :, 0]
-    np.testing.assert_allclose([cost_of(each) for each in taken], [path.cost for path in paths], rtol=1e-6)
-    np.testing.assert_allclose(cheapest @ weights, [path.cost for path in paths], rtol=1e-6)
-    write_path(paths[0], tmp_path / "path.geojson")
-    (read,) = ju.fit.read_demonstrations(tmp_path / "path.geojson", small)
-    np.testing.assert_allclose(read.features, taken[0].features, rtol=1e-12)
-    assert read.query.cost_map.cost_model.kind == "line"
-    assert read.query.cost_map.altitude_m == paths[0].altitude_m
-    assert cost_of(read) == pytest.approx(paths[0].cost, rel=1e-9)
-
-
-def test_a_table_of_queries_is_planned_first_and_its_paths_are_taken_at_their_own_cost(small, tmp_path):
+def test_planned_paths_are_demonstrations_of_zero_regret_and_their_files_bring_cost_model_and_features(small, tmp_path):
     instances = ju.studies.sample_instances(small, 6, weights=[HIDDEN], seed=2).query("is_connected")
     queries = instances[[*PLACES, "altitude_m"]]
     paths = ju.plan_many(small, queries, weights=HIDDEN, cost_model="line", progress=False)
-    paths.save(tmp_path / "paths.geojson")
-    for read in (
-        ju.fit.demonstrations_from_paths(paths, small),
-        ju.fit.read_demonstrations(tmp_path / "paths.geojson", small),
-    ):
-        np.testing.assert_allclose([cost_of(each) for each in read], [path.cost for path in paths], rtol=1e-9)
+    costs, taken = [path.cost for path in paths], ju.fit.demonstrations_from_paths(paths, small)
+    weights = HIDDEN.vector(taken[0].query.names)
+    cheapest = RoutePool([each.query for each in taken]).cheapest(np.tile(weights, (len(taken), 1, 1)))[0, :, 0]
+    np.testing.assert_allclose(cheapest @ weights, costs, rtol=1e-6)
+    read = ju.fit.read_demonstrations(paths.save(tmp_path / "paths.geojson"), small)
+    for demonstrations in (taken, read):
+        np.testing.assert_allclose([cost_of(each) for each in demonstrations], costs, rtol=1e-9)
+    write_path(paths[0], tmp_path / "path.geojson")
+    (read,) = ju.fit.read_demonstrations(tmp_path / "path.geojson", small)
+    np.testing.assert_allclose(read.features, taken[0].features, rtol=1e-12)
+    assert (read.query.cost_map.cost_model.kind, read.query.cost_map.altitude_m) == ("line", paths[0].altitude_m)
     paths.save(tmp_path / "paths.csv")
     with pytest.raises(ju.InputError, match="is a table, which holds no lines: plan its queries first"):
         ju.fit.read_demonstrations(tmp_path / "paths.csv", small)

@@ -1,8 +1,14 @@
-"""The study of weights over many routes: its rows against planning alone, and what its report says."""
+"""The study of weights over many routes: rows against planning alone, its report, and how both studies keep rows."""
 
 import itertools
 import json
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,9 +23,11 @@ from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.studies.weights.routes import OnPerturbedMaps
 from jaxurban.studies.weights.summary import summarise, summarise_shares
 from tests.cli_runs import TOWN, run
-from tests.studies.routes_made import WEIGHT_STUDY, assert_on_the_page
+from tests.studies.routes_made import WEIGHT_STUDY, assert_on_the_page, run_study, same_rows
 
 KEY = ["city", "instance", "altitude_m"]
+WHERE = {"study": "", "weight_study": "routes/"}  # rows lie in a study's folder
+CALL = "import sys; from tests.studies.routes_made import run_study; run_study(sys.argv[1], sys.argv[2:4], sys.argv[4])"
 
 
 def test_every_weight_of_a_city_is_studied_and_own_layers_by_their_name(weight_study):
@@ -219,3 +227,45 @@ def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
     code, _, err = run(capsys, "sensitivity-study", cities[0], *options)
     assert code == 0, err
     assert len(pd.read_parquet(tmp_path / "q/routes/rows.parquet")) == 16
+
+
+@pytest.fixture(params=WHERE)
+def kept(request, folders):
+    """Return a study's name, what it gave, how it is run in another folder, and the columns that name a row."""
+    result = request.getfixturevalue(request.param)
+    key = ["instance", "altitude_m", *(["planner", "objective"] if request.param == "study" else ["city"])]
+    return request.param, result, partial(run_study, request.param, folders), key
+
+
+def test_every_run_has_a_row_once_and_the_file_holds_them(kept):
+    name, result, _, key = kept
+    assert len(result.rows) == (12 * 2 * 6 if name == "study" else 2 * 9 * 2)  # five planners and one distance-only run
+    assert not result.rows.duplicated(key).any()
+    assert not result.rows.status.isin(["crashed", "invalid", "bad-input"]).any()
+    same_rows(pd.read_parquet(result.folder / WHERE[name] / "rows.parquet"), result.rows)
+
+
+@pytest.mark.slow
+def test_a_killed_study_goes_on_with_no_row_lost_or_doubled(kept, folders, tmp_path):
+    name, result, again, key = kept
+    out = tmp_path / "out"
+    parts = out / WHERE[name] / "parts"
+    job = subprocess.Popen([sys.executable, "-c", CALL, name, *folders, out], cwd=Path(__file__).parents[2])
+    while len(list(parts.glob("*.json"))) < 3:
+        assert job.poll() is None
+        time.sleep(0.005)
+    job.send_signal(signal.SIGKILL)
+    job.wait()
+    rows = [row for part in parts.glob("*.json") for row in json.loads(part.read_text())["rows"]]
+    assert 0 < len(rows) < len(result.rows)
+    found = again(out).rows
+    same_rows(found, result.rows)
+    times = found.set_index(key).elapsed_s
+    for row in rows:  # what was done before is not done again
+        assert times[tuple(row[column] for column in key)] == row["elapsed_s"]
+
+
+@pytest.mark.slow
+def test_two_workers_give_the_rows_of_one(kept, tmp_path):
+    _, result, again, _ = kept
+    same_rows(again(tmp_path, workers=2).rows, result.rows)
