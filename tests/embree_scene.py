@@ -11,15 +11,14 @@ from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.lidar import Lidar
 
 
-def wall_triangles(polygons: np.ndarray, height_m: np.ndarray, floor_m: np.ndarray | None = None) -> np.ndarray:
+def wall_triangles(polygons: np.ndarray, height_m: np.ndarray, floor_m: np.ndarray | float = 0.0) -> np.ndarray:
     """Return ``[N, 3, 3]`` float64 triangles of the walls, from each floor (left out, the ground) to each roof."""
-    floor_m = np.zeros(len(polygons)) if floor_m is None else floor_m
     parts, part_owner = shapely.get_parts(polygons, return_index=True)
     rings, ring_owner = shapely.get_rings(parts, return_index=True)
     owner = part_owner[ring_owner]
     points, point_ring = shapely.get_coordinates(rings, return_index=True)
     first = np.flatnonzero(point_ring[:-1] == point_ring[1:])  # an edge joins two points of one ring
-    top, floor = (values[owner[point_ring[first]]] for values in (height_m, floor_m))
+    top, floor = (np.broadcast_to(z_m, len(polygons))[owner[point_ring[first]]] for z_m in (height_m, floor_m))
     a, b = points[first], points[first + 1]
     low_a, low_b = (np.column_stack([p, floor]) for p in (a, b))
     high_a, high_b = (np.column_stack([p, top]) for p in (a, b))
@@ -38,10 +37,10 @@ def roof_triangles(polygons: np.ndarray, height_m: np.ndarray) -> np.ndarray:
 class CityScene:
     """Buildings extruded from floors (left out, the ground) to roofs, for ray queries in the polygons' CRS."""
 
-    def __init__(self, polygons: np.ndarray, height_m: np.ndarray, floor_m: np.ndarray | None = None):
+    def __init__(self, polygons: np.ndarray, height_m: np.ndarray, floor_m: np.ndarray | float = 0.0):
         areal = np.isin(shapely.get_type_id(polygons), (3, 6))  # Polygon, MultiPolygon
-        floor_m = np.zeros(len(polygons)) if floor_m is None else floor_m
-        polygons, height_m, floor_m = polygons[areal], np.asarray(height_m, float)[areal], floor_m[areal]
+        height_m, floor_m = (np.broadcast_to(z_m, len(polygons))[areal].astype(float) for z_m in (height_m, floor_m))
+        polygons = polygons[areal]
         hangs = floor_m > 0
         faces = [
             wall_triangles(polygons, height_m, floor_m),

@@ -1,18 +1,31 @@
-"""Lidar, risk and obstacles on a surface, and statistics of a metric over time."""
+"""Lidar, risk and obstacles on a surface, the population of blocks, and statistics of a metric over time."""
+
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 from scipy.ndimage import distance_transform_edt
 
+from jaxurban.maps.provenance import population_totals
 from jaxurban.metrics.lidar import Lidar, compute_lidar
+from jaxurban.metrics.population import (
+    BlockPopulation,
+    Population,
+    block_people,
+    day_share,
+    density_per_km2,
+    soft_population,
+)
 from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.variables import SCALE, TimeTotals, series_statistics
+from jaxurban.world.city import Blocks, Zoning
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import obstacle_mask, soft_obstacle
 from tests.metrics.soft.scene import check_gradient
-from tests.metrics.whole_maps import surface_on
+from tests.metrics.whole_maps import population_maps, surface_on
 
 GRID = Grid("EPSG:32618", 5.0, 901_000, 116_000, 70, 62)
 REGION = GRID.padded(-10, -10, -10, -10)  # a margin of 50 m
@@ -118,3 +131,140 @@ def test_totals_give_means_and_the_worst_epoch_in_any_order():
     np.testing.assert_array_equal(forward.mean, backward.mean)
     np.testing.assert_allclose(forward.mean, m.mean(axis=2), atol=1e-4)
     assert forward.worst[1] == 3
+
+
+# Four blocks of 100 m x 100 m in a row: commercial, residential, other, empty.
+WEST_M = np.arange(4) * 100.0
+BLOCKS = Blocks(
+    polygons=shapely.box(WEST_M, 0.0, WEST_M + 100.0, 100.0),
+    night_count=np.array([100.0, 400.0, 200.0, 0.0]),
+    district=np.array([101, 107, 13, 102], np.int32),
+    zoning=np.array([Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER, Zoning.COMMERCIAL], np.uint8),
+    block_id=np.array(["a", "b", "c", "d"], object),
+)
+UNEQUAL = replace(BLOCKS, polygons=shapely.box(WEST_M, 0.0, WEST_M + 100.0, [9, 1, 4, 1]))
+BLOCK = jnp.array([[0, 1, 2], [3, -1, 0]])
+
+
+def test_night_is_the_census_day_multiplies_by_gamma_and_the_densest_block_of_the_time_has_m_one():
+    maps = population_maps(BLOCK, BLOCKS, ("night", "day"))
+    np.testing.assert_allclose(maps.density_per_km2[0], [[1e4, 4e4, 2e4], [0, 0, 1e4]])
+    np.testing.assert_allclose(maps.density_per_km2[1], [[3e4, 2e4, 1e4], [0, 0, 3e4]])
+    np.testing.assert_allclose(maps.norm_per_km2, [4e4, 3e4])
+    np.testing.assert_allclose(maps.m[1], [[1, 2 / 3, 1 / 3], [0, 0, 1]], rtol=1e-6)
+    assert maps.m.dtype == jnp.float32
+
+
+@pytest.mark.parametrize(
+    ("blocks", "settings", "bounds_m", "norm", "m"),
+    [
+        (BLOCKS, {}, None, 4e4, [0.25, 1, 0.5]),
+        (BLOCKS, {}, (210, 10, 290, 90), 2e4, [0.5, 1, 1]),  # only blocks that touch the region count
+        (BLOCKS, {"normalise": 2e4}, None, 2e4, [0.5, 1, 1]),
+        (BLOCKS, {"normalise": "p50"}, None, 2e4, [0.5, 1, 1]),  # the median of the three inhabited blocks
+        (UNEQUAL, {"quantity": "count"}, None, 400, [0.25, 1, 0.5]),  # counts ignore the area
+    ],
+)
+def test_a_number_a_percentile_or_the_greatest_of_the_region_normalises_and_clips(blocks, settings, bounds_m, norm, m):
+    maps = population_maps(BLOCK, blocks, ("night",), Population(**settings), bounds_m)
+    np.testing.assert_allclose(maps.norm_per_km2, [norm])
+    np.testing.assert_allclose(maps.m[0], [m, [0, 0, m[0]]])
+
+
+def test_a_region_without_people_has_m_zero_everywhere():
+    empty = replace(BLOCKS, night_count=np.zeros(4))
+    for normalise in ("max", "p95"):
+        maps = population_maps(BLOCK, empty, ("day",), Population(normalise=normalise))
+        assert not np.any(maps.m)
+    nobody = population_maps(BLOCK, BLOCKS, ("day",), bounds_m=(5000, 5000, 5001, 5001))
+    assert np.all(np.isfinite(nobody.m))
+
+
+def test_a_block_without_area_has_density_zero_and_finite_gradients():
+    def density(area_m2):
+        return density_per_km2(block_people(jnp.array([5.0]), jnp.array([2]), 1.0, 3.0, 0.5), area_m2).sum()
+
+    assert density(jnp.zeros(1)) == 0
+    assert jax.grad(density)(jnp.zeros(1)) == 0
+
+
+def test_hours_of_the_week_move_between_night_and_day():
+    assert day_share("night") == day_share("weekday-03") == 0.0
+    assert day_share("day") == day_share("weekday-12") == 1.0
+    assert 0.0 < day_share("weekday-08") < 1.0
+    # Moss and Qing (2012), in millions: 2.05 at night, 2.90 on a weekend day, 3.94 on a working day.
+    assert 2.05 + day_share("weekend-12") * (3.94 - 2.05) == pytest.approx(2.90)
+    own = Population(weekday=(0.25,) * 24)
+    night, hour = population_maps(BLOCK, BLOCKS, ("night", "weekday-12"), own).density_per_km2
+    np.testing.assert_allclose(hour[0], night[0] * np.array([1.5, 0.875, 0.875]))
+
+
+def test_totals_add_up_by_zoning():
+    totals = population_totals(BLOCKS)
+    assert totals["night"] == {"commercial": 100.0, "residential": 400.0, "other": 200.0, "total": 700.0}
+    assert totals["day"] == {"commercial": 300.0, "residential": 200.0, "other": 100.0, "total": 600.0}
+    assert population_totals(BLOCKS, bounds_m=(110, 10, 190, 90))["night"]["total"] == 400.0
+    box = (125.0, 0.0, 300.0, 50.0)  # three eighths of the residential block and half of the other one
+    assert population_totals(BLOCKS, bounds_m=box)["night"]["total"] == 600.0
+    inside = population_totals(BLOCKS, bounds_m=box, is_cut=True)
+    assert inside["night"]["residential"] == pytest.approx(400 * 0.75 * 0.5)
+    assert inside["night"]["other"] == pytest.approx(200 * 0.5)
+    assert inside["day"]["total"] == pytest.approx(0.5 * inside["night"]["total"])
+
+
+# Twelve blocks side by side, of which the last two lie beyond the bounds.
+BOUNDS_M, DRAW = (0.0, 0.0, 950.0, 100.0), np.random.default_rng(0)
+ZONING = DRAW.permutation(np.repeat([Zoning.COMMERCIAL, Zoning.RESIDENTIAL], 6)).astype(np.uint8)
+EAST_M = 100.0 * np.arange(12)
+ROW = Blocks(
+    polygons=shapely.box(EAST_M, 0.0, EAST_M + DRAW.uniform(40, 90, 12), 100.0),
+    night_count=DRAW.uniform(10, 500, 12),
+    district=np.zeros(12, np.int32),
+    zoning=ZONING,
+    block_id=np.arange(12).astype(object),
+)
+CELLS = jnp.asarray(np.random.default_rng(1).integers(-1, 12, (6, 7)), jnp.int32)
+
+
+@pytest.mark.parametrize(("time_of_day", "normalise"), [("day", "max"), ("night", 30_000.0), ("weekend-20", "p80")])
+def test_as_a_function_of_gammas_and_counts_it_is_the_metrics_own_map(time_of_day, normalise):
+    params = Population(normalise=normalise)
+    expected = population_maps(CELLS, ROW, [time_of_day], params, BOUNDS_M).m[0]
+    population, cells = BlockPopulation.of(ROW, BOUNDS_M), np.array([[0, 0], [5, 6], [2, 3]])
+    np.testing.assert_array_equal(soft_population(CELLS, population, time_of_day, params), expected)
+    at_cells = soft_population(CELLS, population, time_of_day, params, cells=cells)
+    np.testing.assert_array_equal(at_cells, expected[*cells.T])
+
+
+@pytest.mark.parametrize(
+    ("quantity", "normalise"), [("density", "max"), ("density", "p80"), ("density", 150_000.0), ("count", "max")]
+)
+def test_gradients_of_population_agree_with_finite_differences(quantity, normalise):
+    params = Population(normalise=normalise, quantity=quantity)
+    with jax.enable_x64(True):
+        population, weight = BlockPopulation.of(ROW, BOUNDS_M, np.float64), DRAW.uniform(size=CELLS.shape)
+
+        @jax.jit
+        @jax.value_and_grad
+        def total(inputs):
+            gammas = {name: inputs[name] for name in ("gamma_commercial", "gamma_residential")}
+            those = population._replace(night_count=inputs["night_count"], area_m2=1e4 * inputs["area_ha"])
+            return (weight * soft_population(CELLS, those, "weekday-18", replace(params, **gammas))).sum()
+
+        gammas = {"gamma_commercial": jnp.asarray(2.0), "gamma_residential": jnp.asarray(0.6)}
+        inputs = {"night_count": population.night_count, "area_ha": population.area_m2 / 1e4} | gammas
+        check_gradient(total, inputs, zero={"area_ha"} if quantity == "count" else (), rtol=1e-6)
+
+
+def test_gammas_are_leaves_of_the_settings_and_batches_take_no_new_compilation():
+    population = BlockPopulation.of(ROW, BOUNDS_M)
+
+    @jax.jit
+    def m(params, night_count):
+        return soft_population(CELLS, population._replace(night_count=night_count), "day", params)
+
+    several = [Population(gamma_commercial=g, gamma_residential=h) for g, h in ((3.0, 0.5), (2.0, 0.7))]
+    one_by_one = jnp.stack([m(params, population.night_count) for params in several])
+    assert m._cache_size() == 1
+    stacked = jax.tree.map(lambda *gammas: jnp.asarray(gammas), *several)
+    np.testing.assert_allclose(jax.vmap(m, (0, None))(stacked, population.night_count), one_by_one, rtol=1e-6)
