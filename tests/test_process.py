@@ -4,8 +4,6 @@ import os
 import subprocess
 import sys
 
-import pytest
-
 from jaxurban.cli.main import app
 
 HEAVY = "dask geopandas jax matplotlib numba numpy pandas pydantic pyproj rasterio scipy shapely xarray zarr"
@@ -23,16 +21,13 @@ def test_importing_the_package_imports_nothing_heavy():
     assert heavy_modules("import jax, jaxurban") != []
 
 
-@pytest.mark.parametrize("arguments", [["--help"], [], ["--version"], ["maps"], ["no-command"]])
-def test_what_needs_no_command_to_run_imports_nothing_heavy(arguments):
-    run = f"from jaxurban.cli.main import main\ntry: main({arguments!r})\nexcept SystemExit: pass"
-    assert heavy_modules(run) == []
-
-
-def test_the_help_of_every_command_imports_nothing_heavy():
-    run = "\ntry: main([{!r}, '--help'])\nexcept SystemExit as ended: assert not ended.code"
-    helps = "".join(run.format(command) for command in app.commands)
-    assert heavy_modules(f"from jaxurban.cli.main import main{helps}") == []
+def test_what_needs_no_command_to_run_and_the_help_of_every_one_import_nothing_heavy():
+    helps = [["--help"], *([command, "--help"] for command in app.commands)]
+    run = "\ntry: main({})\nexcept SystemExit as ended: assert {} or not ended.code"
+    runs = "".join(
+        run.format(each, each not in helps) for each in [[], ["--version"], ["maps"], ["no-command"], *helps]
+    )
+    assert heavy_modules(f"from jaxurban.cli.main import main{runs}") == []
 
 
 def test_maps_of_the_demo_city_import_neither_stores_nor_tables_of_outlines():

@@ -27,22 +27,16 @@ def maps(data_dir, tmp_path_factory) -> MetricMaps:
     return run_scenario(Scenario.from_dict(scenario), tmp_path_factory.mktemp("lower-manhattan")).maps[5.0]
 
 
-def day_problem(maps: MetricMaps, cost_model: str) -> Problem:
-    """The map by day under the default weights."""
-    weights, is_free = Weights(), maps.is_free(ALTITUDE_M)
-    costs = maps.costs(ALTITUDE_M, time_of_day="day")
-    vector = weights.vector(("distance", *costs))
-    first = tuple(int(v) for v in np.argwhere(is_free)[0])
-    return Problem(np.stack(list(costs.values())), is_free, first, first, maps.grid.resolution_m, vector, cost_model)
-
-
 @pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_every_cost_over_lower_manhattan_equals_dijkstra_and_landmarks_need_a_quarter_of_octiles_expansions(
     maps, cost_model
 ):
-    problem = day_problem(maps, cost_model)
+    costs, is_free = maps.costs(ALTITUDE_M, time_of_day="day"), maps.is_free(ALTITUDE_M)
+    layers, weights = np.stack(list(costs.values())), Weights().vector(("distance", *costs))
+    first = tuple(int(v) for v in np.argwhere(is_free)[0])
+    problem = Problem(layers, is_free, first, first, maps.grid.resolution_m, weights, cost_model)
     edges, rng = edges_of(problem), np.random.default_rng(9)
     shares: list[float] = []
     for start in random_cells(rng, problem.is_free, 10):

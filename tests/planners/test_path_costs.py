@@ -22,30 +22,28 @@ def centre_m(row, col, resolution_m=5.0):
     return [(col + 0.5) * resolution_m, (row + 0.5) * resolution_m]
 
 
-def test_cell_model_counts_the_cells_stepped_into():
-    cost = costed(np.array([centre_m(1, 1), centre_m(1, 2), centre_m(2, 3)]), LAYERS, FREE, 5.0, 0.1, CELL)
-    np.testing.assert_allclose(cost.per_layer, LAYERS[:, 1, 2] + LAYERS[:, 2, 3])
-    assert cost.length_m == pytest.approx(5 + 5 * np.sqrt(2))
+STEPPED_INTO = {
+    "neighbours": ([[7.5, 7.5], [12.5, 7.5], [17.5, 12.5]], [(1, 2), (2, 3)]),
+    "a state every 5 m": ([[7.5, 7.5], [32.5, 7.5]], [(1, 2), (1, 3), (1, 4), (1, 5), (1, 6)]),
+    "a border, from the cell that it was reached through": ([[7.5, 7.5], [10, 7.5], [7.5, 9]], [(1, 1), (1, 1)]),
+}
+
+
+@pytest.mark.parametrize(("points_m", "cells"), STEPPED_INTO.values(), ids=STEPPED_INTO)
+def test_cell_model_counts_the_cells_of_states_every_resolution_step(points_m, cells):
+    cost = costed(np.array(points_m), LAYERS, FREE, 5.0, 0.1, CELL)
+    np.testing.assert_allclose(cost.per_layer, sum(LAYERS[:, *cell] for cell in cells))
+    assert cost.length_m == pytest.approx(np.hypot(*np.diff(points_m, axis=0).T).sum())
     assert cost.total == pytest.approx(0.1 * cost.length_m + cost.per_layer.sum())
 
 
-def test_cell_model_samples_a_long_segment_every_resolution_step():
-    cost = costed(np.array([centre_m(1, 1), centre_m(1, 6)]), LAYERS, FREE, 5.0, 0.0, CELL)
-    np.testing.assert_allclose(cost.per_layer, LAYERS[:, 1, 2:7].sum(axis=1))
+def test_cell_model_samples_an_oblique_segment_every_resolution_step():
     oblique = np.array([centre_m(0, 0), centre_m(3, 4)])  # 25 m long: five steps of 5 m
     states = path_states(oblique, 5.0)
     np.testing.assert_allclose(np.hypot(*np.diff(states, axis=0).T), 5.0)
     cols, rows = np.floor(states[1:] / 5).astype(int).T
     cost = costed(oblique, LAYERS, FREE, 5.0, 0.0, CELL)
     np.testing.assert_allclose(cost.per_layer, LAYERS[:, rows, cols].sum(axis=1))
-
-
-def test_a_state_on_a_border_counts_in_the_cell_it_came_through():
-    is_free = FREE.copy()
-    is_free[1, 2] = False
-    cost = costed(np.array([[7.5, 7.5], [10.0, 7.5], [7.5, 9.0]]), LAYERS, is_free, 5.0, 0.0, CELL)
-    assert cost.is_valid
-    np.testing.assert_allclose(cost.per_layer, 2 * LAYERS[:, 1, 1])
 
 
 def test_line_model_integrates_the_layers_along_the_path_however_it_is_cut():
