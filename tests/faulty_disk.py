@@ -17,7 +17,7 @@ PACKAGE = str(Path(jaxurban.__file__).parent)
 WRITES = ("open", "os.rename", "os.mkdir")
 REMOVALS = ("os.remove", "os.rmdir", "shutil.rmtree")
 DAMAGES = ("deleted", "cut", "flipped")
-WAYS = ("failed", "full", "killed")
+WAYS = ("failed", "full", "memory", "killed")
 _watched: list["Steps"] = []
 
 
@@ -32,21 +32,26 @@ class Steps:
     Attributes:
       folder: that is watched.
       at: the number of the step that does not come off, from 1; 0: all do.
-      way: ``"failed"``: that step alone fails, as on a full disk; ``"full"``: and all later writing; ``"killed"``: and
-        nothing changes any more, whatever clears up afterwards.
-      num: steps so far.
+      way: ``"failed"``: that step alone fails, as on a full disk; ``"full"``: and all later writing; ``"memory"``: that
+        step alone, as memory runs out; ``"killed"``: nothing changes any more, whatever clears up afterwards.
+      places: the lines of the package that each step so far is taken in, innermost first.
     """
 
     folder: str
     at: int = 0
     way: str = "killed"
-    num: int = 0
+    places: list[tuple[str, ...]] = field(default_factory=list)
     lock: Lock = field(default_factory=Lock)
 
     @property
     def is_over(self) -> bool:
         """Whether the step that does not come off was reached."""
         return 0 < self.at <= self.num
+
+    @property
+    def num(self) -> int:
+        """The number of steps so far."""
+        return len(self.places)
 
     def take(self, event: str, args: tuple) -> None:
         """Count an event if it is a step; raise where it must not come off."""
@@ -55,12 +60,15 @@ class Steps:
             return
         with self.lock:
             was_over = self.is_over
-            is_own = any(frame.f_code.co_filename.startswith(PACKAGE) for frame, _ in traceback.walk_stack(None))
-            self.num += is_own
+            lines = (f"{frame.f_code.co_filename}:{line}" for frame, line in traceback.walk_stack(None))
+            if place := tuple(line for line in lines if line.startswith(PACKAGE)):
+                self.places.append(place)
             is_now = not was_over and self.is_over
         if is_now and self.way == "killed":
             raise Killed
-        if is_now or (was_over and self.way != "failed"):
+        if is_now and self.way == "memory":
+            raise MemoryError
+        if is_now or (was_over and self.way in ("full", "killed")):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(args[0]))
 
 

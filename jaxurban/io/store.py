@@ -75,7 +75,8 @@ def stored_resolutions(folder: Path) -> dict[float, Path]:
 
 def check_version(folder: Path) -> None:
     """Raise InputError if a folder holds maps, or the record of a run, and its own record names none of these."""
-    run, files = folder / RUN_FILE, list(folder.glob(f"{ZARR_FOLDER}/[0-9]*m"))
+    run, inside = folder / RUN_FILE, folder.glob(f"{ZARR_FOLDER}/[0-9]*m/*")
+    files = [file.parent for file in inside if file.name in OF_ZARR]
     if run.is_file() and b'"run_key"' in run.read_bytes():
         files.append(run)
     written = {Path(folder, *Path(name).parts[:2]) for name in recorded(folder)}
