@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
@@ -278,6 +279,16 @@ def whole_folder(mask: str) -> Path:
 @functools.cache
 def whole(mask: str) -> dict[str, bytes]:
     return {name: data for name, data in files_of(whole_folder(mask)).items() if name not in RECORDS}
+
+
+def no_thread() -> None:
+    raise RuntimeError("can't start new thread")  # as Python says it where a stack finds no memory
+
+
+@pytest.mark.parametrize("takes", [lambda: np.zeros(2**55), lambda: jnp.zeros(2**48).block_until_ready(), no_thread])
+def test_memory_that_runs_out_is_one_sentence_whoever_notices(tmp_path, monkeypatch, capsys, takes):
+    monkeypatch.setattr(pipeline, "tasks_of", lambda *_: takes())
+    assert "memory ran out: use a smaller region" in sentence_of(maps, tmp_path / "out", capsys)
 
 
 def test_a_file_of_the_users_alone_among_former_maps_does_not_pass_for_maps(tmp_path):

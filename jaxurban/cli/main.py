@@ -32,6 +32,7 @@ from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.progress import LOG, interrupted
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
+NO_MEMORY = "memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes"
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -90,7 +91,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except click.ClickException as error:
         code = _fail(error.format_message())
     except MemoryError:
-        code = _fail("memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes")
+        code = _fail(NO_MEMORY)
     except (BrokenPipeError, SystemExit) as left:  # the reader of stdout, as `head` does
         # Where click notices first, it puts an object of its own in stdout's place and exits.
         if isinstance(left, SystemExit) and sys.stdout is stdout:
@@ -127,6 +128,8 @@ def _end_interrupted() -> None:
 def _remedy_in_environment(error: Exception) -> str:
     """Return what to do where an error of a library comes from a variable of the environment, else an empty text."""
     message = str(error)
+    if "RESOURCE_EXHAUSTED" in message or "can't start new thread" in message:  # of JAX, and of Python
+        return NO_MEMORY
     if "proj.db" in message:
         return "PROJ does not find its database proj.db: unset PROJ_DATA and PROJ_LIB, or point them to its folder"
     for name, value in os.environ.items():
