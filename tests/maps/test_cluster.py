@@ -97,13 +97,12 @@ def test_each_process_of_a_cluster_is_killed_in_turn_and_no_map_is_lost(schedule
 
 def end_first_child(code: int) -> None:
     """End the first worker process that this process starts, as soon as it is there."""
-    has_ended = False
-    while not has_ended:
+    while True:
         for child in psutil.Process().children():
             with suppress(psutil.Error):  # one of an earlier test that has ended
-                if not has_ended and "spawn_main" in " ".join(child.cmdline()):
+                if "spawn_main" in " ".join(child.cmdline()):
                     child.send_signal(code)
-                    has_ended = True
+                    return
         time.sleep(0.01)
 
 

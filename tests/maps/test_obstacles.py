@@ -17,13 +17,12 @@ from tests.made_maps import city_of_boxes
 from tests.paths.volumes import plan_volume
 
 X_M, Y_M = 500_000.0, 4_500_000.0  # southwest corner of the region
-SIDE_M = 200.0
 ENDS = {"start_xy_m": (X_M + 102.5, Y_M + 12.5), "goal_xy_m": (X_M + 102.5, Y_M + 187.5)}
 
 
 def walled(*walls, height_m=50.0):
     """Return maps of a square with walls: x_min, y_min, x_max, y_max each, metres from its corner."""
-    city = city_of_boxes(walls, height_m, SIDE_M, (X_M, Y_M))
+    city = city_of_boxes(walls, height_m, 200.0, (X_M, Y_M))
     return ju.build_maps(city, resolution_m=5.0, altitudes_m=(20.0, 60.0))
 
 

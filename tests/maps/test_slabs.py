@@ -129,8 +129,7 @@ def test_own_layers_see_what_their_altitude_meets():
 def test_maps_tell_how_metrics_take_what_hangs(maps, grounded):
     assert "5 hanging parts" in maps.guesses
     assert not any("hanging" in name for name in grounded.guesses)
-    shown = task(city()).all_guesses
-    assert "lidar meets those with their floor at or below" in shown["5 hanging parts"]
+    assert "lidar meets those with their floor at or below" in task(city()).all_guesses["5 hanging parts"]
 
 
 def test_soft_layers_say_that_everything_reaches_the_ground():
