@@ -14,23 +14,16 @@ from benchmarks.embree_peer import Caster, scan_until_first_return, see_satellit
 from benchmarks.random_routes import Outlines, legs_m, prices, tables
 from benchmarks.structure import code_lines_and_tokens, num_arguments
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.world.city import Footprints
 from tests.embree_scene import roof_triangles, wall_triangles
-
-TOWER = shapely.box(50, 0, 60, 10)
+from tests.made_maps import city_of_boxes
 
 
 @pytest.fixture
 def caster() -> Caster:
     """A tower of 10 m x 10 m x 100 m around x = 55, y = 5."""
-    polygons, height_m = np.array([TOWER]), np.array([100.0])
+    polygons, height_m = np.array([shapely.box(50, 0, 60, 10)]), np.array([100.0])
     triangles = np.concatenate([wall_triangles(polygons, height_m), roof_triangles(polygons, height_m)])
     return Caster(triangles.astype(np.float32))
-
-
-def outlines(height_m: float, *polygons: shapely.Polygon) -> Outlines:
-    zero = np.zeros(len(polygons))
-    return Outlines(Footprints(np.array(polygons), zero + height_m, zero, zero.astype(np.uint8), zero > 0))
 
 
 def test_a_ratio_is_of_rates_by_medians_of_cpu_seconds():
@@ -78,12 +71,12 @@ def test_a_scan_returns_over_the_angle_that_a_tower_fills(caster):
     ],
 )
 def test_what_a_route_cuts_is_measured_once_on_the_outline_and_at_the_lower_end_of_a_climb(route, found):
-    both = outlines(30.0, TOWER, shapely.box(55, 0, 60, 10))  # the second lies in the first
-    assert both.cut(np.array(route, float)) == pytest.approx(found, abs=1e-4)
+    both = city_of_boxes([(50, 0, 60, 10), (55, 0, 60, 10)], 30.0, 100.0)  # the second lies in the first
+    assert Outlines(both.buildings).cut(np.array(route, float)) == pytest.approx(found, abs=1e-4)
 
 
 def test_clearance_is_to_the_outlines_that_reach_the_lower_end_of_a_leg_and_height_over_those_beneath():
-    tower = outlines(40.0, TOWER)
+    tower = Outlines(city_of_boxes([(50, 0, 60, 10)], 40.0, 100.0).buildings)
     beside = np.array([[0.0, 22, 30], [100, 22, 30], [100, 60, 30]])
     assert tower.nearest_m(beside) == pytest.approx(12.0)
     assert tower.nearest_m(beside + np.array([0, 0, 20])) == tower.over_roofs_m(beside) == np.inf
