@@ -64,6 +64,7 @@ REFUSED = [
     (f"{FROM}'\"torn.osm.pbf\"'", "torn.osm.pbf", "cannot be read"),
     (f"{FROM}'\"far.geojson\"'", "no building in the region", "-73.95", "allow_none"),
     (f"{FROM}'\"a\\u0000b.geojson\"'", "buildings", "null"),
+    *((f"info no{end}", f"no{end}' does not exist: check the path") for end in ("", ".tif", ".osm.pbf", ".geojson")),
     ("view maps --no-browser --export page.txt", "page.txt", ".html"),
     ("view maps --no-browser --export no/such/place/page.html", "no/such/place"),
     ("view maps --no-browser --resolution 7", "7 m"),

@@ -99,12 +99,6 @@ def test_info_says_what_a_file_or_a_folder_of_maps_holds_and_where(town, capsys)
     assert (code, "10 x 10 cells of 50 m" in out, "gps, lidar, population, risk" in out) == (0, True, True)
 
 
-@pytest.mark.parametrize("name", ["nothing", "nothing.tif", "nothing.osm.pbf", "nothing.geojson"])
-def test_info_says_that_a_file_does_not_exist(tmp_path, capsys, name):
-    code, _, err = run(capsys, "info", tmp_path / name)
-    assert (code, f"{name}' does not exist: check the path" in err) == (2, True)
-
-
 def read(path, shapes=None, **columns):
     """Write shapes in degrees with their columns, by default a square a row, and read the buildings of the file."""
     shapes = shapes or [SQUARE] * len(next(iter(columns.values())))

@@ -26,7 +26,6 @@ from tests.tiled_runs import files_of
 
 BOUNDS = (-74.010, 40.710, -74.008, 40.7115)
 REGION = ",".join(map(str, BOUNDS))
-TODAY = date(2026, 11, 20)
 HOUSES = ((-74.0095, 40.7103, 40), (-74.0088, 40.7110, 25))  # south-west corner, height
 SIDE_DEG = 0.0002
 
@@ -238,7 +237,7 @@ NO_PEOPLE = blocks_geojson().replace(b"POP100", b"other")
         *((name, body, "") for name in SOURCES for body in (WEB_PAGE, NOISE, b"")),
         ("census", blocks_geojson()[:-30], ""),
         ("districts", DISTRICTS[:-30], ""),
-        ("orbits", tle(TODAY)[: 24 * 80 + 40], ""),
+        ("orbits", tle(date(2026, 11, 20))[: 24 * 80 + 40], ""),
         ("osm", OSM[:-30], "cannot be read as OpenStreetMap data"),
         ("osm", OSM.replace(b'<way id="2"', b"<way & <<"), "not well-formed"),
         ("osm", OSM.replace(b'lat="40.710300000"', b'lat="abc"'), "'abc'"),

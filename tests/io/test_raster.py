@@ -37,11 +37,6 @@ def turned_by(degrees, pixel_m, y_m):
     return Affine(cos_m, -sin_m, X, -sin_m, -cos_m, y_m)
 
 
-def places(transform, col, row):
-    a, b, c, d, e, f = tuple(transform)[:6]
-    return a * col + b * row + c, d * col + e * row + f
-
-
 RAMP = np.arange(12, dtype=np.float32).reshape(3, 4)
 
 
@@ -89,7 +84,7 @@ def test_values_follow_a_turned_raster_in_another_crs():
     col, row = np.meshgrid(np.arange(120), np.arange(120))
     turned = turned_by(29, 5, Y + 600)
     field = raster(20 + 10 * np.sin(col / 15) * np.cos(row / 15), turned)
-    x_m, y_m = pyproj.Transformer.from_crs(UTM, ELSEWHERE, always_xy=True).transform(*places(turned, 60, 60))
+    x_m, y_m = pyproj.Transformer.from_crs(UTM, ELSEWHERE, always_xy=True).transform(*(turned @ (60, 60)))
     on = ju.Grid(ELSEWHERE, 5.0, int(y_m // 5) - 20, int(x_m // 5) - 20, 40, 40)
     source = {"src_transform": turned, "src_crs": UTM, "resampling": rasterio.warp.Resampling.bilinear}
     to = {"dst_transform": Affine(5, 0, on.x_min_m, 0, -5, on.y_max_m), "dst_crs": on.crs}
@@ -120,7 +115,7 @@ def test_max_misses_no_pixel_that_overlaps_a_cell_and_takes_no_other(turn_deg, p
     on = grid(resolution_m, 6, 6, east_m=20, north_m=20)
     found = resample_raster(raster(pixels, transform), on, "max")
     col, row = np.meshgrid(np.arange(40), np.arange(40))
-    corners = [places(transform, col + i, row + j) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    corners = [transform @ (col + i, row + j) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
     shapes = shapely.polygons(np.array(corners).transpose(2, 3, 0, 1))
     for i, j in np.ndindex(6, 6):
         x_m, y_m = on.x_min_m + resolution_m * j, on.y_min_m + resolution_m * i
@@ -153,7 +148,7 @@ def test_heights_above_a_terrain_of_another_grid_are_those_of_the_surface():
     """A plane is exact between pixel centres, so a surface 12 m above it stands at 12 m."""
 
     def plane(transform, shape, above_m=0.0):
-        x_m, y_m = places(transform, *np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5))
+        x_m, y_m = transform @ np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
         return raster(100 + 0.1 * (x_m - X) - 0.05 * (y_m - Y) + above_m, transform)
 
     surface = plane(Affine(2, 0, X + 30, 0, -2, Y + 170), (60, 50), above_m=12.0)
