@@ -19,7 +19,6 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError
 from jaxurban.metrics.registry import known_metrics
 from jaxurban.public import NAMESPACES, find_public
 from tests.made_maps import made_maps
@@ -187,7 +186,7 @@ def call(name: str, parameter: str, value: Any) -> str:
         args += [given.pop("file"), value]
     else:
         given[f"my_{parameter}" if kind is kind.VAR_KEYWORD else parameter] = value
-    with pytest.raises(InputError) as raised:
+    with pytest.raises(ju.InputError) as raised:
         function(*args, **given)
     return str(raised.value)
 
@@ -264,7 +263,7 @@ def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy_
 ):
     given = {key: value for key, value in {**good_arguments(name), **changed}.items() if value is not LEFT_OUT}
     arguments = [given.pop("self")] if "self" in given else []
-    with pytest.raises(InputError) as raised:
+    with pytest.raises(ju.InputError) as raised:
         CALLS[name](*arguments, **given)
     assert sentence in str(raised.value)
 
@@ -295,7 +294,7 @@ HOMES = {
 def test_an_unknown_argument_is_answered_by_what_takes_it_or_by_the_list_of_all_and_no_guess(name, wrong):
     given, home = good_arguments(name), HOMES[name][wrong]
     method = CALLS[name].__get__(given.pop("self")) if "self" in given else CALLS[name]
-    with pytest.raises(InputError) as raised:
+    with pytest.raises(ju.InputError) as raised:
         method(**given, **{wrong: 1})
     remedy = f" (give {home})" if home else f"; it takes {', '.join(inspect.signature(method).parameters)}"
     assert str(raised.value) == f"{name.rpartition('.')[2]}: there is no argument {wrong!r}{remedy}"

@@ -17,7 +17,6 @@ from jaxurban.maps.scenario import changed
 from jaxurban.metrics.gps import METRIC
 from jaxurban.report.receiver import with_interval
 from jaxurban.studies.receiver import prediction
-from jaxurban.studies.receiver.prediction import Track
 from tests.embree_scene import CityScene
 from tests.receiver_logs import found
 
@@ -62,7 +61,7 @@ def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo, m
     settings = ju.studies.ReceiverSettings()
     scenario, log = ju.Scenario.from_dict(receiver.SETTINGS), read_receiver_log(tokyo)
     grid = prediction.region_of(scenario)
-    track = Track.of(log, grid, settings.sky_step_s)
+    track = prediction.Track.of(log, grid, settings.sky_step_s)
     task = prediction.task_at(scenario, track.sky_times, grid, settings.antenna_height_m)
     made = prediction.predict(task, track, lambda *_, **__: None)
     buildings = task.city.buildings

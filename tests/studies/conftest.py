@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from jaxurban.io.store import write_zarr
-from jaxurban.paths.plan import cost_map
 from jaxurban.studies.demonstrations import optimal_demonstrations
 from jaxurban.studies.queries import RouteQuery
 from tests.made_maps import made_maps
@@ -24,8 +22,8 @@ def folders(alpha, tmp_path_factory) -> list[Path]:
     """Return folders of two cities: beta has alpha's streets, a layer of noise and no people."""
     folder = tmp_path_factory.mktemp("maps")
     beta = with_noise(alpha, np.random.default_rng(4).random(alpha.grid.shape))
-    for name, maps in (("alpha", alpha.ds), ("beta", beta.ds.drop_vars(["population", "density", "time_of_day"]))):
-        write_zarr(maps, folder / name)
+    alpha.save(folder / "alpha")
+    ju.MetricMaps(beta.ds.drop_vars(["population", "density", "time_of_day"])).save(folder / "beta")
     return [folder / "alpha", folder / "beta"]
 
 
@@ -55,7 +53,7 @@ def crossed(noisy) -> ju.MetricMaps:
 
 @pytest.fixture(scope="session")
 def crossing(crossed) -> RouteQuery:
-    return RouteQuery(cost_map(crossed, 20.0, cost_model="line"), (4, 1), (28, 34))
+    return RouteQuery(ju.cost_map(crossed, 20.0, cost_model="line"), (4, 1), (28, 34))
 
 
 @pytest.fixture(scope="session")
@@ -71,4 +69,4 @@ def small() -> ju.MetricMaps:
 
 @pytest.fixture(scope="session")
 def demonstrations(small):
-    return optimal_demonstrations(made_queries(cost_map(small, 20.0, cost_model="cell"), NUM), HIDDEN)
+    return optimal_demonstrations(made_queries(ju.cost_map(small, 20.0, cost_model="cell"), NUM), HIDDEN)

@@ -7,7 +7,6 @@ import shapely
 import jaxurban as ju
 from jaxurban.errors import LeftOutWarning
 from jaxurban.paths.export.write import write_path
-from jaxurban.paths.plan import cost_map
 from jaxurban.studies.demonstrations import demonstration_from_line, optimal_demonstrations
 from jaxurban.studies.montecarlo.sampling import PLACES
 from jaxurban.studies.queries import check_alike
@@ -17,7 +16,7 @@ from tests.studies.routes_made import HIDDEN, made_queries, thinned, write_geojs
 
 @pytest.fixture(scope="module")
 def unit(small):
-    return cost_map(small, 20.0)
+    return ju.cost_map(small, 20.0)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +88,7 @@ def test_drawn_lines_start_in_free_cells_near_their_ends_and_those_of_no_use_are
 
 
 def test_no_route_near_a_line_adds_up_less_than_its_least_features(small):
-    unit = cost_map(small, 20.0, cost_model="line")
+    unit = ju.cost_map(small, 20.0, cost_model="line")
     (shown,) = optimal_demonstrations(made_queries(unit, 1), HIDDEN)
     corner_m = np.array([small.grid.x_min_m, small.grid.y_min_m])
     drawn = demonstration_from_line(unit, thinned(shown.points_m) + corner_m)
@@ -105,5 +104,5 @@ def test_queries_lie_between_places_and_go_together_where_no_population_is_weigh
     assert (made.start, made.goal) == (query.start, query.goal)
     assert "population" in check_alike([query])
     doubled = ju.MetricMaps(unit.maps.ds.assign_attrs(pop_norm_per_km2=[2e4, 2e4]))
-    chosen = [made_queries(cost_map(maps, 20.0).only(["gps"]), 1)[0] for maps in (unit.maps, doubled)]
+    chosen = [made_queries(ju.cost_map(maps, 20.0).only(["gps"]), 1)[0] for maps in (unit.maps, doubled)]
     assert check_alike(chosen) == ("distance", "gps")

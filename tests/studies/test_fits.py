@@ -10,7 +10,6 @@ import xarray as xr
 
 import jaxurban as ju
 from jaxurban.fit import FitSettings, Target, compare_fits, fit_targets, fit_weights
-from jaxurban.paths.plan import cost_map
 from jaxurban.report.tuning import fits_section
 from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line, optimal_demonstrations
 from jaxurban.studies.route_pool import RoutePool
@@ -53,7 +52,7 @@ def test_hidden_weights_come_back_from_optimal_routes_and_their_intervals_hold_t
 @pytest.mark.parametrize("seed", range(4))
 def test_intervals_of_thinned_routes_contain_the_weights_that_they_were_planned_under(small, kind, seed):
     """Each sixth point alone is known: redrawn, such routes cost up to 4 % more than the ones that were meant."""
-    unit, rng = cost_map(small, 20.0, cost_model=kind), np.random.default_rng(seed)
+    unit, rng = ju.cost_map(small, 20.0, cost_model=kind), np.random.default_rng(seed)
     hidden = ju.Weights(**dict(zip(unit.weight_names, VECTOR * np.exp(0.7 * rng.normal(size=5)), strict=True)))
     corner_m = np.array([small.grid.x_min_m, small.grid.y_min_m])
     shown = optimal_demonstrations(made_queries(unit, NUM, seed), hidden)
@@ -85,7 +84,7 @@ def test_a_fit_that_stopped_ends_bit_for_bit_as_one_that_did_not(demonstrations,
 
 def fitted(maps, hidden=HIDDEN, cost_model="line", altitude_m=20.0, max_rounds=20, **how):
     """Return routes planned under hidden weights on maps, and their fit."""
-    unit = cost_map(maps, altitude_m, cost_model=cost_model)
+    unit = ju.cost_map(maps, altitude_m, cost_model=cost_model)
     shown = optimal_demonstrations(made_queries(unit, NUM), hidden)
     return shown, fit_weights(shown, settings=FitSettings(max_rounds=max_rounds), **{"bootstrap": 0} | how)
 
@@ -108,7 +107,7 @@ def test_two_layers_that_are_one_cannot_be_told_apart(small):
 
 
 def test_several_altitudes_are_fitted_together(small):
-    units = [cost_map(small, altitude_m, cost_model="cell") for altitude_m in (20.0, 60.0)]
+    units = [ju.cost_map(small, altitude_m, cost_model="cell") for altitude_m in (20.0, 60.0)]
     shown = [each for unit in units for each in optimal_demonstrations(made_queries(unit, NUM // 2), HIDDEN)]
     fit = fit_weights(shown, bootstrap=0, scale="distance")
     assert fit.weights.distance == pytest.approx(1)
@@ -212,7 +211,7 @@ def test_the_report_has_the_regret_of_each_fit_and_counts_the_routes_held_out_an
 
 @pytest.fixture(scope="module")
 def queries(small):
-    return made_queries(cost_map(small, 20.0).only(("gps", "lidar")), FEW)
+    return made_queries(ju.cost_map(small, 20.0).only(("gps", "lidar")), FEW)
 
 
 def outcomes_under_many_weights(queries) -> np.ndarray:

@@ -13,9 +13,8 @@ import pytest
 import jaxurban as ju
 from jaxurban.maps.executors import cluster_client
 from jaxurban.paths.rows import InstanceRuns, MapsFolder, solve_instance, solve_on
+from jaxurban.planners import base
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Path as Route
-from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.registry import PLANNERS, PlannerEntry
 from jaxurban.report.benchmark import export_benchmark
 from jaxurban.report.montecarlo import report_markdown, tables_of
@@ -156,7 +155,7 @@ def test_the_benchmark_can_be_solved_by_its_page_alone(study, tmp_path):
     for file in (tmp_path / "movingai").glob("*.map"):
         is_free = read_map(file)
         for start, goal, length in read_scenarios(file.with_suffix(".map.scen")):
-            found = astar(Problem(np.zeros((1, *is_free.shape)), is_free, start, goal, 1.0, 1.0))
+            found = astar(base.Problem(np.zeros((1, *is_free.shape)), is_free, start, goal, 1.0, 1.0))
             assert found.cost == pytest.approx(length, abs=1e-6)
             solved += 1
     assert solved == counts["shortest"] > 0
@@ -170,7 +169,7 @@ def test_the_benchmark_can_be_solved_by_its_page_alone(study, tmp_path):
             ends_m = np.array([[row.start_y_m, row.start_x_m], [row.goal_y_m, row.goal_x_m]])
             start, goal = map(tuple, ((ends_m - corner_m) // side_m).astype(int).tolist())
             layers = weights[:, None, None] * kept["costs"].astype(np.float64)
-            problem = Problem(layers, kept["is_free"], start, goal, side_m, row.w_distance, "line")
+            problem = base.Problem(layers, kept["is_free"], start, goal, side_m, row.w_distance, "line")
         assert astar(problem).cost == pytest.approx(row.grid_optimum, rel=1e-9)
         assert row.best_known <= row.grid_optimum * (1 + 1e-12)
 
@@ -243,7 +242,7 @@ def crashing(problem, *, budget_s, seed):
 
 def cheating(problem, *, budget_s, seed):
     corners = np.array([[0.0, 0.0], [problem.is_free.shape[1], problem.is_free.shape[0]]]) * problem.resolution_m
-    return Route(Status.FEASIBLE, corners, 1.0, 0.0, 1, 0.0, "cheating")
+    return base.Path(base.Status.FEASIBLE, corners, 1.0, 0.0, 1, 0.0, "cheating")
 
 
 def test_a_planner_that_crashes_or_cheats_is_a_row_and_the_next_one_is_asked(alpha, instances, monkeypatch):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from jaxurban.paths.plan import cost_map
 from jaxurban.report.benchmark import export_benchmark
 from jaxurban.report.montecarlo import report_markdown, tables_of
 from jaxurban.report.sensitivity import sensitivity_markdown
@@ -54,13 +53,13 @@ def test_a_benchmark_draws_its_weight_and_tells_its_mean_in_rows_report_and_expo
 
 
 def test_weights_are_fitted_to_it_and_other_layers_weigh_nothing_then(noisy):
-    queries = made_queries(cost_map(noisy, 20.0).only(("gps", "noise")), 4)
+    queries = made_queries(ju.cost_map(noisy, 20.0).only(("gps", "noise")), 4)
     shown = optimal_demonstrations(queries, LOUD)
     fit = ju.fit.fit_weights(shown, bootstrap=0, settings=FitSettings(max_rounds=1))
     assert fit.weights["noise"] > fit.weights["gps"] / 10
     assert fit.weights.to_dict().keys() == set(NAMES)
     assert fit.weights.risk == 0
-    (deaf,) = made_queries(cost_map(noisy, 20.0).only(("gps",)), 1)
+    (deaf,) = made_queries(ju.cost_map(noisy, 20.0).only(("gps",)), 1)
     assert weights_from(deaf, np.ones(2))["noise"] == 0  # not 1, as a weight that nobody names
     sums = np.array([each.sums.ravel() for each in shown])
     targets = [Target.parse(text) for text in ("mean_noise<=0.2", "detour<=0.2")]

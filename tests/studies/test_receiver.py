@@ -12,7 +12,6 @@ from scipy.stats import spearmanr
 import jaxurban as ju
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.studies.receiver import prediction
-from jaxurban.studies.receiver.prediction import Track
 from jaxurban.studies.receiver.validate import half_width, paired, shifted, spearman, within_blocks, without_each_block
 from tests.metrics.whole_maps import compute_gps
 from tests.receiver_logs import SCENARIO, SETTINGS, drive, found, scenario, seen, surface, true_log
@@ -30,7 +29,7 @@ def score(of: ju.studies.ReceiverValidation, witness: str = "num_tracked") -> pd
 
 
 def test_the_prediction_is_what_maps_of_those_times_and_that_height_hold():
-    track = Track.of(read_receiver_log(true_log()), GRID, SETTINGS.sky_step_s)
+    track = prediction.Track.of(read_receiver_log(true_log()), GRID, SETTINGS.sky_step_s)
     sky = prediction.task_at(scenario(), track.sky_times, GRID, SETTINGS.antenna_height_m).sky
     made = [
         compute_gps(surface(), azimuth[above], elevation[above], np.array([2.0], np.float32))

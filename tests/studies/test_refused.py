@@ -10,7 +10,6 @@ import pytest
 import jaxurban as ju
 from jaxurban.fit import FitSettings, Target, compare_fits, fit_targets, fit_weights
 from jaxurban.io.tables import write_table
-from jaxurban.paths.plan import cost_map
 from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
 from jaxurban.studies.queries import RouteQuery, check_alike
 from jaxurban.studies.weights.sobol import check_vary
@@ -94,11 +93,11 @@ def alike(*norms: list[float], by: str = "city"):
     for maps, norm in zip(made, norms, strict=True):
         maps.ds.attrs["pop_norm_per_km2"] = norm
     times = made[0].times_of_day if by == "time" else (None,)
-    check_alike([RouteQuery(cost_map(m, 20.0, time_of_day=t), (1, 1), (20, 20)) for m in made for t in times])
+    check_alike([RouteQuery(ju.cost_map(m, 20.0, time_of_day=t), (1, 1), (20, 20)) for m in made for t in times])
 
 
 def targets(s: Scene, *given):
-    unit = cost_map(s.small, 20.0).only(("gps", "lidar"))
+    unit = ju.cost_map(s.small, 20.0).only(("gps", "lidar"))
     return fit_targets(made_queries(unit, 2), list(given))
 
 
@@ -107,7 +106,7 @@ def compared(s: Scene, **how):
 
 
 def sensitivity(s: Scene, maps=None, goal: int = 1):
-    return ju.studies.sensitivity(cost_map(maps or s.crossed, 20.0), s.ends[0], s.ends[goal])
+    return ju.studies.sensitivity(ju.cost_map(maps or s.crossed, 20.0), s.ends[0], s.ends[goal])
 
 
 def compare(s: Scene, change):
@@ -154,13 +153,13 @@ ROWS = [
     ("another run of `jaxurban sensitivity-study`", lambda s: reweighed(s, 1)),
     ("factors must be two", lambda _: ju.studies.SensitivityStudySettings(factors=(0.1,))),
     ("nothing varies", lambda _: check_vary(("distance", "gps"), np.array([0.1, 1.0]), ())),
-    ("or 'noise', got 'nois'", lambda s: ju.studies.sensitivity(cost_map(s.noisy, 20.0), *s.ends, settings=NOIS)),
+    ("or 'noise', got 'nois'", lambda s: ju.studies.sensitivity(ju.cost_map(s.noisy, 20.0), *s.ends, settings=NOIS)),
     ("one cell", lambda s: sensitivity(s, goal=0)),
     ("no route to study", lambda s: sensitivity(s, walled(s.crossed, 15))),
     ("block_m", lambda _: ju.studies.ReceiverSettings(block_m=10.0)),
     ("sky_step_s", lambda _: ju.studies.ReceiverSettings(sky_step_s=900.0)),
     ("piece_m", lambda _: ju.studies.ReceiverSettings(piece_m=-1.0)),
-    ("pair 2", lambda s: ju.studies.make_queries(cost_map(s.crossed, 20.0), [s.ends, [s.ends[0], (0.0, 0.0)]])),
+    ("pair 2", lambda s: ju.studies.make_queries(ju.cost_map(s.crossed, 20.0), [s.ends, [s.ends[0], (0.0, 0.0)]])),
     ("budget_s", lambda _: FitSettings(budget_s=0)),
     ("no routes", lambda _: fit_weights([])),
     ("hold_out must be a share", lambda s: compared(s, hold_out=1.0)),
@@ -169,7 +168,7 @@ ROWS = [
     ("finite number", lambda _: Target.parse("detour<=x")),
     ("outcome must be 'mean_NAME of a metric', 'detour'", lambda _: Target.parse("gps>=0.8")),
     ("must be .* 'mean_lidar', got 'mean_risk'", lambda s: targets(s, "mean_risk>=0.5")),
-    ("did you mean 'mean_noise'", lambda s: fit_targets(made_queries(cost_map(s.noisy, 20.0), 1), ["mean_nois<=0.2"])),
+    ("you mean 'mean_noise'", lambda s: fit_targets(made_queries(ju.cost_map(s.noisy, 20.0), 1), ["mean_nois<=0.2"])),
     ("has no altitude", lambda s: shown(s, altitude_m=None)),
     ("from 20 to 60 m", lambda s: shown(s, altitude_m=13.0)),
     ("number of metres", lambda s: shown(s, altitude_m="high")),

@@ -11,7 +11,6 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 import jaxurban as ju
-from jaxurban.io.store import write_zarr
 from jaxurban.planners.cost import STEPS
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.sensitivity import ranges, sensitivity_markdown
@@ -209,7 +208,7 @@ def found(crossing, ends):
 @pytest.fixture
 def command(crossed, ends, tmp_path, capsys):
     """Return what runs the command of a small study, with other options, over its maps or others."""
-    write_zarr(crossed.ds, tmp_path / "maps")
+    crossed.save(tmp_path / "maps")
     few = ("--vary", "risk,population", "--samples", 2, "--pareto", "distance,risk", "-o", tmp_path / "out")
 
     def runs(*options, start=ends[0]):
@@ -293,7 +292,7 @@ def test_the_command_prints_json_and_tells_a_start_that_was_moved_there_and_in_t
 
 
 def test_a_walled_goal_is_exit_3(crossed, command, tmp_path):
-    write_zarr(walled(crossed, 15).ds, tmp_path / "maps")
+    walled(crossed, 15).save(tmp_path / "maps")
     code, _, err = command()
     assert code == 3
     assert "joins start and goal" in err
