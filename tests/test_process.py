@@ -24,9 +24,8 @@ def test_importing_the_package_imports_nothing_heavy():
 def test_what_needs_no_command_to_run_and_the_help_of_every_one_import_nothing_heavy():
     helps = [["--help"], *([command, "--help"] for command in app.commands)]
     run = "\ntry: main({})\nexcept SystemExit as ended: assert {} or not ended.code"
-    runs = "".join(
-        run.format(each, each not in helps) for each in [[], ["--version"], ["maps"], ["no-command"], *helps]
-    )
+    asked = [[], ["--version"], ["maps"], ["no-command"], *helps]
+    runs = "".join(run.format(each, each not in helps) for each in asked)
     assert heavy_modules(f"from jaxurban.cli.main import main{runs}") == []
 
 

@@ -22,9 +22,8 @@ def costed(points_m, costs, is_free, resolution_m, distance_weight, model):
     free = tuple(int(index) for index in np.argwhere(is_free)[0])
     problem = Problem(costs, is_free, free, free, resolution_m, distance_weight, model)
     found = problem.features(points_m)
-    return SimpleNamespace(
-        total=found.cost(problem.weights), length_m=found.phi[0], per_layer=found.phi[1:], is_valid=found.is_valid
-    )
+    total = found.cost(problem.weights)
+    return SimpleNamespace(total=total, length_m=found.phi[0], per_layer=found.phi[1:], is_valid=found.is_valid)
 
 
 def open_problem(shape, start, goal, layers=None, cost_model="line", distance_weight=1.0, is_free=None):

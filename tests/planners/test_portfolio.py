@@ -69,8 +69,7 @@ def test_the_check_sees_a_cut_corner_and_one_between_two_obstacles_and_no_other_
     obstacles = Obstacles(is_free, SIDE_M)
     assert obstacles.crossed_m(np.array([[7.5, 2.5], [17.5, 12.5]])) > 3
     through_corner = np.array([[7.5, 7.5], [12.5, 12.5]])
-    assert obstacles.crossed_m(through_corner) == 0
-    assert not obstacles.is_pinched(through_corner)
+    assert (obstacles.crossed_m(through_corner), obstacles.is_pinched(through_corner)) == (0, False)
     is_free[2, 1] = False
     assert Obstacles(is_free, SIDE_M).is_pinched(through_corner)
     assert obstacles.crossed_m(np.array([[2.5, 2.5], [-1.5, 2.5]])) == pytest.approx(1.5)
