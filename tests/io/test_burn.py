@@ -52,12 +52,11 @@ def check_touched(polygons, values, grid):
 def test_every_cell_that_shares_area_with_an_outline_is_touched():
     rng = np.random.default_rng(1)
     grid = ju.Grid(CRS, 2.5, *OUTER)
-    corner_m = np.array([grid.x_min_m, grid.y_min_m])
     polygons = []
     for _ in range(60):
-        centre_m, angles = corner_m + rng.uniform(-10, 110, 2), np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 9)))
-        shape = centre_m + rng.uniform(0.5, 25) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        polygon = shapely.Polygon(shape)
+        centre_m = np.array(grid.bounds_m[:2]) + rng.uniform(-10, 110, 2)
+        angles = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 9)))
+        polygon = shapely.Polygon(centre_m + rng.uniform(0.5, 25) * np.stack([np.cos(angles), np.sin(angles)], axis=1))
         if rng.random() < 0.3:
             polygon = polygon.difference(shapely.centroid(polygon).buffer(3.0))
         if rng.random() < 0.3:

@@ -43,12 +43,11 @@ def houses(first=1, north=0.0):
 
 def pbf(tmp_path, *elements):
     """Elements as a PBF file, nodes first."""
-    (tmp_path / "in.osm").write_text(osm(*elements))
+    (tmp_path / "in.osm").write_text(osm(*sorted(elements)))
     path = tmp_path / "extract.osm.pbf"
     with osmium.SimpleWriter(str(path)) as writer:
-        for kind in (osmium.osm.NODE, osmium.osm.WAY):
-            for item in osmium.FileProcessor(str(tmp_path / "in.osm"), kind):
-                writer.add(item)
+        for item in osmium.FileProcessor(str(tmp_path / "in.osm")):
+            writer.add(item)
     return path.read_bytes()
 
 
@@ -173,7 +172,7 @@ def test_a_run_that_fails_leaves_the_folder_as_it_was(server, tmp_path, capsys):
     before = files_of(tmp_path / "a")
     server.put("/census", send(blocks_geojson(3)))
     server.put("/orbits", send(WEB_PAGE))
-    places = ("--source", f"census={server.url}/census?new", "--source", f"orbits={server.url}/orbits?new")
+    places = (f"--source={name}={server.url}/{name}?new" for name in ("census", "orbits"))
     assert fetch(capsys, server, tmp_path / "a", "--overwrite", *places)[0] == 2
     assert "/census?new" in [path for path, _ in server.asked]
     assert files_of(tmp_path / "a") == before

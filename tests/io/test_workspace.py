@@ -16,6 +16,11 @@ def write(folder, asked=3, command="tune", text="made", name=None, **options):
         files.write_whole(folder / (name or f"figures/{asked}.txt"), text)
 
 
+def refused(match, *where, **options):
+    with pytest.raises(InputError, match=match):
+        write(*where, **options)
+
+
 def names_of(folder):
     return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
 
@@ -24,10 +29,8 @@ def test_the_same_run_writes_again_and_another_is_refused(tmp_path):
     write(tmp_path)
     Workspace.check(tmp_path, "tune")  # leaves the settings that the record holds
     write(tmp_path, text="made again")
-    with pytest.raises(InputError, match=r"its seed is 3, now 4.*--overwrite"):
-        write(tmp_path, 4)
-    with pytest.raises(InputError, match="holds what `jaxurban tune` wrote"):
-        write(tmp_path, command="sensitivity", overwrite=True)
+    refused(r"its seed is 3, now 4.*--overwrite", tmp_path, 4)
+    refused("holds what `jaxurban tune` wrote", tmp_path, command="sensitivity", overwrite=True)
     assert (tmp_path / "figures" / "3.txt").read_text() == "made again"
     write(tmp_path, 4, overwrite=True)
     assert names_of(tmp_path) == ["checksums.json", "figures/4.txt"]
@@ -38,8 +41,7 @@ def test_the_same_run_writes_again_and_another_is_refused(tmp_path):
 def test_a_folder_of_others_is_refused(tmp_path, name, overwrite):
     (tmp_path / "figures").mkdir()
     (tmp_path / name).write_text("mine")
-    with pytest.raises(InputError, match="is there already, and not from `jaxurban tune`"):
-        write(tmp_path, overwrite=overwrite)
+    refused("is there already, and not from `jaxurban tune`", tmp_path, overwrite=overwrite)
     assert names_of(tmp_path) == [name]
 
 
@@ -60,8 +62,7 @@ def test_a_changed_file_is_refused_and_a_new_one_stays(tmp_path, overwrite):
         write(tmp_path, overwrite=overwrite)
     assert [("mine.txt" in line and "stay" in line) for line in told] == [True] * overwrite
     (tmp_path / "figures" / "3.txt").write_text("mine")
-    with pytest.raises(InputError, match="is not as `jaxurban tune` wrote it"):
-        write(tmp_path, overwrite=overwrite)
+    refused("is not as `jaxurban tune` wrote it", tmp_path, overwrite=overwrite)
     assert names_of(tmp_path) == ["checksums.json", "figures/3.txt", "figures/mine.txt"]
     assert (tmp_path / "figures" / "3.txt").read_text() == "mine"
 
@@ -74,8 +75,7 @@ def test_a_file_that_comes_during_the_run_is_not_taken_for_its_own(tmp_path):
         (tmp_path / "a.txt").write_text("edited")
         with pytest.raises(InputError, match=r"b\.txt' is in the way"):
             files.write_whole(tmp_path / "b.txt", "made")
-    with pytest.raises(InputError, match=r"a\.txt' is in the way"):
-        write(tmp_path, overwrite=True)
+    refused(r"a\.txt' is in the way", tmp_path, overwrite=True)
     assert [(tmp_path / name).read_text() for name in ("a.txt", "mine.txt", "b.txt")] == ["edited", "mine", "mine"]
 
 
@@ -123,8 +123,7 @@ def test_commands_share_a_folder_and_remove_their_own(tmp_path):
         write(tmp_path, command=command, name=f"{command}.txt", is_shared=True)
     write(tmp_path, 4, command="maps", name="new.txt", is_shared=True, overwrite=True)
     assert names_of(tmp_path) == ["checksums.json", "demo.txt", "mine.txt", "new.txt"]
-    with pytest.raises(InputError, match="in the way"):
-        write(tmp_path, 4, command="maps", name="mine.txt", is_shared=True)
+    refused("in the way", tmp_path, 4, command="maps", name="mine.txt", is_shared=True)
 
 
 @pytest.mark.parametrize("text", ["made", "mine"])
@@ -134,8 +133,7 @@ def test_a_link_in_the_place_of_a_file_is_followed_nowhere(tmp_path, text):
     (tmp_path / "mine.txt").write_text(text)
     (tmp_path / "out/figures/3.txt").unlink()
     (tmp_path / "out/figures/3.txt").symlink_to(tmp_path / "mine.txt")
-    with pytest.raises(InputError, match="in the way"):
-        write(tmp_path / "out", 4, overwrite=True)
+    refused("in the way", tmp_path / "out", 4, overwrite=True)
     assert (tmp_path / "out/figures/3.txt").is_symlink()
     assert (tmp_path / "mine.txt").read_text() == text
 
@@ -144,8 +142,7 @@ def test_a_link_in_the_place_of_a_file_is_followed_nowhere(tmp_path, text):
 def test_a_damaged_record_is_told(tmp_path, text):
     write(tmp_path)
     (tmp_path / "checksums.json").write_text(text)
-    with pytest.raises(InputError, match=r"checksums\.json.*cannot be read"):
-        write(tmp_path, 4, overwrite=True)
+    refused(r"checksums\.json.*cannot be read", tmp_path, 4, overwrite=True)
 
 
 def test_a_record_that_names_files_elsewhere_removes_none_of_them(tmp_path):
@@ -164,8 +161,8 @@ def test_files_behind_a_linked_folder_are_the_users(tmp_path):
         write(out)
         (out / "figures").rename(copies)
         (out / "figures").symlink_to(copies)
-        with pytest.raises(InputError, match=r"figures' is a link in the way of a folder"):
-            write(out, 4, name="figures/new.txt", overwrite=True, is_shared=shared)
+        sentence = r"figures' is a link in the way of a folder"
+        refused(sentence, out, 4, name="figures/new.txt", overwrite=True, is_shared=shared)
         with (
             pytest.raises(InputError, match="in the way"),
             Workspace.open(out, "maps", is_shared=True, is_mended=True),
@@ -199,8 +196,7 @@ def test_a_users_file_of_just_the_bytes_to_be_written_stays_the_users(tmp_path):
     (tmp_path / "a.txt").write_text("made")
     write(tmp_path, name="a.txt", is_shared=True)
     assert names_of(tmp_path) == ["a.txt"]
-    with pytest.raises(InputError, match=r"a\.txt' is in the way"):
-        write(tmp_path, name="a.txt", text="newer", is_shared=True)
+    refused(r"a\.txt' is in the way", tmp_path, name="a.txt", text="newer", is_shared=True)
     assert (tmp_path / "a.txt").read_text() == "made"
 
 
