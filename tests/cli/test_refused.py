@@ -44,7 +44,6 @@ REFUSED = [
     ("maps dotted.toml -o {out}", "dotted.toml"),
     ("compare nothing nothing -o taken", "notes.txt' is there already, and not from"),  # before anything is read
     ("validate town.toml nothing.csv -o taken", "notes.txt' is there already, and not from"),
-    (f"{SET} gps.mask_degree=10", "'gps.mask_degree'", "'mask_deg'"),
     (f"{SET} mask_deg=10", "unknown section 'mask_deg'", "gps, "),
     (f"{SET} region.range_m=10", "'region.range_m'", "bounds, "),
     (f"{SET} gsp.mask_deg=10", "'gsp'", "'gps'"),

@@ -54,9 +54,8 @@ def test_success_counts_paths_pairs_and_crashes(table):
     found = analysis.success(table).set_index(["planner", "range"])
     cheap = found.loc[(CHEAP, "long")]
     assert (cheap.pairs, cheap.paths, cheap.joined, cheap.crashed) == (6, 4, 5, 1)
-    assert cheap.share_joined == pytest.approx(4 / 5)
-    assert cheap.proven == pytest.approx(4 / 6)
-    assert found.loc[(LINE, "short")].share == pytest.approx(4 / 6)
+    shares = cheap.share_joined, cheap.proven, found.loc[(LINE, "short")].share
+    assert shares == pytest.approx((4 / 5, 4 / 6, 4 / 6))
 
 
 def test_costs_and_times_are_by_planner_and_altitude(table):
@@ -82,9 +81,7 @@ def test_pairs_of_planners_are_compared_where_both_found_a_path(table):
 def test_shortest_paths_are_set_against_the_cheapest(table):
     (found,) = analysis.objectives(table).to_dict("records")
     assert (found["planner"], found["pairs"]) == (CHEAP, 10)
-    assert found["cost_ratio"] == pytest.approx(1.5)
-    assert found["length_ratio"] == pytest.approx(0.8)
-    assert found["m_gps_change"] == pytest.approx(-0.25)
+    assert (found["cost_ratio"], found["length_ratio"], found["m_gps_change"]) == pytest.approx((1.5, 0.8, -0.25))
     assert "m_lidar_change" not in found
 
 
@@ -93,8 +90,7 @@ def test_metrics_are_compared_on_what_all_frequent_planners_solved(table):
     assert LINE not in set(found.planner)  # answers 4 of 11
     assert set(found.instances) == {9}
     by = found.set_index(["planner", "objective"]).m_gps
-    assert by[CHEAP, "distance"] == 0.25
-    assert by[CHEAP, "weighted"] == 0.5
+    assert (by[CHEAP, "distance"], by[CHEAP, "weighted"]) == (0.25, 0.5)
 
 
 def test_the_planner_to_choose_answers_reliably_and_costs_least(table):

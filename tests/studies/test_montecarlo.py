@@ -189,8 +189,7 @@ def test_the_command_makes_maps_study_and_report_and_reruns_a_file(tmp_path, cap
     other = tmp_path / "other"
     code, _, err = run(capsys, "study", scenario, "-o", other, "--workers", 1, "--instances", instances)
     assert code == 0, err
-    first, again = (pd.read_parquet(folder / "study" / "rows.parquet") for folder in (out, other))
-    same_rows(first, again)
+    same_rows(*(pd.read_parquet(folder / "study" / "rows.parquet") for folder in (out, other)))
 
 
 @pytest.fixture(scope="module")
