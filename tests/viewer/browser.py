@@ -1,6 +1,5 @@
-"""A real browser for tests of the viewer: Debian's or whatever chromium there is, with every other host blocked."""
+"""The viewer served and its page opened, for tests: with every other host blocked."""
 
-import shutil
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,12 +7,10 @@ from threading import Thread
 from typing import Any
 
 import numpy as np
-import pytest
 
 from jaxurban.viewer.server import ViewerServer
 from jaxurban.viewer.viewer import Viewer
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SIZE = {"width": 1280, "height": 720}
 Again = Callable[[], Viewer] | None
 READY = '.jv[data-ready="yes"]'
@@ -32,18 +29,6 @@ def served(viewer: Viewer, again: Again = None) -> Iterator[ViewerServer]:
         Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
         yield server
         server.shutdown()
-
-
-@contextmanager
-def chromium() -> Iterator[Any]:
-    """Start the browser."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if CHROMIUM is None:
-        pytest.skip("there is no chromium here")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 @contextmanager

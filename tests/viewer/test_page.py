@@ -16,7 +16,7 @@ from jaxurban.viewer.viewer import Viewer
 from jaxurban.viewer.widget import reply_to
 from tests.cli_runs import run
 from tests.made_maps import made_maps
-from tests.viewer.browser import READY, SIZE, chromium, opened, shown
+from tests.viewer.browser import READY, SIZE, opened, shown
 
 pytestmark = pytest.mark.slow
 MAPS = made_maps(160, 200)
@@ -30,12 +30,6 @@ def folder(tmp_path_factory):
     folder.mkdir()
     MAPS.save(folder)
     return folder
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as running:
-        yield running
 
 
 @pytest.fixture(scope="module")
