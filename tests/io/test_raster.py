@@ -66,10 +66,11 @@ def test_the_extent_is_that_of_the_whole_file_in_the_citys_crs(tmp_path):
     ("how", "pixels", "cells"),  # whose centres lie at 2, 6, 10 (the border), 14 and 18 m
     [
         ("nearest", [1, 2], [1, 1, 2, 2, 2]),
+        ("bilinear", [0, 10], [0, 1, 5, 9, 10]),
         ("bilinear", [5, np.nan], [5, 5, np.nan, np.nan, np.nan]),  # no data have no weight
     ],
 )
-def test_a_cell_takes_the_pixel_that_holds_its_centre(how, pixels, cells):
+def test_a_cell_takes_the_pixel_that_holds_its_centre_or_what_lies_between_two(how, pixels, cells):
     np.testing.assert_array_equal(resample_raster(raster([pixels]), grid(4, 1, 5), how), [cells])
 
 
