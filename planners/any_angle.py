@@ -108,7 +108,7 @@ def theta_star(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heu
 
 
 @compiled_first()
-def refine(problem: Problem, path: Path, *, budget_s: float = np.inf) -> Path:
+def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path:
     """Return the path with its waypoints moved to where it costs less under the ``line`` model; its ends stay.
 
     Level by level the path is subdivided, more finely each time, and cut short again. On each level waypoints move

@@ -24,7 +24,7 @@ AHEAD = 1e-12  # relative: sums this much smaller are smaller
 
 
 @compiled_first()
-def simplify(problem: Problem, path: Path, tolerance_m: float) -> Path:
+def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
     """Return the path with as few waypoints as keep it within a tolerance of where it was, clear of closed cells.
 
     Waypoints are places along the path, at most a cell apart. Every leg that skips some keeps `CLEAR_M`, or the
