@@ -129,16 +129,18 @@ def judge_numbers(old: Numbers, new: Numbers) -> Iterator[Row]:
     for what in sorted(old.keys() | new.keys()):
         before, after = old.get(what, {}), new.get(what, {})
         allowed = 1e-6 if what.startswith(("fit", "sensitivity")) or OF_THE_SKY.search(what) else 1e-9
-        shares = {key: share(before.get(key, ""), after.get(key, "")) for key in sorted(before.keys() | after.keys())}
+        least = 1e-2 if what.endswith("sobol") else 1e-3  # Sobol indices are shares of 1 themselves
+        keys = sorted(before.keys() | after.keys())
+        shares = {key: share(before.get(key, ""), after.get(key, ""), least) for key in keys}
         beyond = [key for key, value in shares.items() if value > (1e-6 if OF_THE_SKY.search(key) else allowed)]
         worst = max(beyond or shares, key=lambda key: shares[key])
         yield Row(what, f"{shares[worst]:.1e} ({worst})", f"{allowed:.0e}", not beyond)
 
 
-def share(before: Any, after: Any) -> float:
-    """Return the share by which two numbers differ (of 1e-3 at least), infinite for words that differ."""
+def share(before: Any, after: Any, least: float = 1e-3) -> float:
+    """Return the share by which two numbers differ (of ``least`` at least), infinite for words that differ."""
     if all(isinstance(value, int | float) and not isinstance(value, bool) for value in (before, after)):
-        return abs(after - before) / max(abs(before), 1e-3)
+        return abs(after - before) / max(abs(before), least)
     return 0.0 if before == after else np.inf
 
 

@@ -71,7 +71,7 @@ def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | No
             panel.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02))
     figure.align_ylabels(axes)
     above = axes[0].secondary_xaxis("top")  # the numbers of the report's segments
-    middles_km = (report.segments["from_m"] + report.segments["to_m"]) / 2000
+    middles_km = (report.segments["from_m"] + report.segments["to_m"]).astype(float) / 2000
     above.set_xticks(middles_km, [str(number) for number in middles_km.index])
     above.tick_params(length=0, labelsize=SMALL_PT, labelcolor=FAINT_INK)
     above.set_xlabel("segment", color=FAINT_INK)

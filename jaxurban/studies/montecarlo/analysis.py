@@ -119,7 +119,7 @@ def usage(table: pd.DataFrame) -> pd.DataFrame:
 
 def times(table: pd.DataFrame) -> pd.DataFrame:
     """Return seconds, expansions and samples of each planner by altitude."""
-    rows = weighted_rows(table)
+    rows = weighted_rows(table).astype({"num_expanded": float, "num_samples": float})
     return (
         rows[rows.elapsed_s.notna()]
         .groupby(["planner", "altitude_m"])
