@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from jaxurban.io.folders import WorkFolder
+from jaxurban.maps.build import compute_maps
 from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.run import Maker, make_zarr
 from jaxurban.maps.task import MapTask
@@ -83,6 +84,16 @@ def test_tiles_equal_the_untiled_maps(name, tmp_path):
         assert np.isnan(found["gps"].values).any()
     for variable in VARIED & {*found}:
         assert len(np.unique(found[variable])) > 1
+
+
+def test_maps_of_a_part_equal_that_part_of_the_maps_though_their_surface_reaches_less_far():
+    of = with_section(with_terrain=True)
+    towers_m = np.where(of.city.roofs.values > 190, np.float32(200), np.float32(0))
+    city = replace(of.city, terrain=None, roofs=replace(of.city.roofs, values=towers_m))
+    of = replace(of, city=city, sky=replace(of.sky, mask_deg=30.0))
+    part, whole = (compute_maps(replace(of, region=of.region.padded(*[-n] * 4))).ds for n in (14, 0))
+    for name in ("obstacle", "gps", "gdop", "num_visible", "lidar", "risk"):
+        np.testing.assert_array_equal(part[name], whole[name][..., 14:-14, 14:-14])
 
 
 @pytest.mark.parametrize("num_threads", [2, 1])

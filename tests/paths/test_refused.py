@@ -144,10 +144,7 @@ REFUSED = [
     (lambda s: ju.Vehicle(max_turn_deg=181.0), "max_turn_deg must be at most 180 degrees"),
     (lambda s: ju.Vehicle(max_descent_m_s="slow"), "max_descent_m_s must be a number or None"),
     (lambda s: ju.Scenario.from_dict(REGION | {"vehicle": {"radius_cm": 40}}), "radius_m"),
-    (
-        lambda s: ju.Scenario.from_dict(REGION | {"vehicle": {"max_climb_m_s": 0}}),
-        "vehicle.*max_climb_m_s must be a",
-    ),
+    (lambda s: ju.Scenario.from_dict(REGION | {"vehicle": {"max_climb_m_s": 0}}), "vehicle.*max_climb_m_s must be a"),
     # of a path
     *each(lambda s, wrong: s.explain(speed_m_s=wrong), (0.0, NAN), "speed_m_s must be a positive number of metres"),
     (lambda s: s.explain(power_w=200.0), "give the speed"),
