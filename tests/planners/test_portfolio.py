@@ -167,11 +167,12 @@ def test_an_empty_map_costs_the_straight_line_within_the_planners_discretisation
 @pytest.mark.parametrize("name", PLANNERS)
 def test_even_costs_count_along_the_line_within_the_planners_discretisation(name):
     problem = problem_on(np.ones((30, 40), bool), (2, 3), (14, 32), np.full((2, 30, 40), 0.4), distance_weight=0.1)
-    straight_m, path = SIDE_M * np.hypot(12, 29), run(name, problem)
-    ratio = path.cost / (straight_m * (0.1 + 0.8 / 5.0))
-    assert 1 - EXACT <= ratio <= 1 + DISCRETISATION[name] + EXACT
+    expected, path = SIDE_M * np.hypot(12, 29) * (0.1 + 0.8 / 5.0), run(name, problem)
+    refined = refine(problem, path)
+    assert refined.cost == pytest.approx(expected, rel=EXACT)
+    assert 1 - EXACT <= path.cost / expected <= 1 + DISCRETISATION[name] + EXACT
     unproven = {"ptp": Status.FEASIBLE, "bitstar-dist": Status.BUDGET_FEASIBLE}
-    assert path.status is unproven.get(name, Status.OPTIMAL)
+    assert path.status is refined.status is unproven.get(name, Status.OPTIMAL)
 
 
 @pytest.mark.parametrize(("name", "model"), RUNS)
