@@ -86,11 +86,12 @@ def test_tiles_equal_the_untiled_maps(name, tmp_path):
         assert len(np.unique(found[variable])) > 1
 
 
-def test_maps_of_a_part_equal_that_part_of_the_maps_though_their_surface_reaches_less_far():
+@pytest.mark.parametrize(("least_m", "mask_deg"), [(190, 30.0), (0, 80.0)])  # by shadows, and by what metrics look at
+def test_maps_of_a_part_equal_that_part_of_the_maps_though_their_surface_reaches_less_far(least_m, mask_deg):
     of = with_section(with_terrain=True)
-    towers_m = np.where(of.city.roofs.values > 190, np.float32(200), np.float32(0))
+    towers_m = np.where(of.city.roofs.values > least_m, np.float32(200), np.float32(0))
     city = replace(of.city, terrain=None, roofs=replace(of.city.roofs, values=towers_m))
-    of = replace(of, city=city, sky=replace(of.sky, mask_deg=30.0))
+    of = replace(of, city=city, sky=replace(of.sky, mask_deg=mask_deg))
     part, whole = (compute_maps(replace(of, region=of.region.padded(*[-n] * 4))).ds for n in (14, 0))
     for name in ("obstacle", "gps", "gdop", "num_visible", "lidar", "risk"):
         np.testing.assert_array_equal(part[name], whole[name][..., 14:-14, 14:-14])
