@@ -86,7 +86,7 @@ def test_tiles_equal_the_untiled_maps(name, tmp_path):
         assert len(np.unique(found[variable])) > 1
 
 
-@pytest.mark.parametrize(("least_m", "mask_deg"), [(190, 30.0), (0, 80.0)])  # by shadows, and by what metrics look at
+@pytest.mark.parametrize(("least_m", "mask_deg"), [(180, 20.0), (0, 80.0)])  # by shadows, and by what metrics look at
 def test_maps_of_a_part_equal_that_part_of_the_maps_though_their_surface_reaches_less_far(least_m, mask_deg):
     of = with_section(with_terrain=True)
     towers_m = np.where(of.city.roofs.values > least_m, np.float32(200), np.float32(0))
