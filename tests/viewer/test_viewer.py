@@ -132,7 +132,7 @@ def test_a_route_is_that_of_the_printed_command_coordinate_for_coordinate(viewer
     for _ in range(9):  # what planners remember of a map must not count
         shown = answer(viewer, "plan", **QUERY | more)
     program, *arguments = shlex.split(shown["command"])
-    assert program == "jaxurban"
+    assert (program, "--no-fly" in arguments) == ("jaxurban", "zones" in more)
     monkeypatch.chdir(tmp_path)
     if zones := more.get("zones"):
         (tmp_path / "zones.geojson").write_text(zones, encoding="utf-8")
