@@ -253,8 +253,7 @@ def test_soft_returns_of_both_forms_are_the_same_for_any_number_of_azimuths(num_
     offsets, cells = jnp.asarray(ray_offsets(num_azimuths, halo + 1)), jnp.indices((9, 9)).reshape(2, -1).T
     hills_m = 3 * jnp.sin(jnp.arange(roof_m.size, dtype=jnp.float32).reshape(roof_m.shape))
 
-    forms = soft_lidar.one_by_one, soft_lidar.together
-    forms_at = soft_lidar.one_by_one_at, soft_lidar.together_at
+    forms, forms_at = (soft_lidar.one_by_one, soft_lidar.together), (soft_lidar.one_by_one_at, soft_lidar.together_at)
 
     def mean_return(roof_m, altitude_m, range_m, hills_m, number):
         scan = soft_lidar.scan_of(altitude_m * (not on_terrain), range_m, np.deg2rad([-15.0, 0.0, 15.0]), 5.0)

@@ -15,8 +15,7 @@ from jaxurban.world.city import HeightOrigin, Raster
 from jaxurban.world.grid import Grid
 from tests.made_maps import city_of_boxes
 
-X0, Y0 = 500_000.0, 4_500_000.0
-UTM = "EPSG:32618"
+X0, Y0, UTM = 500_000.0, 4_500_000.0, "EPSG:32618"
 REGION = Grid(UTM, 10.0, 450_000, 50_000, 12, 14)
 LIDAR = Lidar(beams=4, azimuths=12, range_m=50.0)
 DEFAULT, EXACT = HeightStd(), HeightStd(0.0, 0.0, 0.0, 0.0)

@@ -62,6 +62,7 @@ def test_finer_rays_agree_with_those_of_the_cells_and_bounds_bracket_maps_with_s
     assert same.mean() > 0.93
     assert finer.m("num_visible", 2.0)[ON_DECK] == maps.m("num_visible", 2.0)[ON_DECK]
     np.testing.assert_array_equal(finer.ds["obstacle"], maps.ds["obstacle"])
+    assert not finer.ds["lidar"].equals(maps.ds["lidar"])
     lower, gps, upper = (finer.ds[name].values[:, 0] for name in ("gps_lower", "gps", "gps_upper"))
     is_free = np.broadcast_to(finer.ds["obstacle"].values[0] == 0, gps.shape)
     assert np.mean((lower <= gps)[is_free]) > 0.99

@@ -25,7 +25,7 @@ from jaxurban.metrics.custom import Layer
 from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.risk import Risk
 from jaxurban.progress import Report
-from jaxurban.settings import Heights
+from jaxurban.settings import Heights, HeightStd
 from tests import hanging_city, tiled_runs
 from tests.tiled_runs import RAGGED, check_tiles, files_of, make, task
 
@@ -86,14 +86,17 @@ def test_tiles_equal_the_untiled_maps(name, tmp_path):
         assert len(np.unique(found[variable])) > 1
 
 
-@pytest.mark.parametrize(("least_m", "mask_deg"), [(180, 20.0), (0, 80.0)])  # by shadows, and by what metrics look at
-def test_maps_of_a_part_equal_that_part_of_the_maps_though_their_surface_reaches_less_far(least_m, mask_deg):
+# By shadows of roofs, of those that are drawn higher and of hills, and by what metrics look at.
+@pytest.mark.parametrize(("what", "mask_deg"), [("roofs", 20), ("terrain", 20), ("roofs", 80)])
+def test_maps_of_a_part_equal_that_part_of_the_maps_though_their_surface_reaches_less_far(what, mask_deg):
     of = with_section(with_terrain=True)
-    towers_m = np.where(of.city.roofs.values > least_m, np.float32(200), np.float32(0))
-    city = replace(of.city, terrain=None, roofs=replace(of.city.roofs, values=towers_m))
-    of = replace(of, city=city, sky=replace(of.sky, mask_deg=mask_deg))
+    towers_m = np.where(of.city.roofs.values > (0 if mask_deg == 80 else 180), np.float32(200), np.float32(0))
+    bare = replace(of.city.roofs, values=0 * towers_m)
+    city = replace(of.city, **{"roofs": bare, "terrain": None, what: replace(bare, values=towers_m)})
+    params = replace(of.params, heights=Heights(height_samples=2, height_std_m=HeightStd(raster=200.0)))
+    of = replace(of, city=city, sky=replace(of.sky, mask_deg=mask_deg), params=params)
     part, whole = (compute_maps(replace(of, region=of.region.padded(*[-n] * 4))).ds for n in (14, 0))
-    for name in ("obstacle", "gps", "gdop", "num_visible", "lidar", "risk"):
+    for name in ("obstacle", "gps", "gps_mean", "gdop", "num_visible", "lidar", "risk"):
         np.testing.assert_array_equal(part[name], whole[name][..., 14:-14, 14:-14])
 
 

@@ -30,8 +30,7 @@ LAYER = {"source": "noise.tif", "cost": "high-is-bad", "scale": (0.0, 80.0)}
 NOISE = Layer(**LAYER)
 
 
-IS_OBSTACLE = obstacle_mask(SURFACE.crop(SURFACE.roof_m), [ALTITUDE_M])[0]
-HERE = Scene(SURFACE, ALTITUDE_M, IS_OBSTACLE)
+HERE = Scene(SURFACE, ALTITUDE_M, obstacle_mask(SURFACE.crop(SURFACE.roof_m), [ALTITUDE_M])[0])
 
 
 def test_metrics_stand_in_the_papers_order_and_an_unknown_one_is_named():
