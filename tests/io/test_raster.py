@@ -202,8 +202,7 @@ def test_a_surface_less_a_terrain_of_another_grid_gives_the_heights_back():
 
 
 def test_a_surface_needs_terrain_and_one_that_goes_with_it():
-    heights = city_heights(0.5)
-    surface = surface_on(hills(), heights)
+    surface = surface_on(hills(), heights := city_heights(0.5))
     with pytest.raises(ju.InputError, match=r"s\.tif.*\[terrain\] source"):
         heights_of_surface("s.tif", surface, None, UTM)
     for other in (heights, replace(surface, values=surface.values + 34)):

@@ -38,8 +38,7 @@ def far_ends(maps) -> dict:
 
 
 def test_other_code_settings_or_another_device_make_maps_stale_and_weights_do_not(job, monkeypatch):
-    on = jax.default_backend()
-    key = record.run_key(job_of(), {}, on)
+    key = record.run_key(job_of(), {}, on := jax.default_backend())
     assert pipeline.stored_key(job, 20.0) == key == record.run_key(job_of(weights={"gps": 3}), {}, on)
     assert record.run_key(job_of(gps={"mask_deg": 6}), {}, on) != key
     assert record.run_key(job_of(), {}, "another") != key
@@ -114,6 +113,8 @@ def test_a_changed_scenario_is_refused_with_both_differences_and_a_new_folder(jo
     both = r"altitudes_m was \[20.*other input files \(orbits.*-o \S*job-2\).*--overwrite"
     with pytest.raises(ju.InputError, match=both):
         pipeline.run_scenario(job_of(**orbits, region=REGION | {"altitudes_m": altitudes_m}), job)
+    with pytest.raises(ju.InputError, match="--memory"):  # nor is a job begun that may replace them but has no room
+        pipeline.run_scenario(job_of(gps={"mask_deg": 6.0}), job, overwrite=True, memory_bytes=10**8)
     assert files_of(job) == before
 
 
