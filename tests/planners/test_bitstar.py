@@ -54,6 +54,9 @@ def test_every_batch_costs_what_dijkstra_finds_on_its_samples_and_the_tree_befor
             num_found += np.isfinite(expected)
             informed.shrink(batch.cost)
             before = batch.tree
+        samples = np.concatenate([batch.samples for batch in seen])
+        may_help = np.add(*informed.bounds.from_start_and_to_goal(samples)) < seen[-2].cost * (1 - 1e-9)
+        assert set(map(tuple, samples[may_help])) <= number.keys()  # pruning leaves them
         assert path.backend == backend
         num_improved += len({row[2] for row in path.history}) - 1
         # An observer sees every batch and changes none.
@@ -137,14 +140,12 @@ def test_the_search_ends_on_batches_cost_and_small_improvement():
 
     long = run(max_samples=20_000)
     batches = run(max_batches=5)
-    assert len(batches.history) == 6  # the straight segment's among them
-    assert batches.status is Status.BUDGET_FEASIBLE
+    assert (len(batches.history), batches.status) == (6, Status.BUDGET_FEASIBLE)  # the straight segment's among them
     good = run(max_samples=20_000, target_cost=1.1 * long.cost)
-    assert good.status is Status.FEASIBLE
     assert good.history[-1][2] <= 1.1 * long.cost < good.history[-2][2]
     settled = run(max_samples=20_000, min_improvement=0.02)
     before, after = settled.history[-2][2], settled.history[-1][2]
-    assert settled.status is Status.FEASIBLE
+    assert good.status is settled.status is Status.FEASIBLE
     assert before - after < 0.02 * before
     assert long.cost <= settled.cost
 
