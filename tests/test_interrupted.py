@@ -48,12 +48,8 @@ MASKS = ("60", "50")
 MINE = b"the user's words"
 
 
-def command(*words: object) -> None:
-    main([str(word) for word in words])
-
-
 def maps(folder: Path) -> None:
-    command("maps", "town.toml", "-o", folder)
+    main(["maps", "town.toml", "-o", str(folder)])
 
 
 def rows(folder: Path) -> None:
@@ -72,7 +68,7 @@ def routes(folder: Path) -> None:
 
 
 def compare(folder: Path) -> None:
-    command("compare", "made", "made", "-o", folder)
+    main(["compare", "made", "made", "-o", str(folder)])
 
 
 def exports(folder: Path) -> None:
@@ -155,7 +151,6 @@ def disturb(place: Path, folder: Path, scene: str, way: str, at: int, wanted: di
     mine = {"exports": list(wanted), "compare": [], "routes": []}.get(scene, ["mine.txt"])  # where these may be
     for name in mine:
         (folder / name).write_bytes(MINE)
-    told = ""
     with counted(folder, at, way) as steps:
         try:
             told = sentence_of(job, folder, capsys)

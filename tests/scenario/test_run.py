@@ -109,12 +109,15 @@ def test_a_changed_scenario_is_refused_with_both_differences_and_a_new_folder(jo
     made = files.read_json(job / "run.json")
     inputs = {"orbits": {"path": "town.csv", "sha256": "of the old elements"}}
     files.write_json(job / "run.json", made | {"inputs": inputs, "settings": made["settings"] | orbits})
+    (job / "geotiff/gps_90m_20m.tif").write_text("the user's words")
     before = files_of(job)
     both = r"altitudes_m was \[20.*other input files \(orbits.*-o \S*job-2\).*--overwrite"
     with pytest.raises(ju.InputError, match=both):
         pipeline.run_scenario(job_of(**orbits, region=REGION | {"altitudes_m": altitudes_m}), job)
     with pytest.raises(ju.InputError, match="--memory"):  # nor is a job begun that may replace them but has no room
         pipeline.run_scenario(job_of(gps={"mask_deg": 6.0}), job, overwrite=True, memory_bytes=10**8)
+    with pytest.raises(ju.InputError, match="in the way"):
+        pipeline.run_scenario(job_of(region=REGION | {"altitudes_m": [90.0]}), job, overwrite=True)
     assert files_of(job) == before
 
 
