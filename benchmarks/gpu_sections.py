@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.gpu_inputs import load_surface
 from jaxurban.kernels.distance.nearest import capped_distance, capped_distance_over_terrain
-from jaxurban.metrics.gps import maps_of_choices, satellites_of, soft_gps
+from jaxurban.metrics.gps import GpsMaps, maps_of_choices, satellites_of, soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.risk import Risk, compute_risk, soft_risk
 from jaxurban.metrics.visibility import SkyView, visibility
@@ -191,6 +191,9 @@ def distance(run: Run) -> None:
 
 
 def dops(run: Run) -> None:
+    def gdop_of(maps: GpsMaps, number: np.ndarray) -> np.ndarray:
+        return maps.gdop[number]
+
     rng = np.random.default_rng(0)
     side = 256 if run.is_small else 3000
     for num in (9, 31):
@@ -200,7 +203,7 @@ def dops(run: Run) -> None:
         satellites = satellites_of(InView(azimuth_rad, elevation_rad, ()))
         run.timed(
             f"GPS maps of {num} satellites",
-            lambda at=(words, is_obstacle, satellites, 20.0): maps_of_choices(*at)[0].gdop,
+            lambda at=(words, is_obstacle, satellites, 20.0): gdop_of(*maps_of_choices(*at)),
             side**2,
             "cells",
             DOP,
