@@ -29,6 +29,7 @@ from jaxurban.paths.profile import cautions as cautions
 from jaxurban.paths.queries import PlannedPaths as PlannedPaths
 from jaxurban.paths.snapping import XY as XY
 from jaxurban.planners.cost import CostModel as CostModel
+from jaxurban.samples.cities import sample_city as sample_city
 from jaxurban.settings import Buildings as Buildings
 from jaxurban.settings import Heights as Heights
 from jaxurban.settings import HeightStd as HeightStd

@@ -282,7 +282,7 @@ MADE_BY = {  # what no constructor is meant for
     "Bound": "Constraints.read",
     "Zone": "Constraints.read",
     "Constraints": 'Constraints.read, as in Constraints.read(require=["gps>=0.3"])',
-    "City": "City.from_files or demo_city",
+    "City": "City.from_files, sample_city or demo_city",
     "CostMap": "cost_map",
     "Demonstration": "read_demonstrations",
     "MetricMaps": "build_maps or open_maps",

@@ -130,7 +130,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ("EPSG:4326", "crs"),
     ("gps", "require text"),
     ("none such", "nan hanging clocks quantity outcome time_of_day PlannedPath.save.end MetricMaps.m.name cost sense"),
-    ("none such", "kind sample_instances.weights compare_fits.scale fit_weights.scale"),
+    ("none such", "kind sample_city.name sample_instances.weights compare_fits.scale fit_weights.scale"),
     (("gps.mask_deg",), "changes"),
     ((-1.0,), "other_pieces_m"),
     ((0.0, 1e-4), "Protection.tolerance_m"),

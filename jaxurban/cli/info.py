@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import JSON_FLAG, PATH, print_json
+from jaxurban.samples.catalogue import located
 
 
 @click.command()
@@ -14,7 +15,7 @@ from jaxurban.cli.common import JSON_FLAG, PATH, print_json
 @JSON_FLAG
 def info(path: Path, as_json: bool) -> None:
     """Say what a file of buildings, a raster or a folder of maps holds: extent, CRS, counts, guessed heights."""
-    facts = _of_maps(path) if path.is_dir() else _of_file(path)
+    facts = _of_maps(path) if path.is_dir() else _of_file(located(path))
     if as_json:
         print_json(facts)
         return

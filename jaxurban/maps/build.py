@@ -62,7 +62,7 @@ def build_maps(
     """Return the metric maps of a city.
 
     Args:
-      city: from `City.from_files` or `demo_city`.
+      city: from `City.from_files`, `sample_city` or `demo_city`.
       bounds: west, south, east, north in degrees; left out, those of the city, else what its buildings cover.
       grid: the region's grid, instead of bounds and resolution.
       resolution_m: side of a cell.
@@ -87,13 +87,18 @@ def build_maps(
         raise InputError("give either bounds or grid, and not both")
     layers = check_layers(layers)
     region = grid if grid is not None else _region(city, bounds, resolution_m)
-    params = MapParams(altitudes_m, oversample, heights or Heights(), sections_of(**metrics), engine)
+    params = MapParams(altitudes_m, oversample, heights or Heights(), _sections(city, metrics), engine)
     check_region(city, region, is_own=grid is None and bounds is None)
     sky = view_sky(region, params.gps)
     task = MapTask(city, region, sky, params, layers, bands_of(layers, region, params.altitudes_m))
     check_fits(task)
     with reporting("build_maps", progress) as report:
         return compute_maps(task, stage=Stopwatch(on_stage=report).stage)
+
+
+def _sections(city: City, metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the sections of metrics, that of the satellites from a city that comes with some, where none is given."""
+    return sections_of(gps=city.gps) | sections_of(**metrics)
 
 
 def check_region(city: City, region: Grid, is_own: bool = False) -> None:
@@ -255,7 +260,7 @@ def map_inputs(
     Raises:
       InputError: a grid off the city, unreadable or stale orbits, or settings that `all_maps` does not know.
     """
-    params = MapParams(altitudes_m, sections=sections_of(**metrics))
+    params = MapParams(altitudes_m, sections=_sections(city, metrics))
     check_region(city, grid)
     task = MapTask(city, grid, view_sky(grid, params.gps), params)
     inputs = inputs_of(task)

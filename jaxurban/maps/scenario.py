@@ -32,6 +32,7 @@ from jaxurban.metrics.population import Population
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.registry import find_planner
+from jaxurban.samples.catalogue import filled, located
 from jaxurban.settings import Buildings, CostKind, Planning, Terrain, Vehicle, each, iso_utc
 from jaxurban.world.grid import check_bounds, projected_crs
 
@@ -222,7 +223,7 @@ class Scenario(Sections):
           InputError: an unknown key (names the nearest one), a missing one or a bad value.
         """
         try:
-            scenario = cls.model_validate(_with_bounds(settings, folder or Path()))
+            scenario = cls.model_validate(_with_bounds(filled(settings), folder or Path()))
         except ValidationError as error:
             raise InputError(f"{name}: {_sentence_of(error, settings)}") from error
         if folder is not None:
@@ -234,8 +235,8 @@ class Scenario(Sections):
         return tomli_w.dumps(self.model_dump(exclude_none=True))
 
     def path_of(self, name: str | Path) -> Path:
-        """Return the path that a setting names, relative ones taken from the scenario's folder."""
-        return self._folder / name
+        """Return the path that a setting names, relative ones taken from the scenario's folder (`located`)."""
+        return located(name, self._folder)
 
     def _request_what_is_weighed(self) -> None:
         """Give the metrics made on request that have a weight above 0 and no section one of its defaults."""

@@ -248,6 +248,7 @@ class City(Shown):
       area: where the building source knows what stands, within ``extent_m``; None for all of it.
       hanging: what buildings with an underside above the ground do: ``"to_ground"``, they reach it; ``"slabs"``, they
         hang from floor to roof.
+      gps: the satellites and times that come with it, which maps are made of where no others are given; None for most.
 
     Raises:
       InputError: neither buildings nor roofs, both, or an unknown way of hanging.
@@ -267,6 +268,7 @@ class City(Shown):
     area: shapely.Geometry | None = None
     guesses: Mapping[str, str] = field(default_factory=dict)
     hanging: Hanging = TO_GROUND
+    gps: "Gps | None" = None
 
     def __post_init__(self) -> None:
         if (self.buildings is None) == (self.roofs is None):
@@ -313,7 +315,8 @@ class City(Shown):
         """Return the city in a set of files, around a region.
 
         Args:
-          buildings: their file, or that with what to make of it. Buildings are kept as far around the region as one of
+          buildings: their file, or ``"sample:lower-manhattan"`` or ``"sample:shinjuku"`` (see `sample_city`), or
+            that with what to make of it. Buildings are kept as far around the region as one of
             1,000 m could shadow it from a satellite at the elevation mask.
           bounds: west, south, east, north of the region in degrees; left out, what the file of buildings covers.
           crs: projected CRS in metres; left out, the UTM zone of the region's centre.

@@ -6,7 +6,7 @@ region at least, and a line in `OUTLINE_READERS`.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import Population
+from jaxurban.samples.catalogue import SAMPLES, located, sample_name
 from jaxurban.settings import MAX_HEIGHT_M, SLABS
 from jaxurban.world.city import City, Raster, ReadIssue, joined_credits
 from jaxurban.world.grid import WGS84, Bounds, check_bounds, projected_crs, transformer, utm_crs, where_it_lies
@@ -42,6 +43,7 @@ OUTLINE_READERS: dict[str, OutlineReader] = {
     **dict.fromkeys(OSM_SUFFIXES, lambda path, near, has_decks: read_osm(path, has_decks=has_decks)),
     **dict.fromkeys(VECTOR_SUFFIXES, lambda path, near, has_decks: read_vector(path, near)),
 }
+FILE_FIELDS = ("source", "blocks", "table", "districts")
 GAP_M = 500.0  # side of the bins: buildings in bins that touch know what lies between them (streets, parks, rivers)
 BLOCKS_A_SIDE = 64  # into which a raster with holes is cut
 LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
@@ -59,6 +61,13 @@ def read_city(
     gps: Gps | None,
 ) -> City:
     """Return the city in a set of files, around a region; arguments, warnings and errors as `City.from_files`."""
+    sample = SAMPLES.get(sample_name(buildings.source) or "", {})
+    bounds = sample["region"]["bounds"] if bounds is None and sample else bounds
+    people = population or Population(**sample.get("population", {}))
+    own_gps = Gps(**sample["gps"]) if gps is None and sample else None
+    files = {"buildings": buildings.source, "terrain": terrain.source}
+    files |= {role: getattr(people, role) for role in ("blocks", "table", "districts")}
+    buildings, terrain, people = _placed(buildings), _placed(terrain), _placed(people)
     bounds = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
     west, south, east, north = bounds
     if crs is None:
@@ -74,9 +83,6 @@ def read_city(
         _check_has_building(buildings, source, bounds, box_m)
     issues = dict(source.read_issues)
     guesses = height_guesses(source.buildings, box_m, buildings)
-    people = population or Population()
-    files = {"buildings": buildings.source, "terrain": terrain.source}
-    files |= {role: getattr(people, role) for role in ("blocks", "table", "districts")}
     blocks = None
     if people.blocks is not None:
         blocks, block_issues = read_blocks(people, crs, wide_m)
@@ -95,7 +101,14 @@ def read_city(
         guesses=guesses,
         sources={role: str(path) for role, path in files.items() if path is not None},
         bounds=(west, south, east, north),
+        gps=own_gps,
     )
+
+
+def _placed(section: Any) -> Any:
+    """Return a section with paths for the files of sample cities that it names."""
+    names = (field.name for field in fields(section) if field.name in FILE_FIELDS)
+    return replace(section, **{name: located(file) for name in names if (file := getattr(section, name)) is not None})
 
 
 def _check_has_building(buildings: settings.Buildings, source: City, bounds: Sequence[float], box_m: Bounds) -> None:

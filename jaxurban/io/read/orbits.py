@@ -20,6 +20,7 @@ from skyfield.api import EarthSatellite, Timescale, load, wgs84
 from skyfield.iokit import parse_tle_file
 
 from jaxurban.errors import InputError, StaleElementsWarning, readable
+from jaxurban.samples.catalogue import located
 from jaxurban.settings import NOMINAL, iso_utc, parse_time
 from jaxurban.world.sky import Sky
 
@@ -172,8 +173,9 @@ def _check_twice(orbits: Orbits) -> None:
 
 def _read_file(source: str | Path) -> list[EarthSatellite]:
     """Return the satellites of one file."""
-    with readable(source, "whole element sets", REMEDY, csv.Error, what=f"the orbits file {source}"):
-        text = Path(source).read_bytes().decode("utf-8-sig").lstrip()
+    path = located(source)
+    with readable(path, "whole element sets", REMEDY, csv.Error, what=f"the orbits file {source}"):
+        text = path.read_bytes().decode("utf-8-sig").lstrip()
         header = text.partition("\n")[0]
         messages: Any = None
         if text.startswith(("{", "[")):

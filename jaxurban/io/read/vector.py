@@ -12,6 +12,7 @@ import pyogrio
 import shapely
 
 from jaxurban.errors import InputError, readable
+from jaxurban.io.geoparquet import facts_of
 from jaxurban.io.read.outlines import Near, Outlines, extent_of, is_of_buildings, near_rows, polygonal, tags_of
 from jaxurban.world.city import ReadIssue
 from jaxurban.world.grid import check_on_earth
@@ -103,6 +104,7 @@ def _read_parquet(path: str | Path, *, for_buildings: bool) -> gpd.GeoDataFrame:
     shapes = json.loads((schema.metadata or {}).get(b"geo", b"{}")).get("columns", {})
     columns = [name for name in schema.names if name in shapes or not for_buildings or is_of_buildings(name)]
     frame = gpd.read_parquet(path, columns=columns)
+    frame.attrs = facts_of(schema.metadata)
     index = [name for name in frame.index.names if name is not None and name not in frame.columns]
     return frame.reset_index(level=index)  # pandas wrote it as an index
 
@@ -205,6 +207,7 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
         degrees; a GeoPackage with several layers of polygons and not one of them called ``buildings``.
     """
     frame = open_frame(path, BUILDINGS, allow_empty=True, near=near)
+    facts = frame.attrs  # empty of files that are not ours
     box = None if near is None else near.box_in(frame.crs.to_wkt())
     if box is not None:
         frame = frame[near_rows(shapely.bounds(frame.geometry.to_numpy()), box)]
@@ -216,8 +219,10 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
         polygons=shapes[is_polygon],
         tags=tags_of({name: _values(frame.loc[is_polygon, name]) for name in frame if is_of_buildings(name)}),
         crs=frame.crs.to_wkt(),
-        boxes=(),
-        issues={ReadIssue.NON_POLYGONS: int(np.sum(~is_polygon))},
+        boxes=tuple(tuple(box) for box in facts.get("boxes", ())),
+        issues={ReadIssue(name): count for name, count in facts.get("issues", {}).items()}
+        | {ReadIssue.NON_POLYGONS: int(np.sum(~is_polygon))},
+        attribution=facts.get("credit", ""),
         is_part=box is not None,
     )
 

@@ -1,0 +1,97 @@
+"""Which cities the package holds, and how ``sample:CITY`` and ``sample:CITY/FILE`` name their files.
+
+Such names stand where a setting takes the path of a file: they mean the same on every machine.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from jaxurban.errors import InputError, nearest_name
+
+PREFIX = "sample:"
+BUILDINGS_FILE, BASE_MAP_FILE = "buildings.parquet", "basemap.parquet"
+SAMPLES: dict[str, dict[str, dict[str, Any]]] = {  # what a scenario of each takes where it says nothing
+    "lower-manhattan": {
+        "region": {"bounds": [-74.02, 40.70, -73.98, 40.73]},
+        "population": {
+            "blocks": "sample:lower-manhattan/blocks.parquet",
+            "districts": "sample:lower-manhattan/districts.parquet",
+            "credit": "US Census Bureau; NYC Open Data",
+        },
+        "gps": {"orbits": ["sample:lower-manhattan/gps.tle"], "times": ["2020-04-27T16:00:00Z"]},  # the paper's day
+    },
+    "shinjuku": {
+        "region": {"bounds": [139.6890, 35.6806, 139.7111, 35.6986]},  # 2 x 2 km, the station in the middle
+        "gps": {
+            "orbits": ["sample:shinjuku/gps.tle", "sample:shinjuku/galileo.tle"],
+            "times": ["2018-12-19T03:00:00Z"],  # noon in Tokyo
+        },
+    },
+}
+
+
+def sample_name(source: Any) -> str | None:
+    """Return the city that ``sample:CITY`` names, None for what is no such name.
+
+    Raises:
+      InputError: there is no such city.
+    """
+    if not isinstance(source, str | Path) or not str(source).startswith(PREFIX):
+        return None
+    name = str(source).removeprefix(PREFIX)
+    if "/" in name:
+        return None
+    check_sample(name)
+    return name
+
+
+def check_sample(name: str) -> None:
+    """Raise InputError, which names the nearest one, unless the package holds a city of this name."""
+    if name not in SAMPLES:
+        hint = nearest_name(name, list(SAMPLES)) or f"; there are {' and '.join(SAMPLES)}"
+        raise InputError(f"there is no sample city {name!r}{hint}")
+
+
+def located(name: str | Path, folder: Path = Path()) -> Path:
+    """Return the path of a file that is named: one of a sample city, or one relative to a folder.
+
+    ``sample:CITY`` alone is the city's file of buildings.
+
+    Raises:
+      InputError: no such sample city, or no such file of it.
+    """
+    if not str(name).startswith(PREFIX):
+        return folder / name
+    city, _, file = str(name).removeprefix(PREFIX).partition("/")
+    check_sample(city)
+    home = Path(__file__).parent / city
+    files = sorted(path.name for path in home.iterdir())
+    if (file or BUILDINGS_FILE) not in files:
+        hint = nearest_name(file, files) or f"; it has {', '.join(files)}"
+        raise InputError(f"the sample city {city!r} has no file {file!r}{hint}")
+    return home / (file or BUILDINGS_FILE)
+
+
+def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return settings of a scenario with what a sample city gives where they give none, if it is their source.
+
+    Blocks of another file keep away the sample's districts, and any times keep away the sample's.
+    """
+    buildings = settings.get("buildings")
+    name = sample_name(buildings.get("source")) if isinstance(buildings, Mapping) else None
+    if name is None:
+        return settings
+    merged = dict(settings)
+    for section, values in SAMPLES[name].items():
+        given = settings.get(section, {})
+        if not isinstance(given, Mapping):
+            continue  # which the scenario refuses
+        if section == "population" and "blocks" in given:
+            values = {}
+        if any(key in given for key in ("start", "stop", "step_s")):
+            values = {key: value for key, value in values.items() if key != "times"}
+        if section == "gps" and "orbits" in given:
+            values = {}
+        merged[section] = {**values, **given}
+    return merged

@@ -1,0 +1,111 @@
+"""Makes the sample cities from files of their sources: ``python -m jaxurban.samples.make [DATA]``.
+
+DATA is the folder of these files, else ``JAXURBAN_DATA``, else ``../shared/data``. NOTICE.md says what each file is.
+"""
+
+import math
+import os
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban.io.geoparquet import write_geoparquet
+from jaxurban.io.read.census import read_blocks, read_districts
+from jaxurban.io.read.osm import OSM_CREDIT, TAGS, header_box, read_osm
+from jaxurban.metrics.population import Population
+from jaxurban.samples.catalogue import BUILDINGS_FILE, SAMPLES
+from jaxurban.world.grid import WGS84, Bounds, transformer, utm_crs
+
+HERE = Path(__file__).parent
+STEP_DEG = 1e-6  # of coordinates, about 0.1 m
+MARGIN_M = 400.0  # of Shinjuku: so far around the region every roof is kept
+MASK_DEG = 5.0  # beyond, those that hide a satellite above it from some place in the region
+ODBL, CC_BY, PUBLIC_DOMAIN = "ODbL-1.0", "CC-BY-4.0", "public domain"
+PLATEAU_CREDIT = "Project PLATEAU (MLIT), CC BY 4.0"
+CENSUS_CREDIT, DISTRICTS_CREDIT = "US Census Bureau", "NYC Open Data (Department of City Planning)"
+TAG_OF = {"part": "building:part", "levels": "building:levels", "roof_levels": "roof:levels"}  # where not the same
+TAG_OF |= {"min_level": "building:min_level"}
+
+
+def make_lower_manhattan(data: Path, home: Path) -> None:
+    """Write the files of Lower Manhattan."""
+    osm = data / "osm/lower-manhattan.osm.pbf"
+    outlines = read_osm(osm, has_decks=True)
+    columns = {TAG_OF.get(name, name): values for name, values in outlines.tags.items()}
+    frame = gpd.GeoDataFrame(columns, geometry=outlines.polygons, crs=WGS84)
+    assert set(frame.columns) - {"geometry"} <= set(TAGS)
+    issues = {issue.value: count for issue, count in outlines.issues.items() if count}
+    facts = {"credit": OSM_CREDIT, "licence": ODBL, "boxes": outlines.boxes, "issues": issues}
+    write_geoparquet(home / BUILDINGS_FILE, frame, facts)  # not rounded: its maps are those of the extract itself
+
+    box = header_box(osm, "pbf")
+    assert box is not None
+    census = Population(
+        blocks=data / "census/tl_2010_36061_tabblock10.shp",
+        table=data / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
+    )
+    crs = utm_crs((box[0] + box[2]) / 2, (box[1] + box[3]) / 2)
+    box_m = transformer(WGS84, crs).transform_bounds(*box, densify_pts=101)
+    blocks, _ = read_blocks(census, crs, box_m)
+    counts = {"GEOID10": blocks.block_id, "POP10": blocks.night_count.astype(np.int64)}
+    frame = gpd.GeoDataFrame(counts, geometry=blocks.polygons, crs=crs).to_crs(WGS84)
+    write_geoparquet(home / "blocks.parquet", rounded(frame), {"credit": CENSUS_CREDIT, "licence": PUBLIC_DOMAIN})
+
+    areas, labels, _ = read_districts(data / "districts/nyc_community_districts.geojson", crs)
+    around = shapely.box(*shapely.total_bounds(blocks.polygons)).buffer(10.0, join_style="mitre")
+    frame = gpd.GeoDataFrame({"BoroCD": labels}, geometry=shapely.intersection(areas, around), crs=crs).to_crs(WGS84)
+    facts = {"credit": DISTRICTS_CREDIT, "licence": "NYC Open Data terms of use"}
+    write_geoparquet(home / "districts.parquet", rounded(frame[~frame.is_empty]), facts)
+    shutil.copyfile(data / "gps/gps-ops_2020-04-27.tle", home / "gps.tle")
+
+
+def make_shinjuku(data: Path, home: Path) -> None:
+    """Write the files of Shinjuku: roof planes with their heights to 0.1 m."""
+    frame = gpd.read_parquet(data / "tokyo/tokyo-central-lod2.parquet")
+    bounds: Bounds = tuple(SAMPLES["shinjuku"]["region"]["bounds"])
+    crs = utm_crs((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
+    project = transformer(WGS84, crs)
+    region_m = project.transform_bounds(*bounds, densify_pts=101)
+    polygons = shapely.transform(frame.geometry.to_numpy(), project.transform, interleaved=False)
+    away_m = shapely.distance(polygons, shapely.box(*region_m))
+    is_kept = (away_m <= MARGIN_M) | (frame["height"] >= away_m * math.tan(math.radians(MASK_DEG)))
+    x_min, y_min, x_max, y_max = region_m
+    wide_m = (x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M)
+    # A box in degrees lies slightly askew in metres: this one is inside.
+    corners = np.array(shapely.box(*wide_m).exterior.coords)[:4]
+    lon, lat = np.sort(np.array(transformer(crs, WGS84).transform(*corners.T)), axis=1)
+    box = [round(float(value), 6) for value in (lon[1], lat[1], lon[2], lat[2])]
+    frame = frame[is_kept].assign(height=frame["height"].round(1))
+    facts = {"credit": PLATEAU_CREDIT, "licence": CC_BY, "boxes": [box]}
+    write_geoparquet(home / BUILDINGS_FILE, rounded(frame), facts)
+    for system in ("gps", "galileo"):
+        shutil.copyfile(data / f"tokyo/{system}_2018-12-19.tle", home / f"{system}.tle")
+
+
+def rounded(frame: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return features in whole steps of `STEP_DEG`, valid, without those that become empty."""
+    shapes = shapely.set_precision(shapely.make_valid(frame.geometry.to_numpy()), STEP_DEG)
+    frame = frame.set_geometry(gpd.GeoSeries(shapes, index=frame.index, crs=frame.crs))
+    return frame[~frame.is_empty].reset_index(drop=True)
+
+
+def main(arguments: list[str]) -> None:
+    """Make both cities, from the folder that the arguments name, and print their sizes."""
+    data = Path(arguments[0] if arguments else os.environ.get("JAXURBAN_DATA", "../shared/data"))
+    makers: dict[str, Any] = {"lower-manhattan": make_lower_manhattan, "shinjuku": make_shinjuku}
+    for name, make in makers.items():
+        home = HERE / name
+        home.mkdir(exist_ok=True)
+        make(data, home)
+        sizes = pd.Series({path.name: path.stat().st_size for path in sorted(home.iterdir())})
+        print(f"{name}: {sizes.sum():,} bytes ({', '.join(f'{file} {size:,}' for file, size in sizes.items())})")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
