@@ -4,8 +4,9 @@ import json
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -13,10 +14,15 @@ import xarray as xr
 from jaxurban.errors import InputError, finite, typed
 from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
+from jaxurban.progress import LOG
 from jaxurban.public import Shown, listed
+from jaxurban.samples.catalogue import BASE_MAP_FILE
 from jaxurban.settings import Obstacles, Planning, iso_utc
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import stands_at
+
+if TYPE_CHECKING:
+    import geopandas as gpd
 
 OF_ROUTES = ("weights", "planning", "vehicle")  # sections of a scenario that routes over its maps are planned under
 
@@ -64,6 +70,7 @@ class MetricMaps(Shown):
     Attributes:
       ds: the dataset; ``ds.attrs`` hold CRS, resolution, provenance and `recorded`.
       rule: where every planner may fly (`obstacles`); None: as the scenario or a preset has it.
+      base: the file that `base_map` is read from; None without one.
 
     Raises:
       InputError: an unknown rule of obstacles, or a part of maps that leaves cells out.
@@ -71,6 +78,7 @@ class MetricMaps(Shown):
 
     ds: xr.Dataset
     rule: Obstacles | None = None
+    base: Path | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ds", _placed(self.ds))
@@ -122,6 +130,28 @@ class MetricMaps(Shown):
     def attribution(self) -> str:
         """Whom to credit for the data that the maps are made of, empty where nobody asks for it."""
         return self.ds.attrs.get("attribution", "")
+
+    @cached_property
+    def base_map(self) -> "gpd.GeoDataFrame | None":
+        """Streets, water, parks and names below the maps, to orient in; nothing is computed from it.
+
+        From the OpenStreetMap file or the sample city that the maps were made of, or from their folder; None without
+        one, or where it cannot be read (the log says so). Features in EPSG:4326, cut at the region: ``kind`` (``water``
+        and ``park``, polygons; ``path``, ``street``, ``major`` and ``rail``, lines; ``place``, points) and ``name``,
+        empty without one. ``attrs`` hold ``credit`` and ``licence``. Read when it is first looked at.
+        """
+        from jaxurban.io.read.base_map import read_base_map  # imported here: it brings the readers
+
+        if self.base is None:
+            return None
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # of a coast with a gap: a picture's ground, no more
+                frame = read_base_map(self.base, self.grid.crs, self.grid.bounds_m)
+        except Exception as error:  # whatever a damaged file raises: maps are whole without it
+            LOG.warning(f"no streets and names below the maps: {error}")
+            return None
+        return None if frame.empty else frame
 
     @property
     def identity(self) -> dict[str, str]:
@@ -316,6 +346,7 @@ class MetricMaps(Shown):
         """
         from jaxurban.io.files import sweep_scraps
         from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
+        from jaxurban.io.read.base_map import save_base_map
         from jaxurban.io.store import GEOTIFF_FOLDER, RUN_FILE, are_of_a_run, write_zarr
         from jaxurban.io.workspace import Workspace
         from jaxurban.metrics.variables import NEEDED
@@ -337,6 +368,7 @@ class MetricMaps(Shown):
                 workspace.settings.clear()
             write_zarr(ds, folder)
             write_geotiffs(ds, folder, layers=layers)
+            save_base_map(self.base_map, workspace)
             sweep_scraps(folder / GEOTIFF_FOLDER)  # of GDAL, from a run that was killed
             if not are_of_a_run(folder):
                 workspace.remove([RUN_FILE])
@@ -374,7 +406,8 @@ def open_maps(
             f"{str(lost[0])!r}{others} is missing or empty: the same `jaxurban maps` command writes it again",
             stacklevel=2,
         )
-    maps = MetricMaps(ds, obstacles)
+    base = Path(folder).resolve() / BASE_MAP_FILE
+    maps = MetricMaps(ds, obstacles, base if base.is_file() else None)
     return maps.with_recorded(settings) if (settings := settings_of(Path(folder))) else maps
 
 

@@ -21,6 +21,7 @@ from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.population import Population
 from jaxurban.progress import LOG
+from jaxurban.samples.catalogue import located
 from jaxurban.settings import NOMINAL, each
 from jaxurban.world.city import Blocks, City, Zoning
 from jaxurban.world.grid import Bounds, Grid
@@ -123,7 +124,7 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
         **{f"layer_{name}": layer.source for name, layer in scenario.layers.items()},
     }
     return {
-        role: {"path": name, "sha256": _sha256(scenario.path_of(name), role)}
+        role: {"path": name, "sha256": _sha256(located(scenario.path_of(name)), role)}
         for role, name in named.items()
         if name is not None
     }

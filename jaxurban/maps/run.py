@@ -20,6 +20,7 @@ from jaxurban.io import store
 from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, sweep_scraps
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
+from jaxurban.io.read.base_map import base_map_source, save_base_map
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import bands_of, check_has_data, rasterise
 from jaxurban.io.store import stored_key
@@ -35,6 +36,7 @@ from jaxurban.maps.task import MapTask, empty_dataset, with_series
 from jaxurban.maps.tiled import TileJob, Tiling
 from jaxurban.metrics.variables import TimeTotals
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
+from jaxurban.samples.catalogue import BASE_MAP_FILE
 from jaxurban.settings import NOMINAL, each
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
@@ -142,7 +144,8 @@ def run_scenario(
                 f"(jaxurban maps SCENARIO -o {_unused(folder)}), or pass --overwrite to replace them"
             )
         tasks = tasks_of(scenario, watch.stage)
-        planned = [folder / store.RUN_FILE]
+        base = base_map_source(tasks[0].city.sources.get("buildings"))
+        planned = [folder / store.RUN_FILE, *([] if base is None else [folder / BASE_MAP_FILE])]
         for task in tasks:
             planned += geotiff_paths(empty_dataset(task, _no_values), folder, layers)  # refuses what is not there
             planned += [store.zarr_path(folder, task.region.resolution_m) / name for name in store.OF_ZARR]
@@ -164,11 +167,17 @@ def run_scenario(
             tasks = [replace(task, guesses=guesses) for task in tasks]
             makers = [Maker(task, folder, key, num_threads, client, tuple(layers)) for task in tasks]
             made = [_maps_of(maker, workspace, watch, report) for maker in makers]
+            is_kept = not any(is_new for _, is_new in made)
+            file = folder / BASE_MAP_FILE
+            with watch.stage("base map"):
+                if base is None or not is_kept or workspace.broken([file]):
+                    save_base_map(replace(made[0][0], base=base).base_map, workspace)
             messages = [str(item.message) for item in caught]
             record = run_record(scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages, engine)
-            is_kept = not any(is_new for _, is_new in made)
             record = write_record(folder / store.RUN_FILE, record, is_kept)
-    return ScenarioRun({maps.grid.resolution_m: maps.with_recorded(record["settings"]) for maps, _ in made}, record)
+    kept_base = file.resolve() if file.is_file() else None
+    found = [replace(maps, base=kept_base).with_recorded(record["settings"]) for maps, _ in made]
+    return ScenarioRun({maps.grid.resolution_m: maps for maps in found}, record)
 
 
 def _unused(folder: Path) -> str:

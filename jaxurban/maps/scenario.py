@@ -32,7 +32,7 @@ from jaxurban.metrics.population import Population
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.registry import find_planner
-from jaxurban.samples.catalogue import filled, located
+from jaxurban.samples.catalogue import filled, is_sample
 from jaxurban.settings import Buildings, CostKind, Planning, Terrain, Vehicle, each, iso_utc
 from jaxurban.world.grid import check_bounds, projected_crs
 
@@ -235,8 +235,11 @@ class Scenario(Sections):
         return tomli_w.dumps(self.model_dump(exclude_none=True))
 
     def path_of(self, name: str | Path) -> Path:
-        """Return the path that a setting names, relative ones taken from the scenario's folder (`located`)."""
-        return located(name, self._folder)
+        """Return the path that a setting names, relative ones taken from the scenario's folder.
+
+        The names of files of sample cities stay as they are: `jaxurban.samples.catalogue.located` says where they lie.
+        """
+        return Path(name) if is_sample(name) else self._folder / name
 
     def _request_what_is_weighed(self) -> None:
         """Give the metrics made on request that have a weight above 0 and no section one of its defaults."""

@@ -34,6 +34,7 @@ from jaxurban.report.figures.frame import (
 from jaxurban.report.figures.paths import draw_ends
 from jaxurban.report.figures.style import Colours
 from jaxurban.report.write import save
+from jaxurban.samples.catalogue import located
 from jaxurban.studies.weights.buildings import building_costs
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
@@ -110,7 +111,7 @@ def scenario_of(folder: Path, scenario: Path | None = None) -> Scenario:
     folders = [path.resolve() for path in ((Path(), folder, folder.parent) if scenario is None else (scenario.parent,))]
     for each in folders:
         found = Scenario.from_dict(record["settings"], name=str(file), folder=each)
-        if not all(found.path_of(source["path"]).exists() for source in record["inputs"].values()):
+        if not all(located(found.path_of(source["path"])).exists() for source in record["inputs"].values()):
             continue
         for role, source in hash_inputs(found).items():
             if source["sha256"] != record["inputs"][role]["sha256"]:

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError, one_of, typed
+from jaxurban.io.read.base_map import base_map_source, land_cover_in
 from jaxurban.io.read.osm import OSM_SUFFIXES, read_land_cover
 from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, write_table
 from jaxurban.io.workspace import Workspace
@@ -24,6 +25,7 @@ from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.sensitivity_study import weights_said
 from jaxurban.report.write import Output, fill, listed, study_outputs
+from jaxurban.samples.catalogue import is_sample
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.analysis import complementarity
@@ -148,8 +150,8 @@ def study(
 def land_cover_of(scenario: Scenario) -> LandCover | None:
     """Return the water and the parks that the benchmark of a scenario tells apart, None where nothing tells them.
 
-    From ``[study] land_cover``; left out, from the buildings' source where that is an OSM file, or the synthetic
-    city's.
+    From ``[study] land_cover``; left out, from the buildings' source where that is an OSM file or a sample city, or the
+    synthetic city's.
 
     Raises:
       InputError: the file cannot be read, or is not an OSM file.
@@ -158,11 +160,14 @@ def land_cover_of(scenario: Scenario) -> LandCover | None:
     if named is None and scenario.is_synthetic:
         return demo_cover_for_bounds(region.bounds, region.crs)
     source = named or str(scenario.buildings.source)
+    grid = Grid.from_bounds(region.bounds, region.resolution_m[0], region.crs, region.resolution_m)
+    if is_sample(source):
+        base = base_map_source(source)
+        return None if base is None else land_cover_in(base, grid.crs, grid.bounds_m)
     if not source.lower().endswith(OSM_SUFFIXES):
         if named is not None:
             raise InputError(f"[study] land_cover must be an OpenStreetMap file (.osm.pbf or .osm), got {named!r}")
         return None
-    grid = Grid.from_bounds(region.bounds, region.resolution_m[0], region.crs, region.resolution_m)
     return read_land_cover(scenario.path_of(source), grid.crs, grid.bounds_m)
 
 

@@ -4,7 +4,7 @@ Such names stand where a setting takes the path of a file: they mean the same on
 """
 
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from jaxurban.errors import InputError, nearest_name
@@ -31,13 +31,18 @@ SAMPLES: dict[str, dict[str, dict[str, Any]]] = {  # what a scenario of each tak
 }
 
 
+def is_sample(name: Any) -> bool:
+    """Return whether a name is that of a file of a sample city, or of the city."""
+    return isinstance(name, str | Path) and str(name).startswith(PREFIX)
+
+
 def sample_name(source: Any) -> str | None:
     """Return the city that ``sample:CITY`` names, None for what is no such name.
 
     Raises:
       InputError: there is no such city.
     """
-    if not isinstance(source, str | Path) or not str(source).startswith(PREFIX):
+    if not is_sample(source):
         return None
     name = str(source).removeprefix(PREFIX)
     if "/" in name:
@@ -53,17 +58,17 @@ def check_sample(name: str) -> None:
         raise InputError(f"there is no sample city {name!r}{hint}")
 
 
-def located(name: str | Path, folder: Path = Path()) -> Path:
-    """Return the path of a file that is named: one of a sample city, or one relative to a folder.
+def located(name: str | Path) -> Path:
+    """Return the path of a file that is named, which may be one of a sample city; all readers open files so.
 
     ``sample:CITY`` alone is the city's file of buildings.
 
     Raises:
       InputError: no such sample city, or no such file of it.
     """
-    if not str(name).startswith(PREFIX):
-        return folder / name
-    city, _, file = str(name).removeprefix(PREFIX).partition("/")
+    if not is_sample(name):
+        return Path(name)
+    city, _, file = PurePath(name).as_posix().removeprefix(PREFIX).partition("/")
     check_sample(city)
     home = Path(__file__).parent / city
     files = sorted(path.name for path in home.iterdir())

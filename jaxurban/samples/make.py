@@ -16,10 +16,11 @@ import pandas as pd
 import shapely
 
 from jaxurban.io.geoparquet import write_geoparquet
+from jaxurban.io.read.base_map import read_base_map, write_base_map
 from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.osm import OSM_CREDIT, TAGS, header_box, read_osm
 from jaxurban.metrics.population import Population
-from jaxurban.samples.catalogue import BUILDINGS_FILE, SAMPLES
+from jaxurban.samples.catalogue import BASE_MAP_FILE, BUILDINGS_FILE, SAMPLES
 from jaxurban.world.grid import WGS84, Bounds, transformer, utm_crs
 
 HERE = Path(__file__).parent
@@ -52,6 +53,7 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     )
     crs = utm_crs((box[0] + box[2]) / 2, (box[1] + box[3]) / 2)
     box_m = transformer(WGS84, crs).transform_bounds(*box, densify_pts=101)
+    write_base_map(home / BASE_MAP_FILE, read_base_map(osm, crs, box_m))
     blocks, _ = read_blocks(census, crs, box_m)
     counts = {"GEOID10": blocks.block_id, "POP10": blocks.night_count.astype(np.int64)}
     frame = gpd.GeoDataFrame(counts, geometry=blocks.polygons, crs=crs).to_crs(WGS84)

@@ -215,10 +215,10 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     with readable(path, "OpenStreetMap data", remedy, RuntimeError):
         areas = TagFilter(*WATER, *PARK)
         for item in open_osm(path).with_areas(areas).with_filter(TagFilter(*WATER, *PARK, COAST)):
-            if isinstance(item, osmium.osm.Area) and item.num_rings()[0] and _has(item, WATER + PARK):
-                (water if _has(item, WATER) else parks).append(to_wkb.create_multipolygon(item))
-            elif isinstance(item, osmium.osm.Way) and _has(item, (COAST,)):
-                coast += _runs(item)
+            if isinstance(item, osmium.osm.Area) and item.num_rings()[0] and has_tag(item, WATER + PARK):
+                (water if has_tag(item, WATER) else parks).append(to_wkb.create_multipolygon(item))
+            elif isinstance(item, osmium.osm.Way) and has_tag(item, (COAST,)):
+                coast += runs_of(item)
     box = shapely.box(*bounds_m)
     project = transformer(WGS84, crs)
 
@@ -233,11 +233,12 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     return LandCover(water=shapely.union(joined(water), sea(list(projected(coast)), box)), park=joined(parks))
 
 
-def _has(item: osmium.osm.OSMObject, tags: tuple[tuple[str, str], ...]) -> bool:
+def has_tag(item: osmium.osm.OSMObject, tags: tuple[tuple[str, str], ...]) -> bool:
+    """Return whether an object has one of these keys with its value."""
     return any(item.tags.get(key) == value for key, value in tags)
 
 
-def _runs(way: osmium.osm.Way) -> list[shapely.LineString]:
+def runs_of(way: osmium.osm.Way) -> list[shapely.LineString]:
     """Return the segments of a way between nodes that the file lacks."""
     runs: list[list[tuple[float, float]]] = [[]]
     for node in way.nodes:

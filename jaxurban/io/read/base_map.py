@@ -1,0 +1,177 @@
+"""The base map: streets, rails, water, parks and names of places, which pictures show below maps to orient in.
+
+Nothing is computed from it. It is read from OpenStreetMap files, and from GeoParquet files that were written of it.
+"""
+
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import osmium
+import shapely
+from osmium.filter import KeyFilter, TagFilter
+
+from jaxurban.errors import readable
+from jaxurban.io.geoparquet import facts_of, write_geoparquet
+from jaxurban.io.read.osm import COAST, OSM_CREDIT, OSM_SUFFIXES, PARK, WATER, has_tag, open_osm, runs_of, sea
+from jaxurban.io.workspace import Workspace
+from jaxurban.samples.catalogue import BASE_MAP_FILE, is_sample, located
+from jaxurban.world.city import LandCover
+from jaxurban.world.grid import WGS84, Bounds, transformer
+
+KINDS = ("water", "park", "path", "street", "major", "rail", "place")  # in the order in which they are drawn
+CLASSES = {  # of the tag `highway`; "_link" counts as what it links
+    **dict.fromkeys(("motorway", "trunk", "primary", "secondary"), "major"),
+    **dict.fromkeys(("tertiary", "unclassified", "residential", "living_street", "pedestrian", "road"), "street"),
+    **dict.fromkeys(("service", "footway", "path", "cycleway", "steps", "track", "bridleway"), "path"),
+}
+BESIDE_STREETS = ("sidewalk", "crossing", "parking_aisle", "driveway", "drive-through")  # of `footway` and `service`
+RAILS = ("rail", "light_rail", "subway", "tram", "narrow_gauge", "monorail", "funicular")
+PLACES = (
+    *("city", "borough", "town", "suburb", "quarter", "neighbourhood", "village", "hamlet"),
+    *("island", "islet", "square"),
+)
+TOLERANCE_M = 1.0  # lines are simplified to it
+LEAST_M2 = 50.0  # smaller waters and parks are left out
+STEP_DEG = 1e-6  # of coordinates, about 0.1 m
+LICENCE = "ODbL-1.0"
+
+
+def base_map_source(buildings: str | Path | None) -> Path | None:
+    """Return the file that has the base map of a file of buildings, None where nothing has one."""
+    if buildings is None:
+        return None
+    if is_sample(buildings):
+        path = located(buildings).with_name(BASE_MAP_FILE)
+        return path if path.is_file() else None
+    return Path(buildings).resolve() if str(buildings).lower().endswith(OSM_SUFFIXES) else None
+
+
+def read_base_map(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
+    """Return what a file has of a base map within a box.
+
+    Streets and rails in tunnels are left out, and so are sidewalks, crossings and ways on parking grounds. Lines of one
+    kind and name are one feature.
+
+    Args:
+      path: ``.osm.pbf``, ``.osm``, or a GeoParquet file of `write_base_map`.
+      crs: projected CRS of the box, metres.
+      bounds_m: x_min, y_min, x_max, y_max of the box.
+
+    Returns:
+      Features in EPSG:4326 with ``kind`` (one of `KINDS`, in this order) and ``name`` (empty without one): polygons of
+      water and parks, lines, points of places. ``attrs`` hold ``credit`` and ``licence``.
+
+    Warns:
+      UserWarning: the lines of a coast have a gap (see `jaxurban.io.read.osm.sea`).
+
+    Raises:
+      InputError: the file cannot be read.
+    """
+    if str(path).lower().endswith(OSM_SUFFIXES):
+        frame = _from_osm(path, crs, bounds_m)
+        frame.attrs = {"credit": OSM_CREDIT, "licence": LICENCE}
+    else:
+        frame = _from_parquet(path, crs)
+    shapes = shapely.clip_by_rect(frame.geometry.to_numpy(), *bounds_m)
+    is_point = frame["kind"].to_numpy() == "place"
+    shapes[is_point & ~shapely.intersects(frame.geometry.to_numpy(), shapely.box(*bounds_m))] = shapely.Point()
+    frame = frame.set_geometry(gpd.GeoSeries(shapes, index=frame.index, crs=crs))
+    frame = frame[~frame.is_empty].to_crs(WGS84)
+    return frame.set_geometry(gpd.GeoSeries(shapely.transform(frame.geometry.to_numpy(), _rounded), frame.index, WGS84))
+
+
+def write_base_map(path: Path, frame: gpd.GeoDataFrame) -> None:
+    """Write a base map as GeoParquet that carries its credit and licence.
+
+    Raises:
+      InputError: the folder cannot be written to.
+    """
+    write_geoparquet(path, frame, frame.attrs)
+
+
+def save_base_map(frame: gpd.GeoDataFrame | None, workspace: Workspace) -> None:
+    """Write a base map into a folder of maps; without one, remove what this command wrote there before."""
+    if frame is None:
+        workspace.remove([BASE_MAP_FILE])
+    else:
+        write_base_map(workspace.folder / BASE_MAP_FILE, frame)
+
+
+def land_cover_in(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
+    """Return the water and the parks of a base map within a box; arguments and errors as of `read_base_map`."""
+    frame = read_base_map(path, crs, bounds_m).to_crs(crs)
+    shapes, kinds = shapely.make_valid(frame.geometry.to_numpy()), frame["kind"].to_numpy()
+    return LandCover(*(shapely.union_all(shapes[kinds == kind]) for kind in ("water", "park")))
+
+
+def _rounded(points: np.ndarray) -> np.ndarray:
+    return np.round(points / STEP_DEG) * STEP_DEG
+
+
+def _from_parquet(path: str | Path, crs: str) -> gpd.GeoDataFrame:
+    import pyarrow.parquet as pq
+
+    with readable(path, "a base map", "make the maps again, which writes it"):
+        frame = gpd.read_parquet(path)[["kind", "name", "geometry"]].to_crs(crs)
+        frame.attrs = facts_of(pq.read_schema(path).metadata)
+    return frame
+
+
+def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
+    """Return the features of an OSM file near a box in ``crs``, simplified."""
+    rows: list[tuple[str, str, str]] = []  # kind, name, and WKB in hexadecimal
+    coast: list[shapely.LineString] = []
+    to_wkb = osmium.geom.WKBFactory()
+    with readable(path, "OpenStreetMap data", "fetch it again", RuntimeError, osmium.InvalidLocationError):
+        areas = TagFilter(*WATER, *PARK)
+        for item in open_osm(path).with_areas(areas).with_filter(TagFilter(*WATER, *PARK, COAST)):
+            if isinstance(item, osmium.osm.Area) and item.num_rings()[0] and has_tag(item, WATER + PARK):
+                kind = "water" if has_tag(item, WATER) else "park"
+                rows.append((kind, item.tags.get("name") or "", to_wkb.create_multipolygon(item)))
+            elif isinstance(item, osmium.osm.Way) and has_tag(item, (COAST,)):
+                coast += runs_of(item)
+        for item in open_osm(path).with_filter(KeyFilter("highway", "railway", "place")):
+            kind, name = _kind_of(item), item.tags.get("name") or ""
+            if isinstance(item, osmium.osm.Node) and kind == "place" and name:
+                rows.append((kind, name, to_wkb.create_point(item)))
+            elif isinstance(item, osmium.osm.Way) and kind not in ("", "place"):
+                rows += [(kind, name, line.wkb_hex) for line in runs_of(item)]
+    project = transformer(WGS84, crs)
+
+    def projected(shapes: list) -> np.ndarray:
+        return shapely.transform(np.array(shapes, object), project.transform, interleaved=False)
+
+    kinds, names, shapes = (list(column) for column in zip(*rows, strict=True)) if rows else ([], [], [])
+    box = shapely.box(*bounds_m)
+    frame = gpd.GeoDataFrame(
+        {"kind": kinds, "name": names}, geometry=projected(list(shapely.from_wkb(shapes))), crs=crs
+    )
+    frame = frame[shapely.intersects(frame.geometry.to_numpy(), box)]
+    wet = sea(list(projected(coast)), box)
+    if not wet.is_empty:
+        frame.loc[len(kinds)] = ["water", "", wet]
+    frame = frame.dissolve(["kind", "name"], as_index=False)[["kind", "name", "geometry"]]
+    kind = frame["kind"].to_numpy()
+    is_area, is_line = np.isin(kind, ("water", "park")), ~np.isin(kind, ("water", "park", "place"))
+    shapes = frame.geometry.to_numpy().copy()
+    shapes[is_area] = shapely.make_valid(shapes[is_area])
+    shapes[is_line] = shapely.line_merge(shapes[is_line])
+    shapes = shapely.simplify(shapes, TOLERANCE_M)
+    shapes[is_area & (shapely.area(shapes) < LEAST_M2)] = shapely.Polygon()
+    order = np.argsort([KINDS.index(each) for each in kind], kind="stable")
+    return frame.set_geometry(gpd.GeoSeries(shapes, frame.index, crs)).iloc[order].reset_index(drop=True)
+
+
+def _kind_of(item: osmium.osm.OSMObject) -> str:
+    """Return the kind of a street, a rail or a place, empty for what is left out."""
+    tags = item.tags
+    if tags.get("place") in PLACES:
+        return "place"
+    if tags.get("tunnel", "no") not in ("no", "building_passage") or tags.get("area") == "yes":
+        return ""
+    if tags.get("railway") in RAILS:
+        return "" if "service" in tags else "rail"
+    if tags.get("footway") in BESIDE_STREETS or tags.get("service") in BESIDE_STREETS:
+        return ""
+    return CLASSES.get((tags.get("highway") or "").removesuffix("_link"), "")
