@@ -13,9 +13,10 @@
 #
 # **Which way would a drone fly through a city, and why not straight?**
 #
-# The city is synthetic: shaped like Manhattan, nothing to download. The ten lines build it, make its
-# maps on cells of 10 m, and plan from one end to the other at 20 m above ground, with three planners. Places are
-# longitude and latitude, as a map on the web tells them:
+# The city is Lower Manhattan: buildings of OpenStreetMap, the 2010 census and the GPS satellites of a day in 2020 come
+# with the package, so nothing is downloaded. The ten lines read it, make its maps on cells of 10 m, and plan from the
+# Battery to the East Village at 20 m above ground, with three planners. Places are longitude and latitude, as a map on
+# the web gives them. The first call on a machine compiles for about half a minute; later ones take seconds.
 #
 # - `ptp` (point to point) flies straight, and fails where a building stands in the way;
 # - `astar-dist` and `astar-plus` search for the path of least **cost**: 0.1 a metre flown, plus what each cell on
@@ -27,9 +28,9 @@
 import jaxurban as ju
 from jaxurban.report.figures import plot_overview, plot_paths, plot_profile
 
-city = ju.demo_city(width_m=2_000, height_m=3_000)
+city = ju.sample_city("lower-manhattan")
 maps = ju.build_maps(city, resolution_m=10.0)
-start, goal = (-73.9750, 40.7698), (-73.9670, 40.7877)  # longitude, latitude
+start, goal = (-74.0165, 40.7035), (-73.9900, 40.7290)  # longitude, latitude
 planners = ("ptp", "astar-dist", "astar-plus")
 paths = [ju.plan(maps, start, goal, altitude_m=20.0, planner=p, snap=True) for p in planners]
 for path in paths:
@@ -48,8 +49,8 @@ plot_overview(maps, paths)
 # %% [markdown]
 # ## The paths, closer
 #
-# The two A\* paths coincide where both are drawn: the wider line lies beneath the narrower one. The maps hold four
-# altitudes; here is the one that was asked for.
+# The two A\* paths cost the same, and where they coincide they are drawn side by side. The maps hold four altitudes;
+# here is the one that was asked for.
 
 # %%
 plot_paths(maps, paths)
@@ -72,9 +73,10 @@ plot_profile(paths[-1], maps, report)
 # - Other planners, and how they compare: notebook 3.
 # - What would change this route: buildings (notebook 4), weights (notebooks 5 and 6).
 # - A city of your own: notebook 7. A cost of your own: notebook 8. Many routes and cities: notebook 9.
+# - How fine the cells must be: notebook 10. Batches of maps under `jax.vmap`: notebook 11.
 
 # %% [markdown]
 # ## A question to try
 #
 # Which of the three paths changes if you fly at 60 m instead of 20 m? Set `altitude_m=60.0`, and look at the costs:
-# what became cheaper, and what dearer?
+# which layers cost less, and which cost more?

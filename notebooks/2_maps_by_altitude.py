@@ -13,25 +13,29 @@
 #
 # **What does a drone have to go by at 10 m, and what at 600 m?**
 #
-# Five maps, each a number between 0 and 1 for every cell of 10 m, at every altitude:
+# Lower Manhattan, from the data that come with the package. Five maps, each a number between 0 and 1 for every cell of
+# 10 m, at every altitude:
 #
 # | map | 1 means | 0 means |
 # |---|---|---|
 # | GPS | the best satellite geometry there is | fewer than four satellites in view, or hopeless geometry |
 # | lidar | a building returns the beam in every direction | nothing within the lidar's range of 100 m |
 # | population | as many people below as anywhere in the region | nobody |
-# | risk | no wall within 50 m | at a wall |
+# | risk, the distance to obstacles | no wall within 50 m | at a wall |
 # | obstacle | a building is here: nobody may fly | free |
+#
+# The first call on a machine compiles for about half a minute; later ones take seconds.
 
 # %%
 # %matplotlib inline
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas as pd
 
 import jaxurban as ju
 from jaxurban.report.figures import plot_gps_rating, plot_heights, plot_metric, plot_population, plot_sensor_choice
 
-city = ju.demo_city(width_m=2_000, height_m=3_000)
+city = ju.sample_city("lower-manhattan")
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(10, 20, 40, 60, 90, 122, 200, 600))
 shown = (20, 60, 122, 600)  # the paper's altitudes
 plot_heights(maps)
@@ -72,8 +76,8 @@ plot_sensor_choice(maps, altitudes_m=shown)
 # %% [markdown]
 # ## People: they do not change with altitude, but with the hour
 #
-# By day offices fill and homes empty: commercial districts (the south) hold three times as many people as at night, all
-# others half as many. Colours are logarithmic.
+# The census counts where people sleep. By day offices fill and homes empty: commercial districts are taken to hold
+# three times as many people as at night, all others half as many. Colours are logarithmic.
 
 # %%
 plot_population(maps)
@@ -87,7 +91,7 @@ plot_metric(maps, "risk", altitudes_m=shown)
 # %% [markdown]
 # ## All of it in one picture
 #
-# Over the rivers nothing changes with altitude. So look at the streets: the cells that are free at 10 m with a wall
+# Over the rivers little changes with altitude. So look at the streets: the cells that are free at 10 m with a wall
 # within 50 m. Straight up from there lidar fades as GPS and room grow. What the one lacks the other has: the paper's
 # main finding.
 
@@ -95,7 +99,7 @@ plot_metric(maps, "risk", altitudes_m=shown)
 is_street = maps.is_free(10.0, "centre") & (maps.m("risk", 10.0) < 1)
 means = pd.DataFrame(
     {
-        z: {name: maps.m(name, z)[is_street].mean() for name in ("gps", "lidar", "risk")}
+        z: {name: np.nanmean(maps.m(name, z)[is_street]) for name in ("gps", "lidar", "risk")}
         | {"GPS better than lidar": maps.prefers_gps(z)[is_street].mean()}
         for z in maps.altitudes_m
     }

@@ -86,8 +86,8 @@ plt.show()
 #
 # Raise some buildings by 4 m, one at a time, make the **exact** maps again, and weigh the same route on them. A
 # gradient is a promise about small changes, and the exact maps answer in jumps: expect the sign to agree, and the size
-# within a factor of a few. `inf` means that the roof now reaches the route, which no cost can pay for; planned anew,
-# the drone flies around it and is dearer by the last column.
+# within a factor of a few. `inf` means that the roof now reaches the route, which no cost can pay for; planned again,
+# the drone flies around it, and its route costs more by the last column.
 
 # %%
 STEP_M = 4.0
@@ -102,7 +102,7 @@ for row in table.iloc[[0, 1, 2, 6, 7, -2, -1]].itertuples():
         "height (m)": row.height_m,
         "gradient x 4 m": STEP_M * row.per_metre,
         "same route, exact maps": again.problem.cost_of(route.xy_m - corner_m) - route.cost,
-        "planned anew": again.plan(*ends, snap=True).cost - route.cost,
+        "planned again": again.plan(*ends, snap=True).cost - route.cost,
     }
 pd.DataFrame(rows).T.rename_axis("rank").round(3)
 
@@ -116,7 +116,7 @@ pd.DataFrame(rows).T.rename_axis("rank").round(3)
 
 # %%
 ROUNDS, ROOFS, METRES = 6, 20, 1.0
-changed, planned, told = city, route, []
+changed, planned, rounds = city, route, []
 for number in range(ROUNDS + 1):
     if number:
         again = ju.build_maps(changed, resolution_m=10.0, altitudes_m=(25.0,))
@@ -125,14 +125,16 @@ for number in range(ROUNDS + 1):
         slopes = ju.studies.building_costs(changed, ju.grad.soft_city(changed, maps.grid, params), planned, params)
     worst = slopes.reindex(slopes.per_metre.abs().sort_values(ascending=False).index).head(ROOFS)
     promised = METRES * worst.per_metre.abs().sum()
-    told.append({"soft cost": slopes.attrs["soft_cost"], "cost": planned.cost, "promised for the next round": promised})
+    rounds.append(
+        {"soft cost": slopes.attrs["soft_cost"], "cost": planned.cost, "promised for the next round": promised}
+    )
     height_m = changed.buildings.height_m.copy()
     height_m[worst.building] = np.maximum(height_m[worst.building] - METRES * np.sign(worst.per_metre), 1.0)
     changed = replace(changed, buildings=replace(changed.buildings, height_m=height_m))
-told = pd.DataFrame(told).rename_axis("rounds")
+rounds = pd.DataFrame(rounds).rename_axis("rounds")
 for kind in ("soft cost", "cost"):
-    told[f"saved of {kind} by the next"] = -told[kind].diff().shift(-1)
-told.round(2)
+    rounds[f"saved of {kind} by the next"] = -rounds[kind].diff().shift(-1)
+rounds.round(2)
 
 # %% [markdown]
 # The first route and the last one, over the first city's maps. The last is what the changed city makes cheapest.

@@ -15,7 +15,8 @@
 #
 # A route says what its pilot cares about: who flies around a crowd spends metres to spare people. Here the pilot is a
 # planner with weights of its own, so that the answer can be checked. In real work the routes come from a file
-# (`ju.fit.read_demonstrations`, or `jaxurban tune` on the command line: [tuning.md](../docs/tuning.md)).
+# (`ju.fit.read_demonstrations`, or `jaxurban tune` on the command line: [weights](../docs/guides/weights.md)). The
+# first call on a machine compiles for about half a minute.
 
 # %%
 # %matplotlib inline
@@ -26,8 +27,8 @@ from jaxurban.report.figures import plot_paths
 from jaxurban.report.figures.tuning import plot_routes, plot_weights
 from jaxurban.studies.demonstrations import optimal_demonstrations
 
-city = ju.demo_city(width_m=2_000, height_m=3_000)
-maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
+city = ju.sample_city("lower-manhattan")
+maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0,))
 own = ju.Weights(distance=0.05, gps=0.4, lidar=0.3, population=4.0, risk=1.0)
 pilot = ju.cost_map(maps, 20.0, weights=own)
 
@@ -66,7 +67,7 @@ plot_weights(fit)
 # ## How it was found
 #
 # Each round searches for routes under the weights so far, and moves these until the pilot's routes are as near to the
-# cheapest as they can be. *Regret* is by how much they are dearer than the cheapest route.
+# cheapest as they can be. *Regret* is by how much they exceed the cost of the cheapest route.
 
 # %%
 fit.curve[["round", "mean_regret", "worst_gap"]].tail()
@@ -91,15 +92,14 @@ for name, weights in (("default weights", ju.Weights()), ("fitted weights", fit.
         ends = ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)
         cost = pilot.problem.cost_of(weighted.plan(*ends).xy_m - corner_m)
         regret.append(100 * (cost / pilot.plan(*ends).cost - 1))
-    print(f"{name}: {np.mean(regret):.2f} % dearer than the pilot's routes on average, {max(regret):.2f} % at worst")
+    print(f"{name}: {np.mean(regret):.2f} % above the pilot's routes on average, {max(regret):.2f} % at worst")
 
 # %% [markdown]
 # One of them. The costs below are each in its own weights and cannot be compared.
 
 # %%
-x_m, y_m = maps.grid.x_m, maps.grid.y_m
-ends = {"start_xy_m": (x_m[32], y_m[18]), "goal_xy_m": (x_m[62], y_m[120]), "altitude_m": 20.0, "snap": True}
-two = [ju.plan(maps, **ends), ju.plan(maps, **ends, weights=fit.weights)]
+ends = (-74.0165, 40.7035), (-73.9817, 40.7265)  # longitude, latitude: the Battery, Tompkins Square
+two = [ju.plan(maps, *ends, altitude_m=20.0, snap=True, weights=each) for each in (None, fit.weights)]
 plot_paths(maps, two, names=["default weights", "fitted weights"])
 
 # %% [markdown]

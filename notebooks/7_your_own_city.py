@@ -23,7 +23,9 @@
 # | element sets of the GPS satellites | CelesTrak | the nominal constellation of 24 |
 #
 # `jaxurban fetch` downloads all four for a region and writes the settings beside them. This notebook makes no request:
-# it asks what **would** be requested, then writes tiny files of the same kinds by hand. Put your own in their place.
+# it asks what **would** be requested, then takes files of the same kinds that come with the package, of Lower
+# Manhattan, as if you had downloaded them. Put your own in their place. The first call on a machine compiles for about
+# half a minute.
 
 # %%
 # %matplotlib inline
@@ -34,11 +36,10 @@ from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
-import pandas as pd
-import shapely
 
 import jaxurban as ju
 from jaxurban.report.figures import plot_heights, plot_overview
+from jaxurban.samples.catalogue import located
 
 folder = Path(tempfile.mkdtemp(prefix="my-town-"))
 os.environ["XDG_CACHE_HOME"] = str(folder / "cache")  # so that nothing is kept elsewhere; leave this out at home
@@ -46,53 +47,37 @@ os.environ["XDG_CACHE_HOME"] = str(folder / "cache")  # so that nothing is kept 
 
 # %% [markdown]
 # In a terminal the command is `jaxurban fetch ...`; `%run -m` runs it inside the notebook. Without `--dry-run` it
-# fetches ([fetch.md](../docs/fetch.md) tells what and how politely).
+# fetches ([your own city](../docs/guides/own_city.md) lists what, and from where).
 #
 # ## Buildings
 #
 # Any vector file in longitude and latitude, or an OpenStreetMap extract. What counts is the tag `height` (metres) or
-# `building:levels`; a building with neither gets the default, and the maps say how many these are. Here: a town of 60 x
-# 45 m houses along streets, with one tower.
+# `building:levels`; a building with neither gets the default, and the maps say how many these are.
 
 # %%
-WEST, SOUTH, STEP_LON, STEP_LAT = 8.300, 47.050, 0.00120, 0.00080  # a block of about 91 x 89 m
-rng = np.random.default_rng(0)
-
-
-def box(row: float, col: float, rows: float, cols: float) -> shapely.Polygon:
-    """Return a box of so many blocks, its southwest corner so many blocks from the town's."""
-    x, y = WEST + col * STEP_LON, SOUTH + row * STEP_LAT
-    return shapely.box(x, y, x + cols * STEP_LON, y + rows * STEP_LAT)
-
-
-houses = []
-for row, col in np.ndindex(10, 10):
-    if row in (6, 7) and col in (2, 3):
-        continue  # a park
-    house = {"building": "yes", "height": None, "building:levels": None, "geometry": box(row, col, 0.5, 0.66)}
-    if (row + col) % 3 == 0:
-        house["building:levels"] = str(rng.integers(2, 8))
-    else:
-        house["height"] = "90" if (row, col) == (4, 6) else str(rng.integers(8, 35))
-    houses.append(house)
-gpd.GeoDataFrame(houses, crs="EPSG:4326").to_file(folder / "buildings.geojson")
-pd.DataFrame(houses).drop(columns="geometry").head(4)
+for name in ("buildings.parquet", "blocks.parquet", "districts.parquet", "gps.tle"):
+    shutil.copy(located(f"sample:lower-manhattan/{name}"), folder)
+buildings = gpd.read_parquet(folder / "buildings.parquet")
+buildings.drop(columns="geometry").sample(6, random_state=1)
 
 # %% [markdown]
 # ## People
 #
-# Blocks with an identifier, and a table with the same identifier and a count.
+# Blocks with an identifier and a count of people, in one file or in two that share the identifier; districts, so that
+# offices fill by day.
 
 # %%
-corners = list(np.ndindex(5, 5))
-blocks = gpd.GeoDataFrame(
-    {"block": [f"{row}{col}" for row, col in corners], "geometry": [box(2 * r, 2 * c, 2, 2) for r, c in corners]},
-    crs="EPSG:4326",
-)
-blocks.to_file(folder / "blocks.geojson")
-pd.DataFrame({"block": blocks["block"], "population": rng.integers(0, 400, len(blocks))}).to_csv(
-    folder / "people.csv", index=False
-)
+blocks, districts = gpd.read_parquet(folder / "blocks.parquet"), gpd.read_parquet(folder / "districts.parquet")
+print(f"{len(blocks):,} blocks, {len(districts)} districts")
+blocks.drop(columns="geometry").head(3)
+
+# %% [markdown]
+# ## Satellites
+#
+# Two lines for each satellite, of the day that you fly or near it. Files older than 90 days are refused.
+
+# %%
+print(*(folder / "gps.tle").read_text().splitlines()[:3], sep="\n")
 
 # %% [markdown]
 # ## Settings
@@ -101,18 +86,19 @@ pd.DataFrame({"block": blocks["block"], "population": rng.integers(0, 400, len(b
 # error that names the right one.
 
 # %%
-_, _, east, north = box(0, 0, 9.5, 9.66).bounds  # as far as the houses go
-(folder / "scenario.toml").write_text(f"""
+(folder / "scenario.toml").write_text("""
 [region]
-bounds = [{WEST}, {SOUTH}, {east:.6f}, {north:.6f}]   # west, south, east, north, degrees
-resolution_m = 5.0
+bounds = [-74.02, 40.70, -73.99, 40.72]   # west, south, east, north, degrees
+resolution_m = 10.0
 altitudes_m = [20, 60]
 [buildings]
-source = "buildings.geojson"
+source = "buildings.parquet"
 [population]
-blocks = "blocks.geojson"
-block_field = "block"
-table = "people.csv"
+blocks = "blocks.parquet"
+districts = "districts.parquet"
+[gps]
+orbits = "gps.tle"
+times = ["2020-04-27T16:00:00Z"]
 """)
 scenario = ju.Scenario.from_toml(folder / "scenario.toml")
 misspelt = {"region": {"bounds": scenario.region.bounds, "altitude": [20]}, "buildings": {"source": "x"}}
@@ -135,16 +121,17 @@ maps = ju.open_maps(folder / "out")
 plot_heights(maps)
 
 # %% [markdown]
-# The same in Python, without any folder: `ju.City.from_files`, then `ju.build_maps`. Where heights came from tells how
+# The same in Python, without any folder: `ju.City.from_files`, then `ju.build_maps`. Where heights came from says how
 # far to trust the maps.
 
 # %%
 city = ju.City.from_files(
-    folder / "buildings.geojson",
+    folder / "buildings.parquet",
     bounds=scenario.region.bounds,
-    population=ju.Population(blocks=folder / "blocks.geojson", table=folder / "people.csv", block_field="block"),
+    population=ju.Population(blocks=folder / "blocks.parquet", districts=folder / "districts.parquet"),
 )
-again = ju.build_maps(city, scenario.region.bounds, resolution_m=5.0, altitudes_m=(20.0, 60.0))
+gps = ju.Gps(orbits=folder / "gps.tle", times=scenario.gps.times)
+again = ju.build_maps(city, scenario.region.bounds, resolution_m=10.0, altitudes_m=(20.0, 60.0), gps=gps)
 print(f"the same maps: {np.array_equal(again.m('gps', 20.0), maps.m('gps', 20.0), equal_nan=True)}")
 city.buildings.origin_counts()
 
@@ -155,8 +142,8 @@ city.buildings.origin_counts()
 # longitude, latitude.
 
 # %%
-start, goal = (WEST + 0.00090, SOUTH + 0.00060), (east - 0.00029, north - 0.00043)
-route = ju.plan(maps, start, goal, altitude_m=20.0)
+start, goal = (-74.0165, 40.7035), (-73.9950, 40.7150)
+route = ju.plan(maps, start, goal, altitude_m=20.0, snap=True)
 print(f"{route.status.value}: {route.length_m:,.0f} m, cost {route.cost:.1f}")
 plot_overview(maps, route)
 
@@ -171,7 +158,7 @@ ju.view(maps)
 
 # %%
 ends = f"--start={start[0]:.5f},{start[1]:.5f} --goal={goal[0]:.5f},{goal[1]:.5f}"
-# %run -m jaxurban plan {folder}/out {ends} --altitude 20 -o {folder}/route.geojson
+# %run -m jaxurban plan {folder}/out {ends} --altitude 20 --snap -o {folder}/route.geojson
 print((folder / "route.geojson").stat().st_size, "bytes")
 
 # %% [markdown]

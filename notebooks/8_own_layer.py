@@ -15,8 +15,9 @@
 #
 # GPS, lidar, people and walls are not all that a flight costs. Anything with a value at each place can be weighed
 # beside them: here the gusts between buildings, made by a function of the surface, and the complaints of residents
-# about noise, an array. Both are made up; yours may come from a raster file (see *Add a cost layer of your own* in the
-# docs).
+# about noise, an array. Both are made up, and the city is Lower Manhattan; yours may come from
+# a raster file ([own layers](../docs/guides/own_layer.md)). The first call on a machine compiles for about half a
+# minute.
 
 # %%
 # %matplotlib inline
@@ -27,10 +28,10 @@ import jaxurban as ju
 from jaxurban.report.figures import plot_metric, plot_paths
 from jaxurban.report.figures.sensitivity import plot_breakpoint_routes
 
-city = ju.demo_city(width_m=2_000, height_m=3_000)
+city = ju.sample_city("lower-manhattan")
 how = {"resolution_m": 10.0, "altitudes_m": (20.0, 60.0)}
 plain = ju.build_maps(city, **how)
-start, goal = (-73.9750, 40.7698), (-73.9670, 40.7877)  # longitude, latitude
+start, goal = (-74.0165, 40.7035), (-73.9817, 40.7265)  # longitude, latitude: the Battery, Tompkins Square
 
 # %% [markdown]
 # ## From an array
@@ -92,7 +93,7 @@ plot_paths(maps, list(routes.values()), names=list(routes))
 # %% [markdown]
 # ## How much may the weight be off?
 #
-# One's own layers take part in every study. Each route that the weight of `complaints` can lead to, from a tenth of 3
+# Own layers take part in every study. Each route that the weight of `complaints` can lead to, from a tenth of 3
 # to ten times 3:
 
 # %%

@@ -11,13 +11,14 @@
 # %% [markdown]
 # # 9. Many routes, several cities
 #
-# **Which weights matter, and can three cities tell?**
+# **Which weights matter, and do two cities agree?**
 #
 # One route on one map (notebook 6) is an anecdote. A paper needs many routes, altitudes and cities, and intervals that
 # say how much of the answer is chance. `ju.studies.sensitivity_study` draws routes by stratum and range and asks every
 # one of them the same questions.
 #
-# Three synthetic cities stand for three of yours: a folder of maps for each would do as well.
+# The cities are those of the package, Lower Manhattan and Shinjuku in Tokyo; folders of maps of your own would do as
+# well. The first call on a machine compiles for about half a minute.
 
 # %%
 # %matplotlib inline
@@ -30,11 +31,9 @@ import pandas as pd
 import jaxurban as ju
 from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_regret
 
-sizes = {"narrow": (900, 1_800), "square": (1_400, 1_400), "small": (800, 1_000)}
-cities = {name: ju.demo_city(*size, seed=number) for number, (name, size) in enumerate(sizes.items())}
 maps = {
-    name: ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0, 60.0), progress=False)
-    for name, city in cities.items()
+    name: ju.build_maps(ju.sample_city(name), resolution_m=10.0, altitudes_m=(20.0, 60.0), progress=False)
+    for name in ("lower-manhattan", "shinjuku")
 }
 folder = Path(tempfile.mkdtemp())
 pd.set_option("display.max_colwidth", None, "display.max_rows", 100)

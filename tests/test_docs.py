@@ -30,7 +30,7 @@ from tests.cli_runs import run
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "notebooks"
-NOTEBOOKS = sorted(FOLDER.glob("[0-9]*.py"))
+NOTEBOOKS = sorted(FOLDER.glob("[0-9]*.py"), key=lambda path: int(path.name.split("_")[0]))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^( *)```([\w-]*)[^\n]*\n(.*?)^\1```[ \t]*$", re.MULTILINE | re.DOTALL)
 IS_LONG = re.compile(  # a page that is marked slow
@@ -214,7 +214,7 @@ def test_the_python_page_names_every_public_name():
 
 
 def test_notebooks_are_numbered_and_listed_in_their_order():
-    assert [int(path.name.split("_")[0]) for path in NOTEBOOKS] == list(range(1, 10))
+    assert [int(path.name.split("_")[0]) for path in NOTEBOOKS] == list(range(1, 12))
     assert re.findall(r"\((\d\w+\.py)\)", (FOLDER / "README.md").read_text()) == [path.name for path in NOTEBOOKS]
     assert not list(FOLDER.glob("*.ipynb"))
 
@@ -224,7 +224,7 @@ def test_a_notebook_is_paired_text_and_asks_one_question_first(path):
     notebook = jupytext.read(path)
     assert notebook.metadata["jupytext"]["formats"] == "ipynb,py:percent"
     title, question = (line for line in notebook.cells[0].source.splitlines()[:3] if line)
-    assert title.startswith(f"# {path.name[0]}. ")
+    assert title.startswith(f"# {path.name.split('_')[0]}. ")
     assert re.fullmatch(r"\*\*.+\?\*\*", question)
     assert question.strip("*") in (FOLDER / "README.md").read_text()
     asked = [cell.source for cell in notebook.cells if cell.source.startswith("## A question to try\n")]
