@@ -1,7 +1,7 @@
 """Settings that are no metric's own: frozen classes, most of them a section of a scenario, with defaults and checks.
 
 The same objects are arguments of the functions of Python. A metric's section is beside the metric. What routes are
-planned under where the caller leaves it out is here too; docs/mathematics.md lists every departure from the paper.
+planned under where the caller leaves it out is here too; docs/model/departures.md lists every departure from the paper.
 """
 
 from collections.abc import Iterable, Mapping

@@ -37,7 +37,7 @@ FRONTIER_HEURISTICS = (None, AUTO, "octile")
 SAMPLING_PLANNERS = ("bitstar-dist", "bitstar-plus")  # whose batches `solve_batched` searches in bulk
 FEW_TO_ONE_GOAL = 8  # queries to one goal from which the costs to it are computed for the whole map
 # Others on one map and weights beyond which landmarks are made. On Lower Manhattan making them costs what some 50
-# queries save (docs/heuristics.md).
+# queries save (docs/algorithms/search.md).
 FEW_QUERIES = 16
 # Of one field, cautious: 7e6 on half a million cells, less where the map outgrows the cache.
 NODES_PER_S = 3e6

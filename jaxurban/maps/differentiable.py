@@ -141,7 +141,7 @@ class SoftCity:
     ) -> Float[Array, "L y x"] | Float[Array, "L P"]:
         """Return the soft cost layers c_j, not weighted, on the region ``[L, y, x]`` or at chosen cells ``[L, P]``.
 
-        Differentiable in ``height_m`` and every leaf of ``params``, as each metric's page in docs/gradients says. Runs
+        Differentiable in ``height_m`` and every leaf of ``params``, as docs/algorithms/gradients.md says. Runs
         under `jax.jit` and `jax.vmap`, with no new program for other values. Where nobody may fly is left out:
         obstacles are a constraint of the planner, not a cost.
 

@@ -61,7 +61,7 @@ def soft_gps(
     Differentiable in ``surface.roof_m`` (and terrain), ``altitude_m``, ``threshold`` and ``softness_m``,
     all of which may be traced; batch by `jax.vmap`. The gradient by roofs and altitude is exact for the soft map while
     the same tops throw the shadows; undefined where two of them tie and where GDOP is just T; 0 in obstacles, where
-    GDOP is above T, and in roofs that throw no shadow. By T it is exact, 0 above. Docs: gradients/gps.md.
+    GDOP is above T, and in roofs that throw no shadow. By T it is exact, 0 above. Docs: algorithms/gradients.md.
 
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.

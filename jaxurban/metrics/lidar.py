@@ -218,7 +218,7 @@ def soft_lidar(
     ``params.range_m`` and ``softness_m``, all of which may be traced; batch by `jax.vmap`. The gradient is 0 in roofs
     where there is no building, and where a roof is not the one that decided a scan position. In the range it is
     spread over a softness around the steps' borders: a softness of about a cell makes it smooth.
-    Docs: gradients/lidar.md.
+    Docs: algorithms/gradients.md.
 
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.

@@ -320,7 +320,7 @@ def soft_population(
 
     Differentiable in both gammas and in ``population.night_count`` and ``area_m2``; batch by `jax.vmap`. The gradient
     is exact: it holds the norm's own change with the block (or two, of a percentile) that sets it, and 0 above a norm.
-    Undefined where two blocks tie for the norm or a block lies just at it. Docs: gradients/population.md.
+    Undefined where two blocks tie for the norm or a block lies just at it. Docs: algorithms/gradients.md.
 
     Args:
       block: index of the block under each cell, -1 without one.

@@ -156,7 +156,7 @@ def soft_risk(
     Differentiable in ``surface.roof_m``, ``altitude_m``, ``params.threshold_m`` and ``softness_m`` (and in the terrain,
     under ``solid``), all of which may be traced; batch by `jax.vmap`. The gradient is that of the nearest cell: exact
     where one is nearest, one of them where several tie; 0 in roofs above the altitude, where m is 0 and where it is 1.
-    Docs: gradients/risk.md.
+    Docs: algorithms/gradients.md.
 
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.

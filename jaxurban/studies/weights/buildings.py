@@ -57,7 +57,7 @@ def building_costs(
 
     The route stays where it is: for an optimal route this is also the gradient of the optimal cost, as long as no other
     route becomes cheaper; for any other planner's route it is the gradient of that route's cost. Costs are those of the
-    soft maps (see docs/gradients/path_cost.md), whose softness says how many metres of clearance count: the exact cost
+    soft maps (see docs/algorithms/gradients.md), whose softness says how many metres of clearance count: the exact cost
     changes by jumps, when a shadow's edge or a lidar beam passes a cell of the route.
 
     Only buildings with any effect are listed; a negative one means that more height helps (walls are landmarks for the
