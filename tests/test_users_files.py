@@ -232,7 +232,6 @@ def test_an_empty_name_is_not_the_current_folder(tmp_path, command, monkeypatch,
 @pytest.mark.slow
 def test_the_demo_replaces_no_file_of_the_users_and_writes_maps_routes_and_figures(tmp_path, monkeypatch, capsys):
     demo = importlib.import_module("jaxurban.cli.demo")
-    monkeypatch.setattr(demo, "BOUNDS", (-74.0, 40.755, -73.993, 40.761))
     monkeypatch.setattr(demo, "RESOLUTION_M", 20.0)
     monkeypatch.setattr(demo, "BUDGET_S", 0.1)
     for name in ("scenario.toml", "paths/paths.csv"):

@@ -23,5 +23,6 @@ maps = jaxurban.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
 x_m, y_m = maps.grid.x_m, maps.grid.y_m
 path = jaxurban.plan(maps, start_xy_m=(x_m[0], y_m[0]), goal_xy_m=(x_m[-1], y_m[-1]), altitude_m=20.0, snap=True)
 assert path.status.has_path, path.status
+assert len(jaxurban.sample_city("shinjuku").buildings) > 50_000
 print("the wheel works from an empty folder")
 PY

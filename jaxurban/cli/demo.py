@@ -1,4 +1,4 @@
-"""jaxurban demo: maps of the synthetic city, paths over them and pictures, for a reader new to them."""
+"""jaxurban demo: maps of Lower Manhattan, paths over them and pictures, for a reader new to them."""
 
 from pathlib import Path
 
@@ -7,9 +7,12 @@ import click
 from jaxurban.cli.common import DEVICE, JSON_FLAG, PATH, print_json
 from jaxurban.progress import LOG, reporting
 
-BOUNDS = (-74.0, 40.755, -73.955, 40.80)  # about 3.8 x 5 km: the synthetic city scales itself to the box
+CITY = "sample:lower-manhattan"
 RESOLUTION_M = 5.0
-ENDS = (0.30, 0.12), (0.62, 0.80)  # of the paths, shares of the region's width and height from its southwest corner
+ENDS = (-74.0172, 40.7130), (-73.9815, 40.7265)  # of the paths, degrees: Battery Park City, East Village
+    (-74.0162, 40.7035),
+    (-73.9815, 40.7265),
+)  # of the paths, degrees: the Battery, Tompkins Square in the East Village
 BUDGET_S = 2.0  # what the sampling planners use up; the others need less
 SNAP_M = 500.0  # the ends may lie in a building
 DAY_UP_TO_M = 60.0  # night above, as in the paper's figures
@@ -23,7 +26,7 @@ COLUMNS = "altitude_m", "settings.time_of_day", "planner", "status", "cost", "le
 @DEVICE
 @JSON_FLAG
 def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
-    """Make maps of the synthetic city, the paths of every planner across it, and pictures."""
+    """Make maps of Lower Manhattan, the paths of every planner across it, and pictures; no file is needed."""
     import pandas as pd
 
     from jaxurban.io.store import RUN_FILE
@@ -34,19 +37,17 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
     from jaxurban.report.figures import save_figures
     from jaxurban.report.write import save
 
-    region = {"bounds": BOUNDS, "resolution_m": RESOLUTION_M}
-    scenario = Scenario.from_dict({"region": region, "buildings": {"source": "synthetic"}})
+    scenario = Scenario.from_dict({"region": {"resolution_m": RESOLUTION_M}, "buildings": {"source": CITY}})
     Workspace.check(folder, "demo", (SCENARIO_FILE, TABLE_FILE), is_shared=True)
     with reporting("demo") as report:
         maps = run_scenario(scenario, folder, progress=report, overwrite=overwrite).maps[RESOLUTION_M]
         report("paths")
-        x_min_m, y_min_m, x_max_m, y_max_m = maps.grid.bounds_m
-        start, goal = ((x_min_m + x * (x_max_m - x_min_m), y_min_m + y * (y_max_m - y_min_m)) for x, y in ENDS)
+        start, goal = ENDS
         paths = [
             plan(
                 maps,
-                start_xy_m=start,
-                goal_xy_m=goal,
+                start=start,
+                goal=goal,
                 altitude_m=altitude_m,
                 planner=planner,
                 time_of_day="day" if altitude_m <= DAY_UP_TO_M else "night",

@@ -202,12 +202,14 @@ class Scenario(Sections):
         """Return the scenario in a TOML file; relative paths in it are relative to the file.
 
         Args:
-          path: of the file.
+          path: of the file; or the name of a sample city, as ``sample:shinjuku``, for its own settings.
           changes: of its settings, as ``"gps.mask_deg=10"``: a dotted key and a value as TOML writes it.
 
         Raises:
           InputError: no such file, not TOML, an unknown key (names near ones) or a bad value.
         """
+        if is_sample(path):
+            return cls.from_dict(changed({"buildings": {"source": str(path)}}, changes), name=str(path))
         path = Path(path)
         with readable(path, "a scenario in TOML", "give sections and their keys"):  # also tables in tables without end
             settings = changed(tomllib.loads(path.read_text(encoding="utf-8")), changes)

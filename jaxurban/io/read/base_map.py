@@ -132,6 +132,8 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
             elif isinstance(item, osmium.osm.Way) and has_tag(item, (COAST,)):
                 coast += runs_of(item)
         for item in open_osm(path).with_filter(KeyFilter("highway", "railway", "place")):
+            if not isinstance(item, osmium.osm.Node | osmium.osm.Way):
+                continue
             kind, name = _kind_of(item), item.tags.get("name") or ""
             if isinstance(item, osmium.osm.Node) and kind == "place" and name:
                 rows.append((kind, name, to_wkb.create_point(item)))
