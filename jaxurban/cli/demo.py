@@ -10,9 +10,6 @@ from jaxurban.progress import LOG, reporting
 CITY = "sample:lower-manhattan"
 RESOLUTION_M = 5.0
 ENDS = (-74.0172, 40.7130), (-73.9815, 40.7265)  # of the paths, degrees: Battery Park City, East Village
-    (-74.0162, 40.7035),
-    (-73.9815, 40.7265),
-)  # of the paths, degrees: the Battery, Tompkins Square in the East Village
 BUDGET_S = 2.0  # what the sampling planners use up; the others need less
 SNAP_M = 500.0  # the ends may lie in a building
 DAY_UP_TO_M = 60.0  # night above, as in the paper's figures
