@@ -213,6 +213,12 @@ def test_the_python_page_names_every_public_name():
     assert sorted(re.findall(r"`([\w.]+)`", "\n".join(table))) == sorted({*names} - {*spaces})
 
 
+def test_the_page_of_commands_names_every_command():
+    page = (ROOT / "docs/reference/commands.md").read_text(encoding="utf-8")
+    table = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    assert set(re.findall(r"`([a-z-]+)`", "\n".join(table))) == app.commands.keys()
+
+
 def test_notebooks_are_numbered_and_listed_in_their_order():
     assert [int(path.name.split("_")[0]) for path in NOTEBOOKS] == list(range(1, 12))
     assert re.findall(r"\((\d\w+\.py)\)", (FOLDER / "README.md").read_text()) == [path.name for path in NOTEBOOKS]
