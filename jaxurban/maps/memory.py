@@ -24,7 +24,7 @@ DEFAULT_SHARE = 0.5  # of the memory that is free when a run begins
 LEAST_SIDE = 64  # of a tile, in cells
 SERIES_BYTES = 384 * 2**20  # a tile's metric at every time of a long series takes at most this
 
-# Measured (see docs/scale.md) and rounded up; what each metric takes of a cell is in its `Metric`.
+# Measured (docs/evidence/benchmarks.md) and rounded up; what each metric takes of a cell is in its `Metric`.
 COMPILING_BYTES = 320 * 2**20  # what compiling takes beside the libraries, which this process holds already
 SURFACE_CELL_BYTES = 20  # rasters on the host and for JAX while they are put together, or crops of them for the lidar
 TERRAIN_CELL_BYTES = 16  # the same of the terrain; and where slabs hang, of roofs as an altitude meets them
@@ -41,7 +41,7 @@ PROGRAM_BYTES = 80 * 2**20  # the programs compiled for the tiles of one resolut
 WORKER_BYTES = 700 * 2**20  # a worker process with everything imported, before its first tile
 CGROUP = Path("/sys/fs/cgroup")  # what a container may use, under Linux
 WORK_CELL_BYTES = 8  # on the disk, of a cell of the region: both its roofs, until maps are whole
-LEAST_SHARE = 0.02  # on the disk, of the maps' values, as compressed as any city's were (docs/scale.md)
+LEAST_SHARE = 0.02  # on the disk, of the maps' values, as compressed as any city's were
 MOST_UNITS = 1e12  # of memory, in any unit
 
 

@@ -3,7 +3,8 @@
 Plain percentiles of few groups are too narrow: of 8 normal values they contain the mean in 88 % of the cases. Here
 n - 1 of n groups are drawn, so that draws scatter as n groups do (Rao and Wu, J. Am. Stat. Assoc. 83, 1988), and ends
 are taken as far out as Student's t is wider than the normal law (Hesterberg, Am. Stat. 69, 2015), and sqrt(n / (n - 1))
-more, for medians and for groups of unequal sizes. Coverage in simulations with a known truth: docs/study.md.
+more, for medians and for groups of unequal sizes. Coverage in simulations with a known truth:
+docs/studies/montecarlo.md.
 """
 
 from collections.abc import Sequence
