@@ -1,4 +1,4 @@
-"""How far the maps are from exact geometry: prints the tables of docs/error_table.md and docs/error_by_city.md.
+"""How far the maps are from exact geometry: prints the tables of docs/evidence/accuracy.md.
 
 ``python -m benchmarks.error_table`` goes by metric, altitude and resolution; with ``--by-city`` over every city at one
 resolution. Exact geometry is the outlines extruded to their roofs: Embree rays for GPS and lidar, Shapely distances

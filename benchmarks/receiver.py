@@ -1,4 +1,4 @@
-"""Maps of Tokyo beside receivers that were driven through it on three tracks; writes docs/validation_receiver.md.
+"""Maps of Tokyo beside receivers that were driven through it on three tracks; writes docs/evidence/receiver.md.
 
 Run as ``python -m benchmarks.receiver``. Maps of each track are those that the defaults give for such a log. Those of
 the first are made once more for every change of the model in `CHANGES`; each change is reported with the paired
@@ -27,7 +27,7 @@ from benchmarks.common import ROOT
 from jaxurban.errors import StaleElementsWarning
 from jaxurban.io.read.receiver import ERROR, TRACKED
 from jaxurban.maps.scenario import changed
-from jaxurban.report.receiver import name_of, score_table, with_interval
+from jaxurban.report.receiver import name_of, with_interval
 from jaxurban.report.write import table
 from jaxurban.studies.bootstrap import Interval
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE
@@ -41,7 +41,7 @@ from jaxurban.studies.receiver.validate import (
     spearman,
 )
 
-PAGE, TEMPLATE = ROOT / "docs" / "validation_receiver.md", Path(__file__).with_name("receiver_page.md")
+PAGE, TEMPLATE = ROOT / "docs" / "evidence" / "receiver.md", Path(__file__).with_name("receiver_page.md")
 DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT / ".." / "shared" / "data")).resolve() / "tokyo"
 LOG, BUILDINGS = DATA / "urbannav_shinjuku_1hz.csv", DATA / "tokyo-central-lod2.parquet"
 GPS, GALILEO = DATA / "gps_2018-12-19.tle", DATA / "galileo_2018-12-19.tle"
@@ -137,14 +137,10 @@ def page(tracks: Mapping[str, ReceiverValidation], others: Sequence[tuple[Change
       others: changes of the model, with the validation of the first track under each.
     """
     first = next(iter(tracks.values()))
-    scores = first.scores[first.scores.witness == TRACKED]
-    is_main = scores.prediction == NUM_VISIBLE
     return TEMPLATE.read_text(encoding="utf-8").format(
         tracks=tracks_table(tracks),
         tracked=f"{first.summary[f'mean_{TRACKED}']:.1f}",
         seen=f"{first.summary['mean_num_visible']:.1f}",
-        scores=score_table(scores[is_main]),
-        others=score_table(scores[~is_main]),
         error="; ".join(_of_error(first, name) for name in ("hdop", NUM_VISIBLE)),
         changes=changes_table(first, others),
         block=f"{first.settings.block_m:g}",
@@ -160,13 +156,9 @@ def tracks_table(tracks: Mapping[str, ReceiverValidation]) -> str:
         starts = within_by_start(validation)
         length = f"{validation.summary['length_m'] / 1000:.1f} km"
         of_within = with_interval(row, WITHIN), f"{min(starts):.2f} to {max(starts):.2f}"
-        controls = [
-            (f"{row[f'{each}_shifts_95']:.2f}", f"{largest_shifted(validation, each):.2f}", f"{row[f'{each}_p']:.3f}")
-            for each in COEFFICIENTS
-        ]
-        rows.append((name, length, row["num"], *of_within, *controls[0], with_interval(row, SPEARMAN), *controls[1]))
-    of_each = "95 % of shifts below", "largest", "p"
-    head = ("track", "length", "pieces", "within blocks", "blocks begun elsewhere", *of_each, "whole track", *of_each)
+        shifts = [f"{row[f'{each}_p']:.3f}" for each in COEFFICIENTS]
+        rows.append((name, length, row["num"], *of_within, shifts[0], with_interval(row, SPEARMAN), shifts[1]))
+    head = ("track", "length", "pieces", "within blocks", "blocks begun elsewhere", "p", "whole track", "p")
     return table(head, rows)
 
 
@@ -179,13 +171,6 @@ def within_by_start(validation: ReceiverValidation) -> list[float]:
     return [spearman(receiver, maps, (along_m + start_m) // settings.block_m) for start_m in starts_m]
 
 
-def largest_shifted(validation: ReceiverValidation, coefficient: str) -> float:
-    """Return the largest coefficient at shifts of a block or more."""
-    settings, shifts = validation.settings, validation.shifts
-    is_far = (shifts["shift"].abs() * settings.piece_m >= settings.block_m) & (shifts.piece_m == settings.piece_m)
-    return float(shifts[is_far & (shifts.witness == TRACKED)][coefficient].max())
-
-
 def _row(validation: ReceiverValidation, witness: str, prediction: str) -> dict[Any, Any]:
     scores = validation.scores
     is_row = (scores.witness == witness) & (scores.prediction == prediction)
@@ -196,9 +181,7 @@ def _row(validation: ReceiverValidation, witness: str, prediction: str) -> dict[
 def _of_error(validation: ReceiverValidation, prediction: str) -> str:
     """Return what a quantity of the maps scores against the error, and what shifts do."""
     row = _row(validation, ERROR, prediction)
-    return (
-        f"{with_interval(row, WITHIN)} for {name_of(prediction)} (95 % of shifts below {row['within_shifts_95']:.2f})"
-    )
+    return f"{with_interval(row, WITHIN)} for {name_of(prediction)}"
 
 
 def changes_table(first: ReceiverValidation, others: Sequence[tuple[Change, ReceiverValidation]]) -> str:
@@ -207,13 +190,13 @@ def changes_table(first: ReceiverValidation, others: Sequence[tuple[Change, Rece
     for change, validation in others:
         difference = paired(first, validation, predictions=(None, change.prediction))
         rows.append((change.name, *_cells(validation, change.prediction), _difference(difference)))
-    return table(("maps", "in view", "within blocks", "95 % of shifts below", "whole track", "difference within"), rows)
+    return table(("maps", "in view", "within blocks", "difference within"), rows)
 
 
 def _cells(validation: ReceiverValidation, prediction: str) -> tuple[str, ...]:
     row = _row(validation, TRACKED, prediction)
     seen = f"{validation.summary['mean_num_visible']:.1f}"
-    return seen, with_interval(row, WITHIN), f"{row['within_shifts_95']:.2f}", with_interval(row, SPEARMAN)
+    return seen, with_interval(row, WITHIN)
 
 
 def _difference(scored: Interval) -> str:
