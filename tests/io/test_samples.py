@@ -1,5 +1,6 @@
 """The sample cities: small, at home everywhere, and equal to the files that they were made of."""
 
+import doctest
 import json
 
 import numpy as np
@@ -11,7 +12,7 @@ import jaxurban as ju
 from jaxurban.io.files import digest_of
 from jaxurban.maps.run import load_city, run_scenario
 from jaxurban.maps.scenario import Scenario
-from jaxurban.samples import make
+from jaxurban.samples import cities, make
 from jaxurban.samples.catalogue import SAMPLES, located
 
 CITIES = sorted(SAMPLES)
@@ -29,6 +30,10 @@ def test_a_sample_is_small_credited_and_comes_with_its_satellites(name):
     assert not any("nominal" in guess for guess in maps.guesses)
     assert maps.ds.num_visible.max() > 4
     assert CREDITS[name] in maps.attribution
+
+
+def test_the_example_of_sample_city_runs():
+    assert doctest.testmod(cities) == (0, 3)
 
 
 @pytest.mark.parametrize("name", CITIES)
