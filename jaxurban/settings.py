@@ -281,7 +281,7 @@ class Vehicle:
         if self.max_turn_deg is not None and self.max_turn_deg > FULL_TURN_DEG:
             raise InputError(f"max_turn_deg must be at most {FULL_TURN_DEG:g} degrees, got {self.max_turn_deg:g}")
         if self.power_w is not None and self.speed_m_s is None:
-            raise InputError("power_w tells an energy only over a time: give the speed (speed_m_s, --speed) too")
+            raise InputError("power_w gives an energy only over a time: give the speed (speed_m_s, --speed) too")
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> "Vehicle":

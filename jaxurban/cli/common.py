@@ -102,38 +102,44 @@ DEVICE_CHOICE = partial(
     click.option,
     "--device",
     type=click.Choice(["auto", "cpu", "gpu"]),
-    help="What computes.  [default: auto, a GPU where JAX finds one]",
+    help="Device that computes.  [default: auto, a GPU where JAX finds one]",
 )
 DEVICE = DEVICE_CHOICE(callback=lambda ctx, param, name: use_device(name), expose_value=False)
 RESOLUTION = click.option(
-    "--resolution", "resolution_m", type=float, help="Cell size of the maps, metres; needed where DIR holds several."
+    "--resolution", "resolution_m", type=float, help="Cell size of the maps in metres; needed where DIR holds several."
 )
 OBSTACLES = click.option(
     "--obstacles",
     type=click.Choice(["touched", "centre"]),
-    help="Cells that no path enters: all that a building touches, or (the paper) only where it covers the centre; "
-    "paths then cut true outlines.  [default: the scenario's, else touched]",
+    help="Cells that no path enters: all that a building touches, or (the paper) those whose centre it "
+    "covers; paths may then cut true outlines.  [default: the scenario's, else touched]",
 )
 CONSTRAINTS = together(  # which `given_constraints` takes
-    click.option("--no-fly", type=PATH, multiple=True, help="A file of closed polygons (GeoJSON, KML); repeatable."),
-    click.option("--require", multiple=True, help="A bound that must hold all along, such as gps>=0.3; repeatable."),
+    click.option(
+        "--no-fly", type=PATH, multiple=True, help="File of polygons that no path enters (GeoJSON, KML); repeatable."
+    ),
+    click.option(
+        "--require", multiple=True, help="Bound that every cell of a path must keep, such as gps>=0.3; repeatable."
+    ),
     click.option(
         "--clearance",
         "clearance_m",
         type=float,
         metavar="METRES",
-        help="Keep so far from buildings as high as the path.  [default: the scenario's, else 0]",
+        help="Least distance from buildings that reach the path's altitude.  [default: the scenario's, else 0]",
     ),
     click.option(
         "--vertical-clearance",
         "vertical_clearance_m",
         type=float,
         metavar="METRES",
-        help="Fly at least so high over roofs, or beside them.  [default: the scenario's, else 3]",
+        help="Least height over roofs; a path goes around higher ones.  [default: the scenario's, else 3]",
     ),
 )
 COST_MODEL = click.option(
-    "--cost-model", type=click.Choice(["cell", "line"]), help="line, or cell (the paper).  [default: the scenario's]"
+    "--cost-model",
+    type=click.Choice(["cell", "line"]),
+    help="Cost model; cell is the paper's.  [default: the scenario's]",
 )
 PRESET = click.option(
     "--preset",
@@ -146,18 +152,24 @@ RULES = together(  # what `given_rules` takes, and which maps
     PRESET,
     COST_MODEL,
     OBSTACLES,
-    click.option("--weights", "weights_text", default="", help="Such as gps=1,risk=2; others keep their values."),
+    click.option(
+        "--weights", "weights_text", default="", help="Weights such as gps=1,risk=2; others keep their values."
+    ),
     CONSTRAINTS,
 )
 ROUTE = together(  # a route over maps, under costs
     click.argument("folder", metavar="DIR", type=PATH),
-    click.option("--start", type=LONLAT, required=True, help="Longitude,latitude in degrees."),
-    click.option("--goal", type=LONLAT, required=True, help="Longitude,latitude in degrees."),
+    click.option("--start", type=LONLAT, required=True, help="Start: longitude,latitude in degrees."),
+    click.option("--goal", type=LONLAT, required=True, help="Goal: longitude,latitude in degrees."),
     click.option(
-        "--altitude", "altitude_m", type=float, required=True, help="Metres above ground, within the maps' range."
+        "--altitude",
+        "altitude_m",
+        type=float,
+        required=True,
+        help="Altitude in metres above ground, within the maps' range.",
     ),
-    click.option("--time-of-day", help="Of the population map, such as day or night; the first if left out."),
-    click.option("--time", help="Time of the GPS map, UTC; the first if left out."),
+    click.option("--time-of-day", help="Time of day of the population map, such as night.  [default: the first]"),
+    click.option("--time", help="Time of the GPS map, UTC.  [default: the first]"),
     RULES,
     click.option(
         "--snap",
@@ -166,13 +178,15 @@ ROUTE = together(  # a route over maps, under costs
         flag_value="50",
         metavar="[METRES]",
         callback=lambda ctx, param, metres: False if metres is None else metres,
-        help="Move a start or goal inside an obstacle to the nearest free cell, by 50 m or METRES at most.",
+        help="Move a start or goal that is not free to the nearest free cell, by at most 50 m or METRES.",
     ),
 )
 WORKERS = together(  # what `given_workers` takes
-    click.option("--workers", type=click.IntRange(min=1), help="Processes (Dask).  [default: all cores]"),
+    click.option("--workers", type=click.IntRange(min=1), help="Number of processes (Dask).  [default: all cores]"),
     click.option(
-        "--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786."
+        "--cluster",
+        metavar="ADDRESS",
+        help="Address of a Dask scheduler whose workers to use, such as tcp://host:8786.",
     ),
 )
 JSON_FLAG = click.option("--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout.")

@@ -16,7 +16,7 @@ from jaxurban.cli.common import DEVICE, JSON_FLAG, OBSTACLES, PATH, RESOLUTION, 
 @RESOLUTION
 @OBSTACLES
 @click.option(
-    "--tolerance", type=float, default=1e-6, show_default=True, help="Values that differ by no more are the same."
+    "--tolerance", type=float, default=1e-6, show_default=True, help="Values that differ by no more count as equal."
 )
 @click.option("--overwrite", is_flag=True, help="Replace another comparison in the output folder.")
 @DEVICE
@@ -47,18 +47,20 @@ NUMBER = partial(click.option, type=float, show_default=True)
 @click.argument("log_file", metavar="LOG", type=PATH)
 @click.option("-o", "output", type=PATH, required=True, help="Output folder.")
 @click.option("--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a setting of SCENARIO; repeatable.")
-@NUMBER("--antenna-height", "antenna_height_m", default=2.0, help="Metres of the antenna above the ground.")
-@NUMBER("--sky-step", "sky_step_s", default=30.0, help="Seconds for which satellites stand still.")
-@NUMBER("--piece", "piece_m", default=25.0, help="Metres of track; medians are compared.")
+@NUMBER("--antenna-height", "antenna_height_m", default=2.0, help="Height of the antenna above the ground, metres.")
+@NUMBER("--sky-step", "sky_step_s", default=30.0, help="Seconds for which one sky is used.")
+@NUMBER("--piece", "piece_m", default=25.0, help="Length of the pieces of track whose medians are compared, metres.")
 @click.option(
     "--pieces",
     "other_pieces_m",
     type=Numbers("M,...", "numbers, as in 10,50"),
     default="10,50,100",
     show_default=True,
-    help="Lengths to report too, metres.",
+    help="Further lengths of pieces to report, metres.",
 )
-@NUMBER("--block", "block_m", default=200.0, help="Metres of track within which ranks compare.")
+@NUMBER(
+    "--block", "block_m", default=200.0, help="Length of the blocks of track within which ranks are compared, metres."
+)
 @click.option("--overwrite", is_flag=True, help="Replace another validation in the output folder.")
 @DEVICE
 @JSON_FLAG

@@ -12,17 +12,24 @@ from jaxurban.progress import LOG
 
 
 @click.command()
-@click.option("--bounds", type=Numbers("W,S,E,N", "west, south, east, north", 4), required=True, help="Degrees.")
+@click.option(
+    "--bounds", type=Numbers("W,S,E,N", "west, south, east, north", 4), required=True, help="Region in degrees."
+)
 @click.option("-o", "folder", type=PATH, required=True, help="Folder for the files.")
 @click.option("--what", default="osm,census,districts,orbits", show_default=True, help="What to fetch.")
 @click.option(
     "--date",
     "day",
     type=click.DateTime(["%Y-%m-%d"]),
-    help="Day of the GPS maps (UTC).  [default: that of the element sets]",
+    help="Day of the GPS maps, UTC.  [default: that of the element sets]",
 )
 @click.option(
-    "--margin", "margin_m", type=float, default=1000.0, show_default=True, help="Fetch buildings so far around, metres."
+    "--margin",
+    "margin_m",
+    type=float,
+    default=1000.0,
+    show_default=True,
+    help="Width in metres of the margin whose buildings are fetched too.",
 )
 @click.option(
     "--source",
@@ -31,9 +38,9 @@ from jaxurban.progress import LOG
     multiple=True,
     help="Fetch one of --what from another place, such as an OSM extract (.osm.pbf); repeatable.",
 )
-@click.option("--max-size", default="500MB", show_default=True, help="The largest file accepted (units of 1,024).")
-@click.option("--overwrite", is_flag=True, help="Move files that are in the way to the folder kept.")
-@click.option("--dry-run", "is_dry_run", is_flag=True, help="List the requests, and make none.")
+@click.option("--max-size", default="500MB", show_default=True, help="Largest file accepted (units of 1,024).")
+@click.option("--overwrite", is_flag=True, help="Move existing files to the folder `kept` and fetch them again.")
+@click.option("--dry-run", "is_dry_run", is_flag=True, help="List the requests without making them.")
 @JSON_FLAG
 def fetch(
     bounds: tuple[float, ...],

@@ -36,8 +36,8 @@ from jaxurban.progress import LOG, reporting
     "--layers",
     default="",
     metavar="NAME,...",
-    help="Write these maps as GeoTIFF too, such as hdop,num_visible,roof,terrain,density; all: every one.  "
-    "[default: obstacles and the metrics of the cost, which are written always]",
+    help="Write these maps as GeoTIFF too, such as hdop,num_visible,roof,terrain,density, or all.  "
+    "[default: obstacles and the metrics of the cost, which are always written]",
 )
 @click.option("--memory", help="Ceiling on the memory of the whole run, such as 4GiB. [default: half of what is free]")
 @WORKERS
@@ -45,7 +45,7 @@ from jaxurban.progress import LOG, reporting
 @click.option(
     "--engine",
     type=click.Choice(["auto", "numba", "jax"]),
-    help="Make the maps by Numba on the host, or by JAX; the same bits on a CPU.  [default: the scenario's, else auto: "
+    help="Numba on the host, or JAX; on a CPU both give the same bits.  [default: the scenario's, else auto: "
     "Numba on a CPU, JAX on a GPU]",
 )
 @JSON_FLAG

@@ -29,34 +29,38 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 
 @click.command()
 @ROUTE
-@click.option("--planner", help="ptp, astar-dist, astar-plus ... [default: the scenario's, else astar-plus]")
+@click.option("--planner", help="Such as ptp, astar-dist or theta-star.  [default: the scenario's, else astar-plus]")
 @click.option("--heuristic", help="Lower bound of the search.  [default: the planner's own]")
-@click.option("--objective", type=click.Choice(["weighted", "distance"]), help="What to minimise.")
-@click.option("--budget", "budget_s", type=float, help="Seconds that the search may take.")
-@click.option("--seed", type=click.IntRange(min=0))
-@click.option("--refine", is_flag=True, help="Then move the waypoints downhill; not under --cost-model cell.")
-@click.option("--volume", "is_volume", is_flag=True, help="Climb and descend on the way; --altitude is the start's.")
-@click.option("--goal-altitude", "goal_altitude_m", type=float, help="With --volume.  [default: --altitude]")
-@click.option("--min-altitude", "min_altitude_m", type=float, help="With --volume.  [default: the maps' lowest]")
-@click.option("--max-altitude", "max_altitude_m", type=float, help="With --volume.  [default: the maps' highest]")
-@click.option("--level-step", "level_step_m", type=float, help="With --volume: fly between the maps' altitudes too.")
-@click.option("--climb-cost", type=float, help="With --volume: per metre.  [default: the distance weight]")
-@click.option("--descent-cost", type=float, help="With --volume: per metre.  [default: 0]")
 @click.option(
-    "--report", "with_report", is_flag=True, help="Explain the route: costs, people under it, clearance, by segment."
+    "--objective", type=click.Choice(["weighted", "distance"]), help="[default: the scenario's, else weighted]"
 )
+@click.option("--budget", "budget_s", type=float, help="Seconds of search.  [default: the scenario's, else 10]")
+@click.option("--seed", type=click.IntRange(min=0))
+@click.option(
+    "--refine", is_flag=True, help="Move the waypoints to lower cost after the search; not under --cost-model cell."
+)
+@click.option("--volume", "is_volume", is_flag=True, help="Let the path climb and descend; --altitude is the start's.")
+@click.option("--goal-altitude", "goal_altitude_m", type=float, help="With --volume, metres.  [default: --altitude]")
+@click.option("--min-altitude", "min_altitude_m", type=float, help="With --volume, metres.  [default: the lowest]")
+@click.option("--max-altitude", "max_altitude_m", type=float, help="With --volume, metres.  [default: the highest]")
+@click.option("--level-step", "level_step_m", type=float, help="With --volume: levels so many metres apart too.")
+@click.option("--climb-cost", type=float, help="With --volume: cost per metre up.  [default: the distance weight]")
+@click.option("--descent-cost", type=float, help="With --volume: cost per metre down.  [default: 0]")
+@click.option("--report", "with_report", is_flag=True, help="Report costs, people and clearance, by segment.")
 @click.option("--speed", "speed_m_s", type=float, help="Metres per second, for times.  [default: the vehicle's]")
-@click.option("--power", "power_w", type=float, help="Watts in flight, for energy.  [default: the vehicle's]")
-@click.option("--swath", "swath_m", type=float, help="Of the strip of people overflown, metres.  [default: 10]")
-@click.option("--profile", type=PATH, help="Draw what the route meets, as PNG.")
-@click.option("-o", "files", type=PATH, multiple=True, help="Write a .geojson, .kml, .gpx or .plan; repeatable.")
+@click.option("--power", "power_w", type=float, help="Power in flight in watts, for energy.  [default: the vehicle's]")
+@click.option(
+    "--swath", "swath_m", type=float, help="Width in metres of the strip in which people are counted.  [default: 10]"
+)
+@click.option("--profile", type=PATH, help="Write a picture (PNG) of heights, metrics and clearance along the route.")
+@click.option("-o", "files", type=PATH, multiple=True, help="File to write: .geojson, .kml, .gpx or .plan; repeatable.")
 @click.option(
     "--simplify",
     "simplify_m",
     type=float,
     metavar="METRES",
-    help="Fewest straight legs within so far of the path, clear of closed cells; 0 for every turn.  [default: in .gpx "
-    "and .plan half a cell, else 0]",
+    help="Keep the fewest straight legs within METRES of the path, clear of closed cells; 0 keeps every turn.  "
+    "[default: half a cell in .gpx and .plan, else 0]",
 )
 @click.option("--end", type=click.Choice(["land", "return", "none"]), help="How a .plan ends.  [default: land]")
 @DEVICE

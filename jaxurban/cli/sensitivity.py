@@ -34,7 +34,7 @@ WEIGHTS = together(  # what both commands ask of weights
         type=Numbers("LOW,HIGH", "two factors, as in 0.1,10", 2),
         default="0.1,10",
         show_default=True,
-        help="Times each weight.",
+        help="Range of each weight, as factors of its value.",
     ),
     click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True),
     click.option("--overwrite", is_flag=True, help="Replace another run of this command in the output folder."),
@@ -46,17 +46,30 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 @click.command()
 @ROUTE
-@click.option("--samples", "num_samples", type=int, default=128, show_default=True, help="For Sobol; a power of two.")
-@click.option("--pareto", default="", metavar="A,B[,C]", help="What to trade.  [default: distance, the two dearest]")
-@click.option("--tolerance", type=float, default=1e-3, show_default=True, help="Of the front; 1e-9 is exact.")
+@click.option(
+    "--samples", "num_samples", type=int, default=128, show_default=True, help="Sobol samples; a power of two."
+)
+@click.option(
+    "--pareto",
+    default="",
+    metavar="A,B[,C]",
+    help="Objectives of the Pareto front.  [default: distance, the two costliest]",
+)
+@click.option(
+    "--tolerance",
+    type=float,
+    default=1e-3,
+    show_default=True,
+    help="Relative tolerance of the Pareto front; 1e-9 gives every route.",
+)
 @click.option("--buildings", is_flag=True, help="Also rank buildings by what they cost the route.")
 @click.option(
-    "--scenario", type=SCENARIO_FILE, help="That made the maps, where --buildings needs its folder; of one DIR."
+    "--scenario", type=SCENARIO_FILE, help="Scenario of the maps, for --buildings, if its paths are relative."
 )
 @WEIGHTS
 @click.option("-o", "output", type=PATH, default=Path("out/sensitivity"), show_default=True)
 def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **options: Any) -> int:
-    """Report what would change a route over the maps in DIR."""
+    """Find the weights at which a route over the maps in DIR changes."""
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.metric_maps import open_maps
@@ -103,29 +116,41 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
 
 @click.command("sensitivity-study")
 @click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=PATH)
-@click.option("--routes", "num_routes", type=click.IntRange(min=1), help="Sample so many in each DIR.  [default: 30]")
 @click.option(
-    "--altitudes", "altitudes_m", type=Numbers("M,...", "numbers, as in 20,60"), help="Of --routes.  [default: all]"
+    "--routes", "num_routes", type=click.IntRange(min=1), help="Number of routes drawn in each DIR.  [default: 30]"
 )
-@click.option("--queries", type=PATH, help="Study these routes (.csv, .parquet), not sampled ones.")
+@click.option(
+    "--altitudes",
+    "altitudes_m",
+    type=Numbers("M,...", "numbers, as in 20,60"),
+    help="Altitudes of --routes.  [default: all of the maps']",
+)
+@click.option("--queries", type=PATH, help="Table of routes to study instead of drawn ones (.csv, .parquet).")
 @RULES
 @click.option(
-    "--wrong", type=float, default=2.0, show_default=True, help="A wrong weight is so many times off, for its regret."
+    "--wrong", type=float, default=2.0, show_default=True, help="Factor by which a wrong weight is off, for its regret."
 )
 @click.option(
-    "--samples", "num_samples", type=int, default=32, show_default=True, help="Of each route for Sobol; a power of two."
+    "--samples",
+    "num_samples",
+    type=int,
+    default=32,
+    show_default=True,
+    help="Sobol samples of each route; a power of two.",
 )
-@click.option("--heights", type=click.IntRange(min=0), default=0, help="Plan on maps of so many draws of heights.")
+@click.option(
+    "--heights", type=click.IntRange(min=0), default=0, help="Number of draws of building heights to plan again on."
+)
 @click.option(
     "--scenario",
     type=SCENARIO_FILE,
-    help="That made the maps, where --heights needs its folder; of one DIR.",
+    help="Scenario of the maps, for --heights, if its paths are relative; only with one DIR.",
 )
 @WORKERS
 @WEIGHTS
 @click.option("-o", "output", type=PATH, default=Path("out/sensitivity-study"), show_default=True)
 def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool, **options: Any) -> int:
-    """Report what weights do to many routes over the maps in each DIR, drawn or from --queries."""
+    """Find the weights at which many routes over the maps in each DIR change."""
     from jaxurban.io.tables import read_table, records_of
     from jaxurban.paths.rows import HAS_PATH, MapsFolder
     from jaxurban.planners.base import EXIT_NO_PATH

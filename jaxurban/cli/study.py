@@ -23,13 +23,15 @@ from jaxurban.progress import LOG, reporting
 @click.command()
 @click.argument("scenario_file", metavar="SCENARIO", type=PATH)
 @click.option("-o", "folder", type=PATH, required=True, help="Folder of the maps and the study.")
-@click.option("--instances", "instances_file", type=PATH, help="Plan these (.parquet, .csv).")
-@click.option("--resolution", "resolution_m", type=float, help="Of the maps, metres.  [default: the scenario's first]")
+@click.option("--instances", "instances_file", type=PATH, help="File of queries to plan (.parquet, .csv).")
+@click.option(
+    "--resolution", "resolution_m", type=float, help="Cell size of the maps in metres.  [default: the scenario's first]"
+)
 @click.option("--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a setting of SCENARIO; repeatable.")
 @PRESET
 @CONSTRAINTS
 @WORKERS
-@click.option("--benchmark", "benchmark_folder", type=PATH, help="Export a public benchmark to it.")
+@click.option("--benchmark", "benchmark_folder", type=PATH, help="Folder for a public benchmark.")
 @click.option("--overwrite", is_flag=True, help="Replace maps or a study of other settings in the output folder.")
 @DEVICE
 @JSON_FLAG

@@ -23,30 +23,38 @@ from jaxurban.progress import LOG
 @click.command()
 @click.argument("words", metavar="DIR [ROUTES]...", type=PATH, nargs=-1, required=True)
 @click.option("-o", "out", type=PATH, required=True, help="Output folder.")
-@click.option("--sample", type=click.IntRange(min=1), help="Draw so many instances a city instead of reading ROUTES.")
-@click.option("--pilot", help="Weights as gps=1,risk=2, that plan the routes of --sample; 0 if not named.")
 @click.option(
-    "--hold-out", type=float, help="Share of the routes that no fit sees and all are judged by.  [default: 0]"
+    "--sample", type=click.IntRange(min=1), help="Number of queries to draw in each city instead of reading ROUTES."
 )
-@click.option("--by-city", is_flag=True, help="Also fit to each city alone, and without each.")
-@click.option("--wish", "wishes", multiple=True, help="Fit to outcomes, such as mean_gps>=0.8; repeatable.")
-@click.option("--metrics", help="Fit only these, as gps,risk; the others get weight 0.  [default: all of the maps]")
-@click.option("--altitude", "altitude_m", type=float, help="Of every route.  [default: the routes' altitude_m]")
-@click.option("--time-of-day", help="Of the population map.  [default: the routes' own, else the first]")
+@click.option("--pilot", help="Weights such as gps=1,risk=2 that plan the routes of --sample; 0 if not named.")
+@click.option(
+    "--hold-out", type=float, help="Share of the routes that is kept from the fits, to test them.  [default: 0]"
+)
+@click.option("--by-city", is_flag=True, help="Also fit to each city alone, and to all cities but it.")
+@click.option("--wish", "wishes", multiple=True, help="Target for an outcome, such as mean_gps>=0.8; repeatable.")
+@click.option(
+    "--metrics", help="Metrics to fit, such as gps,risk; the others get weight 0.  [default: all of the maps]"
+)
+@click.option(
+    "--altitude", "altitude_m", type=float, help="Altitude of every route, metres.  [default: the routes' altitude_m]"
+)
+@click.option("--time-of-day", help="Time of day of the population map.  [default: the routes' own, else the first]")
 @click.option("--time", help="Time of the GPS map, UTC.  [default: the routes' own, else the first]")
 @RESOLUTION
 @click.option(
-    "--cost-model", type=click.Choice(["cell", "line"]), help="[default: the routes' own, else the scenario's]"
+    "--cost-model",
+    type=click.Choice(["cell", "line"]),
+    help="Cost model; cell is the paper's.  [default: the routes' own, else the scenario's]",
 )
 @OBSTACLES
 @PRESET
 @CONSTRAINTS
-@click.option("--scale", type=click.Choice(["simplex", "distance"]), help="Weights sum to 1, or distance weighs 1.")
-@click.option("--bootstrap", type=click.IntRange(min=0), help="Fits for the intervals.  [default: 200]")
-@click.option("--rounds", "max_rounds", type=click.IntRange(min=1), help="Of searches, at most.")
+@click.option("--scale", type=click.Choice(["simplex", "distance"]), help="Weights sum to 1, or distance has 1.")
+@click.option("--bootstrap", type=click.IntRange(min=0), help="Number of fits for the intervals.  [default: 200]")
+@click.option("--rounds", "max_rounds", type=click.IntRange(min=1), help="Most rounds of searches.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--budget", "budget_s", type=float, help="Seconds; the round under way is finished.")
-@click.option("--overwrite", is_flag=True, help="Forget a fit of other routes or settings in the output folder.")
+@click.option("--budget", "budget_s", type=float, help="Seconds after which no further round begins.")
+@click.option("--overwrite", is_flag=True, help="Replace a fit of other routes or settings in the output folder.")
 @DEVICE
 @JSON_FLAG
 def tune(words: tuple[Path, ...], out: Path, **options: Any) -> int:

@@ -15,12 +15,19 @@ from jaxurban.progress import LOG
 @RESOLUTION
 @OBSTACLES
 @PRESET
-@click.option("--export", type=PATH, metavar="PAGE.html", help="Write one file to look at, and end.")
+@click.option("--export", type=PATH, metavar="PAGE.html", help="Write one page that shows the maps, and end.")
 @click.option(
-    "--size", "size_mib", type=click.FloatRange(min=1), default=25, show_default=True, help="MiB of --export at most."
+    "--size",
+    "size_mib",
+    type=click.FloatRange(min=1),
+    default=25,
+    show_default=True,
+    help="Largest size of --export, MiB.",
 )
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="To listen at.  [default: any that is free]")
-@click.option("--no-browser", is_flag=True, help="Open no browser; the address is printed.")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=0, help="Port to listen at.  [default: any that is free]"
+)
+@click.option("--no-browser", is_flag=True, help="Do not open a browser; the address is printed.")
 def view(
     folder: Path,
     resolution_m: float | None,

@@ -110,7 +110,7 @@ class WorkFolder:
         """
         path = self.path / ARRAY_FOLDER / f"{name}.npz"
         if self._damaged(self._mark(name)):
-            raise InputError(f"{str(path)!r} is missing or damaged: run the same command again, which makes it anew")
+            raise InputError(f"{str(path)!r} is missing or damaged: run the same command again, which makes it again")
         with _PARSING, np.load(path, allow_pickle=False) as kept:
             return {each: kept[each] for each in kept.files if each in wanted}
 

@@ -44,7 +44,7 @@ OPENED = "opened"  # encoding of a dataset that was opened: what checks that its
 METADATA = ".zmetadata"  # of a Zarr: its metadata and those of its arrays once more
 OF_ZARR = METADATA, ".zattrs", ".zgroup", "zarr.json"  # files by which a Zarr is known, of version 3 the last
 OTHER_VERSION = (
-    "comes from another version of jaxurban, or without its checksums.json: make the maps anew in a new folder"
+    "comes from another version of jaxurban, or without its checksums.json: make the maps again in a new folder"
 )
 TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
 
@@ -105,7 +105,7 @@ def settings_of(folder: Path) -> dict[str, Any]:
     Raises:
       InputError: the record of the run that made them is damaged or missing, and with it their weights.
     """
-    remedy = "run the same `jaxurban maps` command again, which writes it anew"
+    remedy = "run the same `jaxurban maps` command again, which writes it again"
     try:
         return read_json(folder / RUN_FILE)["settings"]
     except FileNotFoundError as error:
@@ -383,6 +383,6 @@ def _damage_in(path: Path, name: str = "") -> InputError | None:
 
 def _damaged(file: Path, what: str) -> InputError:
     return InputError(
-        f"{str(file)!r} {what}: run the same `jaxurban maps` command again, which makes anew what is broken (maps that "
+        f"{str(file)!r} {what}: run the same `jaxurban maps` command again, which repairs what is broken (maps that "
         "were saved from Python: save them again)"
     )

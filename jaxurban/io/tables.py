@@ -83,7 +83,7 @@ def records_of(table: pd.DataFrame) -> list[dict[str, Any]]:
 def _suffix(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
-        raise InputError(f"cannot tell the format of {str(file)!r}: end its name in {' or '.join(SUFFIXES)}")
+        raise InputError(f"cannot determine the format of {str(file)!r}: end its name in {' or '.join(SUFFIXES)}")
     return suffix
 
 

@@ -112,7 +112,7 @@ def run_scenario(
     """Make the maps of a scenario under ``folder`` and return them with the record of the run.
 
     Finished resolutions, tiles and files of the same inputs are kept, once all of them have been read; what is
-    damaged or missing is named in the log and made anew, and nothing half-written is taken for finished. One sentence
+    damaged or missing is named in the log and made again, and nothing half-written is taken for finished. One sentence
     there says how large the region is and how much memory it takes before the work begins.
 
     Args:

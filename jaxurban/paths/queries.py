@@ -196,9 +196,9 @@ class PlannedPaths(Shown, Sequence[PlannedPath | None]):
             return write_table(self.to_dataframe(), file)
         if file.suffix.lower() not in FORMATS:
             known = ", ".join((*SUFFIXES, *FORMATS))
-            raise InputError(f"cannot tell the format of {str(file)!r}: end its name in one of {known}")
+            raise InputError(f"cannot determine the format of {str(file)!r}: end its name in one of {known}")
         if not write_path(self, file, names=[f"query {k}" for k in range(len(self))]):
-            raise InputError("there is no path to save: to_dataframe tells what became of each query")
+            raise InputError("there is no path to save: to_dataframe gives the status of each query")
         return file
 
     @typed

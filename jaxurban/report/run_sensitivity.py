@@ -78,8 +78,8 @@ def sensitivity_study(
         where there are several.
       altitudes_m: of sampled routes; left out, all that the maps hold.
       weights: of sampled routes, and of those that name none; left out, those of the maps' scenarios, else `Weights()`.
-      settings: what is asked of every route, and on which maps that are made anew.
-      scenarios: of cities whose maps are made anew; left out, the record in their folder tells the sources.
+      settings: what is asked of every route, and on which perturbed maps.
+      scenarios: of cities whose maps are perturbed; left out, the record in their folder names the sources.
       workers: processes of this machine, 1 works in this process; or the address of a Dask scheduler, whose workers see
         the maps' folders under the same paths.
       overwrite: replace a study of other settings or routes.
@@ -268,7 +268,7 @@ def _remade(
     scenarios: Mapping[str, Scenario] | None,
     report: Report,
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Return the rows of routes on maps made anew, and why some were not made; whole maps at a time are kept."""
+    """Return the rows of routes on perturbed maps, and why some were not made; whole maps at a time are kept."""
     store = RowStore(folder / REMADE_FOLDER / ROWS_FILE, REMADE_KEY, has_parts=True)
     rules: dict[str, Any] = {"cost_model": settings.cost_model, "constraints": settings.constraints}
     skipped = []
@@ -278,9 +278,9 @@ def _remade(
                 task = _map_task(city, sources[city], maps, scenarios)
             except InputError as error:
                 skipped.append(f"{city}: {error}")
-                LOG.warning(f"no maps of {city} are made anew: {error}")
+                LOG.warning(f"no perturbed maps of {city} are made: {error}")
                 continue
-            stage, total = f"maps of {city} made anew", settings.num_heights
+            stage, total = f"perturbed maps of {city}", settings.num_heights
             for number, perturbed in enumerate(perturbed_tasks(task, settings)):
                 report(stage, number, total)
                 job = OnPerturbedMaps(nominal=maps, draw=number, **rules)
@@ -292,7 +292,7 @@ def _remade(
             report(stage, total, total)
     finally:
         store.save(row_columns(store.rows))
-    return read_table(store.file, "rows of maps made anew"), tuple(skipped)
+    return read_table(store.file, "rows of perturbed maps"), tuple(skipped)
 
 
 def _map_task(city: str, source: Source, maps: MetricMaps, scenarios: Mapping[str, Scenario] | None) -> MapTask:
@@ -304,10 +304,10 @@ def _map_task(city: str, source: Source, maps: MetricMaps, scenarios: Mapping[st
     scenario = (scenarios or {}).get(city)
     if scenario is None:
         if isinstance(source, MetricMaps):
-            raise InputError("maps in memory do not tell their sources: give the scenario, or a folder of maps")
+            raise InputError("maps in memory do not name their sources: give the scenario, or a folder of maps")
         scenario = scenario_of(Path(source.folder))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GuessWarning)  # told when the maps were made
+        warnings.simplefilter("ignore", GuessWarning)  # reported when the maps were made
         tasks = maps_tasks_of(scenario)
     task = next((task for task in tasks if task.region == maps.grid), None)
     if task is None or not set(maps.metrics) == set(task.metrics):

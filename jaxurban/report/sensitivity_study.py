@@ -29,7 +29,9 @@ SAMPLED = (
     "Routes were drawn by stratum and range in equal numbers, only where a path joins a pair at every altitude, not as "
     "anyone flies: means are over such routes, not over traffic."
 )
-GIVEN = "The routes are those of the table that was given: means are over them, each once, and tell of no others."
+GIVEN = (
+    "The routes are those of the table that was given: means are over them, each once, and say nothing about others."
+)
 MOST_REASONS = 3
 
 
@@ -42,8 +44,8 @@ class SensitivityStudy:
       maps: of each city by its name.
       instances: the routes asked for.
       rows: what was found for each (`jaxurban.studies.weights.routes.route_facts`).
-      remade: how each route differs on maps made anew (`jaxurban.studies.weights.routes.OnPerturbedMaps`).
-      skipped: why maps were not made anew, a sentence a city.
+      remade: how each route differs on maps of perturbed heights (`jaxurban.studies.weights.routes.OnPerturbedMaps`).
+      skipped: why there are no perturbed maps, a sentence a city.
       settings: what was asked.
       is_sampled: whether the routes were drawn, by stratum and range, or given.
     """
@@ -90,7 +92,7 @@ def study_markdown(found: SensitivityStudy) -> str:
         {"cities": _cities(found), **shown_tables(tables)},
         credits=[maps.attribution for maps in found.maps.values()],
         lost=framed(reasons) if len(reasons) else "",
-        skipped=bullets(f"Not made anew: {reason}" for reason in found.skipped),
+        skipped=bullets(f"Not perturbed: {reason}" for reason in found.skipped),
         limit=min(settings.factors[1], 1 / settings.factors[0]),
         settings=settings,
         constraints=str(settings.constraints) or "none",

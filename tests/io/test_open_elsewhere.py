@@ -224,7 +224,7 @@ def test_maps_of_another_version_are_refused_everywhere_with_the_one_remedy(fold
         file, text = {"zarr": ("maps.zarr/5m/zarr.json", "{}"), "run.json": ("run.json", '{"run_key": "a"}')}[layout]
         (old / file).parent.mkdir(parents=True)
         (old / file).write_text(text)
-    before, words = files_of(old), "comes from another version of jaxurban.*make the maps anew in a new folder"
+    before, words = files_of(old), "comes from another version of jaxurban.*make the maps again in a new folder"
     with pytest.raises(ju.InputError, match=words):
         ju.open_maps(old)
     (tmp_path / "a.toml").write_text(TOWN)

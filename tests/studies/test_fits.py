@@ -102,7 +102,7 @@ def test_the_weight_of_a_constant_layer_is_said_to_be_unknown_and_bends_no_other
 
 def test_two_layers_that_are_one_cannot_be_told_apart(small):
     _, fit = fitted(ju.MetricMaps(small.ds.assign(risk=small.ds["lidar"])), max_rounds=3)
-    sentence = "The weights of lidar and risk cannot be told apart: competing routes trade them at one rate."
+    sentence = "The weights of lidar and risk cannot be distinguished: competing routes trade them at one rate."
     assert sentence in fit.unidentified
 
 
@@ -204,7 +204,7 @@ def test_draws_of_several_cities_take_whole_cities_and_of_one_its_members():
 def test_the_report_has_the_regret_of_each_fit_and_counts_the_routes_held_out_and_bad(found):
     text = fits_section(found)
     assert f"{NUM // 2} of {2 * NUM} routes were held out" in text
-    assert f"{found.is_bad.sum()} of all routes are bad" in text
+    assert f"{found.is_bad.sum()} of all routes are outliers" in text
     for row in found.table.itertuples():
         assert f"| {row.fit} | {row.cities} | {row.num_fitted} | {row.held_out_regret:.3g} |" in text
 

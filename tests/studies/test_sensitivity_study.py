@@ -172,7 +172,7 @@ def test_a_share_that_is_not_told_from_zero_is_words_and_no_number_below_zero():
     tables = {"summary": summarise(made_weights(gps=0.01), 2.0), "sobol_summary": told.reset_index()}
     gps, risk = shown_tables(tables)["sobol"].set_index("weight_name").loc[["gps", "risk"]].to_dict("records")
     assert np.isnan(gps["share"])
-    assert gps["verdict"] == "not told from 0"
+    assert gps["verdict"] == "not distinguishable from 0"
     assert 0 <= gps["at most"] < 0.1
     assert risk["share"] == pytest.approx(0.6, abs=0.05)
     few = summarise_shares(pd.DataFrame(rows[:6]))

@@ -184,7 +184,7 @@ def encoder_of(file: Path) -> Encode:
     """Return what `write_path` writes a file by; raise InputError where it cannot: call it before a long search."""
     encode = FORMATS.get(file.suffix.lower())
     if encode is None:
-        raise InputError(f"cannot tell the format of {str(file)!r}: end its name in one of {', '.join(FORMATS)}")
+        raise InputError(f"cannot determine the format of {str(file)!r}: end its name in one of {', '.join(FORMATS)}")
     if not file.parent.is_dir():
         raise InputError(f"the folder of {str(file)!r} does not exist: make it first, or name another file")
     if file.is_dir():

@@ -368,7 +368,7 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
     twice = table.duplicated(list(KEY))
     if twice.any():
         number, altitude_m = table.loc[twice, list(KEY)].to_numpy()[0]
-        raise InputError(f"{name} holds instance {number:g} at {altitude_m:g} m twice: number them anew")
+        raise InputError(f"{name} holds instance {number:g} at {altitude_m:g} m twice: renumber them")
     for column in OPTIONAL:
         table[column] = table[column].astype(object).where(table[column].notna(), None) if column in table else None
     if "distance_m" not in table:

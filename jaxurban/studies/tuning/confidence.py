@@ -160,5 +160,5 @@ def indistinct_weights(pool: RoutePool, unit: np.ndarray, weights: np.ndarray, i
         involved = names[is_seen][part > MUCH * part.max()]
         listed = f"{', '.join(involved[:-1])} and {involved[-1]}"
         why = "competing routes trade them at one rate" if num == 1 else f"{num} of their mixtures change no comparison"
-        sentences.append(f"The weights of {listed} cannot be told apart: {why}.")
+        sentences.append(f"The weights of {listed} cannot be distinguished: {why}.")
     return sentences

@@ -20,7 +20,7 @@ ALL = "all"
 CUTS = ("city", "altitude_m", "stratum", "range", "time", "time_of_day")
 BOTH = (("city", "altitude_m"), ("stratum", "altitude_m"))
 OVER_CITIES = "over cities"
-CLEAR, UNCLEAR, TOO_FEW, CONSTANT = "clear", "not told from 0", "too few routes", "does not vary"
+CLEAR, UNCLEAR, TOO_FEW, CONSTANT = "clear", "not distinguishable from 0", "too few routes", "does not vary"
 REMADE_STATISTICS = ("is_other", "overlap", "is_closed", "regret", "nominal_is_closed", "nominal_regret")
 SHARES_OF_ROUTES = ("is_other", "is_closed", "nominal_is_closed")
 
