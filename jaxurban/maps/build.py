@@ -20,7 +20,6 @@ import shapely
 from jaxtyping import Array, Float
 
 from jaxurban.errors import InputError, positive, typed
-from jaxurban.io.read.base_map import base_map_source
 from jaxurban.io.read.guesses import Guesses, nominal_guess, time_guess, warn_of
 from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.io.read.rasterise import bands_of
@@ -169,7 +168,7 @@ def compute_maps(task: MapTask, surface: Surface | None = None, stage: Stage = n
     with on_device_of(task.params.engine):
         for name, place, values in tile_maps(tile, stage):
             ds[name].values[place] = values
-    base = base_map_source(task.city.sources.get("buildings"))
+    base = task.city.sources.get("buildings")
     return MetricMaps(ds if task.keeps_times else with_series(ds, task, tile.totals), base=base)
 
 

@@ -70,7 +70,7 @@ class MetricMaps(Shown):
     Attributes:
       ds: the dataset; ``ds.attrs`` hold CRS, resolution, provenance and `recorded`.
       rule: where every planner may fly (`obstacles`); None: as the scenario or a preset has it.
-      base: the file that `base_map` is read from; None without one.
+      base: the source of the buildings, or a file in the maps' folder, that `base_map` is read from if it has one.
 
     Raises:
       InputError: an unknown rule of obstacles, or a part of maps that leaves cells out.
@@ -78,7 +78,7 @@ class MetricMaps(Shown):
 
     ds: xr.Dataset
     rule: Obstacles | None = None
-    base: Path | None = None
+    base: str | Path | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ds", _placed(self.ds))
@@ -140,14 +140,14 @@ class MetricMaps(Shown):
         and ``park``, polygons; ``path``, ``street``, ``major`` and ``rail``, lines; ``place``, points) and ``name``,
         empty without one. ``attrs`` hold ``credit`` and ``licence``. Read when it is first looked at.
         """
-        from jaxurban.io.read.base_map import read_base_map  # imported here: it brings the readers
+        from jaxurban.io.read.base_map import base_map_source, read_base_map  # imported here: it brings the readers
 
-        if self.base is None:
-            return None
         try:
+            if (source := base_map_source(self.base)) is None:
+                return None
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # of a coast with a gap: a picture's ground, no more
-                frame = read_base_map(self.base, self.grid.crs, self.grid.bounds_m)
+                frame = read_base_map(source, self.grid.crs, self.grid.bounds_m)
         except Exception as error:  # whatever a damaged file raises: maps are whole without it
             LOG.warning(f"no streets and names below the maps: {error}")
             return None

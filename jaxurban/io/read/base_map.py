@@ -37,14 +37,14 @@ STEP_DEG = 1e-6  # of coordinates, about 0.1 m
 LICENCE = "ODbL-1.0"
 
 
-def base_map_source(buildings: str | Path | None) -> Path | None:
-    """Return the file that has the base map of a file of buildings, None where nothing has one."""
-    if buildings is None:
+def base_map_source(source: str | Path | None) -> Path | None:
+    """Return the file that has the base map of a source of buildings, None where nothing has one."""
+    if source is None:
         return None
-    if is_sample(buildings):
-        path = located(buildings).with_name(BASE_MAP_FILE)
+    if is_sample(source):
+        path = located(source).with_name(BASE_MAP_FILE)
         return path if path.is_file() else None
-    return Path(buildings).resolve() if str(buildings).lower().endswith(OSM_SUFFIXES) else None
+    return Path(source) if str(source).lower().endswith((*OSM_SUFFIXES, BASE_MAP_FILE)) else None
 
 
 def read_base_map(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
