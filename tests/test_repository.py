@@ -42,6 +42,12 @@ def test_no_test_is_where_pytest_does_not_look():
     assert [path.name for path in names if not path.name.startswith("test_")] == []
 
 
+def test_every_test_that_the_page_on_validation_names_is_there():
+    named = re.findall(r"`(\S*test_\w+\.py)`", (ROOT / "docs/evidence/validation.md").read_text(encoding="utf-8"))
+    assert named
+    assert [name for name in named if not (ROOT / "tests" / name).is_file()] == []
+
+
 PRIVATE = {
     "numba.jit(f)._cache = 3": "Private member accessed",
     "import jax\njax._src.core.f()": "Private member accessed",
