@@ -21,13 +21,14 @@ from jaxurban.viewer.tiles import TILE, strides_of
 from jaxurban.viewer.viewer import Viewer, as_json
 
 SUFFIX = ".html"
-PARTS = {"markup": "viewer.html", "style": "viewer.css", "script": "viewer.js"}
+PARTS = {"markup": ["viewer.html"], "style": ["viewer.css"], "script": ["doors.js", "drawing.js", "viewer.js"]}
 
 
 @cache
 def part(name: str) -> str:
     """Return a part of the page: ``"markup"``, ``"style"`` or ``"script"``."""
-    return (files("jaxurban.viewer") / "page" / PARTS[name]).read_text(encoding="utf-8")
+    page = files("jaxurban.viewer") / "page"
+    return "".join((page / file).read_text(encoding="utf-8") for file in PARTS[name])
 
 
 def html_page(data: str = "", title: str = "jaxurban") -> str:
@@ -103,7 +104,7 @@ def _maps_of(viewer: Viewer) -> Iterator[Shown]:
 def _page(viewer: Viewer, maps: list[Shown], stride: int, most_bytes: int) -> bytes | None:
     """Return the page with every map at one stride; None where it has more bytes."""
     scene = viewer.scene(Request()) | {"strides": [stride], "can_plan": False, "key": ""}
-    answers: dict[str, Any] = {_key("scene", {}): scene}
+    answers: dict[str, Any] = {_key("scene", {}): scene, _key("base", {}): viewer.base(Request())}
     num_bytes = 0
     num_rows, num_cols = (-(-size // (stride * TILE)) for size in viewer.maps.grid.shape)
     for shown in maps:

@@ -17,7 +17,12 @@ from jaxurban.report.figures.style import Colours, bar_ticks, tick_label
 from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer.markup import legend
 
-H_NORM, COST_OF = "h_norm", "cost:"
+H_NORM, COST_OF, POSITION_ERROR = "h_norm", "cost:", "position_error"
+RANGE_ERROR_M = 5.0  # of a satellite's range, standard deviation, a round figure: the position's is HDOP times it
+ERROR_COLOURS = Colours(
+    "viridis_r", Normalize(0, 50), f"Horizontal position error in metres: HDOP x {RANGE_ERROR_M:g} m"
+)
+NO_FIX_PATCH = ("no fix", "repeating-linear-gradient(135deg,#d01824 0 2px,transparent 2px 4px)")
 OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)  # how values travel: a cell in an obstacle; one not drawn
 
 
@@ -66,6 +71,8 @@ class DrawnLayer:
 
     def _read(self, at: OneMap) -> np.ndarray:
         maps, name = self.maps, self.cost_of.name if self.cost_of else self.name
+        if name == POSITION_ERROR:
+            return RANGE_ERROR_M * maps.m("hdop", at.altitude_m, time=at.time)
         if name == H_NORM:
             altitude_m = maps.altitudes_m[0] if at.altitude_m is None else at.altitude_m
             return maps.normalised(altitude_m, time=at.time, time_of_day=at.time_of_day)
@@ -79,6 +86,8 @@ class DrawnLayer:
         """Return how these values are drawn."""
         if self.name == H_NORM:
             return COST_COLOURS
+        if self.name == POSITION_ERROR:
+            return ERROR_COLOURS
         if (metric := self.cost_of) is not None:
             label = f"c_{metric.name}, cost before its weight (0: best, 1: worst)"
             is_m = metric.cost is high_is_bad
@@ -95,6 +104,9 @@ def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
     for name, metric in maps.metrics.items():
         cost = Variable(f"{COST_OF}{name}", f"cost of {metric.label}", dims=variables[name].dims)
         layers.append(DrawnLayer(maps, cost.name, cost, "Costs", metric))
+    if "hdop" in variables:
+        error = Variable(POSITION_ERROR, "horizontal position error", dims=variables["hdop"].dims, unit="m")
+        layers.append(DrawnLayer(maps, POSITION_ERROR, error, "Satellites"))
     for group in ("Satellites", "Ground", "Further maps"):
         for name, variable in variables.items():
             if name not in maps.metrics and group == _group(maps, variable):
@@ -112,23 +124,24 @@ def _group(maps: MetricMaps, variable: Variable) -> str:
 def legend_of(layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
     """Return how values become colours on the page, as JSON holds it.
 
-    ``edges`` has one number more than there are ``colours`` (base64, three bytes each): colour k is drawn from edge k
-    up to edge k + 1, the first and the last one beyond them too. ``flat`` are the colours of cells in obstacles, of
+    ``edges`` has one number more than there are ``colours`` (base64; red, green, blue and 255): colour k is drawn from
+    edge k up to edge k + 1, the first and the last one beyond them too. ``flat`` are the colours of cells in obstacles, of
     those without a value, and of a value of 0, where that is drawn apart; ``html`` is the legend.
     """
     scale, zero = layer.colours(values), layer.variable.scale.zero
     patches = [(zero, EMPTY_COLOUR)] if zero else []
     patches += [("obstacle", layer.blocked)] if layer.is_hidden else []
+    patches += [NO_FIX_PATCH] if "hdop" in layer.maps.ds else []
     patches += [NO_DATA_PATCH] if np.isnan(values).any() or not layer.maps.ds["has_data"].values.all() else []
-    flat = [layer.blocked, NO_DATA_PATCH[1], EMPTY_COLOUR if zero else None]
+    flat = [_packed(layer.blocked), _packed(NO_DATA_PATCH[1]), _packed(EMPTY_COLOUR) if zero else None]
     if isinstance(scale.norm, BoundaryNorm):  # classes, and no bar
         edges, ticks, marks = scale.norm.boundaries, [], []
-        colours = scale.cmap(np.arange(len(edges) - 1), bytes=True)[:, :3]  # type: ignore[operator]
+        colours = scale.cmap(np.arange(len(edges) - 1), bytes=True)  # type: ignore[operator]
         patches = [*layer.variable.classes, *patches]
     else:
         steps = np.linspace(0, 1, 257)
         edges = scale.norm.inverse(steps)
-        colours = scale(np.asarray(scale.norm.inverse((steps[:-1] + steps[1:]) / 2)), bytes=True)[:, :3]
+        colours = scale(np.asarray(scale.norm.inverse((steps[:-1] + steps[1:]) / 2)), bytes=True)
         ticks = bar_ticks(scale)
         texts = [tick_label(value) for value in ticks]
         texts[0] = f"≤ {texts[0]}" if scale.extend in ("min", "both") else texts[0]
@@ -139,8 +152,13 @@ def legend_of(layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
         "edges": [float(f"{edge:.9g}") for edge in np.asarray(edges, float)],  # as fine as a float32
         "colours": base64.b64encode(colours.tobytes()).decode("ascii"),
         "ticks": ticks,
-        "html": legend(plain_label(scale.label), colours[::8], marks, patches),
+        "html": legend(plain_label(scale.label), colours[::8, :3], marks, patches),
     }
+
+
+def _packed(colour: str) -> int:
+    """Return a colour as a pixel of the page: its bytes are red, green, blue and 255."""
+    return int.from_bytes(bytes.fromhex(colour.removeprefix("#")) + b"\xff", "little")
 
 
 def plain_label(label: str) -> str:

@@ -122,7 +122,7 @@ class Plans:
             "--cost-model": query.cost_model,
             "--obstacles": query.obstacles,
             "--clearance": repr(query.clearance_m),
-            "--vertical-clearance": repr(self.limits.vertical_clearance_m),
+            "--vertical-clearance": repr(self._over_roofs_m(query)),
             "--no-fly": ZONES_FILE if query.zones else None,
         }
         given = [part for name, value in values.items() if value is not None for part in (name, value)]
@@ -134,7 +134,7 @@ class Plans:
         for name in query.weights:
             one_of("weight", name, ("distance", *self.maps.metrics))
         weights = Weights.of({**self.weights.to_dict(), **query.weights})
-        key = at, query.cost_model, query.obstacles, query.clearance_m, query.zones
+        key = at, query.cost_model, query.obstacles, query.clearance_m, query.vertical_clearance_m, query.zones
         return self._cost_maps.get(key, lambda: self._made(query, at)).with_weights(weights)
 
     def _made(self, query: Plan, at: OneMap) -> CostMap:
@@ -151,9 +151,13 @@ class Plans:
             constraints=self._constraints(query),
         )
 
+    def _over_roofs_m(self, query: Plan) -> float:
+        given_m = query.vertical_clearance_m
+        return self.limits.vertical_clearance_m if given_m is None else given_m
+
     def _constraints(self, query: Plan) -> Constraints:
         """Return what closes cells: drawn zones are read from a file as those of the command are."""
-        kept = replace(self.limits, clearance_m=query.clearance_m)
+        kept = replace(self.limits, clearance_m=query.clearance_m, vertical_clearance_m=self._over_roofs_m(query))
         if not query.zones:
             return kept
         try:

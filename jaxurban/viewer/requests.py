@@ -47,7 +47,8 @@ class Cell(Request):
 class Plan(Request):
     """A route that is wanted; `jaxurban.plan` names the same.
 
-    ``zones`` is GeoJSON of the no-fly zones drawn, as text.
+    ``zones`` is GeoJSON of the no-fly zones drawn, as text. Left out, ``vertical_clearance_m`` is that of the maps'
+    scenario and ``flight_m``, the altitude of flight, the level of ``at``.
     """
 
     start: tuple[Degrees, Degrees]
@@ -58,6 +59,8 @@ class Plan(Request):
     cost_model: CostKind = DEFAULTS.cost_model
     obstacles: Obstacles = DEFAULTS.obstacles
     clearance_m: Metres = DEFAULTS.clearance_m
+    vertical_clearance_m: Metres | None = None
+    flight_m: Metres | None = None
     snap: Annotated[bool, Field(strict=True)] = True
     zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
 

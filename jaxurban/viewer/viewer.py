@@ -25,6 +25,7 @@ from jaxurban.report.figures.metrics import line_colour
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer import markup
+from jaxurban.viewer.base import base_of
 from jaxurban.viewer.layers import H_NORM, DrawnLayer, layers_of, legend_of
 from jaxurban.viewer.markup import number, options, sentences
 from jaxurban.viewer.plans import Plans
@@ -32,6 +33,8 @@ from jaxurban.viewer.requests import Cell, Plan, Request, Save, Shown, Tile, par
 from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, strides_of, tile_bytes
 
 JSON, BYTES = "application/json", "application/octet-stream"
+NO_FIX_LAYER = "hdop"  # infinite where there is no fix
+OPACITY_PERCENT = 70  # of a map over streets
 BLOCK = 128  # cells a side that are read at once for the values under the pointer
 PLANNER_LINES = planner_colours(PLANNERS)
 TOTALS = {  # of `RouteReport.totals`, as the page shows them
@@ -83,6 +86,7 @@ class Viewer:
         self.kept, self.key = Kept(), uuid4().hex
         self._answers: dict[str, tuple[type[Request], Callable[[Any], Any]]] = {
             "scene": (Request, self.scene),
+            "base": (Request, self.base),
             "legend": (Shown, self.legend),
             "tile": (Tile, self.tile),
             "values": (Cell, self.values_at),
@@ -132,14 +136,24 @@ class Viewer:
             "strides": strides_of(grid.shape),
             "weights": {name: float(self.plans.weights[name]) for name in self._labels},
             "planner_colours": PLANNER_LINES,
+            "altitudes_m": self.maps.altitudes_m,
+            "has_base": self.maps.base_map is not None,
+            "no_fix": NO_FIX_LAYER if NO_FIX_LAYER in self.layers else None,
             "fields": {
                 "cost_model": self.plans.cost_model.kind,
                 "obstacles": self.maps.obstacles,
                 "clearance_m": self.plans.limits.clearance_m,
+                "vertical_clearance_m": self.plans.limits.vertical_clearance_m,
+                "flight_m": next(iter(self.maps.altitudes_m), 0.0),
+                "opacity": 100 if self.maps.base_map is None else OPACITY_PERCENT,
             },
             "can_plan": True,
             "html": self._texts(north_deg),
         }
+
+    def base(self, _: Request) -> dict[str, Any]:
+        """Return the base map (`base_of`)."""
+        return base_of(self.maps)
 
     def _texts(self, north_deg: float) -> dict[str, str]:
         """Return the texts and lists of the page by the names of their places."""
@@ -194,6 +208,11 @@ class Viewer:
             chosen.append(held[index] if dim in dims and held else None)
         return OneMap(*chosen)
 
+    def flight(self, query: Plan) -> OneMap:
+        """Return altitude, time and time of day of a route; the altitude may lie between those of the maps."""
+        at = self.place(query.at)
+        return at if query.flight_m is None or at.altitude_m is None else at._replace(altitude_m=query.flight_m)
+
     def values(self, shown: Shown) -> np.ndarray:
         """Return the values ``[Y, X]`` of a map as they travel (`DrawnLayer.values`)."""
         layer = self.layers[one_of("layer", shown.layer, self.layers)]
@@ -243,7 +262,7 @@ class Viewer:
 
     def plan(self, query: Plan) -> dict[str, Any]:
         """Return a route: its points, cost and message, and the command that gives the same."""
-        at = self.place(query.at)
+        at = self.flight(query)
         planned, moved = self.plans.route(query, at), self.plans.moved(query, at)
         has_path = planned.status.has_path
         text = f"cost {number(planned.cost)} · {planned.length_m / 1000:.2f} km" if has_path else "no path"
@@ -265,7 +284,7 @@ class Viewer:
 
         ``mission`` are the waypoints of a ``.plan``, and ``saved`` their number, their cost and least clearance.
         """
-        at = self.place(query.at)
+        at = self.flight(query)
         found, planned = self.plans.report(query, at)
         mission = self.plans.mission(query, at)
         least_m = float(cautious_profile(mission, self.maps)[CLEARANCE].min())
@@ -295,7 +314,7 @@ class Viewer:
     def save(self, query: Save) -> bytes:
         """Return a route as a file."""
         asked = Plan(**query.model_dump(exclude={"format"}))
-        return self.plans.file(asked, self.place(query.at), f".{query.format}")
+        return self.plans.file(asked, self.flight(query), f".{query.format}")
 
 
 def status_said(planned: PlannedPath) -> str:

@@ -84,7 +84,7 @@ def test_colours_are_those_of_the_figures(viewer):
     legend = answer(viewer, "legend", layer="hdop", at=[0, 0, 0])
     assert [legend["ticks"][k] for k in (0, -1)] == [1, 20]
     assert answer(viewer, "legend", layer="obstacle", at=[0, 0, 0])["edges"] == [-0.5, 0.5, 1.5]  # two classes
-    colours = np.frombuffer(base64.b64decode(legend["colours"]), np.uint8).reshape(-1, 3)
+    colours = np.frombuffer(base64.b64decode(legend["colours"]), np.uint8).reshape(-1, 4)[:, :3]
     values = np.linspace(0.5, 25, 777)
     index = np.clip(np.searchsorted(legend["edges"], values, side="right") - 1, 0, len(colours) - 1)
     of_figures = metric_colours(MAPS, "hdop")(values, bytes=True)[:, :3]

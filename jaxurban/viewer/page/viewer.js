@@ -1,71 +1,16 @@
-// The page of the viewer. It asks one function, `ask(name, parameters)`, which each door brings along: a server over
-// HTTP, a notebook's kernel, or the answers that lie in the file itself. Places are metres from the maps' southwest
-// corner, x to the east of the grid and y to its north; values travel as `jaxurban.viewer.tiles` packs them.
-const fromBase64 = text => Uint8Array.from(atob(text), letter => letter.charCodeAt(0));
-const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
-const number = value => value === null ? '–'
-  : Math.abs(value) >= 1000 ? Math.round(value).toLocaleString('en') : String(+value.toPrecision(3));
-async function unpack(packed) { // bytes by significance, deflated -> Float32Array
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream('deflate'));
-  const parts = new Uint8Array(await new Response(stream).arrayBuffer());
-  const size = parts.length / 4, bytes = new Uint8Array(parts.length);
-  for (let k = 0; k < 4; k++) for (let i = 0; i < size; i++) bytes[4 * i + k] = parts[k * size + i];
-  return new Float32Array(bytes.buffer);
-}
-function overHttp() {
-  let key = ''; // of the maps that the scene is of: the server refuses those that were made since
-  return async (name, parameters) => {
-    const kind = 'application/json', body = JSON.stringify(parameters);
-    const reply = await fetch(`ask/${name}?${key}`, { method: 'POST', headers: { 'Content-Type': kind }, body });
-    if (!reply.ok) throw Object.assign(new Error(await reply.text()), { isOld: reply.status === 409 });
-    const isJson = reply.headers.get('Content-Type') === kind;
-    const answer = isJson ? await reply.json() : new Uint8Array(await reply.arrayBuffer());
-    key ||= answer.key ?? '';
-    return answer;
-  };
-}
-function overWidget(model) {
-  const waiting = new Map();
-  let last = 0;
-  model.on('msg:custom', ({ id, error, json }, buffers) => {
-    const { resolve, reject } = waiting.get(id) ?? {};
-    if (!waiting.delete(id)) return;
-    if (error) reject(new Error(error));
-    else resolve(json ?? new Uint8Array(buffers[0].buffer, buffers[0].byteOffset, buffers[0].byteLength));
-  });
-  return (name, parameters) => new Promise((resolve, reject) => {
-    waiting.set(++last, { resolve, reject });
-    model.send({ id: last, name, parameters });
-  });
-}
-function inFile(answers) { // the values under the pointer come from the tiles
-  const ask = async (name, parameters) => {
-    if (name === 'values') return valuesAt(parameters);
-    const found = answers[name + JSON.stringify(parameters)];
-    return typeof found === 'string' ? fromBase64(found) : found;
-  };
-  const valuesAt = async ({ at, row, col }) => {
-    const { layers, tile, cols, strides: [stride] } = answers['scene{}'];
-    const [y, x] = [row, col].map(cell => Math.floor(cell / stride)), [r, c] = [y, x].map(k => Math.floor(k / tile));
-    const wide = Math.min(tile, Math.ceil(cols / stride) - c * tile);
-    return Promise.all(layers.filter(layer => layer.told).map(async layer => {
-      const request = { layer: layer.name, at: ofLayer(layer, at), stride, row: r, col: c };
-      const value = (await unpack(await ask('tile', request)))[(y - r * tile) * wide + x - c * tile];
-      return { ...layer, value: Number.isFinite(value) ? value : null };
-    }));
-  };
-  return ask;
-}
+// The page: maps to look at, and routes to plan on them. Places are metres from the maps' southwest corner, x to the
+// east of the grid and y to its north.
 const DIMS = ['altitude', 'time', 'time_of_day'];
 const ofLayer = (layer, at) => DIMS.map((dim, k) => layer.dims.includes(dim) ? at[k] : 0);
-async function start(root, ask) {
+async function start(root, ask, keepsPlan = true) { // in the address, unless it is a notebook's
   const is = name => root.querySelector(`[data-is="${name}"]`);
   const field = name => root.querySelector(`[name="${name}"]`), all = what => root.querySelectorAll(what);
   const scene = await ask('scene', {}), side = scene.resolution_m, wide = scene.cols * side, high = scene.rows * side;
   const layers = Object.fromEntries(scene.layers.map(layer => [layer.name, layer]));
-  const map = is('map'), pen = map.getContext('2d'), tiles = new Map();
+  const map = is('map'), pen = map.getContext('2d');
   const state = { tab: 'look', ends: {}, marks: {}, zones: [], routes: [], plans: 0, weights: { ...scene.weights } };
-  const view = { x: wide / 2, y: high / 2, scale: 1 }, [west0, south0] = scene.corner_m; // scale: metres a pixel
+  const view = viewOf(map, wide, high, side), { toPixel, toMetres } = view, [west0, south0] = scene.corner_m;
+  const base = scene.has_base ? baseMap(await ask('base', {})) : null;
   const tell = (text, isOld = false) => { // that the maps are old stays
     if (!root.querySelector('.jv-reload').hidden) return;
     is('tell').textContent = text;
@@ -84,91 +29,45 @@ async function start(root, ask) {
       isBusy = false;
     };
   };
-  const toPixel = ([x, y]) =>
-    [(x - view.x) / view.scale + map.clientWidth / 2, map.clientHeight / 2 - (y - view.y) / view.scale];
-  const toMetres = (left, top) =>
-    [view.x + (left - map.clientWidth / 2) * view.scale, view.y - (top - map.clientHeight / 2) * view.scale];
   const isInside = ([x, y]) => x >= 0 && y >= 0 && x < wide && y < high;
   const toLonLat = ([x, y]) => {
     const u = 2 * x / wide - 1, v = 2 * y / high - 1, { powers, lon, lat } = scene.lonlat;
     return [lon, lat].map(terms => +powers.reduce((sum, [i, j], k) => sum + terms[k] * u ** i * v ** j, 0).toFixed(7));
   };
-  const whole = () => 1.06 * Math.max(wide / map.clientWidth, high / map.clientHeight);
-  const fit = () => Object.assign(view, { x: wide / 2, y: high / 2, scale: whole() });
-  const zoom = (factor, left = map.clientWidth / 2, top = map.clientHeight / 2) => {
-    const [x, y] = toMetres(left, top), scale = clamp(view.scale * factor, side / 40, Math.max(wide, high) / 100);
-    Object.assign(view, { x: x + (view.x - x) * scale / view.scale, y: y + (view.y - y) * scale / view.scale, scale });
-  };
   const places = () => DIMS.map(name => +field(name).value);
   const show = guard(async () => {
     const layer = layers[field('layer').value], request = { layer: layer.name, at: ofLayer(layer, places()) };
     state.asked = JSON.stringify(request);
-    const legend = await ask('legend', request), rgb = fromBase64(legend.colours);
+    const legend = await ask('legend', request);
     if (state.asked !== JSON.stringify(request)) return; // another one was asked for meanwhile
-    const colour = (red, green, blue) => (255 << 24 | blue << 16 | green << 8 | red) >>> 0;
-    const ofHex = hex => hex && colour(...[1, 3, 5].map(k => parseInt(hex.slice(k, k + 2), 16)));
-    const colours = Array.from({ length: rgb.length / 3 }, (_, k) => colour(...rgb.subarray(3 * k, 3 * k + 3)));
-    state.shown = { request, edges: legend.edges, colours, flat: legend.flat.map(ofHex) };
+    const colours = new Uint32Array(fromBase64(legend.colours).buffer);
+    state.shown = { request, colourOf: colouring(legend.edges, colours, legend.flat) };
+    const noFix = scene.no_fix && { layer: scene.no_fix, at: ofLayer(layers[scene.no_fix], places()) };
+    state.noFix = noFix && { request: noFix, colourOf: whereNoFix, over: 'hatch' };
     is('legend').innerHTML = legend.html;
     if (state.pointer) point(state.pointer);
     draw();
   });
-  const tileOf = (shown, stride, row, col, isWanted) => {
-    const request = { ...shown.request, stride, row, col }, key = JSON.stringify(request);
-    if (isWanted && !tiles.has(key)) {
-      tiles.set(key, null); // on its way
-      guard(async () => {
-        const values = await unpack(await ask('tile', request));
-        tiles.set(key, paint(values, Math.min(scene.tile, Math.ceil(scene.cols / stride) - col * scene.tile), shown));
-        if (tiles.size > 200) tiles.delete(tiles.keys().next().value);
-        draw();
-      })();
-    }
-    return tiles.get(key);
-  };
-  const paint = (values, width, { edges, colours, flat: [blocked, nothing, zero] }) => {
-    const height = values.length / width, image = new ImageData(width, height);
-    const pixels = new Uint32Array(image.data.buffer), picture = new OffscreenCanvas(width, height);
-    const colourOf = value => {
-      if (value === -Infinity) return blocked;
-      if (Number.isNaN(value)) return nothing;
-      if (value === 0 && zero) return zero;
-      let low = 0, top = colours.length - 1; // the last edge that is not above the value
-      while (low < top) {
-        const middle = (low + top + 1) >> 1;
-        if (edges[middle] <= value) low = middle; else top = middle - 1;
-      }
-      return colours[low];
-    };
-    for (let row = 0, k = 0; row < height; row++) // rows run to the north, those of a picture down
-      for (let to = (height - 1 - row) * width, col = 0; col < width; col++) pixels[to++] = colourOf(values[k++]);
-    picture.getContext('2d').putImageData(image, 0, 0);
-    return picture;
-  };
   // --- the map
   const draw = () => { state.frame ??= requestAnimationFrame(drawMap); };
+  const drawTiles = tilesOf(ask, scene, view, guard, draw);
   const drawMap = () => {
     state.frame = null;
     const { clientWidth: width, clientHeight: height } = map, ratio = window.devicePixelRatio || 1;
     Object.assign(map, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.imageSmoothingEnabled = false;
-    const [west, north] = toMetres(0, 0), [east, south] = toMetres(width, height);
-    if (state.shown) drawTiles(west, south, east, north, view.scale / ratio);
+    base?.draw(pen, toPixel, view.scale, wide, high);
+    if (state.shown) drawTiles(pen, state.shown, { alpha: field('opacity').value / 100 });
+    if (state.noFix && field('hatch').checked) drawTiles(pen, state.noFix, { isHatched: true });
+    base?.write(pen, toPixel, view.scale, width, height);
     for (const zone of state.zones) line(zone, '#a01830', 1.5, { fill: '#a0183033' });
     if (state.drawing) line(state.drawing, '#a01830', 1.5);
-    const routes = state.routes.map((route, k) => ({ ...route, width: 2.6 + 3 * k })).reverse(); // wide ones below
-    for (const { xy_m, width } of routes) line(xy_m, '#fff', width + 2.4);
-    for (const { xy_m, width, planner } of routes) line(xy_m, scene.planner_colours[planner], width);
+    const routes = state.routes.map((route, k) => ({ ...route, off: 4 * (k - (state.routes.length - 1) / 2) }));
+    for (const { xy_m, off } of routes) line(xy_m, '#fff', 5.4, { off }); // beside each other where they coincide
+    for (const { xy_m, planner, off } of routes) line(xy_m, scene.planner_colours[planner], 3, { off });
     if (state.report) { // what a .plan holds
       line(state.report.mission, '#1f2429', 1.4, { dash: [5, 4] });
-      let last = [-99, -99]; // else they would hide the route from afar
-      for (const place of state.report.mission) {
-        const at = toPixel(place);
-        if (Math.hypot(at[0] - last[0], at[1] - last[1]) < 14) continue;
-        spot(place, 2.5, '#fff', '#1f2429');
-        last = at;
-      }
+      if (view.scale < 5) for (const place of state.report.mission) spot(place, 2.5, '#fff', '#1f2429');
     }
     for (const [name, place] of Object.entries(state.ends)) {
       line([place, markOf(name)], '#1f2429', 1);
@@ -182,24 +81,9 @@ async function start(root, ask) {
     is('scale').style.width = `${length / view.scale}px`;
     is('scale-text').textContent = length < 1000 ? `${length} m` : `${length / 1000} km`;
   };
-  const drawTiles = (west, south, east, north, scale) => {
-    const finest = scene.strides.findLast(stride => stride * side <= scale * 1.01) ?? scene.strides[0];
-    for (const stride of scene.strides.filter(each => each >= finest).reverse()) {
-      const reach = stride * side * scene.tile, isWanted = [finest, scene.strides.at(-1)].includes(stride);
-      const span = (low, top, end) => [clamp(low / reach, 0, end) | 0, Math.ceil(Math.min(end, top) / reach)];
-      for (let [row, end] = span(south, north, high); row < end; row++)
-        for (let [col, last] = span(west, east, wide); col < last; col++) {
-          const picture = tileOf(state.shown, stride, row, col, isWanted);
-          if (!picture) continue;
-          const [left, bottom] = toPixel([col * reach, row * reach]), pixels = stride * side / view.scale;
-          const up = picture.height * pixels;
-          pen.drawImage(picture, left, bottom - up, picture.width * pixels, up);
-        }
-    }
-  };
-  const line = (places, strokeStyle, lineWidth, { fill, dash } = {}) => {
+  const line = (places, strokeStyle, lineWidth, { fill, dash, off } = {}) => {
     pen.beginPath();
-    for (const place of places) pen.lineTo(...toPixel(place));
+    for (const at of beside(places.map(toPixel), off)) pen.lineTo(...at);
     Object.assign(pen, { strokeStyle, lineWidth, lineJoin: 'round', lineCap: 'round', fillStyle: fill });
     if (fill) { pen.closePath(); pen.fill(); }
     pen.setLineDash(dash || []);
@@ -259,8 +143,7 @@ async function start(root, ask) {
       drag.isMoved ||= Math.hypot(left - drag.left, top - drag.top) > 3;
       if (drag.end && drag.isMoved && isInside(place)) setEnd(drag.end, place);
       if (!drag.end && drag.isMoved) {
-        view.x -= (left - drag.left) * view.scale;
-        view.y += (top - drag.top) * view.scale;
+        view.shift(left - drag.left, top - drag.top);
         Object.assign(drag, { left, top });
       }
       draw();
@@ -274,19 +157,18 @@ async function start(root, ask) {
   };
   map.onwheel = event => {
     event.preventDefault();
-    zoom(1.0015 ** event.deltaY, event.offsetX, event.offsetY);
+    view.zoom(1.001 ** clamp(event.deltaY, -300, 300), event.offsetX, event.offsetY);
     draw();
   };
   map.onkeydown = event => {
-    const move = (x, y) => () => Object.assign(view, { x: view.x + x * view.scale, y: view.y + y * view.scale });
-    const acts = { '+': () => zoom(0.7), '-': () => zoom(1 / 0.7), 0: fit, Enter: () => click([view.x, view.y]),
-      Escape: () => { state.drawing = null; hint(); }, ArrowLeft: move(-60, 0), ArrowRight: move(60, 0),
+    const move = (left, top) => () => { view.shift(left, top); draw(); };
+    const acts = { '+': actions.closer, '-': actions.farther, 0: actions.fit, Enter: () => click([view.x, view.y]),
+      Escape: () => { state.drawing = null; hint(); draw(); }, ArrowLeft: move(60, 0), ArrowRight: move(-60, 0),
       ArrowUp: move(0, 60), ArrowDown: move(0, -60) };
     if (!acts[event.key] || event.ctrlKey || event.metaKey) return; // the browser's own zoom
     event.preventDefault();
     acts[event.key]();
     point([view.x, view.y]);
-    draw();
   };
   // --- routes
   const zones = () => !state.zones.length ? '' : JSON.stringify({ type: 'FeatureCollection', features: state.zones.map(
@@ -294,9 +176,10 @@ async function start(root, ask) {
       geometry: { type: 'Polygon', coordinates: [[...zone, zone[0]].map(toLonLat)] } })) });
   const query = planner => ({ start: toLonLat(state.ends.start), goal: toLonLat(state.ends.goal ?? state.ends.start),
     cost_model: field('cost_model').value, obstacles: field('obstacles').value, zones: zones(), planner,
-    at: places(), weights: state.weights, clearance_m: +field('clearance_m').value, snap: field('snap').checked });
-  const isReady = () => state.ends.start && state.ends.goal;
+    at: places(), weights: state.weights, clearance_m: +field('clearance_m').value, snap: field('snap').checked,
+    vertical_clearance_m: +field('vertical_clearance_m').value, flight_m: +field('flight_m').value });
   const placed = route => ({ ...route, xy_m: route.xy_m.map(([x, y]) => [x - west0, y - south0]) });
+  const isReady = () => state.ends.start && state.ends.goal;
   const chosen = () => [...is('planners').querySelectorAll(':checked')].map(box => box.value);
   const planAll = latest(async () => {
     const asked = state.plans, found = [], refused = [];
@@ -308,7 +191,7 @@ async function start(root, ask) {
     tell(refused[0]?.message ?? found.find(route => !route.has_path)?.message ?? '', refused[0]?.isOld);
     showRoutes(found);
   });
-  const plan = () => { state.plans++; hint(); if (isReady()) planAll(); };
+  const plan = () => { state.plans++; hint(); keep(); if (isReady()) planAll(); };
   const showRoutes = (routes, route = routes.find(each => each.has_path) ?? routes[0]) => {
     const marks = route?.has_path ? { start: route.xy_m[0], goal: route.xy_m.at(-1) } : {};
     Object.assign(state, { routes, route, marks, report: null, linked: null, at: -1 });
@@ -332,17 +215,25 @@ async function start(root, ask) {
     state.report = found;
     draw();
     for (const name of ['cautions', 'totals', 'profile', 'saved', 'report-text']) is(name).innerHTML = found[name];
-    if (!is('report').hidden) return;
     is('report').hidden = false; // which takes of the map's height
-    const pixels = route.xy_m.map(toPixel);
-    if (pixels.some(([x, y]) => x < 0 || y < 0 || x > map.clientWidth || y > map.clientHeight)) {
-      const [x, y] = [0, 1].map(k => route.xy_m.map(place => place[k]));
-      const [[left, right], [low, top]] = [x, y].map(each => [Math.min(...each), Math.max(...each)]);
-      const scale = 1.3 * Math.max((right - left) / map.clientWidth, (top - low) / map.clientHeight);
-      Object.assign(view, { x: (left + right) / 2, y: (low + top) / 2, scale: Math.max(scale, view.scale) });
-      draw();
-    }
+    frame(route);
   });
+  const frame = route => { // so that no part of it is out of sight, once for each pair of ends
+    const ends = JSON.stringify(state.ends);
+    if (state.framed === ends) return;
+    state.framed = ends;
+    if (view.isWhole) view.fit();
+    const free = [is('legend').offsetWidth + 24, 24, map.clientWidth - 60, map.clientHeight - 24]; // beside the legend
+    const legendTop = is('legend').offsetTop, pixels = route.xy_m.map(toPixel);
+    if (!pixels.some(([x, y]) => x < 24 || x > free[2] || y < free[1] || y > free[3] || (x < free[0] && y > legendTop)))
+      return;
+    const [[left, right], [low, top]] = [0, 1].map(k => route.xy_m.map(place => place[k])).map(each =>
+      [Math.min(...each), Math.max(...each)]);
+    const scale = 1.1 * Math.max((right - left) / (free[2] - free[0]), (top - low) / (free[3] - free[1]), side / 40);
+    view.show((left + right - (free[0] + free[2] - map.clientWidth) * scale) / 2,
+      (low + top + (free[1] + free[3] - map.clientHeight) * scale) / 2, scale);
+    draw();
+  };
   const link = k => { // the same place on the map and on the profile
     if (k === state.at) return;
     const { xy, to_share: ends } = state.report, here = is('profile').querySelector('.jv-here');
@@ -385,7 +276,16 @@ async function start(root, ask) {
   const actions = {
     zone: () => { if (state.drawing) closeZone(); else state.drawing = []; hint(); draw(); },
     'save-zones': () => download(zones(), 'zones.geojson'),
-    clear: () => { Object.assign(state, { ends: {}, zones: [], drawing: null }); tell(''); showRoutes([]); plan(); },
+    clear: () => {
+      Object.assign(state, { ends: {}, zones: [], drawing: null, framed: null });
+      tell('');
+      showRoutes([]);
+      plan();
+    },
+    closer: () => { view.zoom(0.7); draw(); },
+    farther: () => { view.zoom(1 / 0.7); draw(); },
+    fit: () => { view.fit(); draw(); },
+    reset: () => { restore(first); actions.clear(); actions.fit(); },
     reload: () => window.location.reload(),
     copy: () => navigator.clipboard.writeText(is('command').textContent),
   };
@@ -399,10 +299,12 @@ async function start(root, ask) {
     state.weights = { ...state.weights, [name]: value };
     slider.previousElementSibling.textContent = number(value);
   };
-  const setFields = values => Object.entries(values).forEach(([name, value]) =>
-    Object.assign(field(name), { [name === 'snap' ? 'checked' : 'value']: value }));
+  const setField = (each, value) => {
+    each[each.type === 'checkbox' ? 'checked' : 'value'] = value;
+    if (each.type !== 'checkbox' && each.value !== String(value)) throw new Error(`${each.name} cannot be ${value}`);
+  };
   for (const [name, html] of Object.entries(scene.html)) (is(name) ?? field(name)).innerHTML = html;
-  setFields(scene.fields);
+  for (const [name, value] of Object.entries(scene.fields)) setField(field(name), value);
   for (const [name, value] of Object.entries(scene.weights)) {
     const slider = field(`weight-${name}`), read = () => setWeight(name,
       slider.value === slider.min ? 0 : Number((10 ** slider.value).toPrecision(3)));
@@ -410,22 +312,68 @@ async function start(root, ask) {
     slider.onchange = plan;
     setWeight(name, value);
   }
-  for (const each of all('select, input:not([type="range"])')) each.onchange = () => { show(); plan(); };
-  root.querySelector('nav').hidden = !scene.can_plan;
-  for (const button of all('[data-tab]')) button.onclick = () => {
-    state.tab = button.dataset.tab;
-    for (const each of all('[data-tab]')) each.ariaSelected = each === button;
-    for (const page of all('[data-page]')) page.hidden = page.dataset.page !== state.tab;
+  // --- what the address keeps, so that a reload or a link shows the same
+  const ofMaps = String([scene.corner_m, wide, high]), named = [...all('[name]:not([name^="weight-"])')];
+  const kept = () => ({ ofMaps, tab: state.tab, weights: state.weights, planners: chosen(), zones: state.zones,
+    ends: state.ends, fields: named.map(each => each.type === 'checkbox' ? each.checked : each.value) });
+  const keep = () => {
+    if (keepsPlan) history.replaceState(null, '', `#${encodeURIComponent(JSON.stringify(kept()))}`);
   };
+  const restore = plan => {
+    plan.fields.forEach((value, k) => setField(named[k], value));
+    for (const [name, value] of Object.entries(plan.weights)) setWeight(name, value);
+    for (const box of is('planners').querySelectorAll('input')) box.checked = plan.planners.includes(box.value);
+    Object.assign(state, { zones: plan.zones, ends: plan.ends });
+    if (plan.ofMaps !== ofMaps || !Object.values(state.ends).every(isInside)) throw new Error('it is of other maps');
+    choose(plan.tab);
+  };
+  const between = () => { // of the levels that the maps hold, that below the flight's is drawn
+    const flight = +field('flight_m').value, index = scene.altitudes_m.findLastIndex(level => level <= flight);
+    if (index >= 0) field('altitude').value = index;
+    const level = scene.altitudes_m[index] ?? flight;
+    is('between').textContent = level === flight ? '' : `Between two levels: the map shows that of ${level} m.`;
+  };
+  const fitModel = () => {
+    const model = field('cost_model'), isAsked = root.querySelector('[value="theta-star"]').checked;
+    is('model').textContent = isAsked && model.value !== 'line' ? 'theta-star needs line, so the model is line.' : '';
+    if (isAsked) model.value = 'line';
+  };
+  for (const each of all('select, input:not([type="range"])')) each.onchange = () => {
+    if (each.name === 'altitude') field('flight_m').value = scene.altitudes_m[each.value];
+    if (each.name === 'altitude' || each.name === 'flight_m') between();
+    fitModel();
+    show();
+    plan();
+  };
+  field('opacity').oninput = ({ target: { value } }) => {
+    is('legend').style.setProperty('--opacity', value / 100);
+    draw();
+  };
+  field('opacity').onchange = keep;
+  root.querySelector('nav').hidden = !scene.can_plan;
+  const choose = tab => {
+    state.tab = tab;
+    for (const each of all('[data-tab]')) each.ariaSelected = each.dataset.tab === tab;
+    for (const page of all('[data-page]')) page.hidden = page.dataset.page !== tab;
+  };
+  for (const button of all('[data-tab]')) button.onclick = () => { choose(button.dataset.tab); keep(); };
+  const first = kept(), held = keepsPlan && window.location.hash.slice(1);
+  let isLost = false;
+  try { if (held) restore(JSON.parse(decodeURIComponent(held))); } catch { isLost = true; restore(first); }
+  field('opacity').dispatchEvent(new Event('input'));
+  between();
   hint();
-  fit();
-  new ResizeObserver(draw).observe(map);
+  view.fit();
+  new ResizeObserver(() => { if (view.isWhole) view.fit(); draw(); }).observe(map);
   await show();
+  if (scene.can_plan) plan();
+  if (isLost) tell('The address holds no plan of these maps, so the page begins afresh.');
+  if (keepsPlan) window.onhashchange = () => window.location.reload();
   root.dataset.ready = 'yes';
 }
 const held = document.getElementById('jv-data')?.textContent;
 if (held !== undefined) start(document.querySelector('.jv'), held ? inFile(JSON.parse(held)) : overHttp());
 export default { render({ model, el }) {
   el.innerHTML = `<div class="jv jv-inset">${model.get('markup')}</div>`;
-  start(el.firstElementChild, overWidget(model));
+  start(el.firstElementChild, overWidget(model), false);
 } };

@@ -1,0 +1,142 @@
+// What the map is drawn with: the part in view, tiles, the base map with its names, and lines side by side.
+const KINDS = { // metres: width on the ground; most: metres a pixel up to which they are drawn
+  water: { fill: '#7d9db3' }, park: { fill: '#a3bf90' }, path: { stroke: '#9aa1a8', metres: 2.5, most: 3 },
+  street: { stroke: '#737b83', metres: 7, most: 12 }, major: { stroke: '#5a626a', metres: 12, most: Infinity },
+  rail: { stroke: '#4a5158', metres: 2, most: 12 },
+};
+function baseMap({ shapes, names }) {
+  const paths = Object.entries(shapes).filter(([kind]) => kind in KINDS).map(([kind, lines]) => {
+    const path = new Path2D();
+    for (const line of lines)
+      for (let k = 0; k < line.length; k += 2) path[k ? 'lineTo' : 'moveTo'](line[k], line[k + 1]);
+    return [KINDS[kind], path];
+  });
+  const draw = (pen, toPixel, scale, wide, high) => {
+    const [left, top] = toPixel([0, 0]);
+    pen.save();
+    pen.transform(1 / scale, 0, 0, -1 / scale, left, top); // so that it draws in metres
+    Object.assign(pen, { fillStyle: '#fbfaf7', lineJoin: 'round', lineCap: 'round' });
+    pen.fillRect(0, 0, wide, high);
+    for (const [{ fill, stroke, metres, most }, path] of paths) {
+      Object.assign(pen, { fillStyle: fill, strokeStyle: stroke, lineWidth: Math.max(metres, 1.1 * scale) });
+      if (fill) pen.fill(path, 'evenodd'); else if (scale <= most) pen.stroke(path);
+    }
+    pen.restore();
+  };
+  const write = (pen, toPixel, scale, width, height) => { // those in front come first, and none over another
+    const taken = [];
+    for (const [x, y, text, kind, angle, metres] of names) {
+      const [left, top] = toPixel([x, y]), most = KINDS[kind]?.most ?? Infinity;
+      if (taken.length > 60) return;
+      if (left < 0 || top < 0 || left > width || top > height || scale > most / 2) continue;
+      pen.font = kind === 'place' ? '600 12.5px system-ui' : '11px system-ui';
+      const half = pen.measureText(text).width / 2 + 4;
+      const reach = [Math.abs(half * Math.cos(angle)) + 8, Math.abs(half * Math.sin(angle)) + 8];
+      if (metres && metres / scale < 2 * half) continue;
+      if (taken.some(([x2, y2, a, b]) => Math.abs(x2 - left) < a + reach[0] && Math.abs(y2 - top) < b + reach[1]))
+        continue;
+      taken.push([left, top, ...reach]);
+      pen.save();
+      pen.translate(left, top);
+      pen.rotate(-angle);
+      Object.assign(pen, { textAlign: 'center', textBaseline: 'middle', lineWidth: 3, lineJoin: 'round' });
+      Object.assign(pen, { strokeStyle: '#ffffffc0', fillStyle: '#2b3138' });
+      for (const ink of ['strokeText', 'fillText']) pen[ink](text, 0, 0);
+      pen.restore();
+    }
+  };
+  return { draw, write };
+}
+const colouring = (edges, colours, [blocked, nothing, zero]) => value => {
+  if (value === -Infinity) return blocked;
+  if (Number.isNaN(value)) return nothing;
+  if (value === 0 && zero) return zero;
+  let low = 0, top = colours.length - 1; // the last edge that is not above the value
+  while (low < top) {
+    const middle = (low + top + 1) >> 1;
+    if (edges[middle] <= value) low = middle; else top = middle - 1;
+  }
+  return colours[low];
+};
+const whereNoFix = value => value === Infinity ? 0xffffffff : 0; // of a dilution of precision
+function hatch(pen) { // red lines
+  const tile = new OffscreenCanvas(6, 6), ink = tile.getContext('2d');
+  ink.fillStyle = '#d01824';
+  for (let k = -1; k < 6; k++) ink.fillRect(k, 5 - k, 2, 1);
+  return pen.createPattern(tile, 'repeat');
+}
+function viewOf(map, wide, high, side) { // which part of the map is seen; scale: metres a pixel
+  const view = { x: wide / 2, y: high / 2, scale: 1, isWhole: true };
+  view.toPixel = ([x, y]) =>
+    [(x - view.x) / view.scale + map.clientWidth / 2, map.clientHeight / 2 - (y - view.y) / view.scale];
+  view.toMetres = (left, top) =>
+    [view.x + (left - map.clientWidth / 2) * view.scale, view.y - (top - map.clientHeight / 2) * view.scale];
+  view.show = (x, y, scale, isWhole = false) => Object.assign(view, { x, y, scale, isWhole });
+  view.fit = () =>
+    view.show(wide / 2, high / 2, 1.06 * Math.max(wide / map.clientWidth, high / map.clientHeight), true);
+  view.zoom = (factor, left = map.clientWidth / 2, top = map.clientHeight / 2) => {
+    const [x, y] = view.toMetres(left, top), scale = clamp(view.scale * factor, side / 40, Math.max(wide, high) / 100);
+    view.show(x + (view.x - x) * scale / view.scale, y + (view.y - y) * scale / view.scale, scale);
+  };
+  view.shift = (left, top) => view.show(view.x - left * view.scale, view.y + top * view.scale, view.scale);
+  return view;
+}
+function tilesOf(ask, { tile, rows, cols, resolution_m: side, strides }, view, guard, redraw) {
+  const held = new Map(), sheet = new OffscreenCanvas(1, 1), over = sheet.getContext('2d');
+  const tileOf = (shown, stride, row, col, isWanted) => {
+    const request = { ...shown.request, stride, row, col }, key = JSON.stringify([request, shown.over]);
+    if (isWanted && !held.has(key)) {
+      held.set(key, null); // on its way
+      guard(async () => {
+        const values = await unpack(await ask('tile', request));
+        held.set(key, paint(values, Math.min(tile, Math.ceil(cols / stride) - col * tile), shown.colourOf));
+        if (held.size > 200) held.delete(held.keys().next().value);
+        redraw();
+      })();
+    }
+    return held.get(key);
+  };
+  const draw = (pen, shown, { alpha = 1, isHatched = false }) => { // coarse tiles lie below those still on their way
+    const { canvas: { width, height, clientWidth, clientHeight } } = pen, ratio = width / clientWidth;
+    const [west, north] = view.toMetres(0, 0), [east, south] = view.toMetres(clientWidth, clientHeight);
+    const finest = strides.findLast(stride => stride * side <= view.scale / ratio * 1.01) ?? strides[0];
+    Object.assign(sheet, { width, height });
+    over.setTransform(ratio, 0, 0, ratio, 0, 0);
+    over.imageSmoothingEnabled = false;
+    for (const stride of strides.filter(each => each >= finest).reverse()) {
+      const reach = stride * side * tile, isWanted = [finest, strides.at(-1)].includes(stride);
+      const span = (low, top, end) => [clamp(low / reach, 0, end) | 0, Math.ceil(Math.min(end, top) / reach)];
+      for (let [row, end] = span(south, north, rows * side); row < end; row++)
+        for (let [col, last] = span(west, east, cols * side); col < last; col++) {
+          const picture = tileOf(shown, stride, row, col, isWanted);
+          if (!picture) continue;
+          const [left, bottom] = view.toPixel([col * reach, row * reach]), pixels = stride * side / view.scale;
+          const up = picture.height * pixels;
+          over.drawImage(picture, left, bottom - up, picture.width * pixels, up);
+        }
+    }
+    if (isHatched) {
+      Object.assign(over, { globalCompositeOperation: 'source-in', fillStyle: hatch(over) });
+      over.fillRect(0, 0, clientWidth, clientHeight);
+    }
+    pen.globalAlpha = alpha;
+    pen.drawImage(sheet, 0, 0, clientWidth, clientHeight);
+    pen.globalAlpha = 1;
+  };
+  return draw;
+}
+function paint(values, width, colourOf) {
+  const height = values.length / width, image = new ImageData(width, height);
+  const pixels = new Uint32Array(image.data.buffer), picture = new OffscreenCanvas(width, height);
+  for (let row = 0, k = 0; row < height; row++) // rows run to the north, those of a picture down
+    for (let to = (height - 1 - row) * width, col = 0; col < width; col++) pixels[to++] = colourOf(values[k++]);
+  picture.getContext('2d').putImageData(image, 0, 0);
+  return picture;
+}
+function beside(points, off) { // the line so many pixels to the right of its course
+  return !off ? points : points.map(([x, y], k) => {
+    const [[a, b], [c, d]] = [points[Math.max(k - 1, 0)], points[Math.min(k + 1, points.length - 1)]];
+    const size = Math.hypot(c - a, d - b) || 1;
+    return [x - off * (d - b) / size, y + off * (c - a) / size];
+  });
+}
