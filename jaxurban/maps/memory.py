@@ -24,7 +24,7 @@ DEFAULT_SHARE = 0.5  # of the memory that is free when a run begins
 LEAST_SIDE = 64  # of a tile, in cells
 SERIES_BYTES = 384 * 2**20  # a tile's metric at every time of a long series takes at most this
 
-# Measured (docs/evidence/benchmarks.md) and rounded up; what each metric takes of a cell is in its `Metric`.
+# Measured (docs/guides/large.md) and rounded up; what each metric takes of a cell is in its `Metric`.
 COMPILING_BYTES = 320 * 2**20  # what compiling takes beside the libraries, which this process holds already
 SURFACE_CELL_BYTES = 20  # rasters on the host and for JAX while they are put together, or crops of them for the lidar
 TERRAIN_CELL_BYTES = 16  # the same of the terrain; and where slabs hang, of roofs as an altitude meets them
