@@ -136,7 +136,9 @@ def run_shell(block: Block, page: Path, capsys) -> None:
             case ["python", "-m", "figures", *parts]:
                 drawn = [*(ROOT / "figures").rglob("*.py")]
                 assert all(any(part in file.stem for file in drawn) for part in parts)
-            case ["python", "-m", "pip", "install", "-c", "constraints.txt", "-e", target]:
+            case ["python", "-m", "pip", "install", "."]:
+                pass
+            case ["python", "-m", "pip", "install", *_, target]:
                 extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
                 assert target.strip(".[]") in extras["optional-dependencies"]
             case _:
