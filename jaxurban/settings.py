@@ -130,7 +130,7 @@ class Heights:
     def __post_init__(self) -> None:
         if self.height_samples != 0 and not 2 <= self.height_samples <= MOST_SAMPLES:
             raise InputError(
-                f"height_samples must be 0, for none, or from 2 to {MOST_SAMPLES:,} (each makes all maps anew, and a "
+                f"height_samples must be 0, for none, or from 2 to {MOST_SAMPLES:,} (each makes all maps again, and a "
                 f"tenth of them are held in memory), got {self.height_samples}"
             )
         at_least("height_seed", self.height_seed)

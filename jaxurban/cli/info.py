@@ -32,9 +32,9 @@ def _of_maps(folder: Path) -> dict[str, Any]:
     resolutions_m: list[Any] = sorted(stored_resolutions(folder)) or [None]
     for resolution_m in resolutions_m:
         maps = open_maps(folder, resolution_m)
-        told = {"bounds": _bounds_of(maps.grid), **maps.facts, "guesses": ", ".join(maps.guesses) or "none"}
+        known = {"bounds": _bounds_of(maps.grid), **maps.facts, "guesses": ", ".join(maps.guesses) or "none"}
         prefix = f"{short_number(resolution_m)} m: " if len(resolutions_m) > 1 else ""
-        facts |= {f"{prefix}{name}": value for name, value in told.items() if value}
+        facts |= {f"{prefix}{name}": value for name, value in known.items() if value}
     return facts
 
 

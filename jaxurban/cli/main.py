@@ -80,7 +80,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         _set_up_libraries()
         code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
         if sys.stdout is not None:
-            sys.stdout.flush()  # what cannot be printed is told now, not at the interpreter's end
+            sys.stdout.flush()  # what cannot be printed is reported now, not at the interpreter's end
     except InputError as error:
         code = _fail(str(error))
     except click.exceptions.NoArgsIsHelpError as help_text:

@@ -35,7 +35,9 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
     "--objective", type=click.Choice(["weighted", "distance"]), help="[default: the scenario's, else weighted]"
 )
 @click.option("--budget", "budget_s", type=float, help="Seconds of search.  [default: the scenario's, else 10]")
-@click.option("--seed", type=click.IntRange(min=0))
+@click.option(
+    "--seed", type=click.IntRange(min=0), help="Seed of sampling planners.  [default: the scenario's, else 0]"
+)
 @click.option(
     "--refine", is_flag=True, help="Move the waypoints to lower cost after the search; not under --cost-model cell."
 )

@@ -36,7 +36,7 @@ WEIGHTS = together(  # what both commands ask of weights
         show_default=True,
         help="Range of each weight, as factors of its value.",
     ),
-    click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True),
+    click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of random numbers."),
     click.option("--overwrite", is_flag=True, help="Replace another run of this command in the output folder."),
     DEVICE,
     JSON_FLAG,

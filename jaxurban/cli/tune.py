@@ -52,7 +52,7 @@ from jaxurban.progress import LOG
 @click.option("--scale", type=click.Choice(["simplex", "distance"]), help="Weights sum to 1, or distance has 1.")
 @click.option("--bootstrap", type=click.IntRange(min=0), help="Number of fits for the intervals.  [default: 200]")
 @click.option("--rounds", "max_rounds", type=click.IntRange(min=1), help="Most rounds of searches.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of random numbers.")
 @click.option("--budget", "budget_s", type=float, help="Seconds after which no further round begins.")
 @click.option("--overwrite", is_flag=True, help="Replace a fit of other routes or settings in the output folder.")
 @DEVICE
