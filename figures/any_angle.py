@@ -5,18 +5,36 @@
 
 from pathlib import Path as File
 
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from scipy.optimize import minimize_scalar
 
 import jaxurban as ju
 from jaxurban.planners.any_angle import refine, theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Path, Problem
+from jaxurban.report.figures.paths import APART_PT, BLOCKED_COLOUR, EDGE_PT, LINE_PT, Beside, lanes_of
+from jaxurban.report.figures.style import (
+    FAINT_INK,
+    INK,
+    SMALL_PT,
+    Colours,
+    add_colour_bar,
+    chart,
+    legend_below,
+    letter_all,
+    styled,
+)
+from jaxurban.report.write import write_png
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
-STYLES = {"A* on the grid": ("tab:red", 1.2), "Theta*": ("tab:orange", 1.4), "Theta*, refined": ("black", 1.6)}
+PART_M = 110.0  # half the side of what is drawn larger
+STYLES = {"A* on the grid": "#0b3c8c", "Theta*": "#ffb000", "Theta*, refined": "#c51b8a", "Snell's law": "#1a1a1a"}
+COLOURS = Colours("Greys", Normalize(0, 2.5), f"map cost per {RESOLUTION_M:g} m", extend="max")
 
 
 def two_media() -> tuple[Problem, np.ndarray]:
@@ -49,42 +67,63 @@ def city() -> Problem:
 def paths_of(problem: Problem) -> dict[str, Path]:
     """Return the three paths by label."""
     angled = theta_star(problem)
-    return dict(zip(STYLES, (astar(problem), angled, refine(problem, angled)), strict=True))
+    return dict(zip(STYLES, (astar(problem), angled, refine(problem, angled)), strict=False))
 
 
-def draw(axes: Axes, problem: Problem, paths: dict[str, Path], has_points: bool = False) -> None:
-    """Draw the cost map and the paths."""
-    extent = [0, problem.is_free.shape[1] * RESOLUTION_M, 0, problem.is_free.shape[0] * RESOLUTION_M]
-    shown = np.where(problem.is_free, problem.cost, np.nan)
-    image = axes.imshow(shown, origin="lower", extent=extent, cmap="Blues", vmin=0, interpolation="nearest")
-    image.cmap.set_bad("0.35")
-    plt.colorbar(image, ax=axes, label="map cost per 5 m", shrink=0.75)
-    for label, path in paths.items():
-        colour, width = STYLES[label]
-        style = {"marker": ".", "markersize": 4} if has_points else {}
-        axes.plot(*path.points_m.T, color=colour, lw=width, label=f"{label}: {path.cost:.2f}", **style)
-    axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
+def draw(panel: Axes, problem: Problem, lines: dict[str, np.ndarray]) -> None:
+    """Draw the cost map, darker where a path pays more, and lines, side by side where they coincide."""
+    rows, cols = problem.is_free.shape
+    shown = np.ma.masked_where(~problem.is_free, problem.cost)
+    cmap = colormaps[COLOURS.cmap].with_extremes(bad=BLOCKED_COLOUR)
+    extent = (0, cols * RESOLUTION_M, 0, rows * RESOLUTION_M)
+    panel.imshow(shown, origin="lower", extent=extent, cmap=cmap, norm=COLOURS.norm, interpolation="nearest")
+    for (name, line), lane in zip(lines.items(), lanes_of([*lines.values()], RESOLUTION_M), strict=True):
+        beside = [Beside(lane * APART_PT, LINE_PT + 2 * EDGE_PT, "white"), Beside(lane * APART_PT)]
+        panel.plot(*line.T, color=STYLES[name], linewidth=LINE_PT, path_effects=beside, label=name)
+    panel.set(xlabel="east (m)", aspect="equal")
+    panel.tick_params(labelsize=SMALL_PT, length=3, color=FAINT_INK)
+
+
+@styled
+def picture() -> Figure:
+    """Return the figure."""
+    figure = chart(11.0, 4.4, "A path on the grid, Theta*'s and the refined one")
+    left, middle, right = axes = figure.subplots(1, 3)
+    problem, bent_m = two_media()
+    paths = paths_of(problem)
+    costs = {name: path.cost for name, path in paths.items()}
+    costs["Snell's law"] = np.hypot(*np.diff(bent_m, axis=0).T) @ (0.2, 0.4)
+    draw(left, problem, {name: path.points_m for name, path in paths.items()} | {"Snell's law": bent_m})
+    left.set_title("two media")
+    for height_m, cost in ((8.0, 0), (108.0, 1)):
+        box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
+        left.text(192, height_m, f"{cost} per {RESOLUTION_M:g} m", ha="right", size=SMALL_PT, bbox=box)
+    shown = [costs]
+    problem = city()
+    paths = paths_of(problem)
+    lines = {name: path.points_m for name, path in paths.items()}
+    shown.append({name: path.cost for name, path in paths.items()})
+    draw(middle, problem, lines)
+    middle.set_title(f"the synthetic city, {ALTITUDE_M:g} m above ground")
+    draw(right, problem, lines)
+    x_m, y_m = lines["A* on the grid"][len(lines["A* on the grid"]) // 2]
+    corner_m = np.array([x_m, y_m]) - PART_M
+    look = {"fill": False, "edgecolor": INK, "linewidth": 1.0}
+    middle.add_patch(Rectangle(corner_m, 2 * PART_M, 2 * PART_M, **look))
+    right.set(xlim=(x_m - PART_M, x_m + PART_M), ylim=(y_m - PART_M, y_m + PART_M), title="the square of (b)")
+    for panel, by_name in zip(axes, shown, strict=False):
+        said = "\n".join(f"{name}: {cost:.2f}" for name, cost in by_name.items())
+        panel.set_xlabel(f"east (m)\n\ncost of the path\n{said}")
+    left.set_ylabel("north (m)")
+    letter_all(axes)
+    add_colour_bar(figure, axes, COLOURS)
+    legend_below(figure, left)
+    return figure
 
 
 def main() -> None:
     """Draw the figure beside this script."""
-    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(17, 4.7), layout="constrained")
-    problem, bent_m = two_media()
-    paths = paths_of(problem)
-    draw(left, problem, paths)
-    best = np.hypot(*np.diff(bent_m, axis=0).T) @ (0.2, 0.4)
-    left.plot(*bent_m.T, color="lime", lw=1.2, ls="--", label=f"Snell's law: {best:.2f}")
-    left.set_title("Two media: cost of each path")
-    left.legend(loc="upper left", fontsize=8)
-    problem = city()
-    paths = paths_of(problem)
-    draw(middle, problem, paths)
-    middle.set_title(f"Synthetic city, {ALTITUDE_M:g} m, default weights, line model")
-    middle.legend(loc="lower right", fontsize=8)  # where no path runs
-    draw(right, problem, paths, has_points=True)
-    x_m, y_m = paths["A* on the grid"].points_m[len(paths["A* on the grid"].points_m) // 2]
-    right.set(xlim=(x_m - 110, x_m + 110), ylim=(y_m - 110, y_m + 110), title="A part of it, with waypoints")
-    figure.savefig(File(__file__).with_suffix(".png"), dpi=110)
+    write_png(picture(), File(__file__).with_suffix(".png"))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Draw what climbing is worth: over a wall or around it, and across the synthetic city. Writes figures/volume.png.
 
-Above: a wall of 30 m with a door at its far end; a route with cheap climbing goes over it, one with dear climbing
+Above: a wall of 30 m with a door at its far end; a route with cheap climbing goes over it, one with expensive climbing
 goes around. Below: the same two choices across the city, with the roofs under each route.
 """
 
@@ -16,10 +16,11 @@ from matplotlib.figure import Figure
 import jaxurban as ju
 from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Problem
+from jaxurban.report.figures.style import chart, styled
 from jaxurban.report.write import write_png
 
 FILE = Path(__file__).with_suffix(".png")
-ROOF, COLOURS = "#8a8a8a", "plasma"
+ROOF, COLOURS, LEVELS_M = "#8a8a8a", "plasma", (10.0, 40.0)
 START_M, GOAL_M = np.array([200.0, 130.0]), np.array([800.0, 620.0])  # in the synthetic city
 
 
@@ -33,7 +34,7 @@ def wall() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:
     for climb_cost in (1.0, 10.0):
         flat, weights = np.zeros((0, *is_free.shape)), [1.0, climb_cost, 0.0]
         problem = Problem(flat, is_free, (0, 8, 3), (0, 8, 37), 5.0, weights, "cell", levels_m)
-        paths[f"climb {climb_cost:g} per m"] = volume_astar(problem).points_m
+        paths[f"a metre of climb costs {climb_cost:g}"] = volume_astar(problem).points_m
     return roof_m, 5.0, paths, levels_m
 
 
@@ -46,7 +47,7 @@ def city() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:
         levels = ju.Levels(level_step_m=10.0, climb_cost=climb_cost)
         volume = ju.cost_map(maps, levels, weights=ju.Weights(lidar=0.3))
         path = volume.plan(ju.XY(*(corner + START_M)), ju.XY(*(corner + GOAL_M)), snap=True)
-        paths[f"climb {climb_cost:g} per m"] = np.column_stack([path.xy_m - corner, path.z_m])
+        paths[f"a metre of climb costs {climb_cost:g}"] = np.column_stack([path.xy_m - corner, path.z_m])
         print(f"climb cost {climb_cost:g}: cost {path.cost:.1f}, {path.length_m:.0f} m, up to {path.z_m.max():g} m")
     return maps.m("roof"), grid.resolution_m, paths, volume.altitudes_m
 
@@ -100,32 +101,33 @@ def draw_profile(panel: Axes, roof_m: np.ndarray, resolution_m: float, points: n
     )
 
 
-def main() -> None:
-    figure = Figure(figsize=(10.5, 9.6), facecolor="white", layout="constrained")
-    for row, (name, (roof_m, resolution_m, paths, levels_m)) in zip(
-        figure.subfigures(2, 1, height_ratios=(1, 1)),
-        {"a wall of 30 m": wall(), "the synthetic city": city()}.items(),
-        strict=True,
-    ):
-        row.suptitle(f"Across {name}: what a metre of climb costs decides", size=11.5, weight="bold")
-        norm = Normalize(levels_m[0], max(points[:, 2].max() for points in paths.values()))
-        panels = row.subplot_mosaic([["plan", "0"], ["plan", "1"]], width_ratios=(1, 1.25))
-        draw_plan(panels["plan"], roof_m, resolution_m, paths, norm)
-        panels["plan"].set_title("from above", size=10, loc="left")
-        for number, (label, points) in enumerate(paths.items()):
-            panel = panels[str(number)]
+@styled
+def picture() -> Figure:
+    """Return the figure."""
+    figure = chart(10.5, 8.6, "Over or around: what a metre of climb costs decides")
+    cities = {"a wall of 30 m": wall(), "the synthetic city": city()}
+    axes = figure.subplot_mosaic("ab;ac;de;df", width_ratios=(1, 1.25))
+    norm = Normalize(*LEVELS_M)
+    for letters, (name, (roof_m, resolution_m, paths, levels_m)) in zip(("abc", "def"), cities.items(), strict=True):
+        plan, *profiles = (axes[each] for each in letters)
+        draw_plan(plan, roof_m, resolution_m, paths, norm)
+        plan.set_title(f"({letters[0]}) {name}, from above")
+        for letter, route, panel, (label, points) in zip(letters[1:], "AB", profiles, paths.items(), strict=True):
             draw_profile(panel, roof_m, resolution_m, points, norm)
-            panel.set_ylim(0, 1.25 * levels_m[-1])
-            panel.set_title(f"{'AB'[number]}: {label}", size=10, loc="left")
-            panel.set_ylabel("above ground (m)")
+            panel.set(ylim=(0, 1.25 * levels_m[-1]), ylabel="above ground (m)")
+            panel.set_title(f"({letter}) route {route}: {label}")
             panel.set_xlim(left=0)
             for z_m in levels_m:
                 panel.axhline(z_m, color="#bbbbbb", linewidth=0.5, zorder=0)
-        panels["1"].set_xlabel("distance flown, seen from above (m)")
-        row.colorbar(
-            ScalarMappable(norm, COLOURS), ax=panels["plan"], label="altitude above ground (m)", location="left"
-        )
-    write_png(figure, FILE)
+        profiles[-1].set_xlabel("distance flown, seen from above (m)")
+    bar = figure.colorbar(ScalarMappable(norm, COLOURS), ax=[*axes.values()], location="right", aspect=50)
+    bar.set_label("altitude above ground (m)")
+    bar.outline.set(linewidth=0.4)
+    return figure
+
+
+def main() -> None:
+    write_png(picture(), FILE)
 
 
 if __name__ == "__main__":

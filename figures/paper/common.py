@@ -1,8 +1,8 @@
 """What the paper's figures and tables share: two cities, captions in words, and files to look at and to print.
 
-`TOWNS` are the synthetic city, over the paper's 10 x 20 km, and Lower Manhattan, where the data files are at hand
-(``JAXURBAN_DATA``, default ``../shared/data``). Their maps are made once, under out/figures. With ``--small`` all is
-drawn on coarser cells, under out/figures-small alone, to see that it can be.
+`TOWNS` are the sample cities of the package. Their maps are made once, under out/figures. What is of all Manhattan
+needs its files besides (``JAXURBAN_DATA``, default ``../shared/data``) and is left out without them. With ``--small``
+all is drawn on coarser cells, under out/figures-small alone, to see that it can be.
 """
 
 import os
@@ -22,12 +22,12 @@ from matplotlib.path import Path as Outline
 
 import jaxurban as ju
 from jaxurban.io.read.census import read_blocks, read_districts
-from jaxurban.maps.run import ScenarioRun, load_city, run_scenario
+from jaxurban.maps.run import ScenarioRun, run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.report.figures import plot_metric
 from jaxurban.report.write import framed, write_png
 from jaxurban.studies.montecarlo.sampling import STRATA, strata_of
-from jaxurban.world.city import Blocks, City
+from jaxurban.world.city import Blocks
 from jaxurban.world.grid import Grid
 
 ROOT = Path(__file__).parents[2]
@@ -36,8 +36,9 @@ HERE, OUT = ROOT / "figures" / "paper", ROOT / "out" / ("figures-small" if IS_SM
 DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT.parent / "shared" / "data"))
 MAP_M, PATH_M = (10.0, 20.0) if IS_SMALL else (2.0, 5.0)  # the paper's cells: of its maps, of its paths
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
+DRAWN_M = ALTITUDES_M[:3]  # of the paper's maps; at 600 m they are of one colour
 BOUNDS = (-74.03, 40.68, -73.9107, 40.86)  # the paper's region: 10 x 20 km around Manhattan
-EPOCH = "2020-04-27T16:00:00Z"
+CRS = "EPSG:32618"  # of all that is drawn of New York
 OSM, ORBITS = DATA / "osm/lower-manhattan.osm.pbf", DATA / "gps/gps-ops_2020-04-27.tle"
 CENSUS = {
     "blocks": DATA / "census/tl_2010_36061_tabblock10.shp",
@@ -57,12 +58,11 @@ class Caption(NamedTuple):
 
 
 class Town(NamedTuple):
-    """A city that the figures are drawn of: its name in files and in sentences, its scenario, the altitudes drawn."""
+    """A city that the figures are drawn of: its name in files and in sentences, and its scenario."""
 
     name: str
     title: str
     scenario: dict
-    drawn_m: tuple[float, ...]
 
     def run(self) -> ScenarioRun:
         """Return the maps by resolution, made if they are not there yet, and the record of how."""
@@ -73,33 +73,15 @@ class Town(NamedTuple):
         return self.run().maps[resolution_m]
 
 
-_REGION = {"resolution_m": [MAP_M, PATH_M], "altitudes_m": list(ALTITUDES_M)}
-_PLANNING = {"obstacles": "centre"}  # the paper's rule
-SYNTHETIC = Town(
-    "synthetic",
-    "the synthetic city",
-    {
-        "region": {"bounds": BOUNDS, **_REGION},
-        "buildings": {"source": "synthetic"},
-        "gps": {"times": [EPOCH]},
-        "planning": _PLANNING,
-    },
-    (20.0, 60.0, 122.0),
-)
-MANHATTAN = Town(
-    "manhattan",
-    "Lower Manhattan",
-    {
-        "region": {"bounds": (-74.02, 40.70, -73.98, 40.73), **_REGION},
-        "buildings": {"source": str(OSM)},
-        "gps": {"orbits": str(ORBITS), "times": [EPOCH]},
-        "population": {name: str(file) for name, file in CENSUS.items()},
-        "planning": _PLANNING,
-    },
-    ALTITUDES_M,
-)
-HAS_CENSUS = all(file.exists() for file in CENSUS.values())
-TOWNS = (SYNTHETIC, MANHATTAN) if HAS_CENSUS and OSM.exists() and ORBITS.exists() else (SYNTHETIC,)
+def _town(name: str, title: str, sample: str) -> Town:
+    region, rule = {"resolution_m": [MAP_M, PATH_M], "altitudes_m": list(ALTITUDES_M)}, {"obstacles": "centre"}
+    return Town(name, title, {"region": region, "buildings": {"source": sample}, "planning": rule})
+
+
+MANHATTAN = _town("manhattan", "Lower Manhattan", "sample:lower-manhattan")
+SHINJUKU = _town("shinjuku", "Shinjuku", "sample:shinjuku")
+TOWNS = (MANHATTAN, SHINJUKU)
+HAS_ISLAND = all(file.exists() for file in (OSM, *CENSUS.values()))  # census and districts of all Manhattan
 
 
 @cache
@@ -115,12 +97,12 @@ def _run(name: str) -> ScenarioRun:
 @cache
 def manhattan_blocks() -> Blocks:
     """Return the census blocks of all Manhattan with their districts, in UTM 18N."""
-    commercial = Scenario.from_dict(SYNTHETIC.scenario).population.commercial
+    commercial = Scenario.from_dict(MANHATTAN.scenario).population.commercial
     blocks, _ = read_blocks(
         ju.Population(
             blocks=CENSUS["blocks"], table=CENSUS["table"], districts=CENSUS["districts"], commercial=commercial
         ),
-        "EPSG:32618",
+        CRS,
     )
     return blocks
 
@@ -128,14 +110,8 @@ def manhattan_blocks() -> Blocks:
 @cache
 def new_york_districts() -> tuple[np.ndarray, np.ndarray]:
     """Return the community districts of all New York, cut at the shore, in UTM 18N, and their labels."""
-    polygons, labels, _ = read_districts(CENSUS["districts"], "EPSG:32618")
+    polygons, labels, _ = read_districts(CENSUS["districts"], CRS)
     return polygons, labels
-
-
-@cache
-def synthetic_city() -> City:
-    """Return the synthetic city over the paper's region, in UTM 18N."""
-    return load_city(Scenario.from_dict(SYNTHETIC.scenario))
 
 
 @cache
@@ -185,20 +161,27 @@ def draw_metric(number: int, metric: str, caption: Callable[[Town, ju.MetricMaps
     """Draw the maps of a metric for every town, with the caption that they get."""
     for town in TOWNS:
         maps = town.maps(MAP_M)
-        figure = plot_metric(maps, metric, altitudes_m=town.drawn_m)
+        figure = plot_metric(maps, metric, altitudes_m=DRAWN_M)
         save(figure, f"fig_{number:02}_{metric}_{town.name}", caption(town, maps))
 
 
 def save(figure: Figure, name: str, caption: Caption) -> None:
     """Write a figure: figures/paper/NAME.png to look at, its caption in NAME.md, out/figures/NAME.pdf to print."""
     write_text(name, caption)
-    write_png(figure, kept(name) / f"{name}.png")
+    write_png(figure, folder() / f"{name}.png")
     figure.savefig(OUT / f"{name}.pdf", dpi=300, metadata={"CreationDate": None})
 
 
-def kept(name: str) -> Path:
-    """Return where a picture or table is kept: not beside the scripts if it is small or lacks the other city's part."""
-    return HERE if not IS_SMALL and (len(TOWNS) > 1 or name.endswith(f"_{SYNTHETIC.name}")) else OUT
+def folder() -> Path:
+    """Return where pictures and tables are kept: beside the scripts, but for the small ones."""
+    return OUT if IS_SMALL else HERE
+
+
+def needs_island(name: str) -> bool:
+    """Return whether the files of all Manhattan are there, and print what is not drawn where they are not."""
+    if not HAS_ISLAND:
+        print(f"  {name} is of all Manhattan: not drawn, its census is not under JAXURBAN_DATA ({DATA})", flush=True)
+    return HAS_ISLAND
 
 
 def save_table(table: pd.DataFrame, name: str, title: str, caption: Caption) -> None:
@@ -210,5 +193,5 @@ def write_text(name: str, caption: Caption, *above: str) -> None:
     """Write figures/paper/NAME.md: a caption, and what stands above it."""
     beneath = [f"**{head}.** {text}" for head, text in zip(HEADS, caption, strict=True)]
     OUT.mkdir(parents=True, exist_ok=True)
-    (kept(name) / f"{name}.md").write_text("\n\n".join([*above, *beneath]) + "\n", encoding="utf-8")
+    (folder() / f"{name}.md").write_text("\n\n".join([*above, *beneath]) + "\n", encoding="utf-8")
     print(f"  {name}", flush=True)

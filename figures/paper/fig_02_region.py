@@ -4,33 +4,29 @@ import numpy as np
 import osmium
 import shapely
 from matplotlib.axes import Axes
-from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from figures.paper.common import (
     BOUNDS,
     CREDIT,
-    MANHATTAN,
     OSM,
-    TOWNS,
     Caption,
     add_polygons,
     manhattan_blocks,
+    needs_island,
     new_york_districts,
     region_grid,
     save,
-    synthetic_city,
 )
 from jaxurban.report.figures.frame import MapPanel, draw_maps, joined
-from jaxurban.report.figures.style import FAINT_INK, INK, Colours
-from jaxurban.world.city import OTHER_DISTRICT
+from jaxurban.report.figures.style import FAINT_INK, INK
+from jaxurban.samples.catalogue import SAMPLES
 from jaxurban.world.grid import WGS84, Grid, transformer
-from jaxurban.world.synthetic_streets import CityPlan
 
 WATER, LAND, FAR_LAND, PARK = "#dbe6ee", "#ffffff", "#ececec", "#b9d8a8"
 BOX, EXTRACT, STUDY = "#111111", "#0072b2", "#d55e00"
-BORDER, ROOFS = "#7a4b8c", "cividis_r"  # dark towers over pale houses
+BORDER = "#7a4b8c"
 MANHATTAN_LABELS, CENTRAL_PARK = range(101, 113), 164
 AROUND_M = (900, 900, 900, 2600)  # shown beyond the region: west, south, east, north
 PAPER = (
@@ -40,7 +36,7 @@ PAPER = (
 
 
 def shown_grid() -> Grid:
-    """Return what both towns' pictures show: the region and a little more."""
+    """Return what the picture shows: the region and a little more."""
     grid = region_grid()
     return grid.padded(*(round(metres / grid.resolution_m) for metres in AROUND_M))
 
@@ -58,14 +54,13 @@ def extract_bounds() -> tuple[float, float, float, float]:
     return box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat
 
 
-def begin(title: str, legend: dict[str, dict], credit: str = "", colours: Colours | None = None) -> tuple[Figure, Axes]:
+def begin(title: str, legend: dict[str, dict], credit: str = "") -> tuple[Figure, Axes]:
     """Return a picture and its panel, water drawn; ``legend``: entries, each with the look of its patch."""
     grid = region_grid()
     width_km, height_km = (grid.x_max_m - grid.x_min_m) / 1e3, (grid.y_max_m - grid.y_min_m) / 1e3
     note = joined(f"L: {width_km:.1f} x {height_km:.1f} km", grid.crs, credit)
     handles = [Patch(label=name, **look) for name, look in legend.items()]
-    look = {"legend": handles, "colours": colours}
-    figure, (panel,) = draw_maps(shown_grid(), [MapPanel(title)], "The region of the study", note, **look)
+    figure, (panel,) = draw_maps(shown_grid(), [MapPanel(title)], "The region of the study", note, legend=handles)
     panel.set_facecolor(WATER)
     corner = {"size": 13, "weight": "bold", "ha": "left", "va": "top", "color": INK, "zorder": 10}
     panel.text(grid.x_min_m + 250, grid.y_max_m - 200, "L", bbox={"facecolor": "white", "pad": 2}, **corner)
@@ -82,7 +77,7 @@ def draw_manhattan() -> None:
     blocks, is_ours = manhattan_blocks(), np.isin(labels, [*MANHATTAN_LABELS, CENTRAL_PARK])
     boxes = {
         "region L": outline(BOX, 1.6, "--"),
-        "OSM extract\nat hand": outline(EXTRACT, 1.2),
+        "OSM extract of\nthe sample": outline(EXTRACT, 1.2),
         "box of our\nLower Manhattan\nmaps": outline(STUDY, 2.2),
     }
     legend = {
@@ -102,7 +97,7 @@ def draw_manhattan() -> None:
     ashore = blocks.polygons[shapely.intersects(blocks.polygons, shapely.union_all(polygons[is_ours]))]
     add_polygons(panel, ashore, facecolor="none", edgecolor="#9a9a9a", linewidth=0.2, rasterized=True)
     add_polygons(panel, polygons[is_ours], facecolor="none", edgecolor=BORDER, linewidth=1.0)
-    extract, study = box_of(extract_bounds()), box_of(MANHATTAN.scenario["region"]["bounds"])
+    extract, study = box_of(extract_bounds()), box_of(SAMPLES["lower-manhattan"]["region"]["bounds"])
     for polygon, look in zip((region, extract, study), boxes.values(), strict=True):
         add_polygons(panel, [polygon], zorder=9, **look)
     island = shapely.union_all(polygons[is_ours])
@@ -117,64 +112,18 @@ def draw_manhattan() -> None:
     here = (
         f"L drawn to scale over the census and district data. It holds {100 * land_km2['L'] / all_km2:.0f} % of "
         f"Manhattan's {all_km2:.1f} km² of land and {100 * people_in:.0f} % of its residents; the northern "
-        f"{north_m / 1e3:.1f} km stick out, while {south_m / 1e3:.1f} km lie free in the south. Buildings are at hand "
-        f"for the blue box alone, and our maps of Lower Manhattan, the orange one, cover {land_km2['study']:.1f} km² "
-        "of its land."
+        f"{north_m / 1e3:.1f} km stick out, while {south_m / 1e3:.1f} km lie free in the south. The sample city has "
+        "the buildings of the blue box, and our maps of Lower Manhattan, the orange one, cover "
+        f"{land_km2['study']:.1f} km² of the island."
     )
     why = (
         f"The paper gives no corners: L here is {BOUNDS[0]} to {BOUNDS[2]}° in longitude and {BOUNDS[1]} to "
         f"{BOUNDS[3]}° in latitude, snapped outward to whole cells. A box further north would hold all of Manhattan. "
-        "OpenStreetMap's file of the whole planet, which the paper cut, is not at hand, so the whole of L is tried "
-        "on the synthetic city only."
+        "The paper cut its buildings from OpenStreetMap's file of the whole planet; the package holds a part of it."
     )
     save(figure, "fig_02_region_manhattan", Caption(PAPER, here, why))
 
 
-def draw_synthetic() -> None:
-    city, region = synthetic_city(), shapely.box(*region_grid().bounds_m)
-    plan = CityPlan(city.extent_m)
-    buildings = city.buildings.take(shapely.intersects(city.buildings.polygons, region))
-    blocks, parts = city.blocks, plan.parts()
-    norm = PowerNorm(0.5, 0, float(buildings.height_m.max()))
-    legend = {
-        "region L, all of\nit mapped": outline(BOX, 1.6, "--"),
-        "district 1 to 12": outline(BORDER, 1.2, fill=LAND),
-        "park": outline(FAINT_INK, 0.4, fill=PARK),
-        "suburb": outline(FAINT_INK, 0.4, fill=FAR_LAND),
-        "water": outline(FAINT_INK, 0.4, fill=WATER),
-    }
-    ticks = [tick for tick in (0, 5, 20, 50, 100, 200, 400, 800) if tick <= buildings.height_m.max()]
-    roofs = Colours(ROOFS, norm, "roof above ground (m)", ticks=ticks)
-    figure, panel = begin("The synthetic city: land, park, districts and roofs", legend, colours=roofs)
-    flat = {"linewidth": 0, "rasterized": True}
-    for part in parts:
-        land = shapely.intersection(part.land, plan.box)
-        add_polygons(panel, [land], facecolor=LAND if part.is_island else FAR_LAND, **flat)
-    add_polygons(panel, [plan.park()], facecolor=PARK, **flat)
-    order = np.argsort(buildings.height_m, kind="stable")
-    heights = {"array": buildings.height_m[order], "cmap": ROOFS, "norm": norm}
-    add_polygons(panel, buildings.polygons[order], **heights, **flat)
-    numbers = [number for number in np.unique(blocks.district) if number != OTHER_DISTRICT]
-    districts = [shapely.union_all(blocks.polygons[blocks.district == number].copy()).buffer(2) for number in numbers]
-    add_polygons(panel, districts, facecolor="none", edgecolor=BORDER, linewidth=1.2, zorder=5)
-    add_polygons(panel, [region], zorder=9, **outline(BOX, 1.6, "--"))
-    island_km2 = sum(shapely.area(part.land) for part in parts if part.is_island) / 1e6
-    land_km2 = sum(shapely.area(shapely.intersection(part.land, plan.box)) for part in parts) / 1e6
-    num_towers = int((buildings.height_m > 122).sum())
-    here = (
-        f"The same box holds a synthetic city: {len(buildings):,} buildings on {land_km2:.0f} km² of land. An island "
-        f"of {island_km2:.0f} km² carries a park, twelve districts and two clusters of towers; {num_towers} roofs "
-        f"are above 122 m, the highest at {buildings.height_m.max():.0f} m."
-    )
-    why = (
-        "It is no map of New York. It stands in for the buildings of the whole region, which are not at hand, and "
-        "comes with the package, so that every figure of the full 10 x 20 km can be drawn by anyone. Nothing is "
-        "built beyond the box."
-    )
-    save(figure, "fig_02_region_synthetic", Caption(PAPER, here, why))
-
-
 def main() -> None:
-    draw_synthetic()
-    if MANHATTAN in TOWNS:
+    if needs_island("Figure 2"):
         draw_manhattan()

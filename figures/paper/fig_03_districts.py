@@ -9,28 +9,25 @@ from matplotlib.patheffects import withStroke
 
 from figures.paper.common import (
     CREDIT,
-    HAS_CENSUS,
-    SYNTHETIC,
     Caption,
     add_polygons,
     manhattan_blocks,
+    needs_island,
     new_york_districts,
     region_grid,
     save,
-    synthetic_city,
 )
 from jaxurban.metrics.population import Population, block_layers
 from jaxurban.report.figures.frame import MapPanel, draw_maps, joined
 from jaxurban.report.figures.style import INK, Colours
 from jaxurban.world.city import Blocks
 from jaxurban.world.grid import Grid
-from jaxurban.world.synthetic_streets import CityPlan
 
-COMMERCIAL, RESIDENTIAL, PARK = "#b2182b", "#a6cee3", "#4d9221"  # dark, light and between them without colour too
+COMMERCIAL, RESIDENTIAL, PARK = "#b2182b", "#f4c27a", "#4d9221"  # dark, light and between them without colour too
 OTHER_LAND, WATER, NOBODY = "#ececec", "#dbe6ee", "#ffffff"
 NUM_COMMERCIAL, NUM_DISTRICTS = 6, 12  # districts 1 to 6 are commercial
 MANHATTAN_LABEL, CENTRAL_PARK = 100, 164
-DENSITY, SCALE_PER_KM2, MARGIN_M = "magma_r", (1e3, 2e5), 500.0  # one scale for both towns
+DENSITY, SCALE_PER_KM2, MARGIN_M = "magma_r", (1e3, 2e5), 500.0
 SHORE_M = 2.0  # bridges the slivers between blocks when they are joined to a district
 PAPER = (
     "Manhattan's twelve districts, commercial ones red, residential ones blue, Central Park green; and the census "
@@ -80,20 +77,6 @@ def manhattan() -> Ground:
     return Ground("manhattan", "Manhattan", credit, grid, districts, park, polygons[is_other], blocks, outlines)
 
 
-def synthetic() -> Ground:
-    """Return the synthetic city."""
-    city = synthetic_city()
-    plan, blocks = CityPlan(city.extent_m), city.blocks
-    districts = {
-        number: shapely.union_all(shapely.buffer(blocks.polygons[blocks.district == number], SHORE_M)).buffer(-SHORE_M)
-        for number in range(1, NUM_DISTRICTS + 1)
-    }
-    around = np.array([shapely.intersection(part.land, plan.box) for part in plan.parts() if not part.is_island])
-    return Ground(
-        SYNTHETIC.name, SYNTHETIC.title, "", region_grid(), districts, plan.park(), around, blocks, blocks.polygons
-    )
-
-
 def draw(ground: Ground) -> None:
     """Write a city's picture."""
     norm = LogNorm(*SCALE_PER_KM2)
@@ -106,7 +89,7 @@ def draw(ground: Ground) -> None:
         ("(b) nobody", NOBODY),
     ]
     colours = Colours(DENSITY, norm, "(b) people per km²", extend="both", ticks=(1e3, 1e4, 1e5))
-    panels = [MapPanel("(a) districts by type"), MapPanel("(b) residents by census block, at night")]
+    panels = [MapPanel("districts by type"), MapPanel("residents by census block, at night")]
     heading, note = f"Districts and census blocks of {ground.title}", joined(ground.grid.crs, ground.credit)
     figure, axes = draw_maps(ground.grid, panels, heading, note, legend=legend, colours=colours)
     flat = {"linewidth": 0, "rasterized": True}
@@ -150,22 +133,14 @@ def caption(ground: Ground, density: np.ndarray) -> Caption:
         f"on {blocks.area_m2[densest]:,.0f} m² ({blocks.night_count[densest]:,.0f} people, district "
         f"{blocks.district[densest] % 100})."
     )
-    if ground.name == SYNTHETIC.name:
-        why = (
-            "A synthetic city of the same plan. Each street block is a census block out to the middle of its "
-            "streets, the suburbs beyond the rivers included; the paper's blocks are Manhattan's."
-        )
-    else:
-        why = (
-            "The same sources, so the same picture. Densities are people over the whole block, as the maps take "
-            "them; blocks that reach into the river are cut at the shore in the picture only. The paper's maps "
-            "divide by the densest block, so that a median one gets m = "
-            f"{np.median(density[is_home]) / density[densest]:.2f}."
-        )
+    why = (
+        "The same sources, so the same picture. Densities are people over the whole block, as the maps take them; "
+        "blocks that reach into the river are cut at the shore in the picture only. The paper's maps divide by the "
+        f"densest block, so that a median one gets m = {np.median(density[is_home]) / density[densest]:.2f}."
+    )
     return Caption(PAPER, here, why)
 
 
 def main() -> None:
-    draw(synthetic())
-    if HAS_CENSUS:
+    if needs_island("Figure 3"):
         draw(manhattan())

@@ -129,10 +129,10 @@ def panel_titles(problem: Problem, batches: Sequence[Batches], kept: Tree) -> li
     drawn, num_dropped = sum(len(batch.samples) for batch in batches), len(first.tree.xy) - len(kept.xy)
     left = percent(share_left(problem, first.cost))
     return [
-        f"(a) batch 1: {len(first.samples)} samples, {num_edges(first.tree)} tree edges, cost {first.cost:,.0f}",
-        f"(b) smaller space: {left} of free cells, {num_dropped} samples dropped",
-        f"(c) batch 2: {len(second.samples)} new samples, {num_edges(kept)} tree edges kept",
-        f"(d) batch {number}: {drawn} samples drawn, {num_edges(last.tree)} tree edges, cost {last.cost:,.0f}",
+        f"batch 1: {len(first.samples)} samples, {num_edges(first.tree)} tree edges, cost {first.cost:,.0f}",
+        f"smaller space: {left} of free cells, {num_dropped} samples dropped",
+        f"batch 2: {len(second.samples)} new samples, {num_edges(kept)} tree edges kept",
+        f"batch {number}: {drawn} samples drawn, {num_edges(last.tree)} tree edges, cost {last.cost:,.0f}",
     ]
 
 

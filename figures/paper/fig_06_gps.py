@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from figures.paper.common import ALTITUDES_M, Caption, Town, draw_metric, in_strata, means, shares
+from figures.paper.common import ALTITUDES_M, MANHATTAN, Caption, Town, draw_metric, in_strata, means, shares
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
 from jaxurban.studies.montecarlo.analysis import GOOD
@@ -22,22 +22,13 @@ def caption(town: Town, maps: MetricMaps) -> Caption:
         PAPER,
         f"The same order in {town.title}. Mean over free cells: {means(maps, 'gps')}. "
         f"Poor (below {GOOD:g}): {poor}. By surroundings at 20 m (open: hardly a roof within 125 "
-        f"m; wide-open: none within 250 m, mostly river): {in_strata(maps, 'gps', 20.0)}. No cell is above "
+        f"m; wide-open: none within 250 m): {in_strata(maps, 'gps', 20.0)}. No cell is above "
         f"{best:.2f}.",
         "The paper gives no date, no mask angle and no scale. Here satellites count from 5 degrees up, on "
-        f"{maps.times[0][:10]} at {maps.times[0][11:16]} UTC ({orbits(town)}); their best geometry under an open sky "
-        f"is a GDOP of {gdop:.1f}, and m is 1 only at a GDOP of 1, which no real sky reaches."
-        + (
-            " The city is made up, with Manhattan's plan and heights."
-            if town.name == "synthetic"
-            else " The box is Manhattan's southern end only: no Midtown, no Central Park."
-        ),
+        f"{maps.times[0][:10]} at {maps.times[0][11:16]} UTC (element sets of that day); their best geometry under an "
+        f"open sky is a GDOP of {gdop:.1f}, and m is 1 only at a GDOP of 1, which no real sky reaches."
+        + (" The box is Manhattan's southern end only: no Midtown, no Central Park." if town is MANHATTAN else ""),
     )
-
-
-def orbits(town: Town) -> str:
-    """Return which satellites were seen."""
-    return "a nominal constellation" if "orbits" not in town.scenario["gps"] else "element sets of that day"
 
 
 def main() -> None:

@@ -5,11 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from figures.paper.common import BOUNDS, HAS_CENSUS, MAP_M, SYNTHETIC, Caption, manhattan_blocks, save
+from figures.paper.common import BOUNDS, Caption, manhattan_blocks, needs_island, save
 from jaxurban.io.read.rasterise import NO_BLOCK, burn
 from jaxurban.maps.provenance import population_totals
 from jaxurban.metrics.population import DENSITY, block_layers, map_blocks
-from jaxurban.report.figures import plot_population
 from jaxurban.report.figures.frame import NO_DATA_COLOUR, MapPanel, draw_maps
 from jaxurban.report.figures.metrics import EMPTY_COLOUR, colours_of, layers_above_zero
 from jaxurban.world.grid import Grid
@@ -44,7 +43,7 @@ def draw_island(found: Island) -> Figure:
         title = f"{name}  ·  {np.nansum(density) * cells_km2 / 1e6:.2f} million people"
         panels.append(MapPanel(title, layers_above_zero(density, colours)))
     note = f"Manhattan, 2010 census blocks (US Census Bureau)  ·  {CELL_M:g} m cells  ·  {found.grid.crs}"
-    legend = [("nobody, or water", EMPTY_COLOUR), ("no census\nat hand", NO_DATA_COLOUR)]
+    legend = [("nobody, or water", EMPTY_COLOUR), ("no census", NO_DATA_COLOUR)]
     return draw_maps(found.grid, panels, "Population density", note, legend=legend, colours=colours)[0]
 
 
@@ -58,22 +57,7 @@ def norm_text(density: np.ndarray) -> str:
 
 
 def main() -> None:
-    maps = SYNTHETIC.maps(MAP_M)
-    cell_km2 = MAP_M**2 / 1e6
-    people = {time: maps.m("density", time_of_day=time).sum(dtype=float) * cell_km2 / 1e6 for time in maps.times_of_day}
-    save(
-        plot_population(maps),
-        "fig_08_population_synthetic",
-        Caption(
-            PAPER,
-            f"The same swing in the synthetic city: {people['day']:.2f} million people by day, {people['night']:.2f} "
-            "by night.",
-            "Drawn is density on a logarithmic scale, not m: m is density over the largest one in the region, and at "
-            f"night {norm_text(maps.m('density', time_of_day='night'))}, so m would show one bright block on black. "
-            "The city and its people are made up, with Manhattan's districts.",
-        ),
-    )
-    if not HAS_CENSUS:
+    if not needs_island("Figure 8"):
         return
     totals, found = population_totals(manhattan_blocks()), island()
     save(
@@ -87,6 +71,6 @@ def main() -> None:
             "Manhattan; the titles count what lies in the region).",
             "Drawn is density on a logarithmic scale: m is density over the largest one, and at night "
             f"{norm_text(found.density[1])}. The paper's region holds the Bronx, Queens and New Jersey too; the "
-            "census file at hand is New York County alone. Commercial numbers differ: Table 7.",
+            "census file is of New York County alone. Commercial numbers differ: Table 7.",
         ),
     )

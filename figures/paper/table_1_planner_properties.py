@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 import jaxurban as ju
-from figures.paper.common import PATH_M, SYNTHETIC, Caption, save_table
+from figures.paper.common import MANHATTAN, PATH_M, Caption, save_table
 from jaxurban.maps.scenario import PAPER_PLANNERS
 from jaxurban.paths.rows import solve_instance
 from jaxurban.studies.montecarlo.analysis import joined
@@ -43,7 +43,7 @@ CLAIMS = {  # property: its meaning, then PTP, A*, BIT*
 
 def trial() -> pd.DataFrame:
     """Return every planner's answer to the same queries, joined with them; it repeats exactly but for the times."""
-    maps = SYNTHETIC.maps(PATH_M)
+    maps = MANHATTAN.maps(PATH_M)
     queries = ju.studies.sample_instances(maps, NUM_QUERIES, altitudes_m=(ALTITUDE_M,), seed=SEED)
     settings = Benchmark(study=ju.studies.Study(budget_iterations=NUM_SAMPLES, seed=SEED))
     rows = []
@@ -107,7 +107,7 @@ def main() -> None:
     )
     best_grid = answers[(answers.planner == "astar-plus") & answers.has_path].ratio
     here = (
-        f"Measured on {NUM_QUERIES} seeded queries over {SYNTHETIC.title} at {ALTITUDE_M:g} m, 5 m cells, costs "
+        f"Measured on {NUM_QUERIES} seeded queries over {MANHATTAN.title} at {ALTITUDE_M:g} m, 5 m cells, costs "
         f"along the path (`line`); BIT* stops at {NUM_SAMPLES:,} samples, so that it repeats. PTP answers "
         f"{found.answered['ptp']:.0f} % of the joined queries, A* {found.answered['astar-plus']:.0f} %, BIT* "
         f"{found.answered['bitstar-dist']:.0f} and {found.answered['bitstar-plus']:.0f} %; {found.invalid.sum()} of "

@@ -25,6 +25,14 @@ def measured(town: Town) -> dict[str, str]:
 
     is_poor = np.asarray(rating(maps.m("gdop", ALTITUDE_M))) == Rating.POOR
     over = {time: maps.m("density", time_of_day=time)[is_free] for time in maps.times_of_day}
+    people = "no census"
+    if over:
+        densities = ", ".join(
+            f"{np.mean(density, dtype=float):,.0f} per km² by {time}" for time, density in over.items()
+        )
+        people = (
+            f"{percent(maps.m('density', time_of_day='night') > 0)} lie over blocks with people; on average {densities}"
+        )
     buildings = run.record["buildings"]
     beyond = run.record["rays_leave_data_share"][f"{ALTITUDE_M:g}"]
     return {
@@ -32,8 +40,7 @@ def measured(town: Town) -> dict[str, str]:
         f"GDOP is above {settings.gps.gdop_threshold:g} or unknown in {percent(is_poor)}",
         "view": f"{percent(maps.m('lidar', ALTITUDE_M) == 0)} get no return at all",
         "near": f"{percent(maps.m('risk', ALTITUDE_M) < 1)} are closer than {settings.risk.threshold_m:g} m",
-        "people": f"{percent(maps.m('density', time_of_day='night') > 0)} lie over blocks with people; on average "
-        + ", ".join(f"{np.mean(density, dtype=float):,.0f} per km² by {time}" for time, density in over.items()),
+        "people": people,
         "unmapped": f"{100 * (~maps.ds['has_data'].values).mean():.1f} % without data; "
         f"{100 * buildings['height_origin_shares'].get('default', 0.0):.1f} % of {buildings['in_region']:,} buildings "
         f"have a guessed height; from {100 * beyond:.0f} % a ray leaves the known buildings",

@@ -8,12 +8,10 @@ import pyogrio
 
 from figures.paper.common import (
     CENSUS,
-    HAS_CENSUS,
-    SYNTHETIC,
     Caption,
     manhattan_blocks,
+    needs_island,
     save_table,
-    synthetic_city,
 )
 from jaxurban.metrics.population import Population, block_people, day_share
 from jaxurban.world.city import Blocks, Zoning
@@ -45,37 +43,33 @@ def manhattan_land_m2() -> np.ndarray:
     return fields.set_index("GEOID10").ALAND10.loc[manhattan_blocks().block_id].to_numpy(float)
 
 
-def groups_of(blocks: Blocks, first_label: int) -> dict[str, np.ndarray]:
+def groups_of(blocks: Blocks) -> dict[str, np.ndarray]:
     """Return which blocks each row counts: the twelve districts, what is in none of them, all."""
-    groups = {f"{number:02d}": blocks.district == first_label + number for number in NEIGHBOURHOODS}
+    groups = {f"{number:02d}": blocks.district == MANHATTAN_LABEL + number for number in NEIGHBOURHOODS}
     rest = ~np.any(list(groups.values()), axis=0)
-    if first_label == MANHATTAN_LABEL:
-        groups["Central Park"] = blocks.district == CENTRAL_PARK
-        rest &= ~groups["Central Park"]
-    return groups | {"other": rest, "all": np.ones(len(blocks), bool)}
+    park = blocks.district == CENTRAL_PARK
+    return groups | {"Central Park": park, "other": rest & ~park, "all": np.ones(len(blocks), bool)}
 
 
-def numbers_of(blocks: Blocks, land_m2: np.ndarray, groups: dict[str, np.ndarray]) -> pd.DataFrame:
+def numbers_of(blocks: Blocks, land_m2: np.ndarray) -> pd.DataFrame:
     """Return blocks, people by night and day, land in km2 and type of each group."""
     params = Population()
     gammas = params.gamma_commercial, params.gamma_residential
     day = np.asarray(block_people(blocks.night_count, blocks.zoning, day_share("day"), *gammas), float)
     rows = {}
-    for name, mask in groups.items():
+    for name, mask in groups_of(blocks).items():
         kinds = {Zoning(kind).name.lower() for kind in blocks.zoning[mask]}
         people = blocks.night_count[mask].sum(), day[mask].sum()
         rows[name] = (mask.sum(), *people, land_m2[mask].sum() / 1e6, kinds.pop() if len(kinds) == 1 else "")
     return pd.DataFrame.from_dict(rows, orient="index", columns=["blocks", "night", "day", "land_km2", "type"])
 
 
-def shown(found: pd.DataFrame, names: dict[int, str]) -> pd.DataFrame:
+def shown(found: pd.DataFrame) -> pd.DataFrame:
     """Return the numbers as the table shows them."""
     return pd.DataFrame(
         {
             "District": found.index,
-            **(
-                {"Neighbourhoods": [names.get(int(i), "") if i.isdigit() else "" for i in found.index]} if names else {}
-            ),
+            "Neighbourhoods": [NEIGHBOURHOODS[int(name)] if name.isdigit() else "" for name in found.index],
             "Type": found["type"],
             "Blocks": found.blocks.map("{:,}".format),
             "People at night": found.night.map("{:,.0f}".format),
@@ -88,40 +82,27 @@ def shown(found: pd.DataFrame, names: dict[int, str]) -> pd.DataFrame:
 
 
 def main() -> None:
-    cities = [(SYNTHETIC.name, SYNTHETIC.title, synthetic_city().blocks, 0)]
-    if HAS_CENSUS:
-        cities.append(("manhattan", "Manhattan", manhattan_blocks(), MANHATTAN_LABEL))
+    if not needs_island("Table 6"):
+        return
     params = Population()
-    for name, title, blocks, first_label in cities:
-        is_real = first_label == MANHATTAN_LABEL
-        land_m2 = manhattan_land_m2() if is_real else blocks.area_m2
-        found = numbers_of(blocks, land_m2, groups_of(blocks, first_label))
-        twelve = found.iloc[: len(NEIGHBOURHOODS)]
-        density = {time: twelve[time] / twelve.land_km2 for time in ("night", "day")}
-        ends = "; ".join(
-            f"by {time} from {by.min():,.0f} (district {by.idxmin()}) to {by.max():,.0f} (district {by.idxmax()}) per "
-            "km² of land"
-            for time, by in density.items()
-        )
-        here = (
-            f"{title[0].upper()}{title[1:]} has {found.night['all']:,.0f} people on {found.land_km2['all']:.1f} km² "
-            f"of land at night and {found.day['all']:,.0f} by day (factors {params.gamma_commercial:g} and "
-            f"{params.gamma_residential:g}). Districts differ: {ends}."
-        )
-        why = (
-            "The paper names, this table counts. A block goes to the district of largest overlap. *Other* is Marble "
-            "Hill, which the city counts to a Bronx district, and water that other boroughs' districts reach; the "
-            "paper would have them residential, so their people are halved by day. The maps divide by the whole "
-            "block, water included: on the shore their densities are lower than these."
-            if is_real
-            else "A synthetic city of the same plan: districts 1 to 6 commercial, 7 to 12 residential, *other* the "
-            "suburbs beyond the rivers and the park, whose people are halved by day like residential ones. Its "
-            "districts have no names."
-        )
-        heading = f"Table 6. Districts of {title}"
-        save_table(
-            shown(found, NEIGHBOURHOODS if is_real else {}),
-            f"table_6_districts_{name}",
-            heading,
-            Caption(PAPER, here, why),
-        )
+    found = numbers_of(manhattan_blocks(), manhattan_land_m2())
+    twelve = found.iloc[: len(NEIGHBOURHOODS)]
+    density = {time: twelve[time] / twelve.land_km2 for time in ("night", "day")}
+    ends = "; ".join(
+        f"by {time} from {by.min():,.0f} (district {by.idxmin()}) to {by.max():,.0f} (district {by.idxmax()}) per "
+        "km² of land"
+        for time, by in density.items()
+    )
+    here = (
+        f"Manhattan has {found.night['all']:,.0f} people on {found.land_km2['all']:.1f} km² of land at night and "
+        f"{found.day['all']:,.0f} by day (factors {params.gamma_commercial:g} and {params.gamma_residential:g}). "
+        f"Districts differ: {ends}."
+    )
+    why = (
+        "The paper names, this table counts. A block goes to the district of largest overlap. *Other* is Marble "
+        "Hill, which the city counts to a Bronx district, and water that other boroughs' districts reach; the "
+        "paper would have them residential, so their people are halved by day. The maps divide by the whole "
+        "block, water included: on the shore their densities are lower than these."
+    )
+    name, heading = "table_6_districts_manhattan", "Table 6. Districts of Manhattan"
+    save_table(shown(found), name, heading, Caption(PAPER, here, why))

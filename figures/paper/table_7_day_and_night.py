@@ -8,13 +8,12 @@ import shapely
 
 from figures.paper.common import (
     CENSUS,
-    HAS_CENSUS,
     Caption,
     manhattan_blocks,
+    needs_island,
     new_york_districts,
     region_grid,
     save_table,
-    synthetic_city,
 )
 from figures.paper.table_5_people_by_time import MOSS
 from jaxurban.maps.provenance import population_totals
@@ -34,7 +33,7 @@ SHIFTS_M = ((-1000.0, 0.0, 1000.0), (0.0, 1000.0, 2000.0))  # east, north: a box
 def neighbours_millions() -> dict[str, tuple[float, float]]:
     """Return about how many people of other boroughs live in the paper's region, by the number of their district.
 
-    The census blocks at hand are Manhattan's; here every borough's people are spread evenly over its districts. The
+    The file of census blocks is Manhattan's; here every borough's people are spread evenly over its districts. The
     paper's corners are unknown: least and most over boxes up to `SHIFTS_M` from ours.
     """
     table = pd.read_csv(CENSUS["table"], dtype=str, skiprows=[1])
@@ -68,44 +67,39 @@ def check_residential(totals: dict[str, dict[str, float]]) -> None:
 
 
 def main() -> None:
-    cities = {"the synthetic city": synthetic_city().blocks}
-    if HAS_CENSUS:
-        cities = {"Manhattan, 2010 census": manhattan_blocks()} | cities
+    if not needs_island("Table 7"):
+        return
+    totals = population_totals(manhattan_blocks())
     rows = [
         dict(zip(HEADS, (f"the paper, {time}", f"{res:.2f}", f"{com:.2f}", "", f"{res + com:.2f}"), strict=True))
         for time, (res, com) in PAPER_MILLIONS.items()
     ]
-    for name, blocks in cities.items():
-        for time, people in population_totals(blocks).items():
-            counts = [f"{people[kind] / 1e6:.3f}" for kind in ("residential", "commercial", "other", "total")]
-            rows.append(dict(zip(HEADS, (f"{name}, {time}", *counts), strict=True)))
-    here = "The synthetic city is invented and shows the rule only: its commercial districts triple, the others halve."
-    why = "Only the census of Manhattan could tell, and it is not at hand."
-    if HAS_CENSUS:
-        totals = population_totals(manhattan_blocks())
-        check_residential(totals)
-        night, day = totals["night"], totals["day"]
-        (paper_res, paper_com), paper_day = PAPER_MILLIONS["night"], PAPER_MILLIONS["day"][1]
-        gamma, missing = Population().gamma_commercial, paper_com - night["commercial"] / 1e6
-        assert abs(gamma * paper_com - paper_day) < 1e-9, "the paper's day is no longer its night times the factor"
-        near, moss = neighbours_millions(), MOSS["weekday-00"]
-        here = (
-            f"The residential districts agree: {night['residential']:,.0f} at night, half of them by day, within "
-            f"{100 * TOLERANCE:g} %. The commercial ones do not: the census counts {night['commercial']:,.0f} at "
-            f"night against the paper's {paper_com}, so {day['commercial'] / 1e6:.2f} million by day against "
-            f"{paper_day}. The paper's two sum to {paper_res + paper_com:.2f} million at night, the census to "
-            f"{night['total']:,.0f}. {here}"
-        )
-        low, high = near["1 to 6"]
-        why = (
-            f"The paper's {paper_day} is {gamma:g} x {paper_com} exactly: one number, {missing:.2f} million too high, "
-            f"explains both, and we cannot tell where it comes from. Moss and Qing's night does not give it ({moss} - "
-            f"{paper_res} = {moss - paper_res:.2f}), and people of other boroughs are residential by the paper's "
-            "rule, so they would raise the other column. One slip is possible: the Bronx, Brooklyn and Queens have "
-            f"districts 1 to 6 too. Taken for Manhattan's they would add {low:.1f} to {high:.1f} million commercial "
-            f"people, by where L lies, and at most {near['7 to 12'][1]:.2f} million residential ones (rough: their "
-            "blocks are not at hand)."
-        )
+    for time, people in totals.items():
+        counts = [f"{people[kind] / 1e6:.3f}" for kind in ("residential", "commercial", "other", "total")]
+        rows.append(dict(zip(HEADS, (f"Manhattan, 2010 census, {time}", *counts), strict=True)))
+    check_residential(totals)
+    night, day = totals["night"], totals["day"]
+    (paper_res, paper_com), paper_day = PAPER_MILLIONS["night"], PAPER_MILLIONS["day"][1]
+    gamma, missing = Population().gamma_commercial, paper_com - night["commercial"] / 1e6
+    assert abs(gamma * paper_com - paper_day) < 1e-9, "the paper's day is no longer its night times the factor"
+    near, moss = neighbours_millions(), MOSS["weekday-00"]
+    here = (
+        f"The residential districts agree: {night['residential']:,.0f} at night, half of them by day, within "
+        f"{100 * TOLERANCE:g} %. The commercial ones do not: the census counts {night['commercial']:,.0f} at "
+        f"night against the paper's {paper_com}, so {day['commercial'] / 1e6:.2f} million by day against "
+        f"{paper_day}. The paper's two sum to {paper_res + paper_com:.2f} million at night, the census to "
+        f"{night['total']:,.0f}."
+    )
+    low, high = near["1 to 6"]
+    why = (
+        f"The paper's {paper_day} is {gamma:g} x {paper_com} exactly: one number, {missing:.2f} million too high, "
+        f"explains both, and we cannot tell where it comes from. Moss and Qing's night does not give it ({moss} - "
+        f"{paper_res} = {moss - paper_res:.2f}), and people of other boroughs are residential by the paper's "
+        "rule, so they would raise the other column. One slip is possible: the Bronx, Brooklyn and Queens have "
+        f"districts 1 to 6 too. Taken for Manhattan's they would add {low:.1f} to {high:.1f} million commercial "
+        f"people, by where L lies, and at most {near['7 to 12'][1]:.2f} million residential ones (rough: their "
+        "blocks are not in the file)."
+    )
     save_table(
         pd.DataFrame(rows),
         "table_7_day_and_night",

@@ -8,6 +8,7 @@ from itertools import combinations
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.text import Text
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
@@ -22,7 +23,7 @@ from jaxurban.planners.base import Status
 from jaxurban.report import figures as plotting
 from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR
 from jaxurban.report.figures.metrics import percent
-from jaxurban.report.figures.paths import PLANNER_COLOURS, maps_figures
+from jaxurban.report.figures.paths import LINE_PT, PLANNER_COLOURS, lanes_of, maps_figures
 from jaxurban.report.figures.style import chart
 from jaxurban.report.write import DPI, write_png
 from tests.made_maps import made_maps
@@ -166,19 +167,31 @@ def test_classes_people_and_costs_have_the_colours_of_their_values(maps):
 
 def test_paths_have_the_papers_colours_and_coinciding_ones_both_show(maps):
     figure = plotting.plot_paths(maps, make_paths(maps))
-    assert titles_of(figure) == ["20 m · day", "60 m · day", "122 m · night", "600 m · night"]
+    assert titles_of(figure) == ["(a) 20 m · day", "(b) 60 m · day", "(c) 122 m · night", "(d) 600 m · night"]
     both = [make_path(maps, "ptp", time_of_day=name) for name in ("night", "day")]
-    assert titles_of(plotting.plot_paths(maps, both)) == ["20 m · night", "20 m · day"]
-    assert titles_of(plotting.plot_paths(maps, (), time_of_day="night")) == [f"{z:g} m · night" for z in ALTITUDES_M]
+    assert titles_of(plotting.plot_paths(maps, both)) == ["(a) 20 m · night", "(b) 20 m · day"]
+    assert titles_of(plotting.plot_paths(maps, (), time_of_day="night"))[0] == "(a) 20 m · night"
     for panel in panels_of(figure):
         lines = lines_of(panel)
         assert [line.get_color() for line in lines] == [PLANNER_COLOURS["astar-dist"], PLANNER_COLOURS["astar-plus"]]
-        assert lines[0].get_linewidth() > lines[1].get_linewidth()
         outcomes = panel.get_xlabel().splitlines()[-3:]
         assert outcomes == ["ptp: blocked", "astar-dist: 1,235, 5.68 km", "astar-plus: 1,235, 5.68 km"]
     entries = [zip(legend.texts, legend.legend_handles, strict=True) for legend in figure.legends]
     named = {text.get_text(): line for entry in entries for text, line in entry}
     assert named["astar-plus"].get_color() == PLANNER_COLOURS["astar-plus"]
+
+
+def test_routes_that_coincide_are_drawn_side_by_side_and_one_apart_at_its_place(maps):
+    paths = [make_path(maps, name) for name in PLANNER_COLOURS]
+    assert lanes_of([path.xy_m for path in paths], 5.0) == [-2.0, -1.0, 0.0, 1.0, 2.0]
+    canvas = FigureCanvasAgg(plotting.plot_paths(maps, paths))
+    canvas.draw()
+    shown = np.asarray(canvas.buffer_rgba())[..., :3]
+    for colour in PLANNER_COLOURS.values():
+        is_drawn = (shown == np.round(255 * np.array(to_rgb(colour)))).all(axis=-1)
+        assert is_drawn.sum() > 300  # but 90 of them are the legend's: one above another would hide four
+    away = paths[0].xy_m + np.array([0.0, 500.0])
+    assert lanes_of([paths[0].xy_m, away, paths[1].xy_m], 5.0) == [-0.5, 0.0, 0.5]
 
 
 def test_paths_and_their_rules_are_named_only_where_there_are_some(maps):
@@ -257,9 +270,7 @@ def test_twelve_paths_have_twelve_colours_and_stay_lines(maps):
     (panel,) = panels_of(plotting.plot_paths(maps, paths, names=[*PLANNER_COLOURS, *names[5:]]))
     lines = lines_of(panel)
     assert len({line.get_color() for line in lines}) == 12
-    widths = [line.get_linewidth() for line in lines]
-    assert sorted(set(widths), reverse=True) == widths
-    assert widths[0] < 10
+    assert {line.get_linewidth() for line in lines} == {LINE_PT}
 
 
 @pytest.mark.parametrize(("rows", "cols", "resolution_m"), [(34, 40, 100.0), (100, 50, 200.0), (30, 75, 20.0)])
@@ -358,7 +369,7 @@ def test_maps_without_population_are_drawn_without_it(maps):
     titles = titles_of(plotting.plot_overview(maps, make_paths(maps)))
     assert len(titles) == 5
     assert "People" not in " ".join(titles)
-    assert titles_of(plotting.plot_paths(maps, ())) == ["20 m", "60 m", "122 m", "600 m"]
+    assert titles_of(plotting.plot_paths(maps, ())) == ["(a) 20 m", "(b) 60 m", "(c) 122 m", "(d) 600 m"]
 
 
 def test_maps_without_a_value_a_free_cell_or_a_building_are_drawn():

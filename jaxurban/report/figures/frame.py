@@ -20,7 +20,17 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.variables import CAVEAT, names_in
 from jaxurban.paths.constraints import clearances_said, kept_said
-from jaxurban.report.figures.style import FAINT_INK, INK, SMALL_PT, TEXT_PT, Colours, add_colour_bar, chart, columns_of
+from jaxurban.report.figures.style import (
+    FAINT_INK,
+    INK,
+    SMALL_PT,
+    TEXT_PT,
+    Colours,
+    add_colour_bar,
+    chart,
+    columns_of,
+    letter,
+)
 from jaxurban.world.grid import Grid
 
 MAX_CELLS = 4000  # a side: of larger maps every second, third ... row and column is drawn
@@ -69,6 +79,7 @@ def draw_maps(
     legend: Iterable[LegendEntry] = (),
     colours: Colours | None = None,
     has_ticks: bool = True,
+    is_key_of_last: bool = False,
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure of maps and the axes of its panels, in reading order.
 
@@ -80,6 +91,7 @@ def draw_maps(
       legend: entries beside the panels.
       colours: of the bar beside the panels; left out, each panel whose last layer is none of classes has one below it.
       has_ticks: whether eastings and northings are shown.
+      is_key_of_last: whether the legend stands beside the last panel, not beside all of them.
     """
     bars = [_own_bar(panel) if colours is None else None for panel in panels]
     foot_in = BAR_IN * any(bars) + LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)
@@ -94,7 +106,7 @@ def draw_maps(
         empty.remove()
     axes = axes[: len(panels)]
     for number, (panel, (title, layers, foot), bar) in enumerate(zip(axes, panels, bars, strict=True)):
-        _dress(panel, grid, title, max(1, min(3, int(width_in / TICK_IN))))
+        _dress(panel, grid, letter(number, len(panels)) + title, max(1, min(3, int(width_in / TICK_IN))))
         is_left, is_bottom = number % num_cols == 0 and has_ticks, number + num_cols >= len(panels) and has_ticks
         panel.tick_params(labelleft=is_left, labelbottom=is_bottom, left=has_ticks, bottom=has_ticks)
         panel.set_ylabel("northing (km)" if is_left else "", size=SMALL_PT)
@@ -109,7 +121,11 @@ def draw_maps(
         add_colour_bar(figure, axes, colours)
     look: dict[str, Any] = {"edgecolor": FAINT_INK, "linewidth": 0.4}
     handles = [Patch(facecolor=each[1], label=each[0], **look) if isinstance(each, tuple) else each for each in legend]
-    figure.legend(handles=handles, loc="outside right center", fontsize=SMALL_PT, frameon=False, handlelength=1.4)
+    look = {"handles": handles, "fontsize": SMALL_PT, "frameon": False, "handlelength": 1.4}
+    if is_key_of_last:
+        axes[-1].legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), **look)
+    else:
+        figure.legend(loc="outside right center", **look)
     return figure, axes
 
 

@@ -11,11 +11,22 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.report.figures.paths import planner_colours
-from jaxurban.report.figures.style import FAINT_INK, Colours, add_colour_bar, legend_below, panels, styled
+from jaxurban.report.figures.frame import symbol_of
+from jaxurban.report.figures.paths import Beside, planner_colours
+from jaxurban.report.figures.style import (
+    FAINT_INK,
+    Colours,
+    add_colour_bar,
+    label_rows,
+    legend_below,
+    letter_all,
+    panels,
+    styled,
+)
 from jaxurban.studies.montecarlo.analysis import each, range_names, weighted_rows
 
 SHARES = Colours("Greys", LogNorm(1e-6, 0.3), "share of the free cells", extend="max")
+CURVES_APART_PT = 1.5
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
 
 
@@ -43,7 +54,7 @@ def plot_success(success: pd.DataFrame) -> Figure:
         share, width = rows.set_index("range").share_joined.reindex(ranges), 0.8 / len(colours)
         panel.bar(np.arange(len(ranges)) + rank * width, share, width, color=colours[planner], label=planner)
         panel.set_xticks(np.arange(len(ranges)) + (0.8 - width) / 2, ranges)
-    _show_shares(axes)
+    _show_shares(axes, "joined pairs solved (%)")
     legend_below(figure, axes[0])
     return figure
 
@@ -59,19 +70,21 @@ def plot_costs(table: pd.DataFrame) -> Figure:
         share = np.arange(1, len(ratio) + 1) / max(1, len(rows))
         x, y = np.append(ratio, max(end, ratio.max(initial=1.0))), np.append(share, share[-1:] if len(share) else 0.0)
         others = len(colours) - 1
-        width = 1.4 + min(0.9, 5.4 / max(others, 1)) * (others - rank)  # where curves coincide all are seen
-        panel.step(x, y, where="post", color=colours[planner], label=planner, linewidth=width)
+        beside = [Beside((others / 2 - rank) * CURVES_APART_PT)]  # where curves coincide all are seen
+        panel.step(x, y, where="post", color=colours[planner], label=planner, linewidth=1.4, path_effects=beside)
         panel.set(xlim=(1 - 0.01 * (end - 1), end), xlabel="cost / cheapest known")
         panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
-    _show_shares(axes)
+    _show_shares(axes, "joined pairs solved at that ratio (%)")
     legend_below(figure, axes[0])
     return figure
 
 
-def _show_shares(axes: Sequence[Axes]) -> None:
+def _show_shares(axes: Sequence[Axes], label: str) -> None:
+    label_rows(axes, label)
+    letter_all(axes)
     axes[0].set_ylim(0, 1.02)
     for panel in axes:
-        panel.yaxis.set_major_formatter(PercentFormatter(1.0))
+        panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
 
 
 @styled
@@ -91,8 +104,9 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame, *, time: str | N
         panel.plot([0, 1], [0, 1], "--", color=FAINT_INK, linewidth=0.8)
         panel.grid(visible=False)
         correlation = f", r = {row.correlation:+.2f}" if np.isfinite(row.correlation) else ""
-        panel.set(xlim=(0, 1), xlabel="m_gps", title=f"{row.altitude_m:g} m{correlation}")
-    axes[0].set_ylabel("m_lidar")
+        panel.set(xlim=(0, 1), xlabel=symbol_of("gps"), title=f"{row.altitude_m:g} m{correlation}")
+    label_rows(axes, symbol_of("lidar"))
+    letter_all(axes)
     add_colour_bar(figure, axes, SHARES)
     return figure
 

@@ -6,11 +6,17 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import shapely
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import GraphicsContextBase, RendererBase
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patheffects import Normal, Stroke
+from matplotlib.path import Path as Outline
+from matplotlib.patheffects import AbstractPathEffect
+from matplotlib.transforms import IdentityTransform, Transform
+from scipy.sparse.csgraph import connected_components
 
 from jaxurban.errors import InputError
 from jaxurban.io.workspace import Workspace
@@ -31,6 +37,7 @@ from jaxurban.report.figures.frame import (
 )
 from jaxurban.report.figures.metrics import (
     AVAILABILITY,
+    EMPTY_COLOUR,
     drawn_variables,
     free_layer,
     layers_above_zero,
@@ -49,20 +56,22 @@ from jaxurban.report.figures.metrics import (
 from jaxurban.report.figures.style import Colours
 from jaxurban.report.write import save
 
-# The paper's colours (tab10), then the rest of tab10 for planners that it does not have.
+# A family of planners has a hue, its members a dark and a light tone: the colour-blind see both.
 PLANNER_COLOURS = {
-    "astar-dist": "#1f77b4",
-    "astar-plus": "#ff7f0e",
-    "bitstar-dist": "#2ca02c",
-    "bitstar-plus": "#d62728",
-    "ptp": "#9467bd",
+    "astar-dist": "#0b3c8c",
+    "astar-plus": "#3fa9f5",
+    "bitstar-dist": "#b3400a",
+    "bitstar-plus": "#ffb000",
+    "ptp": "#c51b8a",
 }
-OTHER_COLOURS = ("#e377c2", "#17becf", "#bcbd22", "#8c564b", "#aec7e8", "#ffbb78", "#98df8a")
+OTHER_COLOURS = ("#00857a", "#7b3fb5", "#7fc241", "#8c510a", "#59d8c8", "#d9a3ff", "#404040")
 COST_COLOURS = Colours("gray", Normalize(0, 1), "$H_\\mathrm{norm}$\n(0: best free cell, 1: worst)")
 BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
 MOST_LETTERS = 17  # of a path's name in the legend and below its panel
-MOST_WIDER_PT = 7.2  # of the first of several paths, whose lines narrow one after the other
-EDGE_PT = 0.25  # of the dark edge of a path, by which paths that coincide are told apart without their colours
+LINE_PT, EDGE_PT = 1.6, 0.4  # of a path; of its white edge, which parts it from the map and from the next one
+APART_PT = 2.3  # from the middle of a path to that of the next one where both coincide
+SMOOTH_PX = 0.3  # by which the corners of a grid path may be cut
+COINCIDE = 0.05  # share of a path's length on which it runs within a cell of another one
 
 Paths = PlannedPath | Sequence[PlannedPath | None]
 Place = tuple[float, str | None, str | None]  # altitude, time and time of day of the map that a path was planned on
@@ -99,8 +108,8 @@ def plot_paths(
     """Return the normalised cost by altitude (black best, white worst) with the paths of all planners.
 
     A panel shows the GPS time and the time of day that its paths were planned for, in its title where they differ from
-    panel to panel. Under it stands each planner's cost and length, or its status. Where paths coincide, the later one
-    is drawn narrower, so that both are seen.
+    panel to panel. Under it stands each planner's cost and length, or its status. Paths that coincide somewhere are
+    drawn side by side (`lanes_of`), so that all are seen.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
@@ -114,9 +123,7 @@ def plot_paths(
       InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
     """
     maps, planned = as_maps(maps), paths_in(paths)
-    if names is not None and (isinstance(names, str) or len(names) != len(planned)):
-        raise InputError(f"names must be a list of {len(planned)}, one for each path, got {names!r}")
-    named = list(zip(planned, names or [path.search.planner for path in planned], strict=True))
+    named = list(zip(planned, _names_of(planned, names), strict=True))
     shown_m = altitudes_m or sorted({path.altitude_m for path in planned}) or maps.altitudes_m
     places = [place for z in shown_m for place in _places_at(maps, z, planned, time, time_of_day)]
     on_panels = [[(path, name) for path, name in named if _place_of(path) == place] for place in places]
@@ -137,6 +144,13 @@ def plot_paths(
     if every:
         figure.draw_without_rendering()  # the layout of many lines below panels settles only at its second drawing
     return figure
+
+
+def _names_of(planned: Sequence[PlannedPath], names: Sequence[str] | None) -> Sequence[str]:
+    """Return what paths are called: by their planners where no names are given."""
+    if names is not None and (isinstance(names, str) or len(names) != len(planned)):
+        raise InputError(f"names must be a list of {len(planned)}, one for each path, got {names!r}")
+    return names or [path.search.planner for path in planned]
 
 
 def _place_of(path: PlannedPath) -> Place:
@@ -164,13 +178,58 @@ def cost_layers(maps: MetricMaps, altitude_m: float, time: str | None, time_of_d
 
 def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]) -> None:
     """Draw the paths that were found, each in its colour, and start and goal of the first of them."""
-    for rank, (path, colour) in enumerate(zip(paths, colours, strict=True)):
-        if path.status.has_path:
-            width = 1.6 + min(1.8, MOST_WIDER_PT / max(len(paths) - 1, 1)) * (len(paths) - 1 - rank)
-            edge = [Stroke(linewidth=width + 2 * EDGE_PT, foreground="black"), Normal()]
-            look: dict[str, Any] = {"linewidth": width, "solid_joinstyle": "round", "path_effects": edge}
-            panel.plot(*path.xy_m.T, color=colour, zorder=3 + rank, **look)
+    found = [(path, colour) for path, colour in zip(paths, colours, strict=True) if path.status.has_path]
+    lanes = lanes_of(
+        [path.xy_m for path, _ in found], max((path.settings["resolution_m"] for path, _ in found), default=0.0)
+    )
+    for (path, colour), lane in zip(found, lanes, strict=True):
+        beside = [Beside(lane * APART_PT, LINE_PT + 2 * EDGE_PT, "white"), Beside(lane * APART_PT)]
+        look: dict[str, Any] = {"linewidth": LINE_PT, "solid_joinstyle": "round", "path_effects": beside}
+        panel.plot(*path.xy_m.T, color=colour, zorder=4, **look)
     draw_ends(panel, paths)
+
+
+def lanes_of(lines_m: Sequence[np.ndarray], near_m: float) -> list[float]:
+    """Return how many lanes to the left of its true place each line is drawn: none that runs alone is moved.
+
+    Lines that run within a distance of each other for `COINCIDE` of the length of one of them, and those that do so
+    with them, are spread evenly around their place.
+    """
+    shapes = [shapely.LineString(line) for line in lines_m]
+    wide = [shape.buffer(near_m) for shape in shapes]
+    shared = np.array([[shape.intersection(other).length / shape.length for other in wide] for shape in shapes])
+    groups = connected_components(shared > COINCIDE)[1] if shapes else np.zeros(0, int)
+    lanes = np.zeros(len(shapes))
+    for group in np.unique(groups):
+        (members,) = np.nonzero(groups == group)
+        lanes[members] = np.arange(len(members)) - (len(members) - 1) / 2
+    return lanes.tolist()
+
+
+class Beside(AbstractPathEffect):
+    """Draws a line so many points to the left of where it runs, with another width and colour if these are given."""
+
+    def __init__(self, offset_pt: float, width_pt: float = 0.0, colour: str = "") -> None:
+        super().__init__()
+        self.offset_pt, self.width_pt, self.colour = offset_pt, width_pt, colour
+
+    def draw_path(
+        self, renderer: RendererBase, gc: GraphicsContextBase, tpath: Outline, affine: Transform, rgbFace: Any = None
+    ) -> None:
+        """Draw the line of a path (Matplotlib calls it)."""
+        look = renderer.new_gc()
+        look.copy_properties(gc)
+        if self.width_pt:
+            width_px: Any = renderer.points_to_pixels(self.width_pt)
+            look.set_linewidth(width_px)
+        if self.colour:
+            look.set_foreground(self.colour)
+        (points,) = affine.transform_path(tpath).to_polygons(closed_only=False)
+        moved = shapely.LineString(points).simplify(SMOOTH_PX)
+        moved = moved.offset_curve(renderer.points_to_pixels(self.offset_pt), join_style="mitre", mitre_limit=2.0)
+        for part in shapely.get_parts(moved):
+            renderer.draw_path(look, Outline(shapely.get_coordinates(part)), IdentityTransform())
+        look.restore()
 
 
 def path_entries(colours: Mapping[str, str], paths: Sequence[PlannedPath]) -> list[Line2D]:
@@ -198,40 +257,51 @@ def shortened(name: str, most: int = MOST_LETTERS) -> str:
     return name if len(name) <= most else f"{name[: most - 1]}…"
 
 
-def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = None) -> Figure:
-    """Return one picture of a region: roof heights, GPS, lidar, clearance, population, and paths over the cost.
+def plot_overview(
+    maps: GivenMaps, paths: Paths, *, altitude_m: float | None = None, names: Sequence[str] | None = None
+) -> Figure:
+    """Return one picture of a region: roof heights, the map of each metric, and paths over the cost.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
       paths: one, several or a batch.
       altitude_m: one of the maps'; left out, the lowest of the paths', or the maps' first where there is none.
+      names: what the paths are called, one after the other; left out, by their planners.
 
     Raises:
-      InputError: an altitude that these maps do not hold.
+      InputError: an altitude that these maps do not hold, or another number of names than paths.
     """
     maps, planned = as_maps(maps), paths_in(paths)
+    called = _names_of(planned, names)
     lowest_m = min((path.altitude_m for path in planned), default=maps.altitudes_m[0])
     z = lowest_m if altitude_m is None else altitude_m
     place, *_ = _places_at(maps, z, planned)
     _, time, time_of_day = place
-    found = [path for path in planned if _place_of(path) == place and path.status.has_path]
+    named = [
+        (path, name)
+        for path, name in zip(planned, called, strict=True)
+        if _place_of(path) == place and path.status.has_path
+    ]
+    found = [path for path, _ in named]
     panels = [MapPanel("Roof height (m)", roof_layers(maps))]
     for name, metric in maps.metrics.items():
         if name == "population":
             layers = layers_above_zero(maps.m("density", time_of_day=time_of_day), metric_colours(maps, "density"))
             panels.append(MapPanel(f"People, {time_of_day}", layers))
         else:
-            panels.append(MapPanel(metric.label, [obstacle_layer(maps, z), free_layer(maps, name, z, time=time)]))
+            layers = [obstacle_layer(maps, z, BLOCKED_COLOUR), free_layer(maps, name, z, time=time)]
+            panels.append(MapPanel(metric.label, layers))
     what = " and paths" if found else ""
     costs = cost_layers(maps, z, time, time_of_day)[::-1]
     panels.append(MapPanel(", ".join(filter(None, (f"Cost{what}", time_of_day))), costs))
-    colours = planner_colours(path.search.planner for path in found)
-    entries = path_entries(colours, found)
-    legend: list[LegendEntry] = [*obstacle_patches(maps), ("obstacle (cost)", BLOCKED_COLOUR), *entries]
+    colours = planner_colours(name for _, name in named)
+    blank = "no building, nobody" if "population" in maps.metrics else "no building"
+    legend: list[LegendEntry] = [(blank, EMPTY_COLOUR), *obstacle_patches(maps, BLOCKED_COLOUR)]
+    legend += path_entries(colours, found)
     note = "\n".join(filter(None, [frame_note(maps, time), rules_said(*(path.settings for path in found))]))
     heading = f"Metric maps{what}, {z:g} m above ground"
-    figure, axes = draw_maps(maps.grid, panels, heading, note, legend=legend, has_ticks=False)
-    draw_paths(axes[-1], found, [colours[path.search.planner] for path in found])
+    figure, axes = draw_maps(maps.grid, panels, heading, note, legend=legend, has_ticks=False, is_key_of_last=True)
+    draw_paths(axes[-1], found, [colours[name] for _, name in named])
     return figure
 
 

@@ -16,19 +16,21 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, GUESSED, without_fix
 from jaxurban.report.figures.frame import GUESSED_COLOUR, frame_note
 from jaxurban.report.figures.metrics import BUILT_COLOUR
-from jaxurban.report.figures.style import FAINT_INK, SMALL_PT, TEXT_PT, chart, dress, show_plain, styled
+from jaxurban.report.figures.style import FAINT_INK, SMALL_PT, TEXT_PT, chart, dress, letter, show_plain, styled
 from jaxurban.report.write import save
 
-ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#d62728", "#5b3a8c", "#ffd9d4"
+ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#c51b8a", "#1a1a1a", "#ffd9d4"
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most
 CLEARANCE_TICKS_M = (0, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 NO_FIX_PT = 1.0  # at the ends of what is shaded, so that a single cell is seen
-SIZE_IN = 10.0, 6.1
+SIZE_IN, SECOND_IN = (10.0, 6.1), 1.2  # of the figure; of a second panel of metrics
 
 
 @styled
 def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | None = None) -> Figure:
     """Return altitude and roofs beneath, metrics, and the clearance along a route, one above the other.
+
+    Metrics of which 1 is the best and those of which 1 is the worst have a panel each.
 
     Segments with fewer than four satellites in view are shaded, roofs of guessed height coloured. The numbers on top
     are the report's segments.
@@ -49,18 +51,23 @@ def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | No
     altitude = f"{low_m:g} m" if low_m == high_m else f"{low_m:g} to {high_m:g} m"
     facts = planned.search.planner, f"{planned.length_m / 1000:.2f} km", f"{altitude} above ground"
     told = ", ".join(filter(None, [*facts, planned.settings["time_of_day"], f"cost {planned.cost:,.1f}"]))
-    figure = chart(*SIZE_IN, f"Route profile: {told}", frame_note(maps, planned.settings["time"]))
-    axes = figure.subplots(3, 1, sharex=True, height_ratios=(1, 1.3, 1))
+    kinds = list(dict.fromkeys(metric.one_is for metric in maps.metrics.values()))
+    height_in = SIZE_IN[1] + SECOND_IN * (len(kinds) - 1)
+    figure = chart(SIZE_IN[0], height_in, f"Route profile: {told}", frame_note(maps, planned.settings["time"]))
+    axes = figure.subplots(2 + len(kinds), 1, sharex=True, height_ratios=(1, *(1.1, 0.7)[: len(kinds)], 1))
     _draw_heights(axes[0], planned, profile, edges_km)
-    for name, metric in maps.metrics.items():
-        label = metric.label if metric.one_is == "best" else f"{metric.label} (1: {metric.one_is})"
-        axes[1].stairs(profile[name], edges_km, baseline=None, color=metric.colour, linewidth=1.3, label=label)
-    axes[1].set(ylim=(-0.03, 1.03), ylabel="metric m (1)")
-    _draw_clearance(axes[2], profile, edges_km)
-    axes[2].set_xlabel("distance flown (km)")
-    axes[2].set_xlim(edges_km[0], max(edges_km[-1], edges_km[0] + 1e-3))
-    for panel in axes:
-        look: dict[str, Any] = {"color": NO_FIX_COLOUR, "linewidth": NO_FIX_PT, "zorder": 0}
+    for kind, panel in zip(kinds, axes[1:], strict=False):
+        for name, metric in maps.metrics.items():
+            if metric.one_is == kind:
+                look: dict[str, Any] = {"color": metric.colour, "linewidth": 1.3, "label": metric.label}
+                panel.stairs(profile[name], edges_km, baseline=None, **look)
+        panel.set(ylim=(-0.03, 1.03), ylabel=f"metric m\n(1 is {kind})")
+    _draw_clearance(axes[-1], profile, edges_km)
+    axes[-1].set_xlabel("distance flown (km)")
+    axes[-1].set_xlim(edges_km[0], max(edges_km[-1], edges_km[0] + 1e-3))
+    for place, panel in enumerate(axes):
+        panel.set_ylabel(letter(place, len(axes)) + panel.get_ylabel())
+        look = {"color": NO_FIX_COLOUR, "linewidth": NO_FIX_PT, "zorder": 0}
         for number, (from_m, to_m) in enumerate(without_fix(profile)):
             label = "under 4 satellites" if panel is axes[1] and not number else "_"
             panel.axvspan(from_m / 1000, to_m / 1000, label=label, **look)
@@ -88,18 +95,18 @@ def _draw_heights(panel: Axes, planned: PlannedPath, profile: pd.DataFrame, edge
     along_km = np.append(0.0, np.cumsum(np.linalg.norm(moved_m, axis=1))) / 1000
     panel.plot(along_km, planned.z_m, color=ALTITUDE_COLOUR, linewidth=1.6, label="flight altitude")
     top_m = max(planned.z_m.max(), profile["roof_m"].max())
-    panel.set(ylim=(0, 1.15 * max(top_m, 1.0)), ylabel="height above ground (m)")
+    panel.set(ylim=(0, 1.15 * max(top_m, 1.0)), ylabel="height above\nground (m)")
 
 
 def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) -> None:
-    panel.set(ylabel="clearance (m)")
+    panel.set(ylabel=f"distance (m),\nlogarithmic\nabove {LINEAR_UP_TO_M:g} m")
     is_known = np.isfinite(profile[CLEARANCE])
     if not is_known.any():
         panel.text(0.5, 0.5, "no obstacle at this altitude", transform=panel.transAxes, ha="center", size=TEXT_PT)
         panel.set_yticks([])
         return
     drawn_m = profile[CLEARANCE].where(is_known)  # none where the route is above every obstacle
-    panel.stairs(drawn_m, edges_km, baseline=None, color=CLEARANCE_COLOUR, linewidth=1.3, label="clearance")
+    panel.stairs(drawn_m, edges_km, baseline=None, color=CLEARANCE_COLOUR, linewidth=1.3, label="distance to obstacles")
     place = int(np.argmin(profile[CLEARANCE]))
     nearest_m, at_km = profile[CLEARANCE].iloc[place], edges_km[place : place + 2].mean()
     label = f"least: {nearest_m:.3g} m"

@@ -13,7 +13,7 @@ from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import LogLocator, NullLocator
 
 from jaxurban.report.figures.frame import ENDS, LegendEntry, MapPanel, draw_maps, frame_note, joined, rules_said
-from jaxurban.report.figures.metrics import obstacle_patches
+from jaxurban.report.figures.metrics import line_colour, obstacle_patches
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, cost_layers, draw_ends
 from jaxurban.report.figures.style import (
     FAINT_INK,
@@ -22,6 +22,9 @@ from jaxurban.report.figures.style import (
     add_colour_bar,
     chart,
     dress,
+    label_rows,
+    legend_below,
+    letter_all,
     panels,
     show_plain,
     styled,
@@ -29,7 +32,7 @@ from jaxurban.report.figures.style import (
 from jaxurban.report.write import listed
 from jaxurban.studies.weights.study import Sensitivity
 
-GIVEN_COLOUR, FIRST_COLOUR = "#d62728", "#0072b2"
+GIVEN_COLOUR = "#c51b8a"
 ON_ROUTES_COLOUR = "#ffffff"  # of the given weights' route over others of all colours
 
 
@@ -44,7 +47,7 @@ def sensitivity_figures(found: Sensitivity) -> dict[str, Callable[[], Figure]]:
 
 @styled
 def plot_breakpoints(found: Sensitivity) -> Figure:
-    """Return the cheapest cost along the range of each weight, a dot where the route changes; red: the given weight."""
+    """Return the cheapest cost along the range of each weight, a dot where the route changes."""
     figure, axes = panels(len(found.lines), "Cheapest cost along the range of each weight", shares_y=True)
     for panel, name in zip(axes, found.lines, strict=True):
         line, column = found.lines[name], found.names.index(name)
@@ -53,17 +56,21 @@ def plot_breakpoints(found: Sensitivity) -> Figure:
         costs = line.cost_at(np.stack([1 - shares, shares], axis=-1))
         is_breakpoint = np.isin(shares, line.breakpoints)
         values = ends[0] + shares * (ends[1] - ends[0])
-        look: dict[str, Any] = {"marker": "o", "markersize": 4, "markerfacecolor": FIRST_COLOUR, "markeredgewidth": 0}
-        panel.plot(values, costs, color=INK, linewidth=1.1, markevery=is_breakpoint, **look)
-        panel.axvline(found.weights[column], color=GIVEN_COLOUR, linewidth=1.0, zorder=1)
+        look: dict[str, Any] = {"marker": "o", "markersize": 4, "markeredgewidth": 0}
+        panel.plot(values, costs, color=line_colour(name), linewidth=1.1, markevery=is_breakpoint, **look)
+        panel.axvline(
+            found.weights[column], color=INK, linewidth=0.9, linestyle=(0, (3, 2)), zorder=1, label="given weight"
+        )
         panel.set_xscale("log")
         panel.xaxis.set_major_locator(LogLocator(numticks=6))
         panel.xaxis.set_minor_locator(NullLocator())
         for axis in (panel.xaxis, panel.yaxis):
             show_plain(axis)
-        panel.set(xlim=ends, xlabel=f"weight of {name} (1)")
+        panel.set(xlim=ends, xlabel=f"weight of {name}")
         panel.set_title(f"{name}, breakpoints: {len(line.breakpoints)}")
-    axes[0].set_ylabel("cheapest cost (1)")
+    label_rows(axes, "cheapest cost")
+    legend_below(figure, axes[0])
+    letter_all(axes)
     return figure
 
 

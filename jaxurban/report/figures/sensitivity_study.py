@@ -17,14 +17,17 @@ from jaxurban.report.figures.style import (
     MARKERS,
     SERIES_COLOURS,
     dots,
+    label_rows,
     legend_below,
+    letter_all,
     panels,
     show_plain_log,
     styled,
 )
 from jaxurban.studies.weights.summary import ALL, pairs_of
 
-NUM_FACTORS = 60  # at which an interval is drawn
+NUM_FACTORS = 4  # at which intervals are drawn
+BAR_GAP = 0.018  # between them, as a share of the axis
 
 
 def study_figures(tables: Mapping[str, pd.DataFrame], wrong: float) -> dict[str, Callable[[], Figure]]:
@@ -48,9 +51,9 @@ def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
         look = {"color": SERIES_COLOURS[k % len(SERIES_COLOURS)], "marker": MARKERS[k % len(MARKERS)], "label": city}
         dots(panel, np.arange(len(weights)) + (k - (len(cities) - 1) / 2) * 0.18, rows, "regret", look)
     panel.set_xticks(range(len(weights)), weights)
-    panel.set(xlim=(-0.6, len(weights) - 0.4), ylabel="regret (share of the cost)")
+    panel.set(xlim=(-0.6, len(weights) - 0.4), ylabel="regret (% of the cost)")
     panel.set_ylim(bottom=0)
-    panel.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))
+    panel.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None, symbol=""))
     legend_below(figure, panel)
     return figure
 
@@ -59,7 +62,7 @@ def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
 def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
     """Return the share of routes that have changed once a weight is off by a factor, a panel an altitude.
 
-    Bands are 95 % intervals; a dashed line is the factor of the regrets.
+    Bars are 95 % intervals, side by side at a few factors; a dashed line is the factor of the regrets.
     """
     varied = weights[weights.varies]
     altitudes = sorted(varied.altitude_m.unique())
@@ -67,7 +70,8 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
         len(altitudes), "Share of routes that change where a weight is off by a factor", shares_y=True
     )
     end = max(varied.nearest.max(), 1.01)
-    edges = np.geomspace(1.0, end, NUM_FACTORS, endpoint=False)
+    names = list(varied.weight_name.unique())
+    middles = np.geomspace(1.0, end, 2 * NUM_FACTORS + 1)[1::2]
     for panel, altitude_m in zip(axes, altitudes, strict=True):
         for name, rows in varied[varied.altitude_m == altitude_m].groupby("weight_name", sort=False):
             colour, factors = line_colour(str(name)), np.sort(rows.nearest.to_numpy())
@@ -76,12 +80,15 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
             y = np.concatenate([[0.0], np.flatnonzero(is_reached) + 1.0, [is_reached.sum()]]) / len(factors)
             panel.step(x, y, where="post", color=colour, label=name, linewidth=1.3)
             pairs = pairs_of(rows)
-            changed = [pairs.interval((rows.nearest <= edge).astype(float), "share")[1:] for edge in edges]
-            panel.fill_between(edges, *np.transpose(changed), color=colour, alpha=0.13, linewidth=0)
+            at = middles * end ** ((names.index(name) - (len(names) - 1) / 2) * BAR_GAP)
+            changed = [pairs.interval((rows.nearest <= factor).astype(float), "share")[1:] for factor in at]
+            panel.vlines(at, *np.transpose(changed), color=colour, linewidth=2.2, alpha=0.75)
         panel.axvline(wrong, color=FAINT_INK, linewidth=0.8, linestyle=(0, (3, 2)))
-        panel.set(xscale="log", xlim=(1, end), ylim=(0, 1.02), xlabel="factor (1)")
+        panel.set(xscale="log", xlim=(1, end), ylim=(0, 1.02), xlabel="factor by which the weight is off")
         panel.set_title(f"{altitude_m:g} m")
         show_plain_log(panel.xaxis)
-        panel.yaxis.set_major_formatter(PercentFormatter(1.0))
+        panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
+    label_rows(axes, "routes that change (%)")
+    letter_all(axes)
     legend_below(figure, axes[0])
     return figure

@@ -1,6 +1,7 @@
 """The look of every figure: headings, charts, legends, how values become colours, and the bar that says so."""
 
 import math
+import string
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib import colormaps, rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
@@ -20,8 +22,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 SMALL_PT, TEXT_PT = 8.0, 9.0  # of tick labels, of titles and notes
 INK, FAINT_INK = "#1a1a1a", "#555555"
 HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.4, 0.15, 15.0  # of a heading; of a line of SMALL_PT
-# Of several series: told apart by the colour-blind too (Okabe and Ito 2008).
-SERIES_COLOURS = ("#d55e00", "#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#f0e442")
+# Of several series that are no metrics, whose colours these avoid; dark and light ones by turns.
+SERIES_COLOURS = ("#1a1a1a", "#d55e00", "#56b4e9", "#7f7f7f", "#8c510a", "#66c2a5", "#f0c800")
 MARKERS = "osD^vP*X"
 DOT: dict[str, Any] = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
 LABEL_LETTERS = 32  # on a line of a colour bar's label
@@ -88,6 +90,23 @@ def panels(
     return figure, axes[:num]
 
 
+def letter(number: int, num: int) -> str:
+    """Return what stands before the title of one of several panels: (a) , (b) ...; nothing for a panel alone."""
+    return f"({string.ascii_lowercase[number]}) " if 1 < num <= len(string.ascii_lowercase) else ""
+
+
+def label_rows(axes: Sequence[Axes], label: str) -> None:
+    """Label the vertical axis of the first panel of each row."""
+    for panel in axes[:: columns_of(len(axes))]:
+        panel.set_ylabel(label)
+
+
+def letter_all(axes: Sequence[Axes]) -> None:
+    """Put letters before the titles of panels."""
+    for number, panel in enumerate(axes):
+        panel.set_title(letter(number, len(axes)) + panel.get_title(loc="left"))
+
+
 def dress(panel: Axes) -> None:
     """Give a panel its ticks and its lines across."""
     panel.tick_params(labelsize=SMALL_PT, length=3, color=FAINT_INK)
@@ -97,7 +116,10 @@ def dress(panel: Axes) -> None:
 def legend_below(figure: Figure, panel: Axes) -> None:
     """Write the legend of a panel at the foot of its figure."""
     handles, names = panel.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=min(LEGEND_COLUMNS, len(names)))
+    legend = figure.legend(handles, names, loc="outside lower center", ncols=min(LEGEND_COLUMNS, len(names)))
+    for handle in legend.legend_handles:  # a line that is drawn beside its place stands at it here
+        if isinstance(handle, Artist):
+            handle.set_path_effects([])
 
 
 def dots(panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, look: Mapping[str, Any]) -> None:
@@ -164,7 +186,10 @@ def bar_ticks(colours: Colours) -> list[float]:
     if colours.ticks is not None:
         return list(colours.ticks)
     num = 4 if isinstance(colours.norm, LogNorm) else 5
-    return np.asarray(colours.norm.inverse(np.linspace(0, 1, num))).tolist()
+    ticks = np.asarray(colours.norm.inverse(np.linspace(0, 1, num))).tolist()
+    if type(colours.norm) is not Normalize:  # round numbers between the ends
+        ticks[1:-1] = [float(f"{tick:.0e}") for tick in ticks[1:-1]]
+    return ticks
 
 
 def add_colour_bar(figure: Figure, axes: Sequence[Axes], colours: Colours, location: str = "right") -> None:

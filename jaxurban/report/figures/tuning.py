@@ -20,13 +20,13 @@ from jaxurban.report.figures.frame import (
     mark_ends,
     rules_said,
 )
-from jaxurban.report.figures.metrics import obstacle_patches
-from jaxurban.report.figures.paths import BLOCKED_COLOUR
+from jaxurban.report.figures.metrics import line_colour, obstacle_patches
+from jaxurban.report.figures.paths import APART_PT, BLOCKED_COLOUR, Beside, lanes_of
 from jaxurban.report.figures.style import Colours, dots, panels, show_plain_log, styled
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
-DEMONSTRATION_COLOUR, PLANNED_COLOUR = "#f0a030", "#0b4f9e"
+DEMONSTRATION_COLOUR, PLANNED_COLOUR = "#b3400a", "#0b3c8c"
 PALE = 1.6  # the scale goes on so far beyond the map's costs, so that routes stand out
 
 
@@ -36,7 +36,8 @@ def plot_weights(fit: WeightFit) -> Figure:
     table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
     table = table.where(table.weight > 0)
     figure, (panel,) = panels(1, "Fitted weights and their intervals", panel_in=(5.9, 2.5))
-    dots(panel, np.arange(len(table)), table, "weight", {"color": PLANNED_COLOUR, "marker": "o"})
+    for place, name in enumerate(table.index):
+        dots(panel, np.array([place]), table.loc[[name]], "weight", {"color": line_colour(name), "marker": "o"})
     panel.set_xticks(range(len(table)), table.index)
     panel.set(yscale="log", xlim=(-0.6, len(table) - 0.4), ylabel="weight (each in its unit)")
     show_plain_log(panel.yaxis)
@@ -77,8 +78,11 @@ def plot_routes(
     figure, (panel,) = draw_maps(grid, shown_maps, heading, note, legend=legend, colours=colours)
     corner = np.array([grid.x_min_m, grid.y_min_m])
     for shown, route in both:
-        panel.plot(*(shown.points_m + corner).T, color=DEMONSTRATION_COLOUR, linewidth=3.4, zorder=3)
-        panel.plot(*(route.points_m + corner).T, color=PLANNED_COLOUR, linewidth=1.1, zorder=4)
+        drawn = shown.points_m + corner, route.points_m + corner
+        lanes = lanes_of(drawn, grid.resolution_m)
+        for line, lane, colour in zip(drawn, lanes, (DEMONSTRATION_COLOUR, PLANNED_COLOUR), strict=True):
+            beside = [Beside(lane * APART_PT)]
+            panel.plot(*line.T, color=colour, linewidth=1.6, zorder=4, path_effects=beside)
         start, goal = (grid.xy_of_cell(*cell) for cell in (shown.query.start, shown.query.goal))
         mark_ends(panel, start, goal, size=0.68)
     return figure
