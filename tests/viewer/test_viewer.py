@@ -125,6 +125,7 @@ def test_values_in_a_cell_are_the_maps_own_and_inside_an_obstacle_there_is_no_qu
         {"planner": "ptp", "snap": False},
         {"weights": WEIGHTS | {"gps": 20.0, "lidar": 0.0}},
         {"planner": "theta-star", "cost_model": "line"},
+        {"flight_m": 37.5, "vertical_clearance_m": 6.25},  # between the levels of 20 and 60 m
         {"planner": "astar-plus", "obstacles": "centre", "zones": square(30, 40, 14)},
     ],
 )
@@ -133,6 +134,7 @@ def test_a_route_is_that_of_the_printed_command_coordinate_for_coordinate(viewer
         shown = answer(viewer, "plan", **QUERY | more)
     program, *arguments = shlex.split(shown["command"])
     assert (program, "--no-fly" in arguments) == ("jaxurban", "zones" in more)
+    assert arguments[arguments.index("--altitude") + 1] == str(more.get("flight_m", 20.0))
     monkeypatch.chdir(tmp_path)
     if zones := more.get("zones"):
         (tmp_path / "zones.geojson").write_text(zones, encoding="utf-8")

@@ -1,0 +1,170 @@
+"""The base map, opacity, flight between the levels and the address, against shapes and colours made by hand."""
+
+import json
+import re
+from dataclasses import replace
+
+import geopandas as gpd
+import numpy as np
+import pytest
+import shapely
+
+from jaxurban.io.read.base_map import write_base_map
+from jaxurban.report.figures.metrics import metric_colours
+from jaxurban.viewer.html import write_page
+from jaxurban.viewer.layers import POSITION_ERROR, RANGE_ERROR_M
+from jaxurban.viewer.viewer import Viewer
+from tests.made_maps import made_maps
+from tests.viewer.browser import READY, opened, shown
+from tests.viewer.test_page import ink_at, middle_of, pixel_of, plan_between, route_of, settle, text_of
+from tests.viewer.test_viewer import answer, tile_of
+
+MAPS = made_maps(160, 200)
+GRID, FREE = MAPS.grid, np.argwhere(MAPS.is_free(20.0))
+LAKE_M, STREET_M = (0, 0, 1000, 800), ((0, 1200), (2000, 1200))  # from the southwest corner, x to the east
+ISLAND_M = (400, 300, 600, 500)
+
+
+@pytest.fixture(scope="module")
+def with_base(tmp_path_factory):
+    shapes = [shapely.box(*LAKE_M) - shapely.box(*ISLAND_M), shapely.LineString(STREET_M), shapely.Point(1500, 400)]
+    corner_m = GRID.x_min_m, GRID.y_min_m
+    moved = [shapely.transform(shape, lambda points: points + corner_m) for shape in shapes]
+    rows = {"kind": ["water", "major", "place"], "name": ["The <Lake>", "Main Street", "Hill"]}
+    frame = gpd.GeoDataFrame(rows, geometry=moved, crs=GRID.crs).to_crs("EPSG:4326")
+    file = tmp_path_factory.mktemp("base") / "basemap.parquet"
+    frame.attrs = {"credit": "drawn by hand", "licence": "none"}
+    write_base_map(file, frame)
+    return replace(MAPS, base=file)
+
+
+def test_the_base_map_is_in_metres_from_the_corner_and_there_is_none_where_the_source_has_none(with_base):
+    assert answer(Viewer(MAPS), "base") == {}
+    assert not answer(Viewer(MAPS), "scene")["has_base"]
+    found = answer(Viewer(with_base), "base")
+    rings = [np.reshape(ring, (-1, 2)) for ring in found["shapes"]["water"]]
+    assert sorted(shapely.Polygon(ring).area for ring in rings) == pytest.approx([200 * 200, 1000 * 800], rel=0.01)
+    (street,) = (np.reshape(line, (-1, 2)) for line in found["shapes"]["major"])
+    assert np.abs(street[[0, -1]] - STREET_M).max() <= 1
+    names = {row[2]: row for row in found["names"]}
+    assert names["Hill"][:2] == pytest.approx([1500, 400], abs=1)
+    assert names["Main Street"][:2] == pytest.approx([1000, 1200], abs=1)
+    assert abs(names["Main Street"][4]) < 0.01  # it runs to the east
+
+
+def test_the_position_error_is_hdop_times_the_range_error_that_the_legend_names():
+    maps = made_maps()
+    viewer, free = Viewer(maps), maps.is_free(20.0, "centre")
+    expected = (RANGE_ERROR_M * maps.m("hdop", 20.0)[free]).astype(np.float32)
+    assert np.array_equal(tile_of(viewer, POSITION_ERROR, [0, 0, 0])[free], expected)
+    assert f"HDOP x {RANGE_ERROR_M:g} m" in answer(viewer, "legend", layer=POSITION_ERROR, at=[0, 0, 0])["html"]
+
+
+@pytest.fixture
+def page(browser, with_base):
+    with shown(browser, Viewer(with_base)) as page:
+        page.wait_for_timeout(500)
+        yield page
+
+
+def fade(page, percent: int) -> None:
+    page.locator('[name="opacity"]').evaluate(
+        "(each, value) => { each.value = value; each.dispatchEvent(new Event('input')); }", percent
+    )
+    page.wait_for_timeout(400)
+
+
+@pytest.mark.slow
+def test_opacity_blends_the_maps_true_colour_with_the_ground_and_water_lies_below(page):
+    page.uncheck('[name="hatch"]')
+    land, lake, island = ([60, 150], [15, 75], [40, 50])  # rows and columns
+    free = [FREE[np.hypot(*(FREE - place).T).argmin()].tolist() for place in (land, lake)]
+    fade(page, 0)
+    grounds = [np.array(ink_at(page, middle_of(page, cell))) for cell in free]
+    assert grounds[0].min() > 240  # bare ground is nearly white
+    assert grounds[1][2] > grounds[1][0] + 30  # water is blue
+    assert min(ink_at(page, middle_of(page, island))) > 240  # and has its island
+    for percent in (40, 70, 100):
+        fade(page, percent)
+        for cell, ground in zip(free, grounds, strict=True):
+            row, col = cell
+            near = MAPS.m("gps", 20.0)[row - 1 : row + 2, col - 1 : col + 2]
+            colours = 255 * metric_colours(MAPS, "gps")(near)[..., :3].reshape(-1, 3)
+            blended = colours * percent / 100 + ground * (1 - percent / 100)
+            assert np.abs(blended - ink_at(page, middle_of(page, cell))).max(axis=1).min() <= 5
+
+
+@pytest.mark.slow
+def test_an_exported_page_draws_the_base_map_without_any_server(browser, with_base, tmp_path):
+    write_page(Viewer(with_base, name="city"), file := tmp_path / "page.html", 10 * 2**20)
+    with opened(browser, file.as_uri()) as page:
+        page.uncheck('[name="hatch"]')
+        fade(page, 0)
+        red, _, blue = ink_at(page, pixel_of(page, 15, 75))
+        assert blue > red + 30
+
+
+@pytest.mark.slow
+def test_a_reload_keeps_the_plan_and_an_address_of_other_maps_is_refused_in_a_sentence(page):
+    plan_between(page)
+    page.fill('[name="flight_m"]', "37.5")
+    page.fill('[name="vertical_clearance_m"]', "6")
+    page.keyboard.press("Tab")
+    settle(page)
+    assert re.search(r"map shows .*\b(20|60) m", text_of(page, "between"))
+    before, address = route_of(page), page.url
+    assert "37.5" in json.dumps(before["properties"])
+    page.reload()
+    page.wait_for_selector(READY, timeout=60_000)
+    settle(page)
+    assert route_of(page) == before
+    assert page.url == address
+    for wrong in ("#nonsense", "#" + json.dumps({"ofMaps": "others"})):
+        page.goto("about:blank")
+        page.goto(address.partition("#")[0] + wrong)
+        page.wait_for_selector(READY, timeout=60_000)
+        page.wait_for_timeout(300)
+        assert "holds no plan of these maps" in text_of(page, "tell")
+        assert page.locator(".jv-route").count() == 0
+
+
+@pytest.mark.slow
+def test_the_route_is_never_under_the_report_and_the_fit_follows_the_window(page):
+    south, north = FREE[0].tolist(), FREE[-1].tolist()
+    plan_between(page, north, south)
+    for width, height in ((1280, 720), (1024, 700), (1920, 1080)):
+        page.set_viewport_size({"width": width, "height": height})
+        page.wait_for_timeout(500)
+        above = page.locator('[data-is="report"]').bounding_box()["y"]
+        lon, lat = route_of(page)["geometry"]["coordinates"][-1][:2]  # the southern end
+        at = middle_of(page, GRID.cell_of_lonlat(lon, lat))
+        assert at[1] < above
+        assert max(ink_at(page, at)) < 60  # the goal's mark
+
+
+@pytest.mark.slow
+def test_routes_that_coincide_are_both_in_sight_and_theta_star_takes_its_cost_model_along(page):
+    plan_between(page)
+    page.click("text=Planners and rules")
+    page.select_option('[name="cost_model"]', "cell")
+    page.check('[value="astar-dist"]')
+    settle(page)
+    colours = page.locator(".jv-route .jv-dot").evaluate_all("all => all.map(e => getComputedStyle(e).backgroundColor)")
+    num_pixels = page.evaluate(
+        """colours => { const map = document.querySelector('[data-is="map"]');
+          const inks = map.getContext('2d').getImageData(0, 0, map.width, map.height).data, found = {};
+          for (let k = 0; k < inks.length; k += 4) {
+            const ink = `rgb(${inks[k]}, ${inks[k + 1]}, ${inks[k + 2]})`;
+            found[ink] = (found[ink] ?? 0) + 1;
+          }
+          return colours.map(colour => found[colour] ?? 0); }""",
+        colours,
+    )
+    assert len(num_pixels) == 2
+    assert min(num_pixels) > 0.3 * max(num_pixels)
+    page.check('[value="theta-star"]')
+    settle(page)
+    assert page.locator('[name="cost_model"]').input_value() == "line"
+    assert re.search("theta-star needs .*line", text_of(page, "model"))
+    assert text_of(page, "tell") == ""
+    assert page.locator(".jv-route").count() == 3
