@@ -34,7 +34,9 @@ from jaxurban.report.write import write_png
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
 PART_M = 110.0  # half the side of what is drawn larger
 STYLES = {"A* on the grid": "#0b3c8c", "Theta*": "#ffb000", "Theta*, refined": "#c51b8a", "Snell's law": "#1a1a1a"}
-COLOURS = Colours("Greys", Normalize(0, 2.5), f"map cost per {RESOLUTION_M:g} m", extend="max")
+COLOURS = Colours(
+    "Greys", Normalize(0, 2.5), f"map cost per {RESOLUTION_M:g} m", extend="max", ticks=(0, 0.5, 1, 1.5, 2, 2.5)
+)
 
 
 def two_media() -> tuple[Problem, np.ndarray]:

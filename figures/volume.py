@@ -105,6 +105,7 @@ def draw_profile(panel: Axes, roof_m: np.ndarray, resolution_m: float, points: n
 def picture() -> Figure:
     """Return the figure."""
     figure = chart(10.5, 8.6, "Over or around: what a metre of climb costs decides")
+    figure.get_layout_engine().set(rect=(0.015, 0, 0.985, 1))  # else a label at the left is cut
     cities = {"a wall of 30 m": wall(), "the synthetic city": city()}
     axes = figure.subplot_mosaic("ab;ac;de;df", width_ratios=(1, 1.25))
     norm = Normalize(*LEVELS_M)

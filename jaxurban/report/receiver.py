@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from jaxurban.io.read.receiver import ERROR, TRACKED
 from jaxurban.maps.levels import listed_m
-from jaxurban.report.figures.style import ends_of, panels, show_plain_log, styled
+from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plain_log, styled
 from jaxurban.report.write import Output, bullets, fill, study_outputs, table
 from jaxurban.settings import each
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
@@ -60,6 +60,7 @@ def plot_scatter(found: ReceiverValidation) -> Figure:
         panel.set_title(title)
         panel.set_xlabel(f"maps: {name_of(name)}{f' ({num} undetermined, at the right edge)' if num else ''}")
         panel.set_ylabel(f"receiver: {LABELS[witness]}")
+    letter_all(axes)
     return figure
 
 

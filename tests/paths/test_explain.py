@@ -14,6 +14,7 @@ from matplotlib.patches import StepPatch
 import jaxurban as ju
 from jaxurban.io.read.zone import cell_boxes
 from jaxurban.kernels.line.traversal import crossed_cells
+from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.profile import clearance_m, cut_evenly, nearest_level_m
 from jaxurban.planners.cost import path_states
 from jaxurban.report.figures import plot_profile, save_profile
@@ -253,24 +254,29 @@ def steps(panel) -> dict[str, StepPatch]:
 
 def test_the_curves_are_the_values_of_the_report_by_distance_under_altitude_and_time_of_day(maps, planned, report):
     figure = plot_profile(planned, maps, report)
-    heights, metrics, walls = figure.axes
+    heights, metrics, people, walls = figure.axes
     heading = f", 20 m above ground, {planned.settings['time_of_day']}, cost "
     assert any(heading in text.get_text() for text in figure.texts)
     edges_km = np.append(report.profile["from_m"], report.profile["to_m"].iloc[-1]) / 1000
     for panel, label, name in (
         (heights, "roofs beneath", "roof_m"),
         (metrics, "GPS quality", "gps"),
-        (metrics, "Population (1: worst)", "population"),
-        (walls, "clearance", "nearest_wall_m"),
+        (people, "Population", "population"),
+        (walls, "distance to obstacles", "nearest_wall_m"),
     ):
         drawn = steps(panel)[label].get_data()
         np.testing.assert_array_equal(drawn.values, report.profile[name])
         np.testing.assert_array_equal(drawn.edges, edges_km)
+    assert to_hex(steps(metrics)["GPS quality"].get_edgecolor()) == METRICS["gps"].colour
     assert heights.get_ylim()[1] > 20.0
-    units = [panel.get_ylabel() for panel in (heights, metrics, walls)]
-    assert units == ["height above ground (m)", "metric m (1)", "clearance (m)"]
+    assert [panel.get_ylabel().replace("\n", " ") for panel in figure.axes[:4]] == [
+        "(a) height above ground (m)",
+        "(b) metric m (1 is best)",
+        "(c) metric m (1 is worst)",
+        "(d) distance (m), logarithmic above 10 m",
+    ]
     assert walls.get_xlabel() == "distance flown (km)"
-    assert all(panel.get_legend() for panel in (heights, metrics, walls))
+    assert all(panel.get_legend() for panel in (heights, metrics, people, walls))
 
 
 def test_stretches_without_a_fix_are_shaded_over_their_whole_length(maps, planned, report):
@@ -291,11 +297,11 @@ def test_roofs_of_guessed_height_and_stretches_above_every_obstacle_are_told_apa
     is_first = report.profile.index < 5
     clear_m = report.profile["nearest_wall_m"].mask(is_first, np.inf)
     profile = report.profile.assign(roof_m=12.0, roof_guessed=is_first, nearest_wall_m=clear_m)
-    heights, _, walls = plot_profile(planned, maps, replace(report, profile=profile)).axes
+    heights, *_, walls = plot_profile(planned, maps, replace(report, profile=profile)).axes
     guessed = steps(heights)["of guessed height"]
     assert to_hex(guessed.get_facecolor()) == GUESSED_COLOUR
     np.testing.assert_array_equal(guessed.get_data().values, np.where(is_first, 12.0, 0.0))
     assert "of guessed height" not in steps(plot_profile(planned, maps, report).axes[0])
-    np.testing.assert_array_equal(steps(walls)["clearance"].get_data().values, clear_m.where(~is_first))
+    np.testing.assert_array_equal(steps(walls)["distance to obstacles"].get_data().values, clear_m.where(~is_first))
     assert "gaps: above every\nobstacle" in [text.get_text() for text in walls.get_legend().get_texts()]
     assert not walls.texts

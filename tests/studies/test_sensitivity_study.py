@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
+from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.rows import InstanceRuns, solve_here
 from jaxurban.report.figures.sensitivity_study import plot_nearest, study_figures
 from jaxurban.report.sensitivity_study import shown_tables, study_markdown
@@ -132,6 +133,10 @@ def test_no_text_of_a_figure_leaves_the_page_and_panels_that_are_compared_share_
         assert_on_the_page(name, draw())
     figure = plot_nearest(weight_study.tables["weights"], 2.0)
     assert len({panel.get_xlim() for panel in figure.axes}) == 1
+    colours = {line.get_label(): line.get_color() for panel in figure.axes for line in panel.lines}
+    named = {name: colour for name, colour in colours.items() if name in METRICS}
+    assert len(named) > 1
+    assert named == {name: METRICS[name].colour for name in named}
 
 
 def made_weights(**regret: float) -> pd.DataFrame:

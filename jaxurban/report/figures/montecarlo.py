@@ -25,7 +25,7 @@ from jaxurban.report.figures.style import (
 )
 from jaxurban.studies.montecarlo.analysis import each, range_names, weighted_rows
 
-SHARES = Colours("Greys", LogNorm(1e-6, 0.3), "share of the free cells", extend="max")
+SHARES = Colours("Greys", LogNorm(1e-6, 0.3), "share of the free cells", extend="max", ticks=(1e-6, 1e-4, 0.01, 0.3))
 CURVES_APART_PT = 1.5
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
 
@@ -74,15 +74,15 @@ def plot_costs(table: pd.DataFrame) -> Figure:
         panel.step(x, y, where="post", color=colours[planner], label=planner, linewidth=1.4, path_effects=beside)
         panel.set(xlim=(1 - 0.01 * (end - 1), end), xlabel="cost / cheapest known")
         panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
-    _show_shares(axes, "joined pairs solved at that ratio (%)")
+    _show_shares(axes, "joined pairs solved at that ratio (%)", 1.04)
     legend_below(figure, axes[0])
     return figure
 
 
-def _show_shares(axes: Sequence[Axes], label: str) -> None:
+def _show_shares(axes: Sequence[Axes], label: str, top: float = 1.02) -> None:
     label_rows(axes, label)
     letter_all(axes)
-    axes[0].set_ylim(0, 1.02)
+    axes[0].set_ylim(0, top)
     for panel in axes:
         panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
 
