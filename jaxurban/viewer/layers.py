@@ -19,9 +19,8 @@ from jaxurban.viewer.markup import legend
 
 H_NORM, COST_OF, POSITION_ERROR = "h_norm", "cost:", "position_error"
 RANGE_ERROR_M = 5.0  # of a satellite's range, standard deviation, a round figure: the position's is HDOP times it
-ERROR_COLOURS = Colours(
-    "viridis_r", Normalize(0, 50), f"Horizontal position error in metres: HDOP x {RANGE_ERROR_M:g} m"
-)
+ERROR_LABEL = f"Horizontal position error in metres, low is good: HDOP x {RANGE_ERROR_M:g} m"
+ERROR_COLOURS = Colours("viridis_r", Normalize(0, 50), ERROR_LABEL, extend="max")
 NO_FIX_PATCH = ("no fix", "repeating-linear-gradient(135deg,#d01824 0 2px,transparent 2px 4px)")
 OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)  # how values travel: a cell in an obstacle; one not drawn
 
@@ -125,8 +124,8 @@ def legend_of(layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
     """Return how values become colours on the page, as JSON holds it.
 
     ``edges`` has one number more than there are ``colours`` (base64; red, green, blue and 255): colour k is drawn from
-    edge k up to edge k + 1, the first and the last one beyond them too. ``flat`` are the colours of cells in obstacles, of
-    those without a value, and of a value of 0, where that is drawn apart; ``html`` is the legend.
+    edge k up to edge k + 1, the first and the last one beyond them too. ``flat`` are the colours of cells in obstacles,
+    of those without a value, and of a value of 0, where that is drawn apart; ``html`` is the legend.
     """
     scale, zero = layer.colours(values), layer.variable.scale.zero
     patches = [(zero, EMPTY_COLOUR)] if zero else []

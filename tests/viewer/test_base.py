@@ -168,3 +168,32 @@ def test_routes_that_coincide_are_both_in_sight_and_theta_star_takes_its_cost_mo
     assert re.search("theta-star needs .*line", text_of(page, "model"))
     assert text_of(page, "tell") == ""
     assert page.locator(".jv-route").count() == 3
+
+
+@pytest.mark.slow
+def test_the_hatch_of_a_coarser_tile_shows_nowhere_that_a_finer_one_has_a_fix(browser):
+    maps = made_maps(300, 300)  # two strides; the coarse one takes every second cell
+    hdop = np.ones(maps.ds["hdop"].shape, np.float32)
+    hdop[..., 1::2, 1::2] = np.inf
+    with shown(browser, Viewer(type(maps)(maps.ds.assign(hdop=(maps.ds["hdop"].dims, hdop))))) as page:
+        page.wait_for_timeout(1500)
+        share = page.evaluate(
+            """() => { const map = document.querySelector('[data-is="map"]'), middle = map.width / 2;
+              const inks = map.getContext('2d').getImageData(middle - 150, map.height / 2 - 150, 300, 300).data;
+              let red = 0;
+              for (let k = 0; k < inks.length; k += 4) red += inks[k] === 208 && inks[k + 1] === 24;
+              return red / inks.length * 4; }"""
+        )
+    assert 0.02 < share < 0.13  # lines of a third, over a quarter of the cells at most
+
+
+@pytest.mark.slow
+def test_reset_draws_the_layer_that_the_list_then_names(page):
+    first = page.locator(".jv-legend").inner_text()
+    page.select_option('[name="layer"]', "roof")
+    page.wait_for_timeout(500)
+    assert page.locator(".jv-legend").inner_text() != first
+    page.click('[data-do="reset"]')
+    page.wait_for_timeout(500)
+    assert page.locator('[name="layer"]').input_value() == "gps"
+    assert page.locator(".jv-legend").inner_text() == first

@@ -15,6 +15,7 @@ import shapely
 import jaxurban as ju
 from jaxurban.io.files import write_json
 from jaxurban.report.figures.metrics import metric_colours
+from jaxurban.report.figures.profile import ALTITUDE_COLOUR
 from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer.html import part
 from jaxurban.viewer.layers import layers_of, legend_of
@@ -198,7 +199,7 @@ def test_a_profile_labels_the_flight_at_its_height_and_distances_so_that_none_eq
     long, near = (answer(viewer, "report", **QUERY | more)["profile"] for more in ({}, {"goal": NEAR}))
     for drawn in (long, near):
         heights = dict(re.findall(r'<b style="top:(\d+)px">([^<]+)</b>', drawn))
-        line_y = float(re.search(r'd="M0.0 ([\d.]+)L[^"]*" stroke="#d62728"', drawn)[1])
+        line_y = float(re.search(rf'd="M0.0 ([\d.]+)L[^"]*" stroke="{ALTITUDE_COLOUR}"', drawn)[1])
         assert heights[f"{line_y - 7:.0f}"] == "20 m"
         assert "22 m" not in heights.values()
         ticks = re.findall(r">([\d.]+) (k?m)</span>", drawn.replace("least clearance ", "<i>"))

@@ -65,13 +65,13 @@ function hatch(pen) { // red lines
   for (let k = -1; k < 6; k++) ink.fillRect(k, 5 - k, 2, 1);
   return pen.createPattern(tile, 'repeat');
 }
-function viewOf(map, wide, high, side) { // which part of the map is seen; scale: metres a pixel
+function viewOf(map, wide, high, side, redraw) { // which part of the map is seen; scale: metres a pixel
   const view = { x: wide / 2, y: high / 2, scale: 1, isWhole: true };
   view.toPixel = ([x, y]) =>
     [(x - view.x) / view.scale + map.clientWidth / 2, map.clientHeight / 2 - (y - view.y) / view.scale];
   view.toMetres = (left, top) =>
     [view.x + (left - map.clientWidth / 2) * view.scale, view.y - (top - map.clientHeight / 2) * view.scale];
-  view.show = (x, y, scale, isWhole = false) => Object.assign(view, { x, y, scale, isWhole });
+  view.show = (x, y, scale, isWhole = false) => redraw(Object.assign(view, { x, y, scale, isWhole }));
   view.fit = () =>
     view.show(wide / 2, high / 2, 1.06 * Math.max(wide / map.clientWidth, high / map.clientHeight), true);
   view.zoom = (factor, left = map.clientWidth / 2, top = map.clientHeight / 2) => {
@@ -96,7 +96,7 @@ function tilesOf(ask, { tile, rows, cols, resolution_m: side, strides }, view, g
     }
     return held.get(key);
   };
-  const draw = (pen, shown, { alpha = 1, isHatched = false }) => { // coarse tiles lie below those still on their way
+  return (pen, shown, { alpha = 1, isHatched = false }) => { // coarse tiles lie below those still on their way
     const { canvas: { width, height, clientWidth, clientHeight } } = pen, ratio = width / clientWidth;
     const [west, north] = view.toMetres(0, 0), [east, south] = view.toMetres(clientWidth, clientHeight);
     const finest = strides.findLast(stride => stride * side <= view.scale / ratio * 1.01) ?? strides[0];
@@ -112,7 +112,9 @@ function tilesOf(ask, { tile, rows, cols, resolution_m: side, strides }, view, g
           if (!picture) continue;
           const [left, bottom] = view.toPixel([col * reach, row * reach]), pixels = stride * side / view.scale;
           const up = picture.height * pixels;
-          over.drawImage(picture, left, bottom - up, picture.width * pixels, up);
+          const place = [left, bottom - up, picture.width * pixels, up];
+          over.clearRect(...place); // else a coarser tile shows through
+          over.drawImage(picture, ...place);
         }
     }
     if (isHatched) {
@@ -123,7 +125,6 @@ function tilesOf(ask, { tile, rows, cols, resolution_m: side, strides }, view, g
     pen.drawImage(sheet, 0, 0, clientWidth, clientHeight);
     pen.globalAlpha = 1;
   };
-  return draw;
 }
 function paint(values, width, colourOf) {
   const height = values.length / width, image = new ImageData(width, height);

@@ -9,7 +9,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const layers = Object.fromEntries(scene.layers.map(layer => [layer.name, layer]));
   const map = is('map'), pen = map.getContext('2d');
   const state = { tab: 'look', ends: {}, marks: {}, zones: [], routes: [], plans: 0, weights: { ...scene.weights } };
-  const view = viewOf(map, wide, high, side), { toPixel, toMetres } = view, [west0, south0] = scene.corner_m;
+  const draw = () => { state.frame ??= requestAnimationFrame(drawMap); };
+  const view = viewOf(map, wide, high, side, draw), { toPixel, toMetres } = view, [west0, south0] = scene.corner_m;
   const base = scene.has_base ? baseMap(await ask('base', {})) : null;
   const tell = (text, isOld = false) => { // that the maps are old stays
     if (!root.querySelector('.jv-reload').hidden) return;
@@ -49,7 +50,6 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     draw();
   });
   // --- the map
-  const draw = () => { state.frame ??= requestAnimationFrame(drawMap); };
   const drawTiles = tilesOf(ask, scene, view, guard, draw);
   const drawMap = () => {
     state.frame = null;
@@ -57,7 +57,9 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     Object.assign(map, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     base?.draw(pen, toPixel, view.scale, wide, high);
-    if (state.shown) drawTiles(pen, state.shown, { alpha: field('opacity').value / 100 });
+    const alpha = field('opacity').value / 100;
+    is('legend').style.setProperty('--opacity', alpha);
+    if (state.shown) drawTiles(pen, state.shown, { alpha });
     if (state.noFix && field('hatch').checked) drawTiles(pen, state.noFix, { isHatched: true });
     base?.write(pen, toPixel, view.scale, width, height);
     for (const zone of state.zones) line(zone, '#a01830', 1.5, { fill: '#a0183033' });
@@ -158,10 +160,9 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   map.onwheel = event => {
     event.preventDefault();
     view.zoom(1.001 ** clamp(event.deltaY, -300, 300), event.offsetX, event.offsetY);
-    draw();
   };
   map.onkeydown = event => {
-    const move = (left, top) => () => { view.shift(left, top); draw(); };
+    const move = (left, top) => () => view.shift(left, top);
     const acts = { '+': actions.closer, '-': actions.farther, 0: actions.fit, Enter: () => click([view.x, view.y]),
       Escape: () => { state.drawing = null; hint(); draw(); }, ArrowLeft: move(60, 0), ArrowRight: move(-60, 0),
       ArrowUp: move(0, 60), ArrowDown: move(0, -60) };
@@ -224,15 +225,13 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     state.framed = ends;
     if (view.isWhole) view.fit();
     const free = [is('legend').offsetWidth + 24, 24, map.clientWidth - 60, map.clientHeight - 24]; // beside the legend
-    const legendTop = is('legend').offsetTop, pixels = route.xy_m.map(toPixel);
-    if (!pixels.some(([x, y]) => x < 24 || x > free[2] || y < free[1] || y > free[3] || (x < free[0] && y > legendTop)))
-      return;
     const [[left, right], [low, top]] = [0, 1].map(k => route.xy_m.map(place => place[k])).map(each =>
       [Math.min(...each), Math.max(...each)]);
+    const [x, y] = toPixel([left, top]), [x2, y2] = toPixel([right, low]);
+    if (x >= free[0] && y >= free[1] && x2 <= free[2] && y2 <= free[3]) return;
     const scale = 1.1 * Math.max((right - left) / (free[2] - free[0]), (top - low) / (free[3] - free[1]), side / 40);
     view.show((left + right - (free[0] + free[2] - map.clientWidth) * scale) / 2,
       (low + top + (free[1] + free[3] - map.clientHeight) * scale) / 2, scale);
-    draw();
   };
   const link = k => { // the same place on the map and on the profile
     if (k === state.at) return;
@@ -276,16 +275,11 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const actions = {
     zone: () => { if (state.drawing) closeZone(); else state.drawing = []; hint(); draw(); },
     'save-zones': () => download(zones(), 'zones.geojson'),
-    clear: () => {
-      Object.assign(state, { ends: {}, zones: [], drawing: null, framed: null });
-      tell('');
-      showRoutes([]);
-      plan();
-    },
-    closer: () => { view.zoom(0.7); draw(); },
-    farther: () => { view.zoom(1 / 0.7); draw(); },
-    fit: () => { view.fit(); draw(); },
-    reset: () => { restore(first); actions.clear(); actions.fit(); },
+    clear: () => { Object.assign(state, { ends: {}, zones: [], drawing: null }); tell(''); showRoutes([]); plan(); },
+    closer: () => view.zoom(0.7),
+    farther: () => view.zoom(1 / 0.7),
+    fit: () => view.fit(),
+    reset: () => { restore(first); between(); show(); actions.clear(); actions.fit(); },
     reload: () => window.location.reload(),
     copy: () => navigator.clipboard.writeText(is('command').textContent),
   };
@@ -316,15 +310,14 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const ofMaps = String([scene.corner_m, wide, high]), named = [...all('[name]:not([name^="weight-"])')];
   const kept = () => ({ ofMaps, tab: state.tab, weights: state.weights, planners: chosen(), zones: state.zones,
     ends: state.ends, fields: named.map(each => each.type === 'checkbox' ? each.checked : each.value) });
-  const keep = () => {
-    if (keepsPlan) history.replaceState(null, '', `#${encodeURIComponent(JSON.stringify(kept()))}`);
-  };
+  const keep = () => keepsPlan && history.replaceState(null, '', `#${encodeURIComponent(JSON.stringify(kept()))}`);
   const restore = plan => {
     plan.fields.forEach((value, k) => setField(named[k], value));
     for (const [name, value] of Object.entries(plan.weights)) setWeight(name, value);
     for (const box of is('planners').querySelectorAll('input')) box.checked = plan.planners.includes(box.value);
     Object.assign(state, { zones: plan.zones, ends: plan.ends });
-    if (plan.ofMaps !== ofMaps || !Object.values(state.ends).every(isInside)) throw new Error('it is of other maps');
+    const corners = [...Object.values(plan.ends), ...plan.zones.flat()];
+    if (plan.ofMaps !== ofMaps || !corners.every(isInside)) throw new Error('it is of other maps');
     choose(plan.tab);
   };
   const between = () => { // of the levels that the maps hold, that below the flight's is drawn
@@ -345,11 +338,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     show();
     plan();
   };
-  field('opacity').oninput = ({ target: { value } }) => {
-    is('legend').style.setProperty('--opacity', value / 100);
-    draw();
-  };
-  field('opacity').onchange = keep;
+  Object.assign(field('opacity'), { oninput: draw, onchange: keep });
   root.querySelector('nav').hidden = !scene.can_plan;
   const choose = tab => {
     state.tab = tab;
@@ -358,16 +347,16 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   };
   for (const button of all('[data-tab]')) button.onclick = () => { choose(button.dataset.tab); keep(); };
   const first = kept(), held = keepsPlan && window.location.hash.slice(1);
-  let isLost = false;
-  try { if (held) restore(JSON.parse(decodeURIComponent(held))); } catch { isLost = true; restore(first); }
-  field('opacity').dispatchEvent(new Event('input'));
+  try { if (held) restore(JSON.parse(decodeURIComponent(held))); } catch {
+    restore(first);
+    tell('The address holds no plan of these maps, so the page begins afresh.');
+  }
   between();
   hint();
   view.fit();
   new ResizeObserver(() => { if (view.isWhole) view.fit(); draw(); }).observe(map);
   await show();
   if (scene.can_plan) plan();
-  if (isLost) tell('The address holds no plan of these maps, so the page begins afresh.');
   if (keepsPlan) window.onhashchange = () => window.location.reload();
   root.dataset.ready = 'yes';
 }
