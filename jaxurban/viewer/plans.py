@@ -151,7 +151,7 @@ class Plans:
             constraints=self._constraints(query),
         )
 
-    def _over_roofs_m(self, query: Plan) -> float:
+    def _over_roofs_m(self, query: Plan) -> float | None:
         given_m = query.vertical_clearance_m
         return self.limits.vertical_clearance_m if given_m is None else given_m
 
