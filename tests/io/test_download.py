@@ -22,7 +22,13 @@ from tests.misbehaving_server import drip, send
 BODY = b"good " * 2000
 MB = 2**20
 PACKED = gzip.compress(os.urandom(20_000))
-IN_AN_HOUR = format_datetime(datetime.now(UTC) + timedelta(hours=1), usegmt=True)
+
+
+def in_an_hour() -> str:
+    """Return the time an hour from now, as a server writes it."""
+    return format_datetime(datetime.now(UTC) + timedelta(hours=1), usegmt=True)
+
+
 LATER = r"busy and asks to come again in 3[56]\d\d s"
 
 
@@ -78,7 +84,8 @@ def test_a_fresh_copy_makes_no_request_unless_it_is_damaged_and_a_changed_file_r
         (send(gzip.compress(b"good" + bytes(50 * MB)), Content_Encoding="gzip"), "larger than 1.0 MB", 1),
         *((send(b"no", status), f"answers {status} .*--source", 1) for status in (403, 404, 410, 500)),
         (send(b"", 503), "answers 503 .*: run the same command later", 4),
-        *((send(b"", 429, Retry_After=wait), LATER, 1) for wait in ("3600", IN_AN_HOUR)),
+        (send(b"", 429, Retry_After="3600"), LATER, 1),
+        (lambda handler: send(b"", 429, Retry_After=in_an_hour())(handler), LATER, 1),
         *((send(b"", 429, Retry_After=wait), "cannot be downloaded", 1) for wait in ("-5", "soon")),
         (send(b"", 302, Location="http://[there"), "cannot be downloaded .*--source", 1),
         (send(b"", 302, Location="/a"), r"cannot be downloaded \(TooManyRedirects\)", download.MOST_REDIRECTS + 1),
