@@ -359,6 +359,7 @@ class MetricMaps(Shown):
         geotiffs = geotiff_paths(self.ds, folder, layers)  # refuses what is not there
         with Workspace.open(folder, "maps", is_shared=True, is_mended=True) as workspace:
             workspace.check_way(geotiffs)
+            workspace.check_way([folder / BASE_MAP_FILE] if self.base_map is not None else [], is_mended=True)
             ds = self.ds.copy()
             key, of_folder = ds.attrs.get(RUN_KEY), workspace.settings.get(RUN_KEY)
             is_of_run = key is not None and key == of_folder and (folder / RUN_FILE).is_file()

@@ -32,7 +32,7 @@ from jaxurban.metrics.population import Population
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.registry import find_planner
-from jaxurban.samples.catalogue import filled, is_sample
+from jaxurban.samples.catalogue import filled, is_sample, located
 from jaxurban.settings import Buildings, CostKind, Planning, Terrain, Vehicle, each, iso_utc
 from jaxurban.world.grid import check_bounds, projected_crs
 
@@ -281,7 +281,8 @@ def _with_bounds(settings: Mapping[str, Any], folder: Path) -> Mapping[str, Any]
         return settings
     from jaxurban.io.read.city import lonlat_extent  # imported here: it brings the readers
 
-    return {**settings, "region": {**region, "bounds": lonlat_extent(folder / source)}}
+    path = located(source) if is_sample(source) else folder / source
+    return {**settings, "region": {**region, "bounds": lonlat_extent(path)}}
 
 
 def changed(settings: dict[str, Any], changes: Iterable[str]) -> dict[str, Any]:

@@ -97,6 +97,12 @@ def test_a_folder_of_maps_keeps_its_base_map_as_one_of_its_files(tmp_path):
     without.save(tmp_path / "b")
     assert not (tmp_path / "b" / "basemap.parquet").exists()
 
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "basemap.parquet").write_bytes(b"of the user")
+    with pytest.raises(ju.InputError, match="is in the way"):
+        opened.save(tmp_path / "c")
+    assert [file.name for file in (tmp_path / "c").iterdir()] == ["basemap.parquet"]  # nothing else was begun
+
 
 def test_a_study_of_a_sample_takes_its_water_and_parks():
     settings = {**SOHO, "region": {**SOHO["region"], "bounds": [-74.02, 40.70, -74.005, 40.715]}}

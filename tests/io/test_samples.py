@@ -64,10 +64,10 @@ def test_a_scenario_of_a_sample_keeps_what_it_says_itself():
     assert scenario.gps.orbits == ("sample:lower-manhattan/gps.tle",)
     assert scenario.population.times_of_day == ("night",)
     assert load_city(scenario).blocks is not None
-    region = scenario.region.model_dump()
     for source, hint in (("sample:lower-manhatan", "'lower-manhattan'"), ("sample:shinjuku/roofs.tif", "gps.tle")):
-        with pytest.raises(ju.InputError, match=hint):
-            load_city(Scenario.from_dict(settings | {"buildings": {"source": source}, "region": region}))
+        for region in ({}, {"region": scenario.region.model_dump()}):
+            with pytest.raises(ju.InputError, match=hint):
+                load_city(Scenario.from_dict(settings | {"buildings": {"source": source}} | region))
 
 
 @pytest.mark.data
