@@ -34,7 +34,7 @@ NOTEBOOKS = sorted(FOLDER.glob("[0-9]*.py"), key=lambda path: int(path.name.spli
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^( *)```([\w-]*)[^\n]*\n(.*?)^\1```[ \t]*$", re.MULTILINE | re.DOTALL)
 IS_LONG = re.compile(  # a page that is marked slow
-    r"(api|sensitivity|montecarlo|large|study|tuning|tutorial|own_city|own_layer|compare|viewer)\.md$"
+    r"(api|sensitivity|montecarlo|large|weights|tutorial|own_city|own_layer|compare|viewer)\.md$"
 ).search
 
 # What asks servers, serves until somebody ends it, takes several cities or machines, or has a test of its own.
