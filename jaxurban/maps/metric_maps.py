@@ -347,7 +347,7 @@ class MetricMaps(Shown):
         from jaxurban.io.files import sweep_scraps
         from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
         from jaxurban.io.read.base_map import save_base_map
-        from jaxurban.io.store import GEOTIFF_FOLDER, RUN_FILE, are_of_a_run, write_zarr
+        from jaxurban.io.store import GEOTIFF_FOLDER, OPENED, RUN_FILE, are_of_a_run, open_zarr, write_zarr
         from jaxurban.io.workspace import Workspace
         from jaxurban.metrics.variables import NEEDED
 
@@ -368,6 +368,8 @@ class MetricMaps(Shown):
             if not is_of_run:
                 workspace.settings.clear()
             write_zarr(ds, folder)
+            if OPENED in self.ds.encoding:  # from this folder, it may be: then its files are no longer there
+                ds = open_zarr(folder.resolve(), self.grid.resolution_m)
             write_geotiffs(ds, folder, layers=layers)
             save_base_map(self.base_map, workspace)
             sweep_scraps(folder / GEOTIFF_FOLDER)  # of GDAL, from a run that was killed

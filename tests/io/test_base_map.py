@@ -91,6 +91,9 @@ def test_a_folder_of_maps_keeps_its_base_map_as_one_of_its_files(tmp_path):
     assert (tmp_path / "a" / "kept" / "basemap.parquet").is_file()
 
     opened.save(tmp_path / "b")
+    pictures = {path: digest_of(path) for path in (tmp_path / "b").rglob("*.tif")}
+    ju.open_maps(tmp_path / "b").save(tmp_path / "b")  # into the folder that they are read from
+    assert {path: digest_of(path) for path in (tmp_path / "b").rglob("*.tif")} == pictures
     assert digest_of(tmp_path / "b" / "basemap.parquet") == written
     without = ju.build_maps(ju.demo_city(width_m=600, height_m=600), altitudes_m=[20.0], progress=False)
     assert without.base_map is None

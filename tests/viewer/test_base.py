@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from urllib.parse import quote, unquote
 
 import geopandas as gpd
 import numpy as np
@@ -119,7 +120,9 @@ def test_a_reload_keeps_the_plan_and_an_address_of_other_maps_is_refused_in_a_se
     settle(page)
     assert route_of(page) == before
     assert page.url == address
-    for wrong in ("#nonsense", "#" + json.dumps({"ofMaps": "others"})):
+    plan = json.loads(unquote(address.partition("#")[2]))
+    parts = ({"ofMaps": "others"}, {"zones": [[]]}, {"fields": []}, {"ends": plan["ends"] | {"via": [1, 1]}})
+    for wrong in ("#nonsense", *("#" + quote(json.dumps(plan | part)) for part in parts)):
         page.goto("about:blank")
         page.goto(address.partition("#")[0] + wrong)
         page.wait_for_selector(READY, timeout=60_000)

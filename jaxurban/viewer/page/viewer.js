@@ -177,8 +177,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
       geometry: { type: 'Polygon', coordinates: [[...zone, zone[0]].map(toLonLat)] } })) });
   const query = planner => ({ start: toLonLat(state.ends.start), goal: toLonLat(state.ends.goal ?? state.ends.start),
     cost_model: field('cost_model').value, obstacles: field('obstacles').value, zones: zones(), planner,
-    at: places(), weights: state.weights, clearance_m: +field('clearance_m').value, snap: field('snap').checked,
-    vertical_clearance_m: +field('vertical_clearance_m').value, flight_m: +field('flight_m').value });
+    at: places(), weights: state.weights, clearance_m: field('clearance_m').valueAsNumber, snap: field('snap').checked,
+    vertical_clearance_m: field('vertical_clearance_m').valueAsNumber, flight_m: field('flight_m').valueAsNumber });
   const placed = route => ({ ...route, xy_m: route.xy_m.map(([x, y]) => [x - west0, y - south0]) });
   const isReady = () => state.ends.start && state.ends.goal;
   const chosen = () => [...is('planners').querySelectorAll(':checked')].map(box => box.value);
@@ -312,12 +312,13 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     ends: state.ends, fields: named.map(each => each.type === 'checkbox' ? each.checked : each.value) });
   const keep = () => keepsPlan && history.replaceState(null, '', `#${encodeURIComponent(JSON.stringify(kept()))}`);
   const restore = plan => {
-    plan.fields.forEach((value, k) => setField(named[k], value));
+    const { zones, ends, fields } = plan, { start, goal, ...others } = ends, isPlan = plan.ofMaps === ofMaps &&
+      fields.length === named.length && !Object.keys(others).length && zones.every(({ length }) => length > 2);
+    if (!isPlan || ![...Object.values(ends), ...zones.flat()].every(isInside)) throw new Error('it is of other maps');
+    fields.forEach((value, k) => setField(named[k], value));
     for (const [name, value] of Object.entries(plan.weights)) setWeight(name, value);
     for (const box of is('planners').querySelectorAll('input')) box.checked = plan.planners.includes(box.value);
-    Object.assign(state, { zones: plan.zones, ends: plan.ends });
-    const corners = [...Object.values(plan.ends), ...plan.zones.flat()];
-    if (plan.ofMaps !== ofMaps || !corners.every(isInside)) throw new Error('it is of other maps');
+    Object.assign(state, { zones, ends });
     choose(plan.tab);
   };
   const between = () => { // of the levels that the maps hold, that below the flight's is drawn
@@ -351,9 +352,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     restore(first);
     tell('The address holds no plan of these maps, so the page begins afresh.');
   }
-  between();
-  hint();
-  view.fit();
+  for (const settle of [between, fitModel, hint, view.fit]) settle();
   new ResizeObserver(() => { if (view.isWhole) view.fit(); draw(); }).observe(map);
   await show();
   if (scene.can_plan) plan();
