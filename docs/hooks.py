@@ -21,7 +21,7 @@ FIGURE_LINK = re.compile(r"\]\(((?:\.\./)*)\.\./figures/")  # as files of the re
 RAN = ROOT / "out" / "notebooks"
 WIDGET = "application/vnd.jupyter.widget-view+json"
 STYLE = re.compile(r"<style scoped>.*?</style>\n", re.DOTALL)  # of pandas' tables
-LISTING = re.compile(r"^<!-- (commands|public names|modules): ?(.*) -->$", re.MULTILINE)
+LISTING = re.compile(r"^<!-- (commands|public names): all -->$", re.MULTILINE)
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -78,20 +78,9 @@ def mathml(source: str, *_: Any, **__: Any) -> str:
 
 
 def _listing(found: re.Match[str]) -> str:
-    kind, argument = found.groups()
-    if kind == "commands":
+    if found[1] == "commands":
         return "\n\n".join(f"## jaxurban {name}\n\n```text\n{_help(name)}\n```" for name in sorted(app.commands))
-    if kind == "public names":
-        return "\n\n".join(f"::: jaxurban.{name}" for name in dir(jaxurban))
-    return "\n\n".join(f"::: {module}" for pattern in argument.split() for module in _modules(pattern))
-
-
-def _modules(pattern: str) -> list[str]:
-    """Return the modules that a pattern such as ``jaxurban/io/*.py`` names, by their full names."""
-    files = sorted(path.relative_to(ROOT) for path in ROOT.glob(pattern) if not path.stem.startswith("__"))
-    if not files:
-        raise FileNotFoundError(f"a listing in docs/reference names {pattern!r}, and no such module is there")
-    return [".".join(path.with_suffix("").parts) for path in files]
+    return "\n\n".join(f"::: jaxurban.{name}" for name in dir(jaxurban))
 
 
 def _help(name: str) -> str:
