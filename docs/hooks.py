@@ -55,7 +55,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def _without_widgets(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
-    """Return a notebook whose widgets, which need a running one, are told in words."""
+    """Return a notebook whose widgets, which need a running kernel, are replaced by words."""
     for cell in notebook.cells:
         for output in cell.get("outputs", ()):
             if WIDGET in output.get("data", {}):
