@@ -29,6 +29,7 @@ class Status(Enum):
     FEASIBLE = "feasible"  # a path, with no proof that it is the best
     BUDGET_FEASIBLE = "budget-feasible"  # the budget ended with a path in hand
     NO_PATH = "no-path"  # proven: start and goal are not connected
+    OVER_EXPOSURE = "over-exposure"  # proven: every path exceeds a budget of exposure
     BLOCKED = "blocked"  # the straight line crosses an obstacle
     BUDGET_EMPTY = "budget-empty"  # the budget ended with no path
 
@@ -52,6 +53,7 @@ class Status(Enum):
             Status.FEASIBLE: "A path was found; it is not proven to be the cheapest.",
             Status.BUDGET_FEASIBLE: "The budget ended with a path in hand; a larger one may find a cheaper path.",
             Status.NO_PATH: "No path of this planner's graph joins start and goal: fly higher, or move one of them.",
+            Status.OVER_EXPOSURE: "Every path exceeds a budget of exposure: raise it, fly higher, or move an end.",
             Status.BLOCKED: "The straight line crosses an obstacle: fly higher, or use a search such as astar-dist.",
             Status.BUDGET_EMPTY: "The budget ended before a path was found: raise it, or try bitstar-plus.",
         }[self]

@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 
 from figures.paper.common import IS_SMALL, PATH_M, TOWNS, Caption, Town, save
 from jaxurban.maps.scenario import PAPER_PLANNERS
-from jaxurban.paths.cost_map import CostMap, PathSearch
+from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.search import PathSearch
 from jaxurban.paths.path import PlannedPath, finish, map_settings
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.snapping import XY

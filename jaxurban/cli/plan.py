@@ -41,6 +41,13 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 @click.option(
     "--refine", is_flag=True, help="Move the waypoints to lower cost after the search; not under --cost-model cell."
 )
+@click.option(
+    "--exposure",
+    "budgets",
+    multiple=True,
+    metavar="NAME<=NUMBER",
+    help="Most of (1 / l0) x integral of the cost of NAME along the path, such as population<=120; repeatable.",
+)
 @click.option("--volume", "is_volume", is_flag=True, help="Let the path climb and descend; --altitude is the start's.")
 @click.option("--goal-altitude", "goal_altitude_m", type=float, help="With --volume, metres.  [default: --altitude]")
 @click.option("--min-altitude", "min_altitude_m", type=float, help="With --volume, metres.  [default: the lowest]")
@@ -71,11 +78,11 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     """Plan a path over the maps in DIR."""
     from jaxurban.maps.levels import Levels
     from jaxurban.maps.metric_maps import open_maps
-    from jaxurban.paths.cost_map import PathSearch
     from jaxurban.paths.explain import explain
     from jaxurban.paths.export.write import MISSION, encoder_of
     from jaxurban.paths.path import simplify
     from jaxurban.paths.plan import cost_map
+    from jaxurban.paths.search import PathSearch
 
     flight = {name: options[name] for name in ("speed_m_s", "power_w", "swath_m") if options[name] is not None}
     is_volume, with_report = options["is_volume"], options["with_report"] or bool(flight)
@@ -96,6 +103,7 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
         goal_altitude_m = altitude_m if options["goal_altitude_m"] is None else options["goal_altitude_m"]
         start, goal = (*start, altitude_m), (*goal, goal_altitude_m)
         altitude_m = Levels(**{name: options[name] for name in LEVEL_OPTIONS if options[name] is not None})
+    options["exposure"] = _budgets(options["budgets"])
     search = PathSearch.of(maps, is_volume, **taken_by(PathSearch.of, options))
     rules = options | given_rules(options) | {"maps": maps, "altitude_m": altitude_m}
     shared = cost_map(**taken_by(cost_map, rules))
@@ -120,6 +128,18 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     else:
         print("\n\n".join([_path_table(facts), *([report.table()] if report is not None and with_report else [])]))
     return planned.status.exit_code
+
+
+def _budgets(given: Sequence[str]) -> dict[str, float]:
+    """Return the budgets of exposure in ``"population<=120"`` and the like."""
+    parts = [[part.strip() for part in text.split("<=")] for text in given]
+    try:
+        budgets = {name: float(most) for name, most in parts}
+    except ValueError as error:
+        raise click.UsageError("--exposure must read NAME<=NUMBER, as in population<=120") from error
+    if len(budgets) < len(parts):
+        raise click.UsageError("--exposure names a layer twice: give one budget for it")
+    return budgets
 
 
 def _write(file: Path, planned: "PlannedPath", on: "CostMap", report: "RouteReport | None", options: Settings) -> None:
@@ -153,6 +173,11 @@ def _path_table(facts: Settings) -> str:
         moved = [f"{name} {moved_m:.1f} m" for name, moved_m in facts["snap_distance_m"].items()]
         rows += [("moved to cells", ", ".join(moved))]
         rows += [(f"cost of {name}", f"{value:.3f}") for name, value in facts["cost_by_layer"].items()]
+        budgets = facts["settings"].get("exposure", {})
+        rows += [
+            (f"exposure to {name}", f"{facts['exposure_by_layer'][name]:.3f} (budget {most:g})")
+            for name, most in budgets.items()
+        ]
         rows += [(f"mean m_{name}", f"{value:.3f}") for name, value in facts["metrics"].items()]
     setup = f", after {facts['setup_s']:.1f} s of compiling" if facts["setup_s"] >= 1 else ""
     rows += [("expansions", f"{facts['num_expanded']}"), ("search time", f"{facts['elapsed_s']:.3f} s{setup}")]

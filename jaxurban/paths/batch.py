@@ -13,11 +13,12 @@ import pandas as pd
 from jaxurban.errors import InputError, taken_by, typed
 from jaxurban.io.tables import RowStore, fingerprint
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
-from jaxurban.paths.cost_map import CostMap, PathSearch
+from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath, finish
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.queries import NOT_RUN, PlannedPaths, Query, path_of, read_queries, row_of
 from jaxurban.paths.rows import BAD_INPUT, failure
+from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import End, Point
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.registry import Backend, solve_many
@@ -69,7 +70,7 @@ def plan_many(
       weights, time, time_of_day: as in `plan`, for queries that say nothing of their own.
       objective, cost_model, constraints, preset: which map, as in `plan`.
       planner, heuristic, budget_s, seed, snap: of each query, as in `plan`.
-      refine: of a single plan only.
+      refine, exposure: of a single plan only.
 
     Raises:
       InputError: an argument that is wrong for all queries, a file that holds results of other queries; with
@@ -77,8 +78,8 @@ def plan_many(
     """
     maps = as_maps(maps)
     search = PathSearch.of(maps, **taken_by(PathSearch.of, asked))
-    if search.refine:
-        raise InputError("refine is of a single plan: leave it out, and refine the paths that matter")
+    if search.refine or search.exposure:
+        raise InputError("refine and exposure are of a single plan: leave them out, and plan the paths that matter")
     if file is not None and not FilePath(file).parent.is_dir():
         raise InputError(f"the folder of {str(file)!r} does not exist: make it first, or name another file")
     most_maps = max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(maps.grid.shape))))

@@ -13,6 +13,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.path import PlannedPath, finish
+from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import (
     XY,
     End,
@@ -22,7 +23,6 @@ from jaxurban.paths.snapping import (
     joined_ends,
     one_place,
     places_near,
-    snap_limit_m,
     why_closed,
 )
 from jaxurban.planners.any_angle import check_line_model
@@ -30,10 +30,10 @@ from jaxurban.planners.any_angle import refine as refine_path
 from jaxurban.planners.astar import AUTO, make_landmarks
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import CostModel, PathFeatures
+from jaxurban.planners.exposure import within_budgets
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.progress import saying_later
 from jaxurban.public import Shown
-from jaxurban.settings import DEFAULTS, Planning
 from jaxurban.world.grid import Grid
 
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
@@ -46,68 +46,6 @@ def weights_on(maps: MetricMaps, given: GivenWeights) -> Weights:
       InputError: a weight that is none, or of a metric that the maps do not hold.
     """
     return Weights.of(given, maps.recorded.get("weights")).checked(maps.metrics)
-
-
-@dataclass(frozen=True)
-class PathSearch:
-    """How a path is searched for: what does not change the map.
-
-    Attributes:
-      planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...
-      heuristic: None: the planner's own.
-      budget_s: seconds that the search may take.
-      seed: for sampling planners.
-      snap: move a start or goal inside an obstacle or closed by a constraint to the nearest free cell (of its level)
-        that is joined to the other end, instead of failing: True by at most 50 m, a number by at most so many metres.
-        The path's message says how far.
-      refine: move the waypoints of what the planner found downhill, off the grid (`planners.any_angle`); within what
-        is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
-    """
-
-    planner: str
-    heuristic: str | None = None
-    budget_s: float = DEFAULTS.budget_s
-    seed: int = DEFAULTS.seed
-    snap: bool | float = False
-    refine: bool = False
-
-    @classmethod
-    @typed
-    def of(
-        cls,
-        maps: MetricMaps | None = None,
-        is_for_volumes: bool = False,
-        *,
-        planner: str | None = None,
-        heuristic: str | None = None,
-        budget_s: float | None = None,
-        seed: int | None = None,
-        snap: bool | float = False,
-        refine: bool = False,
-    ) -> "PathSearch":
-        """Return a search whose values can be; what is left out is as the maps' scenario says it.
-
-        Args:
-          maps: None where no scenario is asked.
-          is_for_volumes: whether the path may climb, for which no scenario names planner or seed.
-          planner: if nothing names it, ``"astar-plus"``, and between levels ``"astar-volume"``.
-          heuristic, budget_s, seed, snap, refine: the attributes.
-
-        Raises:
-          InputError: an unknown planner, a heuristic that it does not take, a wrong seed, budget or distance of
-            snapping, or refinement of a path that may climb.
-        """
-        scenario = {} if maps is None else dict(maps.planning.given)
-        if is_for_volumes:
-            scenario = {"planner": "astar-volume"} | {k: scenario[k] for k in ("budget_s",) if k in scenario}
-        given = {"planner": planner, "budget_s": budget_s, "seed": seed}
-        planning = Planning(**scenario | {name: value for name, value in given.items() if value is not None})
-        search = cls(planning.planner, heuristic, planning.budget_s, planning.seed, snap, refine)
-        snap_limit_m(search.snap)
-        if is_for_volumes and search.refine:
-            raise InputError("refine moves waypoints on one altitude: leave it out of a path that climbs and descends")
-        find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)
-        return search
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -371,7 +309,12 @@ class CostMap(Shown):
 
     def planned(self, start: Point | XY, goal: Point | XY, search: PathSearch) -> PlannedPath:
         """Return a path between two places, given as in `locate`, searched for in one way."""
-        if self.is_prepared and search.heuristic is None and PLANNERS[search.planner].default_heuristic == AUTO:
+        if (
+            self.is_prepared
+            and not search.exposure
+            and search.heuristic is None
+            and PLANNERS[search.planner].default_heuristic == AUTO
+        ):
             search = replace(search, heuristic="landmarks")
         find_path = find_planner(search.planner, search.heuristic, is_for_volumes=self.levels is not None)
         ends = self.ends(start, goal, snap=search.snap)
@@ -380,6 +323,15 @@ class CostMap(Shown):
             check_line_model(problem, "refinement")
         # An anytime planner would leave nothing of the budget to refine with.
         share = 1 - REFINING_SHARE if search.refine else 1.0
+        if search.exposure:
+            if self.cost_model.kind == "cell":
+                raise InputError(
+                    "a budget of exposure is of an integral along the path, which cost_model='cell' does not add up: "
+                    "choose cost_model='line' (--cost-model line)"
+                )
+            for name in search.exposure:
+                one_of("exposure", name, self.names)
+            find_path = partial(within_budgets, planner=find_path, budgets=search.exposure, names=self.names)
         with saying_later(search.planner, search.budget_s):
             path = find_path(problem, budget_s=search.budget_s * share, seed=search.seed)
         if search.refine and path.status.has_path:

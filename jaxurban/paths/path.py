@@ -18,6 +18,7 @@ from jaxurban.paths.export.base import MOST_BULGE_M
 from jaxurban.paths.export.write import MISSION, write_path
 from jaxurban.paths.snapping import End, pocket_note, snap_note, what_would_join
 from jaxurban.planners.base import Path, Status
+from jaxurban.planners.exposure import SAME
 from jaxurban.planners.simplify import farthest
 from jaxurban.planners.simplify import simplify as simplify_path
 from jaxurban.public import Shown
@@ -25,9 +26,10 @@ from jaxurban.world.grid import Grid
 
 if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps
-    from jaxurban.paths.cost_map import CostMap, PathSearch
+    from jaxurban.paths.cost_map import CostMap
     from jaxurban.paths.explain import RouteReport
     from jaxurban.paths.profile import Caution
+    from jaxurban.paths.search import PathSearch
 
 SAME_PLACE_M = 1e-6  # of a path in the maps' CRS and from its map's corner
 OF_SEARCH = ("graph", "num_expanded", "elapsed_s", "setup_s", "planner", "heuristic", "backend")
@@ -69,6 +71,8 @@ class PlannedPath(Shown):
       altitude_m: flight altitude above ground; of a path that climbs or descends, the one that it starts at.
       cost: weighted cost under ``cost_model``, whatever the objective was; inf without a path.
       cost_by_layer: parts of ``cost``: "distance" and each metric.
+      exposure_by_layer: (1 / l0) x integral of each metric's cost c along the path, not weighted, by name, l0 the cost
+        model's reference length.
       length_m: length of the path.
       metrics: mean of each metric m along the path, weighted by length, by name.
       snap_distance_m: how far start and goal were moved to the centres of their cells (or, with
@@ -88,6 +92,7 @@ class PlannedPath(Shown):
     altitude_m: float
     cost: float
     cost_by_layer: Mapping[str, float]
+    exposure_by_layer: Mapping[str, float]
     length_m: float
     metrics: Mapping[str, float]
     snap_distance_m: tuple[float, float]
@@ -161,6 +166,7 @@ class PlannedPath(Shown):
             "message": self.message,
             "cost": _number(self.cost),
             "cost_by_layer": {name: _number(value) for name, value in self.cost_by_layer.items()},
+            "exposure_by_layer": {name: _number(value) for name, value in self.exposure_by_layer.items()},
             "length_m": _number(self.length_m),
             "metrics": {name: _number(value) for name, value in self.metrics.items()},
             "altitude_m": self.altitude_m,
@@ -193,10 +199,11 @@ def finish(on: "CostMap", path: Path, ends: tuple[End, End], search: "PathSearch
     """
     budget_s = search.budget_s if np.isfinite(search.budget_s) else None
     settings = map_settings(on) | {"budget_s": budget_s, "seed": search.seed}
+    settings |= {"exposure": dict(search.exposure)} if search.exposure else {}
     if on.levels is not None:
         settings["goal_altitude_m"] = float(on.altitudes_m[ends[1].cell[0]])
     nowhere: dict[str, Any] = {"xy_m": np.empty((0, 2)), "lonlat": np.empty((0, 2)), "z_m": np.empty(0), "metrics": {}}
-    no_path = nowhere | {"cost": math.inf, "cost_by_layer": {}, "length_m": math.inf}
+    no_path = nowhere | {"cost": math.inf, "cost_by_layer": {}, "exposure_by_layer": {}, "length_m": math.inf}
     return PlannedPath(
         **(measured(on, path.points_m) if path.status.has_path else no_path),
         status=path.status,
@@ -220,12 +227,14 @@ def measured(on: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
     xy_m = points_m[:, :2] + np.array([grid.x_min_m, grid.y_min_m])
     features = on.problem.features(points_m)
     parts = zip(on.weight_names, on.weight_vector * features.phi, strict=True)
+    exposure = features.mean_costs * features.length_m.sum() / on.cost_model.reference_length_m
     return {
         "xy_m": xy_m,
         "lonlat": np.stack(grid.lonlat_of_xy(xy_m[:, 0], xy_m[:, 1]), axis=-1),
         "z_m": np.full(len(xy_m), on.altitude_m) if on.levels is None else points_m[:, 2],
         "cost": features.cost(on.weight_vector),
         "cost_by_layer": {name: float(cost) for name, cost in parts},
+        "exposure_by_layer": dict(zip(on.names, exposure.tolist(), strict=True)),
         "length_m": float(features.phi[0]),
         "metrics": on.means(features),
         "ground": None if on.terrain_m is None else ground_along(points_m[:, :2], on.terrain_m, grid),
@@ -329,6 +338,12 @@ def elevation_at(x_m: np.ndarray, y_m: np.ndarray, terrain_m: np.ndarray, resolu
     return np.where(np.isnan(smooth_m), terrain_m[tuple(np.rint(place).astype(int))], smooth_m)
 
 
+def over_budget(exposure: Mapping[str, float], budgets: Mapping[str, float]) -> str:
+    """Return the budgets of exposure that a path exceeds, in words; empty where it keeps all."""
+    over = {name: most for name, most in budgets.items() if exposure[name] > most * (1 + 2 * SAME)}
+    return " and ".join(f"the budget of {most:g} for {name}" for name, most in over.items())
+
+
 @typed
 def simplify(planned: PlannedPath, on: "CostMap", tolerance_m: float) -> PlannedPath:
     """Return the path with the fewest straight legs that keep within a tolerance of it and to free cells.
@@ -368,6 +383,9 @@ def simplify(planned: PlannedPath, on: "CostMap", tolerance_m: float) -> Planned
     points_m = planned.search.points_m
     simpler = simplify_path(on.problem, planned.search, tolerance_m)
     after = measured(on, simpler.points_m)
+    if over := over_budget(after["exposure_by_layer"], planned.settings.get("exposure", {})):
+        note = f"{planned.search.note} Not simplified to {tolerance_m:g} m, which would exceed {over}."
+        return replace(planned, search=replace(planned.search, note=note))
     note = (
         f"Simplified to {tolerance_m:g} m: {len(simpler.points_m)} of {len(points_m)} waypoints, at most "
         f"{farthest(points_m[:, :2], simpler.points_m[:, :2]):.2f} m from the planned path; the weighted cost is "

@@ -12,8 +12,9 @@ from jaxurban.maps.memory import free_bytes, told_bytes
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import CostMap, PathSearch, weights_on
+from jaxurban.paths.cost_map import CostMap, weights_on
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Point, one_place
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import CostKind, Objective, Vehicle, iso_utc
@@ -176,6 +177,9 @@ def plan(
       snap: move a start or goal that is not free to the nearest free cell: True by at most 50 m, a number by at most so
         many metres (`PathSearch`).
       refine: then move the waypoints downhill, off the grid.
+      exposure: budgets by layer, such as ``{"population": 120.0}``: most of (1 / l0) x integral of c ds along the path
+        (`PlannedPath.exposure_by_layer`). The cheapest path of the grid within them is searched for; ``search`` carries
+        its lower bound and gap.
 
     Raises:
       InputError: a place outside the maps or inside an obstacle or a constraint (names it and the nearest free cell, or

@@ -28,6 +28,8 @@ REFUSED = [
     (f"{PLAN} high", "--altitude"),
     (f"{PLAN} 60 --planner astar", "astar-"),
     (f"{PLAN} 60 --weights gsp=1", "did you mean 'gps'"),
+    (f"{PLAN} 60 --exposure 'gps>=1'", "--exposure", "population<=120"),
+    (f"{PLAN} 60 --exposure 'gps<=1' --exposure 'gps<=2'", "--exposure names a layer twice"),
     (f"{PLAN} 60 --resolution 5", "20 m"),
     (f"{PLAN} 60 -o path.txt", ".geojson"),
     (f"{MAPS} --memory much", "4GiB", "much"),

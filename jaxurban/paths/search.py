@@ -1,0 +1,85 @@
+"""PathSearch: how a path is searched for, and which budgets of exposure it keeps."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from jaxurban.errors import InputError, finite, typed
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.snapping import snap_limit_m
+from jaxurban.planners.registry import EXACT_PLANNERS, VOLUME_PLANNERS, find_planner
+from jaxurban.settings import DEFAULTS, Planning
+
+
+@dataclass(frozen=True)
+class PathSearch:
+    """How a path is searched for: what does not change the map.
+
+    Attributes:
+      planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...
+      heuristic: None: the planner's own.
+      budget_s: seconds that the search may take.
+      seed: for sampling planners.
+      snap: move a start or goal inside an obstacle or closed by a constraint to the nearest free cell (of its level)
+        that is joined to the other end, instead of failing: True by at most 50 m, a number by at most so many metres.
+        The path's message says how far.
+      exposure: most of (1 / l0) x integral of c ds to each layer by its name, in the cost model's units; the cheapest
+        path of the grid that keeps them is searched for, with a lower bound (`planners.exposure`).
+      refine: move the waypoints of what the planner found downhill, off the grid (`planners.any_angle`); within what
+        is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
+    """
+
+    planner: str
+    heuristic: str | None = None
+    budget_s: float = DEFAULTS.budget_s
+    seed: int = DEFAULTS.seed
+    snap: bool | float = False
+    refine: bool = False
+    exposure: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    @typed
+    def of(
+        cls,
+        maps: MetricMaps | None = None,
+        is_for_volumes: bool = False,
+        *,
+        planner: str | None = None,
+        heuristic: str | None = None,
+        budget_s: float | None = None,
+        seed: int | None = None,
+        snap: bool | float = False,
+        refine: bool = False,
+        exposure: Mapping[str, float] | None = None,
+    ) -> "PathSearch":
+        """Return a search whose values can be; what is left out is as the maps' scenario says it.
+
+        Args:
+          maps: None where no scenario is asked.
+          is_for_volumes: whether the path may climb, for which no scenario names planner or seed.
+          planner: if nothing names it, ``"astar-plus"``, and between levels ``"astar-volume"``.
+          heuristic, budget_s, seed, snap, refine, exposure: the attributes.
+
+        Raises:
+          InputError: an unknown planner, a heuristic that it does not take, a wrong seed, budget or distance of
+            snapping, refinement of a path that may climb, or budgets of exposure that are no numbers, of a planner off
+            the grid or with refinement.
+        """
+        scenario = {} if maps is None else dict(maps.planning.given)
+        if is_for_volumes:
+            scenario = {"planner": "astar-volume"} | {k: scenario[k] for k in ("budget_s",) if k in scenario}
+        given = {"planner": planner, "budget_s": budget_s, "seed": seed}
+        planning = Planning(**scenario | {name: value for name, value in given.items() if value is not None})
+        budgets = {name: finite(f"exposure to {name}", most, "a budget") for name, most in (exposure or {}).items()}
+        search = cls(planning.planner, heuristic, planning.budget_s, planning.seed, snap, refine, budgets)
+        snap_limit_m(search.snap)
+        if is_for_volumes and search.refine:
+            raise InputError("refine moves waypoints on one altitude: leave it out of a path that climbs and descends")
+        find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)
+        if min(budgets.values(), default=0.0) < 0:
+            raise InputError("a budget of exposure must be 0 or a positive number: raise it")
+        if budgets and (search.refine or search.planner not in (*EXACT_PLANNERS, *VOLUME_PLANNERS)):
+            raise InputError(
+                "budgets of exposure are of paths on the grid: leave out refine, and take the planner "
+                f"{' or '.join(EXACT_PLANNERS)}"
+            )
+        return search

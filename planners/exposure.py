@@ -1,0 +1,258 @@
+"""The cheapest path whose exposure keeps budgets: Lagrange's search between weights, then labels, with a lower bound.
+
+The exposure to a layer is what its weight multiplies, (1 / l0) x integral of c ds. For any prices >= 0 the cheapest
+path under weights + prices, less prices x budgets, is a lower bound on every path within the budgets. The prices that
+raise it most lie where known paths tie (Handler & Zang 1980; Kelley 1960); one search there finds a further path, or
+none, and then the bound is as high as prices take it. Of one budget, labels (cost, exposure) close what is left, in
+order of the least cost that they may end at (Ahmadi et al. 2022); exact fields say what each still needs at least.
+"""
+
+import heapq
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxurban.kernels.compiled import compiled
+from jaxurban.planners.astar import cost_to_go
+from jaxurban.planners.base import Path, Planner, Problem, Status
+from jaxurban.planners.grid_search import graph_of
+
+SAME = 1e-9  # relative: an exposure that much above its budget keeps it, and a cost that near a bound meets it
+STEEP, STEEPEST = 1e3, 1e9  # prices of a first path within, and of any, in costs of the path without budgets
+MOST_SEARCHES = 100
+MOST_LABELS = 2_000_000  # some 200 MB
+LABELS_PER_S = 1_000_000
+
+
+class _Known(NamedTuple):
+    """A path found on the way: its points, cost, exposures over their budgets ``[K]``, and whether it keeps all."""
+
+    points_m: np.ndarray
+    cost: float
+    excess: np.ndarray
+    is_within: bool
+
+
+class _Search:
+    """The searches of one query under prices, what they found, and what they prove. ``K`` budgets.
+
+    Prices are of exposures in units, those of the path without budgets.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        planner: Planner,
+        layers: Sequence[int],
+        budgets: Iterable[float],
+        seed: int,
+        end_s: float,
+    ) -> None:
+        self.problem, self.planner, self.seed, self.end_s = problem, planner, seed, end_s
+        self.columns, self.budgets = 1 + np.array(layers), np.array([*budgets])
+        self.units = np.ones(len(self.budgets))
+        self.known: list[_Known] = []
+        self.paths: list[Path] = []
+        self.bound = -np.inf
+
+    def run(self, prices: np.ndarray, *, is_of_cost: bool = True) -> float:
+        """Search for the least cost (unless it is left out) + prices . excess, and return a lower bound on it."""
+        weights = self.problem.weights * is_of_cost
+        weights[self.columns] += prices / self.units
+        left_s = max(self.end_s - time.perf_counter(), 0.0)
+        path = self.planner(self.problem.with_weights(weights), budget_s=left_s, seed=self.seed)
+        self.paths.append(path)
+        if path.status.has_path:
+            self.add(path.points_m)
+        least = path.lower_bound - float(prices @ (self.budgets / self.units))
+        if is_of_cost:
+            self.bound = max(self.bound, least)
+        return least
+
+    def add(self, points_m: np.ndarray) -> None:
+        """Take in a path."""
+        phi = self.problem.features(points_m).phi
+        exposure = phi[self.columns]
+        if not self.known:
+            self.units = np.where(exposure > 0, exposure, 1.0)
+        is_within = bool((exposure <= self.budgets * (1 + SAME)).all())
+        excess = (exposure - self.budgets) / self.units
+        self.known.append(_Known(points_m, float(self.problem.weights @ phi), excess, is_within))
+
+    @property
+    def best(self) -> _Known | None:
+        """The cheapest known path within the budgets."""
+        return min((known for known in self.known if known.is_within), key=lambda known: known.cost, default=None)
+
+    def least_exposure(self, k: int) -> float:
+        """Return a lower bound on the exposure of every path that budget k is of."""
+        least = self.run(np.eye(len(self.budgets))[k], is_of_cost=False)
+        return float(least * self.units[k] + self.budgets[k])
+
+    @property
+    def is_late(self) -> bool:
+        """Whether no further search may begin."""
+        return time.perf_counter() >= self.end_s or len(self.paths) >= MOST_SEARCHES
+
+    def close(self, prices: np.ndarray) -> tuple[int, bool]:
+        """Close the gap by labels, as far as they go; return how many, and whether they prove that none is within."""
+        problem, limits = self.problem, self.budgets * (1 + SAME / 2)
+        weights = np.concatenate([np.eye(len(problem.weights))[self.columns], [problem.weights] * 2])
+        weights[-1, self.columns] += prices / self.units
+        try:
+            to_go = np.array([cost_to_go(problem.with_weights(each), self.end_s).ravel() for each in weights])
+        except TimeoutError:
+            return 0, False
+        most = 1 + int(min(MOST_LABELS, LABELS_PER_S * max(self.end_s - time.perf_counter(), 0.0)))
+        start, goal = (int(np.ravel_multi_index(cell, problem.is_free.shape)) for cell in (problem.start, problem.goal))
+        layers = problem.costs[self.columns - 1].reshape(len(limits), -1).astype(np.float64)
+        most_cost = np.inf if self.best is None else self.best.cost
+        way, num_labels, least = _advance(
+            graph_of(problem), layers, to_go, start, goal, limits, prices / self.units, most_cost, most
+        )
+        self.bound = max(self.bound, float(least))
+        if way:
+            rows, cols = np.unravel_index(way[::-1], problem.is_free.shape)
+            self.add((np.column_stack([cols, rows]) + 0.5) * problem.resolution_m)
+        return num_labels, least == np.inf
+
+    def prices(self, is_ray: bool) -> tuple[np.ndarray, float]:
+        """Return the prices ``[K]`` that raise the bound most by all known paths, and the bound that they allow.
+
+        Args:
+          is_ray: of the excess alone, by prices that add up to 1.
+        """
+        from scipy.optimize import linprog
+
+        excess = np.array([known.excess for known in self.known])
+        costs = np.array([0.0 if is_ray else known.cost for known in self.known])
+        unit, num = costs.max() or 1.0, excess.shape[1]
+        found = linprog(
+            np.append(np.zeros(num), -1.0),
+            A_ub=np.column_stack([-excess, np.ones(len(excess))]),
+            b_ub=costs / unit,
+            A_eq=np.append(np.ones(num), 0.0)[None] if is_ray else None,
+            b_eq=[1.0] if is_ray else None,
+            bounds=[(0, STEEPEST)] * num + [(None, None)],
+        )
+        return np.maximum(found.x[:-1], 0.0) * unit, float(found.x[-1]) * unit
+
+
+def within_budgets(
+    problem: Problem,
+    planner: Planner,
+    budgets: Mapping[str, float],
+    names: Sequence[str],
+    *,
+    budget_s: float,
+    seed: int,
+) -> Path:
+    """Return the cheapest path of a grid planner whose exposures keep their budgets, with a lower bound for all.
+
+    The status is OPTIMAL where prices or labels close the gap, OVER_EXPOSURE where every path exceeds a budget.
+
+    Args:
+      problem: the query, under the ``line`` model.
+      planner: whose lower bounds hold for the grid.
+      budgets: of exposures, >= 0, by layer.
+      names: of the problem's layers.
+      budget_s: seconds for all of it.
+      seed: of the planner.
+    """
+    begin_s = time.perf_counter()
+    columns = [names.index(name) for name in budgets]
+    search = _Search(problem, planner, columns, budgets.values(), seed, begin_s + budget_s)
+    prices, is_over = np.zeros(len(budgets)), False
+    search.run(prices)
+    first, num_labels = search.paths[0], 0
+    if not search.known or search.best is not None:
+        return first
+    while search.best is None and not search.is_late:
+        ray, over = search.prices(is_ray=True)
+        if over <= SAME:  # some mixture of known paths keeps all budgets
+            break
+        search.run(STEEP * (first.cost or 1.0) * ray)
+        if search.prices(is_ray=True)[1] > SAME and search.run(ray, is_of_cost=False) > SAME:
+            is_over = True
+            break
+    while not is_over and not search.is_late:
+        prices, most = search.prices(is_ray=False)
+        if search.bound >= most - SAME * abs(most) or search.run(prices) >= most - SAME * abs(most):
+            break
+    best = search.best
+    if not is_over and problem.levels_m is None and (best is None or best.cost > search.bound * (1 + SAME)):
+        num_labels, is_over = search.close(prices)
+        best = search.best
+    status = Status.OVER_EXPOSURE if is_over else Status.BUDGET_EMPTY
+    notes = [f"The budgets took {len(search.paths)} searches" + f" and {num_labels:,} labels" * (num_labels > 0) + "."]
+    if best is not None:
+        is_best = best.cost * (1 - 2 * SAME) <= search.bound
+        status = Status.OPTIMAL if is_best else Status.BUDGET_FEASIBLE if search.is_late else Status.FEASIBLE
+    elif not is_over:
+        notes.append("No path that keeps them was found, and none is excluded.")
+    else:
+        least = [f"{search.least_exposure(k):.6g} to {name}" for k, name in enumerate(budgets)]
+        notes.append(f"The least exposure that any path has is {', '.join(least)}.")
+    done = {"num_expanded": sum(path.num_expanded for path in search.paths) + num_labels, "note": " ".join(notes)}
+    points_m = np.empty(0) if best is None else best.points_m
+    return Path.of(problem, points_m, status, search.bound, begin_s, **first.ran | done)
+
+
+@compiled(nogil=True)
+def _advance(graph, layers, to_go, start, goal, limits, prices, most_cost, most_labels):
+    """Expand labels in order of the least cost that a path through them may have, until one is at the goal.
+
+    Args:
+      graph: of the problem (`graph_of`), on one altitude.
+      layers: ``[K, M]`` what exposures count of each cell.
+      to_go: ``[K + 2, M]`` the least exposures from each cell to the goal, then cost, then cost under prices.
+      start, goal: nodes.
+      limits, prices: ``[K]`` of exposures.
+      most_cost: of a known path.
+      most_labels: to make.
+
+    Returns: the nodes of the path from the goal back, none without a cheaper one; the labels made; a lower bound.
+    """
+    num, size = len(limits), 1
+    # Memory that is not written to is not taken.
+    node, parent, older = (
+        np.empty(most_labels, np.int64),
+        np.empty(most_labels, np.int64),
+        np.empty(most_labels, np.int64),
+    )
+    cost, spent = np.empty(most_labels), np.empty((most_labels, num))
+    node[0], parent[0], cost[0], spent[0] = start, -1, 0.0, 0.0
+    newest = np.full(graph.cost.size, -1)  # label expanded at each node, and from it the older ones
+    offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
+    queue, way = [(to_go[num, start], 0)], [0 for _ in range(0)]
+    while queue:
+        least, label = heapq.heappop(queue)
+        at = node[label]
+        if at == goal:
+            while label >= 0:
+                way.append(node[label])
+                label = parent[label]
+            return way, size, least
+        if size + len(offsets) > most_labels:
+            return way, size, least
+        other = newest[at]
+        while other >= 0 and not (spent[other] <= spent[label]).all():
+            other = older[other] if num > 1 else -1  # of one budget the newest has spent least
+        if other >= 0:
+            continue
+        older[label], newest[at] = newest[at], label
+        for k in range(len(offsets)):
+            if not (graph.moves[at] >> k) & 1:
+                continue
+            to, here, there = at + offsets[k], graph.from_share[k], graph.to_share[k]
+            to_cost = cost[label] + graph.step_cost[k] + here * graph.cost[at] + there * graph.cost[to]
+            to_spent = spent[label] + here * layers[:, at] + there * layers[:, to]
+            priced = to_cost + np.sum(prices * (to_spent - limits)) + to_go[num + 1, to]
+            if (to_spent + to_go[:num, to] > limits).any() or max(priced, to_cost + to_go[num, to]) >= most_cost:
+                continue
+            node[size], parent[size], cost[size], spent[size] = to, label, to_cost, to_spent
+            heapq.heappush(queue, (to_cost + to_go[num, to], size))
+            size += 1
+    return way, size, most_cost
