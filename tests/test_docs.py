@@ -201,7 +201,7 @@ def test_the_scenario_page_names_every_setting_with_its_default():
     for section, settings in defaults.items():
         if section == "study":
             continue
-        wanted = settings.keys() - {"start", "stop", "step_s", "weekday", "weekend"}
+        wanted = settings.keys() - {"start", "stop", "step_s", "weekday", "weekend", "blocks_day", "blocks_night"}
         assert set(shown[section]) == wanted, section
         for key in wanted - left_out.get(section, set()):
             assert whole[section][key] == settings[key], f"[{section}] {key}"

@@ -12,6 +12,7 @@ import numpy as np
 import psutil
 
 from jaxurban.errors import InputError
+from jaxurban.io.read.rasterise import PEOPLE_SAMPLES
 from jaxurban.kernels.lidar.hard import WORD_BITS, num_steps
 from jaxurban.maps.task import MapTask, variables
 from jaxurban.metrics.base import TIME
@@ -28,6 +29,7 @@ SERIES_BYTES = 384 * 2**20  # a tile's metric at every time of a long series tak
 COMPILING_BYTES = 320 * 2**20  # what compiling takes beside the libraries, which this process holds already
 SURFACE_CELL_BYTES = 20  # rasters on the host and for JAX while they are put together, or crops of them for the lidar
 TERRAIN_CELL_BYTES = 16  # the same of the terrain; and where slabs hang, of roofs as an altitude meets them
+PEOPLE_SAMPLE_BYTES = 12  # the pixel of people under a sample of a cell, of rasters by day and by night
 WORD_BYTES = 16  # of a cell at an altitude: which of up to 64 satellites it sees, twice if supersampled
 SERIES_VALUE_BYTES = 5  # of a cell at an altitude and a time of a series: m, and whether it is within its limits
 SUBCELL_BYTES = 60  # rasters of the supersampled surface, its tops for both directions, and the lidar's order of them
@@ -87,6 +89,8 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
         reach = math.ceil(metric.reach_m(task.settings_of(metric)) / tile.resolution_m)
         needed += _num_cells(tile, reach) * metric.cell_bytes
         needed += _num_cells(tile) * num_altitudes * (WORD_BYTES + series_bytes) * (TIME in metric.dims)
+    if task.city.blocks is not None and task.city.blocks.day_count is not None:
+        needed += _num_cells(tile) * PEOPLE_SAMPLES**2 * PEOPLE_SAMPLE_BYTES
     if task.params.engine == "jax" and task.has_terrain and "lidar" in task.metrics:
         needed += _num_cells(tile) * TERRAIN_GPU_BYTES
     of_margin = SPREAD_CELL_BYTES * num_altitudes * bool(task.params.heights.height_samples)

@@ -19,7 +19,7 @@ from jaxurban.io.read.guesses import leaving_shares
 from jaxurban.io.store import RUN_FILE, short_number
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
-from jaxurban.metrics.population import Population
+from jaxurban.metrics.population import FILES, Population
 from jaxurban.progress import LOG
 from jaxurban.samples.catalogue import located
 from jaxurban.settings import NOMINAL, each
@@ -118,9 +118,7 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
         "buildings": None if scenario.is_synthetic else scenario.buildings.source,
         "terrain": scenario.terrain.source,
         **{"orbits" if i == 1 else f"orbits_{i}": name for i, name in enumerate(orbits, start=1)},
-        "blocks": population.blocks,
-        "table": population.table,
-        "districts": population.districts,
+        **{name: getattr(population, name) for name in FILES},
         **{f"layer_{name}": layer.source for name, layer in scenario.layers.items()},
     }
     return {
@@ -273,19 +271,22 @@ def population_totals(
 
     Args:
       blocks: the census blocks.
-      params: their gammas count; left out, the paper's.
+      params: their gammas count, but of rasters by day and by night; left out, the paper's.
       bounds_m: count only the blocks that touch this box; left out, all.
       is_cut: of a block that reaches beyond the box count only the people inside, spread evenly over its area.
     """
     params = params or Population()
-    count = blocks.night_count if bounds_m is None else blocks.night_count * blocks.touches(bounds_m)
+    weight = np.ones(len(blocks)) if bounds_m is None else blocks.touches(bounds_m)
     if is_cut and bounds_m is not None:
         inside_m2 = shapely.area(shapely.intersection(blocks.polygons, shapely.box(*bounds_m)))
-        count = count * inside_m2 / np.where(blocks.area_m2 > 0, blocks.area_m2, 1.0)
-    night = {
-        zoning.name.lower(): float(count[blocks.zoning == zoning].sum())
-        for zoning in (Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER)
-    }
-    gamma = {"commercial": params.gamma_commercial}
+        weight = weight * inside_m2 / np.where(blocks.area_m2 > 0, blocks.area_m2, 1.0)
+
+    def by_zoning(count: np.ndarray) -> dict[str, float]:
+        zones = (Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER)
+        return {zoning.name.lower(): float((count * weight)[blocks.zoning == zoning].sum()) for zoning in zones}
+
+    night, gamma = by_zoning(blocks.night_count), {"commercial": params.gamma_commercial}
     day = {name: count * gamma.get(name, params.gamma_residential) for name, count in night.items()}
+    if blocks.day_count is not None:
+        day = by_zoning(blocks.day_count)
     return {name: {**counts, "total": sum(counts.values())} for name, counts in (("night", night), ("day", day))}

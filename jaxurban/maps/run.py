@@ -34,6 +34,7 @@ from jaxurban.maps.provenance import hash_inputs, other_maps, run_key, run_recor
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask, empty_dataset, with_series
 from jaxurban.maps.tiled import TileJob, Tiling
+from jaxurban.metrics.population import FILES
 from jaxurban.metrics.variables import TimeTotals
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
 from jaxurban.samples.catalogue import BASE_MAP_FILE
@@ -70,7 +71,7 @@ def load_city(scenario: Scenario) -> City:
         placed(scenario.buildings, "source"),
         bounds=region.bounds,
         crs=region.crs,
-        population=placed(scenario.population, "blocks", "table", "districts"),
+        population=placed(scenario.population, *FILES),
         terrain=placed(scenario.terrain, "source"),
         gps=scenario.gps,
     )

@@ -176,10 +176,10 @@ class Scenario(Sections):
         self._check_layers()
         self._request_what_is_weighed()
         _ = self.map_params  # which refuses what does not go together
-        if self.is_synthetic and (self.population.blocks or self.terrain.source):
+        if self.is_synthetic and (self.population.blocks or self.population.blocks_day or self.terrain.source):
             raise ValueError(
                 "the synthetic city (source = 'synthetic') has its own population and flat ground: leave out "
-                "population.blocks and terrain.source, or name a source of real buildings"
+                "the files of [population] and terrain.source, or name a source of real buildings"
             )
         return self
 

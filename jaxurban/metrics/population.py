@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -14,7 +14,7 @@ from jaxtyping import Array, DTypeLike, Float, Int, Integer
 
 from jaxurban.errors import InputError, nearest_name, typed
 from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scale, Scene, SoftScene, Variable, high_is_bad
-from jaxurban.metrics.settings import check_value, differentiable
+from jaxurban.metrics.settings import check_value, differentiable, is_known
 from jaxurban.settings import each
 from jaxurban.world.city import Blocks, Zoning
 from jaxurban.world.grid import Bounds
@@ -23,6 +23,9 @@ from jaxurban.world.surface import Surface
 M2_PER_KM2 = 1e6
 PAPER_COMMERCIAL = (101, 102, 103, 104, 105, 106)  # of Manhattan's community districts
 HOUR_OF_WEEK = re.compile(r"(weekday|weekend)-([01]\d|2[0-3])")
+
+FILES = ("blocks", "table", "districts", "blocks_day", "blocks_night")
+FACTORS = ("gamma_commercial", "gamma_residential", "weekday", "weekend", "districts", "commercial", "blocks", "table")
 
 # Share of the change from night to day that has happened at each hour, 0 to 23. Full from 9 to 17 (the paper's
 # "9-to-5"); the linear ramps before and after are our assumption.
@@ -56,13 +59,15 @@ class Population:
         field of the blocks file.
       districts: district polygons, blocks take the one of largest overlap; left out, every block is in district 13.
       district_field: the districts' label, a whole number.
+      blocks_day, blocks_night: instead of ``blocks``, two rasters of people as measured by day and by night, on grids
+        of their own; nothing of `FACTORS` goes with them.
       credit: what the licence of these files asks for.
       commercial: labels of commercial districts; left out, 101 to 106 of New York's (``BoroCD``), else none.
       time_of_day: those that maps are made for, see `day_share`.
 
     Raises:
-      InputError: a value that is none of these, times of day that are not different, or a table or districts without
-        blocks.
+      InputError: a value that is none of these, times of day that are not different, a table or districts without
+        blocks, or one raster of day and night without the other or with settings that do not go with them.
     """
 
     gamma_commercial: float = 3.0
@@ -76,6 +81,8 @@ class Population:
     table: str | Path | None = None
     districts: str | Path | None = None
     district_field: str = "BoroCD"
+    blocks_day: str | Path | None = None
+    blocks_night: str | Path | None = None
     credit: str = ""
     commercial: Sequence[int] | None = None
     time_of_day: str | Sequence[str] = ("day", "night")
@@ -88,7 +95,7 @@ class Population:
             shares = self.profile(name)
             if len(shares) != 24 or not all(0 <= share <= 1 for share in shares):
                 raise InputError(f"{name} must be 24 shares in [0, 1], one an hour from 0 to 23, got {shares}")
-        if self.blocks is None and (self.table is not None or self.districts is not None):
+        if self.blocks is None and self.blocks_day is None and (self.table is not None or self.districts is not None):
             raise InputError("table and districts need blocks, the polygons of the census blocks")
         if self.commercial is not None:
             object.__setattr__(self, "commercial", tuple(self.commercial))
@@ -97,6 +104,22 @@ class Population:
             raise InputError(f"time_of_day must be different names such as day and night, got {[*self.time_of_day]}")
         for time_of_day in self.times_of_day:
             day_share(time_of_day, self)
+        if (self.blocks_day is None) != (self.blocks_night is None):
+            raise InputError("blocks_day and blocks_night go together: give both, or blocks alone")
+        if self.blocks_day is not None:
+            self.check_has_no_factor()
+
+    def check_has_no_factor(self) -> None:
+        """Check that nothing would change the people of two rasters, by day and by night.
+
+        Raises:
+          InputError: one of `FACTORS` is not its default, or there is another time of day.
+        """
+        known = [field for field in fields(self) if field.name in FACTORS and is_known(getattr(self, field.name))]
+        named = [field.name for field in known if np.any(getattr(self, field.name) != field.default)]
+        named += [f"time_of_day {name}" for name in self.times_of_day if name not in ("day", "night")]
+        if named:
+            raise InputError(f"blocks_day and blocks_night count who is where: leave out {', '.join(named)}")
 
     @property
     def times_of_day(self) -> tuple[str, ...]:
@@ -141,12 +164,14 @@ class BlockPopulation(NamedTuple):
       area_m2: ``[N]`` area.
       zoning: ``[N]`` a `jaxurban.world.city.Zoning` each.
       in_region: ``[M]`` index of the blocks that touch the region.
+      day_count: ``[N]`` people by day; None where factors make them of the night's.
     """
 
     night_count: jax.Array
     area_m2: jax.Array
     zoning: jax.Array
     in_region: jax.Array
+    day_count: jax.Array | None = None
 
     @classmethod
     def of(cls, blocks: Blocks, bounds_m: Bounds | None = None, dtype: DTypeLike = np.float32) -> "BlockPopulation":
@@ -157,8 +182,9 @@ class BlockPopulation(NamedTuple):
           bounds_m: the region's box; left out, all blocks set the norm.
           dtype: float32 or, where JAX has it enabled, float64.
         """
-        people, area_m2 = (np.asarray(values, dtype) for values in (blocks.night_count, blocks.area_m2))
-        return cls(*jax.device_put((people, area_m2, blocks.zoning, region_blocks(blocks, bounds_m))))
+        columns = (blocks.night_count, blocks.area_m2, blocks.day_count)
+        people, area_m2, by_day = (None if values is None else np.asarray(values, dtype) for values in columns)
+        return cls(*jax.device_put((people, area_m2, blocks.zoning, region_blocks(blocks, bounds_m), by_day)))
 
 
 def _percentile(normalise: str | float) -> float | None:
@@ -271,6 +297,8 @@ def block_values(
     """
     gammas = params.gamma_commercial, params.gamma_residential
     people = block_people(blocks.night_count, blocks.zoning, share, *gammas)
+    if blocks.day_count is not None:
+        people = (1.0 - share) * blocks.night_count + share * blocks.day_count
     density = density_per_km2(people, blocks.area_m2)
     values = people if params.quantity == "count" else density
     norm = normaliser(values[blocks.in_region], params.normalise)
@@ -298,6 +326,8 @@ def _made_ready(
     blocks: Blocks, params: Population, bounds_m: Bounds | None
 ) -> tuple[BlockPopulation, Float[np.ndarray, " D"]]:
     """Return the blocks, and how far the population has moved from night to day at each time of the settings."""
+    if blocks.day_count is not None:
+        params.check_has_no_factor()
     shares = np.array([day_share(time_of_day, params) for time_of_day in params.times_of_day], np.float32)
     return BlockPopulation.of(blocks, bounds_m), shares
 
@@ -309,7 +339,7 @@ def layers_of_blocks(blocks: BlockPopulation, shares: Float[Array, " T"], params
 
 
 def soft_population(
-    block: Int[Array, "y x"],
+    block: Int[Array, "y x *samples"],
     population: BlockPopulation,
     time_of_day: str,
     params: Population,
@@ -323,7 +353,7 @@ def soft_population(
     Undefined where two blocks tie for the norm or a block lies just at it. Docs: algorithms/gradients.md.
 
     Args:
-      block: index of the block under each cell, -1 without one.
+      block: index of the block under each cell, or under samples of it, -1 without one.
       population: from `BlockPopulation.of`.
       time_of_day: see `day_share`.
       params: gammas and norm.
@@ -333,14 +363,21 @@ def soft_population(
       InputError: no such time of day.
     """
     m, _, _ = block_values(population, day_share(time_of_day, params), params)
-    return map_blocks(block if cells is None else block[cells[:, 0], cells[:, 1]], m)
+    return _over_samples(block if cells is None else block[cells[:, 0], cells[:, 1]], m, block.ndim > 2)
+
+
+def _over_samples(block: Array, values: Array, has_samples: bool) -> Array:
+    """Return `map_blocks`, the mean over the samples of each cell where there are any (the last axis)."""
+    if not has_samples:
+        return map_blocks(block, values)
+    return sum(map_blocks(block[..., k], values) for k in range(block.shape[-1])) / block.shape[-1]
 
 
 def _on_cells(surface: Surface, layers: BlockLayers) -> dict[str, Array]:
     """Return the maps of blocks, at one time of day or at several, by their variable."""
     assert surface.block is not None
     named = {"population": layers.m, "density": layers.density_per_km2}
-    return {name: map_blocks(surface.block, values) for name, values in named.items()}
+    return {name: _over_samples(surface.block, values, surface.block.ndim > 2) for name, values in named.items()}
 
 
 def _maps(scene: Scene, params: Population) -> dict[str, Array]:

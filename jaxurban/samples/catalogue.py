@@ -81,7 +81,7 @@ def located(name: str | Path) -> Path:
 def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return settings of a scenario with what a sample city gives where they give none, if it is their source.
 
-    Blocks of another file keep away the sample's districts, and any times keep away the sample's.
+    Blocks of other files keep away the sample's districts, and any times keep away the sample's.
     """
     buildings = settings.get("buildings")
     name = sample_name(buildings.get("source")) if isinstance(buildings, Mapping) else None
@@ -92,7 +92,7 @@ def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:
         given = settings.get(section, {})
         if not isinstance(given, Mapping):
             continue  # which the scenario refuses
-        if section == "population" and "blocks" in given:
+        if section == "population" and {"blocks", "blocks_day", "blocks_night"} & given.keys():
             values = {}
         if any(key in given for key in ("start", "stop", "step_s")):
             values = {key: value for key, value in values.items() if key != "times"}

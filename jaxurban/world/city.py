@@ -129,7 +129,8 @@ class _Rows:
 
     def take(self, index: np.ndarray) -> Self:
         """Return the rows at ``index`` (integers or a mask)."""
-        return type(self)(*(getattr(self, column.name)[index] for column in fields(self)))  # type: ignore[arg-type]
+        columns = (getattr(self, column.name) for column in fields(self))  # type: ignore[arg-type]
+        return type(self)(*(None if column is None else column[index] for column in columns))
 
 
 @dataclass(frozen=True)
@@ -193,6 +194,7 @@ class Blocks(_Rows):
       district: ``[N]`` int32 label of the district of largest overlap, `OTHER_DISTRICT` where none.
       zoning: ``[N]`` uint8, a `Zoning` each.
       block_id: ``[N]`` object array of identifiers.
+      day_count: ``[N]`` float64 people by day, of rasters that hold them; None where factors make them of the night's.
     """
 
     polygons: np.ndarray
@@ -200,6 +202,7 @@ class Blocks(_Rows):
     district: np.ndarray
     zoning: np.ndarray
     block_id: np.ndarray
+    day_count: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.polygons)
@@ -320,7 +323,7 @@ class City(Shown):
             1,000 m could shadow it from a satellite at the elevation mask.
           bounds: west, south, east, north of the region in degrees; left out, what the file of buildings covers.
           crs: projected CRS in metres; left out, the UTM zone of the region's centre.
-          population: names census blocks, their people and districts; left out, none.
+          population: names census blocks, their people and districts, or rasters of people; left out, none.
           terrain: ground elevation raster; left out, flat.
           gps: whose elevation mask the maps will have; left out, 5 degrees.
 

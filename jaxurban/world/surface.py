@@ -127,7 +127,8 @@ class Surface:
         ``slabs``, of what stands on the ground: see `at_altitude`.
       terrain_m: ground elevation, float32; None for flat ground.
       has_data: where the building (or terrain) source knows anything; None where it does everywhere.
-      block: index of the census block under each cell of the region, -1 without one; None without blocks.
+      block: index of the census block under each cell of the region, or under samples of it, -1 without one; None
+        without blocks.
       grid: grid of ``roof_m``, ``terrain_m`` and ``has_data``.
       region: the part of ``grid`` that maps report, grid of ``block``, ``roof_touched_m`` and ``roof_guessed``.
       roof_touched_m: height of the highest roof that shares area with each cell of the region, what planners keep
@@ -142,7 +143,7 @@ class Surface:
     roof_m: Float[Array, "Y X"]
     terrain_m: Float[Array, "Y X"] | None
     has_data: Bool[Array, "Y X"] | None
-    block: Int[Array, "y x"] | None
+    block: Int[Array, "y x *samples"] | None
     grid: Grid = field(metadata={"static": True})
     region: Grid = field(metadata={"static": True})
     roof_touched_m: Float[Array, "y x"] | None = None

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import jaxurban as ju
 from jaxurban.io.read.census import clean_polygons, largest_overlap, read_blocks, read_districts, zoning_of
 from jaxurban.maps.provenance import population_totals
+from jaxurban.metrics.population import block_layers
 from jaxurban.world.city import OTHER_DISTRICT, City, Footprints, Zoning
 from jaxurban.world.grid import Grid, transformer
 from tests.io.made_files import UTM, WGS84, X, Y, box, north_up, write_raster, write_vector
@@ -224,3 +225,106 @@ def test_districts_and_bounds_of_a_raster_of_people_are_as_of_census_blocks(degr
     assert set(blocks.zoning) == {COM}
     assert blocks.touches(bounds_m).all()
     assert 10 < len(blocks) < 60
+
+
+def people_in(path, bounds_m):
+    """Return the people of a raster in a box by hand: pixel by pixel, its ring in the box's CRS, pro rata by area."""
+    with rasterio.open(path) as file:
+        counts, place, crs = file.read(1, masked=True), file.transform, file.crs.to_wkt()
+    total, side = 0.0, np.array([(0, 0), (0.5, 0), (1, 0), (1, 0.5), (1, 1), (0.5, 1), (0, 1), (0, 0.5)])
+    for (row, col), count in np.ndenumerate(counts.filled(0).astype(float)):
+        ring = np.array([place @ (col + right, row + down) for right, down in side])
+        pixel = shapely.Polygon(np.stack(transformer(crs, UTM).transform(*ring.T), axis=1))
+        total += count * pixel.intersection(shapely.box(*bounds_m)).area / pixel.area
+    return total
+
+
+def people_raster(path, seed, step_deg, side=16, empty=-1.0, mean=80.0):
+    """Write a raster of people in degrees around the place, a few pixels without data."""
+    rng = np.random.default_rng(seed)
+    values = rng.gamma(1.0, mean, (side, side)).astype(np.float32)
+    values[rng.random(values.shape) < 0.05] = empty
+    lon, lat = transformer(UTM, WGS84).transform(X, Y)
+    west, north = lon - side / 2 * step_deg - seed * 1e-5, lat + side / 2 * step_deg
+    return write_raster(path, values, Affine(step_deg, 0, west, 0, -step_deg, north), WGS84, empty)
+
+
+ARC_S = 1 / 3600
+
+
+@pytest.mark.parametrize("steps", [(3 * ARC_S, 3 * ARC_S), (3 * ARC_S, 7 * ARC_S), (30 * ARC_S, 0.6 * ARC_S)])
+def test_maps_by_day_and_by_night_hold_the_people_that_each_raster_has_in_the_region(tmp_path, steps):
+    files = {
+        f"blocks_{name}": people_raster(tmp_path / f"{name}.tif", seed, step, 16 if step > ARC_S else 80, mean=mean)
+        for name, seed, step, mean in zip(("day", "night"), (1, 2), steps, (200.0, 50.0), strict=True)
+    }
+    blocks, _ = read_blocks(ju.Population(**files), UTM)
+    numbers = (np.array([value]) for value in (30.0, 0.0, np.uint8(0), False))
+    tower = Footprints(np.array([box(11, 11, 29, 29)]), *numbers)
+    city = City(UTM, box(-400, -300, 413, 290).bounds, buildings=tower, blocks=blocks)
+    maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0,))
+    totals = population_totals(blocks, bounds_m=maps.grid.bounds_m, is_cut=True)
+    for name in ("day", "night"):
+        inside = people_in(files[f"blocks_{name}"], maps.grid.bounds_m)
+        assert totals[name]["total"] == pytest.approx(inside, rel=1e-4)
+        cells = maps.m("density", time_of_day=name) * maps.grid.resolution_m**2 / 1e6
+        assert cells.sum(dtype=np.float64) == pytest.approx(inside, rel=0.005)
+
+
+def test_pixels_of_two_rasters_of_one_grid_stay_whole_though_data_are_missing_in_either(tmp_path):
+    day, night = np.arange(1.0, 13).reshape(3, 4), np.arange(21.0, 33).reshape(3, 4)
+    day[0, 0], night[2, 3], day[1, 1], night[1, 1] = -9, -9, -9, -9
+    files = {
+        f"blocks_{name}": write_raster(tmp_path / f"{name}.tif", values, north_up(100, 3), nodata=-9)
+        for name, values in (("day", day), ("night", night))
+    }
+    blocks, issues = read_blocks(ju.Population(**files), UTM)
+    np.testing.assert_allclose(blocks.area_m2, np.full(11, 1e4))
+    by_id = dict(zip(blocks.block_id, zip(blocks.day_count, blocks.night_count, strict=True), strict=True))
+    assert (by_id["0,0"], by_id["2,3"], by_id["0,1"]) == ((0, 21), (12, 0), (2, 22))
+    assert issues["blocks_without_count"] == 2
+    part = blocks.take(blocks.block_id == "0,1")
+    assert (part.day_count.tolist(), part.night_count.tolist()) == ([2], [22])
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"blocks_night": None}, "go together"),
+        ({"blocks": "b.tif"}, "leave out blocks"),
+        ({"districts": "d.shp"}, "leave out districts"),
+        ({"gamma_commercial": 2.0, "weekend": (0.5,) * 24}, "leave out gamma_commercial, weekend"),
+        ({"time_of_day": ("day", "weekday-08")}, "leave out time_of_day weekday-08"),
+    ],
+)
+def test_what_would_change_measured_people_is_refused(settings, sentence):
+    with pytest.raises(ju.InputError, match=sentence):
+        ju.Population(**{"blocks_day": "d.tif", "blocks_night": "n.tif"} | settings)
+
+
+def test_factors_are_refused_where_the_city_holds_measured_people(tmp_path):
+    files = {f"blocks_{name}": people_raster(tmp_path / f"{name}.tif", 1, 3 * ARC_S) for name in ("day", "night")}
+    blocks, _ = read_blocks(ju.Population(**files), UTM)
+    with pytest.raises(ju.InputError, match="leave out gamma_residential"):
+        block_layers(blocks, ju.Population(gamma_residential=0.4))
+    day, night = block_layers(blocks).density_per_km2
+    np.testing.assert_array_equal(day, night)
+
+
+@pytest.mark.parametrize(
+    ("night", "sentence"),
+    [
+        ({"crs": None}, "no CRS"),
+        ({"values": np.full((8, 8), -3.0)}, "less than 0 people.*nodata"),
+        ({"values": np.full((8, 8), -9.0)}, "no data in the region"),
+        ({"place": north_up(100, 8, x_m=X + 5e5)}, "does not reach the region"),
+    ],
+)
+def test_a_raster_by_night_that_says_nothing_of_the_region_is_refused(tmp_path, night, sentence):
+    sound = {"values": np.full((8, 8), 5.0), "place": north_up(100, 8), "crs": UTM}
+    for name, how in (("day", sound), ("night", sound | night)):
+        write_raster(tmp_path / f"{name}.tif", how["values"], how["place"], how["crs"], -9.0)
+    files = ju.Population(blocks_day=tmp_path / "day.tif", blocks_night=tmp_path / "night.tif")
+    with pytest.raises(ju.InputError, match=sentence) as caught:
+        read_blocks(files, UTM, box(-500, -500, 1000, 1000).bounds, box(100, 100, 300, 300).bounds)
+    assert "night.tif" in str(caught.value)

@@ -185,3 +185,21 @@ def test_people_from_a_raster_and_every_credit_reach_the_files_and_a_region_beyo
     inside = files.read_json(tmp_path / "out" / "run.json")["population_in_region"]["night"]["total"]
     assert in_cells == pytest.approx(inside, rel=0.01)
     assert 0 < inside < people.sum()
+    by_day = tmp_path / "people_by_day.tif"
+    with rasterio.open(by_day, "w", crs="EPSG:4326", transform=place, **options) as file:
+        file.write(3 * people[::-1], 1)
+    given = ("--set", 'population.blocks_day="people_by_day.tif"', "--set", 'population.blocks_night="people.tif"')
+    code, _, err = run(capsys, "maps", scenario, "-o", tmp_path / "both", *given)
+    assert code == 0, err
+    assert "by day are not counted" not in err
+    both, record = ju.open_maps(tmp_path / "both"), files.read_json(tmp_path / "both" / "run.json")
+    assert [record["inputs"][f"blocks_{name}"]["path"] for name in ("day", "night")] == [by_day.name, "people.tif"]
+    night, day = (both.m("density", time_of_day=name).sum(dtype=np.float64) * cell_km2 for name in ("night", "day"))
+    counted = record["population_in_region"]
+    assert (night, day) == pytest.approx((counted["night"]["total"], counted["day"]["total"]), rel=0.005)
+    assert counted["night"]["total"] == pytest.approx(inside)
+    code, _, err = run(
+        capsys, "maps", scenario, "-o", tmp_path / "none", *given, "--set", "population.gamma_commercial=2"
+    )
+    assert (code, (tmp_path / "none").exists()) == (2, False)
+    assert "leave out gamma_commercial" in err

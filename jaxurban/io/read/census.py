@@ -1,4 +1,4 @@
-"""Census blocks: polygons joined to a population table, or the pixels of a raster of people; and their districts."""
+"""Census blocks: polygons joined to a population table, or the pixels of rasters of people; and their districts."""
 
 import re
 from collections import Counter
@@ -30,30 +30,33 @@ GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")  # summary level, variant and comp
 COUNT = re.compile(r"\s*(\+?\d[\d,\s]*(?:\.\d*)?(?:[eE]\+?\d{1,2})?)\s*(?:\(.*\))?\s*")
 
 AREAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
+SLIVER = 1e-6  # of a pixel's area: what rounding leaves where the borders of two grids coincide
 PAPER_DISTRICTS = tuple(range(101, 113))  # Manhattan's twelve; 164 is Central Park
 
 
-def read_blocks(files: Population, crs: str, bounds_m: Bounds | None = None) -> tuple[Blocks, ReadIssues]:
+def read_blocks(
+    files: Population, crs: str, bounds_m: Bounds | None = None, region_m: Bounds | None = None
+) -> tuple[Blocks, ReadIssues]:
     """Return census blocks with their people and districts in the order of their file, and the read issues met.
 
     Args:
-      files: what is read, blocks at least.
+      files: what is read, blocks or rasters by day and by night at least.
       crs: projected CRS of the result, in metres.
       bounds_m: keep only blocks that touch this box of ``crs``; left out, all.
+      region_m: box of ``crs`` where both rasters, by day and by night, must hold data; left out, that is not checked.
 
     Raises:
       InputError: a file or field is missing or unreadable, ids are not unique, no row joins any block, or no block
         touches the box.
     """
     issues: Counter[ReadIssue] = Counter()
-    assert files.blocks is not None
-    if Path(files.blocks).suffix.lower() in RASTER_SUFFIXES:
+    if files.blocks_night is not None and files.blocks_day is not None:
+        rasters = (files.blocks_night, files.blocks_day)
+        frame = _by_night_and_day(*(read_people(path, crs, bounds_m, region_m) for path in rasters))
+    elif Path(str(files.blocks)).suffix.lower() in RASTER_SUFFIXES:
         if files.table is not None:
             raise InputError(f"{str(files.blocks)!r} holds its people itself: leave [population] table out")
-        polygons, counts, ids = read_people(files.blocks, crs, bounds_m)
-        frame = gpd.GeoDataFrame({"_id": ids, "_count": counts}, geometry=polygons, crs=crs)
-        if bounds_m is not None:
-            frame = frame[shapely.intersects(polygons, shapely.box(*bounds_m))]
+        frame = read_people(str(files.blocks), crs, bounds_m)
     else:
         frame = _polygons(files, crs, bounds_m, issues)
     if frame.empty:
@@ -66,16 +69,35 @@ def read_blocks(files: Population, crs: str, bounds_m: Bounds | None = None) -> 
         )
         district = largest_overlap(polygons, areas, labels)
         issues[ReadIssue.COMMERCIAL_NOT_FOUND] = int((~np.isin(list(commercial), labels)).sum())
-    issues[ReadIssue.BLOCKS_WITHOUT_COUNT] = int(frame["_count"].isna().sum())
+    counts = frame.filter(["_count", "_day"])
+    issues[ReadIssue.BLOCKS_WITHOUT_COUNT] = int(counts.isna().any(axis=1).sum())
     issues[ReadIssue.BLOCKS_WITHOUT_DISTRICT] = int((district == OTHER_DISTRICT).sum())
-    night_count = frame["_count"].fillna(0.0).to_numpy(np.float64)
+    people = counts.fillna(0.0).to_numpy(np.float64).T
     zoning = zoning_of(district, commercial, labels.tolist())
-    return Blocks(polygons, night_count, district, zoning, frame["_id"].to_numpy(object)), issues
+    by_day = people[1] if len(people) > 1 else None
+    return Blocks(polygons, people[0], district, zoning, frame["_id"].to_numpy(object), by_day), issues
+
+
+def _by_night_and_day(night: gpd.GeoDataFrame, day: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return the pixels of two rasters with ``_count`` and ``_day``, NaN where one of them has no data.
+
+    Of one grid they are its pixels; of two, the pieces into which the pixels cut each other, with people pro rata by
+    area.
+    """
+    both = night.merge(day, on="_id", how="outer", suffixes=("", "_day")).rename(columns={"_count_day": "_day"})
+    pairs = both.dropna(subset=["geometry", "geometry_day"])
+    if len(pairs) and shapely.equals_exact(pairs["geometry"].to_numpy(), pairs["geometry_day"].to_numpy(), 1e-3).all():
+        return both.assign(geometry=both["geometry"].fillna(both["geometry_day"]))
+    night, day = (frame.assign(_count=frame["_count"] / frame.area) for frame in (night, day))
+    both = gpd.overlay(night, day, how="union", keep_geom_type=True)
+    both = both[both.area > SLIVER * min(night.area.min(), day.area.min())]
+    ids = both["_id_1"].fillna("none") + " and " + both["_id_2"].fillna("none")
+    return both.assign(_id=ids, _count=both["_count_1"] * both.area, _day=both["_count_2"] * both.area)
 
 
 def read_people(
-    path: str | Path, crs: str, bounds_m: Bounds | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    path: str | Path, crs: str, bounds_m: Bounds | None = None, region_m: Bounds | None = None
+) -> gpd.GeoDataFrame:
     """Return the pixels of a raster of people as polygons in ``crs``, with their people and their ids.
 
     WorldPop, GHSL and LandScan give such rasters. Pixels that share a corner share it in ``crs`` too, so that they
@@ -84,14 +106,15 @@ def read_people(
     Args:
       path: a single-band file whose name ends as in `DRIVERS`, with a CRS; values are counts of people, not densities.
       crs: projected CRS in metres.
-      bounds_m: read only the pixels around this box of ``crs``; left out, all.
+      bounds_m: keep only the pixels that touch this box of ``crs``; left out, all.
+      region_m: box of ``crs`` that a pixel with data must touch; left out, none must.
 
     Returns:
-      Polygons ``[N]``, night counts ``[N]`` float64, and ids ``[N]`` such as ``"12,7"``: the file's row and column.
+      ``geometry``, ``_count`` (float64), and ``_id`` such as ``"12,7"``: the file's row and column.
 
     Raises:
-      InputError: a file that cannot be read, has several bands, no CRS or no position, does not reach the bounds, or
-        holds negative counts that are not declared empty.
+      InputError: a file that cannot be read, has several bands, no CRS or no position, does not reach the bounds or
+        holds no data in the region, or holds negative counts that are not declared empty.
     """
     (raster,) = read_bands(path, crs, bounds_m, holds="people in each pixel", dtype=np.float64)
     if num_bad := int((raster.values < 0).sum()):
@@ -103,7 +126,10 @@ def read_people(
     corners = [(row + down, col + right) for down, right in ((1, 0), (1, 1), (0, 1), (0, 0), (1, 0))]
     rings = np.stack([np.stack(pixel_xy(raster, *corner, crs), axis=-1) for corner in corners], axis=1)
     ids = np.array([f"{r + raster.first_row},{c + raster.first_col}" for r, c in zip(row, col, strict=True)], object)
-    return shapely.polygons(rings), raster.values[row, col], ids
+    frame = gpd.GeoDataFrame({"_id": ids, "_count": raster.values[row, col]}, geometry=shapely.polygons(rings), crs=crs)
+    if region_m is not None and not frame.intersects(shapely.box(*region_m)).any():
+        raise InputError(f"{str(path)!r} holds no data in the region: give a raster of people that covers it")
+    return frame if bounds_m is None else frame[frame.intersects(shapely.box(*bounds_m))]
 
 
 def _polygons(files: Population, crs: str, bounds_m: Bounds | None, issues: Counter[ReadIssue]) -> gpd.GeoDataFrame:

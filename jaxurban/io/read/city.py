@@ -31,7 +31,7 @@ from jaxurban.io.read.raster import (
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
 from jaxurban.metrics.gps import Gps
-from jaxurban.metrics.population import Population
+from jaxurban.metrics.population import FILES, Population
 from jaxurban.samples.catalogue import SAMPLES, located, sample_name
 from jaxurban.settings import MAX_HEIGHT_M, SLABS
 from jaxurban.world.city import City, Raster, ReadIssue, joined_credits
@@ -43,7 +43,7 @@ OUTLINE_READERS: dict[str, OutlineReader] = {
     **dict.fromkeys(OSM_SUFFIXES, lambda path, near, has_decks: read_osm(path, has_decks=has_decks)),
     **dict.fromkeys(VECTOR_SUFFIXES, lambda path, near, has_decks: read_vector(path, near)),
 }
-FILE_FIELDS = ("source", "blocks", "table", "districts")
+FILE_FIELDS = ("source", *FILES)
 GAP_M = 500.0  # side of the bins: buildings in bins that touch know what lies between them (streets, parks, rivers)
 BLOCKS_A_SIDE = 64  # into which a raster with holes is cut
 LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
@@ -66,7 +66,7 @@ def read_city(
     people = population or Population(**sample.get("population", {}))
     own_gps = Gps(**sample["gps"]) if gps is None and sample else None
     files = {"buildings": buildings.source, "terrain": terrain.source}
-    files |= {role: getattr(people, role) for role in ("blocks", "table", "districts")}
+    files |= {role: getattr(people, role) for role in FILES}
     buildings, terrain, people = _placed(buildings), _placed(terrain), _placed(people)
     bounds = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
     west, south, east, north = bounds
@@ -84,8 +84,8 @@ def read_city(
     issues = dict(source.read_issues)
     guesses = height_guesses(source.buildings, box_m, buildings)
     blocks = None
-    if people.blocks is not None:
-        blocks, block_issues = read_blocks(people, crs, wide_m)
+    if people.blocks is not None or people.blocks_day is not None:
+        blocks, block_issues = read_blocks(people, crs, wide_m, box_m)
         issues |= block_issues
         guesses |= census_guesses(block_issues, blocks, people)
     if terrain.source is None:

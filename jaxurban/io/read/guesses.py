@@ -86,7 +86,7 @@ def census_guesses(issues: ReadIssues, blocks: Blocks, files: Population) -> Gue
     """
     guesses = {}
     num_missing, num_unreadable = issues[ReadIssue.BLOCKS_WITHOUT_COUNT], issues[ReadIssue.COUNTS_UNREADABLE]
-    if not blocks.night_count.any():
+    if not (blocks.night_count.any() or np.any(blocks.day_count)):
         guesses["nobody"] = "all census counts in and around the region are 0: check [population] table and its count"
     elif num_missing:
         guesses[f"{num_missing:,} blocks without a count"] = (
@@ -167,7 +167,7 @@ def region_guesses(
     for name, values in bands.items():
         guesses |= _layer_guesses(name, values[0], region)
     if city.blocks is not None and people is not None:
-        if city.sources and {*params.times_of_day} - {"night"}:
+        if city.sources and city.blocks.day_count is None and {*params.times_of_day} - {"night"}:
             guesses["people by factors"] = (
                 f"people by day are not counted: they are the census's times {params.gamma_commercial:g} in commercial "
                 f"districts and {params.gamma_residential:g} elsewhere; set [population] gamma_commercial and "

@@ -20,6 +20,7 @@ from jaxurban.world.grid import WGS84, Grid, transformer
 from jaxurban.world.surface import NO_BUILDING, PER_CELL, Slabs, Surface
 
 NO_BLOCK = -1
+PEOPLE_SAMPLES = 4  # a side of a cell
 UNKNOWN_GROUND_M = -500.0  # below all real ground: what stands where the terrain is unknown shadows nothing
 Bands = tuple[Raster | np.ndarray, ...]
 Margins = tuple[float, float, float, float]  # west, south, east, north, metres
@@ -133,12 +134,18 @@ def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndar
 
 
 def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:
-    """Return the index of the census block under each cell, `NO_BLOCK` without one; None without blocks."""
+    """Return the index of the census block under each cell, `NO_BLOCK` without one; None without blocks.
+
+    Of rasters by day and by night ``[y, x, samples]``, of `PEOPLE_SAMPLES` a side: so maps hold their people to 0.5 %.
+    """
     if city.blocks is None:
         return None
     blocks = city.blocks
     numbers = np.arange(len(blocks))
-    return burn(blocks.polygons, numbers, grid, NO_BLOCK, "int32", boxes_m=blocks.boxes_m, has_touched=False)[0]
+    n = 1 if blocks.day_count is None else PEOPLE_SAMPLES
+    fine = grid.refined(n)
+    index = burn(blocks.polygons, numbers, fine, NO_BLOCK, "int32", boxes_m=blocks.boxes_m, has_touched=False)[0]
+    return index if n == 1 else index.reshape(grid.num_rows, n, -1, n).swapaxes(1, 2).reshape(*grid.shape, n * n)
 
 
 def check_has_data(has_data: Iterable[Any], city: City) -> None:
