@@ -114,7 +114,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ("now", "time MetricMaps.m.time stop"),
     ("no/such/place", "folder maps maps_a maps_b path file"),
     ("/proc/none", "MetricMaps.save.folder study.folder sensitivity_study.folder"),
-    ("no-such.file", "table districts buildings no_fly log"),
+    ("no-such.file", "table districts blocks_day blocks_night buildings no_fly log"),
     ("path.txt", "PlannedPath.save.file PlannedPaths.save.file PlannedPath.save.more"),
     ("no/such/place.parquet", "plan_many.file"),
     ((-1e300, 1e300), "altitudes_m nest_with_m MetricMaps.m.altitude_m factors"),
