@@ -28,6 +28,8 @@ from jaxurban.paths.plan import plan as plan
 from jaxurban.paths.profile import cautions as cautions
 from jaxurban.paths.queries import PlannedPaths as PlannedPaths
 from jaxurban.paths.snapping import XY as XY
+from jaxurban.paths.when import Departures as Departures
+from jaxurban.paths.when import when as when
 from jaxurban.planners.cost import CostModel as CostModel
 from jaxurban.samples.cities import sample_city as sample_city
 from jaxurban.settings import Buildings as Buildings

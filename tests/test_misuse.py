@@ -30,7 +30,7 @@ BOUNDS = (-74.0, 40.755, -73.997, 40.757)
 SETTINGS = {"region": {"bounds": BOUNDS}, "buildings": {"source": "synthetic"}}
 RIGHT, LEFT_OUT = "every value of the type is a right one here", object()
 MADE = (  # what functions return; XY is looked at where it is used
-    "GuessWarning",
+    *("Departures", "GuessWarning"),
     *("MetricMaps", "CostMap", "MapComparison", "PlannedPath", "PlannedPaths", "RouteReport", "SensitivityStudy"),
     "ReceiverValidation",
     *("SoftCity", "Demonstration", "InputError", "JaxurbanError", "Scenario", "XY", "City"),

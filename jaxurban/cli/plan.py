@@ -19,11 +19,17 @@ from jaxurban.errors import taken_by
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
+    from jaxurban.maps.metric_maps import MetricMaps
     from jaxurban.paths.cost_map import CostMap
     from jaxurban.paths.explain import RouteReport
     from jaxurban.paths.path import PlannedPath
 
 LEAST_NAME_WIDTH = 20  # characters of the table's first column
+OF_ONE_ROUTE = ("refine", "budgets", "is_volume", "with_report", "speed_m_s", "power_w", "swath_m", "simplify_m", "end")
+NOT_WHEN = (
+    "--when takes -o .csv or .parquet, and no --refine, --exposure, --volume, --report, --speed, --power, --swath, "
+    "--simplify or --end"
+)
 LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost", "descent_cost")  # of `Levels`
 
 
@@ -62,6 +68,9 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
     "--swath", "swath_m", type=float, help="Width in metres of the strip in which people are counted.  [default: 10]"
 )
 @click.option("--profile", type=PATH, help="Write a picture (PNG) of heights, metrics and clearance along the route.")
+@click.option(
+    "--when", "is_when", is_flag=True, help="Plan at every time of the maps; -o takes a table, --profile a strip."
+)
 @click.option("-o", "files", type=PATH, multiple=True, help="File to write: .geojson, .kml, .gpx or .plan; repeatable.")
 @click.option(
     "--simplify",
@@ -89,7 +98,7 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     for name in () if is_volume else ("goal_altitude_m", *LEVEL_OPTIONS):
         if options[name] is not None:
             raise click.UsageError(f"--{name.removesuffix('_m').replace('_', '-')} belongs to --volume: add that")
-    for file in files:
+    for file in () if options["is_when"] else files:
         encoder_of(file)
     if options["end"] is not None and not any(file.suffix.lower() == MISSION for file in files):
         raise click.UsageError("--end is of a mission: add -o FILE.plan")
@@ -98,6 +107,8 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
 
         check_picture(profile)
     maps = open_maps(folder, options["resolution_m"], obstacles=options["obstacles"])
+    if options["is_when"]:
+        return _when(maps, files, profile, as_json, options)
     start, goal, altitude_m = options["start"], options["goal"], options["altitude_m"]
     if is_volume:
         goal_altitude_m = altitude_m if options["goal_altitude_m"] is None else options["goal_altitude_m"]
@@ -140,6 +151,31 @@ def _budgets(given: Sequence[str]) -> dict[str, float]:
     if len(budgets) < len(parts):
         raise click.UsageError("--exposure names a layer twice: give one budget for it")
     return budgets
+
+
+def _when(maps: "MetricMaps", files: Sequence[Path], profile: Path | None, as_json: bool, options: Settings) -> int:
+    """Plan at every time of the maps, print and write the table, draw the strip, and return the exit code."""
+    from jaxurban.io.tables import SUFFIXES, records_of
+    from jaxurban.paths.when import when
+    from jaxurban.planners.base import EXIT_NO_PATH
+    from jaxurban.report.figures.when import plot_when
+    from jaxurban.report.write import Output, save
+
+    if any(options[name] for name in OF_ONE_ROUTE) or any(file.suffix.lower() not in SUFFIXES for file in files):
+        raise click.UsageError(NOT_WHEN)
+    departures = when(maps, [(options["start"], options["goal"])], **taken_by(when, options | given_rules(options)))
+    outputs: dict[Path, Output] = dict.fromkeys(files, departures.table)
+    if profile is not None:
+        outputs[profile] = lambda: plot_when(departures, maps)
+    for file, output in outputs.items():
+        save(file.parent, {file.name: output})
+        LOG.info(f"wrote {file}")
+    facts = {name: fact for name, fact in departures.facts.items() if fact}
+    if as_json:
+        print_json({"best": departures.best, "facts": facts, "table": records_of(departures.table)})
+    else:
+        print("\n".join([departures.table.to_string(index=False), *(f"{k}: {v}" for k, v in facts.items())]))
+    return EXIT_NO_PATH if departures.best is None else 0
 
 
 def _write(file: Path, planned: "PlannedPath", on: "CostMap", report: "RouteReport | None", options: Settings) -> None:

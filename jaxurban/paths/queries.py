@@ -91,7 +91,7 @@ def read_queries(
     if altitude_m is not None:
         base = replace(base, altitude_m=finite("altitude_m", altitude_m, "metres"))
     if not isinstance(queries, pd.DataFrame):
-        queries = _table_of(queries)
+        queries = table_of(queries)
     if unknown := [name for name in map(str, queries.columns) if name not in known]:
         raise InputError(
             f"queries have unknown columns {unknown}{nearest_name(unknown[0], known)}: leave them out, in pandas by "
@@ -106,7 +106,7 @@ def read_queries(
     return [_of_row(row, names, base) for row in queries.to_dict("records")]
 
 
-def _table_of(pairs: Sequence[tuple[Point, Point]]) -> pd.DataFrame:
+def table_of(pairs: Sequence[tuple[Point, Point]]) -> pd.DataFrame:
     """Return pairs of places as a table; raise InputError where they are not of that shape."""
     try:
         places = np.array(list(pairs), float)

@@ -1,0 +1,144 @@
+"""when: the same routes planned at every time that maps hold, and the one at which they cost the least together."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban.errors import InputError, typed
+from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.paths.batch import plan_many
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.plan import cost_map
+from jaxurban.paths.profile import VISIBLE, cautious_profile, without_fix
+from jaxurban.paths.queries import PlannedPaths, table_of
+from jaxurban.paths.search import PathSearch
+from jaxurban.paths.snapping import Point
+from jaxurban.progress import Progress
+from jaxurban.public import Shown, listed
+
+TIMES = ["time", "time_of_day"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Departures(Shown):
+    """Routes at every time of their maps, and the time at which all of them together cost the least.
+
+    Attributes:
+      table: a row a time: ``time`` (UTC) and ``time_of_day``; summed over the routes ``cost``, ``length_m``,
+        ``no_fix_m`` (length in cells with fewer than four satellites) and ``exposure_*``, NaN where one of them has no
+        path; ``longest_no_fix_m``, the longest stretch without a fix on any of them; ``above_best``, the share by
+        which the cost exceeds the least one; ``num_changed``, how many routes differ from those at the best time, and
+        ``apart_m``, by how many metres at most (Hausdorff distance). Routes that never have a path are in no sum.
+        What the maps do not hold is left out.
+      routes: a row a time and route, as of `PlannedPaths.to_dataframe`, with the same of each: ``departure`` is the
+        row of ``table``, ``query`` the number of the route.
+      paths: of the rows of ``routes``.
+    """
+
+    table: pd.DataFrame
+    routes: pd.DataFrame
+    paths: PlannedPaths
+
+    @property
+    def best(self) -> int | None:
+        """The row of ``table`` with the least cost; None where at no time all routes have a path."""
+        return None if self.table["cost"].isna().all() else int(np.nanargmin(self.table["cost"]))
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """The best and the worst time, how small the effect is, and which routes have no path at some time."""
+        table, by_route, facts = self.table, self.routes.groupby("query"), {"times": f"{len(self.table)}"}
+        if self.best is not None:
+            ends = table.loc[[self.best, table["cost"].idxmax()]]
+            best, worst = (", ".join(filter(None, names)) for names in ends[TIMES].to_numpy())
+            facts |= {"best": f"{best}, cost {ends['cost'].min():,.2f}"}
+            facts |= {"worst": f"{worst}, {ends['above_best'].max():.2%} above the best"}
+            changed, apart_m = (by_route["apart_m"].max() > 0).sum(), table["apart_m"].max()
+            facts |= {"routes that change": f"{changed} of {len(by_route)}, by up to {apart_m:,.0f} m"}
+        missing = self.routes[self.routes["cost"].isna()]
+        none = [f"route {query} at {number}" for query, number in missing.groupby("query").size().items()]
+        why = f" ({missing['message'].iloc[0]})" if none else ""
+        return facts | {"times without a path": listed(none) + why}
+
+
+@partial(typed, makers=(cost_map, PathSearch.of))
+def when(
+    maps: GivenMaps,
+    queries: pd.DataFrame | Sequence[tuple[Point, Point]],
+    *,
+    altitude_m: float | None = None,
+    progress: Progress = True,
+    **asked: Any,
+) -> Departures:
+    """Return what routes cost and meet at every time that maps hold, each planned at each time (`plan_many`).
+
+    Every time of the GPS maps is taken with every time of day of the population maps, as no rule says which belong
+    together; a ``time`` or ``time_of_day`` that is given is kept.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      queries: pairs ``((lon, lat), (lon, lat))`` in degrees, one or many, or a table as `plan_many` takes it.
+      altitude_m: for queries that say nothing of their own.
+      progress: as in `jaxurban.progress.reporting`.
+      weights, objective, cost_model, time, time_of_day, constraints, preset: which map, as in `plan`.
+      planner, heuristic, budget_s, seed, snap: of each query, as in `plan`.
+      refine, exposure: of a single plan only.
+
+    Raises:
+      InputError: there is one time alone, a query has a time of its own, or none of them can be planned at any time.
+    """
+    maps = as_maps(maps)
+    time, time_of_day = (asked.get(name) for name in TIMES)
+    times = maps.times if maps.default_time and time is None else (time,)
+    days = (maps.times_of_day or (None,)) if time_of_day is None else (time_of_day,)
+    table = pd.DataFrame([*product(times, days)], columns=TIMES)
+    if len(table) == 1:
+        raise InputError(
+            "there is one time alone to fly at: make maps of several, as with gps=Gps(start=..., stop=..., "
+            'step_s=3600, series="epochs"), and leave time or time_of_day out'
+        )
+    wanted = queries if isinstance(queries, pd.DataFrame) else table_of(queries)
+    if not len(wanted) or {*TIMES} & {*wanted}:
+        raise InputError("queries must be one or more and have no times of their own: drop time and time_of_day")
+    paths = plan_many(maps, table.merge(wanted, how="cross"), altitude_m=altitude_m, progress=progress, **asked)
+    if paths.was_interrupted:
+        raise KeyboardInterrupt
+    if all(path is None for path in paths):
+        raise InputError(paths.rows[0]["message"])
+    routes = paths.to_dataframe().astype({"cost": float, "length_m": float})
+    routes["departure"], routes["query"] = np.divmod(routes["query"], len(wanted))
+    routes = routes.join(pd.DataFrame([_met(path) for path in paths]))
+    sums = [*routes.filter(regex="^(cost|length_m|no_fix_m|exposure_.+)$")]
+    flown = routes[routes.groupby("query")["cost"].transform("count") > 0]
+    table = table.join(flown.groupby("departure")[sums].sum(min_count=flown["query"].nunique()))
+    table["above_best"] = table["cost"] / table["cost"].min() - 1
+    # The first time stands for the best one where there is none.
+    lines = np.reshape([_line(path) for path in paths], (len(table), -1))
+    routes["apart_m"] = shapely.hausdorff_distance(lines, lines[Departures(table, routes, paths).best or 0]).ravel()
+    routes["num_changed"] = routes["apart_m"] > 0
+    of_time = routes.groupby("departure")
+    table["num_changed"] = of_time["num_changed"].sum()
+    return Departures(table.join(of_time[[*routes.filter(like="longest_"), "apart_m"]].max()), routes, paths)
+
+
+def _met(path: PlannedPath | None) -> dict[str, float]:
+    """Return what a route meets, nothing without a path."""
+    if path is None or path.maps is None or not path.status.has_path:
+        return {}
+    met = {f"exposure_{name}": value for name, value in path.exposure_by_layer.items()}
+    profile = cautious_profile(path, path.maps)
+    if VISIBLE in profile:
+        stretches_m = [0.0, *(to_m - from_m for from_m, to_m in without_fix(profile))]
+        met |= {"no_fix_m": sum(stretches_m), "longest_no_fix_m": max(stretches_m)}
+    return met
+
+
+def _line(path: PlannedPath | None) -> shapely.LineString | None:
+    """Return a route's line, a place twice where it does not move; None without a path."""
+    return shapely.LineString(path.xy_m[[*range(len(path.xy_m)), -1]]) if path is not None and len(path.xy_m) else None

@@ -1,0 +1,48 @@
+"""The strip of departures: by time, what routes cost above the best time, and how far they fly without a fix."""
+
+import math
+
+from matplotlib.figure import Figure
+
+from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.paths.when import Departures
+from jaxurban.report.figures.frame import frame_note, joined
+from jaxurban.report.figures.style import SERIES_COLOURS, chart, dress, letter, styled
+
+MOST_TICKS, SIZE_IN = 12, (10.0, 2.6)
+LEAST_TOP = 10.0, 50.0  # of the scales, percent and metres, so that a small effect looks small
+
+
+@styled
+def plot_when(departures: Departures, maps: GivenMaps) -> Figure:
+    """Return the cost above the best time and the length without a fix by time, a line for each time of day.
+
+    At hollow marks a route differs from that at the best time. A line has a gap where a route has no path.
+
+    Args:
+      departures: from `jaxurban.when`.
+      maps: that it was planned on, or their folder.
+    """
+    table, facts = departures.table.fillna({"time": "", "time_of_day": ""}), departures.facts
+    by, of = ("time", "time_of_day") if table["time"].nunique() > 1 else ("time_of_day", "time")
+    labels = [name[11:16] if by == "time" else name for name in table[by].unique()]
+    table["x"] = table[by].factorize()[0]
+    said = joined(*(f"{name}: {fact}" for name, fact in facts.items() if fact))
+    figure = chart(*SIZE_IN, "When to fly", f"{said}\n{frame_note(as_maps(maps))}")
+    cost, no_fix = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    for colour, (name, part) in zip(SERIES_COLOURS, table.groupby(of, sort=False), strict=False):
+        above, changed = 100 * part["above_best"], part["num_changed"] > 0
+        cost.plot(part["x"], above, "o-", color=colour, label=name or "as at the best time", clip_on=False)
+        cost.plot(part["x"][changed], above[changed], "o", color=colour, markerfacecolor="white", clip_on=False)
+        if "no_fix_m" in part:
+            no_fix.plot(part["x"], part["no_fix_m"], color=colour, clip_on=False)
+    cost.plot([], [], "ok", markerfacecolor="white", label="a route differs")
+    cost.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02))
+    for number, (panel, label) in enumerate(zip(axes, ("above best (%)", "no fix (m)"), strict=True)):
+        panel.set(ylabel=letter(number, 2) + label, ylim=(0, max(LEAST_TOP[number], panel.get_ylim()[1])))
+        dress(panel)
+    figure.align_ylabels(axes)
+    every = math.ceil(len(labels) / MOST_TICKS)
+    no_fix.set_xticks(range(0, len(labels), every), labels[::every])
+    no_fix.set_xlabel(f"UTC, from {table['time'].iloc[0][:10]}" if by == "time" else "time of day")
+    return figure

@@ -1,0 +1,143 @@
+"""Routes at every time of their maps: the table is that of plans of one's own, and one departure suits all routes."""
+
+import itertools
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import shapely
+
+import jaxurban as ju
+from jaxurban.report.figures import plot_when
+from tests.cli_runs import run
+
+ALTITUDE_M = 20.0
+
+
+@pytest.fixture(scope="module")
+def maps() -> ju.MetricMaps:
+    """A town at three hours, whose high mask leaves some places with fewer than four satellites."""
+    hours = ju.Gps(start="2020-04-27T00:00:00Z", stop="2020-04-27T10:00:00Z", step_s=18_000, mask_deg=25.0)
+    city = ju.demo_city(600, 600)
+    return ju.build_maps(city, resolution_m=20.0, altitudes_m=(ALTITUDE_M,), gps=hours, progress=False)
+
+
+@pytest.fixture(scope="module")
+def pairs(maps) -> list:
+    free = np.argwhere(ju.cost_map(maps, ALTITUDE_M).islands == 1)
+    return [[maps.grid.lonlat_of_cell(*free[at]) for at in ends] for ends in ((0, -1), (15, -40), (len(free) // 2, 3))]
+
+
+@pytest.fixture(scope="module")
+def departures(maps, pairs) -> ju.Departures:
+    return ju.when(maps, pairs, altitude_m=ALTITUDE_M, progress=False)
+
+
+def farthest_m(path: ju.PlannedPath, other: ju.PlannedPath) -> float:
+    """Return how far the points of either route are from the other at most."""
+    both = ((path, other), (other, path))
+    return max(shapely.LineString(b.xy_m).distance(shapely.Point(xy_m)) for a, b in both for xy_m in a.xy_m)
+
+
+def longest_m(report: ju.RouteReport) -> float:
+    """Return the longest stretch of cells with fewer than four satellites."""
+    rows = report.profile.to_dict("records")
+    stretches = [[*part] for is_short, part in itertools.groupby(rows, lambda row: row["num_visible"] < 4) if is_short]
+    return max((part[-1]["to_m"] - part[0]["from_m"] for part in stretches), default=0.0)
+
+
+def test_the_table_is_that_of_a_plan_at_each_time(maps, pairs, departures):
+    times = [*itertools.product(maps.times, maps.times_of_day)]
+    assert [*departures.table[["time", "time_of_day"]].itertuples(index=False, name=None)] == times
+    assert len(times) == 6
+    plans = [
+        [ju.plan(maps, *pair, altitude_m=ALTITUDE_M, time=time, time_of_day=day) for pair in pairs]
+        for time, day in times
+    ]
+    costs = np.array([[path.cost for path in row] for row in plans])
+    best = int(costs.sum(axis=1).argmin())
+    assert departures.best == best
+    for row, paths in zip(departures.table.to_dict("records"), plans, strict=True):
+        reports = [ju.explain(path, maps) for path in paths]
+        apart_m = [farthest_m(path, other) for path, other in zip(paths, plans[best], strict=True)]
+        expected = {
+            "cost": sum(path.cost for path in paths),
+            "length_m": sum(path.length_m for path in paths),
+            "no_fix_m": sum(report.totals["under_4_satellites_m"] for report in reports),
+            "longest_no_fix_m": max(map(longest_m, reports)),
+            "above_best": sum(path.cost for path in paths) / costs.sum(axis=1).min() - 1,
+            "num_changed": sum(m > 0 for m in apart_m),
+            "apart_m": max(apart_m),
+            **{f"exposure_{name}": sum(path.exposure_by_layer[name] for path in paths) for name in maps.metrics},
+        }
+        assert {name: row[name] for name in expected} == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert departures.table["no_fix_m"].max() > 0
+    assert departures.table["num_changed"].max() > 0
+    np.testing.assert_allclose(departures.routes["cost"], costs.ravel(), rtol=1e-9)
+
+
+def test_the_facts_say_how_small_the_effect_is(departures):
+    cost, facts = departures.table["cost"], departures.facts
+    assert f"{cost.max() / cost.min() - 1:.2%} above the best" in facts["worst"]
+    assert f"cost {cost.min():,.2f}" in facts["best"]
+    assert facts["times without a path"] == ""
+
+
+def test_no_departure_is_one_at_which_a_route_has_no_path(maps, pairs):
+    num_visible, limits = maps.ds["num_visible"].copy(), ju.Constraints.read(require=["num_visible>=1"])
+    num_visible[1, :, :, maps.grid.num_cols // 2] = 0  # a wall at the hour that is the best one without it
+    walled = ju.MetricMaps(maps.ds.assign(num_visible=num_visible))
+    islands = ju.cost_map(maps, ALTITUDE_M).islands
+    closed_in, beside = np.argwhere(islands == 2)[0], np.argwhere(islands[:, : maps.grid.num_cols // 2] == 1)
+    never = maps.grid.lonlat_of_cell(*closed_in), pairs[0][1]
+    always = [maps.grid.lonlat_of_cell(*beside[at]) for at in (0, -1)]
+    asked = {"altitude_m": ALTITUDE_M, "time_of_day": "day", "constraints": limits, "progress": False}
+    departures = ju.when(walled, [always, pairs[0], never], **asked)
+    del asked["progress"]
+    plans = [[ju.plan(walled, *pair, time=time, **asked).cost for pair in (always, pairs[0])] for time in maps.times]
+    sums = np.sum(plans, axis=1)
+    assert (np.isfinite(plans[1][0]), np.isinf(plans[1][1])) == (True, True)
+    np.testing.assert_allclose(departures.table["cost"], np.where(np.isinf(sums), np.nan, sums))
+    assert departures.best == np.argmin(sums)
+    assert departures.facts["times without a path"].startswith("route 1 at 1, route 2 at 3 (No path")
+
+
+def test_what_has_no_times_to_choose_from_is_refused(maps, pairs):
+    single = {"altitude_m": ALTITUDE_M, "time": maps.times[0], "time_of_day": "day"}
+    with pytest.raises(ju.InputError, match=r"one time alone .* step_s=3600"):
+        ju.when(maps, pairs, **single)
+    table = pd.DataFrame([[*pair[0], *pair[1], maps.times[0]] for pair in pairs])
+    table.columns = ["start_lon", "start_lat", "goal_lon", "goal_lat", "time"]
+    with pytest.raises(ju.InputError, match="drop time"):
+        ju.when(maps, table, altitude_m=ALTITUDE_M)
+    with pytest.raises(ju.InputError, match="start"):
+        ju.when(maps, [((0.0, 0.0), pairs[0][1])], altitude_m=ALTITUDE_M, progress=False)
+
+
+def test_a_strip_shows_the_table(maps, departures):
+    cost, no_fix = plot_when(departures, maps).axes
+    for panel, every, values in (
+        (cost, 2, 100 * departures.table["above_best"]),
+        (no_fix, 1, departures.table["no_fix_m"]),
+    ):
+        for line, day in zip(panel.lines[: 2 * every : every], maps.times_of_day, strict=True):
+            np.testing.assert_array_equal(line.get_ydata(), values[departures.table["time_of_day"] == day])
+
+
+def test_the_command_prints_writes_and_draws_the_same(maps, pairs, tmp_path, capsys):
+    folder = maps.save(tmp_path / "maps")
+    start, goal = (",".join(map(str, place)) for place in pairs[0])
+    arguments = ("plan", folder, f"--start={start}", f"--goal={goal}", "--altitude", ALTITUDE_M, "--when")
+    code, out, err = run(capsys, *arguments, "-o", tmp_path / "when.csv", "--profile", tmp_path / "when.png")
+    table = ju.when(maps, pairs[:1], altitude_m=ALTITUDE_M, progress=False).table
+    assert (code, maps.times[2] in out, "above the best" in out) == (0, True, True)
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "when.csv"), table)
+    assert (tmp_path / "when.png").read_bytes().startswith(b"\x89PNG")
+    assert f"wrote {tmp_path / 'when.png'}" in err
+    facts = json.loads(run(capsys, *arguments, "--json")[1])
+    assert facts["table"][facts["best"]]["cost"] == pytest.approx(table["cost"].min())
+    for options in (("-o", "when.geojson"), ("--volume",), ("--speed", 12), ("--exposure", "risk<=9")):
+        code, out, err = run(capsys, *arguments, *options)
+        assert (code, out) == (2, "")
+        assert "--when takes" in err
