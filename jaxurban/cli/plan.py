@@ -209,11 +209,7 @@ def _path_table(facts: Settings) -> str:
         moved = [f"{name} {moved_m:.1f} m" for name, moved_m in facts["snap_distance_m"].items()]
         rows += [("moved to cells", ", ".join(moved))]
         rows += [(f"cost of {name}", f"{value:.3f}") for name, value in facts["cost_by_layer"].items()]
-        budgets = facts["settings"].get("exposure", {})
-        rows += [
-            (f"exposure to {name}", f"{facts['exposure_by_layer'][name]:.3f} (budget {most:g})")
-            for name, most in budgets.items()
-        ]
+        rows += [(f"exposure to {name}", f"{value:.3f}") for name, value in facts["exposure_by_layer"].items()]
         rows += [(f"mean m_{name}", f"{value:.3f}") for name, value in facts["metrics"].items()]
     setup = f", after {facts['setup_s']:.1f} s of compiling" if facts["setup_s"] >= 1 else ""
     rows += [("expansions", f"{facts['num_expanded']}"), ("search time", f"{facts['elapsed_s']:.3f} s{setup}")]

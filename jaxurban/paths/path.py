@@ -71,8 +71,6 @@ class PlannedPath(Shown):
       altitude_m: flight altitude above ground; of a path that climbs or descends, the one that it starts at.
       cost: weighted cost under ``cost_model``, whatever the objective was; inf without a path.
       cost_by_layer: parts of ``cost``: "distance" and each metric.
-      exposure_by_layer: (1 / l0) x integral of each metric's cost c along the path, not weighted, by name, l0 the cost
-        model's reference length.
       length_m: length of the path.
       metrics: mean of each metric m along the path, weighted by length, by name.
       snap_distance_m: how far start and goal were moved to the centres of their cells (or, with
@@ -82,6 +80,8 @@ class PlannedPath(Shown):
       crs: CRS of ``xy_m``.
       ground: the ground under the path; None without a path, or over maps without terrain.
       zones: the no-fly zones that it was planned around, for the geofence of a mission.
+      exposure_by_layer: (1 / l0) x integral of each metric's cost c along the path, not weighted, by name, l0 the cost
+        model's reference length.
       maps: that it was planned on; None of a path made by hand.
     """
 
@@ -92,7 +92,6 @@ class PlannedPath(Shown):
     altitude_m: float
     cost: float
     cost_by_layer: Mapping[str, float]
-    exposure_by_layer: Mapping[str, float]
     length_m: float
     metrics: Mapping[str, float]
     snap_distance_m: tuple[float, float]
@@ -101,6 +100,7 @@ class PlannedPath(Shown):
     crs: str
     ground: Ground | None = None
     zones: tuple[Zone, ...] = ()
+    exposure_by_layer: Mapping[str, float] = field(default_factory=dict)
     maps: "MetricMaps | None" = field(default=None, compare=False)
 
     @cached_property
