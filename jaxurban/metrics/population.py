@@ -119,7 +119,7 @@ class Population:
         named = [field.name for field in known if np.any(getattr(self, field.name) != field.default)]
         named += [f"time_of_day {name}" for name in self.times_of_day if name not in ("day", "night")]
         if named:
-            raise InputError(f"blocks_day and blocks_night count who is where: leave out {', '.join(named)}")
+            raise InputError(f"blocks_day and blocks_night go without factors: leave out {', '.join(named)}")
 
     @property
     def times_of_day(self) -> tuple[str, ...]:

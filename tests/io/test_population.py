@@ -305,7 +305,7 @@ def test_what_would_change_measured_people_is_refused(settings, sentence):
 def test_factors_are_refused_where_the_city_holds_measured_people(tmp_path):
     files = {f"blocks_{name}": people_raster(tmp_path / f"{name}.tif", 1, 3 * ARC_S) for name in ("day", "night")}
     blocks, _ = read_blocks(ju.Population(**files), UTM)
-    with pytest.raises(ju.InputError, match="leave out gamma_residential"):
+    with pytest.raises(ju.InputError, match=r"leave out gamma_residential\Z"):
         block_layers(blocks, ju.Population(gamma_residential=0.4))
     day, night = block_layers(blocks).density_per_km2
     np.testing.assert_array_equal(day, night)

@@ -54,6 +54,12 @@ def with_section(series: str = "epochs", with_terrain: bool = False, **section) 
     return replace(of, params=replace(of.params, sections={**of.params.sections, **section}))
 
 
+def people_by_day_and_night() -> MapTask:
+    of = with_section()
+    blocks = replace(of.city.blocks, day_count=np.random.default_rng(0).uniform(0, 900, len(of.city.blocks)))
+    return replace(of, city=replace(of.city, blocks=blocks))
+
+
 def slabs(with_terrain: bool = False, **settings) -> MapTask:
     return hanging_city.task(hanging_city.city(with_terrain=with_terrain), altitudes_m=(2.0, 13.0), **settings)
 
@@ -65,6 +71,7 @@ JOBS = {  # the task, the shape of its tiles, and how tiles differ in their sett
     "slabs over terrain": (lambda: slabs(with_terrain=True), (34, 58), {}),
 }
 SLOW = {
+    "people by day and by night": (people_by_day_and_night, RAGGED, {}),
     "solid risk over terrain": (lambda: with_section(with_terrain=True, risk=Risk(distance="solid")), RAGGED, {}),
     "terrain, tiles by JAX": (lambda: with_section(with_terrain=True), RAGGED, {"engine": "jax"}),
     "protection": (lambda: with_section(protection=WIDE), (16, 16), {}),
