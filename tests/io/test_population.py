@@ -255,7 +255,7 @@ ARC_S = 1 / 3600
 @pytest.mark.parametrize("steps", [(3 * ARC_S, 3 * ARC_S), (3 * ARC_S, 7 * ARC_S), (30 * ARC_S, 0.6 * ARC_S)])
 def test_maps_by_day_and_by_night_hold_the_people_that_each_raster_has_in_the_region(tmp_path, steps):
     files = {
-        f"blocks_{name}": people_raster(tmp_path / f"{name}.tif", seed, step, 16 if step > ARC_S else 80, mean=mean)
+        f"blocks_{name}": people_raster(tmp_path / f"{name}.tif", seed, step, 16 if step > ARC_S else 48, mean=mean)
         for name, seed, step, mean in zip(("day", "night"), (1, 2), steps, (200.0, 50.0), strict=True)
     }
     blocks, _ = read_blocks(ju.Population(**files), UTM)
