@@ -37,8 +37,8 @@ IS_LONG = re.compile(  # a page that is marked slow
     r"(api|sensitivity|montecarlo|large|weights|tutorial|own_city|own_layer|compare|viewer)\.md$"
 ).search
 
-# What asks servers, serves until somebody ends it, takes several cities or machines, or has a test of its own.
-ONLY_PARSED = re.compile(r"fetch (?!.*--dry-run)|view (?!.*--export)|demo\b|tune .*--by-city|.*--cluster")
+# What asks servers, serves until somebody ends it, takes several cities, machines or minutes, or has a test of its own.
+ONLY_PARSED = re.compile(r"fetch (?!.*--dry-run)|view (?!.*--export)|demo\b|score|tune .*--by-city|.*--cluster")
 
 SCENARIO = """
 [region]

@@ -24,6 +24,7 @@ from jaxurban.cli.fetch import fetch
 from jaxurban.cli.info import info
 from jaxurban.cli.maps import maps
 from jaxurban.cli.plan import plan
+from jaxurban.cli.score import score
 from jaxurban.cli.sensitivity import sensitivity, sensitivity_study
 from jaxurban.cli.study import study
 from jaxurban.cli.tune import tune
@@ -41,7 +42,8 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-for command in (compare, demo, fetch, info, maps, plan, sensitivity, sensitivity_study, study, tune, validate, view):
+COMMANDS = (compare, demo, fetch, info, maps, plan, score, sensitivity, sensitivity_study, study, tune, validate, view)
+for command in COMMANDS:
     app.add_command(command)
 
 

@@ -1,0 +1,224 @@
+"""The board: outside planners' routes and every kind of cheat on a map drawn by hand; bounds against closed forms."""
+
+import csv
+import hashlib
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+import jaxurban as ju
+from jaxurban.planners.any_angle import refine, theta_star
+from jaxurban.planners.base import Problem
+from jaxurban.studies.board import MISSING, STRETCH, VALID, corner_bound
+from tests.cli_runs import assert_one_sentence, run
+from tests.made_maps import made_maps
+
+# North is up; two closed cells touch at a corner. A step of one cell is 1 m and costs 1.
+DRAWN = """
+......
+..#...
+...#..
+......
+......
+"""
+AROUND = "LINESTRING (2.5 2.5, 2.5 1.5, 4.5 1.5, 4.5 3.5, 3.5 3.5)"  # 6 m, the shortest on the grid
+CHEATS = {  # route in the track grid, and what it is refused for
+    "LINESTRING (2.5 2.5, 3.5 3.5)": "not free",  # between two closed cells
+    "LINESTRING (2.5 2.5, 3.5 2.5, 3.5 3.5)": "not free",  # through a wall
+    "LINESTRING (2.5 2.5, 3.5 1.5, 4.5 1.5, 4.5 3.5, 3.5 3.5)": "not free",
+    "LINESTRING (2.5 2.5, 2.5 1.5, 3.5 1.5, 4.7 2.5, 4.5 3.5, 3.5 3.5)": "off the grid",
+    "LINESTRING (2.5 2.5, 2.5 -1.5, 7.5 -1.5, 7.5 3.5, 3.5 3.5)": "not free",
+    "LINESTRING (2.6 2.5, 2.5 1.5, 4.5 1.5, 4.5 3.5, 3.5 3.5)": "wrong ends",
+    "LINESTRING (2.5 2.5, 4.5 1.5)": "wrong ends",
+    "LINESTRING (2.5 2.5, nan nan, 3.5 3.5)": "no line",
+    "LINESTRING EMPTY": "no line",
+    "POINT (2.5 2.5)": "no line",
+    "2.5 2.5, 3.5 3.5": "no line",
+    "": "no line",
+}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory) -> Path:
+    """Return a bundle written by hand, without jaxurban: the map drawn above, a query of each track and its optimum."""
+    folder = tmp_path_factory.mktemp("bench")
+    is_free = np.array([[cell == "." for cell in row] for row in reversed(DRAWN.split())])
+    facts = {"resolution_m": 1.0, "reference_length_m": 1.0, "layers": ["gps"]}
+    np.savez(folder / "town.npz", costs=np.zeros((1, *is_free.shape), np.float32), is_free=is_free, **facts)
+    ends = {"start_x_m": 2.5, "start_y_m": 2.5, "goal_x_m": 3.5, "goal_y_m": 3.5}
+    rows = [
+        {"track": track, "query": f"town-{k}", "city": "town"}
+        | ends
+        | {"w_distance": 1, "w_gps": 1, "bound": bound, "best": 6}
+        for track, bound in (("grid", 6), ("any-angle", 4), ("weights", 6))
+        for k in range(2)
+    ]
+    pd.DataFrame(rows).to_csv(folder / "queries.csv", index=False)
+    files = ("queries.csv", "town.npz")
+    sums = "".join(f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in files)
+    (folder / "CHECKSUMS").write_text(sums)
+    return folder
+
+
+def submitted(folder: Path, *rows: tuple, columns=("track", "query", "route", "cost")) -> Path:
+    file = folder / "planner.csv"
+    pd.DataFrame([row[: len(columns)] for row in rows], columns=list(columns)[: len(rows[0])]).to_csv(file, index=False)
+    return file
+
+
+@pytest.mark.parametrize(("route", "why"), CHEATS.items())
+def test_a_route_that_cheats_is_refused_for_what_it_does(route, why, bench, tmp_path):
+    lines, routes = ju.studies.score(
+        bench, submitted(tmp_path, ("grid", "town-0", route, 1.0), ("grid", "town-1", AROUND, 6.0))
+    )
+    assert routes["outcome"].tolist() == [why, VALID]
+    (line,) = lines.to_dict("records")
+    assert (line["asked"], line["valid"], line["refused"], line["reasons"]) == (2, 1, 1, f"1 {why}")
+    assert line["gap_worst"] == math.inf  # a failure is not dropped
+    assert routes["gap"].tolist() == [math.inf, 0.0]
+
+
+def test_at_any_angle_a_corner_may_be_cut_but_not_passed_between_two_closed_cells(bench, tmp_path):
+    past_one = "LINESTRING (2.5 2.5, 2.8 1.9, 4.2 1.9, 4.2 3.5, 3.5 3.5)"
+    file = submitted(
+        tmp_path, ("any-angle", "town-0", past_one), ("any-angle", "town-1", "LINESTRING (2.5 2.5, 3.5 3.5)")
+    )
+    _, routes = ju.studies.score(bench, file)
+    assert routes["outcome"].tolist() == [VALID, "not free"]
+    assert routes["cost"][0] == pytest.approx(math.hypot(0.3, 0.6) + 1.4 + 1.6 + 0.7, rel=1e-12)
+
+
+def test_a_cost_of_its_own_is_shown_and_not_believed(bench, tmp_path):
+    _, routes = ju.studies.score(
+        bench, submitted(tmp_path, ("grid", "town-0", AROUND, 3.0), ("grid", "town-1", AROUND, 6.0))
+    )
+    assert routes[["claimed_cost", "cost"]].to_numpy().tolist() == [[3.0, 6.0], [6.0, 6.0]]
+
+
+def test_queries_without_a_row_count_as_missing_where_the_track_is_entered(bench, tmp_path):
+    _, routes = ju.studies.score(bench, submitted(tmp_path, ("grid", "town-1", AROUND)))
+    assert routes[["track", "outcome"]].to_numpy().tolist() == [["grid", MISSING], ["grid", VALID]]
+
+
+def test_weights_are_scored_by_the_routes_that_they_plan(bench, tmp_path):
+    _, routes = ju.studies.score(bench, submitted(tmp_path, ("weights", "town", "distance=3,gps=9")))
+    assert routes["gap"].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("track,query\ngrid,town-0\n", ("no column 'route'",)),
+        ("track,query,route\n", ("is empty",)),
+        (f'track,query,route\ngrid,town-0,"{AROUND}"\ngrid,town-0,"{AROUND}"\n', ("town-0", "twice")),
+        (f'track,query,route\ngrid,town-9,"{AROUND}"\n', ("grid town-9", "queries.csv")),
+        (f'track,query,route\nfast,town-0,"{AROUND}"\n', ("track", "fast")),
+        ("track,query,route\nweights,town,gps=fast\n", ("gps=fast",)),
+        ("track,query,route\nweights,town,gps=-1\n", ("gps",)),
+        ("\0\0", ("planner.csv",)),
+    ],
+)
+def test_what_is_no_submission_ends_in_one_sentence_and_writes_nothing(content, words, bench, tmp_path, capsys):
+    file = tmp_path / "planner.csv"
+    file.write_text(content)
+    code, _, err = run(capsys, "score", bench, file, "-o", tmp_path / "board.csv")
+    assert code == 2
+    assert_one_sentence(err, *words)
+    assert [path.name for path in tmp_path.iterdir()] == ["planner.csv"]
+
+
+def test_a_changed_bundle_is_refused(bench, tmp_path, capsys):
+    for file in bench.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    (tmp_path / "queries.csv").write_text((bench / "queries.csv").read_text().replace(",6,", ",9,"))
+    code, _, err = run(capsys, "score", tmp_path, submitted(tmp_path, ("grid", "town-0", AROUND)))
+    assert code == 2
+    assert_one_sentence(err, "queries.csv", "CHECKSUMS")
+
+
+def test_a_board_keeps_other_methods_and_replaces_the_lines_of_the_same(bench, tmp_path, capsys):
+    board, file = tmp_path / "board.csv", submitted(tmp_path, ("grid", "town-0", AROUND))
+    for method in ("first", "second", "first"):
+        code, out, _ = run(capsys, "score", bench, file, "-o", board, "--method", method, "--json")
+        assert code == 0
+    assert json.loads(out)["board"][0]["valid"] == 1
+    file = submitted(tmp_path, ("grid", "town-0", AROUND), ("grid", "town-1", AROUND))
+    run(capsys, "score", bench, file, "-o", board, "--method", "first")
+    assert pd.read_csv(board)[["method", "valid"]].to_numpy().tolist() == [["first", 2], ["second", 1]]
+    board.write_text("mine")
+    code, _, err = run(capsys, "score", bench, file, "-o", board)
+    assert code == 2
+    assert_one_sentence(err, "board.csv")
+    assert board.read_text() == "mine"
+
+
+def test_a_straight_way_over_one_cost_has_the_bound_of_the_closed_form():
+    problem = Problem(np.full((1, 5, 12), 0.5), np.ones((5, 12), bool), (2, 1), (2, 10), 2.0, 1.0)
+    rate = 1.0 + 0.5 / problem.cost_model.reference_length_m
+    assert corner_bound(problem) == pytest.approx(rate * 2.0 * (8 / STRETCH + 1), rel=1e-12)
+
+
+def test_no_route_that_any_planner_finds_is_below_the_bound():
+    rng = np.random.default_rng(5)
+    for _ in range(30):
+        is_free = rng.random((14, 16)) < 0.8
+        is_free[0, 0] = is_free[-1, -1] = True
+        problem = Problem(rng.random((1, 14, 16)) ** 3, is_free, (0, 0), (13, 15), 5.0, 0.02)
+        path = refine(problem, theta_star(problem))
+        if path.status.has_path:
+            assert 0.5 * path.cost < corner_bound(problem) <= path.cost
+
+
+def test_an_outside_planner_that_reads_the_files_alone_meets_every_bound_of_the_grid(tmp_path):
+    maps = {"town": ju.cost_map(made_maps(24, 30), 20.0, cost_model="line")}
+    first, again = (ju.studies.make_benchmark(tmp_path / name, 3, maps) for name in ("bench", "again"))
+    for file in first.parent.glob("[!c]*"):
+        assert file.read_bytes() == (again.parent / file.name).read_bytes(), file.name
+    with np.load(tmp_path / "bench" / "town.npz") as held:
+        costs, is_free, side_m, length_m = (held[k] for k in ("costs", "is_free", "resolution_m", "reference_length_m"))
+        layers = held["layers"].tolist()
+    rows = []
+    with (tmp_path / "bench" / "queries.csv").open() as file:
+        for query in csv.DictReader(file):
+            if query["track"] != "weights":
+                rate = (
+                    float(query["w_distance"])
+                    + sum(float(query[f"w_{n}"]) * c for n, c in zip(layers, costs, strict=True)) / length_m
+                )
+                start, goal = (
+                    [int(float(query[f"{end}_{axis}_m"]) // side_m) for axis in "yx"] for end in ("start", "goal")
+                )
+                rows.append((query["track"], query["query"], shortest(rate * side_m, is_free, start, goal, side_m)))
+    _, routes = ju.studies.score(first.parent, submitted(tmp_path, *rows))
+    assert set(routes["outcome"]) == {VALID}
+    gap = routes.groupby("track")["gap"].max()
+    assert gap["grid"] == pytest.approx(0, abs=1e-6)  # costs are float32
+    assert 0 < gap["any-angle"] < 0.3
+
+
+def shortest(cost, is_free, start, goal, side_m) -> str:
+    """Return the cheapest path by SciPy over steps that cut no corner, as WKT."""
+    number, arcs = np.arange(is_free.size).reshape(is_free.shape), []
+    for (row, col), is_open in np.ndenumerate(is_free):
+        for d_row, d_col in ((0, 1), (1, 0), (1, 1), (1, -1)) if is_open else ():
+            to = row + d_row, col + d_col
+            is_on = to[0] < is_free.shape[0] and 0 <= to[1] < is_free.shape[1]
+            if is_on and is_free[to] and is_free[row, to[1]] and is_free[to[0], col]:
+                step = math.hypot(d_row, d_col) * (cost[row, col] + cost[to]) / 2
+                arcs.append((number[row, col], number[to], step))
+    begin, end, step = np.array(arcs).T
+    graph = coo_array((step, (begin.astype(int), end.astype(int))), shape=(is_free.size, is_free.size)).tocsr()
+    _, before = dijkstra(graph, directed=False, indices=number[tuple(start)], return_predecessors=True)
+    way = [number[tuple(goal)]]
+    while way[-1] != number[tuple(start)]:
+        way.append(before[way[-1]])
+    points = [
+        f"{(node % is_free.shape[1] + 0.5) * side_m} {(node // is_free.shape[1] + 0.5) * side_m}" for node in way[::-1]
+    ]
+    return f"LINESTRING ({', '.join(points)})"
