@@ -20,7 +20,7 @@ from jaxurban.planners.base import Path, Planner, Problem, Status
 from jaxurban.planners.grid_search import graph_of
 
 SAME = 1e-9  # relative: an exposure that much above its budget keeps it, and a cost that near a bound meets it
-STEEP, STEEPEST = 1e3, 1e9  # prices of a first path within, and of any, in costs of the path without budgets
+STEEPEST = 1e3  # prices, in the highest cost of a known path for the exposure of the path without budgets
 MOST_SEARCHES = 100
 MOST_LABELS = 2_000_000  # some 200 MB
 LABELS_PER_S = 1_000_000
@@ -86,10 +86,10 @@ class _Search:
         """The cheapest known path within the budgets."""
         return min((known for known in self.known if known.is_within), key=lambda known: known.cost, default=None)
 
-    def least_exposure(self, k: int) -> float:
-        """Return a lower bound on the exposure of every path that budget k is of."""
-        least = self.run(np.eye(len(self.budgets))[k], is_of_cost=False)
-        return float(least * self.units[k] + self.budgets[k])
+    def least_exposures(self) -> np.ndarray:
+        """Return ``[K]`` lower bounds on the exposures of every path."""
+        least = np.array([self.run(unit, is_of_cost=False) for unit in np.eye(len(self.budgets))])
+        return least * self.units + self.budgets
 
     @property
     def is_late(self) -> bool:
@@ -118,26 +118,30 @@ class _Search:
             self.add((np.column_stack([cols, rows]) + 0.5) * problem.resolution_m)
         return num_labels, least == np.inf
 
-    def prices(self, is_ray: bool) -> tuple[np.ndarray, float]:
-        """Return the prices ``[K]`` that raise the bound most by all known paths, and the bound that they allow.
-
-        Args:
-          is_ray: of the excess alone, by prices that add up to 1.
-        """
+    def prices(self) -> tuple[np.ndarray, float]:
+        """Return the prices ``[K]`` that raise the bound most by all known paths, and the bound that they allow."""
         from scipy.optimize import linprog
 
         excess = np.array([known.excess for known in self.known])
-        costs = np.array([0.0 if is_ray else known.cost for known in self.known])
+        costs = np.array([known.cost for known in self.known])
         unit, num = costs.max() or 1.0, excess.shape[1]
         found = linprog(
             np.append(np.zeros(num), -1.0),
             A_ub=np.column_stack([-excess, np.ones(len(excess))]),
             b_ub=costs / unit,
-            A_eq=np.append(np.ones(num), 0.0)[None] if is_ray else None,
-            b_eq=[1.0] if is_ray else None,
             bounds=[(0, STEEPEST)] * num + [(None, None)],
         )
         return np.maximum(found.x[:-1], 0.0) * unit, float(found.x[-1]) * unit
+
+    def raise_bound(self) -> np.ndarray:
+        """Search under the prices ``[K]`` that raise the bound most until none raise it, and return them."""
+        prices = np.zeros(len(self.budgets))
+        while not self.is_late:
+            prices, most = self.prices()
+            enough = most - SAME * abs(most)
+            if self.bound >= enough or self.run(prices) >= enough:
+                break
+        return prices
 
 
 def within_budgets(
@@ -164,23 +168,15 @@ def within_budgets(
     begin_s = time.perf_counter()
     columns = [names.index(name) for name in budgets]
     search = _Search(problem, planner, columns, budgets.values(), seed, begin_s + budget_s)
-    prices, is_over = np.zeros(len(budgets)), False
-    search.run(prices)
-    first, num_labels = search.paths[0], 0
+    search.run(np.zeros(len(budgets)))
+    first, least, num_labels, is_over = search.paths[0], np.zeros(len(budgets)), 0, False
     if not search.known or search.best is not None:
         return first
-    while search.best is None and not search.is_late:
-        ray, over = search.prices(is_ray=True)
-        if over <= SAME:  # some mixture of known paths keeps all budgets
-            break
-        search.run(STEEP * (first.cost or 1.0) * ray)
-        if search.prices(is_ray=True)[1] > SAME and search.run(ray, is_of_cost=False) > SAME:
-            is_over = True
-            break
-    while not is_over and not search.is_late:
-        prices, most = search.prices(is_ray=False)
-        if search.bound >= most - SAME * abs(most) or search.run(prices) >= most - SAME * abs(most):
-            break
+    prices = search.raise_bound()
+    if search.best is None and not search.is_late:
+        least = search.least_exposures()
+        is_over = bool((least > search.budgets * (1 + SAME)).any())
+        prices = prices if is_over else search.raise_bound()
     best = search.best
     if not is_over and problem.levels_m is None and (best is None or best.cost > search.bound * (1 + SAME)):
         num_labels, is_over = search.close(prices)
@@ -193,8 +189,8 @@ def within_budgets(
     elif not is_over:
         notes.append("No path that keeps them was found, and none is excluded.")
     else:
-        least = [f"{search.least_exposure(k):.6g} to {name}" for k, name in enumerate(budgets)]
-        notes.append(f"The least exposure that any path has is {', '.join(least)}.")
+        said = ", ".join(f"{value:.6g} to {name}" for name, value in zip(budgets, least, strict=True))
+        notes.append(f"The least exposure that any path has is {said}.")
     done = {"num_expanded": sum(path.num_expanded for path in search.paths) + num_labels, "note": " ".join(notes)}
     points_m = np.empty(0) if best is None else best.points_m
     return Path.of(problem, points_m, status, search.bound, begin_s, **first.ran | done)
