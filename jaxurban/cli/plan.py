@@ -174,7 +174,9 @@ def _when(maps: "MetricMaps", files: Sequence[Path], profile: Path | None, as_js
     if as_json:
         print_json({"best": departures.best, "facts": facts, "table": records_of(departures.table)})
     else:
-        print("\n".join([departures.table.to_string(index=False), *(f"{k}: {v}" for k, v in facts.items())]))
+        shown = departures.table.filter(regex="^(?!exposure_)")
+        print(shown.to_string(index=False, float_format="{:,.4g}".format))
+        print("\n".join(f"{name}: {fact}" for name, fact in facts.items()))
     return EXIT_NO_PATH if departures.best is None else 0
 
 

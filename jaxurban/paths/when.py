@@ -34,8 +34,8 @@ class Departures(Shown):
         ``no_fix_m`` (length in cells with fewer than four satellites) and ``exposure_*``, NaN where one of them has no
         path; ``longest_no_fix_m``, the longest stretch without a fix on any of them; ``above_best``, the share by
         which the cost exceeds the least one; ``num_changed``, how many routes differ from those at the best time, and
-        ``apart_m``, by how many metres at most (Hausdorff distance). Routes that never have a path are in no sum.
-        What the maps do not hold is left out.
+        ``apart_m``, by how many metres at most (Hausdorff distance; equally cheap ones may differ too). Routes that
+        never have a path are in no sum. What the maps do not hold is left out.
       routes: a row a time and route, as of `PlannedPaths.to_dataframe`, with the same of each: ``departure`` is the
         row of ``table``, ``query`` the number of the route.
       paths: of the rows of ``routes``.
@@ -58,7 +58,7 @@ class Departures(Shown):
             ends = table.loc[[self.best, table["cost"].idxmax()]]
             best, worst = (", ".join(filter(None, names)) for names in ends[TIMES].to_numpy())
             facts |= {"best": f"{best}, cost {ends['cost'].min():,.2f}"}
-            facts |= {"worst": f"{worst}, {ends['above_best'].max():.2%} above the best"}
+            facts |= {"worst": f"{worst}, {ends['above_best'].fillna(0).max():.2%} above the best"}
             changed, apart_m = (by_route["apart_m"].max() > 0).sum(), table["apart_m"].max()
             facts |= {"routes that change": f"{changed} of {len(by_route)}, by up to {apart_m:,.0f} m"}
         missing = self.routes[self.routes["cost"].isna()]
@@ -117,14 +117,14 @@ def when(
     sums = [*routes.filter(regex="^(cost|length_m|no_fix_m|exposure_.+)$")]
     flown = routes[routes.groupby("query")["cost"].transform("count") > 0]
     table = table.join(flown.groupby("departure")[sums].sum(min_count=flown["query"].nunique()))
-    table["above_best"] = table["cost"] / table["cost"].min() - 1
     # The first time stands for the best one where there is none.
     lines = np.reshape([_line(path) for path in paths], (len(table), -1))
     routes["apart_m"] = shapely.hausdorff_distance(lines, lines[Departures(table, routes, paths).best or 0]).ravel()
     routes["num_changed"] = routes["apart_m"] > 0
     of_time = routes.groupby("departure")
-    table["num_changed"] = of_time["num_changed"].sum()
-    return Departures(table.join(of_time[[*routes.filter(like="longest_"), "apart_m"]].max()), routes, paths)
+    table = table.join(of_time[[*routes.filter(like="longest_"), "apart_m"]].max())
+    table.insert(3, "above_best", table["cost"] / table["cost"].min() - 1)
+    return Departures(table.join(of_time["num_changed"].sum()), routes, paths)
 
 
 def _met(path: PlannedPath | None) -> dict[str, float]:

@@ -9,7 +9,8 @@ from jaxurban.paths.when import Departures
 from jaxurban.report.figures.frame import frame_note, joined
 from jaxurban.report.figures.style import SERIES_COLOURS, chart, dress, letter, styled
 
-MOST_TICKS, SIZE_IN = 12, (10.0, 2.6)
+MOST_TICKS, SIZE_IN = 8, (10.0, 3.0)
+FOOT = 0.05  # of the scales, below 0, so that marks there are whole
 LEAST_TOP = 10.0, 50.0  # of the scales, percent and metres, so that a small effect looks small
 
 
@@ -17,7 +18,7 @@ LEAST_TOP = 10.0, 50.0  # of the scales, percent and metres, so that a small eff
 def plot_when(departures: Departures, maps: GivenMaps) -> Figure:
     """Return the cost above the best time and the length without a fix by time, a line for each time of day.
 
-    At hollow marks a route differs from that at the best time. A line has a gap where a route has no path.
+    At hollow marks a route differs from the best time's. A line has a gap where a route has no path.
 
     Args:
       departures: from `jaxurban.when`.
@@ -32,14 +33,15 @@ def plot_when(departures: Departures, maps: GivenMaps) -> Figure:
     cost, no_fix = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     for colour, (name, part) in zip(SERIES_COLOURS, table.groupby(of, sort=False), strict=False):
         above, changed = 100 * part["above_best"], part["num_changed"] > 0
-        cost.plot(part["x"], above, "o-", color=colour, label=name or "as at the best time", clip_on=False)
-        cost.plot(part["x"][changed], above[changed], "o", color=colour, markerfacecolor="white", clip_on=False)
+        cost.plot(part["x"], above, "o-", color=colour, label=name or "the best time's route")
+        cost.plot(part["x"][changed], above[changed], "o", color=colour, markerfacecolor="white")
         if "no_fix_m" in part:
-            no_fix.plot(part["x"], part["no_fix_m"], color=colour, clip_on=False)
-    cost.plot([], [], "ok", markerfacecolor="white", label="a route differs")
+            no_fix.plot(part["x"], part["no_fix_m"], color=colour)
+    cost.plot([], [], "ok", markerfacecolor="white", label="a route differs\nfrom the best time's")
     cost.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02))
-    for number, (panel, label) in enumerate(zip(axes, ("above best (%)", "no fix (m)"), strict=True)):
-        panel.set(ylabel=letter(number, 2) + label, ylim=(0, max(LEAST_TOP[number], panel.get_ylim()[1])))
+    for number, (panel, label) in enumerate(zip(axes, ("cost above best (%)", "no fix (m)"), strict=True)):
+        top = max(LEAST_TOP[number], panel.get_ylim()[1])
+        panel.set(ylabel=letter(number, 2) + label, ylim=(-FOOT * top, top))
         dress(panel)
     figure.align_ylabels(axes)
     every = math.ceil(len(labels) / MOST_TICKS)
