@@ -20,6 +20,7 @@ from jaxurban.planners.base import Path, Planner, Problem, Status
 from jaxurban.planners.grid_search import graph_of
 
 SAME = 1e-9  # relative: an exposure that much above its budget keeps it, and a cost that near a bound meets it
+ENOUGH = 1e-6  # relative: what prices are not known better for
 STEEPEST = 1e3  # prices, in the highest cost of a known path for the exposure of the path without budgets
 MOST_SEARCHES = 100
 MOST_LABELS = 2_000_000  # some 200 MB
@@ -138,7 +139,7 @@ class _Search:
         prices = np.zeros(len(self.budgets))
         while not self.is_late:
             prices, most = self.prices()
-            enough = most - SAME * abs(most)
+            enough = most - ENOUGH * abs(most)
             if self.bound >= enough or self.run(prices) >= enough:
                 break
         return prices
