@@ -2,17 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from itertools import product
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import shapely
 
-from jaxurban.errors import InputError, typed
+from jaxurban.errors import InputError, taken_by, typed
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.paths.batch import plan_many
+from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.profile import VISIBLE, cautious_profile, without_fix
@@ -23,6 +23,7 @@ from jaxurban.progress import Progress
 from jaxurban.public import Shown, listed
 
 TIMES = ["time", "time_of_day"]
+SAME = 1e-9  # relative: routes that cost so nearly the same are as cheap
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,9 +34,9 @@ class Departures(Shown):
       table: a row a time: ``time`` (UTC) and ``time_of_day``; summed over the routes ``cost``, ``length_m``,
         ``no_fix_m`` (length in cells with fewer than four satellites) and ``exposure_*``, NaN where one of them has no
         path; ``longest_no_fix_m``, the longest stretch without a fix on any of them; ``above_best``, the share by
-        which the cost exceeds the least one; ``num_changed``, how many routes differ from those at the best time, and
-        ``apart_m``, by how many metres at most (Hausdorff distance; equally cheap ones may differ too). Routes that
-        never have a path are in no sum. What the maps do not hold is left out.
+        which the cost exceeds the least one; ``kept_above``, by which share a route of the best time costs more now
+        than this time's own, at most (inf where it is closed), and ``num_changed``, how many routes that is so of.
+        Routes that never have a path are in no sum. What the maps do not hold is left out.
       routes: a row a time and route, as of `PlannedPaths.to_dataframe`, with the same of each: ``departure`` is the
         row of ``table``, ``query`` the number of the route.
       paths: of the rows of ``routes``.
@@ -59,8 +60,8 @@ class Departures(Shown):
             best, worst = (", ".join(filter(None, names)) for names in ends[TIMES].to_numpy())
             facts |= {"best": f"{best}, cost {ends['cost'].min():,.2f}"}
             facts |= {"worst": f"{worst}, {ends['above_best'].fillna(0).max():.2%} above the best"}
-            changed, apart_m = (by_route["apart_m"].max() > 0).sum(), table["apart_m"].max()
-            facts |= {"routes that change": f"{changed} of {len(by_route)}, by up to {apart_m:,.0f} m"}
+            facts |= {"routes that change": f"{by_route['num_changed'].any().sum()} of {len(by_route)}"}
+            facts |= {"keeping those of the best": f"up to {table['kept_above'].max():.2%} more at another time"}
         missing = self.routes[self.routes["cost"].isna()]
         none = [f"route {query} at {number}" for query, number in missing.groupby("query").size().items()]
         why = f" ({missing['message'].iloc[0]})" if none else ""
@@ -117,12 +118,25 @@ def when(
     sums = [*routes.filter(regex="^(cost|length_m|no_fix_m|exposure_.+)$")]
     flown = routes[routes.groupby("query")["cost"].transform("count") > 0]
     table = table.join(flown.groupby("departure")[sums].sum(min_count=flown["query"].nunique()))
-    # The first time stands for the best one where there is none.
-    lines = np.reshape([_line(path) for path in paths], (len(table), -1))
-    routes["apart_m"] = shapely.hausdorff_distance(lines, lines[Departures(table, routes, paths).best or 0]).ravel()
-    routes["num_changed"] = routes["apart_m"] > 0
+    kept = [paths[(Departures(table, routes, paths).best or 0) * len(wanted) + query] for query in routes["query"]]
+    of_map = taken_by(cost_map, asked)
+
+    @lru_cache(maxsize=1)
+    def map_at(altitude_m: float, weights: tuple, departure: int) -> CostMap:
+        at = dict(zip(TIMES, table.loc[departure, TIMES], strict=True))
+        return cost_map(maps, altitude_m, **of_map | at | {"weights": dict(weights)})
+
+    def cost_at(path: PlannedPath | None, departure: int) -> float:
+        if path is None or not path.status.has_path:
+            return np.nan
+        on = map_at(path.altitude_m, tuple(path.settings["weights"].items()), departure)
+        return on.problem.features(path.search.points_m).cost(on.weight_vector)
+
+    kept_costs = np.array([*map(cost_at, kept, routes["departure"])])
+    routes["kept_above"] = np.maximum(kept_costs / routes["cost"] - 1, 0.0)
+    routes["num_changed"] = routes["kept_above"] > SAME
     of_time = routes.groupby("departure")
-    table = table.join(of_time[[*routes.filter(like="longest_"), "apart_m"]].max())
+    table = table.join(of_time[[*routes.filter(like="longest_"), "kept_above"]].max())
     table.insert(3, "above_best", table["cost"] / table["cost"].min() - 1)
     return Departures(table.join(of_time["num_changed"].sum()), routes, paths)
 
@@ -137,8 +151,3 @@ def _met(path: PlannedPath | None) -> dict[str, float]:
         stretches_m = [0.0, *(to_m - from_m for from_m, to_m in without_fix(profile))]
         met |= {"no_fix_m": sum(stretches_m), "longest_no_fix_m": max(stretches_m)}
     return met
-
-
-def _line(path: PlannedPath | None) -> shapely.LineString | None:
-    """Return a route's line, a place twice where it does not move; None without a path."""
-    return shapely.LineString(path.xy_m[[*range(len(path.xy_m)), -1]]) if path is not None and len(path.xy_m) else None
