@@ -1,6 +1,6 @@
 """The board, a benchmark of routes that planners of any kind can enter: its bundle, and the judge of routes."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from importlib.resources import files
@@ -14,49 +14,50 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.errors import InputError, readable, typed
-from jaxurban.io.files import digest_of
+from jaxurban.io.files import digest_of, whole_file
 from jaxurban.io.tables import read_table, records_of, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.build import build_maps
+from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
-from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.plan import cost_map
 from jaxurban.planners.any_angle import refine, theta_star
 from jaxurban.planners.astar import astar_plus
 from jaxurban.planners.base import Problem
 from jaxurban.planners.cost import CostModel
+from jaxurban.planners.exposure import within_budgets
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.write import save
 from jaxurban.samples.catalogue import SAMPLES
 from jaxurban.samples.cities import sample_city
+from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.world.synthetic import demo_city
 
 QUERIES, DEMONSTRATIONS, CHECKSUMS = "queries.csv", "demonstrations.csv", "CHECKSUMS"
 TEXTS = {"README.md": "report/templates/board.md", "CITATION.cff": "report/templates/board.cff"}
 TEXTS |= {"NOTICE.md": "samples/NOTICE.md"}
-ALTITUDE_M, RESOLUTION_M, DEMO_M = 20.0, 5.0, 2000.0
 DECIMALS = 4  # of costs: what the files hold is the truth
-LEAST_SHARE = 0.4  # of the map's shorter side, between the ends of a query
-DISTANCES = (0.1, 0.02, 0.5)  # weights of the distance, by turns; every layer weighs 1
-TRUTH = (0.1, 1.0, 0.3, 2.0, 0.6)  # weights of the demonstrations: of the distance, then of the layers
+DEMO_M = 2000.0  # side of the synthetic city
+TRUTH = {"w_distance": 0.1, "w_gps": 1.0, "w_lidar": 0.3, "w_population": 2.0, "w_risk": 0.6}  # of demonstrations
 ENDS = ["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
 ASKED, CLAIMED = ["track", "query", "route"], ["cost", "cpu_s"]
 LINE = ["method", "bundle", "track", "city"]  # what names a line of the board
 NEAR_M = 1e-3  # of ends, and on the grid of corners, to the centres of cells
+SAME, SAME_COST = 1e-9, 1e-6  # relative: an exposure that much above its budget keeps it; a claimed cost is true
 VALID, MISSING = "valid", "missing"
 STRETCH = 2 / np.sqrt(2 + np.sqrt(2))  # of the cheapest path along sides and diagonals of cells over the cheapest curve
 
 
 @typed
 def make_benchmark(
-    folder: str | Path, num_queries: int = 30, maps: Mapping[str, CostMap] | None = None, progress: Progress = False
+    folder: str | Path, num_queries: int = 30, maps: Mapping[str, MetricMaps] | None = None, progress: Progress = False
 ) -> Path:
     """Make the bundle of the board in a folder, the same bytes each time, and return its file of queries.
 
     Args:
       folder: where to; what an earlier call wrote there and nobody changed is replaced.
       num_queries: of each track in each city, and demonstrations of each city.
-      maps: cost maps by city under the ``line`` model; left out, the two cities of the package and the synthetic one,
+      maps: of the cities, whose lowest altitude counts; left out, the two cities of the package and the synthetic one,
         which takes some minutes of one core.
       progress: a bar or lines in the log, or a function of stage, done and total.
 
@@ -67,64 +68,74 @@ def make_benchmark(
       >>> import tempfile
       >>> import jaxurban as ju
       >>> maps = ju.build_maps(ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=(20.0,))
-      >>> queries = ju.studies.make_benchmark(tempfile.mkdtemp(), 2, {"synthetic": ju.cost_map(maps, 20.0)})
+      >>> queries = ju.studies.make_benchmark(tempfile.mkdtemp(), 2, {"synthetic": maps})
       >>> len(queries.read_text().splitlines())
-      7
+      9
     """
-    folder, outputs, queries, shown = Path(folder), dict[str, Any](), list[dict[str, Any]](), list[dict[str, Any]]()
-    with reporting("score --make", progress) as report:
-        for seed, (city, on) in enumerate((_cities() if maps is None else maps).items()):
-            problem, names = on.problem.with_costs(np.round(on.costs, DECIMALS)), ("distance", *on.names)
-            side_m, length_m = problem.resolution_m, problem.cost_model.reference_length_m
+    maps, folder, outputs = city_maps() if maps is None else maps, Path(folder), dict[str, Any]()
+    queries, shown, names = list[dict[str, Any]](), list[dict[str, Any]](), [QUERIES, DEMONSTRATIONS, CHECKSUMS, *TEXTS]
+    names += [f"{city}.npz" for city in maps]
+    with (
+        Workspace.open(folder, "score --make", names=names, is_shared=True),
+        reporting("score --make", progress) as report,
+    ):
+        for seed, (city, made) in enumerate(maps.items()):
+            on = cost_map(made, made.altitudes_m[0], cost_model="line")
+            problem, weighed = on.problem.with_costs(np.round(on.costs, DECIMALS)), ["distance", *on.names]
             facts: dict[str, Any] = {"layers": on.names, "crs": on.grid.crs, "west_south_m": on.grid.bounds_m[:2]}
-            facts |= {"costs": problem.costs, "is_free": problem.is_free}
-            outputs[f"{city}.npz"] = partial(_pack, facts | {"resolution_m": side_m, "reference_length_m": length_m})
-            for turn, (start, goal) in enumerate(_drawn(problem.islands, 2 * num_queries, seed)):
-                report(city, turn, 2 * num_queries)
-                asked = problem.between(tuple(start), tuple(goal))
-                route = astar_plus(asked.with_weights(np.array(TRUTH[: len(names)])))
-                if turn >= num_queries:
-                    shown.append({"city": city, "route": shapely.LineString(route.points_m).wkt})
-                    continue
-                weights = np.array([DISTANCES[turn % len(DISTANCES)], *np.ones(len(on.names))])
-                weighed = asked.with_weights(weights)
-                grid, any_angle = astar_plus(weighed).cost, refine(weighed, theta_star(weighed)).cost
-                of_track = {"grid": (weights, grid, grid), "any-angle": (weights, corner_bound(weighed), any_angle)}
-                of_track["weights"] = (np.array(TRUTH), route.cost, route.cost)
-                for track, (under, bound, best) in of_track.items():
-                    row = {"track": track, "query": f"{city}-{turn:02}", "city": city}
-                    row |= dict(zip(ENDS, route.points_m[[0, -1]].ravel(), strict=True))
-                    row |= {f"w_{name}": weight for name, weight in zip(names, under, strict=False)}
-                    queries.append(row | {"bound": bound, "best": best})
-    outputs |= {name: (files("jaxurban") / text).read_text(encoding="utf-8") for name, text in TEXTS.items()}
-    outputs |= {QUERIES: pd.DataFrame(queries), DEMONSTRATIONS: pd.DataFrame(shown)}
-    with Workspace.open(folder, "score --make", names=[*outputs, CHECKSUMS], is_shared=True):
+            facts |= {"resolution_m": problem.resolution_m, "reference_length_m": on.cost_model.reference_length_m}
+            outputs[f"{city}.npz"] = partial(_pack, facts | {"costs": problem.costs, "is_free": problem.is_free})
+            drawn = sample_joined(made, 2 * num_queries, altitudes_m=made.altitudes_m[:1], cost_model="line", seed=seed)
+            drawn[ENDS] -= np.tile(on.grid.bounds_m[:2], 2)
+            for turn, row in enumerate(records_of(drawn[[*ENDS, *(f"w_{name}" for name in weighed)]])):
+                report(city, turn, len(drawn))
+                row = {"city": city, "query": f"{city}-{turn:02}"} | row
+                if turn < num_queries:
+                    queries += _asked_of(problem, weighed, row, on.names[turn % len(on.names)])
+                else:
+                    route = astar_plus(problem_of(problem, weighed, row | TRUTH)).points_m
+                    shown.append({"city": city, "route": shapely.LineString(route).wkt})
+        outputs |= {name: (files("jaxurban") / text).read_text(encoding="utf-8") for name, text in TEXTS.items()}
+        outputs |= {QUERIES: pd.DataFrame(queries), DEMONSTRATIONS: pd.DataFrame(shown)}
         sums = "".join(f"{digest_of(file)}  {file.name}\n" for file in save(folder, outputs))
         save(folder, {CHECKSUMS: sums})
     return folder / QUERIES
 
 
-def _cities() -> dict[str, CostMap]:
-    """Return the cost maps of the cities in the package and of the synthetic one, by day."""
+def city_maps() -> dict[str, MetricMaps]:
+    """Return the maps of the cities in the package and of the synthetic one."""
     cities = {name: sample_city(name) for name in SAMPLES} | {"synthetic": demo_city(DEMO_M, DEMO_M)}
-    made = {
-        name: build_maps(each, resolution_m=RESOLUTION_M, altitudes_m=[ALTITUDE_M]) for name, each in cities.items()
-    }
-    return {name: cost_map(maps, ALTITUDE_M, cost_model="line") for name, maps in made.items()}
+    return {name: build_maps(each, resolution_m=5.0, altitudes_m=(20.0,)) for name, each in cities.items()}
 
 
 def _pack(arrays: Mapping[str, Any], file: Path) -> None:
     """Write a compressed .npz, whose entries NumPy dates 1980: the same arrays give the same bytes."""
-    with file.open("wb") as stream:
+    with whole_file(file) as scratch, scratch.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
 
 
-def _drawn(islands: np.ndarray, num: int, seed: int) -> list[list[list[int]]]:
-    """Return pairs of cells of the largest part that paths join, at least `LEAST_SHARE` from each other."""
-    cells = np.argwhere(islands == 1 + np.argmax(np.bincount(islands.ravel())[1:]))
-    pairs = cells[np.random.default_rng(seed).integers(len(cells), size=(20 * num, 2))]
-    is_far = np.hypot(*(pairs[:, 1] - pairs[:, 0]).T) >= LEAST_SHARE * min(islands.shape)
-    return pairs[is_far][:num].tolist()
+def problem_of(problem: Problem, names: list[str], row: Mapping[str, Any]) -> Problem:
+    """Return the planners' view of a query on its city's map."""
+    x0, y0, x1, y1 = (int(row[end] // problem.resolution_m) for end in ENDS)
+    return problem.between((y0, x0), (y1, x1)).with_weights(np.array([row[f"w_{name}"] for name in names]))
+
+
+def _asked_of(problem: Problem, names: list[str], row: dict[str, Any], layer: str) -> Iterator[dict[str, Any]]:
+    """Yield a query of each track, with a lower bound and the cost of the best route known."""
+    asked, column = problem_of(problem, names, row), names.index(layer)
+    routes = [astar_plus(asked), astar_plus(asked.with_weights(np.eye(len(names))[column]))]
+    budget = float(np.mean([asked.features(route.points_m).phi[column] for route in routes]))
+    within = within_budgets(asked, astar_plus, {layer: budget}, names[1:], budget_s=np.inf, seed=0)
+    true = astar_plus(problem_of(problem, names, row | TRUTH)).cost
+    any_angle = refine(asked, theta_star(asked)).cost
+    yield row | {"track": "grid", "bound": routes[0].cost, "best": routes[0].cost}
+    yield row | {"track": "any-angle", "bound": corner_bound(asked), "best": any_angle}
+    yield row | {"track": "budget", "bound": within.lower_bound, "best": within.cost, "layer": layer, "budget": budget}
+    yield (
+        row
+        | {key: value for key, value in TRUTH.items() if key in row}
+        | {"track": "weights", "bound": true, "best": true}
+    )
 
 
 def corner_bound(problem: Problem) -> float:
@@ -175,10 +186,10 @@ def score(
       method: name on the board; left out, that of the file.
 
     Returns:
-      A line a track and city: how many routes were asked, are valid, missing and refused and why, the median, 90 % and
-      largest ``gap``, the median of ``over_best`` and of the CPU seconds claimed. And a row a route: ``outcome``,
-      ``cost``, ``gap`` to the bound and ``over_best``, the best route known (0.01: 1 % costlier; inf of a route that
-      is not valid). A track is entered by one row of it; then all its queries are asked, and what fails counts as inf.
+      A line a track and city: how many routes were asked, are valid, failed and why, and claim another cost than they
+      have; the median, 90 % and largest ``gap``, the median of ``over_best`` and of the CPU seconds claimed. And a row
+      a route: ``outcome``, ``cost``, ``gap`` to the bound and ``over_best``, the best route known (0.01: 1 % costlier;
+      inf of a route that is not valid). A track is entered by one row of it; then all its queries are asked.
 
     Raises:
       InputError: a bundle that was changed; a file that is no table, lacks a column, holds no row, answers what is not
@@ -197,31 +208,24 @@ def score(
     given = table.set_index(["track", "query"]).index
     wrong = ~given.isin(asked.set_index(["track", "row"]).index) | given.duplicated()
     if table.empty or wrong.any():
-        what = (
-            f"answers {' '.join(map(str, given[wrong][0]))}, twice or not in {QUERIES}" if wrong.any() else "is empty"
-        )
-        raise InputError(f"{str(submission)!r} {what}: write one row for each query of a track")
+        what = f"answers {' '.join(map(str, given[wrong][0]))}, not asked or twice" if wrong.any() else "is empty"
+        raise InputError(f"{str(submission)!r} {what}: write one row for each query of a track in {QUERIES}")
     table = table.reindex(columns=[*ASKED, *CLAIMED]).rename(columns={"query": "row"})
     routes = asked[asked["track"].isin(table["track"])].merge(table, "left", ["track", "row"], indicator="outcome")
-    cities = {city: _unpacked(folder / f"{city}.npz") for city in {*routes["city"]}}
-    verdicts = [_judged(*cities[row["city"]], row) for row in records_of(routes)]
+    cities = {city: unpacked(folder / f"{city}.npz") for city in {*routes["city"]}}
     claims = {f"claimed_{name}": pd.to_numeric(routes[name], errors="coerce") for name in CLAIMED}
-    routes[["outcome", "cost"]] = verdicts
-    routes = routes.assign(
-        gap=routes["cost"] / routes["bound"] - 1, over_best=routes["cost"] / routes["best"] - 1, **claims
-    )
-    lines = pd.DataFrame(
-        [
-            dict(zip(LINE, (method, digest_of(sums)[:12], *of), strict=True)) | _summary(each)
-            for of, each in routes.groupby(["track", "city"], sort=False)
-        ]
-    )
+    verdicts = [_judged(*cities[row["city"]], row) for row in records_of(routes)]
+    routes["outcome"], routes["cost"] = zip(*verdicts, strict=True)
+    gaps = {name: routes["cost"] / routes[of] - 1 for name, of in (("gap", "bound"), ("over_best", "best"))}
+    routes, key = routes.assign(**gaps, **claims), digest_of(sums)[:12]
+    parts = routes.groupby(["track", "city"], sort=False)
+    lines = pd.DataFrame([dict(zip(LINE, (method, key, *of), strict=True)) | _summary(each) for of, each in parts])
     if board is not None:
         _enter(lines, Path(board))
     return lines, routes[["track", "query", "city", "outcome", "cost", "gap", "over_best", *claims]]
 
 
-def _unpacked(file: Path) -> tuple[Problem, list[str]]:
+def unpacked(file: Path) -> tuple[Problem, list[str]]:
     """Return a city's map, from its first free cell to itself, and its weights' names."""
     with np.load(file) as city:
         free = tuple(np.argwhere(city["is_free"])[0].tolist())
@@ -234,9 +238,7 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
     """Return the outcome of a query, and the cost of its route, inf where that is not valid."""
     if row["outcome"] == "left_only":
         return MISSING, np.inf
-    side_m, ends_m = problem.resolution_m, np.reshape([row[end] for end in ENDS], (2, 2))
-    start, goal = (ends_m[:, ::-1] // side_m).astype(int).tolist()
-    problem = problem.between(tuple(start), tuple(goal)).with_weights(np.array([row[f"w_{name}"] for name in names]))
+    problem, side_m, ends_m = problem_of(problem, names, row), problem.resolution_m, [row[end] for end in ENDS]
     if row["track"] == "weights":
         weights = Weights.parse(str(row["route"]), Weights(**dict.fromkeys(names, 0.0))).vector(names)
         return VALID, problem.cost_of(astar_plus(problem.with_weights(weights)).points_m)
@@ -245,9 +247,11 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
     points_m = shapely.get_coordinates(line)
     if not isinstance(line, shapely.LineString) or not len(points_m) or not np.isfinite(points_m).all():
         return "no line", np.inf
-    if np.abs(points_m[[0, -1]] - ends_m).max() > NEAR_M:
+    if np.abs(points_m[[0, -1]].ravel() - ends_m).max() > NEAR_M:
         return "wrong ends", np.inf
-    points_m[[0, -1]] = ends_m
+    points_m[[0, -1]] = np.reshape(ends_m, (2, 2))
+    if (points_m < 0).any() or (points_m > np.array(problem.is_free.shape[::-1]) * side_m).any():
+        return "leaves the map", np.inf
     if row["track"] != "any-angle":
         cells = points_m // side_m
         centres_m, legs = (cells + 0.5) * side_m, np.abs(np.diff(cells, axis=0))
@@ -255,22 +259,22 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
         if np.abs(points_m - centres_m).max() > NEAR_M or not is_straight.all():
             return "off the grid", np.inf
         points_m, problem = centres_m, replace(problem, leg_margin_m=NEAR_M * side_m)  # keeps diagonals from corners
-    cost = problem.cost_of(points_m)
-    return VALID if np.isfinite(cost) else "not free", cost
+    sums = problem.features(points_m)
+    if sums.is_valid and row["track"] == "budget" and sums.phi[names.index(row["layer"])] > row["budget"] * (1 + SAME):
+        return "over budget", np.inf
+    return VALID if sums.is_valid else "not free", sums.cost(problem.weights)
 
 
 def _summary(routes: pd.DataFrame) -> dict[str, Any]:
     """Return the counts and gaps of a track in a city; each quantile is a route's own value."""
-    num, gap = routes["outcome"].value_counts(), routes["gap"]
-    refused = num.drop([VALID, MISSING], errors="ignore")
-    counts = {
+    is_valid, gap, claims = routes["outcome"] == VALID, routes["gap"], routes["claimed_cost"]
+    is_other = is_valid & claims.notna() & ~np.isclose(claims, routes["cost"], rtol=SAME_COST, atol=0)
+    failed = routes.loc[~is_valid, "outcome"].value_counts()
+    return {
         "asked": len(routes),
-        "valid": num.get(VALID, 0),
-        "missing": num.get(MISSING, 0),
-        "refused": refused.sum(),
-    }
-    return counts | {
-        "reasons": "; ".join(f"{count} {reason}" for reason, count in refused.items()),
+        "valid": is_valid.sum(),
+        "failed": "; ".join(f"{count} {reason}" for reason, count in failed.items()),
+        "false_claims": is_other.sum(),
         **{f"gap_{name}": gap.quantile(q, "higher") for name, q in (("median", 0.5), ("90", 0.9), ("worst", 1.0))},
         "over_best_median": routes["over_best"].quantile(0.5, "higher"),
         "cpu_s_median": routes["claimed_cpu_s"].median(),
