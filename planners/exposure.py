@@ -182,19 +182,20 @@ def within_budgets(
     if not is_over and problem.levels_m is None and (best is None or best.cost > search.bound * (1 + SAME)):
         num_labels, is_over = search.close(prices)
         best = search.best
-    status = Status.OVER_EXPOSURE if is_over else Status.BUDGET_EMPTY
-    notes = [f"The budgets took {len(search.paths)} searches" + f" and {num_labels:,} labels" * (num_labels > 0) + "."]
+    status, bound = (Status.OVER_EXPOSURE, np.inf) if is_over else (Status.BUDGET_EMPTY, search.bound)
+    kept = " and ".join(f"{name} <= {most:g}" for name, most in budgets.items())
+    note = f"That is of the paths that keep {kept} (searches: {len(search.paths)}, labels: {num_labels:,})."
     if best is not None:
-        is_best = best.cost * (1 - 2 * SAME) <= search.bound
+        is_best = best.cost * (1 - 2 * SAME) <= bound
         status = Status.OPTIMAL if is_best else Status.BUDGET_FEASIBLE if search.is_late else Status.FEASIBLE
-    elif not is_over:
-        notes.append("No path that keeps them was found, and none is excluded.")
-    else:
+    elif is_over:
         said = ", ".join(f"{value:.6g} to {name}" for name, value in zip(budgets, least, strict=True))
-        notes.append(f"The least exposure that any path has is {said}.")
-    done = {"num_expanded": sum(path.num_expanded for path in search.paths) + num_labels, "note": " ".join(notes)}
+        note = f"The least exposure that any path has{' to each alone' * (len(least) > 1)} is {said}."
+    else:
+        note = f"Whether any path keeps {kept} is not known: raise budget_s, or a budget of exposure."
+    done = {"num_expanded": sum(path.num_expanded for path in search.paths) + num_labels, "note": note}
     points_m = np.empty(0) if best is None else best.points_m
-    return Path.of(problem, points_m, status, search.bound, begin_s, **first.ran | done)
+    return Path.of(problem, points_m, status, bound, begin_s, **first.ran | done)
 
 
 @compiled(nogil=True)
