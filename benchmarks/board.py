@@ -27,7 +27,7 @@ from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.bitstar.bounds import cost_grid_of, reachable_cells
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.report.write import write_png
-from jaxurban.studies.board import city_maps, problem_of, unpacked
+from jaxurban.studies.board import city_maps, problem_of, score, unpacked
 from jaxurban.studies.demonstrations import demonstration_from_line
 
 MOST_GAP = 0.8  # that is drawn
@@ -184,7 +184,7 @@ def main() -> None:
     for name, rows in submissions.items():
         file = options.output / f"{name}.csv"
         pd.DataFrame(rows).to_csv(file, index=False)
-        print(ju.studies.score(options.bench, file, options.output / "board.csv")[0].to_string())
+        print(score(options.bench, file, options.output / "board.csv")[0].to_string())
     draw(pd.read_csv(options.output / "board.csv"), options.output / "board.png")
 
 

@@ -4,8 +4,6 @@ from jaxurban.report.buildings import write_buildings as write_buildings
 from jaxurban.report.montecarlo import study as study
 from jaxurban.report.run_sensitivity import sensitivity_study as sensitivity_study
 from jaxurban.report.sensitivity_study import SensitivityStudy as SensitivityStudy
-from jaxurban.studies.board import make_benchmark as make_benchmark
-from jaxurban.studies.board import score as score
 from jaxurban.studies.map_comparison import MapComparison as MapComparison
 from jaxurban.studies.map_comparison import compare as compare
 from jaxurban.studies.montecarlo.sampling import sample_instances as sample_instances

@@ -63,14 +63,6 @@ def make_benchmark(
 
     Raises:
       InputError: the folder cannot be written to, or holds other files of these names.
-
-    Example:
-      >>> import tempfile
-      >>> import jaxurban as ju
-      >>> maps = ju.build_maps(ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=(20.0,))
-      >>> queries = ju.studies.make_benchmark(tempfile.mkdtemp(), 2, {"synthetic": maps})
-      >>> len(queries.read_text().splitlines())
-      9
     """
     maps, folder, outputs = city_maps() if maps is None else maps, Path(folder), dict[str, Any]()
     queries, shown, names = list[dict[str, Any]](), list[dict[str, Any]](), [QUERIES, DEMONSTRATIONS, CHECKSUMS, *TEXTS]

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 import jaxurban as ju
 from jaxurban.planners.any_angle import refine, theta_star
 from jaxurban.planners.base import Problem
-from jaxurban.studies.board import MISSING, STRETCH, VALID, corner_bound
+from jaxurban.studies.board import MISSING, STRETCH, VALID, corner_bound, make_benchmark, score
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 
@@ -77,9 +77,7 @@ def submitted(folder: Path, *rows: tuple, columns=("track", "query", "route", "c
 
 @pytest.mark.parametrize(("route", "why"), CHEATS.items())
 def test_a_route_that_cheats_is_refused_for_what_it_does(route, why, bench, tmp_path):
-    lines, routes = ju.studies.score(
-        bench, submitted(tmp_path, ("grid", "town-0", route, 1.0), ("grid", "town-1", AROUND, 6.0))
-    )
+    lines, routes = score(bench, submitted(tmp_path, ("grid", "town-0", route, 1.0), ("grid", "town-1", AROUND, 6.0)))
     assert routes["outcome"].tolist() == [why, VALID]
     (line,) = lines.to_dict("records")
     assert (line["asked"], line["valid"], line["failed"]) == (2, 1, f"1 {why}")
@@ -92,33 +90,31 @@ def test_at_any_angle_a_corner_may_be_cut_but_not_passed_between_two_closed_cell
     file = submitted(
         tmp_path, ("any-angle", "town-0", past_one), ("any-angle", "town-1", "LINESTRING (2.5 2.5, 3.5 3.5)")
     )
-    _, routes = ju.studies.score(bench, file)
+    _, routes = score(bench, file)
     assert routes["outcome"].tolist() == [VALID, "not free"]
     assert routes["cost"][0] == pytest.approx(math.hypot(0.3, 0.6) + 1.4 + 1.6 + 0.7, rel=1e-12)
 
 
 def test_a_route_keeps_its_budget_or_is_refused(bench, tmp_path):
     north = "LINESTRING (2.5 2.5, 1.5 2.5, 1.5 4.5, 3.5 4.5, 3.5 3.5)"
-    _, routes = ju.studies.score(bench, submitted(tmp_path, ("budget", "town-0", AROUND), ("budget", "town-1", north)))
+    _, routes = score(bench, submitted(tmp_path, ("budget", "town-0", AROUND), ("budget", "town-1", north)))
     assert routes["outcome"].tolist() == ["over budget", VALID]
     assert routes["gap"].tolist() == [math.inf, 0.0]
 
 
 def test_a_cost_of_its_own_is_shown_and_not_believed(bench, tmp_path):
-    lines, routes = ju.studies.score(
-        bench, submitted(tmp_path, ("grid", "town-0", AROUND, 3.0), ("grid", "town-1", AROUND, 6.0))
-    )
+    lines, routes = score(bench, submitted(tmp_path, ("grid", "town-0", AROUND, 3.0), ("grid", "town-1", AROUND, 6.0)))
     assert lines["false_claims"].tolist() == [1]
     assert routes[["claimed_cost", "cost"]].to_numpy().tolist() == [[3.0, 6.0], [6.0, 6.0]]
 
 
 def test_queries_without_a_row_count_as_missing_where_the_track_is_entered(bench, tmp_path):
-    _, routes = ju.studies.score(bench, submitted(tmp_path, ("grid", "town-1", AROUND)))
+    _, routes = score(bench, submitted(tmp_path, ("grid", "town-1", AROUND)))
     assert routes[["track", "outcome"]].to_numpy().tolist() == [["grid", MISSING], ["grid", VALID]]
 
 
 def test_weights_are_scored_by_the_routes_that_they_plan(bench, tmp_path):
-    _, routes = ju.studies.score(bench, submitted(tmp_path, ("weights", "town", "distance=3,gps=9")))
+    _, routes = score(bench, submitted(tmp_path, ("weights", "town", "distance=3,gps=9")))
     assert routes["gap"].tolist() == [0.0, 0.0]
 
 
@@ -147,7 +143,7 @@ def test_what_is_no_submission_ends_in_one_sentence_and_writes_nothing(content, 
 def test_making_leaves_a_file_of_the_user_alone(tmp_path):
     (tmp_path / "town.npz").write_text("mine")
     with pytest.raises(ju.InputError, match=r"town\.npz"):
-        ju.studies.make_benchmark(tmp_path, 1, {"town": made_maps(24, 30)})
+        make_benchmark(tmp_path, 1, {"town": made_maps(24, 30)})
     assert [file.read_text() for file in tmp_path.iterdir()] == ["mine"]
 
 
@@ -195,7 +191,7 @@ def test_no_route_that_any_planner_finds_is_below_the_bound():
 
 def test_an_outside_planner_that_reads_the_files_alone_meets_every_bound_of_the_grid(tmp_path):
     maps = {"town": made_maps(24, 30)}
-    first, again, _ = (ju.studies.make_benchmark(tmp_path / name, 3, maps) for name in ("bench", "again", "again"))
+    first, again, _ = (make_benchmark(tmp_path / name, 3, maps) for name in ("bench", "again", "again"))
     for file in first.parent.glob("[!c]*"):
         assert file.read_bytes() == (again.parent / file.name).read_bytes(), file.name
     with np.load(tmp_path / "bench" / "town.npz") as held:
@@ -213,7 +209,7 @@ def test_an_outside_planner_that_reads_the_files_alone_meets_every_bound_of_the_
                     [int(float(query[f"{end}_{axis}_m"]) // side_m) for axis in "yx"] for end in ("start", "goal")
                 )
                 rows.append((query["track"], query["query"], shortest(rate * side_m, is_free, start, goal, side_m)))
-    _, routes = ju.studies.score(first.parent, submitted(tmp_path, *rows))
+    _, routes = score(first.parent, submitted(tmp_path, *rows))
     assert set(routes["outcome"]) == {VALID}
     gap = routes.groupby("track")["gap"].max()
     assert gap["grid"] == pytest.approx(0, abs=1e-6)  # costs are float32
