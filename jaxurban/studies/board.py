@@ -13,7 +13,7 @@ import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from jaxurban.errors import InputError, readable, typed
+from jaxurban.errors import InputError, readable
 from jaxurban.io.files import digest_of, whole_file
 from jaxurban.io.tables import read_table, records_of, write_table
 from jaxurban.io.workspace import Workspace
@@ -48,7 +48,6 @@ VALID, MISSING = "valid", "missing"
 STRETCH = 2 / np.sqrt(2 + np.sqrt(2))  # of the cheapest path along sides and diagonals of cells over the cheapest curve
 
 
-@typed
 def make_benchmark(
     folder: str | Path, num_queries: int = 30, maps: Mapping[str, MetricMaps] | None = None, progress: Progress = False
 ) -> Path:
@@ -162,7 +161,6 @@ def corner_bound(problem: Problem) -> float:
     return float(between / STRETCH + (inner[problem.start] + inner[problem.goal]) / 2)
 
 
-@typed
 def score(
     folder: str | Path, submission: str | Path, board: str | Path | None = None, method: str = ""
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -173,8 +171,8 @@ def score(
       submission: a .csv or .parquet file, a row a route: ``track``, ``query``, ``route`` (WKT LINESTRING in metres from
         the map's southwest corner); in the track ``weights`` a row a city, whose name is the ``query``, with weights
         such as ``distance=0.1,gps=1`` as ``route``. ``cost`` and ``cpu_s`` may be claimed.
-      board: CSV file of the board, in which the lines replace those of the same method and bundle; none is written
-        where it is left out.
+      board: CSV file of the board, in which the lines replace those of the same method, bundle and track; none is
+        written where it is left out.
       method: name on the board; left out, that of the file.
 
     Returns:
@@ -232,8 +230,8 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
         return MISSING, np.inf
     problem, side_m, ends_m = problem_of(problem, names, row), problem.resolution_m, [row[end] for end in ENDS]
     if row["track"] == "weights":
-        weights = Weights.parse(str(row["route"]), Weights(**dict.fromkeys(names, 0.0))).vector(names)
-        return VALID, problem.cost_of(astar_plus(problem.with_weights(weights)).points_m)
+        weights = Weights.parse(str(row["route"]), Weights(**dict.fromkeys(names, 0.0))).checked(names)
+        return VALID, problem.cost_of(astar_plus(problem.with_weights(weights.vector(names))).points_m)
     with np.errstate(invalid="ignore"):  # of NaN
         line = shapely.from_wkt(str(row["route"]), on_invalid="ignore")
     points_m = shapely.get_coordinates(line)
@@ -274,10 +272,10 @@ def _summary(routes: pd.DataFrame) -> dict[str, Any]:
 
 
 def _enter(lines: pd.DataFrame, file: Path) -> None:
-    """Write lines into a board, in place of those of the same method and bundle."""
+    """Write lines into a board, in place of those of the same method, bundle, track and city."""
+    lines = lines.set_index(LINE)
     with Workspace.open(file.parent, "score", names=[file.name], is_shared=True):
         if file.exists():
-            board = read_table(file, "board")
-            is_other = (board["method"] != lines["method"][0]) | (board["bundle"] != lines["bundle"][0])
-            lines = pd.concat([board.loc[is_other], lines])
-        write_table(lines.sort_values(LINE), file)
+            board = read_table(file, "board").set_index(LINE)
+            lines = pd.concat([board.drop(lines.index, errors="ignore"), lines])
+        write_table(lines.sort_index().reset_index(), file)

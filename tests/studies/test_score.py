@@ -128,6 +128,7 @@ def test_weights_are_scored_by_the_routes_that_they_plan(bench, tmp_path):
         (f'track,query,route\nfast,town-0,"{AROUND}"\n', ("track", "fast")),
         ("track,query,route\nweights,town,gps=fast\n", ("gps=fast",)),
         ("track,query,route\nweights,town,gps=-1\n", ("gps",)),
+        ("track,query,route\nweights,town,noice=1\n", ("noice", "noise")),
         ("\0\0", ("planner.csv",)),
     ],
 )
@@ -164,7 +165,10 @@ def test_a_board_keeps_other_methods_and_replaces_the_lines_of_the_same(bench, t
     assert json.loads(out)["board"][0]["valid"] == 1
     file = submitted(tmp_path, ("grid", "town-0", AROUND), ("grid", "town-1", AROUND))
     run(capsys, "score", bench, file, "-o", board, "--method", "first")
-    assert pd.read_csv(board)[["method", "valid"]].to_numpy().tolist() == [["first", 2], ["second", 1]]
+    file = submitted(tmp_path, ("weights", "town", "distance=1"))
+    run(capsys, "score", bench, file, "-o", board, "--method", "second")
+    lines = pd.read_csv(board)[["method", "track", "valid"]].to_numpy().tolist()
+    assert lines == [["first", "grid", 2], ["second", "grid", 1], ["second", "weights", 2]]
     board.write_text("mine")
     code, _, err = run(capsys, "score", bench, file, "-o", board)
     assert code == 2
