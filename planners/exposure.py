@@ -52,7 +52,8 @@ class _Search:
         end_s: float,
     ) -> None:
         self.problem, self.planner, self.seed, self.end_s = problem, planner, seed, end_s
-        self.columns, self.budgets = 1 + np.array(layers), np.array([*budgets])
+        self.columns = 1 + np.array(layers)
+        self.budgets = np.minimum([*budgets], _most_exposures(problem)[self.columns - 1])  # sums stay precise
         self.units = np.ones(len(self.budgets))
         self.known: list[_Known] = []
         self.paths: list[Path] = []
@@ -64,6 +65,7 @@ class _Search:
         weights[self.columns] += prices / self.units
         left_s = max(self.end_s - time.perf_counter(), 0.0)
         path = self.planner(self.problem.with_weights(weights), budget_s=left_s, seed=self.seed)
+        self.end_s += path.setup_s  # compiling is of no budget
         self.paths.append(path)
         if path.status.has_path:
             self.add(path.points_m)
@@ -145,6 +147,14 @@ class _Search:
         return prices
 
 
+def _most_exposures(problem: Problem) -> np.ndarray:
+    """Return ``[L]`` what no path exceeds that is nowhere twice, so that a larger budget asks for nothing more."""
+    climb_m = 0.0 if problem.levels_m is None else np.diff(problem.levels_m).max(initial=0.0)
+    step_m = np.hypot(np.sqrt(2) * problem.resolution_m, climb_m)
+    sums = problem.costs.sum(axis=tuple(range(1, problem.costs.ndim)), dtype=np.float64, where=problem.is_free)
+    return 2 * sums * step_m / problem.cost_model.reference_length_m  # twice, for rounding
+
+
 def within_budgets(
     problem: Problem,
     planner: Planner,
@@ -195,7 +205,7 @@ def within_budgets(
         note = f"Whether any path keeps {kept} is not known: raise budget_s, or a budget of exposure."
     done = {"num_expanded": sum(path.num_expanded for path in search.paths) + num_labels, "note": note}
     points_m = np.empty(0) if best is None else best.points_m
-    return Path.of(problem, points_m, status, bound, begin_s, **first.ran | done)
+    return Path.of(problem, points_m, status, bound, begin_s + first.setup_s, **first.ran | done)
 
 
 @compiled(nogil=True)

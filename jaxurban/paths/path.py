@@ -246,7 +246,7 @@ def _note(on: "CostMap", path: Path, ends: tuple[End, End]) -> str:
     has_path = path.status.has_path
     notes = [path.note]
     if not on.is_weighed and on.objective == "weighted":
-        notes = ["All weights are zero, so every path is as cheap: the distance was minimised instead."]
+        notes.append("All weights are zero, so every path is as cheap: the distance was minimised instead.")
     notes.append(snap_note(*ends))
     if kept := kept_said(on.constraints.to_dict(), on.grid.resolution_m):
         notes.append(f"Distance to obstacles: {on.constraints.horizontal_m:g} m asked, {kept}.")

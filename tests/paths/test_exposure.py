@@ -55,6 +55,12 @@ def test_a_path_is_not_simplified_beyond_its_budget(on, ends):
     assert kept
 
 
+def test_the_least_exposure_is_said_under_weights_of_zero_too(on, ends):
+    path = on.with_weights(dict.fromkeys(DISTANCE, 0.0)).plan(**ends, exposure={"gps": 0.001})
+    assert path.status is Status.OVER_EXPOSURE
+    assert re.search(r"any path has is [\d.]+ to gps.* All weights are zero", path.message)
+
+
 def test_a_volume_keeps_budgets_too(maps, ends):
     volume = ju.cost_map(maps, ju.Levels(), weights=DISTANCE)
     free = volume.plan(**ends).exposure_by_layer["gps"]

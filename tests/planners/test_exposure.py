@@ -1,6 +1,8 @@
 """Budgets of exposure: against SciPy's Dijkstra over (cell, exposure), and against all undominated labels."""
 
 import itertools
+import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -148,3 +150,39 @@ def test_a_budget_of_seconds_ends_the_search_with_what_is_known():
     path = exposure.within_budgets(problem, planner, {"people": most}, NAMES, budget_s=0.0, seed=0)
     assert path.status is Status.BUDGET_EMPTY
     assert late == [0.0]
+
+
+def made_to_choose():
+    """Return a map whose cheapest path is not the least exposed one, the least exposure and that of the cheapest."""
+    problem = made(0, (20, 24), 8)
+    for seed in range(1, 50):
+        least, first = astar_plus(alone(problem, 0)).cost, problem.features(astar_plus(problem).points_m).phi[1]
+        if 1 < least < 0.9 * first < np.inf:
+            return problem, least, first
+        problem = made(seed, (20, 24), 8)
+    raise AssertionError("no such map")
+
+
+@pytest.mark.parametrize("most", [1e15, 1e20, 1e300])
+def test_a_budget_beyond_all_paths_changes_neither_the_path_nor_the_least_exposures(most):
+    problem, least, first = made_to_choose()
+    other = astar_plus(alone(problem, 2)).cost
+    kept, only = find(problem, people=(least + first) / 2, noise=most), find(problem, people=(least + first) / 2)
+    assert (kept.cost, kept.lower_bound) == (only.cost, only.lower_bound)
+    assert f"{least:.6g} to people, {other:.6g} to noise" in find(problem, people=0.5 * least, noise=most).note
+
+
+def test_compiling_takes_nothing_from_the_budget_of_seconds():
+    problem, least, first = made_to_choose()
+
+    def planner(problem, budget_s, seed):
+        time.sleep(0.0 if has_compiled else 0.6)
+        path = astar_plus(problem, budget_s=budget_s, seed=seed)
+        has_compiled.append(True)
+        return path if len(has_compiled) > 1 else replace(path, setup_s=0.6)
+
+    has_compiled = []
+    budgets, begin_s = {"people": (least + first) / 2}, time.perf_counter()
+    path = exposure.within_budgets(problem, planner, budgets, NAMES, budget_s=0.5, seed=0)
+    assert path.status is Status.OPTIMAL
+    assert path.elapsed_s + path.setup_s <= time.perf_counter() - begin_s
