@@ -180,13 +180,12 @@ def within_budgets(
     columns = [names.index(name) for name in budgets]
     search = _Search(problem, planner, columns, budgets.values(), seed, begin_s + budget_s)
     search.run(np.zeros(len(budgets)))
-    first, least, num_labels, is_over = search.paths[0], np.zeros(len(budgets)), 0, False
+    first, num_labels, is_over = search.paths[0], 0, False
     if not search.known or search.best is not None:
         return first
     prices = search.raise_bound()
     if search.best is None and not search.is_late:
-        least = search.least_exposures()
-        is_over = bool((least > search.budgets * (1 + SAME)).any())
+        is_over = bool((search.least_exposures() > search.budgets * (1 + SAME)).any())
         prices = prices if is_over else search.raise_bound()
     best = search.best
     if not is_over and problem.levels_m is None and (best is None or best.cost > search.bound * (1 + SAME)):
@@ -199,8 +198,9 @@ def within_budgets(
         is_best = best.cost * (1 - 2 * SAME) <= bound
         status = Status.OPTIMAL if is_best else Status.BUDGET_FEASIBLE if search.is_late else Status.FEASIBLE
     elif is_over:
-        said = ", ".join(f"{value:.6g} to {name}" for name, value in zip(budgets, least, strict=True))
-        note = f"The least exposure that any path has{' to each alone' * (len(least) > 1)} is {said}."
+        least = zip(budgets, search.least_exposures(), strict=True)
+        said = ", ".join(f"{value:.6g} to {name}" for name, value in least)
+        note = f"The least exposure that any path has{' to each alone' * (len(budgets) > 1)} is {said}."
     else:
         note = f"Whether any path keeps {kept} is not known: raise budget_s, or a budget of exposure."
     done = {"num_expanded": sum(path.num_expanded for path in search.paths) + num_labels, "note": note}

@@ -133,7 +133,7 @@ def when(
         return on.problem.features(path.search.points_m).cost(on.weight_vector)
 
     kept_costs = np.array([*map(cost_at, kept, routes["departure"])])
-    routes["kept_above"] = np.maximum(kept_costs / routes["cost"] - 1, 0.0)
+    routes["kept_above"] = np.where(kept_costs <= routes["cost"], 0.0, kept_costs / routes["cost"] - 1)
     routes["num_changed"] = routes["kept_above"] > SAME
     of_time = routes.groupby("departure")
     table = table.join(of_time[[*routes.filter(like="longest_"), "kept_above"]].max())
