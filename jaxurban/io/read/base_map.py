@@ -9,15 +9,15 @@ import geopandas as gpd
 import numpy as np
 import osmium
 import shapely
-from osmium.filter import KeyFilter, TagFilter
+from osmium.filter import KeyFilter
 
 from jaxurban.errors import readable
 from jaxurban.io.geoparquet import facts_of, write_geoparquet
-from jaxurban.io.read.osm import COAST, OSM_CREDIT, OSM_SUFFIXES, PARK, WATER, has_tag, open_osm, runs_of, sea
+from jaxurban.io.read.osm import OSM_CREDIT, OSM_SUFFIXES, areas_and_coast, open_osm, projected, runs_of, sea
 from jaxurban.io.workspace import Workspace
 from jaxurban.samples.catalogue import BASE_MAP_FILE, is_sample, located
 from jaxurban.world.city import LandCover
-from jaxurban.world.grid import WGS84, Bounds, transformer
+from jaxurban.world.grid import WGS84, Bounds
 
 KINDS = ("water", "park", "path", "street", "major", "rail", "place")  # in the order in which they are drawn
 CLASSES = {  # of the tag `highway`; "_link" counts as what it links
@@ -120,17 +120,9 @@ def _from_parquet(path: str | Path, crs: str) -> gpd.GeoDataFrame:
 
 def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
     """Return the features of an OSM file near a box in ``crs``, simplified."""
-    rows: list[tuple[str, str, str]] = []  # kind, name, and WKB in hexadecimal
-    coast: list[shapely.LineString] = []
     to_wkb = osmium.geom.WKBFactory()
     with readable(path, "OpenStreetMap data", "fetch it again", RuntimeError, osmium.InvalidLocationError):
-        areas = TagFilter(*WATER, *PARK)
-        for item in open_osm(path).with_areas(areas).with_filter(TagFilter(*WATER, *PARK, COAST)):
-            if isinstance(item, osmium.osm.Area) and item.num_rings()[0] and has_tag(item, WATER + PARK):
-                kind = "water" if has_tag(item, WATER) else "park"
-                rows.append((kind, item.tags.get("name") or "", to_wkb.create_multipolygon(item)))
-            elif isinstance(item, osmium.osm.Way) and has_tag(item, (COAST,)):
-                coast += runs_of(item)
+        rows, coast = areas_and_coast(path)
         for item in open_osm(path).with_filter(KeyFilter("highway", "railway", "place")):
             if not isinstance(item, osmium.osm.Node | osmium.osm.Way):
                 continue
@@ -139,18 +131,13 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
                 rows.append((kind, name, to_wkb.create_point(item)))
             elif isinstance(item, osmium.osm.Way) and kind not in ("", "place"):
                 rows += [(kind, name, line.wkb_hex) for line in runs_of(item)]
-    project = transformer(WGS84, crs)
-
-    def projected(shapes: list) -> np.ndarray:
-        return shapely.transform(np.array(shapes, object), project.transform, interleaved=False)
-
     kinds, names, shapes = (list(column) for column in zip(*rows, strict=True)) if rows else ([], [], [])
     box = shapely.box(*bounds_m)
     frame = gpd.GeoDataFrame(
-        {"kind": kinds, "name": names}, geometry=projected(list(shapely.from_wkb(shapes))), crs=crs
+        {"kind": kinds, "name": names}, geometry=projected(list(shapely.from_wkb(shapes)), crs), crs=crs
     )
     frame = frame[shapely.intersects(frame.geometry.to_numpy(), box)]
-    wet = sea(list(projected(coast)), box)
+    wet = sea(list(projected(coast, crs)), box)
     if not wet.is_empty:
         frame.loc[len(kinds)] = ["water", "", wet]
     frame = frame.dissolve(["kind", "name"], as_index=False)[["kind", "name", "geometry"]]

@@ -207,30 +207,37 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     Raises:
       InputError: the file cannot be read to its end.
     """
-    water: list[str] = []  # WKB in hexadecimal
-    parks: list[str] = []
-    coast: list[shapely.LineString] = []
-    to_wkb = osmium.geom.WKBFactory()
     remedy = "fetch it again, or name another file in [study] land_cover"
     with readable(path, "OpenStreetMap data", remedy, RuntimeError):
-        areas = TagFilter(*WATER, *PARK)
-        for item in open_osm(path).with_areas(areas).with_filter(TagFilter(*WATER, *PARK, COAST)):
-            if isinstance(item, osmium.osm.Area) and item.num_rings()[0] and has_tag(item, WATER + PARK):
-                (water if has_tag(item, WATER) else parks).append(to_wkb.create_multipolygon(item))
-            elif isinstance(item, osmium.osm.Way) and has_tag(item, (COAST,)):
-                coast += runs_of(item)
+        rows, coast = areas_and_coast(path)
     box = shapely.box(*bounds_m)
-    project = transformer(WGS84, crs)
 
-    def projected(shapes: list) -> np.ndarray:
-        array = np.array(shapes, object)
-        return shapely.transform(array, lambda points: np.column_stack(project.transform(*points.T)))
+    def joined(kind: str) -> shapely.Geometry:
+        shapes = [shapely.from_wkb(shape) for of, _, shape in rows if of == kind]
+        return shapely.intersection(shapely.union_all(shapely.make_valid(projected(shapes, crs))), box)
 
-    def joined(shapes: list) -> shapely.Geometry:
-        polygons = shapely.make_valid(projected([shapely.from_wkb(shape) for shape in shapes]))
-        return shapely.intersection(shapely.union_all(polygons), box)
+    wet = sea(list(projected(coast, crs)), box)
+    return LandCover(water=shapely.union(joined("water"), wet), park=joined("park"))
 
-    return LandCover(water=shapely.union(joined(water), sea(list(projected(coast)), box)), park=joined(parks))
+
+def areas_and_coast(path: str | Path) -> tuple[list[tuple[str, str, str]], list[shapely.LineString]]:
+    """Return kind (``water`` or ``park``), name and hexadecimal WKB of each area, and the lines of the coast."""
+    rows: list[tuple[str, str, str]] = []
+    coast: list[shapely.LineString] = []
+    to_wkb = osmium.geom.WKBFactory()
+    areas = TagFilter(*WATER, *PARK)
+    for item in open_osm(path).with_areas(areas).with_filter(TagFilter(*WATER, *PARK, COAST)):
+        if isinstance(item, osmium.osm.Area) and item.num_rings()[0] and has_tag(item, WATER + PARK):
+            kind = "water" if has_tag(item, WATER) else "park"
+            rows.append((kind, item.tags.get("name") or "", to_wkb.create_multipolygon(item)))
+        elif isinstance(item, osmium.osm.Way) and has_tag(item, (COAST,)):
+            coast += runs_of(item)
+    return rows, coast
+
+
+def projected(shapes: list[shapely.Geometry], crs: str) -> np.ndarray:
+    """Return shapes in longitude and latitude as an array of them in a projected CRS."""
+    return shapely.transform(np.array(shapes, object), transformer(WGS84, crs).transform, interleaved=False)
 
 
 def has_tag(item: osmium.osm.OSMObject, tags: tuple[tuple[str, str], ...]) -> bool:
