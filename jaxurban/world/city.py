@@ -122,6 +122,9 @@ class _Rows:
 
     polygons: np.ndarray
 
+    def __len__(self) -> int:
+        return len(self.polygons)
+
     @cached_property
     def boxes_m(self) -> np.ndarray:
         """``[4, N]`` x_min, y_min, x_max, y_max of each polygon: which of them are near is asked tile by tile."""
@@ -150,9 +153,6 @@ class Footprints(_Rows):
     min_height_m: np.ndarray
     origin: np.ndarray
     is_part: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.polygons)
 
     @property
     def is_guessed(self) -> np.ndarray:
@@ -203,9 +203,6 @@ class Blocks(_Rows):
     zoning: np.ndarray
     block_id: np.ndarray
     day_count: np.ndarray | None = None
-
-    def __len__(self) -> int:
-        return len(self.polygons)
 
     @property
     def area_m2(self) -> np.ndarray:
