@@ -63,10 +63,6 @@ class Partition:
         """Return the weights ``[..., K]`` at places ``[..., C]``."""
         return shares @ self.corners
 
-    def route_at(self, shares: np.ndarray) -> np.ndarray:
-        """Return the number ``[...]`` of the cheapest route at places ``[..., C]``."""
-        return np.argmin(self.weights_at(shares) @ self.features.T, axis=-1)
-
     def cost_at(self, shares: np.ndarray) -> np.ndarray:
         """Return the cheapest cost ``[...]`` at places ``[..., C]``."""
         return np.min(self.weights_at(shares) @ self.features.T, axis=-1)
