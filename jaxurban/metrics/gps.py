@@ -37,7 +37,6 @@ from jaxurban.world.sky import InView
 MOST_TIMES = 100_000  # a year in steps of five minutes
 MAX_STORED_TIMES = 24  # a longer series keeps statistics over time instead of every time's maps
 SERIES = ("auto", "epochs", "statistics")
-CLOCKS = ("system", "one")
 
 
 @differentiable("gdop_threshold")

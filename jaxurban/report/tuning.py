@@ -19,7 +19,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import MapsFolder
-from jaxurban.progress import Progress, reporting
+from jaxurban.progress import reporting
 from jaxurban.report.figures.tuning import plot_routes, plot_weights
 from jaxurban.report.write import REPORT_FILE, Output, bullets, files_of, fill, save
 from jaxurban.studies.demonstrations import (
@@ -71,7 +71,6 @@ def run_tuning(
     settings: TuneSettings,
     *,
     overwrite: bool = False,
-    progress: Progress = True,
 ) -> dict[str, Any]:
     """Fit weights, write everything under ``folder``, and return the facts that ``--json`` prints.
 
@@ -83,7 +82,6 @@ def run_tuning(
       folder: written to; made if it is not there.
       settings: of the fit.
       overwrite: forget the fit of other routes or settings that the folder holds.
-      progress: as in `jaxurban.progress.reporting`.
 
     Raises:
       InputError: routes or maps that cannot be read or do not go together, a wrong setting, or a folder that holds
@@ -101,7 +99,7 @@ def run_tuning(
         )
     opened, fits = [source.open() for source in sources], ONE_FIT | dict(settings.fits)
     targets = [Target.parse(text) for text in settings.targets]
-    with reporting("tune", progress) as report:
+    with reporting("tune") as report:
         report("routes")
         cities: dict[str, list[Demonstration]] = {}
         names = _names_of([Path(source.folder).resolve() for source in sources])

@@ -88,7 +88,7 @@ def _show_shares(axes: Sequence[Axes], label: str, top: float = 1.02) -> None:
 
 
 @styled
-def plot_complementarity(maps: MetricMaps, table: pd.DataFrame, *, time: str | None = None) -> Figure:
+def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
     """Return how m_gps and m_lidar share the free cells, by altitude.
 
     The squares of a panel are shaded by the share of free cells, on one logarithmic scale; the dashed line parts cells
@@ -98,7 +98,7 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame, *, time: str | N
     bins = np.linspace(0, 1, 41)
     for panel, row in zip(axes, each(table), strict=True):
         is_free = maps.is_free(row.altitude_m, "centre")
-        gps, lidar = maps.m("gps", row.altitude_m, time=time)[is_free], maps.m("lidar", row.altitude_m)[is_free]
+        gps, lidar = maps.m("gps", row.altitude_m)[is_free], maps.m("lidar", row.altitude_m)[is_free]
         of_all = np.full(len(gps), 1 / max(len(gps), 1))
         panel.hist2d(gps, lidar, bins, weights=of_all, cmin=1e-12, cmap=SHARES.cmap, norm=SHARES.norm)
         panel.plot([0, 1], [0, 1], "--", color=FAINT_INK, linewidth=0.8)
