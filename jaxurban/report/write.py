@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from jaxurban.io.files import whole_file
+from jaxurban.io.files import whole_file, write_whole
 from jaxurban.io.tables import SUFFIXES, write_table
 from jaxurban.world.city import joined_credits
 
@@ -54,8 +54,7 @@ def save(folder: str | Path, outputs: Mapping[str, Output]) -> list[Path]:
             continue
         written.append(file)
         if isinstance(output, str):
-            with whole_file(file) as scratch:
-                scratch.write_text(output, encoding="utf-8")
+            write_whole(file, output)
         elif file.suffix == ".png":
             with whole_file(file) as scratch:
                 write_png(output(), scratch)
