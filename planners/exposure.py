@@ -25,6 +25,7 @@ STEEPEST = 1e3  # prices, in the highest cost of a known path for the exposure o
 MOST_SEARCHES = 100
 MOST_LABELS = 2_000_000  # some 200 MB
 LABELS_PER_S = 1_000_000
+COMPARED = 10  # pairs for each of them, at most: of several budgets a node may hold many labels
 
 
 class _Known(NamedTuple):
@@ -199,7 +200,7 @@ def within_budgets(
         status = Status.OPTIMAL if is_best else Status.BUDGET_FEASIBLE if search.is_late else Status.FEASIBLE
     elif is_over:
         least = zip(budgets, search.least_exposures(), strict=True)
-        said = ", ".join(f"{value:.6g} to {name}" for name, value in least)
+        said = ", ".join(f"{value:.10g} to {name}" for name, value in least)
         note = f"The least exposure that any path has{' to each alone' * (len(budgets) > 1)} is {said}."
     else:
         note = f"Whether any path keeps {kept} is not known: raise budget_s, or a budget of exposure."
@@ -223,7 +224,7 @@ def _advance(graph, layers, to_go, start, goal, limits, prices, most_cost, most_
 
     Returns: the nodes of the path from the goal back, none without a cheaper one; the labels made; a lower bound.
     """
-    num, size = len(limits), 1
+    num, size, num_compared = len(limits), 1, 0
     # Memory that is not written to is not taken.
     node, parent, older = (
         np.empty(most_labels, np.int64),
@@ -243,11 +244,12 @@ def _advance(graph, layers, to_go, start, goal, limits, prices, most_cost, most_
                 way.append(node[label])
                 label = parent[label]
             return way, size, least
-        if size + len(offsets) > most_labels:
+        if size + len(offsets) > most_labels or num_compared > COMPARED * most_labels:
             return way, size, least
         other = newest[at]
         while other >= 0 and not (spent[other] <= spent[label]).all():
             other = older[other] if num > 1 else -1  # of one budget the newest has spent least
+            num_compared += 1
         if other >= 0:
             continue
         older[label], newest[at] = newest[at], label

@@ -169,7 +169,7 @@ def test_a_budget_beyond_all_paths_changes_neither_the_path_nor_the_least_exposu
     other = astar_plus(alone(problem, 2)).cost
     kept, only = find(problem, people=(least + first) / 2, noise=most), find(problem, people=(least + first) / 2)
     assert (kept.cost, kept.lower_bound) == (only.cost, only.lower_bound)
-    assert f"{least:.6g} to people, {other:.6g} to noise" in find(problem, people=0.5 * least, noise=most).note
+    assert f"{least:.10g} to people, {other:.10g} to noise" in find(problem, people=0.5 * least, noise=most).note
 
 
 def test_compiling_takes_nothing_from_the_budget_of_seconds():
