@@ -22,11 +22,27 @@ MOST_SAID = 300  # characters of what a library says that a message passes on
 
 
 class JaxurbanError(Exception):
-    """The root of every exception that jaxurban raises on purpose."""
+    """The root of every exception that jaxurban raises on purpose.
+
+    Examples:
+      >>> try:
+      ...     ju.plan(maps, start, goal, altitude_m=500)
+      ... except ju.JaxurbanError as error:
+      ...     print(error)
+      there are no maps for altitude 500 m: these maps reach from 20 to 60 m
+    """
 
 
 class InputError(JaxurbanError, ValueError):
-    """A wrong argument, file or setting: one sentence that names it and the remedy."""
+    """A wrong argument, file or setting: one sentence that names it and the remedy.
+
+    Examples:
+      >>> try:
+      ...     ju.Gps(mask_deg=95)
+      ... except ju.InputError as error:
+      ...     print(error)
+      mask_deg must be an angle from 0 to less than 90 degrees, got 95
+    """
 
 
 class RemadeError(InputError):
@@ -38,7 +54,16 @@ class StaleElementsWarning(UserWarning):
 
 
 class GuessWarning(UserWarning):
-    """Maps rest on something that their files do not say: one sentence for the user, with the remedy."""
+    """Maps rest on something that their files do not say: one sentence for the user, with the remedy.
+
+    Examples:
+      >>> import warnings
+      >>> with warnings.catch_warnings(record=True) as guesses:
+      ...     warnings.simplefilter("always", ju.GuessWarning)
+      ...     shinjuku = ju.sample_city("shinjuku")
+      >>> print(guesses[0].message)
+      no terrain is given, so the ground is taken as flat: ...
+    """
 
 
 class IgnoredZoneWarning(UserWarning):

@@ -83,8 +83,9 @@ class HeightStd:
 
     The defaults are rules of thumb for low and middle heights; give your source's own where it states them. Among OSM
     buildings that carry both, height minus 3 m x levels varies by 4.5 m (robust; mean +6.6 m) in Lower Manhattan, by
-    7.4 m (+3.2 m) up to 8 levels there and by 5.6 m (+4.8 m) in Boston, most of it from towers and from counts that
-    leave parts out. Offsets do not belong to this class: change ``level_height_m`` and ``default_height_m`` instead.
+    7.4 m (+3.2 m) up to 8 levels there and by 5.6 m (+4.8 m) in Boston. Most of that comes from towers and from counts
+    that leave parts out. Offsets do not belong to this class: change ``level_height_m`` and ``default_height_m``
+    instead.
 
     Attributes:
       height: a tag or column: values are rounded to a metre and leave open whether a parapet or a machine room counts.
@@ -95,6 +96,11 @@ class HeightStd:
 
     Raises:
       InputError: a value that is negative or not finite.
+
+    Examples:
+      >>> heights = ju.Heights(height_std_m=ju.HeightStd(levels=4.5), height_samples=20)
+      >>> heights.height_std_m
+      HeightStd(height=1.0, levels=4.5, default=5.0, raster=1.0)
     """
 
     height: float = 1.0
@@ -115,11 +121,17 @@ class Heights:
     Attributes:
       all_touched: let a roof cover every cell it touches.
       height_std_m: how well heights are known.
-      height_samples: also make the spread of the metrics over so many draws of heights; 0: not.
-      height_seed: of the draws.
+      height_samples: draws of heights over which the spread of the metrics is made too; 0: none.
+      height_seed: seed of the draws.
 
     Raises:
       InputError: a number of samples that makes no spread, or a seed that is none.
+
+    Examples:
+      >>> heights = ju.Heights(height_samples=4)
+      >>> spread = ju.build_maps(city, grid=maps.grid, altitudes_m=(60.0,), heights=heights)
+      >>> [name for name in spread.ds if name.endswith("_std")]
+      ['gps_std', 'lidar_std', 'risk_std']
     """
 
     all_touched: bool = False
@@ -139,7 +151,7 @@ class Heights:
 @typed
 @dataclass(frozen=True)
 class Buildings(Heights):
-    """A file of buildings, and what to make of it.
+    """A file of buildings, and how it is read.
 
     Attributes:
       source: ``.osm.pbf``, ``.osm``, ``.geojson``, ``.gpkg``, ``.shp``, ``.parquet``, or a height raster (``.tif``,
@@ -156,6 +168,11 @@ class Buildings(Heights):
 
     Raises:
       InputError: a height setting that is not above 0, or above `MAX_HEIGHT_M`, or an unknown kind.
+
+    Examples:
+      >>> file = ju.Buildings("sample:shinjuku", hanging="slabs")
+      >>> ju.City.from_files(file).hanging
+      'slabs'
     """
 
     source: str | Path
@@ -183,6 +200,10 @@ class Terrain:
     Attributes:
       source: a raster; left out, the ground is flat.
       credit: what its licence asks for.
+
+    Examples:
+      >>> ju.Terrain("ground.tif", credit="USGS 3DEP")
+      Terrain(source='ground.tif', credit='USGS 3DEP')
     """
 
     source: str | Path | None = None
@@ -248,10 +269,10 @@ DEFAULTS = Planning()
 @typed
 @dataclass(frozen=True)
 class Vehicle:
-    """What flies, as ``[vehicle]`` of a scenario says it; what is left out limits nothing and tells nothing.
+    """What flies, as ``[vehicle]`` of a scenario says it; what is left out sets no limit.
 
-    Enforced: the radius, which every route keeps beside the clearance. Told (`cautions`, and the time of `explain`):
-    climbs, descents and turns beyond the limits, since a multirotor slows down for them and may then fly them all.
+    Every route keeps the radius beside the clearance. Climbs, descents and turns beyond the limits are reported only
+    (by `cautions`, and in the time of `explain`), since a multirotor slows down for them and may then fly them all.
 
     Attributes:
       radius_m: from its middle to its outermost point, seen from above.
@@ -263,6 +284,12 @@ class Vehicle:
     Raises:
       InputError: a value that is not a positive number (of the radius: not a number from 0 up), a turn above 180
         degrees, or a power without a speed.
+
+    Examples:
+      >>> constraints = ju.Constraints.read(vehicle=ju.Vehicle(radius_m=0.5, speed_m_s=10.0))
+      >>> planned = ju.plan(maps, start, goal, altitude_m=60.0, constraints=constraints)
+      >>> planned.settings["limits"]["vehicle_radius_m"]
+      0.5
     """
 
     radius_m: float = 0.0
@@ -285,22 +312,48 @@ class Vehicle:
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> "Vehicle":
-        """Return the vehicle that a path was planned for, from its ``settings``; one without limits where none is."""
+        """Return the vehicle that a path was planned for, from its ``settings``.
+
+        Returns:
+          The vehicle: what the settings leave out is as in ``Vehicle()``.
+
+        Examples:
+          >>> ju.Vehicle.of({"limits": {"vehicle_speed_m_s": 10.0}}).speed_m_s
+          10.0
+          >>> ju.Vehicle.of(path.settings) == ju.Vehicle()  # path was planned for none
+          True
+        """
         held = settings.get("limits", {})
         return cls(**{item.name: held[key] for item in fields(cls) if (key := PREFIX + item.name) in held})
 
     def to_dict(self) -> dict[str, float]:
-        """Return what is known of it as plain values, ``vehicle_radius_m`` ...; empty where that is nothing."""
+        """Return the vehicle as plain values; empty where nothing is known of it.
+
+        Returns:
+          The values by name, in the units of the attributes; a radius of 0 is left out.
+
+        Examples:
+          >>> ju.Vehicle(radius_m=0.5, speed_m_s=10.0).to_dict()
+          {'vehicle_radius_m': 0.5, 'vehicle_speed_m_s': 10.0}
+        """
         named = {item.name: getattr(self, item.name) for item in fields(self)}
         return {PREFIX + name: float(value) for name, value in named.items() if value}
 
     def flight_s(self, air_m: np.ndarray, rise_m: np.ndarray, speed_m_s: float) -> np.ndarray:
-        """Return ``[M]`` seconds for straight parts of a route, longer where climb or descent limits the speed.
+        """Return the seconds that straight parts of a route take, ``[M]``.
 
         Args:
           air_m: ``[M]`` their lengths in the air.
           rise_m: ``[M]`` how much higher each ends than it begins.
           speed_m_s: along the route.
+
+        Returns:
+          The seconds, ``[M]`` float64: of each part the longest of cruise, climb and descent.
+
+        Examples:
+          >>> vehicle = ju.Vehicle(max_climb_m_s=2.0)
+          >>> vehicle.flight_s(np.array([100.0, 100.0]), np.array([0.0, 40.0]), 10.0).tolist()
+          [10.0, 20.0]
         """
         climb_m_s, descent_m_s = self.max_climb_m_s or np.inf, self.max_descent_m_s or np.inf
         return np.maximum(air_m / speed_m_s, np.maximum(rise_m / climb_m_s, -rise_m / descent_m_s))

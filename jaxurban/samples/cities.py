@@ -34,7 +34,7 @@ def sample_city(name: str) -> City:
     Raises:
       InputError: no such city; the message names the nearest one.
 
-    Example:
+    Examples:
       >>> import jaxurban as ju
       >>> city = ju.sample_city("shinjuku")
       >>> len(city.buildings) > 50_000, city.blocks is None

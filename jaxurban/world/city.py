@@ -248,10 +248,16 @@ class City(Shown):
       area: where the building source knows what stands, within ``extent_m``; None for all of it.
       hanging: what buildings with an underside above the ground do: ``"to_ground"``, they reach it; ``"slabs"``, they
         hang from floor to roof.
-      gps: the satellites and times that come with it, which maps are made of where no others are given; None for most.
+      gps: satellites and times that come with the city; maps are made of them where no others are named; None for most.
 
     Raises:
       InputError: neither buildings nor roofs, both, or an unknown way of hanging.
+
+    Examples:
+      >>> city
+      City(CRS: EPSG:32618; extent: 0.6 x 0.6 km; buildings: 130; census blocks: 64; terrain: flat; credit: ...)
+      >>> round(float(city.buildings.height_m.max()))
+      395
     """
 
     crs: str
@@ -315,20 +321,28 @@ class City(Shown):
         """Return the city in a set of files, around a region.
 
         Args:
-          buildings: their file, or ``"sample:lower-manhattan"`` or ``"sample:shinjuku"`` (see `sample_city`), or
-            that with what to make of it. Buildings are kept as far around the region as one of
+          buildings: their file, or ``"sample:lower-manhattan"`` or ``"sample:shinjuku"`` (see `sample_city`); or
+            `Buildings`, which also says how the file is read. Buildings are kept as far around the region as one of
             1,000 m could shadow it from a satellite at the elevation mask.
           bounds: west, south, east, north of the region in degrees; left out, what the file of buildings covers.
           crs: projected CRS in metres; left out, the UTM zone of the region's centre.
           population: names census blocks, their people and districts, or rasters of people; left out, none.
           terrain: ground elevation raster; left out, flat.
-          gps: whose elevation mask the maps will have; left out, 5 degrees.
+          gps: settings with the elevation mask of the maps; left out, the mask is 5 degrees.
+
+        Returns:
+          The city, its coordinates in metres in ``crs``. What lies around the region is there too.
 
         Warns:
           GuessWarning: of each of the city's ``guesses``.
 
         Raises:
           InputError: a file that is missing, unreadable or of the wrong kind, or no building in the region.
+
+        Examples:
+          >>> around = ju.City.from_files("sample:shinjuku", bounds=(139.698, 35.687, 139.703, 35.691))
+          >>> around.crs, around.facts["buildings"]
+          ('EPSG:32654', '53,471')
         """
         # The one import against the layers, for the user's sake.
         from jaxurban.io.read.city import read_city

@@ -155,6 +155,10 @@ class Grid:
       resolution_m: side of a cell.
       first_row, first_col: global numbers of the southwest cell.
       num_rows, num_cols: shape of the arrays on this grid (``Y``, ``X``).
+
+    Examples:
+      >>> maps.grid
+      Grid(crs='EPSG:32618', resolution_m=20.0, first_row=225725, first_col=29330, num_rows=30, num_cols=30)
     """
 
     crs: str
@@ -189,8 +193,16 @@ class Grid:
           nest_with_m: other resolutions built over the same region; the box is snapped outward to
             whole multiples of the coarsest (their least common multiple where they do not nest).
 
+        Returns:
+          The grid: the fewest cells that cover the whole box.
+
         Raises:
           InputError: bounds that are not a box, or a CRS that is unknown or not projected in metres.
+
+        Examples:
+          >>> grid = ju.Grid.from_bounds((-74.02, 40.70, -73.98, 40.73), resolution_m=20.0)
+          >>> grid.shape, grid.crs
+          ((170, 172), 'EPSG:32618')
         """
         west, south, east, north = check_bounds(bounds)
         resolutions_m = [resolution_m, *nest_with_m]
@@ -270,7 +282,16 @@ class Grid:
         return float(lon), float(lat)
 
     def contains_xy(self, x_m, y_m) -> np.ndarray:
-        """Return whether points lie on the grid; the west and south borders count in, the others out."""
+        """Return whether points of the CRS lie on the grid; its west and south borders belong to it, the others not.
+
+        Returns:
+          bool, in the shape of the points; False where a coordinate is NaN.
+
+        Examples:
+          >>> grid = maps.grid
+          >>> grid.contains_xy([grid.x_min_m, grid.x_max_m], grid.y_min_m).tolist()
+          [True, False]
+        """
         row, col = self._floor_cell(x_m, y_m)
         return (row >= 0) & (row < self.num_rows) & (col >= 0) & (col < self.num_cols)
 
@@ -280,10 +301,18 @@ class Grid:
         return row, col
 
     def cell_of_xy(self, x_m, y_m) -> tuple[np.ndarray, np.ndarray]:
-        """Return row and column (int64) of the cells that hold points of the CRS.
+        """Return the cells that hold points of the CRS, easting and northing in metres.
+
+        Returns:
+          Row and column (int64), counted from 0 in the southwest, each in the shape of the points.
 
         Raises:
           InputError: a point is outside the grid or not finite.
+
+        Examples:
+          >>> row, col = maps.grid.cell_of_xy(586_650.0, 4_514_570.0)  # easting, northing
+          >>> int(row), int(col)
+          (3, 2)
         """
         inside = self.contains_xy(x_m, y_m)
         if not np.all(inside):
@@ -297,26 +326,61 @@ class Grid:
         return row.astype(np.int64), col.astype(np.int64)
 
     def xy_of_cell(self, row, col) -> tuple[np.ndarray, np.ndarray]:
-        """Return the CRS coordinates of cell centres (rows and columns may lie outside the grid)."""
+        """Return the CRS coordinates of cell centres; rows and columns may lie outside the grid.
+
+        Returns:
+          Eastings and northings, metres, float64, each in the shape of the cells.
+
+        Examples:
+          >>> x_m, y_m = maps.grid.xy_of_cell([2, 3], [2, 2])
+          >>> x_m.tolist(), y_m.tolist()
+          ([586650.0, 586650.0], [4514550.0, 4514570.0])
+        """
         x_m = (self.first_col + np.asarray(col) + 0.5) * self.resolution_m
         y_m = (self.first_row + np.asarray(row) + 0.5) * self.resolution_m
         return x_m, y_m
 
     def xy_of_lonlat(self, lon_deg, lat_deg) -> tuple[np.ndarray, np.ndarray]:
-        """Return CRS coordinates of longitudes and latitudes (WGS 84)."""
+        """Return CRS coordinates of longitudes and latitudes (WGS 84).
+
+        Returns:
+          Eastings and northings, metres, float64; inf where the projection has no value.
+
+        Examples:
+          >>> x_m, y_m = maps.grid.xy_of_lonlat(-73.97, 40.78)
+          >>> round(float(x_m)), round(float(y_m))
+          (586913, 4514846)
+        """
         x_m, y_m = transformer(WGS84, self.crs).transform(lon_deg, lat_deg)
         return np.asarray(x_m), np.asarray(y_m)
 
     def lonlat_of_xy(self, x_m, y_m) -> tuple[np.ndarray, np.ndarray]:
-        """Return longitudes and latitudes (WGS 84, degrees) of CRS coordinates."""
+        """Return longitudes and latitudes (WGS 84, degrees) of CRS coordinates.
+
+        Returns:
+          Longitudes and latitudes, float64; inf where the projection has no value.
+
+        Examples:
+          >>> lon, lat = maps.grid.lonlat_of_xy(586_650.0, 4_514_550.0)
+          >>> round(float(lon), 5), round(float(lat), 5)
+          (-73.97315, 40.77736)
+        """
         lon, lat = transformer(self.crs, WGS84).transform(x_m, y_m)
         return np.asarray(lon), np.asarray(lat)
 
     def cell_of_lonlat(self, lon_deg, lat_deg) -> tuple[np.ndarray, np.ndarray]:
-        """Return row and column of the cells that hold geographic points.
+        """Return the cells that hold geographic points (WGS 84, degrees).
+
+        Returns:
+          Row and column (int64), counted from 0 in the southwest, each in the shape of the points.
 
         Raises:
           InputError: a point is outside the grid.
+
+        Examples:
+          >>> row, col = maps.grid.cell_of_lonlat(-73.97, 40.78)
+          >>> int(row), int(col)
+          (17, 15)
         """
         x_m, y_m = self.xy_of_lonlat(lon_deg, lat_deg)
         if not np.all(self.contains_xy(x_m, y_m)):
@@ -328,7 +392,16 @@ class Grid:
         return self.cell_of_xy(x_m, y_m)
 
     def lonlat_of_cell(self, row, col) -> tuple[np.ndarray, np.ndarray]:
-        """Return longitudes and latitudes (degrees) of cell centres."""
+        """Return longitudes and latitudes (WGS 84, degrees) of cell centres; cells may lie outside the grid.
+
+        Returns:
+          Longitudes and latitudes, float64, each in the shape of the cells.
+
+        Examples:
+          >>> lon, lat = maps.grid.lonlat_of_cell(2, 2)
+          >>> round(float(lon), 5), round(float(lat), 5)
+          (-73.97315, 40.77736)
+        """
         return self.lonlat_of_xy(*self.xy_of_cell(row, col))
 
     def convergence_rad(self, lon_deg: float, lat_deg: float) -> float:
@@ -336,17 +409,42 @@ class Grid:
 
         Positive where grid north lies clockwise of (east of) true north, as it does
         east of a UTM zone's central meridian in the northern hemisphere. Source: PROJ.
+
+        Returns:
+          The angle in radians.
+
+        Examples:
+          >>> convergence_rad = maps.grid.convergence_rad(-73.97, 40.78)
+          >>> round(float(np.degrees(convergence_rad)), 2)
+          0.67
         """
         factors = pyproj.Proj(self.crs).get_factors(lon_deg, lat_deg)
         return math.radians(float(factors.meridian_convergence))
 
     def refined(self, n: int) -> "Grid":
-        """Return the grid over the same box whose cells are n times smaller."""
+        """Return the grid over the same box whose cells are n times smaller.
+
+        Returns:
+          The grid, of n times as many rows and columns.
+
+        Examples:
+          >>> fine = maps.grid.refined(4)
+          >>> fine.resolution_m, fine.shape, fine.bounds_m == maps.grid.bounds_m
+          (5.0, (120, 120), True)
+        """
         side_m, first = self.resolution_m / n, (self.first_row * n, self.first_col * n)
         return Grid(self.crs, side_m, *first, self.num_rows * n, self.num_cols * n)
 
     def padded(self, west: int, south: int, east: int, north: int) -> "Grid":
-        """Return the grid grown by whole cells on each side."""
+        """Return the grid grown by whole cells on each side.
+
+        Returns:
+          The grid; negative numbers cut cells off.
+
+        Examples:
+          >>> maps.grid.padded(west=1, south=1, east=2, north=2).shape
+          (33, 33)
+        """
         first_row, first_col = self.first_row - south, self.first_col - west
         num_rows, num_cols = self.num_rows + south + north, self.num_cols + west + east
         return Grid(self.crs, self.resolution_m, first_row, first_col, num_rows, num_cols)
@@ -354,8 +452,17 @@ class Grid:
     def window_in(self, outer: "Grid") -> tuple[slice, slice]:
         """Return the slices that cut this grid out of an array on ``outer``.
 
+        Returns:
+          The slices of rows and of columns.
+
         Raises:
           InputError: other CRS or resolution, or not wholly inside.
+
+        Examples:
+          >>> inner = maps.grid.padded(-5, -5, -5, -5)
+          >>> rows, cols = inner.window_in(maps.grid)
+          >>> maps.m("gps", 60.0)[rows, cols].shape == inner.shape
+          True
         """
         row, col = self.first_row - outer.first_row, self.first_col - outer.first_col
         if (

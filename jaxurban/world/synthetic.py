@@ -51,8 +51,16 @@ def demo_city(
       crs: projected CRS in metres; left out, the UTM zone of the middle.
       seed: the same one gives the same city.
 
+    Returns:
+      The city, with outlines and census blocks, in metres. The same arguments give the same city.
+
     Raises:
       InputError: a box that is too large or too small, or a CRS that is unknown or not projected in metres.
+
+    Examples:
+      >>> small = ju.demo_city(width_m=600, height_m=400)
+      >>> small.facts["extent"], len(small.buildings) > 50
+      ('0.6 x 0.4 km', True)
     """
     lon_deg, lat_deg = centre_lonlat
     crs = crs or utm_crs(lon_deg, lat_deg)
