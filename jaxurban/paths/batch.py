@@ -52,9 +52,9 @@ def plan_many(
     way out of any error. The same call again takes from it what is done and plans only the rest; with a larger budget
     also what a smaller one ended.
 
-    Planners that choose their heuristic, as ``astar-plus``, are given it by the whole table of queries (see
-    `choose_heuristics`), whatever is done already: resumed or not, on one thread or more, the routes are the same. The
-    column ``heuristic`` names it.
+    For planners that choose their heuristic, as ``astar-plus``, the whole table of queries decides it (see
+    `choose_heuristics`), whatever is done already. So the routes are the same, resumed or not, on one thread or more.
+    The column ``heuristic`` names it.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps; what is left out is as their
@@ -72,9 +72,19 @@ def plan_many(
       planner, heuristic, budget_s, seed, snap: of each query, as in `plan`.
       refine, exposure: of a single plan only.
 
+    Returns:
+      `PlannedPaths`: a `PlannedPath` for each query, and None where its planner did not run to its end.
+
     Raises:
       InputError: an argument that is wrong for all queries, a file that holds results of other queries; with
         ``strict`` any query's error too.
+
+    Examples:
+      >>> paths = ju.plan_many(maps, [(start, goal), (goal, start)], altitude_m=60.0, progress=False)
+      >>> [path.status.value for path in paths]
+      ['optimal', 'optimal']
+      >>> paths.to_dataframe()[["query", "status"]].to_numpy().tolist()
+      [[0, 'optimal'], [1, 'optimal']]
     """
     maps = as_maps(maps)
     search = PathSearch.of(maps, **taken_by(PathSearch.of, asked))

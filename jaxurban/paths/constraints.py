@@ -125,11 +125,19 @@ class Constraints:
       vertical_clearance_m: height that paths keep over roofs; a roof nearer below counts as one as high as they fly.
       vehicle: what flies; its radius is kept beside ``clearance_m``.
 
-    What of these three is left out is as the maps' scenario has it, or else the preset (`under`): 0 m, 3 m over roofs
-    (0 under ``"paper"``), and a point that any route suits.
+    What of the last three is left out is as the maps' scenario has it, or else the preset (`under`): 0 m, 3 m over
+    roofs (0 under ``"paper"``), and a point that any route suits.
 
     Raises:
       InputError: a clearance that is not a number of metres from 0 up.
+
+    Examples:
+      >>> limits = ju.Constraints(clearance_m=20.0, vehicle=ju.Vehicle(radius_m=0.5))
+      >>> limits.horizontal_m, limits.vertical_m
+      (20.5, 3.0)
+      >>> apart = ju.plan(maps, start, goal, altitude_m=20.0, constraints=limits)
+      >>> apart.status.value, round(apart.length_m), round(ju.plan(maps, start, goal, altitude_m=20.0).length_m)
+      ('optimal', 864, 813)
     """
 
     zones: tuple[Zone, ...] = ()
@@ -161,8 +169,19 @@ class Constraints:
           require: ``"gps>=0.3"``, or a list of such.
           clearance_m, vertical_clearance_m, vehicle: the attributes.
 
+        Returns:
+          `Constraints` with every zone of the files and every bound, in their order.
+
         Raises:
           InputError: a file or a bound that cannot be read, or a clearance below 0.
+
+        Examples:
+          >>> import geopandas, shapely
+          >>> park = geopandas.GeoSeries([shapely.box(-73.972, 40.779, -73.970, 40.780)], crs="EPSG:4326")
+          >>> park.to_file("park.geojson")
+          >>> limits = ju.Constraints.read("park.geojson", require=["gps>=0.5", "num_visible>=4"], clearance_m=5.0)
+          >>> print(limits)
+          1 no-fly zone, gps>=0.5, num_visible>=4, clearance of 5 m, vertical clearance of 3 m
         """
         files = [no_fly] if isinstance(no_fly, (str, Path)) else no_fly
         bounds = [Bound.parse(text) for text in ([require] if isinstance(require, str) else require)]
@@ -192,18 +211,42 @@ class Constraints:
         return {name: getattr(self if getattr(self, name) is not None else DEFAULTS, name) for name in CLEARANCES}
 
     def under(self, planning: Planning, vehicle: Vehicle) -> "Constraints":
-        """Return the constraints, what they leave out taken from a ``[planning]`` and a vehicle."""
+        """Return the constraints, what they leave out taken from a ``[planning]`` and a vehicle.
+
+        Returns:
+          `Constraints` whose clearances, in metres, and vehicle are all there; this one stays as it is.
+
+        Examples:
+          >>> limits = ju.Constraints(clearance_m=5.0).under(maps.planning, ju.Vehicle(radius_m=0.5))
+          >>> limits.clearance_m, limits.vertical_clearance_m, limits.vehicle.radius_m
+          (5.0, 3.0, 0.5)
+        """
         rest = {**{name: getattr(planning, name) for name in CLEARANCES}, "vehicle": vehicle}
         return replace(self, **{name: value for name, value in rest.items() if getattr(self, name) is None})
 
     def leg_margin_m(self, resolution_m: float) -> float:
-        """Return what straight legs keep from closed cells of that side, for the clearance (`closing_step_m`)."""
+        """Return what straight legs keep from closed cells of that side, for the clearance (`closing_step_m`).
+
+        Returns:
+          Metres, less than half a cell; 0 where no horizontal clearance is asked, or closed cells alone keep it.
+
+        Examples:
+          >>> limits = ju.Constraints(clearance_m=10.0)
+          >>> [round(limits.leg_margin_m(side_m), 2) for side_m in (5.0, 20.0)]
+          [0.05, 0.0]
+        """
         return closing_step_m(self.horizontal_m, resolution_m)[1]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the constraints as plain, JSON-ready values; floors and ceilings are None where there are none.
+        """Return the constraints as plain, JSON-ready values.
 
-        Clearances and the vehicle are left out where they limit and tell nothing.
+        Returns:
+          ``no_fly`` (a dictionary for each zone, its floor and ceiling in metres or None where it has none) and
+          ``require`` (bounds as texts). Clearances in metres and what the vehicle is follow where they are not 0.
+
+        Examples:
+          >>> ju.Constraints.read(require="gps>=0.5", clearance_m=5.0).to_dict()
+          {'no_fly': [], 'require': ['gps>=0.5'], 'clearance_m': 5.0, 'vertical_clearance_m': 3.0}
         """
         return {
             "no_fly": [
@@ -224,7 +267,15 @@ class Constraints:
     def at(self, time: str | None) -> "Constraints":
         """Return the constraints without the zones that are not in force at a time of flight, which a warning names.
 
-        Where no time is named, all stay. A zone counts as in force until an hour after the time too (`zone.FLIGHT`).
+        A zone counts where it is in force at the time or within an hour after it (`zone.FLIGHT`).
+
+        Returns:
+          `Constraints` with the zones that count; itself where no time is named or no zone has times.
+
+        Examples:
+          >>> limits = ju.Constraints(clearance_m=5.0)
+          >>> limits.at("2020-04-27T16:00:00Z") == limits
+          True
         """
         if time is None or not any(zone.start or zone.end for zone in self.zones):
             return self
@@ -238,9 +289,17 @@ class Constraints:
     def is_free(
         self, maps: MetricMaps, altitude_m: Altitudes, *, time: str | None = None, time_of_day: str | None = None
     ) -> np.ndarray:
-        """Return bool: where a path may fly: no obstacle, data there, closed by none of these constraints.
+        """Return where a path may fly: no obstacle, data there, closed by none of these constraints.
 
-        Shapes, arguments and errors are those of `closed`.
+        Arguments and errors are those of `closed`.
+
+        Returns:
+          ``[Y, X]`` bool; ``[K, Y, X]`` of levels.
+
+        Examples:
+          >>> is_free = ju.Constraints(clearance_m=10.0).is_free(maps, [20.0, 60.0])
+          >>> is_free.shape, is_free.sum(axis=(1, 2)).tolist()
+          ((2, 30, 30), [490, 726])
         """
         is_free = np.stack([maps.is_free(z_m) for z_m in np.atleast_1d(altitude_m).tolist()])
         closed = self.closed(maps, altitude_m, time=time, time_of_day=time_of_day)
@@ -249,19 +308,29 @@ class Constraints:
     def closed(
         self, maps: MetricMaps, altitude_m: Altitudes, *, time: str | None = None, time_of_day: str | None = None
     ) -> np.ndarray:
-        """Return ``[Y, X]`` bool: cells that these constraints close; of levels ``[K, Y, X]``.
+        """Return the cells that these constraints close, at one altitude or on levels.
 
-        Of levels between which a path may climb a zone that lies wholly between two closes the lower one too, so that
-        no climb or descent passes it. A step from level to level needs its cells free on both; the lower one, with all
-        obstacles of the upper and more, keeps the clearance in between.
+        A path may climb between levels. A zone that lies wholly between two of them closes the lower one too, so that
+        no climb or descent passes through it. A step from level to level needs its cells free on both. The lower level
+        has all obstacles of the upper one and more, so that it keeps the clearance in between.
 
         Args:
           maps: the metric maps.
           altitude_m: above ground, or ``[K]`` ascending levels; with bounds, within the range of the maps' altitudes.
           time, time_of_day: of the GPS and the population map; the first if left out.
 
+        Returns:
+          ``[Y, X]`` bool; ``[K, Y, X]`` of levels. Obstacles are closed too where a clearance is kept from them.
+
         Raises:
           InputError: a bound on a map that is not there, or an unknown altitude, time or time of day.
+
+        Examples:
+          >>> limits = ju.Constraints(clearance_m=10.0)
+          >>> limits.closed(maps, 20.0).shape, limits.closed(maps, [20.0, 60.0]).shape
+          ((30, 30), (2, 30, 30))
+          >>> limits.closed(maps, [20.0, 60.0]).sum(axis=(1, 2)).tolist()
+          [410, 174]
         """
         levels_m = np.atleast_1d(np.asarray(altitude_m, float)).tolist()
         grid = maps.grid
@@ -289,7 +358,17 @@ class Constraints:
     def reasons(
         self, maps: MetricMaps, altitude_m: float, cell: Cell, time: str | None = None, time_of_day: str | None = None
     ) -> list[str]:
-        """Return a phrase for each constraint that closes a cell, empty where none does."""
+        """Return why a cell is closed, a phrase for each constraint that closes it.
+
+        Returns:
+          Texts for people, zones first, then bounds and clearances; empty where no constraint closes the cell.
+
+        Examples:
+          >>> ju.Constraints.read(require="gps>=0.999").reasons(maps, 60.0, (2, 2))
+          ['the bound gps>=0.999']
+          >>> ju.Constraints().reasons(maps, 60.0, (2, 2))
+          []
+        """
         (box,) = cell_boxes(maps.grid, np.array([cell]), 1)
         zones = [
             f"the no-fly zone {zone.label} ({zone.heights})"

@@ -71,6 +71,13 @@ class CostMap(Shown):
         value; ``[L, K, Y, X]`` in a volume.
       is_free: ``[Y, X]`` or ``[K, Y, X]`` bool, where a path may fly: no obstacle, data there, within the constraints.
       is_prepared: whether landmarks guide the planners that choose their heuristic (see `prepare`).
+
+    Examples:
+      >>> on = ju.cost_map(maps, 60.0)
+      >>> on.costs.shape, on.names
+      ((4, 30, 30), ('gps', 'lidar', 'population', 'risk'))
+      >>> [on.plan(start, goal).status.value, on.plan(goal, start).status.value]
+      ['optimal', 'optimal']
     """
 
     maps: MetricMaps
@@ -165,8 +172,15 @@ class CostMap(Shown):
     def only(self, metrics: Iterable[str]) -> "CostMap":
         """Return the map with the layers of these metrics alone, so that the others cost nothing.
 
+        Returns:
+          `CostMap` with the layers in the order of this one, which stays as it is.
+
         Raises:
           InputError: none, one twice, or a metric that the maps lack.
+
+        Examples:
+          >>> ju.cost_map(maps, 60.0).only(["risk", "gps"]).weight_names
+          ('distance', 'gps', 'risk')
         """
         names = (metrics,) if isinstance(metrics, str) else tuple(metrics)
         for name in names:
@@ -180,8 +194,17 @@ class CostMap(Shown):
     def with_weights(self, weights: GivenWeights) -> "CostMap":
         """Return the map under other weights; what does not depend on them is shared (`Problem.with_weights`).
 
+        Returns:
+          `CostMap` without landmarks. Weights that are not named are as in the maps' scenario or by default.
+
         Raises:
           InputError: a weight that is none, or of a metric that the maps lack.
+
+        Examples:
+          >>> on = ju.cost_map(maps, 60.0)
+          >>> avoiding = on.with_weights({"population": 5.0})
+          >>> [round(each.plan(start, goal).length_m) for each in (on, avoiding)]
+          [719, 742]
         """
         other = replace(self, weights=weights_on(self.maps, weights), is_prepared=False)
         vars(other).update(shortest=self.shortest, terrain_m=self.terrain_m)
@@ -190,11 +213,19 @@ class CostMap(Shown):
     def prepare(self) -> "CostMap":
         """Return the map with landmarks, for many queries under these weights, each two to three times as fast.
 
-        They guide ``astar-plus`` where a query names no heuristic. Costs are the same; between
-        equally cheap routes another one may come. This map stays as it is.
+        They guide ``astar-plus`` where a query names no heuristic. Costs are the same; of equally cheap routes another
+        one may be returned. This map stays as it is.
+
+        Returns:
+          `CostMap` whose ``is_prepared`` is True.
 
         Raises:
           InputError: a volume, or no cell is free.
+
+        Examples:
+          >>> on = ju.cost_map(maps, 60.0).prepare()
+          >>> on.plan(start, goal).search.heuristic
+          'landmarks'
         """
         if self.levels is not None:
             raise InputError("landmarks are for one altitude: leave prepare() out of a map between levels")
@@ -204,11 +235,29 @@ class CostMap(Shown):
         return prepared
 
     def cost_of(self, name: str) -> float:
-        """Return the largest cost of a metric, not weighted, over free cells; 0 where it costs nothing anywhere."""
+        """Return the largest cost of a metric over free cells, not weighted.
+
+        Returns:
+          A number in [0, 1]; 0 where the metric costs nothing anywhere, or no cell is free.
+
+        Examples:
+          >>> on = ju.cost_map(maps, 60.0)
+          >>> {name: round(on.cost_of(name), 1) for name in on.names}
+          {'gps': 0.5, 'lidar': 1.0, 'population': 1.0, 'risk': 0.6}
+        """
         return float(self.costs[self.names.index(name)][self.is_free].max(initial=0.0))
 
     def cell_of(self, name: str, place: Point | XY) -> tuple[tuple[float, float], Cell]:
-        """Return easting, northing and the cell of a place, free or not (arguments and errors as in `locate`)."""
+        """Return where a place is on the maps, free or not (arguments and errors as in `locate`).
+
+        Returns:
+          Easting and northing in metres in the maps' CRS, and row and column of the cell.
+
+        Examples:
+          >>> xy_m, cell = ju.cost_map(maps, 60.0).cell_of("start", start)
+          >>> [round(value) for value in xy_m], cell
+          ([586650, 4514550], (2, 2))
+        """
         grid = self.grid
         try:
             x_m, y_m = place[:2] if isinstance(place, XY) else grid.xy_of_lonlat(*place[:2])
@@ -227,16 +276,33 @@ class CostMap(Shown):
           snap: move out of a closed cell to the nearest free one of its level, by at most 50 m, or so many metres
             (`places_near`).
 
+        Returns:
+          `End`: the cell, how far its centre is from the place in metres, and whether another cell was taken.
+
         Raises:
           InputError: a place outside the maps, no such level, or inside an obstacle or closed by a constraint, unless
             ``snap`` reaches a free cell (names the constraint and the nearest free cell).
+
+        Examples:
+          >>> in_building = maps.grid.lonlat_of_cell(1, 6)
+          >>> end = ju.cost_map(maps, 20.0).locate("start", in_building, snap=True)
+          >>> end.cell, round(end.snap_distance_m, 1), end.is_snapped
+          ((1, 5), 20.0, True)
         """
         return self._places_near(name, place, snap)[0]
 
     def ends(self, start: Point | XY, goal: Point | XY, *, snap: bool | float = False) -> tuple[End, End]:
-        """Return the cells of a query, as `locate` does; snapping moves them to cells that free ones join (errors too).
+        """Return the cells of a query, with arguments and errors as in `locate`.
 
-        Where none within reach are joined, to the nearest free ones.
+        Snapping moves them to cells that free ones join and, where none within reach are joined, to the nearest free
+        ones.
+
+        Returns:
+          `End` of the start and of the goal.
+
+        Examples:
+          >>> [end.cell for end in ju.cost_map(maps, 60.0).ends(start, goal)]
+          [(2, 2), (27, 27)]
         """
         starts, goals = self._places_near("start", start, snap), self._places_near("goal", goal, snap)
         is_snapped = starts[0].is_snapped or goals[0].is_snapped
@@ -290,7 +356,15 @@ class CostMap(Shown):
         return f"{first}, or loosen the constraints ({said})" if (said := str(self.constraints)) else first
 
     def why_closed(self, cell: Cell, level: int = 0) -> str:
-        """Return what closes a cell of a level and which one over it is free (`jaxurban.paths.snapping`)."""
+        """Return what closes a cell of a level and which level over it is free (`jaxurban.paths.snapping`).
+
+        Returns:
+          A phrase that goes after "it is".
+
+        Examples:
+          >>> ju.cost_map(maps, 20.0).why_closed((1, 6))
+          'in a cell that an obstacle touches at 20 m'
+        """
         return why_closed(self, cell, level)
 
     @partial(typed, makers=(PathSearch.of,))
@@ -303,12 +377,31 @@ class CostMap(Shown):
         goal_xy_m: Point | None = None,
         **asked: Any,
     ) -> PlannedPath:
-        """Return a path between two places, given as in `jaxurban.plan`, searched for as `PathSearch.of` says."""
+        """Return a path between two places, given as in `jaxurban.plan`, searched for as `PathSearch.of` says.
+
+        Returns:
+          `PlannedPath`, whose status says how the search ended; errors are those of `jaxurban.plan`.
+
+        Examples:
+          >>> on = ju.cost_map(maps, 60.0, objective="distance")
+          >>> shortest = on.plan(start, goal, planner="theta-star")
+          >>> shortest.status.value, len(shortest.xy_m), round(shortest.length_m)
+          ('optimal', 2, 707)
+        """
         ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
         return self.planned(*ends, PathSearch.of(None, self.levels is not None, **asked))
 
     def planned(self, start: Point | XY, goal: Point | XY, search: PathSearch) -> PlannedPath:
-        """Return a path between two places, given as in `locate`, searched for in one way."""
+        """Return a path between two places, given as in `locate`, searched for in one way that was checked before.
+
+        Returns:
+          `PlannedPath`, as of `plan`, which is simpler to call.
+
+        Examples:
+          >>> from jaxurban.paths.search import PathSearch
+          >>> ju.cost_map(maps, 60.0).planned(start, goal, PathSearch.of(planner="ptp")).status.value
+          'feasible'
+        """
         if (
             self.is_prepared
             and not search.exposure
@@ -340,7 +433,17 @@ class CostMap(Shown):
         return finish(self, path, ends, search)
 
     def means(self, features: PathFeatures) -> dict[str, float]:
-        """Return the mean of each metric m along a path, by the exact length in each cell."""
+        """Return the mean of each metric m along a path, by the exact length in each cell.
+
+        Returns:
+          Numbers in [0, 1] by the metric's name; of a path without length, m at its place.
+
+        Examples:
+          >>> on = ju.cost_map(maps, 60.0)
+          >>> means = on.means(on.problem.features(path.search.points_m))
+          >>> {name: round(m, 2) for name, m in means.items()}
+          {'gps': 0.88, 'lidar': 0.11, 'population': 0.04, 'risk': 0.99}
+        """
         metrics = self.maps.metrics
         means = zip(self.names, features.mean_costs, strict=True)
         # c turns into m as m into c, and rounding may leave the range.

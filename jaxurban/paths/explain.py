@@ -56,7 +56,7 @@ class RouteReport:
         ``mean_*`` of each metric m (over the length), ``people_overflown`` (see `explain`),
         ``under_4_satellites_m`` (length with no position fix), ``nearest_wall_m``, ``walls_outside_m`` (see
         `explain`), ``least_over_roofs_m`` (above the roofs beneath; NaN over none), ``time_s``, ``energy_wh``.
-        What the maps or the arguments do not tell is left out.
+        What the maps or the arguments do not say is left out.
       segments: a row for each of a few parts of nearly equal length: the same, ``from_m`` and ``to_m`` along
         the route, and ``min_*`` and ``max_*`` of each metric. The sums of costs, lengths and people are the totals.
       profile: a row for each cell that a step of the route crosses, in order: ``from_m`` and ``to_m``, the
@@ -64,6 +64,13 @@ class RouteReport:
       lines: longitude and latitude ``[K, 2]`` of each segment.
       settings: ``swath_m``, ``speed_m_s`` and ``power_w`` as they were given.
       cautions: what a pilot should know of the route (`jaxurban.cautions`).
+
+    Examples:
+      >>> report = ju.explain(path, maps)
+      >>> list(report.totals)[:4], len(report.segments)
+      (['length_m', 'cost', 'cost_of_distance', 'cost_of_gps'], 10)
+      >>> round(report.segments["cost"].sum()) == round(path.cost)
+      True
     """
 
     totals: Mapping[str, float]
@@ -74,7 +81,17 @@ class RouteReport:
     cautions: list[Caution]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return totals, cautions and segments as plain, JSON-ready values (None for no number)."""
+        """Return totals, cautions and segments as plain, JSON-ready values.
+
+        Returns:
+          A dictionary of the settings and totals by name, ``cautions`` (texts) and ``segments`` (a dictionary each);
+          None stands for a number that is missing or not finite.
+
+        Examples:
+          >>> record = ju.explain(path, maps, num_segments=3).to_dict()
+          >>> round(record["length_m"]), [each["segment"] for each in record["segments"]]
+          (719, [1, 2, 3])
+        """
         return {
             **_plain(self.settings),
             **_plain(self.totals),
@@ -83,7 +100,17 @@ class RouteReport:
         }
 
     def table(self) -> str:
-        """Return the report for a terminal: totals and segments."""
+        """Return the report for a terminal: totals and segments.
+
+        Returns:
+          Text of a line for each total and, after an empty line, one for each segment.
+
+        Examples:
+          >>> print(ju.explain(path, maps).table())
+          length m                719
+          cost                    223
+          ...
+        """
         return "\n\n".join(["\n".join(self._totals()), self._segments()])
 
     def _totals(self) -> Iterator[str]:
@@ -126,7 +153,7 @@ def explain(
     obstacles that below, where there are fewer of the ones and more of the others.
 
     Args:
-      planned: from `plan`; its settings tell weights, cost model, time and time of day.
+      planned: from `plan`; its settings say which weights, cost model, time and time of day.
       maps: the maps it was planned on, or their folder.
       speed_m_s: through the air; left out, that of the vehicle that it was planned for, or else no time. The vehicle's
         limits of climb and descent make it slower where the route is steep.
@@ -134,8 +161,18 @@ def explain(
       swath_m: width of the strip in which people are counted.
       num_segments: into how many segments of nearly equal length the table is cut, at most.
 
+    Returns:
+      `RouteReport`: totals of the route, a table of its segments and one of its cells, and cautions.
+
     Raises:
       InputError: there is no path, the maps are others, or a speed, power, width or number that cannot be.
+
+    Examples:
+      >>> report = ju.explain(path, maps, speed_m_s=10.0)
+      >>> [round(report.totals[name]) for name in ("length_m", "time_s", "people_overflown")]
+      [719, 72, 37]
+      >>> report.segments[["from_m", "to_m"]].round().to_numpy().tolist()[:2]
+      [[0.0, 77.0], [77.0, 133.0]]
     """
     maps = as_maps(maps)
     if num_segments < 1:

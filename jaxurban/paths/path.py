@@ -64,7 +64,7 @@ class PlannedPath(Shown):
     """A path over metric maps with its cost and metrics. ``N`` points.
 
     Attributes:
-      status: how the planner ended; `Status.has_path` tells whether there is a path.
+      status: how the planner ended; `Status.has_path` says whether there is a path.
       xy_m: ``[N, 2]`` easting, northing of the path's points in the maps' CRS; empty without a path.
       lonlat: ``[N, 2]`` longitude, latitude in degrees.
       z_m: ``[N]`` altitude above ground of each point.
@@ -74,7 +74,7 @@ class PlannedPath(Shown):
       length_m: length of the path.
       metrics: mean of each metric m along the path, weighted by length, by name.
       snap_distance_m: how far start and goal were moved to the centres of their cells (or, with
-        ``snap``, of the nearest free cells; the message tells which of them).
+        ``snap``, of the nearest free cells; the message says which of them).
       search: what the planner itself reported: bound, expansions, time, heuristic, backend, note.
       settings: planner, weights, cost model, objective and the like, for the record.
       crs: CRS of ``xy_m``.
@@ -83,6 +83,14 @@ class PlannedPath(Shown):
       exposure_by_layer: (1 / l0) x integral of each metric's cost c along the path, not weighted, by name, l0 the cost
         model's reference length.
       maps: that it was planned on; None of a path made by hand.
+
+    Examples:
+      >>> path
+      PlannedPath(status: optimal; ...; length: 719 m in 27 points; altitude: 60 m; mean metrics: gps 0.88, ...)
+      >>> {name: round(cost) for name, cost in path.cost_by_layer.items()}
+      {'distance': 72, 'gps': 17, 'lidar': 127, 'population': 5, 'risk': 1}
+      >>> path.xy_m.shape, path.lonlat[0].round(4).tolist()
+      ((27, 2), [-73.9732, 40.7774])
     """
 
     status: Status
@@ -147,9 +155,18 @@ class PlannedPath(Shown):
           report: from `jaxurban.explain`, to be written too.
           end: of a ``.plan``: ``"land"``, ``"return"`` or ``"none"`` (see `write_path`).
 
+        Returns:
+          The first file as a `pathlib.Path`.
+
         Raises:
           InputError: there is no path, another suffix, an end that is none or without a ``.plan``, or a folder that
             does not exist or cannot be written to.
+
+        Examples:
+          >>> path.save("route.geojson", "route.kml").name
+          'route.geojson'
+          >>> path.save("mission.plan", report=ju.explain(path, maps), end="land").exists()
+          True
         """
         if not self.status.has_path:
             raise InputError(f"there is no path to save: {self.status.sentence}")
@@ -160,7 +177,17 @@ class PlannedPath(Shown):
         return FilePath(file)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but the points' arrays as plain, JSON-ready values (None for no number)."""
+        """Return everything but the points' arrays as plain, JSON-ready values.
+
+        Returns:
+          A dictionary of the path's status, message, costs, lengths, metrics, search and settings; None stands for a
+          number that is not finite.
+
+        Examples:
+          >>> record = path.to_dict()
+          >>> record["status"], record["num_points"], record["settings"]["cost_model"]
+          ('optimal', 27, 'line')
+        """
         return {
             "status": self.status.value,
             "message": self.message,
@@ -348,7 +375,7 @@ def over_budget(exposure: Mapping[str, float], budgets: Mapping[str, float]) -> 
 def simplify(planned: PlannedPath, on: "CostMap", tolerance_m: float) -> PlannedPath:
     """Return the path with the fewest straight legs that keep within a tolerance of it and to free cells.
 
-    A mission of tens of waypoints comes out of one of hundreds. Every leg keeps 2 cm from every cell that is closed by
+    A mission of hundreds of waypoints becomes one of tens. Every leg keeps 2 cm from every cell that is closed by
     an obstacle or a constraint, so that no rounding of coordinates takes it into one (`jaxurban.planners.simplify`
     says what is done where the path itself passes nearer). The altitudes above ground stay, and so do the ends. Cost,
     metrics and length are those of the new path; its message says the tolerance, the waypoints before and after, how
@@ -359,9 +386,19 @@ def simplify(planned: PlannedPath, on: "CostMap", tolerance_m: float) -> Planned
       on: the cost map that it was planned on, as from `cost_map` with the same arguments: it knows the free cells.
       tolerance_m: how far the path may be from where it was, in plan.
 
+    Returns:
+      `PlannedPath`, whose status is feasible where the path was optimal and anything moved.
+
     Raises:
       InputError: a tolerance that is not a positive number of metres, or a cost map under other settings, constraints
         or in another region than the path's.
+
+    Examples:
+      >>> short = ju.simplify(path, ju.cost_map(maps, 60.0), tolerance_m=20.0)
+      >>> len(path.xy_m), len(short.xy_m), short.status.value
+      (27, 3, 'feasible')
+      >>> short.message
+      '...Simplified to 20 m: 3 of 27 waypoints, at most 12.44 m from the planned path; ...'
     """
     if not planned.status.has_path:
         return planned

@@ -74,10 +74,22 @@ def cost_map(
       preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance, instead of the defaults of
         what is left out here and in the scenario.
 
+    Returns:
+      `CostMap`, whose costs, weights and free cells all its paths share.
+
     Raises:
       InputError: an altitude beyond the maps', an unknown time, time of day, preset, cost model or objective, a wrong
         weight, a bound on a map that is not there, bounds of altitude that hold no level, no free cell in a volume, or
         more of them than memory holds.
+
+    Examples:
+      >>> on = ju.cost_map(maps, 20.0, weights={"gps": 3.0})
+      >>> on.facts["weights"]
+      'distance 0.1, gps 3, lidar 1, population 1, risk 1'
+      >>> on.facts["free"]
+      '81.2% of the cells'
+      >>> on.plan(start, goal).status.value
+      'optimal'
     """
     maps, model, limits = rules_on(as_maps(maps), cost_model, constraints, preset)
     rules: dict[str, Any] = {
@@ -181,10 +193,22 @@ def plan(
         (`PlannedPath.exposure_by_layer`). The cheapest path of the grid within them is searched for; ``search`` carries
         its lower bound and gap.
 
+    Returns:
+      `PlannedPath`. Where the search ended without a path, its status and message say why, and its cost is inf.
+
     Raises:
       InputError: a place outside the maps or inside an obstacle or a constraint (names it and the nearest free cell, or
         the lowest free level), an altitude beyond the maps', an unknown planner, heuristic or objective, bounds of
         altitude that hold no level, or a volume that memory cannot hold.
+
+    Examples:
+      >>> path = ju.plan(maps, start, goal, altitude_m=60.0, weights={"population": 5.0})
+      >>> path.status.value, len(path.xy_m), round(path.length_m)
+      ('optimal', 29, 742)
+      >>> levels = ju.Levels(min_altitude_m=20.0, max_altitude_m=60.0, level_step_m=20.0)
+      >>> climbing = ju.plan(maps, (*start, 20.0), (*goal, 60.0), altitude_m=levels)
+      >>> climbing.z_m[[0, -1]].tolist()
+      [20.0, 60.0]
     """
     maps = as_maps(maps)
     search = PathSearch.of(maps, isinstance(altitude_m, Levels), **taken_by(PathSearch.of, asked))

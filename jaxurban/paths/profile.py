@@ -228,8 +228,18 @@ def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None
       maps: the maps it was planned on, or their folder.
       profile: of `explain`; made here if left out.
 
+    Returns:
+      Texts (`Caution`), each with a ``level``, which is ``"guess"``, ``"limit"`` or ``"note"``.
+
     Raises:
       InputError: there is no path, or the maps are others.
+
+    Examples:
+      >>> for caution in ju.cautions(path, maps):
+      ...     print(caution.level, caution)
+      note Buildings: the nearest at flight height is 14.1 m away, 239 m along the route.
+      note Roofs: the least height over one is 23.7 m, 267 m along the route (a roof of 36.3 m).
+      note The goal is over a roof of 8.9 m, not over the ground.
     """
     maps = as_maps(maps)
     profile = cautious_profile(planned, maps) if profile is None else profile

@@ -155,6 +155,13 @@ class PlannedPaths(Shown, Sequence[PlannedPath | None]):
       rows: of `to_dataframe`, with the path's points, one a query.
       paths: what the planner gave; None where it did not run to its end.
       was_interrupted: whether Ctrl-C ended the batch before its end.
+
+    Examples:
+      >>> paths = ju.plan_many(maps, [(start, goal), (goal, start)], altitude_m=60.0, progress=False)
+      >>> len(paths), paths[0].status.value, paths.was_interrupted
+      (2, 'optimal', False)
+      >>> paths.facts["length"]
+      '1.4 km'
     """
 
     rows: Sequence[Row]
@@ -188,8 +195,16 @@ class PlannedPaths(Shown, Sequence[PlannedPath | None]):
         ``.parquet`` and ``.csv`` hold `to_dataframe`; ``.geojson`` and ``.kml`` a line for each path that was found,
         whose name is the query's number.
 
+        Returns:
+          The file as a `pathlib.Path`.
+
         Raises:
           InputError: another suffix, no path at all, or a folder that does not exist or cannot be written to.
+
+        Examples:
+          >>> paths = ju.plan_many(maps, [(start, goal), (goal, start)], altitude_m=60.0, progress=False)
+          >>> [paths.save(name).name for name in ("routes.csv", "routes.geojson")]
+          ['routes.csv', 'routes.geojson']
         """
         file = FilePath(file)
         if file.suffix.lower() in SUFFIXES:
@@ -208,6 +223,16 @@ class PlannedPaths(Shown, Sequence[PlannedPath | None]):
         Args:
           with_points: also the columns ``x_m`` and ``y_m``, the path's eastings and northings as lists, and
             ``search``, the rest of what the planner reported, as JSON.
+
+        Returns:
+          A `pandas.DataFrame` in the order of the queries; units end the names of its columns, and what a query
+          without a path does not have is missing there.
+
+        Examples:
+          >>> paths = ju.plan_many(maps, [(start, goal), (goal, start)], altitude_m=60.0, progress=False)
+          >>> table = paths.to_dataframe()
+          >>> table[["query", "status", "num_points"]].to_numpy().tolist()
+          [[0, 'optimal', 27], [1, 'optimal', 27]]
         """
         table = pd.DataFrame(self.rows)
         return table if with_points else table.drop(columns=["x_m", "y_m", "search", "key"], errors="ignore")

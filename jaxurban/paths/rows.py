@@ -42,6 +42,11 @@ class MapsFolder:
       folder: of the maps, as `open_maps` takes it.
       resolution_m: which of them, where it holds several.
       obstacles: where planners may fly (see `jaxurban.maps.metric_maps.MetricMaps`); None: as the scenario has it.
+
+    Examples:
+      >>> folder = ju.studies.MapsFolder(maps.save("maps"), obstacles="touched")
+      >>> folder.open().grid.shape
+      (30, 30)
     """
 
     folder: str | Path
@@ -49,11 +54,28 @@ class MapsFolder:
     obstacles: Obstacles | None = None
 
     def at(self, opened: MetricMaps) -> "MapsFolder":
-        """Return the folder by its whole path, with the resolution and the rule of its opened maps."""
+        """Return the folder by its whole path, with the resolution and the rule of its opened maps.
+
+        Returns:
+          `MapsFolder` in which nothing is left out, so that a worker in any folder opens the same maps.
+
+        Examples:
+          >>> whole = ju.studies.MapsFolder("maps").at(maps)
+          >>> whole.folder.is_absolute(), whole.resolution_m, whole.obstacles
+          (True, 20.0, 'touched')
+        """
         return MapsFolder(Path(self.folder).resolve(), opened.grid.resolution_m, opened.obstacles)
 
     def open(self) -> MetricMaps:
-        """Return the maps."""
+        """Return the maps, with the errors of `open_maps`.
+
+        Returns:
+          `MetricMaps` whose arrays are read when they are used.
+
+        Examples:
+          >>> ju.studies.MapsFolder(maps.save("maps")).open().altitudes_m
+          (20.0, 60.0)
+        """
         return open_maps(self.folder, self.resolution_m, obstacles=self.obstacles)
 
 

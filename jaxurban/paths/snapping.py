@@ -20,7 +20,13 @@ MAX_SNAP_M = 50.0  # about half a city block, unless another distance is given
 
 
 class XY(NamedTuple):
-    """A place in the maps' CRS: easting, northing in metres; between levels its altitude if liked."""
+    """A place in the maps' CRS: easting, northing in metres; between levels its altitude if liked.
+
+    Examples:
+      >>> place = ju.XY(586650.0, 4514550.0)
+      >>> ju.cost_map(maps, 60.0).plan(place, goal).status.value
+      'optimal'
+    """
 
     x_m: float
     y_m: float

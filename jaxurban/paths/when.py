@@ -36,10 +36,17 @@ class Departures(Shown):
         path; ``longest_no_fix_m``, the longest stretch without a fix on any of them; ``above_best``, the share by
         which the cost exceeds the least one; ``kept_above``, by which share a route of the best time costs more now
         than this time's own, at most (inf where it is closed), and ``num_changed``, how many routes that is so of.
-        Routes that never have a path are in no sum. What the maps do not hold is left out.
+        Queries that have a path at no time are in no sum. What the maps do not hold is left out.
       routes: a row a time and route, as of `PlannedPaths.to_dataframe`, with the same of each: ``departure`` is the
         row of ``table``, ``query`` the number of the route.
       paths: of the rows of ``routes``.
+
+    Examples:
+      >>> departures = ju.when(maps, [(start, goal)], altitude_m=60.0, progress=False)
+      >>> departures.facts["best"]
+      '2020-04-27T16:00:00Z, day, cost 222.96'
+      >>> departures.best, len(departures.table), len(departures.paths)
+      (0, 2, 2)
     """
 
     table: pd.DataFrame
@@ -80,7 +87,7 @@ def when(
     """Return what routes cost and meet at every time that maps hold, each planned at each time (`plan_many`).
 
     Every time of the GPS maps is taken with every time of day of the population maps, as no rule says which belong
-    together; a ``time`` or ``time_of_day`` that is given is kept.
+    together. Where ``time`` or ``time_of_day`` is given, that one alone is taken.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
@@ -91,8 +98,18 @@ def when(
       planner, heuristic, budget_s, seed, snap: of each query, as in `plan`.
       refine, exposure: of a single plan only.
 
+    Returns:
+      `Departures`: a table of the times, one of the routes at each time, and their paths.
+
     Raises:
       InputError: there is one time alone, a query has a time of its own, or none of them can be planned at any time.
+
+    Examples:
+      >>> departures = ju.when(maps, [(start, goal), (goal, start)], altitude_m=60.0, progress=False)
+      >>> departures.table[["time_of_day", "num_changed"]].to_numpy().tolist()
+      [['day', 0], ['night', 2]]
+      >>> [round(share, 3) for share in departures.table["above_best"].tolist()]
+      [0.0, 0.057]
     """
     maps = as_maps(maps)
     time, time_of_day = (asked.get(name) for name in TIMES)
