@@ -39,6 +39,13 @@ class CostModel:
 
     Raises:
       InputError: a value that is none of these.
+
+    Examples:
+      >>> model = ju.CostModel(kind="cell", connectivity=4)
+      >>> print(model)
+      'cell' (reference length 5 m, 4 neighbours, diagonal steps 'both-free')
+      >>> len(ju.plan(maps, start, goal, altitude_m=60.0, cost_model=model).xy_m)
+      51
     """
 
     kind: CostKind = DEFAULTS.cost_model
@@ -52,13 +59,31 @@ class CostModel:
 
     @classmethod
     def of(cls, given: "CostModel | CostKind | None") -> "CostModel":
-        """Return a cost model as it is, the one of a kind that is named, or the default."""
+        """Return the cost model that is given whole, by its kind alone, or not at all.
+
+        Returns:
+          `CostModel`; of a kind alone with the defaults of the rest, of None the default.
+
+        Examples:
+          >>> ju.CostModel.of("cell").kind, ju.CostModel.of(None) == ju.CostModel()
+          ('cell', True)
+        """
         return given if isinstance(given, CostModel) else cls(given or DEFAULTS.cost_model)
 
     @classmethod
     @typed
     def from_settings(cls, settings: Mapping[str, Any]) -> "CostModel":
-        """Return the model that settings give under the names of `settings`; what they leave out is the default."""
+        """Return the model that settings give under the names of `settings`, as a scenario or a path holds them.
+
+        Returns:
+          `CostModel`; what the settings leave out is the default, and their other entries are ignored.
+
+        Examples:
+          >>> ju.CostModel.from_settings({"cost_model": "cell", "connectivity": 4}).connectivity
+          4
+          >>> ju.CostModel.from_settings(path.settings) == ju.CostModel()
+          True
+        """
         given = {name: settings.get(name, default) for name, default in cls().settings.items()}
         return cls(one_of("cost_model", given.pop("cost_model"), get_args(CostKind)), **given)
 
