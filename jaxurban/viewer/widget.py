@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @typed
 def view(maps: GivenMaps, *, weights: GivenWeights = None, preset: str = "") -> Any:
-    """Return a widget to look at maps and plan on them, which a notebook shows as the last line of a cell.
+    """Return a widget to look at maps and plan on them, which a notebook shows where it is the last line of a cell.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder; routes are planned as their scenario's ``[planning]`` and
@@ -23,8 +23,16 @@ def view(maps: GivenMaps, *, weights: GivenWeights = None, preset: str = "") -> 
       weights: where the sliders start; left out, those of the scenario, else `Weights()`.
       preset: ``"paper"``: where the page starts, as in `jaxurban.cost_map`.
 
+    Returns:
+      An ``anywidget.AnyWidget`` that answers the page as long as the kernel runs.
+
     Raises:
       InputError: anywidget is not installed, or the maps cannot be opened.
+
+    Examples:
+      >>> widget = ju.view(maps, weights={"gps": 2.0})
+      >>> type(widget).__name__
+      'ViewerWidget'
     """
     opened = as_maps(maps)
     folder = "" if opened is maps else str(maps)
