@@ -69,18 +69,27 @@ def build_maps(
       altitudes_m: flight altitudes above ground.
       oversample: n: occlusion and lidar on a surface n times finer (odd is best).
       heights: how roofs are rasterised, and how well their heights are known.
-      layers: cost layers of one's own, by name: rasters, arrays on the cells of the maps, or functions.
+      layers: further cost layers, by name: rasters, arrays on the cells of the maps, or functions.
       engine: ``"numba"``, on the host; ``"jax"``, where JAX computes; or ``"auto"``: Numba where that is a CPU, else
         JAX. On a CPU the bits are the same.
       progress: as in `jaxurban.progress.reporting`.
       metrics: settings of metrics by name, such as ``gps=Gps(times="2020-04-27T16:00:00Z")``; those made on request
         are made if they are named, as ``protection=Protection()``.
 
+    Returns:
+      The maps, in memory: one variable for each metric, m from 0 to 1, ``[altitude, y, x]`` with the time (``gps``) or
+      the time of day (``population``) in front; see `MetricMaps`.
+
     Warns:
       GuessWarning: of each guess behind the maps (`MetricMaps.guesses`) that reading the city has not warned of.
 
     Raises:
       InputError: settings that do not fit the city, too few satellites, or too little memory.
+
+    Examples:
+      >>> made = ju.build_maps(city, resolution_m=20.0, altitudes_m=(30.0, 60.0), gps=ju.Gps(mask_deg=10.0))
+      >>> made.ds["gps"].shape, made.ds["risk"].shape
+      ((1, 2, 30, 30), (2, 30, 30))
     """
     positive("resolution_m", resolution_m, "metres")
     if grid is not None and bounds is not None:
@@ -258,8 +267,17 @@ def map_inputs(
       grid: of the maps, such as that of maps.
       altitudes_m, metrics: as for `build_maps`.
 
+    Returns:
+      The inputs, a pytree of the city's surface and the settings, and the skies, a pytree whose leaves have the times
+      first, ``[T, ...]``.
+
     Raises:
       InputError: a grid off the city, unreadable or stale orbits, or settings that `all_maps` does not know.
+
+    Examples:
+      >>> inputs, skies = ju.grad.map_inputs(city, maps.grid, altitudes_m=(60.0,))
+      >>> list(inputs.metrics), skies.num.shape
+      (['gps', 'lidar', 'population', 'risk'], (1,))
     """
     params = MapParams(altitudes_m, sections=_sections(city, metrics))
     check_region(city, grid)
@@ -289,6 +307,13 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: GivenWeights = None) -> d
 
     Raises:
       InputError: skies of several times, or weights that are none.
+
+    Examples:
+      >>> import jax
+      >>> inputs, skies = ju.grad.map_inputs(city, maps.grid, altitudes_m=(60.0,))
+      >>> made = jax.jit(jax.vmap(ju.grad.all_maps, (None, 0)))(inputs, skies)  # all times
+      >>> made["gps"].shape, made["population"].shape
+      ((1, 1, 30, 30), (1, 2, 30, 30))
     """
     if np.ndim(sky.num):
         raise InputError(

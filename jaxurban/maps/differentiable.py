@@ -43,6 +43,11 @@ class SoftParams:
 
     Raises:
       InputError: sections of no metric.
+
+    Examples:
+      >>> params = ju.grad.SoftParams(altitude_m=60.0, sections={"risk": ju.Risk(threshold_m=30.0)})
+      >>> params.softness_m, params.sections["risk"].threshold_m
+      (2.0, 30.0)
     """
 
     altitude_m: Float[Array, ""] | float
@@ -53,7 +58,16 @@ class SoftParams:
         object.__setattr__(self, "sections", checked_sections(self.sections))
 
     def settings_of(self, metric: Metric) -> Any:
-        """Return the settings of a metric."""
+        """Return the settings of a metric.
+
+        Returns:
+          The section of that metric, its defaults where ``sections`` name none.
+
+        Examples:
+          >>> params = ju.grad.SoftParams(altitude_m=60.0, sections={"risk": ju.Risk(threshold_m=30.0)})
+          >>> params.settings_of(maps.metrics["risk"])
+          Risk(threshold_m=30.0, distance='slice')
+        """
         return self.sections[metric.name] if metric.name in self.sections else metric.params()
 
 
@@ -74,7 +88,7 @@ class PathVisits(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SoftCity:
-    """A city and a sky, made ready on the host; a pytree, so that one program serves all of the same shapes.
+    """A city and a sky, made ready on the host by `soft_city`; a pytree: one program serves all of the same shapes.
 
     Attributes:
       surface: roofs, terrain and blocks; the type of its roofs is that of the layers (float64 under
@@ -86,7 +100,13 @@ class SoftCity:
       time_of_day: of the population.
       reach_m: how far each metric looks at most, by name: the largest range and threshold of the parameters. Left
         out, those of the default settings.
-      own: cost layers of one's own, name and settings.
+      own: cost layers that a user added, name and settings.
+
+    Examples:
+      >>> params = ju.grad.SoftParams(altitude_m=60.0)
+      >>> soft = ju.grad.soft_city(city, maps.grid, params)
+      >>> soft.names, soft.height_m.shape
+      (('gps', 'lidar', 'population', 'risk'), (130,))
     """
 
     surface: Surface
@@ -103,7 +123,7 @@ class SoftCity:
 
     @property
     def metrics(self) -> dict[str, Metric]:
-        """The metrics that have a soft form, by name, in the order of the layers: as in maps, and one's own last."""
+        """The metrics that have a soft form, by name, in the order of the layers: as in maps, a user's own last."""
         made = metrics_of(dict(self.reach_m), dict(self.own), has_people=self.population is not None)
         return {name: metric for name, metric in made.items() if metric.soft is not None}
 
@@ -115,10 +135,20 @@ class SoftCity:
     def layer(
         self, name: str, height_m: Float[Array, " B"], params: SoftParams, cells: Int[Array, "P 2"] | None = None
     ) -> Float[Array, "y x"] | Float[Array, " P"]:
-        """Return one of the `layers`, by its metric's name.
+        """Return one of the `layers`, by the name of its metric.
+
+        Returns:
+          The layer's cost c, 0 to 1: ``[y, x]``, or ``[P]`` where cells are chosen.
 
         Raises:
           InputError: a metric that this city does not hold.
+
+        Examples:
+          >>> params = ju.grad.SoftParams(altitude_m=60.0)
+          >>> soft = ju.grad.soft_city(city, maps.grid, params)
+          >>> cells = np.array([[2, 2], [17, 15]])  # row, column
+          >>> soft.layer("risk", soft.height_m, params, cells).shape
+          (2,)
         """
         metric = self.metrics[one_of("the metric of a soft layer", name, self.names)]
         assert metric.soft is not None
@@ -150,19 +180,53 @@ class SoftCity:
           params: parameters of the metrics.
           cells: row and column in the region; a path needs only its own, which is cheaper by far.
 
+        Returns:
+          The layers in the order of `names`, each 0 to 1.
+
         Raises:
           InputError: a value known to be wrong, such as a negative softness.
+
+        Examples:
+          >>> params = ju.grad.SoftParams(altitude_m=60.0)
+          >>> soft = ju.grad.soft_city(city, maps.grid, params)
+          >>> cells = np.array([[2, 2], [17, 15]])  # row, column
+          >>> soft.layers(soft.height_m, params, cells).shape
+          (4, 2)
         """
         return jnp.stack([self.layer(name, height_m, params, cells) for name in self.names])
 
     def layer_weights(self, weights: Weights) -> Float[Array, " L"]:
-        """Return the weight of each layer."""
+        """Return the weight of each layer.
+
+        Returns:
+          The weights, ``[L]``, in the order of `names` and in the type of ``height_m``; the distance is not among them.
+
+        Examples:
+          >>> params = ju.grad.SoftParams(altitude_m=60.0)
+          >>> soft = ju.grad.soft_city(city, maps.grid, params)
+          >>> soft.layer_weights(ju.Weights(risk=5.0)).tolist()
+          [1.0, 1.0, 1.0, 5.0]
+        """
         return jnp.stack([jnp.asarray(weights[name], self.height_m.dtype) for name in self.names])
 
     def cost_by_layer(
         self, height_m: Float[Array, " B"], params: SoftParams, weights: Weights, visits: PathVisits
     ) -> Float[Array, " L"]:
-        """Return the cost of a fixed path by layer, weights included; differentiable in all but the path."""
+        """Return the cost of a fixed path by layer, weights included; differentiable in all but the path.
+
+        Returns:
+          The costs, ``[L]``, in the order of `names`; that of the distance is not among them.
+
+        Examples:
+          >>> from jaxurban.maps.differentiable import path_visits
+          >>> params = ju.grad.SoftParams(altitude_m=60.0)
+          >>> soft = ju.grad.soft_city(city, maps.grid, params)
+          >>> points_m = path.xy_m - np.array(maps.grid.bounds_m[:2])
+          >>> visits = path_visits(points_m, maps.grid.shape, maps.grid.resolution_m, ju.CostModel())
+          >>> by_layer = soft.cost_by_layer(soft.height_m, params, ju.Weights(), visits)
+          >>> dict(zip(soft.names, by_layer.round().tolist()))
+          {'gps': 17.0, 'lidar': 128.0, 'population': 5.0, 'risk': 1.0}
+        """
         return self.layer_weights(weights) * (self.layers(height_m, params, visits.cells) @ visits.times)
 
     def path_cost(
@@ -173,6 +237,18 @@ class SoftCity:
         Its gradient by heights, parameters and weights is that of **the optimal cost** where the path is the only
         optimal one on these layers (the envelope theorem, see `jaxurban.planners.envelope.planned_cost`), and of this
         path's cost anyhow.
+
+        Returns:
+          The cost, a scalar, that of the distance included.
+
+        Examples:
+          >>> from jaxurban.maps.differentiable import path_visits
+          >>> params = ju.grad.SoftParams(altitude_m=60.0)
+          >>> soft = ju.grad.soft_city(city, maps.grid, params)
+          >>> points_m = path.xy_m - np.array(maps.grid.bounds_m[:2])
+          >>> visits = path_visits(points_m, maps.grid.shape, maps.grid.resolution_m, ju.CostModel())
+          >>> round(float(soft.path_cost(soft.height_m, params, ju.Weights(), visits)))
+          223
         """
         by_layer = self.cost_by_layer(height_m, params, weights, visits)
         return weights.distance * visits.length_m + by_layer.sum()
@@ -218,11 +294,20 @@ def soft_city(city: City, grid: Grid, params: SoftParams, *, layers: Mapping[str
       grid: of the layers, such as that of maps.
       params: as the maps will have them; of several times and times of day the first ones. Their ranges and
         thresholds, their altitude and the city's highest roof are as far as is looked: parameters may not go beyond.
-      layers: cost layers of one's own, by name; those that are functions with a soft form take part.
+      layers: further cost layers, by name; those that are functions with a soft form take part.
+
+    Returns:
+      The soft city, whose ``layers`` and ``path_cost`` JAX can differentiate.
 
     Raises:
       InputError: a grid that does not fit the city, a city whose roofs are a height raster, or unreadable or stale
         orbits.
+
+    Examples:
+      >>> params = ju.grad.SoftParams(altitude_m=60.0)
+      >>> soft = ju.grad.soft_city(city, maps.grid, params)
+      >>> soft.names
+      ('gps', 'lidar', 'population', 'risk')
     """
     check_region(city, grid)
     settings = MapParams((float(params.altitude_m),), sections=params.sections)

@@ -17,7 +17,7 @@ class Levels:
     """Between which altitudes a path may climb and descend, and what that costs.
 
     The path runs between levels: the maps' altitudes within the bounds, and those that ``level_step_m`` puts between
-    them. Metrics are then taken linearly from the maps below and above, obstacles from the roofs' own heights.
+    them. There metrics are taken linearly from the maps below and above, and obstacles from the heights of the roofs.
 
     Attributes:
       min_altitude_m, max_altitude_m: between which to fly, metres above ground; left out, the maps' range.
@@ -28,6 +28,12 @@ class Levels:
 
     Raises:
       InputError: a cost that is negative or not finite.
+
+    Examples:
+      >>> levels = ju.Levels(min_altitude_m=40.0, level_step_m=10.0)
+      >>> planned = ju.plan(maps, start, goal, altitude_m=levels)
+      >>> sorted(set(planned.z_m.tolist()))
+      [40.0, 50.0]
     """
 
     min_altitude_m: float | None = None
@@ -43,10 +49,17 @@ class Levels:
                 raise InputError(f"{name} must be a finite cost per metre >= 0, got {value:g}")
 
     def of(self, altitudes_m: Iterable[float]) -> np.ndarray:
-        """Return ``[K]`` ascending levels: the altitudes within the bounds, and with a step also every step between.
+        """Return the levels over some maps, ``[K]`` ascending: their altitudes within the bounds and all steps between.
+
+        Returns:
+          The levels, metres above ground.
 
         Raises:
           InputError: bounds that hold no altitude, or a step that is not positive.
+
+        Examples:
+          >>> ju.Levels(level_step_m=15.0).of(maps.altitudes_m).tolist()
+          [20.0, 35.0, 50.0, 60.0]
         """
         known_m, step_m = np.array(sorted(altitudes_m)), self.level_step_m
         lowest = known_m[0] if self.min_altitude_m is None else self.min_altitude_m

@@ -74,6 +74,12 @@ class MetricMaps(Shown):
 
     Raises:
       InputError: an unknown rule of obstacles, or a part of maps that leaves cells out.
+
+    Examples:
+      >>> maps.altitudes_m, maps.times, list(maps.metrics)
+      ((20.0, 60.0), ('2020-04-27T16:00:00Z',), ['gps', 'lidar', 'population', 'risk'])
+      >>> maps.ds["gps"].dims, maps.ds["gps"].shape
+      (('time', 'altitude', 'y', 'x'), (1, 2, 30, 30))
     """
 
     ds: xr.Dataset
@@ -97,7 +103,15 @@ class MetricMaps(Shown):
         return Planning(**self.recorded.get("planning", {}))
 
     def with_recorded(self, settings: Mapping[str, Any]) -> "MetricMaps":
-        """Return the same maps as those of a run of such settings."""
+        """Return the same maps with other settings of a run on record (`recorded`).
+
+        Returns:
+          The maps; of the settings they keep ``weights``, ``planning`` and ``vehicle``.
+
+        Examples:
+          >>> maps.with_recorded({"weights": {"risk": 5.0}}).recorded
+          {'weights': {'risk': 5.0}}
+        """
         kept = {name: settings[name] for name in OF_ROUTES if name in settings}
         return replace(self, ds=self.ds.assign_attrs(settings=json.dumps(kept)))
 
@@ -155,7 +169,7 @@ class MetricMaps(Shown):
 
     @property
     def identity(self) -> dict[str, str]:
-        """What tells these maps from others, for the record of what was made on them: run, grid and obstacles' rule."""
+        """Run, grid and rule of obstacles, which no other maps share: for the record of what was made on them."""
         names = ("run_key", "crs", "resolution_m", "first_row", "first_col")
         return {name: str(self.ds.attrs.get(name)) for name in names} | {"obstacles": self.obstacles}
 
@@ -193,7 +207,7 @@ class MetricMaps(Shown):
 
     @property
     def metrics(self) -> Mapping[str, Metric]:
-        """The metrics of the cost that these maps hold by name, one's own too, in the order of the cost's layers."""
+        """The metrics of the cost in these maps by name, those that a user added too, in the order of the layers."""
         return held_metrics(self.ds)
 
     def _pick(self, name: str, value, held: Sequence) -> int:
@@ -204,15 +218,31 @@ class MetricMaps(Shown):
 
     @typed
     def check_altitude(self, altitude_m: float) -> None:
-        """Raise InputError unless these maps hold an altitude."""
+        """Raise InputError unless these maps hold an altitude.
+
+        Examples:
+          >>> maps.check_altitude(60.0)
+          >>> try:
+          ...     maps.check_altitude(40.0)
+          ... except ju.InputError as error:
+          ...     print(error)
+          there are no maps for altitude 40.0: these maps hold 20.0, 60.0
+        """
         self._pick("altitude", altitude_m, self.altitudes_m)
 
     @typed
     def around(self, altitude_m: float) -> list[float]:
         """Return an altitude if these maps hold it, else the two that they hold next below and above it.
 
+        Returns:
+          The altitudes, ascending, metres above ground.
+
         Raises:
           InputError: it is no number, or lies outside the range of these maps.
+
+        Examples:
+          >>> maps.around(60.0), maps.around(40.0)
+          ([60.0], [20.0, 60.0])
         """
         altitude_m = finite("altitude_m", altitude_m, "metres")
         low_m, high_m = min(self.altitudes_m), max(self.altitudes_m)
@@ -231,12 +261,22 @@ class MetricMaps(Shown):
 
         Args:
           name: a variable, such as ``"gps"`` or ``"hdop"``; ``"gps"`` of a long series is its median.
-          altitude_m: one of `altitudes_m`; the lowest listed first if left out.
+          altitude_m: one of `altitudes_m`; the first listed if left out.
           time: one of `times`; the first if left out.
           time_of_day: one of `times_of_day`; the first if left out.
 
+        Returns:
+          The map, in the unit of the variable; m is 0 to 1. Missing values are NaN.
+
         Raises:
           InputError: no such variable, altitude, time or time of day in these maps.
+
+        Examples:
+          >>> gps = maps.m("gps", 60.0)
+          >>> gps.shape, round(float(np.nanmean(gps)), 2)
+          ((30, 30), 0.88)
+          >>> round(float(np.nanmax(maps.m("roof"))))  # metres
+          395
         """
         held = self.variable(name)
         if held != name and time is not None:
@@ -256,12 +296,20 @@ class MetricMaps(Shown):
         return maps.isel({dim: index for dim, index in wanted.items() if dim in maps.dims}).values
 
     def variable(self, name: str) -> str:
-        """Return the variable that holds a metric: the median stands for it where a long series keeps statistics."""
+        """Return which variable holds a metric: its median where a long series keeps statistics, else its own.
+
+        Returns:
+          The name of the variable in ``ds``.
+
+        Examples:
+          >>> maps.variable("gps")  # of a long series: 'gps_median'
+          'gps'
+        """
         return f"{name}_median" if name not in self.ds and f"{name}_median" in self.ds else name
 
     @typed
     def is_free(self, altitude_m: float, obstacles: Obstacles | None = None) -> np.ndarray:
-        """Return ``[y, x]`` bool: no obstacle at an altitude, data there, and a value of every layer of one's own.
+        """Return ``[y, x]`` bool: no obstacle at an altitude, data there, and a value of every layer that a user added.
 
         At one of the maps' altitudes a cell that ``obstacle`` blocks is never free, whatever the roofs say. Metrics are
         defined under what hangs, but nobody may fly there: heights of floors are not known well enough.
@@ -270,8 +318,18 @@ class MetricMaps(Shown):
           altitude_m: above ground; one of the maps' altitudes, or any other.
           obstacles: left out, the maps' own rule: where planners may fly. ``"centre"``: where metrics are defined.
 
+        Returns:
+          True where a path may fly; False inside obstacles and where a height is not known.
+
         Raises:
           InputError: maps that hold no touched roofs, an unknown rule, or an altitude that is no number.
+
+        Examples:
+          >>> is_free = maps.is_free(20.0)
+          >>> is_free.shape, round(float(is_free.mean()), 2)
+          ((30, 30), 0.84)
+          >>> round(float(maps.is_free(20.0, "centre").mean()), 2)
+          0.94
         """
         altitude_m = finite("altitude_m", altitude_m, "metres")
         rule = obstacles or self.obstacles
@@ -294,17 +352,42 @@ class MetricMaps(Shown):
         return is_free
 
     def is_under_sky(self, altitude_m: float) -> np.ndarray:
-        """Return ``[y, x]`` bool: `is_free` by centres, and nothing hangs over the cell's centre above the altitude."""
+        """Return ``[y, x]`` bool: `is_free` by centres, with nothing that hangs over the centre above the altitude.
+
+        Returns:
+          True where metrics are defined and nothing hangs above.
+
+        Examples:
+          >>> round(float(maps.is_under_sky(20.0).mean()), 2)
+          0.94
+        """
         return self.with_obstacles("centre").is_free(altitude_m)
 
     @typed
     def with_obstacles(self, obstacles: Obstacles) -> "MetricMaps":
-        """Return the same maps with another rule of where planners may fly (see ``obstacles``)."""
+        """Return the same maps with another rule of where planners may fly (see ``obstacles``).
+
+        Returns:
+          The maps, which share their dataset with these.
+
+        Examples:
+          >>> maps.obstacles, maps.with_obstacles("centre").obstacles
+          ('touched', 'centre')
+        """
         return replace(self, rule=obstacles)
 
     @typed
     def costs(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> dict:
-        """Return the cost layers c in [0, 1] by metric, ``[y, x]`` each; NaN where m is missing."""
+        """Return the cost layers c in [0, 1] by metric, ``[y, x]`` each; NaN where m is missing.
+
+        Returns:
+          The layers: ``{"gps": array, ...}`` in the order of `metrics`.
+
+        Examples:
+          >>> costs = maps.costs(60.0, time_of_day="night")
+          >>> list(costs), costs["risk"].shape
+          (['gps', 'lidar', 'population', 'risk'], (30, 30))
+        """
         return {
             name: metric.cost(self.m(name, altitude_m, time=time, time_of_day=time_of_day))
             for name, metric in self.metrics.items()
@@ -312,12 +395,30 @@ class MetricMaps(Shown):
 
     @typed
     def total(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
-        """Return H_total, the unweighted sum of the cost layers, ``[y, x]``; NaN where one of them is missing."""
+        """Return H_total, the unweighted sum of the cost layers, ``[y, x]``; NaN where one of them is missing.
+
+        Returns:
+          The sum, from 0 to the number of layers.
+
+        Examples:
+          >>> total = maps.total(20.0)
+          >>> total.shape, round(float(np.nanmean(total)), 2)
+          ((30, 30), 0.75)
+        """
         return np.sum([*self.costs(altitude_m, time=time, time_of_day=time_of_day).values()], axis=0)
 
     @typed
     def normalised(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
-        """Return H_norm, H_total brought to [0, 1] over free cells, NaN elsewhere, ``[y, x]``."""
+        """Return H_norm, H_total brought to [0, 1] over free cells, NaN elsewhere, ``[y, x]``.
+
+        Returns:
+          The map, 0 at the cheapest free cell and 1 at the costliest; 0 everywhere where all cost the same.
+
+        Examples:
+          >>> norm = maps.normalised(60.0)
+          >>> float(np.nanmin(norm)), float(np.nanmax(norm))
+          (0.0, 1.0)
+        """
         total = self.total(altitude_m, time=time, time_of_day=time_of_day)
         is_free = self.is_free(altitude_m, "centre")
         low, high = (edge(total[is_free], initial=end) for edge, end in ((np.min, np.inf), (np.max, -np.inf)))
@@ -325,7 +426,15 @@ class MetricMaps(Shown):
 
     @typed
     def prefers_gps(self, altitude_m: float, *, time: str | None = None) -> np.ndarray:
-        """Return the sensor-choice map ``[y, x]`` bool: m_gps > m_lidar; False inside obstacles."""
+        """Return the sensor-choice map ``[y, x]`` bool: m_gps > m_lidar; False inside obstacles.
+
+        Returns:
+          True where GPS serves better than lidar.
+
+        Examples:
+          >>> round(float(maps.prefers_gps(20.0).mean()), 2), round(float(maps.prefers_gps(60.0).mean()), 2)
+          (0.87, 0.99)
+        """
         return self.m("gps", altitude_m, time=time) > self.m("lidar", altitude_m)
 
     @typed
@@ -335,14 +444,22 @@ class MetricMaps(Shown):
         The record of ``jaxurban maps`` stays beside maps of its own run alone: it holds their weights and settings.
 
         Args:
-          folder: where to; its page in the reference (files) tells what lies there.
+          folder: where to; the reference's page on files says what lies there.
           layers: variables that are GeoTIFFs too, such as ``("hdop", "roof")``, beside obstacles and the metrics of
             the cost; ``("all",)``: every one.
+
+        Returns:
+          The folder, which `open_maps` opens.
 
         Raises:
           InputError: a layer that these maps do not hold, a folder that cannot be written to, a file in the way that
             was not written so or was changed since, or variables that nobody could read back: without obstacles, or a
             name that is a path.
+
+        Examples:
+          >>> folder = maps.save("out", layers=["hdop"])
+          >>> sorted(file.name for file in folder.iterdir())
+          ['checksums.json', 'geotiff', 'maps.zarr']
         """
         from jaxurban.io.files import sweep_scraps
         from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
@@ -395,9 +512,18 @@ def open_maps(
       resolution_m: which of them; may be left out when there is one.
       obstacles: where planners may fly (see `MetricMaps`); left out, as the scenario has it.
 
+    Returns:
+      The maps; each is read when it is first looked at.
+
     Raises:
       InputError: no maps there, or several and none chosen, or an unknown rule of obstacles; damaged ones (later too,
         when values are read), or a run's without its settings (``run.json``).
+
+    Examples:
+      >>> folder = maps.save("out")
+      >>> again = ju.open_maps(folder)
+      >>> bool(np.array_equal(again.m("risk", 60.0), maps.m("risk", 60.0), equal_nan=True))
+      True
     """
     from jaxurban.io.geotiff import missing_geotiffs
     from jaxurban.io.store import open_zarr, settings_of

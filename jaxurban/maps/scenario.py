@@ -109,6 +109,11 @@ class Study:
 
     Raises:
       InputError: no planner, an unknown one, or a number that is too small.
+
+    Examples:
+      >>> study = ju.studies.Study(instances=20, planners="astar-plus", weights=[ju.Weights(risk=5.0)])
+      >>> study.planners, study.distance_only
+      (('astar-plus',), ('astar-dist',))
     """
 
     instances: int = 200
@@ -153,6 +158,12 @@ class Scenario(Sections):
 
     Attributes:
       region, buildings, terrain, gps, population: as their classes say.
+
+    Examples:
+      >>> region = {"bounds": [-74.02, 40.70, -73.98, 40.73], "resolution_m": 25.0}
+      >>> scenario = ju.Scenario(region=region, buildings={"source": "synthetic"})
+      >>> scenario.region.altitudes_m, scenario.gps.mask_deg
+      ((20.0, 60.0, 122.0, 600.0), 5.0)
     """
 
     gps: Gps = Gps()
@@ -205,8 +216,16 @@ class Scenario(Sections):
           path: of the file; or the name of a sample city, as ``sample:shinjuku``, for its own settings.
           changes: of its settings, as ``"gps.mask_deg=10"``: a dotted key and a value as TOML writes it.
 
+        Returns:
+          The scenario, its defaults filled in.
+
         Raises:
           InputError: no such file, not TOML, an unknown key (names near ones) or a bad value.
+
+        Examples:
+          >>> scenario = ju.Scenario.from_toml("sample:shinjuku", changes=["gps.mask_deg=10"])
+          >>> scenario.region.bounds, scenario.gps.mask_deg
+          ((139.689, 35.6806, 139.7111, 35.6986), 10.0)
         """
         if is_sample(path):
             return cls.from_dict(changed({"buildings": {"source": str(path)}}, changes), name=str(path))
@@ -221,8 +240,17 @@ class Scenario(Sections):
     def from_dict(cls, settings: dict[str, Any], name: str = "the scenario", folder: Path | None = None) -> "Scenario":
         """Return the scenario in nested dicts, sections by name; relative paths are relative to ``folder``.
 
+        Returns:
+          The scenario, its defaults filled in.
+
         Raises:
           InputError: an unknown key (names the nearest one), a missing one or a bad value.
+
+        Examples:
+          >>> region = {"bounds": [-74.02, 40.70, -73.98, 40.73]}
+          >>> scenario = ju.Scenario.from_dict({"region": region, "buildings": {"source": "synthetic"}})
+          >>> scenario.planning.planner
+          'astar-plus'
         """
         try:
             scenario = cls.model_validate(_with_bounds(filled(settings), folder or Path()))
@@ -233,13 +261,32 @@ class Scenario(Sections):
         return scenario
 
     def to_toml(self) -> str:
-        """Return the scenario as TOML, every setting written out."""
+        """Return the scenario as TOML, every setting written out.
+
+        Returns:
+          The text; `from_toml` reads a file of it as the same scenario.
+
+        Examples:
+          >>> text = ju.Scenario.from_toml("sample:shinjuku").to_toml()
+          >>> "mask_deg = 5.0" in text
+          True
+        """
         return tomli_w.dumps(self.model_dump(exclude_none=True))
 
     def path_of(self, name: str | Path) -> Path:
         """Return the path that a setting names, relative ones taken from the scenario's folder.
 
         The names of files of sample cities stay as they are: `jaxurban.samples.catalogue.located` says where they lie.
+
+        Returns:
+          The path; that of a scenario without a folder is relative to the current one.
+
+        Examples:
+          >>> from pathlib import Path
+          >>> region = {"bounds": [-74.02, 40.70, -73.98, 40.73]}
+          >>> settings = {"region": region, "buildings": {"source": "synthetic"}}
+          >>> ju.Scenario.from_dict(settings, folder=Path("towns")).path_of("blocks.gpkg").as_posix()
+          'towns/blocks.gpkg'
         """
         return Path(name) if is_sample(name) else self._folder / name
 

@@ -37,7 +37,7 @@ _OF_A_FILE = re.compile(r"\w+_(\d+m|day|night|\d{8}T\d{6}Z)")
 @typed
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Settings of one's own cost layer, a ``[layers.NAME]`` section of a scenario.
+    """Settings of a cost layer that a user adds, a ``[layers.NAME]`` section of a scenario.
 
     Attributes:
       source: path of a raster, which is resampled to the maps' cells; in Python also an array ``[y, x]`` (with
@@ -55,6 +55,12 @@ class Layer:
 
     Raises:
       InputError: a value that is none of these.
+
+    Examples:
+      >>> noise = ju.Layer(np.full(maps.grid.shape, 20.0), cost="high-is-bad", scale=(0.0, 80.0))
+      >>> made = ju.build_maps(city, grid=maps.grid, altitudes_m=(60.0,), layers={"noise": noise})
+      >>> list(made.metrics), float(made.costs(60.0)["noise"][2, 2])
+      (['gps', 'lidar', 'population', 'risk', 'noise'], 0.25)
     """
 
     source: Any
@@ -94,7 +100,15 @@ class Layer:
         return held | ({"credit": self.credit} if self.credit else {})
 
     def scaled(self, values: Any) -> jax.Array:
-        """Return m in [0, 1] of values in the source's unit; NaN stays. The gradient is 0 beyond the scale."""
+        """Return m in [0, 1] of values in the source's unit; NaN stays. The gradient is 0 beyond the scale.
+
+        Returns:
+          m in the shape of the values.
+
+        Examples:
+          >>> ju.Layer("noise.tif", cost="high-is-bad", scale=(0.0, 80.0)).scaled([20.0, 100.0]).tolist()
+          [0.25, 1.0]
+        """
         low, high = self.scale
         return jnp.clip((jnp.asarray(values) - low) / (high - low), 0, 1)
 

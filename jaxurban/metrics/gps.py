@@ -63,6 +63,14 @@ class Gps:
 
     Raises:
       InputError: a value that is none of these, or times that are not different.
+
+    Examples:
+      >>> gps = ju.Gps(start="2020-04-27T12:00:00Z", stop="2020-04-27T15:00:00Z", step_s=3600, mask_deg=10.0)
+      >>> len(gps.utc_times)
+      4
+      >>> made = ju.build_maps(city, grid=maps.grid, altitudes_m=(60.0,), gps=gps)
+      >>> made.ds["gps"].shape  # time, altitude, y, x
+      (4, 1, 30, 30)
     """
 
     gdop_threshold: float = 20.0
@@ -127,7 +135,15 @@ class Gps:
         return tuple(iso_utc(start + step * i) for i in range((parse_time(self.stop) - start) // step + 1))
 
     def keeps_times(self, num_times: int) -> bool:
-        """Return whether the maps of every time are kept, not statistics over them."""
+        """Return whether the maps of every time are kept, not statistics over them.
+
+        Returns:
+          False where statistics over the times are kept instead.
+
+        Examples:
+          >>> ju.Gps().keeps_times(4), ju.Gps(series="statistics").keeps_times(4)
+          (True, False)
+        """
         return self.series == "epochs" or (self.series == "auto" and num_times <= MAX_STORED_TIMES)
 
 
@@ -294,6 +310,12 @@ class Dop:
 
     Raises:
       InputError: a value that is none.
+
+    Examples:
+      >>> horizontal = ju.metrics.Dop(dop_threshold=5.0)
+      >>> made = ju.build_maps(city, grid=maps.grid, altitudes_m=(60.0,), gps_horizontal=horizontal)
+      >>> list(made.metrics)
+      ['gps', 'lidar', 'population', 'risk', 'gps_horizontal']
     """
 
     dop_threshold: float = 20.0

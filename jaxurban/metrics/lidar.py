@@ -41,6 +41,14 @@ class Lidar:
     Raises:
       InputError: a count below 1 or above 100,000, a field of view out of order or not within -90 to 90 degrees,
         or a range that is not a positive number.
+
+    Examples:
+      >>> lidar = ju.Lidar(beams=3, range_m=50.0)
+      >>> np.degrees(lidar.elevations_rad).round().tolist()
+      [-15.0, 0.0, 15.0]
+      >>> made = ju.build_maps(city, grid=maps.grid, altitudes_m=(60.0,), lidar=lidar)
+      >>> bool(np.nanmean(made.m("lidar")) < np.nanmean(maps.m("lidar", 60.0)))  # it sees less
+      True
     """
 
     beams: int = 16

@@ -51,8 +51,8 @@ class Population:
         under ``"count"``). Blocks above a percentile or a number get 1.
       weekday, weekend: 24 shares in [0, 1], one an hour: 0 is the night population, 1 the day population; left out,
         `PROFILES`.
-      blocks: census blocks, a vector file; or a raster of people, each pixel of which is a block (WorldPop, GHSL,
-        LandScan), which takes no table.
+      blocks: census blocks, a vector file; or a raster of people without a table, each pixel of which is a block
+        (WorldPop, GHSL, LandScan).
       block_field: field of the blocks file with one id a block.
       table: CSV of population with one header row or two (the second is words where the first names columns); its
         columns of ids and of counts are found by what they hold (`jaxurban.io.read.census`). None: the count is a
@@ -60,7 +60,7 @@ class Population:
       districts: district polygons, blocks take the one of largest overlap; left out, every block is in district 13.
       district_field: the districts' label, a whole number.
       blocks_day, blocks_night: instead of ``blocks``, two rasters of people as measured by day and by night, on grids
-        of their own; nothing of `FACTORS` goes with them.
+        of their own; none of `FACTORS` goes with them.
       credit: what the licence of these files asks for.
       commercial: labels of commercial districts; left out, 101 to 106 of New York's (``BoroCD``), else none.
       time_of_day: those that maps are made for, see `day_share`.
@@ -68,6 +68,12 @@ class Population:
     Raises:
       InputError: a value that is none of these, times of day that are not different, a table or districts without
         blocks, or one raster of day and night without the other or with settings that do not go with them.
+
+    Examples:
+      >>> people = ju.Population(gamma_commercial=2.0, time_of_day=("day", "weekday-18"))
+      >>> made = ju.build_maps(city, grid=maps.grid, altitudes_m=(60.0,), population=people)
+      >>> made.times_of_day, made.m("density", time_of_day="day").shape
+      (('day', 'weekday-18'), (30, 30))
     """
 
     gamma_commercial: float = 3.0
@@ -110,10 +116,17 @@ class Population:
             self.check_has_no_factor()
 
     def check_has_no_factor(self) -> None:
-        """Check that nothing would change the people of two rasters, by day and by night.
+        """Raise InputError where a setting would change the people of two rasters, by day and by night.
 
         Raises:
           InputError: one of `FACTORS` is not its default, or there is another time of day.
+
+        Examples:
+          >>> try:
+          ...     ju.Population(gamma_commercial=2.0).check_has_no_factor()
+          ... except ju.InputError as error:
+          ...     print(error)
+          blocks_day and blocks_night go without factors: leave out gamma_commercial
         """
         known = [field for field in fields(self) if field.name in FACTORS and is_known(getattr(self, field.name))]
         named = [field.name for field in known if np.any(getattr(self, field.name) != field.default)]
@@ -137,7 +150,15 @@ class Population:
         return PAPER_COMMERCIAL if self.district_field.lower().replace("_", "") == "borocd" else ()
 
     def profile(self, name: str) -> tuple[float, ...]:
-        """Return the 24 shares of ``"weekday"`` or ``"weekend"``."""
+        """Return the 24 shares of ``"weekday"`` or ``"weekend"``.
+
+        Returns:
+          The shares, 0 to 1, one an hour from 0 to 23; those of `PROFILES` where none were named.
+
+        Examples:
+          >>> [round(share, 2) for share in ju.Population().profile("weekday")[7:10]]
+          [0.33, 0.67, 1.0]
+        """
         shares = getattr(self, name)
         return PROFILES[name] if shares is None else shares
 

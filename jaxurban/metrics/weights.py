@@ -27,6 +27,13 @@ class Weights:
     Attributes:
       values: name and weight, the distance first (w_0, cost per metre of path), then the metrics of every cost (of each
         one's cost c in [0, 1]), then others by name.
+
+    Examples:
+      >>> weights = ju.Weights(risk=5.0)
+      >>> weights
+      Weights(distance=0.1, gps=1.0, lidar=1.0, population=1.0, risk=5.0)
+      >>> weights.risk, weights["noise"]
+      (5.0, 1.0)
     """
 
     values: tuple[tuple[str, float | jax.Array], ...]
@@ -48,10 +55,17 @@ class Weights:
 
     @classmethod
     def of(cls, given: "GivenWeights", base: Mapping[str, float] | None = None) -> "Weights":
-        """Return weights that are given as such, as numbers by name (the others as ``base`` has them), or not at all.
+        """Return the weights in `Weights`, in numbers by name (the others are those of ``base``), or in None.
+
+        Returns:
+          The weights; `Weights` as they are.
 
         Raises:
           InputError: they are none of these.
+
+        Examples:
+          >>> ju.Weights.of({"risk": 5.0}, base={"gps": 2.0})
+          Weights(distance=0.1, gps=2.0, lidar=1.0, population=1.0, risk=5.0)
         """
         if isinstance(given, Weights):
             return given
@@ -65,8 +79,15 @@ class Weights:
     def parse(cls, text: str, base: "Weights | None" = None) -> "Weights":
         """Return the weights in ``"gps=1,noise=2"``; those not named are taken from ``base``.
 
+        Returns:
+          The weights, all of them named.
+
         Raises:
-          InputError: a value that is not a number >= 0; `checked` tells which names maps hold.
+          InputError: a value that is not a number >= 0; `checked` looks at the names too.
+
+        Examples:
+          >>> ju.Weights.parse("gps=2,noise=3")
+          Weights(distance=0.1, gps=2.0, lidar=1.0, population=1.0, risk=1.0, noise=3.0)
         """
         return cls.of(cls.named_in(text), (base or cls()).to_dict()).checked()
 
@@ -74,8 +95,15 @@ class Weights:
     def named_in(text: str) -> dict[str, float]:
         """Return the weights in ``"gps=1,noise=2"`` alone.
 
+        Returns:
+          Number by name, in the order of the text; empty for an empty text.
+
         Raises:
           InputError: a value that is no number.
+
+        Examples:
+          >>> ju.Weights.named_in("gps=1, noise=2")
+          {'gps': 1.0, 'noise': 2.0}
         """
         values: dict[str, float] = {}
         for part in filter(None, (item.strip() for item in text.split(","))):
@@ -87,26 +115,60 @@ class Weights:
         return values
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the weights by name, the distance first."""
+        """Return the weights by name, the distance first.
+
+        Returns:
+          Weight by name.
+
+        Examples:
+          >>> ju.Weights(risk=5.0).to_dict()
+          {'distance': 0.1, 'gps': 1.0, 'lidar': 1.0, 'population': 1.0, 'risk': 5.0}
+        """
         return dict(self.values)
 
     def replace(self, **changes: float | jax.Array) -> "Weights":
-        """Return the weights with some of them changed."""
+        """Return the weights with some of them changed.
+
+        Returns:
+          New weights; these stay as they are.
+
+        Examples:
+          >>> ju.Weights(risk=5.0).replace(distance=1.0)
+          Weights(distance=1.0, gps=1.0, lidar=1.0, population=1.0, risk=5.0)
+        """
         return Weights(**self.to_dict() | changes)
 
     def vector(self, names: Iterable[str]) -> np.ndarray:
-        """Return the weights of some names as float64, ``[K]``."""
+        """Return the weights of some names as float64, ``[K]``.
+
+        Returns:
+          The weights in the order of the names; 1 for a metric that has none.
+
+        Examples:
+          >>> ju.Weights(risk=5.0).vector(["distance", *maps.metrics]).tolist()
+          [0.1, 1.0, 1.0, 1.0, 5.0]
+        """
         return np.array([float(self[name]) for name in names])
 
     def checked(self, names: Iterable[str] | None = None) -> "Weights":
-        """Return the same weights as floats.
+        """Return the same weights as floats, once they are checked.
 
         Args:
           names: of further metrics that may be weighed, beside the built-in ones; left out, any.
 
+        Returns:
+          The weights, each a finite number of at least 0.
+
         Raises:
           InputError: a weight that is negative, above `MOST_WEIGHT` or not finite, or of an unknown name (names the
             nearest one).
+
+        Examples:
+          >>> try:
+          ...     ju.Weights(risks=5.0).checked(maps.metrics)
+          ... except ju.InputError as error:
+          ...     print(error)
+          unknown weight 'risks' (did you mean 'risk'?)
         """
         if names is not None:
             known = dict.fromkeys(("distance", *known_metrics(), *names))
