@@ -167,7 +167,7 @@ def compute_maps(task: MapTask, surface: Surface | None = None, stage: Stage = n
 
     Args:
       task: city, grid, sky and settings.
-      surface: the task's, where it is at hand.
+      surface: the task's, where it is made already.
       stage: as for `build_maps`.
     """
     tile = TileScene(task, surface or task.surface())

@@ -92,7 +92,7 @@ class MapTask:
       region: grid of the maps.
       sky: times and satellites.
       params: settings.
-      layers: cost layers of one's own, by name.
+      layers: cost layers that a user adds, by name.
       bands: values of the layers that are not functions, by name: one band, or one for each of the layer's
         ``altitudes_m``; rasters, or arrays on the region's cells (see `jaxurban.io.read.rasterise.bands_of`).
       guesses: behind the maps (see `jaxurban.io.read.guesses`), for those who look at them.
@@ -121,7 +121,7 @@ class MapTask:
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:
-        """The metrics that the maps are of: the built-in ones that there are data for, then one's own by name."""
+        """The metrics that the maps are of: the built-in ones that there are data for, then a user's by name."""
         return metrics_of(self.params.sections, self.layers, has_people=self.city.blocks is not None)
 
     def settings_of(self, metric: Metric) -> Any:

@@ -141,7 +141,7 @@ class Scene:
       words: ``[W, y, x]`` which of them each cell sees: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
       population: every census block at the time of day, ``[N]`` each and the norm
         (`jaxurban.metrics.population.BlockLayers`); None for metrics without one.
-      rasters: ``[y, x]`` the values of rasters of one's own at the altitude, by the name of their layer; NaN where
+      rasters: ``[y, x]`` the values of a user's rasters at the altitude, by the name of their layer; NaN where
         they hold nothing.
       only_m: further variables are not looked at, and need not be made.
       engine: which form of its kernels runs (`jaxurban.kernels.engine`).

@@ -1,4 +1,4 @@
-"""Cost layers of one's own: a raster, an array or a function of the surface as one more metric."""
+"""Cost layers that a user adds: a raster, an array or a function of the surface as one more metric."""
 
 import json
 import keyword
@@ -114,7 +114,7 @@ class Layer:
 
 
 def check_layers(layers: Any) -> Mapping[str, Layer]:
-    """Return cost layers of one's own by name, none where they are left out.
+    """Return the cost layers that a user adds by name, none where they are left out.
 
     Raises:
       InputError: they are anything else, or their names would be those of other maps or files.
@@ -133,7 +133,7 @@ def check_layers(layers: Any) -> Mapping[str, Layer]:
 
 
 def own_metric(name: str, layer: Layer) -> Metric:
-    """Return one's own layer, under a name that `check_layers` takes, as a metric."""
+    """Return a user's layer, under a name that `check_layers` takes, as a metric."""
     by_altitude = layer.altitudes_m is not None or callable(layer.source)
     high = layer.scale[1]
     return Metric(
@@ -153,11 +153,11 @@ def own_metric(name: str, layer: Layer) -> Metric:
 
 
 def metrics_of(requested: Collection[str], layers: Mapping[str, Layer], has_people: bool) -> dict[str, Metric]:
-    """Return the metrics of maps by name: of every cost, those made on request, then one's own by name.
+    """Return the metrics of maps by name: of every cost, those made on request, then a user's by name.
 
     Args:
       requested: names, among them those of `ON_REQUEST` that are made.
-      layers: one's own.
+      layers: those that a user added.
       has_people: whether there are census blocks, which metrics with a time of day need.
     """
     on_request = {name: metric for name, metric in ON_REQUEST.items() if name in requested}
@@ -167,13 +167,13 @@ def metrics_of(requested: Collection[str], layers: Mapping[str, Layer], has_peop
 
 
 def colour_of(name: str) -> str:
-    """Return the colour of a metric's lines in figures, built-in or one's own, by its name alone."""
+    """Return the colour of a metric's lines in figures, built-in or a user's, by its name alone."""
     known = known_metrics()
     return known[name].colour if name in known else COLOURS[zlib.crc32(name.encode()) % len(COLOURS)]
 
 
 def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
-    """Return the metrics of the cost that a dataset of maps holds, by name: the built-in ones, then one's own.
+    """Return the metrics of the cost that a dataset of maps holds, by name: the built-in ones, then a user's.
 
     The median stands for a metric where a long series keeps statistics. Own layers say in their attribute ``layer``
     what they are (`Layer.record`).

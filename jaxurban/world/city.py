@@ -51,7 +51,7 @@ class Zoning(IntEnum):
 
 
 class ReadIssue(StrEnum):
-    """What the readers of a city met, mended or left out; ``run.json`` counts them under these names.
+    """What the readers of a city repaired, guessed or left out; ``run.json`` counts them under these names.
 
     Attributes:
       OPEN_WAYS: not closed.
@@ -240,7 +240,7 @@ class City(Shown):
       roofs: raster of roof heights above ground, or None.
       blocks: census blocks, or None without population data.
       terrain: raster of ground elevation, or None for flat ground.
-      read_issues: what the readers met, mended and left out, counted by `jaxurban.world.city.ReadIssue`.
+      read_issues: what the readers repaired, guessed or left out, counted by `jaxurban.world.city.ReadIssue`.
       sources: path by role, for provenance (empty for the synthetic city).
       guesses: what was supposed where the sources are silent, see `jaxurban.io.read.guesses`.
       attribution: the credit that the licence of the sources asks for wherever pictures are shown.
