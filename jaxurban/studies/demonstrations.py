@@ -48,6 +48,13 @@ class Demonstration:
       points_m: ``[N, 2]`` the route on the grid, metres from the map's southwest corner.
       note: what had to be done to the route; empty where nothing had.
       drawn_cells: within how many cells of ``points_m`` the route that was meant runs; 0: these are its points.
+
+    Examples:
+      >>> (shown,) = ju.fit.demonstrations_from_paths(path, maps)
+      >>> shown.query.start, shown.query.goal, shown.points_m.shape, shown.drawn_cells
+      ((2, 2), (27, 27), (27, 2), 0.0)
+      >>> dict(zip(shown.query.names, shown.features.round().tolist()))  # metres, then sums of costs
+      {'distance': 719.0, 'gps': 17.0, 'lidar': 127.0, 'population': 5.0, 'risk': 1.0}
     """
 
     query: RouteQuery
@@ -101,12 +108,13 @@ def read_demonstrations(
 ) -> list[Demonstration]:
     """Return the routes of a file as demonstrations; lists of several files or cities may be joined with ``+``.
 
-    Lines are taken as they are; ends in closed cells move to free ones by at most 50 m, and lines of no use are left
+    Lines are taken as they are. Ends in closed cells move to free ones by at most 50 m, and lines of no use are left
     out with a warning that says which and why. A table of queries holds no lines: `plan_many` plans it, and
     `demonstrations_from_paths` takes its paths, or this function the ``.geojson`` that they were saved to.
 
-    Altitude and times are those given here; where left out, the feature's own properties ``altitude_m``, ``time`` and
-    ``time_of_day`` (paths that jaxurban wrote carry them); without these, times are the maps' first ones.
+    Altitude and times are those of the arguments. Where these are left out, the feature's own properties
+    ``altitude_m``, ``time`` and ``time_of_day`` hold (paths that jaxurban wrote carry them), and else the maps' first
+    times.
 
     Args:
       file: GeoJSON, KML, GPX, or another vector file, with LineStrings.
@@ -117,9 +125,19 @@ def read_demonstrations(
       preset: as in `plan`; of the cost model where no route names one.
       metrics: those whose weights are to be fitted; all if left out.
 
+    Returns:
+      A `Demonstration` a line, in the order of the file, without those that were left out; ``note`` says what had to
+      be done to a line.
+
     Raises:
       InputError: no lines, or none with an altitude, on a map, inside the maps and past obstacles, or paths that were
         planned under different cost models.
+
+    Examples:
+      >>> flown = path.save("flown.geojson")
+      >>> (shown,) = ju.fit.read_demonstrations(flown, maps)
+      >>> shown.query.name, shown.query.cost_map.altitude_m, shown.points_m.shape
+      ('1', 60.0, (27, 2))
     """
     if Path(file).suffix.lower() in SUFFIXES:
         raise InputError(
@@ -168,9 +186,18 @@ def demonstrations_from_paths(
       constraints: those that they were planned under; a path does not carry its zones.
       cost_model, preset, metrics: as in `read_demonstrations`.
 
+    Returns:
+      A `Demonstration` a path, in their order.
+
     Raises:
       InputError: a path without points, maps that are not those of the paths, or paths that were planned under
         different cost models.
+
+    Examples:
+      >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
+      >>> shown = ju.fit.demonstrations_from_paths([path, back], maps, metrics=["gps", "lidar"])
+      >>> [each.query.start for each in shown], shown[0].query.names
+      ([(2, 2), (27, 27)], ('distance', 'gps', 'lidar'))
     """
     paths = [paths] if isinstance(paths, PlannedPath) else list(paths)
     if not paths:

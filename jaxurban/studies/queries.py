@@ -113,8 +113,17 @@ def make_queries(
       pairs: start and goal of each query.
       snap: move an end inside an obstacle to the nearest free cell, by at most 50 m, or so many metres.
 
+    Returns:
+      The queries in the order of the pairs: ``start`` and ``goal`` are cells, row and column, and ``name`` is the
+      number of the pair, from 1. `jaxurban.fit.fit_targets` takes them.
+
     Raises:
       InputError: a place outside the maps or inside an obstacle (names the pair), or a cost map of levels.
+
+    Examples:
+      >>> queries = ju.studies.make_queries(ju.cost_map(maps, 60.0), [(start, goal), (goal, start)])
+      >>> [(query.name, query.start, query.goal) for query in queries]
+      [('1', (2, 2), (27, 27)), ('2', (27, 27), (2, 2))]
     """
     check_flat(cost_map)
     queries = []

@@ -146,6 +146,11 @@ class FitSettings:
 
     Raises:
       InputError: a number that is too small.
+
+    Examples:
+      >>> settings = ju.fit.FitSettings(max_rounds=5, state_file="fit.parquet")  # goes on from this file if it is there
+      >>> settings.max_rounds, settings.seed
+      (5, 0)
     """
 
     max_rounds: int = 20
@@ -161,25 +166,28 @@ class FitSettings:
                 f"{self.max_rounds}, {self.budget_s} and {self.seed}"
             )
 
-    def pool(self, queries: Sequence[RouteQuery], known: Sequence[np.ndarray] = (), **fit: Any) -> RoutePool:
-        """Return the routes of a fit; ``fit`` holds, beside the seed, all that its searches follow from.
 
-        All else in a fit follows from its settings and from what its searches found, so that one that was interrupted
-        goes on: what is in the state file is found there, bit for bit.
+def pool_of_fit(
+    settings: FitSettings, queries: Sequence[RouteQuery], known: Sequence[np.ndarray] = (), **fit: Any
+) -> RoutePool:
+    """Return the routes of a fit; ``fit`` holds, beside the seed, all that its searches follow from.
 
-        Raises:
-          InputError: a state file that is damaged, or of other queries, maps or settings.
-        """
-        store = None
-        if self.state_file is not None:
-            on_maps = [
-                fingerprint((on.names, on.cost_model, on.grid.resolution_m, on.costs.shape), on.costs, on.is_free)
-                for on in maps_of(queries)
-            ]
-            routes = fingerprint(on_maps, [(query.start, query.goal) for query in queries])
-            settings = {"fit of routes and maps": routes, "seed": self.seed, **fit}
-            store = RowStore(Path(self.state_file), ["weights"], settings=settings)
-        return RoutePool(queries, known, store=store)
+    All else in a fit follows from its settings and from what its searches found, so that one that was interrupted goes
+    on: what is in the state file is found there, bit for bit.
+
+    Raises:
+      InputError: a state file that is damaged, or of other queries, maps or settings.
+    """
+    store = None
+    if settings.state_file is not None:
+        on_maps = [
+            fingerprint((on.names, on.cost_model, on.grid.resolution_m, on.costs.shape), on.costs, on.is_free)
+            for on in maps_of(queries)
+        ]
+        routes = fingerprint(on_maps, [(query.start, query.goal) for query in queries])
+        key = {"fit of routes and maps": routes, "seed": settings.seed, **fit}
+        store = RowStore(Path(settings.state_file), ["weights"], settings=key)
+    return RoutePool(queries, known, store=store)
 
 
 def draw_pairs(seed: int, num_noise: int, num_weights: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from jaxurban.errors import InputError, at_least, typed
 from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import check_alike
-from jaxurban.studies.route_pool import FitSettings
+from jaxurban.studies.route_pool import FitSettings, pool_of_fit
 from jaxurban.studies.tuning.fenchel_young import trust_of, usual_regret
 from jaxurban.studies.tuning.weight_fit import DISTRUSTED, WeightFit, WeightScale, fit_weights
 
@@ -63,8 +63,23 @@ def compare_fits(
       by_city: make the further fits.
       scale, bootstrap, settings: as in `fit_weights`; of the searches, the state file keeps those of the first fit.
 
+    Returns:
+      ``table``, a row a fit: its weights, and the mean regret of the held-out routes under them with its interval, as
+      shares of the cheapest cost (NaN where no route was held out, or all that were are bad); ``fits`` by the same
+      names; and which of the ``N`` routes, in the order of the cities, were held out or are bad.
+
     Raises:
       InputError: no routes, maps that do not go together, a share that is none, or too few routes to hold some out.
+
+    Examples:
+      >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
+      >>> cities = {"demo": ju.fit.demonstrations_from_paths([path, back], maps)}
+      >>> quick = ju.fit.FitSettings(max_rounds=2)
+      >>> compared = ju.fit.compare_fits(cities, hold_out=0.5, bootstrap=0, settings=quick)
+      >>> compared.table["fit"].tolist(), compared.is_held_out.tolist()
+      (['all'], [True, False])
+      >>> compared.table["held_out_regret"].round(2).tolist()
+      [0.0]
     """
     settings = settings or FitSettings()
     at_least("bootstrap", bootstrap)
@@ -88,7 +103,7 @@ def compare_fits(
         for name, of_fit in members.items()
     }
     vectors = np.array([fit.vector for fit in fits.values()])
-    cheapest = seen.pool(queries).cheapest(vectors)[0]  # [N, F, K]
+    cheapest = pool_of_fit(seen, queries).cheapest(vectors)[0]  # [N, F, K]
     demo = np.array([shown.features for shown in demonstrations])
     regret = (demo @ vectors.T) / np.einsum("nfk,fk->nf", cheapest, vectors) - 1
     is_bad = trust_of(regret[:, 0], usual_regret(regret[~is_held_out, 0])) < DISTRUSTED

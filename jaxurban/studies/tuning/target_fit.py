@@ -18,7 +18,7 @@ from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.progress import Report, reporting
 from jaxurban.studies.queries import RouteQuery, check_alike, weights_from
-from jaxurban.studies.route_pool import FitSettings, RoutePool, draw_pairs, known_route_sums
+from jaxurban.studies.route_pool import FitSettings, RoutePool, draw_pairs, known_route_sums, pool_of_fit
 from jaxurban.studies.tuning.confidence import feature_units
 from jaxurban.studies.tuning.fenchel_young import adam
 
@@ -48,7 +48,11 @@ class Target:
       value: the bound.
 
     Raises:
-      InputError: another sense, or a value that no route reaches or that is no number.
+      InputError: another outcome or sense, or a value that no route reaches or that is no number.
+
+    Examples:
+      >>> str(ju.fit.Target("detour", "<=", 0.15))
+      'detour <= 0.15'
     """
 
     outcome: str
@@ -68,10 +72,17 @@ class Target:
     @classmethod
     @typed
     def parse(cls, text: str) -> "Target":
-        """Return the target in ``"mean_gps>=0.8"``.
+        """Return the target that a text such as ``"mean_gps>=0.8"`` names.
+
+        Returns:
+          The target; spaces in the text do not count.
 
         Raises:
           InputError: another form, or a value that is not a number.
+
+        Examples:
+          >>> ju.fit.Target.parse("mean_gps >= 0.8")
+          Target(outcome='mean_gps', sense='>=', value=0.8)
         """
         match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(\S+)\s*", text)
         if not match:
@@ -134,21 +145,35 @@ def fit_targets(
 ) -> TargetFit:
     """Return weights under which planned routes meet targets, or the best trade-off and which targets conflict.
 
-    The sum of squared misses (each as a share of its bound) is brought down by gradient in log weights, through
-    the perturbed planner over the routes found so far (`known_route_sums`), with noise that shrinks, from
-    the best of many random weights. Routes under the best weights are then planned without noise, and more
-    around them, until three rounds better nothing; the best weights by planned routes are returned. If they miss,
-    each target is tried alone, and then each pair of those that can be met. Not met is not proven unreachable: it is
-    the best found.
+    The sum of squared misses (each as a share of its bound) is brought down by gradient in log weights, through the
+    perturbed planner over the routes found so far, with noise that shrinks, from the best of many random weights.
+    Routes under the best weights are then planned without noise, and more around them, until three rounds better
+    nothing; the best weights by planned routes are returned. If they miss, each target is tried alone, and then each
+    pair of those that can be met. A target that was missed may still be reachable: the search found no better weights.
 
     Args:
-      queries: from several maps if liked.
+      queries: from `jaxurban.studies.make_queries`; lists of several maps may be joined with ``+``.
       targets: bounds on outcomes, or texts such as ``"mean_gps>=0.8"``.
       start: where to begin; equal shares of the shortest routes' cost if left out.
       settings: of the search; rounds are counted for each set of targets that is tried, the budget is for all.
 
+    Returns:
+      ``weights``, which `jaxurban.plan` takes and which sum to 1; ``is_met``, and ``sentence``, which names what is
+      missed; ``outcomes``, a row a target: its bound, what the shortest routes give, and what was reached; ``alone``,
+      the same when each target was the only one; and ``conflicts``, pairs that were not met together.
+
     Raises:
       InputError: no queries or targets, a target for a metric that the maps lack, or a wrong setting.
+
+    Examples:
+      >>> queries = ju.studies.make_queries(ju.cost_map(maps, 60.0), [(start, goal)])
+      >>> fit = ju.fit.fit_targets(queries, ["detour<=0.2"], settings=ju.fit.FitSettings(max_rounds=2))
+      >>> fit.sentence
+      'All targets are met.'
+      >>> fit.outcomes[["wished", "shortest", "is_met"]]
+                     wished  shortest  is_met
+      wish
+      detour <= 0.2     0.2       0.0    True
     """
     begin_s, settings = time.perf_counter(), settings or FitSettings()
     names = check_alike(queries)
@@ -165,7 +190,8 @@ def fit_targets(
     for target in wanted:
         one_of("the outcome of a target", target.outcome, outcomes)
     given = None if start is None else start.vector(names)
-    pool = settings.pool(
+    pool = pool_of_fit(
+        settings,
         queries,
         fit="targets",
         targets=[str(target) for target in wanted],

@@ -16,7 +16,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import check_alike, weights_from
-from jaxurban.studies.route_pool import FitSettings, RoutePool
+from jaxurban.studies.route_pool import FitSettings, RoutePool, pool_of_fit
 from jaxurban.studies.tuning.confidence import (
     constant_layers,
     draw_counts,
@@ -60,8 +60,8 @@ class WeightFit:
       names: ``"distance"`` and the metrics.
       weights: of the given scale; 0 for a metric whose weight cannot be identified.
       table: a row a weight, by its name: ``weight``; ``low`` and ``high``, 5th and 95th percentile over bootstrap fits,
-        widened to all weights that explain the demonstrations as well (`confidence.near_optimal_range`), or, of lines
-        that were redrawn on the grid, any routes within 3 cells of them, NaN without bootstrap; ``share_of_cost``, part
+        widened to all weights that explain the demonstrations as well, or, of lines that were redrawn on the grid, any
+        routes within 3 cells of them, NaN without bootstrap; ``share_of_cost``, part
         of the demonstrations' cost that it makes up; ``spread``, w_j x std(phi_j) over the demonstrations, scaled to
         length 1: what fits are compared by.
       draws: ``[B, K]`` the weights of the bootstrap fits.
@@ -111,12 +111,11 @@ def fit_weights(
 ) -> WeightFit:
     """Return the weights under which demonstrated routes are as close to cheapest as any weights make them.
 
-    A perturbed Fenchel-Young loss (`fenchel_young.fenchel_young_loss`) is brought down by gradient in log weights, over
-    the routes found so far; rounds of searches under the current and under perturbed weights find more, until a
-    round betters none. The noise shrinks from round to round: wide noise leads from anywhere, narrow noise ends near
-    the middle of the weights that explain the demonstrations. From there the mean regret itself is brought down, and
-    demonstrations that stay far costlier than most are trusted less (a redescending weight on their regret), so that
-    some detours do not bend the fit.
+    A perturbed Fenchel-Young loss is brought down by gradient in log weights, over the routes found so far. Rounds of
+    searches under the current and under perturbed weights find more, until a round betters none. The noise shrinks from
+    round to round: wide noise leads from anywhere, narrow noise ends near the middle of the weights that explain the
+    demonstrations. From there the mean regret itself is brought down, and demonstrations that stay far costlier than
+    most are trusted less (a redescending weight on their regret), so that some detours do not bend the fit.
 
     Only the direction of W can be found; its length is set by ``scale``. The weight of a layer that is constant
     over the maps cannot be identified, and ``unidentified`` says so: under ``line`` (or where it costs nothing) it
@@ -125,12 +124,27 @@ def fit_weights(
     Args:
       demonstrations: from `read_demonstrations` or `demonstrations_from_paths`; of one or several maps.
       scale: ``"simplex"``: weights sum to 1; ``"distance"``: the distance weight is 1.
-      bootstrap: fits on demonstrations drawn anew, for intervals, cities first where there are several; 0 for none.
+      bootstrap: fits on demonstrations drawn with replacement, for intervals, cities first where there are several; 0
+        for none.
       settings: of the search. The noise shrinks over 7 rounds, patience with far costlier demonstrations over 6 more;
         after them it ends where a round betters nothing.
 
+    Returns:
+      ``weights``, which `jaxurban.plan` takes; ``table``, a row a weight with its interval and its share of the cost;
+      ``regret``, by which share each demonstration costs more than the cheapest route; ``unidentified`` and
+      ``warnings``, sentences on what the routes cannot say. Printed, it shows the table and the sentences.
+
     Raises:
       InputError: no demonstrations, maps that do not go together, or a wrong setting.
+
+    Examples:
+      >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
+      >>> shown = ju.fit.demonstrations_from_paths([path, back], maps)
+      >>> fit = ju.fit.fit_weights(shown, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=5))
+      >>> fit.regret.round(2).tolist(), round(float(fit.vector.sum()), 3)
+      ([0.0, 0.0], 1.0)
+      >>> list(fit.table.columns)
+      ['weight', 'low', 'high', 'share_of_cost', 'spread']
     """
     at_least("bootstrap", bootstrap)
     begin_s, settings = time.perf_counter(), settings or FitSettings()
@@ -146,7 +160,7 @@ def fit_weights(
     noise_rounds = min(settings.max_rounds, NOISE_ROUNDS)
     least_rounds = min(settings.max_rounds, TRUST_ROUNDS + DOUBT_ROUNDS + 1)
     how = {"fit": "imitation", "noise_rounds": noise_rounds, "demonstrations": fingerprint(demo)}
-    pool = settings.pool(queries, [each.sums for each in demonstrations], **how)
+    pool = pool_of_fit(settings, queries, [each.sums for each in demonstrations], **how)
     unit = np.where(is_fitted, feature_units(queries, demo), 1.0)
     fit = _Fit(pool, demo, unit, is_fitted, settings.seed)
     rows: list[dict[str, Any]] = []
