@@ -144,14 +144,25 @@ def write_buildings(
       planned: a route over these maps.
       out: where the files go; made if it is not there.
       scenario: file that the maps were made from, where sources have relative names.
-      softness_m: see `jaxurban.studies.weights.buildings.building_costs`.
+      softness_m: see `jaxurban.grad.SoftParams`.
 
     Returns:
-      The table of `jaxurban.studies.weights.buildings.building_costs`.
+      The table of `jaxurban.studies.building_costs`, a row a building with any effect, the costliest first.
 
     Raises:
       InputError: there is no route, sources that are not found or changed, buildings from a height raster, a route over
         statistics of many epochs, or files of these names that were not written so, or changed since.
+
+    Examples:
+      >>> from pathlib import Path
+      >>> from jaxurban.maps.run import run_scenario  # what `jaxurban maps` runs
+      >>> settings = {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 20.0, "altitudes_m": [60]}
+      >>> scenario = ju.Scenario.from_dict({"region": settings, "buildings": {"source": "synthetic"}})
+      >>> run = run_scenario(scenario, Path("maps"), progress=False)
+      >>> flown = ju.plan("maps", (-73.973, 40.779), (-73.969, 40.781), altitude_m=60.0, snap=True)
+      >>> table = ju.studies.write_buildings("maps", flown, "costs")
+      >>> sorted(file.name for file in Path("costs").iterdir())
+      ['buildings.csv', 'buildings.parquet', 'buildings.png', 'checksums.json']
     """
     settings = scenario_of(Path(folder), None if scenario is None else Path(scenario))
     if not softness_m > 0:

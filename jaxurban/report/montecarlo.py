@@ -94,14 +94,14 @@ def study(
 
     Rows are kept in ``folder`` (``rows.parquet``, one a planner, objective, instance and altitude) as they come; the
     same call after any end, ``kill -9`` included, runs only what is missing; planners and instances may be added. A
-    planner that crashes is a row with the status ``crashed``, a place that is not free here one with ``bad-input``.
+    planner that crashes leaves a row with the status ``crashed``, and a place that is not free one with ``bad-input``.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of maps, which several workers need; a `MapsFolder` where it
         holds several resolutions, or planners are to keep another rule of obstacles.
       folder: where the benchmark is kept.
-      instances: from `sample_instances` or `studies.sampling.read_instances`, or how many to sample at each
-        altitude; left out, as the settings say. Their ``is_connected`` is found anew on these maps.
+      instances: a table as from `jaxurban.studies.sample_instances`, or how many to sample at each altitude; left out,
+        as the settings say. Their ``is_connected`` is found again on these maps.
       settings: planners and budgets.
       cost_model, constraints, preset: of all routes (see `jaxurban.paths.rows.RouteRules`); a cost model that is left
         out is as the settings say, and else as the scenario of the maps.
@@ -110,9 +110,24 @@ def study(
       overwrite: replace a benchmark of other settings.
       progress: as in `jaxurban.progress.reporting`.
 
+    Returns:
+      ``rows``, one a planner, objective, instance and altitude: its status, its costs, metres (``length_m``) and
+      seconds (``elapsed_s``), the mean of each metric; ``table``, the same beside their instances; ``save`` writes the
+      report.
+
     Raises:
       InputError: a wrong argument, instances for other maps or none that lies on these, or a folder that holds a
         benchmark of other settings or other instances.
+
+    Examples:
+      >>> chosen = ju.studies.Study(planners="astar-plus", altitudes_m=[60.0])
+      >>> benchmark = ju.studies.study(maps, "benchmark", 2, settings=chosen, progress=False)
+      >>> benchmark.rows[["instance", "planner", "objective", "status"]]
+         instance     planner objective   status
+      0         0  astar-dist  distance  optimal
+      1         0  astar-plus  weighted  optimal
+      2         1  astar-dist  distance  optimal
+      3         1  astar-plus  weighted  optimal
     """
     folder, chosen = Path(folder), settings or Study()
     job = Benchmark(

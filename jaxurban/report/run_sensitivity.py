@@ -65,7 +65,7 @@ def sensitivity_study(
 
     For each route and weight: its share of the cost (which is the gradient of the cost by the logarithm of the weight),
     the nearest breakpoints, the regret of a wrong weight, and Sobol shares of what the route is like; if asked
-    also how routes change where heights are uncertain or parameters are other ones. Rows are kept in ``folder`` as they
+    also how routes change where heights are uncertain. Rows are kept in ``folder`` as they
     come; the same call after any end, ``kill -9`` included, makes only what is missing. A route that fails is a row
     with its status. ``report.md`` there says what the routes support and what not, beside tables and figures.
 
@@ -85,8 +85,21 @@ def sensitivity_study(
       overwrite: replace a study of other settings or routes.
       progress: as in `jaxurban.progress.reporting`.
 
+    Returns:
+      `SensitivityStudy`: ``rows`` has a row a route, and ``tables`` their summaries with intervals, by name.
+
     Raises:
       InputError: a wrong argument, routes for other maps, or a folder that holds another study or other files.
+
+    Examples:
+      >>> chosen = ju.studies.SensitivityStudySettings(vary=("gps",), num_samples=0)
+      >>> found = ju.studies.sensitivity_study(
+      ...     {"demo": maps}, "weights", 2, altitudes_m=[60.0], settings=chosen, progress=False
+      ... )
+      >>> found.rows[["city", "status", "elasticity:gps", "below:gps", "above:gps"]].round(2)
+         city   status  elasticity:gps  below:gps  above:gps
+      0  demo  optimal            0.10       0.96       2.47
+      1  demo  optimal            0.08        NaN        NaN
     """
     folder, settings, given = Path(folder), settings or SensitivityStudySettings(), named_sources(sources)
     check_workers(workers, given.values())

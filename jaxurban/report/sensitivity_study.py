@@ -43,11 +43,20 @@ class SensitivityStudy:
       folder: where it is kept.
       maps: of each city by its name.
       instances: the routes asked for.
-      rows: what was found for each (`jaxurban.studies.weights.routes.route_facts`).
-      remade: how each route differs on maps of perturbed heights (`jaxurban.studies.weights.routes.OnPerturbedMaps`).
+      rows: what was found for each, a row a route: its status, cost and outcomes, and of each weight its share of the
+        cost, the nearest factors at which the route changes, and what a wrong weight costs.
+      remade: how each route differs on maps of perturbed heights; empty where none were asked for.
       skipped: why there are no perturbed maps, a sentence a city.
       settings: what was asked.
       is_sampled: whether the routes were drawn, by stratum and range, or given.
+
+    Examples:
+      >>> chosen = ju.studies.SensitivityStudySettings(vary=("gps",), num_samples=0)
+      >>> found = ju.studies.sensitivity_study(
+      ...     {"demo": maps}, "weights", 2, altitudes_m=[60.0], settings=chosen, progress=False
+      ... )
+      >>> list(found.tables), found.is_sampled
+      (['routes', 'weights', 'summary'], True)
     """
 
     folder: Path

@@ -43,7 +43,7 @@ class MapComparison(Result):
 
     Attributes:
       names: what A and B are called.
-      a, b: the maps, cut to what both hold (`shared_part`).
+      a, b: the maps, cut to what both hold.
       left_out: what only one of them holds.
       settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; None where one
         of them was not made by `jaxurban maps`.
@@ -53,6 +53,14 @@ class MapComparison(Result):
         ``gained`` and ``lost``, the cells that are higher by more than ``tolerance`` in B and in A, and
         ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` (cells that no planner enters) the
         values are 1 where a cell is blocked and 0 elsewhere, and the cells all with data in both.
+
+    Examples:
+      >>> higher_mask = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), gps=ju.Gps(mask_deg=30.0))
+      >>> change = ju.studies.compare(maps, higher_mask, progress=False)
+      >>> change.layers[:6], change.grid.shape
+      (('obstacle', 'closed', 'gps', 'lidar', 'population', 'risk'), (30, 30))
+      >>> change.left_out
+      {'altitude 20 m': 'B holds no such map'}
     """
 
     names: tuple[str, str]
@@ -82,7 +90,16 @@ class MapComparison(Result):
         return (*MASKS, *metrics, *others)
 
     def places(self, layer: str) -> list[OneMap]:
-        """Return the maps of a layer that are compared."""
+        """Return the maps of a layer that are compared.
+
+        Returns:
+          The altitude, time and time of day of each map, None where the layer does not vary along it; `of` takes them.
+
+        Examples:
+          >>> change = ju.studies.compare(maps, maps, progress=False)
+          >>> [place.altitude_m for place in change.places("risk")]
+          [20.0, 60.0]
+        """
         dims = (ALTITUDE,) if layer == CLOSED else self.a.ds[layer].dims
         held: dict[str, Sequence[Any]] = {
             TIME: self.a.times,
@@ -96,17 +113,25 @@ class MapComparison(Result):
     def of(
         self, layer: str, altitude_m: float | None = None, *, time: str | None = None, time_of_day: str | None = None
     ) -> np.ndarray:
-        """Return ``[Y, X]`` float32 B - A of one map, NaN where either is blocked or holds no number.
-
-        Of ``obstacle`` and ``closed`` 1 where only B is blocked, -1 where only A is, NaN without data. Infinite values
-        (dilutions of precision) differ by 0 where both are, else by an infinite number.
+        """Return B - A of one map.
 
         Args:
           layer: one of `layers`.
           altitude_m, time, time_of_day: as in `MetricMaps.m`; the first if left out.
 
+        Returns:
+          The differences, ``[Y, X]`` float32 in the layer's unit, NaN where either is blocked or holds no number. Of
+          ``obstacle`` and ``closed`` 1 where only B is blocked, -1 where only A is, NaN without data. Infinite values
+          (dilutions of precision) differ by 0 where both are infinite, else by an infinite number.
+
         Raises:
           InputError: no such layer, altitude or time in both.
+
+        Examples:
+          >>> higher_mask = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), gps=ju.Gps(mask_deg=30.0))
+          >>> change = ju.studies.compare(maps, higher_mask, progress=False).of("gps", 60.0)
+          >>> change.shape, round(float(np.nanmean(change)), 2)
+          ((30, 30), -0.13)
         """
         first_m = self.places(one_of("layer", layer, self.layers))[0].altitude_m
         z_m = first_m if None in (first_m, altitude_m) else altitude_m
@@ -150,16 +175,29 @@ def compare(
 ) -> MapComparison:
     """Return how maps B differ from maps A, cell by cell.
 
-    Both must lie on one CRS and resolution; what is compared are the cells, altitudes, times and layers that both hold.
+    Both must have one CRS and one resolution. Compared are the cells, altitudes, times and layers that both hold.
 
     Args:
       maps_a, maps_b: from `build_maps` or `open_maps`, or folders of one resolution's maps; a `MapsFolder` where a
         folder holds several, or planners are to keep another rule of obstacles.
-      tolerance: by how much values may differ, in their unit, and have not changed.
+      tolerance: values that differ by no more than this, in their unit, have not changed.
       progress: as in `jaxurban.progress.reporting`.
+
+    Returns:
+      `MapComparison`: its ``table`` has a row a layer, altitude, time and time of day with statistics of B - A, `of`
+      returns the differences of one map, and ``save`` writes the report.
 
     Raises:
       InputError: maps of another CRS or resolution, that share no cell, altitude, time or layer, or a wrong argument.
+
+    Examples:
+      >>> higher_mask = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), gps=ju.Gps(mask_deg=30.0))
+      >>> change = ju.studies.compare(maps, higher_mask, progress=False)
+      >>> change.table.set_index("layer").loc[["gps", "lidar"], ["unit", "cells", "gained", "lost"]]
+            unit  cells  gained  lost
+      layer
+      gps      1    894       0   870
+      lidar    1    894       0     0
     """
     tolerance = finite("tolerance", tolerance)
     if tolerance < 0:

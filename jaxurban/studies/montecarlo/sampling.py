@@ -81,11 +81,6 @@ def sample_instances(
     on ``num``. Starts and goals are centres of cells that are free at every altitude and time. Pairs that no path joins
     are kept and marked (``is_connected``).
 
-    Columns: ``instance``, ``altitude_m``, ``crs``, ``start_x_m``, ``start_y_m``, ``goal_x_m``, ``goal_y_m``,
-    ``start_lon``, ``start_lat``, ``goal_lon``, ``goal_lat``, ``time``, ``time_of_day``, ``start_stratum``,
-    ``goal_stratum``, ``range``, ``distance_m`` (straight), ``is_connected``, ``w_distance`` (per metre), ``w_gps``,
-    ``w_lidar``, ``w_population``, ``w_risk`` (0 where the maps hold no such metric) and the like of one's own layers.
-
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
       num: instances at each altitude.
@@ -93,15 +88,33 @@ def sample_instances(
       weights: ``"dirichlet"``: uniform on the simplex of shares, distance counted per reference length and metrics as
         they are; or weights, which take turns.
       cost_model: its reference length is what the share of distance is divided by; its rule for diagonal steps
-        tells which pairs are joined.
+        decides which pairs are joined.
       constraints: no-fly zones, bounds and clearances that close cells to starts, goals and paths.
       preset: as in `jaxurban.cost_map`.
-      cover: water and parks, which are strata of their own then (`demo.demo_cover`, `io.landcover.read_land_cover`).
+      cover: water and parks as outlines, which are then strata of their own.
       seed: of everything.
+
+    Returns:
+      A row an instance and altitude, which `jaxurban.studies.study` takes: ``instance``, ``altitude_m``, ``crs``,
+      ``start_x_m``, ``start_y_m``, ``goal_x_m``, ``goal_y_m``, ``start_lon``, ``start_lat``, ``goal_lon``,
+      ``goal_lat``, ``time``, ``time_of_day``, ``start_stratum``, ``goal_stratum``, ``range``, ``distance_m``
+      (straight), ``is_connected``, ``w_distance`` (per metre), ``w_gps``, ``w_lidar``, ``w_population``, ``w_risk`` (0
+      where the maps hold no such metric) and the like of a user's own layers.
 
     Raises:
       InputError: ``num`` below 1, an unknown altitude, none or one twice, no weights, or too few free cells for any
         pair of places.
+
+    Examples:
+      >>> instances = ju.studies.sample_instances(maps, 3, weights=[ju.Weights(risk=5.0)], seed=1)
+      >>> instances[["instance", "altitude_m", "w_risk", "is_connected"]]
+         instance  altitude_m  w_risk  is_connected
+      0         0        20.0     5.0         False
+      1         1        20.0     5.0         False
+      2         2        20.0     5.0         False
+      3         0        60.0     5.0          True
+      4         1        60.0     5.0          True
+      5         2        60.0     5.0          True
     """
     maps, model, constraints = rules_on(as_maps(maps), cost_model, constraints, preset)
     altitudes_m = maps.altitudes_m if altitudes_m is None else tuple(float(z) for z in altitudes_m)

@@ -35,14 +35,20 @@ class ReceiverSettings:
 
     Attributes:
       antenna_height_m: of the receiver's antenna above the ground.
-      sky_step_s: satellites stand still for so long; each epoch takes the sky nearest to it, half as far off at most.
-      piece_m: what is compared are medians over pieces of track so long.
+      sky_step_s: satellites stand still for so many seconds; each epoch takes the sky nearest to it in time.
+      piece_m: length of the pieces of track whose medians are compared.
       other_pieces_m: further lengths of pieces for which the same is reported.
       block_m: length of the blocks of track within which ranks are compared, and of which one after the other is left
         out for the interval.
 
     Raises:
-      InputError: a value that is none of these.
+      InputError: a length or time that is not positive, a sky that stands still for more than 300 s, or blocks that are
+        shorter than pieces.
+
+    Examples:
+      >>> settings = ju.studies.ReceiverSettings(piece_m=10.0, other_pieces_m=[50.0])
+      >>> settings.pieces_m, settings.block_m
+      ((10.0, 50.0), 200.0)
     """
 
     antenna_height_m: float = 2.0
@@ -69,7 +75,15 @@ class ReceiverSettings:
         return tuple(sorted({float(self.piece_m), *map(float, self.other_pieces_m)}))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the settings as plain, JSON-ready values."""
+        """Return the settings as plain, JSON-ready values.
+
+        Returns:
+          Every attribute by its name.
+
+        Examples:
+          >>> ju.studies.ReceiverSettings(other_pieces_m=(50.0,)).to_dict()
+          {'antenna_height_m': 2.0, 'sky_step_s': 30.0, 'piece_m': 25.0, 'other_pieces_m': [50.0], 'block_m': 200.0}
+        """
         return asdict(self) | {"other_pieces_m": list(self.other_pieces_m)}
 
 

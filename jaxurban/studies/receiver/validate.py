@@ -42,9 +42,9 @@ class ReceiverValidation(Result):
       log: what the receiver logged.
       settings: how the two were set beside each other.
       scenario: the settings that the maps were made with.
-      summary: numbers of the whole: epochs, those in a building, length of the track, means.
+      summary: numbers of the whole: epochs, those in a building, length of the track, means. Metres end in ``_m``.
       epochs: a row an epoch: time, place, distance along the track, witnesses and predictions; NaN in a building.
-      pieces: a row a piece of track of ``settings.piece_m``: medians of the same (see `pieces_of`).
+      pieces: a row a piece of track of ``settings.piece_m``: medians of the same.
       scores: a row a ``witness``, ``prediction`` and ``piece_m``: ``num`` pieces, and for the rank correlation
         ``within`` blocks and ``spearman`` over the whole track the value, what 95 % of all shifts along the track stay
         at or below (``_shifts_95``) and the share of all shifts, that of 0 m among them, that score at least as high
@@ -54,6 +54,20 @@ class ReceiverValidation(Result):
         coefficients.
       attribution: whom to credit for the city.
       guesses: what city and sky rest on that no file says, a sentence each.
+
+    Examples:
+      >>> import pandas as pd
+      >>> settings = {"region": {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}}
+      >>> scenario = ju.Scenario.from_dict(settings | {"buildings": {"source": "synthetic"}})
+      >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=40, freq="s")})
+      >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 40), lat=40.7795, num_tracked=5)
+      >>> found = ju.studies.validate(scenario, log, progress=False)
+      >>> found.summary["epochs"], found.summary["epochs_left_out"], round(found.summary["length_m"])
+      (40, 7, 338)
+      >>> found.pieces[["piece", "epochs", "num_tracked", "num_visible"]].head(2)
+         piece  epochs  num_tracked  num_visible
+      0      0       3          5.0          5.0
+      1      1       2          5.0          3.5
     """
 
     log: ReceiverLog
@@ -101,14 +115,31 @@ def validate(
     at the log's times and the antenna's height, in the cells of the track. No number of theirs is fitted to the log.
 
     Args:
-      scenario: of the maps; its times, altitudes and layers of one's own are not looked at.
-      log: the receiver's, as `jaxurban.io.read.receiver.read_receiver_log` takes it.
+      scenario: of the maps; its times, its altitudes and the layers that a user added are ignored.
+      log: the receiver's, a row an epoch, as a table or its file (``.csv``, ``.parquet``), with ``utc``, ``lon_deg``
+        (or ``lon``), ``lat_deg`` (or ``lat``), and ``num_tracked``, ``error_2d_m`` or both.
       settings: how the two are set beside each other.
       progress: as in `jaxurban.progress.reporting`.
+
+    Returns:
+      `ReceiverValidation`: its ``scores`` hold rank correlations between what was logged and what the maps say, and
+      ``main`` those of each logged quantity with its own prediction; NaN where either does not vary. ``save`` writes
+      the report.
 
     Raises:
       InputError: a log that cannot be read, lies outside the region or is too short, sources of the scenario that
         cannot be used, or orbits too old for the log's times.
+
+    Examples:
+      >>> import pandas as pd
+      >>> settings = {"region": {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}}
+      >>> scenario = ju.Scenario.from_dict(settings | {"buildings": {"source": "synthetic"}})
+      >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=40, freq="s")})
+      >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 40), lat=40.7795, num_tracked=5)
+      >>> log["num_tracked"] = 5 + np.arange(40) // 10  # more to the east
+      >>> found = ju.studies.validate(scenario, log, progress=False)
+      >>> found.main[["witness", "prediction", "num", "spearman"]].round(2).to_dict("records")
+      [{'witness': 'num_tracked', 'prediction': 'num_visible', 'num': 13, 'spearman': 0.61}]
     """
     chosen = settings or ReceiverSettings()
     told = read_receiver_log(log)

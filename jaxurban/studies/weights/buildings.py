@@ -57,7 +57,7 @@ def building_costs(
 
     The route stays where it is: for an optimal route this is also the gradient of the optimal cost, as long as no other
     route becomes cheaper; for any other planner's route it is the gradient of that route's cost. Costs are those of the
-    soft maps (see docs/algorithms/gradients.md), whose softness says how many metres of clearance count: the exact cost
+    soft maps (see docs/algorithms/gradients.md), whose softness says over how many metres a roof fades: the exact cost
     changes by jumps, when a shadow's edge or a lidar beam passes a cell of the route.
 
     Only buildings with any effect are listed; a negative one means that more height helps (walls are landmarks for the
@@ -65,19 +65,28 @@ def building_costs(
 
     Args:
       city: from which ``soft`` was made.
-      soft: from `jaxurban.maps.build.soft_city`, at the route's resolution, time and time of day.
+      soft: from `jaxurban.grad.soft_city`, at the route's resolution, time and time of day.
       planned: the route.
       params: altitude and softness, and the metrics' settings.
       weights: left out, the ones that the route was planned under.
 
     Returns:
       A table by ``rank`` of ``building`` (its number in the city), ``per_metre`` (cost per metre of height) and its
-      parts ``gps``, ``lidar``, ``risk`` and one's own soft layers; ``height_m``, ``origin`` of the height, ``lon``,
+      parts ``gps``, ``lidar``, ``risk`` and a user's own soft layers; ``height_m``, ``origin`` of the height, ``lon``,
       ``lat`` of a point inside, ``distance_m`` from the route to its outline. ``attrs``: the route's ``cost`` on exact
       maps, its ``soft_cost``, ``softness_m``.
 
     Raises:
       InputError: there is no route, it lies on another grid, altitude or time of day, or it climbs.
+
+    Examples:
+      >>> params = ju.grad.SoftParams(altitude_m=60.0)
+      >>> soft = ju.grad.soft_city(city, maps.grid, params)
+      >>> table = ju.studies.building_costs(city, soft, path, params)
+      >>> table[["building", "per_metre", "height_m", "origin"]].head(1).round(4)
+            building  per_metre  height_m     origin
+      rank
+      1           32     0.0023     380.0  generated
     """
     assert city.buildings is not None
     visits = _visits(soft, planned, params)

@@ -55,7 +55,12 @@ class SensitivityStudySettings(RouteJob):
       cost_model, constraints, preset: see `jaxurban.paths.rows.RouteRules`.
 
     Raises:
-      InputError: a value that is none of these.
+      InputError: factors that do not enclose 1, a number of samples that is no power of two, or another wrong value.
+
+    Examples:
+      >>> settings = ju.studies.SensitivityStudySettings(vary=("gps", "risk"), factors=(0.5, 2.0), num_samples=16)
+      >>> settings.vary, settings.wrong
+      (('gps', 'risk'), 2.0)
     """
 
     vary: tuple[str, ...] = ()
@@ -78,13 +83,33 @@ class SensitivityStudySettings(RouteJob):
             raise InputError(f"wrong must be a factor above 1 such as 2, got {self.wrong}")
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what decides a row, as plain, JSON-ready values."""
+        """Return what decides a row, as plain, JSON-ready values.
+
+        Returns:
+          The cost model, the constraints (``limits``), and the settings of what is asked of a route.
+
+        Examples:
+          >>> record = ju.studies.SensitivityStudySettings(vary=("gps",)).to_dict()
+          >>> record["cost_model"], record["factors"], record["wrong"]
+          ('line', (0.1, 10.0), 2.0)
+        """
         return self.rules() | {
             name: getattr(self, name) for name in ("factors", "vary", "wrong", "num_samples", "seed")
         }
 
     def facts(self, on: CostMap, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
-        """Return what the weights do to the route of an instance (see `route_facts`)."""
+        """Return what the weights do to the route of an instance.
+
+        Returns:
+          One row, as in ``rows`` of a `SensitivityStudy`.
+
+        Examples:
+          >>> instance = ju.studies.sample_instances(maps, 1, altitudes_m=[60.0]).to_dict("records")[0]
+          >>> chosen = ju.studies.SensitivityStudySettings(vary=("gps",), num_samples=0)
+          >>> (row,) = chosen.facts(ju.cost_map(maps, 60.0), instance, [()])
+          >>> row["status"], round(row["cost"], 1), round(row["length_m"])
+          ('optimal', 19.3, 286)
+        """
         return [route_facts(on, instance, self)]
 
 

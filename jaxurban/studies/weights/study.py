@@ -110,6 +110,14 @@ class SensitivitySettings:
       tolerance: of the front, a share of the cost.
       max_plans: searches that the front may take.
       seed: of the Sobol sequence and the noise.
+
+    Raises:
+      InputError: factors that do not enclose 1, a number of samples that is no power of two, or another wrong value.
+
+    Examples:
+      >>> settings = ju.studies.SensitivitySettings(vary=("gps", "risk"), factors=(0.5, 2.0))
+      >>> settings.num_samples, settings.objectives  # left out: chosen when the study runs
+      (128, ())
     """
 
     vary: tuple[str, ...] = ()
@@ -142,8 +150,8 @@ def sensitivity(
 ) -> Sensitivity:
     """Return what would change the cheapest route of a query, and what would not.
 
-    Along the lines all breakpoints are found. The front holds as many routes as maps have cells, nearly: there the
-    tolerance leaves out those that never save more than this share of the cost.
+    Along the range of each weight all breakpoints are found. The Pareto front can hold nearly as many routes as the
+    maps have cells: there the tolerance leaves out those that never save more than this share of the cost.
 
     Args:
       cost_map: from `jaxurban.cost_map`; the weights vary around its own.
@@ -152,9 +160,22 @@ def sensitivity(
       settings: what is varied.
       progress: gets what runs and the searches made, as in `jaxurban.progress.reporting`.
 
+    Returns:
+      ``cost``, a row a weight: its value, the derivative of the cost by it, and its share of the cost (``elasticity``);
+      ``breakpoints(name)``, the routes along the range of a weight; ``tables()``, all of it by name; ``save`` writes
+      the report.
+
     Raises:
       InputError: places outside the maps or inside an obstacle, both in one cell or with no path between them, or a
         wrong setting.
+
+    Examples:
+      >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
+      >>> found = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
+      >>> found.cost["elasticity"].round(2).to_dict()
+      {'distance': 0.32, 'gps': 0.08, 'lidar': 0.57, 'population': 0.02, 'risk': 0.01}
+      >>> found.breakpoints("gps")["to"].round(2).tolist()  # three routes, by the weight up to which each is cheapest
+      [0.44, 3.03, 10.0]
     """
     check_flat(cost_map)
     begin_s, settings = time.perf_counter(), settings or SensitivitySettings()
