@@ -54,7 +54,7 @@ class BenchmarkResult(Result):
       folder: where it is kept.
       maps: what it was made on.
       instances: the queries (`sample_instances`).
-      rows: what each planner found (`jaxurban.studies.montecarlo.trial.row_columns`).
+      rows: what each planner found, one row a planner, objective, instance and altitude.
       settings: how they were run.
     """
 
@@ -72,7 +72,7 @@ class BenchmarkResult(Result):
 
     @property
     def table(self) -> pd.DataFrame:
-        """The rows with their instances, ``has_path``, ``is_joined`` and ``ratio`` (`studies.analysis.joined`)."""
+        """The rows with their instances, ``has_path``, ``is_joined`` and ``ratio``."""
         return analysis.joined(self.rows, self.instances)
 
 
@@ -103,8 +103,8 @@ def study(
       instances: a table as from `jaxurban.studies.sample_instances`, or how many to sample at each altitude; left out,
         as the settings say. Their ``is_connected`` is found again on these maps.
       settings: planners and budgets.
-      cost_model, constraints, preset: of all routes (see `jaxurban.paths.rows.RouteRules`); a cost model that is left
-        out is as the settings say, and else as the scenario of the maps.
+      cost_model, constraints, preset: of all routes, as in `jaxurban.plan`; a cost model that is left out is that of
+        the settings, else that of the maps' scenario.
       workers: processes of this machine, 1 works in this process; or the address of a Dask scheduler, whose workers see
         the maps' folder under the same path.
       overwrite: replace a benchmark of other settings.
@@ -163,7 +163,7 @@ def study(
 
 
 def land_cover_of(scenario: Scenario) -> LandCover | None:
-    """Return the water and the parks that the benchmark of a scenario tells apart, None where nothing tells them.
+    """Return the water and the parks that the benchmark of a scenario distinguishes, None where no source holds them.
 
     From ``[study] land_cover``; left out, from the buildings' source where that is an OSM file or a sample city, or the
     synthetic city's.

@@ -226,7 +226,7 @@ def _instances(
 
 
 def _check_vary(vary: Sequence[str], instances: pd.DataFrame, names: Iterable[str]) -> None:
-    """Check that every weight to vary counts on one route at least; each route tells of those that do not on it."""
+    """Check that every weight to vary counts on one route at least; each route names those that do not on it."""
     names = tuple(names)
     counted = [name for name in ("distance", *names) if (instances[f"{WEIGHT_PREFIX}{name}"] > 0).any()]
     if not vary and not set(names) & set(counted):

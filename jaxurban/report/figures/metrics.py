@@ -76,7 +76,7 @@ def metric_colours(maps: MetricMaps, name: str, values: np.ndarray | None = None
     Args:
       maps: that hold it.
       name: of `drawn_variables`.
-      values: all of those that the maps hold of it, where they are at hand.
+      values: all of those that the maps hold of it, where they are known.
     """
     variable = drawn_variables(maps)[name]
     label = bar_label(maps, name, variable)
@@ -150,7 +150,7 @@ def plot_metric(
     time: str | None = None,
     time_of_day: str | None = None,
 ) -> Figure:
-    """Return panels of one metric (of the cost, one's own too, a DOP or num_visible), all on one scale.
+    """Return panels of one metric (of the cost, a user's own too, a DOP or num_visible), all on one scale.
 
     Args:
       maps: from `build_maps` or `open_maps`.

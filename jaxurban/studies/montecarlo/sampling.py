@@ -45,7 +45,7 @@ MOST_NUMBER = 2**53  # of an instance: as far as float64 counts
 
 
 def weighed_metrics(columns: Iterable[Any]) -> tuple[str, ...]:
-    """Return the metrics that instances of these columns hold weights of: the built-in ones, then one's own."""
+    """Return the metrics that instances of these columns hold weights of: the built-in ones, then a user's own."""
     weighed = (name.removeprefix(WEIGHT_PREFIX) for name in map(str, columns) if name.startswith(WEIGHT_PREFIX))
     return tuple(dict.fromkeys((*METRICS, *(name for name in weighed if name != "distance"))))
 
@@ -228,7 +228,7 @@ class _Places:
         self.diagonal_m = float(np.hypot(rows, cols)) * self.grid.resolution_m
 
     def _next_kind(self) -> tuple[int, int, str]:
-        """Return the next kind; they are shuffled anew each time all were dealt."""
+        """Return the next kind; they are shuffled again each time all were drawn."""
         turn, place = divmod(self.num_dealt, len(self.strata_pairs))
         self.num_dealt += 1
         return self.strata_pairs[np.random.default_rng([self.seed, 0, turn]).permutation(len(self.strata_pairs))[place]]

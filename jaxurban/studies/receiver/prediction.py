@@ -144,7 +144,7 @@ def region_of(scenario: Scenario) -> Grid:
 def task_at(scenario: Scenario, times: Sequence[str], grid: Grid, antenna_height_m: float) -> MapTask:
     """Return what maps of a scenario at other times, and at the antenna's height alone, are made of.
 
-    Nothing of people, of layers of one's own and of uncertainty is in it: satellites depend on none.
+    People, layers that a user added and uncertainty are left out: satellites depend on none of them.
     """
     of_log: dict[str, Any] = {"times": tuple(times), "start": None, "stop": None, "step_s": None}
     of_log |= {"reference": scenario.gps.reference or grid.centre_lonlat, "series": "epochs", "bounds": False}

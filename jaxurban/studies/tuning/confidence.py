@@ -1,4 +1,4 @@
-"""How sure fitted weights are: what demonstrations cannot tell, and what others would have shown."""
+"""How sure fitted weights are: what demonstrations cannot show, and what others would have shown."""
 
 from collections.abc import Sequence
 
@@ -43,7 +43,7 @@ def draw_counts(cities: np.ndarray, num_draws: int, rng: np.random.Generator) ->
 
 
 def refit(log_weights: np.ndarray, task: FitTask, counts: np.ndarray) -> np.ndarray:
-    """Return ``[B, K]`` log weights fitted to demonstrations drawn anew with replacement, none where there is only one.
+    """Return ``[B, K]`` log weights fitted to demonstrations drawn with replacement, none where there is only one.
 
     All over the routes that are known: no search is made.
 

@@ -237,7 +237,7 @@ class _Fit:
         )
 
     def run_round(self, number: int, noise: float) -> dict[str, Any]:
-        """Search under perturbed weights, trust demonstrations anew, and descend."""
+        """Search under perturbed weights, set the trust of each demonstration again, and descend."""
         rng = np.random.default_rng([IN_ROUND, number, self.seed])
         probes = np.exp(rng.normal(size=(len(self.demo), 1 + NUM_PROBES, len(self.unit))) * noise)
         probes[:, 0] = 1.0

@@ -1,6 +1,6 @@
-"""What weights do to each of many routes, and how it differs on maps made anew: a row a route.
+"""What weights do to each of many routes, and how it differs on maps of perturbed heights: a row a route.
 
-A row is made alone, so that any number can be made side by side. Maps are made anew with heights drawn as well as they
+A row is made alone, so that any number can be made side by side. Maps are made again with heights drawn as well as they
 are known.
 """
 
@@ -49,10 +49,10 @@ class SensitivityStudySettings(RouteJob):
         these times each weight.
       wrong: a wrong weight is so many times too large or too small.
       num_samples: N of each route's Sobol indices, a power of two, N x (2 + weights that vary) searches; 0: none.
-      num_heights: also plan on maps of so many draws of all heights (see `jaxurban.maps.recipe`).
+      num_heights: also plan on maps of so many draws of all heights.
       seed: of the sampling of routes and weights, mixed with the city's name and the route's number.
       num_threads: of the searches of a route; left out, one a core, and one where several processes work.
-      cost_model, constraints, preset: see `jaxurban.paths.rows.RouteRules`.
+      cost_model, constraints, preset: of all routes, as in `jaxurban.plan`.
 
     Raises:
       InputError: factors that do not enclose 1, a number of samples that is no power of two, or another wrong value.
@@ -186,7 +186,7 @@ def route_facts(on: CostMap, instance: Row, settings: SensitivityStudySettings) 
 
 
 def perturbed_tasks(task: MapTask, settings: SensitivityStudySettings) -> Iterator[MapTask]:
-    """Yield the tasks of maps made anew, one for each draw of heights."""
+    """Yield the tasks of maps that are made again, one for each draw of heights."""
     params = task.params
     gps, heights = replace(params.gps, bounds=False), replace(params.heights, height_samples=0)
     plain = replace(task, params=replace(params, heights=heights, sections={**params.sections, "gps": gps}))

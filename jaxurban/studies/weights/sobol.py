@@ -132,7 +132,7 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
     if np.ptp(values) <= CONSTANT * np.abs(values).max():
         return table
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Constant values encountered")  # of a part: the intervals tell
+        warnings.filterwarnings("ignore", "Constant values encountered")  # of a part: the intervals show it
         found = analysis.analyze(
             problem,
             np.asarray(values, np.float64),
@@ -172,7 +172,7 @@ def outcome_slopes(
 ) -> pd.DataFrame:
     """Return how the outcomes of the cheapest routes respond to a small change of each weight.
 
-    Between breakpoints they are constant, so their derivative is 0 and says nothing; what tells is the slope of their
+    Between breakpoints they are constant, so their derivative is 0 and says nothing; what counts is the slope of their
     mean over perturbed weights. A row for each outcome and weight (the index), of several queries their mean: ``value``
     under W; ``expected``, its mean under weights W exp(noise Z); ``expected_slope``, the derivative of that mean by
     log w, and ``expected_slope_se``, the standard error of this estimate.
