@@ -134,3 +134,23 @@ def test_the_history_holds_every_script_that_a_page_names_with_its_commit():
     assert named
     for script, commit in named:
         git(ROOT, "cat-file", "-e", f"{commit}:{script}")
+
+
+WORKFLOWS = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / ".github/workflows").glob("*.yml")}
+
+
+def test_workflows_call_targets_that_the_makefile_has():
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    called = {target for text in WORKFLOWS.values() for target in re.findall(r"\bmake ([a-z-]+)", text)}
+    assert {"test", "test-oldest", "test-newest", "test-slow", "lint", "wheel", "docs"} <= called <= set(targets)
+
+
+def test_workflows_begin_at_the_oldest_python_that_is_allowed():
+    floor = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["requires-python"]
+    pythons = re.findall(r'"(3\.\d+)"', re.search(r"python: \[(.*)\]", WORKFLOWS["tests.yml"])[1])
+    assert floor == f">={pythons[0]}"
+
+
+def test_the_citation_names_the_version_of_the_package():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
