@@ -154,3 +154,22 @@ def test_workflows_begin_at_the_oldest_python_that_is_allowed():
 def test_the_citation_names_the_version_of_the_package():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+CONDA_NAMES = {
+    "dask": "dask-core",
+    "geopandas": "geopandas-base",
+    "matplotlib": "matplotlib-base",
+    "osmium": "pyosmium",
+    "SALib": "salib",
+}
+
+
+def test_the_recipe_asks_for_what_pyproject_asks_for():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    recipe = (ROOT / "conda-recipe/recipe.yaml").read_text(encoding="utf-8")
+    asked = [each.split(">=") for each in project["dependencies"]]
+    named = [f"{CONDA_NAMES.get(name, name)} >={floor}" for name, floor in asked]
+    lines = recipe.split("  run:\n")[1].split("tests:")[0]
+    assert re.findall(r"- (.*)", lines) == [f"python {project['requires-python']}", *named]
+    assert f'version: "{project["version"]}"' in recipe
