@@ -42,6 +42,7 @@ COMPRESSOR = Zstd(level=1, checksum=True)
 GDAL_CRS = "_CRS"  # attribute: the CRS as GDAL's Zarr driver reads it
 OPENED = "opened"  # encoding of a dataset that was opened: what checks that its files are still those
 METADATA = ".zmetadata"  # of a Zarr: its metadata and those of its arrays once more
+LAYOUT_KEY, LAYOUT = "jaxurban_layout", 1  # of maps in a folder; those without the entry have the first
 OF_ZARR = METADATA, ".zattrs", ".zgroup", "zarr.json"  # files by which a Zarr is known, of version 3 the last
 OTHER_VERSION = (
     "comes from another version of jaxurban, or without its checksums.json: make the maps again in a new folder"
@@ -137,7 +138,7 @@ def _encoding(array: xr.Variable, tile: tuple[int, int]) -> dict[str, Any]:
 
 def _to_zarr(ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[int, int] = (1, 1)) -> None:
     """Write a dataset without the values of its maps, and the metadata of all of the Zarr."""
-    ds = ds.drop_encoding()  # of the files that maps were opened from
+    ds = ds.drop_encoding().assign_attrs({LAYOUT_KEY: LAYOUT})  # without the encoding of files opened before
     for name in [name for name, coord in ds.coords.items() if coord.dtype.kind == "T"]:
         ds = ds.assign_coords({name: (ds[name].dims, np.array(ds[name].values.tolist(), str), ds[name].attrs)})
     crs = {} if "crs" not in ds.attrs else {GDAL_CRS: _gdal_crs(ds.attrs["crs"])}
@@ -350,7 +351,8 @@ def open_whole(path: Path) -> xr.Dataset:
     """Return the maps in a Zarr, every file of which is there; values are read, and decoded, when they are looked at.
 
     Raises:
-      InputError: metadata are not as they were written, a chunk is missing or cut; later, one cannot be decoded.
+      InputError: metadata are not as they were written, a chunk is missing or cut, or a newer jaxurban wrote them in
+        another layout; later, a chunk cannot be decoded.
     """
     try:
         for file, checksums in _recorded(path).items():
@@ -360,7 +362,13 @@ def open_whole(path: Path) -> xr.Dataset:
                     raise _damaged(path / METADATA, what)
             elif not file.is_file() or f"{file.stat().st_size}" not in {each.partition("-")[2] for each in checksums}:
                 raise _damaged(file, "is missing or cut")  # looked at, not read
-        return xr.open_dataset(path, engine=_Maps)
+        ds = xr.open_dataset(path, engine=_Maps)
+        if (layout := ds.attrs.pop(LAYOUT_KEY, LAYOUT)) != LAYOUT:
+            raise InputError(
+                f"the maps in {str(path)!r} have layout {layout!r}, and this version of jaxurban reads {LAYOUT}: "
+                "update jaxurban, or make the maps again in a new folder"
+            )
+        return ds
     except InputError:
         raise
     except Exception as error:

@@ -161,6 +161,23 @@ def test_opening_says_what_there_is(ds, tmp_path):
         store.open_zarr(tmp_path, 3.0)
 
 
+def test_maps_of_another_layout_are_refused_and_those_that_name_none_are_read(ds, tmp_path, monkeypatch):
+    monkeypatch.setattr(store, "LAYOUT", 2)
+    store.write_zarr(ds, tmp_path / "newer")
+    monkeypatch.undo()
+    before = sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*"))
+    with pytest.raises(InputError, match="have layout 2, and this version of jaxurban reads 1: update jaxurban, or"):
+        store.open_zarr(tmp_path / "newer", None)
+    assert sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*")) == before
+    monkeypatch.setattr(store, "LAYOUT_KEY", "another_attribute")
+    written = store.write_zarr(ds, tmp_path / "older")
+    monkeypatch.undo()
+    assert store.LAYOUT_KEY not in xr.open_zarr(written).attrs
+    assert store.open_zarr(tmp_path / "older", None).sizes == ds.sizes
+    assert xr.open_zarr(store.write_zarr(ds, tmp_path / "today")).attrs[store.LAYOUT_KEY] == 1
+    assert store.LAYOUT_KEY not in store.open_zarr(tmp_path / "today", None).attrs
+
+
 def test_a_lock_on_a_removed_file_holds_nothing(tmp_path, monkeypatch):
     """Between our opening and our locking of the file the first holder leaves and another run comes."""
     first, second = files.only_writer(tmp_path), files.only_writer(tmp_path)
