@@ -6,6 +6,8 @@ that. A stub beside a module says to type checkers, and here, where each of its 
 
 import ast
 import difflib
+import functools
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from html import escape
 from importlib import import_module
@@ -16,23 +18,57 @@ NAMESPACES = ("fit", "grad", "metrics", "studies")  # modules of the package who
 LEAST_ALIKE = 0.66  # as two letters of three are
 
 
-def public_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def public_names(
+    package: str, file: str, renamed: Mapping[str, str] | None = None, until: str = "2.0"
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return a module's ``__getattr__``, ``__dir__`` and ``__all__``, as its stub names them.
 
     Args:
       package: the module's name.
       file: its file; the stub lies beside.
+      renamed: public names by their former ones, which still work, and warn (docs/reference/stability.md).
+      until: the release in which the former ones go.
     """
     stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
     homes = {alias.name: line.module for line in stub.body if isinstance(line, ast.ImportFrom) for alias in line.names}
 
     def fetch(name: str) -> Any:
+        if renamed and name in renamed:
+            _warn_renamed(f"{package}.{name}", f"{_public_homes()[renamed[name]]}.{renamed[name]}", until)
+            return find_public(renamed[name])
         home = homes.get(name)
         if home is None:
             raise AttributeError(f"module {package!r} has no attribute {name!r}{_elsewhere(name)}")
         return import_module(f"{package}.{name}") if home == package else getattr(import_module(home), name)
 
     return fetch, lambda: sorted(homes), sorted(homes)
+
+
+def renamed_arguments(until: str, **renamed: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator under which a function takes arguments by their former names too, and warns of them.
+
+    Args:
+      until: the release in which the former names go.
+      renamed: the names of arguments by their former ones.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def call(*args: Any, **kwargs: Any) -> Any:
+            for old, new in renamed.items():
+                if old in kwargs and new not in kwargs:  # with both, the function refuses the former one as unknown
+                    _warn_renamed(f"the argument {old} of {function.__name__}", new, until)
+                    kwargs[new] = kwargs.pop(old)
+            return function(*args, **kwargs)
+
+        return call
+
+    return decorate
+
+
+def _warn_renamed(old: str, new: str, until: str) -> None:
+    """Warn, on the line of the user, that something has another name."""
+    warnings.warn(f"{old} is now {new}: the former name goes in jaxurban {until}", DeprecationWarning, stacklevel=3)
 
 
 def _elsewhere(name: str) -> str:

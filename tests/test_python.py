@@ -16,7 +16,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.paths.export.write import write_path
-from jaxurban.public import NAMESPACES
+from jaxurban.public import NAMESPACES, public_names, renamed_arguments
 from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
 from tests.made_maps import made_maps
 
@@ -193,3 +193,31 @@ def test_places_in_metres_folders_generators_and_single_paths_are_taken_where_ma
     assert ju.studies.Study(planners="ptp").planners == ("ptp",)
     assert "weights: distance 0.1" in repr(shown.query.cost_map)
     assert "array" not in repr(shown.query.cost_map)
+
+
+def test_a_former_name_works_warns_on_the_user_s_line_and_is_not_listed():
+    fetch, names, listed = public_names(
+        "jaxurban", ju.__file__, renamed={"plan_all": "plan_many", "fit": "fit_weights"}
+    )
+    with pytest.warns(
+        DeprecationWarning, match=r"jaxurban.plan_all is now jaxurban.plan_many: .* goes in jaxurban 2.0"
+    ):
+        assert fetch("plan_all") is ju.plan_many
+    with pytest.warns(DeprecationWarning, match="is now jaxurban.fit.fit_weights") as warned:
+        assert fetch("fit") is ju.fit.fit_weights
+    assert warned[0].filename == __file__
+    assert {"plan_all"}.isdisjoint([*names(), *listed])
+
+
+def test_a_former_argument_works_and_warns_and_with_both_the_former_one_is_unknown():
+    @renamed_arguments("2.0", height_m="altitude_m")
+    def plan(*, altitude_m: float) -> float:
+        return altitude_m
+
+    with pytest.warns(
+        DeprecationWarning, match="height_m of plan is now altitude_m: .* goes in jaxurban 2.0"
+    ) as warned:
+        assert plan(height_m=20.0) == plan(altitude_m=20.0) == 20.0
+    assert [each.filename for each in warned] == [__file__]
+    with pytest.raises(TypeError, match="height_m"):
+        plan(altitude_m=20.0, height_m=30.0)
