@@ -36,7 +36,7 @@ renew-newest:
 	rm -rf $(NEWEST)
 	: > constraints-newest.txt
 	$(MAKE) $(NEWEST)/.dev
-	$(NEWEST)/bin/python -m pip freeze --all --exclude pip --exclude-editable > constraints-newest.txt
+	$(NEWEST)/bin/python -m pip freeze --all --exclude-editable > constraints-newest.txt
 	touch $(NEWEST)/.dev
 
 # The same tests with the oldest packages that pyproject.toml allows: these use what others of them have deprecated.
@@ -58,10 +58,14 @@ lint: $(VENV)/.dev
 	$(BIN)/mypy jaxurban
 	$(BIN)/lint-imports --no-logo
 
-wheel: $(VENV)/.dev
+# The sdist, the wheel made from it, and the wheel in empty environments of the oldest and the newest Python.
+wheel: $(VENV)/.dev $(VENV)/.release
 	rm -rf dist
-	$(BIN)/python -m build --wheel --no-isolation -o dist
-	sh tests/try_wheel.sh $(BIN)/python dist
+	$(BIN)/python -m build --no-isolation -o dist
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/check-wheel-contents dist/*.whl
+	sh tests/try_wheel.sh dist constraints.txt $(BIN)/mypy $(BIN)/python
+	$(if $(NEWEST_PYTHON),sh tests/try_wheel.sh dist constraints-newest.txt $(BIN)/mypy $(NEWEST_PYTHON))
 
 notebooks: $(VENV)/.dev
 	$(BIN)/python notebooks/run_all.py -o out/notebooks
@@ -105,31 +109,35 @@ $(VENV)/bin/python $(CUDA_VENV)/bin/python $(NEWEST)/bin/python $(OLDEST)/bin/py
 	$(PYTHON) -m venv $(dir $(@D))
 
 $(VENV)/.run: $(VENV)/bin/python $(SOURCES)
-	$(PIP) install -c constraints.txt setuptools
+	$(PIP) install -c constraints.txt pip setuptools
 	$(PIP) install -c constraints.txt --no-build-isolation -e .
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.run
-	$(PIP) install -c constraints.txt --no-build-isolation -e '.[dev]'
+	$(PIP) install -c constraints.txt --no-build-isolation -e '.[cluster,export,notebook]' --group dev
 	touch $@
 
 $(VENV)/.bench: $(VENV)/.run
-	$(PIP) install -c constraints.txt --no-build-isolation -e '.[bench]'
+	$(PIP) install -c constraints.txt --no-build-isolation -e . --group bench
+	touch $@
+
+$(VENV)/.release: $(VENV)/.run
+	$(PIP) install -c constraints.txt --group release
 	touch $@
 
 $(VENV)/.docs: $(VENV)/.run
-	$(PIP) install -c constraints.txt --no-build-isolation -e '.[docs]'
+	$(PIP) install -c constraints.txt --no-build-isolation -e . --group docs
 	touch $@
 
 $(NEWEST)/.dev: $(NEWEST)/bin/python pyproject.toml constraints-newest.txt
-	$(PIP) install -c constraints-newest.txt setuptools
-	$(PIP) install -c constraints-newest.txt --no-build-isolation -e '.[dev]'
+	$(PIP) install -c constraints-newest.txt pip setuptools
+	$(PIP) install -c constraints-newest.txt --no-build-isolation -e '.[cluster,export,notebook]' --group dev
 	touch $@
 
 $(OLDEST)/.dev: $(OLDEST)/bin/python pyproject.toml
 	grep -oE '[A-Za-z][A-Za-z0-9_-]*(\[[a-z0-9]+\])?>=[0-9.a-z]+' pyproject.toml | sed -E 's/(\[.*\])?>=/==/' > $(@D)/floors.txt
-	$(PIP) install -c $(@D)/floors.txt setuptools
-	$(PIP) install -c $(@D)/floors.txt --no-build-isolation -e '.[dev]'
+	$(PIP) install -c $(@D)/floors.txt pip setuptools
+	$(PIP) install -c $(@D)/floors.txt --no-build-isolation -e '.[cluster,export,notebook]' --group dev
 	touch $@
 
 $(CUDA_VENV)/.compiler: $(CUDA_VENV)/bin/python $(SOURCES) constraints-cuda.txt

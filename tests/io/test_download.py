@@ -59,7 +59,7 @@ def test_a_file_arrives_whole_and_its_name_has_its_checksum(server, replies, bod
     assert path.read_bytes() == body
     assert path.name.split("-")[1:] == [hashlib.sha256(body).hexdigest(), "a.osm"]
     assert list(cache_folder().iterdir()) == [path]
-    assert server.asked[0][1]["User-Agent"].startswith("jaxurban/0.")
+    assert server.asked[0][1]["User-Agent"].startswith("jaxurban/1.")
     assert server.paths().count("/a") == 1
 
 
