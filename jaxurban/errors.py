@@ -112,7 +112,7 @@ def typed(public: Public, makers: Sequence[Callable] = ()) -> Public:
         return {name: _kinds(hint) for name, hint in _hints(checked).items()}
 
     @functools.wraps(function)
-    def checked(*args, **kwargs):
+    def checked(*args: Any, **kwargs: Any) -> Any:
         try:
             values = signature.bind(*args, **kwargs).arguments
         except TypeError as error:
@@ -154,7 +154,7 @@ def _hints(function: Callable) -> dict[str, Any]:
     """Return the type hints of the arguments of a function or a class."""
     function = function.__init__ if inspect.isclass(function) else function
     hints, parameters = get_type_hints(function, localns=_PublicNames()), inspect.signature(function).parameters
-    hints |= {name: Iterable[hints[name]] for name, p in parameters.items() if p.kind is p.VAR_POSITIONAL}  # type: ignore
+    hints |= {name: Iterable[hints[name]] for name, p in parameters.items() if p.kind is p.VAR_POSITIONAL}  # type: ignore[valid-type]
     return {name: hints[name] for name in parameters if name in hints}
 
 

@@ -89,5 +89,5 @@ class _Say(event.Listener if event else object):  # type: ignore[misc]
     def on_end(self, event: Any) -> None: ...
 
 
-if event:
+if event is not None:
     event.register("numba:compile", _Say())

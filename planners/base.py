@@ -11,7 +11,8 @@ import numpy as np
 from jaxurban.errors import InputError, positive
 from jaxurban.kernels.search.bounds import tile_minima
 from jaxurban.kernels.search.weighing import weighted_sum
-from jaxurban.planners.cost import CostKind, CostModel, PathFeatures, allowed_moves, path_features
+from jaxurban.planners.cost import CostModel, PathFeatures, allowed_moves, path_features
+from jaxurban.settings import CostKind
 
 Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest
 T = TypeVar("T")

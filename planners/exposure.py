@@ -85,9 +85,8 @@ class _Search:
         excess = (exposure - self.budgets) / self.units
         self.known.append(_Known(points_m, float(self.problem.weights @ phi), excess, is_within))
 
-    @property
     def best(self) -> _Known | None:
-        """The cheapest known path within the budgets."""
+        """Return the cheapest known path within the budgets."""
         return min((known for known in self.known if known.is_within), key=lambda known: known.cost, default=None)
 
     def least_exposures(self) -> np.ndarray:
@@ -112,7 +111,8 @@ class _Search:
         most = 1 + int(min(MOST_LABELS, LABELS_PER_S * max(self.end_s - time.perf_counter(), 0.0)))
         start, goal = (int(np.ravel_multi_index(cell, problem.is_free.shape)) for cell in (problem.start, problem.goal))
         layers = problem.costs[self.columns - 1].reshape(len(limits), -1).astype(np.float64)
-        most_cost = np.inf if self.best is None else self.best.cost
+        best = self.best()
+        most_cost = np.inf if best is None else best.cost
         way, num_labels, least = _advance(
             graph_of(problem), layers, to_go, start, goal, limits, prices / self.units, most_cost, most
         )
@@ -182,16 +182,16 @@ def within_budgets(
     search = _Search(problem, planner, columns, budgets.values(), seed, begin_s + budget_s)
     search.run(np.zeros(len(budgets)))
     first, num_labels, is_over = search.paths[0], 0, False
-    if not search.known or search.best is not None:
+    if not search.known or search.best() is not None:
         return first
     prices = search.raise_bound()
-    if search.best is None and not search.is_late:
+    if search.best() is None and not search.is_late:
         is_over = bool((search.least_exposures() > search.budgets * (1 + SAME)).any())
         prices = prices if is_over else search.raise_bound()
-    best = search.best
+    best = search.best()
     if not is_over and problem.levels_m is None and (best is None or best.cost > search.bound * (1 + SAME)):
         num_labels, is_over = search.close(prices)
-        best = search.best
+        best = search.best()
     status, bound = (Status.OVER_EXPOSURE, np.inf) if is_over else (Status.BUDGET_EMPTY, search.bound)
     kept = " and ".join(f"{name} <= {most:g}" for name, most in budgets.items())
     note = f"That is of the paths that keep {kept} (searches: {len(search.paths)}, labels: {num_labels:,})."

@@ -203,7 +203,8 @@ def given_constraints(options: Settings) -> "Constraints":
     Raises:
       InputError: a file or a bound that cannot be read, or a clearance that is none.
     """
-    from jaxurban.paths.constraints import CLEARANCES, Constraints
+    from jaxurban.paths.constraints import Constraints
+    from jaxurban.settings import CLEARANCES
 
     return Constraints.read(options["no_fly"], options["require"], **{name: options[name] for name in CLEARANCES})
 

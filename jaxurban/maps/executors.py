@@ -74,7 +74,7 @@ def work_in_threads(job: TileJob, num_threads: int, on_result: Tell) -> None:
     """Do a job in threads of this process; ``on_result`` gets every task's result."""
 
     class Listener(Callback):
-        def _posttask(self, key, result, dsk, state, worker_id):
+        def _posttask(self, key: Any, result: Any, dsk: Any, state: Any, worker_id: Any) -> None:
             on_result(result)
 
     with Listener():

@@ -210,7 +210,7 @@ class MetricMaps(Shown):
         """The metrics of the cost in these maps by name, those that a user added too, in the order of the layers."""
         return held_metrics(self.ds)
 
-    def _pick(self, name: str, value, held: Sequence) -> int:
+    def _pick(self, name: str, value: Any, held: Sequence) -> int:
         if value is not None and value not in held:
             shown = ", ".join(map(str, held)) or "none, so leave it out"
             raise InputError(f"there are no maps for {name} {value}: these maps hold {shown}")

@@ -245,7 +245,7 @@ def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
     task, region = tile.task, tile.surface.region
     heights = task.params.heights
 
-    def cities():
+    def cities() -> Iterator[City]:
         bare = replace(task.city, blocks=None)
         return perturbed_cities(bare, heights.height_std_m, heights.height_samples, heights.height_seed)
 

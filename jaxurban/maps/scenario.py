@@ -153,7 +153,7 @@ SECTIONS: dict[str, Any] = {  # in the order in which `Scenario.to_toml` writes 
 Sections: Any = create_model("Sections", __config__=CONFIG, **SECTIONS)
 
 
-class Scenario(Sections):
+class Scenario(Sections):  # type: ignore[misc]  # a base that pydantic makes
     """All settings of one job; a section for each metric of the registry. Only ``region`` and ``buildings`` are needed.
 
     Attributes:

@@ -61,7 +61,8 @@ class Lidar:
             value = getattr(self, name)
             if not (isinstance(value, int) and 1 <= value <= MAX_COUNT):
                 raise InputError(f"{name} must be a whole number from 1 to {MAX_COUNT:,}, got {value!r}")
-        low, high = self.field_of_view_deg if len(self.field_of_view_deg) == 2 else (1, -1)
+        field: Any = self.field_of_view_deg
+        low, high = field if len(field) == 2 else (1, -1)
         if not -90 < low <= high < 90:
             raise InputError(
                 "field_of_view_deg must be the lowest and the highest beam's elevation, ascending and "

@@ -69,10 +69,10 @@ class Weights:
         """
         if isinstance(given, Weights):
             return given
-        given = {} if given is None else given
-        if not isinstance(given, Mapping) or not all(isinstance(name, str) and name != "self" for name in given):
+        named: Any = {} if given is None else given
+        if not isinstance(named, Mapping) or not all(isinstance(name, str) and name != "self" for name in named):
             raise InputError(f'weights must be Weights or numbers by name such as {{"risk": 5}}, got {given!r}')
-        return cls(**{**(base or {}), **given})
+        return cls(**{**(base or {}), **named})
 
     @classmethod
     @typed

@@ -260,8 +260,9 @@ class CostMap(Shown):
         """
         grid = self.grid
         try:
-            x_m, y_m = place[:2] if isinstance(place, XY) else grid.xy_of_lonlat(*place[:2])
-            row, col = grid.cell_of_xy(x_m, y_m) if isinstance(place, XY) else grid.cell_of_lonlat(*place[:2])
+            at: Any = place[:2]
+            x_m, y_m = at if isinstance(place, XY) else grid.xy_of_lonlat(*at)
+            row, col = grid.cell_of_xy(*at) if isinstance(place, XY) else grid.cell_of_lonlat(*at)
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
         return (float(x_m), float(y_m)), (int(row), int(col))

@@ -22,10 +22,10 @@ from jaxurban.maps.metric_maps import MetricMaps, open_maps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.plan import cost_map, rules_on
-from jaxurban.planners.base import CostKind, Status
+from jaxurban.planners.base import Status
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Report
-from jaxurban.settings import Obstacles, Planning
+from jaxurban.settings import CostKind, Obstacles, Planning
 
 CRASHED, BAD_INPUT = "crashed", "bad-input"  # beside the names of `Status`
 KILLED = "Its worker process was killed again and again, most likely for lack of memory."

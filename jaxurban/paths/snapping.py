@@ -149,7 +149,7 @@ def pocket_note(on: "CostMap", start: End, goal: End) -> str:
     )
 
 
-def snap_limit_m(snap: bool | float) -> float | None:
+def snap_limit_m(snap: Any) -> float | None:
     """Return how far a place may be moved; None where it may not.
 
     Raises:

@@ -19,13 +19,13 @@ from jaxurban.maps.scenario import Scenario, Study
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.constraints import Constraints, constraints_said
 from jaxurban.paths.rows import CRASHED, MapsFolder, check_workers, run_rows
-from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.sensitivity_study import weights_said
 from jaxurban.report.write import Output, fill, listed, study_outputs
 from jaxurban.samples.catalogue import is_sample
+from jaxurban.settings import CostKind
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.analysis import complementarity

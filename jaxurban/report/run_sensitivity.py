@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import GuessWarning, InputError, one_of, typed
-from jaxurban.io.tables import ROWS_FILE, RowStore, fingerprint, read_table, write_table
+from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, RowStore, fingerprint, read_table, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.memory import check_fits
@@ -26,7 +26,7 @@ from jaxurban.paths.rows import MapsFolder, Source, check_workers, run_rows, sol
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import LOG, Progress, Report, reporting
 from jaxurban.report.buildings import scenario_of
-from jaxurban.report.montecarlo import INSTANCES_FILE, check_instances
+from jaxurban.report.montecarlo import check_instances
 from jaxurban.report.sensitivity_study import FILES, SensitivityStudy, write_sensitivity_study
 from jaxurban.studies.montecarlo.sampling import (
     checked_instances,
@@ -103,7 +103,7 @@ def sensitivity_study(
     """
     folder, settings, given = Path(folder), settings or SensitivityStudySettings(), named_sources(sources)
     check_workers(workers, given.values())
-    if not isinstance(routes, pd.DataFrame) and (isinstance(routes, bool) or not isinstance(routes, int) or routes < 1):
+    if isinstance(routes, int) and routes < 1:
         raise InputError(
             f"routes must be how many to sample in each city, at least 1, or a table of them, got {routes!r}"
         )

@@ -24,8 +24,9 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.rows import RouteRules
 from jaxurban.paths.snapping import MAX_SNAP_M, XY, snap_note
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Cell, CostKind, Problem
+from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import CostModel
+from jaxurban.settings import CostKind
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.world.grid import Grid
 

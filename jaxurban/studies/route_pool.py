@@ -233,12 +233,12 @@ def known_route_sums(
 
 
 @known_route_sums.defjvp
-def _known_route_sums_jvp(primals, tangents):
+def _known_route_sums_jvp(primals: Any, tangents: Any) -> Any:
     mean, slope = _known_mean_and_slope(*primals)
     return mean, slope @ tangents[0]
 
 
-def _known_mean_and_slope(log_weights, routes, drawn, noise):
+def _known_mean_and_slope(log_weights: Any, routes: Any, drawn: Any, noise: Any) -> Any:
     perturbed = jnp.exp(log_weights + noise * drawn)
     features = routes[..., : len(log_weights)]
     cheapest = jnp.argmin(jnp.einsum("mk,qrk->qmr", perturbed, features), axis=-1)

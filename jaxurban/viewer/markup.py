@@ -7,8 +7,8 @@ from html import escape
 import numpy as np
 import pandas as pd
 
+from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.profile import CLEARANCE, GUESSED
-from jaxurban.report.figures.metrics import BUILT_COLOUR
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR
 
 WIDE, HIGH, TOP, MIDDLE, BOTTOM = 1000, 150, 7, 62, 134  # of the profile: its size, the two panels' borders

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pyproj
+from numpy.typing import ArrayLike
 from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 
@@ -111,7 +112,7 @@ def check_bounds(bounds: Sequence[float]) -> tuple[float, float, float, float]:
         west, south, east, north = (finite("bounds", value) for value in bounds)
     except (TypeError, ValueError) as error:
         what = "four finite numbers, west, south, east, north in degrees"
-        raise InputError(f"bounds must be {what}, got {list(bounds) if np.iterable(bounds) else bounds}") from error
+        raise InputError(f"bounds must be {what}, got {bounds!r}") from error
     if abs(south) > 90 or abs(north) > 90:
         raise InputError(
             f"bounds {list(bounds)} have a latitude beyond 90 degrees: the order is west, south, east, north "
@@ -281,7 +282,7 @@ class Grid:
         lon, lat = self.lonlat_of_xy((self.x_min_m + self.x_max_m) / 2, (self.y_min_m + self.y_max_m) / 2)
         return float(lon), float(lat)
 
-    def contains_xy(self, x_m, y_m) -> np.ndarray:
+    def contains_xy(self, x_m: ArrayLike, y_m: ArrayLike) -> np.ndarray:
         """Return whether points of the CRS lie on the grid; its west and south borders belong to it, the others not.
 
         Returns:
@@ -295,12 +296,12 @@ class Grid:
         row, col = self._floor_cell(x_m, y_m)
         return (row >= 0) & (row < self.num_rows) & (col >= 0) & (col < self.num_cols)
 
-    def _floor_cell(self, x_m, y_m) -> tuple[np.ndarray, np.ndarray]:
+    def _floor_cell(self, x_m: ArrayLike, y_m: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         col = np.floor(np.asarray(x_m, float) / self.resolution_m) - self.first_col
         row = np.floor(np.asarray(y_m, float) / self.resolution_m) - self.first_row
         return row, col
 
-    def cell_of_xy(self, x_m, y_m) -> tuple[np.ndarray, np.ndarray]:
+    def cell_of_xy(self, x_m: ArrayLike, y_m: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return the cells that hold points of the CRS, easting and northing in metres.
 
         Returns:
@@ -325,7 +326,7 @@ class Grid:
         row, col = self._floor_cell(x_m, y_m)
         return row.astype(np.int64), col.astype(np.int64)
 
-    def xy_of_cell(self, row, col) -> tuple[np.ndarray, np.ndarray]:
+    def xy_of_cell(self, row: ArrayLike, col: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return the CRS coordinates of cell centres; rows and columns may lie outside the grid.
 
         Returns:
@@ -340,7 +341,7 @@ class Grid:
         y_m = (self.first_row + np.asarray(row) + 0.5) * self.resolution_m
         return x_m, y_m
 
-    def xy_of_lonlat(self, lon_deg, lat_deg) -> tuple[np.ndarray, np.ndarray]:
+    def xy_of_lonlat(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return CRS coordinates of longitudes and latitudes (WGS 84).
 
         Returns:
@@ -354,7 +355,7 @@ class Grid:
         x_m, y_m = transformer(WGS84, self.crs).transform(lon_deg, lat_deg)
         return np.asarray(x_m), np.asarray(y_m)
 
-    def lonlat_of_xy(self, x_m, y_m) -> tuple[np.ndarray, np.ndarray]:
+    def lonlat_of_xy(self, x_m: ArrayLike, y_m: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return longitudes and latitudes (WGS 84, degrees) of CRS coordinates.
 
         Returns:
@@ -368,7 +369,7 @@ class Grid:
         lon, lat = transformer(self.crs, WGS84).transform(x_m, y_m)
         return np.asarray(lon), np.asarray(lat)
 
-    def cell_of_lonlat(self, lon_deg, lat_deg) -> tuple[np.ndarray, np.ndarray]:
+    def cell_of_lonlat(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return the cells that hold geographic points (WGS 84, degrees).
 
         Returns:
@@ -385,13 +386,14 @@ class Grid:
         x_m, y_m = self.xy_of_lonlat(lon_deg, lat_deg)
         if not np.all(self.contains_xy(x_m, y_m)):
             west, south, east, north = transformer(self.crs, WGS84).transform_bounds(*self.bounds_m)
+            lon_deg, lat_deg = np.asarray(lon_deg), np.asarray(lat_deg)
             raise InputError(
-                f"the point {lon_deg}, {lat_deg} (longitude comes first) is outside the region, which spans about "
-                f"{west:.4f} to {east:.4f} and {south:.4f} to {north:.4f}"
+                f"the point {lon_deg}, {lat_deg} (longitude comes first) is outside the region, "
+                f"which spans about {west:.4f} to {east:.4f} and {south:.4f} to {north:.4f}"
             )
         return self.cell_of_xy(x_m, y_m)
 
-    def lonlat_of_cell(self, row, col) -> tuple[np.ndarray, np.ndarray]:
+    def lonlat_of_cell(self, row: ArrayLike, col: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return longitudes and latitudes (WGS 84, degrees) of cell centres; cells may lie outside the grid.
 
         Returns:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import shapely
@@ -172,7 +173,7 @@ def _outline(lots: np.recarray, frame: StreetFrame, *points: tuple[np.ndarray, n
     return frame.xy(along, np.stack([lots.left_m + side for _, side in points], axis=-1))
 
 
-def _rectangle(lots: np.recarray, frame: StreetFrame, front, back, left, right) -> np.ndarray:
+def _rectangle(lots: np.recarray, frame: StreetFrame, front: Any, back: Any, left: Any, right: Any) -> np.ndarray:
     """Return ``[n, 4, 2]``: a rectangle set back from the four sides of each lot."""
     deep, wide = lots.depth_m - back, lots.right_m - lots.left_m - right
     front, left = (np.broadcast_to(inset, deep.shape) for inset in (front, left))
@@ -235,7 +236,7 @@ def _erect(rng: np.random.Generator, plan: CityPlan, part: Land, cells: np.recar
     is_court = has_slabs[block] & (wide_m > 48) & (lots.depth_m > 40)
     is_ell = ~is_single[block] & (shape < 0.25)
 
-    def rectangles(which: np.ndarray, front, back, left, right) -> np.ndarray:
+    def rectangles(which: np.ndarray, front: Any, back: Any, left: Any, right: Any) -> np.ndarray:
         return shapely.polygons(_rectangle(lots[which], part.frame, front, back, left, right))
 
     polygons = np.empty(m, object)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import shapely
@@ -77,7 +78,7 @@ class StreetFrame:
         x, y = xy[..., 0] - self.x_m, xy[..., 1] - self.y_m
         return x * sin + y * cos, x * cos - y * sin
 
-    def rectangles(self, along_0, across_0, along_1, across_1) -> np.ndarray:
+    def rectangles(self, along_0: Any, across_0: Any, along_1: Any, across_1: Any) -> np.ndarray:
         """Return the corners ``[..., 4, 2]`` of rectangles in this frame."""
         along = np.stack([along_0, along_0, along_1, along_1], axis=-1)
         return self.xy(along, np.stack([across_0, across_1, across_1, across_0], axis=-1))

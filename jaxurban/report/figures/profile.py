@@ -11,11 +11,11 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, GUESSED, without_fix
 from jaxurban.report.figures.frame import GUESSED_COLOUR, frame_note
-from jaxurban.report.figures.metrics import BUILT_COLOUR
 from jaxurban.report.figures.style import FAINT_INK, SMALL_PT, TEXT_PT, chart, dress, letter, show_plain, styled
 from jaxurban.report.write import save
 

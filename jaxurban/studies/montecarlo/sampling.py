@@ -20,9 +20,8 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.plan import rules_on
 from jaxurban.paths.queries import WEIGHT_PREFIX, Query
 from jaxurban.paths.snapping import XY
-from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost import CostModel
-from jaxurban.settings import iso_utc
+from jaxurban.settings import CostKind, iso_utc
 from jaxurban.world.city import LandCover
 
 # Straight distance between start and goal, as shares of the region's diagonal.
@@ -191,7 +190,8 @@ def instances_of_queries(maps: GivenMaps, queries: Sequence[Query]) -> pd.DataFr
             if query.error:
                 raise InputError(query.error)
             for end, place in (("start", query.start), ("goal", query.goal)):
-                x_m, y_m = map(float, place[:2] if isinstance(place, XY) else grid.xy_of_lonlat(*place[:2]))
+                at: Any = place[:2]
+                x_m, y_m = map(float, at if isinstance(place, XY) else grid.xy_of_lonlat(*at))
                 lon, lat = map(float, grid.lonlat_of_xy(x_m, y_m))
                 row |= {f"{end}_x_m": x_m, f"{end}_y_m": y_m, f"{end}_lon": lon, f"{end}_lat": lat}
                 stratum = int(strata[grid.cell_of_xy(x_m, y_m)]) if grid.contains_xy(x_m, y_m) else NO_STRATUM

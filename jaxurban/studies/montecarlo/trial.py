@@ -14,8 +14,9 @@ from jaxurban.io.tables import Row
 from jaxurban.maps.scenario import Study
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import CRASHED, RouteJob, Run, failure
-from jaxurban.planners.base import Cell, CostKind, Path
+from jaxurban.planners.base import Cell, Path
 from jaxurban.planners.registry import PLANNERS, find_planner
+from jaxurban.settings import CostKind
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics
 from jaxurban.world.grid import Grid
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -106,7 +106,7 @@ def adam(
     """
     optimiser = optax.adam(rates)
 
-    def step(carry, now):
+    def step(carry: Any, now: Any) -> Any:
         at, state = carry
         updates, state = optimiser.update(jax.grad(objective)(at, now), state)
         return (tidy(optax.apply_updates(at, updates)), state), None
@@ -117,7 +117,7 @@ def adam(
 
 @partial(jax.jit, static_argnames=("objective", "num_steps"))
 def descend(
-    log_weights: Float[Array, " K"], task: FitTask, objective, num_steps: int
+    log_weights: Float[Array, " K"], task: FitTask, objective: Callable, num_steps: int
 ) -> tuple[Float[Array, " K"], Float[Array, ""]]:
     """Return log weights after ``num_steps`` of Adam on an objective, and the objective there."""
     rates = optax.cosine_decay_schedule(FIRST_RATE, num_steps, LAST_RATE / FIRST_RATE)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -334,10 +335,12 @@ def _missed(values: AnyArray, bound: AnyArray, sign: AnyArray) -> Array:
 
 
 @partial(jax.jit, static_argnames=("names", "targets"))
-def _descend(starts, drawn, bound, sign, routes, shortest, names, targets) -> Array:
+def _descend(
+    starts: Any, drawn: Any, bound: Any, sign: Any, routes: Any, shortest: Any, names: Any, targets: Any
+) -> Array:
     """Return log weights ``[S, K]`` after descents from each start over known routes."""
 
-    def squared(log_weights, noise):
+    def squared(log_weights: Any, noise: Any) -> Array:
         expected = known_route_sums(log_weights, routes, drawn, noise)
         return jnp.sum(_missed(outcome_values(expected, shortest, names, targets), bound, sign) ** 2)
 
@@ -352,10 +355,12 @@ def _least(candidates: np.ndarray, num: int, where: tuple) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnames=("names", "targets"))
-def _known_misses(candidates, bound, sign, routes, shortest, names, targets) -> Array:
+def _known_misses(
+    candidates: Any, bound: Any, sign: Any, routes: Any, shortest: Any, names: Any, targets: Any
+) -> Array:
     """Return ``[S]`` the squared misses of the cheapest known routes under log weights ``[S, K]``."""
 
-    def squared(log_weights):
+    def squared(log_weights: Any) -> Array:
         cheapest = jnp.argmin(routes[..., : len(names)] @ jnp.exp(log_weights), axis=-1)
         chosen = jnp.take_along_axis(routes, cheapest[:, None, None], axis=1)[:, 0]
         return jnp.sum(_missed(outcome_values(chosen, shortest, names, targets), bound, sign) ** 2)

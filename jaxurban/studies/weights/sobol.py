@@ -204,7 +204,7 @@ def _expected(pool: RoutePool, weights: np.ndarray, noise: float, seed: int) -> 
     mean, slope = mean_and_slope(integrals, drawn, noise)
     slope = np.where(weights > 0, slope, 0.0)
 
-    def outcomes(integrals):
+    def outcomes(integrals: Any) -> Any:
         return jnp.stack([value.mean() for value in outcomes_of(integrals, pool.names).values()])
 
     with jax.enable_x64(True):
