@@ -149,11 +149,23 @@ def test_workflows_begin_at_the_oldest_python_that_is_allowed():
     floor = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["requires-python"]
     pythons = re.findall(r'"(3\.\d+)"', re.search(r"python: \[(.*)\]", WORKFLOWS["tests.yml"])[1])
     assert floor == f">={pythons[0]}"
+    classifiers = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["classifiers"]
+    assert pythons == [each.rpartition(" ")[2] for each in classifiers if re.search(r":: 3\.\d+$", each)]
 
 
-def test_the_citation_names_the_version_of_the_package():
+def test_whatever_names_the_version_names_that_of_the_package():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    for name in ("CITATION.cff", "jaxurban/report/templates/board.cff"):
+        assert f"\nversion: {version}\n" in (ROOT / name).read_text(encoding="utf-8")
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.search(r"^## (\S+)", changes, re.MULTILINE)[1] == version
+    assert len(changes.split("\n## ")[1].splitlines()) <= 60
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no repository")
+def test_the_owner_stands_in_pyproject_alone():
+    listed = git(ROOT, "grep", "-lIE", r"OWNER\b|github\.com/jaxurban|jaxurban\.github").split()
+    assert set(listed) <= {"pyproject.toml", "CONTRIBUTING.md", "tests/test_repository.py"}
 
 
 CONDA_NAMES = {
