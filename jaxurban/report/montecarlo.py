@@ -56,6 +56,12 @@ class BenchmarkResult(Result):
       instances: the queries (`sample_instances`).
       rows: what each planner found, one row a planner, objective, instance and altitude.
       settings: how they were run.
+
+    Examples:
+      >>> chosen = ju.studies.Study(planners="astar-plus", distance_only=(), altitudes_m=[60.0])
+      >>> found = ju.studies.study(maps, "found", 2, settings=chosen, progress=False)
+      >>> found.table.groupby("planner")["has_path"].mean().to_dict()
+      {'astar-plus': 1.0}
     """
 
     folder: Path

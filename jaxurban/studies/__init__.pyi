@@ -1,6 +1,7 @@
 from jaxurban.maps.scenario import Study as Study
 from jaxurban.paths.rows import MapsFolder as MapsFolder
 from jaxurban.report.buildings import write_buildings as write_buildings
+from jaxurban.report.montecarlo import BenchmarkResult as BenchmarkResult
 from jaxurban.report.montecarlo import study as study
 from jaxurban.report.run_sensitivity import sensitivity_study as sensitivity_study
 from jaxurban.report.sensitivity_study import SensitivityStudy as SensitivityStudy
@@ -13,5 +14,6 @@ from jaxurban.studies.receiver.validate import ReceiverValidation as ReceiverVal
 from jaxurban.studies.receiver.validate import validate as validate
 from jaxurban.studies.weights.buildings import building_costs as building_costs
 from jaxurban.studies.weights.routes import SensitivityStudySettings as SensitivityStudySettings
+from jaxurban.studies.weights.study import Sensitivity as Sensitivity
 from jaxurban.studies.weights.study import SensitivitySettings as SensitivitySettings
 from jaxurban.studies.weights.study import sensitivity as sensitivity

@@ -33,6 +33,14 @@ class FitComparison:
         within these cities.
       is_held_out: ``[N]`` bool: the routes that no fit saw.
       is_bad: ``[N]`` bool: under the first fit a route costs so much more than the cheapest one that it hardly counts.
+
+    Examples:
+      >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
+      >>> cities = {"demo": ju.fit.demonstrations_from_paths([path, back], maps)}
+      >>> quick = ju.fit.FitSettings(max_rounds=2)
+      >>> compared = ju.fit.compare_fits(cities, hold_out=0.5, bootstrap=0, settings=quick)
+      >>> compared.fits["all"].names, compared.is_bad.tolist()
+      (('distance', 'gps', 'lidar', 'population', 'risk'), [False, False])
     """
 
     fits: Mapping[str, WeightFit]

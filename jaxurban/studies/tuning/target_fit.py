@@ -110,6 +110,12 @@ class TargetFit:
       is_in_budget: the search ended by itself; a larger budget would find no more.
       curve: a row a round: the least loss so far, its outcomes, and the searches made.
       num_plans, elapsed_s: searches and wall time.
+
+    Examples:
+      >>> queries = ju.studies.make_queries(ju.cost_map(maps, 60.0), [(start, goal)])
+      >>> fit = ju.fit.fit_targets(queries, ["detour<=0.2"], settings=ju.fit.FitSettings(max_rounds=2))
+      >>> fit.is_met, fit.conflicts, ju.plan(maps, start, goal, altitude_m=60.0, weights=fit.weights).status.value
+      (True, (), 'optimal')
     """
 
     names: tuple[str, ...]

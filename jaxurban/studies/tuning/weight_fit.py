@@ -75,6 +75,13 @@ class WeightFit:
       num_plans: searches made.
       elapsed_s: wall time of this run; a resumed one takes its first searches from the state file.
       is_settled: the last round bettered no known route by more than 1e-5.
+
+    Examples:
+      >>> shown = ju.fit.demonstrations_from_paths([path], maps)
+      >>> fit = ju.fit.fit_weights(shown, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=2))
+      >>> dict(zip(fit.names, fit.vector.round(2).tolist(), strict=True)) == fit.table["weight"].round(2).to_dict()
+      True
+      >>> again = ju.plan(maps, start, goal, altitude_m=60.0, weights=fit.weights)
     """
 
     names: tuple[str, ...]

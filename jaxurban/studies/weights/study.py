@@ -37,6 +37,12 @@ class Sensitivity(Result):
       front: routes between objectives.
       line_routes: ``[N, 2]`` easting and northing of the routes of each line, in the order of its cells.
       num_plans, elapsed_s: searches and wall time.
+
+    Examples:
+      >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
+      >>> found = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
+      >>> {name: len(line.cells) for name, line in found.lines.items()}, found.route.status.value
+      ({'gps': 3}, 'optimal')
     """
 
     maps: MetricMaps
@@ -71,6 +77,21 @@ class Sensitivity(Result):
         """Return the routes along the range of one weight: ``from`` and ``to`` its value, and their outcomes.
 
         ``is_given`` marks the route under the given weights.
+
+        Args:
+          name: of a weight that was varied.
+
+        Returns:
+          A row a route, numbered from 1 in the order of the weight.
+
+        Raises:
+          KeyError: the weight was not varied.
+
+        Examples:
+          >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
+          >>> found = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
+          >>> found.breakpoints("gps")["is_given"].tolist()
+          [False, True, False]
         """
         line = self.lines[name]
         column = self.names.index(name)
@@ -85,7 +106,17 @@ class Sensitivity(Result):
         )
 
     def tables(self) -> dict[str, pd.DataFrame]:
-        """Return all tables by name."""
+        """Return all tables by name.
+
+        Returns:
+          Those that `jaxurban sensitivity` writes, by the names of their files.
+
+        Examples:
+          >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
+          >>> found = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
+          >>> list(found.tables())
+          ['cost_gradient', 'local', 'sobol', 'switches', 'pareto']
+        """
         return {
             "cost_gradient": self.cost,
             "local": self.outcomes,
