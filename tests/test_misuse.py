@@ -32,7 +32,7 @@ RIGHT, LEFT_OUT = "every value of the type is a right one here", object()
 MADE = (  # what functions return; XY is looked at where it is used
     *("Departures", "GuessWarning"),
     *("MetricMaps", "CostMap", "MapComparison", "PlannedPath", "PlannedPaths", "RouteReport", "SensitivityStudy"),
-    "ReceiverValidation",
+    *("ReceiverValidation", "WeightFit", "TargetFit", "FitComparison", "Sensitivity", "BenchmarkResult"),
     *("SoftCity", "Demonstration", "InputError", "JaxurbanError", "Scenario", "XY", "City"),
 )
 METHODS = {  # of what they return
@@ -41,6 +41,7 @@ METHODS = {  # of what they return
     "MapComparison": ("save",),
     "PlannedPath": ("save",),
     "PlannedPaths": ("save", "to_dataframe"),
+    "Sensitivity": ("breakpoints",),
 }
 SIZES = {"first_row": 0, "first_col": 0, "num_rows": 2, "num_cols": 2}
 PLAIN = {
@@ -63,6 +64,8 @@ MADE_ONCE: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(("planned", "paths", "PlannedPath"), lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0)),
     "PlannedPaths": lambda: ju.plan_many(MAPS, [(START, GOAL)], altitude_m=20.0, progress=False),
     "read_demonstrations.file": lambda: good("planned").save(Path(tempfile.mkdtemp()) / "path.geojson"),
+    "quick": lambda: ju.studies.SensitivitySettings(vary=("gps",), num_samples=2, max_plans=9),
+    "Sensitivity": lambda: ju.studies.sensitivity(good("cost_map"), START, GOAL, settings=good("quick")),
     "MapComparison": lambda: ju.studies.compare(MAPS, MAPS, progress=False),
     **dict.fromkeys(("cost_map", "CostMap", "on"), lambda: ju.cost_map(MAPS, 20.0)),
     "inputs": lambda: ju.grad.map_inputs(good("city"), good("grid"), altitudes_m=(20.0,))[0],
@@ -131,6 +134,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ("gps", "require text"),
     ("none such", "nan hanging clocks quantity outcome time_of_day PlannedPath.save.end MetricMaps.m.name cost sense"),
     ("none such", "kind sample_city.name sample_instances.weights compare_fits.scale fit_weights.scale"),
+    ("none such", "Sensitivity.breakpoints.name"),
     (("gps.mask_deg",), "changes"),
     ((-1.0,), "other_pieces_m"),
     ((0.0, 1e-4), "Protection.tolerance_m"),

@@ -73,6 +73,7 @@ class Sensitivity(Result):
             if name in self.lines
         }
 
+    @typed
     def breakpoints(self, name: str) -> pd.DataFrame:
         """Return the routes along the range of one weight: ``from`` and ``to`` its value, and their outcomes.
 
@@ -85,7 +86,7 @@ class Sensitivity(Result):
           A row a route, numbered from 1 in the order of the weight.
 
         Raises:
-          KeyError: the weight was not varied.
+          InputError: the weight was not varied.
 
         Examples:
           >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
@@ -93,7 +94,7 @@ class Sensitivity(Result):
           >>> found.breakpoints("gps")["is_given"].tolist()
           [False, True, False]
         """
-        line = self.lines[name]
+        line = self.lines[one_of("name", name, self.lines)]
         column = self.names.index(name)
         ends = np.concatenate([[0.0], line.breakpoints, [1.0]])
         values = line.weights_at(np.stack([1 - ends, ends], axis=-1))[:, column]
