@@ -72,7 +72,7 @@ def build_maps(
       layers: further cost layers, by name: rasters, arrays on the cells of the maps, or functions.
       engine: ``"numba"``, on the host; ``"jax"``, where JAX computes; or ``"auto"``: Numba where that is a CPU, else
         JAX. On a CPU the bits are the same.
-      progress: as in `jaxurban.progress.reporting`.
+      progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
       metrics: settings of metrics by name, such as ``gps=Gps(times="2020-04-27T16:00:00Z")``; those made on request
         are made if they are named, as ``protection=Protection()``.
 

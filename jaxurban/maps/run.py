@@ -119,7 +119,7 @@ def run_scenario(
     Args:
       scenario: the settings.
       folder: where the maps go.
-      progress: as in `jaxurban.progress.reporting`.
+      progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
       overwrite: replace maps of other settings.
       memory_bytes: ceiling on the memory of all processes together; left out, half of what is free.
       workers: processes of a new local Dask cluster, or the address of a Dask scheduler whose workers see the output

@@ -66,7 +66,7 @@ def plan_many(
       strict: raise the first error or crash instead.
       file: where to keep the results, named ``.parquet``.
       num_threads: of the ``"numba"`` backend.
-      progress: as in `jaxurban.progress.reporting`.
+      progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
       weights, time, time_of_day: as in `plan`, for queries that say nothing of their own.
       objective, cost_model, constraints, preset: which map, as in `plan`.
       planner, heuristic, budget_s, seed, snap: of each query, as in `plan`.

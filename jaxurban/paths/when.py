@@ -93,7 +93,7 @@ def when(
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
       queries: pairs ``((lon, lat), (lon, lat))`` in degrees, one or many, or a table as `plan_many` takes it.
       altitude_m: for queries that say nothing of their own.
-      progress: as in `jaxurban.progress.reporting`.
+      progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
       weights, objective, cost_model, time, time_of_day, constraints, preset: which map, as in `plan`.
       planner, heuristic, budget_s, seed, snap: of each query, as in `plan`.
       refine, exposure: of a single plan only.

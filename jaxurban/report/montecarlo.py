@@ -114,7 +114,7 @@ def study(
       workers: processes of this machine, 1 works in this process; or the address of a Dask scheduler, whose workers see
         the maps' folder under the same path.
       overwrite: replace a benchmark of other settings.
-      progress: as in `jaxurban.progress.reporting`.
+      progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
       ``rows``, one a planner, objective, instance and altitude: its status, its costs, metres (``length_m``) and

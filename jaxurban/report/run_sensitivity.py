@@ -83,7 +83,7 @@ def sensitivity_study(
       workers: processes of this machine, 1 works in this process; or the address of a Dask scheduler, whose workers see
         the maps' folders under the same paths.
       overwrite: replace a study of other settings or routes.
-      progress: as in `jaxurban.progress.reporting`.
+      progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
       `SensitivityStudy`: ``rows`` has a row a route, and ``tables`` their summaries with intervals, by name.

@@ -181,7 +181,7 @@ def compare(
       maps_a, maps_b: from `build_maps` or `open_maps`, or folders of one resolution's maps; a `MapsFolder` where a
         folder holds several, or planners are to keep another rule of obstacles.
       tolerance: values that differ by no more than this, in their unit, have not changed.
-      progress: as in `jaxurban.progress.reporting`.
+      progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
       `MapComparison`: its ``table`` has a row a layer, altitude, time and time of day with statistics of B - A, `of`

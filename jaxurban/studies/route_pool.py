@@ -142,7 +142,7 @@ class FitSettings:
       budget_s: seconds; the fit ends after the round in which they run out.
       state_file: where searches are kept, named ``.parquet``; a fit of the same queries and settings goes on from it,
         to the same weights, bit for bit, as if it had not stopped.
-      progress: gets a call after every round, as in `jaxurban.progress.reporting`.
+      progress: gets a call after every round, as in `ju.build_maps`.
 
     Raises:
       InputError: a number that is too small.

@@ -119,7 +119,7 @@ def validate(
       log: the receiver's, a row an epoch, as a table or its file (``.csv``, ``.parquet``), with ``utc``, ``lon_deg``
         (or ``lon``), ``lat_deg`` (or ``lat``), and ``num_tracked``, ``error_2d_m`` or both.
       settings: how the two are set beside each other.
-      progress: as in `jaxurban.progress.reporting`.
+      progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
       `ReceiverValidation`: its ``scores`` hold rank correlations between what was logged and what the maps say, and

@@ -190,7 +190,7 @@ def sensitivity(
       start, goal: longitude, latitude in degrees.
       snap: move a start or goal inside an obstacle to the nearest free cell, by at most 50 m, or so many metres.
       settings: what is varied.
-      progress: gets what runs and the searches made, as in `jaxurban.progress.reporting`.
+      progress: gets what runs and the searches made, as in `ju.build_maps`.
 
     Returns:
       ``cost``, a row a weight: its value, the derivative of the cost by it, and its share of the cost (``elasticity``);
