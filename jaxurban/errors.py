@@ -202,7 +202,7 @@ def check_range(name: str, value: Any) -> None:
     """Raise InputError where a number, or one in a list of them, is beyond what any such number can be.
 
     Without end (``inf``) may be what has no unit of length or angle, such as a budget of seconds; of what is no number
-    (NaN) functions tell themselves.
+    (NaN) functions speak themselves.
     """
     most = _by_end(name, MOST_OF, MOST)
     for number in value if isinstance(value, list | tuple) else (value,):

@@ -21,7 +21,7 @@ Progress = bool | Callable[[str, int, int], object]  # a function gets stage, do
 
 
 class Report:
-    """What a job tells its progress to: ``report("tiles", 3, 12)``. This one says nothing, or calls a function."""
+    """What a job reports its progress to: ``report("tiles", 3, 12)``. This one says nothing, or calls a function."""
 
     def __init__(self, function: Callable[[str, int, int], object] | None = None) -> None:
         self._function = function
@@ -85,7 +85,7 @@ def saying_later(planner: str, budget_s: float) -> Iterator[None]:
 
 @contextmanager
 def reporting(title: str, progress: Progress = True) -> Iterator[Report]:
-    """Yield what a job tells its progress to.
+    """Yield what a job reports its progress to.
 
     Args:
       title: of the job.

@@ -112,7 +112,7 @@ def alike(name: str, valid: Iterable[str], least: float = LEAST_ALIKE) -> list[s
 
 
 class Shown:
-    """Base of what tells its `facts`; those that are empty are left out."""
+    """Base of what shows its `facts`; those that are empty are left out."""
 
     @property
     def facts(self) -> Mapping[str, str]:

@@ -18,7 +18,7 @@ from jaxurban.progress import LOG
 def score(bench: Path, submission: Path | None, make: bool, board: Path | None, method: str, as_json: bool) -> int:
     """Score SUBMISSION, a CSV file of routes from any planner, on the benchmark in the folder BENCH.
 
-    Every route is checked and its cost computed anew; the gap is to a proven lower bound. A route that fails counts as
+    Every route is checked and its cost computed again; the gap is to a proven lower bound. A route that fails counts as
     an infinite gap, and the exit code stays 0.
     """
     from jaxurban.io.tables import records_of

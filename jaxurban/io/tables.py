@@ -91,7 +91,7 @@ class RowStore:
     """Rows by key in one Parquet file that is always whole. One process writes.
 
     With parts each `add` is a small file at once, and `save` joins all of them into the file; a job killed between the
-    two steps of that leaves rows in both places: the file wins. Without, the file is written anew by `save`, and by
+    two steps of that leaves rows in both places: the file wins. Without, the file is written again by `save`, and by
     `add` every few seconds.
     """
 

@@ -4,7 +4,7 @@ A region in memory is one tile; a tiled run does many of the same; spreads by un
 whose roofs have moved. Who runs it, and where the layers go, is the caller's.
 
 Uncertain heights: every sample draws one error for each building (never one for each cell: a roof moves as a whole),
-and the city is rasterised and mapped anew. Errors are normal, independent between buildings, with a standard deviation
+and the city is rasterised and mapped again. Errors are normal, independent between buildings, with a standard deviation
 by where the height came from; heights never fall below 0.
 """
 
@@ -281,7 +281,7 @@ TAIL = 0.05  # the percentiles reported are the 5th and the 95th
 
 
 def perturbed_cities(city: City, height_std_m: HeightStd, num_samples: int, seed: int) -> Iterator[City]:
-    """Yield the city with heights drawn anew, once a sample; the same seed gives the same cities."""
+    """Yield the city with heights drawn again, once a sample; the same seed gives the same cities."""
     if city.roofs is not None:
         from scipy.ndimage import label
 

@@ -1,4 +1,4 @@
-"""Protection levels: how far off a position from the satellites in line of sight can be without anybody being told.
+"""Protection levels: how far off a position from the satellites in line of sight can be without a warning.
 
 Made on request, for a dual-frequency aviation receiver under open sky; every distinct choice of satellites is solved
 once.

@@ -16,7 +16,7 @@ Settings = TypeVar("Settings", bound=type)
 def differentiable(*names: str) -> Callable[[Settings], Settings]:
     """Return a decorator that makes a frozen dataclass a pytree whose leaves are the named fields.
 
-    The other fields are static: a function under `jax.jit` is compiled anew for each of their values. What JAX builds
+    The other fields are static: a function under `jax.jit` is compiled again for each of their values. What JAX builds
     itself (traced values, gradients) does not go through ``__post_init__``, which checks what users give: a gradient
     of a threshold may well be negative.
     """

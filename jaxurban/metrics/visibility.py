@@ -57,7 +57,7 @@ def shadow_reach_m(
 class SkyView(NamedTuple):
     """The satellites of one time over one surface, made ready on the host. ``S`` satellites, some of them to fill up.
 
-    Programs are compiled anew for another number of satellites or shape of the surface, not for other satellites.
+    Programs are compiled again for another number of satellites or shape of the surface, not for other satellites.
 
     Attributes:
       lines: digital line toward each over the surface's grid, fields stacked along ``S``.

@@ -75,7 +75,7 @@ def roofs_of(height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> Float
 
     With the heights of the city the roofs are the surface's own, exactly. Linear in the heights, so the gradient is
     exact as long as the order of overlapping buildings stays: a building that grows above another one in the same cell
-    is not seen there until its index is burnt anew, and at equal heights the gradient is the last one's.
+    is not seen there until its index is burnt again, and at equal heights the gradient is the last one's.
 
     Args:
       height_m: ``[B]`` height of each building.

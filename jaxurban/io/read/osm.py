@@ -47,7 +47,7 @@ def read_osm(path: str | Path, file_format: str | None = None, *, has_decks: boo
 
     Args:
       path: the file.
-      file_format: ``"pbf"`` or ``"osm"`` (XML); left out, its name tells.
+      file_format: ``"pbf"`` or ``"osm"`` (XML); left out, as its name ends.
       has_decks: with the areas tagged ``man_made=bridge`` too.
 
     Raises:
@@ -121,7 +121,7 @@ def open_osm(path: str | Path, file_format: str | None = None) -> osmium.FilePro
 
     Args:
       path: the file.
-      file_format: ``"pbf"`` or ``"osm"`` (XML); left out, its name tells.
+      file_format: ``"pbf"`` or ``"osm"`` (XML); left out, as its name ends.
     """
     file_format = file_format or format_of(path)
     file = osmium.io.File(str(path), file_format)

@@ -32,12 +32,12 @@ REMEDY = f"give a table with the columns {UTC} (as {LIKE_THIS}), {LON}, {LAT} an
 
 @dataclass(frozen=True, eq=False)
 class ReceiverLog:
-    """What a receiver told along its way. ``N`` epochs in the order of their times.
+    """What a receiver recorded along its way. ``N`` epochs in the order of their times.
 
     Attributes:
       name: of the file.
       epochs: ``[N]`` rows ``utc`` (datetime64 with zone), ``lon_deg``, ``lat_deg`` (WGS 84), and where they are known
-        ``num_tracked`` and ``error_2d_m``, NaN where a row does not tell.
+        ``num_tracked`` and ``error_2d_m``, NaN where a row does not say.
     """
 
     name: str
@@ -45,7 +45,7 @@ class ReceiverLog:
 
     @property
     def witnesses(self) -> tuple[str, ...]:
-        """Columns of the epochs that tell how well the receiver did."""
+        """Columns of the epochs that show how well the receiver did."""
         return tuple(name for name in WITNESSES if name in self.epochs)
 
 
