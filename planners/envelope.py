@@ -13,7 +13,7 @@ from jaxurban.errors import InputError, typed
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.registry import find_planner
 
-CostFunction = Callable[[Float[Array, "L Y X"], Float[Array, " W"]], Float[Array, ""]]
+CostFunction = Callable[[Float[Array | np.ndarray, "L Y X"], Float[Array | np.ndarray, " W"]], Float[Array, ""]]
 
 
 @typed

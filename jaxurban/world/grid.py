@@ -301,7 +301,7 @@ class Grid:
         row = np.floor(np.asarray(y_m, float) / self.resolution_m) - self.first_row
         return row, col
 
-    def cell_of_xy(self, x_m: ArrayLike, y_m: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def cell_of_xy(self, x_m: ArrayLike, y_m: ArrayLike) -> tuple[Any, Any]:
         """Return the cells that hold points of the CRS, easting and northing in metres.
 
         Returns:
@@ -326,7 +326,7 @@ class Grid:
         row, col = self._floor_cell(x_m, y_m)
         return row.astype(np.int64), col.astype(np.int64)
 
-    def xy_of_cell(self, row: ArrayLike, col: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def xy_of_cell(self, row: ArrayLike, col: ArrayLike) -> tuple[Any, Any]:
         """Return the CRS coordinates of cell centres; rows and columns may lie outside the grid.
 
         Returns:
@@ -341,7 +341,7 @@ class Grid:
         y_m = (self.first_row + np.asarray(row) + 0.5) * self.resolution_m
         return x_m, y_m
 
-    def xy_of_lonlat(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def xy_of_lonlat(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> tuple[Any, Any]:
         """Return CRS coordinates of longitudes and latitudes (WGS 84).
 
         Returns:
@@ -355,7 +355,7 @@ class Grid:
         x_m, y_m = transformer(WGS84, self.crs).transform(lon_deg, lat_deg)
         return np.asarray(x_m), np.asarray(y_m)
 
-    def lonlat_of_xy(self, x_m: ArrayLike, y_m: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def lonlat_of_xy(self, x_m: ArrayLike, y_m: ArrayLike) -> tuple[Any, Any]:
         """Return longitudes and latitudes (WGS 84, degrees) of CRS coordinates.
 
         Returns:
@@ -369,7 +369,7 @@ class Grid:
         lon, lat = transformer(self.crs, WGS84).transform(x_m, y_m)
         return np.asarray(lon), np.asarray(lat)
 
-    def cell_of_lonlat(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def cell_of_lonlat(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> tuple[Any, Any]:
         """Return the cells that hold geographic points (WGS 84, degrees).
 
         Returns:
@@ -393,7 +393,7 @@ class Grid:
             )
         return self.cell_of_xy(x_m, y_m)
 
-    def lonlat_of_cell(self, row: ArrayLike, col: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def lonlat_of_cell(self, row: ArrayLike, col: ArrayLike) -> tuple[Any, Any]:
         """Return longitudes and latitudes (WGS 84, degrees) of cell centres; cells may lie outside the grid.
 
         Returns:
