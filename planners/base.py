@@ -56,7 +56,7 @@ class Status(Enum):
             Status.NO_PATH: "No path of this planner's graph joins start and goal: fly higher, or move one of them.",
             Status.OVER_EXPOSURE: "Every path exceeds a budget of exposure: raise it, fly higher, or move an end.",
             Status.BLOCKED: "The straight line crosses an obstacle: fly higher, or use a search such as astar-dist.",
-            Status.BUDGET_EMPTY: "The search ended before a path was found: raise its budget, or try bitstar-plus.",
+            Status.BUDGET_EMPTY: "The search ended before a path was found: raise its budget.",
         }[self]
 
 
