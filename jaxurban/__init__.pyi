@@ -41,3 +41,5 @@ from jaxurban.viewer.widget import view as view
 from jaxurban.world.city import City as City
 from jaxurban.world.grid import Grid as Grid
 from jaxurban.world.synthetic import demo_city as demo_city
+
+__version__: str

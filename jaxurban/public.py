@@ -37,6 +37,8 @@ def public_names(
             _warn_renamed(f"{package}.{name}", f"{_public_homes()[renamed[name]]}.{renamed[name]}", until)
             return find_public(renamed[name])
         home = homes.get(name)
+        if name == "__version__" and "." not in package:
+            return import_module("importlib.metadata").version(package)
         if home is None:
             raise AttributeError(f"module {package!r} has no attribute {name!r}{_elsewhere(name)}")
         return import_module(f"{package}.{name}") if home == package else getattr(import_module(home), name)

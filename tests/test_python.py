@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import geopandas
@@ -132,6 +133,12 @@ def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
         assert all(thing.__name__.rpartition(".")[2] == name for name, thing in found.items())
         assert {name for name, thing in found.items() if inspect.ismodule(thing)} <= {*NAMESPACES}
     assert {*NAMESPACES} < {*dir(ju)}
+
+
+def test_the_version_is_that_of_the_installed_package():
+    assert ju.__version__ == version("jaxurban")
+    with pytest.raises(AttributeError, match=r"'jaxurban.fit' has no attribute '__version__'"):
+        _ = ju.fit.__version__
 
 
 def test_a_path_is_not_explained_by_the_maps_of_another_place():

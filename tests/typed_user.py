@@ -15,7 +15,7 @@ def main(folder: Path) -> None:
     routes = [ju.plan(maps, start, goal, altitude_m=20.0, weights=weights, snap=True) for weights in ({}, {"gps": 5.0})]
     for name, route in zip(names, routes, strict=True):
         print(f"{name}: {route.status.value}, {route.length_m:.0f} m, GPS {route.metrics['gps']:.2f}")
-    print(ju.explain(routes[0], maps).table())
+    print(ju.__version__, ju.explain(routes[0], maps).table())
     routes[1].save(folder / "route.geojson")
     plot_paths(maps, routes, names=names).savefig(folder / "routes.png")
     maps.save(folder / "maps")
