@@ -3,9 +3,10 @@
 import math
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import jax
 import numpy as np
@@ -41,7 +42,11 @@ TERRAIN_GPU_BYTES = 400  # of a tile's own cell: the lidar's rays over terrain
 GEOTIFF_CELL_BYTES = 14  # of a row of tiles, all across the region, while a GeoTIFF is made of it
 PROGRAM_BYTES = 80 * 2**20  # the programs compiled for the tiles of one resolution
 WORKER_BYTES = 700 * 2**20  # a worker process with everything imported, before its first tile
-CGROUP = Path("/sys/fs/cgroup")  # what a container may use, under Linux
+# Under Linux, by the file system of control groups: the file of a group's limit, and what it cannot give back.
+GROUP_FILES = {
+    "cgroup": ("memory.limit_in_bytes", ("total_rss", "total_shmem")),
+    "cgroup2": ("memory.max", ("anon", "shmem")),
+}
 WORK_CELL_BYTES = 8  # on the disk, of a cell of the region: both its roofs, until maps are whole
 LEAST_SHARE = 0.02  # on the disk, of the maps' values, as compressed as any city's were
 MOST_UNITS = 1e12  # of memory, in any unit
@@ -127,15 +132,54 @@ def _num_cells(grid: Grid, halo: int = 0) -> int:
     return (grid.num_rows + 2 * halo) * (grid.num_cols + 2 * halo)
 
 
-def free_bytes() -> int:
-    """Return how much memory this process may still take: what the machine has, or its container if that is less."""
-    free = psutil.virtual_memory().available
+def free_bytes(root: Path = Path("/")) -> int:
+    """Return how much memory this process may still take: what the machine has, or its control groups if that is less.
+
+    Args:
+      root: of the file system, where ``proc/self`` names the groups.
+    """
+    return min([psutil.virtual_memory().available, *_left_in_groups(root)])
+
+
+def _left_in_groups(root: Path) -> list[int]:
+    """Return what is left under each limit of a control group that holds this process, of version 1 or 2 (cgroups(7)).
+
+    A group's limit holds for all groups in it, so every level counts, up to where the groups are mounted. In a
+    container the group may not be found there by its name: the levels above it that are found, count.
+    """
+    left = []
+    for level, kind in _group_levels(root):
+        limit_file, held_names = GROUP_FILES[kind]
+        with suppress(OSError, ValueError):  # no group, one without a limit ("max"), or of other resources
+            limit = int((level / limit_file).read_text())
+            stat = dict(line.split() for line in (level / "memory.stat").read_text().splitlines())
+            left.append(limit - sum(int(stat.get(name, 0)) for name in held_names))
+    return left
+
+
+def _group_levels(root: Path) -> Iterator[tuple[Path, str]]:
+    """Yield the folders of this process's control groups and of those above, each with its kind of file system."""
     try:
-        limit = int((CGROUP / "memory.max").read_text())
-        used = int(dict(line.split() for line in (CGROUP / "memory.stat").read_text().splitlines())["anon"])
-    except (OSError, ValueError, KeyError):  # another system, or "max": no limit
-        return free
-    return min(free, limit - used)
+        groups = [line.split(":", 2) for line in (root / "proc/self/cgroup").read_text().splitlines()]
+        mounts = (root / "proc/self/mountinfo").read_text().splitlines()
+    except OSError:  # another system
+        return
+    names = {"cgroup2" if not of else "cgroup": name for _, of, name in groups if not of or "memory" in of.split(",")}
+    for line in mounts:
+        before, _, after = line.partition(" - ")
+        kind = after.split(" ")[0]
+        if kind not in names:
+            continue
+        top, place = map(_unescaped, before.split()[3:5])
+        name, mounted = PurePosixPath(names[kind]), root / place.lstrip("/")
+        within = name.relative_to(top) if name.is_relative_to(top) and ".." not in name.parts else PurePosixPath()
+        for level in (within, *within.parents):
+            yield mounted / level, kind
+
+
+def _unescaped(field: str) -> str:
+    """Return a field of ``mountinfo`` without its octal escapes."""
+    return re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), field)
 
 
 def gpu_free_bytes() -> int | None:

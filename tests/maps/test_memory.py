@@ -122,14 +122,67 @@ def test_a_region_of_fine_cells_that_cannot_fit_is_refused_before_it_begins(cell
         ju.build_maps(city, grid=grid)
 
 
-def test_a_containers_limit_counts(tmp_path, monkeypatch):
-    monkeypatch.setattr(memory, "CGROUP", tmp_path)
-    free = memory.free_bytes()
-    (tmp_path / "memory.stat").write_text("anon 1073741824\nfile 5000000000\n")
-    (tmp_path / "memory.max").write_text("max\n")
-    assert memory.free_bytes() > free / 2
-    (tmp_path / "memory.max").write_text(f"{GIB + 5_000_000}\n")
-    assert memory.free_bytes() == 5_000_000
+V1 = "/sys/fs/cgroup/memory"
+V2 = "/sys/fs/cgroup"
+NO_LIMIT = 9_223_372_036_854_771_712  # as version 1 writes it
+FREE = 40 * GIB
+
+
+def of_groups(root, groups: str, mounts: dict[str, tuple[str, str]], limits: dict[str, object]) -> int:
+    """Return the free bytes under a made file system: groups of the process, mounts by place, limits by folder."""
+    lines = [
+        f"3{k} 31 0:3{k} {top} {place} rw - {kind} {kind} rw" for k, (place, (top, kind)) in enumerate(mounts.items())
+    ]
+    (root / "proc/self").mkdir(parents=True)
+    (root / "proc/self/cgroup").write_text(groups)
+    (root / "proc/self/mountinfo").write_text("\n".join(["23 1 8:1 / / rw shared:1 - ext4 /dev/root rw", *lines]))
+    for folder, limit in limits.items():
+        path = root / folder.strip("/")
+        path.mkdir(parents=True, exist_ok=True)
+        is_v1 = "/memory" in folder
+        (path / ("memory.limit_in_bytes" if is_v1 else "memory.max")).write_text(f"{limit}\n")
+        held = "cache 9\nrss 1\nshmem 1\ntotal_rss 700\ntotal_shmem 300\n" if is_v1 else "anon 900\nfile 9\nshmem 100\n"
+        (path / "memory.stat").write_text(held)
+    return memory.free_bytes(root)
+
+
+V2_MOUNT = {V2: ("/", "cgroup2")}
+V1_MOUNTS = {"/sys/fs/cgroup/cpu": ("/", "cgroup"), V1: ("/", "cgroup"), f"{V2}/unified": ("/", "cgroup2")}
+IN_V1 = "9:name=systemd:/\n4:cpu,memory:/jobs/7\n2:cpu:/other\n0::/\n"
+
+
+@pytest.mark.parametrize(
+    ("groups", "mounts", "limits", "left"),
+    [
+        ("0::/a/b\n", V2_MOUNT, {f"{V2}/a/b": "max", f"{V2}/a": "max"}, FREE),
+        ("0::/a/b\n", V2_MOUNT, {f"{V2}/a/b": 2 * GIB, f"{V2}/a": "max"}, 2 * GIB - 1000),
+        ("0::/a/b\n", V2_MOUNT, {f"{V2}/a/b": "max", f"{V2}/a": GIB}, GIB - 1000),
+        ("0::/a/b\n", V2_MOUNT, {f"{V2}/a/b": 3 * GIB, f"{V2}/a": 2 * GIB, V2: 4 * GIB}, 2 * GIB - 1000),
+        ("0::/\n", V2_MOUNT, {V2: GIB}, GIB - 1000),
+        ("0::/a\\x2db\n", {V2: (r"/a\134x2db", "cgroup2")}, {V2: GIB}, GIB - 1000),
+        ("0::/../other\n", V2_MOUNT, {V2: GIB}, GIB - 1000),
+        (IN_V1, V1_MOUNTS, {f"{V1}/jobs/7": GIB, f"{V1}/jobs": 2 * GIB, V1: NO_LIMIT}, GIB - 1000),
+        (IN_V1, V1_MOUNTS, {f"{V1}/jobs/7": NO_LIMIT, f"{V1}/jobs": NO_LIMIT, V1: NO_LIMIT}, FREE),
+        (IN_V1, V1_MOUNTS, {f"{V1}/jobs/7": NO_LIMIT, f"{V1}/jobs": GIB, V1: NO_LIMIT}, GIB - 1000),
+        ("4:memory:/docker/x/in\n", {V1: ("/docker/x", "cgroup")}, {f"{V1}/in": 2 * GIB, V1: 3 * GIB}, 2 * GIB - 1000),
+        ("4:memory:/docker/x\n", {V1: ("/", "cgroup")}, {V1: GIB}, GIB - 1000),
+        ("4:memory:/docker/x\n", {V1: ("/docker/y", "cgroup")}, {V1: GIB}, GIB - 1000),
+        ("", {}, {}, FREE),
+    ],
+    ids=[
+        "v2 without a limit", "v2", "v2 above", "v2 nested: the least", "v2 in its own namespace", "v2 escaped",
+        "v2 beside the namespace", "v1 in a hybrid", "v1 without a limit", "v1 above", "v1 of a container",
+        "v1 not visible", "v1 of another container", "no groups",
+    ],
+)  # fmt: skip
+def test_the_least_limit_of_every_control_group_counts(groups, mounts, limits, left, tmp_path, monkeypatch):
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=FREE))
+    assert of_groups(tmp_path, groups, mounts, limits) == left
+
+
+def test_without_linux_the_machines_memory_counts(tmp_path, monkeypatch):
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=FREE))
+    assert memory.free_bytes(tmp_path) == FREE
 
 
 # Of this program alone: ``ru_maxrss`` begins with what the process that started it, a worker of pytest, took.
