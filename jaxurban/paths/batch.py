@@ -59,8 +59,8 @@ def plan_many(
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps; what is left out is as their
         scenario gives it, as in `plan`.
-      queries: pairs of places ``((lon, lat), (lon, lat))``, which may be an array ``[N, 2, 2]``, or a table (see
-        `read_queries`), whose rows may have altitude, time, time of day and weights of their own.
+      queries: pairs of places ``((lon, lat), (lon, lat))``, which may be an array ``[N, 2, 2]``, pairs of `XY`, or
+        a table (see `read_queries`), whose rows may have altitude, time, time of day and weights of their own.
       altitude_m: for queries that say nothing of their own.
       backend: ``"numba"``, ``"jax"`` or ``"auto"`` (see `solve_many`).
       strict: raise the first error or crash instead.

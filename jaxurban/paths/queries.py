@@ -72,7 +72,7 @@ def read_queries(
     """Return the queries of a table or of pairs of places; what a row leaves out comes from the arguments.
 
     Args:
-      queries: ``(start, goal)`` pairs of longitude, latitude; or a table with the columns ``start_lon``,
+      queries: ``(start, goal)`` pairs of longitude, latitude, or of `XY`; or a table with the columns ``start_lon``,
         ``start_lat``, ``goal_lon``, ``goal_lat`` (or ``start_x_m``, ``start_y_m``, ``goal_x_m``, ``goal_y_m`` in
         the maps' CRS), and any of ``altitude_m``, ``time``, ``time_of_day``, ``w_distance``, ``w_gps``,
         ``w_lidar``, ``w_population``, ``w_risk`` and the like of further ``metrics``.
@@ -109,15 +109,19 @@ def read_queries(
 def table_of(pairs: Sequence[tuple[Point, Point]]) -> pd.DataFrame:
     """Return pairs of places as a table; raise InputError where they are not of that shape."""
     try:
+        is_xy = [isinstance(place, XY) for pair in pairs for place in pair]
         places = np.array(list(pairs), float)
     except (TypeError, ValueError):  # no numbers, or not as many in each
-        places = np.empty(0)
-    if len(pairs) and places.shape[1:] != (2, 2):
+        is_xy, places = [], np.empty(0)
+    in_metres = bool(is_xy) and all(is_xy)
+    if in_metres and np.isnan(places[..., 2]).all():  # no altitudes of their own
+        places = places[..., :2]
+    if len(pairs) and (places.shape[1:] != (2, 2) or any(is_xy) != in_metres):
         raise InputError(
-            "queries must be pairs of places in degrees, [((lon, lat), (lon, lat)), ...] or an array [N, 2, 2], or a "
-            f"table with the columns {', '.join(LONLAT)}"
+            "queries must be pairs of places in degrees, [((lon, lat), (lon, lat)), ...] or an array [N, 2, 2], pairs "
+            f"of ju.XY without altitudes, or a table with the columns {', '.join(LONLAT)}"
         )
-    return pd.DataFrame(places.reshape(-1, 4), columns=list(LONLAT))
+    return pd.DataFrame(places.reshape(-1, 4), columns=list(IN_METRES if in_metres else LONLAT))
 
 
 def _of_row(row: Mapping, names: Sequence[str], base: Query) -> Query:

@@ -58,8 +58,9 @@ def test_each_row_of_a_table_has_its_own_altitude_time_of_day_and_weights(town, 
 def test_places_may_be_given_in_metres_and_in_an_array(town, many, pairs):
     xy_m = [np.ravel([town.grid.xy_of_lonlat(*place) for place in pair]) for pair in pairs]
     table = pd.DataFrame(xy_m, columns=METRES)
-    costs = [[path.cost for path in many(of)] for of in (table, pairs, np.array(pairs))]
-    assert costs[0] == costs[1] == costs[2]
+    places = [(ju.XY(*row[:2]), ju.XY(*row[2:])) for row in xy_m]
+    costs = [[path.cost for path in many(of)] for of in (table, pairs, np.array(pairs), places)]
+    assert costs[0] == costs[1] == costs[2] == costs[3]
 
 
 def test_a_query_that_cannot_be_asked_is_a_row_with_its_sentence(town, many, pairs):

@@ -115,6 +115,8 @@ REFUSED = [
     (lambda s: ju.cost_map(s.maps, ju.Levels(20.0, 60.0, 40.0)).prepare(), "landmarks are for one altitude"),
     # many at once
     (lambda s: s.many(planer="ptp"), r"plan_many: there is no argument 'planer' \(did you mean 'planner'\?\)"),
+    (lambda s: s.many([(ju.XY(0.0, 0.0), (0.0, 0.0))]), PAIRS),
+    (lambda s: s.many([(ju.XY(0.0, 0.0, 20.0), ju.XY(9.0, 9.0, 20.0))]), "pairs of ju.XY without altitudes"),
     (lambda s: s.many(refine=True), "refine and exposure are of a single plan"),
     (lambda s: s.many(exposure={"gps": 1.0}), "refine and exposure are of a single plan"),
     (lambda s: s.plan(exposure={"gsp": 1.0}), "did you mean 'gps'"),
