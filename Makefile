@@ -18,7 +18,7 @@ NEWEST_PYTHON = $(call answering,3.14 3.13 3.12)
 OLDEST_PYTHON = $(call answering,$(FLOOR))
 FLOOR := $(shell sed -n 's/^requires-python = ">=\(.*\)"/\1/p' pyproject.toml)
 
-.PHONY: demo test test-newest renew-newest test-oldest test-slow test-docs lint wheel notebooks figures figures-small bench bench-gpu cuda-compile docs clean
+.PHONY: demo test test-newest renew-newest test-oldest test-slow test-docs lint wheel placeholders notebooks figures figures-small bench bench-gpu cuda-compile docs clean
 
 demo: $(VENV)/.run
 	$(BIN)/jaxurban demo -o out/demo --overwrite
@@ -58,7 +58,9 @@ lint: $(VENV)/.dev
 	$(BIN)/mypy jaxurban
 	$(BIN)/lint-imports --no-logo
 
-# The sdist, the wheel made from it, and the wheel in empty environments of the oldest and the newest Python.
+# The sdist, the wheel made from it, both of the last commit's time and so of the same bytes in every build, and the
+# wheel in empty environments of the oldest and the newest Python.
+wheel: export SOURCE_DATE_EPOCH := $(or $(shell git log -1 --format=%ct 2> /dev/null),$(shell date +%s))
 wheel: $(VENV)/.dev $(VENV)/.release
 	rm -rf dist
 	$(BIN)/python -m build --no-isolation -o dist
@@ -66,6 +68,12 @@ wheel: $(VENV)/.dev $(VENV)/.release
 	$(BIN)/check-wheel-contents dist/*.whl
 	sh tests/try_wheel.sh dist constraints.txt $(BIN)/mypy $(BIN)/python
 	$(if $(NEWEST_PYTHON),sh tests/try_wheel.sh dist constraints-newest.txt $(BIN)/mypy $(NEWEST_PYTHON))
+
+# What a release must not hold: an owner, a name, a text or a date that is still to be filled in. The files of the
+# tests name such words on purpose.
+placeholders:
+	@git grep -nIE 'OWNER(@|\.github|/)|PLACE[H]OLDER|\(unreleased\)' -- ':!tests'; \
+	  test $$? = 1 || { echo "fill these in before a release" >&2; exit 2; }
 
 notebooks: $(VENV)/.dev
 	$(BIN)/python notebooks/run_all.py -o out/notebooks

@@ -1,7 +1,9 @@
 """The repository's own rules: which tests run, what sources may name of libraries, which tables of the docs are old."""
 
 import importlib.util
+import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -165,7 +167,58 @@ def test_whatever_names_the_version_names_that_of_the_package():
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no repository")
 def test_the_owner_stands_in_pyproject_alone():
     listed = git(ROOT, "grep", "-lIE", r"OWNER\b|github\.com/jaxurban|jaxurban\.github").split()
-    assert set(listed) <= {"pyproject.toml", "CONTRIBUTING.md", "tests/test_repository.py"}
+    assert set(listed) <= {"pyproject.toml", "CONTRIBUTING.md", "Makefile", "tests/test_repository.py"}
+
+
+LEFT = {
+    "pyproject.toml": 'Repository = "https://github.com/OWNER/jaxurban"',
+    "CITATION.cff": "url: https://OWNER.github.io/jaxurban",
+    "GOVERNANCE.md": "[PLACEHOLDER: names]",
+    "CHANGELOG.md": "## 1.0.0 (unreleased)",
+}
+
+
+@pytest.mark.parametrize(("name", "left"), LEFT.items())
+def test_a_release_stops_while_something_is_to_be_filled_in(name, left, tmp_path):
+    git(tmp_path, "init", "-q")
+    (tmp_path / "README.md").write_text("An owner, a placeholder and what is released.\n")
+
+    def ended() -> subprocess.CompletedProcess[str]:
+        git(tmp_path, "add", "-A")
+        command = ["make", "-s", "-f", ROOT / "Makefile", "placeholders"]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+
+    assert (ended().returncode, ended().stdout) == (0, "")
+    (tmp_path / name).write_text(f"{left}\n")
+    assert (ended().returncode, ended().stdout) == (2, f"{name}:1:{left}\n")
+
+
+def test_the_release_asks_for_that_before_it_builds():
+    steps = re.findall(r"run: (.+)", WORKFLOWS["release.yml"])
+    assert steps.index("make placeholders") < steps.index("make wheel PYTHON=python")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no repository")
+def test_an_sdist_has_the_same_bytes_wherever_and_whenever_it_is_made(tmp_path):
+    files = git(ROOT, "ls-files").splitlines()
+    packed = []
+    for copy, (umask, changed_s) in {"first": (0o022, 1.5e9), "second": (0o002, 1.6e9)}.items():
+        before = os.umask(umask)
+        try:
+            for name in files:
+                file = tmp_path / copy / name
+                file.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(ROOT / name, file, follow_symlinks=False)
+                os.utime(file, (changed_s, changed_s), follow_symlinks=False)
+            build = "from setuptools import build_meta; build_meta.build_sdist('out')"
+            env = {**os.environ, "SOURCE_DATE_EPOCH": "1700000000"}
+            subprocess.run([sys.executable, "-c", build], cwd=tmp_path / copy, env=env, check=True, capture_output=True)
+        finally:
+            os.umask(before)
+        (archive,) = (tmp_path / copy / "out").iterdir()
+        packed.append(archive.read_bytes())
+    assert packed[0] == packed[1]
 
 
 CONDA_NAMES = {
