@@ -14,8 +14,8 @@ from skyfield.api import EarthSatellite, load, wgs84
 from skyfield.framelib import itrs
 
 from jaxurban.errors import InputError, StaleElementsWarning
-from jaxurban.io.read import orbits as elements
-from jaxurban.io.read.orbits import look_angles, middle_epoch, nominal_satellites, read_orbits
+from jaxurban.io.read.nominal import LATITUDE_RATE_DEG, SLOTS, nominal_satellites
+from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.settings import parse_time
 from tests.io.made_files import refused
@@ -125,7 +125,7 @@ EPOCH = datetime(1993, 7, 1, tzinfo=UTC)
 
 
 def test_the_nominal_constellation_stands_as_published_at_its_epoch():
-    node, latitude = np.radians(list(elements.SLOTS.values())).T
+    node, latitude = np.radians(list(SLOTS.values())).T
     tilt, greenwich = math.radians(55), math.radians(15 * (18 + 36 / 60 + 14.4 / 3600))  # Table 3-1 of the standard
     lon = node - greenwich + np.arctan2(np.cos(tilt) * np.sin(latitude), np.cos(latitude))
     lat = np.arcsin(np.sin(tilt) * np.sin(latitude))
@@ -138,7 +138,7 @@ def test_the_nominal_constellation_stands_as_published_at_its_epoch():
 @pytest.mark.parametrize("num_turns", [1, 10_000, 25_000])
 def test_the_nominal_ground_track_repeats_for_decades(num_turns):
     # Twice round the Earth; UT1 stays within 6 s of UTC until then: 0.03 degrees.
-    later = EPOCH + timedelta(days=num_turns * 720 / elements.LATITUDE_RATE_DEG)
+    later = EPOCH + timedelta(days=num_turns * 720 / LATITUDE_RATE_DEG)
     (_, before), (radius, after) = earth_fixed(EPOCH), earth_fixed(later)
     np.testing.assert_allclose(radius, 26559.7, atol=17)
     assert separation_deg(before, after).max() < 0.2
