@@ -35,7 +35,7 @@ from jaxurban.metrics.registry import ON_REQUEST, known_metrics, sections_of
 from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.progress import Progress, Stage, Stopwatch, reporting
-from jaxurban.settings import NOMINAL, Heights
+from jaxurban.settings import Heights
 from jaxurban.world.city import SLABS, City
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky
@@ -144,8 +144,8 @@ def view_sky(region: Grid, gps: Gps) -> Sky:
         times, guesses = (own_time,), time_guess(own_time)
     elif times is None:
         times, is_papers = (PAPER_TIME,), True
-    if satellites.of(NOMINAL):
-        guesses |= nominal_guess(times, is_papers)
+    if satellites.nominal_systems:
+        guesses |= nominal_guess(satellites.nominal_systems, times, is_papers)
     sky = look_angles(
         satellites,
         times,

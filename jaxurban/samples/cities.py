@@ -10,13 +10,14 @@ def sample_city(name: str) -> City:
     """Return a real city that is in the package: no file and no network is needed.
 
     ``"lower-manhattan"`` is the paper's: 13,000 outlines and parts of OpenStreetMap (data of 2024-05-29, ODbL) in the
-    box -74.031, 40.695, -73.968, 40.730, with the 2010 census blocks, New York's community districts and the GPS
-    satellites of 2020-04-27, 16:00 UTC (noon there).
+    box -74.031, 40.695, -73.968, 40.730, with the 2010 census blocks, New York's community districts and GPS at
+    2020-04-27, 16:00 UTC (noon there).
 
     ``"shinjuku"`` is 2 x 2 km around the station in Tokyo: 53,000 roof planes of Project PLATEAU (2020, CC BY 4.0), all
     within 400 m of the region and farther away those that hide satellites above 5 degrees from some place in it, with
-    the GPS and Galileo satellites of 2018-12-19, 03:00 UTC (noon there). It has no people. Coordinates are rounded to
-    1e-6 degrees, about 0.1 m, and heights to 0.1 m. The ground of both is flat.
+    GPS and Galileo at 2018-12-19, 03:00 UTC (noon there). It has no people. Coordinates are rounded to 1e-6 degrees,
+    about 0.1 m, and heights to 0.1 m. The ground of both is flat, and the satellites of both stand in their nominal
+    slots, not where the real ones stood: give ``gps`` elements of a day for these.
 
     Maps of the first equal those of its sources, value by value. So do those of the second in its own region and from
     5 degrees up, but for the rounding, which moves 0.13 % of cells into or out of obstacles at 20 m.

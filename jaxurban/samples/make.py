@@ -5,8 +5,8 @@ DATA is the folder of these files, else ``JAXURBAN_DATA``, else ``../shared/data
 
 import math
 import os
-import shutil
 import sys
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,13 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
+from sgp4.exporter import export_tle
+from skyfield.api import load
 
 from jaxurban.io.geoparquet import write_geoparquet
 from jaxurban.io.read.base_map import read_base_map, write_base_map
 from jaxurban.io.read.census import read_blocks, read_districts
+from jaxurban.io.read.nominal import GALILEO, GPS, MARK, Constellation, nominal_satellites
 from jaxurban.io.read.osm import OSM_CREDIT, TAGS, header_box, read_osm
 from jaxurban.metrics.population import Population
 from jaxurban.samples.catalogue import BASE_MAP_FILE, BUILDINGS_FILE, SAMPLES
@@ -64,7 +67,7 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     frame = gpd.GeoDataFrame({"BoroCD": labels}, geometry=shapely.intersection(areas, around), crs=crs).to_crs(WGS84)
     facts = {"credit": DISTRICTS_CREDIT, "licence": "NYC Open Data terms of use"}
     write_geoparquet(home / "districts.parquet", rounded(frame[~frame.is_empty]), facts)
-    shutil.copyfile(data / "gps/gps-ops_2020-04-27.tle", home / "gps.tle")
+    write_nominal(home / "gps.tle", date(2020, 4, 27), GPS)
 
 
 def make_shinjuku(data: Path, home: Path) -> None:
@@ -86,8 +89,15 @@ def make_shinjuku(data: Path, home: Path) -> None:
     frame = frame[is_kept].assign(height=frame["height"].round(1))
     facts = {"credit": PLATEAU_CREDIT, "licence": CC_BY, "boxes": [box]}
     write_geoparquet(home / BUILDINGS_FILE, rounded(frame), facts)
-    for system in ("gps", "galileo"):
-        shutil.copyfile(data / f"tokyo/{system}_2018-12-19.tle", home / f"{system}.tle")
+    write_nominal(home / "gps.tle", date(2018, 12, 19), GPS)
+    write_nominal(home / "galileo.tle", date(2018, 12, 19), GALILEO)
+
+
+def write_nominal(path: Path, day: date, constellation: Constellation) -> None:
+    """Write a nominal constellation as two-line elements of a day; their names say what they are."""
+    satellites = nominal_satellites(day, load.timescale(builtin=True), constellation)
+    sets = [[f"{satellite.name} {MARK}", *export_tle(satellite.model)] for satellite in satellites]
+    path.write_text("".join(f"{line}\n" for lines in sets for line in lines))
 
 
 def rounded(frame: gpd.GeoDataFrame) -> gpd.GeoDataFrame:

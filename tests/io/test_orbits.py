@@ -14,7 +14,7 @@ from skyfield.api import EarthSatellite, load, wgs84
 from skyfield.framelib import itrs
 
 from jaxurban.errors import InputError, StaleElementsWarning
-from jaxurban.io.read.nominal import LATITUDE_RATE_DEG, SLOTS, nominal_satellites
+from jaxurban.io.read.nominal import GALILEO, GPS, nominal_satellites
 from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.settings import parse_time
@@ -23,10 +23,10 @@ from tests.io.made_files import refused
 LON_DEG, LAT_DEG = -74.0, 40.715
 TIMESCALE = load.timescale(builtin=True)
 NAME = "GPS BIIA-10 (PRN 32)"
-# A real set (CelesTrak, 2012-12-07; public), line 1 then line 2.
+# Of no real satellite, as CelesTrak writes them: line 1 then line 2.
 TLE = f"""{NAME}
-1 20959U 90103A   12342.96616720  .00000021  00000-0  10000-3 0  8005
-2 20959  54.4469 231.6153 0118336 333.5218  25.9562  2.00548867161374
+1 20959U 90103A   12342.96616720  .00000000  00000-0  00000-0 0  8008
+2 20959  55.0000 230.0000 0120000 333.0000  26.0000  2.00550000161372
 """
 TIME = "2012-12-08T00:00:00Z"
 
@@ -109,39 +109,72 @@ def test_elements_warn_after_14_days_and_are_refused_after_max_age(tmp_path):
             sky_of(source, TIME, time, max_age_days=limit)
 
 
-def earth_fixed(time):
+def earth_fixed(time, constellation=GPS):
     """Radius (km, [S]) and unit vectors ([S, 3], fixed to the Earth) of the nominal satellites."""
-    at = TIMESCALE.from_datetime(time)
-    vectors = np.array([s.at(at).frame_xyz(itrs).km for s in nominal_satellites(time.date(), TIMESCALE)])
+    satellites = nominal_satellites(time.date(), TIMESCALE, constellation)
+    return places_of(satellites, TIMESCALE.from_datetime(time))
+
+
+def places_of(satellites, at):
+    vectors = np.array([s.at(at).frame_xyz(itrs).km for s in satellites])
     radius = np.linalg.norm(vectors, axis=1)
     return radius, vectors / radius[:, None]
 
 
 def separation_deg(a, b):
-    return np.degrees(2 * np.arcsin(np.linalg.norm(a - b, axis=1) / 2))
+    return np.degrees(2 * np.arcsin(np.linalg.norm(a - b, axis=-1) / 2))
+
+
+def on_circles(node_deg, latitude_deg, tilt_deg, earth_deg):
+    """Unit vectors ([S, 3], fixed to the Earth) on circular orbits, when the Earth has turned by an angle."""
+    node, latitude, tilt, earth = map(np.radians, (node_deg, latitude_deg, tilt_deg, earth_deg))
+    lon = node - earth + np.arctan2(np.cos(tilt) * np.sin(latitude), np.cos(latitude))
+    lat = np.arcsin(np.sin(tilt) * np.sin(latitude))
+    return np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
 
 
 EPOCH = datetime(1993, 7, 1, tzinfo=UTC)
 
 
 def test_the_nominal_constellation_stands_as_published_at_its_epoch():
-    node, latitude = np.radians(list(SLOTS.values())).T
-    tilt, greenwich = math.radians(55), math.radians(15 * (18 + 36 / 60 + 14.4 / 3600))  # Table 3-1 of the standard
-    lon = node - greenwich + np.arctan2(np.cos(tilt) * np.sin(latitude), np.cos(latitude))
-    lat = np.arcsin(np.sin(tilt) * np.sin(latitude))
-    expected = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    greenwich_deg = 15 * (18 + 36 / 60 + 14.4 / 3600)  # Table 3-1 of the standard
     radius, found = earth_fixed(EPOCH)
     np.testing.assert_allclose(radius, 26559.7, atol=10)  # km; the standard allows 17
-    assert separation_deg(found, expected).max() < 0.1  # SGP4 adds the pull of Moon and Sun
+    # SGP4 adds the pull of Moon and Sun.
+    assert separation_deg(found, on_circles(*np.transpose(list(GPS.slots.values())), 55, greenwich_deg)).max() < 0.1
+
+
+# Slots that the European GNSS Service Centre lists at 2016-11-21 00:00 UTC: node, argument of latitude; degrees.
+GALILEO_SLOTS = {"A02": (317.632, 225.153), "A05": (317.632, 0.153), "C07": (197.632, 120.153)}
+
+
+@pytest.mark.parametrize("days", [0, 758.125, 3650])  # from the table's date, by its rates
+def test_nominal_galileo_stands_as_published(days):
+    time = datetime(2016, 11, 21, tzinfo=UTC) + timedelta(days=days)
+    earth_deg = 360 * (0.7790572732640 + 1.00273781191135448 * (TIMESCALE.from_datetime(time).ut1 - 2451545.0))  # IERS
+    published = np.array(list(GALILEO_SLOTS.values())) + np.array([-0.02764398, 613.72253566]) * days
+    radius, found = earth_fixed(time, GALILEO)
+    slots = [list(GALILEO.slots).index(name) for name in GALILEO_SLOTS]
+    np.testing.assert_allclose(radius, 29_600.318, atol=17)
+    assert separation_deg(found[slots], on_circles(*published.T, 56, earth_deg)).max() < 0.15
 
 
 @pytest.mark.parametrize("num_turns", [1, 10_000, 25_000])
 def test_the_nominal_ground_track_repeats_for_decades(num_turns):
     # Twice round the Earth; UT1 stays within 6 s of UTC until then: 0.03 degrees.
-    later = EPOCH + timedelta(days=num_turns * 720 / LATITUDE_RATE_DEG)
+    later = EPOCH + timedelta(days=num_turns * 720 / GPS.latitude_rate_deg)
     (_, before), (radius, after) = earth_fixed(EPOCH), earth_fixed(later)
     np.testing.assert_allclose(radius, 26559.7, atol=17)
     assert separation_deg(before, after).max() < 0.2
+
+
+@pytest.mark.data
+def test_real_galileo_satellites_stand_in_the_nominal_slots(data_dir):
+    at = TIMESCALE.from_datetime(datetime(2018, 12, 19, 3, tzinfo=UTC))
+    _, real = places_of(read_orbits(data_dir / "tokyo" / "galileo_2018-12-19.tle").satellites, at)
+    _, slots = earth_fixed(at.utc_datetime(), GALILEO)
+    apart_deg = separation_deg(real[:, None], slots).min(axis=1)
+    assert np.sort(apart_deg)[-2] < 2  # all but the one that was never put into a slot
 
 
 def test_the_nominal_constellation_never_grows_old_and_moves_smoothly_over_midnight():
@@ -187,7 +220,7 @@ def test_the_epoch_of_an_omm_may_bear_an_offset(tmp_path, kind, epoch):
         (b"OBJECT_NAME,EPOCH,MEAN_MOTION\nGPS,2024-03-31T12:00:07,2.0", "element set 1 .* is cut"),
         (TLE[:-20].encode(), "element set of .* is cut or damaged .*of 69 characters"),
         (TLE[:90].encode(), "must follow each other"),
-        (TLE.replace("54.4469", "54.4569").encode(), "element set of .* checksum"),
+        (TLE.replace("55.0000", "55.0100").encode(), "element set of .* checksum"),
         (TLE.encode() + b"GPS BIIA-14 (PRN 26)\n", "must follow each other"),
         (2 * TLE.encode(), "2 element sets of satellite 20959"),
         *((omm("csv", NOON, TIME_SYSTEM=each).encode(), f"TIME_SYSTEM is {each}, and only UTC") for each in OF_OTHERS),

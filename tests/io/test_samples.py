@@ -2,21 +2,32 @@
 
 import doctest
 import json
+import math
+from datetime import date
 
 import numpy as np
 import pytest
 import rasterio
 import shapely
+from skyfield.api import load
 
 import jaxurban as ju
 from jaxurban.io.files import digest_of
+from jaxurban.io.read.guesses import NOMINAL_SKY
+from jaxurban.io.read.nominal import GALILEO, GPS
+from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.maps.run import load_city, run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.samples import cities, make
 from jaxurban.samples.catalogue import SAMPLES, located
+from tests.io.test_orbits import places_of, separation_deg
 
 CITIES = sorted(SAMPLES)
 CREDITS = {"lower-manhattan": "OpenStreetMap", "shinjuku": "PLATEAU"}
+SATELLITES = {
+    "lower-manhattan": "the GPS satellites are nominal ones at 2020-04-27T16:00:00Z",
+    "shinjuku": "the GPS and GALILEO satellites are nominal ones at 2018-12-19T03:00:00Z",
+}
 SMALL = {"lower-manhattan": [-74.012, 40.706, -74.008, 40.709], "shinjuku": [139.6900, 35.6880, 139.6940, 35.6910]}
 
 
@@ -25,11 +36,43 @@ def test_a_sample_is_small_credited_and_comes_with_its_satellites(name):
     assert sum(file.stat().st_size for file in located(f"sample:{name}").parent.iterdir()) <= 2e6
     city = ju.sample_city(name)
     assert CREDITS[name] in city.attribution
-    maps = ju.build_maps(city, SMALL[name], resolution_m=10.0, altitudes_m=[20.0])
+    maps = ju.build_maps(city, SMALL[name], resolution_m=10.0, altitudes_m=[60.0])
     assert maps.times == city.gps.times
-    assert not any("nominal" in guess for guess in maps.guesses)
+    assert SATELLITES[name] in maps.guesses[NOMINAL_SKY]
     assert maps.ds.num_visible.max() > 4
     assert CREDITS[name] in maps.attribution
+
+
+@pytest.mark.parametrize(
+    ("file", "day", "constellation", "turns", "days"),
+    [
+        ("lower-manhattan/gps.tle", date(2020, 4, 27), GPS, 2, 1),
+        ("shinjuku/gps.tle", date(2018, 12, 19), GPS, 2, 1),
+        ("shinjuku/galileo.tle", date(2018, 12, 19), GALILEO, 17, 10),
+    ],
+)
+def test_elements_are_those_that_the_package_makes_and_repeat_their_ground_track(
+    file, day, constellation, turns, days, tmp_path
+):
+    make.write_nominal(tmp_path / "made.tle", day, constellation)
+    assert located(f"sample:{file}").read_text() == (tmp_path / "made.tle").read_text()
+    satellites = read_orbits(f"sample:{file}").satellites
+    start = load.timescale(builtin=True).utc(day.year, day.month, day.day, 3)
+    _, before = places_of(satellites, start)
+    _, after = places_of(satellites, start + days * 86164.09 / 86400)
+    assert separation_deg(before, after).max() < 0.05 * max(days, 4)  # Moon and Sun pull, and no one holds them
+    for satellite in satellites:
+        assert satellite.model.no_kozai * 1440 * days / math.tau == pytest.approx(turns * 86400 / 86164.09, rel=2e-3)
+
+
+@pytest.mark.parametrize("name", CITIES)
+def test_gps_of_a_sample_stands_as_nominal_satellites_do(name):
+    times, place = SAMPLES[name]["gps"]["times"], SAMPLES[name]["region"]["bounds"][:2]
+    ours, nominal = (
+        look_angles(read_orbits(source), times, *place) for source in (f"sample:{name}/gps.tle", "nominal")
+    )
+    for field in ("azimuth_rad", "elevation_rad"):
+        np.testing.assert_allclose(getattr(ours, field), getattr(nominal, field), atol=1e-5)
 
 
 def test_the_example_of_sample_city_runs():

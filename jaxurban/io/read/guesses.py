@@ -124,12 +124,13 @@ def time_guess(time: str) -> Guesses:
     }
 
 
-def nominal_guess(times: Sequence[str], is_papers: bool) -> Guesses:
-    """Return that GPS satellites are nominal; ``is_papers``: at the paper's time, as no other is given."""
+def nominal_guess(systems: Sequence[str], times: Sequence[str], is_papers: bool) -> Guesses:
+    """Return that satellites of systems are nominal; ``is_papers``: at the paper's time, as no other is given."""
     when = times[0] + (", the paper's time" if is_papers else " and later" if len(times) > 1 else "")
+    names = " and ".join(system.upper() for system in systems)
     return {
-        NOMINAL_SKY: f"the GPS satellites are nominal ones at {when}, not the real ones: name a file of elements in "
-        "[gps] orbits"
+        NOMINAL_SKY: f"the {names} satellites are nominal ones at {when}, not the real ones: name a file of elements "
+        "in [gps] orbits"
     }
 
 

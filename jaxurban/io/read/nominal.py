@@ -1,14 +1,59 @@
-"""Nominal GPS: the published slots, as satellites that can be moved to a time of a day."""
+"""Nominal constellations: the published slots of GPS and Galileo, as satellites that can be moved to any day."""
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import UTC, date, datetime
 
 from sgp4.api import WGS72, Satrec
 from skyfield.api import EarthSatellite, Timescale
 
-# Orbit plane -> right ascension of the ascending node, and argument of latitude of its slots 1 to 4; degrees, at
-# 1993-07-01 00:00 UTC. Source: GPS SPS Performance Standard (2001), Table 3-1, Reference Orbit Slot Assignments.
-PLANES = {
+SIDEREAL_RATE_DEG = 360.98564736629  # degrees a day of UT1, of Earth against the mean equinox of date (IAU 1982)
+MARK = "(nominal)"  # ends the names of such satellites in a file
+
+
+@dataclass(frozen=True)
+class Constellation:
+    """A nominal constellation: circular orbits that are held so that their ground tracks repeat.
+
+    Attributes:
+      name: of a satellite, with a place for its slot.
+      first_number: catalogue number of the first one.
+      slots: by slot the right ascension of the ascending node, from the mean equinox of date, and the argument of
+        latitude; degrees.
+      table_date: the day of these angles, at 00:00 UTC.
+      inclination_deg, axis_km: inclination and semi-major axis.
+      node_rate_deg: degrees a day that the nodes turn.
+      turns: orbits while Earth turns once against the orbit's plane.
+    """
+
+    name: str
+    first_number: int
+    slots: Mapping[str, tuple[float, float]]
+    table_date: date
+    inclination_deg: float
+    axis_km: float
+    node_rate_deg: float
+    turns: float
+
+    @property
+    def latitude_rate_deg(self) -> float:
+        """Degrees a day by which the argument of latitude grows: what station keeping holds."""
+        return self.turns * (SIDEREAL_RATE_DEG - self.node_rate_deg)
+
+    @property
+    def perigee_rate_deg(self) -> float:
+        """Degrees a day that Earth's flattening turns the perigee; the mean anomaly does the rest.
+
+        It is 3/4 J2 (R/a)^2 n (5 cos^2 i - 1).
+        """
+        flattening = 0.75 * 1.082616e-3 * (6378.135 / self.axis_km) ** 2
+        return flattening * self.latitude_rate_deg * (5 * math.cos(math.radians(self.inclination_deg)) ** 2 - 1)
+
+
+# Orbit plane -> right ascension of the ascending node, and argument of latitude of its slots 1 to 4. Source: GPS SPS
+# Performance Standard (2001), Table 3-1, Reference Orbit Slot Assignments.
+GPS_PLANES = {
     "A": (272.847, (268.126, 161.786, 11.676, 41.806)),
     "B": (332.847, (80.956, 173.336, 309.976, 204.376)),
     "C": (32.847, (111.876, 11.796, 339.666, 241.556)),
@@ -16,36 +61,61 @@ PLANES = {
     "E": (152.847, (197.046, 302.596, 66.066, 333.686)),
     "F": (212.847, (238.886, 345.226, 105.206, 135.346)),
 }
-SLOTS = {
-    f"{plane}{slot}": (node, latitude)
-    for plane, (node, latitudes) in PLANES.items()
-    for slot, latitude in enumerate(latitudes, start=1)
-}
-TABLE_DATE = date(1993, 7, 1)  # at 00:00 UTC
-INCLINATION_DEG = 55.0  # same table; eccentricity 0, semi-major axis 26,559.7 km
-NODE_RATE_DEG = -4.4874e-7 * 86400  # degrees a day: the same standard's nominal almanac (Table A2-1), -4.4874e-7 deg/s
-SIDEREAL_RATE_DEG = 360.98564736629  # degrees a day of UT1, of Earth against the mean equinox of date (IAU 1982)
-# Twice round while Earth turns once against the orbit's plane: what station keeping holds.
-LATITUDE_RATE_DEG = 2 * (SIDEREAL_RATE_DEG - NODE_RATE_DEG)
-# Earth's flattening turns the perigee by 3/4 J2 (R/a)^2 n (5 cos^2 i - 1); the mean anomaly does the rest.
-FLATTENING = 0.75 * 1.082616e-3 * (6378.135 / 26559.7) ** 2
-PERIGEE_RATE_DEG = FLATTENING * LATITUDE_RATE_DEG * (5 * math.cos(math.radians(INCLINATION_DEG)) ** 2 - 1)
+GPS = Constellation(
+    name="GPS slot {}",
+    first_number=1,
+    slots={
+        f"{plane}{slot}": (node, latitude)
+        for plane, (node, latitudes) in GPS_PLANES.items()
+        for slot, latitude in enumerate(latitudes, start=1)
+    },
+    table_date=date(1993, 7, 1),
+    inclination_deg=55.0,
+    axis_km=26_559.7,
+    node_rate_deg=-4.4874e-7 * 86400,  # the same standard's nominal almanac (Table A2-1), -4.4874e-7 deg/s
+    turns=2.0,
+)
+
+# Source: European GNSS Service Centre, Orbital and technical parameters (www.gsc-europa.eu), reference constellation:
+# Walker 24/3/1, 17 orbits in 10 sidereal days. Its nodes count from an origin that does not turn, as its rates show
+# (613.72253566 degrees of latitude a day are 1.7 turns of Earth against that origin): the equinox moves away by the
+# precession in right ascension, 4612.157 arcseconds a century since 2000 (IAU 2006).
+PRECESSION_RATE_DEG = 4612.157 / 3600 / 36525
+GALILEO = Constellation(
+    name="GALILEO {}",
+    first_number=101,
+    slots={
+        f"{plane}0{slot}": (317.632 + PRECESSION_RATE_DEG * 6168.5 + 120 * p, 180.153 + 45 * (slot - 1) + 15 * p)
+        for p, plane in enumerate("ABC")
+        for slot in range(1, 9)
+    },
+    table_date=date(2016, 11, 21),  # 6168.5 days after 2000-01-01 12:00
+    inclination_deg=56.0,
+    axis_km=29_600.318,
+    node_rate_deg=-0.02764398 + PRECESSION_RATE_DEG,
+    turns=1.7,
+)
 
 
-def nominal_satellites(day: date, timescale: Timescale) -> tuple[EarthSatellite, ...]:
-    """Return the 24 satellites with elements at noon UTC of ``day``, good for that day.
+def nominal_satellites(
+    day: date, timescale: Timescale, constellation: Constellation = GPS
+) -> tuple[EarthSatellite, ...]:
+    """Return a nominal constellation's 24 satellites with elements at noon UTC of ``day``, good for that day.
 
-    The planes precess at the standard's nominal rate and the satellites keep their ground tracks, as
+    The planes precess at the published rate and the satellites keep their ground tracks, as
     real ones are held by station keeping: so the constellation stands as the table says at its date
     and never grows old. Within the day SGP4 moves them, which pulls them up to 0.1 degrees (seen from
     the Earth's centre) away by Moon and Sun; over midnight they step by less than 0.01 degrees.
     """
     noon = timescale.utc(day.year, day.month, day.day, 12)
-    table = timescale.utc(TABLE_DATE.year, TABLE_DATE.month, TABLE_DATE.day)
+    table = timescale.utc(*constellation.table_date.timetuple()[:3])
     elapsed_days = noon.ut1 - table.ut1
     sgp4_epoch = datetime(day.year, day.month, day.day, 12, tzinfo=UTC) - datetime(1949, 12, 31, tzinfo=UTC)
+    motion_deg = constellation.latitude_rate_deg - constellation.perigee_rate_deg
     satellites = []
-    for number, (slot, (node_deg, latitude_deg)) in enumerate(SLOTS.items(), start=1):
+    for number, (slot, (node_deg, latitude_deg)) in enumerate(
+        constellation.slots.items(), start=constellation.first_number
+    ):
         model = Satrec()
         model.sgp4init(
             WGS72,
@@ -55,12 +125,12 @@ def nominal_satellites(day: date, timescale: Timescale) -> tuple[EarthSatellite,
             # Drag, two derivatives of the mean motion that SGP4 does not use, eccentricity, argument of perigee: on a
             # circle the mean anomaly is the argument of latitude.
             *(0.0,) * 5,
-            math.radians(INCLINATION_DEG),
-            math.radians((latitude_deg + LATITUDE_RATE_DEG * elapsed_days) % 360),
-            math.radians(LATITUDE_RATE_DEG - PERIGEE_RATE_DEG) / 1440,  # radians a minute
-            math.radians((node_deg + NODE_RATE_DEG * elapsed_days) % 360),
+            math.radians(constellation.inclination_deg),
+            math.radians((latitude_deg + constellation.latitude_rate_deg * elapsed_days) % 360),
+            math.radians(motion_deg) / 1440,  # radians a minute
+            math.radians((node_deg + constellation.node_rate_deg * elapsed_days) % 360),
         )
         satellite = EarthSatellite.from_satrec(model, timescale)
-        satellite.name = f"GPS slot {slot}"
+        satellite.name = constellation.name.format(slot)
         satellites.append(satellite)
     return tuple(satellites)

@@ -19,7 +19,7 @@ from skyfield.api import EarthSatellite, Timescale, load, wgs84
 from skyfield.iokit import parse_tle_file
 
 from jaxurban.errors import InputError, StaleElementsWarning, readable
-from jaxurban.io.read.nominal import TABLE_DATE, nominal_satellites
+from jaxurban.io.read.nominal import GPS, MARK, nominal_satellites
 from jaxurban.samples.catalogue import located
 from jaxurban.settings import NOMINAL, iso_utc, parse_time
 from jaxurban.world.sky import Sky
@@ -56,6 +56,13 @@ class Orbits:
         """Return the numbers of the satellites from one source."""
         return [s for s, name in enumerate(self.sources) if name == source]
 
+    @property
+    def nominal_systems(self) -> list[str]:
+        """Constellations of which satellites are nominal: those from no file, and those that a file names so."""
+        named = zip(self.satellites, self.sources, strict=True)
+        names = [satellite.name for satellite, source in named if source == NOMINAL or satellite.name.endswith(MARK)]
+        return list(dict.fromkeys(map(_system, names)))
+
 
 @lru_cache(maxsize=1)
 def _timescale() -> Timescale:
@@ -80,7 +87,7 @@ def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
     pairs = [
         (satellite, name)
         for name in map(str, sources)
-        for satellite in (nominal_satellites(TABLE_DATE, _timescale()) if name == NOMINAL else _read_file(name))
+        for satellite in (nominal_satellites(GPS.table_date, _timescale()) if name == NOMINAL else _read_file(name))
     ]
     orbits = Orbits(*zip(*pairs, strict=True))
     _check_twice(orbits)
