@@ -57,18 +57,18 @@ made["gps"].shape  # thresholds, hours, altitudes, rows, columns
 # ## The hours
 #
 # The streets are the cells that are free at 20 m with an obstacle within 50 m. The lines: the share of them where
-# m_gps is above 0.5. The circles: the share with four satellites in view or more, without which there is no fix at all.
+# m_gps is above 0.5. The circles: the share with a position fix, where HDOP is finite.
 
 # %%
 one = ju.grad.all_maps(inputs, jax.tree.map(lambda values: values[0], skies))
 is_street = np.asarray((one["obstacle"][0] == 0) & (one["risk"][0] < 1))
 good = np.asarray(made["gps"][:, :, 0] > 0.5)[..., is_street].mean(axis=-1)
-has_fix = np.asarray(made["num_visible"][0, :, 0] >= 4)[..., is_street].mean(axis=-1)
+has_fix = np.isfinite(made["hdop"][0, :, 0])[..., is_street].mean(axis=-1)
 
 figure, axes = plt.subplots(figsize=(7.5, 4.0), layout="constrained")
 for threshold, shares in zip(thresholds, good, strict=True):
     axes.plot(range(24), 100 * shares, label=f"m_gps above 0.5, threshold {threshold:g}")
-axes.plot(range(24), 100 * has_fix, "ko", markersize=4, label="four satellites or more")
+axes.plot(range(24), 100 * has_fix, "ko", markersize=4, label="a position fix")
 axes.set(xlabel="hour of 2020-04-27 (UTC)", ylabel="share of the streets (%)", xticks=range(0, 24, 3), ylim=(0, 100))
 axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
 plt.show()

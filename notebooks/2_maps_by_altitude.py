@@ -18,7 +18,7 @@
 #
 # | map | 1 means | 0 means |
 # |---|---|---|
-# | GPS | the best satellite geometry there is | fewer than four satellites in view, or hopeless geometry |
+# | GPS | the best satellite geometry there is | no position fix, or hopeless geometry |
 # | lidar | a building returns the beam in every direction | nothing within the lidar's range of 100 m |
 # | population | as many people below as anywhere in the region | nobody |
 # | risk, the distance to obstacles | no wall within 50 m | at a wall |

@@ -37,13 +37,13 @@ def made_maps(
         return ((values - values.min()) / np.ptp(values)).astype(np.float32)
 
     a, flown = len(altitudes_m), {name: smooth(len(altitudes_m)) * (1 - obstacle) for name in ("lidar", "risk")}
-    gps, visible = smooth(1, a) * (1 - obstacle), smooth(1, a) * (1 - obstacle)
+    gps, visible = smooth(1, a) * (1 - obstacle), (9 * smooth(1, a) * (1 - obstacle)).astype(np.uint8)
     people = smooth(2)
     data = {
         "obstacle": (FLOWN, obstacle),
         "gps": (("time", *FLOWN), gps),
-        "num_visible": (("time", *FLOWN), (9 * visible).astype(np.uint8)),
-        "hdop": (("time", *FLOWN), np.where(gps > 0.3, 1 / np.maximum(gps, 0.1), np.inf).astype(np.float32)),
+        "num_visible": (("time", *FLOWN), visible),
+        "hdop": (("time", *FLOWN), np.where(visible >= 4, 1 / np.maximum(gps, 0.1), np.inf).astype(np.float32)),
         **{name: (FLOWN, values) for name, values in flown.items()},
         "population": (("time_of_day", "y", "x"), people),
         "density": (("time_of_day", "y", "x"), 50_000 * people),

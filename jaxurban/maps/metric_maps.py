@@ -58,7 +58,7 @@ class MetricMaps(Shown):
     with population data; ``roof`` (at the cell's centre), ``roof_touched`` (the highest that shares area with the
     cell) and ``terrain`` (only if not flat) [y, x] in metres; ``has_data`` [y, x]. Roofs count what hangs; of a city
     with slabs ``underside`` is the lowest floor over the cell's centre, 0 where nothing hangs.
-    DOPs are inf with fewer than four satellites. **Missing is NaN**: everything where ``has_data`` is False, and inside
+    DOPs are inf without a position fix. **Missing is NaN**: everything where ``has_data`` is False, and inside
     obstacles (``obstacle`` is 1) what is undefined there: m of gps, lidar, risk and protection with their bounds,
     spreads and statistics, DOPs and levels, so that means over cells are `numpy.nanmean`; ``num_visible`` is 0 there.
     Of a long series of times, instead of ``gps`` and the DOPs: ``gps_availability``, ``gps_median`` and ``gps_p05``

@@ -257,6 +257,17 @@ ALSO = (  # the scale of DOPs ends where the paper's rating turns poor
 )
 
 
+FIX = "hdop"  # the map that says where satellites fix a position
+
+
+def has_no_fix(hdop: np.ndarray) -> np.ndarray:
+    """Return bool, in the shape given: where satellites fix no position, which is where HDOP is infinite or unknown.
+
+    A fix needs three satellites and one more for each clock of the receiver (`Gps`), and not all of them on one cone.
+    """
+    return ~np.isfinite(hdop)
+
+
 def _named(maps: GpsMaps) -> dict[str, Any]:
     return {"gps": maps.m, **{name: getattr(maps, name) for name in (*DOPS, "num_visible")}}
 

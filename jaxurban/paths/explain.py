@@ -12,6 +12,7 @@ import pandas as pd
 from jaxurban.errors import InputError, positive, typed
 from jaxurban.maps.levels import Levels
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints
@@ -20,7 +21,6 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import map_at
 from jaxurban.paths.profile import (
     CLEARANCE,
-    FEWEST_SATELLITES,
     OUTSIDE,
     OVER_ROOF,
     VISIBLE,
@@ -30,17 +30,19 @@ from jaxurban.paths.profile import (
     cut_on,
     guessed_clearances,
     profile_of,
+    without_fix,
 )
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import Vehicle
 
 SECONDS_PER_HOUR = 3600.0
+NO_FIX_IN_1_0 = "under_4_satellites_m"  # the name of ``no_fix_m`` in 1.0, which stays
 DENSITY = "density_per_km2"
-EXTRA_MAPS = {VISIBLE: VISIBLE, "density": DENSITY, "terrain": "terrain_m"}
+EXTRA_MAPS = {VISIBLE: VISIBLE, FIX: FIX, "density": DENSITY, "terrain": "terrain_m"}
 SEGMENT_HEADS = {  # what a terminal has room for beside the costs; `RouteReport.segments` has more
     "min_gps": "min gps",
     "people_overflown": "people",
-    "under_4_satellites_m": "<4 sat m",
+    "no_fix_m": "no fix m",
     CLEARANCE: "clear m",
     "time_s": "time s",
     "energy_wh": "Wh",
@@ -54,7 +56,8 @@ class RouteReport:
     Attributes:
       totals: of the whole route: ``length_m``, ``cost`` and ``cost_of_*`` (distance and each metric),
         ``mean_*`` of each metric m (over the length), ``people_overflown`` (see `explain`),
-        ``under_4_satellites_m`` (length with no position fix), ``nearest_wall_m``, ``walls_outside_m`` (see
+        ``no_fix_m`` (length without a position fix: HDOP is infinite), the same as ``under_4_satellites_m`` (its name
+        in 1.0), ``nearest_wall_m``, ``walls_outside_m`` (see
         `explain`), ``least_over_roofs_m`` (above the roofs beneath; NaN over none), ``time_s``, ``energy_wh``.
         What the maps or the arguments do not say is left out.
       segments: a row for each of a few parts of nearly equal length: the same, ``from_m`` and ``to_m`` along
@@ -117,6 +120,8 @@ class RouteReport:
         notes = dict.fromkeys(guessed_clearances(self.profile), " (if guessed roofs are right)")
         notes["people_overflown"] = f" (strip of {self.settings['swath_m']:g} m)"
         for name, value in self.totals.items():
+            if name == NO_FIX_IN_1_0:
+                continue  # it stands under its new name
             yield f"{name.replace('_', ' '):<24}{_short(value)}{notes.get(name, '')}"
 
     def _segments(self) -> str:
@@ -202,8 +207,8 @@ def explain(
         row |= {f"mean_{name}": mean for name, mean in on.means(features).items()}
         if DENSITY in part:
             row["people_overflown"] = float(part[DENSITY] @ over_m[chosen]) * swath_m / M2_PER_KM2
-        if VISIBLE in part:
-            row["under_4_satellites_m"] = float(length_m[part[VISIBLE] < FEWEST_SATELLITES].sum())
+        if FIX in part:
+            row["no_fix_m"] = row[NO_FIX_IN_1_0] = sum((to_m - from_m for from_m, to_m in without_fix(part)), 0.0)
         row |= {name: float(part[name].min()) for name in (CLEARANCE, OUTSIDE, OVER_ROOF)}
         if flight_s is not None:
             row["time_s"] = float(flight_s[chosen].sum())

@@ -12,11 +12,11 @@ from jaxurban.errors import InputError, typed
 from jaxurban.kernels.line.traversal import Crossings, crossed_cells
 from jaxurban.maps.levels import values_at
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.metrics.gps import FIX, has_no_fix
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.cost import path_states
 from jaxurban.settings import Vehicle
 
-FEWEST_SATELLITES = 4  # below, no position fix
 TOUCHED, VISIBLE, GUESSED = "roof_touched", "num_visible", "roof_guessed"
 CLEARANCE, OUTSIDE, OVER_ROOF = "nearest_wall_m", "walls_outside_m", "least_over_roofs_m"
 TO_GUESSED = "guessed_roof_away_m"
@@ -163,12 +163,12 @@ def _sample(planned: PlannedPath, maps: MetricMaps, cut: Crossings, name: str, l
 
 
 def cautious_profile(planned: PlannedPath, maps: MetricMaps) -> pd.DataFrame:
-    """Return satellites, roofs and clearance along a route: the profile of a report without metrics and people.
+    """Return HDOP, roofs and clearance along a route: the profile of a report without metrics and people.
 
     Raises:
       InputError: there is no path, or the maps are others.
     """
-    return profile_of(planned, maps, cut_on(planned, maps), {VISIBLE: VISIBLE})
+    return profile_of(planned, maps, cut_on(planned, maps), {FIX: FIX})
 
 
 def guessed_clearances(profile: pd.DataFrame) -> set[str]:
@@ -186,11 +186,11 @@ def guessed_clearances(profile: pd.DataFrame) -> set[str]:
 
 
 def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
-    """Return begin and end along the route of each segment with too few satellites for a fix, metres."""
-    if VISIBLE not in profile:
+    """Return begin and end along the route of each segment without a fix (`has_no_fix`), metres."""
+    if FIX not in profile:
         return []
-    is_short = np.concatenate([[False], profile[VISIBLE] < FEWEST_SATELLITES, [False]])
-    changes = np.flatnonzero(is_short[1:] != is_short[:-1]).reshape(-1, 2)
+    is_without = np.concatenate([[False], has_no_fix(profile[FIX].to_numpy()), [False]])
+    changes = np.flatnonzero(is_without[1:] != is_without[:-1]).reshape(-1, 2)
     return [(float(profile["from_m"].iloc[a]), float(profile["to_m"].iloc[b - 1])) for a, b in changes]
 
 
@@ -270,8 +270,8 @@ def guess_cautions(maps: MetricMaps | None, profile: pd.DataFrame | None = None)
 
 
 def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
-    if VISIBLE not in profile:
-        yield Caution("GPS: these maps hold no satellite counts, so where there is no fix is not known.")
+    if FIX not in profile:
+        yield Caution(f"GPS: these maps hold no {FIX}, so where there is no fix is not known.")
         return
     segments = without_fix(profile)
     if not segments:
@@ -280,7 +280,7 @@ def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
     where = ", ".join(f"{from_m:.0f} to {to_m:.0f} m" for from_m, to_m in longest)
     all_m, left = sum(to_m - from_m for from_m, to_m in segments), len(segments) - len(longest)
     yield Caution(
-        f"GPS: no fix (fewer than four satellites) on {all_m:.0f} of {profile['to_m'].iloc[-1]:.0f} m: "
+        f"GPS: no fix on {all_m:.0f} of {profile['to_m'].iloc[-1]:.0f} m: "
         f"from {where} along the route{f' and {left} shorter' * (left > 0)}.",
         "limit",
     )

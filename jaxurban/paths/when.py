@@ -11,11 +11,12 @@ import pandas as pd
 
 from jaxurban.errors import InputError, taken_by, typed
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.metrics.gps import FIX
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import cost_map
-from jaxurban.paths.profile import VISIBLE, cautious_profile, without_fix
+from jaxurban.paths.profile import cautious_profile, without_fix
 from jaxurban.paths.queries import PlannedPaths, table_of
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Point
@@ -32,7 +33,7 @@ class Departures(Shown):
 
     Attributes:
       table: a row a time: ``time`` (UTC) and ``time_of_day``; summed over the routes ``cost``, ``length_m``,
-        ``no_fix_m`` (length in cells with fewer than four satellites) and ``exposure_*``, NaN where one of them has no
+        ``no_fix_m`` (length without a position fix, as of `explain`) and ``exposure_*``, NaN where one of them has no
         path; ``longest_no_fix_m``, the longest stretch without a fix on any of them; ``above_best``, the share by
         which the cost exceeds the least one; ``kept_above``, by which share a route of the best time costs more now
         than this time's own, at most (inf where it is closed), and ``num_changed``, how many routes that is so of.
@@ -164,7 +165,7 @@ def _met(path: PlannedPath | None) -> dict[str, float]:
         return {}
     met = {f"exposure_{name}": value for name, value in path.exposure_by_layer.items()}
     profile = cautious_profile(path, path.maps)
-    if VISIBLE in profile:
+    if FIX in profile:
         stretches_m = [0.0, *(to_m - from_m for from_m, to_m in without_fix(profile))]
         met |= {"no_fix_m": sum(stretches_m), "longest_no_fix_m": max(stretches_m)}
     return met

@@ -10,6 +10,7 @@ from matplotlib.colors import BoundaryNorm, Normalize
 
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Variable, high_is_bad
+from jaxurban.metrics.gps import FIX
 from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR
 from jaxurban.report.figures.metrics import EMPTY_COLOUR, drawn_variables, metric_colours, values_of
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
@@ -130,7 +131,7 @@ def legend_of(layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
     scale, zero = layer.colours(values), layer.variable.scale.zero
     patches = [(zero, EMPTY_COLOUR)] if zero else []
     patches += [("obstacle", layer.blocked)] if layer.is_hidden else []
-    patches += [NO_FIX_PATCH] if "hdop" in layer.maps.ds else []
+    patches += [NO_FIX_PATCH] if FIX in layer.maps.ds else []
     patches += [NO_DATA_PATCH] if np.isnan(values).any() or not layer.maps.ds["has_data"].values.all() else []
     flat = [_packed(layer.blocked), _packed(NO_DATA_PATCH[1]), _packed(EMPTY_COLOUR) if zero else None]
     if isinstance(scale.norm, BoundaryNorm):  # classes, and no bar

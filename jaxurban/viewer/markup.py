@@ -121,7 +121,7 @@ def profile(table: pd.DataFrame, lines: Mapping[str, tuple[str, str]], no_fix: I
     Args:
       table: of `RouteReport.profile`.
       lines: of each metric its label and its colour.
-      no_fix: begin and end of segments with under four satellites, metres.
+      no_fix: begin and end of segments without a fix, metres.
     """
     total_m = float(table["to_m"].iloc[-1]) or 1.0
     flight_m, roof_m = float(table["z_m"].max()), float(table["roof_m"].max())
@@ -169,7 +169,7 @@ def profile(table: pd.DataFrame, lines: Mapping[str, tuple[str, str]], no_fix: I
         for share, y, text in places
     )
     keys = {name: colour for name, (colour, _) in roofs.items()} | {"flight": ALTITUDE_COLOUR} | dict(lines.values())
-    keys |= {"under 4 satellites": NO_FIX_COLOUR} if shaded else {}
+    keys |= {"no fix": NO_FIX_COLOUR} if shaded else {}
     flight = f'<path d="{trace(table["z_m"].to_numpy(), MIDDLE, per_m)}" stroke="{ALTITUDE_COLOUR}"/>'
     key = "".join(f"<span>{dot(colour)}{escape(label)}</span>" for label, colour in keys.items())
     return (

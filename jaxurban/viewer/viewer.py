@@ -14,6 +14,7 @@ from jaxurban.errors import InputError, RemadeError, one_of
 from jaxurban.io.store import OPENED
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
+from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.path import PlannedPath
@@ -33,7 +34,6 @@ from jaxurban.viewer.requests import Cell, Plan, Request, Save, Shown, Tile, par
 from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, strides_of, tile_bytes
 
 JSON, BYTES = "application/json", "application/octet-stream"
-NO_FIX_LAYER = "hdop"  # infinite where there is no fix
 OPACITY_PERCENT = 70  # of a map over streets
 BLOCK = 128  # cells a side that are read at once for the values under the pointer
 PLANNER_LINES = planner_colours(PLANNERS)
@@ -41,7 +41,7 @@ TOTALS = {  # of `RouteReport.totals`, as the page shows them
     "length_m": ("Length", "m"),
     "cost": ("Cost", ""),
     "people_overflown": ("People overflown", ""),
-    "under_4_satellites_m": ("Under 4 satellites", "m"),
+    "no_fix_m": ("Without a fix", "m"),
     "nearest_wall_m": ("Least clearance", "m"),
     "least_over_roofs_m": ("Least over roofs", "m"),
     "time_s": ("Time", "s"),
@@ -138,7 +138,7 @@ class Viewer:
             "planner_colours": PLANNER_LINES,
             "altitudes_m": self.maps.altitudes_m,
             "has_base": self.maps.base_map is not None,
-            "no_fix": NO_FIX_LAYER if NO_FIX_LAYER in self.layers else None,
+            "no_fix": FIX if FIX in self.layers else None,
             "fields": {
                 "cost_model": self.plans.cost_model.kind,
                 "obstacles": self.maps.obstacles,

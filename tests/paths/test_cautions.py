@@ -21,12 +21,13 @@ def maps() -> ju.MetricMaps:
     """Open ground of 10 m cells, a roof of 12 m under columns 30 to 39, and a tower north of columns 60 to 69."""
     maps = made_maps(40, 100, altitudes_m=(20.0, 60.0))
     shape = maps.grid.shape
-    roof_m, visible = np.zeros(shape, np.float32), np.full(shape, 7, np.uint8)
+    roof_m, visible, hdop = np.zeros(shape, np.float32), np.full(shape, 7, np.uint8), np.ones(shape)
     roof_m[ROW + 4 : ROW + 9, 60:70] = 30.0
     roof_m[ROW, 30:40] = 12.0
     for low, high in ((25, 27), (40, 50), (52, 53), (70, 75), (85, 88)):
-        visible[:, low:high] = 3
-    return with_roofs(maps, roof_m, num_visible=maps.ds["num_visible"] * 0 + visible)
+        visible[:, low:high], hdop[:, low:high] = 4, np.inf  # of two systems, whose clocks are two unknowns
+    by_cell = {"num_visible": visible, "hdop": hdop}
+    return with_roofs(maps, roof_m, **{name: maps.ds["num_visible"] * 0 + values for name, values in by_cell.items()})
 
 
 def levels_of(path, maps) -> dict[str, str]:
@@ -115,13 +116,12 @@ def test_what_was_asked_of_clearances_is_the_limit(maps):
 
 def test_segments_without_a_fix_are_told_with_their_places(maps):
     assert ju.cautions(straight(maps), maps)[0] == (
-        "GPS: no fix (fewer than four satellites) on 210 of 800 m: from 295 to 395 m, 595 to 645 m, 745 to 775 m "
-        "along the route and 2 shorter."
+        "GPS: no fix on 210 of 800 m: from 295 to 395 m, 595 to 645 m, 745 to 775 m along the route and 2 shorter."
     )
-    always = ju.MetricMaps(maps.ds.assign(num_visible=maps.ds["num_visible"] * 0 + 9))
+    always = ju.MetricMaps(maps.ds.assign(hdop=maps.ds["gps"] * 0 + 2))
     assert "GPS" not in levels_of(straight(always), always)
-    series = ju.MetricMaps(maps.ds.drop_vars("num_visible"))
-    unknown = "GPS: these maps hold no satellite counts, so where there is no fix is not known."
+    series = ju.MetricMaps(maps.ds.drop_vars("hdop"))
+    unknown = "GPS: these maps hold no hdop, so where there is no fix is not known."
     assert unknown in ju.cautions(straight(maps), series)
 
 
@@ -178,7 +178,7 @@ def test_satellites_are_whole_numbers_and_between_two_altitudes_those_of_the_low
     profile = ju.explain(path, higher).profile
     cells = higher.grid.cell_of_lonlat(profile["lon"], profile["lat"])
     assert profile["num_visible"].tolist() == higher.m("num_visible", 20.0)[cells].tolist()
-    assert set(profile["num_visible"]) == {3, 7}
+    assert set(profile["num_visible"]) == {4, 7}
 
 
 def test_the_command_line_tells_it_on_stderr_and_in_json(maps, tmp_path, capsys):

@@ -89,9 +89,10 @@ def test_what_is_along_the_route_is_what_shapely_finds_in_its_cells(maps, planne
     line = shapely.LineString(planned.xy_m)
     cells = np.unique(maps.grid.cell_of_xy(*planned.xy_m.T), axis=1)
     length_m = shapely.length(shapely.intersection(cell_boxes(maps.grid, cells.T, 1), line))
-    few_m = length_m[maps.m("num_visible", ALTITUDE_M)[tuple(cells)] < 4].sum()
-    assert few_m > 0
-    assert report.totals["under_4_satellites_m"] == pytest.approx(few_m)
+    without_m = length_m[np.isinf(maps.m("hdop", ALTITUDE_M)[tuple(cells)])].sum()
+    assert without_m > 0
+    for name in ("no_fix_m", "under_4_satellites_m"):
+        assert (report.totals[name], report.segments[name].sum()) == pytest.approx((without_m, without_m))
     density = maps.m("density", time_of_day="night").astype(float)
     assert report.totals["people_overflown"] == pytest.approx(density[tuple(cells)] / 1e6 @ length_m * 8.0)
 
@@ -139,9 +140,9 @@ def test_a_route_of_one_place_costs_nothing_and_still_tells_where_it_is(maps, en
 
 def test_what_the_maps_do_not_hold_is_left_out(maps, planned):
     without_walls = {name: maps.ds[name] * 0 for name in ("obstacle", "roof", "roof_touched")}
-    bare = ju.MetricMaps(maps.ds.drop_vars(["density", "num_visible", "hdop"]).assign(without_walls))
+    bare = ju.MetricMaps(maps.ds.drop_vars(["density", "hdop"]).assign(without_walls))
     report = ju.explain(planned, bare)
-    assert not {"people_overflown", "under_4_satellites_m"} & set(report.totals)
+    assert not {"people_overflown", "no_fix_m", "under_4_satellites_m"} & set(report.totals)
     assert math.isinf(report.totals["nearest_wall_m"])
     assert report.to_dict()["nearest_wall_m"] is None
     assert "none" in report.table()
@@ -282,9 +283,9 @@ def test_the_curves_are_the_values_of_the_report_by_distance_under_altitude_and_
 def test_stretches_without_a_fix_are_shaded_over_their_whole_length(maps, planned, report):
     figure = plot_profile(planned, maps, report)
     widths = [p.get_width() for p in figure.axes[1].patches if p.get_facecolor()[:3] == to_rgb(NO_FIX_COLOUR)]
-    assert sum(widths) * 1000 == pytest.approx(report.totals["under_4_satellites_m"])
+    assert sum(widths) * 1000 == pytest.approx(report.totals["no_fix_m"])
     assert widths[0] > 0
-    assert "under 4 satellites" in [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
+    assert "no fix" in [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
 
 
 def test_a_profile_without_walls_or_of_one_place_is_drawn(maps, ends, planned, tmp_path):

@@ -32,7 +32,7 @@ def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | No
 
     Metrics of which 1 is the best and those of which 1 is the worst have a panel each.
 
-    Segments with fewer than four satellites in view are shaded, roofs of guessed height coloured. The numbers on top
+    Segments without a position fix are shaded, roofs of guessed height coloured. The numbers on top
     are the report's segments.
 
     Args:
@@ -69,7 +69,7 @@ def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | No
         panel.set_ylabel(letter(place, len(axes)) + panel.get_ylabel())
         look = {"color": NO_FIX_COLOUR, "linewidth": NO_FIX_PT, "zorder": 0}
         for number, (from_m, to_m) in enumerate(without_fix(profile)):
-            label = "under 4 satellites" if panel is axes[1] and not number else "_"
+            label = "no fix" if panel is axes[1] and not number else "_"
             panel.axvspan(from_m / 1000, to_m / 1000, label=label, **look)
         for cut_m in report.segments["from_m"].iloc[1:]:
             panel.axvline(cut_m / 1000, color=FAINT_INK, linewidth=0.4, linestyle=":", zorder=0)
