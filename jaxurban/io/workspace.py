@@ -150,8 +150,9 @@ class Workspace:
     def _replace(self, now: Mapping[str, Any], overwrite: bool) -> None:
         name = next((name for name in now if now[name] != self.settings.get(name)), None)
         if name is not None and not overwrite:
-            difference = f"its {name} is {self.settings.get(name)}, now {now[name]}"
-            difference = difference if len(difference) <= LONGEST_SETTINGS else f"other {name}"
+            said = name.replace("_", " ")
+            difference = f"its {said} is {self.settings.get(name)}, now {now[name]}"
+            difference = difference if len(difference) <= LONGEST_SETTINGS else f"other {said}"
             raise InputError(
                 f"{str(self.folder)!r} holds another run of `jaxurban {self.command}` ({difference}): {ELSEWHERE}, or "
                 "pass --overwrite to replace it"

@@ -1,13 +1,11 @@
 """sensitivity_study: what weights do to many routes of one or several cities, kept in a folder and resumable."""
 
 import warnings
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from jaxurban.errors import GuessWarning, InputError, one_of, typed
@@ -36,12 +34,14 @@ from jaxurban.studies.montecarlo.sampling import (
     weight_columns,
 )
 from jaxurban.studies.weights.routes import (
+    CITY_NUMBER,
     REMADE_KEY,
     ROUTE_KEY,
     OnPerturbedMaps,
     SensitivityStudySettings,
     perturbed_tasks,
     row_columns,
+    seed_at,
 )
 
 ROUTES_FOLDER, REMADE_FOLDER = "routes", "remade"
@@ -71,7 +71,7 @@ def sensitivity_study(
 
     Args:
       sources: maps of each city by its name, folders or maps in memory (which only this process sees); or folders,
-        called as they are.
+        called as they are. What is drawn depends on the seed and on the order of the cities, not on their names.
       folder: where the study is kept.
       routes: how many to sample in each city, by stratum and range, that a path joins at every altitude; or a
         table of instances (see `sample_instances`) or of queries (as `plan_many` takes it), with a column ``city``
@@ -111,7 +111,7 @@ def sensitivity_study(
     instances = _instances(opened, routes, altitudes_m, weights, settings)
     _check_vary(settings.vary, instances, dict.fromkeys(name for maps in opened.values() for name in maps.metrics))
     about = {city: maps.identity for city, maps in opened.items()}
-    key = settings.to_dict() | {"maps": about, "routes": _routes_key(instances)}
+    key = settings.to_dict() | {"maps": about, "order_of_cities": [*about], "routes": _routes_key(instances)}
     job = settings if workers == 1 or settings.num_threads is not None else replace(settings, num_threads=1)
     names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in (ROUTES_FOLDER, REMADE_FOLDER)), *FILES]
     with (
@@ -120,15 +120,24 @@ def sensitivity_study(
     ):
         write_table(instances, folder / INSTANCES_FILE)
         file = folder / ROUTES_FOLDER / ROWS_FILE
-        rows = run_rows(file, job, instances, given, row_columns, workers=workers, report=report)
+        rows = _by_city(run_rows(file, job, instances, given, row_columns, workers=workers, report=report), opened)
         remade, skipped = pd.DataFrame(), tuple[str, ...]()
         if settings.num_heights:
             remade, skipped = _remade(folder, instances, given, opened, settings, scenarios, report)
+            remade = _by_city(remade, opened)
         report("report")
         is_sampled = not isinstance(routes, pd.DataFrame)
         found = SensitivityStudy(folder, opened, instances, rows, remade, skipped, settings, is_sampled)
         write_sensitivity_study(found)
     return found
+
+
+def _by_city(rows: pd.DataFrame, cities: Iterable[str]) -> pd.DataFrame:
+    """Return rows, which are kept by the cities' names, in the order of the cities, on which their intervals depend."""
+    if rows.empty:
+        return rows
+    order = {city: number for number, city in enumerate(cities)}
+    return rows.sort_values("city", key=lambda names: names.map(order), kind="stable", ignore_index=True)
 
 
 def _opened(
@@ -206,16 +215,16 @@ def _instances(
     if isinstance(routes, pd.DataFrame):
         _check_cities(routes, opened)
     parts = []
-    for city, maps in opened.items():
+    for number, (city, maps) in enumerate(opened.items()):
         known = {"distance", *METRICS, *maps.metrics}  # a city may lack the layers of another one
         weights = Weights(**{name: value for name, value in of_all.items() if name in known})
         if not isinstance(routes, pd.DataFrame):
-            seed = int(np.random.SeedSequence([settings.seed, zlib.crc32(city.encode())]).generate_state(1)[0])
+            seed = seed_at(settings.seed, number)
             how: dict[str, Any] = {"cost_model": model, "constraints": constraints, "seed": seed}
             part = sample_joined(maps, routes, altitudes_m=altitudes_m, weights=[weights], **how)
         else:
             part = _given_routes(routes, city, maps, weights)
-        parts.append(part.assign(city=city))
+        parts.append(part.assign(city=city, **{CITY_NUMBER: number}))
     if isinstance(routes, pd.DataFrame) and altitudes_m is not None:
         raise InputError("altitudes_m is of sampled routes: a table of routes names its own")
     found = pd.concat(parts, ignore_index=True)

@@ -43,15 +43,16 @@ class Clusters:
         """Draw `NUM_DRAWS` times; ``[N]`` groups, and the cities in which they lie, each with groups of its own.
 
         Values of one group (an instance at several altitudes) are not independent, so that they are drawn together.
+        Groups and cities are numbered in the order in which they come, so that their names draw nothing.
         """
         groups = np.asarray(groups)
         names = np.zeros(len(groups)) if cities is None else np.asarray(cities, str)
-        self._city = np.unique(names, return_inverse=True)[1]
+        self._city = pd.factorize(names)[0]
         self._group = np.zeros(len(groups), int)
         draws = [np.empty((NUM_DRAWS, 0))]
         for city in np.unique(self._city):
             inside = self._city == city
-            _, group = np.unique(groups[inside], return_inverse=True)
+            group, _ = pd.factorize(groups[inside])
             drawn = draws_of(int(group.max()) + 1, [seed, city])
             self._group[inside] = group + sum(part.shape[1] for part in draws)
             draws.append(drawn * (drawn.shape[1] / drawn[0].sum()))  # a city weighs what it has

@@ -47,6 +47,18 @@ def test_hidden_weights_come_back_from_optimal_routes_and_their_intervals_hold_t
     assert fit.is_settled
 
 
+def test_draws_of_cities_depend_on_their_order_and_not_on_where_their_maps_lie_in_memory(small, demonstrations):
+    twins = sorted((ju.MetricMaps(small.ds) for _ in range(2)), key=id)
+
+    def drawn(*cities):
+        units = [ju.cost_map(maps, 20.0, cost_model="cell") for maps in cities]
+        queries = [replace(each.query, cost_map=units[k >= 5]) for k, each in enumerate(demonstrations)]
+        shown = [replace(each, query=query) for each, query in zip(demonstrations, queries, strict=True)]
+        return fit_weights(shown, bootstrap=4, settings=FitSettings(max_rounds=1)).draws
+
+    np.testing.assert_array_equal(drawn(*twins), drawn(*twins[::-1]))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["cell", "line"])
 @pytest.mark.parametrize("seed", range(4))

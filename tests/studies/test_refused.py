@@ -138,7 +138,7 @@ ROWS = [
     ("EPSG:25830", lambda s: other(s, crs="EPSG:25830")),
     ("altitude_m 33", lambda s: other(s, altitude_m=s.study.instances.altitude_m + 13.0)),
     ("dusk", lambda s: other(s, time_of_day="dusk")),
-    ("its cost_model is line, now cell.*--overwrite", lambda s: into(s, cost_model="cell")),
+    ("its cost model is line, now cell.*--overwrite", lambda s: into(s, cost_model="cell")),
     ("its budget is 200 samples, now 2.0 s", lambda s: into(s, budget_iterations=None)),
     ("instance 0 at 20 m has the w_distance .*, now 0.1", lambda s: into(s, drawn(s, weights=[ju.Weights()]))),
     ("of 24 instances.* 2 are left out now .*longer but not shorter", lambda s: into(s, 11)),

@@ -73,6 +73,19 @@ def test_elasticities_sum_to_one_and_a_route_that_no_factor_changes_has_no_regre
     assert (weights[weights.varies].nearest >= 1).all()
 
 
+def test_what_is_drawn_depends_on_the_order_of_the_cities_and_not_on_their_names(folders, weight_study, tmp_path):
+    names = {"west": "alpha", "east": "beta"}
+    renamed = run_study("weight_study", dict(zip(names, folders, strict=True)), tmp_path)
+    keys = {"routes": KEY, "summary": ["cut", "value"], "sobol": [*KEY, "outcome"], "sobol_summary": ["outcome"]}
+    for name, key in keys.items():
+        key = key if name == "routes" else [*key, "weight_name"]
+        tables = [found.tables[name].replace(names, regex=True).set_index(key) for found in (weight_study, renamed)]
+        one, other = (table.sort_index().drop(columns="elapsed_s", errors="ignore") for table in tables)
+        pd.testing.assert_frame_equal(one, other, check_like=True, check_exact=True)
+    with pytest.raises(ju.InputError, match="its order of cities is"):
+        run_study("weight_study", folders[::-1], weight_study.folder)
+
+
 def test_maps_in_memory_and_a_table_of_queries_give_the_same_rows(alpha, weight_study, tmp_path):
     of_alpha = weight_study.instances[weight_study.instances.city == "alpha"]
     asked = of_alpha[of_alpha.instance == weight_study.instances.instance[0]]

@@ -312,7 +312,7 @@ def _refitted(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return ``[B, K]`` weights of bootstrap fits and ``[2, K]`` their interval."""
     rng, num = np.random.default_rng([IN_BOOTSTRAP, 0, fit.seed]), len(fit.unit)
-    cities = np.unique([id(each.query.cost_map.maps) for each in demonstrations], return_inverse=True)[1]
+    cities, _ = pd.factorize(np.array([id(each.query.cost_map.maps) for each in demonstrations]))
     task = fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng)
     log_draws = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng))
     draws = np.array([_scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, num)

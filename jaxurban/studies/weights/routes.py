@@ -6,7 +6,6 @@ are known.
 
 import math
 import time
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -30,6 +29,7 @@ from jaxurban.studies.weights.breakpoints import nearest_breakpoints
 from jaxurban.studies.weights.sobol import check_sampling, check_vary, sobol_of_weights
 
 ROUTE_KEY = ("city", *KEY)
+CITY_NUMBER = "city_number"  # column of instances: the place of a route's city among those of the study, from 0
 REMADE_KEY = ("draw", *ROUTE_KEY)
 SAME_SUMS = 1e-9  # relative: routes whose sums differ by less are one route
 OF_WEIGHT = ("elasticity", "below", "above", "regret_low", "regret_high")  # columns of each weight, as "below:gps"
@@ -50,7 +50,8 @@ class SensitivityStudySettings(RouteJob):
       wrong: a wrong weight is so many times too large or too small.
       num_samples: N of each route's Sobol indices, a power of two, N x (2 + weights that vary) searches; 0: none.
       num_heights: also plan on maps of so many draws of all heights.
-      seed: of the sampling of routes and weights, mixed with the city's name and the route's number.
+      seed: of the sampling of routes and weights, with the place of the city among those of the study and the route's
+        number.
       num_threads: of the searches of a route; left out, one a core, and one where several processes work.
       cost_model, constraints, preset: of all routes, as in `jaxurban.plan`.
 
@@ -176,13 +177,17 @@ def route_facts(on: CostMap, instance: Row, settings: SensitivityStudySettings) 
         facts |= {f"below:{name}": float(ends[0]), f"above:{name}": float(ends[1])}
         facts |= {f"regret_low:{name}": float(lost[0]), f"regret_high:{name}": float(lost[1])}
     if settings.num_samples:
-        of_route = [settings.seed, zlib.crc32(instance["city"].encode()), int(instance["instance"])]
-        seed = int(np.random.SeedSequence(of_route).generate_state(1)[0])
+        seed = seed_at(settings.seed, int(instance.get(CITY_NUMBER, 0)), int(instance["instance"]))
         shares = sobol_of_weights(pool, weights, columns, settings.factors, settings.num_samples, seed % 2**31)
         for share in shares.reset_index().to_dict("records"):
             where = f"{share['factor']}:{share['outcome']}"
             facts |= {f"{kind}:{where}": float(share[kind]) for kind in OF_SHARE}
     return facts | {"num_plans": pool.num_plans + 1, "elapsed_s": time.perf_counter() - begin_s}
+
+
+def seed_at(seed: int, *place: int) -> int:
+    """Return the seed of draws at a place of a study: the number of a city, or of a city and a route."""
+    return int(np.random.SeedSequence(seed, spawn_key=place).generate_state(1)[0])
 
 
 def perturbed_tasks(task: MapTask, settings: SensitivityStudySettings) -> Iterator[MapTask]:
