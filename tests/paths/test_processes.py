@@ -19,7 +19,7 @@ from tests.paths.volumes import ends_at, options_of
 
 CACHES = ("NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
 BUDGET_S = 1.0
-COMPILING = "jaxurban compiles its kernels, which takes some 30 s, once a machine"
+COMPILING = "jaxurban compiles what is used for the first time on this machine: seconds to half a minute"
 NEW = "from tests.paths.test_processes import JOBS; import sys; JOBS[sys.argv[1]](*sys.argv[2:])"
 FORKED = """
 import os, signal, warnings
