@@ -84,7 +84,9 @@ class _Say(event.Listener if event else object):  # type: ignore[misc]
         module = event.data["dispatcher"].py_func.__module__
         if not _Say.has_said and module.startswith("jaxurban."):
             _Say.has_said = True
-            COMPILING.warning("jaxurban compiles what is used for the first time on this machine: seconds to half a minute")
+            COMPILING.warning(
+                "jaxurban compiles what is used for the first time on this machine: seconds to half a minute"
+            )
 
     def on_end(self, event: Any) -> None: ...
 
