@@ -20,7 +20,7 @@ T = TypeVar("T")
 EVERY_PATH = "paths at any angle"  # of `Path.graph`
 NO_COST = "The path costs nothing under these weights, so its shape means nothing: weigh the distance too."
 ROUNDING = 1 + 1e-12  # a path that much above the lower bound is the best one
-EXIT_PATH, EXIT_NO_PATH, EXIT_BUDGET = 0, 3, 4
+EXIT_PATH, EXIT_NO_PATH, EXIT_UNKNOWN = 0, 3, 4
 
 
 class Status(Enum):
@@ -33,6 +33,7 @@ class Status(Enum):
     OVER_EXPOSURE = "over-exposure"  # proven: every path exceeds a budget of exposure
     BLOCKED = "blocked"  # the straight line crosses an obstacle
     BUDGET_EMPTY = "budget-empty"  # the budget ended with no path
+    UNDECIDED = "undecided"  # the method ended with no path, and no proof that there is none
 
     @property
     def has_path(self) -> bool:
@@ -44,7 +45,7 @@ class Status(Enum):
         """The command line's exit code for this status."""
         if self.has_path:
             return EXIT_PATH
-        return EXIT_BUDGET if self is Status.BUDGET_EMPTY else EXIT_NO_PATH
+        return EXIT_UNKNOWN if self in (Status.BUDGET_EMPTY, Status.UNDECIDED) else EXIT_NO_PATH
 
     @property
     def sentence(self) -> str:
@@ -57,6 +58,7 @@ class Status(Enum):
             Status.OVER_EXPOSURE: "Every path exceeds a budget of exposure: raise it, fly higher, or move an end.",
             Status.BLOCKED: "The straight line crosses an obstacle: fly higher, or use a search such as astar-dist.",
             Status.BUDGET_EMPTY: "The search ended before a path was found: raise its budget.",
+            Status.UNDECIDED: "Neither a path nor a proof that there is none was found: more time changes nothing.",
         }[self]
 
 

@@ -59,6 +59,7 @@ class _Search:
         self.known: list[_Known] = []
         self.paths: list[Path] = []
         self.bound = -np.inf
+        self.has_cut_labels = False  # for want of time
 
     def run(self, prices: np.ndarray, *, is_of_cost: bool = True) -> float:
         """Search for the least cost (unless it is left out) + prices . excess, and return a lower bound on it."""
@@ -97,7 +98,12 @@ class _Search:
     @property
     def is_late(self) -> bool:
         """Whether no further search may begin."""
-        return time.perf_counter() >= self.end_s or len(self.paths) >= MOST_SEARCHES
+        return self.is_out_of_time or len(self.paths) >= MOST_SEARCHES
+
+    @property
+    def is_out_of_time(self) -> bool:
+        """Whether more seconds would have let the search go further."""
+        return self.has_cut_labels or time.perf_counter() >= self.end_s
 
     def close(self, prices: np.ndarray) -> tuple[int, bool]:
         """Close the gap by labels, as far as they go; return how many, and whether they prove that none is within."""
@@ -109,6 +115,7 @@ class _Search:
         except TimeoutError:
             return 0, False
         most = 1 + int(min(MOST_LABELS, LABELS_PER_S * max(self.end_s - time.perf_counter(), 0.0)))
+        self.has_cut_labels = most <= MOST_LABELS  # all of fewer decide
         start, goal = (int(np.ravel_multi_index(cell, problem.is_free.shape)) for cell in (problem.start, problem.goal))
         layers = problem.costs[self.columns - 1].reshape(len(limits), -1).astype(np.float64)
         best = self.best()
@@ -122,8 +129,11 @@ class _Search:
             self.add((np.column_stack([cols, rows]) + 0.5) * problem.resolution_m)
         return num_labels, least == np.inf
 
-    def prices(self) -> tuple[np.ndarray, float]:
-        """Return the prices ``[K]`` that raise the bound most by all known paths, and the bound that they allow."""
+    def prices(self) -> tuple[np.ndarray, float] | None:
+        """Return the prices ``[K]`` that raise the bound most by all known paths, and the bound that they allow.
+
+        None where the solver fails, as where exposures differ by more than 20 powers of ten.
+        """
         from scipy.optimize import linprog
 
         excess = np.array([known.excess for known in self.known])
@@ -135,13 +145,18 @@ class _Search:
             b_ub=costs / unit,
             bounds=[(0, STEEPEST)] * num + [(None, None)],
         )
+        if found.x is None:
+            return None
         return np.maximum(found.x[:-1], 0.0) * unit, float(found.x[-1]) * unit
 
     def raise_bound(self) -> np.ndarray:
         """Search under the prices ``[K]`` that raise the bound most until none raise it, and return them."""
         prices = np.zeros(len(self.budgets))
         while not self.is_late:
-            prices, most = self.prices()
+            found = self.prices()
+            if found is None:
+                break
+            prices, most = found
             enough = most - ENOUGH * abs(most)
             if self.bound >= enough or self.run(prices) >= enough:
                 break
@@ -167,7 +182,8 @@ def within_budgets(
 ) -> Path:
     """Return the cheapest path of a grid planner whose exposures keep their budgets, with a lower bound for all.
 
-    The status is OPTIMAL where prices or labels close the gap, OVER_EXPOSURE where every path exceeds a budget.
+    The status is OPTIMAL where prices or labels close the gap, OVER_EXPOSURE where every path exceeds a budget, and
+    UNDECIDED where neither a path nor that was found and more seconds change nothing.
 
     Args:
       problem: the query, under the ``line`` model.
@@ -192,18 +208,21 @@ def within_budgets(
     if not is_over and problem.levels_m is None and (best is None or best.cost > search.bound * (1 + SAME)):
         num_labels, is_over = search.close(prices)
         best = search.best()
-    status, bound = (Status.OVER_EXPOSURE, np.inf) if is_over else (Status.BUDGET_EMPTY, search.bound)
+    is_spent = search.is_out_of_time
+    status, bound = Status.BUDGET_EMPTY if is_spent else Status.UNDECIDED, search.bound
     kept = " and ".join(f"{name} <= {most:g}" for name, most in budgets.items())
     note = f"That is of the paths that keep {kept} (searches: {len(search.paths)}, labels: {num_labels:,})."
     if best is not None:
         is_best = best.cost * (1 - 2 * SAME) <= bound
-        status = Status.OPTIMAL if is_best else Status.BUDGET_FEASIBLE if search.is_late else Status.FEASIBLE
+        status = Status.OPTIMAL if is_best else Status.BUDGET_FEASIBLE if is_spent else Status.FEASIBLE
     elif is_over:
+        status, bound = Status.OVER_EXPOSURE, np.inf
         least = zip(budgets, search.least_exposures(), strict=True)
         said = ", ".join(f"{value:.10g} to {name}" for name, value in least)
         note = f"The least exposure that any path has{' to each alone' * (len(budgets) > 1)} is {said}."
     else:
-        note = f"Whether any path keeps {kept} is not known: raise budget_s, or a budget of exposure."
+        remedy = "raise budget_s, or a budget of exposure" if is_spent else "raise a budget of exposure"
+        note = f"Whether any path keeps {kept} is not known: {remedy}."
     done = {"num_expanded": sum(path.num_expanded for path in search.paths) + num_labels, "note": note}
     points_m = np.empty(0) if best is None else best.points_m
     return Path.of(problem, points_m, status, bound, begin_s + first.setup_s, **first.ran | done)

@@ -1,7 +1,7 @@
 """The command line: the group of commands, signals and exit codes.
 
-Exit codes: 0 a path or a finished job; 2 bad input or usage; 3 no path; 4 budget spent with no path;
-130 interrupted.
+Exit codes: 0 a path or a finished job; 2 bad input or usage; 3 no path; 4 budget spent, or method ended, with
+no path and no proof that there is none; 130 interrupted.
 """
 
 import atexit

@@ -69,6 +69,19 @@ def test_a_volume_keeps_budgets_too(maps, ends):
     assert path.search.lower_bound <= path.cost
 
 
+def test_a_volume_says_that_it_ended_where_budgets_keep_each_alone_but_not_together(maps, ends):
+    volume = ju.cost_map(maps, ju.Levels(), weights=DISTANCE)
+    least = {
+        name: volume.with_weights({**DISTANCE, "distance": 1e-6, name: 1.0}).plan(**ends).exposure_by_layer[name] * 1.01
+        for name in volume.names
+    }
+    path = volume.plan(**ends, exposure=least, budget_s=60.0)
+    assert (path.status, path.status.exit_code) == (Status.UNDECIDED, 4)
+    assert "more time changes nothing" in path.message
+    assert "budget_s" not in path.message
+    assert path.search.elapsed_s < 60.0
+
+
 def test_the_command_prints_the_exposure_and_ends_with_3_where_no_path_keeps_the_budget(maps, folder, ends, capsys):
     given = ("plan", folder, *options_of(maps, **ends))
     code, out, _ = run(capsys, *given, "--exposure", "gps<=1000", "--exposure", "risk <= 1000")

@@ -42,7 +42,8 @@ def test_planners_by_name_run_with_their_own_heuristic():
 
 
 def test_every_status_has_a_sentence_and_an_exit_code():
-    without_path = {Status.NO_PATH: 3, Status.OVER_EXPOSURE: 3, Status.BLOCKED: 3, Status.BUDGET_EMPTY: 4}
+    without_path = {Status.NO_PATH: 3, Status.OVER_EXPOSURE: 3, Status.BLOCKED: 3}
+    without_path |= {Status.BUDGET_EMPTY: 4, Status.UNDECIDED: 4}
     for status in Status:
         assert (status.exit_code, status.has_path) == (without_path.get(status, 0), status not in without_path)
     assert all(status.sentence.endswith(".") for status in Status)

@@ -139,6 +139,36 @@ def test_a_gap_that_labels_may_not_close_is_said(monkeypatch, most):
     assert max(gaps) > 1e-3 or most == 300
 
 
+def test_exposures_too_small_for_the_solver_of_prices_are_kept_too():
+    """Cells of 1e-44 and of 1: only the first can keep a budget of 1e-43, as if the others were closed."""
+    problem, rng = made(7, (8, 9), 4), np.random.default_rng(7)
+    is_tiny, costs = rng.random((8, 9)) < 0.8, problem.costs.copy()
+    costs[1] = np.where(is_tiny, 0.01 * costs[1], costs[1] + 4)
+    ulps = np.float32(1e-44).astype(np.float64)
+    tiny = costs.copy()
+    tiny[0] = np.where(is_tiny, 1e-44 * costs[0], 1 + costs[0])
+    tiny, weights = problem.with_costs(tiny.astype(np.float32)), np.array([0.3, 0.0, 0.2, 0.0])
+    front = labels(replace(problem.with_costs(costs, weights), is_free=problem.is_free & is_tiny), (0, 2))
+    _, people, _, noise = tiny.features(astar_plus(tiny).points_m).phi
+    for share in (0.6, 0.9):
+        path = find(tiny, people=share * people, noise=0.9 * noise)
+        is_within = (front[:, 1] <= share * people / ulps) & (front[:, 2] <= 0.9 * noise)
+        assert (path.status, path.cost) == (Status.OPTIMAL, pytest.approx(front[is_within, 0].min(), rel=1e-6))
+
+
+@pytest.mark.parametrize(("most", "a_second", "status"), [(0, 1e6, "undecided"), (9, 0, "budget-empty")])
+def test_a_method_that_ends_without_a_verdict_asks_for_no_more_seconds(monkeypatch, most, a_second, status):
+    monkeypatch.setattr(exposure, "MOST_LABELS", most)
+    monkeypatch.setattr(exposure, "LABELS_PER_S", a_second)
+    problem = made(1, (6, 7), 8)
+    front = labels(problem, (0, 2))
+    people, noise = (front[:, 1:].min(axis=0) * (1 + 1e-9)).tolist()
+    path = exposure.within_budgets(problem, astar_plus, {"people": people, "noise": noise}, NAMES, budget_s=60, seed=0)
+    assert (path.status.value, path.status.exit_code) == (status, 4)
+    assert ("budget_s" in path.note, "more time changes nothing" in path.sentence) == (a_second == 0, a_second > 0)
+    assert path.lower_bound <= path.cost == np.inf
+
+
 def test_a_budget_of_seconds_ends_the_search_with_what_is_known():
     problem, late = made(0, (40, 40), 4), []
 
