@@ -13,11 +13,11 @@
 #
 # **How small must a cell be before a route over the maps stays the same?**
 #
-# Cells of half the side are four times as many, and every map takes about four times as long. Too large ones close
-# streets that are open, and blur what GPS and lidar see between two walls. So make the maps of a part of your city at
-# several resolutions, and look at what you will use: the share of free cells, the means over the streets, and the
-# routes. Here the city is Shinjuku in Tokyo, with the roofs of Project PLATEAU. The first call on a machine compiles
-# for about half a minute.
+# Cells of half the side are four times as many, and so are the bytes of every map. Too large ones close streets that
+# are open, and blur what GPS and lidar see between two walls. So make the maps of a part of your city at several
+# resolutions, and look at what you will use: the share of free cells, the means over the streets, and the routes. Here
+# the city is Shinjuku in Tokyo, with the roofs of Project PLATEAU. The first call on a machine compiles for about half
+# a minute.
 
 # %%
 # %matplotlib inline
@@ -43,7 +43,7 @@ for side_m in SIDES_M:
 #
 # `free` is the share of the region where a planner may fly at 30 m. The means are over the cells that are free and
 # nearer than 50 m to an obstacle: the streets. `CPU (s)` is what the maps took; the first row holds what had to be
-# loaded or compiled.
+# loaded or compiled. On a region as small as this one the number of cells hardly shows in it.
 
 # %%
 rows = {}

@@ -49,7 +49,7 @@ print(f"{len(shown)} routes of {min(p.length_m for p in shown):,.0f} to {max(p.l
 # ## The fit
 #
 # Only ratios of weights can be found: twice all weights choose the same routes. So they are scaled to sum to 1, the
-# pilot's own too. The weight of `distance` counts per metre, the others per cell that the route enters.
+# pilot's own too. The weight of `distance` counts per metre, the others per 5 m of the route.
 
 # %%
 fit = ju.fit.fit_weights(demonstrations, bootstrap=50)

@@ -6,6 +6,7 @@ import pandas as pd
 from figures.paper.common import ALTITUDES_M, MAP_M, TOWNS, Caption, Town, by_altitude, save_table
 from jaxurban.metrics.gps import RATING_UPPER_GDOP, Rating, rating
 
+NAMES = {"gps": "GPS", "galileo": "Galileo"}
 PAPER = (
     "Six ratings of the dilution of precision (DOP), from 1, ideal, to above 20, poor. No share of the city is given."
 )
@@ -44,16 +45,17 @@ def main() -> None:
         parts.append(f"{town.title} {by_altitude(good, '.1f')}")
         maps = town.maps(MAP_M)
         best = float(np.nanmin(maps.m("gdop", ALTITUDES_M[-1])))
-        (num,) = town.run().record["satellites_above_mask"]["gps"]
-        skies.append(f"{town.title} {num} satellites and a GDOP of {best:.2f} at best")
+        counts = town.run().record["satellites_above_mask"]
+        systems = " and ".join(f"{num} of {NAMES[system]}" for system, (num,) in counts.items())
+        skies.append(f"{town.title} {systems} and a GDOP of {best:.2f} at best")
     here = (
         f"Good or better, percent of the free cells, {MAP_M:g} m a cell: {'; '.join(parts)}. A GDOP of 1 or less "
-        "needs many more satellites than were up. A cell without a fix sees fewer than four, or four that leave the "
-        "position undetermined; it counts as poor."
+        "needs many more satellites than were up. A cell without a fix sees fewer satellites than three and one for "
+        "the clock of each system seen, or satellites that leave the position undetermined; it counts as poor."
     )
     why = (
-        f"The paper rates but does not count. The shares hold for one moment ({TOWNS[0].maps(MAP_M).times[0]}) and "
-        f"satellites above 5 degrees; an open sky gives {', '.join(skies)}. The paper's mask is the horizon and its "
-        "moment unknown."
+        "The paper rates but does not count. The shares hold for one moment each "
+        f"({', '.join(town.maps(MAP_M).times[0] for town in TOWNS)}) and satellites above 5 degrees. Under an open sky "
+        f"there are in {'; in '.join(skies)}. The paper's mask is the horizon and its moment unknown."
     )
     save_table(table, "table_4_dop_rating", "Table 4. Rating of the dilution of precision", Caption(PAPER, here, why))
