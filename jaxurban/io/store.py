@@ -1,9 +1,10 @@
 """Metric maps on disk as Zarr: each file whole or not there at all, and all of them as they were written.
 
-A group of Zarr v2 for each resolution, which GDAL and xarray read by their ordinary ways: rows from north to south, and
-from south to north in what is opened here. The record of the folder (`jaxurban.io.workspace`) has the checksum of every
-file, and chunks carry that of Zstandard too. Every chunk is written, so that a missing one is damage; were it read all
-the same, it would be blocked cells, NaN or no satellite, not free air.
+A group of Zarr v2 for each resolution, which GDAL and xarray read by their ordinary ways, alone or by the group above
+them: rows from north to south, and from south to north in what is opened here. The record of the folder
+(`jaxurban.io.workspace`) has the checksum of every file, and chunks carry that of Zstandard too. Every chunk is
+written, so that a missing one is damage; were it read all the same, it would be blocked cells, NaN or no satellite, not
+free air.
 """
 
 import json
@@ -15,7 +16,6 @@ from typing import Any, Literal, NamedTuple
 
 import dask.array
 import numpy as np
-import pyproj
 import xarray as xr
 from numcodecs import Zstd
 from xarray.backends import BackendArray, BackendEntrypoint
@@ -39,7 +39,8 @@ RUN_FILE = "run.json"
 ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
 COMPRESSOR = Zstd(level=1, checksum=True)
-GDAL_CRS = "_CRS"  # attribute: the CRS as GDAL's Zarr driver reads it
+FOREIGN = ("_CRS", "_FillValue")  # attributes that are no map's: the CRS for GDAL, as 1.0.0 wrote it, and no value
+NO_BYTE = np.iinfo(np.int8).max  # what stands for no value in bytes: NetCDF 3 has signed ones only
 OPENED = "opened"  # encoding of a dataset that was opened: what checks that its files are still those
 METADATA = ".zmetadata"  # of a Zarr: its metadata and those of its arrays once more
 LAYOUT_KEY, LAYOUT = "jaxurban_layout", 1  # of maps in a folder; those without the entry have the first
@@ -130,7 +131,8 @@ def _is_map(array: xr.Variable) -> bool:
 
 def _encoding(array: xr.Variable, tile: tuple[int, int]) -> dict[str, Any]:
     """Return how a variable is written: a map in tiles, one layer a chunk."""
-    encoding: dict[str, Any] = {"compressors": (COMPRESSOR,), "_FillValue": no_value(array.dtype)}
+    missing = NO_BYTE if array.dtype == np.uint8 else no_value(array.dtype)
+    encoding: dict[str, Any] = {"compressors": (COMPRESSOR,), "_FillValue": missing}
     if _is_map(array):
         encoding["chunks"] = (*(1 for _ in array.dims[:-2]), *tile)
     return encoding | (TIMES if array.dtype.kind == "M" else {})
@@ -141,23 +143,20 @@ def _to_zarr(ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[in
     ds = ds.drop_encoding().assign_attrs({LAYOUT_KEY: LAYOUT})  # without the encoding of files opened before
     for name in [name for name, coord in ds.coords.items() if coord.dtype.kind == "T"]:
         ds = ds.assign_coords({name: (ds[name].dims, np.array(ds[name].values.tolist(), str), ds[name].attrs)})
-    crs = {} if "crs" not in ds.attrs else {GDAL_CRS: _gdal_crs(ds.attrs["crs"])}
     for name in [name for name, array in ds.variables.items() if _is_map(array)]:
         array = ds[name]
-        ds[name] = (array.dims, dask.array.zeros(array.shape, dtype=array.dtype, chunks=-1), array.attrs | crs)
+        ds[name] = (array.dims, dask.array.zeros(array.shape, dtype=array.dtype, chunks=-1), array.attrs)
     ds = ds.assign_coords(y=ds["y"][::-1]) if "y" in ds.coords else ds
     encoding = {str(name): _encoding(array, tile) for name, array in ds.variables.items()}
     how: dict[str, Any] = {"zarr_format": 2, "consolidated": False, "write_empty_chunks": True, "compute": False}
     ds.to_zarr(path, mode=mode, encoding=encoding, **how)
     files = [path / ".zattrs", path / ".zgroup", *sorted((*path.glob("*/.zarray"), *path.glob("*/.zattrs")))]
     parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in files}
-    (path / METADATA).write_text(json.dumps({"metadata": parts, "zarr_consolidated_format": 1}))
+    (path / METADATA).write_bytes(_consolidated(parts))
 
 
-def _gdal_crs(crs: str) -> dict[str, str]:
-    authority = pyproj.CRS(crs).to_authority(min_confidence=100)
-    url = "http://www.opengis.net/def/crs/{}/0/{}"
-    return {"wkt": pyproj.CRS(crs).to_wkt()} if authority is None else {"url": url.format(*authority)}
+def _consolidated(parts: Mapping[str, Any]) -> bytes:
+    return json.dumps({"metadata": parts, "zarr_consolidated_format": 1}).encode()
 
 
 def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
@@ -219,7 +218,7 @@ def write_layer(
     north, (num_rows, num_cols), dtype = array["shape"][-2] - rows.stop, array["chunks"][-2:], np.dtype(array["dtype"])
     window = slice(len(values) - rows.stop + rows.start, None), slice(cols.stop - cols.start)
     values = values[window][::-1]
-    chunk = np.full((num_rows, num_cols), no_value(dtype) or 0, dtype)
+    chunk = np.full((num_rows, num_cols), array["fill_value"] or 0, dtype)
     chunk[: len(values), : values.shape[1]] = values
     key = ".".join(map(str, (*index, north // num_rows, cols.start // num_cols)))
     data = bytes(COMPRESSOR.encode(chunk))
@@ -241,7 +240,32 @@ def put_zarr(made: Path, path: Path, checksums: Mapping[str, str]) -> None:
     files = {file.relative_to(made).as_posix(): file for file in made.rglob("*") if file.is_file()}
     made_of = {name: checksums.get(name) or checksum_of(file) for name, file in files.items()}
     with Workspace.shared(path.parents[1], "maps") as workspace:
+        workspace.remove([f"{ZARR_FOLDER}/{METADATA}"])  # of the older one too: it comes again, last
         workspace.put_folder(made, path, made_of, METADATA)
+        put_root(workspace.folder)
+
+
+def root_files(folder: Path) -> list[Path]:
+    """Return the files of the group above the resolutions, by which xarray and GDAL open all of them."""
+    return [folder / ZARR_FOLDER / name for name in (".zgroup", METADATA)]
+
+
+def put_root(folder: Path) -> None:
+    """Write the group above the resolutions, with the metadata of all that are as they were written, if it is not so.
+
+    Raises:
+      InputError: a file of others is in the way.
+    """
+    written, group = recorded(folder), {"zarr_format": 2}
+    parts: dict[str, Any] = {".zgroup": group}
+    for path in stored_resolutions(folder).values():
+        file = path / METADATA
+        if is_as_written(file, written[file.relative_to(folder).as_posix()]):
+            of_group = json.loads(file.read_bytes())["metadata"]
+            parts |= {f"{path.name}/{name}": part for name, part in of_group.items()}
+    for file, content in zip(root_files(folder), (json.dumps(group).encode(), _consolidated(parts)), strict=True):
+        if not is_as_written(file, [checksum_of(content)]):
+            write_whole(file, content)
 
 
 def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
@@ -303,10 +327,11 @@ class _Map(BackendArray):
       array: the map as it is, rows south to north.
       opened: the Zarr when it was opened.
       name: of the map.
+      missing: what a chunk that is not there is read as; None of maps whose dtype has no such value.
     """
 
-    def __init__(self, array: xr.Variable, opened: "_Opened", name: str) -> None:
-        self.array, self.opened, self.name = array, opened, name
+    def __init__(self, array: xr.Variable, opened: "_Opened", name: str, missing: Any) -> None:
+        self.array, self.opened, self.name, self.missing = array, opened, name, missing
         self.shape, self.dtype = array.shape, array.dtype
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
@@ -316,7 +341,7 @@ class _Map(BackendArray):
         try:
             values = np.asarray(self.array[key].values, order="C")
             if values.dtype.kind == "u":  # of a chunk that went after opening
-                values[values == no_value(values.dtype)] = self.name == "obstacle"
+                values[values == self.missing] = self.name == "obstacle"
         except Exception as error:
             self.opened.check()
             raise _damage_in(self.opened.path, self.name) or error from error
@@ -331,12 +356,13 @@ class _Maps(BackendEntrypoint):
         how: dict[str, Any] = {"consolidated": True, "mask_and_scale": False}  # of these maps, no array of others
         opened = _Opened.at(Path(filename_or_obj))
         ds = xr.open_dataset(filename_or_obj, engine="zarr", chunks=None, cache=False, **how)
+        missing = {name: array.attrs.get("_FillValue") for name, array in ds.data_vars.items()}
         for array in ds.variables.values():
-            array.attrs = {key: value for key, value in array.attrs.items() if key not in (GDAL_CRS, "_FillValue")}
+            array.attrs = {key: value for key, value in array.attrs.items() if key not in FOREIGN}
         ds = ds.isel({"y": slice(None, None, -1)}, missing_dims="ignore")
         maps = {}
         for name, held in ds.data_vars.items():
-            lazy = indexing.LazilyIndexedArray(_Map(held.variable, opened, str(name)))
+            lazy = indexing.LazilyIndexedArray(_Map(held.variable, opened, str(name), missing[name]))
             maps[name] = xr.Variable(held.dims, lazy, held.attrs, held.encoding)
         coords = ds.coords.to_dataset().load()  # small, and damage shows at once
         opened.check()

@@ -464,7 +464,15 @@ class MetricMaps(Shown):
         from jaxurban.io.files import sweep_scraps
         from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
         from jaxurban.io.read.base_map import save_base_map
-        from jaxurban.io.store import GEOTIFF_FOLDER, OPENED, RUN_FILE, are_of_a_run, open_zarr, write_zarr
+        from jaxurban.io.store import (
+            GEOTIFF_FOLDER,
+            OPENED,
+            RUN_FILE,
+            are_of_a_run,
+            open_zarr,
+            root_files,
+            write_zarr,
+        )
         from jaxurban.io.workspace import Workspace
         from jaxurban.metrics.variables import NEEDED
 
@@ -476,7 +484,8 @@ class MetricMaps(Shown):
         geotiffs = geotiff_paths(self.ds, folder, layers)  # refuses what is not there
         with Workspace.open(folder, "maps", is_shared=True, is_mended=True) as workspace:
             workspace.check_way(geotiffs)
-            workspace.check_way([folder / BASE_MAP_FILE] if self.base_map is not None else [], is_mended=True)
+            base_files = [folder / BASE_MAP_FILE] if self.base_map is not None else []
+            workspace.check_way([*base_files, *root_files(folder)], is_mended=True)
             ds = self.ds.copy()
             key, of_folder = ds.attrs.get(RUN_KEY), workspace.settings.get(RUN_KEY)
             is_of_run = key is not None and key == of_folder and (folder / RUN_FILE).is_file()

@@ -146,7 +146,11 @@ def run_scenario(
             )
         tasks = tasks_of(scenario, watch.stage)
         base = base_map_source(tasks[0].city.sources.get("buildings"))
-        planned = [folder / store.RUN_FILE, *([] if base is None else [folder / BASE_MAP_FILE])]
+        planned = [
+            folder / store.RUN_FILE,
+            *store.root_files(folder),
+            *([] if base is None else [folder / BASE_MAP_FILE]),
+        ]
         for task in tasks:
             planned += geotiff_paths(empty_dataset(task, _no_values), folder, layers)  # refuses what is not there
             planned += [store.zarr_path(folder, task.region.resolution_m) / name for name in store.OF_ZARR]
@@ -168,6 +172,7 @@ def run_scenario(
             tasks = [replace(task, guesses=guesses) for task in tasks]
             makers = [Maker(task, folder, key, num_threads, client, tuple(layers)) for task in tasks]
             made = [_maps_of(maker, workspace, watch, report) for maker in makers]
+            store.put_root(folder)  # of maps that are kept; 1.0.0 wrote none
             is_kept = not any(is_new for _, is_new in made)
             file = folder / BASE_MAP_FILE
             with watch.stage("base map"):

@@ -16,6 +16,7 @@ from rasterio.shutil import copy
 
 import jaxurban as ju
 from jaxurban.io.geotiff import BLOCK, profile_of, ramp_of, write_cog, write_geotiffs
+from jaxurban.io.store import write_zarr
 from jaxurban.maps.build import compute_maps
 from jaxurban.metrics.custom import Layer, check_layers, held_variables
 from jaxurban.report.figures import metrics as figures
@@ -104,6 +105,39 @@ def test_xarray_opens_the_group(maps, folder, opened):
         np.testing.assert_array_equal(opened[name].values.astype(np.float64), expected(maps, str(name)), str(name))
 
 
+def two_resolutions(maps: ju.MetricMaps, folder: Path) -> Path:
+    """Save maps and, as of another resolution, those of half of their region, and return where all of them lie."""
+    maps.save(folder)
+    part = maps.ds.isel(y=slice(0, 19), x=slice(3, 30)).assign_attrs(resolution_m=10.0)
+    write_zarr(part.drop_vars(["y", "x"]), folder)
+    return folder / "maps.zarr"
+
+
+def test_xarray_opens_a_group_of_the_whole_and_all_of_them(maps, opened, tmp_path):
+    whole = two_resolutions(maps, tmp_path)
+    xr.testing.assert_identical(xr.open_zarr(whole, group="20m").load(), opened.load())
+    tree = xr.open_datatree(whole, engine="zarr")
+    assert sorted(tree.children) == ["10m", "20m"]
+    xr.testing.assert_identical(tree["20m"].to_dataset().load(), opened)
+    assert tree["10m"].sizes["y"] == 19
+
+
+def test_what_xarray_opens_is_written_as_netcdf(opened, tmp_path):
+    """By SciPy, which the package brings: NetCDF 3, without unsigned numbers."""
+    opened.to_netcdf(tmp_path / "maps.nc", engine="scipy")
+    with xr.open_dataset(tmp_path / "maps.nc", engine="scipy") as found:
+        xr.testing.assert_equal(found.load(), opened.load())
+
+
+def test_all_resolutions_are_written_as_one_netcdf(maps, opened, tmp_path):
+    pytest.importorskip("h5netcdf", reason="needs the dev extra")
+    whole = xr.open_datatree(two_resolutions(maps, tmp_path), engine="zarr")
+    whole.to_netcdf(tmp_path / "maps.nc", engine="h5netcdf")
+    with xr.open_datatree(tmp_path / "maps.nc", engine="h5netcdf") as found:
+        xr.testing.assert_equal(found["20m"].to_dataset().load(), opened.load())
+        assert sorted(found.children) == ["10m", "20m"]
+
+
 def test_what_xarray_opens_says_what_it_is(opened):
     assert opened.attrs["Conventions"].startswith("CF-")
     height = {"standard_name": "height", "long_name": "above ground", "axis": "Z", "units": "m", "positive": "up"}
@@ -129,12 +163,13 @@ def test_gdal_opens_every_map_of_the_zarr(maps, folder):
     for name, array in maps.ds.data_vars.items():
         for index in np.ndindex(array.shape[:-2]):
             place = "".join(f":{part}" for part in index)
-            with rasterio.open(f'ZARR:"{folder / "maps.zarr/20m"}":/{name}{place}') as file:
-                assert file.bounds == maps.grid.bounds_m
-                assert file.crs == rasterio.crs.CRS.from_user_input(maps.grid.crs)
-                found = file.read(1, masked=True).astype(np.float64).filled(np.nan)
             at = dict(zip(array.dims, index, strict=False))
-            np.testing.assert_array_equal(found, expected(maps, str(name), **at), str(name))
+            for whole, group in ((folder / "maps.zarr/20m", ""), (folder / "maps.zarr", "/20m")):
+                with rasterio.open(f'ZARR:"{whole}":{group}/{name}{place}') as file:
+                    assert file.bounds == maps.grid.bounds_m
+                    assert file.crs == rasterio.crs.CRS.from_user_input(maps.grid.crs)
+                    found = file.read(1, masked=True).astype(np.float64).filled(np.nan)
+                np.testing.assert_array_equal(found, expected(maps, str(name), **at), str(name))
 
 
 def test_every_map_is_a_valid_cog_that_says_what_it_is(maps, folder):

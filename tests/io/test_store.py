@@ -161,6 +161,47 @@ def test_opening_says_what_there_is(ds, tmp_path):
         store.open_zarr(tmp_path, 3.0)
 
 
+def test_the_group_above_holds_what_is_whole_and_comes_again(ds, tmp_path):
+    whole = tmp_path / "maps.zarr"
+
+    def found() -> list[str]:
+        return sorted(xr.open_datatree(whole, engine="zarr").children)
+
+    store.write_zarr(ds, tmp_path)
+    store.write_zarr(ds.assign_attrs(resolution_m=5.0), tmp_path)
+    kept = {file.name: file.read_bytes() for file in store.root_files(tmp_path)}
+    assert found() == ["2.5m", "5m"]
+    for file in store.root_files(tmp_path):  # as 1.0.0 left them
+        file.unlink()
+    assert store.open_zarr(tmp_path, 5.0).sizes == ds.sizes
+    store.put_root(tmp_path)
+    assert {file.name: file.read_bytes() for file in store.root_files(tmp_path)} == kept
+    (whole / "2.5m" / ".zmetadata").write_text("{junk")
+    store.write_zarr(ds.assign_attrs(resolution_m=5.0), tmp_path)
+    assert found() == ["5m"]
+
+
+def test_no_metadata_of_older_maps_stand_above_newer_ones(ds, tmp_path, monkeypatch):
+    """A run that is killed between the two leaves a group without consolidated metadata, which xarray then reads."""
+    store.write_zarr(ds, tmp_path)
+    monkeypatch.setattr(store, "put_root", lambda folder: None)
+    store.write_zarr(ds.isel(y=slice(0, 10)), tmp_path)
+    assert [file.name for file in store.root_files(tmp_path) if file.exists()] == [".zgroup"]
+    with pytest.warns(RuntimeWarning, match="consolidated"):
+        assert xr.open_zarr(tmp_path / "maps.zarr", group="2.5m").sizes["y"] == 10
+
+
+def test_a_file_in_the_place_of_the_group_above_is_the_users(ds, tmp_path):
+    store.write_zarr(ds, tmp_path)
+    group, _ = store.root_files(tmp_path)
+    with Workspace.open(tmp_path, "maps", is_shared=True) as workspace:
+        workspace.remove(["maps.zarr/.zgroup"])
+    group.write_text("mine")
+    with pytest.raises(InputError, match=r"zgroup' is in the way"):
+        store.write_zarr(ds, tmp_path)
+    assert group.read_text() == "mine"
+
+
 def test_maps_of_another_layout_are_refused_and_those_that_name_none_are_read(ds, tmp_path, monkeypatch):
     monkeypatch.setattr(store, "LAYOUT", 2)
     store.write_zarr(ds, tmp_path / "newer")
