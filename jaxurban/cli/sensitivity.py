@@ -185,6 +185,10 @@ def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, over
     has_route = result.rows.status.isin(HAS_PATH).any()
     if not has_route:
         LOG.warning("warning: no route was found, so that nothing can be said: the report says why")
+    if "sobol_summary" in result.tables:
+        needed = result.tables["sobol_summary"].samples_needed.max()
+        if needed > 0:
+            LOG.warning(f"warning: some Sobol shares are not resolved: some {needed:.0f} --samples would do")
     LOG.info(f"study of sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
         kept = {name: records_of(table) for name, table in result.tables.items() if name.endswith("summary")}

@@ -79,7 +79,7 @@ class SensitivityStudy:
         found["summary"] = summary.summarise(found["weights"], self.settings.wrong)
         shares = summary.shares_table(routes)
         if len(shares):
-            found |= {"sobol": shares, "sobol_summary": summary.summarise_shares(shares)}
+            found |= {"sobol": shares, "sobol_summary": summary.summarise_shares(shares, self.settings.num_samples)}
         if len(self.remade) and self.remade.status.isin(HAS_PATH).any():
             found |= {"remade": self.remade, "remade_summary": summary.summarise_remade(self.remade)}
         return found
@@ -109,6 +109,8 @@ def study_markdown(found: SensitivityStudy) -> str:
         origin=SAMPLED if found.is_sampled else GIVEN,
         FEWEST_GROUPS=FEWEST_GROUPS,
         FEW_SAMPLES=FEW_SAMPLES,
+        ABOVE_ONE=1 + summary.ABOVE_ONE,
+        WIDEST=summary.WIDEST,
     )
 
 
@@ -142,7 +144,9 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     if "sobol_summary" in tables:
         total = tables["sobol_summary"].query("kind == 'total'")
         is_clear, at_most = total.verdict == CLEAR, total.share_high.where(total.verdict == UNCLEAR).clip(lower=0)
+        needed = total.samples_needed.map(": some {:.0f} samples would do".format).where(total.samples_needed > 0, "")
         total = total.assign(outcome=total.outcome.map(outcome_label), **{"at most": at_most})
+        total["verdict"] += needed
         total.loc[~is_clear, [f"share{end}" for end in ENDS]] = np.nan
         found["sobol"] = total[["outcome", "weight_name", *(f"share{end}" for end in ENDS), "at most", "verdict"]]
     if "remade_summary" in tables:

@@ -22,6 +22,7 @@ from jaxurban.report.sensitivity_study import shown_tables, study_markdown
 from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.studies.weights.routes import OnPerturbedMaps
+from jaxurban.studies.weights.sobol import sobol_indices
 from jaxurban.studies.weights.summary import summarise, summarise_shares
 from tests.cli_runs import TOWN, run
 from tests.studies.routes_made import WEIGHT_STUDY, assert_on_the_page, run_study, same_rows
@@ -185,7 +186,7 @@ def test_a_share_that_is_not_told_from_zero_is_words_and_no_number_below_zero():
         for k in range(30)
         for name, mean in (("gps", -0.02), ("risk", 0.6))
     ]
-    told = summarise_shares(pd.DataFrame(rows)).set_index(["weight_name", "kind"])
+    told = summarise_shares(pd.DataFrame(rows), 16).set_index(["weight_name", "kind"])
     assert told.loc[("gps", "first"), "share"] < 0
     tables = {"summary": summarise(made_weights(gps=0.01), 2.0), "sobol_summary": told.reset_index()}
     gps, risk = shown_tables(tables)["sobol"].set_index("weight_name").loc[["gps", "risk"]].to_dict("records")
@@ -193,8 +194,56 @@ def test_a_share_that_is_not_told_from_zero_is_words_and_no_number_below_zero():
     assert gps["verdict"] == "not distinguishable from 0"
     assert 0 <= gps["at most"] < 0.1
     assert risk["share"] == pytest.approx(0.6, abs=0.05)
-    few = summarise_shares(pd.DataFrame(rows[:6]))
+    few = summarise_shares(pd.DataFrame(rows[:6]), 16)
     assert set(few.verdict) == {"too few routes"}
+
+
+def made_shares(evaluate, factors: str, num_samples: int) -> pd.DataFrame:
+    """Return what is said of the shares of a function that 20 routes in each of two cities have in common."""
+    parts = []
+    for city, instance in itertools.product("ab", range(20)):
+        found = sobol_indices(evaluate, [*factors], num_samples, seed=100 * (city == "b") + instance).reset_index()
+        found = found.rename(columns={"factor": "weight_name"})
+        parts.append(found.assign(city=city, instance=instance, altitude_m=20.0))
+    return summarise_shares(pd.concat(parts, ignore_index=True), num_samples)
+
+
+@pytest.fixture
+def few_resamples(monkeypatch):
+    monkeypatch.setattr("jaxurban.studies.weights.sobol.NUM_RESAMPLES", 100)
+
+
+def test_a_share_above_one_is_not_resolved_and_so_many_samples_as_are_named_resolve_it(few_resamples):
+    """A route that jumps where two weights are large: where no sample of a half has both, its variance is small."""
+    part = 0.3
+
+    def jump(unit):
+        return {"y": 100.0 * (unit[:, 0] > 1 - part) * (unit[:, 1] > 1 - part) + unit[:, 2]}
+
+    few = made_shares(jump, "abc", 4).set_index(["weight_name", "kind"])
+    first = few.loc[("a", "total")]
+    assert first.share > 1
+    assert first.verdict == "not resolved"
+    assert not ((few.share > 1) & (few.verdict == "clear")).any()
+    tables = {"summary": summarise(made_weights(gps=0.01), 2.0), "sobol_summary": few.reset_index()}
+    shown = shown_tables(tables)["sobol"].set_index("weight_name").loc["a"]
+    assert np.isnan(shown["share"])
+    assert shown["verdict"] == f"not resolved: some {first.samples_needed:.0f} samples would do"
+    enough = made_shares(jump, "abc", int(first.samples_needed)).set_index(["weight_name", "kind"])
+    total = enough.loc[("a", "total")]
+    assert total.verdict == "clear"
+    assert total.share_low < 1 / (1 + part) < total.share_high
+
+
+def test_many_samples_resolve_every_share_of_a_sum_and_none_is_above_one(few_resamples):
+    parts = np.array([1.0, 0.3, 0.0])
+    found = made_shares(lambda unit: {"y": unit @ parts}, "abc", 256)
+    np.testing.assert_allclose(found.share, np.repeat(parts**2 / (parts**2).sum(), 2), atol=0.02)
+    assert found.verdict.tolist()[:4] == ["clear"] * 4
+    assert found.verdict.tolist()[5] == "not distinguishable from 0"
+    alone = made_shares(lambda unit: {"y": unit[:, 0]}, "a", 256)
+    assert (alone.verdict == "clear").all()
+    assert (alone.share <= 1).all()
 
 
 def perturbed_rows(nominal, other, instances):

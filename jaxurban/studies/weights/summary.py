@@ -21,6 +21,9 @@ CUTS = ("city", "altitude_m", "stratum", "range", "time", "time_of_day")
 BOTH = (("city", "altitude_m"), ("stratum", "altitude_m"))
 OVER_CITIES = "over cities"
 CLEAR, UNCLEAR, TOO_FEW, CONSTANT = "clear", "not distinguishable from 0", "too few routes", "does not vary"
+UNRESOLVED = "not resolved"
+ABOVE_ONE = 0.1  # no share is above 1: one whose interval reaches further beyond is not resolved
+WIDEST = 0.5  # half-width of a route's own interval, up to which it is no wider than what shares can be
 REMADE_STATISTICS = ("is_other", "overlap", "is_closed", "regret", "nominal_is_closed", "nominal_regret")
 SHARES_OF_ROUTES = ("is_other", "is_closed", "nominal_is_closed")
 
@@ -147,23 +150,47 @@ def shares_table(routes: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)
 
 
-def summarise_shares(shares: pd.DataFrame) -> pd.DataFrame:
+def summarise_shares(shares: pd.DataFrame, num_samples: int) -> pd.DataFrame:
     """Return mean Sobol shares over routes: a row for each outcome, weight and kind, with a ``verdict`` in words.
 
     Estimates of one route from few samples scatter about the truth, below 0 too, independently from route to route:
     their means are nearer to it, and the intervals hold both the scatter and how routes differ. A share whose interval
     reaches 0 is `UNCLEAR`, whatever its value. ``own_ci`` is the median half-width of one route's interval.
+
+    A share whose interval reaches above 1 by more than `ABOVE_ONE` is `UNRESOLVED`: on some routes the samples hardly
+    vary, and their small variance is what shares are divided by. ``samples_needed`` is an estimate of how many would
+    do: the widest ``own_ci`` of the outcome shrinks with the square root of their number, and is to fall to `WIDEST`.
+    Of other shares what lies above 1 is cut off.
+
+    Args:
+      shares: from `shares_table`.
+      num_samples: N of each.
     """
     rows = []
     for (outcome, name), part in shares.groupby(["outcome", "weight_name"], sort=False):
         for kind in ("first", "total"):
             known = part[part[kind].notna()].reset_index(drop=True)
             found = pairs_of(known).interval(known[kind])
-            verdict = CLEAR if found.low > 0 else UNCLEAR if np.isfinite(found.low) else TOO_FEW
             row = {"outcome": outcome, "weight_name": name, "kind": kind, "routes": len(known)}
             own = {"own_ci": known[f"{kind}_ci"].median()}
-            rows.append(row | named("share", found) | own | {"verdict": verdict if len(known) else CONSTANT})
-    return pd.DataFrame(rows)
+            rows.append(row | named("share", found) | own | {"verdict": _verdict(found, len(known))})
+    table = pd.DataFrame(rows)
+    widest = table.groupby(["outcome", "kind"]).own_ci.transform("max").fillna(0.0)
+    needed = 2 ** np.ceil(np.log2(np.maximum(num_samples * (widest / WIDEST) ** 2, 2 * num_samples)))
+    is_unresolved = table.verdict == UNRESOLVED
+    for name in ("share", "share_high"):
+        table[name] = table[name].where(is_unresolved, table[name].clip(upper=1.0))
+    return table.assign(samples_needed=np.where(is_unresolved, needed, np.nan))
+
+
+def _verdict(share: Interval, num_routes: int) -> str:
+    if not num_routes:
+        return CONSTANT
+    if not np.isfinite(share.low):
+        return TOO_FEW
+    if share.high > 1 + ABOVE_ONE:
+        return UNRESOLVED
+    return CLEAR if share.low > 0 else UNCLEAR
 
 
 def summarise_remade(remade: pd.DataFrame) -> pd.DataFrame:
