@@ -8,13 +8,14 @@ import ast
 import difflib
 import functools
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 NAMESPACES = ("fit", "grad", "metrics", "studies")  # modules of the package whose names are public too
+Level = Literal["guess", "note", "limit"]
 LEAST_ALIKE = 0.66  # as two letters of three are
 
 
@@ -113,20 +114,70 @@ def alike(name: str, valid: Iterable[str], least: float = LEAST_ALIKE) -> list[s
     return [names[each] for each in difflib.get_close_matches(name.lower(), names, n=1, cutoff=least)]
 
 
+class Caution(str):
+    """A sentence to a pilot, a `str` that also has a level.
+
+    Attributes:
+      level: ``"guess"``: it rests on what no file says. ``"limit"``: something lies beyond limits: a stretch without a
+        fix, cells that a building as high touches, a height over a roof below the vertical clearance (1 m where none
+        was asked), a building nearer than the clearance and the vehicle's radius, or a manoeuvre beyond the vehicle.
+        ``"note"``: all else.
+    """
+
+    level: Level
+
+    def __new__(cls, text: str, level: Level = "note") -> "Caution":
+        """Return a sentence with a level."""
+        caution = super().__new__(cls, text)
+        caution.level = level
+        return caution
+
+
+def caution_of_guesses(guesses: Iterable[str], *more: str) -> list[Caution]:
+    """Return what no file says in one sentence: guesses by their short names, and more on them; nothing of none."""
+    facts = [", ".join(guesses), *more]
+    return [Caution(f"Guessed: {'; '.join(filter(None, facts))}.", "guess")] if any(facts) else []
+
+
+def caution_lines(cautions: Iterable[Caution]) -> list[str]:
+    """Return a line of text for each caution, its level first."""
+    return [f"  {each.level}: {each}" for each in cautions]
+
+
+LEVEL_STYLES = {"limit": "color:#b00020;font-weight:bold", "guess": "color:#5f4700;background:#fff1b8", "note": ""}
+
+
 class Shown:
-    """Base of what shows its `facts`; those that are empty are left out."""
+    """Base of what shows its `facts`, those that are empty left out, and what it knows to be uncertain or unsafe."""
 
     @property
     def facts(self) -> Mapping[str, str]:
         """What it is, fact by name."""
         raise NotImplementedError
 
+    @property
+    def known_cautions(self) -> Sequence[Caution]:
+        """What whoever uses it must know first; empty for most."""
+        return ()
+
+    def _cautions(self) -> Sequence[Caution]:
+        try:
+            return self.known_cautions
+        except ValueError as error:  # what it rests on was removed or made again: showing it must not fail
+            return [Caution(f"What to be cautious of is not known: {error}", "guess")]
+
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({'; '.join(f'{name}: {fact}' for name, fact in self.facts.items() if fact)})"
+        facts = "; ".join(f"{name}: {fact}" for name, fact in self.facts.items() if fact)
+        return "\n".join([f"{type(self).__name__}({facts})", *caution_lines(self._cautions())])
 
     def _repr_html_(self) -> str:
-        rows = (f"<tr><th>{escape(name)}</th><td>{escape(fact)}</td></tr>" for name, fact in self.facts.items() if fact)
-        return f"<table><caption>{type(self).__name__}</caption>{''.join(rows)}</table>"
+        rows: list[tuple[str, str, str]] = [(LEVEL_STYLES[each.level], each.level, each) for each in self._cautions()]
+        rows += [("", name, fact) for name, fact in self.facts.items() if fact]
+        cells = (
+            f'<tr style="{style}"><th>{escape(name)}</th><td style="text-align:left">{escape(text)}</td></tr>'
+            for style, name, text in rows
+        )
+        return f"<table><caption>{type(self).__name__}</caption>{''.join(cells)}</table>"
 
 
 def listed(values: list[str] | tuple[str, ...], most: int = 6) -> str:

@@ -170,9 +170,12 @@ def _when(maps: "MetricMaps", files: Sequence[Path], profile: Path | None, as_js
     for file, output in outputs.items():
         save(file.parent, {file.name: output})
         LOG.info(f"wrote {file}")
+    for sentence in departures.cautions:
+        LOG.info(sentence)
     facts = {name: fact for name, fact in departures.facts.items() if fact}
     if as_json:
-        print_json({"best": departures.best, "facts": facts, "table": records_of(departures.table)})
+        of_all = {"best": departures.best, "facts": facts, "cautions": departures.cautions}
+        print_json(of_all | {"table": records_of(departures.table)})
     else:
         shown = departures.table.filter(regex="^(?!exposure_)")
         print(shown.to_string(index=False, float_format="{:,.4g}".format))

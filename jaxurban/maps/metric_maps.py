@@ -15,7 +15,7 @@ from jaxurban.errors import InputError, finite, typed
 from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.progress import LOG
-from jaxurban.public import Shown, listed
+from jaxurban.public import Caution, Shown, caution_of_guesses, listed
 from jaxurban.samples.catalogue import BASE_MAP_FILE
 from jaxurban.settings import Obstacles, Planning, iso_utc
 from jaxurban.world.grid import Grid
@@ -139,6 +139,11 @@ class MetricMaps(Shown):
             "obstacles": self.obstacles,
             "credit": self.attribution,
         }
+
+    @property
+    def known_cautions(self) -> list[Caution]:
+        """That they rest on `guesses`."""
+        return caution_of_guesses(self.guesses)
 
     @property
     def attribution(self) -> str:

@@ -1,7 +1,7 @@
 """A planned route explained: what each layer and each segment costs, who is below, where GPS or room is scarce."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -24,7 +24,6 @@ from jaxurban.paths.profile import (
     OUTSIDE,
     OVER_ROOF,
     VISIBLE,
-    Caution,
     cautions,
     cut_evenly,
     cut_on,
@@ -33,9 +32,11 @@ from jaxurban.paths.profile import (
     without_fix,
 )
 from jaxurban.planners.cost import CostModel
+from jaxurban.public import Caution, Shown, caution_lines
 from jaxurban.settings import Vehicle
 
 SECONDS_PER_HOUR = 3600.0
+COST_OF = "cost_of_"  # before the name of a layer, of its part of the cost
 NO_FIX_IN_1_0 = "under_4_satellites_m"  # the name of ``no_fix_m`` in 1.0, which stays
 DENSITY = "density_per_km2"
 EXTRA_MAPS = {VISIBLE: VISIBLE, FIX: FIX, "density": DENSITY, "terrain": "terrain_m"}
@@ -49,8 +50,8 @@ SEGMENT_HEADS = {  # what a terminal has room for beside the costs; `RouteReport
 }
 
 
-@dataclass(frozen=True, eq=False)
-class RouteReport:
+@dataclass(frozen=True, eq=False, repr=False)
+class RouteReport(Shown):
     """A route in numbers. Lengths are in the air; all is in still air, above ground.
 
     Attributes:
@@ -83,12 +84,55 @@ class RouteReport:
     settings: Mapping[str, float | None]
     cautions: list[Caution]
 
+    @property
+    def facts(self) -> dict[str, str]:
+        """`why`, and the totals as texts, in the units that their names say."""
+        notes = dict.fromkeys(guessed_clearances(self.profile), " (if guessed roofs are right)")
+        notes["people_overflown"] = f" (strip of {self.settings['swath_m']:g} m)"
+        texts = {
+            name.replace("_", " "): f"{_short(value)}{notes.get(name, '')}"
+            for name, value in self.totals.items()
+            if name != NO_FIX_IN_1_0  # it stands under its new name
+        }
+        return {"why": self.why} | texts
+
+    @property
+    def why(self) -> str:
+        """A sentence: which segment costs the most, and for which layer, beside its length; empty where none costs."""
+        if not self.segments["cost"].sum() > 0:
+            return ""
+        place = int(np.argmax(self.segments["cost"]))
+        most, sums = self.segments.iloc[place], self.segments.sum()
+        share, of_length = (most[name] / sums[name] for name in ("cost", "length_m"))
+        sentence = (
+            f"The most expensive stretch is segment {place + 1}, from {most['from_m']:.0f} to {most['to_m']:.0f} m: "
+            f"{share:.0%} of the cost on {of_length:.0%} of the length"
+        )
+        parts = most.filter(like=COST_OF).drop(f"{COST_OF}distance")
+        if not parts.max() > 0:
+            return f"{sentence}, all of it for its length."
+        layer = str(parts.idxmax()).removeprefix(COST_OF)
+        return (
+            f"{sentence}; beside its length it pays most for {layer} ({_short(parts.max())} of {_short(most['cost'])})."
+        )
+
+    @property
+    def known_cautions(self) -> list[Caution]:
+        """Its ``cautions``."""
+        return self.cautions
+
+    def __repr__(self) -> str:
+        return "\n".join([f"{type(self).__name__}:", *caution_lines(self.cautions), "", self.table()])
+
+    def _repr_html_(self) -> str:
+        return super()._repr_html_() + self._segments().to_html()
+
     def to_dict(self) -> dict[str, Any]:
         """Return totals, cautions and segments as plain, JSON-ready values.
 
         Returns:
-          A dictionary of the settings and totals by name, ``cautions`` (texts) and ``segments`` (a dictionary each);
-          None stands for a number that is missing or not finite.
+          A dictionary of the settings and totals by name, ``why``, ``cautions`` (texts) and ``segments`` (a dictionary
+          each); None stands for a number that is missing or not finite.
 
         Examples:
           >>> record = ju.explain(path, maps, num_segments=3).to_dict()
@@ -98,41 +142,38 @@ class RouteReport:
         return {
             **_plain(self.settings),
             **_plain(self.totals),
+            "why": self.why,
             "cautions": self.cautions,
             "segments": [{"segment": number, **_plain(row)} for number, row in self.segments.to_dict("index").items()],
         }
 
     def table(self) -> str:
-        """Return the report for a terminal: totals and segments.
+        """Return the report for a terminal: totals, `why`, and segments.
 
         Returns:
-          Text of a line for each total and, after an empty line, one for each segment.
+          Text of a line for each total, and after an empty line each `why` and a line for each segment.
 
         Examples:
           >>> print(ju.explain(path, maps).table())
           length m                719
           cost                    223
           ...
+          The most expensive stretch is segment ...% of the length; beside its length it pays most for lidar ...
+          ...
         """
-        return "\n\n".join(["\n".join(self._totals()), self._segments()])
+        totals = "\n".join(f"{name:<24}{fact}" for name, fact in self.facts.items() if name != "why")
+        segments = self._segments().to_string(col_space=8) if len(self.segments) else "segment"
+        return "\n\n".join(filter(None, [totals, self.why, segments]))
 
-    def _totals(self) -> Iterator[str]:
-        notes = dict.fromkeys(guessed_clearances(self.profile), " (if guessed roofs are right)")
-        notes["people_overflown"] = f" (strip of {self.settings['swath_m']:g} m)"
-        for name, value in self.totals.items():
-            if name == NO_FIX_IN_1_0:
-                continue  # it stands under its new name
-            yield f"{name.replace('_', ' '):<24}{_short(value)}{notes.get(name, '')}"
-
-    def _segments(self) -> str:
+    def _segments(self) -> pd.DataFrame:
         names = [str(name) for name in self.segments]
-        costs = [name for name in names if name.startswith("cost_of_")]
+        costs = [name for name in names if name.startswith(COST_OF)]
         heads = {"from_m": "from m", "length_m": "length m", "cost": "cost"}
-        heads |= {name: f"{'+' if k else '='}{name.removeprefix('cost_of_')}" for k, name in enumerate(costs)}
+        heads |= {name: f"{'+' if k else '='}{name.removeprefix(COST_OF)}" for k, name in enumerate(costs)}
         heads = {name: head for name, head in (heads | SEGMENT_HEADS).items() if name in names}
         shown = self.segments[list(heads)].map(_short)
         shown.columns = pd.Index(list(heads.values()), name="segment")
-        return shown.rename_axis(None).to_string(col_space=8) if len(shown) else "segment"
+        return shown.rename_axis(None)
 
 
 @typed
@@ -203,7 +244,7 @@ def explain(
         length_m = (part["to_m"] - part["from_m"]).to_numpy()
         row = {"from_m": part["from_m"].min(), "to_m": part["to_m"].max(), "length_m": float(length_m.sum())}
         by_name = dict(zip(on.weight_names, (on.weight_vector * features.phi).tolist(), strict=True))
-        row |= {"cost": sum(by_name.values())} | {f"cost_of_{name}": cost for name, cost in by_name.items()}
+        row |= {"cost": sum(by_name.values())} | {f"{COST_OF}{name}": cost for name, cost in by_name.items()}
         row |= {f"mean_{name}": mean for name, mean in on.means(features).items()}
         if DENSITY in part:
             row["people_overflown"] = float(part[DENSITY] @ over_m[chosen]) * swath_m / M2_PER_KM2

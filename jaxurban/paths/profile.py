@@ -1,7 +1,6 @@
 """What a route meets, cell by cell: maps at its height, roofs beneath, clearance; and what its pilot should know."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -15,6 +14,7 @@ from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX, has_no_fix
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.cost import path_states
+from jaxurban.public import Caution, Level, caution_of_guesses
 from jaxurban.settings import Vehicle
 
 TOUCHED, VISIBLE, GUESSED = "roof_touched", "num_visible", "roof_guessed"
@@ -25,7 +25,6 @@ MOST_SEGMENTS = 3  # that a terminal line lists
 ROUNDING = 1e-9  # of climbs and turns that are just what the vehicle can
 NEAR_GUESSED_M = 50.0  # of a guessed roof a route passes it: what the risk metric counts as near by default
 LEAST_OVER_ROOFS_M = 1.0  # below which a height over a roof is beyond limits, where no vertical clearance was asked
-Level = Literal["guess", "note", "limit"]
 
 
 def cut_evenly(states_m: np.ndarray, most: int) -> np.ndarray:
@@ -194,25 +193,6 @@ def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
     return [(float(profile["from_m"].iloc[a]), float(profile["to_m"].iloc[b - 1])) for a, b in changes]
 
 
-class Caution(str):
-    """A sentence to a pilot, a `str` that also has a level.
-
-    Attributes:
-      level: ``"guess"``: it rests on what no file says. ``"limit"``: something lies beyond limits: a stretch without a
-        fix, cells that a building as high touches, a height over a roof below the vertical clearance (1 m where none
-        was asked), a building nearer than the clearance and the vehicle's radius, or a manoeuvre beyond the vehicle.
-        ``"note"``: all else.
-    """
-
-    level: Level
-
-    def __new__(cls, text: str, level: Level = "note") -> "Caution":
-        """Return a sentence with a level."""
-        caution = super().__new__(cls, text)
-        caution.level = level
-        return caution
-
-
 @typed
 def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None = None) -> list[Caution]:
     """Return what the maps guess, where GPS has no fix, how near buildings and roofs are, and what else to know.
@@ -258,15 +238,15 @@ def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None
 
 def guess_cautions(maps: MetricMaps | None, profile: pd.DataFrame | None = None) -> list[Caution]:
     """Return what maps rest on that no file says and, of a route, how much of it is near roofs of guessed height."""
-    facts = ["" if maps is None else ", ".join(maps.guesses)]
+    past = ""
     if profile is not None and GUESSED in profile:
         length_m = profile["to_m"] - profile["from_m"]
         near_m, over_m = length_m[profile[TO_GUESSED] < NEAR_GUESSED_M].sum(), length_m[profile[GUESSED]].sum()
-        facts.append(
+        past = (
             f"{near_m:.0f} of {length_m.sum():.0f} m of the route pass within {NEAR_GUESSED_M:g} m of guessed roofs, "
             f"{over_m:.0f} m over them"
         )
-    return [Caution(f"Guessed: {'; '.join(filter(None, facts))}.", "guess")] if any(facts) else []
+    return caution_of_guesses({} if maps is None else maps.guesses, past)
 
 
 def _fix(profile: pd.DataFrame) -> Iterator[Caution]:

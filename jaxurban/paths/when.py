@@ -16,12 +16,12 @@ from jaxurban.paths.batch import plan_many
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import cost_map
-from jaxurban.paths.profile import cautious_profile, without_fix
+from jaxurban.paths.profile import cautious_profile, guess_cautions, without_fix
 from jaxurban.paths.queries import PlannedPaths, table_of
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Point
 from jaxurban.progress import Progress
-from jaxurban.public import Shown, listed
+from jaxurban.public import Caution, Shown, listed
 
 TIMES = ["time", "time_of_day"]
 SAME = 1e-9  # relative: routes that cost so nearly the same are as cheap
@@ -58,6 +58,33 @@ class Departures(Shown):
     def best(self) -> int | None:
         """The row of ``table`` with the least cost; None where at no time all routes have a path."""
         return None if self.table["cost"].isna().all() else int(np.nanargmin(self.table["cost"]))
+
+    @property
+    def cautions(self) -> list[Caution]:
+        """What a pilot should know of the routes at the best time (`jaxurban.cautions`).
+
+        Of several routes what the maps guess, and what of each is beyond limits.
+        """
+        planned = [path for path in self.paths if path is not None]
+        if self.best is None:
+            return guess_cautions(planned[0].maps)
+        flown = self.routes.index[self.routes["departure"] == self.best]
+        paths = [self.paths[row] for row in flown]
+        if len(paths) == 1:
+            return paths[0].cautions
+        beyond = [
+            Caution(f"Route {number}: {each}", each.level)
+            for number, path in enumerate(paths)
+            if path is not None
+            for each in path.cautions
+            if each.level == "limit"
+        ]
+        return [*guess_cautions(planned[0].maps), *beyond]
+
+    @property
+    def known_cautions(self) -> list[Caution]:
+        """Its `cautions`."""
+        return self.cautions
 
     @property
     def facts(self) -> dict[str, str]:

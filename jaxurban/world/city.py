@@ -12,7 +12,7 @@ import shapely
 
 from jaxurban import settings
 from jaxurban.errors import InputError, typed
-from jaxurban.public import Shown
+from jaxurban.public import Caution, Shown, caution_of_guesses
 from jaxurban.settings import SLABS as SLABS
 from jaxurban.settings import TO_GROUND as TO_GROUND
 from jaxurban.settings import Hanging as Hanging
@@ -292,6 +292,11 @@ class City(Shown):
             "terrain": "flat" if self.terrain is None else "a raster",
             "credit": self.attribution,
         }
+
+    @property
+    def known_cautions(self) -> list[Caution]:
+        """That it rests on ``guesses``."""
+        return caution_of_guesses(self.guesses)
 
     @property
     def known_extent_m(self) -> tuple[float, float, float, float]:

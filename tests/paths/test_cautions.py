@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -204,3 +205,24 @@ def test_a_wall_beside_a_climb_counts_as_soon_as_it_reaches_above_the_route(maps
     is_low = (climbing["z_m"] > 41.0) & (climbing["z_m"] < 55.0)
     assert (climbing.loc[is_low, "nearest_wall_m"] == 35.0).all()
     assert is_low.any()
+
+
+def test_what_a_result_knows_stands_in_its_text_and_in_its_table(maps):
+    guessed = with_guesses(maps, LOW_ROOF)
+    path = straight(guessed)
+    said = [(each.level, each) for each in path.cautions]
+    assert [level for level, _ in said[:2]] == ["guess", "limit"]
+    city = replace(ju.demo_city(400, 400), guesses={"40 % of heights": "", "nominal satellites": ""})
+    short = [("guess", "Guessed: 40 % of heights, nominal satellites.")]
+    for shown, cautions in ((path, said), (ju.explain(path, guessed), said), (guessed, short), (city, short)):
+        html = re.findall(r"<th>(guess|limit|note)</th><td[^>]*>(.*?)</td>", shown._repr_html_())
+        assert html == cautions
+        assert re.findall(r"^  (guess|limit|note): (.*)$", repr(shown), re.MULTILINE) == cautions
+    assert "guess" not in repr(maps)
+
+
+def test_what_is_shown_does_not_fail_where_its_maps_are_gone(maps, tmp_path):
+    opened = ju.open_maps(maps.save(tmp_path / "maps"))
+    path = replace(straight(maps), maps=opened)
+    shutil.rmtree(tmp_path / "maps")
+    assert "What to be cautious of is not known: " in repr(path)

@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -129,12 +130,38 @@ def test_segments_follow_each_other_along_the_route(planned, report):
         assert np.array_equal(before[-1], after[0])
 
 
+def test_the_report_says_which_stretch_costs_the_most_and_for_which_layer(planned, maps, report):
+    costs = report.segments.filter(like="cost_of_").drop(columns="cost_of_distance")
+    most = costs.sum(axis=1) + report.segments["cost_of_distance"]
+    number = most.idxmax()
+    assert re.match(
+        rf"The most expensive stretch is segment {number}, from {report.segments.from_m[number]:.0f} to .* m: "
+        rf"{most[number] / most.sum():.0%} of the cost on .*% of the length; beside its length it pays most for "
+        rf"{costs.loc[number].idxmax().removeprefix('cost_of_')} ",
+        report.why,
+    )
+    for text in (report.table(), repr(report), report._repr_html_(), report.to_dict()["why"]):
+        assert report.why in text
+    assert len(repr(report).splitlines()) < 50
+    assert "array" not in repr(report)
+    alone = ju.explain(
+        route(
+            maps,
+            {"start_xy_m": planned.xy_m[0], "goal_xy_m": planned.xy_m[-1]},
+            weights=dict.fromkeys(maps.metrics, 0.0),
+        ),
+        maps,
+    )
+    assert alone.why.endswith("of the length, all of it for its length.")
+
+
 def test_a_route_of_one_place_costs_nothing_and_still_tells_where_it_is(maps, ends):
     path = of_one_place(maps, ends)
     report = ju.explain(path, maps, speed_m_s=10.0)
     assert (report.totals["cost"], report.totals["length_m"], report.totals["time_s"]) == (0.0, 0.0, 0.0)
     assert report.totals["mean_gps"] == pytest.approx(path.metrics["gps"])
     assert "segment" in report.table()
+    assert report.why == ""
     assert json.loads(json.dumps(report.to_dict()))["segments"] == []
 
 

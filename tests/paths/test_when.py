@@ -76,6 +76,18 @@ def test_the_table_is_that_of_a_plan_at_each_time(maps, pairs, departures):
     np.testing.assert_allclose(departures.routes["cost"], costs.ravel(), rtol=1e-9)
 
 
+def test_the_cautions_are_of_the_routes_at_the_best_time(maps, pairs):
+    nowhere = ju.MetricMaps(
+        maps.ds.assign(hdop=maps.ds["hdop"] * 0 + np.inf).assign_attrs(guesses='{"flat ground": ""}')
+    )
+    departures = ju.when(nowhere, pairs, altitude_m=ALTITUDE_M, time_of_day="day", progress=False)
+    paths = departures.paths[departures.best * len(pairs) : (departures.best + 1) * len(pairs)]
+    limits = [f"Route {k}: {each}" for k, path in enumerate(paths) for each in path.cautions if each.level == "limit"]
+    assert departures.cautions == ["Guessed: flat ground.", *limits]
+    assert all(any(each.startswith(f"Route {k}: GPS: no fix") for each in limits) for k in range(len(pairs)))
+    assert all(each in repr(departures) for each in limits)
+
+
 def test_the_facts_say_how_small_the_effect_is(departures):
     cost, facts = departures.table["cost"], departures.facts
     assert f"{cost.max() / cost.min() - 1:.2%} above the best" in facts["worst"]
@@ -129,12 +141,15 @@ def test_the_command_prints_writes_and_draws_the_same(maps, pairs, tmp_path, cap
     start, goal = (",".join(map(str, place)) for place in pairs[0])
     arguments = ("plan", folder, f"--start={start}", f"--goal={goal}", "--altitude", ALTITUDE_M, "--when")
     code, out, err = run(capsys, *arguments, "-o", tmp_path / "when.csv", "--profile", tmp_path / "when.png")
-    table = ju.when(maps, pairs[:1], altitude_m=ALTITUDE_M, progress=False).table
+    departures = ju.when(maps, pairs[:1], altitude_m=ALTITUDE_M, progress=False)
+    table = departures.table
     assert (code, maps.times[2] in out, "above the best" in out) == (0, True, True)
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "when.csv"), table)
     assert (tmp_path / "when.png").read_bytes().startswith(b"\x89PNG")
     assert f"wrote {tmp_path / 'when.png'}" in err
     facts = json.loads(run(capsys, *arguments, "--json")[1])
+    assert facts["cautions"] == departures.cautions
+    assert all(f"jaxurban: {sentence}" in err.splitlines() for sentence in departures.cautions)
     assert facts["table"][facts["best"]]["cost"] == pytest.approx(table["cost"].min())
     for options in (("-o", "when.geojson"), ("--volume",), ("--speed", 12), ("--exposure", "risk<=9")):
         code, out, err = run(capsys, *arguments, *options)
