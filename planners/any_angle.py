@@ -188,7 +188,7 @@ def check_line_model(problem: Problem, what: str) -> None:
     Raises:
       InputError: the problem's cost model is ``cell``, and its map has costs.
     """
-    if problem.cost_model.kind == "cell" and problem.cost[problem.is_free].any():
+    if not problem.is_by_length:
         raise InputError(
             f"{what} weighs straight segments of any direction by the length in each cell, which is not how "
             "cost_model='cell' counts: choose cost_model='line' (--cost-model line)"

@@ -246,6 +246,11 @@ class Problem:
         return f"{num}-neighbour grid" if self.levels_m is None else f"{3 * num + 2}-neighbour grid of levels"
 
     @property
+    def is_by_length(self) -> bool:
+        """Whether paths cost by their length in each cell: under ``line``, and where only length costs."""
+        return self.cost_model.kind == "line" or not self.cost[self.is_free].any()
+
+    @property
     def moves(self) -> np.ndarray:
         """``[Y, X]`` or ``[K, Y, X]`` uint8: bit k is set where horizontal step k of `cost_model.STEPS` is allowed."""
         if not self._moves:

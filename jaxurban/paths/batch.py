@@ -21,6 +21,7 @@ from jaxurban.paths.rows import BAD_INPUT, failure
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import End, Point
 from jaxurban.planners.base import Path, Status
+from jaxurban.planners.corners import with_corner_bound
 from jaxurban.planners.registry import Backend, solve_many
 from jaxurban.progress import LOG, Progress, reporting
 
@@ -215,7 +216,7 @@ def _done(
             for i, outcome in outcomes:
                 k, key, shared, ends = located[i]
                 if isinstance(outcome, Path):
-                    planned = finish(shared, outcome, ends, search)
+                    planned = finish(shared, with_corner_bound(problems[i], outcome), ends, search)
                     yield results.add(k, planned.status.value, planned.message, planned, key)
                 elif strict:
                     raise outcome

@@ -29,6 +29,7 @@ from jaxurban.planners.any_angle import check_line_model
 from jaxurban.planners.any_angle import refine as refine_path
 from jaxurban.planners.astar import AUTO, make_landmarks
 from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.corners import with_corner_bound
 from jaxurban.planners.cost import CostModel, PathFeatures
 from jaxurban.planners.exposure import within_budgets
 from jaxurban.planners.registry import PLANNERS, find_planner
@@ -431,7 +432,7 @@ class CostMap(Shown):
         if search.refine and path.status.has_path:
             left_s = search.budget_s - path.elapsed_s
             path = refine_path(problem, path, budget_s=max(left_s, search.budget_s * REFINING_SHARE / 2))
-        return finish(self, path, ends, search)
+        return finish(self, with_corner_bound(problem, path), ends, search)
 
     def means(self, features: PathFeatures) -> dict[str, float]:
         """Return the mean of each metric m along a path, by the exact length in each cell.

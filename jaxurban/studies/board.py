@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.errors import InputError, readable
 from jaxurban.io.files import digest_of, whole_file
@@ -24,6 +22,7 @@ from jaxurban.paths.plan import cost_map
 from jaxurban.planners.any_angle import refine, theta_star
 from jaxurban.planners.astar import astar_plus
 from jaxurban.planners.base import Problem
+from jaxurban.planners.corners import corner_bound
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.exposure import within_budgets
 from jaxurban.progress import Progress, reporting
@@ -45,7 +44,6 @@ LINE = ["method", "bundle", "track", "city"]  # what names a line of the board
 NEAR_M = 1e-3  # of ends, and on the grid of corners, to the centres of cells
 SAME, SAME_COST = 1e-9, 1e-6  # relative: an exposure that much above its budget keeps it; a claimed cost is true
 VALID, MISSING = "valid", "missing"
-STRETCH = 2 / np.sqrt(2 + np.sqrt(2))  # of the cheapest path along sides and diagonals of cells over the cheapest curve
 
 
 def make_benchmark(
@@ -127,38 +125,6 @@ def _asked_of(problem: Problem, names: list[str], row: dict[str, Any], layer: st
         | {key: value for key, value in TRUTH.items() if key in row}
         | {"track": "weights", "bound": true, "best": true}
     )
-
-
-def corner_bound(problem: Problem) -> float:
-    """Return a lower bound of the cost of any curve between a problem's ends under the ``line`` model.
-
-    A path along sides (at the cheaper of their two cells) and diagonals of free cells costs at most `STRETCH` times the
-    cheapest curve (Bose, Esteban, Orden & Silveira 2024, square meshes). So the costs of such paths, over `STRETCH`,
-    can be continued into each cell with a slope of at most its cost, from the four corners of the start's cell to those
-    of the goal's; half a side at either end is added. Passing between two closed cells at a corner counts as allowed.
-
-    Args:
-      problem: on one altitude, its ends in two cells.
-
-    Returns:
-      The bound; inf where no such path joins the ends.
-    """
-    per_side = problem.resolution_m * (problem.distance_weight + problem.cost / problem.cost_model.reference_length_m)
-    per_side = np.pad(np.where(problem.is_free, per_side, np.inf), 1, constant_values=np.inf)
-    corner = np.arange((per_side.shape[0] - 1) * (per_side.shape[1] - 1)).reshape(np.array(per_side.shape) - 1)
-    inner = per_side[1:-1, 1:-1]
-    arcs = [
-        (corner[:, :-1], corner[:, 1:], np.minimum(per_side[:-1, 1:-1], per_side[1:, 1:-1])),
-        (corner[:-1], corner[1:], np.minimum(per_side[1:-1, :-1], per_side[1:-1, 1:])),
-        (corner[:-1, :-1], corner[1:, 1:], np.sqrt(2) * inner),
-        (corner[:-1, 1:], corner[1:, :-1], np.sqrt(2) * inner),
-    ]
-    begin, end, cost = (np.concatenate([part.ravel() for part in parts]) for parts in zip(*arcs, strict=True))
-    kept = np.isfinite(cost)
-    graph = coo_array((cost[kept], (begin[kept], end[kept])), shape=(corner.size, corner.size)).tocsr()
-    start, goal = (corner[row : row + 2, col : col + 2].ravel() for row, col in (problem.start, problem.goal))
-    between = dijkstra(graph, directed=False, indices=start, min_only=True)[goal].min()
-    return float(between / STRETCH + (inner[problem.start] + inner[problem.goal]) / 2)
 
 
 def score(

@@ -58,8 +58,13 @@ def tile_minima(cost, is_free):
 
 
 @compiled(nogil=True)
-def _costs_at_corners(minima, straight, diagonal, start, goal):
-    """Return what Dijkstra's search from the goal's tile over lattice points gives, for `tile_bound`.
+def costs_at_corners(minima, straight, diagonal, start, goal):
+    """Return what Dijkstra's search from the goal's tile over sides and diagonals of tiles gives at lattice points.
+
+    Args:
+      minima: ``[I + 2, J + 2]`` cheapest cell of every tile, inf without one and in the frame.
+      straight, diagonal: a side, and a diagonal, of a tile of cheapest cell c costs ``straight[0] + straight[1] * c``.
+      start, goal: tiles.
 
     Returns:
       ``[I + 1, J + 1]`` float64 the costs to the goal's tile, at most the search's limit, and whether a way joins
@@ -70,8 +75,8 @@ def _costs_at_corners(minima, straight, diagonal, start, goal):
     # Each point is opened anew at most once by each of its neighbours; memory that is not written to is not taken.
     most = 8 * corners.size + 4
     heap = Heap(np.empty(most), np.empty(most, np.int32), np.zeros(1, np.int64))
-    for i in range(goal[0] // TILE, goal[0] // TILE + 2):
-        for j in range(goal[1] // TILE, goal[1] // TILE + 2):
+    for i in range(goal[0], goal[0] + 2):
+        for j in range(goal[1], goal[1] + 2):
             corners[i, j] = 0.0
             push(heap, 0.0, i * (num_j + 1) + j)
     num_left = 4  # corners of the start's tile that the search has not come to
@@ -83,7 +88,7 @@ def _costs_at_corners(minima, straight, diagonal, start, goal):
         if value > cost[node]:
             continue
         i, j = node // width, node % width
-        if 0 <= i - start[0] // TILE <= 1 and 0 <= j - start[1] // TILE <= 1:
+        if 0 <= i - start[0] <= 1 and 0 <= j - start[1] <= 1:
             num_left -= 1
             if num_left == 0:
                 limit = BEYOND * value
@@ -121,7 +126,9 @@ def tile_bound(minima, straight, diagonal, start, goal):
       diagonal: the same of a diagonal one: no less than a straight one, and no more than two.
       start, goal: cells.
     """
-    corners, is_joined = _costs_at_corners(minima, straight, diagonal, start, goal)
+    straight, diagonal = (TILE * straight[0], TILE * straight[1]), (TILE * diagonal[0], TILE * diagonal[1])
+    first, last = (start[0] // TILE, start[1] // TILE), (goal[0] // TILE, goal[1] // TILE)
+    corners, is_joined = costs_at_corners(minima, straight, diagonal, first, last)
     centres = np.empty((corners.shape[0] - 1, corners.shape[1] - 1))
     for i in range(centres.shape[0]):
         for j in range(centres.shape[1]):
@@ -140,7 +147,7 @@ def tile_bound(minima, straight, diagonal, start, goal):
 @compiled(forceinline=True)
 def _steps(straight, diagonal, minimum):
     """Return what going along a side, and along a diagonal, of a tile costs at least."""
-    return TILE * (straight[0] + straight[1] * minimum), TILE * (diagonal[0] + diagonal[1] * minimum)
+    return straight[0] + straight[1] * minimum, diagonal[0] + diagonal[1] * minimum
 
 
 @compiled(forceinline=True)

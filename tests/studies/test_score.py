@@ -13,9 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 import jaxurban as ju
-from jaxurban.planners.any_angle import refine, theta_star
-from jaxurban.planners.base import Problem
-from jaxurban.studies.board import MISSING, STRETCH, VALID, corner_bound, make_benchmark, score
+from jaxurban.studies.board import MISSING, VALID, make_benchmark, score
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 
@@ -174,23 +172,6 @@ def test_a_board_keeps_other_methods_and_replaces_the_lines_of_the_same(bench, t
     assert code == 2
     assert_one_sentence(err, "board.csv")
     assert board.read_text() == "mine"
-
-
-def test_a_straight_way_over_one_cost_has_the_bound_of_the_closed_form():
-    problem = Problem(np.full((1, 5, 12), 0.5), np.ones((5, 12), bool), (2, 1), (2, 10), 2.0, 1.0)
-    rate = 1.0 + 0.5 / problem.cost_model.reference_length_m
-    assert corner_bound(problem) == pytest.approx(rate * 2.0 * (8 / STRETCH + 1), rel=1e-12)
-
-
-def test_no_route_that_any_planner_finds_is_below_the_bound():
-    rng = np.random.default_rng(5)
-    for _ in range(30):
-        is_free = rng.random((14, 16)) < 0.8
-        is_free[0, 0] = is_free[-1, -1] = True
-        problem = Problem(rng.random((1, 14, 16)) ** 3, is_free, (0, 0), (13, 15), 5.0, 0.02)
-        path = refine(problem, theta_star(problem))
-        if path.status.has_path:
-            assert 0.5 * path.cost < corner_bound(problem) <= path.cost
 
 
 def test_an_outside_planner_that_reads_the_files_alone_meets_every_bound_of_the_grid(tmp_path):

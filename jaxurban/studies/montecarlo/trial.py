@@ -15,6 +15,7 @@ from jaxurban.maps.scenario import Study
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import CRASHED, RouteJob, Run, failure
 from jaxurban.planners.base import Cell, Path
+from jaxurban.planners.corners import with_corner_bound
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.settings import CostKind
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics
@@ -71,7 +72,7 @@ class Benchmark(RouteJob):
         for planner, objective in runs:
             try:
                 found = limited(planner, self.study)(by_objective[objective].alone(), seed=seed)
-                yield _facts(on, found, weights, planner)
+                yield _facts(on, with_corner_bound(by_objective[objective], found), weights, planner)
             except Exception as error:  # whatever a planner does, the benchmark goes on
                 yield {**failure(error), "status": CRASHED}
 

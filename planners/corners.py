@@ -1,0 +1,54 @@
+"""A lower bound of all paths at any angle, by paths along sides and diagonals of cells."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from jaxurban.kernels.search.bounds import costs_at_corners
+from jaxurban.planners.base import EVERY_PATH, ROUNDING, Cell, Path, Problem, Status
+
+STRETCH = 2 / np.sqrt(2 + np.sqrt(2))  # of the cheapest path along sides and diagonals of cells over the cheapest curve
+
+
+def corner_bound(problem: Problem) -> float:
+    """Return a lower bound of the cost of any curve between a problem's ends under the ``line`` model.
+
+    A path along sides (at the cheaper of their two cells) and diagonals of free cells costs at most `STRETCH` times the
+    cheapest curve (Bose, Esteban, Orden & Silveira 2024, square meshes). So the costs of such paths, over `STRETCH`,
+    can be continued into each cell with a slope of at most its cost, from the four corners of the start's cell to those
+    of the goal's; half a side at either end is added. Passing between two closed cells at a corner counts as allowed.
+
+    The cheapest path between centres of neighbours proves no such bound: beside a closed cell a curve may round a
+    corner in half the diagonal step, for which the grid takes two straight ones.
+
+    Args:
+      problem: on one altitude, its ends in two cells.
+
+    Returns:
+      The bound; inf where no such path joins the ends.
+    """
+    per_side = problem.resolution_m * (problem.distance_weight + problem.cost / problem.cost_model.reference_length_m)
+    framed = np.pad(np.where(problem.is_free, per_side, np.inf), 1, constant_values=np.inf)
+    start, goal = problem.start, problem.goal
+    corners, is_joined = costs_at_corners(framed, (0.0, 1.0), (0.0, np.sqrt(2)), goal, start)
+    if not is_joined:
+        return np.inf
+    between = corners[goal[0] : goal[0] + 2, goal[1] : goal[1] + 2].min()
+    return float(between / STRETCH + (per_side[start] + per_side[goal]) / 2)
+
+
+def with_corner_bound(problem: Problem, path: Path) -> Path:
+    """Return a path at any angle with the higher of its planner's lower bound and `corner_bound`, the same for all.
+
+    It is kept with the map for further planners of the same query. A path of the grid comes back as it is, and so does
+    one under the ``cell`` model with map costs, where the bound does not hold.
+    """
+    if path.graph == problem.grid_name or not problem.is_by_length or path.gap == 0 or not path.status.has_path:
+        return path
+    bounds: dict[tuple[Cell, Cell], float] = problem.shared.setdefault("corner_bounds", {})
+    ends = problem.start, problem.goal
+    if ends not in bounds:
+        bounds[ends] = corner_bound(problem)
+    bound = max(path.lower_bound, bounds[ends])
+    is_best = path.graph == EVERY_PATH and path.cost <= bound * ROUNDING
+    return replace(path, lower_bound=min(bound, path.cost), status=Status.OPTIMAL if is_best else path.status)
