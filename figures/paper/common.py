@@ -1,8 +1,9 @@
 """What the paper's figures and tables share: two cities, captions in words, and files to look at and to print.
 
-`TOWNS` are the sample cities of the package. Their maps are made once, under out/figures. What is of all Manhattan
-needs its files besides (``JAXURBAN_DATA``, default ``../shared/data``) and is left out without them. With ``--small``
-all is drawn on coarser cells, under out/figures-small alone, to see that it can be.
+`TOWNS` are the sample cities of the package. Their maps are made once, under out/figures, with the real satellites of
+their days where these elements are under ``JAXURBAN_DATA`` (default ``../shared/data``), else with the samples' nominal
+ones. What is of all Manhattan needs its files there besides and is left out without them. With ``--small`` all is drawn
+on coarser cells, under out/figures-small alone, to see that it can be.
 """
 
 import os
@@ -26,6 +27,7 @@ from jaxurban.maps.run import ScenarioRun, run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.report.figures import plot_metric
 from jaxurban.report.write import framed, write_png
+from jaxurban.samples.catalogue import SAMPLES
 from jaxurban.studies.montecarlo.sampling import STRATA, strata_of
 from jaxurban.world.city import Blocks
 from jaxurban.world.grid import Grid
@@ -40,6 +42,7 @@ DRAWN_M = ALTITUDES_M[:3]  # of the paper's maps; at 600 m they are of one colou
 BOUNDS = (-74.03, 40.68, -73.9107, 40.86)  # the paper's region: 10 x 20 km around Manhattan
 CRS = "EPSG:32618"  # of all that is drawn of New York
 OSM, ORBITS = DATA / "osm/lower-manhattan.osm.pbf", DATA / "gps/gps-ops_2020-04-27.tle"
+TOKYO_ORBITS = DATA / "tokyo/gps_2018-12-19.tle", DATA / "tokyo/galileo_2018-12-19.tle"
 CENSUS = {
     "blocks": DATA / "census/tl_2010_36061_tabblock10.shp",
     "table": DATA / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
@@ -73,13 +76,17 @@ class Town(NamedTuple):
         return self.run().maps[resolution_m]
 
 
-def _town(name: str, title: str, sample: str) -> Town:
+def _town(name: str, title: str, sample: str, *orbits: Path) -> Town:
     region, rule = {"resolution_m": [MAP_M, PATH_M], "altitudes_m": list(ALTITUDES_M)}, {"obstacles": "centre"}
-    return Town(name, title, {"region": region, "buildings": {"source": sample}, "planning": rule})
+    gps = dict(SAMPLES[sample]["gps"])
+    if all(file.exists() for file in orbits):
+        gps["orbits"] = [str(file) for file in orbits]
+    buildings = {"source": f"sample:{sample}"}
+    return Town(name, title, {"region": region, "buildings": buildings, "gps": gps, "planning": rule})
 
 
-MANHATTAN = _town("manhattan", "Lower Manhattan", "sample:lower-manhattan")
-SHINJUKU = _town("shinjuku", "Shinjuku", "sample:shinjuku")
+MANHATTAN = _town("manhattan", "Lower Manhattan", "lower-manhattan", ORBITS)
+SHINJUKU = _town("shinjuku", "Shinjuku", "shinjuku", *TOKYO_ORBITS)
 TOWNS = (MANHATTAN, SHINJUKU)
 HAS_ISLAND = all(file.exists() for file in (OSM, *CENSUS.values()))  # census and districts of all Manhattan
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from figures.paper.common import ALTITUDES_M, MANHATTAN, Caption, Town, draw_metric, in_strata, means, shares
+from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
 from jaxurban.studies.montecarlo.analysis import GOOD
@@ -18,6 +19,7 @@ def caption(town: Town, maps: MetricMaps) -> Caption:
     poor = shares(maps, lambda z: maps.m("gps", z) < GOOD)
     worst = Gps().gdop_threshold
     gdop = worst - (worst - 1) * best
+    sky = "nominal satellites" if NOMINAL_SKY in maps.guesses else "element sets of that day"
     return Caption(
         PAPER,
         f"The same order in {town.title}. Mean over free cells: {means(maps, 'gps')}. "
@@ -25,7 +27,7 @@ def caption(town: Town, maps: MetricMaps) -> Caption:
         f"m; wide-open: none within 250 m): {in_strata(maps, 'gps', 20.0)}. No cell is above "
         f"{best:.2f}.",
         "The paper gives no date, no mask angle and no scale. Here satellites count from 5 degrees up, on "
-        f"{maps.times[0][:10]} at {maps.times[0][11:16]} UTC (element sets of that day); their best geometry under an "
+        f"{maps.times[0][:10]} at {maps.times[0][11:16]} UTC ({sky}); their best geometry under an "
         f"open sky is a GDOP of {gdop:.1f}, and m is 1 only at a GDOP of 1, which no real sky reaches."
         + (" The box is Manhattan's southern end only: no Midtown, no Central Park." if town is MANHATTAN else ""),
     )
