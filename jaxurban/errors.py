@@ -7,6 +7,7 @@ import numbers
 import os
 import re
 import types
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime
@@ -76,6 +77,14 @@ class LeftOutWarning(UserWarning):
 
 class OtherSettingsWarning(UserWarning):
     """Routes are fitted under other settings than they were planned under: one sentence for the user."""
+
+
+def warn(sentence: str, category: type[Warning] = UserWarning) -> None:
+    """Warn at the line of the user that called jaxurban: the first one outside the package."""
+    frame, stacklevel, package = inspect.currentframe(), 1, __name__.partition(".")[0]
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == package:
+        frame, stacklevel = frame.f_back, stacklevel + 1
+    warnings.warn(sentence, category, stacklevel=stacklevel)
 
 
 def nearest_name(name: str, valid: Iterable[str]) -> str:

@@ -228,3 +228,11 @@ def test_a_former_argument_works_and_warns_and_with_both_the_former_one_is_unkno
     assert [each.filename for each in warned] == [__file__]
     with pytest.raises(TypeError, match="height_m"):
         plan(altitude_m=20.0, height_m=30.0)
+
+
+def test_a_guess_is_warned_of_on_the_user_s_line(tmp_path):
+    with pytest.warns(ju.GuessWarning) as of_city:
+        city = ju.sample_city("shinjuku")
+    with pytest.warns(ju.GuessWarning) as of_maps:
+        ju.build_maps(city, resolution_m=100.0, altitudes_m=(60.0,), progress=False)
+    assert {each.filename for each in (*of_city, *of_maps)} == {__file__}

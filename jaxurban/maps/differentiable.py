@@ -1,6 +1,5 @@
 """SoftCity: a city's cost layers, and a path's cost, as one differentiable function of heights and parameters."""
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -10,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, DTypeLike, Float, Int
 
-from jaxurban.errors import GuessWarning, InputError, one_of, typed
+from jaxurban.errors import GuessWarning, InputError, one_of, typed, warn
 from jaxurban.io.read.rasterise import building_index
 from jaxurban.maps.build import check_region, view_sky
 from jaxurban.maps.task import MapParams, MapTask
@@ -333,10 +332,9 @@ def soften(
       InputError: a city whose roofs are a height raster, or no such time.
     """
     if task.city.hanging == SLABS:
-        warnings.warn(
+        warn(
             "soft layers know no slabs: in them, and in their gradients, everything that hangs reaches the ground",
             GuessWarning,
-            stacklevel=3,
         )
         task = replace(task, city=replace(task.city, hanging=TO_GROUND))
     if not 0 <= time_index < task.num_times:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from jaxurban.errors import InputError, finite, typed
+from jaxurban.errors import InputError, finite, typed, warn
 from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.progress import LOG
@@ -545,9 +545,8 @@ def open_maps(
     ds = open_zarr(Path(folder), resolution_m)
     if "run_key" in ds.attrs and (lost := missing_geotiffs(ds, Path(folder))):
         others = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
-        warnings.warn(
+        warn(
             f"{str(lost[0])!r}{others} is missing or empty: the same `jaxurban maps` command writes it again",
-            stacklevel=2,
         )
     base = Path(folder).resolve() / BASE_MAP_FILE
     maps = MetricMaps(ds, obstacles, base if base.is_file() else None)

@@ -9,7 +9,6 @@ A straight line from a leg to an obstacle runs through closed cells last: so it 
 import math
 import operator
 import re
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt, minimum_filter
 
-from jaxurban.errors import IgnoredZoneWarning, InputError, nearest_name, typed
+from jaxurban.errors import IgnoredZoneWarning, InputError, nearest_name, typed, warn
 from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
 from jaxurban.maps.metric_maps import MetricMaps
@@ -283,7 +282,7 @@ class Constraints:
         is_on = [zone.is_in_force(flight) for zone in self.zones]
         if off := [zone.label for zone, on in zip(self.zones, is_on, strict=True) if not on]:
             sentence = f"zones not in force at {time} nor within an hour, which close nothing: {len(off)}"
-            warnings.warn(f"{sentence} ({listed(off)})", IgnoredZoneWarning, stacklevel=3)
+            warn(f"{sentence} ({listed(off)})", IgnoredZoneWarning)
         return replace(self, zones=tuple(zone for zone, on in zip(self.zones, is_on, strict=True) if on))
 
     def is_free(
@@ -347,7 +346,7 @@ class Constraints:
         if self.zones and not is_near:
             files = ", ".join(sorted({repr(zone.source) for zone in self.zones}))
             sentence = f"no zone of {files} lies in the maps' region, so that nothing is closed: check the file"
-            warnings.warn(sentence, IgnoredZoneWarning, stacklevel=2)
+            warn(sentence, IgnoredZoneWarning)
         for level_closed, z_m in zip(closed, levels_m, strict=True):
             for bound in self.bounds:
                 level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)

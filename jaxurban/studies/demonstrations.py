@@ -1,6 +1,5 @@
 """Demonstrations: routes of files and planned paths, each on the map that it was flown on."""
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -13,7 +12,7 @@ import pandas as pd
 import shapely
 from scipy.ndimage import distance_transform_edt
 
-from jaxurban.errors import InputError, LeftOutWarning, OtherSettingsWarning, typed
+from jaxurban.errors import InputError, LeftOutWarning, OtherSettingsWarning, typed, warn
 from jaxurban.io.read.routes import read_routes
 from jaxurban.io.tables import SUFFIXES
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
@@ -166,7 +165,7 @@ def read_demonstrations(
         raise InputError(f"no line of {str(file)!r} is of use: {'; '.join(reasons[:MOST_REASONS])}")
     if reasons:
         left_out = f"{len(reasons)} of {len(routes)} lines of {str(file)!r} were left out: {'; '.join(reasons)}"
-        warnings.warn(left_out, LeftOutWarning, stacklevel=3)
+        warn(left_out, LeftOutWarning)
     return demonstrations
 
 
@@ -254,12 +253,11 @@ def _cost_maps(
     for name, settings in planned:
         before = fitted | {key: value for key, value in settings.items() if key in fitted}
         if _rules_said(before) != _rules_said(fitted):
-            warnings.warn(
+            warn(
                 f"{name} was planned under {_rules_said(before)} and is fitted under {_rules_said(fitted)}, all the "
                 "same: give what it was planned under (--cost-model, --no-fly, --require, --clearance, "
                 "--vertical-clearance; cost_model=, constraints=)",
                 OtherSettingsWarning,
-                stacklevel=4,
             )
             break
 

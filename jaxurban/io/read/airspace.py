@@ -14,7 +14,6 @@ above the ellipsoid, and cut a ceiling of 36.5 m to 36.
 import json
 import math
 import re
-import warnings
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -26,7 +25,7 @@ import pandas as pd
 import shapely
 from pyproj import Geod
 
-from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, finite
+from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, finite, warn
 from jaxurban.io.read.heights import is_blank
 from jaxurban.io.read.vector import open_layers
 from jaxurban.io.read.zone import TURN, Zone, mended
@@ -98,7 +97,7 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
 
 
 def _warn(sentence: str) -> None:
-    warnings.warn(sentence, IgnoredZoneWarning, stacklevel=4)
+    warn(sentence, IgnoredZoneWarning)
 
 
 def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:

@@ -5,7 +5,6 @@ They are written down where they are made: on the `City` by what reads it, on th
 """
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import numpy as np
 import shapely
 
 from jaxurban import settings
-from jaxurban.errors import GuessWarning
+from jaxurban.errors import GuessWarning, warn
 from jaxurban.io.read.heights import LAYER_CLEARANCE_M
 from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.sampling import pixel_xy
@@ -41,7 +40,7 @@ def warn_of(guesses: Mapping[str, str], known: Mapping[str, str] | None = None) 
     """Warn of each guess that is not known already."""
     for name, sentence in guesses.items():
         if name not in (known or {}):
-            warnings.warn(sentence, GuessWarning, stacklevel=3)
+            warn(sentence, GuessWarning)
 
 
 def percent(share: float) -> str:

@@ -5,7 +5,6 @@ import io
 import json
 import math
 import re
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -18,7 +17,7 @@ from sgp4.io import verify_checksum
 from skyfield.api import EarthSatellite, Timescale, load, wgs84
 from skyfield.iokit import parse_tle_file
 
-from jaxurban.errors import InputError, StaleElementsWarning, readable
+from jaxurban.errors import InputError, StaleElementsWarning, readable, warn
 from jaxurban.io.read.nominal import GPS, MARK, nominal_satellites
 from jaxurban.samples.catalogue import located
 from jaxurban.settings import NOMINAL, iso_utc, parse_time
@@ -256,7 +255,7 @@ def _check_age(
     remedy = f'use elements of that date (CelesTrak, Space-Track) or orbits = "{NOMINAL}"'
     if oldest_days > max_age_days:
         raise InputError(f"{age}, more than max_age_days = {max_age_days:g}: {remedy}")
-    warnings.warn(f"{age}, so its place is uncertain: {remedy}", StaleElementsWarning, stacklevel=3)
+    warn(f"{age}, so its place is uncertain: {remedy}", StaleElementsWarning)
 
 
 def _system(name: str) -> str:

@@ -3,7 +3,6 @@
 Water and parks are what the strata of a study need beside the maps.
 """
 
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import shapely
 from numpy.lib.stride_tricks import sliding_window_view
 from osmium.filter import IdFilter, KeyFilter, TagFilter
 
-from jaxurban.errors import readable
+from jaxurban.errors import readable, warn
 from jaxurban.io.read.outlines import DECK, Outlines, tags_of
 from jaxurban.world.city import LandCover, ReadIssue
 from jaxurban.world.grid import WGS84, Bounds, transformer
@@ -289,9 +288,8 @@ def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geomet
         nearest = int(np.argmin(shapely.distance(shapely.linestrings(np.stack([start, end], axis=1)), box.centroid)))
         return box if right[nearest] @ (middle - start[nearest]) > 0 else shapely.Polygon()
     if (np.minimum(wet_m, dry_m) > MIXED * np.maximum(wet_m, dry_m)).any():
-        warnings.warn(
+        warn(
             "the coast lines have a gap: what lies beside it is taken for what most of its shore says, land or sea; "
             "fetch an extract with complete ways, or name another file in [study] land_cover",
-            stacklevel=2,
         )
     return shapely.union_all(faces[wet_m > dry_m])

@@ -14,7 +14,7 @@ from affine import Affine
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
-from jaxurban.errors import InputError, readable
+from jaxurban.errors import InputError, readable, warn
 from jaxurban.io.read.sampling import heights_above, pixel_xy, transformed
 from jaxurban.world.city import Raster, ReadIssue, ReadIssues
 from jaxurban.world.grid import WGS84, Bounds, check_on_earth, transformer, where_it_lies
@@ -242,10 +242,9 @@ def heights_of_surface(name: str, surface: Raster, terrain: Raster | None, crs: 
             f"its blocks of {BLOCK_M:g} m are off it all over, streets and yards included): bring both to one vertical "
             'datum and unit, or leave out [buildings] kind = "surface" if it holds heights above ground'
         )
-    warnings.warn(
+    warn(
         f"heights are {name} less the terrain: trees, bridges and cranes in it count as buildings, and what is lower "
         f"than {GROUND_M:g} m as ground",
-        stacklevel=2,
     )
     is_ground = above.values < GROUND_M
     issues = {

@@ -1,7 +1,6 @@
 """Routes from files: lines that someone flew, drew or planned."""
 
 import json
-import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -12,7 +11,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.errors import InputError, LeftOutWarning, finite
+from jaxurban.errors import InputError, LeftOutWarning, finite, warn
 from jaxurban.io.read.vector import open_layers
 
 SEGMENT_PROPERTY = "segment"  # of lines that repeat a part of jaxurban's own route, for its report
@@ -74,7 +73,7 @@ def read_routes(file: str | Path) -> list[Route]:
         raise InputError(f"{str(file)!r} holds no line of finite places: give routes as LineString features")
     if num_others:
         said = f"{num_others} of the features of {str(file)!r} are not lines of finite places and were left out"
-        warnings.warn(said, LeftOutWarning, stacklevel=2)
+        warn(said, LeftOutWarning)
     return routes
 
 
