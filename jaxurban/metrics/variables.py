@@ -37,6 +37,7 @@ NO_METRICS = {
         Variable(
             "roof_guessed",
             "the height of the highest roof that touches the cell, or is over its centre, is guessed",
+            title="Guessed heights",
             dtype=np.bool_,
             classes=(("height known, or no roof", FREE_COLOUR), ("height guessed", GUESSED_COLOUR)),
         ),

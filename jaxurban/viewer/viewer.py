@@ -128,10 +128,7 @@ class Viewer:
             "resolution_m": grid.resolution_m,
             "corner_m": [grid.x_min_m, grid.y_min_m],
             "lonlat": lonlat_fit(grid),
-            "layers": [
-                {"name": name, "told": _told(layer), "dims": layer.dims, "unit": unit_of(layer)}
-                for name, layer in self.layers.items()
-            ],
+            "layers": [{"name": name, "dims": layer.dims} | _words(layer) for name, layer in self.layers.items()],
             "tile": TILE,
             "strides": strides_of(grid.shape),
             "weights": {name: float(self.plans.weights[name]) for name in self._labels},
@@ -229,20 +226,20 @@ class Viewer:
         return tile_bytes(self.values(tile), tile.stride, tile.row, tile.col)
 
     def values_at(self, cell: Cell) -> list[dict[str, Any]]:
-        """Return the value of every layer in a cell: name, what it is told as, value (None for none) and unit."""
+        """Return the value of every layer in a cell: name, value (None for none) and its words (`_words`)."""
         grid = self.maps.grid
         if not (cell.row < grid.num_rows and cell.col < grid.num_cols):
             raise InputError(f"the cell {cell.row}, {cell.col} is outside: there are {grid.num_rows} x {grid.num_cols}")
         found, is_inside = [], self._value_in(self.layers["obstacle"], cell) != 0
         for name, layer in self.layers.items():
-            if not (heading := _told(layer)):
+            words = _words(layer)
+            if not words["told"]:
                 continue
             value = math.nan if is_inside and layer.is_hidden else self._value_in(layer, cell)
-            told = {"name": name, "told": heading, "unit": unit_of(layer)}
-            found.append(told | {"value": _number(value)})
+            found.append({"name": name, "value": _number(value)} | words)
             if name == "density":
-                in_cell = {"name": "people", "told": "People in the cell", "unit": ""}
-                found.append(told | in_cell | {"value": _number(value * grid.resolution_m**2 / 1e6)})
+                people = {"name": "people", "value": _number(value * grid.resolution_m**2 / 1e6)}
+                found.append(people | words | {"told": "People in the cell", "unit": ""})
         return found
 
     def _value_in(self, layer: DrawnLayer, cell: Cell) -> float:
@@ -287,8 +284,11 @@ class Viewer:
         at = self.flight(query)
         found, planned = self.plans.report(query, at)
         mission = self.plans.mission(query, at)
-        least_m = float(cautious_profile(mission, self.maps)[CLEARANCE].min())
         table, totals = found.profile, found.totals
+        least_m = float(cautious_profile(mission, self.maps)[CLEARANCE].min())
+        least = f"least clearance {number(least_m)} m"
+        if number(least_m) != number(route_m := totals[CLEARANCE]) and least_m < route_m:
+            least = f'<b class="jv-limit">{least}, the route {number(route_m)} m</b>'
         lines = {name: (metric.label, self._colours[name]) for name, metric in self.maps.metrics.items()}
         units = {name: text for name, text in TOTALS.items() if name in totals}
         return {
@@ -302,7 +302,7 @@ class Viewer:
             "mission": self._on_page(lonlat := waypoints(mission).lonlat),
             "saved": f"{len(lonlat)} waypoints, cost {number(mission.cost)}"
             + (f", {mission.cost / planned.cost - 1:+.1%}" if planned.cost > 0 else "")
-            + (f", least clearance {number(least_m)} m" if math.isfinite(least_m) else ""),
+            + (f", {least}" if math.isfinite(least_m) else ""),
         }
 
     def _on_page(self, lonlat: np.ndarray) -> np.ndarray:
@@ -330,11 +330,11 @@ def unit_of(layer: DrawnLayer) -> str:
     return {"1": "", "km-2": "per km²"}.get(layer.variable.unit, layer.variable.unit)
 
 
-def _told(layer: DrawnLayer) -> str:
-    """Return what a layer is called in the list of values of a cell; "" where it is not in it."""
-    if layer.group == "Costs" and layer.name != H_NORM:
-        return ""
-    return layer.variable.symbol or layer.variable.heading
+def _words(layer: DrawnLayer) -> dict[str, Any]:
+    """Return what a layer is told as in the list of values of a cell ("" where it is not in it), classes and unit."""
+    variable, is_left_out = layer.variable, layer.group == "Costs" and layer.name != H_NORM
+    told = "" if is_left_out else variable.symbol or variable.heading
+    return {"told": told, "classes": [name for name, _ in variable.classes], "unit": unit_of(layer)}
 
 
 def as_json(value: Any) -> bytes:

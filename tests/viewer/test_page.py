@@ -103,6 +103,7 @@ def test_the_values_under_the_pointer_the_legend_and_the_colours_are_those_of_th
         shown = text_of(page, "at").replace("°", "").split()
         assert math.isclose(-float(shown[0]), lon, abs_tol=6e-5)
         assert math.isclose(float(shown[2]), lat, abs_tol=6e-5)
+    assert "Obstacles\tfree" in page.locator('[data-is="values"]').inner_text()
     ticks = page.locator(".jv-ticks span").all_inner_texts()
     assert (ticks[0], ticks[-1]) == ("0", "1")
     page.select_option('[name="layer"]', "roof")

@@ -118,6 +118,16 @@ def test_values_in_a_cell_are_the_maps_own_and_inside_an_obstacle_there_is_no_qu
     assert said["roof"] == MAPS.m("roof")[wall]
 
 
+def test_what_is_yes_or_no_in_a_cell_is_told_in_words():
+    guessed = MAPS.ds["roof"] > 0
+    viewer = Viewer(type(MAPS)(MAPS.ds.assign(roof_guessed=guessed)))
+    cell = np.argwhere(guessed.values)[0].tolist()
+    found = answer(viewer, "values", at=[0, 0, 0], row=cell[0], col=cell[1])
+    (told,) = (each for each in found if each["name"] == "roof_guessed")
+    assert (told["told"], told["classes"][int(told["value"])]) == ("Guessed heights", "height guessed")
+    assert all(each["classes"] == [] for each in found if each["name"] in ("gps", "roof", "density", "people"))
+
+
 @pytest.mark.parametrize(
     "more",
     [
@@ -192,7 +202,10 @@ def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(v
     mission = ju.simplify(planned, on, MAPS.grid.resolution_m / 2)
     prices = f"cost {number(mission.cost)}, {mission.cost / route['cost'] - 1:+.1%}"
     least_m = ju.explain(mission, MAPS).totals["nearest_wall_m"]
-    assert found["saved"] == f"{len(places)} waypoints, {prices}, least clearance {number(least_m)} m"
+    least, route_m = f"least clearance {number(least_m)} m", ju.explain(planned, MAPS).totals["nearest_wall_m"]
+    if least_m < route_m - 0.01:
+        least = f'<b class="jv-limit">{least}, the route {number(route_m)} m</b>'
+    assert found["saved"] == f"{len(places)} waypoints, {prices}, {least}"
 
 
 def test_a_profile_labels_the_flight_at_its_height_and_distances_so_that_none_equals_another(viewer):

@@ -112,8 +112,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const values = await ask('values', { at: places(), row: cell[0], col: cell[1] });
     const table = is('values');
     table.replaceChildren();
-    for (const { name, told, value, unit } of values) {
-      const row = table.insertRow(), text = name === 'obstacle' ? ['no', 'yes'][value] : `${number(value)} ${unit}`;
+    for (const { name, told, value, classes, unit } of values) {
+      const row = table.insertRow(), text = classes[value] ?? `${number(value)} ${unit}`;
       Object.assign(row.dataset, { layer: name, value });
       row.className = name === field('layer').value ? 'jv-chosen' : '';
       for (const each of [told, text]) row.insertCell().textContent = each;
@@ -324,8 +324,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const between = () => { // of the levels that the maps hold, that below the flight's is drawn
     const flight = +field('flight_m').value, index = scene.altitudes_m.findLastIndex(level => level <= flight);
     if (index >= 0) field('altitude').value = index;
-    const level = scene.altitudes_m[index] ?? flight;
-    is('between').textContent = level === flight ? '' : `Between two levels: the map shows that of ${level} m.`;
+    const level = scene.altitudes_m[index] ?? flight, isBetween = level < flight && flight < scene.altitudes_m.at(-1);
+    is('between').textContent = !isBetween ? '' : `Between two levels: the map shows that of ${level} m.`;
   };
   const fitModel = () => {
     const model = field('cost_model'), isAsked = root.querySelector('[value="theta-star"]').checked;
