@@ -18,11 +18,19 @@ from jaxurban.cli.common import DEVICE, JSON_FLAG, OBSTACLES, PATH, RESOLUTION, 
 @click.option(
     "--tolerance", type=float, default=1e-6, show_default=True, help="Values that differ by no more count as equal."
 )
+@click.option(
+    "--routes",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Pairs of places at each altitude whose route on one map is judged on the other.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of these places.")
 @click.option("--overwrite", is_flag=True, help="Replace another comparison in the output folder.")
 @DEVICE
 @JSON_FLAG
 def compare(folder_a: Path, folder_b: Path, output: Path, **options: Any) -> int:
-    """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time."""
+    """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time, and for routes."""
     from jaxurban.io.tables import records_of
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.studies.map_comparison import compare as compare_maps
@@ -30,11 +38,12 @@ def compare(folder_a: Path, folder_b: Path, output: Path, **options: Any) -> int
     study = partial(
         compare_maps,
         *(MapsFolder(folder, options["resolution_m"], options["obstacles"]) for folder in (folder_a, folder_b)),
-        tolerance=options["tolerance"],
+        **{name: options[name] for name in ("tolerance", "routes", "seed")},
     )
     result = run_study("compare", output, lambda report: study(progress=report), options["overwrite"])
     if options["as_json"]:
         facts = {"left_out": dict(result.left_out), "settings": result.settings, "layers": records_of(result.table)}
+        facts["regrets"] = records_of(result.regrets)
         print_json({"folder": str(output), "report": str(output / "report.md"), **facts})
     return 0
 

@@ -35,6 +35,7 @@ from jaxurban.planners.exposure import within_budgets
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.progress import saying_later
 from jaxurban.public import Shown
+from jaxurban.settings import Objective
 from jaxurban.world.grid import Grid
 
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
@@ -87,7 +88,7 @@ class CostMap(Shown):
     time: str | None
     time_of_day: str | None
     weights: Weights
-    objective: str
+    objective: Objective
     cost_model: CostModel
     constraints: Constraints
     names: tuple[str, ...]

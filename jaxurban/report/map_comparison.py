@@ -121,7 +121,11 @@ def comparison_outputs(found: MapComparison) -> tuple[dict[str, Output], dict[st
         f"difference/{layer}_{size}m.tif": partial(_write_difference, found, layer) for layer in found.layers
     }
     report = comparison_markdown(found, list(figures))
-    return outputs | study_outputs(report, {"layers": found.table}, figures), key
+    tables = {"layers": found.table}
+    if len(found.routes):
+        tables |= {"routes": found.routes, "regrets": found.regrets}
+        key |= {"routes": crc32(found.routes.to_csv().encode()), "seed": found.seed}
+    return outputs | study_outputs(report, tables, figures), key
 
 
 def _write_difference(found: MapComparison, layer: str, file: Path) -> Path:
@@ -145,6 +149,7 @@ def comparison_markdown(found: MapComparison, figures: list[str]) -> str:
     left_out = bullets(f"{name}: {why}" for name, why in found.left_out.items())
     return fill(
         "compare",
+        {"regrets": found.regrets},
         credits=[found.a.attribution, found.b.attribution],
         found=found,
         extent=f"Compared are {held['grid']} ({held['CRS']}) at {held['altitudes']}.",

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pyproj
 
-from jaxurban.errors import InputError, finite, one_of, typed
+from jaxurban.errors import InputError, at_least, finite, one_of, typed
 from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -20,6 +20,7 @@ from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
 from jaxurban.public import listed
 from jaxurban.settings import iso_utc
+from jaxurban.studies.compared_routes import compared_routes, regrets
 from jaxurban.studies.queries import NORMS, Result
 from jaxurban.world.grid import Grid
 
@@ -53,6 +54,8 @@ class MapComparison(Result):
         ``gained`` and ``lost``, the cells that are higher by more than ``tolerance`` in B and in A, and
         ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` (cells that no planner enters) the
         values are 1 where a cell is blocked and 0 elsewhere, and the cells all with data in both.
+      routes: a row for each route of one map under the other (`compared_routes`); empty where none were asked for.
+      seed: of their ends.
 
     Examples:
       >>> higher_mask = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), gps=ju.Gps(mask_deg=30.0))
@@ -70,6 +73,18 @@ class MapComparison(Result):
     settings: Differing | None = None
     tolerance: float = SAME
     table: pd.DataFrame = field(default_factory=pd.DataFrame)
+    routes: pd.DataFrame = field(default_factory=pd.DataFrame)
+    seed: int = 0
+
+    @property
+    def regrets(self) -> pd.DataFrame:
+        """By altitude, what routes planned on A cost too much on B, and those of B on A; empty without routes.
+
+        ``routes`` found, the share ``closed`` on the other map and ``closed_m``, the median length of these in closed
+        cells; of the others the median ``regret`` (0.05: 5 % above the cheapest there), the 90 % quantile and the
+        worst. ``closed`` and ``regret`` with 95 % intervals.
+        """
+        return regrets(self.routes) if len(self.routes) else pd.DataFrame()
 
     @property
     def times(self) -> dict[str, str]:
@@ -171,6 +186,8 @@ def compare(
     maps_b: GivenMaps | MapsFolder,
     *,
     tolerance: float = SAME,
+    routes: int = 0,
+    seed: int = 0,
     progress: Progress = True,
 ) -> MapComparison:
     """Return how maps B differ from maps A, cell by cell.
@@ -181,6 +198,9 @@ def compare(
       maps_a, maps_b: from `build_maps` or `open_maps`, or folders of one resolution's maps; a `MapsFolder` where a
         folder holds several, or planners are to keep another rule of obstacles.
       tolerance: values that differ by no more than this, in their unit, have not changed.
+      routes: pairs of places, free in both, drawn at each altitude, between which the cheapest route on A is judged on
+        B, and B's on A (`MapComparison.regrets`); by A's weights, cost model and constraints, at the first time.
+      seed: of these places.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
@@ -198,7 +218,11 @@ def compare(
       layer
       gps      1    894       0   870
       lidar    1    894       0     0
+      >>> regrets = ju.studies.compare(maps, higher_mask, routes=20, progress=False).regrets
+      >>> regrets[["planned_on", "judged_on", "routes", "closed"]].to_numpy().tolist()
+      [['A', 'B', 20, 0.0], ['B', 'A', 20, 0.0]]
     """
+    at_least("routes", routes, 0)
     tolerance = finite("tolerance", tolerance)
     if tolerance < 0:
         raise InputError(f"tolerance must not be negative, got {tolerance:g}")
@@ -222,7 +246,11 @@ def compare(
                 head = {"layer": layer, "unit": unit_of(found.a, layer), **place._asdict()}
                 rows.append(head | _statistics(change[~np.isnan(change)], tolerance))
         report("layers", len(names), len(names))
-    return replace(found, table=pd.DataFrame(rows))
+        judged = found.routes
+        if routes:
+            times = next(iter(found.times.items()), (None, None))
+            judged = compared_routes(found.a, found.b, routes, seed, times, report)
+    return replace(found, table=pd.DataFrame(rows), routes=judged, seed=seed)
 
 
 def _left_out(maps: MetricMaps, part: MetricMaps, other: str) -> dict[str, str]:

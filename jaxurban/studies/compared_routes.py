@@ -1,0 +1,125 @@
+"""Routes planned on each of two sets of maps and judged by the other: what a difference of maps changes for routes."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.plan import cost_map
+from jaxurban.planners.base import ROUNDING, Path
+from jaxurban.planners.registry import solve_many
+from jaxurban.progress import Report
+from jaxurban.studies.bootstrap import Clusters
+
+WAYS = (("A", "B"), ("B", "A"))  # planned on, judged on
+HEAD = ["altitude_m", "planned_on", "judged_on"]
+
+
+def compared_routes(
+    a: MetricMaps, b: MetricMaps, num: int, seed: int, times: tuple[str | None, str | None], report: Report
+) -> pd.DataFrame:
+    """Return a row for each route of A under B, and of B under A: its cost there, and the cheapest one's.
+
+    At each altitude ``num`` pairs of cells that are free in both are drawn, and the cheapest route of the grid between
+    them is planned on either. Weights, cost model and constraints are those of A's scenario, for both.
+
+    Args:
+      a, b: the maps, cut to what both hold (`map_comparison.shared_part`).
+      num: pairs at each altitude.
+      seed: of the pairs.
+      times: of A and of B.
+      report: called with stage, done and total.
+
+    Returns:
+      Rows with the ends in metres, ``cost`` on the map that the route was planned on, ``cost_there`` on the other
+      (missing where it is closed there), ``best_there`` of that map's own route, ``regret`` (cost_there / best_there -
+      1), ``closed_m``, its length in cells that are closed there, and ``is_closed``, also where it only comes too near
+      one. A route that was not found has no numbers.
+
+    Raises:
+      InputError: fewer than two cells are free in both at an altitude, or the scenario asks what B does not hold.
+    """
+    rows: list[dict[str, Any]] = []
+    for k, altitude_m in enumerate(a.altitudes_m):
+        report("routes", k, len(a.altitudes_m))
+        on_a = cost_map(a, altitude_m, time=times[0])
+        on_b = cost_map(
+            b,
+            altitude_m,
+            time=times[1],
+            weights=on_a.weights,
+            objective=on_a.objective,
+            cost_model=on_a.cost_model,
+            constraints=on_a.constraints,
+        )
+        free = np.argwhere(on_a.is_free & on_b.is_free)
+        if len(free) < 2:
+            raise InputError(f"at {altitude_m:g} m fewer than two cells are free in both maps: leave out routes")
+        rng = np.random.default_rng([seed, k])
+        start = rng.integers(len(free), size=num)
+        goal = (start + rng.integers(1, len(free), size=num)) % len(free)
+        maps, ends = {"A": on_a, "B": on_b}, np.stack([free[start], free[goal]], axis=1)
+        paths = {name: _planned(on, ends) for name, on in maps.items()}
+        for pair, (planned_on, judged_on) in ((pair, way) for pair in range(num) for way in WAYS):
+            head = dict(zip(HEAD, (altitude_m, planned_on, judged_on), strict=True))
+            (start_x_m, start_y_m), (goal_x_m, goal_y_m) = (on_a.grid.xy_of_cell(*end) for end in ends[pair])
+            head |= {"start_x_m": start_x_m, "start_y_m": start_y_m, "goal_x_m": goal_x_m, "goal_y_m": goal_y_m}
+            facts = _judged(maps[judged_on], paths[planned_on][pair], paths[judged_on][pair])
+            rows.append({"pair": pair} | head | facts)
+    report("routes", len(a.altitudes_m), len(a.altitudes_m))
+    return pd.DataFrame(rows)
+
+
+def _planned(on: CostMap, ends: np.ndarray) -> list[Path]:
+    """Return the cheapest path of the grid between each two of the cells ``[N, 2, 2]``."""
+    problems = [on.problem.between(tuple(start), tuple(goal)) for start, goal in ends.tolist()]
+    paths: dict[int, Path] = {}
+    for k, outcome in solve_many(problems):
+        if isinstance(outcome, Exception):
+            raise outcome
+        paths[k] = outcome
+    return [paths[k] for k in range(len(problems))]
+
+
+def _judged(on: CostMap, path: Path, best: Path) -> dict[str, Any]:
+    """Return what a path costs on another map than its own, beside the best of that map."""
+    facts: dict[str, Any] = {"status": path.status.value, "best_there": best.cost if best.status.has_path else np.nan}
+    names = ("cost", "length_m", "cost_there", "regret", "closed_m", "is_closed")
+    if not path.status.has_path:
+        return facts | dict.fromkeys(names, np.nan)
+    features = on.problem.features(path.points_m)
+    cost = features.cost(on.problem.weights) if features.is_valid else np.nan
+    closed_m = float(features.length_m[~on.is_free[features.crossed]].sum())
+    regret = 0.0
+    if not cost <= best.cost * ROUNDING:  # also where it is closed
+        regret = cost / best.cost - 1 if best.cost > 0 else np.inf
+    numbers = (path.cost, float(features.length_m.sum()), cost, regret, closed_m, float(not features.is_valid))
+    return facts | dict(zip(names, numbers, strict=True))
+
+
+def regrets(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return by altitude and by which map planned: how many routes the other map closes, and the regret of the others.
+
+    Medians and shares have 95 % intervals by the bootstrap over pairs (`jaxurban.studies.bootstrap`), NaN of fewer
+    than eight.
+
+    Args:
+      rows: of `compared_routes`.
+    """
+    table = []
+    for values, of in rows.groupby(HEAD, sort=False):
+        of = of[of["is_closed"].notna()]
+        clusters, open_there = Clusters(of["pair"]), of["regret"].dropna()
+        closed, median = clusters.interval(of["is_closed"], "share"), clusters.interval(of["regret"], "median")
+        high, worst = open_there.quantile([0.9, 1.0]) if len(open_there) else (np.nan, np.nan)
+        table.append(
+            dict(zip(HEAD, values, strict=True))
+            | {"routes": len(of), "closed": closed.value, "closed_low": closed.low, "closed_high": closed.high}
+            | {"closed_m": of["closed_m"][of["is_closed"] > 0].median()}
+            | {"regret": median.value, "regret_low": median.low, "regret_high": median.high}
+            | {"regret_p90": high, "regret_worst": worst}
+        )
+    return pd.DataFrame(table)

@@ -1,0 +1,93 @@
+"""Routes of one map under another: against sums by hand, and against what was built into the maps."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import jaxurban as ju
+from jaxurban.kernels.line.traversal import crossed_cells
+from tests.cli_runs import run
+from tests.made_maps import made_maps
+from tests.studies.test_map_comparison import changed_from
+
+NUM = 30
+
+
+@pytest.fixture(scope="module")
+def maps():
+    a = made_maps()
+    return a, changed_from(a)
+
+
+@pytest.fixture(scope="module")
+def found(maps):
+    return ju.studies.compare(*maps, routes=NUM, seed=3, progress=False)
+
+
+def ends(row):
+    return ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)
+
+
+def test_costs_closed_metres_and_regrets_are_sums_by_hand(maps, found):
+    by_name, num_closed, num_open = dict(zip("AB", maps, strict=True)), 0, 0
+    for row in found.routes[found.routes.pair < 12].itertuples():
+        there, z_m = by_name[row.judged_on], row.altitude_m
+        path = ju.cost_map(by_name[row.planned_on], z_m).plan(*ends(row))
+        assert path.status.value == row.status
+        if not path.status.has_path:
+            continue
+        assert path.cost == pytest.approx(row.cost, rel=1e-9)
+        cut = crossed_cells(path.search.points_m, there.grid.resolution_m)
+        cell, is_free = (cut.row, cut.col), there.is_free(z_m)
+        assert row.closed_m == pytest.approx(np.sum(cut.length_m, where=~is_free[cell]), abs=1e-9)
+        weights, model = ju.Weights().to_dict(), ju.CostModel()
+        per_m = weights["distance"] + sum(
+            weights[name] * cost[cell] / model.reference_length_m for name, cost in there.costs(z_m).items()
+        )
+        if np.isnan(row.cost_there):
+            num_closed += 1
+            assert row.is_closed == 1
+            continue
+        num_open += 1
+        assert (row.is_closed, row.closed_m) == (0, 0)
+        assert row.cost_there == pytest.approx(np.sum(cut.length_m * per_m), rel=1e-6)
+        best = ju.cost_map(there, z_m).plan(*ends(row)).cost
+        assert row.best_there == pytest.approx(best, rel=1e-9)
+        assert row.regret == pytest.approx(row.cost_there / best - 1, abs=1e-9)
+    assert num_open > 20
+    assert num_closed > 0
+
+
+def test_a_table_by_altitude_and_direction_holds_medians_shares_and_the_worst(found):
+    table = found.regrets
+    assert table[["planned_on", "judged_on"]].to_numpy().tolist() == [["A", "B"], ["B", "A"]] * len(found.a.altitudes_m)
+    for _, line in table.iterrows():
+        of = found.routes.merge(line[["altitude_m", "planned_on"]].to_frame().T.infer_objects()).dropna(subset="cost")
+        regret = np.sort(of.regret.dropna())
+        assert (line.routes, line.closed) == (len(of), pytest.approx(of.is_closed.mean()))
+        assert line.regret == regret[(len(regret) - 1) // 2]
+        assert line.regret_worst == regret[-1]
+        assert line.regret_low <= line.regret <= line.regret_high
+        assert line.closed_low <= line.closed <= line.closed_high
+    assert table.regret_worst.max() > 0.001
+
+
+def test_the_same_seed_draws_the_same_pairs_and_no_map_has_regrets_under_itself(maps, found):
+    again = ju.studies.compare(*maps, routes=NUM, seed=3, progress=False)
+    pd.testing.assert_frame_equal(again.routes, found.routes)
+    same = ju.studies.compare(maps[0], maps[0], routes=NUM, progress=False)
+    assert same.regrets[["closed", "closed_m", "regret", "regret_worst"]].fillna(0).to_numpy().max() < 1e-12
+    assert not same.routes[["start_x_m", "goal_x_m"]].equals(found.routes[["start_x_m", "goal_x_m"]])
+
+
+def test_the_command_reports_regrets_and_writes_every_route(maps, tmp_path, capsys):
+    folders = [made.save(tmp_path / name) for made, name in zip(maps, "ab", strict=True)]
+    code, out, _ = run(capsys, "compare", *folders, "-o", tmp_path / "out", "--routes", 12, "--seed", 3, "--json")
+    assert code == 0
+    assert [line["routes"] for line in json.loads(out)["regrets"]] == [12] * 4
+    assert len(pd.read_csv(tmp_path / "out/tables/routes.csv")) == 2 * 2 * 12
+    report = (tmp_path / "out/report.md").read_text()
+    assert "free in both were drawn at each altitude (seed 3)" in report
+    assert "| altitude_m | planned_on | judged_on | routes | closed |" in report
