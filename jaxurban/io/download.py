@@ -6,11 +6,15 @@ address, so that the age of a copy decides.
 
 import hashlib
 import importlib.metadata
+import ipaddress
 import os
+import socket
 import time
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
 
 import requests
 from requests.adapters import HTTPAdapter
@@ -70,6 +74,30 @@ class _Retry(Retry):
         super().sleep(response)
 
 
+class _Adapter(HTTPAdapter):
+    """Sends requests; of redirects none that leads from a public server into this machine or its own network."""
+
+    def __init__(self, source: Source, **options: Any) -> None:
+        self.asked = urlsplit(source.url).hostname
+        super().__init__(**options)
+
+    def send(self, request: requests.PreparedRequest, *args: Any, **options: Any) -> requests.Response:
+        host = urlsplit(request.url or "").hostname
+        if host != self.asked and _is_private(host) and not _is_private(self.asked):
+            raise InputError(f"{self.asked} sends on to {host}, an address of no public server: {REMEDY}")
+        return super().send(request, *args, **options)
+
+
+def _is_private(host: str | None) -> bool:
+    """Return whether a host, or one of those that its name stands for, is no public one; not of unknown names."""
+    try:
+        found = {place[0] for *_, place in socket.getaddrinfo(host, None)}
+    except OSError:  # perhaps a proxy knows it
+        return False
+    addresses = [ipaddress.ip_address(str(address).partition("%")[0]) for address in found]
+    return not all((getattr(each, "ipv4_mapped", None) or each).is_global for each in addresses)
+
+
 def cache_folder() -> Path:
     """Return where downloads are kept (``$XDG_CACHE_HOME/jaxurban/fetch``)."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxurban" / "fetch"
@@ -109,7 +137,8 @@ def download(source: Source, most_bytes: int) -> Path:
 
 def _receive(source: Source, scratch: Path, most_bytes: int) -> None:
     """Write what a server sends to a file; stop where it is too large."""
-    adapter = HTTPAdapter(
+    adapter = _Adapter(
+        source,
         max_retries=_Retry(
             source.num_tries - 1,
             connect=0,
@@ -117,7 +146,7 @@ def _receive(source: Source, scratch: Path, most_bytes: int) -> None:
             status_forcelist=BUSY,
             backoff_factor=BACKOFF,
             raise_on_status=False,
-        )
+        ),
     )
     with requests.Session() as session:
         session.trust_env = False  # it would send passwords of ~/.netrc

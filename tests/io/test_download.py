@@ -4,6 +4,7 @@ import gzip
 import hashlib
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -123,6 +124,39 @@ def test_no_redirect_leads_from_an_encrypted_place_to_an_open_one(server, monkey
     monkeypatch.setattr(requests.adapters.HTTPAdapter, "send", moved)
     assert_refused("https://here.invalid/a", r"cannot be downloaded \(InvalidSchema\): .*--source")
     assert not server.asked
+
+
+PLACES = {"far.example": "93.184.215.14", "near.example": "192.168.1.1"}
+
+
+@pytest.mark.parametrize(
+    ("host", "num_asked"),
+    [
+        *(
+            (host, 1)
+            for host in ("127.0.0.1", "127.1", "2130706433", "0.0.0.0", "[::1]", "[::ffff:127.0.0.1]", "localhost")
+        ),
+        *((host, 1) for host in ("10.0.0.1", "169.254.169.254", "[fe80::1]", "near.example")),
+        ("93.184.215.15", 2),
+    ],
+)
+def test_no_redirect_leads_from_a_public_server_into_this_machine_or_its_network(server, monkeypatch, host, num_asked):
+    """All requests go by a proxy of this process; a place that is asked for by itself may lie there."""
+    find = socket.getaddrinfo
+    monkeypatch.setattr(socket, "getaddrinfo", lambda name, *how, **more: find(PLACES.get(name, name), *how, **more))
+    server.put("/a", send(b"", 302, Location=f"http://{host}/b"))
+    server.put("/b", send(BODY))
+    for name in ("NO_PROXY", "no_proxy", "http_proxy"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HTTP_PROXY", server.url)
+    if num_asked == 2:
+        assert get("http://far.example/a").read_bytes() == BODY
+    else:
+        assert_refused(
+            "http://far.example/a", r"far\.example sends on to .*, an address of no public server: .*--source"
+        )
+    assert len(server.asked) == num_asked
+    assert get("http://near.example/a").read_bytes() == BODY
 
 
 @pytest.mark.parametrize("status", [429, 502, 503, 504])
