@@ -8,6 +8,7 @@ import pytest
 import rasterio.warp
 import shapely
 from affine import Affine
+from rasterio.errors import NotGeoreferencedWarning
 
 import jaxurban as ju
 from jaxurban.io.read.raster import check_is_no_surface, heights_of_surface, raster_extent_m, read_raster
@@ -53,6 +54,31 @@ def test_only_the_window_around_the_bounds_is_read_and_a_fault_outside_it_is_no_
     assert (found.values.dtype, found.transform, found.crs) == (np.float32, (10, 0, X, 0, -10, Y + 200), UTM)
     assert (found.first_row, found.first_col) == (6, 6)  # two pixels more on each side
     np.testing.assert_array_equal(found.values, values[6:11, 6:12])
+
+
+def test_companions_of_a_raster_are_read(tmp_path):
+    """Its place from a world file, its CRS from a .prj, masked pixels from a .msk; overviews change nothing."""
+    path, pixels = tmp_path / "a.tif", np.arange(1, 10, dtype=np.float32).reshape(3, 3)
+    write_raster(path, pixels)
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False, TIFF_USE_OVR=True), rasterio.open(path, "r+") as file:
+        file.write_mask(np.uint8(255 * (pixels > 1)))
+        file.build_overviews([2])
+    assert {name.name for name in tmp_path.iterdir()} >= {"a.tif.msk", "a.tif.ovr"}
+    np.testing.assert_array_equal(read_raster(path, UTM).values, np.where(pixels > 1, pixels, np.nan))
+    (tmp_path / "b.asc").write_text(
+        f"ncols 3\nnrows 3\nxllcorner {X}\nyllcorner {Y}\ncellsize 10\n" + "1 2 3\n4 5 6\n7 8 9\n"
+    )
+    (tmp_path / "b.prj").write_text(pyproj.CRS(UTM).to_wkt("WKT1_ESRI"))
+    found = read_raster(tmp_path / "b.asc", UTM)
+    np.testing.assert_array_equal(found.values, pixels)
+    with (
+        pytest.warns(NotGeoreferencedWarning),
+        rasterio.open(tmp_path / "c.tif", "w", "GTiff", 3, 3, 1, UTM, dtype="float32") as file,
+    ):
+        file.write(pixels, 1)
+    (tmp_path / "c.tfw").write_text(f"10\n0\n0\n-10\n{X + 5}\n{Y + 25}\n")
+    placed = read_raster(tmp_path / "c.tif", UTM)
+    assert placed.transform == found.transform == (10, 0, X, 0, -10, Y + 30)
 
 
 def test_the_extent_is_that_of_the_whole_file_in_the_citys_crs(tmp_path):

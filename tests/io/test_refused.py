@@ -187,3 +187,27 @@ def test_a_file_that_names_a_server_is_refused_before_a_request(tmp_path, read, 
         refused(read, tmp_path / f"city{suffix}", content, "cannot be read|are read: convert it|not read: unpack it")
         with pytest.raises(BlockingIOError):
             server.accept()
+
+
+MASK = MOSAIC.replace("<SRS>", "<Metadata><MDI key='INTERNAL_MASK_FLAGS_1'>2</MDI></Metadata><SRS>")
+TMS = f"""<GDAL_WMS><Service name="TMS"><ServerUrl>{URL}</ServerUrl></Service><DataWindow><SizeX>4</SizeX></DataWindow>
+</GDAL_WMS>"""
+
+
+@pytest.mark.parametrize("suffix", [".msk", ".MSK", ".Msk"])
+@pytest.mark.parametrize("text", [MASK, TMS, MASK.replace(f"/vsicurl/{URL}", "zero.tif"), None])
+def test_a_mask_beside_a_raster_that_may_name_other_files_is_refused_and_nothing_is_asked_or_read(
+    tmp_path, suffix, text
+):
+    path, mask = write_raster(tmp_path / "a.tif", np.ones((2, 2), np.float32)), tmp_path / f"a.tif{suffix}"
+    write_raster(tmp_path / "zero.tif", np.zeros((2, 2), np.float32))
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setblocking(False)
+        if text is None:
+            os.mkfifo(mask)  # from which nothing ever comes
+        else:
+            mask.write_text(text.replace("PORT", str(server.getsockname()[1])))
+        for read in (read_pixels, READERS["extent.tif"]):
+            refused(read, path, None, rf"a\.tif\{suffix}', the mask of .*a\.tif', is no GeoTIFF .*remove it")
+        with pytest.raises(BlockingIOError):
+            server.accept()

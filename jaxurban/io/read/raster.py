@@ -1,9 +1,10 @@
 """Rasters from files: building heights, terrain and surface models (roofs, trees and ground above sea level)."""
 
 import math
+import os
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,6 +28,8 @@ DRIVERS = {
     **{".asc": "AAIGrid", ".img": "HFA", ".hgt": "SRTMHGT", ".png": "PNG"},
 }
 RASTER_SUFFIXES = tuple(DRIVERS)
+TIFF_MARKS = b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"  # first bytes
+OFFLINE = {"CPL_VSIL_CURL_ALLOWED_FILENAME": "none"}  # GDAL asks servers for no other file, where rasters are read
 OWN_VALUES, HEIGHTS = "in a unit of your own", "heights in metres"
 TERRAIN_RANGE_M = (-500.0, 9000.0)  # the shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m
 _MARGIN_PIXELS = 2  # bilinear sampling reaches half a pixel beyond the bounds, a curved border a little more
@@ -150,7 +153,8 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
         suffix = Path(path).suffix.lower()
         if suffix not in DRIVERS:
             raise ValueError(f"of rasters {', '.join(DRIVERS)} are read: convert it with `gdal_translate`")
-        with rasterio.open(path, driver=DRIVERS[suffix]) as source:
+        _check_mask(Path(path))
+        with rasterio.Env(**OFFLINE), rasterio.open(path, driver=DRIVERS[suffix]) as source:
             if source.count != 1 and holds != OWN_VALUES:
                 raise InputError(f"{name} has {source.count} bands: give a raster with one band, {holds}")
             if np.dtype(source.dtypes[0]).kind not in "iuf":
@@ -167,6 +171,24 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
                 )
             check_on_earth(name, source.crs.to_wkt())
             yield source
+
+
+def _check_mask(path: Path) -> None:
+    """Raise InputError unless the mask beside a raster, if there is one, is a TIFF: others may name any file."""
+    names = [f"{path.name}.msk", f"{path.name}.MSK"]  # that GDAL tries in a folder that it cannot list
+    with suppress(PermissionError):
+        names = [name for name in os.listdir(path.parent) if name.lower() == names[0].lower()]
+    for mask in filter(os.path.lexists, (path.with_name(name) for name in names)):
+        if not mask.is_file() or _first_bytes(mask) not in TIFF_MARKS:
+            raise InputError(
+                f"{str(mask)!r}, the mask of {str(path)!r}, is no GeoTIFF and may name other files: remove it, or "
+                "convert it with `gdal_translate`"
+            )
+
+
+def _first_bytes(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(len(TIFF_MARKS[0]))
 
 
 def _horizontal_crs(source: rasterio.DatasetReader) -> str:
