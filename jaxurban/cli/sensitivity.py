@@ -75,7 +75,7 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
     from jaxurban.maps.metric_maps import open_maps
     from jaxurban.paths.plan import cost_map
     from jaxurban.report.buildings import write_buildings
-    from jaxurban.report.sensitivity import ranges, sensitivity_markdown
+    from jaxurban.report.sensitivity import ranges, sensitivity_markdown, sensitivity_outputs
     from jaxurban.report.write import REPORT_FILE, save
     from jaxurban.studies.weights.study import SensitivitySettings
     from jaxurban.studies.weights.study import sensitivity as study
@@ -104,7 +104,8 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
         "sensitivity", output, lambda report: study(shared, **ends, settings=settings, progress=report), overwrite
     )
     if options["buildings"]:
-        with Workspace.open(output, "sensitivity"):
+        _, of_this_route = sensitivity_outputs(result)
+        with Workspace.open(output, "sensitivity", of_this_route):  # another run may have come in between
             buildings = write_buildings(folder, first, output / "buildings", scenario=options["scenario"])
             save(output, {REPORT_FILE: sensitivity_markdown(result, buildings)})
     if as_json:

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import shutil
 import tempfile
 import uuid
@@ -13,13 +14,14 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxurban.errors import InputError, reason_of
+from jaxurban.errors import InputError, check_file, reason_of
 
 if TYPE_CHECKING:
     from jaxurban.io.workspace import Workspace
 
 LOCK_FILE = ".jaxurban.lock"
 SCRATCH_SUFFIX = ".jaxurban-part"  # of what is being written: ours to sweep, and nobody else's
+SCRATCH_NAME = re.compile(rf"\..*\.[0-9a-z_]{{8}}{re.escape(SCRATCH_SUFFIX)}", re.DOTALL)  # as `scratch_for` gives it
 ELSEWHERE = "choose another folder with -o"
 
 
@@ -93,8 +95,8 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file or a folder, if it is there and can be."""
-    if path.is_dir():
+    """Remove a file, a link or a folder, if it is there and can be."""
+    if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
         with suppress(OSError):
@@ -141,8 +143,9 @@ def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator
 def sweep_scraps(*folders: Path) -> None:
     """Remove what a killed run left half-written in folders."""
     for folder in folders:
-        for scrap in folder.glob(f".*.{8 * '[0-9a-z_]'}{SCRATCH_SUFFIX}"):
-            remove(scrap)
+        for scrap in folder.glob(f".*{SCRATCH_SUFFIX}"):
+            if SCRATCH_NAME.fullmatch(scrap.name):
+                remove(scrap)
 
 
 def digest_of(path: Path) -> str:
@@ -154,7 +157,7 @@ def digest_of(path: Path) -> str:
 def is_as_written(path: Path, checksums: Container[str]) -> bool:
     """Return whether a file is there with one of these checksums."""
     with suppress(OSError):
-        return checksum_of(path) in checksums
+        return path.is_file() and checksum_of(path) in checksums
     return False
 
 
@@ -197,9 +200,13 @@ def read_json(path: Path) -> dict[str, Any]:
       OSError: the file is missing or cannot be read.
       ValueError: it is not as it was written.
     """
+    check_file(path)
     data = path.read_bytes()
     if not is_whole(data):
         raise ValueError("not as it was written")
-    value = json.loads(data)
+    try:
+        value = json.loads(data)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
     del value[FIELD]
     return value

@@ -12,6 +12,7 @@ import numpy as np
 from jaxurban.errors import InputError
 from jaxurban.io import store
 from jaxurban.io.files import (
+    ELSEWHERE,
     SCRATCH_SUFFIX,
     checksum_of,
     is_as_written,
@@ -21,7 +22,7 @@ from jaxurban.io.files import (
     write_json,
     write_whole,
 )
-from jaxurban.io.workspace import Each, Workspace
+from jaxurban.io.workspace import Each, Workspace, is_inside
 
 KEY_FILE, ZARR, ARRAY_FOLDER, DONE_FOLDER = "key.txt", "zarr", "arrays", "done"
 STEP = rf"({ZARR}|[a-z]+_\d+_\d+\w*)"
@@ -30,6 +31,10 @@ OF_STEPS = re.compile(  # what steps write, before they leave their mark too
 )
 SCRAP = re.compile(rf"\..*{re.escape(SCRATCH_SUFFIX)}|.*\.[0-9a-f]{{32}}\.partial")  # our own, and the Zarr library's
 _PARSING = Lock()  # headers of arrays are Python text, and 3.11 fails now and then where threads parse (CPython 106905)
+
+
+def _is_of_steps(name: str) -> bool:
+    return OF_STEPS.fullmatch(name) is not None and is_inside(name)
 
 
 @dataclass(frozen=True)
@@ -49,8 +54,9 @@ class WorkFolder:
           Damaged files of that job's work, which are removed, and the steps that wrote them are to be done again.
 
         Raises:
-          InputError: a file of the user's cannot be moved out of the folder.
+          InputError: a link is in its place, or a file of the user's cannot be moved out of it.
         """
+        self._check_is_folder()
         if is_as_written(self.path / KEY_FILE, [checksum_of(key.encode())]):
             self._sweep()
         else:
@@ -66,17 +72,27 @@ class WorkFolder:
                 remove(path)
         return [file for files in found.values() for file in files]
 
+    def _check_is_folder(self) -> None:
+        if self.path.is_symlink():
+            raise InputError(f"{str(self.path)!r} is a link in the place of unfinished maps: move it, or {ELSEWHERE}")
+
     def _sweep(self) -> None:
         """Remove what killed processes left half-written, and move what no step writes, a user's, to `KEPT_FOLDER`."""
         for scrap in [path for path in self.path.rglob("*") if SCRAP.fullmatch(path.name)]:
             remove(scrap)
         for path in [path for path in self.path.rglob("*") if path.is_symlink() or not path.is_dir()]:
-            if not OF_STEPS.fullmatch(name := path.relative_to(self.path).as_posix()):
+            name = path.relative_to(self.path).as_posix()
+            if path.is_symlink() or not _is_of_steps(name):
                 with Workspace.shared(self.path.parents[1], "maps") as workspace:
                     workspace.set_aside(path, name)
 
     def discard(self) -> None:
-        """Remove the folder, but for what no step writes (`_sweep`)."""
+        """Remove the folder, but for what no step writes (`_sweep`).
+
+        Raises:
+          InputError: as of `begin`.
+        """
+        self._check_is_folder()
         self._sweep()
         remove(self.path)
 
@@ -85,8 +101,10 @@ class WorkFolder:
 
     def _damaged(self, mark: Path) -> list[Path]:
         try:
-            checksums = read_json(mark)["checksums"]
-        except (OSError, ValueError):
+            checksums = dict(read_json(mark)["checksums"])
+        except (OSError, ValueError, LookupError, TypeError):
+            return [mark]
+        if not all(map(_is_of_steps, checksums)):  # no mark of ours: what it names is not looked at
             return [mark]
         return [self.path / name for name, of in checksums.items() if not is_as_written(self.path / name, [of])]
 
@@ -131,7 +149,7 @@ class WorkFolder:
         """Note that the Zarr is there, without the values of its maps."""
         of_tiles = {name for mark in self._marks("tile_*") for name in read_json(mark)["checksums"]}
         files = (file.relative_to(self.path).as_posix() for file in self.zarr.rglob("*") if file.is_file())
-        names = sorted(set(filter(OF_STEPS.fullmatch, files)) - of_tiles)
+        names = sorted(set(filter(_is_of_steps, files)) - of_tiles)
         self.mark_done(ZARR, {name: checksum_of(self.path / name) for name in names})
 
     def done(self, name: str) -> dict[str, Any] | None:

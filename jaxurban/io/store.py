@@ -41,6 +41,8 @@ GEOTIFF_FOLDER = "geotiff"
 COMPRESSOR = Zstd(level=1, checksum=True)
 FOREIGN = ("_CRS", "_FillValue")  # attributes that are no map's: the CRS for GDAL, as 1.0.0 wrote it, and no value
 NO_BYTE = np.iinfo(np.int8).max  # what stands for no value in bytes: NetCDF 3 has signed ones only
+PLAIN_KINDS = "biufcmMSU"  # of NumPy's types: numbers, times, and text of one length
+TEXT = "O", [{"id": "vlen-utf8"}]  # type and filters of text of any length, as of maps to which users added such
 OPENED = "opened"  # encoding of a dataset that was opened: what checks that its files are still those
 METADATA = ".zmetadata"  # of a Zarr: its metadata and those of its arrays once more
 LAYOUT_KEY, LAYOUT = "jaxurban_layout", 1  # of maps in a folder; those without the entry have the first
@@ -269,7 +271,9 @@ def put_root(folder: Path) -> None:
 
 
 def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
-    """Add variables that are not maps to a Zarr."""
+    """Add variables that are not maps to a Zarr; InputError as of `open_whole` where its arrays are not ours."""
+    for file in path.glob("*/.zarray"):
+        _check_arrays(file, {file.name: json.loads(file.read_bytes())})
     _to_zarr(ds.drop_vars(list(ds.coords)), path, "a")
 
 
@@ -353,7 +357,8 @@ class _Maps(BackendEntrypoint):
     """How xarray opens the Zarr: as it always does, with rows from the south and `_Map` around every map."""
 
     def open_dataset(self, filename_or_obj: Any, *, drop_variables: Any = None) -> xr.Dataset:
-        how: dict[str, Any] = {"consolidated": True, "mask_and_scale": False}  # of these maps, no array of others
+        # Of these maps, no array of others, and by the metadata that `open_whole` has looked at alone.
+        how: dict[str, Any] = {"consolidated": True, "zarr_format": 2, "mask_and_scale": False}
         opened = _Opened.at(Path(filename_or_obj))
         ds = xr.open_dataset(filename_or_obj, engine="zarr", chunks=None, cache=False, **how)
         missing = {name: array.attrs.get("_FillValue") for name, array in ds.data_vars.items()}
@@ -377,8 +382,8 @@ def open_whole(path: Path) -> xr.Dataset:
     """Return the maps in a Zarr, every file of which is there; values are read, and decoded, when they are looked at.
 
     Raises:
-      InputError: metadata are not as they were written, a chunk is missing or cut, or a newer jaxurban wrote them in
-        another layout; later, a chunk cannot be decoded.
+      InputError: metadata are not as they were written, a chunk is missing or cut, an array is not coded as ours are,
+        or a newer jaxurban wrote them in another layout; later, a chunk cannot be decoded.
     """
     try:
         for file, checksums in _recorded(path).items():
@@ -388,6 +393,7 @@ def open_whole(path: Path) -> xr.Dataset:
                     raise _damaged(path / METADATA, what)
             elif not file.is_file() or f"{file.stat().st_size}" not in {each.partition("-")[2] for each in checksums}:
                 raise _damaged(file, "is missing or cut")  # looked at, not read
+        _check_arrays(path / METADATA, json.loads((path / METADATA).read_bytes())["metadata"])
         ds = xr.open_dataset(path, engine=_Maps)
         if (layout := ds.attrs.pop(LAYOUT_KEY, LAYOUT)) != LAYOUT:
             raise InputError(
@@ -400,6 +406,24 @@ def open_whole(path: Path) -> xr.Dataset:
     except Exception as error:
         unread = InputError(f"the maps in {str(path)!r} cannot be read ({error})")
         raise _damage_in(path) or unread from error
+
+
+def _check_arrays(file: Path, metadata: Mapping[str, Any]) -> None:
+    """Raise InputError unless all arrays of a Zarr are coded as `_to_zarr` codes them: other codecs may run code."""
+    arrays = [array for name, array in metadata.items() if name.endswith(".zarray")]
+    if not all(_is_ours(array.get("dtype"), array.get("filters"), array.get("compressor")) for array in arrays):
+        raise InputError(
+            f"{str(file)!r} names arrays that are not coded as jaxurban codes maps, and is not opened, as other codes "
+            "may run programs: make the maps again in a new folder"
+        )
+
+
+def _is_ours(dtype: Any, filters: Any, compressor: Any) -> bool:
+    """Return whether an array of these metadata is coded as `_to_zarr` codes arrays."""
+    if not isinstance(dtype, str) or not isinstance(compressor, dict) or compressor.get("id") != COMPRESSOR.codec_id:
+        return False
+    kind = np.dtype(dtype).kind
+    return (kind in PLAIN_KINDS and not filters) or (kind, filters) == TEXT
 
 
 def _recorded(path: Path) -> dict[Path, set[str]]:

@@ -7,6 +7,7 @@ journal, a line each, which a killed run leaves behind, and at the end of the ru
 
 import json
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from jaxurban.errors import InputError, reason_of
 from jaxurban.io.files import (
     ELSEWHERE,
     LOCK_FILE,
+    SCRATCH_NAME,
     SCRATCH_SUFFIX,
     check_writable,
     checksum_of,
@@ -76,7 +78,8 @@ class Workspace:
           command: that runs.
           settings: what decides its result, as JSON holds it; the same again goes on, or writes the same again.
           names: of files that the run will write: refused here if they are not this command's.
-          overwrite: remove what this command wrote there before; what was changed since, or is not its own, stays.
+          overwrite: remove what this command wrote there before, if ``is_mended`` only where it is of other settings;
+            what was changed since, or is not its own, stays.
           is_shared: other commands and the user may have files there; else only a folder that is empty, or this
             command's with all of its files as they were written, is taken.
           is_mended: files of these ``names`` may have changed since this command wrote them.
@@ -149,7 +152,7 @@ class Workspace:
 
     def _replace(self, now: Mapping[str, Any], overwrite: bool) -> None:
         name = next((name for name in now if now[name] != self.settings.get(name)), None)
-        if name is not None and not overwrite:
+        if name is not None and not overwrite and any(os.path.lexists(self.folder / each) for each in self.written):
             said = name.replace("_", " ")
             difference = f"its {said} is {self.settings.get(name)}, now {now[name]}"
             difference = difference if len(difference) <= LONGEST_SETTINGS else f"other {said}"
@@ -157,30 +160,34 @@ class Workspace:
                 f"{str(self.folder)!r} holds another run of `jaxurban {self.command}` ({difference}): {ELSEWHERE}, or "
                 "pass --overwrite to replace it"
             )
-        if overwrite:
+        if name is not None or (overwrite and not self.is_mended):
             self.remove_all()
 
     def name_of(self, path: Path) -> str | None:
         """Return the name of an output under the folder, None of a path elsewhere or of scratch."""
+        name = self._place_of(path)
+        is_scratch = name is not None and any(part.endswith(SCRATCH_SUFFIX) for part in name.parts)
+        return None if name is None or is_scratch else name.as_posix()
+
+    def _place_of(self, path: Path) -> PurePosixPath | None:
+        """Return where a path is under the folder, None if it is elsewhere."""
         absolute, real = os.path.abspath, os.path.realpath
         for of_path, of_folder in ((absolute, absolute), (absolute, real), (real, real)):
             with suppress(ValueError):
                 name = Path(of_path(path.parent), path.name).relative_to(of_folder(self.folder))
-                return None if any(part.endswith(SCRATCH_SUFFIX) for part in name.parts) else name.as_posix()
+                return PurePosixPath(name.as_posix())
         return None
 
     def _obstacle(self, path: Path) -> Path | None:
         """Return the first of the folders between this one and a path that is a link or no folder, if any is."""
-        name = PurePosixPath(self.name_of(path) or "")
-        above = [self.folder / parent for parent in reversed(name.parents[:-1])]
-        return next((each for each in above if each.is_symlink() or (each.exists() and not each.is_dir())), None)
+        return _obstacle_in(self.folder, self._place_of(path) or PurePosixPath())
 
     def is_own(self, path: Path) -> bool:
         """Return whether a path is a file as this command wrote it; a link is not, nor what is behind one."""
-        checksum = self.written.get(self.name_of(path) or "")
-        if checksum is None or path.is_symlink() or not path.is_file() or self._obstacle(path):
+        name = self.name_of(path)
+        if name not in self.written or os.path.islink(path) or not os.path.isfile(path) or self._obstacle(path):
             return False
-        return is_as_written(path, [checksum])
+        return is_as_written(path, [self.written[name]])
 
     def is_changed(self, path: Path) -> bool:
         """Return whether a path is there that this command wrote, and that is not as it was written."""
@@ -195,17 +202,25 @@ class Workspace:
     def check_way(self, paths: Iterable[Path], remedy: str = ELSEWHERE, *, is_mended: bool = False) -> None:
         """Raise InputError if what is in the way of these paths is not own, nor, if ``is_mended``, own and changed."""
         for path in paths:
-            if obstacle := self._obstacle(path):
-                what = "link" if obstacle.is_symlink() else "file"
-                raise InputError(f"{str(obstacle)!r} is a {what} in the way of a folder: move it, or {remedy}")
+            self._check_folders(path, remedy)
             if os.path.lexists(path) and not self.is_own(path) and not (is_mended and self.is_changed(path)):
                 why = f"it is not as `jaxurban {self.command}` wrote it"
                 raise InputError(f"{str(path)!r} is in the way ({why}): move it, or {remedy}")
 
+    def _check_folders(self, path: Path, remedy: str = ELSEWHERE) -> None:
+        """Raise InputError if a link or a file is in the way of the folders above a path."""
+        if obstacle := self._obstacle(path):
+            what = "link" if obstacle.is_symlink() else "file"
+            raise InputError(f"{str(obstacle)!r} is a {what} in the way of a folder: move it, or {remedy}")
+
     def begin(self, scratch: Path) -> None:
-        """Record the name of a file that is about to be written, so that it is swept if the run is killed."""
-        with suppress(ValueError):
-            self._note([{"scratch": os.path.relpath(scratch.absolute(), self.folder.absolute())}])
+        """Record the name of a file that is about to be written, so that it is swept if the run is killed.
+
+        Raises:
+          InputError: a link or a file is in the way of the folder that it lies in.
+        """
+        self._check_folders(scratch)
+        self._note([{"scratch": str(self._place_of(scratch))}])
 
     def put(self, scratch: Path, path: Path) -> None:
         """Record a finished file under its name, and give it that name; one of the user's with just its bytes stays so.
@@ -262,6 +277,8 @@ class Workspace:
         """
         aside = _unused(self.folder / KEPT_FOLDER / (name or str(self.name_of(path))))
         try:
+            if obstacle := self._obstacle(aside):
+                raise OSError(f"{str(obstacle)!r} is no folder")
             aside.parent.mkdir(parents=True, exist_ok=True)
             path.rename(aside)
         except OSError as error:
@@ -299,6 +316,17 @@ class Workspace:
             file.write(text.encode())
 
 
+def is_inside(name: str) -> bool:
+    """Return whether a name is of a file under a folder, on every system: plain, relative and without ``..``."""
+    return {"", ".", ".."}.isdisjoint(re.split(r"[/\\]", name)) and not re.match("[A-Za-z]:", name)
+
+
+def _obstacle_in(folder: Path, name: PurePosixPath) -> Path | None:
+    """Return the first of the folders between a folder and a name under it that is a link or no folder, if any is."""
+    above = [folder / parent for parent in reversed(name.parents[:-1])]
+    return next((each for each in above if each.is_symlink() or (each.exists() and not each.is_dir())), None)
+
+
 def _unused(path: Path) -> Path:
     """Return the path, or the first numbered one at which nothing is."""
     numbered = (path if k == 1 else path.with_name(f"{path.name}.{k}") for k in count(1))
@@ -330,8 +358,9 @@ def recorded(folder: Path) -> dict[str, set[str]]:
 def _read(folder: Path) -> Sections:
     try:
         sections = read_json(folder / RECORD_FILE)
-        if not all({"settings", "written"} <= set(section) for section in sections.values()):
+        if not all(map(_is_section, sections.values())):
             raise ValueError("of another version")
+        _check_inside(name for section in sections.values() for name in section["written"])
         return sections
     except (FileNotFoundError, NotADirectoryError):
         return {}
@@ -342,12 +371,25 @@ def _read(folder: Path) -> Sections:
         ) from error
 
 
+def _is_section(section: Any) -> bool:
+    if not isinstance(section, dict) or not all(isinstance(section.get(of), dict) for of in ("settings", "written")):
+        return False
+    return all(isinstance(checksum, str) for checksum in section["written"].values())
+
+
+def _check_inside(names: Iterable[str]) -> None:
+    """Raise ValueError unless all of these names are of files under the folder whose record names them."""
+    for name in names:
+        if not is_inside(name):
+            raise ValueError(f"it names {name!r}, which is not under the folder")
+
+
 def _sections(folder: Path) -> Sections:
     """Return the record of a folder by command, with what a killed run left in the journal."""
     for scrap in folder.glob(f".{RECORD_FILE}.*{SCRATCH_SUFFIX}"):
         remove(scrap)
     sections = _read(folder)
-    if (folder / JOURNAL_FILE).exists():
+    if os.path.lexists(folder / JOURNAL_FILE):
         _recover(folder, sections)
         _save(folder, sections)
     return sections
@@ -361,8 +403,9 @@ def _recover(folder: Path, sections: Sections) -> None:
     noted: dict[tuple[str, str], list[str | None]] = {}
     for line in _journal(folder):
         if "scratch" in line:
-            if line["scratch"].endswith(SCRATCH_SUFFIX) and ".." not in PurePosixPath(line["scratch"]).parts:
-                remove(folder / line["scratch"])
+            scratch = PurePosixPath(line["scratch"])
+            if SCRATCH_NAME.fullmatch(scratch.name) and not _obstacle_in(folder, scratch):
+                remove(folder / scratch)
         elif line["command"] in sections:
             noted.setdefault((line["command"], line["name"]), []).append(line["checksum"])
     for (command, name), checksums in noted.items():
@@ -370,16 +413,40 @@ def _recover(folder: Path, sections: Sections) -> None:
         possible = {*checksums, written.pop(name, None)} - {None}
         if checksums[-1] is not None:
             written[name] = checksums[-1]
-        if len(possible) > 1 and (folder / name).is_file() and (now := checksum_of(folder / name)) in possible:
+        file = folder / name
+        is_there = os.path.isfile(file) and not os.path.islink(file) and not _obstacle_in(folder, PurePosixPath(name))
+        if len(possible) > 1 and is_there and (now := checksum_of(file)) in possible:
             written[name] = now
 
 
-def _journal(folder: Path) -> Iterator[dict[str, str]]:
-    with suppress(FileNotFoundError, NotADirectoryError):
-        for line in (folder / JOURNAL_FILE).read_text(encoding="utf-8", errors="replace").splitlines():
-            with suppress(ValueError, TypeError, KeyError):  # the last one of a killed run, and damaged ones
-                noted = json.loads(line)
-                yield {name: noted[name] for name in (("scratch",) if "scratch" in noted else LINE)}
+def _journal(folder: Path) -> Iterator[dict[str, Any]]:
+    """Yield the lines of a journal but for damaged ones, as the last one of a killed run.
+
+    Raises:
+      InputError: one of them names what is not under the folder.
+    """
+    journal = folder / JOURNAL_FILE
+    if journal.is_symlink() or not journal.is_file():  # no run leaves a link or a pipe
+        return
+    for line in journal.read_text(encoding="utf-8", errors="replace").splitlines():
+        if (noted := _noted(line)) is None:
+            continue
+        if not is_inside(name := noted["scratch" if "scratch" in noted else "name"]):
+            raise InputError(
+                f"{str(journal)!r} names {name!r}, which is not under the folder: {ELSEWHERE}, or remove it"
+            )
+        yield noted
+
+
+def _noted(line: str) -> dict[str, Any] | None:
+    """Return what a line of a journal notes, None of a damaged one."""
+    try:
+        line_held = json.loads(line)
+        noted = {name: line_held[name] for name in (("scratch",) if "scratch" in line_held else LINE)}
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return None
+    is_text = all(isinstance(value, str) for name, value in noted.items() if (name, value) != ("checksum", None))
+    return noted if is_text else None
 
 
 def _save(folder: Path, sections: Sections) -> None:

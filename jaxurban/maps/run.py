@@ -163,7 +163,7 @@ def run_scenario(
         check_disk(tasks, folder)
         # Nothing of an older job is touched before this one can begin.
         names = [path.relative_to(folder).as_posix() for path in planned]
-        how: dict[str, Any] = {"names": names, "overwrite": held_key != key, "is_shared": True, "is_mended": True}
+        how: dict[str, Any] = {"names": names, "overwrite": overwrite, "is_shared": True, "is_mended": True}
         with (
             Workspace.open(folder, "maps", {RUN_KEY: key}, **how) as workspace,
             nullcontext() if workers is None else cluster_client(workers) as client,

@@ -3,6 +3,7 @@
 import fcntl
 import itertools
 import json
+import pickle
 import random
 from contextlib import contextmanager
 from functools import partial
@@ -393,3 +394,57 @@ def test_problems_are_sorted_by_length_and_read_back(tmp_path):
     assert lines[1].split("\t") == ["0", "a.map", "3", "2", "1", "0", "1", "1", "1.00000000"]
     assert lines[2].startswith("2\t")
     assert read_scenarios(tmp_path / "a.map.scen") == problems[::-1]
+
+
+class RunsCode:
+    """Touches a file when it is unpickled."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+
+    def __reduce__(self) -> tuple:
+        return Path.touch, (self.file,)
+
+
+CODES = {  # what the metadata of a Zarr say of an array that is not as ours are
+    "pickle in a filter of text": {"dtype": "|O", "filters": [{"id": "vlen-utf8"}, {"id": "pickle"}]},
+    "pickle": {"dtype": "|O", "filters": [{"id": "pickle"}]},
+    "JSON": {"dtype": "|O", "filters": [{"id": "json2"}]},
+    "objects": {"dtype": "|O", "filters": None},
+    "records": {"dtype": [["a", "|O"]]},
+    "another filter": {"filters": [{"id": "delta", "dtype": "<f8"}]},
+    "pickle as compressor": {"compressor": {"id": "pickle"}},
+    "another compressor": {"compressor": {"id": "zlib", "level": 1}},
+    "no compressor": {"compressor": None},
+}
+
+
+@pytest.mark.parametrize("name", CODES)
+@pytest.mark.parametrize("array", ["x", "gps"])
+def test_an_array_that_is_not_coded_as_ours_is_refused_before_anything_of_it_is_decoded(ds, tmp_path, array, name):
+    (tmp_path / "store").mkdir()
+    with Workspace.open(tmp_path / "store", "maps", is_shared=True):
+        path = store.write_zarr(ds, tmp_path / "store")
+    marker = tmp_path / "code ran"
+    metadata = json.loads((path / ".zmetadata").read_bytes())
+    coded = metadata["metadata"][f"{array}/.zarray"]
+    coded |= {"chunks": coded["shape"]} | CODES[name]
+    (path / ".zmetadata").write_text(json.dumps(metadata))
+    (path / array / ".zarray").write_text(json.dumps(coded))
+    for chunk in (path / array).glob("[0-9]*"):
+        chunk.write_bytes(pickle.dumps(RunsCode(marker)))
+    record = files.read_json(tmp_path / "store/checksums.json")
+    written = record["maps"]["written"]
+    written |= {each: files.checksum_of(tmp_path / "store" / each) for each in written}
+    files.write_json(tmp_path / "store/checksums.json", record)
+    with pytest.raises(InputError, match=r"zmetadata' names arrays that are not coded as jaxurban codes maps"):
+        store.open_zarr(tmp_path / "store", None)["gps"].load()
+    assert not marker.exists()
+
+
+def test_text_that_users_added_to_maps_is_read_in_either_form(ds, tmp_path):
+    names = ["low", "at 60.5 m"]
+    for kind in (object, str, np.dtypes.StringDType()):
+        store.write_zarr(ds.assign(called=("altitude", np.array(names, kind))), tmp_path / str(kind))
+        found = store.open_zarr(tmp_path / str(kind), None)
+        assert found["called"].values.tolist() == names

@@ -1,11 +1,12 @@
 """Workspace: what a command wrote, what it may remove, and whose all else is."""
 
-from contextlib import suppress
+import json
+from contextlib import contextmanager, suppress
 
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.io import files
+from jaxurban.io import files, workspace
 from jaxurban.io.workspace import Workspace, recorded
 from tests.faulty_disk import Killed, counted
 from tests.logs import logged
@@ -145,14 +146,96 @@ def test_a_damaged_record_is_told(tmp_path, text):
     refused(r"checksums\.json.*cannot be read", tmp_path, 4, overwrite=True)
 
 
-def test_a_record_that_names_files_elsewhere_removes_none_of_them(tmp_path):
+OUTSIDE = ["", ".", "..", "../mine.txt", "figures/../../mine.txt", "MINE", "..\\mine.txt", "C:\\mine.txt", "\\mine.txt"]
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_a_record_or_a_journal_that_names_what_is_not_under_the_folder_is_refused(tmp_path, name):
+    """And nothing is removed: beside an empty name the record holds the checksum of the file that was to go."""
     write(tmp_path / "out")
-    (tmp_path / "mine.txt").write_text("made")
+    mine = tmp_path / "mine.txt"
+    mine.write_text("made")
+    name = str(mine) if name == "MINE" else name
     record = files.read_json(tmp_path / "out/checksums.json")
-    record["tune"]["written"]["../mine.txt"] = files.checksum_of(b"made")
+    journal = tmp_path / "out/.checksums.jsonl"
+    for line in ({"scratch": name}, {"command": "tune", "name": name, "checksum": None}):
+        journal.write_text(json.dumps(line))
+        refused(r"checksums\.jsonl.*is not under the folder.*-o", tmp_path / "out", is_shared=True)
+    journal.unlink()
+    record["tune"]["written"] |= {name: files.checksum_of(b"made"), str(mine): files.checksum_of(b"made")}
     files.write_json(tmp_path / "out/checksums.json", record)
-    write(tmp_path / "out", 4, overwrite=True, is_shared=True)
-    assert (tmp_path / "mine.txt").read_text() == "made"
+    for options in ({"overwrite": True, "is_shared": True}, {}):
+        refused(r"checksums\.json.*is not under the folder.*-o", tmp_path / "out", 4, **options)
+    with pytest.raises(InputError, match="is not under the folder"):
+        recorded(tmp_path / "out")
+    assert mine.read_text() == "made"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[1]", '{"tune": 5}', '{"tune": {"settings": {}, "written": ["a"]}}', f'{{"tune": {"[" * 200_000}'],
+)
+def test_a_record_of_another_form_is_one_sentence(tmp_path, text):
+    data = text.replace("{", f'{{"checksum": "{files.BLANK.decode()}", ', 1).encode()
+    (tmp_path / "checksums.json").write_bytes(files.sealed(data))
+    refused(r"checksums\.json.*cannot be read", tmp_path)
+
+
+def test_scratch_that_a_journal_names_goes_unless_it_is_no_scratch_or_behind_a_link(tmp_path):
+    write(tmp_path / "out")
+    scrap, work = ".a.txt.0a1b2c3d.jaxurban-part", "maps.zarr/.5m.jaxurban-part"
+    for name in (scrap, work, f"figures/{scrap}"):
+        (tmp_path / "out" / name / "deep").mkdir(parents=True)
+    (tmp_path / "elsewhere" / scrap).mkdir(parents=True)
+    (tmp_path / "out/link").symlink_to(tmp_path / "elsewhere")
+    names = (scrap, work, f"figures/{scrap}", f"link/{scrap}", "figures")
+    (tmp_path / "out/.checksums.jsonl").write_text("\n".join(json.dumps({"scratch": name}) for name in names))
+    write(tmp_path / "out", is_shared=True)
+    there = [(tmp_path / "out" / name).exists() for name in names]
+    assert there == [False, True, False, True, True]
+
+
+@pytest.mark.parametrize("name", [".checksums.jsonl", ".jaxurban.lock", "kept", "figures", "checksums.json"])
+@pytest.mark.parametrize("is_there", [False, True])
+def test_nothing_is_written_through_a_link_in_the_folder(tmp_path, name, is_there):
+    """The target of a link is the user's file or folder, or is not there."""
+    write(tmp_path / "out")
+    (tmp_path / "out/figures/3.txt").write_text("edited")
+    target, is_folder = tmp_path / "target", name in ("kept", "figures")
+    if is_there:
+        target.mkdir() if is_folder else target.write_text("mine")
+    if (tmp_path / "out" / name).exists():
+        (tmp_path / "out" / name).rename(tmp_path / "moved")
+    (tmp_path / "out" / name).symlink_to(target)
+    with suppress(InputError):
+        write(tmp_path / "out", is_shared=True, is_mended=True)
+    with suppress(InputError):
+        write(tmp_path / "out", 4, overwrite=True, is_shared=True)
+    assert target.exists() == is_there
+    if is_there:
+        assert not list(target.iterdir()) if is_folder else target.read_text() == "mine"
+
+
+def test_a_run_that_ends_just_before_another_one_begins_to_write_is_not_replaced(tmp_path, monkeypatch):
+    """Unless that is asked for, or nothing of it is left."""
+    hold = workspace.only_writer
+
+    @contextmanager
+    def after_a_rival(folder, *remedy):
+        monkeypatch.setattr(workspace, "only_writer", hold)
+        write(folder, 4)
+        with hold(folder, *remedy):
+            yield
+
+    monkeypatch.setattr(workspace, "only_writer", after_a_rival)
+    refused(r"its seed is 4, now 3.*--overwrite", tmp_path, is_shared=True, is_mended=True)
+    assert names_of(tmp_path) == ["checksums.json", "figures/4.txt"]
+    write(tmp_path, 4, overwrite=True, is_mended=True, name="more.txt")
+    assert names_of(tmp_path) == ["checksums.json", "figures/4.txt", "more.txt"]  # the same run goes on
+    for name in ("figures/4.txt", "more.txt"):
+        (tmp_path / name).unlink()
+    write(tmp_path, is_shared=True)
+    assert names_of(tmp_path) == ["checksums.json", "figures/3.txt"]
 
 
 def test_files_behind_a_linked_folder_are_the_users(tmp_path):

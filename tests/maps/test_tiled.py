@@ -17,6 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxurban.errors import InputError
+from jaxurban.io.files import remove
 from jaxurban.io.folders import WorkFolder
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.executors import cluster_client
@@ -264,3 +266,39 @@ def test_another_jobs_unfinished_work_is_not_gone_on_with(tmp_path):
     assert work.done("tile_0_0") == {"num_free": [1]}
     work.begin("two")
     assert work.done("tile_0_0") is None
+
+
+@pytest.mark.parametrize("name", ["../../mine.txt", "zarr/../../../mine.txt", "MINE", "arrays/../../../mine.txt"])
+def test_a_mark_that_names_a_file_elsewhere_removes_none(tmp_path, name):
+    (tmp_path / "mine.txt").write_text("mine")
+    work = WorkFolder(tmp_path / WORK)
+    work.begin("one")
+    work.mark_zarr()
+    work.mark_done("tile_0_0", {name.replace("MINE", str(tmp_path / "mine.txt")): "00000000-0"})
+    assert work.begin("one") == [work.path / "done/tile_0_0.json"]
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("is_gone_on_with", [False, True])
+@pytest.mark.parametrize("name", ["", "zarr", "done", "zarr/.zgroup", "arrays/risk_0_0.npz"])
+def test_a_link_among_unfinished_maps_is_followed_nowhere(tmp_path, name, is_gone_on_with):
+    out, documents = tmp_path / "out", tmp_path / "documents"
+    work = WorkFolder(out / WORK)
+    work.begin("one")
+    for each in ("", "zarr", "done"):
+        (documents / each).mkdir(exist_ok=True)
+    for each in ("key.txt", "mine.txt", "zarr/.zgroup", "zarr/mine.txt"):
+        (documents / each).write_text("one")
+    target = documents / "mine.txt" if "/" in name else documents / name
+    remove(work.path / name)
+    (work.path / name).parent.mkdir(parents=True, exist_ok=True)
+    (work.path / name).symlink_to(target)
+    before = files_of(documents)
+    if name:
+        work.begin("one" if is_gone_on_with else "two")
+        assert not (work.path / name).is_symlink()
+        assert (out / "kept" / name).is_symlink()
+    else:
+        with pytest.raises(InputError, match=r"is a link in the place of unfinished maps: move it, or .*-o"):
+            work.begin("one") if is_gone_on_with else work.discard()
+    assert files_of(documents) == before

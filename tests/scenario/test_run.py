@@ -11,6 +11,7 @@ import rasterio
 import shapely
 
 import jaxurban as ju
+from jaxurban.errors import InputError
 from jaxurban.io import files
 from jaxurban.io.store import settings_of
 from jaxurban.maps import provenance as record
@@ -44,6 +45,31 @@ def test_other_code_settings_or_another_device_make_maps_stale_and_weights_do_no
     assert record.run_key(job_of(), {}, "another") != key
     monkeypatch.setattr(record, "code_hash", lambda: "other code")
     assert record.run_key(job_of(), {}, on) != key
+
+
+@pytest.mark.parametrize("are_saved", [False, True])
+def test_maps_that_came_while_another_run_read_its_city_are_not_replaced(are_saved, tmp_path, monkeypatch):
+    """Those of a run and those that were saved from Python; with ``overwrite`` they are."""
+    tasks, other = pipeline.tasks_of, job_of(region=REGION | {"altitudes_m": [60]})
+
+    def end_late(**asked):
+        def late(*read):
+            monkeypatch.setattr(pipeline, "tasks_of", tasks)
+            made_maps(8, 9).save(tmp_path) if are_saved else pipeline.run_scenario(other, tmp_path, progress=False)
+            held.update(files_of(tmp_path))
+            return tasks(*read)
+
+        held.clear()
+        monkeypatch.setattr(pipeline, "tasks_of", late)
+        pipeline.run_scenario(job_of(), tmp_path, progress=False, **asked)
+
+    held: dict[str, bytes] = {}
+    with pytest.raises(InputError, match=r"holds another run of `jaxurban maps` .*-o, or pass --overwrite"):
+        end_late()
+    assert files_of(tmp_path) == held != {}
+    shutil.rmtree(tmp_path)
+    end_late(overwrite=True)
+    assert ju.open_maps(tmp_path, 20.0).altitudes_m == (20.0, 60.0)
 
 
 def test_a_name_with_brackets_is_hashed_with_its_companions(tmp_path):
