@@ -13,8 +13,8 @@
 #
 # **Which way would a drone fly through a city, and why not straight?**
 #
-# The city is Lower Manhattan: buildings of OpenStreetMap, the 2010 census and GPS satellites in their nominal slots come
-# with the package, so nothing is downloaded. The ten lines read it, make its maps on cells of 10 m, and plan from the
+# The city is Lower Manhattan: buildings of OpenStreetMap, the 2010 census and nominal GPS satellites come with the
+# package, so nothing is downloaded. The ten lines read it, make its maps on cells of 10 m, and plan from the
 # Battery to the East Village at 20 m above ground, with three planners. Places are longitude and latitude, as a map on
 # the web gives them. The first call on a machine compiles for about half a minute; later ones take seconds.
 #
