@@ -139,13 +139,27 @@ def test_the_report_holds_every_table_figure_and_sentence(study, tmp_path):
     assert report.count("© a made city") == 1
 
 
+def unsolved(study, where, status):
+    """Return a study whose rows at these places hold no path."""
+    rows = study.rows.copy()
+    rows.loc[where, rows.columns.str.match("cost|gap|length|detour|m_|search_cost")] = np.nan
+    rows.loc[where, "status"] = status
+    return replace(study, rows=rows)
+
+
 def test_a_study_without_a_path_has_its_report(study, tmp_path):
-    of_paths = study.rows.columns[study.rows.columns.str.match("cost|gap|length|detour|m_|search_cost")]
-    nothing = dict.fromkeys(of_paths, np.nan) | {"status": "no-path"}
-    without = replace(study, rows=study.rows[study.rows.planner == "ptp"].assign(**nothing))
-    report = without.save(tmp_path)[-1].read_text()
+    report = unsolved(study, study.rows.planner.notna(), "no-path").save(tmp_path)[-1].read_text()
     assert "## GPS and lidar" in report
     assert not (tmp_path / "figures" / "costs.png").exists()
+
+
+@pytest.mark.parametrize(("planners", "altitudes_m"), [(["ptp"], [20.0]), (STUDY.planners, [20.0, 60.0])])
+def test_planners_that_solve_no_joined_pair_at_an_altitude_are_drawn(study, tmp_path, planners, altitudes_m):
+    where = study.rows.planner.isin(planners) & study.rows.altitude_m.isin(altitudes_m)
+    report = unsolved(study, where, "failed").save(tmp_path)[-1].read_text()
+    drawn = {f"figures/{picture.name}" for picture in (tmp_path / "figures").glob("*.png")}
+    assert drawn == {f"figures/{name}.png" for name in ("success", "costs", "complementarity") if f"/{name}." in report}
+    assert ("figures/costs.png" in drawn) == (planners == ["ptp"])
 
 
 def test_the_benchmark_can_be_solved_by_its_page_alone(study, tmp_path):

@@ -67,22 +67,23 @@ def plot_costs(table: pd.DataFrame) -> Figure:
     end = float(np.clip(table.ratio.quantile(0.98), *RATIO_AXIS))
     for panel, rank, planner, rows in _by_altitude(table, axes, colours):
         ratio = np.sort(rows.ratio[np.isfinite(rows.ratio)])
-        share = np.arange(1, len(ratio) + 1) / max(1, len(rows))
-        x, y = np.append(ratio, max(end, ratio.max(initial=1.0))), np.append(share, share[-1:] if len(share) else 0.0)
+        share = np.arange(len(ratio) + 1) / max(1, len(rows))  # from 0: a planner that solved none has a line too
+        x = np.concatenate([[1.0], ratio, [max(end, ratio.max(initial=1.0))]])
+        y = np.append(share, share[-1])
         others = len(colours) - 1
         beside = [Beside((others / 2 - rank) * CURVES_APART_PT)]  # where curves coincide all are seen
         panel.step(x, y, where="post", color=colours[planner], label=planner, linewidth=1.4, path_effects=beside)
         panel.set(xlim=(1 - 0.01 * (end - 1), end), xlabel="cost / cheapest known")
         panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
-    _show_shares(axes, "joined pairs solved at that ratio (%)", 1.04)
+    _show_shares(axes, "joined pairs solved at that ratio (%)", (-0.04, 1.04))
     legend_below(figure, axes[0])
     return figure
 
 
-def _show_shares(axes: Sequence[Axes], label: str, top: float = 1.02) -> None:
+def _show_shares(axes: Sequence[Axes], label: str, ends: tuple[float, float] = (0.0, 1.02)) -> None:
     label_rows(axes, label)
     letter_all(axes)
-    axes[0].set_ylim(0, top)
+    axes[0].set_ylim(*ends)
     for panel in axes:
         panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
 
@@ -118,7 +119,7 @@ def study_figures(
     weighted = weighted_rows(table)
     drawn: dict[str, tuple[Callable[..., Figure], pd.DataFrame]] = {
         "success": (plot_success, tables["success"]),
-        "costs": (plot_costs, weighted[weighted.is_joined]),
+        "costs": (plot_costs, weighted[weighted.is_joined & weighted.has_path.any()]),
         "complementarity": (partial(plot_complementarity, maps), tables.get("complementarity", pd.DataFrame())),
     }
     return {name: partial(draw, rows) for name, (draw, rows) in drawn.items() if len(rows)}
