@@ -26,7 +26,14 @@ from jaxurban.progress import LOG
 @click.option(
     "--sample", type=click.IntRange(min=1), help="Number of queries to draw in each city instead of reading ROUTES."
 )
-@click.option("--pilot", help="Weights such as gps=1,risk=2 that plan the routes of --sample; 0 if not named.")
+@click.option(
+    "--pilot",
+    help="Weights such as gps=1,risk=2 that plan the routes of --sample, of studies and of tables; 0 if not named.",
+)
+@click.option(
+    "--planner",
+    help="Planner of a study whose routes to take.  [default: the one that most often proved them the cheapest]",
+)
 @click.option(
     "--hold-out", type=float, help="Share of the routes that is kept from the fits, to test them.  [default: 0]"
 )
@@ -60,8 +67,11 @@ from jaxurban.progress import LOG
 def tune(words: tuple[Path, ...], out: Path, **options: Any) -> int:
     """Fit weights to demonstrated ROUTES over the maps in each DIR, or to targets for outcomes.
 
-    ROUTES are files of lines (GeoJSON, KML, GPX). Several DIRs, each with its ROUTES, are fitted together.
+    ROUTES are files of lines (GeoJSON, KML, GPX), tables of instances (.csv, .parquet) or folders of a study; without
+    any, the study that `jaxurban study` kept in DIR. Several DIRs, each with its ROUTES, are fitted together.
     """
+    from jaxurban.io.store import ZARR_FOLDER
+    from jaxurban.io.tables import ROWS_FILE
     from jaxurban.metrics.weights import Weights
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.tuning import TuneSettings, run_tuning
@@ -84,6 +94,7 @@ def tune(words: tuple[Path, ...], out: Path, **options: Any) -> int:
         routes=on_maps,
         sample=options["sample"],
         pilot=None if options["pilot"] is None else Weights.parse(options["pilot"], nothing),
+        planner=options["planner"],
         targets=options["wishes"],
         fits=fits,
         fit=FitSettings(**named("max_rounds", "seed", "budget_s")),
@@ -91,10 +102,11 @@ def tune(words: tuple[Path, ...], out: Path, **options: Any) -> int:
     of_maps = {name: options[name] for name in ("resolution_m", "obstacles")}
     sources: dict[MapsFolder, list[Path]] = {}
     for word in words:
-        if word.is_dir() or not sources:
-            folder = MapsFolder(word, **of_maps)
+        is_study = (word / ROWS_FILE).is_file() and not (word / ZARR_FOLDER).exists()
+        if not sources or (word.is_dir() and not is_study):
+            folder = MapsFolder(word.parent if is_study else word, **of_maps)
             sources.setdefault(folder, [])
-        else:
+        if is_study or not word.is_dir():
             sources[folder].append(word)
     facts = run_tuning(sources, out, settings, overwrite=options["overwrite"])
     for warning in facts.get("unidentified", []) + facts.get("warnings", []):

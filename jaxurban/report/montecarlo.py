@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, one_of, typed
+from jaxurban.errors import InputError, typed
 from jaxurban.io.read.base_map import base_map_source, land_cover_in
 from jaxurban.io.read.osm import OSM_SUFFIXES, read_land_cover
 from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.scenario import Scenario, Study
-from jaxurban.metrics.registry import METRICS
-from jaxurban.paths.constraints import Constraints, constraints_said
+from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.rows import CRASHED, MapsFolder, check_workers, run_rows
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress, reporting
@@ -31,12 +30,11 @@ from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.analysis import complementarity
 from jaxurban.studies.montecarlo.sampling import (
     KEY,
+    check_instances,
     checked_instances,
     query_columns,
     read_instances,
     sample_instances,
-    weighed_metrics,
-    weight_columns,
     with_connection,
 )
 from jaxurban.studies.montecarlo.trial import Benchmark, free_cell, row_columns
@@ -156,7 +154,7 @@ def study(
         check_instances(instances, opened)
         instances = with_connection(instances, opened, model, constraints)
         _check_places(instances, opened, constraints)
-    key, names = _deciding(job, opened), [ROWS_FILE, INSTANCES_FILE]
+    key, names = job.deciding(opened), [ROWS_FILE, INSTANCES_FILE]
     with Workspace.open(
         folder, "study", key, names=names, overwrite=overwrite, is_shared=True, is_mended=not overwrite
     ) as workspace:
@@ -192,23 +190,6 @@ def land_cover_of(scenario: Scenario) -> LandCover | None:
     return read_land_cover(scenario.path_of(source), grid.crs, grid.bounds_m)
 
 
-def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
-    """Raise InputError unless instances are of these maps: their CRS, altitudes, times and metrics."""
-    crs = set(instances.crs) - {maps.grid.crs}
-    if crs:
-        raise InputError(f"the instances' places are in {crs.pop()}, the maps in {maps.grid.crs}: use maps in that CRS")
-    times = maps.times if maps.default_time is not None else ()
-    for name, held in (("altitude_m", maps.altitudes_m), ("time", times), ("time_of_day", maps.times_of_day)):
-        lost = [value for value in instances[name].dropna().unique() if value not in held]
-        if lost:
-            listed = ", ".join(f"{value:g}" if name == "altitude_m" else str(value) for value in held) or "none"
-            raise InputError(f"the instances ask for {name} {lost[0]}, and these maps hold {listed}")
-    for name in weighed_metrics(instances.columns):
-        one_of("a weight of the instances", name, dict.fromkeys((*METRICS, *maps.metrics)))
-    if lost := [column for column in weight_columns(maps.metrics) if column not in instances]:
-        raise InputError(f"the instances have no weight {lost[0]!r} for a metric of these maps: add it, 0 for none")
-
-
 def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constraints) -> None:
     """Raise InputError if not one instance starts and ends on a free cell; a few that do not are rows."""
     if instances.is_connected.notna().any():
@@ -223,19 +204,6 @@ def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constr
                 f"no instance lies on these maps, from the first one on, instance {first.instance} at "
                 f"{first.altitude_m:g} m, whose {end} is not free ({error}): use the maps that they are for"
             ) from error
-
-
-def _deciding(job: Benchmark, maps: MetricMaps) -> dict[str, Any]:
-    """Return what decides a benchmark's rows, by name: neither the files of zones nor a budget that is not used."""
-    found = job.to_dict()
-    limits, budget_s, iterations = (found.pop(name) for name in ("limits", "budget_s", "budget_iterations"))
-    return {
-        **found,
-        "budget": f"{budget_s} s" if iterations is None else f"{iterations} samples",
-        "set of constraints": constraints_said(limits) or "none",
-        "outlines of no-fly zones": ", ".join(zone.get("outline", "") for zone in limits.get("no_fly", ())),
-        **maps.identity,
-    }
 
 
 def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:

@@ -24,9 +24,9 @@ from jaxurban.paths.rows import MapsFolder, Source, check_workers, run_rows, sol
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import LOG, Progress, Report, reporting
 from jaxurban.report.buildings import scenario_of
-from jaxurban.report.montecarlo import check_instances
 from jaxurban.report.sensitivity_study import FILES, SensitivityStudy, write_sensitivity_study
 from jaxurban.studies.montecarlo.sampling import (
+    check_instances,
     checked_instances,
     instances_of_queries,
     sample_joined,

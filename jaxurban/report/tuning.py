@@ -1,6 +1,5 @@
 """Fitting weights from files, and writing what came of it: tables, pictures, report.md, and weights to paste."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -12,11 +11,10 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
-from jaxurban.io.tables import records_of
+from jaxurban.io.tables import SUFFIXES, records_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
-from jaxurban.paths.batch import plan_many
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import reporting
@@ -25,13 +23,13 @@ from jaxurban.report.write import REPORT_FILE, Output, bullets, files_of, fill, 
 from jaxurban.studies.demonstrations import (
     Demonstration,
     compared_routes,
-    demonstrations_from_paths,
     optimal_demonstrations,
     read_demonstrations,
 )
-from jaxurban.studies.montecarlo.sampling import PLACES, TIMES, sample_instances
+from jaxurban.studies.montecarlo.sampling import TIMES, sample_instances
 from jaxurban.studies.queries import maps_of
 from jaxurban.studies.route_pool import FitSettings
+from jaxurban.studies.study_demonstrations import demonstrations_from_study, study_in
 from jaxurban.studies.tuning.compared_fits import ALL, FitComparison, compare_fits
 from jaxurban.studies.tuning.target_fit import Target, TargetFit, fit_targets
 from jaxurban.studies.tuning.weight_fit import WeightFit
@@ -51,7 +49,9 @@ class TuneSettings:
       routes: further arguments of `read_demonstrations`: altitude_m, cost_model, constraints, metrics ...
       sample: instances to draw on each city's maps, at every altitude, instead of routes from files; their routes are
         the pilot's.
-      pilot: weights under which the routes of sampled instances are planned.
+      pilot: weights under which the routes of sampled instances are planned, and those of studies and tables instead of
+        under their own.
+      planner: of studies, whose routes are taken.
       targets: fit to these, such as ``mean_gps>=0.8``, instead of to the routes.
       fits: further arguments of `compare_fits`: hold_out, by_city, scale, bootstrap; left out, one fit to all.
       fit: of the search.
@@ -60,6 +60,7 @@ class TuneSettings:
     routes: Mapping[str, Any] = field(default_factory=dict)
     sample: int | None = None
     pilot: Weights | None = None
+    planner: str | None = None
     targets: tuple[str, ...] = ()
     fits: Mapping[str, Any] = field(default_factory=dict)
     fit: FitSettings = field(default_factory=FitSettings)
@@ -77,8 +78,8 @@ def run_tuning(
     A run that was interrupted goes on where it stopped; one that had finished ends at the same weights again.
 
     Args:
-      sources: of each folder of maps the files of routes that lie on them, none where instances are sampled; all of
-        them are fitted together.
+      sources: of each folder of maps the files of routes that lie on them, tables of instances and folders of studies;
+        none where instances are sampled or the folder holds its study. All of them are fitted together.
       folder: written to; made if it is not there.
       settings: of the fit.
       overwrite: forget the fit of other routes or settings that the folder holds.
@@ -91,12 +92,7 @@ def run_tuning(
         raise InputError(f"cannot write to the output folder {str(folder)!r}: it is a file")
     if settings.pilot is not None and not any(settings.pilot.to_dict().values()):
         raise InputError("every weight of the pilot is 0, so that all routes cost the same: give one above 0 (--pilot)")
-    lacking = [source.folder for source, files in sources.items() if not files and settings.sample is None]
-    if lacking:
-        raise InputError(
-            f"there are no routes for the maps in {str(lacking[0])!r}: name files of routes after it, or sample "
-            "instances (--sample)"
-        )
+    sources = {source: _files_of(source, files, settings.sample) for source, files in sources.items()}
     opened, fits = [source.open() for source in sources], ONE_FIT | dict(settings.fits)
     targets = [Target.parse(text) for text in settings.targets]
     with reporting("tune") as report:
@@ -148,27 +144,45 @@ def _names_of(folders: Sequence[Path]) -> list[str]:
 def _demonstrations(files: Sequence[Path], maps: MetricMaps, settings: TuneSettings) -> list[Demonstration]:
     """Return the routes on the maps of one folder."""
     if settings.sample is None:
-        return [each for file in files for each in read_demonstrations(file, maps, **settings.routes)]
+        return [each for file in files for each in _read(file, maps, settings)]
     if files:
         raise InputError(f"{str(files[0])!r} holds routes, and others are to be sampled: choose one of both")
     if settings.pilot is None and not settings.targets:
         raise InputError("sampled instances have no routes of their own: name the weights of the pilot who flies them")
-    given = settings.routes
-    altitude_m, under = given.get("altitude_m"), {name: given[name] for name in UNDER if name in given}
+    how = dict(settings.routes)
+    altitude_m, under = how.get("altitude_m"), {name: how[name] for name in UNDER if name in how}
+    pilot = settings.pilot or Weights()
     instances = sample_instances(
         maps,
         settings.sample,
         altitudes_m=None if altitude_m is None else (altitude_m,),
-        weights=[settings.pilot or Weights()],
+        weights=[pilot],
         seed=settings.fit.seed,
         **under,
     )
-    times = {name: given[name] for name in ("time", "time_of_day") if given.get(name) is not None}
-    how: dict[str, Any] = {"planner": "astar-plus", "objective": "weighted", "budget_s": math.inf, "progress": False}
-    asked = [*PLACES, "altitude_m", *TIMES, *(f"w_{name}" for name in ("distance", *maps.metrics))]
-    planned = plan_many(maps, instances[instances.is_connected].assign(**times)[asked], **how, **under)
-    paths = [path for path in planned if path is not None and path.status.has_path]
-    return demonstrations_from_paths(paths, maps, metrics=given.get("metrics"), **under)
+    times = {name: how[name] for name in TIMES if how.get(name) is not None}
+    return demonstrations_from_study(instances[instances.is_connected].assign(**times), maps, pilot=pilot, **how)
+
+
+def _files_of(source: MapsFolder, files: Sequence[Path], sample: int | None) -> Sequence[Path]:
+    """Return the files and folders of routes on the maps of a folder: without any, the study that it holds."""
+    if files or sample is not None:
+        return files
+    study = study_in(Path(source.folder))
+    if study is None:
+        raise InputError(
+            f"there are no routes for the maps in {str(source.folder)!r}: name files of routes or a study after it, or "
+            "sample instances (--sample)"
+        )
+    return [study]
+
+
+def _read(file: Path, maps: MetricMaps, settings: TuneSettings) -> list[Demonstration]:
+    """Return the routes of a file of lines, a table of instances or the folder of a study."""
+    if not file.is_dir() and file.suffix.lower() not in SUFFIXES:
+        return read_demonstrations(file, maps, **settings.routes)
+    pilot = settings.pilot or (Weights() if settings.targets else None)  # to targets only the routes' ends matter
+    return demonstrations_from_study(file, maps, planner=settings.planner, pilot=pilot, **settings.routes)
 
 
 def outputs_of(

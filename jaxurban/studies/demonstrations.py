@@ -109,8 +109,8 @@ def read_demonstrations(
     """Return the routes of a file as demonstrations; lists of several files or cities may be joined with ``+``.
 
     Lines are taken as they are. Ends in closed cells move to free ones by at most 50 m, and lines of no use are left
-    out with a warning that says which and why. A table of queries holds no lines: `plan_many` plans it, and
-    `demonstrations_from_paths` takes its paths, or this function the ``.geojson`` that they were saved to.
+    out with a warning that says which and why. A table of queries holds no lines: `demonstrations_from_study` plans its
+    routes.
 
     Altitude and times are those of the arguments. Where these are left out, the feature's own properties
     ``altitude_m``, ``time`` and ``time_of_day`` hold (paths that jaxurban wrote carry them), and else the maps' first
@@ -140,10 +140,7 @@ def read_demonstrations(
       ('1', 60.0, (27, 2))
     """
     if Path(file).suffix.lower() in SUFFIXES:
-        raise InputError(
-            f"{str(file)!r} is a table, which holds no lines: plan its queries first (plan_many) and save the paths as "
-            ".geojson"
-        )
+        raise InputError(f"{str(file)!r} is a table, which holds no lines: demonstrations_from_study plans its routes")
     routes = read_routes(file)
     planned = [(f"route {route.name!r} of {str(file)!r}", route.settings) for route in routes]
     rules = RouteRules(cost_model=cost_model, constraints=constraints or Constraints(), preset=preset)

@@ -51,12 +51,14 @@ class RouteQuery:
       cost_map: whose layers are the costs c_j; its weights play no part.
       start, goal: cells.
       name: for messages and reports.
+      is_planned: its route was planned under weights of these very maps, whatever their population is divided by.
     """
 
     cost_map: CostMap
     start: Cell
     goal: Cell
     name: str = ""
+    is_planned: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -164,7 +166,9 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
         ],
         "numbers by which population is normalised, so that one weight means different things: make the maps with "
         "[population] normalise set to a number per km2, or take one time of day (--time-of-day, time_of_day=)": [
-            population_norms(on.maps).get(on.time_of_day or "") if "population" in on.names else None for on in maps
+            population_norms(on.maps).get(on.time_of_day or "")
+            for on in maps_of(query for query in queries if not query.is_planned)
+            if "population" in on.names
         ],
     }
     for remedy, values in of_maps.items():

@@ -136,7 +136,25 @@ def test_cities_are_fitted_together_and_judged_by_routes_held_out(made, tmp_path
 
 
 @pytest.mark.slow
-def test_sampled_instances_are_flown_by_the_pilot(made, tmp_path, capsys):
-    options = ("--sample", 6, "--metrics", "gps", "--pilot", "distance=0.02,gps=1", "--bootstrap", 0)
-    assert facts_of(capsys, made[0], "-o", tmp_path / "out", *options)["mean_regret"] < 1e-4
-    assert "6 instances sampled with seed 0" in (tmp_path / "out" / "report.md").read_text()
+def test_sampled_instances_are_flown_by_the_pilot_by_day_and_by_night(tmp_path, capsys):
+    ju.MetricMaps(small_maps().ds.assign_attrs(pop_norm_per_km2=[1e4, 3e4])).save(tmp_path / "maps")
+    options = ("--sample", 6, "--pilot", "distance=0.02,gps=1,population=1", "--seed", 1, "--bootstrap", 0)
+    assert facts_of(capsys, tmp_path / "maps", "-o", tmp_path / "out", *options)["mean_regret"] < 1e-4
+    assert {*pd.read_csv(tmp_path / "out" / "examples.csv")["time_of_day"]} == {"day", "night"}
+    assert "6 instances sampled with seed 1" in (tmp_path / "out" / "report.md").read_text()
+
+
+@pytest.mark.slow
+def test_the_study_in_a_folder_of_maps_is_fitted_and_reported(tmp_path, capsys):
+    maps, out = tmp_path / "city", tmp_path / "out"
+    small_maps().save(maps)
+    planned = ju.studies.Study(planners=["ptp", "astar-plus"], weights=[HIDDEN], altitudes_m=[20.0])
+    ju.studies.study(maps, maps / "study", 16, settings=planned, progress=False)
+    own, alone, named = ([maps], [maps / "study"], [maps, maps / "study"])
+    facts = [facts_of(capsys, *words, "-o", out, "--bootstrap", 0) for words in (own, alone, named)]
+    assert facts[0]["weights"] == facts[1]["weights"] == facts[2]["weights"]
+    assert facts[0]["mean_regret"] < 1e-3
+    assert f"`{maps / 'study'}` over the maps in `{maps}`" in (out / "report.md").read_text()
+    assert_refused(run(capsys, "tune", maps, "-o", tmp_path / "b", "--planner", "theta"), "astar-plus", "'theta'")
+    wished = facts_of(capsys, maps, "-o", tmp_path / "c", "--wish", "mean_gps>=0.5", "--metrics", "gps", "--rounds", 1)
+    assert len(wished["outcomes"]) == 1

@@ -119,7 +119,7 @@ def study_figures(
     weighted = weighted_rows(table)
     drawn: dict[str, tuple[Callable[..., Figure], pd.DataFrame]] = {
         "success": (plot_success, tables["success"]),
-        "costs": (plot_costs, weighted[weighted.is_joined & weighted.has_path.any()]),
+        "costs": (plot_costs, weighted[weighted.is_joined & bool(weighted.has_path.any())]),
         "complementarity": (partial(plot_complementarity, maps), tables.get("complementarity", pd.DataFrame())),
     }
     return {name: partial(draw, rows) for name, (draw, rows) in drawn.items() if len(rows)}

@@ -10,7 +10,7 @@ import pandas as pd
 import shapely
 from scipy.ndimage import label
 
-from jaxurban.errors import InputError, at_least, typed
+from jaxurban.errors import InputError, at_least, one_of, typed
 from jaxurban.io.read.rasterise import burn
 from jaxurban.io.tables import read_table
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -387,6 +387,23 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
     if "distance_m" not in table:
         table["distance_m"] = np.hypot(table.goal_x_m - table.start_x_m, table.goal_y_m - table.start_y_m)
     return table
+
+
+def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
+    """Raise InputError unless instances are of these maps: their CRS, altitudes, times and metrics."""
+    crs = set(instances.crs) - {maps.grid.crs}
+    if crs:
+        raise InputError(f"the instances' places are in {crs.pop()}, the maps in {maps.grid.crs}: use maps in that CRS")
+    times = maps.times if maps.default_time is not None else ()
+    for name, held in (("altitude_m", maps.altitudes_m), ("time", times), ("time_of_day", maps.times_of_day)):
+        lost = [value for value in instances[name].dropna().unique() if value not in held]
+        if lost:
+            listed = ", ".join(f"{value:g}" if name == "altitude_m" else str(value) for value in held) or "none"
+            raise InputError(f"the instances ask for {name} {lost[0]}, and these maps hold {listed}")
+    for name in weighed_metrics(instances.columns):
+        one_of("a weight of the instances", name, dict.fromkeys((*METRICS, *maps.metrics)))
+    if lost := [column for column in weight_columns(maps.metrics) if column not in instances]:
+        raise InputError(f"the instances have no weight {lost[0]!r} for a metric of these maps: add it, 0 for none")
 
 
 def _refuse(wrong: np.ndarray, column: pd.Series, kind: str, name: str) -> None:

@@ -11,7 +11,9 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.io.tables import Row
+from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.scenario import Study
+from jaxurban.paths.constraints import constraints_said
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import CRASHED, RouteJob, Run, failure
 from jaxurban.planners.base import Cell, Path
@@ -56,6 +58,18 @@ class Benchmark(RouteJob):
         """Return what decides a row, but for its planner, as plain, JSON-ready values."""
         numbers = {name: getattr(self.study, name) for name in ("budget_iterations", "seed")}
         return self.rules() | {"budget_s": float(self.study.budget_s)} | numbers
+
+    def deciding(self, maps: MetricMaps) -> dict[str, Any]:
+        """Return what decides a benchmark's rows, by name: neither the files of zones nor a budget that is not used."""
+        found = self.to_dict()
+        limits, budget_s, iterations = (found.pop(name) for name in ("limits", "budget_s", "budget_iterations"))
+        return {
+            **found,
+            "budget": f"{budget_s} s" if iterations is None else f"{iterations} samples",
+            "set of constraints": constraints_said(limits) or "none",
+            "outlines of no-fly zones": ", ".join(zone.get("outline", "") for zone in limits.get("no_fly", ())),
+            **maps.identity,
+        }
 
     def facts(self, on: CostMap, instance: Row, runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
         """Yield what each planner found for an instance (see `row_columns`); a planner that crashes is an outcome too.

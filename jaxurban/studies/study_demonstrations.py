@@ -1,0 +1,275 @@
+"""Demonstrations from studies of planners and tables of instances: routes planned again under their rows' weights.
+
+A study keeps what each route costs, not its points. The same planner finds the same route again, of as many samples
+where it draws any, and a route that costs otherwise than its row says is left out.
+"""
+
+import math
+import warnings
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError, LeftOutWarning, one_of, typed
+from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, Row, read_table, records_of
+from jaxurban.io.workspace import Workspace
+from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.maps.scenario import Study
+from jaxurban.metrics.weights import Weights
+from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
+from jaxurban.paths.rows import HAS_PATH
+from jaxurban.planners.base import Status
+from jaxurban.planners.cost import CostModel
+from jaxurban.planners.registry import find_planner
+from jaxurban.settings import CostKind, iso_utc
+from jaxurban.studies.demonstrations import MOST_REASONS, Demonstration, demonstration_from_line
+from jaxurban.studies.montecarlo.sampling import (
+    KEY,
+    check_instances,
+    checked_instances,
+    instances_of_queries,
+    read_instances,
+    weight_columns,
+)
+from jaxurban.studies.montecarlo.trial import WEIGHTED, Benchmark, draws_samples, located
+
+if TYPE_CHECKING:
+    from jaxurban.report.montecarlo import BenchmarkResult
+
+EXACT = "astar-plus"  # plans the routes of tables
+SAME_COST = 1e-6  # relative: a route that is planned again costs as its row says
+ALIKE = 1e-9  # relative: weights of rows, scaled to sum 1, that are one W
+OF_ROW = ("status", "cost", "num_samples")  # what a study says of a route
+OF_STUDY = ("instance", "altitude_m", "planner", "objective", *OF_ROW)
+
+
+class _Asked(NamedTuple):
+    """Instances whose routes are wanted, what their study was run under, and the planner of their routes."""
+
+    name: str
+    table: pd.DataFrame
+    settings: Mapping[str, Any]  # empty for a table
+    planner: str
+
+
+@typed
+def demonstrations_from_study(
+    study: "BenchmarkResult | pd.DataFrame | str | Path",
+    maps: GivenMaps | None = None,
+    altitude_m: float | None = None,
+    time: str | None = None,
+    time_of_day: str | None = None,
+    *,
+    planner: str | None = None,
+    pilot: Weights | None = None,
+    cost_model: CostModel | CostKind | None = None,
+    constraints: Constraints | None = None,
+    preset: str = "",
+    metrics: Sequence[str] | None = None,
+) -> list[Demonstration]:
+    """Return the routes of a Monte Carlo study, or of a table of instances, as demonstrations of one W.
+
+    The routes are planned again, each under the weights of its row, and those of a study by the planner of their rows.
+    Rows without a path and routes that cost otherwise than their row says (where a budget in seconds ended the search)
+    are left out with a warning that counts them. Routes by day and by night go together, since one W planned them all.
+
+    Args:
+      study: what `jaxurban.studies.study` returned, or the folder that it or ``jaxurban study`` wrote; or instances
+        (`jaxurban.studies.sample_instances`) or queries (`plan_many`), as a table or in a .csv or .parquet file.
+      maps: that it was run on, from `build_maps` or `open_maps`, or their folder; may be left out for a result and for
+        the folder of ``jaxurban study``, which hold them.
+      altitude_m, time, time_of_day: take only the routes at these.
+      planner: of the study, whose routes are taken; left out, the one that most often proved its route the cheapest.
+      pilot: weights under which all routes are planned, by A*, instead of those of the rows.
+      cost_model, constraints, preset: as in `plan`; left out, those of the study, of which zones must be given again.
+      metrics: those whose weights are to be fitted; all if left out.
+
+    Returns:
+      A `Demonstration` a route, in the order of the rows, named by the number of its instance.
+
+    Raises:
+      InputError: no finished study, a damaged table, other maps or constraints than the study's, an unknown planner,
+        rows under different weights (without a pilot), or no route that is of use.
+
+    Examples:
+      >>> chosen = ju.studies.Study(planners="astar-plus", weights=[ju.Weights(risk=5.0)], altitudes_m=[60.0])
+      >>> run = ju.studies.study(maps, "one-w", 4, settings=chosen, progress=False)
+      >>> shown = ju.fit.demonstrations_from_study(run)
+      >>> [each.query.name for each in shown], shown[0].query.cost_map.altitude_m
+      (['0', '1', '2', '3'], 60.0)
+    """
+    maps = as_maps(_maps_of(study) if maps is None else maps)
+    if constraints is None and not isinstance(study, pd.DataFrame | str | Path):
+        constraints = study.settings.constraints
+    flown = {} if pilot is None else _columns_of(pilot.checked(maps.metrics), maps)
+    asked = _asked(study, maps, planner, flown)
+    job = Benchmark(
+        study=Study(seed=asked.settings.get("seed", 0)),
+        cost_model=cost_model or (CostModel.from_settings(asked.settings) if asked.settings else None),
+        constraints=constraints or Constraints(),
+        preset=preset,
+    )
+    maps, job = job.under(maps)
+    _check_settings(asked, job.deciding(maps))
+    check_instances(asked.table, maps)
+    table = asked.table
+    wanted = {"altitude_m": altitude_m, "time": time and iso_utc(time), "time_of_day": time_of_day}
+    for name, value in wanted.items():
+        if value is not None:
+            table = table[table[name] == value]
+    _check_one_weights(asked.name, table)
+    whole = cache(lambda *at: job.cost_map(maps, *at))
+    fitted = whole if metrics is None else cache(lambda *at: whole(*at).only(metrics))
+    demonstrations: list[Demonstration] = []
+    reasons: Counter[str] = Counter()
+    for row in records_of(table):
+        at = row["altitude_m"], row["time"], row["time_of_day"]
+        try:
+            points_m = _points(job, whole(*at), row, asked.planner)
+            shown = demonstration_from_line(fitted(*at), points_m, f"{row['instance']}")
+            demonstrations.append(replace(shown, query=replace(shown.query, is_planned=True)))
+        except InputError as error:
+            reasons[str(error)] += 1
+    if not demonstrations:
+        raise InputError(f"no route of {asked.name!r} is of use: {_listed(reasons) or 'none is asked for'}")
+    if reasons:
+        left_out = f"{reasons.total()} of {len(table)} routes of {asked.name!r} were left out: {_listed(reasons)}"
+        warnings.warn(left_out, LeftOutWarning, stacklevel=3)
+    return demonstrations
+
+
+def study_in(folder: Path) -> Path | None:
+    """Return the folder of a Monte Carlo study: this one, or the one that ``jaxurban study`` wrote in it."""
+    return next((each for each in (folder, folder / "study") if (each / ROWS_FILE).is_file()), None)
+
+
+def _maps_of(study: "BenchmarkResult | pd.DataFrame | str | Path") -> GivenMaps:
+    """Return the maps that a study was run on, where they are known."""
+    if isinstance(study, pd.DataFrame):
+        raise InputError("a table does not hold the maps that its routes lie on: give them (maps=)")
+    if not isinstance(study, str | Path):
+        return study.maps
+    folder = Path(study)
+    if (folder / ROWS_FILE).is_file():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise InputError(f"{str(study)!r} does not hold the maps that its routes lie on: give them (maps=)")
+    return folder
+
+
+def _columns_of(weights: Weights, maps: MetricMaps) -> dict[str, float]:
+    """Return weights as columns of instances on these maps."""
+    return {name: float(weights[name.removeprefix(WEIGHT_PREFIX)]) for name in weight_columns(maps.metrics)}
+
+
+def _asked(
+    study: "BenchmarkResult | pd.DataFrame | str | Path", maps: MetricMaps, planner: str | None, flown: Mapping
+) -> _Asked:
+    """Return the instances of a study or of a table, with all columns; those of weights as ``flown``, if it has any."""
+    if not isinstance(study, pd.DataFrame | str | Path):
+        return _of_folder(study.folder, planner, flown)
+    if not isinstance(study, pd.DataFrame) and Path(study).is_dir():
+        return _of_folder(study_in(Path(study)) or Path(study), planner, flown)
+    if planner is not None:
+        raise InputError(f"a planner is chosen of a study's, and this is a table of instances: leave {planner!r} out")
+    name = "the table" if isinstance(study, pd.DataFrame) else str(study)
+    table = study if isinstance(study, pd.DataFrame) else read_table(study, "instances")
+    table = table.assign(**flown)
+    if not _weights_in(table):
+        raise InputError(
+            f"{name!r} has no weights under which its routes are the cheapest: give a column for each (w_distance, "
+            "w_gps ...), or the weights of a pilot who flies all of them (--pilot, pilot=)"
+        )
+    if "instance" in table or "crs" in table:
+        return _Asked(name, checked_instances(table, f"the instances file {name!r}"), {}, EXACT)
+    return _Asked(name, instances_of_queries(maps, read_queries(table, metrics=maps.metrics)), {}, EXACT)
+
+
+def _of_folder(folder: Path, planner: str | None, flown: Mapping) -> _Asked:
+    """Return the instances of a study in a folder, each with what a planner found for it, if that is who flies them."""
+    settings = Workspace.settings_of(folder, "study")
+    if not settings or not all((folder / name).is_file() for name in (ROWS_FILE, INSTANCES_FILE)):
+        raise InputError(
+            f"{str(folder)!r} holds no study of planners: name the folder of one, after its maps where these lie "
+            "elsewhere, or run `jaxurban study`"
+        )
+    table = read_instances(folder / INSTANCES_FILE)
+    if flown:
+        return _Asked(str(folder), table.assign(**flown), settings, EXACT)
+    rows = read_table(folder / ROWS_FILE, "rows")
+    if lost := [name for name in OF_STUDY if name not in rows]:
+        raise InputError(f"{str(folder / ROWS_FILE)!r} lacks the column {lost[0]!r}: run the study again")
+    rows = rows[rows.objective == WEIGHTED]
+    ends = rows.assign(proven=rows.status == Status.OPTIMAL.value, found=rows.status.isin(HAS_PATH))
+    ends = ends.groupby("planner", sort=False)[["proven", "found"]].sum()
+    if ends.empty:
+        raise InputError(f"{str(folder)!r} holds no route under weights: run the study again")
+    if planner is None:
+        planner = str(ends.sort_values(["proven", "found"], ascending=False, kind="stable").index[0])
+    rows = rows[rows.planner == one_of("planner", planner, ends.index)]
+    return _Asked(str(folder), table.merge(rows[[*KEY, *OF_ROW]], "left", list(KEY)), settings, planner)
+
+
+def _check_settings(asked: _Asked, now: Mapping[str, Any]) -> None:
+    """Raise InputError unless maps, cost model and constraints are those that a study was run under."""
+    for name, value in now.items():
+        before = asked.settings.get(name, value)
+        if name != "budget" and before != value:
+            raise InputError(
+                f"the study in {asked.name!r} was run on other maps or settings than those given: its {name} is "
+                f"{before}, here {value}: give its own (DIR, --resolution, --obstacles, --cost-model, --preset, "
+                "--no-fly, --require, --clearance, --vertical-clearance; maps=, cost_model=, constraints=, preset=)"
+            )
+
+
+def _weights_in(table: pd.DataFrame) -> list[str]:
+    return [name for name in map(str, table.columns) if name.startswith(WEIGHT_PREFIX)]
+
+
+def _check_one_weights(name: str, table: pd.DataFrame) -> None:
+    """Raise InputError where the rows of a table are under weights of different ratios."""
+    weights = table[_weights_in(table)].to_numpy(np.float64)
+    shares = weights / np.maximum(weights.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    if len(shares) and np.ptp(shares, axis=0).max() > ALIKE:
+        raise InputError(
+            f"the routes of {name!r} were planned under {len(np.unique(shares, axis=0))} different weights, and a fit "
+            "finds one W: run the study under one ([study] weights = [{ gps = 1.0 }]), or name the weights of a pilot "
+            "who flies all of its pairs (--pilot, pilot=)"
+        )
+
+
+def _points(job: Benchmark, on: CostMap, row: Row, planner: str) -> np.ndarray:
+    """Return ``[N, 2]`` the route of a row, eastings and northings in the maps' CRS, planned again.
+
+    Raises:
+      InputError: its planner found none, or this one costs otherwise; a place that is not a free cell.
+    """
+    if "status" in row and row["status"] not in HAS_PATH:
+        raise InputError(f"{planner} found no path")
+    start, goal, weights = located(on, row)
+    how = {"max_samples": int(row["num_samples"])} if draws_samples(planner) else {}
+    search: Callable[..., Any] = find_planner(planner)
+    problem = on.shortest.between(start, goal).with_weights(weights).alone()
+    found = search(problem, budget_s=math.inf, seed=job.seed_of(row["instance"]), **how)
+    if not found.status.has_path:
+        raise InputError("no path joins their ends")
+    cost = on.shortest.features(found.points_m, on.cost_model.kind).cost(weights)
+    if not math.isclose(cost, row.get("cost", cost), rel_tol=SAME_COST):
+        raise InputError("planned again they cost otherwise than their rows say, as where seconds ended the search")
+    return found.points_m + np.array([on.grid.x_min_m, on.grid.y_min_m])
+
+
+def _listed(reasons: Counter[str]) -> str:
+    """Return why routes are left out, the most frequent first, with their numbers."""
+    listed = [f"{reason} ({num})" for reason, num in reasons.most_common(MOST_REASONS)]
+    if len(reasons) > MOST_REASONS:
+        listed.append(f"and {len(reasons) - MOST_REASONS} more reasons")
+    return "; ".join(listed)
