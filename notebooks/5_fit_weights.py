@@ -53,8 +53,7 @@ print(f"{len(shown)} routes of {min(p.length_m for p in shown):,.0f} to {max(p.l
 
 # %%
 fit = ju.fit.fit_weights(demonstrations, bootstrap=50)
-for sentence in (*fit.unidentified, *fit.warnings):
-    print(sentence)
+print(fit.sentence, *fit.cautions, sep="\n")
 table = fit.table.copy()
 vector = np.array([getattr(own, name) for name in fit.names])
 table.insert(0, "pilot's own", vector / vector.sum())

@@ -109,10 +109,10 @@ def tune(words: tuple[Path, ...], out: Path, **options: Any) -> int:
         if is_study or not word.is_dir():
             sources[folder].append(word)
     facts = run_tuning(sources, out, settings, overwrite=options["overwrite"])
+    LOG.info(facts["message"])
     for warning in facts.get("unidentified", []) + facts.get("warnings", []):
-        LOG.info(f"warning: {warning}")
-    if "message" in facts:
-        LOG.info(facts["message"])
+        if warning != facts["message"]:
+            LOG.info(f"warning: {warning}")
     LOG.info(f"tune finished: read {out / 'report.md'}; the weights are in {out / 'weights.toml'}")
     if options["as_json"]:
         print_json(facts)

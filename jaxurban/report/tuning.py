@@ -213,7 +213,7 @@ def outputs_of(
         outputs["figures/weights.png"] = lambda: plot_weights(fit)
         tables["regrets"] = _regrets(fit)
         fields["fits"] = ""
-        fields |= {name: bullets(getattr(fit, name)) or "None." for name in ("unidentified", "warnings")}
+        fields["cautions"] = bullets(fit.cautions)
         if found is not None:
             outputs["fits"] = found.table
             fields["fits"] = fits_section(found)
@@ -290,6 +290,7 @@ def _means(routes: pd.DataFrame) -> pd.DataFrame:
 def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "folder": str(folder),
+        "message": fit.sentence,
         "weights": fit.weights.to_dict(),
         "weights_option": weights_option(fit.weights),
         "num_plans": fit.num_plans,
@@ -307,7 +308,6 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
         }
     return facts | {
         "is_met": fit.is_met,
-        "message": fit.sentence,
         "outcomes": fit.outcomes.reset_index().to_dict("records"),
         "conflicts": [list(pair) for pair in fit.conflicts],
     }
@@ -327,6 +327,7 @@ def weights_option(weights: Weights) -> str:
 def weights_toml(fit: WeightFit | TargetFit, on: CostMap) -> str:
     """Return a [weights] table for a scenario, with how to use it as comments."""
     lines = [
+        f"# {fit.sentence}",
         "# Weights fitted by `jaxurban tune`; report.md says how sure they are. Paste the table into a scenario.",
         f"# They belong to the cost model {on.cost_model.kind!r}{_where(on)}: plan with",
         f"#   --cost-model {on.cost_model.kind} --weights {weights_option(fit.weights)}",

@@ -48,7 +48,11 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     for table in ("weights", "examples", "learning_curve"):
         assert len(pd.read_parquet(out / f"{table}.parquet")) == len(pd.read_csv(out / f"{table}.csv")) > 0
     report = (out / "report.md").read_text()
-    assert report.count("\n## ") >= 7
+    assert report.splitlines()[2] == f"**{facts['message']}**"
+    assert (out / "weights.toml").read_text().startswith(f"# {facts['message']}\n")
+    parts = [line.removeprefix("## ") for line in report.splitlines() if line.startswith("## ")]
+    assert parts[:4] == ["What the routes say", "Fitted weights", "Routes under the weights", "How sure"]
+    assert parts[4:] == ["How to use the weights", "Files"]
     assert report.count("© a made city") == 1
     for figure in ("weights", "routes_1"):
         assert (out / "figures" / f"{figure}.png").is_file()

@@ -33,7 +33,9 @@ def test_hidden_weights_come_back_from_optimal_routes_and_their_intervals_hold_t
     assert fit.best_mean_regret <= fit.regret.mean() + 1e-12
     assert fit.unidentified == fit.warnings == ()
     assert sum(fit.vector) == pytest.approx(1)
-    assert f"{fit}".splitlines()[2].split()[:2] == ["distance", f"{fit.vector[0]:.3g}"]
+    assert fit.sentence.startswith("These routes follow these metrics: at best they cost 0")
+    assert f"{fit}".splitlines()[0] == fit.sentence
+    assert f"{fit}".splitlines()[3].split()[:2] == ["distance", f"{fit.vector[0]:.3g}"]
     hidden = VECTOR / VECTOR.sum()
     low, high = fit.table[["low", "high"]].to_numpy().T
     assert np.all(low <= fit.vector)
@@ -161,6 +163,20 @@ def found(spoilt):
     return compare_fits({"Aton": spoilt[:NUM], "Beton": spoilt[NUM:]}, bootstrap=20)
 
 
+def test_a_fit_of_routes_that_turn_one_corner_says_first_that_they_do_not_follow_the_metrics(small):
+    unit = ju.cost_map(small, 60.0)
+    corners = [((k, 1), (k, 30), (33, 30)) for k in range(1, 17)]
+    shown = [demonstration_from_line(unit, np.array([small.grid.xy_of_cell(*cell) for cell in c])) for c in corners]
+    fit = fit_weights(shown, bootstrap=0, settings=FitSettings(max_rounds=2))
+    best = f"at best they cost {100 * fit.best_mean_regret:.3g} % more than the cheapest ones"
+    assert fit.best_mean_regret > 0.05
+    lines = f"{fit}".splitlines()
+    assert lines[0].startswith(f"These routes do not follow these metrics: {best}")
+    assert sum(best in line for line in lines) == 1
+    assert lines.index(fit.cautions[-1]) < next(k for k, line in enumerate(lines) if line.startswith("distance "))
+    assert fit._repr_html_().startswith(f"<p><b>{lines[0]}</b></p>")
+
+
 def regret_of(shown, weights) -> np.ndarray:
     """Return by which share each route costs more than the cheapest, by a search of its own."""
     best = [each.query.sums(each.query.cheapest(weights))[0] @ weights for each in shown]
@@ -177,7 +193,8 @@ def test_a_fit_finds_the_pilot_among_detours(found, spoilt):
     is_bad = found.is_bad[~found.is_held_out]
     assert np.all(best.trust[is_bad] < 0.2)
     assert np.median(best.trust[~is_bad]) > 0.9
-    assert any("not optimal under any weights" in warning for warning in best.warnings)
+    assert best.sentence.startswith(f"Most of these routes, {np.sum(best.trust >= 0.1)} of {len(fitted)}, follow")
+    assert best.sentence == best.warnings[0]
 
 
 def test_every_detour_that_costs_much_is_told_as_bad_held_out_or_not(found, spoilt):

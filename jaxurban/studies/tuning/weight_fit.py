@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from typing import Any, Literal
 
 import jax
@@ -52,7 +53,7 @@ DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly count
 OPTIMAL_REGRET = 0.005  # on average beyond this, the demonstrations are not optimal under any weights
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class WeightFit:
     """Weights fitted to demonstrations. ``K`` weights, ``Q`` demonstrations.
 
@@ -103,9 +104,23 @@ class WeightFit:
         """``[K]`` the weights in the order of ``names``."""
         return self.weights.vector(self.names)
 
-    def __str__(self) -> str:
-        """Return the table of weights and what a reader must know, a line each."""
-        return "\n".join([self.table.to_string(float_format="{:.3g}".format), *self.unidentified, *self.warnings])
+    @property
+    def sentence(self) -> str:
+        """Whether the demonstrations follow these metrics at all: what a reader must know before the weights."""
+        return _verdict(self.regret, self.trust, self.best_mean_regret)
+
+    @property
+    def cautions(self) -> list[str]:
+        """What the demonstrations cannot say: ``unidentified`` and ``warnings``, but for the ``sentence``."""
+        return [said for said in (*self.unidentified, *self.warnings) if said != self.sentence]
+
+    def __repr__(self) -> str:
+        return "\n".join([self.sentence, *self.cautions, self.table.to_string(float_format="{:.3g}".format)])
+
+    def _repr_html_(self) -> str:
+        cautions = "".join(f"<li>{escape(said)}</li>" for said in self.cautions)
+        table = self.table.to_html(float_format="{:.3g}".format)
+        return f"<p><b>{escape(self.sentence)}</b></p><ul>{cautions}</ul>{table}"
 
 
 @typed
@@ -200,7 +215,7 @@ def fit_weights(
             *_open(names, constant, interval),
             *indistinct_weights(pool, fit.unit, fit.weights, is_fitted),
         ),
-        warnings=tuple(_warnings(demonstrations, len(names), best, fit.trust, is_settled)),
+        warnings=tuple(_warnings(demonstrations, len(names), regret, fit.trust, best, is_settled)),
         num_plans=pool.num_plans,
         elapsed_s=time.perf_counter() - begin_s,
         is_settled=is_settled,
@@ -346,20 +361,36 @@ def _open(names: Sequence[str], constant: Sequence[str], interval: np.ndarray) -
     ]
 
 
+def _verdict(regret: np.ndarray, trust: np.ndarray, best: float) -> str:
+    """Return whether demonstrations follow the metrics, from the least mean regret that any weights reach."""
+    percent = round(max(0.0, 100 * best), 4)
+    share = f"at best they cost {percent:.3g} % more than the cheapest ones between their ends, on average"
+    if best <= OPTIMAL_REGRET:
+        return f"These routes follow these metrics: {share}."
+    is_trusted = trust >= DISTRUSTED
+    if is_trusted.mean() > 0.5 and regret[is_trusted].mean() <= OPTIMAL_REGRET:
+        return (
+            f"Most of these routes, {is_trusted.sum()} of {len(trust)}, follow these metrics; with the others {share}."
+        )
+    return f"These routes do not follow these metrics: {share}, under any weights that were found."
+
+
 def _warnings(
-    demonstrations: Sequence[Demonstration], num_weights: int, best: float, trust: np.ndarray, is_settled: bool
+    demonstrations: Sequence[Demonstration],
+    num_weights: int,
+    regret: np.ndarray,
+    trust: np.ndarray,
+    best: float,
+    is_settled: bool,
 ) -> Iterator[str]:
     """Yield the further sentences that a reader of the fit must know."""
     num = len(demonstrations)
+    if best > OPTIMAL_REGRET:
+        yield _verdict(regret, trust, best)
     if num < FEW * num_weights:
         yield (
             f"There are few demonstrations ({num}) for {num_weights} weights, which are fitted all the same: others of "
             "the same kind may ask for quite other ones."
-        )
-    if best > OPTIMAL_REGRET:
-        yield (
-            "The demonstrations are not optimal under any weights that were found: at best they cost "
-            f"{100 * best:.2f} % more than the cheapest routes on average; the weights are given all the same."
         )
     if distrusted := int((trust < DISTRUSTED).sum()):
         yield (
