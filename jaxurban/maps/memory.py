@@ -49,6 +49,7 @@ GROUP_FILES = {
 }
 WORK_CELL_BYTES = 8  # on the disk, of a cell of the region: both its roofs, until maps are whole
 LEAST_SHARE = 0.02  # on the disk, of the maps' values, as compressed as any city's were
+MOST_SHARE = 1 + 4 / 3  # the same of noise: once in Zarr, once as GeoTIFFs with their overviews
 MOST_UNITS = 1e12  # of memory, in any unit
 
 
@@ -249,26 +250,31 @@ def plan_run(
     return num_workers
 
 
-def least_disk_bytes(tasks: Sequence[MapTask]) -> int:
-    """Return how many bytes of disk a run takes at least, its resolutions one after the other."""
+def disk_bytes(tasks: Sequence[MapTask]) -> tuple[int, int]:
+    """Return how many bytes of disk a run takes at least and at most, its resolutions one after the other."""
     work = max(WORK_CELL_BYTES * _num_cells(task.region) for task in tasks)
-    return int(work + LEAST_SHARE * sum(map(maps_bytes, tasks)))
+    values = sum(map(maps_bytes, tasks))
+    return int(work + LEAST_SHARE * values), int(work + MOST_SHARE * values)
 
 
 def check_disk(tasks: Sequence[MapTask], folder: Path) -> None:
-    """Raise InputError where a disk is too small even for compressible maps; what an earlier run left counts as free.
+    """Say in the log what a run takes of the disk at its peak; what an earlier run left counts as free.
 
     Args:
       tasks: of the resolutions.
       folder: of the maps.
+
+    Raises:
+      InputError: the disk is too small even for compressible maps.
     """
     from jaxurban.io.store import GEOTIFF_FOLDER, ZARR_FOLDER  # imported here: it brings Dask
 
     files = (file for name in (ZARR_FOLDER, GEOTIFF_FOLDER) for file in (folder / name).rglob("*"))
     left = sum(file.stat().st_size for file in files if file.is_file())
-    least, free = least_disk_bytes(tasks), shutil.disk_usage(folder).free
+    (least, most), free = disk_bytes(tasks), shutil.disk_usage(folder).free
     if least > free + left:
         raise InputError(
             f"the maps need at least {told_bytes(least)} of disk and {told_bytes(free)} are free in {str(folder)!r}: "
             "use a smaller region, a coarser [region] resolution_m, or another folder"
         )
+    LOG.info(f"disk at the peak: {told_bytes(least)} to {told_bytes(most)}, of {told_bytes(free + left)} free")

@@ -1,7 +1,9 @@
 """Scenario: the validated settings of one job, to and from TOML."""
 
+import math
 import operator
 import tomllib
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from datetime import datetime
@@ -23,7 +25,7 @@ from pydantic import (
     model_validator,
 )
 
-from jaxurban.errors import InputError, at_least, check_range, nearest_name, positive, readable, typed
+from jaxurban.errors import GuessWarning, InputError, at_least, check_range, nearest_name, positive, readable, typed
 from jaxurban.kernels.engine import Engine
 from jaxurban.maps.task import MapParams
 from jaxurban.metrics.custom import Layer, check_layers
@@ -38,6 +40,7 @@ from jaxurban.world.grid import check_bounds, projected_crs
 
 SYNTHETIC = "synthetic"
 MOST_INSTANCES = 1_000_000
+MOST_EMPTY_CELLS = 50_000_000  # of a region most of which is empty and that nobody asked for: 35 x 35 km of 5 m
 PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 MUST_BE = {
@@ -252,10 +255,13 @@ class Scenario(Sections):  # type: ignore[misc]  # a base that pydantic makes
           >>> scenario.planning.planner
           'astar-plus'
         """
+        given, main = _with_bounds(filled(settings), folder or Path())
         try:
-            scenario = cls.model_validate(_with_bounds(filled(settings), folder or Path()))
+            scenario = cls.model_validate(given)
         except ValidationError as error:
             raise InputError(f"{name}: {_sentence_of(error, settings)}") from error
+        if main is not None:
+            _check_extent(scenario, main)
         if folder is not None:
             scenario._folder = folder
         return scenario
@@ -320,16 +326,38 @@ def _with_times_as_text(settings: Any) -> Any:
     return iso_utc(settings) if isinstance(settings, datetime) else settings
 
 
-def _with_bounds(settings: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
-    """Return settings with the bounds that the file of buildings covers, where they give none."""
+def _with_bounds(settings: Mapping[str, Any], folder: Path) -> tuple[Mapping[str, Any], Sequence[float] | None]:
+    """Return settings with the bounds that the file of buildings covers, where they give none.
+
+    With them come those of most buildings, if that is a small part; else None.
+    """
     region, buildings = settings.get("region", {}), settings.get("buildings")
     source = buildings.get("source") if isinstance(buildings, Mapping) else None
     if not isinstance(region, Mapping) or "bounds" in region or not isinstance(source, str) or source == SYNTHETIC:
-        return settings
-    from jaxurban.io.read.city import lonlat_extent  # imported here: it brings the readers
+        return settings, None
+    from jaxurban.io.read.city import lonlat_extents  # imported here: it brings the readers
 
-    path = located(source) if is_sample(source) else folder / source
-    return {**settings, "region": {**region, "bounds": lonlat_extent(path)}}
+    extent, main = lonlat_extents(Path(located(source)) if is_sample(source) else folder / source)
+    return {**settings, "region": {**region, "bounds": extent}}, main
+
+
+def _check_extent(scenario: Scenario, main: Sequence[float]) -> None:
+    """Warn that bounds that were left out cover far more than most buildings need.
+
+    Raises:
+      InputError: that is more than `MOST_EMPTY_CELLS`.
+    """
+    from jaxurban.io.read.city import covers_too_much, size_m
+
+    region = scenario.region
+    sentence = covers_too_much(scenario.buildings.source, region.bounds, main)
+    num_cells = math.prod(size_m(region.bounds)) / min(region.resolution_m) ** 2
+    if num_cells > MOST_EMPTY_CELLS:
+        raise InputError(
+            f"{sentence}; give these in [region] (all of it is {num_cells / 1e6:,.0f} million cells of "
+            f"{min(region.resolution_m):g} m: bounds = {[round(value, 6) for value in region.bounds]})"
+        )
+    warnings.warn(sentence, GuessWarning, stacklevel=3)
 
 
 def changed(settings: dict[str, Any], changes: Iterable[str]) -> dict[str, Any]:

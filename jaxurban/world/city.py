@@ -16,11 +16,15 @@ from jaxurban.public import Caution, Shown, caution_of_guesses
 from jaxurban.settings import SLABS as SLABS
 from jaxurban.settings import TO_GROUND as TO_GROUND
 from jaxurban.settings import Hanging as Hanging
+from jaxurban.world.grid import WGS84, transformer
 
 if TYPE_CHECKING:
     from jaxurban.metrics.gps import Gps
     from jaxurban.metrics.population import Population
 
+MAIN_SHARE = 0.99  # of the buildings: the box around them is where a city stands
+SMALL_PART = 0.1  # of an extent: such a box is proposed instead of it
+MOST_IN = f"{100 * MAIN_SHARE:.0f} % of buildings in"
 OTHER_DISTRICT = 13  # the paper's label for every block that no district claims
 
 
@@ -227,6 +231,32 @@ class LandCover:
     park: shapely.Geometry
 
 
+def main_bounds(polygons: np.ndarray, crs: str, extent_m: Sequence[float]) -> tuple[float, ...] | None:
+    """Return the box that `MAIN_SHARE` of the polygons lie in, if it is a small part of an extent; else None.
+
+    Args:
+      polygons: ``[N]`` in ``crs``; those that lie nearest the median of all, along the axis where they are farther,
+        count as most of them.
+      crs: of the polygons.
+      extent_m: x_min, y_min, x_max, y_max in ``crs``.
+
+    Returns:
+      West, south, east, north in degrees, rounded outward to some 10 m.
+    """
+    boxes = shapely.bounds(polygons)
+    boxes = boxes[np.isfinite(boxes).all(axis=1)]
+    if not len(boxes):
+        return None
+    centre = (boxes[:, :2] + boxes[:, 2:]) / 2
+    off = np.abs(centre - np.median(centre, axis=0)).max(axis=1)
+    main = shapely.total_bounds(shapely.box(*boxes[off <= np.quantile(off, MAIN_SHARE, method="higher")].T))
+    if shapely.box(*main).area >= SMALL_PART * shapely.box(*extent_m).area:
+        return None
+    west, south, east, north = transformer(crs, WGS84).transform_bounds(*main)
+    low, high = np.floor([1e4 * west, 1e4 * south]) / 1e4, np.ceil([1e4 * east, 1e4 * north]) / 1e4
+    return *low.tolist(), *high.tolist()
+
+
 @typed
 @dataclass(frozen=True, repr=False)
 class City(Shown):
@@ -282,12 +312,19 @@ class City(Shown):
 
     @property
     def facts(self) -> dict[str, str]:
-        """CRS, extent, what is known of buildings, people and terrain, and the credit."""
-        x_min, y_min, x_max, y_max = self.extent_m
+        """CRS, extent of the region, what is known of buildings, people and terrain, and the credit."""
+        x_min, y_min, x_max, y_max = region_m = self._region_m
+        num, main = "a height raster", None
+        if self.buildings is not None:
+            inside = self.buildings.polygons[shapely.intersects(self.buildings.polygons, shapely.box(*region_m))]
+            around = len(self.buildings) - len(inside)
+            num = f"{len(inside):,}" + (f", and {around:,} around" if around else "")
+            main = main_bounds(inside, self.crs, region_m)
         return {
             "CRS": self.crs,
             "extent": f"{(x_max - x_min) / 1000:.3g} x {(y_max - y_min) / 1000:.3g} km",
-            "buildings": "a height raster" if self.buildings is None else f"{len(self.buildings):,}",
+            "buildings": num,
+            MOST_IN: "" if main is None else str(list(main)),
             "census blocks": "" if self.blocks is None else f"{len(self.blocks):,}",
             "terrain": "flat" if self.terrain is None else "a raster",
             "credit": self.attribution,
@@ -297,6 +334,13 @@ class City(Shown):
     def known_cautions(self) -> list[Caution]:
         """That it rests on ``guesses``."""
         return caution_of_guesses(self.guesses)
+
+    @property
+    def _region_m(self) -> tuple[float, float, float, float]:
+        """The box that the city was read for; of one that was not, what its source covers."""
+        if self.bounds is None:
+            return self.extent_m
+        return transformer(WGS84, self.crs).transform_bounds(*self.bounds, densify_pts=101)
 
     @property
     def known_extent_m(self) -> tuple[float, float, float, float]:
@@ -347,7 +391,7 @@ class City(Shown):
         Examples:
           >>> around = ju.City.from_files("sample:shinjuku", bounds=(139.698, 35.687, 139.703, 35.691))
           >>> around.crs, around.facts["buildings"]
-          ('EPSG:32654', '53,471')
+          ('EPSG:32654', '3,052, and 50,419 around')
         """
         # The one import against the layers, for the user's sake.
         from jaxurban.io.read.city import read_city

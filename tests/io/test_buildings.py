@@ -296,3 +296,43 @@ def test_a_file_without_a_feature_has_no_building_in_the_region(tmp_path, suffix
     path = write_vector(tmp_path / f"none{suffix}", [shapely.Point()], WGS84, height=[3.0])
     with pytest.raises(ju.InputError, match=r"no building in the region|holds no"):
         ju.City.from_files(path, bounds=(139.69, 35.68, 139.70, 35.69))
+
+
+@pytest.fixture
+def scattered(tmp_path):
+    """Write 300 houses in a square of 1 km, and two a hundred kilometres and more away."""
+    corners = np.random.default_rng(0).uniform(0, 990, (300, 2))
+    shapes = [*(box(x, y, x + 10, y + 10) for x, y in corners), box(3e5, 0, 3e5 + 10, 10), box(0, 1e5, 10, 1e5 + 10)]
+    return write_vector(tmp_path / "houses.gpkg", shapes, height=[10] * len(shapes))
+
+
+def test_bounds_that_are_left_out_are_proposed_where_most_buildings_stand(scattered, tmp_path, capsys):
+    with pytest.warns(ju.GuessWarning, match="bounds are left out.*99 % of its buildings.*: bounds = "):
+        city = ju.City.from_files(scattered)
+    proposed = json.loads(city.facts["99 % of buildings in"])
+    inside_m = transformer(WGS84, city.crs).transform_bounds(*proposed)
+    around_m = X, Y, X + 1000, Y + 1000
+    assert (
+        0.9e6 < shapely.box(*inside_m).intersection(shapely.box(*around_m)).area <= shapely.box(*inside_m).area < 1.1e6
+    )
+    near = ju.City.from_files(scattered, bounds=proposed)
+    assert near.facts["buildings"] == "300"
+    assert near.facts["extent"].startswith(("1 x", "1.0"))
+    assert "99 % of buildings in" not in repr(near)
+    assert json.loads(run(capsys, "info", scattered, "--json")[1])["99 % of buildings in"] == str(proposed)
+    (tmp_path / "a.toml").write_text("[buildings]\nsource = 'houses.gpkg'\n[region]\nresolution_m = 5\n")
+    code, _, err = run(capsys, "maps", tmp_path / "a.toml", "-o", tmp_path / "out")
+    assert code == 2
+    assert "houses.gpkg' covers 303 x 109 km" in err  # the box in degrees stands askew
+    assert "; give these in [region] (all of it is 1,326 million cells of 5 m: bounds = [" in err
+    assert not (tmp_path / "out").exists()
+    coarse = ["region.resolution_m=500"]
+    with pytest.warns(ju.GuessWarning, match="bounds are left out"):
+        scenario = ju.Scenario.from_toml(tmp_path / "a.toml", changes=coarse)
+    assert scenario.region.bounds == pytest.approx(lonlat_extent(scattered))
+
+
+def test_a_region_says_its_own_size_and_buildings_and_those_around(street):
+    near = transformer(UTM, WGS84).transform_bounds(X - 20, Y - 20, X + 60, Y + 40)
+    facts = ju.City.from_files(street, bounds=near).facts
+    assert (facts["buildings"], facts["extent"]) == ("1, and 2 around", "0.0813 x 0.0618 km")  # of a box in degrees

@@ -5,6 +5,7 @@ region at least, and a line in `OUTLINE_READERS`.
 """
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -12,10 +13,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyproj
 import shapely
 
 from jaxurban import settings
-from jaxurban.errors import InputError
+from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.guesses import FLAT_GROUND, census_guesses, height_guesses, warn_of
 from jaxurban.io.read.osm import OSM_SUFFIXES, format_of, header_box, read_osm
@@ -34,7 +36,7 @@ from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES, Population
 from jaxurban.samples.catalogue import SAMPLES, located, sample_name
 from jaxurban.settings import MAX_HEIGHT_M, SLABS
-from jaxurban.world.city import City, Raster, ReadIssue, joined_credits
+from jaxurban.world.city import MAIN_SHARE, City, Raster, ReadIssue, joined_credits, main_bounds
 from jaxurban.world.grid import WGS84, Bounds, check_bounds, projected_crs, transformer, utm_crs, where_it_lies
 
 OutlineReader = Callable[[Path, Near | None, bool], Outlines]
@@ -44,6 +46,7 @@ OUTLINE_READERS: dict[str, OutlineReader] = {
     **dict.fromkeys(VECTOR_SUFFIXES, lambda path, near, has_decks: read_vector(path, near)),
 }
 FILE_FIELDS = ("source", *FILES)
+GEOD = pyproj.Geod(ellps="WGS84")
 GAP_M = 500.0  # side of the bins: buildings in bins that touch know what lies between them (streets, parks, rivers)
 BLOCKS_A_SIDE = 64  # into which a raster with holes is cut
 LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
@@ -68,6 +71,7 @@ def read_city(
     files = {"buildings": buildings.source, "terrain": terrain.source}
     files |= {role: getattr(people, role) for role in FILES}
     buildings, terrain, people = _placed(buildings), _placed(terrain), _placed(people)
+    is_left_out = bounds is None
     bounds = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
     west, south, east, north = bounds
     if crs is None:
@@ -82,6 +86,10 @@ def read_city(
     if not buildings.allow_none:
         _check_has_building(buildings, source, bounds, box_m)
     issues = dict(source.read_issues)
+    if is_left_out and source.buildings is not None:
+        main = main_bounds(source.buildings.polygons, crs, box_m)
+        if main is not None:
+            warnings.warn(covers_too_much(buildings.source, bounds, main), GuessWarning, stacklevel=2)
     guesses = height_guesses(source.buildings, box_m, buildings)
     blocks = None
     if people.blocks is not None or people.blocks_day is not None:
@@ -190,10 +198,46 @@ def lonlat_extent(path: str | Path) -> Bounds:
         return raster_extent_m(path, WGS84)
     if Path(path).suffix.lower() in OSM_SUFFIXES and (box := header_box(path, format_of(path))):
         return box
-    outlines = read(Path(path), None, False)
+    return _box_around(path, read(Path(path), None, False))
+
+
+def _box_around(path: str | Path, outlines: Outlines) -> Bounds:
     if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
         raise InputError(f"{str(path)!r} holds no outline that would say where it lies: give bounds")
     return transformer(outlines.crs, WGS84).transform_bounds(*shapely.total_bounds(outlines.polygons))
+
+
+def lonlat_extents(path: Path) -> tuple[Bounds, tuple[float, ...] | None]:
+    """Return what a file covers (see `lonlat_extent`), and where most of its buildings stand (see `main_bounds`).
+
+    Raises:
+      InputError: as of `lonlat_extent`.
+    """
+    read = _reader_of(path)
+    if read is None:
+        return lonlat_extent(path), None
+    outlines = read(path, None, False)
+    box = header_box(path, format_of(path)) if path.suffix.lower() in OSM_SUFFIXES else None
+    extent = box or _box_around(path, outlines)
+    return extent, main_bounds(
+        outlines.polygons, outlines.crs, transformer(WGS84, outlines.crs).transform_bounds(*extent)
+    )
+
+
+def size_m(extent: Sequence[float]) -> tuple[float, float]:
+    """Return the sides of a box in degrees: from west to east in its middle, and from south to north."""
+    west, south, east, north = extent
+    middle = (south + north) / 2
+    return GEOD.line_length([west, east], [middle, middle]), GEOD.line_length([west, west], [south, north])
+
+
+def covers_too_much(path: str | Path, extent: Sequence[float], main: Sequence[float]) -> str:
+    """Return the sentence on bounds that were left out and that most buildings do not need."""
+    east_west_m, north_south_m = size_m(extent)
+    return (
+        f"bounds are left out and {str(path)!r} covers {east_west_m / 1000:.3g} x {north_south_m / 1000:.3g} km, but "
+        f"{100 * MAIN_SHARE:.0f} % of its buildings stand in a small part of that: bounds = {list(main)}"
+    )
 
 
 def _city_of(file: settings.Buildings, outlines: Outlines, crs: str, bounds_m: Bounds | None) -> City:
