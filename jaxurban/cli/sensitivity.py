@@ -143,9 +143,15 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
     "--heights", type=click.IntRange(min=0), default=0, help="Number of draws of building heights to plan again on."
 )
 @click.option(
+    "--parameters",
+    "has_parameters",
+    is_flag=True,
+    help="Also plan on maps with each threshold, range and gamma of the metrics halved and doubled.",
+)
+@click.option(
     "--scenario",
     type=SCENARIO_FILE,
-    help="Scenario of the maps, for --heights, if its paths are relative; only with one DIR.",
+    help="Scenario of the maps, for --heights and --parameters, if its paths are relative; only with one DIR.",
 )
 @WORKERS
 @WEIGHTS
@@ -162,15 +168,15 @@ def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, over
     if options["queries"] is not None and (options["num_routes"] is not None or options["altitudes_m"]):
         raise click.UsageError("--queries names the routes: leave out --routes and --altitudes, or --queries")
     scenario = options["scenario"]
-    if scenario is not None and not (options["heights"] and len(folders) == 1):
-        raise click.UsageError("--scenario belongs to --heights of one DIR")
+    if scenario is not None and not ((options["heights"] or options["has_parameters"]) and len(folders) == 1):
+        raise click.UsageError("--scenario belongs to --heights or --parameters of one DIR")
     workers, rules = given_workers(options) or all_cores(), given_rules(options)
     weights = rules.pop("weights")
     settings = SensitivityStudySettings(
         vary=names_in(options["vary"]),
         num_heights=options["heights"],
         **rules,
-        **{name: options[name] for name in ("factors", "wrong", "num_samples", "seed")},
+        **{name: options[name] for name in ("factors", "wrong", "num_samples", "has_parameters", "seed")},
     )
     result = study(
         [MapsFolder(folder, options["resolution_m"], options["obstacles"]) for folder in folders],

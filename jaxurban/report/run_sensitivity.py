@@ -35,16 +35,15 @@ from jaxurban.studies.montecarlo.sampling import (
 )
 from jaxurban.studies.weights.routes import (
     CITY_NUMBER,
-    REMADE_KEY,
     ROUTE_KEY,
+    OnOtherParameters,
     OnPerturbedMaps,
     SensitivityStudySettings,
-    perturbed_tasks,
     row_columns,
     seed_at,
 )
 
-ROUTES_FOLDER, REMADE_FOLDER = "routes", "remade"
+ROUTES_FOLDER = "routes"
 
 
 @typed
@@ -65,9 +64,10 @@ def sensitivity_study(
 
     For each route and weight: its share of the cost (which is the gradient of the cost by the logarithm of the weight),
     the nearest breakpoints, the regret of a wrong weight, and Sobol shares of what the route is like; if asked
-    also how routes change where heights are uncertain. Rows are kept in ``folder`` as they
-    come; the same call after any end, ``kill -9`` included, makes only what is missing. A route that fails is a row
-    with its status. ``report.md`` there says what the routes support and what not, beside tables and figures.
+    also how routes change where heights are uncertain or a parameter of a metric is another one. Rows are kept in
+    ``folder`` as they come; the same call after any end, ``kill -9`` included, makes only what is missing. A route that
+    fails is a row with its status. ``report.md`` there says what the routes support and what not, beside tables and
+    figures.
 
     Args:
       sources: maps of each city by its name, folders or maps in memory (which only this process sees); or folders,
@@ -113,7 +113,8 @@ def sensitivity_study(
     about = {city: maps.identity for city, maps in opened.items()}
     key = settings.to_dict() | {"maps": about, "order_of_cities": [*about], "routes": _routes_key(instances)}
     job = settings if workers == 1 or settings.num_threads is not None else replace(settings, num_threads=1)
-    names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in (ROUTES_FOLDER, REMADE_FOLDER)), *FILES]
+    folders = ROUTES_FOLDER, OnPerturbedMaps.folder, OnOtherParameters.folder
+    names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in folders), *FILES]
     with (
         Workspace.open(folder, "sensitivity-study", key, names=names, overwrite=overwrite),
         reporting("sensitivity", progress) as report,
@@ -121,13 +122,12 @@ def sensitivity_study(
         write_table(instances, folder / INSTANCES_FILE)
         file = folder / ROUTES_FOLDER / ROWS_FILE
         rows = _by_city(run_rows(file, job, instances, given, row_columns, workers=workers, report=report), opened)
-        remade, skipped = pd.DataFrame(), tuple[str, ...]()
-        if settings.num_heights:
-            remade, skipped = _remade(folder, instances, given, opened, settings, scenarios, report)
-            remade = _by_city(remade, opened)
+        changed, skipped = _remade(folder, instances, given, opened, settings, scenarios, report)
         report("report")
         is_sampled = not isinstance(routes, pd.DataFrame)
-        found = SensitivityStudy(folder, opened, instances, rows, remade, skipped, settings, is_sampled)
+        remade, parameters = (changed.get(name, pd.DataFrame()) for name in folders[1:])
+        how = remade, skipped, settings, is_sampled, parameters
+        found = SensitivityStudy(folder, opened, instances, rows, *how)
         write_sensitivity_study(found)
     return found
 
@@ -289,32 +289,53 @@ def _remade(
     settings: SensitivityStudySettings,
     scenarios: Mapping[str, Scenario] | None,
     report: Report,
-) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Return the rows of routes on perturbed maps, and why some were not made; whole maps at a time are kept."""
-    store = RowStore(folder / REMADE_FOLDER / ROWS_FILE, REMADE_KEY, has_parts=True)
+) -> tuple[dict[str, pd.DataFrame], tuple[str, ...]]:
+    """Return the rows of routes on changed maps by what was changed, and why some were not made.
+
+    Whole maps at a time are kept.
+    """
+    is_asked = {OnPerturbedMaps: settings.num_heights > 0, OnOtherParameters: settings.has_parameters}
+    stores = {
+        kind: RowStore(folder / kind.folder / ROWS_FILE, kind.key, has_parts=True)
+        for kind in is_asked
+        if is_asked[kind]
+    }
     rules: dict[str, Any] = {"cost_model": settings.cost_model, "constraints": settings.constraints}
     skipped = []
     try:
-        for city, maps in opened.items():
+        for city, maps in opened.items() if stores else ():
             try:
                 task = _map_task(city, sources[city], maps, scenarios)
             except InputError as error:
                 skipped.append(f"{city}: {error}")
-                LOG.warning(f"no perturbed maps of {city} are made: {error}")
+                LOG.warning(f"no other maps of {city} are made: {error}")
                 continue
-            stage, total = f"perturbed maps of {city}", settings.num_heights
-            for number, perturbed in enumerate(perturbed_tasks(task, settings)):
-                report(stage, number, total)
-                job = OnPerturbedMaps(nominal=maps, draw=number, **rules)
-                if left := tasks_of(instances[instances.city == city], job, store):
-                    with warnings.catch_warnings():
-                        warnings.simplefilter("ignore", GuessWarning)  # said when the nominal maps were made
-                        made = compute_maps(perturbed).with_obstacles(maps.obstacles)
-                    store.add([row for rows in solve_here(left, {city: made}, job) for row in rows])
-            report(stage, total, total)
+            of_city = instances[instances.city == city]
+            for kind, store in stores.items():
+                stage, changes = f"{kind.called} of {city}", kind.changes(task, settings)
+                for number, (change, other) in enumerate(zip(changes, kind.tasks(task, settings), strict=True)):
+                    report(stage, number, len(changes))
+                    if isinstance(other, InputError):
+                        skipped.append(f"{city}: {other}")
+                        continue
+                    job = kind(nominal=maps, change=change, **rules)
+                    if left := tasks_of(of_city, job, store):
+                        made = _made(other).with_obstacles(maps.obstacles)
+                        store.add([row for rows in solve_here(left, {city: made}, job) for row in rows])
+                report(stage, len(changes), len(changes))
     finally:
-        store.save(row_columns(store.rows))
-    return read_table(store.file, "rows of perturbed maps"), tuple(skipped)
+        for store in stores.values():
+            store.save(row_columns(store.rows))
+    tables = {kind.folder: read_table(store.file, "rows of changed maps") for kind, store in stores.items()}
+    return {name: _by_city(rows, opened) for name, rows in tables.items()}, tuple(skipped)
+
+
+def _made(task: MapTask) -> MetricMaps:
+    """Return the maps of a task whose guesses were reported when the nominal maps were made."""
+    check_fits(task)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GuessWarning)
+        return compute_maps(task)
 
 
 def _map_task(city: str, source: Source, maps: MetricMaps, scenarios: Mapping[str, Scenario] | None) -> MapTask:
@@ -334,5 +355,4 @@ def _map_task(city: str, source: Source, maps: MetricMaps, scenarios: Mapping[st
     task = next((task for task in tasks if task.region == maps.grid), None)
     if task is None or not set(maps.metrics) == set(task.metrics):
         raise InputError("the scenario makes other maps than these (another grid, or other metrics): give theirs")
-    check_fits(task)
     return task

@@ -1,7 +1,7 @@
 """report.md of a weight study over many routes: its tables and figures."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -21,7 +21,10 @@ from jaxurban.studies.weights.routes import SensitivityStudySettings
 from jaxurban.studies.weights.sobol import FEW_SAMPLES
 from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES, UNCLEAR
 
-TABLES = "routes", "weights", "summary", "sobol", "sobol_summary", "remade", "remade_summary"
+TABLES = (
+    *("routes", "weights", "summary", "sobol", "sobol_summary"),
+    *("remade", "remade_summary", "parameters", "parameters_summary"),
+)
 FIGURES = "regret", "nearest"
 FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
 STATISTICS, ENDS = ("regret", "changes", "nearest", "share"), ("", "_low", "_high")
@@ -46,9 +49,10 @@ class SensitivityStudy:
       rows: what was found for each, a row a route: its status, cost and outcomes, and of each weight its share of the
         cost, the nearest factors at which the route changes, and what a wrong weight costs.
       remade: how each route differs on maps of perturbed heights; empty where none were asked for.
-      skipped: why there are no perturbed maps, a sentence a city.
+      skipped: why some other maps were not made, a sentence each.
       settings: what was asked.
       is_sampled: whether the routes were drawn, by stratum and range, or given.
+      parameters: how each route differs on maps of other parameters; empty where none were asked for.
 
     Examples:
       >>> chosen = ju.studies.SensitivityStudySettings(vary=("gps",), num_samples=0)
@@ -67,6 +71,7 @@ class SensitivityStudy:
     skipped: tuple[str, ...]
     settings: SensitivityStudySettings
     is_sampled: bool = True
+    parameters: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     @cached_property
     def tables(self) -> dict[str, pd.DataFrame]:
@@ -80,8 +85,9 @@ class SensitivityStudy:
         shares = summary.shares_table(routes)
         if len(shares):
             found |= {"sobol": shares, "sobol_summary": summary.summarise_shares(shares, self.settings.num_samples)}
-        if len(self.remade) and self.remade.status.isin(HAS_PATH).any():
-            found |= {"remade": self.remade, "remade_summary": summary.summarise_remade(self.remade)}
+        for name, rows in {"remade": self.remade, "parameters": self.parameters}.items():
+            if len(rows) and rows.status.isin(HAS_PATH).any():
+                found |= {name: rows, f"{name}_summary": summary.summarise_changed(rows)}
         return found
 
 
@@ -101,7 +107,7 @@ def study_markdown(found: SensitivityStudy) -> str:
         {"cities": _cities(found), **shown_tables(tables)},
         credits=[maps.attribution for maps in found.maps.values()],
         lost=framed(reasons) if len(reasons) else "",
-        skipped=bullets(f"Not perturbed: {reason}" for reason in found.skipped),
+        skipped=bullets(f"Not planned on other maps: {reason}" for reason in found.skipped),
         limit=min(settings.factors[1], 1 / settings.factors[0]),
         settings=settings,
         constraints=str(settings.constraints) or "none",
@@ -153,6 +159,11 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
         remade = tables["remade_summary"]
         names = [f"{name}{end}" for name in ("is_other", "nominal_regret", "nominal_is_closed") for end in ENDS]
         found["perturbed"] = remade[["of", "routes", *names]]
+    if "parameters_summary" in tables:
+        changed = tables["parameters_summary"]
+        names = [f"{name}{end}" for name in ("is_other", "overlap", "nominal_regret") for end in ENDS]
+        is_shown = changed.cut.isin([ALL, "city"])
+        found["parameters"] = changed.loc[is_shown, ["parameter", "factor", "of", "routes", *names]]
     return found
 
 

@@ -15,8 +15,11 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
+from jaxurban.maps.run import run_scenario
+from jaxurban.maps.run import tasks_of as maps_tasks_of
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.rows import InstanceRuns, solve_here
+from jaxurban.report.buildings import scenario_of
 from jaxurban.report.figures.sensitivity_study import plot_nearest, study_figures
 from jaxurban.report.sensitivity_study import shown_tables, study_markdown
 from jaxurban.studies.bootstrap import Clusters
@@ -247,7 +250,7 @@ def test_many_samples_resolve_every_share_of_a_sum_and_none_is_above_one(few_res
 
 
 def perturbed_rows(nominal, other, instances):
-    job = OnPerturbedMaps(nominal=nominal, draw=0)
+    job = OnPerturbedMaps(nominal=nominal, change=(0,))
     tasks = [InstanceRuns(instance, job.runs) for instance in instances]
     return pd.DataFrame(row for rows in solve_here(tasks, {"a": other}, job) for row in rows)
 
@@ -270,6 +273,67 @@ def test_routes_on_maps_made_anew_are_compared_both_ways(alpha):
         assert row["nominal_regret"] == pytest.approx(cost / best.cost - 1, abs=1e-9)
 
 
+@pytest.fixture(scope="module")
+def of_parameters(tmp_path_factory) -> ju.studies.SensitivityStudy:
+    """Return a study of a town, with maps of other parameters, whose threshold of GDOP cannot be halved."""
+    folder = tmp_path_factory.mktemp("town")
+    region = {"bounds": [-73.98, 40.775, -73.968, 40.785], "resolution_m": 25.0, "altitudes_m": [20]}
+    sections = {"region": region, "buildings": {"source": "synthetic"}, "gps": {"gdop_threshold": 1.9}}
+    run_scenario(ju.Scenario.from_dict(sections), folder / "maps", progress=False)
+    chosen = ju.studies.SensitivityStudySettings(vary=("risk",), num_samples=0, has_parameters=True)
+    how = {"weights": ju.Weights(population=5.0), "settings": chosen, "progress": False}
+    return ju.studies.sensitivity_study({"town": folder / "maps"}, folder / "out", 9, **how)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "factor", "section"),
+    [
+        ("risk.threshold_m", 0.5, {"risk": ju.Risk(threshold_m=25.0)}),
+        ("lidar.range_m", 2.0, {"lidar": ju.Lidar(range_m=200.0)}),
+        ("population.gamma_residential", 2.0, {"population": ju.Population(gamma_residential=1.0)}),
+    ],
+)
+def test_routes_on_maps_of_another_parameter_are_those_planned_on_maps_built_with_it(
+    of_parameters, parameter, factor, section
+):
+    nominal = of_parameters.maps["town"]
+    task = maps_tasks_of(scenario_of(of_parameters.folder.parent / "maps"))[0]
+    gps = ju.Gps(gdop_threshold=1.9, times=nominal.times)
+    other = ju.build_maps(task.city, grid=nominal.grid, altitudes_m=(20.0,), **{"gps": gps, **section})
+    name = parameter.partition(".")[0]
+    is_same = {each: nominal.ds[each].equals(other.ds[each]) for each in nominal.metrics}
+    assert [each for each in is_same if not is_same[each]] == [name]
+    rows = of_parameters.parameters.query("parameter == @parameter and factor == @factor")
+    asked = of_parameters.instances.set_index("instance").loc[rows.instance].reset_index().to_dict("records")
+    assert len(rows) == 9
+    direct = perturbed_rows(nominal, other, [instance | {"city": "a"} for instance in asked])
+    columns = ["is_other", "overlap", "regret", "nominal_regret"]
+    np.testing.assert_array_equal(rows[columns], direct[columns])
+    assert rows.is_other.sum() > 0
+
+
+def test_every_number_that_metrics_have_a_gradient_by_is_halved_and_doubled_or_it_is_said_why_not(of_parameters):
+    rows = of_parameters.parameters
+    names = ["gps.gdop_threshold", "lidar.range_m", "risk.threshold_m"]
+    names += ["population.gamma_commercial", "population.gamma_residential"]
+    asked = {*itertools.product(names, (0.5, 2.0))}
+    assert {*zip(rows.parameter, rows.factor, strict=True)} == asked - {("gps.gdop_threshold", 0.5)}
+    (reason,) = of_parameters.skipped
+    assert reason.startswith("town: gps.gdop_threshold x 0.5: gdop_threshold must be a number above 1")
+    report = (of_parameters.folder / "report.md").read_text()
+    assert reason in report
+    assert "| lidar.range_m | 2 | all | 9 |" in report
+    assert "## Other heights" not in report
+
+
+def test_routes_on_maps_without_their_sources_are_studied_but_for_other_parameters(alpha, weight_study, tmp_path):
+    chosen = replace(WEIGHT_STUDY, vary=("risk",), num_samples=0, has_parameters=True)
+    routes = weight_study.instances.query("city == 'alpha'").iloc[:1]
+    found = ju.studies.sensitivity_study({"alpha": alpha}, tmp_path, routes, settings=chosen, progress=False)
+    assert found.parameters.empty
+    assert "maps in memory do not name their sources" in found.skipped[0]
+
+
 @pytest.mark.slow
 def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
     (tmp_path / "town.toml").write_text(TOWN)
@@ -282,8 +346,9 @@ def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
     code, text, err = run(capsys, "sensitivity-study", *cities, *options)
     assert code == 0, err
     assert json.loads(text)["statuses"] == {"optimal": 2 * 8 * 2}
-    code, text, err = run(capsys, "sensitivity-study", *cities, *options, "--heights", 2)
+    code, text, err = run(capsys, "sensitivity-study", *cities, *options, "--heights", 2, "--parameters")
     assert code == 0, err
+    assert len(json.loads(text)["tables"]["parameters_summary"]) == 5 * 2 * 5
     told = json.loads(text)["tables"]["remade_summary"]
     heights = next(row for row in told if row["of"] == "all")
     assert heights["is_other"] == 0, "the synthetic city knows its heights"

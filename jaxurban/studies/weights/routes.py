@@ -1,15 +1,17 @@
 """What weights do to each of many routes, and how it differs on maps of perturbed heights: a row a route.
 
 A row is made alone, so that any number can be made side by side. Maps are made again with heights drawn as well as they
-are known.
+are known, and with each parameter of the metrics halved and doubled.
 """
 
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, is_dataclass, replace
+from itertools import product
+from typing import Any, ClassVar
 
+import jax
 import numpy as np
 
 from jaxurban.errors import InputError, at_least, positive, typed
@@ -30,11 +32,11 @@ from jaxurban.studies.weights.sobol import check_sampling, check_vary, sobol_of_
 
 ROUTE_KEY = ("city", *KEY)
 CITY_NUMBER = "city_number"  # column of instances: the place of a route's city among those of the study, from 0
-REMADE_KEY = ("draw", *ROUTE_KEY)
+PARAMETER_FACTORS = (0.5, 2.0)
 SAME_SUMS = 1e-9  # relative: routes whose sums differ by less are one route
 OF_WEIGHT = ("elasticity", "below", "above", "regret_low", "regret_high")  # columns of each weight, as "below:gps"
 OF_SHARE = ("first", "first_ci", "total", "total_ci")  # and of each outcome too, as "first:gps:length_m"
-TEXTS = ("city", "status", "note", "vary")
+TEXTS = ("city", "status", "note", "vary", "parameter")
 
 
 @typed
@@ -50,6 +52,8 @@ class SensitivityStudySettings(RouteJob):
       wrong: a wrong weight is so many times too large or too small.
       num_samples: N of each route's Sobol indices, a power of two, N x (2 + weights that vary) searches; 0: none.
       num_heights: also plan on maps of so many draws of all heights.
+      has_parameters: also plan on maps of which one parameter of the metrics is halved or doubled: each number that
+        they have a gradient by (GDOP threshold, lidar range, risk threshold, both gammas of the population).
       seed: of the sampling of routes and weights, with the place of the city among those of the study and the route's
         number.
       num_threads: of the searches of a route; left out, one a core, and one where several processes work.
@@ -69,6 +73,7 @@ class SensitivityStudySettings(RouteJob):
     wrong: float = 2.0
     num_samples: int = 32
     num_heights: int = 0
+    has_parameters: bool = False
     seed: int = 0
     num_threads: int | None = None
 
@@ -190,13 +195,34 @@ def seed_at(seed: int, *place: int) -> int:
     return int(np.random.SeedSequence(seed, spawn_key=place).generate_state(1)[0])
 
 
-def perturbed_tasks(task: MapTask, settings: SensitivityStudySettings) -> Iterator[MapTask]:
-    """Yield the tasks of maps that are made again, one for each draw of heights."""
+def plain_task(task: MapTask) -> MapTask:
+    """Return a task of the metrics alone, without bounds and spreads."""
     params = task.params
     gps, heights = replace(params.gps, bounds=False), replace(params.heights, height_samples=0)
-    plain = replace(task, params=replace(params, heights=heights, sections={**params.sections, "gps": gps}))
-    for city in perturbed_cities(task.city, heights.height_std_m, settings.num_heights, settings.seed):
-        yield replace(plain, city=city)
+    return replace(task, params=replace(params, heights=heights, sections={**params.sections, "gps": gps}))
+
+
+def parameters_of(task: MapTask) -> dict[str, float]:
+    """Return every number that the metrics of a task have a gradient by, as ``{"lidar.range_m": 100.0}``."""
+    found: dict[str, float] = {}
+    for name, metric in task.metrics.items():
+        settings = task.settings_of(metric)
+        if name not in task.layers and is_dataclass(settings):
+            leaves, _ = jax.tree_util.tree_flatten_with_path(settings)
+            found |= {f"{name}.{path[0].name}": float(value) for path, value in leaves}
+    return found
+
+
+def with_parameter(task: MapTask, parameter: str, factor: float) -> MapTask:
+    """Return a task with one parameter (see `parameters_of`) so many times as large.
+
+    Raises:
+      InputError: the metric cannot have such a value.
+    """
+    metric, _, name = parameter.partition(".")
+    section: Any = task.settings_of(task.metrics[metric])
+    section = replace(section, **{name: factor * getattr(section, name)})
+    return replace(task, params=replace(task.params, sections={**task.params.sections, metric: section}))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -210,19 +236,34 @@ class OnPerturbedMaps(RouteJob):
 
     Attributes:
       nominal: the maps of the study.
-      draw: number of the draw of heights of the others.
+      change: what the others are of: the number of the draw of heights.
+      folder: of the study in which the rows are kept; and what the maps are called (no arguments).
     """
 
     nominal: MetricMaps
-    draw: int
+    change: Run
 
-    key = REMADE_KEY
-    run_key = ("draw",)
+    folder: ClassVar[str] = "remade"
+    called: ClassVar[str] = "perturbed maps"
+    key: ClassVar[tuple[str, ...]] = ("draw", *ROUTE_KEY)
+    run_key: ClassVar[tuple[str, ...]] = ("draw",)
 
     @property
     def runs(self) -> list[Run]:
-        """The draw."""
-        return [(self.draw,)]
+        """The change."""
+        return [self.change]
+
+    @classmethod
+    def changes(cls, task: MapTask, settings: SensitivityStudySettings) -> list[Run]:
+        """Return all changes of the maps of a task."""
+        return [(draw,) for draw in range(settings.num_heights)]
+
+    @classmethod
+    def tasks(cls, task: MapTask, settings: SensitivityStudySettings) -> Iterator[MapTask | InputError]:
+        """Yield the task of each change, or why there is none."""
+        std_m = task.params.heights.height_std_m
+        for city in perturbed_cities(task.city, std_m, settings.num_heights, settings.seed):
+            yield replace(plain_task(task), city=city)
 
     def cost_map(self, maps: MetricMaps, *at: Any) -> tuple[CostMap, CostMap]:
         """Return the cost maps of the nominal maps and of the others."""
@@ -232,6 +273,32 @@ class OnPerturbedMaps(RouteJob):
         """Return how the routes differ."""
         (nominal, weights), (other, _) = (query_of(each, instance) for each in on)
         return [_compared(nominal, other, weights)]
+
+
+class OnOtherParameters(OnPerturbedMaps):
+    """How the cheapest route differs on maps of which one parameter of the metrics is halved or doubled.
+
+    ``change``: the parameter (see `parameters_of`) and its factor.
+    """
+
+    folder = "parameters"
+    called = "maps of other parameters"
+    key = ("parameter", "factor", *ROUTE_KEY)
+    run_key = ("parameter", "factor")
+
+    @classmethod
+    def changes(cls, task: MapTask, settings: SensitivityStudySettings) -> list[Run]:
+        """Return all changes of the maps of a task."""
+        return [*product(parameters_of(task), PARAMETER_FACTORS)]
+
+    @classmethod
+    def tasks(cls, task: MapTask, settings: SensitivityStudySettings) -> Iterator[MapTask | InputError]:
+        """Yield the task of each change, or why there is none."""
+        for parameter, factor in cls.changes(task, settings):
+            try:
+                yield with_parameter(plain_task(task), parameter, factor)
+            except InputError as error:
+                yield InputError(f"{parameter} x {factor:g}: {error}")
 
 
 def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> dict[str, Any]:

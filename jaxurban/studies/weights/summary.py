@@ -193,23 +193,28 @@ def _verdict(share: Interval, num_routes: int) -> str:
     return CLEAR if share.low > 0 else UNCLEAR
 
 
-def summarise_remade(remade: pd.DataFrame) -> pd.DataFrame:
-    """Return how far routes change on maps of other heights: a row for all, for each city and each altitude.
+def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
+    """Return how far routes change on other maps: a row for all, for each city and each altitude.
 
-    All draws together, draws and routes being drawn both. Columns are means of those of
-    `jaxurban.studies.weights.routes.OnPerturbedMaps`.
+    Of parameters so for each ``parameter`` and ``factor``. Of heights all draws together, draws and routes being drawn
+    both. Columns are means of those of `jaxurban.studies.weights.routes.OnPerturbedMaps`.
     """
-    rows, found = [], remade[remade.status.isin(HAS_PATH)]
-    cuts = [(ALL, ALL, found)]
-    for cut in ("city", "altitude_m"):
-        cuts += [(cut, _told(value), part) for value, part in found.groupby(cut, sort=False)]
-    for cut, value, part in cuts:
-        pairs, num_cities = pairs_of(part), part.city.nunique()
-        clusters = pairs.crossed(Clusters(part.draw, seed=1))
-        row: dict[str, Any] = {"cut": cut, "of": value, "routes": len(part), "draws": part.draw.nunique()}
-        row |= {"pairs": pairs.num_groups + num_cities - 1, "cities": num_cities, "groups": clusters.num_groups}
-        for statistic in REMADE_STATISTICS:
-            put: Statistic = "share" if statistic in SHARES_OF_ROUTES else "mean"
-            row |= named(statistic, clusters.interval(part[statistic], put))
-        rows.append(row)
+    rows, found = [], changed[changed.status.isin(HAS_PATH)]
+    kinds = [name for name in ("parameter", "factor") if name in found]
+    for named_as, of_kind in found.groupby(kinds, sort=False) if kinds else [((), found)]:
+        cuts = [(ALL, ALL, of_kind)]
+        for cut in ("city", "altitude_m"):
+            cuts += [(cut, _told(value), part) for value, part in of_kind.groupby(cut, sort=False)]
+        for cut, value, part in cuts:
+            clusters, num_cities = pairs_of(part), part.city.nunique()
+            row: dict[str, Any] = dict(zip(kinds, named_as, strict=True)) | {"cut": cut, "of": value}
+            row |= {"routes": len(part), "pairs": clusters.num_groups + num_cities - 1, "cities": num_cities}
+            if "draw" in part:
+                clusters = clusters.crossed(Clusters(part.draw, seed=1))
+                row |= {"draws": part.draw.nunique()}
+            row |= {"groups": clusters.num_groups}
+            for statistic in REMADE_STATISTICS:
+                put: Statistic = "share" if statistic in SHARES_OF_ROUTES else "mean"
+                row |= named(statistic, clusters.interval(part[statistic], put))
+            rows.append(row)
     return pd.DataFrame(rows)
