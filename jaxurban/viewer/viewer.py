@@ -288,7 +288,9 @@ class Viewer:
         least_m = float(cautious_profile(mission, self.maps)[CLEARANCE].min())
         least = f"least clearance {number(least_m)} m"
         if number(least_m) != number(route_m := totals[CLEARANCE]) and least_m < route_m:
-            least = f'<b class="jv-limit">{least}, the route {number(route_m)} m</b>'
+            least = f"{least}, the route {number(route_m)} m"
+        level = next(each.level for each in mission.cautions if each.startswith("Buildings"))
+        least = f'<b class="jv-{level}">{least}</b>'
         lines = {name: (metric.label, self._colours[name]) for name, metric in self.maps.metrics.items()}
         units = {name: text for name, text in TOTALS.items() if name in totals}
         return {

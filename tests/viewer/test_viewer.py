@@ -204,8 +204,8 @@ def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(v
     least_m = ju.explain(mission, MAPS).totals["nearest_wall_m"]
     least, route_m = f"least clearance {number(least_m)} m", ju.explain(planned, MAPS).totals["nearest_wall_m"]
     if least_m < route_m - 0.01:
-        least = f'<b class="jv-limit">{least}, the route {number(route_m)} m</b>'
-    assert found["saved"] == f"{len(places)} waypoints, {prices}, {least}"
+        least = f"{least}, the route {number(route_m)} m"
+    assert found["saved"] == f'{len(places)} waypoints, {prices}, <b class="jv-note">{least}</b>'
 
 
 def test_a_profile_labels_the_flight_at_its_height_and_distances_so_that_none_equals_another(viewer):
