@@ -72,6 +72,12 @@ def told_bytes(num_bytes: float) -> str:
     return f"{num_bytes / 2**30:.1f} GiB" if num_bytes < 10 * 2**30 else f"{num_bytes / 2**30:,.0f} GiB"
 
 
+def told_apart(*sizes: float) -> list[str]:
+    """Return sizes as people read them, with the digits that tell them apart."""
+    texts = [*map(told_bytes, sizes)]
+    return texts if len({*texts}) == len(texts) else [f"{size / 2**20:,.3f} MiB" for size in sizes]
+
+
 def shape_of_tiles(task: MapTask) -> tuple[int, int]:
     """Return rows and columns of the tiles of a region; settings decide it, never the machine."""
     if task.keeps_times:
@@ -194,9 +200,10 @@ def check_fits(task: MapTask) -> None:
     region, free = task.region, free_bytes()
     needed = COMPILING_BYTES + PROGRAM_BYTES + tile_bytes(task, region, task.with_margin()) + maps_bytes(task)
     if needed > free:
+        needed_text, free_text = told_apart(needed, free)
         raise InputError(
             f"the maps of {region.num_rows:,} x {region.num_cols:,} cells of {region.resolution_m:g} m need about "
-            f"{told_bytes(needed)} of memory at once and {told_bytes(free)} are free: choose a smaller region, a "
+            f"{needed_text} of memory at once and {free_text} are free: choose a smaller region, a "
             "coarser resolution_m or a shorter lidar range_m, or make them with `jaxurban maps`, which works tile by "
             "tile"
         )
@@ -235,11 +242,11 @@ def plan_run(
     base = own + len(tasks) * PROGRAM_BYTES * least + (num_processes * WORKER_BYTES or COMPILING_BYTES)
     fitting = (ceiling - base) // tile_most
     if fitting < least:
+        needed_text, most_text = told_apart(base + tile_most * least, ceiling)
         remedy = "fewer --workers" if num_processes > 1 else "a coarser [region] resolution_m"
         raise InputError(
-            f"this job needs about {told_bytes(base + tile_most * least)} of memory and may take "
-            f"{told_bytes(ceiling)}: raise --memory, or choose {remedy}, a shorter [lidar] range_m or [risk] "
-            "threshold_m, or fewer altitudes or times"
+            f"this job needs about {needed_text} of memory and may take {most_text}: raise --memory, or choose "
+            f"{remedy}, a shorter [lidar] range_m or [risk] threshold_m, or fewer altitudes or times"
         )
     num_workers = min(num_workers, fitting) // least * least
     at_once = min(num_workers, max(num_tiles, least))

@@ -99,7 +99,7 @@ class Weights:
           Number by name, in the order of the text; empty for an empty text.
 
         Raises:
-          InputError: a value that is no number.
+          InputError: a value that is no number, or a name that comes twice.
 
         Examples:
           >>> ju.Weights.named_in("gps=1, noise=2")
@@ -108,6 +108,8 @@ class Weights:
         values: dict[str, float] = {}
         for part in filter(None, (item.strip() for item in text.split(","))):
             name, _, number = (item.strip() for item in part.partition("="))
+            if name in values:
+                raise InputError(f"weight {name} is given twice in {text!r}: leave one of them out")
             try:
                 values[name] = float(number)
             except ValueError as error:

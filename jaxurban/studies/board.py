@@ -1,11 +1,12 @@
 """The board, a benchmark of routes that planners of any kind can enter: its bundle, and the judge of routes."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import pandas as pd
@@ -35,6 +36,7 @@ from jaxurban.world.synthetic import demo_city
 QUERIES, DEMONSTRATIONS, CHECKSUMS = "queries.csv", "demonstrations.csv", "CHECKSUMS"
 TEXTS = {"README.md": "report/templates/board.md", "CITATION.cff": "report/templates/board.cff"}
 TEXTS |= {"NOTICE.md": "samples/NOTICE.md"}
+SYNTHETIC = "synthetic"  # name of a city
 DECIMALS = 4  # of costs: what the files hold is the truth
 DEMO_M = 2000.0  # side of the synthetic city
 TRUTH = {"w_distance": 0.1, "w_gps": 1.0, "w_lidar": 0.3, "w_population": 2.0, "w_risk": 0.6}  # of demonstrations
@@ -61,13 +63,14 @@ def make_benchmark(
     Raises:
       InputError: the folder cannot be written to, or holds other files of these names.
     """
-    maps, folder, outputs = city_maps() if maps is None else maps, Path(folder), dict[str, Any]()
+    folder, outputs, cities = Path(folder), dict[str, Any](), [*SAMPLES, SYNTHETIC] if maps is None else [*maps]
     queries, shown, names = list[dict[str, Any]](), list[dict[str, Any]](), [QUERIES, DEMONSTRATIONS, CHECKSUMS, *TEXTS]
-    names += [f"{city}.npz" for city in maps]
+    names += [f"{city}.npz" for city in cities]
     with (
         Workspace.open(folder, "score --make", names=names, is_shared=True),
         reporting("score --make", progress) as report,
     ):
+        maps = city_maps() if maps is None else maps
         for seed, (city, made) in enumerate(maps.items()):
             on = cost_map(made, made.altitudes_m[0], cost_model="line")
             problem, weighed = on.problem.with_costs(np.round(on.costs, DECIMALS)), ["distance", *on.names]
@@ -93,7 +96,7 @@ def make_benchmark(
 
 def city_maps() -> dict[str, MetricMaps]:
     """Return the maps of the cities in the package and of the synthetic one."""
-    cities = {name: sample_city(name) for name in SAMPLES} | {"synthetic": demo_city(DEMO_M, DEMO_M)}
+    cities = {name: sample_city(name) for name in SAMPLES} | {SYNTHETIC: demo_city(DEMO_M, DEMO_M)}
     return {name: build_maps(each, resolution_m=5.0, altitudes_m=(20.0,)) for name, each in cities.items()}
 
 
@@ -154,11 +157,18 @@ def score(
     folder, table, method = Path(folder), read_table(submission, "submission"), method or Path(submission).stem
     if lacking := [name for name in ASKED if name not in table]:
         raise InputError(f"{str(submission)!r} has no column {lacking[0]!r}: a submission has {', '.join(ASKED)}")
-    sums = folder / CHECKSUMS
+    sums, digests = folder / CHECKSUMS, dict[str, str]()
     with readable(sums, "checksums of a benchmark", f"make one by jaxurban score {folder} --make"):
         for digest, name in (line.split("  ") for line in sums.read_text().splitlines()):
-            if not (folder / name).is_file() or digest_of(folder / name) != digest:
-                raise InputError(f"{str(folder / name)!r} is missing or not as {CHECKSUMS} has it: make it again")
+            digests[name] = digest
+
+    def check(names: Iterable[str]) -> None:
+        for name in names:
+            file = folder / name
+            if name not in digests or Path(name).name != name or not file.is_file() or digest_of(file) != digests[name]:
+                raise InputError(f"{str(file)!r} is missing or not as {CHECKSUMS} has it: make it again")
+
+    check([QUERIES, *digests])
     asked = read_table(folder / QUERIES, "queries")
     asked["row"] = asked["city"].where(asked["track"] == "weights", asked["query"])  # of a submission
     given = table.set_index(["track", "query"]).index
@@ -168,8 +178,12 @@ def score(
         raise InputError(f"{str(submission)!r} {what}: write one row for each query of a track in {QUERIES}")
     table = table.reindex(columns=[*ASKED, *CLAIMED]).rename(columns={"query": "row"})
     routes = asked[asked["track"].isin(table["track"])].merge(table, "left", ["track", "row"], indicator="outcome")
+    check(f"{city}.npz" for city in {*routes["city"]})
     cities = {city: unpacked(folder / f"{city}.npz") for city in {*routes["city"]}}
     claims = {f"claimed_{name}": pd.to_numeric(routes[name], errors="coerce") for name in CLAIMED}
+    for name in CLAIMED:
+        if len(texts := routes.loc[routes[name].notna() & claims[f"claimed_{name}"].isna(), name]):
+            raise InputError(f"{str(submission)!r} claims the {name} {texts.iloc[0]!r}: give a number, or leave it out")
     verdicts = [_judged(*cities[row["city"]], row) for row in records_of(routes)]
     routes["outcome"], routes["cost"] = zip(*verdicts, strict=True)
     gaps = {name: routes["cost"] / routes[of] - 1 for name, of in (("gap", "bound"), ("over_best", "best"))}
@@ -183,7 +197,8 @@ def score(
 
 def unpacked(file: Path) -> tuple[Problem, list[str]]:
     """Return a city's map, from its first free cell to itself, and its weights' names."""
-    with np.load(file) as city:
+    what = "a city's map", "make the benchmark again"
+    with readable(file, *what, KeyError, IndexError, TypeError, BadZipFile), np.load(file) as city:
         free = tuple(np.argwhere(city["is_free"])[0].tolist())
         model = CostModel("line", reference_length_m=float(city["reference_length_m"]))
         problem = Problem(city["costs"], city["is_free"], free, free, float(city["resolution_m"]), 1.0, model)

@@ -204,9 +204,17 @@ def test_the_epoch_of_an_omm_may_bear_an_offset(tmp_path, kind, epoch):
     assert middle_epoch(orbits) == "2024-03-31T03:00:00Z"
 
 
+def test_names_of_satellites_steer_no_terminal(tmp_path):
+    for kind in ("csv", "json"):
+        read = read_orbits(written(tmp_path, omm(kind, NOON, OBJECT_NAME="GPS \x1b[31mred\x07")))
+        assert read.satellites[0].name == "GPS [31mred"
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
+        (b"[null]", "not an OMM .it is no table of names and values"),
+        (b"OBJECT_NAME,MEAN_MOTION\na,1\rb,2\n", "cannot be read as whole element sets|not an OMM"),
         (b"\x00\x00\x00\x0d\x0a\x09OSMHeader\x18\xff\xfe", "cannot be read as whole element sets"),
         (b"", "holds no element set"),
         (b"No GP data found\n", "holds no element set"),

@@ -13,6 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 import jaxurban as ju
+from jaxurban.studies import board
 from jaxurban.studies.board import MISSING, VALID, make_benchmark, score
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
@@ -126,6 +127,8 @@ def test_weights_are_scored_by_the_routes_that_they_plan(bench, tmp_path):
         (f'track,query,route\nfast,town-0,"{AROUND}"\n', ("track", "fast")),
         ("track,query,route\nweights,town,gps=fast\n", ("gps=fast",)),
         ("track,query,route\nweights,town,gps=-1\n", ("gps",)),
+        ('track,query,route\nweights,town,"gps=1,gps=2"\n', ("gps", "twice")),
+        (f'track,query,route,cost\ngrid,town-0,"{AROUND}",cheap\n', ("cost", "'cheap'", "give a number")),
         ("track,query,route\nweights,town,noice=1\n", ("noice", "noise")),
         ("\0\0", ("planner.csv",)),
     ],
@@ -155,23 +158,68 @@ def test_a_changed_bundle_is_refused(bench, tmp_path, capsys):
     assert_one_sentence(err, "queries.csv", "CHECKSUMS")
 
 
+def as_bundle(bench, folder, **changed: bytes) -> Path:
+    """Copy a bundle with other contents of some files, and checksums of them as they are then."""
+    for file in bench.iterdir():
+        (folder / file.name).write_bytes(changed.get(file.stem, file.read_bytes()))
+    names = [path.name for path in folder.iterdir() if path.name != "CHECKSUMS"]
+    sums = "".join(f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in names)
+    (folder / "CHECKSUMS").write_text(sums)
+    return folder
+
+
+def test_a_bundle_without_checksums_of_what_it_uses_is_refused(bench, tmp_path):
+    route = submitted(tmp_path, ("grid", "town-0", AROUND))
+    for turn, sums in enumerate(("", (bench / "CHECKSUMS").read_text().splitlines()[0] + "\n")):
+        folder = tmp_path / str(turn)
+        folder.mkdir()
+        as_bundle(bench, folder)
+        (folder / "CHECKSUMS").write_text(sums)
+        with pytest.raises(ju.InputError, match="is missing or not as CHECKSUMS has it"):
+            score(folder, route)
+
+
+def test_a_city_outside_of_the_bundle_is_not_read(bench, tmp_path):
+    (tmp_path / "town.npz").write_bytes((bench / "town.npz").read_bytes())
+    queries = (bench / "queries.csv").read_text().replace(",town,", ",../town,")
+    (tmp_path / "bundle").mkdir()
+    folder = as_bundle(bench, tmp_path / "bundle", queries=queries.encode())
+    with pytest.raises(ju.InputError, match=r"\.\./town\.npz' is missing or not as CHECKSUMS has it"):
+        score(folder, submitted(tmp_path, ("grid", "town-0", AROUND)))
+
+
+def test_a_bundle_whose_map_holds_objects_is_refused(bench, tmp_path):
+    np.savez(tmp_path / "objects.npz", is_free=np.array([{}], object))
+    (tmp_path / "bundle").mkdir()
+    folder = as_bundle(bench, tmp_path / "bundle", town=(tmp_path / "objects.npz").read_bytes())
+    with pytest.raises(ju.InputError, match=r"town\.npz' cannot be read as a city's map"):
+        score(folder, submitted(tmp_path, ("grid", "town-0", AROUND)))
+
+
+def test_making_over_a_file_of_the_user_is_refused_before_maps_are_made(tmp_path, monkeypatch):
+    monkeypatch.setattr(board, "city_maps", lambda: pytest.fail("the work began"))
+    (tmp_path / "README.md").write_text("mine")
+    with pytest.raises(ju.InputError, match=r"README\.md"):
+        make_benchmark(tmp_path)
+
+
 def test_a_board_keeps_other_methods_and_replaces_the_lines_of_the_same(bench, tmp_path, capsys):
-    board, file = tmp_path / "board.csv", submitted(tmp_path, ("grid", "town-0", AROUND))
+    table, file = tmp_path / "board.csv", submitted(tmp_path, ("grid", "town-0", AROUND))
     for method in ("first", "second", "first"):
-        code, out, _ = run(capsys, "score", bench, file, "-o", board, "--method", method, "--json")
+        code, out, _ = run(capsys, "score", bench, file, "-o", table, "--method", method, "--json")
         assert code == 0
     assert json.loads(out)["board"][0]["valid"] == 1
     file = submitted(tmp_path, ("grid", "town-0", AROUND), ("grid", "town-1", AROUND))
-    run(capsys, "score", bench, file, "-o", board, "--method", "first")
+    run(capsys, "score", bench, file, "-o", table, "--method", "first")
     file = submitted(tmp_path, ("weights", "town", "distance=1"))
-    run(capsys, "score", bench, file, "-o", board, "--method", "second")
-    lines = pd.read_csv(board)[["method", "track", "valid"]].to_numpy().tolist()
+    run(capsys, "score", bench, file, "-o", table, "--method", "second")
+    lines = pd.read_csv(table)[["method", "track", "valid"]].to_numpy().tolist()
     assert lines == [["first", "grid", 2], ["second", "grid", 1], ["second", "weights", 2]]
-    board.write_text("mine")
-    code, _, err = run(capsys, "score", bench, file, "-o", board)
+    table.write_text("mine")
+    code, _, err = run(capsys, "score", bench, file, "-o", table)
     assert code == 2
     assert_one_sentence(err, "board.csv")
-    assert board.read_text() == "mine"
+    assert table.read_text() == "mine"
 
 
 def test_an_outside_planner_that_reads_the_files_alone_meets_every_bound_of_the_grid(tmp_path):

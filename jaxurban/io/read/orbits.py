@@ -128,7 +128,7 @@ def _read_file(source: str | Path) -> list[EarthSatellite]:
         if text.startswith(("{", "[")):
             messages = json.loads(text)
         elif "MEAN_MOTION" in header and "," in header:
-            messages = csv.DictReader(io.StringIO(text))
+            messages = list(csv.DictReader(io.StringIO(text)))
     listed = [messages] if isinstance(messages, dict) else messages
     satellites = _from_tles(text, source) if listed is None else _from_omms(listed, source)
     if not satellites:
@@ -152,8 +152,13 @@ def _from_tles(text: str, source: str | Path) -> list[EarthSatellite]:
         reason = str(error).splitlines()[0].rstrip(":")
         raise InputError(f"an element set of {source} is cut or damaged ({reason}): download the file again") from error
     for satellite in satellites:
-        satellite.name = satellite.name or f"catalogue number {satellite.model.satnum}"
+        satellite.name = _printable(satellite.name) or f"catalogue number {satellite.model.satnum}"
     return satellites
+
+
+def _printable(name: Any) -> str:
+    """Return a name without the characters that would steer a terminal."""
+    return "".join(filter(str.isprintable, str(name or ""))).strip()
 
 
 def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatellite]:
@@ -161,6 +166,8 @@ def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatelli
     satellites = []
     for number, message in enumerate(messages, start=1):
         try:
+            if not isinstance(message, dict):
+                raise ValueError("it is no table of names and values")
             fields = {**message}
             # SGP4's reader wants the fraction of a second, which the standard leaves optional.
             epoch = parse_time(fields["EPOCH"]).replace(tzinfo=None)
@@ -175,7 +182,7 @@ def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatelli
         except (KeyError, TypeError, ValueError) as error:
             reason = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)
             raise InputError(f"element set {number} of {source} is cut or not an OMM ({reason}): {REMEDY}") from error
-        satellite.name = str(fields.get("OBJECT_NAME") or f"catalogue number {model.satnum}").strip()
+        satellite.name = _printable(fields.get("OBJECT_NAME")) or f"catalogue number {model.satnum}"
         satellites.append(satellite)
     return satellites
 
