@@ -222,7 +222,8 @@ def compare(
       >>> regrets[["planned_on", "judged_on", "routes", "closed"]].to_numpy().tolist()
       [['A', 'B', 20, 0.0], ['B', 'A', 20, 0.0]]
     """
-    at_least("routes", routes, 0)
+    at_least("routes", routes)
+    at_least("seed", seed)
     tolerance = finite("tolerance", tolerance)
     if tolerance < 0:
         raise InputError(f"tolerance must not be negative, got {tolerance:g}")

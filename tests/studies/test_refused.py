@@ -183,6 +183,7 @@ ROWS = [
     ("crs = 'EPSG:32618'", lambda s: compare(s, lambda ds: ds.assign_attrs(crs="EPSG:32617"))),
     ("share no cell", lambda s: compare(s, lambda ds: ds.isel(y=slice(0, 5)).assign_coords(y=ds.y[:5] + 5000.0))),
     ("share no altitude", lambda s: compare(s, lambda ds: ds.assign_coords(altitude=[30.0, 70.0]))),
+    ("seed must be a whole number from 0 up", lambda s: ju.studies.compare(s.alpha, s.alpha, routes=1, seed=-1)),
     ("10 m wide in EPSG:32618 and B's 5 m.*resolution_m", lambda s: compare(s, lambda _: made_maps(resolution_m=5).ds)),
 ]
 NOIS = ju.studies.SensitivitySettings(vary=("nois",))
