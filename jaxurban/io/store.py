@@ -42,7 +42,7 @@ COMPRESSOR = Zstd(level=1, checksum=True)
 FOREIGN = ("_CRS", "_FillValue")  # attributes that are no map's: the CRS for GDAL, as 1.0.0 wrote it, and no value
 NO_BYTE = np.iinfo(np.int8).max  # what stands for no value in bytes: NetCDF 3 has signed ones only
 PLAIN_KINDS = "biufcmMSU"  # of NumPy's types: numbers, times, and text of one length
-TEXT = "O", [{"id": "vlen-utf8"}]  # type and filters of text of any length, as of maps to which users added such
+TEXT_KINDS, TEXT_FILTERS = "OU", [{"id": "vlen-utf8"}]  # of text of any length; Zarr 3.0 has the filter for all text
 OPENED = "opened"  # encoding of a dataset that was opened: what checks that its files are still those
 METADATA = ".zmetadata"  # of a Zarr: its metadata and those of its arrays once more
 LAYOUT_KEY, LAYOUT = "jaxurban_layout", 1  # of maps in a folder; those without the entry have the first
@@ -423,7 +423,7 @@ def _is_ours(dtype: Any, filters: Any, compressor: Any) -> bool:
     if not isinstance(dtype, str) or not isinstance(compressor, dict) or compressor.get("id") != COMPRESSOR.codec_id:
         return False
     kind = np.dtype(dtype).kind
-    return (kind in PLAIN_KINDS and not filters) or (kind, filters) == TEXT
+    return (kind in PLAIN_KINDS and not filters) or (kind in TEXT_KINDS and filters == TEXT_FILTERS)
 
 
 def _recorded(path: Path) -> dict[Path, set[str]]:
