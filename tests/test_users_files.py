@@ -12,6 +12,7 @@ import zarr
 
 import jaxurban as ju
 from jaxurban.cli.main import main
+from jaxurban.io import workspace as workspaces
 from jaxurban.io.files import SCRATCH_SUFFIX, read_json, write_json
 from jaxurban.io.workspace import Workspace
 from tests.cli_runs import assert_one_sentence, run
@@ -174,6 +175,40 @@ def test_a_file_in_the_way_is_refused_before_any_older_output_is_removed(place, 
     assert code == 2
     assert f"{user}' is in the way" in err
     assert {path: path.read_bytes() for path in outputs_of(out)} == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "at"), [*((name, "first") for name in COMMANDS), *((name, "last") for name in OF_THEIR_OWN)]
+)
+def test_of_two_runs_one_wins_and_the_other_one_says_so(place, job, name, at, monkeypatch, capsys):
+    """What another run finishes just before this one takes the folder, at first or at last, is not replaced."""
+    out, hold, num_holds = job / "out", workspaces.only_writer, 0
+
+    @contextlib.contextmanager
+    def counted_hold(folder, *remedy):
+        nonlocal num_holds
+        num_holds += Path(folder).resolve() == out
+        if Path(folder).resolve() == out and num_holds == come_at:
+            shutil.copytree(place / name, out, dirs_exist_ok=True)
+            held.update({path: path.read_bytes() for path in outputs_of(out)})
+        with hold(folder, *remedy):
+            yield
+
+    monkeypatch.chdir(job)
+    monkeypatch.setattr(workspaces, "only_writer", counted_hold)
+    other = [each for each in COMMANDS[name][1] if each != "--overwrite"] or ["--set", "study.seed=3"]
+    held: dict[Path, bytes] = {}
+    come_at = 1
+    if at == "last":
+        come_at = 0
+        assert run(capsys, *COMMANDS[name][0], "-o", out, *other)[0] == 0
+        come_at, num_holds = num_holds, 0
+        shutil.rmtree(out)
+    code, _, err = run(capsys, *COMMANDS[name][0], "-o", out, *other)
+    assert (code, "--overwrite" in err) == (2, True), err
+    held.pop(out / "run.json", None)  # of the same maps: it has the weights of the newer run
+    assert {path: path.read_bytes() for path in held} == held != {}
 
 
 @pytest.mark.slow
