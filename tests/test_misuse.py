@@ -45,7 +45,7 @@ METHODS = {  # of what they return
 }
 SIZES = {"first_row": 0, "first_col": 0, "num_rows": 2, "num_cols": 2}
 PLAIN = {
-    **dict.fromkeys(("maps", "maps_a", "maps_b", "MetricMaps"), MAPS),
+    **dict.fromkeys(("maps", "maps_a", "maps_b", "MetricMaps", "demonstrations_from_study.maps"), MAPS),
     **{"start": START, "goal": GOAL, "altitude_m": 20.0, "progress": False, "bounds": BOUNDS, "resolution_m": 5.0},
     **{"build_maps.resolution_m": 50.0, "build_maps.altitudes_m": (20.0,), "build_maps.progress": False},
     **{"queries": [(START, GOAL)], "pairs": [(START, GOAL)], "targets": ["detour<=0.1"], "tolerance_m": 1.0},
@@ -64,6 +64,7 @@ MADE_ONCE: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(("planned", "paths", "PlannedPath"), lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0)),
     "PlannedPaths": lambda: ju.plan_many(MAPS, [(START, GOAL)], altitude_m=20.0, progress=False),
     "read_demonstrations.file": lambda: good("planned").save(Path(tempfile.mkdtemp()) / "path.geojson"),
+    "study": lambda: ju.studies.sample_instances(MAPS, 4, altitudes_m=[20.0], weights=[ju.Weights()]),
     "quick": lambda: ju.studies.SensitivitySettings(vary=("gps",), num_samples=2, max_plans=9),
     "Sensitivity": lambda: ju.studies.sensitivity(good("cost_map"), START, GOAL, settings=good("quick")),
     "MapComparison": lambda: ju.studies.compare(MAPS, MAPS, progress=False),
@@ -115,7 +116,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ((1e300, 0.0), "start goal reference centre_lonlat"),
     (("east", "north"), "start_xy_m goal_xy_m"),
     ("now", "time MetricMaps.m.time stop"),
-    ("no/such/place", "folder maps maps_a maps_b path file"),
+    ("no/such/place", "folder maps maps_a maps_b path file study"),
     ("/proc/none", "MetricMaps.save.folder study.folder sensitivity_study.folder"),
     ("no-such.file", "table districts blocks_day blocks_night buildings no_fly log"),
     ("path.txt", "PlannedPath.save.file PlannedPaths.save.file PlannedPath.save.more"),

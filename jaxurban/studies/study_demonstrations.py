@@ -121,7 +121,11 @@ def demonstrations_from_study(
     _check_settings(asked, job.deciding(maps))
     check_instances(asked.table, maps)
     table = asked.table
-    wanted = {"altitude_m": altitude_m, "time": time and iso_utc(time), "time_of_day": time_of_day}
+    if time is not None:
+        time = one_of("time", iso_utc(time), maps.times)
+    if time_of_day is not None:
+        one_of("time_of_day", time_of_day, maps.times_of_day)
+    wanted = {"altitude_m": altitude_m, "time": time, "time_of_day": time_of_day}
     for name, value in wanted.items():
         if value is not None:
             table = table[table[name] == value]
@@ -132,9 +136,10 @@ def demonstrations_from_study(
     reasons: Counter[str] = Counter()
     for row in records_of(table):
         at = row["altitude_m"], row["time"], row["time_of_day"]
+        on, fitted_on = whole(*at), fitted(*at)
         try:
-            points_m = _points(job, whole(*at), row, asked.planner)
-            shown = demonstration_from_line(fitted(*at), points_m, f"{row['instance']}")
+            points_m = _points(job, on, row, asked.planner)
+            shown = demonstration_from_line(fitted_on, points_m, f"{row['instance']}")
             demonstrations.append(replace(shown, query=replace(shown.query, is_planned=True)))
         except InputError as error:
             reasons[str(error)] += 1
@@ -179,7 +184,7 @@ def _asked(
     if not isinstance(study, pd.DataFrame) and Path(study).is_dir():
         return _of_folder(study_in(Path(study)) or Path(study), planner, flown)
     if planner is not None:
-        raise InputError(f"a planner is chosen of a study's, and this is a table of instances: leave {planner!r} out")
+        raise InputError(f"planner is one of a study's, and this is a table of instances: leave {planner!r} out")
     name = "the table" if isinstance(study, pd.DataFrame) else str(study)
     table = study if isinstance(study, pd.DataFrame) else read_table(study, "instances")
     table = table.assign(**flown)
