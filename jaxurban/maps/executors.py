@@ -115,6 +115,10 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
             client.unregister_worker_plugin(name)
 
 
+# Pages on the run that any user of this machine could open: none.
+NO_PAGES: dict[str, list[str]] = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
+
+
 @contextmanager
 def cluster_client(workers: int | str) -> Iterator[Any]:
     """Yield a client of a Dask cluster.
@@ -127,6 +131,7 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
         while it starts.
     """
     try:
+        import dask
         from distributed import Client, LocalCluster
         from distributed.comm import CommClosedError
         from distributed.security import Security
@@ -158,12 +163,14 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
         "threads_per_worker": 1,
         "memory_limit": 0,
         "dashboard_address": "127.0.0.1:0",  # any free port: two runs may work side by side
+        "scheduler_kwargs": {"dashboard": False},
         # Without its certificates any user of this machine could run code as this one.
         "security": security,
     }
     with ExitStack() as stack:
         try:
-            cluster = stack.enter_context(LocalCluster(**options))
+            with dask.config.set(NO_PAGES):
+                cluster = stack.enter_context(LocalCluster(**options))
         except RuntimeError as error:
             raise InputError(
                 f"a worker process ended while it started ({reason_of(error)}): a script must do its work under `if "

@@ -62,6 +62,7 @@ def test_blocks_of_any_format_join_the_table_of_two_header_rows(tmp_path, suffix
     [
         ({"people": [1, 2, 3], "name": list("abc"), "block": IDS}, [1, 2, 3], 0),  # whatever columns are called
         ({"id": IDS, "population": ["1", "n/a", "-4"]}, [1, 0, 0], 2),
+        ({"id": IDS, "population": ["1", "9" * 400, "2"]}, [1, 0, 2], 1),
         ({"id": [IDS[0]] * 2, "population": [9, 9]}, [9, 0, 0], 2),  # equal rows count once
     ],
 )

@@ -1,5 +1,6 @@
 """Dask clusters, of somebody else's and of our own: without workers, without certificates, with processes killed."""
 
+import itertools
 import json
 import signal
 import subprocess
@@ -9,6 +10,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from threading import Thread
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import psutil
 import pytest
@@ -54,6 +57,15 @@ def scheduler(tmp_path_factory) -> Iterator[tuple[str, subprocess.Popen]]:
         while not file.exists():
             time.sleep(0.1)
         yield json.loads(file.read_text())["address"], started
+
+
+def test_a_cluster_of_ones_own_shows_no_page():
+    with cluster_client(1) as client:
+        workers = client.scheduler_info()["workers"].values()
+        ports = [client.cluster.scheduler.http_server.port, *(each["services"]["dashboard"] for each in workers)]
+        for port, page in itertools.product(ports, ("status", "health", "metrics", "info/main/workers.html")):
+            with pytest.raises(HTTPError, match="404"):
+                urlopen(f"http://127.0.0.1:{port}/{page}", timeout=10)
 
 
 def test_a_cluster_without_workers_is_warned_of(scheduler, caplog):

@@ -27,6 +27,7 @@ COUNT_COLUMNS = (
 )
 GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")  # summary level, variant and component, before the digits of the id
 # A number as spreadsheets write it (1,200 or 1 200 or +5 or 1.2E+03), with a note such as (r45678) or none.
+MOST_PEOPLE = 1e10  # of a block: more is no count
 COUNT = re.compile(r"\s*(\+?\d[\d,\s]*(?:\.\d*)?(?:[eE]\+?\d{1,2})?)\s*(?:\(.*\))?\s*")
 
 AREAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
@@ -217,7 +218,8 @@ def _keys(column: pd.Series) -> pd.Series:
 def _parse_counts(column: pd.Series, key: pd.Series) -> pd.Series:
     """Return counts of people by key, NaN where unreadable."""
     number = column.astype(str).str.extract(f"^{COUNT.pattern}$")[0].str.replace(r"[,\s]", "", regex=True)
-    return pd.Series(pd.to_numeric(number, errors="coerce").to_numpy(np.float64), index=pd.Index(key, name="key"))
+    people = pd.to_numeric(number, errors="coerce").to_numpy(np.float64)
+    return pd.Series(np.where(people <= MOST_PEOPLE, people, np.nan), index=pd.Index(key, name="key"))
 
 
 def _count_column(columns: pd.Index) -> str | None:
