@@ -21,7 +21,6 @@ from jaxurban.paths.rows import BAD_INPUT, failure
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import End, Point
 from jaxurban.planners.base import Path, Status
-from jaxurban.planners.corners import with_corner_bound
 from jaxurban.planners.registry import Backend, solve_many
 from jaxurban.progress import LOG, Progress, reporting
 
@@ -56,6 +55,9 @@ def plan_many(
     For planners that choose their heuristic, as ``astar-plus``, the whole table of queries decides it (see
     `choose_heuristics`), whatever is done already. So the routes are the same, resumed or not, on one thread or more.
     The column ``heuristic`` names it.
+
+    Lower bounds are the planners' own: the bound that `plan` adds to routes off the grid takes a search of its own, which
+    may cost more than the query.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps; what is left out is as their
@@ -216,7 +218,7 @@ def _done(
             for i, outcome in outcomes:
                 k, key, shared, ends = located[i]
                 if isinstance(outcome, Path):
-                    planned = finish(shared, with_corner_bound(problems[i], outcome), ends, search)
+                    planned = finish(shared, outcome, ends, search)
                     yield results.add(k, planned.status.value, planned.message, planned, key)
                 elif strict:
                     raise outcome
