@@ -159,7 +159,7 @@ class FetchJob:
         try:
             url = template.format(**places, query=quote(OVERPASS.format(**places), safe=""))
             parts = urlsplit(url)
-            if parts.scheme not in ("http", "https") or not parts.hostname:
+            if parts.scheme not in ("http", "https") or not parts.hostname or not url.isprintable():
                 raise ValueError("no address of the web")
         except (ValueError, LookupError, AttributeError) as error:
             raise InputError(

@@ -232,9 +232,10 @@ def plan_run(
         gpu_most = max(gpu_most, tile_gpu_bytes(task, tile))
     if tasks[0].params.engine != "numba" and (on_gpu := gpu_free_bytes()) is not None:
         if gpu_most > on_gpu:
+            most_text, free_text = told_apart(gpu_most, on_gpu)
             raise InputError(
-                f"a tile needs about {told_bytes(gpu_most)} of the GPU's memory and {told_bytes(on_gpu)} are free: end "
-                "what else uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
+                f"a tile needs about {most_text} of the GPU's memory and {free_text} are free: end what else "
+                "uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
             )
         num_workers = min(num_workers, on_gpu // gpu_most)
     own, least = psutil.Process().memory_info().rss, num_processes or 1
@@ -280,8 +281,9 @@ def check_disk(tasks: Sequence[MapTask], folder: Path) -> None:
     left = sum(file.stat().st_size for file in files if file.is_file())
     (least, most), free = disk_bytes(tasks), shutil.disk_usage(folder).free
     if least > free + left:
+        least_text, free_text = told_apart(least, free)
         raise InputError(
-            f"the maps need at least {told_bytes(least)} of disk and {told_bytes(free)} are free in {str(folder)!r}: "
+            f"the maps need at least {least_text} of disk and {free_text} are free in {str(folder)!r}: "
             "use a smaller region, a coarser [region] resolution_m, or another folder"
         )
     LOG.info(f"disk at the peak: {told_bytes(least)} to {told_bytes(most)}, of {told_bytes(free + left)} free")

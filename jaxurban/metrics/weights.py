@@ -7,12 +7,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxurban.errors import InputError, nearest_name, typed
+from jaxurban.errors import MOST, InputError, nearest_name, typed
 from jaxurban.metrics.base import AnyArray as AnyArray
 from jaxurban.metrics.registry import METRICS, known_metrics
 
 DISTANCE_WEIGHT, METRIC_WEIGHT = 0.1, 1.0  # of the weights that nobody names
-MOST_WEIGHT = 1e30  # no path's cost overflows up to here, not even in float32
+MOST_WEIGHT = float(MOST)  # as of any number: no path's cost overflows up to here, not even in float32
 
 
 @jax.tree_util.register_pytree_with_keys_class
@@ -208,5 +208,5 @@ def _number(name: str, value: Any) -> float:
     except (TypeError, ValueError):
         number = np.nan
     if not 0 <= number <= MOST_WEIGHT:
-        raise InputError(f"weight {name} must be a finite number >= 0, at most {MOST_WEIGHT:g}, got {value}")
+        raise InputError(f"weight {name} must be a finite number >= 0, at most {MOST_WEIGHT:.0e}, got {value}")
     return number

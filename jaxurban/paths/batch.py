@@ -56,8 +56,8 @@ def plan_many(
     `choose_heuristics`), whatever is done already. So the routes are the same, resumed or not, on one thread or more.
     The column ``heuristic`` names it.
 
-    Lower bounds are the planners' own: the bound that `plan` adds to routes off the grid takes a search of its own, which
-    may cost more than the query.
+    Lower bounds are the planners' own: the bound that `plan` adds to routes off the grid takes a search of its own,
+    which may cost more than the query.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps; what is left out is as their

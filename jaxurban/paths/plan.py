@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxurban.errors import InputError, finite, taken_by, typed
 from jaxurban.maps.levels import Levels, values_at
-from jaxurban.maps.memory import free_bytes, told_bytes
+from jaxurban.maps.memory import free_bytes, told_apart
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints
@@ -122,9 +122,10 @@ def map_at(
     """Return the cost map at altitudes that the maps reach; ``rules`` are further attributes of `CostMap`."""
     needed, left = len(altitudes_m) * math.prod(maps.grid.shape) * NODE_BYTES, free_bytes()
     if levels is not None and needed > left:
+        needed_text, left_text = told_apart(needed, left)
         raise InputError(
             f"a volume of {len(altitudes_m)} levels of {' x '.join(map(str, maps.grid.shape))} cells takes up to "
-            f"{told_bytes(needed)} of memory and {told_bytes(left)} are free: choose a longer level_step_m, closer "
+            f"{needed_text} of memory and {left_text} are free: choose a longer level_step_m, closer "
             "altitude bounds, or coarser maps"
         )
     when: dict[str, Any] = {"time": time, "time_of_day": time_of_day}

@@ -92,14 +92,14 @@ def sensitivity_study(
       InputError: a wrong argument, routes for other maps, or a folder that holds another study or other files.
 
     Examples:
-      >>> chosen = ju.studies.SensitivityStudySettings(vary=("gps",), num_samples=0)
+      >>> chosen = ju.studies.SensitivityStudySettings(vary=("gps",), num_samples=0, seed=1)
       >>> found = ju.studies.sensitivity_study(
       ...     {"demo": maps}, "weights", 2, altitudes_m=[60.0], settings=chosen, progress=False
       ... )
       >>> found.rows[["city", "status", "elasticity:gps", "below:gps", "above:gps"]].round(2)
          city   status  elasticity:gps  below:gps  above:gps
-      0  demo  optimal            0.10       0.96       2.47
-      1  demo  optimal            0.08        NaN        NaN
+      0  demo  optimal            0.08       0.88        NaN
+      1  demo  optimal            0.08        NaN       4.19
     """
     folder, settings, given = Path(folder), settings or SensitivityStudySettings(), named_sources(sources)
     check_workers(workers, given.values())

@@ -55,7 +55,7 @@ def test_planned_paths_are_demonstrations_of_zero_regret_and_their_files_bring_c
     np.testing.assert_allclose(read.features, taken[0].features, rtol=1e-12)
     assert (read.query.cost_map.cost_model.kind, read.query.cost_map.altitude_m) == ("line", paths[0].altitude_m)
     paths.save(tmp_path / "paths.csv")
-    with pytest.raises(ju.InputError, match="is a table, which holds no lines: plan its queries first"):
+    with pytest.raises(ju.InputError, match="which holds no lines: demonstrations_from_study plans its routes"):
         ju.fit.read_demonstrations(tmp_path / "paths.csv", small)
 
 

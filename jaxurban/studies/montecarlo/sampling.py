@@ -372,7 +372,7 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
         values = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
         wrong, kind = ~np.isfinite(values), "a number"
         if column in weights:
-            wrong, kind = ~((values >= 0) & (values <= MOST_WEIGHT)), f"a number >= 0, at most {MOST_WEIGHT:g}"
+            wrong, kind = ~((values >= 0) & (values <= MOST_WEIGHT)), f"a number >= 0, at most {MOST_WEIGHT:.0e}"
         elif column == "instance":
             wrong = ~((values >= 0) & (values <= MOST_NUMBER) & (values == np.floor(values)))
             kind = "a whole number >= 0"
