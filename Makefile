@@ -72,7 +72,7 @@ wheel: $(VENV)/.dev $(VENV)/.release
 # What a release must not hold: an owner, a name, a text or a date that is still to be filled in. The files of the
 # tests name such words on purpose.
 placeholders:
-	@git grep -nIE 'OWNER(@|\.github|/)|PLACE[H]OLDER|\(unreleased\)' -- ':!tests'; \
+	@git grep -nIE 'OWNER(@|\.github|/)|PLACE[H]OLDER|\(unreleased\)|^## Unreleased' -- ':!tests'; \
 	  test $$? = 1 || { echo "fill these in before a release" >&2; exit 2; }
 
 notebooks: $(VENV)/.dev

@@ -160,8 +160,9 @@ def test_whatever_names_the_version_names_that_of_the_package():
     for name in ("CITATION.cff", "jaxurban/report/templates/board.cff"):
         assert f"\nversion: {version}\n" in (ROOT / name).read_text(encoding="utf-8")
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    assert re.search(r"^## (\S+)", changes, re.MULTILINE)[1] == version
-    assert len(changes.split("\n## ")[1].splitlines()) <= 60
+    sections = [section for section in changes.split("\n## ")[1:] if not section.startswith("Unreleased\n")]
+    assert sections[0].split()[0] == version
+    assert len(sections[0].splitlines()) <= 60
 
 
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no repository")
@@ -175,6 +176,7 @@ LEFT = {
     "CITATION.cff": "url: https://OWNER.github.io/jaxurban",
     "GOVERNANCE.md": "[PLACEHOLDER: names]",
     "CHANGELOG.md": "## 1.0.0 (unreleased)",
+    "NEWS.md": "## Unreleased",
 }
 
 
