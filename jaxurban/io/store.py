@@ -8,6 +8,7 @@ free air.
 """
 
 import json
+import numbers
 import re
 from collections.abc import Mapping
 from contextlib import suppress
@@ -400,6 +401,7 @@ def open_whole(path: Path) -> xr.Dataset:
                 f"the maps in {str(path)!r} have layout {layout!r}, and this version of jaxurban reads {LAYOUT}: "
                 "update jaxurban, or make the maps again in a new folder"
             )
+        _check_facts(path, ds.attrs)
         return ds
     except InputError:
         raise
@@ -416,6 +418,13 @@ def _check_arrays(file: Path, metadata: Mapping[str, Any]) -> None:
             f"{str(file)!r} names arrays that are not coded as jaxurban codes maps, and is not opened, as other codes "
             "may run programs: make the maps again in a new folder"
         )
+
+
+def _check_facts(path: Path, attributes: Mapping[str, Any]) -> None:
+    """Raise InputError unless the attributes of maps that others compute with are of their kinds."""
+    guesses = json.loads(attributes.get("guesses", "{}"))
+    if not isinstance(attributes["resolution_m"], numbers.Real) or not isinstance(guesses, dict):
+        raise InputError(f"the attributes of {str(path)!r} are not those of maps: make the maps again in a new folder")
 
 
 def _is_ours(dtype: Any, filters: Any, compressor: Any) -> bool:

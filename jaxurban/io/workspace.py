@@ -318,7 +318,8 @@ class Workspace:
 
 def is_inside(name: str) -> bool:
     """Return whether a name is of a file under a folder, on every system: plain, relative and without ``..``."""
-    return {"", ".", ".."}.isdisjoint(re.split(r"[/\\]", name)) and not re.match("[A-Za-z]:", name)
+    is_named = {"", ".", ".."}.isdisjoint(re.split(r"[/\\]", name)) and not re.match("[A-Za-z]:", name)
+    return is_named and not re.search("[\0\ud800-\udc7f\udd00-\udfff]", name)  # what no system encodes
 
 
 def _obstacle_in(folder: Path, name: PurePosixPath) -> Path | None:

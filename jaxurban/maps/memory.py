@@ -167,17 +167,18 @@ def _left_in_groups(root: Path) -> list[int]:
 def _group_levels(root: Path) -> Iterator[tuple[Path, str]]:
     """Yield the folders of this process's control groups and of those above, each with its kind of file system."""
     try:
-        groups = [line.split(":", 2) for line in (root / "proc/self/cgroup").read_text().splitlines()]
-        mounts = (root / "proc/self/mountinfo").read_text().splitlines()
+        listed = (root / "proc/self/cgroup").read_text(errors="surrogateescape")
+        mounts = (root / "proc/self/mountinfo").read_text(errors="surrogateescape").splitlines()
     except OSError:  # another system
         return
+    groups = [line.split(":", 2) for line in listed.splitlines() if line.count(":") >= 2]
     names = {"cgroup2" if not of else "cgroup": name for _, of, name in groups if not of or "memory" in of.split(",")}
     for line in mounts:
         before, _, after = line.partition(" - ")
-        kind = after.split(" ")[0]
-        if kind not in names:
+        kind, fields = after.split(" ")[0], before.split()
+        if kind not in names or len(fields) < 5:
             continue
-        top, place = map(_unescaped, before.split()[3:5])
+        top, place = map(_unescaped, fields[3:5])
         name, mounted = PurePosixPath(names[kind]), root / place.lstrip("/")
         within = name.relative_to(top) if name.is_relative_to(top) and ".." not in name.parts else PurePosixPath()
         for level in (within, *within.parents):

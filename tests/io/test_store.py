@@ -419,6 +419,27 @@ CODES = {  # what the metadata of a Zarr say of an array that is not as ours are
 }
 
 
+def seal(folder: Path) -> None:
+    """Record the files of maps as they are now."""
+    record = files.read_json(folder / "checksums.json")
+    written = record["maps"]["written"]
+    written |= {each: files.checksum_of(folder / each) for each in written}
+    files.write_json(folder / "checksums.json", record)
+
+
+@pytest.mark.parametrize("facts", [{"resolution_m": "5"}, {"guesses": "[" * 10_000}, {"guesses": "[1]"}])
+def test_maps_whose_attributes_are_of_another_kind_are_refused(ds, tmp_path, facts):
+    with Workspace.open(tmp_path, "maps", is_shared=True):
+        path = store.write_zarr(ds, tmp_path)
+    metadata = json.loads((path / ".zmetadata").read_bytes())
+    metadata["metadata"][".zattrs"] |= facts
+    (path / ".zmetadata").write_text(json.dumps(metadata))
+    (path / ".zattrs").write_text(json.dumps(metadata["metadata"][".zattrs"]))
+    seal(tmp_path)
+    with pytest.raises(InputError, match=r"are not those of maps|cannot be read"):
+        store.open_zarr(tmp_path, None)
+
+
 @pytest.mark.parametrize("name", CODES)
 @pytest.mark.parametrize("array", ["x", "gps"])
 def test_an_array_that_is_not_coded_as_ours_is_refused_before_anything_of_it_is_decoded(ds, tmp_path, array, name):
@@ -433,10 +454,7 @@ def test_an_array_that_is_not_coded_as_ours_is_refused_before_anything_of_it_is_
     (path / array / ".zarray").write_text(json.dumps(coded))
     for chunk in (path / array).glob("[0-9]*"):
         chunk.write_bytes(pickle.dumps(RunsCode(marker)))
-    record = files.read_json(tmp_path / "store/checksums.json")
-    written = record["maps"]["written"]
-    written |= {each: files.checksum_of(tmp_path / "store" / each) for each in written}
-    files.write_json(tmp_path / "store/checksums.json", record)
+    seal(tmp_path / "store")
     with pytest.raises(InputError, match=r"zmetadata' names arrays that are not coded as jaxurban codes maps"):
         store.open_zarr(tmp_path / "store", None)["gps"].load()
     assert not marker.exists()

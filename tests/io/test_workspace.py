@@ -146,7 +146,19 @@ def test_a_damaged_record_is_told(tmp_path, text):
     refused(r"checksums\.json.*cannot be read", tmp_path, 4, overwrite=True)
 
 
-OUTSIDE = ["", ".", "..", "../mine.txt", "figures/../../mine.txt", "MINE", "..\\mine.txt", "C:\\mine.txt", "\\mine.txt"]
+OUTSIDE = [
+    "",
+    ".",
+    "..",
+    "../mine.txt",
+    "figures/../../mine.txt",
+    "MINE",
+    "..\\mine.txt",
+    "C:\\mine.txt",
+    "\\mine.txt",
+    "a\0b",
+    "\ud800",
+]
 
 
 @pytest.mark.parametrize("name", OUTSIDE)

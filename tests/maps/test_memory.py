@@ -183,6 +183,14 @@ def test_the_least_limit_of_every_control_group_counts(groups, mounts, limits, l
     assert of_groups(tmp_path, groups, mounts, limits) == left
 
 
+def test_lines_that_are_no_groups_or_mounts_are_passed_over(tmp_path, monkeypatch):
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=FREE))
+    assert of_groups(tmp_path, "garbage\n0:\n0::/a\n", V2_MOUNT, {f"{V2}/a": GIB}) == GIB - 1000
+    with (tmp_path / "proc/self/mountinfo").open("ab") as file:
+        file.write(b"\n30 - cgroup2\n30 23 0:26 / /m\xe4 rw - cgroup2 c rw\n")
+    assert memory.free_bytes(tmp_path) == GIB - 1000
+
+
 def test_without_linux_the_machines_memory_counts(tmp_path, monkeypatch):
     monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=FREE))
     assert memory.free_bytes(tmp_path) == FREE
