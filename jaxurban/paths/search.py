@@ -69,14 +69,17 @@ class PathSearch:
             scenario = {"planner": "astar-volume"} | {k: scenario[k] for k in ("budget_s",) if k in scenario}
         given = {"planner": planner, "budget_s": budget_s, "seed": seed}
         planning = Planning(**scenario | {name: value for name, value in given.items() if value is not None})
-        budgets = {name: finite(f"exposure to {name}", most, "a budget") for name, most in (exposure or {}).items()}
+        budgets = {name: finite(f"the budget of exposure to {name}", most) for name, most in (exposure or {}).items()}
         search = cls(planning.planner, heuristic, planning.budget_s, planning.seed, snap, refine, budgets)
         snap_limit_m(search.snap)
         if is_for_volumes and search.refine:
             raise InputError("refine moves waypoints on one altitude: leave it out of a path that climbs and descends")
         find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)
-        if min(budgets.values(), default=0.0) < 0:
-            raise InputError("a budget of exposure must be 0 or a positive number: raise it")
+        for name, most in budgets.items():
+            if most < 0:
+                raise InputError(
+                    f"the budget of exposure to {name} must be 0 or a positive number, got {most:g}: raise it"
+                )
         if budgets and (search.refine or search.planner not in (*EXACT_PLANNERS, *VOLUME_PLANNERS)):
             raise InputError(
                 "budgets of exposure are of paths on the grid: leave out refine, and take the planner "

@@ -56,8 +56,9 @@ class Departures(Shown):
 
     @property
     def best(self) -> int | None:
-        """The row of ``table`` with the least cost; None where at no time all routes have a path."""
-        return None if self.table["cost"].isna().all() else int(np.nanargmin(self.table["cost"]))
+        """The first row of ``table`` with the least cost; None where at no time all routes have a path."""
+        is_best = self.table["above_best"] == 0
+        return int(is_best.to_numpy().argmax()) if is_best.any() else None
 
     @property
     def cautions(self) -> list[Caution]:
@@ -163,6 +164,9 @@ def when(
     sums = [*routes.filter(regex="^(cost|length_m|no_fix_m|exposure_.+)$")]
     flown = routes[routes.groupby("query")["cost"].transform("count") > 0]
     table = table.join(flown.groupby("departure")[sums].sum(min_count=flown["query"].nunique()))
+    least = table["cost"].min()
+    above = table["cost"] / least - 1
+    table.insert(3, "above_best", above.mask(table["cost"] <= least * (1 + SAME), 0.0))
     kept = [paths[(Departures(table, routes, paths).best or 0) * len(wanted) + query] for query in routes["query"]]
     of_map = taken_by(cost_map, asked)
 
@@ -182,7 +186,6 @@ def when(
     routes["num_changed"] = routes["kept_above"] > SAME
     of_time = routes.groupby("departure")
     table = table.join(of_time[[*routes.filter(like="longest_"), "kept_above"]].max())
-    table.insert(3, "above_best", table["cost"] / table["cost"].min() - 1)
     return Departures(table.join(of_time["num_changed"].sum()), routes, paths)
 
 

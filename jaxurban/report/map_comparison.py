@@ -124,7 +124,8 @@ def comparison_outputs(found: MapComparison) -> tuple[dict[str, Output], dict[st
     tables = {"layers": found.table}
     if len(found.routes):
         tables |= {"routes": found.routes, "regrets": found.regrets}
-        key |= {"routes": crc32(found.routes.to_csv().encode()), "seed": found.seed}
+        key |= {"routes": found.routes["pair"].nunique(), "seed": found.seed}
+        key["values_of_routes"] = crc32(found.routes.to_csv().encode())
     return outputs | study_outputs(report, tables, figures), key
 
 

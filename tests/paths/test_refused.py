@@ -122,6 +122,7 @@ REFUSED = [
     (lambda s: s.plan(exposure={"gsp": 1.0}), "did you mean 'gps'"),
     (lambda s: s.plan(exposure={"gps": -1.0}), "0 or a positive number"),
     (lambda s: s.plan(exposure={"gps": NAN}), "exposure to gps must be a finite number"),
+    (lambda s: s.plan(exposure={"gps": -1}), "exposure to gps must be 0 or a positive number, got -1"),
     (lambda s: s.plan(exposure={"gps": 1.0}, planner="theta-star"), "take the planner astar-dist or astar-plus"),
     (lambda s: s.plan(exposure={"gps": 1.0}, refine=True), "leave out refine"),
     (lambda s: s.plan(exposure={"gps": 1.0}, cost_model="cell"), "--cost-model line"),

@@ -76,6 +76,15 @@ def test_the_table_is_that_of_a_plan_at_each_time(maps, pairs, departures):
     np.testing.assert_allclose(departures.routes["cost"], costs.ravel(), rtol=1e-9)
 
 
+def test_of_times_that_cost_the_same_but_for_rounding_the_first_is_the_best(maps, pairs):
+    same = ju.MetricMaps(maps.ds.assign(gps=maps.ds["gps"].isel(time=[0, 0, 0]).assign_coords(time=maps.ds["time"])))
+    departures = ju.when(same, pairs, altitude_m=ALTITUDE_M, time_of_day="day", progress=False)
+    assert departures.best == 0
+    assert [*departures.table["above_best"]] == [0.0, 0.0, 0.0]
+    table = departures.table.assign(cost=departures.table["cost"] * [1 + 1e-14, 1, 1 + 1e-14])
+    assert ju.Departures(table, departures.routes, departures.paths).best == 0
+
+
 def test_the_cautions_are_of_the_routes_at_the_best_time(maps, pairs):
     nowhere = ju.MetricMaps(
         maps.ds.assign(hdop=maps.ds["hdop"] * 0 + np.inf).assign_attrs(guesses='{"flat ground": ""}')

@@ -8,7 +8,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.kernels.line.traversal import crossed_cells
-from tests.cli_runs import run
+from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.studies.test_map_comparison import changed_from
 
@@ -86,6 +86,9 @@ def test_the_command_reports_regrets_and_writes_every_route(maps, tmp_path, caps
     folders = [made.save(tmp_path / name) for made, name in zip(maps, "ab", strict=True)]
     code, out, _ = run(capsys, "compare", *folders, "-o", tmp_path / "out", "--routes", 12, "--seed", 3, "--json")
     assert code == 0
+    again = run(capsys, "compare", *folders, "-o", tmp_path / "out", "--routes", 11, "--seed", 3)
+    assert again[0] == 2
+    assert_one_sentence(again[2].splitlines()[-1], "its routes is 12, now 11")
     assert [line["routes"] for line in json.loads(out)["regrets"]] == [12] * 4
     assert len(pd.read_csv(tmp_path / "out/tables/routes.csv")) == 2 * 2 * 12
     report = (tmp_path / "out/report.md").read_text()
