@@ -287,4 +287,5 @@ def check_disk(tasks: Sequence[MapTask], folder: Path) -> None:
             f"the maps need at least {least_text} of disk and {free_text} are free in {str(folder)!r}: "
             "use a smaller region, a coarser [region] resolution_m, or another folder"
         )
-    LOG.info(f"disk at the peak: {told_bytes(least)} to {told_bytes(most)}, of {told_bytes(free + left)} free")
+    span = " to ".join(dict.fromkeys(map(told_bytes, (least, most))))
+    LOG.info(f"disk at the peak: {span}, of {told_bytes(free + left)} free")

@@ -282,6 +282,8 @@ def test_a_disk_too_small_for_the_least_is_refused_and_old_maps_count_as_free(am
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=least))
     check_disk([amid], tmp_path)
     assert "disk at the peak: less than 1 MiB to 27 MiB, of less than 1 MiB free" in caplog.text
+    check_disk([replace(amid, region=replace(amid.region, num_rows=10, num_cols=10))], tmp_path)
+    assert "disk at the peak: less than 1 MiB, of less than 1 MiB free" in caplog.text
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=least - 1000))
     with pytest.raises(InputError, match=r"at least .* of disk and .* are free in .*: use a smaller region"):
         check_disk([amid], tmp_path)
