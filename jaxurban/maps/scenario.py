@@ -5,7 +5,7 @@ import operator
 import tomllib
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast, get_args
@@ -36,7 +36,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.planners.registry import find_planner
 from jaxurban.samples.catalogue import filled, is_sample, located
 from jaxurban.settings import Buildings, CostKind, Planning, Terrain, Vehicle, each, iso_utc
-from jaxurban.world.grid import check_bounds, projected_crs
+from jaxurban.world.grid import Bounds, check_bounds, projected_crs
 
 SYNTHETIC = "synthetic"
 MOST_INSTANCES = 1_000_000
@@ -255,13 +255,13 @@ class Scenario(Sections):  # type: ignore[misc]  # a base that pydantic makes
           >>> scenario.planning.planner
           'astar-plus'
         """
-        given, main = _with_bounds(filled(settings), folder or Path())
+        given, extent = _with_bounds(filled(settings), folder or Path())
         try:
             scenario = cls.model_validate(given)
         except ValidationError as error:
             raise InputError(f"{name}: {_sentence_of(error, settings)}") from error
-        if main is not None:
-            _check_extent(scenario, main)
+        if extent is not None:
+            _check_extent(scenario, folder or Path(), extent)
         if folder is not None:
             scenario._folder = folder
         return scenario
@@ -326,31 +326,32 @@ def _with_times_as_text(settings: Any) -> Any:
     return iso_utc(settings) if isinstance(settings, datetime) else settings
 
 
-def _with_bounds(settings: Mapping[str, Any], folder: Path) -> tuple[Mapping[str, Any], Sequence[float] | None]:
-    """Return settings with the bounds that the file of buildings covers, where they give none.
-
-    With them come those of most buildings, if that is a small part; else None.
-    """
+def _with_bounds(settings: Mapping[str, Any], folder: Path) -> tuple[Mapping[str, Any], Bounds | None]:
+    """Return settings with the bounds that the file of buildings covers, and these, where they give none."""
     region, buildings = settings.get("region", {}), settings.get("buildings")
     source = buildings.get("source") if isinstance(buildings, Mapping) else None
     if not isinstance(region, Mapping) or "bounds" in region or not isinstance(source, str) or source == SYNTHETIC:
         return settings, None
-    from jaxurban.io.read.city import lonlat_extents  # imported here: it brings the readers
+    from jaxurban.io.read.city import lonlat_extent  # imported here: it brings the readers
 
-    extent, main = lonlat_extents(Path(located(source)) if is_sample(source) else folder / source)
-    return {**settings, "region": {**region, "bounds": extent}}, main
+    extent = lonlat_extent(located(source) if is_sample(source) else folder / source)
+    return {**settings, "region": {**region, "bounds": extent}}, extent
 
 
-def _check_extent(scenario: Scenario, main: Sequence[float]) -> None:
+def _check_extent(scenario: Scenario, folder: Path, extent: Bounds) -> None:
     """Warn that bounds that were left out cover far more than most buildings need.
 
     Raises:
       InputError: that is more than `MOST_EMPTY_CELLS`.
     """
-    from jaxurban.io.read.city import covers_too_much, size_m
+    from jaxurban.io.read.city import covers_too_much, proposed_bounds, size_m
 
-    region = scenario.region
-    sentence = covers_too_much(scenario.buildings.source, region.bounds, main)
+    region, file = scenario.region, scenario.buildings
+    source = file.source if is_sample(file.source) else folder / file.source
+    main = proposed_bounds(replace(file, source=source), extent, region.crs)
+    if main is None:
+        return
+    sentence = covers_too_much(file.source, extent, main)
     num_cells = math.prod(size_m(region.bounds)) / min(region.resolution_m) ** 2
     if num_cells > MOST_EMPTY_CELLS:
         raise InputError(

@@ -16,7 +16,7 @@ from jaxurban.public import Caution, Shown, caution_of_guesses
 from jaxurban.settings import SLABS as SLABS
 from jaxurban.settings import TO_GROUND as TO_GROUND
 from jaxurban.settings import Hanging as Hanging
-from jaxurban.world.grid import WGS84, transformer
+from jaxurban.world.grid import WGS84, Bounds, transformer
 
 if TYPE_CHECKING:
     from jaxurban.metrics.gps import Gps
@@ -231,30 +231,39 @@ class LandCover:
     park: shapely.Geometry
 
 
-def main_bounds(polygons: np.ndarray, crs: str, extent_m: Sequence[float]) -> tuple[float, ...] | None:
+def lonlat_boxes(polygons: np.ndarray, crs: str) -> np.ndarray:
+    """Return west, south, east, north in degrees of polygons in ``crs``, ``[N, 4]``."""
+    return shapely.bounds(shapely.transform(polygons, transformer(crs, WGS84).transform, interleaved=False))
+
+
+def rounded_outward(boxes: np.ndarray) -> Bounds:
+    """Return the box around boxes in degrees ``[N, 4]``, rounded outward to some 10 m."""
+    sides = np.round(1e4 * shapely.total_bounds(shapely.box(*boxes.T)), 4)  # a projection there and back moves them
+    west, south, east, north = (np.append(np.floor(sides[:2]), np.ceil(sides[2:])) / 1e4).tolist()
+    return west, south, east, north
+
+
+def main_bounds(polygons: np.ndarray, crs: str, extent: Sequence[float]) -> Bounds | None:
     """Return the box that `MAIN_SHARE` of the polygons lie in, if it is a small part of an extent; else None.
 
     Args:
-      polygons: ``[N]`` in ``crs``; those that lie nearest the median of all, along the axis where they are farther,
-        count as most of them.
-      crs: of the polygons.
-      extent_m: x_min, y_min, x_max, y_max in ``crs``.
+      polygons: ``[N]`` in ``crs``; of those that reach into the extent, the ones that lie nearest the median of all,
+        along the axis where they are farther, count as most of them.
+      crs: of the polygons; the box does not depend on it.
+      extent: west, south, east, north in degrees.
 
     Returns:
       West, south, east, north in degrees, rounded outward to some 10 m.
     """
-    boxes = shapely.bounds(polygons)
-    boxes = boxes[np.isfinite(boxes).all(axis=1)]
+    boxes = lonlat_boxes(polygons, crs)
+    boxes = boxes[shapely.intersects(shapely.box(*boxes.T), shapely.box(*extent))]
     if not len(boxes):
         return None
     centre = (boxes[:, :2] + boxes[:, 2:]) / 2
-    off = np.abs(centre - np.median(centre, axis=0)).max(axis=1)
-    main = shapely.total_bounds(shapely.box(*boxes[off <= np.quantile(off, MAIN_SHARE, method="higher")].T))
-    if shapely.box(*main).area >= SMALL_PART * shapely.box(*extent_m).area:
-        return None
-    west, south, east, north = transformer(crs, WGS84).transform_bounds(*main)
-    low, high = np.floor([1e4 * west, 1e4 * south]) / 1e4, np.ceil([1e4 * east, 1e4 * north]) / 1e4
-    return *low.tolist(), *high.tolist()
+    middle = np.median(centre, axis=0)
+    off = (np.abs(centre - middle) * [np.cos(np.radians(middle[1])), 1.0]).max(axis=1)
+    main = rounded_outward(boxes[off <= np.quantile(off, MAIN_SHARE, method="higher")])
+    return main if shapely.box(*main).area < SMALL_PART * shapely.box(*extent).area else None
 
 
 @typed
@@ -319,7 +328,8 @@ class City(Shown):
             inside = self.buildings.polygons[shapely.intersects(self.buildings.polygons, shapely.box(*region_m))]
             around = len(self.buildings) - len(inside)
             num = f"{len(inside):,}" + (f", and {around:,} around" if around else "")
-            main = main_bounds(inside, self.crs, region_m)
+            extent = self.bounds or transformer(self.crs, WGS84).transform_bounds(*region_m)
+            main = main_bounds(self.buildings.polygons, self.crs, extent)
         return {
             "CRS": self.crs,
             "extent": f"{(x_max - x_min) / 1000:.3g} x {(y_max - y_min) / 1000:.3g} km",

@@ -1,6 +1,7 @@
 """Buildings from any file: chosen by its suffix, their columns, all or those near a region, and where they lie."""
 
 import json
+import re
 from dataclasses import replace
 
 import geopandas as gpd
@@ -13,6 +14,8 @@ import jaxurban as ju
 from jaxurban.io.read.city import lonlat_extent, read_buildings
 from jaxurban.io.read.outlines import MARGIN_M, Near
 from jaxurban.io.read.vector import read_vector
+from jaxurban.maps.build import view_sky
+from jaxurban.maps.task import MapTask
 from jaxurban.world.grid import transformer
 from tests.cli_runs import run
 from tests.io.made_files import LAT, LON, SQUARE, UTM, WGS84, X, Y, box, write_features, write_raster, write_vector
@@ -296,6 +299,33 @@ def test_a_file_without_a_feature_has_no_building_in_the_region(tmp_path, suffix
     path = write_vector(tmp_path / f"none{suffix}", [shapely.Point()], WGS84, height=[3.0])
     with pytest.raises(ju.InputError, match=r"no building in the region|holds no"):
         ju.City.from_files(path, bounds=(139.69, 35.68, 139.70, 35.69))
+
+
+def test_one_box_is_proposed_by_all_and_its_maps_lack_no_buildings(tmp_path, capsys):
+    west, south = np.random.default_rng(0).uniform((10.0, 50.0), (10.0098, 50.006), (200, 2)).T
+    west[0], south[0], east, north = 10.0, 50.0, west + 2e-4, south + 1e-4
+    lone = [(14.0, 50.0, 14.0002, 50.0001), (10.0, 53.0, 10.0002, 53.0001)]
+    shapes = shapely.box(*np.concatenate([np.stack([west, south, east, north], axis=-1), lone]).T)
+    path = write_vector(tmp_path / "houses.geojson", shapes, WGS84, height=[10] * len(shapes))
+    (tmp_path / "a.toml").write_text("[buildings]\nsource = 'houses.geojson'\n[region]\nresolution_m = [5, 20]\n")
+    proposed = [10.0, 50.0, 10.01, 50.0061]
+    np.testing.assert_array_equal(np.ceil([1e4 * east.max(), 1e4 * north.max()]) / 1e4, proposed[2:])
+    assert f"bounds = {proposed}; give these" in run(capsys, "maps", tmp_path / "a.toml", "-o", tmp_path / "out")[2]
+    assert json.loads(run(capsys, "info", path, "--json")[1])["99 % of buildings in"] == str(proposed)
+    for crs in (None, "EPSG:3035"):
+        with pytest.warns(ju.GuessWarning, match=re.escape(f"bounds = {proposed}")):
+            assert ju.City.from_files(path, crs=crs).facts["99 % of buildings in"] == str(proposed)
+    given = [f"region.bounds={proposed}", "region.altitudes_m=[20]"]
+    scenario, wider = (
+        ju.Scenario.from_toml(tmp_path / "a.toml", changes=[*given, *more])
+        for more in ([], ["region.bounds=[9.998, 50.0, 10.01, 50.0061]"])
+    )
+    for asked, is_told in ((scenario, False), (wider, True)):
+        city = ju.City.from_files(path, bounds=asked.region.bounds)
+        for resolution_m, other_m in ((5.0, 20.0), (20.0, 5.0)):
+            region = ju.Grid.from_bounds(asked.region.bounds, resolution_m, nest_with_m=[other_m])
+            said = MapTask(city, region, view_sky(region, ju.Gps()), asked.map_params).all_guesses
+            assert any(name.endswith("of the region without data") for name in said) == is_told
 
 
 @pytest.fixture

@@ -87,7 +87,7 @@ def read_city(
         _check_has_building(buildings, source, bounds, box_m)
     issues = dict(source.read_issues)
     if is_left_out and source.buildings is not None:
-        main = main_bounds(source.buildings.polygons, crs, box_m)
+        main = main_bounds(source.buildings.polygons, crs, bounds)
         if main is not None:
             warnings.warn(covers_too_much(buildings.source, bounds, main), GuessWarning, stacklevel=2)
     guesses = height_guesses(source.buildings, box_m, buildings)
@@ -207,21 +207,24 @@ def _box_around(path: str | Path, outlines: Outlines) -> Bounds:
     return transformer(outlines.crs, WGS84).transform_bounds(*shapely.total_bounds(outlines.polygons))
 
 
-def lonlat_extents(path: Path) -> tuple[Bounds, tuple[float, ...] | None]:
-    """Return what a file covers (see `lonlat_extent`), and where most of its buildings stand (see `main_bounds`).
+def proposed_bounds(file: settings.Buildings, extent: Sequence[float], crs: str | None) -> Bounds | None:
+    """Return where most buildings of a file stand (see `main_bounds`); None of a raster.
+
+    Args:
+      file: which, and what to make of it.
+      extent: what it covers, see `lonlat_extent`.
+      crs: of the city; None for the UTM zone of the middle.
 
     Raises:
-      InputError: as of `lonlat_extent`.
+      InputError: as of `read_buildings`.
     """
-    read = _reader_of(path)
-    if read is None:
-        return lonlat_extent(path), None
-    outlines = read(path, None, False)
-    box = header_box(path, format_of(path)) if path.suffix.lower() in OSM_SUFFIXES else None
-    extent = box or _box_around(path, outlines)
-    return extent, main_bounds(
-        outlines.polygons, outlines.crs, transformer(WGS84, outlines.crs).transform_bounds(*extent)
-    )
+    file = _placed(file)
+    if _reader_of(Path(file.source)) is None:
+        return None
+    west, south, east, north = extent
+    crs = crs or utm_crs((west + east) / 2, (south + north) / 2)
+    buildings = read_buildings(file, crs).buildings
+    return None if buildings is None else main_bounds(buildings.polygons, crs, extent)
 
 
 def size_m(extent: Sequence[float]) -> tuple[float, float]:

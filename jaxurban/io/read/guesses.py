@@ -17,8 +17,19 @@ from jaxurban.io.read.heights import LAYER_CLEARANCE_M
 from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.metrics.population import BlockLayers, Population, region_blocks
-from jaxurban.world.city import GUESSED_BY, SLABS, Blocks, City, Footprints, Raster, ReadIssue, ReadIssues
-from jaxurban.world.grid import Bounds, Grid
+from jaxurban.world.city import (
+    GUESSED_BY,
+    SLABS,
+    Blocks,
+    City,
+    Footprints,
+    Raster,
+    ReadIssue,
+    ReadIssues,
+    lonlat_boxes,
+    rounded_outward,
+)
+from jaxurban.world.grid import WGS84, Bounds, Grid, transformer
 from jaxurban.world.sky import Sky
 
 Guesses = dict[str, str]
@@ -33,6 +44,7 @@ MOST_RAYS = 200_000  # followed to tell how many leave the data: a second or so
 SIDE_POINTS = 32  # along each side of a raster's outline, which another CRS bends
 NOMINAL_SKY, ELEMENTS_TIME = "nominal satellites", "time of the elements"
 BEYOND_DATA = "lines of sight to satellites leave the data"
+EDGE_M = 20.0  # that snapping to the cells of any usual resolution adds to bounds, at each side
 TOLD_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less
 
 
@@ -200,10 +212,29 @@ def outside_share(region: Grid, known: shapely.Geometry) -> float:
     return 1.0 - float(shapely.intersection(whole, known).area) / float(whole.area)
 
 
+def _boxes_asked(city: City, buildings: Footprints, region: Grid) -> list[shapely.Geometry]:
+    """Return, around each settlement in a region, the box that its bounds in degrees ask for.
+
+    Such bounds are rounded, stand askew in the CRS and are snapped to cells: they reach a little beyond the walls.
+    """
+    parts, boxes = shapely.get_parts(city.known_area), []
+    for part in parts[shapely.intersects(parts, shapely.box(*region.bounds_m))]:
+        own = buildings.polygons[shapely.intersects(buildings.polygons, part)]
+        if len(own):
+            bounds = rounded_outward(lonlat_boxes(own, city.crs))
+            box_m = transformer(WGS84, city.crs).transform_bounds(*bounds, densify_pts=101)
+            edge_m = max(EDGE_M, region.resolution_m)
+            boxes.append(shapely.box(*box_m).buffer(edge_m, join_style="mitre"))
+    return boxes
+
+
 def _coverage_guesses(city: City, region: Grid) -> Guesses:
     """Return how much of the region is taken as free of buildings, or of people, as nothing is known there."""
+    share = outside_share(region, city.known_area)
+    if share > TOLD_SHARE and city.buildings is not None:
+        share = outside_share(region, shapely.union_all([city.known_area, *_boxes_asked(city, city.buildings, region)]))
     guesses = _of_share(
-        outside_share(region, city.known_area),
+        share,
         "the region without data",
         "the region lies beyond what the building source covers and is taken as free of buildings: give a source that "
         "covers it, or a smaller region",
