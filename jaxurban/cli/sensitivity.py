@@ -195,7 +195,8 @@ def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, over
     if "sobol_summary" in result.tables:
         needed = result.tables["sobol_summary"].samples_needed.max()
         if needed > 0:
-            LOG.warning(f"warning: some Sobol shares are not resolved: some {needed:.0f} --samples would do")
+            remedy = f"about {needed:.0f} samples (--samples {needed:.0f}) should resolve them"
+            LOG.warning(f"warning: some Sobol shares are not resolved: {remedy}")
     LOG.info(f"study of sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
         kept = {name: records_of(table) for name, table in result.tables.items() if name.endswith("summary")}

@@ -116,7 +116,6 @@ def study_markdown(found: SensitivityStudy) -> str:
         FEWEST_GROUPS=FEWEST_GROUPS,
         FEW_SAMPLES=FEW_SAMPLES,
         ABOVE_ONE=1 + summary.ABOVE_ONE,
-        WIDEST=summary.WIDEST,
     )
 
 
@@ -150,7 +149,7 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     if "sobol_summary" in tables:
         total = tables["sobol_summary"].query("kind == 'total'")
         is_clear, at_most = total.verdict == CLEAR, total.share_high.where(total.verdict == UNCLEAR).clip(lower=0)
-        needed = total.samples_needed.map(": some {:.0f} samples would do".format).where(total.samples_needed > 0, "")
+        needed = total.samples_needed.map(": about {:.0f} samples should do".format).where(total.samples_needed > 0, "")
         total = total.assign(outcome=total.outcome.map(outcome_label), **{"at most": at_most})
         total["verdict"] += needed
         total.loc[~is_clear, [f"share{end}" for end in ENDS]] = np.nan

@@ -216,14 +216,16 @@ def few_resamples(monkeypatch):
     monkeypatch.setattr("jaxurban.studies.weights.sobol.NUM_RESAMPLES", 100)
 
 
-def test_a_share_above_one_is_not_resolved_and_so_many_samples_as_are_named_resolve_it(few_resamples):
+@pytest.mark.parametrize(("part", "num_samples", "named"), [(0.3, 4, 64), (0.15, 16, 64), (0.15, 32, 128)])
+def test_a_share_above_one_is_not_resolved_and_so_many_samples_as_are_named_resolve_it(
+    few_resamples, part, num_samples, named
+):
     """A route that jumps where two weights are large: where no sample of a half has both, its variance is small."""
-    part = 0.3
 
     def jump(unit):
         return {"y": 100.0 * (unit[:, 0] > 1 - part) * (unit[:, 1] > 1 - part) + unit[:, 2]}
 
-    few = made_shares(jump, "abc", 4).set_index(["weight_name", "kind"])
+    few = made_shares(jump, "abc", num_samples).set_index(["weight_name", "kind"])
     first = few.loc[("a", "total")]
     assert first.share > 1
     assert first.verdict == "not resolved"
@@ -231,8 +233,8 @@ def test_a_share_above_one_is_not_resolved_and_so_many_samples_as_are_named_reso
     tables = {"summary": summarise(made_weights(gps=0.01), 2.0), "sobol_summary": few.reset_index()}
     shown = shown_tables(tables)["sobol"].set_index("weight_name").loc["a"]
     assert np.isnan(shown["share"])
-    assert shown["verdict"] == f"not resolved: some {first.samples_needed:.0f} samples would do"
-    enough = made_shares(jump, "abc", int(first.samples_needed)).set_index(["weight_name", "kind"])
+    assert shown["verdict"] == f"not resolved: about {named} samples should do"
+    enough = made_shares(jump, "abc", named).set_index(["weight_name", "kind"])
     total = enough.loc[("a", "total")]
     assert total.verdict == "clear"
     assert total.share_low < 1 / (1 + part) < total.share_high
@@ -345,6 +347,7 @@ def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
     options = ["--routes", 8, "--altitudes", "20,60", "--samples", 2, "--workers", 1, "-o", out, "--json"]
     code, text, err = run(capsys, "sensitivity-study", *cities, *options)
     assert code == 0, err
+    assert "about 64 samples (--samples 64) should resolve them" in err
     assert json.loads(text)["statuses"] == {"optimal": 2 * 8 * 2}
     code, text, err = run(capsys, "sensitivity-study", *cities, *options, "--heights", 2, "--parameters")
     assert code == 0, err

@@ -14,6 +14,7 @@ import pandas as pd
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval, Statistic
 from jaxurban.studies.weights.routes import OF_SHARE, OF_WEIGHT, ROUTE_KEY
+from jaxurban.studies.weights.sobol import FEW_SAMPLES
 
 DESCRIBED = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "distance_m")
 ALL = "all"
@@ -23,7 +24,6 @@ OVER_CITIES = "over cities"
 CLEAR, UNCLEAR, TOO_FEW, CONSTANT = "clear", "not distinguishable from 0", "too few routes", "does not vary"
 UNRESOLVED = "not resolved"
 ABOVE_ONE = 0.1  # no share is above 1: one whose interval reaches further beyond is not resolved
-WIDEST = 0.5  # half-width of a route's own interval, up to which it is no wider than what shares can be
 REMADE_STATISTICS = ("is_other", "overlap", "is_closed", "regret", "nominal_is_closed", "nominal_regret")
 SHARES_OF_ROUTES = ("is_other", "is_closed", "nominal_is_closed")
 
@@ -155,12 +155,13 @@ def summarise_shares(shares: pd.DataFrame, num_samples: int) -> pd.DataFrame:
 
     Estimates of one route from few samples scatter about the truth, below 0 too, independently from route to route:
     their means are nearer to it, and the intervals hold both the scatter and how routes differ. A share whose interval
-    reaches 0 is `UNCLEAR`, whatever its value. ``own_ci`` is the median half-width of one route's interval.
+    reaches 0 is `UNCLEAR`, whatever its value. The verdict is of the mean, not of one route: ``own_ci``, the median
+    half-width of one route's interval, may be wider than the share where the mean is `CLEAR`.
 
     A share whose interval reaches above 1 by more than `ABOVE_ONE` is `UNRESOLVED`: on some routes the samples hardly
-    vary, and their small variance is what shares are divided by. ``samples_needed`` is an estimate of how many would
-    do: the widest ``own_ci`` of the outcome shrinks with the square root of their number, and is to fall to `WIDEST`.
-    Of other shares what lies above 1 is cut off.
+    vary, and their small variance is what shares are divided by. ``samples_needed`` is then four times as many, and at
+    least `FEW_SAMPLES`: the next step, not a bound. Intervals of so few cannot say more, since what the samples missed
+    is not in them. Of other shares what lies above 1 is cut off.
 
     Args:
       shares: from `shares_table`.
@@ -175,12 +176,10 @@ def summarise_shares(shares: pd.DataFrame, num_samples: int) -> pd.DataFrame:
             own = {"own_ci": known[f"{kind}_ci"].median()}
             rows.append(row | named("share", found) | own | {"verdict": _verdict(found, len(known))})
     table = pd.DataFrame(rows)
-    widest = table.groupby(["outcome", "kind"]).own_ci.transform("max").fillna(0.0)
-    needed = 2 ** np.ceil(np.log2(np.maximum(num_samples * (widest / WIDEST) ** 2, 2 * num_samples)))
     is_unresolved = table.verdict == UNRESOLVED
     for name in ("share", "share_high"):
         table[name] = table[name].where(is_unresolved, table[name].clip(upper=1.0))
-    return table.assign(samples_needed=np.where(is_unresolved, needed, np.nan))
+    return table.assign(samples_needed=np.where(is_unresolved, max(4 * num_samples, FEW_SAMPLES), np.nan))
 
 
 def _verdict(share: Interval, num_routes: int) -> str:
