@@ -51,6 +51,7 @@ IN_ROUND, IN_BOOTSTRAP = 1, 2  # streams of random numbers
 WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
 DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly counts
 OPTIMAL_REGRET = 0.005  # on average beyond this, the demonstrations are not optimal under any weights
+NEGLIGIBLE = 1e-3  # share of all metrics in the cost: without them no regret changes by more
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,7 +108,8 @@ class WeightFit:
     @property
     def sentence(self) -> str:
         """Whether the demonstrations follow these metrics at all: what a reader must know before the weights."""
-        return _verdict(self.regret, self.trust, self.best_mean_regret)
+        metric_share = 1 - float(self.table["share_of_cost"].iloc[0])
+        return _verdict(self.regret, self.trust, self.best_mean_regret, metric_share)
 
     @property
     def cautions(self) -> list[str]:
@@ -200,7 +202,8 @@ def fit_weights(
         draws, interval = _refitted(fit, demonstrations, scale, bootstrap)
     cost, spread = fit.weights * demo.mean(axis=0), fit.weights * demo.std(axis=0)
     columns = {"weight": _scaled(fit.weights, scale), "low": interval[0], "high": interval[1]}
-    columns |= {"share_of_cost": cost / cost.sum(), "spread": spread / max(float(np.linalg.norm(spread)), 1e-300)}
+    share = cost / cost.sum()
+    columns |= {"share_of_cost": share, "spread": spread / max(float(np.linalg.norm(spread)), 1e-300)}
     return WeightFit(
         names=names,
         weights=weights_from(queries[0], _scaled(fit.weights, scale)),
@@ -215,7 +218,7 @@ def fit_weights(
             *_open(names, constant, interval),
             *indistinct_weights(pool, fit.unit, fit.weights, is_fitted),
         ),
-        warnings=tuple(_warnings(demonstrations, len(names), regret, fit.trust, best, is_settled)),
+        warnings=tuple(_warnings(demonstrations, len(names), regret, fit.trust, best, 1 - share[0], is_settled)),
         num_plans=pool.num_plans,
         elapsed_s=time.perf_counter() - begin_s,
         is_settled=is_settled,
@@ -361,17 +364,16 @@ def _open(names: Sequence[str], constant: Sequence[str], interval: np.ndarray) -
     ]
 
 
-def _verdict(regret: np.ndarray, trust: np.ndarray, best: float) -> str:
+def _verdict(regret: np.ndarray, trust: np.ndarray, best: float, metric_share: float) -> str:
     """Return whether demonstrations follow the metrics, from the least mean regret that any weights reach."""
+    followed = "distance alone and none of these metrics" if metric_share <= NEGLIGIBLE else "these metrics"
     percent = round(max(0.0, 100 * best), 4)
     share = f"at best they cost {percent:.3g} % more than the cheapest ones between their ends, on average"
     if best <= OPTIMAL_REGRET:
-        return f"These routes follow these metrics: {share}."
+        return f"These routes follow {followed}: {share}."
     is_trusted = trust >= DISTRUSTED
     if is_trusted.mean() > 0.5 and regret[is_trusted].mean() <= OPTIMAL_REGRET:
-        return (
-            f"Most of these routes, {is_trusted.sum()} of {len(trust)}, follow these metrics; with the others {share}."
-        )
+        return f"Most of these routes, {is_trusted.sum()} of {len(trust)}, follow {followed}; with the others {share}."
     return f"These routes do not follow these metrics: {share}, under any weights that were found."
 
 
@@ -381,12 +383,13 @@ def _warnings(
     regret: np.ndarray,
     trust: np.ndarray,
     best: float,
+    metric_share: float,
     is_settled: bool,
 ) -> Iterator[str]:
     """Yield the further sentences that a reader of the fit must know."""
     num = len(demonstrations)
     if best > OPTIMAL_REGRET:
-        yield _verdict(regret, trust, best)
+        yield _verdict(regret, trust, best, metric_share)
     if num < FEW * num_weights:
         yield (
             f"There are few demonstrations ({num}) for {num_weights} weights, which are fitted all the same: others of "
