@@ -76,6 +76,7 @@ def tune(words: tuple[Path, ...], out: Path, **options: Any) -> int:
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.tuning import TuneSettings, run_tuning
     from jaxurban.studies.route_pool import FitSettings
+    from jaxurban.studies.study_demonstrations import study_in
 
     def named(*names: str) -> dict[str, Any]:
         return {name: options[name] for name in names if options[name] is not None}
@@ -101,8 +102,11 @@ def tune(words: tuple[Path, ...], out: Path, **options: Any) -> int:
     )
     of_maps = {name: options[name] for name in ("resolution_m", "obstacles")}
     sources: dict[MapsFolder, list[Path]] = {}
+    folder = MapsFolder(words[0], **of_maps)
     for word in words:
         is_study = (word / ROWS_FILE).is_file() and not (word / ZARR_FOLDER).exists()
+        if sources and options["sample"] is None and study_in(word):  # of maps that have no routes yet
+            is_study = is_study or not (sources[folder] or study_in(Path(folder.folder)))
         if not sources or (word.is_dir() and not is_study):
             folder = MapsFolder(word.parent if is_study else word, **of_maps)
             sources.setdefault(folder, [])

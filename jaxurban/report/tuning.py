@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
+from jaxurban.io.store import ZARR_FOLDER
 from jaxurban.io.tables import SUFFIXES, records_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
@@ -161,14 +162,19 @@ def _demonstrations(files: Sequence[Path], maps: MetricMaps, settings: TuneSetti
         **under,
     )
     times = {name: how[name] for name in TIMES if how.get(name) is not None}
-    return demonstrations_from_study(instances[instances.is_connected].assign(**times), maps, pilot=pilot, **how)
+    return demonstrations_from_study(
+        instances[instances.is_connected].assign(**times), maps, planner=settings.planner, pilot=pilot, **how
+    )
 
 
 def _files_of(source: MapsFolder, files: Sequence[Path], sample: int | None) -> Sequence[Path]:
     """Return the files and folders of routes on the maps of a folder: without any, the study that it holds."""
     if files or sample is not None:
         return files
-    study = study_in(Path(source.folder))
+    folder = Path(source.folder)
+    study = study_in(folder)
+    if study is not None and not (folder / ZARR_FOLDER).exists():
+        raise InputError(f"{str(folder)!r} holds a study and no maps: name the folder of its maps before it")
     if study is None:
         raise InputError(
             f"there are no routes for the maps in {str(source.folder)!r}: name files of routes or a study after it, or "
@@ -181,8 +187,10 @@ def _read(file: Path, maps: MetricMaps, settings: TuneSettings) -> list[Demonstr
     """Return the routes of a file of lines, a table of instances or the folder of a study."""
     if not file.is_dir() and file.suffix.lower() not in SUFFIXES:
         return read_demonstrations(file, maps, **settings.routes)
-    pilot = settings.pilot or (Weights() if settings.targets else None)  # to targets only the routes' ends matter
-    return demonstrations_from_study(file, maps, planner=settings.planner, pilot=pilot, **settings.routes)
+    pilot, planner = settings.pilot, settings.planner
+    if settings.targets and pilot is None:  # only the routes' ends matter
+        pilot, planner = Weights(), None
+    return demonstrations_from_study(file, maps, planner=planner, pilot=pilot, **settings.routes)
 
 
 def outputs_of(

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, LeftOutWarning, one_of, typed
+from jaxurban.errors import InputError, LeftOutWarning, finite, one_of, typed
 from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, Row, read_table, records_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 EXACT = "astar-plus"  # plans the routes of tables
 SAME_COST = 1e-6  # relative: a route that is planned again costs as its row says
 ALIKE = 1e-9  # relative: weights of rows, scaled to sum 1, that are one W
+STARTS = {"start_lon", "start_x_m"}  # one of them is a column of every table of routes
 OF_ROW = ("status", "cost", "num_samples")  # what a study says of a route
 OF_STUDY = ("instance", "altitude_m", "planner", "objective", *OF_ROW)
 
@@ -106,6 +107,13 @@ def demonstrations_from_study(
       >>> [each.query.name for each in shown], shown[0].query.cost_map.altitude_m
       (['0', '1', '2', '3'], 60.0)
     """
+    if planner is not None and pilot is not None:
+        raise InputError(
+            f"a pilot's routes are planned by A*, so that those of planner {planner!r} are not taken: leave one of "
+            "both out (--planner, --pilot)"
+        )
+    if altitude_m is not None:
+        altitude_m = finite("altitude_m", altitude_m, "metres")
     maps = as_maps(_maps_of(study) if maps is None else maps)
     if constraints is None and not isinstance(study, pd.DataFrame | str | Path):
         constraints = study.settings.constraints
@@ -146,7 +154,8 @@ def demonstrations_from_study(
     if not demonstrations:
         raise InputError(f"no route of {asked.name!r} is of use: {_listed(reasons) or 'none is asked for'}")
     if reasons:
-        left_out = f"{reasons.total()} of {len(table)} routes of {asked.name!r} were left out: {_listed(reasons)}"
+        were = "was" if reasons.total() == 1 else "were"
+        left_out = f"{reasons.total()} of {len(table)} routes of {asked.name!r} {were} left out: {_listed(reasons)}"
         warnings.warn(left_out, LeftOutWarning, stacklevel=3)
     return demonstrations
 
@@ -188,7 +197,7 @@ def _asked(
     name = "the table" if isinstance(study, pd.DataFrame) else str(study)
     table = study if isinstance(study, pd.DataFrame) else read_table(study, "instances")
     table = table.assign(**flown)
-    if not _weights_in(table):
+    if not _weights_in(table) and STARTS.intersection(table.columns):
         raise InputError(
             f"{name!r} has no weights under which its routes are the cheapest: give a column for each (w_distance, "
             "w_gps ...), or the weights of a pilot who flies all of them (--pilot, pilot=)"

@@ -162,3 +162,15 @@ def test_the_study_in_a_folder_of_maps_is_fitted_and_reported(tmp_path, capsys):
     assert_refused(run(capsys, "tune", maps, "-o", tmp_path / "b", "--planner", "theta"), "astar-plus", "'theta'")
     wished = facts_of(capsys, maps, "-o", tmp_path / "c", "--wish", "mean_gps>=0.5", "--metrics", "gps", "--rounds", 1)
     assert len(wished["outcomes"]) == 1
+
+
+def test_the_folder_that_a_study_was_written_to_is_a_study_of_maps_without_routes(made, tmp_path, capsys):
+    outer = tmp_path / "outer"
+    (outer / "study").mkdir(parents=True)
+    (outer / "study" / "rows.parquet").touch()
+    assert_refused(run(capsys, "tune", outer, "-o", tmp_path / "out"), "outer' holds a study and no maps")
+    for maps in (False, True):
+        if maps:
+            small_maps().save(outer)
+        refused = run(capsys, "tune", made[0], outer, "-o", tmp_path / "out")
+        assert_refused(refused, "study' holds no study of planners")

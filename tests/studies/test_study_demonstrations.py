@@ -60,6 +60,15 @@ def test_rows_without_a_path_and_routes_of_other_costs_are_left_out_and_counted(
     other.to_parquet(tmp_path / "rows.parquet")
     with pytest.warns(LeftOutWarning, match=r"cost otherwise than their rows say, as where seconds .* \(2\)"):
         assert len(routes_of(tmp_path, maps)) == num - 2
+    with pytest.warns(LeftOutWarning, match=r"^1 of \d+ routes of .* was left out: "):
+        routes_of(tmp_path, maps, altitude_m=20.0)
+
+
+def test_straight_routes_are_said_to_follow_distance_alone(study):
+    with pytest.warns(LeftOutWarning):
+        straight = routes_of(study, planner="ptp")
+    fit = ju.fit.fit_weights(straight, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=15))
+    assert fit.sentence.startswith("These routes follow distance alone and none of these metrics: at best they cost 0")
 
 
 def test_routes_by_day_and_by_night_of_a_study_under_one_w_give_that_w_back(study):
@@ -85,6 +94,8 @@ def test_a_table_of_instances_or_queries_gives_the_cheapest_routes_under_its_wei
     np.testing.assert_allclose(costs_of(routes_of(places, maps, pilot=HIDDEN)), cheapest, rtol=1e-9)
     with pytest.raises(InputError, match="has no weights under which its routes are the cheapest: give a column"):
         routes_of(places, maps)
+    with pytest.raises(InputError, match=r"unknown columns \['a', 'b'\]"):
+        routes_of(pd.DataFrame({"a": [1], "b": [2]}), maps)
 
 
 def test_a_study_under_many_weights_is_refused_unless_one_pilot_flies_its_pairs(maps, study, tmp_path):
@@ -135,6 +146,8 @@ def test_a_damaged_study_is_refused_in_one_sentence(study, maps, tmp_path, file,
             "its set of constraints is vertical clearance of 3 m, here clearance of 20 m, ",
         ),
         ({"maps": ju.MetricMaps(small_maps().ds.assign_attrs(run_key="b"))}, "its run_key is None, here b"),
+        ({"altitude_m": np.nan}, "altitude_m must be .*finite"),
+        ({"planner": "ptp", "pilot": HIDDEN}, "a pilot's routes are planned by A.*: leave one of both out"),
         ({"altitude_m": 30.0}, "no route of .* is of use: none is asked for"),
     ],
 )
