@@ -3,7 +3,6 @@
 import math
 import operator
 import tomllib
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from datetime import datetime
@@ -25,7 +24,17 @@ from pydantic import (
     model_validator,
 )
 
-from jaxurban.errors import GuessWarning, InputError, at_least, check_range, nearest_name, positive, readable, typed
+from jaxurban.errors import (
+    GuessWarning,
+    InputError,
+    at_least,
+    check_range,
+    nearest_name,
+    positive,
+    readable,
+    typed,
+    warn,
+)
 from jaxurban.kernels.engine import Engine
 from jaxurban.maps.task import MapParams
 from jaxurban.metrics.custom import Layer, check_layers
@@ -358,7 +367,7 @@ def _check_extent(scenario: Scenario, folder: Path, extent: Bounds) -> None:
             f"{sentence}; give these in [region] (all of it is {num_cells / 1e6:,.0f} million cells of "
             f"{min(region.resolution_m):g} m: bounds = {[round(value, 6) for value in region.bounds]})"
         )
-    warnings.warn(sentence, GuessWarning, stacklevel=3)
+    warn(sentence, GuessWarning)
 
 
 def changed(settings: dict[str, Any], changes: Iterable[str]) -> dict[str, Any]:

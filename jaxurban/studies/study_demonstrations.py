@@ -5,7 +5,6 @@ where it draws any, and a route that costs otherwise than its row says is left o
 """
 
 import math
-import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, LeftOutWarning, finite, one_of, typed
+from jaxurban.errors import InputError, LeftOutWarning, finite, one_of, typed, warn
 from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, Row, read_table, records_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -156,7 +155,7 @@ def demonstrations_from_study(
     if reasons:
         were = "was" if reasons.total() == 1 else "were"
         left_out = f"{reasons.total()} of {len(table)} routes of {asked.name!r} {were} left out: {_listed(reasons)}"
-        warnings.warn(left_out, LeftOutWarning, stacklevel=3)
+        warn(left_out, LeftOutWarning)
     return demonstrations
 
 

@@ -5,7 +5,6 @@ region at least, and a line in `OUTLINE_READERS`.
 """
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ import pyproj
 import shapely
 
 from jaxurban import settings
-from jaxurban.errors import GuessWarning, InputError
+from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.guesses import FLAT_GROUND, census_guesses, height_guesses, warn_of
 from jaxurban.io.read.osm import OSM_SUFFIXES, format_of, header_box, read_osm
@@ -89,7 +88,7 @@ def read_city(
     if is_left_out and source.buildings is not None:
         main = main_bounds(source.buildings.polygons, crs, bounds)
         if main is not None:
-            warnings.warn(covers_too_much(buildings.source, bounds, main), GuessWarning, stacklevel=2)
+            warn(covers_too_much(buildings.source, bounds, main), GuessWarning)
     guesses = height_guesses(source.buildings, box_m, buildings)
     blocks = None
     if people.blocks is not None or people.blocks_day is not None:
