@@ -3,8 +3,11 @@
 import hashlib
 import io
 import json
+import lzma
 import time
 import uuid
+import zipfile
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,6 +30,8 @@ from jaxurban.io.files import (
 )
 
 SUFFIXES = (".parquet", ".csv")
+PACKED = (".gz", ".bz2", ".xz", ".zip", ".zst")  # behind .csv: what pandas unpacks
+UNPACKING = (EOFError, ImportError, lzma.LZMAError, zipfile.BadZipFile, zlib.error)
 ROWS_FILE, PARTS_FOLDER = "rows.parquet", "parts"
 INSTANCES_FILE = "instances.parquet"  # beside the rows of a Monte Carlo benchmark
 SAVE_EVERY_S = 5.0
@@ -53,21 +58,26 @@ def write_table(table: pd.DataFrame, file: str | Path, settings: Mapping[str, An
     return file
 
 
-def read_table(file: str | Path, role: str) -> pd.DataFrame:
+def read_table(file: str | Path, role: str, categories: Sequence[str] = ()) -> pd.DataFrame:
     """Return the table in a file.
 
     Args:
-      file: a .parquet or .csv file.
+      file: a .parquet or .csv file, the latter also compressed, as .csv.gz.
       role: what it holds, for messages.
+      categories: columns of text that a CSV file repeats in many rows, and that are kept once.
 
     Raises:
       InputError: no such file, or it cannot be read.
     """
     file = Path(file)
-    suffix = _suffix(file)
+    is_packed = file.suffix.lower() in PACKED
+    suffix = _suffix(file.with_suffix("") if is_packed else file)
     what = f"the {role} file {str(file)!r}"
-    with readable(file, suffix[1:], "make it again, or name another", what=what):
-        table = pd.read_parquet(file) if suffix == ".parquet" else pd.read_csv(file)
+    with readable(file, suffix[1:], "make it again, or name another", *UNPACKING, what=what):
+        if suffix == ".parquet":
+            table = pd.read_parquet(file)
+        else:
+            table = pd.read_csv(file, dtype=dict.fromkeys(categories, "category"))
         for name in table.columns[[pd.api.types.is_object_dtype(kind) for kind in table.dtypes]]:
             if not all(pd.api.types.is_hashable(value) for value in table[name]):
                 raise ValueError(f"its column {name!r} holds lists or tables")

@@ -1,7 +1,9 @@
-"""Logs of a satellite receiver: tables of where it was, when, and what it tracked, to `ReceiverLog`."""
+"""Logs of a satellite receiver: tables of where it was, when, and what it received, to `ReceiverLog`."""
 
+import math
 import re
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -9,17 +11,37 @@ import pandas as pd
 
 from jaxurban.errors import InputError
 from jaxurban.io.tables import read_table
+from jaxurban.samples.catalogue import located
 
 UTC, LON, LAT = "utc", "lon_deg", "lat_deg"
 OTHER_NAMES = {"lon": LON, "lat": LAT}
 WITNESSES = TRACKED, ERROR = "num_tracked", "error_2d_m"  # what a log may hold of how well the receiver did
+OF_SATELLITES = SATELLITE, CN0, AZIMUTH, ELEVATION = "satellite", "cn0_dbhz", "azimuth_deg", "elevation_deg"
+EPOCH = "epoch"
 MOST_NAMED = 12  # columns, in an error
-RANGES = {  # of a value; no receiver has channels for more satellites
+MOST_ROWS = 5_000_000  # of satellites: three hours at 10 Hz with 45 of them; a study needs some 500 bytes for each
+RANGES = {  # of a value; no receiver has channels for more satellites, and none measures a C/N0 of 70 dBHz outdoors
     LON: (-180.0, 180.0),
     LAT: (-90.0, 90.0),
     TRACKED: (0.0, 200.0),
     ERROR: (0.0, np.inf),
+    CN0: (0.0, 70.0),
+    AZIMUTH: (0.0, 360.0),
+    ELEVATION: (0.0, 90.0),
 }
+HINTS = {
+    LAT: " (longitude and latitude may be swapped)",
+    CN0: " (in dBHz; 0 means above the horizon and not received)",
+    ELEVATION: " (satellites below the horizon are no part of a log)",
+}
+# Bounds that all values of a log keep only if they are of another unit. Degrees so small are a place in the Atlantic.
+OTHER_UNITS = (
+    ({LON: math.pi, LAT: math.pi / 2}, "radians", "degrees"),
+    ({AZIMUTH: math.tau}, "radians", "degrees"),
+    ({ELEVATION: math.pi / 2}, "radians", "degrees"),
+    ({CN0: 9.0}, "the digits 1 to 9 of a signal's strength, or ratios", "dBHz"),
+)
+RINEX_NAME = re.compile(r"[GRECJIS]\d\d")  # RINEX 3.05, section 3.5: a constellation's letter and a number
 # The zone of a time, behind its minutes or seconds; pandas reads all but the names.
 ZONE = re.compile(r"(?:Z|UTC|GMT|:\d\d(?:\.\d+)?\s*[+-]\d\d(?::?\d\d)?)$", re.IGNORECASE)
 LIKE_THIS = "2018-12-19T06:07:37Z"
@@ -27,7 +49,10 @@ TIME_REMEDY = (
     f"write UTC with a Z, as {LIKE_THIS} (GPS time is 18 s ahead of it since 2017), or local times with their offset, "
     "as 2018-12-19T15:07:37+09:00, and remove rows without a time"
 )
-REMEDY = f"give a table with the columns {UTC} (as {LIKE_THIS}), {LON}, {LAT} and {' or '.join(WITNESSES)}"
+REMEDY = (
+    f"give a table with the columns {UTC} (as {LIKE_THIS}), {LON}, {LAT} and {' or '.join(WITNESSES)}, "
+    f"or {SATELLITE} and {CN0}"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +63,18 @@ class ReceiverLog:
       name: of the file.
       epochs: ``[N]`` rows ``utc`` (datetime64 with zone), ``lon_deg``, ``lat_deg`` (WGS 84), and where they are known
         ``num_tracked`` and ``error_2d_m``, NaN where a row does not say.
+      satellites: None for a log of counts, else a row an epoch and satellite, in this order: ``epoch`` (int32, its row
+        of ``epochs``), ``satellite`` (a category of RINEX 3 names, such as G05), ``cn0_dbhz`` (float32; 0: above the
+        horizon, not received) and, where the log has them, ``azimuth_deg`` (clockwise from true north) and
+        ``elevation_deg`` (float32).
+      left_out: satellites that have no row because their own navigation message calls them unhealthy, or is not there,
+        and the reason of each.
     """
 
     name: str
     epochs: pd.DataFrame
+    satellites: pd.DataFrame | None = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def witnesses(self) -> tuple[str, ...]:
@@ -50,37 +83,104 @@ class ReceiverLog:
 
 
 def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
-    """Return a receiver's log, a row an epoch.
+    """Return a receiver's log, in the order of its times.
 
     Args:
-      source: a table, or its file (.csv, .parquet), with ``utc``, ``lon_deg`` (or ``lon``), ``lat_deg`` (or ``lat``)
-        and ``num_tracked``, ``error_2d_m`` or both.
+      source: a table, or its file (.csv, .csv.gz, .parquet), with ``utc``, ``lon_deg`` (or ``lon``), ``lat_deg`` (or
+        ``lat``), and ``num_tracked``, ``error_2d_m`` or both; or with a row a satellite, ``satellite``, ``cn0_dbhz``,
+        and ``azimuth_deg`` and ``elevation_deg`` if it has them.
 
     Raises:
       InputError: a file that cannot be read, no rows, a column that is missing or there twice, times that are none or
-        of no known zone, coordinates that are none, two rows of one time, or values that no receiver gives.
+        of no known zone, coordinates that are none, two rows of one time (and satellite), two places of one time,
+        values that no receiver gives or that are of another unit, or more rows than `MOST_ROWS`.
     """
-    table = source if isinstance(source, pd.DataFrame) else read_table(source, "receiver log")
-    name = "the table" if table is source else str(source)
+    if isinstance(source, pd.DataFrame):
+        table, name = source, "the table"
+    else:
+        table, name = read_table(located(source), "receiver log", categories=(UTC, SATELLITE)), str(source)
     names = [str(column).strip() for column in table.columns]
     table = table.set_axis([OTHER_NAMES.get(column, column) for column in names], axis="columns")
-    known = [column for column in (UTC, *RANGES) if column in table]
+    has_satellites = SATELLITE in table and CN0 in table
+    columns = (UTC, LON, LAT, *WITNESSES, *(OF_SATELLITES if has_satellites else ()))
+    known = [column for column in columns if column in table]
     if known[:3] != [UTC, LON, LAT] or len(known) == 3 or table.empty:
         raise _wrong(
             name, f"has {len(table)} rows of the columns {', '.join(names[:MOST_NAMED])}: {REMEDY}, separated by commas"
         )
     if twice := [column for column in known if (table.columns == column).sum() > 1]:
         raise _wrong(name, f"has two columns {twice[0]}: keep one")
-    table = table.assign(**{UTC: _times(table[UTC], name)}, **{c: _numbers(table[c], name) for c in known[1:]})
+    if has_satellites and len(table) > MOST_ROWS:
+        thin = "thin it to fewer epochs, such as one a second, or cut it into parts"
+        raise _wrong(name, f"has {len(table):,} rows, more than the {MOST_ROWS:,} that are read: {thin}")
+    table = table[known].assign(
+        **{UTC: _by_text(table[UTC], _times, name)},
+        **{column: _numbers(table[column], name) for column in known if column in RANGES},
+    )
+    _check_units(table, name)
+    if has_satellites:
+        return _by_satellite(table, name)
     table = table.sort_values(UTC, kind="stable", ignore_index=True)
-    if (is_second := table[UTC].duplicated()).any():
-        at = table[UTC][is_second].iloc[0].isoformat()
-        raise _wrong(name, f"has two rows at {at}: keep one row an epoch")
-    return ReceiverLog(name, table[known])
+    _check_once(table, [UTC], name, "rows", "row an epoch")
+    return ReceiverLog(name, table)
+
+
+def _by_satellite(table: pd.DataFrame, name: str) -> ReceiverLog:
+    """Return the log of a table with a row a satellite."""
+    if (AZIMUTH in table) != (ELEVATION in table):
+        raise _wrong(name, f"has one of the columns {AZIMUTH} and {ELEVATION}: give both, or none")
+    number, _ = pd.factorize(table[UTC], sort=True)
+    table = table.assign(
+        **{EPOCH: pd.Series(number, table.index, dtype=np.int32)},
+        **{SATELLITE: _by_text(table[SATELLITE], _satellites, name)},
+        **{column: table[column].astype(np.float32) for column in OF_SATELLITES[1:] if column in table},
+    )
+    table = table.sort_values([EPOCH, SATELLITE], ignore_index=True)
+    _check_once(table, [EPOCH, SATELLITE], name, "rows", "row an epoch and satellite, such as that of L1, E1 or B1")
+    epochs = table.drop(columns=[EPOCH, *OF_SATELLITES], errors="ignore").drop_duplicates(ignore_index=True)
+    _check_once(epochs, [UTC], name, "places", "place an epoch")
+    satellites = table[[EPOCH, *(column for column in OF_SATELLITES if column in table)]]
+    return ReceiverLog(name, epochs, satellites)
+
+
+def _check_once(table: pd.DataFrame, key: list[str], name: str, what: str, remedy: str) -> None:
+    """Raise InputError where two rows have one key."""
+    is_second = table.duplicated(key)
+    if is_second.any():
+        row = table[is_second].iloc[0]
+        of = f" of {row[SATELLITE]}" if SATELLITE in key else ""
+        raise _wrong(name, f"has two {what}{of} at {row[UTC].isoformat()}: keep one {remedy}")
+
+
+def _check_units(table: pd.DataFrame, name: str) -> None:
+    """Raise InputError where all values of a column are as small as they are in another unit."""
+    for bounds, unit, needed in OTHER_UNITS:
+        columns = [column for column in bounds if column in table]
+        largest = {column: float(table[column].abs().max()) for column in columns}
+        if columns and all(largest[column] <= bounds[column] for column in columns):
+            most = " and ".join(f"{column} of at most {value:.4g}" for column, value in largest.items())
+            raise _wrong(name, f"has {most} in all rows, as if they were {unit}: give {needed}")
 
 
 def _wrong(name: str, why: str) -> InputError:
     return InputError(f"the receiver log {name!r} {why}")
+
+
+def _by_text(column: pd.Series, read: Callable[[pd.Series, str], pd.Series], name: str) -> pd.Series:
+    """Return what a column's values are read as, each value once: a log repeats a time for every satellite."""
+    is_compact = isinstance(column.dtype, pd.DatetimeTZDtype | pd.CategoricalDtype)
+    numbers, values = pd.factorize(column if is_compact else column.astype(str), use_na_sentinel=False)
+    return read(pd.Series(values), name).take(numbers).set_axis(column.index)
+
+
+def _satellites(column: pd.Series, name: str) -> pd.Series:
+    """Return names of satellites as a category."""
+    names = column.astype(str).str.strip()
+    is_wrong = ~names.str.fullmatch(RINEX_NAME, na=False)
+    if is_wrong.any():
+        needed = "a name as in RINEX 3, such as G05, R12, E18, C19 or J02, belongs"
+        raise _wrong(name, f"has {str(names[is_wrong].iloc[0])!r} as a satellite, where {needed}: rename or remove it")
+    return names.astype("category")
 
 
 def _times(column: pd.Series, name: str) -> pd.Series:
@@ -106,7 +206,7 @@ def _numbers(column: pd.Series, name: str) -> pd.Series:
     is_wrong = ~(np.isfinite(values) & values.between(low, high) | (column.isna() & may_lack))
     if (is_wrong | pd.api.types.is_bool_dtype(column)).any():
         wrong = column[is_wrong | pd.api.types.is_bool_dtype(column)].tolist()  # a list's numbers are Python's
-        hint = " (longitude and latitude may be swapped)" if column.name == LAT else ""
-        rule = f"where a number from {low:g} to {high:g} belongs{hint}: mend them, or remove the rows or the column"
+        belongs = f"where a number from {low:g} to {high:g} belongs{HINTS.get(str(column.name), '')}"
+        rule = f"{belongs}: mend them, or remove the rows or the column"
         raise _wrong(name, f"has {wrong[0]!r} in {column.name} of {len(wrong)} row(s), {rule}")
     return values
