@@ -51,6 +51,29 @@ def compare(folder_a: Path, folder_b: Path, output: Path, **options: Any) -> int
 NUMBER = partial(click.option, type=float, show_default=True)
 
 
+class Known(click.ParamType):
+    """Where buildings are known: a word, metres, or a file."""
+
+    name = "known"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str | float:
+        """Return metres as a number, all else as it is."""
+        try:
+            return float(value)
+        except ValueError:
+            return str(value)
+
+
+class Letters(click.ParamType):
+    """Letters with commas between them."""
+
+    name = "letters"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        """Return the letters."""
+        return value if isinstance(value, tuple) else tuple(filter(None, str(value).split(",")))
+
+
 @click.command()
 @click.argument("scenario_file", metavar="SCENARIO", type=PATH)
 @click.argument("log_file", metavar="LOG", type=PATH)
@@ -70,13 +93,37 @@ NUMBER = partial(click.option, type=float, show_default=True)
 @NUMBER(
     "--block", "block_m", default=200.0, help="Length of the blocks of track within which ranks are compared, metres."
 )
+@NUMBER(
+    "--sky-block", "sky_block_m", default=50.0, help="Length of the blocks that satellites' intervals draw, metres."
+)
+@click.option(
+    "--known",
+    type=Known(),
+    default="city",
+    show_default=True,
+    metavar="city|all|M|FILE",
+    help="Where buildings are known: what their file covers, everywhere, so many metres around the track, or polygons.",
+)
+@click.option("--systems", type=Letters(), default="", help="Letters of the satellite systems to take, as G,E.")
+@click.option(
+    "--displaced",
+    "num_displaced",
+    type=click.IntRange(min=1),
+    default=200,
+    show_default=True,
+    help="Displaced cities that satellites are set against.",
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of displacements and draws."
+)
 @click.option("--overwrite", is_flag=True, help="Replace another validation in the output folder.")
 @DEVICE
 @JSON_FLAG
 def validate(scenario_file: Path, log_file: Path, output: Path, changes: tuple[str, ...], **options: Any) -> int:
     """Compare the log of a receiver (LOG, .csv or .parquet) with maps of SCENARIO made at its times and its height.
 
-    LOG has the columns utc, lon_deg, lat_deg and num_tracked or error_2d_m, a row an epoch.
+    LOG has the columns utc, lon_deg, lat_deg, and with a row a satellite satellite and cn0_dbhz (azimuth_deg and
+    elevation_deg too, or the scenario's orbits give them), with a row an epoch num_tracked or error_2d_m.
     """
     import pandas as pd
 

@@ -6,11 +6,11 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.io.read.city import area_of_outlines, area_of_raster
-from jaxurban.io.read.guesses import leaving_shares, outside_share, rays_leaving
+from jaxurban.io.read.guesses import leaving_shares, outside_share
 from jaxurban.io.read.osm import read_land_cover, sea
 from jaxurban.maps.build import view_sky
 from jaxurban.report.montecarlo import land_cover_of
-from jaxurban.world.city import Footprints, Raster
+from jaxurban.world.city import Raster
 from jaxurban.world.grid import transformer
 from tests.io.made_files import UTM, WGS84, X, Y, box, line, north_up, osm, write_vector
 
@@ -155,19 +155,6 @@ def test_a_raster_is_known_where_it_holds_data():
     assert area.area == pytest.approx(500 * 1_000, rel=0.05)
     assert area.bounds == pytest.approx(box(500, 0, 1_000, 1_000).bounds, abs=20)
     assert area.bounds[2] == pytest.approx(X + 1_000)
-
-
-def test_rays_leave_where_no_data_are_even_if_they_end_where_some_are():
-    area = box(0, 0, 100, 100).union(box(300, 0, 400, 100))
-    zero = np.zeros(0)
-    none = Footprints(np.array([], object), zero, zero, zero.astype(np.uint8), zero > 0)
-    city = ju.City(UTM, area.bounds, none, area=area)
-    region = ju.Grid(UTM, 10.0, round(Y / 10), round(X / 10), 10, 10)
-    east_m, north_m = np.array([4.0, 300.0, 8.0]), np.array([0.0, 0.0, 0.0])
-    leaves = rays_leaving(city, region, east_m, north_m).reshape(10, 10, 3)
-    assert not leaves[:, :, 0].any()
-    assert leaves[:, :, 1].all()
-    np.testing.assert_array_equal(leaves[:, :, 2], np.broadcast_to(np.arange(10) == 9, (10, 10)))
 
 
 def test_a_city_keeps_its_bounds_and_a_wreck_does_not_stretch_its_maps(tmp_path):

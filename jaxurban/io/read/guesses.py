@@ -30,6 +30,7 @@ from jaxurban.world.city import (
     rounded_outward,
 )
 from jaxurban.world.grid import WGS84, Bounds, Grid, transformer
+from jaxurban.world.known import known_ground, stays_within
 from jaxurban.world.sky import Sky
 
 Guesses = dict[str, str]
@@ -276,12 +277,15 @@ def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesse
 def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tuple[float, float]:
     """Return the shares of cells and of visibilities whose rays leave the data while a roof could still block them.
 
-    Of cells: those with any such ray. Of visibilities: a cell, a satellite, a time each.
+    Of cells: those with any such ray. Of visibilities: a cell, a satellite, a time each. Rays start at cells' centres,
+    evenly spread: all of them, or as many as make `MOST_RAYS`.
     """
-    azimuth_rad = sky.azimuth_rad[sky.is_in_view]
-    # Until a ray is above the highest roof.
-    run_m = max(highest_top_m(city) - altitude_m, 0.0) / np.tan(sky.elevation_rad[sky.is_in_view])
-    leaves = rays_leaving(city, region, run_m * np.sin(azimuth_rad), run_m * np.cos(azimuth_rad))
+    azimuth_rad, elevation_rad = sky.azimuth_rad[sky.is_in_view], sky.elevation_rad[sky.is_in_view]
+    stride = math.ceil(math.sqrt(region.num_rows * region.num_cols * max(len(azimuth_rad), 1) / MOST_RAYS))
+    x_m, y_m = np.meshgrid(*(at_m[min(stride, len(at_m)) // 2 :: stride] for at_m in (region.x_m, region.y_m)))
+    start_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)[:, None]
+    rise_m = highest_top_m(city) - altitude_m
+    leaves = ~stays_within(known_ground(city), start_m, azimuth_rad, elevation_rad, rise_m)
     return float(leaves.any(axis=1).mean()), float(leaves.mean())
 
 
@@ -303,27 +307,3 @@ def _scale_guesses(blocks: Blocks, bounds_m: Bounds, population_layers: BlockLay
                 )
             }
     return {}
-
-
-def rays_leaving(city: City, region: Grid, east_m: np.ndarray, north_m: np.ndarray) -> np.ndarray:
-    """Return which rays leave the place where buildings and terrain are known, ``[N, K]`` bool.
-
-    Args:
-      city: whose data are known.
-      region: rays start at N of its cells' centres, evenly spread: all of them, or as many as make `MOST_RAYS`.
-      east_m, north_m: ``[K]`` how far each ray runs.
-    """
-    known = city.known_area
-    if city.terrain_extent_m is not None:
-        known = shapely.intersection(known, shapely.box(*city.terrain_extent_m))
-    shapely.prepare(known)
-    stride = math.ceil(math.sqrt(region.num_rows * region.num_cols * max(len(east_m), 1) / MOST_RAYS))
-    x_m, y_m = np.meshgrid(*(at_m[min(stride, len(at_m)) // 2 :: stride] for at_m in (region.x_m, region.y_m)))
-    start_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)[:, None]
-    rays = np.stack(np.broadcast_arrays(start_m, start_m + np.stack([east_m, north_m], axis=-1)), axis=-2)
-    stays = np.zeros(rays.shape[:2], bool)
-    for part in shapely.get_parts(known):
-        if shapely.equals(part, box := shapely.box(*part.bounds)):  # convex: both ends tell, without a geometry a ray
-            stays |= ((rays >= box.bounds[:2]) & (rays <= box.bounds[2:])).all(axis=(2, 3))
-    stays[~stays] = shapely.covers(known, shapely.linestrings(rays[~stays]))
-    return ~stays

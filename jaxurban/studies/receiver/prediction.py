@@ -7,12 +7,13 @@ The values are those of maps of these times and this height in the cells of the 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, positive, typed
+from jaxurban.errors import InputError, at_least, positive, typed
 from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
 from jaxurban.maps.recipe import TileScene
 from jaxurban.maps.run import tasks_of
@@ -25,6 +26,7 @@ from jaxurban.world.grid import Grid
 
 LEG_CELLS = 1_500_000  # of the box around a leg
 NUM_VISIBLE = "num_visible"
+SYSTEMS = "GRECJIS"  # GPS, GLONASS, Galileo, BeiDou, QZSS, NavIC, SBAS
 MAX_SKY_STEP_S = 300.0  # a satellite moves by half a degree a minute: more would no longer be the log's sky
 
 
@@ -40,6 +42,12 @@ class ReceiverSettings:
       other_pieces_m: further lengths of pieces for which the same is reported.
       block_m: length of the blocks of track within which ranks are compared, and of which one after the other is left
         out for the interval.
+      sky_block_m: length of the blocks of track that the bootstrap of satellites' scores draws.
+      known: where the buildings are known: ``"city"``, what their file covers; a number, so many metres around the
+        track; a vector file of polygons; or ``"all"``, which judges rays that leave the data as if nothing stood there.
+      systems: letters of the satellite systems that are taken, as ``("G", "E")``; empty, all of the log.
+      num_displaced: displaced cities of the null.
+      seed: of the displacements and of the bootstrap.
 
     Raises:
       InputError: a length or time that is not positive, a sky that stands still for more than 300 s, or blocks that are
@@ -56,12 +64,23 @@ class ReceiverSettings:
     piece_m: float = 25.0
     other_pieces_m: Sequence[float] = (10.0, 50.0, 100.0)
     block_m: float = 200.0
+    sky_block_m: float = 50.0
+    known: str | float | Path = "city"
+    systems: Sequence[str] = ()
+    num_displaced: int = 200
+    seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("antenna_height_m", "piece_m", "block_m", "sky_step_s"):
+        for name in ("antenna_height_m", "piece_m", "block_m", "sky_block_m", "sky_step_s"):
             positive(name, getattr(self, name), "seconds" if name.endswith("_s") else "metres")
         for value in self.other_pieces_m:
             positive("each of other_pieces_m", value, "metres")
+        if self.known not in ("city", "all") and not isinstance(self.known, str | Path):
+            positive("known", self.known, "metres")
+        at_least("num_displaced", self.num_displaced, 1)
+        at_least("seed", self.seed)
+        if unknown := [letter for letter in self.systems if letter not in SYSTEMS]:
+            raise InputError(f"systems must be letters of {', '.join(SYSTEMS)} (as RINEX has them), got {unknown[0]!r}")
         if self.sky_step_s > MAX_SKY_STEP_S:
             raise InputError(f"sky_step_s must be at most {MAX_SKY_STEP_S:g} seconds, got {self.sky_step_s:g}")
         if self.block_m < self.piece_m:
@@ -81,10 +100,13 @@ class ReceiverSettings:
           Every attribute by its name.
 
         Examples:
-          >>> ju.studies.ReceiverSettings(other_pieces_m=(50.0,)).to_dict()
-          {'antenna_height_m': 2.0, 'sky_step_s': 30.0, 'piece_m': 25.0, 'other_pieces_m': [50.0], 'block_m': 200.0}
+          >>> settings = ju.studies.ReceiverSettings(other_pieces_m=(50.0,), systems=("G",)).to_dict()
+          >>> settings["other_pieces_m"], settings["systems"], settings["known"]
+          ([50.0], ['G'], 'city')
         """
-        return asdict(self) | {"other_pieces_m": list(self.other_pieces_m)}
+        of_known = self.known if isinstance(self.known, float | int) else str(self.known)
+        lists = {"other_pieces_m": list(self.other_pieces_m), "systems": list(self.systems)}
+        return asdict(self) | lists | {"known": of_known}
 
 
 @dataclass(frozen=True, eq=False)

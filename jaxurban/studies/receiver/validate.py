@@ -20,12 +20,16 @@ from scipy.stats import rankdata
 from scipy.stats import t as student
 
 from jaxurban.errors import InputError, typed
-from jaxurban.io.read.receiver import ERROR, TRACKED, UTC, ReceiverLog, read_receiver_log
+from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED, UTC, ReceiverLog, read_receiver_log
+from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, reporting
+from jaxurban.public import Caution
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.studies.queries import Result
+from jaxurban.studies.receiver.agreement import SatelliteAgreement, agreement_of
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE, ReceiverSettings, Track, predict, region_of, task_at
+from jaxurban.studies.receiver.satellites import counted, known_of
 
 MAIN = {TRACKED: NUM_VISIBLE, ERROR: "hdop"}
 MORE_IS_BETTER = (TRACKED, NUM_VISIBLE, "gps")  # of all else, dilutions of precision and errors, less is
@@ -54,6 +58,8 @@ class ReceiverValidation(Result):
         coefficients.
       attribution: whom to credit for the city.
       guesses: what city and sky rest on that no file says, a sentence each.
+      satellites: of a log with a row a satellite, how the maps agree with it, satellite by satellite; else None. Then
+        ``num_visible`` and, where the log has none, ``num_tracked`` count the satellites that are judged.
 
     Examples:
       >>> import pandas as pd
@@ -80,6 +86,15 @@ class ReceiverValidation(Result):
     shifts: pd.DataFrame
     attribution: str = ""
     guesses: tuple[str, ...] = ()
+    satellites: SatelliteAgreement | None = None
+
+    @property
+    def known_cautions(self) -> list[Caution]:
+        """That it rests on ``guesses``, and which rows were not judged."""
+        cautions = [Caution(guess, "guess") for guess in self.guesses]
+        if self.satellites is not None:
+            cautions += self.satellites.known_cautions
+        return cautions
 
     @property
     def main(self) -> pd.DataFrame:
@@ -93,6 +108,8 @@ class ReceiverValidation(Result):
         of = self.summary
         length = f"{of['length_m'] / 1000:.2f} km, {of['epochs']} epochs"
         facts = {"log": self.log.name, "track": length, "cells": f"{of['resolution_m']:g} m"}
+        if self.satellites is not None:
+            facts |= self.satellites.facts
         for row in self.main.to_dict("records"):
             parts = [
                 f"{name} {row[name]:.2f} (p {row[f'{name}_p']:.3f})" for name in COEFFICIENTS if row[name] == row[name]
@@ -111,14 +128,21 @@ def validate(
 ) -> ReceiverValidation:
     """Return how well maps of a scenario predict what a receiver logged on its way through the city.
 
-    Satellites in view, dilutions of precision and m of GPS are those of maps of the scenario's city, orbits and mask,
-    at the log's times and the antenna's height, in the cells of the track. No number of theirs is fitted to the log.
+    Of a log with a row a satellite each C/N0 is compared with whether the city hides that satellite: the result's
+    ``satellites``. Of a log of counts, satellites in view, dilutions of precision and m of GPS are those of maps of the
+    scenario's city, orbits and mask, at the log's times and the antenna's height, in the cells of the track. No number
+    of the maps is fitted to the log.
 
     Args:
       scenario: of the maps; its times, its altitudes and the layers that a user added are ignored.
-      log: the receiver's, a row an epoch, as a table or its file (``.csv``, ``.parquet``), with ``utc``, ``lon_deg``
-        (or ``lon``), ``lat_deg`` (or ``lat``), and ``num_tracked``, ``error_2d_m`` or both.
+      log: the receiver's, as a table or its file (``.csv``, ``.csv.gz``, ``.parquet``), with ``utc``, ``lon_deg``
+        (or ``lon``), ``lat_deg`` (or ``lat``), and: with a row a satellite, ``satellite``, ``cn0_dbhz`` (0: above the
+        horizon, not received) and the satellite's ``azimuth_deg`` and ``elevation_deg``, without which the scenario's
+        orbits give them; with a row an epoch, ``num_tracked``, ``error_2d_m`` or both. With ``navigation`` it is a file
+        of observations in RINEX 3. Left out, the log of the sample city that the scenario names.
       settings: how the two are set beside each other.
+      navigation: broadcast orbits in RINEX 3 (needs the extra ``receiver``).
+      reference: places of the antenna, as a table or its file (`jaxurban.io.read.rinex.read_rinex`).
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
@@ -142,21 +166,34 @@ def validate(
       [{'witness': 'num_tracked', 'prediction': 'num_visible', 'num': 13, 'spearman': 0.61}]
     """
     chosen = settings or ReceiverSettings()
-    told = read_receiver_log(log)
+    logged = read_receiver_log(log)
     grid = region_of(scenario)
-    track = Track.of(told, grid, chosen.sky_step_s)
+    track = Track.of(logged, grid, chosen.sky_step_s)
     if len(np.unique(track.along_m // chosen.piece_m)) < FEWEST_PIECES:
         raise InputError(
-            f"the track of the receiver log {told.name!r} is {track.along_m[-1]:.0f} m long, less than {FEWEST_PIECES} "
-            f"pieces of {chosen.piece_m:g} m: give a longer log, or shorter pieces"
+            f"the track of the receiver log {logged.name!r} is {track.along_m[-1]:.0f} m long, less than "
+            f"{FEWEST_PIECES} pieces of {chosen.piece_m:g} m: give a longer log, or shorter pieces"
         )
+    satellites, guesses = None, dict[str, str]()
     with reporting("validate", progress) as report:
         report("read")
-        task = task_at(scenario, track.sky_times, grid, float(chosen.antenna_height_m))
-        predicted = predict(task, track, report)
+        needs_sky = logged.satellites is None or bool(logged.witnesses) or AZIMUTH not in logged.satellites
+        if needs_sky:
+            task = task_at(scenario, track.sky_times, grid, float(chosen.antenna_height_m))
+            city, guesses = task.city, dict(task.sky.guesses)
+        else:
+            city = load_city(scenario)
+        if logged.satellites is not None:
+            known = known_of(chosen.known, city, track)
+            satellites = agreement_of(logged, track, city, known, grid, scenario.gps.mask_deg, chosen, report)
+        of_receiver = dict[str, np.ndarray]()
+        if satellites is None or logged.witnesses:
+            predicted = predict(task, track, report)
+        else:
+            predicted, of_receiver = counted(satellites.rows, len(logged.epochs))
         report("scores")
-        epochs = told.epochs.assign(x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **predicted)
-        scores, shifts = tables(epochs, told.witnesses, list(predicted), chosen)
+        epochs = logged.epochs.assign(x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **predicted, **of_receiver)
+        scores, shifts = tables(epochs, (*logged.witnesses, *of_receiver), list(predicted), chosen)
     seen = epochs[NUM_VISIBLE]
     summary = {
         "epochs": len(epochs),
@@ -171,7 +208,7 @@ def validate(
     if TRACKED in epochs:
         summary[f"mean_{TRACKED}"] = float(epochs[TRACKED].mean())
     return ReceiverValidation(
-        log=told,
+        log=logged,
         settings=chosen,
         scenario=scenario.model_dump(mode="json"),
         summary=summary,
@@ -179,8 +216,9 @@ def validate(
         pieces=pieces_of(epochs, chosen.piece_m, chosen.block_m),
         scores=scores,
         shifts=shifts,
-        attribution=task.city.attribution,
-        guesses=(*task.city.guesses.values(), *task.sky.guesses.values()),
+        attribution=city.attribution,
+        guesses=(*city.guesses.values(), *guesses.values()),
+        satellites=satellites,
     )
 
 

@@ -1,0 +1,314 @@
+"""Whether a receiver hears well the satellites that the maps call seen: scores that convince a sceptic.
+
+C/N0 is the receiver's; seen or hidden, and by how many metres, the maps'. **AUC** is the chance that of one seen and
+one hidden satellite the seen one has the higher C/N0, ties by half; **within satellites** both are the same satellite
+at two times, so that a high satellite with a strong signal adds nothing. Rows of a drive cling together, so intervals
+are of the bootstrap over blocks of the track. The null are cities displaced by 80 to 450 m; they overlap each other,
+so they give no p-value, only what a wrong city scores.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
+from jaxurban.progress import Report
+from jaxurban.public import Caution
+from jaxurban.studies.bootstrap import FEWEST_GROUPS
+from jaxurban.studies.receiver.displaced import FARTHEST_M, FEWEST_ROWS, SCALES, Displaced
+from jaxurban.studies.receiver.prediction import ReceiverSettings, Track
+from jaxurban.studies.receiver.rivals import MAP, compared_rules, features_of
+from jaxurban.studies.receiver.satellites import Ground, Rays, box_of, legs, rise_m
+from jaxurban.studies.receiver.scores import score_table, weights_of
+from jaxurban.world.city import City
+from jaxurban.world.grid import Grid
+
+MOST_MOVED = 20_000  # rows that are set against displaced cities and other roofs, of a longer log every n-th epoch
+FEWEST_SEEN = 8  # judged rows of a block that may be drawn as a place
+STREET_M, STILL_M = 20.0, 1.0  # each way, for the street's direction; a car that moves less stands
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceSky:
+    """The sky over one place of the track.
+
+    Attributes:
+      name: which place it is.
+      lon_deg, lat_deg: of the place.
+      utc: of the epoch.
+      horizon_deg: ``[360]`` elevation of the highest roof at each degree of azimuth, clockwise from true north.
+      satellites: rows of the epoch.
+    """
+
+    name: str
+    lon_deg: float
+    lat_deg: float
+    utc: str
+    horizon_deg: np.ndarray
+    satellites: pd.DataFrame
+
+
+@dataclass(frozen=True, eq=False)
+class SatelliteAgreement:
+    """How the maps agree with a receiver, satellite by satellite.
+
+    Attributes:
+      rows: a row an epoch and satellite: ``epoch`` (number in the log's epochs), ``satellite``, ``system`` (its first
+        letter), ``azimuth_deg`` (from true north), ``elevation_deg``, ``cn0_dbhz`` (0: not received), ``margin_m`` (the
+        antenna less the edge of the roofs' shadow; below 0 a roof hides the satellite, inf where none stands on the
+        line), ``is_seen``, ``is_known`` (the whole ray lies above known ground until it is above all roofs),
+        ``is_inside`` (the place lies in a building), ``is_judged`` (known and not inside), ``is_strong`` (C/N0 is at
+        least ``strong_dbhz``), ``block`` of the track.
+      scores: a row a choice of rows, ``which``: ``"all"`` that are judged, of these ``"received"`` and by system;
+        ``"unguarded"``: also those of unknown rays. ``rows``, their ``share`` of all, ``auc`` and ``within`` satellites
+        with the ends of their 95 % intervals (``_low``, ``_high``), ``num_satellites`` that are seen and hidden.
+      displaced: a row a displaced city of the null: ``east_m``, ``north_m``, ``rows``, ``auc``, ``within``.
+      field: AUC of cities displaced by up to 40 m, in steps of 2 m: ``east_m``, ``north_m``, ``rows``, ``auc``.
+      scales: AUC of cities whose roofs are ``scale`` times as high.
+      peak: where the field is highest, ``east_m``, ``north_m``; ``within_95_m``: 95 % of the bootstrap's peaks lie so
+        near to no displacement; ``scale`` where that is highest, ``scale_low``, ``scale_high``.
+      rivals: log-loss of rules that predict ``is_strong``, one block left out (`jaxurban.studies.receiver.rivals`).
+      skies: the places of least and of most agreement.
+      strong_dbhz: the receiver's own median over judged rows; where that is 0, its weakest received signal.
+      verdict: what this shows, in one sentence that claims no more than its interval.
+      counts: rows, judged ones, those of unknown rays and in buildings, satellites, blocks, displaced cities; what was
+        left out, with reasons.
+    """
+
+    rows: pd.DataFrame
+    scores: pd.DataFrame
+    displaced: pd.DataFrame
+    field: pd.DataFrame
+    scales: pd.DataFrame
+    peak: dict[str, float]
+    rivals: pd.DataFrame
+    skies: tuple[PlaceSky, ...]
+    strong_dbhz: float
+    verdict: str
+    counts: dict[str, Any]
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """The verdict, and how seen and hidden satellites are separated."""
+        of = self.score()
+        within = f"{of.within:.2f} ({of.within_low:.2f} to {of.within_high:.2f})"
+        judged = f"{self.counts['judged']:,} of {self.counts['rows']:,} rows"
+        return {
+            "verdict": self.verdict,
+            "AUC": f"{of.auc:.2f} ({of.auc_low:.2f} to {of.auc_high:.2f}), within satellites {within}, {judged} judged",
+        }
+
+    @property
+    def known_cautions(self) -> list[Caution]:
+        """Which rows were not judged, and which satellites were left out."""
+        of = self.counts
+        sentences = []
+        if of["unknown"]:
+            sentences.append(f"{of['unknown']:,} rows are not judged: their rays leave what is known of the city.")
+        if of["inside"]:
+            sentences.append(f"{of['inside']:,} rows are not judged: their places lie in buildings.")
+        sentences += [f"{name} is left out: {reason}." for name, reason in of["left_out"].items()]
+        return [Caution(sentence) for sentence in sentences]
+
+    def score(self, which: str = "all") -> pd.Series:
+        """Return the scores of a choice of rows.
+
+        Returns:
+          A row of ``scores``.
+
+        Examples:
+          >>> found.satellites.score("received")[["auc", "within"]]  # doctest: +SKIP
+        """
+        return self.scores[self.scores.which == which].iloc[0]
+
+
+def headings_rad(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` the street's direction at each epoch, clockwise from grid north: over 20 m each way.
+
+    While the receiver stands it is the last one.
+    """
+    places = np.column_stack([x_m, y_m])
+    anchors, of_epoch = [0], np.zeros(len(places), int)
+    for number, place in enumerate(places):
+        if np.hypot(*(place - places[anchors[-1]])) >= STILL_M:
+            anchors.append(number)
+        of_epoch[number] = len(anchors) - 1
+    at_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(places[anchors], axis=0).T)))
+    ahead, behind = (
+        [np.interp(at_m[of_epoch] + away_m, at_m, values[anchors]) for values in (x_m, y_m)]
+        for away_m in (STREET_M, -STREET_M)
+    )
+    return np.arctan2(ahead[0] - behind[0], ahead[1] - behind[1])
+
+
+def agreement_of(
+    log: ReceiverLog,
+    track: Track,
+    city: City,
+    known: shapely.Geometry | None,
+    grid: Grid,
+    mask_deg: float,
+    settings: ReceiverSettings,
+    report: Report,
+) -> SatelliteAgreement:
+    """Return how a city agrees with the satellites of a log.
+
+    Args:
+      log: with azimuths and elevations.
+      track: of its epochs.
+      city: in the CRS of the grid.
+      known: where its buildings are known; None: everywhere, which judges unknown rays too.
+      grid: whose cells are taken, also beyond it.
+      mask_deg: lower rows are left out.
+      settings: how the two are set beside each other.
+      report: of the progress.
+
+    Raises:
+      InputError: fewer than `FEWEST_ROWS` rows that can be judged.
+    """
+    rows, rays = _rows_of(log, track, grid, mask_deg, settings)
+    rise = rise_m(city, settings.antenna_height_m)
+    rows["is_known"] = True if known is None else rays.stays_within(known, rise)
+    is_taken = (rows.epoch % max(1, len(rows) // MOST_MOVED) == 0).to_numpy()
+    is_moved = is_taken & rows.is_known.to_numpy()
+    displaced = Displaced.of(settings.num_displaced, settings.seed, int(is_moved.sum()))
+    reach_m = max(rise * SCALES[-1], 0.0) / np.tan(rays.elevation_rad.min())
+    rows["margin_m"], rows["is_inside"] = np.nan, False
+    for leg in legs(track.x_m, track.y_m, grid.resolution_m):
+        at = np.flatnonzero((rows.epoch >= leg.start) & (rows.epoch < leg.stop))
+        if not len(at):
+            continue
+        of_leg = rays.take(at)
+        ground = Ground.around(city, box_of(grid, of_leg, FARTHEST_M), reach_m, settings.antenna_height_m)
+        rows.loc[at, "is_inside"] = ground.is_inside(of_leg)
+        rows.loc[at, "margin_m"] = ground.margins_m(of_leg)
+        moved = at[is_moved[at]]
+        of_moved, column = rays.take(moved), (np.cumsum(is_moved) - 1)[moved]
+        for number in range(len(displaced.moves_m)):
+            report("displaced cities", number, len(displaced.moves_m))
+            displaced.fill(number, column, ground, of_moved, known, rise)
+        for number, scale in enumerate(SCALES):
+            displaced.of_scale[number, column] = ground.margins_m(of_moved, float(scale)) >= 0
+    rows["is_seen"] = rows.margin_m >= 0
+    rows.loc[rows.is_inside, "margin_m"] = np.nan
+    rows["is_judged"] = rows.is_known & ~rows.is_inside
+    _check_judged(rows, log.name, mask_deg)
+    judged = rows[rows.is_judged]
+    median_dbhz = float(judged.cn0_dbhz.median())
+    strong_dbhz = median_dbhz if median_dbhz > 0 else float(judged.cn0_dbhz[judged.cn0_dbhz > 0].min())
+    rows["is_strong"] = rows.cn0_dbhz >= strong_dbhz
+    weights = weights_of(int(rows.block.max()) + 1, settings.seed)
+    report("scores")
+    scores = score_table(rows, weights)
+    null, field, scales, peak = displaced.tables(rows[is_moved], weights)
+    chosen = is_taken & rows.is_judged.to_numpy()
+    off_street_rad = rays.azimuth_rad - headings_rad(track.x_m, track.y_m)[rows.epoch]
+    rules = features_of(rows.margin_m.to_numpy()[chosen], rays.elevation_rad[chosen], off_street_rad[chosen])
+    rivals = compared_rules(rules, rows.is_strong.to_numpy()[chosen], rows.block.to_numpy()[chosen], weights)
+    counts = {
+        "rows": len(rows),
+        "judged": int(rows.is_judged.sum()),
+        "unknown": int((~rows.is_known).sum()),
+        "inside": int((rows.is_known & rows.is_inside).sum()),
+        "num_satellites": int(rows.satellite.nunique()),
+        "num_blocks": weights.shape[1],
+        "num_displaced": int(null.auc.notna().sum()),
+        "left_out": dict(log.left_out),
+    }
+    return SatelliteAgreement(
+        rows=rows,
+        scores=scores,
+        displaced=null,
+        field=field,
+        scales=scales,
+        peak=peak,
+        rivals=rivals,
+        skies=_skies(rows, rays, log, city, grid, reach_m, settings.antenna_height_m),
+        strong_dbhz=strong_dbhz,
+        verdict=verdict_of(scores, null, rivals, weights.shape[1]),
+        counts=counts,
+    )
+
+
+def _check_judged(rows: pd.DataFrame, name: str, mask_deg: float) -> None:
+    """Raise InputError where too few rows are judged."""
+    judged = rows[rows.is_judged]
+    if len(judged) >= FEWEST_ROWS and (judged.cn0_dbhz > 0).any():
+        return
+    raise InputError(
+        f"of the {len(rows):,} rows of the receiver log {name!r} above the mask of {mask_deg:g} degrees "
+        f"{len(judged):,} can be judged, of which {int((judged.cn0_dbhz > 0).sum()):,} are received, and {FEWEST_ROWS} "
+        f"are needed: {int((~rows.is_known).sum()):,} rays leave what is known of the city and "
+        f"{int(rows.is_inside.sum()):,} begin in a building; give buildings farther around, a longer log, or places by "
+        "a reference"
+    )
+
+
+def _rows_of(
+    log: ReceiverLog, track: Track, grid: Grid, mask_deg: float, settings: ReceiverSettings
+) -> tuple[pd.DataFrame, Rays]:
+    """Return the rows of a log above the mask, of the systems that are asked for, and their rays."""
+    assert log.satellites is not None
+    system = log.satellites.satellite.astype(str).str[0]
+    is_kept = log.satellites.elevation_deg >= mask_deg
+    if settings.systems:
+        is_kept &= system.isin(list(settings.systems))
+    rows = log.satellites[is_kept].assign(system=system[is_kept]).reset_index(drop=True)
+    if rows.empty:
+        raise InputError(
+            f"the receiver log {log.name!r} has no satellite above the mask of {mask_deg:g} degrees"
+            + (f" of the systems {', '.join(settings.systems)}" if settings.systems else "")
+            + ": lower [gps] mask_deg, or see whether elevation_deg is in degrees"
+        )
+    rows["block"] = pd.factorize(track.along_m[rows.epoch] // settings.sky_block_m, sort=True)[0]
+    centre = float(log.epochs[LON].median()), float(log.epochs[LAT].median())
+    azimuth_rad = np.radians(rows.azimuth_deg.to_numpy(float)) - grid.convergence_rad(*centre)
+    elevation_rad = np.radians(rows.elevation_deg.to_numpy(float))
+    return rows, Rays(track.x_m[rows.epoch], track.y_m[rows.epoch], azimuth_rad, elevation_rad)
+
+
+def _skies(
+    rows: pd.DataFrame, rays: Rays, log: ReceiverLog, city: City, grid: Grid, reach_m: float, antenna_m: float
+) -> tuple[PlaceSky, ...]:
+    """Return the skies in the middle of the blocks of least and of most agreement."""
+    judged = rows[rows.is_judged]
+    agrees = (judged.is_seen == judged.is_strong).groupby(judged.block).agg(["mean", "size"])
+    agrees = agrees[agrees["size"] >= min(FEWEST_SEEN, agrees["size"].max())]
+    skies = []
+    for name, block in (("least agreement", agrees["mean"].idxmin()), ("most agreement", agrees["mean"].idxmax())):
+        epochs = np.sort(judged.epoch[judged.block == block].unique())
+        epoch = int(epochs[len(epochs) // 2])
+        there = rows[rows.epoch == epoch]
+        place = rays.take(there.index.to_numpy()[:1])
+        lon, lat = (float(log.epochs[column].iloc[epoch]) for column in (LON, LAT))
+        ground = Ground.around(city, box_of(grid, place, 0.0), reach_m, antenna_m)
+        turn = int(np.rint(np.degrees(grid.convergence_rad(lon, lat))))
+        horizon = np.roll(ground.horizon_deg(float(place.x_m[0]), float(place.y_m[0])), turn)
+        utc = log.epochs[UTC].iloc[epoch].isoformat()
+        skies.append(PlaceSky(name, lon, lat, utc, horizon, there.reset_index(drop=True)))
+    return tuple(skies)
+
+
+def verdict_of(scores: pd.DataFrame, displaced: pd.DataFrame, rivals: pd.DataFrame, num_blocks: int) -> str:
+    """Return what scores and rivals show, in one sentence."""
+    of = scores.set_index("which").loc["all"]
+    gain = rivals.set_index("model").loc[MAP]
+    where = f"on these {num_blocks} blocks of track"
+    if num_blocks < FEWEST_GROUPS or not np.isfinite(gain.gain_low):
+        return f"The track is too short for a verdict: {where} there is no interval (it takes {FEWEST_GROUPS} blocks)."
+    by = f"log-loss lower by {gain.gain:.3f} (95 % interval {gain.gain_low:.3f} to {gain.gain_high:.3f})"
+    if gain.gain_low > 0:
+        return (
+            f"The margin to the shadow's edge and the elevation predict what this receiver hears better than elevation "
+            f"and the street's direction do {where}: {by}; C/N0 separates seen from hidden satellites with an AUC of "
+            f"{of.auc:.2f} ({of.auc_low:.2f} to {of.auc_high:.2f}), displaced cities with at most "
+            f"{displaced.auc.max():.2f}."
+        )
+    return (
+        f"It is not shown that the maps predict what this receiver hears better than elevation and the street's "
+        f"direction do {where}: {by}."
+    )

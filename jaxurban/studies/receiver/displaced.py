@@ -1,0 +1,129 @@
+"""Cities that are wrong on purpose: far displaced for the null, a little or with other roofs for a peak.
+
+Legend: ``R`` rows of a log, an epoch and a satellite each, ``M`` displacements, those of the null first, ``B`` blocks
+of the track, ``D`` draws of them, the first one each block once.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban.studies.receiver.satellites import Ground, Rays
+from jaxurban.studies.receiver.scores import aucs, levels_of
+
+NEAREST_M, FARTHEST_M = 80.0, 450.0  # that cities of the null are displaced by
+STEP_M, AROUND_M = 2.0, 40.0  # of the field of displacement
+SCALES = np.round(np.linspace(0.8, 1.2, 21), 2)  # of all roofs
+NUM_DRAWS = 200  # of blocks, for peaks
+FEWEST_ROWS = 100  # of a score
+
+
+@dataclass(eq=False)
+class Displaced:
+    """What rows of a log would be in displaced cities, and under other roofs. Filled leg by leg.
+
+    Attributes:
+      moves_m: ``[M, 2]`` east and north of each displaced city.
+      num_null: how many of them are of the null.
+      num_rows: R.
+      is_seen: ``[M, R]`` whether the row is seen there.
+      is_out: ``[M, R]`` whether its place is in a building there, or, of the null, its ray unknown.
+      of_scale: ``[scales, R]`` whether it is seen under roofs of each of `SCALES`.
+    """
+
+    moves_m: np.ndarray
+    num_null: int
+    num_rows: int
+    is_seen: np.ndarray = field(init=False)
+    is_out: np.ndarray = field(init=False)
+    of_scale: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.is_seen = np.zeros((len(self.moves_m), self.num_rows), bool)
+        self.is_out = np.zeros_like(self.is_seen)
+        self.of_scale = np.zeros((len(SCALES), self.num_rows), bool)
+
+    @classmethod
+    def of(cls, num_null: int, seed: int, num_rows: int) -> "Displaced":
+        """Return displacements that are still to be filled: those of the null by seed, then those of the field."""
+        return cls(np.concatenate([displacements(num_null, seed), near_by()]), num_null, num_rows)
+
+    def fill(
+        self, number: int, column: np.ndarray, ground: Ground, rays: Rays, known: shapely.Geometry | None, rise_m: float
+    ) -> None:
+        """Take up what rays of some rows are in one displaced city.
+
+        Args:
+          number: of the displacement.
+          column: of each ray's row.
+          ground: of the city where it is.
+          rays: from the true places.
+          known: where the city is known; None: everywhere.
+          rise_m: to the highest roof.
+        """
+        east_m, north_m = self.moves_m[number]
+        there = rays.moved(-east_m, -north_m)
+        self.is_seen[number, column] = ground.margins_m(there) >= 0
+        self.is_out[number, column] = ground.is_inside(there)
+        if known is not None and number < self.num_null:
+            self.is_out[number, column] |= ~there.stays_within(known, rise_m)
+
+    def tables(
+        self, rows: pd.DataFrame, weights: np.ndarray
+    ) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, dict[str, float]]:
+        """Return the null, the field, the scales and their peak, as `SatelliteAgreement` holds them.
+
+        Args:
+          rows: ``[R]`` of the agreement.
+          weights: ``[D, B]``.
+        """
+        level, satellite = levels_of(rows.cn0_dbhz), rows.satellite.cat.codes.to_numpy()
+        block, is_judged = rows.block.to_numpy(), rows.is_judged.to_numpy()
+        few, once = weights[: 1 + NUM_DRAWS], weights[:1]
+        keeps = is_judged & ~self.is_out
+        null = np.full((self.num_null, 2), np.nan)
+        for number in np.flatnonzero(keeps[: self.num_null].sum(axis=1) >= FEWEST_ROWS):
+            keep = keeps[number]
+            of_city = self.is_seen[number, keep], level[keep], block[keep], once
+            null[number] = aucs(*of_city)[0], aucs(*of_city, satellite[keep])[0]
+
+        def drawn(is_seen: np.ndarray, keep: np.ndarray) -> np.ndarray:
+            return aucs(is_seen[keep], level[keep], block[keep], few)
+
+        around = range(self.num_null, len(keeps))
+        by_move = np.array([drawn(self.is_seen[number], keeps[number]) for number in around])
+        by_scale = np.array([drawn(is_seen, is_judged) for is_seen in self.of_scale])
+        cities = pd.DataFrame(self.moves_m, columns=["east_m", "north_m"]).assign(rows=keeps.sum(axis=1))
+        displaced = cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1])
+        near = cities[self.num_null :].assign(auc=by_move[:, 0]).reset_index(drop=True)
+        scales = pd.DataFrame({"scale": SCALES, "rows": int(is_judged.sum()), "auc": by_scale[:, 0]})
+        best, best_scale = (np.nanargmax(values, axis=0) for values in (by_move, by_scale))
+        low, high = np.quantile(SCALES[best_scale[1:]], [0.025, 0.975])
+        peak = {
+            "east_m": float(near.east_m[best[0]]),
+            "north_m": float(near.north_m[best[0]]),
+            "within_95_m": float(np.quantile(np.hypot(near.east_m, near.north_m)[best[1:]], 0.95)),
+            "scale": float(SCALES[best_scale[0]]),
+            "scale_low": float(low),
+            "scale_high": float(high),
+        }
+        return displaced, near, scales, peak
+
+
+def displacements(num: int, seed: int) -> np.ndarray:
+    """Return ``[num, 2]`` east and north, metres, drawn evenly from the ring of the null."""
+    rng = np.random.default_rng(seed)
+    away_m = np.sqrt(rng.uniform(NEAREST_M**2, FARTHEST_M**2, num))
+    toward_rad = rng.uniform(0, 2 * np.pi, num)
+    return np.column_stack([away_m * np.sin(toward_rad), away_m * np.cos(toward_rad)])
+
+
+def near_by() -> np.ndarray:
+    """Return ``[F, 2]`` the displacements of the field, none first."""
+    steps_m = np.arange(-AROUND_M, AROUND_M + STEP_M / 2, STEP_M)
+    east_m, north_m = (values.ravel() for values in np.meshgrid(steps_m, steps_m))
+    away_m = np.hypot(east_m, north_m)
+    order = np.argsort(away_m, kind="stable")
+    return np.column_stack([east_m, north_m])[order[away_m[order] <= AROUND_M]]

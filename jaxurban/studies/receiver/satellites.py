@@ -1,0 +1,205 @@
+"""The satellites of a receiver's log over a city: the margin of each ray to the shadow's edge, and which are known.
+
+Legend: ``N`` epochs of the log, ``R`` its rows, an epoch and a satellite each, ``Y, X`` cells.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import jax
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban.io.read.rasterise import highest_top_m, rasterise
+from jaxurban.io.read.receiver import CN0, TRACKED
+from jaxurban.io.read.vector import open_frame
+from jaxurban.kernels.shadows.rays import shadows_at, walks
+from jaxurban.studies.receiver.prediction import NUM_VISIBLE, Track
+from jaxurban.world.city import TO_GROUND, City
+from jaxurban.world.grid import Grid
+from jaxurban.world.known import known_ground, stays_within
+from jaxurban.world.surface import stands_at
+
+LEG_CELLS = 4_000_000  # of the box around a leg of the track
+HORIZON_DEG = np.arange(360.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """Rays from places toward satellites. ``R`` rays.
+
+    Attributes:
+      x_m, y_m: ``[R]`` float64 places in the CRS of the city.
+      azimuth_rad: ``[R]`` float64 clockwise from grid north.
+      elevation_rad: ``[R]`` float64 above the horizon.
+    """
+
+    x_m: np.ndarray
+    y_m: np.ndarray
+    azimuth_rad: np.ndarray
+    elevation_rad: np.ndarray
+
+    def take(self, rows: np.ndarray) -> "Rays":
+        """Return some of the rays."""
+        return Rays(*(values[rows] for values in vars(self).values()))
+
+    def moved(self, east_m: float, north_m: float) -> "Rays":
+        """Return the rays from other places: those that a city displaced by the opposite leaves where they are."""
+        return replace(self, x_m=self.x_m + east_m, y_m=self.y_m + north_m)
+
+    def stays_within(self, known: shapely.Geometry, rise_m: float) -> np.ndarray:
+        """Return ``[R]`` which rays stay above known ground (`jaxurban.world.known.stays_within`)."""
+        start_m = np.column_stack([self.x_m, self.y_m])
+        return stays_within(known, start_m, self.azimuth_rad, self.elevation_rad, rise_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """Roofs and terrain around a leg of a track. What hangs is taken to reach the ground.
+
+    Attributes:
+      grid: of the cells.
+      roof_m: ``[Y, X]`` highest roof above the ground of its cell, 0 without one.
+      terrain_m: ``[Y, X]`` elevation; None where the ground is flat.
+      antenna_m: height of the receiver above the ground.
+    """
+
+    grid: Grid
+    roof_m: np.ndarray
+    terrain_m: np.ndarray | None
+    antenna_m: float
+
+    @classmethod
+    def around(cls, city: City, box: Grid, reach_m: float, antenna_m: float) -> "Ground":
+        """Return the ground of a box, and of what stands within ``reach_m`` of it."""
+        num = math.ceil(reach_m / box.resolution_m) + 1
+        whole = replace(city, blocks=None, hanging=TO_GROUND)
+        surface = rasterise(whole, box.padded(num, num, num, num))
+        terrain_m = None if surface.terrain_m is None else np.asarray(surface.terrain_m)
+        return cls(surface.grid, np.asarray(surface.roof_m), terrain_m, antenna_m)
+
+    @cached_property
+    def _most_m(self) -> float:
+        """How far a ray must rise to be above all."""
+        climb_m = 0.0 if self.terrain_m is None else float(np.ptp(self.terrain_m))
+        return float(self.roof_m.max(initial=0.0)) + climb_m
+
+    @cached_property
+    def _tops(self) -> dict[float, jax.Array]:
+        return {}
+
+    def _top_m(self, scale: float) -> jax.Array:
+        """Return the tops of roofs, -inf where none is: bare ground throws no shadow of its own on flat ground."""
+        if scale not in self._tops:
+            bottom_m = np.float32(0) if self.terrain_m is None else self.terrain_m
+            tops_m = np.where(self.roof_m > 0, bottom_m + np.float32(scale) * self.roof_m, -np.inf)
+            self._tops.clear()
+            self._tops[scale] = jax.device_put(tops_m.astype(np.float32))
+        return self._tops[scale]
+
+    @cached_property
+    def _hills_m(self) -> jax.Array:
+        return jax.device_put(self.terrain_m)
+
+    def is_inside(self, rays: Rays, scale: float = 1.0) -> np.ndarray:
+        """Return ``[R]`` which places lie in a building."""
+        return stands_at(scale * self.roof_m[self.grid.cell_of_xy(rays.x_m, rays.y_m)], self.antenna_m)
+
+    def margins_m(self, rays: Rays, scale: float = 1.0) -> np.ndarray:
+        """Return ``[R]`` height of the antenna above the edge of the roofs' shadow, metres.
+
+        Below 0 a roof hides the satellite; +inf where no roof stands on the ray's line. Terrain counts where it hides.
+
+        Args:
+          rays: from places in the box.
+          scale: all roofs are so many times as high.
+        """
+        row, col = self.grid.cell_of_xy(rays.x_m, rays.y_m)
+        start = row + self.grid.first_row, col + self.grid.first_col
+        lines = walks(rays.azimuth_rad, rays.elevation_rad, self.grid.resolution_m, *start)
+        most_m = self._most_m * max(scale, 1.0)
+        shadow_m = shadows_at(self._top_m(scale), row, col, lines, most_m)
+        if self.terrain_m is None:
+            return self.antenna_m - shadow_m
+        height_m = self.terrain_m[row, col] + self.antenna_m
+        hill_m = shadows_at(self._hills_m, row, col, lines, most_m)
+        return height_m - np.maximum(shadow_m, np.where(hill_m > height_m, hill_m, -np.inf))
+
+    def horizon_deg(self, x_m: float, y_m: float) -> np.ndarray:
+        """Return ``[360]`` elevation of roofs and hills at each degree of grid azimuth from a place, degrees."""
+        row, col = (int(at) for at in self.grid.cell_of_xy(x_m, y_m))
+        away = np.arange(1, max(self.grid.shape))[:, None]
+        azimuth_rad = np.radians(HORIZON_DEG)
+        of_row = np.rint(row + away * np.cos(azimuth_rad)).astype(int)
+        of_col = np.rint(col + away * np.sin(azimuth_rad)).astype(int)
+        is_on = (of_row >= 0) & (of_row < self.grid.num_rows) & (of_col >= 0) & (of_col < self.grid.num_cols)
+        at = np.where(is_on, of_row, row), np.where(is_on, of_col, col)
+        above_m = self.roof_m[at] - self.antenna_m
+        if self.terrain_m is not None:
+            above_m += self.terrain_m[at] - self.terrain_m[row, col]
+        angle_rad = np.arctan2(np.where(is_on, above_m, 0.0), away * self.grid.resolution_m)
+        return np.degrees(angle_rad.max(axis=0, initial=0.0))
+
+
+def legs(x_m: np.ndarray, y_m: np.ndarray, resolution_m: float) -> Iterator[slice]:
+    """Yield runs of ``[N]`` epochs whose places lie in one box of at most `LEG_CELLS`; one epoch at least."""
+    first = 0
+    low, high = np.array([np.inf, np.inf]), np.array([-np.inf, -np.inf])
+    for number, place in enumerate(np.column_stack([x_m, y_m])):
+        joined = np.minimum(low, place), np.maximum(high, place)
+        if number > first and np.prod((joined[1] - joined[0]) / resolution_m + 1) > LEG_CELLS:
+            yield slice(first, number)
+            first, joined = number, (place, place)
+        low, high = joined
+    yield slice(first, len(x_m))
+
+
+def box_of(grid: Grid, rays: Rays, around_m: float) -> Grid:
+    """Return the cells, aligned with those of a grid, that hold the places and so many metres around them."""
+    corners = rays.x_m.min(), rays.y_m.min(), rays.x_m.max(), rays.y_m.max()
+    first_col, first_row = (math.floor((corner - around_m) / grid.resolution_m) for corner in corners[:2])
+    last_col, last_row = (math.floor((corner + around_m) / grid.resolution_m) for corner in corners[2:])
+    shape = last_row - first_row + 1, last_col - first_col + 1
+    return Grid(grid.crs, grid.resolution_m, first_row, first_col, *shape)
+
+
+def rise_m(city: City, antenna_m: float) -> float:
+    """Return how far a ray must rise from an antenna to be above all roofs that a city has."""
+    return highest_top_m(city) - antenna_m
+
+
+def known_of(known: str | float | Path, city: City, track: Track) -> shapely.Geometry | None:
+    """Return where the buildings of a city are known, in its CRS, as `ReceiverSettings` states it; None: everywhere.
+
+    Raises:
+      InputError: a file of polygons that cannot be read.
+    """
+    if known == "all":
+        return None
+    if known == "city":
+        return known_ground(city)
+    if isinstance(known, str | Path):
+        frame = open_frame(known, "known area").to_crs(city.crs)
+        return shapely.union_all(frame.geometry.to_numpy())
+    places = np.unique(np.column_stack([track.x_m, track.y_m]), axis=0)
+    return shapely.union_all(shapely.buffer(shapely.points(places), float(known)))
+
+
+def counted(rows: pd.DataFrame, num_epochs: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Return, of the rows that are judged, how many satellites each epoch sees by the maps and by the receiver.
+
+    Args:
+      rows: of a `jaxurban.studies.receiver.agreement.SatelliteAgreement`.
+      num_epochs: N; an epoch without a judged row has NaN.
+    """
+    judged = rows[rows.is_judged]
+    counts = [
+        np.bincount(judged.epoch[is_counted], minlength=num_epochs).astype(float)
+        for is_counted in (judged.is_judged, judged.is_seen, judged[CN0] > 0)
+    ]
+    in_view, received = (np.where(counts[0] > 0, count, np.nan) for count in counts[1:])
+    return {NUM_VISIBLE: in_view}, {TRACKED: received}

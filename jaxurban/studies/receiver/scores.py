@@ -1,0 +1,77 @@
+"""AUC of C/N0 between seen and hidden satellites, under draws of the blocks of a track.
+
+Legend: ``R`` rows of a log, an epoch and a satellite each, ``B`` blocks of the track, ``D`` draws of them, the first
+one each block once.
+"""
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.studies.bootstrap import draws_of, ends_of
+
+LEVEL_DBHZ = 0.1  # to which C/N0 is rounded: no receiver resolves less
+
+
+def aucs(
+    is_seen: np.ndarray, level: np.ndarray, block: np.ndarray, weights: np.ndarray, group: np.ndarray | None = None
+) -> np.ndarray:
+    """Return ``[D]`` AUC of levels of C/N0 between seen and hidden rows under each draw of blocks; NaN without either.
+
+    Args:
+      is_seen, level, block: ``[R]``.
+      weights: ``[D, B]`` how often a draw holds each block.
+      group: ``[R]`` satellites, for pairs of rows of one satellite alone, all pairs counted alike; None: all pairs.
+    """
+    num_blocks, num_levels = weights.shape[1], int(level.max(initial=0)) + 1
+    cell = block * num_levels + level
+    wins, pairs = np.zeros(len(weights)), np.zeros(len(weights))
+    for chosen in _groups(group, len(level)):
+        seen, hidden = (
+            weights @ np.bincount(cell[chosen & of_class], minlength=num_blocks * num_levels).reshape(num_blocks, -1)
+            for of_class in (is_seen, ~is_seen)
+        )
+        below = np.cumsum(hidden, axis=1) - hidden / 2
+        wins += (seen * below).sum(axis=1)
+        pairs += seen.sum(axis=1) * hidden.sum(axis=1)
+    return np.divide(wins, pairs, out=np.full(len(weights), np.nan), where=pairs > 0)
+
+
+def _groups(group: np.ndarray | None, num: int) -> list[np.ndarray]:
+    if group is None:
+        return [np.ones(num, bool)]
+    return [group == number for number in np.unique(group)]
+
+
+def weights_of(num_blocks: int, seed: int) -> np.ndarray:
+    """Return ``[D, B]`` how often each block counts: once, then in draws of the bootstrap."""
+    return np.concatenate([np.ones((1, num_blocks)), draws_of(num_blocks, seed)])
+
+
+def levels_of(cn0_dbhz: pd.Series) -> np.ndarray:
+    """Return ``[R]`` number of each C/N0 among those that occur, from low to high."""
+    return pd.factorize(np.round(cn0_dbhz.to_numpy(float) / LEVEL_DBHZ), sort=True)[0]
+
+
+def score_table(rows: pd.DataFrame, weights: np.ndarray) -> pd.DataFrame:
+    """Return the scores of a `jaxurban.studies.receiver.agreement.SatelliteAgreement`.
+
+    Args:
+      rows: its rows.
+      weights: ``[D, B]`` from `weights_of`.
+    """
+    choices = {"all": rows.is_judged, "received": rows.is_judged & (rows.cn0_dbhz > 0)}
+    choices |= {name: rows.is_judged & (rows.system == name) for name in sorted(rows.system.unique())}
+    choices["unguarded"] = ~rows.is_inside
+    table = []
+    for which, is_chosen in choices.items():
+        chosen = rows[is_chosen]
+        level, satellite = levels_of(chosen.cn0_dbhz), chosen.satellite.cat.codes.to_numpy()
+        is_seen, block = chosen.is_seen.to_numpy(), chosen.block.to_numpy()
+        both = chosen.groupby("satellite", observed=True).is_seen.nunique()
+        row = {"which": which, "rows": len(chosen), "share": len(chosen) / len(rows)}
+        for name, group in (("auc", None), ("within", satellite)):
+            drawn = aucs(is_seen, level, block, weights, group)
+            low, high = ends_of(drawn[1:], chosen.block.nunique())
+            row |= {name: drawn[0], f"{name}_low": low, f"{name}_high": high}
+        table.append(row | {"num_satellites": int((both == 2).sum())})
+    return pd.DataFrame(table)
