@@ -1,5 +1,7 @@
 """The smooth step that every soft metric is made of, and how much a satellite counts near a roof's edge."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -24,7 +26,10 @@ def soft_step(margin_m: Float[Array, "*n"], softness_m: Float[Array, ""] | float
 
 
 def satellite_weights(
-    height_m: ArrayLike, shadows_m: Float[Array, "S y x"], softness_m: ArrayLike
+    height_m: ArrayLike,
+    shadows_m: Float[Array, "S y x"],
+    softness_m: ArrayLike,
+    chance: Callable[[Array], Array] | None = None,
 ) -> Float[Array, "S y x"]:
     """Return how much each satellite counts in the normal matrix, 0 to 1, ``[S, y, x]``.
 
@@ -38,12 +43,21 @@ def satellite_weights(
     difference of m to the exact map was 0.019 with p, 0.010 with p^2, 0.013 with p moved 2 softnesses toward the
     light, the best of 0 to 4; the synthetic city and 60 m order them alike.
 
+    With a measured ``chance`` p is that, and squared too. Where satellites are heard independently by these chances, m
+    of few satellites is far nearer at p^2 than at p to its mean over what is heard, and of many it is near at both.
+    Mean differences in Nihonbashi (2 m cells, 2, 20 and 60 m up): of 8 satellites 0.17, 0.17 and 0.08 at p^2 and 0.40,
+    0.31 and 0.15 at p; of 33 satellites 0.025, 0.017 and 0.009 and 0.038, 0.015 and 0.007, the largest 0.19 and 0.58.
+    At p^3 8 satellites come nearer still, and 33 do not.
+
     Args:
       height_m: absolute height of the receivers, a number or ``[y, x]``.
       shadows_m: from `jaxurban.kernels.shadows.sweep.shadow_heights`; -inf, where nothing shadows, counts 1 with all
-        derivatives 0.
-      softness_m: >= 0.
+        derivatives 0; with ``chance`` as at a clearance of inf.
+      softness_m: >= 0; not looked at with ``chance``.
+      chance: p of clearances in metres, in place of the logistic.
     """
     is_open = jnp.isneginf(shadows_m)
     clearance_m = jnp.asarray(height_m, shadows_m.dtype) - jnp.where(is_open, 0, shadows_m)
+    if chance is not None:
+        return chance(jnp.where(is_open, jnp.inf, clearance_m)) ** 2
     return jnp.where(is_open, 1, soft_step(clearance_m, jnp.asarray(softness_m)) ** 2)

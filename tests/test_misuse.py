@@ -56,7 +56,7 @@ PLAIN = {
     **{"path": str(Path(__file__).parents[1] / "pyproject.toml"), "out": "/proc/none", "log": "no-such.csv"},
     **{"sample_instances.num": 1, "study.instances": 1, "sensitivity_study.routes": 1, "sources": {"here": MAPS}},
     **{"obstacles": "touched", "metrics": ["gps"], "CostModel.from_settings.settings": {}},
-    "PlannedPath.save.file": "path.geojson",
+    **{"PlannedPath.save.file": "path.geojson", "intercept": 0.0, "slope": 0.6, "scale_m": 2.0, "cut_m": 60.0},
 }
 MADE_ONCE: dict[str, Callable[[], Any]] = {
     "city": lambda: ju.demo_city(400, 400),

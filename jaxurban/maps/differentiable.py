@@ -16,6 +16,7 @@ from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import Metric, SoftScene
 from jaxurban.metrics.custom import Layer, check_layers, metrics_of
 from jaxurban.metrics.population import BlockPopulation
+from jaxurban.metrics.reception import ReceptionCurve
 from jaxurban.metrics.registry import METRICS, checked_sections
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
@@ -37,6 +38,8 @@ class SoftParams:
     Attributes:
       altitude_m: of flight, above ground.
       softness_m: of all metrics (see `jaxurban.maps.differentiable`); above 0 for gradients by heights and altitude.
+      reception: measured chance that a receiver hears a satellite, by which the layers of GPS weight satellites near a
+        roof's edge instead of by the softness, such as `ReceptionCurve.measured_in_tokyo`. Left out, the softness.
       sections: settings of metrics, by name; the others have their defaults, and of those made on request the named
         ones are there. Their leaves are the GDOP threshold, the lidar's range, d_thresh, both gammas ...
 
@@ -52,6 +55,7 @@ class SoftParams:
     altitude_m: Float[Array, ""] | float
     softness_m: Float[Array, ""] | float = 2.0
     sections: dict[str, Any] = field(default_factory=dict)
+    reception: ReceptionCurve | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sections", checked_sections(self.sections))
@@ -161,6 +165,7 @@ class SoftCity:
             self.view,
             self.population,
             self.time_of_day,
+            params.reception,
         )
         m = metric.soft(scene, settings)
         return jnp.asarray(metric.cost(m), height_m.dtype)

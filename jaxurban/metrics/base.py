@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxurban.kernels.engine import Engine
+from jaxurban.metrics.reception import ReceptionCurve
 from jaxurban.world.surface import Surface
 
 if TYPE_CHECKING:
@@ -176,6 +177,7 @@ class SoftScene(NamedTuple):
       view: the satellites.
       population: of the census blocks (`jaxurban.metrics.population.BlockPopulation`); None without population.
       time_of_day: of the population.
+      reception: chance that a satellite is heard, in place of a softness; None for that.
     """
 
     surface: Surface
@@ -186,6 +188,7 @@ class SoftScene(NamedTuple):
     view: "SkyView"
     population: Any
     time_of_day: str
+    reception: ReceptionCurve | None = None
 
 
 def on_scene(soft: Callable[..., jax.Array], scene: SoftScene, params: Any) -> jax.Array:

@@ -290,7 +290,7 @@ def _traced(scene: Scene, params: Gps) -> dict[str, Any]:
 def _soft(dop: str, threshold: str, scene: SoftScene, params: Any) -> Array:
     """Return soft m of one DOP, whose threshold is a setting of this name."""
     here = scene.surface, scene.altitude_m, getattr(params, threshold), scene.softness_m, scene.view
-    return soft_gps(*here, dop=dop, cells=scene.cells)
+    return soft_gps(*here, dop=dop, cells=scene.cells, reception=scene.reception)
 
 
 METRIC = Metric(

@@ -14,6 +14,7 @@ from jaxurban.kernels.dop import dops
 from jaxurban.kernels.shadows.sweep import Window, shadow_heights
 from jaxurban.kernels.soft_step import satellite_weights
 from jaxurban.metrics.base import AnyArray
+from jaxurban.metrics.reception import ReceptionCurve
 from jaxurban.metrics.settings import check_softness
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.world.surface import Surface, soft_obstacle
@@ -50,6 +51,7 @@ def soft_gps(
     *,
     dop: str = "gdop",
     cells: Int[Array, "P 2"] | None = None,
+    reception: ReceptionCurve | None = None,
 ) -> Float[Array, "y x"] | Float[Array, " P"]:
     """Return soft m_gps at one altitude, on the region ``[y, x]`` or at chosen cells ``[P]``.
 
@@ -63,6 +65,11 @@ def soft_gps(
     the same tops throw the shadows; undefined where two of them tie and where GDOP is just T; 0 in obstacles, where
     GDOP is above T, and in roofs that throw no shadow. By T it is exact, 0 above. Docs: algorithms/gradients.md.
 
+    With ``reception`` satellites are weighted by chances, as if each were heard independently of the others. The margin
+    is to the shadow of roofs alone, as in the log that the curve was fitted to: open ground below an antenna is no
+    edge. What no roof shadows has the chance at the cut, so that an open sky is worse than in the exact map. Hills
+    still hide satellites, and roofs are obstacles, by the softness. Differentiable in the leaves of the curve too.
+
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.
       altitude_m: height above ground: a number, or one for each cell of the result.
@@ -72,6 +79,7 @@ def soft_gps(
       dop: which of `jaxurban.kernels.dop.Dops`; ``"hdop"`` and the like take the place of GDOP.
       cells: row and column in the region; left out, the whole region. The shadows are cast over the whole
         surface either way. One program is compiled for each number of cells.
+      reception: chance that a satellite is heard, in place of the logistic of the softness.
 
     Raises:
       InputError: a softness below 0.
@@ -80,7 +88,7 @@ def soft_gps(
     rows, cols = surface.window
     window = rows.start, rows.stop, cols.start, cols.stop, 1
     numbers = altitude_m, threshold, softness_m
-    return _soft_gps(surface.roof_m, surface.terrain_m, *numbers, view, cells, window=window, dop=dop)
+    return _soft_gps(surface.roof_m, surface.terrain_m, *numbers, view, cells, reception, window=window, dop=dop)
 
 
 @partial(jax.jit, static_argnames=("window", "dop"))
@@ -92,6 +100,7 @@ def _soft_gps(
     softness_m: Array,
     view: SkyView,
     cells: Array | None,
+    reception: ReceptionCurve | None = None,
     *,
     window: Window,
     dop: str = "gdop",
@@ -99,7 +108,10 @@ def _soft_gps(
     roof_m = jnp.asarray(roof_m)
     first_row, end_row, first_col, end_col, _ = window
     altitude, threshold, softness = (jnp.asarray(v, roof_m.dtype) for v in (altitude_m, dop_threshold, softness_m))
-    shadows_m = shadow_heights(roof_m if terrain_m is None else terrain_m + roof_m, view.lines, window)
+    top_m = roof_m if terrain_m is None else terrain_m + roof_m
+    if reception is not None:
+        top_m = jnp.where(roof_m > 0, top_m, -jnp.inf)
+    shadows_m = shadow_heights(top_m, view.lines, window)
 
     def chosen(values: Array) -> Array:
         return values if cells is None else values[..., cells[:, 0], cells[:, 1]]
@@ -108,6 +120,10 @@ def _soft_gps(
         return chosen(values[first_row:end_row, first_col:end_col])
 
     height_m = altitude if terrain_m is None else at_receivers(terrain_m) + altitude
-    weights = satellite_weights(height_m, chosen(shadows_m), softness)
+    chance = None if reception is None else reception.chance
+    weights = satellite_weights(height_m, chosen(shadows_m), softness, chance)
+    if reception is not None and terrain_m is not None:
+        by_hills_m = shadow_heights(terrain_m, view.lines, window)
+        weights = weights * satellite_weights(height_m, chosen(by_hills_m), softness)
     open_m = _in_blocks(lambda block: gps_metric(getattr(dops(view.satellites, block), dop), threshold), weights)
     return (1 - soft_obstacle(at_receivers(roof_m), altitude, softness)) * open_m

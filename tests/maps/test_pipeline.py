@@ -313,6 +313,28 @@ def test_one_program_serves_other_values_and_other_skies(soft):
     assert layers_of._cache_size() == compiled == 1
 
 
+def test_a_curve_of_reception_is_taken_in_batches_and_differentiated_by_and_leaves_other_layers_as_they_are(soft):
+    by_curve = replace(SOFT, reception=ju.grad.ReceptionCurve.measured_in_tokyo())
+
+    @jax.vmap
+    @jax.value_and_grad
+    def total(slope):
+        curve = replace(by_curve.reception, slope=slope)
+        return soft.layer("gps", soft.height_m, replace(SOFT, reception=curve)).sum()
+
+    @jax.value_and_grad
+    def total_of(params):
+        return soft.layer("gps", soft.height_m, params).sum()
+
+    totals, slopes = total(jnp.array([0.3, 0.64]))
+    expected, by_params = total_of(by_curve)
+    assert abs(float(totals[0] - expected)) > 1 < abs(float(total_of(SOFT)[0] - expected))
+    np.testing.assert_allclose([totals[1], slopes[1]], [expected, by_params.reception.slope])
+    assert by_params.reception.source == by_curve.reception.source
+    others = (soft.layer("risk", soft.height_m, params) for params in (SOFT, by_curve))
+    np.testing.assert_array_equal(*others)
+
+
 def test_a_city_without_people_has_no_such_layer():
     soft = replace(soft_city(np.float32), population=None)
     assert soft.names == ("gps", "lidar", "risk")
