@@ -15,8 +15,9 @@ from skyfield.framelib import itrs
 
 from jaxurban.errors import InputError, StaleElementsWarning
 from jaxurban.io.read.nominal import GALILEO, GPS, nominal_satellites
-from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
+from jaxurban.io.read.orbits import NO_SATELLITE, look_angles, matching, middle_epoch, read_orbits
 from jaxurban.settings import parse_time
+from jaxurban.world.sky import Sky
 from tests.io.made_files import refused
 
 LON_DEG, LAT_DEG = -74.0, 40.715
@@ -311,3 +312,26 @@ def test_the_middle_epoch_is_that_of_the_files_to_the_minute(tmp_path):
     orbits = read_orbits(["nominal", written(tmp_path, TLE.replace(NAME, "GALILEO 5"))])
     assert middle_epoch(orbits) == "2012-12-07T23:11:00Z"  # day 342.9661672: 23:11:16.8
     assert middle_epoch(read_orbits("nominal")) is None
+
+
+ELEMENT_NAMES = {
+    "GPS BIIF-3  (PRN 24)": "G24",
+    "GPS BIII-1 (PRN 04)": "G04",
+    "BEIDOU-2 G7 (C03)": "C03",
+    "QZS-2 (QZSS/PRN 194)": "J02",
+    "QZS-3 (QZSS/PRN 189)": "J07",
+    "GALAXY 30 (WAAS/PRN 135)": "S35",
+    "E12": "E12",
+    "GSAT0210 (GALILEO 13)": "",
+    "COSMOS 2456 (730)": "",
+    "GPS slot A1": "",
+}
+
+
+def test_satellites_of_a_log_are_found_by_what_the_names_of_element_sets_say():
+    turned = np.zeros((1, len(ELEMENT_NAMES)))
+    sky = Sky((TIME,), tuple(ELEMENT_NAMES), turned, turned, ("unknown",) * len(ELEMENT_NAMES), turned)
+    asked = [*filter(None, ELEMENT_NAMES.values()), "R05", "E13"]
+    assert matching(asked, sky).tolist() == [0, 1, 2, 3, 4, 5, 6, NO_SATELLITE, NO_SATELLITE]
+    with pytest.raises(InputError, match=r"none of the log's satellites \(G01, E30 ...\), but GPS slot A1, .*PRN 24"):
+        matching(["G01", "E30"], sky_of("nominal"))

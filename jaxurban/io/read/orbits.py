@@ -35,6 +35,15 @@ SYSTEM_NAMES = {
     "qzss": re.compile(r"QZS"),
     "navic": re.compile(r"IRNSS|NVS"),
 }
+RINEX_NAME = re.compile(r"\b[GRECJIS]\d\d\b")  # as in "BEIDOU-3 M1 (C19)"
+PRN = re.compile(r"PRN ?(\d+)")  # as in "GPS BIIF-3 (PRN 24)", "QZS-2 (QZSS/PRN 184)"
+PRN_RANGES = (  # first and last PRN, letter, and what is taken off (RINEX 3.05, table 1; of QZSS also its L1S signals)
+    (1, 63, "G", 0),
+    (120, 158, "S", 100),
+    (183, 192, "J", 182),
+    (193, 202, "J", 192),
+)
+NO_SATELLITE = -1
 REMEDY = 'give a TLE file or an OMM file (csv or json) such as CelesTrak\'s gps-ops, or "nominal"'
 
 
@@ -238,6 +247,40 @@ def look_angles(
         systems=tuple(_system(name) for name in names),
         element_age_days=age_days,
     )
+
+
+def matching(satellites: Sequence[str], sky: Sky) -> np.ndarray:
+    """Return ``[N]`` numbers in a sky of satellites that a receiver's log names, `NO_SATELLITE` where it has none.
+
+    Names of element sets hold the RINEX 3 name (``C19``) or, of GPS, QZSS and SBAS, the PRN. CelesTrak's of Galileo and
+    GLONASS hold neither: rename these in the file.
+
+    Args:
+      satellites: RINEX 3 names, such as ``G05``.
+      sky: of the orbits.
+
+    Raises:
+      InputError: the sky has none of them.
+    """
+    numbers = {_rinex_name(name): number for number, name in enumerate(sky.names)}
+    matched = np.array([numbers.get(name, NO_SATELLITE) for name in satellites], int)
+    if (matched == NO_SATELLITE).all():
+        asked, there = ", ".join(satellites[:6]), ", ".join(sky.names[:3])
+        raise InputError(
+            f"the orbits name none of the log's satellites ({asked} ...), but {there} ...: give element sets of that "
+            "day whose names hold the PRN or the RINEX name, as GPS BIIF-3 (PRN 24) or BEIDOU-3 M1 (C19) do, or "
+            "azimuth_deg and elevation_deg in the log"
+        )
+    return matched
+
+
+def _rinex_name(name: str) -> str:
+    """Return the RINEX 3 name that an element set's name holds, or ``""``."""
+    if written := RINEX_NAME.search(name):
+        return written.group()
+    prn = PRN.search(name)
+    number = int(prn.group(1)) if prn else 0
+    return next((f"{letter}{number - less:02d}" for low, high, letter, less in PRN_RANGES if low <= number <= high), "")
 
 
 def _satellites_at(orbits: Orbits, utc: list[datetime]) -> Iterator[tuple[list[int], list[tuple[int, EarthSatellite]]]]:
