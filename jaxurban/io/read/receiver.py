@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,6 +28,9 @@ RANGES = {  # of a value; no receiver has channels for more satellites, and none
     CN0: (0.0, 70.0),
     AZIMUTH: (0.0, 360.0),
     ELEVATION: (0.0, 90.0),
+    "height_m": (-1000.0, 20_000.0),  # of a reference track, beside RINEX
+    "gps_week": (1024.0, 10_000.0),  # not modulo 1024
+    "gps_tow_s": (0.0, 604_800.0),
 }
 HINTS = {
     LAT: " (longitude and latitude may be swapped)",
@@ -96,94 +99,107 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
         values that no receiver gives or that are of another unit, or more rows than `MOST_ROWS`.
     """
     if isinstance(source, pd.DataFrame):
-        table, name = source, "the table"
-    else:
-        table, name = read_table(located(source), "receiver log", categories=(UTC, SATELLITE)), str(source)
-    names = [str(column).strip() for column in table.columns]
-    table = table.set_axis([OTHER_NAMES.get(column, column) for column in names], axis="columns")
+        return log_of(source, "the table")
+    return log_of(read_table(located(source), "receiver log", categories=(UTC, SATELLITE)), str(source))
+
+
+def log_of(table: pd.DataFrame, name: str) -> ReceiverLog:
+    """Return the log that a table holds, see `read_receiver_log`; ``name`` is that of its file."""
+    what = f"the receiver log {name!r}"
+    table = renamed(table, OTHER_NAMES)
     has_satellites = SATELLITE in table and CN0 in table
     columns = (UTC, LON, LAT, *WITNESSES, *(OF_SATELLITES if has_satellites else ()))
     known = [column for column in columns if column in table]
     if known[:3] != [UTC, LON, LAT] or len(known) == 3 or table.empty:
-        raise _wrong(
-            name, f"has {len(table)} rows of the columns {', '.join(names[:MOST_NAMED])}: {REMEDY}, separated by commas"
-        )
-    if twice := [column for column in known if (table.columns == column).sum() > 1]:
-        raise _wrong(name, f"has two columns {twice[0]}: keep one")
+        names = ", ".join(map(str, table.columns[:MOST_NAMED]))
+        raise InputError(f"{what} has {len(table)} rows of the columns {names}: {REMEDY}, separated by commas")
     if has_satellites and len(table) > MOST_ROWS:
         thin = "thin it to fewer epochs, such as one a second, or cut it into parts"
-        raise _wrong(name, f"has {len(table):,} rows, more than the {MOST_ROWS:,} that are read: {thin}")
-    table = table[known].assign(
-        **{UTC: _by_text(table[UTC], _times, name)},
-        **{column: _numbers(table[column], name) for column in known if column in RANGES},
-    )
-    _check_units(table, name)
+        raise InputError(f"{what} has {len(table):,} rows, more than the {MOST_ROWS:,} that are read: {thin}")
+    table = checked(table, known, what)
     if has_satellites:
-        return _by_satellite(table, name)
+        return ReceiverLog(name, *_by_satellite(table, what))
     table = table.sort_values(UTC, kind="stable", ignore_index=True)
-    _check_once(table, [UTC], name, "rows", "row an epoch")
+    _check_once(table, [UTC], what, "rows", "row an epoch")
     return ReceiverLog(name, table)
 
 
-def _by_satellite(table: pd.DataFrame, name: str) -> ReceiverLog:
-    """Return the log of a table with a row a satellite."""
+def renamed(table: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
+    """Return a table with the names of its columns stripped, and those of ``names`` replaced."""
+    stripped = [str(column).strip() for column in table.columns]
+    return table.set_axis([names.get(column, column) for column in stripped], axis="columns")
+
+
+def checked(table: pd.DataFrame, columns: Sequence[str], what: str) -> pd.DataFrame:
+    """Return columns of a table as times and numbers; ``what`` begins the sentence that says what is wrong."""
+    for column in columns:
+        if (table.columns == column).sum() > 1:
+            raise InputError(f"{what} has two columns {column}: keep one")
+    read = {column: _numbers(table[column], what) for column in columns if column in RANGES}
+    if UTC in columns:
+        read[UTC] = _by_text(table[UTC], _times, what)
+    table = table[list(columns)].assign(**read)
+    _check_units(table, what)
+    return table
+
+
+def _by_satellite(table: pd.DataFrame, what: str) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the epochs and the satellites of a table with a row a satellite."""
     if (AZIMUTH in table) != (ELEVATION in table):
-        raise _wrong(name, f"has one of the columns {AZIMUTH} and {ELEVATION}: give both, or none")
+        raise InputError(f"{what} has one of the columns {AZIMUTH} and {ELEVATION}: give both, or none")
     number, _ = pd.factorize(table[UTC], sort=True)
     table = table.assign(
         **{EPOCH: pd.Series(number, table.index, dtype=np.int32)},
-        **{SATELLITE: _by_text(table[SATELLITE], _satellites, name)},
+        **{SATELLITE: _by_text(table[SATELLITE], _satellites, what)},
         **{column: table[column].astype(np.float32) for column in OF_SATELLITES[1:] if column in table},
     )
     table = table.sort_values([EPOCH, SATELLITE], ignore_index=True)
-    _check_once(table, [EPOCH, SATELLITE], name, "rows", "row an epoch and satellite, such as that of L1, E1 or B1")
+    _check_once(table, [EPOCH, SATELLITE], what, "rows", "row an epoch and satellite, such as that of L1, E1 or B1")
     epochs = table.drop(columns=[EPOCH, *OF_SATELLITES], errors="ignore").drop_duplicates(ignore_index=True)
-    _check_once(epochs, [UTC], name, "places", "place an epoch")
+    _check_once(epochs, [UTC], what, "places", "place an epoch")
     satellites = table[[EPOCH, *(column for column in OF_SATELLITES if column in table)]]
-    return ReceiverLog(name, epochs, satellites)
+    return epochs, satellites
 
 
-def _check_once(table: pd.DataFrame, key: list[str], name: str, what: str, remedy: str) -> None:
+def _check_once(table: pd.DataFrame, key: list[str], what: str, twice: str, remedy: str) -> None:
     """Raise InputError where two rows have one key."""
     is_second = table.duplicated(key)
     if is_second.any():
         row = table[is_second].iloc[0]
         of = f" of {row[SATELLITE]}" if SATELLITE in key else ""
-        raise _wrong(name, f"has two {what}{of} at {row[UTC].isoformat()}: keep one {remedy}")
+        raise InputError(f"{what} has two {twice}{of} at {row[UTC].isoformat()}: keep one {remedy}")
 
 
-def _check_units(table: pd.DataFrame, name: str) -> None:
+def _check_units(table: pd.DataFrame, what: str) -> None:
     """Raise InputError where all values of a column are as small as they are in another unit."""
     for bounds, unit, needed in OTHER_UNITS:
         columns = [column for column in bounds if column in table]
         largest = {column: float(table[column].abs().max()) for column in columns}
         if columns and all(largest[column] <= bounds[column] for column in columns):
             most = " and ".join(f"{column} of at most {value:.4g}" for column, value in largest.items())
-            raise _wrong(name, f"has {most} in all rows, as if they were {unit}: give {needed}")
+            raise InputError(f"{what} has {most} in all rows, as if they were {unit}: give {needed}")
 
 
-def _wrong(name: str, why: str) -> InputError:
-    return InputError(f"the receiver log {name!r} {why}")
-
-
-def _by_text(column: pd.Series, read: Callable[[pd.Series, str], pd.Series], name: str) -> pd.Series:
+def _by_text(column: pd.Series, read: Callable[[pd.Series, str], pd.Series], what: str) -> pd.Series:
     """Return what a column's values are read as, each value once: a log repeats a time for every satellite."""
     is_compact = isinstance(column.dtype, pd.DatetimeTZDtype | pd.CategoricalDtype)
     numbers, values = pd.factorize(column if is_compact else column.astype(str), use_na_sentinel=False)
-    return read(pd.Series(values), name).take(numbers).set_axis(column.index)
+    return read(pd.Series(values), what).take(numbers).set_axis(column.index)
 
 
-def _satellites(column: pd.Series, name: str) -> pd.Series:
+def _satellites(column: pd.Series, what: str) -> pd.Series:
     """Return names of satellites as a category."""
     names = column.astype(str).str.strip()
     is_wrong = ~names.str.fullmatch(RINEX_NAME, na=False)
     if is_wrong.any():
         needed = "a name as in RINEX 3, such as G05, R12, E18, C19 or J02, belongs"
-        raise _wrong(name, f"has {str(names[is_wrong].iloc[0])!r} as a satellite, where {needed}: rename or remove it")
+        raise InputError(
+            f"{what} has {str(names[is_wrong].iloc[0])!r} as a satellite, where {needed}: rename or remove it"
+        )
     return names.astype("category")
 
 
-def _times(column: pd.Series, name: str) -> pd.Series:
+def _times(column: pd.Series, what: str) -> pd.Series:
     """Return times in UTC; text must say its zone, and so must the times of a Parquet file."""
     texts = column.astype(str).str.strip()
     if isinstance(column.dtype, pd.DatetimeTZDtype):
@@ -194,11 +210,11 @@ def _times(column: pd.Series, name: str) -> pd.Series:
         times = pd.to_datetime(iso, utc=True, format="ISO8601", errors="coerce")
     if (is_wrong := times.isna()).any():
         why = "which is none or without a zone and may be a local one"
-        raise _wrong(name, f"has {str(texts[is_wrong].iloc[0])!r} as a time, {why}: {TIME_REMEDY}")
+        raise InputError(f"{what} has {str(texts[is_wrong].iloc[0])!r} as a time, {why}: {TIME_REMEDY}")
     return times
 
 
-def _numbers(column: pd.Series, name: str) -> pd.Series:
+def _numbers(column: pd.Series, what: str) -> pd.Series:
     """Return a column of numbers, NaN where a receiver gave none; no place may lack any, nor all of a witness."""
     low, high = RANGES[str(column.name)]
     values = pd.to_numeric(column, errors="coerce").astype(float)
@@ -208,5 +224,5 @@ def _numbers(column: pd.Series, name: str) -> pd.Series:
         wrong = column[is_wrong | pd.api.types.is_bool_dtype(column)].tolist()  # a list's numbers are Python's
         belongs = f"where a number from {low:g} to {high:g} belongs{HINTS.get(str(column.name), '')}"
         rule = f"{belongs}: mend them, or remove the rows or the column"
-        raise _wrong(name, f"has {wrong[0]!r} in {column.name} of {len(wrong)} row(s), {rule}")
+        raise InputError(f"{what} has {wrong[0]!r} in {column.name} of {len(wrong)} row(s), {rule}")
     return values

@@ -1,0 +1,279 @@
+"""RINEX 3: a receiver's observations, with its navigation messages and a reference track, to `ReceiverLog`.
+
+The library sidereon (the extra ``receiver``) reads the files and computes satellites from their messages.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.spatial import KDTree
+
+from jaxurban.errors import InputError, readable
+from jaxurban.io.read.receiver import (
+    AZIMUTH,
+    CN0,
+    ELEVATION,
+    EPOCH,
+    LAT,
+    LON,
+    SATELLITE,
+    UTC,
+    ReceiverLog,
+    checked,
+    log_of,
+    renamed,
+)
+from jaxurban.io.tables import read_table
+from jaxurban.samples.catalogue import located
+from jaxurban.world.grid import transformer
+
+LOWEST_DEG = 5.0  # of a satellite in a log
+MATCH_S = 0.02  # between a reference and its observation: a receiver's clock is kept to a millisecond or some
+HEIGHT, WEEK, TOW = "height_m", "gps_week", "gps_tow_s"
+TRACK = LON, LAT, HEIGHT
+OTHER_NAMES = {  # of a reference's columns, in small letters with _ for what is no letter
+    "lon": LON,
+    "longitude_deg": LON,
+    "lat": LAT,
+    "latitude_deg": LAT,
+    "ellipsoid_height_m": HEIGHT,
+    "ellipsoidal_height_m": HEIGHT,
+}
+WGS84_3D, WGS84_ECEF = "EPSG:4979", "EPSG:4978"
+J2000, GPS_START = (pd.Timestamp(day, tz="UTC") for day in ("2000-01-01T12:00", "1980-01-06"))
+WEEK_S = 604_800.0
+L1_HZ = 1_575_420_000.0  # of a Doppler shift that is not used
+BANDS = {"C": ("S2", "S1")}  # of L1, E1, B1 in the codes of C/N0 (RINEX 3.05, tables 4 to 10): "S1" but for BeiDou
+EVENTS = 2  # flags of epochs from here on are of no observation
+FIRST_LINE = r"\s*[34]\.\d+\s+{}"  # version and type
+
+
+def read_rinex(observations: str | Path, navigation: str | Path, reference: str | Path | pd.DataFrame) -> ReceiverLog:
+    """Return the log of a receiver from its RINEX 3 files, at the places of a better reference.
+
+    A row is an epoch that the reference and the observations have (within `MATCH_S`) and a satellite whose broadcast
+    orbit stands at least `LOWEST_DEG` above the horizon there. Its C/N0 is the strongest S observable of L1, E1 or B1,
+    0 where there is none. A satellite that its navigation message calls unhealthy has no row, nor has one without a
+    message that is valid at the time.
+
+    Args:
+      observations: RINEX 3 (or 4) file of observations.
+      navigation: RINEX 3 (or 4) file of navigation messages, with leap seconds.
+      reference: table, or its file (.csv, .csv.gz, .parquet), with ``lon_deg``, ``lat_deg``, ``height_m`` (ellipsoidal)
+        and ``utc``, or ``gps_week`` and ``gps_tow_s``; see `read_track`.
+
+    Returns:
+      The log; ``left_out`` names the satellites without a row though they were received, or have messages.
+
+    Raises:
+      InputError: files that are not RINEX 3 or 4 or are cut, no leap seconds or no C/N0 in them, a reference that lacks
+        a column or has values of another unit or no time in common, or sidereon is not installed.
+    """
+    messages = Messages(navigation)
+    track = read_track(reference, messages.leap_s)
+    observed, strengths, unheard = _strengths(observations)
+    away_s, nearest = KDTree(observed[:, None]).query(messages.seconds_of(track[UTC])[:, None])
+    pairs = pd.DataFrame({"observation": nearest, "away_s": away_s})
+    pairs = pairs[pairs.away_s <= MATCH_S].sort_values("away_s").drop_duplicates("observation").sort_index()
+    if pairs.empty:
+        times = [_span(messages.utc_of(observed)), _span(track[UTC])]
+        raise InputError(
+            f"the observations {str(observations)!r} ({times[0]}) and the reference track ({times[1]}) have no epoch "
+            f"in common, within {MATCH_S:g} s: give the track of this drive"
+        )
+    track = track.iloc[pairs.index].reset_index(drop=True)
+    angles = messages.angles(track)
+    rows = angles[angles[ELEVATION] >= LOWEST_DEG]
+    rows = rows.assign(observation=pairs.observation.to_numpy()[rows[EPOCH]]).merge(
+        strengths, "left", ["observation", SATELLITE]
+    )
+    is_heard = ~rows[SATELLITE].str[0].isin(list(unheard))
+    rows = rows[is_heard].fillna({CN0: 0.0})
+    place = track.loc[rows[EPOCH], [UTC, LON, LAT]].reset_index(drop=True)
+    table = pd.concat([place, rows[[SATELLITE, CN0, AZIMUTH, ELEVATION]].reset_index(drop=True)], axis="columns")
+    left_out = messages.left_out(set(angles[SATELLITE]), set(strengths[SATELLITE]))
+    silent = "no C/N0 of L1, E1 or B1 in the observations"
+    left_out |= {name: silent for name in {*angles[SATELLITE]} if name[0] in unheard}
+    return replace(log_of(table, str(observations)), left_out=dict(sorted(left_out.items())))
+
+
+def read_track(reference: str | Path | pd.DataFrame, leap_s: float) -> pd.DataFrame:
+    """Return the rows ``utc``, ``lon_deg``, ``lat_deg`` and ``height_m`` of a reference track.
+
+    Its columns are named so, or ``lon``, ``longitude_deg``, ``lat``, ``latitude_deg``, ``ellipsoid_height_m``, and for
+    the time ``gps_week`` (not modulo 1024) and ``gps_tow_s``. Capital letters, blanks and brackets do not matter:
+    ``GPS TOW (s)`` is ``gps_tow_s``.
+
+    Args:
+      reference: the table or its file.
+      leap_s: seconds that GPS time is ahead of UTC.
+
+    Raises:
+      InputError: a file that cannot be read, no such columns, or values out of range.
+    """
+    is_table = isinstance(reference, pd.DataFrame)
+    what = "the reference track" if is_table else f"the reference track {str(reference)!r}"
+    table = reference if isinstance(reference, pd.DataFrame) else read_table(located(reference), "reference track")
+    names = [re.sub(r"\W+", "_", str(name).lower()).strip("_") for name in table.columns]
+    table = renamed(table.set_axis(names, axis="columns"), OTHER_NAMES)
+    times = [UTC] if UTC in table else [WEEK, TOW]
+    if lacking := [name for name in (*times, *TRACK) if name not in table]:
+        raise InputError(
+            f"{what} has no column {lacking[0]}: give {UTC}, or {WEEK} and {TOW}, and {', '.join(TRACK)} (above the "
+            "ellipsoid)"
+        )
+    if table.empty:
+        raise InputError(f"{what} has no rows: give the places of the receiver")
+    table = checked(table, [*times, *TRACK], what)
+    if UTC not in table:
+        seconds = pd.to_timedelta(table[TOW] - leap_s, unit="s")
+        table[UTC] = GPS_START + pd.to_timedelta(7.0 * table[WEEK], unit="D") + seconds.dt.round("us")
+    return table[[UTC, *TRACK]]
+
+
+class Messages:
+    """The navigation messages of a file: where satellites stand, as they say themselves."""
+
+    def __init__(self, navigation: str | Path) -> None:
+        """Read a file.
+
+        Raises:
+          InputError: no RINEX 3 or 4 navigation file, one that is cut, or without leap seconds.
+        """
+        self._sidereon, self.name = _library(), str(navigation)
+        text = _text(navigation, "N", "navigation")
+        with _whole(self._sidereon, navigation, "navigation"):
+            self._ephemeris = self._sidereon.load_rinex_nav(text.encode())
+            self._records: list[Any] = [
+                *self._sidereon.parse_rinex_nav_records(text),
+                *self._sidereon.parse_rinex_glonass_records(text),
+            ]
+        if not self._records:
+            raise InputError(f"the navigation file {self.name!r} holds no message of a satellite: name another file")
+        if self._ephemeris.leap_seconds is None:
+            raise InputError(
+                f"the navigation file {self.name!r} has no leap seconds, which GPS time is ahead of UTC: add the line "
+                f"{'    18'.ljust(60)}LEAP SECONDS (18 since 2017) above END OF HEADER"
+            )
+        self.leap_s = float(self._ephemeris.leap_seconds)
+
+    def seconds_of(self, utc: pd.Series) -> np.ndarray:
+        """Return GPS time as seconds since J2000."""
+        return ((utc - J2000) / pd.Timedelta(seconds=1)).to_numpy() + self.leap_s
+
+    def utc_of(self, seconds: np.ndarray) -> pd.Series:
+        """Return UTC of GPS times in seconds since J2000."""
+        return J2000 + pd.to_timedelta(pd.Series(seconds - self.leap_s), unit="s")
+
+    def angles(self, track: pd.DataFrame) -> pd.DataFrame:
+        """Return where the satellites stand along a track, without those that have no healthy message at the time.
+
+        Args:
+          track: rows ``utc``, ``lon_deg``, ``lat_deg``, ``height_m``, see `read_track`.
+
+        Returns:
+          A row an epoch and satellite, with the row of the track (``epoch``), ``satellite``, ``azimuth_deg`` (clockwise
+          from true north) and ``elevation_deg`` (negative below the horizon), the light's time counted.
+        """
+        antenna_m = np.column_stack(transformer(WGS84_3D, WGS84_ECEF).transform(*track[[*TRACK]].to_numpy().T))
+        times_s = self.seconds_of(track[UTC]).tolist()
+        names = np.array(sorted({record.satellite for record in self._records}))
+        angles_deg = np.full((len(track), len(names), 2), np.nan)
+        for s, name in enumerate(names.tolist()):
+            for epoch, time_s in enumerate(times_s):
+                try:
+                    seen = self._sidereon.observe_broadcast(self._ephemeris, name, antenna_m[epoch], time_s, L1_HZ)
+                except self._sidereon.SolveError:
+                    continue
+                angles_deg[epoch, s] = seen.azimuth_deg, seen.elevation_deg
+        epochs, numbers = np.nonzero(np.isfinite(angles_deg[..., 1]))
+        azimuth_deg, elevation_deg = angles_deg[epochs, numbers].T
+        columns = {EPOCH: epochs, SATELLITE: names[numbers], AZIMUTH: azimuth_deg, ELEVATION: elevation_deg}
+        return pd.DataFrame(columns)
+
+    def left_out(self, placed: set[str], received: set[str]) -> dict[str, str]:
+        """Return the satellites that were received or have messages, but stand nowhere, and the reason of each."""
+        flags: dict[str, set[int]] = {}
+        for record in self._records:
+            flags.setdefault(record.satellite, set()).add(int(record.sv_health))
+        reasons = {}
+        for name in (flags.keys() | received) - placed:
+            health = max(flags.get(name, {0}))
+            reasons[name] = "no navigation message of the time"
+            if health:
+                reasons[name] = f"unhealthy by its navigation message (health {health})"
+        return reasons
+
+
+def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, set[str]]:
+    """Return epochs in GPS seconds since J2000, rows of C/N0 by observation and satellite, and systems without any."""
+    sidereon = _library()
+    data = _text(observations, "O", "observation").encode()
+    with _whole(sidereon, observations, "observation"):
+        file = sidereon.load_rinex_obs(data)
+    what = f"the observation file {str(observations)!r}"
+    first = file.header.time_of_first_obs
+    scale = first[1].abbrev if first else "unknown"
+    if scale not in ("GPST", "GST", "QZSST"):
+        raise InputError(f"{what} counts in {scale}, and only GPS time is read: convert it to a file of GPS time")
+    codes = {system: _codes_of(system.letter, file.obs_codes(system)) for system in file.header.systems}
+    if not any(codes.values()):
+        raise InputError(f"{what} has no C/N0 of L1, E1 or B1 (S1C, S2I ...): write it with these observables")
+    only = sidereon.ObservationFilter([(system, found) for system, found in codes.items() if found])
+    times: list[float] = []
+    names: list[str] = []
+    values: list[np.ndarray] = []
+    for number, epoch in enumerate(file.epochs):
+        if epoch.flag >= EVENTS or epoch.epoch is None:
+            continue
+        at = epoch.epoch
+        minute = pd.Timestamp(at.year, at.month, at.day, at.hour, at.minute, tz="UTC")
+        series = file.observation_values(number, only)
+        names += series.satellites
+        values.append(series.values)
+        times.append((minute - J2000).total_seconds() + at.second)
+    if not times:
+        raise InputError(f"{what} holds no observation: name another file")
+    observation = np.repeat(np.arange(len(times)), [len(each) for each in values])
+    rows = pd.DataFrame({"observation": observation, SATELLITE: names, CN0: np.concatenate(values)})
+    strongest = rows.dropna().groupby(["observation", SATELLITE], as_index=False).max()
+    return np.array(times), strongest, {system.letter for system, found in codes.items() if not found}
+
+
+def _codes_of(letter: str, codes: Sequence[str]) -> list[str]:
+    return [code for code in codes if code.startswith(BANDS.get(letter, ("S1",)))]
+
+
+def _text(file: str | Path, letter: str, kind: str) -> str:
+    """Return the text of a RINEX file of a type; comments may be in any encoding."""
+    what = f"the {kind} file {str(file)!r}"
+    remedy = f"name the receiver's {kind} file as RINEX 3 (RTKLIB's convbin writes both)"
+    with readable(file, "text", remedy, what=what):
+        text = Path(file).read_bytes().decode("utf-8", "replace")
+    if not re.match(FIRST_LINE.format(letter), text):
+        begins = text.partition("\n")[0].strip()[:60]
+        raise InputError(f"{what} begins with {begins!r}, not as a {kind} file in RINEX 3 or 4: {remedy}")
+    return text
+
+
+def _whole(sidereon: ModuleType, file: str | Path, kind: str) -> Any:
+    remedy = "convert or download it again"
+    return readable(file, "RINEX", remedy, sidereon.SidereonError, what=f"the {kind} file {str(file)!r}")
+
+
+def _span(utc: pd.Series) -> str:
+    return f"{utc.min().isoformat()} to {utc.max().isoformat()}"
+
+
+def _library() -> ModuleType:
+    try:
+        import sidereon
+    except ImportError as error:
+        raise InputError("RINEX files are read by sidereon: pip install 'jaxurban[receiver]'") from error
+    return sidereon
