@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -11,9 +11,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from jaxurban.io.read.receiver import ERROR, TRACKED
+from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED
 from jaxurban.maps.levels import listed_m
 from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plain_log, styled
+from jaxurban.report.satellites import satellite_figures, satellite_files, satellite_tables
 from jaxurban.report.write import Output, bullets, fill, study_outputs, table
 from jaxurban.settings import each
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
@@ -66,11 +67,17 @@ def plot_scatter(found: ReceiverValidation) -> Figure:
 
 def validation_outputs(found: ReceiverValidation) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a validation writes, by file name, and what it is of."""
-    rows = hashlib.sha256(found.log.epochs.to_csv(index=False).encode()).hexdigest()  # of two logs of one name
+    logged = (found.log.epochs, found.log.satellites)
+    text = "".join(table.to_csv(index=False) for table in logged if table is not None)
+    rows = hashlib.sha256(text.encode()).hexdigest()  # of two logs of one name
     pieces = found.pieces.assign(utc=found.pieces.utc.map(lambda time: time.isoformat()))
     tables = {"pieces": pieces, "scores": found.scores, "shifts": found.shifts}
+    figures: dict[str, Callable[[], Figure]] = {"scatter": partial(plot_scatter, found)}
+    if found.satellites is not None:
+        tables |= satellite_files(found.satellites)
+        figures |= satellite_figures(found, found.satellites)
     key = {"log": found.log.name, "rows": rows, "scenario": found.scenario, "settings": found.settings.to_dict()}
-    return study_outputs(validation_markdown(found), tables, {"scatter": partial(plot_scatter, found)}), key
+    return study_outputs(validation_markdown(found), tables, figures), key
 
 
 def validation_markdown(found: ReceiverValidation) -> str:
@@ -79,6 +86,9 @@ def validation_markdown(found: ReceiverValidation) -> str:
     masks_deg = each(scenario["gps"]["mask_deg"])
     is_main = found.scores.prediction == found.scores.witness.map(MAIN)
     others = found.scores[~is_main]
+    of_sky = found.satellites
+    orbits = ", ".join(f"`{name}`" for name in scenario["gps"]["orbits"])
+    has_angles = not found.log.witnesses and found.log.satellites is not None and AZIMUTH in found.log.satellites
     facts = {
         "epochs": f"{of['epochs']:,}, of which {of['epochs_left_out']:,} are left out: in a building or without data",
         "time": f"{of['first_utc']} to {of['last_utc']}",
@@ -87,19 +97,22 @@ def validation_markdown(found: ReceiverValidation) -> str:
         "satellites tracked, mean": _number(of.get(f"mean_{TRACKED}", math.nan), 1),
         "maps": f"cells of {of['resolution_m']:g} m, elevation mask {listed_m(masks_deg)} degrees, "
         f"`oversample` {scenario['region']['oversample']}, antenna {settings.antenna_height_m:g} m above the ground",
-        "orbits": f"{', '.join(f'`{name}`' for name in scenario['gps']['orbits'])}; {of['num_skies']} skies, one each "
-        f"{settings.sky_step_s:g} s",
+        "orbits": "" if has_angles else f"{orbits}; {of['num_skies']} skies, one each {settings.sky_step_s:g} s",
         "city": f"buildings `{scenario['buildings']['source']}`, terrain `{scenario['terrain']['source'] or 'flat'}`",
     }
     return fill(
         "validate",
+        tables={} if of_sky is None else satellite_tables(of_sky),
         credits=[found.attribution],
         found=found,
+        of=of_sky,
+        verdict="" if of_sky is None else f"**{of_sky.verdict}**",
         settings=settings,
         fewest=FEWEST_GROUPS,
         facts=table(("", ""), [(name, fact) for name, fact in facts.items() if fact]),
         scores=score_table(found.scores[is_main]),
-        others=score_table(others) if len(others) else "",
+        others=f"Other quantities of the maps:\n\n{score_table(others)}" if len(others) else "",
+        not_judged="" if of_sky is None else " ".join(of_sky.known_cautions),
         guesses="" if not found.guesses else "Guessed:\n\n" + bullets(found.guesses),
     )
 

@@ -1,0 +1,220 @@
+"""Pictures of maps beside a receiver, satellite by satellite: where and how well they agree, and how other cities do.
+
+*Hidden* and *in view* are what the maps say of a satellite at a place; C/N0 is how strongly the receiver heard it.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from matplotlib.projections.polar import PolarAxes
+from matplotlib.ticker import PercentFormatter
+
+from jaxurban.report.figures.style import (
+    FAINT_INK,
+    INK,
+    Colours,
+    add_colour_bar,
+    chart,
+    dress,
+    legend_below,
+    letter_all,
+    styled,
+)
+from jaxurban.studies.receiver.agreement import PlaceSky, SatelliteAgreement
+from jaxurban.studies.receiver.validate import ReceiverValidation
+
+HIDDEN, SEEN, ROOFS = "#d55e00", "#0072b2", "#cfcac2"
+CLASSES = ((False, "hidden by a building", "^", HIDDEN), (True, "in view", "o", SEEN))
+ROWS = {  # of scores
+    "all": "all judged",
+    "received": "received ones",
+    "unguarded": "all, judged or not",
+    "G": "GPS",
+    "R": "GLONASS",
+    "E": "Galileo",
+    "C": "BeiDou",
+    "J": "QZSS",
+    "I": "NavIC",
+}
+NAMES = {"auc": "all satellites", "within": "within each satellite"}  # of scores
+AROUND_M = 10.0  # of track, along which agreement is counted
+MARGINS_M = np.array([-50, -20, -10, -5, -2, 0, 2, 5, 10, 20, 50])  # between the classes of margins
+SHARE = Colours(
+    "cividis", Normalize(0.4, 1.0), "share of satellites that agree", extend="min", ticks=(0.4, 0.6, 0.8, 1.0)
+)
+STRENGTH = Colours(
+    "viridis_r",
+    Normalize(20, 50),
+    "C/N0 (dBHz)\nhollow: not received\npale: not judged",
+    extend="both",
+    ticks=(20, 30, 40, 50),
+)
+
+
+def satellite_files(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
+    """Return the tables that are written, by file name."""
+    return {
+        "satellites.parquet": of.rows,
+        "satellite_scores": of.scores,
+        "displaced": of.displaced,
+        "field": of.field,
+        "scales": of.scales,
+        "rivals": of.rivals,
+    }
+
+
+def satellite_figures(found: ReceiverValidation, of: SatelliteAgreement) -> dict[str, Callable[[], Figure]]:
+    """Return what draws each figure, by file name."""
+    return {
+        "track": partial(plot_track, found, of),
+        "margin": partial(plot_margin, of),
+        "displacement": partial(plot_displacement, of),
+        "skies": partial(plot_skies, of),
+    }
+
+
+def satellite_tables(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
+    """Return the tables of the report: scores, displaced cities beside the one in its place, and rivals."""
+    scores = of.scores.replace({"which": ROWS}).rename(columns=lambda name: name.replace("auc", "AUC"))
+    cities = pd.concat([of.scores[of.scores.which == "all"], of.displaced.agg(["median", "max"])])[["auc", "within"]]
+    cities.insert(0, "the city", ["in its place", f"displaced {len(of.displaced)} times, median", "most"])
+    rivals = of.rivals.rename(columns=lambda name: name.replace("gain", "gain on the street rule"))
+    return {
+        "scores": scores.rename(columns={"which": "rows", "rows": "number", "num_satellites": "satellites with both"}),
+        "cities": cities.rename(columns={"auc": "AUC"}),
+        "rivals": rivals.rename(columns={"model": "rule", "log_loss": "log-loss"}),
+    }
+
+
+@styled
+def plot_track(found: ReceiverValidation, of: SatelliteAgreement) -> Figure:
+    """Return the track, coloured by the share of judged satellites that are in view and strong, or hidden and weak."""
+    epochs, judged = found.epochs, of.rows[of.rows.is_judged]
+    piece = (epochs.along_m // AROUND_M).to_numpy()
+    places = epochs[["x_m", "y_m"]].groupby(piece).mean()
+    x_m, y_m = (places - places.min()).to_numpy().T
+    agrees = (judged.is_seen == judged.is_strong).groupby(piece[judged.epoch]).mean()
+    share = agrees.reindex(places.index).to_numpy()
+    is_known = np.isfinite(share)
+    note = f"Agreement: in view and {of.strong_dbhz:g} dBHz or more, or hidden and weaker. By chance it would be half."
+    figure = chart(6.4, 5.2, "Where maps and receiver agree", note)
+    panel = figure.subplots()
+    dress(panel)
+    panel.plot(x_m, y_m, color=FAINT_INK, linewidth=0.6, zorder=0)
+    panel.scatter(x_m[is_known], y_m[is_known], s=45, c=SHARE(share[is_known]), edgecolors=INK, linewidths=0.3)
+    panel.scatter(x_m[~is_known], y_m[~is_known], s=25, marker="x", color=INK, label="nothing judged")
+    for sky in of.skies:
+        nearest = np.hypot(epochs.lon_deg - sky.lon_deg, epochs.lat_deg - sky.lat_deg).argmin()
+        k = places.index.get_loc(piece[nearest])
+        panel.annotate(sky.name, (x_m[k], y_m[k]), (14, 14), textcoords="offset points", arrowprops={"arrowstyle": "-"})
+    panel.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
+    panel.legend()
+    add_colour_bar(figure, [panel], SHARE)
+    return figure
+
+
+@styled
+def plot_margin(of: SatelliteAgreement) -> Figure:
+    """Return C/N0 of received satellites, and the share not received, by the margin to the shadow's edge."""
+    judged = of.rows[of.rows.is_judged]
+    number = np.digitize(judged.margin_m, MARGINS_M)
+    note = "Boxes: the middle half of the received satellites; lines: 5 to 95 %. Above: how many were judged."
+    figure = chart(7.4, 4.2, "How strongly satellites are heard, by how deep they are hidden", note)
+    panel, below = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    for k in np.unique(number):
+        strength_dbhz = judged.cn0_dbhz[number == k]
+        is_heard = strength_dbhz > 0
+        colour = HIDDEN if k < len(MARGINS_M) / 2 else SEEN
+        look = {"boxprops": {"facecolor": colour}, "medianprops": {"color": "white"}, "patch_artist": True}
+        panel.boxplot(strength_dbhz[is_heard], positions=[k], widths=0.7, whis=(5, 95), showfliers=False, **look)
+        panel.annotate(f"{len(is_heard):,}", (k, 1.0), xycoords=("data", "axes fraction"), ha="center")
+        below.bar(k, 1 - is_heard.mean(), color=colour, width=0.7)
+    for each in axes:
+        dress(each)
+        each.axvline(len(MARGINS_M) / 2, color=INK, linewidth=1.2)
+    below.set_xticks(np.arange(len(MARGINS_M)) + 0.5, MARGINS_M)
+    below.set_xlabel("hidden  ←  height of the antenna above the edge of the shadow (m)  →  in view")
+    below.set_ylabel("not received")
+    below.yaxis.set_major_formatter(PercentFormatter(1.0))
+    panel.set_ylabel("C/N0 (dBHz)")
+    return figure
+
+
+@styled
+def plot_displacement(of: SatelliteAgreement) -> Figure:
+    """Return the AUC of a city that is moved by metres, by hundreds of metres, and of roofs that are scaled."""
+    note = (
+        "AUC: of two satellites of which the maps hide one, how often the one in view is the stronger.\n"
+        "Cross and line: best fit; circle and band: 95 % of the best fits of resampled tracks."
+    )
+    figure = chart(11.0, 3.9, "Would another place, city or height fit the receiver as well?", note)
+    field, cities, scales = axes = figure.subplots(1, 3)
+    for panel in axes:
+        dress(panel)
+    auc = of.field.pivot(index="north_m", columns="east_m", values="auc")
+    image = field.pcolormesh(auc.columns, auc.index, auc, cmap="cividis")
+    figure.colorbar(image, ax=field, label="AUC", aspect=25)
+    field.plot(of.peak["east_m"], of.peak["north_m"], "x", color=INK)
+    field.add_patch(Circle((0, 0), of.peak["within_95_m"], fill=False))
+    field.grid(visible=False)
+    field.set(xlabel="city moved east (m)", ylabel="city moved north (m)", aspect="equal", title="moved by metres")
+    draw_cities(cities, of, {"within": HIDDEN, "auc": SEEN})
+    scales.axvspan(of.peak["scale_low"], of.peak["scale_high"], color=ROOFS, alpha=0.5)
+    scales.axvline(of.peak["scale"], color=INK)
+    scales.plot(of.scales.scale, of.scales.auc, color=SEEN)
+    scales.set(xlabel="heights of all roofs times", ylabel="AUC", title="roofs made lower and higher")
+    letter_all(axes)
+    return figure
+
+
+def draw_cities(panel: Axes, of: SatelliteAgreement, colours: Mapping[str, str]) -> None:
+    """Draw how displaced cities and the one in its place score, by the names of scores and their colours."""
+    (true,) = of.scores[of.scores.which == "all"].to_dict("records")
+    for name, colour in colours.items():
+        panel.hist(of.displaced[name].dropna(), bins=15, color=colour, alpha=0.6, label=f"displaced, {NAMES[name]}")
+        panel.axvline(true[name], color=colour, linewidth=2.5, label=f"the city in its place: {true[name]:.2f}")
+    panel.set_ylim(top=panel.get_ylim()[1] * (1 + 0.3 * len(colours)))
+    panel.legend(loc="upper left")
+    title = f"{of.displaced.auc.notna().sum()} cities, moved by 80 to 450 m"
+    panel.set(xlabel="AUC (0.5 by chance, 1 at best)", ylabel="displaced cities", title=title)
+
+
+@styled
+def plot_skies(of: SatelliteAgreement) -> Figure:
+    """Return the sky over the places of least and of most agreement: roofs, and satellites by strength."""
+    figure = chart(9.0, 4.2, "The sky over two places: the zenith in the middle, the horizon at the rim")
+    axes = figure.subplots(1, len(of.skies), subplot_kw={"projection": "polar"}, squeeze=False)[0]
+    for panel, sky in zip(axes, of.skies, strict=True):
+        draw_horizon(panel, sky)
+        panel.set_title(f"{sky.name}, {sky.utc[11:19]} UTC")
+        for is_seen, label, marker, _ in CLASSES:
+            rows = sky.satellites[sky.satellites.is_seen == is_seen].sort_values("azimuth_deg")
+            colours = STRENGTH(rows.cn0_dbhz.to_numpy())
+            colours[rows.cn0_dbhz == 0] = 1.0
+            look = {"marker": marker, "c": colours, "edgecolors": INK, "linewidths": 0.7, "label": label}
+            x, y = np.radians(rows.azimuth_deg), 90 - rows.elevation_deg
+            panel.scatter(x, y, s=50, alpha=np.where(rows.is_judged, 1.0, 0.3), **look)
+            for k, name in enumerate(rows.satellite):
+                offset = (4, 4) if k % 2 else (4, -9)
+                panel.annotate(name, (x.iloc[k], y.iloc[k]), offset, textcoords="offset points", size=6)
+    letter_all(axes)
+    add_colour_bar(figure, axes, STRENGTH)
+    legend_below(figure, axes[0])
+    return figure
+
+
+def draw_horizon(panel: PolarAxes, sky: PlaceSky) -> None:
+    """Draw the buildings of a sky in a polar panel: north up, the radius 90 degrees less the elevation."""
+    panel.set_theta_zero_location("N")
+    panel.set_theta_direction(-1)
+    panel.set_rlim(0, 90)
+    panel.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])
+    panel.set_yticks([30, 60], ["", ""])
+    horizon_deg = np.append(sky.horizon_deg, sky.horizon_deg[0])
+    panel.fill_between(np.radians(np.arange(361)), 90 - horizon_deg, 90, color=ROOFS, label="buildings")
