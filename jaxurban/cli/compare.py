@@ -76,8 +76,10 @@ class Letters(click.ParamType):
 
 @click.command()
 @click.argument("scenario_file", metavar="SCENARIO", type=PATH)
-@click.argument("log_file", metavar="LOG", type=PATH)
+@click.argument("log_file", metavar="[LOG]", type=PATH, required=False)
 @click.option("-o", "output", type=PATH, required=True, help="Output folder.")
+@click.option("--navigation", type=PATH, help="Broadcast orbits in RINEX 3; LOG is then a file of observations.")
+@click.option("--reference", type=PATH, help="Table of the antenna's places, for a log in RINEX.")
 @click.option("--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a setting of SCENARIO; repeatable.")
 @NUMBER("--antenna-height", "antenna_height_m", default=2.0, help="Height of the antenna above the ground, metres.")
 @NUMBER("--sky-step", "sky_step_s", default=30.0, help="Seconds for which one sky is used.")
@@ -119,11 +121,12 @@ class Letters(click.ParamType):
 @click.option("--overwrite", is_flag=True, help="Replace another validation in the output folder.")
 @DEVICE
 @JSON_FLAG
-def validate(scenario_file: Path, log_file: Path, output: Path, changes: tuple[str, ...], **options: Any) -> int:
+def validate(scenario_file: Path, log_file: Path | None, output: Path, changes: tuple[str, ...], **options: Any) -> int:
     """Compare the log of a receiver (LOG, .csv or .parquet) with maps of SCENARIO made at its times and its height.
 
     LOG has the columns utc, lon_deg, lat_deg, and with a row a satellite satellite and cn0_dbhz (azimuth_deg and
-    elevation_deg too, or the scenario's orbits give them), with a row an epoch num_tracked or error_2d_m.
+    elevation_deg too, or the scenario's orbits give them), with a row an epoch num_tracked or error_2d_m. Left out, it
+    is that of the sample city which SCENARIO names.
     """
     import pandas as pd
 
@@ -133,10 +136,17 @@ def validate(scenario_file: Path, log_file: Path, output: Path, changes: tuple[s
     from jaxurban.studies.receiver.validate import validate as validate_log
 
     settings = ReceiverSettings(**{name: options[name] for name in ReceiverSettings.__dataclass_fields__})
-    study = partial(validate_log, Scenario.from_toml(scenario_file, changes), log_file, settings)
+    files = {name: options[name] for name in ("navigation", "reference")}
+    study = partial(validate_log, Scenario.from_toml(scenario_file, changes), log_file, settings, **files)
     result = run_study("validate", output, lambda report: study(progress=report), options["overwrite"])
     if options["as_json"]:
         (summary,) = records_of(pd.DataFrame([result.summary]))
-        facts = {"summary": summary, "scores": records_of(result.scores), "guesses": list(result.guesses)}
+        facts: dict[str, Any] = {
+            "summary": summary,
+            "scores": records_of(result.scores),
+            "guesses": list(result.guesses),
+        }
+        if result.satellites is not None:
+            facts["satellites"] = result.satellites.to_dict()
         print_json({"folder": str(output), "report": str(output / "report.md"), **facts})
     return 0

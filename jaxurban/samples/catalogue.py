@@ -10,7 +10,7 @@ from typing import Any
 from jaxurban.errors import InputError, nearest_name
 
 PREFIX = "sample:"
-BUILDINGS_FILE, BASE_MAP_FILE = "buildings.parquet", "basemap.parquet"
+BUILDINGS_FILE, BASE_MAP_FILE, LOG_FILE = "buildings.parquet", "basemap.parquet", "log.csv.gz"
 SAMPLES: dict[str, dict[str, dict[str, Any]]] = {  # what a scenario of each takes where it says nothing
     "lower-manhattan": {
         "region": {"bounds": [-74.02, 40.70, -73.98, 40.73]},
@@ -76,6 +76,14 @@ def located(name: str | Path) -> Path:
         hint = nearest_name(file, files) or f"; it has {', '.join(files)}"
         raise InputError(f"the sample city {city!r} has no file {file!r}{hint}")
     return home / (file or BUILDINGS_FILE)
+
+
+def log_of(source: Any) -> str | None:
+    """Return the name of the receiver's log of a sample city, None of what is none or has none."""
+    name = sample_name(source)
+    if name is None or not (Path(__file__).parent / name / LOG_FILE).exists():
+        return None
+    return f"{PREFIX}{name}/{LOG_FILE}"
 
 
 def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -16,11 +16,12 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
+from jaxurban.io.tables import records_of
 from jaxurban.progress import Report
 from jaxurban.public import Caution
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.displaced import FARTHEST_M, FEWEST_ROWS, SCALES, Displaced
-from jaxurban.studies.receiver.prediction import ReceiverSettings, Track
+from jaxurban.studies.receiver.prediction import EVERYWHERE, ReceiverSettings, Track
 from jaxurban.studies.receiver.rivals import MAP, compared_rules, features_of
 from jaxurban.studies.receiver.satellites import Ground, Rays, box_of, legs, rise_m
 from jaxurban.studies.receiver.scores import score_table, weights_of
@@ -61,8 +62,8 @@ class SatelliteAgreement:
         letter), ``azimuth_deg`` (from true north), ``elevation_deg``, ``cn0_dbhz`` (0: not received), ``margin_m`` (the
         antenna less the edge of the roofs' shadow; below 0 a roof hides the satellite, inf where none stands on the
         line), ``is_seen``, ``is_known`` (the whole ray lies above known ground until it is above all roofs),
-        ``is_inside`` (the place lies in a building), ``is_judged`` (known and not inside), ``is_strong`` (C/N0 is at
-        least ``strong_dbhz``), ``block`` of the track.
+        ``is_inside`` (the place lies in a building), ``is_judged`` (known, unless the settings judge all rays, and not
+        inside), ``is_strong`` (C/N0 is at least ``strong_dbhz``), ``block`` of the track.
       scores: a row a choice of rows, ``which``: ``"all"`` that are judged, of these ``"received"`` and by system;
         ``"unguarded"``: also those of unknown rays. ``rows``, their ``share`` of all, ``auc`` and ``within`` satellites
         with the ends of their 95 % intervals (``_low``, ``_high``), ``num_satellites`` that are seen and hidden.
@@ -108,11 +109,29 @@ class SatelliteAgreement:
         of = self.counts
         sentences = []
         if of["unknown"]:
-            sentences.append(f"{of['unknown']:,} rows are not judged: their rays leave what is known of the city.")
+            judged = "not judged" if of["is_guarded"] else "judged as if nothing stood beyond"
+            sentences.append(f"{of['unknown']:,} rows are {judged}: their rays leave what is known of the city.")
         if of["inside"]:
             sentences.append(f"{of['inside']:,} rows are not judged: their places lie in buildings.")
         sentences += [f"{name} is left out: {reason}." for name, reason in of["left_out"].items()]
         return [Caution(sentence) for sentence in sentences]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the rows amount to as plain, JSON-ready values.
+
+        Returns:
+          Verdict, scores, rivals, peak and counts by name; of the displaced cities the median and the most.
+        """
+        null = self.displaced[["auc", "within"]]
+        return {
+            "verdict": self.verdict,
+            "strong_dbhz": self.strong_dbhz,
+            "scores": records_of(self.scores),
+            "displaced": {"median": null.median().to_dict(), "most": null.max().to_dict()},
+            "peak": self.peak,
+            "rivals": records_of(self.rivals),
+            "counts": self.counts,
+        }
 
     def score(self, which: str = "all") -> pd.Series:
         """Return the scores of a choice of rows.
@@ -149,7 +168,7 @@ def agreement_of(
     log: ReceiverLog,
     track: Track,
     city: City,
-    known: shapely.Geometry | None,
+    known: shapely.Geometry,
     grid: Grid,
     mask_deg: float,
     settings: ReceiverSettings,
@@ -161,7 +180,7 @@ def agreement_of(
       log: with azimuths and elevations.
       track: of its epochs.
       city: in the CRS of the grid.
-      known: where its buildings are known; None: everywhere, which judges unknown rays too.
+      known: where its buildings are known.
       grid: whose cells are taken, also beyond it.
       mask_deg: lower rows are left out.
       settings: how the two are set beside each other.
@@ -172,9 +191,11 @@ def agreement_of(
     """
     rows, rays = _rows_of(log, track, grid, mask_deg, settings)
     rise = rise_m(city, settings.antenna_height_m)
-    rows["is_known"] = True if known is None else rays.stays_within(known, rise)
+    rows["is_known"] = rays.stays_within(known, rise)
+    is_guarded = settings.known != EVERYWHERE
+    is_open = rows.is_known.to_numpy() | (not is_guarded)
     is_taken = (rows.epoch % max(1, len(rows) // MOST_MOVED) == 0).to_numpy()
-    is_moved = is_taken & rows.is_known.to_numpy()
+    is_moved = is_taken & is_open
     displaced = Displaced.of(settings.num_displaced, settings.seed, int(is_moved.sum()))
     reach_m = max(rise * SCALES[-1], 0.0) / np.tan(rays.elevation_rad.min())
     rows["margin_m"], rows["is_inside"] = np.nan, False
@@ -190,12 +211,14 @@ def agreement_of(
         of_moved, column = rays.take(moved), (np.cumsum(is_moved) - 1)[moved]
         for number in range(len(displaced.moves_m)):
             report("displaced cities", number, len(displaced.moves_m))
-            displaced.fill(number, column, ground, of_moved, known, rise)
+            displaced.fill(number, column, ground, of_moved)
+            if is_guarded and number < displaced.num_null:
+                displaced.leave_unknown(number, column, of_moved, known, rise)
         for number, scale in enumerate(SCALES):
             displaced.of_scale[number, column] = ground.margins_m(of_moved, float(scale)) >= 0
     rows["is_seen"] = rows.margin_m >= 0
     rows.loc[rows.is_inside, "margin_m"] = np.nan
-    rows["is_judged"] = rows.is_known & ~rows.is_inside
+    rows["is_judged"] = is_open & ~rows.is_inside
     _check_judged(rows, log.name, mask_deg)
     judged = rows[rows.is_judged]
     median_dbhz = float(judged.cn0_dbhz.median())
@@ -212,8 +235,9 @@ def agreement_of(
     counts = {
         "rows": len(rows),
         "judged": int(rows.is_judged.sum()),
+        "is_guarded": is_guarded,
         "unknown": int((~rows.is_known).sum()),
-        "inside": int((rows.is_known & rows.is_inside).sum()),
+        "inside": int((is_open & rows.is_inside).sum()),
         "num_satellites": int(rows.satellite.nunique()),
         "num_blocks": weights.shape[1],
         "num_displaced": int(null.auc.notna().sum()),
@@ -300,12 +324,12 @@ def verdict_of(scores: pd.DataFrame, displaced: pd.DataFrame, rivals: pd.DataFra
     where = f"on these {num_blocks} blocks of track"
     if num_blocks < FEWEST_GROUPS or not np.isfinite(gain.gain_low):
         return f"The track is too short for a verdict: {where} there is no interval (it takes {FEWEST_GROUPS} blocks)."
-    by = f"log-loss lower by {gain.gain:.3f} (95 % interval {gain.gain_low:.3f} to {gain.gain_high:.3f})"
+    by = f"the gain in log-loss is {gain.gain:.3f} (95 % interval {gain.gain_low:.3f} to {gain.gain_high:.3f})"
     if gain.gain_low > 0:
         return (
             f"The margin to the shadow's edge and the elevation predict what this receiver hears better than elevation "
             f"and the street's direction do {where}: {by}; C/N0 separates seen from hidden satellites with an AUC of "
-            f"{of.auc:.2f} ({of.auc_low:.2f} to {of.auc_high:.2f}), displaced cities with at most "
+            f"{of.auc:.2f} ({of.auc_low:.2f} to {of.auc_high:.2f}), and displaced cities reach at most "
             f"{displaced.auc.max():.2f}."
         )
     return (

@@ -50,9 +50,7 @@ class Displaced:
         """Return displacements that are still to be filled: those of the null by seed, then those of the field."""
         return cls(np.concatenate([displacements(num_null, seed), near_by()]), num_null, num_rows)
 
-    def fill(
-        self, number: int, column: np.ndarray, ground: Ground, rays: Rays, known: shapely.Geometry | None, rise_m: float
-    ) -> None:
+    def fill(self, number: int, column: np.ndarray, ground: Ground, rays: Rays) -> None:
         """Take up what rays of some rows are in one displaced city.
 
         Args:
@@ -60,15 +58,21 @@ class Displaced:
           column: of each ray's row.
           ground: of the city where it is.
           rays: from the true places.
-          known: where the city is known; None: everywhere.
-          rise_m: to the highest roof.
         """
-        east_m, north_m = self.moves_m[number]
-        there = rays.moved(-east_m, -north_m)
+        there = self._there(number, rays)
         self.is_seen[number, column] = ground.margins_m(there) >= 0
         self.is_out[number, column] = ground.is_inside(there)
-        if known is not None and number < self.num_null:
-            self.is_out[number, column] |= ~there.stays_within(known, rise_m)
+
+    def leave_unknown(
+        self, number: int, column: np.ndarray, rays: Rays, known: shapely.Geometry, rise_m: float
+    ) -> None:
+        """Leave out rays that are unknown in one displaced city; ``rise_m``: to the highest roof."""
+        self.is_out[number, column] |= ~self._there(number, rays).stays_within(known, rise_m)
+
+    def _there(self, number: int, rays: Rays) -> Rays:
+        """Return rays from the same places, as a displaced city has them."""
+        east_m, north_m = self.moves_m[number]
+        return rays.moved(-east_m, -north_m)
 
     def tables(
         self, rows: pd.DataFrame, weights: np.ndarray

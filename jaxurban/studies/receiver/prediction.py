@@ -26,6 +26,7 @@ from jaxurban.world.grid import Grid
 
 LEG_CELLS = 1_500_000  # of the box around a leg
 NUM_VISIBLE = "num_visible"
+OF_CITY, EVERYWHERE = "city", "all"  # what `ReceiverSettings.known` may say
 SYSTEMS = "GRECJIS"  # GPS, GLONASS, Galileo, BeiDou, QZSS, NavIC, SBAS
 MAX_SKY_STEP_S = 300.0  # a satellite moves by half a degree a minute: more would no longer be the log's sky
 
@@ -65,7 +66,7 @@ class ReceiverSettings:
     other_pieces_m: Sequence[float] = (10.0, 50.0, 100.0)
     block_m: float = 200.0
     sky_block_m: float = 50.0
-    known: str | float | Path = "city"
+    known: str | float | Path = OF_CITY
     systems: Sequence[str] = ()
     num_displaced: int = 200
     seed: int = 0
@@ -75,7 +76,7 @@ class ReceiverSettings:
             positive(name, getattr(self, name), "seconds" if name.endswith("_s") else "metres")
         for value in self.other_pieces_m:
             positive("each of other_pieces_m", value, "metres")
-        if self.known not in ("city", "all") and not isinstance(self.known, str | Path):
+        if not isinstance(self.known, str | Path):
             positive("known", self.known, "metres")
         at_least("num_displaced", self.num_displaced, 1)
         at_least("seed", self.seed)

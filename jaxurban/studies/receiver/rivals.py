@@ -6,28 +6,25 @@ the mean of -ln(chance given to what happened), 0.69 for a rule that always says
 
 from collections.abc import Mapping
 
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from scipy.special import expit
+from scipy.special import expit, logit
 
+from jaxurban.metrics.reception import ReceptionCurve
 from jaxurban.studies.bootstrap import ends_of
 
 MOST_FOLDS = 100  # with more blocks, every hundredth is left out together
 RIDGE, NUM_STEPS, LEAST_CHANCE = 1e-3, 12, 1e-6
-MARGIN_CUT_M, MARGIN_SCALE_M = 60.0, 2.0  # of the curve of margins, as the softness of maps has it
 STREET, MAP = "street", "margin and elevation"
-
-
-def curve_of(margin_m: np.ndarray) -> np.ndarray:
-    """Return sgn(m) ln(1 + |m| / 2) of margins in metres, cut at 60 m: steep at the shadow's edge, flat far from it."""
-    cut_m = np.clip(margin_m, -MARGIN_CUT_M, MARGIN_CUT_M)
-    return np.sign(cut_m) * np.log1p(np.abs(cut_m) / MARGIN_SCALE_M)
 
 
 def features_of(
     margin_m: np.ndarray, elevation_rad: np.ndarray, off_street_rad: np.ndarray
 ) -> Mapping[str, np.ndarray]:
     """Return what each rule predicts from, ``[R, K]`` by its name.
+
+    Margins count by the shape of `jaxurban.metrics.reception.ReceptionCurve`, whose coefficients every fit chooses.
 
     Args:
       margin_m: ``[R]`` antenna less the shadow's edge.
@@ -36,13 +33,15 @@ def features_of(
     """
     sky = [elevation_rad, elevation_rad**2]
     across_rad = np.arctan2(np.tan(elevation_rad), np.abs(np.sin(off_street_rad)))  # up the walls of the street
+    chance = ReceptionCurve.measured_in_tokyo().chance(jnp.asarray(margin_m))
+    of_margin = logit(np.asarray(chance, np.float64))
     rules = {
         "constant": [],
         "elevation": sky,
         STREET: [*sky, across_rad, across_rad**2, across_rad * elevation_rad],
         "seen or hidden": [margin_m >= 0],
-        "margin": [curve_of(margin_m)],
-        MAP: [*sky, curve_of(margin_m)],
+        "margin": [of_margin],
+        MAP: [*sky, of_margin],
     }
     return {name: np.stack([np.ones(len(margin_m)), *columns], axis=1) for name, columns in rules.items()}
 

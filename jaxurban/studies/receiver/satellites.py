@@ -14,14 +14,16 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from jaxurban.io.read.orbits import matching
 from jaxurban.io.read.rasterise import highest_top_m, rasterise
-from jaxurban.io.read.receiver import CN0, TRACKED
+from jaxurban.io.read.receiver import AZIMUTH, CN0, ELEVATION, EPOCH, SATELLITE, TRACKED, ReceiverLog
 from jaxurban.io.read.vector import open_frame
 from jaxurban.kernels.shadows.rays import shadows_at, walks
-from jaxurban.studies.receiver.prediction import NUM_VISIBLE, Track
+from jaxurban.studies.receiver.prediction import EVERYWHERE, NUM_VISIBLE, OF_CITY, Track
 from jaxurban.world.city import TO_GROUND, City
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import known_ground, stays_within
+from jaxurban.world.sky import Sky
 from jaxurban.world.surface import stands_at
 
 LEG_CELLS = 4_000_000  # of the box around a leg of the track
@@ -172,21 +174,44 @@ def rise_m(city: City, antenna_m: float) -> float:
     return highest_top_m(city) - antenna_m
 
 
-def known_of(known: str | float | Path, city: City, track: Track) -> shapely.Geometry | None:
-    """Return where the buildings of a city are known, in its CRS, as `ReceiverSettings` states it; None: everywhere.
+def known_of(known: str | float | Path, city: City, track: Track) -> shapely.Geometry:
+    """Return where the buildings of a city are known, in its CRS, as `ReceiverSettings` states it.
 
     Raises:
       InputError: a file of polygons that cannot be read.
     """
-    if known == "all":
-        return None
-    if known == "city":
+    if known in (OF_CITY, EVERYWHERE):
         return known_ground(city)
     if isinstance(known, str | Path):
         frame = open_frame(known, "known area").to_crs(city.crs)
         return shapely.union_all(frame.geometry.to_numpy())
     places = np.unique(np.column_stack([track.x_m, track.y_m]), axis=0)
     return shapely.union_all(shapely.buffer(shapely.points(places), float(known)))
+
+
+def with_directions(log: ReceiverLog, track: Track, sky: Sky, grid: Grid) -> ReceiverLog:
+    """Return a log with the azimuth and elevation of each row by the orbits of a sky, at the sky's times.
+
+    Satellites without an orbit are named as left out; rows below the horizon go.
+
+    Raises:
+      InputError: no satellite of the log has an orbit.
+    """
+    rows = log.satellites
+    assert rows is not None
+    of_category = matching(list(rows[SATELLITE].cat.categories), sky)
+    number = of_category[rows[SATELLITE].cat.codes]
+    at = track.sky[rows[EPOCH]], number
+    turn_rad = grid.convergence_rad(*grid.centre_lonlat)
+    angles = {
+        AZIMUTH: np.degrees((sky.azimuth_rad[at] + turn_rad) % math.tau),
+        ELEVATION: np.degrees(sky.elevation_rad[at]),
+    }
+    names = rows[SATELLITE].cat.categories[of_category < 0]
+    is_up = (number >= 0) & (angles[ELEVATION] >= 0)
+    left_out = {**log.left_out, **dict.fromkeys(names, "no orbit of [gps] orbits has its name")}
+    found = rows.assign(**{name: values.astype(np.float32) for name, values in angles.items()})
+    return replace(log, satellites=found[is_up].reset_index(drop=True), left_out=left_out)
 
 
 def counted(rows: pd.DataFrame, num_epochs: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:

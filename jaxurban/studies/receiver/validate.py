@@ -21,15 +21,17 @@ from scipy.stats import t as student
 
 from jaxurban.errors import InputError, typed
 from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED, UTC, ReceiverLog, read_receiver_log
+from jaxurban.io.read.rinex import read_rinex
 from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, reporting
 from jaxurban.public import Caution
+from jaxurban.samples.catalogue import log_of
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.studies.queries import Result
 from jaxurban.studies.receiver.agreement import SatelliteAgreement, agreement_of
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE, ReceiverSettings, Track, predict, region_of, task_at
-from jaxurban.studies.receiver.satellites import counted, known_of
+from jaxurban.studies.receiver.satellites import counted, known_of, with_directions
 
 MAIN = {TRACKED: NUM_VISIBLE, ERROR: "hdop"}
 MORE_IS_BETTER = (TRACKED, NUM_VISIBLE, "gps")  # of all else, dilutions of precision and errors, less is
@@ -121,9 +123,11 @@ class ReceiverValidation(Result):
 @typed
 def validate(
     scenario: Scenario,
-    log: str | Path | pd.DataFrame,
+    log: str | Path | pd.DataFrame | None = None,
     settings: ReceiverSettings | None = None,
     *,
+    navigation: str | Path | None = None,
+    reference: str | Path | pd.DataFrame | None = None,
     progress: Progress = True,
 ) -> ReceiverValidation:
     """Return how well maps of a scenario predict what a receiver logged on its way through the city.
@@ -166,7 +170,7 @@ def validate(
       [{'witness': 'num_tracked', 'prediction': 'num_visible', 'num': 13, 'spearman': 0.61}]
     """
     chosen = settings or ReceiverSettings()
-    logged = read_receiver_log(log)
+    logged = _read(scenario, log, navigation, reference)
     grid = region_of(scenario)
     track = Track.of(logged, grid, chosen.sky_step_s)
     if len(np.unique(track.along_m // chosen.piece_m)) < FEWEST_PIECES:
@@ -184,6 +188,8 @@ def validate(
         else:
             city = load_city(scenario)
         if logged.satellites is not None:
+            if AZIMUTH not in logged.satellites:
+                logged = with_directions(logged, track, task.sky, grid)
             known = known_of(chosen.known, city, track)
             satellites = agreement_of(logged, track, city, known, grid, scenario.gps.mask_deg, chosen, report)
         of_receiver = dict[str, np.ndarray]()
@@ -220,6 +226,23 @@ def validate(
         guesses=(*city.guesses.values(), *guesses.values()),
         satellites=satellites,
     )
+
+
+def _read(
+    scenario: Scenario,
+    log: str | Path | pd.DataFrame | None,
+    navigation: str | Path | None,
+    reference: str | Path | pd.DataFrame | None,
+) -> ReceiverLog:
+    """Return the log that the arguments of `validate` name."""
+    given = log_of(scenario.buildings.source) if log is None else log
+    if given is None:
+        raise InputError("log is left out, and only a sample city with a log of its own has one: name the file")
+    if navigation is None and reference is None:
+        return read_receiver_log(given)
+    if navigation is None or reference is None or isinstance(given, pd.DataFrame):
+        raise InputError("a log in RINEX needs three files, log, navigation and reference: name all of them")
+    return read_rinex(given, navigation, reference)
 
 
 def paired(

@@ -1,0 +1,230 @@
+"""A log with a row a satellite: what is judged, how it is scored, and that nothing wrong is praised."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import product
+
+import numpy as np
+import pandas as pd
+import pytest
+import shapely
+from scipy.stats import mannwhitneyu
+
+import jaxurban as ju
+from jaxurban.maps.run import load_city
+from jaxurban.studies.receiver import rivals
+from jaxurban.studies.receiver.agreement import headings_rad
+from jaxurban.studies.receiver.displaced import displacements, near_by
+from jaxurban.studies.receiver.prediction import region_of
+from jaxurban.studies.receiver.scores import aucs, levels_of, weights_of
+from tests.receiver_logs import scenario
+from tests.satellite_logs import SETTINGS, found, heard, hidden_by_outlines
+
+FALSE_PRAISE = 17  # of 200: what 5 % is at most, in all but one of a hundred such trials
+
+
+def validated(log: pd.DataFrame, **settings) -> ju.studies.ReceiverValidation:
+    chosen = replace(SETTINGS, **{"num_displaced": 1, **settings})
+    return ju.studies.validate(scenario(), log, chosen, progress=False)
+
+
+def by_pairs(is_seen: np.ndarray, cn0: np.ndarray, group: np.ndarray) -> float:
+    """Return the AUC over pairs of one group, one pair after the other."""
+    wins = [
+        float(cn0[i] > cn0[j]) + 0.5 * float(cn0[i] == cn0[j])
+        for i, j in product(np.flatnonzero(is_seen), np.flatnonzero(~is_seen))
+        if group[i] == group[j]
+    ]
+    return float(np.mean(wins))
+
+
+def test_aucs_are_those_of_all_pairs_of_scipy_and_of_draws_written_out():
+    rng = np.random.default_rng(0)
+    is_seen, cn0 = rng.random(90) < 0.4, np.round(rng.normal(35, 5, 90))
+    group, block = rng.integers(0, 4, 90), rng.integers(0, 9, 90)
+    level = levels_of(pd.Series(cn0))
+    weights = weights_of(9, seed=1)[:4]
+    pooled, within = aucs(is_seen, level, block, weights), aucs(is_seen, level, block, weights, group)
+    of_scipy = mannwhitneyu(cn0[is_seen], cn0[~is_seen]).statistic / (is_seen.sum() * (~is_seen).sum())
+    assert pooled[0] == pytest.approx(of_scipy, abs=1e-12)
+    for draw, counts in enumerate(weights.astype(int)):
+        rows = np.repeat(np.arange(90), counts[block])
+        assert pooled[draw] == pytest.approx(by_pairs(is_seen[rows], cn0[rows], np.zeros(len(rows))), abs=1e-12)
+        assert within[draw] == pytest.approx(by_pairs(is_seen[rows], cn0[rows], group[rows]), abs=1e-12)
+
+
+def test_what_is_all_seen_has_no_auc():
+    assert np.isnan(aucs(np.ones(5, bool), np.arange(5), np.zeros(5, int), np.ones((1, 1)))[0])
+
+
+def test_rows_are_seen_as_a_ray_at_a_time_through_the_outlines_says():
+    rows, epochs = found().satellites.rows, found().epochs
+    city, turn_rad = load_city(scenario()), region_of(scenario()).convergence_rad(-73.9965, 40.758)
+    outlines = city.buildings.polygons, city.buildings.height_m
+    chosen = rows[rows.is_judged].sample(300, random_state=0)
+    hidden = [
+        hidden_by_outlines(
+            *outlines,
+            epochs.x_m[row.epoch],
+            epochs.y_m[row.epoch],
+            np.radians(row.azimuth_deg) - turn_rad,
+            np.radians(row.elevation_deg),
+        )
+        for row in chosen.itertuples()
+    ]
+    assert 0.2 < np.mean(hidden) < 0.8
+    assert np.mean(chosen.is_seen.to_numpy() == ~np.array(hidden)) > 0.9  # cells of 5 m, 2 m up between walls
+    np.testing.assert_array_equal(chosen.margin_m >= 0, chosen.is_seen)
+
+
+def test_a_stated_radius_judges_rays_that_stay_so_near_to_the_track():
+    """A witness of its own: the distance to the places of each point along a ray, a metre apart."""
+    rows, epochs = validated(heard(), known=150.0).satellites.rows, found().epochs
+    top_m = load_city(scenario()).buildings.height_m.max()
+    turn_rad = region_of(scenario()).convergence_rad(-73.9965, 40.758)
+    places = shapely.MultiPoint(epochs[["x_m", "y_m"]].to_numpy())
+    for row in rows.sample(60, random_state=1).itertuples():
+        away_m = np.arange(0, (top_m - 2.0) / np.tan(np.radians(row.elevation_deg)))
+        azimuth_rad = np.radians(row.azimuth_deg) - turn_rad
+        x_m, y_m = epochs.x_m[row.epoch], epochs.y_m[row.epoch]
+        points = shapely.points(x_m + away_m * np.sin(azimuth_rad), y_m + away_m * np.cos(azimuth_rad))
+        farthest_m = shapely.distance(points, places).max()
+        assert row.is_known == (farthest_m <= 150.0) or abs(farthest_m - 150.0) < 3.0  # a disc has 64 sides
+    assert 0.1 < rows.is_known.mean() < 0.9
+
+
+def test_a_receiver_that_hears_what_the_city_leaves_open_is_believed():
+    of = found().satellites
+    assert of.score().auc_low > 0.8
+    assert of.score().within_low > 0.8
+    assert of.score().auc > of.displaced.auc.max() + 0.1
+    assert of.peak["within_95_m"] <= 10.0  # two cells
+    assert "better than elevation" in of.verdict
+    assert set(of.scores.which) == {"all", "received", "E", "G", "unguarded"}
+    assert of.score("E").rows + of.score("G").rows == of.score().rows
+    assert of.strong_dbhz == of.rows[of.rows.is_judged].cn0_dbhz.median()
+    table = of.rivals.set_index("model").log_loss
+    assert table["margin"] < table["street"] <= table["constant"] == pytest.approx(np.log(2), abs=0.01)
+
+
+def test_what_is_judged_follows_from_place_and_direction_alone():
+    rows = found().satellites.rows
+    rng = np.random.default_rng(1)
+    shuffled = heard().assign(cn0_dbhz=rng.permutation(heard().cn0_dbhz))
+    of_other = validated(shuffled).satellites.rows
+    np.testing.assert_array_equal(of_other.is_judged, rows.is_judged)
+    hides = rows[~rows.is_known & ~rows.is_seen]
+    assert len(hides) > 100  # a known roof hides them, and they are left out all the same
+    assert not hides.is_judged.any()
+    counts = found().satellites.counts
+    assert counts["unknown"] == (~rows.is_known).sum()
+    assert counts["judged"] + counts["unknown"] + counts["inside"] == counts["rows"] == len(rows)
+    assert "not judged: their rays leave" in repr(found())
+
+
+def test_places_in_a_building_are_left_out_and_counted():
+    city = load_city(scenario())
+    lon, lat = region_of(scenario()).lonlat_of_xy(*shapely.get_coordinates(city.buildings.polygons[20].centroid)[0])
+    log = heard()
+    is_there = log.utc <= log.utc.unique()[9]
+    log = log.assign(lon_deg=log.lon_deg.where(~is_there, lon), lat_deg=log.lat_deg.where(~is_there, lat))
+    of = validated(log).satellites
+    inside = of.rows[of.rows.epoch < 10]
+    assert inside.is_inside.all()
+    assert not inside.is_judged.any()
+    assert inside.margin_m.isna().all()
+    assert of.counts["inside"] == inside.is_known.sum() > 0
+
+
+def test_a_shuffled_log_is_not_praised():
+    rng = np.random.default_rng(3)
+    of = validated(heard().assign(cn0_dbhz=rng.permutation(heard().cn0_dbhz))).satellites
+    assert abs(of.score().auc - 0.5) < 0.1
+    assert of.verdict.startswith("It is not shown")
+
+
+def test_counts_of_judged_rows_come_second():
+    rows = found().satellites.rows
+    judged = rows[rows.is_judged]
+    first = judged.epoch.iloc[0]
+    of_first = judged[judged.epoch == first]
+    epochs = found().epochs
+    assert epochs.num_visible[first] == of_first.is_seen.sum()
+    assert epochs.num_tracked[first] == (of_first.cn0_dbhz > 0).sum()
+    assert epochs.num_visible.isna().sum() == len(epochs) - judged.epoch.nunique()
+    assert list(found().main.witness) == ["num_tracked"]
+
+
+def test_a_street_has_the_direction_of_twenty_metres_each_way_and_keeps_it_while_the_car_stands():
+    east = np.concatenate([np.arange(0, 100, 5.0), np.full(10, 95.0) + 0.1 * np.arange(10) % 0.3, np.full(20, 95.0)])
+    north = np.concatenate([np.zeros(30), np.arange(5, 105, 5.0)])
+    heading_deg = np.degrees(headings_rad(east, north))
+    np.testing.assert_allclose(heading_deg[:15], 90.0, atol=1e-6)
+    np.testing.assert_allclose(heading_deg[20:30], heading_deg[20], atol=1.0)  # it stands before the corner
+    np.testing.assert_allclose(heading_deg[-10:], 0.0, atol=1e-6)
+    assert heading_deg[29] == pytest.approx(45.0, abs=10.0)
+
+
+def test_displacements_are_even_over_the_ring_and_the_field_is_a_disc_of_steps():
+    away_m = np.hypot(*displacements(4000, seed=0).T)
+    assert away_m.min() >= 80.0
+    assert away_m.max() <= 450.0
+    share = (450.0**2 - 300.0**2) / (450.0**2 - 80.0**2)
+    assert np.mean(away_m > 300.0) == pytest.approx(share, abs=0.03)
+    np.testing.assert_array_equal(displacements(3, seed=5), displacements(3, seed=5))
+    assert len(near_by()) == sum(x * x + y * y <= 400 for x in range(-20, 21) for y in range(-20, 21))
+    assert near_by()[0].tolist() == [0.0, 0.0]
+
+
+def test_left_out_blocks_make_the_loss_of_noise_no_better_than_a_constant():
+    rng = np.random.default_rng(4)
+    block = np.repeat(np.arange(20), 10)
+    is_strong, noise = rng.random(200) < 0.5, rng.normal(size=(200, 30))
+    one = np.ones((200, 1))
+    of_noise, of_none = (
+        rivals.losses(features, is_strong, block).mean() for features in (np.hstack([one, noise]), one)
+    )
+    assert of_noise > of_none > 0.68
+
+
+@cache
+def judged() -> tuple[pd.DataFrame, np.ndarray, np.ndarray]:
+    """Return the judged rows, their elevation and the angle to the street."""
+    of, epochs = found().satellites, found().epochs
+    rows = of.rows[of.rows.is_judged]
+    off_rad = np.radians(rows.azimuth_deg) - headings_rad(*epochs[["x_m", "y_m"]].to_numpy().T)[rows.epoch]
+    return rows, np.radians(rows.elevation_deg.to_numpy(float)), off_rad.to_numpy()
+
+
+def is_praised(rows: pd.DataFrame, margin_m: np.ndarray, elevation_rad: np.ndarray, off_rad: np.ndarray) -> bool:
+    """Return whether margins are called better than the rule of the street."""
+    rules = rivals.features_of(margin_m, elevation_rad, off_rad)
+    chosen = {name: rules[name] for name in (rivals.STREET, rivals.MAP)}
+    weights = weights_of(int(rows.block.max()) + 1, seed=0)
+    table = rivals.compared_rules(chosen, rows.is_strong.to_numpy(), rows.block.to_numpy(), weights)
+    return bool(table.set_index("model").gain_low[rivals.MAP] > 0)
+
+
+def wrong_margins(rows: pd.DataFrame, rng: np.random.Generator, step_s: float) -> np.ndarray:
+    """Return the margins of the rows, shifted in time within satellites, or of satellites that are swapped."""
+    table = rows.pivot(index="epoch", columns="satellite", values="margin_m")
+    if rng.random() < 0.5:
+        shift = int(np.rint(rng.uniform(30.0, 200.0) / step_s))
+        moved = table.apply(lambda of: pd.Series(np.roll(of.dropna(), shift), of.dropna().index))
+    else:
+        order = rng.permutation(table.shape[1])
+        while (order == np.arange(len(order))).any():
+            order = rng.permutation(table.shape[1])
+        moved = pd.DataFrame(table.to_numpy()[:, order], table.index, table.columns)
+    at = table.index.get_indexer(rows.epoch), table.columns.get_indexer(rows.satellite)
+    return np.where(np.isnan(moved.to_numpy()[at]), 0.0, moved.to_numpy()[at])
+
+
+@pytest.mark.slow
+def test_shifted_and_swapped_predictions_are_seldom_praised():
+    rows, elevation_rad, off_rad = judged()
+    rng = np.random.default_rng(0)
+    margins = (wrong_margins(rows, rng, step_s=4.0) for _ in range(200))
+    praised = [is_praised(rows, margin_m, elevation_rad, off_rad) for margin_m in margins]
+    assert is_praised(rows, rows.margin_m.to_numpy(), elevation_rad, off_rad)
+    assert sum(praised) <= FALSE_PRAISE
