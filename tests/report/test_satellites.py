@@ -53,6 +53,7 @@ def made() -> SatelliteAgreement:
         counts={
             "rows": 360,
             "judged": 342,
+            "is_guarded": True,
             "unknown": 11,
             "inside": 18,
             "num_satellites": 6,
