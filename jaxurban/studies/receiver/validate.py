@@ -235,13 +235,13 @@ def _read(
     reference: str | Path | pd.DataFrame | None,
 ) -> ReceiverLog:
     """Return the log that the arguments of `validate` name."""
+    if (navigation is None) != (reference is None) or (navigation is not None and isinstance(log, pd.DataFrame)):
+        raise InputError("a log in RINEX needs three files, log, navigation and reference: name all of them")
     given = log_of(scenario.buildings.source) if log is None else log
     if given is None:
         raise InputError("log is left out, and only a sample city with a log of its own has one: name the file")
-    if navigation is None and reference is None:
-        return read_receiver_log(given)
     if navigation is None or reference is None or isinstance(given, pd.DataFrame):
-        raise InputError("a log in RINEX needs three files, log, navigation and reference: name all of them")
+        return read_receiver_log(given)
     return read_rinex(given, navigation, reference)
 
 
