@@ -155,8 +155,8 @@ class Buildings(Heights):
 
     Attributes:
       source: ``.osm.pbf``, ``.osm``, ``.geojson``, ``.gpkg``, ``.shp``, ``.parquet``, or a height raster (``.tif``,
-        ``.asc``, ``.img``), in any CRS that the file declares; ``"sample:lower-manhattan"`` or ``"sample:shinjuku"``,
-        which are in the package; of a scenario ``"synthetic"`` too.
+        ``.asc``, ``.img``), in any CRS that the file declares; ``"sample:lower-manhattan"``, ``"sample:shinjuku"`` or
+        ``"sample:nihonbashi"``, which are in the package; of a scenario ``"synthetic"`` too.
       kind: of a raster: ``"height"`` above ground, or ``"surface"`` (a DSM), elevations from which the terrain is
         taken; trees are in it too.
       default_height_m: height of a building without a usable height or levels.

@@ -1,1 +1,1 @@
-"""Two real cities in the package, their licences in NOTICE.md, and the script that makes them."""
+"""Three real cities in the package, their licences in NOTICE.md, and the script that makes them."""

@@ -28,6 +28,17 @@ SAMPLES: dict[str, dict[str, dict[str, Any]]] = {  # what a scenario of each tak
             "times": ["2018-12-19T03:00:00Z"],  # noon in Tokyo
         },
     },
+    "nihonbashi": {
+        "region": {  # the drive of its log and 60 m around
+            "bounds": [139.7628, 35.6725, 139.7704, 35.6840],
+            "resolution_m": 2.0,
+        },
+        "gps": {
+            "orbits": ["sample:nihonbashi/gps.tle", "sample:nihonbashi/galileo.tle"],
+            "times": ["2023-06-22T01:10:00Z"],  # of the drive, 10:10 in Tokyo
+            "mask_deg": 10.0,
+        },
+    },
 }
 
 
@@ -51,10 +62,21 @@ def sample_name(source: Any) -> str | None:
     return name
 
 
+def log_of(source: Any) -> str | None:
+    """Return the name of the receiver's log that the sample city ``sample:CITY`` has, None where there is none.
+
+    Raises:
+      InputError: there is no such city.
+    """
+    name = sample_name(source)
+    has_log = name is not None and (Path(__file__).parent / name / LOG_FILE).is_file()
+    return f"{PREFIX}{name}/{LOG_FILE}" if has_log else None
+
+
 def check_sample(name: str) -> None:
     """Raise InputError, which names the nearest one, unless the package holds a city of this name."""
     if name not in SAMPLES:
-        hint = nearest_name(name, list(SAMPLES)) or f"; there are {' and '.join(SAMPLES)}"
+        hint = nearest_name(name, list(SAMPLES)) or f"; there are {', '.join(SAMPLES)}"
         raise InputError(f"there is no sample city {name!r}{hint}")
 
 

@@ -5,6 +5,7 @@ DATA is the folder of these files, else ``JAXURBAN_DATA``, else ``../shared/data
 
 import math
 import os
+import shutil
 import sys
 from datetime import date
 from pathlib import Path
@@ -22,14 +23,19 @@ from jaxurban.io.read.base_map import read_base_map, write_base_map
 from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.nominal import GALILEO, GPS, MARK, Constellation, nominal_satellites
 from jaxurban.io.read.osm import OSM_CREDIT, TAGS, header_box, read_osm
+from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.metrics.population import Population
-from jaxurban.samples.catalogue import BASE_MAP_FILE, BUILDINGS_FILE, SAMPLES
+from jaxurban.samples.catalogue import BASE_MAP_FILE, BUILDINGS_FILE, LOG_FILE, SAMPLES
 from jaxurban.world.grid import WGS84, Bounds, transformer, utm_crs
 
 HERE = Path(__file__).parent
 STEP_DEG = 1e-6  # of coordinates, about 0.1 m
 MARGIN_M = 400.0  # of Shinjuku: so far around the region every roof is kept
 MASK_DEG = 5.0  # beyond, those that hide a satellite above it from some place in the region
+NIHONBASHI_LOG = "tokyo/tokyo_nihonbashi_2023-06-22_satellites.csv.gz"
+KNOWN_M = 300.0  # of Nihonbashi: so far around the drive every roof is kept
+EDGE_M = 0.2  # so that no roof that is cut and rounded leaves it
+ROW_DEG, CELL_DEG = 1.5e-4, 1e-4  # height of the boxes that the file covers, and the step of their ends
 ODBL, CC_BY, PUBLIC_DOMAIN = "ODbL-1.0", "CC-BY-4.0", "public domain"
 PLATEAU_CREDIT = "Project PLATEAU (MLIT), CC BY 4.0"
 CENSUS_CREDIT, DISTRICTS_CREDIT = "US Census Bureau", "NYC Open Data (Department of City Planning)"
@@ -93,6 +99,50 @@ def make_shinjuku(data: Path, home: Path) -> None:
     write_nominal(home / "galileo.tle", date(2018, 12, 19), GALILEO)
 
 
+def make_nihonbashi(data: Path, home: Path) -> None:
+    """Write the files of Nihonbashi: a drive's log, and the roofs around it, cut at the boxes that are known whole."""
+    shutil.copyfile(data / NIHONBASHI_LOG, home / LOG_FILE)
+    track = read_receiver_log(data / NIHONBASHI_LOG).epochs
+    bounds: Bounds = tuple(SAMPLES["nihonbashi"]["region"]["bounds"])
+    crs = utm_crs((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
+    drive = np.column_stack(transformer(WGS84, crs).transform(track["lon_deg"], track["lat_deg"]))
+    boxes = boxes_inside(shapely.LineString(drive).buffer(KNOWN_M), crs)
+    project = transformer(WGS84, crs)
+    known = shapely.union_all([shapely.box(*project.transform_bounds(*box, densify_pts=101)) for box in boxes])
+    known = known.buffer(-EDGE_M, join_style="mitre")
+    frame = gpd.read_parquet(data / "tokyo/tokyo-east-lod2.parquet")
+    frame = frame.set_geometry(shapely.make_valid(frame.geometry.to_numpy())).to_crs(crs)
+    frame = frame.clip(known, keep_geom_type=True).sort_index().to_crs(WGS84)
+    facts = {"credit": PLATEAU_CREDIT, "licence": CC_BY, "boxes": boxes}
+    write_geoparquet(home / BUILDINGS_FILE, rounded(frame.assign(height=frame["height"].round(1))), facts)
+    write_nominal(home / "gps.tle", date(2023, 6, 22), GPS)
+    write_nominal(home / "galileo.tle", date(2023, 6, 22), GALILEO)
+
+
+def boxes_inside(area: shapely.Polygon, crs: str) -> list[Bounds]:
+    """Return rows of boxes, west, south, east, north in degrees, whose boxes in ``crs`` lie in an area of it."""
+    project = transformer(WGS84, crs)
+    bounds_m: Bounds = area.bounds
+    west, south, east, north = project.transform_bounds(*bounds_m, direction="INVERSE")
+
+    def is_inside(first: float, low: float, last: float) -> bool:
+        return area.covers(shapely.box(*project.transform_bounds(first, low, last, low + ROW_DEG, densify_pts=101)))
+
+    boxes: list[Bounds] = []
+    steps = np.arange(round(west / CELL_DEG), round(east / CELL_DEG) + 1) * CELL_DEG
+    for low in np.arange(round(south / ROW_DEG), round(north / ROW_DEG) + 1) * ROW_DEG:
+        is_known = [is_inside(step, low, step + CELL_DEG) for step in steps]
+        turns = np.flatnonzero(np.diff([False, *is_known, False]))
+        for begin, end in turns.reshape(-1, 2):
+            first, last = steps[begin], steps[end - 1] + CELL_DEG
+            while first < last and not is_inside(first, low, last):  # a row lies askew in metres
+                first, last = first + CELL_DEG / 2, last - CELL_DEG / 2
+            if first < last:
+                box = np.round([first, low, last, low + ROW_DEG], 6).tolist()
+                boxes.append(tuple(box))
+    return boxes
+
+
 def write_nominal(path: Path, day: date, constellation: Constellation) -> None:
     """Write a nominal constellation as two-line elements of a day; their names say what they are."""
     satellites = nominal_satellites(day, load.timescale(builtin=True), constellation)
@@ -108,9 +158,13 @@ def rounded(frame: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
 
 
 def main(arguments: list[str]) -> None:
-    """Make both cities, from the folder that the arguments name, and print their sizes."""
+    """Make all cities, from the folder that the arguments name, and print their sizes."""
     data = Path(arguments[0] if arguments else os.environ.get("JAXURBAN_DATA", "../shared/data"))
-    makers: dict[str, Any] = {"lower-manhattan": make_lower_manhattan, "shinjuku": make_shinjuku}
+    makers: dict[str, Any] = {
+        "lower-manhattan": make_lower_manhattan,
+        "shinjuku": make_shinjuku,
+        "nihonbashi": make_nihonbashi,
+    }
     for name, make in makers.items():
         home = HERE / name
         home.mkdir(exist_ok=True)

@@ -28,7 +28,6 @@ from jaxurban.planners.cost import CostModel
 from jaxurban.planners.exposure import within_budgets
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.write import save
-from jaxurban.samples.catalogue import SAMPLES
 from jaxurban.samples.cities import sample_city
 from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.world.synthetic import demo_city
@@ -36,7 +35,7 @@ from jaxurban.world.synthetic import demo_city
 QUERIES, DEMONSTRATIONS, CHECKSUMS = "queries.csv", "demonstrations.csv", "CHECKSUMS"
 TEXTS = {"README.md": "report/templates/board.md", "CITATION.cff": "report/templates/board.cff"}
 TEXTS |= {"NOTICE.md": "samples/NOTICE.md"}
-SYNTHETIC = "synthetic"  # name of a city
+SAMPLED, SYNTHETIC = ("lower-manhattan", "shinjuku"), "synthetic"  # names of cities
 DECIMALS = 4  # of costs: what the files hold is the truth
 DEMO_M = 2000.0  # side of the synthetic city
 TRUTH = {"w_distance": 0.1, "w_gps": 1.0, "w_lidar": 0.3, "w_population": 2.0, "w_risk": 0.6}  # of demonstrations
@@ -56,14 +55,14 @@ def make_benchmark(
     Args:
       folder: where to; what an earlier call wrote there and nobody changed is replaced.
       num_queries: of each track in each city, and demonstrations of each city.
-      maps: of the cities, whose lowest altitude counts; left out, the two cities of the package and the synthetic one,
-        which takes some minutes of one core.
+      maps: of the cities, whose lowest altitude counts; left out, `SAMPLED` and the synthetic one, which takes
+        some minutes of one core.
       progress: a bar or lines in the log, or a function of stage, done and total.
 
     Raises:
       InputError: the folder cannot be written to, or holds other files of these names.
     """
-    folder, outputs, cities = Path(folder), dict[str, Any](), [*SAMPLES, SYNTHETIC] if maps is None else [*maps]
+    folder, outputs, cities = Path(folder), dict[str, Any](), [*SAMPLED, SYNTHETIC] if maps is None else [*maps]
     queries, shown, names = list[dict[str, Any]](), list[dict[str, Any]](), [QUERIES, DEMONSTRATIONS, CHECKSUMS, *TEXTS]
     names += [f"{city}.npz" for city in cities]
     with (
@@ -96,7 +95,7 @@ def make_benchmark(
 
 def city_maps() -> dict[str, MetricMaps]:
     """Return the maps of the cities in the package and of the synthetic one."""
-    cities = {name: sample_city(name) for name in SAMPLES} | {SYNTHETIC: demo_city(DEMO_M, DEMO_M)}
+    cities = {name: sample_city(name) for name in SAMPLED} | {SYNTHETIC: demo_city(DEMO_M, DEMO_M)}
     return {name: build_maps(each, resolution_m=5.0, altitudes_m=(20.0,)) for name, each in cities.items()}
 
 

@@ -380,9 +380,9 @@ class City(Shown):
         """Return the city in a set of files, around a region.
 
         Args:
-          buildings: their file, or ``"sample:lower-manhattan"`` or ``"sample:shinjuku"`` (see `sample_city`); or
-            `Buildings`, which also says how the file is read. Buildings are kept as far around the region as one of
-            1,000 m could shadow it from a satellite at the elevation mask.
+          buildings: their file, or ``"sample:lower-manhattan"``, ``"sample:shinjuku"`` or ``"sample:nihonbashi"`` (see
+            `sample_city`); or `Buildings`, which also says how the file is read. Buildings are kept as far around the
+            region as one of 1,000 m could shadow it from a satellite at the elevation mask.
           bounds: west, south, east, north of the region in degrees; left out, what the file of buildings covers.
           crs: projected CRS in metres; left out, the UTM zone of the region's centre.
           population: names census blocks, their people and districts, or rasters of people; left out, none.

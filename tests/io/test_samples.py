@@ -5,6 +5,7 @@ import json
 import math
 from datetime import date
 
+import geopandas as gpd
 import numpy as np
 import pytest
 import rasterio
@@ -16,19 +17,26 @@ from jaxurban.io.files import digest_of
 from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.io.read.nominal import GALILEO, GPS
 from jaxurban.io.read.orbits import look_angles, read_orbits
+from jaxurban.io.read.receiver import ReceiverLog, read_receiver_log
 from jaxurban.maps.run import load_city, run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.samples import cities, make
-from jaxurban.samples.catalogue import SAMPLES, located
+from jaxurban.samples.catalogue import SAMPLES, located, log_of
+from jaxurban.world.grid import WGS84, transformer
 from tests.io.test_orbits import places_of, separation_deg
 
 CITIES = sorted(SAMPLES)
-CREDITS = {"lower-manhattan": "OpenStreetMap", "shinjuku": "PLATEAU"}
+CREDITS = {"lower-manhattan": "OpenStreetMap", "shinjuku": "PLATEAU", "nihonbashi": "PLATEAU"}
 SATELLITES = {
     "lower-manhattan": "the GPS satellites are nominal ones at 2020-04-27T16:00:00Z",
     "shinjuku": "the GPS and GALILEO satellites are nominal ones at 2018-12-19T03:00:00Z",
+    "nihonbashi": "the GPS and GALILEO satellites are nominal ones at 2023-06-22T01:10:00Z",
 }
-SMALL = {"lower-manhattan": [-74.012, 40.706, -74.008, 40.709], "shinjuku": [139.6900, 35.6880, 139.6940, 35.6910]}
+SMALL = {
+    "lower-manhattan": [-74.012, 40.706, -74.008, 40.709],
+    "shinjuku": [139.6900, 35.6880, 139.6940, 35.6910],
+    "nihonbashi": [139.7640, 35.6770, 139.7670, 35.6790],
+}
 
 
 @pytest.mark.parametrize("name", CITIES)
@@ -49,6 +57,8 @@ def test_a_sample_is_small_credited_and_comes_with_its_satellites(name):
         ("lower-manhattan/gps.tle", date(2020, 4, 27), GPS, 2, 1),
         ("shinjuku/gps.tle", date(2018, 12, 19), GPS, 2, 1),
         ("shinjuku/galileo.tle", date(2018, 12, 19), GALILEO, 17, 10),
+        ("nihonbashi/gps.tle", date(2023, 6, 22), GPS, 2, 1),
+        ("nihonbashi/galileo.tle", date(2023, 6, 22), GALILEO, 17, 10),
     ],
 )
 def test_elements_are_those_that_the_package_makes_and_repeat_their_ground_track(
@@ -77,6 +87,39 @@ def test_gps_of_a_sample_stands_as_nominal_satellites_do(name):
 
 def test_the_example_of_sample_city_runs():
     assert doctest.testmod(cities) == (0, 3)
+
+
+def drive_of(city: ju.City) -> tuple[ReceiverLog, shapely.LineString]:
+    """Return the log of Nihonbashi and its track in the city's CRS."""
+    log = read_receiver_log(log_of("sample:nihonbashi"))
+    places = transformer(WGS84, city.crs).transform(log.epochs.lon_deg, log.epochs.lat_deg)
+    return log, shapely.LineString(np.column_stack(places))
+
+
+def test_nihonbashi_has_a_log_and_knows_roofs_nowhere_but_within_300_m_of_its_track():
+    city = ju.sample_city("nihonbashi")
+    log, track = drive_of(city)
+    assert (len(log.epochs), len(log.satellites)) == (251, 11_235)
+    assert "E18" not in set(log.satellites.satellite)  # unhealthy by its own message
+    around = track.buffer(300.0)
+    assert around.covers(city.known_area)
+    assert city.known_area.area > 0.96 * around.area
+    assert city.known_area.covers(track.buffer(255.0))
+    assert log_of("sample:shinjuku") is None
+    settings = Scenario.from_toml("sample:nihonbashi")
+    assert (settings.region.resolution_m, settings.gps.mask_deg) == ((2.0,), 10.0)
+
+
+@pytest.mark.data
+def test_nihonbashi_lacks_no_roof_of_its_source_where_it_knows(data_dir):
+    city = ju.sample_city("nihonbashi")
+    project = transformer(WGS84, city.crs)
+    roofs = gpd.read_parquet(data_dir / "tokyo/tokyo-east-lod2.parquet").geometry.to_numpy()
+    roofs = shapely.make_valid(shapely.transform(roofs, project.transform, interleaved=False))
+    roofs = shapely.intersection(roofs[shapely.intersects(roofs, city.known_area)], city.known_area)
+    ours = shapely.union_all(city.buildings.polygons)
+    missed = shapely.difference(shapely.union_all(roofs), shapely.buffer(ours, 0.3))
+    assert missed.area < 1e-5 * ours.area
 
 
 @pytest.mark.parametrize("name", CITIES)
