@@ -4,7 +4,6 @@ The library sidereon (the extra ``receiver``) reads the files and computes satel
 """
 
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -77,30 +76,25 @@ def read_rinex(observations: str | Path, navigation: str | Path, reference: str 
     """
     messages = Messages(navigation)
     track = read_track(reference, messages.leap_s)
-    observed, strengths, unheard = _strengths(observations)
-    away_s, nearest = KDTree(observed[:, None]).query(messages.seconds_of(track[UTC])[:, None])
+    observed_s, strengths, heard = _strengths(observations)
+    known_s = messages.seconds_of(track[UTC])
+    away_s, nearest = KDTree(observed_s[:, None]).query(known_s[:, None])
     pairs = pd.DataFrame({"observation": nearest, "away_s": away_s})
     pairs = pairs[pairs.away_s <= MATCH_S].sort_values("away_s").drop_duplicates("observation").sort_index()
     if pairs.empty:
-        times = [_span(messages.utc_of(observed)), _span(track[UTC])]
+        late_s = known_s.min() - observed_s.min()
         raise InputError(
-            f"the observations {str(observations)!r} ({times[0]}) and the reference track ({times[1]}) have no epoch "
-            f"in common, within {MATCH_S:g} s: give the track of this drive"
+            f"the reference track and the observations {str(observations)!r} have no epoch in common, within "
+            f"{MATCH_S:g} s: the track begins {late_s:+.3f} s after them, and that of the same drive is needed"
         )
-    track = track.iloc[pairs.index].reset_index(drop=True)
+    track = track.iloc[pairs.index].reset_index(drop=True).assign(observation=pairs.observation.to_numpy())
     angles = messages.angles(track)
-    rows = angles[angles[ELEVATION] >= LOWEST_DEG]
-    rows = rows.assign(observation=pairs.observation.to_numpy()[rows[EPOCH]]).merge(
-        strengths, "left", ["observation", SATELLITE]
-    )
-    is_heard = ~rows[SATELLITE].str[0].isin(list(unheard))
-    rows = rows[is_heard].fillna({CN0: 0.0})
-    place = track.loc[rows[EPOCH], [UTC, LON, LAT]].reset_index(drop=True)
-    table = pd.concat([place, rows[[SATELLITE, CN0, AZIMUTH, ELEVATION]].reset_index(drop=True)], axis="columns")
+    is_heard = angles[SATELLITE].str[0].isin(heard)
+    rows = angles[is_heard & (angles[ELEVATION] >= LOWEST_DEG)].join(track, on=EPOCH)
+    rows = rows.merge(strengths, "left", ["observation", SATELLITE]).fillna({CN0: 0.0})
     left_out = messages.left_out(set(angles[SATELLITE]), set(strengths[SATELLITE]))
-    silent = "no C/N0 of L1, E1 or B1 in the observations"
-    left_out |= {name: silent for name in {*angles[SATELLITE]} if name[0] in unheard}
-    return replace(log_of(table, str(observations)), left_out=dict(sorted(left_out.items())))
+    left_out |= dict.fromkeys(angles[SATELLITE][~is_heard], "no C/N0 of L1, E1 or B1 in the observations")
+    return replace(log_of(rows, str(observations)), left_out=dict(sorted(left_out.items())))
 
 
 def read_track(reference: str | Path | pd.DataFrame, leap_s: float) -> pd.DataFrame:
@@ -123,13 +117,11 @@ def read_track(reference: str | Path | pd.DataFrame, leap_s: float) -> pd.DataFr
     names = [re.sub(r"\W+", "_", str(name).lower()).strip("_") for name in table.columns]
     table = renamed(table.set_axis(names, axis="columns"), OTHER_NAMES)
     times = [UTC] if UTC in table else [WEEK, TOW]
-    if lacking := [name for name in (*times, *TRACK) if name not in table]:
+    if table.empty or not {*times, *TRACK} <= set(table):
         raise InputError(
-            f"{what} has no column {lacking[0]}: give {UTC}, or {WEEK} and {TOW}, and {', '.join(TRACK)} (above the "
-            "ellipsoid)"
+            f"{what} has {len(table)} rows of the columns {', '.join(map(str, table.columns))}: give {UTC}, or {WEEK} "
+            f"and {TOW}, and {', '.join(TRACK)} (above the ellipsoid)"
         )
-    if table.empty:
-        raise InputError(f"{what} has no rows: give the places of the receiver")
     table = checked(table, [*times, *TRACK], what)
     if UTC not in table:
         seconds = pd.to_timedelta(table[TOW] - leap_s, unit="s")
@@ -166,10 +158,6 @@ class Messages:
     def seconds_of(self, utc: pd.Series) -> np.ndarray:
         """Return GPS time as seconds since J2000."""
         return ((utc - J2000) / pd.Timedelta(seconds=1)).to_numpy() + self.leap_s
-
-    def utc_of(self, seconds: np.ndarray) -> pd.Series:
-        """Return UTC of GPS times in seconds since J2000."""
-        return J2000 + pd.to_timedelta(pd.Series(seconds - self.leap_s), unit="s")
 
     def angles(self, track: pd.DataFrame) -> pd.DataFrame:
         """Return where the satellites stand along a track, without those that have no healthy message at the time.
@@ -211,8 +199,8 @@ class Messages:
         return reasons
 
 
-def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, set[str]]:
-    """Return epochs in GPS seconds since J2000, rows of C/N0 by observation and satellite, and systems without any."""
+def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, list[str]]:
+    """Return epochs in GPS seconds since J2000, rows of C/N0, and the letters of the systems that have any."""
     sidereon = _library()
     data = _text(observations, "O", "observation").encode()
     with _whole(sidereon, observations, "observation"):
@@ -222,10 +210,15 @@ def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, set[
     scale = first[1].abbrev if first else "unknown"
     if scale not in ("GPST", "GST", "QZSST"):
         raise InputError(f"{what} counts in {scale}, and only GPS time is read: convert it to a file of GPS time")
-    codes = {system: _codes_of(system.letter, file.obs_codes(system)) for system in file.header.systems}
-    if not any(codes.values()):
+    codes = []
+    for system in file.header.systems:
+        bands = BANDS.get(system.letter, ("S1",))
+        own = [code for code in file.obs_codes(system) if code.startswith(bands)]
+        if own:
+            codes.append((system, own))
+    if not codes:
         raise InputError(f"{what} has no C/N0 of L1, E1 or B1 (S1C, S2I ...): write it with these observables")
-    only = sidereon.ObservationFilter([(system, found) for system, found in codes.items() if found])
+    only = sidereon.ObservationFilter(codes)
     times: list[float] = []
     names: list[str] = []
     values: list[np.ndarray] = []
@@ -243,11 +236,7 @@ def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, set[
     observation = np.repeat(np.arange(len(times)), [len(each) for each in values])
     rows = pd.DataFrame({"observation": observation, SATELLITE: names, CN0: np.concatenate(values)})
     strongest = rows.dropna().groupby(["observation", SATELLITE], as_index=False).max()
-    return np.array(times), strongest, {system.letter for system, found in codes.items() if not found}
-
-
-def _codes_of(letter: str, codes: Sequence[str]) -> list[str]:
-    return [code for code in codes if code.startswith(BANDS.get(letter, ("S1",)))]
+    return np.array(times), strongest, [system.letter for system, _ in codes]
 
 
 def _text(file: str | Path, letter: str, kind: str) -> str:
@@ -265,10 +254,6 @@ def _text(file: str | Path, letter: str, kind: str) -> str:
 def _whole(sidereon: ModuleType, file: str | Path, kind: str) -> Any:
     remedy = "convert or download it again"
     return readable(file, "RINEX", remedy, sidereon.SidereonError, what=f"the {kind} file {str(file)!r}")
-
-
-def _span(utc: pd.Series) -> str:
-    return f"{utc.min().isoformat()} to {utc.max().isoformat()}"
 
 
 def _library() -> ModuleType:
