@@ -18,9 +18,7 @@ from jaxurban.studies.receiver.displaced import displacements, near_by
 from jaxurban.studies.receiver.prediction import region_of
 from jaxurban.studies.receiver.scores import aucs, levels_of, weights_of
 from tests.receiver_logs import scenario
-from tests.satellite_logs import SETTINGS, found, heard, hidden_by_outlines
-
-FALSE_PRAISE = 17  # of 200: what 5 % is at most, in all but one of a hundred such trials
+from tests.satellite_logs import FALSE_PRAISE, SETTINGS, found, heard, hidden_by_outlines, is_praised, wrong_margins
 
 
 def validated(log: pd.DataFrame, **settings) -> ju.studies.ReceiverValidation:
@@ -194,30 +192,6 @@ def judged() -> tuple[pd.DataFrame, np.ndarray, np.ndarray]:
     rows = of.rows[of.rows.is_judged]
     off_rad = np.radians(rows.azimuth_deg) - headings_rad(*epochs[["x_m", "y_m"]].to_numpy().T)[rows.epoch]
     return rows, np.radians(rows.elevation_deg.to_numpy(float)), off_rad.to_numpy()
-
-
-def is_praised(rows: pd.DataFrame, margin_m: np.ndarray, elevation_rad: np.ndarray, off_rad: np.ndarray) -> bool:
-    """Return whether margins are called better than the rule of the street."""
-    rules = rivals.features_of(margin_m, elevation_rad, off_rad)
-    chosen = {name: rules[name] for name in (rivals.STREET, rivals.MAP)}
-    weights = weights_of(int(rows.block.max()) + 1, seed=0)
-    table = rivals.compared_rules(chosen, rows.is_strong.to_numpy(), rows.block.to_numpy(), weights)
-    return bool(table.set_index("model").gain_low[rivals.MAP] > 0)
-
-
-def wrong_margins(rows: pd.DataFrame, rng: np.random.Generator, step_s: float) -> np.ndarray:
-    """Return the margins of the rows, shifted in time within satellites, or of satellites that are swapped."""
-    table = rows.pivot(index="epoch", columns="satellite", values="margin_m")
-    if rng.random() < 0.5:
-        shift = int(np.rint(rng.uniform(30.0, 200.0) / step_s))
-        moved = table.apply(lambda of: pd.Series(np.roll(of.dropna(), shift), of.dropna().index))
-    else:
-        order = rng.permutation(table.shape[1])
-        while (order == np.arange(len(order))).any():
-            order = rng.permutation(table.shape[1])
-        moved = pd.DataFrame(table.to_numpy()[:, order], table.index, table.columns)
-    at = table.index.get_indexer(rows.epoch), table.columns.get_indexer(rows.satellite)
-    return np.where(np.isnan(moved.to_numpy()[at]), 0.0, moved.to_numpy()[at])
 
 
 @pytest.mark.slow

@@ -1,0 +1,138 @@
+"""The sample with a receiver's log: its figures, and that it scores less where city, time or place is wrong."""
+
+from functools import cache
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+import shapely
+
+import jaxurban as ju
+from jaxurban.io.read.receiver import read_receiver_log
+from jaxurban.io.read.rinex import Messages, read_track
+from jaxurban.maps.run import load_city
+from jaxurban.samples.catalogue import located
+from jaxurban.studies.receiver.agreement import headings_rad
+from jaxurban.studies.receiver.prediction import region_of
+from tests.satellite_logs import FALSE_PRAISE, hidden_by_outlines, is_praised, wrong_margins
+
+pytestmark = pytest.mark.slow
+SAMPLE = "sample:nihonbashi"
+LOG = f"{SAMPLE}/log.csv.gz"
+FIELDS = ["utc", "lon_deg", "lat_deg", "satellite"]
+
+
+@cache
+def scenario() -> ju.Scenario:
+    return ju.Scenario.from_toml(SAMPLE)
+
+
+@cache
+def table() -> pd.DataFrame:
+    return pd.read_csv(located(LOG))
+
+
+@cache
+def found() -> ju.studies.ReceiverValidation:
+    return ju.studies.validate(scenario(), progress=False)
+
+
+def validated(log: pd.DataFrame, settings: ju.studies.ReceiverSettings | None = None, of: ju.Scenario | None = None):
+    few = settings or ju.studies.ReceiverSettings(num_displaced=1)
+    return ju.studies.validate(of or scenario(), log, few, progress=False).satellites
+
+
+def test_the_sample_shows_that_the_sky_agrees():
+    of = found().satellites
+    assert of.score().auc == pytest.approx(0.891, abs=0.003)
+    assert of.score().within == pytest.approx(0.880, abs=0.003)
+    assert of.score().auc_low > 0.85
+    assert of.score().share == pytest.approx(0.76, abs=0.01)
+    assert of.score("received").auc == pytest.approx(0.897, abs=0.003)
+    assert of.score("unguarded").auc == pytest.approx(0.891, abs=0.003)
+    assert of.score("unguarded").within == pytest.approx(0.862, abs=0.003)
+    assert of.displaced.auc.median() < 0.65
+    assert of.displaced.auc.max() < 0.80
+    assert np.hypot(of.peak["east_m"], of.peak["north_m"]) <= 4.0
+    assert of.peak["within_95_m"] <= 6.0
+    assert of.peak["scale_low"] <= 1.0 <= of.peak["scale_high"]
+    loss = of.rivals.set_index("model").log_loss
+    assert loss["margin and elevation"] < loss["margin"] < loss["seen or hidden"] < loss["street"] < loss["elevation"]
+    assert "better than elevation" in of.verdict
+
+
+def test_500_rows_are_seen_as_a_ray_at_a_time_through_the_outlines_says():
+    rows, epochs = found().satellites.rows, found().epochs
+    city, grid = load_city(scenario()), region_of(scenario())
+    turn_rad = grid.convergence_rad(*grid.centre_lonlat)
+    near = shapely.STRtree(city.buildings.polygons)
+    chosen = rows[rows.is_judged].sample(500, random_state=0)
+    hidden = []
+    for row in chosen.itertuples():
+        at = epochs.x_m[row.epoch], epochs.y_m[row.epoch]
+        around = near.query(shapely.Point(*at).buffer(1300.0))
+        angles = np.radians(row.azimuth_deg) - turn_rad, np.radians(row.elevation_deg)
+        hidden.append(
+            hidden_by_outlines(city.buildings.polygons[around], city.buildings.height_m[around], *at, *angles)
+        )
+    assert np.mean(chosen.is_seen.to_numpy() == ~np.array(hidden)) > 0.95
+
+
+def test_a_city_that_ends_in_the_middle_of_the_track_is_judged_where_it_is_known(tmp_path):
+    middle = float(table().lon_deg.min() + table().lon_deg.max()) / 2
+    roofs = gpd.read_parquet(located(SAMPLE))
+    west = roofs[roofs.bounds.maxx <= middle]
+    west.to_parquet(tmp_path / "west.parquet")
+    known = shapely.box(*roofs.total_bounds) & shapely.box(0, 0, middle, 90)
+    gpd.GeoDataFrame(geometry=[known], crs=4326).to_file(tmp_path / "known.geojson")
+    of_west = ju.Scenario.from_toml(SAMPLE, [f'buildings.source="{tmp_path / "west.parquet"}"'])
+    guarded, open_all = (
+        ju.studies.validate(of_west, table(), ju.studies.ReceiverSettings(num_displaced=1, known=rule), progress=False)
+        for rule in (str(tmp_path / "known.geojson"), "all")
+    )
+    assert guarded.satellites.score().share < 0.6
+    assert guarded.satellites.score().auc > 0.87
+    assert open_all.satellites.score().share == 1.0
+    assert open_all.satellites.score().auc < 0.83
+    assert open_all.satellites.verdict.startswith("It is not shown")
+    assert "judged as if nothing stood beyond" in repr(open_all)
+    assert "not judged: their rays leave" in repr(guarded)
+
+
+@pytest.mark.parametrize(("east_m", "north_m"), [(50, 0), (0, 50), (-50, 0), (0, -50)])
+def test_a_track_that_is_50_m_off_is_not_praised(east_m, north_m):
+    lat_m = 111_000.0
+    moved = table().assign(
+        lon_deg=table().lon_deg + east_m / (lat_m * np.cos(np.radians(35.68))),
+        lat_deg=table().lat_deg + north_m / lat_m,
+    )
+    of, true = validated(moved), found().satellites
+    assert of.score().auc_high < true.score().auc_low
+    assert of.verdict.startswith("It is not shown")
+
+
+def test_shifted_and_swapped_predictions_are_seldom_praised():
+    rows, epochs = found().satellites.rows, found().epochs
+    rows = rows[rows.is_judged]
+    off_rad = np.radians(rows.azimuth_deg) - headings_rad(*epochs[["x_m", "y_m"]].to_numpy().T)[rows.epoch]
+    of = np.radians(rows.elevation_deg.to_numpy(float)), off_rad.to_numpy()
+    rng = np.random.default_rng(0)
+    praised = [is_praised(rows, wrong_margins(rows, rng, step_s=1.0), *of) for _ in range(200)]
+    assert is_praised(rows, rows.margin_m.to_numpy(), *of)
+    assert sum(praised) <= FALSE_PRAISE
+
+
+@pytest.mark.data
+def test_times_that_are_an_hour_off_are_not_praised(data_dir):
+    folder = data_dir / "tokyo/nihonbashi-rinex"
+    messages = Messages(folder / "rover.nav")
+    track = read_track(folder / "reference.csv", messages.leap_s)
+    for hours, is_right in ((0, True), (1, False)):
+        angles = messages.angles(track.assign(utc=track.utc + pd.Timedelta(hours=hours)))
+        angles = angles.assign(utc=track.utc.iloc[angles.epoch].dt.strftime("%Y-%m-%dT%H:%M:%SZ").to_numpy())
+        strengths = table()[[*FIELDS, "cn0_dbhz"]]
+        log = strengths.merge(angles.drop(columns="epoch"), on=["utc", "satellite"])
+        of = validated(log[log.elevation_deg >= 5.0])
+        assert of.verdict.startswith("The margin") == is_right
+    assert read_receiver_log(log[log.elevation_deg >= 5.0]).satellites is not None
