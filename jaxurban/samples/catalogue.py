@@ -89,14 +89,6 @@ def located(name: str | Path) -> Path:
     return home / (file or BUILDINGS_FILE)
 
 
-def log_of(source: Any) -> str | None:
-    """Return the name of the receiver's log of a sample city, None of what is none or has none."""
-    name = sample_name(source)
-    if name is None or not (Path(__file__).parent / name / LOG_FILE).exists():
-        return None
-    return f"{PREFIX}{name}/{LOG_FILE}"
-
-
 def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return settings of a scenario with what a sample city gives where they give none, if it is their source.
 

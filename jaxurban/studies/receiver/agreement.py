@@ -318,21 +318,33 @@ def _skies(
 
 
 def verdict_of(scores: pd.DataFrame, displaced: pd.DataFrame, rivals: pd.DataFrame, num_blocks: int) -> str:
-    """Return what scores and rivals show, in one sentence."""
-    of = scores.set_index("which").loc["all"]
-    gain = rivals.set_index("model").loc[MAP]
+    """Return what scores and rivals show, in one sentence.
+
+    Praise takes two things: margin and elevation predict better than elevation and the street, and C/N0 separates seen
+    from hidden better than in every displaced city, both by their intervals. The first alone does not show that place
+    and time are right: satellites that stand still are predicted at any hour.
+    """
+    of, gain = scores.set_index("which").loc["all"], rivals.set_index("model").loc[MAP]
+    most = float(displaced.auc.max())
     where = f"on these {num_blocks} blocks of track"
-    if num_blocks < FEWEST_GROUPS or not np.isfinite(gain.gain_low):
+    if num_blocks < FEWEST_GROUPS or not np.isfinite([gain.gain_low, of.auc_low]).all():
         return f"The track is too short for a verdict: {where} there is no interval (it takes {FEWEST_GROUPS} blocks)."
     by = f"the gain in log-loss is {gain.gain:.3f} (95 % interval {gain.gain_low:.3f} to {gain.gain_high:.3f})"
-    if gain.gain_low > 0:
+    auc = f"an AUC of {of.auc:.2f} ({of.auc_low:.2f} to {of.auc_high:.2f})"
+    if not gain.gain_low > 0:
         return (
-            f"The margin to the shadow's edge and the elevation predict what this receiver hears better than elevation "
-            f"and the street's direction do {where}: {by}; C/N0 separates seen from hidden satellites with an AUC of "
-            f"{of.auc:.2f} ({of.auc_low:.2f} to {of.auc_high:.2f}), and displaced cities reach at most "
-            f"{displaced.auc.max():.2f}."
+            "It is not shown that the maps predict what this receiver hears better than elevation and the street's "
+            f"direction do {where}: {by}."
+        )
+    if not of.auc_low > most:
+        return (
+            f"It is not shown that the city fits this receiver better than displaced ones do {where}: C/N0 separates "
+            f"seen from hidden satellites with {auc}, and displaced cities reach {most:.2f}, though the margin to the "
+            f"shadow's edge and the elevation predict better than elevation and the street's direction ({by}); see "
+            "whether times and places are right."
         )
     return (
-        f"It is not shown that the maps predict what this receiver hears better than elevation and the street's "
-        f"direction do {where}: {by}."
+        "The margin to the shadow's edge and the elevation predict what this receiver hears better than elevation and "
+        f"the street's direction do {where}: {by}; C/N0 separates seen from hidden satellites with {auc}, and "
+        f"displaced cities reach at most {most:.2f}."
     )
