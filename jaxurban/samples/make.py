@@ -112,7 +112,7 @@ def make_nihonbashi(data: Path, home: Path) -> None:
     known = known.buffer(-EDGE_M, join_style="mitre")
     frame = gpd.read_parquet(data / "tokyo/tokyo-east-lod2.parquet")
     frame = frame.set_geometry(shapely.make_valid(frame.geometry.to_numpy())).to_crs(crs)
-    frame = frame.clip(known, keep_geom_type=True).sort_index().to_crs(WGS84)
+    frame = frame.clip(known).sort_index().to_crs(WGS84)
     facts = {"credit": PLATEAU_CREDIT, "licence": CC_BY, "boxes": boxes}
     write_geoparquet(home / BUILDINGS_FILE, rounded(frame.assign(height=frame["height"].round(1))), facts)
     write_nominal(home / "gps.tle", date(2023, 6, 22), GPS)
