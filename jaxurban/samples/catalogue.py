@@ -62,6 +62,17 @@ def sample_name(source: Any) -> str | None:
     return name
 
 
+def log_of(source: Any) -> str | None:
+    """Return the name of the receiver's log that the sample city ``sample:CITY`` has, None where there is none.
+
+    Raises:
+      InputError: there is no such city.
+    """
+    name = sample_name(source)
+    has_log = name is not None and (Path(__file__).parent / name / LOG_FILE).is_file()
+    return f"{PREFIX}{name}/{LOG_FILE}" if has_log else None
+
+
 def check_sample(name: str) -> None:
     """Raise InputError, which names the nearest one, unless the package holds a city of this name."""
     if name not in SAMPLES:
