@@ -32,7 +32,15 @@ RIGHT, LEFT_OUT = "every value of the type is a right one here", object()
 MADE = (  # what functions return; XY is looked at where it is used
     *("Departures", "GuessWarning"),
     *("MetricMaps", "CostMap", "MapComparison", "PlannedPath", "PlannedPaths", "RouteReport", "SensitivityStudy"),
-    *("ReceiverValidation", "WeightFit", "TargetFit", "FitComparison", "Sensitivity", "BenchmarkResult"),
+    *(
+        "ReceiverValidation",
+        "SatelliteAgreement",
+        "WeightFit",
+        "TargetFit",
+        "FitComparison",
+        "Sensitivity",
+        "BenchmarkResult",
+    ),
     *("SoftCity", "Demonstration", "InputError", "JaxurbanError", "Scenario", "XY", "City"),
 )
 METHODS = {  # of what they return

@@ -2,11 +2,14 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from jaxurban.cli.common import DEVICE, JSON_FLAG, OBSTACLES, PATH, RESOLUTION, Numbers, print_json, run_study
+
+if TYPE_CHECKING:
+    from jaxurban.studies.receiver.agreement import SatelliteAgreement
 
 
 @click.command()
@@ -147,6 +150,17 @@ def validate(scenario_file: Path, log_file: Path | None, output: Path, changes: 
             "guesses": list(result.guesses),
         }
         if result.satellites is not None:
-            facts["satellites"] = result.satellites.to_dict()
+            facts["satellites"] = _satellite_facts(result.satellites)
         print_json({"folder": str(output), "report": str(output / "report.md"), **facts})
     return 0
+
+
+def _satellite_facts(of: "SatelliteAgreement") -> dict[str, Any]:
+    """Return what the rows of satellites amount to; of the displaced cities the median and the most."""
+    from jaxurban.io.tables import records_of
+
+    null = of.displaced[["auc", "within"]]
+    (median, most) = records_of(null.agg(["median", "max"]))
+    facts = {"verdict": of.verdict, "strong_dbhz": of.strong_dbhz, "peak": of.peak, "counts": of.counts}
+    tables = {"scores": records_of(of.scores), "rivals": records_of(of.rivals)}
+    return {**facts, **tables, "displaced": {"median": median, "most": most}}

@@ -9,6 +9,7 @@ from jaxurban.studies.map_comparison import MapComparison as MapComparison
 from jaxurban.studies.map_comparison import compare as compare
 from jaxurban.studies.montecarlo.sampling import sample_instances as sample_instances
 from jaxurban.studies.queries import make_queries as make_queries
+from jaxurban.studies.receiver.agreement import SatelliteAgreement as SatelliteAgreement
 from jaxurban.studies.receiver.prediction import ReceiverSettings as ReceiverSettings
 from jaxurban.studies.receiver.validate import ReceiverValidation as ReceiverValidation
 from jaxurban.studies.receiver.validate import validate as validate

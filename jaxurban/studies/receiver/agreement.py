@@ -16,7 +16,6 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
-from jaxurban.io.tables import records_of
 from jaxurban.progress import Report
 from jaxurban.public import Caution
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
@@ -35,7 +34,7 @@ STREET_M, STILL_M = 20.0, 1.0  # each way, for the street's direction; a car tha
 
 @dataclass(frozen=True, eq=False)
 class PlaceSky:
-    """The sky over one place of the track.
+    """The sky over one place of the track, of a `SatelliteAgreement`.
 
     Attributes:
       name: which place it is.
@@ -116,23 +115,6 @@ class SatelliteAgreement:
         sentences += [f"{name} is left out: {reason}." for name, reason in of["left_out"].items()]
         return [Caution(sentence) for sentence in sentences]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what the rows amount to as plain, JSON-ready values.
-
-        Returns:
-          Verdict, scores, rivals, peak and counts by name; of the displaced cities the median and the most.
-        """
-        null = self.displaced[["auc", "within"]]
-        return {
-            "verdict": self.verdict,
-            "strong_dbhz": self.strong_dbhz,
-            "scores": records_of(self.scores),
-            "displaced": {"median": null.median().to_dict(), "most": null.max().to_dict()},
-            "peak": self.peak,
-            "rivals": records_of(self.rivals),
-            "counts": self.counts,
-        }
-
     def score(self, which: str = "all") -> pd.Series:
         """Return the scores of a choice of rows.
 
@@ -140,7 +122,17 @@ class SatelliteAgreement:
           A row of ``scores``.
 
         Examples:
-          >>> found.satellites.score("received")[["auc", "within"]]  # doctest: +SKIP
+          >>> import pandas as pd
+          >>> settings = {"region": {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}}
+          >>> scenario = ju.Scenario.from_dict(settings | {"buildings": {"source": "synthetic"}})
+          >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=80, freq="s")})
+          >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 80), lat=40.7795)
+          >>> sky = pd.DataFrame({"satellite": ["G05", "G21"], "azimuth_deg": [20.0, 260.0]})
+          >>> log = log.merge(sky.assign(elevation_deg=60.0, cn0_dbhz=[44.0, 25.0]), how="cross")
+          >>> few = ju.studies.ReceiverSettings(num_displaced=1)
+          >>> of = ju.studies.validate(scenario, log, few, progress=False).satellites
+          >>> of.score("G")[["which", "rows"]].to_dict()
+          X
         """
         return self.scores[self.scores.which == which].iloc[0]
 
