@@ -103,7 +103,7 @@ def plot_track(found: ReceiverValidation, of: SatelliteAgreement) -> Figure:
     share = agrees.reindex(places.index).to_numpy()
     is_known = np.isfinite(share)
     note = f"Agreement: in view and {of.strong_dbhz:g} dBHz or more, or hidden and weaker. By chance it would be half."
-    figure = chart(6.4, 5.2, "Where maps and receiver agree", note)
+    figure = chart(6.0, 5.2, "Where maps and receiver agree", note)
     panel = figure.subplots()
     dress(panel)
     panel.plot(x_m, y_m, color=FAINT_INK, linewidth=0.6, zorder=0)
