@@ -1,26 +1,16 @@
-"""Maps of Tokyo beside receivers that were driven through it on three tracks; writes docs/evidence/receiver.md.
+"""Maps of Tokyo beside receivers that were driven through it; writes docs/evidence/receiver.md.
 
-Run as ``python -m benchmarks.receiver``. Maps of each track are those that the defaults give for such a log. Those of
-the first are made once more for every change of the model in `CHANGES`; each change is reported with the paired
-interval of its difference, good or bad.
+Run as ``python -m benchmarks.receiver``. First a log with a row a satellite, on the roofs that the package holds and on
+all roofs of the quarter; then three logs of counts.
 """
 
 import argparse
 import os
-import tempfile
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
-
-import geopandas as gpd
-import numpy as np
-import shapely
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 import jaxurban as ju
 from benchmarks.common import ROOT
@@ -28,124 +18,102 @@ from jaxurban.errors import StaleElementsWarning
 from jaxurban.io.read.receiver import ERROR, TRACKED
 from jaxurban.maps.scenario import changed
 from jaxurban.report.receiver import name_of, with_interval
-from jaxurban.report.write import table
-from jaxurban.studies.bootstrap import Interval
+from jaxurban.report.satellites import ROWS
+from jaxurban.report.write import cell, interval, table
+from jaxurban.studies.receiver.agreement import SatelliteAgreement
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE
-from jaxurban.studies.receiver.validate import (
-    COEFFICIENTS,
-    SPEARMAN,
-    WITHIN,
-    ReceiverValidation,
-    compared,
-    paired,
-    spearman,
-)
+from jaxurban.studies.receiver.validate import SPEARMAN, WITHIN, ReceiverValidation
 
 PAGE, TEMPLATE = ROOT / "docs" / "evidence" / "receiver.md", Path(__file__).with_name("receiver_page.md")
 DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT / ".." / "shared" / "data")).resolve() / "tokyo"
-LOG, BUILDINGS = DATA / "urbannav_shinjuku_1hz.csv", DATA / "tokyo-central-lod2.parquet"
-GPS, GALILEO = DATA / "gps_2018-12-19.tle", DATA / "galileo_2018-12-19.tle"
-SETTINGS = {
+SAMPLE, LOG = "sample:nihonbashi", "sample:nihonbashi/log.csv.gz"
+EAST_ROOFS = str(DATA / "tokyo-east-lod2.parquet")
+SHINJUKU = {
     "region": {"bounds": [139.684, 35.680, 139.697, 35.698], "resolution_m": 2.0},
-    "buildings": {"source": str(BUILDINGS)},
-    "gps": {"orbits": [str(GPS), str(GALILEO)], "mask_deg": 10.0},
+    "buildings": {"source": str(DATA / "tokyo-central-lod2.parquet")},
+    "gps": {"orbits": [str(DATA / f"{name}_2018-12-19.tle") for name in ("gps", "galileo")], "mask_deg": 10.0},
 }
 EAST = {
     "region": {"bounds": [139.757, 35.650, 139.800, 35.690], "resolution_m": 2.0},
-    "buildings": {"source": str(DATA / "tokyo-east-lod2.parquet")},
+    "buildings": {"source": EAST_ROOFS},
     "gps": {"orbits": [str(DATA.parent / "gps" / "gps-ops_2024-03-31_omm.csv")], "mask_deg": 10.0, "max_age_days": 150},
 }
-SHINJUKU = "Shinjuku"
 TRACKS: dict[str, tuple[dict[str, Any], Path]] = {  # the scenario and the log of each
-    SHINJUKU: (SETTINGS, LOG),
+    "Shinjuku": (SHINJUKU, DATA / "urbannav_shinjuku_1hz.csv"),
     "Tokyo east, run 1": (EAST, DATA / "ppc_tokyo_run1_1hz.csv"),
     "Tokyo east, run 2": (EAST, DATA / "ppc_tokyo_run2_1hz.csv"),
 }
+SKIES = {"near roofs": SAMPLE, "all roofs": EAST_ROOFS}
 
 
-@dataclass(frozen=True)
-class Change:
-    """A change of the model that is a row of the page's table.
-
-    Attributes:
-      name: of the row.
-      settings: of the scenario that change, as ``jaxurban validate --set`` takes them.
-      buildings: makes another file of buildings in a folder; None: the scenario's.
-      prediction: which quantity of the maps is set against the receiver.
-    """
-
-    name: str
-    settings: Sequence[str] = ()
-    buildings: Callable[[Path], Path] | None = None
-    prediction: str = NUM_VISIBLE
-
-
-def boxes(folder: Path, which: str) -> Path:
-    """Write the buildings with one height each, the ``"highest"`` of its roof planes or their ``"mean"`` by area.
-
-    Roof planes that touch are one building.
-    """
-    frame = _planes()
-    planes, height_m = frame.geometry.to_numpy(), frame["height"].to_numpy(float)
-    one, other = shapely.STRtree(planes).query(planes, predicate="intersects")
-    touching = coo_matrix((np.ones(len(one), bool), (one, other)), shape=(len(planes),) * 2)
-    num, building = connected_components(touching, directed=False)
-    if which == "highest":
-        of_building = np.zeros(num)
-        np.maximum.at(of_building, building, height_m)
-    else:
-        area = shapely.area(planes)
-        of_building = np.bincount(building, area * height_m) / np.bincount(building, area)
-    file = folder / f"{which}.parquet"
-    frame.assign(height=of_building[building]).to_parquet(file)
-    return file
-
-
-@cache
-def _planes() -> gpd.GeoDataFrame:
-    return gpd.read_parquet(BUILDINGS)
-
-
-FIRST = "GPS and Galileo, 2 m cells, roof planes"
-CHANGES = (  # a further change of the model is a further line
-    Change("GPS alone", (f'gps.orbits="{GPS}"',)),
-    Change("Galileo alone", (f'gps.orbits="{GALILEO}"',)),
-    Change("1 m cells", ("region.resolution_m=1.0",)),
-    Change("5 m cells", ("region.resolution_m=5.0",)),
-    Change("5 m cells, supersampled 5 times", ("region.resolution_m=5.0", "region.oversample=5")),
-    Change("roofs as boxes, as high as their highest plane", buildings=lambda folder: boxes(folder, "highest")),
-    Change("roofs as boxes of their mean height", buildings=lambda folder: boxes(folder, "mean")),
-)
-
-
-def validated(track: str = SHINJUKU, change: Change | None = None) -> ReceiverValidation:
-    """Return the validation on the log of a track, of the model as it is or with a change."""
+def counted(track: str) -> ReceiverValidation:
+    """Return the validation on the log of a track of counts."""
     settings, log = TRACKS[track]
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", StaleElementsWarning)  # the page states how old the elements are
-        changes = list(change.settings) if change else []
-        if change and change.buildings:
-            changes.append(f'buildings.source="{change.buildings(Path(folder))}"')
-        return ju.studies.validate(ju.Scenario.from_dict(changed(settings, changes)), log, progress=False)
+        return ju.studies.validate(ju.Scenario.from_dict(settings), log, progress=False)
 
 
-def page(tracks: Mapping[str, ReceiverValidation], others: Sequence[tuple[Change, ReceiverValidation]]) -> str:
-    """Return the page in Markdown.
+def agreement(sky: str) -> SatelliteAgreement:
+    """Return how maps agree with the log of the package, on one choice of roofs."""
+    settings = ju.Scenario.from_toml(SAMPLE).model_dump(mode="json")
+    scenario = ju.Scenario.from_dict(changed(settings, [f'buildings.source="{SKIES[sky]}"']))
+    found = ju.studies.validate(scenario, LOG, progress=False)
+    assert found.satellites is not None
+    return found.satellites
 
-    Args:
-      tracks: the validation of each track.
-      others: changes of the model, with the validation of the first track under each.
-    """
+
+def page(skies: Mapping[str, SatelliteAgreement], tracks: Mapping[str, ReceiverValidation]) -> str:
+    """Return the page in Markdown: of satellites on each choice of roofs, and of counts on each track."""
     first = next(iter(tracks.values()))
     return TEMPLATE.read_text(encoding="utf-8").format(
+        of=next(iter(skies.values())),
+        scores=beside(skies, ("rows", "AUC", "within satellites"), scores_of),
+        peaks="; ".join(f"of {name} {peak_of(of)}" for name, of in skies.items()),
+        rivals=beside(skies, ("log-loss", "gain"), rivals_of),
         tracks=tracks_table(tracks),
         tracked=f"{first.summary[f'mean_{TRACKED}']:.1f}",
         seen=f"{first.summary['mean_num_visible']:.1f}",
         error="; ".join(_of_error(first, name) for name in ("hdop", NUM_VISIBLE)),
-        changes=changes_table(first, others),
         block=f"{first.settings.block_m:g}",
         piece=f"{first.settings.piece_m:g}",
     )
+
+
+def beside(
+    skies: Mapping[str, SatelliteAgreement],
+    columns: Sequence[str],
+    cells_of: Callable[[SatelliteAgreement], dict[str, list[str]]],
+) -> str:
+    """Return a table with columns for each sky, and a row for each name that ``cells_of`` gives cells of."""
+    heads = [f"{column}, {sky}" for sky in skies for column in columns]
+    cells = [cells_of(of) for of in skies.values()]
+    return table(["", *heads], [[name, *(text for each in cells for text in each[name])] for name in cells[0]])
+
+
+def scores_of(of: SatelliteAgreement) -> dict[str, list[str]]:
+    """Return what choices of rows score, and displaced cities."""
+    cells = {}
+    for row in of.scores.to_dict("records"):
+        num = f"{row['rows']:,} ({100 * row['share']:.0f} %)"
+        cells[ROWS[row["which"]]] = [num, interval(row, "auc"), interval(row, "within")]
+    null = of.displaced[["auc", "within"]]
+    for name, row in (("median", null.median()), ("most", null.max())):
+        cells[f"displaced cities, {name}"] = ["", cell(row["auc"]), cell(row["within"])]
+    return cells
+
+
+def peak_of(of: SatelliteAgreement) -> str:
+    """Return where the city fits best, and with which heights."""
+    peak = of.peak
+    place = f"{peak['east_m']:g} m east and {peak['north_m']:g} m north"
+    near = f"95 % of resampled tracks within {peak['within_95_m']:.0f} m of no displacement"
+    return f"{place} ({near}) and {with_interval(peak, 'scale')} times as high"
+
+
+def rivals_of(of: SatelliteAgreement) -> dict[str, list[str]]:
+    """Return the log-loss of each rule, and what it gains on the rule of the street."""
+    return {row["model"]: [f"{row['log_loss']:.3f}", interval(row, "gain")] for row in of.rivals.to_dict("records")}
 
 
 def tracks_table(tracks: Mapping[str, ReceiverValidation]) -> str:
@@ -153,22 +121,9 @@ def tracks_table(tracks: Mapping[str, ReceiverValidation]) -> str:
     rows = []
     for name, validation in tracks.items():
         row = _row(validation, TRACKED, NUM_VISIBLE)
-        starts = within_by_start(validation)
         length = f"{validation.summary['length_m'] / 1000:.1f} km"
-        of_within = with_interval(row, WITHIN), f"{min(starts):.2f} to {max(starts):.2f}"
-        shifts = [f"{row[f'{each}_p']:.3f}" for each in COEFFICIENTS]
-        rows.append((name, length, row["num"], *of_within, shifts[0], with_interval(row, SPEARMAN), shifts[1]))
-    head = ("track", "length", "pieces", "within blocks", "blocks begun elsewhere", "p", "whole track", "p")
-    return table(head, rows)
-
-
-def within_by_start(validation: ReceiverValidation) -> list[float]:
-    """Return the correlation within blocks, the blocks begun at each piece of the first block in turn."""
-    settings = validation.settings
-    receiver, maps, _ = compared(validation.pieces, TRACKED, NUM_VISIBLE)
-    along_m = validation.pieces.piece.to_numpy() * settings.piece_m
-    starts_m = np.arange(0.0, settings.block_m, settings.piece_m)
-    return [spearman(receiver, maps, (along_m + start_m) // settings.block_m) for start_m in starts_m]
+        rows.append((name, length, row["num"], with_interval(row, WITHIN), with_interval(row, SPEARMAN)))
+    return table(("track", "length", "pieces", "within blocks", "whole track"), rows)
 
 
 def _row(validation: ReceiverValidation, witness: str, prediction: str) -> dict[Any, Any]:
@@ -179,46 +134,24 @@ def _row(validation: ReceiverValidation, witness: str, prediction: str) -> dict[
 
 
 def _of_error(validation: ReceiverValidation, prediction: str) -> str:
-    """Return what a quantity of the maps scores against the error, and what shifts do."""
-    row = _row(validation, ERROR, prediction)
-    return f"{with_interval(row, WITHIN)} for {name_of(prediction)}"
-
-
-def changes_table(first: ReceiverValidation, others: Sequence[tuple[Change, ReceiverValidation]]) -> str:
-    """Return the first model and every change of it, with the paired differences."""
-    rows = [(FIRST, *_cells(first, NUM_VISIBLE), "")]
-    for change, validation in others:
-        difference = paired(first, validation, predictions=(None, change.prediction))
-        rows.append((change.name, *_cells(validation, change.prediction), _difference(difference)))
-    return table(("maps", "in view", "within blocks", "difference within"), rows)
-
-
-def _cells(validation: ReceiverValidation, prediction: str) -> tuple[str, ...]:
-    row = _row(validation, TRACKED, prediction)
-    seen = f"{validation.summary['mean_num_visible']:.1f}"
-    return seen, with_interval(row, WITHIN)
-
-
-def _difference(scored: Interval) -> str:
-    return f"{scored.value:+.3f} ({scored.low:+.3f} to {scored.high:+.3f})"
+    """Return what a quantity of the maps scores against the error."""
+    return f"{with_interval(_row(validation, ERROR, prediction), WITHIN)} for {name_of(prediction)}"
 
 
 def main() -> None:
-    """Make all maps, print the table and write the page."""
+    """Make all maps, print the tables and write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=PAGE)
     chosen = parser.parse_args()
     began = time.perf_counter()
-    tracks = {}
-    for name in TRACKS:
-        tracks[name] = validated(name)
-        print(f"{name}: {time.perf_counter() - began:.0f} s", flush=True)
-    others = []
-    for change in CHANGES:
-        others.append((change, validated(change=change)))
-        print(f"{change.name}: {time.perf_counter() - began:.0f} s", flush=True)
-    print(tracks_table(tracks))
-    chosen.output.write_text(page(tracks, others), encoding="utf-8")
+    made: dict[str, Any] = {}
+    for make, names in ((agreement, SKIES), (counted, TRACKS)):
+        for name in names:
+            made[name] = make(name)
+            print(f"{name}: {time.perf_counter() - began:.0f} s", flush=True)
+    text = page({name: made[name] for name in SKIES}, {name: made[name] for name in TRACKS})
+    print(text)
+    chosen.output.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
