@@ -1,6 +1,5 @@
 """A receiver beside maps: rank correlations with their controls, and what a true receiver scores and others do not."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,7 +11,7 @@ from scipy.stats import spearmanr
 import jaxurban as ju
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.studies.receiver import prediction
-from jaxurban.studies.receiver.validate import half_width, paired, shifted, spearman, within_blocks, without_each_block
+from jaxurban.studies.receiver.validate import half_width, shifted, spearman, within_blocks, without_each_block
 from tests.metrics.whole_maps import compute_gps
 from tests.receiver_logs import SCENARIO, SETTINGS, drive, found, scenario, seen, surface, true_log
 
@@ -100,19 +99,6 @@ def test_the_scores_and_the_shifts_agree_and_pieces_are_medians_of_their_epochs(
         assert on.num_tracked.median() == piece.num_tracked
         assert piece.block == piece.piece * 25 // 100
     assert set(found().scores.piece_m) == {10.0, 25.0, 50.0, 100.0}
-
-
-def test_paired_differences_are_of_the_same_draws():
-    same = paired(found(), found())
-    assert (same.value, same.low, same.high) == (0.0, 0.0, 0.0)
-    difference = paired(found(), shuffled())
-    assert difference.value == pytest.approx(score(shuffled()).within - score(found()).within)
-    assert difference.high < 0
-    other = paired(found(), found(), predictions=(None, "gdop"))
-    gdop = found().scores.query("witness == 'num_tracked' and prediction == 'gdop'").within.item()
-    assert other.value == pytest.approx(gdop - score(found()).within)
-    with pytest.raises(ju.InputError, match="different logs or pieces"):
-        paired(found(), replace(found(), settings=replace(SETTINGS, piece_m=50.0)))
 
 
 REFUSED = {

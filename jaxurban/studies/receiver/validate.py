@@ -245,37 +245,6 @@ def _read(
     return read_rinex(given, navigation, reference)
 
 
-def paired(
-    a: ReceiverValidation,
-    b: ReceiverValidation,
-    witness: str = TRACKED,
-    predictions: tuple[str | None, str | None] = (None, None),
-) -> Interval:
-    """Return how much higher the correlation within blocks is with the maps of ``b`` than with those of ``a``.
-
-    With its 95 % interval: the same blocks of the pieces that both have are left out in turn.
-
-    Args:
-      a, b: of one log under the same settings.
-      witness: of the log.
-      predictions: of ``a`` and of ``b`` that are set against the witness; None: the witness's own.
-
-    Raises:
-      InputError: validations of different logs, or that cut the track otherwise.
-    """
-    if len({(side.settings.piece_m, side.settings.block_m, len(side.log.epochs)) for side in (a, b)}) > 1:
-        raise InputError("a and b are of different logs or pieces: make both with one log and the same settings")
-    numbers = [side.pieces.piece[side.pieces[witness].notna()].to_numpy() for side in (a, b)]
-    common = np.intersect1d(numbers[0], numbers[1])
-    sides = [
-        compared(side.pieces[side.pieces.piece.isin(common)], witness, prediction or MAIN[witness])
-        for side, prediction in zip((a, b), predictions, strict=True)
-    ]
-    value = spearman(*sides[1]) - spearman(*sides[0])
-    half = half_width(without_each_block(*sides[1]) - without_each_block(*sides[0]))
-    return Interval(value, value - half, value + half)
-
-
 def spearman(a: np.ndarray, b: np.ndarray, blocks: np.ndarray | None = None) -> float:
     """Return Spearman's rank correlation of values ``[N]``, ties by mean ranks; NaN where either does not vary.
 
