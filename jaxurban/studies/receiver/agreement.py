@@ -77,6 +77,23 @@ class SatelliteAgreement:
       verdict: what this shows, in one sentence that claims no more than its interval.
       counts: rows, judged ones, those of unknown rays and in buildings, satellites, blocks, displaced cities; what was
         left out, with reasons.
+
+    Examples:
+      >>> import pandas as pd
+      >>> settings = {"region": {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}}
+      >>> scenario = ju.Scenario.from_dict(settings | {"buildings": {"source": "synthetic"}})
+      >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=80, freq="s")})
+      >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 80), lat=40.7795)
+      >>> sky = pd.DataFrame({"satellite": ["G05", "G21"], "azimuth_deg": [20.0, 260.0]})
+      >>> log = log.merge(sky.assign(elevation_deg=60.0, cn0_dbhz=[44.0, 25.0]), how="cross")
+      >>> few = ju.studies.ReceiverSettings(num_displaced=1)
+      >>> of = ju.studies.validate(scenario, log, few, progress=False).satellites
+      >>> of.counts["judged"], of.counts["unknown"], of.counts["inside"]
+      (122, 15, 23)
+      >>> of.rows[["satellite", "margin_m", "is_seen", "is_judged"]].head(1).round(1).to_dict("records")
+      [{'satellite': 'G05', 'margin_m': 357.3, 'is_seen': True, 'is_judged': True}]
+      >>> of.verdict.partition(":")[0]
+      'The track is too short for a verdict'
     """
 
     rows: pd.DataFrame
@@ -132,7 +149,7 @@ class SatelliteAgreement:
           >>> few = ju.studies.ReceiverSettings(num_displaced=1)
           >>> of = ju.studies.validate(scenario, log, few, progress=False).satellites
           >>> of.score("G")[["which", "rows"]].to_dict()
-          X
+          {'which': 'G', 'rows': 122}
         """
         return self.scores[self.scores.which == which].iloc[0]
 
