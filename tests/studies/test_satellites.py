@@ -12,7 +12,7 @@ from scipy.stats import mannwhitneyu
 
 import jaxurban as ju
 from jaxurban.maps.run import load_city
-from jaxurban.studies.receiver import rivals
+from jaxurban.studies.receiver import rivals, satellites
 from jaxurban.studies.receiver.agreement import headings_rad
 from jaxurban.studies.receiver.displaced import displacements, near_by
 from jaxurban.studies.receiver.prediction import region_of
@@ -139,6 +139,12 @@ def test_a_shuffled_log_is_not_praised():
     of = validated(heard().assign(cn0_dbhz=rng.permutation(heard().cn0_dbhz))).satellites
     assert abs(of.score().auc - 0.5) < 0.1
     assert of.verdict.startswith("It is not shown")
+
+
+def test_legs_change_no_row(monkeypatch):
+    monkeypatch.setattr(satellites, "LEG_CELLS", 400)
+    rows = validated(heard()).satellites.rows
+    pd.testing.assert_frame_equal(rows, found().satellites.rows)
 
 
 def test_counts_of_judged_rows_come_second():

@@ -15,6 +15,7 @@ import pandas as pd
 import shapely
 
 from jaxurban.errors import InputError
+from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
 from jaxurban.progress import Report
 from jaxurban.public import Caution
@@ -22,7 +23,7 @@ from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.displaced import FARTHEST_M, FEWEST_ROWS, SCALES, Displaced
 from jaxurban.studies.receiver.prediction import EVERYWHERE, ReceiverSettings, Track
 from jaxurban.studies.receiver.rivals import MAP, compared_rules, features_of
-from jaxurban.studies.receiver.satellites import Ground, Rays, box_of, legs, rise_m
+from jaxurban.studies.receiver.satellites import Ground, Rays, box_of, legs
 from jaxurban.studies.receiver.scores import score_table, weights_of
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
@@ -199,7 +200,7 @@ def agreement_of(
       InputError: fewer than `FEWEST_ROWS` rows that can be judged.
     """
     rows, rays = _rows_of(log, track, grid, mask_deg, settings)
-    rise = rise_m(city, settings.antenna_height_m)
+    rise = highest_top_m(city) - settings.antenna_height_m
     rows["is_known"] = rays.stays_within(known, rise)
     is_guarded = settings.known != EVERYWHERE
     is_open = rows.is_known.to_numpy() | (not is_guarded)
@@ -224,7 +225,7 @@ def agreement_of(
             if is_guarded and number < displaced.num_null:
                 displaced.leave_unknown(number, column, of_moved, known, rise)
         for number, scale in enumerate(SCALES):
-            displaced.of_scale[number, column] = ground.margins_m(of_moved, float(scale)) >= 0
+            displaced.of_scale[number, column] = ground.with_roofs(scale).margins_m(of_moved) >= 0
     rows["is_seen"] = rows.margin_m >= 0
     rows.loc[rows.is_inside, "margin_m"] = np.nan
     rows["is_judged"] = is_open & ~rows.is_inside

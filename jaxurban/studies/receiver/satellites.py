@@ -15,7 +15,7 @@ import pandas as pd
 import shapely
 
 from jaxurban.io.read.orbits import matching
-from jaxurban.io.read.rasterise import highest_top_m, rasterise
+from jaxurban.io.read.rasterise import rasterise, surface_grid
 from jaxurban.io.read.receiver import AZIMUTH, CN0, ELEVATION, EPOCH, SATELLITE, TRACKED, ReceiverLog
 from jaxurban.io.read.vector import open_frame
 from jaxurban.kernels.shadows.rays import shadows_at, walks
@@ -78,9 +78,8 @@ class Ground:
     @classmethod
     def around(cls, city: City, box: Grid, reach_m: float, antenna_m: float) -> "Ground":
         """Return the ground of a box, and of what stands within ``reach_m`` of it."""
-        num = math.ceil(reach_m / box.resolution_m) + 1
         whole = replace(city, blocks=None, hanging=TO_GROUND)
-        surface = rasterise(whole, box.padded(num, num, num, num))
+        surface = rasterise(whole, surface_grid(city, box, box.resolution_m, (reach_m,) * 4))
         terrain_m = None if surface.terrain_m is None else np.asarray(surface.terrain_m)
         return cls(surface.grid, np.asarray(surface.roof_m), terrain_m, antenna_m)
 
@@ -91,44 +90,36 @@ class Ground:
         return float(self.roof_m.max(initial=0.0)) + climb_m
 
     @cached_property
-    def _tops(self) -> dict[float, jax.Array]:
-        return {}
-
-    def _top_m(self, scale: float) -> jax.Array:
-        """Return the tops of roofs, -inf where none is: bare ground throws no shadow of its own on flat ground."""
-        if scale not in self._tops:
-            bottom_m = np.float32(0) if self.terrain_m is None else self.terrain_m
-            tops_m = np.where(self.roof_m > 0, bottom_m + np.float32(scale) * self.roof_m, -np.inf)
-            self._tops.clear()
-            self._tops[scale] = jax.device_put(tops_m.astype(np.float32))
-        return self._tops[scale]
+    def _tops_m(self) -> jax.Array:
+        """Tops of roofs, -inf where none is: flat ground throws no shadow of its own."""
+        bottom_m = 0.0 if self.terrain_m is None else self.terrain_m
+        return jax.device_put(np.where(self.roof_m > 0, bottom_m + self.roof_m, -np.inf).astype(np.float32))
 
     @cached_property
     def _hills_m(self) -> jax.Array:
         return jax.device_put(self.terrain_m)
 
-    def is_inside(self, rays: Rays, scale: float = 1.0) -> np.ndarray:
-        """Return ``[R]`` which places lie in a building."""
-        return stands_at(scale * self.roof_m[self.grid.cell_of_xy(rays.x_m, rays.y_m)], self.antenna_m)
+    def with_roofs(self, scale: float) -> "Ground":
+        """Return the ground with all roofs so many times as high."""
+        return replace(self, roof_m=np.float32(scale) * self.roof_m)
 
-    def margins_m(self, rays: Rays, scale: float = 1.0) -> np.ndarray:
-        """Return ``[R]`` height of the antenna above the edge of the roofs' shadow, metres.
+    def is_inside(self, rays: Rays) -> np.ndarray:
+        """Return ``[R]`` which places lie in a building."""
+        return stands_at(self.roof_m[self.grid.cell_of_xy(rays.x_m, rays.y_m)], self.antenna_m)
+
+    def margins_m(self, rays: Rays) -> np.ndarray:
+        """Return ``[R]`` height of the antenna above the edge of the roofs' shadow, metres, of rays from the box.
 
         Below 0 a roof hides the satellite; +inf where no roof stands on the ray's line. Terrain counts where it hides.
-
-        Args:
-          rays: from places in the box.
-          scale: all roofs are so many times as high.
         """
         row, col = self.grid.cell_of_xy(rays.x_m, rays.y_m)
         start = row + self.grid.first_row, col + self.grid.first_col
         lines = walks(rays.azimuth_rad, rays.elevation_rad, self.grid.resolution_m, *start)
-        most_m = self._most_m * max(scale, 1.0)
-        shadow_m = shadows_at(self._top_m(scale), row, col, lines, most_m)
+        shadow_m = shadows_at(self._tops_m, row, col, lines, self._most_m)
         if self.terrain_m is None:
             return self.antenna_m - shadow_m
         height_m = self.terrain_m[row, col] + self.antenna_m
-        hill_m = shadows_at(self._hills_m, row, col, lines, most_m)
+        hill_m = shadows_at(self._hills_m, row, col, lines, self._most_m)
         return height_m - np.maximum(shadow_m, np.where(hill_m > height_m, hill_m, -np.inf))
 
     def horizon_deg(self, x_m: float, y_m: float) -> np.ndarray:
@@ -167,11 +158,6 @@ def box_of(grid: Grid, rays: Rays, around_m: float) -> Grid:
     last_col, last_row = (math.floor((corner + around_m) / grid.resolution_m) for corner in corners[2:])
     shape = last_row - first_row + 1, last_col - first_col + 1
     return Grid(grid.crs, grid.resolution_m, first_row, first_col, *shape)
-
-
-def rise_m(city: City, antenna_m: float) -> float:
-    """Return how far a ray must rise from an antenna to be above all roofs that a city has."""
-    return highest_top_m(city) - antenna_m
 
 
 def known_of(known: str | float | Path, city: City, track: Track) -> shapely.Geometry:
