@@ -14,7 +14,7 @@ import jaxurban as ju
 from jaxurban.maps.run import load_city
 from jaxurban.studies.receiver import rivals, satellites
 from jaxurban.studies.receiver.agreement import headings_rad
-from jaxurban.studies.receiver.displaced import displacements, near_by
+from jaxurban.studies.receiver.displaced import displacements, near_by, peaks
 from jaxurban.studies.receiver.prediction import region_of
 from jaxurban.studies.receiver.scores import aucs, levels_of, weights_of
 from tests.receiver_logs import scenario
@@ -178,6 +178,12 @@ def test_displacements_are_even_over_the_ring_and_the_field_is_a_disc_of_steps()
     np.testing.assert_array_equal(displacements(3, seed=5), displacements(3, seed=5))
     assert len(near_by()) == sum(x * x + y * y <= 400 for x in range(-20, 21) for y in range(-20, 21))
     assert near_by()[0].tolist() == [0.0, 0.0]
+
+
+def test_a_draw_has_its_peak_where_it_is_highest_and_none_where_nothing_is_known():
+    unknown = np.nan
+    values = np.array([[0.6, unknown, unknown], [0.7, 0.2, unknown], [0.5, unknown, unknown]])
+    np.testing.assert_array_equal(peaks(values, np.array([0.0, 2.0, 4.0])), [2.0, 2.0, np.nan])
 
 
 def test_left_out_blocks_make_the_loss_of_noise_no_better_than_a_constant():

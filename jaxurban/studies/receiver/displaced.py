@@ -103,17 +103,24 @@ class Displaced:
         displaced = cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1])
         near = cities[self.num_null :].assign(auc=by_move[:, 0]).reset_index(drop=True)
         scales = pd.DataFrame({"scale": SCALES, "rows": int(is_judged.sum()), "auc": by_scale[:, 0]})
-        best, best_scale = (np.nanargmax(values, axis=0) for values in (by_move, by_scale))
-        low, high = np.quantile(SCALES[best_scale[1:]], [0.025, 0.975])
+        east_m, north_m = (peaks(by_move, near[name].to_numpy()) for name in ("east_m", "north_m"))
+        scale = peaks(by_scale, SCALES)
+        low, high = np.quantile(scale[1:], [0.025, 0.975])
         peak = {
-            "east_m": float(near.east_m[best[0]]),
-            "north_m": float(near.north_m[best[0]]),
-            "within_95_m": float(np.quantile(np.hypot(near.east_m, near.north_m)[best[1:]], 0.95)),
-            "scale": float(SCALES[best_scale[0]]),
+            "east_m": float(east_m[0]),
+            "north_m": float(north_m[0]),
+            "within_95_m": float(np.quantile(np.hypot(east_m, north_m)[1:], 0.95)),
+            "scale": float(scale[0]),
             "scale_low": float(low),
             "scale_high": float(high),
         }
         return displaced, near, scales, peak
+
+
+def peaks(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return ``[D]`` at which of ``[F]`` each draw's values ``[F, D]`` are highest; NaN where none is known."""
+    highest = np.argmax(np.nan_to_num(values, nan=-np.inf), axis=0)
+    return np.where(np.isfinite(values).any(axis=0), at[highest], np.nan)
 
 
 def displacements(num: int, seed: int) -> np.ndarray:
