@@ -42,6 +42,19 @@ ROWS = {  # of scores
     "J": "QZSS",
     "I": "NavIC",
 }
+HEADS = {  # of the report's tables
+    "which": "rows",
+    "rows": "number",
+    "auc": "AUC",
+    "num_satellites": "satellites with both",
+    "model": "rule",
+    "log_loss": "log-loss",
+    "gain": "gain on the street rule",
+    "east_m": "moved east (m)",
+    "north_m": "moved north (m)",
+    "within_95_m": "95 % of resampled tracks within (m)",
+    "scale": "heights times",
+}
 NAMES = {"auc": "all satellites", "within": "within each satellite"}  # of scores
 AROUND_M = 10.0  # of track, along which agreement is counted
 MARGINS_M = np.array([-50, -20, -10, -5, -2, 0, 2, 5, 10, 20, 50])  # between the classes of margins
@@ -80,16 +93,17 @@ def satellite_figures(found: ReceiverValidation, of: SatelliteAgreement) -> dict
 
 
 def satellite_tables(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
-    """Return the tables of the report: scores, displaced cities beside the one in its place, and rivals."""
-    scores = of.scores.replace({"which": ROWS}).rename(columns=lambda name: name.replace("auc", "AUC"))
+    """Return the tables of the report: scores, displaced cities beside the one in its place, best fit, and rivals."""
     cities = pd.concat([of.scores[of.scores.which == "all"], of.displaced.agg(["median", "max"])])[["auc", "within"]]
     cities.insert(0, "the city", ["in its place", f"displaced {len(of.displaced)} times, median", "most"])
-    rivals = of.rivals.rename(columns=lambda name: name.replace("gain", "gain on the street rule"))
-    return {
-        "scores": scores.rename(columns={"which": "rows", "rows": "number", "num_satellites": "satellites with both"}),
-        "cities": cities.rename(columns={"auc": "AUC"}),
-        "rivals": rivals.rename(columns={"model": "rule", "log_loss": "log-loss"}),
-    }
+    scores = of.scores.replace({"which": ROWS})
+    tables = {"scores": scores, "cities": cities, "peak": pd.DataFrame([of.peak]), "rivals": of.rivals}
+    return {name: table.rename(columns=_head) for name, table in tables.items()}
+
+
+def _head(column: str) -> str:
+    name = column.removesuffix("_low").removesuffix("_high")
+    return HEADS.get(name, name) + column.removeprefix(name)
 
 
 @styled

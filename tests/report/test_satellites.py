@@ -39,10 +39,19 @@ def test_every_score_stands_in_the_report_with_its_interval(of_satellites):
     assert "| in its place | 0.842 | 0.742 |" in report
     assert "| most | 0.622 | 0.522 |" in report
     assert "| margin and elevation | 0.55 | 0 (-0.031 to 0.047) |" in report
-    assert "2 m to the east and 0 m to the north" in report
-    assert "1.00 times their height (0.94 to 1.06)" in report
+    assert "| 2 | 0 | 5.7 | 1 (0.94 to 1.06) |" in report
     assert "11 rows are not judged: their rays leave" in report
     assert "E18 is left out: unhealthy." in report
+
+
+def test_what_is_unknown_is_no_number_of_the_report_and_is_drawn(of_satellites):
+    unknown = {"auc": np.nan, "auc_low": np.nan, "auc_high": np.nan}
+    parts = {name: getattr(made(), name).assign(auc=np.nan) for name in ("displaced", "field", "scales")}
+    parts |= {"scores": made().scores.assign(**unknown), "peak": dict.fromkeys(made().peak, np.nan)}
+    all_seen = replace(made(), rows=made().rows.assign(is_seen=True, margin_m=np.inf), **parts)
+    assert "nan" not in validation_markdown(replace(of_satellites, satellites=all_seen))
+    for draw in satellite_figures(of_satellites, all_seen).values():
+        assert draw().axes
 
 
 def test_without_satellites_the_report_and_its_files_are_those_of_counts():
