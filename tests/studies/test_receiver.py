@@ -101,6 +101,12 @@ def test_the_scores_and_the_shifts_agree_and_pieces_are_medians_of_their_epochs(
     assert set(found().scores.piece_m) == {10.0, 25.0, 50.0, 100.0}
 
 
+@pytest.mark.parametrize("name", ["rover.obs", "rover.23o", "ROVER.RNX"])
+def test_observations_alone_ask_for_the_other_files_of_rinex(name):
+    with pytest.raises(ju.InputError, match="RINEX: name navigation and reference too"):
+        ju.studies.validate(scenario(), name, progress=False)
+
+
 REFUSED = {
     r"^693 of the 693 places of the .* outside .*\[region\] bounds": lambda log: log.assign(lon_deg=log.lon_deg + 1),
     "^1 of the 693 places": lambda log: log.assign(lon_deg=log.lon_deg + (log.index == 0)),

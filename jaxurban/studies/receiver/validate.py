@@ -8,6 +8,7 @@ denser than another. **Shifts** are the control: the maps' values are moved alon
 beginning, by every number of places, so that both series stay what they are and only their pairing is lost.
 """
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -37,6 +38,7 @@ MAIN = {TRACKED: NUM_VISIBLE, ERROR: "hdop"}
 MORE_IS_BETTER = (TRACKED, NUM_VISIBLE, "gps")  # of all else, dilutions of precision and errors, less is
 WITHIN, SPEARMAN = COEFFICIENTS = ("within", "spearman")
 SHIFTS_BELOW = 0.95  # of all shifts score no more than the `_shifts_95` of a coefficient
+OBSERVATIONS = re.compile(r"\.(obs|rnx|\d\do)$", re.IGNORECASE)  # how files in RINEX are called
 FEWEST_PIECES = 8  # fewer rank nothing
 
 
@@ -241,6 +243,8 @@ def _read(
     if given is None:
         raise InputError("log is left out, and only a sample city with a log of its own has one: name the file")
     if navigation is None or reference is None or isinstance(given, pd.DataFrame):
+        if not isinstance(given, pd.DataFrame) and OBSERVATIONS.search(str(given)):
+            raise InputError(f"{str(given)!r} is a file of observations in RINEX: name navigation and reference too")
         return read_receiver_log(given)
     return read_rinex(given, navigation, reference)
 
