@@ -12,7 +12,7 @@ from scipy.stats import mannwhitneyu
 
 import jaxurban as ju
 from jaxurban.maps.run import load_city
-from jaxurban.studies.receiver import rivals, satellites
+from jaxurban.studies.receiver import displaced, rivals, satellites
 from jaxurban.studies.receiver.agreement import headings_rad
 from jaxurban.studies.receiver.displaced import displacements, near_by, peaks
 from jaxurban.studies.receiver.prediction import region_of
@@ -22,8 +22,11 @@ from tests.satellite_logs import FALSE_PRAISE, SETTINGS, found, heard, hidden_by
 
 
 def validated(log: pd.DataFrame, **settings) -> ju.studies.ReceiverValidation:
+    """Return a validation of few displaced cities, with a small field."""
     chosen = replace(SETTINGS, **{"num_displaced": 1, **settings})
-    return ju.studies.validate(scenario(), log, chosen, progress=False)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(displaced, "AROUND_M", 4.0)
+        return ju.studies.validate(scenario(), log, chosen, progress=False)
 
 
 def by_pairs(is_seen: np.ndarray, cn0: np.ndarray, group: np.ndarray) -> float:
