@@ -13,10 +13,11 @@ from scipy.stats import mannwhitneyu
 import jaxurban as ju
 from jaxurban.maps.run import load_city
 from jaxurban.studies.receiver import displaced, rivals, satellites
-from jaxurban.studies.receiver.agreement import headings_rad
+from jaxurban.studies.receiver.agreement import headings_rad, verdict_of
 from jaxurban.studies.receiver.displaced import displacements, near_by, peaks
 from jaxurban.studies.receiver.prediction import region_of
 from jaxurban.studies.receiver.scores import aucs, levels_of, weights_of
+from tests.made_agreement import made
 from tests.receiver_logs import scenario
 from tests.satellite_logs import FALSE_PRAISE, SETTINGS, found, heard, hidden_by_outlines, is_praised, wrong_margins
 
@@ -187,6 +188,13 @@ def test_a_draw_has_its_peak_where_it_is_highest_and_none_where_nothing_is_known
     unknown = np.nan
     values = np.array([[0.6, unknown, unknown], [0.7, 0.2, unknown], [0.5, unknown, unknown]])
     np.testing.assert_array_equal(peaks(values, np.array([0.0, 2.0, 4.0])), [2.0, 2.0, np.nan])
+
+
+def test_a_verdict_says_why_there_is_none():
+    parts = made().scores, made().displaced, made().rivals
+    unknown = made().scores.assign(auc_low=np.nan)
+    assert verdict_of(unknown, *parts[1:], 40).startswith("There is no verdict: on these 40 blocks of track too few")
+    assert verdict_of(*parts, 7).startswith("The track is too short for a verdict")
 
 
 def test_left_out_blocks_make_the_loss_of_noise_no_better_than_a_constant():

@@ -337,8 +337,10 @@ def verdict_of(scores: pd.DataFrame, displaced: pd.DataFrame, rivals: pd.DataFra
     of, gain = scores.set_index("which").loc["all"], rivals.set_index("model").loc[MAP]
     most = float(displaced.auc.max())
     where = f"on these {num_blocks} blocks of track"
-    if num_blocks < FEWEST_GROUPS or not np.isfinite([gain.gain_low, of.auc_low]).all():
+    if num_blocks < FEWEST_GROUPS:
         return f"The track is too short for a verdict: {where} there is no interval (it takes {FEWEST_GROUPS} blocks)."
+    if not np.isfinite([gain.gain_low, of.auc_low]).all():
+        return f"There is no verdict: {where} too few rows are hidden, or too few in view, for an interval."
     by = f"the gain in log-loss is {gain.gain:.3f} (95 % interval {gain.gain_low:.3f} to {gain.gain_high:.3f})"
     auc = f"an AUC of {of.auc:.2f} ({of.auc_low:.2f} to {of.auc_high:.2f})"
     if not gain.gain_low > 0:
