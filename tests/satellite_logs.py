@@ -15,7 +15,7 @@ from tests.receiver_logs import drive, scenario
 
 ANTENNA_M = 2.0
 FALSE_PRAISE = 17  # of 200: with 5 % of chance each, no more in 98 of 100 trials
-SETTINGS = ju.studies.ReceiverSettings(num_displaced=12)
+SETTINGS = ju.studies.ReceiverSettings(num_displaced=120)
 SYSTEMS = "GE"
 
 

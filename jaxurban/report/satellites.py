@@ -213,7 +213,8 @@ def plot_skies(of: SatelliteAgreement) -> Figure:
             colours[rows.cn0_dbhz == 0] = 1.0
             look = {"marker": marker, "c": colours, "edgecolors": INK, "linewidths": 0.7, "label": label}
             x, y = np.radians(rows.azimuth_deg), 90 - rows.elevation_deg
-            panel.scatter(x, y, s=50, alpha=np.where(rows.is_judged, 1.0, 0.3), **look)
+            alpha = np.where(rows.is_judged, 1.0, 0.3) if len(rows) else None  # Matplotlib refuses none
+            panel.scatter(x, y, s=50, alpha=alpha, **look)
             for k, name in enumerate(rows.satellite):
                 offset = (4, 4) if k % 2 else (4, -9)
                 panel.annotate(name, (x.iloc[k], y.iloc[k]), offset, textcoords="offset points", size=6)

@@ -30,6 +30,8 @@ from jaxurban.world.grid import Grid
 
 MOST_MOVED = 20_000  # rows that are set against displaced cities and other roofs, of a longer log every n-th epoch
 FEWEST_SEEN = 8  # judged rows of a block that may be drawn as a place
+FEWEST_CITIES = 50  # displaced ones that could be scored, for a verdict
+LOWEST_DEG = 0.1  # a ray along the horizon never rises
 STREET_M, STILL_M = 20.0, 1.0  # each way, for the street's direction; a car that moves less stands
 
 
@@ -288,7 +290,7 @@ def _rows_of(
     """Return the rows of a log above the mask, of the systems that are asked for, and their rays."""
     assert log.satellites is not None
     system = log.satellites.satellite.astype(str).str[0]
-    is_kept = log.satellites.elevation_deg >= mask_deg
+    is_kept = log.satellites.elevation_deg >= max(mask_deg, LOWEST_DEG)
     if settings.systems:
         is_kept &= system.isin(list(settings.systems))
     rows = log.satellites[is_kept].assign(system=system[is_kept]).reset_index(drop=True)
@@ -347,6 +349,12 @@ def verdict_of(scores: pd.DataFrame, displaced: pd.DataFrame, rivals: pd.DataFra
         return (
             "It is not shown that the maps predict what this receiver hears better than elevation and the street's "
             f"direction do {where}: {by}."
+        )
+    num_cities = int(displaced.auc.notna().sum())
+    if num_cities < FEWEST_CITIES:
+        return (
+            f"There is no verdict: {where} {num_cities} of {len(displaced)} displaced cities could be scored, and it "
+            f"takes {FEWEST_CITIES} ({by})."
         )
     if not of.auc_low > most:
         return (
