@@ -94,7 +94,9 @@ def satellite_figures(found: ReceiverValidation, of: SatelliteAgreement) -> dict
 
 def satellite_tables(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
     """Return the tables of the report: scores, displaced cities beside the one in its place, best fit, and rivals."""
-    cities = pd.concat([of.scores[of.scores.which == "all"], of.displaced.agg(["median", "max"])])[["auc", "within"]]
+    names = ["auc", "within"]
+    null = [of.displaced[names].quantile(share) for share in (0.5, 1.0)]  # of all that could be scored
+    cities = pd.concat([of.scores.loc[of.scores.which == "all", names], pd.DataFrame(null)])
     cities.insert(0, "the city", ["in its place", f"displaced {len(of.displaced)} times, median", "most"])
     scores = of.scores.replace({"which": ROWS})
     tables = {"scores": scores, "cities": cities, "peak": pd.DataFrame([of.peak]), "rivals": of.rivals}
