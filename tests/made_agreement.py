@@ -42,6 +42,15 @@ def made() -> SatelliteAgreement:
         scales=pd.DataFrame({"scale": scales, "rows": 342, "auc": 0.8 - abs(scales - 1)}),
         peak={"east_m": 2.0, "north_m": 0.0, "within_95_m": 5.7, "scale": 1.0, "scale_low": 0.94, "scale_high": 1.06},
         rivals=rivals.assign(gain_low=-0.031, gain_high=0.047),
+        block_lengths=pd.DataFrame(
+            {
+                "block_m": [50.0, 100.0, 200.0],
+                "num_blocks": [12, 6, 3],
+                "gain": 0.01,
+                "gain_low": -0.02,
+                "gain_high": 0.04,
+            }
+        ),
         skies=tuple(PlaceSky(name, *place) for name in ("least agreement", "most agreement")),
         strong_dbhz=36.5,
         verdict="Maps and receiver agree.",
@@ -54,6 +63,9 @@ def made() -> SatelliteAgreement:
             "num_satellites": 6,
             "num_blocks": 12,
             "num_displaced": 9,
+            "num_asked": 9,
+            "every": 1,
+            "is_median": True,
             "left_out": {"E18": "unhealthy"},
         },
     )

@@ -10,7 +10,6 @@ import jaxurban as ju
 from jaxurban.maps.run import load_city
 from jaxurban.studies.receiver import rivals
 from jaxurban.studies.receiver.prediction import region_of
-from jaxurban.studies.receiver.scores import weights_of
 from tests.receiver_logs import drive, scenario
 
 ANTENNA_M = 2.0
@@ -61,8 +60,7 @@ def is_praised(rows: pd.DataFrame, margin_m: np.ndarray, elevation_rad: np.ndarr
     """Return whether margins are called better than the rule of the street."""
     rules = rivals.features_of(margin_m, elevation_rad, off_rad)
     chosen = {name: rules[name] for name in (rivals.STREET, rivals.MAP)}
-    weights = weights_of(int(rows.block.max()) + 1, seed=0)
-    table = rivals.compared_rules(chosen, rows.is_strong.to_numpy(), rows.block.to_numpy(), weights)
+    table = rivals.compared_rules(chosen, rows.is_strong.to_numpy(), rows.block.to_numpy(), seed=0)
     return bool(table.set_index("model").gain_low[rivals.MAP] > 0)
 
 

@@ -11,12 +11,14 @@ import shapely
 from scipy.stats import mannwhitneyu
 
 import jaxurban as ju
+from jaxurban.kernels.shadows.sweep import ENTRY_STEPS
 from jaxurban.maps.run import load_city
 from jaxurban.studies.receiver import displaced, rivals, satellites
 from jaxurban.studies.receiver.agreement import headings_rad, verdict_of
 from jaxurban.studies.receiver.displaced import displacements, near_by, peaks
 from jaxurban.studies.receiver.prediction import region_of
-from jaxurban.studies.receiver.scores import aucs, levels_of, weights_of
+from jaxurban.studies.receiver.scores import aucs, drawn_blocks, levels_of
+from jaxurban.world.grid import Grid
 from tests.made_agreement import made
 from tests.receiver_logs import scenario
 from tests.satellite_logs import FALSE_PRAISE, SETTINGS, found, heard, hidden_by_outlines, is_praised, wrong_margins
@@ -45,7 +47,7 @@ def test_aucs_are_those_of_all_pairs_of_scipy_and_of_draws_written_out():
     is_seen, cn0 = rng.random(90) < 0.4, np.round(rng.normal(35, 5, 90))
     group, block = rng.integers(0, 4, 90), rng.integers(0, 9, 90)
     level = levels_of(pd.Series(cn0))
-    weights = weights_of(9, seed=1)[:4]
+    weights = drawn_blocks(np.arange(9), seed=1)[1][:4]
     pooled, within = aucs(is_seen, level, block, weights), aucs(is_seen, level, block, weights, group)
     of_scipy = mannwhitneyu(cn0[is_seen], cn0[~is_seen]).statistic / (is_seen.sum() * (~is_seen).sum())
     assert pooled[0] == pytest.approx(of_scipy, abs=1e-12)
@@ -184,10 +186,76 @@ def test_displacements_are_even_over_the_ring_and_the_field_is_a_disc_of_steps()
     assert near_by()[0].tolist() == [0.0, 0.0]
 
 
-def test_a_draw_has_its_peak_where_it_is_highest_and_none_where_nothing_is_known():
+def test_a_draw_has_its_peak_where_it_is_highest_and_none_where_nothing_is_known_or_all_is_alike():
     unknown = np.nan
-    values = np.array([[0.6, unknown, unknown], [0.7, 0.2, unknown], [0.5, unknown, unknown]])
-    np.testing.assert_array_equal(peaks(values, np.array([0.0, 2.0, 4.0])), [2.0, 2.0, np.nan])
+    values = np.array([[0.6, 0.1, unknown, 0.5], [0.7, 0.2, unknown, 0.5], [0.5, unknown, unknown, unknown]])
+    np.testing.assert_array_equal(peaks(values, np.array([0.0, 2.0, 4.0])), [2.0, 2.0, np.nan, np.nan])
+
+
+def test_blocks_without_a_row_are_none():
+    block, weights = drawn_blocks(np.array([7, 3, 7, 90]), seed=0)
+    np.testing.assert_array_equal(block, [1, 0, 1, 2])
+    assert weights.shape[1] == 3
+    of = found().satellites
+    assert of.counts["num_blocks"] == of.rows[of.rows.is_judged].block.nunique()
+    assert of.block_lengths.num_blocks.tolist() == [
+        (of.rows[of.rows.is_judged].block // times).nunique() for times in (1, 2, 4)
+    ]
+    of_one, of_map = of.block_lengths.iloc[0], of.rivals.set_index("model").loc[rivals.MAP]
+    assert of_one[["gain", "gain_low", "gain_high"]].tolist() == of_map[["gain", "gain_low", "gain_high"]].tolist()
+
+
+def test_a_block_alone_has_no_loss():
+    assert np.isnan(rivals.losses(np.ones((9, 1)), np.arange(9) < 5, np.zeros(9, int))).all()
+
+
+def gap_at(x_m: float, side: int = 40) -> satellites.Ground:
+    """Return flat ground of cells of 1 m with a roof of 20 m, 8 m east of its middle, and no data from x_m on."""
+    grid = Grid("EPSG:32618", 1.0, 0, 0, side, side)
+    roof_m, has_data = np.zeros(grid.shape, np.float32), np.ones(grid.shape, bool)
+    roof_m[:, side // 2 + 8] = 20.0
+    has_data[:, int(x_m) :] = False
+    return satellites.Ground(grid, roof_m, None, has_data, 2.0)
+
+
+def test_a_ray_that_crosses_cells_without_data_before_it_is_above_all_roofs_is_unknown():
+    places = np.full(5, 20.5)
+    azimuth_rad, elevation_rad = np.radians([90.0, 90.0, 90.0, 270.0, 90.0]), np.radians([50.0, 60.0, 70.0, 10.0, 85.0])
+    rays = satellites.Rays(places, places, azimuth_rad, elevation_rad)
+    climb_m = 9.5 * np.tan(elevation_rad)  # to the first cell without data
+    np.testing.assert_array_equal(gap_at(30).crosses_gap(rays, 18.0), (climb_m < 18.0) & (azimuth_rad < np.pi))
+    assert gap_at(20).crosses_gap(rays, 18.0).all()  # they begin there
+    assert not replace(gap_at(30), has_data=None).crosses_gap(rays, 18.0).any()
+
+
+def test_rows_over_cells_without_data_are_not_judged(monkeypatch):
+    around, from_m = satellites.Ground.around, found().epochs.x_m.quantile(0.8)
+
+    def with_gap(*args) -> satellites.Ground:
+        ground = around(*args)
+        x_m = ground.grid.x_min_m + ground.grid.resolution_m * (np.arange(ground.grid.num_cols) + 0.5)
+        return replace(ground, has_data=np.broadcast_to(x_m < from_m, ground.grid.shape))
+
+    monkeypatch.setattr(satellites.Ground, "around", with_gap)
+    of, before = validated(heard()).satellites, found().satellites.rows
+    x_m = found().epochs.x_m.to_numpy()[before.epoch]
+    assert not of.rows.is_judged[x_m > from_m + 5.0].any()
+    is_west = before.is_judged & (x_m < from_m - 5.0) & (before.azimuth_deg > 200) & (before.azimuth_deg < 320)
+    assert is_west.sum() > 50
+    assert of.rows.is_judged[is_west].all()
+    assert of.displaced.rows.max() < found().satellites.displaced.rows.max()
+
+
+def test_a_margin_does_not_depend_on_roofs_that_are_elsewhere():
+    ground = gap_at(40, side=400)
+    taller_m = ground.roof_m.copy()
+    taller_m[0, 0] = 300.0
+    places, east = np.full(40, 200.5), np.full(40, np.pi / 2)
+    rays = satellites.Rays(places, places, east, np.radians(np.linspace(5.0, 88.0, 40)))
+    margin_m = ground.margins_m(rays)
+    np.testing.assert_array_equal(margin_m, replace(ground, roof_m=taller_m).margins_m(rays))
+    expected_m = 2.0 + (8 - ENTRY_STEPS) * np.tan(rays.elevation_rad) - 20.0
+    np.testing.assert_allclose(margin_m, np.where(expected_m < 60.0, expected_m, np.inf), atol=1e-3)
 
 
 def test_a_verdict_says_why_there_is_none():

@@ -18,13 +18,13 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
 from jaxurban.progress import Report
-from jaxurban.public import Caution
+from jaxurban.public import Caution, Shown
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
-from jaxurban.studies.receiver.displaced import FARTHEST_M, FEWEST_ROWS, SCALES, Displaced
+from jaxurban.studies.receiver.displaced import AROUND_M, FARTHEST_M, FEWEST_ROWS, SCALES, STEP_M, Displaced
 from jaxurban.studies.receiver.prediction import EVERYWHERE, ReceiverSettings, Track
-from jaxurban.studies.receiver.rivals import MAP, compared_rules, features_of
-from jaxurban.studies.receiver.satellites import Ground, Rays, box_of, legs
-from jaxurban.studies.receiver.scores import score_table, weights_of
+from jaxurban.studies.receiver.rivals import MAP, compared_rules, features_of, gain_by_length
+from jaxurban.studies.receiver.satellites import FARTHEST_MARGIN_M, Ground, Rays, box_of, legs
+from jaxurban.studies.receiver.scores import score_table
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 
@@ -55,17 +55,17 @@ class PlaceSky:
     satellites: pd.DataFrame
 
 
-@dataclass(frozen=True, eq=False)
-class SatelliteAgreement:
+@dataclass(frozen=True, eq=False, repr=False)
+class SatelliteAgreement(Shown):
     """How the maps agree with a receiver, satellite by satellite.
 
     Attributes:
       rows: a row an epoch and satellite: ``epoch`` (number in the log's epochs), ``satellite``, ``system`` (its first
         letter), ``azimuth_deg`` (from true north), ``elevation_deg``, ``cn0_dbhz`` (0: not received), ``margin_m`` (the
-        antenna less the edge of the roofs' shadow; below 0 a roof hides the satellite, inf where none stands on the
-        line), ``is_seen``, ``is_known`` (the whole ray lies above known ground until it is above all roofs),
+        antenna less the edge of the roofs' shadow; below 0 a roof hides the satellite, inf from 60 m on), ``is_seen``,
+        ``is_known`` (the whole ray lies above known ground until it is above all roofs),
         ``is_inside`` (the place lies in a building), ``is_judged`` (known, unless the settings judge all rays, and not
-        inside), ``is_strong`` (C/N0 is at least ``strong_dbhz``), ``block`` of the track.
+        inside), ``is_strong`` (C/N0 is at least ``strong_dbhz``), ``block`` (number of the block along the track).
       scores: a row a choice of rows, ``which``: ``"all"`` that are judged, of these ``"received"`` and by system;
         ``"unguarded"``: also those of unknown rays. ``rows``, their ``share`` of all, ``auc`` and ``within`` satellites
         with the ends of their 95 % intervals (``_low``, ``_high``), ``num_satellites`` that are seen and hidden.
@@ -73,13 +73,16 @@ class SatelliteAgreement:
       field: AUC of cities displaced by up to 40 m, in steps of 2 m: ``east_m``, ``north_m``, ``rows``, ``auc``.
       scales: AUC of cities whose roofs are ``scale`` times as high.
       peak: where the field is highest, ``east_m``, ``north_m``; ``within_95_m``: 95 % of the bootstrap's peaks lie so
-        near to no displacement; ``scale`` where that is highest, ``scale_low``, ``scale_high``.
+        near to no displacement; ``scale`` where that is highest, ``scale_low``, ``scale_high``. NaN where nothing is
+        highest, or of fewer than 8 blocks.
       rivals: log-loss of rules that predict ``is_strong``, one block left out (`jaxurban.studies.receiver.rivals`).
+      block_lengths: the gain of margin and elevation in ``rivals``, with its interval, where blocks are once, twice
+        and four times as long: ``block_m``, ``num_blocks``, ``gain``, ``gain_low``, ``gain_high``.
       skies: the places of least and of most agreement.
       strong_dbhz: the receiver's own median over judged rows; where that is 0, its weakest received signal.
       verdict: what this shows, in one sentence that claims no more than its interval.
       counts: rows, judged ones, those of unknown rays and in buildings, satellites, blocks, displaced cities; what was
-        left out, with reasons.
+        left out, with reasons; ``every`` which epoch, of a long log, meets displaced cities, other roofs and rivals.
 
     Examples:
       >>> import pandas as pd
@@ -94,7 +97,7 @@ class SatelliteAgreement:
       >>> of.counts["judged"], of.counts["unknown"], of.counts["inside"]
       (122, 15, 23)
       >>> of.rows[["satellite", "margin_m", "is_seen", "is_judged"]].head(1).round(1).to_dict("records")
-      [{'satellite': 'G05', 'margin_m': 357.3, 'is_seen': True, 'is_judged': True}]
+      [{'satellite': 'G05', 'margin_m': inf, 'is_seen': True, 'is_judged': True}]
       >>> of.verdict.partition(":")[0]
       'The track is too short for a verdict'
     """
@@ -106,6 +109,7 @@ class SatelliteAgreement:
     scales: pd.DataFrame
     peak: dict[str, float]
     rivals: pd.DataFrame
+    block_lengths: pd.DataFrame
     skies: tuple[PlaceSky, ...]
     strong_dbhz: float
     verdict: str
@@ -132,8 +136,18 @@ class SatelliteAgreement:
             sentences.append(f"{of['unknown']:,} rows are {judged}: their rays leave what is known of the city.")
         if of["inside"]:
             sentences.append(f"{of['inside']:,} rows are not judged: their places lie in buildings.")
+        if self._is_at_edge:
+            sentences.append(
+                "The city fits best at the edge of the search (40 m, heights times 0.8 or 1.2): see whether places, "
+                "heights and the CRS are right."
+            )
         sentences += [f"{name} is left out: {reason}." for name, reason in of["left_out"].items()]
         return [Caution(sentence) for sentence in sentences]
+
+    @property
+    def _is_at_edge(self) -> bool:
+        away_m = np.hypot(self.peak["east_m"], self.peak["north_m"])
+        return bool(away_m > AROUND_M - STEP_M) or self.peak["scale"] in (SCALES[0], SCALES[-1])
 
     def score(self, which: str = "all") -> pd.Series:
         """Return the scores of a choice of rows.
@@ -205,11 +219,11 @@ def agreement_of(
     rise = highest_top_m(city) - settings.antenna_height_m
     rows["is_known"] = rays.stays_within(known, rise)
     is_guarded = settings.known != EVERYWHERE
-    is_open = rows.is_known.to_numpy() | (not is_guarded)
-    is_taken = (rows.epoch % max(1, len(rows) // MOST_MOVED) == 0).to_numpy()
-    is_moved = is_taken & is_open
+    every = max(1, len(rows) // MOST_MOVED)
+    is_taken = (rows.epoch % every == 0).to_numpy()
+    is_moved = is_taken & (rows.is_known.to_numpy() | (not is_guarded))
     displaced = Displaced.of(settings.num_displaced, settings.seed, int(is_moved.sum()))
-    reach_m = max(rise * SCALES[-1], 0.0) / np.tan(rays.elevation_rad.min())
+    reach_m = (max(rise * SCALES[-1], 0.0) + FARTHEST_MARGIN_M) / np.tan(rays.elevation_rad.min())
     rows["margin_m"], rows["is_inside"] = np.nan, False
     for leg in legs(track.x_m, track.y_m, grid.resolution_m):
         at = np.flatnonzero((rows.epoch >= leg.start) & (rows.epoch < leg.stop))
@@ -217,6 +231,7 @@ def agreement_of(
             continue
         of_leg = rays.take(at)
         ground = Ground.around(city, box_of(grid, of_leg, FARTHEST_M), reach_m, settings.antenna_height_m)
+        rows.loc[at, "is_known"] &= ~ground.crosses_gap(of_leg, rise)
         rows.loc[at, "is_inside"] = ground.is_inside(of_leg)
         rows.loc[at, "margin_m"] = ground.margins_m(of_leg)
         moved = at[is_moved[at]]
@@ -225,25 +240,28 @@ def agreement_of(
             report("displaced cities", number, len(displaced.moves_m))
             displaced.fill(number, column, ground, of_moved)
             if is_guarded and number < displaced.num_null:
-                displaced.leave_unknown(number, column, of_moved, known, rise)
+                displaced.leave_unknown(number, column, ground, of_moved, known, rise)
         for number, scale in enumerate(SCALES):
             displaced.of_scale[number, column] = ground.with_roofs(scale).margins_m(of_moved) >= 0
     rows["is_seen"] = rows.margin_m >= 0
     rows.loc[rows.is_inside, "margin_m"] = np.nan
+    is_open = rows.is_known | (not is_guarded)
     rows["is_judged"] = is_open & ~rows.is_inside
     _check_judged(rows, log.name, mask_deg)
     judged = rows[rows.is_judged]
     median_dbhz = float(judged.cn0_dbhz.median())
     strong_dbhz = median_dbhz if median_dbhz > 0 else float(judged.cn0_dbhz[judged.cn0_dbhz > 0].min())
     rows["is_strong"] = rows.cn0_dbhz >= strong_dbhz
-    weights = weights_of(int(rows.block.max()) + 1, settings.seed)
     report("scores")
-    scores = score_table(rows, weights)
-    null, field, scales, peak = displaced.tables(rows[is_moved], weights)
+    scores = score_table(rows, settings.seed)
+    null, field, scales, peak = displaced.tables(rows[is_moved], settings.seed)
     chosen = is_taken & rows.is_judged.to_numpy()
     off_street_rad = rays.azimuth_rad - headings_rad(track.x_m, track.y_m)[rows.epoch]
     rules = features_of(rows.margin_m.to_numpy()[chosen], rays.elevation_rad[chosen], off_street_rad[chosen])
-    rivals = compared_rules(rules, rows.is_strong.to_numpy()[chosen], rows.block.to_numpy()[chosen], weights)
+    truths = rows.is_strong.to_numpy()[chosen], rows.block.to_numpy()[chosen]
+    rivals = compared_rules(rules, *truths, settings.seed)
+    block_lengths = gain_by_length(rules, *truths, settings.sky_block_m, settings.seed)
+    num_blocks = int(rows.block[chosen].nunique())
     counts = {
         "rows": len(rows),
         "judged": int(rows.is_judged.sum()),
@@ -251,8 +269,11 @@ def agreement_of(
         "unknown": int((~rows.is_known).sum()),
         "inside": int((is_open & rows.is_inside).sum()),
         "num_satellites": int(rows.satellite.nunique()),
-        "num_blocks": weights.shape[1],
+        "num_blocks": num_blocks,
         "num_displaced": int(null.auc.notna().sum()),
+        "num_asked": settings.num_displaced,
+        "every": every,
+        "is_median": median_dbhz > 0,
         "left_out": dict(log.left_out),
     }
     return SatelliteAgreement(
@@ -263,9 +284,10 @@ def agreement_of(
         scales=scales,
         peak=peak,
         rivals=rivals,
+        block_lengths=block_lengths,
         skies=_skies(rows, rays, log, city, grid, reach_m, settings.antenna_height_m),
         strong_dbhz=strong_dbhz,
-        verdict=verdict_of(scores, null, rivals, weights.shape[1]),
+        verdict=verdict_of(scores, null, rivals, num_blocks),
         counts=counts,
     )
 
@@ -300,7 +322,7 @@ def _rows_of(
             + (f" of the systems {', '.join(settings.systems)}" if settings.systems else "")
             + ": lower [gps] mask_deg, or see whether elevation_deg is in degrees"
         )
-    rows["block"] = pd.factorize(track.along_m[rows.epoch] // settings.sky_block_m, sort=True)[0]
+    rows["block"] = (track.along_m[rows.epoch] // settings.sky_block_m).astype(int)
     centre = float(log.epochs[LON].median()), float(log.epochs[LAT].median())
     azimuth_rad = np.radians(rows.azimuth_deg.to_numpy(float)) - grid.convergence_rad(*centre)
     elevation_rad = np.radians(rows.elevation_deg.to_numpy(float))

@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.satellites import Ground, Rays
-from jaxurban.studies.receiver.scores import aucs, levels_of
+from jaxurban.studies.receiver.scores import aucs, drawn_blocks, levels_of
 
 NEAREST_M, FARTHEST_M = 80.0, 450.0  # that cities of the null are displaced by
 STEP_M, AROUND_M = 2.0, 40.0  # of the field of displacement
@@ -64,10 +65,11 @@ class Displaced:
         self.is_out[number, column] = ground.is_inside(there)
 
     def leave_unknown(
-        self, number: int, column: np.ndarray, rays: Rays, known: shapely.Geometry, rise_m: float
+        self, number: int, column: np.ndarray, ground: Ground, rays: Rays, known: shapely.Geometry, rise_m: float
     ) -> None:
         """Leave out rays that are unknown in one displaced city; ``rise_m``: to the highest roof."""
-        self.is_out[number, column] |= ~self._there(number, rays).stays_within(known, rise_m)
+        there = self._there(number, rays)
+        self.is_out[number, column] |= ~there.stays_within(known, rise_m) | ground.crosses_gap(there, rise_m)
 
     def _there(self, number: int, rays: Rays) -> Rays:
         """Return rays from the same places, as a displaced city has them."""
@@ -75,16 +77,17 @@ class Displaced:
         return rays.moved(-east_m, -north_m)
 
     def tables(
-        self, rows: pd.DataFrame, weights: np.ndarray
+        self, rows: pd.DataFrame, seed: int
     ) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, dict[str, float]]:
         """Return the null, the field, the scales and their peak, as `SatelliteAgreement` holds them.
 
         Args:
           rows: ``[R]`` of the agreement.
-          weights: ``[D, B]``.
+          seed: of the bootstrap.
         """
         level, satellite = levels_of(rows.cn0_dbhz), rows.satellite.cat.codes.to_numpy()
-        block, is_judged = rows.block.to_numpy(), rows.is_judged.to_numpy()
+        is_judged = rows.is_judged.to_numpy()
+        block, weights = drawn_blocks(rows.block.where(rows.is_judged).to_numpy(), seed)
         few, once = weights[: 1 + NUM_DRAWS], weights[:1]
         keeps = is_judged & ~self.is_out
         null = np.full((self.num_null, 2), np.nan)
@@ -103,6 +106,8 @@ class Displaced:
         displaced = cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1])
         near = cities[self.num_null :].assign(auc=by_move[:, 0]).reset_index(drop=True)
         scales = pd.DataFrame({"scale": SCALES, "rows": int(is_judged.sum()), "auc": by_scale[:, 0]})
+        if weights.shape[1] < FEWEST_GROUPS:
+            by_move, by_scale = np.full_like(by_move, np.nan), np.full_like(by_scale, np.nan)
         east_m, north_m = (peaks(by_move, near[name].to_numpy()) for name in ("east_m", "north_m"))
         scale = peaks(by_scale, SCALES)
         low, high = np.quantile(scale[1:], [0.025, 0.975])
@@ -118,9 +123,10 @@ class Displaced:
 
 
 def peaks(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return ``[D]`` at which of ``[F]`` each draw's values ``[F, D]`` are highest; NaN where none is known."""
-    highest = np.argmax(np.nan_to_num(values, nan=-np.inf), axis=0)
-    return np.where(np.isfinite(values).any(axis=0), at[highest], np.nan)
+    """Return ``[D]`` at which of ``[F]`` each draw's values ``[F, D]`` are highest; NaN where all known are alike."""
+    low, high = (np.nan_to_num(values, nan=unknown) for unknown in (np.inf, -np.inf))
+    has_peak = high.max(axis=0) > low.min(axis=0)
+    return np.where(has_peak, at[np.argmax(high, axis=0)], np.nan)
 
 
 def displacements(num: int, seed: int) -> np.ndarray:

@@ -13,9 +13,11 @@ from scipy.special import expit, logit
 
 from jaxurban.metrics.reception import ReceptionCurve
 from jaxurban.studies.bootstrap import ends_of
+from jaxurban.studies.receiver.scores import drawn_blocks
 
 MOST_FOLDS = 100  # with more blocks, every hundredth is left out together
 RIDGE, NUM_STEPS, LEAST_CHANCE = 1e-3, 12, 1e-6
+LENGTHS = 1, 2, 4  # of blocks, times that of the study
 STREET, MAP = "street", "margin and elevation"
 
 
@@ -59,10 +61,11 @@ def fitted(features: np.ndarray, is_strong: np.ndarray) -> np.ndarray:
 
 
 def losses(features: np.ndarray, is_strong: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Return ``[R]`` -ln(chance of what happened), each block judged by what all others say."""
-    lost = np.empty(len(block))
+    """Return ``[R]`` -ln(chance of what happened), each block judged by what all others say; NaN without another."""
+    lost = np.full(len(block), np.nan)
     fold = block % MOST_FOLDS
-    for number in np.unique(fold):
+    folds = np.unique(fold)
+    for number in folds if len(folds) > 1 else ():
         is_left = fold == number
         chance = expit(features[is_left] @ fitted(features[~is_left], is_strong[~is_left]))
         lost[is_left] = -np.log(np.clip(np.where(is_strong[is_left], chance, 1 - chance), LEAST_CHANCE, 1.0))
@@ -70,16 +73,17 @@ def losses(features: np.ndarray, is_strong: np.ndarray, block: np.ndarray) -> np
 
 
 def compared_rules(
-    rules: Mapping[str, np.ndarray], is_strong: np.ndarray, block: np.ndarray, weights: np.ndarray
+    rules: Mapping[str, np.ndarray], is_strong: np.ndarray, place: np.ndarray, seed: int
 ) -> pd.DataFrame:
     """Return a row a rule: ``model``, ``log_loss``, ``gain`` on the rule of the street, with its 95 % interval.
 
     Args:
       rules: from `features_of`.
       is_strong: ``[R]`` truths.
-      block: ``[R]`` number of the block of track, below B.
-      weights: ``[D, B]`` how often each draw of the bootstrap holds each block, the first one all of them once.
+      place: ``[R]`` number of the rows' block along the track.
+      seed: of the bootstrap.
     """
+    block, weights = drawn_blocks(place, seed)
     num_blocks = weights.shape[1]
     totals = weights @ np.bincount(block, minlength=num_blocks)
     means = {
@@ -91,4 +95,28 @@ def compared_rules(
         gain = means[STREET] - mean
         low, high = ends_of(gain[1:], num_blocks)
         rows.append({"model": name, "log_loss": mean[0], "gain": gain[0], "gain_low": low, "gain_high": high})
+    return pd.DataFrame(rows)
+
+
+def gain_by_length(
+    rules: Mapping[str, np.ndarray], is_strong: np.ndarray, place: np.ndarray, block_m: float, seed: int
+) -> pd.DataFrame:
+    """Return the gain of margin and elevation where blocks are `LENGTHS` times as long: neighbours are less alike.
+
+    Args:
+      rules: from `features_of`.
+      is_strong: ``[R]`` truths.
+      place: ``[R]`` number of the rows' block along the track.
+      block_m: length of these blocks.
+      seed: of the bootstrap.
+
+    Returns:
+      Rows of ``block_m``, ``num_blocks``, ``gain``, ``gain_low``, ``gain_high``.
+    """
+    compared = {name: rules[name] for name in (STREET, MAP)}
+    rows = []
+    for times in LENGTHS:
+        longer = place // times
+        gain = compared_rules(compared, is_strong, longer, seed).set_index("model").loc[MAP].drop("log_loss")
+        rows.append({"block_m": times * block_m, "num_blocks": len(np.unique(longer)), **gain})
     return pd.DataFrame(rows)

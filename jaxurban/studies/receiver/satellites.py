@@ -18,7 +18,7 @@ from jaxurban.io.read.orbits import matching
 from jaxurban.io.read.rasterise import rasterise, surface_grid
 from jaxurban.io.read.receiver import AZIMUTH, CN0, ELEVATION, EPOCH, SATELLITE, TRACKED, ReceiverLog
 from jaxurban.io.read.vector import open_frame
-from jaxurban.kernels.shadows.rays import shadows_at, walks
+from jaxurban.kernels.shadows.rays import Walks, shadows_at, walks
 from jaxurban.studies.receiver.prediction import EVERYWHERE, NUM_VISIBLE, OF_CITY, Track
 from jaxurban.world.city import TO_GROUND, City
 from jaxurban.world.grid import Grid
@@ -27,6 +27,7 @@ from jaxurban.world.sky import Sky
 from jaxurban.world.surface import stands_at
 
 LEG_CELLS = 4_000_000  # of the box around a leg of the track
+FARTHEST_MARGIN_M = 60.0  # `ReceptionCurve` cuts margins there: what stands farther from the line is not looked for
 HORIZON_DEG = np.arange(360.0)
 
 
@@ -67,12 +68,14 @@ class Ground:
       grid: of the cells.
       roof_m: ``[Y, X]`` highest roof above the ground of its cell, 0 without one.
       terrain_m: ``[Y, X]`` elevation; None where the ground is flat.
+      has_data: ``[Y, X]`` bool; None where all cells have.
       antenna_m: height of the receiver above the ground.
     """
 
     grid: Grid
     roof_m: np.ndarray
     terrain_m: np.ndarray | None
+    has_data: np.ndarray | None
     antenna_m: float
 
     @classmethod
@@ -81,13 +84,13 @@ class Ground:
         whole = replace(city, blocks=None, hanging=TO_GROUND)
         surface = rasterise(whole, surface_grid(city, box, box.resolution_m, (reach_m,) * 4))
         terrain_m = None if surface.terrain_m is None else np.asarray(surface.terrain_m)
-        return cls(surface.grid, np.asarray(surface.roof_m), terrain_m, antenna_m)
+        return cls(surface.grid, np.asarray(surface.roof_m), terrain_m, surface.has_data, antenna_m)
 
     @cached_property
     def _most_m(self) -> float:
-        """How far a ray must rise to be above all."""
+        """How far a ray must rise to be `FARTHEST_MARGIN_M` above all."""
         climb_m = 0.0 if self.terrain_m is None else float(np.ptp(self.terrain_m))
-        return float(self.roof_m.max(initial=0.0)) + climb_m
+        return float(self.roof_m.max(initial=0.0)) + climb_m + FARTHEST_MARGIN_M
 
     @cached_property
     def _tops_m(self) -> jax.Array:
@@ -98,6 +101,11 @@ class Ground:
     @cached_property
     def _hills_m(self) -> jax.Array:
         return jax.device_put(self.terrain_m)
+
+    @cached_property
+    def _gaps_m(self) -> jax.Array:
+        """0 where no data are, -inf elsewhere."""
+        return jax.device_put(np.where(self.has_data, -np.inf, 0.0).astype(np.float32))
 
     def with_roofs(self, scale: float) -> "Ground":
         """Return the ground with all roofs so many times as high."""
@@ -110,17 +118,31 @@ class Ground:
     def margins_m(self, rays: Rays) -> np.ndarray:
         """Return ``[R]`` height of the antenna above the edge of the roofs' shadow, metres, of rays from the box.
 
-        Below 0 a roof hides the satellite; +inf where no roof stands on the ray's line. Terrain counts where it hides.
+        Below 0 a roof hides the satellite; +inf from `FARTHEST_MARGIN_M` on. Terrain counts where it hides.
         """
+        row, col, lines = self._lines(rays)
+        shadow_m = shadows_at(self._tops_m, row, col, lines, self._most_m)
+        height_m = np.float32(self.antenna_m)
+        if self.terrain_m is not None:
+            height_m = self.terrain_m[row, col] + height_m
+            hill_m = shadows_at(self._hills_m, row, col, lines, self._most_m)
+            shadow_m = np.maximum(shadow_m, np.where(hill_m > height_m, hill_m, -np.inf))
+        margin_m = height_m - shadow_m
+        return np.where(margin_m < FARTHEST_MARGIN_M, margin_m, np.inf)
+
+    def crosses_gap(self, rays: Rays, rise_m: float) -> np.ndarray:
+        """Return ``[R]`` which rays begin over cells without data, or cross one before they have risen so far."""
+        if self.has_data is None:
+            return np.zeros(len(rays.x_m), bool)
+        row, col, lines = self._lines(rays)
+        gap_m = shadows_at(self._gaps_m, row, col, lines, max(rise_m, 0.0))
+        return ~self.has_data[row, col] | (gap_m > -np.inf)
+
+    def _lines(self, rays: Rays) -> tuple[np.ndarray, np.ndarray, Walks]:
+        """Return rows and columns of the places, and the digital lines of the rays."""
         row, col = self.grid.cell_of_xy(rays.x_m, rays.y_m)
         start = row + self.grid.first_row, col + self.grid.first_col
-        lines = walks(rays.azimuth_rad, rays.elevation_rad, self.grid.resolution_m, *start)
-        shadow_m = shadows_at(self._tops_m, row, col, lines, self._most_m)
-        if self.terrain_m is None:
-            return self.antenna_m - shadow_m
-        height_m = self.terrain_m[row, col] + self.antenna_m
-        hill_m = shadows_at(self._hills_m, row, col, lines, self._most_m)
-        return height_m - np.maximum(shadow_m, np.where(hill_m > height_m, hill_m, -np.inf))
+        return row, col, walks(rays.azimuth_rad, rays.elevation_rad, self.grid.resolution_m, *start)
 
     def horizon_deg(self, x_m: float, y_m: float) -> np.ndarray:
         """Return ``[360]`` elevation of roofs and hills at each degree of grid azimuth from a place, degrees."""

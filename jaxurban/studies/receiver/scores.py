@@ -42,9 +42,19 @@ def _groups(group: np.ndarray | None, num: int) -> list[np.ndarray]:
     return [group == number for number in np.unique(group)]
 
 
-def weights_of(num_blocks: int, seed: int) -> np.ndarray:
-    """Return ``[D, B]`` how often each block counts: once, then in draws of the bootstrap."""
-    return np.concatenate([np.ones((1, num_blocks)), draws_of(num_blocks, seed)])
+def drawn_blocks(place: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the blocks that hold rows, numbered from 0, and how often draws of the bootstrap hold each of them.
+
+    Args:
+      place: ``[R]`` numbers of the rows' blocks along the track; those without a row are no blocks.
+      seed: of the draws.
+
+    Returns:
+      ``[R]`` numbers and ``[D, B]``: each once, then the draws.
+    """
+    block, places = pd.factorize(place, sort=True)
+    num_blocks = max(1, len(places))
+    return block, np.concatenate([np.ones((1, num_blocks)), draws_of(num_blocks, seed)])
 
 
 def levels_of(cn0_dbhz: pd.Series) -> np.ndarray:
@@ -52,13 +62,8 @@ def levels_of(cn0_dbhz: pd.Series) -> np.ndarray:
     return pd.factorize(np.round(cn0_dbhz.to_numpy(float) / LEVEL_DBHZ), sort=True)[0]
 
 
-def score_table(rows: pd.DataFrame, weights: np.ndarray) -> pd.DataFrame:
-    """Return the scores of a `jaxurban.studies.receiver.agreement.SatelliteAgreement`.
-
-    Args:
-      rows: its rows.
-      weights: ``[D, B]`` from `weights_of`.
-    """
+def score_table(rows: pd.DataFrame, seed: int) -> pd.DataFrame:
+    """Return the scores of a `jaxurban.studies.receiver.agreement.SatelliteAgreement`, of its rows."""
     choices = {"all": rows.is_judged, "received": rows.is_judged & (rows.cn0_dbhz > 0)}
     choices |= {name: rows.is_judged & (rows.system == name) for name in sorted(rows.system.unique())}
     choices["unguarded"] = ~rows.is_inside
@@ -66,12 +71,12 @@ def score_table(rows: pd.DataFrame, weights: np.ndarray) -> pd.DataFrame:
     for which, is_chosen in choices.items():
         chosen = rows[is_chosen]
         level, satellite = levels_of(chosen.cn0_dbhz), chosen.satellite.cat.codes.to_numpy()
-        is_seen, block = chosen.is_seen.to_numpy(), chosen.block.to_numpy()
+        is_seen, (block, weights) = chosen.is_seen.to_numpy(), drawn_blocks(chosen.block.to_numpy(), seed)
         both = chosen.groupby("satellite", observed=True).is_seen.nunique()
         row = {"which": which, "rows": len(chosen), "share": len(chosen) / len(rows)}
         for name, group in (("auc", None), ("within", satellite)):
             drawn = aucs(is_seen, level, block, weights, group)
-            low, high = ends_of(drawn[1:], chosen.block.nunique())
+            low, high = ends_of(drawn[1:], weights.shape[1])
             row |= {name: drawn[0], f"{name}_low": low, f"{name}_high": high}
         table.append(row | {"num_satellites": int((both == 2).sum())})
     return pd.DataFrame(table)
