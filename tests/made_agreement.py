@@ -42,14 +42,8 @@ def made() -> SatelliteAgreement:
         scales=pd.DataFrame({"scale": scales, "rows": 342, "auc": 0.8 - abs(scales - 1)}),
         peak={"east_m": 2.0, "north_m": 0.0, "within_95_m": 5.7, "scale": 1.0, "scale_low": 0.94, "scale_high": 1.06},
         rivals=rivals.assign(gain_low=-0.031, gain_high=0.047),
-        block_lengths=pd.DataFrame(
-            {
-                "block_m": [50.0, 100.0, 200.0],
-                "num_blocks": [12, 6, 3],
-                "gain": 0.01,
-                "gain_low": -0.02,
-                "gain_high": 0.04,
-            }
+        block_lengths=pd.DataFrame({"block_m": [50.0, 100.0, 200.0], "num_blocks": [12, 6, 3], "gain": 0.01}).assign(
+            gain_low=[-0.02, -0.03, np.nan], gain_high=[0.04, 0.05, np.nan]
         ),
         skies=tuple(PlaceSky(name, *place) for name in ("least agreement", "most agreement")),
         strong_dbhz=36.5,

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED
 from jaxurban.maps.levels import listed_m
 from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plain_log, styled
-from jaxurban.report.satellites import satellite_figures, satellite_files, satellite_tables
+from jaxurban.report.satellites import peak_text, satellite_figures, satellite_files, satellite_tables, sentences_of
 from jaxurban.report.write import Output, bullets, fill, study_outputs, table
 from jaxurban.settings import each
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
@@ -26,6 +26,10 @@ LABELS = {TRACKED: "satellites tracked", ERROR: "horizontal error (m)"}
 COUNTS = (NUM_VISIBLE, TRACKED)  # of satellites
 HEADS = {WITHIN: "rank correlation within blocks", SPEARMAN: "over the whole track"}
 RECEIVER_COLOUR, MAP_COLOUR = "#d55e00", "#0072b2"
+
+
+OF_LOG = "Where satellites stand is what the log says, and those that its file leaves out are not counted."
+OF_ORBITS = "The maps hold the satellites of [gps] orbits only, all of which are taken to be healthy."
 
 
 def name_of(prediction: str) -> str:
@@ -89,12 +93,13 @@ def validation_markdown(found: ReceiverValidation) -> str:
     of_sky = found.satellites
     orbits = ", ".join(f"`{name}`" for name in scenario["gps"]["orbits"])
     has_angles = not found.log.witnesses and found.log.satellites is not None and AZIMUTH in found.log.satellites
+    of_judged = " (of rows that are judged)" if of_sky is not None and not found.log.witnesses else ""
     facts = {
         "epochs": f"{of['epochs']:,}, of which {of['epochs_left_out']:,} are left out: in a building or without data",
         "time": f"{of['first_utc']} to {of['last_utc']}",
         "track": f"{of['length_m'] / 1000:.2f} km",
-        "satellites in view, mean": _number(of["mean_num_visible"], 1),
-        "satellites tracked, mean": _number(of.get(f"mean_{TRACKED}", math.nan), 1),
+        f"satellites in view, mean{of_judged}": _number(of["mean_num_visible"], 1),
+        f"satellites tracked, mean{of_judged}": _number(of.get(f"mean_{TRACKED}", math.nan), 1),
         "maps": f"cells of {of['resolution_m']:g} m, elevation mask {listed_m(masks_deg)} degrees, "
         f"`oversample` {scenario['region']['oversample']}, antenna {settings.antenna_height_m:g} m above the ground",
         "orbits": "" if has_angles else f"{orbits}; {of['num_skies']} skies, one each {settings.sky_step_s:g} s",
@@ -112,8 +117,10 @@ def validation_markdown(found: ReceiverValidation) -> str:
         facts=table(("", ""), [(name, fact) for name, fact in facts.items() if fact]),
         scores=score_table(found.scores[is_main]),
         others=f"Other quantities of the maps:\n\n{score_table(others)}" if len(others) else "",
-        not_judged="" if of_sky is None else " ".join(of_sky.known_cautions),
-        guesses="" if not found.guesses else "Guessed:\n\n" + bullets(found.guesses),
+        cautions=bullets(f"{caution.level}: {caution}" for caution in found.known_cautions),
+        sentences={} if of_sky is None else sentences_of(of_sky),
+        peak="" if of_sky is None else peak_text(of_sky),
+        of_orbits=OF_LOG if has_angles else OF_ORBITS,
     )
 
 

@@ -3,8 +3,10 @@
 *Hidden* and *in view* are what the maps say of a satellite at a place; C/N0 is how strongly the receiver heard it.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -26,6 +28,8 @@ from jaxurban.report.figures.style import (
     letter_all,
     styled,
 )
+from jaxurban.report.write import framed
+from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.agreement import PlaceSky, SatelliteAgreement
 from jaxurban.studies.receiver.validate import ReceiverValidation
 
@@ -41,6 +45,7 @@ ROWS = {  # of scores
     "C": "BeiDou",
     "J": "QZSS",
     "I": "NavIC",
+    "S": "SBAS",
 }
 HEADS = {  # of the report's tables
     "which": "rows",
@@ -54,7 +59,10 @@ HEADS = {  # of the report's tables
     "north_m": "moved north (m)",
     "within_95_m": "95 % of resampled tracks within (m)",
     "scale": "heights times",
+    "block_m": "blocks of (m)",
+    "num_blocks": "blocks",
 }
+SCORES = "share", "auc", "within", "log_loss", "gain"
 NAMES = {"auc": "all satellites", "within": "within each satellite"}  # of scores
 AROUND_M = 10.0  # of track, along which agreement is counted
 MARGINS_M = np.array([-50, -20, -10, -5, -2, 0, 2, 5, 10, 20, 50])  # between the classes of margins
@@ -93,14 +101,48 @@ def satellite_figures(found: ReceiverValidation, of: SatelliteAgreement) -> dict
 
 
 def satellite_tables(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
-    """Return the tables of the report: scores, displaced cities beside the one in its place, best fit, and rivals."""
+    """Return the tables of the report: scores, displaced cities beside the one in its place, rivals, and by blocks."""
     names = ["auc", "within"]
     null = [of.displaced[names].quantile(share) for share in (0.5, 1.0)]  # of all that could be scored
     cities = pd.concat([of.scores.loc[of.scores.which == "all", names], pd.DataFrame(null)])
-    cities.insert(0, "the city", ["in its place", f"displaced {len(of.displaced)} times, median", "most"])
+    num = f"{of.counts['num_displaced']} of {of.counts['num_asked']} displaced ones that could be scored"
+    cities.insert(0, "the city", ["in its place", f"{num}, median", "most"])
     scores = of.scores.replace({"which": ROWS})
-    tables = {"scores": scores, "cities": cities, "peak": pd.DataFrame([of.peak]), "rivals": of.rivals}
-    return {name: table.rename(columns=_head) for name, table in tables.items()}
+    tables = {"scores": scores, "cities": cities, "rivals": of.rivals, "lengths": of.block_lengths}
+    return {name: _with_digits(table).rename(columns=_head) for name, table in tables.items()}
+
+
+def peak_text(of: SatelliteAgreement) -> str:
+    """Return where the city fits best, as a table; in words where nothing fits best."""
+    if not np.isfinite(list(of.peak.values())).all():
+        return f"None: that takes {FEWEST_GROUPS} blocks of track, and satellites both hidden and in view."
+    return framed(pd.DataFrame([of.peak]).rename(columns=_head))
+
+
+def sentences_of(of: SatelliteAgreement) -> dict[str, str]:
+    """Return what the report says of how this log was judged: of rays, of the signal, and of rows left out."""
+    judged = "Which rays are unknown is decided from place and direction alone, whether or not a roof hides them."
+    strong = "this log's median" if of.counts["is_median"] else "the weakest that was received: of most nothing was"
+    every = of.counts["every"]
+    part = f"All that moves cities or roofs, and the rules, take one of {every} epochs of this long log."
+    return {
+        "judging": judged if of.counts["is_guarded"] else "",
+        "strong": f"at {of.strong_dbhz:g} dBHz or more, {strong}",
+        "part": part if every > 1 else "",
+    }
+
+
+def _with_digits(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table of the report, scores and losses with three digits behind the point."""
+    names = [name for name in SCORES if name in table]
+    texts = pd.DataFrame({name: [_interval(row, name) for row in table.to_dict("records")] for name in names})
+    ends = [f"{name}{end}" for name in names for end in ("_low", "_high") if f"{name}_low" in table]
+    return table.reset_index(drop=True).assign(**texts).drop(columns=ends)
+
+
+def _interval(row: Mapping[Any, Any], name: str) -> str:
+    value, *ends = (f"{row.get(f'{name}{end}', math.nan):z.3f}" for end in ("", "_low", "_high"))
+    return value.replace("nan", "") + ("" if "nan" in ends else f" ({ends[0]} to {ends[1]})")
 
 
 def _head(column: str) -> str:

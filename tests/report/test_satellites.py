@@ -38,7 +38,7 @@ def test_every_score_stands_in_the_report_with_its_interval(of_satellites):
     assert "| GLONASS | 342 | 0.957 | 0.847 (0.816 to 0.878) |" in report
     assert "| in its place | 0.842 | 0.742 |" in report
     assert "| most | 0.622 | 0.522 |" in report
-    assert "| margin and elevation | 0.55 | 0 (-0.031 to 0.047) |" in report
+    assert "| margin and elevation | 0.550 | 0.000 (-0.031 to 0.047) |" in report
     assert "| 2 | 0 | 5.7 | 1 (0.94 to 1.06) |" in report
     assert "11 rows are not judged: their rays leave" in report
     assert "E18 is left out: unhealthy." in report
@@ -52,6 +52,37 @@ def test_what_is_unknown_is_no_number_of_the_report_and_is_drawn(of_satellites):
     assert "nan" not in validation_markdown(replace(of_satellites, satellites=all_seen))
     for draw in satellite_figures(of_satellites, all_seen).values():
         assert draw().axes
+
+
+def test_the_report_says_how_this_log_was_judged(of_satellites):
+    common = validation_markdown(of_satellites)
+    assert "at 36.5 dBHz or more, this log's median, each" in common
+    assert "Which rays are unknown is decided from place and direction alone" in common
+    assert "one of 3 epochs" not in common
+    assert "| 9 of 9 displaced ones that could be scored, median | 0.567 | 0.467 |" in common
+    assert "| 100 | 6 | 0.010 (-0.030 to 0.050) |" in common
+    assert "| 200 | 3 | 0.010 |" in common
+    counts = made().counts | {"is_guarded": False, "is_median": False, "every": 3, "num_asked": 12}
+    rivals = made().rivals.assign(gain=-0.0001)
+    other = replace(made(), counts=counts, rivals=rivals, peak=dict.fromkeys(made().peak, np.nan))
+    report = validation_markdown(replace(of_satellites, satellites=other))
+    assert "11 rows are judged as if nothing stood beyond: their rays leave" in report
+    assert "decided from place" not in report
+    assert "at 36.5 dBHz or more, the weakest that was received" in report
+    assert "take one of 3 epochs of this long log" in report
+    assert "| 9 of 12 displaced ones that could be scored, median |" in report
+    assert "| 0.000 (-0.031 to 0.047) |" in report
+    assert "-0.000" not in report
+    assert "None: that takes 8 blocks of track" in report
+
+
+def test_satellites_whose_places_the_log_says_rest_on_no_orbits(of_satellites):
+    logged = replace(found().log, epochs=found().log.epochs[["utc", "lon_deg", "lat_deg"]], satellites=made().rows)
+    report = validation_markdown(replace(of_satellites, log=logged))
+    assert "Where satellites stand is what the log says" in report
+    assert "satellites in view, mean (of rows that are judged)" in report
+    assert "[gps] orbits only" not in report
+    assert "[gps] orbits only" in validation_markdown(found())
 
 
 def test_without_satellites_the_report_and_its_files_are_those_of_counts():
