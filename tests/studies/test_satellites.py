@@ -153,6 +153,24 @@ def test_legs_change_no_row(monkeypatch):
     pd.testing.assert_frame_equal(rows, found().satellites.rows)
 
 
+def test_a_receiver_that_stands_is_judged_without_a_verdict_and_reported(tmp_path):
+    log = heard().assign(lon_deg=heard().lon_deg.iloc[0], lat_deg=heard().lat_deg.iloc[0])
+    standing = validated(log)
+    of = standing.satellites
+    assert of.counts["num_blocks"] == 1
+    assert of.verdict.startswith("The track is too short for a verdict")
+    assert np.isnan(list(of.peak.values())).all()
+    assert of.rivals.log_loss.isna().all()
+    assert of.score().auc > 0.5
+    standing.save(tmp_path)
+    assert "nan" not in (tmp_path / "report.md").read_text()
+
+
+def test_a_log_in_which_nothing_is_received_is_one_sentence():
+    with pytest.raises(ju.InputError, match=r"of which 0 are received, and 100 are needed"):
+        validated(heard().assign(cn0_dbhz=0.0))
+
+
 def test_counts_of_judged_rows_come_second():
     rows = found().satellites.rows
     judged = rows[rows.is_judged]

@@ -175,7 +175,7 @@ def _check_units(table: pd.DataFrame, what: str) -> None:
     for bounds, unit, needed in OTHER_UNITS:
         columns = [column for column in bounds if column in table]
         largest = {column: float(table[column].abs().max()) for column in columns}
-        if columns and all(largest[column] <= bounds[column] for column in columns):
+        if columns and all(0 < largest[column] <= bounds[column] for column in columns):  # all 0 is 0 in any unit
             most = " and ".join(f"{column} of at most {value:.4g}" for column, value in largest.items())
             raise InputError(f"{what} has {most} in all rows, as if they were {unit}: give {needed}")
 

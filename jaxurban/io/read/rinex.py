@@ -50,6 +50,7 @@ WEEK_S = 604_800.0
 L1_HZ = 1_575_420_000.0  # of a Doppler shift that is not used
 BANDS = {"C": ("S2", "S1")}  # of L1, E1, B1 in the codes of C/N0 (RINEX 3.05, tables 4 to 10): "S1" but for BeiDou
 EVENTS = 2  # flags of epochs from here on are of no observation
+AGAIN = "convert or download it again"
 FIRST_LINE = r"\s*[34]\.\d+\s+{}"  # version and type
 
 
@@ -248,12 +249,13 @@ def _text(file: str | Path, letter: str, kind: str) -> str:
     if not re.match(FIRST_LINE.format(letter), text):
         begins = text.partition("\n")[0].strip()[:60]
         raise InputError(f"{what} begins with {begins!r}, not as a {kind} file in RINEX 3 or 4: {remedy}")
+    if not text.endswith("\n"):
+        raise InputError(f"{what} ends within a line, so it was cut: {AGAIN}")
     return text
 
 
 def _whole(sidereon: ModuleType, file: str | Path, kind: str) -> Any:
-    remedy = "convert or download it again"
-    return readable(file, "RINEX", remedy, sidereon.SidereonError, what=f"the {kind} file {str(file)!r}")
+    return readable(file, "RINEX", AGAIN, sidereon.SidereonError, what=f"the {kind} file {str(file)!r}")
 
 
 def _library() -> ModuleType:
