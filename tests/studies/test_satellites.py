@@ -161,7 +161,7 @@ def test_a_receiver_that_stands_is_judged_without_a_verdict_and_reported(tmp_pat
     assert of.verdict.startswith("The track is too short for a verdict")
     assert np.isnan(list(of.peak.values())).all()
     assert of.rivals.log_loss.isna().all()
-    assert of.score().auc > 0.5
+    assert "nan" not in repr(of)
     standing.save(tmp_path)
     assert "nan" not in (tmp_path / "report.md").read_text()
 

@@ -118,13 +118,15 @@ class SatelliteAgreement(Shown):
     @property
     def facts(self) -> dict[str, str]:
         """The verdict, and how seen and hidden satellites are separated."""
-        of = self.score()
-        within = f"{of.within:.2f} ({of.within_low:.2f} to {of.within_high:.2f})"
-        judged = f"{self.counts['judged']:,} of {self.counts['rows']:,} rows"
-        return {
-            "verdict": self.verdict,
-            "AUC": f"{of.auc:.2f} ({of.auc_low:.2f} to {of.auc_high:.2f}), within satellites {within}, {judged} judged",
-        }
+        judged = f"{self.counts['judged']:,} of {self.counts['rows']:,} rows judged"
+        auc, within = (self._interval(name) for name in ("auc", "within"))
+        return {"verdict": self.verdict, "AUC": f"{auc}, within satellites {within}, {judged}"}
+
+    def _interval(self, name: str) -> str:
+        value, low, high = self.score()[[name, f"{name}_low", f"{name}_high"]]
+        if np.isnan(value):
+            return "not defined"
+        return f"{value:.2f}" + ("" if np.isnan(low) else f" ({low:.2f} to {high:.2f})")
 
     @property
     def known_cautions(self) -> list[Caution]:
