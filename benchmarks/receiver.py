@@ -71,6 +71,7 @@ def page(skies: Mapping[str, SatelliteAgreement], tracks: Mapping[str, ReceiverV
         scores=beside(skies, ("rows", "AUC", "within satellites"), scores_of),
         peaks="; ".join(f"of {name} {peak_of(of)}" for name, of in skies.items()),
         rivals=beside(skies, ("log-loss", "gain"), rivals_of),
+        lengths=beside(skies, ("gain",), gains_of),
         tracks=tracks_table(tracks),
         tracked=f"{first.summary[f'mean_{TRACKED}']:.1f}",
         seen=f"{first.summary['mean_num_visible']:.1f}",
@@ -114,6 +115,12 @@ def peak_of(of: SatelliteAgreement) -> str:
 def rivals_of(of: SatelliteAgreement) -> dict[str, list[str]]:
     """Return the log-loss of each rule, and what it gains on the rule of the street."""
     return {row["model"]: [f"{row['log_loss']:.3f}", interval(row, "gain")] for row in of.rivals.to_dict("records")}
+
+
+def gains_of(of: SatelliteAgreement) -> dict[str, list[str]]:
+    """Return what margin and elevation gain on the rule of the street, by the length of blocks."""
+    rows = of.block_lengths.to_dict("records")
+    return {f"{row['num_blocks']} blocks of {row['block_m']:g} m": [interval(row, "gain")] for row in rows}
 
 
 def tracks_table(tracks: Mapping[str, ReceiverValidation]) -> str:
