@@ -18,8 +18,8 @@ from jaxurban.errors import StaleElementsWarning
 from jaxurban.io.read.receiver import ERROR, TRACKED
 from jaxurban.maps.scenario import changed
 from jaxurban.report.receiver import name_of, with_interval
-from jaxurban.report.satellites import ROWS
-from jaxurban.report.write import cell, interval, table
+from jaxurban.report.satellites import ROWS, score_text
+from jaxurban.report.write import table
 from jaxurban.studies.receiver.agreement import SatelliteAgreement
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE
 from jaxurban.studies.receiver.validate import SPEARMAN, WITHIN, ReceiverValidation
@@ -97,10 +97,10 @@ def scores_of(of: SatelliteAgreement) -> dict[str, list[str]]:
     cells = {}
     for row in of.scores.to_dict("records"):
         num = f"{row['rows']:,} ({100 * row['share']:.0f} %)"
-        cells[ROWS[row["which"]]] = [num, interval(row, "auc"), interval(row, "within")]
+        cells[ROWS[row["which"]]] = [num, score_text(row, "auc"), score_text(row, "within")]
     null = of.displaced[["auc", "within"]]
     for name, row in (("median", null.median()), ("most", null.max())):
-        cells[f"displaced cities, {name}"] = ["", cell(row["auc"]), cell(row["within"])]
+        cells[f"displaced cities, {name}"] = ["", score_text(row, "auc"), score_text(row, "within")]
     return cells
 
 
@@ -114,13 +114,13 @@ def peak_of(of: SatelliteAgreement) -> str:
 
 def rivals_of(of: SatelliteAgreement) -> dict[str, list[str]]:
     """Return the log-loss of each rule, and what it gains on the rule of the street."""
-    return {row["model"]: [f"{row['log_loss']:.3f}", interval(row, "gain")] for row in of.rivals.to_dict("records")}
+    return {row["model"]: [f"{row['log_loss']:.3f}", score_text(row, "gain")] for row in of.rivals.to_dict("records")}
 
 
 def gains_of(of: SatelliteAgreement) -> dict[str, list[str]]:
     """Return what margin and elevation gain on the rule of the street, by the length of blocks."""
     rows = of.block_lengths.to_dict("records")
-    return {f"{row['num_blocks']} blocks of {row['block_m']:g} m": [interval(row, "gain")] for row in rows}
+    return {f"{row['num_blocks']} blocks of {row['block_m']:g} m": [score_text(row, "gain")] for row in rows}
 
 
 def tracks_table(tracks: Mapping[str, ReceiverValidation]) -> str:

@@ -41,8 +41,8 @@ def test_the_page_has_the_scores_of_every_sky_and_track():
     assert f"\n**{made().verdict}**\n" in page
     assert "| all judged | 342 (96 %) | 0.842 (0.811 to 0.873) |" in page
     assert "| displaced cities, most |  | 0.622 | 0.522 |" in page
-    assert "| margin and elevation | 0.550 | 0 (-0.031 to 0.047) | 0.321 |" in page
-    assert "| 6 blocks of 100 m | 0.01 (-0.03 to 0.05) | 0.01 (-0.03 to 0.05) |" in page
+    assert "| margin and elevation | 0.550 | 0.000 (-0.031 to 0.047) | 0.321 |" in page
+    assert "| 6 blocks of 100 m | 0.010 (-0.030 to 0.050) | 0.010 (-0.030 to 0.050) |" in page
     assert "{" not in page
 
 

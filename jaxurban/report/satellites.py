@@ -135,12 +135,13 @@ def sentences_of(of: SatelliteAgreement) -> dict[str, str]:
 def _with_digits(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table of the report, scores and losses with three digits behind the point."""
     names = [name for name in SCORES if name in table]
-    texts = pd.DataFrame({name: [_interval(row, name) for row in table.to_dict("records")] for name in names})
+    texts = pd.DataFrame({name: [score_text(row, name) for row in table.to_dict("records")] for name in names})
     ends = [f"{name}{end}" for name in names for end in ("_low", "_high") if f"{name}_low" in table]
     return table.reset_index(drop=True).assign(**texts).drop(columns=ends)
 
 
-def _interval(row: Mapping[Any, Any], name: str) -> str:
+def score_text(row: Mapping[Any, Any], name: str) -> str:
+    """Return a score, gain or loss of a table's row with its interval, with three digits behind the point."""
     value, *ends = (f"{row.get(f'{name}{end}', math.nan):z.3f}" for end in ("", "_low", "_high"))
     return value.replace("nan", "") + ("" if "nan" in ends else f" ({ends[0]} to {ends[1]})")
 
