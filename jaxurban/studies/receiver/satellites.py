@@ -83,8 +83,10 @@ class Ground:
         """Return the ground of a box, and of what stands within ``reach_m`` of it."""
         whole = replace(city, blocks=None, hanging=TO_GROUND)
         surface = rasterise(whole, surface_grid(city, box, box.resolution_m, (reach_m,) * 4))
-        terrain_m = None if surface.terrain_m is None else np.asarray(surface.terrain_m)
-        return cls(surface.grid, np.asarray(surface.roof_m), terrain_m, surface.has_data, antenna_m)
+        terrain_m, has_data = (
+            None if values is None else np.asarray(values) for values in (surface.terrain_m, surface.has_data)
+        )
+        return cls(surface.grid, np.asarray(surface.roof_m), terrain_m, has_data, antenna_m)
 
     @cached_property
     def _most_m(self) -> float:
@@ -105,6 +107,7 @@ class Ground:
     @cached_property
     def _gaps_m(self) -> jax.Array:
         """0 where no data are, -inf elsewhere."""
+        assert self.has_data is not None
         return jax.device_put(np.where(self.has_data, -np.inf, 0.0).astype(np.float32))
 
     def with_roofs(self, scale: float) -> "Ground":
