@@ -206,7 +206,8 @@ PEAK = (
 
 def peak_of(*arguments) -> tuple[str, int]:
     """Return what ``jaxurban`` says on the terminal, and the most memory that it takes in a process of its own."""
-    done = subprocess.run([sys.executable, "-c", PEAK, *arguments], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", PEAK, *arguments], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
     return done.stderr, int(done.stdout.split()[-1]) * 1024
 
 
@@ -242,13 +243,16 @@ def test_the_estimate_of_fine_cells_is_above_the_truth_and_not_twice_it(
 
 @pytest.mark.slow
 def test_a_run_stays_under_its_ceiling_on_a_region_that_needs_several_times_more_at_once(tmp_path):
-    """20 million cells at 4 altitudes: 3.1 GB of maps alone, under 1.25 GiB, of which libraries take the half."""
+    """20 million cells at 4 altitudes: 3.1 GB of maps alone, under 1.4 GiB, of which libraries take the half.
+
+    It needs 1.1 to 1.2 GiB: how much of the libraries is in memory depends on the machine's state.
+    """
     (tmp_path / "scenario.toml").write_text(
         '[region]\nbounds = [-74.03, 40.69, -73.912, 40.76]\nresolution_m = 2\n[buildings]\nsource = "synthetic"\n'
     )
-    _, peak = peak_of("maps", tmp_path / "scenario.toml", "-o", tmp_path / "out", "--memory", "1.25GiB")
-    assert peak < 1.25 * GIB
-    assert open_maps(tmp_path / "out").ds.nbytes > 2 * 1.25 * GIB
+    _, peak = peak_of("maps", tmp_path / "scenario.toml", "-o", tmp_path / "out", "--memory", "1.4GiB")
+    assert peak < 1.4 * GIB
+    assert open_maps(tmp_path / "out").ds.nbytes > 2 * 1.4 * GIB
 
 
 @pytest.fixture(scope="module")
