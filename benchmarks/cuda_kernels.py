@@ -17,7 +17,7 @@ from jaxurban.kernels.lidar import hard
 from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.line.segment_cost import segment_costs
 from jaxurban.kernels.search import frontier, sample_graph
-from jaxurban.kernels.shadows import sweep
+from jaxurban.kernels.shadows import rays, sweep
 from jaxurban.kernels.shadows.sweep import shadow_heights
 from jaxurban.kernels.soft_step import satellite_weights
 from jaxurban.maps import build
@@ -201,6 +201,7 @@ def inputs() -> tuple[build.MapInputs, visibility.SkyView]:
     return build.MapInputs(soft_city().surface, ALTITUDES_M, ready, settings, fixed), sky
 
 
+RAYS = rays.Walks(*[array(rays.RAYS_A_TURN)] * 5)
 RINGS = sweep.Ring(*(array(NUM_SATELLITES, *side.shape) for side in RING))
 
 KERNELS: dict[str, Callable[[], Call]] = {
@@ -220,6 +221,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "shadows: height": lambda: Call(sweep.shadow_height, (array(*SURFACE), line(SURFACE))),
     "shadows: sweep": lambda: Call(sweep.sweep, (array(*SURFACE), line(SURFACE))),
     "shadows: height in a ring": lambda: Call(sweep.shadow_height, (array(*TILE), line(GROWN), RING)),
+    "shadows: rays": lambda: Call(rays.walk, (array(*SURFACE), *[int32(rays.RAYS_A_TURN)] * 2, RAYS, array())),
     "shadows: soft weights, gradient": lambda: Call(gradient(soft_shadow_weights), (array(*SURFACE), lines())),
     "DOPs of weights": lambda: Call(dop.dops, (satellites(9, 1), array(9, gps.BLOCK_CELLS))),
     "DOPs of words": lambda: Call(dop.dops_of_words, (satellites(9), array(1, *REGION, dtype=jnp.uint32))),

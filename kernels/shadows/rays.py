@@ -86,13 +86,20 @@ def shadows_at(
         chosen = order[first : first + RAYS_A_TURN]
         filled = np.resize(chosen, min(RAYS_A_TURN, 2 ** int(np.ceil(np.log2(len(order))))))
         start = np.asarray(row[filled], np.int32), np.asarray(col[filled], np.int32)
-        walked = _walk(top_m, *start, Walks(*(values[filled] for values in lines)), np.float32(most_m))
+        walked = walk(top_m, *start, Walks(*(values[filled] for values in lines)), np.float32(most_m))
         shadow_m[chosen] = np.asarray(walked)[: len(chosen)]
     return shadow_m
 
 
 @jax.jit
-def _walk(top_m: Array, row: Array, col: Array, lines: Walks, most_m: Array) -> Array:
+def walk(
+    top_m: Float[Array, "Y X"],
+    row: Int[Array, " R"],
+    col: Int[Array, " R"],
+    lines: Walks,
+    most_m: Float[Array, ""],
+) -> Float[Array, " R"]:
+    """Return what `shadows_at` does, of rays that walk together until the last of them is above all."""
     num_rows, num_cols = top_m.shape
 
     def is_below(state: tuple[Array, Array]) -> Array:
