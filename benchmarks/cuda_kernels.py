@@ -201,7 +201,7 @@ def inputs() -> tuple[build.MapInputs, visibility.SkyView]:
     return build.MapInputs(soft_city().surface, ALTITUDES_M, ready, settings, fixed), sky
 
 
-RAYS = rays.Walks(*[array(rays.RAYS_A_TURN)] * 5)
+WALKS = rays.Walks(*[array(rays.RAYS_A_TURN)] * 5)
 RINGS = sweep.Ring(*(array(NUM_SATELLITES, *side.shape) for side in RING))
 
 KERNELS: dict[str, Callable[[], Call]] = {
@@ -221,7 +221,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "shadows: height": lambda: Call(sweep.shadow_height, (array(*SURFACE), line(SURFACE))),
     "shadows: sweep": lambda: Call(sweep.sweep, (array(*SURFACE), line(SURFACE))),
     "shadows: height in a ring": lambda: Call(sweep.shadow_height, (array(*TILE), line(GROWN), RING)),
-    "shadows: rays": lambda: Call(rays.walk, (array(*SURFACE), *[int32(rays.RAYS_A_TURN)] * 2, RAYS, array())),
+    "shadows: rays": lambda: Call(rays.walk, (array(*SURFACE), *[int32(rays.RAYS_A_TURN)] * 2, WALKS, array())),
     "shadows: soft weights, gradient": lambda: Call(gradient(soft_shadow_weights), (array(*SURFACE), lines())),
     "DOPs of weights": lambda: Call(dop.dops, (satellites(9, 1), array(9, gps.BLOCK_CELLS))),
     "DOPs of words": lambda: Call(dop.dops_of_words, (satellites(9), array(1, *REGION, dtype=jnp.uint32))),
