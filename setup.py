@@ -28,7 +28,9 @@ def absolute(link: re.Match[str]) -> str:
 class SameBytes(sdist):
     """An sdist that is the same wherever it is made: setuptools keeps times, owners, modes and links of the machine."""
 
-    def make_archive(self, base_name: str, format: str, *_: object, base_dir: str, **__: object) -> str:
+    def make_archive(
+        self, base_name: str, format: str, *_: object, base_dir: str, **__: object
+    ) -> str:
         """Pack a folder, as of ``SOURCE_DATE_EPOCH``, and return the archive's name."""
         made_s = int(os.environ.get("SOURCE_DATE_EPOCH", time.time()))
 
@@ -48,4 +50,8 @@ class SameBytes(sdist):
 
 
 readme = PICTURE_OR_LINK.sub(absolute, (ROOT / "README.md").read_text(encoding="utf-8"))
-setup(long_description=readme, long_description_content_type="text/markdown", cmdclass={"sdist": SameBytes})
+setup(
+    long_description=readme,
+    long_description_content_type="text/markdown",
+    cmdclass={"sdist": SameBytes},
+)

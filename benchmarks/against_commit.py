@@ -23,7 +23,9 @@ from benchmarks.common import ROOT
 from benchmarks.workloads import WORKLOADS
 from jaxurban.studies.bootstrap import Clusters
 
-XLA_CACHE = ROOT / "out" / "compiled"  # of all checkouts: JAX finds programs in it by what they compute
+XLA_CACHE = (
+    ROOT / "out" / "compiled"
+)  # of all checkouts: JAX finds programs in it by what they compute
 WHOLE_COMMANDS = ("studies", "memory", "first", "tokyo", "paper")
 FEW_PAIRS = 3  # of these
 MOST_SHOWN = 15  # differences of a workload
@@ -55,7 +57,11 @@ def difference(old: str, new: str) -> str:
 
 def compare(old: dict[str, str], new: dict[str, str]) -> list[str]:
     """Return a line for each result that differs or that one side lacks."""
-    lines = [f"{name}: {difference(old[name], new[name])}" for name in old if name in new and old[name] != new[name]]
+    lines = [
+        f"{name}: {difference(old[name], new[name])}"
+        for name in old
+        if name in new and old[name] != new[name]
+    ]
     lines += [f"{name}: only in OLD ({old[name]})" for name in old if name not in new]
     return lines + [f"{name}: only in NEW ({new[name]})" for name in new if name not in old]
 
@@ -71,7 +77,9 @@ def run(checkout: Path, maps: Path, name: str, caches: Path) -> dict[str, dict]:
     """
     caches.mkdir(parents=True, exist_ok=True)
     # Else every process would compile all libraries to bytecode again: the prefix hides what lies beside them.
-    inherited = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    inherited = {
+        name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"
+    }
     own = {
         "PYTHONPATH": str(checkout.resolve()),
         "PYTHONPYCACHEPREFIX": str(caches / "python"),
@@ -89,13 +97,17 @@ def run(checkout: Path, maps: Path, name: str, caches: Path) -> dict[str, dict]:
         str(maps),
         name,
     ]
-    done = subprocess.run(command, cwd=caches, env=inherited | own, stdout=subprocess.PIPE, text=True)
+    done = subprocess.run(
+        command, cwd=caches, env=inherited | own, stdout=subprocess.PIPE, text=True
+    )
     if done.returncode:
         raise SystemExit(f"failed with code {done.returncode}: {' '.join(command)}")
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def measure(name: str, sides: list[Path], maps: Path, work: Path, num_pairs: int) -> tuple[list[str], list[str]]:
+def measure(
+    name: str, sides: list[Path], maps: Path, work: Path, num_pairs: int
+) -> tuple[list[str], list[str]]:
     """Return the rows of a workload after an untimed run of each of two checkouts, and how their results differ."""
     found: list[list[dict]] = [[], []]
     for number in range(num_pairs + 1):
@@ -104,8 +116,13 @@ def measure(name: str, sides: list[Path], maps: Path, work: Path, num_pairs: int
             found[side].append(run(sides[side], maps / f"{side}", name, work / f"{side}"))
         print(f"{name}: {number} of {num_pairs} pairs", file=sys.stderr, flush=True)
     took = [[each["took"] for each in runs[1:]] for runs in found]
-    parts = [part for part in took[0][0] if all(each.get(part) for runs in took for each in runs)]  # of both, and not 0
-    rows = [row(part, [(old[part], new[part]) for old, new in zip(*took, strict=True)]) for part in parts]
+    parts = [
+        part for part in took[0][0] if all(each.get(part) for runs in took for each in runs)
+    ]  # of both, and not 0
+    rows = [
+        row(part, [(old[part], new[part]) for old, new in zip(*took, strict=True)])
+        for part in parts
+    ]
     return rows, compare(*(runs[-1]["facts"] for runs in found))
 
 
@@ -115,24 +132,39 @@ def main() -> None:
     parser.add_argument("old", type=Path, metavar="OLD", help="checkout")
     parser.add_argument("new", type=Path, metavar="NEW", help="checkout")
     parser.add_argument("--pairs", type=int, default=15)
-    parser.add_argument("--only", action="append", choices=WORKLOADS, metavar="NAME", help=f"of {', '.join(WORKLOADS)}")
-    parser.add_argument("--maps", type=Path, default=ROOT / "out" / "workloads", help="kept for further runs")
+    parser.add_argument(
+        "--only",
+        action="append",
+        choices=WORKLOADS,
+        metavar="NAME",
+        help=f"of {', '.join(WORKLOADS)}",
+    )
+    parser.add_argument(
+        "--maps", type=Path, default=ROOT / "out" / "workloads", help="kept for further runs"
+    )
     asked = parser.parse_args()
     began_s, before, maps = time.perf_counter(), os.getloadavg()[0], asked.maps.resolve()
     work, different = Path(tempfile.mkdtemp(prefix="against-commit-")), False
     try:
-        print("| CPU seconds of | pairs | old | new | new / old | 95 % interval |\n|---|---|---|---|---|---|")
+        print(
+            "| CPU seconds of | pairs | old | new | new / old | 95 % interval |\n|---|---|---|---|---|---|"
+        )
         for name in asked.only or WORKLOADS:
             num_pairs = min(asked.pairs, FEW_PAIRS) if name in WHOLE_COMMANDS else asked.pairs
             rows, lines = measure(name, [asked.old, asked.new], maps, work, num_pairs)
             print("\n".join(rows), flush=True)
             if lines:
                 different = True
-                print("\n".join([f"{name}: {len(lines)} results differ", *lines[:MOST_SHOWN]]), file=sys.stderr)
+                print(
+                    "\n".join([f"{name}: {len(lines)} results differ", *lines[:MOST_SHOWN]]),
+                    file=sys.stderr,
+                )
     finally:
         shutil.rmtree(work, ignore_errors=True)
     answers = "results differ (above)" if different else "every result is the same"
-    print(f"\n{time.perf_counter() - began_s:.0f} s; load {before:.1f}, then {os.getloadavg()[0]:.1f}; {answers}")
+    print(
+        f"\n{time.perf_counter() - began_s:.0f} s; load {before:.1f}, then {os.getloadavg()[0]:.1f}; {answers}"
+    )
     sys.exit(different)
 
 

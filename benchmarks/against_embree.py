@@ -58,14 +58,19 @@ def lidar(scene: Scene, pool: EmbreePool, num_runs: int) -> Row:
     """Return the row of lidar: scan positions, of which both sides look no farther than the first return."""
     surface, params = scene.surface(RESOLUTION_M), Lidar()
     centres_m = cell_centres(surface.region)
-    chosen = np.sort(np.random.default_rng(0).choice(len(centres_m), NUM_LIDAR_CELLS, replace=False))
+    chosen = np.sort(
+        np.random.default_rng(0).choice(len(centres_m), NUM_LIDAR_CELLS, replace=False)
+    )
     found: dict[str, np.ndarray] = {}
 
     def ours() -> jax.Array:
         return compute_lidar(surface, [LIDAR_ALTITUDE_M], params)
 
     place = (centres_m[chosen], LIDAR_ALTITUDE_M, params)
-    sides = {"ours": clocked(ours), PEER: peer_side(pool, found, "scan", scan_until_first_return, *place)}
+    sides = {
+        "ours": clocked(ours),
+        PEER: peer_side(pool, found, "scan", scan_until_first_return, *place),
+    }
     times = in_turn(sides, num_runs)
     free = np.asarray(surface.crop(surface.roof_m)).ravel()[chosen] < LIDAR_ALTITUDE_M
     error = (np.asarray(ours()).ravel()[chosen] - found["scan"])[free]

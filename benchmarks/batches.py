@@ -19,7 +19,9 @@ def main(num_queries: int = 100, num_runs: int = 5) -> None:
     maps = ju.build_maps(city, resolution_m=5.0, altitudes_m=(ALTITUDE_M,), progress=False)
     free = np.argwhere(ju.cost_map(maps, ALTITUDE_M, preset="paper").is_free)
     cells = np.random.default_rng(0).choice(free, (num_queries, 2))
-    pairs = [tuple(ju.XY(*map(float, maps.grid.xy_of_cell(*cell))) for cell in pair) for pair in cells]
+    pairs = [
+        tuple(ju.XY(*map(float, maps.grid.xy_of_cell(*cell))) for cell in pair) for pair in cells
+    ]
     cpu_s: dict[str, list[float]] = {bound: [] for bound in BOUNDS}
     for _ in range(1 + num_runs):
         for bound, seconds in cpu_s.items():

@@ -32,7 +32,10 @@ from jaxurban.studies.demonstrations import demonstration_from_line
 
 MOST_GAP = 0.8  # that is drawn
 SAMPLING_S = 1.0  # of each query
-TCOD_UNIT, TCOD_STEPS = 100, (70, 99)  # of cost in whole numbers, and of a straight and a diagonal step
+TCOD_UNIT, TCOD_STEPS = (
+    100,
+    (70, 99),
+)  # of cost in whole numbers, and of a straight and a diagonal step
 GRID, ANY_ANGLE = ("grid", "any-angle"), ("any-angle",)
 
 
@@ -48,7 +51,10 @@ def on_grid(solve: Callable[[np.ndarray, Cell, Cell], np.ndarray], problem: Prob
       problem: the query.
     """
     rate = problem.distance_weight + problem.cost / problem.cost_model.reference_length_m
-    cost, is_pinched = np.where(problem.is_free, rate * problem.resolution_m, np.inf), np.array([True])
+    cost, is_pinched = (
+        np.where(problem.is_free, rate * problem.resolution_m, np.inf),
+        np.array([True]),
+    )
     while is_pinched.any():
         cells = np.array(solve(cost, problem.start, problem.goal))
         (row, col), (to_row, to_col) = cells[:-1].T, cells[1:].T
@@ -115,7 +121,9 @@ def ompl(problem: Problem) -> np.ndarray:
     setup.setPlanner(geometric.BITstar(information))
     setup.solve(SAMPLING_S)
     states = setup.getSolutionPath().getStates() if setup.haveExactSolutionPath() else []
-    return np.array([[state[0], state[1]] for state in states]).reshape(-1, 2) * problem.resolution_m
+    return (
+        np.array([[state[0], state[1]] for state in states]).reshape(-1, 2) * problem.resolution_m
+    )
 
 
 ENTRANTS = {  # tracks, what must be installed, and the planner
@@ -124,8 +132,16 @@ ENTRANTS = {  # tracks, what must be installed, and the planner
     "scikit-image": (GRID, "skimage", partial(on_grid, scikit_image)),
     "tcod": (GRID, "tcod", partial(on_grid, tcod)),
     "theta-star": (ANY_ANGLE, "jaxurban", lambda problem: theta_star(problem).points_m),
-    "theta-star refined": (ANY_ANGLE, "jaxurban", lambda problem: refine(problem, theta_star(problem)).points_m),
-    "bitstar-plus": (ANY_ANGLE, "jaxurban", lambda problem: bitstar_plus(problem, budget_s=SAMPLING_S).points_m),
+    "theta-star refined": (
+        ANY_ANGLE,
+        "jaxurban",
+        lambda problem: refine(problem, theta_star(problem)).points_m,
+    ),
+    "bitstar-plus": (
+        ANY_ANGLE,
+        "jaxurban",
+        lambda problem: bitstar_plus(problem, budget_s=SAMPLING_S).points_m,
+    ),
     "OMPL BIT*": (ANY_ANGLE, "ompl", ompl),
 }
 
@@ -135,8 +151,13 @@ def fitted(folder: Path) -> list[dict[str, str]]:
     shown, rows = pd.read_csv(folder / "demonstrations.csv"), []
     for city, maps in city_maps().items():
         on = ju.cost_map(maps, maps.altitudes_m[0], cost_model="line")
-        corner_m, lines = np.array(on.grid.bounds_m[:2]), shapely.from_wkt(shown.route[shown.city == city])
-        routes = [demonstration_from_line(on, shapely.get_coordinates(line) + corner_m) for line in lines]
+        corner_m, lines = (
+            np.array(on.grid.bounds_m[:2]),
+            shapely.from_wkt(shown.route[shown.city == city]),
+        )
+        routes = [
+            demonstration_from_line(on, shapely.get_coordinates(line) + corner_m) for line in lines
+        ]
         weights = ju.fit.fit_weights(routes, bootstrap=0).weights
         route = ",".join(f"{name}={weights[name]!r}" for name in ("distance", *on.names))
         rows.append({"track": "weights", "query": city, "route": route})
@@ -148,15 +169,25 @@ def draw(board: pd.DataFrame, file: Path) -> None:
     figure, panels = plt.subplots(1, 2, figsize=(9, 4), layout="constrained", sharex=True)
     for panel, track in zip(panels, GRID, strict=True):
         lines = board[board.track == track]
-        methods = lines.groupby("method")[["asked", "valid", "gap_median"]].sum().sort_values("gap_median")[::-1]
+        methods = (
+            lines.groupby("method")[["asked", "valid", "gap_median"]]
+            .sum()
+            .sort_values("gap_median")[::-1]
+        )
         for k, (city, of_city) in enumerate(lines.groupby("city")):
-            at, most = methods.index.get_indexer(of_city.method) + 0.22 * (1 - k), of_city.gap_90.clip(upper=MOST_GAP)
+            at, most = (
+                methods.index.get_indexer(of_city.method) + 0.22 * (1 - k),
+                of_city.gap_90.clip(upper=MOST_GAP),
+            )
             panel.hlines(at, 100 * of_city.gap_median, 100 * most, color=f"C{k}")
             panel.plot(100 * of_city.gap_median, at, "o", color=f"C{k}", label=city)
             is_beyond = of_city.gap_90 > MOST_GAP
             panel.plot(100 * most[is_beyond], at[is_beyond], ">", color=f"C{k}", clip_on=False)
         failed = methods.asked - methods.valid
-        labels = [name + f"\n{num} of {methods.asked[name]} fail" * (num > 0) for name, num in failed.items()]
+        labels = [
+            name + f"\n{num} of {methods.asked[name]} fail" * (num > 0)
+            for name, num in failed.items()
+        ]
         panel.set_yticks(range(len(labels)), labels)
         panel.set(title=f"track {track}", xlabel="gap to the bound, %", xlim=(-1, 100 * MOST_GAP))
         panel.grid(axis="x", alpha=0.3)
@@ -172,15 +203,23 @@ def main() -> None:
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
     queries = records_of(pd.read_csv(options.bench / "queries.csv"))
-    cities = {city: unpacked(options.bench / f"{city}.npz") for city in {row["city"] for row in queries}}
+    cities = {
+        city: unpacked(options.bench / f"{city}.npz") for city in {row["city"] for row in queries}
+    }
     submissions = {"fit_weights": fitted(options.bench)}
     for name, (tracks, package, plan) in ENTRANTS.items():
         asked = [row for row in queries if row["track"] in tracks and find_spec(package)]
         for row in tqdm(asked, desc=name):
             problem, begin_s = problem_of(*cities[row["city"]], row), time.process_time()
             line = shapely.LineString(plan(problem))
-            facts = {"track": row["track"], "query": row["query"], "route": line.wkt if len(line.coords) else ""}
-            submissions.setdefault(name, []).append(facts | {"cpu_s": time.process_time() - begin_s})
+            facts = {
+                "track": row["track"],
+                "query": row["query"],
+                "route": line.wkt if len(line.coords) else "",
+            }
+            submissions.setdefault(name, []).append(
+                facts | {"cpu_s": time.process_time() - begin_s}
+            )
     for name, rows in submissions.items():
         file = options.output / f"{name}.csv"
         pd.DataFrame(rows).to_csv(file, index=False)

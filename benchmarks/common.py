@@ -116,7 +116,17 @@ def table(head: list[str], rows: list[list[str]]) -> str:
 
 def markdown(rows: list[Row]) -> str:
     """Return the table that ``make bench`` prints: rates and ratios are of CPU seconds."""
-    head = ["computed", "peer", "unit", "ours a CPU second", "peer's", "ratio", "bar", "compiling", "note"]
+    head = [
+        "computed",
+        "peer",
+        "unit",
+        "ours a CPU second",
+        "peer's",
+        "ratio",
+        "bar",
+        "compiling",
+        "note",
+    ]
     cells = [
         [
             *(r.name, r.peer, r.unit, *map(amount, r.per_cpu_s), f"{r.ratio:.3g}"),
@@ -139,8 +149,13 @@ def machine() -> dict[str, object]:
     model = platform.processor()
     if Path("/proc/cpuinfo").exists():
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), model)
-    commit = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True)
+        model = next(
+            (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")),
+            model,
+        )
+    commit = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True
+    )
     return {
         "processor": model,
         "cores": os.cpu_count(),

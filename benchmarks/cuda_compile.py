@@ -38,7 +38,16 @@ ALLOWED = {  # of a kept number, and what it is: XLA's releases fuse a little di
 }
 # Instructions for which nothing runs on the GPU: names, views, and the ends of what was begun before.
 FREE = (
-    *("parameter", "constant", "get-tuple-element", "tuple", "bitcast", "after-all", "add-dependency", "opt-barrier"),
+    *(
+        "parameter",
+        "constant",
+        "get-tuple-element",
+        "tuple",
+        "bitcast",
+        "after-all",
+        "add-dependency",
+        "opt-barrier",
+    ),
     *("domain", "partition-id", "replica-id", "copy-done", "async-update", "async-done"),
 )
 Numbers = dict[str, float]
@@ -78,14 +87,18 @@ gpu_device_info {
 def h200() -> jax.sharding.Sharding:
     """Return where arrays lie that are wholly on the GPU described above."""
     gpu = topologies.get_topology_desc(platform="cuda", target_config=H200, topology="1x1x1")
-    return jax.sharding.NamedSharding(topologies.make_mesh(gpu, (1,), ("gpu",)), jax.sharding.PartitionSpec())
+    return jax.sharding.NamedSharding(
+        topologies.make_mesh(gpu, (1,), ("gpu",)), jax.sharding.PartitionSpec()
+    )
 
 
 def compiled(call: Call, where: jax.sharding.Sharding) -> jax.stages.Compiled:
     """Return the program of a call, compiled for where its arrays lie."""
 
     def described(leaf: object) -> jax.ShapeDtypeStruct:
-        dtype = jax.dtypes.canonicalize_dtype(leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype)
+        dtype = jax.dtypes.canonicalize_dtype(
+            leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
+        )
         return jax.ShapeDtypeStruct(np.shape(leaf), dtype, sharding=where)
 
     with jax.enable_x64(call.is_float64):
@@ -105,8 +118,12 @@ def count(hlo: str) -> tuple[int, int]:
     Raises:
       ValueError: the text holds no entry computation.
     """
-    parts = re.findall(r"^(ENTRY )?%?([\w.\-]+) \([^\n]*\{\n(.*?)^\}", hlo, re.MULTILINE | re.DOTALL)
-    bodies = {name: [line for line in body.splitlines() if " = " in line] for _, name, body in parts}
+    parts = re.findall(
+        r"^(ENTRY )?%?([\w.\-]+) \([^\n]*\{\n(.*?)^\}", hlo, re.MULTILINE | re.DOTALL
+    )
+    bodies = {
+        name: [line for line in body.splitlines() if " = " in line] for _, name, body in parts
+    }
     entry = next((name for is_entry, name, _ in parts if is_entry), None)
     if entry is None:
         raise ValueError("the text holds no ENTRY computation: give compiled.as_text()")
@@ -117,13 +134,19 @@ def count(hlo: str) -> tuple[int, int]:
         return sum(launches), sum(loops)
 
     def one(line: str) -> tuple[int, int]:
-        opcode = re.search(r" ([a-z][a-z0-9\-]*)\(", line.split(" = ", 1)[1])[1]  # before a bracket, behind the type
+        opcode = re.search(r" ([a-z][a-z0-9\-]*)\(", line.split(" = ", 1)[1])[
+            1
+        ]  # before a bracket, behind the type
         if opcode in FREE:
             return 0, 0
         if opcode not in ("while", "conditional", "call"):
             return 1, 0
         called = re.search(r"branch_computations=\{([^}]*)\}", line)
-        names = called[1] if called else " ".join(re.findall(r"(?:body|condition|to_apply|_computation)=(\S+)", line))
+        names = (
+            called[1]
+            if called
+            else " ".join(re.findall(r"(?:body|condition|to_apply|_computation)=(\S+)", line))
+        )
         launches, loops = zip(*map(of, re.findall(r"[\w.\-]+", names)), strict=True)
         if opcode == "while":
             known = re.search(r'"known_trip_count":\s*\{\s*"n":\s*"(\d+)"', line)
@@ -137,7 +160,9 @@ def numbers(name: str, where: jax.sharding.Sharding) -> Numbers | str:
     """Return what a kernel launches and holds, or why it does not compile."""
     try:
         program = compiled(KERNELS[name](), where)
-    except Exception as error:  # whatever the compiler refuses: the other kernels are looked at all the same
+    except (
+        Exception
+    ) as error:  # whatever the compiler refuses: the other kernels are looked at all the same
         return f"{type(error).__name__}: {str(error).strip().splitlines()[0][:300]}"
     launches, data_loops = count(program.as_text())
     held_mib = round(program.memory_analysis().temp_size_in_bytes / 2**20, 1)
@@ -189,11 +214,19 @@ def main() -> int:
     print(f"{len(found)} kernels compiled for an H200 in {time.perf_counter() - begin_s:.0f} s")
     kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
     if options.write:
-        kept = {name: row for name, row in (kept | found).items() if name in KERNELS and not isinstance(row, str)}
-        KEPT.write_text(json.dumps({name: kept[name] for name in KERNELS if name in kept}, indent=1) + "\n")
+        kept = {
+            name: row
+            for name, row in (kept | found).items()
+            if name in KERNELS and not isinstance(row, str)
+        }
+        KEPT.write_text(
+            json.dumps({name: kept[name] for name in KERNELS if name in kept}, indent=1) + "\n"
+        )
     wrong = [fault for name in names for fault in faults(name, found[name], kept)]
     if not options.only:
-        wrong += unlisted(KERNELS[name]().function for name in names if not isinstance(found[name], str))
+        wrong += unlisted(
+            KERNELS[name]().function for name in names if not isinstance(found[name], str)
+        )
     if wrong:
         print("\n".join(wrong), file=sys.stderr)
     return int(bool(wrong))

@@ -77,7 +77,10 @@ CELLS = int32(512, 2)  # of a path
 HEIGHTS_M = array(512)
 ALTITUDES_M = array(4)
 NUM_SATELLITES = 9
-AZIMUTH_RAD, ELEVATION_RAD = np.linspace(0.3, 6.0, NUM_SATELLITES), np.linspace(0.3, 1.2, NUM_SATELLITES)
+AZIMUTH_RAD, ELEVATION_RAD = (
+    np.linspace(0.3, 6.0, NUM_SATELLITES),
+    np.linspace(0.3, 1.2, NUM_SATELLITES),
+)
 
 
 def line(shape: tuple[int, ...]) -> sweep.Line:
@@ -95,7 +98,11 @@ def lines() -> sweep.Line:
 def satellites(num: int, multiple_of: int = 8, num_clocks: int = 1) -> dop.Geometry:
     rng = np.random.default_rng(0)
     directions = dop.unit_vectors(rng.uniform(0, 6, num), rng.uniform(0.1, 1.5, num))
-    return dop.geometry(directions, multiple_of=multiple_of, clocks=dop.Clocks(np.arange(num) % num_clocks, num_clocks))
+    return dop.geometry(
+        directions,
+        multiple_of=multiple_of,
+        clocks=dop.Clocks(np.arange(num) % num_clocks, num_clocks),
+    )
 
 
 GROWN = tuple(side + 2 for side in TILE)
@@ -133,7 +140,9 @@ TOGETHER = {"num_together": CELLS_TOGETHER * NUM_QUERIES}
 
 def grids() -> frontier.Grids:
     moves, steps = array(1, NUM_CELLS, dtype=jnp.uint8), [float64(1, 8)] * 3
-    return frontier.Grids(float64(1, NUM_CELLS), moves, *steps, float64(1), float64(1), int32(8, 2), WHOLE)
+    return frontier.Grids(
+        float64(1, NUM_CELLS), moves, *steps, float64(1), float64(1), int32(8, 2), WHOLE
+    )
 
 
 def open_cells() -> frontier.Frontier:
@@ -144,9 +153,15 @@ def open_cells() -> frontier.Frontier:
 
 NUM_NODES = 16_384
 SAMPLES = sample_graph.Samples(
-    int32(NUM_NODES), float64(NUM_NODES, 2), *[float64(NUM_NODES)] * 9, int32(NUM_NODES), float64(NUM_NODES)
+    int32(NUM_NODES),
+    float64(NUM_NODES, 2),
+    *[float64(NUM_NODES)] * 9,
+    int32(NUM_NODES),
+    float64(NUM_NODES),
 )
-GRAPH = sample_graph.Sizes(64, 16, min(NODES_TOGETHER["gpu"], NUM_NODES), min(EDGES_TOGETHER["gpu"], 16 * NUM_NODES))
+GRAPH = sample_graph.Sizes(
+    64, 16, min(NODES_TOGETHER["gpu"], NUM_NODES), min(EDGES_TOGETHER["gpu"], 16 * NUM_NODES)
+)
 NAMES = ("distance", "gps", "lidar", "population", "risk")
 NUM_DEMONSTRATIONS, NUM_ROUTES, NUM_NOISE = 64, 128, 64
 TARGETS = (Target("mean_gps", ">=", 0.8), Target("detour", "<=", 0.2))
@@ -161,7 +176,9 @@ KNOWN = BOUND, SIGN, float64(NUM_DEMONSTRATIONS, NUM_ROUTES, 10), float64(NUM_DE
 WISHES = {"names": NAMES, "targets": TARGETS}
 
 
-BLOCKS = population.BlockPopulation(array(40_000), array(40_000), array(40_000, dtype=jnp.uint8), int32(30_000))
+BLOCKS = population.BlockPopulation(
+    array(40_000), array(40_000), array(40_000, dtype=jnp.uint8), int32(30_000)
+)
 
 
 def soft_city() -> SoftCity:
@@ -189,7 +206,9 @@ def nearest_at(roof_m, ground_m, heights_m, cells):
 
 
 def returns_at(roof_m, ground_m, heights_m, scan, cells):
-    return soft_lidar.soft_returns_at(soft_lidar.ScansAt(roof_m, ground_m, heights_m, scan, RAYS, 2.0, cells))
+    return soft_lidar.soft_returns_at(
+        soft_lidar.ScansAt(roof_m, ground_m, heights_m, scan, RAYS, 2.0, cells)
+    )
 
 
 def inputs() -> tuple[build.MapInputs, visibility.SkyView]:
@@ -207,24 +226,38 @@ RINGS = sweep.Ring(*(array(NUM_SATELLITES, *side.shape) for side in RING))
 KERNELS: dict[str, Callable[[], Call]] = {
     "all maps": lambda: Call(jax.jit(build.all_maps), inputs()),
     "shadows: doubling": lambda: Call(
-        sweep.shadow_heights_at_once, (array(*SURFACE), lines()), {"passes": sweep.num_passes(max(SURFACE))}
+        sweep.shadow_heights_at_once,
+        (array(*SURFACE), lines()),
+        {"passes": sweep.num_passes(max(SURFACE))},
     ),
-    "shadows: doubling, hand on": lambda: Call(sweep.handed_on, (array(*TILE), lines_over(GROWN), RINGS)),
+    "shadows: doubling, hand on": lambda: Call(
+        sweep.handed_on, (array(*TILE), lines_over(GROWN), RINGS)
+    ),
     "shadows: doubling, words": lambda: Call(
         sweep.visible_words, (array(*SURFACE), array(4, 1, 1), lines(), WHOLE), {"window": WINDOW}
     ),
     "surface: cut": lambda: Call(surface._cut, (part(REGION),)),
     "obstacle": lambda: Call(surface._stand_at, (array(*REGION), array(4, 1, 1))),
     "risk": lambda: Call(
-        risk._risk, (part(REGION, 10), None, None, ALTITUDES_M), DISTANCE_5M | {"halo": 10, "is_solid": False}
+        risk._risk,
+        (part(REGION, 10), None, None, ALTITUDES_M),
+        DISTANCE_5M | {"halo": 10, "is_solid": False},
     ),
     "shadows: height": lambda: Call(sweep.shadow_height, (array(*SURFACE), line(SURFACE))),
     "shadows: sweep": lambda: Call(sweep.sweep, (array(*SURFACE), line(SURFACE))),
-    "shadows: height in a ring": lambda: Call(sweep.shadow_height, (array(*TILE), line(GROWN), RING)),
-    "shadows: rays": lambda: Call(rays.walk, (array(*SURFACE), *[int32(rays.RAYS_A_TURN)] * 2, WALKS, array())),
-    "shadows: soft weights, gradient": lambda: Call(gradient(soft_shadow_weights), (array(*SURFACE), lines())),
+    "shadows: height in a ring": lambda: Call(
+        sweep.shadow_height, (array(*TILE), line(GROWN), RING)
+    ),
+    "shadows: rays": lambda: Call(
+        rays.walk, (array(*SURFACE), *[int32(rays.RAYS_A_TURN)] * 2, WALKS, array())
+    ),
+    "shadows: soft weights, gradient": lambda: Call(
+        gradient(soft_shadow_weights), (array(*SURFACE), lines())
+    ),
     "DOPs of weights": lambda: Call(dop.dops, (satellites(9, 1), array(9, gps.BLOCK_CELLS))),
-    "DOPs of words": lambda: Call(dop.dops_of_words, (satellites(9), array(1, *REGION, dtype=jnp.uint32))),
+    "DOPs of words": lambda: Call(
+        dop.dops_of_words, (satellites(9), array(1, *REGION, dtype=jnp.uint32))
+    ),
     "GPS maps, 9 satellites": lambda: Call(
         gps.maps_of_words, (array(1, *REGION, dtype=jnp.uint32), satellites(9), NUMBER)
     ),
@@ -233,7 +266,9 @@ KERNELS: dict[str, Callable[[], Call]] = {
         (satellites(16, 1, 2), array(16, gps.BLOCK_CELLS)),
     ),
     "GPS, soft": lambda: Call(
-        gps_soft._soft_gps, (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None), {"window": WINDOW}
+        gps_soft._soft_gps,
+        (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None),
+        {"window": WINDOW},
     ),
     "lidar: flat, 5 m": lambda: Call(
         hard.count_returns, (around(REGION, STEPS_5M - 1, 1), array(1, STEPS_5M), STARTS), RAYS_5M
@@ -245,7 +280,12 @@ KERNELS: dict[str, Callable[[], Call]] = {
     ),
     "lidar: terrain, tile": lambda: Call(
         hard.count_returns_on_terrain_by_steps,
-        (around(TILE, STEPS_5M - 1, 1), around(TILE, STEPS_5M - 1, 1), array(1, STEPS_5M, NUM_BEAMS), STARTS),
+        (
+            around(TILE, STEPS_5M - 1, 1),
+            around(TILE, STEPS_5M - 1, 1),
+            array(1, STEPS_5M, NUM_BEAMS),
+            STARTS,
+        ),
         RAYS_5M,
     ),
     "lidar: flat, part": lambda: Call(
@@ -254,36 +294,55 @@ KERNELS: dict[str, Callable[[], Call]] = {
         RAYS_5M | {"oversample": 1},
     ),
     "lidar: share": lambda: Call(
-        lidar._share, (array(4, *REGION, dtype=jnp.int32), part(REGION), ALTITUDES_M), {"num_azimuths": NUM_AZIMUTHS}
+        lidar._share,
+        (array(4, *REGION, dtype=jnp.int32), part(REGION), ALTITUDES_M),
+        {"num_azimuths": NUM_AZIMUTHS},
     ),
     "lidar: share at centres": lambda: Call(
-        lidar._share_outside, (array(4, *REGION), array(4, *REGION, dtype=bool)), {"num_azimuths": NUM_AZIMUTHS}
+        lidar._share_outside,
+        (array(4, *REGION), array(4, *REGION, dtype=bool)),
+        {"num_azimuths": NUM_AZIMUTHS},
     ),
-    "lidar: soft, tile": lambda: Call(soft_lidar.soft_returns, (around(TILE, STEPS_5M - 1), SCAN, RAYS, NUMBER)),
+    "lidar: soft, tile": lambda: Call(
+        soft_lidar.soft_returns, (around(TILE, STEPS_5M - 1), SCAN, RAYS, NUMBER)
+    ),
     "lidar: soft, tile, gradient": lambda: Call(
         gradient(soft_lidar.soft_returns, (0, 1)), (around(TILE, STEPS_5M - 1), SCAN, RAYS, NUMBER)
     ),
     "lidar: soft, of a path": lambda: Call(
         soft_lidar.soft_returns_at,
-        (soft_lidar.ScansAt(around(REGION, STEPS_5M - 1), None, HEIGHTS_M, SCAN, RAYS, NUMBER, CELLS),),
+        (
+            soft_lidar.ScansAt(
+                around(REGION, STEPS_5M - 1), None, HEIGHTS_M, SCAN, RAYS, NUMBER, CELLS
+            ),
+        ),
     ),
     "lidar: soft, of a path, terrain, gradient": lambda: Call(
-        gradient(returns_at), (around(REGION, STEPS_5M - 1), around(REGION, STEPS_5M - 1), HEIGHTS_M, SCAN, CELLS)
+        gradient(returns_at),
+        (around(REGION, STEPS_5M - 1), around(REGION, STEPS_5M - 1), HEIGHTS_M, SCAN, CELLS),
     ),
     "distance, 5 m": lambda: Call(distance.capped_distance, (around(REGION, 10),), DISTANCE_5M),
     "distance over terrain": lambda: Call(
-        distance.capped_distance_over_terrain, (array(*REGION), array(*REGION), array(*REGION, dtype=bool)), DISTANCE_5M
+        distance.capped_distance_over_terrain,
+        (array(*REGION), array(*REGION), array(*REGION, dtype=bool)),
+        DISTANCE_5M,
     ),
-    "distance: soft": lambda: Call(distance.nearest_column, (around(REGION, 10), NUMBER, NUMBER, NUMBER), NEAREST),
+    "distance: soft": lambda: Call(
+        distance.nearest_column, (around(REGION, 10), NUMBER, NUMBER, NUMBER), NEAREST
+    ),
     "distance: soft, gradient": lambda: Call(gradient(nearest), (around(REGION, 10),)),
     "distance: soft, of a path": lambda: Call(
-        distance.nearest_column_at, (around(REGION, 10), None, HEIGHTS_M, NUMBER, NUMBER, CELLS), NEAREST
+        distance.nearest_column_at,
+        (around(REGION, 10), None, HEIGHTS_M, NUMBER, NUMBER, CELLS),
+        NEAREST,
     ),
     "distance: soft, of a path, terrain, gradient": lambda: Call(
         gradient(nearest_at, (0, 1)), (around(REGION, 10), around(REGION, 10), HEIGHTS_M, CELLS)
     ),
     "obstacle: soft": lambda: Call(surface.soft_obstacle, (array(*REGION), NUMBER, NUMBER)),
-    "population: of blocks": lambda: Call(population.layers_of_blocks, (BLOCKS, array(2), population.Population())),
+    "population: of blocks": lambda: Call(
+        population.layers_of_blocks, (BLOCKS, array(2), population.Population())
+    ),
     "population: under cells": lambda: Call(population.map_blocks, (int32(*REGION), array(40_000))),
     "population, gradient by gammas": lambda: Call(
         gradient(soft_people, 2), (int32(*REGION), BLOCKS, population.Population())
@@ -299,9 +358,12 @@ KERNELS: dict[str, Callable[[], Call]] = {
         frontier.begin, (open_cells(), grids(), WHOLE, WHOLE, WHOLE, WHOLE, float64()), {}, True
     ),
     "frontier: drop": lambda: Call(frontier.drop, (open_cells(), WHOLE), {}, True),
-    "frontier: advance": lambda: Call(frontier.advance, (open_cells(), grids(), WHOLE), TOGETHER, True),
+    "frontier: advance": lambda: Call(
+        frontier.advance, (open_cells(), grids(), WHOLE), TOGETHER, True
+    ),
     "cost of a route, gradient by heights": lambda: Call(
-        buildings._slopes, (soft_city(), SoftParams(20.0), Weights(), PathVisits(CELLS, HEIGHTS_M, NUMBER))
+        buildings._slopes,
+        (soft_city(), SoftParams(20.0), Weights(), PathVisits(CELLS, HEIGHTS_M, NUMBER)),
     ),
     "tuner: descend": lambda: Call(
         fenchel_young.descend,
@@ -309,9 +371,13 @@ KERNELS: dict[str, Callable[[], Call]] = {
         {"objective": fenchel_young.fenchel_young_loss, "num_steps": 200},
         True,
     ),
-    "tuner: bootstrap": lambda: Call(confidence._fits, (float64(5), FIT, float64(100, NUM_DEMONSTRATIONS)), {}, True),
+    "tuner: bootstrap": lambda: Call(
+        confidence._fits, (float64(5), FIT, float64(100, NUM_DEMONSTRATIONS)), {}, True
+    ),
     "tuner: targets, descend": lambda: Call(
         target_fit._descend, (float64(6, 5), float64(128, 5), *KNOWN), WISHES, True
     ),
-    "tuner: targets, candidates": lambda: Call(target_fit._known_misses, (float64(1000, 5), *KNOWN), WISHES, True),
+    "tuner: targets, candidates": lambda: Call(
+        target_fit._known_misses, (float64(1000, 5), *KNOWN), WISHES, True
+    ),
 }

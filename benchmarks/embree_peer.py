@@ -39,7 +39,9 @@ class Caster:
         self.mesh = TriangleMesh(self.scene, triangles)
         self.wall_s = self.cpu_s = 0.0
 
-    def is_blocked(self, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray) -> np.ndarray:
+    def is_blocked(
+        self, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray
+    ) -> np.ndarray:
         wall_s, cpu_s = time.perf_counter(), time.process_time()
         hit = self.scene.run(start_m, direction, length_m, query="OCCLUDED")
         self.wall_s += time.perf_counter() - wall_s
@@ -47,7 +49,9 @@ class Caster:
         return hit == 0  # -1 where nothing is hit
 
 
-def see_satellites(caster: Caster, xy_m: np.ndarray, altitudes_m: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def see_satellites(
+    caster: Caster, xy_m: np.ndarray, altitudes_m: np.ndarray, directions: np.ndarray
+) -> np.ndarray:
     """Return ``[A, S, N]`` bool: which satellites are seen from points."""
     seen = np.empty((len(altitudes_m), len(directions), len(xy_m)), bool)
     for k, altitude_m in enumerate(altitudes_m):
@@ -56,7 +60,9 @@ def see_satellites(caster: Caster, xy_m: np.ndarray, altitudes_m: np.ndarray, di
             for first in range(0, len(xy_m), BATCH_RAYS):
                 part = slice(first, first + BATCH_RAYS)
                 rays = np.ascontiguousarray(np.broadcast_to(direction, start_m[part].shape))
-                seen[k, s, part] = ~caster.is_blocked(start_m[part], rays, np.full(len(rays), np.inf, np.float32))
+                seen[k, s, part] = ~caster.is_blocked(
+                    start_m[part], rays, np.full(len(rays), np.inf, np.float32)
+                )
     return seen
 
 
@@ -65,11 +71,17 @@ def beams_of(params: Lidar, altitude_m: float) -> tuple[np.ndarray, np.ndarray]:
     elevation_rad = np.array(sorted(params.elevations_rad, key=abs))
     azimuth_rad = 2 * np.pi * np.arange(params.azimuths) / params.azimuths
     down = np.maximum(-np.sin(elevation_rad), 1e-12)
-    directions = np.stack([unit_vectors(azimuth_rad, np.full(len(azimuth_rad), e)) for e in elevation_rad])
-    return directions.astype(np.float32), np.minimum(params.range_m, altitude_m / down).astype(np.float32)
+    directions = np.stack(
+        [unit_vectors(azimuth_rad, np.full(len(azimuth_rad), e)) for e in elevation_rad]
+    )
+    return directions.astype(np.float32), np.minimum(params.range_m, altitude_m / down).astype(
+        np.float32
+    )
 
 
-def scan_until_first_return(caster: Caster, xy_m: np.ndarray, altitude_m: float, params: Lidar) -> np.ndarray:
+def scan_until_first_return(
+    caster: Caster, xy_m: np.ndarray, altitude_m: float, params: Lidar
+) -> np.ndarray:
     """Return ``[N]`` share of scan positions that return; the beams of those that have are left out."""
     directions, length_m = beams_of(params, altitude_m)
     share = np.empty(len(xy_m))
@@ -102,7 +114,9 @@ class EmbreePool:
 
     def __init__(self, buildings: Footprints):
         polygons, height_m = buildings.polygons, buildings.height_m
-        triangles = np.concatenate([wall_triangles(polygons, height_m), roof_triangles(polygons, height_m)])
+        triangles = np.concatenate(
+            [wall_triangles(polygons, height_m), roof_triangles(polygons, height_m)]
+        )
         self.origin_m = np.round(triangles.reshape(-1, 3).mean(axis=0))[:2]
         triangles = (triangles - np.append(self.origin_m, 0.0)).astype(np.float32)
         context = multiprocessing.get_context("spawn")
@@ -124,7 +138,9 @@ class EmbreePool:
             pipe.send(None)
             process.join()
 
-    def run(self, function: Callable[..., np.ndarray], xy_m: np.ndarray, *arguments: object) -> Answers:
+    def run(
+        self, function: Callable[..., np.ndarray], xy_m: np.ndarray, *arguments: object
+    ) -> Answers:
         """Return the slowest process's seconds, the CPU seconds of all, and what was found."""
         local_m = xy_m - self.origin_m
         num = len(self.pipes)
@@ -134,4 +150,6 @@ class EmbreePool:
         found = np.empty((*answers[0].found.shape[:-1], len(xy_m)), answers[0].found.dtype)
         for k, answer in enumerate(answers):
             found[..., k::num] = answer.found
-        return Answers(max(answer.wall_s for answer in answers), sum(answer.cpu_s for answer in answers), found)
+        return Answers(
+            max(answer.wall_s for answer in answers), sum(answer.cpu_s for answer in answers), found
+        )

@@ -111,7 +111,13 @@ class Truth:
         return shapely.STRtree(buildings.polygons[buildings.height_m >= altitude_m])
 
     def errors(
-        self, maps: Maps, k: int, slice_tree: shapely.STRtree, xy_m: np.ndarray, y: np.ndarray, x: np.ndarray
+        self,
+        maps: Maps,
+        k: int,
+        slice_tree: shapely.STRtree,
+        xy_m: np.ndarray,
+        y: np.ndarray,
+        x: np.ndarray,
     ) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return by metric the map's m in cells less the truth at points, and the visibility ``[S, N]`` there."""
         altitude_m, few = ALTITUDES_M[k], slice(NUM_LIDAR_POINTS)
@@ -164,10 +170,14 @@ def compare(truth: Truth, resolution_m: float, rows: dict[str, list[list[str]]])
         rows["obstacle"].append([*start, mean_of(called != inside, 100, 2)])
 
         centre, seen = truth.errors(maps, k, slice_tree, *centres)
-        anywhere, _ = truth.errors(maps, k, slice_tree, anywhere_m[free], cell[free, 1], cell[free, 0])
+        anywhere, _ = truth.errors(
+            maps, k, slice_tree, anywhere_m[free], cell[free, 1], cell[free, 0]
+        )
         right = is_right(maps, k, seen, *centres[1:])
         shares = (share(right, among) for among in (np.ones_like(seen), ~seen, seen))
-        rows["gps"].append([*start, *shares, *(mean_of(np.abs(errors["gps"])) for errors in (centre, anywhere))])
+        rows["gps"].append(
+            [*start, *shares, *(mean_of(np.abs(errors["gps"])) for errors in (centre, anywhere))]
+        )
         for name in ("lidar", "risk"):
             cells = (np.abs(centre[name]), centre[name], np.abs(anywhere[name]), anywhere[name])
             rows[name].append([*start, *map(mean_of, cells)])
@@ -198,7 +208,10 @@ def city_rows(truth: Truth) -> list[list[str]]:
 ERRORS = ["error of m at centres", "its bias", "error of m anywhere", "its bias"]
 SIGHT = ["lines of sight right, %", "of those blocked", "of those clear"]
 TABLES = {  # title and columns, after those of altitude and cells
-    "gps": ("GPS: lines of sight and m_gps", [*SIGHT, "error of m at centres", "error of m anywhere"]),
+    "gps": (
+        "GPS: lines of sight and m_gps",
+        [*SIGHT, "error of m at centres", "error of m anywhere"],
+    ),
     "lidar": ("Lidar: m_lidar, 16 beams x 360 azimuths, 100 m", ERRORS),
     "risk": ("Risk: m_risk, 50 m, by distance to the outlines of the slice", ERRORS),
     "obstacle": ("Obstacle: free or not", ["points called wrongly, %"]),
@@ -212,8 +225,12 @@ CITY_HEAD = [
 def main() -> None:
     """Print the tables that the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--resolutions", type=float, nargs="+", default=RESOLUTIONS_M, help="metres")
-    parser.add_argument("--by-city", action="store_true", help="every city at hand at one resolution instead")
+    parser.add_argument(
+        "--resolutions", type=float, nargs="+", default=RESOLUTIONS_M, help="metres"
+    )
+    parser.add_argument(
+        "--by-city", action="store_true", help="every city at hand at one resolution instead"
+    )
     options = parser.parse_args()
     print(f"commit {machine()['commit']}")
     if options.by_city:

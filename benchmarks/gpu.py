@@ -39,7 +39,9 @@ SECTIONS = {  # and the seconds that each process of a section may take
     "gradients": 60.0,
 }
 LOOPS = ("copy", "occlusion", "lidar")  # tried with command buffers too
-COMMAND_BUFFERS = "--xla_gpu_enable_command_buffer=+WHILE,+CONDITIONAL --xla_gpu_graph_min_graph_size=1"
+COMMAND_BUFFERS = (
+    "--xla_gpu_enable_command_buffer=+WHILE,+CONDITIONAL --xla_gpu_graph_min_graph_size=1"
+)
 CPU, GPU, GRAPHS = "CPU", "GPU", "GPU, command buffers"
 COLUMNS = [
     *("section", "computed", "by", "seconds", "rate", "to the CPU", "first call"),
@@ -62,15 +64,27 @@ def gpu_name() -> str | None:
     """Return what JAX calls its GPU, None without one; asked in a process of its own, which then lets go of it."""
     asked = "import jax; print(jax.default_backend(), jax.devices()[0].device_kind, sep='|')"
     command = [sys.executable, "-c", asked]
-    said = subprocess.run(command, env=environment(GPU), capture_output=True, text=True, check=False)
+    said = subprocess.run(
+        command, env=environment(GPU), capture_output=True, text=True, check=False
+    )
     backend, _, kind = (said.stdout.strip().splitlines() or [""])[-1].partition("|")
     return kind if backend in ("gpu", "cuda", "rocm") else None
 
 
-def run_section(section: str, side: str, inputs: Path, answers: Path, limit_s: float, is_small: bool) -> Rows:
+def run_section(
+    section: str, side: str, inputs: Path, answers: Path, limit_s: float, is_small: bool
+) -> Rows:
     """Return the rows of a section on one side; the last one says what broke, if anything did."""
     rows_file = answers / f"{section}-{side}.json"
-    command = [sys.executable, "-m", "benchmarks.gpu_sections", section, side, str(inputs), str(answers)]
+    command = [
+        sys.executable,
+        "-m",
+        "benchmarks.gpu_sections",
+        section,
+        side,
+        str(inputs),
+        str(answers),
+    ]
     fault, said = "", ""
     try:
         done = subprocess.run(
@@ -90,7 +104,9 @@ def run_section(section: str, side: str, inputs: Path, answers: Path, limit_s: f
     rows: Rows = json.loads(rows_file.read_text()) if rows_file.exists() else []
     if fault:
         print(said or fault, file=sys.stderr)
-        rows.append({"section": section, "name": f"broke off: {fault}", "by": side, "is_wrong": True})
+        rows.append(
+            {"section": section, "name": f"broke off: {fault}", "by": side, "is_wrong": True}
+        )
     return rows
 
 
@@ -130,7 +146,9 @@ def difference(
     found, expected = (np.asarray(values, np.float64) for values in (found, expected))
     is_finite = np.isfinite(expected)
     largest = float(np.abs(expected[is_finite]).max(initial=0.0))
-    agrees = np.isclose(found, expected, rtol=relative, atol=absolute + of_largest * largest, equal_nan=True)
+    agrees = np.isclose(
+        found, expected, rtol=relative, atol=absolute + of_largest * largest, equal_nan=True
+    )
     off = float(1 - agrees.mean()) if agrees.size else 0.0
     both = is_finite & np.isfinite(found)
     most = float(np.abs(found[both] - expected[both]).max(initial=0.0))
@@ -145,14 +163,26 @@ def cells_of(row: dict) -> list[str]:
         rate = f"{amount(row['units'] / seconds)} {row['unit']}/s"
         measured = [f"{seconds:.3g}", rate, ratio, f"{row['first_s']:.2f} s"]
     peak = "" if row.get("peak_gib") is None else f"{row['peak_gib']:.2f} GiB"
-    differs = row.get("differs", "") + (" **too much**" if row.get("is_wrong") and "differs" in row else "")
-    return [row["section"], row["name"], row["by"], *measured, peak, differs, row.get("allowed", "")]
+    differs = row.get("differs", "") + (
+        " **too much**" if row.get("is_wrong") and "differs" in row else ""
+    )
+    return [
+        row["section"],
+        row["name"],
+        row["by"],
+        *measured,
+        peak,
+        differs,
+        row.get("allowed", ""),
+    ]
 
 
 def blanks(rows: Rows) -> Rows:
     """Return the rows of the CPU's, and after those of each name the GPU's with no figure."""
     shown: Rows = []
-    for (section, name), alike in itertools.groupby(rows, key=lambda row: (row["section"], row["name"])):
+    for (section, name), alike in itertools.groupby(
+        rows, key=lambda row: (row["section"], row["name"])
+    ):
         shown += [*alike, {"section": section, "name": name, "by": GPU}]
     return shown
 
@@ -161,14 +191,20 @@ def main() -> int:
     """Run what the command line asks for; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("sections", nargs="*", help=f"of {', '.join(SECTIONS)}; left out: all")
-    parser.add_argument("--small", action="store_true", help="a small city, to try the benchmark on any machine")
-    parser.add_argument("--inputs", type=Path, help="folder of the city's rasters, made where they are missing")
+    parser.add_argument(
+        "--small", action="store_true", help="a small city, to try the benchmark on any machine"
+    )
+    parser.add_argument(
+        "--inputs", type=Path, help="folder of the city's rasters, made where they are missing"
+    )
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "gpu" / "gpu.json")
     options = parser.parse_args()
     if unknown := set(options.sections) - set(SECTIONS):
         parser.error(f"no section {', '.join(unknown)}: choose of {', '.join(SECTIONS)}")
     begin_s = time.perf_counter()
-    jax.config.update("jax_platforms", "cpu")  # this process only waits: the GPU is for the sections
+    jax.config.update(
+        "jax_platforms", "cpu"
+    )  # this process only waits: the GPU is for the sections
     gpu = gpu_name()
     print(f"GPU: {gpu or 'JAX has none here, so the figures of a GPU stay blank'}", file=sys.stderr)
     rows: Rows = []
@@ -176,7 +212,11 @@ def main() -> int:
         inputs = (options.inputs or Path(scratch)).resolve()
         make_inputs(inputs, options.small)
         for section in options.sections or SECTIONS:
-            for side in (CPU, *((GPU,) if gpu else ()), *((GRAPHS,) if gpu and section in LOOPS else ())):
+            for side in (
+                CPU,
+                *((GPU,) if gpu else ()),
+                *((GRAPHS,) if gpu and section in LOOPS else ()),
+            ):
                 left_s = BUDGET_S - (time.perf_counter() - begin_s)
                 if left_s < LEAST_S:
                     rows.append({"section": section, "name": "left out: no time", "by": side})
@@ -186,10 +226,17 @@ def main() -> int:
                 print(f"{section}, {side}: {time.perf_counter() - begin_s:.0f} s", file=sys.stderr)
         check(rows, Path(scratch))
     shown = rows if gpu else blanks(rows)
-    report = {"gpu": gpu, "is_small": options.small, "seconds": round(time.perf_counter() - begin_s), "rows": shown}
+    report = {
+        "gpu": gpu,
+        "is_small": options.small,
+        "seconds": round(time.perf_counter() - begin_s),
+        "rows": shown,
+    }
     report["machine"] = machine()
     print(f"GPU: {gpu}" if gpu else "**JAX has no GPU here: the figures of a GPU are blank.**")
-    print(f"\n{table(COLUMNS, list(map(cells_of, shown)))}\n\n{report['machine']}\n{report['seconds']} s in all")
+    print(
+        f"\n{table(COLUMNS, list(map(cells_of, shown)))}\n\n{report['machine']}\n{report['seconds']} s in all"
+    )
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(json.dumps(report, indent=1) + "\n")
     return int(any(row.get("is_wrong") for row in rows))

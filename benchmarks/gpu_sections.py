@@ -93,13 +93,15 @@ class Run:
             "units": units,
             "unit": unit,
             # of all that the process did up to here
-            "peak_gib": (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use", 0) / 2**30 or None,
+            "peak_gib": (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use", 0) / 2**30
+            or None,
         }
         if tolerance is not None:
             row |= {"tolerance": tolerance[0], "allowed": tolerance[1]}
             row["answer"] = f"{self.section}-{self.side}-{len(self.rows)}.npy"
             np.save(
-                self.answers / row["answer"], np.asarray(found)[..., ::every, :] if every > 1 else np.asarray(found)
+                self.answers / row["answer"],
+                np.asarray(found)[..., ::every, :] if every > 1 else np.asarray(found),
             )
         self.rows.append(row)
         (self.answers / f"{self.section}-{self.side}.json").write_text(json.dumps(self.rows))
@@ -118,7 +120,11 @@ def copy(run: Run) -> None:
     def loop(few: jax.Array, end: jax.Array | int) -> jax.Array:
         return jax.lax.fori_loop(0, end, lambda i, x: jnp.sin(x) + i, few)
 
-    add, known, by_data = jax.jit(lambda x: x + 1), jax.jit(lambda x: loop(x, num_turns)), jax.jit(loop)
+    add, known, by_data = (
+        jax.jit(lambda x: x + 1),
+        jax.jit(lambda x: loop(x, num_turns)),
+        jax.jit(loop),
+    )
     run.timed("copy, read and written", lambda: add(values), 2 * values.nbytes, "B")
     run.timed("to the host", lambda: np.asarray(values + 0), values.nbytes, "B")
     run.timed("loop of a known number of turns", lambda: known(few), num_turns, "turns")
@@ -146,8 +152,17 @@ def over_terrain(surface: Surface) -> Surface:
     rows, cols = jnp.meshgrid(jnp.arange(side), jnp.arange(side), indexing="ij")
     ground_m = (10 * jnp.sin(rows / 40) + 5 * jnp.cos(cols / 25)).astype(surface.roof_m.dtype)
     grid = surface.grid
-    region = Grid(grid.crs, grid.resolution_m, grid.first_row + first[0], grid.first_col + first[1], side, side)
-    return replace(surface, roof_m=surface.roof_m[part], terrain_m=ground_m, grid=region, region=region)
+    region = Grid(
+        grid.crs,
+        grid.resolution_m,
+        grid.first_row + first[0],
+        grid.first_col + first[1],
+        side,
+        side,
+    )
+    return replace(
+        surface, roof_m=surface.roof_m[part], terrain_m=ground_m, grid=region, region=region
+    )
 
 
 def lidar(run: Run) -> None:
@@ -228,7 +243,12 @@ def pipeline(run: Run) -> None:
 
     units = surface.roof_m.size * len(ALTITUDES_M)
     run.timed("all maps, left on the device", maps, units, "cells x altitudes")
-    run.timed("all maps, on the host", lambda: [np.asarray(values) for values in maps()], units, "cells x altitudes")
+    run.timed(
+        "all maps, on the host",
+        lambda: [np.asarray(values) for values in maps()],
+        units,
+        "cells x altitudes",
+    )
 
     def metrics() -> jax.Array:
         _, gps_m, *_, lidar_m, risk_m = maps()
@@ -242,20 +262,31 @@ def gradients(run: Run) -> None:
     surface, azimuth_rad, elevation_rad = run.surface()
     view = SkyView.of(surface, azimuth_rad, elevation_rad)
     side = min(surface.grid.shape)
-    cells = jnp.asarray(np.random.default_rng(0).integers(side // 4, 3 * side // 4, (512, 2)), jnp.int32)
+    cells = jnp.asarray(
+        np.random.default_rng(0).integers(side // 4, 3 * side // 4, (512, 2)), jnp.int32
+    )
     soft = {
         "GPS": lambda scene: soft_gps(scene, ALTITUDES_M[0], 20.0, SOFTNESS_M, view, cells=cells),
         "lidar": lambda scene: soft_lidar(scene, ALTITUDES_M[0], Lidar(), SOFTNESS_M, cells=cells),
         "risk": lambda scene: soft_risk(scene, ALTITUDES_M[0], Risk(), SOFTNESS_M, cells=cells),
     }
     for name, metric in soft.items():
-        slope = jax.jit(jax.grad(lambda roof_m, metric=metric: metric(replace(surface, roof_m=roof_m)).mean()))
+        slope = jax.jit(
+            jax.grad(lambda roof_m, metric=metric: metric(replace(surface, roof_m=roof_m)).mean())
+        )
         run.timed(
-            f"gradient of {name} along a path", lambda slope=slope: slope(surface.roof_m), 1, "gradients", GRADIENT
+            f"gradient of {name} along a path",
+            lambda slope=slope: slope(surface.roof_m),
+            1,
+            "gradients",
+            GRADIENT,
         )
 
 
-SECTIONS = {section.__name__: section for section in (copy, occlusion, lidar, distance, dops, pipeline, gradients)}
+SECTIONS = {
+    section.__name__: section
+    for section in (copy, occlusion, lidar, distance, dops, pipeline, gradients)
+}
 
 
 def main() -> None:

@@ -21,7 +21,14 @@ from benchmarks.scenes import Scene
 from jaxurban.planners.astar import astar, make_landmarks
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import STEPS, CostModel
-from jaxurban.planners.grid_search import NO_HEURISTIC, Graph, GridSearch, Heuristic, graph_of, way_m
+from jaxurban.planners.grid_search import (
+    NO_HEURISTIC,
+    Graph,
+    GridSearch,
+    Heuristic,
+    graph_of,
+    way_m,
+)
 
 CITY_M = (10_000.0, 20_000.0)
 RESOLUTION_M = 5.0
@@ -44,9 +51,14 @@ class City:
 
 def load_city(side_m: tuple[float, float]) -> City:
     """Return the synthetic city by day, at the default weights."""
-    maps = ju.build_maps(ju.demo_city(*side_m), resolution_m=RESOLUTION_M, altitudes_m=(ALTITUDE_M,))
+    maps = ju.build_maps(
+        ju.demo_city(*side_m), resolution_m=RESOLUTION_M, altitudes_m=(ALTITUDE_M,)
+    )
     weights, costs = ju.Weights().checked(), maps.costs(ALTITUDE_M, time_of_day="day")
-    layers = [weights[name] * np.nan_to_num(np.asarray(cost, float), nan=1.0) for name, cost in costs.items()]
+    layers = [
+        weights[name] * np.nan_to_num(np.asarray(cost, float), nan=1.0)
+        for name, cost in costs.items()
+    ]
     distance_weight = float(weights.distance)
     enter = distance_weight * RESOLUTION_M + np.sum(layers, axis=0)
     return City(np.stack(layers), maps.is_free(ALTITUDE_M), enter, distance_weight)
@@ -89,7 +101,9 @@ def against_pyastar2d(city: City, heuristic: str = "tiles", bar: float | None = 
     """
     import pyastar2d
 
-    weights = np.where(city.is_free, city.enter / city.enter[city.is_free].min(), np.inf).astype(np.float32)
+    weights = np.where(city.is_free, city.enter / city.enter[city.is_free].min(), np.inf).astype(
+        np.float32
+    )
     height, width = weights.shape
     flat = weights.reshape(-1)
 
@@ -119,10 +133,19 @@ def against_pyastar2d_once(city: City) -> Contest:
         return float(cost[tuple(cells[1:].T)].sum(dtype=np.float64))
 
     def ours(start: Cell, goal: Cell) -> float:
-        problem = Problem(cost[None], city.is_free, start, goal, 1.0, 0.0, CostModel("cell", diagonal="always"))
+        problem = Problem(
+            cost[None], city.is_free, start, goal, 1.0, 0.0, CostModel("cell", diagonal="always")
+        )
         return astar(problem, heuristic="tiles").cost
 
-    return Contest("pyastar2d", "as above, one-off: all preparation counted", 1.8, ours, theirs, FLOAT32_ROUNDING)
+    return Contest(
+        "pyastar2d",
+        "as above, one-off: all preparation counted",
+        1.8,
+        ours,
+        theirs,
+        FLOAT32_ROUNDING,
+    )
 
 
 def against_mcp(city: City) -> Contest:
@@ -131,7 +154,14 @@ def against_mcp(city: City) -> Contest:
 
     mcp = MCP(np.where(city.is_free, city.enter, np.inf))
     problem = problem_of(city.enter, city.is_free, 1.0, 0.0)
-    return Contest("scikit-image MCP", "the cell entered, diagonals alike", 5.0, solver(problem), mcp_solver(mcp), 1e-9)
+    return Contest(
+        "scikit-image MCP",
+        "the cell entered, diagonals alike",
+        5.0,
+        solver(problem),
+        mcp_solver(mcp),
+        1e-9,
+    )
 
 
 def against_mcp_geometric(city: City) -> Contest:
@@ -139,11 +169,18 @@ def against_mcp_geometric(city: City) -> Contest:
     from skimage.graph import MCP_Geometric
 
     per_metre = city.enter / RESOLUTION_M
-    mcp = MCP_Geometric(np.where(city.is_free, per_metre, np.inf), sampling=(RESOLUTION_M, RESOLUTION_M))
+    mcp = MCP_Geometric(
+        np.where(city.is_free, per_metre, np.inf), sampling=(RESOLUTION_M, RESOLUTION_M)
+    )
     cost = city.layers.sum(axis=0)
     problem = problem_of(cost, city.is_free, RESOLUTION_M, city.distance_weight, "line")
     return Contest(
-        "scikit-image MCP_Geometric", "length x mean of both cells", 5.0, solver(problem), mcp_solver(mcp), 1e-9
+        "scikit-image MCP_Geometric",
+        "length x mean of both cells",
+        5.0,
+        solver(problem),
+        mcp_solver(mcp),
+        1e-9,
     )
 
 
@@ -168,7 +205,9 @@ def against_tcod(city: City) -> Contest:
 
     cost = np.where(city.is_free, np.rint(city.enter * TCOD_UNIT), 0).astype(np.int32)
     least = int(cost[city.is_free].min())
-    graph = tcod.path.SimpleGraph(cost=cost, cardinal=TCOD_CARDINAL, diagonal=TCOD_DIAGONAL, greed=least)
+    graph = tcod.path.SimpleGraph(
+        cost=cost, cardinal=TCOD_CARDINAL, diagonal=TCOD_DIAGONAL, greed=least
+    )
     finder = tcod.path.Pathfinder(graph)
 
     def theirs(start: Cell, goal: Cell) -> float:
@@ -178,7 +217,8 @@ def against_tcod(city: City) -> Contest:
 
     problem = problem_of(cost, city.is_free, 1.0, 0.0)
     bound = NO_HEURISTIC._replace(
-        straight=float(TCOD_CARDINAL * least), diagonal=float((TCOD_DIAGONAL - TCOD_CARDINAL) * least)
+        straight=float(TCOD_CARDINAL * least),
+        diagonal=float((TCOD_DIAGONAL - TCOD_CARDINAL) * least),
     )
     is_diagonal = np.abs(STEPS).sum(axis=1) == 2
     ours_graph = graph_of(problem)._replace(
@@ -194,7 +234,9 @@ def against_tcod(city: City) -> Contest:
     return Contest("tcod", model, 3.0, ours, theirs, 0.0, finder.clear)
 
 
-def problem_of(cost: np.ndarray, is_free: np.ndarray, resolution_m, distance_weight, cost_model="cell") -> Problem:
+def problem_of(
+    cost: np.ndarray, is_free: np.ndarray, resolution_m, distance_weight, cost_model="cell"
+) -> Problem:
     """Return a problem whose diagonals may cut corners, as all peers' do; costs inside obstacles are left out."""
     anywhere = tuple(int(v) for v in np.argwhere(is_free)[0])
     layer = np.where(is_free, cost, 0.0).astype(np.float64)
@@ -231,7 +273,9 @@ def run(contest: Contest, queries: list[tuple[Cell, Cell]]) -> Row:
     """
     seconds: dict[str, list[tuple[float, float]]] = {"ours": [], "theirs": []}
     worst = 0.0
-    for k, query in enumerate(tqdm([queries[-1], *queries[:-1]], desc=contest.peer, file=sys.stderr)):
+    for k, query in enumerate(
+        tqdm([queries[-1], *queries[:-1]], desc=contest.peer, file=sys.stderr)
+    ):
         contest.prepare()
         costs = {}
         for side in seconds:
@@ -241,7 +285,9 @@ def run(contest: Contest, queries: list[tuple[Cell, Cell]]) -> Row:
                 seconds[side].append((time.perf_counter() - wall_s, time.process_time() - cpu_s))
         worst = max(worst, abs(costs["ours"] / costs["theirs"] - 1))
         assert worst <= contest.rtol, f"{contest.peer}: {costs} from {query[0]} to {query[1]}"
-    ours, theirs = (Timing(*(list(values) for values in zip(*pairs, strict=True))) for pairs in seconds.values())
+    ours, theirs = (
+        Timing(*(list(values) for values in zip(*pairs, strict=True))) for pairs in seconds.values()
+    )
     ratios = np.divide(theirs.cpu_s, ours.cpu_s)
     note = f"{contest.model}; costs differ by {worst:.1e} at most; ratio by query {np.median(ratios):.3g} (median), "
     note += f"{ratios.min():.3g} to {ratios.max():.3g}; ours {1e3 * ours.median_cpu_s:.0f} ms"

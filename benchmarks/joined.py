@@ -39,7 +39,9 @@ def main() -> None:
     print(f"| city | cells | {' | '.join(RULES)} |")
     for side_m in parser.parse_args().sides_m:
         for city in ("lower-manhattan", "shinjuku"):
-            maps = ju.build_maps(ju.sample_city(city), resolution_m=side_m, altitudes_m=(ALTITUDE_M,), progress=False)
+            maps = ju.build_maps(
+                ju.sample_city(city), resolution_m=side_m, altitudes_m=(ALTITUDE_M,), progress=False
+            )
             is_free = [ju.cost_map(maps, ALTITUDE_M, **rule).is_free for rule in RULES.values()]
             shares = [f"{joined_percent(free, is_free[0] & is_free[1]):.1f} %" for free in is_free]
             print(f"| {city} | {side_m:g} m | {' | '.join(shares)} |", flush=True)

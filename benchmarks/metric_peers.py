@@ -43,7 +43,9 @@ def numpy_inverse(directions: np.ndarray, bits: np.ndarray) -> np.ndarray:
         variance = np.diagonal(np.linalg.inv(normal), axis1=1, axis2=2)
         position = variance[:, :3].sum(axis=1)
         level = variance[:, :2].sum(axis=1)
-        out[:, part] = np.sqrt([position + variance[:, 3], position, level, variance[:, 2], variance[:, 3]])
+        out[:, part] = np.sqrt(
+            [position + variance[:, 3], position, level, variance[:, 2], variance[:, 3]]
+        )
     return out
 
 
@@ -64,7 +66,10 @@ def dilutions(scene: Scene, num_runs: int) -> list[Row]:
         "NumPy": clocked(lambda: numpy_inverse(directions, bits)),
     }
     times = in_turn(sides, num_runs).values()
-    gdop, exact = np.asarray(dops_by_blocks(satellites, blocks).gdop).ravel(), numpy_inverse(directions, bits)[0]
+    gdop, exact = (
+        np.asarray(dops_by_blocks(satellites, blocks).gdop).ravel(),
+        numpy_inverse(directions, bits)[0],
+    )
     note = f"differs by {np.abs(gdop / exact - 1)[exact < 20].max():.0e} of a GDOP below 20 at most"
     return [Row("DOPs", "NumPy linalg.inv", "cells", num_cells, num_cells, *times, note=note)]
 
@@ -98,19 +103,38 @@ def distances(scene: Scene, num_runs: int) -> list[Row]:
         "SciPy distance_transform_edt": (scipy_edt, 3.0)
     }
     optional = {"cv2": ("OpenCV distanceTransform", opencv), "edt": ("edt", edt_edt)}
-    peers |= {name: (peer, None) for module, (name, peer) in optional.items() if importlib.util.find_spec(module)}
+    peers |= {
+        name: (peer, None)
+        for module, (name, peer) in optional.items()
+        if importlib.util.find_spec(module)
+    }
     rows = []
     for resolution_m in (5.0, 2.0):
         surface = scene.surface(resolution_m)
         is_obstacle = np.asarray(surface.crop(surface.roof_m)) >= ALTITUDE_M
         sides = {"ours": clocked(partial(distance_to, is_obstacle, resolution_m))}
-        sides |= {name: clocked(partial(peer, is_obstacle, resolution_m)) for name, (peer, _) in peers.items()}
+        sides |= {
+            name: clocked(partial(peer, is_obstacle, resolution_m))
+            for name, (peer, _) in peers.items()
+        }
         times = in_turn(sides, 3 * num_runs)
         distance_m, num = distance_to(is_obstacle, resolution_m), is_obstacle.size
         for name, (peer, bar) in peers.items():
             most_m = np.abs(distance_m - np.minimum(peer(is_obstacle, resolution_m), CAP_M)).max()
             note = f"{resolution_m:g} m cells; differs by {most_m:.1e} m at most"
-            rows.append(Row("distance to 50 m", name, "cells", num, num, times["ours"], times[name], bar, note))
+            rows.append(
+                Row(
+                    "distance to 50 m",
+                    name,
+                    "cells",
+                    num,
+                    num,
+                    times["ours"],
+                    times[name],
+                    bar,
+                    note,
+                )
+            )
     return rows
 
 
@@ -119,10 +143,20 @@ def all_maps(scene: Scene, num_runs: int, parts: list[Row]) -> list[Row]:
     task, surface = scene.task(5.0), scene.surface(5.0)
     flown = surface.region.num_rows * surface.region.num_cols * len(ALTITUDES_M)
     answers = flown * len(scene.azimuth_rad)
-    needed = {"GPS occlusion": answers, "DOPs": flown, "lidar": flown * Lidar().azimuths, "distance to 50 m": flown}
-    rates = {row.name: row.per_cpu_s[1] for row in reversed(parts)}  # of the first peer where there are several
+    needed = {
+        "GPS occlusion": answers,
+        "DOPs": flown,
+        "lidar": flown * Lidar().azimuths,
+        "distance to 50 m": flown,
+    }
+    rates = {
+        row.name: row.per_cpu_s[1] for row in reversed(parts)
+    }  # of the first peer where there are several
     if missing := needed.keys() - rates.keys():
-        print(f"maps are left out: their peers are those of {', '.join(sorted(missing))}", file=sys.stderr)
+        print(
+            f"maps are left out: their peers are those of {', '.join(sorted(missing))}",
+            file=sys.stderr,
+        )
         return []
     (ours,) = in_turn({"ours": clocked(lambda: compute_maps(task, surface))}, num_runs).values()
     cpu_s = sum(units / rates[name] for name, units in needed.items())

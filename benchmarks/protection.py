@@ -14,7 +14,12 @@ from benchmarks.sidereon_peer import Peer
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
-from jaxurban.metrics.protection import Protection, levels_of_satellites, protection_maps, ranging_of
+from jaxurban.metrics.protection import (
+    Protection,
+    levels_of_satellites,
+    protection_maps,
+    ranging_of,
+)
 from jaxurban.metrics.visibility import distinct_choices, visibility
 from jaxurban.world.sky import InView
 
@@ -22,7 +27,9 @@ DISTRICT = replace(TOKYO, name="Tokyo", bounds=(139.680, 35.655, 139.785, 35.720
 GALILEO = TOKYO.orbits.with_name("galileo_2018-12-19.tle")
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
 PARAMS = Protection()
-NEAR_M = 1000.0  # levels beyond are those of satellites that all but leave the position undetermined
+NEAR_M = (
+    1000.0  # levels beyond are those of satellites that all but leave the position undetermined
+)
 
 
 def views(
@@ -34,13 +41,21 @@ def views(
     orbits: str | list = "nominal" if place.buildings is None else [place.orbits]
     if place.orbits == TOKYO.orbits and place.buildings is not None:
         orbits = [place.orbits, GALILEO]
-    sky = view_sky(region, Gps(orbits=orbits, times=times, mask_deg=MASK_DEG, reference=place.reference))
+    sky = view_sky(
+        region, Gps(orbits=orbits, times=times, mask_deg=MASK_DEG, reference=place.reference)
+    )
     task = MapTask(
-        scene.city, region, sky, MapParams(altitudes_m=(altitude_m,), sections={"gps": Gps(mask_deg=MASK_DEG)})
+        scene.city,
+        region,
+        sky,
+        MapParams(altitudes_m=(altitude_m,), sections={"gps": Gps(mask_deg=MASK_DEG)}),
     )
     surface = task.surface()
     is_obstacle = np.asarray(surface.crop(surface.roof_m)) >= altitude_m
-    words = (np.asarray(visibility(surface, *task.in_view(t).angles, [altitude_m]))[:, 0] for t in range(len(times)))
+    words = (
+        np.asarray(visibility(surface, *task.in_view(t).angles, [altitude_m]))[:, 0]
+        for t in range(len(times))
+    )
     return is_obstacle, [(of_time, task.in_view(t)) for t, of_time in enumerate(words)]
 
 

@@ -55,7 +55,10 @@ RULES: dict[str, tuple[str, dict[str, float]]] = {  # of obstacles, and the clea
 }
 NUM_ZONES, ZONE_M = 3, 60.0  # made-up no-fly zones of a city
 VOLUME = "volume"
-KINDS = (*((name, refine) for name in PLANNERS if name != "ptp" for refine in (False, True)), (VOLUME, False))
+KINDS = (
+    *((name, refine) for name in PLANNERS if name != "ptp" for refine in (False, True)),
+    (VOLUME, False),
+)
 NAV_WAYPOINT, NAV_TAKEOFF = 16, 22  # MAVLink's numbers of the items that have a place
 KML = "{http://www.opengis.net/kml/2.2}"
 PARTS = 32  # of a leg that is straight in degrees
@@ -89,7 +92,9 @@ class Outlines:
                 pieces = shapely.intersection(legs, walls)
                 places = shapely.points(shapely.get_coordinates(shapely.segmentize(pieces, STEP_M)))
                 inside_m += float(shapely.length(pieces).sum())
-                depth_m = max(depth_m, shapely.distance(places, shapely.boundary(walls)).max(initial=0.0))
+                depth_m = max(
+                    depth_m, shapely.distance(places, shapely.boundary(walls)).max(initial=0.0)
+                )
         return inside_m, depth_m
 
     def nearest_m(self, xyz_m: np.ndarray) -> float:
@@ -122,8 +127,14 @@ def read_kml(file: Path) -> np.ndarray:
 
 def read_plan(file: Path) -> np.ndarray:
     """Return ``[N, 3]`` longitude, latitude and altitude over home: above ground, as these maps are flat."""
-    items = [item for item in json.loads(file.read_text())["mission"]["items"] if item["type"] == "SimpleItem"]
-    places = [item["params"][4:7] for item in items if item["command"] in (NAV_WAYPOINT, NAV_TAKEOFF)]
+    items = [
+        item
+        for item in json.loads(file.read_text())["mission"]["items"]
+        if item["type"] == "SimpleItem"
+    ]
+    places = [
+        item["params"][4:7] for item in items if item["command"] in (NAV_WAYPOINT, NAV_TAKEOFF)
+    ]
     return np.array(places)[:, [1, 0, 2]]
 
 
@@ -149,7 +160,10 @@ def closed_cells(on: CostMap) -> Closed:
     """Return the closed cells of each level, as Shapely sees them."""
     is_free = [on.is_free] if on.levels is None else on.is_free
     frame = (on.grid.resolution_m, on.grid.x_min_m, on.grid.y_min_m)
-    return {float(z_m): Obstacles(free, *frame) for z_m, free in zip(on.altitudes_m, is_free, strict=True)}
+    return {
+        float(z_m): Obstacles(free, *frame)
+        for z_m, free in zip(on.altitudes_m, is_free, strict=True)
+    }
 
 
 @dataclass(frozen=True)
@@ -168,16 +182,31 @@ class Judge:
             path.save(self.folder / f"route{suffix}")
             lonlatz = read(self.folder / f"route{suffix}")
             xyz_m = np.column_stack([*self.to_metres(*lonlatz[:, :2].T), lonlatz[:, 2]])
-            found |= {suffix: self.outlines.nearest_m(xyz_m), f"over {suffix}": self.outlines.over_roofs_m(xyz_m)}
-        at = np.linspace(0, len(lonlatz) - 1, PARTS * (len(lonlatz) - 1) + 1)  # of the .plan, whose legs are longest
+            found |= {
+                suffix: self.outlines.nearest_m(xyz_m),
+                f"over {suffix}": self.outlines.over_roofs_m(xyz_m),
+            }
+        at = np.linspace(
+            0, len(lonlatz) - 1, PARTS * (len(lonlatz) - 1) + 1
+        )  # of the .plan, whose legs are longest
         lon, lat, z_m = (np.interp(at, np.arange(len(lonlatz)), values) for values in lonlatz.T)
         bowed_m = np.column_stack([*self.to_metres(lon, lat), z_m])
-        return found | {"in degrees": self.outlines.nearest_m(bowed_m), "shortest planned": legs_m(xyz_m).min()}
+        return found | {
+            "in degrees": self.outlines.nearest_m(bowed_m),
+            "shortest planned": legs_m(xyz_m).min(),
+        }
 
-    def mission(self, on: CostMap, closed: Closed, planned: ju.PlannedPath, end: str) -> dict[str, float]:
+    def mission(
+        self, on: CostMap, closed: Closed, planned: ju.PlannedPath, end: str
+    ) -> dict[str, float]:
         """Return what the simplified route's mission is like, by its file."""
         simple, file = simplify(planned, on, on.grid.resolution_m / 2), self.folder / "mission.plan"
-        write_path(simple, file, explain(simple, on.maps, speed_m_s=SPEED_M_S) if end != "none" else None, end=end)
+        write_path(
+            simple,
+            file,
+            explain(simple, on.maps, speed_m_s=SPEED_M_S) if end != "none" else None,
+            end=end,
+        )
         lonlatz = read_plan(file)
         xyz_m = np.column_stack([*self.to_metres(*lonlatz[:, :2].T), lonlatz[:, 2]])
         lines = (shapely.LineString(planned.xy_m), shapely.LineString(xyz_m[:, :2]))
@@ -192,13 +221,20 @@ class Judge:
             "read equal": np.nan if self.reader is None else not self.reader.differences(file),
         }
 
-    def row(self, on: CostMap, closed: Closed, planned: ju.PlannedPath, end: str) -> dict[str, float]:
+    def row(
+        self, on: CostMap, closed: Closed, planned: ju.PlannedPath, end: str
+    ) -> dict[str, float]:
         """Return all that is measured of a route."""
         if not planned.status.has_path:
             return {"length_m": np.inf, "cost": np.inf}
         xyz_m = np.column_stack([planned.xy_m, planned.z_m])
         inside_m, depth_m = self.outlines.cut(xyz_m)
-        found = {"length_m": planned.length_m, "cost": planned.cost, "inside": inside_m, "depth": depth_m}
+        found = {
+            "length_m": planned.length_m,
+            "cost": planned.cost,
+            "inside": inside_m,
+            "depth": depth_m,
+        }
         return found | self.written(planned) | self.mission(on, closed, planned, end)
 
 
@@ -222,24 +258,36 @@ def fly(city: str, rules: list[str], num_pairs: int, resolution_m: float) -> pd.
     for rule, is_flat in product(rules, (True, False)):
         obstacles, kept = RULES[rule]
         constraints, at = ju.Constraints(zones, **kept), ALTITUDE_M if is_flat else ju.Levels()
-        on[rule, is_flat] = ju.cost_map(maps.with_obstacles(obstacles), at, cost_model="line", constraints=constraints)
+        on[rule, is_flat] = ju.cost_map(
+            maps.with_obstacles(obstacles), at, cost_model="line", constraints=constraints
+        )
     closed = {key: closed_cells(each) for key, each in on.items()}
     islands, _ = label(np.logical_and.reduce([on[rule, True].is_free for rule in rules]))
     cells = np.argwhere(islands == np.argmax(np.bincount(islands[islands > 0])))
     pairs = cells[rng.integers(len(cells), size=(20 * num_pairs, 2))]
-    pairs = pairs[np.hypot(*(pairs[:, 1] - pairs[:, 0]).T) * resolution_m >= LEAST_APART_M][:num_pairs]
+    pairs = pairs[np.hypot(*(pairs[:, 1] - pairs[:, 0]).T) * resolution_m >= LEAST_APART_M][
+        :num_pairs
+    ]
     to_metres = pyproj.Transformer.from_crs("EPSG:4326", maps.grid.crs, always_xy=True).transform
     rows, ends = [], cycle(ENDS)
     with tempfile.TemporaryDirectory() as folder, mission_reader() as reader:
         judge = Judge(Outlines(scene.city.buildings), to_metres, reader, Path(folder))
-        for number, pair in enumerate(tqdm(pairs, desc=scene.name, mininterval=20, file=sys.stderr)):
+        for number, pair in enumerate(
+            tqdm(pairs, desc=scene.name, mininterval=20, file=sys.stderr)
+        ):
             for rule, (name, refine) in product(rules, KINDS):
                 z_m, key = ((ALTITUDE_M,) if name == VOLUME else ()), (rule, name != VOLUME)
                 places = (XY(*map(float, maps.grid.xy_of_cell(*cell)), *z_m) for cell in pair)
                 how = {"planner": name, "refine": refine, "budget_s": BUDGET_S, "seed": number}
                 planned = on[key].plan(*places, **({} if name == VOLUME else how))
-                found = {"city": scene.name, "rule": rule, "planner": f"{name}, refined" if refine else name}
-                rows.append(found | {"pair": number} | judge.row(on[key], closed[key], planned, next(ends)))
+                found = {
+                    "city": scene.name,
+                    "rule": rule,
+                    "planner": f"{name}, refined" if refine else name,
+                }
+                rows.append(
+                    found | {"pair": number} | judge.row(on[key], closed[key], planned, next(ends))
+                )
     return pd.DataFrame(rows)
 
 
@@ -267,9 +315,13 @@ def tables(rows: pd.DataFrame) -> str:
             "cost": f"{group.dearer.mean():+.2%} ({group.dearer.max():+.2%})",
             "in closed cells": f"{group.crossed.max():.3f} m",
             "from outlines": f"{group['from outlines'].min():.3f} m",
-            "read back equal": f"{group['read equal'].sum():.0f}" if group["read equal"].notna().all() else "not tried",
+            "read back equal": f"{group['read equal'].sum():.0f}"
+            if group["read equal"].notna().all()
+            else "not tried",
         }
-    return "\n\n".join(markdown(keys, each) for each in (inside, prices(flown), clearance, missions))
+    return "\n\n".join(
+        markdown(keys, each) for each in (inside, prices(flown), clearance, missions)
+    )
 
 
 def prices(flown: pd.DataFrame) -> dict[tuple[str, ...], dict[str, str]]:
@@ -277,7 +329,9 @@ def prices(flown: pd.DataFrame) -> dict[tuple[str, ...], dict[str, str]]:
     found = {}
     first = flown[(flown.rule == flown.rule.iloc[0]) & (flown.length_m > 0)]
     both = flown.merge(first, on=["city", "planner", "pair"], suffixes=("", "_first"))
-    for key, group in both[both.rule != both.rule_first].groupby(["city", "rule", "planner"], sort=False):
+    for key, group in both[both.rule != both.rule_first].groupby(
+        ["city", "rule", "planner"], sort=False
+    ):
         found[key] = {}
         for name, column in (("longer by", "length_m"), ("costlier by", "cost")):
             more = group[column] / group[f"{column}_first"] - 1
@@ -297,7 +351,10 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=30, help="of each city")
     parser.add_argument("--resolution", type=float, default=5.0, help="metres")
     parser.add_argument(
-        "--cities", nargs="+", choices=PLACES, default=[name for name in PLACES if PLACES[name].is_here]
+        "--cities",
+        nargs="+",
+        choices=PLACES,
+        default=[name for name in PLACES if PLACES[name].is_here],
     )
     parser.add_argument("--rules", nargs="+", choices=RULES, default=list(RULES))
     parser.add_argument("--csv", type=Path, help="of every route")

@@ -24,19 +24,29 @@ from jaxurban.studies.receiver.agreement import SatelliteAgreement
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE
 from jaxurban.studies.receiver.validate import SPEARMAN, WITHIN, ReceiverValidation
 
-PAGE, TEMPLATE = ROOT / "docs" / "evidence" / "receiver.md", Path(__file__).with_name("receiver_page.md")
+PAGE, TEMPLATE = (
+    ROOT / "docs" / "evidence" / "receiver.md",
+    Path(__file__).with_name("receiver_page.md"),
+)
 DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT / ".." / "shared" / "data")).resolve() / "tokyo"
 SAMPLE, LOG = "sample:nihonbashi", "sample:nihonbashi/log.csv.gz"
 EAST_ROOFS = str(DATA / "tokyo-east-lod2.parquet")
 SHINJUKU = {
     "region": {"bounds": [139.684, 35.680, 139.697, 35.698], "resolution_m": 2.0},
     "buildings": {"source": str(DATA / "tokyo-central-lod2.parquet")},
-    "gps": {"orbits": [str(DATA / f"{name}_2018-12-19.tle") for name in ("gps", "galileo")], "mask_deg": 10.0},
+    "gps": {
+        "orbits": [str(DATA / f"{name}_2018-12-19.tle") for name in ("gps", "galileo")],
+        "mask_deg": 10.0,
+    },
 }
 EAST = {
     "region": {"bounds": [139.757, 35.650, 139.800, 35.690], "resolution_m": 2.0},
     "buildings": {"source": EAST_ROOFS},
-    "gps": {"orbits": [str(DATA.parent / "gps" / "gps-ops_2024-03-31_omm.csv")], "mask_deg": 10.0, "max_age_days": 150},
+    "gps": {
+        "orbits": [str(DATA.parent / "gps" / "gps-ops_2024-03-31_omm.csv")],
+        "mask_deg": 10.0,
+        "max_age_days": 150,
+    },
 }
 TRACKS: dict[str, tuple[dict[str, Any], Path]] = {  # the scenario and the log of each
     "Shinjuku": (SHINJUKU, DATA / "urbannav_shinjuku_1hz.csv"),
@@ -50,7 +60,9 @@ def counted(track: str) -> ReceiverValidation:
     """Return the validation on the log of a track of counts."""
     settings, log = TRACKS[track]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", StaleElementsWarning)  # the page states how old the elements are
+        warnings.simplefilter(
+            "ignore", StaleElementsWarning
+        )  # the page states how old the elements are
         return ju.studies.validate(ju.Scenario.from_dict(settings), log, progress=False)
 
 
@@ -89,7 +101,10 @@ def beside(
     """Return a table with columns for each sky, and a row for each name that ``cells_of`` gives cells of."""
     heads = [f"{column}, {sky}" for sky in skies for column in columns]
     cells = [cells_of(of) for of in skies.values()]
-    return table(["", *heads], [[name, *(text for each in cells for text in each[name])] for name in cells[0]])
+    return table(
+        ["", *heads],
+        [[name, *(text for each in cells for text in each[name])] for name in cells[0]],
+    )
 
 
 def scores_of(of: SatelliteAgreement) -> dict[str, list[str]]:
@@ -114,13 +129,19 @@ def peak_of(of: SatelliteAgreement) -> str:
 
 def rivals_of(of: SatelliteAgreement) -> dict[str, list[str]]:
     """Return the log-loss of each rule, and what it gains on the rule of the street."""
-    return {row["model"]: [f"{row['log_loss']:.3f}", score_text(row, "gain")] for row in of.rivals.to_dict("records")}
+    return {
+        row["model"]: [f"{row['log_loss']:.3f}", score_text(row, "gain")]
+        for row in of.rivals.to_dict("records")
+    }
 
 
 def gains_of(of: SatelliteAgreement) -> dict[str, list[str]]:
     """Return what margin and elevation gain on the rule of the street, by the length of blocks."""
     rows = of.block_lengths.to_dict("records")
-    return {f"{row['num_blocks']} blocks of {row['block_m']:g} m": [score_text(row, "gain")] for row in rows}
+    return {
+        f"{row['num_blocks']} blocks of {row['block_m']:g} m": [score_text(row, "gain")]
+        for row in rows
+    }
 
 
 def tracks_table(tracks: Mapping[str, ReceiverValidation]) -> str:
@@ -129,7 +150,9 @@ def tracks_table(tracks: Mapping[str, ReceiverValidation]) -> str:
     for name, validation in tracks.items():
         row = _row(validation, TRACKED, NUM_VISIBLE)
         length = f"{validation.summary['length_m'] / 1000:.1f} km"
-        rows.append((name, length, row["num"], with_interval(row, WITHIN), with_interval(row, SPEARMAN)))
+        rows.append(
+            (name, length, row["num"], with_interval(row, WITHIN), with_interval(row, SPEARMAN))
+        )
     return table(("track", "length", "pieces", "within blocks", "whole track"), rows)
 
 

@@ -70,7 +70,9 @@ class Scene:
     place: Place = MANHATTAN
 
     def region(self, resolution_m: float) -> Grid:
-        return Grid.from_bounds(self.place.bounds, resolution_m, self.place.crs, nest_with_m=(2, 5, 10))
+        return Grid.from_bounds(
+            self.place.bounds, resolution_m, self.place.crs, nest_with_m=(2, 5, 10)
+        )
 
     def sky(self, resolution_m: float = 5.0) -> Sky:
         return view_sky(
@@ -95,7 +97,11 @@ def load_place(place: Place) -> Scene:
     if place.buildings is None:
         city = demo_city_for_bounds(place.bounds, place.crs)
     else:
-        extent_m = Grid.from_bounds(place.bounds, 10.0, place.crs).padded(*(int(REACH_M / 10),) * 4).bounds_m
+        extent_m = (
+            Grid.from_bounds(place.bounds, 10.0, place.crs)
+            .padded(*(int(REACH_M / 10),) * 4)
+            .bounds_m
+        )
         source = read_buildings(Buildings(place.buildings), place.crs, bounds_m=extent_m)
         city = City(place.crs, extent_m, buildings=source.buildings)
     scene = Scene(place.name, city, np.empty(0), np.empty(0), place)

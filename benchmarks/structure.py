@@ -18,9 +18,21 @@ from benchmarks.common import ROOT, table
 
 SOURCES = ("jaxurban", "kernels", "planners")
 OTHERS = ("tests", "benchmarks", "figures", "notebooks")
-TEXTS = (".pyi", ".js", ".css", ".md")  # of the sources: stubs, the viewer's page, templates of reports
+TEXTS = (
+    ".pyi",
+    ".js",
+    ".css",
+    ".md",
+)  # of the sources: stubs, the viewer's page, templates of reports
 MOST_LINES, MOST_ARGUMENTS, NUM_LONGEST = 60, 8, 5
-NO_CODE = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
+NO_CODE = (
+    tokenize.COMMENT,
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.ENDMARKER,
+)
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 Table = dict[str, str]  # of one checkout: what is counted, and how many
 
@@ -37,11 +49,20 @@ def code_lines_and_tokens(text: str) -> tuple[set[int], int]:
     """Return the numbers of the lines that hold code, and how many tokens: no blank, no comment, no docstring."""
     docstrings: set[int] = set()
     for node in ast.walk(ast.parse(text)):
-        if isinstance(node, (ast.Module, ast.ClassDef, Function)) and ast.get_docstring(node, clean=False) is not None:
+        if (
+            isinstance(node, (ast.Module, ast.ClassDef, Function))
+            and ast.get_docstring(node, clean=False) is not None
+        ):
             docstrings.update(range(node.body[0].lineno, node.body[0].end_lineno + 1))
-    tokens = [token for token in tokenize.generate_tokens(io.StringIO(text).readline) if token.type not in NO_CODE]
+    tokens = [
+        token
+        for token in tokenize.generate_tokens(io.StringIO(text).readline)
+        if token.type not in NO_CODE
+    ]
     tokens = [token for token in tokens if token.start[0] not in docstrings]
-    return {line for token in tokens for line in range(token.start[0], token.end[0] + 1)}, len(tokens)
+    return {line for token in tokens for line in range(token.start[0], token.end[0] + 1)}, len(
+        tokens
+    )
 
 
 def num_arguments(function: Function) -> int:
@@ -72,15 +93,22 @@ def measure(checkout: Path, details: list[str]) -> Table:
                 if num > MOST_LINES:
                     long.append(f"{path}:{node.lineno} {node.name} has {num} code lines")
                 if num_arguments(node) > MOST_ARGUMENTS:
-                    wide.append(f"{path}:{node.lineno} {node.name} takes {num_arguments(node)} arguments")
+                    wide.append(
+                        f"{path}:{node.lineno} {node.name} takes {num_arguments(node)} arguments"
+                    )
     longest = sorted(lengths, key=lambda path: -lengths[path])[:NUM_LONGEST]
     details += [*sorted(long), *sorted(wide)]
     others = {}
     for top in OTHERS:
         texts = (file.read_text(encoding="utf-8") for file in files_of(checkout, (top,), ".py"))
-        others[f"code lines of {top}"] = f"{sum(len(code_lines_and_tokens(text)[0]) for text in texts):,}"
+        others[f"code lines of {top}"] = (
+            f"{sum(len(code_lines_and_tokens(text)[0]) for text in texts):,}"
+        )
     for suffix in TEXTS:
-        num = sum(len(file.read_text(encoding="utf-8").splitlines()) for file in files_of(checkout, SOURCES, suffix))
+        num = sum(
+            len(file.read_text(encoding="utf-8").splitlines())
+            for file in files_of(checkout, SOURCES, suffix)
+        )
         others[f"lines of {suffix} in the sources"] = f"{num:,}"
     return {
         "code lines": f"{sum(lines.values()):,}",
@@ -89,21 +117,35 @@ def measure(checkout: Path, details: list[str]) -> Table:
         "files": f"{len(lengths)}",
         f"functions over {MOST_LINES} code lines": f"{len(long)}",
         f"functions with more than {MOST_ARGUMENTS} arguments": f"{len(wide)}",
-        **{f"longest file, {rank}": f"{path} {lengths[path]}" for rank, path in enumerate(longest, start=1)},
+        **{
+            f"longest file, {rank}": f"{path} {lengths[path]}"
+            for rank, path in enumerate(longest, start=1)
+        },
         **others,
     }
 
 
 def label_of(checkout: Path) -> str:
     """Return a checkout's commit, and its folder's name."""
-    told = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=checkout, capture_output=True, text=True)
-    return f"{checkout.resolve().parent.name}/{checkout.resolve().name} {told.stdout.strip()}".strip()
+    told = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], cwd=checkout, capture_output=True, text=True
+    )
+    return (
+        f"{checkout.resolve().parent.name}/{checkout.resolve().name} {told.stdout.strip()}".strip()
+    )
 
 
 def main() -> None:
     """Print what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("checkouts", nargs="*", type=Path, default=[ROOT], metavar="CHECKOUT", help="default: this one")
+    parser.add_argument(
+        "checkouts",
+        nargs="*",
+        type=Path,
+        default=[ROOT],
+        metavar="CHECKOUT",
+        help="default: this one",
+    )
     parser.add_argument("-v", "--verbose", action="store_true", help="also list the functions")
     asked = parser.parse_args()
     columns: dict[str, Table] = {}
@@ -113,7 +155,12 @@ def main() -> None:
         if asked.verbose:
             print("\n".join([label_of(checkout), *details, ""]))
     names = dict.fromkeys(name for each in columns.values() for name in each)
-    print(table(["", *columns], [[name, *(each.get(name, "") for each in columns.values())] for name in names]))
+    print(
+        table(
+            ["", *columns],
+            [[name, *(each.get(name, "") for each in columns.values())] for name in names],
+        )
+    )
 
 
 if __name__ == "__main__":

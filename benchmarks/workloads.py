@@ -32,7 +32,9 @@ from scipy.ndimage import label
 import jaxurban as ju
 from jaxurban.world.city import Raster
 
-DATA = Path(os.environ.get("JAXURBAN_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")).resolve()
+DATA = Path(
+    os.environ.get("JAXURBAN_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
+).resolve()
 ALTITUDE_M = 20.0
 LARGE, MIDDLE, SMALL = "large", "middle", "small"  # folders of maps, made once
 CITIES = {  # width and height in metres, metres a cell
@@ -95,7 +97,10 @@ def digest(array: Any) -> str:
 
 def of_dataset(name: str, dataset: xr.Dataset) -> Facts:
     """Return a digest of every variable and coordinate."""
-    return {f"{name} {variable}": digest(dataset[variable].values) for variable in sorted(map(str, dataset.variables))}
+    return {
+        f"{name} {variable}": digest(dataset[variable].values)
+        for variable in sorted(map(str, dataset.variables))
+    }
 
 
 def of_paths(name: str, paths: list[Any]) -> Facts:
@@ -115,7 +120,10 @@ def of_files(folder: Path) -> Facts:
         name = str(file.relative_to(folder))
         if file.suffix == ".tif":
             with rasterio.open(file) as raster:
-                levels = [{}, *({"overview_level": level} for level in range(len(raster.overviews(1))))]
+                levels = [
+                    {},
+                    *({"overview_level": level} for level in range(len(raster.overviews(1)))),
+                ]
             for level in levels:
                 with rasterio.open(file, **level) as raster:
                     facts[f"{name} {level}"] = digest(raster.read(1))
@@ -125,7 +133,11 @@ def of_files(folder: Path) -> Facts:
             table = pd.read_csv(file, dtype=str) if file.suffix == ".csv" else pd.read_parquet(file)
             kept = table[[column for column in table if not OF_THE_CLOCK.search(column)]].map(str)
             rows = sorted(kept.itertuples(index=False, name=None))
-            facts |= {f"{name} row {k} {c}": v for k, row in enumerate(rows) for c, v in zip(kept, row, strict=True)}
+            facts |= {
+                f"{name} row {k} {c}": v
+                for k, row in enumerate(rows)
+                for c, v in zip(kept, row, strict=True)
+            }
     return facts
 
 
@@ -147,14 +159,20 @@ def used_by(command: list[str], environment: dict[str, str] | None = None) -> tu
     """
     began_s = time.perf_counter()
     with tempfile.TemporaryFile("w+") as printed:
-        process = subprocess.Popen(command, env=environment, stdout=printed, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(
+            command, env=environment, stdout=printed, stderr=subprocess.STDOUT
+        )
         _, status, used = os.wait4(process.pid, 0)
         wall_s = time.perf_counter() - began_s
         printed.seek(0)
         text = printed.read()
     if status:
         raise SystemExit(f"{command} failed: {text[-2000:]}")
-    took = {"CPU": used.ru_utime + used.ru_stime, "wall": wall_s, "memory, MiB": used.ru_maxrss / 1024}
+    took = {
+        "CPU": used.ru_utime + used.ru_stime,
+        "wall": wall_s,
+        "memory, MiB": used.ru_maxrss / 1024,
+    }
     return took, text
 
 
@@ -168,7 +186,9 @@ def opened(folder: Path, name: str) -> ju.MetricMaps:
     """Return maps of the synthetic city, made and saved where they are not yet there."""
     (width_m, height_m), resolution_m = CITIES[name]
     if not (folder / name).exists():
-        maps = ju.build_maps(ju.demo_city(width_m, height_m), resolution_m=resolution_m, altitudes_m=(ALTITUDE_M,))
+        maps = ju.build_maps(
+            ju.demo_city(width_m, height_m), resolution_m=resolution_m, altitudes_m=(ALTITUDE_M,)
+        )
         maps.save(folder / f"{name}-unfinished")
         (folder / f"{name}-unfinished").rename(folder / name)
     return ju.open_maps(folder / name)
@@ -187,10 +207,15 @@ def queries(maps: ju.MetricMaps, num: int, seed: int) -> pd.DataFrame:
 def ends_of(maps: ju.MetricMaps, seed: int) -> Iterator[dict[str, Any]]:
     """Yield the ends of twelve random queries as `plan` takes them."""
     for row in queries(maps, 12, seed).itertuples():
-        yield {"start_xy_m": (row.start_x_m, row.start_y_m), "goal_xy_m": (row.goal_x_m, row.goal_y_m)}
+        yield {
+            "start_xy_m": (row.start_x_m, row.start_y_m),
+            "goal_xy_m": (row.goal_x_m, row.goal_y_m),
+        }
 
 
-def build(name: str, width_m: float, height_m: float, how: dict[str, Any], folder: Path) -> tuple[Took, Facts]:
+def build(
+    name: str, width_m: float, height_m: float, how: dict[str, Any], folder: Path
+) -> tuple[Took, Facts]:
     """The maps of a synthetic city, made in memory at 10 m; the city is made before."""
     city, how = ju.demo_city(width_m, height_m), {"altitudes_m": (ALTITUDE_M,)} | how
     return timed(name, lambda: of_dataset(name, ju.build_maps(city, resolution_m=10.0, **how).ds))
@@ -214,12 +239,20 @@ def gradient(folder: Path) -> tuple[Took, Facts]:
     """The gradient of a route's cost by every building, through soft maps; the route and the soft city made before."""
     city = ju.demo_city(3_000, 3_000)
     maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(ALTITUDE_M,))
-    planned = ju.plan(maps, **next(ends_of(maps, 4)), altitude_m=ALTITUDE_M, planner="astar-plus", budget_s=BUDGET_S)
+    planned = ju.plan(
+        maps,
+        **next(ends_of(maps, 4)),
+        altitude_m=ALTITUDE_M,
+        planner="astar-plus",
+        budget_s=BUDGET_S,
+    )
     params = ju.grad.SoftParams(ALTITUDE_M, 2.0)
     soft = ju.grad.soft_city(city, maps.grid, params)
 
     def work() -> Facts:
-        return {"gradient": f"{ju.studies.building_costs(city, soft, planned, params)['per_metre'].abs().sum():.6g}"}
+        return {
+            "gradient": f"{ju.studies.building_costs(city, soft, planned, params)['per_metre'].abs().sum():.6g}"
+        }
 
     return timed("gradient", work)
 
@@ -234,10 +267,14 @@ def astar(folder: Path) -> tuple[Took, Facts]:
         began_s = time.process_time()
         paths.append(ju.plan(maps, **ends, **how))
         seconds.append(time.process_time() - began_s)
-    return {"astar, first": seconds[0], "astar, later": statistics.median(seconds[1:])}, of_paths("astar", paths)
+    return {"astar, first": seconds[0], "astar, later": statistics.median(seconds[1:])}, of_paths(
+        "astar", paths
+    )
 
 
-def many(name: str, maps_name: str, num: int, how: dict[str, Any], folder: Path) -> tuple[Took, Facts]:
+def many(
+    name: str, maps_name: str, num: int, how: dict[str, Any], folder: Path
+) -> tuple[Took, Facts]:
     """A batch of random queries."""
     maps = opened(folder, maps_name)
     asked, how = queries(maps, num, 3), {"altitude_m": ALTITUDE_M, "budget_s": BUDGET_S} | how
@@ -249,7 +286,9 @@ def volume(folder: Path) -> tuple[Took, Facts]:
     maps = ju.build_maps(ju.demo_city(1_000, 1_000), resolution_m=10.0, altitudes_m=(20.0, 60.0))
     how = {"altitude_m": ju.Levels(level_step_m=20.0), "budget_s": BUDGET_S, "cost_model": "line"}
     ends = list(ends_of(maps, 5))
-    return timed("volume", lambda: of_paths("volume", [ju.plan(maps, **each, **how) for each in ends]))
+    return timed(
+        "volume", lambda: of_paths("volume", [ju.plan(maps, **each, **how) for each in ends])
+    )
 
 
 def fit(folder: Path) -> tuple[Took, Facts]:
@@ -260,7 +299,9 @@ def fit(folder: Path) -> tuple[Took, Facts]:
     routes = ju.fit.read_demonstrations(file, maps)
 
     def work() -> Facts:  # the numbers alone, whatever holds them
-        found = repr(ju.fit.fit_weights(routes, bootstrap=50, settings=ju.fit.FitSettings(seed=0)).weights)
+        found = repr(
+            ju.fit.fit_weights(routes, bootstrap=50, settings=ju.fit.FitSettings(seed=0)).weights
+        )
         return {f"fit {k}": number for k, number in enumerate(re.findall(r"\d[\d.e-]*", found))}
 
     return timed("fit", work)
@@ -275,18 +316,36 @@ def files(name: str, folder: Path) -> tuple[Took, Facts]:
         scenario.write_text(SCENARIOS[name])
         took = jaxurban(name, "maps", scenario, "-o", out)
         stages = json.loads((out / "run.json").read_text())["elapsed_s"]
-        return took | {f"{name}, {stage}, wall": float(s) for stage, s in stages.items()}, of_files(out)
+        return took | {f"{name}, {stage}, wall": float(s) for stage, s in stages.items()}, of_files(
+            out
+        )
 
 
 def studies(folder: Path) -> tuple[Took, Facts]:
     """The commands ``study`` (BIT* by a number of samples) and ``sensitivity``, and the tables that they write."""
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
-        scenario, out, table = Path(scratch, "scenario.toml"), Path(scratch, "out"), Path(scratch, "queries.csv")
+        scenario, out, table = (
+            Path(scratch, "scenario.toml"),
+            Path(scratch, "out"),
+            Path(scratch, "queries.csv"),
+        )
         scenario.write_text(SCENARIOS["small"])
-        took = jaxurban("study", "study", scenario, "-o", out, "--set", "study.budget_iterations=300", "--workers", 1)
+        took = jaxurban(
+            "study",
+            "study",
+            scenario,
+            "-o",
+            out,
+            "--set",
+            "study.budget_iterations=300",
+            "--workers",
+            1,
+        )
         queries(ju.open_maps(out), 3, 6).assign(altitude_m=ALTITUDE_M).to_csv(table, index=False)
         asked = ("--queries", table, "--samples", 16, "--workers", 1)
-        took |= jaxurban("sensitivity", "sensitivity", out, *asked, "-o", Path(scratch, "sensitivity"))
+        took |= jaxurban(
+            "sensitivity", "sensitivity", out, *asked, "-o", Path(scratch, "sensitivity")
+        )
         return took, of_files(Path(scratch))
 
 
@@ -296,18 +355,29 @@ def memory(folder: Path) -> tuple[Took, Facts]:
     x_m, y_m = (maps.ds[name].values.astype(float) for name in ("x", "y"))
     free = ju.Constraints().is_free(maps, ALTITUDE_M)
     # Along the middle, without `label`, which takes memory of its own.
-    cells = [(int(row), int(np.flatnonzero(free[row])[0])) for row in (free.shape[0] // 4, 3 * free.shape[0] // 4)]
+    cells = [
+        (int(row), int(np.flatnonzero(free[row])[0]))
+        for row in (free.shape[0] // 4, 3 * free.shape[0] // 4)
+    ]
     start, goal = ((x_m[col], y_m[row]) for row, col in cells)
-    path = ju.plan(maps, start_xy_m=start, goal_xy_m=goal, altitude_m=ALTITUDE_M, budget_s=BUDGET_S, snap=True)
+    path = ju.plan(
+        maps, start_xy_m=start, goal_xy_m=goal, altitude_m=ALTITUDE_M, budget_s=BUDGET_S, snap=True
+    )
     used_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return {"memory, MiB": used_mib}, of_paths("memory", [path])
 
 
 def first(folder: Path) -> tuple[Took, Facts]:
     """All of a process that makes maps of 30 x 30 cells and plans as its first act: caches empty, then filled."""
-    own = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "NUMBA_"))}
+    own = {
+        name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "NUMBA_"))
+    }
     with tempfile.TemporaryDirectory(dir=folder) as caches:
-        own |= {"JAX_PLATFORMS": "cpu", "XDG_CACHE_HOME": caches, "NUMBA_CACHE_DIR": f"{caches}/numba"}
+        own |= {
+            "JAX_PLATFORMS": "cpu",
+            "XDG_CACHE_HOME": caches,
+            "NUMBA_CACHE_DIR": f"{caches}/numba",
+        }
         runs = [used_by([sys.executable, "-P", "-c", FIRST], own) for _ in range(1 + NUM_RUNS)]
     filled_s = statistics.median(took["CPU"] for took, _ in runs[1:])
     printed = {f"first {k}": text.strip().splitlines()[-1] for k, (_, text) in enumerate(runs)}
@@ -319,7 +389,11 @@ SPREAD = {"gps": ju.Gps(bounds=True), "heights": ju.Heights(height_samples=2)}
 WORKLOADS: dict[str, Callable[[Path], tuple[Took, Facts]]] = {
     "build_maps": partial(build, "build_maps", 5_000, 10_000, {"altitudes_m": (20.0, 60.0)}),
     "series": partial(
-        build, "series", 5_000, 5_000, {"gps": ju.Gps(times=TIMES), "altitudes_m": (20.0, 40.0, 60.0, 122.0)}
+        build,
+        "series",
+        5_000,
+        5_000,
+        {"gps": ju.Gps(times=TIMES), "altitudes_m": (20.0, 40.0, 60.0, 122.0)},
     ),
     "supersampled": partial(build, "supersampled", 2_500, 5_000, {"oversample": 2}),
     "spread": partial(build, "spread", 1_000, 1_000, {"oversample": 3, **SPREAD}),
@@ -328,8 +402,12 @@ WORKLOADS: dict[str, Callable[[Path], tuple[Took, Facts]]] = {
     "astar": astar,
     "plan_many": partial(many, "plan_many", MIDDLE, 200, {}),
     "landmarks": partial(many, "landmarks", MIDDLE, 200, {"heuristic": "landmarks"}),
-    "astar-line": partial(many, "astar-line", SMALL, 30, {"planner": "astar-dist", "cost_model": "line"}),
-    "theta-star": partial(many, "theta-star", SMALL, 30, {"planner": "theta-star", "cost_model": "line"}),
+    "astar-line": partial(
+        many, "astar-line", SMALL, 30, {"planner": "astar-dist", "cost_model": "line"}
+    ),
+    "theta-star": partial(
+        many, "theta-star", SMALL, 30, {"planner": "theta-star", "cost_model": "line"}
+    ),
     "volume": volume,
     "fit": fit,
     "studies": studies,
@@ -344,7 +422,9 @@ def main() -> None:
     """Run the workload that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkout", type=Path)
-    parser.add_argument("folder", type=Path, help="of the maps that workloads read, made where they are not there")
+    parser.add_argument(
+        "folder", type=Path, help="of the maps that workloads read, made where they are not there"
+    )
     parser.add_argument("name", choices=WORKLOADS)
     asked = parser.parse_args()
     if not Path(ju.__file__).is_relative_to(asked.checkout):

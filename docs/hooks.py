@@ -16,7 +16,9 @@ import jaxurban
 from jaxurban.cli.main import app
 
 ROOT = Path(__file__).parents[1]
-TABLE_LINK = re.compile(r"^\[[^\]]+\]\((?:\.\./)+(figures/\S+\.md)\)$", re.MULTILINE)  # alone on its line
+TABLE_LINK = re.compile(
+    r"^\[[^\]]+\]\((?:\.\./)+(figures/\S+\.md)\)$", re.MULTILINE
+)  # alone on its line
 FIGURE_LINK = re.compile(r"\]\(((?:\.\./)*)\.\./figures/")  # as files of the repository see it
 RAN = ROOT / "out" / "notebooks"
 WIDGET = "application/vnd.jupyter.widget-view+json"
@@ -39,10 +41,16 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for source in sorted((ROOT / "notebooks").glob("[0-9]*.py")):
         ran = RAN / f"{source.stem}.ipynb"
         if not ran.exists():
-            raise FileNotFoundError(f"{ran.relative_to(ROOT)} is not there: make notebooks runs the notebooks")
+            raise FileNotFoundError(
+                f"{ran.relative_to(ROOT)} is not there: make notebooks runs the notebooks"
+            )
         resources = {"output_files_dir": f"{source.stem}_files"}
-        page, made = MarkdownExporter().from_notebook_node(_without_widgets(nbformat.read(ran, 4)), resources)
-        files.append(File.generated(config, f"notebooks/{source.stem}.md", content=_told(page, source)))
+        page, made = MarkdownExporter().from_notebook_node(
+            _without_widgets(nbformat.read(ran, 4)), resources
+        )
+        files.append(
+            File.generated(config, f"notebooks/{source.stem}.md", content=_told(page, source))
+        )
         for name, picture in made["outputs"].items():
             files.append(File.generated(config, f"notebooks/{name}", content=picture))
     return files
@@ -79,7 +87,9 @@ def mathml(source: str, *_: Any, **__: Any) -> str:
 
 def _listing(found: re.Match[str]) -> str:
     if found[1] == "commands":
-        return "\n\n".join(f"## jaxurban {name}\n\n```text\n{_help(name)}\n```" for name in sorted(app.commands))
+        return "\n\n".join(
+            f"## jaxurban {name}\n\n```text\n{_help(name)}\n```" for name in sorted(app.commands)
+        )
     return "\n\n".join(f"::: jaxurban.{name}" for name in dir(jaxurban))
 
 

@@ -11,7 +11,10 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
-MEASURED = re.compile(r"commit ([0-9a-f]{7,40})\b(?:(?!commit [0-9a-f]{7}).)*?<!-- measured code: (.+?) -->", re.DOTALL)
+MEASURED = re.compile(
+    r"commit ([0-9a-f]{7,40})\b(?:(?!commit [0-9a-f]{7}).)*?<!-- measured code: (.+?) -->",
+    re.DOTALL,
+)
 
 
 def tables_of(page: str) -> list[tuple[str, list[str]]]:

@@ -17,7 +17,14 @@ import jaxurban as ju
 from jaxurban.planners.any_angle import refine, theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Path, Problem
-from jaxurban.report.figures.paths import APART_PT, BLOCKED_COLOUR, EDGE_PT, LINE_PT, Beside, lanes_of
+from jaxurban.report.figures.paths import (
+    APART_PT,
+    BLOCKED_COLOUR,
+    EDGE_PT,
+    LINE_PT,
+    Beside,
+    lanes_of,
+)
 from jaxurban.report.figures.style import (
     FAINT_INK,
     INK,
@@ -33,9 +40,18 @@ from jaxurban.report.write import write_png
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
 PART_M = 110.0  # half the side of what is drawn larger
-STYLES = {"A* on the grid": "#0b3c8c", "Theta*": "#ffb000", "Theta*, refined": "#c51b8a", "Snell's law": "#1a1a1a"}
+STYLES = {
+    "A* on the grid": "#0b3c8c",
+    "Theta*": "#ffb000",
+    "Theta*, refined": "#c51b8a",
+    "Snell's law": "#1a1a1a",
+}
 COLOURS = Colours(
-    "Greys", Normalize(0, 2.5), f"map cost per {RESOLUTION_M:g} m", extend="max", ticks=(0, 0.5, 1, 1.5, 2, 2.5)
+    "Greys",
+    Normalize(0, 2.5),
+    f"map cost per {RESOLUTION_M:g} m",
+    extend="max",
+    ticks=(0, 0.5, 1, 1.5, 2, 2.5),
 )
 
 
@@ -47,7 +63,9 @@ def two_media() -> tuple[Problem, np.ndarray]:
     start, goal = np.array([17.5, 22.5]), np.array([182.5, 182.5])
 
     def cost(x_m: float) -> float:
-        return 0.2 * np.hypot(x_m - start[0], 100 - start[1]) + 0.4 * np.hypot(goal[0] - x_m, goal[1] - 100)
+        return 0.2 * np.hypot(x_m - start[0], 100 - start[1]) + 0.4 * np.hypot(
+            goal[0] - x_m, goal[1] - 100
+        )
 
     x_m = minimize_scalar(cost, bounds=(start[0], goal[0]), method="bounded").x
     return problem, np.array([start, [x_m, 100.0], goal])
@@ -55,9 +73,13 @@ def two_media() -> tuple[Problem, np.ndarray]:
 
 def city() -> Problem:
     """Return a query across the synthetic city with the default weights."""
-    maps = ju.build_maps(ju.demo_city(1500, 1200), resolution_m=RESOLUTION_M, altitudes_m=(ALTITUDE_M,))
+    maps = ju.build_maps(
+        ju.demo_city(1500, 1200), resolution_m=RESOLUTION_M, altitudes_m=(ALTITUDE_M,)
+    )
     weights, is_free = ju.Weights(), maps.is_free(ALTITUDE_M)
-    layers = np.stack([weights[name] * np.asarray(c, float) for name, c in maps.costs(ALTITUDE_M).items()])
+    layers = np.stack(
+        [weights[name] * np.asarray(c, float) for name, c in maps.costs(ALTITUDE_M).items()]
+    )
     free = np.argwhere(is_free)
     start, goal = (
         tuple(int(v) for v in free[np.hypot(*(free - np.array(at) * is_free.shape).T).argmin()])
@@ -78,8 +100,12 @@ def draw(panel: Axes, problem: Problem, lines: dict[str, np.ndarray]) -> None:
     shown = np.ma.masked_where(~problem.is_free, problem.cost)
     cmap = colormaps[COLOURS.cmap].with_extremes(bad=BLOCKED_COLOUR)
     extent = (0, cols * RESOLUTION_M, 0, rows * RESOLUTION_M)
-    panel.imshow(shown, origin="lower", extent=extent, cmap=cmap, norm=COLOURS.norm, interpolation="nearest")
-    for (name, line), lane in zip(lines.items(), lanes_of([*lines.values()], RESOLUTION_M), strict=True):
+    panel.imshow(
+        shown, origin="lower", extent=extent, cmap=cmap, norm=COLOURS.norm, interpolation="nearest"
+    )
+    for (name, line), lane in zip(
+        lines.items(), lanes_of([*lines.values()], RESOLUTION_M), strict=True
+    ):
         beside = [Beside(lane * APART_PT, LINE_PT + 2 * EDGE_PT, "white"), Beside(lane * APART_PT)]
         panel.plot(*line.T, color=STYLES[name], linewidth=LINE_PT, path_effects=beside, label=name)
     panel.set(xlabel="east (m)", aspect="equal")
@@ -95,11 +121,17 @@ def picture() -> Figure:
     paths = paths_of(problem)
     costs = {name: path.cost for name, path in paths.items()}
     costs["Snell's law"] = np.hypot(*np.diff(bent_m, axis=0).T) @ (0.2, 0.4)
-    draw(left, problem, {name: path.points_m for name, path in paths.items()} | {"Snell's law": bent_m})
+    draw(
+        left,
+        problem,
+        {name: path.points_m for name, path in paths.items()} | {"Snell's law": bent_m},
+    )
     left.set_title("two media")
     for height_m, cost in ((8.0, 0), (108.0, 1)):
         box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
-        left.text(192, height_m, f"{cost} per {RESOLUTION_M:g} m", ha="right", size=SMALL_PT, bbox=box)
+        left.text(
+            192, height_m, f"{cost} per {RESOLUTION_M:g} m", ha="right", size=SMALL_PT, bbox=box
+        )
     shown = [costs]
     problem = city()
     paths = paths_of(problem)
@@ -112,7 +144,11 @@ def picture() -> Figure:
     corner_m = np.array([x_m, y_m]) - PART_M
     look = {"fill": False, "edgecolor": INK, "linewidth": 1.0}
     middle.add_patch(Rectangle(corner_m, 2 * PART_M, 2 * PART_M, **look))
-    right.set(xlim=(x_m - PART_M, x_m + PART_M), ylim=(y_m - PART_M, y_m + PART_M), title="the square of (b)")
+    right.set(
+        xlim=(x_m - PART_M, x_m + PART_M),
+        ylim=(y_m - PART_M, y_m + PART_M),
+        title="the square of (b)",
+    )
     for panel, by_name in zip(axes, shown, strict=False):
         said = "\n".join(f"{name}: {cost:.2f}" for name, cost in by_name.items())
         panel.set_xlabel(f"east (m)\n\ncost of the path\n{said}")

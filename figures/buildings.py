@@ -22,7 +22,9 @@ def main() -> None:
     city = ju.demo_city(2000, 2000)
     x_min, y_min, _, _ = city.extent_m
     num = round(2000 / RESOLUTION_M)
-    region = Grid(city.crs, RESOLUTION_M, round(y_min / RESOLUTION_M), round(x_min / RESOLUTION_M), num, num)
+    region = Grid(
+        city.crs, RESOLUTION_M, round(y_min / RESOLUTION_M), round(x_min / RESOLUTION_M), num, num
+    )
     sky = view_sky(region, ju.Gps(times=["2020-04-27T16:00:00Z"]))
     task = MapTask(city, region, sky, MapParams(altitudes_m=(ALTITUDE_M,)))
     maps = compute_maps(task)

@@ -21,7 +21,13 @@ BEST, PRINTED = "#0b3c8c", "#b3400a"  # told apart by readers with any colour vi
 def counterexample() -> dict[str, object]:
     """Return both paths, their costs, and what the culprit node's value is and should be."""
     problem = Problem(
-        COST[None], np.ones(COST.shape, bool), START, GOAL, resolution_m=1.0, weights=1.0, cost_model="cell"
+        COST[None],
+        np.ones(COST.shape, bool),
+        START,
+        GOAL,
+        resolution_m=1.0,
+        weights=1.0,
+        cost_model="cell",
     )
     best, printed = astar(problem), astar(problem, heuristic="plus-printed", reopen=True)
     return {
@@ -39,16 +45,41 @@ def draw(found: dict) -> Figure:
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     for (row, col), cost in np.ndenumerate(COST):
-        axes.add_patch(Rectangle((col, row), 1, 1, facecolor=str(1 - 0.07 * cost), edgecolor="0.55"))
-        axes.text(
-            col + (0.15, 0.15, 0.85)[col], row + 0.9, f"{cost:g}", ha="center", va="top", fontsize=11, color="0.15"
+        axes.add_patch(
+            Rectangle((col, row), 1, 1, facecolor=str(1 - 0.07 * cost), edgecolor="0.55")
         )
-    box = Rectangle((0.04, 0.04), 2.92, 1.92, fill=False, linestyle=(0, (4, 3)), linewidth=1.8, edgecolor="0.2")
+        axes.text(
+            col + (0.15, 0.15, 0.85)[col],
+            row + 0.9,
+            f"{cost:g}",
+            ha="center",
+            va="top",
+            fontsize=11,
+            color="0.15",
+        )
+    box = Rectangle(
+        (0.04, 0.04), 2.92, 1.92, fill=False, linestyle=(0, (4, 3)), linewidth=1.8, edgecolor="0.2"
+    )
     axes.add_patch(box)
     for path, colour, shift in ((found["best"], BEST, 0.06), (found["printed"], PRINTED, -0.06)):
-        axes.plot(path.points_m[:, 0], path.points_m[:, 1] + shift, "-o", color=colour, linewidth=3, markersize=5)
+        axes.plot(
+            path.points_m[:, 0],
+            path.points_m[:, 1] + shift,
+            "-o",
+            color=colour,
+            linewidth=3,
+            markersize=5,
+        )
     row, col = CULPRIT
-    axes.plot(col + 0.5, row + 0.56, "o", markersize=15, markerfacecolor="none", markeredgecolor="black", linewidth=2)
+    axes.plot(
+        col + 0.5,
+        row + 0.56,
+        "o",
+        markersize=15,
+        markerfacecolor="none",
+        markeredgecolor="black",
+        linewidth=2,
+    )
     for (row, col), name in ((START, "start"), (GOAL, "goal")):
         axes.text(col + 0.5, row + 0.14, name, ha="center", fontsize=12, weight="bold")
     axes.text(0.24, 1.54, "n", fontsize=14, style="italic", weight="bold", ha="center", va="center")

@@ -12,9 +12,17 @@ START, GOAL = (-74.0172, 40.7130), (-73.9815, 40.7265)  # Battery Park City, Eas
 
 
 def main() -> None:
-    maps = ju.build_maps(ju.sample_city("lower-manhattan"), resolution_m=RESOLUTION_M, altitudes_m=(ALTITUDE_M,))
+    maps = ju.build_maps(
+        ju.sample_city("lower-manhattan"), resolution_m=RESOLUTION_M, altitudes_m=(ALTITUDE_M,)
+    )
     wide = ju.Constraints.read(clearance_m=5.0, vertical_clearance_m=5.0)
-    query = {"start": START, "goal": GOAL, "altitude_m": ALTITUDE_M, "constraints": wide, "snap": True}
+    query = {
+        "start": START,
+        "goal": GOAL,
+        "altitude_m": ALTITUDE_M,
+        "constraints": wide,
+        "snap": True,
+    }
     routes = {
         name: ju.plan(maps, objective=objective, **query)
         for name, objective in (("cheapest route", "weighted"), ("shortest route", "distance"))

@@ -15,7 +15,14 @@ from jaxurban.studies.receiver.agreement import SatelliteAgreement
 
 NAMES = ("sky", "sky_track", "sky_margin", "sky_displacement", "sky_skies")
 DOCS = Path(__file__).parents[1] / "docs"
-LEAST_DBHZ = {"not\nreceived": 0, "below\n25": 1, "25 to\n30": 25, "30 to\n35": 30, "35 to\n40": 35, "40 to\n45": 40}
+LEAST_DBHZ = {
+    "not\nreceived": 0,
+    "below\n25": 1,
+    "25 to\n30": 25,
+    "30 to\n35": 30,
+    "35 to\n40": 35,
+    "40 to\n45": 40,
+}
 LEAST_DBHZ["45 and\nmore"] = 45
 
 
@@ -41,11 +48,19 @@ def plot_sky(of: SatelliteAgreement, credit: str) -> Figure:
         rows = judged[judged.is_seen == is_seen]
         number = np.digitize(rows.cn0_dbhz, [*LEAST_DBHZ.values()]) - 1
         shares = np.bincount(number, minlength=len(LEAST_DBHZ)) / len(rows)
-        strengths.bar(np.arange(len(shares)) + 0.4 * is_seen - 0.2, shares, width=0.4, color=colour, label=name)
+        strengths.bar(
+            np.arange(len(shares)) + 0.4 * is_seen - 0.2,
+            shares,
+            width=0.4,
+            color=colour,
+            label=name,
+        )
     place.set_xlabel("grey: buildings  ·  large: heard strongly  ·  hollow: not at all")
     strengths.legend(loc="upper center")
     strengths.set_xticks(range(len(LEAST_DBHZ)), [*LEAST_DBHZ])
-    strengths.set(xlabel="C/N0 at the receiver (dBHz)", ylabel="share of each kind", title="at all places")
+    strengths.set(
+        xlabel="C/N0 at the receiver (dBHz)", ylabel="share of each kind", title="at all places"
+    )
     strengths.yaxis.set_major_formatter(PercentFormatter(1.0))
     draw_cities(cities, of, {"auc": SEEN})
     cities.set_title(f"the city moved by 80 to 450 m, {len(of.displaced)} times")
@@ -59,8 +74,14 @@ def plot_sky(of: SatelliteAgreement, credit: str) -> Figure:
 def main() -> None:
     found = ju.studies.validate(ju.Scenario.from_toml("sample:nihonbashi"), progress=False)
     assert found.satellites is not None
-    figures = {"sky": partial(plot_sky, found.satellites, f"Data: {found.attribution}; log: Taro Suzuki (MIT)")}
-    figures |= {f"sky_{name}": draw for name, draw in satellite_figures(found, found.satellites).items()}
+    figures = {
+        "sky": partial(
+            plot_sky, found.satellites, f"Data: {found.attribution}; log: Taro Suzuki (MIT)"
+        )
+    }
+    figures |= {
+        f"sky_{name}": draw for name, draw in satellite_figures(found, found.satellites).items()
+    }
     for name in NAMES:
         write_png(figures[name](), DOCS / f"{name}.png")
 

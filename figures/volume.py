@@ -40,15 +40,21 @@ def wall() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:
 
 def city() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:
     """Return the same for the synthetic city."""
-    maps = ju.build_maps(ju.demo_city(1_200, 1_200), resolution_m=5.0, altitudes_m=(20.0, 40.0, 60.0, 80.0))
+    maps = ju.build_maps(
+        ju.demo_city(1_200, 1_200), resolution_m=5.0, altitudes_m=(20.0, 40.0, 60.0, 80.0)
+    )
     grid, paths = maps.grid, {}
     corner = np.array([grid.x_min_m, grid.y_min_m])
     for climb_cost in (0.1, 2.0):
         levels = ju.Levels(level_step_m=10.0, climb_cost=climb_cost)
         volume = ju.cost_map(maps, levels, weights=ju.Weights(lidar=0.3))
         path = volume.plan(ju.XY(*(corner + START_M)), ju.XY(*(corner + GOAL_M)), snap=True)
-        paths[f"a metre of climb costs {climb_cost:g}"] = np.column_stack([path.xy_m - corner, path.z_m])
-        print(f"climb cost {climb_cost:g}: cost {path.cost:.1f}, {path.length_m:.0f} m, up to {path.z_m.max():g} m")
+        paths[f"a metre of climb costs {climb_cost:g}"] = np.column_stack(
+            [path.xy_m - corner, path.z_m]
+        )
+        print(
+            f"climb cost {climb_cost:g}: cost {path.cost:.1f}, {path.length_m:.0f} m, up to {path.z_m.max():g} m"
+        )
     return maps.m("roof"), grid.resolution_m, paths, volume.altitudes_m
 
 
@@ -56,20 +62,36 @@ def draw_plan(panel: Axes, roof_m: np.ndarray, resolution_m: float, paths, norm:
     """Draw the roofs, darker where higher, and the paths coloured by altitude."""
     size_m = resolution_m * np.array(roof_m.shape[::-1])
     shade = np.where(roof_m > 0, roof_m, np.nan)
-    panel.imshow(shade, origin="lower", extent=(0, size_m[0], 0, size_m[1]), cmap="Greys", vmin=-30, vmax=90)
+    panel.imshow(
+        shade, origin="lower", extent=(0, size_m[0], 0, size_m[1]), cmap="Greys", vmin=-30, vmax=90
+    )
     for letter, points in zip("AB", paths.values(), strict=True):
         pieces = np.stack([points[:-1, :2], points[1:, :2]], axis=1)
         panel.plot(*points[:, :2].T, color="black", linewidth=4.2, solid_capstyle="round")
         middle_m = (points[:-1, 2] + points[1:, 2]) / 2
-        panel.add_collection(LineCollection(pieces, array=middle_m, cmap=COLOURS, norm=norm, linewidth=2.8, zorder=3))
+        panel.add_collection(
+            LineCollection(pieces, array=middle_m, cmap=COLOURS, norm=norm, linewidth=2.8, zorder=3)
+        )
         look = {"boxstyle": "circle,pad=0.2", "facecolor": "white", "linewidth": 0.8}
         panel.text(
-            *points[_farthest(points, paths), :2], letter, size=10, weight="bold", ha="center", va="center", bbox=look
+            *points[_farthest(points, paths), :2],
+            letter,
+            size=10,
+            weight="bold",
+            ha="center",
+            va="center",
+            bbox=look,
         )
     ends = next(iter(paths.values()))[[0, -1], :2]
     panel.plot(*ends[0], "o", color="white", markeredgecolor="black", markersize=7, zorder=5)
     panel.plot(*ends[1], "*", color="white", markeredgecolor="black", markersize=13, zorder=5)
-    panel.set(aspect="equal", xlim=(0, size_m[0]), ylim=(0, size_m[1]), xlabel="east (m)", ylabel="north (m)")
+    panel.set(
+        aspect="equal",
+        xlim=(0, size_m[0]),
+        ylim=(0, size_m[1]),
+        xlabel="east (m)",
+        ylabel="north (m)",
+    )
 
 
 def _farthest(points: np.ndarray, paths: dict[str, np.ndarray]) -> int:
@@ -79,7 +101,9 @@ def _farthest(points: np.ndarray, paths: dict[str, np.ndarray]) -> int:
     return int(apart_m.argmax())
 
 
-def draw_profile(panel: Axes, roof_m: np.ndarray, resolution_m: float, points: np.ndarray, norm: Normalize) -> None:
+def draw_profile(
+    panel: Axes, roof_m: np.ndarray, resolution_m: float, points: np.ndarray, norm: Normalize
+) -> None:
     """Draw one path's altitude over the way flown, with the roofs beneath it."""
     along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T)))
     cols, rows = np.floor(points[:, :2] / resolution_m).astype(int).T
@@ -88,7 +112,9 @@ def draw_profile(panel: Axes, roof_m: np.ndarray, resolution_m: float, points: n
     pieces[:, 0, 0], pieces[:, 1, 0] = along_m[:-1], along_m[1:]
     middle_m = (points[:-1, 2] + points[1:, 2]) / 2
     panel.plot(along_m, points[:, 2], color="black", linewidth=3.6)
-    panel.add_collection(LineCollection(pieces, array=middle_m, cmap=COLOURS, norm=norm, linewidth=2.2, zorder=3))
+    panel.add_collection(
+        LineCollection(pieces, array=middle_m, cmap=COLOURS, norm=norm, linewidth=2.2, zorder=3)
+    )
     climbed_m = np.maximum(np.diff(points[:, 2]), 0).sum()
     length_m = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
     panel.text(
@@ -109,11 +135,15 @@ def picture() -> Figure:
     cities = {"a wall of 30 m": wall(), "the synthetic city": city()}
     axes = figure.subplot_mosaic("ab;ac;de;df", width_ratios=(1, 1.25))
     norm = Normalize(*LEVELS_M)
-    for letters, (name, (roof_m, resolution_m, paths, levels_m)) in zip(("abc", "def"), cities.items(), strict=True):
+    for letters, (name, (roof_m, resolution_m, paths, levels_m)) in zip(
+        ("abc", "def"), cities.items(), strict=True
+    ):
         plan, *profiles = (axes[each] for each in letters)
         draw_plan(plan, roof_m, resolution_m, paths, norm)
         plan.set_title(f"({letters[0]}) {name}, from above")
-        for letter, route, panel, (label, points) in zip(letters[1:], "AB", profiles, paths.items(), strict=True):
+        for letter, route, panel, (label, points) in zip(
+            letters[1:], "AB", profiles, paths.items(), strict=True
+        ):
             draw_profile(panel, roof_m, resolution_m, points, norm)
             panel.set(ylim=(0, 1.25 * levels_m[-1]), ylabel="above ground (m)")
             panel.set_title(f"({letter}) route {route}: {label}")
@@ -121,7 +151,9 @@ def picture() -> Figure:
             for z_m in levels_m:
                 panel.axhline(z_m, color="#bbbbbb", linewidth=0.5, zorder=0)
         profiles[-1].set_xlabel("distance flown, seen from above (m)")
-    bar = figure.colorbar(ScalarMappable(norm, COLOURS), ax=[*axes.values()], location="right", aspect=50)
+    bar = figure.colorbar(
+        ScalarMappable(norm, COLOURS), ax=[*axes.values()], location="right", aspect=50
+    )
     bar.set_label("altitude above ground (m)")
     bar.outline.set(linewidth=0.4)
     return figure

@@ -108,8 +108,14 @@ def typed(public: Public, makers: Sequence[Callable] = ()) -> Public:
     signature = inspect.signature(function)
     if makers:
         *own, _ = signature.parameters.values()
-        passed = {p.name: p for maker in makers for p in inspect.signature(maker).parameters.values()}
-        own += [p for name, p in passed.items() if p.kind is p.KEYWORD_ONLY and name not in signature.parameters]
+        passed = {
+            p.name: p for maker in makers for p in inspect.signature(maker).parameters.values()
+        }
+        own += [
+            p
+            for name, p in passed.items()
+            if p.kind is p.KEYWORD_ONLY and name not in signature.parameters
+        ]
         signature = signature.replace(parameters=own)
     parameters = signature.parameters
     in_order = [name for name, p in parameters.items() if p.kind is not p.KEYWORD_ONLY]
@@ -117,7 +123,9 @@ def typed(public: Public, makers: Sequence[Callable] = ()) -> Public:
     further = next((name for name, p in parameters.items() if p.kind is p.VAR_KEYWORD), "")
 
     @functools.cache
-    def kinds() -> dict[str, list[Kind]]:  # at the first call, when every module that annotations name is there
+    def kinds() -> dict[
+        str, list[Kind]
+    ]:  # at the first call, when every module that annotations name is there
         return {name: _kinds(hint) for name, hint in _hints(checked).items()}
 
     @functools.wraps(function)
@@ -126,7 +134,9 @@ def typed(public: Public, makers: Sequence[Callable] = ()) -> Public:
             values = signature.bind(*args, **kwargs).arguments
         except TypeError as error:
             wrong = next((name for name in kwargs if name not in parameters), "")
-            fault = f"there is no argument {wrong!r}{_home_of(wrong, checked)}" if wrong else str(error)
+            fault = (
+                f"there is no argument {wrong!r}{_home_of(wrong, checked)}" if wrong else str(error)
+            )
             raise InputError(f"{public.__name__}: {fault}") from error
         for name, value in (values.pop(further, {}) | values).items():
             _check_kind(name, value, kinds().get(name if name in parameters else further, []), call)
@@ -162,8 +172,13 @@ class _PublicNames(dict):
 def _hints(function: Callable) -> dict[str, Any]:
     """Return the type hints of the arguments of a function or a class."""
     function = function.__init__ if inspect.isclass(function) else function
-    hints, parameters = get_type_hints(function, localns=_PublicNames()), inspect.signature(function).parameters
-    hints |= {name: Iterable[hints[name]] for name, p in parameters.items() if p.kind is p.VAR_POSITIONAL}  # type: ignore[valid-type]
+    hints, parameters = (
+        get_type_hints(function, localns=_PublicNames()),
+        inspect.signature(function).parameters,
+    )
+    for name, parameter in parameters.items():
+        if parameter.kind is parameter.VAR_POSITIONAL:
+            hints[name] = Iterable[hints[name]]  # type: ignore[valid-type]
     return {name: hints[name] for name in parameters if name in hints}
 
 
@@ -180,7 +195,9 @@ def _home_of(name: str, function: Callable) -> str:
         for argument, hint in _hints(taker).items():
             bare = re.sub("_(m|s|m_s|deg|w)$", "", argument)
             for each in (argument, bare, f"{made}_{argument}", f"{made}_{bare}"):
-                homes.setdefault(each, "" if argument in own and not made else way.format(f"{argument}=..."))
+                homes.setdefault(
+                    each, "" if argument in own and not made else way.format(f"{argument}=...")
+                )
             for kind in map(_name_of, (hint, *get_args(hint))):
                 with suppress(KeyError):
                     called = MADE_BY.get(kind, kind).split(" or ")[0].split(",")[0]
@@ -215,24 +232,35 @@ def check_range(name: str, value: Any) -> None:
     """
     most = _by_end(name, MOST_OF, MOST)
     for number in value if isinstance(value, list | tuple) else (value,):
-        is_number = isinstance(number, numbers.Real) and not (most == MOST and abs(number) == math.inf)
+        is_number = isinstance(number, numbers.Real) and not (
+            most == MOST and abs(number) == math.inf
+        )
         if is_number and abs(number) > most:
-            raise InputError(f"{name} must be a finite number of at most {most:.0e}{_unit(name)}, got {number!r}")
+            raise InputError(
+                f"{name} must be a finite number of at most {most:.0e}{_unit(name)}, got {number!r}"
+            )
 
 
 def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
     if kinds and not any(fits(value) for _, fits in kinds):
         called = list(dict.fromkeys(called for called, _ in kinds))
-        hint = nearest_name(str(value), [each.strip("'") for each in called if each.startswith("'")])
+        hint = nearest_name(
+            str(value), [each.strip("'") for each in called if each.startswith("'")]
+        )
         order = call if type(value).__module__.startswith(f"{__name__.partition('.')[0]}.") else ""
         unit = _unit(name) if any("number" in each for each in called) else ""
-        raise InputError(f"{name} must be {_either(called)}{unit}, got {_shown(value)}{hint or order}")
+        raise InputError(
+            f"{name} must be {_either(called)}{unit}, got {_shown(value)}{hint or order}"
+        )
 
 
 def _kinds(hint: Any) -> list[Kind]:
     """Return the kinds that a type hint allows; none: anything goes."""
     hint = getattr(hint, "array_type", hint)  # of jaxtyping's shapes
-    origin, parts = get_origin(hint) or hint, [part for part in get_args(hint) if part is not Ellipsis]
+    origin, parts = (
+        get_origin(hint) or hint,
+        [part for part in get_args(hint) if part is not Ellipsis],
+    )
     if origin in (Union, types.UnionType):
         kinds = [_kinds(part) for part in parts]
         return [kind for each in kinds for kind in each] if all(kinds) else []
@@ -242,17 +270,31 @@ def _kinds(hint: Any) -> list[Kind]:
         return []
     name = _name_of(origin)
     made_by = f" (from {MADE_BY[name]})" if name in MADE_BY else ""
-    called, fits = KINDS.get(HOLDERS.get(origin, origin), (name + made_by, lambda value: isinstance(value, origin)))
+    called, fits = KINDS.get(
+        HOLDERS.get(origin, origin), (name + made_by, lambda value: isinstance(value, origin))
+    )
     is_dict = HOLDERS.get(origin) is Mapping
     of = parts[1:] if is_dict else parts
-    items = _kinds(of[0]) if origin in HOLDERS and len({*of}) == 1 and get_origin(of[0]) is not tuple else []
+    items = (
+        _kinds(of[0])
+        if origin in HOLDERS and len({*of}) == 1 and get_origin(of[0]) is not tuple
+        else []
+    )
 
     def holds(value: Any) -> bool:
         value = (value,) if isinstance(value, str) else value  # one text is often taken for several
-        values = value.values() if is_dict and fits(value) else value if type(value) in (list, tuple, dict) else ()
+        values = (
+            value.values()
+            if is_dict and fits(value)
+            else value
+            if type(value) in (list, tuple, dict)
+            else ()
+        )
         return fits(value) and all(any(is_one(item) for _, is_one in items) for item in values)
 
-    several = " or ".join(re.sub("^a ([a-z ]+?)(?= of |$)", r"\1s", each) for each, _ in items if each != "None")
+    several = " or ".join(
+        re.sub("^a ([a-z ]+?)(?= of |$)", r"\1s", each) for each, _ in items if each != "None"
+    )
     return [(f"{called} of {several}", holds) if items else (called, fits)]
 
 
@@ -290,27 +332,48 @@ def _is_number(value: Any) -> bool:
     return is_scalar and not isinstance(value, bool)
 
 
-HOLDERS: dict[Any, Any] = dict.fromkeys((Iterable, Sequence, list, tuple), Iterable) | {Mapping: Mapping, dict: Mapping}
+HOLDERS: dict[Any, Any] = dict.fromkeys((Iterable, Sequence, list, tuple), Iterable) | {
+    Mapping: Mapping,
+    dict: Mapping,
+}
 KINDS: dict[Any, Kind] = {
     bool: ("True or False", lambda value: type(value).__name__ in ("bool", "bool_")),
-    int: ("a whole number", lambda value: isinstance(value, numbers.Integral) and not isinstance(value, bool)),
+    int: (
+        "a whole number",
+        lambda value: isinstance(value, numbers.Integral) and not isinstance(value, bool),
+    ),
     float: ("a number", _is_number),
     # A time may be of any kind where a text is asked for.
-    str: ("a text", lambda value: isinstance(value, str | datetime) or type(value).__name__ == "datetime64"),
+    str: (
+        "a text",
+        lambda value: isinstance(value, str | datetime) or type(value).__name__ == "datetime64",
+    ),
     Path: ("a path", lambda value: isinstance(value, str | os.PathLike)),
     types.NoneType: ("None", lambda value: value is None),
-    Iterable: ("a sequence", lambda value: isinstance(value, Iterable) and not isinstance(value, str | bytes)),
+    Iterable: (
+        "a sequence",
+        lambda value: isinstance(value, Iterable) and not isinstance(value, str | bytes),
+    ),
     Mapping: ("a dict", lambda value: isinstance(value, Mapping)),
     Callable: ("a function", callable),
 }
 MOST_SHOWN = 4  # values of a list
 MOST_ALIKE = 0.9  # of an argument of something else: it must hardly differ
 MOST = 2**63 - 1  # of a number: NumPy holds it, and its square is no overflow in float32
-MOST_OF = {"_m": 1e8, "_deg": 1e3}  # by the end of an argument's name; the whole way round the Earth is 4e7 m
+MOST_OF = {
+    "_m": 1e8,
+    "_deg": 1e3,
+}  # by the end of an argument's name; the whole way round the Earth is 4e7 m
 UNITS = {  # likewise
     **dict.fromkeys(("start", "goal", "lonlat", "reference"), "longitude, latitude in degrees"),
     **{"bounds": "west, south, east, north in degrees", "_xy_m": "easting, northing in metres"},
-    **{"_m_s": "metres per second", "_m": "metres", "_s": "seconds", "_deg": "degrees", "_w": "watts"},
+    **{
+        "_m_s": "metres per second",
+        "_m": "metres",
+        "_s": "seconds",
+        "_deg": "degrees",
+        "_w": "watts",
+    },
 }
 MADE_BY = {  # what no constructor is meant for
     "Bound": "Constraints.read",
@@ -339,7 +402,9 @@ def one_of(name: str, value: Choice, choices: Iterable[Choice]) -> Choice:
     return value
 
 
-def finite(name: str, value: Any, unit: str = "", *, least: float = -math.inf, called: str = "finite") -> float:
+def finite(
+    name: str, value: Any, unit: str = "", *, least: float = -math.inf, called: str = "finite"
+) -> float:
     """Return a number (or the one that a text spells) that must be finite, as a float.
 
     Args:
@@ -390,7 +455,9 @@ def check_file(path: str | os.PathLike[str]) -> None:
 
 
 @contextmanager
-def readable(path: str | Path, kind: str, remedy: str, *errors: type[Exception], what: str = "") -> Iterator[None]:
+def readable(
+    path: str | Path, kind: str, remedy: str, *errors: type[Exception], what: str = ""
+) -> Iterator[None]:
     """Turn errors of the block, which reads a file, into an InputError: what it is, the reason and the remedy.
 
     Args:
@@ -411,4 +478,6 @@ def readable(path: str | Path, kind: str, remedy: str, *errors: type[Exception],
     except FileNotFoundError as error:
         raise InputError(f"{what} does not exist: check the path") from error
     except caught as error:
-        raise InputError(f"{what} cannot be read as {kind} ({reason_of(error)}): {remedy}") from error
+        raise InputError(
+            f"{what} cannot be read as {kind} ({reason_of(error)}): {remedy}"
+        ) from error

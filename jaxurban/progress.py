@@ -15,8 +15,12 @@ SILENT_S = 5.0  # that a search may last before the log says that it runs
 EVERY_S = 10.0  # between two lines of the log on one stage; shorter ones have none
 BRIEF_S = 0.5  # a stage that ends sooner shows no bar
 
-interrupted = threading.Event()  # set by the command line at Ctrl-C, which is lost where a callback of JAX gets it
-Stage = Callable[[str], AbstractContextManager[object]]  # `Stopwatch.stage`, or nullcontext where nothing is timed
+interrupted = (
+    threading.Event()
+)  # set by the command line at Ctrl-C, which is lost where a callback of JAX gets it
+Stage = Callable[
+    [str], AbstractContextManager[object]
+]  # `Stopwatch.stage`, or nullcontext where nothing is timed
 Progress = bool | Callable[[str, int, int], object]  # a function gets stage, done, total
 
 

@@ -14,7 +14,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-NAMESPACES = ("fit", "grad", "metrics", "studies")  # modules of the package whose names are public too
+NAMESPACES = (
+    "fit",
+    "grad",
+    "metrics",
+    "studies",
+)  # modules of the package whose names are public too
 Level = Literal["guess", "note", "limit"]
 LEAST_ALIKE = 0.66  # as two letters of three are
 
@@ -31,23 +36,36 @@ def public_names(
       until: the release in which the former ones go.
     """
     stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
-    homes = {alias.name: line.module for line in stub.body if isinstance(line, ast.ImportFrom) for alias in line.names}
+    homes = {
+        alias.name: line.module
+        for line in stub.body
+        if isinstance(line, ast.ImportFrom)
+        for alias in line.names
+    }
 
     def fetch(name: str) -> Any:
         if renamed and name in renamed:
-            _warn_renamed(f"{package}.{name}", f"{_public_homes()[renamed[name]]}.{renamed[name]}", until)
+            _warn_renamed(
+                f"{package}.{name}", f"{_public_homes()[renamed[name]]}.{renamed[name]}", until
+            )
             return find_public(renamed[name])
         home = homes.get(name)
         if name == "__version__" and "." not in package:
             return import_module("importlib.metadata").version(package)
         if home is None:
             raise AttributeError(f"module {package!r} has no attribute {name!r}{_elsewhere(name)}")
-        return import_module(f"{package}.{name}") if home == package else getattr(import_module(home), name)
+        return (
+            import_module(f"{package}.{name}")
+            if home == package
+            else getattr(import_module(home), name)
+        )
 
     return fetch, lambda: sorted(homes), sorted(homes)
 
 
-def renamed_arguments(until: str, **renamed: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def renamed_arguments(
+    until: str, **renamed: str
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator under which a function takes arguments by their former names too, and warns of them.
 
     Args:
@@ -59,7 +77,9 @@ def renamed_arguments(until: str, **renamed: str) -> Callable[[Callable[..., Any
         @functools.wraps(function)
         def call(*args: Any, **kwargs: Any) -> Any:
             for old, new in renamed.items():
-                if old in kwargs and new not in kwargs:  # with both, the function refuses the former one as unknown
+                if (
+                    old in kwargs and new not in kwargs
+                ):  # with both, the function refuses the former one as unknown
                     _warn_renamed(f"the argument {old} of {function.__name__}", new, until)
                     kwargs[new] = kwargs.pop(old)
             return function(*args, **kwargs)
@@ -71,20 +91,35 @@ def renamed_arguments(until: str, **renamed: str) -> Callable[[Callable[..., Any
 
 def _warn_renamed(old: str, new: str, until: str) -> None:
     """Warn, on the line of the user, that something has another name."""
-    warnings.warn(f"{old} is now {new}: the former name goes in jaxurban {until}", DeprecationWarning, stacklevel=3)
+    warnings.warn(
+        f"{old} is now {new}: the former name goes in jaxurban {until}",
+        DeprecationWarning,
+        stacklevel=3,
+    )
 
 
 def _elsewhere(name: str) -> str:
     known = {} if name.startswith("_") else _public_homes()
     found = near(name, known) or [each for each in known if name.startswith(each)]
-    return f" (did you mean {' or '.join(f'{known[each]}.{each}' for each in found)}?)" if found else ""
+    return (
+        f" (did you mean {' or '.join(f'{known[each]}.{each}' for each in found)}?)"
+        if found
+        else ""
+    )
 
 
 def _public_homes() -> dict[str, str]:
     """Return the module of each public name: the package, or one of its namespaces."""
     package = __name__.rpartition(".")[0]
-    modules = [import_module(home) for home in (package, *(f"{package}.{each}" for each in NAMESPACES))]
-    return {name: module.__name__ for module in modules for name in module.__all__ if name not in NAMESPACES}
+    modules = [
+        import_module(home) for home in (package, *(f"{package}.{each}" for each in NAMESPACES))
+    ]
+    return {
+        name: module.__name__
+        for module in modules
+        for name in module.__all__
+        if name not in NAMESPACES
+    }
 
 
 def find_public(name: str) -> Any:
@@ -111,7 +146,9 @@ def alike(name: str, valid: Iterable[str], least: float = LEAST_ALIKE) -> list[s
     Case does not count, and the first letters must agree: who mistypes a name seldom mistypes that.
     """
     names = {each.lower(): each for each in valid if each[:1].lower() == name[:1].lower()}
-    return [names[each] for each in difflib.get_close_matches(name.lower(), names, n=1, cutoff=least)]
+    return [
+        names[each] for each in difflib.get_close_matches(name.lower(), names, n=1, cutoff=least)
+    ]
 
 
 class Caution(str):
@@ -144,7 +181,11 @@ def caution_lines(cautions: Iterable[Caution]) -> list[str]:
     return [f"  {each.level}: {each}" for each in cautions]
 
 
-LEVEL_STYLES = {"limit": "color:#b00020;font-weight:bold", "guess": "color:#5f4700;background:#fff1b8", "note": ""}
+LEVEL_STYLES = {
+    "limit": "color:#b00020;font-weight:bold",
+    "guess": "color:#5f4700;background:#fff1b8",
+    "note": "",
+}
 
 
 class Shown:
@@ -163,7 +204,9 @@ class Shown:
     def _cautions(self) -> Sequence[Caution]:
         try:
             return self.known_cautions
-        except ValueError as error:  # what it rests on was removed or made again: showing it must not fail
+        except (
+            ValueError
+        ) as error:  # what it rests on was removed or made again: showing it must not fail
             return [Caution(f"What to be cautious of is not known: {error}", "guess")]
 
     def __repr__(self) -> str:
@@ -171,7 +214,9 @@ class Shown:
         return "\n".join([f"{type(self).__name__}({facts})", *caution_lines(self._cautions())])
 
     def _repr_html_(self) -> str:
-        rows: list[tuple[str, str, str]] = [(LEVEL_STYLES[each.level], each.level, each) for each in self._cautions()]
+        rows: list[tuple[str, str, str]] = [
+            (LEVEL_STYLES[each.level], each.level, each) for each in self._cautions()
+        ]
         rows += [("", name, fact) for name, fact in self.facts.items() if fact]
         cells = (
             f'<tr style="{style}"><th>{escape(name)}</th><td style="text-align:left">{escape(text)}</td></tr>'

@@ -21,13 +21,25 @@ Obstacles = Literal["touched", "centre"]
 OF_PRESET: Any = None  # a setting that the preset gives where it is left out
 CLEARANCES = ("clearance_m", "vertical_clearance_m")
 PRESETS: dict[str, dict[str, Any]] = {
-    "": {"cost_model": "line", "obstacles": "touched", "clearance_m": 0.0, "vertical_clearance_m": 3.0},
-    "paper": {"cost_model": "cell", "obstacles": "centre", "clearance_m": 0.0, "vertical_clearance_m": 0.0},
+    "": {
+        "cost_model": "line",
+        "obstacles": "touched",
+        "clearance_m": 0.0,
+        "vertical_clearance_m": 3.0,
+    },
+    "paper": {
+        "cost_model": "cell",
+        "obstacles": "centre",
+        "clearance_m": 0.0,
+        "vertical_clearance_m": 0.0,
+    },
 }
 NOMINAL = "nominal"  # GPS satellites without a file of elements
 FIRST_YEAR, LAST_YEAR = 1980, 2200  # GPS time begins in 1980; xarray's nanoseconds end in 2262
 MOST_SAMPLES = 1000
-MAX_HEIGHT_M = 1000.0  # the tallest building stands at 828 m: more is a slip of the keyboard or of the unit
+MAX_HEIGHT_M = (
+    1000.0  # the tallest building stands at 828 m: more is a slip of the keyboard or of the unit
+)
 Hanging = Literal["to_ground", "slabs"]
 TO_GROUND, SLABS = get_args(Hanging)
 VEHICLE_UNITS = {"_m_s": "metres per second", "_deg": "degrees", "_w": "watts"}
@@ -47,16 +59,22 @@ def parse_time(time: str | datetime | np.datetime64) -> datetime:
         parsed = time if isinstance(time, datetime) else datetime.fromisoformat(time)
         parsed = parsed.replace(tzinfo=UTC) if parsed.tzinfo is None else parsed.astimezone(UTC)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{str(time)!r} is not a time: write it as 2020-04-27T16:00:00Z") from error
+        raise InputError(
+            f"{str(time)!r} is not a time: write it as 2020-04-27T16:00:00Z"
+        ) from error
     if not FIRST_YEAR <= parsed.year <= LAST_YEAR:
-        raise InputError(f"{str(time)!r} is not a time between the years {FIRST_YEAR} and {LAST_YEAR}")
+        raise InputError(
+            f"{str(time)!r} is not a time between the years {FIRST_YEAR} and {LAST_YEAR}"
+        )
     return parsed
 
 
 def iso_utc(time: str | datetime | np.datetime64) -> str:
     """Return a time (as for `parse_time`) as ISO 8601 UTC with a trailing Z."""
     parsed = parse_time(time)
-    return parsed.isoformat(timespec="seconds" if parsed.microsecond == 0 else "microseconds").replace("+00:00", "Z")
+    return parsed.isoformat(
+        timespec="seconds" if parsed.microsecond == 0 else "microseconds"
+    ).replace("+00:00", "Z")
 
 
 def not_negative(name: str, value: float) -> float:
@@ -73,7 +91,11 @@ def not_negative(name: str, value: float) -> float:
 
 def each(values: Any) -> tuple:
     """Return what is one value or several of them as a tuple."""
-    return tuple(values) if isinstance(values, Iterable) and not isinstance(values, str | Path) else (values,)
+    return (
+        tuple(values)
+        if isinstance(values, Iterable) and not isinstance(values, str | Path)
+        else (values,)
+    )
 
 
 @typed
@@ -247,7 +269,9 @@ class Planning:
     given: ClassVar[Mapping[str, Any]]
 
     def __post_init__(self) -> None:
-        given = {name: value for name, value in vars(self).items() if value != getattr(Planning, name)}
+        given = {
+            name: value for name, value in vars(self).items() if value != getattr(Planning, name)
+        }
         object.__setattr__(self, "given", given)
         for name, value in (PRESETS[self.preset] | given).items():
             object.__setattr__(self, name, value)
@@ -306,9 +330,13 @@ class Vehicle:
                 unit = next(unit for end, unit in VEHICLE_UNITS.items() if item.name.endswith(end))
                 object.__setattr__(self, item.name, positive(item.name, value, unit))
         if self.max_turn_deg is not None and self.max_turn_deg > FULL_TURN_DEG:
-            raise InputError(f"max_turn_deg must be at most {FULL_TURN_DEG:g} degrees, got {self.max_turn_deg:g}")
+            raise InputError(
+                f"max_turn_deg must be at most {FULL_TURN_DEG:g} degrees, got {self.max_turn_deg:g}"
+            )
         if self.power_w is not None and self.speed_m_s is None:
-            raise InputError("power_w gives an energy only over a time: give the speed (speed_m_s, --speed) too")
+            raise InputError(
+                "power_w gives an energy only over a time: give the speed (speed_m_s, --speed) too"
+            )
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> "Vehicle":
@@ -324,7 +352,9 @@ class Vehicle:
           True
         """
         held = settings.get("limits", {})
-        return cls(**{item.name: held[key] for item in fields(cls) if (key := PREFIX + item.name) in held})
+        return cls(
+            **{item.name: held[key] for item in fields(cls) if (key := PREFIX + item.name) in held}
+        )
 
     def to_dict(self) -> dict[str, float]:
         """Return the vehicle as plain values; empty where nothing is known of it.

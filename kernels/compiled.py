@@ -16,12 +16,16 @@ import numpy as np
 from jaxurban.progress import LOG
 
 try:
-    from numba.core import event  # documented (Numba's event API); without it nothing is said of compiling
+    from numba.core import (
+        event,
+    )  # documented (Numba's event API); without it nothing is said of compiling
 except ImportError:
     event = None  # type: ignore[assignment]
 
 config: Any = numba.config
-COMPILING = LOG.getChild("compiling")  # its level is the switch: warnings are seen where nobody has set logging up
+COMPILING = LOG.getChild(
+    "compiling"
+)  # its level is the switch: warnings are seen where nobody has set logging up
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -35,7 +39,9 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         before = config.CACHE_DIR
-        with suppress(RuntimeError, OSError):  # a read-only install without a home: each process compiles
+        with suppress(
+            RuntimeError, OSError
+        ):  # a read-only install without a home: each process compiles
             config.CACHE_DIR = str(_folder(function.__module__, before))
             try:
                 return numba.njit(cache=True, **options)(function)
@@ -57,7 +63,9 @@ def on_host(values: Any) -> np.ndarray:
 def _folder(module: str, chosen: str) -> Path:
     """Return the folder for the machine code of a module, made: in ``chosen``, beside it, or in the user's cache."""
     beside = Path(sys.modules[module].__file__ or "").parent / "__pycache__"
-    own = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "jaxurban", "numba")
+    own = Path(
+        os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "jaxurban", "numba"
+    )
     for folder in (Path(chosen),) if chosen else (beside, own):
         with suppress(OSError):
             found = folder / f"numba-{_digest(module)}"

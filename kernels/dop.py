@@ -109,7 +109,9 @@ def geometry(
     if num >= 3 and np.linalg.matrix_rank(scaled) == 3:
         basis = np.linalg.inv(np.linalg.qr(scaled).R)
         rows[:num] = centred @ basis
-    return Geometry(*(np.asarray(part, dtype) for part in (rows, basis, means @ basis, members, counts)))
+    return Geometry(
+        *(np.asarray(part, dtype) for part in (rows, basis, means @ basis, members, counts))
+    )
 
 
 @jax.jit
@@ -137,16 +139,23 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
 
     def by_clock(row: Array | np.ndarray, values: Array) -> Array:
         """Return sums over each clock's satellites: in order, so that up to 31 of them may be filled up."""
-        return jnp.stack([jnp.sum(over(member * row) * values, axis=0) for member in satellites.members])
+        return jnp.stack(
+            [jnp.sum(over(member * row) * values, axis=0) for member in satellites.members]
+        )
 
     weighed = weights * over(satellites.weights)
     sums = by_clock(jnp.ones_like(satellites.weights), weighed)
     is_seen = sums > LEAST_CLOCK
     divisors = jnp.where(is_seen, sums, 1.0)
-    means = [jnp.where(is_seen, by_clock(row, weighed) / divisors, 0.0) for row in satellites.rows.T]
+    means = [
+        jnp.where(is_seen, by_clock(row, weighed) / divisors, 0.0) for row in satellites.rows.T
+    ]
     of_each = jnp.asarray(satellites.members).T
     columns = [
-        over(row) - jnp.tensordot(of_each, mean, axes=1, precision=lax.Precision.HIGHEST)  # else GPUs take TF32
+        over(row)
+        - jnp.tensordot(
+            of_each, mean, axes=1, precision=lax.Precision.HIGHEST
+        )  # else GPUs take TF32
         for row, mean in zip(satellites.rows.T, means, strict=True)
     ]
     lower, pivots = {}, []
@@ -173,7 +182,9 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
     of_clocks = 1 / divisors + variance(toward)
     share = jnp.ones_like(sums)  # of a clock that has no other
     if len(sums) > 1:
-        share = jnp.where(is_seen, _smooth_step(by_clock(jnp.ones_like(satellites.weights), weights)), 0.0)
+        share = jnp.where(
+            is_seen, _smooth_step(by_clock(jnp.ones_like(satellites.weights), weights)), 0.0
+        )
     left = jnp.cumprod(jnp.concatenate([jnp.ones_like(share[:1]), 1 - share[:-1]]), axis=0)
     clock = jnp.sum(left * share * of_clocks, axis=0)
     position = east + north + up

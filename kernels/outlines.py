@@ -39,7 +39,9 @@ def burn_outlines(points, ring_start, outline_start, values, first_row, first_co
         rings = ring_start[outline_start[outline] : outline_start[outline + 1] + 1]
         is_crossed = _fill(points, rings, values[outline], first_row, first_col, centre, is_crossed)
         if touched.size:
-            row, col, length = _touch(points, rings, values[outline], first_row, first_col, touched, row, col, length)
+            row, col, length = _touch(
+                points, rings, values[outline], first_row, first_col, touched, row, col, length
+            )
 
 
 @compiled(nogil=True)
@@ -74,11 +76,16 @@ def _fill(points, rings, value, first_row, first_col, centre, is_crossed):
             elif y0 == y1:
                 row = _row_from(y0)
                 if ring > 0 and y0 == row + 0.5 and low_row <= row - first_row < end_row:
-                    first, end = _col_from(min(x0, x1)) - first_col, _col_from(max(x0, x1)) - first_col
+                    first, end = (
+                        _col_from(min(x0, x1)) - first_col,
+                        _col_from(max(x0, x1)) - first_col,
+                    )
                     for col in range(max(first, 0), min(end, num_cols)):
                         centre[row - first_row, col] = max(centre[row - first_row, col], value)
                 continue
-            for row in range(max(_row_from(y0) - first_row, low_row), min(_row_from(y1) - first_row, end_row)):
+            for row in range(
+                max(_row_from(y0) - first_row, low_row), min(_row_from(y1) - first_row, end_row)
+            ):
                 x = (first_row + row + 0.5 - y0) * (x1 - x0) / (y1 - y0) + x0
                 col = max(_col_from(x) - first_col - low_col, 0)
                 if col < num:
@@ -114,21 +121,36 @@ def _touch(points, rings, value, first_row, first_col, touched, row, col, length
     """Raise the cells whose interior an edge of one outline crosses; the last three are memory that is handed on."""
     num_rows, num_cols = touched.shape
     for ring in range(len(rings) - 1):
-        x1, y1 = _snapped(points[rings[ring], 0] - first_col), _snapped(points[rings[ring], 1] - first_row)
+        x1, y1 = (
+            _snapped(points[rings[ring], 0] - first_col),
+            _snapped(points[rings[ring], 1] - first_row),
+        )
         for at in range(rings[ring] + 1, rings[ring + 1]):
             x0, y0 = x1, y1
             x1, y1 = _snapped(points[at, 0] - first_col), _snapped(points[at, 1] - first_row)
-            if max(x0, x1) < 0 or max(y0, y1) < 0 or min(x0, x1) > num_cols or min(y0, y1) > num_rows:
+            if (
+                max(x0, x1) < 0
+                or max(y0, y1) < 0
+                or min(x0, x1) > num_cols
+                or min(y0, y1) > num_rows
+            ):
                 continue
             if (x0 == x1 and x0 == np.rint(x0)) or (y0 == y1 and y0 == np.rint(y0)):
                 continue
-            most_parts = int(abs(np.floor(x1) - np.floor(x0)) + abs(np.floor(y1) - np.floor(y0))) + 2
+            most_parts = (
+                int(abs(np.floor(x1) - np.floor(x0)) + abs(np.floor(y1) - np.floor(y0))) + 2
+            )
             if most_parts > len(row):
                 row, col = np.empty(2 * most_parts, np.int64), np.empty(2 * most_parts, np.int64)
                 length = np.empty(2 * most_parts)
             for part in range(walk_edge(x0, y0, x1, y1, row, col, length, 0)):
                 r, c = row[part], col[part]
-                if length[part] > TOUCH_CELLS and 0 <= r < num_rows and 0 <= c < num_cols and value > touched[r, c]:
+                if (
+                    length[part] > TOUCH_CELLS
+                    and 0 <= r < num_rows
+                    and 0 <= c < num_cols
+                    and value > touched[r, c]
+                ):
                     touched[r, c] = value
     return row, col, length
 

@@ -87,7 +87,9 @@ def protection_levels(
       budget: of the risks.
     """
     levels = np.empty((2, patterns.shape[1]))
-    _fill_levels(np.ascontiguousarray(patterns), Ranging(*map(np.ascontiguousarray, ranging)), budget, levels)
+    _fill_levels(
+        np.ascontiguousarray(patterns), Ranging(*map(np.ascontiguousarray, ranging)), budget, levels
+    )
     return levels
 
 
@@ -121,7 +123,11 @@ def _levels_of(seen, ranging, budget):
         k_horizontal = quantile(budget.pfa_horizontal / (4 * num_modes))
         k_vertical = quantile(budget.pfa_vertical / (2 * num_modes))
     # Rows are the modes that are monitored, the one without faults first: sigma, and threshold and bias together.
-    sigma_m, offset_m, p_row = np.empty((AXES, num_modes + 1)), np.empty((AXES, num_modes + 1)), np.empty(num_modes + 1)
+    sigma_m, offset_m, p_row = (
+        np.empty((AXES, num_modes + 1)),
+        np.empty((AXES, num_modes + 1)),
+        np.empty(num_modes + 1),
+    )
     _fill_terms(of_all, of_all, 0.0, 0.0, seen, ranging, sigma_m[:, 0], offset_m[:, 0])
     rows = 1
     for mode in range(num_modes):
@@ -136,7 +142,16 @@ def _levels_of(seen, ranging, budget):
         if not _fill_gains(seen, is_kept, ranging, of_subset):
             p_left += p_mode[mode]
             continue
-        _fill_terms(of_subset, of_all, k_horizontal, k_vertical, seen, ranging, sigma_m[:, rows], offset_m[:, rows])
+        _fill_terms(
+            of_subset,
+            of_all,
+            k_horizontal,
+            k_vertical,
+            seen,
+            ranging,
+            sigma_m[:, rows],
+            offset_m[:, rows],
+        )
         p_row[rows] = p_mode[mode]
         rows += 1
     share = 1 - p_left / (budget.phmi_horizontal + budget.phmi_vertical)
@@ -146,7 +161,9 @@ def _levels_of(seen, ranging, budget):
     for axis in range(AXES):
         risk = budget.phmi_vertical if axis == 2 else budget.phmi_horizontal / 2
         tolerance_m = budget.tolerance_vertical_m if axis == 2 else budget.tolerance_horizontal_m
-        of_axis[axis] = _level(sigma_m[axis, :rows], offset_m[axis, :rows], p_row[:rows], risk * share, tolerance_m)
+        of_axis[axis] = _level(
+            sigma_m[axis, :rows], offset_m[axis, :rows], p_row[:rows], risk * share, tolerance_m
+        )
     return math.hypot(of_axis[0], of_axis[1]), of_axis[2]
 
 
@@ -282,7 +299,9 @@ def _fill_terms(gains, of_all, k_horizontal, k_vertical, seen, ranging, sigma_m,
             separation += ((gains[axis, i] - of_all[axis, i]) * ranging.sigma_acc_m[s]) ** 2
             bias_m += abs(gains[axis, i]) * ranging.bias_m[s]
         sigma_m[axis] = math.sqrt(variance)
-        offset_m[axis] = (k_vertical if axis == 2 else k_horizontal) * math.sqrt(separation) + bias_m
+        offset_m[axis] = (k_vertical if axis == 2 else k_horizontal) * math.sqrt(
+            separation
+        ) + bias_m
 
 
 @compiled(nogil=True)

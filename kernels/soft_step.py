@@ -8,7 +8,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 
-def soft_step(margin_m: Float[Array, "*n"], softness_m: Float[Array, ""] | float) -> Float[Array, "*n"]:
+def soft_step(
+    margin_m: Float[Array, "*n"], softness_m: Float[Array, ""] | float
+) -> Float[Array, "*n"]:
     """Return 1 where a margin is well above 0 and 0 where it is well below, sigmoid(margin / softness).
 
     At softness 0 the exact result, ``margin_m >= 0``, whose gradient is zero. Elsewhere the gradient is finite, also in

@@ -65,7 +65,9 @@ pd.DataFrame(rows).T.rename_axis("cell (m)").round(3)
 # %%
 finest = maps[SIDES_M[-1]]
 truth = ju.cost_map(finest, 30.0)
-pairs = ju.studies.sample_instances(maps[SIDES_M[0]], 40, weights=[ju.Weights()], seed=3).query("is_connected")
+pairs = ju.studies.sample_instances(maps[SIDES_M[0]], 40, weights=[ju.Weights()], seed=3).query(
+    "is_connected"
+)
 corner_m = np.array([finest.grid.x_min_m, finest.grid.y_min_m])
 
 
@@ -84,7 +86,11 @@ for row in pairs.itertuples():
         if best.status.has_path and planned.status.has_path:
             cost = truth.problem.cost_of(planned.xy_m - corner_m)
             judged.append(
-                {"cell (m)": side_m, "regret (%)": 100 * (cost / best.cost - 1), "is blocked": np.isinf(cost)}
+                {
+                    "cell (m)": side_m,
+                    "regret (%)": 100 * (cost / best.cost - 1),
+                    "is blocked": np.isinf(cost),
+                }
             )
 judged = pd.DataFrame(judged)
 open_ones = judged[~judged["is blocked"]].groupby("cell (m)")["regret (%)"]
@@ -100,8 +106,16 @@ pd.DataFrame(
 # %%
 figure, axes = plt.subplots(figsize=(7.5, 3.8), layout="constrained")
 for side_m, part in judged[~judged["is blocked"]].groupby("cell (m)"):
-    axes.plot(np.sort(part["regret (%)"]), np.linspace(0, 100, len(part)), marker=".", label=f"cells of {side_m:g} m")
-axes.set(xlabel=f"regret of a route on the maps of {SIDES_M[-1]:g} m (%)", ylabel="share of the routes (%)")
+    axes.plot(
+        np.sort(part["regret (%)"]),
+        np.linspace(0, 100, len(part)),
+        marker=".",
+        label=f"cells of {side_m:g} m",
+    )
+axes.set(
+    xlabel=f"regret of a route on the maps of {SIDES_M[-1]:g} m (%)",
+    ylabel="share of the routes (%)",
+)
 axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
 plt.show()
 
@@ -111,9 +125,13 @@ plt.show()
 # The pair with the largest regret, planned on the coarsest and on the finest maps, drawn over the finest.
 
 # %%
-row = pairs.iloc[int(judged[judged["cell (m)"] == SIDES_M[0]]["regret (%)"].replace(np.inf, -1).argmax())]
+row = pairs.iloc[
+    int(judged[judged["cell (m)"] == SIDES_M[0]]["regret (%)"].replace(np.inf, -1).argmax())
+]
 ends = lonlat_of(row)
-two = [ju.plan(maps[side_m], *ends, altitude_m=30.0, snap=True) for side_m in (SIDES_M[0], SIDES_M[-1])]
+two = [
+    ju.plan(maps[side_m], *ends, altitude_m=30.0, snap=True) for side_m in (SIDES_M[0], SIDES_M[-1])
+]
 plot_paths(finest, two, names=[f"{side_m:g} m cells" for side_m in (SIDES_M[0], SIDES_M[-1])])
 
 # %% [markdown]

@@ -31,7 +31,9 @@ import jaxurban as ju
 city = ju.sample_city("lower-manhattan")
 grid = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), progress=False).grid
 times = [f"2020-04-27T{hour:02}:00:00Z" for hour in range(24)]
-inputs, skies = ju.grad.map_inputs(city, grid, altitudes_m=(20.0,), gps=replace(city.gps, times=times))
+inputs, skies = ju.grad.map_inputs(
+    city, grid, altitudes_m=(20.0,), gps=replace(city.gps, times=times)
+)
 thresholds = jnp.array([6.0, 10.0, 20.0])
 
 # %% [markdown]
@@ -69,7 +71,12 @@ figure, axes = plt.subplots(figsize=(7.5, 4.0), layout="constrained")
 for threshold, shares in zip(thresholds, good, strict=True):
     axes.plot(range(24), 100 * shares, label=f"m_gps above 0.5, threshold {threshold:g}")
 axes.plot(range(24), 100 * has_fix, "ko", markersize=4, label="a position fix")
-axes.set(xlabel="hour of 2020-04-27 (UTC)", ylabel="share of the streets (%)", xticks=range(0, 24, 3), ylim=(0, 100))
+axes.set(
+    xlabel="hour of 2020-04-27 (UTC)",
+    ylabel="share of the streets (%)",
+    xticks=range(0, 24, 3),
+    ylim=(0, 100),
+)
 axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
 plt.show()
 
@@ -80,11 +87,22 @@ plt.show()
 # there.
 
 # %%
-hours = np.where(np.asarray(one["obstacle"][0] == 0), (np.asarray(made["gps"][1, :, 0]) > 0.5).sum(axis=0), np.nan)
+hours = np.where(
+    np.asarray(one["obstacle"][0] == 0),
+    (np.asarray(made["gps"][1, :, 0]) > 0.5).sum(axis=0),
+    np.nan,
+)
 figure, axes = plt.subplots(figsize=(7.0, 5.0), layout="constrained")
 axes.set_facecolor("0.75")  # obstacles
-picture = axes.pcolormesh(grid.x_m - grid.x_m[0], grid.y_m - grid.y_m[0], hours, vmin=0, vmax=24, rasterized=True)
-axes.set(aspect="equal", xlabel="east of the southwest corner (m)", ylabel="north of it (m)", title=city.attribution)
+picture = axes.pcolormesh(
+    grid.x_m - grid.x_m[0], grid.y_m - grid.y_m[0], hours, vmin=0, vmax=24, rasterized=True
+)
+axes.set(
+    aspect="equal",
+    xlabel="east of the southwest corner (m)",
+    ylabel="north of it (m)",
+    title=city.attribution,
+)
 figure.colorbar(picture, label="hours with m_gps above 0.5, of 24", ticks=range(0, 25, 6))
 plt.show()
 
@@ -95,7 +113,11 @@ plt.show()
 
 # %%
 plain = ju.build_maps(
-    city, grid=grid, altitudes_m=(20.0,), gps=replace(city.gps, times=times[12:13], gdop_threshold=10.0), progress=False
+    city,
+    grid=grid,
+    altitudes_m=(20.0,),
+    gps=replace(city.gps, times=times[12:13], gdop_threshold=10.0),
+    progress=False,
 )
 is_free = plain.m("obstacle", 20.0) == 0
 np.abs(np.asarray(made["gps"][1, 12, 0]) - plain.m("gps", 20.0))[is_free].max()

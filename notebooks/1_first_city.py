@@ -34,7 +34,9 @@ start, goal = (-74.0165, 40.7035), (-73.9900, 40.7290)  # longitude, latitude
 planners = ("ptp", "astar-dist", "astar-plus")
 paths = [ju.plan(maps, start, goal, altitude_m=20.0, planner=p, snap=True) for p in planners]
 for path in paths:
-    print(f"{path.search.planner:12}{path.status.value:10} cost {path.cost:8.1f}  length {path.length_m:7.0f} m")
+    print(
+        f"{path.search.planner:12}{path.status.value:10} cost {path.cost:8.1f}  length {path.length_m:7.0f} m"
+    )
 
 # %% [markdown]
 # ## What the planner sees

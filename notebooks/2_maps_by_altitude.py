@@ -33,7 +33,13 @@ import numpy as np
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.report.figures import plot_gps_rating, plot_heights, plot_metric, plot_population, plot_sensor_choice
+from jaxurban.report.figures import (
+    plot_gps_rating,
+    plot_heights,
+    plot_metric,
+    plot_population,
+    plot_sensor_choice,
+)
 
 city = ju.sample_city("lower-manhattan")
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(10, 20, 40, 60, 90, 122, 200, 600))
@@ -109,9 +115,18 @@ means.round(3)
 
 # %%
 figure, axes = plt.subplots(figsize=(7.5, 4.2), layout="constrained")
-for name, style in (("gps", "o-"), ("lidar", "s-"), ("risk", "^-"), ("GPS better than lidar", "k--")):
+for name, style in (
+    ("gps", "o-"),
+    ("lidar", "s-"),
+    ("risk", "^-"),
+    ("GPS better than lidar", "k--"),
+):
     axes.plot(means.index, means[name], style, label=name)
-axes.set(xscale="log", xlabel="altitude above ground (m)", ylabel="mean m over the streets, or share of them (1)")
+axes.set(
+    xscale="log",
+    xlabel="altitude above ground (m)",
+    ylabel="mean m over the streets, or share of them (1)",
+)
 axes.set_ylim(0, 1.03)
 axes.set_xticks(means.index, [f"{z:g}" for z in means.index])
 axes.minorticks_off()

@@ -85,7 +85,11 @@ for name in ("bitstar-dist", "bitstar-plus"):
 for name, marker in (("astar-dist", "s"), ("astar-plus", "o"), ("theta-star", "*")):
     axes.plot(paths[name].search.elapsed_s, paths[name].cost, marker, markersize=9, label=name)
 axes.axhline(min(path.cost for path in paths.values()), color="black", linewidth=0.8)
-axes.set(xscale="log", xlabel="time since the start of the search (s)", ylabel="cost of the best path so far (1)")
+axes.set(
+    xscale="log",
+    xlabel="time since the start of the search (s)",
+    ylabel="cost of the best path so far (1)",
+)
 axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
 plt.show()
 
@@ -99,19 +103,29 @@ plt.show()
 # %%
 instances = ju.studies.sample_instances(maps, 24, weights=[ju.Weights()]).query("is_connected")
 pairs = instances[["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]]
-x0, y0, x1, y1 = pairs.loc[instances["distance_m"].idxmin()]  # a short query, as few samples solve it
+x0, y0, x1, y1 = pairs.loc[
+    instances["distance_m"].idxmin()
+]  # a short query, as few samples solve it
 query = weighted.problem.between(
     weighted.locate("start", ju.XY(x0, y0)).cell, weighted.locate("goal", ju.XY(x1, y1)).cell
 )
 rows = {}
 for backend in ("numba", "jax"):
-    many = ju.plan_many(maps, pairs, altitude_m=30.0, cost_model="line", backend=backend, budget_s=120.0)
+    many = ju.plan_many(
+        maps, pairs, altitude_m=30.0, cost_model="line", backend=backend, budget_s=120.0
+    )
     limits = {"max_samples": 2_000, "budget_s": 120.0}
     if backend == "numba":
         one = bitstar_plus(query, **limits)
     else:
-        ((_, one),) = solve_batched([query], planner="bitstar-plus", heuristic="plus", seeds=[0], **limits)
-    rows["astar-plus", backend] = len(pairs), sum(path.cost for path in many), {path.search.backend for path in many}
+        ((_, one),) = solve_batched(
+            [query], planner="bitstar-plus", heuristic="plus", seeds=[0], **limits
+        )
+    rows["astar-plus", backend] = (
+        len(pairs),
+        sum(path.cost for path in many),
+        {path.search.backend for path in many},
+    )
     rows["bitstar-plus", backend] = 1, one.cost, {one.backend}
 pd.DataFrame(rows, ["queries", "sum of costs", "what ran"]).T.sort_index()
 
@@ -126,14 +140,18 @@ pd.DataFrame(rows, ["queries", "sum of costs", "what ran"]).T.sort_index()
 # %%
 cost = np.array([[0, 5, 0], [0, 5, 0], [0, 0, 0]], float)  # row 0 in the south
 start, goal = (0, 0), (0, 2)
-nine = Problem(cost[None], np.ones((3, 3), bool), start, goal, resolution_m=1.0, weights=1.0, cost_model="cell")
+nine = Problem(
+    cost[None], np.ones((3, 3), bool), start, goal, resolution_m=1.0, weights=1.0, cost_model="cell"
+)
 printed, truth = make_heuristic("plus-printed", nine), make_heuristic("exact", nine)
 
 
 def as_table(value) -> pd.DataFrame:
     """Return the nine cells' values with the north on top."""
     rows = [[value((row, col)) for col in range(3)] for row in (2, 1, 0)]
-    return pd.DataFrame(rows, ["row 2", "row 1", "row 0"], ["column 0", "column 1", "column 2"]).round(2)
+    return pd.DataFrame(
+        rows, ["row 2", "row 1", "row 0"], ["column 0", "column 1", "column 2"]
+    ).round(2)
 
 
 pd.concat(
@@ -166,12 +184,18 @@ for name in ("plus-printed", "tiles"):
 # %%
 by_cell = ju.cost_map(maps, 30.0, cost_model="cell")
 rows = []
-for row in ju.studies.sample_instances(maps, 40, weights=[ju.Weights()]).query("is_connected").itertuples():
+for row in (
+    ju.studies.sample_instances(maps, 40, weights=[ju.Weights()]).query("is_connected").itertuples()
+):
     ends = ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)
     best, found = (by_cell.plan(*ends, heuristic=name) for name in ("tiles", "plus-printed"))
-    rows.append((100 * (found.cost / best.cost - 1), found.search.num_expanded / best.search.num_expanded))
+    rows.append(
+        (100 * (found.cost / best.cost - 1), found.search.num_expanded / best.search.num_expanded)
+    )
 excess, expanded = np.array(rows).T
-print(f"{len(rows)} queries: the path of the printed heuristic costs more in {np.mean(excess > 1e-6):.0%} of them,")
+print(
+    f"{len(rows)} queries: the path of the printed heuristic costs more in {np.mean(excess > 1e-6):.0%} of them,"
+)
 print(f"by {np.median(excess):.2f} % in the median and {excess.max():.1f} % at worst,")
 print(f"and it expands {np.median(expanded):.2f} times the cells in the median.")
 
@@ -179,7 +203,9 @@ print(f"and it expands {np.median(expanded):.2f} times the cells in the median."
 figure, axes = plt.subplots(figsize=(7.5, 3.6), layout="constrained")
 axes.scatter(expanded, excess, s=22)
 axes.axhline(0, color="black", linewidth=0.8)
-axes.set(xlabel="cells expanded, printed over admissible (1)", ylabel="cost above the cheapest path (%)")
+axes.set(
+    xlabel="cells expanded, printed over admissible (1)", ylabel="cost above the cheapest path (%)"
+)
 plt.show()
 
 # %% [markdown]

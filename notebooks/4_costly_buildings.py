@@ -38,7 +38,9 @@ maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(25.0,))
 x_m, y_m = maps.grid.x_m, maps.grid.y_m
 ends = ju.XY(x_m[48], y_m[20]), ju.XY(x_m[100], y_m[140])
 route = ju.cost_map(maps, 25.0).plan(*ends, snap=True)
-print(f"{len(city.buildings):,} buildings; the route costs {route.cost:.1f} over {route.length_m:,.0f} m")
+print(
+    f"{len(city.buildings):,} buildings; the route costs {route.cost:.1f} over {route.length_m:,.0f} m"
+)
 
 # %% [markdown]
 # ## One gradient for all buildings
@@ -68,10 +70,16 @@ plot_building_costs(city, route, table, maps.grid)
 
 # %%
 figure, axes = plt.subplots(figsize=(7.5, 4.0), layout="constrained")
-for name, colour, marker in (("risk", "#009e73", "^"), ("gps", "#0072b2", "o"), ("lidar", "#e69f00", "s")):
+for name, colour, marker in (
+    ("risk", "#009e73", "^"),
+    ("gps", "#0072b2", "o"),
+    ("lidar", "#e69f00", "s"),
+):
     felt = table[table[name].abs() >= 1e-3]
     axes.scatter(felt["height_m"], felt[name], s=20, color=colour, marker=marker, label=name)
-axes.axvline(route.altitude_m, color="black", linewidth=0.8, linestyle=":", label="altitude of the route")
+axes.axvline(
+    route.altitude_m, color="black", linewidth=0.8, linestyle=":", label="altitude of the route"
+)
 axes.axhline(0, color="black", linewidth=0.5)
 axes.set(xlabel="height of the building (m)", ylabel="cost per metre of height (1/m)", xscale="log")
 axes.set_xticks([5, 10, 20, 50, 100], ["5", "10", "20", "50", "100"])
@@ -122,14 +130,22 @@ for number in range(ROUNDS + 1):
         again = ju.build_maps(changed, resolution_m=10.0, altitudes_m=(25.0,))
         planned = ju.cost_map(again, 25.0).plan(*ends, snap=True)
     with jax.enable_x64(True):
-        slopes = ju.studies.building_costs(changed, ju.grad.soft_city(changed, maps.grid, params), planned, params)
+        slopes = ju.studies.building_costs(
+            changed, ju.grad.soft_city(changed, maps.grid, params), planned, params
+        )
     worst = slopes.reindex(slopes.per_metre.abs().sort_values(ascending=False).index).head(ROOFS)
     promised = METRES * worst.per_metre.abs().sum()
     rounds.append(
-        {"soft cost": slopes.attrs["soft_cost"], "cost": planned.cost, "promised for the next round": promised}
+        {
+            "soft cost": slopes.attrs["soft_cost"],
+            "cost": planned.cost,
+            "promised for the next round": promised,
+        }
     )
     height_m = changed.buildings.height_m.copy()
-    height_m[worst.building] = np.maximum(height_m[worst.building] - METRES * np.sign(worst.per_metre), 1.0)
+    height_m[worst.building] = np.maximum(
+        height_m[worst.building] - METRES * np.sign(worst.per_metre), 1.0
+    )
     changed = replace(changed, buildings=replace(changed.buildings, height_m=height_m))
 rounds = pd.DataFrame(rounds).rename_axis("rounds")
 for kind in ("soft cost", "cost"):

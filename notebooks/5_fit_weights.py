@@ -40,10 +40,13 @@ pilot = ju.cost_map(maps, 20.0, weights=own)
 # %%
 flights = ju.studies.sample_instances(maps, 20, weights=[own], seed=1).query("is_connected")[:16]
 shown = [
-    pilot.plan(ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)) for row in flights.itertuples()
+    pilot.plan(ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m))
+    for row in flights.itertuples()
 ]
 demonstrations = ju.fit.demonstrations_from_paths(shown, maps)
-print(f"{len(shown)} routes of {min(p.length_m for p in shown):,.0f} to {max(p.length_m for p in shown):,.0f} m")
+print(
+    f"{len(shown)} routes of {min(p.length_m for p in shown):,.0f} to {max(p.length_m for p in shown):,.0f} m"
+)
 
 # %% [markdown]
 # ## The fit
@@ -91,14 +94,18 @@ for name, weights in (("default weights", ju.Weights()), ("fitted weights", fit.
         ends = ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)
         cost = pilot.problem.cost_of(weighted.plan(*ends).xy_m - corner_m)
         regret.append(100 * (cost / pilot.plan(*ends).cost - 1))
-    print(f"{name}: {np.mean(regret):.2f} % above the pilot's routes on average, {max(regret):.2f} % at worst")
+    print(
+        f"{name}: {np.mean(regret):.2f} % above the pilot's routes on average, {max(regret):.2f} % at worst"
+    )
 
 # %% [markdown]
 # One of them. The costs below are each in its own weights and cannot be compared.
 
 # %%
 ends = (-74.0165, 40.7035), (-73.9817, 40.7265)  # longitude, latitude: the Battery, Tompkins Square
-two = [ju.plan(maps, *ends, altitude_m=20.0, snap=True, weights=each) for each in (None, fit.weights)]
+two = [
+    ju.plan(maps, *ends, altitude_m=20.0, snap=True, weights=each) for each in (None, fit.weights)
+]
 plot_paths(maps, two, names=["default weights", "fitted weights"])
 
 # %% [markdown]

@@ -30,7 +30,10 @@ from jaxurban.report.figures.sensitivity import (
 
 city = ju.sample_city("lower-manhattan")
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0,))
-start, goal = (-74.0165, 40.7035), (-73.9817, 40.7265)  # longitude, latitude: the Battery, Tompkins Square
+start, goal = (
+    (-74.0165, 40.7035),
+    (-73.9817, 40.7265),
+)  # longitude, latitude: the Battery, Tompkins Square
 found = ju.studies.sensitivity(ju.cost_map(maps, 20.0), start, goal, snap=True)
 print(f"{found.num_plans:,} searches in {found.elapsed_s:.1f} s")
 

@@ -42,7 +42,9 @@ from jaxurban.report.figures import plot_heights, plot_overview
 from jaxurban.samples.catalogue import located
 
 folder = Path(tempfile.mkdtemp(prefix="my-town-"))
-os.environ["XDG_CACHE_HOME"] = str(folder / "cache")  # so that nothing is kept elsewhere; leave this out at home
+os.environ["XDG_CACHE_HOME"] = str(
+    folder / "cache"
+)  # so that nothing is kept elsewhere; leave this out at home
 # %run -m jaxurban fetch --bounds=-74.02,40.70,-73.98,40.73 -o {folder}/new-york --dry-run
 
 # %% [markdown]
@@ -67,7 +69,10 @@ buildings.drop(columns="geometry").sample(6, random_state=1)
 # offices fill by day.
 
 # %%
-blocks, districts = gpd.read_parquet(folder / "blocks.parquet"), gpd.read_parquet(folder / "districts.parquet")
+blocks, districts = (
+    gpd.read_parquet(folder / "blocks.parquet"),
+    gpd.read_parquet(folder / "districts.parquet"),
+)
 print(f"{len(blocks):,} blocks, {len(districts)} districts")
 blocks.drop(columns="geometry").head(3)
 
@@ -101,7 +106,10 @@ orbits = "gps.tle"
 times = ["2020-04-27T16:00:00Z"]
 """)
 scenario = ju.Scenario.from_toml(folder / "scenario.toml")
-misspelt = {"region": {"bounds": scenario.region.bounds, "altitude": [20]}, "buildings": {"source": "x"}}
+misspelt = {
+    "region": {"bounds": scenario.region.bounds, "altitude": [20]},
+    "buildings": {"source": "x"},
+}
 try:
     ju.Scenario.from_dict(misspelt)
 except ju.InputError as error:
@@ -128,10 +136,14 @@ plot_heights(maps)
 city = ju.City.from_files(
     folder / "buildings.parquet",
     bounds=scenario.region.bounds,
-    population=ju.Population(blocks=folder / "blocks.parquet", districts=folder / "districts.parquet"),
+    population=ju.Population(
+        blocks=folder / "blocks.parquet", districts=folder / "districts.parquet"
+    ),
 )
 gps = ju.Gps(orbits=folder / "gps.tle", times=scenario.gps.times)
-again = ju.build_maps(city, scenario.region.bounds, resolution_m=10.0, altitudes_m=(20.0, 60.0), gps=gps)
+again = ju.build_maps(
+    city, scenario.region.bounds, resolution_m=10.0, altitudes_m=(20.0, 60.0), gps=gps
+)
 print(f"the same maps: {np.array_equal(again.m('gps', 20.0), maps.m('gps', 20.0), equal_nan=True)}")
 city.buildings.origin_counts()
 

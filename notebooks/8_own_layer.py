@@ -31,7 +31,10 @@ from jaxurban.report.figures.sensitivity import plot_breakpoint_routes
 city = ju.sample_city("lower-manhattan")
 how = {"resolution_m": 10.0, "altitudes_m": (20.0, 60.0)}
 plain = ju.build_maps(city, **how)
-start, goal = (-74.0165, 40.7035), (-73.9817, 40.7265)  # longitude, latitude: the Battery, Tompkins Square
+start, goal = (
+    (-74.0165, 40.7035),
+    (-73.9817, 40.7265),
+)  # longitude, latitude: the Battery, Tompkins Square
 
 # %% [markdown]
 # ## From an array
@@ -62,7 +65,10 @@ def gusts(surface, altitude_m):
     return jnp.maximum(jnp.stack(west_east).max(axis=0) - altitude_m, 0.0)
 
 
-layers = {"complaints": complaints, "gusts": ju.Layer(gusts, "high-is-bad", (0.0, 50.0), reach_m=30.0)}
+layers = {
+    "complaints": complaints,
+    "gusts": ju.Layer(gusts, "high-is-bad", (0.0, 50.0), reach_m=30.0),
+}
 maps = ju.build_maps(city, **how, layers=layers)
 plot_metric(maps, "complaints", altitudes_m=[20.0])
 
@@ -85,8 +91,12 @@ routes = {
 }
 for name, route in routes.items():
     along = maps.m("complaints", 20.0), maps.m("gusts", 20.0)
-    row, col = np.floor((route.xy_m - [maps.grid.x_min_m, maps.grid.y_min_m]).T[::-1] / 10.0).astype(int)
-    means = ", ".join(f"{layer} {m[row, col].mean():.3f}" for layer, m in zip(layers, along, strict=True))
+    row, col = np.floor(
+        (route.xy_m - [maps.grid.x_min_m, maps.grid.y_min_m]).T[::-1] / 10.0
+    ).astype(int)
+    means = ", ".join(
+        f"{layer} {m[row, col].mean():.3f}" for layer, m in zip(layers, along, strict=True)
+    )
     print(f"{name:15} {route.length_m:6,.0f} m; mean along it: {means}")
 plot_paths(maps, list(routes.values()), names=list(routes))
 

@@ -32,7 +32,9 @@ import jaxurban as ju
 from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_regret
 
 maps = {
-    name: ju.build_maps(ju.sample_city(name), resolution_m=10.0, altitudes_m=(20.0, 60.0), progress=False)
+    name: ju.build_maps(
+        ju.sample_city(name), resolution_m=10.0, altitudes_m=(20.0, 60.0), progress=False
+    )
     for name in ("lower-manhattan", "shinjuku")
 }
 folder = Path(tempfile.mkdtemp())
@@ -46,7 +48,11 @@ pd.set_option("display.max_colwidth", None, "display.max_rows", 100)
 
 # %%
 found = ju.studies.sensitivity_study(
-    maps, folder / "study", 10, settings=ju.studies.SensitivityStudySettings(num_samples=4), progress=False
+    maps,
+    folder / "study",
+    10,
+    settings=ju.studies.SensitivityStudySettings(num_samples=4),
+    progress=False,
 )
 print(f"{len(found.rows)} routes")
 
@@ -88,7 +94,9 @@ plot_nearest(found.tables["weights"], found.settings.wrong)
 # The regret by what lies below start and goal, and by altitude.
 
 # %%
-summary[summary.cut == "stratum, altitude_m"].pivot(index="value", columns="weight_name", values="regret").round(4)
+summary[summary.cut == "stratum, altitude_m"].pivot(
+    index="value", columns="weight_name", values="regret"
+).round(4)
 
 # %% [markdown]
 # Every number lies in `folder / "study"` as CSV and Parquet, with a report. It can be deleted:

@@ -20,7 +20,9 @@ QUIET = ["--IPKernelApp.log_level=CRITICAL"]  # it tells of its own transport an
 def main() -> int:
     """Execute the notebooks in the order of their names."""
     parser = argparse.ArgumentParser(description="Run the notebooks top to bottom.")
-    parser.add_argument("names", nargs="*", metavar="NAME", help="beginnings of names; left out: all notebooks")
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help="beginnings of names; left out: all notebooks"
+    )
     parser.add_argument("-o", "--out", type=Path, help="keep the executed notebooks in this folder")
     asked = parser.parse_args()
     folder = Path(__file__).parent

@@ -21,16 +21,28 @@ from jaxurban.planners.cost import sample_segment
 
 NO_PARENT = -1
 STEPS_PER_NODE = 8
-MARGIN = 1e-6  # cell sides that waypoints keep from borders, lest rounding puts them in the cell beyond
+MARGIN = (
+    1e-6  # cell sides that waypoints keep from borders, lest rounding puts them in the cell beyond
+)
 TIE = 1e-12  # relative: costs this close are equal
 GROW, SHRINK = 1.5, 0.5  # of a waypoint's step, where it helped and where it did not
 CHUNK = 10_000  # expansions between two looks at the clock: some 5 to 50 ms
 FIRST_HEAP = 4096  # entries; doubled when full
-SPACING = 0.4  # cell sides between the points that shortcuts join; 0.7 loses 0.04 %, 0.34 gains 0.01 %
+SPACING = (
+    0.4  # cell sides between the points that shortcuts join; 0.7 loses 0.04 %, 0.34 gains 0.01 %
+)
 LONGEST = 8  # cell sides that a segment may grow to
-SPACINGS = (LONGEST, 4, 2, 1)  # cell sides between waypoints, one level after the other: long bends first
+SPACINGS = (
+    LONGEST,
+    4,
+    2,
+    1,
+)  # cell sides between waypoints, one level after the other: long bends first
 ROUNDS = 20  # moves of every waypoint on a level
-FIRST_STEP, LAST_STEP = 1.0, 1e-3  # cell sides: a waypoint's step when a level begins, and where it ends
+FIRST_STEP, LAST_STEP = (
+    1.0,
+    1e-3,
+)  # cell sides: a waypoint's step when a level begins, and where it ends
 REACH = 64  # points that a shortcut may span: 128 gains less than 0.001 % (both on Lower Manhattan)
 
 
@@ -42,7 +54,10 @@ def ptp(problem: Problem, *, budget_s: float = np.inf, seed: int = 0) -> Path:
     tried. The lower bound is the distance alone and holds for any path.
     """
     begin_s = time.perf_counter()
-    start_m, goal_m = ((np.array(cell[::-1]) + 0.5) * problem.resolution_m for cell in (problem.start, problem.goal))
+    start_m, goal_m = (
+        (np.array(cell[::-1]) + 0.5) * problem.resolution_m
+        for cell in (problem.start, problem.goal)
+    )
     points_m = sample_segment(start_m, goal_m, problem.resolution_m)
     is_valid = problem.features(points_m).is_valid
     return Path.of(
@@ -59,7 +74,9 @@ def ptp(problem: Problem, *, budget_s: float = np.inf, seed: int = 0) -> Path:
 
 
 @compiled_first()
-def theta_star(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heuristic: str = "plus") -> Path:
+def theta_star(
+    problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heuristic: str = "plus"
+) -> Path:
     """Return a path of straight segments between cells and points between them, free of the grid's eight directions.
 
     Theta* lets a cell hang from the parent of its neighbour, by the straight segment, where that is cheaper than the
@@ -91,7 +108,10 @@ def theta_star(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heu
         bounds = make_bounds(heuristic, problem, is_reachable)
         cost_grid = cost_grid_of(problem, is_reachable)
         xy, num_expanded = _search(problem, cost_grid, bounds, begin_s + budget_s)
-        status, lower_bound = Status.FEASIBLE if len(xy) else Status.BUDGET_EMPTY, bounds.from_start_to_goal()
+        status, lower_bound = (
+            Status.FEASIBLE if len(xy) else Status.BUDGET_EMPTY,
+            bounds.from_start_to_goal(),
+        )
         if len(xy):
             points_m = shortened(cost_grid, xy) * problem.resolution_m
     return Path.of(
@@ -139,7 +159,9 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
     is_reachable = islands == islands[problem.start]
     cost_grid = cost_grid_of(problem, is_reachable)
     # A point on the map's outer border belongs to no cell.
-    xy = np.minimum(path.points_m / problem.resolution_m, np.array(problem.is_free.shape[::-1]) * (1 - TIE))
+    xy = np.minimum(
+        path.points_m / problem.resolution_m, np.array(problem.is_free.shape[::-1]) * (1 - TIE)
+    )
     best, points_m, is_spent = before, path.points_m, False
     for spacing in SPACINGS:
         moved, _ = subdivided(xy, spacing)
@@ -159,7 +181,11 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
         return replace(path, elapsed_s=time.perf_counter() - begin_s, note=note)
     note = f"Refinement lowered what the search minimises by {1 - best / before:.2%}."
     ran = path.ran | {"graph": EVERY_PATH, "note": " ".join(filter(None, (path.note, note)))}
-    status = Status.BUDGET_FEASIBLE if is_spent or path.status is Status.BUDGET_FEASIBLE else Status.FEASIBLE
+    status = (
+        Status.BUDGET_FEASIBLE
+        if is_spent or path.status is Status.BUDGET_FEASIBLE
+        else Status.FEASIBLE
+    )
     # A grid planner's own bound holds for grid paths only.
     lower_bound = make_bounds("plus", problem, is_reachable).from_start_to_goal()
     return Path.of(problem, points_m, status, lower_bound, begin_s, **ran)
@@ -168,7 +194,11 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
 def _compass(xy: np.ndarray) -> list[np.ndarray]:
     """Return directions ``[N, 2]`` along which cost maps have edges: those of cells, and past corners of obstacles."""
     onward = np.diff(xy, axis=0, append=xy[-1:])
-    return [*(np.broadcast_to(axis, xy.shape) for axis in np.eye(2)), onward, np.roll(onward, 1, axis=0)]
+    return [
+        *(np.broadcast_to(axis, xy.shape) for axis in np.eye(2)),
+        onward,
+        np.roll(onward, 1, axis=0),
+    ]
 
 
 def _move(cost_grid: CostGrid, xy: np.ndarray, end_s: float) -> None:
@@ -178,7 +208,9 @@ def _move(cost_grid: CostGrid, xy: np.ndarray, end_s: float) -> None:
         if time.perf_counter() >= end_s or max(step.max() for step in steps) < LAST_STEP:
             break
         for direction, step in zip(_compass(xy), steps, strict=True):
-            direction = direction / np.maximum(np.hypot(*direction.T), np.finfo(float).tiny)[:, None]
+            direction = (
+                direction / np.maximum(np.hypot(*direction.T), np.finfo(float).tiny)[:, None]
+            )
             move_points(cost_grid, xy, direction, step, float(LONGEST))
 
 
@@ -210,10 +242,14 @@ def shortened(cost_grid: CostGrid, xy: np.ndarray) -> np.ndarray:
     points, is_added = subdivided(xy, SPACING)
     # Between points on borders a segment could run along an obstacle's wall.
     is_near_border = (np.abs(points - np.rint(points)) < MARGIN).any(axis=1)
-    return shortcut(cost_grid, shortcut(cost_grid, points[~(is_added & is_near_border)], REACH), REACH)
+    return shortcut(
+        cost_grid, shortcut(cost_grid, points[~(is_added & is_near_border)], REACH), REACH
+    )
 
 
-def _search(problem: Problem, cost_grid: CostGrid, bounds: Bounds, end_s: float) -> tuple[np.ndarray, int]:
+def _search(
+    problem: Problem, cost_grid: CostGrid, bounds: Bounds, end_s: float
+) -> tuple[np.ndarray, int]:
     """Return ``[N, 2]`` the path's cell centres, none where time ran out, and the cells expanded."""
     (start_row, start_col), (goal_row, goal_col) = problem.start, problem.goal
     num_cols = cost_grid.cell_cost.shape[1]
@@ -314,14 +350,18 @@ def advance(cost_grid, nodes, goal, heap, max_expanded):
                     if is_pinched(cost_grid, row, col, to_row, to_col):
                         continue
                 best, best_parent = nodes.g[to], NO_PARENT
-                g = nodes.g[node] + length * (cost_grid.per_side + 0.5 * (cost_grid.cell_cost[row, col] + cell_cost))
+                g = nodes.g[node] + length * (
+                    cost_grid.per_side + 0.5 * (cost_grid.cell_cost[row, col] + cell_cost)
+                )
                 if g < best:
                     best, best_parent = g, node
                 if parent != NO_PARENT and parent != nodes.tried[to]:
                     nodes.tried[to] = parent
                     x, y = parent % num_cols + 0.5, parent // num_cols + 0.5
                     from_g = nodes.g[parent]
-                    g = from_g + segment_cost(cost_grid, x, y, to_col + 0.5, to_row + 0.5, best - from_g)
+                    g = from_g + segment_cost(
+                        cost_grid, x, y, to_col + 0.5, to_row + 0.5, best - from_g
+                    )
                     if g < best:
                         best, best_parent = g, parent
                 if best_parent != NO_PARENT:
@@ -348,7 +388,9 @@ def shortcut(cost_grid, xy, reach):
         for j in range(k - 1, max(-1, k - 1 - reach), -1):
             limit = best[k] * (1 + TIE) - best[j]
             if limit > 0.0:
-                cost = best[j] + segment_cost(cost_grid, xy[j, 0], xy[j, 1], xy[k, 0], xy[k, 1], limit)
+                cost = best[j] + segment_cost(
+                    cost_grid, xy[j, 0], xy[j, 1], xy[k, 0], xy[k, 1], limit
+                )
                 if cost < np.inf:
                     best[k], parent[k] = cost, j
     if best[num - 1] == np.inf:
@@ -380,7 +422,9 @@ def move_points(cost_grid, xy, direction, step, longest):
         x0, y0 = xy[k - 1]
         x1, y1 = xy[k]
         x2, y2 = xy[k + 1]
-        cost = segment_cost(cost_grid, x0, y0, x1, y1, np.inf) + segment_cost(cost_grid, x1, y1, x2, y2, np.inf)
+        cost = segment_cost(cost_grid, x0, y0, x1, y1, np.inf) + segment_cost(
+            cost_grid, x1, y1, x2, y2, np.inf
+        )
         factor = SHRINK
         for sign in (1.0, -1.0):
             x, y = x1 + sign * step[k] * direction[k, 0], y1 + sign * step[k] * direction[k, 1]
@@ -389,7 +433,9 @@ def move_points(cost_grid, xy, direction, step, longest):
             if max(np.hypot(x - x0, y - y0), np.hypot(x - x2, y - y2)) > longest:
                 continue
             first = segment_cost(cost_grid, x0, y0, x, y, cost)
-            if first < cost and first + segment_cost(cost_grid, x, y, x2, y2, cost - first) < cost * (1 - TIE):
+            if first < cost and first + segment_cost(
+                cost_grid, x, y, x2, y2, cost - first
+            ) < cost * (1 - TIE):
                 xy[k, 0], xy[k, 1] = x, y
                 factor = GROW
                 break

@@ -31,7 +31,14 @@ from jaxurban.planners.grid_search import (
     way_m,
 )
 
-ADMISSIBLE = ("none", "euclidean", "octile", "tiles", "landmarks", "exact")  # all of them consistent too
+ADMISSIBLE = (
+    "none",
+    "euclidean",
+    "octile",
+    "tiles",
+    "landmarks",
+    "exact",
+)  # all of them consistent too
 PRINTED = ("plus-printed", "plus-printed-from-0")
 HEURISTICS = ADMISSIBLE + PRINTED
 VOLUME_HEURISTICS = ("none", "octile", "plus")  # all admissible and consistent
@@ -104,7 +111,9 @@ def astar(
 # The paper's two: guided by the straight distance, and by distance and map costs, with an admissible bound.
 astar_dist = partial(astar, heuristic="euclidean", planner="astar-dist")
 astar_plus = partial(astar, heuristic=AUTO, planner="astar-plus")
-volume_astar = partial(astar, heuristic="plus", planner="astar-volume")  # through a stack of levels, 26-connected
+volume_astar = partial(
+    astar, heuristic="plus", planner="astar-volume"
+)  # through a stack of levels, 26-connected
 
 
 def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuristic:
@@ -136,7 +145,8 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
     one_of("heuristic", name, HEURISTICS if problem.levels_m is None else VOLUME_HEURISTICS)
     per_side = problem.distance_weight * problem.resolution_m
     octile = NO_HEURISTIC._replace(
-        straight=per_side, diagonal=per_side * (np.sqrt(2) - 1 if problem.cost_model.connectivity == 8 else 1)
+        straight=per_side,
+        diagonal=per_side * (np.sqrt(2) - 1 if problem.cost_model.connectivity == 8 else 1),
     )
     if problem.levels_m is not None:
         return _volume_heuristic(name, problem, octile, end_s)
@@ -147,7 +157,9 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
     if name == "euclidean":
         return NO_HEURISTIC._replace(euclidean=per_side)
     if name == "landmarks":
-        return octile._replace(landmarks=landmark_bound(problem, make_landmarks(problem, end_s=end_s)))
+        return octile._replace(
+            landmarks=landmark_bound(problem, make_landmarks(problem, end_s=end_s))
+        )
     if name == "tiles":
         return octile._replace(tiles=_tile_bound(problem))
     if name == "octile":
@@ -176,14 +188,19 @@ def _volume_heuristic(name: str, problem: Problem, octile: Heuristic, end_s: flo
     # The least that changing from each level to the goal's costs beside horizontal length.
     longest_m = problem.resolution_m * (np.sqrt(2) if problem.cost_model.connectivity == 8 else 1)
     rise_m = rises_m(problem)
-    change = problem.distance_weight * (np.hypot(longest_m, rise_m) - longest_m) + height_cost(problem, rise_m)
+    change = problem.distance_weight * (np.hypot(longest_m, rise_m) - longest_m) + height_cost(
+        problem, rise_m
+    )
     up, down, goal = change[:-1, 2], change[1:, 0], problem.goal[0]
     rise = np.concatenate([np.cumsum(up[:goal][::-1])[::-1], [0.0], np.cumsum(down[goal:])])
     if name == "none":
         return NO_HEURISTIC._replace(num_rows=num_rows, rise=np.zeros(len(rise_m)))
     if name == "octile":
         return octile._replace(num_rows=num_rows, rise=rise)
-    rows, cols = np.abs(np.arange(num_rows) - goal_row)[:, None], np.abs(np.arange(num_cols) - goal_col)
+    rows, cols = (
+        np.abs(np.arange(num_rows) - goal_row)[:, None],
+        np.abs(np.arange(num_cols) - goal_col),
+    )
     length = octile.straight * np.maximum(rows, cols) + octile.diagonal * np.minimum(rows, cols)
     field = np.maximum(length, _seen_from_above(problem, end_s))
     return NO_HEURISTIC._replace(field=field, num_rows=num_rows, rise=rise)
@@ -198,7 +215,9 @@ def _seen_from_above(problem: Problem, end_s: float) -> np.ndarray:
     cost, is_free = problem.cost.min(axis=0), np.any(problem.is_free, axis=0)
     (_, *start), (_, *goal) = problem.start, problem.goal
     weights, model = [problem.distance_weight, 1.0], problem.cost_model
-    plan = Problem(cost[None], is_free, tuple(start), tuple(goal), problem.resolution_m, weights, model)
+    plan = Problem(
+        cost[None], is_free, tuple(start), tuple(goal), problem.resolution_m, weights, model
+    )
     graph = graph_of(plan)
     backwards = graph._replace(from_share=graph.to_share, to_share=graph.from_share)
     search = GridSearch(backwards, NO_HEURISTIC, plan.goal, None)
@@ -207,7 +226,11 @@ def _seen_from_above(problem: Problem, end_s: float) -> np.ndarray:
         is_met = bool(search.states[plan.start] & CLOSED)  # and goes on once more
         ended = search.run(end_s=0.0, chunk=FEW + search.num_expanded // 4)
     costs = search.costs_from_start(final=True).reshape(is_free.shape)
-    return costs if ended == EXHAUSTED else np.minimum(costs, costs.max(where=np.isfinite(costs), initial=0.0))
+    return (
+        costs
+        if ended == EXHAUSTED
+        else np.minimum(costs, costs.max(where=np.isfinite(costs), initial=0.0))
+    )
 
 
 def heuristic_at(heuristic: Heuristic, cell: Cell, goal: Cell) -> float:
@@ -256,7 +279,9 @@ def cost_to_go(problem: Problem, end_s: float = np.inf) -> np.ndarray:
     return kept[problem.goal]
 
 
-def make_landmarks(problem: Problem, num: int = NUM_LANDMARKS, end_s: float = np.inf) -> LandmarkBound:
+def make_landmarks(
+    problem: Problem, num: int = NUM_LANDMARKS, end_s: float = np.inf
+) -> LandmarkBound:
     """Return landmarks for a problem's map and weights, built once for all its queries (`Problem.between`).
 
     Landmarks that are there already are returned, whatever their number; `landmark_bound` turns them to a goal. The
@@ -279,7 +304,9 @@ def make_landmarks(problem: Problem, num: int = NUM_LANDMARKS, end_s: float = np
         largest = np.max(costs, where=np.isfinite(costs), initial=0.0)
         slack = float(largest) * problem.is_free.size * np.finfo(np.float64).eps
         cost_share = 0.5 if problem.cost_model.kind == "cell" else 0.0
-        problem.shared["landmarks"] = LandmarkBound(costs, costs[cells[0]], problem.cost, cost_share, -slack)
+        problem.shared["landmarks"] = LandmarkBound(
+            costs, costs[cells[0]], problem.cost, cost_share, -slack
+        )
     made: LandmarkBound = problem.shared["landmarks"]
     return made
 

@@ -14,7 +14,9 @@ from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.planners.cost import CostModel, PathFeatures, allowed_moves, path_features
 from jaxurban.settings import CostKind
 
-Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest
+Cell = tuple[
+    int, ...
+]  # row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest
 T = TypeVar("T")
 
 EVERY_PATH = "paths at any angle"  # of `Path.graph`
@@ -109,9 +111,15 @@ class Problem:
     cost_model: CostModel = field(default_factory=CostModel)
     levels_m: Any = None  # kept as an array
     leg_margin_m: float = 0.0
-    shared: dict[str, Any] = field(init=False, repr=False, default_factory=dict)  # what all queries on the map share
-    _cost: list[np.ndarray] = field(init=False, repr=False, default_factory=list)  # of all on this map and weights
-    _moves: list[np.ndarray] = field(init=False, repr=False, default_factory=list)  # of all problems on these cells
+    shared: dict[str, Any] = field(
+        init=False, repr=False, default_factory=dict
+    )  # what all queries on the map share
+    _cost: list[np.ndarray] = field(
+        init=False, repr=False, default_factory=list
+    )  # of all on this map and weights
+    _moves: list[np.ndarray] = field(
+        init=False, repr=False, default_factory=list
+    )  # of all problems on these cells
 
     def __post_init__(self) -> None:
         given = np.asarray(self.costs)
@@ -145,8 +153,12 @@ class Problem:
         where = "map" if self.levels_m is None else "volume"
         for name in ("start", "goal"):
             node = getattr(self, name)
-            if not all(0 <= index < size for index, size in zip(node, self.is_free.shape, strict=True)):
-                raise InputError(f"{name} {node} is outside the {where} of {self.is_free.shape} cells")
+            if not all(
+                0 <= index < size for index, size in zip(node, self.is_free.shape, strict=True)
+            ):
+                raise InputError(
+                    f"{name} {node} is outside the {where} of {self.is_free.shape} cells"
+                )
             if not self.is_free[node]:
                 raise InputError(f"{name} {node} is inside an obstacle: move it to a free cell")
 
@@ -243,7 +255,11 @@ class Problem:
     def grid_name(self) -> str:
         """What grid planners search, in words: the neighbours that a cell has, and whether it has levels."""
         num = self.cost_model.connectivity
-        return f"{num}-neighbour grid" if self.levels_m is None else f"{3 * num + 2}-neighbour grid of levels"
+        return (
+            f"{num}-neighbour grid"
+            if self.levels_m is None
+            else f"{3 * num + 2}-neighbour grid of levels"
+        )
 
     @property
     def is_by_length(self) -> bool:
@@ -257,8 +273,13 @@ class Problem:
             num_rows, num_cols = self.is_free.shape[-2:]
             levels = self.is_free.reshape(-1, num_rows, num_cols)
             keeps_corners = self.cost_model.diagonal == "both-free" or self.leg_margin_m > 0
-            allowed = [allowed_moves(is_free, self.cost_model.connectivity, keeps_corners) for is_free in levels]
-            self._moves.append(_read_only(allowed[0] if self.levels_m is None else np.stack(allowed), np.uint8))
+            allowed = [
+                allowed_moves(is_free, self.cost_model.connectivity, keeps_corners)
+                for is_free in levels
+            ]
+            self._moves.append(
+                _read_only(allowed[0] if self.levels_m is None else np.stack(allowed), np.uint8)
+            )
         return self._moves[0]
 
     @property
@@ -321,7 +342,13 @@ class Path:
 
     @classmethod
     def of(
-        cls, problem: Problem, points_m: np.ndarray, status: Status, lower_bound: float, begin_s: float, **ran: Any
+        cls,
+        problem: Problem,
+        points_m: np.ndarray,
+        status: Status,
+        lower_bound: float,
+        begin_s: float,
+        **ran: Any,
     ) -> Self:
         """Return what a planner found, costed along the exact cells, and when it did.
 
@@ -353,7 +380,16 @@ class Path:
     @property
     def ran(self) -> dict[str, Any]:
         """What ran, as `of` takes it: of a path that is made of this one."""
-        names = ("num_expanded", "planner", "heuristic", "backend", "note", "history", "setup_s", "graph")
+        names = (
+            "num_expanded",
+            "planner",
+            "heuristic",
+            "backend",
+            "note",
+            "history",
+            "setup_s",
+            "graph",
+        )
         return {name: getattr(self, name) for name in names}
 
     @property

@@ -40,7 +40,9 @@ BYTES_OF_MAPS = {"cpu": 2**30, "gpu": 8 * 2**30}
 BYTES_A_CELL = 9  # cost and moves of a map; g and step of a query
 SAMPLED_TOGETHER = {"cpu": 64, "gpu": 256}  # queries whose sample graphs are searched together
 MOST_NODES = {"cpu": 2**18, "gpu": 2**21}  # of all queries that run together: some 2 kB each
-FEWEST_NODES = 1024  # room for so many, and for 4, 16 ... times as many, so that few shapes are compiled
+FEWEST_NODES = (
+    1024  # room for so many, and for 4, 16 ... times as many, so that few shapes are compiled
+)
 # What a turn does together: on a CPU what fits into its caches.
 NODES_TOGETHER = {"cpu": 256, "gpu": 2**16}
 EDGES_TOGETHER = {"cpu": 2**12, "gpu": 2**20}
@@ -53,7 +55,11 @@ def power_of_two(number: int) -> int:
 
 
 def solve_by_frontier(
-    problems: Sequence[Problem], *, planner: str, budget_s: float = np.inf, band_steps: float = BAND_STEPS
+    problems: Sequence[Problem],
+    *,
+    planner: str,
+    budget_s: float = np.inf,
+    band_steps: float = BAND_STEPS,
 ) -> Iterator[tuple[int, Path]]:
     """Yield ``(index, path)`` of every problem as it is done, the cheapest path or why there is none.
 
@@ -72,14 +78,20 @@ def solve_by_frontier(
     """
     kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
     first = {id(problem.cost): i for i, problem in reversed(list(enumerate(problems)))}
-    by_map = sorted(range(len(problems)), key=lambda i: (problems[i].cost.shape, first[id(problems[i].cost)]))
+    by_map = sorted(
+        range(len(problems)), key=lambda i: (problems[i].cost.shape, first[id(problems[i].cost)])
+    )
     for _, same_shape in groupby(by_map, key=lambda i: problems[i].cost.shape):
         indices = list(same_shape)
-        number = {key: k for k, key in enumerate(dict.fromkeys(id(problems[i].cost) for i in indices))}
+        number = {
+            key: k for k, key in enumerate(dict.fromkeys(id(problems[i].cost) for i in indices))
+        }
         most = max(1, BYTES_OF_MAPS[kind] // (BYTES_A_CELL * problems[indices[0]].cost.size))
         parts = [(number[id(problems[i].cost)] // most, i) for i in indices]
         for _, part in groupby(parts, key=itemgetter(0)):
-            yield from _in_turns([(i, problems[i]) for _, i in part], planner, budget_s, band_steps, kind)
+            yield from _in_turns(
+                [(i, problems[i]) for _, i in part], planner, budget_s, band_steps, kind
+            )
 
 
 def _in_turns(
@@ -108,7 +120,11 @@ def _turns(
     """Yield what is done after every few rounds; each begins the queries that there is room for."""
     maps = list({id(problem.cost): problem for _, problem in queries}.values())
     map_index = {id(problem.cost): k for k, problem in enumerate(maps)}
-    grids, bands, num_cells = _grids(maps), [_band(problem, band_steps) for problem in maps], maps[0].cost.size
+    grids, bands, num_cells = (
+        _grids(maps),
+        [_band(problem, band_steps) for problem in maps],
+        maps[0].cost.size,
+    )
     fitting = max(1, BYTES_OF_G[kind] // (BYTES_A_CELL * num_cells))
     num_places = min(power_of_two(len(queries)), QUERIES_TOGETHER[kind], fitting)
     num_together = CELLS_TOGETHER * num_places
@@ -116,7 +132,9 @@ def _turns(
     # With no round allowed the search ends at once, compiled for the size of its list.
     frontier = jax.block_until_ready(advance(frontier, grids, 0, num_together))
     waiting = queries[::-1]
-    running: dict[int, tuple[int, Problem, float]] = {}  # by place: the query's number, problem and begin
+    running: dict[
+        int, tuple[int, Problem, float]
+    ] = {}  # by place: the query's number, problem and begin
     while waiting or running:
         for place in range(num_places):
             if place not in running and waiting:
@@ -131,7 +149,10 @@ def _turns(
             frontier = with_list_of(2 * frontier.open_f.size, frontier)
             frontier = jax.block_until_ready(advance(frontier, grids, 0, num_together))
             away_s += time.perf_counter()
-            running = {place: (index, problem, s + away_s) for place, (index, problem, s) in running.items()}
+            running = {
+                place: (index, problem, s + away_s)
+                for place, (index, problem, s) in running.items()
+            }
         done, lowest_f = [], np.asarray(frontier.lowest_f)
         for place, (index, problem, begin_s) in list(running.items()):
             if np.isinf(lowest_f[place]) or time.perf_counter() - begin_s >= budget_s:
@@ -170,7 +191,11 @@ def _grids(maps: list[Problem]) -> Grids:
     bounds = [make_heuristic("octile", problem) for problem in maps]
     # A cell that no path may cross can cost anything, NaN too, which would spread.
     cost = np.stack([np.where(problem.is_free, problem.cost, 0.0).ravel() for problem in maps])
-    arrays = {"cost": cost, "steps": np.array(STEPS, np.int32), "num_cols": np.int32(graphs[0].num_cols)}
+    arrays = {
+        "cost": cost,
+        "steps": np.array(STEPS, np.int32),
+        "num_cols": np.int32(graphs[0].num_cols),
+    }
     for name in ("moves", "step_cost", "from_share", "to_share"):
         arrays[name] = np.stack([getattr(graph, name) for graph in graphs])
     for name in ("straight", "diagonal"):
@@ -224,9 +249,13 @@ def solve_batched(
     """
     check_limits(budget_s, max_samples, options)
     if len(seeds) != len(problems):
-        raise InputError(f"seeds must be one for each of {len(problems)} problems, got {len(seeds)}")
+        raise InputError(
+            f"seeds must be one for each of {len(problems)} problems, got {len(seeds)}"
+        )
     if any(problem.leg_margin_m for problem in problems):
-        raise InputError("BIT* with backend 'jax' tests no legs for this clearance: take backend='numba'")
+        raise InputError(
+            "BIT* with backend 'jax' tests no legs for this clearance: take backend='numba'"
+        )
 
     def paths() -> Generator[tuple[int, Path]]:
         kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
@@ -238,7 +267,9 @@ def solve_batched(
             graphs = _Graphs(cost_grid_of(problems[indices[0]], problems[indices[0]].is_free), kind)
             while group := list(islice(waiting, SAMPLED_TOGETHER[kind])):
                 limits = budget_s, max_samples
-                queries = {k: Batches(problems[k], heuristic, options, seeds[k], *limits) for k in group}
+                queries = {
+                    k: Batches(problems[k], heuristic, options, seeds[k], *limits) for k in group
+                }
                 for index in _run_together(graphs, queries):
                     yield index, queries[index].path(planner, "jax")
 
@@ -262,8 +293,13 @@ def _run_together(graphs: "_Graphs", queries: dict[int, Batches]) -> Iterator[in
             compile_s = worker.submit(graphs.search, list(running.values())).result()
             now_s = time.perf_counter()
             for index, batches in list(running.items()):
-                batches.begin_s, batches.end_s = batches.begin_s + compile_s, batches.end_s + compile_s
-                nodes_left = num_nodes * max(0.0, batches.end_s - now_s) / (now_s - begin_s - compile_s)
+                batches.begin_s, batches.end_s = (
+                    batches.begin_s + compile_s,
+                    batches.end_s + compile_s,
+                )
+                nodes_left = (
+                    num_nodes * max(0.0, batches.end_s - now_s) / (now_s - begin_s - compile_s)
+                )
                 batches.end(min(most_nodes, nodes_left / len(running)))
                 if batches.is_done:
                     yield index
@@ -296,7 +332,12 @@ class _Graphs:
                 _compile(len(samples.g), cell_cost.shape, self._is_line, sizes)
                 compile_s += time.perf_counter() - begin_s
                 trees = search_samples(
-                    samples, cell_cost, self._per_side, self._passes_corners, is_line=self._is_line, sizes=sizes
+                    samples,
+                    cell_cost,
+                    self._per_side,
+                    self._passes_corners,
+                    is_line=self._is_line,
+                    sizes=sizes,
                 )
                 edges = -(-int(trees.num_edges) // len(samples.g))
                 if trees.most_candidates <= sizes.candidates and edges <= sizes.edges:
@@ -307,8 +348,12 @@ class _Graphs:
         first = 0
         for batches in queries:
             here = slice(first, first + len(batches.tree.xy))
-            own = np.where(parent[here] == NO_PARENT, NO_PARENT, parent[here] - first).astype(np.int32)
-            batches.tree = batches.tree._replace(g=g[here].copy(), parent=own, edge_cost=edge_cost[here].copy())
+            own = np.where(parent[here] == NO_PARENT, NO_PARENT, parent[here] - first).astype(
+                np.int32
+            )
+            batches.tree = batches.tree._replace(
+                g=g[here].copy(), parent=own, edge_cost=edge_cost[here].copy()
+            )
             batches.num_costed += int(num_costed[here].sum())
             first = here.stop
         return compile_s
@@ -317,7 +362,9 @@ class _Graphs:
 @cache
 def _compile(num_nodes: int, shape: tuple[int, ...], is_line: bool, sizes: Sizes) -> None:
     """Compile the search for so many nodes on a map of a shape, by a search of none."""
-    trees = search_samples(_padded([], num_nodes), jnp.zeros(shape), 1.0, False, is_line=is_line, sizes=sizes)
+    trees = search_samples(
+        _padded([], num_nodes), jnp.zeros(shape), 1.0, False, is_line=is_line, sizes=sizes
+    )
     jax.block_until_ready(trees)
 
 
@@ -338,7 +385,9 @@ def _samples(queries: list[Batches]) -> Samples:
             | {name: getattr(tree, name) for name in Samples._fields if hasattr(tree, name)}
             | {
                 "from_start": tree.least_f - tree.to_goal,
-                "parent": np.where(tree.parent == NO_PARENT, NO_PARENT, tree.parent + num_nodes).astype(np.int32),
+                "parent": np.where(
+                    tree.parent == NO_PARENT, NO_PARENT, tree.parent + num_nodes
+                ).astype(np.int32),
             }
         )
         num_nodes += len(tree.xy)
@@ -357,5 +406,8 @@ def _padded(parts: list[dict[str, np.ndarray]], num_nodes: int) -> Samples:
         "parent": np.full(num_missing, NO_PARENT, np.int32),
     }
     return Samples(
-        **{name: jnp.asarray(np.concatenate([part[name] for part in [*parts, nothing]])) for name in nothing}
+        **{
+            name: jnp.asarray(np.concatenate([part[name] for part in [*parts, nothing]]))
+            for name in nothing
+        }
     )

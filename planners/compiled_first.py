@@ -30,13 +30,24 @@ def compiled_first(**options: Any) -> Callable[[Callable[..., Path]], Callable[.
         def run(problem: Problem, *altered: Any, **asked: Any) -> Path:
             setup_s = 0.0
             chosen = {"heuristic": asked["heuristic"]} if "heuristic" in asked else {}
-            kinds = (planner, *chosen.values(), problem.costs.dtype, problem.is_free.ndim, problem.cost_model)
+            kinds = (
+                planner,
+                *chosen.values(),
+                problem.costs.dtype,
+                problem.is_free.ndim,
+                problem.cost_model,
+            )
             kinds += (problem.leg_margin_m > 0,)
             with _COMPILING:
                 if kinds not in _COMPILED:
                     begin_s = time.perf_counter()
                     few = _few_cells(problem)
-                    planner(few, *[_few_points(few), *altered[1:]] if altered else (), **chosen, **options)
+                    planner(
+                        few,
+                        *[_few_points(few), *altered[1:]] if altered else (),
+                        **chosen,
+                        **options,
+                    )
                     _COMPILED.add(kinds)
                     setup_s = time.perf_counter() - begin_s
             path = planner(problem, *altered, **asked)

@@ -7,7 +7,9 @@ import numpy as np
 from jaxurban.kernels.search.bounds import costs_at_corners
 from jaxurban.planners.base import EVERY_PATH, ROUNDING, Cell, Path, Problem, Status
 
-STRETCH = 2 / np.sqrt(2 + np.sqrt(2))  # of the cheapest path along sides and diagonals of cells over the cheapest curve
+STRETCH = 2 / np.sqrt(
+    2 + np.sqrt(2)
+)  # of the cheapest path along sides and diagonals of cells over the cheapest curve
 
 
 def corner_bound(problem: Problem) -> float:
@@ -27,7 +29,9 @@ def corner_bound(problem: Problem) -> float:
     Returns:
       The bound; inf where no such path joins the ends.
     """
-    per_side = problem.resolution_m * (problem.distance_weight + problem.cost / problem.cost_model.reference_length_m)
+    per_side = problem.resolution_m * (
+        problem.distance_weight + problem.cost / problem.cost_model.reference_length_m
+    )
     framed = np.pad(np.where(problem.is_free, per_side, np.inf), 1, constant_values=np.inf)
     start, goal = problem.start, problem.goal
     corners, is_joined = costs_at_corners(framed, (0.0, 1.0), (0.0, np.sqrt(2)), goal, start)
@@ -43,7 +47,12 @@ def with_corner_bound(problem: Problem, path: Path) -> Path:
     It is kept with the map for further planners of the same query. A path of the grid comes back as it is, and so does
     one under the ``cell`` model with map costs, where the bound does not hold.
     """
-    if path.graph == problem.grid_name or not problem.is_by_length or path.gap == 0 or not path.status.has_path:
+    if (
+        path.graph == problem.grid_name
+        or not problem.is_by_length
+        or path.gap == 0
+        or not path.status.has_path
+    ):
         return path
     bounds: dict[tuple[Cell, Cell], float] = problem.shared.setdefault("corner_bounds", {})
     ends = problem.start, problem.goal
@@ -51,4 +60,6 @@ def with_corner_bound(problem: Problem, path: Path) -> Path:
         bounds[ends] = corner_bound(problem)
     bound = max(path.lower_bound, bounds[ends])
     is_best = path.graph == EVERY_PATH and path.cost <= bound * ROUNDING
-    return replace(path, lower_bound=min(bound, path.cost), status=Status.OPTIMAL if is_best else path.status)
+    return replace(
+        path, lower_bound=min(bound, path.cost), status=Status.OPTIMAL if is_best else path.status
+    )

@@ -119,7 +119,12 @@ def allowed_moves(is_free: np.ndarray, connectivity: int, needs_both_free: bool)
       needs_both_free: a diagonal step also needs both orthogonal neighbours free.
     """
     moves = np.empty(is_free.shape, np.uint8)
-    _find_moves(np.pad(is_free, 1).view(np.uint8), 0xFF if connectivity == 8 else 0x0F, needs_both_free, moves)
+    _find_moves(
+        np.pad(is_free, 1).view(np.uint8),
+        0xFF if connectivity == 8 else 0x0F,
+        needs_both_free,
+        moves,
+    )
     return moves
 
 
@@ -131,10 +136,19 @@ def _find_moves(framed, steps, needs_both_free, moves):
         here, north, south = framed[row + 1], framed[row + 2], framed[row]
         for col in range(1, moves.shape[1] + 1):
             up, down, east, west = north[col], south[col], here[col + 1], here[col - 1]
-            diagonals = north[col + 1] << 4 | north[col - 1] << 5 | south[col + 1] << 6 | south[col - 1] << 7
+            diagonals = (
+                north[col + 1] << 4
+                | north[col - 1] << 5
+                | south[col + 1] << 6
+                | south[col - 1] << 7
+            )
             if needs_both_free:
-                diagonals &= (up & east) << 4 | (up & west) << 5 | (down & east) << 6 | (down & west) << 7
-            moves[row, col - 1] = -here[col] & steps & (diagonals | up | down << 1 | east << 2 | west << 3)
+                diagonals &= (
+                    (up & east) << 4 | (up & west) << 5 | (down & east) << 6 | (down & west) << 7
+                )
+            moves[row, col - 1] = (
+                -here[col] & steps & (diagonals | up | down << 1 | east << 2 | west << 3)
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,10 +191,14 @@ class PathFeatures:
     def mean_costs(self) -> np.ndarray:
         """``[L]`` the mean of each layer's cost along the path, by length; of a path without length, at its place."""
         length_m = self.length_m if self.length_m.sum() > 0 else np.ones(len(self.length_m))
-        return self.costs[(slice(None), *self.crossed)].astype(np.float64) @ length_m / length_m.sum()
+        return (
+            self.costs[(slice(None), *self.crossed)].astype(np.float64) @ length_m / length_m.sum()
+        )
 
 
-def path_features(problem: "Problem", points_m: np.ndarray, kind: CostKind | None = None) -> PathFeatures:
+def path_features(
+    problem: "Problem", points_m: np.ndarray, kind: CostKind | None = None
+) -> PathFeatures:
     """Return what a path adds up on a problem's map (`Problem.features`).
 
     Under ``cell`` (the paper's transition cost) each step between states costs the layers of the cell in which it
@@ -201,7 +219,9 @@ def path_features(problem: "Problem", points_m: np.ndarray, kind: CostKind | Non
     cut = crossed_cells(points_m, problem.resolution_m)
     points_m, is_volume = cut.points_m, problem.levels_m is not None
     if points_m.shape[1] != problem.is_free.ndim:
-        raise InputError(f"a path must be [N, {problem.is_free.ndim}] here, got shape {points_m.shape}: mend the path")
+        raise InputError(
+            f"a path must be [N, {problem.is_free.ndim}] here, got shape {points_m.shape}: mend the path"
+        )
     crossed = _nodes_in(problem, cut)
     legs_m = np.diff(points_m, axis=0).T
     length_m = np.hypot(*legs_m[:2])
@@ -230,7 +250,8 @@ def _is_way(problem: "Problem", is_free: np.ndarray, cut: Crossings) -> bool:
     """Return whether a path on one level is a free way that keeps the problem's margin, but for rounding."""
     margin = problem.leg_margin_m / problem.resolution_m
     return is_free_way(cut, is_free, problem.cost_model.passes_corners) and (
-        margin == 0 or bool(are_clear(is_free, cut.points_m / problem.resolution_m, margin - ROUNDING).all())
+        margin == 0
+        or bool(are_clear(is_free, cut.points_m / problem.resolution_m, margin - ROUNDING).all())
     )
 
 
@@ -264,12 +285,17 @@ def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
         if level is not None and not _is_way(problem, problem.is_free[level], way):
             return False
     is_node = np.append(is_climb, len(nodes) == 1) | np.append(False, is_climb)
-    if np.abs(steps[is_climb]).max(initial=0) > 1 or not problem.is_free[tuple(nodes[is_node].T)].all():
+    if (
+        np.abs(steps[is_climb]).max(initial=0) > 1
+        or not problem.is_free[tuple(nodes[is_node].T)].all()
+    ):
         return False
     # The bit of the horizontal part of each step; 0 straight up or down.
     bit = (steps[is_climb, None, 1:] == np.array(STEPS)).all(axis=2) @ (1 << np.arange(len(STEPS)))
     (level, row, col), to_level = nodes[:-1][is_climb].T, nodes[1:, 0][is_climb]
-    return bool(np.all(problem.moves[level, row, col] & problem.moves[to_level, row, col] & bit == bit))
+    return bool(
+        np.all(problem.moves[level, row, col] & problem.moves[to_level, row, col] & bit == bit)
+    )
 
 
 def level_parts(problem: "Problem", points_m: np.ndarray) -> list[tuple[int | None, int, int]]:
@@ -280,7 +306,9 @@ def level_parts(problem: "Problem", points_m: np.ndarray) -> list[tuple[int | No
     is_level = np.diff(points_m[:, 2]) == 0
     cuts = [0, *(np.flatnonzero(is_level[1:] != is_level[:-1]) + 1).tolist(), last]
     level = np.searchsorted(problem.levels_m, points_m[:, 2])
-    return [(int(level[a]) if is_level[a] else None, a, b) for a, b in pairwise(cuts)] if last else []
+    return (
+        [(int(level[a]) if is_level[a] else None, a, b) for a, b in pairwise(cuts)] if last else []
+    )
 
 
 def sample_segment(start_m: np.ndarray, end_m: np.ndarray, step_m: float) -> np.ndarray:
@@ -305,10 +333,16 @@ def path_states(points_m: np.ndarray, resolution_m: float) -> np.ndarray:
     A segment longer than a diagonal step is sampled every resolution step; a shorter one is one step.
     """
     points = np.asarray(points_m, np.float64)
-    is_long = np.hypot(*np.diff(points[:, :2], axis=0).T) > np.sqrt(2) * resolution_m * (1 + ROUNDING)
+    is_long = np.hypot(*np.diff(points[:, :2], axis=0).T) > np.sqrt(2) * resolution_m * (
+        1 + ROUNDING
+    )
     if not is_long.any():
         return points
     segments = [points[:1]]
     for i, long in enumerate(is_long):
-        segments.append(sample_segment(points[i], points[i + 1], resolution_m)[1:] if long else points[i + 1 : i + 2])
+        segments.append(
+            sample_segment(points[i], points[i + 1], resolution_m)[1:]
+            if long
+            else points[i + 1 : i + 2]
+        )
     return np.concatenate(segments)

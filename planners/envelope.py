@@ -13,11 +13,15 @@ from jaxurban.errors import InputError, typed
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.registry import find_planner
 
-CostFunction = Callable[[Float[Array | np.ndarray, "L Y X"], Float[Array | np.ndarray, " W"]], Float[Array, ""]]
+CostFunction = Callable[
+    [Float[Array | np.ndarray, "L Y X"], Float[Array | np.ndarray, " W"]], Float[Array, ""]
+]
 
 
 @typed
-def planned_cost(problem: Problem, planner: str | Callable[[Problem], Path] = "astar-plus") -> CostFunction:
+def planned_cost(
+    problem: Problem, planner: str | Callable[[Problem], Path] = "astar-plus"
+) -> CostFunction:
     """Return the cost of the path that a planner finds, as a function that JAX can differentiate.
 
     Its gradient is that of the cost of the path found, the path held fixed: for each layer its weight times how often
@@ -66,7 +70,9 @@ def planned_cost(problem: Problem, planner: str | Callable[[Problem], Path] = "a
                 f"costs must be [L, Y, X] over {cell_shape} cells and weights [1 + L], got shapes {costs.shape} and "
                 f"{weights.shape}"
             )
-        shapes = tuple(jax.ShapeDtypeStruct(shape, costs.dtype) for shape in ((), weights.shape, cell_shape))
+        shapes = tuple(
+            jax.ShapeDtypeStruct(shape, costs.dtype) for shape in ((), weights.shape, cell_shape)
+        )
         return call_on_host(search, shapes, costs, jnp.asarray(weights, costs.dtype))
 
     @jax.custom_vjp
@@ -87,7 +93,9 @@ def planned_cost(problem: Problem, planner: str | Callable[[Problem], Path] = "a
 
 
 def call_on_host(
-    function: Callable[..., Sequence[np.ndarray]], shapes: Sequence[jax.ShapeDtypeStruct], *arrays: jax.Array
+    function: Callable[..., Sequence[np.ndarray]],
+    shapes: Sequence[jax.ShapeDtypeStruct],
+    *arrays: jax.Array,
 ) -> tuple[jax.Array, ...]:
     """Return what a host function makes of float arrays; it gets and gives NumPy arrays of the types given.
 
@@ -103,12 +111,22 @@ def call_on_host(
     given = [np.dtype(jnp.result_type(array)) for array in arrays]
 
     def on_words(*words):
-        found = function(*(_from_words(np.asarray(word), dtype) for word, dtype in zip(words, given, strict=True)))
-        return tuple(_to_words(np.asarray(value, s.dtype)) for value, s in zip(found, shapes, strict=True))
+        found = function(
+            *(
+                _from_words(np.asarray(word), dtype)
+                for word, dtype in zip(words, given, strict=True)
+            )
+        )
+        return tuple(
+            _to_words(np.asarray(value, s.dtype)) for value, s in zip(found, shapes, strict=True)
+        )
 
     out = tuple(jax.eval_shape(_bits, shape) for shape in shapes)
     words = jax.pure_callback(on_words, out, *map(_bits, arrays), vmap_method="sequential")
-    return tuple(lax.bitcast_convert_type(word, shape.dtype) for word, shape in zip(words, shapes, strict=True))
+    return tuple(
+        lax.bitcast_convert_type(word, shape.dtype)
+        for word, shape in zip(words, shapes, strict=True)
+    )
 
 
 def _bits(values: jax.Array) -> jax.Array:

@@ -21,7 +21,9 @@ from jaxurban.planners.grid_search import graph_of
 
 SAME = 1e-9  # relative: an exposure that much above its budget keeps it, and a cost that near a bound meets it
 ENOUGH = 1e-6  # relative: what prices are not known better for
-STEEPEST = 1e3  # prices, in the highest cost of a known path for the exposure of the path without budgets
+STEEPEST = (
+    1e3  # prices, in the highest cost of a known path for the exposure of the path without budgets
+)
 MOST_SEARCHES = 100
 MOST_LABELS = 2_000_000  # some 200 MB
 LABELS_PER_S = 1_000_000
@@ -54,7 +56,9 @@ class _Search:
     ) -> None:
         self.problem, self.planner, self.seed, self.end_s = problem, planner, seed, end_s
         self.columns = 1 + np.array(layers)
-        self.budgets = np.minimum([*budgets], _most_exposures(problem)[self.columns - 1])  # sums stay precise
+        self.budgets = np.minimum(
+            [*budgets], _most_exposures(problem)[self.columns - 1]
+        )  # sums stay precise
         self.units = np.ones(len(self.budgets))
         self.known: list[_Known] = []
         self.paths: list[Path] = []
@@ -88,7 +92,11 @@ class _Search:
 
     def best(self) -> _Known | None:
         """Return the cheapest known path within the budgets."""
-        return min((known for known in self.known if known.is_within), key=lambda known: known.cost, default=None)
+        return min(
+            (known for known in self.known if known.is_within),
+            key=lambda known: known.cost,
+            default=None,
+        )
 
     def least_exposures(self) -> np.ndarray:
         """Return ``[K]`` lower bounds on the exposures of every path."""
@@ -108,20 +116,35 @@ class _Search:
     def close(self, prices: np.ndarray) -> tuple[int, bool]:
         """Close the gap by labels, as far as they go; return how many, and whether they prove that none is within."""
         problem, limits = self.problem, self.budgets * (1 + SAME / 2)
-        weights = np.concatenate([np.eye(len(problem.weights))[self.columns], [problem.weights] * 2])
+        weights = np.concatenate(
+            [np.eye(len(problem.weights))[self.columns], [problem.weights] * 2]
+        )
         weights[-1, self.columns] += prices / self.units
         try:
-            to_go = np.array([cost_to_go(problem.with_weights(each), self.end_s).ravel() for each in weights])
+            to_go = np.array(
+                [cost_to_go(problem.with_weights(each), self.end_s).ravel() for each in weights]
+            )
         except TimeoutError:
             return 0, False
         most = 1 + int(min(MOST_LABELS, LABELS_PER_S * max(self.end_s - time.perf_counter(), 0.0)))
         self.has_cut_labels = most <= MOST_LABELS  # all of fewer decide
-        start, goal = (int(np.ravel_multi_index(cell, problem.is_free.shape)) for cell in (problem.start, problem.goal))
+        start, goal = (
+            int(np.ravel_multi_index(cell, problem.is_free.shape))
+            for cell in (problem.start, problem.goal)
+        )
         layers = problem.costs[self.columns - 1].reshape(len(limits), -1).astype(np.float64)
         best = self.best()
         most_cost = np.inf if best is None else best.cost
         way, num_labels, least = _advance(
-            graph_of(problem), layers, to_go, start, goal, limits, prices / self.units, most_cost, most
+            graph_of(problem),
+            layers,
+            to_go,
+            start,
+            goal,
+            limits,
+            prices / self.units,
+            most_cost,
+            most,
         )
         self.bound = max(self.bound, float(least))
         if way:
@@ -167,7 +190,9 @@ def _most_exposures(problem: Problem) -> np.ndarray:
     """Return ``[L]`` what no path exceeds that is nowhere twice, so that a larger budget asks for nothing more."""
     climb_m = 0.0 if problem.levels_m is None else np.diff(problem.levels_m).max(initial=0.0)
     step_m = np.hypot(np.sqrt(2) * problem.resolution_m, climb_m)
-    sums = problem.costs.sum(axis=tuple(range(1, problem.costs.ndim)), dtype=np.float64, where=problem.is_free)
+    sums = problem.costs.sum(
+        axis=tuple(range(1, problem.costs.ndim)), dtype=np.float64, where=problem.is_free
+    )
     return 2 * sums * step_m / problem.cost_model.reference_length_m  # twice, for rounding
 
 
@@ -205,7 +230,11 @@ def within_budgets(
         is_over = bool((search.least_exposures() > search.budgets * (1 + SAME)).any())
         prices = prices if is_over else search.raise_bound()
     best = search.best()
-    if not is_over and problem.levels_m is None and (best is None or best.cost > search.bound * (1 + SAME)):
+    if (
+        not is_over
+        and problem.levels_m is None
+        and (best is None or best.cost > search.bound * (1 + SAME))
+    ):
         num_labels, is_over = search.close(prices)
         best = search.best()
     is_spent = search.is_out_of_time
@@ -214,16 +243,23 @@ def within_budgets(
     note = f"That is of the paths that keep {kept} (searches: {len(search.paths)}, labels: {num_labels:,})."
     if best is not None:
         is_best = best.cost * (1 - 2 * SAME) <= bound
-        status = Status.OPTIMAL if is_best else Status.BUDGET_FEASIBLE if is_spent else Status.FEASIBLE
+        status = (
+            Status.OPTIMAL if is_best else Status.BUDGET_FEASIBLE if is_spent else Status.FEASIBLE
+        )
     elif is_over:
         status, bound = Status.OVER_EXPOSURE, np.inf
         least = zip(budgets, search.least_exposures(), strict=True)
         said = ", ".join(f"{value:.10g} to {name}" for name, value in least)
         note = f"The least exposure that any path has{' to each alone' * (len(budgets) > 1)} is {said}."
     else:
-        remedy = "raise budget_s, or a budget of exposure" if is_spent else "raise a budget of exposure"
+        remedy = (
+            "raise budget_s, or a budget of exposure" if is_spent else "raise a budget of exposure"
+        )
         note = f"Whether any path keeps {kept} is not known: {remedy}."
-    done = {"num_expanded": sum(path.num_expanded for path in search.paths) + num_labels, "note": note}
+    done = {
+        "num_expanded": sum(path.num_expanded for path in search.paths) + num_labels,
+        "note": note,
+    }
     points_m = np.empty(0) if best is None else best.points_m
     return Path.of(problem, points_m, status, bound, begin_s + first.setup_s, **first.ran | done)
 
@@ -276,10 +312,14 @@ def _advance(graph, layers, to_go, start, goal, limits, prices, most_cost, most_
             if not (graph.moves[at] >> k) & 1:
                 continue
             to, here, there = at + offsets[k], graph.from_share[k], graph.to_share[k]
-            to_cost = cost[label] + graph.step_cost[k] + here * graph.cost[at] + there * graph.cost[to]
+            to_cost = (
+                cost[label] + graph.step_cost[k] + here * graph.cost[at] + there * graph.cost[to]
+            )
             to_spent = spent[label] + here * layers[:, at] + there * layers[:, to]
             priced = to_cost + np.sum(prices * (to_spent - limits)) + to_go[num + 1, to]
-            if (to_spent + to_go[:num, to] > limits).any() or max(priced, to_cost + to_go[num, to]) >= most_cost:
+            if (to_spent + to_go[:num, to] > limits).any() or max(
+                priced, to_cost + to_go[num, to]
+            ) >= most_cost:
                 continue
             node[size], parent[size], cost[size], spent[size] = to, label, to_cost, to_spent
             heapq.heappush(queue, (to_cost + to_go[num, to], size))

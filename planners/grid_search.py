@@ -165,7 +165,11 @@ def height_cost(problem: Problem, rise_m: np.ndarray) -> np.ndarray:
 
 def cell_of(problem: Problem, node: Cell) -> Cell:
     """Return row and column of a cell, or of a volume's node, in a grid of all levels, row upon row."""
-    return node if problem.levels_m is None else (node[0] * problem.is_free.shape[1] + node[1], node[2])
+    return (
+        node
+        if problem.levels_m is None
+        else (node[0] * problem.is_free.shape[1] + node[1], node[2])
+    )
 
 
 def way_m(problem: Problem, states: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -276,11 +280,16 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
             return PAUSED, num_expanded
         if near.size[0] + queue.tally[NUM_FAR] + MAX_STEPS > queue.far_f.size:
             return FULL, num_expanded
-        node = np.uint64(near.item[0])  # unsigned: else Numba asks each time whether it counts from the end
+        node = np.uint64(
+            near.item[0]
+        )  # unsigned: else Numba asks each time whether it counts from the end
         if state[node] & CLOSED:
             drop_top(near)
             continue
-        row, col = np.uint32(node) // np.uint32(graph.num_cols), np.uint32(node) % np.uint32(graph.num_cols)
+        row, col = (
+            np.uint32(node) // np.uint32(graph.num_cols),
+            np.uint32(node) % np.uint32(graph.num_cols),
+        )
         drop_top(near)
         state[node] |= CLOSED
         if node == goal:
@@ -291,7 +300,11 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
         for k in range(num_steps):
             is_allowed, i = (steps >> k) & 1, first + k
             to = np.uint64(np.int64(node) + offsets[k] * is_allowed)
-            to_g = node_g + (graph.step_cost[i] + graph.from_share[i] * node_cost + graph.to_share[i] * graph.cost[to])
+            to_g = node_g + (
+                graph.step_cost[i]
+                + graph.from_share[i] * node_cost
+                + graph.to_share[i] * graph.cost[to]
+            )
             known_g, to_state = g[to], state[to]
             limit = known_g * (if_closed if to_state & CLOSED else 1.0)
             limit = np.inf if to_state == UNREACHED else limit
@@ -323,9 +336,16 @@ class GridSearch:
         self.num_expanded = 0
         num_nodes = graph.cost.size
         cost = float(graph.sample.mean()) if graph.sample.size else 0.0
-        queue = empty_queue(FIRST_ENTRIES, float(np.mean(graph.step_cost + (graph.from_share + graph.to_share) * cost)))
+        queue = empty_queue(
+            FIRST_ENTRIES,
+            float(np.mean(graph.step_cost + (graph.from_share + graph.to_share) * cost)),
+        )
         # Memory that is not written to is not taken: what the search does not come to costs nothing.
-        self._g, self._state, self._queue = np.empty(num_nodes), np.zeros(num_nodes, np.uint8), queue
+        self._g, self._state, self._queue = (
+            np.empty(num_nodes),
+            np.zeros(num_nodes, np.uint8),
+            queue,
+        )
         self._g[self.start], self._state[self.start] = 0.0, NO_PARENT | REACHED
         insert(queue, 0.0 if goal is None else estimate(heuristic, *start, *goal), self.start)
 
@@ -361,7 +381,9 @@ class GridSearch:
         """
         while True:
             known = self._g, self._state, self._queue
-            ended, num_done = advance(self.graph, self.heuristic, self.goal, reopen, *known, chunk or CHUNK)
+            ended, num_done = advance(
+                self.graph, self.heuristic, self.goal, reopen, *known, chunk or CHUNK
+            )
             self.num_expanded += num_done
             if ended in (FOUND, EXHAUSTED):
                 return int(ended)

@@ -34,7 +34,10 @@ Backend = Literal["auto", "numba", "jax"]
 
 EXACT_PLANNERS = ("astar-dist", "astar-plus")  # which the frontier search can stand for
 FRONTIER_HEURISTICS = (None, AUTO, "octile")
-SAMPLING_PLANNERS = ("bitstar-dist", "bitstar-plus")  # whose batches `solve_batched` searches in bulk
+SAMPLING_PLANNERS = (
+    "bitstar-dist",
+    "bitstar-plus",
+)  # whose batches `solve_batched` searches in bulk
 FEW_TO_ONE_GOAL = 8  # queries to one goal from which the costs to it are computed for the whole map
 # Others on one map and weights beyond which landmarks are made. On Lower Manhattan making them costs what some 50
 # queries save (docs/algorithms/search.md).
@@ -63,13 +66,23 @@ class PlannerEntry:
 
 PLANNERS = {
     "ptp": PlannerEntry(ptp, "the straight segment from start to goal"),
-    "astar-dist": PlannerEntry(astar_dist, "A* guided by the straight distance", "euclidean", (AUTO, *HEURISTICS)),
-    "astar-plus": PlannerEntry(astar_plus, "A* guided by distance and map costs", AUTO, (AUTO, *HEURISTICS)),
+    "astar-dist": PlannerEntry(
+        astar_dist, "A* guided by the straight distance", "euclidean", (AUTO, *HEURISTICS)
+    ),
+    "astar-plus": PlannerEntry(
+        astar_plus, "A* guided by distance and map costs", AUTO, (AUTO, *HEURISTICS)
+    ),
     "bitstar-dist": PlannerEntry(
-        bitstar_dist, "batch informed trees guided by the straight distance", "euclidean", OFF_GRID_HEURISTICS
+        bitstar_dist,
+        "batch informed trees guided by the straight distance",
+        "euclidean",
+        OFF_GRID_HEURISTICS,
     ),
     "bitstar-plus": PlannerEntry(
-        bitstar_plus, "batch informed trees guided by distance and map costs", "plus", OFF_GRID_HEURISTICS
+        bitstar_plus,
+        "batch informed trees guided by distance and map costs",
+        "plus",
+        OFF_GRID_HEURISTICS,
     ),
     "theta-star": PlannerEntry(
         theta_star, "any-angle search, for the line cost model only", "plus", OFF_GRID_HEURISTICS
@@ -77,12 +90,17 @@ PLANNERS = {
 }
 VOLUME_PLANNERS = {
     "astar-volume": PlannerEntry(
-        volume_astar, "A* between levels, for paths that climb and descend", "plus", VOLUME_HEURISTICS
+        volume_astar,
+        "A* between levels, for paths that climb and descend",
+        "plus",
+        VOLUME_HEURISTICS,
     ),
 }
 
 
-def find_planner(name: str, heuristic: str | None = None, *, is_for_volumes: bool = False) -> Planner:
+def find_planner(
+    name: str, heuristic: str | None = None, *, is_for_volumes: bool = False
+) -> Planner:
     """Return the planner of a name, with its own heuristic or the one given.
 
     Args:
@@ -97,13 +115,19 @@ def find_planner(name: str, heuristic: str | None = None, *, is_for_volumes: boo
     if name not in fitting:
         where = "in a volume" if is_for_volumes else "on one altitude"
         is_known = name in PLANNERS or name in VOLUME_PLANNERS
-        known = f"planner {name!r} does not fly {where}" if is_known else f"unknown planner {name!r}"
-        raise InputError(f"{known}{nearest_name(name, fitting)}: choose one of {', '.join(fitting)}")
+        known = (
+            f"planner {name!r} does not fly {where}" if is_known else f"unknown planner {name!r}"
+        )
+        raise InputError(
+            f"{known}{nearest_name(name, fitting)}: choose one of {', '.join(fitting)}"
+        )
     entry = fitting[name]
     if heuristic is None:
         return entry.run
     if heuristic not in entry.heuristics:
-        accepted = f"choose one of {', '.join(entry.heuristics)}" if entry.heuristics else "leave it out"
+        accepted = (
+            f"choose one of {', '.join(entry.heuristics)}" if entry.heuristics else "leave it out"
+        )
         raise InputError(
             f"planner {name!r} takes no heuristic {heuristic!r}{nearest_name(heuristic, entry.heuristics)}: {accepted}"
         )
@@ -156,8 +180,13 @@ def solve_many(
         at_least("num_threads", num_threads, 1)
     only = range(len(problems)) if only is None else only
     if backend == "jax" and planner in SAMPLING_PLANNERS:
-        chosen, some = heuristic or PLANNERS[planner].default_heuristic, [problems[index] for index in only]
-        paths = solve_batched(some, planner=planner, heuristic=chosen, seeds=[seed] * len(some), budget_s=budget_s)
+        chosen, some = (
+            heuristic or PLANNERS[planner].default_heuristic,
+            [problems[index] for index in only],
+        )
+        paths = solve_batched(
+            some, planner=planner, heuristic=chosen, seeds=[seed] * len(some), budget_s=budget_s
+        )
         return ((only[k], path) for k, path in paths)
     is_for_frontier = planner in EXACT_PLANNERS and heuristic in FRONTIER_HEURISTICS
     if backend == "jax" and not is_for_frontier:
@@ -177,8 +206,12 @@ def solve_many(
         if heuristic != "exact":  # which makes each goal's field in a thread
             for index in only:
                 if heuristics[index] == "exact":
-                    to_one_goal.setdefault((problems[index].map_key, problems[index].goal), []).append(index)
-        walk = partial(find_planner(planner, "exact" if to_one_goal else None), budget_s=budget_s, seed=seed)
+                    to_one_goal.setdefault(
+                        (problems[index].map_key, problems[index].goal), []
+                    ).append(index)
+        walk = partial(
+            find_planner(planner, "exact" if to_one_goal else None), budget_s=budget_s, seed=seed
+        )
         for indices in to_one_goal.values():
             cost_to_go(problems[indices[0]])
             yield from run(indices, walk)
@@ -189,7 +222,9 @@ def solve_many(
             for k, path in solve_by_frontier(together, planner=planner, budget_s=budget_s):
                 yield alone[k], path
             return
-        for problem in {problems[k].map_key: problems[k] for k in alone if heuristics[k] == "landmarks"}.values():
+        for problem in {
+            problems[k].map_key: problems[k] for k in alone if heuristics[k] == "landmarks"
+        }.values():
             make_landmarks(problem)
         for name in dict.fromkeys(heuristics[index] for index in alone):
             search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)
@@ -235,7 +270,10 @@ def _num_processors() -> int:
 
 
 def _in_threads(
-    problems: Sequence[Problem], indices: list[int], search: Callable[[Problem], Path], num_threads: int
+    problems: Sequence[Problem],
+    indices: list[int],
+    search: Callable[[Problem], Path],
+    num_threads: int,
 ) -> Iterator[Outcome]:
     """Yield the outcome of each search as it ends; few are begun ahead, so that closing stops soon."""
     waiting = iter(indices)

@@ -14,7 +14,10 @@ from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.cost import level_parts
 
 CLEAR_M = 0.02  # that legs keep from closed cells, so that coordinates of 7 decimals of a degree cannot enter them
-NUDGES = (1.5, 3.0)  # by how many such distances points may move where the path itself passes nearer
+NUDGES = (
+    1.5,
+    3.0,
+)  # by how many such distances points may move where the path itself passes nearer
 DIRECTIONS = 8
 SPACING = 1.0  # cell sides between the points along a path at which it may turn
 PART = 0.3  # cell sides: five parts make a diagonal step, whose corner then lies within one of them
@@ -59,15 +62,25 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
         if level is not None:
             is_free = problem.is_free if problem.levels_m is None else problem.is_free[level]
             margin = max(CLEAR_M, problem.leg_margin_m) / problem.resolution_m
-            xy = _fewest(is_free, points_m[:, :2] / problem.resolution_m, tolerance_m, problem.resolution_m, margin)
+            xy = _fewest(
+                is_free,
+                points_m[:, :2] / problem.resolution_m,
+                tolerance_m,
+                problem.resolution_m,
+                margin,
+            )
             num_near += int(np.sum(~are_clear(is_free, xy, CLEAR_M / problem.resolution_m)))
             xy_m = xy * problem.resolution_m
             xy_m[[0, -1]] = points_m[[0, -1], :2]
-            points_m = np.column_stack([xy_m, np.broadcast_to(points_m[0, 2:], (len(xy_m), points_m.shape[1] - 2))])
+            points_m = np.column_stack(
+                [xy_m, np.broadcast_to(points_m[0, 2:], (len(xy_m), points_m.shape[1] - 2))]
+            )
         parts.append(points_m[1:])
     points_m = np.concatenate(parts)
     status = path.status
-    if points_m.shape == path.points_m.shape and np.allclose(points_m, path.points_m, rtol=0, atol=1e-9):
+    if points_m.shape == path.points_m.shape and np.allclose(
+        points_m, path.points_m, rtol=0, atol=1e-9
+    ):
         points_m = path.points_m
     elif status is Status.OPTIMAL:
         status = Status.FEASIBLE
@@ -76,7 +89,9 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
     return Path.of(problem, points_m, status, path.lower_bound, begin_s - path.elapsed_s, **ran)
 
 
-def _fewest(is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: float, margin: float) -> np.ndarray:
+def _fewest(
+    is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: float, margin: float
+) -> np.ndarray:
     """Return the waypoints ``[W, 2]`` of a path of points ``[N, 2]`` on one level, in cell sides, as the margin is."""
     if len(xy) < 2:
         return xy
@@ -85,7 +100,10 @@ def _fewest(is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: flo
     turn = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     offsets = np.concatenate([np.zeros((1, 2)), *(ring * around for ring in rings)])
-    for divide in (False, True):  # its own points first, and points between them only where that does not do
+    for divide in (
+        False,
+        True,
+    ):  # its own points first, and points between them only where that does not do
         is_far = are_clear(is_free, xy, margin)
         if is_far.all():
             break
@@ -108,7 +126,10 @@ def farthest(before: np.ndarray, after: np.ndarray) -> float:
 
 def _divided(xy: np.ndarray, is_far: np.ndarray) -> np.ndarray:
     """Return the points with others along the legs that are not clear, `PART` apart."""
-    parts = [xy[k : k + 1] if is_far[k] else subdivided(xy[k : k + 2], PART)[0][:-1] for k in range(len(is_far))]
+    parts = [
+        xy[k : k + 1] if is_far[k] else subdivided(xy[k : k + 2], PART)[0][:-1]
+        for k in range(len(is_far))
+    ]
     return np.concatenate([*parts, xy[-1:]])
 
 
@@ -193,7 +214,9 @@ def fewest_legs(is_free, xy, tolerance, margin):
             number, total = legs[i] + 1, squares[i] + away * away
             if number < legs[j] or (number == legs[j] and total < squares[j] * (1 - AHEAD)):
                 # No point since is farther from the first one, nor from the ray: then the segment's end is no bar.
-                is_near = low <= turn <= high and (away >= farthest or is_within(xy, i, j, tolerance))
+                is_near = low <= turn <= high and (
+                    away >= farthest or is_within(xy, i, j, tolerance)
+                )
                 if j == i + 1 or (is_near and is_clear(is_free, x0, y0, x1, y1, margin)):
                     legs[j], squares[j], parent[j] = number, total, i
             farthest = max(farthest, away)

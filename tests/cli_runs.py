@@ -25,7 +25,10 @@ ENDS = "--start=-73.999,40.756", "--goal=-73.994,40.76"  # over the town
 def run(capsys, *arguments: object) -> tuple[int, str, str]:
     """Return exit code, stdout and stderr of one command."""
     # An error stands alone only in the first seconds of a job, which may be long on a busy machine.
-    with pytest.raises(SystemExit) as ended, patch.multiple(progress, EVERY_S=math.inf, SILENT_S=600.0):
+    with (
+        pytest.raises(SystemExit) as ended,
+        patch.multiple(progress, EVERY_S=math.inf, SILENT_S=600.0),
+    ):
         cli.main([str(argument) for argument in arguments])
     out, err = capsys.readouterr()
     return ended.value.code, out, err

@@ -13,12 +13,16 @@ from tests.planners.problems import random_problem
 def maps() -> None:
     """Build the maps of a small city by either engine."""
     for engine in ("numba", "jax"):
-        ju.build_maps(ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=(20.0, 60.0), engine=engine)
+        ju.build_maps(
+            ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=(20.0, 60.0), engine=engine
+        )
 
 
 def paths() -> None:
     """Plan by every planner, on a plane and between levels."""
-    plane, volume = (random_problem(0, shape, share_free=1.0, kind="line") for shape in ((6, 6), (2, 6, 6)))
+    plane, volume = (
+        random_problem(0, shape, share_free=1.0, kind="line") for shape in ((6, 6), (2, 6, 6))
+    )
     for problem, planners in ((plane, PLANNERS), (volume, VOLUME_PLANNERS)):
         for name in planners:
             find_planner(name, is_for_volumes=problem is volume)(problem, budget_s=0.05, seed=0)

@@ -39,5 +39,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Compile what most tests run before the workers of a first run start."""
     if getattr(config.option, "numprocesses", None) and not PROGRAMS.is_dir():
         command = [sys.executable, "-m", "tests.compile_first"]
-        for each in [subprocess.Popen([*command, part], cwd=PROGRAMS.parents[1]) for part in ("maps", "paths")]:
+        for each in [
+            subprocess.Popen([*command, part], cwd=PROGRAMS.parents[1])
+            for part in ("maps", "paths")
+        ]:
             each.wait()

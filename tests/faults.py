@@ -28,7 +28,9 @@ NOT_COPIED = (".git", ".venv*", "out", "build", ".*_cache", ".hypothesis", "*.eg
 OPERATORS = {"+": "-", "-": "+", "<": "<=", "<=": "<", ">": "<", ">=": ">", "==": "!="}
 ANGLES = {"radians": "degrees", "degrees": "radians", "deg2rad": "rad2deg", "rad2deg": "deg2rad"}
 NO_UNITS = (0.0, 0.5, 1.0, 2.0)
-NO_FAULT = re.compile(r"^(def|class|from|import|raise|assert|@)\b|[\"']|perf_counter|->")  # texts and types, mostly
+NO_FAULT = re.compile(
+    r"^(def|class|from|import|raise|assert|@)\b|[\"']|perf_counter|->"
+)  # texts and types, mostly
 PYTEST = [sys.executable, "-m", "pytest", "-x", "-q", "-m", "not gpu"]
 LONGEST_S = 2 * 3600.0  # of a command; a fault may go round for ever
 PUBLIC = re.compile(r"^from (jaxurban\.[\w.]+) import (\w+) as", re.MULTILINE)  # in a stub
@@ -70,7 +72,11 @@ def with_fault(text: str, fault: Fault) -> str | None:
 
 def faulty(fault: Fault) -> str | None:
     """Return the text of a fault's file with the fault; None where its line is gone."""
-    return with_fault(file.read_text("utf-8"), fault) if (file := ROOT / fault["file"]).exists() else None
+    return (
+        with_fault(file.read_text("utf-8"), fault)
+        if (file := ROOT / fault["file"]).exists()
+        else None
+    )
 
 
 def kept() -> list[Fault]:
@@ -82,7 +88,9 @@ def drawn(seed: int) -> list[Fault]:
     rng, found = random.Random(seed), kept()
     for k, fault in enumerate(found):
         if faulty(fault) is None:
-            folder = ROOT.joinpath(*Path(fault["file"]).parts[: 1 + fault["file"].startswith("jaxurban")])
+            folder = ROOT.joinpath(
+                *Path(fault["file"]).parts[: 1 + fault["file"].startswith("jaxurban")]
+            )
             files = [file.relative_to(ROOT).as_posix() for file in sorted(folder.rglob("*.py"))]
             others = [other for file in files for other in faults_of(file)]
             found[k] = rng.choice([other for other in others if other["kind"] == fault["kind"]])
@@ -94,7 +102,10 @@ def modules(tests: Path) -> dict[str, str]:
     files = {f"tests/{file.relative_to(tests).as_posix()}": file for file in tests.rglob("*.py")}
     for folder in ("jaxurban", "kernels", "planners"):
         inside = "" if folder == "jaxurban" else "jaxurban/"
-        files |= {inside + file.relative_to(ROOT).as_posix(): file for file in (ROOT / folder).rglob("*.py")}
+        files |= {
+            inside + file.relative_to(ROOT).as_posix(): file
+            for file in (ROOT / folder).rglob("*.py")
+        }
     return {name: file.read_text(encoding="utf-8") for name, file in files.items()}
 
 
@@ -105,7 +116,11 @@ def imports(texts: dict[str, str]) -> dict[str, set[str]]:
     for file, text in texts.items():
         lines = IMPORT.findall(text)
         names = {home for home, _ in lines}
-        names |= {f"{home}.{name}".lstrip(".") for home, line in lines for name in re.findall(r"[\w.]+", line)}
+        names |= {
+            f"{home}.{name}".lstrip(".")
+            for home, line in lines
+            for name in re.findall(r"[\w.]+", line)
+        }
         if "jaxurban" in names:
             names |= {public[name] for name in re.findall(r"\.(\w+)", text) if name in public}
         found[file] = {f"{name.replace('.', '/')}.py" for name in names} & texts.keys()
@@ -119,8 +134,12 @@ def reaching(file: str, tests: Path, away: int) -> list[str]:
     found, last = [home], [home]
     for _ in range(away):
         last = [user for user, used in imported.items() if used & {*last} and user not in found]
-        found += sorted(last, key=lambda user: (-len({*Path(user).parts} & {*Path(home).parts}), user))
-    return [user for user in found if user.startswith("tests/") and Path(user).name.startswith("test_")]
+        found += sorted(
+            last, key=lambda user: (-len({*Path(user).parts} & {*Path(home).parts}), user)
+        )
+    return [
+        user for user in found if user.startswith("tests/") and Path(user).name.startswith("test_")
+    ]
 
 
 def verdict_of(fault: Fault, command: list[str], tests: Path, is_checked: bool) -> str:
@@ -134,7 +153,9 @@ def verdict_of(fault: Fault, command: list[str], tests: Path, is_checked: bool) 
     text = faulty(fault)
     if text is None:
         return "gone"
-    is_compiled = fault["file"].startswith(("kernels", "planners"))  # caches of Numba do not know what was inlined
+    is_compiled = fault["file"].startswith(
+        ("kernels", "planners")
+    )  # caches of Numba do not know what was inlined
     with tempfile.TemporaryDirectory(prefix="fault-") as scratch:
         copy = Path(scratch, "tree")
         ignored = shutil.ignore_patterns(*NOT_COPIED, *(["__pycache__"] if is_compiled else []))
@@ -145,7 +166,9 @@ def verdict_of(fault: Fault, command: list[str], tests: Path, is_checked: bool) 
         (copy / ".venv").symlink_to(ROOT / ".venv")
         environment = {
             "JAXURBAN_DATA": str(ROOT.parent / "shared" / "data"),
-            "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".pytest_cache" / "programs"),  # keeps programs by what they are
+            "JAX_COMPILATION_CACHE_DIR": str(
+                ROOT / ".pytest_cache" / "programs"
+            ),  # keeps programs by what they are
             **os.environ,
             "PYTHONPATH": str(copy),
         }
@@ -154,7 +177,12 @@ def verdict_of(fault: Fault, command: list[str], tests: Path, is_checked: bool) 
             (copy / fault["file"]).write_text(text, encoding="utf-8")
             own = {"NUMBA_CACHE_DIR": f"{scratch}/{cache}"} if is_compiled else {}
             return subprocess.run(
-                words, cwd=copy, env=environment | own, capture_output=True, text=True, timeout=LONGEST_S
+                words,
+                cwd=copy,
+                env=environment | own,
+                capture_output=True,
+                text=True,
+                timeout=LONGEST_S,
             )
 
         try:
@@ -166,8 +194,12 @@ def verdict_of(fault: Fault, command: list[str], tests: Path, is_checked: bool) 
         if not is_checked:
             return "noticed"
         names = re.findall(r"^(?:FAILED|ERROR) (\S+)", ended.stdout, re.MULTILINE)
-        again = run((ROOT / fault["file"]).read_text("utf-8"), [*command, "--lf", "--lfnf", "none"], "clean")
-        without = "" if again.returncode in (0, 5) else "FAILS ANYWAY: "  # 5: the fault ended pytest itself
+        again = run(
+            (ROOT / fault["file"]).read_text("utf-8"), [*command, "--lf", "--lfnf", "none"], "clean"
+        )
+        without = (
+            "" if again.returncode in (0, 5) else "FAILS ANYWAY: "
+        )  # 5: the fault ended pytest itself
         return f"{without or 'noticed: '}{', '.join(names) or ended.stdout[-300:] + ended.stderr[-300:]}"
 
 
@@ -177,12 +209,19 @@ def main() -> None:
     parser.add_argument("what", choices=("draw", "run"))
     parser.add_argument("numbers", nargs="*", type=int, help="of faults: lines of the file, from 1")
     parser.add_argument("--seed", type=int, default=28, help="of draw")
-    parser.add_argument("--reaching", type=int, metavar="IMPORTS", help="run the tests that are so near to the fault")
+    parser.add_argument(
+        "--reaching",
+        type=int,
+        metavar="IMPORTS",
+        help="run the tests that are so near to the fault",
+    )
     parser.add_argument("--tests", type=Path, default=ROOT / "tests", help="of another tree")
     cut = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
     asked, command = parser.parse_args(sys.argv[1:cut]), sys.argv[cut + 1 :]
     if asked.what == "draw":
-        KEPT.write_text("".join(json.dumps(fault) + "\n" for fault in drawn(asked.seed)), encoding="utf-8")
+        KEPT.write_text(
+            "".join(json.dumps(fault) + "\n" for fault in drawn(asked.seed)), encoding="utf-8"
+        )
         return
     if not command and not asked.reaching:
         parser.error("give the command that shall notice the faults after --, or --reaching")
@@ -191,7 +230,10 @@ def main() -> None:
         fault = faults[number - 1]
         files = reaching(fault["file"], tests, asked.reaching) if asked.reaching else []
         verdict = verdict_of(fault, [*(command or PYTEST), *files], tests, bool(files))
-        print(f"{number:2} {fault['kind']:<11} {fault['file']}: {fault['instead']}\n   {verdict}", flush=True)
+        print(
+            f"{number:2} {fault['kind']:<11} {fault['file']}: {fault['instead']}\n   {verdict}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -56,11 +56,17 @@ class Steps:
     def take(self, event: str, args: tuple) -> None:
         """Count an event if it is a step; raise where it must not come off."""
         events = (*WRITES, *REMOVALS) if self.way == "killed" else WRITES
-        if event not in events or not str(args[0]).startswith(self.folder) or not _changes(event, args):
+        if (
+            event not in events
+            or not str(args[0]).startswith(self.folder)
+            or not _changes(event, args)
+        ):
             return
         with self.lock:
             was_over = self.is_over
-            lines = (f"{frame.f_code.co_filename}:{line}" for frame, line in traceback.walk_stack(None))
+            lines = (
+                f"{frame.f_code.co_filename}:{line}" for frame, line in traceback.walk_stack(None)
+            )
             if place := tuple(line for line in lines if line.startswith(PACKAGE)):
                 self.places.append(place)
             is_now = not was_over and self.is_over
@@ -119,4 +125,8 @@ def harm(file: Path, damage: str, rng: random.Random) -> None:
 def values_of(folder: Path) -> dict[str, bytes]:
     """Return all that is read of the maps in a folder."""
     maps = jaxurban.open_maps(folder).ds.load()
-    return {str(name): array.values.tobytes() for name, array in maps.variables.items() if array.dtype.kind != "T"}
+    return {
+        str(name): array.values.tobytes()
+        for name, array in maps.variables.items()
+        if array.dtype.kind != "T"
+    }

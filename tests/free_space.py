@@ -9,7 +9,9 @@ def pinched_corners(is_free: np.ndarray) -> np.ndarray:
     south_west, south_east, north_west, north_east = (
         is_free[rows, cols] for rows in (np.s_[:-1], np.s_[1:]) for cols in (np.s_[:-1], np.s_[1:])
     )
-    is_pinched = (south_west == north_east) & (south_east == north_west) & (south_west != south_east)
+    is_pinched = (
+        (south_west == north_east) & (south_east == north_west) & (south_west != south_east)
+    )
     return np.argwhere(is_pinched)[:, ::-1] + 1.0
 
 
@@ -21,7 +23,9 @@ def line_of(points_m: np.ndarray) -> LineString:
 class Obstacles:
     """Boxes of the cells that are not free, and all around the map, as Shapely sees them."""
 
-    def __init__(self, is_free: np.ndarray, side_m: float, x_m: float = 0.0, y_m: float = 0.0) -> None:
+    def __init__(
+        self, is_free: np.ndarray, side_m: float, x_m: float = 0.0, y_m: float = 0.0
+    ) -> None:
         frame = np.pad(is_free, 1)
         rows, cols = np.nonzero(~frame)
         west, south = x_m + (cols - 1) * side_m, y_m + (rows - 1) * side_m

@@ -14,36 +14,55 @@ from jaxurban.world.grid import Grid
 FLOWN = ("altitude", "y", "x")
 
 
-def city_of_boxes(boxes: Sequence, height_m, side_m: float, corner_m=(0.0, 0.0), crs: str = "EPSG:32618") -> City:
+def city_of_boxes(
+    boxes: Sequence, height_m, side_m: float, corner_m=(0.0, 0.0), crs: str = "EPSG:32618"
+) -> City:
     """Return a square city of boxes (x_min, y_min, x_max, y_max from its corner) that stand on the ground."""
-    outlines, zero = shapely.box(*(np.transpose(boxes) + np.tile(corner_m, 2)[:, None])), np.zeros(len(boxes))
+    outlines, zero = (
+        shapely.box(*(np.transpose(boxes) + np.tile(corner_m, 2)[:, None])),
+        np.zeros(len(boxes)),
+    )
     buildings = Footprints(outlines, zero + height_m, zero, zero.astype(np.uint8), zero > 0)
     return City(crs, (*corner_m, corner_m[0] + side_m, corner_m[1] + side_m), buildings)
 
 
 def made_maps(
-    num_rows: int = 80, num_cols: int = 100, altitudes_m: Sequence[float] = (20.0, 60.0), resolution_m: float = 10.0
+    num_rows: int = 80,
+    num_cols: int = 100,
+    altitudes_m: Sequence[float] = (20.0, 60.0),
+    resolution_m: float = 10.0,
 ) -> MetricMaps:
     """Return maps with streets between blocks of 0 to 80 m; every metric takes all values from 0 to 1."""
     rng = np.random.default_rng(7)
     grid = Grid("EPSG:32618", resolution_m, 450_000, 58_000, num_rows, num_cols)
     row, col = np.indices(grid.shape)
     block_m = rng.choice([0.0, 12.0, 30.0, 80.0], (num_rows // 6 + 1, num_cols // 8 + 1))
-    roof_m = np.where((row % 6 < 3) & (col % 8 < 5), block_m[row // 6, col // 8], 0.0).astype(np.float32)
+    roof_m = np.where((row % 6 < 3) & (col % 8 < 5), block_m[row // 6, col // 8], 0.0).astype(
+        np.float32
+    )
     obstacle = np.stack([roof_m >= z for z in altitudes_m]).astype(np.uint8)
 
     def smooth(*sizes: int) -> np.ndarray:
         values = gaussian_filter(rng.normal(size=(*sizes, *grid.shape)), [0] * len(sizes) + [6, 6])
         return ((values - values.min()) / np.ptp(values)).astype(np.float32)
 
-    a, flown = len(altitudes_m), {name: smooth(len(altitudes_m)) * (1 - obstacle) for name in ("lidar", "risk")}
-    gps, visible = smooth(1, a) * (1 - obstacle), (9 * smooth(1, a) * (1 - obstacle)).astype(np.uint8)
+    a, flown = (
+        len(altitudes_m),
+        {name: smooth(len(altitudes_m)) * (1 - obstacle) for name in ("lidar", "risk")},
+    )
+    gps, visible = (
+        smooth(1, a) * (1 - obstacle),
+        (9 * smooth(1, a) * (1 - obstacle)).astype(np.uint8),
+    )
     people = smooth(2)
     data = {
         "obstacle": (FLOWN, obstacle),
         "gps": (("time", *FLOWN), gps),
         "num_visible": (("time", *FLOWN), visible),
-        "hdop": (("time", *FLOWN), np.where(visible >= 4, 1 / np.maximum(gps, 0.1), np.inf).astype(np.float32)),
+        "hdop": (
+            ("time", *FLOWN),
+            np.where(visible >= 4, 1 / np.maximum(gps, 0.1), np.inf).astype(np.float32),
+        ),
         **{name: (FLOWN, values) for name, values in flown.items()},
         "population": (("time_of_day", "y", "x"), people),
         "density": (("time_of_day", "y", "x"), 50_000 * people),
@@ -58,11 +77,18 @@ def made_maps(
         "time_of_day": np.array(["day", "night"], np.dtypes.StringDType()),
         "spatial_ref": 0,
     }
-    attrs = {"crs": grid.crs, "resolution_m": resolution_m, "first_row": grid.first_row, "first_col": grid.first_col}
+    attrs = {
+        "crs": grid.crs,
+        "resolution_m": resolution_m,
+        "first_row": grid.first_row,
+        "first_col": grid.first_col,
+    }
     return MetricMaps(xr.Dataset(data, coords, attrs | {"attribution": "© a made city"}))
 
 
 def missing_inside(maps: MetricMaps, **attrs) -> MetricMaps:
     """Return maps with NaN inside obstacles, as `build_maps` makes them, and more attributes."""
     is_free, names = maps.ds["obstacle"] == 0, ("gps", "lidar", "risk")
-    return MetricMaps(maps.ds.assign({name: maps.ds[name].where(is_free) for name in names}).assign_attrs(attrs))
+    return MetricMaps(
+        maps.ds.assign({name: maps.ds[name].where(is_free) for name in names}).assign_attrs(attrs)
+    )

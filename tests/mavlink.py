@@ -27,7 +27,9 @@ class Reader:
     def read(self, file: Path) -> tuple[list[int], np.ndarray]:
         """Return commands, and longitude, latitude, height above home ``[W, 3]``, of a mission's places."""
         items = [item for item in self.items(file)[0] if item.frame == RELATIVE_TO_HOME]
-        return [item.command for item in items], np.array([[item.y / 1e7, item.x / 1e7, item.z] for item in items])
+        return [item.command for item in items], np.array(
+            [[item.y / 1e7, item.x / 1e7, item.z] for item in items]
+        )
 
     def items(self, file: Path) -> tuple[list[MissionItem], list[MissionItem]]:
         """Return the items of a mission and of its geofence; check their order, and that nothing else is there."""
@@ -45,13 +47,19 @@ class Reader:
         plan = json.loads(file.read_text())
         rings = [ring["polygon"] for ring in plan["geoFence"]["polygons"]]
         assert not any(ring["inclusion"] for ring in plan["geoFence"]["polygons"])
-        wanted = [(item["command"], item["frame"], *_as_read(item)) for item in plan["mission"]["items"]]
+        wanted = [
+            (item["command"], item["frame"], *_as_read(item)) for item in plan["mission"]["items"]
+        ]
         wanted += [(EXCLUSION, len(ring), *_in_units(*corner)) for ring in rings for corner in ring]
         mission, fence = self.items(file)
-        read = [(item.command, item.frame, item.x, item.y, *_floats(*NUMBERS(item))) for item in mission]
+        read = [
+            (item.command, item.frame, item.x, item.y, *_floats(*NUMBERS(item))) for item in mission
+        ]
         read += [(item.command, int(item.param1), item.x, item.y) for item in fence]
         pairs = zip_longest(read, wanted)
-        return [f"{one} instead of {other}" for one, other in pairs if str(one) != str(other)]  # NaN is NaN as text
+        return [
+            f"{one} instead of {other}" for one, other in pairs if str(one) != str(other)
+        ]  # NaN is NaN as text
 
 
 def _as_read(item: dict) -> tuple:

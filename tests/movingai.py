@@ -25,5 +25,7 @@ def read_scenarios(file: Path) -> list[GridProblem]:
     problems = []
     for line in file.read_text(encoding="ascii").splitlines()[1:]:
         num_rows, x0, y0, x1, y1 = map(int, line.split()[3:8])
-        problems.append(GridProblem((num_rows - 1 - y0, x0), (num_rows - 1 - y1, x1), float(line.split()[8])))
+        problems.append(
+            GridProblem((num_rows - 1 - y0, x0), (num_rows - 1 - y1, x1), float(line.split()[8]))
+        )
     return problems

@@ -15,7 +15,11 @@ from jaxurban.studies.receiver.validate import ReceiverValidation
 from jaxurban.world.surface import Surface
 
 SCENARIO = {
-    "region": {"bounds": [-74.0, 40.755, -73.993, 40.761], "resolution_m": 5.0, "altitudes_m": [20]},
+    "region": {
+        "bounds": [-74.0, 40.755, -73.993, 40.761],
+        "resolution_m": 5.0,
+        "altitudes_m": [20],
+    },
     "buildings": {"source": "synthetic"},
     "gps": {"mask_deg": 10.0},
 }
@@ -39,10 +43,19 @@ def surface() -> Surface:
 def drive() -> pd.DataFrame:
     """Return a second's place and time a row, by the shortest ways along free streets between random cells."""
     is_free, grid = np.asarray(surface().roof_m)[surface().window] < 2.0, surface().region
-    cells, no_costs, model = np.argwhere(is_free), np.zeros((1, *is_free.shape)), ju.CostModel(connectivity=4)
+    cells, no_costs, model = (
+        np.argwhere(is_free),
+        np.zeros((1, *is_free.shape)),
+        ju.CostModel(connectivity=4),
+    )
     stops = cells[np.random.default_rng(5).integers(len(cells), size=NUM_LEGS + 1)].tolist()
-    legs = [Problem(no_costs, is_free, *map(tuple, ends), grid.resolution_m, 1.0, model) for ends in pairwise(stops)]
-    corners = np.concatenate([astar(leg).points_m for leg in legs]) + np.array([grid.x_min_m, grid.y_min_m])
+    legs = [
+        Problem(no_costs, is_free, *map(tuple, ends), grid.resolution_m, 1.0, model)
+        for ends in pairwise(stops)
+    ]
+    corners = np.concatenate([astar(leg).points_m for leg in legs]) + np.array(
+        [grid.x_min_m, grid.y_min_m]
+    )
     along_m = np.cumsum(np.hypot(*np.diff(corners, axis=0, prepend=corners[:1]).T))
     at_m = np.arange(0.0, along_m[-1], SPEED_M_S)
     lon, lat = grid.lonlat_of_xy(*(np.interp(at_m, along_m, values) for values in corners.T))
@@ -62,8 +75,12 @@ def true_log() -> pd.DataFrame:
     rng = np.random.default_rng(6)
     epochs = seen().epochs
     in_view = epochs.num_visible.fillna(0).to_numpy()
-    error_m = 3.0 * np.minimum(epochs.hdop.fillna(50.0), 50.0) * rng.lognormal(0.0, 0.3, len(epochs))
-    return drive().assign(num_tracked=np.maximum(in_view + rng.integers(-1, 2, len(epochs)), 0), error_2d_m=error_m)
+    error_m = (
+        3.0 * np.minimum(epochs.hdop.fillna(50.0), 50.0) * rng.lognormal(0.0, 0.3, len(epochs))
+    )
+    return drive().assign(
+        num_tracked=np.maximum(in_view + rng.integers(-1, 2, len(epochs)), 0), error_2d_m=error_m
+    )
 
 
 @cache

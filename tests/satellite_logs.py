@@ -19,7 +19,12 @@ SYSTEMS = "GE"
 
 
 def hidden_by_outlines(
-    polygons: np.ndarray, height_m: np.ndarray, x_m: float, y_m: float, azimuth_rad: float, elevation_rad: float
+    polygons: np.ndarray,
+    height_m: np.ndarray,
+    x_m: float,
+    y_m: float,
+    azimuth_rad: float,
+    elevation_rad: float,
 ) -> bool:
     """Return whether a ray meets a prism, by the exact outlines: a ray at a time, in a way of its own."""
     run_m = height_m.max() / np.tan(elevation_rad)
@@ -45,7 +50,15 @@ def heard() -> pd.DataFrame:
             angles = np.radians(azimuth_deg) - turn_rad, np.radians(elevation_deg)
             is_hidden = hidden_by_outlines(buildings.polygons, buildings.height_m, *at, *angles)
             cn0_dbhz = rng.normal(27 if is_hidden else 42, 6)
-            rows.append((epoch, name, azimuth_deg, elevation_deg, 0.0 if cn0_dbhz < 22 else min(cn0_dbhz, 55.0)))
+            rows.append(
+                (
+                    epoch,
+                    name,
+                    azimuth_deg,
+                    elevation_deg,
+                    0.0 if cn0_dbhz < 22 else min(cn0_dbhz, 55.0),
+                )
+            )
     columns = ["epoch", "satellite", "azimuth_deg", "elevation_deg", "cn0_dbhz"]
     table = pd.DataFrame(rows, columns=columns)
     return table.join(epochs, on="epoch").drop(columns="epoch")
@@ -56,7 +69,9 @@ def found() -> ju.studies.ReceiverValidation:
     return ju.studies.validate(scenario(), heard(), SETTINGS, progress=False)
 
 
-def is_praised(rows: pd.DataFrame, margin_m: np.ndarray, elevation_rad: np.ndarray, off_rad: np.ndarray) -> bool:
+def is_praised(
+    rows: pd.DataFrame, margin_m: np.ndarray, elevation_rad: np.ndarray, off_rad: np.ndarray
+) -> bool:
     """Return whether margins are called better than the rule of the street."""
     rules = rivals.features_of(margin_m, elevation_rad, off_rad)
     chosen = {name: rules[name] for name in (rivals.STREET, rivals.MAP)}

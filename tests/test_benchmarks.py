@@ -22,7 +22,9 @@ from tests.made_maps import city_of_boxes
 def caster() -> Caster:
     """A tower of 10 m x 10 m x 100 m around x = 55, y = 5."""
     polygons, height_m = np.array([shapely.box(50, 0, 60, 10)]), np.array([100.0])
-    triangles = np.concatenate([wall_triangles(polygons, height_m), roof_triangles(polygons, height_m)])
+    triangles = np.concatenate(
+        [wall_triangles(polygons, height_m), roof_triangles(polygons, height_m)]
+    )
     return Caster(triangles.astype(np.float32))
 
 
@@ -57,7 +59,9 @@ def test_a_tower_hides_a_satellite_behind_it_and_from_no_other_side(caster):
 
 def test_a_scan_returns_over_the_angle_that_a_tower_fills(caster):
     share = scan_until_first_return(caster, np.array([[0.0, 5.0], [-200.0, 5.0]]), 20.0, Lidar())
-    num_azimuths = 2 * np.floor(np.rad2deg(np.arctan(5 / 50))) + 1  # whole degrees within the near wall
+    num_azimuths = (
+        2 * np.floor(np.rad2deg(np.arctan(5 / 50))) + 1
+    )  # whole degrees within the near wall
     np.testing.assert_allclose(share, [num_azimuths / 360, 0])
 
 
@@ -70,8 +74,12 @@ def test_a_scan_returns_over_the_angle_that_a_tower_fills(caster):
         ([[0, 4, 31], [58, 4, 31], [100, 4, 20]], (2.0, 2.0)),
     ],
 )
-def test_what_a_route_cuts_is_measured_once_on_the_outline_and_at_the_lower_end_of_a_climb(route, found):
-    both = city_of_boxes([(50, 0, 60, 10), (55, 0, 60, 10)], 30.0, 100.0)  # the second lies in the first
+def test_what_a_route_cuts_is_measured_once_on_the_outline_and_at_the_lower_end_of_a_climb(
+    route, found
+):
+    both = city_of_boxes(
+        [(50, 0, 60, 10), (55, 0, 60, 10)], 30.0, 100.0
+    )  # the second lies in the first
     assert Outlines(both.buildings).cut(np.array(route, float)) == pytest.approx(found, abs=1e-4)
 
 
@@ -89,13 +97,30 @@ def test_clearance_is_to_the_outlines_that_reach_the_lower_end_of_a_leg_and_heig
 @pytest.fixture
 def routes() -> pd.DataFrame:
     """Four pairs under two rules: the third without a path under the first rule, the fourth from a place to itself."""
-    same = {"city": "a", "planner": "astar-plus", "planned": 9, "written": 5, "shortest planned": 1.0, "shortest": 2.0}
-    same |= dict.fromkeys((".geojson", ".kml", ".plan", "in degrees", "over .geojson", "over .kml", "over .plan"), 4.0)
+    same = {
+        "city": "a",
+        "planner": "astar-plus",
+        "planned": 9,
+        "written": 5,
+        "shortest planned": 1.0,
+        "shortest": 2.0,
+    }
+    same |= dict.fromkeys(
+        (".geojson", ".kml", ".plan", "in degrees", "over .geojson", "over .kml", "over .plan"), 4.0
+    )
     same |= {"apart": 2.5, "dearer": 0.5, "crossed": 0.0, "from outlines": 3.0, "read equal": True}
     lengths_m = {"centre": (100, 200, np.inf, 0), "touched": (110, 200, 300, 0)}
     inside_m = {"centre": (4.0, 0.0, 0.0, 0.0), "touched": (0.0, 0.0, 0.0, 0.0)}
     return pd.DataFrame(
-        same | {"rule": rule, "pair": k, "length_m": m, "cost": 2 * m, "inside": inside_m[rule][k], "depth": 2.0}
+        same
+        | {
+            "rule": rule,
+            "pair": k,
+            "length_m": m,
+            "cost": 2 * m,
+            "inside": inside_m[rule][k],
+            "depth": 2.0,
+        }
         for rule in lengths_m
         for k, m in enumerate(lengths_m[rule])
     )
@@ -105,9 +130,13 @@ def test_shares_count_paths_alone_and_prices_pairs_with_both(routes):
     inside, price, clearance, missions = tables(routes).split("\n\n")
     assert "| a | centre | astar-plus | 3 | 33% | 4.0 m, 4.0 m | 2.0 m |" in inside
     assert "| a | touched | astar-plus | 4 | 0% | 0.0 m, 0.0 m | 2.0 m |" in inside
-    assert price.endswith("| a | touched | astar-plus | 5.00% (9.5%; 10.0%) | 5.00% (9.5%; 10.0%) |")
+    assert price.endswith(
+        "| a | touched | astar-plus | 5.00% (9.5%; 10.0%) | 5.00% (9.5%; 10.0%) |"
+    )
     assert clearance.count(" 4.000 m |") == 10
-    assert missions.endswith("| 9 (9) | 5 (5) | 1.00 m, 2.00 m | 2.50 m | +50.00% (+50.00%) | 0.000 m | 3.000 m | 4 |")
+    assert missions.endswith(
+        "| 9 (9) | 5 (5) | 1.00 m, 2.00 m | 2.50 m | +50.00% (+50.00%) | 0.000 m | 3.000 m | 4 |"
+    )
     assert prices(routes[routes.rule == "touched"]) == {}
 
 
@@ -124,19 +153,32 @@ class B(A):
 def test_code_lines_are_no_blanks_comments_or_docstrings_and_self_is_no_argument():
     lines, num_tokens = code_lines_and_tokens(CODE)
     assert (len(lines), num_tokens) == (4, 28)
-    assert [num_arguments(node) for node in ast.walk(ast.parse(CODE)) if isinstance(node, ast.FunctionDef)] == [5]
+    assert [
+        num_arguments(node)
+        for node in ast.walk(ast.parse(CODE))
+        if isinstance(node, ast.FunctionDef)
+    ] == [5]
 
 
 def test_results_differ_by_name_and_by_share_and_ratios_have_an_interval():
     old, new = {"a": "2.0", "b": "x", "c": "1"}, {"a": "2.5", "b": "x", "d": "1"}
-    assert compare(old, new) == ["a: 2.0 -> 2.5 (by 2.5e-01)", "c: only in OLD (1)", "d: only in NEW (1)"]
+    assert compare(old, new) == [
+        "a: 2.0 -> 2.5 (by 2.5e-01)",
+        "c: only in OLD (1)",
+        "d: only in NEW (1)",
+    ]
     assert interval(np.full(15, 1.25)) == (1.25, 1.25)
     low, high = interval(np.linspace(0.9, 1.1, 15))
     assert 0.9 < low < 1.0 < high < 1.1
 
 
 EXPECTED, NEAR = np.array([1.0, 2.0, np.inf, 4.0]), np.array([1.0, 2.01, np.inf, 4.0])
-LEAST = {"absolute": 0.01, "relative": 0.005, "of_largest": 0.0025, "share": 0.25}  # under which NEAR is right
+LEAST = {
+    "absolute": 0.01,
+    "relative": 0.005,
+    "of_largest": 0.0025,
+    "share": 0.25,
+}  # under which NEAR is right
 
 
 @pytest.mark.parametrize(
@@ -150,18 +192,29 @@ LEAST = {"absolute": 0.01, "relative": 0.005, "of_largest": 0.0025, "share": 0.2
         *[(NEAR, {name: 0.9 * least}, True) for name, least in LEAST.items()],
     ],
 )
-def test_answers_of_a_gpu_agree_within_what_is_allowed_and_equal_infinities_do(found, allowed, is_wrong):
+def test_answers_of_a_gpu_agree_within_what_is_allowed_and_equal_infinities_do(
+    found, allowed, is_wrong
+):
     assert gpu.difference(found, EXPECTED, **allowed)["is_wrong"] is is_wrong
 
 
 def gpu_row(name: str, by: str, seconds: float, answer: str) -> dict:
     return {
-        **{"section": "lidar", "name": name, "by": by, "seconds": seconds, "first_s": 1.5, "units": 100.0},
+        **{
+            "section": "lidar",
+            "name": name,
+            "by": by,
+            "seconds": seconds,
+            "first_s": 1.5,
+            "units": 100.0,
+        },
         **{"unit": "rays", "answer": answer, "tolerance": {}, "allowed": "0", "peak_gib": None},
     }
 
 
-def test_every_row_of_a_gpu_is_held_against_the_first_of_its_name_and_without_one_is_blank(tmp_path):
+def test_every_row_of_a_gpu_is_held_against_the_first_of_its_name_and_without_one_is_blank(
+    tmp_path,
+):
     for name, values in (("cpu", [1, 2]), ("gpu", [1, 2]), ("graphs", [1, 3]), ("other", [7, 7])):
         np.save(tmp_path / f"{name}.npy", values)
     rows = [gpu_row("5 m", "CPU", 2.0, "cpu.npy"), gpu_row("2 m", "CPU", 1.0, "other.npy")]

@@ -37,7 +37,9 @@ azimuths = 60
 def folder(data_dir, tmp_path_factory):
     folder = tmp_path_factory.mktemp("bilbao")
     (folder / "bilbao.toml").write_text(SCENARIO.format(folder=(data_dir / "raster").resolve()))
-    app.main(["maps", str(folder / "bilbao.toml"), "-o", str(folder / "out")], standalone_mode=False)
+    app.main(
+        ["maps", str(folder / "bilbao.toml"), "-o", str(folder / "out")], standalone_mode=False
+    )
     return folder / "out"
 
 
@@ -49,7 +51,9 @@ def test_rasters_that_do_not_align_become_maps(folder, data_dir):
     assert maps.ds["has_data"].all()
     for name in ("gps", "lidar", "risk"):
         values = maps.ds[name].values
-        assert np.array_equal(np.isnan(values), np.broadcast_to(maps.ds["obstacle"].values == 1, values.shape))
+        assert np.array_equal(
+            np.isnan(values), np.broadcast_to(maps.ds["obstacle"].values == 1, values.shape)
+        )
         assert 0 <= np.nanmin(values) < np.nanmax(values) <= 1
     means = [float(np.nanmean(maps.m("gps", z))) for z in maps.altitudes_m]
     assert means == sorted(means)
@@ -68,13 +72,19 @@ def test_rasters_that_do_not_align_become_maps(folder, data_dir):
 
 
 @pytest.mark.parametrize("vertical_m", [0.0, 3.0])
-def test_forty_simplified_missions_keep_the_clearance_over_every_roof_that_a_leg_crosses(folder, tmp_path, vertical_m):
+def test_forty_simplified_missions_keep_the_clearance_over_every_roof_that_a_leg_crosses(
+    folder, tmp_path, vertical_m
+):
     """At an altitude 5 cm more than the clearance over roofs of 22 m; each leg sampled every 10 cm."""
     maps, altitude_m, file = ju.open_maps(folder), 22.05 + vertical_m, tmp_path / "path.plan"
     constraints = ju.Constraints(vertical_clearance_m=vertical_m)
-    on = cost_map(maps, altitude_m, weights={"distance": 1.0}, cost_model="line", constraints=constraints)
+    on = cost_map(
+        maps, altitude_m, weights={"distance": 1.0}, cost_model="line", constraints=constraints
+    )
     islands, _ = label(on.is_free)
-    cells = np.random.default_rng(0).permutation(np.argwhere(islands == np.argmax(np.bincount(islands[on.is_free]))))
+    cells = np.random.default_rng(0).permutation(
+        np.argwhere(islands == np.argmax(np.bincount(islands[on.is_free])))
+    )
     grid, roof_m, terrain_m = maps.grid, maps.m("roof_touched"), maps.m("terrain")
     least_m, num_over = [], 0
     for start, goal in cells[:80].reshape(40, 2, 2):
@@ -86,7 +96,9 @@ def test_forty_simplified_missions_keep_the_clearance_over_every_roof_that_a_leg
         along_m = np.append(0.0, np.cumsum(np.hypot(np.diff(x_m), np.diff(y_m))))
         at_m = np.arange(0.0, along_m[-1], 0.1)
         x_m, y_m, z_m = (np.interp(at_m, along_m, values) for values in (x_m, y_m, z_m))
-        above_m = z_m - elevation_at(x_m - grid.x_min_m, y_m - grid.y_min_m, terrain_m, grid.resolution_m)
+        above_m = z_m - elevation_at(
+            x_m - grid.x_min_m, y_m - grid.y_min_m, terrain_m, grid.resolution_m
+        )
         assert altitude_m - 0.02 < above_m.min() <= above_m.max() < altitude_m + GROUND_TOLERANCE_M
         beneath_m = roof_m[grid.cell_of_xy(x_m, y_m)]
         if beneath_m.any():

@@ -38,7 +38,9 @@ IS_LONG = re.compile(  # a page that is marked slow
 ).search
 
 # What asks servers, serves until somebody ends it, takes several cities, machines or minutes, or has a test of its own.
-ONLY_PARSED = re.compile(r"fetch (?!.*--dry-run)|view (?!.*--export)|demo\b|score|tune .*--by-city|.*--cluster")
+ONLY_PARSED = re.compile(
+    r"fetch (?!.*--dry-run)|view (?!.*--export)|demo\b|score|tune .*--by-city|.*--cluster"
+)
 
 SCENARIO = """
 [region]
@@ -66,7 +68,10 @@ class Block:
 def blocks_of(page: Path) -> list[Block]:
     text = page.read_text(encoding="utf-8")
     lines = [text.count("\n", 0, found.start(3)) + 1 for found in BLOCK.finditer(text)]
-    return [Block(found[1], textwrap.dedent(found[2]), n) for found, n in zip(BLOCK.findall(text), lines, strict=True)]
+    return [
+        Block(found[1], textwrap.dedent(found[2]), n)
+        for found, n in zip(BLOCK.findall(text), lines, strict=True)
+    ]
 
 
 def name_of(page: Path) -> str:
@@ -83,22 +88,49 @@ def prepared(tmp_path_factory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         app.main(["maps", "scenario.toml", "-o", "out/manhattan"], standalone_mode=False)
-    write(folder / "heliports.kml", [shapely.Point(-74.009, 40.701).buffer(0.0005)], Name=["Heliport"])
-    write(folder / "parks.geojson", [shapely.box(-73.999, 40.712, -73.997, 40.714)], ceiling_m=[50.0])
-    houses = [shapely.box(x, y, x + 0.0008, y + 0.0006) for x in (-74.013, -74.010) for y in (40.706, 40.709)]
+    write(
+        folder / "heliports.kml", [shapely.Point(-74.009, 40.701).buffer(0.0005)], Name=["Heliport"]
+    )
+    write(
+        folder / "parks.geojson", [shapely.box(-73.999, 40.712, -73.997, 40.714)], ceiling_m=[50.0]
+    )
+    houses = [
+        shapely.box(x, y, x + 0.0008, y + 0.0006)
+        for x in (-74.013, -74.010)
+        for y in (40.706, 40.709)
+    ]
     write(folder / "buildings.geojson", houses, height=[12.0, 30.0, 55.0, 90.0])
     ids = ["360610001001000", "360610001001001"]
     blocks = [shapely.box(x, 40.704, x + 0.005, 40.712) for x in (-74.016, -74.011)]
     write(folder / "blocks.geojson", blocks, GEOID10=ids)
-    pd.DataFrame({"GEOID10": ids, "P001001": [400, 1200]}).to_csv(folder / "population.csv", index=False)
-    ends = [-74.016, 40.704, -73.99, 40.729, -74.01, 40.705, -73.985, 40.725, -74, 40.71, -74.01, 40.725]
+    pd.DataFrame({"GEOID10": ids, "P001001": [400, 1200]}).to_csv(
+        folder / "population.csv", index=False
+    )
+    ends = [
+        -74.016,
+        40.704,
+        -73.99,
+        40.729,
+        -74.01,
+        40.705,
+        -73.985,
+        40.725,
+        -74,
+        40.71,
+        -74.01,
+        40.725,
+    ]
     pairs = np.reshape(ends, (3, 2, 2)).tolist()
-    ju.plan_many(folder / "out/manhattan", pairs, altitude_m=60.0, snap=True).save(folder / "routes.geojson")
+    ju.plan_many(folder / "out/manhattan", pairs, altitude_m=60.0, snap=True).save(
+        folder / "routes.geojson"
+    )
     return folder
 
 
 def write(file: Path, shapes: list, **columns: list) -> None:
-    gpd.GeoDataFrame(columns, geometry=shapes, crs="EPSG:4326").to_file(file, driver={".kml": "KML"}.get(file.suffix))
+    gpd.GeoDataFrame(columns, geometry=shapes, crs="EPSG:4326").to_file(
+        file, driver={".kml": "KML"}.get(file.suffix)
+    )
 
 
 @pytest.fixture
@@ -112,7 +144,10 @@ def keep_toml(block: Block) -> None:
     """Check settings, and save them where their first line names a file."""
     settings = tomllib.loads(block.text)
     if "region" not in settings:
-        settings |= {"region": {"bounds": (0.0, 0.0, 0.1, 0.1)}, "buildings": {"source": "synthetic"}}
+        settings |= {
+            "region": {"bounds": (0.0, 0.0, 0.1, 0.1)},
+            "buildings": {"source": "synthetic"},
+        }
     Scenario.from_dict(settings)
     if named := re.match(r"# (\w+\.toml)\n", block.text):
         Path(named[1]).write_text(block.text, encoding="utf-8")
@@ -128,7 +163,9 @@ def run_shell(block: Block, page: Path, capsys) -> None:
                     code, _, err = run(capsys, *arguments)
                     assert code == 0, f"{name_of(page)}:{block.line}: {shlex.join(words)}\n{err}"
             case ["make", *targets]:
-                made = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+                made = re.findall(
+                    r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
+                )
                 assert targets
                 assert set(targets) <= set(made)
             case ["python", "-m", module, *_] if module.startswith("benchmarks."):
@@ -139,10 +176,14 @@ def run_shell(block: Block, page: Path, capsys) -> None:
             case ["python", "-m", "pip", "install", "."]:
                 pass
             case ["python", "-m", "pip", "install", *_, target]:
-                extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+                extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+                    "project"
+                ]
                 assert target.strip(".[]") in extras["optional-dependencies"]
             case _:
-                assert words == [".", ".venv/bin/activate"], f"{name_of(page)}: not known here: {shlex.join(words)}"
+                assert words == [".", ".venv/bin/activate"], (
+                    f"{name_of(page)}: not known here: {shlex.join(words)}"
+                )
 
 
 def commands_of(block: Block) -> Iterator[list[str]]:
@@ -169,7 +210,9 @@ def test_the_blocks_of_a_page_run_in_their_order(page, folder, capsys):
     for block in blocks_of(page):
         match block.language:
             case "python":
-                source = "\n" * (block.line - 1) + block.text  # so that a traceback names the page's own line
+                source = (
+                    "\n" * (block.line - 1) + block.text
+                )  # so that a traceback names the page's own line
                 exec(compile(source, str(page), "exec"), namespace)
             case "toml":
                 keep_toml(block)
@@ -183,17 +226,27 @@ def test_every_block_says_what_it_is_and_is_known_here(page):
     blocks = blocks_of(page)
     assert text.count("```") == 2 * len(blocks), "a fence is not closed, or stands within a line"
     for block in blocks:
-        assert block.language in RUN | NOT_RUN, f"{name_of(page)}:{block.line}: language {block.language!r}"
-        is_hidden_code = block.language in NOT_RUN and re.search(r"\b(jaxurban |ju\.|import )", block.text)
+        assert block.language in RUN | NOT_RUN, (
+            f"{name_of(page)}:{block.line}: language {block.language!r}"
+        )
+        is_hidden_code = block.language in NOT_RUN and re.search(
+            r"\b(jaxurban |ju\.|import )", block.text
+        )
         assert not is_hidden_code, f"{name_of(page)}:{block.line} holds code that no test runs"
 
 
 def test_the_scenario_page_names_every_setting_with_its_default():
-    block, *_ = (block for block in blocks_of(ROOT / "docs/reference/scenario.md") if block.language == "toml")
+    block, *_ = (
+        block
+        for block in blocks_of(ROOT / "docs/reference/scenario.md")
+        if block.language == "toml"
+    )
     shown = tomllib.loads(block.text)
     left_out = {"region": {"bounds", "crs"}, "buildings": {"source"}, "terrain": {"source"}}
     left_out |= {"gps": {"times", "start", "stop", "step_s", "reference"}}
-    left_out |= {"population": {"blocks", "table", "districts", "commercial"}}  # without a default: examples are shown
+    left_out |= {
+        "population": {"blocks", "table", "districts", "commercial"}
+    }  # without a default: examples are shown
     left_out |= {"vehicle": set(shown["vehicle"]) - {"radius_m"}}
     whole = Scenario.from_dict(shown).model_dump(mode="python")
     bare = {"region": {"bounds": shown["region"]["bounds"]}, "buildings": {"source": "x.geojson"}}
@@ -201,7 +254,15 @@ def test_the_scenario_page_names_every_setting_with_its_default():
     for section, settings in defaults.items():
         if section == "study":
             continue
-        wanted = settings.keys() - {"start", "stop", "step_s", "weekday", "weekend", "blocks_day", "blocks_night"}
+        wanted = settings.keys() - {
+            "start",
+            "stop",
+            "step_s",
+            "weekday",
+            "weekend",
+            "blocks_day",
+            "blocks_night",
+        }
         assert set(shown[section]) == wanted, section
         for key in wanted - left_out.get(section, set()):
             assert whole[section][key] == settings[key], f"[{section}] {key}"
@@ -211,7 +272,10 @@ def test_the_python_page_names_every_public_name():
     page = (ROOT / "docs/reference/api.md").read_text(encoding="utf-8")
     table = [line for line in page.splitlines() if line.startswith("|")]
     spaces = {name: getattr(ju, name) for name in NAMESPACES}
-    names = [*ju.__all__, *(f"{space}.{name}" for space, module in spaces.items() for name in module.__all__)]
+    names = [
+        *ju.__all__,
+        *(f"{space}.{name}" for space, module in spaces.items() for name in module.__all__),
+    ]
     assert sorted(re.findall(r"`([\w.]+)`", "\n".join(table))) == sorted({*names} - {*spaces})
 
 
@@ -223,7 +287,9 @@ def test_the_page_of_commands_names_every_command():
 
 def test_notebooks_are_numbered_and_listed_in_their_order():
     assert [int(path.name.split("_")[0]) for path in NOTEBOOKS] == list(range(1, 12))
-    assert re.findall(r"\((\d\w+\.py)\)", (FOLDER / "README.md").read_text()) == [path.name for path in NOTEBOOKS]
+    assert re.findall(r"\((\d\w+\.py)\)", (FOLDER / "README.md").read_text()) == [
+        path.name for path in NOTEBOOKS
+    ]
     assert not list(FOLDER.glob("*.ipynb"))
 
 
@@ -235,6 +301,8 @@ def test_a_notebook_is_paired_text_and_asks_one_question_first(path):
     assert title.startswith(f"# {path.name.split('_')[0]}. ")
     assert re.fullmatch(r"\*\*.+\?\*\*", question)
     assert question.strip("*") in (FOLDER / "README.md").read_text()
-    asked = [cell.source for cell in notebook.cells if cell.source.startswith("## A question to try\n")]
+    asked = [
+        cell.source for cell in notebook.cells if cell.source.startswith("## A question to try\n")
+    ]
     assert asked == [notebook.cells[-1].source]
     assert "?" in asked[0]

@@ -14,7 +14,11 @@ import jaxurban as ju
 from jaxurban.public import NAMESPACES
 
 MODULES = [ju, *(import_module(f"jaxurban.{name}") for name in NAMESPACES)]
-HOOKS = {"model_post_init", "tree_flatten_with_keys", "tree_unflatten"}  # of Pydantic and JAX, which call them
+HOOKS = {
+    "model_post_init",
+    "tree_flatten_with_keys",
+    "tree_unflatten",
+}  # of Pydantic and JAX, which call them
 LEAVE_NOTHING = inspect.Signature.empty, None, "None"
 
 
@@ -25,7 +29,15 @@ def assumed() -> dict[str, Any]:
     maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0, 60.0))
     start, goal = maps.grid.lonlat_of_cell(2, 2), maps.grid.lonlat_of_cell(27, 27)
     path = ju.plan(maps, start, goal, altitude_m=60.0)
-    return {"ju": ju, "np": np, "city": city, "maps": maps, "start": start, "goal": goal, "path": path}
+    return {
+        "ju": ju,
+        "np": np,
+        "city": city,
+        "maps": maps,
+        "start": start,
+        "goal": goal,
+        "path": path,
+    }
 
 
 def members(name: str, thing: Any) -> Iterator[tuple[str, Any]]:
@@ -38,11 +50,18 @@ def members(name: str, thing: Any) -> Iterator[tuple[str, Any]]:
                 yield f"{name}.{each}", function
 
 
-NAMES = [(name, getattr(module, name)) for module in MODULES for name in module.__all__ if name not in NAMESPACES]
+NAMES = [
+    (name, getattr(module, name))
+    for module in MODULES
+    for name in module.__all__
+    if name not in NAMESPACES
+]
 PUBLIC = dict(member for name, thing in NAMES for member in members(name, thing))
 
 
-@pytest.mark.parametrize("name", [name for name, thing in PUBLIC.items() if inspect.isfunction(thing)])
+@pytest.mark.parametrize(
+    "name", [name for name, thing in PUBLIC.items() if inspect.isfunction(thing)]
+)
 def test_a_docstring_says_what_comes_back(name):
     if inspect.signature(PUBLIC[name]).return_annotation not in LEAVE_NOTHING:
         assert "\nReturns:\n" in (inspect.getdoc(PUBLIC[name]) or "")
@@ -59,5 +78,7 @@ def test_an_example_shows_what_the_docstring_says(name, tmp_path, monkeypatch):
     example = doctest.DocTestParser().get_doctest(text, dict(assumed()), name, None, None)
     assert example.examples
     said: list[str] = []
-    doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS).run(example, out=said.append)
+    doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS).run(
+        example, out=said.append
+    )
     assert not said, "".join(said)

@@ -25,28 +25,42 @@ def test_every_figure_and_table_of_the_paper_but_the_diagram_has_one_script():
     figures, tables = 13, 7
     if tex.exists():
         text = tex.read_text(encoding="utf-8")
-        figures, tables = (len(re.findall(rf"\\begin{{{kind}\*?}}", text)) for kind in ("figure", "table"))
-    numbers = [(kind, int(number)) for kind, number in (script.stem.split("_")[:2] for script in SCRIPTS)]
-    assert sorted(numbers) == [("fig", n) for n in range(2, figures + 1)] + [("table", n) for n in range(1, tables + 1)]
+        figures, tables = (
+            len(re.findall(rf"\\begin{{{kind}\*?}}", text)) for kind in ("figure", "table")
+        )
+    numbers = [
+        (kind, int(number)) for kind, number in (script.stem.split("_")[:2] for script in SCRIPTS)
+    ]
+    assert sorted(numbers) == [("fig", n) for n in range(2, figures + 1)] + [
+        ("table", n) for n in range(1, tables + 1)
+    ]
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
 def test_a_script_names_its_figure_and_what_it_drew_is_small(script):
     kind, number = script.stem.split("_")[:2]
     first = script.read_text(encoding="utf-8").splitlines()[0]
-    assert first.startswith(f'"""{"Figure" if kind == "fig" else "Table"} {int(number)} of the paper: ')
+    assert first.startswith(
+        f'"""{"Figure" if kind == "fig" else "Table"} {int(number)} of the paper: '
+    )
     drawn = [path for path in PAPER.glob(f"{script.stem}*") if path.suffix in {".png", ".md"}]
     assert drawn, f"{script.stem} drew nothing that is kept"
     assert max(path.stat().st_size for path in drawn) < 300_000
     for table in (path for path in drawn if path.suffix == ".md"):
         text = table.read_text(encoding="utf-8")
         assert all(f"**{head}.** " in text for head in common.HEADS)
-        assert all(line.endswith((".", ")", "|")) for line in text.splitlines() if line and line[0] != "#")
+        assert all(
+            line.endswith((".", ")", "|")) for line in text.splitlines() if line and line[0] != "#"
+        )
 
 
 def test_a_window_shows_the_grid_where_it_is_and_nothing_beyond():
-    layer = classes_layer(np.arange(GRID.num_rows * GRID.num_cols).reshape(GRID.shape) % 7, list("rgbcmyk"))
-    part = replace(GRID, first_row=GRID.first_row - 5, first_col=GRID.first_col + 30, num_rows=40, num_cols=40)
+    layer = classes_layer(
+        np.arange(GRID.num_rows * GRID.num_cols).reshape(GRID.shape) % 7, list("rgbcmyk")
+    )
+    part = replace(
+        GRID, first_row=GRID.first_row - 5, first_col=GRID.first_col + 30, num_rows=40, num_cols=40
+    )
     shown = example_paths.crop(layer, GRID, part).values
     assert np.array_equal(shown[5:, :20], layer.values[:35, 30:])
     assert (shown[:5] == -1).all()
@@ -55,20 +69,26 @@ def test_a_window_shows_the_grid_where_it_is_and_nothing_beyond():
     assert np.isnan(example_paths.crop(plain, GRID, part).values[:5]).all()
 
 
-def test_a_figure_is_drawn_for_the_eye_and_for_print_and_a_small_one_is_kept_apart(tmp_path, monkeypatch):
+def test_a_figure_is_drawn_for_the_eye_and_for_print_and_a_small_one_is_kept_apart(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(common, "HERE", tmp_path)
     monkeypatch.setattr(common, "OUT", tmp_path / "print")
     common.save(draw_maps(GRID, [MapPanel("a")], "Heading", "note")[0], "fig_99_try", CAPTION)
     assert (tmp_path / "fig_99_try.png").read_bytes()[:4] == b"\x89PNG"
     text = (tmp_path / "fig_99_try.md").read_text(encoding="utf-8")
-    assert all(f"**{head}.** {said}" in text for head, said in zip(common.HEADS, CAPTION, strict=True))
+    assert all(
+        f"**{head}.** {said}" in text for head, said in zip(common.HEADS, CAPTION, strict=True)
+    )
     assert (tmp_path / "print" / "fig_99_try.pdf").read_bytes()[:4] == b"%PDF"
     monkeypatch.setattr(common, "IS_SMALL", True)
     assert common.folder() == common.OUT
 
 
 def test_an_unknown_figure_is_answered_with_those_there_are():
-    done = subprocess.run([sys.executable, "-m", "figures", "nosuch"], cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "figures", "nosuch"], cwd=ROOT, capture_output=True, text=True
+    )
     assert done.returncode == 2
     assert "no figure has nosuch in its name" in done.stderr
     assert "fig_06_gps" in done.stderr

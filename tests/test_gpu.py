@@ -47,7 +47,9 @@ def city(terrain: bool = False) -> Surface:
     for row, col in rng.integers(0, (NUM_ROWS - 8, NUM_COLS - 8), (250, 2)):
         roof_m[row : row + rng.integers(2, 8), col : col + rng.integers(2, 8)] = rng.uniform(5, 150)
     rows, cols = np.indices(GRID.shape)
-    ground_m = (8 * np.sin(rows / 17) + 5 * np.cos(cols / 23)).astype(np.float32) if terrain else None
+    ground_m = (
+        (8 * np.sin(rows / 17) + 5 * np.cos(cols / 23)).astype(np.float32) if terrain else None
+    )
     return Surface(roof_m, ground_m, None, None, GRID, REGION)
 
 
@@ -57,7 +59,9 @@ def on_both(work, given, gpu: jax.Device) -> tuple[np.ndarray, np.ndarray]:
     for device in (jax.devices("cpu")[0], gpu):
         with jax.default_device(device):
             result = jax.block_until_ready(work(jax.device_put(given, device)))
-        assert not isinstance(result, jax.Array) or result.devices() == {device}  # words come to the host at once
+        assert not isinstance(result, jax.Array) or result.devices() == {
+            device
+        }  # words come to the host at once
         found.append(np.asarray(result))
     return found[0], found[1]
 
@@ -82,11 +86,15 @@ def distances(surface: Surface) -> jax.Array:
 
 def gradient(soft):
     """Return the gradient of a soft metric's mean over some cells by all roofs."""
-    return lambda surface: jax.grad(lambda roof_m: soft(replace(surface, roof_m=roof_m)).mean())(surface.roof_m)
+    return lambda surface: jax.grad(lambda roof_m: soft(replace(surface, roof_m=roof_m)).mean())(
+        surface.roof_m
+    )
 
 
 def gps_at(surface: Surface) -> jax.Array:
-    return soft_gps(surface, 20.0, 20.0, 2.0, SkyView.of(city(), AZIMUTH_RAD, ELEVATION_RAD), cells=CELLS)
+    return soft_gps(
+        surface, 20.0, 20.0, 2.0, SkyView.of(city(), AZIMUTH_RAD, ELEVATION_RAD), cells=CELLS
+    )
 
 
 def lidar_at(surface: Surface) -> jax.Array:
@@ -123,12 +131,16 @@ def test_dilutions_are_the_same_to_a_ten_thousandth(gpu, num):
         return jnp.stack([maps.gdop, maps.pdop, maps.hdop, maps.vdop, maps.tdop])
 
     cpu_dops, gpu_dops = on_both(dilutions, words, gpu)
-    is_usable = cpu_dops < 20  # above, nobody flies by it, and rounding may tell another of several hundreds from inf
+    is_usable = (
+        cpu_dops < 20
+    )  # above, nobody flies by it, and rounding may tell another of several hundreds from inf
     assert is_usable.mean() > 0.5
     np.testing.assert_allclose(gpu_dops[is_usable], cpu_dops[is_usable], rtol=1e-4)
 
 
 def test_a_sampled_search_finds_the_cost_of_numba(gpu):
     problem, limits = walled_problem(1, "line"), {"budget_s": np.inf, "max_samples": 500}
-    ((_, sampled),) = solve_batched([problem], planner="bitstar-plus", heuristic="plus", seeds=[0], **limits)
+    ((_, sampled),) = solve_batched(
+        [problem], planner="bitstar-plus", heuristic="plus", seeds=[0], **limits
+    )
     assert sampled.cost == pytest.approx(bitstar_plus(problem, **limits).cost, rel=1e-9)

@@ -40,40 +40,89 @@ NUM = 12  # of each kind
 
 def box(west: float = WEST + 0.001, size: float = 5e-4) -> list[list[float]]:
     south = SOUTH + 0.001
-    return [[west, south], [west + size, south], [west + size, south + size], [west, south + size], [west, south]]
+    return [
+        [west, south],
+        [west + size, south],
+        [west + size, south + size],
+        [west, south + size],
+        [west, south],
+    ]
 
 
 def collection(properties: Any = None, geometry: Any = None) -> str:
     """Return a GeoJSON of a sound building and another one."""
     other = geometry or {"type": "Polygon", "coordinates": [box(WEST + 0.002)]}
-    sound = {"type": "Feature", "properties": {"height": 12}, "geometry": {"type": "Polygon", "coordinates": [box()]}}
+    sound = {
+        "type": "Feature",
+        "properties": {"height": 12},
+        "geometry": {"type": "Polygon", "coordinates": [box()]},
+    }
     features = [sound, {**sound, "properties": properties, "geometry": other}]
     return json.dumps({"type": "FeatureCollection", "features": features})
 
 
 DEEP = 100_000
 JUNK = [
-    *("", "null", "5", "[]", "{}", " \n\t", "[" * DEEP, '{"a":' * DEEP, "[" * DEEP + "]" * DEEP, collection()[:-40]),
-    *(b"\0" * 999, bytes(range(256)) * 9, '{"type": "\xe9'.encode("latin-1"), "<osm><way id='1'></osm>"),
+    *(
+        "",
+        "null",
+        "5",
+        "[]",
+        "{}",
+        " \n\t",
+        "[" * DEEP,
+        '{"a":' * DEEP,
+        "[" * DEEP + "]" * DEEP,
+        collection()[:-40],
+    ),
+    *(
+        b"\0" * 999,
+        bytes(range(256)) * 9,
+        '{"type": "\xe9'.encode("latin-1"),
+        "<osm><way id='1'></osm>",
+    ),
     '<!DOCTYPE a [<!ENTITY b "bbbbbbbbbb"><!ENTITY c "&b;&b;&b;&b;&b;&b;">]><osm>&c;</osm>',
-    *('{"type": "FeatureCollection", "features": []}', '{"type": "FeatureCollection", "features": "none"}'),
+    *(
+        '{"type": "FeatureCollection", "features": []}',
+        '{"type": "FeatureCollection", "features": "none"}',
+    ),
 ]
 VALUES = ([1, 2], {"m": 3}, 1e308, "9" * 10_000, True, "nan", -5, "1e3000", [[3]], None)
-RINGS = ([box(1e300)], None, [[["a", "b"]] * 4], [[[0, 0], [1, 1]]], [[box()[at] for at in (0, 2, 1, 3, 0)]])
+RINGS = (
+    [box(1e300)],
+    None,
+    [[["a", "b"]] * 4],
+    [[[0, 0], [1, 1]]],
+    [[box()[at] for at in (0, 2, 1, 3, 0)]],
+)
 GEOMETRIES = [
     *({"type": "Polygon", "coordinates": each} for each in RINGS),
     *({"coordinates": [box()]}, {"type": "Ball", "coordinates": [box()]}),
-    {"type": "GeometryCollection", "geometries": [{"type": "GeometryCollection", "geometries": []}]},
+    {
+        "type": "GeometryCollection",
+        "geometries": [{"type": "GeometryCollection", "geometries": []}],
+    },
 ]
 ODD = [collection(None), *(collection(None, geometry) for geometry in GEOMETRIES)]
-ODD += [collection(dict.fromkeys(("height", "upper", "lower", "altitude_m", "layer"), value)) for value in VALUES]
+ODD += [
+    collection(dict.fromkeys(("height", "upper", "lower", "altitude_m", "layer"), value))
+    for value in VALUES
+]
 READERS: dict[str, tuple] = {  # by the file that is hostile
-    **dict.fromkeys(("b.geojson", "b.osm", "b.gpkg", "b.parquet", "b.pbf", "b.shp", "b.tif"), TO_MAPS),
+    **dict.fromkeys(
+        ("b.geojson", "b.osm", "b.gpkg", "b.parquet", "b.pbf", "b.shp", "b.tif"), TO_MAPS
+    ),
     **{"blocks.geojson": TO_MAPS, "o.tle": TO_MAPS, "s.toml": ("maps", "s.toml", "-o", "out")},
     **{name: (*PLAN, "--no-fly", name) for name in ("z.geojson", "z.kml")},
-    **{name: ("tune", "../made", name, "-o", "out") for name in ("r.geojson", "r.csv", "r.parquet", "r.kml")},
+    **{
+        name: ("tune", "../made", name, "-o", "out")
+        for name in ("r.geojson", "r.csv", "r.parquet", "r.kml")
+    },
 }
-SECTIONS = {"blocks.geojson": '[population]\nblocks = "blocks.geojson"\n', "o.tle": "[gps]\norbits = 'o.tle'\n"}
+SECTIONS = {
+    "blocks.geojson": '[population]\nblocks = "blocks.geojson"\n',
+    "o.tle": "[gps]\norbits = 'o.tle'\n",
+}
 
 
 def write_town(buildings: str = "b.geojson", more: str = "") -> None:
@@ -84,7 +133,9 @@ def write_town(buildings: str = "b.geojson", more: str = "") -> None:
 
 
 def write_file(name: str, content: str | bytes) -> None:
-    Path(name).write_bytes(content.encode("utf-8", "surrogateescape") if isinstance(content, str) else content)
+    Path(name).write_bytes(
+        content.encode("utf-8", "surrogateescape") if isinstance(content, str) else content
+    )
     write_town(name if name.startswith("b.") else "b.geojson", SECTIONS.get(name, ""))
 
 
@@ -114,25 +165,63 @@ RASTERS: list[dict[str, Any]] = [
 def write_raster(
     role: str, pixels=(10, 0, X, 0, -10, Y + 600), crs: str | None = UTM, values: np.ndarray = FLAT
 ) -> None:
-    how = {"count": 1, "height": len(values), "width": len(values[0]), "dtype": values.dtype, "crs": crs}
+    how = {
+        "count": 1,
+        "height": len(values),
+        "width": len(values[0]),
+        "dtype": values.dtype,
+        "crs": crs,
+    }
     with rasterio.open("r.tif", "w", driver="GTiff", transform=Affine(*pixels), **how) as file:
         file.write(values, 1)
     write_town("b.geojson" if role in ROLES else "r.tif", ROLES.get(role, ""))
 
 
 NUMBERS = ("1e300", "-1e300", "nan", "-5", "x", "", "[1]", "99999999999999999999999x")
-TEXTS = ("gps", "gps=", "gps=-1", "gps=nan", "gsp=1", "=", "gps>=x", "gsp>=0.3", ">=", "noon", "\0", "/proc/full.kml")
-TUNE = ("tune", "../made", "-o", "out", "--sample", 3, "--time-of-day", "day", "--pilot", "gps=1,distance=1")
+TEXTS = (
+    "gps",
+    "gps=",
+    "gps=-1",
+    "gps=nan",
+    "gsp=1",
+    "=",
+    "gps>=x",
+    "gsp>=0.3",
+    ">=",
+    "noon",
+    "\0",
+    "/proc/full.kml",
+)
+TUNE = (
+    "tune",
+    "../made",
+    "-o",
+    "out",
+    "--sample",
+    3,
+    "--time-of-day",
+    "day",
+    "--pilot",
+    "gps=1,distance=1",
+)
 SENSITIVITY = ("sensitivity", "../made", "-o", "out", *PLAN[2:], "--samples", 2)
 # Commands, their options, and what is wrong for all of these.
 OPTIONS: tuple[tuple[tuple, str, tuple[str, ...]], ...] = (
-    ((*PLAN, "--report", "--speed", 5, "--volume"), "--snap --speed --swath --level-step --altitude", NUMBERS),
+    (
+        (*PLAN, "--report", "--speed", 5, "--volume"),
+        "--snap --speed --swath --level-step --altitude",
+        NUMBERS,
+    ),
     (PLAN, "--resolution --start --goal --seed", NUMBERS),
     (("compare", "../made", "../made", "-o", "out"), "--tolerance --resolution", NUMBERS),
     (SENSITIVITY, "--range --samples", NUMBERS),
     (TUNE, "--hold-out --bootstrap --budget --altitude --sample", NUMBERS),
     (TO_MAPS, "--memory --workers", NUMBERS),
-    (PLAN, "--weights --require --time --time-of-day --planner --heuristic --no-fly -o --profile", TEXTS),
+    (
+        PLAN,
+        "--weights --require --time --time-of-day --planner --heuristic --no-fly -o --profile",
+        TEXTS,
+    ),
     (SENSITIVITY, "--vary --range", TEXTS),
     (TUNE, "--metrics --pilot --wish", TEXTS),
     (TO_MAPS, "--layers --cluster --set", TEXTS),
@@ -146,7 +235,11 @@ def cases() -> dict[str, list[tuple[Callable[[], object], tuple]]]:
     return {
         "junk": [(partial(write_file, name, text), READERS[name]) for name, text in as_files],
         "odd": [(partial(write_file, name, text), READERS[name]) for name, text in as_odd],
-        "rasters": [(partial(write_raster, role, **wrong), TO_MAPS) for role in ("b", *ROLES) for wrong in RASTERS],
+        "rasters": [
+            (partial(write_raster, role, **wrong), TO_MAPS)
+            for role in ("b", *ROLES)
+            for wrong in RASTERS
+        ],
         "options": [
             (write_town, (*command, option, value))
             for command, options, values in OPTIONS
@@ -172,7 +265,11 @@ def test_hostile_input_ends_in_one_sentence_or_a_result(about, tmp_path, monkeyp
         assert len(last) < 1500
         if code == 2:
             assert sum(line.startswith("jaxurban: error: ") for line in err.splitlines()) == 1, err
-            assert [name for name in files_of(folder) if "jaxurban-part" in name or name.endswith(".lock")] == []
+            assert [
+                name
+                for name in files_of(folder)
+                if "jaxurban-part" in name or name.endswith(".lock")
+            ] == []
         assert given.items() <= files_of(folder).items()
 
 
@@ -181,13 +278,20 @@ ROUTE = " ".join((COMMAND, *map(str, PLAN)))
 TOWN = f"{COMMAND} {' '.join(TO_MAPS)}"
 NOWHERE = "/proc/none"
 PLACES: dict[str, tuple[str, tuple[int, ...], dict[str, str]]] = {
-    **{f"stdout {where}": (f"{ROUTE} --json {where}", (0, 2), {}) for where in (">&-", ">/dev/full", ">&- 2>&-")},
+    **{
+        f"stdout {where}": (f"{ROUTE} --json {where}", (0, 2), {})
+        for where in (">&-", ">/dev/full", ">&- 2>&-")
+    },
     "a reader that leaves": (f"{ROUTE} --json | true; exit ${{PIPESTATUS[0]}}", (0,), {}),
     "no room for a route": (f"ulimit -f 0; {ROUTE} -o path.geojson", (2,), {}),
     "no room for maps": (f"ulimit -f 40; {TOWN}", (2,), {}),
     "PROJ without its data": (TOWN, (0, 2), {"PROJ_DATA": NOWHERE, "PROJ_LIB": NOWHERE}),
     "GDAL without its data": (TOWN, (0, 2), {"GDAL_DATA": NOWHERE}),
-    "no home, no caches": (ROUTE, (0, 2), {"HOME": NOWHERE, "NUMBA_CACHE_DIR": NOWHERE, "XDG_CACHE_HOME": NOWHERE}),
+    "no home, no caches": (
+        ROUTE,
+        (0, 2),
+        {"HOME": NOWHERE, "NUMBA_CACHE_DIR": NOWHERE, "XDG_CACHE_HOME": NOWHERE},
+    ),
     "no folder for scratch": (ROUTE, (0, 2), {"TMPDIR": NOWHERE}),
     "a folder that is held": (f"mkdir out; exec 9>out/.jaxurban.lock; flock 9; {TOWN}", (2,), {}),
 }

@@ -15,7 +15,13 @@ import pandas as pd
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule, run_state_machine_as_test
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
 
 import jaxurban as ju
 from jaxurban.cli.main import main
@@ -31,7 +37,9 @@ from tests.tiled_runs import files_of
 MAPS = made_maps(24, 30)
 FREE = np.argwhere(MAPS.is_free(20.0))
 ENDS = [tuple(MAPS.grid.lonlat_of_cell(*FREE[at]) for at in pair) for pair in ((0, -1), (3, -5))]
-PATHS = ju.plan_many(MAPS, ENDS, altitude_m=20.0, planner="astar-dist", num_threads=1, progress=False)
+PATHS = ju.plan_many(
+    MAPS, ENDS, altitude_m=20.0, planner="astar-dist", num_threads=1, progress=False
+)
 SCENARIO = """
 [region]
 bounds = [-74.0, 40.755, -73.995, 40.759]
@@ -102,13 +110,17 @@ def quick(place, monkeypatch) -> None:
     monkeypatch.setattr(
         pipeline,
         "tasks_of",
-        lambda scenario, stage: made.get(scenario.to_toml()) or made.setdefault(scenario.to_toml(), tasks(scenario)),
+        lambda scenario, stage: (
+            made.get(scenario.to_toml()) or made.setdefault(scenario.to_toml(), tasks(scenario))
+        ),
     )
 
 
 def results(folder: Path) -> dict[str, bytes]:
     """Return the files of a folder, tables without what was measured; but for records, and the user's."""
-    found = {name: data for name, data in files_of(folder).items() if name not in (*RECORDS, "mine.txt")}
+    found = {
+        name: data for name, data in files_of(folder).items() if name not in (*RECORDS, "mine.txt")
+    }
     for name in found:
         if name.endswith((".parquet", ".csv")):
             table = (pd.read_csv if name.endswith(".csv") else pd.read_parquet)(folder / name)
@@ -144,11 +156,15 @@ def wanted(place) -> Callable[[str], tuple[list[tuple[str, ...]], dict[str, byte
     return make
 
 
-def disturb(place: Path, folder: Path, scene: str, way: str, at: int, wanted: dict[str, bytes], capsys) -> None:
+def disturb(
+    place: Path, folder: Path, scene: str, way: str, at: int, wanted: dict[str, bytes], capsys
+) -> None:
     """Let a step not come off, look at what is left, and run the same again."""
     job = SCENES[scene]
     folder.mkdir(parents=True)
-    mine = {"exports": list(wanted), "compare": [], "routes": []}.get(scene, ["mine.txt"])  # where these may be
+    mine = {"exports": list(wanted), "compare": [], "routes": []}.get(
+        scene, ["mine.txt"]
+    )  # where these may be
     for name in mine:
         (folder / name).write_bytes(MINE)
     with counted(folder, at, way) as steps:
@@ -161,10 +177,14 @@ def disturb(place: Path, folder: Path, scene: str, way: str, at: int, wanted: di
     whole = files_of(place / scene)
     assert all((folder / name).read_bytes() in (MINE, whole.get(name)) for name in mine)
     if way != "killed":
-        assert [path for path in folder.rglob(f"*{SCRATCH_SUFFIX}") if "maps.zarr" not in path.parts] == []
+        assert [
+            path for path in folder.rglob(f"*{SCRATCH_SUFFIX}") if "maps.zarr" not in path.parts
+        ] == []
     assert sentence_of(job, folder, capsys) == ""
     left = list(folder.rglob(f"*{SCRATCH_SUFFIX}"))
-    assert not left or (way == "killed" and scene in ("rows", "exports"))  # a folder of none is not swept
+    assert not left or (
+        way == "killed" and scene in ("rows", "exports")
+    )  # a folder of none is not swept
     for path in left:
         path.unlink()
     assert results(folder) == wanted
@@ -176,7 +196,15 @@ def disturb(place: Path, folder: Path, scene: str, way: str, at: int, wanted: di
 def test_a_step_that_does_not_come_off_loses_nothing(place, tmp_path, scene, way, wanted, capsys):
     """One step, drawn; the slow test tries more."""
     places, made = wanted(scene)
-    disturb(place, tmp_path / "out", scene, way, random.Random(scene + way).randint(1, len(places)), made, capsys)
+    disturb(
+        place,
+        tmp_path / "out",
+        scene,
+        way,
+        random.Random(scene + way).randint(1, len(places)),
+        made,
+        capsys,
+    )
 
 
 @pytest.mark.slow
@@ -187,7 +215,10 @@ def test_no_step_that_does_not_come_off_loses_anything(place, tmp_path, scene, w
     tried = range(len(places))
     if len(tried) > 30:
         rng = random.Random(scene)
-        tried = [rng.choice([at for at in tried if places[at] == way_in]) for way_in in dict.fromkeys(places)]
+        tried = [
+            rng.choice([at for at in tried if places[at] == way_in])
+            for way_in in dict.fromkeys(places)
+        ]
     assert len(tried) <= 60
     for (turn, at), (number, way) in itertools.product(enumerate(tried), enumerate(WAYS)):
         if len(places) <= 30 or (turn + number) % 2:
@@ -212,7 +243,12 @@ class MapsFolder(RuleBasedStateMachine):
     def teardown(self) -> None:
         self.place.cleanup()
 
-    @rule(mask=st.sampled_from(MASKS), overwrite=st.booleans(), at=st.integers(0, 300), way=st.sampled_from(WAYS))
+    @rule(
+        mask=st.sampled_from(MASKS),
+        overwrite=st.booleans(),
+        at=st.integers(0, 300),
+        way=st.sampled_from(WAYS),
+    )
     def make(self, mask: str, overwrite: bool, at: int, way: str) -> None:
         before, error = files_of(self.folder), None
         with counted(self.folder, at, way) as steps:
@@ -222,7 +258,9 @@ class MapsFolder(RuleBasedStateMachine):
                 error = caught
         if error is None:
             self.may_hold, self.is_whole = {mask}, True
-            assert {name: data for name, data in files_of(self.folder).items() if name in whole(mask)} == whole(mask)
+            assert {
+                name: data for name, data in files_of(self.folder).items() if name in whole(mask)
+            } == whole(mask)
         elif steps.is_over:
             self.may_hold, self.is_whole = self.may_hold | {mask}, False
         else:
@@ -235,11 +273,17 @@ class MapsFolder(RuleBasedStateMachine):
     def damage(self, data: st.DataObject, damage: str) -> None:
         if names := sorted(files_of(self.folder).keys() & whole(MASKS[0]).keys()):
             file = self.folder / data.draw(st.sampled_from(names))
-            harm(file, "deleted" if file.suffix == ".qml" else damage, random.Random(0))  # changed styles stay
+            harm(
+                file, "deleted" if file.suffix == ".qml" else damage, random.Random(0)
+            )  # changed styles stay
             self.is_whole = False
 
     @precondition(lambda self: self.folder.exists())
-    @rule(name=st.sampled_from(("mine.txt", "geotiff/my_gps.tif", "maps.zarr/40m/gps/mine", "maps.zarr/mine")))
+    @rule(
+        name=st.sampled_from(
+            ("mine.txt", "geotiff/my_gps.tif", "maps.zarr/40m/gps/mine", "maps.zarr/mine")
+        )
+    )
     def plant(self, name: str) -> None:
         file = self.folder / name
         if file.parent.is_dir():
@@ -273,14 +317,18 @@ def whole_folder(mask: str) -> Path:
 
 @functools.cache
 def whole(mask: str) -> dict[str, bytes]:
-    return {name: data for name, data in files_of(whole_folder(mask)).items() if name not in RECORDS}
+    return {
+        name: data for name, data in files_of(whole_folder(mask)).items() if name not in RECORDS
+    }
 
 
 def no_thread() -> None:
     raise RuntimeError("can't start new thread")  # as Python says it where a stack finds no memory
 
 
-@pytest.mark.parametrize("takes", [lambda: np.zeros(2**55), lambda: jnp.zeros(2**48).block_until_ready(), no_thread])
+@pytest.mark.parametrize(
+    "takes", [lambda: np.zeros(2**55), lambda: jnp.zeros(2**48).block_until_ready(), no_thread]
+)
 def test_memory_that_runs_out_is_one_sentence_whoever_notices(tmp_path, monkeypatch, capsys, takes):
     monkeypatch.setattr(pipeline, "tasks_of", lambda *_: takes())
     assert "memory ran out: use a smaller region" in sentence_of(maps, tmp_path / "out", capsys)
@@ -300,5 +348,10 @@ def test_a_file_of_the_users_alone_among_former_maps_does_not_pass_for_maps(tmp_
 
 @pytest.mark.parametrize("num", [2, pytest.param(12, marks=pytest.mark.slow)])
 def test_a_folder_of_maps_holds_what_the_last_runs_made_and_the_users_files(num):
-    how = settings(max_examples=num, stateful_step_count=8, derandomize=True, suppress_health_check=list(HealthCheck))
+    how = settings(
+        max_examples=num,
+        stateful_step_count=8,
+        derandomize=True,
+        suppress_health_check=list(HealthCheck),
+    )
     run_state_machine_as_test(MapsFolder, settings=how)

@@ -30,7 +30,11 @@ def test_a_map_that_differs_by_more_than_a_processor_makes_it_is_told():
     new["hdop"][is_judged] *= 1 + 1e-4
     new["num_visible"].flat[:3] += 1
     del new["roof"]
-    assert [row.what for row in net.judge_maps(old, new) if not row.is_same] == ["hdop", "lidar", "roof"]
+    assert [row.what for row in net.judge_maps(old, new) if not row.is_same] == [
+        "hdop",
+        "lidar",
+        "roof",
+    ]
     new["obstacle"] = ~old["obstacle"]
     assert not verdicts(net.judge_maps(old, new))["obstacle"]
 
@@ -48,12 +52,17 @@ def test_a_map_that_differs_by_more_than_a_processor_makes_it_is_told():
 )
 def test_a_route_that_costs_another_sum_is_told(after, is_same):
     before = {"status": "optimal", "cost": 100.0, "gps": 0.5}
-    assert verdicts(net.judge_numbers({"route": before}, {"route": after} if after else {})) == {"route": is_same}
+    assert verdicts(net.judge_numbers({"route": before}, {"route": after} if after else {})) == {
+        "route": is_same
+    }
     assert np.isinf(net.share("optimal", "no-path"))
 
 
 def test_what_is_kept_stays_small():
-    assert sum(file.stat().st_size for file in Path(net.HERE).rglob("*") if file.suffix != ".pyc") < 500_000
+    assert (
+        sum(file.stat().st_size for file in Path(net.HERE).rglob("*") if file.suffix != ".pyc")
+        < 500_000
+    )
 
 
 def test_most_of_the_faults_can_still_be_made_and_each_is_one_line_of_python():
@@ -67,4 +76,6 @@ def test_most_of_the_faults_can_still_be_made_and_each_is_one_line_of_python():
             pairs = zip(text.splitlines(), made.splitlines(), strict=True)
             assert sum(old != new for old, new in pairs) == 1, fault
             num_made += 1
-    assert num_made >= 20, "code of too many faults is gone: draw anew (python -m tests.faults draw)"
+    assert num_made >= 20, (
+        "code of too many faults is gone: draw anew (python -m tests.faults draw)"
+    )

@@ -31,7 +31,15 @@ SETTINGS = {"region": {"bounds": BOUNDS}, "buildings": {"source": "synthetic"}}
 RIGHT, LEFT_OUT = "every value of the type is a right one here", object()
 MADE = (  # what functions return; XY is looked at where it is used
     *("Departures", "GuessWarning"),
-    *("MetricMaps", "CostMap", "MapComparison", "PlannedPath", "PlannedPaths", "RouteReport", "SensitivityStudy"),
+    *(
+        "MetricMaps",
+        "CostMap",
+        "MapComparison",
+        "PlannedPath",
+        "PlannedPaths",
+        "RouteReport",
+        "SensitivityStudy",
+    ),
     *(
         "ReceiverValidation",
         "SatelliteAgreement",
@@ -44,7 +52,16 @@ MADE = (  # what functions return; XY is looked at where it is used
     *("SoftCity", "Demonstration", "InputError", "JaxurbanError", "Scenario", "XY", "City"),
 )
 METHODS = {  # of what they return
-    "MetricMaps": ("check_altitude", "m", "is_free", "with_obstacles", "costs", "total", "normalised", "save"),
+    "MetricMaps": (
+        "check_altitude",
+        "m",
+        "is_free",
+        "with_obstacles",
+        "costs",
+        "total",
+        "normalised",
+        "save",
+    ),
     "CostMap": ("only", "plan"),
     "MapComparison": ("save",),
     "PlannedPath": ("save",),
@@ -53,28 +70,82 @@ METHODS = {  # of what they return
 }
 SIZES = {"first_row": 0, "first_col": 0, "num_rows": 2, "num_cols": 2}
 PLAIN = {
-    **dict.fromkeys(("maps", "maps_a", "maps_b", "MetricMaps", "demonstrations_from_study.maps"), MAPS),
-    **{"start": START, "goal": GOAL, "altitude_m": 20.0, "progress": False, "bounds": BOUNDS, "resolution_m": 5.0},
-    **{"build_maps.resolution_m": 50.0, "build_maps.altitudes_m": (20.0,), "build_maps.progress": False},
-    **{"queries": [(START, GOAL)], "pairs": [(START, GOAL)], "targets": ["detour<=0.1"], "tolerance_m": 1.0},
-    **{"crs": "EPSG:32618", **SIZES, "settings": SETTINGS, "file": "/proc/none.kml", "folder": "/proc/none"},
-    **{"Buildings.source": "town.osm", "buildings": __file__, "City.from_files.bounds": BOUNDS, "name": "gps"},
+    **dict.fromkeys(
+        ("maps", "maps_a", "maps_b", "MetricMaps", "demonstrations_from_study.maps"), MAPS
+    ),
+    **{
+        "start": START,
+        "goal": GOAL,
+        "altitude_m": 20.0,
+        "progress": False,
+        "bounds": BOUNDS,
+        "resolution_m": 5.0,
+    },
+    **{
+        "build_maps.resolution_m": 50.0,
+        "build_maps.altitudes_m": (20.0,),
+        "build_maps.progress": False,
+    },
+    **{
+        "queries": [(START, GOAL)],
+        "pairs": [(START, GOAL)],
+        "targets": ["detour<=0.1"],
+        "tolerance_m": 1.0,
+    },
+    **{
+        "crs": "EPSG:32618",
+        **SIZES,
+        "settings": SETTINGS,
+        "file": "/proc/none.kml",
+        "folder": "/proc/none",
+    },
+    **{
+        "Buildings.source": "town.osm",
+        "buildings": __file__,
+        "City.from_files.bounds": BOUNDS,
+        "name": "gps",
+    },
     **{"source": "noise.tif", "cost": "high-is-bad", "scale": (0.0, 80.0), "text": "gps=1"},
     **{"Target.parse.text": "detour<=0.1", "outcome": "detour", "sense": "<=", "value": 0.1},
-    **{"path": str(Path(__file__).parents[1] / "pyproject.toml"), "out": "/proc/none", "log": "no-such.csv"},
-    **{"sample_instances.num": 1, "study.instances": 1, "sensitivity_study.routes": 1, "sources": {"here": MAPS}},
+    **{
+        "path": str(Path(__file__).parents[1] / "pyproject.toml"),
+        "out": "/proc/none",
+        "log": "no-such.csv",
+    },
+    **{
+        "sample_instances.num": 1,
+        "study.instances": 1,
+        "sensitivity_study.routes": 1,
+        "sources": {"here": MAPS},
+    },
     **{"obstacles": "touched", "metrics": ["gps"], "CostModel.from_settings.settings": {}},
-    **{"PlannedPath.save.file": "path.geojson", "intercept": 0.0, "slope": 0.6, "scale_m": 2.0, "cut_m": 60.0},
+    **{
+        "PlannedPath.save.file": "path.geojson",
+        "intercept": 0.0,
+        "slope": 0.6,
+        "scale_m": 2.0,
+        "cut_m": 60.0,
+    },
 }
 MADE_ONCE: dict[str, Callable[[], Any]] = {
     "city": lambda: ju.demo_city(400, 400),
-    "grid": lambda: ju.build_maps(good("city"), resolution_m=50.0, altitudes_m=(20.0,), progress=False).grid,
-    **dict.fromkeys(("planned", "paths", "PlannedPath"), lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0)),
+    "grid": lambda: (
+        ju.build_maps(good("city"), resolution_m=50.0, altitudes_m=(20.0,), progress=False).grid
+    ),
+    **dict.fromkeys(
+        ("planned", "paths", "PlannedPath"), lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0)
+    ),
     "PlannedPaths": lambda: ju.plan_many(MAPS, [(START, GOAL)], altitude_m=20.0, progress=False),
-    "read_demonstrations.file": lambda: good("planned").save(Path(tempfile.mkdtemp()) / "path.geojson"),
-    "study": lambda: ju.studies.sample_instances(MAPS, 4, altitudes_m=[20.0], weights=[ju.Weights()]),
+    "read_demonstrations.file": lambda: good("planned").save(
+        Path(tempfile.mkdtemp()) / "path.geojson"
+    ),
+    "study": lambda: ju.studies.sample_instances(
+        MAPS, 4, altitudes_m=[20.0], weights=[ju.Weights()]
+    ),
     "quick": lambda: ju.studies.SensitivitySettings(vary=("gps",), num_samples=2, max_plans=9),
-    "Sensitivity": lambda: ju.studies.sensitivity(good("cost_map"), START, GOAL, settings=good("quick")),
+    "Sensitivity": lambda: ju.studies.sensitivity(
+        good("cost_map"), START, GOAL, settings=good("quick")
+    ),
     "MapComparison": lambda: ju.studies.compare(MAPS, MAPS, progress=False),
     **dict.fromkeys(("cost_map", "CostMap", "on"), lambda: ju.cost_map(MAPS, 20.0)),
     "inputs": lambda: ju.grad.map_inputs(good("city"), good("grid"), altitudes_m=(20.0,))[0],
@@ -126,7 +197,10 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ("now", "time MetricMaps.m.time stop"),
     ("no/such/place", "folder maps maps_a maps_b path file study"),
     ("/proc/none", "MetricMaps.save.folder study.folder sensitivity_study.folder"),
-    ("no-such.file", "table districts blocks_day blocks_night buildings no_fly log navigation validate.reference"),
+    (
+        "no-such.file",
+        "table districts blocks_day blocks_night buildings no_fly log navigation validate.reference",
+    ),
     ("path.txt", "PlannedPath.save.file PlannedPaths.save.file PlannedPath.save.more"),
     ("no/such/place.parquet", "plan_many.file"),
     ((-1e300, 1e300), "altitudes_m nest_with_m MetricMaps.m.altitude_m factors"),
@@ -134,15 +208,24 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ({}, "cities sources"),
     ([], "queries demonstrations paths targets times"),
     (-1, "seed height_seed height_samples num_heights bootstrap num_samples routes instances"),
-    (0, "max_rounds max_plans num num_segments num_threads workers budget_iterations oversample num_rows num_cols"),
+    (
+        0,
+        "max_rounds max_plans num num_segments num_threads workers budget_iterations oversample num_rows num_cols",
+    ),
     (0, "beams azimuths step_s num_displaced"),
     (-1.0, "HeightStd.height HeightStd.levels HeightStd.default HeightStd.raster"),
     (10**30, "first_row first_col"),
     (5, "connectivity source"),
     ("EPSG:4326", "crs"),
     ("gps", "require text"),
-    ("none such", "nan hanging clocks quantity outcome time_of_day PlannedPath.save.end MetricMaps.m.name cost sense"),
-    ("none such", "kind sample_city.name sample_instances.weights compare_fits.scale fit_weights.scale"),
+    (
+        "none such",
+        "nan hanging clocks quantity outcome time_of_day PlannedPath.save.end MetricMaps.m.name cost sense",
+    ),
+    (
+        "none such",
+        "kind sample_city.name sample_instances.weights compare_fits.scale fit_weights.scale",
+    ),
     ("none such", "Sensitivity.breakpoints.name"),
     (("gps.mask_deg",), "changes"),
     ((-1.0,), "other_pieces_m"),
@@ -155,12 +238,27 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ({**SETTINGS, "reigon": {}}, "Scenario.from_dict.settings"),
     (LAYERS, "build_maps.layers"),
     (pd.DataFrame({"start": [1]}), "plan_many.queries"),
-    (RIGHT, "credit block_field district_field commercial Scenario.from_dict.name Scenario.from_dict.folder zones"),
+    (
+        RIGHT,
+        "credit block_field district_field commercial Scenario.from_dict.name Scenario.from_dict.folder zones",
+    ),
     # Known only with the maps, the files or the folder, or as good as none.
-    (RIGHT, "Constraints.bounds soft_city.layers all_maps.weights building_costs.weights MapsFolder.folder"),
-    (RIGHT, "sensitivity_study.scenarios SensitivitySettings.vary SensitivitySettings.objectives open_maps.obstacles"),
-    (RIGHT, "SensitivityStudySettings.vary write_buildings.out write_buildings.scenario Population.blocks"),
-    (RIGHT, "City.from_files.terrain Gps.orbits Buildings.source Terrain.source read_demonstrations.metrics"),
+    (
+        RIGHT,
+        "Constraints.bounds soft_city.layers all_maps.weights building_costs.weights MapsFolder.folder",
+    ),
+    (
+        RIGHT,
+        "sensitivity_study.scenarios SensitivitySettings.vary SensitivitySettings.objectives open_maps.obstacles",
+    ),
+    (
+        RIGHT,
+        "SensitivityStudySettings.vary write_buildings.out write_buildings.scenario Population.blocks",
+    ),
+    (
+        RIGHT,
+        "City.from_files.terrain Gps.orbits Buildings.source Terrain.source read_demonstrations.metrics",
+    ),
     (RIGHT, "Study.land_cover FitSettings.state_file"),
 )
 WRONG = {name: value for value, names in WRONG_VALUES for name in names.split()}
@@ -193,7 +291,10 @@ PARAMETERS = [
 def call(name: str, parameter: str, value: Any) -> str:
     """Return what a call with a wrong argument answers."""
     function, given = CALLS[name], good_arguments(name)
-    kind, args = inspect.signature(function).parameters[parameter].kind, [given.pop("self")] if "self" in given else []
+    kind, args = (
+        inspect.signature(function).parameters[parameter].kind,
+        [given.pop("self")] if "self" in given else [],
+    )
     if kind is kind.VAR_POSITIONAL:
         args += [given.pop("file"), value]
     else:
@@ -220,8 +321,14 @@ def words_of(parameter: str, value: Any) -> str:
 
 def types_of(name: str, parameter: str) -> set[str]:
     """Return what a parameter takes; none for a flag, a function or a thing whose own class is tested here."""
-    hint = str(inspect.signature(CALLS[name]).parameters[parameter].annotation).partition("Callable[")[0]
-    return {*re.findall(r"\b(str|int|float|Path|Sequence|Iterable|tuple|Any|Mapping|dict|Literal)\b", hint)}
+    hint = str(inspect.signature(CALLS[name]).parameters[parameter].annotation).partition(
+        "Callable["
+    )[0]
+    return {
+        *re.findall(
+            r"\b(str|int|float|Path|Sequence|Iterable|tuple|Any|Mapping|dict|Literal)\b", hint
+        )
+    }
 
 
 @pytest.mark.parametrize(("name", "parameter"), [each for each in PARAMETERS if types_of(*each)])
@@ -244,36 +351,92 @@ WITHOUT_PEOPLE = ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"]))
     ("name", "changed", "sentence"),
     [
         ("plan", {"altitude_m": LEFT_OUT}, "argument: 'altitude_m'"),
-        ("plan", {"altitudes_m": 20}, "plan: there is no argument 'altitudes_m' (did you mean 'altitude_m'?)"),
-        ("build_maps", {"altitude_m": 20}, "there is no argument 'altitude_m' (did you mean 'altitudes_m'?)"),
+        (
+            "plan",
+            {"altitudes_m": 20},
+            "plan: there is no argument 'altitudes_m' (did you mean 'altitude_m'?)",
+        ),
+        (
+            "build_maps",
+            {"altitude_m": 20},
+            "there is no argument 'altitude_m' (did you mean 'altitudes_m'?)",
+        ),
         ("plan", {"constraints": {"gps": 0.3}}, 'Constraints.read(require=["gps>=0.3"])'),
-        ("plan", {"start": LEFT_OUT}, "start is missing: give it as longitude, latitude or as start_xy_m"),
+        (
+            "plan",
+            {"start": LEFT_OUT},
+            "start is missing: give it as longitude, latitude or as start_xy_m",
+        ),
         ("plan", {"goal": LEFT_OUT}, "goal is missing: give it as"),
-        ("plan", {"start_xy_m": (0, 0)}, "start must be given in one way, not both: give it as longitude, latitude or"),
-        ("MetricMaps.m", {"self": WITHOUT_PEOPLE, "time_of_day": "noon"}, "these maps hold none, so leave it out"),
-        ("plan", {"maps": 5}, "maps must be MetricMaps (from build_maps or open_maps), a text or a path"),
-        ("plan", {"start": 5.0}, "start must be a sequence of numbers or None (longitude, latitude in degrees"),
+        (
+            "plan",
+            {"start_xy_m": (0, 0)},
+            "start must be given in one way, not both: give it as longitude, latitude or",
+        ),
+        (
+            "MetricMaps.m",
+            {"self": WITHOUT_PEOPLE, "time_of_day": "noon"},
+            "these maps hold none, so leave it out",
+        ),
+        (
+            "plan",
+            {"maps": 5},
+            "maps must be MetricMaps (from build_maps or open_maps), a text or a path",
+        ),
+        (
+            "plan",
+            {"start": 5.0},
+            "start must be a sequence of numbers or None (longitude, latitude in degrees",
+        ),
         ("plan", {"goal": ("a", 1)}, "(longitude, latitude in degrees), got tuple of 'a', 1"),
         ("plan", {"altitude_m": "low"}, "altitude_m must be a number or Levels (metres"),
         ("plan", {"weights": 5}, "weights must be Weights, a dict of numbers or None"),
         ("plan", {"weights": {"self": 1}}, "weights must be Weights or numbers"),
-        ("sensitivity", {"cost_map": MAPS}, "cost_map must be CostMap (from cost_map), got MetricMaps"),
-        ("fit_weights", {"demonstrations": 5}, "a sequence of Demonstration (from read_demonstrations), got 5"),
+        (
+            "sensitivity",
+            {"cost_map": MAPS},
+            "cost_map must be CostMap (from cost_map), got MetricMaps",
+        ),
+        (
+            "fit_weights",
+            {"demonstrations": 5},
+            "a sequence of Demonstration (from read_demonstrations), got 5",
+        ),
         ("build_maps", {"gps": ju.Lidar()}, "gps must be Gps or None, got Lidar"),
-        ("MetricMaps.is_free", {"obstacles": "toched"}, "or None, got 'toched' (did you mean 'touched'"),
+        (
+            "MetricMaps.is_free",
+            {"obstacles": "toched"},
+            "or None, got 'toched' (did you mean 'touched'",
+        ),
         ("MetricMaps.is_free", {"altitude_m": float("nan")}, "altitude_m must be a finite number"),
-        ("Constraints.read", {"no_fly": 5}, "must be a text, a path or a sequence of texts or paths, got 5"),
-        ("Constraints", {"zones": 5}, "zones must be a sequence of Zone (from Constraints.read), got 5"),
+        (
+            "Constraints.read",
+            {"no_fly": 5},
+            "must be a text, a path or a sequence of texts or paths, got 5",
+        ),
+        (
+            "Constraints",
+            {"zones": 5},
+            "zones must be a sequence of Zone (from Constraints.read), got 5",
+        ),
         ("FitSettings", {"max_rounds": True}, "max_rounds must be a whole number, got True"),
         ("SensitivitySettings", {"seed": -1}, "seed must be a whole number from 0 up, got -1"),
         ("SensitivitySettings", {"vary": 5}, "vary must be a sequence of texts, got 5"),
-        ("PlannedPath.save", {"file": "a\0.plan"}, r"cannot write 'a\x00.plan': no file's name can hold NUL"),
+        (
+            "PlannedPath.save",
+            {"file": "a\0.plan"},
+            r"cannot write 'a\x00.plan': no file's name can hold NUL",
+        ),
     ],
 )
 def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy_or_the_kinds_that_they_may_be(
     name, changed, sentence
 ):
-    given = {key: value for key, value in {**good_arguments(name), **changed}.items() if value is not LEFT_OUT}
+    given = {
+        key: value
+        for key, value in {**good_arguments(name), **changed}.items()
+        if value is not LEFT_OUT
+    }
     arguments = [given.pop("self")] if "self" in given else []
     with pytest.raises(ju.InputError) as raised:
         CALLS[name](*arguments, **given)
@@ -282,14 +445,21 @@ def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy_
 
 HOMES = {
     "build_maps": {
-        **{"mask_deg": "gps=Gps(mask_deg=...)", "mask": "gps=Gps(mask_deg=...)", "gps_mask": "gps=Gps(mask_deg=...)"},
+        **{
+            "mask_deg": "gps=Gps(mask_deg=...)",
+            "mask": "gps=Gps(mask_deg=...)",
+            "gps_mask": "gps=Gps(mask_deg=...)",
+        },
         "times_of_day": "population=Population(time_of_day=...)",
         "height_std": "heights=Heights(height_std_m=...)",
         "population_table": "population=Population(table=...)",
         "default_height_m": "city=City.from_files(buildings=Buildings(default_height_m=...))",
         **dict.fromkeys(("metrics", "weights", "device", "seed"), ""),
     },
-    "cost_map": {"radius_m": "constraints=Constraints.read(vehicle=Vehicle(radius_m=...))", "snap": ""},
+    "cost_map": {
+        "radius_m": "constraints=Constraints.read(vehicle=Vehicle(radius_m=...))",
+        "snap": "",
+    },
     "MetricMaps.save": {"overwrite": ""},
     "plan": {
         "clearance_m": "constraints=Constraints.read(clearance_m=...)",
@@ -302,13 +472,21 @@ HOMES = {
 }
 
 
-@pytest.mark.parametrize(("name", "wrong"), [(name, wrong) for name, homes in HOMES.items() for wrong in homes])
-def test_an_unknown_argument_is_answered_by_what_takes_it_or_by_the_list_of_all_and_no_guess(name, wrong):
+@pytest.mark.parametrize(
+    ("name", "wrong"), [(name, wrong) for name, homes in HOMES.items() for wrong in homes]
+)
+def test_an_unknown_argument_is_answered_by_what_takes_it_or_by_the_list_of_all_and_no_guess(
+    name, wrong
+):
     given, home = good_arguments(name), HOMES[name][wrong]
     method = CALLS[name].__get__(given.pop("self")) if "self" in given else CALLS[name]
     with pytest.raises(ju.InputError) as raised:
         method(**given, **{wrong: 1})
-    remedy = f" (give {home})" if home else f"; it takes {', '.join(inspect.signature(method).parameters)}"
+    remedy = (
+        f" (give {home})"
+        if home
+        else f"; it takes {', '.join(inspect.signature(method).parameters)}"
+    )
     assert str(raised.value) == f"{name.rpartition('.')[2]}: there is no argument {wrong!r}{remedy}"
 
 
@@ -324,7 +502,9 @@ def test_an_unknown_argument_is_answered_by_what_takes_it_or_by_the_list_of_all_
     ],
 )
 def test_a_name_that_is_public_elsewhere_is_said_to_be_there(module, name, home):
-    with pytest.raises(AttributeError, match=rf"has no attribute '{name}' \(did you mean {re.escape(home)}\?\)"):
+    with pytest.raises(
+        AttributeError, match=rf"has no attribute '{name}' \(did you mean {re.escape(home)}\?\)"
+    ):
         getattr(importlib.import_module(module), name)
     assert not hasattr(ju, "BenchmarkSettings")
 

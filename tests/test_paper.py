@@ -13,7 +13,9 @@ _, HEADER, BODY = (PAPER / "paper.md").read_text(encoding="utf-8").split("---\n"
 SECTIONS = """Summary, Statement of need, State of the field, Software design, Research impact statement, Validation,
 Limits, AI usage disclosure, Acknowledgements, References"""
 TABLE = re.findall(r"^\|.+", (PAPER / "numbers.md").read_text(encoding="utf-8"), re.MULTILINE)
-ROWS = [[cell.strip() for cell in line.strip("|").split("|")] for line in TABLE[2:]]  # number, meaning, command, source
+ROWS = [
+    [cell.strip() for cell in line.strip("|").split("|")] for line in TABLE[2:]
+]  # number, meaning, command, source
 
 
 def test_the_header_and_the_sections_are_those_of_a_joss_paper():
@@ -29,13 +31,17 @@ def test_the_body_has_at_most_1000_words():
 
 
 def test_what_is_cited_has_an_entry_and_each_entry_is_cited():
-    entries = re.findall(r"^@\w+\{(\w+),", (PAPER / "paper.bib").read_text(encoding="utf-8"), re.MULTILINE)
+    entries = re.findall(
+        r"^@\w+\{(\w+),", (PAPER / "paper.bib").read_text(encoding="utf-8"), re.MULTILINE
+    )
     assert len(entries) == len(set(entries))
     assert set(re.findall(r"@(\w+)", BODY)) == set(entries)
 
 
 def test_each_entry_says_where_it_is():
-    for entry in re.split(r"^@", (PAPER / "paper.bib").read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]:
+    for entry in re.split(
+        r"^@", (PAPER / "paper.bib").read_text(encoding="utf-8"), flags=re.MULTILINE
+    )[1:]:
         assert re.search(r"^  (doi|url) = ", entry, re.MULTILINE), entry
 
 
@@ -51,7 +57,9 @@ def test_each_number_of_the_paper_has_a_row_and_each_row_is_in_the_paper():
 
 
 def test_each_row_has_a_command_and_each_command_names_what_exists():
-    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    targets = re.findall(
+        r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
+    )
     for *_, cell, _ in ROWS:
         commands = re.findall(r"`([^`]+)`", cell)
         assert commands or cell == "the same"

@@ -106,12 +106,18 @@ def settings(**environment: object) -> list[str]:
     """Return what commands set for JAX, and what JAX takes from it."""
     inherited = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
     environment = inherited | {name: str(value) for name, value in environment.items()}
-    done = subprocess.run([sys.executable, "-c", COMMAND], capture_output=True, text=True, check=True, env=environment)
+    done = subprocess.run(
+        [sys.executable, "-c", COMMAND], capture_output=True, text=True, check=True, env=environment
+    )
     return done.stdout.splitlines()
 
 
 def test_commands_let_jax_keep_programs_without_importing_it(tmp_path):
-    folder, own, cache = tmp_path / "jaxurban" / "jax", tmp_path / "own", {"XDG_CACHE_HOME": tmp_path}
+    folder, own, cache = (
+        tmp_path / "jaxurban" / "jax",
+        tmp_path / "own",
+        {"XDG_CACHE_HOME": tmp_path},
+    )
     assert settings(**cache) == [f"{folder} 0", f"{folder} 0.0"]
     assert settings(**cache, **{FOLDER: own}) == [f"{own} 0", f"{own} 0.0"]
     assert settings(**cache, **{FOLDER: own, LEAST_S: 3}) == [f"{own} 3", f"{own} 3.0"]

@@ -48,7 +48,10 @@ def test_paths_show_a_few_facts_and_no_arrays(paths):
         assert all(word in text for word in words)
         assert len(text.splitlines()[0]) < 250
         assert "array" not in text
-        assert (html.count("<table>"), html.count("<tr ")) == (1, len(shown.facts) + len(shown.known_cautions))
+        assert (html.count("<table>"), html.count("<tr ")) == (
+            1,
+            len(shown.facts) + len(shown.known_cautions),
+        )
 
 
 UNDER_PLATFORMS = """
@@ -67,10 +70,19 @@ assert before == jax.config.jax_platforms == os.environ["JAX_PLATFORMS"]
 @pytest.mark.slow
 @pytest.mark.parametrize("platforms", ["bogus", "cuda", "cpu,bogus"])
 def test_platforms_without_a_device_are_one_sentence(platforms, tmp_path):
-    env = os.environ | {"JAX_PLATFORMS": platforms, "XDG_CACHE_HOME": str(tmp_path), "CUDA_VISIBLE_DEVICES": ""}
-    done = subprocess.run([sys.executable, "-c", UNDER_PLATFORMS], env=env, capture_output=True, text=True)
+    env = os.environ | {
+        "JAX_PLATFORMS": platforms,
+        "XDG_CACHE_HOME": str(tmp_path),
+        "CUDA_VISIBLE_DEVICES": "",
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", UNDER_PLATFORMS], env=env, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
-    assert done.stdout == f"JAX does not work under JAX_PLATFORMS={platforms}: unset it, or choose another value\n"
+    assert (
+        done.stdout
+        == f"JAX does not work under JAX_PLATFORMS={platforms}: unset it, or choose another value\n"
+    )
 
 
 def test_a_path_keeps_its_weights_by_name_and_saves_itself_in_every_format(paths, tmp_path):
@@ -99,7 +111,11 @@ def test_a_batch_is_one_file_with_a_name_for_each_path(paths, tmp_path, suffix):
 
 def test_a_batch_is_a_table_too(paths, tmp_path):
     for suffix, read in ((".csv", pd.read_csv), (".parquet", pd.read_parquet)):
-        assert read(paths.save(tmp_path / f"batch{suffix}")).status.tolist() == ["optimal", "optimal", "bad-input"]
+        assert read(paths.save(tmp_path / f"batch{suffix}")).status.tolist() == [
+            "optimal",
+            "optimal",
+            "bad-input",
+        ]
     with pytest.raises(ju.InputError, match=r"\.parquet, \.csv, \.geojson, \.kml, \.gpx, \.plan"):
         paths.save(tmp_path / "batch.txt")
     with pytest.raises(ju.InputError, match=r"a \.plan holds one path, and these are 2"):
@@ -109,7 +125,11 @@ def test_a_batch_is_a_table_too(paths, tmp_path):
 def test_a_folder_stands_for_its_maps(paths, folder):
     under = {"altitude_m": 20.0, "weights": {"risk": 5}}
     path = ju.plan(str(folder), START, GOAL, **under)
-    assert path.cost == ju.cost_map(folder, 20.0, weights={"risk": 5}).plan(START, GOAL).cost == paths[0].cost
+    assert (
+        path.cost
+        == ju.cost_map(folder, 20.0, weights={"risk": 5}).plan(START, GOAL).cost
+        == paths[0].cost
+    )
     assert ju.plan_many(folder, [(START, GOAL)], progress=False, **under)[0].cost == path.cost
     assert ju.explain(path, folder).totals["cost"] == pytest.approx(path.cost, rel=1e-9)
     assert ju.cautions(path, folder) == ju.cautions(path, MAPS)
@@ -127,7 +147,12 @@ def test_pictures_take_one_path_several_or_a_batch(paths):
 def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
     for module in (ju, *(getattr(ju, name) for name in NAMESPACES)):
         stub = ast.parse(Path(module.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
-        seen = {name.asname for line in stub.body if isinstance(line, ast.ImportFrom) for name in line.names}
+        seen = {
+            name.asname
+            for line in stub.body
+            if isinstance(line, ast.ImportFrom)
+            for name in line.names
+        }
         assert dir(module) == sorted(seen)
         found = {name: getattr(module, name) for name in dir(module)}
         assert all(thing.__name__.rpartition(".")[2] == name for name, thing in found.items())
@@ -169,12 +194,17 @@ def test_times_may_be_datetimes_of_any_kind():
     text = ju.build_maps(city, gps=ju.Gps(times=["2020-04-27T16:00:00Z"]), **sizes)
     for time in (pd.Timestamp("2020-04-27T16:00"), np.datetime64("2020-04-27T16:00:00.000000000")):
         assert ju.build_maps(city, gps=ju.Gps(times=[time]), **sizes).times == text.times
-        np.testing.assert_array_equal(text.m("gps", time=time), text.m("gps", time="2020-04-27T16:00:00Z"))
+        np.testing.assert_array_equal(
+            text.m("gps", time=time), text.m("gps", time="2020-04-27T16:00:00Z")
+        )
 
 
 def test_studies_of_routes_refuse_volumes():
     volume = ju.cost_map(MAPS, ju.Levels())
-    for study, *given in ((ju.studies.sensitivity, START, GOAL), (ju.studies.make_queries, [(START, GOAL)])):
+    for study, *given in (
+        (ju.studies.sensitivity, START, GOAL),
+        (ju.studies.make_queries, [(START, GOAL)]),
+    ):
         with pytest.raises(ju.InputError, match="needs one altitude, not Levels"):
             study(volume, *given)
     path = ju.plan(MAPS, START, GOAL, altitude_m=20.0)
@@ -185,11 +215,16 @@ def test_studies_of_routes_refuse_volumes():
 
 def test_numbers_and_sequences_of_numpy_are_taken_as_python_s():
     assert ju.fit.FitSettings(max_rounds=np.int64(3), budget_s=np.float32(2.0)).max_rounds == 3
-    assert ju.demo_city(np.float64(400.0), np.int32(400), seed=np.int64(0)).extent_m == ju.demo_city(400, 400).extent_m
+    assert (
+        ju.demo_city(np.float64(400.0), np.int32(400), seed=np.int64(0)).extent_m
+        == ju.demo_city(400, 400).extent_m
+    )
     assert ju.Layer("noise.tif", "high-is-bad", np.array([0.0, 80.0])).scaled(40.0) == 0.5
 
 
-def test_places_in_metres_folders_generators_and_single_paths_are_taken_where_many_are(paths, folder):
+def test_places_in_metres_folders_generators_and_single_paths_are_taken_where_many_are(
+    paths, folder
+):
     ends = [ju.XY(*map(float, MAPS.grid.xy_of_cell(*FREE[at]))) for at in (0, -1)]
     path = ju.plan(MAPS, *ends, altitude_m=20.0, weights={"risk": 5})
     assert path.cost == paths[0].cost
@@ -207,7 +242,8 @@ def test_a_former_name_works_warns_on_the_user_s_line_and_is_not_listed():
         "jaxurban", ju.__file__, renamed={"plan_all": "plan_many", "fit": "fit_weights"}
     )
     with pytest.warns(
-        DeprecationWarning, match=r"jaxurban.plan_all is now jaxurban.plan_many: .* goes in jaxurban 2.0"
+        DeprecationWarning,
+        match=r"jaxurban.plan_all is now jaxurban.plan_many: .* goes in jaxurban 2.0",
     ):
         assert fetch("plan_all") is ju.plan_many
     with pytest.warns(DeprecationWarning, match="is now jaxurban.fit.fit_weights") as warned:

@@ -29,13 +29,17 @@ def tokyo(data_dir) -> Path:
     for settings, _ in receiver.TRACKS.values():
         needed += map(Path, [settings["buildings"]["source"], *settings["gps"]["orbits"]])
     if missing := [file.name for file in needed if not file.exists()]:
-        pytest.skip(f"the logs and PLATEAU are not part of jaxurban, and {missing[0]} is not in {receiver.DATA}")
+        pytest.skip(
+            f"the logs and PLATEAU are not part of jaxurban, and {missing[0]} is not in {receiver.DATA}"
+        )
     return receiver.TRACKS["Shinjuku"][1]
 
 
 def test_the_page_has_the_scores_of_every_sky_and_track():
     other = replace(made(), rivals=made().rivals.assign(log_loss=0.321))
-    page = receiver.page({"some roofs": made(), "others": other}, {"one": found(), "other": found()})
+    page = receiver.page(
+        {"some roofs": made(), "others": other}, {"one": found(), "other": found()}
+    )
     (row,) = found().main.query("witness == 'num_tracked'").to_dict("records")
     assert page.count(f"| {with_interval(row, 'within')} | {row['spearman']:.2f} |") == 2
     assert f"\n**{made().verdict}**\n" in page
@@ -51,7 +55,9 @@ def test_the_page_has_the_scores_of_every_sky_and_track():
 def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo, monkeypatch):
     def compute(scene, params):
         """Return what GPS is of, and which satellites are seen: a bit each, 32 to a word."""
-        return METRIC.compute(scene, params) | {f"word {k}": word for k, word in enumerate(scene.words)}
+        return METRIC.compute(scene, params) | {
+            f"word {k}": word for k, word in enumerate(scene.words)
+        }
 
     monkeypatch.setattr(prediction, "METRIC", replace(METRIC, compute=compute))
     settings = ju.studies.ReceiverSettings()
@@ -67,11 +73,15 @@ def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo, m
     exact = np.zeros((len(track.sky), len(task.sky.names)), bool)
     is_above, is_seen = np.zeros_like(exact), np.zeros_like(exact)
     known = ~np.isnan(made["num_visible"])
-    antenna_m = np.column_stack([track.x_m, track.y_m, np.full(len(track.sky), settings.antenna_height_m)])
+    antenna_m = np.column_stack(
+        [track.x_m, track.y_m, np.full(len(track.sky), settings.antenna_height_m)]
+    )
     for t in range(len(track.sky_times)):
         epochs = track.sky == t
         in_view = task.in_view(t)
-        for bit, (s, toward) in enumerate(zip(in_view.numbers, unit_vectors(*in_view.angles), strict=True)):
+        for bit, (s, toward) in enumerate(
+            zip(in_view.numbers, unit_vectors(*in_view.angles), strict=True)
+        ):
             word = np.where(known, made[f"word {bit // 32}"], 0)[epochs].astype(np.int64)
             is_above[epochs, s], is_seen[epochs, s] = True, word >> bit % 32 & 1
             rays = np.broadcast_to(toward, (epochs.sum(), 3))
@@ -88,7 +98,9 @@ def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo, m
 
 @pytest.mark.data
 @pytest.mark.slow
-def test_the_page_is_what_its_command_writes_and_the_maps_separate_satellites_where_no_displaced_city_does(tokyo):
+def test_the_page_is_what_its_command_writes_and_the_maps_separate_satellites_where_no_displaced_city_does(
+    tokyo,
+):
     tracks = {name: receiver.counted(name) for name in receiver.TRACKS}
     (row,) = tracks["Shinjuku"].main.query("witness == 'num_tracked'").to_dict("records")
     assert row["within"] > 0.40

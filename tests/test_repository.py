@@ -17,7 +17,9 @@ OPTIONS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]
 
 def pytest_arguments(target: str) -> str:
     """Return what a target of the Makefile passes to pytest."""
-    recipe = re.search(rf"^{target}:[^\n]*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    recipe = re.search(
+        rf"^{target}:[^\n]*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.MULTILINE
+    )
     assert recipe
     return recipe[1].replace("\\\n", " ").split("-m pytest", 1)[1].strip()
 
@@ -37,15 +39,25 @@ def test_the_checks_before_a_landing_run_both():
 
 def test_no_test_is_where_pytest_does_not_look():
     known = ("tests", "build", "out")
-    others = [path for path in ROOT.iterdir() if not path.match(".venv*") and path.name not in known]
+    others = [
+        path for path in ROOT.iterdir() if not path.match(".venv*") and path.name not in known
+    ]
     assert OPTIONS["testpaths"] == ["tests"]
-    assert [file for path in others for file in (path, *path.rglob("*")) if file.match("test_*.py")] == []
-    names = [path for path in (ROOT / "tests").rglob("*.py") if "\ndef test_" in path.read_text(encoding="utf-8")]
+    assert [
+        file for path in others for file in (path, *path.rglob("*")) if file.match("test_*.py")
+    ] == []
+    names = [
+        path
+        for path in (ROOT / "tests").rglob("*.py")
+        if "\ndef test_" in path.read_text(encoding="utf-8")
+    ]
     assert [path.name for path in names if not path.name.startswith("test_")] == []
 
 
 def test_every_test_that_the_page_on_validation_names_is_there():
-    named = re.findall(r"`(\S*test_\w+\.py)`", (ROOT / "docs/evidence/validation.md").read_text(encoding="utf-8"))
+    named = re.findall(
+        r"`(\S*test_\w+\.py)`", (ROOT / "docs/evidence/validation.md").read_text(encoding="utf-8")
+    )
     assert named
     assert [name for name in named if not (ROOT / "tests" / name).is_file()] == []
 
@@ -61,9 +73,15 @@ PRIVATE = {
 
 @pytest.mark.parametrize(("source", "said"), PRIVATE.items())
 def test_the_linter_refuses_a_private_name_of_a_library(source, said):
-    for folder, is_refused in (("jaxurban", True), ("planners", True), ("tests", said == "is banned")):
+    for folder, is_refused in (
+        ("jaxurban", True),
+        ("planners", True),
+        ("tests", said == "is banned"),
+    ):
         command = [sys.executable, "-m", "ruff", "check", "--stdin-filename", f"{folder}/a.py", "-"]
-        ended = subprocess.run(command, cwd=ROOT, input=source, capture_output=True, text=True, check=False)
+        ended = subprocess.run(
+            command, cwd=ROOT, input=source, capture_output=True, text=True, check=False
+        )
         assert (said in ended.stdout) is is_refused
 
 
@@ -72,14 +90,20 @@ def test_no_source_imports_a_private_module_or_names_a_private_attribute_in_quot
     pattern = re.compile(r"^import \S*\b_[a-z]|attr\(.*, [\"']_[a-z]", re.MULTILINE)
     assert pattern.search("import jax._src.core as core")
     assert pattern.search("getattr(multiprocessing.current_process(), '_inheriting', False)")
-    files = [path for folder in ("jaxurban", "kernels", "planners") for path in (ROOT / folder).rglob("*.py")]
+    files = [
+        path
+        for folder in ("jaxurban", "kernels", "planners")
+        for path in (ROOT / folder).rglob("*.py")
+    ]
     assert [path.name for path in files if pattern.search(path.read_text(encoding="utf-8"))] == []
 
 
 def test_warnings_go_by_the_one_function_that_finds_the_line_of_the_user():
     holders = {"jaxurban/errors.py", "jaxurban/public.py"}  # public: of names that are deprecated
     files = {path.relative_to(ROOT).as_posix(): path for path in (ROOT / "jaxurban").rglob("*.py")}
-    assert {name for name, path in files.items() if "warnings.warn(" in path.read_text(encoding="utf-8")} == holders
+    assert {
+        name for name, path in files.items() if "warnings.warn(" in path.read_text(encoding="utf-8")
+    } == holders
 
 
 PAGES = sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md"))
@@ -91,7 +115,9 @@ SPEC.loader.exec_module(stale_tables)
 
 def git(folder: Path, *arguments: str) -> str:
     who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
-    return subprocess.run(["git", *who, *arguments], cwd=folder, check=True, capture_output=True, text=True).stdout
+    return subprocess.run(
+        ["git", *who, *arguments], cwd=folder, check=True, capture_output=True, text=True
+    ).stdout
 
 
 def test_a_table_goes_by_the_last_commit_named_before_its_code():
@@ -108,17 +134,27 @@ def test_commits_that_change_the_code_make_a_table_stale_and_others_do_not(tmp_p
         git(tmp_path, "add", "-A")
         git(tmp_path, "commit", "-qm", name)
         commits.append(git(tmp_path, "rev-parse", "--short=7", "HEAD").strip())
-    assert [stale_tables.changes_since(commit, ["kernels"], tmp_path) for commit in commits] == [1, 1, 0]
+    assert [stale_tables.changes_since(commit, ["kernels"], tmp_path) for commit in commits] == [
+        1,
+        1,
+        0,
+    ]
     assert stale_tables.changes_since("0000000", ["kernels"], tmp_path) == 0
 
 
-@pytest.mark.parametrize(("num", "said"), [(1, "1 commit to kernels, planners"), (2, "2 commits to kernels, planners")])
+@pytest.mark.parametrize(
+    ("num", "said"), [(1, "1 commit to kernels, planners"), (2, "2 commits to kernels, planners")]
+)
 def test_a_stale_table_is_listed_with_how_many_commits_are_later(num, said, monkeypatch, tmp_path):
     (tmp_path / "docs").mkdir()
-    (tmp_path / "docs" / "page.md").write_text("commit 1111111\n<!-- measured code: kernels planners -->\n")
+    (tmp_path / "docs" / "page.md").write_text(
+        "commit 1111111\n<!-- measured code: kernels planners -->\n"
+    )
     monkeypatch.setattr(stale_tables, "ROOT", tmp_path)
     monkeypatch.setattr(stale_tables, "changes_since", lambda commit, folders: num)
-    assert stale_tables.stale_tables() == [f"docs/page.md: the table of commit 1111111 is older than {said}"]
+    assert stale_tables.stale_tables() == [
+        f"docs/page.md: the table of commit 1111111 is older than {said}"
+    ]
 
 
 def test_without_a_repository_or_without_git_no_table_is_stale(tmp_path, monkeypatch):
@@ -138,35 +174,60 @@ def test_the_history_holds_every_script_that_a_page_names_with_its_commit():
     asked = ["git", "-C", str(ROOT), "rev-parse", "--is-shallow-repository"]
     if subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip() != "false":
         pytest.skip("no repository with its whole history")
-    named = {match for page in PAGES for match in PAST_SCRIPT.findall((ROOT / page).read_text(encoding="utf-8"))}
+    named = {
+        match
+        for page in PAGES
+        for match in PAST_SCRIPT.findall((ROOT / page).read_text(encoding="utf-8"))
+    }
     assert named
     for script, commit in named:
         git(ROOT, "cat-file", "-e", f"{commit}:{script}")
 
 
-WORKFLOWS = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / ".github/workflows").glob("*.yml")}
+WORKFLOWS = {
+    path.name: path.read_text(encoding="utf-8")
+    for path in (ROOT / ".github/workflows").glob("*.yml")
+}
 
 
 def test_workflows_call_targets_that_the_makefile_has():
-    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
-    called = {target for text in WORKFLOWS.values() for target in re.findall(r"\bmake ([a-z-]+)", text)}
-    assert {"test", "test-oldest", "test-newest", "test-slow", "lint", "wheel", "docs"} <= called <= set(targets)
+    targets = re.findall(
+        r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    called = {
+        target for text in WORKFLOWS.values() for target in re.findall(r"\bmake ([a-z-]+)", text)
+    }
+    assert (
+        {"test", "test-oldest", "test-newest", "test-slow", "lint", "wheel", "docs"}
+        <= called
+        <= set(targets)
+    )
 
 
 def test_workflows_begin_at_the_oldest_python_that_is_allowed():
-    floor = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["requires-python"]
+    floor = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "requires-python"
+    ]
     pythons = re.findall(r'"(3\.\d+)"', re.search(r"python: \[(.*)\]", WORKFLOWS["tests.yml"])[1])
     assert floor == f">={pythons[0]}"
-    classifiers = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["classifiers"]
-    assert pythons == [each.rpartition(" ")[2] for each in classifiers if re.search(r":: 3\.\d+$", each)]
+    classifiers = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "classifiers"
+    ]
+    assert pythons == [
+        each.rpartition(" ")[2] for each in classifiers if re.search(r":: 3\.\d+$", each)
+    ]
 
 
 def test_whatever_names_the_version_names_that_of_the_package():
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "version"
+    ]
     for name in ("CITATION.cff", "jaxurban/report/templates/board.cff"):
         assert f"\nversion: {version}\n" in (ROOT / name).read_text(encoding="utf-8")
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    sections = [section for section in changes.split("\n## ")[1:] if not section.startswith("Unreleased\n")]
+    sections = [
+        section for section in changes.split("\n## ")[1:] if not section.startswith("Unreleased\n")
+    ]
     assert sections[0].split()[0] == version
     assert len(sections[0].splitlines()) <= 60
 
@@ -174,7 +235,12 @@ def test_whatever_names_the_version_names_that_of_the_package():
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no repository")
 def test_the_owner_stands_in_pyproject_alone():
     listed = git(ROOT, "grep", "-lIE", r"OWNER\b|github\.com/jaxurban|jaxurban\.github").split()
-    assert set(listed) <= {"pyproject.toml", "CONTRIBUTING.md", "Makefile", "tests/test_repository.py"}
+    assert set(listed) <= {
+        "pyproject.toml",
+        "CONTRIBUTING.md",
+        "Makefile",
+        "tests/test_repository.py",
+    }
 
 
 LEFT = {
@@ -221,7 +287,13 @@ def test_an_sdist_has_the_same_bytes_wherever_and_whenever_it_is_made(tmp_path):
                 os.utime(file, (changed_s, changed_s), follow_symlinks=False)
             build = "from setuptools import build_meta; build_meta.build_sdist('out')"
             env = {**os.environ, "SOURCE_DATE_EPOCH": "1700000000"}
-            subprocess.run([sys.executable, "-c", build], cwd=tmp_path / copy, env=env, check=True, capture_output=True)
+            subprocess.run(
+                [sys.executable, "-c", build],
+                cwd=tmp_path / copy,
+                env=env,
+                check=True,
+                capture_output=True,
+            )
         finally:
             os.umask(before)
         (archive,) = (tmp_path / copy / "out").iterdir()

@@ -25,7 +25,9 @@ def cache(tmp_path_factory) -> Path:
 
 
 def checked(cache: Path, *arguments: str | Path) -> str:
-    said, fault, _ = api.run(["--strict", "--config-file", "", "--cache-dir", str(cache), *map(str, arguments)])
+    said, fault, _ = api.run(
+        ["--strict", "--config-file", "", "--cache-dir", str(cache), *map(str, arguments)]
+    )
     assert not fault
     return said
 
@@ -35,7 +37,9 @@ def test_a_users_script_is_right_and_each_mistake_is_found(cache, tmp_path):
     wrong.write_text(WRONG)
     found = checked(cache, wrong)
     for line, code in MISTAKES.items():
-        assert any(f"wrong.py:{line}:" in said and f"[{code}]" in said for said in found.splitlines()), found
+        assert any(
+            f"wrong.py:{line}:" in said and f"[{code}]" in said for said in found.splitlines()
+        ), found
     assert f"Found {len(MISTAKES)} errors" in found
     assert "Success" in checked(cache, HERE / "typed_user.py")
 
@@ -47,5 +51,7 @@ def test_what_readme_and_docs_show_has_the_types_that_we_ask_for(cache, tmp_path
             pages.append(tmp_path / f"{name_of(page).removesuffix('.md').replace('/', '_')}.py")
             pages[-1].write_text("\n".join(shown), encoding="utf-8")
     assert "README.py" in [page.name for page in pages]
-    found = checked(cache, "--ignore-missing-imports", "--allow-untyped-defs", "--allow-untyped-calls", *pages)
+    found = checked(
+        cache, "--ignore-missing-imports", "--allow-untyped-defs", "--allow-untyped-calls", *pages
+    )
     assert "Success" in found, found

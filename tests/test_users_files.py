@@ -36,7 +36,18 @@ COMMANDS = {  # what runs, and what makes it another run
     "maps": (("maps", "town.toml"), ("--set", "gps.mask_deg=15", "--overwrite")),
     "compare": (("compare", "maps", "maps"), ("--tolerance", 0.5, "--overwrite")),
     "tune": (
-        ("tune", "maps", "--sample", 2, "--pilot", "distance=0.1,gps=1,risk=1", "--bootstrap", 0, "--rounds", 2),
+        (
+            "tune",
+            "maps",
+            "--sample",
+            2,
+            "--pilot",
+            "distance=0.1,gps=1,risk=1",
+            "--bootstrap",
+            0,
+            "--rounds",
+            2,
+        ),
         ("--seed", 3, "--overwrite"),
     ),
     "sensitivity": (
@@ -47,13 +58,20 @@ COMMANDS = {  # what runs, and what makes it another run
         ("sensitivity-study", "maps", "--routes", 1, "--samples", 2, "--workers", 1),
         ("--seed", 3, "--overwrite"),
     ),
-    "validate": (("validate", "drive.toml", "log.csv", "--sky-step", 300), ("--block", 150, "--overwrite")),
+    "validate": (
+        ("validate", "drive.toml", "log.csv", "--sky-step", 300),
+        ("--block", 150, "--overwrite"),
+    ),
     "study": (("study", "town.toml", "--workers", 1), ("--overwrite",)),
 }
-OF_THEIR_OWN = [name for name in COMMANDS if name not in ("maps", "study")]  # folders that they share with none
+OF_THEIR_OWN = [
+    name for name in COMMANDS if name not in ("maps", "study")
+]  # folders that they share with none
 PLANTED = "the user's words"
 
-pytestmark = pytest.mark.filterwarnings("ignore:Object at")  # Zarr's own, of files that it does not know
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:Object at"
+)  # Zarr's own, of files that it does not know
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +90,11 @@ def place(tmp_path_factory) -> Path:
 def outputs_of(out: Path) -> list[Path]:
     names = ("checksums.json", ".checksums.jsonl", ".jaxurban.lock")
     files = (path for path in sorted(out.rglob("*")) if path.is_file() and path.name not in names)
-    return [path for path in files if not any(part.endswith(SCRATCH_SUFFIX) for part in path.relative_to(out).parts)]
+    return [
+        path
+        for path in files
+        if not any(part.endswith(SCRATCH_SUFFIX) for part in path.relative_to(out).parts)
+    ]
 
 
 def write(planted: dict[Path, bytes]) -> dict[Path, bytes]:
@@ -86,7 +108,10 @@ def beside(out: Path) -> dict[Path, bytes]:
     """Return files of a user for the places beside the outputs: copies, and others."""
     outputs, planted = outputs_of(out), dict[Path, bytes]()
     for path in {(path.suffix, path.parent): path for path in outputs}.values():
-        planted |= {path.with_name(name): path.read_bytes() for name in (f"my_copy{path.suffix}", f"{path.name}.bak")}
+        planted |= {
+            path.with_name(name): path.read_bytes()
+            for name in (f"my_copy{path.suffix}", f"{path.name}.bak")
+        }
     for folder in {out, *(path.parent for path in outputs)}:
         planted |= {folder / name: PLANTED.encode() for name in ("mine.txt", "my folder/mine.txt")}
     return planted
@@ -94,8 +119,14 @@ def beside(out: Path) -> dict[Path, bytes]:
 
 def assert_kept(planted: dict[Path, bytes], out: Path) -> None:
     for path, data in planted.items():
-        kept = [each / "kept" / path.relative_to(each) for each in (out, out / "study") if each in path.parents]
-        assert any(place.is_file() and place.read_bytes() == data for place in (path, *kept)), f"{path} is lost"
+        kept = [
+            each / "kept" / path.relative_to(each)
+            for each in (out, out / "study")
+            if each in path.parents
+        ]
+        assert any(place.is_file() and place.read_bytes() == data for place in (path, *kept)), (
+            f"{path} is lost"
+        )
 
 
 def go_on(place: Path, name: str, monkeypatch, capsys) -> None:
@@ -117,7 +148,9 @@ def job(place, tmp_path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
-def test_nothing_is_lost_that_comes_during_a_killed_run_and_after_it(place, job, name, monkeypatch, capsys):
+def test_nothing_is_lost_that_comes_during_a_killed_run_and_after_it(
+    place, job, name, monkeypatch, capsys
+):
     """Of the names beside outputs; and the same command makes all that it makes undisturbed."""
     planted, put, out = {}, Workspace.put, job / "out"
 
@@ -143,7 +176,9 @@ def test_nothing_is_lost_that_comes_during_a_killed_run_and_after_it(place, job,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
-def test_nothing_is_lost_that_a_user_changed_or_that_was_there_before(place, job, name, monkeypatch, capsys):
+def test_nothing_is_lost_that_a_user_changed_or_that_was_there_before(
+    place, job, name, monkeypatch, capsys
+):
     """Under every name that the command writes."""
     out, names = job / "out", [path.relative_to(place / name) for path in outputs_of(place / name)]
     planted = write({out / each: PLANTED.encode() for each in names})
@@ -160,7 +195,9 @@ def test_nothing_is_lost_that_a_user_changed_or_that_was_there_before(place, job
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", OF_THEIR_OWN)
-def test_a_file_in_the_way_is_refused_before_any_older_output_is_removed(place, job, name, monkeypatch, capsys):
+def test_a_file_in_the_way_is_refused_before_any_older_output_is_removed(
+    place, job, name, monkeypatch, capsys
+):
     shutil.copytree(place / name, job / "out")
     out = job / "out"
     monkeypatch.chdir(job)
@@ -179,7 +216,8 @@ def test_a_file_in_the_way_is_refused_before_any_older_output_is_removed(place, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "at"), [*((name, "first") for name in COMMANDS), *((name, "last") for name in OF_THEIR_OWN)]
+    ("name", "at"),
+    [*((name, "first") for name in COMMANDS), *((name, "last") for name in OF_THEIR_OWN)],
 )
 def test_of_two_runs_one_wins_and_the_other_one_says_so(place, job, name, at, monkeypatch, capsys):
     """What another run finishes just before this one takes the folder, at first or at last, is not replaced."""
@@ -197,7 +235,10 @@ def test_of_two_runs_one_wins_and_the_other_one_says_so(place, job, name, at, mo
 
     monkeypatch.chdir(job)
     monkeypatch.setattr(workspaces, "only_writer", counted_hold)
-    other = [each for each in COMMANDS[name][1] if each != "--overwrite"] or ["--set", "study.seed=3"]
+    other = [each for each in COMMANDS[name][1] if each != "--overwrite"] or [
+        "--set",
+        "study.seed=3",
+    ]
     held: dict[Path, bytes] = {}
     come_at = 1
     if at == "last":
@@ -213,21 +254,32 @@ def test_of_two_runs_one_wins_and_the_other_one_says_so(place, job, name, at, mo
 
 @pytest.mark.slow
 @pytest.mark.parametrize("is_consolidated", [False, True])
-def test_what_a_user_adds_to_the_zarr_is_kept_and_the_maps_are_read(place, job, is_consolidated, monkeypatch, capsys):
+def test_what_a_user_adds_to_the_zarr_is_kept_and_the_maps_are_read(
+    place, job, is_consolidated, monkeypatch, capsys
+):
     """`maps` in each of its ways, and `MetricMaps.save`."""
     monkeypatch.chdir(job)
     path = job / "maps/maps.zarr/20m"
     places = [path / "mine", path.with_name("10m")]
     for mine in places:
-        zarr.open_group(mine, mode="w", zarr_format=2).create_array("heights", shape=(3, 4), dtype="f4")[:] = 1.0
+        zarr.open_group(mine, mode="w", zarr_format=2).create_array(
+            "heights", shape=(3, 4), dtype="f4"
+        )[:] = 1.0
     (path / "mine.txt").write_text(PLANTED)
     shutil.copytree(path / "mine/heights", path / "heights")
     if is_consolidated:
         zarr.consolidate_metadata(path, zarr_format=2)
     places += [path / "heights", path / "mine.txt"]
-    kept = {each: each.read_bytes() for top in places for each in (top, *top.rglob("*")) if each.is_file()}
+    kept = {
+        each: each.read_bytes()
+        for top in places
+        for each in (top, *top.rglob("*"))
+        if each.is_file()
+    }
     made = ju.open_maps(place / "maps")
-    again, other = (("maps", "town.toml", "-o", "maps", *more) for more in ((), COMMANDS["maps"][1]))
+    again, other = (
+        ("maps", "town.toml", "-o", "maps", *more) for more in ((), COMMANDS["maps"][1])
+    )
     coarse = (*again, "--set", "region.resolution_m=30", "--overwrite")
     for command in (again, None, other, coarse, coarse):
         if command is None:
@@ -239,7 +291,9 @@ def test_what_a_user_adds_to_the_zarr_is_kept_and_the_maps_are_read(place, job, 
         assert {each: each.read_bytes() for each in kept} == kept
 
 
-def test_a_file_among_unfinished_maps_that_are_not_gone_on_with_is_moved(tmp_path, monkeypatch, capsys):
+def test_a_file_among_unfinished_maps_that_are_not_gone_on_with_is_moved(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "town.toml").write_text(SCENARIO)
     assert run(capsys, "maps", "town.toml", "-o", "maps")[0] == 0
@@ -254,7 +308,9 @@ def test_a_file_among_unfinished_maps_that_are_not_gone_on_with_is_moved(tmp_pat
     assert str(files[0].relative_to(tmp_path)) in err
 
 
-@pytest.mark.parametrize("command", [("maps", "town.toml"), ("study", "town.toml"), ("demo",), ("tune", "maps")])
+@pytest.mark.parametrize(
+    "command", [("maps", "town.toml"), ("study", "town.toml"), ("demo",), ("tune", "maps")]
+)
 def test_an_empty_name_is_not_the_current_folder(tmp_path, command, monkeypatch, capsys):
     (tmp_path / "town.toml").write_text(SCENARIO)
     monkeypatch.chdir(tmp_path)
@@ -265,7 +321,9 @@ def test_an_empty_name_is_not_the_current_folder(tmp_path, command, monkeypatch,
 
 
 @pytest.mark.slow
-def test_the_demo_replaces_no_file_of_the_users_and_writes_maps_routes_and_figures(tmp_path, monkeypatch, capsys):
+def test_the_demo_replaces_no_file_of_the_users_and_writes_maps_routes_and_figures(
+    tmp_path, monkeypatch, capsys
+):
     demo = importlib.import_module("jaxurban.cli.demo")
     monkeypatch.setattr(demo, "RESOLUTION_M", 20.0)
     monkeypatch.setattr(demo, "BUDGET_S", 0.1)
@@ -279,7 +337,12 @@ def test_the_demo_replaces_no_file_of_the_users_and_writes_maps_routes_and_figur
     for _ in range(2):
         assert run(capsys, "demo", "-o", tmp_path)[0] == 0
     written = [route.name for route in (tmp_path / "paths").glob("*.geojson")]
-    assert {name.rpartition("_")[0] for name in written} >= {"ptp", "astar-dist", "astar-plus", "bitstar-plus"}
+    assert {name.rpartition("_")[0] for name in written} >= {
+        "ptp",
+        "astar-dist",
+        "astar-plus",
+        "bitstar-plus",
+    }
     drawn = {picture.stem for picture in (tmp_path / "figures").glob("*.png")}
     assert drawn >= {"overview", "gps", "lidar", "risk", "population", "paths"}
     table = pd.read_csv(tmp_path / "paths" / "paths.csv")

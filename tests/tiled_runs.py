@@ -30,7 +30,9 @@ def sky() -> Sky:
     names = tuple(f"G{s}" for s in range(6))
     azimuth_rad, elevation_rad = (np.radians(values) for values in (AZIMUTH_DEG, ELEVATION_DEG))
     times = ("2020-04-27T16:00:00Z", "2020-04-27T18:00:00Z")
-    return Sky(times, names, azimuth_rad, elevation_rad, ("gps",) * 6, np.zeros((2, 6)), mask_deg=5.0)
+    return Sky(
+        times, names, azimuth_rad, elevation_rad, ("gps",) * 6, np.zeros((2, 6)), mask_deg=5.0
+    )
 
 
 def city(with_terrain: bool = False) -> City:
@@ -56,7 +58,8 @@ def region(of: City) -> Grid:
 
 def params(series: str = "epochs") -> MapParams:
     return MapParams(
-        altitudes_m=(20.0, 60.0), sections={"gps": Gps(series=series), "lidar": Lidar(azimuths=36, range_m=70.0)}
+        altitudes_m=(20.0, 60.0),
+        sections={"gps": Gps(series=series), "lidar": Lidar(azimuths=36, range_m=70.0)},
     )
 
 
@@ -64,11 +67,15 @@ def task(of: City, series: str = "epochs") -> MapTask:
     return MapTask(of, region(of), sky(), params(series))
 
 
-def maker(folder: Path, of: City, series: str = "epochs", num_workers: int = 2, client=None, **options) -> Maker:
+def maker(
+    folder: Path, of: City, series: str = "epochs", num_workers: int = 2, client=None, **options
+) -> Maker:
     return Maker(task(of, series), folder, "key", num_workers, client, **options)
 
 
-def make(folder: Path, of: City, shape=RAGGED, series: str = "epochs", num_workers: int = 2, client=None) -> Path:
+def make(
+    folder: Path, of: City, shape=RAGGED, series: str = "epochs", num_workers: int = 2, client=None
+) -> Path:
     """Make the job's Zarr under ``folder``."""
     make_zarr(maker(folder, of, series, num_workers, client), Report(), shape)
     return folder / "maps.zarr" / "20m"
@@ -84,12 +91,18 @@ def check_tiles(of: MapTask, folder: Path, shape=RAGGED, **options) -> xr.Datase
     found, expected = store.open_zarr(folder, None).load(), compute_maps(of).ds
     assert found.attrs.pop("run_key") == "key"
     xr.testing.assert_identical(found, expected)
-    assert {name: array.dtype for name, array in found.items()} == {n: array.dtype for n, array in expected.items()}
+    assert {name: array.dtype for name, array in found.items()} == {
+        n: array.dtype for n, array in expected.items()
+    }
     return found
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 if __name__ == "__main__":

@@ -36,7 +36,9 @@ ROOT = Path(__file__).parents[2]
 IS_SMALL = "--small" in sys.argv  # of `python -m figures`
 HERE, OUT = ROOT / "figures" / "paper", ROOT / "out" / ("figures-small" if IS_SMALL else "figures")
 DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT.parent / "shared" / "data"))
-MAP_M, PATH_M = (10.0, 20.0) if IS_SMALL else (2.0, 5.0)  # the paper's cells: of its maps, of its paths
+MAP_M, PATH_M = (
+    (10.0, 20.0) if IS_SMALL else (2.0, 5.0)
+)  # the paper's cells: of its maps, of its paths
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
 DRAWN_M = ALTITUDES_M[:3]  # of the paper's maps; at 600 m they are of one colour
 BOUNDS = (-74.03, 40.68, -73.9107, 40.86)  # the paper's region: 10 x 20 km around Manhattan
@@ -77,18 +79,25 @@ class Town(NamedTuple):
 
 
 def _town(name: str, title: str, sample: str, *orbits: Path) -> Town:
-    region, rule = {"resolution_m": [MAP_M, PATH_M], "altitudes_m": list(ALTITUDES_M)}, {"obstacles": "centre"}
+    region, rule = (
+        {"resolution_m": [MAP_M, PATH_M], "altitudes_m": list(ALTITUDES_M)},
+        {"obstacles": "centre"},
+    )
     gps = dict(SAMPLES[sample]["gps"])
     if all(file.exists() for file in orbits):
         gps["orbits"] = [str(file) for file in orbits]
     buildings = {"source": f"sample:{sample}"}
-    return Town(name, title, {"region": region, "buildings": buildings, "gps": gps, "planning": rule})
+    return Town(
+        name, title, {"region": region, "buildings": buildings, "gps": gps, "planning": rule}
+    )
 
 
 MANHATTAN = _town("manhattan", "Lower Manhattan", "lower-manhattan", ORBITS)
 SHINJUKU = _town("shinjuku", "Shinjuku", "shinjuku", *TOKYO_ORBITS)
 TOWNS = (MANHATTAN, SHINJUKU)
-HAS_ISLAND = all(file.exists() for file in (OSM, *CENSUS.values()))  # census and districts of all Manhattan
+HAS_ISLAND = all(
+    file.exists() for file in (OSM, *CENSUS.values())
+)  # census and districts of all Manhattan
 
 
 @cache
@@ -107,7 +116,10 @@ def manhattan_blocks() -> Blocks:
     commercial = Scenario.from_dict(MANHATTAN.scenario).population.commercial
     blocks, _ = read_blocks(
         ju.Population(
-            blocks=CENSUS["blocks"], table=CENSUS["table"], districts=CENSUS["districts"], commercial=commercial
+            blocks=CENSUS["blocks"],
+            table=CENSUS["table"],
+            districts=CENSUS["districts"],
+            commercial=commercial,
         ),
         CRS,
     )
@@ -133,7 +145,11 @@ def add_polygons(panel: Axes, polygons: Iterable[shapely.Geometry], **look) -> P
     for polygon in polygons:
         parts = [shapely.orient_polygons(part) for part in shapely.get_parts(polygon)]
         rings = [ring for part in parts for ring in (part.exterior, *part.interiors)]
-        outlines.append(Outline.make_compound_path(*(Outline(np.asarray(ring.coords), closed=True) for ring in rings)))
+        outlines.append(
+            Outline.make_compound_path(
+                *(Outline(np.asarray(ring.coords), closed=True) for ring in rings)
+            )
+        )
     drawn = PathCollection(outlines, **look)
     panel.add_collection(drawn, autolim=False)
     return drawn
@@ -153,18 +169,28 @@ def means(maps: ju.MetricMaps, metric: str) -> str:
 
 def shares(maps: ju.MetricMaps, is_so: Callable[[float], np.ndarray]) -> str:
     """Return the share of the free cells of which something is so, by altitude."""
-    return by_altitude({z: float(is_so(z)[maps.is_free(z, "centre")].mean()) for z in ALTITUDES_M}, ".1%")
+    return by_altitude(
+        {z: float(is_so(z)[maps.is_free(z, "centre")].mean()) for z in ALTITUDES_M}, ".1%"
+    )
 
 
 def in_strata(maps: ju.MetricMaps, metric: str, altitude_m: float) -> str:
     """Return the mean of a metric over the free cells of each stratum (`studies.strata`), ``high-rise 0.93, ...``."""
-    strata, is_free, m = strata_of(maps), maps.is_free(altitude_m, "centre"), maps.m(metric, altitude_m)
+    strata, is_free, m = (
+        strata_of(maps),
+        maps.is_free(altitude_m, "centre"),
+        maps.m(metric, altitude_m),
+    )
     chosen = {name: is_free & (strata == number) for number, name in enumerate(STRATA)}
-    found = {name: float(m[cells].mean(dtype=float)) for name, cells in chosen.items() if cells.any()}
+    found = {
+        name: float(m[cells].mean(dtype=float)) for name, cells in chosen.items() if cells.any()
+    }
     return ", ".join(f"{name} {value:.2f}" for name, value in reversed(found.items()))
 
 
-def draw_metric(number: int, metric: str, caption: Callable[[Town, ju.MetricMaps], Caption]) -> None:
+def draw_metric(
+    number: int, metric: str, caption: Callable[[Town, ju.MetricMaps], Caption]
+) -> None:
     """Draw the maps of a metric for every town, with the caption that they get."""
     for town in TOWNS:
         maps = town.maps(MAP_M)
@@ -187,7 +213,10 @@ def folder() -> Path:
 def needs_island(name: str) -> bool:
     """Return whether the files of all Manhattan are there, and print what is not drawn where they are not."""
     if not HAS_ISLAND:
-        print(f"  {name} is of all Manhattan: not drawn, its census is not under JAXURBAN_DATA ({DATA})", flush=True)
+        print(
+            f"  {name} is of all Manhattan: not drawn, its census is not under JAXURBAN_DATA ({DATA})",
+            flush=True,
+        )
     return HAS_ISLAND
 
 

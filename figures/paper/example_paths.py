@@ -120,7 +120,9 @@ def place(shared: CostMap, name: str, share: Share):
     grid = shared.grid
     x_m = grid.x_min_m + share[0] * (grid.x_max_m - grid.x_min_m)
     y_m = grid.y_min_m + share[1] * (grid.y_max_m - grid.y_min_m)
-    return shared.locate(name, XY(x_m, y_m), snap=math.inf)  # a share of the region may lie in any building
+    return shared.locate(
+        name, XY(x_m, y_m), snap=math.inf
+    )  # a share of the region may lie in any building
 
 
 def window(grid: Grid, paths: Sequence[PlannedPath]) -> Grid:
@@ -146,11 +148,15 @@ def crop(layer: MapLayer, grid: Grid, part: Grid) -> MapLayer:
     row, col = part.first_row - grid.first_row, part.first_col - grid.first_col
     rows = slice(max(row, 0), min(row + part.num_rows, grid.num_rows))
     cols = slice(max(col, 0), min(col + part.num_cols, grid.num_cols))
-    values[rows.start - row : rows.stop - row, cols.start - col : cols.stop - col] = layer.values[rows, cols]
+    values[rows.start - row : rows.stop - row, cols.start - col : cols.stop - col] = layer.values[
+        rows, cols
+    ]
     return layer._replace(values=values)
 
 
-def draw(town: Town, shared: CostMap, cases: Sequence[Case], results: Sequence[list[PlannedPath]]) -> Figure:
+def draw(
+    town: Town, shared: CostMap, cases: Sequence[Case], results: Sequence[list[PlannedPath]]
+) -> Figure:
     maps, altitude_m = shared.maps, shared.altitude_m
     parts = [window(maps.grid, paths) for paths in results]
     panels = []
@@ -158,7 +164,9 @@ def draw(town: Town, shared: CostMap, cases: Sequence[Case], results: Sequence[l
         outcomes = "\n".join(outcome_of(path, path.search.planner) for path in paths)
         panels.append(MapPanel(case.title, foot=outcomes))
     heading = f"Example paths {altitude_m:g} m above ground: {town.title}"
-    note = joined(f"{PATH_M:g} m cells", shared.time_of_day, "below: cost, length", maps.attribution)
+    note = joined(
+        f"{PATH_M:g} m cells", shared.time_of_day, "below: cost, length", maps.attribution
+    )
     colours = planner_colours(PAPER_PLANNERS)
     legend = obstacle_patches(maps, BLOCKED_COLOUR)
     if any(not _holds(maps.grid, part) for part in parts):
@@ -166,7 +174,11 @@ def draw(town: Town, shared: CostMap, cases: Sequence[Case], results: Sequence[l
     entries = path_entries(colours, [path for paths in results for path in paths])
     look = {"legend": [*legend, *entries], "colours": COST_COLOURS, "has_ticks": False}
     figure, axes = draw_maps(
-        parts[0], panels, heading, f"{note}\npreset paper  ·  {rules_said(map_settings(shared))}", **look
+        parts[0],
+        panels,
+        heading,
+        f"{note}\npreset paper  ·  {rules_said(map_settings(shared))}",
+        **look,
     )
     layers = cost_layers(maps, altitude_m, shared.time, shared.time_of_day)
     for panel, part, paths in zip(axes, parts, results, strict=True):
@@ -180,7 +192,12 @@ def draw(town: Town, shared: CostMap, cases: Sequence[Case], results: Sequence[l
 
 def _holds(grid: Grid, part: Grid) -> bool:
     outer, inner = grid.bounds_m, part.bounds_m
-    return outer[0] <= inner[0] and outer[1] <= inner[1] and inner[2] <= outer[2] and inner[3] <= outer[3]
+    return (
+        outer[0] <= inner[0]
+        and outer[1] <= inner[1]
+        and inner[2] <= outer[2]
+        and inner[3] <= outer[3]
+    )
 
 
 def by_planner(paths: Sequence[PlannedPath]) -> dict[str, PlannedPath]:
@@ -199,12 +216,19 @@ def found_by(paths: Sequence[PlannedPath]) -> str:
     if worst.cost <= best.cost * (1 + 1e-9):
         return f"{who}, all at the same cost"
     excess = 100 * (worst.cost / best.cost - 1)
-    return f"{who}, {best.search.planner} the cheapest, {worst.search.planner} {excess:.1f} % costlier"
+    return (
+        f"{who}, {best.search.planner} the cheapest, {worst.search.planner} {excess:.1f} % costlier"
+    )
 
 
 def found_text(results: Sequence[list[PlannedPath]]) -> str:
     """Return `found_by` for the three queries."""
-    return "; ".join(f"({letter}) {found_by(paths)}" for letter, paths in zip("abc", results, strict=True)) + "."
+    return (
+        "; ".join(
+            f"({letter}) {found_by(paths)}" for letter, paths in zip("abc", results, strict=True)
+        )
+        + "."
+    )
 
 
 def detour_of(path: PlannedPath) -> float:
@@ -213,7 +237,9 @@ def detour_of(path: PlannedPath) -> float:
 
 
 def draw_paths(
-    number: int, altitude_m: float, caption: Callable[[Sequence[dict[str, PlannedPath]], str], Caption]
+    number: int,
+    altitude_m: float,
+    caption: Callable[[Sequence[dict[str, PlannedPath]], str], Caption],
 ) -> None:
     """Draw a figure for every town; ``caption`` has the three queries' paths by planner, and `found_text`."""
     for town in TOWNS:  # Shinjuku has no people: at 600 m nothing but the distance would count
@@ -227,4 +253,8 @@ def draw_paths(
                 raise ArithmeticError(f"astar-dist found {dist}, astar-plus {plus}")
         told = caption([by_planner(paths) for paths in results], found_text(results))
         told = told._replace(why=f"{told.why} {DIAGONALS}")
-        save(draw(town, shared, cases, results), f"fig_{number}_paths_{altitude_m:g}m_{town.name}", told)
+        save(
+            draw(town, shared, cases, results),
+            f"fig_{number}_paths_{altitude_m:g}m_{town.name}",
+            told,
+        )

@@ -44,7 +44,9 @@ def shown_grid() -> Grid:
 def box_of(bounds: tuple[float, float, float, float]) -> shapely.Polygon:
     """Return a box of longitudes and latitudes in the region's CRS; its sides bend with the projection."""
     edges = shapely.segmentize(shapely.box(*bounds), 0.005)
-    return shapely.transform(edges, transformer(WGS84, region_grid().crs).transform, interleaved=False)
+    return shapely.transform(
+        edges, transformer(WGS84, region_grid().crs).transform, interleaved=False
+    )
 
 
 def extract_bounds() -> tuple[float, float, float, float]:
@@ -60,10 +62,14 @@ def begin(title: str, legend: dict[str, dict], credit: str = "") -> tuple[Figure
     width_km, height_km = (grid.x_max_m - grid.x_min_m) / 1e3, (grid.y_max_m - grid.y_min_m) / 1e3
     note = joined(f"L: {width_km:.1f} x {height_km:.1f} km", grid.crs, credit)
     handles = [Patch(label=name, **look) for name, look in legend.items()]
-    figure, (panel,) = draw_maps(shown_grid(), [MapPanel(title)], "The region of the study", note, legend=handles)
+    figure, (panel,) = draw_maps(
+        shown_grid(), [MapPanel(title)], "The region of the study", note, legend=handles
+    )
     panel.set_facecolor(WATER)
     corner = {"size": 13, "weight": "bold", "ha": "left", "va": "top", "color": INK, "zorder": 10}
-    panel.text(grid.x_min_m + 250, grid.y_max_m - 200, "L", bbox={"facecolor": "white", "pad": 2}, **corner)
+    panel.text(
+        grid.x_min_m + 250, grid.y_max_m - 200, "L", bbox={"facecolor": "white", "pad": 2}, **corner
+    )
     return figure, panel
 
 
@@ -87,28 +93,43 @@ def draw_manhattan() -> None:
         "other boroughs": outline(FAINT_INK, 0.4, fill=FAR_LAND),
         "water, or land\nwithout data\n(New Jersey)": outline(FAINT_INK, 0.4, fill=WATER),
     }
-    figure, panel = begin("Manhattan: census blocks and districts", boxes | legend, CREDIT.split("; ", 1)[1])
+    figure, panel = begin(
+        "Manhattan: census blocks and districts", boxes | legend, CREDIT.split("; ", 1)[1]
+    )
     region = shapely.box(*region_grid().bounds_m)
     seen = shapely.intersects(polygons, shapely.box(*shown_grid().bounds_m))
     flat = {"linewidth": 0, "rasterized": True}
     add_polygons(panel, polygons[seen & ~is_ours], facecolor=FAR_LAND, **flat)
     add_polygons(panel, polygons[is_ours], facecolor=LAND, **flat)
     add_polygons(panel, polygons[labels == CENTRAL_PARK], facecolor=PARK, **flat)
-    ashore = blocks.polygons[shapely.intersects(blocks.polygons, shapely.union_all(polygons[is_ours]))]
-    add_polygons(panel, ashore, facecolor="none", edgecolor="#9a9a9a", linewidth=0.2, rasterized=True)
+    ashore = blocks.polygons[
+        shapely.intersects(blocks.polygons, shapely.union_all(polygons[is_ours]))
+    ]
+    add_polygons(
+        panel, ashore, facecolor="none", edgecolor="#9a9a9a", linewidth=0.2, rasterized=True
+    )
     add_polygons(panel, polygons[is_ours], facecolor="none", edgecolor=BORDER, linewidth=1.0)
-    extract, study = box_of(extract_bounds()), box_of(SAMPLES["lower-manhattan"]["region"]["bounds"])
+    extract, study = (
+        box_of(extract_bounds()),
+        box_of(SAMPLES["lower-manhattan"]["region"]["bounds"]),
+    )
     for polygon, look in zip((region, extract, study), boxes.values(), strict=True):
         add_polygons(panel, [polygon], zorder=9, **look)
     island = shapely.union_all(polygons[is_ours])
     land_km2 = {
-        name: shapely.area(shapely.intersection(island, box)) / 1e6 for name, box in (("L", region), ("study", study))
+        name: shapely.area(shapely.intersection(island, box)) / 1e6
+        for name, box in (("L", region), ("study", study))
     }
     all_km2 = shapely.area(island) / 1e6
     centre = shapely.point_on_surface(blocks.polygons)
-    people_in = blocks.night_count[shapely.contains(region, centre)].sum() / blocks.night_count.sum()
+    people_in = (
+        blocks.night_count[shapely.contains(region, centre)].sum() / blocks.night_count.sum()
+    )
     north_m = shapely.bounds(island)[3] - region_grid().y_max_m
-    south_m = shapely.bounds(polygons[labels == MANHATTAN_LABELS[0]]).min(axis=0)[1] - region_grid().y_min_m
+    south_m = (
+        shapely.bounds(polygons[labels == MANHATTAN_LABELS[0]]).min(axis=0)[1]
+        - region_grid().y_min_m
+    )
     here = (
         f"L drawn to scale over the census and district data. It holds {100 * land_km2['L'] / all_km2:.0f} % of "
         f"Manhattan's {all_km2:.1f} km² of land and {100 * people_in:.0f} % of its residents; the northern "

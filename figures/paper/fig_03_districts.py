@@ -23,7 +23,11 @@ from jaxurban.report.figures.style import INK, Colours
 from jaxurban.world.city import Blocks
 from jaxurban.world.grid import Grid
 
-COMMERCIAL, RESIDENTIAL, PARK = "#b2182b", "#f4c27a", "#4d9221"  # dark, light and between them without colour too
+COMMERCIAL, RESIDENTIAL, PARK = (
+    "#b2182b",
+    "#f4c27a",
+    "#4d9221",
+)  # dark, light and between them without colour too
 OTHER_LAND, WATER, NOBODY = "#ececec", "#dbe6ee", "#ffffff"
 NUM_COMMERCIAL, NUM_DISTRICTS = 6, 12  # districts 1 to 6 are commercial
 MANHATTAN_LABEL, CENTRAL_PARK = 100, 164
@@ -53,7 +57,10 @@ def manhattan() -> Ground:
     """Return all Manhattan, by the census."""
     polygons, labels = new_york_districts()
     numbers = range(1, NUM_DISTRICTS + 1)
-    districts = {number: shapely.union_all(polygons[labels == MANHATTAN_LABEL + number]) for number in numbers}
+    districts = {
+        number: shapely.union_all(polygons[labels == MANHATTAN_LABEL + number])
+        for number in numbers
+    }
     park = shapely.union_all(polygons[labels == CENTRAL_PARK])
     blocks, land = manhattan_blocks(), shapely.union_all(polygons)
     shapely.prepare(land)
@@ -62,8 +69,14 @@ def manhattan() -> Ground:
     outlines[wet] = shapely.intersection(outlines[wet], land)
     ours = shapely.bounds(shapely.union_all([*districts.values(), park]))
     resolution_m = region_grid().resolution_m
-    low, high = (np.array(ours[:2]) - MARGIN_M) / resolution_m, (np.array(ours[2:]) + MARGIN_M) / resolution_m
-    (first_col, first_row), (end_col, end_row) = np.floor(low).astype(int), np.ceil(high).astype(int)
+    low, high = (
+        (np.array(ours[:2]) - MARGIN_M) / resolution_m,
+        (np.array(ours[2:]) + MARGIN_M) / resolution_m,
+    )
+    (first_col, first_row), (end_col, end_row) = (
+        np.floor(low).astype(int),
+        np.ceil(high).astype(int),
+    )
     grid = Grid(
         region_grid().crs,
         resolution_m,
@@ -74,7 +87,17 @@ def manhattan() -> Ground:
     )
     is_other = (labels // 100 != 1) & shapely.intersects(polygons, shapely.box(*grid.bounds_m))
     credit = CREDIT.split("; ", 1)[1]
-    return Ground("manhattan", "Manhattan", credit, grid, districts, park, polygons[is_other], blocks, outlines)
+    return Ground(
+        "manhattan",
+        "Manhattan",
+        credit,
+        grid,
+        districts,
+        park,
+        polygons[is_other],
+        blocks,
+        outlines,
+    )
 
 
 def draw(ground: Ground) -> None:
@@ -90,7 +113,10 @@ def draw(ground: Ground) -> None:
     ]
     colours = Colours(DENSITY, norm, "(b) people per km²", extend="both", ticks=(1e3, 1e4, 1e5))
     panels = [MapPanel("districts by type"), MapPanel("residents by census block, at night")]
-    heading, note = f"Districts and census blocks of {ground.title}", joined(ground.grid.crs, ground.credit)
+    heading, note = (
+        f"Districts and census blocks of {ground.title}",
+        joined(ground.grid.crs, ground.credit),
+    )
     figure, axes = draw_maps(ground.grid, panels, heading, note, legend=legend, colours=colours)
     flat = {"linewidth": 0, "rasterized": True}
     for panel in axes:
@@ -100,7 +126,9 @@ def draw(ground: Ground) -> None:
     border = {"edgecolor": INK, "linewidth": 0.6}
     for number, polygon in ground.districts.items():
         is_commercial = number <= NUM_COMMERCIAL
-        add_polygons(left, [polygon], facecolor=COMMERCIAL if is_commercial else RESIDENTIAL, **border)
+        add_polygons(
+            left, [polygon], facecolor=COMMERCIAL if is_commercial else RESIDENTIAL, **border
+        )
         middle = shapely.get_point(shapely.maximum_inscribed_circle(polygon, tolerance=20.0), 0)
         left.text(
             middle.x,
@@ -114,12 +142,16 @@ def draw(ground: Ground) -> None:
             path_effects=[withStroke(linewidth=2.5, foreground="white")],
         )
     add_polygons(left, [ground.park], facecolor=PARK, **border)
-    density = np.asarray(block_layers(ground.blocks, Population(time_of_day="night")).density_per_km2[0])
+    density = np.asarray(
+        block_layers(ground.blocks, Population(time_of_day="night")).density_per_km2[0]
+    )
     is_home = (density > 0) & ~shapely.is_empty(ground.outlines)
     is_empty = (density == 0) & ~shapely.is_empty(ground.outlines)
     thin = {"edgecolor": "#808080", "linewidth": 0.15, "rasterized": True}
     add_polygons(right, ground.outlines[is_empty], facecolor=NOBODY, **thin)
-    add_polygons(right, ground.outlines[is_home], array=density[is_home], cmap=DENSITY, norm=norm, **thin)
+    add_polygons(
+        right, ground.outlines[is_home], array=density[is_home], cmap=DENSITY, norm=norm, **thin
+    )
     save(figure, f"fig_03_districts_{ground.name}", caption(ground, density))
 
 

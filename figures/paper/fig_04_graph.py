@@ -57,7 +57,9 @@ def query(obstacles: tuple[int, ...], diagonal: str) -> Problem:
     for node in obstacles:
         is_free[NODES[node]] = False
     centre = NODES[0]
-    return Problem(np.zeros((1, 3, 3)), is_free, centre, centre, PATH_M, 1.0, CostModel(diagonal=diagonal))
+    return Problem(
+        np.zeros((1, 3, 3)), is_free, centre, centre, PATH_M, 1.0, CostModel(diagonal=diagonal)
+    )
 
 
 def draw(panel: Axes, title: str, problem: Problem, lost: set[tuple[Cell, Cell]]) -> None:
@@ -68,18 +70,34 @@ def draw(panel: Axes, title: str, problem: Problem, lost: set[tuple[Cell, Cell]]
     for row, col in np.ndindex(3, 3):
         look = {} if problem.is_free[row, col] else {"facecolor": "#7d7d7d", "hatch": "///"}
         panel.add_patch(
-            Rectangle((col - 0.5, row - 0.5), 1, 1, **{"facecolor": "white", "edgecolor": "#d5d5d5", "lw": 0.6} | look)
+            Rectangle(
+                (col - 0.5, row - 0.5),
+                1,
+                1,
+                **{"facecolor": "white", "edgecolor": "#d5d5d5", "lw": 0.6} | look,
+            )
         )
     for edge in edges_of(problem):
         is_own = NODES[0] in (edge.origin, edge.target)
         colour = (DIAGONAL if edge.is_diagonal else STRAIGHT) if is_own else OTHER
-        line = {"linewidth": 2.0 if is_own else 0.9, "linestyle": (0, (4, 1.5)) if edge.is_diagonal else "-"}
+        line = {
+            "linewidth": 2.0 if is_own else 0.9,
+            "linestyle": (0, (4, 1.5)) if edge.is_diagonal else "-",
+        }
         _line(panel, edge.origin, edge.target, color=colour, zorder=3 if is_own else 2, **line)
         if edge.origin == NODES[0]:
             at = 0.5 * (np.array(edge.origin) + edge.target)
             box = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
             panel.text(
-                at[1], at[0], f"{edge.cost:.3g} m", ha="center", va="center", size=6.8, zorder=5, bbox=box, color=colour
+                at[1],
+                at[0],
+                f"{edge.cost:.3g} m",
+                ha="center",
+                va="center",
+                size=6.8,
+                zorder=5,
+                bbox=box,
+                color=colour,
             )
     for origin, target in lost:
         is_own = NODES[0] in (origin, target)
@@ -100,7 +118,16 @@ def draw(panel: Axes, title: str, problem: Problem, lost: set[tuple[Cell, Cell]]
         face = ("#ffe9a8" if number == 0 else "white") if is_free else "#4a4a4a"
         panel.plot(col, row, "o", markersize=19, mfc=face, mec=INK, mew=1.0, zorder=6)
         ink = INK if is_free else "white"
-        panel.text(col, row, f"$v_{number}$", ha="center", va="center_baseline", size=TEXT_PT, color=ink, zorder=7)
+        panel.text(
+            col,
+            row,
+            f"$v_{number}$",
+            ha="center",
+            va="center_baseline",
+            size=TEXT_PT,
+            color=ink,
+            zorder=7,
+        )
 
 
 def _line(panel: Axes, origin: Cell, target: Cell, **look) -> None:
@@ -113,7 +140,9 @@ def corner_cuts(is_free: np.ndarray) -> tuple[float, float]:
     def num_diagonal(moves: np.ndarray) -> int:
         return int(np.bitwise_count(moves >> 4).sum())
 
-    always, both_free = (allowed_moves(is_free, 8, needs_both_free) for needs_both_free in (False, True))
+    always, both_free = (
+        allowed_moves(is_free, 8, needs_both_free) for needs_both_free in (False, True)
+    )
     # Two free cells on one diagonal of a square of four, none on the other; each joins both ways.
     south_west, south_east, north_west, north_east = (
         is_free[:-1, :-1],
@@ -130,7 +159,9 @@ def corner_cuts(is_free: np.ndarray) -> tuple[float, float]:
 def caption(own: list[list[Edge]], num_edges: list[int]) -> Caption:
     counts = [len(edges) for edges in own]
     costs = " or ".join(f"{cost:.3g} m" for cost in sorted({edge.cost for edge in own[0]}))
-    reached = [", ".join(f"v{NODES.index(edge.target)}" for edge in _ordered(edges)) for edges in own]
+    reached = [
+        ", ".join(f"v{NODES.index(edge.target)}" for edge in _ordered(edges)) for edges in own
+    ]
     cuts = {town.title: corner_cuts(town.maps(PATH_M).is_free(ALTITUDE_M)) for town in TOWNS}
     shares = " and ".join(
         f"{percent(past)} in {title} ({percent(between)} lead between two obstacles)"
@@ -160,14 +191,20 @@ def main() -> None:
     ]
     edges = [edges_of(problem) for problem in problems]
     own = [[edge for edge in found if edge.origin == NODES[0]] for found in edges]
-    lost = {(edge.origin, edge.target) for edge in edges[1]} - {(edge.origin, edge.target) for edge in edges[2]}
+    lost = {(edge.origin, edge.target) for edge in edges[1]} - {
+        (edge.origin, edge.target) for edge in edges[2]
+    }
     note = f"{PATH_M:g} m cells; v2 and v5 blocked in (b) and (c)"
     figure = chart(11.0, 3.9, f"Steps between neighbouring cells, and their lengths ({note})")
-    for number, (panel, title, problem) in enumerate(zip(figure.subplots(1, 3), titles, problems, strict=True)):
+    for number, (panel, title, problem) in enumerate(
+        zip(figure.subplots(1, 3), titles, problems, strict=True)
+    ):
         draw(panel, title, problem, lost if number == 2 else set())
     handles = {
         "straight step from $v_0$": Line2D([], [], color=STRAIGHT, linewidth=2),
-        "diagonal step from $v_0$": Line2D([], [], color=DIAGONAL, linewidth=2, linestyle=(0, (4, 1.5))),
+        "diagonal step from $v_0$": Line2D(
+            [], [], color=DIAGONAL, linewidth=2, linestyle=(0, (4, 1.5))
+        ),
         "step between the others": Line2D([], [], color=OTHER, linewidth=1.2),
         "not allowed by our rule": Line2D(
             [], [], color=LOST, linewidth=1.6, linestyle=":", marker="x", markersize=6, mew=1.6

@@ -19,7 +19,14 @@ from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.bounds import make_bounds
 from jaxurban.planners.bitstar.planner import Batches, BitStarOptions, bitstar_plus
 from jaxurban.planners.bitstar.tree import Tree
-from jaxurban.report.figures.frame import MapLayer, MapPanel, draw_maps, flat_layer, frame_note, rules_said
+from jaxurban.report.figures.frame import (
+    MapLayer,
+    MapPanel,
+    draw_maps,
+    flat_layer,
+    frame_note,
+    rules_said,
+)
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.style import FAINT_INK, INK, Colours
 
@@ -42,7 +49,11 @@ def query(maps: ju.MetricMaps, weights: ju.Weights) -> Problem:
     problem = ju.cost_map(maps, ALTITUDE_M, weights=weights).problem
     free = np.argwhere(problem.is_free)
     start, goal = (
-        tuple(int(v) for v in free[np.hypot(*(free - np.array(at) * problem.is_free.shape).T).argmin()]) for at in ENDS
+        tuple(
+            int(v)
+            for v in free[np.hypot(*(free - np.array(at) * problem.is_free.shape).T).argmin()]
+        )
+        for at in ENDS
     )
     return problem.between(start, goal)
 
@@ -51,7 +62,9 @@ def run(problem: Problem) -> list[Batches]:
     """Return a search that repeats exactly as it was after each batch."""
     batches: list[Batches] = []
     limits = {"growth": 0, "max_batches": NUM_BATCHES}
-    options = BitStarOptions(BATCH_SAMPLES, **limits, on_batch=lambda now: batches.append(copy(now)))
+    options = BitStarOptions(
+        BATCH_SAMPLES, **limits, on_batch=lambda now: batches.append(copy(now))
+    )
     bitstar_plus(problem, seed=SEED, budget_s=np.inf, options=options)
     return batches
 
@@ -90,9 +103,20 @@ class Picture:
         for heuristic, style in (("plus", "-"), ("euclidean", "--")):
             bound = bound_map(self.problem, heuristic)
             x_m, y_m = self.maps.grid.x_m, self.maps.grid.y_m
-            panel.contour(x_m, y_m, bound, levels=[cost], colors=SET, linestyles=style, linewidths=1.6, zorder=5)
+            panel.contour(
+                x_m,
+                y_m,
+                bound,
+                levels=[cost],
+                colors=SET,
+                linestyles=style,
+                linewidths=1.6,
+                zorder=5,
+            )
             if heuristic == "plus":
-                panel.contourf(x_m, y_m, bound, levels=[cost, np.inf], colors="white", alpha=0.62, zorder=2)
+                panel.contourf(
+                    x_m, y_m, bound, levels=[cost, np.inf], colors="white", alpha=0.62, zorder=2
+                )
 
     def tree(self, panel: Axes, tree: Tree, samples: bool = True) -> None:
         """Draw the tree's edges and the samples, joined (dots) or not (small rings)."""
@@ -102,7 +126,9 @@ class Picture:
         is_joined = np.isfinite(tree.g)
         panel.plot(*xy_m[is_joined].T, ".", color=TREE, markersize=3.5, zorder=7)
         if samples:
-            panel.plot(*xy_m[~is_joined].T, "o", mfc="none", mec=SAMPLE, mew=0.7, markersize=3, zorder=6)
+            panel.plot(
+                *xy_m[~is_joined].T, "o", mfc="none", mec=SAMPLE, mew=0.7, markersize=3, zorder=6
+            )
 
     def path(self, panel: Axes, batch: Batches) -> None:
         """Draw the batch's best path."""
@@ -112,7 +138,12 @@ class Picture:
 
     def ends(self, panel: Axes, batch: Batches) -> None:
         """Mark start and goal."""
-        look = {"linestyle": "none", "markeredgecolor": "black", "markerfacecolor": "white", "zorder": 20}
+        look = {
+            "linestyle": "none",
+            "markeredgecolor": "black",
+            "markerfacecolor": "white",
+            "zorder": 20,
+        }
         start_m, goal_m = self.at_m(batch.tree.xy[batch.tree.path()[[0, -1]]])
         panel.plot(*start_m, marker="o", markersize=7, **look)
         panel.plot(*goal_m, marker="*", markersize=13, **look)
@@ -126,7 +157,10 @@ def num_edges(tree: Tree) -> int:
 def panel_titles(problem: Problem, batches: Sequence[Batches], kept: Tree) -> list[str]:
     """Return what each panel shows, with its numbers."""
     first, second, last, number = batches[1], batches[2], batches[-1], len(batches) - 1
-    drawn, num_dropped = sum(len(batch.samples) for batch in batches), len(first.tree.xy) - len(kept.xy)
+    drawn, num_dropped = (
+        sum(len(batch.samples) for batch in batches),
+        len(first.tree.xy) - len(kept.xy),
+    )
     left = percent(share_left(problem, first.cost))
     return [
         f"batch 1: {len(first.samples)} samples, {num_edges(first.tree)} tree edges, cost {first.cost:,.0f}",
@@ -141,17 +175,27 @@ def legend() -> list[Artist]:
     dot = {"linestyle": "none", "marker": "o"}
     handles = {
         "obstacle": Patch(facecolor=OBSTACLE),
-        "free, darker where\nit costs more": Patch(facecolor="#dddddd", edgecolor=FAINT_INK, linewidth=0.4),
+        "free, darker where\nit costs more": Patch(
+            facecolor="#dddddd", edgecolor=FAINT_INK, linewidth=0.4
+        ),
         "sample, not joined": Line2D([], [], mfc="none", mec=SAMPLE, mew=0.7, markersize=4, **dot),
         "node of the tree": Line2D([], [], color=TREE, markersize=3, **dot),
         "edge of the tree": Line2D([], [], color=TREE, linewidth=1.2),
-        "sample dropped": Line2D([], [], color=SAMPLE, linestyle="none", marker="x", markersize=4, mew=0.8),
+        "sample dropped": Line2D(
+            [], [], color=SAMPLE, linestyle="none", marker="x", markersize=4, mew=0.8
+        ),
         "new sample": Line2D([], [], mfc=NEW, mec=INK, mew=0.4, markersize=5, **dot),
         "best path": Line2D([], [], color=INK, linewidth=2.4),
-        "edge of the space\nthat can hold a\ncheaper path": Line2D([], [], color=SET, linewidth=1.6),
-        "the same by\ndistance alone\n(an ellipse)": Line2D([], [], color=SET, linewidth=1.6, linestyle="--"),
+        "edge of the space\nthat can hold a\ncheaper path": Line2D(
+            [], [], color=SET, linewidth=1.6
+        ),
+        "the same by\ndistance alone\n(an ellipse)": Line2D(
+            [], [], color=SET, linewidth=1.6, linestyle="--"
+        ),
         "start": Line2D([], [], mfc="white", mec="black", markersize=6, **dot),
-        "goal": Line2D([], [], linestyle="none", marker="*", mfc="white", mec="black", markersize=10),
+        "goal": Line2D(
+            [], [], linestyle="none", marker="*", mfc="white", mec="black", markersize=10
+        ),
     }
     for name, handle in handles.items():
         handle.set_label(name)
@@ -162,7 +206,9 @@ def caption(maps: ju.MetricMaps, problem: Problem, batches: Sequence[Batches]) -
     last, cost = batches[-1], [batch.cost for batch in batches[1:]]
     on_grid, usual = astar(problem), query(maps, ju.Weights())
     usual_cost = run(usual)[-1].cost
-    sides = [percent(share_left(problem, last.cost, heuristic)) for heuristic in ("plus", "euclidean")]
+    sides = [
+        percent(share_left(problem, last.cost, heuristic)) for heuristic in ("plus", "euclidean")
+    ]
     return Caption(
         PAPER,
         f"A real run of ours, which repeats exactly (seed {SEED}). The cost falls from {cost[0]:,.0f} to "
@@ -177,7 +223,9 @@ def caption(maps: ju.MetricMaps, problem: Problem, batches: Sequence[Batches]) -
 
 
 def main() -> None:
-    maps = ju.build_maps(ju.demo_city(1500, 1200), resolution_m=RESOLUTION_M, altitudes_m=(ALTITUDE_M,))
+    maps = ju.build_maps(
+        ju.demo_city(1500, 1200), resolution_m=RESOLUTION_M, altitudes_m=(ALTITUDE_M,)
+    )
     problem = query(maps, WEIGHTS)
     batches = run(problem)
     first, second, last = batches[1], batches[2], batches[-1]
@@ -186,7 +234,9 @@ def main() -> None:
     rules = rules_said(map_settings(ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS)))
     note = f"{frame_note(maps)}\n{ALTITUDE_M:g} m above ground  ·  {rules}"
     panels = [MapPanel(title, picture.ground()) for title in panel_titles(problem, batches, kept)]
-    figure, axes = draw_maps(maps.grid, panels, "BIT*: a search in batches of samples", note, legend=legend())
+    figure, axes = draw_maps(
+        maps.grid, panels, "BIT*: a search in batches of samples", note, legend=legend()
+    )
     for panel in axes:
         picture.ends(panel, last)
     growing, solved, resampled, later = axes
@@ -198,7 +248,9 @@ def main() -> None:
     picture.path(solved, first)
     picture.space(resampled, first.cost)
     picture.tree(resampled, kept)
-    resampled.plot(*picture.at_m(second.samples).T, "o", mfc=NEW, mec=INK, mew=0.4, markersize=5, zorder=10)
+    resampled.plot(
+        *picture.at_m(second.samples).T, "o", mfc=NEW, mec=INK, mew=0.4, markersize=5, zorder=10
+    )
     picture.space(later, last.cost)
     picture.tree(later, last.tree, samples=False)
     picture.path(later, last)

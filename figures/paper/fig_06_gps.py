@@ -2,7 +2,16 @@
 
 import numpy as np
 
-from figures.paper.common import ALTITUDES_M, MANHATTAN, Caption, Town, draw_metric, in_strata, means, shares
+from figures.paper.common import (
+    ALTITUDES_M,
+    MANHATTAN,
+    Caption,
+    Town,
+    draw_metric,
+    in_strata,
+    means,
+    shares,
+)
 from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
@@ -29,7 +38,11 @@ def caption(town: Town, maps: MetricMaps) -> Caption:
         "The paper gives no date, no mask angle and no scale. Here satellites count from 5 degrees up, on "
         f"{maps.times[0][:10]} at {maps.times[0][11:16]} UTC ({sky}); their best geometry under an "
         f"open sky is a GDOP of {gdop:.1f}, and m is 1 only at a GDOP of 1, which no real sky reaches."
-        + (" The box is Manhattan's southern end only: no Midtown, no Central Park." if town is MANHATTAN else ""),
+        + (
+            " The box is Manhattan's southern end only: no Midtown, no Central Park."
+            if town is MANHATTAN
+            else ""
+        ),
     )
 
 

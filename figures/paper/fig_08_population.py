@@ -32,7 +32,12 @@ def island() -> Island:
     blocks = manhattan_blocks()
     grid = Grid.from_bounds(BOUNDS, CELL_M)
     index = burn(blocks.polygons, np.arange(len(blocks)), grid, NO_BLOCK, "int32")[0]
-    return Island(grid, np.where(index == NO_BLOCK, np.nan, map_blocks(index, block_layers(blocks).density_per_km2)))
+    return Island(
+        grid,
+        np.where(
+            index == NO_BLOCK, np.nan, map_blocks(index, block_layers(blocks).density_per_km2)
+        ),
+    )
 
 
 def draw_island(found: Island) -> Figure:
@@ -44,7 +49,9 @@ def draw_island(found: Island) -> Figure:
         panels.append(MapPanel(title, layers_above_zero(density, colours)))
     note = f"Manhattan, 2010 census blocks (US Census Bureau)  ·  {CELL_M:g} m cells  ·  {found.grid.crs}"
     legend = [("nobody, or water", EMPTY_COLOUR), ("no census", NO_DATA_COLOUR)]
-    return draw_maps(found.grid, panels, "Population density", note, legend=legend, colours=colours)[0]
+    return draw_maps(
+        found.grid, panels, "Population density", note, legend=legend, colours=colours
+    )[0]
 
 
 def norm_text(density: np.ndarray) -> str:

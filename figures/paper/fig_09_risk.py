@@ -27,7 +27,9 @@ def caption(town: Town, maps: MetricMaps) -> Caption:
         PAPER,
         f"Cells {threshold_m:g} m or more from any wall: {clear} of the free ones in "
         f"{town.title}; mean m_risk {means(maps, 'risk')}. A wall within {NEAR_M:g} m "
-        "at 20 m: " + ", ".join(f"{100 * share:.0f} % of {name}" for name, share in near.items()) + " cells.",
+        "at 20 m: "
+        + ", ".join(f"{100 * share:.0f} % of {name}" for name, share in near.items())
+        + " cells.",
         "What is drawn is m, which is 0 at a wall and 1 in the clear; the sentence that risk is one at the building "
         f"is about the cost 1 - m. The paper names no threshold (here {threshold_m:g} m) and measures from any "
         "building; here a roof below the drone is no wall (as its obstacle map has it), so houses lower than the "

@@ -12,8 +12,15 @@ from jaxurban.studies.montecarlo.trial import INVALID, WEIGHTED, Benchmark
 
 ALTITUDE_M, NUM_QUERIES, NUM_SAMPLES, SEED = 20.0, 40, 2000, 0
 PAPER = "Seven properties by which planners are judged, each with its definition. No planner is rated by them."
-FAMILIES = {"PTP": ("ptp",), "A*": ("astar-dist", "astar-plus"), "BIT*": ("bitstar-dist", "bitstar-plus")}
-STATIC, NO_DYNAMICS = "static: the maps of one moment", "none: one altitude, no speed, no turning radius"
+FAMILIES = {
+    "PTP": ("ptp",),
+    "A*": ("astar-dist", "astar-plus"),
+    "BIT*": ("bitstar-dist", "bitstar-plus"),
+}
+STATIC, NO_DYNAMICS = (
+    "static: the maps of one moment",
+    "none: one altitude, no speed, no turning radius",
+)
 NO_UNCERTAINTY = "not in the search; GPS and lidar quality enter as costs"
 CLAIMS = {  # property: its meaning, then PTP, A*, BIT*
     "Completeness": (
@@ -22,7 +29,10 @@ CLAIMS = {  # property: its meaning, then PTP, A*, BIT*
         "yes, on its grid: a path, or the proof that there is none",
         "in the limit of ever more samples; says so at once where obstacles part start and goal",
     ),
-    "Soundness": ("a path that is returned is feasible", *["yes: every cell that it crosses is free"] * 3),
+    "Soundness": (
+        "a path that is returned is feasible",
+        *["yes: every cell that it crosses is free"] * 3,
+    ),
     "Complexity": (
         "time and memory",
         "cells on the line",
@@ -37,7 +47,12 @@ CLAIMS = {  # property: its meaning, then PTP, A*, BIT*
     ),
     "Environment": ("static or dynamic", *[STATIC] * 3),
     "Uncertainty": ("of vehicle or environment", *[NO_UNCERTAINTY] * 3),
-    "Optimality": ("the best path by a given measure", "no", "the cheapest of its grid, proven", "in the limit"),
+    "Optimality": (
+        "the best path by a given measure",
+        "no",
+        "the cheapest of its grid, proven",
+        "in the limit",
+    ),
 }
 
 
@@ -50,7 +65,9 @@ def trial() -> pd.DataFrame:
     for (time, time_of_day), asked in queries.groupby(["time", "time_of_day"]):
         on = settings.cost_map(maps, ALTITUDE_M, time, time_of_day)
         for query in asked.to_dict("records"):
-            rows += solve_instance(settings, on, query, [(name, WEIGHTED) for name in PAPER_PLANNERS])
+            rows += solve_instance(
+                settings, on, query, [(name, WEIGHTED) for name in PAPER_PLANNERS]
+            )
     return joined(pd.DataFrame(rows), queries)
 
 
@@ -60,7 +77,9 @@ def measured(answers: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "answered": 100 * grouped.has_path.mean(),
-            "invalid": answers.groupby("planner").status.apply(lambda status: int((status == INVALID).sum())),
+            "invalid": answers.groupby("planner").status.apply(
+                lambda status: int((status == INVALID).sum())
+            ),
             "work": grouped.num_expanded.median(),
             "proven": 100 * grouped.status.apply(lambda status: (status == "optimal").mean()),
             "ratio": grouped.ratio.mean(),
@@ -85,14 +104,31 @@ def main() -> None:
 
     under = {
         "Completeness": [
-            row("*measured*", f"answered of {num_joined} queries that some path joins, %", "answered", ".0f")
+            row(
+                "*measured*",
+                f"answered of {num_joined} queries that some path joins, %",
+                "answered",
+                ".0f",
+            )
         ],
         "Soundness": [row("*measured*", "paths that cross an obstacle", "invalid", "d")],
-        "Complexity": [row("*measured*", "cells crossed, cells expanded, edges costed: median", "work", ",.0f")],
+        "Complexity": [
+            row("*measured*", "cells crossed, cells expanded, edges costed: median", "work", ",.0f")
+        ],
         "Optimality": [
             row("*measured*", "proven the cheapest of the planner's graph, %", "proven", ".0f"),
-            row("*measured*", "mean cost over the cheapest of the five, where answered", "ratio", ".3f"),
-            row("*measured*", "within 1 % of the cheapest of the five, % of the joined queries", "best", ".0f"),
+            row(
+                "*measured*",
+                "mean cost over the cheapest of the five, where answered",
+                "ratio",
+                ".3f",
+            ),
+            row(
+                "*measured*",
+                "within 1 % of the cheapest of the five, % of the joined queries",
+                "best",
+                ".0f",
+            ),
         ],
     }
     rows = []

@@ -28,11 +28,11 @@ def measured(town: Town) -> dict[str, str]:
     people = "no census"
     if over:
         densities = ", ".join(
-            f"{np.mean(density, dtype=float):,.0f} per km² by {time}" for time, density in over.items()
+            f"{np.mean(density, dtype=float):,.0f} per km² by {time}"
+            for time, density in over.items()
         )
-        people = (
-            f"{percent(maps.m('density', time_of_day='night') > 0)} lie over blocks with people; on average {densities}"
-        )
+        share = percent(maps.m("density", time_of_day="night") > 0)
+        people = f"{share} lie over blocks with people; on average {densities}"
     buildings = run.record["buildings"]
     beyond = run.record["rays_leave_data_share"][f"{ALTITUDE_M:g}"]
     return {
@@ -64,10 +64,20 @@ def main() -> None:
             f"`gps`, satellites above {settings.gps.mask_deg:g}°",
             "canyon",
         ),
-        ("Sensors", "no landmark in view of the lidar", f"`lidar`, range {settings.lidar.range_m:g} m", "view"),
+        (
+            "Sensors",
+            "no landmark in view of the lidar",
+            f"`lidar`, range {settings.lidar.range_m:g} m",
+            "view",
+        ),
         ("Sensors", "faulty or drifting sensors", NOT_MAPPED, None),
         ("Weather", "cold batteries, poor visibility, ice, gusts", NOT_MAPPED, None),
-        ("Environment", "close to buildings", f"`risk`, threshold {settings.risk.threshold_m:g} m", "near"),
+        (
+            "Environment",
+            "close to buildings",
+            f"`risk`, threshold {settings.risk.threshold_m:g} m",
+            "near",
+        ),
         ("Environment", "over people", "`population`, by day and night", "people"),
         ("Environment", "unmapped areas", "partly: `has_data` and `run.json`", "unmapped"),
     )
@@ -91,4 +101,6 @@ def main() -> None:
         "noise and reflected signals are left out of `gps`, which knows geometry alone. The paper gives no number to "
         "compare with."
     )
-    save_table(table, "table_2_risks", "Table 2. Common risks of small UAS", Caption(PAPER, here, why))
+    save_table(
+        table, "table_2_risks", "Table 2. Common risks of small UAS", Caption(PAPER, here, why)
+    )

@@ -14,7 +14,9 @@ PAPER = "Five metrics of maps (GPS, lidar, obstacle, population, risk) and one o
 CHANGES = {ALTITUDE: "altitude", TIME: "time", TIME_OF_DAY: "time of day"}
 
 
-def of_map(name: str, described: str, dims: tuple[str, ...], one_means: str, cost: str) -> dict[str, str]:
+def of_map(
+    name: str, described: str, dims: tuple[str, ...], one_means: str, cost: str
+) -> dict[str, str]:
     """Return the row of a map."""
     return {
         "Metric": f"m_{name}",
@@ -30,11 +32,19 @@ def of_map(name: str, described: str, dims: tuple[str, ...], one_means: str, cos
 def main() -> None:
     obstacle = NO_METRICS["obstacle"]
     where = "where a building stands at the height of flight"
-    rows = [of_map("obstacle", where, obstacle.dims, obstacle.one_means, "none: no path may cross it")]
+    rows = [
+        of_map("obstacle", where, obstacle.dims, obstacle.one_means, "none: no path may cross it")
+    ]
     for name, metric in METRICS.items():
         cost = f"{'m' if metric.cost is high_is_bad else '1 - m'}, weight {Weights()[name]:g}"
-        first_line = importlib.import_module(f"jaxurban.metrics.{name}").__doc__.split(":", 1)[1].split(";")[0]
-        rows.append(of_map(name, first_line.strip().rstrip("."), metric.dims, metric.one_means, cost))
+        first_line = (
+            importlib.import_module(f"jaxurban.metrics.{name}")
+            .__doc__.split(":", 1)[1]
+            .split(";")[0]
+        )
+        rows.append(
+            of_map(name, first_line.strip().rstrip("."), metric.dims, metric.one_means, cost)
+        )
     rows.sort(key=lambda row: row["Metric"])
     (path,) = (name for name in Weights().to_dict() if name not in METRICS)
     rows.append(

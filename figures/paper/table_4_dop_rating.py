@@ -8,7 +8,8 @@ from jaxurban.metrics.gps import RATING_UPPER_GDOP, Rating, rating
 
 NAMES = {"gps": "GPS", "galileo": "Galileo"}
 PAPER = (
-    "Six ratings of the dilution of precision (DOP), from 1, ideal, to above 20, poor. No share of the city is given."
+    "Six ratings of the dilution of precision (DOP), from 1, ideal, to above 20, poor. "
+    "No share of the city is given."
 )
 
 
@@ -27,7 +28,10 @@ def main() -> None:
     found = {town.title: shares(town) for town in TOWNS}
     lows = ("", *(f"above {high:g} " for high in RATING_UPPER_GDOP))
     highs = (*(f"to {high:g}" for high in RATING_UPPER_GDOP), "")
-    ranges = [f"{low}{high}".replace(" to", ", to").strip().strip(",") for low, high in zip(lows, highs, strict=True)]
+    ranges = [
+        f"{low}{high}".replace(" to", ", to").strip().strip(",")
+        for low, high in zip(lows, highs, strict=True)
+    ]
     table = pd.DataFrame(
         {
             "GDOP": [*ranges, "unknown"],
@@ -58,4 +62,9 @@ def main() -> None:
         f"({', '.join(town.maps(MAP_M).times[0] for town in TOWNS)}) and satellites above 5 degrees. Under an open sky "
         f"there are in {'; in '.join(skies)}. The paper's mask is the horizon and its moment unknown."
     )
-    save_table(table, "table_4_dop_rating", "Table 4. Rating of the dilution of precision", Caption(PAPER, here, why))
+    save_table(
+        table,
+        "table_4_dop_rating",
+        "Table 4. Rating of the dilution of precision",
+        Caption(PAPER, here, why),
+    )

@@ -9,7 +9,11 @@ from figures.paper.common import Caption, manhattan_blocks, needs_island, save_t
 from jaxurban.metrics.population import Population, block_people, day_share
 from jaxurban.world.city import Blocks
 
-MOSS = {"weekday-12": 3.94, "weekend-12": 2.90, "weekday-00": 2.05}  # millions in 2010: the paper's Table 5
+MOSS = {
+    "weekday-12": 3.94,
+    "weekend-12": 2.90,
+    "weekday-00": 2.05,
+}  # millions in 2010: the paper's Table 5
 HEADS = {"weekday-12": "Working day, noon", "weekend-12": "Weekend, noon", "weekday-00": "Night"}
 PAPER = (
     "Moss and Qing's estimates for 2010, in millions: 3.94 on a working day, 2.90 on a weekend day, 2.05 at night. "
@@ -22,7 +26,10 @@ def millions(blocks: Blocks, params: Population) -> dict[str, float]:
     gammas = params.gamma_commercial, params.gamma_residential
     return {
         hour: float(
-            np.sum(block_people(blocks.night_count, blocks.zoning, day_share(hour, params), *gammas), dtype=float)
+            np.sum(
+                block_people(blocks.night_count, blocks.zoning, day_share(hour, params), *gammas),
+                dtype=float,
+            )
         )
         / 1e6
         for hour in MOSS
@@ -35,7 +42,10 @@ def main() -> None:
     params = Population()
     rule = f"factors {params.gamma_commercial:g} and {params.gamma_residential:g}"
     blocks = manhattan_blocks()
-    none, one = (millions(blocks, replace(params, gamma_commercial=each))["weekday-12"] for each in (0.0, 1.0))
+    none, one = (
+        millions(blocks, replace(params, gamma_commercial=each))["weekday-12"]
+        for each in (0.0, 1.0)
+    )
     gamma = (MOSS["weekday-12"] - none) / (one - none)  # people are linear in it
     census = millions(blocks, params)
     rows = {
@@ -47,7 +57,8 @@ def main() -> None:
     }
     table = pd.DataFrame(
         [
-            {"Millions of people": name} | {HEADS[hour]: f"{value:.2f}" for hour, value in by.items()}
+            {"Millions of people": name}
+            | {HEADS[hour]: f"{value:.2f}" for hour, value in by.items()}
             for name, by in rows.items()
         ]
     )
@@ -63,4 +74,9 @@ def main() -> None:
         f"change the day alone, so that no choice of them reaches {MOSS['weekday-00']:.2f} million at night. The "
         "weekend follows Moss and Qing by design: its share of the way from night to working day is taken from them."
     )
-    save_table(table, "table_5_people_by_time", "Table 5. People by day and night", Caption(PAPER, here, why))
+    save_table(
+        table,
+        "table_5_people_by_time",
+        "Table 5. People by day and night",
+        Caption(PAPER, here, why),
+    )

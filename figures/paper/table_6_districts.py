@@ -31,21 +31,29 @@ NEIGHBOURHOODS = {  # the paper's names
     12: "Inwood, Washington Heights",
 }
 PAPER = (
-    "Twelve districts by number, names and type: 1 to 6 commercial, 7 to 12 residential. No figure is given for any."
+    "Twelve districts by number, names and type: 1 to 6 commercial, 7 to 12 residential. "
+    "No figure is given for any."
 )
-MANHATTAN_LABEL, CENTRAL_PARK = 100, 164  # Manhattan's districts are 101 to 112 in the city's file; the park's label
+MANHATTAN_LABEL, CENTRAL_PARK = (
+    100,
+    164,
+)  # Manhattan's districts are 101 to 112 in the city's file; the park's label
 
 
 @cache
 def manhattan_land_m2() -> np.ndarray:
     """Return the land of each of Manhattan's census blocks, without water: TIGER's own figure, in the blocks' order."""
-    fields = pyogrio.read_dataframe(CENSUS["blocks"], columns=["GEOID10", "ALAND10"], read_geometry=False)
+    fields = pyogrio.read_dataframe(
+        CENSUS["blocks"], columns=["GEOID10", "ALAND10"], read_geometry=False
+    )
     return fields.set_index("GEOID10").ALAND10.loc[manhattan_blocks().block_id].to_numpy(float)
 
 
 def groups_of(blocks: Blocks) -> dict[str, np.ndarray]:
     """Return which blocks each row counts: the twelve districts, what is in none of them, all."""
-    groups = {f"{number:02d}": blocks.district == MANHATTAN_LABEL + number for number in NEIGHBOURHOODS}
+    groups = {
+        f"{number:02d}": blocks.district == MANHATTAN_LABEL + number for number in NEIGHBOURHOODS
+    }
     rest = ~np.any(list(groups.values()), axis=0)
     park = blocks.district == CENTRAL_PARK
     return groups | {"Central Park": park, "other": rest & ~park, "all": np.ones(len(blocks), bool)}
@@ -55,13 +63,22 @@ def numbers_of(blocks: Blocks, land_m2: np.ndarray) -> pd.DataFrame:
     """Return blocks, people by night and day, land in km2 and type of each group."""
     params = Population()
     gammas = params.gamma_commercial, params.gamma_residential
-    day = np.asarray(block_people(blocks.night_count, blocks.zoning, day_share("day"), *gammas), float)
+    day = np.asarray(
+        block_people(blocks.night_count, blocks.zoning, day_share("day"), *gammas), float
+    )
     rows = {}
     for name, mask in groups_of(blocks).items():
         kinds = {Zoning(kind).name.lower() for kind in blocks.zoning[mask]}
         people = blocks.night_count[mask].sum(), day[mask].sum()
-        rows[name] = (mask.sum(), *people, land_m2[mask].sum() / 1e6, kinds.pop() if len(kinds) == 1 else "")
-    return pd.DataFrame.from_dict(rows, orient="index", columns=["blocks", "night", "day", "land_km2", "type"])
+        rows[name] = (
+            mask.sum(),
+            *people,
+            land_m2[mask].sum() / 1e6,
+            kinds.pop() if len(kinds) == 1 else "",
+        )
+    return pd.DataFrame.from_dict(
+        rows, orient="index", columns=["blocks", "night", "day", "land_km2", "type"]
+    )
 
 
 def shown(found: pd.DataFrame) -> pd.DataFrame:
@@ -69,7 +86,9 @@ def shown(found: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "District": found.index,
-            "Neighbourhoods": [NEIGHBOURHOODS[int(name)] if name.isdigit() else "" for name in found.index],
+            "Neighbourhoods": [
+                NEIGHBOURHOODS[int(name)] if name.isdigit() else "" for name in found.index
+            ],
             "Type": found["type"],
             "Blocks": found.blocks.map("{:,}".format),
             "People at night": found.night.map("{:,.0f}".format),

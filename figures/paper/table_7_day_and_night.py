@@ -26,8 +26,15 @@ PAPER = (
     "the day is the night times 0.5 and times 3.0."
 )
 TOLERANCE = 0.005  # how near the residential figures must come to the paper's
-BOROUGHS = {2: "005", 3: "047", 4: "081"}  # Bronx, Brooklyn, Queens: a label's first digit, the census' county
-SHIFTS_M = ((-1000.0, 0.0, 1000.0), (0.0, 1000.0, 2000.0))  # east, north: a box centred in Manhattan lies further north
+BOROUGHS = {
+    2: "005",
+    3: "047",
+    4: "081",
+}  # Bronx, Brooklyn, Queens: a label's first digit, the census' county
+SHIFTS_M = (
+    (-1000.0, 0.0, 1000.0),
+    (0.0, 1000.0, 2000.0),
+)  # east, north: a box centred in Manhattan lies further north
 
 
 def neighbours_millions() -> dict[str, tuple[float, float]]:
@@ -45,7 +52,10 @@ def neighbours_millions() -> dict[str, tuple[float, float]]:
         is_there = labels // 100 == borough
         per_m2[is_there] = by_county[county] / shapely.area(polygons[is_there]).sum()
     x_min, y_min, x_max, y_max = region_grid().bounds_m
-    boxes = [shapely.box(x_min + x, y_min + y, x_max + x, y_max + y) for x, y in itertools.product(*SHIFTS_M)]
+    boxes = [
+        shapely.box(x_min + x, y_min + y, x_max + x, y_max + y)
+        for x, y in itertools.product(*SHIFTS_M)
+    ]
     millions = [per_m2 * shapely.area(shapely.intersection(polygons, box)) / 1e6 for box in boxes]
     found = {}
     for name, numbers in (("1 to 6", range(1, 7)), ("7 to 12", range(7, 13))):
@@ -61,9 +71,15 @@ def check_residential(totals: dict[str, dict[str, float]]) -> None:
     """
     night, day = (totals[time]["residential"] / 1e6 for time in ("night", "day"))
     printed = PAPER_MILLIONS["night"][0]
-    assert abs(night / printed - 1) < TOLERANCE, f"residential at night: {night:.4f} million, the paper {printed}"
-    assert abs(day / (printed / 2) - 1) < TOLERANCE, f"residential by day: {day:.4f} million, the paper {printed / 2}"
-    assert (round(night, 2), round(day, 2)) == tuple(PAPER_MILLIONS[time][0] for time in ("night", "day"))
+    assert abs(night / printed - 1) < TOLERANCE, (
+        f"residential at night: {night:.4f} million, the paper {printed}"
+    )
+    assert abs(day / (printed / 2) - 1) < TOLERANCE, (
+        f"residential by day: {day:.4f} million, the paper {printed / 2}"
+    )
+    assert (round(night, 2), round(day, 2)) == tuple(
+        PAPER_MILLIONS[time][0] for time in ("night", "day")
+    )
 
 
 def main() -> None:
@@ -71,17 +87,27 @@ def main() -> None:
         return
     totals = population_totals(manhattan_blocks())
     rows = [
-        dict(zip(HEADS, (f"the paper, {time}", f"{res:.2f}", f"{com:.2f}", "", f"{res + com:.2f}"), strict=True))
+        dict(
+            zip(
+                HEADS,
+                (f"the paper, {time}", f"{res:.2f}", f"{com:.2f}", "", f"{res + com:.2f}"),
+                strict=True,
+            )
+        )
         for time, (res, com) in PAPER_MILLIONS.items()
     ]
     for time, people in totals.items():
-        counts = [f"{people[kind] / 1e6:.3f}" for kind in ("residential", "commercial", "other", "total")]
+        counts = [
+            f"{people[kind] / 1e6:.3f}" for kind in ("residential", "commercial", "other", "total")
+        ]
         rows.append(dict(zip(HEADS, (f"Manhattan, 2010 census, {time}", *counts), strict=True)))
     check_residential(totals)
     night, day = totals["night"], totals["day"]
     (paper_res, paper_com), paper_day = PAPER_MILLIONS["night"], PAPER_MILLIONS["day"][1]
     gamma, missing = Population().gamma_commercial, paper_com - night["commercial"] / 1e6
-    assert abs(gamma * paper_com - paper_day) < 1e-9, "the paper's day is no longer its night times the factor"
+    assert abs(gamma * paper_com - paper_day) < 1e-9, (
+        "the paper's day is no longer its night times the factor"
+    )
     near, moss = neighbours_millions(), MOSS["weekday-00"]
     here = (
         f"The residential districts agree: {night['residential']:,.0f} at night, half of them by day, within "

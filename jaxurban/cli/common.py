@@ -29,7 +29,9 @@ class Numbers(click.ParamType):
     def __init__(self, name: str, example: str, count: int = 0) -> None:
         self.name, self.example, self.count = name, example, count
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, ...]:
         """Return the numbers of ``value``."""
         if isinstance(value, tuple):
             return value
@@ -48,7 +50,9 @@ class NamedPath(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path of ``value``."""
         if value == "":
-            self.fail("the name is empty: name a file or a folder (. is the current one)", param, ctx)
+            self.fail(
+                "the name is empty: name a file or a folder (. is the current one)", param, ctx
+            )
         return super().convert(value, param, ctx)
 
 
@@ -106,7 +110,10 @@ DEVICE_CHOICE = partial(
 )
 DEVICE = DEVICE_CHOICE(callback=lambda ctx, param, name: use_device(name), expose_value=False)
 RESOLUTION = click.option(
-    "--resolution", "resolution_m", type=float, help="Cell size of the maps in metres; needed where DIR holds several."
+    "--resolution",
+    "resolution_m",
+    type=float,
+    help="Cell size of the maps in metres; needed where DIR holds several.",
 )
 OBSTACLES = click.option(
     "--obstacles",
@@ -116,10 +123,15 @@ OBSTACLES = click.option(
 )
 CONSTRAINTS = together(  # which `given_constraints` takes
     click.option(
-        "--no-fly", type=PATH, multiple=True, help="File of polygons that no path enters (GeoJSON, KML); repeatable."
+        "--no-fly",
+        type=PATH,
+        multiple=True,
+        help="File of polygons that no path enters (GeoJSON, KML); repeatable.",
     ),
     click.option(
-        "--require", multiple=True, help="Bound that every cell of a path must keep, such as gps>=0.3; repeatable."
+        "--require",
+        multiple=True,
+        help="Bound that every cell of a path must keep, such as gps>=0.3; repeatable.",
     ),
     click.option(
         "--clearance",
@@ -153,13 +165,18 @@ RULES = together(  # what `given_rules` takes, and which maps
     COST_MODEL,
     OBSTACLES,
     click.option(
-        "--weights", "weights_text", default="", help="Weights such as gps=1,risk=2; others keep their values."
+        "--weights",
+        "weights_text",
+        default="",
+        help="Weights such as gps=1,risk=2; others keep their values.",
     ),
     CONSTRAINTS,
 )
 ROUTE = together(  # a route over maps, under costs
     click.argument("folder", metavar="DIR", type=PATH),
-    click.option("--start", type=LONLAT, required=True, help="Start: longitude,latitude in degrees."),
+    click.option(
+        "--start", type=LONLAT, required=True, help="Start: longitude,latitude in degrees."
+    ),
     click.option("--goal", type=LONLAT, required=True, help="Goal: longitude,latitude in degrees."),
     click.option(
         "--altitude",
@@ -168,7 +185,10 @@ ROUTE = together(  # a route over maps, under costs
         required=True,
         help="Altitude in metres above ground, within the maps' range.",
     ),
-    click.option("--time-of-day", help="Time of day of the population map, such as night.  [default: the first]"),
+    click.option(
+        "--time-of-day",
+        help="Time of day of the population map, such as night.  [default: the first]",
+    ),
     click.option("--time", help="Time of the GPS map, UTC.  [default: the first]"),
     RULES,
     click.option(
@@ -182,14 +202,20 @@ ROUTE = together(  # a route over maps, under costs
     ),
 )
 WORKERS = together(  # what `given_workers` takes
-    click.option("--workers", type=click.IntRange(min=1), help="Number of processes (Dask).  [default: all cores]"),
+    click.option(
+        "--workers",
+        type=click.IntRange(min=1),
+        help="Number of processes (Dask).  [default: all cores]",
+    ),
     click.option(
         "--cluster",
         metavar="ADDRESS",
         help="Address of a Dask scheduler whose workers to use, such as tcp://host:8786.",
     ),
 )
-JSON_FLAG = click.option("--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout.")
+JSON_FLAG = click.option(
+    "--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout."
+)
 
 
 def names_in(text: str) -> tuple[str, ...]:
@@ -206,7 +232,9 @@ def given_constraints(options: Settings) -> "Constraints":
     from jaxurban.paths.constraints import Constraints
     from jaxurban.settings import CLEARANCES
 
-    return Constraints.read(options["no_fly"], options["require"], **{name: options[name] for name in CLEARANCES})
+    return Constraints.read(
+        options["no_fly"], options["require"], **{name: options[name] for name in CLEARANCES}
+    )
 
 
 def given_rules(options: Settings) -> Settings:
@@ -228,7 +256,9 @@ def given_workers(options: Settings) -> int | str | None:
       InputError: both.
     """
     if options["workers"] is not None and options["cluster"] is not None:
-        raise InputError("give either --workers, for processes of this machine, or --cluster, not both")
+        raise InputError(
+            "give either --workers, for processes of this machine, or --cluster, not both"
+        )
     return options["workers"] or options["cluster"]
 
 
@@ -268,7 +298,9 @@ def logged_on_stderr() -> Iterator[None]:
         LOG.setLevel(level)
 
 
-def run_study(command: str, output: Path, study: Callable[[Report], StudyResult], overwrite: bool) -> StudyResult:
+def run_study(
+    command: str, output: Path, study: Callable[[Report], StudyResult], overwrite: bool
+) -> StudyResult:
     """Return what a study gives its progress to and finds, written to a folder that is checked before it runs.
 
     Args:
@@ -286,7 +318,10 @@ def run_study(command: str, output: Path, study: Callable[[Report], StudyResult]
         report("report")
         result.save(output, overwrite)
     figures = output / "figures"
-    LOG.info(f"{command} finished: read {output / REPORT_FILE}" + f", look at {figures}" * figures.is_dir())
+    LOG.info(
+        f"{command} finished: read {output / REPORT_FILE}"
+        + f", look at {figures}" * figures.is_dir()
+    )
     return result
 
 

@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxurban.cli.common import DEVICE, JSON_FLAG, OBSTACLES, PATH, RESOLUTION, Numbers, print_json, run_study
+from jaxurban.cli.common import (
+    DEVICE,
+    JSON_FLAG,
+    OBSTACLES,
+    PATH,
+    RESOLUTION,
+    Numbers,
+    print_json,
+    run_study,
+)
 
 if TYPE_CHECKING:
     from jaxurban.studies.receiver.agreement import SatelliteAgreement
@@ -19,7 +28,11 @@ if TYPE_CHECKING:
 @RESOLUTION
 @OBSTACLES
 @click.option(
-    "--tolerance", type=float, default=1e-6, show_default=True, help="Values that differ by no more count as equal."
+    "--tolerance",
+    type=float,
+    default=1e-6,
+    show_default=True,
+    help="Values that differ by no more count as equal.",
 )
 @click.option(
     "--routes",
@@ -28,7 +41,9 @@ if TYPE_CHECKING:
     show_default=True,
     help="Pairs of places at each altitude whose route on one map is judged on the other.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of these places.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of these places."
+)
 @click.option("--overwrite", is_flag=True, help="Replace another comparison in the output folder.")
 @DEVICE
 @JSON_FLAG
@@ -40,12 +55,21 @@ def compare(folder_a: Path, folder_b: Path, output: Path, **options: Any) -> int
 
     study = partial(
         compare_maps,
-        *(MapsFolder(folder, options["resolution_m"], options["obstacles"]) for folder in (folder_a, folder_b)),
+        *(
+            MapsFolder(folder, options["resolution_m"], options["obstacles"])
+            for folder in (folder_a, folder_b)
+        ),
         **{name: options[name] for name in ("tolerance", "routes", "seed")},
     )
-    result = run_study("compare", output, lambda report: study(progress=report), options["overwrite"])
+    result = run_study(
+        "compare", output, lambda report: study(progress=report), options["overwrite"]
+    )
     if options["as_json"]:
-        facts = {"left_out": dict(result.left_out), "settings": result.settings, "layers": records_of(result.table)}
+        facts = {
+            "left_out": dict(result.left_out),
+            "settings": result.settings,
+            "layers": records_of(result.table),
+        }
         facts["regrets"] = records_of(result.regrets)
         print_json({"folder": str(output), "report": str(output / "report.md"), **facts})
     return 0
@@ -59,7 +83,9 @@ class Known(click.ParamType):
 
     name = "known"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str | float:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> str | float:
         """Return metres as a number, all else as it is."""
         try:
             return float(value)
@@ -72,7 +98,9 @@ class Letters(click.ParamType):
 
     name = "letters"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, ...]:
         """Return the letters."""
         return value if isinstance(value, tuple) else tuple(filter(None, str(value).split(",")))
 
@@ -81,12 +109,32 @@ class Letters(click.ParamType):
 @click.argument("scenario_file", metavar="SCENARIO", type=PATH)
 @click.argument("log_file", metavar="[LOG]", type=PATH, required=False)
 @click.option("-o", "output", type=PATH, required=True, help="Output folder.")
-@click.option("--navigation", type=PATH, help="Broadcast orbits in RINEX 3; LOG is then a file of observations.")
+@click.option(
+    "--navigation",
+    type=PATH,
+    help="Broadcast orbits in RINEX 3; LOG is then a file of observations.",
+)
 @click.option("--reference", type=PATH, help="Table of the antenna's places, for a log in RINEX.")
-@click.option("--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a setting of SCENARIO; repeatable.")
-@NUMBER("--antenna-height", "antenna_height_m", default=2.0, help="Height of the antenna above the ground, metres.")
+@click.option(
+    "--set",
+    "changes",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Change a setting of SCENARIO; repeatable.",
+)
+@NUMBER(
+    "--antenna-height",
+    "antenna_height_m",
+    default=2.0,
+    help="Height of the antenna above the ground, metres.",
+)
 @NUMBER("--sky-step", "sky_step_s", default=30.0, help="Seconds for which one sky is used.")
-@NUMBER("--piece", "piece_m", default=25.0, help="Length of the pieces of track whose medians are compared, metres.")
+@NUMBER(
+    "--piece",
+    "piece_m",
+    default=25.0,
+    help="Length of the pieces of track whose medians are compared, metres.",
+)
 @click.option(
     "--pieces",
     "other_pieces_m",
@@ -96,10 +144,16 @@ class Letters(click.ParamType):
     help="Further lengths of pieces to report, metres.",
 )
 @NUMBER(
-    "--block", "block_m", default=200.0, help="Length of the blocks of track within which ranks are compared, metres."
+    "--block",
+    "block_m",
+    default=200.0,
+    help="Length of the blocks of track within which ranks are compared, metres.",
 )
 @NUMBER(
-    "--sky-block", "sky_block_m", default=50.0, help="Length of the blocks that satellites' intervals draw, metres."
+    "--sky-block",
+    "sky_block_m",
+    default=50.0,
+    help="Length of the blocks that satellites' intervals draw, metres.",
 )
 @click.option(
     "--known",
@@ -109,7 +163,12 @@ class Letters(click.ParamType):
     metavar="city|all|M|FILE",
     help="Where buildings are known: what their file covers, everywhere, so many metres around the track, or polygons.",
 )
-@click.option("--systems", type=Letters(), default="", help="Letters of the satellite systems to take, as G,E.")
+@click.option(
+    "--systems",
+    type=Letters(),
+    default="",
+    help="Letters of the satellite systems to take, as G,E.",
+)
 @click.option(
     "--displaced",
     "num_displaced",
@@ -119,12 +178,22 @@ class Letters(click.ParamType):
     help="Displaced cities that satellites are set against.",
 )
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of displacements and draws."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Seed of displacements and draws.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace another validation in the output folder.")
 @DEVICE
 @JSON_FLAG
-def validate(scenario_file: Path, log_file: Path | None, output: Path, changes: tuple[str, ...], **options: Any) -> int:
+def validate(
+    scenario_file: Path,
+    log_file: Path | None,
+    output: Path,
+    changes: tuple[str, ...],
+    **options: Any,
+) -> int:
     """Compare the log of a receiver (LOG, .csv or .parquet) with maps of SCENARIO made at its times and its height.
 
     LOG has the columns utc, lon_deg, lat_deg, and with a row a satellite satellite and cn0_dbhz (azimuth_deg and
@@ -138,10 +207,16 @@ def validate(scenario_file: Path, log_file: Path | None, output: Path, changes: 
     from jaxurban.studies.receiver.prediction import ReceiverSettings
     from jaxurban.studies.receiver.validate import validate as validate_log
 
-    settings = ReceiverSettings(**{name: options[name] for name in ReceiverSettings.__dataclass_fields__})
+    settings = ReceiverSettings(
+        **{name: options[name] for name in ReceiverSettings.__dataclass_fields__}
+    )
     files = {name: options[name] for name in ("navigation", "reference")}
-    study = partial(validate_log, Scenario.from_toml(scenario_file, changes), log_file, settings, **files)
-    result = run_study("validate", output, lambda report: study(progress=report), options["overwrite"])
+    study = partial(
+        validate_log, Scenario.from_toml(scenario_file, changes), log_file, settings, **files
+    )
+    result = run_study(
+        "validate", output, lambda report: study(progress=report), options["overwrite"]
+    )
     if options["as_json"]:
         (summary,) = records_of(pd.DataFrame([result.summary]))
         facts: dict[str, Any] = {
@@ -161,6 +236,11 @@ def _satellite_facts(of: "SatelliteAgreement") -> dict[str, Any]:
 
     null = of.displaced[["auc", "within"]]
     (median, most) = records_of(null.agg(["median", "max"]))
-    facts = {"verdict": of.verdict, "strong_dbhz": of.strong_dbhz, "peak": of.peak, "counts": of.counts}
+    facts = {
+        "verdict": of.verdict,
+        "strong_dbhz": of.strong_dbhz,
+        "peak": of.peak,
+        "counts": of.counts,
+    }
     tables = {"scores": records_of(of.scores), "rivals": records_of(of.rivals)}
     return {**facts, **tables, "displaced": {"median": median, "most": most}}

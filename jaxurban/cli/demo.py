@@ -9,7 +9,10 @@ from jaxurban.progress import LOG, reporting
 
 CITY = "sample:lower-manhattan"
 RESOLUTION_M = 5.0
-ENDS = (-74.0172, 40.7130), (-73.9815, 40.7265)  # of the paths, degrees: Battery Park City, East Village
+ENDS = (
+    (-74.0172, 40.7130),
+    (-73.9815, 40.7265),
+)  # of the paths, degrees: Battery Park City, East Village
 BUDGET_S = 2.0  # what the sampling planners use up; the others need less
 SNAP_M = 500.0  # the ends may lie in a building
 DAY_UP_TO_M = 60.0  # night above, as in the paper's figures
@@ -19,7 +22,9 @@ COLUMNS = "altitude_m", "settings.time_of_day", "planner", "status", "cost", "le
 
 @click.command()
 @click.option("-o", "folder", type=PATH, default=Path("out/demo"), show_default=True)
-@click.option("--overwrite", is_flag=True, help="Replace maps of other settings in the output folder.")
+@click.option(
+    "--overwrite", is_flag=True, help="Replace maps of other settings in the output folder."
+)
 @DEVICE
 @JSON_FLAG
 def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
@@ -34,10 +39,14 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
     from jaxurban.report.figures import save_figures
     from jaxurban.report.write import save
 
-    scenario = Scenario.from_dict({"region": {"resolution_m": RESOLUTION_M}, "buildings": {"source": CITY}})
+    scenario = Scenario.from_dict(
+        {"region": {"resolution_m": RESOLUTION_M}, "buildings": {"source": CITY}}
+    )
     Workspace.check(folder, "demo", (SCENARIO_FILE, TABLE_FILE), is_shared=True)
     with reporting("demo") as report:
-        maps = run_scenario(scenario, folder, progress=report, overwrite=overwrite).maps[RESOLUTION_M]
+        maps = run_scenario(scenario, folder, progress=report, overwrite=overwrite).maps[
+            RESOLUTION_M
+        ]
         report("paths")
         start, goal = ENDS
         paths = [
@@ -61,11 +70,24 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
             save(folder, {SCENARIO_FILE: scenario.to_toml(), TABLE_FILE: table})
             for path in paths:
                 if path.status.has_path:
-                    path.save(folder / PATHS_FOLDER / f"{path.search.planner}_{path.altitude_m:g}m.geojson")
+                    path.save(
+                        folder
+                        / PATHS_FOLDER
+                        / f"{path.search.planner}_{path.altitude_m:g}m.geojson"
+                    )
             report("figures")
             figures = save_figures(maps, paths, folder / "figures")
-    LOG.info(f"demo finished: look at {folder / 'figures'}, the paths are in {folder / PATHS_FOLDER}")
+    LOG.info(
+        f"demo finished: look at {folder / 'figures'}, the paths are in {folder / PATHS_FOLDER}"
+    )
     if as_json:
         drawn = [str(figure) for figure in figures]
-        print_json({"folder": str(folder), "record": str(folder / RUN_FILE), "figures": drawn, "paths": facts})
+        print_json(
+            {
+                "folder": str(folder),
+                "record": str(folder / RUN_FILE),
+                "figures": drawn,
+                "paths": facts,
+            }
+        )
     return 0

@@ -13,10 +13,15 @@ from jaxurban.progress import LOG
 
 @click.command()
 @click.option(
-    "--bounds", type=Numbers("W,S,E,N", "west, south, east, north", 4), required=True, help="Region in degrees."
+    "--bounds",
+    type=Numbers("W,S,E,N", "west, south, east, north", 4),
+    required=True,
+    help="Region in degrees.",
 )
 @click.option("-o", "folder", type=PATH, required=True, help="Folder for the files.")
-@click.option("--what", default="osm,census,districts,orbits", show_default=True, help="What to fetch.")
+@click.option(
+    "--what", default="osm,census,districts,orbits", show_default=True, help="What to fetch."
+)
 @click.option(
     "--date",
     "day",
@@ -38,9 +43,17 @@ from jaxurban.progress import LOG
     multiple=True,
     help="Fetch one of --what from another place, such as an OSM extract (.osm.pbf); repeatable.",
 )
-@click.option("--max-size", default="500MB", show_default=True, help="Largest file accepted (units of 1,024).")
-@click.option("--overwrite", is_flag=True, help="Move existing files to the folder `kept` and fetch them again.")
-@click.option("--dry-run", "is_dry_run", is_flag=True, help="List the requests without making them.")
+@click.option(
+    "--max-size", default="500MB", show_default=True, help="Largest file accepted (units of 1,024)."
+)
+@click.option(
+    "--overwrite",
+    is_flag=True,
+    help="Move existing files to the folder `kept` and fetch them again.",
+)
+@click.option(
+    "--dry-run", "is_dry_run", is_flag=True, help="List the requests without making them."
+)
 @JSON_FLAG
 def fetch(
     bounds: tuple[float, ...],
@@ -60,12 +73,16 @@ def fetch(
     from jaxurban.maps.memory import parse_bytes
 
     if bad := [text for text in places if "=" not in text]:
-        raise InputError(f"--source must be NAME=URL, such as osm=https://a.mirror/town.osm.pbf, got {bad[0]!r}")
+        raise InputError(
+            f"--source must be NAME=URL, such as osm=https://a.mirror/town.osm.pbf, got {bad[0]!r}"
+        )
     urls = {name.strip(): url.strip() for name, _, url in (text.partition("=") for text in places)}
     job = FetchJob(bounds, names_in(what), day and day.date(), urls, margin_m)
     most_bytes = parse_bytes(max_size, "--max-size")
     if is_dry_run:
-        record: dict[str, Any] = {"requests": [{"source": each.name, "url": each.url} for each in job.requests()]}
+        record: dict[str, Any] = {
+            "requests": [{"source": each.name, "url": each.url} for each in job.requests()]
+        }
         if not as_json:
             print("\n".join(f"{each['source']}: {each['url']}" for each in record["requests"]))
     else:
@@ -75,7 +92,9 @@ def fetch(
         if "osm" in job.what:
             LOG.info(f"fetched into {folder}: run `jaxurban maps {folder / SCENARIO_FILE} -o OUT`")
         else:
-            LOG.info(f"fetched into {folder}; no scenario is written without osm, as maps need buildings")
+            LOG.info(
+                f"fetched into {folder}; no scenario is written without osm, as maps need buildings"
+            )
     if as_json:
         print_json(record)
     return 0

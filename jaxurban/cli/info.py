@@ -32,7 +32,11 @@ def _of_maps(folder: Path) -> dict[str, Any]:
     resolutions_m: list[Any] = sorted(stored_resolutions(folder)) or [None]
     for resolution_m in resolutions_m:
         maps = open_maps(folder, resolution_m)
-        known = {"bounds": _bounds_of(maps.grid), **maps.facts, "guesses": ", ".join(maps.guesses) or "none"}
+        known = {
+            "bounds": _bounds_of(maps.grid),
+            **maps.facts,
+            "guesses": ", ".join(maps.guesses) or "none",
+        }
         prefix = f"{short_number(resolution_m)} m: " if len(resolutions_m) > 1 else ""
         facts |= {f"{prefix}{name}": value for name, value in known.items() if value}
     return facts
@@ -41,7 +45,9 @@ def _of_maps(folder: Path) -> dict[str, Any]:
 def _bounds_of(grid: Any) -> list[float]:
     from jaxurban.world.grid import WGS84, transformer
 
-    return [round(value, 6) for value in transformer(grid.crs, WGS84).transform_bounds(*grid.bounds_m)]
+    return [
+        round(value, 6) for value in transformer(grid.crs, WGS84).transform_bounds(*grid.bounds_m)
+    ]
 
 
 def _of_file(file: Path) -> dict[str, Any]:
@@ -56,7 +62,11 @@ def _of_file(file: Path) -> dict[str, Any]:
     if file.suffix.lower() in RASTER_SUFFIXES:
         raster = read_raster(file, WGS84)
         num_rows, num_cols = raster.values.shape
-        return facts | {"CRS": raster.crs, "cells": f"{num_rows:,} x {num_cols:,}", **_range_of(raster.values)}
+        return facts | {
+            "CRS": raster.crs,
+            "cells": f"{num_rows:,} x {num_cols:,}",
+            **_range_of(raster.values),
+        }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         city = City.from_files(Buildings(file, allow_none=True))
@@ -64,7 +74,9 @@ def _of_file(file: Path) -> dict[str, Any]:
     if city.buildings is not None and len(city.buildings):
         for origin in HeightOrigin:
             if num := int((city.buildings.origin == origin).sum()):
-                facts[f"heights by {origin.name.lower()}"] = f"{num:,} ({num / len(city.buildings):.1%})"
+                facts[f"heights by {origin.name.lower()}"] = (
+                    f"{num:,} ({num / len(city.buildings):.1%})"
+                )
     return facts
 
 
@@ -74,4 +86,7 @@ def _range_of(values: Any) -> dict[str, str]:
     known = values[np.isfinite(values)]
     if not known.size:
         return {"values": "none"}
-    return {"values": f"{known.min():g} to {known.max():g} m", "without a value": f"{1 - known.size / values.size:.1%}"}
+    return {
+        "values": f"{known.min():g} to {known.max():g} m",
+        "without a value": f"{1 - known.size / values.size:.1%}",
+    }

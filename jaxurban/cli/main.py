@@ -33,7 +33,9 @@ from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.progress import LOG, interrupted
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
-NO_MEMORY = "memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes"
+NO_MEMORY = (
+    "memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes"
+)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -42,7 +44,21 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-COMMANDS = (compare, demo, fetch, info, maps, plan, score, sensitivity, sensitivity_study, study, tune, validate, view)
+COMMANDS = (
+    compare,
+    demo,
+    fetch,
+    info,
+    maps,
+    plan,
+    score,
+    sensitivity,
+    sensitivity_study,
+    study,
+    tune,
+    validate,
+    view,
+)
 for command in COMMANDS:
     app.add_command(command)
 
@@ -57,11 +73,19 @@ def _set_up_libraries() -> None:
     gc.set_threshold(10_000, 10, 10)
     atexit.register(gc.freeze)
     os.environ["MPLBACKEND"] = "agg"  # pictures go to files, whatever is set for windows
-    os.environ.setdefault("GDAL_CACHEMAX", "64")  # MiB; its own way takes a twentieth of the machine's
-    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # JAX's own way takes three quarters at once
+    os.environ.setdefault(
+        "GDAL_CACHEMAX", "64"
+    )  # MiB; its own way takes a twentieth of the machine's
+    os.environ.setdefault(
+        "XLA_PYTHON_CLIENT_PREALLOCATE", "false"
+    )  # JAX's own way takes three quarters at once
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-    with suppress(OSError, RuntimeError):  # without a home, or where it cannot be written, nothing is kept
-        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxurban" / "jax"
+    with suppress(
+        OSError, RuntimeError
+    ):  # without a home, or where it cannot be written, nothing is kept
+        folder = (
+            Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxurban" / "jax"
+        )
         if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
             folder.mkdir(parents=True, exist_ok=True)
             os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
@@ -110,7 +134,9 @@ def _run(arguments: Sequence[str] | None) -> int:
     except (KeyboardInterrupt, click.Abort):
         _end_interrupted()
     except Exception as error:
-        if interrupted.is_set():  # in the midst of an import, Ctrl-C comes as what the import makes of it
+        if (
+            interrupted.is_set()
+        ):  # in the midst of an import, Ctrl-C comes as what the import makes of it
             _end_interrupted()
         remedy = _remedy_in_environment(error)
         if not remedy:
@@ -130,7 +156,9 @@ def _end_interrupted() -> None:
 def _remedy_in_environment(error: Exception) -> str:
     """Return what to do where an error of a library comes from a variable of the environment, else an empty text."""
     message = str(error)
-    if "RESOURCE_EXHAUSTED" in message or "can't start new thread" in message:  # of JAX, and of Python
+    if (
+        "RESOURCE_EXHAUSTED" in message or "can't start new thread" in message
+    ):  # of JAX, and of Python
         return NO_MEMORY
     if "proj.db" in message:
         return "PROJ does not find its database proj.db: unset PROJ_DATA and PROJ_LIB, or point them to its folder"

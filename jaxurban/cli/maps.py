@@ -30,7 +30,9 @@ from jaxurban.progress import LOG, reporting
     multiple=True,
     help="Change a setting, such as gps.mask_deg=10; values as in TOML; repeatable.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace maps of other settings in the output folder.")
+@click.option(
+    "--overwrite", is_flag=True, help="Replace maps of other settings in the output folder."
+)
 @click.option("--figures", is_flag=True, help="Draw the maps too, under DIR/figures.")
 @click.option(
     "--layers",
@@ -39,7 +41,10 @@ from jaxurban.progress import LOG, reporting
     help="Write these maps as GeoTIFF too, such as hdop,num_visible,roof,terrain,density, or all.  "
     "[default: obstacles and the metrics of the cost, which are always written]",
 )
-@click.option("--memory", help="Ceiling on the memory of the whole run, such as 4GiB. [default: half of what is free]")
+@click.option(
+    "--memory",
+    help="Ceiling on the memory of the whole run, such as 4GiB. [default: half of what is free]",
+)
 @WORKERS
 @DEVICE_CHOICE()
 @click.option(
@@ -65,7 +70,9 @@ def maps(scenario_file: Path, folder: Path, changes: tuple[str, ...], **options:
     if options["workers"]:
         stay_on_cpu()
     use_device(options["device"])
-    scenario = Scenario.from_toml(scenario_file, (*changes, *([f'region.engine = "{engine}"'] if engine else [])))
+    scenario = Scenario.from_toml(
+        scenario_file, (*changes, *([f'region.engine = "{engine}"'] if engine else []))
+    )
     with reporting("maps") as report:
         run = run_scenario(
             scenario,
@@ -81,7 +88,9 @@ def maps(scenario_file: Path, folder: Path, changes: tuple[str, ...], **options:
             pictures.settings.update(made_by)
             if pictures.written and drawn != made_by:
                 pictures.remove(list(pictures.written))
-                LOG.info("the pictures of the former maps are removed; --figures draws those of these maps")
+                LOG.info(
+                    "the pictures of the former maps are removed; --figures draws those of these maps"
+                )
             if options["figures"]:
                 from jaxurban.report.figures import save_figures
 

@@ -25,27 +25,57 @@ if TYPE_CHECKING:
     from jaxurban.paths.path import PlannedPath
 
 LEAST_NAME_WIDTH = 20  # characters of the table's first column
-OF_ONE_ROUTE = ("refine", "budgets", "is_volume", "with_report", "speed_m_s", "power_w", "swath_m", "simplify_m", "end")
+OF_ONE_ROUTE = (
+    "refine",
+    "budgets",
+    "is_volume",
+    "with_report",
+    "speed_m_s",
+    "power_w",
+    "swath_m",
+    "simplify_m",
+    "end",
+)
 NOT_WHEN = (
     "--when takes -o .csv or .parquet, and no --refine, --exposure, --volume, --report, --speed, --power, --swath, "
     "--simplify or --end"
 )
-LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost", "descent_cost")  # of `Levels`
+LEVEL_OPTIONS = (
+    "min_altitude_m",
+    "max_altitude_m",
+    "level_step_m",
+    "climb_cost",
+    "descent_cost",
+)  # of `Levels`
 
 
 @click.command()
 @ROUTE
-@click.option("--planner", help="Such as ptp, astar-dist or theta-star.  [default: the scenario's, else astar-plus]")
+@click.option(
+    "--planner",
+    help="Such as ptp, astar-dist or theta-star.  [default: the scenario's, else astar-plus]",
+)
 @click.option("--heuristic", help="Lower bound of the search.  [default: the planner's own]")
 @click.option(
-    "--objective", type=click.Choice(["weighted", "distance"]), help="[default: the scenario's, else weighted]"
-)
-@click.option("--budget", "budget_s", type=float, help="Seconds of search.  [default: the scenario's, else 10]")
-@click.option(
-    "--seed", type=click.IntRange(min=0), help="Seed of sampling planners.  [default: the scenario's, else 0]"
+    "--objective",
+    type=click.Choice(["weighted", "distance"]),
+    help="[default: the scenario's, else weighted]",
 )
 @click.option(
-    "--refine", is_flag=True, help="Move the waypoints to lower cost after the search; not under --cost-model cell."
+    "--budget",
+    "budget_s",
+    type=float,
+    help="Seconds of search.  [default: the scenario's, else 10]",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    help="Seed of sampling planners.  [default: the scenario's, else 0]",
+)
+@click.option(
+    "--refine",
+    is_flag=True,
+    help="Move the waypoints to lower cost after the search; not under --cost-model cell.",
 )
 @click.option(
     "--exposure",
@@ -54,24 +84,83 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
     metavar="NAME<=NUMBER",
     help="Most of (1 / l0) x integral of the cost of NAME along the path, such as population<=120; repeatable.",
 )
-@click.option("--volume", "is_volume", is_flag=True, help="Let the path climb and descend; --altitude is the start's.")
-@click.option("--goal-altitude", "goal_altitude_m", type=float, help="With --volume, metres.  [default: --altitude]")
-@click.option("--min-altitude", "min_altitude_m", type=float, help="With --volume, metres.  [default: the lowest]")
-@click.option("--max-altitude", "max_altitude_m", type=float, help="With --volume, metres.  [default: the highest]")
-@click.option("--level-step", "level_step_m", type=float, help="With --volume: levels so many metres apart too.")
-@click.option("--climb-cost", type=float, help="With --volume: cost per metre up.  [default: the distance weight]")
-@click.option("--descent-cost", type=float, help="With --volume: cost per metre down.  [default: 0]")
-@click.option("--report", "with_report", is_flag=True, help="Report costs, people and clearance, by segment.")
-@click.option("--speed", "speed_m_s", type=float, help="Metres per second, for times.  [default: the vehicle's]")
-@click.option("--power", "power_w", type=float, help="Power in flight in watts, for energy.  [default: the vehicle's]")
 @click.option(
-    "--swath", "swath_m", type=float, help="Width in metres of the strip in which people are counted.  [default: 10]"
+    "--volume",
+    "is_volume",
+    is_flag=True,
+    help="Let the path climb and descend; --altitude is the start's.",
 )
-@click.option("--profile", type=PATH, help="Write a picture (PNG) of heights, metrics and clearance along the route.")
 @click.option(
-    "--when", "is_when", is_flag=True, help="Plan at every time of the maps; -o takes a table, --profile a strip."
+    "--goal-altitude",
+    "goal_altitude_m",
+    type=float,
+    help="With --volume, metres.  [default: --altitude]",
 )
-@click.option("-o", "files", type=PATH, multiple=True, help="File to write: .geojson, .kml, .gpx or .plan; repeatable.")
+@click.option(
+    "--min-altitude",
+    "min_altitude_m",
+    type=float,
+    help="With --volume, metres.  [default: the lowest]",
+)
+@click.option(
+    "--max-altitude",
+    "max_altitude_m",
+    type=float,
+    help="With --volume, metres.  [default: the highest]",
+)
+@click.option(
+    "--level-step",
+    "level_step_m",
+    type=float,
+    help="With --volume: levels so many metres apart too.",
+)
+@click.option(
+    "--climb-cost",
+    type=float,
+    help="With --volume: cost per metre up.  [default: the distance weight]",
+)
+@click.option(
+    "--descent-cost", type=float, help="With --volume: cost per metre down.  [default: 0]"
+)
+@click.option(
+    "--report", "with_report", is_flag=True, help="Report costs, people and clearance, by segment."
+)
+@click.option(
+    "--speed",
+    "speed_m_s",
+    type=float,
+    help="Metres per second, for times.  [default: the vehicle's]",
+)
+@click.option(
+    "--power",
+    "power_w",
+    type=float,
+    help="Power in flight in watts, for energy.  [default: the vehicle's]",
+)
+@click.option(
+    "--swath",
+    "swath_m",
+    type=float,
+    help="Width in metres of the strip in which people are counted.  [default: 10]",
+)
+@click.option(
+    "--profile",
+    type=PATH,
+    help="Write a picture (PNG) of heights, metrics and clearance along the route.",
+)
+@click.option(
+    "--when",
+    "is_when",
+    is_flag=True,
+    help="Plan at every time of the maps; -o takes a table, --profile a strip.",
+)
+@click.option(
+    "-o",
+    "files",
+    type=PATH,
+    multiple=True,
+    help="File to write: .geojson, .kml, .gpx or .plan; repeatable.",
+)
 @click.option(
     "--simplify",
     "simplify_m",
@@ -80,10 +169,16 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
     help="Keep the fewest straight legs within METRES of the path, clear of closed cells; 0 keeps every turn.  "
     "[default: half a cell in .gpx and .plan, else 0]",
 )
-@click.option("--end", type=click.Choice(["land", "return", "none"]), help="How a .plan ends.  [default: land]")
+@click.option(
+    "--end",
+    type=click.Choice(["land", "return", "none"]),
+    help="How a .plan ends.  [default: land]",
+)
 @DEVICE
 @JSON_FLAG
-def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: bool, **options: Any) -> int:
+def plan(
+    folder: Path, files: Sequence[Path], profile: Path | None, as_json: bool, **options: Any
+) -> int:
     """Plan a path over the maps in DIR."""
     from jaxurban.maps.levels import Levels
     from jaxurban.maps.metric_maps import open_maps
@@ -93,11 +188,17 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     from jaxurban.paths.plan import cost_map
     from jaxurban.paths.search import PathSearch
 
-    flight = {name: options[name] for name in ("speed_m_s", "power_w", "swath_m") if options[name] is not None}
+    flight = {
+        name: options[name]
+        for name in ("speed_m_s", "power_w", "swath_m")
+        if options[name] is not None
+    }
     is_volume, with_report = options["is_volume"], options["with_report"] or bool(flight)
     for name in () if is_volume else ("goal_altitude_m", *LEVEL_OPTIONS):
         if options[name] is not None:
-            raise click.UsageError(f"--{name.removesuffix('_m').replace('_', '-')} belongs to --volume: add that")
+            raise click.UsageError(
+                f"--{name.removesuffix('_m').replace('_', '-')} belongs to --volume: add that"
+            )
     for file in () if options["is_when"] else files:
         encoder_of(file)
     if options["end"] is not None and not any(file.suffix.lower() == MISSION for file in files):
@@ -111,9 +212,13 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
         return _when(maps, files, profile, as_json, options)
     start, goal, altitude_m = options["start"], options["goal"], options["altitude_m"]
     if is_volume:
-        goal_altitude_m = altitude_m if options["goal_altitude_m"] is None else options["goal_altitude_m"]
+        goal_altitude_m = (
+            altitude_m if options["goal_altitude_m"] is None else options["goal_altitude_m"]
+        )
         start, goal = (*start, altitude_m), (*goal, goal_altitude_m)
-        altitude_m = Levels(**{name: options[name] for name in LEVEL_OPTIONS if options[name] is not None})
+        altitude_m = Levels(
+            **{name: options[name] for name in LEVEL_OPTIONS if options[name] is not None}
+        )
     options["exposure"] = _budgets(options["budgets"])
     search = PathSearch.of(maps, is_volume, **taken_by(PathSearch.of, options))
     rules = options | given_rules(options) | {"maps": maps, "altitude_m": altitude_m}
@@ -135,9 +240,20 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
             LOG.info(sentence)
     if as_json:
         explained = {"report": report.to_dict()} if report is not None else {}
-        print_json(facts | explained | {name: getattr(planned, name).tolist() for name in ("lonlat", "xy_m", "z_m")})
+        print_json(
+            facts
+            | explained
+            | {name: getattr(planned, name).tolist() for name in ("lonlat", "xy_m", "z_m")}
+        )
     else:
-        print("\n\n".join([_path_table(facts), *([report.table()] if report is not None and with_report else [])]))
+        print(
+            "\n\n".join(
+                [
+                    _path_table(facts),
+                    *([report.table()] if report is not None and with_report else []),
+                ]
+            )
+        )
     return planned.status.exit_code
 
 
@@ -147,13 +263,21 @@ def _budgets(given: Sequence[str]) -> dict[str, float]:
     try:
         budgets = {name: float(most) for name, most in parts}
     except ValueError as error:
-        raise click.UsageError("--exposure must read NAME<=NUMBER, as in population<=120") from error
+        raise click.UsageError(
+            "--exposure must read NAME<=NUMBER, as in population<=120"
+        ) from error
     if len(budgets) < len(parts):
         raise click.UsageError("--exposure names a layer twice: give one budget for it")
     return budgets
 
 
-def _when(maps: "MetricMaps", files: Sequence[Path], profile: Path | None, as_json: bool, options: Settings) -> int:
+def _when(
+    maps: "MetricMaps",
+    files: Sequence[Path],
+    profile: Path | None,
+    as_json: bool,
+    options: Settings,
+) -> int:
     """Plan at every time of the maps, print and write the table, draw the strip, and return the exit code."""
     from jaxurban.io.tables import SUFFIXES, records_of
     from jaxurban.paths.when import when
@@ -161,9 +285,15 @@ def _when(maps: "MetricMaps", files: Sequence[Path], profile: Path | None, as_js
     from jaxurban.report.figures.when import plot_when
     from jaxurban.report.write import Output, save
 
-    if any(options[name] for name in OF_ONE_ROUTE) or any(file.suffix.lower() not in SUFFIXES for file in files):
+    if any(options[name] for name in OF_ONE_ROUTE) or any(
+        file.suffix.lower() not in SUFFIXES for file in files
+    ):
         raise click.UsageError(NOT_WHEN)
-    departures = when(maps, [(options["start"], options["goal"])], **taken_by(when, options | given_rules(options)))
+    departures = when(
+        maps,
+        [(options["start"], options["goal"])],
+        **taken_by(when, options | given_rules(options)),
+    )
     outputs: dict[Path, Output] = dict.fromkeys(files, departures.table)
     if profile is not None:
         outputs[profile] = lambda: plot_when(departures, maps)
@@ -183,28 +313,45 @@ def _when(maps: "MetricMaps", files: Sequence[Path], profile: Path | None, as_js
     return EXIT_NO_PATH if departures.best is None else 0
 
 
-def _write(file: Path, planned: "PlannedPath", on: "CostMap", report: "RouteReport | None", options: Settings) -> None:
+def _write(
+    file: Path,
+    planned: "PlannedPath",
+    on: "CostMap",
+    report: "RouteReport | None",
+    options: Settings,
+) -> None:
     """Write a path to a file, simplified where it is a file of waypoints and --simplify is left out, and say so."""
     from jaxurban.paths.export.qgc_plan import mission_note
     from jaxurban.paths.export.write import MISSION, WAYPOINTS, elevation_note, write_path
     from jaxurban.paths.path import simplify
 
     if not planned.status.has_path:
-        LOG.info(f"no path, so {file} was not written" + " (an older one is still there)" * file.exists())
+        LOG.info(
+            f"no path, so {file} was not written" + " (an older one is still there)" * file.exists()
+        )
         return
     suffix, notes = file.suffix.lower(), []
     if suffix in WAYPOINTS:
         if options["simplify_m"] is None:
             plain, planned = planned, simplify(planned, on, on.grid.resolution_m / 2)
-            notes = [f"{planned.search.note.removeprefix(plain.search.note).strip()} (--simplify 0 keeps every turn)"]
+            notes = [
+                f"{planned.search.note.removeprefix(plain.search.note).strip()} (--simplify 0 keeps every turn)"
+            ]
         is_mission = suffix == MISSION
-        notes.append(mission_note(planned, options["end"] or "land") if is_mission else elevation_note(planned))
+        notes.append(
+            mission_note(planned, options["end"] or "land")
+            if is_mission
+            else elevation_note(planned)
+        )
     write_path(planned, file, report, end=options["end"] if suffix == MISSION else None)
     LOG.info(" ".join([f"wrote {file}" + ":" * bool(notes), *notes]))
 
 
 def _path_table(facts: Settings) -> str:
-    rows = [("planner", f"{facts['planner']} ({facts['heuristic']}, {facts['backend']})"), ("status", facts["status"])]
+    rows = [
+        ("planner", f"{facts['planner']} ({facts['heuristic']}, {facts['backend']})"),
+        ("status", facts["status"]),
+    ]
     if facts["cost"] is not None:
         rows += [("cost", f"{facts['cost']:.3f}")]
         if facts["gap"]:
@@ -213,10 +360,18 @@ def _path_table(facts: Settings) -> str:
         rows += [("length", f"{facts['length_m']:.1f} m")]
         moved = [f"{name} {moved_m:.1f} m" for name, moved_m in facts["snap_distance_m"].items()]
         rows += [("moved to cells", ", ".join(moved))]
-        rows += [(f"cost of {name}", f"{value:.3f}") for name, value in facts["cost_by_layer"].items()]
-        rows += [(f"exposure to {name}", f"{value:.3f}") for name, value in facts["exposure_by_layer"].items()]
+        rows += [
+            (f"cost of {name}", f"{value:.3f}") for name, value in facts["cost_by_layer"].items()
+        ]
+        rows += [
+            (f"exposure to {name}", f"{value:.3f}")
+            for name, value in facts["exposure_by_layer"].items()
+        ]
         rows += [(f"mean m_{name}", f"{value:.3f}") for name, value in facts["metrics"].items()]
     setup = f", after {facts['setup_s']:.1f} s of compiling" if facts["setup_s"] >= 1 else ""
-    rows += [("expansions", f"{facts['num_expanded']}"), ("search time", f"{facts['elapsed_s']:.3f} s{setup}")]
+    rows += [
+        ("expansions", f"{facts['num_expanded']}"),
+        ("search time", f"{facts['elapsed_s']:.3f} s{setup}"),
+    ]
     width = max(LEAST_NAME_WIDTH, *(len(name) + 1 for name, _ in rows))
     return "\n".join([*(f"{name:<{width}}{value}" for name, value in rows), facts["message"]])

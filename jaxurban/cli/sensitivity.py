@@ -26,7 +26,10 @@ from jaxurban.progress import LOG
 
 WEIGHTS = together(  # what both commands ask of weights
     click.option(
-        "--vary", default="", metavar="NAME,...", help="Weights that vary.  [default: every metric with a weight]"
+        "--vary",
+        default="",
+        metavar="NAME,...",
+        help="Weights that vary.  [default: every metric with a weight]",
     ),
     click.option(
         "--range",
@@ -36,8 +39,18 @@ WEIGHTS = together(  # what both commands ask of weights
         show_default=True,
         help="Range of each weight, as factors of its value.",
     ),
-    click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of random numbers."),
-    click.option("--overwrite", is_flag=True, help="Replace another run of this command in the output folder."),
+    click.option(
+        "--seed",
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=True,
+        help="Seed of random numbers.",
+    ),
+    click.option(
+        "--overwrite",
+        is_flag=True,
+        help="Replace another run of this command in the output folder.",
+    ),
     DEVICE,
     JSON_FLAG,
 )
@@ -47,7 +60,12 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.command()
 @ROUTE
 @click.option(
-    "--samples", "num_samples", type=int, default=128, show_default=True, help="Sobol samples; a power of two."
+    "--samples",
+    "num_samples",
+    type=int,
+    default=128,
+    show_default=True,
+    help="Sobol samples; a power of two.",
 )
 @click.option(
     "--pareto",
@@ -64,7 +82,9 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 )
 @click.option("--buildings", is_flag=True, help="Also rank buildings by what they cost the route.")
 @click.option(
-    "--scenario", type=SCENARIO_FILE, help="Scenario of the maps, for --buildings, if its paths are relative."
+    "--scenario",
+    type=SCENARIO_FILE,
+    help="Scenario of the maps, for --buildings, if its paths are relative.",
 )
 @WEIGHTS
 @click.option("-o", "output", type=PATH, default=Path("out/sensitivity"), show_default=True)
@@ -89,7 +109,9 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
     )
     maps = open_maps(folder, options["resolution_m"], obstacles=options["obstacles"])
     at = {name: options[name] for name in ("time", "time_of_day")}
-    shared = cost_map(maps, options["altitude_m"], objective="weighted", **at, **given_rules(options))
+    shared = cost_map(
+        maps, options["altitude_m"], objective="weighted", **at, **given_rules(options)
+    )
     shared.maps.check_altitude(options["altitude_m"])  # whose map its figures show
     ends = {name: options[name] for name in ("start", "goal", "snap")}
     first = shared.plan(**ends)
@@ -101,24 +123,39 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
     if first.search.note:
         LOG.info(first.search.note)
     result = run_study(
-        "sensitivity", output, lambda report: study(shared, **ends, settings=settings, progress=report), overwrite
+        "sensitivity",
+        output,
+        lambda report: study(shared, **ends, settings=settings, progress=report),
+        overwrite,
     )
     if options["buildings"]:
         _, of_this_route = sensitivity_outputs(result)
-        with Workspace.open(output, "sensitivity", of_this_route):  # another run may have come in between
-            buildings = write_buildings(folder, first, output / "buildings", scenario=options["scenario"])
+        with Workspace.open(
+            output, "sensitivity", of_this_route
+        ):  # another run may have come in between
+            buildings = write_buildings(
+                folder, first, output / "buildings", scenario=options["scenario"]
+            )
             save(output, {REPORT_FILE: sensitivity_markdown(result, buildings)})
     if as_json:
         tables = {name: records_of(table.reset_index()) for name, table in result.tables().items()}
-        facts = {"route": result.route.to_dict(), "ranges": {name: ranges(result, name) for name in result.lines}}
-        print_json(facts | {"tables": tables, "num_plans": result.num_plans, "elapsed_s": result.elapsed_s})
+        facts = {
+            "route": result.route.to_dict(),
+            "ranges": {name: ranges(result, name) for name in result.lines},
+        }
+        print_json(
+            facts | {"tables": tables, "num_plans": result.num_plans, "elapsed_s": result.elapsed_s}
+        )
     return 0
 
 
 @click.command("sensitivity-study")
 @click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=PATH)
 @click.option(
-    "--routes", "num_routes", type=click.IntRange(min=1), help="Number of routes drawn in each DIR.  [default: 30]"
+    "--routes",
+    "num_routes",
+    type=click.IntRange(min=1),
+    help="Number of routes drawn in each DIR.  [default: 30]",
 )
 @click.option(
     "--altitudes",
@@ -126,10 +163,16 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
     type=Numbers("M,...", "numbers, as in 20,60"),
     help="Altitudes of --routes.  [default: all of the maps']",
 )
-@click.option("--queries", type=PATH, help="Table of routes to study instead of drawn ones (.csv, .parquet).")
+@click.option(
+    "--queries", type=PATH, help="Table of routes to study instead of drawn ones (.csv, .parquet)."
+)
 @RULES
 @click.option(
-    "--wrong", type=float, default=2.0, show_default=True, help="Factor by which a wrong weight is off, for its regret."
+    "--wrong",
+    type=float,
+    default=2.0,
+    show_default=True,
+    help="Factor by which a wrong weight is off, for its regret.",
 )
 @click.option(
     "--samples",
@@ -140,7 +183,10 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
     help="Sobol samples of each route; a power of two.",
 )
 @click.option(
-    "--heights", type=click.IntRange(min=0), default=0, help="Number of draws of building heights to plan again on."
+    "--heights",
+    type=click.IntRange(min=0),
+    default=0,
+    help="Number of draws of building heights to plan again on.",
 )
 @click.option(
     "--parameters",
@@ -156,7 +202,9 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
 @WORKERS
 @WEIGHTS
 @click.option("-o", "output", type=PATH, default=Path("out/sensitivity-study"), show_default=True)
-def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool, **options: Any) -> int:
+def sensitivity_study(
+    folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool, **options: Any
+) -> int:
     """Find the weights at which many routes over the maps in each DIR change."""
     from jaxurban.io.tables import read_table, records_of
     from jaxurban.paths.rows import HAS_PATH, MapsFolder
@@ -165,10 +213,16 @@ def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, over
     from jaxurban.report.run_sensitivity import sensitivity_study as study
     from jaxurban.studies.weights.routes import SensitivityStudySettings
 
-    if options["queries"] is not None and (options["num_routes"] is not None or options["altitudes_m"]):
-        raise click.UsageError("--queries names the routes: leave out --routes and --altitudes, or --queries")
+    if options["queries"] is not None and (
+        options["num_routes"] is not None or options["altitudes_m"]
+    ):
+        raise click.UsageError(
+            "--queries names the routes: leave out --routes and --altitudes, or --queries"
+        )
     scenario = options["scenario"]
-    if scenario is not None and not ((options["heights"] or options["has_parameters"]) and len(folders) == 1):
+    if scenario is not None and not (
+        (options["heights"] or options["has_parameters"]) and len(folders) == 1
+    ):
         raise click.UsageError("--scenario belongs to --heights or --parameters of one DIR")
     workers, rules = given_workers(options) or all_cores(), given_rules(options)
     weights = rules.pop("weights")
@@ -176,16 +230,23 @@ def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, over
         vary=names_in(options["vary"]),
         num_heights=options["heights"],
         **rules,
-        **{name: options[name] for name in ("factors", "wrong", "num_samples", "has_parameters", "seed")},
+        **{
+            name: options[name]
+            for name in ("factors", "wrong", "num_samples", "has_parameters", "seed")
+        },
     )
     result = study(
         [MapsFolder(folder, options["resolution_m"], options["obstacles"]) for folder in folders],
         output,
-        options["num_routes"] or 30 if options["queries"] is None else read_table(options["queries"], "queries"),
+        options["num_routes"] or 30
+        if options["queries"] is None
+        else read_table(options["queries"], "queries"),
         altitudes_m=options["altitudes_m"],
         weights=weights,
         settings=settings,
-        scenarios=None if scenario is None else {folders[0].resolve().name: scenario_of(folders[0], scenario)},
+        scenarios=None
+        if scenario is None
+        else {folders[0].resolve().name: scenario_of(folders[0], scenario)},
         workers=workers,
         overwrite=overwrite,
     )
@@ -197,9 +258,15 @@ def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, over
         if needed > 0:
             remedy = f"about {needed:.0f} samples (--samples {needed:.0f}) should resolve them"
             LOG.warning(f"warning: some Sobol shares are not resolved: {remedy}")
-    LOG.info(f"study of sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
+    LOG.info(
+        f"study of sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}"
+    )
     if as_json:
-        kept = {name: records_of(table) for name, table in result.tables.items() if name.endswith("summary")}
+        kept = {
+            name: records_of(table)
+            for name, table in result.tables.items()
+            if name.endswith("summary")
+        }
         statuses = result.rows.status.value_counts().to_dict()
         print_json({"folder": str(output), "statuses": statuses, "tables": kept})
     return 0 if has_route else EXIT_NO_PATH

@@ -23,16 +23,31 @@ from jaxurban.progress import LOG, reporting
 @click.command()
 @click.argument("scenario_file", metavar="SCENARIO", type=PATH)
 @click.option("-o", "folder", type=PATH, required=True, help="Folder of the maps and the study.")
-@click.option("--instances", "instances_file", type=PATH, help="File of queries to plan (.parquet, .csv).")
 @click.option(
-    "--resolution", "resolution_m", type=float, help="Cell size of the maps in metres.  [default: the scenario's first]"
+    "--instances", "instances_file", type=PATH, help="File of queries to plan (.parquet, .csv)."
 )
-@click.option("--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a setting of SCENARIO; repeatable.")
+@click.option(
+    "--resolution",
+    "resolution_m",
+    type=float,
+    help="Cell size of the maps in metres.  [default: the scenario's first]",
+)
+@click.option(
+    "--set",
+    "changes",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Change a setting of SCENARIO; repeatable.",
+)
 @PRESET
 @CONSTRAINTS
 @WORKERS
 @click.option("--benchmark", "benchmark_folder", type=PATH, help="Folder for a public benchmark.")
-@click.option("--overwrite", is_flag=True, help="Replace maps or a study of other settings in the output folder.")
+@click.option(
+    "--overwrite",
+    is_flag=True,
+    help="Replace maps or a study of other settings in the output folder.",
+)
 @DEVICE
 @JSON_FLAG
 def study(
@@ -77,7 +92,9 @@ def study(
     source = MapsFolder(folder, options["resolution_m"] or scenario.region.resolution_m[0])
     if instances is None:
         sampled = {name: getattr(settings, name) for name in ("altitudes_m", "weights", "seed")}
-        instances = sample_instances(source.open(), settings.instances, cover=cover, **sampled, **rules)
+        instances = sample_instances(
+            source.open(), settings.instances, cover=cover, **sampled, **rules
+        )
     result = run_study(
         source,
         folder / "study",
@@ -97,7 +114,12 @@ def study(
     facts |= {"num_rows": len(result.rows), "statuses": result.rows.status.value_counts().to_dict()}
     if benchmark_folder is not None:
         counts = export_benchmark(
-            result.maps, result.instances, result.rows, benchmark_folder, result.settings, scenario_file.stem
+            result.maps,
+            result.instances,
+            result.rows,
+            benchmark_folder,
+            result.settings,
+            scenario_file.stem,
         )
         LOG.info(
             f"benchmark of {counts['shortest']} shortest and {counts['weighted']} weighted problems: {benchmark_folder}"

@@ -24,7 +24,9 @@ from jaxurban.progress import LOG
 @click.argument("words", metavar="DIR [ROUTES]...", type=PATH, nargs=-1, required=True)
 @click.option("-o", "out", type=PATH, required=True, help="Output folder.")
 @click.option(
-    "--sample", type=click.IntRange(min=1), help="Number of queries to draw in each city instead of reading ROUTES."
+    "--sample",
+    type=click.IntRange(min=1),
+    help="Number of queries to draw in each city instead of reading ROUTES.",
 )
 @click.option(
     "--pilot",
@@ -35,18 +37,36 @@ from jaxurban.progress import LOG
     help="Planner of a study whose routes to take.  [default: the one that most often proved them the cheapest]",
 )
 @click.option(
-    "--hold-out", type=float, help="Share of the routes that is kept from the fits, to test them.  [default: 0]"
-)
-@click.option("--by-city", is_flag=True, help="Also fit to each city alone, and to all cities but it.")
-@click.option("--wish", "wishes", multiple=True, help="Target for an outcome, such as mean_gps>=0.8; repeatable.")
-@click.option(
-    "--metrics", help="Metrics to fit, such as gps,risk; the others get weight 0.  [default: all of the maps]"
+    "--hold-out",
+    type=float,
+    help="Share of the routes that is kept from the fits, to test them.  [default: 0]",
 )
 @click.option(
-    "--altitude", "altitude_m", type=float, help="Altitude of every route, metres.  [default: the routes' altitude_m]"
+    "--by-city", is_flag=True, help="Also fit to each city alone, and to all cities but it."
 )
-@click.option("--time-of-day", help="Time of day of the population map.  [default: the routes' own, else the first]")
-@click.option("--time", help="Time of the GPS map, UTC.  [default: the routes' own, else the first]")
+@click.option(
+    "--wish",
+    "wishes",
+    multiple=True,
+    help="Target for an outcome, such as mean_gps>=0.8; repeatable.",
+)
+@click.option(
+    "--metrics",
+    help="Metrics to fit, such as gps,risk; the others get weight 0.  [default: all of the maps]",
+)
+@click.option(
+    "--altitude",
+    "altitude_m",
+    type=float,
+    help="Altitude of every route, metres.  [default: the routes' altitude_m]",
+)
+@click.option(
+    "--time-of-day",
+    help="Time of day of the population map.  [default: the routes' own, else the first]",
+)
+@click.option(
+    "--time", help="Time of the GPS map, UTC.  [default: the routes' own, else the first]"
+)
 @RESOLUTION
 @click.option(
     "--cost-model",
@@ -56,12 +76,32 @@ from jaxurban.progress import LOG
 @OBSTACLES
 @PRESET
 @CONSTRAINTS
-@click.option("--scale", type=click.Choice(["simplex", "distance"]), help="Weights sum to 1, or distance has 1.")
-@click.option("--bootstrap", type=click.IntRange(min=0), help="Number of fits for the intervals.  [default: 200]")
+@click.option(
+    "--scale",
+    type=click.Choice(["simplex", "distance"]),
+    help="Weights sum to 1, or distance has 1.",
+)
+@click.option(
+    "--bootstrap",
+    type=click.IntRange(min=0),
+    help="Number of fits for the intervals.  [default: 200]",
+)
 @click.option("--rounds", "max_rounds", type=click.IntRange(min=1), help="Most rounds of searches.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of random numbers.")
-@click.option("--budget", "budget_s", type=float, help="Seconds after which no further round begins.")
-@click.option("--overwrite", is_flag=True, help="Replace a fit of other routes or settings in the output folder.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Seed of random numbers.",
+)
+@click.option(
+    "--budget", "budget_s", type=float, help="Seconds after which no further round begins."
+)
+@click.option(
+    "--overwrite",
+    is_flag=True,
+    help="Replace a fit of other routes or settings in the output folder.",
+)
 @DEVICE
 @JSON_FLAG
 def tune(words: tuple[Path, ...], out: Path, **options: Any) -> int:
@@ -81,7 +121,9 @@ def tune(words: tuple[Path, ...], out: Path, **options: Any) -> int:
     def named(*names: str) -> dict[str, Any]:
         return {name: options[name] for name in names if options[name] is not None}
 
-    fits = named("scale", "bootstrap", "hold_out") | ({"by_city": True} if options["by_city"] else {})
+    fits = named("scale", "bootstrap", "hold_out") | (
+        {"by_city": True} if options["by_city"] else {}
+    )
     if options["wishes"] and fits:
         raise click.UsageError(
             "--scale, --bootstrap, --hold-out and --by-city belong to fits without --wish: leave them out"
@@ -105,7 +147,9 @@ def tune(words: tuple[Path, ...], out: Path, **options: Any) -> int:
     folder = MapsFolder(words[0], **of_maps)
     for word in words:
         is_study = (word / ROWS_FILE).is_file() and not (word / ZARR_FOLDER).exists()
-        if sources and options["sample"] is None and study_in(word):  # of maps that have no routes yet
+        if (
+            sources and options["sample"] is None and study_in(word)
+        ):  # of maps that have no routes yet
             is_study = is_study or not (sources[folder] or study_in(Path(folder.folder)))
         if not sources or (word.is_dir() and not is_study):
             folder = MapsFolder(word.parent if is_study else word, **of_maps)

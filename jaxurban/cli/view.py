@@ -15,7 +15,9 @@ from jaxurban.progress import LOG
 @RESOLUTION
 @OBSTACLES
 @PRESET
-@click.option("--export", type=PATH, metavar="PAGE.html", help="Write one page that shows the maps, and end.")
+@click.option(
+    "--export", type=PATH, metavar="PAGE.html", help="Write one page that shows the maps, and end."
+)
 @click.option(
     "--size",
     "size_mib",
@@ -25,7 +27,10 @@ from jaxurban.progress import LOG
     help="Largest size of --export, MiB.",
 )
 @click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, help="Port to listen at.  [default: any that is free]"
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=0,
+    help="Port to listen at.  [default: any that is free]",
 )
 @click.option("--no-browser", is_flag=True, help="Do not open a browser; the address is printed.")
 def view(

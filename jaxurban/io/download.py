@@ -26,7 +26,10 @@ from jaxurban.io.files import digest_of, scratch_for
 from jaxurban.progress import LOG
 
 CHUNK_BYTES = 1 << 18
-CONNECT_TIMEOUT_S, TIMEOUT_S = 30.0, 200.0  # the second is the longest silence; a query of Overpass may take 180 s
+CONNECT_TIMEOUT_S, TIMEOUT_S = (
+    30.0,
+    200.0,
+)  # the second is the longest silence; a query of Overpass may take 180 s
 MOST_WAIT_S = 120  # a server that asks for more is left for another day
 MOST_REDIRECTS = 5
 BUSY = (429, 502, 503, 504)
@@ -66,7 +69,9 @@ class _Retry(Retry):
     def get_retry_after(self, response: BaseHTTPResponse) -> float | None:
         wait_s = super().get_retry_after(response)
         if wait_s is not None and wait_s > MOST_WAIT_S:
-            raise InputError(f"the server is busy and asks to come again in {wait_s:.0f} s: run the same command then")
+            raise InputError(
+                f"the server is busy and asks to come again in {wait_s:.0f} s: run the same command then"
+            )
         return wait_s
 
     def sleep(self, response: BaseHTTPResponse | None = None) -> None:
@@ -81,10 +86,14 @@ class _Adapter(HTTPAdapter):
         self.asked = urlsplit(source.url).hostname
         super().__init__(**options)
 
-    def send(self, request: requests.PreparedRequest, *args: Any, **options: Any) -> requests.Response:
+    def send(
+        self, request: requests.PreparedRequest, *args: Any, **options: Any
+    ) -> requests.Response:
         host = urlsplit(request.url or "").hostname
         if host != self.asked and _is_private(host) and not _is_private(self.asked):
-            raise InputError(f"{self.asked} sends on to {host}, an address of no public server: {REMEDY}")
+            raise InputError(
+                f"{self.asked} sends on to {host}, an address of no public server: {REMEDY}"
+            )
         return super().send(request, *args, **options)
 
 
@@ -129,7 +138,9 @@ def download(source: Source, most_bytes: int) -> Path:
         except InputError:
             raise
         except (requests.RequestException, HTTPError, ValueError) as error:
-            raise InputError(f"{source.url} cannot be downloaded ({type(error).__name__}): {REMEDY}") from error
+            raise InputError(
+                f"{source.url} cannot be downloaded ({type(error).__name__}): {REMEDY}"
+            ) from error
         path = folder / f"{key}-{digest_of(scratch)}-{source.file}"
         os.replace(scratch, path)
     return path
@@ -153,20 +164,28 @@ def _receive(source: Source, scratch: Path, most_bytes: int) -> None:
         session.proxies = requests.utils.get_environ_proxies(source.url)
         session.verify = os.environ.get("REQUESTS_CA_BUNDLE") or True
         session.max_redirects = MOST_REDIRECTS
-        session.headers["User-Agent"] = f"jaxurban/{importlib.metadata.version('jaxurban')} (jaxurban fetch)"
+        session.headers["User-Agent"] = (
+            f"jaxurban/{importlib.metadata.version('jaxurban')} (jaxurban fetch)"
+        )
         session.adapters.clear()  # so that no redirect leads from https to http
         for scheme in ("https://",) if source.url.startswith("https:") else ("https://", "http://"):
             session.mount(scheme, adapter)
         with (
-            session.get(source.url, stream=True, timeout=(CONNECT_TIMEOUT_S, TIMEOUT_S)) as response,
+            session.get(
+                source.url, stream=True, timeout=(CONNECT_TIMEOUT_S, TIMEOUT_S)
+            ) as response,
             scratch.open("wb") as file,
         ):
             if response.status_code != requests.codes.ok:
                 remedy = "run the same command later" if response.status_code in BUSY else REMEDY
-                raise InputError(f"{response.url} answers {response.status_code} {response.reason!r:.200}: {remedy}")
+                raise InputError(
+                    f"{response.url} answers {response.status_code} {response.reason!r:.200}: {remedy}"
+                )
             declared = response.headers.get("Content-Length", "")
             num_bytes = int(declared) if declared.isdecimal() else 0
-            for chunk in chain([b""], response.iter_content(CHUNK_BYTES)):  # what is declared comes first
+            for chunk in chain(
+                [b""], response.iter_content(CHUNK_BYTES)
+            ):  # what is declared comes first
                 num_bytes = max(num_bytes, file.tell() + len(chunk))
                 if num_bytes > most_bytes:
                     raise InputError(

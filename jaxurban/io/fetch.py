@@ -29,9 +29,13 @@ from jaxurban.settings import NOMINAL
 from jaxurban.world.grid import WGS84, Bounds, check_bounds, transformer, utm_crs
 
 DAY_S = 24 * 3600.0
-MOST_OVERPASS_KM2 = 100.0  # a dense city of this size is some 200 MB of XML and a minute of a shared server's time
+MOST_OVERPASS_KM2 = (
+    100.0  # a dense city of this size is some 200 MB of XML and a minute of a shared server's time
+)
 MOST_MARGIN_M = 20_000.0
-BLOCK_MARGIN_M = 100.0  # the maps' box is snapped outward and densified, and NAD83 is a metre or two off WGS 84
+BLOCK_MARGIN_M = (
+    100.0  # the maps' box is snapped outward and densified, and NAD83 is a metre or two off WGS 84
+)
 NOON = "T12:00:00Z"
 RECORD_FILE, SCENARIO_FILE = "fetch.json", "scenario.toml"
 BLOCK_FIELD = "GEOID"
@@ -124,7 +128,9 @@ class FetchJob:
         for name in self.urls:
             one_of("--source", name, SOURCES)
         if not 0 <= self.margin_m <= MOST_MARGIN_M:
-            raise InputError(f"the margin must be from 0 to {MOST_MARGIN_M:,.0f} m, got {self.margin_m:g}")
+            raise InputError(
+                f"the margin must be from 0 to {MOST_MARGIN_M:,.0f} m, got {self.margin_m:g}"
+            )
 
     @property
     def crs(self) -> str:
@@ -135,7 +141,9 @@ class FetchJob:
     def box_m(self, margin_m: float) -> Bounds:
         """Return the region's projected box in metres, grown by a margin."""
         to_m = transformer(WGS84, self.crs)
-        x_min, y_min, x_max, y_max = to_m.transform_bounds(*check_bounds(self.bounds), densify_pts=21)
+        x_min, y_min, x_max, y_max = to_m.transform_bounds(
+            *check_bounds(self.bounds), densify_pts=21
+        )
         return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
 
     def box(self, margin_m: float) -> Bounds:
@@ -207,7 +215,9 @@ def fetch(job: FetchJob, folder: Path, *, most_bytes: int, overwrite: bool = Fal
         if not overwrite:
             workspace.check_way((folder / name for name in names), REMEDY)
         with (
-            only_writer(cache_folder(), "set XDG_CACHE_HOME to another folder that can be written to"),
+            only_writer(
+                cache_folder(), "set XDG_CACHE_HOME to another folder that can be written to"
+            ),
             tempfile.TemporaryDirectory(SCRATCH_SUFFIX, ".fetch.", folder) as scratch,
         ):
             stage = Path(scratch)
@@ -233,7 +243,13 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
     for source in sources:
         path = download(source, most_bytes)
         try:
-            with readable(path, f"{source.name} data", "run the same command again", *OF_DAMAGED, what=source.url):
+            with readable(
+                path,
+                f"{source.name} data",
+                "run the same command again",
+                *OF_DAMAGED,
+                what=source.url,
+            ):
                 part = READERS[source.name](job, path, stage / source.file)
         except InputError as error:
             path.unlink()
@@ -252,7 +268,9 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
                 "credit": source.credit,
                 "licence": source.licence,
                 "url": source.url,
-                "fetched_utc": datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="seconds"),
+                "fetched_utc": datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(
+                    timespec="seconds"
+                ),
                 "num_bytes": path.stat().st_size,
                 "sha256": path.name.split("-")[1],
             }
@@ -260,12 +278,16 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
     if not files:
         raise InputError(f"nothing of --what can be fetched here ({'; '.join(left_out)})")
     record = {"bounds": list(job.bounds), "files": files, "left_out": left_out}
-    (stage / RECORD_FILE).write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    (stage / RECORD_FILE).write_text(
+        json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
+    )
     if "blocks" not in settings.get("population", {}):  # districts alone
         settings.pop("population", None)
     if "buildings" in settings:
         credits = [f"# {file['source']}: {file['credit']} ({file['licence']})" for file in files]
-        head = "\n".join(["# Made by jaxurban fetch; fetch.json says where each file is from.", *credits])
+        head = "\n".join(
+            ["# Made by jaxurban fetch; fetch.json says where each file is from.", *credits]
+        )
         (stage / SCENARIO_FILE).write_text(f"{head}\n\n{tomli_w.dumps(settings)}", encoding="utf-8")
     return record
 
@@ -273,10 +295,14 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
 def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
     """Read OpenStreetMap data, an extract cut to the region with its margin."""
     file_format = format_of(target)
-    if file_format == "osm" and (remark := re.search(rb"<remark>\s*(.*?)\s*</remark>", path.read_bytes(), re.DOTALL)):
+    if file_format == "osm" and (
+        remark := re.search(rb"<remark>\s*(.*?)\s*</remark>", path.read_bytes(), re.DOTALL)
+    ):
         # With status 200 the Overpass API sends what it had when its time or memory ran out.
         reason = remark[1].decode("utf-8", "replace")
-        raise InputError(f"the server of {str(path)!r} says {reason!r}: ask for a smaller region, or later")
+        raise InputError(
+            f"the server of {str(path)!r} says {reason!r}: ask for a smaller region, or later"
+        )
     box = header_box(path, file_format)
     if box is not None and not shapely.box(*box).contains(shapely.box(*job.bounds)):
         shown = ", ".join(f"{value:.3f}" for value in box)
@@ -289,7 +315,9 @@ def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
         cut_buildings(path, target, job.box(job.margin_m))
     outlines = read_osm(target if target.exists() else path, file_format)
     if not shapely.get_num_coordinates(outlines.polygons).any():
-        raise InputError(f"{str(path)!r} has no building in the region: check --bounds, longitude first")
+        raise InputError(
+            f"{str(path)!r} has no building in the region: check --bounds, longitude first"
+        )
     return {"buildings": {"source": target.name}}
 
 
@@ -297,9 +325,13 @@ def _read_census(job: FetchJob, path: Path, target: Path) -> Settings:
     """Read census blocks with their people; nothing where there are none."""
     content = json.loads(path.read_bytes())
     if "features" not in content:
-        raise InputError(f"{str(path)!r} holds no features but {str(content)[:200]}: run the same command later")
+        raise InputError(
+            f"{str(path)!r} holds no features but {str(content)[:200]}: run the same command later"
+        )
     if any(of.get("exceededTransferLimit") for of in (content, content.get("properties", {}))):
-        raise InputError(f"{str(path)!r} holds a part of the region's blocks only: ask for a smaller region")
+        raise InputError(
+            f"{str(path)!r} holds a part of the region's blocks only: ask for a smaller region"
+        )
     if not content["features"]:
         return {}
     read_blocks(Population(blocks=path, block_field=BLOCK_FIELD), job.crs)
@@ -310,7 +342,9 @@ def _read_districts(job: FetchJob, path: Path, target: Path) -> Settings:
     """Read district polygons; nothing where none touches the region."""
     polygons = read_districts(path, job.crs)[0]
     if not len(polygons):
-        raise InputError(f"{str(path)!r} holds no polygons: name another file with --source districts=URL")
+        raise InputError(
+            f"{str(path)!r} holds no polygons: name another file with --source districts=URL"
+        )
     if not shapely.intersects(polygons, shapely.box(*job.box_m(BLOCK_MARGIN_M))).any():
         return {}
     return {"population": {"districts": target.name}}
@@ -326,4 +360,9 @@ def _read_orbits(job: FetchJob, path: Path, target: Path) -> Settings:
     return {"gps": {"orbits": target.name, "times": [time]}}
 
 
-READERS = {"osm": _read_osm, "census": _read_census, "districts": _read_districts, "orbits": _read_orbits}
+READERS = {
+    "osm": _read_osm,
+    "census": _read_census,
+    "districts": _read_districts,
+    "orbits": _read_orbits,
+}

@@ -21,11 +21,15 @@ if TYPE_CHECKING:
 
 LOCK_FILE = ".jaxurban.lock"
 SCRATCH_SUFFIX = ".jaxurban-part"  # of what is being written: ours to sweep, and nobody else's
-SCRATCH_NAME = re.compile(rf"\..*\.[0-9a-z_]{{8}}{re.escape(SCRATCH_SUFFIX)}", re.DOTALL)  # as `scratch_for` gives it
+SCRATCH_NAME = re.compile(
+    rf"\..*\.[0-9a-z_]{{8}}{re.escape(SCRATCH_SUFFIX)}", re.DOTALL
+)  # as `scratch_for` gives it
 ELSEWHERE = "choose another folder with -o"
 
 
-RECORDER: ContextVar["Workspace | None"] = ContextVar("RECORDER", default=None)  # of what is written now, if anything
+RECORDER: ContextVar["Workspace | None"] = ContextVar(
+    "RECORDER", default=None
+)  # of what is written now, if anything
 
 
 def recorder_of(path: Path) -> "Workspace | None":
@@ -51,7 +55,10 @@ def scratch_for(path: Path) -> Iterator[Path]:
     Raises:
       InputError: the folder cannot be written to.
     """
-    scratch, recorder = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{SCRATCH_SUFFIX}"), recorder_of(path)
+    scratch, recorder = (
+        path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{SCRATCH_SUFFIX}"),
+        recorder_of(path),
+    )
     if "\0" in str(path):
         raise InputError(f"cannot write {str(path)!r}: no file's name can hold NUL; choose another")
     try:
@@ -79,7 +86,9 @@ def whole_file(path: Path) -> Iterator[Path]:
     with scratch_for(path) as scratch:
         yield scratch
         if path.is_dir() and not scratch.is_dir():
-            raise InputError(f"cannot write {str(path)!r}: a folder of that name is in the way; move it")
+            raise InputError(
+                f"cannot write {str(path)!r}: a folder of that name is in the way; move it"
+            )
         recorder = recorder_of(path)
         (os.replace if recorder is None else recorder.put)(scratch, path)
 
@@ -123,15 +132,22 @@ def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator
     Raises:
       InputError: another run holds it, or it cannot be written to; ``remedy`` ends the sentence.
     """
-    from filelock import FileLock, Timeout  # it loads asyncio, for which reading alone need not wait
+    from filelock import (
+        FileLock,
+        Timeout,
+    )  # it loads asyncio, for which reading alone need not wait
 
     lock = FileLock(folder / LOCK_FILE, blocking=False, thread_local=False)
     try:
         lock.acquire()
     except Timeout as error:
-        raise InputError(f"another run is writing to {str(folder)!r}: wait for it, or {remedy}") from error
+        raise InputError(
+            f"another run is writing to {str(folder)!r}: wait for it, or {remedy}"
+        ) from error
     except OSError as error:
-        raise InputError(f"cannot write to {str(folder)!r} ({reason_of(error)}): {remedy}") from error
+        raise InputError(
+            f"cannot write to {str(folder)!r} ({reason_of(error)}): {remedy}"
+        ) from error
     try:
         yield
     finally:
@@ -174,7 +190,9 @@ def checksum_of(data: Path | bytes) -> str:
 
 PIECE_BYTES = 2**24  # of a file that are looked at at once
 FIELD, MARK = "checksum", b"jaxurban-crc32:"
-BLANK = MARK + 8 * b"0"  # what a writer leaves in a file's text, under the name `FIELD`, for `sealed`
+BLANK = (
+    MARK + 8 * b"0"
+)  # what a writer leaves in a file's text, under the name `FIELD`, for `sealed`
 
 
 def sealed(data: bytes) -> bytes:
@@ -190,7 +208,9 @@ def is_whole(data: bytes) -> bool:
 
 def write_json(path: Path, value: Mapping[str, Any], indent: int | None = None) -> None:
     """Write a JSON object with its checksum, whole or not at all."""
-    write_whole(path, sealed(f"{json.dumps({**value, FIELD: BLANK.decode()}, indent=indent)}\n".encode()))
+    write_whole(
+        path, sealed(f"{json.dumps({**value, FIELD: BLANK.decode()}, indent=indent)}\n".encode())
+    )
 
 
 def read_json(path: Path) -> dict[str, Any]:

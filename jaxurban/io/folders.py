@@ -29,7 +29,9 @@ STEP = rf"({ZARR}|[a-z]+_\d+_\d+\w*)"
 OF_STEPS = re.compile(  # what steps write, before they leave their mark too
     rf"{KEY_FILE}|{ZARR}/([^/]+/)?(\.z\w+|\d+(\.\d+)*)|{ARRAY_FOLDER}/{STEP}\.npz|{DONE_FOLDER}/{STEP}\.json"
 )
-SCRAP = re.compile(rf"\..*{re.escape(SCRATCH_SUFFIX)}|.*\.[0-9a-f]{{32}}\.partial")  # our own, and the Zarr library's
+SCRAP = re.compile(
+    rf"\..*{re.escape(SCRATCH_SUFFIX)}|.*\.[0-9a-f]{{32}}\.partial"
+)  # our own, and the Zarr library's
 _PARSING = Lock()  # headers of arrays are Python text, and 3.11 fails now and then where threads parse (CPython 106905)
 
 
@@ -63,7 +65,11 @@ class WorkFolder:
             self.discard()
             write_whole(self.path / KEY_FILE, key)
         marks = self._marks("*")
-        found = {mark: files for mark, files in zip(marks, each(self._damaged, marks), strict=True) if files}
+        found = {
+            mark: files
+            for mark, files in zip(marks, each(self._damaged, marks), strict=True)
+            if files
+        }
         for mark, files in found.items():
             for path in (mark, *files):
                 remove(path)
@@ -74,13 +80,17 @@ class WorkFolder:
 
     def _check_is_folder(self) -> None:
         if self.path.is_symlink():
-            raise InputError(f"{str(self.path)!r} is a link in the place of unfinished maps: move it, or {ELSEWHERE}")
+            raise InputError(
+                f"{str(self.path)!r} is a link in the place of unfinished maps: move it, or {ELSEWHERE}"
+            )
 
     def _sweep(self) -> None:
         """Remove what killed processes left half-written, and move what no step writes, a user's, to `KEPT_FOLDER`."""
         for scrap in [path for path in self.path.rglob("*") if SCRAP.fullmatch(path.name)]:
             remove(scrap)
-        for path in [path for path in self.path.rglob("*") if path.is_symlink() or not path.is_dir()]:
+        for path in [
+            path for path in self.path.rglob("*") if path.is_symlink() or not path.is_dir()
+        ]:
             name = path.relative_to(self.path).as_posix()
             if path.is_symlink() or not _is_of_steps(name):
                 with Workspace.shared(self.path.parents[1], "maps") as workspace:
@@ -106,7 +116,11 @@ class WorkFolder:
             return [mark]
         if not all(map(_is_of_steps, checksums)):  # no mark of ours: what it names is not looked at
             return [mark]
-        return [self.path / name for name, of in checksums.items() if not is_as_written(self.path / name, [of])]
+        return [
+            self.path / name
+            for name, of in checksums.items()
+            if not is_as_written(self.path / name, [of])
+        ]
 
     @property
     def zarr(self) -> Path:
@@ -128,14 +142,18 @@ class WorkFolder:
         """
         path = self.path / ARRAY_FOLDER / f"{name}.npz"
         if self._damaged(self._mark(name)):
-            raise InputError(f"{str(path)!r} is missing or damaged: run the same command again, which makes it again")
+            raise InputError(
+                f"{str(path)!r} is missing or damaged: run the same command again, which makes it again"
+            )
         with _PARSING, np.load(path, allow_pickle=False) as kept:
             return {each: kept[each] for each in kept.files if each in wanted}
 
     def _mark(self, name: str) -> Path:
         return self.path / DONE_FOLDER / f"{name}.json"
 
-    def mark_done(self, name: str, checksums: dict[str, str], facts: dict[str, Any] | None = None) -> None:
+    def mark_done(
+        self, name: str, checksums: dict[str, str], facts: dict[str, Any] | None = None
+    ) -> None:
         """Note that a step is finished and all of it written.
 
         Args:
@@ -148,7 +166,11 @@ class WorkFolder:
     def mark_zarr(self) -> None:
         """Note that the Zarr is there, without the values of its maps."""
         of_tiles = {name for mark in self._marks("tile_*") for name in read_json(mark)["checksums"]}
-        files = (file.relative_to(self.path).as_posix() for file in self.zarr.rglob("*") if file.is_file())
+        files = (
+            file.relative_to(self.path).as_posix()
+            for file in self.zarr.rglob("*")
+            if file.is_file()
+        )
         names = sorted(set(filter(_is_of_steps, files)) - of_tiles)
         self.mark_done(ZARR, {name: checksum_of(self.path / name) for name in names})
 
@@ -164,5 +186,7 @@ class WorkFolder:
         checksums: dict[str, str] = {}
         for mark in self._marks("*"):
             checksums |= read_json(mark)["checksums"]
-        store.put_zarr(self.zarr, target, {name.removeprefix(f"{ZARR}/"): of for name, of in checksums.items()})
+        store.put_zarr(
+            self.zarr, target, {name.removeprefix(f"{ZARR}/"): of for name, of in checksums.items()}
+        )
         remove(self.path)

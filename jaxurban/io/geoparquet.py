@@ -30,7 +30,9 @@ def write_geoparquet(path: Path, frame: gpd.GeoDataFrame, facts: Mapping[str, An
     with whole_file(path) as scratch:
         frame.to_parquet(scratch, index=False)
         table = pq.read_table(scratch)
-        table = table.replace_schema_metadata({**table.schema.metadata, FACTS: json.dumps(facts).encode()})
+        table = table.replace_schema_metadata(
+            {**table.schema.metadata, FACTS: json.dumps(facts).encode()}
+        )
         pq.write_table(table, scratch, compression="zstd", compression_level=ZSTD_LEVEL)
 
 

@@ -34,7 +34,9 @@ RUN_KEY = "run_key"
 NUM_PLACES = 17  # of a colour map in QGIS styles, from low to high
 
 
-def geotiff_names(held: Collection[str], metrics: Iterable[str], layers: Sequence[str] = ()) -> list[str]:
+def geotiff_names(
+    held: Collection[str], metrics: Iterable[str], layers: Sequence[str] = ()
+) -> list[str]:
     """Return the maps that are written as GeoTIFF: obstacles, the metrics of the cost, and what is asked for.
 
     Args:
@@ -47,7 +49,11 @@ def geotiff_names(held: Collection[str], metrics: Iterable[str], layers: Sequenc
     """
     names = ["obstacle"]
     for name in [*metrics, *(sorted(held) if tuple(layers) == (ALL,) else layers)]:
-        found = [name] if name in held else [one for what in SERIES if (one := f"{name}_{what}") in held]
+        found = (
+            [name]
+            if name in held
+            else [one for what in SERIES if (one := f"{name}_{what}") in held]
+        )
         if not found:
             one_of("layer", name, sorted({*held, ALL}))
         names += [one for one in found if one not in names]
@@ -85,12 +91,18 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
     resolution = f"{short_number(ds.attrs['resolution_m'])}m"
     times = [f"{time}Z" for time in np.datetime_as_string(ds["time"].values, unit="s")]
     common = {"credit": ds.attrs[CREDIT]} if CREDIT in ds.attrs else {}
-    norm_name = next((name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs), "")
+    norm_name = next(
+        (name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs), ""
+    )
     metrics, variables = held_metrics(ds), held_variables(ds)
     for name in geotiff_names(variables, metrics, layers):
         of = metrics.get(name.rpartition("_")[0])
         array = ds[name]
-        told = {key: str(array.attrs[key]) for key in ("long_name", "units", "one_means", CAVEAT) if key in array.attrs}
+        told = {
+            key: str(array.attrs[key])
+            for key in ("long_name", "units", "one_means", CAVEAT)
+            if key in array.attrs
+        }
         for index in np.ndindex(array.shape[:-2]):
             at = {str(dim): place for dim, place in zip(array.dims[:-2], index, strict=True)}
             parts, tags = [name], {"metric": name, **told, **common}
@@ -124,7 +136,10 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
 def _styles(ds: xr.Dataset, layers: Sequence[str]) -> dict[str, str]:
     """Return the variable of each QGIS style by its file's name."""
     resolution = short_number(ds.attrs["resolution_m"])
-    return {f"{name}_{resolution}m.qml": name for name in geotiff_names(held_variables(ds), held_metrics(ds), layers)}
+    return {
+        f"{name}_{resolution}m.qml": name
+        for name in geotiff_names(held_variables(ds), held_metrics(ds), layers)
+    }
 
 
 def geotiff_paths(ds: xr.Dataset, folder: Path, layers: Sequence[str]) -> list[Path]:
@@ -135,7 +150,11 @@ def geotiff_paths(ds: xr.Dataset, folder: Path, layers: Sequence[str]) -> list[P
 
 def missing_geotiffs(ds: xr.Dataset, folder: Path) -> list[Path]:
     """Return the GeoTIFFs and styles of obstacles and metrics that are not there, or empty."""
-    return [path for path in geotiff_paths(ds, folder, ()) if not (path.is_file() and path.stat().st_size)]
+    return [
+        path
+        for path in geotiff_paths(ds, folder, ())
+        if not (path.is_file() and path.stat().st_size)
+    ]
 
 
 def write_geotiffs(
@@ -193,7 +212,8 @@ def _write_layer(ds: xr.Dataset, grid: Grid, folder: Path, layer: _Layer) -> Non
             grid,
             layer.dtype,
             _parts(ds, layer),
-            is_averaged=layer.is_averaged and layer.dtype == np.float32,  # means of classes are none of them
+            is_averaged=layer.is_averaged
+            and layer.dtype == np.float32,  # means of classes are none of them
             tags=layer.tags,
             title=layer.title,
             unit=layer.tags.get("units", ""),
@@ -230,7 +250,9 @@ def profile_of(grid: Grid, dtype: np.dtype, count: int = 1) -> dict[str, Any]:
         "count": count,
         "dtype": dtype,
         "crs": grid.crs,
-        "transform": Affine(grid.resolution_m, 0, grid.x_min_m, 0, -grid.resolution_m, grid.y_max_m),
+        "transform": Affine(
+            grid.resolution_m, 0, grid.x_min_m, 0, -grid.resolution_m, grid.y_max_m
+        ),
         "nodata": no_value(dtype),
         "tiled": True,
         "bigtiff": "IF_SAFER",
@@ -238,7 +260,11 @@ def profile_of(grid: Grid, dtype: np.dtype, count: int = 1) -> dict[str, Any]:
 
 
 def write_bands(
-    file: Path, grid: Grid, bands: Mapping[str, np.ndarray], unit: str = "1", tags: Mapping[str, str] | None = None
+    file: Path,
+    grid: Grid,
+    bands: Mapping[str, np.ndarray],
+    unit: str = "1",
+    tags: Mapping[str, str] | None = None,
 ) -> Path:
     """Write maps as bands (float32, Zstandard, north-up, NaN = no data) and return the file.
 
@@ -253,7 +279,11 @@ def write_bands(
       InputError: the folder cannot be written to.
     """
     profile = profile_of(grid, np.dtype(np.float32), len(bands))
-    with whole_file(file) as scratch, _writing(), rasterio.open(scratch, "w", **profile, compress="ZSTD") as raster:
+    with (
+        whole_file(file) as scratch,
+        _writing(),
+        rasterio.open(scratch, "w", **profile, compress="ZSTD") as raster,
+    ):
         raster.update_tags(**(tags or {}))
         raster.units = [unit] * len(bands)
         for number, (description, values) in enumerate(bands.items(), start=1):
@@ -294,7 +324,9 @@ def write_cog(
     quick = rasterio.Env(COG_TMP_COMPRESSION="PACKBITS")
     with _writing(), quick, TemporaryDirectory(SCRATCH_SUFFIX, ".plain.", path.parent) as folder:
         plain, row = Path(folder) / "plain.tif", 0
-        with rasterio.open(plain, "w", **profile_of(grid, dtype), blockxsize=BLOCK, blockysize=BLOCK) as file:
+        with rasterio.open(
+            plain, "w", **profile_of(grid, dtype), blockxsize=BLOCK, blockysize=BLOCK
+        ) as file:
             for part in rows:
                 file.write(part, 1, window=Window(0, row, part.shape[1], len(part)))
                 row += len(part)
@@ -302,9 +334,17 @@ def write_cog(
             file.set_band_description(1, title)
             file.set_band_unit(1, unit)
         resampling = "average" if is_averaged else "nearest"
-        how = {"compress": "ZSTD", "level": LEVEL, "predictor": "NO", "blocksize": BLOCK, "bigtiff": "IF_SAFER"}
+        how = {
+            "compress": "ZSTD",
+            "level": LEVEL,
+            "predictor": "NO",
+            "blocksize": BLOCK,
+            "bigtiff": "IF_SAFER",
+        }
         copy_raster(plain, path, driver="COG", overview_resampling=resampling, num_threads=1, **how)
-        with rasterio.open(path) as file:  # GDAL does not report every disk that fills up; the map is the file's end
+        with rasterio.open(
+            path
+        ) as file:  # GDAL does not report every disk that fills up; the map is the file's end
             for _, window in file.block_windows(1):
                 file.read(1, window=window)
 
@@ -314,7 +354,9 @@ def ramp_of(ds: xr.Dataset, variable: Variable) -> tuple[np.ndarray, list[str]]:
     scale, places = variable.scale, np.linspace(0, 1, NUM_PLACES)
     low, span = scale.range(ds.attrs, lambda: _ends(ds, variable.name))
     shares = {"linear": places, "sqrt": places**2, "log": 1000 ** (places - 1)}[scale.stretch]
-    return low + span * shares, [to_hex(colour) for colour in matplotlib.colormaps[scale.colour_map](places)]
+    return low + span * shares, [
+        to_hex(colour) for colour in matplotlib.colormaps[scale.colour_map](places)
+    ]
 
 
 def _ends(ds: xr.Dataset, name: str) -> tuple[float, float]:

@@ -40,16 +40,33 @@ RUN_FILE = "run.json"
 ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
 COMPRESSOR = Zstd(level=1, checksum=True)
-FOREIGN = ("_CRS", "_FillValue")  # attributes that are no map's: the CRS for GDAL, as 1.0.0 wrote it, and no value
+FOREIGN = (
+    "_CRS",
+    "_FillValue",
+)  # attributes that are no map's: the CRS for GDAL, as 1.0.0 wrote it, and no value
 NO_BYTE = np.iinfo(np.int8).max  # what stands for no value in bytes: NetCDF 3 has signed ones only
 PLAIN_KINDS = "biufcmMSU"  # of NumPy's types: numbers, times, and text of one length
-TEXT_KINDS, TEXT_FILTERS = "OU", [{"id": "vlen-utf8"}]  # of text of any length; Zarr 3.0 has the filter for all text
-OPENED = "opened"  # encoding of a dataset that was opened: what checks that its files are still those
+TEXT_KINDS, TEXT_FILTERS = (
+    "OU",
+    [{"id": "vlen-utf8"}],
+)  # of text of any length; Zarr 3.0 has the filter for all text
+OPENED = (
+    "opened"  # encoding of a dataset that was opened: what checks that its files are still those
+)
 METADATA = ".zmetadata"  # of a Zarr: its metadata and those of its arrays once more
-LAYOUT_KEY, LAYOUT = "jaxurban_layout", 1  # of maps in a folder; those without the entry have the first
-OF_ZARR = METADATA, ".zattrs", ".zgroup", "zarr.json"  # files by which a Zarr is known, of version 3 the last
+LAYOUT_KEY, LAYOUT = (
+    "jaxurban_layout",
+    1,
+)  # of maps in a folder; those without the entry have the first
+OF_ZARR = (
+    METADATA,
+    ".zattrs",
+    ".zgroup",
+    "zarr.json",
+)  # files by which a Zarr is known, of version 3 the last
 OTHER_VERSION = (
-    "comes from another version of jaxurban, or without its checksums.json: make the maps again in a new folder"
+    "comes from another version of jaxurban, or without its checksums.json: "
+    "make the maps again in a new folder"
 )
 TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
 
@@ -73,7 +90,9 @@ def stored_resolutions(folder: Path) -> dict[float, Path]:
     Raises:
       InputError: the record cannot be read.
     """
-    names = (re.fullmatch(rf"{ZARR_FOLDER}/{NUMBER_M}/{METADATA}", name) for name in recorded(folder))
+    names = (
+        re.fullmatch(rf"{ZARR_FOLDER}/{NUMBER_M}/{METADATA}", name) for name in recorded(folder)
+    )
     found = {float(match[1]): (folder / match[0]).parent for match in names if match}
     return {resolution_m: path for resolution_m, path in sorted(found.items()) if path.is_dir()}
 
@@ -120,7 +139,9 @@ def settings_of(folder: Path) -> dict[str, Any]:
             ) from error
         return {}
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{str(folder / RUN_FILE)!r} cannot be read ({error}): {remedy}") from error
+        raise InputError(
+            f"{str(folder / RUN_FILE)!r} cannot be read ({error}): {remedy}"
+        ) from error
 
 
 def work_path(folder: Path, resolution_m: float) -> Path:
@@ -141,19 +162,38 @@ def _encoding(array: xr.Variable, tile: tuple[int, int]) -> dict[str, Any]:
     return encoding | (TIMES if array.dtype.kind == "M" else {})
 
 
-def _to_zarr(ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[int, int] = (1, 1)) -> None:
+def _to_zarr(
+    ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[int, int] = (1, 1)
+) -> None:
     """Write a dataset without the values of its maps, and the metadata of all of the Zarr."""
-    ds = ds.drop_encoding().assign_attrs({LAYOUT_KEY: LAYOUT})  # without the encoding of files opened before
+    ds = ds.drop_encoding().assign_attrs(
+        {LAYOUT_KEY: LAYOUT}
+    )  # without the encoding of files opened before
     for name in [name for name, coord in ds.coords.items() if coord.dtype.kind == "T"]:
-        ds = ds.assign_coords({name: (ds[name].dims, np.array(ds[name].values.tolist(), str), ds[name].attrs)})
+        ds = ds.assign_coords(
+            {name: (ds[name].dims, np.array(ds[name].values.tolist(), str), ds[name].attrs)}
+        )
     for name in [name for name, array in ds.variables.items() if _is_map(array)]:
         array = ds[name]
-        ds[name] = (array.dims, dask.array.zeros(array.shape, dtype=array.dtype, chunks=-1), array.attrs)
+        ds[name] = (
+            array.dims,
+            dask.array.zeros(array.shape, dtype=array.dtype, chunks=-1),
+            array.attrs,
+        )
     ds = ds.assign_coords(y=ds["y"][::-1]) if "y" in ds.coords else ds
     encoding = {str(name): _encoding(array, tile) for name, array in ds.variables.items()}
-    how: dict[str, Any] = {"zarr_format": 2, "consolidated": False, "write_empty_chunks": True, "compute": False}
+    how: dict[str, Any] = {
+        "zarr_format": 2,
+        "consolidated": False,
+        "write_empty_chunks": True,
+        "compute": False,
+    }
     ds.to_zarr(path, mode=mode, encoding=encoding, **how)
-    files = [path / ".zattrs", path / ".zgroup", *sorted((*path.glob("*/.zarray"), *path.glob("*/.zattrs")))]
+    files = [
+        path / ".zattrs",
+        path / ".zgroup",
+        *sorted((*path.glob("*/.zarray"), *path.glob("*/.zattrs"))),
+    ]
     parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in files}
     (path / METADATA).write_bytes(_consolidated(parts))
 
@@ -174,7 +214,10 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
                 values = array[place].values
                 for stop in range(ds.sizes["y"], 0, -rows):
                     for start in range(0, ds.sizes["x"], cols):
-                        part = slice(max(0, stop - rows), stop), slice(start, min(start + cols, ds.sizes["x"]))
+                        part = (
+                            slice(max(0, stop - rows), stop),
+                            slice(start, min(start + cols, ds.sizes["x"])),
+                        )
                         checksums |= write_layer(scratch, str(name), place, part, values[part])
         put_zarr(scratch, path, checksums)
     return path
@@ -218,7 +261,11 @@ def write_layer(
       InputError: it cannot be written.
     """
     array, (rows, cols) = json.loads((path / name / ".zarray").read_bytes()), window
-    north, (num_rows, num_cols), dtype = array["shape"][-2] - rows.stop, array["chunks"][-2:], np.dtype(array["dtype"])
+    north, (num_rows, num_cols), dtype = (
+        array["shape"][-2] - rows.stop,
+        array["chunks"][-2:],
+        np.dtype(array["dtype"]),
+    )
     window = slice(len(values) - rows.stop + rows.start, None), slice(cols.stop - cols.start)
     values = values[window][::-1]
     chunk = np.full((num_rows, num_cols), array["fill_value"] or 0, dtype)
@@ -243,7 +290,9 @@ def put_zarr(made: Path, path: Path, checksums: Mapping[str, str]) -> None:
     files = {file.relative_to(made).as_posix(): file for file in made.rglob("*") if file.is_file()}
     made_of = {name: checksums.get(name) or checksum_of(file) for name, file in files.items()}
     with Workspace.shared(path.parents[1], "maps") as workspace:
-        workspace.remove([f"{ZARR_FOLDER}/{METADATA}"])  # of the older one too: it comes again, last
+        workspace.remove(
+            [f"{ZARR_FOLDER}/{METADATA}"]
+        )  # of the older one too: it comes again, last
         workspace.put_folder(made, path, made_of, METADATA)
         put_root(workspace.folder)
 
@@ -266,7 +315,9 @@ def put_root(folder: Path) -> None:
         if is_as_written(file, written[file.relative_to(folder).as_posix()]):
             of_group = json.loads(file.read_bytes())["metadata"]
             parts |= {f"{path.name}/{name}": part for name, part in of_group.items()}
-    for file, content in zip(root_files(folder), (json.dumps(group).encode(), _consolidated(parts)), strict=True):
+    for file, content in zip(
+        root_files(folder), (json.dumps(group).encode(), _consolidated(parts)), strict=True
+    ):
         if not is_as_written(file, [checksum_of(content)]):
             write_whole(file, content)
 
@@ -289,15 +340,23 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     listed = ", ".join(map(short_number, sorted(found := stored_resolutions(folder))))
     check_version(folder)
     if not found:
-        raise InputError(f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`")
+        raise InputError(
+            f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`"
+        )
     if resolution_m is None and len(found) > 1:
-        raise InputError(f"{str(folder)!r} holds maps at {listed} m: choose one with resolution_m (--resolution)")
+        raise InputError(
+            f"{str(folder)!r} holds maps at {listed} m: choose one with resolution_m (--resolution)"
+        )
     if resolution_m is not None and resolution_m not in found:
-        raise InputError(f"{str(folder)!r} holds no maps at {short_number(resolution_m)} m, only at {listed} m")
+        raise InputError(
+            f"{str(folder)!r} holds no maps at {short_number(resolution_m)} m, only at {listed} m"
+        )
     path = found[resolution_m] if resolution_m is not None else next(iter(found.values()))
     ds = open_whole(path)
     if lost := [name for name in NEEDED if name not in ds]:
-        raise InputError(f"the maps in {str(path)!r} lack {', '.join(lost)}: remove them and make them again")
+        raise InputError(
+            f"the maps in {str(path)!r} lack {', '.join(lost)}: remove them and make them again"
+        )
     return ds
 
 
@@ -318,7 +377,9 @@ class _Opened(NamedTuple):
         with suppress(OSError):
             now = _Opened.at(self.path)
             # Maps that were saved from Python have no key of a run: the same metadata may go with other values.
-            if self.place == now.place or (b'"run_key"' in self.metadata and self.metadata == now.metadata):
+            if self.place == now.place or (
+                b'"run_key"' in self.metadata and self.metadata == now.metadata
+            ):
                 return
         raise RemadeError(
             f"the maps in {str(self.path)!r} were made again or removed since they were opened: open them again"
@@ -340,7 +401,9 @@ class _Map(BackendArray):
         self.shape, self.dtype = array.shape, array.dtype
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
-        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER, self._read)
+        return indexing.explicit_indexing_adapter(
+            key, self.shape, indexing.IndexingSupport.OUTER, self._read
+        )
 
     def _read(self, key: tuple) -> np.ndarray:
         try:
@@ -368,7 +431,9 @@ class _Maps(BackendEntrypoint):
         ds = ds.isel({"y": slice(None, None, -1)}, missing_dims="ignore")
         maps = {}
         for name, held in ds.data_vars.items():
-            lazy = indexing.LazilyIndexedArray(_Map(held.variable, opened, str(name), missing[name]))
+            lazy = indexing.LazilyIndexedArray(
+                _Map(held.variable, opened, str(name), missing[name])
+            )
             maps[name] = xr.Variable(held.dims, lazy, held.attrs, held.encoding)
         coords = ds.coords.to_dataset().load()  # small, and damage shows at once
         opened.check()
@@ -392,7 +457,9 @@ def open_whole(path: Path) -> xr.Dataset:
                 if not is_as_written(file, checksums):
                     what = "and the metadata of the arrays beside it are not as they were written"
                     raise _damaged(path / METADATA, what)
-            elif not file.is_file() or f"{file.stat().st_size}" not in {each.partition("-")[2] for each in checksums}:
+            elif not file.is_file() or f"{file.stat().st_size}" not in {
+                each.partition("-")[2] for each in checksums
+            }:
                 raise _damaged(file, "is missing or cut")  # looked at, not read
         _check_arrays(path / METADATA, json.loads((path / METADATA).read_bytes())["metadata"])
         ds = xr.open_dataset(path, engine=_Maps)
@@ -413,7 +480,10 @@ def open_whole(path: Path) -> xr.Dataset:
 def _check_arrays(file: Path, metadata: Mapping[str, Any]) -> None:
     """Raise InputError unless all arrays of a Zarr are coded as `_to_zarr` codes them: other codecs may run code."""
     arrays = [array for name, array in metadata.items() if name.endswith(".zarray")]
-    if not all(_is_ours(array.get("dtype"), array.get("filters"), array.get("compressor")) for array in arrays):
+    if not all(
+        _is_ours(array.get("dtype"), array.get("filters"), array.get("compressor"))
+        for array in arrays
+    ):
         raise InputError(
             f"{str(file)!r} names arrays that are not coded as jaxurban codes maps, and is not opened, as other codes "
             "may run programs: make the maps again in a new folder"
@@ -424,12 +494,18 @@ def _check_facts(path: Path, attributes: Mapping[str, Any]) -> None:
     """Raise InputError unless the attributes of maps that others compute with are of their kinds."""
     guesses = json.loads(attributes.get("guesses", "{}"))
     if not isinstance(attributes["resolution_m"], numbers.Real) or not isinstance(guesses, dict):
-        raise InputError(f"the attributes of {str(path)!r} are not those of maps: make the maps again in a new folder")
+        raise InputError(
+            f"the attributes of {str(path)!r} are not those of maps: make the maps again in a new folder"
+        )
 
 
 def _is_ours(dtype: Any, filters: Any, compressor: Any) -> bool:
     """Return whether an array of these metadata is coded as `_to_zarr` codes arrays."""
-    if not isinstance(dtype, str) or not isinstance(compressor, dict) or compressor.get("id") != COMPRESSOR.codec_id:
+    if (
+        not isinstance(dtype, str)
+        or not isinstance(compressor, dict)
+        or compressor.get("id") != COMPRESSOR.codec_id
+    ):
         return False
     kind = np.dtype(dtype).kind
     return (kind in PLAIN_KINDS and not filters) or (kind in TEXT_KINDS and filters == TEXT_FILTERS)
@@ -438,12 +514,18 @@ def _is_ours(dtype: Any, filters: Any, compressor: Any) -> bool:
 def _recorded(path: Path) -> dict[Path, set[str]]:
     """Return the checksums that the files of a Zarr may have."""
     folder, prefix = path.parents[1], f"{ZARR_FOLDER}/{path.name}/"
-    return {folder / name: checksums for name, checksums in recorded(folder).items() if name.startswith(prefix)}
+    return {
+        folder / name: checksums
+        for name, checksums in recorded(folder).items()
+        if name.startswith(prefix)
+    }
 
 
 def _damage_in(path: Path, name: str = "") -> InputError | None:
     """Return the error that names a damaged file of a Zarr, of one array or of all, if any is."""
-    files = {file: of for file, of in _recorded(path).items() if file.parent.name == name or not name}
+    files = {
+        file: of for file, of in _recorded(path).items() if file.parent.name == name or not name
+    }
     damaged = (file for file, checksums in files.items() if not is_as_written(file, checksums))
     return next((_damaged(file, "is damaged or cannot be read") for file in damaged), None)
 

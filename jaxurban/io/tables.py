@@ -40,7 +40,9 @@ SETTINGS = b"settings"  # in the metadata of a Parquet file
 Row = Mapping[str, Any]
 
 
-def write_table(table: pd.DataFrame, file: str | Path, settings: Mapping[str, Any] | None = None) -> Path:
+def write_table(
+    table: pd.DataFrame, file: str | Path, settings: Mapping[str, Any] | None = None
+) -> Path:
     """Write a table, whole or not at all, Parquet with its checksum and ``settings``, and return its file.
 
     Raises:
@@ -52,7 +54,10 @@ def write_table(table: pd.DataFrame, file: str | Path, settings: Mapping[str, An
         return file
     made = pa.Table.from_pandas(table, preserve_index=False)
     facts = {FIELD: BLANK, SETTINGS: json.dumps(settings or {}, sort_keys=True)}
-    made, data = made.replace_schema_metadata({**(made.schema.metadata or {}), **facts}), io.BytesIO()
+    made, data = (
+        made.replace_schema_metadata({**(made.schema.metadata or {}), **facts}),
+        io.BytesIO(),
+    )
     pq.write_table(made, data, compression="zstd")
     write_whole(file, sealed(data.getvalue()))
     return file
@@ -93,7 +98,9 @@ def records_of(table: pd.DataFrame) -> list[dict[str, Any]]:
 def _suffix(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
-        raise InputError(f"cannot determine the format of {str(file)!r}: end its name in {' or '.join(SUFFIXES)}")
+        raise InputError(
+            f"cannot determine the format of {str(file)!r}: end its name in {' or '.join(SUFFIXES)}"
+        )
     return suffix
 
 
@@ -106,7 +113,12 @@ class RowStore:
     """
 
     def __init__(
-        self, file: Path, key: Sequence[str], *, has_parts: bool = False, settings: Mapping[str, Any] | None = None
+        self,
+        file: Path,
+        key: Sequence[str],
+        *,
+        has_parts: bool = False,
+        settings: Mapping[str, Any] | None = None,
     ) -> None:
         """Open the store; ``key`` are the columns that name a row.
 
@@ -147,7 +159,9 @@ class RowStore:
     def _take(self, rows: Iterable[Mapping[Any, Any]]) -> None:
         for row in rows:
             if missing := [name for name in self.key if name not in row]:
-                raise InputError(f"{str(self.file)!r} holds no {missing[0]!r}: name another file, or remove it")
+                raise InputError(
+                    f"{str(self.file)!r} holds no {missing[0]!r}: name another file, or remove it"
+                )
             self._rows[tuple(row[name] for name in self.key)] = dict(row)
 
     def __contains__(self, key: tuple) -> bool:
@@ -168,7 +182,9 @@ class RowStore:
     def add(self, rows: Sequence[Row]) -> None:
         """Keep rows, in place of those of the same key; with parts all or none are on disk when this returns."""
         if self._workspace:
-            write_json(self.file.parent / PARTS_FOLDER / f"{uuid.uuid4().hex}.json", {"rows": list(rows)})
+            write_json(
+                self.file.parent / PARTS_FOLDER / f"{uuid.uuid4().hex}.json", {"rows": list(rows)}
+            )
         self._take(rows)
         self._is_saved = False
         pause_s = max(SAVE_EVERY_S, self._saving_s / SAVING_SHARE)
@@ -186,7 +202,9 @@ class RowStore:
         begin_s, parts = time.perf_counter(), self._parts()
         table = pd.DataFrame(self.rows)
         if columns:
-            table = pd.DataFrame(self.rows, columns=list(columns), dtype=object).astype(dict(columns))
+            table = pd.DataFrame(self.rows, columns=list(columns), dtype=object).astype(
+                dict(columns)
+            )
         write_table(table, self.file, self._settings)
         if self._workspace:
             self._workspace.remove(str(self._workspace.name_of(part)) for part in parts)
@@ -213,6 +231,10 @@ def _read_rows(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
     before = json.loads((table.schema.metadata or {}).get(SETTINGS, b"{}"))
     for name, value in json.loads(json.dumps(settings)).items():
         if before.get(name) != value:
-            difference = f"its {name.replace('_', ' ')} is {before.get(name)}, and {value} is given now"
-            raise InputError(f"{str(file)!r} is of other settings ({difference}): pass --overwrite, or {remedy}")
+            difference = (
+                f"its {name.replace('_', ' ')} is {before.get(name)}, and {value} is given now"
+            )
+            raise InputError(
+                f"{str(file)!r} is of other settings ({difference}): pass --overwrite, or {remedy}"
+            )
     return records_of(table.to_pandas())

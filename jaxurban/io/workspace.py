@@ -33,7 +33,11 @@ from jaxurban.io.files import (
 )
 from jaxurban.progress import LOG
 
-RECORD_FILE, JOURNAL_FILE, LINE = "checksums.json", ".checksums.jsonl", ("command", "name", "checksum")
+RECORD_FILE, JOURNAL_FILE, LINE = (
+    "checksums.json",
+    ".checksums.jsonl",
+    ("command", "name", "checksum"),
+)
 KEPT_FOLDER = "kept"  # where files go that were in the way of an output
 LONGEST_SETTINGS = 200  # characters of two settings that differ, in an error
 Each = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or who works like it
@@ -127,7 +131,11 @@ class Workspace:
           InputError: as of `open`, or something is at these names that is not as it was written.
         """
         recorder = recorder_of(folder / RECORD_FILE)
-        with nullcontext(recorder) if recorder else cls.open(folder, command, names=names, is_shared=True) as workspace:
+        with (
+            nullcontext(recorder)
+            if recorder
+            else cls.open(folder, command, names=names, is_shared=True) as workspace
+        ):
             yield workspace
 
     @staticmethod
@@ -136,14 +144,18 @@ class Workspace:
         return _read(folder).get(command, {"settings": {}})["settings"]
 
     @classmethod
-    def check(cls, folder: Path, command: str, names: Iterable[str] = (), *, is_shared: bool = False) -> None:
+    def check(
+        cls, folder: Path, command: str, names: Iterable[str] = (), *, is_shared: bool = False
+    ) -> None:
         """Raise InputError where a run that writes files of these names would be refused when it does."""
         with cls.open(folder, command, names=names, is_shared=is_shared):
             pass
 
     def _check_alone(self, sections: Sections, is_first: bool) -> None:
         if others := [name for name in sections if name != self.command]:
-            raise InputError(f"{str(self.folder)!r} holds what `jaxurban {others[0]}` wrote: {ELSEWHERE}")
+            raise InputError(
+                f"{str(self.folder)!r} holds what `jaxurban {others[0]}` wrote: {ELSEWHERE}"
+            )
         if is_first and (found := _files_under(self.folder)):
             raise InputError(
                 f"{str(self.folder / found[0])!r} is there already, and not from `jaxurban {self.command}`: {ELSEWHERE}"
@@ -152,7 +164,11 @@ class Workspace:
 
     def _replace(self, now: Mapping[str, Any], overwrite: bool) -> None:
         name = next((name for name in now if now[name] != self.settings.get(name)), None)
-        if name is not None and not overwrite and any(os.path.lexists(self.folder / each) for each in self.written):
+        if (
+            name is not None
+            and not overwrite
+            and any(os.path.lexists(self.folder / each) for each in self.written)
+        ):
             said = name.replace("_", " ")
             difference = f"its {said} is {self.settings.get(name)}, now {now[name]}"
             difference = difference if len(difference) <= LONGEST_SETTINGS else f"other {said}"
@@ -185,7 +201,12 @@ class Workspace:
     def is_own(self, path: Path) -> bool:
         """Return whether a path is a file as this command wrote it; a link is not, nor what is behind one."""
         name = self.name_of(path)
-        if name not in self.written or os.path.islink(path) or not os.path.isfile(path) or self._obstacle(path):
+        if (
+            name not in self.written
+            or os.path.islink(path)
+            or not os.path.isfile(path)
+            or self._obstacle(path)
+        ):
             return False
         return is_as_written(path, [self.written[name]])
 
@@ -197,13 +218,23 @@ class Workspace:
     def broken(self, paths: Iterable[Path], each: Each = map) -> list[Path]:
         """Return those outputs of these paths that are missing or not as this command wrote them; all are read."""
         paths = list(paths)
-        return [path for path, is_whole in zip(paths, each(self.is_own, paths), strict=True) if not is_whole]
+        return [
+            path
+            for path, is_whole in zip(paths, each(self.is_own, paths), strict=True)
+            if not is_whole
+        ]
 
-    def check_way(self, paths: Iterable[Path], remedy: str = ELSEWHERE, *, is_mended: bool = False) -> None:
+    def check_way(
+        self, paths: Iterable[Path], remedy: str = ELSEWHERE, *, is_mended: bool = False
+    ) -> None:
         """Raise InputError if what is in the way of these paths is not own, nor, if ``is_mended``, own and changed."""
         for path in paths:
             self._check_folders(path, remedy)
-            if os.path.lexists(path) and not self.is_own(path) and not (is_mended and self.is_changed(path)):
+            if (
+                os.path.lexists(path)
+                and not self.is_own(path)
+                and not (is_mended and self.is_changed(path))
+            ):
                 why = f"it is not as `jaxurban {self.command}` wrote it"
                 raise InputError(f"{str(path)!r} is in the way ({why}): move it, or {remedy}")
 
@@ -211,7 +242,9 @@ class Workspace:
         """Raise InputError if a link or a file is in the way of the folders above a path."""
         if obstacle := self._obstacle(path):
             what = "link" if obstacle.is_symlink() else "file"
-            raise InputError(f"{str(obstacle)!r} is a {what} in the way of a folder: move it, or {remedy}")
+            raise InputError(
+                f"{str(obstacle)!r} is a {what} in the way of a folder: move it, or {remedy}"
+            )
 
     def begin(self, scratch: Path) -> None:
         """Record the name of a file that is about to be written, so that it is swept if the run is killed.
@@ -256,7 +289,9 @@ class Workspace:
         names = {f"{prefix}/{name}": checksum for name, checksum in checksums.items()}
         paths = [self.folder / name for name in names]
         self.check_way(paths, is_mended=True)
-        self.remove([f"{prefix}/{last}", *(name for name in self.written if name.startswith(f"{prefix}/"))])
+        self.remove(
+            [f"{prefix}/{last}", *(name for name in self.written if name.startswith(f"{prefix}/"))]
+        )
         for changed in filter(os.path.lexists, paths):
             self.set_aside(changed)
         self._note([{"name": name, "checksum": checksum} for name, checksum in names.items()])
@@ -283,17 +318,25 @@ class Workspace:
             path.rename(aside)
         except OSError as error:
             why = f"and cannot be moved ({reason_of(error)})"
-            raise InputError(f"{str(path)!r} is in the way {why}: move it, or {ELSEWHERE}") from error
-        LOG.warning(f"{str(path)!r} was changed since `jaxurban {self.command}` wrote it: it is kept as {str(aside)!r}")
+            raise InputError(
+                f"{str(path)!r} is in the way {why}: move it, or {ELSEWHERE}"
+            ) from error
+        LOG.warning(
+            f"{str(path)!r} was changed since `jaxurban {self.command}` wrote it: it is kept as {str(aside)!r}"
+        )
 
     def remove_all(self) -> None:
         """Remove all own files; what was changed since, or is not own, stays and is reported."""
         folders = {PurePosixPath(name).parent for name in self.written} - {PurePosixPath()}
         self.remove(self.written)
         names = map(PurePosixPath, _files_under(self.folder))
-        if left := [name for name in names if len(name.parts) == 1 or folders.intersection(name.parents)]:
+        if left := [
+            name for name in names if len(name.parts) == 1 or folders.intersection(name.parents)
+        ]:
             others = f" and {len(left) - 1} more stay" if len(left) > 1 else " stays"
-            LOG.warning(f"{str(self.folder / left[0])!r}{others}: not from `jaxurban {self.command}`, or changed since")
+            LOG.warning(
+                f"{str(self.folder / left[0])!r}{others}: not from `jaxurban {self.command}`, or changed since"
+            )
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove those files that are own, and folders that are empty then; forget those that are not there."""
@@ -302,7 +345,11 @@ class Workspace:
             if self.is_own(path):
                 path.unlink()
                 folders |= {parent for parent in path.parents if self.folder in parent.parents}
-        gone = [name for name in listed if name in self.written and not os.path.lexists(self.folder / name)]
+        gone = [
+            name
+            for name in listed
+            if name in self.written and not os.path.lexists(self.folder / name)
+        ]
         self._note({"name": name, "checksum": None} for name in gone)
         for name in gone:
             del self.written[name]
@@ -318,14 +365,20 @@ class Workspace:
 
 def is_inside(name: str) -> bool:
     """Return whether a name is of a file under a folder, on every system: plain, relative and without ``..``."""
-    is_named = {"", ".", ".."}.isdisjoint(re.split(r"[/\\]", name)) and not re.match("[A-Za-z]:", name)
-    return is_named and not re.search("[\0\ud800-\udc7f\udd00-\udfff]", name)  # what no system encodes
+    is_named = {"", ".", ".."}.isdisjoint(re.split(r"[/\\]", name)) and not re.match(
+        "[A-Za-z]:", name
+    )
+    return is_named and not re.search(
+        "[\0\ud800-\udc7f\udd00-\udfff]", name
+    )  # what no system encodes
 
 
 def _obstacle_in(folder: Path, name: PurePosixPath) -> Path | None:
     """Return the first of the folders between a folder and a name under it that is a link or no folder, if any is."""
     above = [folder / parent for parent in reversed(name.parents[:-1])]
-    return next((each for each in above if each.is_symlink() or (each.exists() and not each.is_dir())), None)
+    return next(
+        (each for each in above if each.is_symlink() or (each.exists() and not each.is_dir())), None
+    )
 
 
 def _unused(path: Path) -> Path:
@@ -336,7 +389,11 @@ def _unused(path: Path) -> Path:
 
 def _files_under(folder: Path) -> list[str]:
     """Return the names of the files under a folder but for what holds and records it."""
-    names = {path.relative_to(folder) for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()}
+    names = {
+        path.relative_to(folder)
+        for path in folder.rglob("*")
+        if path.is_symlink() or not path.is_dir()
+    }
     kept = {Path(RECORD_FILE), Path(JOURNAL_FILE), Path(LOCK_FILE)}
     return sorted(name.as_posix() for name in names - kept if SCRATCH_SUFFIX not in str(name))
 
@@ -347,7 +404,9 @@ def recorded(folder: Path) -> dict[str, set[str]]:
     Raises:
       InputError: the record cannot be read.
     """
-    noted = [(line["name"], line["checksum"]) for line in _journal(folder) if "name" in line]  # before it can go
+    noted = [
+        (line["name"], line["checksum"]) for line in _journal(folder) if "name" in line
+    ]  # before it can go
     noted += [item for section in _read(folder).values() for item in section["written"].items()]
     found: dict[str, set[str]] = {}
     for name, checksum in noted:
@@ -373,7 +432,9 @@ def _read(folder: Path) -> Sections:
 
 
 def _is_section(section: Any) -> bool:
-    if not isinstance(section, dict) or not all(isinstance(section.get(of), dict) for of in ("settings", "written")):
+    if not isinstance(section, dict) or not all(
+        isinstance(section.get(of), dict) for of in ("settings", "written")
+    ):
         return False
     return all(isinstance(checksum, str) for checksum in section["written"].values())
 
@@ -415,7 +476,11 @@ def _recover(folder: Path, sections: Sections) -> None:
         if checksums[-1] is not None:
             written[name] = checksums[-1]
         file = folder / name
-        is_there = os.path.isfile(file) and not os.path.islink(file) and not _obstacle_in(folder, PurePosixPath(name))
+        is_there = (
+            os.path.isfile(file)
+            and not os.path.islink(file)
+            and not _obstacle_in(folder, PurePosixPath(name))
+        )
         if len(possible) > 1 and is_there and (now := checksum_of(file)) in possible:
             written[name] = now
 
@@ -443,16 +508,25 @@ def _noted(line: str) -> dict[str, Any] | None:
     """Return what a line of a journal notes, None of a damaged one."""
     try:
         line_held = json.loads(line)
-        noted = {name: line_held[name] for name in (("scratch",) if "scratch" in line_held else LINE)}
+        noted = {
+            name: line_held[name] for name in (("scratch",) if "scratch" in line_held else LINE)
+        }
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
-    is_text = all(isinstance(value, str) for name, value in noted.items() if (name, value) != ("checksum", None))
+    is_text = all(
+        isinstance(value, str)
+        for name, value in noted.items()
+        if (name, value) != ("checksum", None)
+    )
     return noted if is_text else None
 
 
 def _save(folder: Path, sections: Sections) -> None:
     """Write the record, and remove the journal."""
-    sections = {name: {**of, "written": dict(sorted(of["written"].items()))} for name, of in sections.items()}
+    sections = {
+        name: {**of, "written": dict(sorted(of["written"].items()))}
+        for name, of in sections.items()
+    }
     record, held = folder / RECORD_FILE, None
     try:
         with suppress(OSError):

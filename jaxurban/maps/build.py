@@ -96,7 +96,9 @@ def build_maps(
         raise InputError("give either bounds or grid, and not both")
     layers = check_layers(layers)
     region = grid if grid is not None else _region(city, bounds, resolution_m)
-    params = MapParams(altitudes_m, oversample, heights or Heights(), _sections(city, metrics), engine)
+    params = MapParams(
+        altitudes_m, oversample, heights or Heights(), _sections(city, metrics), engine
+    )
     check_region(city, region, is_own=grid is None and bounds is None)
     sky = view_sky(region, params.gps)
     task = MapTask(city, region, sky, params, layers, bands_of(layers, region, params.altitudes_m))
@@ -113,9 +115,16 @@ def _sections(city: City, metrics: Mapping[str, Any]) -> dict[str, Any]:
 def check_region(city: City, region: Grid, is_own: bool = False) -> None:
     """Raise InputError unless a region is where the city is; the city's own was accepted when that was read."""
     if region.crs != city.crs:
-        raise InputError(f"the grid is in {region.crs} and the city in {city.crs}: build the grid in the city's CRS")
-    if not (is_own or shapely.intersects(shapely.box(*region.bounds_m), shapely.box(*city.known_extent_m))):
-        raise InputError("the region and the city do not meet: check the bounds (west, south, east, north)")
+        raise InputError(
+            f"the grid is in {region.crs} and the city in {city.crs}: build the grid in the city's CRS"
+        )
+    if not (
+        is_own
+        or shapely.intersects(shapely.box(*region.bounds_m), shapely.box(*city.known_extent_m))
+    ):
+        raise InputError(
+            "the region and the city do not meet: check the bounds (west, south, east, north)"
+        )
 
 
 def _region(city: City, bounds: Sequence[float] | None, resolution_m: float) -> Grid:
@@ -124,7 +133,14 @@ def _region(city: City, bounds: Sequence[float] | None, resolution_m: float) -> 
         return Grid.from_bounds(bounds, resolution_m, city.crs)
     first = np.floor(np.asarray(city.extent_m[:2]) / resolution_m + 1e-6).astype(int)
     end = np.ceil(np.asarray(city.extent_m[2:]) / resolution_m - 1e-6).astype(int)
-    return Grid(city.crs, resolution_m, int(first[1]), int(first[0]), int(end[1] - first[1]), int(end[0] - first[0]))
+    return Grid(
+        city.crs,
+        resolution_m,
+        int(first[1]),
+        int(first[0]),
+        int(end[1] - first[1]),
+        int(end[0] - first[0]),
+    )
 
 
 def view_sky(region: Grid, gps: Gps) -> Sky:
@@ -162,7 +178,9 @@ def view_sky(region: Grid, gps: Gps) -> Sky:
     return replace(sky, guesses=guesses)
 
 
-def compute_maps(task: MapTask, surface: Surface | None = None, stage: Stage = nullcontext) -> MetricMaps:
+def compute_maps(
+    task: MapTask, surface: Surface | None = None, stage: Stage = nullcontext
+) -> MetricMaps:
     """Return the maps of a task, made in memory as one tile.
 
     Args:
@@ -205,7 +223,9 @@ class MapInputs:
     def metrics(self) -> dict[str, tuple[Metric, Any]]:
         """The metrics with their settings, by name, in the order of the cost."""
         held = self.settings | dict(self.fixed)
-        return {name: (metric, held[name]) for name, metric in known_metrics().items() if name in held}
+        return {
+            name: (metric, held[name]) for name, metric in known_metrics().items() if name in held
+        }
 
 
 def inputs_of(task: MapTask) -> MapInputs:
@@ -225,7 +245,11 @@ def inputs_of(task: MapTask) -> MapInputs:
             "the maps as one function know no oversample, bounds, height_samples or own layers: leave them out, or "
             "make the maps with build_maps"
         )
-    if asked := [name for name, metric in task.metrics.items() if name in ON_REQUEST and metric.traced is None]:
+    if asked := [
+        name
+        for name, metric in task.metrics.items()
+        if name in ON_REQUEST and metric.traced is None
+    ]:
         raise InputError(
             f"the maps as one function hold no {' and no '.join(asked)}: leave it out, or make the maps with build_maps"
         )
@@ -331,9 +355,13 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: GivenWeights = None) -> d
     if weights is not None:
         maps["cost"] = _weighted(inputs, maps, Weights.of(weights))
     if surface.has_data is not None:
-        has_data = surface.crop(surface.has_data)  # after the cost, so that its derivatives stay finite
+        has_data = surface.crop(
+            surface.has_data
+        )  # after the cost, so that its derivatives stay finite
         maps = {
-            name: jnp.where(has_data, values, jnp.nan) if jnp.issubdtype(values.dtype, jnp.floating) else values
+            name: jnp.where(has_data, values, jnp.nan)
+            if jnp.issubdtype(values.dtype, jnp.floating)
+            else values
             for name, values in maps.items()
         }
     return maps

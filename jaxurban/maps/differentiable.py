@@ -26,7 +26,9 @@ from jaxurban.world.city import SLABS, TO_GROUND, City
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
-CELLS_STEP = 256  # visited cells are filled up to a multiple of it, so that programs meet few shapes
+CELLS_STEP = (
+    256  # visited cells are filled up to a multiple of it, so that programs meet few shapes
+)
 
 
 @jax.tree_util.register_dataclass
@@ -127,7 +129,9 @@ class SoftCity:
     @property
     def metrics(self) -> dict[str, Metric]:
         """The metrics that have a soft form, by name, in the order of the layers: as in maps, a user's own last."""
-        made = metrics_of(dict(self.reach_m), dict(self.own), has_people=self.population is not None)
+        made = metrics_of(
+            dict(self.reach_m), dict(self.own), has_people=self.population is not None
+        )
         return {name: metric for name, metric in made.items() if metric.soft is not None}
 
     @property
@@ -136,7 +140,11 @@ class SoftCity:
         return tuple(self.metrics)
 
     def layer(
-        self, name: str, height_m: Float[Array, " B"], params: SoftParams, cells: Int[Array, "P 2"] | None = None
+        self,
+        name: str,
+        height_m: Float[Array, " B"],
+        params: SoftParams,
+        cells: Int[Array, "P 2"] | None = None,
     ) -> Float[Array, "y x"] | Float[Array, " P"]:
         """Return one of the `layers`, by the name of its metric.
 
@@ -171,7 +179,10 @@ class SoftCity:
         return jnp.asarray(metric.cost(m), height_m.dtype)
 
     def layers(
-        self, height_m: Float[Array, " B"], params: SoftParams, cells: Int[Array, "P 2"] | None = None
+        self,
+        height_m: Float[Array, " B"],
+        params: SoftParams,
+        cells: Int[Array, "P 2"] | None = None,
     ) -> Float[Array, "L y x"] | Float[Array, "L P"]:
         """Return the soft cost layers c_j, not weighted, on the region ``[L, y, x]`` or at chosen cells ``[L, P]``.
 
@@ -231,7 +242,9 @@ class SoftCity:
           >>> dict(zip(soft.names, by_layer.round().tolist()))
           {'gps': 17.0, 'lidar': 128.0, 'population': 5.0, 'risk': 1.0}
         """
-        return self.layer_weights(weights) * (self.layers(height_m, params, visits.cells) @ visits.times)
+        return self.layer_weights(weights) * (
+            self.layers(height_m, params, visits.cells) @ visits.times
+        )
 
     def path_cost(
         self, height_m: Float[Array, " B"], params: SoftParams, weights: Weights, visits: PathVisits
@@ -275,20 +288,27 @@ def path_visits(
     Raises:
       InputError: points that are not a path.
     """
-    query = Problem(np.zeros((0, *shape)), np.ones(shape, bool), (0, 0), (0, 0), resolution_m, 0.0, cost_model)
+    query = Problem(
+        np.zeros((0, *shape)), np.ones(shape, bool), (0, 0), (0, 0), resolution_m, 0.0, cost_model
+    )
     counts = query.features(points_m).visits
     cells = np.argwhere(counts > 0)
     times = counts[tuple(cells.T)]
     padding = -len(cells) % CELLS_STEP
     return PathVisits(
-        jnp.asarray(np.pad(cells, ((0, padding), (0, 0)), mode="edge" if len(cells) else "constant"), jnp.int32),
+        jnp.asarray(
+            np.pad(cells, ((0, padding), (0, 0)), mode="edge" if len(cells) else "constant"),
+            jnp.int32,
+        ),
         jnp.asarray(np.pad(times, (0, padding))),
         jnp.asarray(np.hypot(*np.diff(points_m, axis=0).T).sum()),
     )
 
 
 @typed
-def soft_city(city: City, grid: Grid, params: SoftParams, *, layers: Mapping[str, Layer] | None = None) -> SoftCity:
+def soft_city(
+    city: City, grid: Grid, params: SoftParams, *, layers: Mapping[str, Layer] | None = None
+) -> SoftCity:
     """Return a city made ready for soft, differentiable cost layers on the cells of a grid.
 
     They are float32, or float64 under ``jax.enable_x64(True)``.
@@ -320,7 +340,11 @@ def soft_city(city: City, grid: Grid, params: SoftParams, *, layers: Mapping[str
 
 
 def soften(
-    task: MapTask, *, time_index: int = 0, time_of_day: str | None = None, dtype: DTypeLike = np.float32
+    task: MapTask,
+    *,
+    time_index: int = 0,
+    time_of_day: str | None = None,
+    dtype: DTypeLike = np.float32,
 ) -> SoftCity:
     """Return a city made ready for soft, differentiable cost layers (on cells of the region, never supersampled).
 
@@ -343,7 +367,9 @@ def soften(
         )
         task = replace(task, city=replace(task.city, hanging=TO_GROUND))
     if not 0 <= time_index < task.num_times:
-        raise InputError(f"time_index must be 0 to {task.num_times - 1}, one of the sky's times, got {time_index}")
+        raise InputError(
+            f"time_index must be 0 to {task.num_times - 1}, one of the sky's times, got {time_index}"
+        )
     city, params, in_view = task.city, task.params, task.in_view(time_index)
     building = building_index(city, task.with_margin(), params.heights.all_touched)
     assert city.buildings is not None
@@ -355,8 +381,13 @@ def soften(
         building=jnp.asarray(building),
         height_m=jnp.asarray(city.buildings.height_m, dtype),
         view=SkyView.of(surface, *in_view.angles, clocks=in_view.clocks),
-        population=None if city.blocks is None else BlockPopulation.of(city.blocks, task.region.bounds_m, dtype),
+        population=None
+        if city.blocks is None
+        else BlockPopulation.of(city.blocks, task.region.bounds_m, dtype),
         time_of_day=time_of_day or params.population.times_of_day[0],
-        reach_m=tuple((name, float(metric.reach_m(task.settings_of(metric)))) for name, metric in task.metrics.items()),
+        reach_m=tuple(
+            (name, float(metric.reach_m(task.settings_of(metric))))
+            for name, metric in task.metrics.items()
+        ),
         own=tuple(task.layers.items()),
     )

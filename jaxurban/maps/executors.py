@@ -13,7 +13,15 @@ from dask.callbacks import Callback
 from dask.delayed import Delayed, delayed
 
 from jaxurban.errors import InputError, reason_of
-from jaxurban.maps.tiled import QUADRANTS, Quadrant, Tile, TileJob, finish_tile, raster_tile, sweep_tile
+from jaxurban.maps.tiled import (
+    QUADRANTS,
+    Quadrant,
+    Tile,
+    TileJob,
+    finish_tile,
+    raster_tile,
+    sweep_tile,
+)
 from jaxurban.progress import LOG
 
 RETRIES = 3  # of a task whose worker was killed
@@ -39,17 +47,27 @@ def tile_graph(job: TileJob, call: Callable[..., Any]) -> list[Delayed]:
 
     def task(function: Callable, name: str, *arguments: Any, after: list[Delayed]) -> Delayed:
         key = f"{function.__name__}-{name}"
-        return delayed(partial(_after, call, function, arguments), pure=False)(after, dask_key_name=key)
+        return delayed(partial(_after, call, function, arguments), pure=False)(
+            after, dask_key_name=key
+        )
 
     def upstream(tile: Tile, quadrant: Quadrant) -> list[Delayed]:
-        return [sweeps[near, quadrant] for near in tiling.upstream(tile, quadrant) if (near, quadrant) in sweeps]
+        return [
+            sweeps[near, quadrant]
+            for near in tiling.upstream(tile, quadrant)
+            if (near, quadrant) in sweeps
+        ]
 
     rasters = {tile: task(raster_tile, f"{tile}", tile, after=[]) for tile in tiling.tiles}
     for quadrant in QUADRANTS:
-        for tile in sorted(tiling.tiles, key=lambda tile: -tile[0] * quadrant[0] - tile[1] * quadrant[1]):
+        for tile in sorted(
+            tiling.tiles, key=lambda tile: -tile[0] * quadrant[0] - tile[1] * quadrant[1]
+        ):
             if job.hands_on(tile, quadrant):
                 after = [rasters[tile], *upstream(tile, quadrant)]
-                sweeps[tile, quadrant] = task(sweep_tile, f"{tile}-{quadrant}", tile, quadrant, after=after)
+                sweeps[tile, quadrant] = task(
+                    sweep_tile, f"{tile}-{quadrant}", tile, quadrant, after=after
+                )
     finished = []
     for tile in tiling.region_tiles:
         around = [rasters[near] for near in tiling.touching(job.looked_at(tile))]
@@ -116,7 +134,10 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
 
 
 # Pages on the run that any user of this machine could open: none.
-NO_PAGES: dict[str, list[str]] = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
+NO_PAGES: dict[str, list[str]] = {
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
 
 
 @contextmanager
@@ -146,10 +167,14 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
         try:
             client = Client(workers, timeout=10)
         except (OSError, ValueError, TimeoutError) as error:
-            raise InputError(f"no Dask scheduler responds at --cluster {workers!r}: {error}") from error
+            raise InputError(
+                f"no Dask scheduler responds at --cluster {workers!r}: {error}"
+            ) from error
         with client:
             if not client.scheduler_info()["workers"]:
-                LOG.warning(f"the cluster {workers} has no worker yet: waiting for one (`dask worker {workers}`)")
+                LOG.warning(
+                    f"the cluster {workers} has no worker yet: waiting for one (`dask worker {workers}`)"
+                )
             try:
                 yield client
             except (CancelledError, CommClosedError) as error:

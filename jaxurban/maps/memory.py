@@ -27,16 +27,28 @@ LEAST_SIDE = 64  # of a tile, in cells
 SERIES_BYTES = 384 * 2**20  # a tile's metric at every time of a long series takes at most this
 
 # Measured (docs/guides/large.md) and rounded up; what each metric takes of a cell is in its `Metric`.
-COMPILING_BYTES = 320 * 2**20  # what compiling takes beside the libraries, which this process holds already
+COMPILING_BYTES = (
+    320 * 2**20
+)  # what compiling takes beside the libraries, which this process holds already
 SURFACE_CELL_BYTES = 20  # rasters on the host and for JAX while they are put together, or crops of them for the lidar
-TERRAIN_CELL_BYTES = 16  # the same of the terrain; and where slabs hang, of roofs as an altitude meets them
-PEOPLE_SAMPLE_BYTES = 12  # the pixel of people under a sample of a cell, of rasters by day and by night
-WORD_BYTES = 16  # of a cell at an altitude: which of up to 64 satellites it sees, twice if supersampled
-SERIES_VALUE_BYTES = 5  # of a cell at an altitude and a time of a series: m, and whether it is within its limits
+TERRAIN_CELL_BYTES = (
+    16  # the same of the terrain; and where slabs hang, of roofs as an altitude meets them
+)
+PEOPLE_SAMPLE_BYTES = (
+    12  # the pixel of people under a sample of a cell, of rasters by day and by night
+)
+WORD_BYTES = (
+    16  # of a cell at an altitude: which of up to 64 satellites it sees, twice if supersampled
+)
+SERIES_VALUE_BYTES = (
+    5  # of a cell at an altitude and a time of a series: m, and whether it is within its limits
+)
 SUBCELL_BYTES = 60  # rasters of the supersampled surface, its tops for both directions, and the lidar's order of them
 SPREAD_CELL_BYTES = 4 * 10 * 3  # about ten arrays of each of three metrics
 # What the JAX forms of kernels take beside, as compiled for a GPU (benchmarks/cuda_compile.json).
-SHADOW_GPU_BYTES = 64  # of a satellite over a cell of the tile and its halo: shadows are cast by doubling
+SHADOW_GPU_BYTES = (
+    64  # of a satellite over a cell of the tile and its halo: shadows are cast by doubling
+)
 LIDAR_GPU_WORD_BYTES = 4.4  # over flat ground: 32 results of a step, and a tenth
 TERRAIN_GPU_BYTES = 400  # of a tile's own cell: the lidar's rays over terrain
 GEOTIFF_CELL_BYTES = 14  # of a row of tiles, all across the region, while a GeoTIFF is made of it
@@ -69,7 +81,11 @@ def told_bytes(num_bytes: float) -> str:
     """Return a size as people read it."""
     if num_bytes < 2**30:
         return f"{num_bytes / 2**20:.0f} MiB" if num_bytes >= 2**20 else "less than 1 MiB"
-    return f"{num_bytes / 2**30:.1f} GiB" if num_bytes < 10 * 2**30 else f"{num_bytes / 2**30:,.0f} GiB"
+    return (
+        f"{num_bytes / 2**30:.1f} GiB"
+        if num_bytes < 10 * 2**30
+        else f"{num_bytes / 2**30:,.0f} GiB"
+    )
 
 
 def told_apart(*sizes: float) -> list[str]:
@@ -83,7 +99,10 @@ def shape_of_tiles(task: MapTask) -> tuple[int, int]:
     if task.keeps_times:
         return tile_shape(task.region.shape)
     series_bytes = 4 * task.num_times * len(task.params.altitudes_m)
-    return tile_shape(task.region.shape, int(min(MAX_SIDE, max(LEAST_SIDE, math.sqrt(SERIES_BYTES / series_bytes)))))
+    return tile_shape(
+        task.region.shape,
+        int(min(MAX_SIDE, max(LEAST_SIDE, math.sqrt(SERIES_BYTES / series_bytes)))),
+    )
 
 
 def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
@@ -94,13 +113,20 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
       tile: a part of its region, or all of it.
       around: what is rasterised for it; left out, the halo of a tile that its neighbours hand shadows on to.
     """
-    num_altitudes, num_rasters = len(task.params.altitudes_m), task.has_terrain + (task.city.hanging == SLABS)
+    num_altitudes, num_rasters = (
+        len(task.params.altitudes_m),
+        task.has_terrain + (task.city.hanging == SLABS),
+    )
     series_bytes = 0 if task.keeps_times else SERIES_VALUE_BYTES * task.num_times
-    needed = _num_cells(around or task.with_halo(tile)) * (SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * num_rasters)
+    needed = _num_cells(around or task.with_halo(tile)) * (
+        SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * num_rasters
+    )
     for metric in task.metrics.values():
         reach = math.ceil(metric.reach_m(task.settings_of(metric)) / tile.resolution_m)
         needed += _num_cells(tile, reach) * metric.cell_bytes
-        needed += _num_cells(tile) * num_altitudes * (WORD_BYTES + series_bytes) * (TIME in metric.dims)
+        needed += (
+            _num_cells(tile) * num_altitudes * (WORD_BYTES + series_bytes) * (TIME in metric.dims)
+        )
     if task.city.blocks is not None and task.city.blocks.day_count is not None:
         needed += _num_cells(tile) * PEOPLE_SAMPLES**2 * PEOPLE_SAMPLE_BYTES
     if task.params.engine == "jax" and task.has_terrain and "lidar" in task.metrics:
@@ -130,7 +156,9 @@ def maps_bytes(task: MapTask) -> int:
     """Return how many bytes the values of a region's maps are."""
     cells = _num_cells(task.region)
     return sum(
-        cells * np.dtype(variable.dtype).itemsize * math.prod(task.sizes[dim] for dim in variable.dims)
+        cells
+        * np.dtype(variable.dtype).itemsize
+        * math.prod(task.sizes[dim] for dim in variable.dims)
         for variable in variables(task).values()
     )
 
@@ -157,7 +185,9 @@ def _left_in_groups(root: Path) -> list[int]:
     left = []
     for level, kind in _group_levels(root):
         limit_file, held_names = GROUP_FILES[kind]
-        with suppress(OSError, ValueError):  # no group, one without a limit ("max"), or of other resources
+        with suppress(
+            OSError, ValueError
+        ):  # no group, one without a limit ("max"), or of other resources
             limit = int((level / limit_file).read_text())
             stat = dict(line.split() for line in (level / "memory.stat").read_text().splitlines())
             left.append(limit - sum(int(stat.get(name, 0)) for name in held_names))
@@ -172,7 +202,11 @@ def _group_levels(root: Path) -> Iterator[tuple[Path, str]]:
     except OSError:  # another system
         return
     groups = [line.split(":", 2) for line in listed.splitlines() if line.count(":") >= 2]
-    names = {"cgroup2" if not of else "cgroup": name for _, of, name in groups if not of or "memory" in of.split(",")}
+    names = {
+        "cgroup2" if not of else "cgroup": name
+        for _, of, name in groups
+        if not of or "memory" in of.split(",")
+    }
     for line in mounts:
         before, _, after = line.partition(" - ")
         kind, fields = after.split(" ")[0], before.split()
@@ -180,7 +214,11 @@ def _group_levels(root: Path) -> Iterator[tuple[Path, str]]:
             continue
         top, place = map(_unescaped, fields[3:5])
         name, mounted = PurePosixPath(names[kind]), root / place.lstrip("/")
-        within = name.relative_to(top) if name.is_relative_to(top) and ".." not in name.parts else PurePosixPath()
+        within = (
+            name.relative_to(top)
+            if name.is_relative_to(top) and ".." not in name.parts
+            else PurePosixPath()
+        )
         for level in (within, *within.parents):
             yield mounted / level, kind
 
@@ -193,13 +231,20 @@ def _unescaped(field: str) -> str:
 def gpu_free_bytes() -> int | None:
     """Return how much memory JAX may still take on its GPU; None where it computes on a CPU or does not say."""
     stats = jax.local_devices()[0].memory_stats() or {}
-    return int(stats["bytes_limit"] - stats.get("bytes_in_use", 0)) if "bytes_limit" in stats else None
+    return (
+        int(stats["bytes_limit"] - stats.get("bytes_in_use", 0)) if "bytes_limit" in stats else None
+    )
 
 
 def check_fits(task: MapTask) -> None:
     """Raise InputError where the maps of a region take more memory than is free, made at once as `build_maps` does."""
     region, free = task.region, free_bytes()
-    needed = COMPILING_BYTES + PROGRAM_BYTES + tile_bytes(task, region, task.with_margin()) + maps_bytes(task)
+    needed = (
+        COMPILING_BYTES
+        + PROGRAM_BYTES
+        + tile_bytes(task, region, task.with_margin())
+        + maps_bytes(task)
+    )
     if needed > free:
         needed_text, free_text = told_apart(needed, free)
         raise InputError(
@@ -211,7 +256,10 @@ def check_fits(task: MapTask) -> None:
 
 
 def plan_run(
-    tasks: Sequence[MapTask], ceiling_bytes: int | None = None, num_workers: int = 1, num_processes: int = 0
+    tasks: Sequence[MapTask],
+    ceiling_bytes: int | None = None,
+    num_workers: int = 1,
+    num_processes: int = 0,
 ) -> int:
     """Return how many tiles (and GeoTIFFs) to work on at a time, and say in the log what that takes.
 
@@ -228,8 +276,12 @@ def plan_run(
     for task in tasks:
         shape, region = shape_of_tiles(task), task.region
         tile = replace(region, num_rows=shape[0], num_cols=shape[1])
-        num_tiles = max(num_tiles, -(-region.num_rows // shape[0]) * -(-region.num_cols // shape[1]))
-        tile_most = max(tile_most, tile_bytes(task, tile), shape[0] * region.num_cols * GEOTIFF_CELL_BYTES)
+        num_tiles = max(
+            num_tiles, -(-region.num_rows // shape[0]) * -(-region.num_cols // shape[1])
+        )
+        tile_most = max(
+            tile_most, tile_bytes(task, tile), shape[0] * region.num_cols * GEOTIFF_CELL_BYTES
+        )
         gpu_most = max(gpu_most, tile_gpu_bytes(task, tile))
     if tasks[0].params.engine != "numba" and (on_gpu := gpu_free_bytes()) is not None:
         if gpu_most > on_gpu:
@@ -241,7 +293,9 @@ def plan_run(
         num_workers = min(num_workers, on_gpu // gpu_most)
     own, least = psutil.Process().memory_info().rss, num_processes or 1
     ceiling = int(own + DEFAULT_SHARE * free_bytes()) if ceiling_bytes is None else ceiling_bytes
-    base = own + len(tasks) * PROGRAM_BYTES * least + (num_processes * WORKER_BYTES or COMPILING_BYTES)
+    base = (
+        own + len(tasks) * PROGRAM_BYTES * least + (num_processes * WORKER_BYTES or COMPILING_BYTES)
+    )
     fitting = (ceiling - base) // tile_most
     if fitting < least:
         needed_text, most_text = told_apart(base + tile_most * least, ceiling)

@@ -24,7 +24,11 @@ from jaxurban.world.surface import stands_at
 if TYPE_CHECKING:
     import geopandas as gpd
 
-OF_ROUTES = ("weights", "planning", "vehicle")  # sections of a scenario that routes over its maps are planned under
+OF_ROUTES = (
+    "weights",
+    "planning",
+    "vehicle",
+)  # sections of a scenario that routes over its maps are planned under
 
 
 def _placed(ds: xr.Dataset) -> xr.Dataset:
@@ -44,7 +48,11 @@ def _placed(ds: xr.Dataset) -> xr.Dataset:
             raise InputError(
                 f"the maps' {axis} must run cell by cell in steps of {side_m:g} m: cut maps by slices without a step"
             )
-    return ds if all(ds.attrs[name] == value for name, value in first.items()) else ds.assign_attrs(first)
+    return (
+        ds
+        if all(ds.attrs[name] == value for name, value in first.items())
+        else ds.assign_attrs(first)
+    )
 
 
 @typed
@@ -159,13 +167,18 @@ class MetricMaps(Shown):
         and ``park``, polygons; ``path``, ``street``, ``major`` and ``rail``, lines; ``place``, points) and ``name``,
         empty without one. ``attrs`` hold ``credit`` and ``licence``. Read when it is first looked at.
         """
-        from jaxurban.io.read.base_map import base_map_source, read_base_map  # imported here: it brings the readers
+        from jaxurban.io.read.base_map import (
+            base_map_source,
+            read_base_map,
+        )  # imported here: it brings the readers
 
         try:
             if (source := base_map_source(self.base)) is None:
                 return None
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # of a coast with a gap: a picture's ground, no more
+                warnings.simplefilter(
+                    "ignore", UserWarning
+                )  # of a coast with a gap: a picture's ground, no more
                 frame = read_base_map(source, self.grid.crs, self.grid.bounds_m)
         except Exception as error:  # whatever a damaged file raises: maps are whole without it
             LOG.warning(f"no streets and names below the maps: {error}")
@@ -176,7 +189,9 @@ class MetricMaps(Shown):
     def identity(self) -> dict[str, str]:
         """Run, grid and rule of obstacles, which no other maps share: for the record of what was made on them."""
         names = ("run_key", "crs", "resolution_m", "first_row", "first_col")
-        return {name: str(self.ds.attrs.get(name)) for name in names} | {"obstacles": self.obstacles}
+        return {name: str(self.ds.attrs.get(name)) for name in names} | {
+            "obstacles": self.obstacles
+        }
 
     @property
     def guesses(self) -> dict[str, str]:
@@ -188,7 +203,9 @@ class MetricMaps(Shown):
         """The grid of every map."""
         attrs, sizes = self.ds.attrs, self.ds.sizes
         first_row, first_col = int(attrs["first_row"]), int(attrs["first_col"])
-        return Grid(attrs["crs"], float(attrs["resolution_m"]), first_row, first_col, sizes["y"], sizes["x"])
+        return Grid(
+            attrs["crs"], float(attrs["resolution_m"]), first_row, first_col, sizes["y"], sizes["x"]
+        )
 
     @property
     def altitudes_m(self) -> tuple[float, ...]:
@@ -198,7 +215,9 @@ class MetricMaps(Shown):
     @property
     def times(self) -> tuple[str, ...]:
         """UTC times of the GPS maps, ISO 8601."""
-        return tuple(f"{value}Z" for value in np.datetime_as_string(self.ds["time"].values, unit="s"))
+        return tuple(
+            f"{value}Z" for value in np.datetime_as_string(self.ds["time"].values, unit="s")
+        )
 
     @property
     def default_time(self) -> str | None:
@@ -208,7 +227,11 @@ class MetricMaps(Shown):
     @property
     def times_of_day(self) -> tuple[str, ...]:
         """Times of day of the population maps, empty without population."""
-        return tuple(str(value) for value in self.ds["time_of_day"].values) if "population" in self.ds else ()
+        return (
+            tuple(str(value) for value in self.ds["time_of_day"].values)
+            if "population" in self.ds
+            else ()
+        )
 
     @property
     def metrics(self) -> Mapping[str, Metric]:
@@ -260,7 +283,12 @@ class MetricMaps(Shown):
 
     @typed
     def m(
-        self, name: str, altitude_m: float | None = None, *, time: str | None = None, time_of_day: str | None = None
+        self,
+        name: str,
+        altitude_m: float | None = None,
+        *,
+        time: str | None = None,
+        time_of_day: str | None = None,
     ) -> np.ndarray:
         """Return one map ``[y, x]``, rows south to north.
 
@@ -291,13 +319,17 @@ class MetricMaps(Shown):
             )
         name = held
         if name not in self.ds:
-            raise InputError(f"these maps hold no {name!r}: they hold {', '.join(map(str, self.ds.data_vars))}")
+            raise InputError(
+                f"these maps hold no {name!r}: they hold {', '.join(map(str, self.ds.data_vars))}"
+            )
         wanted = {
             "altitude": self._pick("altitude", altitude_m, self.altitudes_m),
             "time": self._pick("time", None if time is None else iso_utc(time), self.times),
             "time_of_day": self._pick("time of day", time_of_day, self.times_of_day),
         }
-        maps = self.ds[name].variable  # without its coordinates, which nobody asks for and xarray would cut too
+        maps = self.ds[
+            name
+        ].variable  # without its coordinates, which nobody asks for and xarray would cut too
         return maps.isel({dim: index for dim, index in wanted.items() if dim in maps.dims}).values
 
     def variable(self, name: str) -> str:
@@ -348,11 +380,17 @@ class MetricMaps(Shown):
                     "these maps hold no 'roof_touched', the roofs that planners keep clear of: make them again, or "
                     'plan with obstacles = "centre" (--obstacles centre), under which paths cut true outlines'
                 )
-            roof_m = self.m("roof" if rule == "centre" else "roof_touched")  # NaN, an unknown height, is never free
-            is_free = is_free & ~stands_at(roof_m, roof_m.dtype.type(altitude_m)) & ~np.isnan(roof_m)
+            roof_m = self.m(
+                "roof" if rule == "centre" else "roof_touched"
+            )  # NaN, an unknown height, is never free
+            is_free = (
+                is_free & ~stands_at(roof_m, roof_m.dtype.type(altitude_m)) & ~np.isnan(roof_m)
+            )
         for name in self.metrics:
             if "layer" in self.ds[self.variable(name)].attrs:
-                for z_m in self.around(float(np.clip(altitude_m, min(self.altitudes_m), max(self.altitudes_m)))):
+                for z_m in self.around(
+                    float(np.clip(altitude_m, min(self.altitudes_m), max(self.altitudes_m)))
+                ):
                     is_free = is_free & ~np.isnan(self.m(name, z_m))
         return is_free
 
@@ -382,7 +420,9 @@ class MetricMaps(Shown):
         return replace(self, rule=obstacles)
 
     @typed
-    def costs(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> dict:
+    def costs(
+        self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None
+    ) -> dict:
         """Return the cost layers c in [0, 1] by metric, ``[y, x]`` each; NaN where m is missing.
 
         Returns:
@@ -399,7 +439,9 @@ class MetricMaps(Shown):
         }
 
     @typed
-    def total(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
+    def total(
+        self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None
+    ) -> np.ndarray:
         """Return H_total, the unweighted sum of the cost layers, ``[y, x]``; NaN where one of them is missing.
 
         Returns:
@@ -410,10 +452,14 @@ class MetricMaps(Shown):
           >>> total.shape, round(float(np.nanmean(total)), 2)
           ((30, 30), 0.75)
         """
-        return np.sum([*self.costs(altitude_m, time=time, time_of_day=time_of_day).values()], axis=0)
+        return np.sum(
+            [*self.costs(altitude_m, time=time, time_of_day=time_of_day).values()], axis=0
+        )
 
     @typed
-    def normalised(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
+    def normalised(
+        self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None
+    ) -> np.ndarray:
         """Return H_norm, H_total brought to [0, 1] over free cells, NaN elsewhere, ``[y, x]``.
 
         Returns:
@@ -426,8 +472,12 @@ class MetricMaps(Shown):
         """
         total = self.total(altitude_m, time=time, time_of_day=time_of_day)
         is_free = self.is_free(altitude_m, "centre")
-        low, high = (edge(total[is_free], initial=end) for edge, end in ((np.min, np.inf), (np.max, -np.inf)))
-        return np.where(is_free, (total - low) / (high - low if high > low else 1), np.float32(np.nan))
+        low, high = (
+            edge(total[is_free], initial=end) for edge, end in ((np.min, np.inf), (np.max, -np.inf))
+        )
+        return np.where(
+            is_free, (total - low) / (high - low if high > low else 1), np.float32(np.nan)
+        )
 
     @typed
     def prefers_gps(self, altitude_m: float, *, time: str | None = None) -> np.ndarray:
@@ -482,9 +532,13 @@ class MetricMaps(Shown):
         from jaxurban.metrics.variables import NEEDED
 
         if lost := [name for name in NEEDED if name not in self.ds]:
-            raise InputError(f"these maps lack {', '.join(lost)}, without which nothing can open them: put it back")
+            raise InputError(
+                f"these maps lack {', '.join(lost)}, without which nothing can open them: put it back"
+            )
         if paths := [name for name in map(str, self.ds.variables) if "/" in name]:
-            raise InputError(f"a variable called {paths[0]!r} cannot be written: give it a name without /")
+            raise InputError(
+                f"a variable called {paths[0]!r} cannot be written: give it a name without /"
+            )
         folder = Path(folder)
         geotiffs = geotiff_paths(self.ds, folder, layers)  # refuses what is not there
         with Workspace.open(folder, "maps", is_shared=True, is_mended=True) as workspace:
@@ -499,7 +553,9 @@ class MetricMaps(Shown):
             if not is_of_run:
                 workspace.settings.clear()
             write_zarr(ds, folder)
-            if OPENED in self.ds.encoding:  # from this folder, it may be: then its files are no longer there
+            if (
+                OPENED in self.ds.encoding
+            ):  # from this folder, it may be: then its files are no longer there
                 ds = open_zarr(folder.resolve(), self.grid.resolution_m)
             write_geotiffs(ds, folder, layers=layers)
             save_base_map(self.base_map, workspace)
@@ -562,5 +618,7 @@ def as_maps(given: GivenMaps) -> MetricMaps:
     if isinstance(given, MetricMaps):
         return given
     if not isinstance(given, str | Path):
-        raise InputError(f"maps must be MetricMaps or the folder that holds them, got {type(given).__name__}")
+        raise InputError(
+            f"maps must be MetricMaps or the folder that holds them, got {type(given).__name__}"
+        )
     return open_maps(given)

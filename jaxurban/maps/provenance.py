@@ -32,7 +32,12 @@ REPORTED_VERSIONS = (
     *("jaxurban", "jax", "jaxlib", "numpy", "osmium", "pyproj"),
     *("rasterio", "shapely", "skyfield", "xarray", "zarr"),
 )
-NOT_OF_MAPS = ("weights", "planning", "vehicle", "study")  # sections of the scenario that no map depends on
+NOT_OF_MAPS = (
+    "weights",
+    "planning",
+    "vehicle",
+    "study",
+)  # sections of the scenario that no map depends on
 MOST_SAID, NOT_SET = 6, "not set"  # of differing settings in one sentence
 MAP_FOLDERS = ("kernels", "world", "metrics", "io", "maps")  # of the package: what maps depend on
 
@@ -51,11 +56,14 @@ def run_record(
 ) -> dict[str, Any]:
     """Return what run.json holds; the arguments are what `run_scenario` worked with, a task for each resolution."""
     city, region, sky = tasks[0].city, tasks[0].region, tasks[-1].sky
-    leaving = {short_number(z): leaving_shares(city, region, sky, z) for z in scenario.region.altitudes_m}
+    leaving = {
+        short_number(z): leaving_shares(city, region, sky, z) for z in scenario.region.altitudes_m
+    }
     population = inside = None
     if city.blocks is not None:
         population, inside = (
-            population_totals(city.blocks, scenario.population, region.bounds_m, is_cut) for is_cut in (False, True)
+            population_totals(city.blocks, scenario.population, region.bounds_m, is_cut)
+            for is_cut in (False, True)
         )
     return {
         "started_utc": started_utc,
@@ -68,7 +76,9 @@ def run_record(
         "region": {
             "crs": region.crs,
             "bounds_m": list(region.bounds_m),
-            "cells": {short_number(task.region.resolution_m): list(task.region.shape) for task in tasks},
+            "cells": {
+                short_number(task.region.resolution_m): list(task.region.shape) for task in tasks
+            },
         },
         "buildings": _building_record(city, region),
         "epochs": list(sky.times),
@@ -113,7 +123,10 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
     Raises:
       InputError: a file that is missing or cannot be read.
     """
-    population, orbits = scenario.population, [name for name in each(scenario.gps.orbits) if name != NOMINAL]
+    population, orbits = (
+        scenario.population,
+        [name for name in each(scenario.gps.orbits) if name != NOMINAL],
+    )
     named = {
         "buildings": None if scenario.is_synthetic else scenario.buildings.source,
         "terrain": scenario.terrain.source,
@@ -129,7 +142,9 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
 
 
 def _sha256(path: Path, role: str) -> str:
-    with readable(path, "bytes", "name a file that can be read", what=f"the {role} file {str(path)!r}"):
+    with readable(
+        path, "bytes", "name a file that can be read", what=f"the {role} file {str(path)!r}"
+    ):
         parts = "".join(f"{part.name} {digest_of(part)}\n" for part in _companions(path))
     return hashlib.sha256(parts.encode()).hexdigest()
 
@@ -139,12 +154,16 @@ def _companions(path: Path) -> list[Path]:
     if not path.is_file() or path.suffix.lower() not in COMPANIED_SUFFIXES:
         return [path]
     names = (f"{glob.escape(path.stem)}.*", f"{glob.escape(path.name)}.*")
-    return sorted({path, *(part for name in names for part in path.parent.glob(name) if part.is_file())})
+    return sorted(
+        {path, *(part for name in names for part in path.parent.glob(name) if part.is_file())}
+    )
 
 
 def settings_of(scenario: Scenario) -> dict[str, Any]:
     """Return the settings of a scenario as run.json holds them: of ``[planning]`` those that were given."""
-    return json.loads(scenario.model_dump_json(exclude_none=True)) | {"planning": scenario.planning.given}
+    return json.loads(scenario.model_dump_json(exclude_none=True)) | {
+        "planning": scenario.planning.given
+    }
 
 
 def code_hash() -> str:
@@ -161,7 +180,9 @@ def code_hash() -> str:
 def _of_maps(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings that maps depend on: `NOT_OF_MAPS` and the engine, which changes no bit, are left out."""
     region = {name: value for name, value in settings["region"].items() if name != "engine"}
-    return {name: value for name, value in settings.items() if name not in NOT_OF_MAPS} | {"region": region}
+    return {name: value for name, value in settings.items() if name not in NOT_OF_MAPS} | {
+        "region": region
+    }
 
 
 def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]], backend: str) -> str:
@@ -190,7 +211,11 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Differing:
     """Return what differs between settings, as JSON holds them: old and new value by dotted key, None: not set."""
     before, after = _flat(old), _flat(new)
-    return {key: (before.get(key), after.get(key)) for key in after | before if before.get(key) != after.get(key)}
+    return {
+        key: (before.get(key), after.get(key))
+        for key in after | before
+        if before.get(key) != after.get(key)
+    }
 
 
 def differences_said(settings: Differing) -> str:
@@ -215,7 +240,9 @@ def other_maps(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[st
     if changed := differing(_of_maps(settings), _of_maps(settings_of(scenario))):
         words.append(f"of other settings ({differences_said(changed)})")
     sums = ({role: file.get("sha256") for role, file in each.items()} for each in (files, inputs))
-    if roles := [role for role in differing(*sums) if not changed or (role in files and role in inputs)]:
+    if roles := [
+        role for role in differing(*sums) if not changed or (role in files and role in inputs)
+    ]:
         words.append(f"of other input files ({', '.join(roles)}: what they hold has changed)")
     if changed := differing(made_by, versions()):
         words.append(f"made by other versions ({differences_said(changed)})")
@@ -237,12 +264,16 @@ def _building_record(city: City, region: Grid) -> dict[str, Any]:
         assert city.roofs is not None
         highest_m = float(np.nanmax(city.roofs.values, initial=0.0))
         return record | {"height_origin_shares": {"raster": 1.0}, "highest_m": highest_m}
-    inside = city.buildings.take(shapely.intersects(city.buildings.polygons, shapely.box(*region.bounds_m)))
+    inside = city.buildings.take(
+        shapely.intersects(city.buildings.polygons, shapely.box(*region.bounds_m))
+    )
     counts = inside.origin_counts()
     return record | {
         "in_region": len(inside),
         "height_origin_counts": counts,
-        "height_origin_shares": {name: round(n / max(len(inside), 1), 4) for name, n in counts.items()},
+        "height_origin_shares": {
+            name: round(n / max(len(inside), 1), 4) for name, n in counts.items()
+        },
         "highest_m": float(inside.height_m.max(initial=0.0)),
         "hanging_parts": int((inside.min_height_m > 0).sum()),
     }
@@ -262,7 +293,10 @@ def _satellite_record(sky: Sky) -> list[dict[str, Any]]:
 
 
 def population_totals(
-    blocks: Blocks, params: Population | None = None, bounds_m: Bounds | None = None, is_cut: bool = False
+    blocks: Blocks,
+    params: Population | None = None,
+    bounds_m: Bounds | None = None,
+    is_cut: bool = False,
 ) -> dict[str, dict[str, float]]:
     """Return the people of the blocks by time of day and zoning, for run.json.
 
@@ -283,10 +317,16 @@ def population_totals(
 
     def by_zoning(count: np.ndarray) -> dict[str, float]:
         zones = (Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER)
-        return {zoning.name.lower(): float((count * weight)[blocks.zoning == zoning].sum()) for zoning in zones}
+        return {
+            zoning.name.lower(): float((count * weight)[blocks.zoning == zoning].sum())
+            for zoning in zones
+        }
 
     night, gamma = by_zoning(blocks.night_count), {"commercial": params.gamma_commercial}
     day = {name: count * gamma.get(name, params.gamma_residential) for name, count in night.items()}
     if blocks.day_count is not None:
         day = by_zoning(blocks.day_count)
-    return {name: {**counts, "total": sum(counts.values())} for name, counts in (("night", night), ("day", day))}
+    return {
+        name: {**counts, "total": sum(counts.values())}
+        for name, counts in (("night", night), ("day", day))
+    }

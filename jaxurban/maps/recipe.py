@@ -54,7 +54,9 @@ class TileScene:
     rings: Mapping[tuple[int, int], Ring] | None = None
     totals: dict[str, TimeTotals] = field(default_factory=dict, init=False)
     _seen: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
-    _met: dict[float, tuple[Surface, Surface | None]] = field(default_factory=dict, init=False, repr=False)
+    _met: dict[float, tuple[Surface, Surface | None]] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     @cached_property
     def is_obstacle(self) -> np.ndarray:
@@ -64,18 +66,29 @@ class TileScene:
     @cached_property
     def has_data(self) -> np.ndarray | None:
         """``[y, x]`` bool: something is known of the cell; None where it is of all."""
-        return None if self.surface.has_data is None else np.asarray(self.surface.crop(self.surface.has_data))
+        return (
+            None
+            if self.surface.has_data is None
+            else np.asarray(self.surface.crop(self.surface.has_data))
+        )
 
     @cached_property
     def supersampled(self) -> Surface | None:
         """The surface ``oversample`` times finer that rays see; None where that is the tile's own."""
         params = self.task.params
-        return None if params.oversample == 1 else self.finer(self.task.city, params.heights.all_touched)
+        return (
+            None
+            if params.oversample == 1
+            else self.finer(self.task.city, params.heights.all_touched)
+        )
 
     def finer(self, city: City, all_touched: bool) -> Surface:
         """Return a city on the tile and all that shadows it, rasterised ``oversample`` times finer."""
         task, region, n = self.task, self.surface.region, self.task.params.oversample
-        bare, grids = replace(city, blocks=None), (region.refined(n), task.with_margin(region).refined(n))
+        bare, grids = (
+            replace(city, blocks=None),
+            (region.refined(n), task.with_margin(region).refined(n)),
+        )
         return replace(build_surface(bare, *grids, all_touched), roof_touched_m=None)
 
     def surfaces_at(self, altitude_m: float) -> tuple[Surface, Surface | None]:
@@ -93,7 +106,9 @@ class TileScene:
             if self.rings is not None and self.supersampled is None:
                 rings = [self.rings[time_index, int(s)] for s in in_view.numbers]
             where = self.supersampled or self.surface, *in_view.angles, params.altitudes_m
-            self.keep(time_index, np.asarray(visibility(*where, rings, params.engine, params.oversample)))
+            self.keep(
+                time_index, np.asarray(visibility(*where, rings, params.engine, params.oversample))
+            )
         return self._seen[time_index]
 
     def keep(self, time_index: int, words: np.ndarray) -> None:
@@ -109,21 +124,31 @@ class TileScene:
         """Return what a metric may look at, at one place along its dims; ``only_m``: for m and nothing else."""
         index = dict(zip(metric.dims, place, strict=True))
         params = self.task.params
-        scene = Scene(self.surface, oversample=params.oversample, only_m=only_m, engine=params.engine)
+        scene = Scene(
+            self.surface, oversample=params.oversample, only_m=only_m, engine=params.engine
+        )
         if (d := index.get(TIME_OF_DAY)) is not None:
             assert self.task.population is not None
-            scene = replace(scene, population=BlockLayers(*(values[d] for values in self.task.population)))
+            scene = replace(
+                scene, population=BlockLayers(*(values[d] for values in self.task.population))
+            )
         if (a := index.get(ALTITUDE)) is not None:
             altitude_m = params.altitudes_m[a]
             surface, fine = self.surfaces_at(altitude_m)
             scene = replace(
-                scene, surface=surface, altitude_m=altitude_m, is_obstacle=self.is_obstacle[a], supersampled=fine
+                scene,
+                surface=surface,
+                altitude_m=altitude_m,
+                is_obstacle=self.is_obstacle[a],
+                supersampled=fine,
             )
         if (t := index.get(TIME)) is not None:
             assert a is not None
             scene = replace(scene, in_view=self.task.in_view(t), words=self.words(t)[:, a])
         if metric.name in self.task.bands:
-            values = layer_values(self.task.bands[metric.name], self.surface.region, self.task.region, a)
+            values = layer_values(
+                self.task.bands[metric.name], self.surface.region, self.task.region, a
+            )
             scene = replace(scene, rasters={metric.name: values})
         return scene
 
@@ -154,7 +179,9 @@ def tile_maps(tile: TileScene, stage: Stage = nullcontext) -> Iterator[MapLayer]
 def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     task = tile.task
     yield from _staged(_obstacles(tile), stage, "obstacle")
-    by_sky = sorted(task.metrics.items(), key=lambda item: TIME not in item[1].dims)  # of one view after the other
+    by_sky = sorted(
+        task.metrics.items(), key=lambda item: TIME not in item[1].dims
+    )  # of one view after the other
     for number, (name, metric) in enumerate(by_sky):
         is_series = TIME in metric.dims and not task.keeps_times
         yield from _staged((_statistics if is_series else _maps)(tile, metric), stage, name)
@@ -208,7 +235,9 @@ def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
         if name != metric.name:
             continue
         m[t, a] = values
-        totals.m_sum[t, a] = np.sum(np.rint(m[t, a] * np.float32(SCALE)), where=is_counted[a], dtype=float)
+        totals.m_sum[t, a] = np.sum(
+            np.rint(m[t, a] * np.float32(SCALE)), where=is_counted[a], dtype=float
+        )
     tile.totals[metric.name] = totals
     for a in range(m.shape[1]):
         threshold, of_altitude = tile.task.params.gps.availability_threshold, None
@@ -231,7 +260,9 @@ def _bounds(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
             view = *task.in_view(t).angles, params.altitudes_m, params.oversample
             tile.keep(t, bounding_visibility(fine, *view, hides_most=is_lower))
             for a in range(len(params.altitudes_m)):
-                made = metric.compute(tile.at(metric, (t, a), only_m=True), task.settings_of(metric))
+                made = metric.compute(
+                    tile.at(metric, (t, a), only_m=True), task.settings_of(metric)
+                )
                 yield MapLayer(f"{metric.name}_{end}", (t, a), made[metric.name])
 
 
@@ -247,13 +278,20 @@ def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
 
     def cities() -> Iterator[City]:
         bare = replace(task.city, blocks=None)
-        return perturbed_cities(bare, heights.height_std_m, heights.height_samples, heights.height_seed)
+        return perturbed_cities(
+            bare, heights.height_std_m, heights.height_samples, heights.height_seed
+        )
 
     grid = task.with_margin(region, max(highest_top_m(city) for city in cities()))
     spreads: dict[tuple, Spread] = {}
     for city in cities():
-        moved = TileScene(replace(task, city=city), build_surface(city, region, grid, heights.all_touched))
-        made = [_obstacles(moved), *(_maps(moved, task.metrics[name], only_m=True) for name in task.spread_metrics)]
+        moved = TileScene(
+            replace(task, city=city), build_surface(city, region, grid, heights.all_touched)
+        )
+        made = [
+            _obstacles(moved),
+            *(_maps(moved, task.metrics[name], only_m=True) for name in task.spread_metrics),
+        ]
         for name, place, values in (layer for layers in made for layer in layers):
             spreads.setdefault((name, place), Spread(heights.height_samples)).add(values)
     for (name, place), spread in spreads.items():
@@ -280,26 +318,40 @@ def _rasters(tile: TileScene) -> Iterator[MapLayer]:
 TAIL = 0.05  # the percentiles reported are the 5th and the 95th
 
 
-def perturbed_cities(city: City, height_std_m: HeightStd, num_samples: int, seed: int) -> Iterator[City]:
+def perturbed_cities(
+    city: City, height_std_m: HeightStd, num_samples: int, seed: int
+) -> Iterator[City]:
     """Yield the city with heights drawn again, once a sample; the same seed gives the same cities."""
     if city.roofs is not None:
         from scipy.ndimage import label
 
-        labels, num_buildings = label(np.nan_to_num(city.roofs.values) > 0, structure=np.ones((3, 3)))
+        labels, num_buildings = label(
+            np.nan_to_num(city.roofs.values) > 0, structure=np.ones((3, 3))
+        )
     for sample in range(num_samples):
         rng = np.random.default_rng([seed, sample])
         if city.buildings is not None:
             by_origin = asdict(height_std_m) | {"layer": height_std_m.default, "generated": 0.0}
-            std_m = np.array([by_origin[origin.name.lower()] for origin in HeightOrigin])[city.buildings.origin]
+            std_m = np.array([by_origin[origin.name.lower()] for origin in HeightOrigin])[
+                city.buildings.origin
+            ]
             errors_m = rng.standard_normal(len(city.buildings)) * std_m
             height_m = np.maximum(city.buildings.height_m + errors_m, 0.0)
             floor_m = city.buildings.min_height_m
-            floor_m = np.where(floor_m > 0, np.maximum(floor_m + errors_m, 0.0), floor_m)  # what hangs moves as a whole
-            yield replace(city, buildings=replace(city.buildings, height_m=height_m, min_height_m=floor_m))
+            floor_m = np.where(
+                floor_m > 0, np.maximum(floor_m + errors_m, 0.0), floor_m
+            )  # what hangs moves as a whole
+            yield replace(
+                city, buildings=replace(city.buildings, height_m=height_m, min_height_m=floor_m)
+            )
         else:
             assert city.roofs is not None
-            errors_m = np.append(0.0, rng.standard_normal(num_buildings) * height_std_m.raster)[labels]
-            values = np.where(labels > 0, np.maximum(city.roofs.values + errors_m, 0.0), city.roofs.values)
+            errors_m = np.append(0.0, rng.standard_normal(num_buildings) * height_std_m.raster)[
+                labels
+            ]
+            values = np.where(
+                labels > 0, np.maximum(city.roofs.values + errors_m, 0.0), city.roofs.values
+            )
             yield replace(city, roofs=replace(city.roofs, values=values.astype(np.float32)))
 
 
@@ -334,7 +386,10 @@ class Spread:
         """Return ``mean``, ``std`` (of the sample, n - 1), ``p05`` and ``p95`` (linear between samples)."""
         last = self.kept - 1
         low, low_next = self.lowest[self.below], self.lowest[min(self.below + 1, last)]
-        high, high_next = self.highest[last - self.below], self.highest[max(last - self.below - 1, 0)]
+        high, high_next = (
+            self.highest[last - self.below],
+            self.highest[max(last - self.below - 1, 0)],
+        )
         return {
             "mean": self.mean,
             "std": np.sqrt(self.squares / max(self.count - 1, 1)),

@@ -64,7 +64,11 @@ def load_city(scenario: Scenario) -> City:
 
     def placed(section: Any, *names: str) -> Any:
         """Return a section whose files are named from the current folder."""
-        files = {name: scenario.path_of(file) for name in names if (file := getattr(section, name)) is not None}
+        files = {
+            name: scenario.path_of(file)
+            for name in names
+            if (file := getattr(section, name)) is not None
+        }
         return replace(section, **files)
 
     return City.from_files(
@@ -90,7 +94,9 @@ def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
     region, params = scenario.region, scenario.map_params
     with stage("read"):
         city = load_city(scenario)
-    orbits = [name if name == NOMINAL else scenario.path_of(name) for name in each(scenario.gps.orbits)]
+    orbits = [
+        name if name == NOMINAL else scenario.path_of(name) for name in each(scenario.gps.orbits)
+    ]
     tasks = []
     with stage("orbits"):
         for resolution_m in region.resolution_m:
@@ -152,8 +158,12 @@ def run_scenario(
             *([] if base is None else [folder / BASE_MAP_FILE]),
         ]
         for task in tasks:
-            planned += geotiff_paths(empty_dataset(task, _no_values), folder, layers)  # refuses what is not there
-            planned += [store.zarr_path(folder, task.region.resolution_m) / name for name in store.OF_ZARR]
+            planned += geotiff_paths(
+                empty_dataset(task, _no_values), folder, layers
+            )  # refuses what is not there
+            planned += [
+                store.zarr_path(folder, task.region.resolution_m) / name for name in store.OF_ZARR
+            ]
         guesses = tasks[0].all_guesses
         warn_of(guesses, known=tasks[0].city.guesses)
         check_writable(folder)
@@ -163,14 +173,21 @@ def run_scenario(
         check_disk(tasks, folder)
         # Nothing of an older job is touched before this one can begin.
         names = [path.relative_to(folder).as_posix() for path in planned]
-        how: dict[str, Any] = {"names": names, "overwrite": overwrite, "is_shared": True, "is_mended": True}
+        how: dict[str, Any] = {
+            "names": names,
+            "overwrite": overwrite,
+            "is_shared": True,
+            "is_mended": True,
+        }
         with (
             Workspace.open(folder, "maps", {RUN_KEY: key}, **how) as workspace,
             nullcontext() if workers is None else cluster_client(workers) as client,
         ):
             _sweep(folder, key, scenario.region.resolution_m)
             tasks = [replace(task, guesses=guesses) for task in tasks]
-            makers = [Maker(task, folder, key, num_threads, client, tuple(layers)) for task in tasks]
+            makers = [
+                Maker(task, folder, key, num_threads, client, tuple(layers)) for task in tasks
+            ]
             made = [_maps_of(maker, workspace, watch, report) for maker in makers]
             store.put_root(folder)  # of maps that are kept; 1.0.0 wrote none
             is_kept = not any(is_new for _, is_new in made)
@@ -179,7 +196,9 @@ def run_scenario(
                 if base is None or not is_kept or workspace.broken([file]):
                     save_base_map(replace(made[0][0], base=base).base_map, workspace)
             messages = [str(item.message) for item in caught]
-            record = run_record(scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages, engine)
+            record = run_record(
+                scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages, engine
+            )
             record = write_record(folder / store.RUN_FILE, record, is_kept)
     kept_base = file.resolve() if file.is_file() else None
     found = [replace(maps, base=kept_base).with_recorded(record["settings"]) for maps, _ in made]
@@ -207,13 +226,17 @@ class Maker:
 
     def each(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         """Return what a function makes of each item, in threads of this process, on a cluster too: files are here."""
-        with ThreadPoolExecutor(self.num_workers, initializer=RECORDER.set, initargs=(RECORDER.get(),)) as pool:
+        with ThreadPoolExecutor(
+            self.num_workers, initializer=RECORDER.set, initargs=(RECORDER.get(),)
+        ) as pool:
             return list(pool.map(function, items))
 
 
 def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
     """Remove what killed runs left under a folder, but for the tiles that this one goes on with."""
-    unfinished = [resolution_m for resolution_m in resolutions_m if stored_key(folder, resolution_m) != key]
+    unfinished = [
+        resolution_m for resolution_m in resolutions_m if stored_key(folder, resolution_m) != key
+    ]
     kept = [store.work_path(folder, resolution_m) for resolution_m in unfinished]
     for path in (folder / store.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}"):
         if path not in kept:
@@ -221,7 +244,9 @@ def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
     sweep_scraps(folder, folder / store.ZARR_FOLDER, folder / store.GEOTIFF_FOLDER)
 
 
-def _maps_of(maker: Maker, workspace: Workspace, watch: Stopwatch, report: Report) -> tuple[MetricMaps, bool]:
+def _maps_of(
+    maker: Maker, workspace: Workspace, watch: Stopwatch, report: Report
+) -> tuple[MetricMaps, bool]:
     """Return the maps at one resolution, and whether they were made: those on disk are kept if whole and this job's."""
     folder, resolution_m = maker.folder, maker.task.region.resolution_m
     path = store.zarr_path(folder, resolution_m)
@@ -245,18 +270,26 @@ def _maps_of(maker: Maker, workspace: Workspace, watch: Stopwatch, report: Repor
         stale = workspace.broken(geotiff_paths(ds, folder, maker.layers), maker.each)
         edited = [path for path in stale if path.suffix == ".qml" and workspace.is_changed(path)]
         for path in edited:  # styles are there to be edited
-            LOG.warning(f"{str(path)!r} was changed and stays: remove it, and the same command writes it again")
+            LOG.warning(
+                f"{str(path)!r} was changed and stays: remove it, and the same command writes it again"
+            )
         stale = [path for path in stale if path not in edited]
         for path in stale:
-            if is_kept and not workspace.is_changed(path):  # else it is reported when it is set aside
+            if is_kept and not workspace.is_changed(
+                path
+            ):  # else it is reported when it is set aside
                 LOG.warning(f"{str(path)!r} is missing: writing it again")
     with watch.stage("write_geotiff"):
         write_geotiffs(ds, folder, maker.each, only=stale, layers=maker.layers)
-        sweep_scraps(folder / store.GEOTIFF_FOLDER)  # of workers that were killed, whose files others have written
+        sweep_scraps(
+            folder / store.GEOTIFF_FOLDER
+        )  # of workers that were killed, whose files others have written
     return MetricMaps(ds), not is_kept
 
 
-def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None) -> dict[str, float]:
+def make_zarr(
+    maker: Maker, report: Report, shape: tuple[int, int] | None = None
+) -> dict[str, float]:
     """Make the Zarr of one resolution tile by tile and return the seconds that all workers spent on each stage.
 
     Args:
@@ -276,7 +309,10 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
     work = WorkFolder(store.work_path(maker.folder.resolve(), grid.resolution_m))
     for path in work.begin(f"{maker.key} {shape}", maker.each):
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
-    job, facts = TileJob(task, work, tiling), {RUN_KEY: maker.key, "guesses": json.dumps(task.guesses)}
+    job, facts = (
+        TileJob(task, work, tiling),
+        {RUN_KEY: maker.key, "guesses": json.dumps(task.guesses)},
+    )
     empty = empty_dataset(task, _no_values).assign_attrs(facts)
     if work.done(ZARR) is None:
         store.create_zarr(empty, work.zarr, shape)
@@ -304,7 +340,8 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
     if totals:
         made = with_series(empty, task, totals)
         store.add_to_zarr(
-            made[[f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]], work.zarr
+            made[[f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]],
+            work.zarr,
         )
         work.mark_zarr()
     work.finish(store.zarr_path(maker.folder, grid.resolution_m))

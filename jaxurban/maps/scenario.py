@@ -49,7 +49,9 @@ from jaxurban.world.grid import Bounds, check_bounds, projected_crs
 
 SYNTHETIC = "synthetic"
 MOST_INSTANCES = 1_000_000
-MOST_EMPTY_CELLS = 50_000_000  # of a region most of which is empty and that nobody asked for: 35 x 35 km of 5 m
+MOST_EMPTY_CELLS = (
+    50_000_000  # of a region most of which is empty and that nobody asked for: 35 x 35 km of 5 m
+)
 PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 MUST_BE = {
@@ -59,9 +61,13 @@ MUST_BE = {
 CONFIG = ConfigDict(extra="forbid", frozen=True)
 PositiveInt = Annotated[int, Field(gt=0)]
 WeightTable = Annotated[  # weights by name; `Scenario` knows which names there are
-    dict[str, Any], AfterValidator(lambda named: Weights(**named).checked()), PlainSerializer(Weights.to_dict)
+    dict[str, Any],
+    AfterValidator(lambda named: Weights(**named).checked()),
+    PlainSerializer(Weights.to_dict),
 ]
-WeightSettings = Annotated[Weights, GetPydanticSchema(lambda _, handler: handler.generate_schema(WeightTable))]
+WeightSettings = Annotated[
+    Weights, GetPydanticSchema(lambda _, handler: handler.generate_schema(WeightTable))
+]
 
 
 def _all_different(values: tuple) -> tuple:
@@ -98,7 +104,9 @@ class Region(BaseModel):
 def _dirichlet_or_list(value: Any) -> Any:
     if value == "dirichlet" or (isinstance(value, list | tuple) and value):
         return value
-    raise ValueError(f"must be 'dirichlet' or a list such as [{{ distance = 0.1, gps = 1.0 }}], got {value!r}")
+    raise ValueError(
+        f"must be 'dirichlet' or a list such as [{{ distance = 0.1, gps = 1.0 }}], got {value!r}"
+    )
 
 
 @typed
@@ -133,9 +141,9 @@ class Study:
     distance_only: str | Sequence[str] = ("astar-dist",)
     altitudes_m: DifferentList | None = None
     land_cover: str | None = None
-    weights: Annotated[tuple[WeightSettings, ...] | Literal["dirichlet"], BeforeValidator(_dirichlet_or_list)] = (
-        "dirichlet"
-    )
+    weights: Annotated[
+        tuple[WeightSettings, ...] | Literal["dirichlet"], BeforeValidator(_dirichlet_or_list)
+    ] = "dirichlet"
     cost_model: CostKind | None = None
     budget_s: float = 2.0
     budget_iterations: int | None = None
@@ -153,7 +161,9 @@ class Study:
             if getattr(self, name) is not None:
                 at_least(name, getattr(self, name), least)
         if self.instances > MOST_INSTANCES:
-            raise InputError(f"instances must be at most {MOST_INSTANCES:,} at each altitude, got {self.instances:,}")
+            raise InputError(
+                f"instances must be at most {MOST_INSTANCES:,} at each altitude, got {self.instances:,}"
+            )
 
 
 LEFT_OUT = Field(default=None, exclude_if=operator.not_)  # not made
@@ -199,7 +209,9 @@ class Scenario(Sections):  # type: ignore[misc]  # a base that pydantic makes
         self._check_layers()
         self._request_what_is_weighed()
         _ = self.map_params  # which refuses what does not go together
-        if self.is_synthetic and (self.population.blocks or self.population.blocks_day or self.terrain.source):
+        if self.is_synthetic and (
+            self.population.blocks or self.population.blocks_day or self.terrain.source
+        ):
             raise ValueError(
                 "the synthetic city (source = 'synthetic') has its own population and flat ground: leave out "
                 "the files of [population] and terrain.source, or name a source of real buildings"
@@ -209,10 +221,14 @@ class Scenario(Sections):  # type: ignore[misc]  # a base that pydantic makes
     def _check_layers(self) -> None:
         for name, layer in check_layers(self.layers).items():
             if not isinstance(layer.source, str):
-                raise ValueError(f"layers.{name}: source must be the path of a raster, got {layer.source!r}")
+                raise ValueError(
+                    f"layers.{name}: source must be the path of a raster, got {layer.source!r}"
+                )
         tables = {"weights": self.weights}
         if not isinstance(self.study.weights, str):
-            tables |= {f"study.weights.{number}": table for number, table in enumerate(self.study.weights)}
+            tables |= {
+                f"study.weights.{number}": table for number, table in enumerate(self.study.weights)
+            }
         for where, table in tables.items():
             try:
                 table.checked(self.layers)
@@ -240,16 +256,22 @@ class Scenario(Sections):  # type: ignore[misc]  # a base that pydantic makes
           ((139.689, 35.6806, 139.7111, 35.6986), 10.0)
         """
         if is_sample(path):
-            return cls.from_dict(changed({"buildings": {"source": str(path)}}, changes), name=str(path))
+            return cls.from_dict(
+                changed({"buildings": {"source": str(path)}}, changes), name=str(path)
+            )
         path = Path(path)
-        with readable(path, "a scenario in TOML", "give sections and their keys"):  # also tables in tables without end
+        with readable(
+            path, "a scenario in TOML", "give sections and their keys"
+        ):  # also tables in tables without end
             settings = changed(tomllib.loads(path.read_text(encoding="utf-8")), changes)
             name = " ".join([str(path), *(f"--set {change}" for change in changes)])
             return cls.from_dict(settings, name=name, folder=path.resolve().parent)
 
     @classmethod
     @typed
-    def from_dict(cls, settings: dict[str, Any], name: str = "the scenario", folder: Path | None = None) -> "Scenario":
+    def from_dict(
+        cls, settings: dict[str, Any], name: str = "the scenario", folder: Path | None = None
+    ) -> "Scenario":
         """Return the scenario in nested dicts, sections by name; relative paths are relative to ``folder``.
 
         Returns:
@@ -308,7 +330,12 @@ class Scenario(Sections):  # type: ignore[misc]  # a base that pydantic makes
     def _request_what_is_weighed(self) -> None:
         """Give the metrics made on request that have a weight above 0 and no section one of its defaults."""
         listed = () if isinstance(self.study.weights, str) else self.study.weights
-        weighed = {name for table in (self.weights, *listed) for name, value in table.to_dict().items() if value}
+        weighed = {
+            name
+            for table in (self.weights, *listed)
+            for name, value in table.to_dict().items()
+            if value
+        }
         for name, metric in ON_REQUEST.items():
             if name in weighed and getattr(self, name) is None:
                 object.__setattr__(self, name, metric.params())
@@ -318,7 +345,13 @@ class Scenario(Sections):  # type: ignore[misc]  # a base that pydantic makes
         """What the maps depend on besides city, sky and grid."""
         names = [name for name in (*METRICS, *ON_REQUEST) if getattr(self, name, None) is not None]
         sections = {name: getattr(self, name) for name in names}
-        return MapParams(self.region.altitudes_m, self.region.oversample, self.buildings, sections, self.region.engine)
+        return MapParams(
+            self.region.altitudes_m,
+            self.region.oversample,
+            self.buildings,
+            sections,
+            self.region.engine,
+        )
 
     @property
     def is_synthetic(self) -> bool:
@@ -335,11 +368,18 @@ def _with_times_as_text(settings: Any) -> Any:
     return iso_utc(settings) if isinstance(settings, datetime) else settings
 
 
-def _with_bounds(settings: Mapping[str, Any], folder: Path) -> tuple[Mapping[str, Any], Bounds | None]:
+def _with_bounds(
+    settings: Mapping[str, Any], folder: Path
+) -> tuple[Mapping[str, Any], Bounds | None]:
     """Return settings with the bounds that the file of buildings covers, and these, where they give none."""
     region, buildings = settings.get("region", {}), settings.get("buildings")
     source = buildings.get("source") if isinstance(buildings, Mapping) else None
-    if not isinstance(region, Mapping) or "bounds" in region or not isinstance(source, str) or source == SYNTHETIC:
+    if (
+        not isinstance(region, Mapping)
+        or "bounds" in region
+        or not isinstance(source, str)
+        or source == SYNTHETIC
+    ):
         return settings, None
     from jaxurban.io.read.city import lonlat_extent  # imported here: it brings the readers
 
@@ -395,7 +435,11 @@ def changed(settings: dict[str, Any], changes: Iterable[str]) -> dict[str, Any]:
 
 
 def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
-    tables = [name for name, value in new.items() if isinstance(value, Mapping) and isinstance(old.get(name), Mapping)]
+    tables = [
+        name
+        for name, value in new.items()
+        if isinstance(value, Mapping) and isinstance(old.get(name), Mapping)
+    ]
     return {**old, **new, **{name: _merged(old[name], new[name]) for name in tables}}
 
 
@@ -429,7 +473,9 @@ def _check_truths(settings: Any, model: type, where: str = "") -> None:
     known = fields_of(model)
     for name, value in settings.items() if isinstance(settings, Mapping) else ():
         if isinstance(value, bool) and name in known and known[name] is not bool:
-            raise ValueError(f"{where}{name} cannot be {str(value).lower()}: give a number, a text or a list")
+            raise ValueError(
+                f"{where}{name} cannot be {str(value).lower()}: give a number, a text or a list"
+            )
         check_range(f"{where}{name}", value)
         if inner := model_in(known.get(name)):
             _check_truths(value, inner, f"{where}{name}: ")
@@ -445,12 +491,18 @@ def fields_of(model: type) -> dict[str, Any]:
 def _holds(settings: Any, part: str | int) -> bool:
     """Return whether settings have such a key, or such a place in a list."""
     if isinstance(part, int):
-        return isinstance(settings, Sequence) and not isinstance(settings, str) and part < len(settings)
+        return (
+            isinstance(settings, Sequence)
+            and not isinstance(settings, str)
+            and part < len(settings)
+        )
     return isinstance(settings, Mapping) and part in settings
 
 
 def model_in(annotation: Any) -> type | None:
     """Return the model or dataclass that an annotation names, on its own or in a list or union; None if none."""
-    if isinstance(annotation, type) and (issubclass(annotation, BaseModel) or is_dataclass(annotation)):
+    if isinstance(annotation, type) and (
+        issubclass(annotation, BaseModel) or is_dataclass(annotation)
+    ):
         return annotation
     return next(filter(None, map(model_in, get_args(annotation))), None)

@@ -58,19 +58,29 @@ class MapParams:
 
     def __post_init__(self) -> None:
         values = tuple(float(value) for value in self.altitudes_m)
-        if not values or not all(0 < value < np.inf for value in values) or len(set(values)) != len(values):
-            raise InputError(f"altitudes_m must be different positive numbers of metres above ground, got {[*values]}")
+        if (
+            not values
+            or not all(0 < value < np.inf for value in values)
+            or len(set(values)) != len(values)
+        ):
+            raise InputError(
+                f"altitudes_m must be different positive numbers of metres above ground, got {[*values]}"
+            )
         object.__setattr__(self, "altitudes_m", values)
         at_least("oversample", self.oversample, 1)
         object.__setattr__(self, "sections", checked_sections(self.sections))
         gps = self.gps
-        if (gps.bounds or self.heights.height_samples) and not gps.keeps_times(len(gps.utc_times or (None,))):
+        if (gps.bounds or self.heights.height_samples) and not gps.keeps_times(
+            len(gps.utc_times or (None,))
+        ):
             raise InputError(
                 "[gps] bounds and [buildings] height_samples need the maps of every time: give fewer times, or set "
                 "[gps] series = 'epochs'"
             )
         if gps.bounds and self.oversample % 2 == 0:
-            raise InputError(f"[gps] bounds need an odd oversample, got {self.oversample}: use 3 or 5")
+            raise InputError(
+                f"[gps] bounds need an odd oversample, got {self.oversample}: use 3 or 5"
+            )
 
     @property
     def gps(self) -> Gps:
@@ -115,25 +125,39 @@ class MapTask:
                 "bounds of m_gps hold for one clock: with several, a first satellite of the first system may raise "
                 "GDOP. Set [gps] clocks = 'one', or give the orbits of one system"
             )
-        spreads = {each for name in self.spread_metrics for each in derived(self.metrics[name])["spread"]}
+        spreads = {
+            each for name in self.spread_metrics for each in derived(self.metrics[name])["spread"]
+        }
         if taken := spreads & {*self.layers}:
-            raise InputError(f"a layer cannot be called {min(taken)!r}, a map of the spread: give it another name")
+            raise InputError(
+                f"a layer cannot be called {min(taken)!r}, a map of the spread: give it another name"
+            )
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:
         """The metrics that the maps are of: the built-in ones that there are data for, then a user's by name."""
-        return metrics_of(self.params.sections, self.layers, has_people=self.city.blocks is not None)
+        return metrics_of(
+            self.params.sections, self.layers, has_people=self.city.blocks is not None
+        )
 
     def settings_of(self, metric: Metric) -> Any:
         """Return the settings of a metric."""
-        return self.layers[metric.name] if metric.name in self.layers else self.params.sections[metric.name]
+        return (
+            self.layers[metric.name]
+            if metric.name in self.layers
+            else self.params.sections[metric.name]
+        )
 
     @property
     def spread_metrics(self) -> tuple[str, ...]:
         """Names of the metrics whose spread by uncertain heights is computed: those that buildings decide."""
         if not self.params.heights.height_samples:
             return ()
-        return tuple(name for name, m in self.metrics.items() if ALTITUDE in m.dims and name not in self.bands)
+        return tuple(
+            name
+            for name, m in self.metrics.items()
+            if ALTITUDE in m.dims and name not in self.bands
+        )
 
     @property
     def reach_m(self) -> float:
@@ -144,7 +168,11 @@ class MapTask:
     def sizes(self) -> dict[str, int]:
         """How many values each dim of the metrics has."""
         times_of_day = len(self.params.population.times_of_day)
-        return {TIME: self.num_times, ALTITUDE: len(self.params.altitudes_m), TIME_OF_DAY: times_of_day}
+        return {
+            TIME: self.num_times,
+            ALTITUDE: len(self.params.altitudes_m),
+            TIME_OF_DAY: times_of_day,
+        }
 
     @property
     def num_times(self) -> int:
@@ -209,7 +237,11 @@ class MapTask:
     def surface(self) -> Surface:
         """Return the city's rasters on the region and its margin."""
         return build_surface(
-            self.city, self.region, self.with_margin(), self.params.heights.all_touched, self.has_guessed_roofs
+            self.city,
+            self.region,
+            self.with_margin(),
+            self.params.heights.all_touched,
+            self.has_guessed_roofs,
         )
 
 
@@ -235,10 +267,14 @@ def variables(task: MapTask) -> dict[str, Variable]:
         UNDERSIDE: task.city.hanging == SLABS and task.city.buildings is not None,
         "terrain": task.has_terrain,
     }
-    return found | {name: variable for name, variable in NO_METRICS.items() if are_made.get(name, True)}
+    return found | {
+        name: variable for name, variable in NO_METRICS.items() if are_made.get(name, True)
+    }
 
 
-def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], object] = np.zeros) -> xr.Dataset:
+def empty_dataset(
+    task: MapTask, make: Callable[[tuple[int, ...], np.dtype], object] = np.zeros
+) -> xr.Dataset:
     """Return the dataset that the maps of a task go into, with coordinates and attributes, all values zero.
 
     Args:
@@ -246,13 +282,36 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
       make: gives the array of a shape and a type.
     """
     region, params = task.region, task.params
-    attribution = joined_credits(task.city.attribution, *(layer.credit for layer in task.layers.values()))
+    attribution = joined_credits(
+        task.city.attribution, *(layer.credit for layer in task.layers.values())
+    )
     times = np.array([time.removesuffix("Z") for time in task.sky.times], "datetime64[ns]")
     heights = {"units": "m", "positive": "up", "reference": "ground below (AGL)"}
     coords = {
-        "y": _axis("y", region.y_m, "Y", "projection_y_coordinate", "northing of the cell's centre", units="m"),
-        "x": _axis("x", region.x_m, "X", "projection_x_coordinate", "easting of the cell's centre", units="m"),
-        "altitude": _axis("altitude", np.asarray(params.altitudes_m, float), "Z", "height", "above ground", **heights),
+        "y": _axis(
+            "y",
+            region.y_m,
+            "Y",
+            "projection_y_coordinate",
+            "northing of the cell's centre",
+            units="m",
+        ),
+        "x": _axis(
+            "x",
+            region.x_m,
+            "X",
+            "projection_x_coordinate",
+            "easting of the cell's centre",
+            units="m",
+        ),
+        "altitude": _axis(
+            "altitude",
+            np.asarray(params.altitudes_m, float),
+            "Z",
+            "height",
+            "above ground",
+            **heights,
+        ),
         "time": _axis("time", times, "T", "time", "UTC"),
         "spatial_ref": _held((), np.asarray(0), pyproj.CRS(region.crs).to_cf()),
     }
@@ -266,7 +325,10 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
         "constellations": ", ".join(sorted(set(task.sky.systems))),
     }
     for metric in task.metrics.values():
-        attrs |= {name: getattr(task.settings_of(metric), setting) for name, setting in metric.recorded.items()}
+        attrs |= {
+            name: getattr(task.settings_of(metric), setting)
+            for name, setting in metric.recorded.items()
+        }
     if len(set(task.sky.systems)) > 1:
         attrs["gps_clocks"] = params.gps.clocks
     if attribution:
@@ -288,7 +350,9 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
     for name, variable in held.items():
         ds[name].attrs |= _attributes(variable, ds[name])
     if "pop_norm_per_block" in ds.attrs:
-        ds["population"].attrs["one_means"] = "as many people in the block as the norm (pop_norm_per_block)"
+        ds["population"].attrs["one_means"] = (
+            "as many people in the block as the norm (pop_norm_per_block)"
+        )
     for name, layer in task.layers.items():
         ds[name].attrs["layer"] = json.dumps(layer.record)
     return ds
@@ -310,7 +374,9 @@ def with_series(ds: xr.Dataset, task: MapTask, totals: Mapping[str, TimeTotals])
     return ds
 
 
-def _held(dims: tuple[str, ...], values: Any, attrs: Mapping[str, Any] | None = None) -> xr.Variable:
+def _held(
+    dims: tuple[str, ...], values: Any, attrs: Mapping[str, Any] | None = None
+) -> xr.Variable:
     """Return a variable of an array as it is; xarray's usual way loads Dask, 0.3 s, to ask whether it is one of its."""
     return xr.Variable(dims, values, attrs, fastpath=True)
 
@@ -326,8 +392,14 @@ def _indexed(coords: Mapping[str, xr.Variable]) -> xr.Coordinates:
     return xr.Coordinates({**coords, **axes}, indexes)
 
 
-def _axis(name: str, values: np.ndarray, axis: str, standard_name: str, long_name: str, **more: str) -> xr.Variable:
-    return _held((name,), values, {"standard_name": standard_name, "long_name": long_name, "axis": axis, **more})
+def _axis(
+    name: str, values: np.ndarray, axis: str, standard_name: str, long_name: str, **more: str
+) -> xr.Variable:
+    return _held(
+        (name,),
+        values,
+        {"standard_name": standard_name, "long_name": long_name, "axis": axis, **more},
+    )
 
 
 def _attributes(variable: Variable, array: xr.DataArray) -> dict[str, str]:

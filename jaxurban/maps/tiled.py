@@ -26,7 +26,9 @@ from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Slabs, Surface
 
 Tile = tuple[int, int]  # row and column of a tile in its tiling, the southwest one first
-Quadrant = tuple[int, int]  # 1 or -1 each: the source stands in the north (1) or south, in the east (1) or west
+Quadrant = tuple[
+    int, int
+]  # 1 or -1 each: the source stands in the north (1) or south, in the east (1) or west
 QUADRANTS: tuple[Quadrant, ...] = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
@@ -82,13 +84,23 @@ class Tiling:
         if min(shape) < 1:
             raise InputError(f"tiles need at least one cell a side, got {shape[0]} x {shape[1]}")
         (rows, cols), (height, width) = region.window_in(surface), surface.shape
-        spans, first_col, num_cols = _spans(region.num_cols, shape[1], cols.start, width - cols.stop)
+        spans, first_col, num_cols = _spans(
+            region.num_cols, shape[1], cols.start, width - cols.stop
+        )
         col_starts = accumulate(spans, initial=region.first_col - sum(spans[:first_col]))
-        spans, num_north, num_rows = _spans(region.num_rows, shape[0], height - rows.stop, rows.start)
+        spans, num_north, num_rows = _spans(
+            region.num_rows, shape[0], height - rows.stop, rows.start
+        )
         north_end = region.first_row + region.num_rows + sum(spans[:num_north])
         row_starts = accumulate(reversed(spans), initial=north_end - sum(spans))
         first_row = len(spans) - num_north - num_rows
-        return cls(region, tuple(row_starts), tuple(col_starts), (first_row, first_col), (num_rows, num_cols))
+        return cls(
+            region,
+            tuple(row_starts),
+            tuple(col_starts),
+            (first_row, first_col),
+            (num_rows, num_cols),
+        )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -103,20 +115,29 @@ class Tiling:
     @property
     def region_tiles(self) -> list[Tile]:
         """The tiles that maps report, row by row from the southwest."""
-        rows, cols = (range(first, first + num) for first, num in zip(self.first, self.counts, strict=True))
+        rows, cols = (
+            range(first, first + num) for first, num in zip(self.first, self.counts, strict=True)
+        )
         return list(product(rows, cols))
 
     def grid_of(self, tile: Tile) -> Grid:
         """Return the grid of a whole tile."""
         row, col = tile
-        (south, north), (west, east) = self.row_starts[row : row + 2], self.col_starts[col : col + 2]
-        return Grid(self.region.crs, self.region.resolution_m, south, west, north - south, east - west)
+        (south, north), (west, east) = (
+            self.row_starts[row : row + 2],
+            self.col_starts[col : col + 2],
+        )
+        return Grid(
+            self.region.crs, self.region.resolution_m, south, west, north - south, east - west
+        )
 
     def reported(self, tile: Tile) -> tuple[slice, slice]:
         """Return the rows and columns of the region that a tile of the region reports: its last rows, first columns."""
         grid = self.grid_of(tile)
         row, col = grid.first_row - self.region.first_row, grid.first_col - self.region.first_col
-        return slice(max(row, 0), row + grid.num_rows), slice(col, min(col + grid.num_cols, self.region.num_cols))
+        return slice(max(row, 0), row + grid.num_rows), slice(
+            col, min(col + grid.num_cols, self.region.num_cols)
+        )
 
     def touching(self, grid: Grid) -> Iterator[Tile]:
         """Yield the tiles that share a cell with ``grid``."""
@@ -125,7 +146,9 @@ class Tiling:
             return [i for i in range(len(starts) - 1) if starts[i] < end and starts[i + 1] > begin]
 
         rows = along(self.row_starts, grid.first_row, grid.first_row + grid.num_rows)
-        yield from product(rows, along(self.col_starts, grid.first_col, grid.first_col + grid.num_cols))
+        yield from product(
+            rows, along(self.col_starts, grid.first_col, grid.first_col + grid.num_cols)
+        )
 
     def upstream(self, tile: Tile, quadrant: Quadrant) -> list[Tile]:
         """Return the neighbours, up to three, whose shadows of a source in ``quadrant`` reach a tile first."""
@@ -136,7 +159,10 @@ class Tiling:
     def hands_on(self, tile: Tile, quadrant: Quadrant) -> bool:
         """Return whether shadows of a source in ``quadrant`` cross a tile on their way to another one of the region."""
         last = tuple(first + num - 1 for first, num in zip(self.first, self.counts, strict=True))
-        end = tuple(low if toward > 0 else high for low, high, toward in zip(self.first, last, quadrant, strict=True))
+        end = tuple(
+            low if toward > 0 else high
+            for low, high, toward in zip(self.first, last, quadrant, strict=True)
+        )
         return tile != end and all((tile[i] - end[i]) * quadrant[i] >= 0 for i in range(2))
 
 
@@ -158,7 +184,9 @@ class TileJob:
     def order(self) -> dict[Quadrant, list[tuple[int, int]]]:
         """Time and number of every satellite above the mask, by the quadrant that it stands in."""
         order: dict[Quadrant, list[tuple[int, int]]] = {quadrant: [] for quadrant in QUADRANTS}
-        if self.task.params.oversample > 1:  # supersampled surfaces look beyond the tile: nothing is handed on
+        if (
+            self.task.params.oversample > 1
+        ):  # supersampled surfaces look beyond the tile: nothing is handed on
             return order
         for t in range(self.task.num_times):
             for s in self.task.sky.in_view(t).numbers:
@@ -182,7 +210,11 @@ class TileJob:
 
 
 def _name(kind: str, tile: Tile, quadrant: Quadrant | None = None) -> str:
-    side = "" if quadrant is None else ("_n" if quadrant[0] > 0 else "_s") + ("e" if quadrant[1] > 0 else "w")
+    side = (
+        ""
+        if quadrant is None
+        else ("_n" if quadrant[0] > 0 else "_s") + ("e" if quadrant[1] > 0 else "w")
+    )
     return f"{kind}_{tile[0]}_{tile[1]}{side}"
 
 
@@ -195,12 +227,20 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             is_reported = tile in job.tiling.region_tiles
             tells_guessed = is_reported and job.task.has_guessed_roofs
             made = rasterise(city, grid, job.task.params.heights.all_touched, tells_guessed)
-            arrays = {key: getattr(made, key) for key in ("roof_m", "terrain_m", "has_data", "roof_guessed")}
+            arrays = {
+                key: getattr(made, key)
+                for key in ("roof_m", "terrain_m", "has_data", "roof_guessed")
+            }
             if made.slabs is not None:
                 arrays |= {f"slab_{key}": values for key, values in made.slabs._asdict().items()}
             if is_reported:
-                arrays |= {"roof_touched_m": made.roof_touched_m, "block": rasterise_blocks(city, grid)}
-            job.work.save_arrays(name, **{key: values for key, values in arrays.items() if values is not None})
+                arrays |= {
+                    "roof_touched_m": made.roof_touched_m,
+                    "block": rasterise_blocks(city, grid),
+                }
+            job.work.save_arrays(
+                name, **{key: values for key, values in arrays.items() if values is not None}
+            )
     return {"seconds": watch.elapsed_s}
 
 
@@ -218,7 +258,8 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
             ringed = grid.padded(1, 1, 1, 1)
             pairs = job.order[quadrant]
             azimuth_rad, elevation_rad = (
-                np.array([values[pair] for pair in pairs]) for values in (sky.azimuth_rad, sky.elevation_rad)
+                np.array([values[pair] for pair in pairs])
+                for values in (sky.azimuth_rad, sky.elevation_rad)
             )
             at = ringed.first_row, ringed.first_col, ringed.shape
             lines = digital_lines(azimuth_rad, elevation_rad, ringed.resolution_m, *at)
@@ -233,7 +274,10 @@ def _rings(job: TileJob, tile: Tile, quadrant: Quadrant) -> list[Ring]:
     """Return what the upstream tiles hand on to a tile, for every satellite of a quadrant."""
     (north, east), (num_rows, num_cols) = quadrant, job.tiling.grid_of(tile).shape
     num = len(job.order[quadrant])
-    nothing = np.full((num, num_cols + 2), -np.inf, np.float32), np.full((num, num_rows), -np.inf, np.float32)
+    nothing = (
+        np.full((num, num_cols + 2), -np.inf, np.float32),
+        np.full((num, num_rows), -np.inf, np.float32),
+    )
     row, col = (values.copy() for values in nothing)
     for near in job.tiling.upstream(tile, quadrant):
         if not job.hands_on(near, quadrant):
@@ -267,11 +311,17 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             for quadrant in QUADRANTS
             for seen, ring in zip(job.order[quadrant], _rings(job, tile, quadrant), strict=True)
         }
-    scene, window, checksums = TileScene(job.task, surface, rings), job.tiling.reported(tile), dict[str, str]()
+    scene, window, checksums = (
+        TileScene(job.task, surface, rings),
+        job.tiling.reported(tile),
+        dict[str, str](),
+    )
     with on_device_of(job.task.params.engine):
         for layer in tile_maps(scene, watch.stage):
             with watch.stage("write_zarr"):
-                checksums |= write_layer(job.work.zarr, layer.name, layer.place, window, layer.values)
+                checksums |= write_layer(
+                    job.work.zarr, layer.name, layer.place, window, layer.values
+                )
     facts = {"totals": {metric: totals.facts for metric, totals in scene.totals.items()}}
     job.work.mark_done(name, {f"{ZARR}/{file}": of for file, of in checksums.items()}, facts)
     return {**facts, "seconds": watch.elapsed_s}
@@ -282,7 +332,10 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
     region = job.tiling.grid_of(tile)
     grid = job.haloed(tile)
     halo = region.first_row - grid.first_row
-    rasters: dict[str, Any] = {"roof_m": np.zeros(grid.shape, np.float32), "has_data": np.ones(grid.shape, bool)}
+    rasters: dict[str, Any] = {
+        "roof_m": np.zeros(grid.shape, np.float32),
+        "has_data": np.ones(grid.shape, bool),
+    }
     if job.task.has_terrain:
         rasters["terrain_m"] = np.zeros(grid.shape, np.float32)
     for near in job.tiling.touching(grid):
@@ -296,7 +349,9 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
     rows, cols = (part.stop - part.start for part in job.tiling.reported(tile))
     rasters["has_data"][halo : halo + region.num_rows - rows] = False
     rasters["has_data"][:, halo + cols : grid.num_cols - halo] = False
-    own: dict[str, Any] = job.work.load_arrays(_name("raster", tile), "block", "roof_touched_m", "roof_guessed")
+    own: dict[str, Any] = job.work.load_arrays(
+        _name("raster", tile), "block", "roof_touched_m", "roof_guessed"
+    )
     return Surface(
         roof_m=rasters["roof_m"],
         terrain_m=rasters.get("terrain_m"),
@@ -314,6 +369,8 @@ def _slabs(job: TileJob, tile: Tile) -> Slabs:
     """Return the slabs over a tile and over all that it looks at."""
     parts = []
     for near in job.tiling.touching(job.looked_at(tile)):
-        kept = job.work.load_arrays(_name("raster", near), *(f"slab_{name}" for name in Slabs._fields))
+        kept = job.work.load_arrays(
+            _name("raster", near), *(f"slab_{name}" for name in Slabs._fields)
+        )
         parts.append(Slabs(**{name.removeprefix("slab_"): values for name, values in kept.items()}))
     return Slabs.joined(parts)

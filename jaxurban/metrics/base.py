@@ -61,7 +61,9 @@ class Scale(NamedTuple):
     is_better_low: bool = False
     zero: str = ""
 
-    def range(self, attrs: Mapping[str, Any], ends: Callable[[], tuple[float, float]]) -> tuple[float, float]:
+    def range(
+        self, attrs: Mapping[str, Any], ends: Callable[[], tuple[float, float]]
+    ) -> tuple[float, float]:
         """Return the low end and how far above it the high end is.
 
         Args:
@@ -265,7 +267,8 @@ class Metric:
             scale=Scale(self.colour_map),
         )
         return {
-            each.name: replace(each, of=self.name, dims=self.dims, caveat=self.caveat) for each in (own, *self.also)
+            each.name: replace(each, of=self.name, dims=self.dims, caveat=self.caveat)
+            for each in (own, *self.also)
         }
 
     @property

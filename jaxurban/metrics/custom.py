@@ -18,17 +18,45 @@ import numpy as np
 import xarray as xr
 
 from jaxurban.errors import InputError, finite, typed
-from jaxurban.metrics.base import ALTITUDE, COSTS, TIME, TIME_OF_DAY, Metric, Scale, Scene, SoftScene, Variable
+from jaxurban.metrics.base import (
+    ALTITUDE,
+    COSTS,
+    TIME,
+    TIME_OF_DAY,
+    Metric,
+    Scale,
+    Scene,
+    SoftScene,
+    Variable,
+)
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.metrics.variables import NO_METRICS, derived
 from jaxurban.world.surface import Surface
 
 COLOURS = ("#56b4e9", "#d55e00", "#7f3c8d", "#80604d")  # of lines, none a built-in metric's
 TAKEN = {
-    *("distance", "climb", "descent", "self", "lon", "lat", ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref"),
+    *(
+        "distance",
+        "climb",
+        "descent",
+        "self",
+        "lon",
+        "lat",
+        ALTITUDE,
+        TIME,
+        TIME_OF_DAY,
+        "y",
+        "x",
+        "spatial_ref",
+    ),
     *NO_METRICS,
     *(name for metric in known_metrics().values() for name in metric.variables),
-    *(name for metric in known_metrics().values() for made in derived(metric).values() for name in made),
+    *(
+        name
+        for metric in known_metrics().values()
+        for made in derived(metric).values()
+        for name in made
+    ),
 }
 # What a file's name holds behind that of its variable: an altitude, a time of day, a time.
 _OF_A_FILE = re.compile(r"\w+_(\d+m|day|night|\d{8}T\d{6}Z)")
@@ -85,16 +113,26 @@ class Layer:
             raise InputError(f"scale must be two ascending numbers such as [0, 80], got {scale}")
         heights = [finite("altitudes_m", value, "metres") for value in self.altitudes_m or ()]
         if len(set(heights)) < len(heights):
-            raise InputError(f"altitudes_m must name different altitudes, one for each band, got {heights}")
+            raise InputError(
+                f"altitudes_m must name different altitudes, one for each band, got {heights}"
+            )
         if not finite("reach_m", self.reach_m, "metres") >= 0:
-            raise InputError(f"reach_m must be 0 or a positive number of metres, got {self.reach_m}")
+            raise InputError(
+                f"reach_m must be 0 or a positive number of metres, got {self.reach_m}"
+            )
         if self.reach_m and not callable(self.source):
-            raise InputError("reach_m says how far a function looks: leave it out for a raster or an array")
+            raise InputError(
+                "reach_m says how far a function looks: leave it out for a raster or an array"
+            )
 
     @property
     def record(self) -> dict[str, Any]:
         """The settings as JSON can hold them, an array or a function by what it is."""
-        source = self.source if isinstance(self.source, str) else getattr(self.source, "__qualname__", "array")
+        source = (
+            self.source
+            if isinstance(self.source, str)
+            else getattr(self.source, "__qualname__", "array")
+        )
         held = {"source": source, "cost": self.cost, "scale": list(self.scale), "nan": self.nan}
         held |= {} if self.altitudes_m is None else {"altitudes_m": list(self.altitudes_m)}
         return held | ({"credit": self.credit} if self.credit else {})
@@ -120,11 +158,17 @@ def check_layers(layers: Any) -> Mapping[str, Layer]:
       InputError: they are anything else, or their names would be those of other maps or files.
     """
     given = {} if layers is None else layers
-    if not (isinstance(given, Mapping) and all(isinstance(layer, Layer) for layer in given.values())):
-        raise InputError('layers must be Layers by name, such as {"noise": Layer("noise.tif", "high-is-bad", (0, 80))}')
+    if not (
+        isinstance(given, Mapping) and all(isinstance(layer, Layer) for layer in given.values())
+    ):
+        raise InputError(
+            'layers must be Layers by name, such as {"noise": Layer("noise.tif", "high-is-bad", (0, 80))}'
+        )
     for name in given:
         if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
-            raise InputError(f"a layer's name must be letters, digits and _ such as noise_2024, got {name!r}")
+            raise InputError(
+                f"a layer's name must be letters, digits and _ such as noise_2024, got {name!r}"
+            )
         if name in TAKEN or _OF_A_FILE.fullmatch(name):
             raise InputError(
                 f"a layer cannot be called {name!r}: maps, their files or weights use such names: give another name"
@@ -152,7 +196,9 @@ def own_metric(name: str, layer: Layer) -> Metric:
     )
 
 
-def metrics_of(requested: Collection[str], layers: Mapping[str, Layer], has_people: bool) -> dict[str, Metric]:
+def metrics_of(
+    requested: Collection[str], layers: Mapping[str, Layer], has_people: bool
+) -> dict[str, Metric]:
     """Return the metrics of maps by name: of every cost, those made on request, then a user's by name.
 
     Args:
@@ -163,13 +209,19 @@ def metrics_of(requested: Collection[str], layers: Mapping[str, Layer], has_peop
     on_request = {name: metric for name, metric in ON_REQUEST.items() if name in requested}
     own = {name: own_metric(name, layer) for name, layer in sorted(layers.items())}
     made = {**METRICS, **on_request, **own}
-    return {name: metric for name, metric in made.items() if has_people or TIME_OF_DAY not in metric.dims}
+    return {
+        name: metric
+        for name, metric in made.items()
+        if has_people or TIME_OF_DAY not in metric.dims
+    }
 
 
 def colour_of(name: str) -> str:
     """Return the colour of a metric's lines in figures, built-in or a user's, by its name alone."""
     known = known_metrics()
-    return known[name].colour if name in known else COLOURS[zlib.crc32(name.encode()) % len(COLOURS)]
+    return (
+        known[name].colour if name in known else COLOURS[zlib.crc32(name.encode()) % len(COLOURS)]
+    )
 
 
 def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
@@ -183,7 +235,11 @@ def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
         for name, metric in known_metrics().items()
         if name in ds or (TIME in metric.dims and f"{name}_median" in ds)
     }
-    own = {str(name): json.loads(held.attrs["layer"]) for name, held in ds.variables.items() if "layer" in held.attrs}
+    own = {
+        str(name): json.loads(held.attrs["layer"])
+        for name, held in ds.variables.items()
+        if "layer" in held.attrs
+    }
     return known | {name: own_metric(name, Layer(**own[name])) for name in sorted(own)}
 
 
@@ -193,11 +249,17 @@ def held_variables(ds: xr.Dataset) -> dict[str, Variable]:
     for name, metric in held_metrics(ds).items():
         made = derived(metric)
         known |= made["series"] if f"{name}_median" in ds else metric.variables | made["spread"]
-    maps = {str(name): array for name, array in ds.data_vars.items() if array.dims[-2:] == ("y", "x")}
+    maps = {
+        str(name): array for name, array in ds.data_vars.items() if array.dims[-2:] == ("y", "x")
+    }
     for name, array in maps.items():
-        long_name, unit = (str(array.attrs.get(key, other)) for key, other in (("long_name", name), ("units", "1")))
+        long_name, unit = (
+            str(array.attrs.get(key, other)) for key, other in (("long_name", name), ("units", "1"))
+        )
         dims, scale = tuple(map(str, array.dims[:-2])), Scale("viridis", low=None, high=None)
-        known.setdefault(name, Variable(name, long_name, unit, dtype=array.dtype.type, scale=scale, dims=dims))
+        known.setdefault(
+            name, Variable(name, long_name, unit, dtype=array.dtype.type, scale=scale, dims=dims)
+        )
     return {name: known[name] for name in maps}
 
 
@@ -208,7 +270,9 @@ def _map(name: str, scene: Scene, layer: Layer) -> dict[str, jax.Array]:
       InputError: values of another shape than the tile's, or cells without a value where that is an error.
     """
     surface = _reaching(scene.surface, layer)
-    values = layer.source(surface, scene.altitude_m) if callable(layer.source) else scene.rasters[name]
+    values = (
+        layer.source(surface, scene.altitude_m) if callable(layer.source) else scene.rasters[name]
+    )
     if isinstance(values, np.ma.MaskedArray):
         values = np.ma.filled(values.astype(np.float32), np.nan)
     if np.shape(values) != surface.region.shape:
@@ -216,10 +280,16 @@ def _map(name: str, scene: Scene, layer: Layer) -> dict[str, jax.Array]:
             f"layer {name!r} gives values of shape {np.shape(values)} for cells of shape {surface.region.shape}: "
             "return one value for each cell of surface.region"
         )
-    m = layer.scaled(jnp.where(jnp.isfinite(jnp.asarray(values)), values, jnp.nan)).astype(jnp.float32)
-    is_lost = jnp.isnan(m) if surface.has_data is None else jnp.isnan(m) & surface.crop(surface.has_data)
+    m = layer.scaled(jnp.where(jnp.isfinite(jnp.asarray(values)), values, jnp.nan)).astype(
+        jnp.float32
+    )
+    is_lost = (
+        jnp.isnan(m) if surface.has_data is None else jnp.isnan(m) & surface.crop(surface.has_data)
+    )
     if layer.nan == "error" and (num := int(is_lost.sum())):
-        raise InputError(f'layer {name!r} has no value in {num:,} cells: fill them, or set nan = "closed"')
+        raise InputError(
+            f'layer {name!r} has no value in {num:,} cells: fill them, or set nan = "closed"'
+        )
     return {name: m}
 
 
@@ -230,5 +300,7 @@ def _reaching(surface: Surface, layer: Layer) -> Surface:
 
 def _soft(scene: SoftScene, layer: Layer) -> jax.Array:
     assert layer.soft is not None
-    m = layer.scaled(layer.soft(_reaching(scene.surface, layer), scene.altitude_m, scene.softness_m))
+    m = layer.scaled(
+        layer.soft(_reaching(scene.surface, layer), scene.altitude_m, scene.softness_m)
+    )
     return m if scene.cells is None else m[scene.cells[:, 0], scene.cells[:, 1]]

@@ -91,12 +91,23 @@ class Gps:
         what = "a number above 1 (such as 20)"
         check_value("gdop_threshold", self.gdop_threshold, what, lambda threshold: threshold > 1)
         what = "a value of m from 0 to below 1"
-        check_value("availability_threshold", self.availability_threshold, what, lambda m: (m >= 0) & (m < 1))
+        check_value(
+            "availability_threshold",
+            self.availability_threshold,
+            what,
+            lambda m: (m >= 0) & (m < 1),
+        )
         if not 0 <= self.mask_deg < 90:
-            raise InputError(f"mask_deg must be an angle from 0 to less than 90 degrees, got {self.mask_deg}")
+            raise InputError(
+                f"mask_deg must be an angle from 0 to less than 90 degrees, got {self.mask_deg}"
+            )
         positive("max_age_days", self.max_age_days, "days")
-        if self.reference is not None and not (abs(self.reference[0]) <= 180 and abs(self.reference[1]) <= 90):
-            raise InputError(f"reference must be a longitude and a latitude in degrees, got {self.reference}")
+        if self.reference is not None and not (
+            abs(self.reference[0]) <= 180 and abs(self.reference[1]) <= 90
+        ):
+            raise InputError(
+                f"reference must be a longitude and a latitude in degrees, got {self.reference}"
+            )
         object.__setattr__(self, "orbits", each(self.orbits))
         self._check_times()
 
@@ -107,8 +118,12 @@ class Gps:
 
     def _check_times(self) -> None:
         series = self.start, self.stop, self.step_s
-        if any(value is not None for value in series) and (None in series or self.times is not None):
-            raise InputError("a series of times needs all of start, stop and step_s, and no times beside them")
+        if any(value is not None for value in series) and (
+            None in series or self.times is not None
+        ):
+            raise InputError(
+                "a series of times needs all of start, stop and step_s, and no times beside them"
+            )
         if self.times is not None:
             object.__setattr__(self, "times", tuple(map(iso_utc, each(self.times))))
         elif self.start is not None and self.stop is not None and self.step_s is not None:
@@ -119,10 +134,14 @@ class Gps:
             if seconds < 0:
                 raise InputError(f"stop, {self.stop}, is before start, {self.start}")
             if seconds / self.step_s >= MOST_TIMES:
-                raise InputError(f"start, stop and step_s make {seconds / self.step_s:.3g} times: make step_s longer")
+                raise InputError(
+                    f"start, stop and step_s make {seconds / self.step_s:.3g} times: make step_s longer"
+                )
         times = self.utc_times
         if times is not None and (not times or len(set(times)) != len(times)):
-            raise InputError(f"times must be different UTC times such as 2020-04-27T16:00:00Z, got {list(times)}")
+            raise InputError(
+                f"times must be different UTC times such as 2020-04-27T16:00:00Z, got {list(times)}"
+            )
         if any("." in time for time in times or ()):
             raise InputError("times must be whole seconds, as file names carry them")
 
@@ -132,7 +151,9 @@ class Gps:
         if self.start is None or self.stop is None or self.step_s is None:
             return None if self.times is None else tuple(self.times)
         start, step = parse_time(self.start), timedelta(seconds=self.step_s)
-        return tuple(iso_utc(start + step * i) for i in range((parse_time(self.stop) - start) // step + 1))
+        return tuple(
+            iso_utc(start + step * i) for i in range((parse_time(self.stop) - start) // step + 1)
+        )
 
     def keeps_times(self, num_times: int) -> bool:
         """Return whether the maps of every time are kept, not statistics over them.
@@ -147,9 +168,17 @@ class Gps:
         return self.series == "epochs" or (self.series == "auto" and num_times <= MAX_STORED_TIMES)
 
 
-RATING_UPPER_GDOP = (1.0, 4.0, 6.0, 8.0, 20.0)  # the paper's table of DOP ratings, Poor above the last
+RATING_UPPER_GDOP = (
+    1.0,
+    4.0,
+    6.0,
+    8.0,
+    20.0,
+)  # the paper's table of DOP ratings, Poor above the last
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
-BLOCK_CELLS = 2**11  # cells whose DOPs are made at once, by one core: what they need in between fits its cache
+BLOCK_CELLS = (
+    2**11
+)  # cells whose DOPs are made at once, by one core: what they need in between fits its cache
 WIDE_BLOCK_CELLS = 2**22  # the same on a GPU, which has a launch for every block
 
 
@@ -175,7 +204,9 @@ class GpsMaps(NamedTuple):
 
 
 @jax.jit
-def maps_of_words(words: UInt[AnyArray, "W ..."], satellites: Geometry, gdop_threshold: float | Array) -> GpsMaps:
+def maps_of_words(
+    words: UInt[AnyArray, "W ..."], satellites: Geometry, gdop_threshold: float | Array
+) -> GpsMaps:
     """Return the maps of the satellites whose bits are set, made block by block of cells.
 
     Args:
@@ -183,27 +214,39 @@ def maps_of_words(words: UInt[AnyArray, "W ..."], satellites: Geometry, gdop_thr
       satellites: their geometry.
       gdop_threshold: see `gps_metric`.
     """
-    small, wide = (partial(_in_equal_blocks, block_cells=cells) for cells in (BLOCK_CELLS, WIDE_BLOCK_CELLS))
+    small, wide = (
+        partial(_in_equal_blocks, block_cells=cells) for cells in (BLOCK_CELLS, WIDE_BLOCK_CELLS)
+    )
     return lax.platform_dependent(words, satellites, gdop_threshold, cpu=small, default=wide)
 
 
 def _in_equal_blocks(
-    words: UInt[Array, "W ..."], satellites: Geometry, gdop_threshold: float | Array, block_cells: int
+    words: UInt[Array, "W ..."],
+    satellites: Geometry,
+    gdop_threshold: float | Array,
+    block_cells: int,
 ) -> GpsMaps:
     """Return `maps_of_words`, so many cells at once; a block of `BLOCK_CELLS` at least is made."""
     shape = words.shape[1:]
     size = math.prod(shape)
     num = max(size, BLOCK_CELLS)
     block_cells = min(block_cells, num)
-    flat = jnp.pad(words.reshape(len(words), -1), ((0, 0), (0, num - size)))  # less than a block becomes one
+    flat = jnp.pad(
+        words.reshape(len(words), -1), ((0, 0), (0, num - size))
+    )  # less than a block becomes one
 
     def fill(block: Array, maps: list[Array]) -> list[Array]:
-        start = jnp.minimum(block * block_cells, num - block_cells)  # the last block laps over the one before
+        start = jnp.minimum(
+            block * block_cells, num - block_cells
+        )  # the last block laps over the one before
         cells = lax.dynamic_slice_in_dim(flat, start, block_cells, axis=1)
         dops = dops_of_words(satellites, cells)
         num_visible = jnp.sum(lax.population_count(cells), axis=0).astype(jnp.uint8)
         found = [gps_metric(dops.gdop, gdop_threshold), *dops, num_visible]
-        return [lax.dynamic_update_slice(old, new, (start,)) for old, new in zip(maps, found, strict=True)]
+        return [
+            lax.dynamic_update_slice(old, new, (start,))
+            for old, new in zip(maps, found, strict=True)
+        ]
 
     empty = [*[jnp.zeros(num, satellites.basis.dtype)] * 6, jnp.zeros(num, jnp.uint8)]
     maps = lax.fori_loop(0, -(-num // block_cells), fill, empty)
@@ -212,11 +255,16 @@ def _in_equal_blocks(
 
 def satellites_of(in_view: InView) -> Geometry:
     """Return the geometry of satellites."""
-    return geometry(unit_vectors(*in_view.angles), multiple_of=SATELLITES_STEP, clocks=in_view.clocks)
+    return geometry(
+        unit_vectors(*in_view.angles), multiple_of=SATELLITES_STEP, clocks=in_view.clocks
+    )
 
 
 def maps_of_choices(
-    words: UInt[AnyArray, "W ..."], is_obstacle: Bool[AnyArray, "..."], satellites: Geometry, gdop_threshold: float
+    words: UInt[AnyArray, "W ..."],
+    is_obstacle: Bool[AnyArray, "..."],
+    satellites: Geometry,
+    gdop_threshold: float,
 ) -> tuple[GpsMaps, Int[np.ndarray, "..."]]:
     """Return the maps of every choice of satellites that is seen, made in blocks, and the number of each cell's.
 
@@ -246,13 +294,31 @@ def rating(gdop: np.ndarray) -> np.ndarray:
     return np.searchsorted(RATING_UPPER_GDOP, gdop, side="left").astype(np.uint8)
 
 
-DOPS = {"gdop": "geometric", "pdop": "position", "hdop": "horizontal", "vdop": "vertical", "tdop": "time"}
+DOPS = {
+    "gdop": "geometric",
+    "pdop": "position",
+    "hdop": "horizontal",
+    "vdop": "vertical",
+    "tdop": "time",
+}
 
-_dop = partial(Variable, inside=np.nan, scale=Scale("viridis_r", 1.0, 20.0, is_better_low=True), is_averaged=False)
+_dop = partial(
+    Variable,
+    inside=np.nan,
+    scale=Scale("viridis_r", 1.0, 20.0, is_better_low=True),
+    is_averaged=False,
+)
 ALSO = (  # the scale of DOPs ends where the paper's rating turns poor
-    *(_dop(name, f"{kind} dilution of precision", symbol=name.upper()) for name, kind in DOPS.items()),
+    *(
+        _dop(name, f"{kind} dilution of precision", symbol=name.upper())
+        for name, kind in DOPS.items()
+    ),
     Variable(
-        "num_visible", "satellites in view", dtype=np.uint8, inside=0, scale=Scale("viridis", high=None, least=4.0)
+        "num_visible",
+        "satellites in view",
+        dtype=np.uint8,
+        inside=0,
+        scale=Scale("viridis", high=None, least=4.0),
     ),
 )
 

@@ -19,7 +19,9 @@ from jaxurban.metrics.settings import check_softness
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.world.surface import Surface, soft_obstacle
 
-SOFT_BLOCK_CELLS = 2**12  # made at once: half as many are faster on a CPU, and a third more launches on a GPU
+SOFT_BLOCK_CELLS = (
+    2**12
+)  # made at once: half as many are faster on a CPU, and a third more launches on a GPU
 
 
 def gps_metric(gdop: Float[AnyArray, "*C"], gdop_threshold: float | Array) -> Float[Array, "*C"]:
@@ -28,7 +30,9 @@ def gps_metric(gdop: Float[AnyArray, "*C"], gdop_threshold: float | Array) -> Fl
     Source: the paper's equation of m_gps, its GDOP_cut taken as T = GDOP_thresh. The derivative is 0
     beyond the threshold.
     """
-    return jnp.clip((gdop_threshold - jnp.minimum(gdop, gdop_threshold)) / (gdop_threshold - 1), 0, 1)
+    return jnp.clip(
+        (gdop_threshold - jnp.minimum(gdop, gdop_threshold)) / (gdop_threshold - 1), 0, 1
+    )
 
 
 def _in_blocks(metric: Callable[[Array], Array], weights: Array) -> Array:
@@ -37,7 +41,9 @@ def _in_blocks(metric: Callable[[Array], Array], weights: Array) -> Array:
     num = math.prod(shape)
     size = min(num, SOFT_BLOCK_CELLS)
     num_blocks = -(-num // size)
-    flat = jnp.pad(weights.reshape(len(weights), -1), ((0, 0), (0, num_blocks * size - num)), constant_values=1)
+    flat = jnp.pad(
+        weights.reshape(len(weights), -1), ((0, 0), (0, num_blocks * size - num)), constant_values=1
+    )
     blocks = flat.reshape(len(weights), num_blocks, size).swapaxes(0, 1)
     return lax.map(jax.checkpoint(metric), blocks).reshape(-1)[:num].reshape(shape)
 
@@ -88,7 +94,9 @@ def soft_gps(
     rows, cols = surface.window
     window = rows.start, rows.stop, cols.start, cols.stop, 1
     numbers = altitude_m, threshold, softness_m
-    return _soft_gps(surface.roof_m, surface.terrain_m, *numbers, view, cells, reception, window=window, dop=dop)
+    return _soft_gps(
+        surface.roof_m, surface.terrain_m, *numbers, view, cells, reception, window=window, dop=dop
+    )
 
 
 @partial(jax.jit, static_argnames=("window", "dop"))
@@ -107,7 +115,9 @@ def _soft_gps(
 ) -> Array:
     roof_m = jnp.asarray(roof_m)
     first_row, end_row, first_col, end_col, _ = window
-    altitude, threshold, softness = (jnp.asarray(v, roof_m.dtype) for v in (altitude_m, dop_threshold, softness_m))
+    altitude, threshold, softness = (
+        jnp.asarray(v, roof_m.dtype) for v in (altitude_m, dop_threshold, softness_m)
+    )
     top_m = roof_m if terrain_m is None else terrain_m + roof_m
     if reception is not None:
         top_m = jnp.where(roof_m > 0, top_m, -jnp.inf)
@@ -125,5 +135,7 @@ def _soft_gps(
     if reception is not None and terrain_m is not None:
         by_hills_m = shadow_heights(terrain_m, view.lines, window)
         weights = weights * satellite_weights(height_m, chosen(by_hills_m), softness)
-    open_m = _in_blocks(lambda block: gps_metric(getattr(dops(view.satellites, block), dop), threshold), weights)
+    open_m = _in_blocks(
+        lambda block: gps_metric(getattr(dops(view.satellites, block), dop), threshold), weights
+    )
     return (1 - soft_obstacle(at_receivers(roof_m), altitude, softness)) * open_m

@@ -60,7 +60,9 @@ class Lidar:
         for name in ("beams", "azimuths"):
             value = getattr(self, name)
             if not (isinstance(value, int) and 1 <= value <= MAX_COUNT):
-                raise InputError(f"{name} must be a whole number from 1 to {MAX_COUNT:,}, got {value!r}")
+                raise InputError(
+                    f"{name} must be a whole number from 1 to {MAX_COUNT:,}, got {value!r}"
+                )
         field: Any = self.field_of_view_deg
         low, high = field if len(field) == 2 else (1, -1)
         if not -90 < low <= high < 90:
@@ -68,17 +70,24 @@ class Lidar:
                 "field_of_view_deg must be the lowest and the highest beam's elevation, ascending and "
                 f"within -90 and 90 degrees, such as (-15.0, 15.0), got {self.field_of_view_deg}"
             )
-        check_value("range_m", self.range_m, "a positive number of metres", lambda range_m: range_m > 0)
+        check_value(
+            "range_m", self.range_m, "a positive number of metres", lambda range_m: range_m > 0
+        )
 
     @property
     def elevations_rad(self) -> np.ndarray:
         """Elevation of each beam above the horizon, ascending, ``[B]``."""
         low, high = np.deg2rad(self.field_of_view_deg)
-        return np.linspace(low, high, self.beams) if self.beams > 1 else np.array([(low + high) / 2])
+        return (
+            np.linspace(low, high, self.beams) if self.beams > 1 else np.array([(low + high) / 2])
+        )
 
 
 def compute_lidar(
-    surface: Surface, altitudes_m: Sequence[float] | jax.Array, params: Lidar, engine: Engine = "auto"
+    surface: Surface,
+    altitudes_m: Sequence[float] | jax.Array,
+    params: Lidar,
+    engine: Engine = "auto",
 ) -> Float[Array, "A y x"]:
     """Return m_lidar, the share of scan positions that return, on the region, ``[A, y, x]`` float32 in [0, 1].
 
@@ -97,13 +106,22 @@ def compute_lidar(
       engine: which form counts, see `jaxurban.kernels.engine`; Numba's over terrain is for at most `MOST_BEAMS` beams.
     """
     if surface.slabs is not None:
-        met = [(replace(surface.at_altitude(float(z_m)), slabs=None), [z_m]) for z_m in np.asarray(altitudes_m)]
-        return jnp.concatenate([compute_lidar(at, altitude_m, params, engine) for at, altitude_m in met])
+        met = [
+            (replace(surface.at_altitude(float(z_m)), slabs=None), [z_m])
+            for z_m in np.asarray(altitudes_m)
+        ]
+        return jnp.concatenate(
+            [compute_lidar(at, altitude_m, params, engine) for at, altitude_m in met]
+        )
     heights_m = beam_heights(altitudes_m, params, surface)
-    return lidar_of_beams(surface, in_type(altitudes_m, surface.roof_m.dtype), heights_m, params, engine)
+    return lidar_of_beams(
+        surface, in_type(altitudes_m, surface.roof_m.dtype), heights_m, params, engine
+    )
 
 
-def beam_heights(altitudes_m: Sequence[float] | ArrayLike, params: Lidar, surface: Surface) -> np.ndarray:
+def beam_heights(
+    altitudes_m: Sequence[float] | ArrayLike, params: Lidar, surface: Surface
+) -> np.ndarray:
     """Return the heights that decide each step of a ray, made in float64 on the host.
 
     ``[A, N]`` over flat ground (`jaxurban.kernels.lidar.hard.flat_thresholds`), ``[A, N, B]`` over terrain
@@ -137,11 +155,18 @@ def lidar_of_beams(
 
 
 def _counts(
-    surface: Surface, heights_m: Float[AnyArray, "A N ..."], params: Lidar, oversample: int, engine: Engine
+    surface: Surface,
+    heights_m: Float[AnyArray, "A N ..."],
+    params: Lidar,
+    oversample: int,
+    engine: Engine,
 ) -> Int[AnyArray, "A y x"]:
     """Return how many scan positions return, from every ``oversample``-th cell of the region both ways."""
     steps, n = heights_m.shape[1], oversample
-    halo, starts = kernel.halo_cells(steps, n), kernel.phase_starts(kernel.ray_offsets(params.azimuths, steps), n)
+    halo, starts = (
+        kernel.halo_cells(steps, n),
+        kernel.phase_starts(kernel.ray_offsets(params.azimuths, steps), n),
+    )
     rasters = surface.roof_m, surface.terrain_m
     is_on_host = runs_numba(engine, rasters, heights_m)
     if surface.terrain_m is not None:
@@ -150,7 +175,9 @@ def _counts(
         parts = (None if values is None else surface.part(values, halo * n) for values in rasters)
         return _counts_by_jax(*parts, heights_m, starts, halo=halo, oversample=n)
     cut: list[Any] = [
-        kernel.phases(surface.part(np.asarray(values), halo * n).cut(), n) for values in rasters if values is not None
+        kernel.phases(surface.part(np.asarray(values), halo * n).cut(), n)
+        for values in rasters
+        if values is not None
     ]
     if len(cut) == 2:
         return count_on_terrain_on_host(cut[0], cut[1], heights_m, starts, halo, _receiver_phase(n))
@@ -205,7 +232,9 @@ def lidar_at_centres(
       params: the lidar.
       engine: as in `compute_lidar`.
     """
-    counts = _counts(supersampled, beam_heights(altitudes_m, params, supersampled), params, oversample, engine)
+    counts = _counts(
+        supersampled, beam_heights(altitudes_m, params, supersampled), params, oversample, engine
+    )
     returns = jnp.asarray(counts, supersampled.roof_m.dtype)
     return _share_outside(returns, is_obstacle, num_azimuths=params.azimuths)
 
@@ -245,9 +274,13 @@ def soft_lidar(
     dtype, resolution_m = surface.roof_m.dtype, surface.grid.resolution_m
     steps = kernel.num_steps(resolution_m, reach_of(params.range_m, reach_m, "lidar range_m"))
     offsets = jnp.asarray(kernel.ray_offsets(params.azimuths, steps))
-    altitude, range_m, softness = (jnp.asarray(value, dtype) for value in (altitude_m, params.range_m, softness_m))
+    altitude, range_m, softness = (
+        jnp.asarray(value, dtype) for value in (altitude_m, params.range_m, softness_m)
+    )
     roof_m = surface.crop_with_halo(surface.roof_m, steps - 1)
-    terrain_m = None if surface.terrain_m is None else surface.crop_with_halo(surface.terrain_m, steps - 1)
+    terrain_m = (
+        None if surface.terrain_m is None else surface.crop_with_halo(surface.terrain_m, steps - 1)
+    )
     own_roof_m = surface.crop(surface.roof_m)
     if cells is not None:
         own_roof_m = own_roof_m[cells[:, 0], cells[:, 1]]
@@ -256,7 +289,9 @@ def soft_lidar(
         share = soft_kernel.soft_returns(roof_m, scan, offsets, softness)
     else:
         chosen = jnp.indices(own_roof_m.shape).reshape(2, -1).T if cells is None else cells
-        scan = soft_kernel.scan_of(jnp.zeros_like(range_m), range_m, params.elevations_rad, resolution_m)
+        scan = soft_kernel.scan_of(
+            jnp.zeros_like(range_m), range_m, params.elevations_rad, resolution_m
+        )
         heights_m = jnp.broadcast_to(altitude, len(chosen))
         at = soft_kernel.ScansAt(roof_m, terrain_m, heights_m, scan, offsets, softness, chosen)
         share = soft_kernel.soft_returns_at(at)
@@ -269,7 +304,9 @@ def _map(scene: Scene, params: Lidar) -> dict[str, AnyArray]:
     if scene.supersampled is None:
         return {"lidar": np.asarray(compute_lidar(scene.surface, altitudes_m, params, engine))[0]}
     is_obstacle = scene.is_obstacle[None]
-    maps = lidar_at_centres(scene.supersampled, scene.oversample, is_obstacle, altitudes_m, params, engine)
+    maps = lidar_at_centres(
+        scene.supersampled, scene.oversample, is_obstacle, altitudes_m, params, engine
+    )
     return {"lidar": maps[0]}
 
 

@@ -13,7 +13,15 @@ from jax import lax
 from jaxtyping import Array, DTypeLike, Float, Int, Integer
 
 from jaxurban.errors import InputError, nearest_name, typed
-from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scale, Scene, SoftScene, Variable, high_is_bad
+from jaxurban.metrics.base import (
+    TIME_OF_DAY,
+    Metric,
+    Scale,
+    Scene,
+    SoftScene,
+    Variable,
+    high_is_bad,
+)
 from jaxurban.metrics.settings import check_value, differentiable, is_known
 from jaxurban.settings import each
 from jaxurban.world.city import Blocks, Zoning
@@ -25,7 +33,16 @@ PAPER_COMMERCIAL = (101, 102, 103, 104, 105, 106)  # of Manhattan's community di
 HOUR_OF_WEEK = re.compile(r"(weekday|weekend)-([01]\d|2[0-3])")
 
 FILES = ("blocks", "table", "districts", "blocks_day", "blocks_night")
-FACTORS = ("gamma_commercial", "gamma_residential", "weekday", "weekend", "districts", "commercial", "blocks", "table")
+FACTORS = (
+    "gamma_commercial",
+    "gamma_residential",
+    "weekday",
+    "weekend",
+    "districts",
+    "commercial",
+    "blocks",
+    "table",
+)
 
 # Share of the change from night to day that has happened at each hour, 0 to 23. Full from 9 to 17 (the paper's
 # "9-to-5"); the linear ramps before and after are our assumption.
@@ -33,7 +50,10 @@ WEEKDAY_PROFILE = (0.0,) * 7 + (1 / 3, 2 / 3) + (1.0,) * 9 + (0.8, 0.6, 0.4, 0.2
 # Moss and Qing, The Dynamic Population of Manhattan (2012), as the paper quotes it: in millions 2.05 at night,
 # 3.94 on a working day, 2.90 on a weekend day.
 WEEKEND_SHARE = (2.90 - 2.05) / (3.94 - 2.05)
-PROFILES = {"weekday": WEEKDAY_PROFILE, "weekend": tuple(WEEKEND_SHARE * share for share in WEEKDAY_PROFILE)}
+PROFILES = {
+    "weekday": WEEKDAY_PROFILE,
+    "weekend": tuple(WEEKEND_SHARE * share for share in WEEKDAY_PROFILE),
+}
 
 
 @differentiable("gamma_commercial", "gamma_residential")
@@ -95,19 +115,29 @@ class Population:
 
     def __post_init__(self) -> None:
         for name in ("gamma_commercial", "gamma_residential"):
-            check_value(name, getattr(self, name), "finite and not negative", lambda gamma: gamma >= 0)
+            check_value(
+                name, getattr(self, name), "finite and not negative", lambda gamma: gamma >= 0
+            )
         _percentile(self.normalise)
         for name in ("weekday", "weekend"):
             shares = self.profile(name)
             if len(shares) != 24 or not all(0 <= share <= 1 for share in shares):
-                raise InputError(f"{name} must be 24 shares in [0, 1], one an hour from 0 to 23, got {shares}")
-        if self.blocks is None and self.blocks_day is None and (self.table is not None or self.districts is not None):
+                raise InputError(
+                    f"{name} must be 24 shares in [0, 1], one an hour from 0 to 23, got {shares}"
+                )
+        if (
+            self.blocks is None
+            and self.blocks_day is None
+            and (self.table is not None or self.districts is not None)
+        ):
             raise InputError("table and districts need blocks, the polygons of the census blocks")
         if self.commercial is not None:
             object.__setattr__(self, "commercial", tuple(self.commercial))
         object.__setattr__(self, "time_of_day", each(self.time_of_day))
         if not self.times_of_day or len(set(self.times_of_day)) != len(self.times_of_day):
-            raise InputError(f"time_of_day must be different names such as day and night, got {[*self.time_of_day]}")
+            raise InputError(
+                f"time_of_day must be different names such as day and night, got {[*self.time_of_day]}"
+            )
         for time_of_day in self.times_of_day:
             day_share(time_of_day, self)
         if (self.blocks_day is None) != (self.blocks_night is None):
@@ -128,11 +158,21 @@ class Population:
           ...     print(error)
           blocks_day and blocks_night go without factors: leave out gamma_commercial
         """
-        known = [field for field in fields(self) if field.name in FACTORS and is_known(getattr(self, field.name))]
-        named = [field.name for field in known if np.any(getattr(self, field.name) != field.default)]
-        named += [f"time_of_day {name}" for name in self.times_of_day if name not in ("day", "night")]
+        known = [
+            field
+            for field in fields(self)
+            if field.name in FACTORS and is_known(getattr(self, field.name))
+        ]
+        named = [
+            field.name for field in known if np.any(getattr(self, field.name) != field.default)
+        ]
+        named += [
+            f"time_of_day {name}" for name in self.times_of_day if name not in ("day", "night")
+        ]
         if named:
-            raise InputError(f"blocks_day and blocks_night go without factors: leave out {', '.join(named)}")
+            raise InputError(
+                f"blocks_day and blocks_night go without factors: leave out {', '.join(named)}"
+            )
 
     @property
     def times_of_day(self) -> tuple[str, ...]:
@@ -195,7 +235,9 @@ class BlockPopulation(NamedTuple):
     day_count: jax.Array | None = None
 
     @classmethod
-    def of(cls, blocks: Blocks, bounds_m: Bounds | None = None, dtype: DTypeLike = np.float32) -> "BlockPopulation":
+    def of(
+        cls, blocks: Blocks, bounds_m: Bounds | None = None, dtype: DTypeLike = np.float32
+    ) -> "BlockPopulation":
         """Return the people of a city's blocks.
 
         Args:
@@ -204,8 +246,14 @@ class BlockPopulation(NamedTuple):
           dtype: float32 or, where JAX has it enabled, float64.
         """
         columns = (blocks.night_count, blocks.area_m2, blocks.day_count)
-        people, area_m2, by_day = (None if values is None else np.asarray(values, dtype) for values in columns)
-        return cls(*jax.device_put((people, area_m2, blocks.zoning, region_blocks(blocks, bounds_m), by_day)))
+        people, area_m2, by_day = (
+            None if values is None else np.asarray(values, dtype) for values in columns
+        )
+        return cls(
+            *jax.device_put(
+                (people, area_m2, blocks.zoning, region_blocks(blocks, bounds_m), by_day)
+            )
+        )
 
 
 def _percentile(normalise: str | float) -> float | None:
@@ -331,7 +379,9 @@ def region_blocks(blocks: Blocks, bounds_m: Bounds | None = None) -> Int[np.ndar
     return np.arange(len(blocks)) if bounds_m is None else np.flatnonzero(blocks.touches(bounds_m))
 
 
-def block_layers(blocks: Blocks, params: Population | None = None, bounds_m: Bounds | None = None) -> BlockLayers:
+def block_layers(
+    blocks: Blocks, params: Population | None = None, bounds_m: Bounds | None = None
+) -> BlockLayers:
     """Return the metric and the density of every block at each time of day of the settings.
 
     Args:
@@ -340,7 +390,9 @@ def block_layers(blocks: Blocks, params: Population | None = None, bounds_m: Bou
       bounds_m: the region's box, to normalise by the blocks that touch it; left out, by all of them.
     """
     params = params or Population()
-    return jax.tree.map(np.asarray, layers_of_blocks(*_made_ready(blocks, params, bounds_m), params))
+    return jax.tree.map(
+        np.asarray, layers_of_blocks(*_made_ready(blocks, params, bounds_m), params)
+    )
 
 
 def _made_ready(
@@ -349,12 +401,16 @@ def _made_ready(
     """Return the blocks, and how far the population has moved from night to day at each time of the settings."""
     if blocks.day_count is not None:
         params.check_has_no_factor()
-    shares = np.array([day_share(time_of_day, params) for time_of_day in params.times_of_day], np.float32)
+    shares = np.array(
+        [day_share(time_of_day, params) for time_of_day in params.times_of_day], np.float32
+    )
     return BlockPopulation.of(blocks, bounds_m), shares
 
 
 @jax.jit
-def layers_of_blocks(blocks: BlockPopulation, shares: Float[Array, " T"], params: Population) -> BlockLayers:
+def layers_of_blocks(
+    blocks: BlockPopulation, shares: Float[Array, " T"], params: Population
+) -> BlockLayers:
     """Return `block_values` at several times of day: one after the other, as one by one they have the same bits."""
     return BlockLayers(*lax.map(lambda share: block_values(blocks, share, params), shares))
 
@@ -384,7 +440,9 @@ def soft_population(
       InputError: no such time of day.
     """
     m, _, _ = block_values(population, day_share(time_of_day, params), params)
-    return _over_samples(block if cells is None else block[cells[:, 0], cells[:, 1]], m, block.ndim > 2)
+    return _over_samples(
+        block if cells is None else block[cells[:, 0], cells[:, 1]], m, block.ndim > 2
+    )
 
 
 def _over_samples(block: Array, values: Array, has_samples: bool) -> Array:
@@ -398,7 +456,10 @@ def _on_cells(surface: Surface, layers: BlockLayers) -> dict[str, Array]:
     """Return the maps of blocks, at one time of day or at several, by their variable."""
     assert surface.block is not None
     named = {"population": layers.m, "density": layers.density_per_km2}
-    return {name: _over_samples(surface.block, values, surface.block.ndim > 2) for name, values in named.items()}
+    return {
+        name: _over_samples(surface.block, values, surface.block.ndim > 2)
+        for name, values in named.items()
+    }
 
 
 def _maps(scene: Scene, params: Population) -> dict[str, Array]:
@@ -415,7 +476,9 @@ def _traced(scene: Scene, params: Population) -> dict[str, Array]:
 
 def _soft(scene: SoftScene, params: Population) -> Array:
     assert scene.surface.block is not None
-    return soft_population(scene.surface.block, scene.population, scene.time_of_day, params, cells=scene.cells)
+    return soft_population(
+        scene.surface.block, scene.population, scene.time_of_day, params, cells=scene.cells
+    )
 
 
 DENSITY = Variable(

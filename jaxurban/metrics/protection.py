@@ -12,7 +12,16 @@ from jaxtyping import Bool, Float, UInt
 from jaxurban.errors import InputError, typed
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.kernels.protection import Ranging, RiskBudget, protection_levels
-from jaxurban.metrics.base import ALTITUDE, TIME, AnyArray, Metric, Scale, Scene, Variable, low_is_bad
+from jaxurban.metrics.base import (
+    ALTITUDE,
+    TIME,
+    AnyArray,
+    Metric,
+    Scale,
+    Scene,
+    Variable,
+    low_is_bad,
+)
 from jaxurban.metrics.settings import check_value, differentiable
 from jaxurban.metrics.visibility import distinct_choices
 from jaxurban.world.sky import InView
@@ -71,15 +80,29 @@ class Protection:
     tolerance_m: tuple[float, float] = (0.05, 1e-4)
 
     def __post_init__(self) -> None:
-        lengths = ("horizontal_alert_limit_m", "vertical_alert_limit_m", "sigma_ura_m", "sigma_ure_m", "tolerance_m")
+        lengths = (
+            "horizontal_alert_limit_m",
+            "vertical_alert_limit_m",
+            "sigma_ura_m",
+            "sigma_ure_m",
+            "tolerance_m",
+        )
         for name in lengths:
             check_value(name, getattr(self, name), "positive metres", lambda length_m: length_m > 0)
         check_value("bias_m", self.bias_m, "0 or more metres", lambda bias_m: bias_m >= 0)
         for name in ("p_sat", "p_const_gps", "p_const", "p_unmonitored"):
-            check_value(name, getattr(self, name), "a probability from 0 to below 0.1", lambda p: (p >= 0) & (p < 0.1))
+            check_value(
+                name,
+                getattr(self, name),
+                "a probability from 0 to below 0.1",
+                lambda p: (p >= 0) & (p < 0.1),
+            )
         for name in ("phmi_horizontal", "phmi_vertical", "pfa_horizontal", "pfa_vertical"):
             check_value(
-                name, getattr(self, name), "a probability from 1e-15 to 0.1", lambda p: (p >= 1e-15) & (p <= 0.1)
+                name,
+                getattr(self, name),
+                "a probability from 1e-15 to 0.1",
+                lambda p: (p >= 1e-15) & (p <= 0.1),
             )
         if len(self.tolerance_m) != 2:
             raise InputError(
@@ -124,10 +147,15 @@ def galileo_receiver_sigma_m(elevation_rad: Float[np.ndarray, " S"]) -> Float[np
 
 def ranging_of(in_view: InView, params: Protection) -> Ranging:
     """Return what is known of the ranges to satellites; constellations other than Galileo range as GPS does."""
-    elevation_rad, systems = np.asarray(in_view.elevation_rad, float), np.asarray(in_view.systems, str)
+    elevation_rad, systems = (
+        np.asarray(in_view.elevation_rad, float),
+        np.asarray(in_view.systems, str),
+    )
     names, constellation = np.unique(systems, return_inverse=True)
     receiver_m = np.where(
-        systems == "galileo", galileo_receiver_sigma_m(elevation_rad), gps_receiver_sigma_m(elevation_rad)
+        systems == "galileo",
+        galileo_receiver_sigma_m(elevation_rad),
+        gps_receiver_sigma_m(elevation_rad),
     )
     local_m2 = troposphere_sigma_m(elevation_rad) ** 2 + receiver_m**2
     num = len(systems)
@@ -138,7 +166,9 @@ def ranging_of(in_view: InView, params: Protection) -> Ranging:
         np.sqrt(float(params.sigma_ure_m) ** 2 + local_m2),
         np.full(num, float(params.bias_m)),
         np.full(num, float(params.p_sat)),
-        np.array([float(params.p_const_gps if name == "gps" else params.p_const) for name in names]),
+        np.array(
+            [float(params.p_const_gps if name == "gps" else params.p_const) for name in names]
+        ),
     )
 
 
@@ -147,7 +177,9 @@ def protection_metric(hpl_m: np.ndarray, alert_limit_m: float) -> np.ndarray:
     return 1 - np.minimum(hpl_m, alert_limit_m) / alert_limit_m
 
 
-def levels_of_satellites(in_view: InView, params: Protection, patterns: UInt[np.ndarray, "W P"]) -> np.ndarray:
+def levels_of_satellites(
+    in_view: InView, params: Protection, patterns: UInt[np.ndarray, "W P"]
+) -> np.ndarray:
     """Return ``[2, P]`` float64 horizontal and vertical protection levels of choices of the satellites in view.
 
     Args:
@@ -159,7 +191,10 @@ def levels_of_satellites(in_view: InView, params: Protection, patterns: UInt[np.
 
 
 def protection_maps(
-    words: UInt[AnyArray, "W ..."], is_obstacle: Bool[AnyArray, "..."], in_view: InView, params: Protection
+    words: UInt[AnyArray, "W ..."],
+    is_obstacle: Bool[AnyArray, "..."],
+    in_view: InView,
+    params: Protection,
 ) -> dict[str, np.ndarray]:
     """Return the protection maps of one time by variable: m, both levels, and where these are within their limits.
 
@@ -173,9 +208,14 @@ def protection_maps(
     """
     choices, number = distinct_choices(words, is_obstacle)
     hpl_m, vpl_m = levels_of_satellites(in_view, params, choices)
-    is_within = (hpl_m <= params.horizontal_alert_limit_m) & (vpl_m <= params.vertical_alert_limit_m)
+    is_within = (hpl_m <= params.horizontal_alert_limit_m) & (
+        vpl_m <= params.vertical_alert_limit_m
+    )
     m = protection_metric(hpl_m, params.horizontal_alert_limit_m)
-    variables, table = METRIC.variables, {METRIC.name: m, "hpl": hpl_m, "vpl": vpl_m, WITHIN_LIMITS: is_within}
+    variables, table = (
+        METRIC.variables,
+        {METRIC.name: m, "hpl": hpl_m, "vpl": vpl_m, WITHIN_LIMITS: is_within},
+    )
     return {name: values.astype(variables[name].dtype)[number] for name, values in table.items()}
 
 

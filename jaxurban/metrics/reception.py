@@ -50,7 +50,12 @@ class ReceptionCurve:
         check_value("intercept", self.intercept, "a finite number", lambda _: True)
         check_value("slope", self.slope, "a positive number", lambda slope: slope > 0)
         for name in ("scale_m", "cut_m"):
-            check_value(name, getattr(self, name), "a positive number of metres", lambda margin_m: margin_m > 0)
+            check_value(
+                name,
+                getattr(self, name),
+                "a positive number of metres",
+                lambda margin_m: margin_m > 0,
+            )
 
     @classmethod
     def measured_in_tokyo(cls) -> "ReceptionCurve":
@@ -94,5 +99,7 @@ class ReceptionCurve:
         leaves = (self.intercept, self.slope, self.scale_m, self.cut_m)
         intercept, slope, scale, cut = (jnp.asarray(leaf, margin.dtype) for leaf in leaves)
         margin = jnp.clip(margin, -cut, cut)
-        side = jnp.where(margin < 0, -1, 1).astype(margin.dtype)  # not jnp.sign, which is 0 at the edge, and its slope
+        side = jnp.where(margin < 0, -1, 1).astype(
+            margin.dtype
+        )  # not jnp.sign, which is 0 at the edge, and its slope
         return jax.nn.sigmoid(intercept + slope * side * jnp.log(1 + side * margin / scale))

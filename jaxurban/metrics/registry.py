@@ -12,7 +12,9 @@ METRICS: Mapping[str, Metric] = {
     metric.name: metric for metric in (gps.METRIC, lidar.METRIC, population.METRIC, risk.METRIC)
 }
 # Made where somebody gives their settings or a weight.
-ON_REQUEST: Mapping[str, Metric] = {metric.name: metric for metric in (gps.HORIZONTAL, gps.VERTICAL, protection.METRIC)}
+ON_REQUEST: Mapping[str, Metric] = {
+    metric.name: metric for metric in (gps.HORIZONTAL, gps.VERTICAL, protection.METRIC)
+}
 
 
 def known_metrics() -> dict[str, Metric]:
@@ -25,7 +27,9 @@ def sections_of(**sections: Any) -> dict[str, Any]:
     return {name: section for name, section in sections.items() if section is not None}
 
 
-sections_of.__annotations__ = {name: metric.params | None for name, metric in known_metrics().items()}
+sections_of.__annotations__ = {
+    name: metric.params | None for name, metric in known_metrics().items()
+}
 sections_of.__signature__ = Signature(  # type: ignore[attr-defined]
     [
         Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=hint)

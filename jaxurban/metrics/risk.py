@@ -45,11 +45,19 @@ class Risk:
     distance: Literal["slice", "solid"] = "slice"
 
     def __post_init__(self) -> None:
-        check_value("threshold_m", self.threshold_m, "a positive number of metres", lambda reach_m: reach_m > 0)
+        check_value(
+            "threshold_m",
+            self.threshold_m,
+            "a positive number of metres",
+            lambda reach_m: reach_m > 0,
+        )
 
 
 def compute_risk(
-    surface: Surface, altitudes_m: Sequence[float] | jax.Array, params: Risk, engine: Engine = "auto"
+    surface: Surface,
+    altitudes_m: Sequence[float] | jax.Array,
+    params: Risk,
+    engine: Engine = "auto",
 ) -> Float[AnyArray, "A y x"]:
     """Return m_risk = min(d / d_thresh, 1) on the region, ``[A, y, x]`` float32; 0 inside obstacles.
 
@@ -70,8 +78,14 @@ def compute_risk(
       engine: which form runs, see `jaxurban.kernels.engine`; to ``"solid"`` over terrain JAX's alone.
     """
     if surface.slabs is not None and len(altitudes_m) > 1:
-        return np.concatenate([compute_risk(surface, [z_m], params, engine) for z_m in np.asarray(altitudes_m)])
-    surface = surface.at_altitude(float(np.asarray(altitudes_m)[0])) if surface.slabs is not None else surface
+        return np.concatenate(
+            [compute_risk(surface, [z_m], params, engine) for z_m in np.asarray(altitudes_m)]
+        )
+    surface = (
+        surface.at_altitude(float(np.asarray(altitudes_m)[0]))
+        if surface.slabs is not None
+        else surface
+    )
     halo = kernel.window_cells(params.threshold_m, surface.grid.resolution_m)
     is_solid = params.distance == "solid"
     terrain = ceiling = None
@@ -84,7 +98,10 @@ def compute_risk(
     if terrain is None and runs_numba(engine, surface.roof_m, altitudes):
         roof_m = surface.part(np.asarray(surface.roof_m), halo).cut()
         ceiling_m = None if ceiling is None else ceiling.cut()
-        sources = (_sources(np, roof_m, ceiling_m, altitude_m, is_solid) for altitude_m in np.asarray(altitudes))
+        sources = (
+            _sources(np, roof_m, ceiling_m, altitude_m, is_solid)
+            for altitude_m in np.asarray(altitudes)
+        )
         nearest = [distance_on_host(source_m2, halo=halo, **sizes) for source_m2 in sources]
         return _share(np.stack(nearest), params.threshold_m)
     roof = surface.part(surface.roof_m, halo)
@@ -129,7 +146,9 @@ def _risk(
 
     def distance_at(altitude_m: jax.Array) -> jax.Array:
         if terrain_m is not None:
-            nearest = partial(kernel.capped_distance_over_terrain, resolution_m=resolution_m, cap_m=cap_m)
+            nearest = partial(
+                kernel.capped_distance_over_terrain, resolution_m=resolution_m, cap_m=cap_m
+            )
             distance_m = nearest(terrain_m + altitude_m, terrain_m + roof_m, roof_m > 0)
             if ceiling_m is None:
                 return distance_m
@@ -179,7 +198,9 @@ def soft_risk(
     dtype, resolution_m = surface.roof_m.dtype, surface.grid.resolution_m
     reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
     halo = kernel.window_cells(reach_m, resolution_m)
-    altitude, threshold, softness = (jnp.asarray(v, dtype) for v in (altitude_m, params.threshold_m, softness_m))
+    altitude, threshold, softness = (
+        jnp.asarray(v, dtype) for v in (altitude_m, params.threshold_m, softness_m)
+    )
     is_solid = params.distance == "solid"
     scales = threshold, threshold if is_solid else softness
     sizes = {"resolution_m": resolution_m, "halo": halo}
@@ -192,11 +213,15 @@ def soft_risk(
     shape = surface.region.shape if cells is None else (len(cells),)
     chosen = jnp.indices(shape).reshape(2, -1).T if cells is None else cells
     heights_m = jnp.broadcast_to(altitude, len(chosen))
-    return kernel.nearest_column_at(roof_m, terrain_m, heights_m, *scales, chosen, **sizes).reshape(shape)
+    return kernel.nearest_column_at(roof_m, terrain_m, heights_m, *scales, chosen, **sizes).reshape(
+        shape
+    )
 
 
 def _map(scene: Scene, params: Risk) -> dict[str, AnyArray]:
-    return {"risk": np.asarray(compute_risk(scene.surface, [scene.altitude_m], params, scene.engine))[0]}
+    return {
+        "risk": np.asarray(compute_risk(scene.surface, [scene.altitude_m], params, scene.engine))[0]
+    }
 
 
 def _traced(scene: Scene, params: Risk) -> dict[str, Array]:

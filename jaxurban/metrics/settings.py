@@ -25,7 +25,9 @@ def differentiable(*names: str) -> Callable[[Settings], Settings]:
         static = [field.name for field in fields(cls) if field.name not in names]
 
         def flatten(settings: Any) -> tuple[tuple, tuple]:
-            return tuple(getattr(settings, name) for name in names), tuple(getattr(settings, name) for name in static)
+            return tuple(getattr(settings, name) for name in names), tuple(
+                getattr(settings, name) for name in static
+            )
 
         def flatten_with_keys(settings: Any) -> tuple[tuple, tuple]:
             leaves, fixed = flatten(settings)
@@ -60,7 +62,9 @@ def check_value(name: str, value: Any, what: str, is_good: Callable[[Any], Any])
     if not is_known(value):
         return
     values = np.asarray(value)
-    if not np.issubdtype(values.dtype, np.number) or not np.all(np.isfinite(values) & is_good(values)):
+    if not np.issubdtype(values.dtype, np.number) or not np.all(
+        np.isfinite(values) & is_good(values)
+    ):
         raise InputError(f"{name} must be {what}, got {value}")
 
 
@@ -77,10 +81,14 @@ def reach_of(value_m: Any, reach_m: float | None, name: str) -> float:
     """
     if reach_m is None:
         if not is_known(value_m):
-            raise InputError(f"{name} is traced by JAX: give reach_m, a number of metres it never exceeds")
+            raise InputError(
+                f"{name} is traced by JAX: give reach_m, a number of metres it never exceeds"
+            )
         return float(value_m)
     if not (is_known(reach_m) and math.isfinite(reach_m) and reach_m > 0):
-        raise InputError(f"reach_m must be a positive number of metres, not traced by JAX, got {reach_m}")
+        raise InputError(
+            f"reach_m must be a positive number of metres, not traced by JAX, got {reach_m}"
+        )
     if is_known(value_m) and float(value_m) > reach_m:
         raise InputError(f"reach_m must be at least {name}, {float(value_m):g} m, got {reach_m:g}")
     return float(reach_m)

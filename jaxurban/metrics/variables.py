@@ -9,10 +9,19 @@ import numpy as np
 
 from jaxurban.metrics.base import ALTITUDE, TIME, UNDERSIDE, Metric, Scale, Variable
 
-FREE_COLOUR, BUILT_COLOUR, GUESSED_COLOUR, NO_DATA_COLOUR = "#f4f4ee", "#4a4a4a", "#d55e00", "#bdbdbd"
+FREE_COLOUR, BUILT_COLOUR, GUESSED_COLOUR, NO_DATA_COLOUR = (
+    "#f4f4ee",
+    "#4a4a4a",
+    "#d55e00",
+    "#bdbdbd",
+)
 CAVEAT = "comment"  # attribute: what whoever reads the values must know; the name is that of the CF conventions
 NEEDED = ("obstacle", "has_data")  # without these maps it is not a folder of maps
-SERIES = ("availability", "median", "p05")  # what is kept of a long series, behind the metric's name
+SERIES = (
+    "availability",
+    "median",
+    "p05",
+)  # what is kept of a long series, behind the metric's name
 _roof = partial(Variable, unit="m", scale=Scale(high=None, stretch="sqrt", zero="no building"))
 
 NO_METRICS = {
@@ -28,7 +37,11 @@ NO_METRICS = {
             dims=(ALTITUDE,),
         ),
         Variable("obstacle_share", "share of height samples with an obstacle", dims=(ALTITUDE,)),
-        _roof("roof", "height of the roof over the cell's centre above the ground", title="Roof height"),
+        _roof(
+            "roof",
+            "height of the roof over the cell's centre above the ground",
+            title="Roof height",
+        ),
         _roof(
             "roof_touched",
             "height of the highest roof that shares area with the cell above the ground",
@@ -41,7 +54,10 @@ NO_METRICS = {
             dtype=np.bool_,
             classes=(("height known, or no roof", FREE_COLOUR), ("height guessed", GUESSED_COLOUR)),
         ),
-        _roof(UNDERSIDE, "height of the lowest underside of what hangs over the cell's centre above the ground"),
+        _roof(
+            UNDERSIDE,
+            "height of the lowest underside of what hangs over the cell's centre above the ground",
+        ),
         Variable(
             "terrain",
             "elevation of the ground",
@@ -71,7 +87,10 @@ def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
     own, dims = metric.variables[metric.name], tuple(dim for dim in metric.dims if dim != TIME)
     share, always_so = "above the threshold", f"m_{own.name} is above the threshold"
     if metric.available:
-        share, always_so = f"with {(said := metric.variables[metric.available].long_name)}", f"{said},"
+        share, always_so = (
+            f"with {(said := metric.variables[metric.available].long_name)}",
+            f"{said},",
+        )
     uncertain = "over uncertain heights"
     kinds: dict[str, dict[str, tuple[str, str]]] = {  # what it is, and what 1 means
         "series": {
@@ -118,7 +137,9 @@ def no_value(dtype: np.dtype) -> Any:
 
 LOW_SHARE = 0.05  # of the times: the percentile kept beside the median
 CELLS_AT_ONCE = 2**13  # a block's values at all times stay in a core's cache
-SCALE = 2.0**14  # means over cells add up whole numbers of 1 / SCALE, so that no order of tiles changes them
+SCALE = (
+    2.0**14
+)  # means over cells add up whole numbers of 1 / SCALE, so that no order of tiles changes them
 
 
 def series_statistics(
@@ -144,7 +165,9 @@ def series_statistics(
         ordered = np.sort(np.ascontiguousarray(flat[:, block].T), axis=1)
         found["availability"][block] = np.mean(ordered > availability_threshold, axis=1)
         if is_available is not None:
-            found["availability"][block] = np.mean(is_available.reshape(num_times, -1)[:, block], axis=0)
+            found["availability"][block] = np.mean(
+                is_available.reshape(num_times, -1)[:, block], axis=0
+            )
         found["median"][block] = _quantile(ordered, 0.5)
         found["p05"][block] = _quantile(ordered, LOW_SHARE)
     return {name: values.reshape(shape) for name, values in found.items()}

@@ -86,7 +86,9 @@ class SkyView(NamedTuple):
           multiple_of: satellites are filled up to a multiple of this, so that few programs are compiled.
           clocks: of the satellites; left out, all share one.
         """
-        azimuth, elevation = (np.atleast_1d(np.asarray(angles, float)) for angles in (azimuth_rad, elevation_rad))
+        azimuth, elevation = (
+            np.atleast_1d(np.asarray(angles, float)) for angles in (azimuth_rad, elevation_rad)
+        )
         dtype = np.dtype(surface.roof_m.dtype).type
         satellites = geometry(unit_vectors(azimuth, elevation), dtype, multiple_of, clocks)
         num, grid = len(azimuth), surface.grid
@@ -97,7 +99,9 @@ class SkyView(NamedTuple):
         return cls(stacked(lines), satellites, np.asarray(num, np.int32))
 
 
-def visible_words(surface: Surface, altitudes_m: Float[Array, " A"], sky: SkyView) -> UInt[Array, "W A y x"]:
+def visible_words(
+    surface: Surface, altitudes_m: Float[Array, " A"], sky: SkyView
+) -> UInt[Array, "W A y x"]:
     """Return `visibility` of a sky, by JAX; everything may be traced.
 
     Args:
@@ -118,7 +122,9 @@ def _heights(ground_m: AnyArray | None, altitudes_m: AnyArray) -> AnyArray:
     return z_m if ground_m is None else ground_m + z_m
 
 
-def handed_on(top_m: Float[AnyArray, "Y X"], lines: Sequence[Line], rings: Sequence[Ring], engine: Engine) -> Ring:
+def handed_on(
+    top_m: Float[AnyArray, "Y X"], lines: Sequence[Line], rings: Sequence[Ring], engine: Engine
+) -> Ring:
     """Return what a grid hands on to its neighbours, as `jaxurban.kernels.shadows.sweep_cpu.hand_on` says.
 
     Args:
@@ -169,22 +175,43 @@ def visibility(
     ground_m = None if surface.terrain_m is None else surface.terrain_m[rows, cols]
     first_row, first_col, ring = rows.start, cols.start, None
     if rings is not None:
-        top_m, grid, first_row, first_col, ring = top_m[rows, cols], surface.region, 0, 0, _stacked_rings(rings)
+        top_m, grid, first_row, first_col, ring = (
+            top_m[rows, cols],
+            surface.region,
+            0,
+            0,
+            _stacked_rings(rings),
+        )
     num_words = max(1, -(-len(azimuth) // WORD_BITS))
-    words: Any = np.zeros((num_words, len(altitudes), num_rows // every, num_cols // every), np.uint32)
+    words: Any = np.zeros(
+        (num_words, len(altitudes), num_rows // every, num_cols // every), np.uint32
+    )
     if len(azimuth) and (every > 1 or runs_numba(engine, top_m, altitudes)):
         lines = stacked(lines_over(grid.padded(1, 1, 1, 1), azimuth, elevation))
         ground = None if ground_m is None else np.ascontiguousarray(ground_m)
         tops = np.ascontiguousarray(top_m)
-        mark_visible(words, tops, ground, np.asarray(altitudes), lines, (first_row, first_col), ring, every=every)
+        mark_visible(
+            words,
+            tops,
+            ground,
+            np.asarray(altitudes),
+            lines,
+            (first_row, first_col),
+            ring,
+            every=every,
+        )
     elif len(azimuth):
-        lines = stacked(lines_over(grid if ring is None else grid.padded(1, 1, 1, 1), azimuth, elevation))
+        lines = stacked(
+            lines_over(grid if ring is None else grid.padded(1, 1, 1, 1), azimuth, elevation)
+        )
         window = first_row, first_row + num_rows, first_col, first_col + num_cols, 1
         height_m, num = _heights(ground_m, altitudes), np.int32(len(azimuth))
         words = sweep.visible_words(top_m, height_m, lines, num, ring, window=window)
     if surface.slabs is None:
         return words
-    return _without_hidden(np.array(words), surface, surface.slabs, azimuth, elevation, altitudes, every)
+    return _without_hidden(
+        np.array(words), surface, surface.slabs, azimuth, elevation, altitudes, every
+    )
 
 
 def _without_hidden(
@@ -199,7 +226,8 @@ def _without_hidden(
     """Return visibility words, altered, without the satellites that slabs hide; arguments as for `visibility`."""
     region, middle = surface.region, every // 2
     first_row, first_col = (
-        (first + middle) * PER_CELL + PER_CELL // 2 for first in (region.first_row, region.first_col)
+        (first + middle) * PER_CELL + PER_CELL // 2
+        for first in (region.first_row, region.first_col)
     )
     ground_m = np.empty((0, 0), np.float32)
     if surface.terrain_m is not None:
@@ -251,8 +279,12 @@ def bounding_visibility(
     top_m = np.asarray(surface.top_m)
     covered_m = top_m if hides_most else reached(reached(top_m, axis=0), axis=1)
     num_words = max(1, -(-len(azimuth_rad) // WORD_BITS))
-    words = np.zeros((num_words, len(altitudes), *(size // every for size in surface.region.shape)), np.uint32)
-    ground_m = None if surface.terrain_m is None else np.ascontiguousarray(surface.terrain_m[rows, cols])
+    words = np.zeros(
+        (num_words, len(altitudes), *(size // every for size in surface.region.shape)), np.uint32
+    )
+    ground_m = (
+        None if surface.terrain_m is None else np.ascontiguousarray(surface.terrain_m[rows, cols])
+    )
     mark_visible(
         words,
         reached(covered_m, axis=1),
@@ -265,8 +297,12 @@ def bounding_visibility(
         turned_top_m=reached(covered_m, axis=0),
     )
     if hides_most:  # the roof over the receiver's own cell hides all
-        own_m = np.where(np.asarray(surface.roof_m) > 0, top_m, -np.inf)[rows, cols][middles, middles]
-        words *= own_m <= _heights(None if ground_m is None else ground_m[middles, middles], altitudes)
+        own_m = np.where(np.asarray(surface.roof_m) > 0, top_m, -np.inf)[rows, cols][
+            middles, middles
+        ]
+        words *= own_m <= _heights(
+            None if ground_m is None else ground_m[middles, middles], altitudes
+        )
     return words
 
 
@@ -293,4 +329,6 @@ def distinct_choices(
 
 def lines_over(grid: Grid, azimuth: np.ndarray, elevation: np.ndarray) -> list[Line]:
     """Return the digital line toward each satellite over a grid."""
-    return digital_lines(azimuth, elevation, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
+    return digital_lines(
+        azimuth, elevation, grid.resolution_m, grid.first_row, grid.first_col, grid.shape
+    )

@@ -12,7 +12,9 @@ from jaxurban.metrics.base import AnyArray as AnyArray
 from jaxurban.metrics.registry import METRICS, known_metrics
 
 DISTANCE_WEIGHT, METRIC_WEIGHT = 0.1, 1.0  # of the weights that nobody names
-MOST_WEIGHT = float(MOST)  # as of any number: no path's cost overflows up to here, not even in float32
+MOST_WEIGHT = float(
+    MOST
+)  # as of any number: no path's cost overflows up to here, not even in float32
 
 
 @jax.tree_util.register_pytree_with_keys_class
@@ -38,7 +40,9 @@ class Weights:
 
     values: tuple[tuple[str, float | jax.Array], ...]
 
-    def __init__(self, distance: float | jax.Array = DISTANCE_WEIGHT, **weights: float | jax.Array) -> None:
+    def __init__(
+        self, distance: float | jax.Array = DISTANCE_WEIGHT, **weights: float | jax.Array
+    ) -> None:
         named = {"distance": distance, **dict.fromkeys(METRICS, METRIC_WEIGHT)}
         object.__setattr__(self, "values", tuple((named | dict(sorted(weights.items()))).items()))
 
@@ -70,8 +74,12 @@ class Weights:
         if isinstance(given, Weights):
             return given
         named: Any = {} if given is None else given
-        if not isinstance(named, Mapping) or not all(isinstance(name, str) and name != "self" for name in named):
-            raise InputError(f'weights must be Weights or numbers by name such as {{"risk": 5}}, got {given!r}')
+        if not isinstance(named, Mapping) or not all(
+            isinstance(name, str) and name != "self" for name in named
+        ):
+            raise InputError(
+                f'weights must be Weights or numbers by name such as {{"risk": 5}}, got {given!r}'
+            )
         return cls(**{**(base or {}), **named})
 
     @classmethod
@@ -113,7 +121,9 @@ class Weights:
             try:
                 values[name] = float(number)
             except ValueError as error:
-                raise InputError(f"weight {part!r} must read name=number, as in gps=1,risk=0.5") from error
+                raise InputError(
+                    f"weight {part!r} must read name=number, as in gps=1,risk=0.5"
+                ) from error
         return values
 
     def to_dict(self) -> dict[str, Any]:
@@ -208,5 +218,7 @@ def _number(name: str, value: Any) -> float:
     except (TypeError, ValueError):
         number = np.nan
     if not 0 <= number <= MOST_WEIGHT:
-        raise InputError(f"weight {name} must be a finite number >= 0, at most {MOST_WEIGHT:.0e}, got {value}")
+        raise InputError(
+            f"weight {name} must be a finite number >= 0, at most {MOST_WEIGHT:.0e}, got {value}"
+        )
     return number

@@ -27,7 +27,16 @@ from jaxurban.progress import LOG, Progress, reporting
 HELD_BYTES = 2 * 2**30  # of weighed maps at a time
 BYTES_A_CELL = 160  # of a cost map: layers, metrics, landmarks
 ENDED_BY_BUDGET = (Status.BUDGET_EMPTY.value, Status.BUDGET_FEASIBLE.value)
-NEEDED = {"query", "status", "message", "key", "budget_s", "search", "x_m", "y_m"}  # of a file of results
+NEEDED = {
+    "query",
+    "status",
+    "message",
+    "key",
+    "budget_s",
+    "search",
+    "x_m",
+    "y_m",
+}  # of a file of results
 
 
 @partial(typed, makers=(cost_map, PathSearch.of))
@@ -92,29 +101,44 @@ def plan_many(
     maps = as_maps(maps)
     search = PathSearch.of(maps, **taken_by(PathSearch.of, asked))
     if search.refine or search.exposure:
-        raise InputError("refine and exposure are of a single plan: leave them out, and plan the paths that matter")
+        raise InputError(
+            "refine and exposure are of a single plan: leave them out, and plan the paths that matter"
+        )
     if file is not None and not FilePath(file).parent.is_dir():
-        raise InputError(f"the folder of {str(file)!r} does not exist: make it first, or name another file")
+        raise InputError(
+            f"the folder of {str(file)!r} does not exist: make it first, or name another file"
+        )
     most_maps = max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(maps.grid.shape))))
-    of_map, when = taken_by(cost_map, asked), {name: asked.get(name) for name in ("time", "time_of_day")}
+    of_map, when = (
+        taken_by(cost_map, asked),
+        {name: asked.get(name) for name in ("time", "time_of_day")},
+    )
 
     @lru_cache(maxsize=most_maps)
     def map_of(altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
         return cost_map(maps, altitude_m, **of_map | {"time": time, "time_of_day": time_of_day})
 
-    weights = map_of(maps.altitudes_m[0] if altitude_m is None else altitude_m, *when.values()).weights  # wrong for all
-    batch = read_queries(queries, altitude_m=altitude_m, weights=weights, metrics=maps.metrics, **when)
+    weights = map_of(
+        maps.altitudes_m[0] if altitude_m is None else altitude_m, *when.values()
+    ).weights  # wrong for all
+    batch = read_queries(
+        queries, altitude_m=altitude_m, weights=weights, metrics=maps.metrics, **when
+    )
     results = _Results(batch, None if file is None else RowStore(FilePath(file), ["query"]))
     chosen = {name: getattr(search, name) for name in ("planner", "heuristic", "budget_s", "seed")}
     solve = partial(solve_many, **chosen, backend=backend, num_threads=num_threads)
     was_interrupted = False
     try:
         with reporting("plan_many", progress) as report:
-            for num_done, _ in enumerate(_done(results, map_of, most_maps, search, solve, strict), start=1):
+            for num_done, _ in enumerate(
+                _done(results, map_of, most_maps, search, solve, strict), start=1
+            ):
                 report("queries", num_done, len(batch), **results.counts)
     except KeyboardInterrupt:
         was_interrupted = True
-        LOG.warning("interrupted: %d of %d queries are done", sum(results.counts.values()), len(batch))
+        LOG.warning(
+            "interrupted: %d of %d queries are done", sum(results.counts.values()), len(batch)
+        )
     finally:
         results.save()
     return PlannedPaths(results.rows, results.paths, was_interrupted)
@@ -129,10 +153,16 @@ class _Results:
         self.rows = [row_of(k, query, *not_run) for k, query in enumerate(queries)]
         self.paths: list[PlannedPath | None] = [None] * len(queries)
         self.counts = {"paths": 0, "none": 0}
-        if store is not None and not all(row.keys() >= NEEDED and row["query"] < len(queries) for row in store.rows):
-            raise InputError(f"{str(store.file)!r} holds no results of these queries: name another file, or remove it")
+        if store is not None and not all(
+            row.keys() >= NEEDED and row["query"] < len(queries) for row in store.rows
+        ):
+            raise InputError(
+                f"{str(store.file)!r} holds no results of these queries: name another file, or remove it"
+            )
 
-    def add(self, k: int, status: str, message: str, path: PlannedPath | None = None, key: str = "") -> int:
+    def add(
+        self, k: int, status: str, message: str, path: PlannedPath | None = None, key: str = ""
+    ) -> int:
         """Note a result, keep it in the file, and return the query's number."""
         self.rows[k], self.paths[k] = row_of(k, self.queries[k], status, message, path, key), path
         self.counts["paths" if path is not None and path.status.has_path else "none"] += 1
@@ -140,7 +170,9 @@ class _Results:
             self._store.add([self.rows[k]])
         return k
 
-    def take(self, k: int, key: str, budget_s: float, finish: Callable[[Path], PlannedPath]) -> bool:
+    def take(
+        self, k: int, key: str, budget_s: float, finish: Callable[[Path], PlannedPath]
+    ) -> bool:
         """Return whether the file holds the result of a query, and note it; not one that a smaller budget ended."""
         row = None if self._store is None else self._store.get(k)
         if self._store is None or row is None or row["status"] == BAD_INPUT:
@@ -185,7 +217,9 @@ def _done(
         if query.error:
             yield refuse(k, query.error)
         else:
-            by_map.setdefault((query.altitude_m, query.time, query.time_of_day, query.weights), []).append(k)
+            by_map.setdefault(
+                (query.altitude_m, query.time, query.time_of_day, query.weights), []
+            ).append(k)
     waiting = list(by_map.items())
     while waiting:
         groups, waiting = waiting[:most_maps], waiting[most_maps:]
@@ -203,17 +237,23 @@ def _done(
             digest = fingerprint(shared.costs, shared.is_free, (*settings, of_search))
             for k in numbers:
                 try:
-                    ends = shared.ends(results.queries[k].start, results.queries[k].goal, snap=search.snap)
+                    ends = shared.ends(
+                        results.queries[k].start, results.queries[k].goal, snap=search.snap
+                    )
                 except InputError as error:
                     yield refuse(k, error)
                     continue
                 key = fingerprint(digest, ends)
                 located.append((k, key, shared, ends))
-                if results.take(k, key, search.budget_s, partial(finish, shared, ends=ends, search=search)):
+                if results.take(
+                    k, key, search.budget_s, partial(finish, shared, ends=ends, search=search)
+                ):
                     yield k
                 else:
                     unsolved.append(len(located) - 1)
-        problems = [shared.problem.between(ends[0].cell, ends[1].cell) for _, _, shared, ends in located]
+        problems = [
+            shared.problem.between(ends[0].cell, ends[1].cell) for _, _, shared, ends in located
+        ]
         with closing(solve(problems, only=unsolved)) as outcomes:
             for i, outcome in outcomes:
                 k, key, shared, ends = located[i]

@@ -26,8 +26,16 @@ from jaxurban.planners.base import Cell
 from jaxurban.public import listed
 from jaxurban.settings import CLEARANCES, DEFAULTS, Planning, Vehicle, not_negative, parse_time
 
-OPERATORS: dict[str, Callable] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
-BOUND = re.compile(r"\s*(\w+)\s*([<>=!]+)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|[-+]?inf|nan)\s*", re.IGNORECASE)
+OPERATORS: dict[str, Callable] = {
+    ">=": operator.ge,
+    "<=": operator.le,
+    ">": operator.gt,
+    "<": operator.lt,
+}
+BOUND = re.compile(
+    r"\s*(\w+)\s*([<>=!]+)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|[-+]?inf|nan)\s*",
+    re.IGNORECASE,
+)
 KEPT_CLEAR = {  # entries of `Constraints.to_dict`, as messages call them
     "clearance_m": "clearance",
     "vehicle_radius_m": "vehicle's radius",
@@ -37,7 +45,9 @@ Altitudes = float | Sequence[float]
 # What a file may take from a clearance: 8 mm by the seventh decimal of a degree, and up to 35 mm where a program draws
 # a leg of 1 km straight in degrees instead of in the maps' CRS (length^2 / 8 R x tan of a latitude up to 60 degrees).
 FILE_MARGIN_M = 0.05
-MOST_LEG_MARGIN = 0.49  # cell sides: steps between the centres of cells keep half a side from closed cells
+MOST_LEG_MARGIN = (
+    0.49  # cell sides: steps between the centres of cells keep half a side from closed cells
+)
 
 
 @dataclass(frozen=True)
@@ -59,11 +69,15 @@ class Bound:
 
     def __post_init__(self) -> None:
         if self.comparison not in OPERATORS:
-            raise InputError(f"the bound {self} has the comparison {self.comparison!r}: use {', '.join(OPERATORS)}")
+            raise InputError(
+                f"the bound {self} has the comparison {self.comparison!r}: use {', '.join(OPERATORS)}"
+            )
         if not math.isfinite(self.value):
             raise InputError(f"the bound {self} needs a finite number, as in gps>=0.3")
         if self.variable in known_metrics() and not 0 <= self.value <= 1:
-            raise InputError(f"the bound {self} asks what no cell or every cell has: m_{self.variable} lies in 0 to 1")
+            raise InputError(
+                f"the bound {self} asks what no cell or every cell has: m_{self.variable} lies in 0 to 1"
+            )
 
     def __str__(self) -> str:
         return f"{self.variable}{self.comparison}{self.value:g}"
@@ -83,7 +97,11 @@ class Bound:
         return cls(parts[1], parts[2], float(parts[3]))
 
     def is_kept(
-        self, maps: MetricMaps, altitude_m: float, time: str | None = None, time_of_day: str | None = None
+        self,
+        maps: MetricMaps,
+        altitude_m: float,
+        time: str | None = None,
+        time_of_day: str | None = None,
     ) -> np.ndarray:
         """Return ``[Y, X]`` bool: the bound holds. Nothing holds where there are no data; a DOP may be inf.
 
@@ -94,7 +112,11 @@ class Bound:
         """
         variable = maps.variable(self.variable)
         if variable not in maps.ds or maps.ds[variable].dims[-2:] != ("y", "x"):
-            names = sorted(str(name) for name, array in maps.ds.data_vars.items() if array.dims[-2:] == ("y", "x"))
+            names = sorted(
+                str(name)
+                for name, array in maps.ds.data_vars.items()
+                if array.dims[-2:] == ("y", "x")
+            )
             raise InputError(
                 f"the bound {self} is on a map that these maps do not hold{nearest_name(self.variable, names)}: choose "
                 f"one of {', '.join(names)}, or make maps that hold it"
@@ -183,7 +205,9 @@ class Constraints:
           1 no-fly zone, gps>=0.5, num_visible>=4, clearance of 5 m, vertical clearance of 3 m
         """
         files = [no_fly] if isinstance(no_fly, (str, Path)) else no_fly
-        bounds = [Bound.parse(text) for text in ([require] if isinstance(require, str) else require)]
+        bounds = [
+            Bound.parse(text) for text in ([require] if isinstance(require, str) else require)
+        ]
         zones = tuple(zone for file in files for zone in read_zones(file))
         return cls(zones, tuple(bounds), clearance_m, vertical_clearance_m, vehicle)
 
@@ -207,7 +231,10 @@ class Constraints:
 
     @property
     def _clearances_m(self) -> dict[str, float]:
-        return {name: getattr(self if getattr(self, name) is not None else DEFAULTS, name) for name in CLEARANCES}
+        return {
+            name: getattr(self if getattr(self, name) is not None else DEFAULTS, name)
+            for name in CLEARANCES
+        }
 
     def under(self, planning: Planning, vehicle: Vehicle) -> "Constraints":
         """Return the constraints, what they leave out taken from a ``[planning]`` and a vehicle.
@@ -221,7 +248,9 @@ class Constraints:
           (5.0, 3.0, 0.5)
         """
         rest = {**{name: getattr(planning, name) for name in CLEARANCES}, "vehicle": vehicle}
-        return replace(self, **{name: value for name, value in rest.items() if getattr(self, name) is None})
+        return replace(
+            self, **{name: value for name, value in rest.items() if getattr(self, name) is None}
+        )
 
     def leg_margin_m(self, resolution_m: float) -> float:
         """Return what straight legs keep from closed cells of that side, for the clearance (`closing_step_m`).
@@ -281,12 +310,21 @@ class Constraints:
         flight = parse_time(time)
         is_on = [zone.is_in_force(flight) for zone in self.zones]
         if off := [zone.label for zone, on in zip(self.zones, is_on, strict=True) if not on]:
-            sentence = f"zones not in force at {time} nor within an hour, which close nothing: {len(off)}"
+            sentence = (
+                f"zones not in force at {time} nor within an hour, which close nothing: {len(off)}"
+            )
             warn(f"{sentence} ({listed(off)})", IgnoredZoneWarning)
-        return replace(self, zones=tuple(zone for zone, on in zip(self.zones, is_on, strict=True) if on))
+        return replace(
+            self, zones=tuple(zone for zone, on in zip(self.zones, is_on, strict=True) if on)
+        )
 
     def is_free(
-        self, maps: MetricMaps, altitude_m: Altitudes, *, time: str | None = None, time_of_day: str | None = None
+        self,
+        maps: MetricMaps,
+        altitude_m: Altitudes,
+        *,
+        time: str | None = None,
+        time_of_day: str | None = None,
     ) -> np.ndarray:
         """Return where a path may fly: no obstacle, data there, closed by none of these constraints.
 
@@ -305,7 +343,12 @@ class Constraints:
         return is_free.reshape(closed.shape) & ~closed
 
     def closed(
-        self, maps: MetricMaps, altitude_m: Altitudes, *, time: str | None = None, time_of_day: str | None = None
+        self,
+        maps: MetricMaps,
+        altitude_m: Altitudes,
+        *,
+        time: str | None = None,
+        time_of_day: str | None = None,
     ) -> np.ndarray:
         """Return the cells that these constraints close, at one altitude or on levels.
 
@@ -355,7 +398,12 @@ class Constraints:
         return closed if np.ndim(altitude_m) else closed[0]
 
     def reasons(
-        self, maps: MetricMaps, altitude_m: float, cell: Cell, time: str | None = None, time_of_day: str | None = None
+        self,
+        maps: MetricMaps,
+        altitude_m: float,
+        cell: Cell,
+        time: str | None = None,
+        time_of_day: str | None = None,
     ) -> list[str]:
         """Return why a cell is closed, a phrase for each constraint that closes it.
 
@@ -393,17 +441,25 @@ def constraints_said(record: Mapping[str, Any]) -> str:
 
 def clearances_said(record: Mapping[str, Any]) -> list[str]:
     """Return a phrase for each distance that constraints, as `Constraints.to_dict` holds them, keep from obstacles."""
-    return [f"{said} of {record[name]:g} m" for name, said in KEPT_CLEAR.items() if record.get(name)]
+    return [
+        f"{said} of {record[name]:g} m" for name, said in KEPT_CLEAR.items() if record.get(name)
+    ]
 
 
 def kept_said(record: Mapping[str, Any], resolution_m: float) -> str:
     """Return the horizontal distance that is really kept, a phrase; empty where that is what such constraints ask."""
     asked_m = record.get("clearance_m", 0.0) + record.get("vehicle_radius_m", 0.0)
     kept = kept_m(asked_m, resolution_m)
-    return f"at least {kept:g} m kept on cells of {resolution_m:g} m" if kept > asked_m + FILE_MARGIN_M else ""
+    return (
+        f"at least {kept:g} m kept on cells of {resolution_m:g} m"
+        if kept > asked_m + FILE_MARGIN_M
+        else ""
+    )
 
 
-def obstacles_within(maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float) -> np.ndarray:
+def obstacles_within(
+    maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float
+) -> np.ndarray:
     """Return ``[Y, X]`` bool: a roof that touches the cell reaches an altitude, or ends less than ``vertical_m`` below.
 
     Roofs count where the maps' rule of obstacles has them, and where a distance is kept in every cell that they touch.
@@ -422,7 +478,9 @@ def obstacles_within(maps: MetricMaps, altitude_m: float, horizontal_m: float, v
     roof_m = maps.m(name)
     reached_m = np.float32(altitude_m - vertical_m)
     over_m = roof_m + _over_lowest_ground_m(maps, horizontal_m) if "terrain" in maps.ds else roof_m
-    is_obstacle = (over_m >= reached_m) & (roof_m > 0) | np.isnan(roof_m) | ~maps.ds["has_data"].values
+    is_obstacle = (
+        (over_m >= reached_m) & (roof_m > 0) | np.isnan(roof_m) | ~maps.ds["has_data"].values
+    )
     if altitude_m in maps.altitudes_m:
         is_obstacle |= maps.m("obstacle", altitude_m) != 0
     return is_obstacle
@@ -431,7 +489,9 @@ def obstacles_within(maps: MetricMaps, altitude_m: float, horizontal_m: float, v
 def _over_lowest_ground_m(maps: MetricMaps, reach_m: float) -> np.ndarray:
     """Return ``[Y, X]`` how much higher each cell's ground is than the lowest known within a reach (and more) of it."""
     ground_m = np.where(maps.ds["has_data"].values, maps.m("terrain"), np.inf)
-    cells = min(math.ceil(reach_m / maps.grid.resolution_m) + 1, max(ground_m.shape))  # squares, not centres, so near
+    cells = min(
+        math.ceil(reach_m / maps.grid.resolution_m) + 1, max(ground_m.shape)
+    )  # squares, not centres, so near
     lowest_m = minimum_filter(ground_m, 2 * cells + 1, mode="nearest")
     return np.subtract(ground_m, lowest_m, out=np.zeros_like(ground_m), where=np.isfinite(ground_m))
 
@@ -460,16 +520,23 @@ def closing_step_m(horizontal_m: float, resolution_m: float) -> tuple[float, flo
 
 def kept_m(horizontal_m: float, resolution_m: float) -> float:
     """Return what routes keep at least of obstacles under a clearance that is asked, in their files too."""
-    return max(horizontal_m, closing_step_m(horizontal_m, resolution_m)[0] - FILE_MARGIN_M * (horizontal_m > 0))
+    return max(
+        horizontal_m,
+        closing_step_m(horizontal_m, resolution_m)[0] - FILE_MARGIN_M * (horizontal_m > 0),
+    )
 
 
-def closed_by_clearance(maps: MetricMaps, altitude_m: float, constraints: Constraints) -> np.ndarray:
+def closed_by_clearance(
+    maps: MetricMaps, altitude_m: float, constraints: Constraints
+) -> np.ndarray:
     """Return ``[Y, X]`` bool: cells that the clearances of constraints close at an altitude above the ground.
 
     The horizontal one is kept from obstacles and the maps' border, beside `FILE_MARGIN_M`, by legs that keep the margin
     of `closing_step_m`; roofs less than the vertical one below the altitude are obstacles too.
     """
-    is_obstacle = obstacles_within(maps, altitude_m, constraints.horizontal_m, constraints.vertical_m)
+    is_obstacle = obstacles_within(
+        maps, altitude_m, constraints.horizontal_m, constraints.vertical_m
+    )
     step_m, _ = closing_step_m(constraints.horizontal_m, maps.grid.resolution_m)
     if step_m == 0:
         return is_obstacle

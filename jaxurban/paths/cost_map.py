@@ -137,10 +137,14 @@ class CostMap(Shown):
     @cached_property
     def is_weighed(self) -> bool:
         """Whether anything but the shortest path is wanted: not with all weights zero."""
-        distance, *heights = self.weight_vector[[0, *range(1 + len(self.names), len(self.weight_vector))]]
+        distance, *heights = self.weight_vector[
+            [0, *range(1 + len(self.names), len(self.weight_vector))]
+        ]
         layers = zip(self.weight_vector[1:], self.costs, strict=False)
         return self.objective == "weighted" and bool(
-            distance > 0 or any(heights) or any(weight > 0 and layer.any() for weight, layer in layers)
+            distance > 0
+            or any(heights)
+            or any(weight > 0 and layer.any() for weight, layer in layers)
         )
 
     @cached_property
@@ -157,7 +161,9 @@ class CostMap(Shown):
         """The same of the shortest path."""
         if not self.is_free.any():
             raise InputError(f"no cell is free at {listed_m(self.altitudes_m)} m: {self.remedy}")
-        free = tuple(int(index) for index in np.unravel_index(np.argmax(self.is_free), self.is_free.shape))
+        free = tuple(
+            int(index) for index in np.unravel_index(np.argmax(self.is_free), self.is_free.shape)
+        )
         return Problem(
             costs=self.costs,
             is_free=self.is_free,
@@ -188,7 +194,9 @@ class CostMap(Shown):
         for name in names:
             one_of("metric", name, self.names)
         if not names or len(set(names)) < len(names):
-            raise InputError(f"metrics must name different metrics, and at least one, got {', '.join(names) or 'none'}")
+            raise InputError(
+                f"metrics must name different metrics, and at least one, got {', '.join(names) or 'none'}"
+            )
         kept = [row for row, name in enumerate(self.names) if name in names]
         names = tuple(self.names[row] for row in kept)
         return replace(self, names=names, costs=self.costs[kept], is_prepared=False)
@@ -230,7 +238,9 @@ class CostMap(Shown):
           'landmarks'
         """
         if self.levels is not None:
-            raise InputError("landmarks are for one altitude: leave prepare() out of a map between levels")
+            raise InputError(
+                "landmarks are for one altitude: leave prepare() out of a map between levels"
+            )
         make_landmarks(self.problem)
         prepared = replace(self, is_prepared=True)
         vars(prepared).update(problem=self.problem, shortest=self.shortest)
@@ -294,7 +304,9 @@ class CostMap(Shown):
         """
         return self._places_near(name, place, snap)[0]
 
-    def ends(self, start: Point | XY, goal: Point | XY, *, snap: bool | float = False) -> tuple[End, End]:
+    def ends(
+        self, start: Point | XY, goal: Point | XY, *, snap: bool | float = False
+    ) -> tuple[End, End]:
         """Return the cells of a query, with arguments and errors as in `locate`.
 
         Snapping moves them to cells that free ones join and, where none within reach are joined, to the nearest free
@@ -307,7 +319,10 @@ class CostMap(Shown):
           >>> [end.cell for end in ju.cost_map(maps, 60.0).ends(start, goal)]
           [(2, 2), (27, 27)]
         """
-        starts, goals = self._places_near("start", start, snap), self._places_near("goal", goal, snap)
+        starts, goals = (
+            self._places_near("start", start, snap),
+            self._places_near("goal", goal, snap),
+        )
         is_snapped = starts[0].is_snapped or goals[0].is_snapped
         return joined_ends(self, starts, goals) if is_snapped else (starts[0], goals[0])
 
@@ -345,7 +360,9 @@ class CostMap(Shown):
         if altitude_m is None:
             return int(np.argmax(self.levels_free[:, cell[0], cell[1]]))  # the lowest free one
         if self.levels is None:
-            raise InputError(f"{name} has an altitude, which only a path between levels takes: leave it out")
+            raise InputError(
+                f"{name} has an altitude, which only a path between levels takes: leave it out"
+            )
         level = int(np.argmin(np.abs(self.altitudes_m - altitude_m)))
         if not abs(self.altitudes_m[level] - altitude_m) < SAME_M:
             levels = f"the levels {listed_m(self.altitudes_m)} m: choose one of them"
@@ -355,8 +372,14 @@ class CostMap(Shown):
     @property
     def remedy(self) -> str:
         """What opens cells."""
-        first = "fly higher" if self.levels is None else "fly at another level, raise max_altitude_m"
-        return f"{first}, or loosen the constraints ({said})" if (said := str(self.constraints)) else first
+        first = (
+            "fly higher" if self.levels is None else "fly at another level, raise max_altitude_m"
+        )
+        return (
+            f"{first}, or loosen the constraints ({said})"
+            if (said := str(self.constraints))
+            else first
+        )
 
     def why_closed(self, cell: Cell, level: int = 0) -> str:
         """Return what closes a cell of a level and which level over it is free (`jaxurban.paths.snapping`).
@@ -412,7 +435,9 @@ class CostMap(Shown):
             and PLANNERS[search.planner].default_heuristic == AUTO
         ):
             search = replace(search, heuristic="landmarks")
-        find_path = find_planner(search.planner, search.heuristic, is_for_volumes=self.levels is not None)
+        find_path = find_planner(
+            search.planner, search.heuristic, is_for_volumes=self.levels is not None
+        )
         ends = self.ends(start, goal, snap=search.snap)
         problem = self.problem.between(ends[0].cell, ends[1].cell)
         if search.refine:
@@ -427,12 +452,16 @@ class CostMap(Shown):
                 )
             for name in search.exposure:
                 one_of("exposure", name, self.names)
-            find_path = partial(within_budgets, planner=find_path, budgets=search.exposure, names=self.names)
+            find_path = partial(
+                within_budgets, planner=find_path, budgets=search.exposure, names=self.names
+            )
         with saying_later(search.planner, search.budget_s):
             path = find_path(problem, budget_s=search.budget_s * share, seed=search.seed)
         if search.refine and path.status.has_path:
             left_s = search.budget_s - path.elapsed_s
-            path = refine_path(problem, path, budget_s=max(left_s, search.budget_s * REFINING_SHARE / 2))
+            path = refine_path(
+                problem, path, budget_s=max(left_s, search.budget_s * REFINING_SHARE / 2)
+            )
         return finish(self, with_corner_bound(problem, path), ends, search)
 
     def means(self, features: PathFeatures) -> dict[str, float]:

@@ -112,9 +112,8 @@ class RouteReport(Shown):
         if not parts.max() > 0:
             return f"{sentence}, all of it for its length."
         layer = str(parts.idxmax()).removeprefix(COST_OF)
-        return (
-            f"{sentence}; beside its length it pays most for {layer} ({_short(parts.max())} of {_short(most['cost'])})."
-        )
+        share = f"{_short(parts.max())} of {_short(most['cost'])}"
+        return f"{sentence}; beside its length it pays most for {layer} ({share})."
 
     @property
     def known_cautions(self) -> list[Caution]:
@@ -122,7 +121,9 @@ class RouteReport(Shown):
         return self.cautions
 
     def __repr__(self) -> str:
-        return "\n".join([f"{type(self).__name__}:", *caution_lines(self.cautions), "", self.table()])
+        return "\n".join(
+            [f"{type(self).__name__}:", *caution_lines(self.cautions), "", self.table()]
+        )
 
     def _repr_html_(self) -> str:
         return super()._repr_html_() + self._segments().to_html()
@@ -144,7 +145,10 @@ class RouteReport(Shown):
             **_plain(self.totals),
             "why": self.why,
             "cautions": self.cautions,
-            "segments": [{"segment": number, **_plain(row)} for number, row in self.segments.to_dict("index").items()],
+            "segments": [
+                {"segment": number, **_plain(row)}
+                for number, row in self.segments.to_dict("index").items()
+            ],
         }
 
     def table(self) -> str:
@@ -161,7 +165,9 @@ class RouteReport(Shown):
           The most expensive stretch is segment ...% of the length; beside its length it pays most for lidar ...
           ...
         """
-        totals = "\n".join(f"{name:<24}{fact}" for name, fact in self.facts.items() if name != "why")
+        totals = "\n".join(
+            f"{name:<24}{fact}" for name, fact in self.facts.items() if name != "why"
+        )
         segments = self._segments().to_string(col_space=8) if len(self.segments) else "segment"
         return "\n\n".join(filter(None, [totals, self.why, segments]))
 
@@ -169,7 +175,9 @@ class RouteReport(Shown):
         names = [str(name) for name in self.segments]
         costs = [name for name in names if name.startswith(COST_OF)]
         heads = {"from_m": "from m", "length_m": "length m", "cost": "cost"}
-        heads |= {name: f"{'+' if k else '='}{name.removeprefix(COST_OF)}" for k, name in enumerate(costs)}
+        heads |= {
+            name: f"{'+' if k else '='}{name.removeprefix(COST_OF)}" for k, name in enumerate(costs)
+        }
         heads = {name: head for name, head in (heads | SEGMENT_HEADS).items() if name in names}
         shown = self.segments[list(heads)].map(_short)
         shown.columns = pd.Index(list(heads.values()), name="segment")
@@ -226,43 +234,65 @@ def explain(
     cut, names, grid = cut_on(planned, maps), tuple(maps.metrics), maps.grid
     flight = {"speed_m_s": speed_m_s, "power_w": power_w}
     vehicle = Vehicle.of(planned.settings)
-    vehicle = replace(vehicle, **{name: value for name, value in flight.items() if value is not None})
+    vehicle = replace(
+        vehicle, **{name: value for name, value in flight.items() if value is not None}
+    )
     positive("swath_m", swath_m, "metres")
     profile = profile_of(planned, maps, cut, {name: name for name in names} | EXTRA_MAPS)
     on = _cost_map_of(planned, maps)
     states = cut.points_m[:, : 2 if on.levels is None else 3]
-    lonlat = np.stack(grid.lonlat_of_xy(states[:, 0] + grid.x_min_m, states[:, 1] + grid.y_min_m), axis=-1)
+    lonlat = np.stack(
+        grid.lonlat_of_xy(states[:, 0] + grid.x_min_m, states[:, 1] + grid.y_min_m), axis=-1
+    )
 
     moved_m = np.diff(cut.ends_m, axis=1)[:, 0].T
     over_m, rise_m = np.hypot(*moved_m[:2]), moved_m[2]
-    flight_s = None if vehicle.speed_m_s is None else vehicle.flight_s(cut.length_m, rise_m, vehicle.speed_m_s)
+    flight_s = (
+        None
+        if vehicle.speed_m_s is None
+        else vehicle.flight_s(cut.length_m, rise_m, vehicle.speed_m_s)
+    )
 
     def numbers(first: int, last: int) -> dict[str, float]:
         """Return what the route from one state to another costs and meets."""
         chosen = (first <= cut.segment) & (cut.segment < max(last, 1))
         part, features = profile[chosen], on.shortest.features(states[first : last + 1])
         length_m = (part["to_m"] - part["from_m"]).to_numpy()
-        row = {"from_m": part["from_m"].min(), "to_m": part["to_m"].max(), "length_m": float(length_m.sum())}
-        by_name = dict(zip(on.weight_names, (on.weight_vector * features.phi).tolist(), strict=True))
-        row |= {"cost": sum(by_name.values())} | {f"{COST_OF}{name}": cost for name, cost in by_name.items()}
+        row = {
+            "from_m": part["from_m"].min(),
+            "to_m": part["to_m"].max(),
+            "length_m": float(length_m.sum()),
+        }
+        by_name = dict(
+            zip(on.weight_names, (on.weight_vector * features.phi).tolist(), strict=True)
+        )
+        row |= {"cost": sum(by_name.values())} | {
+            f"{COST_OF}{name}": cost for name, cost in by_name.items()
+        }
         row |= {f"mean_{name}": mean for name, mean in on.means(features).items()}
         if DENSITY in part:
             row["people_overflown"] = float(part[DENSITY] @ over_m[chosen]) * swath_m / M2_PER_KM2
         if FIX in part:
-            row["no_fix_m"] = row[NO_FIX_IN_1_0] = sum((to_m - from_m for from_m, to_m in without_fix(part)), 0.0)
+            row["no_fix_m"] = row[NO_FIX_IN_1_0] = sum(
+                (to_m - from_m for from_m, to_m in without_fix(part)), 0.0
+            )
         row |= {name: float(part[name].min()) for name in (CLEARANCE, OUTSIDE, OVER_ROOF)}
         if flight_s is not None:
             row["time_s"] = float(flight_s[chosen].sum())
         if flight_s is not None and vehicle.power_w is not None:
             row["energy_wh"] = row["time_s"] * vehicle.power_w / SECONDS_PER_HOUR
-        return row | {f"{end}_{name}": getattr(part[name], end)() for end in ("min", "max") for name in names}
+        return row | {
+            f"{end}_{name}": getattr(part[name], end)() for end in ("min", "max") for name in names
+        }
 
     num_steps = len(states) - 1
     whole = numbers(0, num_steps)
     segment = cut_evenly(cut.points_m, num_segments)
     parts = list(pairwise([*np.unique(segment, return_index=True)[1].tolist(), num_steps]))
     segments = pd.DataFrame(
-        [numbers(*part) for part in parts], pd.RangeIndex(1, len(parts) + 1, name="segment"), list(whole)
+        [numbers(*part) for part in parts],
+        pd.RangeIndex(1, len(parts) + 1, name="segment"),
+        list(whole),
     )
     left_out = ("from_m", "to_m", *(f"{end}_{name}" for end in ("min", "max") for name in names))
     return RouteReport(
@@ -285,7 +315,9 @@ def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
     """
     settings, levels, altitudes_m = planned.settings, None, np.array([planned.altitude_m])
     if "levels_m" in settings:
-        levels = Levels(climb_cost=settings.get("climb_cost"), descent_cost=settings.get("descent_cost", 0.0))
+        levels = Levels(
+            climb_cost=settings.get("climb_cost"), descent_cost=settings.get("descent_cost", 0.0)
+        )
         levels_m = np.asarray(settings["levels_m"], float)
         altitudes_m = levels_m[(levels_m >= planned.z_m.min()) & (levels_m <= planned.z_m.max())]
     on = map_at(
@@ -303,8 +335,17 @@ def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
 
 def _plain(values: Mapping[Any, Any]) -> dict[str, float | None]:
     """Return numbers as JSON takes them: None for none, and for no number."""
-    return {str(key): None if v is None or not math.isfinite(v) else float(v) for key, v in values.items()}
+    return {
+        str(key): None if v is None or not math.isfinite(v) else float(v)
+        for key, v in values.items()
+    }
 
 
 def _short(value: float) -> str:
-    return "none" if not math.isfinite(value) else f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return (
+        "none"
+        if not math.isfinite(value)
+        else f"{value:,.0f}"
+        if abs(value) >= 1000
+        else f"{value:.3g}"
+    )

@@ -53,7 +53,9 @@ class Ground:
     @property
     def cover_m(self) -> np.ndarray:
         """``[G]`` elevations that, joined by straight lines, are nowhere below the ground."""
-        cover_m = self.elevation_m.copy()  # a parabola that bulges up lies below its tangents, which meet in the middle
+        cover_m = (
+            self.elevation_m.copy()
+        )  # a parabola that bulges up lies below its tangents, which meet in the middle
         cover_m[1::2] += np.maximum(cover_m[1::2] - (cover_m[:-1:2] + cover_m[2::2]) / 2, 0.0)
         return cover_m
 
@@ -133,7 +135,10 @@ class PlannedPath(Shown):
     def facts(self) -> dict[str, str]:
         """How the planner ended, and the path's cost, length, altitudes and metrics."""
         search = self.search
-        facts = {"status": self.status.value, "planner": f"{search.planner} ({search.heuristic}, {search.backend})"}
+        facts = {
+            "status": self.status.value,
+            "planner": f"{search.planner} ({search.heuristic}, {search.backend})",
+        }
         if not self.status.has_path:
             return facts | {"message": self.search.sentence}
         low_m, high_m = self.z_m.min(), self.z_m.max()
@@ -177,7 +182,9 @@ class PlannedPath(Shown):
         if not self.status.has_path:
             raise InputError(f"there is no path to save: {self.status.sentence}")
         files = [FilePath(each) for each in (file, *more)]
-        missions = [each for each in files if each.suffix.lower() == MISSION] or files  # which refuse an end
+        missions = [
+            each for each in files if each.suffix.lower() == MISSION
+        ] or files  # which refuse an end
         for each in files:
             write_path(self, each, report, end=end if each in missions else None)
         return FilePath(file)
@@ -199,7 +206,9 @@ class PlannedPath(Shown):
             "message": self.message,
             "cost": _number(self.cost),
             "cost_by_layer": {name: _number(value) for name, value in self.cost_by_layer.items()},
-            "exposure_by_layer": {name: _number(value) for name, value in self.exposure_by_layer.items()},
+            "exposure_by_layer": {
+                name: _number(value) for name, value in self.exposure_by_layer.items()
+            },
             "length_m": _number(self.length_m),
             "metrics": {name: _number(value) for name, value in self.metrics.items()},
             "altitude_m": self.altitude_m,
@@ -235,8 +244,18 @@ def finish(on: "CostMap", path: Path, ends: tuple[End, End], search: "PathSearch
     settings |= {"exposure": dict(search.exposure)} if search.exposure else {}
     if on.levels is not None:
         settings["goal_altitude_m"] = float(on.altitudes_m[ends[1].cell[0]])
-    nowhere: dict[str, Any] = {"xy_m": np.empty((0, 2)), "lonlat": np.empty((0, 2)), "z_m": np.empty(0), "metrics": {}}
-    no_path = nowhere | {"cost": math.inf, "cost_by_layer": {}, "exposure_by_layer": {}, "length_m": math.inf}
+    nowhere: dict[str, Any] = {
+        "xy_m": np.empty((0, 2)),
+        "lonlat": np.empty((0, 2)),
+        "z_m": np.empty(0),
+        "metrics": {},
+    }
+    no_path = nowhere | {
+        "cost": math.inf,
+        "cost_by_layer": {},
+        "exposure_by_layer": {},
+        "length_m": math.inf,
+    }
     return PlannedPath(
         **(measured(on, path.points_m) if path.status.has_path else no_path),
         status=path.status,
@@ -270,7 +289,9 @@ def measured(on: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
         "exposure_by_layer": dict(zip(on.names, exposure.tolist(), strict=True)),
         "length_m": float(features.phi[0]),
         "metrics": on.means(features),
-        "ground": None if on.terrain_m is None else ground_along(points_m[:, :2], on.terrain_m, grid),
+        "ground": None
+        if on.terrain_m is None
+        else ground_along(points_m[:, :2], on.terrain_m, grid),
     }
 
 
@@ -279,7 +300,9 @@ def _note(on: "CostMap", path: Path, ends: tuple[End, End]) -> str:
     has_path = path.status.has_path
     notes = [path.note]
     if not on.is_weighed and on.objective == "weighted":
-        notes.append("All weights are zero, so every path is as cheap: the distance was minimised instead.")
+        notes.append(
+            "All weights are zero, so every path is as cheap: the distance was minimised instead."
+        )
     notes.append(snap_note(*ends))
     if kept := kept_said(on.constraints.to_dict(), on.grid.resolution_m):
         notes.append(f"Distance to obstacles: {on.constraints.horizontal_m:g} m asked, {kept}.")
@@ -287,11 +310,15 @@ def _note(on: "CostMap", path: Path, ends: tuple[End, End]) -> str:
         notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
     if between := _between_m(on):
         low_m, high_m = between
-        notes.append(f"Metrics at {on.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m.")
+        notes.append(
+            f"Metrics at {on.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
+        )
     if (said := str(on.constraints)) and not has_path:
         without = sum(int(on.maps.is_free(z_m).sum()) for z_m in on.altitudes_m.tolist())
         share = 1 - on.is_free.sum() / without
-        notes.append(f"Constraints were on ({said}): they close {share:.1%} of the cells without an obstacle.")
+        notes.append(
+            f"Constraints were on ({said}): they close {share:.1%} of the cells without an obstacle."
+        )
     if path.status is Status.NO_PATH:
         notes += [pocket_note(on, *ends), what_would_join(on, ends[0].cell, ends[1].cell)]
     asked = [name for name, weight in on.weights.to_dict().items() if weight > 0]
@@ -319,9 +346,16 @@ def map_settings(on: "CostMap") -> dict[str, Any]:
     if on.levels is None:
         between = _between_m(on)
         return settings | ({"metrics_between_m": between} if between else {})
-    asked = {name: getattr(on.levels, name) for name in ("min_altitude_m", "max_altitude_m", "level_step_m")}
+    asked = {
+        name: getattr(on.levels, name)
+        for name in ("min_altitude_m", "max_altitude_m", "level_step_m")
+    }
     climb_cost, descent_cost = on.weight_vector[-2:].tolist()
-    levels = {"levels_m": on.altitudes_m.tolist(), "climb_cost": climb_cost, "descent_cost": descent_cost}
+    levels = {
+        "levels_m": on.altitudes_m.tolist(),
+        "climb_cost": climb_cost,
+        "descent_cost": descent_cost,
+    }
     return settings | asked | levels
 
 
@@ -339,26 +373,36 @@ def ground_along(points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> Gro
       terrain_m: ``[Y, X]`` elevation of the ground in each cell.
       grid: of ``terrain_m``.
     """
-    between_centres = crossed_cells(points_m + grid.resolution_m / 2, grid.resolution_m)  # where the ground bends
+    between_centres = crossed_cells(
+        points_m + grid.resolution_m / 2, grid.resolution_m
+    )  # where the ground bends
     leg, is_bend = between_centres.segment, np.diff(between_centres.segment) == 0
-    bends = np.unique(np.append(np.arange(len(points_m)), (leg + between_centres.shares[:, 1])[:-1][is_bend]))
+    bends = np.unique(
+        np.append(np.arange(len(points_m)), (leg + between_centres.shares[:, 1])[:-1][is_bend])
+    )
     *_, elevation_m = _halved(bends, points_m, terrain_m, grid)
     bulge_m = np.abs(elevation_m[1::2] - (elevation_m[:-1:2] + elevation_m[2::2]) / 2)
-    pieces = np.fmax(np.ceil(np.sqrt(bulge_m / MOST_BULGE_M)), 1)  # each of n bulges by the bulge / n²
+    pieces = np.fmax(
+        np.ceil(np.sqrt(bulge_m / MOST_BULGE_M)), 1
+    )  # each of n bulges by the bulge / n²
     bends = np.interp(np.arange(pieces.sum() + 1), np.append(0, np.cumsum(pieces)), bends)
     at, x_m, y_m, elevation_m = _halved(bends, points_m, terrain_m, grid)
     lonlat = np.stack(grid.lonlat_of_xy(x_m + grid.x_min_m, y_m + grid.y_min_m), axis=-1)
     return Ground(at, lonlat, elevation_m)
 
 
-def _halved(bends: np.ndarray, points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> tuple[np.ndarray, ...]:
+def _halved(
+    bends: np.ndarray, points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid
+) -> tuple[np.ndarray, ...]:
     """Return places along a path and halfway between them, ``[2 N - 1]``, their x and y, and the elevation there."""
     at = np.interp(np.arange(2 * len(bends) - 1) / 2, np.arange(len(bends)), bends)
     x_m, y_m = (np.interp(at, np.arange(len(points_m)), values) for values in points_m.T)
     return at, x_m, y_m, elevation_at(x_m, y_m, terrain_m, grid.resolution_m)
 
 
-def elevation_at(x_m: np.ndarray, y_m: np.ndarray, terrain_m: np.ndarray, resolution_m: float) -> np.ndarray:
+def elevation_at(
+    x_m: np.ndarray, y_m: np.ndarray, terrain_m: np.ndarray, resolution_m: float
+) -> np.ndarray:
     """Return ``[M]`` the elevation at points, bilinear between cell centres; that of the cell beside missing data.
 
     Args:
@@ -366,7 +410,9 @@ def elevation_at(x_m: np.ndarray, y_m: np.ndarray, terrain_m: np.ndarray, resolu
       terrain_m: ``[Y, X]`` elevation at cell centres; as at the border beyond the outermost centres.
       resolution_m: side of a cell.
     """
-    place = np.clip(np.stack([y_m, x_m]) / resolution_m - 0.5, 0, np.array(terrain_m.shape)[:, None] - 1)
+    place = np.clip(
+        np.stack([y_m, x_m]) / resolution_m - 0.5, 0, np.array(terrain_m.shape)[:, None] - 1
+    )
     smooth_m = map_coordinates(terrain_m, place, np.float64, order=1, mode="nearest")
     return np.where(np.isnan(smooth_m), terrain_m[tuple(np.rint(place).astype(int))], smooth_m)
 
@@ -416,7 +462,9 @@ def simplify(planned: PlannedPath, on: "CostMap", tolerance_m: float) -> Planned
         of_map["altitude_m"] = on.altitude_m
     corner_m = np.array([on.grid.x_min_m, on.grid.y_min_m])
     others = [name for name, value in of_map.items() if of_path.get(name) != value]
-    if not np.allclose(planned.search.points_m[:, :2] + corner_m, planned.xy_m, rtol=0.0, atol=SAME_PLACE_M):
+    if not np.allclose(
+        planned.search.points_m[:, :2] + corner_m, planned.xy_m, rtol=0.0, atol=SAME_PLACE_M
+    ):
         others.append("region")
     if others:
         raise InputError(
@@ -427,7 +475,9 @@ def simplify(planned: PlannedPath, on: "CostMap", tolerance_m: float) -> Planned
     simpler = simplify_path(on.problem, planned.search, tolerance_m)
     after = measured(on, simpler.points_m)
     if over := over_budget(after["exposure_by_layer"], planned.settings.get("exposure", {})):
-        note = f"{planned.search.note} Not simplified to {tolerance_m:g} m, which would exceed {over}."
+        note = (
+            f"{planned.search.note} Not simplified to {tolerance_m:g} m, which would exceed {over}."
+        )
         return replace(planned, search=replace(planned.search, note=note))
     note = (
         f"Simplified to {tolerance_m:g} m: {len(simpler.points_m)} of {len(points_m)} waypoints, at most "

@@ -23,7 +23,10 @@ NODE_BYTES = 64  # of a volume and a search that visits all of it (docs/algorith
 
 
 def rules_on(
-    maps: MetricMaps, cost_model: CostModel | CostKind | None, constraints: Constraints | None, preset: str
+    maps: MetricMaps,
+    cost_model: CostModel | CostKind | None,
+    constraints: Constraints | None,
+    preset: str,
 ) -> tuple[MetricMaps, CostModel, Constraints]:
     """Return maps under their rule of obstacles, cost model and constraints, with all that is left out written out.
 
@@ -36,7 +39,9 @@ def rules_on(
     if preset and maps.rule is None:
         maps = maps.with_obstacles(planning.obstacles)
     if not isinstance(cost_model, CostModel):
-        cost_model = CostModel.from_settings(vars(planning) | ({"cost_model": cost_model} if cost_model else {}))
+        cost_model = CostModel.from_settings(
+            vars(planning) | ({"cost_model": cost_model} if cost_model else {})
+        )
     vehicle = Vehicle(**maps.recorded.get("vehicle", {}))
     return maps, cost_model, (constraints or Constraints()).under(planning, vehicle)
 
@@ -136,7 +141,11 @@ def map_at(
         read = cache(partial(maps.m, name, **when))
         is_flat = "altitude" not in maps.ds[maps.variable(name)].dims
         for level, z_m in enumerate(altitudes_m.tolist()):
-            m = read(maps.altitudes_m[0]) if is_flat else values_at(z_m, maps.altitudes_m, read, is_under_sky)
+            m = (
+                read(maps.altitudes_m[0])
+                if is_flat
+                else values_at(z_m, maps.altitudes_m, read, is_under_sky)
+            )
             # What is missing where nobody may fly counts as m = 0: searches take numbers alone.
             layers[level] = metric.cost(np.where(np.isnan(m) & ~is_free[level], np.float32(0), m))
     return CostMap(

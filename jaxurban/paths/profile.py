@@ -23,8 +23,12 @@ TO_GUESSED = "guessed_roof_away_m"
 SAME_HEIGHT_M = 1e-6  # rounding of heights along a step
 MOST_SEGMENTS = 3  # that a terminal line lists
 ROUNDING = 1e-9  # of climbs and turns that are just what the vehicle can
-NEAR_GUESSED_M = 50.0  # of a guessed roof a route passes it: what the risk metric counts as near by default
-LEAST_OVER_ROOFS_M = 1.0  # below which a height over a roof is beyond limits, where no vertical clearance was asked
+NEAR_GUESSED_M = (
+    50.0  # of a guessed roof a route passes it: what the risk metric counts as near by default
+)
+LEAST_OVER_ROOFS_M = (
+    1.0  # below which a height over a roof is beyond limits, where no vertical clearance was asked
+)
 
 
 def cut_evenly(states_m: np.ndarray, most: int) -> np.ndarray:
@@ -56,7 +60,9 @@ def clearance_m(ends_m: np.ndarray, is_obstacle: np.ndarray, resolution_m: float
     if len(row) == 0:
         return np.full(len(ends_m), np.inf if not is_obstacle.any() else 0.0)
     squares = shapely.STRtree(shapely.box(*(np.stack([col, row, col + 1, row + 1]) * resolution_m)))
-    (line, _), distance_m = squares.query_nearest(shapely.linestrings(ends_m), return_distance=True, all_matches=False)
+    (line, _), distance_m = squares.query_nearest(
+        shapely.linestrings(ends_m), return_distance=True, all_matches=False
+    )
     nearest_m = np.empty(len(ends_m))
     nearest_m[line] = distance_m
     return nearest_m
@@ -65,7 +71,9 @@ def clearance_m(ends_m: np.ndarray, is_obstacle: np.ndarray, resolution_m: float
 def level_below_m(z_m: np.ndarray, levels_m: Sequence[float]) -> np.ndarray:
     """Return ``[M]`` the highest of some levels that is not above each height; the lowest one beneath all of them."""
     ascending_m = np.sort(np.asarray(levels_m, float))
-    return ascending_m[np.maximum(np.searchsorted(ascending_m, z_m + SAME_HEIGHT_M, side="right") - 1, 0)]
+    return ascending_m[
+        np.maximum(np.searchsorted(ascending_m, z_m + SAME_HEIGHT_M, side="right") - 1, 0)
+    ]
 
 
 def nearest_level_m(z_m: np.ndarray, levels_m: Sequence[float]) -> np.ndarray:
@@ -92,13 +100,17 @@ def cut_on(planned: PlannedPath, maps: MetricMaps) -> Crossings:
         )
     points_m = planned.xy_m - [grid.x_min_m, grid.y_min_m]
     if (points_m < 0).any() or (points_m[:, ::-1] > np.array(grid.shape) * grid.resolution_m).any():
-        raise InputError("the path leaves the region of these maps: give the maps that it was planned on")
+        raise InputError(
+            "the path leaves the region of these maps: give the maps that it was planned on"
+        )
     states_m = path_states(np.column_stack([points_m, planned.z_m]), grid.resolution_m)
     states_m = states_m[np.append(True, np.any(np.diff(states_m, axis=0) != 0, axis=1))]
     return crossed_cells(states_m, grid.resolution_m)
 
 
-def profile_of(planned: PlannedPath, maps: MetricMaps, cut: Crossings, shown: Mapping[str, str]) -> pd.DataFrame:
+def profile_of(
+    planned: PlannedPath, maps: MetricMaps, cut: Crossings, shown: Mapping[str, str]
+) -> pd.DataFrame:
     """Return a row for each crossing: its place, the maps that are shown by their columns, roofs and clearance.
 
     Where the maps know which roofs are guessed, also whether the one beneath is, and how far the nearest is.
@@ -116,7 +128,13 @@ def profile_of(planned: PlannedPath, maps: MetricMaps, cut: Crossings, shown: Ma
     ends_m, grid = cut.ends_m, maps.grid
     middle, to_m, lines_m = ends_m.mean(axis=1), np.cumsum(cut.length_m), ends_m[:, :, :2]
     lon, lat = grid.lonlat_of_xy(middle[:, 0] + grid.x_min_m, middle[:, 1] + grid.y_min_m)
-    columns = {"from_m": to_m - cut.length_m, "to_m": to_m, "lon": lon, "lat": lat, "z_m": middle[:, 2]}
+    columns = {
+        "from_m": to_m - cut.length_m,
+        "to_m": to_m,
+        "lon": lon,
+        "lat": lat,
+        "z_m": middle[:, 2],
+    }
     levels_m = planned.settings.get("levels_m") or [planned.altitude_m]
     level_m, lowest_m = nearest_level_m(middle[:, 2], levels_m), ends_m[:, :, 2].min(axis=1)
     # The highest roof that touches a cell where the maps hold it, else that at its middle.
@@ -129,7 +147,9 @@ def profile_of(planned: PlannedPath, maps: MetricMaps, cut: Crossings, shown: Ma
     if GUESSED in columns:
         is_over = columns[GUESSED] = columns[GUESSED].astype(bool)
         away_m = clearance_m(lines_m, maps.m(GUESSED).astype(bool), grid.resolution_m)
-        columns[TO_GUESSED] = np.where(is_over, 0.0, away_m)  # `clearance_m` leaves out what roofs surround
+        columns[TO_GUESSED] = np.where(
+            is_over, 0.0, away_m
+        )  # `clearance_m` leaves out what roofs surround
     columns[OVER_ROOF] = np.where(columns["roof_m"] > 0, lowest_m - columns["roof_m"], np.nan)
     side_m = np.array([grid.num_cols, grid.num_rows]) * grid.resolution_m
     columns[OUTSIDE] = np.minimum(lines_m, side_m - lines_m).min(axis=(1, 2))
@@ -137,11 +157,15 @@ def profile_of(planned: PlannedPath, maps: MetricMaps, cut: Crossings, shown: Ma
     for z_m in np.unique(below_m).tolist():
         is_held = roofs != TOUCHED and z_m in maps.altitudes_m
         is_obstacle = maps.m("obstacle", z_m) == 1 if is_held else maps.m(roofs) >= z_m
-        columns[CLEARANCE][below_m == z_m] = clearance_m(lines_m[below_m == z_m], is_obstacle, grid.resolution_m)
+        columns[CLEARANCE][below_m == z_m] = clearance_m(
+            lines_m[below_m == z_m], is_obstacle, grid.resolution_m
+        )
     return pd.DataFrame(columns)
 
 
-def _sample(planned: PlannedPath, maps: MetricMaps, cut: Crossings, name: str, level_m: np.ndarray) -> np.ndarray:
+def _sample(
+    planned: PlannedPath, maps: MetricMaps, cut: Crossings, name: str, level_m: np.ndarray
+) -> np.ndarray:
     """Return ``[M]`` float64 the values of a map in the cells crossed, each at its own level (`values_at`)."""
     when = {"time": planned.settings["time"], "time_of_day": planned.settings["time_of_day"]}
     if "altitude" not in maps.ds[maps.variable(name)].dims:
@@ -152,7 +176,13 @@ def _sample(planned: PlannedPath, maps: MetricMaps, cut: Crossings, name: str, l
             return maps.m(name, map_m, **when)[row, col]
 
         is_count = name == VISIBLE
-        return values_at(z_m, maps.altitudes_m, read, lambda z_m: maps.is_under_sky(z_m)[row, col], is_count=is_count)
+        return values_at(
+            z_m,
+            maps.altitudes_m,
+            read,
+            lambda z_m: maps.is_under_sky(z_m)[row, col],
+            is_count=is_count,
+        )
 
     values = np.empty(len(level_m))
     for z_m in np.unique(level_m).tolist():
@@ -190,11 +220,15 @@ def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
         return []
     is_without = np.concatenate([[False], has_no_fix(profile[FIX].to_numpy()), [False]])
     changes = np.flatnonzero(is_without[1:] != is_without[:-1]).reshape(-1, 2)
-    return [(float(profile["from_m"].iloc[a]), float(profile["to_m"].iloc[b - 1])) for a, b in changes]
+    return [
+        (float(profile["from_m"].iloc[a]), float(profile["to_m"].iloc[b - 1])) for a, b in changes
+    ]
 
 
 @typed
-def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None = None) -> list[Caution]:
+def cautions(
+    planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None = None
+) -> list[Caution]:
     """Return what the maps guess, where GPS has no fix, how near buildings and roofs are, and what else to know.
 
     Also reported: an end over a roof; climbs, descents and turns beyond the limits of the vehicle that it was planned
@@ -241,7 +275,10 @@ def guess_cautions(maps: MetricMaps | None, profile: pd.DataFrame | None = None)
     past = ""
     if profile is not None and GUESSED in profile:
         length_m = profile["to_m"] - profile["from_m"]
-        near_m, over_m = length_m[profile[TO_GUESSED] < NEAR_GUESSED_M].sum(), length_m[profile[GUESSED]].sum()
+        near_m, over_m = (
+            length_m[profile[TO_GUESSED] < NEAR_GUESSED_M].sum(),
+            length_m[profile[GUESSED]].sum(),
+        )
         past = (
             f"{near_m:.0f} of {length_m.sum():.0f} m of the route pass within {NEAR_GUESSED_M:g} m of guessed roofs, "
             f"{over_m:.0f} m over them"
@@ -268,18 +305,27 @@ def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
 
 def _clearance(profile: pd.DataFrame, apart_m: float) -> Caution:
     inside, outside = (int(np.argmin(profile[name])) for name in (CLEARANCE, OUTSIDE))
-    inside_m, outside_m = float(profile[CLEARANCE].iloc[inside]), float(profile[OUTSIDE].iloc[outside])
+    inside_m, outside_m = (
+        float(profile[CLEARANCE].iloc[inside]),
+        float(profile[OUTSIDE].iloc[outside]),
+    )
     if inside_m <= outside_m:
         sentence = f"Buildings: the nearest at flight height is {inside_m:.1f} m away, {_at(profile, inside)}"
     else:
-        nearest = f"; in the region the nearest is {inside_m:.1f} m away" if np.isfinite(inside_m) else ""
+        nearest = (
+            f"; in the region the nearest is {inside_m:.1f} m away" if np.isfinite(inside_m) else ""
+        )
         sentence = (
             f"Buildings: none at flight height is within {outside_m:.1f} m, {_at(profile, outside)}, as far as the "
             f"maps reach; what stands beyond their border is not known{nearest}"
         )
     if is_guess := CLEARANCE in guessed_clearances(profile):
         guessed_m = float(profile[TO_GUESSED].min())
-        nearest = f"the nearest of those is {guessed_m:.1f} m away" if guessed_m > 0 else "the route passes over some"
+        nearest = (
+            f"the nearest of those is {guessed_m:.1f} m away"
+            if guessed_m > 0
+            else "the route passes over some"
+        )
         sentence += f", if guessed roofs are right: {nearest}"
     is_beyond = inside_m < apart_m - ROUNDING or inside_m <= 0
     return Caution(f"{sentence}.", "limit" if is_beyond else "guess" if is_guess else "note")
@@ -307,7 +353,9 @@ def _ends(profile: pd.DataFrame) -> Iterator[Caution]:
     for name, place in (("start", 0), ("goal", -1)):
         roof_m = float(profile["roof_m"].iloc[place])
         if roof_m >= float(profile["z_m"].iloc[place]):
-            yield Caution(f"The {name} is in a cell that a building of {roof_m:.1f} m touches.", "limit")
+            yield Caution(
+                f"The {name} is in a cell that a building of {roof_m:.1f} m touches.", "limit"
+            )
         elif roof_m > 0:
             roof, level = _roof(profile, place)
             yield Caution(f"The {name} is over {roof}, not over the ground.", level)
@@ -341,7 +389,9 @@ def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
             )
     if vehicle.max_turn_deg is None:
         return
-    ahead = np.flatnonzero(np.hypot(moved_m[:, 0], moved_m[:, 1]))  # straight up and down there is no heading
+    ahead = np.flatnonzero(
+        np.hypot(moved_m[:, 0], moved_m[:, 1])
+    )  # straight up and down there is no heading
     heading_deg = np.degrees(np.arctan2(moved_m[ahead, 1], moved_m[ahead, 0]))
     turn_deg = np.abs((np.diff(heading_deg) + 180) % 360 - 180)
     if num := int((turn_deg > vehicle.max_turn_deg * (1 + ROUNDING)).sum()):
@@ -353,4 +403,6 @@ def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
 
 
 def _at(profile: pd.DataFrame, place: int) -> str:
-    return f"{(profile['from_m'].iloc[place] + profile['to_m'].iloc[place]) / 2:.0f} m along the route"
+    return (
+        f"{(profile['from_m'].iloc[place] + profile['to_m'].iloc[place]) / 2:.0f} m along the route"
+    )

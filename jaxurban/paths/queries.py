@@ -85,7 +85,9 @@ def read_queries(
       InputError: a column that is not known or missing, or pairs that are none.
     """
     no_place = (np.nan, np.nan)
-    base = Query(no_place, no_place, np.nan, time, time_of_day, Weights.of(weights).checked(metrics))
+    base = Query(
+        no_place, no_place, np.nan, time, time_of_day, Weights.of(weights).checked(metrics)
+    )
     weighed = dict.fromkeys((*base.weights.to_dict(), *metrics))
     known = (*COLUMNS, *(WEIGHT_PREFIX + name for name in weighed))
     if altitude_m is not None:
@@ -102,7 +104,9 @@ def read_queries(
         given = f"{', '.join(LONLAT)} or {', '.join(IN_METRES)}"
         raise InputError(f"queries lack the columns {', '.join(missing)}: give {given}")
     if names == IN_METRES and (both := [name for name in LONLAT if name in queries]):
-        raise InputError(f"queries have {names[0]} and {both[0]}: give places in degrees or in metres, not in both")
+        raise InputError(
+            f"queries have {names[0]} and {both[0]}: give places in degrees or in metres, not in both"
+        )
     return [_of_row(row, names, base) for row in queries.to_dict("records")]
 
 
@@ -127,7 +131,9 @@ def table_of(pairs: Sequence[tuple[Point, Point]]) -> pd.DataFrame:
 def _of_row(row: Mapping, names: Sequence[str], base: Query) -> Query:
     """Return the query of a row, with an error where a number is missing, not finite or no number."""
     given, query = {str(name): value for name, value in row.items() if not pd.isna(value)}, base
-    weights = {name.removeprefix(WEIGHT_PREFIX): name for name in given if name.startswith(WEIGHT_PREFIX)}
+    weights = {
+        name.removeprefix(WEIGHT_PREFIX): name for name in given if name.startswith(WEIGHT_PREFIX)
+    }
     time = given.get("time", base.time)
     try:
         start_x, start_y, goal_x, goal_y = (float(given.get(name, np.nan)) for name in names)
@@ -139,13 +145,17 @@ def _of_row(row: Mapping, names: Sequence[str], base: Query) -> Query:
             altitude_m=float(given.get("altitude_m", base.altitude_m)),
             time=None if time is None else str(time),
             time_of_day=given.get("time_of_day", base.time_of_day),
-            weights=base.weights.replace(**{name: float(given[column]) for name, column in weights.items()}).checked(),
+            weights=base.weights.replace(
+                **{name: float(given[column]) for name, column in weights.items()}
+            ).checked(),
         )
         for end, place in (("start", (start_x, start_y)), ("goal", (goal_x, goal_y))):
             if not np.isfinite(place).all():
                 raise InputError(f"{end} needs two finite numbers, got {place}")
         if not np.isfinite(query.altitude_m):
-            raise InputError("the altitude is missing: give altitude_m for all queries or in each row")
+            raise InputError(
+                "the altitude is missing: give altitude_m for all queries or in each row"
+            )
     except ValueError as error:  # InputError is one
         return replace(query, error=str(error))
     return query
@@ -186,8 +196,12 @@ class PlannedPaths(Shown, Sequence[PlannedPath | None]):
         heuristics = Counter(path.search.heuristic for path in self.paths if path is not None)
         return {
             "queries": f"{len(self):,}" + (" (interrupted)" if self.was_interrupted else ""),
-            "statuses": ", ".join(f"{status} {number:,}" for status, number in ends.most_common()) or "none",
-            "heuristics": ", ".join(f"{name} {number:,}" for name, number in heuristics.most_common()) or "none",
+            "statuses": ", ".join(f"{status} {number:,}" for status, number in ends.most_common())
+            or "none",
+            "heuristics": ", ".join(
+                f"{name} {number:,}" for name, number in heuristics.most_common()
+            )
+            or "none",
             "cost": f"{sum(path.cost for path in reached):,.2f} of {len(reached):,} paths",
             "length": f"{sum(path.length_m for path in reached) / 1000:,.1f} km",
         }
@@ -215,9 +229,13 @@ class PlannedPaths(Shown, Sequence[PlannedPath | None]):
             return write_table(self.to_dataframe(), file)
         if file.suffix.lower() not in FORMATS:
             known = ", ".join((*SUFFIXES, *FORMATS))
-            raise InputError(f"cannot determine the format of {str(file)!r}: end its name in one of {known}")
+            raise InputError(
+                f"cannot determine the format of {str(file)!r}: end its name in one of {known}"
+            )
         if not write_path(self, file, names=[f"query {k}" for k in range(len(self))]):
-            raise InputError("there is no path to save: to_dataframe gives the status of each query")
+            raise InputError(
+                "there is no path to save: to_dataframe gives the status of each query"
+            )
         return file
 
     @typed
@@ -239,11 +257,20 @@ class PlannedPaths(Shown, Sequence[PlannedPath | None]):
           [[0, 'optimal', 27], [1, 'optimal', 27]]
         """
         table = pd.DataFrame(self.rows)
-        return table if with_points else table.drop(columns=["x_m", "y_m", "search", "key"], errors="ignore")
+        return (
+            table
+            if with_points
+            else table.drop(columns=["x_m", "y_m", "search", "key"], errors="ignore")
+        )
 
 
 def row_of(
-    k: int, query: Query, status: str, message: str, planned: PlannedPath | None = None, key: str = ""
+    k: int,
+    query: Query,
+    status: str,
+    message: str,
+    planned: PlannedPath | None = None,
+    key: str = "",
 ) -> dict[str, Any]:
     """Return what became of a query as a flat row.
 
@@ -262,7 +289,14 @@ def row_of(
         row |= {name: facts[name] for name in ("cost", "length_m")}
         row |= {f"cost_{name}": value for name, value in facts["cost_by_layer"].items()}
         row |= {f"m_{name}": value for name, value in facts["metrics"].items()}
-        names = ("objective_cost", "lower_bound", "num_points", "num_expanded", "elapsed_s", "setup_s")
+        names = (
+            "objective_cost",
+            "lower_bound",
+            "num_points",
+            "num_expanded",
+            "elapsed_s",
+            "setup_s",
+        )
         row |= {name: facts[name] for name in (*names, "planner", "heuristic", "backend")}
         row |= {f"{name}_snap_m": value for name, value in facts["snap_distance_m"].items()}
         rest = {item.name: getattr(planned.search, item.name) for item in fields(Path)}
@@ -280,5 +314,9 @@ def path_of(row: Row) -> Path:
     if rest["points_m"]:
         xy_m = np.stack([row["x_m"], row["y_m"]], axis=1)
         points_m = xy_m - (xy_m[0] - rest["points_m"][0])
-    rest |= {"status": Status(rest["status"]), "points_m": points_m, "history": tuple(map(tuple, rest["history"]))}
+    rest |= {
+        "status": Status(rest["status"]),
+        "points_m": points_m,
+        "history": tuple(map(tuple, rest["history"])),
+    }
     return Path(**rest)

@@ -103,17 +103,27 @@ class RouteRules:
 
     def under(self, maps: MetricMaps) -> tuple[MetricMaps, Self]:
         """Return maps and rules, with all that holds on them written out (`rules_on`)."""
-        maps, cost_model, constraints = rules_on(maps, self.cost_model, self.constraints, self.preset)
+        maps, cost_model, constraints = rules_on(
+            maps, self.cost_model, self.constraints, self.preset
+        )
         return maps, replace(self, cost_model=cost_model, constraints=constraints, preset="")
 
     def rules(self) -> dict[str, Any]:
         """Return cost model and constraints as plain, JSON-ready values."""
         return {**CostModel.of(self.cost_model).settings, "limits": self.constraints.to_dict()}
 
-    def cost_map(self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> Any:
+    def cost_map(
+        self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None
+    ) -> Any:
         """Return the `CostMap` of routes at an altitude and time (errors as in `jaxurban.cost_map`)."""
-        rules: dict[str, Any] = {"cost_model": self.cost_model, "constraints": self.constraints, "preset": self.preset}
-        return cost_map(maps, altitude_m, time=time, time_of_day=time_of_day, objective="weighted", **rules)
+        rules: dict[str, Any] = {
+            "cost_model": self.cost_model,
+            "constraints": self.constraints,
+            "preset": self.preset,
+        }
+        return cost_map(
+            maps, altitude_m, time=time, time_of_day=time_of_day, objective="weighted", **rules
+        )
 
 
 class RouteJob(RouteRules):
@@ -148,7 +158,10 @@ class RouteJob(RouteRules):
     def row_of(self, instance: Row, run: Run, facts: Row) -> dict[str, Any]:
         """Return a row: its key and what is known, None for what is no number."""
         row = self.key_of(instance, run) | dict(facts)
-        return {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in row.items()}
+        return {
+            name: None if isinstance(v, float) and not math.isfinite(v) else v
+            for name, v in row.items()
+        }
 
 
 class InstanceRuns(NamedTuple):
@@ -172,9 +185,15 @@ def tasks_of(instances: pd.DataFrame, job: RouteJob, store: RowStore) -> list[In
     """Return what a store does not hold yet, instances of a city and on the same maps one after the other."""
 
     def left(instance: Row) -> tuple[Run, ...]:
-        return tuple(run for run in job.runs if tuple(job.key_of(instance, run).values()) not in store)
+        return tuple(
+            run for run in job.runs if tuple(job.key_of(instance, run).values()) not in store
+        )
 
-    tasks = [InstanceRuns(instance, runs) for instance in records_of(instances) if (runs := left(instance))]
+    tasks = [
+        InstanceRuns(instance, runs)
+        for instance in records_of(instances)
+        if (runs := left(instance))
+    ]
     return sorted(tasks, key=lambda task: (str(task.city), *map(str, task.map_key)))
 
 
@@ -183,7 +202,9 @@ def check_workers(workers: int | str, sources: Iterable[Source]) -> None:
     if isinstance(workers, int) and workers < 1:
         raise InputError(f"workers must be at least 1, got {workers}")
     if workers != 1 and any(isinstance(source, MetricMaps) for source in sources):
-        raise InputError("several workers need the maps in a folder: save them, and give the folder instead")
+        raise InputError(
+            "several workers need the maps in a folder: save them, and give the folder instead"
+        )
 
 
 def run_rows(
@@ -213,7 +234,9 @@ def run_rows(
     try:
         with nullcontext() if workers == 1 or not tasks else cluster_client(workers) as client:
             solve = solve_here if client is None else partial(solve_on, client)
-            keep_rows(store, solve(tasks, sources, job), sum(len(task.runs) for task in tasks), report)
+            keep_rows(
+                store, solve(tasks, sources, job), sum(len(task.runs) for task in tasks), report
+            )
     finally:
         store.save(columns(store.rows))
     return read_table(file, "rows")
@@ -279,7 +302,9 @@ def _solve_in_worker(source: MapsFolder, job: RouteJob, task: InstanceRuns) -> l
     return _solver_in_worker(source, job).solve(task)
 
 
-def solve_instance(job: RouteJob, on: CostMap, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
+def solve_instance(
+    job: RouteJob, on: CostMap, instance: Row, runs: Sequence[Run]
+) -> list[dict[str, Any]]:
     """Return the rows of an instance, one a run; whatever goes wrong is a row too."""
     try:
         facts = list(job.facts(on, instance, runs))
@@ -295,7 +320,9 @@ def failure(error: Exception) -> dict[str, Any]:
     return {"status": CRASHED, "note": f"{type(error).__name__}: {error}"}
 
 
-def keep_rows(store: RowStore, made: Iterable[list[dict[str, Any]]], num_left: int, report: Report) -> None:
+def keep_rows(
+    store: RowStore, made: Iterable[list[dict[str, Any]]], num_left: int, report: Report
+) -> None:
     """Keep rows in a store as they are made, each on disk when it is counted.
 
     Args:

@@ -66,14 +66,25 @@ class PathSearch:
         """
         scenario = {} if maps is None else dict(maps.planning.given)
         if is_for_volumes:
-            scenario = {"planner": "astar-volume"} | {k: scenario[k] for k in ("budget_s",) if k in scenario}
+            scenario = {"planner": "astar-volume"} | {
+                k: scenario[k] for k in ("budget_s",) if k in scenario
+            }
         given = {"planner": planner, "budget_s": budget_s, "seed": seed}
-        planning = Planning(**scenario | {name: value for name, value in given.items() if value is not None})
-        budgets = {name: finite(f"the budget of exposure to {name}", most) for name, most in (exposure or {}).items()}
-        search = cls(planning.planner, heuristic, planning.budget_s, planning.seed, snap, refine, budgets)
+        planning = Planning(
+            **scenario | {name: value for name, value in given.items() if value is not None}
+        )
+        budgets = {
+            name: finite(f"the budget of exposure to {name}", most)
+            for name, most in (exposure or {}).items()
+        }
+        search = cls(
+            planning.planner, heuristic, planning.budget_s, planning.seed, snap, refine, budgets
+        )
         snap_limit_m(search.snap)
         if is_for_volumes and search.refine:
-            raise InputError("refine moves waypoints on one altitude: leave it out of a path that climbs and descends")
+            raise InputError(
+                "refine moves waypoints on one altitude: leave it out of a path that climbs and descends"
+            )
         find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)
         for name, most in budgets.items():
             if most < 0:

@@ -14,7 +14,9 @@ from jaxurban.planners.base import Cell
 if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap
 
-Point = tuple[float | None, ...]  # longitude, latitude in degrees, and between levels an altitude if liked
+Point = tuple[
+    float | None, ...
+]  # longitude, latitude in degrees, and between levels an altitude if liked
 SUCH_AS = ("(583960.0, 4507351.0)", "(-74.0, 40.7)")
 MAX_SNAP_M = 50.0  # about half a city block, unless another distance is given
 
@@ -89,12 +91,20 @@ def places_near(
     Raises:
       InputError: the cell is closed, and ``snap`` is off or the nearest free cell farther away than it allows.
     """
-    cap_m, is_free, of_level = snap_limit_m(snap), on.levels_free[level], () if on.levels is None else (level,)
+    cap_m, is_free, of_level = (
+        snap_limit_m(snap),
+        on.levels_free[level],
+        () if on.levels is None else (level,),
+    )
     if is_free[cell]:
-        return [End((*of_level, *cell), float(np.hypot(*np.subtract(on.grid.xy_of_cell(*cell), xy_m))))]
+        return [
+            End((*of_level, *cell), float(np.hypot(*np.subtract(on.grid.xy_of_cell(*cell), xy_m))))
+        ]
     rows, cols = np.nonzero(is_free)
     if rows.size == 0:
-        raise InputError(f"{name} is {on.why_closed(cell, level)}, and no cell is free at this altitude: {on.remedy}")
+        raise InputError(
+            f"{name} is {on.why_closed(cell, level)}, and no cell is free at this altitude: {on.remedy}"
+        )
     x_m, y_m = on.grid.xy_of_cell(rows, cols)
     away_m = np.hypot(x_m - xy_m[0], y_m - xy_m[1])
     near = np.flatnonzero(away_m <= (-1.0 if cap_m is None else cap_m))
@@ -104,14 +114,20 @@ def places_near(
         lon, lat = on.grid.lonlat_of_cell(rows[nearest], cols[nearest])
         needed_m = math.ceil(away_m[nearest])
         too_far = "" if cap_m is None else f", farther than it may be moved ({cap_m:g} m)"
-        option = "--snap (snap=True)" if needed_m <= MAX_SNAP_M else f"--snap {needed_m} (snap={needed_m})"
+        option = (
+            "--snap (snap=True)"
+            if needed_m <= MAX_SNAP_M
+            else f"--snap {needed_m} (snap={needed_m})"
+        )
         raise InputError(
             f"{name} is {on.why_closed(cell, level)}; the nearest free cell is at {lon:.6f},{lat:.6f}, "
             f"{away_m[nearest]:.0f} m away{too_far}: take that place, fly higher, or pass {option} to move there"
         )
     _, first = np.unique(on.islands[of_level][rows[near], cols[near]], return_index=True)
     nearest_of = near[np.sort(first)]
-    return [End((*of_level, int(rows[k]), int(cols[k])), float(away_m[k]), True) for k in nearest_of]
+    return [
+        End((*of_level, int(rows[k]), int(cols[k])), float(away_m[k]), True) for k in nearest_of
+    ]
 
 
 def joined_ends(on: "CostMap", starts: list[End], goals: list[End]) -> tuple[End, End]:
@@ -122,15 +138,24 @@ def joined_ends(on: "CostMap", starts: list[End], goals: list[End]) -> tuple[End
     islands = on.islands
 
     def apart_then_moved_m(ends: tuple[End, End]) -> tuple[bool, float]:
-        return bool(islands[ends[0].cell] != islands[ends[1].cell]), sum(end.snap_distance_m for end in ends)
+        return bool(islands[ends[0].cell] != islands[ends[1].cell]), sum(
+            end.snap_distance_m for end in ends
+        )
 
     return min(product(starts, goals), key=apart_then_moved_m)
 
 
 def snap_note(start: End, goal: End) -> str:
     """Return a sentence for each end that was moved out of a closed cell, empty where none was."""
-    moved_m = {name: end.snap_distance_m for name, end in (("start", start), ("goal", goal)) if end.is_snapped}
-    return " ".join(f"The {name} was not free: it was moved {m:.1f} m, to a free cell." for name, m in moved_m.items())
+    moved_m = {
+        name: end.snap_distance_m
+        for name, end in (("start", start), ("goal", goal))
+        if end.is_snapped
+    }
+    return " ".join(
+        f"The {name} was not free: it was moved {m:.1f} m, to a free cell."
+        for name, m in moved_m.items()
+    )
 
 
 def pocket_note(on: "CostMap", start: End, goal: End) -> str:
@@ -158,7 +183,9 @@ def snap_limit_m(snap: Any) -> float | None:
     if isinstance(snap, bool | np.bool_):
         return MAX_SNAP_M if snap else None
     if not isinstance(snap, int | float) or not snap > 0:
-        raise InputError(f"snap must be True (at most {MAX_SNAP_M:g} m), False, or metres above 0, got {snap!r}")
+        raise InputError(
+            f"snap must be True (at most {MAX_SNAP_M:g} m), False, or metres above 0, got {snap!r}"
+        )
     return float(snap)
 
 
@@ -185,7 +212,9 @@ def what_would_join(on: "CostMap", start: Cell, goal: Cell) -> str:
     """Return sentences on what would join two nodes that nothing joins: a greater altitude, or what may."""
     levels_m = on.altitudes_m.tolist()
     higher_m = [z_m for z_m in sorted(on.maps.altitudes_m) if z_m > levels_m[-1]]
-    joined = "Start and goal are not joined at a greater altitude of these maps. " if higher_m else ""
+    joined = (
+        "Start and goal are not joined at a greater altitude of these maps. " if higher_m else ""
+    )
     for k, z_m in enumerate(higher_m):
         islands = on.islands_at((z_m,) if on.levels is None else (*levels_m, *higher_m[: k + 1]))
         if islands[start] == islands[goal] != 0:
@@ -197,7 +226,11 @@ def what_would_join(on: "CostMap", start: Cell, goal: Cell) -> str:
 
 def why_closed(on: "CostMap", cell: Cell, level: int = 0) -> str:
     """Return what closes a cell, an obstacle or each constraint by name, and which level over it is free."""
-    z_m, maps, when = float(on.altitudes_m[level]), on.maps, {"time": on.time, "time_of_day": on.time_of_day}
+    z_m, maps, when = (
+        float(on.altitudes_m[level]),
+        on.maps,
+        {"time": on.time, "time_of_day": on.time_of_day},
+    )
     reasons = on.constraints.reasons(maps, z_m, cell, **when) if maps.is_free(z_m)[cell] else []
     if reasons:
         where = f"closed by {' and '.join(reasons)}"
@@ -212,6 +245,12 @@ def why_closed(on: "CostMap", cell: Cell, level: int = 0) -> str:
     if free_m:
         return f"{where} at {z_m:g} m; the lowest free level there is {free_m[0]:g} m"
     higher_m = [z_m for z_m in sorted(maps.altitudes_m) if z_m > levels_m[-1]]
-    lowest_m = next((z_m for z_m in higher_m if on.constraints.is_free(maps, z_m, **when)[cell]), None)
-    above = "" if lowest_m is None else f"; the lowest free altitude there is {lowest_m:g} m (raise max_altitude_m)"
+    lowest_m = next(
+        (z_m for z_m in higher_m if on.constraints.is_free(maps, z_m, **when)[cell]), None
+    )
+    above = (
+        ""
+        if lowest_m is None
+        else f"; the lowest free altitude there is {lowest_m:g} m (raise max_altitude_m)"
+    )
     return f"{where} at every level from {levels_m[0]:g} to {levels_m[-1]:g} m{above}"

@@ -90,16 +90,27 @@ class Departures(Shown):
     @property
     def facts(self) -> dict[str, str]:
         """The best and the worst time, how small the effect is, and which routes have no path at some time."""
-        table, by_route, facts = self.table, self.routes.groupby("query"), {"times": f"{len(self.table)}"}
+        table, by_route, facts = (
+            self.table,
+            self.routes.groupby("query"),
+            {"times": f"{len(self.table)}"},
+        )
         if self.best is not None:
             ends = table.loc[[self.best, table["cost"].idxmax()]]
             best, worst = (", ".join(filter(None, names)) for names in ends[TIMES].to_numpy())
             facts |= {"best": f"{best}, cost {ends['cost'].min():,.2f}"}
             facts |= {"worst": f"{worst}, {ends['above_best'].fillna(0).max():.2%} above the best"}
-            facts |= {"routes that change": f"{by_route['num_changed'].any().sum()} of {len(by_route)}"}
-            facts |= {"keeping those of the best": f"up to {table['kept_above'].max():.2%} more at another time"}
+            facts |= {
+                "routes that change": f"{by_route['num_changed'].any().sum()} of {len(by_route)}"
+            }
+            facts |= {
+                "keeping those of the best": f"up to {table['kept_above'].max():.2%} more at another time"
+            }
         missing = self.routes[self.routes["cost"].isna()]
-        none = [f"route {query} at {number}" for query, number in missing.groupby("query").size().items()]
+        none = [
+            f"route {query} at {number}"
+            for query, number in missing.groupby("query").size().items()
+        ]
         why = f" ({missing['message'].iloc[0]})" if none else ""
         return facts | {"times without a path": listed(none) + why}
 
@@ -152,8 +163,12 @@ def when(
         )
     wanted = queries if isinstance(queries, pd.DataFrame) else table_of(queries)
     if not len(wanted) or {*TIMES} & {*wanted}:
-        raise InputError("queries must be one or more and have no times of their own: drop time and time_of_day")
-    paths = plan_many(maps, table.merge(wanted, how="cross"), altitude_m=altitude_m, progress=progress, **asked)
+        raise InputError(
+            "queries must be one or more and have no times of their own: drop time and time_of_day"
+        )
+    paths = plan_many(
+        maps, table.merge(wanted, how="cross"), altitude_m=altitude_m, progress=progress, **asked
+    )
     if paths.was_interrupted:
         raise KeyboardInterrupt
     if all(path is None for path in paths):
@@ -167,7 +182,10 @@ def when(
     least = table["cost"].min()
     above = table["cost"] / least - 1
     table.insert(3, "above_best", above.mask(table["cost"] <= least * (1 + SAME), 0.0))
-    kept = [paths[(Departures(table, routes, paths).best or 0) * len(wanted) + query] for query in routes["query"]]
+    kept = [
+        paths[(Departures(table, routes, paths).best or 0) * len(wanted) + query]
+        for query in routes["query"]
+    ]
     of_map = taken_by(cost_map, asked)
 
     @lru_cache(maxsize=1)
@@ -182,7 +200,9 @@ def when(
         return on.problem.features(path.search.points_m).cost(on.weight_vector)
 
     kept_costs = np.array([*map(cost_at, kept, routes["departure"])])
-    routes["kept_above"] = np.where(kept_costs <= routes["cost"], 0.0, kept_costs / routes["cost"] - 1)
+    routes["kept_above"] = np.where(
+        kept_costs <= routes["cost"], 0.0, kept_costs / routes["cost"] - 1
+    )
     routes["num_changed"] = routes["kept_above"] > SAME
     of_time = routes.groupby("departure")
     table = table.join(of_time[[*routes.filter(like="longest_"), "kept_above"]].max())

@@ -19,8 +19,16 @@ from jaxurban.report.write import fill
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics, weight_columns
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED, Benchmark
 
-INSTANCES_FILE, COSTS_FOLDER, GRID_FOLDER, PAGE_FILE = "instances.parquet", "costs", "movingai", "README.md"
-GRID_PLANNERS = ("astar-dist", "astar-plus")  # what is optimal on the grid, where their status says so
+INSTANCES_FILE, COSTS_FOLDER, GRID_FOLDER, PAGE_FILE = (
+    "instances.parquet",
+    "costs",
+    "movingai",
+    "README.md",
+)
+GRID_PLANNERS = (
+    "astar-dist",
+    "astar-plus",
+)  # what is optimal on the grid, where their status says so
 # MovingAI's grid format: ``.map`` and ``.scen`` files (Sturtevant 2012, movingai.com/benchmarks/formats), whose first
 # row is the northern one and whose y counts southward; here row 0 is in the south.
 FREE, BLOCKED = ".", "@"
@@ -32,10 +40,14 @@ def write_map(is_free: np.ndarray, file: Path) -> None:
     num_rows, num_cols = is_free.shape
     text = np.full((num_rows, num_cols + 1), ord("\n"), np.uint8)
     text[:, :-1] = np.where(is_free[::-1], ord(FREE), ord(BLOCKED))
-    write_whole(file, f"type octile\nheight {num_rows}\nwidth {num_cols}\nmap\n".encode() + text.tobytes())
+    write_whole(
+        file, f"type octile\nheight {num_rows}\nwidth {num_cols}\nmap\n".encode() + text.tobytes()
+    )
 
 
-def write_scenarios(problems: pd.DataFrame, shape: tuple[int, int], map_name: str, file: Path) -> None:
+def write_scenarios(
+    problems: pd.DataFrame, shape: tuple[int, int], map_name: str, file: Path
+) -> None:
     """Write shortest-path queries on a map of a shape (rows, columns) as a ``.scen`` file, short ones first.
 
     ``problems``: ``start_row``, ``start_col``, ``goal_row`` and ``goal_col`` from the southwest, and the ``length`` of
@@ -44,9 +56,21 @@ def write_scenarios(problems: pd.DataFrame, shape: tuple[int, int], map_name: st
     num_rows, num_cols = shape
     shown = problems.sort_values("length", kind="stable")
     ends = {"x0": shown.start_col, "y0": num_rows - 1 - shown.start_row}
-    ends |= {"x1": shown.goal_col, "y1": num_rows - 1 - shown.goal_row, "length": shown.length.map("{:.8f}".format)}
-    of_map = {"bucket": (shown.length / BUCKET).astype(int), "map": map_name, "width": num_cols, "height": num_rows}
-    write_whole(file, "version 1\n" + pd.DataFrame(of_map | ends).to_csv(sep="\t", header=False, index=False))
+    ends |= {
+        "x1": shown.goal_col,
+        "y1": num_rows - 1 - shown.goal_row,
+        "length": shown.length.map("{:.8f}".format),
+    }
+    of_map = {
+        "bucket": (shown.length / BUCKET).astype(int),
+        "map": map_name,
+        "width": num_cols,
+        "height": num_rows,
+    }
+    write_whole(
+        file,
+        "version 1\n" + pd.DataFrame(of_map | ends).to_csv(sep="\t", header=False, index=False),
+    )
 
 
 def export_benchmark(
@@ -77,24 +101,37 @@ def export_benchmark(
     folder = Path(folder)
     check_exportable(CostModel.of(settings.cost_model), settings.constraints)
     if not name.replace("-", "").isalnum():
-        raise InputError(f"the benchmark's name must be of letters, digits and hyphens, got {name!r}")
+        raise InputError(
+            f"the benchmark's name must be of letters, digits and hyphens, got {name!r}"
+        )
     with Workspace.open(folder, "study --benchmark", is_shared=True):
         return _export(maps, instances, rows, folder, settings, name)
 
 
 def _export(
-    maps: MetricMaps, instances: pd.DataFrame, rows: pd.DataFrame, folder: Path, settings: Benchmark, name: str
+    maps: MetricMaps,
+    instances: pd.DataFrame,
+    rows: pd.DataFrame,
+    folder: Path,
+    settings: Benchmark,
+    name: str,
 ) -> dict[str, int]:
     num_shortest = 0
     for altitude_m in sorted(instances.altitude_m.unique()):
         stem = f"{name}_{short_number(altitude_m)}m"
-        num_shortest += _write_grid(maps, instances, rows, folder, altitude_m, stem, settings.constraints)
+        num_shortest += _write_grid(
+            maps, instances, rows, folder, altitude_m, stem, settings.constraints
+        )
     for key, _ in instances.groupby(["altitude_m", "time", "time_of_day"], dropna=False):
         _write_costs(maps, folder, key, name, settings)
     table = instances.merge(_references(rows), on=list(KEY), how="left")
     for suffix in (".parquet", ".csv"):
         write_table(table, (folder / INSTANCES_FILE).with_suffix(suffix))
-    counts = {"shortest": num_shortest, "weighted": len(table), "proven": int(table.grid_optimum.notna().sum())}
+    counts = {
+        "shortest": num_shortest,
+        "weighted": len(table),
+        "proven": int(table.grid_optimum.notna().sum()),
+    }
     model = CostModel.of(settings.cost_model)
     length_m = model.reference_length_m
     cost_rules = {
@@ -109,7 +146,9 @@ def _export(
         counts=counts,
         model=model,
         cost_rule=cost_rules[model.kind],
-        weights=", ".join(f"`{column}`" for column in weight_columns(weighed_metrics(instances.columns))),
+        weights=", ".join(
+            f"`{column}`" for column in weight_columns(weighed_metrics(instances.columns))
+        ),
     )
     write_whole(folder / PAGE_FILE, page)
     return counts
@@ -142,27 +181,43 @@ def _write_grid(
     """Write the ``.map`` and ``.scen`` of one altitude and return the number of problems."""
     is_free, grid = constraints.is_free(maps, altitude_m), maps.grid
     proven = rows[
-        (rows.objective == DISTANCE) & (rows.status == Status.OPTIMAL.value) & rows.planner.isin(GRID_PLANNERS)
+        (rows.objective == DISTANCE)
+        & (rows.status == Status.OPTIMAL.value)
+        & rows.planner.isin(GRID_PLANNERS)
     ]
     proven = proven[proven.altitude_m == altitude_m].drop_duplicates("instance")
-    pairs = instances[instances.altitude_m == altitude_m].merge(proven[["instance", "length_m"]], on="instance")
+    pairs = instances[instances.altitude_m == altitude_m].merge(
+        proven[["instance", "length_m"]], on="instance"
+    )
     start_row, start_col = grid.cell_of_xy(pairs.start_x_m.to_numpy(), pairs.start_y_m.to_numpy())
     goal_row, goal_col = grid.cell_of_xy(pairs.goal_x_m.to_numpy(), pairs.goal_y_m.to_numpy())
-    cells = {"start_row": start_row, "start_col": start_col, "goal_row": goal_row, "goal_col": goal_col}
+    cells = {
+        "start_row": start_row,
+        "start_col": start_col,
+        "goal_row": goal_row,
+        "goal_col": goal_col,
+    }
     problems = pd.DataFrame(cells | {"length": pairs.length_m.to_numpy() / grid.resolution_m})
     write_map(is_free, folder / GRID_FOLDER / f"{stem}.map")
-    write_scenarios(problems, is_free.shape, f"{stem}.map", folder / GRID_FOLDER / f"{stem}.map.scen")
+    write_scenarios(
+        problems, is_free.shape, f"{stem}.map", folder / GRID_FOLDER / f"{stem}.map.scen"
+    )
     return len(problems)
 
 
-def _write_costs(maps: MetricMaps, folder: Path, key: tuple[Any, ...], name: str, settings: Benchmark) -> None:
+def _write_costs(
+    maps: MetricMaps, folder: Path, key: tuple[Any, ...], name: str, settings: Benchmark
+) -> None:
     altitude_m = float(key[0])
     time, time_of_day = (None if pd.isna(part) else str(part) for part in key[1:])
     on = settings.cost_map(maps, altitude_m, time, time_of_day)
     parts = [name, f"{short_number(altitude_m)}m", *filter(None, [time_of_day])]
     if len(maps.times) > 1 and time is not None:
         parts.append(time.translate({45: None, 58: None}))
-    with whole_file(folder / COSTS_FOLDER / f"{'_'.join(parts)}.npz") as scratch, scratch.open("wb") as file:
+    with (
+        whole_file(folder / COSTS_FOLDER / f"{'_'.join(parts)}.npz") as scratch,
+        scratch.open("wb") as file,
+    ):
         np.savez_compressed(
             file,
             names=np.array(on.names),

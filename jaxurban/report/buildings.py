@@ -43,7 +43,9 @@ ROUTE_COLOUR, LAND_COLOUR = "#111111", "#d9d9d9"
 MARGIN_M = 250.0  # around the route
 
 
-def plot_building_costs(city: City, planned: PlannedPath, table: pd.DataFrame, grid: Grid) -> Figure:
+def plot_building_costs(
+    city: City, planned: PlannedPath, table: pd.DataFrame, grid: Grid
+) -> Figure:
     """Return the map of the buildings near a route, coloured by what one more metre of each costs the route.
 
     Colours are logarithmic on both sides of zero: red costs, blue helps, white has no effect.
@@ -56,8 +58,17 @@ def plot_building_costs(city: City, planned: PlannedPath, table: pd.DataFrame, g
     """
     assert city.buildings is not None
     settings, polygons = planned.settings, city.buildings.polygons
-    place = f"{planned.altitude_m:g} m above ground", time_said(settings["time"]), settings["time_of_day"]
-    cells = f"softness {table.attrs['softness_m']:g} m", f"{grid.resolution_m:g} m cells", grid.crs, place_said(grid)
+    place = (
+        f"{planned.altitude_m:g} m above ground",
+        time_said(settings["time"]),
+        settings["time_of_day"],
+    )
+    cells = (
+        f"softness {table.attrs['softness_m']:g} m",
+        f"{grid.resolution_m:g} m cells",
+        grid.crs,
+        place_said(grid),
+    )
     note = f"{joined(*place, *cells, city.attribution)}\n{rules_said(settings)}"
     most = max(float(table.per_metre.abs().max()) if len(table) else 0.0, 1e-12)
     ticks = -most, -most / 100, 0.0, most / 100, most
@@ -67,7 +78,9 @@ def plot_building_costs(city: City, planned: PlannedPath, table: pd.DataFrame, g
     high = np.minimum(planned.xy_m.max(axis=0) + MARGIN_M, grid.bounds_m[2:])
     first = np.floor(low / grid.resolution_m + 1e-6).astype(int)
     num_cols, num_rows = map(int, np.ceil(high / grid.resolution_m - 1e-6).astype(int) - first)
-    near = replace(grid, first_row=int(first[1]), first_col=int(first[0]), num_rows=num_rows, num_cols=num_cols)
+    near = replace(
+        grid, first_row=int(first[1]), first_col=int(first[0]), num_rows=num_rows, num_cols=num_cols
+    )
     panels = [MapPanel(f"{planned.search.planner}, cost {planned.cost:,.1f}")]
     heading = "What one more metre of each building costs the route"
     legend: list[LegendEntry] = [("route", ROUTE_COLOUR), *ENDS]
@@ -78,8 +91,12 @@ def plot_building_costs(city: City, planned: PlannedPath, table: pd.DataFrame, g
     is_near = shapely.intersects(polygons, shapely.box(*near.bounds_m))
     look = {"edgecolor": "#555555", "linewidth": 0.25, "aspect": None, "autolim": False}
     if is_near.any():
-        gpd.GeoSeries(polygons[is_near]).plot(ax=panel, color=list(colours(per_metre[is_near])), **look)
-    panel.plot(*planned.xy_m.T, color=ROUTE_COLOUR, linewidth=1.5, solid_joinstyle="round", zorder=4)
+        gpd.GeoSeries(polygons[is_near]).plot(
+            ax=panel, color=list(colours(per_metre[is_near])), **look
+        )
+    panel.plot(
+        *planned.xy_m.T, color=ROUTE_COLOUR, linewidth=1.5, solid_joinstyle="round", zorder=4
+    )
     draw_ends(panel, [planned])
     return figure
 
@@ -108,10 +125,15 @@ def scenario_of(folder: Path, scenario: Path | None = None) -> Scenario:
         raise InputError(
             f"{str(file)!r} is not the record of a run ({error}): run the same `jaxurban maps` command again"
         ) from error
-    folders = [path.resolve() for path in ((Path(), folder, folder.parent) if scenario is None else (scenario.parent,))]
+    folders = [
+        path.resolve()
+        for path in ((Path(), folder, folder.parent) if scenario is None else (scenario.parent,))
+    ]
     for each in folders:
         found = Scenario.from_dict(record["settings"], name=str(file), folder=each)
-        if not all(located(found.path_of(source["path"])).exists() for source in record["inputs"].values()):
+        if not all(
+            located(found.path_of(source["path"])).exists() for source in record["inputs"].values()
+        ):
             continue
         for role, source in hash_inputs(found).items():
             if source["sha256"] != record["inputs"][role]["sha256"]:
@@ -166,11 +188,17 @@ def write_buildings(
     """
     settings = scenario_of(Path(folder), None if scenario is None else Path(scenario))
     if not softness_m > 0:
-        raise InputError(f"softness_m must be a positive number of metres such as 2, got {softness_m}")
+        raise InputError(
+            f"softness_m must be a positive number of metres such as 2, got {softness_m}"
+        )
     resolution_m, time = planned.settings["resolution_m"], planned.settings["time"]
-    task = next((task for task in tasks_of(settings) if task.region.resolution_m == resolution_m), None)
+    task = next(
+        (task for task in tasks_of(settings) if task.region.resolution_m == resolution_m), None
+    )
     if task is None:
-        raise InputError(f"the route lies on cells of {resolution_m:g} m, which these maps do not hold")
+        raise InputError(
+            f"the route lies on cells of {resolution_m:g} m, which these maps do not hold"
+        )
     if time not in task.sky.times:
         raise InputError(
             "the route was planned on GPS statistics over many epochs, which have no gradient by building: make maps "

@@ -39,7 +39,9 @@ SHOWN_SHARE = 0.99  # of the changed cells lie within the colour bar
 def comparison_figures(found: MapComparison) -> dict[str, Callable[[], Figure]]:
     """Return what draws each layer that changed anywhere, by its name."""
     most = found.most_changed
-    return {layer: partial(plot_difference, found, layer) for layer in found.layers if most[layer] > 0}
+    return {
+        layer: partial(plot_difference, found, layer) for layer in found.layers if most[layer] > 0
+    }
 
 
 def heading_of(found: MapComparison, layer: str) -> str:
@@ -76,12 +78,23 @@ def plot_difference(found: MapComparison, layer: str, *, time: str | None = None
     for (place, row), values in zip(drawn, maps, strict=True):
         is_grey = np.isnan(values)
         if layer in MASKS and place.altitude_m is not None:
-            is_grey = ~found.a.is_free(place.altitude_m, None if layer == CLOSED else "centre") & (values == 0)
+            is_grey = ~found.a.is_free(place.altitude_m, None if layer == CLOSED else "centre") & (
+                values == 0
+            )
         shown = MapLayer(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours)
         where = place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m"
-        share = f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed" if row.share_changed else "unchanged"
-        panels.append(MapPanel(joined(where, share), [shown, flat_layer(is_grey & has_data, OBSTACLE_COLOUR)]))
-    heading, legend = f"{heading_of(found, layer)}, B - A", f"blocked in A {'and' if layer in MASKS else 'or'} B"
+        share = (
+            f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed"
+            if row.share_changed
+            else "unchanged"
+        )
+        panels.append(
+            MapPanel(joined(where, share), [shown, flat_layer(is_grey & has_data, OBSTACLE_COLOUR)])
+        )
+    heading, legend = (
+        f"{heading_of(found, layer)}, B - A",
+        f"blocked in A {'and' if layer in MASKS else 'or'} B",
+    )
     look: dict[str, Any] = {"legend": [(legend, OBSTACLE_COLOUR)], "colours": colours}
     return draw_maps(found.grid, panels, heading, _note(found, time), **look)[0]
 
@@ -104,21 +117,33 @@ def _note(found: MapComparison, time: str | None) -> str:
     """Return the name of both, what each guesses, and each one's time where the layer has any."""
     times = (None, None) if time is None else (time, found.times[time])
     lines = []
-    for side, name, maps, its_time in zip("AB", found.names, (found.a, found.b), times, strict=True):
+    for side, name, maps, its_time in zip(
+        "AB", found.names, (found.a, found.b), times, strict=True
+    ):
         guessed = guesses_said(maps, time is not None)
-        lines.append(joined(f"{side}: {name}", its_time and time_said(its_time), guessed and f"guessed: {guessed}"))
+        lines.append(
+            joined(
+                f"{side}: {name}",
+                its_time and time_said(its_time),
+                guessed and f"guessed: {guessed}",
+            )
+        )
     return "\n".join([*lines, joined(*ground_said(found.a))])
 
 
 def comparison_outputs(found: MapComparison) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a comparison writes, by file name, and what it is of."""
-    key: dict[str, Any] = {"maps": list(found.names), "of": [maps.identity for maps in (found.a, found.b)]}
+    key: dict[str, Any] = {
+        "maps": list(found.names),
+        "of": [maps.identity for maps in (found.a, found.b)],
+    }
     key |= {"times": dict(found.times), "tolerance": found.tolerance}
     key["values"] = crc32(found.table.to_csv().encode())  # maps in memory have no name of their own
     figures = comparison_figures(found)
     size = short_number(found.grid.resolution_m)
     outputs: dict[str, Output] = {
-        f"difference/{layer}_{size}m.tif": partial(_write_difference, found, layer) for layer in found.layers
+        f"difference/{layer}_{size}m.tif": partial(_write_difference, found, layer)
+        for layer in found.layers
     }
     report = comparison_markdown(found, list(figures))
     tables = {"layers": found.table}
@@ -135,7 +160,12 @@ def _write_difference(found: MapComparison, layer: str, file: Path) -> Path:
         altitude = "" if place.altitude_m is None else f"{place.altitude_m:g} m"
         name = " ".join(filter(None, (altitude, place.time, place.time_of_day))) or "B - A"
         bands[name] = found.of(layer, **place._asdict())
-    tags = {"layer": layer, "difference": "B - A", "maps_a": found.names[0], "maps_b": found.names[1]}
+    tags = {
+        "layer": layer,
+        "difference": "B - A",
+        "maps_a": found.names[0],
+        "maps_b": found.names[1],
+    }
     if found.a.attribution:
         tags["attribution"] = found.a.attribution
     return write_bands(file, found.grid, bands, unit_of(found.a, layer), tags)
@@ -155,10 +185,14 @@ def comparison_markdown(found: MapComparison, figures: list[str]) -> str:
         found=found,
         extent=f"Compared are {held['grid']} ({held['CRS']}) at {held['altitudes']}.",
         settings=_settings(found),
-        values=framed(changed.where(changed.notna(), "")) if len(changed) else "Not one value differs.",
+        values=framed(changed.where(changed.notna(), ""))
+        if len(changed)
+        else "Not one value differs.",
         unchanged=f"The same in both: {listed(same)}." if same else "",
         left_out=f"Not compared:\n\n{left_out}" if left_out else "",
-        pictures="\n\n".join(f"![{heading_of(found, name)}, B - A](figures/{name}.png)" for name in figures)
+        pictures="\n\n".join(
+            f"![{heading_of(found, name)}, B - A](figures/{name}.png)" for name in figures
+        )
         or "None: a layer is drawn where it differs.",
     )
 
@@ -169,8 +203,13 @@ def _settings(found: MapComparison) -> str:
     rows = [(f"`{key}`", *pair) for key, pair in (found.settings or {}).items()]
     rows += [("time of GPS", *pair) for pair in found.times.items() if pair[0] != pair[1]]
     norms = [day for day in a if "population" in found.layers and a[day] != b.get(day, a[day])]
-    rows += [(f"population is divided by, {day}", f"{a[day]:,.0f}", f"{b[day]:,.0f}") for day in norms]
-    shown = [(name, *(NOT_SET if value is None else f"`{value}`" for value in pair)) for name, *pair in rows]
+    rows += [
+        (f"population is divided by, {day}", f"{a[day]:,.0f}", f"{b[day]:,.0f}") for day in norms
+    ]
+    shown = [
+        (name, *(NOT_SET if value is None else f"`{value}`" for value in pair))
+        for name, *pair in rows
+    ]
     said = "Not both sets were made by `jaxurban maps`, so that their settings are not known."
     if found.settings is not None:
         said = "" if found.settings else "No setting differs."

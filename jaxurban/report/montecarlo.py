@@ -71,7 +71,9 @@ class BenchmarkResult(Result):
     @property
     def facts(self) -> dict[str, str]:
         """Where it is kept, and how its runs ended."""
-        ends = ", ".join(f"{status} {num}" for status, num in self.rows.status.value_counts().items())
+        ends = ", ".join(
+            f"{status} {num}" for status, num in self.rows.status.value_counts().items()
+        )
         return {"folder": str(self.folder), "instances": str(len(self.instances)), "runs": ends}
 
     @property
@@ -146,7 +148,9 @@ def study(
     model, constraints = CostModel.of(job.cost_model), job.constraints
     source = opened if isinstance(source, MetricMaps) else source.at(opened)
     if not isinstance(instances, pd.DataFrame):
-        asked: dict[str, Any] = {name: getattr(job.study, name) for name in ("altitudes_m", "weights", "seed")}
+        asked: dict[str, Any] = {
+            name: getattr(job.study, name) for name in ("altitudes_m", "weights", "seed")
+        }
         rules: dict[str, Any] = {"cost_model": model, "constraints": constraints}
         instances = sample_instances(opened, job.study.instances, **asked, **rules)
     else:
@@ -156,13 +160,27 @@ def study(
         _check_places(instances, opened, constraints)
     key, names = job.deciding(opened), [ROWS_FILE, INSTANCES_FILE]
     with Workspace.open(
-        folder, "study", key, names=names, overwrite=overwrite, is_shared=True, is_mended=not overwrite
+        folder,
+        "study",
+        key,
+        names=names,
+        overwrite=overwrite,
+        is_shared=True,
+        is_mended=not overwrite,
     ) as workspace:
         _check_growth(workspace, instances)
         write_table(instances, folder / INSTANCES_FILE)
         file, columns = folder / ROWS_FILE, row_columns(instances.columns)
         with reporting("study", progress) as report:
-            rows = run_rows(file, job, instances, {None: source}, lambda _: columns, workers=workers, report=report)
+            rows = run_rows(
+                file,
+                job,
+                instances,
+                {None: source},
+                lambda _: columns,
+                workers=workers,
+                report=report,
+            )
     return BenchmarkResult(folder, opened, instances, rows, job)
 
 
@@ -185,7 +203,9 @@ def land_cover_of(scenario: Scenario) -> LandCover | None:
         return None if base is None else land_cover_in(base, grid.crs, grid.bounds_m)
     if not source.lower().endswith(OSM_SUFFIXES):
         if named is not None:
-            raise InputError(f"[study] land_cover must be an OpenStreetMap file (.osm.pbf or .osm), got {named!r}")
+            raise InputError(
+                f"[study] land_cover must be an OpenStreetMap file (.osm.pbf or .osm), got {named!r}"
+            )
         return None
     return read_land_cover(scenario.path_of(source), grid.crs, grid.bounds_m)
 
@@ -195,7 +215,9 @@ def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constr
     if instances.is_connected.notna().any():
         return
     first = instances.iloc[0]
-    is_free = constraints.is_free(maps, first.altitude_m, time=first.time, time_of_day=first.time_of_day)
+    is_free = constraints.is_free(
+        maps, first.altitude_m, time=first.time, time_of_day=first.time_of_day
+    )
     for end in ("start", "goal"):
         try:
             free_cell(maps.grid, is_free, first[f"{end}_x_m"], first[f"{end}_y_m"])
@@ -217,7 +239,9 @@ def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
             raise InputError(f"{str(file)!r} is not as it was written")
         before = read_instances(file).set_index(list(KEY))
     except InputError as error:
-        raise InputError(f"{str(folder)!r} holds a study whose instances are lost ({error}): {remedy}") from error
+        raise InputError(
+            f"{str(folder)!r} holds a study whose instances are lost ({error}): {remedy}"
+        ) from error
     now, columns = instances.set_index(list(KEY)), query_columns(instances.columns)
     if len(lost := before.index.difference(now.index)):
         number, altitude_m = lost[0]
@@ -249,7 +273,9 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
         "objectives": analysis.objectives(table),
     }
     if {"gps", "lidar"} <= set(result.maps.metrics):
-        tables["complementarity"] = complementarity(result.maps, altitudes_m=sorted(table.altitude_m.unique()))
+        tables["complementarity"] = complementarity(
+            result.maps, altitudes_m=sorted(table.altitude_m.unique())
+        )
     return tables
 
 
@@ -258,15 +284,25 @@ def analysis_outputs(result: BenchmarkResult) -> tuple[dict[str, Output], dict[s
     tables = tables_of(result)
     figures = study_figures(result.maps, result.table, tables)
     report = report_markdown(result, tables, list(figures))
-    return study_outputs(report, {f"{name}.csv": table for name, table in tables.items()}, figures), {}
+    return study_outputs(
+        report, {f"{name}.csv": table for name, table in tables.items()}, figures
+    ), {}
 
 
-def report_markdown(result: BenchmarkResult, tables: dict[str, pd.DataFrame], figures: Sequence[str] = ()) -> str:
+def report_markdown(
+    result: BenchmarkResult, tables: dict[str, pd.DataFrame], figures: Sequence[str] = ()
+) -> str:
     """Return the report; ``figures`` are the names of the pictures beside it."""
     table, settings, study = result.table, result.settings, result.settings.study
-    joined = table.drop_duplicates(["instance", "altitude_m"]).groupby("altitude_m").is_joined.mean()
+    joined = (
+        table.drop_duplicates(["instance", "altitude_m"]).groupby("altitude_m").is_joined.mean()
+    )
     samples = study.budget_iterations
-    budget = f"{study.budget_s:g} s a run" if samples is None else f"{samples} samples, others to their end"
+    budget = (
+        f"{study.budget_s:g} s a run"
+        if samples is None
+        else f"{samples} samples, others to their end"
+    )
     return fill(
         "study",
         {**tables, "success": _by_range(tables["success"])},

@@ -14,12 +14,24 @@ from matplotlib.ticker import MaxNLocator
 from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED
 from jaxurban.maps.levels import listed_m
 from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plain_log, styled
-from jaxurban.report.satellites import peak_text, satellite_figures, satellite_files, satellite_tables, sentences_of
+from jaxurban.report.satellites import (
+    peak_text,
+    satellite_figures,
+    satellite_files,
+    satellite_tables,
+    sentences_of,
+)
 from jaxurban.report.write import Output, bullets, fill, study_outputs, table
 from jaxurban.settings import each
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE
-from jaxurban.studies.receiver.validate import COEFFICIENTS, MAIN, SPEARMAN, WITHIN, ReceiverValidation
+from jaxurban.studies.receiver.validate import (
+    COEFFICIENTS,
+    MAIN,
+    SPEARMAN,
+    WITHIN,
+    ReceiverValidation,
+)
 
 NAMES = {NUM_VISIBLE: "satellites in view", "gps": "GPS quality m"}
 LABELS = {TRACKED: "satellites tracked", ERROR: "horizontal error (m)"}
@@ -29,7 +41,9 @@ RECEIVER_COLOUR, MAP_COLOUR = "#d55e00", "#0072b2"
 
 
 OF_LOG = "Where satellites stand is what the log says, and those that its file leaves out are not counted."
-OF_ORBITS = "The maps hold the satellites of [gps] orbits only, all of which are taken to be healthy."
+OF_ORBITS = (
+    "The maps hold the satellites of [gps] orbits only, all of which are taken to be healthy."
+)
 
 
 def name_of(prediction: str) -> str:
@@ -41,11 +55,15 @@ def name_of(prediction: str) -> str:
 def plot_scatter(found: ReceiverValidation) -> Figure:
     """Return the receiver against the prediction that is its own, a point a piece of track, darker where many are."""
     rows = found.main.to_dict("records")
-    figure, axes = panels(len(rows), "Receiver against prediction, with rank correlations", panel_in=(4.2, 3.4))
+    figure, axes = panels(
+        len(rows), "Receiver against prediction, with rank correlations", panel_in=(4.2, 3.4)
+    )
     for panel, row in zip(axes, rows, strict=True):
         witness, name = row["witness"], row["prediction"]
         known = found.pieces[found.pieces[witness].notna() & found.pieces[name].notna()]
-        x, y = (known[of_axis].clip(*ends_of(known[of_axis].to_numpy())) for of_axis in (name, witness))
+        x, y = (
+            known[of_axis].clip(*ends_of(known[of_axis].to_numpy())) for of_axis in (name, witness)
+        )
         for axis, of_axis, set_scale in (
             (panel.xaxis, name, panel.set_xscale),
             (panel.yaxis, witness, panel.set_yscale),
@@ -59,11 +77,20 @@ def plot_scatter(found: ReceiverValidation) -> Figure:
         title = f"within blocks {row[WITHIN]:.2f}, whole track {row[SPEARMAN]:.2f}"
         if name == NUM_VISIBLE:
             medians = known.groupby(np.round(known[name]))[witness].median()
-            panel.plot(medians.index, medians, color=RECEIVER_COLOUR, marker="o", markersize=3.5, linewidth=1.2)
+            panel.plot(
+                medians.index,
+                medians,
+                color=RECEIVER_COLOUR,
+                marker="o",
+                markersize=3.5,
+                linewidth=1.2,
+            )
             title += "  ·  line: medians"
         num = int(np.isinf(known[name]).sum())
         panel.set_title(title)
-        panel.set_xlabel(f"maps: {name_of(name)}{f' ({num} undetermined, at the right edge)' if num else ''}")
+        panel.set_xlabel(
+            f"maps: {name_of(name)}{f' ({num} undetermined, at the right edge)' if num else ''}"
+        )
         panel.set_ylabel(f"receiver: {LABELS[witness]}")
     letter_all(axes)
     return figure
@@ -80,7 +107,12 @@ def validation_outputs(found: ReceiverValidation) -> tuple[dict[str, Output], di
     if found.satellites is not None:
         tables |= satellite_files(found.satellites)
         figures |= satellite_figures(found, found.satellites)
-    key = {"log": found.log.name, "rows": rows, "scenario": found.scenario, "settings": found.settings.to_dict()}
+    key = {
+        "log": found.log.name,
+        "rows": rows,
+        "scenario": found.scenario,
+        "settings": found.settings.to_dict(),
+    }
     return study_outputs(validation_markdown(found), tables, figures), key
 
 
@@ -92,8 +124,14 @@ def validation_markdown(found: ReceiverValidation) -> str:
     others = found.scores[~is_main]
     of_sky = found.satellites
     orbits = ", ".join(f"`{name}`" for name in scenario["gps"]["orbits"])
-    has_angles = not found.log.witnesses and found.log.satellites is not None and AZIMUTH in found.log.satellites
-    of_judged = " (of rows that are judged)" if of_sky is not None and not found.log.witnesses else ""
+    has_angles = (
+        not found.log.witnesses
+        and found.log.satellites is not None
+        and AZIMUTH in found.log.satellites
+    )
+    of_judged = (
+        " (of rows that are judged)" if of_sky is not None and not found.log.witnesses else ""
+    )
     facts = {
         "epochs": f"{of['epochs']:,}, of which {of['epochs_left_out']:,} are left out: in a building or without data",
         "time": f"{of['first_utc']} to {of['last_utc']}",
@@ -102,7 +140,9 @@ def validation_markdown(found: ReceiverValidation) -> str:
         f"satellites tracked, mean{of_judged}": _number(of.get(f"mean_{TRACKED}", math.nan), 1),
         "maps": f"cells of {of['resolution_m']:g} m, elevation mask {listed_m(masks_deg)} degrees, "
         f"`oversample` {scenario['region']['oversample']}, antenna {settings.antenna_height_m:g} m above the ground",
-        "orbits": "" if has_angles else f"{orbits}; {of['num_skies']} skies, one each {settings.sky_step_s:g} s",
+        "orbits": ""
+        if has_angles
+        else f"{orbits}; {of['num_skies']} skies, one each {settings.sky_step_s:g} s",
         "city": f"buildings `{scenario['buildings']['source']}`, terrain `{scenario['terrain']['source'] or 'flat'}`",
     }
     return fill(
@@ -134,9 +174,18 @@ def score_table(scores: pd.DataFrame) -> str:
     """Return rows of scores as a table."""
     rows = []
     for row in scores.to_dict("records"):
-        cells = [LABELS[row["witness"]], name_of(row["prediction"]), f"{row['piece_m']:g} m", f"{row['num']:,}"]
+        cells = [
+            LABELS[row["witness"]],
+            name_of(row["prediction"]),
+            f"{row['piece_m']:g} m",
+            f"{row['num']:,}",
+        ]
         for name in COEFFICIENTS:
-            cells += [with_interval(row, name), _number(row[f"{name}_shifts_95"]), _number(row[f"{name}_p"], 3)]
+            cells += [
+                with_interval(row, name),
+                _number(row[f"{name}_shifts_95"]),
+                _number(row[f"{name}_p"], 3),
+            ]
         rows.append(cells)
     of_each = [head for name in COEFFICIENTS for head in (HEADS[name], "95 % of shifts below", "p")]
     return table(("receiver", "maps", "pieces of", "number", *of_each), rows)

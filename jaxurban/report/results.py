@@ -14,7 +14,9 @@ from jaxurban.studies.queries import Result
 from jaxurban.studies.receiver.validate import ReceiverValidation
 from jaxurban.studies.weights.study import Sensitivity
 
-KINDS: dict[type[Result], tuple[str, Any]] = {  # the command, and what returns the files and what decides them
+KINDS: dict[
+    type[Result], tuple[str, Any]
+] = {  # the command, and what returns the files and what decides them
     BenchmarkResult: ("study", analysis_outputs),
     MapComparison: ("compare", comparison_outputs),
     ReceiverValidation: ("validate", validation_outputs),

@@ -9,7 +9,14 @@ from typing import Any
 import pandas as pd
 
 from jaxurban.errors import GuessWarning, InputError, one_of, typed
-from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, RowStore, fingerprint, read_table, write_table
+from jaxurban.io.tables import (
+    INSTANCES_FILE,
+    ROWS_FILE,
+    RowStore,
+    fingerprint,
+    read_table,
+    write_table,
+)
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.memory import check_fits
@@ -48,7 +55,10 @@ ROUTES_FOLDER = "routes"
 
 @typed
 def sensitivity_study(
-    sources: Mapping[str, MetricMaps | MapsFolder | str | Path] | Sequence[MapsFolder | str | Path] | str | Path,
+    sources: Mapping[str, MetricMaps | MapsFolder | str | Path]
+    | Sequence[MapsFolder | str | Path]
+    | str
+    | Path,
     folder: str | Path,
     routes: pd.DataFrame | int = 30,
     *,
@@ -101,7 +111,11 @@ def sensitivity_study(
       0  demo  optimal            0.08       0.88        NaN
       1  demo  optimal            0.08        NaN       4.19
     """
-    folder, settings, given = Path(folder), settings or SensitivityStudySettings(), named_sources(sources)
+    folder, settings, given = (
+        Path(folder),
+        settings or SensitivityStudySettings(),
+        named_sources(sources),
+    )
     check_workers(workers, given.values())
     if isinstance(routes, int) and routes < 1:
         raise InputError(
@@ -109,10 +123,22 @@ def sensitivity_study(
         )
     opened, settings, weights = _opened(given, settings, weights)
     instances = _instances(opened, routes, altitudes_m, weights, settings)
-    _check_vary(settings.vary, instances, dict.fromkeys(name for maps in opened.values() for name in maps.metrics))
+    _check_vary(
+        settings.vary,
+        instances,
+        dict.fromkeys(name for maps in opened.values() for name in maps.metrics),
+    )
     about = {city: maps.identity for city, maps in opened.items()}
-    key = settings.to_dict() | {"maps": about, "order_of_cities": [*about], "routes": _routes_key(instances)}
-    job = settings if workers == 1 or settings.num_threads is not None else replace(settings, num_threads=1)
+    key = settings.to_dict() | {
+        "maps": about,
+        "order_of_cities": [*about],
+        "routes": _routes_key(instances),
+    }
+    job = (
+        settings
+        if workers == 1 or settings.num_threads is not None
+        else replace(settings, num_threads=1)
+    )
     folders = ROUTES_FOLDER, OnPerturbedMaps.folder, OnOtherParameters.folder
     names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in folders), *FILES]
     with (
@@ -121,7 +147,10 @@ def sensitivity_study(
     ):
         write_table(instances, folder / INSTANCES_FILE)
         file = folder / ROUTES_FOLDER / ROWS_FILE
-        rows = _by_city(run_rows(file, job, instances, given, row_columns, workers=workers, report=report), opened)
+        rows = _by_city(
+            run_rows(file, job, instances, given, row_columns, workers=workers, report=report),
+            opened,
+        )
         changed, skipped = _remade(folder, instances, given, opened, settings, scenarios, report)
         report("report")
         is_sampled = not isinstance(routes, pd.DataFrame)
@@ -137,7 +166,9 @@ def _by_city(rows: pd.DataFrame, cities: Iterable[str]) -> pd.DataFrame:
     if rows.empty:
         return rows
     order = {city: number for number, city in enumerate(cities)}
-    return rows.sort_values("city", key=lambda names: names.map(order), kind="stable", ignore_index=True)
+    return rows.sort_values(
+        "city", key=lambda names: names.map(order), kind="stable", ignore_index=True
+    )
 
 
 def _opened(
@@ -181,9 +212,16 @@ def named_sources(sources: Any) -> dict[str, Source]:
     else:
         several = [sources] if isinstance(sources, str | Path | MapsFolder) else list(sources)
         if any(isinstance(source, MetricMaps) for source in several):
-            raise InputError("maps in memory have no name: give them by name, as {'manhattan': maps}")
-        folders = [source.folder if isinstance(source, MapsFolder) else source for source in several]
-        listed = [(Path(each).resolve().name, source) for each, source in zip(folders, several, strict=True)]
+            raise InputError(
+                "maps in memory have no name: give them by name, as {'manhattan': maps}"
+            )
+        folders = [
+            source.folder if isinstance(source, MapsFolder) else source for source in several
+        ]
+        listed = [
+            (Path(each).resolve().name, source)
+            for each, source in zip(folders, several, strict=True)
+        ]
     names = [name for name, _ in listed]
     if not names or len(set(names)) < len(names):
         raise InputError(
@@ -237,9 +275,13 @@ def _instances(
 def _check_vary(vary: Sequence[str], instances: pd.DataFrame, names: Iterable[str]) -> None:
     """Check that every weight to vary counts on one route at least; each route names those that do not on it."""
     names = tuple(names)
-    counted = [name for name in ("distance", *names) if (instances[f"{WEIGHT_PREFIX}{name}"] > 0).any()]
+    counted = [
+        name for name in ("distance", *names) if (instances[f"{WEIGHT_PREFIX}{name}"] > 0).any()
+    ]
     if not vary and not set(names) & set(counted):
-        raise InputError("every metric has weight 0 on every route, so nothing varies: give one a weight above 0")
+        raise InputError(
+            "every metric has weight 0 on every route, so nothing varies: give one a weight above 0"
+        )
     for name in vary:
         if one_of("a weight that varies", name, ("distance", *names)) not in counted:
             raise InputError(
@@ -255,7 +297,9 @@ def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:
         raise InputError("the table of routes has no rows: give at least one route")
     if "city" not in routes:
         if len(cities) > 1:
-            raise InputError("the routes lack the column 'city', which says on which of the maps each lies: add it")
+            raise InputError(
+                "the routes lack the column 'city', which says on which of the maps each lies: add it"
+            )
         return
     named = dict.fromkeys(map(str, routes["city"]))
     if strange := [name for name in named if name not in cities]:
@@ -264,19 +308,27 @@ def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:
             "its routes out"
         )
     if lost := [city for city in cities if city not in named]:
-        raise InputError(f"the routes hold none of the city {lost[0]!r}: add some, or leave its maps out")
+        raise InputError(
+            f"the routes hold none of the city {lost[0]!r}: add some, or leave its maps out"
+        )
 
 
-def _given_routes(routes: pd.DataFrame, city: str, maps: MetricMaps, weights: GivenWeights) -> pd.DataFrame:
+def _given_routes(
+    routes: pd.DataFrame, city: str, maps: MetricMaps, weights: GivenWeights
+) -> pd.DataFrame:
     part = routes
     if "city" in routes:
-        others = set(weight_columns(weighed_metrics(routes.columns))) - set(weight_columns(maps.metrics))
+        others = set(weight_columns(weighed_metrics(routes.columns))) - set(
+            weight_columns(maps.metrics)
+        )
         part = routes[routes["city"].astype(str) == city].drop(columns=["city", *others])
     if "instance" in part:
         part = checked_instances(part, f"the instances of {city}")
     else:
         queries = part.reset_index(drop=True).dropna(axis=1, how="all")
-        part = instances_of_queries(maps, read_queries(queries, weights=weights, metrics=maps.metrics))
+        part = instances_of_queries(
+            maps, read_queries(queries, weights=weights, metrics=maps.metrics)
+        )
     check_instances(part, maps)
     return part
 
@@ -294,7 +346,10 @@ def _remade(
 
     Whole maps at a time are kept.
     """
-    is_asked = {OnPerturbedMaps: settings.num_heights > 0, OnOtherParameters: settings.has_parameters}
+    is_asked = {
+        OnPerturbedMaps: settings.num_heights > 0,
+        OnOtherParameters: settings.has_parameters,
+    }
     stores = {
         kind: RowStore(folder / kind.folder / ROWS_FILE, kind.key, has_parts=True)
         for kind in is_asked
@@ -313,7 +368,9 @@ def _remade(
             of_city = instances[instances.city == city]
             for kind, store in stores.items():
                 stage, changes = f"{kind.called} of {city}", kind.changes(task, settings)
-                for number, (change, other) in enumerate(zip(changes, kind.tasks(task, settings), strict=True)):
+                for number, (change, other) in enumerate(
+                    zip(changes, kind.tasks(task, settings), strict=True)
+                ):
                     report(stage, number, len(changes))
                     if isinstance(other, InputError):
                         skipped.append(f"{city}: {other}")
@@ -321,12 +378,17 @@ def _remade(
                     job = kind(nominal=maps, change=change, **rules)
                     if left := tasks_of(of_city, job, store):
                         made = _made(other).with_obstacles(maps.obstacles)
-                        store.add([row for rows in solve_here(left, {city: made}, job) for row in rows])
+                        store.add(
+                            [row for rows in solve_here(left, {city: made}, job) for row in rows]
+                        )
                 report(stage, len(changes), len(changes))
     finally:
         for store in stores.values():
             store.save(row_columns(store.rows))
-    tables = {kind.folder: read_table(store.file, "rows of changed maps") for kind, store in stores.items()}
+    tables = {
+        kind.folder: read_table(store.file, "rows of changed maps")
+        for kind, store in stores.items()
+    }
     return {name: _by_city(rows, opened) for name, rows in tables.items()}, tuple(skipped)
 
 
@@ -338,7 +400,9 @@ def _made(task: MapTask) -> MetricMaps:
         return compute_maps(task)
 
 
-def _map_task(city: str, source: Source, maps: MetricMaps, scenarios: Mapping[str, Scenario] | None) -> MapTask:
+def _map_task(
+    city: str, source: Source, maps: MetricMaps, scenarios: Mapping[str, Scenario] | None
+) -> MapTask:
     """Return what the maps of a city are made of, its sources read again.
 
     Raises:
@@ -347,12 +411,16 @@ def _map_task(city: str, source: Source, maps: MetricMaps, scenarios: Mapping[st
     scenario = (scenarios or {}).get(city)
     if scenario is None:
         if isinstance(source, MetricMaps):
-            raise InputError("maps in memory do not name their sources: give the scenario, or a folder of maps")
+            raise InputError(
+                "maps in memory do not name their sources: give the scenario, or a folder of maps"
+            )
         scenario = scenario_of(Path(source.folder))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GuessWarning)  # reported when the maps were made
         tasks = maps_tasks_of(scenario)
     task = next((task for task in tasks if task.region == maps.grid), None)
     if task is None or not set(maps.metrics) == set(task.metrics):
-        raise InputError("the scenario makes other maps than these (another grid, or other metrics): give theirs")
+        raise InputError(
+            "the scenario makes other maps than these (another grid, or other metrics): give theirs"
+        )
     return task

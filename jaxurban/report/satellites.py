@@ -67,7 +67,11 @@ NAMES = {"auc": "all satellites", "within": "within each satellite"}  # of score
 AROUND_M = 10.0  # of track, along which agreement is counted
 MARGINS_M = np.array([-50, -20, -10, -5, -2, 0, 2, 5, 10, 20, 50])  # between the classes of margins
 SHARE = Colours(
-    "cividis", Normalize(0.4, 1.0), "share of satellites that agree", extend="min", ticks=(0.4, 0.6, 0.8, 1.0)
+    "cividis",
+    Normalize(0.4, 1.0),
+    "share of satellites that agree",
+    extend="min",
+    ticks=(0.4, 0.6, 0.8, 1.0),
 )
 STRENGTH = Colours(
     "viridis_r",
@@ -90,7 +94,9 @@ def satellite_files(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
     }
 
 
-def satellite_figures(found: ReceiverValidation, of: SatelliteAgreement) -> dict[str, Callable[[], Figure]]:
+def satellite_figures(
+    found: ReceiverValidation, of: SatelliteAgreement
+) -> dict[str, Callable[[], Figure]]:
     """Return what draws each figure, by file name."""
     return {
         "track": partial(plot_track, found, of),
@@ -103,7 +109,9 @@ def satellite_figures(found: ReceiverValidation, of: SatelliteAgreement) -> dict
 def satellite_tables(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
     """Return the tables of the report: scores, displaced cities beside the one in its place, rivals, and by blocks."""
     names = ["auc", "within"]
-    null = [of.displaced[names].quantile(share) for share in (0.5, 1.0)]  # of all that could be scored
+    null = [
+        of.displaced[names].quantile(share) for share in (0.5, 1.0)
+    ]  # of all that could be scored
     cities = pd.concat([of.scores.loc[of.scores.which == "all", names], pd.DataFrame(null)])
     num = f"{of.counts['num_displaced']} of {of.counts['num_asked']} displaced ones that could be scored"
     cities.insert(0, "the city", ["in its place", f"{num}, median", "most"])
@@ -122,7 +130,11 @@ def peak_text(of: SatelliteAgreement) -> str:
 def sentences_of(of: SatelliteAgreement) -> dict[str, str]:
     """Return what the report says of how this log was judged: of rays, of the signal, and of rows left out."""
     judged = "Which rays are unknown is decided from place and direction alone, whether or not a roof hides them."
-    strong = "this log's median" if of.counts["is_median"] else "the weakest that was received: of most nothing was"
+    strong = (
+        "this log's median"
+        if of.counts["is_median"]
+        else "the weakest that was received: of most nothing was"
+    )
     every = of.counts["every"]
     part = f"All that moves cities or roofs, and the rules, take one of {every} epochs of this long log."
     return {
@@ -135,7 +147,9 @@ def sentences_of(of: SatelliteAgreement) -> dict[str, str]:
 def _with_digits(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table of the report, scores and losses with three digits behind the point."""
     names = [name for name in SCORES if name in table]
-    texts = pd.DataFrame({name: [score_text(row, name) for row in table.to_dict("records")] for name in names})
+    texts = pd.DataFrame(
+        {name: [score_text(row, name) for row in table.to_dict("records")] for name in names}
+    )
     ends = [f"{name}{end}" for name in names for end in ("_low", "_high") if f"{name}_low" in table]
     return table.reset_index(drop=True).assign(**texts).drop(columns=ends)
 
@@ -166,12 +180,22 @@ def plot_track(found: ReceiverValidation, of: SatelliteAgreement) -> Figure:
     panel = figure.subplots()
     dress(panel)
     panel.plot(x_m, y_m, color=FAINT_INK, linewidth=0.6, zorder=0)
-    panel.scatter(x_m[is_known], y_m[is_known], s=45, c=SHARE(share[is_known]), edgecolors=INK, linewidths=0.3)
-    panel.scatter(x_m[~is_known], y_m[~is_known], s=25, marker="x", color=INK, label="nothing judged")
+    panel.scatter(
+        x_m[is_known], y_m[is_known], s=45, c=SHARE(share[is_known]), edgecolors=INK, linewidths=0.3
+    )
+    panel.scatter(
+        x_m[~is_known], y_m[~is_known], s=25, marker="x", color=INK, label="nothing judged"
+    )
     for sky in of.skies:
         nearest = np.hypot(epochs.lon_deg - sky.lon_deg, epochs.lat_deg - sky.lat_deg).argmin()
         k = places.index.get_loc(piece[nearest])
-        panel.annotate(sky.name, (x_m[k], y_m[k]), (14, 14), textcoords="offset points", arrowprops={"arrowstyle": "-"})
+        panel.annotate(
+            sky.name,
+            (x_m[k], y_m[k]),
+            (14, 14),
+            textcoords="offset points",
+            arrowprops={"arrowstyle": "-"},
+        )
     panel.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
     panel.legend()
     add_colour_bar(figure, [panel], SHARE)
@@ -190,15 +214,30 @@ def plot_margin(of: SatelliteAgreement) -> Figure:
         strength_dbhz = judged.cn0_dbhz[number == k]
         is_heard = strength_dbhz > 0
         colour = HIDDEN if k < len(MARGINS_M) / 2 else SEEN
-        look = {"boxprops": {"facecolor": colour}, "medianprops": {"color": "white"}, "patch_artist": True}
-        panel.boxplot(strength_dbhz[is_heard], positions=[k], widths=0.7, whis=(5, 95), showfliers=False, **look)
-        panel.annotate(f"{len(is_heard):,}", (k, 1.0), xycoords=("data", "axes fraction"), ha="center")
+        look = {
+            "boxprops": {"facecolor": colour},
+            "medianprops": {"color": "white"},
+            "patch_artist": True,
+        }
+        panel.boxplot(
+            strength_dbhz[is_heard],
+            positions=[k],
+            widths=0.7,
+            whis=(5, 95),
+            showfliers=False,
+            **look,
+        )
+        panel.annotate(
+            f"{len(is_heard):,}", (k, 1.0), xycoords=("data", "axes fraction"), ha="center"
+        )
         below.bar(k, 1 - is_heard.mean(), color=colour, width=0.7)
     for each in axes:
         dress(each)
         each.axvline(len(MARGINS_M) / 2, color=INK, linewidth=1.2)
     below.set_xticks(np.arange(len(MARGINS_M)) + 0.5, MARGINS_M)
-    below.set_xlabel("hidden  ←  height of the antenna above the edge of the shadow (m)  →  in view")
+    below.set_xlabel(
+        "hidden  ←  height of the antenna above the edge of the shadow (m)  →  in view"
+    )
     below.set_ylabel("not received")
     below.yaxis.set_major_formatter(PercentFormatter(1.0))
     panel.set_ylabel("C/N0 (dBHz)")
@@ -222,12 +261,19 @@ def plot_displacement(of: SatelliteAgreement) -> Figure:
     field.plot(of.peak["east_m"], of.peak["north_m"], "x", color=INK)
     field.add_patch(Circle((0, 0), of.peak["within_95_m"], fill=False))
     field.grid(visible=False)
-    field.set(xlabel="city moved east (m)", ylabel="city moved north (m)", aspect="equal", title="moved by metres")
+    field.set(
+        xlabel="city moved east (m)",
+        ylabel="city moved north (m)",
+        aspect="equal",
+        title="moved by metres",
+    )
     draw_cities(cities, of, {"within": HIDDEN, "auc": SEEN})
     scales.axvspan(of.peak["scale_low"], of.peak["scale_high"], color=ROOFS, alpha=0.5)
     scales.axvline(of.peak["scale"], color=INK)
     scales.plot(of.scales.scale, of.scales.auc, color=SEEN)
-    scales.set(xlabel="heights of all roofs times", ylabel="AUC", title="roofs made lower and higher")
+    scales.set(
+        xlabel="heights of all roofs times", ylabel="AUC", title="roofs made lower and higher"
+    )
     letter_all(axes)
     return figure
 
@@ -236,8 +282,19 @@ def draw_cities(panel: Axes, of: SatelliteAgreement, colours: Mapping[str, str])
     """Draw how displaced cities and the one in its place score, by the names of scores and their colours."""
     (true,) = of.scores[of.scores.which == "all"].to_dict("records")
     for name, colour in colours.items():
-        panel.hist(of.displaced[name].dropna(), bins=15, color=colour, alpha=0.6, label=f"displaced, {NAMES[name]}")
-        panel.axvline(true[name], color=colour, linewidth=2.5, label=f"the city in its place: {true[name]:.2f}")
+        panel.hist(
+            of.displaced[name].dropna(),
+            bins=15,
+            color=colour,
+            alpha=0.6,
+            label=f"displaced, {NAMES[name]}",
+        )
+        panel.axvline(
+            true[name],
+            color=colour,
+            linewidth=2.5,
+            label=f"the city in its place: {true[name]:.2f}",
+        )
     panel.set_ylim(top=panel.get_ylim()[1] * (1 + 0.3 * len(colours)))
     panel.legend(loc="upper left")
     title = f"{of.displaced.auc.notna().sum()} cities, moved by 80 to 450 m"
@@ -247,7 +304,9 @@ def draw_cities(panel: Axes, of: SatelliteAgreement, colours: Mapping[str, str])
 @styled
 def plot_skies(of: SatelliteAgreement) -> Figure:
     """Return the sky over the places of least and of most agreement: roofs, and satellites by strength."""
-    figure = chart(9.0, 4.2, "The sky over two places: the zenith in the middle, the horizon at the rim")
+    figure = chart(
+        9.0, 4.2, "The sky over two places: the zenith in the middle, the horizon at the rim"
+    )
     axes = figure.subplots(1, len(of.skies), subplot_kw={"projection": "polar"}, squeeze=False)[0]
     for panel, sky in zip(axes, of.skies, strict=True):
         draw_horizon(panel, sky)
@@ -256,13 +315,23 @@ def plot_skies(of: SatelliteAgreement) -> Figure:
             rows = sky.satellites[sky.satellites.is_seen == is_seen].sort_values("azimuth_deg")
             colours = STRENGTH(rows.cn0_dbhz.to_numpy())
             colours[rows.cn0_dbhz == 0] = 1.0
-            look = {"marker": marker, "c": colours, "edgecolors": INK, "linewidths": 0.7, "label": label}
+            look = {
+                "marker": marker,
+                "c": colours,
+                "edgecolors": INK,
+                "linewidths": 0.7,
+                "label": label,
+            }
             x, y = np.radians(rows.azimuth_deg), 90 - rows.elevation_deg
-            alpha = np.where(rows.is_judged, 1.0, 0.3) if len(rows) else None  # Matplotlib refuses none
+            alpha = (
+                np.where(rows.is_judged, 1.0, 0.3) if len(rows) else None
+            )  # Matplotlib refuses none
             panel.scatter(x, y, s=50, alpha=alpha, **look)
             for k, name in enumerate(rows.satellite):
                 offset = (4, 4) if k % 2 else (4, -9)
-                panel.annotate(name, (x.iloc[k], y.iloc[k]), offset, textcoords="offset points", size=6)
+                panel.annotate(
+                    name, (x.iloc[k], y.iloc[k]), offset, textcoords="offset points", size=6
+                )
     letter_all(axes)
     add_colour_bar(figure, axes, STRENGTH)
     legend_below(figure, axes[0])
@@ -277,4 +346,6 @@ def draw_horizon(panel: PolarAxes, sky: PlaceSky) -> None:
     panel.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])
     panel.set_yticks([30, 60], ["", ""])
     horizon_deg = np.append(sky.horizon_deg, sky.horizon_deg[0])
-    panel.fill_between(np.radians(np.arange(361)), 90 - horizon_deg, 90, color=ROOFS, label="buildings")
+    panel.fill_between(
+        np.radians(np.arange(361)), 90 - horizon_deg, 90, color=ROOFS, label="buildings"
+    )

@@ -18,7 +18,13 @@ from jaxurban.studies.weights.study import Sensitivity
 
 TABLES = "cost_gradient", "local", "sobol", "switches", "pareto"
 FIGURES = "switches", "switch_routes", "pareto"
-FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
+FILES = files_of(
+    [
+        *(f"tables/{name}" for name in TABLES),
+        *(f"figures/{name}.png" for name in FIGURES),
+        REPORT_FILE,
+    ]
+)
 ALIKE = 0.05  # routes are much the same where no outcome differs by more than this share
 MORE = 1.1  # the change of a weight that the report speaks of: 10 %
 CLEAR = 2.0  # standard errors from 0
@@ -29,7 +35,11 @@ RANKING = "rank", "per_metre", "height_m", "lon", "lat", "distance_m"
 def sensitivity_outputs(found: Sensitivity) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a study of one route writes, by file name, and what it is of."""
     route = found.route
-    settings = {"route": route.settings, "lonlat": route.lonlat[[0, -1]].tolist(), "weights": found.weights.tolist()}
+    settings = {
+        "route": route.settings,
+        "lonlat": route.lonlat[[0, -1]].tolist(),
+        "weights": found.weights.tolist(),
+    }
     settings |= asdict(found.settings)
     tables = {name: table.reset_index() for name, table in found.tables().items()}
     outputs = study_outputs(sensitivity_markdown(found), tables, sensitivity_figures(found))
@@ -70,23 +80,49 @@ def sensitivity_markdown(found: Sensitivity, buildings: pd.DataFrame | None = No
 
 def shown_tables(found: Sensitivity) -> dict[str, pd.DataFrame]:
     """Return the tables of the report by name."""
-    points, outcomes, sobol = found.front.points[[*found.front.objectives]], found.outcomes, found.sobol
-    at = [{"weight": name, **ranges(found, name), "routes": len(found.lines[name].cells)} for name in found.lines]
+    points, outcomes, sobol = (
+        found.front.points[[*found.front.objectives]],
+        found.outcomes,
+        found.sobol,
+    )
+    at = [
+        {"weight": name, **ranges(found, name), "routes": len(found.lines[name].cells)}
+        for name in found.lines
+    ]
     values = outcomes["value"].groupby("outcome", sort=False).first()
-    change = outcomes["expected_slope"] * np.log(MORE) / outcomes["expected"].abs().clip(lower=1e-12)
+    change = (
+        outcomes["expected_slope"] * np.log(MORE) / outcomes["expected"].abs().clip(lower=1e-12)
+    )
     is_clear = outcomes["expected_slope"].abs() > CLEAR * outcomes["expected_slope_se"]
-    changes = change.map("{:+.1%}".format).where(is_clear, "unclear").unstack().loc[values.index, [*found.names]].T
+    changes = (
+        change.map("{:+.1%}".format)
+        .where(is_clear, "unclear")
+        .unstack()
+        .loc[values.index, [*found.names]]
+        .T
+    )
     spread = sobol.groupby("outcome", sort=False)[["lowest", "highest"]].first()
     total = [f"{total:.2f} ± {half:.2f}" for total, half in sobol[["total", "total_ci"]].to_numpy()]
-    shares = pd.Series(total, sobol.index).where(sobol["total"].notna(), "").unstack()[[*found.lines]]
+    shares = (
+        pd.Series(total, sobol.index).where(sobol["total"].notna(), "").unstack()[[*found.lines]]
+    )
     tables = {
-        "outcomes": pd.DataFrame({"value": values, "unit": [outcome_unit(str(name)) for name in values.index]}),
+        "outcomes": pd.DataFrame(
+            {"value": values, "unit": [outcome_unit(str(name)) for name in values.index]}
+        ),
         "indices": spread.join(shares).loc[spread.index],
     }
-    tables = {name: table.rename(index=outcome_label).rename_axis("outcome") for name, table in tables.items()}
-    tables["changes"] = changes.rename(columns=outcome_label).rename_axis(f"{MORE - 1:.0%} more of", axis=0)
+    tables = {
+        name: table.rename(index=outcome_label).rename_axis("outcome")
+        for name, table in tables.items()
+    }
+    tables["changes"] = changes.rename(columns=outcome_label).rename_axis(
+        f"{MORE - 1:.0%} more of", axis=0
+    )
     tables |= {"costs": found.cost, "ends": points.loc[[points[name].idxmin() for name in points]]}
-    return {name: table.reset_index() for name, table in tables.items()} | {"ranges": pd.DataFrame(at)}
+    return {name: table.reset_index() for name, table in tables.items()} | {
+        "ranges": pd.DataFrame(at)
+    }
 
 
 def ranges(found: Sensitivity, name: str) -> dict[str, float]:

@@ -26,14 +26,21 @@ TABLES = (
     *("remade", "remade_summary", "parameters", "parameters_summary"),
 )
 FIGURES = "regret", "nearest"
-FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
+FILES = files_of(
+    [
+        *(f"tables/{name}" for name in TABLES),
+        *(f"figures/{name}.png" for name in FIGURES),
+        REPORT_FILE,
+    ]
+)
 STATISTICS, ENDS = ("regret", "changes", "nearest", "share"), ("", "_low", "_high")
 SAMPLED = (
     "Routes were drawn by stratum and range in equal numbers, only where a path joins a pair at every altitude, not as "
     "anyone flies: means are over such routes, not over traffic."
 )
 GIVEN = (
-    "The routes are those of the table that was given: means are over them, each once, and say nothing about others."
+    "The routes are those of the table that was given: "
+    "means are over them, each once, and say nothing about others."
 )
 MOST_REASONS = 3
 
@@ -84,7 +91,10 @@ class SensitivityStudy:
         found["summary"] = summary.summarise(found["weights"], self.settings.wrong)
         shares = summary.shares_table(routes)
         if len(shares):
-            found |= {"sobol": shares, "sobol_summary": summary.summarise_shares(shares, self.settings.num_samples)}
+            found |= {
+                "sobol": shares,
+                "sobol_summary": summary.summarise_shares(shares, self.settings.num_samples),
+            }
         for name, rows in {"remade": self.remade, "parameters": self.parameters}.items():
             if len(rows) and rows.status.isin(HAS_PATH).any():
                 found |= {name: rows, f"{name}_summary": summary.summarise_changed(rows)}
@@ -101,7 +111,9 @@ def study_markdown(found: SensitivityStudy) -> str:
     """Return the report as Markdown; it names figures and tables as `write_sensitivity_study` does."""
     settings, tables = found.settings, found.tables
     lost = found.rows[~found.rows.status.isin(HAS_PATH)].fillna({"note": ""})
-    reasons = lost.value_counts(["status", "note"]).head(MOST_REASONS).rename("routes").reset_index()
+    reasons = (
+        lost.value_counts(["status", "note"]).head(MOST_REASONS).rename("routes").reset_index()
+    )
     return fill(
         "sensitivity_study",
         {"cities": _cities(found), **shown_tables(tables)},
@@ -124,11 +136,15 @@ def _cities(found: SensitivityStudy) -> pd.DataFrame:
     rows = []
     for city, part in found.rows.groupby("city", sort=False):
         maps = found.maps[str(city)]
-        norms = ", ".join(f"{number:,.0f} ({day})" for day, number in population_norms(maps).items())
+        norms = ", ".join(
+            f"{number:,.0f} ({day})" for day, number in population_norms(maps).items()
+        )
         altitudes = ", ".join(f"{z:g} m" for z in sorted(part.altitude_m.unique()))
         row = {"city": city, "maps": maps.facts["grid"], "altitudes": altitudes}
         row |= {"pairs of places": part.instance.nunique(), "routes": len(part)}
-        rows.append(row | {"found": part.status.isin(HAS_PATH).sum(), "population is divided by": norms})
+        rows.append(
+            row | {"found": part.status.isin(HAS_PATH).sum(), "population is divided by": norms}
+        )
     return pd.DataFrame(rows)
 
 
@@ -144,23 +160,44 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     order = order.rename(columns={"value": "of", "weight_name": "weight"})
     is_whole = order.cut.isin([ALL, OVER_CITIES, "city"])
     is_part = order.cut.isin(CUTS) & ~is_whole & (order.weight != "distance")
-    shown = order[["of", "weight", "cities", "routes", *(f"{name}{end}" for name in STATISTICS for end in ENDS)]]
+    shown = order[
+        [
+            "of",
+            "weight",
+            "cities",
+            "routes",
+            *(f"{name}{end}" for name in STATISTICS for end in ENDS),
+        ]
+    ]
     found = {"by_all": shown[is_whole], "where": shown[is_part]}
     if "sobol_summary" in tables:
         total = tables["sobol_summary"].query("kind == 'total'")
-        is_clear, at_most = total.verdict == CLEAR, total.share_high.where(total.verdict == UNCLEAR).clip(lower=0)
-        needed = total.samples_needed.map(": about {:.0f} samples should do".format).where(total.samples_needed > 0, "")
+        is_clear, at_most = (
+            total.verdict == CLEAR,
+            total.share_high.where(total.verdict == UNCLEAR).clip(lower=0),
+        )
+        needed = total.samples_needed.map(": about {:.0f} samples should do".format).where(
+            total.samples_needed > 0, ""
+        )
         total = total.assign(outcome=total.outcome.map(outcome_label), **{"at most": at_most})
         total["verdict"] += needed
         total.loc[~is_clear, [f"share{end}" for end in ENDS]] = np.nan
-        found["sobol"] = total[["outcome", "weight_name", *(f"share{end}" for end in ENDS), "at most", "verdict"]]
+        found["sobol"] = total[
+            ["outcome", "weight_name", *(f"share{end}" for end in ENDS), "at most", "verdict"]
+        ]
     if "remade_summary" in tables:
         remade = tables["remade_summary"]
-        names = [f"{name}{end}" for name in ("is_other", "nominal_regret", "nominal_is_closed") for end in ENDS]
+        names = [
+            f"{name}{end}"
+            for name in ("is_other", "nominal_regret", "nominal_is_closed")
+            for end in ENDS
+        ]
         found["perturbed"] = remade[["of", "routes", *names]]
     if "parameters_summary" in tables:
         changed = tables["parameters_summary"]
-        names = [f"{name}{end}" for name in ("is_other", "overlap", "nominal_regret") for end in ENDS]
+        names = [
+            f"{name}{end}" for name in ("is_other", "overlap", "nominal_regret") for end in ENDS
+        ]
         is_shown = changed.cut.isin([ALL, "city"])
         found["parameters"] = changed.loc[is_shown, ["parameter", "factor", "of", "routes", *names]]
     return found
@@ -171,4 +208,6 @@ def weights_said(instances: pd.DataFrame) -> str:
     columns = weight_columns(weighed_metrics(instances.columns))
     if len(instances[list(columns)].drop_duplicates()) > 1:
         return "those of each route (`instances.parquet`)"
-    return ", ".join(f"{name.removeprefix(WEIGHT_PREFIX)} {instances[name].iloc[0]:g}" for name in columns)
+    return ", ".join(
+        f"{name.removeprefix(WEIGHT_PREFIX)} {instances[name].iloc[0]:g}" for name in columns
+    )

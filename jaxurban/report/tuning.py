@@ -92,8 +92,12 @@ def run_tuning(
     if folder.exists() and not folder.is_dir():
         raise InputError(f"cannot write to the output folder {str(folder)!r}: it is a file")
     if settings.pilot is not None and not any(settings.pilot.to_dict().values()):
-        raise InputError("every weight of the pilot is 0, so that all routes cost the same: give one above 0 (--pilot)")
-    sources = {source: _files_of(source, files, settings.sample) for source, files in sources.items()}
+        raise InputError(
+            "every weight of the pilot is 0, so that all routes cost the same: give one above 0 (--pilot)"
+        )
+    sources = {
+        source: _files_of(source, files, settings.sample) for source, files in sources.items()
+    }
     opened, fits = [source.open() for source in sources], ONE_FIT | dict(settings.fits)
     targets = [Target.parse(text) for text in settings.targets]
     with reporting("tune") as report:
@@ -122,9 +126,14 @@ def run_tuning(
             planned = optimal_demonstrations([each.query for each in demonstrations], fit.weights)
             report("figures and report")
             sampled = f"{settings.sample} instances sampled with seed {settings.fit.seed}"
-            drawn_from = [(", ".join(map(str, files)) or sampled, source.folder) for source, files in sources.items()]
+            drawn_from = [
+                (", ".join(map(str, files)) or sampled, source.folder)
+                for source, files in sources.items()
+            ]
             asked = {"targets": ", ".join(map(str, targets))}
-            asked["sources"] = "; ".join(f"`{routes}` over the maps in `{where}`" for routes, where in drawn_from)
+            asked["sources"] = "; ".join(
+                f"`{routes}` over the maps in `{where}`" for routes, where in drawn_from
+            )
             if found is not None and len(found.fits) == 1 and not found.is_held_out.any():
                 found = None  # nothing to compare
             save(folder, outputs_of(fit, demonstrations, planned, asked, found))
@@ -142,14 +151,20 @@ def _names_of(folders: Sequence[Path]) -> list[str]:
     return [names[folder] for folder in folders]
 
 
-def _demonstrations(files: Sequence[Path], maps: MetricMaps, settings: TuneSettings) -> list[Demonstration]:
+def _demonstrations(
+    files: Sequence[Path], maps: MetricMaps, settings: TuneSettings
+) -> list[Demonstration]:
     """Return the routes on the maps of one folder."""
     if settings.sample is None:
         return [each for file in files for each in _read(file, maps, settings)]
     if files:
-        raise InputError(f"{str(files[0])!r} holds routes, and others are to be sampled: choose one of both")
+        raise InputError(
+            f"{str(files[0])!r} holds routes, and others are to be sampled: choose one of both"
+        )
     if settings.pilot is None and not settings.targets:
-        raise InputError("sampled instances have no routes of their own: name the weights of the pilot who flies them")
+        raise InputError(
+            "sampled instances have no routes of their own: name the weights of the pilot who flies them"
+        )
     how = dict(settings.routes)
     altitude_m, under = how.get("altitude_m"), {name: how[name] for name in UNDER if name in how}
     pilot = settings.pilot or Weights()
@@ -163,7 +178,11 @@ def _demonstrations(files: Sequence[Path], maps: MetricMaps, settings: TuneSetti
     )
     times = {name: how[name] for name in TIMES if how.get(name) is not None}
     return demonstrations_from_study(
-        instances[instances.is_connected].assign(**times), maps, planner=settings.planner, pilot=pilot, **how
+        instances[instances.is_connected].assign(**times),
+        maps,
+        planner=settings.planner,
+        pilot=pilot,
+        **how,
     )
 
 
@@ -174,7 +193,9 @@ def _files_of(source: MapsFolder, files: Sequence[Path], sample: int | None) -> 
     folder = Path(source.folder)
     study = study_in(folder)
     if study is not None and not (folder / ZARR_FOLDER).exists():
-        raise InputError(f"{str(folder)!r} holds a study and no maps: name the folder of its maps before it")
+        raise InputError(
+            f"{str(folder)!r} holds a study and no maps: name the folder of its maps before it"
+        )
     if study is None:
         raise InputError(
             f"there are no routes for the maps in {str(source.folder)!r}: name files of routes or a study after it, or "
@@ -233,7 +254,9 @@ def outputs_of(
         tables["outcomes"] = outcomes
     outputs |= {"weights": weights.assign(unit=units), "examples": routes}
     for name, one in pictures.items():
-        outputs[f"figures/{name}.png"] = partial(plot_routes, demonstrations, planned, one, vector, given)
+        outputs[f"figures/{name}.png"] = partial(
+            plot_routes, demonstrations, planned, one, vector, given
+        )
     tables |= {
         "weights": weights.assign(unit=units),
         "setting": _setting([*pictures.values()]),
@@ -247,7 +270,9 @@ def outputs_of(
         num=len(routes),
         overlap=routes["overlap"].mean(),
         pictures="\n\n".join(f"![Routes](figures/{name}.png)" for name in pictures),
-        use=fill("use_weights", unit=first, option=weights_option(fit.weights), where=_where(first)),
+        use=fill(
+            "use_weights", unit=first, option=weights_option(fit.weights), where=_where(first)
+        ),
         **fields,
     )
     return outputs | {"weights.toml": weights_toml(fit, first), REPORT_FILE: report}
@@ -255,19 +280,32 @@ def outputs_of(
 
 def fits_section(found: FitComparison) -> str:
     """Return the section of a report on several fits."""
-    counts = {"num": len(found.is_bad), "num_held_out": found.is_held_out.sum(), "num_bad": found.is_bad.sum()}
+    counts = {
+        "num": len(found.is_bad),
+        "num_held_out": found.is_held_out.sum(),
+        "num_bad": found.is_bad.sum(),
+    }
     return fill("fits", {"fits": found.table.filter(regex="^(?!w_)")}, **counts)
 
 
 def _pictures(demonstrations: Sequence[Demonstration]) -> dict[str, CostMap]:
     """Return the maps that routes are drawn on, by the name of the picture."""
-    return {f"routes_{k}": one for k, one in enumerate(maps_of(each.query for each in demonstrations), start=1)}
+    return {
+        f"routes_{k}": one
+        for k, one in enumerate(maps_of(each.query for each in demonstrations), start=1)
+    }
 
 
 def _regrets(fit: WeightFit) -> pd.DataFrame:
     regret = fit.regret
-    facts = {"explained": (regret <= EXPLAINED).sum(), "mean": regret.mean(), "median": np.median(regret)}
-    return pd.DataFrame([facts | {"largest": regret.max(), "least mean found": fit.best_mean_regret}])
+    facts = {
+        "explained": (regret <= EXPLAINED).sum(),
+        "mean": regret.mean(),
+        "median": np.median(regret),
+    }
+    return pd.DataFrame(
+        [facts | {"largest": regret.max(), "least mean found": fit.best_mean_regret}]
+    )
 
 
 def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
@@ -292,7 +330,9 @@ def _means(routes: pd.DataFrame) -> pd.DataFrame:
     mean = routes.mean(numeric_only=True)
     names = [name for name in mean.index if f"planned_{name}" in mean.index]
     planned = mean[[f"planned_{name}" for name in names]].to_numpy()
-    return pd.DataFrame({"mean over routes": names, "as given": mean[names].to_numpy(), "planned": planned})
+    return pd.DataFrame(
+        {"mean over routes": names, "as given": mean[names].to_numpy(), "planned": planned}
+    )
 
 
 def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
@@ -307,7 +347,9 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
     if isinstance(fit, WeightFit):
         ends = fit.table[["low", "high"]].to_numpy()
         return facts | {
-            "interval": None if np.isnan(ends).all() else dict(zip(fit.names, ends.tolist(), strict=True)),
+            "interval": None
+            if np.isnan(ends).all()
+            else dict(zip(fit.names, ends.tolist(), strict=True)),
             "mean_regret": float(fit.regret.mean()),
             "best_mean_regret": fit.best_mean_regret,
             "is_settled": fit.is_settled,
@@ -323,7 +365,11 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
 
 def weight_units(on: CostMap) -> dict[str, str]:
     """Return the unit of each weight on a map."""
-    per = "cell entered" if on.cost_model.kind == "cell" else f"{on.cost_model.reference_length_m:g} m flown"
+    per = (
+        "cell entered"
+        if on.cost_model.kind == "cell"
+        else f"{on.cost_model.reference_length_m:g} m flown"
+    )
     return {"distance": "per metre"} | dict.fromkeys(on.names, f"per {per}")
 
 

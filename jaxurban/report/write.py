@@ -19,12 +19,18 @@ from jaxurban.world.city import joined_credits
 
 REPORT_FILE = "report.md"
 DPI, NUM_COLOURS = 110, 256
-Output = str | pd.DataFrame | Callable[..., Any]  # a text, a table, or what draws a picture or writes a map
+Output = (
+    str | pd.DataFrame | Callable[..., Any]
+)  # a text, a table, or what draws a picture or writes a map
 
 
 def files_of(names: Iterable[str]) -> list[str]:
     """Return the names of the files that `save` writes for outputs of these names."""
-    return [f"{name}{suffix}" for name in names for suffix in ([""] if Path(name).suffix else reversed(SUFFIXES))]
+    return [
+        f"{name}{suffix}"
+        for name in names
+        for suffix in ([""] if Path(name).suffix else reversed(SUFFIXES))
+    ]
 
 
 def study_outputs(
@@ -32,7 +38,11 @@ def study_outputs(
 ) -> dict[str, Output]:
     """Return the outputs of a study by file name: ``tables/NAME``, ``figures/NAME.png``, and last ``report.md``."""
     outputs: dict[str, Output] = {f"tables/{name}": made for name, made in tables.items()}
-    return outputs | {f"figures/{name}.png": draw for name, draw in figures.items()} | {REPORT_FILE: report}
+    return (
+        outputs
+        | {f"figures/{name}.png": draw for name, draw in figures.items()}
+        | {REPORT_FILE: report}
+    )
 
 
 def save(folder: str | Path, outputs: Mapping[str, Output]) -> list[Path]:
@@ -69,8 +79,13 @@ def write_png(figure: Figure, file: Path) -> None:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-    rare_too, plain = Image.Quantize.MAXCOVERAGE, Image.Dither.NONE  # by median cut, lines and legends lose theirs
-    image.quantize(NUM_COLOURS, rare_too, kmeans=1, dither=plain).save(file, format="png", optimize=True)
+    rare_too, plain = (
+        Image.Quantize.MAXCOVERAGE,
+        Image.Dither.NONE,
+    )  # by median cut, lines and legends lose theirs
+    image.quantize(NUM_COLOURS, rare_too, kmeans=1, dither=plain).save(
+        file, format="png", optimize=True
+    )
 
 
 def fill(
@@ -95,10 +110,14 @@ def fill(
     text = (files("jaxurban.report") / "templates" / f"{template}.md").read_text(encoding="utf-8")
     shown = {name: framed(table) for name, table in (tables or {}).items() if len(table)}
     parts = re.split(r"\n(?=## )", text)
-    text = "\n".join(part for part in parts if set(re.findall(r"\{tables\[(\w+)\]\}", part)) <= set(shown))
+    text = "\n".join(
+        part for part in parts if set(re.findall(r"\{tables\[(\w+)\]\}", part)) <= set(shown)
+    )
     if figures is not None:
         names = "|".join(map(re.escape, figures)) or "-"
-        text = re.sub(rf"^!\[[^\n]*\]\(figures/(?!({names})\.png\))[^\n]*$", "", text, flags=re.MULTILINE)
+        text = re.sub(
+            rf"^!\[[^\n]*\]\(figures/(?!({names})\.png\))[^\n]*$", "", text, flags=re.MULTILINE
+        )
     text = re.sub(r"\n{3,}", "\n\n", text.strip().format(tables=shown, **fields)).strip()
     return f"{text}\n\nData: {credit}\n" if (credit := joined_credits(*credits)) else f"{text}\n"
 
@@ -113,7 +132,12 @@ def table(head: Iterable[str], rows: Iterable[Sequence[Any]]) -> str:
 
 def framed(frame: pd.DataFrame) -> str:
     """Return a table of pandas, a number with its interval (NAME, NAME_low, NAME_high) in one column (`interval`)."""
-    ends = {f"{name}{end}" for name in frame.columns for end in ("_low", "_high") if f"{name}_low" in frame}
+    ends = {
+        f"{name}{end}"
+        for name in frame.columns
+        for end in ("_low", "_high")
+        if f"{name}_low" in frame
+    }
     names = [name for name in frame.columns if name not in ends]
     rows = ([interval(row, name) for name in names] for row in frame.to_dict("records"))
     return table(names, rows)
@@ -129,7 +153,9 @@ def cell(value: Any) -> str:
     """Return a value of a table: numbers that are not whole with three digits, nothing for no number."""
     if not isinstance(value, float):
         return str(value)
-    return "" if not math.isfinite(value) else f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return (
+        "" if not math.isfinite(value) else f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    )
 
 
 def listed(items: Iterable[str]) -> str:

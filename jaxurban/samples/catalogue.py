@@ -11,7 +11,9 @@ from jaxurban.errors import InputError, nearest_name
 
 PREFIX = "sample:"
 BUILDINGS_FILE, BASE_MAP_FILE, LOG_FILE = "buildings.parquet", "basemap.parquet", "log.csv.gz"
-SAMPLES: dict[str, dict[str, dict[str, Any]]] = {  # what a scenario of each takes where it says nothing
+SAMPLES: dict[
+    str, dict[str, dict[str, Any]]
+] = {  # what a scenario of each takes where it says nothing
     "lower-manhattan": {
         "region": {"bounds": [-74.02, 40.70, -73.98, 40.73]},
         "population": {
@@ -19,10 +21,15 @@ SAMPLES: dict[str, dict[str, dict[str, Any]]] = {  # what a scenario of each tak
             "districts": "sample:lower-manhattan/districts.parquet",
             "credit": "US Census Bureau; NYC Open Data",
         },
-        "gps": {"orbits": ["sample:lower-manhattan/gps.tle"], "times": ["2020-04-27T16:00:00Z"]},  # the paper's day
+        "gps": {
+            "orbits": ["sample:lower-manhattan/gps.tle"],
+            "times": ["2020-04-27T16:00:00Z"],
+        },  # the paper's day
     },
     "shinjuku": {
-        "region": {"bounds": [139.6890, 35.6806, 139.7111, 35.6986]},  # 2 x 2 km, the station in the middle
+        "region": {
+            "bounds": [139.6890, 35.6806, 139.7111, 35.6986]
+        },  # 2 x 2 km, the station in the middle
         "gps": {
             "orbits": ["sample:shinjuku/gps.tle", "sample:shinjuku/galileo.tle"],
             "times": ["2018-12-19T03:00:00Z"],  # noon in Tokyo

@@ -35,11 +35,18 @@ MASK_DEG = 5.0  # beyond, those that hide a satellite above it from some place i
 NIHONBASHI_LOG = "tokyo/tokyo_nihonbashi_2023-06-22_satellites.csv.gz"
 KNOWN_M = 300.0  # of Nihonbashi: so far around the drive every roof is kept
 EDGE_M = 0.2  # so that no roof that is cut and rounded leaves it
-ROW_DEG, CELL_DEG = 1.5e-4, 1e-4  # height of the boxes that the file covers, and the step of their ends
+ROW_DEG, CELL_DEG = (
+    1.5e-4,
+    1e-4,
+)  # height of the boxes that the file covers, and the step of their ends
 ODBL, CC_BY, PUBLIC_DOMAIN = "ODbL-1.0", "CC-BY-4.0", "public domain"
 PLATEAU_CREDIT = "Project PLATEAU (MLIT), CC BY 4.0"
 CENSUS_CREDIT, DISTRICTS_CREDIT = "US Census Bureau", "NYC Open Data (Department of City Planning)"
-TAG_OF = {"part": "building:part", "levels": "building:levels", "roof_levels": "roof:levels"}  # where not the same
+TAG_OF = {
+    "part": "building:part",
+    "levels": "building:levels",
+    "roof_levels": "roof:levels",
+}  # where not the same
 TAG_OF |= {"min_level": "building:min_level"}
 
 
@@ -52,7 +59,9 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     assert set(frame.columns) - {"geometry"} <= set(TAGS)
     issues = {issue.value: count for issue, count in outlines.issues.items() if count}
     facts = {"credit": OSM_CREDIT, "licence": ODBL, "boxes": outlines.boxes, "issues": issues}
-    write_geoparquet(home / BUILDINGS_FILE, frame, facts)  # not rounded: its maps are those of the extract itself
+    write_geoparquet(
+        home / BUILDINGS_FILE, frame, facts
+    )  # not rounded: its maps are those of the extract itself
 
     box = header_box(osm, "pbf")
     assert box is not None
@@ -66,11 +75,15 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     blocks, _ = read_blocks(census, crs, box_m)
     counts = {"GEOID10": blocks.block_id, "POP10": blocks.night_count.astype(np.int64)}
     frame = gpd.GeoDataFrame(counts, geometry=blocks.polygons, crs=crs).to_crs(WGS84)
-    write_geoparquet(home / "blocks.parquet", rounded(frame), {"credit": CENSUS_CREDIT, "licence": PUBLIC_DOMAIN})
+    write_geoparquet(
+        home / "blocks.parquet", rounded(frame), {"credit": CENSUS_CREDIT, "licence": PUBLIC_DOMAIN}
+    )
 
     areas, labels, _ = read_districts(data / "districts/nyc_community_districts.geojson", crs)
     around = shapely.box(*shapely.total_bounds(blocks.polygons)).buffer(10.0, join_style="mitre")
-    frame = gpd.GeoDataFrame({"BoroCD": labels}, geometry=shapely.intersection(areas, around), crs=crs).to_crs(WGS84)
+    frame = gpd.GeoDataFrame(
+        {"BoroCD": labels}, geometry=shapely.intersection(areas, around), crs=crs
+    ).to_crs(WGS84)
     facts = {"credit": DISTRICTS_CREDIT, "licence": "NYC Open Data terms of use"}
     write_geoparquet(home / "districts.parquet", rounded(frame[~frame.is_empty]), facts)
     write_nominal(home / "gps.tle", date(2020, 4, 27), GPS)
@@ -108,13 +121,17 @@ def make_nihonbashi(data: Path, home: Path) -> None:
     drive = np.column_stack(transformer(WGS84, crs).transform(track["lon_deg"], track["lat_deg"]))
     boxes = boxes_inside(shapely.LineString(drive).buffer(KNOWN_M), crs)
     project = transformer(WGS84, crs)
-    known = shapely.union_all([shapely.box(*project.transform_bounds(*box, densify_pts=101)) for box in boxes])
+    known = shapely.union_all(
+        [shapely.box(*project.transform_bounds(*box, densify_pts=101)) for box in boxes]
+    )
     known = known.buffer(-EDGE_M, join_style="mitre")
     frame = gpd.read_parquet(data / "tokyo/tokyo-east-lod2.parquet")
     frame = frame.set_geometry(shapely.make_valid(frame.geometry.to_numpy())).to_crs(crs)
     frame = frame.clip(known).sort_index().to_crs(WGS84)
     facts = {"credit": PLATEAU_CREDIT, "licence": CC_BY, "boxes": boxes}
-    write_geoparquet(home / BUILDINGS_FILE, rounded(frame.assign(height=frame["height"].round(1))), facts)
+    write_geoparquet(
+        home / BUILDINGS_FILE, rounded(frame.assign(height=frame["height"].round(1))), facts
+    )
     write_nominal(home / "gps.tle", date(2023, 6, 22), GPS)
     write_nominal(home / "galileo.tle", date(2023, 6, 22), GALILEO)
 
@@ -126,7 +143,9 @@ def boxes_inside(area: shapely.Polygon, crs: str) -> list[Bounds]:
     west, south, east, north = project.transform_bounds(*bounds_m, direction="INVERSE")
 
     def is_inside(first: float, low: float, last: float) -> bool:
-        return area.covers(shapely.box(*project.transform_bounds(first, low, last, low + ROW_DEG, densify_pts=101)))
+        return area.covers(
+            shapely.box(*project.transform_bounds(first, low, last, low + ROW_DEG, densify_pts=101))
+        )
 
     boxes: list[Bounds] = []
     steps = np.arange(round(west / CELL_DEG), round(east / CELL_DEG) + 1) * CELL_DEG
@@ -170,7 +189,9 @@ def main(arguments: list[str]) -> None:
         home.mkdir(exist_ok=True)
         make(data, home)
         sizes = pd.Series({path.name: path.stat().st_size for path in sorted(home.iterdir())})
-        print(f"{name}: {sizes.sum():,} bytes ({', '.join(f'{file} {size:,}' for file, size in sizes.items())})")
+        print(
+            f"{name}: {sizes.sum():,} bytes ({', '.join(f'{file} {size:,}' for file, size in sizes.items())})"
+        )
 
 
 if __name__ == "__main__":

@@ -38,17 +38,29 @@ TEXTS |= {"NOTICE.md": "samples/NOTICE.md"}
 SAMPLED, SYNTHETIC = ("lower-manhattan", "shinjuku"), "synthetic"  # names of cities
 DECIMALS = 4  # of costs: what the files hold is the truth
 DEMO_M = 2000.0  # side of the synthetic city
-TRUTH = {"w_distance": 0.1, "w_gps": 1.0, "w_lidar": 0.3, "w_population": 2.0, "w_risk": 0.6}  # of demonstrations
+TRUTH = {
+    "w_distance": 0.1,
+    "w_gps": 1.0,
+    "w_lidar": 0.3,
+    "w_population": 2.0,
+    "w_risk": 0.6,
+}  # of demonstrations
 ENDS = ["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
 ASKED, CLAIMED = ["track", "query", "route"], ["cost", "cpu_s"]
 LINE = ["method", "bundle", "track", "city"]  # what names a line of the board
 NEAR_M = 1e-3  # of ends, and on the grid of corners, to the centres of cells
-SAME, SAME_COST = 1e-9, 1e-6  # relative: an exposure that much above its budget keeps it; a claimed cost is true
+SAME, SAME_COST = (
+    1e-9,
+    1e-6,
+)  # relative: an exposure that much above its budget keeps it; a claimed cost is true
 VALID, MISSING = "valid", "missing"
 
 
 def make_benchmark(
-    folder: str | Path, num_queries: int = 30, maps: Mapping[str, MetricMaps] | None = None, progress: Progress = False
+    folder: str | Path,
+    num_queries: int = 30,
+    maps: Mapping[str, MetricMaps] | None = None,
+    progress: Progress = False,
 ) -> Path:
     """Make the bundle of the board in a folder, the same bytes each time, and return its file of queries.
 
@@ -62,8 +74,16 @@ def make_benchmark(
     Raises:
       InputError: the folder cannot be written to, or holds other files of these names.
     """
-    folder, outputs, cities = Path(folder), dict[str, Any](), [*SAMPLED, SYNTHETIC] if maps is None else [*maps]
-    queries, shown, names = list[dict[str, Any]](), list[dict[str, Any]](), [QUERIES, DEMONSTRATIONS, CHECKSUMS, *TEXTS]
+    folder, outputs, cities = (
+        Path(folder),
+        dict[str, Any](),
+        [*SAMPLED, SYNTHETIC] if maps is None else [*maps],
+    )
+    queries, shown, names = (
+        list[dict[str, Any]](),
+        list[dict[str, Any]](),
+        [QUERIES, DEMONSTRATIONS, CHECKSUMS, *TEXTS],
+    )
     names += [f"{city}.npz" for city in cities]
     with (
         Workspace.open(folder, "score --make", names=names, is_shared=True),
@@ -72,13 +92,33 @@ def make_benchmark(
         maps = city_maps() if maps is None else maps
         for seed, (city, made) in enumerate(maps.items()):
             on = cost_map(made, made.altitudes_m[0], cost_model="line")
-            problem, weighed = on.problem.with_costs(np.round(on.costs, DECIMALS)), ["distance", *on.names]
-            facts: dict[str, Any] = {"layers": on.names, "crs": on.grid.crs, "west_south_m": on.grid.bounds_m[:2]}
-            facts |= {"resolution_m": problem.resolution_m, "reference_length_m": on.cost_model.reference_length_m}
-            outputs[f"{city}.npz"] = partial(_pack, facts | {"costs": problem.costs, "is_free": problem.is_free})
-            drawn = sample_joined(made, 2 * num_queries, altitudes_m=made.altitudes_m[:1], cost_model="line", seed=seed)
+            problem, weighed = (
+                on.problem.with_costs(np.round(on.costs, DECIMALS)),
+                ["distance", *on.names],
+            )
+            facts: dict[str, Any] = {
+                "layers": on.names,
+                "crs": on.grid.crs,
+                "west_south_m": on.grid.bounds_m[:2],
+            }
+            facts |= {
+                "resolution_m": problem.resolution_m,
+                "reference_length_m": on.cost_model.reference_length_m,
+            }
+            outputs[f"{city}.npz"] = partial(
+                _pack, facts | {"costs": problem.costs, "is_free": problem.is_free}
+            )
+            drawn = sample_joined(
+                made,
+                2 * num_queries,
+                altitudes_m=made.altitudes_m[:1],
+                cost_model="line",
+                seed=seed,
+            )
             drawn[ENDS] -= np.tile(on.grid.bounds_m[:2], 2)
-            for turn, row in enumerate(records_of(drawn[[*ENDS, *(f"w_{name}" for name in weighed)]])):
+            for turn, row in enumerate(
+                records_of(drawn[[*ENDS, *(f"w_{name}" for name in weighed)]])
+            ):
                 report(city, turn, len(drawn))
                 row = {"city": city, "query": f"{city}-{turn:02}"} | row
                 if turn < num_queries:
@@ -86,7 +126,10 @@ def make_benchmark(
                 else:
                     route = astar_plus(problem_of(problem, weighed, row | TRUTH)).points_m
                     shown.append({"city": city, "route": shapely.LineString(route).wkt})
-        outputs |= {name: (files("jaxurban") / text).read_text(encoding="utf-8") for name, text in TEXTS.items()}
+        outputs |= {
+            name: (files("jaxurban") / text).read_text(encoding="utf-8")
+            for name, text in TEXTS.items()
+        }
         outputs |= {QUERIES: pd.DataFrame(queries), DEMONSTRATIONS: pd.DataFrame(shown)}
         sums = "".join(f"{digest_of(file)}  {file.name}\n" for file in save(folder, outputs))
         save(folder, {CHECKSUMS: sums})
@@ -96,7 +139,10 @@ def make_benchmark(
 def city_maps() -> dict[str, MetricMaps]:
     """Return the maps of the cities in the package and of the synthetic one."""
     cities = {name: sample_city(name) for name in SAMPLED} | {SYNTHETIC: demo_city(DEMO_M, DEMO_M)}
-    return {name: build_maps(each, resolution_m=5.0, altitudes_m=(20.0,)) for name, each in cities.items()}
+    return {
+        name: build_maps(each, resolution_m=5.0, altitudes_m=(20.0,))
+        for name, each in cities.items()
+    }
 
 
 def _pack(arrays: Mapping[str, Any], file: Path) -> None:
@@ -108,10 +154,14 @@ def _pack(arrays: Mapping[str, Any], file: Path) -> None:
 def problem_of(problem: Problem, names: list[str], row: Mapping[str, Any]) -> Problem:
     """Return the planners' view of a query on its city's map."""
     x0, y0, x1, y1 = (int(row[end] // problem.resolution_m) for end in ENDS)
-    return problem.between((y0, x0), (y1, x1)).with_weights(np.array([row[f"w_{name}"] for name in names]))
+    return problem.between((y0, x0), (y1, x1)).with_weights(
+        np.array([row[f"w_{name}"] for name in names])
+    )
 
 
-def _asked_of(problem: Problem, names: list[str], row: dict[str, Any], layer: str) -> Iterator[dict[str, Any]]:
+def _asked_of(
+    problem: Problem, names: list[str], row: dict[str, Any], layer: str
+) -> Iterator[dict[str, Any]]:
     """Yield a query of each track, with a lower bound and the cost of the best route known."""
     asked, column = problem_of(problem, names, row), names.index(layer)
     routes = [astar_plus(asked), astar_plus(asked.with_weights(np.eye(len(names))[column]))]
@@ -121,7 +171,13 @@ def _asked_of(problem: Problem, names: list[str], row: dict[str, Any], layer: st
     any_angle = refine(asked, theta_star(asked)).cost
     yield row | {"track": "grid", "bound": routes[0].cost, "best": routes[0].cost}
     yield row | {"track": "any-angle", "bound": corner_bound(asked), "best": any_angle}
-    yield row | {"track": "budget", "bound": within.lower_bound, "best": within.cost, "layer": layer, "budget": budget}
+    yield row | {
+        "track": "budget",
+        "bound": within.lower_bound,
+        "best": within.cost,
+        "layer": layer,
+        "budget": budget,
+    }
     yield (
         row
         | {key: value for key, value in TRUTH.items() if key in row}
@@ -153,9 +209,15 @@ def score(
       InputError: a bundle that was changed; a file that is no table, lacks a column, holds no row, answers what is not
         asked, or a query twice; weights that are none; a board that is none, or was changed.
     """
-    folder, table, method = Path(folder), read_table(submission, "submission"), method or Path(submission).stem
+    folder, table, method = (
+        Path(folder),
+        read_table(submission, "submission"),
+        method or Path(submission).stem,
+    )
     if lacking := [name for name in ASKED if name not in table]:
-        raise InputError(f"{str(submission)!r} has no column {lacking[0]!r}: a submission has {', '.join(ASKED)}")
+        raise InputError(
+            f"{str(submission)!r} has no column {lacking[0]!r}: a submission has {', '.join(ASKED)}"
+        )
     sums, digests = folder / CHECKSUMS, dict[str, str]()
     with readable(sums, "checksums of a benchmark", f"make one by jaxurban score {folder} --make"):
         for digest, name in (line.split("  ") for line in sums.read_text().splitlines()):
@@ -164,31 +226,55 @@ def score(
     def check(names: Iterable[str]) -> None:
         for name in names:
             file = folder / name
-            if name not in digests or Path(name).name != name or not file.is_file() or digest_of(file) != digests[name]:
-                raise InputError(f"{str(file)!r} is missing or not as {CHECKSUMS} has it: make it again")
+            if (
+                name not in digests
+                or Path(name).name != name
+                or not file.is_file()
+                or digest_of(file) != digests[name]
+            ):
+                raise InputError(
+                    f"{str(file)!r} is missing or not as {CHECKSUMS} has it: make it again"
+                )
 
     check([QUERIES, *digests])
     asked = read_table(folder / QUERIES, "queries")
-    asked["row"] = asked["city"].where(asked["track"] == "weights", asked["query"])  # of a submission
+    asked["row"] = asked["city"].where(
+        asked["track"] == "weights", asked["query"]
+    )  # of a submission
     given = table.set_index(["track", "query"]).index
     wrong = ~given.isin(asked.set_index(["track", "row"]).index) | given.duplicated()
     if table.empty or wrong.any():
-        what = f"answers {' '.join(map(str, given[wrong][0]))}, not asked or twice" if wrong.any() else "is empty"
-        raise InputError(f"{str(submission)!r} {what}: write one row for each query of a track in {QUERIES}")
+        what = (
+            f"answers {' '.join(map(str, given[wrong][0]))}, not asked or twice"
+            if wrong.any()
+            else "is empty"
+        )
+        raise InputError(
+            f"{str(submission)!r} {what}: write one row for each query of a track in {QUERIES}"
+        )
     table = table.reindex(columns=[*ASKED, *CLAIMED]).rename(columns={"query": "row"})
-    routes = asked[asked["track"].isin(table["track"])].merge(table, "left", ["track", "row"], indicator="outcome")
+    routes = asked[asked["track"].isin(table["track"])].merge(
+        table, "left", ["track", "row"], indicator="outcome"
+    )
     check(f"{city}.npz" for city in {*routes["city"]})
     cities = {city: unpacked(folder / f"{city}.npz") for city in {*routes["city"]}}
     claims = {f"claimed_{name}": pd.to_numeric(routes[name], errors="coerce") for name in CLAIMED}
     for name in CLAIMED:
         if len(texts := routes.loc[routes[name].notna() & claims[f"claimed_{name}"].isna(), name]):
-            raise InputError(f"{str(submission)!r} claims the {name} {texts.iloc[0]!r}: give a number, or leave it out")
+            raise InputError(
+                f"{str(submission)!r} claims the {name} {texts.iloc[0]!r}: give a number, or leave it out"
+            )
     verdicts = [_judged(*cities[row["city"]], row) for row in records_of(routes)]
     routes["outcome"], routes["cost"] = zip(*verdicts, strict=True)
-    gaps = {name: routes["cost"] / routes[of] - 1 for name, of in (("gap", "bound"), ("over_best", "best"))}
+    gaps = {
+        name: routes["cost"] / routes[of] - 1
+        for name, of in (("gap", "bound"), ("over_best", "best"))
+    }
     routes, key = routes.assign(**gaps, **claims), digest_of(sums)[:12]
     parts = routes.groupby(["track", "city"], sort=False)
-    lines = pd.DataFrame([dict(zip(LINE, (method, key, *of), strict=True)) | _summary(each) for of, each in parts])
+    lines = pd.DataFrame(
+        [dict(zip(LINE, (method, key, *of), strict=True)) | _summary(each) for of, each in parts]
+    )
     if board is not None:
         _enter(lines, Path(board))
     return lines, routes[["track", "query", "city", "outcome", "cost", "gap", "over_best", *claims]]
@@ -200,7 +286,9 @@ def unpacked(file: Path) -> tuple[Problem, list[str]]:
     with readable(file, *what, KeyError, IndexError, TypeError, BadZipFile), np.load(file) as city:
         free = tuple(np.argwhere(city["is_free"])[0].tolist())
         model = CostModel("line", reference_length_m=float(city["reference_length_m"]))
-        problem = Problem(city["costs"], city["is_free"], free, free, float(city["resolution_m"]), 1.0, model)
+        problem = Problem(
+            city["costs"], city["is_free"], free, free, float(city["resolution_m"]), 1.0, model
+        )
         return problem, ["distance", *city["layers"].tolist()]
 
 
@@ -208,14 +296,26 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
     """Return the outcome of a query, and the cost of its route, inf where that is not valid."""
     if row["outcome"] == "left_only":
         return MISSING, np.inf
-    problem, side_m, ends_m = problem_of(problem, names, row), problem.resolution_m, [row[end] for end in ENDS]
+    problem, side_m, ends_m = (
+        problem_of(problem, names, row),
+        problem.resolution_m,
+        [row[end] for end in ENDS],
+    )
     if row["track"] == "weights":
-        weights = Weights.parse(str(row["route"]), Weights(**dict.fromkeys(names, 0.0))).checked(names)
-        return VALID, problem.cost_of(astar_plus(problem.with_weights(weights.vector(names))).points_m)
+        weights = Weights.parse(str(row["route"]), Weights(**dict.fromkeys(names, 0.0))).checked(
+            names
+        )
+        return VALID, problem.cost_of(
+            astar_plus(problem.with_weights(weights.vector(names))).points_m
+        )
     with np.errstate(invalid="ignore"):  # of NaN
         line = shapely.from_wkt(str(row["route"]), on_invalid="ignore")
     points_m = shapely.get_coordinates(line)
-    if not isinstance(line, shapely.LineString) or not len(points_m) or not np.isfinite(points_m).all():
+    if (
+        not isinstance(line, shapely.LineString)
+        or not len(points_m)
+        or not np.isfinite(points_m).all()
+    ):
         return "no line", np.inf
     if np.abs(points_m[[0, -1]].ravel() - ends_m).max() > NEAR_M:
         return "wrong ends", np.inf
@@ -228,9 +328,16 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
         is_straight = (legs.min(axis=1) == 0) | (legs[:, 0] == legs[:, 1])
         if np.abs(points_m - centres_m).max() > NEAR_M or not is_straight.all():
             return "off the grid", np.inf
-        points_m, problem = centres_m, replace(problem, leg_margin_m=NEAR_M * side_m)  # keeps diagonals from corners
+        points_m, problem = (
+            centres_m,
+            replace(problem, leg_margin_m=NEAR_M * side_m),
+        )  # keeps diagonals from corners
     sums = problem.features(points_m)
-    if sums.is_valid and row["track"] == "budget" and sums.phi[names.index(row["layer"])] > row["budget"] * (1 + SAME):
+    if (
+        sums.is_valid
+        and row["track"] == "budget"
+        and sums.phi[names.index(row["layer"])] > row["budget"] * (1 + SAME)
+    ):
         return "over budget", np.inf
     return VALID if sums.is_valid else "not free", sums.cost(problem.weights)
 
@@ -238,14 +345,19 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
 def _summary(routes: pd.DataFrame) -> dict[str, Any]:
     """Return the counts and gaps of a track in a city; each quantile is a route's own value."""
     is_valid, gap, claims = routes["outcome"] == VALID, routes["gap"], routes["claimed_cost"]
-    is_other = is_valid & claims.notna() & ~np.isclose(claims, routes["cost"], rtol=SAME_COST, atol=0)
+    is_other = (
+        is_valid & claims.notna() & ~np.isclose(claims, routes["cost"], rtol=SAME_COST, atol=0)
+    )
     failed = routes.loc[~is_valid, "outcome"].value_counts()
     return {
         "asked": len(routes),
         "valid": is_valid.sum(),
         "failed": "; ".join(f"{count} {reason}" for reason, count in failed.items()),
         "false_claims": is_other.sum(),
-        **{f"gap_{name}": gap.quantile(q, "higher") for name, q in (("median", 0.5), ("90", 0.9), ("worst", 1.0))},
+        **{
+            f"gap_{name}": gap.quantile(q, "higher")
+            for name, q in (("median", 0.5), ("90", 0.9), ("worst", 1.0))
+        },
         "over_best_median": routes["over_best"].quantile(0.5, "higher"),
         "cpu_s_median": routes["claimed_cpu_s"].quantile(0.5),
     }

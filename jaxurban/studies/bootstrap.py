@@ -56,13 +56,18 @@ class Clusters:
             drawn = draws_of(int(group.max()) + 1, [seed, city])
             self._group[inside] = group + sum(part.shape[1] for part in draws)
             draws.append(drawn * (drawn.shape[1] / drawn[0].sum()))  # a city weighs what it has
-        self._column, self._draws = self._group, np.hstack(draws)  # values are counted as their column of the draws
+        self._column, self._draws = (
+            self._group,
+            np.hstack(draws),
+        )  # values are counted as their column of the draws
         self._most = self.num_groups = len(groups)
         self._most = self.num_groups = self.groups_of(np.ones(len(groups), bool))
 
     def groups_of(self, chosen: np.ndarray) -> int:
         """Return how many groups, as `num_groups` counts them, the values ``[N]`` bool hold that are chosen."""
-        return min(self._most, len(np.unique(self._group[chosen])) - len(np.unique(self._city[chosen])) + 1)
+        return min(
+            self._most, len(np.unique(self._group[chosen])) - len(np.unique(self._city[chosen])) + 1
+        )
 
     def crossed(self, other: "Clusters") -> "Clusters":
         """Return draws in which both are drawn: Owen's pigeonhole bootstrap (Ann. Appl. Stat. 1(2), 2007)."""
@@ -94,7 +99,9 @@ class Clusters:
             return Interval(np.nan, np.nan, np.nan)
         num_groups = self.groups_of(known)
         plain = (
-            np.quantile(values[known], 0.5, method="inverted_cdf") if statistic == "median" else values[known].mean()
+            np.quantile(values[known], 0.5, method="inverted_cdf")
+            if statistic == "median"
+            else values[known].mean()
         )
         if statistic == "share" and num_groups >= FEWEST_GROUPS and plain in (0.0, 1.0):
             least = (1 - LEVEL) ** (1 / num_groups)

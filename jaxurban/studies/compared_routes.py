@@ -19,7 +19,12 @@ HEAD = ["altitude_m", "planned_on", "judged_on"]
 
 
 def compared_routes(
-    a: MetricMaps, b: MetricMaps, num: int, seed: int, times: tuple[str | None, str | None], report: Report
+    a: MetricMaps,
+    b: MetricMaps,
+    num: int,
+    seed: int,
+    times: tuple[str | None, str | None],
+    report: Report,
 ) -> pd.DataFrame:
     """Return a row for each route of A under B, and of B under A: its cost there, and the cheapest one's.
 
@@ -57,7 +62,9 @@ def compared_routes(
         )
         free = np.argwhere(on_a.is_free & on_b.is_free)
         if len(free) < 2:
-            raise InputError(f"at {altitude_m:g} m fewer than two cells are free in both maps: leave out routes")
+            raise InputError(
+                f"at {altitude_m:g} m fewer than two cells are free in both maps: leave out routes"
+            )
         rng = np.random.default_rng([seed, k])
         start = rng.integers(len(free), size=num)
         goal = (start + rng.integers(1, len(free), size=num)) % len(free)
@@ -65,8 +72,15 @@ def compared_routes(
         paths = {name: _planned(on, ends) for name, on in maps.items()}
         for pair, (planned_on, judged_on) in ((pair, way) for pair in range(num) for way in WAYS):
             head = dict(zip(HEAD, (altitude_m, planned_on, judged_on), strict=True))
-            (start_x_m, start_y_m), (goal_x_m, goal_y_m) = (on_a.grid.xy_of_cell(*end) for end in ends[pair])
-            head |= {"start_x_m": start_x_m, "start_y_m": start_y_m, "goal_x_m": goal_x_m, "goal_y_m": goal_y_m}
+            (start_x_m, start_y_m), (goal_x_m, goal_y_m) = (
+                on_a.grid.xy_of_cell(*end) for end in ends[pair]
+            )
+            head |= {
+                "start_x_m": start_x_m,
+                "start_y_m": start_y_m,
+                "goal_x_m": goal_x_m,
+                "goal_y_m": goal_y_m,
+            }
             facts = _judged(maps[judged_on], paths[planned_on][pair], paths[judged_on][pair])
             rows.append({"pair": pair} | head | facts)
     report("routes", len(a.altitudes_m), len(a.altitudes_m))
@@ -86,7 +100,10 @@ def _planned(on: CostMap, ends: np.ndarray) -> list[Path]:
 
 def _judged(on: CostMap, path: Path, best: Path) -> dict[str, Any]:
     """Return what a path costs on another map than its own, beside the best of that map."""
-    facts: dict[str, Any] = {"status": path.status.value, "best_there": best.cost if best.status.has_path else np.nan}
+    facts: dict[str, Any] = {
+        "status": path.status.value,
+        "best_there": best.cost if best.status.has_path else np.nan,
+    }
     names = ("cost", "length_m", "cost_there", "regret", "closed_m", "is_closed")
     if not path.status.has_path:
         return facts | dict.fromkeys(names, np.nan)
@@ -96,7 +113,14 @@ def _judged(on: CostMap, path: Path, best: Path) -> dict[str, Any]:
     regret = 0.0
     if not cost <= best.cost * ROUNDING:  # also where it is closed
         regret = cost / best.cost - 1 if best.cost > 0 else np.inf
-    numbers = (path.cost, float(features.length_m.sum()), cost, regret, closed_m, float(not features.is_valid))
+    numbers = (
+        path.cost,
+        float(features.length_m.sum()),
+        cost,
+        regret,
+        closed_m,
+        float(not features.is_valid),
+    )
     return facts | dict(zip(names, numbers, strict=True))
 
 
@@ -113,11 +137,19 @@ def regrets(rows: pd.DataFrame) -> pd.DataFrame:
     for values, of in rows.groupby(HEAD, sort=False):
         of = of[of["is_closed"].notna()]
         clusters, open_there = Clusters(of["pair"]), of["regret"].dropna()
-        closed, median = clusters.interval(of["is_closed"], "share"), clusters.interval(of["regret"], "median")
+        closed, median = (
+            clusters.interval(of["is_closed"], "share"),
+            clusters.interval(of["regret"], "median"),
+        )
         high, worst = open_there.quantile([0.9, 1.0]) if len(open_there) else (np.nan, np.nan)
         table.append(
             dict(zip(HEAD, values, strict=True))
-            | {"routes": len(of), "closed": closed.value, "closed_low": closed.low, "closed_high": closed.high}
+            | {
+                "routes": len(of),
+                "closed": closed.value,
+                "closed_low": closed.low,
+                "closed_high": closed.high,
+            }
             | {"closed_m": of["closed_m"][of["is_closed"] > 0].median()}
             | {"regret": median.value, "regret_low": median.low, "regret_high": median.high}
             | {"regret_p90": high, "regret_worst": worst}

@@ -29,7 +29,9 @@ from jaxurban.settings import CostKind
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.world.grid import Grid
 
-ON_CENTRE = 0.01  # of a cell side: a point this near a centre is the centre, written with few decimals
+ON_CENTRE = (
+    0.01  # of a cell side: a point this near a centre is the centre, written with few decimals
+)
 # A line is followed on the grid within so many cells to either side, the next where obstacles close the one before.
 CORRIDORS_CELLS = (1.5, 3.0, 6.0, 12.0, 24.0)
 DRAWN_CELLS = 3.0  # the route that was meant by a line is within so many cells of it
@@ -78,7 +80,10 @@ class Demonstration:
         if not self.drawn_cells:
             return self.features
         on, side_m = self.query.cost_map, self.query.cost_map.grid.resolution_m
-        cells, pad = np.floor(self.points_m[:, ::-1] / side_m).astype(int), int(np.ceil(self.drawn_cells))
+        cells, pad = (
+            np.floor(self.points_m[:, ::-1] / side_m).astype(int),
+            int(np.ceil(self.drawn_cells)),
+        )
         low, high = np.maximum(cells.min(axis=0) - pad, 0), cells.max(axis=0) + pad + 1
         here = tuple(map(slice, low, high))
         is_far = np.ones(on.is_free[here].shape, bool)
@@ -87,10 +92,21 @@ class Demonstration:
         weights = np.eye(self.features.size)
         start, goal = (tuple((cells[k] - low).tolist()) for k in (0, -1))
         within = Problem(
-            on.costs[:, *here], is_near, start, goal, side_m, weights[0], on.cost_model, leg_margin_m=on.leg_margin_m
+            on.costs[:, *here],
+            is_near,
+            start,
+            goal,
+            side_m,
+            weights[0],
+            on.cost_model,
+            leg_margin_m=on.leg_margin_m,
         )
-        routes_m = [astar(within.with_weights(each)).points_m + low[::-1] * side_m for each in weights]
-        return np.min([self.features, *(self.query.sums(route_m)[0] for route_m in routes_m)], axis=0)
+        routes_m = [
+            astar(within.with_weights(each)).points_m + low[::-1] * side_m for each in weights
+        ]
+        return np.min(
+            [self.features, *(self.query.sums(route_m)[0] for route_m in routes_m)], axis=0
+        )
 
 
 @typed
@@ -140,10 +156,14 @@ def read_demonstrations(
       ('1', 60.0, (27, 2))
     """
     if Path(file).suffix.lower() in SUFFIXES:
-        raise InputError(f"{str(file)!r} is a table, which holds no lines: demonstrations_from_study plans its routes")
+        raise InputError(
+            f"{str(file)!r} is a table, which holds no lines: demonstrations_from_study plans its routes"
+        )
     routes = read_routes(file)
     planned = [(f"route {route.name!r} of {str(file)!r}", route.settings) for route in routes]
-    rules = RouteRules(cost_model=cost_model, constraints=constraints or Constraints(), preset=preset)
+    rules = RouteRules(
+        cost_model=cost_model, constraints=constraints or Constraints(), preset=preset
+    )
     grid, map_of = _cost_maps(maps, planned, rules, metrics)
     demonstrations, reasons = [], []
     for number, route in enumerate(routes, start=1):
@@ -152,7 +172,9 @@ def read_demonstrations(
         label = f"line {number} ({route.name!r}, from {place})"
         try:
             if z_m is None:
-                raise InputError("it has no altitude: give it a property altitude_m, or pass --altitude (altitude_m=)")
+                raise InputError(
+                    "it has no altitude: give it a property altitude_m, or pass --altitude (altitude_m=)"
+                )
             on = map_of(float(z_m), time or route.time, time_of_day or route.time_of_day)
             xy_m = np.stack(grid.xy_of_lonlat(*route.lonlat.T), axis=-1)
             demonstrations.append(demonstration_from_line(on, xy_m, route.name))
@@ -200,7 +222,9 @@ def demonstrations_from_paths(
     if not paths:
         raise InputError("there are no paths: give at least one")
     planned = [(f"path {number}", path.settings) for number, path in enumerate(paths, start=1)]
-    rules = RouteRules(cost_model=cost_model, constraints=constraints or Constraints(), preset=preset)
+    rules = RouteRules(
+        cost_model=cost_model, constraints=constraints or Constraints(), preset=preset
+    )
     _, map_of = _cost_maps(maps, planned, rules, metrics)
     demonstrations = []
     for number, path in enumerate(paths, start=1):
@@ -226,7 +250,10 @@ def _from_path(map_of: MapOf, path: PlannedPath, name: str) -> Demonstration:
 
 
 def _cost_maps(
-    given: GivenMaps, planned: Sequence[tuple[str, Mapping]], rules: RouteRules, metrics: Sequence[str] | None
+    given: GivenMaps,
+    planned: Sequence[tuple[str, Mapping]],
+    rules: RouteRules,
+    metrics: Sequence[str] | None,
 ) -> tuple[Grid, MapOf]:
     """Return the maps' grid, and a function of altitude, time and time of day: the cost map there, made once.
 
@@ -237,7 +264,11 @@ def _cost_maps(
       InputError: settings whose cost model is none, or routes that name different ones.
     """
     maps, settled = rules.under(as_maps(given))
-    models = {name: CostModel.from_settings(settings) for name, settings in planned if "cost_model" in settings}
+    models = {
+        name: CostModel.from_settings(settings)
+        for name, settings in planned
+        if "cost_model" in settings
+    }
     if rules.cost_model is None and models:
         (name, model), *others = models.items()
         if differing := [f"{other} under {its}" for other, its in others if its != model]:
@@ -302,13 +333,19 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
     grid = cost_map.grid
     points = np.asarray(xy_m, np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
-        raise InputError(f"a route must be [N, 2] finite metres with N >= 2, got shape {points.shape}")
+        raise InputError(
+            f"a route must be [N, 2] finite metres with N >= 2, got shape {points.shape}"
+        )
     local = (points - np.array([grid.x_min_m, grid.y_min_m])) / grid.resolution_m
     if np.any(local < 0) or np.any(local >= (grid.num_cols, grid.num_rows)):
-        raise InputError("it leaves the maps: clip it to their region, or make maps of a larger one")
+        raise InputError(
+            "it leaves the maps: clip it to their region, or make maps of a larger one"
+        )
     note, drawn_cells, filled = "", 0.0, _filled(local)
     if _is_grid_path(cost_map, filled):
-        local = np.floor(filled) + 0.5  # decimals lost in a file must not make a diagonal step graze a third cell
+        local = (
+            np.floor(filled) + 0.5
+        )  # decimals lost in a file must not make a diagonal step graze a third cell
     else:
         try:
             ends = cost_map.ends(XY(*points[0].tolist()), XY(*points[-1].tolist()), snap=True)
@@ -327,7 +364,9 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
     start, goal = (tuple(cell) for cell in np.floor(local[[0, -1], ::-1]).astype(int).tolist())
     if start == goal:
         raise InputError("it starts and ends in one cell: leave it out, or cut it in two")
-    return Demonstration(RouteQuery(cost_map, start, goal, name), local * grid.resolution_m, note, drawn_cells)
+    return Demonstration(
+        RouteQuery(cost_map, start, goal, name), local * grid.resolution_m, note, drawn_cells
+    )
 
 
 def _filled(local: np.ndarray) -> np.ndarray:
@@ -337,7 +376,9 @@ def _filled(local: np.ndarray) -> np.ndarray:
     if not np.all((steps == 0) | (np.abs(steps) == sizes[:, None])) or not sizes.all():
         return local
     runs = zip(local, steps / sizes[:, None], sizes.astype(int), strict=False)
-    return np.concatenate([*(point + step * np.arange(size)[:, None] for point, step, size in runs), local[-1:]])
+    return np.concatenate(
+        [*(point + step * np.arange(size)[:, None] for point, step, size in runs), local[-1:]]
+    )
 
 
 def _is_grid_path(cost_map: CostMap, local: np.ndarray) -> bool:
@@ -392,12 +433,21 @@ def _shortest_within(
     ends = [(cell[0] - int(low[0]), cell[1] - int(low[1])) for cell in (start, goal)]
     if not all(is_free[end] for end in ends):
         return None
-    costs, margin = np.zeros((1, *is_free.shape)), cost_map.leg_margin_m / cost_map.grid.resolution_m
-    path = astar(Problem(costs, is_free, ends[0], ends[1], 1.0, 1.0, cost_map.cost_model, leg_margin_m=margin))
+    costs, margin = (
+        np.zeros((1, *is_free.shape)),
+        cost_map.leg_margin_m / cost_map.grid.resolution_m,
+    )
+    path = astar(
+        Problem(
+            costs, is_free, ends[0], ends[1], 1.0, 1.0, cost_map.cost_model, leg_margin_m=margin
+        )
+    )
     return path.points_m + low[::-1] if path.status.has_path else None
 
 
-def compared_routes(demonstrations: Sequence[Demonstration], planned: Sequence[Demonstration]) -> pd.DataFrame:
+def compared_routes(
+    demonstrations: Sequence[Demonstration], planned: Sequence[Demonstration]
+) -> pd.DataFrame:
     """Return a row a demonstration: where it lies, and what a planned route between the same ends is beside it.
 
     ``length_m`` and the mean of each metric along it, the same of the planned route (``planned_length_m`` ...), and
@@ -411,8 +461,13 @@ def compared_routes(demonstrations: Sequence[Demonstration], planned: Sequence[D
         for prefix, each in (("", shown), ("planned_", route)):
             length_m, *integrals = each.sums[1].tolist()
             row[f"{prefix}length_m"] = length_m
-            row |= {f"{prefix}mean_{name}": sum_m / length_m for name, sum_m in zip(on.names, integrals, strict=True)}
-        cells, planned_cells = (cells_of(each.points_m, on.grid.resolution_m) for each in (shown, route))
+            row |= {
+                f"{prefix}mean_{name}": sum_m / length_m
+                for name, sum_m in zip(on.names, integrals, strict=True)
+            }
+        cells, planned_cells = (
+            cells_of(each.points_m, on.grid.resolution_m) for each in (shown, route)
+        )
         rows.append(row | {"overlap": len(cells & planned_cells) / len(cells), "note": shown.note})
     return pd.DataFrame(rows)
 

@@ -24,7 +24,9 @@ from jaxurban.studies.compared_routes import compared_routes, regrets
 from jaxurban.studies.queries import NORMS, Result
 from jaxurban.world.grid import Grid
 
-CLOSED = "closed"  # the layer of cells that no planner enters, beside ``obstacle``, the metrics' rule
+CLOSED = (
+    "closed"  # the layer of cells that no planner enters, beside ``obstacle``, the metrics' rule
+)
 MASKS = ("obstacle", CLOSED)
 SAME = 1e-6  # values that differ by no more, as on another device, have not changed
 QUANTILES = (0.5, 0.05, 0.95)
@@ -126,7 +128,12 @@ class MapComparison(Result):
 
     @typed
     def of(
-        self, layer: str, altitude_m: float | None = None, *, time: str | None = None, time_of_day: str | None = None
+        self,
+        layer: str,
+        altitude_m: float | None = None,
+        *,
+        time: str | None = None,
+        time_of_day: str | None = None,
     ) -> np.ndarray:
         """Return B - A of one map.
 
@@ -167,9 +174,12 @@ class MapComparison(Result):
         facts = {"A": self.names[0], "B": self.names[1]}
         facts |= {name: self.a.facts[name] for name in ("grid", "CRS", "altitudes")}
         facts["times"] = ", ".join(
-            of_a if of_a == of_b else f"{of_a} of A beside {of_b} of B" for of_a, of_b in self.times.items()
+            of_a if of_a == of_b else f"{of_a} of A beside {of_b} of B"
+            for of_a, of_b in self.times.items()
         )
-        facts["cells changed, at most"] = ", ".join(f"{name} {share:.1%}" for name, share in self.most_changed.items())
+        facts["cells changed, at most"] = ", ".join(
+            f"{name} {share:.1%}" for name, share in self.most_changed.items()
+        )
         facts["left out"] = ", ".join(self.left_out)
         facts["settings that differ"] = ", ".join(self.settings or ())
         return facts
@@ -235,7 +245,9 @@ def compare(
         a=parts[0],
         b=parts[1],
         left_out=_left_out(a, parts[0], "B") | _left_out(b, parts[1], "A"),
-        settings=None if settings_a is None or settings_b is None else differing(settings_a, settings_b),
+        settings=None
+        if settings_a is None or settings_b is None
+        else differing(settings_a, settings_b),
         tolerance=tolerance,
     )
     rows: list[dict[str, Any]] = []
@@ -256,7 +268,11 @@ def compare(
 
 def _left_out(maps: MetricMaps, part: MetricMaps, other: str) -> dict[str, str]:
     """Return what maps hold and their shared part does not, and why."""
-    names = [str(name) for name, array in maps.ds.data_vars.items() if name not in part.ds and "y" in array.dims]
+    names = [
+        str(name)
+        for name, array in maps.ds.data_vars.items()
+        if name not in part.ds and "y" in array.dims
+    ]
     names += [f"altitude {z_m:g} m" for z_m in maps.altitudes_m if z_m not in part.altitudes_m]
     names += [f"time of day {day}" for day in maps.times_of_day if day not in part.times_of_day]
     if num_cells := int(np.prod(maps.grid.shape) - np.prod(part.grid.shape)):
@@ -264,7 +280,9 @@ def _left_out(maps: MetricMaps, part: MetricMaps, other: str) -> dict[str, str]:
     return dict.fromkeys(names, f"{other} holds no such map")
 
 
-def _side(maps: GivenMaps | MapsFolder, otherwise: str) -> tuple[MetricMaps, str, dict[str, Any] | None]:
+def _side(
+    maps: GivenMaps | MapsFolder, otherwise: str
+) -> tuple[MetricMaps, str, dict[str, Any] | None]:
     """Return maps, what they are called, and the settings that made them; None where none can be read."""
     opened = maps.open() if isinstance(maps, MapsFolder) else as_maps(maps)
     folder = maps.folder if isinstance(maps, MapsFolder) else maps
@@ -285,7 +303,9 @@ def _values(maps: MetricMaps, layer: str, place: OneMap) -> np.ndarray:
     if layer == CLOSED:
         assert place.altitude_m is not None
         return (~maps.is_free(place.altitude_m)).astype(np.float32)
-    return maps.m(layer, place.altitude_m, time=place.time, time_of_day=place.time_of_day).astype(np.float32)
+    return maps.m(layer, place.altitude_m, time=place.time, time_of_day=place.time_of_day).astype(
+        np.float32
+    )
 
 
 def _statistics(values: np.ndarray, tolerance: float) -> dict[str, Any]:
@@ -316,9 +336,15 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
     altitudes_m = [z_m for z_m in a.altitudes_m if z_m in b.altitudes_m]
     if not altitudes_m:
         of_a, of_b = (listed([f"{z_m:g}" for z_m in maps.altitudes_m]) for maps in (a, b))
-        raise InputError(f"the maps share no altitude: A holds {of_a} m and B {of_b} m; add one of A's to B's scenario")
+        raise InputError(
+            f"the maps share no altitude: A holds {of_a} m and B {of_b} m; add one of A's to B's scenario"
+        )
     days = [day for day in a.times_of_day if day in b.times_of_day]
-    dims = {name: set(array.dims) for name, array in a.ds.data_vars.items() if {"y", "x"} <= set(array.dims)}
+    dims = {
+        name: set(array.dims)
+        for name, array in a.ds.data_vars.items()
+        if {"y", "x"} <= set(array.dims)
+    }
     layers = [name for name in dims if name in b.ds and set(b.ds[name].dims) == dims[name]]
     layers = [name for name in layers if days or TIME_OF_DAY not in dims[name]]
     pairs = _paired(a, b) if any(TIME in dims[name] for name in layers) else {}
@@ -331,12 +357,16 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
             (TIME, maps.times, of_maps or maps.times),
             (TIME_OF_DAY, maps.times_of_day, days),
         ]
-        at = {dim: [every.index(one) for one in some] for dim, every, some in shared if dim in ds.dims}
+        at = {
+            dim: [every.index(one) for one in some] for dim, every, some in shared if dim in ds.dims
+        }
         attrs = dict(ds.attrs, crs=grid.crs)
         for norm in NORMS:
             if norm in attrs and TIME_OF_DAY in at:
                 attrs[norm] = np.atleast_1d(attrs[norm])[at[TIME_OF_DAY]].tolist()
-        parts.append(MetricMaps(ds.isel(at | {"y": rows, "x": cols}).assign_attrs(attrs), maps.obstacles))
+        parts.append(
+            MetricMaps(ds.isel(at | {"y": rows, "x": cols}).assign_attrs(attrs), maps.obstacles)
+        )
     return parts[0], parts[1]
 
 

@@ -19,9 +19,15 @@ from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.public import Shown
 
-NORMS = ("pop_norm_per_km2", "pop_norm_per_block")  # attributes of maps that go with the times of day
+NORMS = (
+    "pop_norm_per_km2",
+    "pop_norm_per_block",
+)  # attributes of maps that go with the times of day
 LENGTH, PEOPLE = "length_m", "people"
-PLAIN = {LENGTH: ("length", "m"), PEOPLE: ("population crossed", "m at the highest density")}  # label, unit
+PLAIN = {
+    LENGTH: ("length", "m"),
+    PEOPLE: ("population crossed", "m at the highest density"),
+}  # label, unit
 
 
 class Result(Shown):
@@ -101,7 +107,9 @@ def maps_of(queries: Iterable[RouteQuery]) -> list[CostMap]:
 def check_flat(cost_map: CostMap) -> None:
     """Raise InputError unless this is a cost map of one altitude, as studies of routes need."""
     if cost_map.levels is not None:
-        raise InputError("a study of routes needs one altitude, not Levels: give cost_map(maps, 60.0)")
+        raise InputError(
+            "a study of routes needs one altitude, not Levels: give cost_map(maps, 60.0)"
+        )
 
 
 @typed
@@ -155,11 +163,15 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
       InputError: no query, or maps whose metrics, cost models or units of population differ.
     """
     if not queries:
-        raise InputError("there are no routes to look at (demonstrations, queries or cities): give at least one")
+        raise InputError(
+            "there are no routes to look at (demonstrations, queries or cities): give at least one"
+        )
     maps = maps_of(queries)
     is_cell = maps[0].cost_model.kind == "cell"
     of_maps: dict[str, list[Any]] = {
-        "metrics: make all from the same kinds of sources": [", ".join(on.weight_names) for on in maps],
+        "metrics: make all from the same kinds of sources": [
+            ", ".join(on.weight_names) for on in maps
+        ],
         "cost models: name one for all (--cost-model, cost_model=)": [on.cost_model for on in maps],
         "resolutions, on which the 'cell' cost model costs differently: use cost_model='line'": [
             f"{on.grid.resolution_m:g} m" if is_cell else "" for on in maps
@@ -174,7 +186,9 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
     for remedy, values in of_maps.items():
         for value in values:
             if value != values[0]:
-                raise InputError(f"the routes lie on maps of {values[0]} and {value}, different {remedy}")
+                raise InputError(
+                    f"the routes lie on maps of {values[0]} and {value}, different {remedy}"
+                )
     return queries[0].names
 
 
@@ -186,13 +200,21 @@ def population_norms(maps: MetricMaps) -> dict[str, float]:
 
 def outcome_names(names: Sequence[str]) -> tuple[str, ...]:
     """Return the outcomes of routes on maps with these weights (``"distance"`` and metrics)."""
-    return tuple({"distance": LENGTH, "population": PEOPLE}.get(name, f"mean_{name}") for name in names)
+    return tuple(
+        {"distance": LENGTH, "population": PEOPLE}.get(name, f"mean_{name}") for name in names
+    )
 
 
 def outcome_label(outcome: str, metrics: Mapping[str, Metric] = METRICS) -> str:
     """Return what tables and figures call an outcome of maps that hold these metrics."""
     metric = outcome.removeprefix("mean_")
-    return PLAIN[outcome][0] if outcome in PLAIN else metrics[metric].label if metric in metrics else metric
+    return (
+        PLAIN[outcome][0]
+        if outcome in PLAIN
+        else metrics[metric].label
+        if metric in metrics
+        else metric
+    )
 
 
 def outcome_unit(outcome: str) -> str:

@@ -63,8 +63,12 @@ class RoutePool:
         self.num_plans = 0
         self._store = store
         self._workers = workers or os.cpu_count() or 1
-        self._routes: list[dict[tuple[str, ...], np.ndarray]] = [{} for _ in self.queries]  # [2, K] by features
-        self._sums: dict[tuple[int, bytes], np.ndarray] = {}  # [2, K] by query and hash of the points
+        self._routes: list[dict[tuple[str, ...], np.ndarray]] = [
+            {} for _ in self.queries
+        ]  # [2, K] by features
+        self._sums: dict[
+            tuple[int, bytes], np.ndarray
+        ] = {}  # [2, K] by query and hash of the points
         for query, route in enumerate(known):
             self._add(query, route)
 
@@ -97,7 +101,9 @@ class RoutePool:
         key = fingerprint(weights.shape, weights)
         row = None if self._store is None else self._store.get(key)
         shape = 2, *weights.shape
-        found = self._search_all(weights) if row is None else np.frombuffer(row["found"]).reshape(shape)
+        found = (
+            self._search_all(weights) if row is None else np.frombuffer(row["found"]).reshape(shape)
+        )
         if self._store is not None and row is None:
             self._store.add([{"weights": key, "found": found.tobytes()}])
             self._store.save()
@@ -115,7 +121,9 @@ class RoutePool:
         else:
             with ThreadPoolExecutor(self._workers) as threads:
                 points = list(threads.map(lambda job: job[0].cheapest(job[1]), jobs))
-        found = np.array([self._sums_of(k // weights.shape[1], points_m) for k, points_m in enumerate(points)])
+        found = np.array(
+            [self._sums_of(k // weights.shape[1], points_m) for k, points_m in enumerate(points)]
+        )
         return np.moveaxis(found.reshape(*weights.shape[:2], 2, -1), 2, 0)
 
     def _sums_of(self, query: int, points_m: np.ndarray) -> np.ndarray:
@@ -168,7 +176,10 @@ class FitSettings:
 
 
 def pool_of_fit(
-    settings: FitSettings, queries: Sequence[RouteQuery], known: Sequence[np.ndarray] = (), **fit: Any
+    settings: FitSettings,
+    queries: Sequence[RouteQuery],
+    known: Sequence[np.ndarray] = (),
+    **fit: Any,
 ) -> RoutePool:
     """Return the routes of a fit; ``fit`` holds, beside the seed, all that its searches follow from.
 
@@ -181,7 +192,11 @@ def pool_of_fit(
     store = None
     if settings.state_file is not None:
         on_maps = [
-            fingerprint((on.names, on.cost_model, on.grid.resolution_m, on.costs.shape), on.costs, on.is_free)
+            fingerprint(
+                (on.names, on.cost_model, on.grid.resolution_m, on.costs.shape),
+                on.costs,
+                on.is_free,
+            )
             for on in maps_of(queries)
         ]
         routes = fingerprint(on_maps, [(query.start, query.goal) for query in queries])
@@ -196,7 +211,9 @@ def draw_pairs(seed: int, num_noise: int, num_weights: int) -> np.ndarray:
     return np.concatenate([half, -half])
 
 
-def mean_and_slope(sums: AnyArray, drawn: AnyArray, noise: float | AnyArray) -> tuple[AnyArray, AnyArray]:
+def mean_and_slope(
+    sums: AnyArray, drawn: AnyArray, noise: float | AnyArray
+) -> tuple[AnyArray, AnyArray]:
     """Return the mean of what routes under W exp(noise Z) add up, and its derivative by log W. NumPy or JAX.
 
     The derivative ``[Q, J, K]`` is the Monte Carlo estimate of the derivative of the expectation, with the mean as

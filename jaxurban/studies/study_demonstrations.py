@@ -120,7 +120,8 @@ def demonstrations_from_study(
     asked = _asked(study, maps, planner, flown)
     job = Benchmark(
         study=Study(seed=asked.settings.get("seed", 0)),
-        cost_model=cost_model or (CostModel.from_settings(asked.settings) if asked.settings else None),
+        cost_model=cost_model
+        or (CostModel.from_settings(asked.settings) if asked.settings else None),
         constraints=constraints or Constraints(),
         preset=preset,
     )
@@ -151,7 +152,9 @@ def demonstrations_from_study(
         except InputError as error:
             reasons[str(error)] += 1
     if not demonstrations:
-        raise InputError(f"no route of {asked.name!r} is of use: {_listed(reasons) or 'none is asked for'}")
+        raise InputError(
+            f"no route of {asked.name!r} is of use: {_listed(reasons) or 'none is asked for'}"
+        )
     if reasons:
         were = "was" if reasons.total() == 1 else "were"
         left_out = f"{reasons.total()} of {len(table)} routes of {asked.name!r} {were} left out: {_listed(reasons)}"
@@ -174,17 +177,25 @@ def _maps_of(study: "BenchmarkResult | pd.DataFrame | str | Path") -> GivenMaps:
     if (folder / ROWS_FILE).is_file():
         folder = folder.parent
     if not folder.is_dir():
-        raise InputError(f"{str(study)!r} does not hold the maps that its routes lie on: give them (maps=)")
+        raise InputError(
+            f"{str(study)!r} does not hold the maps that its routes lie on: give them (maps=)"
+        )
     return folder
 
 
 def _columns_of(weights: Weights, maps: MetricMaps) -> dict[str, float]:
     """Return weights as columns of instances on these maps."""
-    return {name: float(weights[name.removeprefix(WEIGHT_PREFIX)]) for name in weight_columns(maps.metrics)}
+    return {
+        name: float(weights[name.removeprefix(WEIGHT_PREFIX)])
+        for name in weight_columns(maps.metrics)
+    }
 
 
 def _asked(
-    study: "BenchmarkResult | pd.DataFrame | str | Path", maps: MetricMaps, planner: str | None, flown: Mapping
+    study: "BenchmarkResult | pd.DataFrame | str | Path",
+    maps: MetricMaps,
+    planner: str | None,
+    flown: Mapping,
 ) -> _Asked:
     """Return the instances of a study or of a table, with all columns; those of weights as ``flown``, if it has any."""
     if not isinstance(study, pd.DataFrame | str | Path):
@@ -192,7 +203,9 @@ def _asked(
     if not isinstance(study, pd.DataFrame) and Path(study).is_dir():
         return _of_folder(study_in(Path(study)) or Path(study), planner, flown)
     if planner is not None:
-        raise InputError(f"planner is one of a study's, and this is a table of instances: leave {planner!r} out")
+        raise InputError(
+            f"planner is one of a study's, and this is a table of instances: leave {planner!r} out"
+        )
     name = "the table" if isinstance(study, pd.DataFrame) else str(study)
     table = study if isinstance(study, pd.DataFrame) else read_table(study, "instances")
     table = table.assign(**flown)
@@ -203,7 +216,9 @@ def _asked(
         )
     if "instance" in table or "crs" in table:
         return _Asked(name, checked_instances(table, f"the instances file {name!r}"), {}, EXACT)
-    return _Asked(name, instances_of_queries(maps, read_queries(table, metrics=maps.metrics)), {}, EXACT)
+    return _Asked(
+        name, instances_of_queries(maps, read_queries(table, metrics=maps.metrics)), {}, EXACT
+    )
 
 
 def _of_folder(folder: Path, planner: str | None, flown: Mapping) -> _Asked:
@@ -219,16 +234,22 @@ def _of_folder(folder: Path, planner: str | None, flown: Mapping) -> _Asked:
         return _Asked(str(folder), table.assign(**flown), settings, EXACT)
     rows = read_table(folder / ROWS_FILE, "rows")
     if lost := [name for name in OF_STUDY if name not in rows]:
-        raise InputError(f"{str(folder / ROWS_FILE)!r} lacks the column {lost[0]!r}: run the study again")
+        raise InputError(
+            f"{str(folder / ROWS_FILE)!r} lacks the column {lost[0]!r}: run the study again"
+        )
     rows = rows[rows.objective == WEIGHTED]
     ends = rows.assign(proven=rows.status == Status.OPTIMAL.value, found=rows.status.isin(HAS_PATH))
     ends = ends.groupby("planner", sort=False)[["proven", "found"]].sum()
     if ends.empty:
         raise InputError(f"{str(folder)!r} holds no route under weights: run the study again")
     if planner is None:
-        planner = str(ends.sort_values(["proven", "found"], ascending=False, kind="stable").index[0])
+        planner = str(
+            ends.sort_values(["proven", "found"], ascending=False, kind="stable").index[0]
+        )
     rows = rows[rows.planner == one_of("planner", planner, ends.index)]
-    return _Asked(str(folder), table.merge(rows[[*KEY, *OF_ROW]], "left", list(KEY)), settings, planner)
+    return _Asked(
+        str(folder), table.merge(rows[[*KEY, *OF_ROW]], "left", list(KEY)), settings, planner
+    )
 
 
 def _check_settings(asked: _Asked, now: Mapping[str, Any]) -> None:
@@ -276,7 +297,9 @@ def _points(job: Benchmark, on: CostMap, row: Row, planner: str) -> np.ndarray:
         raise InputError("no path joins their ends")
     cost = on.shortest.features(found.points_m, on.cost_model.kind).cost(weights)
     if not math.isclose(cost, row.get("cost", cost), rel_tol=SAME_COST):
-        raise InputError("planned again they cost otherwise than their rows say, as where seconds ended the search")
+        raise InputError(
+            "planned again they cost otherwise than their rows say, as where seconds ended the search"
+        )
     return found.points_m + np.array([on.grid.x_min_m, on.grid.y_min_m])
 
 

@@ -31,13 +31,26 @@ def base_of(maps: MetricMaps) -> dict[str, Any]:
         of_kind = shapes[kinds == kind]
         if kind in AREAS:
             of_kind = shapely.boundary([shapely.union_all(shapely.make_valid(of_kind))])
-        parts[kind] = [line for line in shapely.get_parts(of_kind) if shapely.get_dimensions(line) == 1]
+        parts[kind] = [
+            line for line in shapely.get_parts(of_kind) if shapely.get_dimensions(line) == 1
+        ]
     for kind in LEFT_OUT_FIRST:
-        if sum(map(shapely.get_num_coordinates, (line for lines in parts.values() for line in lines))) > MOST_POINTS:
+        if (
+            sum(
+                map(
+                    shapely.get_num_coordinates,
+                    (line for lines in parts.values() for line in lines),
+                )
+            )
+            > MOST_POINTS
+        ):
             parts.pop(kind, None)
     flat = {kind: [_whole(line) for line in lines] for kind, lines in parts.items()}
     named = [_name(*row) for row in zip(shapes, frame["name"], kinds, strict=True) if row[1]]
-    rank = {kind: k for k, kind in enumerate(("place", "water", "park", "major", "street", "rail", "path"))}
+    rank = {
+        kind: k
+        for k, kind in enumerate(("place", "water", "park", "major", "street", "rail", "path"))
+    }
     named.sort(key=lambda row: (rank[row[3]], -row[5]))
     return {"shapes": flat, "names": named[:MOST_NAMES]}
 
@@ -56,5 +69,14 @@ def _name(shape: shapely.Geometry, text: str, kind: str) -> list[Any]:
         return [round(at.x), round(at.y), text, kind, 0, round(east - west)]
     first, at, last = shapely.line_interpolate_point(largest, [0.4, 0.5, 0.6], normalized=True)
     angle = np.arctan2(last.y - first.y, last.x - first.x)
-    angle = angle + np.pi if angle <= -np.pi / 2 else angle - np.pi if angle > np.pi / 2 else angle  # never head down
-    return [round(at.x), round(at.y), text, kind, round(float(angle), 2), round(shapely.length(largest))]
+    angle = (
+        angle + np.pi if angle <= -np.pi / 2 else angle - np.pi if angle > np.pi / 2 else angle
+    )  # never head down
+    return [
+        round(at.x),
+        round(at.y),
+        text,
+        kind,
+        round(float(angle), 2),
+        round(shapely.length(largest)),
+    ]

@@ -21,7 +21,11 @@ from jaxurban.viewer.tiles import TILE, strides_of
 from jaxurban.viewer.viewer import Viewer, as_json
 
 SUFFIX = ".html"
-PARTS = {"markup": ["viewer.html"], "style": ["viewer.css"], "script": ["doors.js", "drawing.js", "viewer.js"]}
+PARTS = {
+    "markup": ["viewer.html"],
+    "style": ["viewer.css"],
+    "script": ["doors.js", "drawing.js", "viewer.js"],
+}
 
 
 @cache
@@ -80,17 +84,23 @@ def write_page(viewer: Viewer, file: str | Path, most_bytes: int) -> int:
     """
     file = Path(file)
     if file.suffix.lower() != SUFFIX or file.is_dir() or not file.parent.is_dir():
-        raise InputError(f"the page {str(file)!r} must be a file that ends in {SUFFIX}, in a folder that is there")
+        raise InputError(
+            f"the page {str(file)!r} must be a file that ends in {SUFFIX}, in a folder that is there"
+        )
     shape = viewer.maps.grid.shape
     maps = list(_maps_of(viewer))
     for stride in strides_of(shape):
-        if len(maps) * shape[0] * shape[1] / stride**2 / 8 > most_bytes:  # a map deflates to a few bits a cell or more
+        if (
+            len(maps) * shape[0] * shape[1] / stride**2 / 8 > most_bytes
+        ):  # a map deflates to a few bits a cell or more
             continue
         page = _page(viewer, maps, stride, most_bytes)
         if page is not None:
             write_whole(file, page)
             return len(page)
-    raise InputError(f"no page of these {len(maps)} maps has at most {most_bytes / 2**20:g} MiB: allow more (--size)")
+    raise InputError(
+        f"no page of these {len(maps)} maps has at most {most_bytes / 2**20:g} MiB: allow more (--size)"
+    )
 
 
 def _maps_of(viewer: Viewer) -> Iterator[Shown]:
@@ -112,7 +122,9 @@ def _page(viewer: Viewer, maps: list[Shown], stride: int, most_bytes: int) -> by
         answers[_key("legend", told)] = viewer.legend(shown)
         for row, col in product(range(num_rows), range(num_cols)):
             tile = told | {"stride": stride, "row": row, "col": col}
-            answers[_key("tile", tile)] = base64.b64encode(viewer.answer("tile", tile).body).decode()
+            answers[_key("tile", tile)] = base64.b64encode(
+                viewer.answer("tile", tile).body
+            ).decode()
             num_bytes += len(answers[_key("tile", tile)])
         if num_bytes > most_bytes:
             return None

@@ -23,7 +23,10 @@ RANGE_ERROR_M = 5.0  # of a satellite's range, standard deviation, a round figur
 ERROR_LABEL = f"Horizontal position error in metres, low is good: HDOP x {RANGE_ERROR_M:g} m"
 ERROR_COLOURS = Colours("viridis_r", Normalize(0, 50), ERROR_LABEL, extend="max")
 NO_FIX_PATCH = ("no fix", "repeating-linear-gradient(135deg,#d01824 0 2px,transparent 2px 4px)")
-OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)  # how values travel: a cell in an obstacle; one not drawn
+OBSTACLE, NOTHING = (
+    np.float32(-np.inf),
+    np.float32(np.nan),
+)  # how values travel: a cell in an obstacle; one not drawn
 
 
 @dataclass(frozen=True)
@@ -91,21 +94,31 @@ class DrawnLayer:
         if (metric := self.cost_of) is not None:
             label = f"c_{metric.name}, cost before its weight (0: best, 1: worst)"
             is_m = metric.cost is high_is_bad
-            return Colours(metric.colour_map if is_m else f"{metric.colour_map}_r", Normalize(0, 1), label)
+            return Colours(
+                metric.colour_map if is_m else f"{metric.colour_map}_r", Normalize(0, 1), label
+            )
         return metric_colours(self.maps, self.name, None if self.dims else values)
 
 
 def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
     """Return every layer of these maps that can be drawn, by name, those that are looked at most first."""
     variables = drawn_variables(maps)
-    flown = tuple(dict.fromkeys((ALTITUDE, *(dim for name in maps.metrics for dim in variables[name].dims))))
+    flown = tuple(
+        dict.fromkeys((ALTITUDE, *(dim for name in maps.metrics for dim in variables[name].dims)))
+    )
     layers = [DrawnLayer(maps, name, variables[name], "Metrics") for name in maps.metrics]
-    layers.append(DrawnLayer(maps, H_NORM, Variable(H_NORM, "all costs together, H_norm", dims=flown), "Costs"))
+    layers.append(
+        DrawnLayer(
+            maps, H_NORM, Variable(H_NORM, "all costs together, H_norm", dims=flown), "Costs"
+        )
+    )
     for name, metric in maps.metrics.items():
         cost = Variable(f"{COST_OF}{name}", f"cost of {metric.label}", dims=variables[name].dims)
         layers.append(DrawnLayer(maps, cost.name, cost, "Costs", metric))
     if "hdop" in variables:
-        error = Variable(POSITION_ERROR, "horizontal position error", dims=variables["hdop"].dims, unit="m")
+        error = Variable(
+            POSITION_ERROR, "horizontal position error", dims=variables["hdop"].dims, unit="m"
+        )
         layers.append(DrawnLayer(maps, POSITION_ERROR, error, "Satellites"))
     for group in ("Satellites", "Ground", "Further maps"):
         for name, variable in variables.items():
@@ -132,8 +145,16 @@ def legend_of(layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
     patches = [(zero, EMPTY_COLOUR)] if zero else []
     patches += [("obstacle", layer.blocked)] if layer.is_hidden else []
     patches += [NO_FIX_PATCH] if FIX in layer.maps.ds else []
-    patches += [NO_DATA_PATCH] if np.isnan(values).any() or not layer.maps.ds["has_data"].values.all() else []
-    flat = [_packed(layer.blocked), _packed(NO_DATA_PATCH[1]), _packed(EMPTY_COLOUR) if zero else None]
+    patches += (
+        [NO_DATA_PATCH]
+        if np.isnan(values).any() or not layer.maps.ds["has_data"].values.all()
+        else []
+    )
+    flat = [
+        _packed(layer.blocked),
+        _packed(NO_DATA_PATCH[1]),
+        _packed(EMPTY_COLOUR) if zero else None,
+    ]
     if isinstance(scale.norm, BoundaryNorm):  # classes, and no bar
         edges, ticks, marks = scale.norm.boundaries, [], []
         colours = scale.cmap(np.arange(len(edges) - 1), bytes=True)  # type: ignore[operator]
@@ -149,7 +170,9 @@ def legend_of(layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
         marks = [(float(scale.norm(value)), text) for value, text in zip(ticks, texts, strict=True)]
     return {
         "flat": flat,
-        "edges": [float(f"{edge:.9g}") for edge in np.asarray(edges, float)],  # as fine as a float32
+        "edges": [
+            float(f"{edge:.9g}") for edge in np.asarray(edges, float)
+        ],  # as fine as a float32
         "colours": base64.b64encode(colours.tobytes()).decode("ascii"),
         "ticks": ticks,
         "html": legend(plain_label(scale.label), colours[::8, :3], marks, patches),

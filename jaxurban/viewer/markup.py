@@ -11,7 +11,13 @@ from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.profile import CLEARANCE, GUESSED
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR
 
-WIDE, HIGH, TOP, MIDDLE, BOTTOM = 1000, 150, 7, 62, 134  # of the profile: its size, the two panels' borders
+WIDE, HIGH, TOP, MIDDLE, BOTTOM = (
+    1000,
+    150,
+    7,
+    62,
+    134,
+)  # of the profile: its size, the two panels' borders
 METRICS_HIGH, LETTERS = 52, 14  # of the profile: pixels of its lower panel and of a line of text
 GUESSED_COLOUR = "#b9a473"
 MOST_STEPS = 1000  # of a line of the profile
@@ -39,7 +45,9 @@ def layer_options(layers: Iterable[tuple[str, str, str]], first: str) -> str:
         chosen = " selected" if name == first else ""
         option = f'<option value="{escape(name)}"{chosen}>{escape(heading)}</option>'
         groups[group] = groups.get(group, "") + option
-    return "".join(f'<optgroup label="{escape(group)}">{inside}</optgroup>' for group, inside in groups.items())
+    return "".join(
+        f'<optgroup label="{escape(group)}">{inside}</optgroup>' for group, inside in groups.items()
+    )
 
 
 def dot(colour: str) -> str:
@@ -67,7 +75,9 @@ def planners(summaries: Mapping[str, str], colours: Mapping[str, str], chosen: s
 
 def rows(cells: Iterable[tuple[str, str]]) -> str:
     """Return rows of a table: label and text."""
-    return "".join(f"<tr><td>{escape(label)}</td><td>{escape(text)}</td></tr>" for label, text in cells)
+    return "".join(
+        f"<tr><td>{escape(label)}</td><td>{escape(text)}</td></tr>" for label, text in cells
+    )
 
 
 def costs(parts: Mapping[str, float], labels: Mapping[str, str], colours: Mapping[str, str]) -> str:
@@ -90,7 +100,10 @@ def sentences(texts: Iterable[tuple[str, str]]) -> str:
 
 
 def legend(
-    label: str, colours: np.ndarray, ticks: Iterable[tuple[float, str]], patches: Iterable[Sequence[str]]
+    label: str,
+    colours: np.ndarray,
+    ticks: Iterable[tuple[float, str]],
+    patches: Iterable[Sequence[str]],
 ) -> str:
     """Return a legend.
 
@@ -109,11 +122,16 @@ def legend(
     )
     gradient = f'<div class="jv-bar" style="background:linear-gradient(90deg,{bar})"></div>'
     scale = f'{gradient}<div class="jv-ticks">{marks}</div>' if ticks else ""
-    flat = "".join(f'<span><i style="background:{colour}"></i>{escape(name)}</span>' for name, colour in patches)
+    flat = "".join(
+        f'<span><i style="background:{colour}"></i>{escape(name)}</span>'
+        for name, colour in patches
+    )
     return f'<figcaption>{escape(label)}</figcaption>{scale}<div class="jv-patches">{flat}</div>'
 
 
-def profile(table: pd.DataFrame, lines: Mapping[str, tuple[str, str]], no_fix: Iterable[tuple[float, float]]) -> str:
+def profile(
+    table: pd.DataFrame, lines: Mapping[str, tuple[str, str]], no_fix: Iterable[tuple[float, float]]
+) -> str:
     """Return what a route meets as SVG: flight and roofs above, the metrics below, labels and a key.
 
     The drawing is stretched to the page's width, `WIDE` for the whole route; its height and its letters are not.
@@ -132,7 +150,9 @@ def profile(table: pd.DataFrame, lines: Mapping[str, tuple[str, str]], no_fix: I
         at = np.unique(np.linspace(0, len(table) - 1, min(len(table), MOST_STEPS)).astype(int))
         x = WIDE * table[["from_m", "to_m"]].to_numpy()[at].ravel() / total_m
         y = np.repeat(low - per_one * values[at], 2)
-        return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
+        return "M" + "L".join(
+            f"{a:.1f} {b:.1f}" for a, b in zip(x.tolist(), y.tolist(), strict=True)
+        )
 
     roofs_m = table["roof_m"].fillna(0.0).to_numpy()
     roofs = {"roofs beneath": (BUILT_COLOUR, roofs_m)}
@@ -156,7 +176,9 @@ def profile(table: pd.DataFrame, lines: Mapping[str, tuple[str, str]], no_fix: I
     if roof_m > 0 and min(abs(roof_y - y) for y in heights) > LETTERS:
         heights[roof_y] = f"{number(roof_m)} m"
     heights |= {BOTTOM - METRICS_HIGH: "m 1", BOTTOM: "0"}
-    words = "".join(f'<b style="top:{y - LETTERS / 2:.0f}px">{text}</b>' for y, text in heights.items())
+    words = "".join(
+        f'<b style="top:{y - LETTERS / 2:.0f}px">{text}</b>' for y, text in heights.items()
+    )
     places = [(at_m / total_m, BOTTOM + 2, text) for at_m, text in _distances(total_m)]
     nearest = int(np.argmin(table[CLEARANCE]))
     least_m = float(table[CLEARANCE].iloc[nearest])
@@ -168,9 +190,15 @@ def profile(table: pd.DataFrame, lines: Mapping[str, tuple[str, str]], no_fix: I
         f'<span style="top:{y}px;left:{share:.2%};transform:translateX({-share:.0%})">{text}</span>'
         for share, y, text in places
     )
-    keys = {name: colour for name, (colour, _) in roofs.items()} | {"flight": ALTITUDE_COLOUR} | dict(lines.values())
+    keys = (
+        {name: colour for name, (colour, _) in roofs.items()}
+        | {"flight": ALTITUDE_COLOUR}
+        | dict(lines.values())
+    )
     keys |= {"no fix": NO_FIX_COLOUR} if shaded else {}
-    flight = f'<path d="{trace(table["z_m"].to_numpy(), MIDDLE, per_m)}" stroke="{ALTITUDE_COLOUR}"/>'
+    flight = (
+        f'<path d="{trace(table["z_m"].to_numpy(), MIDDLE, per_m)}" stroke="{ALTITUDE_COLOUR}"/>'
+    )
     key = "".join(f"<span>{dot(colour)}{escape(label)}</span>" for label, colour in keys.items())
     return (
         f'<div><svg viewBox="0 0 {WIDE} {HIGH}" preserveAspectRatio="none" fill="none" stroke-width="1.4">'
@@ -184,4 +212,6 @@ def _distances(total_m: float) -> list[tuple[float, str]]:
     power = 10.0 ** math.floor(math.log10(total_m / 6))
     step_m = next(factor * power for factor in (1, 2, 5, 10) if factor * power * 6 >= total_m)
     unit, unit_m = ("km", 1000) if total_m >= 1000 else ("m", 1)
-    return [(k * step_m, f"{k * step_m / unit_m:g} {unit}") for k in range(int(total_m / step_m) + 1)]
+    return [
+        (k * step_m, f"{k * step_m / unit_m:g} {unit}") for k in range(int(total_m / step_m) + 1)
+    ]

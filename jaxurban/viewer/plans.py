@@ -42,10 +42,14 @@ class Plans:
       limits: their clearance is where the page starts, all else of them stays.
     """
 
-    def __init__(self, maps: MetricMaps, folder: str = "", weights: GivenWeights = None, preset: str = "") -> None:
+    def __init__(
+        self, maps: MetricMaps, folder: str = "", weights: GivenWeights = None, preset: str = ""
+    ) -> None:
         self.maps, self.cost_model, self.limits = rules_on(maps, None, None, preset)
         self.weights, self.folder = weights_on(maps, weights), folder
-        self._cost_maps, self._routes, self._reports = (Kept(most, lambda _: 1) for most in (2, NUM_ROUTES, NUM_ROUTES))
+        self._cost_maps, self._routes, self._reports = (
+            Kept(most, lambda _: 1) for most in (2, NUM_ROUTES, NUM_ROUTES)
+        )
 
     def route(self, query: Plan, at: OneMap) -> PlannedPath:
         """Return the route that is asked for.
@@ -57,9 +61,13 @@ class Plans:
         def make() -> PlannedPath:
             on = self._cost_map(query, at)
             budget_s = _budget_s(query.planner)
-            return on.plan(query.start, query.goal, planner=query.planner, budget_s=budget_s, snap=query.snap)
+            return on.plan(
+                query.start, query.goal, planner=query.planner, budget_s=budget_s, snap=query.snap
+            )
 
-        return self._routes.get(query.model_dump_json(), make)  # without its cost map, which is large
+        return self._routes.get(
+            query.model_dump_json(), make
+        )  # without its cost map, which is large
 
     def report(self, query: Plan, at: OneMap) -> tuple[RouteReport, PlannedPath]:
         """Return a route explained, with what its pilot should know, and the route.
@@ -89,7 +97,9 @@ class Plans:
         """
         planned, tolerance_m = self.route(query, at), self.maps.grid.resolution_m / 2
         key = "mission", query.model_dump_json()
-        return self._routes.get(key, lambda: simplify(planned, self._cost_map(query, at), tolerance_m))
+        return self._routes.get(
+            key, lambda: simplify(planned, self._cost_map(query, at), tolerance_m)
+        )
 
     def moved(self, query: Plan, at: OneMap) -> dict[str, str]:
         """Return how far each end of a route was moved and out of what, by name; nothing of an end that was free."""
@@ -125,8 +135,12 @@ class Plans:
             "--vertical-clearance": repr(self._over_roofs_m(query)),
             "--no-fly": ZONES_FILE if query.zones else None,
         }
-        given = [part for name, value in values.items() if value is not None for part in (name, value)]
-        return shlex.join(["jaxurban", "plan", self.folder, *given, *(["--snap"] if query.snap else [])])
+        given = [
+            part for name, value in values.items() if value is not None for part in (name, value)
+        ]
+        return shlex.join(
+            ["jaxurban", "plan", self.folder, *given, *(["--snap"] if query.snap else [])]
+        )
 
     def _cost_map(self, query: Plan, at: OneMap) -> CostMap:
         """Return the cost map of a query; what does not depend on the weights is made once."""
@@ -134,7 +148,14 @@ class Plans:
         for name in query.weights:
             one_of("weight", name, ("distance", *self.maps.metrics))
         weights = Weights.of({**self.weights.to_dict(), **query.weights})
-        key = at, query.cost_model, query.obstacles, query.clearance_m, query.vertical_clearance_m, query.zones
+        key = (
+            at,
+            query.cost_model,
+            query.obstacles,
+            query.clearance_m,
+            query.vertical_clearance_m,
+            query.zones,
+        )
         return self._cost_maps.get(key, lambda: self._made(query, at)).with_weights(weights)
 
     def _made(self, query: Plan, at: OneMap) -> CostMap:
@@ -157,7 +178,11 @@ class Plans:
 
     def _constraints(self, query: Plan) -> Constraints:
         """Return what closes cells: drawn zones are read from a file as those of the command are."""
-        kept = replace(self.limits, clearance_m=query.clearance_m, vertical_clearance_m=self._over_roofs_m(query))
+        kept = replace(
+            self.limits,
+            clearance_m=query.clearance_m,
+            vertical_clearance_m=self._over_roofs_m(query),
+        )
         if not query.zones:
             return kept
         try:

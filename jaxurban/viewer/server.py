@@ -42,15 +42,21 @@ class ViewerServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
-    request_queue_size = 1024  # of connections that wait to be taken; more at once are reset by the system
+    request_queue_size = (
+        1024  # of connections that wait to be taken; more at once are reset by the system
+    )
 
-    def __init__(self, viewer: Viewer, port: int = 0, again: Callable[[], Viewer] | None = None) -> None:
+    def __init__(
+        self, viewer: Viewer, port: int = 0, again: Callable[[], Viewer] | None = None
+    ) -> None:
         self.viewer, self.again, self._lock = viewer, again, Lock()
         self.page = html_page()
         try:
             super().__init__((HOST, port), _Handler)
         except (OSError, OverflowError) as error:
-            raise InputError(f"cannot listen at {HOST}:{port} ({error}): name another --port") from error
+            raise InputError(
+                f"cannot listen at {HOST}:{port} ({error}): name another --port"
+            ) from error
         self.hosts = {f"{name}:{self.server_port}" for name in (HOST, "localhost")}
 
     def renew(self) -> None:
@@ -75,7 +81,9 @@ class _Handler(BaseHTTPRequestHandler):
     server: ViewerServer
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "jaxurban", ""
-    disable_nagle_algorithm = True  # else an answer waits 40 ms for the browser to acknowledge its head
+    disable_nagle_algorithm = (
+        True  # else an answer waits 40 ms for the browser to acknowledge its head
+    )
     wbufsize = -1
     timeout = PATIENCE_S
 
@@ -114,14 +122,18 @@ class _Handler(BaseHTTPRequestHandler):
         if "Transfer-Encoding" in self.headers or not length.isdecimal():
             raise _RefusedError(HTTPStatus.LENGTH_REQUIRED, "give the length of the request")
         if len(length) > 9 or int(length) > MOST_BODY:
-            raise _RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request is at most {MOST_BODY} bytes")
+            raise _RefusedError(
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request is at most {MOST_BODY} bytes"
+            )
         return self.rfile.read(int(length))
 
     def _check_sender(self) -> None:
         if self.headers.get_all("Host") not in [[host] for host in self.server.hosts]:
             raise _RefusedError(HTTPStatus.FORBIDDEN, "this server answers to its own name alone")
         origins = self.headers.get_all("Origin") or []
-        if any(origin not in {f"http://{host}" for host in self.server.hosts} for origin in origins):
+        if any(
+            origin not in {f"http://{host}" for host in self.server.hosts} for origin in origins
+        ):
             raise _RefusedError(HTTPStatus.FORBIDDEN, "this server answers its own page alone")
 
     def _give(self, make: Any) -> None:
@@ -140,7 +152,9 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
             return
         except Exception as error:
-            LOG.warning(f"the viewer failed to answer {self.path[:60]!r}: {type(error).__name__}: {error}")
+            LOG.warning(
+                f"the viewer failed to answer {self.path[:60]!r}: {type(error).__name__}: {error}"
+            )
             status = HTTPStatus.INTERNAL_SERVER_ERROR
             answer = _sentence("that failed: see where the server runs")
         self._send(status, answer)
@@ -155,7 +169,9 @@ class _Handler(BaseHTTPRequestHandler):
             "Content-Security-Policy": policy_of("'self'"),
         }
         self.send_response(status)
-        for name, value in (headers | ({"Connection": "close"} if self.close_connection else {})).items():
+        for name, value in (
+            headers | ({"Connection": "close"} if self.close_connection else {})
+        ).items():
             self.send_header(name, value)
         self.end_headers()
         if self.command != "HEAD":
@@ -164,7 +180,11 @@ class _Handler(BaseHTTPRequestHandler):
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """Refuse what is no proper request, in a sentence."""
         self.close_connection = True
-        status = HTTPStatus.METHOD_NOT_ALLOWED if code == HTTPStatus.NOT_IMPLEMENTED else HTTPStatus(code)
+        status = (
+            HTTPStatus.METHOD_NOT_ALLOWED
+            if code == HTTPStatus.NOT_IMPLEMENTED
+            else HTTPStatus(code)
+        )
         if status >= HTTPStatus.INTERNAL_SERVER_ERROR:
             status = HTTPStatus.BAD_REQUEST
         self._send(status, _sentence((message or status.phrase)[:200]))

@@ -43,13 +43,17 @@ def tile_bytes(values: np.ndarray, stride: int, row: int, col: int) -> bytes:
       InputError: no such tile.
     """
     if stride not in strides_of(values.shape):
-        raise InputError(f"stride must be one of {', '.join(map(str, strides_of(values.shape)))}, got {stride}")
+        raise InputError(
+            f"stride must be one of {', '.join(map(str, strides_of(values.shape)))}, got {stride}"
+        )
     rows, cols = (
         middles(size, stride)[at * TILE : (at + 1) * TILE] if at >= 0 else np.empty(0, int)
         for size, at in zip(values.shape, (row, col), strict=True)
     )
     if not (rows.size and cols.size):
-        raise InputError(f"there is no tile {row}, {col} at stride {stride}: tiles are numbered from 0")
+        raise InputError(
+            f"there is no tile {row}, {col} at stride {stride}: tiles are numbered from 0"
+        )
     cells = np.ascontiguousarray(values[np.ix_(rows, cols)], "<f4")
     return zlib.compress(cells.view(np.uint8).reshape(-1, 4).T.tobytes(), 1)
 
@@ -62,7 +66,9 @@ def lonlat_fit(grid: Grid) -> dict[str, np.ndarray]:
     powers = np.array([(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
     uv = np.stack(np.meshgrid(*[np.linspace(-1, 1, NUM_FITTED)] * 2), axis=-1).reshape(-1, 2)
     low_m, high_m = np.array([[grid.x_min_m, grid.y_min_m], [grid.x_max_m, grid.y_max_m]])
-    lonlat = np.stack(grid.lonlat_of_xy(*((low_m + high_m) / 2 + uv * (high_m - low_m) / 2).T), axis=-1)
+    lonlat = np.stack(
+        grid.lonlat_of_xy(*((low_m + high_m) / 2 + uv * (high_m - low_m) / 2).T), axis=-1
+    )
     lon, lat = np.linalg.lstsq(np.prod(uv[:, None] ** powers, axis=-1), lonlat, rcond=None)[0].T
     return {"powers": powers, "lon": lon, "lat": lat}
 
@@ -75,7 +81,9 @@ class Kept:
       size_of: returns what one of them takes; left out, the bytes of an array.
     """
 
-    def __init__(self, most: int = MOST_BYTES, size_of: Callable[[Any], int] = attrgetter("nbytes")) -> None:
+    def __init__(
+        self, most: int = MOST_BYTES, size_of: Callable[[Any], int] = attrgetter("nbytes")
+    ) -> None:
         self.most, self.size_of = most, size_of
         self._held: OrderedDict[Hashable, Any] = OrderedDict()
         self._lock = Lock()

@@ -113,7 +113,9 @@ class Viewer:
         What is kept of them would be drawn beside what is read now.
         """
         if key not in ("", self.key):
-            raise RemadeError("the maps of this page were made again or removed since they were opened: load it again")
+            raise RemadeError(
+                "the maps of this page were made again or removed since they were opened: load it again"
+            )
         if OPENED in self.maps.ds.encoding:
             self.maps.ds.encoding[OPENED].check()
 
@@ -128,7 +130,10 @@ class Viewer:
             "resolution_m": grid.resolution_m,
             "corner_m": [grid.x_min_m, grid.y_min_m],
             "lonlat": lonlat_fit(grid),
-            "layers": [{"name": name, "dims": layer.dims} | _words(layer) for name, layer in self.layers.items()],
+            "layers": [
+                {"name": name, "dims": layer.dims} | _words(layer)
+                for name, layer in self.layers.items()
+            ],
             "tile": TILE,
             "strides": strides_of(grid.shape),
             "weights": {name: float(self.plans.weights[name]) for name in self._labels},
@@ -186,13 +191,17 @@ class Viewer:
 
     @cached_property
     def _labels(self) -> dict[str, str]:
-        return {"distance": "Distance"} | {name: metric.label for name, metric in self.maps.metrics.items()}
+        return {"distance": "Distance"} | {
+            name: metric.label for name, metric in self.maps.metrics.items()
+        }
 
     @cached_property
     def _colours(self) -> dict[str, str]:
         return {name: line_colour(name) for name in self._labels}
 
-    def place(self, at: tuple[int, int, int], dims: tuple[str, ...] = (ALTITUDE, TIME, TIME_OF_DAY)) -> OneMap:
+    def place(
+        self, at: tuple[int, int, int], dims: tuple[str, ...] = (ALTITUDE, TIME, TIME_OF_DAY)
+    ) -> OneMap:
         """Return altitude, time and time of day by their numbers, those of the dims alone.
 
         Raises:
@@ -201,14 +210,20 @@ class Viewer:
         chosen: list[Any] = []
         for (dim, held), index in zip(self.axes.items(), at, strict=True):
             if dim in dims and held and index >= len(held):
-                raise InputError(f"{dim} {index} is not there: these maps hold {len(held)}, numbered from 0")
+                raise InputError(
+                    f"{dim} {index} is not there: these maps hold {len(held)}, numbered from 0"
+                )
             chosen.append(held[index] if dim in dims and held else None)
         return OneMap(*chosen)
 
     def flight(self, query: Plan) -> OneMap:
         """Return altitude, time and time of day of a route; the altitude may lie between those of the maps."""
         at = self.place(query.at)
-        return at if query.flight_m is None or at.altitude_m is None else at._replace(altitude_m=query.flight_m)
+        return (
+            at
+            if query.flight_m is None or at.altitude_m is None
+            else at._replace(altitude_m=query.flight_m)
+        )
 
     def values(self, shown: Shown) -> np.ndarray:
         """Return the values ``[Y, X]`` of a map as they travel (`DrawnLayer.values`)."""
@@ -229,7 +244,9 @@ class Viewer:
         """Return the value of every layer in a cell: name, value (None for none) and its words (`_words`)."""
         grid = self.maps.grid
         if not (cell.row < grid.num_rows and cell.col < grid.num_cols):
-            raise InputError(f"the cell {cell.row}, {cell.col} is outside: there are {grid.num_rows} x {grid.num_cols}")
+            raise InputError(
+                f"the cell {cell.row}, {cell.col} is outside: there are {grid.num_rows} x {grid.num_cols}"
+            )
         found, is_inside = [], self._value_in(self.layers["obstacle"], cell) != 0
         for name, layer in self.layers.items():
             words = _words(layer)
@@ -262,7 +279,11 @@ class Viewer:
         at = self.flight(query)
         planned, moved = self.plans.route(query, at), self.plans.moved(query, at)
         has_path = planned.status.has_path
-        text = f"cost {number(planned.cost)} · {planned.length_m / 1000:.2f} km" if has_path else "no path"
+        text = (
+            f"cost {number(planned.cost)} · {planned.length_m / 1000:.2f} km"
+            if has_path
+            else "no path"
+        )
         notes = [status_said(planned), *moved.values()]
         return {
             "planner": query.planner,
@@ -291,11 +312,15 @@ class Viewer:
             least = f"{least}, the route {number(route_m)} m"
         level = next(each.level for each in mission.cautions if each.startswith("Buildings"))
         least = f'<b class="jv-{level}">{least}</b>'
-        lines = {name: (metric.label, self._colours[name]) for name, metric in self.maps.metrics.items()}
+        lines = {
+            name: (metric.label, self._colours[name]) for name, metric in self.maps.metrics.items()
+        }
         units = {name: text for name, text in TOTALS.items() if name in totals}
         return {
             "cautions": sentences((each.level, each) for each in found.cautions),
-            "totals": markup.rows((label, f"{number(totals[name])} {unit}") for name, (label, unit) in units.items()),
+            "totals": markup.rows(
+                (label, f"{number(totals[name])} {unit}") for name, (label, unit) in units.items()
+            ),
             "profile": markup.profile(table, lines, without_fix(table))
             + sentences([("note", rules_said(planned.settings))]),
             "to_share": np.round(table["to_m"].to_numpy() / max(planned.length_m, 1e-9), 5),
@@ -341,7 +366,9 @@ def _words(layer: DrawnLayer) -> dict[str, Any]:
 
 def as_json(value: Any) -> bytes:
     """Return a value as JSON; arrays are lists."""
-    return json.dumps(value, allow_nan=False, separators=(",", ":"), default=lambda array: array.tolist()).encode()
+    return json.dumps(
+        value, allow_nan=False, separators=(",", ":"), default=lambda array: array.tolist()
+    ).encode()
 
 
 def _number(value: float) -> float | None:

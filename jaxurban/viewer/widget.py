@@ -49,7 +49,9 @@ def widget_of(viewer: Viewer) -> "AnyWidget":
         from anywidget import AnyWidget
         from traitlets import Unicode
     except ModuleNotFoundError as error:
-        raise InputError("the viewer in a notebook needs anywidget: pip install 'jaxurban[notebook]'") from error
+        raise InputError(
+            "the viewer in a notebook needs anywidget: pip install 'jaxurban[notebook]'"
+        ) from error
 
     class ViewerWidget(AnyWidget):
         """The page, and its requests answered."""

@@ -233,12 +233,16 @@ class LandCover:
 
 def lonlat_boxes(polygons: np.ndarray, crs: str) -> np.ndarray:
     """Return west, south, east, north in degrees of polygons in ``crs``, ``[N, 4]``."""
-    return shapely.bounds(shapely.transform(polygons, transformer(crs, WGS84).transform, interleaved=False))
+    return shapely.bounds(
+        shapely.transform(polygons, transformer(crs, WGS84).transform, interleaved=False)
+    )
 
 
 def rounded_outward(boxes: np.ndarray) -> Bounds:
     """Return the box around boxes in degrees ``[N, 4]``, rounded outward to some 10 m."""
-    sides = np.round(1e4 * shapely.total_bounds(shapely.box(*boxes.T)), 4)  # a projection there and back moves them
+    sides = np.round(
+        1e4 * shapely.total_bounds(shapely.box(*boxes.T)), 4
+    )  # a projection there and back moves them
     west, south, east, north = (np.append(np.floor(sides[:2]), np.ceil(sides[2:])) / 1e4).tolist()
     return west, south, east, north
 
@@ -317,7 +321,9 @@ class City(Shown):
 
     def __post_init__(self) -> None:
         if (self.buildings is None) == (self.roofs is None):
-            raise InputError("a City needs either buildings (outlines) or roofs (a height raster), and not both")
+            raise InputError(
+                "a City needs either buildings (outlines) or roofs (a height raster), and not both"
+            )
 
     @property
     def facts(self) -> dict[str, str]:
@@ -325,7 +331,9 @@ class City(Shown):
         x_min, y_min, x_max, y_max = region_m = self._region_m
         num, main = "a height raster", None
         if self.buildings is not None:
-            inside = self.buildings.polygons[shapely.intersects(self.buildings.polygons, shapely.box(*region_m))]
+            inside = self.buildings.polygons[
+                shapely.intersects(self.buildings.polygons, shapely.box(*region_m))
+            ]
             around = len(self.buildings) - len(inside)
             num = f"{len(inside):,}" + (f", and {around:,} around" if around else "")
             extent = self.bounds or transformer(self.crs, WGS84).transform_bounds(*region_m)
@@ -406,6 +414,12 @@ class City(Shown):
         # The one import against the layers, for the user's sake.
         from jaxurban.io.read.city import read_city
 
-        file = buildings if isinstance(buildings, settings.Buildings) else settings.Buildings(buildings)
+        file = (
+            buildings
+            if isinstance(buildings, settings.Buildings)
+            else settings.Buildings(buildings)
+        )
         ground = terrain if isinstance(terrain, settings.Terrain) else settings.Terrain(terrain)
-        return read_city(file, bounds=bounds, crs=crs, population=population, terrain=ground, gps=gps)
+        return read_city(
+            file, bounds=bounds, crs=crs, population=population, terrain=ground, gps=gps
+        )

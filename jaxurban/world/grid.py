@@ -35,7 +35,11 @@ def utm_crs(lon_deg: float, lat_deg: float) -> str:
         area_of_interest=AreaOfInterest(lon_deg, lat_deg, lon_deg, lat_deg),
     )
     if not infos:
-        swapped = "latitude and longitude look swapped (longitude comes first), else " if abs(lon_deg) <= 84 else ""
+        swapped = (
+            "latitude and longitude look swapped (longitude comes first), else "
+            if abs(lon_deg) <= 84
+            else ""
+        )
         raise InputError(
             f"no UTM zone covers longitude {lon_deg:g}, latitude {lat_deg:g}: {swapped}set [region] crs to a projected "
             "CRS"
@@ -59,11 +63,17 @@ def projected_crs(crs: str) -> pyproj.CRS:
     try:
         parsed = pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError as error:
-        raise InputError(f"crs {crs!r} is not a known CRS: use a projected one such as 'EPSG:32618'") from error
-    if not parsed.is_projected or any(abs(axis.unit_conversion_factor - 1.0) > 1e-12 for axis in parsed.axis_info[:2]):
+        raise InputError(
+            f"crs {crs!r} is not a known CRS: use a projected one such as 'EPSG:32618'"
+        ) from error
+    if not parsed.is_projected or any(
+        abs(axis.unit_conversion_factor - 1.0) > 1e-12 for axis in parsed.axis_info[:2]
+    ):
         raise InputError(f"{crs!r} is not a projected CRS in metres: use one such as 'EPSG:32618'")
     if {axis.direction for axis in parsed.axis_info[:2]} != {"east", "north"}:
-        raise InputError(f"the axes of {crs!r} do not point east and north: use a CRS such as a UTM zone, 'EPSG:32618'")
+        raise InputError(
+            f"the axes of {crs!r} do not point east and north: use a CRS such as a UTM zone, 'EPSG:32618'"
+        )
     return parsed
 
 
@@ -81,7 +91,9 @@ def check_on_earth(name: str, crs: Any) -> None:
 def check_scale(crs: str, lon_deg: float, lat_deg: float) -> None:
     """Raise InputError unless a metre of the CRS is a metre on the ground, within 1 %, at a point."""
     factors = pyproj.Proj(crs).get_factors(lon_deg, lat_deg)
-    scale = max(factors.meridional_scale, factors.parallel_scale, key=lambda value: abs(value - 1.0))
+    scale = max(
+        factors.meridional_scale, factors.parallel_scale, key=lambda value: abs(value - 1.0)
+    )
     if not abs(scale - 1.0) < MAX_SCALE_ERROR:
         raise InputError(
             f"a metre of {crs} is {1.0 / scale:.3g} m on the ground at {lon_deg:.2f}, {lat_deg:.2f} (lon, lat): "
@@ -97,7 +109,9 @@ def where_it_lies(extent: Sequence[float], bounds: Sequence[float]) -> str:
       bounds: of a region that it does not reach, the same.
     """
     west, south, east, north = extent
-    is_swapped = max(west, bounds[1]) <= min(east, bounds[3]) and max(south, bounds[0]) <= min(north, bounds[2])
+    is_swapped = max(west, bounds[1]) <= min(east, bounds[3]) and max(south, bounds[0]) <= min(
+        north, bounds[2]
+    )
     hint = "; latitude and longitude look swapped (longitude comes first)" if is_swapped else ""
     return f"it covers about {west:.4f}, {south:.4f}, {east:.4f}, {north:.4f} (west, south, east, north){hint}"
 
@@ -171,9 +185,13 @@ class Grid:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.resolution_m) and self.resolution_m > 0):
-            raise InputError(f"resolution_m must be a positive number of metres, got {self.resolution_m}")
+            raise InputError(
+                f"resolution_m must be a positive number of metres, got {self.resolution_m}"
+            )
         if self.num_rows < 1 or self.num_cols < 1:
-            raise InputError(f"num_rows and num_cols must be 1 or more, got {self.num_rows} x {self.num_cols}")
+            raise InputError(
+                f"num_rows and num_cols must be 1 or more, got {self.num_rows} x {self.num_cols}"
+            )
         projected_crs(self.crs)
 
     @classmethod
@@ -208,21 +226,29 @@ class Grid:
         west, south, east, north = check_bounds(bounds)
         resolutions_m = [resolution_m, *nest_with_m]
         if not all(math.isfinite(value) and value > 0 for value in resolutions_m):
-            raise InputError(f"resolution_m must be a positive number of metres, got {resolutions_m}")
+            raise InputError(
+                f"resolution_m must be a positive number of metres, got {resolutions_m}"
+            )
         if crs is None:
             crs = utm_crs((west + east) / 2, (south + north) / 2)
         projected_crs(crs)
         check_scale(crs, (west + east) / 2, (south + north) / 2)
-        x_min, y_min, x_max, y_max = transformer(WGS84, crs).transform_bounds(west, south, east, north, densify_pts=101)
+        x_min, y_min, x_max, y_max = transformer(WGS84, crs).transform_bounds(
+            west, south, east, north, densify_pts=101
+        )
         if not all(math.isfinite(value) for value in (x_min, y_min, x_max, y_max)):
-            raise InputError(f"bounds {list(bounds)} lie outside the area of use of {crs}: choose another CRS")
+            raise InputError(
+                f"bounds {list(bounds)} lie outside the area of use of {crs}: choose another CRS"
+            )
         if (x_max - x_min) * (y_max - y_min) > MOST_CELLS * min(resolutions_m) ** 2:
             raise InputError(
                 f"resolution_m {min(resolutions_m):g} makes more than {MOST_CELLS:.0e} cells: choose a coarser one"
             )
         snap_m = _common_multiple_m(resolutions_m)
         if snap_m > MAX_SNAP_CELLS * max(resolutions_m):
-            raise InputError(f"the resolutions {resolutions_m} m have no common grid: choose such as 2, 5, 10")
+            raise InputError(
+                f"the resolutions {resolutions_m} m have no common grid: choose such as 2, 5, 10"
+            )
         per_snap = round(snap_m / resolution_m)
         # Bounds that were snapped before must not grow by rounding: a millionth of a cell is nothing.
         first_col, end_col = math.floor(x_min / snap_m + 1e-6), math.ceil(x_max / snap_m - 1e-6)
@@ -279,7 +305,9 @@ class Grid:
     @property
     def centre_lonlat(self) -> tuple[float, float]:
         """Longitude and latitude of the middle of the grid, degrees."""
-        lon, lat = self.lonlat_of_xy((self.x_min_m + self.x_max_m) / 2, (self.y_min_m + self.y_max_m) / 2)
+        lon, lat = self.lonlat_of_xy(
+            (self.x_min_m + self.x_max_m) / 2, (self.y_min_m + self.y_max_m) / 2
+        )
         return float(lon), float(lat)
 
     def contains_xy(self, x_m: ArrayLike, y_m: ArrayLike) -> np.ndarray:
@@ -317,7 +345,9 @@ class Grid:
         """
         inside = self.contains_xy(x_m, y_m)
         if not np.all(inside):
-            x_bad, y_bad = (float(np.asarray(v, float)[~inside].flat[0]) for v in np.broadcast_arrays(x_m, y_m))
+            x_bad, y_bad = (
+                float(np.asarray(v, float)[~inside].flat[0]) for v in np.broadcast_arrays(x_m, y_m)
+            )
             raise InputError(
                 f"the point {x_bad:.1f}, {y_bad:.1f} ({self.crs}) is outside the region, which spans "
                 f"{self.x_min_m:.1f} to {self.x_max_m:.1f} east and {self.y_min_m:.1f} to {self.y_max_m:.1f} north "

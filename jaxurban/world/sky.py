@@ -86,4 +86,7 @@ class Sky:
     def count_by_system(self) -> dict[str, list[int]]:
         """Return how many satellites of each constellation are in view, by time."""
         systems = np.asarray(self.systems)
-        return {name: self.is_in_view[:, systems == name].sum(axis=1).tolist() for name in sorted(set(self.systems))}
+        return {
+            name: self.is_in_view[:, systems == name].sum(axis=1).tolist()
+            for name in sorted(set(self.systems))
+        }

@@ -52,7 +52,13 @@ class Slabs(NamedTuple):
     def over_cells(self, grid: Grid) -> tuple["Slabs", tuple[np.ndarray, np.ndarray]]:
         """Return the slabs that hang over whole cells of a grid, and row and column of each there."""
         row, col = self.row // PER_CELL - grid.first_row, self.col // PER_CELL - grid.first_col
-        inside = self.is_of_cell & (row >= 0) & (row < grid.num_rows) & (col >= 0) & (col < grid.num_cols)
+        inside = (
+            self.is_of_cell
+            & (row >= 0)
+            & (row < grid.num_rows)
+            & (col >= 0)
+            & (col < grid.num_cols)
+        )
         return self.take(inside), (row[inside], col[inside])
 
     def lowest_floors(self, grid: Grid) -> np.ndarray:
@@ -81,7 +87,9 @@ def roofs_of(height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> Float
       height_m: ``[B]`` height of each building.
       building: ``[Y, X]`` from `jaxurban.io.read.rasterise.building_index`.
     """
-    return jnp.append(height_m, jnp.zeros(1, height_m.dtype))[building]  # NO_BUILDING, -1, is the last entry
+    return jnp.append(height_m, jnp.zeros(1, height_m.dtype))[
+        building
+    ]  # NO_BUILDING, -1, is the last entry
 
 
 @jax.tree_util.register_dataclass
@@ -108,7 +116,9 @@ class Part:
         if xp is np:
             cut = self.values[..., row : row + rows, col : col + cols]
         else:
-            cut = jax.lax.dynamic_slice(self.values, (0,) * len(before) + self.first_cell, (*before, *self.shape))
+            cut = jax.lax.dynamic_slice(
+                self.values, (0,) * len(before) + self.first_cell, (*before, *self.shape)
+            )
         return xp.pad(cut, [(0, 0)] * len(before) + list(self.pad)) if np.any(self.pad) else cut
 
 
@@ -158,7 +168,13 @@ class Surface:
 
     def with_heights(self, height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> "Surface":
         """Return this surface with other heights of its buildings, without slabs; arguments as in `roofs_of`."""
-        return replace(self, roof_m=roofs_of(height_m, building), roof_touched_m=None, roof_guessed=None, slabs=None)
+        return replace(
+            self,
+            roof_m=roofs_of(height_m, building),
+            roof_touched_m=None,
+            roof_guessed=None,
+            slabs=None,
+        )
 
     def at_altitude(self, altitude_m: float) -> "Surface":
         """Return what an altitude meets: slabs with their floor at or below it reach the ground, higher ones are left.
@@ -198,11 +214,16 @@ class Surface:
                 f"a layer looks {halo * self.grid.resolution_m:g} m sideways, beyond its reach_m: raise reach_m to that"
             )
         rows, cols = self.window
-        ends = [(rows.start, rows.stop, self.grid.num_rows), (cols.start, cols.stop, self.grid.num_cols)]
+        ends = [
+            (rows.start, rows.stop, self.grid.num_rows),
+            (cols.start, cols.stop, self.grid.num_cols),
+        ]
         inner = [(max(start - halo, 0), min(stop + halo, size)) for start, stop, size in ends]
         (first_row, end_row), (first_col, end_col) = inner
         shape = end_row - first_row, end_col - first_col
-        rows_pad, cols_pad = ((max(halo - start, 0), max(stop + halo - size, 0)) for start, stop, size in ends)
+        rows_pad, cols_pad = (
+            (max(halo - start, 0), max(stop + halo - size, 0)) for start, stop, size in ends
+        )
         return Part(values, (first_row, first_col), shape, (rows_pad, cols_pad))
 
 
@@ -212,7 +233,9 @@ def in_type(values: Any, dtype: DTypeLike) -> Array | np.ndarray:
     return jnp.asarray(values, dtype) if is_held else np.asarray(values, dtype)
 
 
-def obstacle_mask(roof_m: Float[Array, "Y X"], altitudes_m: Sequence[float] | ArrayLike) -> Bool[Array, "A Y X"]:
+def obstacle_mask(
+    roof_m: Float[Array, "Y X"], altitudes_m: Sequence[float] | ArrayLike
+) -> Bool[Array, "A Y X"]:
     """Return H_obs: True where the highest roof of a cell is at or above the altitude, ``[A, Y, X]``.
 
     Args:
@@ -245,7 +268,9 @@ def obstacles_on(surface: Surface, altitudes_m: Iterable[float]) -> Bool[np.ndar
 
 
 @jax.jit
-def soft_obstacle(roof_m: Float[Array, "*C"], z_m: ArrayLike, softness_m: ArrayLike) -> Float[Array, "*C"]:
+def soft_obstacle(
+    roof_m: Float[Array, "*C"], z_m: ArrayLike, softness_m: ArrayLike
+) -> Float[Array, "*C"]:
     """Return how much of an obstacle each cell is, 1 up to the roof, falling to 0 one softness above it.
 
     ``1 - q((z - roof) / softness)`` with ``q(t) = t^3 (10 - 15 t + 6 t^2)`` between 0 and 1, twice differentiable. It
@@ -265,5 +290,7 @@ def soft_obstacle(roof_m: Float[Array, "*C"], z_m: ArrayLike, softness_m: ArrayL
     softness = jnp.asarray(softness_m, roof.dtype)
     clearance_m = jnp.asarray(z_m, roof.dtype) - roof
     t = jnp.clip(clearance_m / jnp.where(softness > 0, softness, 1), 0, 1)
-    clear = jnp.where(softness > 0, t**3 * (10 - 15 * t + 6 * t**2), (clearance_m > 0).astype(roof.dtype))
+    clear = jnp.where(
+        softness > 0, t**3 * (10 - 15 * t + 6 * t**2), (clearance_m > 0).astype(roof.dtype)
+    )
     return jnp.where(roof > 0, 1 - clear, 0)

@@ -9,18 +9,31 @@ import numpy as np
 import shapely
 
 from jaxurban.errors import InputError, at_least, typed
-from jaxurban.world.city import OTHER_DISTRICT, Blocks, City, Footprints, HeightOrigin, LandCover, Zoning
+from jaxurban.world.city import (
+    OTHER_DISTRICT,
+    Blocks,
+    City,
+    Footprints,
+    HeightOrigin,
+    LandCover,
+    Zoning,
+)
 from jaxurban.world.grid import WGS84, check_bounds, projected_crs, transformer, utm_crs
 from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, Box, CityPlan, Land, StreetFrame
 
 MAX_WIDTH_M, MAX_HEIGHT_M = 10_000.0, 20_000.0  # the paper's region
 MIN_SIDE_M = 400.0
 TOLERANCE = 1.05  # degrees make no exact box, and boxes are snapped outward
-SNAP_M = 100.0  # boxes given in degrees grow to whole multiples of it, which most resolutions divide
+SNAP_M = (
+    100.0  # boxes given in degrees grow to whole multiples of it, which most resolutions divide
+)
 
 TALLEST_M = {MIDTOWN: 395.0, DOWNTOWN: 380.0}  # the highest tower of each cluster
 NUM_COMMERCIAL = 6  # districts 1 to 6
-MIN_BLOCK_M2, MIN_BUILDING_M2 = 200.0, 30.0  # slivers that shores, Broadway and the box cut off are left out
+MIN_BLOCK_M2, MIN_BUILDING_M2 = (
+    200.0,
+    30.0,
+)  # slivers that shores, Broadway and the box cut off are left out
 CREDIT = "synthetic city"  # below its pictures, lest a stranger takes them for the place that its box is at
 WATERFRONT = 0.5  # share of the people who live in a block by the water
 # Index 0 is for the suburbs, as 13 % 13 is 0; then districts 1 to 12. Medians and densities are about Manhattan's.
@@ -99,7 +112,9 @@ def demo_cover(extent_m: Box) -> LandCover:
     """Return the rivers and the park of an synthetic city, by its ``extent_m``."""
     plan = CityPlan(extent_m)
     land = shapely.union_all([part.land for part in plan.parts()])
-    return LandCover(shapely.difference(plan.box, land), shapely.intersection(plan.park(), plan.box))
+    return LandCover(
+        shapely.difference(plan.box, land), shapely.intersection(plan.park(), plan.box)
+    )
 
 
 def _box_around(bounds: Sequence[float], crs: str | None) -> tuple[Box, str]:
@@ -107,14 +122,19 @@ def _box_around(bounds: Sequence[float], crs: str | None) -> tuple[Box, str]:
     west, south, east, north = check_bounds(bounds)
     crs = crs or utm_crs((west + east) / 2, (south + north) / 2)
     projected_crs(crs)
-    box = np.array(transformer(WGS84, crs).transform_bounds(west, south, east, north, densify_pts=101))
+    box = np.array(
+        transformer(WGS84, crs).transform_bounds(west, south, east, north, densify_pts=101)
+    )
     _check_size(box[2] - box[0], box[3] - box[1], f"bounds {list(bounds)}")
     low, high = np.floor(box[:2] / SNAP_M) * SNAP_M, np.ceil(box[2:] / SNAP_M) * SNAP_M
     return (float(low[0]), float(low[1]), float(high[0]), float(high[1])), crs
 
 
 def _check_size(width_m: float, height_m: float, what: str) -> None:
-    fits = MIN_SIDE_M <= width_m <= TOLERANCE * MAX_WIDTH_M and MIN_SIDE_M <= height_m <= TOLERANCE * MAX_HEIGHT_M
+    fits = (
+        MIN_SIDE_M <= width_m <= TOLERANCE * MAX_WIDTH_M
+        and MIN_SIDE_M <= height_m <= TOLERANCE * MAX_HEIGHT_M
+    )
     if not fits:  # written this way round so that NaN is caught too
         raise InputError(
             f"{what} is {width_m:.0f} m x {height_m:.0f} m, but the synthetic city fits boxes from {MIN_SIDE_M:.0f} m "
@@ -138,13 +158,22 @@ def _lay_out_cells(plan: CityPlan, part: Land) -> tuple[np.recarray, np.ndarray]
     along and across the part's frame, ``centre_xy`` and ``district``.
     """
     along, across = part.frame.local(shapely.get_coordinates(plan.box))
-    rows = np.arange(math.floor(along.min() / part.pitch_m[0]), math.ceil(along.max() / part.pitch_m[0]))
+    rows = np.arange(
+        math.floor(along.min() / part.pitch_m[0]), math.ceil(along.max() / part.pitch_m[0])
+    )
     # Avenues half a pitch off the axis: with an odd number of columns the park lies between two of them.
-    columns = np.arange(math.floor(across.min() / part.pitch_m[1]), math.ceil(across.max() / part.pitch_m[1]) + 1) - 0.5
+    columns = (
+        np.arange(
+            math.floor(across.min() / part.pitch_m[1]),
+            math.ceil(across.max() / part.pitch_m[1]) + 1,
+        )
+        - 0.5
+    )
     steps = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
     low_m, high_m = steps * part.pitch_m, (steps + 1) * part.pitch_m
     outline = _clip(
-        shapely.polygons(part.frame.rectangles(*low_m.T, *high_m.T)), shapely.intersection(part.land, plan.box)
+        shapely.polygons(part.frame.rectangles(*low_m.T, *high_m.T)),
+        shapely.intersection(part.land, plan.box),
     )
     kept = shapely.area(outline) > MIN_BLOCK_M2
     centre_xy = part.frame.xy(*((low_m + high_m) / 2).T)
@@ -157,23 +186,33 @@ def _lay_out_cells(plan: CityPlan, part: Land) -> tuple[np.recarray, np.ndarray]
     return np.rec.fromarrays([*of_blocks.values()], dtype=kinds)[kept], outline[kept]
 
 
-def _split(rng: np.random.Generator, start: np.ndarray, end: np.ndarray, num: np.ndarray) -> tuple[np.ndarray, ...]:
+def _split(
+    rng: np.random.Generator, start: np.ndarray, end: np.ndarray, num: np.ndarray
+) -> tuple[np.ndarray, ...]:
     """Return which interval each segment belongs to, its start and its end: ``num`` random segments an interval."""
     owner = np.repeat(np.arange(len(num)), num)
     size = rng.uniform(0.6, 1.4, len(owner))
     total = np.cumsum(size)
     before = np.r_[0.0, total][np.cumsum(num) - num][owner]
     scale = ((end - start) / np.bincount(owner, size, minlength=len(num)))[owner]
-    return owner, start[owner] + (total - size - before) * scale, start[owner] + (total - before) * scale
+    return (
+        owner,
+        start[owner] + (total - size - before) * scale,
+        start[owner] + (total - before) * scale,
+    )
 
 
-def _outline(lots: np.recarray, frame: StreetFrame, *points: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+def _outline(
+    lots: np.recarray, frame: StreetFrame, *points: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
     """Return ``[n, k, 2]``: points of lots, given by their distance from the front and from the left side."""
     along = np.stack([lots.front_m + lots.sign * depth for depth, _ in points], axis=-1)
     return frame.xy(along, np.stack([lots.left_m + side for _, side in points], axis=-1))
 
 
-def _rectangle(lots: np.recarray, frame: StreetFrame, front: Any, back: Any, left: Any, right: Any) -> np.ndarray:
+def _rectangle(
+    lots: np.recarray, frame: StreetFrame, front: Any, back: Any, left: Any, right: Any
+) -> np.ndarray:
     """Return ``[n, 4, 2]``: a rectangle set back from the four sides of each lot."""
     deep, wide = lots.depth_m - back, lots.right_m - lots.left_m - right
     front, left = (np.broadcast_to(inset, deep.shape) for inset in (front, left))
@@ -181,7 +220,11 @@ def _rectangle(lots: np.recarray, frame: StreetFrame, front: Any, back: Any, lef
 
 
 def _lay_out_lots(
-    rng: np.random.Generator, part: Land, cells: np.recarray, is_single: np.ndarray, lot_m: np.ndarray
+    rng: np.random.Generator,
+    part: Land,
+    cells: np.recarray,
+    is_single: np.ndarray,
+    lot_m: np.ndarray,
 ) -> np.recarray:
     """Return the lots of blocks: one row through the block where ``is_single``, else two rows back to back.
 
@@ -203,29 +246,43 @@ def _lay_out_lots(
         "left_m": left_m,
         "right_m": right_m,
     }
-    return np.rec.fromarrays([*columns.values()], dtype=[(name, values.dtype) for name, values in columns.items()])
+    return np.rec.fromarrays(
+        [*columns.values()], dtype=[(name, values.dtype) for name, values in columns.items()]
+    )
 
 
-def _erect(rng: np.random.Generator, plan: CityPlan, part: Land, cells: np.recarray) -> tuple[Footprints, np.ndarray]:
+def _erect(
+    rng: np.random.Generator, plan: CityPlan, part: Land, cells: np.recarray
+) -> tuple[Footprints, np.ndarray]:
     """Return the buildings on street blocks, and the block that each stands on."""
     district, n = cells.district, len(cells.district)
     is_island = district != OTHER_DISTRICT
-    depths = np.array([plan.depth_in(cluster, cells.centre_xy) for cluster in TALLEST_M]) * is_island
+    depths = (
+        np.array([plan.depth_in(cluster, cells.centre_xy) for cluster in TALLEST_M]) * is_island
+    )
     depth_of = depths.max(axis=0)
-    is_core = is_island & np.isin(np.arange(n), depths.argmax(axis=1))  # so that no city is too small for its towers
+    is_core = is_island & np.isin(
+        np.arange(n), depths.argmax(axis=1)
+    )  # so that no city is too small for its towers
     chance = rng.random(n)
     has_towers = (chance < 1.2 * depth_of - 0.1) | is_core
     has_slabs = ~has_towers & (chance > 0.93)
     is_single = has_towers | has_slabs | ((cells.high_m - cells.low_m)[:, 0] < 55.0)
     lots = _lay_out_lots(
-        rng, part, cells, is_single, np.select([has_towers, has_slabs, is_island], [54.0, 60.0, 27.0], 44.0)
+        rng,
+        part,
+        cells,
+        is_single,
+        np.select([has_towers, has_slabs, is_island], [54.0, 60.0, 27.0], 44.0),
     )
     is_square = rng.random(n) < np.where(is_island, 0.025 * ~has_towers, 0.05)
     is_vacant = rng.random(len(lots.block)) < np.where(is_island, 0.04, 0.12)[lots.block]
     lots = lots[is_core[lots.block] | ~(is_square[lots.block] | is_vacant)]
     block, wide_m, m = lots.block, lots.right_m - lots.left_m, len(lots.block)
     median_m = (
-        MEDIAN_HEIGHT_M[district % 13][block] * (1 + 1.2 * depth_of[block]) * np.where(has_slabs, 1.5, 1.0)[block]
+        MEDIAN_HEIGHT_M[district % 13][block]
+        * (1 + 1.2 * depth_of[block])
+        * np.where(has_slabs, 1.5, 1.0)[block]
     )
     height_m = np.maximum(median_m * np.exp(0.34 * rng.standard_normal(m)), 5.0)
     front_m = np.where(is_island[block], 1.5, 5.0)
@@ -246,7 +303,12 @@ def _erect(rng: np.random.Generator, plan: CityPlan, part: Land, cells: np.recar
     polygons[is_court] = shapely.polygons(ring, holes=shapely.linearrings(hole)[:, None])
     # An L: a bar along the street with a wing behind its left half.
     some, front, left = lots[is_ell], front_m[is_ell], side_m[is_ell]
-    deep, rear, right, middle = some.depth_m * 0.6, some.depth_m * 0.93, wide_m[is_ell] - left, wide_m[is_ell] * 0.45
+    deep, rear, right, middle = (
+        some.depth_m * 0.6,
+        some.depth_m * 0.93,
+        wide_m[is_ell] - left,
+        wide_m[is_ell] * 0.45,
+    )
     ell = (front, left), (front, right), (deep, right), (deep, middle), (rear, middle), (rear, left)
     polygons[is_ell] = shapely.polygons(_outline(some, part.frame, *ell))
     # A tower is an outline as high as its podium, and a part that stands on it.
@@ -280,10 +342,14 @@ def _build(extent_m: Box, crs: str, seed: int) -> City:
         cells, outline = _lay_out_cells(plan, part)
         dry = part.land.buffer(-plan.margin_m)
         houses, block = _erect(rng, plan, part, cells)
-        houses = replace(houses, polygons=_clip(houses.polygons, (plan.box & dry) - plan.broadway()))
+        houses = replace(
+            houses, polygons=_clip(houses.polygons, (plan.box & dry) - plan.broadway())
+        )
         kept = shapely.area(houses.polygons) > MIN_BUILDING_M2
         area_km2, num_blocks = shapely.area(outline) / 1e6, len(outline)
-        per_km2 = NIGHT_PER_KM2[cells.district % 13] * np.exp(0.45 * rng.standard_normal(num_blocks) - 0.1)
+        per_km2 = NIGHT_PER_KM2[cells.district % 13] * np.exp(
+            0.45 * rng.standard_normal(num_blocks) - 0.1
+        )
         is_home = np.bincount(block[kept], minlength=num_blocks) > 0
         is_inland = shapely.contains_properly(dry, outline)
         buildings.append(houses.take(kept))
@@ -298,7 +364,9 @@ def _build(extent_m: Box, crs: str, seed: int) -> City:
     return City(
         crs=crs,
         extent_m=extent_m,
-        buildings=Footprints(*(np.concatenate([getattr(b, f.name) for b in buildings]) for f in fields(Footprints))),
+        buildings=Footprints(
+            *(np.concatenate([getattr(b, f.name) for b in buildings]) for f in fields(Footprints))
+        ),
         blocks=Blocks(
             polygons=np.concatenate(outlines),
             night_count=np.concatenate(people),

@@ -16,7 +16,10 @@ Cluster = tuple[float, float, float, float]  # centre s, q and radii in s, q of 
 # Manhattan's plan of 1811: avenues run 29 degrees clockwise from north, streets every 80 m, avenues every 270 m.
 AVENUE_BEARING_RAD = math.radians(29.0)
 AVENUE_PITCH_M, STREET_PITCH_M = 274.0, 80.0
-WEST_BEARING_RAD, EAST_BEARING_RAD = math.radians(12.0), math.radians(48.0)  # the suburbs have streets of their own
+WEST_BEARING_RAD, EAST_BEARING_RAD = (
+    math.radians(12.0),
+    math.radians(48.0),
+)  # the suburbs have streets of their own
 SUBURB_PITCH_M = (95.0, 230.0)
 
 # The plan in fractions: s along the island's axis (-1 southern tip, 1 northern tip), q across it (east positive).
@@ -49,14 +52,23 @@ EAST_BANK = np.array(
 )
 WEST_BANK_Q = -0.52
 ISLAND_Q, MIN_ROWS = 0.6, 14  # the island's width, and its least length in street blocks
-PARK_S, PARK_SHARE = (-0.26, 0.13), 0.24  # the park's ends, and its width as a share of the island's
-BROADWAY = ((-0.95, 0.06), (-0.26, -0.10), (0.5, -0.28))  # (s, q) of the street that ignores the grid
+PARK_S, PARK_SHARE = (
+    (-0.26, 0.13),
+    0.24,
+)  # the park's ends, and its width as a share of the island's
+BROADWAY = (
+    (-0.95, 0.06),
+    (-0.26, -0.10),
+    (0.5, -0.28),
+)  # (s, q) of the street that ignores the grid
 BROADWAY_M = 26.0
 MIDTOWN, DOWNTOWN = (-0.38, 0.0, 0.11, 0.15), (-0.88, 0.0, 0.075, 0.12)
 
 # Districts by band of s from south to north (the park's ends bound the fourth), and by third: west, middle, east.
 BANDS_S = (-0.78, -0.55, 0.52)
-DISTRICTS = np.array([(1, 1, 1), (2, 2, 3), (4, 5, 6), (7, OTHER_DISTRICT, 8), (9, 10, 11), (12, 12, 12)])
+DISTRICTS = np.array(
+    [(1, 1, 1), (2, 2, 3), (4, 5, 6), (7, OTHER_DISTRICT, 8), (9, 10, 11), (12, 12, 12)]
+)
 
 
 @dataclass(frozen=True)
@@ -70,7 +82,9 @@ class StreetFrame:
     def xy(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
         """Return coordinates ``[..., 2]`` in the CRS."""
         sin, cos = math.sin(self.bearing_rad), math.cos(self.bearing_rad)
-        return np.stack([self.x_m + along * sin + across * cos, self.y_m + along * cos - across * sin], axis=-1)
+        return np.stack(
+            [self.x_m + along * sin + across * cos, self.y_m + along * cos - across * sin], axis=-1
+        )
 
     def local(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return along and across of coordinates ``[..., 2]``."""
@@ -103,7 +117,10 @@ class Land:
     @property
     def street_m(self) -> tuple[float, float]:
         """Width of streets and of avenues."""
-        street_m, avenue_m = np.clip(0.225 * self.pitch_m[0], 8.0, 18.0), np.clip(0.11 * self.pitch_m[1], 14.0, 30.0)
+        street_m, avenue_m = (
+            np.clip(0.225 * self.pitch_m[0], 8.0, 18.0),
+            np.clip(0.11 * self.pitch_m[1], 14.0, 30.0),
+        )
         return float(street_m), float(avenue_m)
 
 
@@ -119,7 +136,9 @@ class CityPlan:
         ray_m = min(half_x / sin, half_y / cos)  # from the middle to the box along the avenues
         self.length_m = 0.93 * ray_m  # s = 1
         self.width_m = min(half_x / cos, half_y / sin, 0.75 * ray_m)  # q = 1
-        self.margin_m = float(np.clip(0.02 * self.width_m, 5.0, 25.0))  # promenade between shore and buildings
+        self.margin_m = float(
+            np.clip(0.02 * self.width_m, 5.0, 25.0)
+        )  # promenade between shore and buildings
         island_m = ISLAND_Q * self.width_m
         # Odd numbers of columns, so that the park is in the middle.
         num_columns = max(3, 2 * round((island_m / AVENUE_PITCH_M - 1) / 2) + 1)
@@ -135,18 +154,29 @@ class CityPlan:
         shore_s = np.linspace(-1.0, 1.0, 161)
         west, east = (PchipInterpolator(SHORES[:, 0], SHORES[:, side])(shore_s) for side in (1, 2))
         island = self._polygon(np.r_[shore_s, shore_s[::-1]], np.r_[-west, east[::-1]])
-        far_s, far_q = 4.0 + self.box.length / self.length_m, 4.0 + self.box.length / self.width_m  # beyond any box
+        far_s, far_q = (
+            4.0 + self.box.length / self.length_m,
+            4.0 + self.box.length / self.width_m,
+        )  # beyond any box
         ends = float(EAST_BANK[0, 0]), float(EAST_BANK[-1, 0])
         bank_s = np.r_[-far_s, np.linspace(*ends, 401), far_s]
         bank_q = PchipInterpolator(EAST_BANK[:, 0], EAST_BANK[:, 1])(np.clip(bank_s, *ends))
         east_side = self._polygon(np.r_[bank_s, far_s, -far_s], np.r_[bank_q, far_q, far_q])
-        west_side = self._polygon(np.array([-far_s, far_s, far_s, -far_s]), np.repeat([WEST_BANK_Q, -far_q], 2))
+        west_side = self._polygon(
+            np.array([-far_s, far_s, far_s, -far_s]), np.repeat([WEST_BANK_Q, -far_q], 2)
+        )
         parts = [
             Land(True, island, self.frame, (self.street_pitch_m, self.avenue_pitch_m)),
-            Land(False, west_side, replace(self.frame, bearing_rad=WEST_BEARING_RAD), SUBURB_PITCH_M),
-            Land(False, east_side, replace(self.frame, bearing_rad=EAST_BEARING_RAD), SUBURB_PITCH_M),
+            Land(
+                False, west_side, replace(self.frame, bearing_rad=WEST_BEARING_RAD), SUBURB_PITCH_M
+            ),
+            Land(
+                False, east_side, replace(self.frame, bearing_rad=EAST_BEARING_RAD), SUBURB_PITCH_M
+            ),
         ]
-        return [part for part in parts if shapely.area(shapely.intersection(part.land, self.box)) > 0]
+        return [
+            part for part in parts if shapely.area(shapely.intersection(part.land, self.box)) > 0
+        ]
 
     def park(self) -> shapely.Polygon:
         """Return the central park."""
@@ -162,7 +192,11 @@ class CityPlan:
     def district(self, xy: np.ndarray) -> np.ndarray:
         """Return the district of points of the island, int32."""
         along, across = self.frame.local(xy)
-        ends_m = [*(s * self.length_m for s in BANDS_S[:2]), *self.park_along_m, BANDS_S[2] * self.length_m]
+        ends_m = [
+            *(s * self.length_m for s in BANDS_S[:2]),
+            *self.park_along_m,
+            BANDS_S[2] * self.length_m,
+        ]
         third = (across > -self.park_across_m).astype(int) + (across > self.park_across_m)
         return DISTRICTS[np.searchsorted(ends_m, along), third].astype(np.int32)
 

@@ -21,9 +21,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-OFFSETS_PER_PASS = 5  # offsets looked at per pass over the cells: 1.5 times faster than one by one on large maps
+OFFSETS_PER_PASS = (
+    5  # offsets looked at per pass over the cells: 1.5 times faster than one by one on large maps
+)
 CELLS_AT_ONCE = 2**12  # chosen cells whose whole discs are looked at together
-OUT_OF_REACH_M = -1e9  # top of a cell without a column: finite, so that its square's gradient is too
+OUT_OF_REACH_M = (
+    -1e9
+)  # top of a cell without a column: finite, so that its square's gradient is too
 
 
 def window_cells(cap_m: float, resolution_m: float) -> int:
@@ -49,7 +53,9 @@ def disc(radius_m: float, resolution_m: float) -> Int[np.ndarray, "D 2"]:
 
 
 @partial(jax.jit, static_argnames=("resolution_m", "cap_m"))
-def capped_distance(source_m2: Float[Array, "Y X"], *, resolution_m: float, cap_m: float) -> Float[Array, "Y X"]:
+def capped_distance(
+    source_m2: Float[Array, "Y X"], *, resolution_m: float, cap_m: float
+) -> Float[Array, "Y X"]:
     """Return the distance to the nearest source, at most ``cap_m``, ``[Y, X]`` metres.
 
     Args:
@@ -91,7 +97,9 @@ def capped_distance_over_terrain(
     window = window_cells(cap_m, resolution_m)
     rows, cols = disc(cap_m, resolution_m).T
     run_m2 = (rows**2 + cols**2) * resolution_m**2
-    padded = jnp.pad(jnp.where(is_source, top_m, OUT_OF_REACH_M), window, constant_values=OUT_OF_REACH_M)
+    padded = jnp.pad(
+        jnp.where(is_source, top_m, OUT_OF_REACH_M), window, constant_values=OUT_OF_REACH_M
+    )
 
     def add_offset(nearest, offset):
         row, col, offset_m2 = offset
@@ -112,7 +120,9 @@ def squared_drop(drop_m: Float[Array, "*n"], scale_m: Float[Array, ""]) -> Float
     return jnp.where(is_soft | (below == 0), soft, jnp.inf)
 
 
-def _lower_envelope(squared_m2: jax.Array, axis: int, window: int, resolution_m: float) -> tuple[jax.Array, jax.Array]:
+def _lower_envelope(
+    squared_m2: jax.Array, axis: int, window: int, resolution_m: float
+) -> tuple[jax.Array, jax.Array]:
     """Return the lower envelope of parabolas along one axis, and the offset of the cell that it comes from."""
     margins = [(window, window) if k == axis else (0, 0) for k in (0, 1)]
     padded, size = jnp.pad(squared_m2, margins, constant_values=jnp.inf), squared_m2.shape[axis]

@@ -12,7 +12,10 @@ from jaxtyping import Float
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.distance.nearest import window_cells
 
-BLOCK = (512, 192)  # cells together: their squared distances along the rows fit a core's second cache
+BLOCK = (
+    512,
+    192,
+)  # cells together: their squared distances along the rows fit a core's second cache
 AT_ONCE = 5  # offsets looked at in one go over a row
 
 
@@ -48,7 +51,9 @@ def _fill(distance_m, source_m2, run_m2, halo, cap_m, cap_m2):
     """
     window = len(run_m2) - 1
     padded = np.empty(BLOCK[1] + 2 * window, source_m2.dtype)
-    along = np.empty((BLOCK[0] + 2 * window, BLOCK[1]), source_m2.dtype)  # squared distances along the rows
+    along = np.empty(
+        (BLOCK[0] + 2 * window, BLOCK[1]), source_m2.dtype
+    )  # squared distances along the rows
     nearest = np.empty(BLOCK[1], source_m2.dtype)
     for row in range(0, distance_m.shape[0], BLOCK[0]):
         num_rows = min(BLOCK[0], distance_m.shape[0] - row)
@@ -60,7 +65,9 @@ def _fill(distance_m, source_m2, run_m2, halo, cap_m, cap_m2):
                     continue
                 first = col + halo - window
                 if first >= 0 and first + len(padded) <= source_m2.shape[1]:
-                    _along_row(along[i], source_m2[of_row][first : first + len(padded)], run_m2, cap_m2)
+                    _along_row(
+                        along[i], source_m2[of_row][first : first + len(padded)], run_m2, cap_m2
+                    )
                 else:
                     _pad(padded, source_m2[of_row], first)
                     _along_row(along[i], padded, run_m2, cap_m2)

@@ -42,7 +42,11 @@ def count_on_host(
     Altitudes that no roof reaches cost nothing.
     """
     roofs, thresholds = on_host(roof_m), on_host(thresholds_m)
-    looks, parted, window = np.ascontiguousarray(starts, np.int32), steps_in_common(starts), windows(starts)
+    looks, parted, window = (
+        np.ascontiguousarray(starts, np.int32),
+        steps_in_common(starts),
+        windows(starts),
+    )
     counts = np.zeros((len(thresholds), *(size - 2 * halo for size in roofs.shape[1:])), np.int32)
     highest_m = np.fmax.reduce(roofs, axis=None)
     for threshold_m, found in zip(thresholds, counts, strict=True):
@@ -69,7 +73,9 @@ def windows(starts: Int[np.ndarray, "K N 3"]) -> Int[np.ndarray, "N 4"]:
     In NumPy: Numba's minimum and maximum of an array bring SciPy with them when they are loaded, 0.1 s.
     """
     rows, cols = starts[..., 1], starts[..., 2]
-    return np.stack([rows.min(axis=0), rows.max(axis=0), cols.min(axis=0), cols.max(axis=0)], axis=1).astype(np.int64)
+    return np.stack(
+        [rows.min(axis=0), rows.max(axis=0), cols.min(axis=0), cols.max(axis=0)], axis=1
+    ).astype(np.int64)
 
 
 @compiled(nogil=True)
@@ -88,16 +94,24 @@ def _count(roof_m, levels_m, least_rank, no_ranks, starts, parted, window, halo,
       counts: the result.
     """
     num_azimuths, num_steps = starts.shape[:2]
-    rows, cols = side_of_tiles(counts.shape[0], TILE[0], WORD_BITS), side_of_tiles(counts.shape[1], TILE[1], COLUMNS)
+    rows, cols = (
+        side_of_tiles(counts.shape[0], TILE[0], WORD_BITS),
+        side_of_tiles(counts.shape[1], TILE[1], COLUMNS),
+    )
     band, wide = rows // WORD_BITS, cols + 2 * halo
     tiles = (counts.shape[0] + rows - 1) // rows, (counts.shape[1] + cols - 1) // cols
-    ranks = np.zeros((len(roof_m), tiles[0] * rows + 2 * halo, tiles[1] * cols + 2 * halo), no_ranks.dtype)
+    ranks = np.zeros(
+        (len(roof_m), tiles[0] * rows + 2 * halo, tiles[1] * cols + 2 * halo), no_ranks.dtype
+    )
     _rank(ranks, roof_m, levels_m)
     groups = (num_azimuths + AZIMUTHS_AT_ONCE - 1) // AZIMUTHS_AT_ONCE
     returned = np.empty((groups * AZIMUTHS_AT_ONCE, band * cols), np.uint8)
     largest = len(roof_m) * (band + 2 * halo) * wide
     bitmaps = np.empty(max(BITMAP_BYTES, largest), np.uint8)
-    first_bit, is_set = np.empty(num_steps, np.int64), np.empty((num_steps, len(roof_m), band + 2 * halo + 1), np.int32)
+    first_bit, is_set = (
+        np.empty(num_steps, np.int64),
+        np.empty((num_steps, len(roof_m), band + 2 * halo + 1), np.int32),
+    )
     at = np.empty((num_azimuths, num_steps + STEPS_AT_ONCE), np.int64)
     num_at, num_same = np.empty(num_azimuths, np.int64), np.empty(num_azimuths, np.int64)
     joined = np.zeros((num_steps // STEPS_AT_ONCE + 2) * cols, np.uint8)
@@ -123,8 +137,27 @@ def _count(roof_m, levels_m, least_rank, no_ranks, starts, parted, window, halo,
                     n += 1
                 if used:
                     has_any = True
-                    _list(at, num_at, num_same, starts, parted, (first, n), first_bit, is_set, window, (band, wide))
-                    _join(returned.reshape(-1), joined, bitmaps, at, num_at, num_same, (band, cols, wide))
+                    _list(
+                        at,
+                        num_at,
+                        num_same,
+                        starts,
+                        parted,
+                        (first, n),
+                        first_bit,
+                        is_set,
+                        window,
+                        (band, wide),
+                    )
+                    _join(
+                        returned.reshape(-1),
+                        joined,
+                        bitmaps,
+                        at,
+                        num_at,
+                        num_same,
+                        (band, cols, wide),
+                    )
             if has_any:
                 add_up(returned, counts[row : row + rows, col : col + cols], band, cols)
 
@@ -238,9 +271,18 @@ def _join(returned, joined, bitmaps, at, num_at, num_same, shape):
             for group in range(num_same[k] // STEPS_AT_ONCE, num_groups):
                 first = group * STEPS_AT_ONCE
                 a, b = np.uint64(at[k, first] + i * wide), np.uint64(at[k, first + 1] + i * wide)
-                c, d = np.uint64(at[k, first + 2] + i * wide), np.uint64(at[k, first + 3] + i * wide)
-                e, f = np.uint64(at[k, first + 4] + i * wide), np.uint64(at[k, first + 5] + i * wide)
-                g, h = np.uint64(at[k, first + 6] + i * wide), np.uint64(at[k, first + 7] + i * wide)
+                c, d = (
+                    np.uint64(at[k, first + 2] + i * wide),
+                    np.uint64(at[k, first + 3] + i * wide),
+                )
+                e, f = (
+                    np.uint64(at[k, first + 4] + i * wide),
+                    np.uint64(at[k, first + 5] + i * wide),
+                )
+                g, h = (
+                    np.uint64(at[k, first + 6] + i * wide),
+                    np.uint64(at[k, first + 7] + i * wide),
+                )
                 before, after = np.uint64(group * cols), np.uint64((group + 1) * cols)
                 for column in range(cols):
                     j = np.uint64(column)

@@ -41,8 +41,12 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, UInt
 
 WORD_BITS = 32
-STEPS_AT_ONCE = 4  # of rays, in one turn of the loop by steps: what they have met is read and written once
-STEPS_PER_PASS = 7  # bitmaps combined per pass over the words: 1.5 times faster than one by one on large maps
+STEPS_AT_ONCE = (
+    4  # of rays, in one turn of the loop by steps: what they have met is read and written once
+)
+STEPS_PER_PASS = (
+    7  # bitmaps combined per pass over the words: 1.5 times faster than one by one on large maps
+)
 AZIMUTHS_AT_ONCE = 8  # added up by carry-save adders before they are carried into the counts
 TINY_M = float(np.finfo(np.float32).tiny)  # below every roof, above the ground
 
@@ -93,7 +97,11 @@ def phase_starts(offsets: Int[np.ndarray, "K N 2"], per_cell: int) -> Int[np.nda
 
 
 def lowest_heights(
-    altitudes_m: np.ndarray, elevations_rad: np.ndarray, resolution_m: float, range_m: float, steps: int
+    altitudes_m: np.ndarray,
+    elevations_rad: np.ndarray,
+    resolution_m: float,
+    range_m: float,
+    steps: int,
 ) -> np.ndarray:
     """Return each beam's lowest height over each step's segment, ``[A, N, B]`` float64, above the receiver's ground.
 
@@ -178,7 +186,11 @@ def _add_one(slices: tuple[jax.Array, ...], carry: jax.Array) -> tuple[jax.Array
 
 @partial(jax.jit, static_argnames="halo")
 def count_returns(
-    roof_m: Float[Array, "P Y+2H X+2H"], thresholds_m: Float[Array, "A N"], starts: Int[Array, "K N 3"], *, halo: int
+    roof_m: Float[Array, "P Y+2H X+2H"],
+    thresholds_m: Float[Array, "A N"],
+    starts: Int[Array, "K N 3"],
+    *,
+    halo: int,
 ) -> Int[Array, "A Y X"]:
     """Return how many of K scan positions meet a building, over flat ground, ``[A, Y, X]`` int32, by JAX.
 
@@ -196,7 +208,9 @@ def count_returns(
     return lax.platform_dependent(roof_m, thresholds_m, starts, cpu=by_azimuths, default=by_steps)
 
 
-def count_returns_by_azimuths(roof_m: jax.Array, thresholds_m: jax.Array, starts: jax.Array, *, halo: int) -> jax.Array:
+def count_returns_by_azimuths(
+    roof_m: jax.Array, thresholds_m: jax.Array, starts: jax.Array, *, halo: int
+) -> jax.Array:
     """Return `count_returns` of a single phase, by the form for a CPU."""
     roof_m, starts, steps = roof_m[0], starts[..., 1:], thresholds_m.shape[1]
     rows, cols = (size - 2 * halo for size in roof_m.shape)
@@ -216,7 +230,9 @@ def count_returns_by_azimuths(roof_m: jax.Array, thresholds_m: jax.Array, starts
         def returns_of(start):
             def look(i, returned):
                 for k in range(STEPS_PER_PASS):
-                    n = jnp.minimum(first + i * STEPS_PER_PASS + k, end - 1)  # the last one again does no harm
+                    n = jnp.minimum(
+                        first + i * STEPS_PER_PASS + k, end - 1
+                    )  # the last one again does no harm
                     corner = (n, start[n, 0], start[n, 1])
                     returned = returned | lax.dynamic_slice(bitmaps, corner, (1, band, cols))[0]
                 return returned
@@ -238,13 +254,18 @@ def count_returns_by_azimuths(roof_m: jax.Array, thresholds_m: jax.Array, starts
 
     def count_if_reached(threshold_m: jax.Array) -> jax.Array:
         reached = jnp.min(threshold_m) <= highest_m
-        return lax.cond(reached, count_at, lambda _: jnp.zeros((rows, cols), jnp.int32), threshold_m)
+        return lax.cond(
+            reached, count_at, lambda _: jnp.zeros((rows, cols), jnp.int32), threshold_m
+        )
 
     return lax.map(count_if_reached, thresholds_m)
 
 
 def pack(
-    heights_m: Float[Array, "*n Y X"], least_m: Float[Array, "..."], band: int, dtype: DTypeLike = jnp.uint32
+    heights_m: Float[Array, "*n Y X"],
+    least_m: Float[Array, "..."],
+    band: int,
+    dtype: DTypeLike = jnp.uint32,
 ) -> UInt[Array, "*n y X"]:
     """Return ``heights_m >= least_m`` as words: bit b of word (i, j) stands for cell (i + b * band, j), b bands north.
 
@@ -261,7 +282,11 @@ def pack(
 
 @partial(jax.jit, static_argnames="halo")
 def count_returns_by_steps(
-    roof_m: Float[Array, "P Y+2H X+2H"], thresholds_m: Float[Array, "A N"], starts: Int[Array, "K N 3"], *, halo: int
+    roof_m: Float[Array, "P Y+2H X+2H"],
+    thresholds_m: Float[Array, "A N"],
+    starts: Int[Array, "K N 3"],
+    *,
+    halo: int,
 ) -> Int[Array, "A Y X"]:
     """Return how many of K scan positions meet a building, over flat ground, ``[A, Y, X]`` int32.
 
@@ -281,9 +306,13 @@ def count_returns_by_steps(
             return returned | _looks(pack(padded_m, threshold, band), start, (band, cols)), None
 
         none = jnp.zeros((len(starts), band, cols), jnp.uint32)
-        returned, _ = lax.scan(step, none, (threshold_m, starts.swapaxes(0, 1)), unroll=STEPS_AT_ONCE)
+        returned, _ = lax.scan(
+            step, none, (threshold_m, starts.swapaxes(0, 1)), unroll=STEPS_AT_ONCE
+        )
         bits = jnp.arange(WORD_BITS, dtype=jnp.uint32)[:, None, None]
-        return jnp.sum((returned[:, None] >> bits) & 1, axis=0, dtype=jnp.int32).reshape(-1, cols)[:rows]
+        return jnp.sum((returned[:, None] >> bits) & 1, axis=0, dtype=jnp.int32).reshape(-1, cols)[
+            :rows
+        ]
 
     return lax.map(count_at, thresholds_m)
 
@@ -320,10 +349,14 @@ def count_returns_on_terrain_by_steps(
             heights_m, start = of_step
             ground_m = _looks(terrain_m, start, shape) - own_m
             top_m = ground_m + _looks(rise_m, start, shape)
-            num_met, num_landed = (_num_not_above(heights_m, level_m, dtype) for level_m in (top_m, ground_m))
+            num_met, num_landed = (
+                _num_not_above(heights_m, level_m, dtype) for level_m in (top_m, ground_m)
+            )
             ended = jnp.maximum(ended, jnp.sum(heights_m == -jnp.inf, dtype=dtype))
             is_met = (num_met > ended) & (top_m > -jnp.inf)
-            return jnp.where(is_met, jnp.asarray(has_returned, dtype), jnp.maximum(ended, num_landed)), None
+            return jnp.where(
+                is_met, jnp.asarray(has_returned, dtype), jnp.maximum(ended, num_landed)
+            ), None
 
         none = jnp.zeros((len(starts), *shape), dtype)
         ended, _ = lax.scan(step, none, (beams_m, starts.swapaxes(0, 1)), unroll=STEPS_AT_ONCE)

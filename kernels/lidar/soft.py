@@ -27,7 +27,9 @@ from jaxurban.kernels.soft_step import soft_step
 NO_BUILDING_M = -1e9  # clearance of bare ground: finite, so that gradients are too
 STEPS_PER_PASS = 7  # steps compared per pass over the cells
 CELLS_AT_ONCE = 2**11  # chosen cells taken together: what they need stays in a core's cache
-MOST_AZIMUTHS_AT_ONCE = 40  # on a GPU, which otherwise starts kernels for each; a CPU takes one at a time
+MOST_AZIMUTHS_AT_ONCE = (
+    40  # on a GPU, which otherwise starts kernels for each; a CPU takes one at a time
+)
 
 
 class Scan(NamedTuple):
@@ -141,7 +143,10 @@ def _clearance_jvp(primals, tangents):
 
 @jax.jit
 def soft_returns(
-    roof_m: Float[Array, "Y+2H X+2H"], scan: Scan, offsets: Int[Array, "K N 2"], softness_m: Float[Array, ""]
+    roof_m: Float[Array, "Y+2H X+2H"],
+    scan: Scan,
+    offsets: Int[Array, "K N 2"],
+    softness_m: Float[Array, ""],
 ) -> Float[Array, "Y X"]:
     """Return the share of scan positions that return softly, over level ground, for every cell.
 
@@ -154,10 +159,14 @@ def soft_returns(
       offsets: from `jaxurban.kernels.lidar.hard.ray_offsets`.
       softness_m: of the margins; 0 gives the exact result.
     """
-    return lax.platform_dependent(roof_m, scan, offsets, softness_m, cpu=one_by_one, default=together)
+    return lax.platform_dependent(
+        roof_m, scan, offsets, softness_m, cpu=one_by_one, default=together
+    )
 
 
-def one_by_one(roof_m: jax.Array, scan: Scan, offsets: jax.Array, softness_m: jax.Array) -> jax.Array:
+def one_by_one(
+    roof_m: jax.Array, scan: Scan, offsets: jax.Array, softness_m: jax.Array
+) -> jax.Array:
     """Return `soft_returns`, by the form for a CPU."""
     return _returns(roof_m, scan, offsets, softness_m, at_once=1, unroll=STEPS_PER_PASS)
 
@@ -165,7 +174,9 @@ def one_by_one(roof_m: jax.Array, scan: Scan, offsets: jax.Array, softness_m: ja
 def together(roof_m: jax.Array, scan: Scan, offsets: jax.Array, softness_m: jax.Array) -> jax.Array:
     """Return `soft_returns`, by the form for a GPU."""
     num_azimuths, steps, _ = offsets.shape
-    return _returns(roof_m, scan, offsets, softness_m, at_once=azimuths_at_once(num_azimuths), unroll=steps)
+    return _returns(
+        roof_m, scan, offsets, softness_m, at_once=azimuths_at_once(num_azimuths), unroll=steps
+    )
 
 
 def azimuths_at_once(num_azimuths: int) -> int:
@@ -174,7 +185,9 @@ def azimuths_at_once(num_azimuths: int) -> int:
     return -(-num_azimuths // num_groups)
 
 
-def _total_of_groups(of_azimuth: Callable, rays: jax.Array, none: jax.Array, at_once: int) -> jax.Array:
+def _total_of_groups(
+    of_azimuth: Callable, rays: jax.Array, none: jax.Array, at_once: int
+) -> jax.Array:
     """Return the sum of what a function makes of each of ``[K, ...]`` rays, so many at once, kept for no gradient."""
 
     @jax.checkpoint
@@ -189,7 +202,13 @@ def _total_of_groups(of_azimuth: Callable, rays: jax.Array, none: jax.Array, at_
 
 
 def _returns(
-    roof_m: jax.Array, scan: Scan, offsets: jax.Array, softness_m: jax.Array, *, at_once: int, unroll: int
+    roof_m: jax.Array,
+    scan: Scan,
+    offsets: jax.Array,
+    softness_m: jax.Array,
+    *,
+    at_once: int,
+    unroll: int,
 ) -> jax.Array:
     """Return `soft_returns`, so many azimuths and steps at once."""
     num_azimuths, steps, _ = offsets.shape
@@ -201,7 +220,9 @@ def _returns(
     def of_azimuth(start):
         def look(state, n):
             best, which = state
-            found = lax.dynamic_slice(clearance_m, (n, start[n, 0], start[n, 1]), (1, rows, cols))[0]
+            found = lax.dynamic_slice(clearance_m, (n, start[n, 0], start[n, 1]), (1, rows, cols))[
+                0
+            ]
             return (jnp.maximum(found, best), jnp.where(found > best, n, which)), None
 
         nothing = jnp.full((rows, cols), -jnp.inf, roof_m.dtype), jnp.zeros((rows, cols), jnp.int32)
@@ -210,7 +231,10 @@ def _returns(
         deciding = _Deciding(n, beam[(n, *at)], *at, best)
         return soft_step(_clearance(roof_m, scan, deciding), softness_m)
 
-    return _total_of_groups(of_azimuth, offsets + halo, jnp.zeros((rows, cols), roof_m.dtype), at_once) / num_azimuths
+    return (
+        _total_of_groups(of_azimuth, offsets + halo, jnp.zeros((rows, cols), roof_m.dtype), at_once)
+        / num_azimuths
+    )
 
 
 class ScansAt(NamedTuple):
@@ -242,7 +266,9 @@ def _returns_at(at: ScansAt, at_once: int) -> jax.Array:
     lowest_m, in_air_m = altitude_m + level.lowest_m, altitude_m + level.in_air_m
 
     def of_azimuth(offset):
-        row, col = (at.cells[:, None, axis] + offset[:, axis] + steps - 1 for axis in (0, 1))  # [P, N]
+        row, col = (
+            at.cells[:, None, axis] + offset[:, axis] + steps - 1 for axis in (0, 1)
+        )  # [P, N]
         roof = at.roof_m[row, col][..., None]
         if at.terrain_m is None:
             margins = Margins(lowest_m, in_air_m, level.in_range_m)
@@ -281,10 +307,14 @@ def together_at(at: ScansAt) -> jax.Array:
 def _in_batches(at: ScansAt, *, at_once: int) -> jax.Array:
     """Return `soft_returns_at`, `CELLS_AT_ONCE` cells after the other, so many azimuths at once."""
     num = len(at.cells)
-    some = jax.checkpoint(lambda part: _returns_at(at._replace(altitude_m=part[0], cells=part[1]), at_once))
+    some = jax.checkpoint(
+        lambda part: _returns_at(at._replace(altitude_m=part[0], cells=part[1]), at_once)
+    )
     batches = -(-num // CELLS_AT_ONCE)
     if batches <= 1:
         return some((at.altitude_m, at.cells))
     # The last cell stands in for the missing ones of the last batch.
-    of_batch = jnp.minimum(jnp.arange(batches * CELLS_AT_ONCE), num - 1).reshape(batches, CELLS_AT_ONCE)
+    of_batch = jnp.minimum(jnp.arange(batches * CELLS_AT_ONCE), num - 1).reshape(
+        batches, CELLS_AT_ONCE
+    )
     return lax.map(some, (at.altitude_m[of_batch], at.cells[of_batch])).reshape(-1)[:num]

@@ -50,13 +50,17 @@ def count_on_terrain_on_host(
     num_azimuths, num_steps = starts.shape[:2]
     steps = np.broadcast_to(np.arange(num_steps)[:, None], (num_azimuths, num_steps, 1))
     every_look = np.concatenate([steps, starts], axis=-1).reshape(-1, 4)
-    looks, look_of_ray, num_rays = np.unique(every_look, axis=0, return_inverse=True, return_counts=True)
+    looks, look_of_ray, num_rays = np.unique(
+        every_look, axis=0, return_inverse=True, return_counts=True
+    )
     rays = np.argsort(look_of_ray.ravel(), kind="stable") // num_steps
     first_ray = np.append(0, np.cumsum(num_rays))
     roofs_m, grounds_m = np.asarray(roof_m), np.asarray(terrain_m)
     beams_m = np.pad(np.asarray(lowest_m), ((0, 0), (0, 0), (0, AT_ONCE)), constant_values=np.inf)
     counts = np.zeros((len(beams_m), *(size - 2 * halo for size in roofs_m.shape[1:])), np.int32)
-    for row, col in product(*(range(0, size, side) for size, side in zip(counts.shape[1:], TILE, strict=True))):
+    for row, col in product(
+        *(range(0, size, side) for size, side in zip(counts.shape[1:], TILE, strict=True))
+    ):
         tile = counts[:, row : row + TILE[0], col : col + TILE[1]]
         rows, cols = tile.shape[1:]
         around = slice(None), slice(row, row + rows + 2 * halo), slice(col, col + cols + 2 * halo)
@@ -68,12 +72,25 @@ def count_on_terrain_on_host(
         for axis in (2, 3):
             highest_m = np.maximum.reduceat(highest_m, range(0, highest_m.shape[axis], BLOCK), axis)
         for count, heights_m in zip(tile, beams_m, strict=True):
-            _count(count, ground_m, rise_m, own_m, highest_m, heights_m, looks, first_ray, rays, num_azimuths)
+            _count(
+                count,
+                ground_m,
+                rise_m,
+                own_m,
+                highest_m,
+                heights_m,
+                looks,
+                first_ray,
+                rays,
+                num_azimuths,
+            )
     return counts
 
 
 @compiled(nogil=True)
-def _count(counts, ground_m, rise_m, own_m, highest_m, heights_m, looks, first_ray, rays, num_azimuths):
+def _count(
+    counts, ground_m, rise_m, own_m, highest_m, heights_m, looks, first_ray, rays, num_azimuths
+):
     """Fill ``counts`` of the receivers of a tile at one altitude.
 
     Args:
@@ -110,14 +127,28 @@ def _count(counts, ground_m, rise_m, own_m, highest_m, heights_m, looks, first_r
             if not (meets or lands):
                 break
             _add_not_above(
-                num_met, num_landed, own_m, ground_m[p], rise_m[p], (row, col), heights_m[n, b:], meets, lands
+                num_met,
+                num_landed,
+                own_m,
+                ground_m[p],
+                rise_m[p],
+                (row, col),
+                heights_m[n, b:],
+                meets,
+                lands,
             )
-        (_, most_met), (least_landed, most_landed) = _range(num_met.reshape(-1)), _range(num_landed.reshape(-1))
+        (_, most_met), (least_landed, most_landed) = (
+            _range(num_met.reshape(-1)),
+            _range(num_landed.reshape(-1)),
+        )
         for r in range(first_ray[u], first_ray[u + 1]):
             k = rays[r]
             if most_met > least_ended[k] or most_landed > least_ended[k]:
                 _end(states[k], num_met.reshape(-1), num_landed.reshape(-1), np.uint8(num_ended))
-            least_ended[k], most_ended[k] = max(least_ended[k], least_landed), max(most_ended[k], most_landed)
+            least_ended[k], most_ended[k] = (
+                max(least_ended[k], least_landed),
+                max(most_ended[k], most_landed),
+            )
     returned = np.zeros(own_m.size, np.int32)
     for k in range(num_azimuths):
         state = states[k]
@@ -129,7 +160,10 @@ def _count(counts, ground_m, rise_m, own_m, highest_m, heights_m, looks, first_r
 @compiled(nogil=True)
 def _highest(highest_m, row, col, shape):
     """Return the highest ground and roof of the blocks that a window touches."""
-    ground_m, top_m = highest_m[0, row // BLOCK, col // BLOCK], highest_m[1, row // BLOCK, col // BLOCK]
+    ground_m, top_m = (
+        highest_m[0, row // BLOCK, col // BLOCK],
+        highest_m[1, row // BLOCK, col // BLOCK],
+    )
     for i in range(row // BLOCK, (row + shape[0] - 1) // BLOCK + 1):
         for j in range(col // BLOCK, (col + shape[1] - 1) // BLOCK + 1):
             ground_m, top_m = max(ground_m, highest_m[0, i, j]), max(top_m, highest_m[1, i, j])
@@ -142,7 +176,10 @@ def _add_not_above(num_met, num_landed, own_m, ground_m, rise_m, at, heights_m, 
     (row, col), (h0, h1, h2, h3) = at, (heights_m[0], heights_m[1], heights_m[2], heights_m[3])
     for i in range(len(own_m)):
         own, met, landed = own_m[i], num_met[i], num_landed[i]
-        grounds, rises = ground_m[row + i, col : col + len(own)], rise_m[row + i, col : col + len(own)]
+        grounds, rises = (
+            ground_m[row + i, col : col + len(own)],
+            rise_m[row + i, col : col + len(own)],
+        )
         for j in range(len(own)):
             level_m = grounds[j] - own[j]
             if lands:
@@ -153,7 +190,12 @@ def _add_not_above(num_met, num_landed, own_m, ground_m, rise_m, at, heights_m, 
 
 @compiled(nogil=True)
 def _plus_not_above(num, h0, h1, h2, h3, level_m):
-    more = np.int32(h0 <= level_m) + np.int32(h1 <= level_m) + np.int32(h2 <= level_m) + np.int32(h3 <= level_m)
+    more = (
+        np.int32(h0 <= level_m)
+        + np.int32(h1 <= level_m)
+        + np.int32(h2 <= level_m)
+        + np.int32(h3 <= level_m)
+    )
     return np.uint8(np.int32(num) + more)
 
 

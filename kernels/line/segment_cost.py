@@ -104,7 +104,9 @@ def segment_cost(cost_grid, x0, y0, x1, y1, limit):
     total = cost_grid.per_side * length
     if total >= limit:
         return np.inf
-    if cost_grid.margin > 0.0 and not keeps_off(cost_grid.cell_cost, np.inf, x0, y0, x1, y1, cost_grid.margin):
+    if cost_grid.margin > 0.0 and not keeps_off(
+        cost_grid.cell_cost, np.inf, x0, y0, x1, y1, cost_grid.margin
+    ):
         return np.inf
     row, col = int(np.floor(y0)), int(np.floor(x0))
     num_x = abs(int(np.floor(x1)) - col)
@@ -192,14 +194,20 @@ def segment_costs(
         first, last = (jnp.floor(point).astype(jnp.int32) for point in (start, end))
         step = jnp.where(delta > 0, 1, -1).astype(jnp.int32)
         border = first + (delta > 0)  # of its cell on the way
-        along = length / jnp.where(delta == 0, 1.0, delta)  # cell sides along the segment per cell side of x and of y
+        along = length / jnp.where(
+            delta == 0, 1.0, delta
+        )  # cell sides along the segment per cell side of x and of y
         num_cuts = jnp.abs(last - first)
-        last_state = jnp.where(length > DIAGONAL_SIDES, jnp.ceil(length * (1 - TOUCH_CELLS)) - 1, 0.0)
+        last_state = jnp.where(
+            length > DIAGONAL_SIDES, jnp.ceil(length * (1 - TOUCH_CELLS)) - 1, 0.0
+        )
         (x, y), (step_x, step_y) = zip(border, step, start, along, num_cuts, strict=True), step
 
         def next_cut(num_passed: Array, axis: tuple[Array, ...]) -> Array:
             border, step, start, along, num_cuts = axis
-            return jnp.where(num_passed < num_cuts, (border + step * num_passed - start) * along, jnp.inf)
+            return jnp.where(
+                num_passed < num_cuts, (border + step * num_passed - start) * along, jnp.inf
+            )
 
         def is_under_way(walk: tuple[Array, ...]) -> Array:
             num_x, num_y, _, total = walk
@@ -214,19 +222,31 @@ def segment_costs(
                 share = to - behind
             else:
                 # A state on a border belongs to the cell it came through.
-                before, by_now = (jnp.clip(jnp.floor(sides + TOUCH_CELLS), 0, last_state) for sides in (behind, to))
+                before, by_now = (
+                    jnp.clip(jnp.floor(sides + TOUCH_CELLS), 0, last_state)
+                    for sides in (behind, to)
+                )
                 share = by_now - before
             col, row = first[0] + step_x * num_x, first[1] + step_y * num_y
             here = cost_at(col, row)
-            total += jnp.where(jnp.isinf(here), jnp.inf, share * jnp.where(jnp.isinf(here), 0.0, here))
+            total += jnp.where(
+                jnp.isinf(here), jnp.inf, share * jnp.where(jnp.isinf(here), 0.0, here)
+            )
             is_corner = jnp.abs(next_x - next_y) < TOUCH_CELLS
             beside = jnp.minimum(cost_at(col, row + step_y), cost_at(col + step_x, row))
             is_pinched = is_corner & jnp.isinf(beside) & ~jnp.asarray(passes_corners)
-            num_x, num_y = num_x + (is_corner | (next_x < next_y)), num_y + (is_corner | (next_y < next_x))
+            num_x, num_y = (
+                num_x + (is_corner | (next_x < next_y)),
+                num_y + (is_corner | (next_y < next_x)),
+            )
             return num_x, num_y, to, jnp.where(is_pinched, jnp.inf, total)
 
         none = jnp.zeros_like(num_cuts[0])
-        total = go_on(lax.while_loop(is_under_way, go_on, (none, none, jnp.zeros_like(length), per_side * length)))[3]
+        total = go_on(
+            lax.while_loop(
+                is_under_way, go_on, (none, none, jnp.zeros_like(length), per_side * length)
+            )
+        )[3]
         return jnp.where(length > 0, total if is_line else total + cost_at(*last), 0.0)
 
     return jax.vmap(cost)(start, end)

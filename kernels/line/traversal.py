@@ -8,7 +8,9 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.compiled import compiled
 
 TOUCH_CELLS = 1e-9  # in cell sides: a cut this short is rounding of a touched corner or border, not a crossing
-DIAGONAL_SIDES = 2**0.5 * (1 + 1e-9)  # cell sides: the longest segment that is one step in the `cell` model
+DIAGONAL_SIDES = 2**0.5 * (
+    1 + 1e-9
+)  # cell sides: the longest segment that is one step in the `cell` model
 
 
 class Crossings(NamedTuple):
@@ -33,7 +35,9 @@ class Crossings(NamedTuple):
         total_m = np.bincount(self.segment, self.length_m)[self.segment]
         share = self.length_m / np.where(total_m > 0, total_m, 1.0)
         end = np.cumsum(share)
-        before = np.append(0.0, end)[np.searchsorted(self.segment, self.segment)]  # at the segment's beginning
+        before = np.append(0.0, end)[
+            np.searchsorted(self.segment, self.segment)
+        ]  # at the segment's beginning
         return np.stack([end - share - before, end - before], axis=1)
 
     @property
@@ -62,7 +66,12 @@ def crossed_cells(points_m: np.ndarray, resolution_m: float) -> Crossings:
       InputError: the points are not of these shapes, or not finite.
     """
     points_m = np.array(points_m, np.float64, ndmin=1)
-    if points_m.ndim != 2 or points_m.shape[1] not in (2, 3) or not len(points_m) or not np.isfinite(points_m).all():
+    if (
+        points_m.ndim != 2
+        or points_m.shape[1] not in (2, 3)
+        or not len(points_m)
+        or not np.isfinite(points_m).all()
+    ):
         raise InputError(
             f"a path must be [N, 2] or [N, 3] finite metres with N >= 1, got shape {points_m.shape}: mend the path"
         )
@@ -75,14 +84,27 @@ def crossed_cells(points_m: np.ndarray, resolution_m: float) -> Crossings:
     if points_m.shape[1] == 3:
         legs_m = np.diff(points_m, axis=0).T
         over_m = np.hypot(*legs_m[:2])
-        length_m *= np.divide(np.hypot(over_m, legs_m[2]), over_m, out=np.ones_like(over_m), where=over_m > 0)[segment]
-        rises = np.repeat(np.flatnonzero((points[1:] == points[:-1]).all(axis=1) & (legs_m[2] != 0)), 2)
+        length_m *= np.divide(
+            np.hypot(over_m, legs_m[2]), over_m, out=np.ones_like(over_m), where=over_m > 0
+        )[segment]
+        rises = np.repeat(
+            np.flatnonzero((points[1:] == points[:-1]).all(axis=1) & (legs_m[2] != 0)), 2
+        )
         rise_col, rise_row = np.floor(points[rises]).astype(np.int64).T
-        parts = ((segment, rises), (row, rise_row), (col, rise_col), (length_m, np.abs(legs_m[2, rises]) / 2))
+        parts = (
+            (segment, rises),
+            (row, rise_row),
+            (col, rise_col),
+            (length_m, np.abs(legs_m[2, rises]) / 2),
+        )
         order = np.argsort(np.concatenate(parts[0]), kind="stable")
         segment, row, col, length_m = (np.concatenate(part)[order] for part in parts)
     if not len(segment):
-        (col, row), segment, length_m = np.floor(points[:1]).astype(np.int64).T, np.zeros(1, np.int64), np.zeros(1)
+        (col, row), segment, length_m = (
+            np.floor(points[:1]).astype(np.int64).T,
+            np.zeros(1, np.int64),
+            np.zeros(1),
+        )
     return Crossings(points_m, segment, row, col, length_m)
 
 
@@ -103,12 +125,20 @@ def is_free_way(crossings: Crossings, is_free: np.ndarray, passes_corners: bool)
     """
     row, col = crossings.row, crossings.col
     num_rows, num_cols = is_free.shape
-    if row.min() < 0 or row.max() >= num_rows or col.min() < 0 or col.max() >= num_cols or not is_free[row, col].all():
+    if (
+        row.min() < 0
+        or row.max() >= num_rows
+        or col.min() < 0
+        or col.max() >= num_cols
+        or not is_free[row, col].all()
+    ):
         return False
     if passes_corners:
         return True
     corner = np.flatnonzero((row[1:] != row[:-1]) & (col[1:] != col[:-1]))
-    return bool(np.all(is_free[row[corner], col[corner + 1]] | is_free[row[corner + 1], col[corner]]))
+    return bool(
+        np.all(is_free[row[corner], col[corner + 1]] | is_free[row[corner + 1], col[corner]])
+    )
 
 
 @compiled()

@@ -126,14 +126,22 @@ def tile_bound(minima, straight, diagonal, start, goal):
       diagonal: the same of a diagonal one: no less than a straight one, and no more than two.
       start, goal: cells.
     """
-    straight, diagonal = (TILE * straight[0], TILE * straight[1]), (TILE * diagonal[0], TILE * diagonal[1])
+    straight, diagonal = (
+        (TILE * straight[0], TILE * straight[1]),
+        (TILE * diagonal[0], TILE * diagonal[1]),
+    )
     first, last = (start[0] // TILE, start[1] // TILE), (goal[0] // TILE, goal[1] // TILE)
     corners, is_joined = costs_at_corners(minima, straight, diagonal, first, last)
     centres = np.empty((corners.shape[0] - 1, corners.shape[1] - 1))
     for i in range(centres.shape[0]):
         for j in range(centres.shape[1]):
             side, across = _steps(straight, diagonal, minima[i + 1, j + 1])
-            sw, se, nw, ne = corners[i, j], corners[i, j + 1], corners[i + 1, j], corners[i + 1, j + 1]
+            sw, se, nw, ne = (
+                corners[i, j],
+                corners[i, j + 1],
+                corners[i + 1, j],
+                corners[i + 1, j + 1],
+            )
             # The highest middle to which no plane is too steep; it need not lie above all corners.
             value = max(max(sw, se), max(nw, ne))
             for one, other in ((sw, se), (nw, ne), (sw, nw), (se, ne)):
@@ -155,13 +163,23 @@ def tile_estimate(bound, row, col):
     """Return the bound at a cell."""
     i, j = row // TILE, col // TILE
     y, x = (row - i * TILE) * (1 / TILE) - 0.5, (col - j * TILE) * (1 / TILE) - 0.5
-    sw, se, nw, ne = bound.corners[i, j], bound.corners[i, j + 1], bound.corners[i + 1, j], bound.corners[i + 1, j + 1]
+    sw, se, nw, ne = (
+        bound.corners[i, j],
+        bound.corners[i, j + 1],
+        bound.corners[i + 1, j],
+        bound.corners[i + 1, j + 1],
+    )
     is_beside = abs(x) >= abs(y)  # the plane of the west or the east side
     out, along = (x, y) if is_beside else (y, x)
     first = (se if is_beside else nw) if out > 0 else sw
     last = ne if out > 0 else (nw if is_beside else se)
     share = 2 * abs(out)
-    return (1 - share) * bound.centres[i, j] + share * 0.5 * (first + last) + along * (last - first) - bound.at_goal
+    return (
+        (1 - share) * bound.centres[i, j]
+        + share * 0.5 * (first + last)
+        + along * (last - first)
+        - bound.at_goal
+    )
 
 
 def printed_plus_field(layers: np.ndarray, goal: tuple[int, ...], first_index: int) -> np.ndarray:
@@ -194,7 +212,9 @@ def _add_printed_layer(layer, goal_row, goal_col, first_index, field):
     """Add one layer's larger sum to the field, going away from the goal's row, north and then south."""
     num_rows, num_cols = layer.shape
     box_min = np.empty(num_cols)  # minimum over the box's rows, by column
-    row_sum = np.empty(num_cols)  # sum over the box's rows of their minimum between the goal's column and each column
+    row_sum = np.empty(
+        num_cols
+    )  # sum over the box's rows of their minimum between the goal's column and each column
     for step in (1, -1):
         # The box's low side is the goal's when the node lies north (east), else the node's own.
         skips_goal_row = (step == 1) == (first_index == 1)

@@ -90,12 +90,20 @@ def _bound(grids: Grids, map_index: Array, cell: Array, goal: Array) -> Array:
     """Return the least cost between two cells, by distance alone."""
     rows = jnp.abs(cell // grids.num_cols - goal // grids.num_cols)
     cols = jnp.abs(cell % grids.num_cols - goal % grids.num_cols)
-    return grids.straight[map_index] * jnp.maximum(rows, cols) + grids.diagonal[map_index] * jnp.minimum(rows, cols)
+    return grids.straight[map_index] * jnp.maximum(rows, cols) + grids.diagonal[
+        map_index
+    ] * jnp.minimum(rows, cols)
 
 
 @partial(jax.jit, donate_argnums=0)
 def begin(
-    frontier: Frontier, grids: Grids, query: Array, map_index: Array, start: Array, goal: Array, band: Array
+    frontier: Frontier,
+    grids: Grids,
+    query: Array,
+    map_index: Array,
+    start: Array,
+    goal: Array,
+    band: Array,
 ) -> Frontier:
     """Return the frontier with a query begun; it must be done or dropped, and the list have a place left."""
     f = _bound(grids, map_index, start, goal)
@@ -150,7 +158,11 @@ def advance(frontier: Frontier, grids: Grids, max_rounds: Array, num_together: i
 
     def may_go_on(carry: tuple[Frontier, Array]) -> Array:
         frontier, num_rounds = carry
-        return (num_rounds < max_rounds) & (frontier.num_open > 0) & ~is_crowded(frontier, grids, num_together)
+        return (
+            (num_rounds < max_rounds)
+            & (frontier.num_open > 0)
+            & ~is_crowded(frontier, grids, num_together)
+        )
 
     def go_on(carry: tuple[Frontier, Array]) -> tuple[Frontier, Array]:
         return _round(carry[0], grids, num_together), carry[1] + 1
@@ -186,7 +198,9 @@ def _round(frontier: Frontier, grids: Grids, num_together: int) -> Frontier:
     cell = frontier.open_cell.at[chosen].get(mode="fill", fill_value=0)
     g = frontier.open_g.at[chosen].get(mode="fill", fill_value=jnp.inf)
     # An entry is outdated once its cell was reached at a lower cost: the newer entry stands for it.
-    is_current = (query < num_queries) & (g == frontier.g.at[query, cell].get(mode="fill", fill_value=-1.0))
+    is_current = (query < num_queries) & (
+        g == frontier.g.at[query, cell].get(mode="fill", fill_value=-1.0)
+    )
     num_expanded = frontier.num_expanded.at[query].add(is_current, mode="drop")
     map_index = frontier.map_index.at[query].get(mode="fill", fill_value=0)
     goal = frontier.goal.at[query].get(mode="fill", fill_value=0)

@@ -9,7 +9,9 @@ from numba.extending import intrinsic
 
 from jaxurban.kernels.compiled import compiled
 
-FOUND, EXHAUSTED, PAUSED, FULL = range(4)  # how a chunk of search ended: FULL for want of room in the heap
+FOUND, EXHAUSTED, PAUSED, FULL = range(
+    4
+)  # how a chunk of search ended: FULL for want of room in the heap
 UNREACHED = 0  # a node's state as long as no way to it is known: its g is not written yet
 PARENT_STEP = 0x1F  # bits of the state after that: the step by which it was reached ...
 NO_PARENT = 0x1F  # ... or this, at the start
@@ -20,7 +22,11 @@ BUCKETS_PER_STEP = 512  # in the cost of a typical step: some five entries a buc
 NUM_FAR, FREE_SLOT, BUCKET = 0, 1, 2  # places in a queue's ``tally``
 NO_SLOT = -1
 BYTES, WORD = ir.IntType(8).as_pointer(), ir.IntType(32)
-READ, KEEP_CLOSE, DATA = 0, 3, 1  # LLVM's words: what for, how near to the core, and that it is no code
+READ, KEEP_CLOSE, DATA = (
+    0,
+    3,
+    1,
+)  # LLVM's words: what for, how near to the core, and that it is no code
 
 
 class Heap(NamedTuple):
@@ -43,7 +49,9 @@ class Heap(NamedTuple):
 
     def grown(self) -> Self:
         """Return the heap with room for twice as many entries."""
-        f, item = (np.concatenate([values, np.zeros_like(values)]) for values in (self.f, self.item))
+        f, item = (
+            np.concatenate([values, np.zeros_like(values)]) for values in (self.f, self.item)
+        )
         return self._replace(f=f, item=item)
 
 
@@ -103,7 +111,9 @@ def _prefetch(typing_context, array, index):
         address = builder.bitcast(builder.gep(data, [place]), BYTES)
         hint = [ir.Constant(WORD, word) for word in (READ, KEEP_CLOSE, DATA)]
         kind = ir.FunctionType(ir.VoidType(), [BYTES, *[WORD] * len(hint)])
-        function = builder.module.globals.get("llvm.prefetch") or ir.Function(builder.module, kind, "llvm.prefetch")
+        function = builder.module.globals.get("llvm.prefetch") or ir.Function(
+            builder.module, kind, "llvm.prefetch"
+        )
         builder.call(function, [address, *hint])
         return context.get_dummy_value()
 
@@ -159,7 +169,9 @@ def grown(queue: Queue) -> Queue:
         far_f=np.resize(queue.far_f, 2 * size),
         far_node=np.resize(queue.far_node, 2 * size),
         # The last free slot leads to the first new one.
-        far_next=np.concatenate([queue.far_next, np.arange(size + 1, 2 * size + 1, dtype=np.int32)]),
+        far_next=np.concatenate(
+            [queue.far_next, np.arange(size + 1, 2 * size + 1, dtype=np.int32)]
+        ),
     )
 
 

@@ -139,7 +139,9 @@ def search_samples(
     edges, num_of_node, most_candidates = neighbours(ordered, cell_cost.shape, sizes)
     num_edges = edges.num
     edges = edges._replace(num=jnp.where(num_edges <= edges.cost.size, num_edges, 0))
-    edges = costed(edges, ordered, cell_cost, per_side, passes_corners, is_line=is_line, sizes=sizes)
+    edges = costed(
+        edges, ordered, cell_cost, per_side, passes_corners, is_line=is_line, sizes=sizes
+    )
     g, parent, edge_cost, num_rounds = relaxed(edges, ordered, sizes.edges_together)
     return Trees(
         g[place],
@@ -166,7 +168,9 @@ def _squares(samples: Samples, shape: tuple[int, ...]) -> tuple[Array, Array]:
     return jnp.where(samples.query == NO_QUERY, jnp.iinfo(jnp.int64).max, square), num_cols
 
 
-def neighbours(samples: Samples, shape: tuple[int, ...], sizes: Sizes) -> tuple[Edges, Array, Array]:
+def neighbours(
+    samples: Samples, shape: tuple[int, ...], sizes: Sizes
+) -> tuple[Edges, Array, Array]:
     """Return the edges within the radius, yet without costs, ``[N]`` how many lead to each node, and `most_candidates`.
 
     An edge is kept where by its lower bound it may give its end a lower cost than it has, and the query a cheaper path.
@@ -185,8 +189,12 @@ def neighbours(samples: Samples, shape: tuple[int, ...], sizes: Sizes) -> tuple[
         for ends, side in ((west, "left"), (west + 2, "right"))
     )
     is_node = samples.query != NO_QUERY
-    ends = jnp.cumsum(jnp.where(is_node[:, None], end - begin, 0), axis=1).astype(jnp.int32)  # of three rows of squares
-    begin = begin.astype(jnp.int32).at[:, 1:].add(-ends[:, :2])  # so that slot k of row r of squares is begin + k
+    ends = jnp.cumsum(jnp.where(is_node[:, None], end - begin, 0), axis=1).astype(
+        jnp.int32
+    )  # of three rows of squares
+    begin = (
+        begin.astype(jnp.int32).at[:, 1:].add(-ends[:, :2])
+    )  # so that slot k of row r of squares is begin + k
     most_candidates = ends[:, 2].max()
     ends = jnp.where(most_candidates <= sizes.candidates, ends, 0)
     num_nodes = jnp.sum(ends[:, 2] > 0)
@@ -201,19 +209,33 @@ def neighbours(samples: Samples, shape: tuple[int, ...], sizes: Sizes) -> tuple[
 
         last, start = here(ends)[:, 0], here(begin)[:, 0]
         in_row = [slot < last[:, :1], slot < last[:, 1:2]]
-        origin = slot + jnp.where(in_row[0], start[:, :1], jnp.where(in_row[1], start[:, 1:2], start[:, 2:]))
+        origin = slot + jnp.where(
+            in_row[0], start[:, :1], jnp.where(in_row[1], start[:, 1:2], start[:, 2:])
+        )
         is_edge = slot < last[:, 2:]
         origin = jnp.where(is_edge, origin, 0)
-        node = jnp.broadcast_to(first + jnp.arange(sizes.nodes_together, dtype=jnp.int32)[:, None], origin.shape)
-        dx, dy = samples.xy[origin, 0] - here(samples.xy[:, 0]), samples.xy[origin, 1] - here(samples.xy[:, 1])
+        node = jnp.broadcast_to(
+            first + jnp.arange(sizes.nodes_together, dtype=jnp.int32)[:, None], origin.shape
+        )
+        dx, dy = (
+            samples.xy[origin, 0] - here(samples.xy[:, 0]),
+            samples.xy[origin, 1] - here(samples.xy[:, 1]),
+        )
         distance = jnp.sqrt(dx * dx + dy * dy)
         map_part = jnp.maximum(
             jnp.abs(samples.row_at[origin] - here(samples.row_at)),
             jnp.abs(samples.col_at[origin] - here(samples.col_at)),
         )
-        reach = samples.from_start[origin] + here(samples.least_per_side) * distance + here(samples.enter) + map_part
+        reach = (
+            samples.from_start[origin]
+            + here(samples.least_per_side) * distance
+            + here(samples.enter)
+            + map_part
+        )
         is_edge &= (distance <= here(samples.radius)) & (origin != node)
-        is_edge &= (reach < here(samples.g)) & (reach + here(samples.to_goal) < here(samples.incumbent))
+        is_edge &= (reach < here(samples.g)) & (
+            reach + here(samples.to_goal) < here(samples.incumbent)
+        )
         num_here = jnp.sum(is_edge, axis=1, dtype=jnp.int32)
         behind = edges.num + jnp.cumsum(num_here)
         place = (behind - num_here)[:, None] + jnp.cumsum(is_edge, axis=1, dtype=jnp.int32) - 1
@@ -256,7 +278,11 @@ def costed(
         start, end = samples.xy[origin], samples.xy[target]
         cost = segment_costs(cell_cost, start, end, per_side, is_line, passes_corners)
         reach = samples.from_start[origin] + cost
-        is_kept = is_edge & (reach < samples.g[target]) & (reach + samples.to_goal[target] < samples.incumbent[target])
+        is_kept = (
+            is_edge
+            & (reach < samples.g[target])
+            & (reach + samples.to_goal[target] < samples.incumbent[target])
+        )
         behind = kept.num + jnp.cumsum(is_kept, dtype=jnp.int32)
         place = jnp.where(is_kept, behind - 1, num_places)  # at or before the edge's own
         kept = Edges(
@@ -283,7 +309,9 @@ def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Ar
 
     def one_turn(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         g, reached_by, first = carry
-        origin, target, cost = (lax.dynamic_slice_in_dim(values, first, edges_together) for values in edges[:3])
+        origin, target, cost = (
+            lax.dynamic_slice_in_dim(values, first, edges_together) for values in edges[:3]
+        )
         edge = first + jnp.arange(edges_together, dtype=jnp.int32)
         reach = jnp.where(edge < edges.num, g[origin] + cost, jnp.inf)
         lowest = g.at[target].min(reach)
@@ -296,7 +324,9 @@ def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Ar
         along_tree = before[tree_parent] + tree_cost
         reached_by = jnp.where(along_tree < before, BY_TREE, reached_by)
         g = jnp.minimum(before, along_tree)
-        g, reached_by, _ = lax.while_loop(lambda turn: turn[2] < edges.num, one_turn, (g, reached_by, jnp.int32(0)))
+        g, reached_by, _ = lax.while_loop(
+            lambda turn: turn[2] < edges.num, one_turn, (g, reached_by, jnp.int32(0))
+        )
         return g, reached_by, jnp.any(g < before), num_rounds + 1
 
     to_begin = (tree.g, jnp.full(tree.g.size, BY_TREE, jnp.int32), jnp.array(True), jnp.int32(0))
@@ -309,4 +339,8 @@ def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Ar
 
 def _in_turns(turn: Callable[[Any], Any], carry: Any, num: Array, most_turns: int) -> Any:
     """Return what is carried, whose last part is how many are done, when so many are; one turn needs no loop."""
-    return turn(carry) if most_turns == 1 else lax.while_loop(lambda carry: carry[-1] < num, turn, carry)
+    return (
+        turn(carry)
+        if most_turns == 1
+        else lax.while_loop(lambda carry: carry[-1] < num, turn, carry)
+    )

@@ -68,7 +68,11 @@ def walks(
 
 
 def shadows_at(
-    top_m: Float[Array, "Y X"], row: Int[np.ndarray, " R"], col: Int[np.ndarray, " R"], lines: Walks, most_m: float
+    top_m: Float[Array, "Y X"],
+    row: Int[np.ndarray, " R"],
+    col: Int[np.ndarray, " R"],
+    lines: Walks,
+    most_m: float,
 ) -> Float[np.ndarray, " R"]:
     """Return the height below which each place does not see its source, ``[R]``; -inf where nothing shadows.
 
@@ -86,7 +90,9 @@ def shadows_at(
         chosen = order[first : first + RAYS_A_TURN]
         filled = np.resize(chosen, min(RAYS_A_TURN, 2 ** int(np.ceil(np.log2(len(order))))))
         start = np.asarray(row[filled], np.int32), np.asarray(col[filled], np.int32)
-        walked = walk(top_m, *start, Walks(*(values[filled] for values in lines)), np.float32(most_m))
+        walked = walk(
+            top_m, *start, Walks(*(values[filled] for values in lines)), np.float32(most_m)
+        )
         shadow_m[chosen] = np.asarray(walked)[: len(chosen)]
     return shadow_m
 

@@ -75,7 +75,13 @@ def hide_behind_slabs(
         along, across = (north, east) if is_rows else (east, north)
         first, last = spans[0 if is_rows else 1]
         sideways = np.floor(across / along * np.arange(first, last + 1) + 0.5).astype(np.int64)
-        line = sideways, first, is_rows, 1 if along > 0 else -1, resolution_m / abs(along) * math.tan(elevation)
+        line = (
+            sideways,
+            first,
+            is_rows,
+            1 if along > 0 else -1,
+            resolution_m / abs(along) * math.tan(elevation),
+        )
         of_slabs = *((row, col) if is_rows else (col, row)), *heights_m
         kept = ~np.uint32(1 << (number % WORD_BITS))
         _cast(words[number // WORD_BITS], kept, altitudes_m, receivers, range_m, of_slabs, line)
@@ -117,7 +123,9 @@ def _cast(words, kept, altitudes_m, receivers, range_m, slabs, line):
                 continue
             # A step more on each side, should rounding matter.
             begin = max(nearest, int(max((floor - high_m) * rows_a_metre - HALF_ROW - 1, 0.0)))
-            end = min(farthest, int(min((top - low_m) * rows_a_metre + HALF_ROW + 1, float(farthest))))
+            end = min(
+                farthest, int(min((top - low_m) * rows_a_metre + HALF_ROW + 1, float(farthest)))
+            )
             for step in range(begin + (phase - begin) % every, end + 1, every):
                 here = at - ahead * step
                 across = beside + sideways[here - first]

@@ -33,7 +33,9 @@ ENTRY_STEPS = 0.25
 
 NORTH, SOUTH, EAST, WEST = range(4)
 Shape = tuple[int, int]  # rows and columns of a grid
-Window = tuple[int, int, int, int, int]  # first and end row, first and end column, and of how many cells one is kept
+Window = tuple[
+    int, int, int, int, int
+]  # first and end row, first and end column, and of how many cells one is kept
 
 
 class Line(NamedTuple):
@@ -101,7 +103,12 @@ def digital_line(
 
 
 def digital_lines(
-    azimuth_rad: ArrayLike, elevation_rad: ArrayLike, resolution_m: float, first_row: int, first_col: int, shape: Shape
+    azimuth_rad: ArrayLike,
+    elevation_rad: ArrayLike,
+    resolution_m: float,
+    first_row: int,
+    first_col: int,
+    shape: Shape,
 ) -> list[Line]:
     """Return the `digital_line` of every direction, ``[S]`` azimuths and elevations."""
     angles = zip(np.asarray(azimuth_rad, float), np.asarray(elevation_rad, float), strict=True)
@@ -124,8 +131,12 @@ def _sweep_rows(raised_m: Array, shifts: Array, drop_m: Array, toward_last: bool
         shadow_m = lax.dynamic_slice(beyond_m, (1 + shift,), (num_cols,)) - drop_m
         return beyond_m.at[1:-1].set(jnp.maximum(row_raised_m, shadow_m)), shadow_m
 
-    nothing = jnp.full(num_cols + 2, -jnp.inf, raised_m.dtype)  # one cell more on each side, for the shifts
-    _, shadow_m = lax.scan(step, nothing, (raised_m, shifts[: raised_m.shape[0]]), reverse=toward_last)
+    nothing = jnp.full(
+        num_cols + 2, -jnp.inf, raised_m.dtype
+    )  # one cell more on each side, for the shifts
+    _, shadow_m = lax.scan(
+        step, nothing, (raised_m, shifts[: raised_m.shape[0]]), reverse=toward_last
+    )
     return shadow_m
 
 
@@ -162,7 +173,9 @@ def within(raised_m: Array, ring: Ring) -> Array:
 
 
 @jax.jit
-def shadow_height(top_m: Float[Array, "Y X"], line: Line, ring: Ring | None = None) -> Float[Array, "Y X"]:
+def shadow_height(
+    top_m: Float[Array, "Y X"], line: Line, ring: Ring | None = None
+) -> Float[Array, "Y X"]:
     """Return the height below which each cell's centre does not see the source, ``[Y, X]``.
 
     ``S = max over the cells on the ray of (top - run x tan(elevation))``, the cell itself left out:
@@ -182,7 +195,9 @@ def shadow_height(top_m: Float[Array, "Y X"], line: Line, ring: Ring | None = No
       ring: what the grids around this one hand on; left out, nothing stands there.
     """
     raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
-    return sweep(raised_m, line) if ring is None else sweep(within(raised_m, ring), line)[1:-1, 1:-1]
+    return (
+        sweep(raised_m, line) if ring is None else sweep(within(raised_m, ring), line)[1:-1, 1:-1]
+    )
 
 
 def num_passes(num_steps: float) -> int:
@@ -203,7 +218,9 @@ def _doubled(raised_m: Array, line: Line, passes: int) -> Array:
     ahead = jnp.where(is_forward, 1, -1)
     shifts = jnp.asarray(line.shifts)
     summed = jnp.cumsum(shifts)
-    offsets = jnp.where(is_forward, summed - shifts, -summed)  # cells sideways of each row (column), but for a constant
+    offsets = jnp.where(
+        is_forward, summed - shifts, -summed
+    )  # cells sideways of each row (column), but for a constant
     drop_m = jnp.asarray(line.drop_m, raised_m.dtype)
     along, across = jnp.where(is_rows, row, col), jnp.where(is_rows, col, row)
     length, width = jnp.where(is_rows, num_rows, num_cols), jnp.where(is_rows, num_cols, num_rows)
@@ -249,7 +266,9 @@ def shadow_heights_at_once(
 @jax.jit
 def handed_on(top_m: Float[Array, "Y X"], lines: Line, rings: Ring) -> Ring:
     """Return what `jaxurban.kernels.shadows.sweep_cpu.hand_on` does, of every direction; arguments as there."""
-    return lax.platform_dependent(top_m, lines, rings, cpu=edges_by_sweep, default=edges_by_doubling)
+    return lax.platform_dependent(
+        top_m, lines, rings, cpu=edges_by_sweep, default=edges_by_doubling
+    )
 
 
 def edges_by_sweep(top_m: Array, lines: Line, rings: Ring) -> Ring:
@@ -259,7 +278,9 @@ def edges_by_sweep(top_m: Array, lines: Line, rings: Ring) -> Ring:
 
 def edges_by_doubling(top_m: Array, lines: Line, rings: Ring) -> Ring:
     """Return `handed_on`, by the form for a GPU."""
-    shadows_m = shadow_heights_at_once(top_m, lines, passes=num_passes(max(top_m.shape) + 2), rings=rings)
+    shadows_m = shadow_heights_at_once(
+        top_m, lines, passes=num_passes(max(top_m.shape) + 2), rings=rings
+    )
     return jax.vmap(partial(_edges, top_m))(lines, shadows_m)
 
 
@@ -268,7 +289,9 @@ def _edges(top_m: Array, line: Line, shadow_m: Array) -> Ring:
     return Ring(carried_m[0], carried_m[-1], carried_m[:, 0], carried_m[:, -1])
 
 
-def shadow_heights(top_m: Float[Array, "Y X"], lines: Line, window: Window) -> Float[Array, "S y x"]:
+def shadow_heights(
+    top_m: Float[Array, "Y X"], lines: Line, window: Window
+) -> Float[Array, "S y x"]:
     """Return `shadow_height` toward every satellite in a window of the grid, ``[S, y, x]``.
 
     A shadow follows the one top that throws it: its derivative by that top is 1, by every other 0 (where two tie, JAX
@@ -293,12 +316,16 @@ def heights_by_sweep(top_m: Array, lines: Line, window: Window) -> Array:
 
 def heights_by_doubling(top_m: Array, lines: Line, window: Window) -> Array:
     """Return `shadow_heights`, by the form for a GPU."""
-    return shadow_heights_at_once(top_m, lines, passes=num_passes(max(top_m.shape)))[:, *_kept(window)]
+    return shadow_heights_at_once(top_m, lines, passes=num_passes(max(top_m.shape)))[
+        :, *_kept(window)
+    ]
 
 
 def _kept(window: Window) -> tuple[slice, slice]:
     first_row, end_row, first_col, end_col, every = window
-    return slice(first_row + every // 2, end_row, every), slice(first_col + every // 2, end_col, every)
+    return slice(first_row + every // 2, end_row, every), slice(
+        first_col + every // 2, end_col, every
+    )
 
 
 @partial(jax.jit, static_argnames="window")
@@ -321,19 +348,30 @@ def visible_words(
       rings: what the grids around this one hand on, fields stacked along ``S``; left out, nothing stands there.
       window: of the receivers, as for `shadow_heights`.
     """
-    by_sweep, by_doubling = (partial(form, window=window) for form in (words_by_sweep, words_by_doubling))
-    return lax.platform_dependent(top_m, height_m, lines, num, rings, cpu=by_sweep, default=by_doubling)
+    by_sweep, by_doubling = (
+        partial(form, window=window) for form in (words_by_sweep, words_by_doubling)
+    )
+    return lax.platform_dependent(
+        top_m, height_m, lines, num, rings, cpu=by_sweep, default=by_doubling
+    )
 
 
-def words_by_sweep(top_m: Array, height_m: Array, lines: Line, num: Array, rings: Ring | None, window: Window) -> Array:
+def words_by_sweep(
+    top_m: Array, height_m: Array, lines: Line, num: Array, rings: Ring | None, window: Window
+) -> Array:
     """Return `visible_words`, by the form for a CPU: satellite by satellite, none that fills up."""
     num_satellites, (rows, cols) = len(lines.heading), _kept(window)
-    shape = len(range(rows.start, rows.stop, rows.step)), len(range(cols.start, cols.stop, cols.step))
+    shape = (
+        len(range(rows.start, rows.stop, rows.step)),
+        len(range(cols.start, cols.stop, cols.step)),
+    )
     nothing_m = jnp.full(shape, jnp.inf, top_m.dtype)
 
     def mark(words: Array, satellite: tuple[Array, Line, Ring | None]) -> tuple[Array, None]:
         number, line, ring = satellite
-        shadow_m = lax.cond(number < num, lambda: shadow_height(top_m, line, ring)[rows, cols], lambda: nothing_m)
+        shadow_m = lax.cond(
+            number < num, lambda: shadow_height(top_m, line, ring)[rows, cols], lambda: nothing_m
+        )
         seen = (shadow_m <= height_m).astype(jnp.uint32) << (number % WORD_BITS)
         return words.at[number // WORD_BITS].add(seen), None
 

@@ -16,7 +16,16 @@ import numpy as np
 from jaxtyping import Float, UInt
 
 from jaxurban.kernels.compiled import compiled, on_host
-from jaxurban.kernels.shadows.sweep import EAST, ENTRY_STEPS, NORTH, SOUTH, WEST, WORD_BITS, Line, Ring
+from jaxurban.kernels.shadows.sweep import (
+    EAST,
+    ENTRY_STEPS,
+    NORTH,
+    SOUTH,
+    WEST,
+    WORD_BITS,
+    Line,
+    Ring,
+)
 
 STRIP = 16  # rows of a sweep at a time: columns of a cache line, where they are turned
 COLUMNS = 1024  # of all satellites at a time: what they need fits a core's first cache
@@ -80,7 +89,18 @@ def mark_visible(
         no_edges = np.empty((0, 2, 0), top_m.dtype)
         region = first_cell[::-1] if is_turned else first_cell
         surface = on_host(tops), on_host(ground_m)
-        _sweep(words, *surface, altitudes_m, bundle, region, is_turned, toward_last, no_edges, no_edges, every)
+        _sweep(
+            words,
+            *surface,
+            altitudes_m,
+            bundle,
+            region,
+            is_turned,
+            toward_last,
+            no_edges,
+            no_edges,
+            every,
+        )
 
 
 def hand_on(top_m: Float[np.ndarray, "Y X"], lines: Line, rings: Ring) -> Ring:
@@ -96,12 +116,27 @@ def hand_on(top_m: Float[np.ndarray, "Y X"], lines: Line, rings: Ring) -> Ring:
         is_turned, toward_last = heading in (EAST, WEST), heading in (NORTH, EAST)
         bundle = _bundle(lines, heading, top_m, rings)
         ends, sides = (cols, rows) if is_turned else (rows, cols)
-        _sweep(no_words, *surface, no_altitudes_m, bundle, (0, 0), is_turned, toward_last, ends, sides, 1)
+        _sweep(
+            no_words,
+            *surface,
+            no_altitudes_m,
+            bundle,
+            (0, 0),
+            is_turned,
+            toward_last,
+            ends,
+            sides,
+            1,
+        )
     return Ring(rows[:, 0], rows[:, 1], cols[:, 0], cols[:, 1])
 
 
 def _bundle(
-    lines: Line, heading: int, top_m: np.ndarray, rings: Ring | None, entry_steps: float = ENTRY_STEPS
+    lines: Line,
+    heading: int,
+    top_m: np.ndarray,
+    rings: Ring | None,
+    entry_steps: float = ENTRY_STEPS,
 ) -> _Bundle:
     """Return what a sweep needs of the lines of one heading and of the rings."""
     number = np.flatnonzero(lines.heading == heading)
@@ -125,7 +160,19 @@ def _bundle(
 
 
 @compiled(nogil=True)
-def _sweep(words, top_m, ground_m, altitudes_m, bundle, first_cell, is_turned, toward_last, ends, sides, every):
+def _sweep(
+    words,
+    top_m,
+    ground_m,
+    altitudes_m,
+    bundle,
+    first_cell,
+    is_turned,
+    toward_last,
+    ends,
+    sides,
+    every,
+):
     """Sweep the lines of one heading over a surface, and mark words, or keep what is handed on.
 
     Args:
@@ -175,7 +222,9 @@ def _sweep(words, top_m, ground_m, altitudes_m, bundle, first_cell, is_turned, t
         for i in range(size):
             at = size - 1 - i if toward_last else i
             row = strip_row + at
-            is_inner = has_marks and inner[0] <= row < inner[1] and (row - first_row) % every == every // 2
+            is_inner = (
+                has_marks and inner[0] <= row < inner[1] and (row - first_row) % every == every // 2
+            )
             for col in range(0, num_cols, COLUMNS):
                 width = min(COLUMNS, num_cols - col)
                 begin, end = max(col, first_col), min(col + width, end_col)  # columns of the region
@@ -197,7 +246,12 @@ def _sweep(words, top_m, ground_m, altitudes_m, bundle, first_cell, is_turned, t
                         bit = np.uint32(1 << (number[k] % WORD_BITS))
                         for a in range(num_altitudes):
                             _mark(
-                                marks[number[k] // WORD_BITS, a, row - inner[0], begin - first_col : end - first_col],
+                                marks[
+                                    number[k] // WORD_BITS,
+                                    a,
+                                    row - inner[0],
+                                    begin - first_col : end - first_col,
+                                ],
                                 shadow_m[begin - col : end - col],
                                 receiver_m[a, : end - begin],
                                 bit,
@@ -206,7 +260,9 @@ def _sweep(words, top_m, ground_m, altitudes_m, bundle, first_cell, is_turned, t
                 shift = shifts[k, row]
                 before, now = carried_m[turn, k], carried_m[1 - turn, k]
                 now[1] = _higher(left_m[k, row], before[1 + shift] - drop_m[k])
-                now[num_cols + 2] = _higher(right_m[k, row], before[num_cols + 2 + shift] - drop_m[k])
+                now[num_cols + 2] = _higher(
+                    right_m[k, row], before[num_cols + 2 + shift] - drop_m[k]
+                )
             turn = 1 - turn
             if len(ends):
                 for k in range(num_lines):
@@ -219,7 +275,13 @@ def _sweep(words, top_m, ground_m, altitudes_m, bundle, first_cell, is_turned, t
         if has_marks:
             for w in range(num_words):
                 for a in range(num_altitudes):
-                    _join(words[w, a], marks[w, a, : inner[1] - inner[0]], inner[0] - first_row, is_turned, every)
+                    _join(
+                        words[w, a],
+                        marks[w, a, : inner[1] - inner[0]],
+                        inner[0] - first_row,
+                        is_turned,
+                        every,
+                    )
 
 
 @compiled(nogil=True)

@@ -53,7 +53,9 @@ class Bounds(NamedTuple):
         )
         goal_col, goal_row = self.goal.astype(np.int64)
         from_start = np.where((xy == self.start).all(axis=1), 0.0, from_start + enter)
-        to_goal = np.where((xy == self.goal).all(axis=1), 0.0, to_goal + self.enter[goal_row, goal_col])
+        to_goal = np.where(
+            (xy == self.goal).all(axis=1), 0.0, to_goal + self.enter[goal_row, goal_col]
+        )
         return from_start, to_goal
 
     def through_cells(self, cells: np.ndarray) -> np.ndarray:
@@ -71,7 +73,10 @@ class Bounds(NamedTuple):
 
     def slack(self) -> float:
         """Return how far that sum can fall from the centre of a cell to anywhere in it."""
-        return float(np.sqrt(2) * self.per_side + max(np.diff(self.row_sum).max(), np.diff(self.col_sum).max()))
+        return float(
+            np.sqrt(2) * self.per_side
+            + max(np.diff(self.row_sum).max(), np.diff(self.col_sum).max())
+        )
 
     def from_start_to_goal(self) -> float:
         """Return the lower bound of any path."""
@@ -81,7 +86,8 @@ class Bounds(NamedTuple):
         """Return ``[N]`` ``row_sum`` and ``col_sum`` at points of free cells, and ``enter`` of their cells."""
         col, row = xy.astype(np.int64).T
         row_at, col_at = (
-            np.interp(xy[:, axis], np.arange(len(sums)), sums) for axis, sums in ((1, self.row_sum), (0, self.col_sum))
+            np.interp(xy[:, axis], np.arange(len(sums)), sums)
+            for axis, sums in ((1, self.row_sum), (0, self.col_sum))
         )
         return row_at, col_at, self.enter[row, col]
 
@@ -105,7 +111,9 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
     """
     one_of("heuristic", heuristic, HEURISTICS)
     num_rows, num_cols = is_reachable.shape
-    start, goal = (np.array([cell[1] + 0.5, cell[0] + 0.5]) for cell in (problem.start, problem.goal))
+    start, goal = (
+        np.array([cell[1] + 0.5, cell[0] + 0.5]) for cell in (problem.start, problem.goal)
+    )
     nothing = np.zeros(num_rows), np.zeros(num_cols)
     bounds = Bounds(
         per_side=float(problem.distance_weight * problem.resolution_m),
@@ -121,12 +129,16 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
         return bounds
     cheapest = problem.cost[is_reachable].min()
     cost = np.where(is_reachable, problem.cost, np.inf)
-    minima = [np.where(np.isfinite(m), m - cheapest, 0.0) for m in (cost.min(axis=1), cost.min(axis=0))]
+    minima = [
+        np.where(np.isfinite(m), m - cheapest, 0.0) for m in (cost.min(axis=1), cost.min(axis=0))
+    ]
     if problem.cost_model.kind == "line":
         sides_per_reference = problem.resolution_m / problem.cost_model.reference_length_m
         row_sum, col_sum = (np.append(0.0, np.cumsum(m)) * sides_per_reference for m in minima)
         return bounds._replace(
-            per_side=bounds.per_side + cheapest * sides_per_reference, row_sum=row_sum, col_sum=col_sum
+            per_side=bounds.per_side + cheapest * sides_per_reference,
+            row_sum=row_sum,
+            col_sum=col_sum,
         )
     ends = [
         tuple(_entered_between(m, index) for m, index in zip(minima, cell, strict=True))
@@ -157,7 +169,11 @@ def _entered_between(minima: np.ndarray, end: int) -> np.ndarray:
 def reachable_cells(problem: Problem) -> np.ndarray | None:
     """Return ``[Y, X]`` bool the cells that paths off the grid may cross; None where none joins start and goal."""
     islands = problem.islands
-    return islands == islands[problem.start] if islands[problem.start] == islands[problem.goal] else None
+    return (
+        islands == islands[problem.start]
+        if islands[problem.start] == islands[problem.goal]
+        else None
+    )
 
 
 def cost_grid_of(problem: Problem, is_reachable: np.ndarray) -> CostGrid:
@@ -189,7 +205,9 @@ class InformedSet:
         self.cells = np.flatnonzero(is_reachable)
         self.incumbent = np.inf
         self.measure = float(self.cells.size)
-        self._through = np.empty(0)  # [M] lower bound of paths through the cells' centres, given an incumbent
+        self._through = np.empty(
+            0
+        )  # [M] lower bound of paths through the cells' centres, given an incumbent
 
     def shrink(self, incumbent: float) -> None:
         """Leave out what cannot hold a path cheaper than the incumbent."""
@@ -231,20 +249,35 @@ class InformedSet:
         return np.concatenate(kept)[:num_samples]
 
     def _in_cells(self, num_points: int, rng: np.random.Generator) -> np.ndarray:
-        row, col = np.divmod(self.cells[rng.integers(self.cells.size, size=num_points)], self.is_reachable.shape[1])
-        return np.stack([col, row], axis=1) + rng.uniform(OFF_BORDER, 1 - OFF_BORDER, (num_points, 2))
+        row, col = np.divmod(
+            self.cells[rng.integers(self.cells.size, size=num_points)], self.is_reachable.shape[1]
+        )
+        return np.stack([col, row], axis=1) + rng.uniform(
+            OFF_BORDER, 1 - OFF_BORDER, (num_points, 2)
+        )
 
-    def _in_ellipse(self, num_points: int, major: float, minor: float, rng: np.random.Generator) -> np.ndarray:
+    def _in_ellipse(
+        self, num_points: int, major: float, minor: float, rng: np.random.Generator
+    ) -> np.ndarray:
         radius, angle = np.sqrt(rng.random(num_points)), rng.uniform(0, 2 * np.pi, num_points)
         along, across = major * radius * np.cos(angle), minor * radius * np.sin(angle)
         start, goal = self.bounds.start, self.bounds.goal
         length = np.hypot(*(goal - start))
         unit = (goal - start) / length if length > 0 else np.array([1.0, 0.0])
-        xy = 0.5 * (start + goal) + along[:, None] * unit + across[:, None] * np.array([-unit[1], unit[0]])
+        xy = (
+            0.5 * (start + goal)
+            + along[:, None] * unit
+            + across[:, None] * np.array([-unit[1], unit[0]])
+        )
         cell = np.floor(xy)
         xy = cell + np.clip(xy - cell, OFF_BORDER, 1 - OFF_BORDER)
         col, row = cell.astype(np.int64).T
-        is_inside = (row >= 0) & (row < self.is_reachable.shape[0]) & (col >= 0) & (col < self.is_reachable.shape[1])
+        is_inside = (
+            (row >= 0)
+            & (row < self.is_reachable.shape[0])
+            & (col >= 0)
+            & (col < self.is_reachable.shape[1])
+        )
         is_inside[is_inside] = self.is_reachable[row[is_inside], col[is_inside]]
         return xy[is_inside]
 

@@ -77,7 +77,9 @@ def check_limits(budget_s: float, max_samples: int | None, options: BitStarOptio
     if max_samples is not None:
         at_least("max_samples", max_samples)
     if budget_s == np.inf and options.max_batches is None and max_samples is None:
-        raise InputError("budget_s is inf and nothing else ends the search: give it, max_batches or max_samples")
+        raise InputError(
+            "budget_s is inf and nothing else ends the search: give it, max_batches or max_samples"
+        )
 
 
 class Batches:
@@ -158,11 +160,26 @@ class Batches:
             is_there = (self.bounds.start == self.bounds.goal).all()
             xy = self.bounds.start[None] if is_there else self.tree.xy[self.tree.path()]
             reached = Status.BUDGET_FEASIBLE if self.is_spent else Status.FEASIBLE
-            status, lower_bound = reached if len(xy) else Status.BUDGET_EMPTY, self.bounds.from_start_to_goal()
-        ran = {"planner": planner, "heuristic": self._heuristic, "backend": backend, "num_expanded": self.num_costed}
+            status, lower_bound = (
+                reached if len(xy) else Status.BUDGET_EMPTY,
+                self.bounds.from_start_to_goal(),
+            )
+        ran = {
+            "planner": planner,
+            "heuristic": self._heuristic,
+            "backend": backend,
+            "num_expanded": self.num_costed,
+        }
         points_m, history = xy * self.problem.resolution_m, tuple(self.history)
         return Path.of(
-            self.problem, points_m, status, lower_bound, self.begin_s, graph=EVERY_PATH, history=history, **ran
+            self.problem,
+            points_m,
+            status,
+            lower_bound,
+            self.begin_s,
+            graph=EVERY_PATH,
+            history=history,
+            **ran,
         )
 
 
@@ -243,6 +260,11 @@ def _filled(queue: Heap, f: np.ndarray) -> Heap:
         queue = Heap.empty(4 * len(f), EDGE)
     order = np.argsort(f, kind="stable")  # sorted is a heap
     edges = queue.item[: len(f)]
-    queue.f[: len(f)], edges["origin"], edges["target"], edges["cost"] = f[order], order, order, NOT_COSTED
+    queue.f[: len(f)], edges["origin"], edges["target"], edges["cost"] = (
+        f[order],
+        order,
+        order,
+        NOT_COSTED,
+    )
     queue.size[0] = len(f)
     return queue

@@ -131,7 +131,9 @@ class Tree(NamedTuple):
         number[order] = np.arange(len(order), dtype=np.int32)
         arrays: dict[str, Any] = {name: getattr(self, name)[order] for name in LASTING}
         taken = self._replace(**arrays, start=int(number[self.start]), goal=int(number[self.goal]))
-        return taken._replace(parent=np.where(taken.parent != NO_PARENT, number[taken.parent], NO_PARENT))
+        return taken._replace(
+            parent=np.where(taken.parent != NO_PARENT, number[taken.parent], NO_PARENT)
+        )
 
     def path(self) -> np.ndarray:
         """Return the nodes of the tree's path to the goal, the start first; none where it is not in the tree."""
@@ -166,13 +168,16 @@ class Tree(NamedTuple):
         is_kept |= in_tree
         is_kept[self.goal] = True
         cut = self._replace(
-            g=np.where(in_tree, self.g, np.inf), parent=np.where(in_tree, self.parent, np.int32(NO_PARENT))
+            g=np.where(in_tree, self.g, np.inf),
+            parent=np.where(in_tree, self.parent, np.int32(NO_PARENT)),
         )
         return cut.taken(np.flatnonzero(is_kept))
 
     def ready(self, graph: BatchGraph) -> Self:
         """Return the tree sorted for a search of its graph, with what that needs beside it."""
-        order = np.argsort(graph.bucket_of(self.xy) + np.where(np.isfinite(self.g), 0, graph.num), kind="stable")
+        order = np.argsort(
+            graph.bucket_of(self.xy) + np.where(np.isfinite(self.g), 0, graph.num), kind="stable"
+        )
         tree = self.taken(order)
         is_tree = np.isfinite(tree.g)
         num_tree = int(np.count_nonzero(is_tree))
@@ -237,7 +242,9 @@ def _expand(nodes, queue, graph, node, most):
     node that is new or was improved leads to both, and to its children that lie beyond the radius.
     """
     x, y = nodes.xy[node]
-    bucket = (int((y - graph.y) / graph.side) + 1) * graph.num_cols + int((x - graph.x) / graph.side) + 1
+    bucket = (
+        (int((y - graph.y) / graph.side) + 1) * graph.num_cols + int((x - graph.x) / graph.side) + 1
+    )
     is_fresh = nodes.state[node] == FRESH
     num_most = _num_near(nodes.sample_begin, graph.num_cols, bucket)
     if is_fresh:

@@ -28,13 +28,25 @@ def names_in(folder: Path) -> set[str]:
 
 
 def test_maps_writes_the_files_of_the_contract(made):
-    per_altitude = {f"{metric}_{z}m_20m.tif" for metric in ("obstacle", "gps", "lidar", "risk") for z in (20, 60)}
+    per_altitude = {
+        f"{metric}_{z}m_20m.tif"
+        for metric in ("obstacle", "gps", "lidar", "risk")
+        for z in (20, 60)
+    }
     styles = {f"{metric}_20m.qml" for metric in ("obstacle", "gps", "lidar", "risk", "population")}
     people = {"population_day_20m.tif", "population_night_20m.tif"}
     assert names_in(made / "geotiff") == per_altitude | styles | people
     assert (made / "maps.zarr" / "20m" / ".zmetadata").is_file()
     record = json.loads((made / "run.json").read_text())
-    keys = {"versions", "settings", "inputs", "buildings", "satellites", "rays_leave_data_share", "started_utc"}
+    keys = {
+        "versions",
+        "settings",
+        "inputs",
+        "buildings",
+        "satellites",
+        "rays_leave_data_share",
+        "started_utc",
+    }
     assert keys <= set(record)
     assert set(record["population"]["night"]) == {"commercial", "residential", "other", "total"}
     assert {"read", "gps", "lidar", "risk", "population"} <= set(record["elapsed_s"])
@@ -63,11 +75,16 @@ def test_plan_prints_one_json_object(made, capsys, planner):
 
 def test_plan_writes_each_file_asked_for_and_weights_change_the_cost(made, tmp_path, capsys):
     files = [tmp_path / f"path{suffix}" for suffix in (".geojson", ".kml", ".plan")]
-    code, out, _ = run(capsys, "plan", made, *AT_60_M[:-1], *(part for file in files for part in ("-o", file)))
+    code, out, _ = run(
+        capsys, "plan", made, *AT_60_M[:-1], *(part for file in files for part in ("-o", file))
+    )
     assert code == 0
     assert "status" in out
     assert all(file.stat().st_size > 0 for file in files)
-    costs = [json.loads(run(capsys, "plan", made, *AT_60_M, "--weights", f"gps={gps}")[1])["cost"] for gps in (1, 5)]
+    costs = [
+        json.loads(run(capsys, "plan", made, *AT_60_M, "--weights", f"gps={gps}")[1])["cost"]
+        for gps in (1, 5)
+    ]
     assert costs[0] < costs[1]
 
 
@@ -76,7 +93,9 @@ def test_a_goal_that_is_walled_in_ends_with_exit_code_three(tmp_path, capsys):
     scenario = write_city(tmp_path, box(-73.9975, 40.7568, -73.994, 40.7592) - court)
     assert run(capsys, "maps", scenario, "-o", tmp_path / "out")[0] == 0
     goal = "--goal={},{}".format(*court.centroid.coords[0])
-    code, out, err = run(capsys, "plan", tmp_path / "out", ENDS[0], goal, "--altitude", 20, "--json")
+    code, out, err = run(
+        capsys, "plan", tmp_path / "out", ENDS[0], goal, "--altitude", 20, "--json"
+    )
     assert (code, err) == (3, "")
     facts = json.loads(out)
     assert (facts["status"], facts["cost"]) == ("no-path", None)
@@ -85,11 +104,26 @@ def test_a_goal_that_is_walled_in_ends_with_exit_code_three(tmp_path, capsys):
 
 def test_a_region_without_buildings_is_fine_when_asked_for(tmp_path, capsys):
     scenario = write_city(tmp_path, box(-73.95, 40.75, -73.949, 40.751))
-    assert run(capsys, "maps", scenario, "-o", tmp_path / "out", "--set", "buildings.allow_none=true")[0] == 0
+    assert (
+        run(capsys, "maps", scenario, "-o", tmp_path / "out", "--set", "buildings.allow_none=true")[
+            0
+        ]
+        == 0
+    )
 
 
-def test_elements_weeks_old_warn_and_work_and_years_old_are_refused(made, tmp_path, capsys, data_dir):
-    job = ("maps", made.parent / "town.toml", "-o", tmp_path, "--set", f'gps.orbits="{data_dir / TLE}"', "--set")
+def test_elements_weeks_old_warn_and_work_and_years_old_are_refused(
+    made, tmp_path, capsys, data_dir
+):
+    job = (
+        "maps",
+        made.parent / "town.toml",
+        "-o",
+        tmp_path,
+        "--set",
+        f'gps.orbits="{data_dir / TLE}"',
+        "--set",
+    )
     code, _, err = run(capsys, *job, 'gps.times=["2026-01-01T00:00:00Z"]')
     assert code == 2
     assert_one_sentence(err, "days", "max_age_days")
@@ -102,9 +136,17 @@ def test_elements_weeks_old_warn_and_work_and_years_old_are_refused(made, tmp_pa
 
 def test_further_maps_are_written_when_they_are_asked_for(made, tmp_path, capsys):
     out = shutil.copytree(made, tmp_path / "out")
-    assert run(capsys, "maps", made.parent / "town.toml", "-o", out, "--layers", "hdop,roof")[0] == 0
+    assert (
+        run(capsys, "maps", made.parent / "town.toml", "-o", out, "--layers", "hdop,roof")[0] == 0
+    )
     names = names_in(out / "geotiff") - names_in(made / "geotiff")
-    assert names == {"hdop_20m_20m.tif", "hdop_60m_20m.tif", "hdop_20m.qml", "roof_20m.tif", "roof_20m.qml"}
+    assert names == {
+        "hdop_20m_20m.tif",
+        "hdop_60m_20m.tif",
+        "hdop_20m.qml",
+        "roof_20m.tif",
+        "roof_20m.qml",
+    }
 
 
 def test_a_long_series_of_epochs_is_kept_as_statistics(made, tmp_path, capsys):
@@ -112,7 +154,9 @@ def test_a_long_series_of_epochs_is_kept_as_statistics(made, tmp_path, capsys):
     given = (part for setting in series for part in ("--set", f"gps.{setting}"))
     assert run(capsys, "maps", made.parent / "town.toml", "-o", tmp_path, *given)[0] == 0
     names = names_in(tmp_path / "geotiff")
-    assert {f"gps_{kind}_{z}m_20m.tif" for kind in ("availability", "median", "p05") for z in (20, 60)} <= names
+    assert {
+        f"gps_{kind}_{z}m_20m.tif" for kind in ("availability", "median", "p05") for z in (20, 60)
+    } <= names
     assert not {name for name in names if name.startswith("gps_20m")}
     code, out, _ = run(capsys, "plan", tmp_path, *AT_60_M)
     assert (code, json.loads(out)["cost_by_layer"]["gps"] > 0) == (0, True)
@@ -144,7 +188,11 @@ def test_ctrl_c_exits_130_leaves_no_scrap_and_resumes(tmp_path):
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     # Interrupt once the first resolution is down and the second is under way.
     deadline = time.monotonic() + 120
-    while not (out / "geotiff/risk_60m_20m.tif").exists() and time.monotonic() < deadline and process.poll() is None:
+    while (
+        not (out / "geotiff/risk_60m_20m.tif").exists()
+        and time.monotonic() < deadline
+        and process.poll() is None
+    ):
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=120)
@@ -152,7 +200,9 @@ def test_ctrl_c_exits_130_leaves_no_scrap_and_resumes(tmp_path):
     assert "interrupted" in err
     assert "Traceback" not in err
     work = out / "maps.zarr" / ".2m.jaxurban-part"  # what the next run goes on with
-    scraps = [path for path in out.rglob("*.jaxurban-part") if path != work and work not in path.parents]
+    scraps = [
+        path for path in out.rglob("*.jaxurban-part") if path != work and work not in path.parents
+    ]
     assert not scraps
     assert not (out / "run.json").exists()
     assert subprocess.run(command, stderr=subprocess.PIPE, timeout=200, check=False).returncode == 0
@@ -165,7 +215,9 @@ def test_a_reader_of_stdout_that_leaves_is_no_error(arguments):
     read_end, write_end = os.pipe()
     os.close(read_end)
     try:
-        left = subprocess.run([sys.executable, "-m", "jaxurban", *arguments], stdout=write_end, stderr=subprocess.PIPE)
+        left = subprocess.run(
+            [sys.executable, "-m", "jaxurban", *arguments], stdout=write_end, stderr=subprocess.PIPE
+        )
     finally:
         os.close(write_end)
     assert (left.returncode, left.stderr) == (0, b"")
@@ -173,7 +225,14 @@ def test_a_reader_of_stdout_that_leaves_is_no_error(arguments):
 
 def test_the_table_of_a_path_parts_long_names_from_their_numbers():
     metrics = {"gps_horizontal": 0.9, "a_layer_of_a_very_long_name": 0.5}
-    facts = {"planner": "p", "heuristic": "h", "backend": "b", "status": "optimal", "cost": 1.0, "gap": 0.0}
+    facts = {
+        "planner": "p",
+        "heuristic": "h",
+        "backend": "b",
+        "status": "optimal",
+        "cost": 1.0,
+        "gap": 0.0,
+    }
     facts |= {"length_m": 1.0, "snap_distance_m": {}, "metrics": metrics, "message": ""}
     facts |= {"cost_by_layer": metrics, "exposure_by_layer": metrics}
     lines = _path_table(facts | {"num_expanded": 1, "elapsed_s": 0.1, "setup_s": 3.0}).splitlines()
@@ -186,7 +245,9 @@ def test_view_writes_one_file_that_asks_nobody(made, tmp_path, capsys):
     code, _, err = run(capsys, "view", made, "--export", tmp_path / "page.html")
     assert code == 0
     assert "open it in a browser" in err
-    assert not re.findall(r'(?:src|href)="(?!data:)', (tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert not re.findall(
+        r'(?:src|href)="(?!data:)', (tmp_path / "page.html").read_text(encoding="utf-8")
+    )
 
 
 @pytest.mark.slow

@@ -17,11 +17,22 @@ from tests.cli_runs import ENDS, assert_one_sentence, outlines, run
 NEAR = (-74.0, 40.755, -73.999, 40.756)  # a part of the town
 MAPS, PLAN = "maps town.toml -o {out}", f"plan maps {' '.join(ENDS)} --altitude"
 SET, FROM = f"{MAPS} --set", f"{MAPS} --set buildings.source="
-ROUTE, ROUTES = f"sensitivity maps {' '.join(ENDS)} --altitude 60 -o {{out}}", "sensitivity-study maps -o {out}"
+ROUTE, ROUTES = (
+    f"sensitivity maps {' '.join(ENDS)} --altitude 60 -o {{out}}",
+    "sensitivity-study maps -o {out}",
+)
 REFUSED = [
     ("mpas", "mpas"),
-    ("plan maps --start=40.756,-73.999 --goal=-73.994,40.76 --altitude 60", "start", "longitude comes first"),
-    ("plan maps --start=-75,40.756 --goal=-73.994,40.76 --altitude 60", "start", "outside the region"),
+    (
+        "plan maps --start=40.756,-73.999 --goal=-73.994,40.76 --altitude 60",
+        "start",
+        "longitude comes first",
+    ),
+    (
+        "plan maps --start=-75,40.756 --goal=-73.994,40.76 --altitude 60",
+        "start",
+        "outside the region",
+    ),
     ("plan maps --start=here --goal=-73.994,40.76 --altitude 60", "longitude,latitude"),
     ("plan maps --start=-73.999,40.756 --altitude 60", "--goal"),
     (f"{PLAN} 61", "altitude", "from 20 to 60 m"),
@@ -44,7 +55,10 @@ REFUSED = [
     ("maps town.toml -o \udcff", "cannot write to the output folder"),
     ("maps deep.toml -o {out}", "deep.toml"),
     ("maps dotted.toml -o {out}", "dotted.toml"),
-    ("compare nothing nothing -o taken", "notes.txt' is there already, and not from"),  # before anything is read
+    (
+        "compare nothing nothing -o taken",
+        "notes.txt' is there already, and not from",
+    ),  # before anything is read
     ("validate town.toml nothing.csv -o taken", "notes.txt' is there already, and not from"),
     (f"{SET} mask_deg=10", "unknown section 'mask_deg'", "gps, "),
     (f"{SET} region.range_m=10", "'region.range_m'", "bounds, "),
@@ -60,12 +74,19 @@ REFUSED = [
     (f"{SET} study.instances=1000000000", "study: instances must be at most 1,000,000"),
     *(
         (f"{SET} 'gps.times=[\"{time}\"]'", f"gps: '{time}' is not a time")
-        for time in ("9999-12-31T23:59:59-10:00", "0001-01-01T00:00:00+10:00", "1979-12-31T00:00:00Z")
+        for time in (
+            "9999-12-31T23:59:59-10:00",
+            "0001-01-01T00:00:00+10:00",
+            "1979-12-31T00:00:00Z",
+        )
     ),
     (f"{FROM}'\"torn.osm.pbf\"'", "torn.osm.pbf", "cannot be read"),
     (f"{FROM}'\"far.geojson\"'", "no building in the region", "-73.95", "allow_none"),
     (f"{FROM}'\"a\\u0000b.geojson\"'", "buildings", "null"),
-    *((f"info no{end}", f"no{end}' does not exist: check the path") for end in ("", ".tif", ".osm.pbf", ".geojson")),
+    *(
+        (f"info no{end}", f"no{end}' does not exist: check the path")
+        for end in ("", ".tif", ".osm.pbf", ".geojson")
+    ),
     ("view maps --no-browser --export page.txt", "page.txt", ".html"),
     ("view maps --no-browser --export no/such/place/page.html", "no/such/place"),
     ("view maps --no-browser --resolution 7", "7 m"),
@@ -84,9 +105,17 @@ REFUSED = [
     (f"{ROUTES} --vary gpss", "a weight that varies", "'gps'", "'gpss'"),
     (f"{ROUTES} --vary gps,gps", "vary must name each weight once", "gps, gps"),
     (f"{ROUTES} --vary gps --weights gps=0", "weight gps is 0 on every route"),
-    (f"{ROUTES} --weights gps=0,lidar=0,risk=0,population=0", "every metric has weight 0", "give one a weight"),
+    (
+        f"{ROUTES} --weights gps=0,lidar=0,risk=0,population=0",
+        "every metric has weight 0",
+        "give one a weight",
+    ),
     ("sensitivity-study maps maps -o {out}", "maps, maps", "name each once"),
-    *([("demo -o {out} --device gpu", "there is no GPU that JAX can use")] if jax.default_backend() == "cpu" else []),
+    *(
+        [("demo -o {out} --device gpu", "there is no GPU that JAX can use")]
+        if jax.default_backend() == "cpu"
+        else []
+    ),
 ]
 
 
@@ -107,7 +136,9 @@ def desk(made, tmp_path_factory):
         (desk / name).write_text(text)
     with osmium.SimpleWriter(str(desk / "torn.osm.pbf")) as writer:
         for i in range(4000):
-            writer.add_node(osmium.osm.mutable.Node(id=i + 1, location=(NEAR[0] + i * 1e-6, NEAR[1])))
+            writer.add_node(
+                osmium.osm.mutable.Node(id=i + 1, location=(NEAR[0] + i * 1e-6, NEAR[1]))
+            )
     whole = (desk / "torn.osm.pbf").read_bytes()
     (desk / "torn.osm.pbf").write_bytes(whole[: len(whole) * 2 // 3])
     return desk
@@ -116,7 +147,9 @@ def desk(made, tmp_path_factory):
 @pytest.mark.parametrize(
     ("line", "words"), [(line, words) for line, *words in REFUSED], ids=[row[0] for row in REFUSED]
 )
-def test_bad_input_is_one_sentence_and_exit_code_2_and_writes_nothing(desk, tmp_path, capsys, monkeypatch, line, words):
+def test_bad_input_is_one_sentence_and_exit_code_2_and_writes_nothing(
+    desk, tmp_path, capsys, monkeypatch, line, words
+):
     monkeypatch.chdir(desk)
     before = sorted(desk.rglob("*"))
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -129,8 +162,12 @@ def test_bad_input_is_one_sentence_and_exit_code_2_and_writes_nothing(desk, tmp_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("setting", ["JAX_PLATFORMS=bogus", "JAX_PLATFORMS=cuda", "JAX_ENABLE_X64=bogus"])
-def test_a_variable_of_the_environment_that_libraries_refuse_is_one_sentence(desk, tmp_path, setting):
+@pytest.mark.parametrize(
+    "setting", ["JAX_PLATFORMS=bogus", "JAX_PLATFORMS=cuda", "JAX_ENABLE_X64=bogus"]
+)
+def test_a_variable_of_the_environment_that_libraries_refuse_is_one_sentence(
+    desk, tmp_path, setting
+):
     name, value = setting.split("=")
     command = [sys.executable, "-m", "jaxurban", "maps", desk / "town.toml", "-o", tmp_path / "out"]
     done = subprocess.run(command, env=os.environ | {name: value}, capture_output=True, text=True)

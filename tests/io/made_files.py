@@ -15,7 +15,10 @@ from jaxurban.errors import InputError
 UTM, WGS84 = "EPSG:32618", "EPSG:4326"
 X, Y = 583_000.0, 4_506_000.0  # a place in Lower Manhattan
 LON, LAT = -74.0, 40.7
-FEET = {"crs": "EPSG:2263", "transform": Affine(10, 0, 980_000, 0, -10, 200_000)}  # New York's state plane
+FEET = {
+    "crs": "EPSG:2263",
+    "transform": Affine(10, 0, 980_000, 0, -10, 200_000),
+}  # New York's state plane
 SQUARE = shapely.box(LON, LAT, LON + 0.001, LAT + 0.001)
 
 
@@ -62,9 +65,17 @@ def write_raster(path: Path, values, transform=None, crs=UTM, nodata=None, bands
     """Write one or several bands (row 0 in the north) as a GeoTIFF of 10 m pixels at the place, or elsewhere."""
     values = np.asarray(values)
     transform = transform or north_up(10, values.shape[-2])
-    profile = {"driver": "GTiff", "count": bands, "dtype": values.dtype, "crs": crs, "nodata": nodata}
+    profile = {
+        "driver": "GTiff",
+        "count": bands,
+        "dtype": values.dtype,
+        "crs": crs,
+        "nodata": nodata,
+    }
     height, width = values.shape[-2:]
-    with rasterio.open(path, "w", height=height, width=width, transform=transform, **profile) as file:
+    with rasterio.open(
+        path, "w", height=height, width=width, transform=transform, **profile
+    ) as file:
         file.write(np.broadcast_to(values, (bands, height, width)))
         for name, value in more.items():
             setattr(file, name, [value] * bands)
@@ -103,5 +114,15 @@ def line(number: int, lonlat, **tags) -> str:
 
 def osm(*elements: str, boxes=()) -> str:
     """Return a file of OpenStreetMap's XML with the boxes that it says to cover (west, south, east, north)."""
-    bounds = [f'<bounds minlon="{a}" minlat="{b}" maxlon="{c}" maxlat="{d}"/>' for a, b, c, d in boxes]
-    return "\n".join(['<?xml version="1.0" encoding="UTF-8"?>', '<osm version="0.6">', *bounds, *elements, "</osm>"])
+    bounds = [
+        f'<bounds minlon="{a}" minlat="{b}" maxlon="{c}" maxlat="{d}"/>' for a, b, c, d in boxes
+    ]
+    return "\n".join(
+        [
+            '<?xml version="1.0" encoding="UTF-8"?>',
+            '<osm version="0.6">',
+            *bounds,
+            *elements,
+            "</osm>",
+        ]
+    )

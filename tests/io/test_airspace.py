@@ -25,14 +25,19 @@ LON, LAT = GRID.centre_lonlat
 SQUARE = shapely.box(LON - 0.0005, LAT - 0.0005, LON + 0.0005, LAT + 0.0005)
 RING = [list(corner) for corner in SQUARE.exterior.coords]
 KNOT = (-0.25, 1.7), (0.6, -0.8), (-1, 0.3), (1, 0.3), (-0.6, -0.8), (0.25, 1.7), (-0.25, 1.7)
-STAR = [[LON + 0.001 * x, LAT + 0.001 * y] for x, y in KNOT]  # whose top is gone around the other way
+STAR = [
+    [LON + 0.001 * x, LAT + 0.001 * y] for x, y in KNOT
+]  # whose top is gone around the other way
 INFINITE = (-np.inf, np.inf)
 GEOD = Geod(ellps="WGS84")
 ALWAYS = {"permanent": "YES"}
 
 
 def polygon(*rings, **limits):
-    return {"uomDimensions": "M", "horizontalProjection": {"type": "Polygon", "coordinates": rings or [RING]}} | limits
+    return {
+        "uomDimensions": "M",
+        "horizontalProjection": {"type": "Polygon", "coordinates": rings or [RING]},
+    } | limits
 
 
 def circle(radius, uom="M", centre=(LON, LAT), **limits):
@@ -41,12 +46,23 @@ def circle(radius, uom="M", centre=(LON, LAT), **limits):
 
 
 def agl(lower, upper):
-    return {"lowerLimit": lower, "upperLimit": upper, "lowerVerticalReference": "AGL", "upperVerticalReference": "AGL"}
+    return {
+        "lowerLimit": lower,
+        "upperLimit": upper,
+        "lowerVerticalReference": "AGL",
+        "upperVerticalReference": "AGL",
+    }
 
 
 def zone(*volumes, name="Findel", restriction="PROHIBITED", applicability=(ALWAYS,)):
     """Return a zone of ED-269."""
-    about = {"identifier": "LUX0001", "country": "LUX", "name": name, "type": "COMMON", "reason": ["AIR_TRAFFIC"]}
+    about = {
+        "identifier": "LUX0001",
+        "country": "LUX",
+        "name": name,
+        "type": "COMMON",
+        "reason": ["AIR_TRAFFIC"],
+    }
     authority = {"zoneAuthority": [{"name": "DAC", "purpose": "AUTHORIZATION"}]}
     when = {"restriction": restriction, "applicability": list(applicability)}
     return about | authority | when | {"geometry": list(volumes)}
@@ -75,7 +91,9 @@ places = st.tuples(st.floats(-60, 510) | border, st.floats(-60, 410) | border)
 def test_exactly_the_cells_that_share_a_point_with_the_polygon_are_closed(corners, hole):
     hull = shapely.MultiPoint(corners).convex_hull
     assume(hull.area > 1e-3)
-    placed = affinity.translate(hull.difference(affinity.scale(hull, hole, hole)), GRID.x_min_m, GRID.y_min_m)
+    placed = affinity.translate(
+        hull.difference(affinity.scale(hull, hole, hole)), GRID.x_min_m, GRID.y_min_m
+    )
     cells = np.indices(GRID.shape).reshape(2, -1).T
     each = shapely.intersects(placed, cell_boxes(GRID, cells, 1)).reshape(GRID.shape)
     np.testing.assert_array_equal(touched_cells(placed, GRID), each)
@@ -85,7 +103,9 @@ def test_a_long_edge_bends_as_its_own_crs_draws_it():
     # The 42nd parallel over 6 degrees is 1.4 km away from the straight line between its projected ends.
     grid = Grid.from_bounds((-75.02, 41.99, -74.98, 42.01), 100.0, crs=UTM)
     part = Zone("south", shapely.box(-78, 40, -72, 42)).on(grid)
-    assert part.area < 1e7  # of the 1e11 m2: what is far off is neither cut into pieces nor projected
+    assert (
+        part.area < 1e7
+    )  # of the 1e11 m2: what is far off is neither cut into pieces nor projected
     closed = touched_cells(part, grid)
     _, lat = grid.lonlat_of_cell(*np.indices(grid.shape))
     half_cell_deg = 75 / 111_000
@@ -96,12 +116,19 @@ def test_a_long_edge_bends_as_its_own_crs_draws_it():
 @pytest.mark.parametrize("crs", [WGS84, UTM, "EPSG:2263"])
 @pytest.mark.parametrize("suffix", [".geojson", ".gpkg", ".shp", ".parquet"])
 def test_every_format_in_every_crs_closes_the_same_cells(tmp_path, suffix, crs):
-    file = write_vector(tmp_path / f"zones{suffix}", [SQUARE], WGS84, crs, name=["A"], floor_m=[10.0])
+    file = write_vector(
+        tmp_path / f"zones{suffix}", [SQUARE], WGS84, crs, name=["A"], floor_m=[10.0]
+    )
     (read,) = read_zones(file)
     assert (read.name, *heights(read)) == ("A", 10.0, np.inf)
-    expected = shapely.Polygon(np.column_stack(transformer(WGS84, GRID.crs).transform(*np.transpose(RING))))
+    expected = shapely.Polygon(
+        np.column_stack(transformer(WGS84, GRID.crs).transform(*np.transpose(RING)))
+    )
     assert read.on(GRID).hausdorff_distance(expected) < 0.02  # GeoJSON rounds to 1e-7 degrees
-    assert touched_cells(expected.buffer(-0.05), GRID)[touched_cells(read.on(GRID), GRID)].mean() > 0.95
+    assert (
+        touched_cells(expected.buffer(-0.05), GRID)[touched_cells(read.on(GRID), GRID)].mean()
+        > 0.95
+    )
 
 
 @pytest.mark.parametrize(
@@ -114,14 +141,25 @@ def test_every_format_in_every_crs_closes_the_same_cells(tmp_path, suffix, crs):
         ({"max_altitude_m": 120, "ceiling_m": 150}, (-np.inf, 150.0), ""),
         ({"ceiling_m": None}, INFINITE, ""),
         ({"ceiling_m": ""}, INFINITE, ""),
-        ({"ceiling_m": 9, "uomDimensions": "M", "upperVerticalReference": "AGL", "community": "Ely"}, (-np.inf, 9), ""),
+        (
+            {
+                "ceiling_m": 9,
+                "uomDimensions": "M",
+                "upperVerticalReference": "AGL",
+                "community": "Ely",
+            },
+            (-np.inf, 9),
+            "",
+        ),
         ({"ceiling": 400}, INFINITE, "'ceiling' of 'a.geojson' not read"),
         ({"LOWER_VAL": 400}, INFINITE, "'LOWER_VAL'"),
         ({"minimumAltitude": 400, "unit": "ft"}, INFINITE, "heights in 'ft'"),
         ({"ceiling_m": 120, "lowerVerticalReference": "AMSL"}, INFINITE, "heights in 'AMSL'"),
     ],
 )
-def test_heights_are_metres_above_ground_and_else_close_every_altitude_and_say_so(file, properties, expected, words):
+def test_heights_are_metres_above_ground_and_else_close_every_altitude_and_say_so(
+    file, properties, expected, words
+):
     write_features(file, (SQUARE, {"name": "A"} | properties))
     with pytest.warns(IgnoredZoneWarning, match=words) if words else nullcontext():
         (read,) = read_zones(file)
@@ -137,17 +175,27 @@ def placemark(name, *rings, data="", tags=""):
     return f"<Placemark>{about}<Polygon>{tags}{drawn}</Polygon></Placemark>"
 
 
-def test_kml_is_read_with_all_its_folders_holes_and_data_but_for_the_heights_of_its_corners(tmp_path):
+def test_kml_is_read_with_all_its_folders_holes_and_data_but_for_the_heights_of_its_corners(
+    tmp_path,
+):
     hole = [(LON, LAT), (LON + 0.0002, LAT), (LON, LAT + 0.0002), (LON, LAT)]
     data = '<Data name="floor_m"><value>30</value></Data><Data name="ceiling_m"><value>80</value></Data>'
     inner = f"<Folder><name>in</name>{placemark('second', RING, data=data)}</Folder>"
-    third = placemark("third", RING, tags="<extrude>1</extrude><altitudeMode>relativeToGround</altitudeMode>")
+    third = placemark(
+        "third", RING, tags="<extrude>1</extrude><altitudeMode>relativeToGround</altitudeMode>"
+    )
     document = f"{placemark('first', RING, hole)}<Folder><name>out</name>{inner}</Folder>{third}"
     head = '<?xml version="1.0"?><kml xmlns="http://www.opengis.net/kml/2.2"><Document>'
     (tmp_path / "a.kml").write_text(f"{head}{document}</Document></kml>")
-    with pytest.warns(IgnoredZoneWarning, match=r"'altitudeMode' of 'a.kml' not read.*is closed at all altitudes"):
+    with pytest.warns(
+        IgnoredZoneWarning, match=r"'altitudeMode' of 'a.kml' not read.*is closed at all altitudes"
+    ):
         read = {each.name: each for each in read_zones(tmp_path / "a.kml")}
-    assert [heights(read[name]) for name in ("first", "second", "third")] == [INFINITE, (30.0, 80.0), INFINITE]
+    assert [heights(read[name]) for name in ("first", "second", "third")] == [
+        INFINITE,
+        (30.0, 80.0),
+        INFINITE,
+    ]
     assert len(read["first"].polygon.interiors) == 1
 
 
@@ -167,10 +215,14 @@ def test_an_outline_that_crosses_itself_closes_all_that_it_encloses(file, is_ed2
         ed269(file, zone(polygon(STAR), name="star"))
     else:
         write_features(file, (shapely.Polygon(STAR), {"name": "star"}))
-    with pytest.warns(IgnoredZoneWarning, match=r"'a.geojson' that have outlines that cross themselves.*'star'"):
+    with pytest.warns(
+        IgnoredZoneWarning, match=r"'a.geojson' that have outlines that cross themselves.*'star'"
+    ):
         (read,) = read_zones(file)
     assert read.polygon.is_valid
-    assert shapely.contains_xy(read.polygon, LON, [LAT, LAT + 0.0015]).all()  # gone around twice, and backwards
+    assert shapely.contains_xy(
+        read.polygon, LON, [LAT, LAT + 0.0015]
+    ).all()  # gone around twice, and backwards
 
 
 LINE = [(0, 0), (1, 1), (2, 2), (0, 0)]
@@ -180,10 +232,16 @@ LINE = [(0, 0), (1, 1), (2, 2), (0, 0)]
     ("content", "words"),
     [
         ([], "holds no polygons"),
-        (b'{"type": "FeatureCollection", "features": [], "number": ' + b"9" * 6000 + b"}", "cannot be read"),
+        (
+            b'{"type": "FeatureCollection", "features": [], "number": ' + b"9" * 6000 + b"}",
+            "cannot be read",
+        ),
         ([(shapely.Point(LON, LAT), {})], "holds no polygons"),
         ([(SQUARE, {"floor_m": 80, "ceiling_m": 30})], "floor 80 m and ceiling 30 m"),
-        ([(SQUARE, {"floor_m": "ground"})], "'polygon 1' of 'a.geojson' must be a finite number .* got 'ground'"),
+        (
+            [(SQUARE, {"floor_m": "ground"})],
+            "'polygon 1' of 'a.geojson' must be a finite number .* got 'ground'",
+        ),
         ([(SQUARE, {}), (shapely.Polygon(LINE), {})], "'polygon 2' of 'a.geojson' has no area"),
         ([(SQUARE, {}), ({"type": "Polygon", "coordinates": [LINE[::3]]}, {})], "cannot be read"),
         (polygon([[LON, LAT], [LON, LAT + 1]]), "cannot be read"),
@@ -191,7 +249,10 @@ LINE = [(0, 0), (1, 1), (2, 2), (0, 0)]
         (polygon([[200, 10], [201, 10], [201, 11]]), "no longitude and latitude"),
         (polygon(LINE), "has no area"),
         (polygon(horizontalProjection=None), "a part is missing, or is of another kind"),
-        (polygon(**agl("low", 100)), "lower limit of the no-fly zone 'Findel' of 'a.geojson' must be a finite number"),
+        (
+            polygon(**agl("low", 100)),
+            "lower limit of the no-fly zone 'Findel' of 'a.geojson' must be a finite number",
+        ),
         (polygon(**agl(100, 50)), "floor 100 m and ceiling 50 m"),
         (circle(0), "a circle of 0 m around"),
         (circle(1e9), "at most 300000 m"),
@@ -233,9 +294,13 @@ VOLUMES = {
     ],
 )
 def test_a_zone_across_the_antimeridian_is_closed_on_both_sides_of_it(file, name, west, share):
-    write_features(file, (FEATURES[name], {})) if name in FEATURES else ed269(file, zone(VOLUMES[name]))
+    write_features(file, (FEATURES[name], {})) if name in FEATURES else ed269(
+        file, zone(VOLUMES[name])
+    )
     is_both = name in ("jumping", "ED-269")
-    with pytest.warns(IgnoredZoneWarning, match="all around the Earth") if is_both else nullcontext():
+    with (
+        pytest.warns(IgnoredZoneWarning, match="all around the Earth") if is_both else nullcontext()
+    ):
         (read,) = read_zones(file)
     crs = utm_crs(west, -16.8)
     x_m, y_m = transformer(WGS84, crs).transform(west, -16.805)
@@ -244,11 +309,19 @@ def test_a_zone_across_the_antimeridian_is_closed_on_both_sides_of_it(file, name
 
 
 @pytest.mark.parametrize("wrapper", ["features", "UASZoneList"])
-def test_a_zone_of_ed269_is_read_with_its_outline_hole_and_limits_and_one_of_two_volumes_is_two(file, wrapper):
+def test_a_zone_of_ed269_is_read_with_its_outline_hole_and_limits_and_one_of_two_volumes_is_two(
+    file, wrapper
+):
     hole = [[LON, LAT], [LON + 0.0002, LAT], [LON, LAT + 0.0002]]
     volumes = polygon(RING, hole, **agl(10, 120)), circle(500, uomDimensions="FT", **agl(100, None))
     first, second = read_zones(ed269(file, zone(*volumes), wrapper=wrapper))
-    assert (first.name, first.source, first.crs, first.start, first.end) == ("Findel", "a.geojson", WGS84, None, None)
+    assert (first.name, first.source, first.crs, first.start, first.end) == (
+        "Findel",
+        "a.geojson",
+        WGS84,
+        None,
+        None,
+    )
     assert first.polygon.equals(shapely.Polygon(RING, [hole]))
     assert (heights(first), heights(second)) == ((10.0, 120.0), (pytest.approx(30.48), np.inf))
 
@@ -262,7 +335,9 @@ def test_a_zone_of_ed269_is_read_with_its_outline_hole_and_limits_and_one_of_two
         ({"uomDimensions": "FL"}, INFINITE),
     ],
 )
-def test_limits_above_another_zero_or_in_another_unit_reach_on_at_that_end_and_are_told(file, limits, expected):
+def test_limits_above_another_zero_or_in_another_unit_reach_on_at_that_end_and_are_told(
+    file, limits, expected
+):
     ed269(file, zone(polygon(**(agl(10, 120) | limits))))
     with pytest.warns(IgnoredZoneWarning, match="reach on to every altitude") as caught:
         (read,) = read_zones(file)
@@ -274,20 +349,28 @@ UNITS = st.sampled_from([("M", 1.0), ("FT", 0.3048)])
 
 @settings(max_examples=40)
 @given(st.floats(-179.9, 179.9), st.floats(-84, 84), st.floats(1, 300_000), UNITS)
-def test_a_circles_polygon_holds_all_of_it_and_little_more(tmp_path_factory, lon, lat, radius, unit):
+def test_a_circles_polygon_holds_all_of_it_and_little_more(
+    tmp_path_factory, lon, lat, radius, unit
+):
     uom, metres = unit
-    (read,) = read_zones(ed269(tmp_path_factory.mktemp("c") / "z.json", zone(circle(radius, uom, (lon, lat)))))
+    (read,) = read_zones(
+        ed269(tmp_path_factory.mktemp("c") / "z.json", zone(circle(radius, uom, (lon, lat))))
+    )
     turn, full = np.linspace(0, 360, 721), np.ones(721)
 
     def held(away_m):
         lons, lats, _ = GEOD.fwd(lon * full, lat * full, turn, away_m * full)
-        return shapely.covers(read.polygon, shapely.points(lon + (lons - lon + 180) % 360 - 180, lats))
+        return shapely.covers(
+            read.polygon, shapely.points(lon + (lons - lon + 180) % 360 - 180, lats)
+        )
 
     assert held(radius * metres).all()
     assert not held(1.003 * radius * metres).any()
 
 
-def test_what_needs_an_authorisation_is_closed_and_told_and_what_restricts_nothing_is_left_out_and_told(file):
+def test_what_needs_an_authorisation_is_closed_and_told_and_what_restricts_nothing_is_left_out_and_told(
+    file,
+):
     kinds = ("REQ_AUTHORISATION", "CONDITIONAL", "NO_RESTRICTION", "PROHIBITED")
     ed269(file, *(zone(polygon(), name=kind, restriction=kind) for kind in kinds))
     with pytest.warns(IgnoredZoneWarning) as caught:
@@ -300,9 +383,15 @@ def test_what_needs_an_authorisation_is_closed_and_told_and_what_restricts_nothi
     ]
 
 
-WINTER = {"permanent": "NO", "startDateTime": "2026-01-01T00:00:00Z", "endDateTime": "2026-03-31T23:59:59Z"}
+WINTER = {
+    "permanent": "NO",
+    "startDateTime": "2026-01-01T00:00:00Z",
+    "endDateTime": "2026-03-31T23:59:59Z",
+}
 NEXT_WINTER = {"startDateTime": "2027-01-01T00:00:00Z", "endDateTime": "2027-03-31T23:59:59Z"}
-OFFICE = {"schedule": [{"day": ["MON", "FRI"], "startTime": "08:00:00.00Z", "endTime": "16:00:00Z"}]}
+OFFICE = {
+    "schedule": [{"day": ["MON", "FRI"], "startTime": "08:00:00.00Z", "endTime": "16:00:00Z"}]
+}
 HOURS = "days or hours, which are not read"
 
 
@@ -319,7 +408,12 @@ HOURS = "days or hours, which are not read"
         ([WINTER | OFFICE], "2026-04-06T09:00", False, HOURS),
         ([OFFICE], "2026-04-07T09:00", True, HOURS),
         ([WINTER, ALWAYS], "2026-07-06T09:00", True, ""),
-        ([WINTER | {"endDateTime": "2026-03-31T23:59:59"}], "2026-07-06T09:00", True, "in force always"),
+        (
+            [WINTER | {"endDateTime": "2026-03-31T23:59:59"}],
+            "2026-07-06T09:00",
+            True,
+            "in force always",
+        ),
         ([WINTER | {"endDateTime": "March"}], "2026-07-06T09:00", True, "in force always"),
     ],
 )
@@ -333,13 +427,34 @@ def test_a_zone_is_in_force_from_its_first_to_its_last_time(file, periods, time,
 
 
 def test_ed318_is_read_with_layers_circles_names_and_times(file):
-    layer = {"upper": 400, "upperReference": "AGL", "lower": 0, "lowerReference": "AGL", "uom": "ft"}
+    layer = {
+        "upper": 400,
+        "upperReference": "AGL",
+        "lower": 0,
+        "lowerReference": "AGL",
+        "uom": "ft",
+    }
     area = {"type": "Polygon", "coordinates": [RING], "layer": layer}
-    point = {"type": "Point", "coordinates": [LON, LAT], "extent": {"subType": "Circle", "radius": 300}, "layer": layer}
+    point = {
+        "type": "Point",
+        "coordinates": [LON, LAT],
+        "extent": {"subType": "Circle", "radius": 300},
+        "layer": layer,
+    }
     names = [{"lang": "de-CH", "text": "Flugplatz"}, {"lang": "en-GB", "text": "airfield"}]
-    about = {"identifier": "CHE1", "country": "CHE", "type": "PROHIBITED", "variant": "COMMON", "name": names}
+    about = {
+        "identifier": "CHE1",
+        "country": "CHE",
+        "type": "PROHIBITED",
+        "variant": "COMMON",
+        "name": names,
+    }
     when = {"limitedApplicability": [{"startDateTime": "2026-01-01T00:00:00Z"}]}
-    write_features(file, (area, about), ({"type": "GeometryCollection", "geometries": [area, point]}, about | when))
+    write_features(
+        file,
+        (area, about),
+        ({"type": "GeometryCollection", "geometries": [area, point]}, about | when),
+    )
     first, second, third = read_zones(file)
     assert shapely.equals([first.polygon, second.polygon], SQUARE).all()
     np.testing.assert_allclose(heights(third), (0.0, 121.92))
@@ -360,7 +475,9 @@ def test_a_zone_closes_at_no_named_time_and_opens_where_the_named_one_is_outside
     assert closed.constraints.zones == constraints.zones
     assert constraints.closed(maps, 20.0).sum() > 100
     assert not closed.is_free[45, 38]
-    with pytest.warns(IgnoredZoneWarning, match=r"zones not in force at 2020-.* which close nothing: 1 \('Findel'"):
+    with pytest.warns(
+        IgnoredZoneWarning, match=r"zones not in force at 2020-.* which close nothing: 1 \('Findel'"
+    ):
         opened = ju.cost_map(maps, 20.0, constraints=constraints, time="2020-04-27T16:00:00Z")
     assert opened.constraints.zones == ()
     np.testing.assert_array_equal(opened.is_free, maps.is_free(20.0))

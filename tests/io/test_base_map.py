@@ -15,7 +15,11 @@ from tests.io.made_files import UTM, WGS84, line, osm
 
 BOX_M = (583_000, 4_507_000, 584_000, 4_508_000)
 SOHO = {
-    "region": {"bounds": [-74.004, 40.720, -73.998, 40.724], "resolution_m": 20.0, "altitudes_m": [20.0]},
+    "region": {
+        "bounds": [-74.004, 40.720, -73.998, 40.724],
+        "resolution_m": 20.0,
+        "altitudes_m": [20.0],
+    },
     "buildings": {"source": "sample:lower-manhattan"},
 }
 WAYS = (  # metres from the corner of the box
@@ -29,7 +33,10 @@ WAYS = (  # metres from the corner of the box
     ({"railway": "subway", "tunnel": "yes"}, [(100, 600), (400, 600)]),
     ({"railway": "subway"}, [(100, 700), (400, 700)]),
     ({"railway": "rail", "service": "yard"}, [(100, 710), (400, 710)]),
-    ({"leisure": "park", "name": "Green"}, [(600, 600), (800, 600), (800, 800), (600, 800), (600, 600)]),
+    (
+        {"leisure": "park", "name": "Green"},
+        [(600, 600), (800, 600), (800, 800), (600, 800), (600, 600)],
+    ),
     ({"natural": "coastline"}, [(900, -50), (900, 1050)]),
     (
         {"place": "neighbourhood", "name": "an area, which is no point"},
@@ -65,18 +72,25 @@ def test_streets_rails_water_parks_and_places_are_drawn_and_what_lies_in_tunnels
         ("water", ""),
     ]
     of = frame.to_crs(UTM).set_index(["kind", "name"]).geometry
-    assert of["major", "Long Road"].length == pytest.approx(1000.0, abs=0.2)  # two ways in one, cut at the box
+    assert of["major", "Long Road"].length == pytest.approx(
+        1000.0, abs=0.2
+    )  # two ways in one, cut at the box
     assert shapely.get_num_coordinates(of["major", ""]) == 2  # simplified
     assert of["park", "Green"].area == pytest.approx(200**2, rel=1e-3)
     assert of["water", ""].area == pytest.approx(100 * 1000, rel=1e-2)  # the sea
     assert "OpenStreetMap" in frame.attrs["credit"]
-    alone = base_map_of(tmp_path, ({"building": "yes"}, [(3000, 0), (3000, 10), (3010, 10), (3000, 0)]))
+    alone = base_map_of(
+        tmp_path, ({"building": "yes"}, [(3000, 0), (3000, 10), (3010, 10), (3000, 0)])
+    )
     assert list(alone["kind"]) == ["place"]
 
 
 def test_a_folder_of_maps_keeps_its_base_map_as_one_of_its_files(tmp_path):
     scenario = Scenario.from_dict(SOHO)
-    made, file = run_scenario(scenario, tmp_path / "a", progress=False).maps[20.0], tmp_path / "a" / "basemap.parquet"
+    made, file = (
+        run_scenario(scenario, tmp_path / "a", progress=False).maps[20.0],
+        tmp_path / "a" / "basemap.parquet",
+    )
     opened, written = ju.open_maps(tmp_path / "a"), digest_of(file)
     assert "Broadway" in set(opened.base_map["name"])
     west, south, east, north = made.base_map.total_bounds
@@ -95,7 +109,9 @@ def test_a_folder_of_maps_keeps_its_base_map_as_one_of_its_files(tmp_path):
     ju.open_maps(tmp_path / "b").save(tmp_path / "b")  # into the folder that they are read from
     assert {path: digest_of(path) for path in (tmp_path / "b").rglob("*.tif")} == pictures
     assert digest_of(tmp_path / "b" / "basemap.parquet") == written
-    without = ju.build_maps(ju.demo_city(width_m=600, height_m=600), altitudes_m=[20.0], progress=False)
+    without = ju.build_maps(
+        ju.demo_city(width_m=600, height_m=600), altitudes_m=[20.0], progress=False
+    )
     assert without.base_map is None
     without.save(tmp_path / "b")
     assert not (tmp_path / "b" / "basemap.parquet").exists()
@@ -104,7 +120,9 @@ def test_a_folder_of_maps_keeps_its_base_map_as_one_of_its_files(tmp_path):
     (tmp_path / "c" / "basemap.parquet").write_bytes(b"of the user")
     with pytest.raises(ju.InputError, match="is in the way"):
         opened.save(tmp_path / "c")
-    assert [file.name for file in (tmp_path / "c").iterdir()] == ["basemap.parquet"]  # nothing else was begun
+    assert [file.name for file in (tmp_path / "c").iterdir()] == [
+        "basemap.parquet"
+    ]  # nothing else was begun
 
 
 def test_a_study_of_a_sample_takes_its_water_and_parks():
@@ -119,6 +137,9 @@ def test_a_study_of_a_sample_takes_its_water_and_parks():
 def test_the_water_of_a_sample_is_that_of_its_source(data_dir):
     scenario = Scenario.from_dict({**SOHO, "region": {"bounds": [-74.02, 40.70, -73.98, 40.73]}})
     bounds_m = Grid.from_bounds(scenario.region.bounds, 5.0).bounds_m
-    theirs, ours = read_land_cover(data_dir / "osm/lower-manhattan.osm.pbf", UTM, bounds_m), land_cover_of(scenario)
+    theirs, ours = (
+        read_land_cover(data_dir / "osm/lower-manhattan.osm.pbf", UTM, bounds_m),
+        land_cover_of(scenario),
+    )
     for a, b in ((theirs.water, ours.water), (theirs.park, ours.park)):
         assert shapely.symmetric_difference(a, b).area < 0.01 * a.area

@@ -18,7 +18,19 @@ from jaxurban.maps.build import view_sky
 from jaxurban.maps.task import MapTask
 from jaxurban.world.grid import transformer
 from tests.cli_runs import run
-from tests.io.made_files import LAT, LON, SQUARE, UTM, WGS84, X, Y, box, write_features, write_raster, write_vector
+from tests.io.made_files import (
+    LAT,
+    LON,
+    SQUARE,
+    UTM,
+    WGS84,
+    X,
+    Y,
+    box,
+    write_features,
+    write_raster,
+    write_vector,
+)
 
 
 @pytest.fixture
@@ -31,7 +43,9 @@ def street(tmp_path):
 
 def test_bounds_limit_what_is_kept_but_not_which_parts_replace_outlines(street):
     def heights(*sides):
-        return read_buildings(ju.Buildings(street), UTM, bounds_m=box(*sides).bounds).buildings.height_m.tolist()
+        return read_buildings(
+            ju.Buildings(street), UTM, bounds_m=box(*sides).bounds
+        ).buildings.height_m.tolist()
 
     whole = read_buildings(ju.Buildings(street), UTM)
     east = read_buildings(ju.Buildings(street), UTM, bounds_m=(X + 125, Y, X + 200, Y + 5))
@@ -45,7 +59,9 @@ def test_bounds_limit_what_is_kept_but_not_which_parts_replace_outlines(street):
 
 
 def test_a_height_raster_gives_roofs(tmp_path):
-    source = read_buildings(ju.Buildings(write_raster(tmp_path / "roofs.TIF", np.float32([[-0.5, 12.0]]))), UTM)
+    source = read_buildings(
+        ju.Buildings(write_raster(tmp_path / "roofs.TIF", np.float32([[-0.5, 12.0]]))), UTM
+    )
     assert source.buildings is None
     np.testing.assert_array_equal(source.roofs.values, [[0, 12]])
     assert source.read_issues == {"cells_below_ground": 1}
@@ -71,8 +87,13 @@ EXTENT = (-74.012, 40.706, -74.008, 40.709)
 def town(tmp_path):
     """Write two buildings in opposite corners of a box."""
     west, south, east, north = EXTENT
-    corners = shapely.box(west, south, west + 1e-3, south + 1e-3), shapely.box(east - 1e-3, north - 1e-3, east, north)
-    return write_features(tmp_path / "town.geojson", *((shape, {"height": "30"}) for shape in corners))
+    corners = (
+        shapely.box(west, south, west + 1e-3, south + 1e-3),
+        shapely.box(east - 1e-3, north - 1e-3, east, north),
+    )
+    return write_features(
+        tmp_path / "town.geojson", *((shape, {"height": "30"}) for shape in corners)
+    )
 
 
 def test_bounds_left_out_are_those_of_the_file(town):
@@ -84,7 +105,9 @@ def test_bounds_left_out_are_those_of_the_file(town):
 
 
 def test_bounds_elsewhere_name_the_extent_and_a_swap(town):
-    with pytest.raises(ju.InputError, match=r"it covers about -74\.012\d, 40\.706\d, -74\.008\d, 40\.709\d"):
+    with pytest.raises(
+        ju.InputError, match=r"it covers about -74\.012\d, 40\.706\d, -74\.008\d, 40\.709\d"
+    ):
         ju.City.from_files(town, bounds=(10.0, 50.0, 10.01, 50.01))
     with pytest.raises(ju.InputError, match="look swapped"):
         ju.City.from_files(town, bounds=(41.881, -87.64, 41.882, -87.62))
@@ -99,7 +122,11 @@ def test_info_says_what_a_file_or_a_folder_of_maps_holds_and_where(town, capsys)
     maps = ju.build_maps(ju.demo_city(500, 500), resolution_m=50, altitudes_m=[20.0])
     maps.save(town.with_name("maps"))
     code, out, _ = run(capsys, "info", town.with_name("maps"))
-    assert (code, "10 x 10 cells of 50 m" in out, "gps, lidar, population, risk" in out) == (0, True, True)
+    assert (code, "10 x 10 cells of 50 m" in out, "gps, lidar, population, risk" in out) == (
+        0,
+        True,
+        True,
+    )
 
 
 def read(path, shapes=None, **columns):
@@ -115,12 +142,22 @@ def test_every_format_in_every_crs_gives_the_same_building(tmp_path, suffix, crs
     source = read_buildings(ju.Buildings(tmp_path / f"city{suffix}"), UTM)
     expected = gpd.GeoSeries([SQUARE], crs=WGS84).to_crs(UTM)[0]
     assert source.buildings.height_m.tolist() == [21.5]
-    assert shapely.hausdorff_distance(source.buildings.polygons[0], expected) < 0.01  # GeoJSON rounds to 1e-7 degrees
+    assert (
+        shapely.hausdorff_distance(source.buildings.polygons[0], expected) < 0.01
+    )  # GeoJSON rounds to 1e-7 degrees
     assert source.area.bounds == pytest.approx(expected.bounds, abs=0.01)
 
 
-ONE_MEANING = {"levels": ["2", "2", None], "building:levels": ["3", None, None], "height": [None, None, "-1"]}
-KINDS = {"building": ["yes", None, None], "building:part": [None, "yes", None], "height": ["9", "8", "7"]}
+ONE_MEANING = {
+    "levels": ["2", "2", None],
+    "building:levels": ["3", None, None],
+    "height": [None, None, "-1"],
+}
+KINDS = {
+    "building": ["yes", None, None],
+    "building:part": [None, "yes", None],
+    "height": ["9", "8", "7"],
+}
 
 
 @pytest.mark.parametrize(
@@ -135,7 +172,11 @@ KINDS = {"building": ["yes", None, None], "building:part": [None, "yes", None], 
         ({"num_floors": [4.0]}, [12.0], {}),
         ({"roof:height": ["4"]}, [10.0], {}),  # the height of the roof alone
         ({"heightroof": [4]}, [10.0], {}),  # New York's, in feet
-        ({"height": [5.0, 6.0, 7.0], "is_underground": [True, False, None]}, [6, 7], {"underground": 1}),
+        (
+            {"height": [5.0, 6.0, 7.0], "is_underground": [True, False, None]},
+            [6, 7],
+            {"underground": 1},
+        ),
         (ONE_MEANING, [9, 6, 10], {"heights_unusable": 1}),  # they fill each other's gaps
         (KINDS, [8], {"outlines_replaced_by_parts": 1, "not_buildings": 1}),
     ],
@@ -147,7 +188,10 @@ def test_common_columns_are_understood(tmp_path, columns, height_m, issues):
 
 
 def test_names_that_a_shapefile_cuts_are_understood(tmp_path):
-    with pytest.warns(UserWarning, match="10 characters"), pytest.warns(RuntimeWarning, match="Normalized"):
+    with (
+        pytest.warns(UserWarning, match="10 characters"),
+        pytest.warns(RuntimeWarning, match="Normalized"),
+    ):
         source = read(tmp_path / "city.shp", **{"building:levels": ["4"], "roof:levels": ["1"]})
     assert source.buildings.height_m.tolist() == [15.0]
 
@@ -159,18 +203,31 @@ def test_what_is_no_polygon_is_counted_and_left_out_and_collections_give_their_p
     assert source.read_issues["non_polygons"] == 1
     rings = ([[0, 0], [1, 1], [0, 0]], [[0, 0], [1, 1], [1, 0], [0, 1], [0, 0]])
     broken = [(None, {}), *(({"type": "Polygon", "coordinates": [ring]}, {}) for ring in rings)]
-    source = read_buildings(ju.Buildings(write_features(tmp_path / "broken.geojson", *broken)), "EPSG:32631")
+    source = read_buildings(
+        ju.Buildings(write_features(tmp_path / "broken.geojson", *broken)), "EPSG:32631"
+    )
     assert len(source.buildings) == 1
-    assert (source.read_issues["polygons_dropped"], source.read_issues["polygons_repaired"]) == (2, 1)
+    assert (source.read_issues["polygons_dropped"], source.read_issues["polygons_repaired"]) == (
+        2,
+        1,
+    )
 
 
 def test_the_layer_of_polygons_is_chosen_or_asked_for(tmp_path):
     for layer, shape in (("trees", SQUARE.centroid), ("houses", SQUARE)):
-        gpd.GeoDataFrame({"height": [5]}, geometry=[shape], crs=WGS84).to_file(tmp_path / "a.gpkg", layer=layer)
-    assert read_buildings(ju.Buildings(tmp_path / "a.gpkg"), UTM).buildings.height_m.tolist() == [5.0]
+        gpd.GeoDataFrame({"height": [5]}, geometry=[shape], crs=WGS84).to_file(
+            tmp_path / "a.gpkg", layer=layer
+        )
+    assert read_buildings(ju.Buildings(tmp_path / "a.gpkg"), UTM).buildings.height_m.tolist() == [
+        5.0
+    ]
     for layer in ("parcels", "Buildings"):
-        gpd.GeoDataFrame({"height": [7]}, geometry=[SQUARE], crs=WGS84).to_file(tmp_path / "a.gpkg", layer=layer)
-    assert read_buildings(ju.Buildings(tmp_path / "a.gpkg"), UTM).buildings.height_m.tolist() == [7.0]
+        gpd.GeoDataFrame({"height": [7]}, geometry=[SQUARE], crs=WGS84).to_file(
+            tmp_path / "a.gpkg", layer=layer
+        )
+    assert read_buildings(ju.Buildings(tmp_path / "a.gpkg"), UTM).buildings.height_m.tolist() == [
+        7.0
+    ]
 
 
 BOX_M = (X, Y, X + 900.0, Y + 900.0)
@@ -184,13 +241,24 @@ def houses(num=600):
     corner[: num // 2] = np.array([X, Y]) + rng.uniform(-0.5e3, 1.4e3, (num // 2, 2))
     size = rng.uniform(5, 60, (num, 2))
     shapes = shapely.box(*corner.T, *(corner + size).T)
-    shapes[::7] = shapely.difference(shapes[::7], shapely.buffer(shapely.centroid(shapes[::7]), 1.0))
-    shapes[1::9] = shapely.union(shapes[1::9], shapely.transform(shapes[1::9], lambda xy_m: xy_m + 70.0))
+    shapes[::7] = shapely.difference(
+        shapes[::7], shapely.buffer(shapely.centroid(shapes[::7]), 1.0)
+    )
+    shapes[1::9] = shapely.union(
+        shapes[1::9], shapely.transform(shapes[1::9], lambda xy_m: xy_m + 70.0)
+    )
     levels = [None if k % 3 else str(k % 11) for k in range(num)]
-    columns = {"building": "yes", "building:part": None, "height": rng.uniform(3, 90, num).round(2), "levels": levels}
+    columns = {
+        "building": "yes",
+        "building:part": None,
+        "height": rng.uniform(3, 90, num).round(2),
+        "levels": levels,
+    }
     frame = gpd.GeoDataFrame(columns, geometry=shapes, crs=UTM)
     halves = frame[:40].assign(**{"building": None, "building:part": "yes"})
-    halves.geometry = shapely.intersection(halves.geometry, shapely.box(*corner.T, *(corner + size * [0.95, 1]).T)[:40])
+    halves.geometry = shapely.intersection(
+        halves.geometry, shapely.box(*corner.T, *(corner + size * [0.95, 1]).T)[:40]
+    )
     point = frame[:1].set_geometry(shapely.points([[X, Y]]), crs=UTM)
     return gpd.GeoDataFrame(gpd.pd.concat([frame, halves, point], ignore_index=True), crs=UTM)
 
@@ -202,15 +270,22 @@ def write(frame, path):
     if path.suffix != ".parquet":
         frame.rename(columns={"building:part": "building_p"}).to_file(path)
         return path
-    order = np.argsort(frame.bounds["minx"].to_numpy(), kind="stable")  # so that row groups are places
-    frame.iloc[order].to_parquet(path, row_group_size=50, write_covering_bbox=path.stem == "covered")
+    order = np.argsort(
+        frame.bounds["minx"].to_numpy(), kind="stable"
+    )  # so that row groups are places
+    frame.iloc[order].to_parquet(
+        path, row_group_size=50, write_covering_bbox=path.stem == "covered"
+    )
     return path
 
 
 def facts_of(source):
     """Return what can be compared of buildings that were read."""
     b = source.buildings
-    return [values.tolist() for values in (shapely.to_wkb(b.polygons), b.height_m, b.min_height_m, b.origin, b.is_part)]
+    return [
+        values.tolist()
+        for values in (shapely.to_wkb(b.polygons), b.height_m, b.min_height_m, b.origin, b.is_part)
+    ]
 
 
 @pytest.fixture(scope="module", params=FORMATS)
@@ -218,14 +293,19 @@ def path(tmp_path_factory, request):
     return write(houses().to_crs(WGS84), tmp_path_factory.mktemp("town") / request.param)
 
 
-TURNED = "+proj=omerc +lat_0=40.7 +lonc=-74 +alpha=40 +gamma=0 +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m"
+TURNED = (
+    "+proj=omerc +lat_0=40.7 +lonc=-74 +alpha=40 +gamma=0 +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m"
+)
 
 
 @pytest.mark.parametrize("crs", [UTM, TURNED])
 def test_buildings_near_a_region_are_those_of_the_whole_file_in_its_order(path, crs):
     x_m, y_m = transformer(UTM, crs).transform(X + 450, Y + 450)
     bounds_m = (x_m - 700, y_m - 700, x_m + 700, y_m + 700)
-    part, whole = read_buildings(ju.Buildings(path), crs, bounds_m=bounds_m), read_buildings(ju.Buildings(path), crs)
+    part, whole = (
+        read_buildings(ju.Buildings(path), crs, bounds_m=bounds_m),
+        read_buildings(ju.Buildings(path), crs),
+    )
     is_kept = shapely.intersects(shapely.box(*whole.buildings.boxes_m), shapely.box(*bounds_m))
     assert 40 < is_kept.sum() < 0.5 * len(is_kept)
     assert facts_of(part) == facts_of(replace(whole, buildings=whole.buildings.take(is_kept)))
@@ -242,7 +322,10 @@ def test_what_lies_elsewhere_is_left_out(path):
 
 def test_a_region_without_buildings_is_told_of_by_the_whole_file(path):
     away = (X + 9e5, Y, X + 9e5 + 10, Y + 10)
-    part, whole = read_buildings(ju.Buildings(path), UTM, bounds_m=away), read_buildings(ju.Buildings(path), UTM)
+    part, whole = (
+        read_buildings(ju.Buildings(path), UTM, bounds_m=away),
+        read_buildings(ju.Buildings(path), UTM),
+    )
     assert len(part.buildings) == 0
     assert part.area.equals(whole.area)
     assert part.read_issues == whole.read_issues
@@ -251,7 +334,11 @@ def test_a_region_without_buildings_is_told_of_by_the_whole_file(path):
 @pytest.mark.parametrize("name", ["city.gpkg", "city.parquet"])
 def test_an_outline_wider_than_the_margin_comes_with_the_parts_at_its_far_end(tmp_path, name):
     ends_m = MARGIN_M * np.array([[0, 5.0], [0.5, 4.8], [4.8, 5.0]])
-    columns = {"building": ["yes", None, None], "building:part": [None, "yes", "yes"], "height": [9.0, 8.0, 7.0]}
+    columns = {
+        "building": ["yes", None, None],
+        "building:part": [None, "yes", "yes"],
+        "height": [9.0, 8.0, 7.0],
+    }
     write_vector(tmp_path / name, [box(west, 0, east, 10) for west, east in ends_m], **columns)
     part = read_buildings(ju.Buildings(tmp_path / name), UTM, bounds_m=(X, Y, X + 100, Y + 100))
     assert part.read_issues["outlines_replaced_by_parts"] == 1
@@ -266,7 +353,9 @@ def test_an_outline_wider_than_the_margin_comes_with_the_parts_at_its_far_end(tm
         lambda geo: geo | {"columns": []},
         lambda geo: geo | {"columns": {"foo": geo["columns"]["geometry"]}, "primary_column": "foo"},
         lambda geo: geo | {"columns": {"geometry": []}},
-        lambda geo: geo | {"columns": {"geometry": geo["columns"]["geometry"] | {"encoding": "polygon"}}},
+        lambda geo: (
+            geo | {"columns": {"geometry": geo["columns"]["geometry"] | {"encoding": "polygon"}}}
+        ),
         lambda geo: [geo],
         lambda geo: None,
     ],
@@ -276,7 +365,9 @@ def test_damaged_metadata_of_geoparquet_are_one_sentence(tmp_path, damage, near)
     table = pq.read_table(path)
     changed = damage(json.loads(table.schema.metadata[b"geo"]))
     pq.write_table(table.replace_schema_metadata({b"geo": json.dumps(changed)}), path)
-    with pytest.raises(ju.InputError, match=r"city\.parquet' cannot be read as a vector file .*: give a whole one"):
+    with pytest.raises(
+        ju.InputError, match=r"city\.parquet' cannot be read as a vector file .*: give a whole one"
+    ):
         read_vector(path, near)
 
 
@@ -307,11 +398,20 @@ def test_one_box_is_proposed_by_all_and_its_maps_lack_no_buildings(tmp_path, cap
     lone = [(14.0, 50.0, 14.0002, 50.0001), (10.0, 53.0, 10.0002, 53.0001)]
     shapes = shapely.box(*np.concatenate([np.stack([west, south, east, north], axis=-1), lone]).T)
     path = write_vector(tmp_path / "houses.geojson", shapes, WGS84, height=[10] * len(shapes))
-    (tmp_path / "a.toml").write_text("[buildings]\nsource = 'houses.geojson'\n[region]\nresolution_m = [5, 20]\n")
+    (tmp_path / "a.toml").write_text(
+        "[buildings]\nsource = 'houses.geojson'\n[region]\nresolution_m = [5, 20]\n"
+    )
     proposed = [10.0, 50.0, 10.01, 50.0061]
-    np.testing.assert_array_equal(np.ceil([1e4 * east.max(), 1e4 * north.max()]) / 1e4, proposed[2:])
-    assert f"bounds = {proposed}; give these" in run(capsys, "maps", tmp_path / "a.toml", "-o", tmp_path / "out")[2]
-    assert json.loads(run(capsys, "info", path, "--json")[1])["99 % of buildings in"] == str(proposed)
+    np.testing.assert_array_equal(
+        np.ceil([1e4 * east.max(), 1e4 * north.max()]) / 1e4, proposed[2:]
+    )
+    assert (
+        f"bounds = {proposed}; give these"
+        in run(capsys, "maps", tmp_path / "a.toml", "-o", tmp_path / "out")[2]
+    )
+    assert json.loads(run(capsys, "info", path, "--json")[1])["99 % of buildings in"] == str(
+        proposed
+    )
     for crs in (None, "EPSG:3035"):
         with pytest.warns(ju.GuessWarning, match=re.escape(f"bounds = {proposed}")):
             assert ju.City.from_files(path, crs=crs).facts["99 % of buildings in"] == str(proposed)
@@ -332,25 +432,40 @@ def test_one_box_is_proposed_by_all_and_its_maps_lack_no_buildings(tmp_path, cap
 def scattered(tmp_path):
     """Write 300 houses in a square of 1 km, and two a hundred kilometres and more away."""
     corners = np.random.default_rng(0).uniform(0, 990, (300, 2))
-    shapes = [*(box(x, y, x + 10, y + 10) for x, y in corners), box(3e5, 0, 3e5 + 10, 10), box(0, 1e5, 10, 1e5 + 10)]
+    shapes = [
+        *(box(x, y, x + 10, y + 10) for x, y in corners),
+        box(3e5, 0, 3e5 + 10, 10),
+        box(0, 1e5, 10, 1e5 + 10),
+    ]
     return write_vector(tmp_path / "houses.gpkg", shapes, height=[10] * len(shapes))
 
 
-def test_bounds_that_are_left_out_are_proposed_where_most_buildings_stand(scattered, tmp_path, capsys):
-    with pytest.warns(ju.GuessWarning, match="bounds are left out.*99 % of its buildings.*: bounds = "):
+def test_bounds_that_are_left_out_are_proposed_where_most_buildings_stand(
+    scattered, tmp_path, capsys
+):
+    with pytest.warns(
+        ju.GuessWarning, match="bounds are left out.*99 % of its buildings.*: bounds = "
+    ):
         city = ju.City.from_files(scattered)
     proposed = json.loads(city.facts["99 % of buildings in"])
     inside_m = transformer(WGS84, city.crs).transform_bounds(*proposed)
     around_m = X, Y, X + 1000, Y + 1000
     assert (
-        0.9e6 < shapely.box(*inside_m).intersection(shapely.box(*around_m)).area <= shapely.box(*inside_m).area < 1.1e6
+        0.9e6
+        < shapely.box(*inside_m).intersection(shapely.box(*around_m)).area
+        <= shapely.box(*inside_m).area
+        < 1.1e6
     )
     near = ju.City.from_files(scattered, bounds=proposed)
     assert near.facts["buildings"] == "300"
     assert near.facts["extent"].startswith(("1 x", "1.0"))
     assert "99 % of buildings in" not in repr(near)
-    assert json.loads(run(capsys, "info", scattered, "--json")[1])["99 % of buildings in"] == str(proposed)
-    (tmp_path / "a.toml").write_text("[buildings]\nsource = 'houses.gpkg'\n[region]\nresolution_m = 5\n")
+    assert json.loads(run(capsys, "info", scattered, "--json")[1])["99 % of buildings in"] == str(
+        proposed
+    )
+    (tmp_path / "a.toml").write_text(
+        "[buildings]\nsource = 'houses.gpkg'\n[region]\nresolution_m = 5\n"
+    )
     code, _, err = run(capsys, "maps", tmp_path / "a.toml", "-o", tmp_path / "out")
     assert code == 2
     assert "houses.gpkg' covers 303 x 109 km" in err  # the box in degrees stands askew
@@ -365,4 +480,7 @@ def test_bounds_that_are_left_out_are_proposed_where_most_buildings_stand(scatte
 def test_a_region_says_its_own_size_and_buildings_and_those_around(street):
     near = transformer(UTM, WGS84).transform_bounds(X - 20, Y - 20, X + 60, Y + 40)
     facts = ju.City.from_files(street, bounds=near).facts
-    assert (facts["buildings"], facts["extent"]) == ("1, and 2 around", "0.0813 x 0.0618 km")  # of a box in degrees
+    assert (facts["buildings"], facts["extent"]) == (
+        "1, and 2 around",
+        "0.0813 x 0.0618 km",
+    )  # of a box in degrees

@@ -41,7 +41,9 @@ def check_touched(polygons, values, grid):
     boxes = cell_boxes(grid, np.indices(grid.shape).reshape(2, -1).T, 1)
     polygon, cell = shapely.STRtree(boxes).query(polygons, predicate="intersects")
     area_m2 = shapely.area(shapely.intersection(polygons[polygon], boxes[cell]))
-    sliver_m2 = 1e-6 * grid.resolution_m**2  # a cut thinner than the rounding of corners onto borders
+    sliver_m2 = (
+        1e-6 * grid.resolution_m**2
+    )  # a cut thinner than the rounding of corners onto borders
     least, most = np.zeros(touched.size, np.float32), np.zeros(touched.size, np.float32)
     np.maximum.at(least, cell[area_m2 > sliver_m2], values[polygon[area_m2 > sliver_m2]])
     np.maximum.at(most, cell, values[polygon])
@@ -56,7 +58,9 @@ def test_every_cell_that_shares_area_with_an_outline_is_touched():
     for _ in range(60):
         centre_m = np.array(grid.bounds_m[:2]) + rng.uniform(-10, 110, 2)
         angles = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 9)))
-        polygon = shapely.Polygon(centre_m + rng.uniform(0.5, 25) * np.stack([np.cos(angles), np.sin(angles)], axis=1))
+        polygon = shapely.Polygon(
+            centre_m + rng.uniform(0.5, 25) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        )
         if rng.random() < 0.3:
             polygon = polygon.difference(shapely.centroid(polygon).buffer(3.0))
         if rng.random() < 0.3:
@@ -64,7 +68,9 @@ def test_every_cell_that_shares_area_with_an_outline_is_touched():
         polygons += [polygon] * (not polygon.is_empty)
     values = rng.uniform(3, 90, len(polygons))
     check_touched(polygons, values, grid)
-    by_gdal = gdal(np.array(polygons), values, grid, 0.0, "float32", all_touched=True)  # no corner lies on a border
+    by_gdal = gdal(
+        np.array(polygons), values, grid, 0.0, "float32", all_touched=True
+    )  # no corner lies on a border
     np.testing.assert_array_equal(burnt(polygons, values, grid)[1], by_gdal)
     np.testing.assert_array_equal(touched_cells(shapely.union_all(polygons), grid), by_gdal > 0)
 
@@ -82,7 +88,9 @@ def test_a_wall_thinner_than_a_cell_is_touched_all_along_and_leaves_no_gap_at_co
     middle_m = np.array([grid.x_min_m, grid.y_min_m]) + 100.0
     for degrees in range(0, 91, 10):
         along = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
-        wall = shapely.LineString([middle_m - 80 * along, middle_m + 80 * along]).buffer(0.1, cap_style="flat")
+        wall = shapely.LineString([middle_m - 80 * along, middle_m + 80 * along]).buffer(
+            0.1, cap_style="flat"
+        )
         centre, touched = burnt([wall], [30.0], grid)
         check_touched([wall], [30.0], grid)
         assert (centre > 0).sum() < (touched > 0).sum()
@@ -104,8 +112,12 @@ def with_ties(rng, num=30):
         sharp = shapely.make_valid(shapely.Polygon(corners(rng.integers(3, 9))), method="structure")
         low, size = corners(1)[0], rng.integers(2, 20, 2) / 2.0
         yard = shapely.box(*low, *(low + size))
-        holed = shapely.difference(shapely.union_all([shapely.box(*(low - 2), *(low + size + 2.5)), box()]), yard)
-        cut = shapely.difference(*(shapely.convex_hull(shapely.multipoints(corners(5))) for _ in range(2)))
+        holed = shapely.difference(
+            shapely.union_all([shapely.box(*(low - 2), *(low + size + 2.5)), box()]), yard
+        )
+        cut = shapely.difference(
+            *(shapely.convex_hull(shapely.multipoints(corners(5))) for _ in range(2))
+        )
         made += [shape for shape in (sharp, holed, cut, shapely.reverse(holed)) if shape.area > 0]
     made = np.array([polygonal(shape) for shape in made], object)
     assert len(np.unique(shapely.get_type_id(made))) == 2
@@ -133,7 +145,9 @@ def test_borders_through_centres_fall_as_gdal_has_them():
 def test_the_highest_value_wins_in_any_order(fill, dtype):
     rng = np.random.default_rng(3)
     polygons = with_ties(rng)
-    values = rng.permutation(len(polygons)) if dtype == "int32" else rng.uniform(3, 90, len(polygons))
+    values = (
+        rng.permutation(len(polygons)) if dtype == "int32" else rng.uniform(3, 90, len(polygons))
+    )
     expected = gdal(polygons, values, BORDERS, fill, dtype)
     for order in (np.arange(len(polygons)), rng.permutation(len(polygons))):
         centre, touched = burn(polygons[order], values[order], BORDERS, fill, dtype)
@@ -145,11 +159,18 @@ def test_the_highest_value_wins_in_any_order(fill, dtype):
 @pytest.mark.parametrize("resolution_m", [5.0, 0.7])
 def test_tiles_burnt_by_threads_at_once_are_the_whole_even_on_ties(resolution_m):
     rng = np.random.default_rng(4)
-    polygons = shapely.transform(with_ties(rng), lambda xy: (xy + np.array(OUTER[1::-1])) * resolution_m)
+    polygons = shapely.transform(
+        with_ties(rng), lambda xy: (xy + np.array(OUTER[1::-1])) * resolution_m
+    )
     values = rng.uniform(3, 90, len(polygons))
     boxes_m = shapely.bounds(polygons).T
-    whole, corners = ju.Grid(CRS, resolution_m, *OUTER), itertools.product(range(0, 40, 10), range(0, 40, 8))
-    tiles = [ju.Grid(CRS, resolution_m, OUTER[0] + row, OUTER[1] + col, 10, 8) for row, col in corners]
+    whole, corners = (
+        ju.Grid(CRS, resolution_m, *OUTER),
+        itertools.product(range(0, 40, 10), range(0, 40, 8)),
+    )
+    tiles = [
+        ju.Grid(CRS, resolution_m, OUTER[0] + row, OUTER[1] + col, 10, 8) for row, col in corners
+    ]
 
     def burn_tile(tile):
         return burn(polygons, values, tile, 0.0, "float32", boxes_m=boxes_m)
@@ -174,12 +195,16 @@ def test_a_centre_in_a_hole_is_not_held_and_an_outline_far_larger_than_the_grid_
 def test_empty_and_missing_polygons_and_those_elsewhere_leave_the_fill():
     grid = ju.Grid(CRS, 5.0, *OUTER)
     for polygons in ([], [None, shapely.Polygon()], [shapely.box(0, 0, 1, 1)]):
-        assert (burn(np.array(polygons, object), np.ones(len(polygons)), grid, -1, "int32")[0] == -1).all()
+        assert (
+            burn(np.array(polygons, object), np.ones(len(polygons)), grid, -1, "int32")[0] == -1
+        ).all()
 
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_every_roof_of_lower_manhattan_lies_in_the_cells_of_gdal_and_in_all_that_it_shares_area_with(data_dir):
+def test_every_roof_of_lower_manhattan_lies_in_the_cells_of_gdal_and_in_all_that_it_shares_area_with(
+    data_dir,
+):
     found = read_buildings(ju.Buildings(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings
     for resolution_m in (5.0, 2.0, 5 / 3):
         grid = ju.Grid.from_bounds((-74.02, 40.70, -73.98, 40.73), resolution_m, CRS)
@@ -228,7 +253,9 @@ def test_touched_slabs_as_if_they_reached_the_ground_are_no_lower_than_the_touch
     raised_m = touched.slabs.raised(touched.roof_m, GRID)
     to_ground_m = rasterise(city(TO_GROUND), GRID, all_touched=True).roof_m
     assert np.all(raised_m >= to_ground_m)
-    assert np.sum(raised_m != to_ground_m) <= 1  # a corner that enters a cell by less than outlines are snapped
+    assert (
+        np.sum(raised_m != to_ground_m) <= 1
+    )  # a corner that enters a cell by less than outlines are snapped
 
 
 def test_two_slabs_over_a_cell_stay_two(rasters):
@@ -245,9 +272,15 @@ def test_subcells_hold_the_area_of_a_deck(rasters):
 
 @pytest.mark.parametrize("with_terrain", [False, True])
 def test_a_part_of_a_grid_holds_the_slabs_of_the_whole(with_terrain):
-    whole, part = city(with_terrain=with_terrain), ju.Grid(CRS, 2.0, GRID.first_row + 60, GRID.first_col, 50, 77)
+    whole, part = (
+        city(with_terrain=with_terrain),
+        ju.Grid(CRS, 2.0, GRID.first_row + 60, GRID.first_col, 50, 77),
+    )
     large, small = rasterise(whole, GRID), rasterise(whole, part)
-    row, col = large.slabs.row // PER_CELL - part.first_row, large.slabs.col // PER_CELL - part.first_col
+    row, col = (
+        large.slabs.row // PER_CELL - part.first_row,
+        large.slabs.col // PER_CELL - part.first_col,
+    )
     inside = (row >= 0) & (row < 50) & (col < 77)
     expected = large.slabs.take(inside)
     assert len(expected.row) > 1000
@@ -268,7 +301,11 @@ BRIDGES = {  # their tags, from where to where they hang in metres, and whether 
 
 def test_decks_of_bridges_hang_by_their_tags_or_by_their_layer(tmp_path):
     tags, spans_m, guessed = zip(*BRIDGES.values(), strict=True)
-    rows = [*({"man_made": "bridge"} | each for each in tags), {"building": "yes", "height": 20}, {"man_made": "pier"}]
+    rows = [
+        *({"man_made": "bridge"} | each for each in tags),
+        {"building": "yes", "height": 20},
+        {"man_made": "pier"},
+    ]
     shapes = [shapely.box(X_M + 40 * i, Y_M, X_M + 40 * i + 30, Y_M + 8) for i in range(len(rows))]
     path = write_vector(tmp_path / "city.gpkg", shapes, CRS, **pd.DataFrame(rows))
     assert read_buildings(ju.Buildings(path), CRS).buildings.height_m.tolist() == [20]
@@ -293,7 +330,10 @@ def test_an_osm_file_gives_bridges_only_where_slabs_are_asked(tmp_path):
 def test_an_outline_stays_as_a_podium_under_hanging_parts_where_no_part_stands(tmp_path):
     """A tower of 75 m of which a part from 20 m up and one from the ground are mapped: its lobby is no air."""
     x_m, y_m = X_M + 100, Y_M + 100
-    lobby, standing = shapely.box(x_m, y_m, x_m + 40, y_m + 60), shapely.box(x_m + 40, y_m, x_m + 60, y_m + 60)
+    lobby, standing = (
+        shapely.box(x_m, y_m, x_m + 40, y_m + 60),
+        shapely.box(x_m + 40, y_m, x_m + 60, y_m + 60),
+    )
     top, beside = (shapely.box(x, y_m + 10, x + 10, y_m + 20) for x in (x_m + 10, x_m + 200))
     tower = {
         shapely.union(lobby, standing): {"building": "yes", "height": "75"},
@@ -312,5 +352,7 @@ def test_an_outline_stays_as_a_podium_under_hanging_parts_where_no_part_stands(t
         low, high = np.asarray(obstacles_on(surface, [2.0, 60.0]))
         assert low[50:80, 50:80].all()  # 60 m from 100 m on, in cells of 2 m
         assert high.sum() == lobby.area / 4
-        words = np.asarray(visibility(surface, np.zeros(1), np.array([0.1]), [2.0]))  # north, through the lobby
+        words = np.asarray(
+            visibility(surface, np.zeros(1), np.array([0.1]), [2.0])
+        )  # north, through the lobby
         assert words[0, 0][cell_of(120, 90)] == 0

@@ -35,7 +35,9 @@ def houses(first=1, north=0.0):
     """Two buildings in the order in which the Overpass API writes: ways, then their nodes."""
     ways, nodes = [], []
     for number, (lon, lat, height_m) in enumerate(HOUSES, first):
-        corners = shapely.box(lon, lat + north, lon + SIDE_DEG, lat + north + SIDE_DEG).exterior.coords[:4]
+        corners = shapely.box(
+            lon, lat + north, lon + SIDE_DEG, lat + north + SIDE_DEG
+        ).exterior.coords[:4]
         ids = [10 * number + i for i in range(4)]
         nodes += [node(i, *corner) for i, corner in zip(ids, corners, strict=True)]
         ways.append(way(number, [*ids, ids[0]], building="yes", height=height_m))
@@ -62,8 +64,13 @@ def geojson(shapes, **columns):
 def blocks_geojson(count=4, **extra):
     """Blocks in a row from west to east, as TIGERweb sends them."""
     west = -74.011 + 0.001 * np.arange(count)
-    boxes, ids = shapely.box(west, 40.709, west + 0.001, 40.712), [f"36061000100{1000 + i}" for i in range(count)]
-    return json.dumps(json.loads(geojson(boxes, GEOID=ids, POP100=100 + np.arange(count))) | extra).encode()
+    boxes, ids = (
+        shapely.box(west, 40.709, west + 0.001, 40.712),
+        [f"36061000100{1000 + i}" for i in range(count)],
+    )
+    return json.dumps(
+        json.loads(geojson(boxes, GEOID=ids, POP100=100 + np.arange(count))) | extra
+    ).encode()
 
 
 DISTRICTS = geojson([shapely.box(-74.02, 40.70, -74.0, 40.72)], BoroCD=[101])
@@ -72,7 +79,9 @@ DISTRICTS = geojson([shapely.box(-74.02, 40.70, -74.0, 40.72)], BoroCD=[101])
 def tle(day):
     """The nominal satellites as two-line elements of a day."""
     satellites = nominal_satellites(day, _timescale())
-    return "".join(f"{s.name}\n" + "\n".join(export_tle(s.model)) + "\n" for s in satellites).encode()
+    return "".join(
+        f"{s.name}\n" + "\n".join(export_tle(s.model)) + "\n" for s in satellites
+    ).encode()
 
 
 @pytest.fixture
@@ -84,7 +93,12 @@ def server(server):
     return server
 
 
-QUERIES = {"osm": "?data={query}", "census": "?box={west},{south},{east},{north}", "districts": "", "orbits": ""}
+QUERIES = {
+    "osm": "?data={query}",
+    "census": "?box={west},{south},{east},{north}",
+    "districts": "",
+    "orbits": "",
+}
 
 
 def fetch(capsys, server, folder, *options):
@@ -94,14 +108,19 @@ def fetch(capsys, server, folder, *options):
 
 
 def cached(tmp_path):
-    return [path for path in (tmp_path / "cache").rglob("*") if path.is_file() and "fetch" in path.parts]
+    return [
+        path for path in (tmp_path / "cache").rglob("*") if path.is_file() and "fetch" in path.parts
+    ]
 
 
 def test_what_is_fetched_makes_maps(server, tmp_path, capsys):
     folder = tmp_path / "town"
     code, out, err = fetch(capsys, server, folder, "--json")
     assert (code, "error" in err) == (0, False)
-    files = [(file["source"], file["file"], file["licence"].partition(" ")[0]) for file in json.loads(out)["files"]]
+    files = [
+        (file["source"], file["file"], file["licence"].partition(" ")[0])
+        for file in json.loads(out)["files"]
+    ]
     assert files == [  # the terms are those of the place, but for OpenStreetMap
         ("osm", "buildings.osm", "ODbL"),
         ("census", "blocks.geojson", "ask"),
@@ -116,7 +135,11 @@ def test_what_is_fetched_makes_maps(server, tmp_path, capsys):
     moved = folder.rename(tmp_path / "moved")  # paths are relative
     made = run_scenario(ju.Scenario.from_toml(moved / "scenario.toml"), tmp_path / "out")
     ds = next(iter(made.maps.values())).ds
-    assert float(ds["obstacle"].sel(altitude=20).sum()) > float(ds["obstacle"].sel(altitude=60).sum()) == 0
+    assert (
+        float(ds["obstacle"].sel(altitude=20).sum())
+        > float(ds["obstacle"].sel(altitude=60).sum())
+        == 0
+    )
     assert made.record["population"]["night"]["commercial"] == 100 + 101 + 102 + 103
     assert len(made.record["satellites"]) > 0
     assert float(ds["gps"].max()) > 0
@@ -153,7 +176,9 @@ def test_files_of_ones_own_are_not_replaced_unless_asked(server, tmp_path, capsy
     assert (folder / "kept" / name).read_text() == "mine"
 
 
-def test_what_an_earlier_fetch_wrote_is_replaced_unless_somebody_changed_it(server, tmp_path, capsys):
+def test_what_an_earlier_fetch_wrote_is_replaced_unless_somebody_changed_it(
+    server, tmp_path, capsys
+):
     folder, what = tmp_path / "a", ("--what", "osm")
     for _ in range(2):
         assert fetch(capsys, server, folder, *what)[0] == 0
@@ -188,9 +213,16 @@ def test_old_element_sets_serve_their_own_date_only(server, tmp_path, capsys):
     assert (gps.orbits, gps.utc_times) == (("nominal",), (f"{today}T12:00:00Z",))
     code, _, err = fetch(capsys, server, tmp_path / "own", "--what", "osm,orbits")
     assert (code, "the GPS maps are of 2020-04-27T12:00:00Z" in err) == (0, True)
-    assert ju.Scenario.from_toml(tmp_path / "own/scenario.toml").gps.utc_times == ("2020-04-27T12:00:00Z",)
-    assert fetch(capsys, server, tmp_path / "a", "--what", "osm,orbits", "--date", "2020-04-28")[0] == 0
-    assert ju.Scenario.from_toml(tmp_path / "a/scenario.toml").gps.utc_times == ("2020-04-28T12:00:00Z",)
+    assert ju.Scenario.from_toml(tmp_path / "own/scenario.toml").gps.utc_times == (
+        "2020-04-27T12:00:00Z",
+    )
+    assert (
+        fetch(capsys, server, tmp_path / "a", "--what", "osm,orbits", "--date", "2020-04-28")[0]
+        == 0
+    )
+    assert ju.Scenario.from_toml(tmp_path / "a/scenario.toml").gps.utc_times == (
+        "2020-04-28T12:00:00Z",
+    )
 
 
 def test_two_runs_do_not_share_the_cache_at_a_time(server, tmp_path, capsys):
@@ -201,11 +233,15 @@ def test_two_runs_do_not_share_the_cache_at_a_time(server, tmp_path, capsys):
 
 
 def test_an_extract_is_checked_and_cut_to_the_region(server, tmp_path, capsys):
-    body = pbf(tmp_path, *houses(), *houses(6, north=0.05))  # the same houses again, 5 km to the north
+    body = pbf(
+        tmp_path, *houses(), *houses(6, north=0.05)
+    )  # the same houses again, 5 km to the north
     url = server.put("/state.osm.pbf", send(body))
     code, _, err = fetch(capsys, server, tmp_path / "a", "--what", "osm", "--source", f"osm={url}")
     assert (code, server.paths()) == (0, ["/state.osm.pbf"]), err
-    found = read_buildings(ju.Buildings(tmp_path / "a" / "buildings.osm.pbf"), "EPSG:32618").buildings
+    found = read_buildings(
+        ju.Buildings(tmp_path / "a" / "buildings.osm.pbf"), "EPSG:32618"
+    ).buildings
     assert sorted(found.height_m.tolist()) == [25, 40]
 
 
@@ -213,7 +249,9 @@ def test_an_extract_is_checked_and_cut_to_the_region(server, tmp_path, capsys):
 def test_a_cut_extract_holds_the_same_buildings_and_the_decks(data_dir, tmp_path):
     source, cut = data_dir / "osm/lower-manhattan.osm.pbf", tmp_path / "cut.osm.pbf"
     cut_buildings(source, cut, (-74.02, 40.70, -73.99, 40.72))
-    assert 20 < np.sum(read_osm(cut, has_decks=True).column("man_made") == "bridge") < 58  # of the whole
+    assert (
+        20 < np.sum(read_osm(cut, has_decks=True).column("man_made") == "bridge") < 58
+    )  # of the whole
     inside_m = (583_400.0, 4_506_200.0, 583_700.0, 4_506_600.0)
     whole = read_buildings(ju.Buildings(source), "EPSG:32618").buildings
     near = whole.take(shapely.intersects(shapely.box(*whole.boxes_m), shapely.box(*inside_m)))
@@ -246,18 +284,35 @@ NO_PEOPLE = blocks_geojson().replace(b"POP100", b"other")
         ("osm", BARE, "has no building in the region"),
         ("osm", ELSEWHERE, "not all of the region"),
         ("osm", CUT_OFF, "says 'runtime error: Query timed out'"),
-        ("census", b'{"error": {"message": "Failed to execute query."}}', "Failed to execute query"),
-        ("census", blocks_geojson(exceededTransferLimit=True), "a part of the region's blocks only"),
-        ("census", blocks_geojson(properties={"exceededTransferLimit": True}), "a part of the region's blocks only"),
+        (
+            "census",
+            b'{"error": {"message": "Failed to execute query."}}',
+            "Failed to execute query",
+        ),
+        (
+            "census",
+            blocks_geojson(exceededTransferLimit=True),
+            "a part of the region's blocks only",
+        ),
+        (
+            "census",
+            blocks_geojson(properties={"exceededTransferLimit": True}),
+            "a part of the region's blocks only",
+        ),
         ("census", b"[" * 100_000, "recursion"),
         ("census", NO_PEOPLE, "has no field of population"),
         ("districts", DISTRICTS.replace(b"101", b'"one"'), "labels must be whole numbers"),
         ("districts", DISTRICTS.replace(b"BoroCD", b"ward"), "has no field 'BoroCD'"),
-        *(("districts", DISTRICTS.replace(b"-74.02", bad), "") for bad in (b"NaN", b"1e999", b"9" * 400)),
+        *(
+            ("districts", DISTRICTS.replace(b"-74.02", bad), "")
+            for bad in (b"NaN", b"1e999", b"9" * 400)
+        ),
     ],
 )
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
-def test_what_does_not_serve_is_refused_by_its_address_and_not_kept(server, tmp_path, capsys, name, body, words):
+def test_what_does_not_serve_is_refused_by_its_address_and_not_kept(
+    server, tmp_path, capsys, name, body, words
+):
     server.put(f"/{name}", send(body))
     code, out, err = fetch(capsys, server, tmp_path / "a", "--what", name)
     assert (code, out, (tmp_path / "a").exists()) == (2, "", False)
@@ -311,7 +366,10 @@ def test_what_holds_nothing_for_the_region_is_left_out_and_that_is_said(server, 
         (("--source", "osm=ftp://x.example/{query}"), ("must begin with https:// or http://",)),
         (("--source", "osm=http://x.example/{town}"), ("'town'", "{query}")),
         (("--source", "osm=http://x.example/{"), ("other braces doubled",)),
-        (("--source", "osm=http://x.example/\na"), (r"'http://x.example/\na'", "must begin with https:// or http://")),
+        (
+            ("--source", "osm=http://x.example/\na"),
+            (r"'http://x.example/\na'", "must begin with https:// or http://"),
+        ),
         (("--source", "osm=http://[::1"), ("IPv6",)),
         (("--margin", "-5"), ("margin",)),
         (("--max-size", "big"), ("--max-size must be a size",)),
@@ -329,7 +387,9 @@ def test_bad_input_is_one_sentence_and_makes_no_request(server, tmp_path, capsys
 
 def test_the_known_sources_are_asked_by_name_and_a_large_region_takes_an_extract_of_any_size():
     sources = {source.name: source for source in FetchJob(BOUNDS).requests()}
-    assert sources["osm"].url.startswith("https://overpass-api.de/api/interpreter?data=%5Bout%3Axml%5D")
+    assert sources["osm"].url.startswith(
+        "https://overpass-api.de/api/interpreter?data=%5Bout%3Axml%5D"
+    )
     assert "tigerWMS_Census2020/MapServer/10/query" in sources["census"].url
     assert sources["orbits"].num_tries == 1  # CelesTrak wants programs to stop at a refusal
     assert "{" not in "".join(source.url for source in sources.values())

@@ -58,7 +58,10 @@ def test_what_is_read_back_has_the_bits_of_what_was_held(maps, folder):
     found = ju.open_maps(folder).ds.load()
     xr.testing.assert_identical(found, maps.ds)
     for name, array in maps.ds.data_vars.items():
-        assert (found[name].dtype, found[name].values.tobytes()) == (array.dtype, array.values.tobytes()), name
+        assert (found[name].dtype, found[name].values.tobytes()) == (
+            array.dtype,
+            array.values.tobytes(),
+        ), name
 
 
 def test_values_and_axes_of_ones_own_are_read_back(maps, tmp_path):
@@ -90,7 +93,9 @@ def test_maps_are_saved_beside_those_of_a_resolution_that_cannot_be_read(maps, t
         (lambda ds: ds, ("hdpo",), "hdop"),
     ],
 )
-def test_what_nothing_could_open_is_refused_before_anything_is_written(maps, tmp_path, change, layers, words):
+def test_what_nothing_could_open_is_refused_before_anything_is_written(
+    maps, tmp_path, change, layers, words
+):
     with pytest.raises(ju.InputError, match=words):
         ju.MetricMaps(change(maps.ds)).save(tmp_path / "out", layers=layers)
     assert not (tmp_path / "out").exists()
@@ -102,7 +107,9 @@ def test_xarray_opens_the_group(maps, folder, opened):
     assert (maps.ds["obstacle"].values != 0).any()
     assert not maps.ds["has_data"].values.all()
     for name in maps.ds.data_vars:
-        np.testing.assert_array_equal(opened[name].values.astype(np.float64), expected(maps, str(name)), str(name))
+        np.testing.assert_array_equal(
+            opened[name].values.astype(np.float64), expected(maps, str(name)), str(name)
+        )
 
 
 def two_resolutions(maps: ju.MetricMaps, folder: Path) -> Path:
@@ -140,7 +147,13 @@ def test_all_resolutions_are_written_as_one_netcdf(maps, opened, tmp_path):
 
 def test_what_xarray_opens_says_what_it_is(opened):
     assert opened.attrs["Conventions"].startswith("CF-")
-    height = {"standard_name": "height", "long_name": "above ground", "axis": "Z", "units": "m", "positive": "up"}
+    height = {
+        "standard_name": "height",
+        "long_name": "above ground",
+        "axis": "Z",
+        "units": "m",
+        "positive": "up",
+    }
     assert opened["altitude"].attrs.items() >= height.items()
     assert opened["time"].encoding["units"].startswith("seconds since")
     for name, array in opened.data_vars.items():
@@ -209,7 +222,17 @@ def test_large_maps_have_overviews_and_those_of_obstacles_are_no_averages(maps, 
         assert "obstacle" not in path.name or set(np.unique(small)) <= {0, 1, 255}
 
 
-COLOURED = ["gps", "lidar", "risk", "population", "hdop", "num_visible", "density", "roof", "roof_touched"]
+COLOURED = [
+    "gps",
+    "lidar",
+    "risk",
+    "population",
+    "hdop",
+    "num_visible",
+    "density",
+    "roof",
+    "roof_touched",
+]
 
 
 @pytest.fixture(scope="module")
@@ -232,14 +255,21 @@ def test_styles_are_the_colours_of_the_figures(name, styled):
     assert (items[0][0], items[-1][0]) == pytest.approx((shown.norm.vmin, shown.norm.vmax))
     values = np.linspace(items[0][0], items[-1][0], 200)
     stops = np.array([matplotlib.colors.to_rgb(colour) for _, colour in items])
-    ours = np.stack([np.interp(values, [value for value, _ in items], stops[:, i]) for i in range(3)], axis=1)
+    ours = np.stack(
+        [np.interp(values, [value for value, _ in items], stops[:, i]) for i in range(3)], axis=1
+    )
     theirs = matplotlib.colormaps.get_cmap(shown.cmap)(shown.norm(values))[:, :3]
-    np.testing.assert_allclose(ours, theirs, atol=0.07)  # a logarithm is linear between 17 places only by and by
+    np.testing.assert_allclose(
+        ours, theirs, atol=0.07
+    )  # a logarithm is linear between 17 places only by and by
 
 
 def test_obstacles_are_shown_as_two_classes(folder):
     entries = ET.parse(folder / "geotiff" / "obstacle_20m.qml").getroot().findall(".//paletteEntry")
-    assert [(entry.get("value"), entry.get("label")) for entry in entries] == [("0", "free"), ("1", "obstacle")]
+    assert [(entry.get("value"), entry.get("label")) for entry in entries] == [
+        ("0", "free"),
+        ("1", "obstacle"),
+    ]
 
 
 def test_a_range_ignores_dops_without_a_fix(maps):
@@ -250,16 +280,24 @@ def test_a_range_ignores_dops_without_a_fix(maps):
 
 
 @pytest.mark.parametrize("layout", ["zarr", "run.json", "copy"])
-def test_maps_of_another_version_are_refused_everywhere_with_the_one_remedy(folder, tmp_path, capsys, layout):
+def test_maps_of_another_version_are_refused_everywhere_with_the_one_remedy(
+    folder, tmp_path, capsys, layout
+):
     old = tmp_path / "old"
     if layout == "copy":
         shutil.copytree(folder, old)
         (old / "checksums.json").unlink()
     else:
-        file, text = {"zarr": ("maps.zarr/5m/zarr.json", "{}"), "run.json": ("run.json", '{"run_key": "a"}')}[layout]
+        file, text = {
+            "zarr": ("maps.zarr/5m/zarr.json", "{}"),
+            "run.json": ("run.json", '{"run_key": "a"}'),
+        }[layout]
         (old / file).parent.mkdir(parents=True)
         (old / file).write_text(text)
-    before, words = files_of(old), "comes from another version of jaxurban.*make the maps again in a new folder"
+    before, words = (
+        files_of(old),
+        "comes from another version of jaxurban.*make the maps again in a new folder",
+    )
     with pytest.raises(ju.InputError, match=words):
         ju.open_maps(old)
     (tmp_path / "a.toml").write_text(TOWN)
@@ -270,7 +308,9 @@ def test_maps_of_another_version_are_refused_everywhere_with_the_one_remedy(fold
     assert files_of(old) == before
 
 
-@pytest.mark.parametrize("name", ["noise_20m", "population_day", "gps_20m_20200427T160000Z", "risk_60m"])
+@pytest.mark.parametrize(
+    "name", ["noise_20m", "population_day", "gps_20m_20200427T160000Z", "risk_60m"]
+)
 def test_a_layer_with_the_name_of_anothers_file_is_refused(name):
     flat = Layer(np.zeros((2, 2)), "high-is-bad", (0, 1))
     with pytest.raises(ju.InputError, match=f"cannot be called '{name}': maps, their files"):
@@ -297,7 +337,11 @@ def write(path, values: np.ndarray, is_averaged: bool, num_rows: int = BLOCK) ->
 
 def facts_of(path) -> list:
     with rasterio.open(path) as file:
-        facts = [{name: str(value) for name, value in file.profile.items()}, file.read(1).tobytes(), file.overviews(1)]
+        facts = [
+            {name: str(value) for name, value in file.profile.items()},
+            file.read(1).tobytes(),
+            file.overviews(1),
+        ]
         facts += [file.tags(), file.tags(ns="IMAGE_STRUCTURE"), file.descriptions, file.units]
     for level in range(len(facts[2])):
         with rasterio.open(path, overview_level=level) as file:
@@ -318,7 +362,9 @@ def facts_of(path) -> list:
 )
 def test_a_file_is_that_of_gdals_cog_driver(tmp_path, shape, dtype, is_averaged):
     values = map_of(shape, dtype)
-    with rasterio.open(tmp_path / "plain.tif", "w", **profile_of(ju.Grid(*CORNER, *shape), values.dtype)) as file:
+    with rasterio.open(
+        tmp_path / "plain.tif", "w", **profile_of(ju.Grid(*CORNER, *shape), values.dtype)
+    ) as file:
         file.write(values, 1)
         file.update_tags(**TAGS)
         file.set_band_description(1, "GPS quality")
@@ -331,7 +377,9 @@ def test_a_file_is_that_of_gdals_cog_driver(tmp_path, shape, dtype, is_averaged)
     assert rio_cogeo.cog_validate(tmp_path / "ours.tif", strict=True, quiet=True) == (True, [], [])
 
 
-def test_a_file_does_not_depend_on_how_many_rows_come_at_a_time_and_leaves_nothing_beside_it(tmp_path):
+def test_a_file_does_not_depend_on_how_many_rows_come_at_a_time_and_leaves_nothing_beside_it(
+    tmp_path,
+):
     values = map_of((1301, 700), np.float32)
     write(tmp_path / "a.tif", values, True)
     write(tmp_path / "b.tif", values, True, 1024)
@@ -340,11 +388,18 @@ def test_a_file_does_not_depend_on_how_many_rows_come_at_a_time_and_leaves_nothi
 
 
 def test_a_disk_that_is_full_at_any_point_is_an_os_error(tmp_path):
-    values = np.random.default_rng(1).random((1024, 1024), np.float32)  # as noise, which no compression makes smaller
+    values = np.random.default_rng(1).random(
+        (1024, 1024), np.float32
+    )  # as noise, which no compression makes smaller
     write(tmp_path / "whole.tif", values, True)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     num_bytes = (tmp_path / "whole.tif").stat().st_size
-    for most_bytes in [*range(0, num_bytes, 150_000), num_bytes - 5, num_bytes - 4096, num_bytes - 65536]:
+    for most_bytes in [
+        *range(0, num_bytes, 150_000),
+        num_bytes - 5,
+        num_bytes - 4096,
+        num_bytes - 65536,
+    ]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, limits[1]))
         try:
             with pytest.raises(OSError, match="GDAL could not write"):

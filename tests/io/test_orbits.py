@@ -63,7 +63,9 @@ def test_look_angles_from_tle_equal_skyfields_to_a_millidegree(data_dir, day, co
     lines = [line.rstrip() for line in path.read_text().splitlines()]
     sky = sky_of(path, time)
     assert (len(sky.names), set(sky.systems)) == (count, {"gps"})
-    assert_as_skyfields(sky, [EarthSatellite(*lines[i + 1 : i + 3]) for i in range(0, len(lines), 3)], time)
+    assert_as_skyfields(
+        sky, [EarthSatellite(*lines[i + 1 : i + 3]) for i in range(0, len(lines), 3)], time
+    )
 
 
 @pytest.mark.data
@@ -72,7 +74,11 @@ def test_omm_csv_and_json_give_the_same_sky(data_dir, tmp_path):
     with path.open() as lines:
         rows = list(csv.DictReader(lines))
     numbers = pd.read_csv(path).to_json(orient="records")
-    for file in (path, written(tmp_path, json.dumps(rows), "text.json"), written(tmp_path, numbers, "numbers.json")):
+    for file in (
+        path,
+        written(tmp_path, json.dumps(rows), "text.json"),
+        written(tmp_path, numbers, "numbers.json"),
+    ):
         sky = sky_of(file, time)
         assert len(sky.names) == 31
         assert_as_skyfields(sky, [EarthSatellite.from_omm(TIMESCALE, row) for row in rows], time)
@@ -88,11 +94,15 @@ def test_name_lines_are_optional_and_blank_lines_ignored(tmp_path):
 
 
 def test_azimuth_counts_from_grid_north():
-    true, grid = (sky_of("nominal", convergence_rad=angle_rad).azimuth_rad for angle_rad in (0.0, 0.01))
+    true, grid = (
+        sky_of("nominal", convergence_rad=angle_rad).azimuth_rad for angle_rad in (0.0, 0.01)
+    )
     np.testing.assert_allclose((true - grid) % math.tau, 0.01, atol=1e-12)
 
 
-@pytest.mark.parametrize("text", ["2020-04-27T16:00:00Z", "2020-04-27T16:00:00", "2020-04-27T12:00:00-04:00"])
+@pytest.mark.parametrize(
+    "text", ["2020-04-27T16:00:00Z", "2020-04-27T16:00:00", "2020-04-27T12:00:00-04:00"]
+)
 def test_times_are_utc_unless_they_carry_an_offset(text):
     assert sky_of("nominal", text).times == ("2020-04-27T16:00:00Z",)
 
@@ -105,7 +115,9 @@ def test_elements_warn_after_14_days_and_are_refused_after_max_age(tmp_path):
         with pytest.warns(StaleElementsWarning, match="14 days away|16 days away"):
             sky_of(source, time)
     for time, limit in (("2013-12-07T00:00:00Z", 90.0), ("2012-12-14T00:00:00Z", 5.0)):
-        with pytest.raises(InputError, match=r"PRN 32.* days away from .* more than max_age_days = .*nominal"):
+        with pytest.raises(
+            InputError, match=r"PRN 32.* days away from .* more than max_age_days = .*nominal"
+        ):
             sky_of(source, TIME, time, max_age_days=limit)
 
 
@@ -141,7 +153,12 @@ def test_the_nominal_constellation_stands_as_published_at_its_epoch():
     radius, found = earth_fixed(EPOCH)
     np.testing.assert_allclose(radius, 26559.7, atol=10)  # km; the standard allows 17
     # SGP4 adds the pull of Moon and Sun.
-    assert separation_deg(found, on_circles(*np.transpose(list(GPS.slots.values())), 55, greenwich_deg)).max() < 0.1
+    assert (
+        separation_deg(
+            found, on_circles(*np.transpose(list(GPS.slots.values())), 55, greenwich_deg)
+        ).max()
+        < 0.1
+    )
 
 
 # Slots that the European GNSS Service Centre lists at 2016-11-21 00:00 UTC: node, argument of latitude; degrees.
@@ -151,8 +168,12 @@ GALILEO_SLOTS = {"A02": (317.632, 225.153), "A05": (317.632, 0.153), "C07": (197
 @pytest.mark.parametrize("days", [0, 758.125, 3650])  # from the table's date, by its rates
 def test_nominal_galileo_stands_as_published(days):
     time = datetime(2016, 11, 21, tzinfo=UTC) + timedelta(days=days)
-    earth_deg = 360 * (0.7790572732640 + 1.00273781191135448 * (TIMESCALE.from_datetime(time).ut1 - 2451545.0))  # IERS
-    published = np.array(list(GALILEO_SLOTS.values())) + np.array([-0.02764398, 613.72253566]) * days
+    earth_deg = 360 * (
+        0.7790572732640 + 1.00273781191135448 * (TIMESCALE.from_datetime(time).ut1 - 2451545.0)
+    )  # IERS
+    published = (
+        np.array(list(GALILEO_SLOTS.values())) + np.array([-0.02764398, 613.72253566]) * days
+    )
     radius, found = earth_fixed(time, GALILEO)
     slots = [list(GALILEO.slots).index(name) for name in GALILEO_SLOTS]
     np.testing.assert_allclose(radius, 29_600.318, atol=17)
@@ -178,7 +199,10 @@ def test_real_galileo_satellites_stand_in_the_nominal_slots(data_dir):
 
 
 def test_the_nominal_constellation_never_grows_old_and_moves_smoothly_over_midnight():
-    sky = sky_of("nominal", *(datetime(2051, 3, 1, tzinfo=UTC) + timedelta(seconds=s) for s in (-2, -1, 0, 1)))
+    sky = sky_of(
+        "nominal",
+        *(datetime(2051, 3, 1, tzinfo=UTC) + timedelta(seconds=s) for s in (-2, -1, 0, 1)),
+    )
     assert np.all(sky.element_age_days == 0)
     assert sky.systems == ("gps",) * 24
     before, over, after = np.degrees(np.diff(sky.elevation_rad, axis=0))
@@ -188,7 +212,9 @@ def test_the_nominal_constellation_never_grows_old_and_moves_smoothly_over_midni
 def omm(kind, epoch, **fields):
     """The message of the satellite as CelesTrak writes it, as CSV or, all text, as JSON."""
     satellite = Satrec.twoline2rv(*TLE.splitlines()[1:])
-    row = pd.Series(export_omm(satellite, NAME) | {"EPOCH": epoch} | fields).astype(str).to_frame().T
+    row = (
+        pd.Series(export_omm(satellite, NAME) | {"EPOCH": epoch} | fields).astype(str).to_frame().T
+    )
     return row.to_csv(index=False) if kind == "csv" else row.to_json(orient="records")
 
 
@@ -196,7 +222,9 @@ NOON, OF_OTHERS, AT_THREE = "2024-03-31T12:00:00", ("GPS", "TAI"), "2024-03-31T0
 
 
 @pytest.mark.parametrize("kind", ["csv", "json"])
-@pytest.mark.parametrize("epoch", [f"{NOON}+09:00", f"{AT_THREE}Z", AT_THREE, "2024-03-30T22:00:00.0-05:00"])
+@pytest.mark.parametrize(
+    "epoch", [f"{NOON}+09:00", f"{AT_THREE}Z", AT_THREE, "2024-03-30T22:00:00.0-05:00"]
+)
 def test_the_epoch_of_an_omm_may_bear_an_offset(tmp_path, kind, epoch):
     orbits = read_orbits(written(tmp_path, omm(kind, epoch, TIME_SYSTEM="utc")))
     read = orbits.satellites[0].epoch.utc_datetime()
@@ -222,7 +250,10 @@ def test_names_of_satellites_steer_no_terminal(tmp_path):
         (b"[]", "holds no element set"),
         (b"[1, 2]", "not an OMM"),
         (b'[{"OBJECT_NAME": ', "cannot be read as whole element sets"),
-        (b'[{"OBJECT_NAME": "GPS", "EPOCH": "2024-03-31T12:00:07"}]', "cut or not an OMM .no [A-Z_]+"),
+        (
+            b'[{"OBJECT_NAME": "GPS", "EPOCH": "2024-03-31T12:00:07"}]',
+            "cut or not an OMM .no [A-Z_]+",
+        ),
         (b"<html><body>Not found</body></html>", "holds no element set"),
         (b"<ndm><omm>", "holds no element set"),
         (b"OBJECT_NAME,EPOCH,MEAN_MOTION\nGPS,2024-03-31T12:00:07,2.0", "element set 1 .* is cut"),
@@ -231,8 +262,14 @@ def test_names_of_satellites_steer_no_terminal(tmp_path):
         (TLE.replace("55.0000", "55.0100").encode(), "element set of .* checksum"),
         (TLE.encode() + b"GPS BIIA-14 (PRN 26)\n", "must follow each other"),
         (2 * TLE.encode(), "2 element sets of satellite 20959"),
-        *((omm("csv", NOON, TIME_SYSTEM=each).encode(), f"TIME_SYSTEM is {each}, and only UTC") for each in OF_OTHERS),
-        *((omm("json", NOON, TIME_SYSTEM=each).encode(), f"TIME_SYSTEM is {each}, and only UTC") for each in OF_OTHERS),
+        *(
+            (omm("csv", NOON, TIME_SYSTEM=each).encode(), f"TIME_SYSTEM is {each}, and only UTC")
+            for each in OF_OTHERS
+        ),
+        *(
+            (omm("json", NOON, TIME_SYSTEM=each).encode(), f"TIME_SYSTEM is {each}, and only UTC")
+            for each in OF_OTHERS
+        ),
     ],
 )
 def test_a_file_that_is_no_orbits_is_refused_in_one_sentence(tmp_path, content, message):
@@ -253,7 +290,10 @@ def walker_tle(system: str, first_number: int) -> str:
     """Return element sets of 2020-04-27 00:00 UTC of 24 satellites on 3 planes, through SGP4's exporter."""
     axis_km, inclination_deg, name = WALKER[system]
     motion = math.sqrt(EARTH_MU_KM3_S2 / axis_km**3) * 60  # radians a minute
-    epoch_days, lines = (datetime(2020, 4, 27, tzinfo=UTC) - datetime(1949, 12, 31, tzinfo=UTC)).days, []
+    epoch_days, lines = (
+        (datetime(2020, 4, 27, tzinfo=UTC) - datetime(1949, 12, 31, tzinfo=UTC)).days,
+        [],
+    )
     for i in range(24):
         plane, slot = divmod(i, 8)
         model, anomaly = Satrec(), math.tau * (slot / 8 + plane / 24)
@@ -264,16 +304,28 @@ def walker_tle(system: str, first_number: int) -> str:
 
 
 def test_several_constellations_are_read_together_as_alone_and_counted_by_system(tmp_path):
-    sources = ["nominal", *(written(tmp_path, walker_tle(each, 100 * i), each) for i, each in enumerate(WALKER, 400))]
+    sources = [
+        "nominal",
+        *(written(tmp_path, walker_tle(each, 100 * i), each) for i, each in enumerate(WALKER, 400)),
+    ]
     times = ["2020-04-27T16:00:00Z", "2020-04-28T04:00:00Z"]  # nominal elements change at midnight
-    orbits, together, alone = read_orbits(sources), sky_of(sources, *times), [sky_of(each, *times) for each in sources]
+    orbits, together, alone = (
+        read_orbits(sources),
+        sky_of(sources, *times),
+        [sky_of(each, *times) for each in sources],
+    )
     assert together.systems == tuple(np.repeat(["gps", *WALKER], 24))
     for satellite, system in zip(orbits.satellites[24:], together.systems[24:], strict=True):
         distance_km = satellite.at(satellite.epoch).distance().km
         assert distance_km == pytest.approx(WALKER[system][0], rel=2e-3)
-    counts = {sky.systems[0]: np.sum(sky.elevation_rad >= math.radians(5), axis=1).tolist() for sky in alone}
+    counts = {
+        sky.systems[0]: np.sum(sky.elevation_rad >= math.radians(5), axis=1).tolist()
+        for sky in alone
+    }
     assert together.under(5.0).count_by_system() == counts
-    assert all(5 <= count <= 12 for by_time in counts.values() for count in by_time)  # a third is in view
+    assert all(
+        5 <= count <= 12 for by_time in counts.values() for count in by_time
+    )  # a third is in view
     assert together.names == sum((sky.names for sky in alone), ())
     for field in ("azimuth_rad", "elevation_rad", "element_age_days"):
         parts = [getattr(sky, field) for sky in alone]
@@ -291,7 +343,9 @@ NAMES = {
 }
 
 
-@pytest.mark.parametrize(("system", "name"), [(system, name) for system, names in NAMES.items() for name in names])
+@pytest.mark.parametrize(
+    ("system", "name"), [(system, name) for system, names in NAMES.items() for name in names]
+)
 def test_names_tell_the_system(tmp_path, name, system):
     assert sky_of(written(tmp_path, TLE.replace(NAME, name))).systems == (system,)
 
@@ -330,8 +384,13 @@ ELEMENT_NAMES = {
 
 def test_satellites_of_a_log_are_found_by_what_the_names_of_element_sets_say():
     turned = np.zeros((1, len(ELEMENT_NAMES)))
-    sky = Sky((TIME,), tuple(ELEMENT_NAMES), turned, turned, ("unknown",) * len(ELEMENT_NAMES), turned)
+    sky = Sky(
+        (TIME,), tuple(ELEMENT_NAMES), turned, turned, ("unknown",) * len(ELEMENT_NAMES), turned
+    )
     asked = [*filter(None, ELEMENT_NAMES.values()), "R05", "E13"]
     assert matching(asked, sky).tolist() == [0, 1, 2, 3, 4, 5, 6, NO_SATELLITE, NO_SATELLITE]
-    with pytest.raises(InputError, match=r"none of the log's satellites \(G01, E30 ...\), but GPS slot A1, .*PRN 24"):
+    with pytest.raises(
+        InputError,
+        match=r"none of the log's satellites \(G01, E30 ...\), but GPS slot A1, .*PRN 24",
+    ):
         matching(["G01", "E30"], sky_of("nominal"))

@@ -11,7 +11,21 @@ from jaxurban.io.read.heights import is_given, parse_count, parse_length_m
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.outlines import Outlines, to_buildings
 from jaxurban.world.city import HeightOrigin
-from tests.io.made_files import LAT, LON, SQUARE, UTM, WGS84, X, Y, box, node, osm, refused, relation, way
+from tests.io.made_files import (
+    LAT,
+    LON,
+    SQUARE,
+    UTM,
+    WGS84,
+    X,
+    Y,
+    box,
+    node,
+    osm,
+    refused,
+    relation,
+    way,
+)
 
 # Spellings from https://wiki.openstreetmap.org/wiki/Key:height; feet and inches by their definition (0.3048, 0.0254 m).
 SPELLINGS = {
@@ -28,11 +42,27 @@ SPELLINGS = {
     30.0: ("~30", "ca. 30 m"),
     228.6: ("228.6M",),
     241.0: (" 241m ",),
-    math.nan: ("", "high", "-5", "10-12", "1e2", "12 km", "12 6", "5 storeys", "inf", "nan", '6"', ";", "+3"),
+    math.nan: (
+        "",
+        "high",
+        "-5",
+        "10-12",
+        "1e2",
+        "12 km",
+        "12 6",
+        "5 storeys",
+        "inf",
+        "nan",
+        '6"',
+        ";",
+        "+3",
+    ),
 }
 
 
-@pytest.mark.parametrize(("text", "length_m"), [(text, m) for m, texts in SPELLINGS.items() for text in texts])
+@pytest.mark.parametrize(
+    ("text", "length_m"), [(text, m) for m, texts in SPELLINGS.items() for text in texts]
+)
 def test_a_spelling_gives_its_length_in_metres(text, length_m):
     assert parse_length_m(text) == pytest.approx(length_m, abs=1e-12, nan_ok=True)
 
@@ -55,7 +85,11 @@ def over(*parts, height="50", part_height="30", **columns):
     """An outline of 10 x 10 m and parts."""
     num = len(parts)
     kinds = {"building": ["yes"] + [None] * num, "part": [None] + ["yes"] * num}
-    return {"polygons": [box(0, 0, 10, 10), *parts], "height": [height] + [part_height] * num} | kinds | columns
+    return (
+        {"polygons": [box(0, 0, 10, 10), *parts], "height": [height] + [part_height] * num}
+        | kinds
+        | columns
+    )
 
 
 def on_one_square(num, **columns):
@@ -71,10 +105,17 @@ ROOFS = {"levels": ["4", "0", None, "4"], "roof_levels": ["1", "1", "2", "?"]}
     [
         ({"height": ["20", None, None], "levels": ["3", "3", None]}, [20, 9, 10], {}),
         ({"height": ["828"]}, [828], {}),  # of the highest known building
-        *(({"height": [bad], "levels": ["4"]}, [12], {"heights_unusable": 1}) for bad in NO_HEIGHTS),
+        *(
+            ({"height": [bad], "levels": ["4"]}, [12], {"heights_unusable": 1})
+            for bad in NO_HEIGHTS
+        ),
         *(({"levels": [bad]}, [10], {"levels_unusable": 1}) for bad in ("0", "-1", "some", "400")),
         (ROOFS, [15, 3, 10, 12], {"levels_unusable": 1}),
-        ({"height": [12, np.float32(7.5), None, math.nan, "  ", [3]]}, [12, 7.5, *[10] * 4], {"heights_unusable": 1}),
+        (
+            {"height": [12, np.float32(7.5), None, math.nan, "  ", [3]]},
+            [12, 7.5, *[10] * 4],
+            {"heights_unusable": 1},
+        ),
     ],
 )
 def test_what_cannot_be_used_falls_to_levels_or_the_default_and_is_counted(tags, height_m, issues):
@@ -86,8 +127,16 @@ def test_what_cannot_be_used_falls_to_levels_or_the_default_and_is_counted(tags,
 UNDERSIDES = {"min_height": ["5", "x", None, "0"], "min_level": ["1", "2", "2", None]}
 WHOLE, WEST, EAST = box(0, 0, 10, 10), box(0, 0, 5, 10), box(5, 0, 10, 10)
 REPLACED = {"outlines_replaced_by_parts": 1}
-OF_TWO = {"building": ["yes", "yes", None], "part": [None, None, "yes"], "height": ["40", "60", None]}
-NO = {"building": ["no", "yes", "no", "false", None], "part": [None, "no", "yes", None, None], "height": list("12345")}
+OF_TWO = {
+    "building": ["yes", "yes", None],
+    "part": [None, None, "yes"],
+    "height": ["40", "60", None],
+}
+NO = {
+    "building": ["no", "yes", "no", "false", None],
+    "part": [None, "no", "yes", None, None],
+    "height": list("12345"),
+}
 LAYERS = {
     "building": ["yes"] * 6,
     "location": ["underground", "indoor", None, None, None, None],
@@ -99,15 +148,35 @@ CASES = {
     "covered less": (over(WEST, box(5, 0, 8.9, 10)), [50], [30, 30], {}),
     "parts that overlap count once": (over(box(0, 0, 6, 10), box(0, 0, 6, 10)), [50], [30, 30], {}),
     # A podium of 100 x 100 m around a tower of 10 x 10 m that is mapped as a building of its own.
-    "a neighbour's part": (over(box(-50, -50, 50, 50), height="200", part_height="10"), [200], [10], {}),
-    "a part in a tunnel": (over(WHOLE, location=[None, "underground"]), [50], [], {"underground": 1}),
+    "a neighbour's part": (
+        over(box(-50, -50, 50, 50), height="200", part_height="10"),
+        [200],
+        [10],
+        {},
+    ),
+    "a part in a tunnel": (
+        over(WHOLE, location=[None, "underground"]),
+        [50],
+        [],
+        {"underground": 1},
+    ),
     "a part of a layer below": (over(WHOLE, layer=["1", "-1"]), [50], [], {"underground": 1}),
     "an outline that is a part too": (
         on_one_square(2, building=["yes", "yes"], part=["yes", None], height=["8", "9"]),
         *([], [8], REPLACED),
     ),
-    "tagged no": (NO | {"polygons": [box(2 * i, 0, 2 * i + 1, 1) for i in range(5)]}, [2], [3], {"not_buildings": 3}),
-    "underground, and other layers": (on_one_square(6, **LAYERS), [2, 4, 5, 6], [], {"underground": 2}),
+    "tagged no": (
+        NO | {"polygons": [box(2 * i, 0, 2 * i + 1, 1) for i in range(5)]},
+        [2],
+        [3],
+        {"not_buildings": 3},
+    ),
+    "underground, and other layers": (
+        on_one_square(6, **LAYERS),
+        [2, 4, 5, 6],
+        [],
+        {"underground": 2},
+    ),
     "no column says what is a building": (on_one_square(2, height=["1", None]), [1, 10], [], {}),
     "parts without height take their outline's": (
         over(WEST, EAST, part_height=None),
@@ -117,7 +186,12 @@ CASES = {
         OF_TWO | {"polygons": [WHOLE, box(0, 0, 20, 20), box(1, 1, 9, 5)]},
         *([40, 60], [60], {"parts_given_outline_height": 1}),
     ),
-    "neither part nor outline has a height": (over(WHOLE, height=None, part_height=None), [], [10], REPLACED),
+    "neither part nor outline has a height": (
+        over(WHOLE, height=None, part_height=None),
+        [],
+        [10],
+        REPLACED,
+    ),
 }
 
 
@@ -132,7 +206,9 @@ def test_outlines_give_way_to_parts_that_cover_them_and_what_is_no_building_is_l
 
 
 def test_the_height_that_a_part_takes_from_its_outline_has_its_origin():
-    origins = [stand(**over(WHOLE, height=of, part_height=None))[0].origin.tolist() for of in ("50", None)]
+    origins = [
+        stand(**over(WHOLE, height=of, part_height=None))[0].origin.tolist() for of in ("50", None)
+    ]
     assert origins == [[HeightOrigin.HEIGHT], [HeightOrigin.DEFAULT]]
 
 
@@ -141,21 +217,41 @@ def test_the_height_that_a_part_takes_from_its_outline_has_its_origin():
     [
         (over(WHOLE, min_height=[None, "12"]), [12], [30], REPLACED | {"parts_hanging": 1}),
         # An estimated roof is raised above its underside; an underside above a tagged roof is a fault.
-        (on_one_square(2, levels=[None, "2"], min_height=["18", "20"]), [18, 20], [28, 26], {"parts_hanging": 2}),
-        (on_one_square(4, **UNDERSIDES), [5, 6, 6, 0], [10] * 4, {"min_heights_unusable": 1, "parts_hanging": 3}),
-        (on_one_square(2, height=["5", "5"], min_height=["5", "9"]), [0, 0], [5, 5], {"min_heights_above_roof": 2}),
+        (
+            on_one_square(2, levels=[None, "2"], min_height=["18", "20"]),
+            [18, 20],
+            [28, 26],
+            {"parts_hanging": 2},
+        ),
+        (
+            on_one_square(4, **UNDERSIDES),
+            [5, 6, 6, 0],
+            [10] * 4,
+            {"min_heights_unusable": 1, "parts_hanging": 3},
+        ),
+        (
+            on_one_square(2, height=["5", "5"], min_height=["5", "9"]),
+            [0, 0],
+            [5, 5],
+            {"min_heights_above_roof": 2},
+        ),
     ],
 )
 def test_undersides_are_kept_below_roofs(columns, min_height_m, height_m, issues):
     buildings, _, found = stand(**columns)
-    assert (buildings.min_height_m.tolist(), buildings.height_m.tolist()) == (min_height_m, height_m)
+    assert (buildings.min_height_m.tolist(), buildings.height_m.tolist()) == (
+        min_height_m,
+        height_m,
+    )
     assert found == issues
 
 
 def test_a_bow_tie_is_repaired_and_a_line_is_dropped():
     bow_tie = shapely.Polygon([(X, Y), (X + 10, Y + 10), (X + 10, Y), (X, Y + 10)])
     line = shapely.Polygon([(X, Y), (X + 10, Y), (X, Y), (X, Y)])
-    buildings, _, issues = stand([bow_tie, line, None, shapely.Polygon(), shapely.force_3d(box(0, 0, 1, 1), 99.0)])
+    buildings, _, issues = stand(
+        [bow_tie, line, None, shapely.Polygon(), shapely.force_3d(box(0, 0, 1, 1), 99.0)]
+    )
     assert shapely.is_valid(buildings.polygons).all()
     assert not shapely.has_z(buildings.polygons).any()
     assert shapely.area(buildings.polygons) == pytest.approx([50, 1])
@@ -197,7 +293,10 @@ def test_a_closed_way_is_an_area_with_its_tags_also_before_its_nodes(tmp_path):
     elements = corners_of(1), way(9, [1, 2, 3, 4, 1], **tags)
     for either in (elements, reversed(elements)):  # the Overpass API writes ways before nodes
         outlines = read(tmp_path, *either)
-        assert shapely.area(shapely.symmetric_difference(outlines.polygons[0], SQUARE)) < 1e-9 * SQUARE.area
+        assert (
+            shapely.area(shapely.symmetric_difference(outlines.polygons[0], SQUARE))
+            < 1e-9 * SQUARE.area
+        )
         assert outlines.column("levels").tolist() == ["5"]
         assert outlines.column("roof_levels").tolist() == ["1"]
         assert outlines.column("height").tolist() == [None]
@@ -205,14 +304,28 @@ def test_a_closed_way_is_an_area_with_its_tags_also_before_its_nodes(tmp_path):
 
 
 COURT = (
-    *(corners_of(1, side=4), corners_of(5, x=1, y=1), way(11, [1, 2, 3]), way(12, [3, 4, 1]), way(13, [5, 6, 7, 8, 5])),
+    *(
+        corners_of(1, side=4),
+        corners_of(5, x=1, y=1),
+        way(11, [1, 2, 3]),
+        way(12, [3, 4, 1]),
+        way(13, [5, 6, 7, 8, 5]),
+    ),
     relation(20, [(11, "outer"), (12, "outer"), (13, "inner")], building="yes"),
 )
 AREAS = {
     "a relation has its court": (COURT, [15], {}),
     "no tag of a building": ([way(9, [1, 2, 3, 4, 1], leisure="park")], [], {}),
-    "open ways": ([way(9, [1, 2, 3, 4], building="yes"), way(10, [1, 2, 3], highway="path")], [], {"open_ways": 1}),
-    "a missing node": ([way(9, [1, 2, 99, 3, 4, 1], building="yes")], [], {"ways_with_missing_nodes": 1}),
+    "open ways": (
+        [way(9, [1, 2, 3, 4], building="yes"), way(10, [1, 2, 3], highway="path")],
+        [],
+        {"open_ways": 1},
+    ),
+    "a missing node": (
+        [way(9, [1, 2, 99, 3, 4, 1], building="yes")],
+        [],
+        {"ways_with_missing_nodes": 1},
+    ),
     "two corners": ([way(9, [1, 2, 1], **{"building:part": "yes"})], [], {"degenerate_ways": 1}),
     "a missing member": (
         [way(11, [1, 2, 3]), relation(20, [(11, "outer"), (12, "outer")], building="yes")],
@@ -220,11 +333,18 @@ AREAS = {
         {"relations_incomplete": 1},
     ),
     "a relation that only groups parts": (
-        [way(11, [1, 2, 3, 4, 1], building="yes"), relation(20, [(11, "outline")], type="building", building="yes")],
+        [
+            way(11, [1, 2, 3, 4, 1], building="yes"),
+            relation(20, [(11, "outline")], type="building", building="yes"),
+        ],
         [1],
         {},
     ),
-    "a way that crosses itself": ([way(9, [1, 3, 2, 4, 1], building="yes")], [0.5], {"polygons_repaired": 1}),
+    "a way that crosses itself": (
+        [way(9, [1, 3, 2, 4, 1], building="yes")],
+        [0.5],
+        {"polygons_repaired": 1},
+    ),
     "a ring of a relation that crosses itself": (
         [way(11, [1, 3, 2, 4, 1]), relation(20, [(11, "outer")], building="yes")],
         [0.5],
@@ -268,10 +388,17 @@ def test_counts_of_a_real_file_agree_with_its_readme(data_dir, name):
     path = data_dir / "osm" / f"{name}.osm.pbf"
     outlines = read_osm(path, "pbf")
     buildings, _, found = to_buildings(ju.Buildings(path), outlines, crs)
-    building, part, height, levels = (is_given(outlines.column(n)) for n in ("building", "part", "height", "levels"))
+    building, part, height, levels = (
+        is_given(outlines.column(n)) for n in ("building", "part", "height", "levels")
+    )
     areas = (building, building & height, building & ~height & levels, part & ~building)
     assert [area.sum() for area in areas][: len(known)] == known
-    counted = ("open_ways", "ways_with_missing_nodes", "outlines_replaced_by_parts", "heights_unusable")
+    counted = (
+        "open_ways",
+        "ways_with_missing_nodes",
+        "outlines_replaced_by_parts",
+        "heights_unusable",
+    )
     assert [found[each] for each in counted] == [*issues, 0]
     assert shapely.is_valid(buildings.polygons).all()
     assert np.all(buildings.height_m > buildings.min_height_m)

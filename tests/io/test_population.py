@@ -11,7 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxurban as ju
-from jaxurban.io.read.census import clean_polygons, largest_overlap, read_blocks, read_districts, zoning_of
+from jaxurban.io.read.census import (
+    clean_polygons,
+    largest_overlap,
+    read_blocks,
+    read_districts,
+    zoning_of,
+)
 from jaxurban.maps.provenance import population_totals
 from jaxurban.metrics.population import block_layers
 from jaxurban.world.city import OTHER_DISTRICT, City, Footprints, Zoning
@@ -60,13 +66,19 @@ def test_blocks_of_any_format_join_the_table_of_two_header_rows(tmp_path, suffix
 @pytest.mark.parametrize(
     ("table", "counts", "num_without"),
     [
-        ({"people": [1, 2, 3], "name": list("abc"), "block": IDS}, [1, 2, 3], 0),  # whatever columns are called
+        (
+            {"people": [1, 2, 3], "name": list("abc"), "block": IDS},
+            [1, 2, 3],
+            0,
+        ),  # whatever columns are called
         ({"id": IDS, "population": ["1", "n/a", "-4"]}, [1, 0, 0], 2),
         ({"id": IDS, "population": ["1", "9" * 400, "2"]}, [1, 0, 2], 1),
         ({"id": [IDS[0]] * 2, "population": [9, 9]}, [9, 0, 0], 2),  # equal rows count once
     ],
 )
-def test_a_plain_table_joins_and_a_count_that_cannot_be_read_is_nobody(tmp_path, table, counts, num_without):
+def test_a_plain_table_joins_and_a_count_that_cannot_be_read_is_nobody(
+    tmp_path, table, counts, num_without
+):
     blocks, issues = read(tmp_path, table)
     assert blocks.night_count.tolist() == counts
     assert (issues["blocks_without_count"], issues["counts_without_block"]) == (num_without, 0)
@@ -95,7 +107,9 @@ def test_only_blocks_that_touch_the_region_are_kept(tmp_path):
 
 
 def test_districts_set_label_and_zoning(tmp_path):
-    districts = write_vector(tmp_path / "d.gpkg", [box(0, 0, 160, 100), box(160, 0, 200, 100)], BoroCD=[101, 107])
+    districts = write_vector(
+        tmp_path / "d.gpkg", [box(0, 0, 160, 100), box(160, 0, 200, 100)], BoroCD=[101, 107]
+    )
     blocks, issues = read(tmp_path, SF1, districts=districts, commercial=(101,))
     assert blocks.district.tolist() == [101, 101, OTHER_DISTRICT]
     assert blocks.zoning.tolist() == [COM, COM, OTHER]
@@ -126,7 +140,12 @@ def test_manhattan_has_its_census_by_district(data_dir):
     blocks, issues = read_blocks(files, UTM)
     assert (len(blocks), issues["blocks_without_count"]) == (3950, 0)
     night = population_totals(blocks)["night"]
-    assert night == {"commercial": 611_934, "residential": 965_451, "other": 8_488, "total": 1_585_873}
+    assert night == {
+        "commercial": 611_934,
+        "residential": 965_451,
+        "other": 8_488,
+        "total": 1_585_873,
+    }
     assert blocks.night_count[blocks.district == 164].sum() == 25
     assert set(blocks.district) >= {*range(101, 113), 164, OTHER_DISTRICT}
 
@@ -137,7 +156,8 @@ boxes = sides.map(lambda b: (b[0], b[1], b[0] + b[2], b[1] + b[3]))
 
 @settings(max_examples=50)
 @given(
-    st.lists(boxes, min_size=1, max_size=6), st.lists(st.tuples(boxes, st.integers(101, 104)), min_size=1, max_size=6)
+    st.lists(boxes, min_size=1, max_size=6),
+    st.lists(st.tuples(boxes, st.integers(101, 104)), min_size=1, max_size=6),
 )
 def test_largest_overlap_equals_counting_unit_squares(blocks, districts):
     polygons = shapely.box(*np.array(blocks, float).T)
@@ -146,8 +166,12 @@ def test_largest_overlap_equals_counting_unit_squares(blocks, districts):
     shared = np.zeros((len(blocks), 105), int)
     for i, (x0, y0, x1, y1) in enumerate(blocks):
         for (a0, b0, a1, b1), label in districts:
-            shared[i, label] += sum(a0 <= x < a1 and b0 <= y < b1 for x in range(x0, x1) for y in range(y0, y1))
-    expected = np.where(shared.any(axis=1), shared.argmax(axis=1), OTHER_DISTRICT)  # argmax: the smallest label wins
+            shared[i, label] += sum(
+                a0 <= x < a1 and b0 <= y < b1 for x in range(x0, x1) for y in range(y0, y1)
+            )
+    expected = np.where(
+        shared.any(axis=1), shared.argmax(axis=1), OTHER_DISTRICT
+    )  # argmax: the smallest label wins
     np.testing.assert_array_equal(largest_overlap(polygons, areas, labels), expected)
 
 
@@ -157,7 +181,12 @@ SEVEN = [101, 106, 107, 112, 164, 208, OTHER_DISTRICT]  # of Manhattan, as in th
 @pytest.mark.parametrize(
     ("districts", "commercial", "labels", "expected"),
     [
-        (SEVEN, range(101, 107), [*range(101, 113), 164, 208], [COM, COM, RES, RES, OTHER, OTHER, OTHER]),
+        (
+            SEVEN,
+            range(101, 107),
+            [*range(101, 113), 164, 208],
+            [COM, COM, RES, RES, OTHER, OTHER, OTHER],
+        ),
         ([101, 106], (101,), range(101, 113), [COM, RES]),  # the rest of the twelve
         ([1, 2, 3, OTHER_DISTRICT], (1,), (1, 2, 3), [COM, RES, RES, OTHER]),  # another city's
     ],
@@ -180,7 +209,9 @@ def test_invalid_polygons_are_repaired_and_points_and_what_lies_beyond_the_box_l
     frame = gpd.GeoDataFrame(
         geometry=[bow_tie, shapely.Point(X + 6, Y + 1), box(0, 0, 5, 5), box(20, 0, 30, 9)], crs=UTM
     )
-    cleaned, num_lost, num_invalid = clean_polygons(frame.to_crs(WGS84), UTM, box(4, 0, 15, 10).bounds)
+    cleaned, num_lost, num_invalid = clean_polygons(
+        frame.to_crs(WGS84), UTM, box(4, 0, 15, 10).bounds
+    )
     assert (num_lost, num_invalid) == (1, 1)
     assert cleaned.area.to_dict() == pytest.approx({0: 50, 2: 25}, rel=1e-4)
     assert cleaned.is_valid.all()
@@ -194,7 +225,9 @@ def degrees(tmp_path_factory):
     values[rng.random(values.shape) < 0.1] = -99999.0
     lon, lat = transformer(UTM, WGS84).transform(X, Y)
     place = Affine(1 / 1200, 0, lon, 0, -1 / 1200, lat)
-    return write_raster(tmp_path_factory.mktemp("people") / "people.tif", values, place, WGS84, -99999.0)
+    return write_raster(
+        tmp_path_factory.mktemp("people") / "people.tif", values, place, WGS84, -99999.0
+    )
 
 
 def test_every_person_of_a_raster_is_in_one_block(degrees):
@@ -203,12 +236,16 @@ def test_every_person_of_a_raster_is_in_one_block(degrees):
         counts = file.read(1, masked=True)
     assert blocks.night_count.sum() == counts.astype(np.float64).sum()
     assert len(blocks) == counts.count()
-    np.testing.assert_allclose(shapely.union_all(blocks.polygons).area, blocks.area_m2.sum(), rtol=1e-9)  # no overlap
+    np.testing.assert_allclose(
+        shapely.union_all(blocks.polygons).area, blocks.area_m2.sum(), rtol=1e-9
+    )  # no overlap
 
 
 def test_maps_of_pixels_that_cells_divide_hold_everybody(tmp_path):
     values = np.arange(1.0, 13.0).reshape(3, 4)
-    blocks, _ = read_blocks(ju.Population(blocks=write_raster(tmp_path / "p.tif", values, north_up(100, 3))), UTM)
+    blocks, _ = read_blocks(
+        ju.Population(blocks=write_raster(tmp_path / "p.tif", values, north_up(100, 3))), UTM
+    )
     numbers = (np.array([value]) for value in (30.0, 0.0, np.uint8(0), False))
     tower = Footprints(np.array([box(11, 11, 29, 29)]), *numbers)
     city = City(UTM, box(0, 0, 400, 300).bounds, buildings=tower, blocks=blocks)
@@ -216,7 +253,9 @@ def test_maps_of_pixels_that_cells_divide_hold_everybody(tmp_path):
     cells = maps.m("density", time_of_day="night") * maps.grid.resolution_m**2 / 1e6
     assert cells.sum(dtype=np.float64) == pytest.approx(values.sum(), rel=1e-6)
     here = Grid(UTM, 10.0, round(Y / 10), round(X / 10), 30, 40).window_in(maps.grid)
-    np.testing.assert_allclose(cells[here][::-1].reshape(3, 10, 4, 10).sum(axis=(1, 3)), values, rtol=1e-6)
+    np.testing.assert_allclose(
+        cells[here][::-1].reshape(3, 10, 4, 10).sum(axis=(1, 3)), values, rtol=1e-6
+    )
 
 
 def test_districts_and_bounds_of_a_raster_of_people_are_as_of_census_blocks(degrees, tmp_path):
@@ -232,7 +271,10 @@ def people_in(path, bounds_m):
     """Return the people of a raster in a box by hand: pixel by pixel, its ring in the box's CRS, pro rata by area."""
     with rasterio.open(path) as file:
         counts, place, crs = file.read(1, masked=True), file.transform, file.crs.to_wkt()
-    total, side = 0.0, np.array([(0, 0), (0.5, 0), (1, 0), (1, 0.5), (1, 1), (0.5, 1), (0, 1), (0, 0.5)])
+    total, side = (
+        0.0,
+        np.array([(0, 0), (0.5, 0), (1, 0), (1, 0.5), (1, 1), (0.5, 1), (0, 1), (0, 0.5)]),
+    )
     for (row, col), count in np.ndenumerate(counts.filled(0).astype(float)):
         ring = np.array([place @ (col + right, row + down) for right, down in side])
         pixel = shapely.Polygon(np.stack(transformer(crs, UTM).transform(*ring.T), axis=1))
@@ -253,11 +295,19 @@ def people_raster(path, seed, step_deg, side=16, empty=-1.0, mean=80.0):
 ARC_S = 1 / 3600
 
 
-@pytest.mark.parametrize("steps", [(3 * ARC_S, 3 * ARC_S), (3 * ARC_S, 7 * ARC_S), (30 * ARC_S, 0.6 * ARC_S)])
-def test_maps_by_day_and_by_night_hold_the_people_that_each_raster_has_in_the_region(tmp_path, steps):
+@pytest.mark.parametrize(
+    "steps", [(3 * ARC_S, 3 * ARC_S), (3 * ARC_S, 7 * ARC_S), (30 * ARC_S, 0.6 * ARC_S)]
+)
+def test_maps_by_day_and_by_night_hold_the_people_that_each_raster_has_in_the_region(
+    tmp_path, steps
+):
     files = {
-        f"blocks_{name}": people_raster(tmp_path / f"{name}.tif", seed, step, 16 if step > ARC_S else 48, mean=mean)
-        for name, seed, step, mean in zip(("day", "night"), (1, 2), steps, (200.0, 50.0), strict=True)
+        f"blocks_{name}": people_raster(
+            tmp_path / f"{name}.tif", seed, step, 16 if step > ARC_S else 48, mean=mean
+        )
+        for name, seed, step, mean in zip(
+            ("day", "night"), (1, 2), steps, (200.0, 50.0), strict=True
+        )
     }
     blocks, _ = read_blocks(ju.Population(**files), UTM)
     numbers = (np.array([value]) for value in (30.0, 0.0, np.uint8(0), False))
@@ -276,12 +326,16 @@ def test_pixels_of_two_rasters_of_one_grid_stay_whole_though_data_are_missing_in
     day, night = np.arange(1.0, 13).reshape(3, 4), np.arange(21.0, 33).reshape(3, 4)
     day[0, 0], night[2, 3], day[1, 1], night[1, 1] = -9, -9, -9, -9
     files = {
-        f"blocks_{name}": write_raster(tmp_path / f"{name}.tif", values, north_up(100, 3), nodata=-9)
+        f"blocks_{name}": write_raster(
+            tmp_path / f"{name}.tif", values, north_up(100, 3), nodata=-9
+        )
         for name, values in (("day", day), ("night", night))
     }
     blocks, issues = read_blocks(ju.Population(**files), UTM)
     np.testing.assert_allclose(blocks.area_m2, np.full(11, 1e4))
-    by_id = dict(zip(blocks.block_id, zip(blocks.day_count, blocks.night_count, strict=True), strict=True))
+    by_id = dict(
+        zip(blocks.block_id, zip(blocks.day_count, blocks.night_count, strict=True), strict=True)
+    )
     assert (by_id["0,0"], by_id["2,3"], by_id["0,1"]) == ((0, 21), (12, 0), (2, 22))
     assert issues["blocks_without_count"] == 2
     part = blocks.take(blocks.block_id == "0,1")
@@ -304,7 +358,10 @@ def test_what_would_change_measured_people_is_refused(settings, sentence):
 
 
 def test_factors_are_refused_where_the_city_holds_measured_people(tmp_path):
-    files = {f"blocks_{name}": people_raster(tmp_path / f"{name}.tif", 1, 3 * ARC_S) for name in ("day", "night")}
+    files = {
+        f"blocks_{name}": people_raster(tmp_path / f"{name}.tif", 1, 3 * ARC_S)
+        for name in ("day", "night")
+    }
     blocks, _ = read_blocks(ju.Population(**files), UTM)
     with pytest.raises(ju.InputError, match=r"leave out gamma_residential\Z"):
         block_layers(blocks, ju.Population(gamma_residential=0.4))

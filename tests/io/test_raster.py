@@ -11,7 +11,12 @@ from affine import Affine
 from rasterio.errors import NotGeoreferencedWarning
 
 import jaxurban as ju
-from jaxurban.io.read.raster import check_is_no_surface, heights_of_surface, raster_extent_m, read_raster
+from jaxurban.io.read.raster import (
+    check_is_no_surface,
+    heights_of_surface,
+    raster_extent_m,
+    read_raster,
+)
 from jaxurban.io.read.sampling import heights_above, resample_raster
 from jaxurban.world.city import City, Raster
 from tests.io.made_files import FEET, UTM, X, Y, north_up, write_raster
@@ -44,14 +49,20 @@ RAMP = np.arange(12, dtype=np.float32).reshape(3, 4)
 def test_the_declared_nodata_value_is_nan_and_scale_and_offset_are_applied(tmp_path):
     found = read(tmp_path, np.array([[0, 15, -99]], np.int16), nodata=-99, scales=0.1, offsets=2.0)
     np.testing.assert_allclose(found.values, [[2.0, 3.5, np.nan]])
-    np.testing.assert_array_equal(read(tmp_path, np.float32([[1, np.nan]]), nodata=np.nan).values, [[1, np.nan]])
+    np.testing.assert_array_equal(
+        read(tmp_path, np.float32([[1, np.nan]]), nodata=np.nan).values, [[1, np.nan]]
+    )
 
 
 def test_only_the_window_around_the_bounds_is_read_and_a_fault_outside_it_is_no_matter(tmp_path):
     values = np.arange(400, dtype=np.float32).reshape(20, 20)
     values[0, 0] = np.nan
     found = read(tmp_path, values, (X + 81, Y + 111, X + 99, Y + 119))
-    assert (found.values.dtype, found.transform, found.crs) == (np.float32, (10, 0, X, 0, -10, Y + 200), UTM)
+    assert (found.values.dtype, found.transform, found.crs) == (
+        np.float32,
+        (10, 0, X, 0, -10, Y + 200),
+        UTM,
+    )
     assert (found.first_row, found.first_col) == (6, 6)  # two pixels more on each side
     np.testing.assert_array_equal(found.values, values[6:11, 6:12])
 
@@ -60,11 +71,16 @@ def test_companions_of_a_raster_are_read(tmp_path):
     """Its place from a world file, its CRS from a .prj, masked pixels from a .msk; overviews change nothing."""
     path, pixels = tmp_path / "a.tif", np.arange(1, 10, dtype=np.float32).reshape(3, 3)
     write_raster(path, pixels)
-    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False, TIFF_USE_OVR=True), rasterio.open(path, "r+") as file:
+    with (
+        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False, TIFF_USE_OVR=True),
+        rasterio.open(path, "r+") as file,
+    ):
         file.write_mask(np.uint8(255 * (pixels > 1)))
         file.build_overviews([2])
     assert {name.name for name in tmp_path.iterdir()} >= {"a.tif.msk", "a.tif.ovr"}
-    np.testing.assert_array_equal(read_raster(path, UTM).values, np.where(pixels > 1, pixels, np.nan))
+    np.testing.assert_array_equal(
+        read_raster(path, UTM).values, np.where(pixels > 1, pixels, np.nan)
+    )
     (tmp_path / "b.asc").write_text(
         f"ncols 3\nnrows 3\nxllcorner {X}\nyllcorner {Y}\ncellsize 10\n" + "1 2 3\n4 5 6\n7 8 9\n"
     )
@@ -103,7 +119,9 @@ def test_a_cell_takes_the_pixel_that_holds_its_centre_or_what_lies_between_two(h
 @pytest.mark.parametrize("how", ["nearest", "bilinear", "max"])
 def test_beyond_the_raster_and_in_its_holes_there_is_no_data(how):
     values = resample_raster(raster([[1, np.nan, 3]]), grid(10, 3, 5, east_m=-10, north_m=-10), how)
-    np.testing.assert_array_equal(np.isfinite(values), np.array([[0] * 5, [0, 1, 0, 1, 0], [0] * 5], bool))
+    np.testing.assert_array_equal(
+        np.isfinite(values), np.array([[0] * 5, [0, 1, 0, 1, 0], [0] * 5], bool)
+    )
 
 
 def test_values_follow_a_turned_raster_in_another_crs():
@@ -111,9 +129,15 @@ def test_values_follow_a_turned_raster_in_another_crs():
     col, row = np.meshgrid(np.arange(120), np.arange(120))
     turned = turned_by(29, 5, Y + 600)
     field = raster(20 + 10 * np.sin(col / 15) * np.cos(row / 15), turned)
-    x_m, y_m = pyproj.Transformer.from_crs(UTM, ELSEWHERE, always_xy=True).transform(*(turned @ (60, 60)))
+    x_m, y_m = pyproj.Transformer.from_crs(UTM, ELSEWHERE, always_xy=True).transform(
+        *(turned @ (60, 60))
+    )
     on = ju.Grid(ELSEWHERE, 5.0, int(y_m // 5) - 20, int(x_m // 5) - 20, 40, 40)
-    source = {"src_transform": turned, "src_crs": UTM, "resampling": rasterio.warp.Resampling.bilinear}
+    source = {
+        "src_transform": turned,
+        "src_crs": UTM,
+        "resampling": rasterio.warp.Resampling.bilinear,
+    }
     to = {"dst_transform": Affine(5, 0, on.x_min_m, 0, -5, on.y_max_m), "dst_crs": on.crs}
     expected = np.zeros(on.shape, np.float32)
     rasterio.warp.reproject(field.values, expected, **source, **to)
@@ -124,19 +148,35 @@ def test_values_follow_a_turned_raster_in_another_crs():
 @pytest.mark.parametrize("how", ["nearest", "bilinear", "max"])
 def test_a_sub_box_equals_the_crop_bit_for_bit(tmp_path, crs, how):
     transform = Affine(2.5020579, 0, X + 0.123, 0, -2.5024088, Y + 400.321)  # no round numbers
-    path = write_raster(tmp_path / "a.tif", np.random.default_rng(2).random((160, 160), np.float32), transform)
+    path = write_raster(
+        tmp_path / "a.tif", np.random.default_rng(2).random((160, 160), np.float32), transform
+    )
     x_min, y_min, _, _ = raster_extent_m(path, crs)
     large = ju.Grid(crs, 5.0, int(y_min // 5) - 3, int(x_min // 5) - 3, 86, 86)
     small = ju.Grid(crs, 5.0, large.first_row + 31, large.first_col + 17, 20, 30)
-    whole, part = (resample_raster(read_raster(path, crs, on.bounds_m), on, how) for on in (large, small))
+    whole, part = (
+        resample_raster(read_raster(path, crs, on.bounds_m), on, how) for on in (large, small)
+    )
     np.testing.assert_array_equal(part, whole[small.window_in(large)])
 
 
 @pytest.mark.parametrize(
     ("turn_deg", "pixel_m", "resolution_m"),
-    [(0, 10, 4), (0, 10, 10), (0, 10, 25), (0, 4, 10), (0, 2.5, 10), (0, 5, 10), (7, 4, 10), (29, 4, 10), (45, 4, 10)],
+    [
+        (0, 10, 4),
+        (0, 10, 10),
+        (0, 10, 25),
+        (0, 4, 10),
+        (0, 2.5, 10),
+        (0, 5, 10),
+        (7, 4, 10),
+        (29, 4, 10),
+        (45, 4, 10),
+    ],
 )
-def test_max_misses_no_pixel_that_overlaps_a_cell_and_takes_no_other(turn_deg, pixel_m, resolution_m):
+def test_max_misses_no_pixel_that_overlaps_a_cell_and_takes_no_other(
+    turn_deg, pixel_m, resolution_m
+):
     transform = turned_by(turn_deg, pixel_m, Y + 100)
     pixels = np.random.default_rng(3).random((40, 40), np.float32)
     on = grid(resolution_m, 6, 6, east_m=20, north_m=20)
@@ -168,7 +208,9 @@ def test_the_unit_of_heights_is_that_of_the_band_or_of_a_vertical_axis(tmp_path,
     found = read(tmp_path, RAMP, **how)
     np.testing.assert_allclose(found.values, RAMP * metres, rtol=1e-6)
     if "transform" not in how:
-        np.testing.assert_allclose(resample_raster(found, grid(10, 3, 4)), RAMP[::-1] * metres, rtol=1e-6)
+        np.testing.assert_allclose(
+            resample_raster(found, grid(10, 3, 4)), RAMP[::-1] * metres, rtol=1e-6
+        )
 
 
 def test_heights_above_a_terrain_of_another_grid_are_those_of_the_surface():
@@ -191,7 +233,9 @@ def city_heights(built_share):
     """Blocks of 50 m of 20 m height with streets between them that leave a share of the ground open, and noise."""
     along = np.arange(SIDE_M) % 50 < 50 * np.sqrt(built_share)
     heights = np.where(along[:, None] & along, 20.0, 0.0)
-    return raster(heights + np.random.default_rng(0).normal(0, 0.2, heights.shape), north_up(1, SIDE_M))
+    return raster(
+        heights + np.random.default_rng(0).normal(0, 0.2, heights.shape), north_up(1, SIDE_M)
+    )
 
 
 def hills():
@@ -209,7 +253,9 @@ def surface_on(terrain, heights):
 def test_a_surface_is_refused_with_the_share_seen_and_heights_are_taken_however_dense(built_share):
     check_is_no_surface("h.tif", city_heights(built_share), UTM)
     remedy = r'kind = "surface".*\[terrain\] source'
-    with pytest.raises(ju.InputError, match=rf"'h\.tif' looks like a surface model.*\d+% of its blocks.*{remedy}"):
+    with pytest.raises(
+        ju.InputError, match=rf"'h\.tif' looks like a surface model.*\d+% of its blocks.*{remedy}"
+    ):
         check_is_no_surface("'h.tif'", surface_on(hills(), city_heights(built_share)), UTM)
 
 
@@ -221,7 +267,9 @@ def test_a_surface_less_a_terrain_of_another_grid_gives_the_heights_back():
     heights = city_heights(0.5)
     with pytest.warns(UserWarning, match=r"trees, bridges and cranes.*as buildings.*2 m as ground"):
         found, issues = heights_of_surface("s.tif", surface_on(hills(), heights), hills(), UTM)
-    np.testing.assert_allclose(found.values[heights.values > 10], heights.values[heights.values > 10], atol=1e-4)
+    np.testing.assert_allclose(
+        found.values[heights.values > 10], heights.values[heights.values > 10], atol=1e-4
+    )
     assert (found.values[heights.values < 2] == 0).all()  # noise on the ground is no building
     assert issues["cells_near_ground"] == np.sum(heights.values < 2)
     assert issues["cells_below_ground"] == pytest.approx(np.sum(heights.values < 0), abs=3)
@@ -232,7 +280,9 @@ def test_a_surface_needs_terrain_and_one_that_goes_with_it():
     with pytest.raises(ju.InputError, match=r"s\.tif.*\[terrain\] source"):
         heights_of_surface("s.tif", surface, None, UTM)
     for other in (heights, replace(surface, values=surface.values + 34)):
-        with pytest.raises(ju.InputError, match=r"s\.tif does not stand on the terrain .*\d+%.*datum.*leave out"):
+        with pytest.raises(
+            ju.InputError, match=r"s\.tif does not stand on the terrain .*\d+%.*datum.*leave out"
+        ):
             heights_of_surface("s.tif", other, hills(), UTM)
 
 

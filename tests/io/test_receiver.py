@@ -56,14 +56,23 @@ def test_an_offset_from_utc_is_taken_off_and_a_zone_may_be_written_in_several_wa
         (GOOD.iloc[:0], ("has 0 rows", "num_tracked")),
         (GOOD.drop(columns="utc"), ("of the columns lon_deg", "columns utc")),
         (GOOD.assign(utc=GOOD.utc.str.rstrip("Z")), ("without a zone", "local", "+09:00")),
-        (GOOD.assign(utc=pd.to_datetime(GOOD.utc).dt.tz_localize(None)), ("without a zone", "local")),
+        (
+            GOOD.assign(utc=pd.to_datetime(GOOD.utc).dt.tz_localize(None)),
+            ("without a zone", "local"),
+        ),
         (GOOD.assign(utc=[1545199657.0] * 3), ("'1545199657.0'", "GPS time")),
         (GOOD.assign(utc="noon"), ("'noon'", "Z")),
         (GOOD.assign(utc="2018-13-41T06:07:37Z"), ("'2018-13-41T06:07:37Z'", "write UTC")),
-        (GOOD.assign(utc=[*GOOD.utc[:2], "12/19/2018 06:07:39Z"]), ("'12/19/2018 06:07:39Z'", "write UTC")),
+        (
+            GOOD.assign(utc=[*GOOD.utc[:2], "12/19/2018 06:07:39Z"]),
+            ("'12/19/2018 06:07:39Z'", "write UTC"),
+        ),
         (GOOD.assign(utc="2018-12-19"), ("without a zone",)),
         (GOOD.assign(utc=[None, *GOOD.utc[1:]]), ("a time, which is none", "remove rows without")),
-        (GOOD.drop(columns="num_tracked"), ("of the columns utc, lon_deg, lat_deg: give", "error_2d_m")),
+        (
+            GOOD.drop(columns="num_tracked"),
+            ("of the columns utc, lon_deg, lat_deg: give", "error_2d_m"),
+        ),
         (GOOD.assign(lon_deg=[np.nan, 139.0, 139.0]), ("has nan in lon_deg of 1 row(s)", "remove")),
         (GOOD.assign(lat_deg=139.0), ("from -90 to 90", "swapped")),
         (GOOD.assign(utc=GOOD.utc[0]), ("two rows at 2018-12-19T06:07:38", "one row an epoch")),
@@ -125,11 +134,15 @@ def test_a_log_of_satellites_may_leave_angles_to_orbits_and_hold_counts_and_erro
     assert log.epochs.num_tracked.isna().tolist() == [True, False]
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".CSV.BZ2", ".csv.xz", ".csv.zip", ".parquet"])
+@pytest.mark.parametrize(
+    "suffix", [".csv", ".csv.gz", ".CSV.BZ2", ".csv.xz", ".csv.zip", ".parquet"]
+)
 def test_a_file_of_satellites_may_be_compressed(suffix, tmp_path):
     file = tmp_path / f"log{suffix}"
     packing = {".BZ2": "bz2"}.get(file.suffix, "infer")
-    SEEN.to_parquet(file) if suffix == ".parquet" else SEEN.to_csv(file, index=False, compression=packing)
+    SEEN.to_parquet(file) if suffix == ".parquet" else SEEN.to_csv(
+        file, index=False, compression=packing
+    )
     read, expected = read_receiver_log(file), read_receiver_log(SEEN)
     pd.testing.assert_frame_equal(read.epochs, expected.epochs)
     pd.testing.assert_frame_equal(read.satellites, expected.satellites)
@@ -145,8 +158,14 @@ def changed(column: str, *values: object) -> pd.DataFrame:
     [
         (SEEN.iloc[:0], ("has 0 rows", "satellite and cn0_dbhz")),
         (SEEN.drop(columns="cn0_dbhz"), ("of the columns", "satellite and cn0_dbhz")),
-        (SEEN.drop(columns="elevation_deg"), ("one of the columns azimuth_deg and elevation_deg", "give both")),
-        *((changed(name, np.nan), (f"has nan in {name} of 1 row", "remove")) for name in SEEN.columns[4:]),
+        (
+            SEEN.drop(columns="elevation_deg"),
+            ("one of the columns azimuth_deg and elevation_deg", "give both"),
+        ),
+        *(
+            (changed(name, np.nan), (f"has nan in {name} of 1 row", "remove"))
+            for name in SEEN.columns[4:]
+        ),
         (changed("lat_deg", np.nan), ("has nan in lat_deg of 1 row",)),
         (changed("satellite", None), ("as a satellite", "such as G05")),
         (changed("satellite", "GPS 5"), ("'GPS 5' as a satellite", "such as G05", "rename")),
@@ -154,23 +173,49 @@ def changed(column: str, *values: object) -> pd.DataFrame:
             changed("satellite", "G05", "G05"),
             ("two rows of G05 at 2018-12-19T06:07:38", "keep one", "such as that of L1"),
         ),
-        (changed("lon_deg", 139.2), ("two places at 2018-12-19T06:07:38", "keep one place an epoch")),
+        (
+            changed("lon_deg", 139.2),
+            ("two places at 2018-12-19T06:07:38", "keep one place an epoch"),
+        ),
         (changed("lon_deg", 239.2), ("has 239.2 in lon_deg", "from -180 to 180")),
-        (SEEN.assign(lon_deg=SEEN.lat_deg, lat_deg=SEEN.lon_deg), ("has 139.1 in lat_deg", "swapped")),
-        (SEEN.assign(**np.radians(SEEN[["lon_deg", "lat_deg"]])), ("as if they were radians", "give degrees")),
-        (SEEN.assign(azimuth_deg=np.radians(SEEN.azimuth_deg)), ("azimuth_deg of at most 0.5236", "give degrees")),
-        (SEEN.assign(elevation_deg=np.radians(SEEN.elevation_deg)), ("elevation_deg of at most 1.222", "give degrees")),
-        (SEEN.assign(azimuth_deg=SEEN.azimuth_deg - 15), ("has -5.0 in azimuth_deg of 3 row", "from 0 to 360")),
-        (changed("elevation_deg", -0.1), ("has -0.1 in elevation_deg", "below the horizon", "remove the rows")),
+        (
+            SEEN.assign(lon_deg=SEEN.lat_deg, lat_deg=SEEN.lon_deg),
+            ("has 139.1 in lat_deg", "swapped"),
+        ),
+        (
+            SEEN.assign(**np.radians(SEEN[["lon_deg", "lat_deg"]])),
+            ("as if they were radians", "give degrees"),
+        ),
+        (
+            SEEN.assign(azimuth_deg=np.radians(SEEN.azimuth_deg)),
+            ("azimuth_deg of at most 0.5236", "give degrees"),
+        ),
+        (
+            SEEN.assign(elevation_deg=np.radians(SEEN.elevation_deg)),
+            ("elevation_deg of at most 1.222", "give degrees"),
+        ),
+        (
+            SEEN.assign(azimuth_deg=SEEN.azimuth_deg - 15),
+            ("has -5.0 in azimuth_deg of 3 row", "from 0 to 360"),
+        ),
+        (
+            changed("elevation_deg", -0.1),
+            ("has -0.1 in elevation_deg", "below the horizon", "remove the rows"),
+        ),
         (SEEN.assign(cn0_dbhz=10 ** (SEEN.cn0_dbhz / 10)), ("in cn0_dbhz", "from 0 to 70", "dBHz")),
-        (SEEN.assign(cn0_dbhz=SEEN.cn0_dbhz // 5), ("cn0_dbhz of at most 9", "digits 1 to 9", "give dBHz")),
+        (
+            SEEN.assign(cn0_dbhz=SEEN.cn0_dbhz // 5),
+            ("cn0_dbhz of at most 9", "digits 1 to 9", "give dBHz"),
+        ),
     ],
 )
 def test_what_is_wrong_with_a_log_of_satellites_is_one_sentence(table, words):
     assert_refused(table, *words)
 
 
-def test_a_log_of_too_many_rows_of_satellites_is_to_be_thinned_and_one_of_counts_is_read(monkeypatch):
+def test_a_log_of_too_many_rows_of_satellites_is_to_be_thinned_and_one_of_counts_is_read(
+    monkeypatch,
+):
     monkeypatch.setattr(receiver, "MOST_ROWS", 2)
     assert_refused(SEEN, "has 6 rows, more than the 2 that are read", "thin")
     assert len(read_receiver_log(GOOD).epochs) == 3
@@ -183,4 +228,8 @@ def test_a_truncated_or_empty_file_is_one_sentence(suffix, tmp_path):
     whole = file.read_bytes()
     for data in (whole[: len(whole) // 2], b"", b"no log", gzip.compress(b"")):
         file.write_bytes(data)
-        assert_refused(file, f"the receiver log file '{file}' cannot be read as", "make it again, or name another")
+        assert_refused(
+            file,
+            f"the receiver log file '{file}' cannot be read as",
+            "make it again, or name another",
+        )

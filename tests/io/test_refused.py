@@ -20,11 +20,25 @@ from jaxurban.io.read.raster import raster_extent_m, read_raster
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.io.read.vector import open_layers, read_vector
 from jaxurban.world.city import SLABS
-from tests.io.made_files import FEET, SQUARE, UTM, WGS84, X, Y, box, refused, write_features, write_raster, write_vector
+from tests.io.made_files import (
+    FEET,
+    SQUARE,
+    UTM,
+    WGS84,
+    X,
+    Y,
+    box,
+    refused,
+    write_features,
+    write_raster,
+    write_vector,
+)
 
 BLOCK = "360610001001000"
 
-pytestmark = pytest.mark.filterwarnings("ignore:.crs. was not provided")  # by those that write such files here
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:.crs. was not provided"
+)  # by those that write such files here
 
 read_pixels = partial(read_raster, crs=UTM)
 read_labels = partial(read_districts, crs=UTM)
@@ -41,7 +55,9 @@ def blocks(path, bounds_m=None, **settings):
 
 def counts(path):
     """Read a table of people beside sound blocks."""
-    return blocks(write_vector(path.with_name("sound.gpkg"), [box(0, 0, 9, 9)], GEOID10=[BLOCK]), table=path)
+    return blocks(
+        write_vector(path.with_name("sound.gpkg"), [box(0, 0, 9, 9)], GEOID10=[BLOCK]), table=path
+    )
 
 
 def cover(path):
@@ -116,38 +132,105 @@ BROKEN_OSM = (
     ("read", "name", "content", "sentence"),
     [
         (read_vector, "metres.geojson", metres, "degrees.*583010, 4506010.*ogr2ogr"),
-        *((read_vector, f"a.{end}", of([SQUARE], crs=None), "no CRS.*-a_srs") for end in ("shp", "gpkg", "parquet")),
-        (read_vector, "table.parquet", pd.DataFrame({"height": [1.0]}).to_parquet, "cannot be read as a vector file"),
+        *(
+            (read_vector, f"a.{end}", of([SQUARE], crs=None), "no CRS.*-a_srs")
+            for end in ("shp", "gpkg", "parquet")
+        ),
+        (
+            read_vector,
+            "table.parquet",
+            pd.DataFrame({"height": [1.0]}).to_parquet,
+            "cannot be read as a vector file",
+        ),
         (read_vector, "layers.gpkg", layered, "layers, parcels.*buildings"),
-        *((read_layers, name, b"PK\x03\x04 and more", UNREAD) for name in ("blocks.zip", "blocks.tab")),
+        *(
+            (read_layers, name, b"PK\x03\x04 and more", UNREAD)
+            for name in ("blocks.zip", "blocks.tab")
+        ),
         (read_layers, "blocks.gdb", Path.mkdir, UNREAD),
         (read_layers, "a.shp", of([SQUARE], crs=None), "declares no CRS"),
         (buildings, "trees.geojson", of([SQUARE.centroid], crs=WGS84), "holds no building"),
         (buildings, "city.dwg", b"", r"'\.dwg'.*\.pbf.*\.gpkg.*\.tif"),
         (buildings, "folder", Path.mkdir, "does not exist"),
-        *((buildings, "roofs.tif", pixels(1, value), " 1 cells") for value in (np.nan, 1001, -9999)),
-        (partial(buildings, kind="surface"), "city.geojson", b"", 'kind = "surface" is for rasters'),
+        *(
+            (buildings, "roofs.tif", pixels(1, value), " 1 cells")
+            for value in (np.nan, 1001, -9999)
+        ),
+        (
+            partial(buildings, kind="surface"),
+            "city.geojson",
+            b"",
+            'kind = "surface" is for rasters',
+        ),
         (partial(buildings, hanging=SLABS), "roofs.tif", b"", "is for outlines"),
-        (read_pixels, "a.tif", pixels(1, np.nan, np.inf), "2 cells that are NaN or infinite.*-a_nodata"),
-        (read_pixels, "a.tif", pixels(1, np.nan, nodata=-9999), "1 cells that are NaN or infinite.*-a_nodata"),
+        (
+            read_pixels,
+            "a.tif",
+            pixels(1, np.nan, np.inf),
+            "2 cells that are NaN or infinite.*-a_nodata",
+        ),
+        (
+            read_pixels,
+            "a.tif",
+            pixels(1, np.nan, nodata=-9999),
+            "1 cells that are NaN or infinite.*-a_nodata",
+        ),
         (read_pixels, "a.tif", pixels(1, -9999), "1 cells outside -500 to 9000 m.*-a_nodata"),
         (read_pixels, "a.tif", pixels(1, crs=None), "no CRS"),
         (read_pixels, "a.tif", pixels(1, bands=2), "has 2 bands"),
         (read_pixels, "a.tif", cut_raster, "cannot be read as a raster"),
         (read_pixels, "a.tif", pixels(1, units="furlong"), "'furlong'.*-units m"),
-        (read_pixels, "a.tif", pixels(1, **FEET), r"does not say plainly.*US survey foot.*gdal_edit\.py -units m"),
-        (partial(read_pixels, bounds_m=(X + 9000, Y, X + 9100, Y + 100)), "a.tif", pixels(1), "not reach the region"),
-        *((READERS["city.osm"], "a.osm", text, "cannot be read as OpenStreetMap data") for text in BROKEN_OSM),
+        (
+            read_pixels,
+            "a.tif",
+            pixels(1, **FEET),
+            r"does not say plainly.*US survey foot.*gdal_edit\.py -units m",
+        ),
+        (
+            partial(read_pixels, bounds_m=(X + 9000, Y, X + 9100, Y + 100)),
+            "a.tif",
+            pixels(1),
+            "not reach the region",
+        ),
+        *(
+            (READERS["city.osm"], "a.osm", text, "cannot be read as OpenStreetMap data")
+            for text in BROKEN_OSM
+        ),
         (counts, "a.csv", b"id,population\n", "joins no block"),
         (counts, "a.csv", f"id,a,b\n{BLOCK},1,2\n".encode(), "name one of 'a', 'b' 'population'"),
-        (counts, "a.csv", f"id,population\n{BLOCK},1\n{BLOCK},2\n".encode(), "more than one count for the block"),
-        (blocks, "a.gpkg", of([SQUARE], GEOID10=[BLOCK]), r"no field of population .* set \[population\] table"),
+        (
+            counts,
+            "a.csv",
+            f"id,population\n{BLOCK},1\n{BLOCK},2\n".encode(),
+            "more than one count for the block",
+        ),
+        (
+            blocks,
+            "a.gpkg",
+            of([SQUARE], GEOID10=[BLOCK]),
+            r"no field of population .* set \[population\] table",
+        ),
         (blocks, "people.tif", pixels(1, -200), "1 pixels of less than 0 people: declare"),
         (partial(blocks, table="a.csv"), "people.tif", pixels(1), "leave .population. table out"),
-        (partial(blocks, bounds_m=(0, 0, 10, 10)), "people.tif", pixels(1), "does not reach the region"),
-        (read_labels, "a.gpkg", of([SQUARE], BoroCD=["Harlem"]), "the label Harlem .*whole numbers"),
+        (
+            partial(blocks, bounds_m=(0, 0, 10, 10)),
+            "people.tif",
+            pixels(1),
+            "does not reach the region",
+        ),
+        (
+            read_labels,
+            "a.gpkg",
+            of([SQUARE], BoroCD=["Harlem"]),
+            "the label Harlem .*whole numbers",
+        ),
         (read_labels, "a.gpkg", of([SQUARE], BoroC=[1]), "'BoroCD' .did you mean 'BoroC'"),
-        (cover, "a.pbf", b"not a pbf at all", r"fetch it again, or name another file in \[study\] land_cover"),
+        (
+            cover,
+            "a.pbf",
+            b"not a pbf at all",
+            r"fetch it again, or name another file in \[study\] land_cover",
+        ),
         (read_labels, "torn.gpkg", b"SQLite format 3\x00 torn", "cannot be read as a vector file"),
         (read_labels, "empty.geojson", write_features, "holds no polygons"),
     ],
@@ -176,7 +259,11 @@ MOSAIC = f"""<VRTDataset rasterXSize="2" rasterYSize="2"><SRS>EPSG:32618</SRS><G
             for suffix in (".geojson", ".kml", ".gpkg", "")
             for text in (VRT, STREAM, f'{{"a": "{VRT}"}}', f"<?xml version='1.0'?>{VRT}")
         ),
-        *((read_vector, ".geojson", LINKED % (crs, kind)) for crs in ("crs", r"\u0063rs") for kind in ("link", "URL")),
+        *(
+            (read_vector, ".geojson", LINKED % (crs, kind))
+            for crs in ("crs", r"\u0063rs")
+            for kind in ("link", "URL")
+        ),
         *((READERS["extent.tif"], suffix, MOSAIC) for suffix in (".vrt", ".tif")),
     ],
 )
@@ -184,7 +271,12 @@ def test_a_file_that_names_a_server_is_refused_before_a_request(tmp_path, read, 
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.setblocking(False)
         content = text.replace("PORT", str(server.getsockname()[1])).encode()
-        refused(read, tmp_path / f"city{suffix}", content, "cannot be read|are read: convert it|not read: unpack it")
+        refused(
+            read,
+            tmp_path / f"city{suffix}",
+            content,
+            "cannot be read|are read: convert it|not read: unpack it",
+        )
         with pytest.raises(BlockingIOError):
             server.accept()
 
@@ -199,7 +291,10 @@ TMS = f"""<GDAL_WMS><Service name="TMS"><ServerUrl>{URL}</ServerUrl></Service><D
 def test_a_mask_beside_a_raster_that_may_name_other_files_is_refused_and_nothing_is_asked_or_read(
     tmp_path, suffix, text
 ):
-    path, mask = write_raster(tmp_path / "a.tif", np.ones((2, 2), np.float32)), tmp_path / f"a.tif{suffix}"
+    path, mask = (
+        write_raster(tmp_path / "a.tif", np.ones((2, 2), np.float32)),
+        tmp_path / f"a.tif{suffix}",
+    )
     write_raster(tmp_path / "zero.tif", np.zeros((2, 2), np.float32))
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.setblocking(False)
@@ -208,6 +303,11 @@ def test_a_mask_beside_a_raster_that_may_name_other_files_is_refused_and_nothing
         else:
             mask.write_text(text.replace("PORT", str(server.getsockname()[1])))
         for read in (read_pixels, READERS["extent.tif"]):
-            refused(read, path, None, rf"a\.tif\{suffix}', the mask of .*a\.tif', is no GeoTIFF .*remove it")
+            refused(
+                read,
+                path,
+                None,
+                rf"a\.tif\{suffix}', the mask of .*a\.tif', is no GeoTIFF .*remove it",
+            )
         with pytest.raises(BlockingIOError):
             server.accept()

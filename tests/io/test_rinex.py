@@ -16,7 +16,15 @@ from jaxurban.io.read.rinex import Messages, read_rinex, read_track
 WEEK, TOW_S, LEAP_S = 2267, 349_740.0, 18  # 2023-06-22T01:09:00 of GPS time
 UTC = pd.Timestamp("2023-06-22T01:08:42Z")
 ECEF = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
-SEMI_AXIS_ROOT, ECCENTRICITY, INCLINATION, NODE, PERIGEE, ANOMALY, TOE_S = 5153.7, 0.01, 0.96, -2.1, 0.7, 0.4, 349_200.0
+SEMI_AXIS_ROOT, ECCENTRICITY, INCLINATION, NODE, PERIGEE, ANOMALY, TOE_S = (
+    5153.7,
+    0.01,
+    0.96,
+    -2.1,
+    0.7,
+    0.4,
+    349_200.0,
+)
 
 
 def orbit_m(tow_s: float) -> np.ndarray:
@@ -25,7 +33,9 @@ def orbit_m(tow_s: float) -> np.ndarray:
     mean = eccentric = ANOMALY + math.sqrt(3.986005e14 / axis_m**3) * since_s
     for _ in range(20):
         eccentric = mean + ECCENTRICITY * math.sin(eccentric)
-    true = 2 * math.atan(math.sqrt((1 + ECCENTRICITY) / (1 - ECCENTRICITY)) * math.tan(eccentric / 2))
+    true = 2 * math.atan(
+        math.sqrt((1 + ECCENTRICITY) / (1 - ECCENTRICITY)) * math.tan(eccentric / 2)
+    )
     argument, radius_m = true + PERIGEE, axis_m * (1 - ECCENTRICITY * math.cos(eccentric))
     node = NODE - 7.2921151467e-5 * tow_s
     x, y = radius_m * math.cos(argument), radius_m * math.sin(argument)
@@ -39,7 +49,9 @@ def orbit_m(tow_s: float) -> np.ndarray:
     )
 
 
-def angles_deg(lon_deg: float, lat_deg: float, place_m: np.ndarray, satellite_m: np.ndarray) -> tuple[float, float]:
+def angles_deg(
+    lon_deg: float, lat_deg: float, place_m: np.ndarray, satellite_m: np.ndarray
+) -> tuple[float, float]:
     """Return azimuth and elevation by the plane that touches the ellipsoid at a place."""
     lon, lat = math.radians(lon_deg), math.radians(lat_deg)
     east = np.array([-math.sin(lon), math.cos(lon), 0.0])
@@ -64,7 +76,11 @@ def message(name: str, health: float = 0.0) -> str:
 
 
 def header(begin: str, *lines: str) -> str:
-    labelled = [(begin, "RINEX VERSION / TYPE"), *(line.split("|") for line in lines), ("", "END OF HEADER")]
+    labelled = [
+        (begin, "RINEX VERSION / TYPE"),
+        *(line.split("|") for line in lines),
+        ("", "END OF HEADER"),
+    ]
     return "".join(f"{value:<60}{label:<20}\n" for value, label in labelled)
 
 
@@ -72,7 +88,11 @@ NAV_BEGIN = "     3.03           N: GNSS NAV DATA    M: Mixed"
 OBS_BEGIN = "     3.03           OBSERVATION DATA    M: Mixed"
 LEAP_LINE = f"{LEAP_S:6d}|LEAP SECONDS"
 NAV = header(NAV_BEGIN, "log: \\\xff|COMMENT", LEAP_LINE) + message("G05") + message("G07", 63.0)
-CODES = "G    2 C1C S1C|SYS / # / OBS TYPES", "E    2 C1C S1C|SYS / # / OBS TYPES", "I    1 S5A|SYS / # / OBS TYPES"
+CODES = (
+    "G    2 C1C S1C|SYS / # / OBS TYPES",
+    "E    2 C1C S1C|SYS / # / OBS TYPES",
+    "I    1 S5A|SYS / # / OBS TYPES",
+)
 FIRST = "  2023    06    22    01    09    0.0060000     GPS|TIME OF FIRST OBS"
 RANGE_M = f"{2.1e7:14.3f}  "
 OBS = header(OBS_BEGIN, *CODES, FIRST) + "".join(
@@ -95,7 +115,12 @@ TRACK = pd.DataFrame(
     }
 )
 PLAIN = pd.DataFrame(
-    {"utc": [UTC, UTC + pd.Timedelta(seconds=1)], "lon": LON_DEG, "lat": LAT_DEG, "height_m": HEIGHT_M}
+    {
+        "utc": [UTC, UTC + pd.Timedelta(seconds=1)],
+        "lon": LON_DEG,
+        "lat": LAT_DEG,
+        "height_m": HEIGHT_M,
+    }
 )
 
 
@@ -116,7 +141,9 @@ def test_a_satellite_stands_where_the_closed_form_of_its_orbit_puts_it(files):
     assert log.satellites.cn0_dbhz.tolist() == [45.0, 0.0]
     for epoch, row in log.satellites.iterrows():
         expected = angles_deg(LON_DEG, LAT_DEG, place_m, orbit_m(TOW_S + epoch))
-        assert (row.azimuth_deg, row.elevation_deg) == pytest.approx(expected, abs=2e-3)  # the light's time is 1e-3
+        assert (row.azimuth_deg, row.elevation_deg) == pytest.approx(
+            expected, abs=2e-3
+        )  # the light's time is 1e-3
     track = read_track(PLAIN.assign(utc=PLAIN.utc + pd.Timedelta(hours=1)), LEAP_S)
     later = Messages(files[1]).angles(track)
     expected = angles_deg(LON_DEG, LAT_DEG, place_m, orbit_m(TOW_S + 3600))
@@ -132,7 +159,9 @@ def test_satellites_that_are_unhealthy_or_have_no_message_are_named(files):
 
 def test_a_reference_may_say_utc_or_weeks_in_a_table_or_a_file(files, tmp_path):
     TRACK.to_csv(tmp_path / "track.csv.gz", index=False)
-    logs = [read_rinex(*files, reference) for reference in (TRACK, PLAIN, tmp_path / "track.csv.gz")]
+    logs = [
+        read_rinex(*files, reference) for reference in (TRACK, PLAIN, tmp_path / "track.csv.gz")
+    ]
     for log in logs[1:]:
         pd.testing.assert_frame_equal(log.satellites, logs[0].satellites)
         assert log.epochs.utc.tolist() == logs[0].epochs.utc.tolist()
@@ -149,14 +178,34 @@ SWAPPED = "not as a (observation|navigation) file in RINEX 3 or 4.*name the rece
         (OBS.replace("3.03", "2.11", 1), NAV, TRACK, SWAPPED),
         (OBS, NAV.replace("3.03", "2.10", 1), TRACK, SWAPPED),
         ("", NAV, TRACK, SWAPPED),
-        (OBS[: OBS.index("E11")], NAV, TRACK, "observation file .* cannot be read as RINEX .*truncated"),
-        (OBS, NAV[: NAV.rindex("\n", 0, -1) + 1], TRACK, "navigation file .* cannot be read as RINEX .*truncated"),
-        (OBS[:-9], NAV, TRACK, "observation file .* ends within a line, so it was cut: convert or download it again"),
+        (
+            OBS[: OBS.index("E11")],
+            NAV,
+            TRACK,
+            "observation file .* cannot be read as RINEX .*truncated",
+        ),
+        (
+            OBS,
+            NAV[: NAV.rindex("\n", 0, -1) + 1],
+            TRACK,
+            "navigation file .* cannot be read as RINEX .*truncated",
+        ),
+        (
+            OBS[:-9],
+            NAV,
+            TRACK,
+            "observation file .* ends within a line, so it was cut: convert or download it again",
+        ),
         (OBS, NAV[:-100], TRACK, "navigation file .* ends within a line, so it was cut"),
         (OBS[:81], NAV, TRACK, "cannot be read as RINEX .*END OF HEADER"),
         (OBS[: OBS.index(">")], NAV, TRACK, "holds no observation"),
         (OBS, NAV[: NAV.index("G05")], TRACK, "holds no message of a satellite"),
-        (OBS, NAV.replace("LEAP SECONDS", "COMMENT     "), TRACK, "no leap seconds.*    18 .*LEAP SECONDS"),
+        (
+            OBS,
+            NAV.replace("LEAP SECONDS", "COMMENT     "),
+            TRACK,
+            "no leap seconds.*    18 .*LEAP SECONDS",
+        ),
         (OBS.replace(" S1C", " D1C"), NAV, TRACK, r"no C/N0 of L1, E1 or B1 \(S1C"),
         (OBS.replace("    GPS", "    BDT"), NAV, TRACK, "counts in BDT, and only GPS time is read"),
         (
@@ -178,8 +227,18 @@ SWAPPED = "not as a (observation|navigation) file in RINEX 3 or 4.*name the rece
             "rows of the columns .*give .* height_m .above the ellipsoid",
         ),
         (OBS, NAV, TRACK.iloc[:0], "has 0 rows of the columns"),
-        (OBS, NAV, TRACK.assign(**{" GPS Week": WEEK - 2048}), "has 219 in gps_week of 3 row.*from 1024"),
-        (OBS, NAV, TRACK.assign(**{"Latitude (deg)": np.nan}), "reference track has nan in lat_deg"),
+        (
+            OBS,
+            NAV,
+            TRACK.assign(**{" GPS Week": WEEK - 2048}),
+            "has 219 in gps_week of 3 row.*from 1024",
+        ),
+        (
+            OBS,
+            NAV,
+            TRACK.assign(**{"Latitude (deg)": np.nan}),
+            "reference track has nan in lat_deg",
+        ),
     ],
 )
 def test_what_is_wrong_with_rinex_files_is_one_sentence(tmp_path, obs, nav, track, sentence):

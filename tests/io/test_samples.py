@@ -70,16 +70,21 @@ def test_elements_are_those_that_the_package_makes_and_repeat_their_ground_track
     start = load.timescale(builtin=True).utc(day.year, day.month, day.day, 3)
     _, before = places_of(satellites, start)
     _, after = places_of(satellites, start + days * 86164.09 / 86400)
-    assert separation_deg(before, after).max() < 0.05 * max(days, 4)  # Moon and Sun pull, and no one holds them
+    assert separation_deg(before, after).max() < 0.05 * max(
+        days, 4
+    )  # Moon and Sun pull, and no one holds them
     for satellite in satellites:
-        assert satellite.model.no_kozai * 1440 * days / math.tau == pytest.approx(turns * 86400 / 86164.09, rel=2e-3)
+        assert satellite.model.no_kozai * 1440 * days / math.tau == pytest.approx(
+            turns * 86400 / 86164.09, rel=2e-3
+        )
 
 
 @pytest.mark.parametrize("name", CITIES)
 def test_gps_of_a_sample_stands_as_nominal_satellites_do(name):
     times, place = SAMPLES[name]["gps"]["times"], SAMPLES[name]["region"]["bounds"][:2]
     ours, nominal = (
-        look_angles(read_orbits(source), times, *place) for source in (f"sample:{name}/gps.tle", "nominal")
+        look_angles(read_orbits(source), times, *place)
+        for source in (f"sample:{name}/gps.tle", "nominal")
     )
     for field in ("azimuth_rad", "elevation_rad"):
         np.testing.assert_allclose(getattr(ours, field), getattr(nominal, field), atol=1e-5)
@@ -150,7 +155,10 @@ def test_a_scenario_of_a_sample_keeps_what_it_says_itself():
     assert scenario.gps.orbits == ("sample:lower-manhattan/gps.tle",)
     assert scenario.population.times_of_day == ("night",)
     assert load_city(scenario).blocks is not None
-    for source, hint in (("sample:lower-manhatan", "'lower-manhattan'"), ("sample:shinjuku/roofs.tif", "gps.tle")):
+    for source, hint in (
+        ("sample:lower-manhatan", "'lower-manhattan'"),
+        ("sample:shinjuku/roofs.tif", "gps.tle"),
+    ):
         for region in ({}, {"region": scenario.region.model_dump()}):
             with pytest.raises(ju.InputError, match=hint):
                 load_city(Scenario.from_dict(settings | {"buildings": {"source": source}} | region))
@@ -170,12 +178,18 @@ def test_maps_of_lower_manhattan_are_those_of_its_sources(data_dir):
     orbits = data_dir / "gps/gps-ops_2020-04-27.tle"
     gps = ju.Gps(orbits=orbits, times=sample.gps.times, reference=(-74.0, 40.715))
     for bounds in (SMALL["lower-manhattan"], (-73.990, 40.722, -73.984, 40.726)):
-        ours, theirs = (ju.build_maps(each, bounds, altitudes_m=[20.0, 60.0], gps=gps).ds for each in (sample, city))
+        ours, theirs = (
+            ju.build_maps(each, bounds, altitudes_m=[20.0, 60.0], gps=gps).ds
+            for each in (sample, city)
+        )
         for name in ("obstacle", "roof", "gps", "num_visible", "lidar", "risk", "population"):
             np.testing.assert_array_equal(ours[name].values, theirs[name].values, err_msg=name)
-    blocks = [each.blocks.take(each.blocks.touches(sample.known_area.bounds)) for each in (sample, city)]
+    blocks = [
+        each.blocks.take(each.blocks.touches(sample.known_area.bounds)) for each in (sample, city)
+    ]
     ours, theirs = (
-        dict(zip(each.block_id, zip(each.night_count, each.district, strict=True), strict=True)) for each in blocks
+        dict(zip(each.block_id, zip(each.night_count, each.district, strict=True), strict=True))
+        for each in blocks
     )
     assert ours == theirs
     assert sum(count for count, _ in ours.values()) > 200_000
@@ -188,6 +202,8 @@ def test_the_script_makes_the_files_that_are_here(data_dir, tmp_path, monkeypatc
     make.main([str(data_dir)])
     for name in CITIES:
         home = located(f"sample:{name}").parent
-        assert sorted(path.name for path in home.iterdir()) == sorted(path.name for path in (tmp_path / name).iterdir())
+        assert sorted(path.name for path in home.iterdir()) == sorted(
+            path.name for path in (tmp_path / name).iterdir()
+        )
         for path in home.iterdir():
             assert digest_of(path) == digest_of(tmp_path / name / path.name), path.name

@@ -36,14 +36,18 @@ def ds() -> xr.Dataset:
     flown = made[["gps", "num_visible"]]
     later = (0.5 * flown).assign_coords(time=flown.time + np.timedelta64(5, "m"))
     ds = xr.concat([flown, later], "time").astype({"gps": np.float32, "num_visible": np.uint8})
-    ds = ds.assign(made[["obstacle", "population", "has_data"]]).assign_attrs(made.attrs, pop_norm_per_km2=[3.0, 2.0])
+    ds = ds.assign(made[["obstacle", "population", "has_data"]]).assign_attrs(
+        made.attrs, pop_norm_per_km2=[3.0, 2.0]
+    )
     for name in ("obstacle", "gps", "population"):
         ds[name].attrs.update(units="1", one_means=f"one of {name}")
     return ds
 
 
 def test_geotiffs_are_named_tagged_and_north_up(ds, tmp_path):
-    assert "gps_20m_2.5m.tif" in {file.name for file in write_geotiffs(ds.isel(time=[0]), tmp_path / "one epoch")}
+    assert "gps_20m_2.5m.tif" in {
+        file.name for file in write_geotiffs(ds.isel(time=[0]), tmp_path / "one epoch")
+    }
     files = write_geotiffs(ds, tmp_path)
     times = ("20200427T160000Z", "20200427T160500Z")
     assert {file.name for file in files} == {
@@ -53,7 +57,11 @@ def test_geotiffs_are_named_tagged_and_north_up(ds, tmp_path):
         *(f"population_{time}_2.5m.tif" for time in ("day", "night")),
     }
     with rasterio.open(tmp_path / "geotiff" / "population_night_2.5m.tif") as file:
-        assert (file.crs.to_epsg(), file.dtypes[0], file.compression.value) == (32618, "float32", "ZSTD")
+        assert (file.crs.to_epsg(), file.dtypes[0], file.compression.value) == (
+            32618,
+            "float32",
+            "ZSTD",
+        )
         assert file.tags()["pop_norm_per_km2"] == "2.0"
         assert file.tags()["one_means"] == "one of population"
         # The value under a coordinate must be the value of that cell, whichever way rows run.
@@ -92,7 +100,10 @@ def test_no_flipped_bit_of_a_chunk_changes_a_value_in_silence(ds, tmp_path, name
     path = store.write_zarr(ds, tmp_path)
     chunk = min(chunks_in(path / name))
     whole = chunk.read_bytes()
-    bits = {*range(min(64, 8 * len(whole))), *random.Random(0).sample(range(8 * len(whole)), min(60, 8 * len(whole)))}
+    bits = {
+        *range(min(64, 8 * len(whole))),
+        *random.Random(0).sample(range(8 * len(whole)), min(60, 8 * len(whole))),
+    }
     found, unseen = store.open_zarr(tmp_path, None)[name], 0
     for bit in bits:
         chunk.write_bytes(flipped(whole, bit))
@@ -114,7 +125,9 @@ def test_any_flipped_bit_of_the_metadata_is_told_on_opening(ds, tmp_path):
         whole = file.read_bytes()
         for bit in (*random.Random(0).sample(range(8 * len(whole)), 15), None):
             file.unlink() if bit is None else file.write_bytes(flipped(whole, bit))
-            with pytest.raises(InputError, match=r"\.zmetadata.*not as they were written.*jaxurban maps"):
+            with pytest.raises(
+                InputError, match=r"\.zmetadata.*not as they were written.*jaxurban maps"
+            ):
                 store.open_zarr(tmp_path, None)
         file.write_bytes(whole)
     xr.testing.assert_identical(store.open_zarr(tmp_path, None), ds)
@@ -128,7 +141,9 @@ def test_every_missing_or_empty_chunk_is_told_on_opening(ds, tmp_path):
         whole = file.read_bytes()
         for left in (b"", whole[:-1], None):
             file.unlink() if left is None else file.write_bytes(left)
-            with pytest.raises(InputError, match="is missing or cut: run the same `jaxurban maps`") as told:
+            with pytest.raises(
+                InputError, match="is missing or cut: run the same `jaxurban maps`"
+            ) as told:
                 store.open_zarr(tmp_path, None)
             assert str(file) in str(told.value)
         file.write_bytes(whole)
@@ -203,12 +218,16 @@ def test_a_file_in_the_place_of_the_group_above_is_the_users(ds, tmp_path):
     assert group.read_text() == "mine"
 
 
-def test_maps_of_another_layout_are_refused_and_those_that_name_none_are_read(ds, tmp_path, monkeypatch):
+def test_maps_of_another_layout_are_refused_and_those_that_name_none_are_read(
+    ds, tmp_path, monkeypatch
+):
     monkeypatch.setattr(store, "LAYOUT", 2)
     store.write_zarr(ds, tmp_path / "newer")
     monkeypatch.undo()
     before = sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*"))
-    with pytest.raises(InputError, match="have layout 2, and this version of jaxurban reads 1: update jaxurban, or"):
+    with pytest.raises(
+        InputError, match="have layout 2, and this version of jaxurban reads 1: update jaxurban, or"
+    ):
         store.open_zarr(tmp_path / "newer", None)
     assert sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*")) == before
     monkeypatch.setattr(store, "LAYOUT_KEY", "another_attribute")
@@ -243,7 +262,9 @@ def test_a_lock_on_a_removed_file_holds_nothing(tmp_path, monkeypatch):
 
 def test_tiles_without_a_value_are_on_disk_like_all_others(ds, tmp_path):
     path = store.write_zarr(ds.assign(gps=ds["gps"] * np.nan), tmp_path)
-    assert sorted(file.name for file in chunks_in(path / "gps")) == [f"{t}.{a}.0.0" for t in (0, 1) for a in (0, 1)]
+    assert sorted(file.name for file in chunks_in(path / "gps")) == [
+        f"{t}.{a}.0.0" for t in (0, 1) for a in (0, 1)
+    ]
 
 
 def test_a_tile_is_written_as_the_zarr_library_writes_it(ds, tmp_path):
@@ -254,7 +275,9 @@ def test_a_tile_is_written_as_the_zarr_library_writes_it(ds, tmp_path):
         theirs = zarr.open_array(tmp_path / "theirs" / name, mode="r+", zarr_format=2)
         values = (8 * rng.random((30, 40))).astype(array.dtype)
         for index in np.ndindex(array.shape[:-2]):
-            for rows, cols in itertools.product((slice(14, 30), slice(0, 14)), (slice(0, 24), slice(24, 40))):
+            for rows, cols in itertools.product(
+                (slice(14, 30), slice(0, 14)), (slice(0, 24), slice(24, 40))
+            ):
                 store.write_layer(tmp_path / "ours", name, index, (rows, cols), values[rows, cols])
             theirs[index] = values[::-1]
         assert {path.name for path in (tmp_path / "ours" / name).iterdir()} == {
@@ -267,13 +290,18 @@ def test_a_tile_is_written_as_the_zarr_library_writes_it(ds, tmp_path):
 def test_any_part_of_opened_maps_is_that_part_of_all_of_them(ds, tmp_path):
     store.write_zarr(ds, tmp_path)
     maps = store.open_zarr(tmp_path, None)
-    every, parts = slice(None), (slice(3, 17), slice(-5, None), slice(0, 100), slice(20, 2, -3), 4, [1, 5])
+    every, parts = (
+        slice(None),
+        (slice(3, 17), slice(-5, None), slice(0, 100), slice(20, 2, -3), 4, [1, 5]),
+    )
     for name, array in ds.data_vars.items():
         for rows, cols in itertools.product((every, *parts), (every, slice(2, 30), 7, [3, 3])):
             for at in (0, slice(None), [1, 0]):
                 key = {"y": rows, "x": cols, **dict.fromkeys(array.dims[:-2], at)}
                 found = maps[name].isel(key).values
-                assert np.array_equal(found, array.isel(key).values, equal_nan=array.dtype.kind == "f")
+                assert np.array_equal(
+                    found, array.isel(key).values, equal_nan=array.dtype.kind == "f"
+                )
 
 
 @contextmanager
@@ -307,10 +335,14 @@ def test_saving_joins_all_parts_into_one_table_in_order_and_keeps_numbers_bit_fo
 
 def other_digit(data: bytes) -> bytes:
     """A digit of a number becomes another: what no reader of the format can see."""
-    return flipped(data, 8 * (data.index(b"0.25") + 2 if b"0.25" in data else data.index(b"name") - 1))
+    return flipped(
+        data, 8 * (data.index(b"0.25") + 2 if b"0.25" in data else data.index(b"name") - 1)
+    )
 
 
-@pytest.mark.parametrize("damage", [other_digit, lambda data: data[: len(data) // 2], lambda data: b""])
+@pytest.mark.parametrize(
+    "damage", [other_digit, lambda data: data[: len(data) // 2], lambda data: b""]
+)
 def test_damaged_rows_are_reported_set_aside_and_made_again(tmp_path, damage):
     with opened(tmp_path) as store:
         store.add([row(1, "a")])
@@ -322,7 +354,9 @@ def test_damaged_rows_are_reported_set_aside_and_made_again(tmp_path, damage):
         with logged() as warned, opened(tmp_path) as store:
             assert [each["k"] for each in store.rows] == ([2] if file.suffix == ".parquet" else [])
         kept = tmp_path / "kept" / file.relative_to(tmp_path)
-        assert warned == [f"{str(file)!r} was changed since `jaxurban study` wrote it: it is kept as {str(kept)!r}"]
+        assert warned == [
+            f"{str(file)!r} was changed since `jaxurban study` wrote it: it is kept as {str(kept)!r}"
+        ]
         assert kept.read_bytes() == data
     with opened(tmp_path) as store:
         store.add([row(1, "a"), row(2, "b", 0.25)])
@@ -340,7 +374,10 @@ def test_parts_and_damaged_rows_of_the_users_are_kept(tmp_path):
         (tmp_path / "rows.parquet").write_text(f"edit {k}")
         with opened(tmp_path) as store:
             assert store.rows == []
-    assert [path.read_text() for path in sorted((tmp_path / "kept").iterdir())] == ["edit 1", "edit 2"]
+    assert [path.read_text() for path in sorted((tmp_path / "kept").iterdir())] == [
+        "edit 1",
+        "edit 2",
+    ]
 
 
 TABLE = pd.DataFrame({"k": [1, 2], "x_m": [[0.5, 1.5], None], "name": ["a", "b"]})
@@ -350,7 +387,11 @@ RESULTS = {"rows": [{"cost": 0.1 + 0.2, "name": "ä"}], "none": None}
 @pytest.mark.parametrize(
     ("write", "read", "sentence"),
     [
-        (partial(write_table, TABLE), lambda file: RowStore(file, ["k"]), "is damaged, or not a file of such results"),
+        (
+            partial(write_table, TABLE),
+            lambda file: RowStore(file, ["k"]),
+            "is damaged, or not a file of such results",
+        ),
         (lambda file: files.write_json(file, RESULTS), files.read_json, "not as it was written"),
     ],
 )
@@ -370,8 +411,12 @@ def test_rows_of_other_settings_are_refused_and_settings_are_kept(tmp_path):
     store = RowStore(file, ["k"], settings={"seed": 3})
     store.add([{"k": "one", "found": np.arange(3.0).tobytes()}])
     store.save()
-    assert np.frombuffer(RowStore(file, ["k"], settings={"seed": 3}).get("one")["found"]).tolist() == [0.0, 1.0, 2.0]
-    with pytest.raises(InputError, match=r"of other settings .its seed is 3, and 4 is given now.: pass --overwrite"):
+    assert np.frombuffer(
+        RowStore(file, ["k"], settings={"seed": 3}).get("one")["found"]
+    ).tolist() == [0.0, 1.0, 2.0]
+    with pytest.raises(
+        InputError, match=r"of other settings .its seed is 3, and 4 is given now.: pass --overwrite"
+    ):
         RowStore(file, ["k"], settings={"seed": 4})
     with pytest.raises(InputError, match=r"a\.npz' must end in \.parquet"):
         RowStore(tmp_path / "a.npz", ["k"])
@@ -387,7 +432,9 @@ def test_a_map_is_written_north_first_and_read_back(tmp_path):
 def test_problems_are_sorted_by_length_and_read_back(tmp_path):
     problems = [GridProblem((0, 0), (1, 2), 9.5), GridProblem((1, 1), (0, 1), 1.0)]
     cells = [(*start, *goal, length) for start, goal, length in problems]
-    table = pd.DataFrame(cells, columns=["start_row", "start_col", "goal_row", "goal_col", "length"])
+    table = pd.DataFrame(
+        cells, columns=["start_row", "start_col", "goal_row", "goal_col", "length"]
+    )
     write_scenarios(table, (2, 3), "a.map", tmp_path / "a.map.scen")
     lines = (tmp_path / "a.map.scen").read_text().splitlines()
     assert lines[0] == "version 1"
@@ -407,7 +454,10 @@ class RunsCode:
 
 
 CODES = {  # what the metadata of a Zarr say of an array that is not as ours are
-    "pickle in a filter of text": {"dtype": "|O", "filters": [{"id": "vlen-utf8"}, {"id": "pickle"}]},
+    "pickle in a filter of text": {
+        "dtype": "|O",
+        "filters": [{"id": "vlen-utf8"}, {"id": "pickle"}],
+    },
     "pickle": {"dtype": "|O", "filters": [{"id": "pickle"}]},
     "JSON": {"dtype": "|O", "filters": [{"id": "json2"}]},
     "objects": {"dtype": "|O", "filters": None},
@@ -427,7 +477,9 @@ def seal(folder: Path) -> None:
     files.write_json(folder / "checksums.json", record)
 
 
-@pytest.mark.parametrize("facts", [{"resolution_m": "5"}, {"guesses": "[" * 10_000}, {"guesses": "[1]"}])
+@pytest.mark.parametrize(
+    "facts", [{"resolution_m": "5"}, {"guesses": "[" * 10_000}, {"guesses": "[1]"}]
+)
 def test_maps_whose_attributes_are_of_another_kind_are_refused(ds, tmp_path, facts):
     with Workspace.open(tmp_path, "maps", is_shared=True):
         path = store.write_zarr(ds, tmp_path)
@@ -442,7 +494,9 @@ def test_maps_whose_attributes_are_of_another_kind_are_refused(ds, tmp_path, fac
 
 @pytest.mark.parametrize("name", CODES)
 @pytest.mark.parametrize("array", ["x", "gps"])
-def test_an_array_that_is_not_coded_as_ours_is_refused_before_anything_of_it_is_decoded(ds, tmp_path, array, name):
+def test_an_array_that_is_not_coded_as_ours_is_refused_before_anything_of_it_is_decoded(
+    ds, tmp_path, array, name
+):
     (tmp_path / "store").mkdir()
     with Workspace.open(tmp_path / "store", "maps", is_shared=True):
         path = store.write_zarr(ds, tmp_path / "store")
@@ -455,7 +509,9 @@ def test_an_array_that_is_not_coded_as_ours_is_refused_before_anything_of_it_is_
     for chunk in (path / array).glob("[0-9]*"):
         chunk.write_bytes(pickle.dumps(RunsCode(marker)))
     seal(tmp_path / "store")
-    with pytest.raises(InputError, match=r"zmetadata' names arrays that are not coded as jaxurban codes maps"):
+    with pytest.raises(
+        InputError, match=r"zmetadata' names arrays that are not coded as jaxurban codes maps"
+    ):
         store.open_zarr(tmp_path / "store", None)["gps"].load()
     assert not marker.exists()
 
@@ -463,6 +519,8 @@ def test_an_array_that_is_not_coded_as_ours_is_refused_before_anything_of_it_is_
 def test_text_that_users_added_to_maps_is_read_in_either_form(ds, tmp_path):
     names = ["low", "at 60.5 m"]
     for kind in (object, str, np.dtypes.StringDType()):
-        store.write_zarr(ds.assign(called=("altitude", np.array(names, kind))), tmp_path / str(kind))
+        store.write_zarr(
+            ds.assign(called=("altitude", np.array(names, kind))), tmp_path / str(kind)
+        )
         found = store.open_zarr(tmp_path / str(kind), None)
         assert found["called"].values.tolist() == names

@@ -23,7 +23,9 @@ def refused(match, *where, **options):
 
 
 def names_of(folder):
-    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    return sorted(
+        path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()
+    )
 
 
 def test_the_same_run_writes_again_and_another_is_refused(tmp_path):
@@ -48,7 +50,13 @@ def test_a_folder_of_others_is_refused(tmp_path, name, overwrite):
 
 def test_damaged_lines_of_the_journal_are_passed_over(tmp_path):
     write(tmp_path)
-    lines = ("5", "[1]", '{"commanc": "tune"}', '{"command": "tune", "name": "figures/3.txt"}', '{"name": "x"}')
+    lines = (
+        "5",
+        "[1]",
+        '{"commanc": "tune"}',
+        '{"command": "tune", "name": "figures/3.txt"}',
+        '{"name": "x"}',
+    )
     (tmp_path / ".checksums.jsonl").write_text("\n".join(lines))
     assert recorded(tmp_path).keys() == {"figures/3.txt"}
     write(tmp_path, text="made again")
@@ -77,7 +85,11 @@ def test_a_file_that_comes_during_the_run_is_not_taken_for_its_own(tmp_path):
         with pytest.raises(InputError, match=r"b\.txt' is in the way"):
             files.write_whole(tmp_path / "b.txt", "made")
     refused(r"a\.txt' is in the way", tmp_path, overwrite=True)
-    assert [(tmp_path / name).read_text() for name in ("a.txt", "mine.txt", "b.txt")] == ["edited", "mine", "mine"]
+    assert [(tmp_path / name).read_text() for name in ("a.txt", "mine.txt", "b.txt")] == [
+        "edited",
+        "mine",
+        "mine",
+    ]
 
 
 def test_after_a_kill_a_users_file_is_the_users_and_scratch_goes(tmp_path):
@@ -174,7 +186,10 @@ def test_a_record_or_a_journal_that_names_what_is_not_under_the_folder_is_refuse
         journal.write_text(json.dumps(line))
         refused(r"checksums\.jsonl.*is not under the folder.*-o", tmp_path / "out", is_shared=True)
     journal.unlink()
-    record["tune"]["written"] |= {name: files.checksum_of(b"made"), str(mine): files.checksum_of(b"made")}
+    record["tune"]["written"] |= {
+        name: files.checksum_of(b"made"),
+        str(mine): files.checksum_of(b"made"),
+    }
     files.write_json(tmp_path / "out/checksums.json", record)
     for options in ({"overwrite": True, "is_shared": True}, {}):
         refused(r"checksums\.json.*is not under the folder.*-o", tmp_path / "out", 4, **options)
@@ -185,7 +200,12 @@ def test_a_record_or_a_journal_that_names_what_is_not_under_the_folder_is_refuse
 
 @pytest.mark.parametrize(
     "text",
-    ["[1]", '{"tune": 5}', '{"tune": {"settings": {}, "written": ["a"]}}', f'{{"tune": {"[" * 200_000}'],
+    [
+        "[1]",
+        '{"tune": 5}',
+        '{"tune": {"settings": {}, "written": ["a"]}}',
+        f'{{"tune": {"[" * 200_000}',
+    ],
 )
 def test_a_record_of_another_form_is_one_sentence(tmp_path, text):
     data = text.replace("{", f'{{"checksum": "{files.BLANK.decode()}", ', 1).encode()
@@ -201,13 +221,17 @@ def test_scratch_that_a_journal_names_goes_unless_it_is_no_scratch_or_behind_a_l
     (tmp_path / "elsewhere" / scrap).mkdir(parents=True)
     (tmp_path / "out/link").symlink_to(tmp_path / "elsewhere")
     names = (scrap, work, f"figures/{scrap}", f"link/{scrap}", "figures")
-    (tmp_path / "out/.checksums.jsonl").write_text("\n".join(json.dumps({"scratch": name}) for name in names))
+    (tmp_path / "out/.checksums.jsonl").write_text(
+        "\n".join(json.dumps({"scratch": name}) for name in names)
+    )
     write(tmp_path / "out", is_shared=True)
     there = [(tmp_path / "out" / name).exists() for name in names]
     assert there == [False, True, False, True, True]
 
 
-@pytest.mark.parametrize("name", [".checksums.jsonl", ".jaxurban.lock", "kept", "figures", "checksums.json"])
+@pytest.mark.parametrize(
+    "name", [".checksums.jsonl", ".jaxurban.lock", "kept", "figures", "checksums.json"]
+)
 @pytest.mark.parametrize("is_there", [False, True])
 def test_nothing_is_written_through_a_link_in_the_folder(tmp_path, name, is_there):
     """The target of a link is the user's file or folder, or is not there."""
@@ -228,7 +252,9 @@ def test_nothing_is_written_through_a_link_in_the_folder(tmp_path, name, is_ther
         assert not list(target.iterdir()) if is_folder else target.read_text() == "mine"
 
 
-def test_a_run_that_ends_just_before_another_one_begins_to_write_is_not_replaced(tmp_path, monkeypatch):
+def test_a_run_that_ends_just_before_another_one_begins_to_write_is_not_replaced(
+    tmp_path, monkeypatch
+):
     """Unless that is asked for, or nothing of it is left."""
     hold = workspace.only_writer
 
@@ -243,7 +269,11 @@ def test_a_run_that_ends_just_before_another_one_begins_to_write_is_not_replaced
     refused(r"its seed is 4, now 3.*--overwrite", tmp_path, is_shared=True, is_mended=True)
     assert names_of(tmp_path) == ["checksums.json", "figures/4.txt"]
     write(tmp_path, 4, overwrite=True, is_mended=True, name="more.txt")
-    assert names_of(tmp_path) == ["checksums.json", "figures/4.txt", "more.txt"]  # the same run goes on
+    assert names_of(tmp_path) == [
+        "checksums.json",
+        "figures/4.txt",
+        "more.txt",
+    ]  # the same run goes on
     for name in ("figures/4.txt", "more.txt"):
         (tmp_path / name).unlink()
     write(tmp_path, is_shared=True)
@@ -282,7 +312,10 @@ def test_a_resolved_path_into_a_linked_folder_of_a_linked_output_folder_is_recor
     (tmp_path / "out").symlink_to(tmp_path / "real")
     (tmp_path / "real/geotiff").symlink_to(tmp_path / "disk")
     (tmp_path / "disk/gps.tif").write_text("mine")
-    with Workspace.open(tmp_path / "out", "maps", is_shared=True), pytest.raises(InputError, match="in the way"):
+    with (
+        Workspace.open(tmp_path / "out", "maps", is_shared=True),
+        pytest.raises(InputError, match="in the way"),
+    ):
         files.write_whole((tmp_path / "out").resolve() / "geotiff/gps.tif", "made")
     assert (tmp_path / "disk/gps.tif").read_text() == "mine"
 
@@ -300,7 +333,12 @@ def test_a_folder_that_cannot_be_put_in_place_removes_nothing_of_the_older_one(t
         with files.scratch_for(tmp_path / "out/20m") as made:
             for name in names:
                 files.write_whole(made / name, "made")
-            workspace.put_folder(made, tmp_path / "out/20m", dict.fromkeys(names, files.checksum_of(b"made")), names[0])
+            workspace.put_folder(
+                made,
+                tmp_path / "out/20m",
+                dict.fromkeys(names, files.checksum_of(b"made")),
+                names[0],
+            )
 
     with Workspace.open(tmp_path / "out", "maps", is_shared=True) as workspace:
         put(["meta", "gps/0"])

@@ -29,9 +29,13 @@ from jaxurban.cli.main import main
 HERE = Path(__file__).parent
 SCENES = tomllib.loads((HERE / "scenes.toml").read_text(encoding="utf-8"))
 OF_A_ROUTE = ("status", "cost", "length_m", "lower_bound", "num_points")
-OF_THE_SKY = re.compile("dop|gps|[hv]pl|protection|limits|visible|satellite|availab")  # in names of maps and of routes
+OF_THE_SKY = re.compile(
+    "dop|gps|[hv]pl|protection|limits|visible|satellite|availab"
+)  # in names of maps and of routes
 GDOP_JUDGED = 20.0  # beyond it DOPs mean nothing, and are not compared
-FLIPS = 1e-3  # share of cells where another processor may see a satellite at the very edge of a roof
+FLIPS = (
+    1e-3  # share of cells where another processor may see a satellite at the very edge of a roof
+)
 RENEWING = (
     "Outputs differ from the kept ones. Where that is not meant, it is a fault. Where it is, say its cause and its "
     "size in the commit, and renew: python -m tests.kept_outputs renew SCENE takes what is made now as the truth."
@@ -65,15 +69,26 @@ def write_routes(maps: Any, number: int, altitude_m: float, weights: dict[str, f
     free = np.argwhere(ju.Constraints().is_free(maps, altitude_m))
     at = free[np.random.default_rng(5).integers(len(free), size=(number, 2))]
     x_m, y_m = maps.ds["x"].values[at[..., 1]], maps.ds["y"].values[at[..., 0]]
-    queries = {"start_x_m": x_m[:, 0], "start_y_m": y_m[:, 0], "goal_x_m": x_m[:, 1], "goal_y_m": y_m[:, 1]}
-    paths = ju.plan_many(maps, pd.DataFrame(queries), altitude_m=altitude_m, weights=ju.Weights(**weights))
+    queries = {
+        "start_x_m": x_m[:, 0],
+        "start_y_m": y_m[:, 0],
+        "goal_x_m": x_m[:, 1],
+        "goal_y_m": y_m[:, 1],
+    }
+    paths = ju.plan_many(
+        maps, pd.DataFrame(queries), altitude_m=altitude_m, weights=ju.Weights(**weights)
+    )
     for suffix in ("geojson", "parquet"):
         paths.save(f"routes.{suffix}")
 
 
 def of_table(file: Path, by: list[str], columns: list[str]) -> dict[str, Any]:
     """Return the columns of a table, row by row; numbers where there are none count as none."""
-    table = (pd.read_parquet if file.suffix == ".parquet" else pd.read_csv)(file).set_index(by)[columns].astype(object)
+    table = (
+        (pd.read_parquet if file.suffix == ".parquet" else pd.read_csv)(file)
+        .set_index(by)[columns]
+        .astype(object)
+    )
     values = table.where(table.notna(), None).stack(future_stack=True)
     return {" ".join(map(str, (name[-1], *name[:-1]))): value for name, value in values.items()}
 
@@ -100,7 +115,9 @@ def made(name: str, folder: Path) -> tuple[dict[str, np.ndarray], Numbers]:
             printed = command([*words, *(["--json"] if words[0] == "plan" else [])])
             if words[0] == "plan":
                 route = json.loads(printed)
-                numbers[what] = {key: route[key] for key in OF_A_ROUTE if key in route} | route["metrics"]
+                numbers[what] = {key: route[key] for key in OF_A_ROUTE if key in route} | route[
+                    "metrics"
+                ]
         for what, table in scene.get("tables", {}).items():
             numbers[what] = of_table(Path(table["file"]), table["by"], table["columns"])
     return arrays, json.loads(json.dumps(numbers))
@@ -114,8 +131,16 @@ def judge_maps(old: dict[str, np.ndarray], new: dict[str, np.ndarray]) -> Iterat
             continue
         before, after = old[name].astype(float), new[name].astype(float)
         is_of_sky, is_real = OF_THE_SKY.search(name) is not None, old[name].dtype.kind == "f"
-        same = np.isclose(after, before, rtol=1e-5, atol=1e-6, equal_nan=True) if is_real else after == before
-        if is_real and is_of_sky and all("gdop" in of and of["gdop"].shape == before.shape for of in (old, new)):
+        same = (
+            np.isclose(after, before, rtol=1e-5, atol=1e-6, equal_nan=True)
+            if is_real
+            else after == before
+        )
+        if (
+            is_real
+            and is_of_sky
+            and all("gdop" in of and of["gdop"].shape == before.shape for of in (old, new))
+        ):
             same |= (old["gdop"] > GDOP_JUDGED) & (new["gdop"] > GDOP_JUDGED * (1 - 1e-5))
         most, number = int(FLIPS * before.size) if is_of_sky else 0, int((~same).sum())
         off = ~same & np.isfinite(before) & np.isfinite(after)
@@ -128,18 +153,31 @@ def judge_numbers(old: Numbers, new: Numbers) -> Iterator[Row]:
     """Yield a row for each route and table: numbers to a share of themselves, words equal."""
     for what in sorted(old.keys() | new.keys()):
         before, after = old.get(what, {}), new.get(what, {})
-        allowed = 1e-6 if what.startswith(("fit", "sensitivity")) or OF_THE_SKY.search(what) else 1e-9
-        is_old = what.endswith("sobol") and np.__version__ < "2.1"  # the floor moves an index of -0.003 by 6e-9
+        allowed = (
+            1e-6 if what.startswith(("fit", "sensitivity")) or OF_THE_SKY.search(what) else 1e-9
+        )
+        is_old = (
+            what.endswith("sobol") and np.__version__ < "2.1"
+        )  # the floor moves an index of -0.003 by 6e-9
         least = 1e-2 if is_old else 1e-3
-        shares = {key: share(before.get(key, ""), after.get(key, ""), least) for key in sorted({**before, **after})}
-        beyond = [key for key, value in shares.items() if value > (1e-6 if OF_THE_SKY.search(key) else allowed)]
+        shares = {
+            key: share(before.get(key, ""), after.get(key, ""), least)
+            for key in sorted({**before, **after})
+        }
+        beyond = [
+            key
+            for key, value in shares.items()
+            if value > (1e-6 if OF_THE_SKY.search(key) else allowed)
+        ]
         worst = max(beyond or shares, key=lambda key: shares[key])
         yield Row(what, f"{shares[worst]:.1e} ({worst})", f"{allowed:.0e}", not beyond)
 
 
 def share(before: Any, after: Any, least: float = 1e-3) -> float:
     """Return the share by which two numbers differ (of ``least`` at least), infinite for words that differ."""
-    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in (before, after)):
+    if all(
+        isinstance(value, int | float) and not isinstance(value, bool) for value in (before, after)
+    ):
         return abs(after - before) / max(abs(before), least)
     return 0.0 if before == after else np.inf
 
@@ -161,7 +199,9 @@ def compare_or_renew() -> None:
     """Compare or renew the scenes that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=("compare", "renew"))
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}; left out, all")
+    parser.add_argument(
+        "scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(SCENES)}; left out, all"
+    )
     asked = parser.parse_args()
     if unknown := set(asked.scenes) - set(SCENES):
         parser.error(f"unknown scene {unknown.pop()!r}: choose of {', '.join(SCENES)}")
@@ -171,7 +211,9 @@ def compare_or_renew() -> None:
             if asked.what == "renew":
                 arrays, numbers = made(name, Path(folder))
                 np.savez_compressed(HERE / f"{name}.npz", **arrays)
-                (HERE / f"{name}.json").write_text(json.dumps(numbers, indent=0) + "\n", encoding="utf-8")
+                (HERE / f"{name}.json").write_text(
+                    json.dumps(numbers, indent=0) + "\n", encoding="utf-8"
+                )
                 continue
             for row in compared(name, Path(folder)):
                 is_same &= row.is_same

@@ -50,8 +50,13 @@ def run_outer(tmp_path):
 
     def run(factor, added, cache_dir=""):
         (folder / "inner.py").write_text(INNER.format(factor=factor, added=added))
-        environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-        environment |= {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]), "PYTHONDONTWRITEBYTECODE": "1"}
+        environment = {
+            name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"
+        }
+        environment |= {
+            "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
         environment |= {"NUMBA_CACHE_DIR": str(cache_dir)} if cache_dir else {}
         command = [sys.executable, "-c", USE]
         ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
@@ -62,14 +67,18 @@ def run_outer(tmp_path):
     return run
 
 
-def test_an_edit_of_an_inner_function_or_constant_in_another_file_is_seen_and_else_the_cache_hits(run_outer):
+def test_an_edit_of_an_inner_function_or_constant_in_another_file_is_seen_and_else_the_cache_hits(
+    run_outer,
+):
     assert run_outer(2, 10) == (13.0, 0)
     assert run_outer(2, 10) == (13.0, 1)
     assert run_outer(3, 10) == (14.5, 0)
     assert run_outer(3, 20) == (24.5, 0)
 
 
-def test_the_users_cache_folder_is_used_and_one_that_cannot_be_written_does_no_harm(run_outer, tmp_path):
+def test_the_users_cache_folder_is_used_and_one_that_cannot_be_written_does_no_harm(
+    run_outer, tmp_path
+):
     assert run_outer(2, 10, tmp_path / "own") == (13.0, 0)
     assert any((tmp_path / "own").rglob("outer*.nbi"))
     assert run_outer(2, 10, tmp_path / "own") == (13.0, 1)
@@ -79,7 +88,9 @@ def test_the_users_cache_folder_is_used_and_one_that_cannot_be_written_does_no_h
 def made_of(module):
     """Return a module and those of the package that it imports from: the folder of its cache is named by them."""
     source = Path(sys.modules[module].__file__).read_text(encoding="utf-8")
-    return {module}.union(*map(made_of, re.findall(r"^from (jaxurban\.[\w.]+) import", source, re.MULTILINE)))
+    return {module}.union(
+        *map(made_of, re.findall(r"^from (jaxurban\.[\w.]+) import", source, re.MULTILINE))
+    )
 
 
 def named_tuples_in(kind):
@@ -97,10 +108,14 @@ def taken_from_elsewhere(dispatcher):
 
 def test_compiled_functions_take_named_tuples_of_modules_that_theirs_import():
     """The index of a cache names their classes: where one's module goes, it cannot be read any more."""
-    stranger = SimpleNamespace(py_func=walk_edge.py_func, signatures=[(numba.typeof(Heap.empty(4)),)])
+    stranger = SimpleNamespace(
+        py_func=walk_edge.py_func, signatures=[(numba.typeof(Heap.empty(4)),)]
+    )
     assert taken_from_elsewhere(stranger) == {Heap}
     paths()
     modules = [module for name, module in sys.modules.items() if name.startswith("jaxurban.")]
-    called = {each for module in modules for each in vars(module).values() if hasattr(each, "py_func")}
+    called = {
+        each for module in modules for each in vars(module).values() if hasattr(each, "py_func")
+    }
     assert push in called
     assert {each: found for each in called if (found := taken_from_elsewhere(each))} == {}

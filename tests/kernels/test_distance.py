@@ -22,10 +22,14 @@ def brute_force(drop_m, is_source, resolution_m, cap_m):
     return np.minimum(np.sqrt(nearest_m2), cap_m)
 
 
-@pytest.mark.parametrize(("resolution_m", "cap_m", "share"), [(5.0, 50.0, 0.01), (2.0, 33.0, 0.002)])
+@pytest.mark.parametrize(
+    ("resolution_m", "cap_m", "share"), [(5.0, 50.0, 0.01), (2.0, 33.0, 0.002)]
+)
 def test_distance_equals_scipys_up_to_the_cap(resolution_m, cap_m, share):
     is_source = np.random.default_rng(0).random((131, 90)) < share
-    distance_m = capped_distance(jnp.where(is_source, 0.0, INF), resolution_m=resolution_m, cap_m=cap_m)
+    distance_m = capped_distance(
+        jnp.where(is_source, 0.0, INF), resolution_m=resolution_m, cap_m=cap_m
+    )
     expected = np.minimum(distance_transform_edt(~is_source, sampling=resolution_m), cap_m)
     np.testing.assert_allclose(distance_m, expected, atol=1e-4)
     assert (np.asarray(distance_m)[expected == cap_m] == cap_m).all()
@@ -36,7 +40,9 @@ def test_distance_from_sources_below_equals_brute_force_and_without_any_is_the_c
     rng = np.random.default_rng(1)
     is_source = rng.random((131, 90)) < share
     depth_m = rng.uniform(0, 60, is_source.shape).astype(np.float32)
-    distance_m = capped_distance(jnp.where(is_source, depth_m**2, INF), resolution_m=5.0, cap_m=50.0)
+    distance_m = capped_distance(
+        jnp.where(is_source, depth_m**2, INF), resolution_m=5.0, cap_m=50.0
+    )
     expected = brute_force(lambda i, j: depth_m[i, j], is_source, 5.0, 50.0)
     np.testing.assert_allclose(distance_m, expected, atol=1e-4)
 
@@ -55,14 +61,18 @@ def test_distance_from_sources_below_equals_brute_force_and_without_any_is_the_c
 def test_the_kernel_for_a_cpu_gives_the_same_bits(shape, resolution_m, cap_m, dtype):
     rng = np.random.default_rng(3)
     is_source = rng.random(shape) < 0.002
-    source_m2 = np.where(is_source, np.where(rng.random(shape) < 0.5, 0, rng.uniform(0, 60, shape) ** 2), np.inf)
+    source_m2 = np.where(
+        is_source, np.where(rng.random(shape) < 0.5, 0, rng.uniform(0, 60, shape) ** 2), np.inf
+    )
     sizes = {"resolution_m": resolution_m, "cap_m": cap_m}
     with jax.enable_x64(dtype == np.float64):
         expected = np.asarray(capped_distance(jnp.asarray(source_m2, dtype), **sizes))
     assert expected.dtype == dtype
     for halo in {0, min(7, min(shape) // 3), min(shape) // 3}:
         found = distance_on_host(source_m2.astype(dtype), halo, **sizes)
-        np.testing.assert_array_equal(found, expected[halo : shape[0] - halo, halo : shape[1] - halo], strict=True)
+        np.testing.assert_array_equal(
+            found, expected[halo : shape[0] - halo, halo : shape[1] - halo], strict=True
+        )
 
 
 def test_distance_over_terrain_equals_brute_force():
@@ -70,7 +80,9 @@ def test_distance_over_terrain_equals_brute_force():
     is_source = rng.random((60, 45)) < 0.02
     receiver_m = rng.uniform(20, 60, is_source.shape).astype(np.float32)
     top_m = rng.uniform(0, 50, is_source.shape).astype(np.float32)
-    distance_m = capped_distance_over_terrain(receiver_m, top_m, jnp.asarray(is_source), resolution_m=5.0, cap_m=50.0)
+    distance_m = capped_distance_over_terrain(
+        receiver_m, top_m, jnp.asarray(is_source), resolution_m=5.0, cap_m=50.0
+    )
     expected = brute_force(lambda i, j: receiver_m - top_m[i, j], is_source, 5.0, 50.0)
     np.testing.assert_allclose(distance_m, expected, atol=1e-4)
 
@@ -88,7 +100,9 @@ def test_gradients_are_those_of_the_nearest_source_and_finite_everywhere():
     assert jnp.isfinite(gradient).all()
     distance_m = distances(depth_m)
     np.testing.assert_allclose(distance_m[6], np.hypot(15.0, 30.0), rtol=1e-6)
-    np.testing.assert_allclose(gradient[6], [30.0 / np.hypot(15.0, 30.0), 0.0], rtol=1e-6)  # d distance / d depth
+    np.testing.assert_allclose(
+        gradient[6], [30.0 / np.hypot(15.0, 30.0), 0.0], rtol=1e-6
+    )  # d distance / d depth
     np.testing.assert_array_equal(gradient[33], 0.0)  # at distance 0
     np.testing.assert_array_equal(gradient[18], 0.0)  # at the cap
 
@@ -98,7 +112,9 @@ def test_gradients_over_terrain_are_finite_where_nothing_stands():
 
     def total(top_m):
         receiver_m = jnp.full((12, 12), 40.0)
-        return capped_distance_over_terrain(receiver_m, top_m, is_source, resolution_m=5.0, cap_m=30.0).sum()
+        return capped_distance_over_terrain(
+            receiver_m, top_m, is_source, resolution_m=5.0, cap_m=30.0
+        ).sum()
 
     gradient = jax.grad(total)(jnp.full((12, 12), 20.0))
     assert jnp.isfinite(gradient).all()

@@ -8,10 +8,14 @@ import pytest
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.kernels.dop import Clocks, Dops, dops, dops_of_words, geometry, unit_vectors
 
-RING = unit_vectors(np.radians([0.0, 50.0, 130.0, 200.0, 300.0, 20.0]), np.full(6, np.radians(40.0)))
+RING = unit_vectors(
+    np.radians([0.0, 50.0, 130.0, 200.0, 300.0, 20.0]), np.full(6, np.radians(40.0))
+)
 RING_AND_ZENITH = np.vstack([RING, [0.0, 0.0, 1.0]])
 NUM_CHOICES = 2000  # at once in every test, of 16 or 48 satellites and 1 or 4 clocks: few programs are compiled
-SLOPE = jax.jit(jax.grad(lambda satellites, w: jnp.sum(jnp.minimum(dops(satellites, w).gdop, 20.0)), argnums=1))
+SLOPE = jax.jit(
+    jax.grad(lambda satellites, w: jnp.sum(jnp.minimum(dops(satellites, w).gdop, 20.0)), argnums=1)
+)
 
 
 def inverse_dops(directions, numbers, weights):
@@ -40,7 +44,9 @@ def random_choices(seed, num):
 
 
 def words_of(is_seen, num_words=1):
-    bits = np.pad(is_seen, ((0, NUM_CHOICES - len(is_seen)), (0, 32 * num_words - is_seen.shape[1])))
+    bits = np.pad(
+        is_seen, ((0, NUM_CHOICES - len(is_seen)), (0, 32 * num_words - is_seen.shape[1]))
+    )
     return np.packbits(bits, axis=1, bitorder="little").view("<u4").T
 
 
@@ -71,7 +77,11 @@ def assert_as_float64(directions, numbers, is_seen):
 
 @pytest.mark.parametrize(("num", "num_systems"), [(6, 1), (12, 1), (16, 2), (33, 4)])
 def test_dops_below_20_of_random_skies_equal_float64_to_1e_5(num, num_systems):
-    numbers = np.random.default_rng(num).permutation(np.arange(num) % num_systems) if num_systems > 1 else None
+    numbers = (
+        np.random.default_rng(num).permutation(np.arange(num) % num_systems)
+        if num_systems > 1
+        else None
+    )
     assert_as_float64(random_sky(num, num), numbers, random_choices(num, num))
 
 
@@ -110,7 +120,9 @@ def test_satellites_that_fill_up_change_no_bit(numbers):
     directions, clocks = random_sky(12, 5), None if numbers is None else Clocks(numbers, 4)
     words = jnp.asarray(words_of(random_choices(1, 12)))
     plain = dops_of_words(geometry(directions, clocks=clocks), words)
-    np.testing.assert_array_equal(plain, dops_of_words(geometry(directions, multiple_of=16, clocks=clocks), words))
+    np.testing.assert_array_equal(
+        plain, dops_of_words(geometry(directions, multiple_of=16, clocks=clocks), words)
+    )
 
 
 def test_one_more_satellite_never_raises_a_dop():
@@ -134,14 +146,19 @@ def test_a_system_of_which_nothing_is_seen_changes_nothing():
 def test_a_system_with_one_satellite_fixes_its_own_clock_and_nothing_else(alone):
     directions, numbers = random_sky(8, 3), np.full(8, int(alone == 0))
     numbers[alone] = int(alone != 0)
-    found, others = dops_seen(directions, [1] * 8, numbers), dops_seen(np.delete(directions, alone, 0), [1] * 7)
+    found, others = (
+        dops_seen(directions, [1] * 8, numbers),
+        dops_seen(np.delete(directions, alone, 0), [1] * 7),
+    )
     np.testing.assert_allclose(found[1:4], others[1:4], rtol=1e-5)
     if alone == 7:
         np.testing.assert_allclose(found, others, rtol=1e-5)
 
 
 def test_gdop_is_of_the_position_and_the_first_systems_clock():
-    by_order = [Dops(*dops_seen(random_sky(12, 4), [1] * 12, (np.arange(12) + k) % 3)) for k in range(3)]
+    by_order = [
+        Dops(*dops_seen(random_sky(12, 4), [1] * 12, (np.arange(12) + k) % 3)) for k in range(3)
+    ]
     for found in by_order:
         np.testing.assert_allclose(found.gdop**2, found.pdop**2 + found.tdop**2, rtol=1e-6)
         np.testing.assert_allclose(found.pdop, by_order[0].pdop, rtol=1e-6)
@@ -172,7 +189,9 @@ def test_more_clocks_never_lower_the_dops_of_the_position():
 def test_sets_without_a_rank_give_inf_and_a_finite_gradient(numbers, seen):
     assert np.all(np.isinf(dops_seen(RING_AND_ZENITH, seen, numbers)))
     clocks = None if numbers is None else Clocks(np.array(numbers), 4)
-    assert np.all(np.isfinite(SLOPE(geometry(RING_AND_ZENITH, clocks=clocks), jnp.array(seen, jnp.float32))))
+    assert np.all(
+        np.isfinite(SLOPE(geometry(RING_AND_ZENITH, clocks=clocks), jnp.array(seen, jnp.float32)))
+    )
 
 
 def test_satellites_that_all_leave_the_position_undetermined_give_inf_for_every_choice():
@@ -186,11 +205,15 @@ def test_weights_equal_float64_and_their_derivatives_finite_differences(num_cloc
     directions, numbers = random_sky(11, 8), np.arange(11) % num_clocks
     weights = np.random.default_rng(8).uniform(0.1, 1, 11)
     if num_clocks > 1:
-        weights[numbers == 0] *= 0.1  # less than 1 in all, so that the second clock has its part in the time
+        weights[numbers == 0] *= (
+            0.1  # less than 1 in all, so that the second clock has its part in the time
+        )
     with jax.enable_x64(True):
         satellites = geometry(directions, np.float64, clocks=Clocks(numbers, num_clocks))
         found = dops(satellites, jnp.asarray(weights))
-        np.testing.assert_allclose(found[1:4], inverse_dops(directions, numbers, weights[None])[1:4, 0], rtol=1e-12)
+        np.testing.assert_allclose(
+            found[1:4], inverse_dops(directions, numbers, weights[None])[1:4, 0], rtol=1e-12
+        )
 
         def total(w):
             return sum(dops(satellites, jnp.asarray(w)))
@@ -206,7 +229,9 @@ def test_a_system_fades_without_a_jump_and_its_slopes_stay_finite():
     fading = -np.sort(-np.concatenate([np.linspace(1, 0, 20_001), 10.0 ** -np.arange(3, 38, 0.25)]))
     satellites = geometry(directions, clocks=Clocks(numbers, 2))
     for system in (0, 1):
-        weights = jnp.where((numbers == system)[:, None], jnp.asarray(fading, jnp.float32), jnp.float32(1))
+        weights = jnp.where(
+            (numbers == system)[:, None], jnp.asarray(fading, jnp.float32), jnp.float32(1)
+        )
         found = dops(satellites, weights)
         gone = dops_seen(directions[numbers != system], [1] * 5)[:, 0]
         for dop, alone in zip(found, gone, strict=True):

@@ -31,7 +31,9 @@ from jaxurban.kernels.lidar.terrain_cpu import count_on_terrain_on_host
 
 
 @numba.njit
-def march_rays(roof_m, terrain_m, halo, altitude_m, elevations_rad, num_azimuths, range_m, resolution_m):
+def march_rays(
+    roof_m, terrain_m, halo, altitude_m, elevations_rad, num_azimuths, range_m, resolution_m
+):
     """Return how many scan positions return from each cell inside the halo; one beam after the other."""
     rows, cols = roof_m.shape[0] - 2 * halo, roof_m.shape[1] - 2 * halo
     counts = np.zeros((rows, cols), np.int32)
@@ -45,7 +47,10 @@ def march_rays(roof_m, terrain_m, halo, altitude_m, elevations_rad, num_azimuths
                     slope, reach_m = slopes[beam], reaches_m[beam]
                     n = 0
                     while not hit:
-                        near_m, far_m = max(n - 0.5, 0.0) * resolution_m, min((n + 0.5) * resolution_m, reach_m)
+                        near_m, far_m = (
+                            max(n - 0.5, 0.0) * resolution_m,
+                            min((n + 0.5) * resolution_m, reach_m),
+                        )
                         if near_m > reach_m:
                             break  # out of range
                         i = row + int(math.copysign(math.floor(abs(n * north) + 0.5 + 1e-9), north))
@@ -82,17 +87,33 @@ ON_TERRAIN = {"numba": count_on_terrain_on_host, "jax": count_returns_on_terrain
 
 
 def counts_of(
-    roof_m, terrain_m, altitudes_m, elevations_rad, num_azimuths, range_m, resolution_m, form="numba", per_cell=1
+    roof_m,
+    terrain_m,
+    altitudes_m,
+    elevations_rad,
+    num_azimuths,
+    range_m,
+    resolution_m,
+    form="numba",
+    per_cell=1,
 ):
     """Return the counts of receivers, one in the middle of so many by so many cells."""
     steps, roofs_m = num_steps(resolution_m, range_m), phases(roof_m, per_cell)
     lowest_m = lowest_heights(np.array(altitudes_m), elevations_rad, resolution_m, range_m, steps)
-    starts, halo = phase_starts(ray_offsets(num_azimuths, steps), per_cell), halo_cells(steps, per_cell)
+    starts, halo = (
+        phase_starts(ray_offsets(num_azimuths, steps), per_cell),
+        halo_cells(steps, per_cell),
+    )
     if terrain_m is None:
-        count, thresholds_m = (FLAT | {"jax": count_returns})[form], round_up(flat_thresholds(lowest_m), np.float32)
+        count, thresholds_m = (
+            (FLAT | {"jax": count_returns})[form],
+            round_up(flat_thresholds(lowest_m), np.float32),
+        )
         return count(roofs_m, thresholds_m, starts, halo=halo)
     where = {"halo": halo, "receiver_phase": per_cell // 2 * (per_cell + 1)}
-    return ON_TERRAIN[form](roofs_m, phases(terrain_m, per_cell), round_up(lowest_m, np.float32), starts, **where)
+    return ON_TERRAIN[form](
+        roofs_m, phases(terrain_m, per_cell), round_up(lowest_m, np.float32), starts, **where
+    )
 
 
 CASES = {
@@ -121,7 +142,12 @@ def assert_as_marched(counts, roof_m, terrain_m, altitudes_m, *scan):
 @pytest.mark.parametrize(("name", "form"), PARAMS)
 def test_counts_equal_a_marcher_of_single_beams_in_every_cell(name, form):
     altitudes_m, (low, high, num_beams), num_azimuths, range_m, resolution_m = CASES[name]
-    scan = np.linspace(np.deg2rad(low), np.deg2rad(high), num_beams), num_azimuths, range_m, resolution_m
+    scan = (
+        np.linspace(np.deg2rad(low), np.deg2rad(high), num_beams),
+        num_azimuths,
+        range_m,
+        resolution_m,
+    )
     roof_m = random_city(150, num_steps(resolution_m, range_m) - 1, seed=len(name))
     counts = counts_of(roof_m, None, altitudes_m, *scan, form)
     assert_as_marched(counts, roof_m, np.zeros_like(roof_m), altitudes_m, *scan)
@@ -132,17 +158,26 @@ GROUNDS = {
     "hills that hide buildings": lambda rng, slope_m: 700 + 15 * (slope_m - 700),
     "constant, which is flat": lambda rng, slope_m: np.full_like(slope_m, 33.3),
     "level in whole metres, of which many are equal": lambda rng, slope_m: np.round(slope_m),
-    "rough below the width of a class": lambda rng, slope_m: slope_m + rng.normal(0, 0.01, slope_m.shape),
+    "rough below the width of a class": lambda rng, slope_m: (
+        slope_m + rng.normal(0, 0.01, slope_m.shape)
+    ),
     "cliffs of hundreds of metres": lambda rng, slope_m: 300 * np.floor(slope_m / 4) + slope_m,
-    "unknown in places": lambda rng, slope_m: np.where(rng.random(slope_m.shape) < 0.01, np.nan, slope_m),
+    "unknown in places": lambda rng, slope_m: np.where(
+        rng.random(slope_m.shape) < 0.01, np.nan, slope_m
+    ),
 }
 
 
 @pytest.mark.parametrize("form", ON_TERRAIN)
 @pytest.mark.parametrize("name", GROUNDS)
 def test_counts_on_any_ground_equal_the_marcher_over_several_tiles(name, form):
-    rng, scan = np.random.default_rng(len(name)), (np.deg2rad(np.linspace(-25, 15, 6)), 18, 40.0, 5.0)
-    roof_m = (random_city(300, 8, seed=4) * np.float32(np.pi / 3))[:90]  # heights whose sums are rounded
+    rng, scan = (
+        np.random.default_rng(len(name)),
+        (np.deg2rad(np.linspace(-25, 15, 6)), 18, 40.0, 5.0),
+    )
+    roof_m = (random_city(300, 8, seed=4) * np.float32(np.pi / 3))[
+        :90
+    ]  # heights whose sums are rounded
     row, col = np.indices(roof_m.shape)
     terrain_m = GROUNDS[name](rng, 700 + 3 * np.sin(row / 9) + 0.02 * col).astype(np.float32)
     altitudes_m = [4.0, 40.0]  # where the ground ends beams, and where it ends none
@@ -164,16 +199,26 @@ def test_a_long_wall_returns_the_share_of_azimuths_that_reach_it():
     counts = counts_of(roof_m, None, [10.0], np.array([0.0]), 720, range_m, resolution_m)[0]
     distance_m = (33 - np.arange(33)) * resolution_m - resolution_m / 2
     expected = np.arccos(distance_m / range_m) / np.pi
-    np.testing.assert_allclose(counts / 720, np.broadcast_to(expected[:, None], counts.shape), atol=0.01)
+    np.testing.assert_allclose(
+        counts / 720, np.broadcast_to(expected[:, None], counts.shape), atol=0.01
+    )
 
 
 @pytest.mark.parametrize("form", FLAT)
 def test_a_roof_that_is_unknown_is_no_building_and_hides_no_other(form):
     roof_m = random_city(40, 6, seed=2)
-    unknown_m = np.where(np.random.default_rng(0).random(roof_m.shape) < 0.02, np.nan, roof_m).astype(np.float32)
-    both, scan = (unknown_m, np.nan_to_num(unknown_m)), ([5.0], np.deg2rad(np.linspace(-15, 15, 4)), 12, 30.0, 5.0)
+    unknown_m = np.where(
+        np.random.default_rng(0).random(roof_m.shape) < 0.02, np.nan, roof_m
+    ).astype(np.float32)
+    both, scan = (
+        (unknown_m, np.nan_to_num(unknown_m)),
+        ([5.0], np.deg2rad(np.linspace(-15, 15, 4)), 12, 30.0, 5.0),
+    )
     fine = [counts_of(roofs, None, *scan, form) for roofs in both]
-    coarse = [counts_of(roofs, None, *scan, "numba" if form == "numba" else "jax", per_cell=2) for roofs in both]
+    coarse = [
+        counts_of(roofs, None, *scan, "numba" if form == "numba" else "jax", per_cell=2)
+        for roofs in both
+    ]
     for with_unknown, without in (fine, coarse):
         assert without.max() > 0
         np.testing.assert_array_equal(with_unknown, without)
@@ -186,7 +231,9 @@ def test_counts_of_fine_cells_and_long_rays_need_many_ranks_and_bitmaps_a_few_st
     shape = 140 + 2 * 400, 600 + 2 * 400
     roof_m = np.where(rng.random(shape) < 5e-5, rng.uniform(1, 30, shape), 0).astype(np.float32)
     few = counts_of(roof_m, None, [6.0], elevations_rad, 6, 100.0, 0.25)
-    np.testing.assert_array_equal(few, counts_of(roof_m, None, [6.0], elevations_rad, 6, 100.0, 0.25, "gpu"))
+    np.testing.assert_array_equal(
+        few, counts_of(roof_m, None, [6.0], elevations_rad, 6, 100.0, 0.25, "gpu")
+    )
     assert few.min() < few.max()
 
 
@@ -202,7 +249,9 @@ def test_new_heights_altitudes_and_azimuths_of_known_shapes_compile_nothing():
 @pytest.mark.parametrize("num_azimuths", [8, 360])
 def test_rays_have_the_symmetry_of_the_grid(num_azimuths):
     offsets = ray_offsets(num_azimuths, 51)
-    quarter = np.stack([-offsets[..., 1], offsets[..., 0]], axis=-1)  # turned by 90 degrees, clockwise
+    quarter = np.stack(
+        [-offsets[..., 1], offsets[..., 0]], axis=-1
+    )  # turned by 90 degrees, clockwise
     np.testing.assert_array_equal(quarter, np.roll(offsets, -num_azimuths // 4, axis=0))
     np.testing.assert_array_equal(offsets[0, -1], [50, 0])  # grid north first
     np.testing.assert_array_equal(offsets[num_azimuths // 4, -1], [0, 50])  # then east
@@ -216,9 +265,14 @@ def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell,
     halo = halo_cells(steps, per_cell) * per_cell
     roof_m = random_city(12 * per_cell, halo, seed=per_cell)
     row, col = np.indices(roof_m.shape)
-    terrain_m = (np.round(8 * (9 * np.sin(row / 9) + 6 * np.cos(col / 6) + 30)) / 8).astype(np.float32)
+    terrain_m = (np.round(8 * (9 * np.sin(row / 9) + 6 * np.cos(col / 6) + 30)) / 8).astype(
+        np.float32
+    )
     terrain_m = terrain_m if on_terrain else None
-    near, middle = slice(halo - (steps - 1), steps - 1 - halo or None), slice(per_cell // 2, None, per_cell)
+    near, middle = (
+        slice(halo - (steps - 1), steps - 1 - halo or None),
+        slice(per_cell // 2, None, per_cell),
+    )
     dense = counts_of(roof_m[near, near], terrain_m[near, near] if on_terrain else None, *scan)
     found = counts_of(roof_m, terrain_m, *scan, form, per_cell)
     np.testing.assert_array_equal(found, dense[:, middle, middle])
@@ -227,9 +281,14 @@ def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell,
 
 @pytest.mark.parametrize("on_terrain", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_counts_can_be_traced_and_exported_and_for_a_gpu_have_no_loop_whose_end_is_data(on_terrain):
-    scan, roof_m = ([5.0], np.deg2rad(np.linspace(-15, 15, 4)), 12, 30.0, 5.0), random_city(40, 6, seed=2)
+    scan, roof_m = (
+        ([5.0], np.deg2rad(np.linspace(-15, 15, 4)), 12, 30.0, 5.0),
+        random_city(40, 6, seed=2),
+    )
     row, col = np.indices(roof_m.shape)
-    terrain_m = (8 * np.sin(row / 15) + 6 * np.cos(col / 11)).astype(np.float32) if on_terrain else None
+    terrain_m = (
+        (8 * np.sin(row / 15) + 6 * np.cos(col / 11)).astype(np.float32) if on_terrain else None
+    )
 
     def traced(form):
         return jax.jit(lambda roof_m, terrain_m: counts_of(roof_m, terrain_m, *scan, form))
@@ -237,26 +296,41 @@ def test_counts_can_be_traced_and_exported_and_for_a_gpu_have_no_loop_whose_end_
     def words(form):
         return set(re.findall(r"\w+(?=\[)", str(jax.make_jaxpr(traced(form))(roof_m, terrain_m))))
 
-    np.testing.assert_array_equal(traced("jax")(roof_m, terrain_m), counts_of(roof_m, terrain_m, *scan))
+    np.testing.assert_array_equal(
+        traced("jax")(roof_m, terrain_m), counts_of(roof_m, terrain_m, *scan)
+    )
     jax.export.export(traced("jax"), platforms=("cuda",))(roof_m, terrain_m)
     of_gpu = words("jax" if on_terrain else "gpu")
     assert "scan" in of_gpu
     assert not of_gpu & {"while", "cond"}
-    assert on_terrain or words("cpu") >= {"while", "cond"}  # the text shows the loops of the form for a CPU
+    assert on_terrain or words("cpu") >= {
+        "while",
+        "cond",
+    }  # the text shows the loops of the form for a CPU
 
 
 @pytest.mark.parametrize("on_terrain", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("num_azimuths", [16, pytest.param(43, marks=pytest.mark.slow)])
-def test_soft_returns_of_both_forms_are_the_same_for_any_number_of_azimuths(num_azimuths, on_terrain):
+def test_soft_returns_of_both_forms_are_the_same_for_any_number_of_azimuths(
+    num_azimuths, on_terrain
+):
     halo, softness_m, range_m = 4, jnp.float32(2.0), jnp.float32(20.0)
     roof_m = jnp.asarray(random_city(9, halo, seed=2))
-    offsets, cells = jnp.asarray(ray_offsets(num_azimuths, halo + 1)), jnp.indices((9, 9)).reshape(2, -1).T
+    offsets, cells = (
+        jnp.asarray(ray_offsets(num_azimuths, halo + 1)),
+        jnp.indices((9, 9)).reshape(2, -1).T,
+    )
     hills_m = 3 * jnp.sin(jnp.arange(roof_m.size, dtype=jnp.float32).reshape(roof_m.shape))
 
-    forms, forms_at = (soft_lidar.one_by_one, soft_lidar.together), (soft_lidar.one_by_one_at, soft_lidar.together_at)
+    forms, forms_at = (
+        (soft_lidar.one_by_one, soft_lidar.together),
+        (soft_lidar.one_by_one_at, soft_lidar.together_at),
+    )
 
     def mean_return(roof_m, altitude_m, range_m, hills_m, number):
-        scan = soft_lidar.scan_of(altitude_m * (not on_terrain), range_m, np.deg2rad([-15.0, 0.0, 15.0]), 5.0)
+        scan = soft_lidar.scan_of(
+            altitude_m * (not on_terrain), range_m, np.deg2rad([-15.0, 0.0, 15.0]), 5.0
+        )
         if not on_terrain:
             return forms[number](roof_m, scan, offsets, softness_m).mean()
         heights_m = jnp.broadcast_to(altitude_m, len(cells))
@@ -264,7 +338,10 @@ def test_soft_returns_of_both_forms_are_the_same_for_any_number_of_azimuths(num_
         return forms_at[number](at).mean()
 
     inputs = roof_m, jnp.float32(9), range_m, hills_m
-    both = (jax.jit(jax.value_and_grad(partial(mean_return, number=number), range(4))) for number in (0, 1))
+    both = (
+        jax.jit(jax.value_and_grad(partial(mean_return, number=number), range(4)))
+        for number in (0, 1)
+    )
     (by_cpu, cpu_slopes), (by_gpu, gpu_slopes) = (each(*inputs) for each in both)
     assert 0.02 < float(by_cpu) < 0.98
     np.testing.assert_allclose(by_gpu, by_cpu, rtol=1e-6)

@@ -30,11 +30,15 @@ EXAMPLE = np.array(
 )
 
 
-def ranging(directions, constellation, sigma_m, p_sat=1e-5, p_const=(1e-4, 1e-4), bias_m=0.5) -> Ranging:
+def ranging(
+    directions, constellation, sigma_m, p_sat=1e-5, p_const=(1e-4, 1e-4), bias_m=0.5
+) -> Ranging:
     num = len(directions)
     sigma_int_m, sigma_acc_m = sigma_m
     of_all = np.full(num, bias_m), np.full(num, p_sat)
-    return Ranging(directions, np.asarray(constellation), sigma_int_m, sigma_acc_m, *of_all, np.array(p_const))
+    return Ranging(
+        directions, np.asarray(constellation), sigma_int_m, sigma_acc_m, *of_all, np.array(p_const)
+    )
 
 
 def drawn(seed: int, counts, **rest) -> Ranging:
@@ -42,7 +46,9 @@ def drawn(seed: int, counts, **rest) -> Ranging:
     draw, num = np.random.default_rng(seed), sum(counts)
     directions = unit_vectors(draw.uniform(0, 2 * np.pi, num), np.arcsin(draw.uniform(0.1, 1, num)))
     sigma_m = draw.uniform(0.8, 2.0, num)
-    return ranging(directions, np.repeat(np.arange(len(counts)), counts), (sigma_m, 0.7 * sigma_m), **rest)
+    return ranging(
+        directions, np.repeat(np.arange(len(counts)), counts), (sigma_m, 0.7 * sigma_m), **rest
+    )
 
 
 def words_of(is_seen) -> np.ndarray:
@@ -60,7 +66,9 @@ def levels_of(satellites: Ranging, budget: RiskBudget = BUDGET) -> tuple[float, 
 def gains(satellites: Ranging, seen) -> np.ndarray | None:
     """Return S ``[3, S]`` of some satellites by the pseudo-inverse; None where they leave the position undetermined."""
     clocks = np.unique(satellites.constellation[seen])
-    matrix = np.hstack([-satellites.directions[seen], satellites.constellation[seen][:, None] == clocks])
+    matrix = np.hstack(
+        [-satellites.directions[seen], satellites.constellation[seen][:, None] == clocks]
+    )
     if np.linalg.matrix_rank(matrix) < matrix.shape[1]:
         return None
     root = 1 / satellites.sigma_int_m[seen]
@@ -73,11 +81,17 @@ def slow_levels(satellites: Ranging, budget: RiskBudget) -> tuple[float, float]:
     """Return both levels as the equations stand, with sets for fault modes and Brent's method for roots."""
     num, names = len(satellites.directions), np.unique(satellites.constellation)
     events = [({s}, satellites.p_sat[s]) for s in range(num)]
-    events += [({*np.flatnonzero(satellites.constellation == c)}, satellites.p_const[c]) for c in names]
+    events += [
+        ({*np.flatnonzero(satellites.constellation == c)}, satellites.p_const[c]) for c in names
+    ]
     events = [(lost, prior) for lost, prior in events if prior > 0]
     modes = list(events)
     at_most_two = [(one | other, p * q) for (one, p), (other, q) in combinations(events, 2)]
-    several = np.prod([1 + np.longdouble(p) for _, p in events]) - 1 - sum(np.longdouble(p) for _, p in events)
+    several = (
+        np.prod([1 + np.longdouble(p) for _, p in events])
+        - 1
+        - sum(np.longdouble(p) for _, p in events)
+    )
     left = float(several)
     for equal in sorted({float(f"{prior:.9e}") for _, prior in at_most_two}, reverse=True):
         if left <= budget.p_unmonitored:
@@ -125,17 +139,24 @@ def test_the_published_example_has_its_published_levels():
     assert vpl_m == pytest.approx(19.2, abs=0.05)
 
 
-SINGLE = [(counts, 1e-5, (1e-8, 1e-4, 1e-4)) for counts in ((5,), (9,), (4, 4), (3, 6), (8, 1), (9, 7), (5, 4, 4))]
+SINGLE = [
+    (counts, 1e-5, (1e-8, 1e-4, 1e-4))
+    for counts in ((5,), (9,), (4, 4), (3, 6), (8, 1), (9, 7), (5, 4, 4))
+]
 PAIRS = [((6, 6), 1e-4, (0.0, 1e-4)), ((8,), 3e-4, (0.0,)), ((14, 13, 14), 2e-5, (0.0, 1e-4, 1e-5))]
 
 
 @pytest.mark.parametrize(("counts", "p_sat", "p_const"), SINGLE + PAIRS)
-def test_levels_are_those_of_the_equations_with_pairs_of_faults_until_what_is_left_is_little(counts, p_sat, p_const):
+def test_levels_are_those_of_the_equations_with_pairs_of_faults_until_what_is_left_is_little(
+    counts, p_sat, p_const
+):
     for seed in range(5) if p_sat == 1e-5 else [7]:
         satellites = drawn(seed, counts, p_sat=p_sat, p_const=p_const[: len(counts)])
         found = levels_of(satellites, FINE)
         assert np.isfinite(found).all() or p_sat == 1e-5
-        np.testing.assert_allclose(found, slow_levels(satellites, FINE), rtol=1e-9, atol=1e-7 if p_sat == 1e-5 else 0)
+        np.testing.assert_allclose(
+            found, slow_levels(satellites, FINE), rtol=1e-9, atol=1e-7 if p_sat == 1e-5 else 0
+        )
 
 
 def test_levels_are_rounded_up_by_their_tolerance_at_most():
@@ -147,8 +168,12 @@ def test_levels_are_rounded_up_by_their_tolerance_at_most():
 def test_without_faults_a_level_is_a_multiple_of_its_standard_deviation_and_the_bias():
     satellites = drawn(2, (7,), p_sat=0.0, p_const=(0.0,))
     of_up = gains(satellites, np.arange(7))[2]
-    expected_m = norm.isf(BUDGET.phmi_vertical / 2) * np.hypot.reduce(of_up * satellites.sigma_int_m)
-    assert levels_of(satellites)[1] == pytest.approx(expected_m + np.abs(of_up) @ satellites.bias_m, abs=1e-9)
+    expected_m = norm.isf(BUDGET.phmi_vertical / 2) * np.hypot.reduce(
+        of_up * satellites.sigma_int_m
+    )
+    assert levels_of(satellites)[1] == pytest.approx(
+        expected_m + np.abs(of_up) @ satellites.bias_m, abs=1e-9
+    )
 
 
 def test_what_no_subset_stands_for_too_few_satellites_and_those_on_one_cone_have_no_level():
@@ -157,7 +182,10 @@ def test_what_no_subset_stands_for_too_few_satellites_and_those_on_one_cone_have
     is_finite = np.isfinite(protection_levels(patterns, satellites, BUDGET))
     np.testing.assert_array_equal(is_finite, [[False, False, False, True, True]] * 2)
     cone = unit_vectors(np.linspace(0, 2 * np.pi, 8, endpoint=False), np.full(8, 0.6))
-    assert levels_of(ranging(cone, np.zeros(8, int), (np.ones(8), np.ones(8)), p_const=(0.0,))) == (np.inf, np.inf)
+    assert levels_of(ranging(cone, np.zeros(8, int), (np.ones(8), np.ones(8)), p_const=(0.0,))) == (
+        np.inf,
+        np.inf,
+    )
     # All of one constellation may fail at once; without another nothing would tell.
     assert np.isfinite(levels_of(drawn(4, (9,), p_const=(1e-8,)))).all()
     assert levels_of(drawn(4, (9,), p_const=(1e-7,))) == (np.inf, np.inf)
@@ -169,7 +197,9 @@ def test_levels_do_not_depend_on_the_order_of_satellites_nor_on_those_unseen():
     turned = Ranging(*(values[order] for values in satellites[:-1]), satellites.p_const)
 
     of_all = protection_levels(words_of(seen), satellites, FINE)
-    np.testing.assert_allclose(protection_levels(words_of(seen[order]), turned, FINE), of_all, rtol=1e-9)
+    np.testing.assert_allclose(
+        protection_levels(words_of(seen[order]), turned, FINE), of_all, rtol=1e-9
+    )
     chosen = np.flatnonzero(seen[:, 0])
     alone = Ranging(*(values[chosen] for values in satellites[:-1]), satellites.p_const)
     np.testing.assert_allclose(levels_of(alone, FINE), of_all[:, 0], rtol=1e-12)
@@ -196,13 +226,17 @@ def test_tails_and_quantiles_are_scipys():
 
 @pytest.mark.parametrize("counts", [(5,), (9,), (6, 5), (12, 10)])
 def test_levels_are_sidereons(counts):
-    peer = pytest.importorskip("benchmarks.sidereon_peer", reason="sidereon (dev extra) is not installed")
+    peer = pytest.importorskip(
+        "benchmarks.sidereon_peer", reason="sidereon (dev extra) is not installed"
+    )
     systems = np.repeat(["gps", "galileo"], (*counts, 0)[:2]).tolist()
     satellites = drawn(11, counts, p_const=(1e-8, 1e-4)[: len(counts)])
     patterns = np.random.default_rng(2).integers(0, 2 ** len(systems), (1, 200)).astype(np.uint32)
     theirs = peer.Peer(satellites, systems, BUDGET).levels(patterns)
     ours = protection_levels(patterns, satellites, BUDGET)
     np.testing.assert_array_equal(np.isfinite(ours), np.isfinite(theirs))
-    is_near = theirs < 1000  # beyond, satellites that all but leave the position undetermined magnify rounding
+    is_near = (
+        theirs < 1000
+    )  # beyond, satellites that all but leave the position undetermined magnify rounding
     np.testing.assert_allclose(ours[is_near], theirs[is_near], atol=1e-6, rtol=0)
     assert is_near.any()

@@ -11,7 +11,9 @@ from jaxurban.kernels.search.sample_graph import NO_PARENT, NO_QUERY, Samples, S
 
 SHAPE = (20, 26)
 NUM_NODES = 256
-SIZES = Sizes(candidates=128, edges=32, nodes_together=64, edges_together=128)  # more than one turn of each
+SIZES = Sizes(
+    candidates=128, edges=32, nodes_together=64, edges_together=128
+)  # more than one turn of each
 RADII = (6.0, np.inf, 0.4)  # of three queries with so many nodes:
 COUNTS = (100, 40, 30)
 PER_SIDE = 0.3
@@ -43,14 +45,20 @@ def search(samples, cell_cost, is_line=True, per_side=PER_SIDE, sizes=SIZES):
     with jax.enable_x64(True):
         samples = Samples(*(jnp.asarray(values) for values in samples))
         trees = search_samples(samples, cell_cost, per_side, False, is_line=is_line, sizes=sizes)
-        return trees._replace(**{name: np.asarray(value) for name, value in trees._asdict().items()})
+        return trees._replace(
+            **{name: np.asarray(value) for name, value in trees._asdict().items()}
+        )
 
 
 def by_dijkstra(samples, cell_cost, is_line=True, tree=()):
     """Return the least costs from every query's start, and how many edges the radius makes."""
     cost_grid = CostGrid(cell_cost, PER_SIDE, is_line, False)
     distance = np.hypot(*(samples.xy[:, None] - samples.xy).transpose(2, 0, 1))
-    is_edge = (distance <= samples.radius) & (samples.query[:, None] == samples.query) & (samples.query != NO_QUERY)
+    is_edge = (
+        (distance <= samples.radius)
+        & (samples.query[:, None] == samples.query)
+        & (samples.query != NO_QUERY)
+    )
     np.fill_diagonal(is_edge, False)
     graph = np.full(is_edge.shape, np.inf)
     for a, b in [*np.argwhere(is_edge), *tree]:
@@ -69,12 +77,16 @@ def test_costs_are_dijkstras_at_every_node_of_every_query(is_line):
         np.testing.assert_allclose(trees.g, expected, rtol=1e-12)
         assert 110 < np.isfinite(expected).sum() < sum(COUNTS)
         # All edges but those to the starts, which nothing can improve.
-        np.testing.assert_array_equal(trees.num_costed, np.where(samples.g == 0, 0, is_edge.sum(axis=0)))
+        np.testing.assert_array_equal(
+            trees.num_costed, np.where(samples.g == 0, 0, is_edge.sum(axis=0))
+        )
         assert trees.num_edges == trees.num_costed.sum()
         has_parent = trees.parent != NO_PARENT
         np.testing.assert_array_equal(has_parent, np.isfinite(trees.g) & (samples.g > 0))
         parent = trees.parent[has_parent]
-        np.testing.assert_allclose(trees.g[has_parent], trees.g[parent] + trees.edge_cost[has_parent], rtol=1e-12)
+        np.testing.assert_allclose(
+            trees.g[has_parent], trees.g[parent] + trees.edge_cost[has_parent], rtol=1e-12
+        )
 
 
 def test_edges_of_the_tree_given_count_where_they_are_longer_than_the_radius():
@@ -111,7 +123,9 @@ def test_parents_lead_back_to_the_start_where_edges_cost_nothing():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("together", [{}, {"nodes_together": NUM_NODES, "edges_together": NUM_NODES}])
+@pytest.mark.parametrize(
+    "together", [{}, {"nodes_together": NUM_NODES, "edges_together": NUM_NODES}]
+)
 def test_too_little_room_is_told_and_nothing_is_searched(together):
     cell_cost = a_map(0)
     samples = samples_of(0, cell_cost)

@@ -6,7 +6,10 @@ from jaxurban.kernels.shadows.rays import shadows_at, walks
 from jaxurban.kernels.shadows.sweep import digital_lines, shadow_heights, stacked
 
 NUM_ROWS, NUM_COLS, RESOLUTION_M = 90, 110, 2.0
-FIRST_ROW, FIRST_COL = 1_977_123, 231_009  # as of a UTM zone, where float32 would not hold a line's phase
+FIRST_ROW, FIRST_COL = (
+    1_977_123,
+    231_009,
+)  # as of a UTM zone, where float32 would not hold a line's phase
 NUM_SATELLITES, NUM_RAYS = 24, 6000
 MOST_M = 160.0
 
@@ -25,10 +28,14 @@ def scene() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray,
 def test_every_ray_has_the_shadow_of_the_sweep_over_the_whole_grid():
     top_m, azimuth, elevation, s, row, col = scene()
     lines = digital_lines(azimuth, elevation, RESOLUTION_M, FIRST_ROW, FIRST_COL, top_m.shape)
-    swept_m = np.asarray(shadow_heights(top_m, stacked(lines), (0, NUM_ROWS, 0, NUM_COLS, 1)))[s, row, col]
+    swept_m = np.asarray(shadow_heights(top_m, stacked(lines), (0, NUM_ROWS, 0, NUM_COLS, 1)))[
+        s, row, col
+    ]
     own = walks(azimuth[s], elevation[s], RESOLUTION_M, FIRST_ROW + row, FIRST_COL + col)
     walked_m = shadows_at(top_m, row, col, own, MOST_M)
-    matters = np.maximum(swept_m, walked_m) > 0  # below the ground no shadow is of interest, and none is followed
+    matters = (
+        np.maximum(swept_m, walked_m) > 0
+    )  # below the ground no shadow is of interest, and none is followed
     assert matters.mean() > 0.5
     np.testing.assert_allclose(walked_m[matters], swept_m[matters], atol=1e-3)
 
@@ -40,7 +47,8 @@ def test_a_ray_is_the_same_alone_and_in_company():
     for ray in range(5):
         alone = type(own)(*(values[ray : ray + 1] for values in own))
         np.testing.assert_array_equal(
-            shadows_at(top_m, row[ray : ray + 1], col[ray : ray + 1], alone, MOST_M), together_m[ray : ray + 1]
+            shadows_at(top_m, row[ray : ray + 1], col[ray : ray + 1], alone, MOST_M),
+            together_m[ray : ray + 1],
         )
 
 

@@ -11,11 +11,17 @@ RESOLUTION_M = 2.0
 FIRST_ROW, FIRST_COL, EVERY = 901_234, -117_003, 3
 NUM_ROWS, NUM_COLS = 9, 11
 ALTITUDES_M = np.array([1.5, 8.0, 30.0])
-AZIMUTH_RAD = np.radians([0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0, 17.0, 63.3, 111.9, 160.2, 254.4, 340.7])
-ELEVATION_RAD = np.radians([5.0, 0.0, 20.0, 88.0, 35.0, 61.0, 90.0, 15.0, 8.0, 44.0, 3.0, 27.0, 70.0, 12.0])
+AZIMUTH_RAD = np.radians(
+    [0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0, 17.0, 63.3, 111.9, 160.2, 254.4, 340.7]
+)
+ELEVATION_RAD = np.radians(
+    [5.0, 0.0, 20.0, 88.0, 35.0, 61.0, 90.0, 15.0, 8.0, 44.0, 3.0, 27.0, 70.0, 12.0]
+)
 
 
-AZIMUTH_RAD, ELEVATION_RAD = (np.resize(angles, 40) for angles in (AZIMUTH_RAD, ELEVATION_RAD))  # in two words
+AZIMUTH_RAD, ELEVATION_RAD = (
+    np.resize(angles, 40) for angles in (AZIMUTH_RAD, ELEVATION_RAD)
+)  # in two words
 
 
 def slabs(with_terrain: bool):
@@ -43,10 +49,17 @@ def walk(cells, heights_m, ground_m) -> np.ndarray:
                 start, beside = place if is_rows else place[::-1]
                 for step in range(150):
                     at = start + (step if along > 0 else -step)
-                    side = beside + math.floor(across / along * at + 0.5) - math.floor(across / along * start + 0.5)
+                    side = (
+                        beside
+                        + math.floor(across / along * at + 0.5)
+                        - math.floor(across / along * start + 0.5)
+                    )
                     for floor_m, top_m in over.get((at, side) if is_rows else (side, at), ()):
                         own_m = ALTITUDES_M + ground_m[i, j]
-                        enters_m, leaves_m = own_m + max(step - 0.5, 0) * climb_m, own_m + (step + 0.5) * climb_m
+                        enters_m, leaves_m = (
+                            own_m + max(step - 0.5, 0) * climb_m,
+                            own_m + (step + 0.5) * climb_m,
+                        )
                         hidden[s, :, i, j] |= (enters_m <= top_m) & (leaves_m >= floor_m)
     return hidden
 
@@ -56,8 +69,12 @@ def test_the_satellites_hidden_are_those_of_a_walk_along_every_line(with_terrain
     cells, heights_m = slabs(with_terrain)
     ground_m = np.random.default_rng(1).uniform(-5, 5, (NUM_ROWS, NUM_COLS)) * with_terrain
     words = np.full((2, len(ALTITUDES_M), NUM_ROWS, NUM_COLS), 2**32 - 1, np.uint32)
-    receivers = Receivers(FIRST_ROW, FIRST_COL, EVERY, ground_m if with_terrain else np.empty((0, 0)))
-    hide_behind_slabs(words, ALTITUDES_M, receivers, cells, heights_m, AZIMUTH_RAD, ELEVATION_RAD, RESOLUTION_M)
+    receivers = Receivers(
+        FIRST_ROW, FIRST_COL, EVERY, ground_m if with_terrain else np.empty((0, 0))
+    )
+    hide_behind_slabs(
+        words, ALTITUDES_M, receivers, cells, heights_m, AZIMUTH_RAD, ELEVATION_RAD, RESOLUTION_M
+    )
     found = [words[s // 32] >> s % 32 & 1 == 0 for s in range(len(AZIMUTH_RAD))]
     expected = walk(cells, heights_m, ground_m)
     assert 0.05 < expected.mean() < 0.5

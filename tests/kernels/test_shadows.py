@@ -37,7 +37,9 @@ from jaxurban.world.surface import Surface
 
 SHAPE = (23, 31)
 FIRST = (901_234, -117_003)  # row and column
-AZIMUTH_RAD = np.radians([0, 17, 45, 63.3, 90, 111.9, 135, 160.2, 180, 200, 225, 254.4, 270, 283, 315, 340.7, 10, 0])
+AZIMUTH_RAD = np.radians(
+    [0, 17, 45, 63.3, 90, 111.9, 135, 160.2, 180, 200, 225, 254.4, 270, 283, 315, 340.7, 10, 0]
+)
 ELEVATION_RAD = np.radians([5, 31, 12, 60, 8, 20, 75, 90, 30, 9, 14, 22, 41, 17, 50, 6, 0, 0])
 ALTITUDES_M = (10.0, 60.0)
 ROUNDING_M = 1e-3
@@ -52,7 +54,9 @@ def tops(shape=SHAPE, dtype=np.float32):
 def lines_over(shape, first=FIRST, growth=1, which=slice(None)):
     """Return the lines over a grid at ``first`` grown on each side."""
     grown = tuple(side + 2 * growth for side in shape)
-    return digital_lines(AZIMUTH_RAD[which], ELEVATION_RAD[which], 5.0, *(at - growth for at in first), grown)
+    return digital_lines(
+        AZIMUTH_RAD[which], ELEVATION_RAD[which], 5.0, *(at - growth for at in first), grown
+    )
 
 
 def swept(top_m, lines, rings=None):
@@ -84,11 +88,17 @@ def walks(most_steps=10**9):
         along, across, first = (east, north, FIRST[1]) if is_cols else (north, east, FIRST[0])
         drop_m = 5.0 / abs(along) * math.tan(elevation)
         shadow_m, ahead = np.full(top_m.shape, -np.inf), int(math.copysign(1, along))
-        for row, steps in itertools.product(range(len(top_m)), range(1, min(len(top_m), most_steps + 1))):
+        for row, steps in itertools.product(
+            range(len(top_m)), range(1, min(len(top_m), most_steps + 1))
+        ):
             beyond = row + ahead * steps
             if 0 <= beyond < len(top_m):
-                start, end = (math.floor(across / along * (first + at) + 0.5) for at in (row, beyond))
-                for col in range(max(0, start - end), min(top_m.shape[1], top_m.shape[1] + start - end)):
+                start, end = (
+                    math.floor(across / along * (first + at) + 0.5) for at in (row, beyond)
+                )
+                for col in range(
+                    max(0, start - end), min(top_m.shape[1], top_m.shape[1] + start - end)
+                ):
                     height_m = top_m[beyond, col + end - start] - (steps - ENTRY_STEPS) * drop_m
                     shadow_m[row, col] = max(shadow_m[row, col], height_m)
         found.append(shadow_m.T if is_cols else shadow_m)
@@ -104,11 +114,15 @@ def test_shadow_heights_equal_a_walk_along_every_line_by_one_program():
 
 
 def test_fewer_passes_leave_out_only_what_stands_farther():
-    near = shadow_heights_at_once(tops(), stacked(lines_over(SHAPE, growth=0)), passes=num_passes(8))
+    near = shadow_heights_at_once(
+        tops(), stacked(lines_over(SHAPE, growth=0)), passes=num_passes(8)
+    )
     np.testing.assert_allclose(near, walks(8), atol=ROUNDING_M)
 
 
-@pytest.mark.parametrize(("azimuth_deg", "axis", "sign"), [(0, 0, 1), (180, 0, -1), (90, 1, 1), (270, 1, -1)])
+@pytest.mark.parametrize(
+    ("azimuth_deg", "axis", "sign"), [(0, 0, 1), (180, 0, -1), (90, 1, 1), (270, 1, -1)]
+)
 def test_a_wall_throws_the_shadow_of_its_height_away_from_the_satellite(azimuth_deg, axis, sign):
     top_m, middle = np.zeros(SHAPE, np.float32), SHAPE[axis] // 2
     np.moveaxis(top_m, axis, 0)[middle] = 100.0
@@ -117,7 +131,9 @@ def test_a_wall_throws_the_shadow_of_its_height_away_from_the_satellite(azimuth_
     behind_m = shadow_m[middle - sign * np.arange(1, 10)].T
     expected_m = 100.0 - (np.arange(1, 10) - ENTRY_STEPS) * 5.0  # tan 45 degrees = 1
     np.testing.assert_allclose(behind_m, np.broadcast_to(expected_m, behind_m.shape), rtol=1e-6)
-    assert shadow_m[middle + sign * 2].max() <= 0  # on the sunny side only the ground stands in the way
+    assert (
+        shadow_m[middle + sign * 2].max() <= 0
+    )  # on the sunny side only the ground stands in the way
 
 
 @settings(max_examples=100)
@@ -132,12 +148,16 @@ def test_the_digital_line_stays_within_a_cell_of_the_ray(azimuth_rad, first):
     assert np.all(np.abs(sideways - ray) <= 1 + 1e-6)
 
 
-@pytest.mark.parametrize("form", [heights_by_sweep, pytest.param(heights_by_doubling, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "form", [heights_by_sweep, pytest.param(heights_by_doubling, marks=pytest.mark.slow)]
+)
 def test_the_derivative_of_a_shadow_is_that_of_its_one_roof(form):
     top_m, expected = np.zeros(SHAPE, np.float32), np.zeros(SHAPE)
     top_m[12, 9], expected[12, 9] = 60.0, 1.0
     lines = stacked(digital_lines([0.0], [math.radians(30)], 5.0, *FIRST, SHAPE))
-    slope = jax.grad(lambda top: form(top, lines, (0, *SHAPE[:1], 0, *SHAPE[1:], 1))[0, 8, 9])(jnp.asarray(top_m))
+    slope = jax.grad(lambda top: form(top, lines, (0, *SHAPE[:1], 0, *SHAPE[1:], 1))[0, 8, 9])(
+        jnp.asarray(top_m)
+    )
     np.testing.assert_array_equal(slope, expected)
 
 
@@ -150,15 +170,24 @@ def test_doubling_throws_the_sweeps_shadows_in_every_direction(shape):
 
 
 @pytest.mark.parametrize("is_by_doubling", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_a_part_within_the_ring_of_its_neighbours_has_the_shadows_of_the_whole_and_hands_them_on(is_by_doubling):
-    whole, lines = swept(tops(), lines_over(SHAPE, growth=0)), lines_over((12, 15), (FIRST[0] + 4, FIRST[1] + 7))
-    raised_m = tops() + ENTRY_STEPS * np.array([line.drop_m for line in lines], np.float32)[:, None, None]
+def test_a_part_within_the_ring_of_its_neighbours_has_the_shadows_of_the_whole_and_hands_them_on(
+    is_by_doubling,
+):
+    whole, lines = (
+        swept(tops(), lines_over(SHAPE, growth=0)),
+        lines_over((12, 15), (FIRST[0] + 4, FIRST[1] + 7)),
+    )
+    raised_m = (
+        tops() + ENTRY_STEPS * np.array([line.drop_m for line in lines], np.float32)[:, None, None]
+    )
     carried = np.maximum(raised_m, whole)  # the higher of roof and shadow
     rings = [Ring(c[0], c[-1], c[1:-1, 0], c[1:-1, -1]) for c in carried[:, 3:17, 6:23]]
     part_m, expected = tops()[INNER].copy(), carried[:, *INNER]
     arguments = part_m, stacked(lines), by_side(rings)
     if is_by_doubling:
-        shadows_m = shadow_heights_at_once(part_m, stacked(lines), passes=num_passes(17), rings=by_side(rings))
+        shadows_m = shadow_heights_at_once(
+            part_m, stacked(lines), passes=num_passes(17), rings=by_side(rings)
+        )
         sides = [jax.jit(edges_by_sweep)(*arguments), jax.jit(edges_by_doubling)(*arguments)]
     else:
         shadows_m, sides = swept(part_m, lines, rings), [hand_on(*arguments)]
@@ -174,7 +203,9 @@ def test_a_part_within_the_ring_of_its_neighbours_has_the_shadows_of_the_whole_a
 @pytest.mark.slow
 def test_soft_shadows_have_the_same_gradients_by_both_forms():
     with jax.enable_x64(True):
-        top_m = jnp.asarray(tops(), jnp.float64) + np.random.default_rng(2).uniform(0, 0.1, SHAPE)  # no two tie
+        top_m = jnp.asarray(tops(), jnp.float64) + np.random.default_rng(2).uniform(
+            0, 0.1, SHAPE
+        )  # no two tie
         lines = stacked(lines_over(SHAPE, growth=0))
         at = jnp.asarray(np.random.default_rng(3).uniform(size=(len(AZIMUTH_RAD), 12, 15)))
 
@@ -205,11 +236,18 @@ def test_a_satellite_is_seen_where_its_shadow_is_not_above_the_receiver(shape, w
     top_m[shape[0] // 2, shape[1] // 3] = np.nan  # unknown: hides what lies behind it
     ground_m = np.random.default_rng(1).uniform(0, 20, shape).astype(np.float32)[window]
     altitudes_m = np.array(ALTITUDES_M, np.float32)
-    receivers_m = np.broadcast_to(altitudes_m[:, None, None], (2, *ground_m.shape)) + (ground_m if has_terrain else 0)
-    words, first_cell = np.zeros((1, 2, *ground_m.shape), np.uint32), (window[0].start, window[1].start)
+    receivers_m = np.broadcast_to(altitudes_m[:, None, None], (2, *ground_m.shape)) + (
+        ground_m if has_terrain else 0
+    )
+    words, first_cell = (
+        np.zeros((1, 2, *ground_m.shape), np.uint32),
+        (window[0].start, window[1].start),
+    )
     ground_m = ground_m.copy() if has_terrain else None
     mark_visible(words, top_m, ground_m, altitudes_m, stacked(lines_over(shape)), first_cell)
-    np.testing.assert_array_equal(words, words_of(swept(top_m, lines_over(shape, growth=0))[:, *window], receivers_m))
+    np.testing.assert_array_equal(
+        words, words_of(swept(top_m, lines_over(shape, growth=0))[:, *window], receivers_m)
+    )
 
 
 @pytest.mark.parametrize("form", ["numba", words_by_sweep, words_by_doubling])
@@ -218,7 +256,9 @@ def test_words_hold_more_than_32_satellites_and_none_that_fills_up(form):
     rng = np.random.default_rng(1)
     ground_m, altitudes_m = rng.uniform(0, 9, (12, 15)).astype(np.float32), np.float32([5, 60])
     height_m = ground_m + altitudes_m[:, None, None]
-    expected = words_of(swept(tops(), lines_over(SHAPE, growth=0, which=which[:num]))[:, *INNER], height_m)
+    expected = words_of(
+        swept(tops(), lines_over(SHAPE, growth=0, which=which[:num]))[:, *INNER], height_m
+    )
     if form == "numba":
         words = np.zeros((3, 2, 12, 15), np.uint32)
         words[2] = 1 << 31  # what they held before stays
@@ -227,7 +267,9 @@ def test_words_hold_more_than_32_satellites_and_none_that_fills_up(form):
         expected[2] |= np.uint32(1 << 31)
     else:
         lines = stacked(lines_over(SHAPE, growth=0, which=which))
-        words = jax.jit(form, static_argnames="window")(tops(), height_m, lines, np.int32(num), None, window=WINDOW)
+        words = jax.jit(form, static_argnames="window")(
+            tops(), height_m, lines, np.int32(num), None, window=WINDOW
+        )
     np.testing.assert_array_equal(words, expected)
 
 
@@ -242,19 +284,30 @@ def test_tiles_that_hand_on_give_the_words_of_the_whole(dtype):
     tiles = [(slice(*row), slice(*col)) for row, col in parts]
     found = np.zeros_like(whole)
     for s in range(len(AZIMUTH_RAD)):
-        carried_m = np.full(np.array(shape) + 2, -np.inf, dtype)  # what tiles hand on, in their outermost cells
+        carried_m = np.full(
+            np.array(shape) + 2, -np.inf, dtype
+        )  # what tiles hand on, in their outermost cells
         north, east = np.cos(AZIMUTH_RAD[s]) >= 0, np.sin(AZIMUTH_RAD[s]) >= 0
-        for tile in sorted(tiles, key=lambda tile: (tile[0].start * (1 - 2 * north), tile[1].start * (1 - 2 * east))):
+        for tile in sorted(
+            tiles,
+            key=lambda tile: (tile[0].start * (1 - 2 * north), tile[1].start * (1 - 2 * east)),
+        ):
             row, col = (slice(part.start, part.stop + 2) for part in tile)
             around = carried_m[row, col]
             ring = Ring(around[:1], around[-1:], around[None, 1:-1, 0], around[None, 1:-1, -1])
             part_m = np.ascontiguousarray(top_m[tile])
-            line = stacked(lines_over(part_m.shape, (FIRST[0] + tile[0].start, FIRST[1] + tile[1].start), which=[s]))
+            line = stacked(
+                lines_over(
+                    part_m.shape, (FIRST[0] + tile[0].start, FIRST[1] + tile[1].start), which=[s]
+                )
+            )
             words = np.zeros((1, 2, *part_m.shape), np.uint32)
             mark_visible(words, part_m, None, altitudes_m, line, rings=ring)
             found[0][:, *tile] |= words[0] << np.uint32(s)
             inner = carried_m[1:-1, 1:-1][tile]
-            inner[0], inner[-1], inner[:, 0], inner[:, -1] = (side[0] for side in hand_on(part_m, line, ring))
+            inner[0], inner[-1], inner[:, 0], inner[:, -1] = (
+                side[0] for side in hand_on(part_m, line, ring)
+            )
     np.testing.assert_array_equal(found, whole)
 
 
@@ -270,10 +323,17 @@ def test_the_words_of_a_city_are_equal_by_all_forms(has_terrain):
         hills_m = 20 * np.sin(np.arange(200) / 30)[:, None] * np.cos(np.arange(200) / 40)
         surface = Surface(surface.roof_m, hills_m.astype(np.float32), None, None, outer, region)
     sky = AZIMUTH_RAD, np.maximum(ELEVATION_RAD, 0.05)
-    numba, jaxs = (np.asarray(visibility(surface, *sky, ALTITUDES_M, engine=engine)) for engine in ("numba", "jax"))
+    numba, jaxs = (
+        np.asarray(visibility(surface, *sky, ALTITUDES_M, engine=engine))
+        for engine in ("numba", "jax")
+    )
     np.testing.assert_array_equal(jaxs, numba)
-    height_m = np.float32(ALTITUDES_M)[:, None, None] + (surface.terrain_m[50:-50, 50:-50] if has_terrain else 0)
+    height_m = np.float32(ALTITUDES_M)[:, None, None] + (
+        surface.terrain_m[50:-50, 50:-50] if has_terrain else 0
+    )
     view, form = SkyView.of(surface, *sky), jax.jit(words_by_doubling, static_argnames="window")
-    doubled = form(surface.top_m, height_m, view.lines, view.num, None, window=(50, 150, 50, 150, 1))
+    doubled = form(
+        surface.top_m, height_m, view.lines, view.num, None, window=(50, 150, 50, 150, 1)
+    )
     np.testing.assert_array_equal(doubled, numba)
     assert 0.4 < np.mean([numba >> s & 1 for s in range(len(AZIMUTH_RAD))]) < 0.99

@@ -41,7 +41,9 @@ main(sys.argv[1:])
 @contextmanager
 def process(*words: object, **how: object) -> Iterator[subprocess.Popen]:
     """Run Python; it is ended with the block."""
-    with subprocess.Popen([sys.executable, *map(str, words)], stderr=subprocess.PIPE, text=True, **how) as started:
+    with subprocess.Popen(
+        [sys.executable, *map(str, words)], stderr=subprocess.PIPE, text=True, **how
+    ) as started:
         try:
             yield started
         finally:
@@ -52,7 +54,16 @@ def process(*words: object, **how: object) -> Iterator[subprocess.Popen]:
 def scheduler(tmp_path_factory) -> Iterator[tuple[str, subprocess.Popen]]:
     """The address of a scheduler, and its process."""
     file = tmp_path_factory.mktemp("cluster") / "scheduler.json"
-    options = ["--port", "0", "--dashboard-address", "127.0.0.1:0", "--host", "127.0.0.1", "--scheduler-file", file]
+    options = [
+        "--port",
+        "0",
+        "--dashboard-address",
+        "127.0.0.1:0",
+        "--host",
+        "127.0.0.1",
+        "--scheduler-file",
+        file,
+    ]
     with process("-m", "distributed.cli.dask_scheduler", *options) as started:
         while not file.exists():
             time.sleep(0.1)
@@ -62,8 +73,13 @@ def scheduler(tmp_path_factory) -> Iterator[tuple[str, subprocess.Popen]]:
 def test_a_cluster_of_ones_own_shows_no_page():
     with cluster_client(1) as client:
         workers = client.scheduler_info()["workers"].values()
-        ports = [client.cluster.scheduler.http_server.port, *(each["services"]["dashboard"] for each in workers)]
-        for port, page in itertools.product(ports, ("status", "health", "metrics", "info/main/workers.html")):
+        ports = [
+            client.cluster.scheduler.http_server.port,
+            *(each["services"]["dashboard"] for each in workers),
+        ]
+        for port, page in itertools.product(
+            ports, ("status", "health", "metrics", "info/main/workers.html")
+        ):
             with pytest.raises(HTTPError, match="404"):
                 urlopen(f"http://127.0.0.1:{port}/{page}", timeout=10)
 
@@ -75,13 +91,23 @@ def test_a_cluster_without_workers_is_warned_of(scheduler, caplog):
     assert f"the cluster {address} has no worker yet: waiting for one" in caplog.text
 
 
-def test_each_process_of_a_cluster_is_killed_in_turn_and_no_map_is_lost(scheduler, tmp_path, monkeypatch):
+def test_each_process_of_a_cluster_is_killed_in_turn_and_no_map_is_lost(
+    scheduler, tmp_path, monkeypatch
+):
     def again(folder: Path, workers: str | None = None) -> dict[str, bytes]:
-        pipeline.run_scenario(Scenario.from_toml(tmp_path / "town.toml"), folder, progress=False, workers=workers)
-        return {name: data for name, data in files_of(folder).items() if name not in ("run.json", "checksums.json")}
+        pipeline.run_scenario(
+            Scenario.from_toml(tmp_path / "town.toml"), folder, progress=False, workers=workers
+        )
+        return {
+            name: data
+            for name, data in files_of(folder).items()
+            if name not in ("run.json", "checksums.json")
+        }
 
     def worker() -> subprocess.Popen:
-        return stack.enter_context(process("-m", "distributed.cli.dask_worker", address, "--no-nanny"))
+        return stack.enter_context(
+            process("-m", "distributed.cli.dask_worker", address, "--no-nanny")
+        )
 
     (address, of_scheduler), stack = scheduler, ExitStack()
     (tmp_path / "town.toml").write_text(SCENARIO)
@@ -92,7 +118,15 @@ def test_each_process_of_a_cluster_is_killed_in_turn_and_no_map_is_lost(schedule
         for victim in ("one", "two", "client", "scheduler"):
             out = tmp_path / victim
             with process(
-                "-c", MANY_TILES, "maps", "town.toml", "-o", victim, "--cluster", address, cwd=tmp_path
+                "-c",
+                MANY_TILES,
+                "maps",
+                "town.toml",
+                "-o",
+                victim,
+                "--cluster",
+                address,
+                cwd=tmp_path,
             ) as run:
                 while len(list(out.glob("maps.zarr/.20m*/done/*.json"))) < 3:
                     assert run.poll() is None, run.stderr.read()
@@ -130,5 +164,8 @@ def test_who_holds_no_certificate_of_the_run_does_not_reach_its_workers():
 
 def test_a_worker_killed_while_it_starts_is_one_sentence():
     Thread(target=end_first_child, args=(signal.SIGKILL,), daemon=True).start()
-    with pytest.raises(InputError, match="a worker process ended while it started"), cluster_client(1):
+    with (
+        pytest.raises(InputError, match="a worker process ended while it started"),
+        cluster_client(1),
+    ):
         pass

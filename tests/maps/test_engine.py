@@ -27,7 +27,10 @@ NUMBA = {visibility: "mark_visible", lidar: "count_on_host", risk: "distance_on_
 
 def both(of: MapTask):
     """Return the datasets of a task by Numba and by JAX."""
-    return [compute_maps(replace(of, params=replace(of.params, engine=engine))).ds for engine in ("numba", "jax")]
+    return [
+        compute_maps(replace(of, params=replace(of.params, engine=engine))).ds
+        for engine in ("numba", "jax")
+    ]
 
 
 @pytest.fixture
@@ -45,7 +48,11 @@ def called(monkeypatch):
 
 def test_jax_gives_the_bits_of_numba_for_two_constellations_and_calls_no_form_of_it(called):
     of = task(city())
-    of = replace(of, sky=replace(sky(), systems=("gps", "galileo") * 3), params=replace(of.params, engine="numba"))
+    of = replace(
+        of,
+        sky=replace(sky(), systems=("gps", "galileo") * 3),
+        params=replace(of.params, engine="numba"),
+    )
     numba = compute_maps(of).ds
     assert {*called} == {*NUMBA.values()}
     called.clear()
@@ -73,11 +80,17 @@ def test_on_lower_manhattan_the_bits_are_equal(data_dir):
     town = ju.City.from_files(data_dir / "osm" / "lower-manhattan.osm.pbf", bounds=bounds)
     gps = ju.Gps(orbits=data_dir / "gps" / "gps-ops_2020-04-27.tle")
     settings = {"altitudes_m": (20.0, 60.0), "gps": gps}
-    xr.testing.assert_equal(*(ju.build_maps(town, bounds, engine=name, **settings).ds for name in ("jax", "numba")))
+    xr.testing.assert_equal(
+        *(ju.build_maps(town, bounds, engine=name, **settings).ds for name in ("jax", "numba"))
+    )
 
 
 def test_what_is_traced_is_jaxs_and_auto_is_numba_on_a_cpu_alone():
-    assert (chosen("auto", "cpu"), chosen("auto", "gpu"), chosen("numba", "gpu")) == ("numba", "jax", "numba")
+    assert (chosen("auto", "cpu"), chosen("auto", "gpu"), chosen("numba", "gpu")) == (
+        "numba",
+        "jax",
+        "numba",
+    )
     traced = []
     jax.jit(lambda values: traced.append(runs_numba("numba", values)) or values)(np.zeros(3))
     assert traced == [False]
@@ -93,7 +106,10 @@ def town(tmp_path):
 
 def test_a_wrong_engine_is_one_sentence():
     sentence = r"engine must be 'auto', 'numba' or 'jax', got 'jx' \(did you mean 'jax'\?\)"
-    for call in (lambda: ju.build_maps(ju.demo_city(400, 400), engine="jx"), lambda: MapParams(engine="jx")):
+    for call in (
+        lambda: ju.build_maps(ju.demo_city(400, 400), engine="jx"),
+        lambda: MapParams(engine="jx"),
+    ):
         with pytest.raises(InputError, match=sentence):
             call()
 

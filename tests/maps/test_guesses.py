@@ -33,13 +33,17 @@ def write_buildings(path, heights, levels=None):
     houses = [box(x, 100, x + 40, 140) for x in 20 + 90 * np.arange(len(heights))]
     levels = [*(levels or [None] * len(heights)), None, None]
     tags = {"building": "yes", "height": [*heights, "5", "5"], "building:levels": levels}
-    write_vector(path, [*houses, box(-100, -100, -90, -90), box(450, 450, 460, 460)], to=WGS84, **tags)
+    write_vector(
+        path, [*houses, box(-100, -100, -90, -90), box(450, 450, 460, 460)], to=WGS84, **tags
+    )
     return houses
 
 
 def write_scenario(tmp_path, extra=""):
     region = f"[region]\nbounds = {list(BOUNDS)}\nresolution_m = 10\naltitudes_m = [20]\n"
-    (tmp_path / "scenario.toml").write_text(f'{region}[buildings]\nsource = "town.geojson"\n{extra}')
+    (tmp_path / "scenario.toml").write_text(
+        f'{region}[buildings]\nsource = "town.geojson"\n{extra}'
+    )
     return tmp_path / "scenario.toml"
 
 
@@ -53,24 +57,38 @@ def told_by(function):
 def town(tmp_path, heights=("30",) * 4, **options):
     """Return a city of houses read from a file, and what Python was warned of."""
     write_buildings(tmp_path / "town.geojson", heights)
-    return told_by(lambda: City.from_files(tmp_path / "town.geojson", **{"bounds": BOUNDS, "crs": UTM} | options))
+    return told_by(
+        lambda: City.from_files(
+            tmp_path / "town.geojson", **{"bounds": BOUNDS, "crs": UTM} | options
+        )
+    )
 
 
 def guesses_of(city, region=None, **sections):
     region = region or Grid.from_bounds(BOUNDS, 10.0, UTM)
-    return MapTask(city, region, view_sky(region, ju.Gps()), MapParams((20.0,), sections=sections)).all_guesses
+    return MapTask(
+        city, region, view_sky(region, ju.Gps()), MapParams((20.0,), sections=sections)
+    ).all_guesses
 
 
 def texts_of(maps):
     return [text.get_text() for text in plotting.plot_heights(maps).findobj(Text)]
 
 
-def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_picture(tmp_path, capsys):
-    houses = write_buildings(tmp_path / "town.geojson", ["30", None, None, "25"], [None, "4", None, "2"])
+def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_picture(
+    tmp_path, capsys
+):
+    houses = write_buildings(
+        tmp_path / "town.geojson", ["30", None, None, "25"], [None, "4", None, "2"]
+    )
     code, _, err = run(capsys, "maps", write_scenario(tmp_path), "-o", tmp_path / "out")
     assert code == 0
     sentence = "heights of the 4 buildings in the region are guessed (1 by 3 m a level, 1 the default of 10 m)"
-    assert [line for line in err.splitlines() if sentence in line and line.startswith("jaxurban: warning: ")]
+    assert [
+        line
+        for line in err.splitlines()
+        if sentence in line and line.startswith("jaxurban: warning: ")
+    ]
     found = json.loads((tmp_path / "out/run.json").read_text())["warnings"]
     assert sum(sentence in warning for warning in found) == 1
     maps = ju.open_maps(tmp_path / "out")
@@ -83,7 +101,9 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     assert any(text.startswith("Guessed: 50 % of heights") for text in texts)
 
 
-def test_of_known_heights_without_terrain_only_the_ground_is_guessed_and_over_terrain_nothing(tmp_path):
+def test_of_known_heights_without_terrain_only_the_ground_is_guessed_and_over_terrain_nothing(
+    tmp_path,
+):
     city, told = town(tmp_path)
     assert [*city.guesses] == ["flat ground"]
     assert told == [*city.guesses.values()]
@@ -92,7 +112,9 @@ def test_of_known_heights_without_terrain_only_the_ground_is_guessed_and_over_te
     texts = texts_of(maps)
     assert not any("height guessed" in text for text in texts)
     assert any(text.startswith("Guessed: flat ground") for text in texts)
-    write_raster(tmp_path / "ground.tif", np.zeros((40, 40), np.float32), north_up(50, 40, X - 500, Y - 500))
+    write_raster(
+        tmp_path / "ground.tif", np.zeros((40, 40), np.float32), north_up(50, 40, X - 500, Y - 500)
+    )
     city, told = town(tmp_path, terrain=tmp_path / "ground.tif")
     assert (told, city.guesses) == ([], {})
 
@@ -110,10 +132,15 @@ def test_one_guessed_roof_of_many_is_known_by_all_cells_that_it_touches(tmp_path
 
 def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path):
     city, at_reading = town(tmp_path, ["300", None, None, "25"])
-    maps, at_building = told_by(lambda: ju.build_maps(city, BOUNDS, resolution_m=10.0, altitudes_m=[20.0]))
+    maps, at_building = told_by(
+        lambda: ju.build_maps(city, BOUNDS, resolution_m=10.0, altitudes_m=[20.0])
+    )
     assert [*at_reading, *at_building] == list(maps.guesses.values())
     assert len(at_reading) == 2
-    assert any("nominal ones at 2020-04-27T16:00:00Z, the paper's time" in sentence for sentence in at_building)
+    assert any(
+        "nominal ones at 2020-04-27T16:00:00Z, the paper's time" in sentence
+        for sentence in at_building
+    )
     assert any("rays that leave the data" in sentence for sentence in at_building)
     ran = run_scenario(Scenario.from_toml(write_scenario(tmp_path)), tmp_path / "out")
     assert ran.record["warnings"] == list(ran.maps[10.0].guesses.values())
@@ -133,12 +160,17 @@ def test_elements_without_times_stand_at_their_own_time_and_nominal_ones_at_the_
     scenario = Scenario.from_toml(write_scenario(tmp_path, '[gps]\norbits = "galileo.tle"\n'))
     made = run_scenario(scenario, tmp_path / "out")
     assert made.record["epochs"] == ["2020-04-27T00:00:00Z"]
-    assert any("satellites stand as at 2020-04-27T00:00:00Z" in warning for warning in made.record["warnings"])
+    assert any(
+        "satellites stand as at 2020-04-27T00:00:00Z" in warning
+        for warning in made.record["warnings"]
+    )
     region = made.maps[10.0].grid
     assert view_sky(region, ju.Gps()).times == ("2020-04-27T16:00:00Z",)
     asked = view_sky(region, ju.Gps(orbits=orbits, times="2020-04-28T00:00:00Z"))
     assert (asked.times, asked.guesses) == (("2020-04-28T00:00:00Z",), {})
-    maps, told = told_by(lambda: ju.build_maps(city, grid=region, altitudes_m=[20.0], gps=ju.Gps(orbits=orbits)))
+    maps, told = told_by(
+        lambda: ju.build_maps(city, grid=region, altitudes_m=[20.0], gps=ju.Gps(orbits=orbits))
+    )
     assert maps.times == ("2020-04-27T00:00:00Z",)
     assert any("satellites stand as at" in sentence for sentence in told)
 
@@ -160,9 +192,14 @@ def test_the_share_of_answers_beyond_the_data_is_that_of_rays_followed_one_by_on
 def peopled(*sides_m):
     """A city of square blocks in a row, each with 100 people."""
     x, side_m, num = X + np.r_[0.0, np.cumsum(sides_m)[:-1]], np.array(sides_m), len(sides_m)
-    polygons, zoning = shapely.box(x, Y, x + side_m, Y + side_m), np.full(num, Zoning.RESIDENTIAL, np.uint8)
+    polygons, zoning = (
+        shapely.box(x, Y, x + side_m, Y + side_m),
+        np.full(num, Zoning.RESIDENTIAL, np.uint8),
+    )
     number = np.arange(num)
-    blocks = Blocks(polygons, np.full(num, 100.0), np.full(num, 107, np.int32), zoning, number.astype(object))
+    blocks = Blocks(
+        polygons, np.full(num, 100.0), np.full(num, 107, np.int32), zoning, number.astype(object)
+    )
     extent_m = X, Y, X + 1000.0, Y + 1000.0
     return replace(ju.demo_city(500, 500), blocks=blocks, crs=UTM, extent_m=extent_m)
 
@@ -176,14 +213,26 @@ def test_people_of_the_day_are_a_guess_of_those_who_sleep_there(times, is_guesse
 
 @pytest.mark.parametrize(
     ("side_m", "settings", "is_told"),
-    [(10.0, {}, True), (10.0, {"normalise": "p95"}, False), (10.0, {"normalise": 3e4}, False), (50.0, {}, False)],
+    [
+        (10.0, {}, True),
+        (10.0, {"normalise": "p95"}, False),
+        (10.0, {"normalise": 3e4}, False),
+        (50.0, {}, False),
+    ],
 )
-def test_one_tiny_block_that_sets_the_population_scale_is_told_with_its_remedy(side_m, settings, is_told):
+def test_one_tiny_block_that_sets_the_population_scale_is_told_with_its_remedy(
+    side_m, settings, is_told
+):
     guesses = guesses_of(peopled(side_m, 60.0, 60.0, 60.0, 60.0), population=Population(**settings))
     said = guesses.get("one block sets the population scale", "")
     # By day half of its 1,000,000 people per km2 are away.
-    assert ("census block 0 (100 m2) with 500,000 people per km2 sets the population scale alone" in said) == is_told
-    assert ("the median inhabited block gets 0.03; set [population] normalise to" in said) == is_told
+    assert (
+        "census block 0 (100 m2) with 500,000 people per km2 sets the population scale alone"
+        in said
+    ) == is_told
+    assert (
+        "the median inhabited block gets 0.03; set [population] normalise to" in said
+    ) == is_told
     assert bool(said) == is_told
 
 
@@ -196,7 +245,9 @@ def write_people(tmp_path, counts, labels=(101, 102), field="BoroCD"):
     (tmp_path / "counts.csv").write_text("\n".join(["GEOID10,population", *lines]))
     halves = box(-50, -50, 200, 500), box(200, -50, 500, 500)
     districts = write_vector(tmp_path / "districts.geojson", halves, to=WGS84, **{field: labels})
-    return ju.Population(blocks=blocks, table=tmp_path / "counts.csv", districts=districts, district_field=field)
+    return ju.Population(
+        blocks=blocks, table=tmp_path / "counts.csv", districts=districts, district_field=field
+    )
 
 
 def assert_told(told, words):
@@ -208,7 +259,10 @@ def assert_told(told, words):
 @pytest.mark.parametrize(
     ("counts", "words"),
     [
-        (("120", "n/a"), "2 of 3 census blocks in and around the region are read as 0 people (in 1 the count can"),
+        (
+            ("120", "n/a"),
+            "2 of 3 census blocks in and around the region are read as 0 people (in 1 the count can",
+        ),
         (("0", "0", "0"), "all census counts in and around the region are 0"),
         (("120", "0", "7"), None),
     ],
@@ -223,14 +277,30 @@ def test_counts_that_are_read_as_zero_are_told(tmp_path, counts, words):
     [
         ("BoroCD", (101, 107), None, {"COMMERCIAL", "RESIDENTIAL"}, None),
         ("boro_cd", (101, 107), None, {"COMMERCIAL", "RESIDENTIAL"}, None),
-        ("ward", (101, 107), None, {"RESIDENTIAL"}, "commercial lists no district of 'districts.geojson' (ward), so"),
+        (
+            "ward",
+            (101, 107),
+            None,
+            {"RESIDENTIAL"},
+            "commercial lists no district of 'districts.geojson' (ward), so",
+        ),
         ("ward", (101, 107), (107,), {"COMMERCIAL", "RESIDENTIAL"}, None),
         ("ward", (1, 2), (), {"RESIDENTIAL"}, None),
-        ("ward", (1, 2), (101, 102), {"RESIDENTIAL"}, "commercial lists no district of 'districts.geojson' (ward), so"),
+        (
+            "ward",
+            (1, 2),
+            (101, 102),
+            {"RESIDENTIAL"},
+            "commercial lists no district of 'districts.geojson' (ward), so",
+        ),
     ],
 )
-def test_new_yorks_commercial_districts_are_no_other_citys(tmp_path, field, labels, commercial, zoned, words):
-    people = replace(write_people(tmp_path, ("10", "20", "30"), labels, field), commercial=commercial)
+def test_new_yorks_commercial_districts_are_no_other_citys(
+    tmp_path, field, labels, commercial, zoned, words
+):
+    people = replace(
+        write_people(tmp_path, ("10", "20", "30"), labels, field), commercial=commercial
+    )
     city, told = town(tmp_path, population=people)
     assert {Zoning(zoning).name for zoning in city.blocks.zoning} - {"OTHER"} == zoned
     assert_told(told, words)

@@ -23,7 +23,9 @@ DEFAULT, EXACT = HeightStd(), HeightStd(0.0, 0.0, 0.0, 0.0)
 
 @pytest.fixture(scope="module")
 def city() -> ju.City:
-    made = city_of_boxes([(30, 40, 50, 70), (90, 60, 110, 90)], np.array([30.0, 10.0]), 140.0, (X0, Y0), UTM)
+    made = city_of_boxes(
+        [(30, 40, 50, 70), (90, 60, 110, 90)], np.array([30.0, 10.0]), 140.0, (X0, Y0), UTM
+    )
     origin = np.array([HeightOrigin.HEIGHT, HeightOrigin.DEFAULT], np.uint8)
     return replace(made, buildings=replace(made.buildings, origin=origin))
 
@@ -33,7 +35,11 @@ def spread_of(city, *, num_samples, seed=0, height_std=DEFAULT):
     sky = view_sky(REGION, ju.Gps(times=["2020-04-27T16:00:00Z"]))
     params = MapParams((12.0, 31.0), heights=heights, sections={"lidar": LIDAR})
     ds = compute_maps(MapTask(city, REGION, sky, params)).ds
-    names = [f"{metric}_{what}" for metric in ("gps", "lidar", "risk") for what in ("mean", "std", "p05", "p95")]
+    names = [
+        f"{metric}_{what}"
+        for metric in ("gps", "lidar", "risk")
+        for what in ("mean", "std", "p05", "p95")
+    ]
     return ds[[*names, "obstacle_share"]]
 
 
@@ -68,7 +74,9 @@ def test_the_share_of_obstacles_is_the_normal_laws(city):
     heights = np.array([c.buildings.height_m for c in perturbed_cities(city, HeightStd(), num, 1)])
     for building, altitude_m, deviations in ((1, 12.0, 0.4), (0, 31.0, 1.0)):
         expected = 0.5 * math.erfc(deviations / math.sqrt(2))
-        assert (heights[:, building] >= altitude_m).mean() == pytest.approx(expected, abs=4 / math.sqrt(4 * num))
+        assert (heights[:, building] >= altitude_m).mean() == pytest.approx(
+            expected, abs=4 / math.sqrt(4 * num)
+        )
     assert heights.min() == 0.0  # where 5 m too little would put a roof of 10 m under the ground
     assert abs(np.corrcoef(heights.T)[0, 1]) < 0.05
 
@@ -90,7 +98,9 @@ def test_a_height_raster_moves_by_connected_buildings(city):
     values[1:3, 1:4], values[5:7, 5:8], values[0, 8] = 12.0, 20.0, np.nan
     raster = Raster(values, (10.0, 0.0, X0, 0.0, -10.0, Y0 + 80.0), UTM)
     rasters = replace(city, buildings=None, roofs=raster)
-    drawn = np.array([c.roofs.values for c in perturbed_cities(rasters, HeightStd(raster=2.0), 200, 0)])
+    drawn = np.array(
+        [c.roofs.values for c in perturbed_cities(rasters, HeightStd(raster=2.0), 200, 0)]
+    )
     error = drawn - values
     assert np.isnan(drawn[:, 0, 8]).all()
     assert (drawn[:, values == 0] == 0).all()

@@ -45,12 +45,22 @@ GIB = 2**30
 
 
 def test_sizes_are_read_and_said_as_people_write_them():
-    for text, num_bytes in (("4GiB", 4 * GIB), ("512 MB", 512 * 2**20), ("1.5g", 3 * GIB // 2), ("2048", 2048)):
+    for text, num_bytes in (
+        ("4GiB", 4 * GIB),
+        ("512 MB", 512 * 2**20),
+        ("1.5g", 3 * GIB // 2),
+        ("2048", 2048),
+    ):
         assert parse_bytes(text) == num_bytes
     for text in ("", "GiB", "-4GiB", "0", "4 gigs", "4GiB free"):
         with pytest.raises(InputError, match="such as 4GiB"):
             parse_bytes(text)
-    sizes = {1: "less than 1 MiB", 90 * 2**20: "90 MiB", 1.26 * GIB: "1.3 GiB", 2000 * GIB: "2,000 GiB"}
+    sizes = {
+        1: "less than 1 MiB",
+        90 * 2**20: "90 MiB",
+        1.26 * GIB: "1.3 GiB",
+        2000 * GIB: "2,000 GiB",
+    }
     assert [told_bytes(num_bytes) for num_bytes in sizes] == [*sizes.values()]
     assert told_apart(1.21 * GIB, 1.2 * GIB) == ["1,239.040 MiB", "1,228.800 MiB"]
     assert told_apart(2 * GIB, GIB) == ["2.0 GiB", "1.0 GiB"]
@@ -60,18 +70,25 @@ def test_sizes_are_read_and_said_as_people_write_them():
 def small() -> MapTask:
     """A region of one tile."""
     nobody = np.empty((1, 0))
-    region, sky = ju.Grid("EPSG:32618", 2.0, 0, 0, 300, 300), Sky(("",), (), nobody, nobody, (), nobody)
+    region, sky = (
+        ju.Grid("EPSG:32618", 2.0, 0, 0, 300, 300),
+        Sky(("",), (), nobody, nobody, (), nobody),
+    )
     return MapTask(ju.demo_city(700, 700), region, sky, MapParams())
 
 
-def test_as_many_tiles_at_a_time_as_fit_and_no_more_are_told_than_there_are(small, monkeypatch, caplog):
+def test_as_many_tiles_at_a_time_as_fit_and_no_more_are_told_than_there_are(
+    small, monkeypatch, caplog
+):
     caplog.set_level(logging.INFO, "jaxurban")
     assert plan_run([small], None, 2) == 2  # two threads write GeoTIFFs
     assert "90,000 cells, tiles at a time: 1; about" in caplog.text
     plan_run([replace(small, region=replace(small.region, num_rows=3000))], None, 2)
     assert "tiles at a time: 2; about" in caplog.text
     monkeypatch.setattr(memory, "tile_bytes", lambda task, tile: 2 * GIB)
-    needed = psutil.Process().memory_info().rss + memory.COMPILING_BYTES + memory.PROGRAM_BYTES + 2 * GIB
+    needed = (
+        psutil.Process().memory_info().rss + memory.COMPILING_BYTES + memory.PROGRAM_BYTES + 2 * GIB
+    )
     assert plan_run([small], needed + GIB, 8) == 1
     monkeypatch.setattr(memory, "tile_bytes", lambda task, tile: GIB // 4)
     assert plan_run([small], 26 * GIB, 16, 4) == 16
@@ -86,7 +103,9 @@ def test_as_many_tiles_as_a_gpu_holds_are_worked_on(small, monkeypatch):
     monkeypatch.setattr(memory, "tile_gpu_bytes", lambda task, tile: int(1.2 * GIB))
     assert plan_run([small], 200 * GIB, 8) == 2
     stats["bytes_in_use"] = 3 * GIB
-    with pytest.raises(InputError, match=r"about 1\.2 GiB of the GPU's memory and 1\.0 GiB are free"):
+    with pytest.raises(
+        InputError, match=r"about 1\.2 GiB of the GPU's memory and 1\.0 GiB are free"
+    ):
         plan_run([small], 200 * GIB, 8)
 
 
@@ -101,15 +120,23 @@ def test_on_a_gpu_the_forecast_holds_what_its_shapes_of_kernels_take_as_compiled
 
 def test_tiles_do_not_depend_on_the_machine_and_shrink_for_long_series(small):
     short = replace(small, region=replace(small.region, num_rows=10_000, num_cols=5_000))
-    params, region = MapParams(sections={"gps": Gps(series="statistics")}), replace(short.region, resolution_m=5.0)
+    params, region = (
+        MapParams(sections={"gps": Gps(series="statistics")}),
+        replace(short.region, resolution_m=5.0),
+    )
     long = replace(short, region=region, sky=replace(small.sky, times=("",) * 288), params=params)
     assert shape_of_tiles(short) == (1000, 1000)
     rows, cols = shape_of_tiles(long)
     assert rows * cols * 288 * 4 * 4 <= 400 * 2**20
     crs = small.city.crs
-    hills = replace(small.city, terrain=Raster(np.zeros((2, 2), np.float32), (1.0, 0.0, 0.0, 0.0, -1.0, 0.0), crs))
+    hills = replace(
+        small.city,
+        terrain=Raster(np.zeros((2, 2), np.float32), (1.0, 0.0, 0.0, 0.0, -1.0, 0.0), crs),
+    )
     short, tile = replace(short, city=hills), replace(short.region, num_rows=1000, num_cols=1000)
-    assert tile_bytes(long, replace(region, num_rows=rows, num_cols=cols)) < 3 * tile_bytes(short, tile)
+    assert tile_bytes(long, replace(region, num_rows=rows, num_cols=cols)) < 3 * tile_bytes(
+        short, tile
+    )
 
 
 @pytest.mark.parametrize("cell_m", [0.2, 0.05])
@@ -131,26 +158,39 @@ NO_LIMIT = 9_223_372_036_854_771_712  # as version 1 writes it
 FREE = 40 * GIB
 
 
-def of_groups(root, groups: str, mounts: dict[str, tuple[str, str]], limits: dict[str, object]) -> int:
+def of_groups(
+    root, groups: str, mounts: dict[str, tuple[str, str]], limits: dict[str, object]
+) -> int:
     """Return the free bytes under a made file system: groups of the process, mounts by place, limits by folder."""
     lines = [
-        f"3{k} 31 0:3{k} {top} {place} rw - {kind} {kind} rw" for k, (place, (top, kind)) in enumerate(mounts.items())
+        f"3{k} 31 0:3{k} {top} {place} rw - {kind} {kind} rw"
+        for k, (place, (top, kind)) in enumerate(mounts.items())
     ]
     (root / "proc/self").mkdir(parents=True)
     (root / "proc/self/cgroup").write_text(groups)
-    (root / "proc/self/mountinfo").write_text("\n".join(["23 1 8:1 / / rw shared:1 - ext4 /dev/root rw", *lines]))
+    (root / "proc/self/mountinfo").write_text(
+        "\n".join(["23 1 8:1 / / rw shared:1 - ext4 /dev/root rw", *lines])
+    )
     for folder, limit in limits.items():
         path = root / folder.strip("/")
         path.mkdir(parents=True, exist_ok=True)
         is_v1 = "/memory" in folder
         (path / ("memory.limit_in_bytes" if is_v1 else "memory.max")).write_text(f"{limit}\n")
-        held = "cache 9\nrss 1\nshmem 1\ntotal_rss 700\ntotal_shmem 300\n" if is_v1 else "anon 900\nfile 9\nshmem 100\n"
+        held = (
+            "cache 9\nrss 1\nshmem 1\ntotal_rss 700\ntotal_shmem 300\n"
+            if is_v1
+            else "anon 900\nfile 9\nshmem 100\n"
+        )
         (path / "memory.stat").write_text(held)
     return memory.free_bytes(root)
 
 
 V2_MOUNT = {V2: ("/", "cgroup2")}
-V1_MOUNTS = {"/sys/fs/cgroup/cpu": ("/", "cgroup"), V1: ("/", "cgroup"), f"{V2}/unified": ("/", "cgroup2")}
+V1_MOUNTS = {
+    "/sys/fs/cgroup/cpu": ("/", "cgroup"),
+    V1: ("/", "cgroup"),
+    f"{V2}/unified": ("/", "cgroup2"),
+}
 IN_V1 = "9:name=systemd:/\n4:cpu,memory:/jobs/7\n2:cpu:/other\n0::/\n"
 
 
@@ -178,7 +218,9 @@ IN_V1 = "9:name=systemd:/\n4:cpu,memory:/jobs/7\n2:cpu:/other\n0::/\n"
         "v1 not visible", "v1 of another container", "no groups",
     ],
 )  # fmt: skip
-def test_the_least_limit_of_every_control_group_counts(groups, mounts, limits, left, tmp_path, monkeypatch):
+def test_the_least_limit_of_every_control_group_counts(
+    groups, mounts, limits, left, tmp_path, monkeypatch
+):
     monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=FREE))
     assert of_groups(tmp_path, groups, mounts, limits) == left
 
@@ -231,7 +273,12 @@ def test_the_estimate_of_fine_cells_is_above_the_truth_and_not_twice_it(
         f'[buildings]\nsource = "tower.geojson"\n[lidar]\nrange_m = {range_m}\n'
         f"{terrain}[risk]\nthreshold_m = {threshold_m}\n"
     )
-    write_vector(tmp_path / "tower.geojson", [shapely.box(-73.98, 40.75, -73.9799, 40.7501)], WGS84, height=[25])
+    write_vector(
+        tmp_path / "tower.geojson",
+        [shapely.box(-73.98, 40.75, -73.9799, 40.7501)],
+        WGS84,
+        height=[25],
+    )
     ground_m = 5 + 4 * np.sin(np.arange(60)[:, None] / 5) * np.cos(np.arange(60) / 7)
     place = Affine(0.0002, 0, -73.985, 0, -0.0002, 40.755)
     write_raster(tmp_path / "hills.tif", ground_m.astype(np.float32), place, WGS84)
@@ -250,7 +297,9 @@ def test_a_run_stays_under_its_ceiling_on_a_region_that_needs_several_times_more
     (tmp_path / "scenario.toml").write_text(
         '[region]\nbounds = [-74.03, 40.69, -73.912, 40.76]\nresolution_m = 2\n[buildings]\nsource = "synthetic"\n'
     )
-    _, peak = peak_of("maps", tmp_path / "scenario.toml", "-o", tmp_path / "out", "--memory", "1.4GiB")
+    _, peak = peak_of(
+        "maps", tmp_path / "scenario.toml", "-o", tmp_path / "out", "--memory", "1.4GiB"
+    )
     assert peak < 1.4 * GIB
     assert open_maps(tmp_path / "out").ds.nbytes > 2 * 1.4 * GIB
 
@@ -260,7 +309,12 @@ def amid() -> MapTask:
     """300 x 280 cells of 4 m amid buildings."""
     city = tiled_runs.city()
     first_col, first_row = (int(value // 4) + 40 for value in city.extent_m[:2])
-    return MapTask(city, ju.Grid(city.crs, 4.0, first_row, first_col, 300, 280), tiled_runs.sky(), tiled_runs.params())
+    return MapTask(
+        city,
+        ju.Grid(city.crs, 4.0, first_row, first_col, 300, 280),
+        tiled_runs.sky(),
+        tiled_runs.params(),
+    )
 
 
 def test_less_is_asked_for_than_maps_and_their_work_take_and_more_for_finer_ones_and_more_altitudes(
@@ -277,10 +331,15 @@ def test_less_is_asked_for_than_maps_and_their_work_take_and_more_for_finer_ones
     least, highest = disk_bytes([amid])
     assert 0.1 * most[0] < least < most[0] < highest
     assert least < disk_bytes([amid, amid])[0] < 2 * least
-    assert disk_bytes([replace(amid, params=replace(amid.params, altitudes_m=(20.0, 60.0, 122.0)))])[0] > least
+    assert (
+        disk_bytes([replace(amid, params=replace(amid.params, altitudes_m=(20.0, 60.0, 122.0)))])[0]
+        > least
+    )
 
 
-def test_a_disk_too_small_for_the_least_is_refused_and_old_maps_count_as_free(amid, tmp_path, monkeypatch, caplog):
+def test_a_disk_too_small_for_the_least_is_refused_and_old_maps_count_as_free(
+    amid, tmp_path, monkeypatch, caplog
+):
     caplog.set_level(logging.INFO, "jaxurban")
     least, _ = disk_bytes([amid])
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=least))
@@ -289,7 +348,9 @@ def test_a_disk_too_small_for_the_least_is_refused_and_old_maps_count_as_free(am
     check_disk([replace(amid, region=replace(amid.region, num_rows=10, num_cols=10))], tmp_path)
     assert "disk at the peak: less than 1 MiB, of less than 1 MiB free" in caplog.text
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=least - 1000))
-    with pytest.raises(InputError, match=r"at least .* of disk and .* are free in .*: use a smaller region"):
+    with pytest.raises(
+        InputError, match=r"at least .* of disk and .* are free in .*: use a smaller region"
+    ):
         check_disk([amid], tmp_path)
     (tmp_path / "maps.zarr").mkdir()
     (tmp_path / "maps.zarr" / "chunk").write_bytes(bytes(1000))

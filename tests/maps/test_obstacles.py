@@ -67,7 +67,9 @@ def test_the_cautious_mask_closes_all_that_the_paper_closes(gap):
 def test_what_is_blocked_by_hand_and_a_roof_of_unknown_height_are_blocked(gap):
     closed = ju.MetricMaps(gap.ds.assign(obstacle=gap.ds["obstacle"] * 0 + 1))
     unknown = ju.MetricMaps(gap.ds.assign(roof_touched=gap.ds["roof_touched"] * np.float32(np.nan)))
-    assert not any(maps.is_free(z_m).any() for maps, z_m in ((closed, 20.0), (unknown, 20.0), (unknown, 21.0)))
+    assert not any(
+        maps.is_free(z_m).any() for maps, z_m in ((closed, 20.0), (unknown, 20.0), (unknown, 21.0))
+    )
 
 
 NARROW = (-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4)  # a gap of 6.1 m: one cell by centres
@@ -75,16 +77,29 @@ NARROW = (-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4)  # a gap of 6.1 m: 
 
 def test_no_path_says_what_would_join_start_and_goal_and_what_would_not():
     narrow, closed = walled(*NARROW), walled((-50, 95.0, 250, 105.0), height_m=90.0)
-    joined = "Start and goal are joined at 60 m. A smaller clearance or finer maps may join them too"
+    joined = (
+        "Start and goal are joined at 60 m. A smaller clearance or finer maps may join them too"
+    )
     for path, words in (
         (ju.plan(narrow, **ENDS, altitude_m=20.0), joined),
-        (plan_volume(narrow, **ENDS, max_altitude_m=20.0), "joined with max_altitude_m 60 m. A smaller clearance"),
-        (ju.plan(closed, **ENDS, altitude_m=20.0), "not joined at a greater altitude of these maps"),
-        (plan_volume(closed, **ENDS, max_altitude_m=20.0), "not joined at a greater altitude of these maps"),
+        (
+            plan_volume(narrow, **ENDS, max_altitude_m=20.0),
+            "joined with max_altitude_m 60 m. A smaller clearance",
+        ),
+        (
+            ju.plan(closed, **ENDS, altitude_m=20.0),
+            "not joined at a greater altitude of these maps",
+        ),
+        (
+            plan_volume(closed, **ENDS, max_altitude_m=20.0),
+            "not joined at a greater altitude of these maps",
+        ),
     ):
         assert path.status is Status.NO_PATH
         assert words in path.to_dict()["message"]
-    assert ju.plan(narrow.with_obstacles("centre"), **ENDS, altitude_m=20.0).status is Status.OPTIMAL
+    assert (
+        ju.plan(narrow.with_obstacles("centre"), **ENDS, altitude_m=20.0).status is Status.OPTIMAL
+    )
     assert plan_volume(narrow, **ENDS, max_altitude_m=60.0).status is Status.OPTIMAL
     assert "altitude of these maps" not in plan_volume(closed, **ENDS).to_dict()["message"]
 
@@ -105,17 +120,23 @@ def test_what_would_join_is_found_once_for_a_batch(monkeypatch):
 
 def test_a_study_of_a_route_that_is_not_there_says_what_would_join_its_ends():
     maps = walled(*NARROW)
-    ends = {name.removesuffix("_xy_m"): maps.grid.lonlat_of_xy(*xy_m) for name, xy_m in ENDS.items()}
+    ends = {
+        name.removesuffix("_xy_m"): maps.grid.lonlat_of_xy(*xy_m) for name, xy_m in ENDS.items()
+    }
     with pytest.raises(InputError, match="joined at 60 m"):
         ju.studies.sensitivity(ju.cost_map(maps, 20.0), **ends)
 
 
-def test_ends_that_only_a_touch_closes_are_told_apart_and_name_the_rule_under_which_they_are_free(gap):
+def test_ends_that_only_a_touch_closes_are_told_apart_and_name_the_rule_under_which_they_are_free(
+    gap,
+):
     row, col = np.argwhere(gap.is_free(20.0, "centre") & ~gap.is_free(20.0))[0]
     ends = {**ENDS, "start_xy_m": tuple(map(float, gap.grid.xy_of_cell(row, col)))}
     with pytest.raises(InputError, match="in a cell that an obstacle touches"):
         ju.plan(gap, **ends, altitude_m=20.0)
-    with pytest.raises(InputError, match="in a cell that an obstacle touches at 20 m; the lowest free level there"):
+    with pytest.raises(
+        InputError, match="in a cell that an obstacle touches at 20 m; the lowest free level there"
+    ):
         plan_volume(gap, **ends, start_altitude_m=20.0)
     by_centre = gap.with_obstacles("centre")
     path = ju.plan(by_centre, **ends, altitude_m=20.0)

@@ -29,14 +29,23 @@ def highest_around(surface, altitude_m):
     halo = int(REACH_M / surface.grid.resolution_m)
     roofs = surface.crop_with_halo(surface.roof_m, halo)
     rows, cols = surface.region.shape
-    shifted = [roofs[i : i + rows, j : j + cols] for i in range(2 * halo + 1) for j in range(2 * halo + 1)]
+    shifted = [
+        roofs[i : i + rows, j : j + cols] for i in range(2 * halo + 1) for j in range(2 * halo + 1)
+    ]
     return jnp.stack(shifted).max(axis=0) + 0.1 * altitude_m
 
 
 def write_layer(path, grid, values, nodata=None):
     """Write a raster of 35 m pixels, or bands of it, over a grid and 100 m around it."""
     place = Affine(35, 0, grid.bounds_m[0] - 100, 0, -35, grid.bounds_m[3] + 100)
-    write_raster(path, values.astype(np.float32), place, grid.crs, nodata, bands=np.atleast_3d(values.T).shape[2])
+    write_raster(
+        path,
+        values.astype(np.float32),
+        place,
+        grid.crs,
+        nodata,
+        bands=np.atleast_3d(values.T).shape[2],
+    )
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +78,16 @@ def test_tiles_of_own_layers_equal_the_untiled_maps_bit_for_bit(task, tmp_path):
 
 
 def test_layers_are_scaled_by_fixed_numbers_and_cut_and_bands_go_by_altitude(task, maps):
-    assert tuple(maps.metrics) == ("gps", "lidar", "population", "risk", "noise", "shade", "walls", "wind")
+    assert tuple(maps.metrics) == (
+        "gps",
+        "lidar",
+        "population",
+        "risk",
+        "noise",
+        "shade",
+        "walls",
+        "wind",
+    )
     m, values = maps.m("shade", 20.0), np.clip(task.layers["shade"].source, 0, 1)
     np.testing.assert_allclose(m, values, rtol=1e-6)
     np.testing.assert_allclose(maps.costs(20.0)["shade"], 1 - values, atol=1e-6)
@@ -117,7 +135,9 @@ def test_a_function_that_looks_beyond_its_reach_is_told(task):
 
 def with_raster(city, grid, path):
     layers = {"noise": Layer(str(path), "high-is-bad", (0, 80))}
-    return MapTask(city, grid, view_sky(grid, ju.Gps()), MapParams(), layers, bands_of(layers, grid, (60.0,)))
+    return MapTask(
+        city, grid, view_sky(grid, ju.Gps()), MapParams(), layers, bands_of(layers, grid, (60.0,))
+    )
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32618", "EPSG:4326"])
@@ -131,7 +151,9 @@ def test_a_raster_that_ends_inside_the_region_is_told_with_the_share_that_it_clo
     task = with_raster(city, grid, tmp_path / "part.tif")
     ((name, told),) = ((name, told) for name, told in task.all_guesses.items() if "layer" in name)
     closed = np.isnan(layer_values(task.bands["noise"], grid, grid)).mean()
-    assert told.startswith(f"{100 * closed:.0f} % of the region lies beyond the raster of layer noise and is closed")
+    assert told.startswith(
+        f"{100 * closed:.0f} % of the region lies beyond the raster of layer noise and is closed"
+    )
     assert 0.38 < closed < 0.42
     assert name.endswith("of the region beyond layer noise")
 
@@ -172,7 +194,9 @@ def test_a_scenario_names_a_raster_layer(tmp_path):
 
 @pytest.mark.parametrize("south", [-3, 0, 2, 9])
 @pytest.mark.parametrize("west", [-2, 0, 4, 9])
-def test_a_part_that_sticks_out_on_any_side_has_the_values_of_the_array_where_it_lies_on_it(south, west):
+def test_a_part_that_sticks_out_on_any_side_has_the_values_of_the_array_where_it_lies_on_it(
+    south, west
+):
     values = np.arange(48, dtype=np.float32).reshape(6, 8)
     region = Grid("EPSG:32618", 10.0, 100, 200, 6, 8)
     part = Grid("EPSG:32618", 10.0, 100 + south, 200 + west, 5, 7)

@@ -25,14 +25,37 @@ from jaxurban.planners.envelope import planned_cost
 from jaxurban.world.city import Raster, Zoning
 from jaxurban.world.grid import Grid
 from tests import hanging_city
-from tests.metrics.soft.scene import ALTITUDE_M, BUILDING, HEIGHT_M, REGION, check_gradient, surface_of
+from tests.metrics.soft.scene import (
+    ALTITUDE_M,
+    BUILDING,
+    HEIGHT_M,
+    REGION,
+    check_gradient,
+    surface_of,
+)
 from tests.metrics.whole_maps import compute_gps
 
 TIMES = [f"2020-04-27T{hour:02d}:30:00Z" for hour in (0, 6)]
 SCAN = Lidar(beams=2, field_of_view_deg=(-9.0, 6.0), azimuths=16, range_m=33.0)
-SECTIONS = {"gps": Gps(10.0, times=TIMES), "gps_horizontal": Dop(10.0), "lidar": SCAN, "risk": Risk(37.0)}
+SECTIONS = {
+    "gps": Gps(10.0, times=TIMES),
+    "gps_horizontal": Dop(10.0),
+    "lidar": SCAN,
+    "risk": Risk(37.0),
+}
 PARAMS = MapParams(altitudes_m=(20.0, 60.0), sections=SECTIONS)
-TYPES = {"obstacle", "gps", "gdop", "hdop", "num_visible", "lidar", "risk", "population", "density", "gps_horizontal"}
+TYPES = {
+    "obstacle",
+    "gps",
+    "gdop",
+    "hdop",
+    "num_visible",
+    "lidar",
+    "risk",
+    "population",
+    "density",
+    "gps_horizontal",
+}
 one = jax.jit(all_maps)
 
 
@@ -60,7 +83,9 @@ def at(views, t):
 
 def assert_same(name, found, expected):
     """Bit for bit, but for the last bit of what the population's programs round."""
-    np.testing.assert_allclose(found, expected, rtol=2e-7 if name in ("population", "density") else 0, err_msg=name)
+    np.testing.assert_allclose(
+        found, expected, rtol=2e-7 if name in ("population", "density") else 0, err_msg=name
+    )
 
 
 def assert_as_kept(maps, expected, t=0):
@@ -86,27 +111,37 @@ def test_it_gives_the_bits_of_the_recipe(task, inputs, views):
 
 
 @pytest.mark.slow
-def test_over_terrain_and_where_it_is_unknown_the_bits_are_equal_and_the_cost_s_derivatives_finite(task):
+def test_over_terrain_and_where_it_is_unknown_the_bits_are_equal_and_the_cost_s_derivatives_finite(
+    task,
+):
     x_min, _, _, y_max = task.city.extent_m
     hills_m = 15 * np.sin(np.arange(40) / 5)[:, None] * np.cos(np.arange(40) / 7)
     hills_m[:, :15] = np.nan
     place = (30.0, 0.0, x_min - 150, 0.0, -30.0, y_max + 150), task.city.crs
-    task = replace(task, city=replace(task.city, terrain=Raster(hills_m.astype(np.float32), *place)))
+    task = replace(
+        task, city=replace(task.city, terrain=Raster(hills_m.astype(np.float32), *place))
+    )
     inputs, expected = inputs_of(task), compute_maps(task).ds
     has_data = expected["has_data"].values
     assert 0.1 < has_data.mean() < 0.9
     sky = at(skies_of(task, inputs.surface), 0)
     maps = one(inputs, sky, {})
-    np.testing.assert_array_equal(np.isnan(maps["cost"]), np.broadcast_to(~has_data, maps["cost"].shape))
+    np.testing.assert_array_equal(
+        np.isnan(maps["cost"]), np.broadcast_to(~has_data, maps["cost"].shape)
+    )
     assert_as_kept({name: values for name, values in maps.items() if name != "cost"}, expected)
-    by_risk = jax.grad(lambda risk: jnp.nansum(all_maps(inputs, sky, ju.Weights(risk=risk))["cost"]))(2.0)
+    by_risk = jax.grad(
+        lambda risk: jnp.nansum(all_maps(inputs, sky, ju.Weights(risk=risk))["cost"])
+    )(2.0)
     risk_cost = 1 - maps["risk"]
     assert float(by_risk) == pytest.approx(maps["cost"].shape[1] * np.nansum(risk_cost), rel=1e-4)
 
 
 @pytest.mark.slow
 def test_over_times_it_is_every_time_s_maps(task, inputs, views):
-    assert len({len(task.in_view(t).numbers) for t in range(task.num_times)}) > 1  # some skies are filled up
+    assert (
+        len({len(task.in_view(t).numbers) for t in range(task.num_times)}) > 1
+    )  # some skies are filled up
     made = jax.jit(jax.vmap(all_maps, (None, 0)))(inputs, views)
     for t in range(task.num_times):
         for name, values in one(inputs, at(views, t)).items():
@@ -116,12 +151,19 @@ def test_over_times_it_is_every_time_s_maps(task, inputs, views):
 @pytest.mark.slow
 def test_it_maps_over_sixteen_skies_thresholds_gammas_heights_and_weights(inputs, views):
     many = jax.tree.map(lambda values: jnp.concatenate([values] * 8), views)
-    assert jax.eval_shape(jax.vmap(all_maps, (None, 0)), inputs, many)["gps"].shape == (16, 2, 48, 40)
+    assert jax.eval_shape(jax.vmap(all_maps, (None, 0)), inputs, many)["gps"].shape == (
+        16,
+        2,
+        48,
+        40,
+    )
     sky, given = at(views, 0), inputs.settings
     plain = one(inputs, sky)
 
     def over(values, change):
-        return jax.vmap(lambda value: all_maps(replace(inputs, **change(value)), sky))(jnp.asarray(values))
+        return jax.vmap(lambda value: all_maps(replace(inputs, **change(value)), sky))(
+            jnp.asarray(values)
+        )
 
     def with_leaf(metric, name):
         return lambda value: {"settings": given | {metric: replace(given[metric], **{name: value})}}
@@ -132,11 +174,15 @@ def test_it_maps_over_sixteen_skies_thresholds_gammas_heights_and_weights(inputs
     some = over([1.0, 3.0], with_leaf("population", "gamma_commercial"))["population"]
     assert_same("population", some[1], plain["population"])
     roof_m = inputs.surface.roof_m
-    some = over([1.0, 0.0], lambda share: {"surface": replace(inputs.surface, roof_m=share * roof_m)})
+    some = over(
+        [1.0, 0.0], lambda share: {"surface": replace(inputs.surface, roof_m=share * roof_m)}
+    )
     assert some["obstacle"][0].any()
     assert not some["obstacle"][1].any()
     np.testing.assert_array_equal(some["lidar"][0], plain["lidar"])
-    costs = jax.vmap(lambda risk: all_maps(inputs, sky, ju.Weights(risk=risk))["cost"])(jnp.asarray([1.0, 3.0]))
+    costs = jax.vmap(lambda risk: all_maps(inputs, sky, ju.Weights(risk=risk))["cost"])(
+        jnp.asarray([1.0, 3.0])
+    )
     more = np.broadcast_to(2 * (1 - plain["risk"])[:, None], costs[0].shape)
     np.testing.assert_allclose(costs[1] - costs[0], more, atol=1e-5)
 
@@ -165,10 +211,22 @@ def test_from_a_notebook_it_is_given_the_inputs_of_build_maps(task, inputs, view
 def test_what_it_does_not_know_and_what_build_maps_refuses_is_refused(task):
     refused = [
         (lambda: ju.grad.map_inputs(5, task.region), "city must be City"),
-        (lambda: ju.grad.map_inputs(task.city, task.region, gps=ju.Gps(times=[])), "times must be different UTC times"),
-        (lambda: ju.grad.map_inputs(task.city, replace(task.region, crs="EPSG:32633")), "the grid in the city's CRS"),
-        (lambda: ju.grad.map_inputs(task.city, replace(task.region, first_row=0)), "region and the city do not meet"),
-        (lambda: inputs_of(replace(task, params=replace(PARAMS, oversample=3))), "know no oversample"),
+        (
+            lambda: ju.grad.map_inputs(task.city, task.region, gps=ju.Gps(times=[])),
+            "times must be different UTC times",
+        ),
+        (
+            lambda: ju.grad.map_inputs(task.city, replace(task.region, crs="EPSG:32633")),
+            "the grid in the city's CRS",
+        ),
+        (
+            lambda: ju.grad.map_inputs(task.city, replace(task.region, first_row=0)),
+            "region and the city do not meet",
+        ),
+        (
+            lambda: inputs_of(replace(task, params=replace(PARAMS, oversample=3))),
+            "know no oversample",
+        ),
         (lambda: inputs_of(hanging_city.task(hanging_city.city())), "know no slabs"),
     ]
     for call, words in refused:
@@ -180,7 +238,12 @@ def test_what_it_does_not_know_and_what_build_maps_refuses_is_refused(task):
 
 AZIMUTH_RAD = np.radians([10.0, 80.0, 190.0, 285.0, 140.0])
 ELEVATION_RAD = np.radians([35.0, 50.0, 25.0, 40.0, 65.0])
-SOFT_SECTIONS = {"gps": Gps(20.0), "lidar": SCAN, "risk": Risk(37.0), "population": Population(normalise=400_000.0)}
+SOFT_SECTIONS = {
+    "gps": Gps(20.0),
+    "lidar": SCAN,
+    "risk": Risk(37.0),
+    "population": Population(normalise=400_000.0),
+}
 SOFT = SoftParams(ALTITUDE_M, 2.0, SOFT_SECTIONS)
 WEIGHTS = Weights(0.05, gps=1.0, lidar=0.7, population=0.4, risk=1.2)
 START, GOAL = (1, 1), (13, 16)
@@ -189,10 +252,15 @@ REACH_M = (("gps", 0.0), ("lidar", 40.0), ("population", 0.0), ("risk", 40.0))
 
 def soft_city(dtype=np.float64):
     block = np.arange(REGION.num_rows)[:, None] // 4 * 3 + np.arange(REGION.num_cols)[None] // 6
-    surface = replace(surface_of(HEIGHT_M.astype(dtype), BUILDING), block=jnp.asarray(block, jnp.int32))
+    surface = replace(
+        surface_of(HEIGHT_M.astype(dtype), BUILDING), block=jnp.asarray(block, jnp.int32)
+    )
     zoning = np.where(np.arange(12) % 2, Zoning.COMMERCIAL, Zoning.RESIDENTIAL)
     population = BlockPopulation(
-        jnp.linspace(20.0, 120.0, 12, dtype=dtype), jnp.full(12, 600.0, dtype), jnp.asarray(zoning), jnp.arange(12)
+        jnp.linspace(20.0, 120.0, 12, dtype=dtype),
+        jnp.full(12, 600.0, dtype),
+        jnp.asarray(zoning),
+        jnp.arange(12),
     )
     view = SkyView.of(surface, AZIMUTH_RAD, ELEVATION_RAD)
     height_m = jnp.asarray(HEIGHT_M, dtype)
@@ -228,18 +296,27 @@ def problem_of(soft, cost_model="cell"):
     """The planning question on the soft layers; obstacles are those of the city's own heights."""
     costs = np.asarray(layers_of(soft, soft.height_m, SOFT))
     is_free = np.asarray(soft.surface.crop(soft.surface.roof_m)) < ALTITUDE_M
-    return Problem(costs, is_free, START, GOAL, REGION.resolution_m, vector_of(soft, WEIGHTS), cost_model)
+    return Problem(
+        costs, is_free, START, GOAL, REGION.resolution_m, vector_of(soft, WEIGHTS), cost_model
+    )
 
 
 def visits_of(problem):
-    return path_visits(astar(problem).points_m, REGION.shape, REGION.resolution_m, problem.cost_model)
+    return path_visits(
+        astar(problem).points_m, REGION.shape, REGION.resolution_m, problem.cost_model
+    )
 
 
 def test_softness_0_gives_the_costs_of_the_exact_maps(soft):
-    found = dict(zip(soft.names, layers_of(soft, soft.height_m, replace(SOFT, softness_m=0.0)), strict=True))
+    found = dict(
+        zip(soft.names, layers_of(soft, soft.height_m, replace(SOFT, softness_m=0.0)), strict=True)
+    )
     surface = surface_of(HEIGHT_M.astype(np.float32), BUILDING)
     for name, m in (
-        ("gps", compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, [ALTITUDE_M], SOFT_SECTIONS["gps"]).m),
+        (
+            "gps",
+            compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, [ALTITUDE_M], SOFT_SECTIONS["gps"]).m,
+        ),
         ("lidar", compute_lidar(surface, [ALTITUDE_M], SCAN)),
         ("risk", compute_risk(surface, [ALTITUDE_M], SOFT_SECTIONS["risk"])),
     ):
@@ -263,7 +340,9 @@ def test_the_gradient_of_a_path_agrees_with_finite_differences_in_everything(sof
     inputs = {str(number): jnp.asarray(leaf) for number, leaf in enumerate(leaves)}
 
     def value_and_gradient(inputs):
-        numbers = [leaf if leaf.ndim else float(leaf) for leaf in inputs.values()]  # the program of the other tests
+        numbers = [
+            leaf if leaf.ndim else float(leaf) for leaf in inputs.values()
+        ]  # the program of the other tests
         value, slopes = cost_and_slopes(soft, *jax.tree.unflatten(shape, numbers), visits)
         return value, dict(zip(inputs, jax.tree.leaves(slopes), strict=True))
 
@@ -272,7 +351,9 @@ def test_the_gradient_of_a_path_agrees_with_finite_differences_in_everything(sof
 
 def test_the_gradient_of_the_path_is_that_of_replanned_costs(soft):
     problem = problem_of(soft)
-    _, (by_height, by_params, _) = cost_and_slopes(soft, soft.height_m, SOFT, WEIGHTS, visits_of(problem))
+    _, (by_height, by_params, _) = cost_and_slopes(
+        soft, soft.height_m, SOFT, WEIGHTS, visits_of(problem)
+    )
 
     def replanned(height_m=soft.height_m, params=SOFT):
         return astar(problem.with_costs(np.asarray(layers_of(soft, height_m, params)))).cost
@@ -282,7 +363,9 @@ def test_the_gradient_of_the_path_is_that_of_replanned_costs(soft):
         slope = (replanned(soft.height_m + step) - replanned(soft.height_m - step)) / 2e-5
         np.testing.assert_allclose(by_height[building], slope, rtol=1e-4)
     ends = [replanned(params=with_sections(risk=Risk(37.0 + step))) for step in (1e-5, -1e-5)]
-    np.testing.assert_allclose(by_params.sections["risk"].threshold_m, (ends[0] - ends[1]) / 2e-5, rtol=1e-4)
+    np.testing.assert_allclose(
+        by_params.sections["risk"].threshold_m, (ends[0] - ends[1]) / 2e-5, rtol=1e-4
+    )
 
 
 @pytest.mark.slow
@@ -305,15 +388,25 @@ def test_one_program_serves_other_values_and_other_skies(soft):
     compiled = layers_of._cache_size()
     for arguments in (
         (soft, soft.height_m + 1, SOFT),
-        (replace(soft, view=SkyView.of(soft.surface, AZIMUTH_RAD + 0.3, ELEVATION_RAD)), soft.height_m, SOFT),
-        (soft, soft.height_m, replace(with_sections(risk=Risk(25.0)), altitude_m=31.0, softness_m=0.5)),
+        (
+            replace(soft, view=SkyView.of(soft.surface, AZIMUTH_RAD + 0.3, ELEVATION_RAD)),
+            soft.height_m,
+            SOFT,
+        ),
+        (
+            soft,
+            soft.height_m,
+            replace(with_sections(risk=Risk(25.0)), altitude_m=31.0, softness_m=0.5),
+        ),
         (soft, soft.height_m, with_sections(gps=Gps(9.0), lidar=replace(SCAN, range_m=21.0))),
     ):
         assert float(jnp.abs(layers_of(*arguments) - first).max()) > 1e-3
     assert layers_of._cache_size() == compiled == 1
 
 
-def test_a_curve_of_reception_is_taken_in_batches_and_differentiated_by_and_leaves_other_layers_as_they_are(soft):
+def test_a_curve_of_reception_is_taken_in_batches_and_differentiated_by_and_leaves_other_layers_as_they_are(
+    soft,
+):
     by_curve = replace(SOFT, reception=ju.grad.ReceptionCurve.measured_in_tokyo())
 
     @jax.vmap

@@ -49,7 +49,9 @@ def test_maps_hold_it_where_somebody_asks(maps):
     assert "protection" not in task_of({}).metrics
     hpl_m, is_free = maps.m("hpl", ALTITUDE_M), maps.m("obstacle", ALTITUDE_M) == 0
     assert np.isinf(hpl_m[is_free & (maps.m("num_visible", ALTITUDE_M) < 4)]).all()
-    np.testing.assert_allclose(maps.m("protection", ALTITUDE_M), 1 - np.minimum(hpl_m, 40) / 40, atol=1e-6)
+    np.testing.assert_allclose(
+        maps.m("protection", ALTITUDE_M), 1 - np.minimum(hpl_m, 40) / 40, atol=1e-6
+    )
     for name in ("protection", "hpl", "vpl", "within_limits"):
         assert maps.ds[name].attrs["comment"] == CAVEAT
     assert maps.ds["hpl"].attrs["units"] == maps.ds["vpl"].attrs["units"] == "m"
@@ -64,8 +66,12 @@ def test_a_series_keeps_the_share_of_times_within_both_limits():
     assert "hpl" not in series.ds
     shares = each.ds["within_limits"].mean("time").where(each.ds["obstacle"] == 0)
     np.testing.assert_allclose(series.ds["protection_availability"], shares, atol=1e-6)
-    np.testing.assert_allclose(series.ds["gps_epoch_mean"], each.ds["gps"].mean(("y", "x")), atol=1e-4)
-    np.testing.assert_allclose(series.m("protection"), each.ds["protection"].median("time")[0], atol=1e-6)
+    np.testing.assert_allclose(
+        series.ds["gps_epoch_mean"], each.ds["gps"].mean(("y", "x")), atol=1e-4
+    )
+    np.testing.assert_allclose(
+        series.m("protection"), each.ds["protection"].median("time")[0], atol=1e-6
+    )
     assert 0 < float(shares.mean()) < 1
     assert series.ds["protection_availability"].attrs["comment"] == CAVEAT
     for bound in ("hpl<=40", "hdop<=3"):
@@ -85,7 +91,9 @@ def test_files_tell_what_it_leaves_out(maps, tmp_path):
 
 def test_a_path_keeps_a_bound_on_it_and_its_note_tells(maps):
     ends, limits = ends_of(maps, ALTITUDE_M), ju.Constraints.read(require="hpl<=40")
-    path = ju.plan(maps, *ends, altitude_m=ALTITUDE_M, constraints=limits, weights={"protection": 0.0})
+    path = ju.plan(
+        maps, *ends, altitude_m=ALTITUDE_M, constraints=limits, weights={"protection": 0.0}
+    )
     assert path.status is Status.OPTIMAL
     assert CAVEAT in path.search.note
     col, row = ((path.xy_m - maps.grid.bounds_m[:2]) // maps.grid.resolution_m).astype(int).T
@@ -93,7 +101,10 @@ def test_a_path_keeps_a_bound_on_it_and_its_note_tells(maps):
     weighed = ju.plan(maps, *ends, altitude_m=ALTITUDE_M, weights={"protection": 2.0})
     assert CAVEAT in weighed.search.note
     assert weighed.cost_by_layer["protection"] > 0
-    assert CAVEAT not in ju.plan(maps, *ends, altitude_m=ALTITUDE_M, weights={"protection": 0.0}).search.note
+    assert (
+        CAVEAT
+        not in ju.plan(maps, *ends, altitude_m=ALTITUDE_M, weights={"protection": 0.0}).search.note
+    )
 
 
 def test_maps_without_it_say_that_its_weight_is_ignored(maps):
@@ -105,14 +116,17 @@ def test_maps_without_it_say_that_its_weight_is_ignored(maps):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("hpl", "HPL in metres"), ("vpl", "35 m"), ("within_limits", "VPL up to 35")]
+    ("name", "words"),
+    [("hpl", "HPL in metres"), ("vpl", "35 m"), ("within_limits", "VPL up to 35")],
 )
 def test_pictures_have_units_limits_and_the_caveat(maps, name, words):
     figure = plot_metric(maps, name)
     entries = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert words in str([*entries, *(axes.get_ylabel() for axes in figure.axes)])
     assert "no integrity" in " ".join(" ".join(text.get_text() for text in figure.texts).split())
-    assert any(hasattr(axes, "_colorbar") for axes in figure.axes) == (name != "within_limits")  # yes and no are a key
+    assert any(hasattr(axes, "_colorbar") for axes in figure.axes) == (
+        name != "within_limits"
+    )  # yes and no are a key
 
 
 def test_what_has_no_gradient_says_so():
@@ -130,7 +144,17 @@ def test_the_commands_make_it_and_plan_under_a_bound_on_it(tmp_path, capsys):
     code, _, err = run(capsys, "maps", tmp_path / "scenario.toml", "-o", tmp_path / "maps")
     assert code == 0, err
     start, goal = (f"{lon},{lat}" for lon, lat in ends_of(ju.open_maps(tmp_path / "maps"), 60.0))
-    command = "plan", tmp_path / "maps", "--start", start, "--goal", goal, "--altitude", 60, "--require"
+    command = (
+        "plan",
+        tmp_path / "maps",
+        "--start",
+        start,
+        "--goal",
+        goal,
+        "--altitude",
+        60,
+        "--require",
+    )
     code, out, err = run(capsys, *command, "hpl<=40", "--require", "vpl<=1000")
     assert code == 0, err
     assert "no integrity" in " ".join((out + err).split())

@@ -49,7 +49,9 @@ def test_under_a_deck_the_sky_overhead_is_shut_and_beside_it_more_is_seen(maps, 
     time = maps.times[0]  # with a satellite at the zenith
     seen, before = maps.m("num_visible", 2.0, time=time), grounded.m("num_visible", 2.0, time=time)
     free_in_both = (maps.m("obstacle", 2.0) == 0) & (grounded.m("obstacle", 2.0) == 0)
-    assert np.mean(seen[free_in_both] < before[free_in_both]) < 0.02  # edges of slabs are finer than those of roofs
+    assert (
+        np.mean(seen[free_in_both] < before[free_in_both]) < 0.02
+    )  # edges of slabs are finer than those of roofs
     assert np.mean(seen[free_in_both] > before[free_in_both]) > 0.01
     open_sky = seen[0, 0]
     assert 0 < seen[ON_DECK] < open_sky
@@ -57,7 +59,9 @@ def test_under_a_deck_the_sky_overhead_is_shut_and_beside_it_more_is_seen(maps, 
 
 @pytest.mark.slow
 def test_finer_rays_agree_with_those_of_the_cells_and_bounds_bracket_maps_with_slabs(maps):
-    finer = compute_maps(task(city(), sections={**PARAMS.sections, "gps": Gps(bounds=True)}, oversample=3))
+    finer = compute_maps(
+        task(city(), sections={**PARAMS.sections, "gps": Gps(bounds=True)}, oversample=3)
+    )
     same = finer.ds["num_visible"].values == maps.ds["num_visible"].values
     assert same.mean() > 0.93
     assert finer.m("num_visible", 2.0)[ON_DECK] == maps.m("num_visible", 2.0)[ON_DECK]
@@ -79,17 +83,23 @@ def test_a_slab_moves_as_a_whole_where_heights_are_drawn():
 
 def test_lidar_meets_slabs_at_or_below_the_altitude_and_none_above(maps):
     standing = city()
-    standing = replace(standing, buildings=standing.buildings.take(standing.buildings.min_height_m == 0))
+    standing = replace(
+        standing, buildings=standing.buildings.take(standing.buildings.min_height_m == 0)
+    )
     without = compute_maps(task(standing))
     near_deck = np.s_[24:30, 40:60]
-    np.testing.assert_array_equal(maps.m("lidar", 2.0)[near_deck], without.m("lidar", 2.0)[near_deck])
+    np.testing.assert_array_equal(
+        maps.m("lidar", 2.0)[near_deck], without.m("lidar", 2.0)[near_deck]
+    )
     assert np.all(maps.m("lidar", 12.0)[near_deck] > without.m("lidar", 12.0)[near_deck])
 
 
 def nearest_m(surface: Surface, cell: tuple[int, int], altitude_m: float) -> float:
     """Return the 3-D distance to the nearest building, what hangs as one: by looking at every cell."""
     rows, cols = surface.window
-    ground_m = np.zeros(surface.grid.shape) if surface.terrain_m is None else np.asarray(surface.terrain_m)
+    ground_m = (
+        np.zeros(surface.grid.shape) if surface.terrain_m is None else np.asarray(surface.terrain_m)
+    )
     row, col = np.indices(surface.grid.shape)
     own = cell[0] + rows.start, cell[1] + cols.start
     run_m = RESOLUTION_M * np.hypot(row - own[0], col - own[1])
@@ -97,7 +107,9 @@ def nearest_m(surface: Surface, cell: tuple[int, int], altitude_m: float) -> flo
     rise_m = np.where(roof_m > 0, np.maximum(height_m - ground_m - roof_m, 0), np.inf)
     slabs, at = surface.slabs.over_cells(surface.grid)
     is_below = slabs.floor_m <= altitude_m
-    over_m = np.where(is_below, height_m - ground_m[at] - slabs.top_m, ground_m[at] + slabs.floor_m - height_m)
+    over_m = np.where(
+        is_below, height_m - ground_m[at] - slabs.top_m, ground_m[at] + slabs.floor_m - height_m
+    )
     return min(np.hypot(run_m, rise_m).min(), np.hypot(run_m[at], np.maximum(over_m, 0)).min())
 
 
@@ -120,7 +132,9 @@ def test_risk_of_a_slice_under_a_deck_does_not_know_of_it(maps):
 
 
 def test_own_layers_see_what_their_altitude_meets():
-    roofs = Layer(lambda surface, altitude_m: surface.crop(surface.roof_m), "high-is-bad", scale=(0, 100))
+    roofs = Layer(
+        lambda surface, altitude_m: surface.crop(surface.roof_m), "high-is-bad", scale=(0, 100)
+    )
     of = replace(task(city()), layers={"roofs": roofs})
     found = compute_maps(of)
     assert found.m("roofs", 2.0)[ON_DECK] == 0
@@ -130,7 +144,10 @@ def test_own_layers_see_what_their_altitude_meets():
 def test_maps_tell_how_metrics_take_what_hangs(maps, grounded):
     assert "5 hanging parts" in maps.guesses
     assert not any("hanging" in name for name in grounded.guesses)
-    assert "lidar meets those with their floor at or below" in task(city()).all_guesses["5 hanging parts"]
+    assert (
+        "lidar meets those with their floor at or below"
+        in task(city()).all_guesses["5 hanging parts"]
+    )
 
 
 def test_soft_layers_say_that_everything_reaches_the_ground():

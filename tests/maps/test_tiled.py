@@ -34,7 +34,16 @@ from tests.tiled_runs import RAGGED, check_tiles, files_of, make, task
 
 WORK = Path("maps.zarr") / ".20m.jaxurban-part"
 WIDE = Protection(1e4, 1e4, p_const_gps=0.0)  # of the few satellites of that sky
-VARIED = {"risk", "risk_std", "gps_p05", "obstacle_share", "protection", "hpl", "vpl", "within_limits"} | {
+VARIED = {
+    "risk",
+    "risk_std",
+    "gps_p05",
+    "obstacle_share",
+    "protection",
+    "hpl",
+    "vpl",
+    "within_limits",
+} | {
     f"protection_{what}" for what in ("availability", "median", "p05")
 }  # maps that must not be the same everywhere
 
@@ -58,12 +67,16 @@ def with_section(series: str = "epochs", with_terrain: bool = False, **section) 
 
 def people_by_day_and_night() -> MapTask:
     of = with_section()
-    blocks = replace(of.city.blocks, day_count=np.random.default_rng(0).uniform(0, 900, len(of.city.blocks)))
+    blocks = replace(
+        of.city.blocks, day_count=np.random.default_rng(0).uniform(0, 900, len(of.city.blocks))
+    )
     return replace(of, city=replace(of.city, blocks=blocks))
 
 
 def slabs(with_terrain: bool = False, **settings) -> MapTask:
-    return hanging_city.task(hanging_city.city(with_terrain=with_terrain), altitudes_m=(2.0, 13.0), **settings)
+    return hanging_city.task(
+        hanging_city.city(with_terrain=with_terrain), altitudes_m=(2.0, 13.0), **settings
+    )
 
 
 JOBS = {  # the task, the shape of its tiles, and how tiles differ in their settings
@@ -74,7 +87,11 @@ JOBS = {  # the task, the shape of its tiles, and how tiles differ in their sett
 }
 SLOW = {
     "people by day and by night": (people_by_day_and_night, RAGGED, {}),
-    "solid risk over terrain": (lambda: with_section(with_terrain=True, risk=Risk(distance="solid")), RAGGED, {}),
+    "solid risk over terrain": (
+        lambda: with_section(with_terrain=True, risk=Risk(distance="solid")),
+        RAGGED,
+        {},
+    ),
     "terrain, tiles by JAX": (lambda: with_section(with_terrain=True), RAGGED, {"engine": "jax"}),
     "protection": (lambda: with_section(protection=WIDE), (16, 16), {}),
     "protection's statistics": (lambda: with_section("statistics", protection=WIDE), (16, 16), {}),
@@ -82,10 +99,15 @@ SLOW = {
     "slabs that touch": (lambda: slabs(heights=Heights(all_touched=True)), (34, 58), {}),
     "drawn heights": (lambda: slabs(heights=Heights(height_samples=3)), (34, 58), {}),
     "slabs and finer rays": (lambda: slabs(oversample=3), (34, 58), {}),
-} | {f"tiles of {shape}": (JOBS["epochs"][0], shape, {}) for shape in [(47, 39), (1, 39), (47, 5), (7, 11), (46, 38)]}
+} | {
+    f"tiles of {shape}": (JOBS["epochs"][0], shape, {})
+    for shape in [(47, 39), (1, 39), (47, 5), (7, 11), (46, 38)]
+}
 
 
-@pytest.mark.parametrize("name", [*JOBS, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
+@pytest.mark.parametrize(
+    "name", [*JOBS, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)]
+)
 def test_tiles_equal_the_untiled_maps(name, tmp_path):
     of, shape, options = (JOBS | SLOW)[name]
     found = check_tiles(of(), tmp_path, shape, **options)
@@ -98,14 +120,24 @@ def test_tiles_equal_the_untiled_maps(name, tmp_path):
 
 # By shadows of roofs, of those that are drawn higher and of hills, and by what metrics look at.
 @pytest.mark.parametrize(("what", "mask_deg"), [("roofs", 20), ("terrain", 20), ("roofs", 80)])
-def test_maps_of_a_part_equal_that_part_of_the_maps_though_their_surface_reaches_less_far(what, mask_deg):
+def test_maps_of_a_part_equal_that_part_of_the_maps_though_their_surface_reaches_less_far(
+    what, mask_deg
+):
     of = with_section(with_terrain=True)
-    towers_m = np.where(of.city.roofs.values > (0 if mask_deg == 80 else 180), np.float32(200), np.float32(0))
+    towers_m = np.where(
+        of.city.roofs.values > (0 if mask_deg == 80 else 180), np.float32(200), np.float32(0)
+    )
     bare = replace(of.city.roofs, values=0 * towers_m)
-    city = replace(of.city, **{"roofs": bare, "terrain": None, what: replace(bare, values=towers_m)})
-    params = replace(of.params, heights=Heights(height_samples=2, height_std_m=HeightStd(raster=200.0)))
+    city = replace(
+        of.city, **{"roofs": bare, "terrain": None, what: replace(bare, values=towers_m)}
+    )
+    params = replace(
+        of.params, heights=Heights(height_samples=2, height_std_m=HeightStd(raster=200.0))
+    )
     of = replace(of, city=city, sky=replace(of.sky, mask_deg=mask_deg), params=params)
-    part, whole = (compute_maps(replace(of, region=of.region.padded(*[-n] * 4))).ds for n in (14, 0))
+    part, whole = (
+        compute_maps(replace(of, region=of.region.padded(*[-n] * 4))).ds for n in (14, 0)
+    )
     for name in ("obstacle", "gps", "gps_mean", "gdop", "num_visible", "lidar", "risk"):
         np.testing.assert_array_equal(part[name], whole[name][..., 14:-14, 14:-14])
 
@@ -129,7 +161,9 @@ def test_while_a_tiles_results_are_waited_for_another_tile_is_begun(city, tmp_pa
 
     plain = task(city)
     params = replace(plain.params, altitudes_m=(20.0,))
-    with_layer = replace(plain, params=params, layers={"slow": Layer(values, "high-is-bad", scale=(0, 1))})
+    with_layer = replace(
+        plain, params=params, layers={"slow": Layer(values, "high-is-bad", scale=(0, 1))}
+    )
     make_zarr(Maker(with_layer, tmp_path, "key", num_threads), Report(), RAGGED)
     assert in_time == [num_threads > 1]
 
@@ -138,12 +172,17 @@ def test_while_a_tiles_results_are_waited_for_another_tile_is_begun(city, tmp_pa
 def cluster_of(num_workers: int):
     distributed = pytest.importorskip("distributed", reason="needs the cluster extra")
     options = {"processes": False, "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
-    with distributed.LocalCluster(n_workers=num_workers, **options) as cluster, distributed.Client(cluster) as client:
+    with (
+        distributed.LocalCluster(n_workers=num_workers, **options) as cluster,
+        distributed.Client(cluster) as client,
+    ):
         yield client
 
 
 @pytest.mark.parametrize("num_workers", [1, 3])
-def test_any_number_of_dask_workers_gives_the_same_bytes(city, whole, tmp_path, num_workers, monkeypatch):
+def test_any_number_of_dask_workers_gives_the_same_bytes(
+    city, whole, tmp_path, num_workers, monkeypatch
+):
     suffixes, finish = set(), WorkFolder.finish
 
     def look_and_finish(work, *target):
@@ -170,18 +209,26 @@ def test_a_worker_that_dies_as_the_job_goes_costs_nothing(city, whole, tmp_path,
 
 
 def start(folder: Path) -> subprocess.Popen:
-    environment = os.environ | {"JAX_PLATFORMS": "cpu"}  # programs are kept by the settings of conftest.py
-    return subprocess.Popen([sys.executable, "-m", "tests.tiled_runs", str(folder)], env=environment)
+    environment = os.environ | {
+        "JAX_PLATFORMS": "cpu"
+    }  # programs are kept by the settings of conftest.py
+    return subprocess.Popen(
+        [sys.executable, "-m", "tests.tiled_runs", str(folder)], env=environment
+    )
 
 
 def done_tiles(folder: Path) -> dict[str, int]:
     """Return the finished tiles and when each was marked."""
-    return {path.name: path.stat().st_mtime_ns for path in (folder / WORK / "done").glob("tile_*.json")}
+    return {
+        path.name: path.stat().st_mtime_ns for path in (folder / WORK / "done").glob("tile_*.json")
+    }
 
 
 def tear_unfinished(folder: Path) -> None:
     """Tear every chunk of the tiles that are not marked, as a power cut may."""
-    finished = {f"tile_{4 - i}_{1 + j}.json": f"{i}.{j}" for i in range(4) for j in range(3)}  # after one of margin
+    finished = {
+        f"tile_{4 - i}_{1 + j}.json": f"{i}.{j}" for i in range(4) for j in range(3)
+    }  # after one of margin
     kept = {finished[name] for name in done_tiles(folder)}
     for chunk in (folder / WORK / "zarr").rglob("[0-9]*.[0-9]*"):
         if ".".join(chunk.name.split(".")[-2:]) not in kept:
@@ -190,7 +237,9 @@ def tear_unfinished(folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "num_kills"), [(0, 2), (1, 3)])
-def test_kill_9_of_the_run_loses_no_finished_tile_and_changes_no_byte(tmp_path, whole, seed, num_kills):
+def test_kill_9_of_the_run_loses_no_finished_tile_and_changes_no_byte(
+    tmp_path, whole, seed, num_kills
+):
     """Each kill comes after a random number of further tiles and a random moment; at last the run finishes."""
     rng = random.Random(seed)
     kept: dict[str, int] = {}
@@ -211,7 +260,9 @@ def test_kill_9_of_the_run_loses_no_finished_tile_and_changes_no_byte(tmp_path, 
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")  # Dask leaves a killed worker's open
+@pytest.mark.filterwarnings(
+    "ignore:unclosed <ssl.SSLSocket:ResourceWarning"
+)  # Dask leaves a killed worker's open
 @pytest.mark.parametrize(("seed", "num_kills"), [(0, 1), (1, 3)])
 def test_kill_9_of_workers_costs_only_their_tiles(tmp_path, whole, seed, num_kills):
     """Random workers of two are killed, each a random moment after some tiles are finished."""
@@ -236,12 +287,21 @@ def test_kill_9_of_workers_costs_only_their_tiles(tmp_path, whole, seed, num_kil
     assert files_of(tmp_path) == whole
 
 
-def test_scratch_and_files_of_the_user_among_unfinished_maps_are_no_outputs(city, whole, tmp_path, monkeypatch):
+def test_scratch_and_files_of_the_user_among_unfinished_maps_are_no_outputs(
+    city, whole, tmp_path, monkeypatch
+):
     """Scratch as a killed worker leaves it goes, in the midst of a run too; what no step wrote is set aside."""
-    finish, mine = WorkFolder.finish, ("mine.txt", "done/mine.json", "zarr/risk/0.0.0.bak", "arrays/mine/a.npz")
+    finish, mine = (
+        WorkFolder.finish,
+        ("mine.txt", "done/mine.json", "zarr/risk/0.0.0.bak", "arrays/mine/a.npz"),
+    )
 
     def plant(work, *names):
-        for name in (*names, "zarr/risk/.0.0.0.0a1b2c3d.jaxurban-part", f"zarr/risk/0.0.{32 * 'a'}.partial"):
+        for name in (
+            *names,
+            "zarr/risk/.0.0.0.0a1b2c3d.jaxurban-part",
+            f"zarr/risk/0.0.{32 * 'a'}.partial",
+        ):
             (work.path / name).parent.mkdir(exist_ok=True)
             (work.path / name).write_text(name)
 
@@ -268,7 +328,9 @@ def test_another_jobs_unfinished_work_is_not_gone_on_with(tmp_path):
     assert work.done("tile_0_0") is None
 
 
-@pytest.mark.parametrize("name", ["../../mine.txt", "zarr/../../../mine.txt", "MINE", "arrays/../../../mine.txt"])
+@pytest.mark.parametrize(
+    "name", ["../../mine.txt", "zarr/../../../mine.txt", "MINE", "arrays/../../../mine.txt"]
+)
 def test_a_mark_that_names_a_file_elsewhere_removes_none(tmp_path, name):
     (tmp_path / "mine.txt").write_text("mine")
     work = WorkFolder(tmp_path / WORK)
@@ -299,6 +361,8 @@ def test_a_link_among_unfinished_maps_is_followed_nowhere(tmp_path, name, is_gon
         assert not (work.path / name).is_symlink()
         assert (out / "kept" / name).is_symlink()
     else:
-        with pytest.raises(InputError, match=r"is a link in the place of unfinished maps: move it, or .*-o"):
+        with pytest.raises(
+            InputError, match=r"is a link in the place of unfinished maps: move it, or .*-o"
+        ):
             work.begin("one") if is_gone_on_with else work.discard()
     assert files_of(documents) == before

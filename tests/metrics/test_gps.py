@@ -29,7 +29,21 @@ from tests.metrics.soft.scene import check_gradient
 from tests.metrics.whole_maps import compute_gps, gps_maps, surface_on
 
 # Axes, diagonals and directions a hair beside them, high and low.
-AZIMUTH_DEG = [0.0, 90.0, 180.0, 270.0, 45.0, 135.0, 225.0, 315.0, 44.999, 89.999, 200.0, 20.0, 155.0]
+AZIMUTH_DEG = [
+    0.0,
+    90.0,
+    180.0,
+    270.0,
+    45.0,
+    135.0,
+    225.0,
+    315.0,
+    44.999,
+    89.999,
+    200.0,
+    20.0,
+    155.0,
+]
 ELEVATION_DEG = [35.0, 50.0, 15.0, 60.0, 30.0, 40.0, 70.0, 25.0, 55.0, 20.0, 80.0, 10.0, 45.0]
 RNG = np.random.default_rng(0)
 GRID = Grid("EPSG:32618", 5.0, 901_000, 116_000, 40, 50)  # far from the CRS's origin
@@ -50,16 +64,27 @@ def test_ratings_follow_the_papers_table():
 
 
 def test_shadow_reach_is_the_length_of_the_longest_shadow_by_side():
-    west, south, east, north = shadow_reach_m(np.radians([90.0, 225.0]), np.radians([45.0, 45.0]), 120.0, 20.0, 5.0)
-    np.testing.assert_allclose([west, south, east], [100 / math.sqrt(2) + 5, 100 / math.sqrt(2) + 5, 105])
+    west, south, east, north = shadow_reach_m(
+        np.radians([90.0, 225.0]), np.radians([45.0, 45.0]), 120.0, 20.0, 5.0
+    )
+    np.testing.assert_allclose(
+        [west, south, east], [100 / math.sqrt(2) + 5, 100 / math.sqrt(2) + 5, 105]
+    )
     assert north < 5.1  # cos 90 degrees is not quite 0
     assert shadow_reach_m(np.radians([90.0]), np.radians([45.0]), 20.0, 20.0, 5.0) == (0, 0, 0, 0)
-    assert shadow_reach_m(np.array([1.0]), np.array([0.0]), 30.0, 20.0, 5.0) == (0, 0, math.inf, math.inf)
+    assert shadow_reach_m(np.array([1.0]), np.array([0.0]), 30.0, 20.0, 5.0) == (
+        0,
+        0,
+        math.inf,
+        math.inf,
+    )
 
 
 def test_visibility_keeps_float64_where_only_the_caller_enabled_it():
     with jax.enable_x64(True):
-        roof_m = jnp.asarray(np.where(ROOF_M > 50, 20 + 1e-9, 0.0))  # one nanometre above the altitude hides
+        roof_m = jnp.asarray(
+            np.where(ROOF_M > 50, 20 + 1e-9, 0.0)
+        )  # one nanometre above the altitude hides
         surface = Surface(roof_m, None, None, None, GRID, GRID)
         for azimuth_rad in (0.0, np.pi / 2):
             words = visibility(surface, [azimuth_rad], [0.0], [20.0])
@@ -77,14 +102,20 @@ def test_without_satellites_m_is_0():
 
 
 @pytest.mark.parametrize(("num", "clocks"), [(40, None), (20, Clocks(np.arange(20) % 2, 2))])
-def test_maps_by_way_of_the_subsets_that_are_seen_are_those_of_every_cell_to_the_bit(num, clocks, monkeypatch):
+def test_maps_by_way_of_the_subsets_that_are_seen_are_those_of_every_cell_to_the_bit(
+    num, clocks, monkeypatch
+):
     rng = np.random.default_rng(num)
     in_view = InView(rng.uniform(0, 2 * np.pi, num), rng.uniform(0.1, 1.5, num), (), clocks=clocks)
     bits = rng.random((40, num)) < 0.5
-    subsets = np.stack([(bits[:, w : w + 32] << np.arange(bits[:, w : w + 32].shape[1])).sum(1) for w in (0, 32)])
+    subsets = np.stack(
+        [(bits[:, w : w + 32] << np.arange(bits[:, w : w + 32].shape[1])).sum(1) for w in (0, 32)]
+    )
     words = jnp.asarray(subsets[: -(-num // 32), rng.integers(0, 40, (150, 130))], jnp.uint32)
     is_obstacle = jnp.asarray(rng.random((150, 130)) < 0.2)
-    expected = maps_of_words(jnp.where(is_obstacle, 0, words), satellites_of(in_view), Gps().gdop_threshold)
+    expected = maps_of_words(
+        jnp.where(is_obstacle, 0, words), satellites_of(in_view), Gps().gdop_threshold
+    )
 
     def of_a_block(block, *arguments):
         assert block.shape[1:] == (gps.BLOCK_CELLS,)
@@ -127,7 +158,9 @@ def test_satellites_at_centres_are_those_of_the_full_fine_sweep(oversample, terr
 @pytest.mark.parametrize("oversample", [1, 3])
 def test_who_is_seen_past_roofs_that_hide_most_is_seen_past_those_that_hide_least(oversample):
     view = fine_city(oversample), *ANGLES, [10.0, 25.0], oversample
-    most, least = (bounding_visibility(*view, hides_most=hides_most) for hides_most in (True, False))
+    most, least = (
+        bounding_visibility(*view, hides_most=hides_most) for hides_most in (True, False)
+    )
     assert np.all(most & ~least == 0)
     assert np.any(most != least)
 
@@ -145,7 +178,9 @@ def task(tmp_path_factory) -> MapTask:
     file = tmp_path_factory.mktemp("orbits") / "galileo.tle"
     file.write_text(walker_tle("galileo", 40_000))
     city = ju.demo_city(width_m=500, height_m=500)
-    grid = ju.Grid(city.crs, 10.0, *(int(np.ceil(v / 10.0)) + 5 for v in city.extent_m[1::-1]), 32, 32)
+    grid = ju.Grid(
+        city.crs, 10.0, *(int(np.ceil(v / 10.0)) + 5 for v in city.extent_m[1::-1]), 32, 32
+    )
     sky = view_sky(grid, ju.Gps(orbits=["nominal", file], times=TIMES, mask_deg=10.0))
     return MapTask(city, grid, sky, MapParams(altitudes_m=(Z_M,), sections=SECTIONS))
 
@@ -160,7 +195,9 @@ def test_maps_of_two_systems_equal_float64_with_two_clocks(task, maps):
     words = np.where(scene.is_obstacle, 0, np.asarray(scene.words[0], np.int64))
     azimuth, elevation, systems = map(np.asarray, task.in_view(0)[:3])
     is_seen = (words.reshape(-1, 1) >> np.arange(len(azimuth))) & 1
-    dops = inverse_dops(unit_vectors(azimuth, elevation), (systems == "galileo").astype(int), is_seen)
+    dops = inverse_dops(
+        unit_vectors(azimuth, elevation), (systems == "galileo").astype(int), is_seen
+    )
     exact = dops.reshape(5, *words.shape)
     is_useful = exact[0] < 20
     assert is_useful.sum() > 500
@@ -173,7 +210,9 @@ def test_maps_of_two_systems_equal_float64_with_two_clocks(task, maps):
 
 
 def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task, maps):
-    shared = replace(task.params, sections={"lidar": LIDAR, "gps": Gps(clocks="one", mask_deg=10.0)})
+    shared = replace(
+        task.params, sections={"lidar": LIDAR, "gps": Gps(clocks="one", mask_deg=10.0)}
+    )
     one = compute_maps(replace(task, params=shared))
     less, more = (each.m("pdop", Z_M)[maps.is_free(Z_M, "centre")] for each in (one, maps))
     assert np.all(less <= more * (1 + 1e-5))
@@ -190,7 +229,9 @@ def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task,
 
 def test_hdop_and_vdop_are_cost_layers(maps):
     for name, dop, threshold in (("gps_horizontal", "hdop", 4.0), ("gps_vertical", "vdop", 20.0)):
-        expected = np.clip((threshold - np.minimum(maps.m(dop, Z_M), threshold)) / (threshold - 1), 0, 1)
+        expected = np.clip(
+            (threshold - np.minimum(maps.m(dop, Z_M), threshold)) / (threshold - 1), 0, 1
+        )
         np.testing.assert_allclose(maps.m(name, Z_M), expected, atol=1e-6)
         np.testing.assert_allclose(maps.costs(Z_M)[name], 1 - expected, atol=1e-6)
 
@@ -215,24 +256,38 @@ def test_soft_maps_follow_the_clocks_and_their_gradients_equal_finite_difference
 
         def total(inputs):
             return sum(
-                jnp.sum(soft.layer(name, inputs["height_m"], params, cells)) for name in ("gps", "gps_horizontal")
+                jnp.sum(soft.layer(name, inputs["height_m"], params, cells))
+                for name in ("gps", "gps_horizontal")
             )
 
         check_gradient(jax.jit(jax.value_and_grad(total)), {"height_m": soft.height_m}, rtol=1e-5)
 
 
-def test_more_than_32_satellites_of_four_systems_count_in_the_dops_of_an_open_sky_and_in_run_json(tmp_path):
+def test_more_than_32_satellites_of_four_systems_count_in_the_dops_of_an_open_sky_and_in_run_json(
+    tmp_path,
+):
     files = [tmp_path / f"{system}.tle" for system in WALKER]
     for i, file in enumerate(files):
         file.write_text(walker_tle(file.stem, 40_000 + 100 * i))
-    region = {"bounds": [-74.0, 40.755, -73.995, 40.76], "resolution_m": 20, "altitudes_m": [20, 800]}
+    region = {
+        "bounds": [-74.0, 40.755, -73.995, 40.76],
+        "resolution_m": 20,
+        "altitudes_m": [20, 800],
+    }
     gps = {"orbits": ["nominal", *map(str, files)], "times": TIMES[0], "mask_deg": 5.0}
-    sections = {"region": region, "buildings": {"source": "synthetic"}, "gps": gps, "lidar": {"azimuths": 12}}
+    sections = {
+        "region": region,
+        "buildings": {"source": "synthetic"},
+        "gps": gps,
+        "lidar": {"azimuths": 12},
+    }
     made = run_scenario(ju.Scenario.from_dict(sections), tmp_path / "out")
     record, ds = made.record, made.maps[20.0].ds
     above = [s for s in record["satellites"] if s["elevation_deg"][0] >= 5.0]
     assert len(above) > 32
-    azimuth, elevation = (np.radians([s[name][0] for s in above]) for name in ("azimuth_grid_deg", "elevation_deg"))
+    azimuth, elevation = (
+        np.radians([s[name][0] for s in above]) for name in ("azimuth_grid_deg", "elevation_deg")
+    )
     clocks = np.array([("gps", *WALKER).index(s["system"]) for s in above])
     gdop = inverse_dops(unit_vectors(azimuth, elevation), clocks, np.ones((1, len(above))))[0, 0]
     low, high = (ds.sel(altitude=z_m) for z_m in (20, 800))
@@ -242,5 +297,9 @@ def test_more_than_32_satellites_of_four_systems_count_in_the_dops_of_an_open_sk
     counts = record["satellites_above_mask"]
     assert set(counts) == {"gps", *WALKER}
     assert sum(count for (count,) in counts.values()) == len(above)
-    assert {role for role in record["inputs"] if role.startswith("orbits")} == {"orbits", "orbits_2", "orbits_3"}
+    assert {role for role in record["inputs"] if role.startswith("orbits")} == {
+        "orbits",
+        "orbits_2",
+        "orbits_3",
+    }
     assert record["settings"]["gps"]["orbits"][0] == "nominal"

@@ -33,7 +33,9 @@ ALTITUDES_M = [20.0, 60.0, 122.0]
 
 
 RNG = np.random.default_rng(0)
-SCATTERED_M = np.where(RNG.random(GRID.shape) < 0.03, RNG.uniform(3, 130, GRID.shape), 0).astype(np.float32)
+SCATTERED_M = np.where(RNG.random(GRID.shape) < 0.03, RNG.uniform(3, 130, GRID.shape), 0).astype(
+    np.float32
+)
 
 
 def solid_by_brute_force(roof_m, terrain_m, altitude_m, threshold_m):
@@ -46,8 +48,12 @@ def solid_by_brute_force(roof_m, terrain_m, altitude_m, threshold_m):
     return np.minimum(np.sqrt(nearest_m2), threshold_m)
 
 
-@pytest.mark.parametrize(("distance", "relief_m"), [("slice", 0.0), ("slice", 50.0), ("solid", 0.0), ("solid", 40.0)])
-def test_the_slice_is_scipys_distance_transform_over_any_terrain_and_the_solid_that_of_brute_force(distance, relief_m):
+@pytest.mark.parametrize(
+    ("distance", "relief_m"), [("slice", 0.0), ("slice", 50.0), ("solid", 0.0), ("solid", 40.0)]
+)
+def test_the_slice_is_scipys_distance_transform_over_any_terrain_and_the_solid_that_of_brute_force(
+    distance, relief_m
+):
     roof_m, ground_m = SCATTERED_M, np.random.default_rng(1).uniform(0, relief_m, GRID.shape)
     surface = surface_on(roof_m, GRID, REGION, ground_m if relief_m else None)
     m = compute_risk(surface, ALTITUDES_M, Risk(distance=distance))
@@ -69,15 +75,22 @@ def test_nothing_stands_beyond_the_surface():
 
 
 def test_a_single_beam_lies_in_the_middle_and_several_at_equal_steps():
-    np.testing.assert_allclose(Lidar(beams=1, field_of_view_deg=(-10, 20)).elevations_rad, np.deg2rad([5]))
-    np.testing.assert_allclose(np.rad2deg(Lidar().elevations_rad), np.arange(-15, 16, 2), atol=1e-12)
+    np.testing.assert_allclose(
+        Lidar(beams=1, field_of_view_deg=(-10, 20)).elevations_rad, np.deg2rad([5])
+    )
+    np.testing.assert_allclose(
+        np.rad2deg(Lidar().elevations_rad), np.arange(-15, 16, 2), atol=1e-12
+    )
 
 
 ROOF_M = jnp.array([0.0, 5.0, 17.9, 18.0, 18.5, 19.0, 19.9, 20.0, 21.0, 300.0])
 
 
 def test_a_cell_is_an_obstacle_up_to_its_roof_and_free_above_and_bare_ground_is_free_even_at_altitude_zero():
-    roof_m, z_m = np.array([[0.0, 19.9, 20.0, 60.0, 60.1]], np.float32), np.array([0.0, 20.0, 60.0, 122.0])
+    roof_m, z_m = (
+        np.array([[0.0, 19.9, 20.0, 60.0, 60.1]], np.float32),
+        np.array([0.0, 20.0, 60.0, 122.0]),
+    )
     expected = [[0, 1, 1, 1, 1], [0, 0, 1, 1, 1], [0, 0, 0, 1, 1], [0, 0, 0, 0, 0]]
     np.testing.assert_array_equal(obstacle_mask(roof_m, z_m)[:, 0], expected)
 
@@ -106,7 +119,13 @@ def test_derivatives_of_a_soft_obstacle_equal_central_differences_and_are_0_at_s
         at = {"roof_m": np.linspace(17.9, 20.1, 12), "altitude_m": 20.0, "softness_m": 2.0}
         slopes = jax.jit(jax.value_and_grad(total))
         check_gradient(slopes, {name: jnp.asarray(value) for name, value in at.items()}, rtol=1e-6)
-        exact = slopes({"roof_m": jnp.full(12, 19.0), "altitude_m": jnp.asarray(20.0), "softness_m": jnp.asarray(0.0)})
+        exact = slopes(
+            {
+                "roof_m": jnp.full(12, 19.0),
+                "altitude_m": jnp.asarray(20.0),
+                "softness_m": jnp.asarray(0.0),
+            }
+        )
     assert not any(np.any(slope) for slope in exact[1].values())
 
 
@@ -139,7 +158,9 @@ BLOCKS = Blocks(
     polygons=shapely.box(WEST_M, 0.0, WEST_M + 100.0, 100.0),
     night_count=np.array([100.0, 400.0, 200.0, 0.0]),
     district=np.array([101, 107, 13, 102], np.int32),
-    zoning=np.array([Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER, Zoning.COMMERCIAL], np.uint8),
+    zoning=np.array(
+        [Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER, Zoning.COMMERCIAL], np.uint8
+    ),
     block_id=np.array(["a", "b", "c", "d"], object),
 )
 UNEQUAL = replace(BLOCKS, polygons=shapely.box(WEST_M, 0.0, WEST_M + 100.0, [9, 1, 4, 1]))
@@ -159,13 +180,27 @@ def test_night_is_the_census_day_multiplies_by_gamma_and_the_densest_block_of_th
     ("blocks", "settings", "bounds_m", "norm", "m"),
     [
         (BLOCKS, {}, None, 4e4, [0.25, 1, 0.5]),
-        (BLOCKS, {}, (210, 10, 290, 90), 2e4, [0.5, 1, 1]),  # only blocks that touch the region count
+        (
+            BLOCKS,
+            {},
+            (210, 10, 290, 90),
+            2e4,
+            [0.5, 1, 1],
+        ),  # only blocks that touch the region count
         (BLOCKS, {"normalise": 2e4}, None, 2e4, [0.5, 1, 1]),
-        (BLOCKS, {"normalise": "p50"}, None, 2e4, [0.5, 1, 1]),  # the median of the three inhabited blocks
+        (
+            BLOCKS,
+            {"normalise": "p50"},
+            None,
+            2e4,
+            [0.5, 1, 1],
+        ),  # the median of the three inhabited blocks
         (UNEQUAL, {"quantity": "count"}, None, 400, [0.25, 1, 0.5]),  # counts ignore the area
     ],
 )
-def test_a_number_a_percentile_or_the_greatest_of_the_region_normalises_and_clips(blocks, settings, bounds_m, norm, m):
+def test_a_number_a_percentile_or_the_greatest_of_the_region_normalises_and_clips(
+    blocks, settings, bounds_m, norm, m
+):
     maps = population_maps(BLOCK, blocks, ("night",), Population(**settings), bounds_m)
     np.testing.assert_allclose(maps.norm_per_km2, [norm])
     np.testing.assert_allclose(maps.m[0], [m, [0, 0, m[0]]])
@@ -182,7 +217,9 @@ def test_a_region_without_people_has_m_zero_everywhere():
 
 def test_a_block_without_area_has_density_zero_and_finite_gradients():
     def density(area_m2):
-        return density_per_km2(block_people(jnp.array([5.0]), jnp.array([2]), 1.0, 3.0, 0.5), area_m2).sum()
+        return density_per_km2(
+            block_people(jnp.array([5.0]), jnp.array([2]), 1.0, 3.0, 0.5), area_m2
+        ).sum()
 
     assert density(jnp.zeros(1)) == 0
     assert jax.grad(density)(jnp.zeros(1)) == 0
@@ -201,10 +238,25 @@ def test_hours_of_the_week_move_between_night_and_day():
 
 def test_totals_add_up_by_zoning():
     totals = population_totals(BLOCKS)
-    assert totals["night"] == {"commercial": 100.0, "residential": 400.0, "other": 200.0, "total": 700.0}
-    assert totals["day"] == {"commercial": 300.0, "residential": 200.0, "other": 100.0, "total": 600.0}
+    assert totals["night"] == {
+        "commercial": 100.0,
+        "residential": 400.0,
+        "other": 200.0,
+        "total": 700.0,
+    }
+    assert totals["day"] == {
+        "commercial": 300.0,
+        "residential": 200.0,
+        "other": 100.0,
+        "total": 600.0,
+    }
     assert population_totals(BLOCKS, bounds_m=(110, 10, 190, 90))["night"]["total"] == 400.0
-    box = (125.0, 0.0, 300.0, 50.0)  # three eighths of the residential block and half of the other one
+    box = (
+        125.0,
+        0.0,
+        300.0,
+        50.0,
+    )  # three eighths of the residential block and half of the other one
     assert population_totals(BLOCKS, bounds_m=box)["night"]["total"] == 600.0
     inside = population_totals(BLOCKS, bounds_m=box, is_cut=True)
     assert inside["night"]["residential"] == pytest.approx(400 * 0.75 * 0.5)
@@ -226,7 +278,9 @@ ROW = Blocks(
 CELLS = jnp.asarray(np.random.default_rng(1).integers(-1, 12, (6, 7)), jnp.int32)
 
 
-@pytest.mark.parametrize(("time_of_day", "normalise"), [("day", "max"), ("night", 30_000.0), ("weekend-20", "p80")])
+@pytest.mark.parametrize(
+    ("time_of_day", "normalise"), [("day", "max"), ("night", 30_000.0), ("weekend-20", "p80")]
+)
 def test_as_a_function_of_gammas_and_counts_it_is_the_metrics_own_map(time_of_day, normalise):
     params = Population(normalise=normalise)
     expected = population_maps(CELLS, ROW, [time_of_day], params, BOUNDS_M).m[0]
@@ -237,22 +291,33 @@ def test_as_a_function_of_gammas_and_counts_it_is_the_metrics_own_map(time_of_da
 
 
 @pytest.mark.parametrize(
-    ("quantity", "normalise"), [("density", "max"), ("density", "p80"), ("density", 150_000.0), ("count", "max")]
+    ("quantity", "normalise"),
+    [("density", "max"), ("density", "p80"), ("density", 150_000.0), ("count", "max")],
 )
 def test_gradients_of_population_agree_with_finite_differences(quantity, normalise):
     params = Population(normalise=normalise, quantity=quantity)
     with jax.enable_x64(True):
-        population, weight = BlockPopulation.of(ROW, BOUNDS_M, np.float64), DRAW.uniform(size=CELLS.shape)
+        population, weight = (
+            BlockPopulation.of(ROW, BOUNDS_M, np.float64),
+            DRAW.uniform(size=CELLS.shape),
+        )
 
         @jax.jit
         @jax.value_and_grad
         def total(inputs):
             gammas = {name: inputs[name] for name in ("gamma_commercial", "gamma_residential")}
-            those = population._replace(night_count=inputs["night_count"], area_m2=1e4 * inputs["area_ha"])
-            return (weight * soft_population(CELLS, those, "weekday-18", replace(params, **gammas))).sum()
+            those = population._replace(
+                night_count=inputs["night_count"], area_m2=1e4 * inputs["area_ha"]
+            )
+            return (
+                weight * soft_population(CELLS, those, "weekday-18", replace(params, **gammas))
+            ).sum()
 
         gammas = {"gamma_commercial": jnp.asarray(2.0), "gamma_residential": jnp.asarray(0.6)}
-        inputs = {"night_count": population.night_count, "area_ha": population.area_m2 / 1e4} | gammas
+        inputs = {
+            "night_count": population.night_count,
+            "area_ha": population.area_m2 / 1e4,
+        } | gammas
         check_gradient(total, inputs, zero={"area_ha"} if quantity == "count" else (), rtol=1e-6)
 
 
@@ -263,8 +328,12 @@ def test_gammas_are_leaves_of_the_settings_and_batches_take_no_new_compilation()
     def m(params, night_count):
         return soft_population(CELLS, population._replace(night_count=night_count), "day", params)
 
-    several = [Population(gamma_commercial=g, gamma_residential=h) for g, h in ((3.0, 0.5), (2.0, 0.7))]
+    several = [
+        Population(gamma_commercial=g, gamma_residential=h) for g, h in ((3.0, 0.5), (2.0, 0.7))
+    ]
     one_by_one = jnp.stack([m(params, population.night_count) for params in several])
     assert m._cache_size() == 1
     stacked = jax.tree.map(lambda *gammas: jnp.asarray(gammas), *several)
-    np.testing.assert_allclose(jax.vmap(m, (0, None))(stacked, population.night_count), one_by_one, rtol=1e-6)
+    np.testing.assert_allclose(
+        jax.vmap(m, (0, None))(stacked, population.night_count), one_by_one, rtol=1e-6
+    )

@@ -21,7 +21,9 @@ PARAMS = Protection()
 
 def test_range_errors_are_those_of_the_published_example():
     east, north, up = -EXAMPLE[:, :3].T
-    in_view = InView(np.arctan2(east, north), np.arctan2(up, np.hypot(east, north)), ("gps",) * len(EXAMPLE))
+    in_view = InView(
+        np.arctan2(east, north), np.arctan2(up, np.hypot(east, north)), ("gps",) * len(EXAMPLE)
+    )
     found = ranging_of(in_view, PARAMS)
     np.testing.assert_allclose(found.sigma_int_m**2, EXAMPLE[:, 3], atol=1e-4)
     np.testing.assert_allclose(found.sigma_acc_m**2, EXAMPLE[:, 4], atol=1e-4)
@@ -38,8 +40,14 @@ def test_galileo_has_a_table_that_ends_at_5_degrees():
 
 @pytest.mark.parametrize("counts", [(9, 0), (7, 6), (40, 30)])
 def test_every_cell_has_the_levels_of_its_own_satellites(counts):
-    draw, num, systems = np.random.default_rng(3), sum(counts), np.repeat(["gps", "galileo"], counts)
-    in_view = InView(draw.uniform(0, 2 * np.pi, num), np.arcsin(draw.uniform(0.15, 1, num)), tuple(systems))
+    draw, num, systems = (
+        np.random.default_rng(3),
+        sum(counts),
+        np.repeat(["gps", "galileo"], counts),
+    )
+    in_view = InView(
+        draw.uniform(0, 2 * np.pi, num), np.arcsin(draw.uniform(0.15, 1, num)), tuple(systems)
+    )
     words = draw.integers(0, 2**32, (-(-num // 32), 9, 11), dtype=np.uint32)
     words[-1] &= np.uint32(2 ** (num % 32) - 1)
     words[:, 3:5] = words[:, :1]
@@ -67,7 +75,9 @@ CITIES = {
 @pytest.mark.usefixtures("data_dir")
 @pytest.mark.parametrize("city", CITIES)
 def test_levels_of_what_a_city_leaves_in_view_are_sidereons(city):
-    peer = pytest.importorskip("benchmarks.protection", reason="sidereon (dev extra) is not installed")
+    peer = pytest.importorskip(
+        "benchmarks.protection", reason="sidereon (dev extra) is not installed"
+    )
     place = getattr(peer, city, None) or getattr(scenes, city)
     is_obstacle, seen = peer.views(place, 20.0, 5.0, CITIES[city])
     num, num_near = 0, 0
@@ -75,7 +85,9 @@ def test_levels_of_what_a_city_leaves_in_view_are_sidereons(city):
         patterns, _ = distinct_choices(words, is_obstacle)
         patterns = patterns[:, : PATTERNS - num]
         ours = levels_of_satellites(in_view, PARAMS, patterns)
-        theirs = peer.Peer(ranging_of(in_view, PARAMS), in_view.systems, PARAMS.budget).levels(patterns)
+        theirs = peer.Peer(ranging_of(in_view, PARAMS), in_view.systems, PARAMS.budget).levels(
+            patterns
+        )
         np.testing.assert_array_equal(np.isfinite(ours), np.isfinite(theirs))
         # Beyond, satellites that all but leave the position undetermined magnify rounding.
         is_near, is_had = theirs < peer.NEAR_M, np.isfinite(theirs)

@@ -22,7 +22,15 @@ from jaxurban.metrics.risk import Risk, soft_risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.settings import Heights
 from jaxurban.world.surface import obstacle_mask
-from tests.metrics.soft.scene import ALTITUDE_M, BUILDING, CASES, CELLS, HEIGHT_M, REGION, surface_of
+from tests.metrics.soft.scene import (
+    ALTITUDE_M,
+    BUILDING,
+    CASES,
+    CELLS,
+    HEIGHT_M,
+    REGION,
+    surface_of,
+)
 
 SURFACE = surface_of(HEIGHT_M.astype(np.float32), BUILDING)
 VALUES = np.linspace(-10.0, 100.0, REGION.num_rows * REGION.num_cols).reshape(REGION.shape)
@@ -36,8 +44,16 @@ HERE = Scene(SURFACE, ALTITUDE_M, obstacle_mask(SURFACE.crop(SURFACE.roof_m), [A
 def test_metrics_stand_in_the_papers_order_and_an_unknown_one_is_named():
     assert list(METRICS) == ["gps", "lidar", "population", "risk"]
     assert [float(metric.cost(0.25)) for metric in METRICS.values()] == [0.75, 0.75, 0.25, 0.75]
-    assert [metric.reach_m(metric.params()) for metric in METRICS.values()] == [0.0, 100.0, 0.0, 50.0]
-    assert [METRICS["lidar"].reach_m(Lidar(range_m=70.0)), METRICS["risk"].reach_m(Risk(35.0))] == [70.0, 35.0]
+    assert [metric.reach_m(metric.params()) for metric in METRICS.values()] == [
+        0.0,
+        100.0,
+        0.0,
+        50.0,
+    ]
+    assert [METRICS["lidar"].reach_m(Lidar(range_m=70.0)), METRICS["risk"].reach_m(Risk(35.0))] == [
+        70.0,
+        35.0,
+    ]
     assert [*known_metrics()] == [*METRICS, *ON_REQUEST]
     assert len({metric.colour for metric in known_metrics().values()}) == len(known_metrics())
 
@@ -51,7 +67,9 @@ def test_a_function_sees_the_surface_and_has_gradients_where_it_has_a_soft_form(
     pickle.loads(pickle.dumps(own_metric("noise", NOISE).compute))  # for workers
     assert (metric.dims, metric.reach_m(layer)) == (("altitude",), 10.0)
     m = metric.compute(HERE, layer)["shade"]
-    np.testing.assert_allclose(m, np.clip(np.asarray(SURFACE.crop(SURFACE.roof_m)) / ALTITUDE_M / 2, 0, 1), rtol=1e-6)
+    np.testing.assert_allclose(
+        m, np.clip(np.asarray(SURFACE.crop(SURFACE.roof_m)) / ALTITUDE_M / 2, 0, 1), rtol=1e-6
+    )
     view = CASES["gps"].view()
 
     def total(altitude_m):
@@ -65,7 +83,9 @@ def test_a_function_sees_the_surface_and_has_gradients_where_it_has_a_soft_form(
 
 
 def test_maps_say_which_layers_they_hold():
-    ds = xr.Dataset({name: (("y", "x"), VALUES) for name in ("risk", "gps_median", "noise", "roof")})
+    ds = xr.Dataset(
+        {name: (("y", "x"), VALUES) for name in ("risk", "gps_median", "noise", "roof")}
+    )
     ds["noise"].attrs["layer"] = json.dumps(NOISE.record)
     held = held_metrics(ds)
     assert list(held) == ["gps", "risk", "noise"]
@@ -73,7 +93,9 @@ def test_maps_say_which_layers_they_hold():
 
 
 def test_weights_are_parsed_over_a_base_carry_any_name_and_a_name_that_is_left_out_weighs_one():
-    assert Weights.parse("gps=2, risk=0", Weights(lidar=7.0)) == Weights(gps=2.0, lidar=7.0, risk=0.0)
+    assert Weights.parse("gps=2, risk=0", Weights(lidar=7.0)) == Weights(
+        gps=2.0, lidar=7.0, risk=0.0
+    )
     weights = Weights.parse("noise=2,gps=3")
     assert (weights["noise"], weights["gps"], weights["crowd"]) == (2.0, 3.0, 1.0)
     assert weights == Weights(gps=3.0, noise=2.0) == Weights.of({"noise": 2.0, "gps": 3.0})
@@ -87,7 +109,10 @@ def test_weights_are_parsed_over_a_base_carry_any_name_and_a_name_that_is_left_o
 @pytest.mark.parametrize(
     ("setting", "value", "words"),
     [
-        *((Gps, {"gdop_threshold": x}, "gdop_threshold must be a number above 1") for x in (1.0, np.nan, np.inf)),
+        *(
+            (Gps, {"gdop_threshold": x}, "gdop_threshold must be a number above 1")
+            for x in (1.0, np.nan, np.inf)
+        ),
         (Gps, {"clocks": "two"}, "clocks must be 'system' or 'one', got 'two'"),
         (Dop, {"dop_threshold": 1.0}, "dop_threshold must be a number above 1"),
         (Lidar, {"beams": 0}, "beams"),
@@ -105,10 +130,18 @@ def test_weights_are_parsed_over_a_base_carry_any_name_and_a_name_that_is_left_o
         (Population, {"normalise": "p0"}, "a percentile such as 'p95'"),
         (Population, {"normalise": 0.0}, "a positive number per km2"),
         (Population, {"weekday": (1.0,) * 23}, "24 shares"),
-        (Protection, {"horizontal_alert_limit_m": 0.0}, "horizontal_alert_limit_m must be positive metres"),
+        (
+            Protection,
+            {"horizontal_alert_limit_m": 0.0},
+            "horizontal_alert_limit_m must be positive metres",
+        ),
         (Protection, {"bias_m": -1.0}, "bias_m must be 0 or more metres"),
         (Protection, {"p_const": 0.5}, "p_const must be a probability from 0 to below 0.1"),
-        (Protection, {"phmi_vertical": 0.0}, "phmi_vertical must be a probability from 1e-15 to 0.1"),
+        (
+            Protection,
+            {"phmi_vertical": 0.0},
+            "phmi_vertical must be a probability from 1e-15 to 0.1",
+        ),
         (Protection, {"tolerance_m": (0.05, 0.0)}, "tolerance_m must be positive metres"),
         (HeightStd, {"levels": -1.0}, "levels must be 0 or a positive number of metres"),
         (Heights, {"height_samples": 1}, "height_samples must be 0, for none, or from 2"),
@@ -128,7 +161,19 @@ def test_a_wrong_setting_is_one_sentence(setting, value, words):
         setting(**value)
 
 
-NAMES = "gps", "roof", "distance", "gdop", "class", "2nd", "time", "climb", "descent", "self", "risk_mean"
+NAMES = (
+    "gps",
+    "roof",
+    "distance",
+    "gdop",
+    "class",
+    "2nd",
+    "time",
+    "climb",
+    "descent",
+    "self",
+    "risk_mean",
+)
 
 
 @pytest.mark.parametrize("name", [*NAMES, "my noise", 5])
@@ -142,12 +187,26 @@ def test_a_layer_has_a_name_of_its_own(name):
     [
         (lambda: soft_gps(SURFACE, 20.0, 20.0, -1.0, None), "softness_m must be 0"),
         (lambda: soft_lidar(SURFACE, 20.0, Lidar(), -1.0), "softness_m must be 0"),
-        (lambda: soft_lidar(SURFACE, 20.0, Lidar(), 1.0, reach_m=30.0), "at least lidar range_m, 100 m"),
-        (lambda: jax.grad(lambda r: soft_lidar(SURFACE, 20.0, Lidar(range_m=r), 1.0).sum())(40.0), "reach_m"),
-        (lambda: jax.grad(lambda d: soft_risk(SURFACE, 20.0, Risk(d), 1.0).sum())(40.0), "by JAX: give reach_m"),
+        (
+            lambda: soft_lidar(SURFACE, 20.0, Lidar(), 1.0, reach_m=30.0),
+            "at least lidar range_m, 100 m",
+        ),
+        (
+            lambda: jax.grad(lambda r: soft_lidar(SURFACE, 20.0, Lidar(range_m=r), 1.0).sum())(
+                40.0
+            ),
+            "reach_m",
+        ),
+        (
+            lambda: jax.grad(lambda d: soft_risk(SURFACE, 20.0, Risk(d), 1.0).sum())(40.0),
+            "by JAX: give reach_m",
+        ),
         (lambda: day_share("nigth"), "did you mean 'night'"),
         (lambda: day_share("weekday-24"), "weekday-08"),
-        *((lambda given=given: Weights.of(given), "numbers by name") for given in (5.0, "risk", [1.0, 2.0], {1: 2.0})),
+        *(
+            (lambda given=given: Weights.of(given), "numbers by name")
+            for given in (5.0, "risk", [1.0, 2.0], {1: 2.0})
+        ),
         (lambda: Weights.parse("noise=x"), "name=number"),
         (lambda: Weights.parse("gps"), "name=number"),
         (lambda: Weights.parse("gps=-1"), ">= 0"),

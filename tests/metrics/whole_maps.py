@@ -27,19 +27,25 @@ def compute_gps(surface, azimuth_rad, elevation_rad, altitudes_m, params=None, c
 
 def gps_maps(words, is_obstacle, in_view, params=None):
     """Return the GPS maps of visibility words, by the choices of satellites that are seen."""
-    maps, number = maps_of_choices(words, is_obstacle, satellites_of(in_view), (params or Gps()).gdop_threshold)
+    maps, number = maps_of_choices(
+        words, is_obstacle, satellites_of(in_view), (params or Gps()).gdop_threshold
+    )
     return GpsMaps(*(values[number] for values in maps))
 
 
 def population_maps(block, blocks, times_of_day=("day", "night"), params=None, bounds_m=None):
     """Return the metric and the density over a region at each time of day, and the norm."""
-    m, density, norm = block_layers(blocks, replace(params or Population(), time_of_day=times_of_day), bounds_m)
+    m, density, norm = block_layers(
+        blocks, replace(params or Population(), time_of_day=times_of_day), bounds_m
+    )
     return BlockLayers(map_blocks(block, m), map_blocks(block, density), norm)
 
 
 def seen(words, num):
     """Return visibility words as ``[S, A, y, x]`` bool."""
-    return np.array([(np.asarray(words)[s // 32] >> np.uint32(s % 32)) & 1 == 1 for s in range(num)])
+    return np.array(
+        [(np.asarray(words)[s // 32] >> np.uint32(s % 32)) & 1 == 1 for s in range(num)]
+    )
 
 
 def gdop_by_inverse(weights, directions):

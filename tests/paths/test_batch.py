@@ -22,18 +22,26 @@ METRES = ["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
 def pairs(town):
     """Six pairs of places that are free at 20 m, longitude and latitude."""
     cells = np.random.default_rng(0).choice(np.argwhere(town.is_free(20.0)), (6, 2))
-    return [tuple(tuple(map(float, town.grid.lonlat_of_cell(*cell))) for cell in pair) for pair in cells]
+    return [
+        tuple(tuple(map(float, town.grid.lonlat_of_cell(*cell))) for cell in pair) for pair in cells
+    ]
 
 
 @pytest.fixture(scope="module")
 def many(town):
     """Plan many routes over the town, at 20 m or as is given."""
-    return lambda queries, **options: ju.plan_many(town, queries, **({"altitude_m": 20.0} | options))
+    return lambda queries, **options: ju.plan_many(
+        town, queries, **({"altitude_m": 20.0} | options)
+    )
 
 
 @pytest.mark.parametrize("backend", ["numba", pytest.param("jax", marks=pytest.mark.slow)])
 def test_a_batch_gives_the_paths_of_single_plans_in_order(town, many, pairs, backend):
-    how = {"altitude_m": 35.0, "cost_model": "line", "budget_s": np.inf}  # between those of the maps
+    how = {
+        "altitude_m": 35.0,
+        "cost_model": "line",
+        "budget_s": np.inf,
+    }  # between those of the maps
     batch = many(pairs, **how, backend=backend)
     assert (len(batch), batch.was_interrupted) == (len(pairs), False)
     for pair, path in zip(pairs, batch, strict=True):
@@ -43,16 +51,29 @@ def test_a_batch_gives_the_paths_of_single_plans_in_order(town, many, pairs, bac
 
 
 def test_each_row_of_a_table_has_its_own_altitude_time_of_day_and_weights(town, many, pairs):
-    own = {"altitude_m": [20, np.nan, 35], "time_of_day": ["night", None, "day"], "w_risk": [np.nan, 7.0, 0.0]}
+    own = {
+        "altitude_m": [20, np.nan, 35],
+        "time_of_day": ["night", None, "day"],
+        "w_risk": [np.nan, 7.0, 0.0],
+    }
     table = pd.DataFrame([np.ravel(pairs[0])] * 3, columns=list(LONLAT)).assign(**own)
     batch = many(table, weights=ju.Weights(gps=2.0))
     assert [path.altitude_m for path in batch] == [20, 20, 35]
-    assert batch[2].cost == ju.plan(town, *pairs[0], altitude_m=35.0, weights={"gps": 2.0, "risk": 0.0}).cost
-    assert [path.settings["time_of_day"] for path in batch] == ["night", town.times_of_day[0], "day"]
+    assert (
+        batch[2].cost
+        == ju.plan(town, *pairs[0], altitude_m=35.0, weights={"gps": 2.0, "risk": 0.0}).cost
+    )
+    assert [path.settings["time_of_day"] for path in batch] == [
+        "night",
+        town.times_of_day[0],
+        "day",
+    ]
     assert [path.settings["weights"]["risk"] for path in batch] == [1, 7, 0]
     assert {path.settings["weights"]["gps"] for path in batch} == {2}
     rows = batch.to_dataframe()[["query", "cost", "m_gps"]]
-    np.testing.assert_allclose(rows, [(k, path.cost, path.metrics["gps"]) for k, path in enumerate(batch)])
+    np.testing.assert_allclose(
+        rows, [(k, path.cost, path.metrics["gps"]) for k, path in enumerate(batch)]
+    )
 
 
 def test_places_may_be_given_in_metres_and_in_an_array(town, many, pairs):
@@ -71,7 +92,12 @@ def test_a_query_that_cannot_be_asked_is_a_row_with_its_sentence(town, many, pai
     batch = many(table.assign(altitude_m=[20.0, 20, 20, 13, 20, 20], w_gps=[1.0, 1, 1, 1, -1, 1]))
     rows = batch.to_dataframe()
     assert rows["status"].tolist() == ["optimal", *["bad-input"] * 4, "optimal"]
-    for k, words in {1: "nearest free cell", 2: "two finite numbers", 3: "altitude", 4: "weight gps must be"}.items():
+    for k, words in {
+        1: "nearest free cell",
+        2: "two finite numbers",
+        3: "altitude",
+        4: "weight gps must be",
+    }.items():
         assert (batch[k], words in rows["message"][k]) == (None, True)
     with pytest.raises(ju.InputError, match="query 1: start is inside an obstacle"):
         many(table[:2], strict=True)
@@ -79,20 +105,28 @@ def test_a_query_that_cannot_be_asked_is_a_row_with_its_sentence(town, many, pai
 
 
 def test_one_signature_lists_what_functions_pass_on_and_names_what_none_takes():
-    many, one = (set(inspect.signature(function).parameters) for function in (ju.plan_many, ju.plan))
+    many, one = (
+        set(inspect.signature(function).parameters) for function in (ju.plan_many, ju.plan)
+    )
     assert {"time", "weights", "preset", "planner", "snap"} <= many & one
     assert "asked" not in many | one
     for function in (ju.plan_many, ju.plan, ju.cost_map):  # their help names each
         arguments = function.__doc__[function.__doc__.index("Args:") :]
-        assert [name for name in inspect.signature(function).parameters if name not in arguments] == []
+        assert [
+            name for name in inspect.signature(function).parameters if name not in arguments
+        ] == []
 
 
 def test_drawn_instances_are_planned_without_the_columns_that_a_refusal_names(town, many):
     drawn = ju.studies.sample_instances(town, 2).query("altitude_m == 20")
-    with pytest.raises(ju.InputError, match=r"unknown columns \[.*queries\.drop\(columns=") as refused:
+    with pytest.raises(
+        ju.InputError, match=r"unknown columns \[.*queries\.drop\(columns="
+    ) as refused:
         many(drawn)
     named = literal_eval(re.search(r"\[.*?\]", str(refused.value))[0])
-    assert all(path.status is Status.OPTIMAL for path in many(drawn.drop(columns=[*named, *LONLAT])))
+    assert all(
+        path.status is Status.OPTIMAL for path in many(drawn.drop(columns=[*named, *LONLAT]))
+    )
 
 
 class Interrupting:
@@ -214,7 +248,9 @@ def test_the_file_is_rewritten_on_the_way(many, pairs, monkeypatch, tmp_path):
     monkeypatch.setattr("jaxurban.io.tables.SAVE_EVERY_S", 0.0)
     monkeypatch.setattr("jaxurban.io.tables.SAVING_SHARE", np.inf)
     saved = []
-    monkeypatch.setattr(RowStore, "save", lambda self, save=RowStore.save: (save(self), saved.append(len(self))))
+    monkeypatch.setattr(
+        RowStore, "save", lambda self, save=RowStore.save: (save(self), saved.append(len(self)))
+    )
     many(pairs, file=tmp_path / "answers.parquet")
     assert saved == [1, 2, 3, 4, 5, 6, 6]
 

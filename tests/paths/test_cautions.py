@@ -26,9 +26,16 @@ def maps() -> ju.MetricMaps:
     roof_m[ROW + 4 : ROW + 9, 60:70] = 30.0
     roof_m[ROW, 30:40] = 12.0
     for low, high in ((25, 27), (40, 50), (52, 53), (70, 75), (85, 88)):
-        visible[:, low:high], hdop[:, low:high] = 4, np.inf  # of two systems, whose clocks are two unknowns
+        visible[:, low:high], hdop[:, low:high] = (
+            4,
+            np.inf,
+        )  # of two systems, whose clocks are two unknowns
     by_cell = {"num_visible": visible, "hdop": hdop}
-    return with_roofs(maps, roof_m, **{name: maps.ds["num_visible"] * 0 + values for name, values in by_cell.items()})
+    return with_roofs(
+        maps,
+        roof_m,
+        **{name: maps.ds["num_visible"] * 0 + values for name, values in by_cell.items()},
+    )
 
 
 def levels_of(path, maps) -> dict[str, str]:
@@ -47,7 +54,9 @@ def with_guesses(maps, part) -> ju.MetricMaps:
     is_guessed = np.zeros(maps.grid.shape, bool)
     is_guessed[part] = True
     ds = maps.ds.assign(roof_guessed=(("y", "x"), is_guessed))
-    return ju.MetricMaps(ds.assign_attrs(guesses=json.dumps({"40 % of heights": "", "nominal satellites": ""})))
+    return ju.MetricMaps(
+        ds.assign_attrs(guesses=json.dumps({"40 % of heights": "", "nominal satellites": ""}))
+    )
 
 
 LOW_ROOF, TOWER = np.s_[ROW, 30:40], np.s_[ROW + 4 : ROW + 9, 60:70]
@@ -63,7 +72,9 @@ def test_what_the_maps_guess_is_the_first_caution_with_the_length_past_guessed_r
     )
     assert first.level == "guess"
     passes = "if guessed roofs are right: the route passes over some."
-    assert any("is 8.0 m" in line and line.endswith("(a guessed roof of 12.0 m).") for line in others)
+    assert any(
+        "is 8.0 m" in line and line.endswith("(a guessed roof of 12.0 m).") for line in others
+    )
     assert any("35.0 m away" in line and passes in line for line in others)
     assert not any("uess" in line for line in ju.cautions(straight(maps), maps))
 
@@ -72,17 +83,27 @@ def test_only_what_rests_on_a_guessed_roof_is_called_guessed(maps):
     far = with_guesses(maps, TOWER)
     told = ju.cautions(straight(far), far)
     assert any(line.endswith("(a roof of 12.0 m).") and line.level == "note" for line in told)
-    assert any("if guessed roofs are right: the nearest of those is 35.0 m away" in line for line in told)
+    assert any(
+        "if guessed roofs are right: the nearest of those is 35.0 m away" in line for line in told
+    )
     over = with_guesses(maps, LOW_ROOF)
-    (start,) = (line for line in ju.cautions(straight(over, first=33), over) if line.startswith("The start"))
-    assert (start, start.level) == ("The start is over a guessed roof of 12.0 m, not over the ground.", "guess")
+    (start,) = (
+        line for line in ju.cautions(straight(over, first=33), over) if line.startswith("The start")
+    )
+    assert (start, start.level) == (
+        "The start is over a guessed roof of 12.0 m, not over the ground.",
+        "guess",
+    )
 
 
 def test_a_stretch_without_a_fix_and_a_roof_close_below_are_beyond_limits(maps):
     assert levels_of(straight(maps), maps) == {"GPS": "limit", "Buildings": "note", "Roofs": "note"}
     roof_m = np.where(maps.m("roof") == 12.0, ALTITUDE_M - 0.4, maps.m("roof"))
     low = with_roofs(maps, roof_m)
-    assert levels_of(straight(low, constraints=ju.Constraints(vertical_clearance_m=0.0)), low)["Roofs"] == "limit"
+    assert (
+        levels_of(straight(low, constraints=ju.Constraints(vertical_clearance_m=0.0)), low)["Roofs"]
+        == "limit"
+    )
 
 
 def test_every_file_of_a_route_says_what_is_guessed(maps, tmp_path):
@@ -96,7 +117,9 @@ def test_every_file_of_a_route_says_what_is_guessed(maps, tmp_path):
     several = ju.plan_many(guessed, [(path.lonlat[0], path.lonlat[-1])] * 2, altitude_m=ALTITUDE_M)
     several.save(tmp_path / "several.geojson")
     features = json.loads((tmp_path / "several.geojson").read_text())["features"]
-    assert [each["properties"]["cautions"] for each in features] == [[told[0].split(";")[0] + "."]] * 2
+    assert [each["properties"]["cautions"] for each in features] == [
+        [told[0].split(";")[0] + "."]
+    ] * 2
 
 
 def test_the_table_of_a_route_marks_clearances_that_rest_on_guessed_roofs(maps):
@@ -104,7 +127,9 @@ def test_the_table_of_a_route_marks_clearances_that_rest_on_guessed_roofs(maps):
     for part, marked in ((LOW_ROOF, both), (TOWER, both[:1]), (False, [])):
         guessed = with_guesses(maps, part)
         lines = ju.explain(straight(guessed), guessed).table().splitlines()
-        assert [line[:24].strip() for line in lines if line.endswith("(if guessed roofs are right)")] == marked
+        assert [
+            line[:24].strip() for line in lines if line.endswith("(if guessed roofs are right)")
+        ] == marked
 
 
 def test_what_was_asked_of_clearances_is_the_limit(maps):
@@ -128,12 +153,20 @@ def test_segments_without_a_fix_are_told_with_their_places(maps):
 
 def test_the_nearest_building_the_least_height_over_a_roof_and_an_end_over_one_are_told(maps):
     told = ju.cautions(straight(maps), maps)
-    assert re.match(r"Buildings: the nearest at flight height is 35\.0 m away, (49|5\d)\d m along the route\.", told[1])
-    assert re.match(r"Roofs: the least height over one is 8\.0 m, [12]\d\d m .* \(a roof of 12\.0 m\)\.", told[2])
+    assert re.match(
+        r"Buildings: the nearest at flight height is 35\.0 m away, (49|5\d)\d m along the route\.",
+        told[1],
+    )
+    assert re.match(
+        r"Roofs: the least height over one is 8\.0 m, [12]\d\d m .* \(a roof of 12\.0 m\)\.",
+        told[2],
+    )
     for options, ends in (({}, []), ({"first": 33}, ["start"]), ({"last": 33}, ["goal"])):
         told = ju.cautions(straight(maps, **options), maps)
         at_ends = [line for line in told if line.startswith(("The start", "The goal"))]
-        assert at_ends == [f"The {end} is over a roof of 12.0 m, not over the ground." for end in ends]
+        assert at_ends == [
+            f"The {end} is over a roof of 12.0 m, not over the ground." for end in ends
+        ]
 
 
 def test_roofs_that_touch_a_cell_count_where_the_maps_hold_them(maps):
@@ -151,9 +184,14 @@ def test_a_route_through_cells_that_a_building_touches_is_not_told_as_over_its_r
     touched_m[ROW, 40:51] = 30.0
     by_centre = ju.MetricMaps(maps.ds.assign(roof_touched=(("y", "x"), touched_m)), "centre")
     told = ju.cautions(straight(by_centre, last=50), by_centre)
-    assert "Buildings: 105.0 m of the route lie in cells that one as high touches, maybe in its outline." in told
+    assert (
+        "Buildings: 105.0 m of the route lie in cells that one as high touches, maybe in its outline."
+        in told
+    )
     assert "The goal is in a cell that a building of 30.0 m touches." in told
-    assert any(sentence.startswith("Roofs: the least height over one is 8.0 m") for sentence in told)
+    assert any(
+        sentence.startswith("Roofs: the least height over one is 8.0 m") for sentence in told
+    )
 
 
 def test_what_may_stand_outside_the_region_is_no_nearer_than_the_border(maps):
@@ -167,7 +205,9 @@ def test_what_may_stand_outside_the_region_is_no_nearer_than_the_border(maps):
         assert caution.startswith("Buildings: none at flight height is within 15.0 m")
         assert "what stands beyond their border is not known" in caution
         assert caution.level == "note"
-        assert (f"in the region the nearest is {nearest_m} m away" in caution) == np.isfinite(nearest_m)
+        assert (f"in the region the nearest is {nearest_m} m away" in caution) == np.isfinite(
+            nearest_m
+        )
 
 
 def test_satellites_are_whole_numbers_and_between_two_altitudes_those_of_the_lower_map(maps):
@@ -175,7 +215,9 @@ def test_satellites_are_whole_numbers_and_between_two_altitudes_those_of_the_low
     visible = maps.ds["num_visible"].copy(deep=True)
     visible[:, 1] = 10
     higher = ju.MetricMaps(maps.ds.assign(num_visible=visible))
-    path = ju.plan(higher, **ends_at(maps, (ROW, 20), (ROW, 30)), altitude_m=30.0, objective="distance")
+    path = ju.plan(
+        higher, **ends_at(maps, (ROW, 20), (ROW, 30)), altitude_m=30.0, objective="distance"
+    )
     profile = ju.explain(path, higher).profile
     cells = higher.grid.cell_of_lonlat(profile["lon"], profile["lat"])
     assert profile["num_visible"].tolist() == higher.m("num_visible", 20.0)[cells].tolist()
@@ -184,10 +226,19 @@ def test_satellites_are_whole_numbers_and_between_two_altitudes_those_of_the_low
 
 def test_the_command_line_tells_it_on_stderr_and_in_json(maps, tmp_path, capsys):
     with_guesses(maps, LOW_ROOF).save(tmp_path / "maps")
-    arguments = ("plan", tmp_path / "maps", *options_of(maps, **ends_at(maps, (ROW, 33), (ROW, 90))))
+    arguments = (
+        "plan",
+        tmp_path / "maps",
+        *options_of(maps, **ends_at(maps, (ROW, 33), (ROW, 90))),
+    )
     code, out, err = run(capsys, *arguments)
     assert code == 0
-    for words in ("GPS: no fix", "Buildings: the nearest at flight", "Roofs: the least height", "The start is over"):
+    for words in (
+        "GPS: no fix",
+        "Buildings: the nearest at flight",
+        "Roofs: the least height",
+        "The start is over",
+    ):
         assert (words in err, words in out) == (True, False)
     _, out, err = run(capsys, *arguments, "--json")
     told = json.loads(out)["cautions"]
@@ -197,7 +248,9 @@ def test_the_command_line_tells_it_on_stderr_and_in_json(maps, tmp_path, capsys)
 
 def test_a_wall_beside_a_climb_counts_as_soon_as_it_reaches_above_the_route(maps):
     roof_m = np.zeros(maps.grid.shape, np.float32)
-    roof_m[ROW + 4 : ROW + 9, 40:45] = 55.0  # beside the climb from 20 to 60 m, nearer to 60 than to 20 at its top
+    roof_m[ROW + 4 : ROW + 9, 40:45] = (
+        55.0  # beside the climb from 20 to 60 m, nearer to 60 than to 20 at its top
+    )
     around = with_roofs(maps, roof_m)
     climb = {"start_altitude_m": 20.0, "goal_altitude_m": 60.0, "objective": "distance"}
     path = plan_volume(around, **ends_at(maps, (ROW, 41), (ROW, 43)), **climb)
@@ -212,9 +265,16 @@ def test_what_a_result_knows_stands_in_its_text_and_in_its_table(maps):
     path = straight(guessed)
     said = [(each.level, each) for each in path.cautions]
     assert [level for level, _ in said[:2]] == ["guess", "limit"]
-    city = replace(ju.demo_city(400, 400), guesses={"40 % of heights": "", "nominal satellites": ""})
+    city = replace(
+        ju.demo_city(400, 400), guesses={"40 % of heights": "", "nominal satellites": ""}
+    )
     short = [("guess", "Guessed: 40 % of heights, nominal satellites.")]
-    for shown, cautions in ((path, said), (ju.explain(path, guessed), said), (guessed, short), (city, short)):
+    for shown, cautions in (
+        (path, said),
+        (ju.explain(path, guessed), said),
+        (guessed, short),
+        (city, short),
+    ):
         html = re.findall(r"<th>(guess|limit|note)</th><td[^>]*>(.*?)</td>", shown._repr_html_())
         assert html == cautions
         assert re.findall(r"^  (guess|limit|note): (.*)$", repr(shown), re.MULTILINE) == cautions

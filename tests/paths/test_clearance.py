@@ -13,7 +13,12 @@ from scipy.ndimage import label
 import jaxurban as ju
 from benchmarks.random_routes import READERS
 from jaxurban.io.read.zone import cell_boxes, touched_cells
-from jaxurban.paths.constraints import FILE_MARGIN_M, closing_step_m, distance_to_obstacles_m, kept_m
+from jaxurban.paths.constraints import (
+    FILE_MARGIN_M,
+    closing_step_m,
+    distance_to_obstacles_m,
+    kept_m,
+)
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.frame import rules_said
@@ -29,7 +34,9 @@ def scattered(seed: int) -> ju.MetricMaps:
     """Maps of 200 m x 250 m with lone roofs of 12 to 80 m, one cell each."""
     rng, maps = np.random.default_rng(seed), made_maps(40, 50, resolution_m=SIDE_M)
     is_built = rng.random(maps.grid.shape) < 0.02
-    return with_roofs(maps, np.where(is_built, rng.choice([12.0, 18.0, 30.0, 80.0], maps.grid.shape), 0.0))
+    return with_roofs(
+        maps, np.where(is_built, rng.choice([12.0, 18.0, 30.0, 80.0], maps.grid.shape), 0.0)
+    )
 
 
 def boxes_of(maps: ju.MetricMaps) -> tuple[np.ndarray, np.ndarray]:
@@ -46,7 +53,9 @@ def test_step_and_margin_of_legs_come_to_what_is_asked_and_files_may_take(asked_
     assert 0 <= margin_m < side_m / 2
     below_m = distance_to_obstacles_m(np.pad(np.ones((1, 1), bool), 70), 1.0) * side_m
     below_m = below_m[below_m < step_m * (1 - 1e-9)].max(initial=-side_m)
-    assert below_m + side_m / 2 < asked_m + FILE_MARGIN_M + 0.02 * side_m  # no lower step does with half a cell
+    assert (
+        below_m + side_m / 2 < asked_m + FILE_MARGIN_M + 0.02 * side_m
+    )  # no lower step does with half a cell
     assert asked_m <= kept_m(asked_m, side_m) <= asked_m + side_m
 
 
@@ -55,7 +64,9 @@ def assert_keeps_clear(maps, xyz_m, clearance_m, vertical_clearance_m) -> None:
     boxes, roof_m = boxes_of(maps)
     if np.ptp(xyz_m[:, 2]):
         at = np.linspace(0, len(xyz_m) - 1, 20 * (len(xyz_m) - 1) + 1)
-        xyz_m = np.column_stack([np.interp(at, np.arange(len(xyz_m)), values) for values in xyz_m.T])
+        xyz_m = np.column_stack(
+            [np.interp(at, np.arange(len(xyz_m)), values) for values in xyz_m.T]
+        )
     xyz_m = xyz_m if len(xyz_m) > 1 else np.repeat(xyz_m, 2, axis=0)
     legs = shapely.linestrings(np.stack([xyz_m[:-1, :2], xyz_m[1:, :2]], axis=1))
     over_m = np.minimum(xyz_m[:-1, 2], xyz_m[1:, 2]) - roof_m[:, None]
@@ -68,7 +79,10 @@ def ends_in(maps, is_free) -> list[dict[str, tuple[float, float]]]:
     """Two queries between cells of the largest island of free ones."""
     islands, _ = label(is_free)
     cells = np.argwhere(islands == np.argmax(np.bincount(islands[is_free])))
-    return [ends_at(maps, *cells[[first, last]]) for first, last in ((0, -1), (len(cells) // 3, -len(cells) // 5))]
+    return [
+        ends_at(maps, *cells[[first, last]])
+        for first, last in ((0, -1), (len(cells) // 3, -len(cells) // 5))
+    ]
 
 
 def lonlatz_of(path, folder) -> list[np.ndarray]:
@@ -79,7 +93,11 @@ def lonlatz_of(path, folder) -> list[np.ndarray]:
 def assert_it_and_its_files_keep_clear(maps, path, folder, **kept) -> None:
     assert_keeps_clear(maps, np.column_stack([path.xy_m, path.z_m]), **kept)
     for lonlatz in lonlatz_of(path, folder):
-        assert_keeps_clear(maps, np.column_stack([*maps.grid.xy_of_lonlat(*lonlatz[:, :2].T), lonlatz[:, 2]]), **kept)
+        assert_keeps_clear(
+            maps,
+            np.column_stack([*maps.grid.xy_of_lonlat(*lonlatz[:, :2].T), lonlatz[:, 2]]),
+            **kept,
+        )
 
 
 @settings(deadline=None, max_examples=40)
@@ -93,8 +111,13 @@ def test_the_distance_is_that_between_squares_and_to_the_border(seed, share, sid
     is_obstacle = np.random.default_rng(seed).random(shape) < share
     found = distance_to_obstacles_m(is_obstacle, side_m)
     rows, cols = shape
-    beyond = shapely.difference(shapely.box(-99, -99, 99 + cols, 99 + rows), shapely.box(0, 0, cols, rows))
-    squares = [beyond, *(shapely.box(col, row, col + 1, row + 1) for row, col in np.argwhere(is_obstacle))]
+    beyond = shapely.difference(
+        shapely.box(-99, -99, 99 + cols, 99 + rows), shapely.box(0, 0, cols, rows)
+    )
+    squares = [
+        beyond,
+        *(shapely.box(col, row, col + 1, row + 1) for row, col in np.argwhere(is_obstacle)),
+    ]
     for row, col in np.ndindex(shape):
         by_hand = shapely.distance(shapely.box(col, row, col + 1, row + 1), squares).min() * side_m
         assert found[row, col] == pytest.approx(by_hand, rel=1e-12, abs=1e-12)
@@ -102,11 +125,18 @@ def test_the_distance_is_that_between_squares_and_to_the_border(seed, share, sid
 
 @pytest.mark.parametrize("rule", ["touched", "centre"])
 @pytest.mark.parametrize("altitude_m", [20.0, 33.0, 60.0])
-def test_closed_is_what_lies_nearer_to_a_roof_than_the_step_of_the_clearance_under_either_rule(rule, altitude_m):
+def test_closed_is_what_lies_nearer_to_a_roof_than_the_step_of_the_clearance_under_either_rule(
+    rule, altitude_m
+):
     maps = scattered(1)
-    own, (boxes, roof_m) = cell_boxes(maps.grid, np.argwhere(np.ones(maps.grid.shape)), 1), boxes_of(maps)
+    own, (boxes, roof_m) = (
+        cell_boxes(maps.grid, np.argwhere(np.ones(maps.grid.shape)), 1),
+        boxes_of(maps),
+    )
     high = shapely.union_all(boxes[roof_m + 4.0 >= altitude_m])
-    by_hand = shapely.dwithin(own, high, 4.99).reshape(maps.grid.shape)  # legs keep the other 2.05 m
+    by_hand = shapely.dwithin(own, high, 4.99).reshape(
+        maps.grid.shape
+    )  # legs keep the other 2.05 m
     by_hand[[0, -1]] = by_hand[:, [0, -1]] = True  # 0 m from the border
     constraints = ju.Constraints.read(**KEPT)
     assert np.array_equal(constraints.closed(maps.with_obstacles(rule), altitude_m), by_hand)
@@ -160,8 +190,12 @@ def test_no_leg_comes_nearer_to_random_outlines_than_is_asked(seed, tmp_path):
     west, south, east, north = maps.grid.bounds_m
     corners_m = rng.uniform([west, south], [east, north], (14, 1, 2)) + rng.normal(0, 9, (14, 5, 2))
     outlines = shapely.convex_hull(shapely.multipoints(corners_m))
-    maps = with_roofs(maps, np.where(touched_cells(shapely.union_all(outlines), maps.grid), 60.0, 0.0))
-    constraints = ju.Constraints(clearance_m=float(rng.choice([0.5, 2.0, 3.0, 4.9, 5.0, 7.0, 7.3, 10.0])))
+    maps = with_roofs(
+        maps, np.where(touched_cells(shapely.union_all(outlines), maps.grid), 60.0, 0.0)
+    )
+    constraints = ju.Constraints(
+        clearance_m=float(rng.choice([0.5, 2.0, 3.0, 4.9, 5.0, 7.0, 7.3, 10.0]))
+    )
     on = ju.cost_map(maps, ALTITUDE_M, cost_model="line", constraints=constraints)
     for ends in ends_in(maps, on.is_free):
         start, goal = (ju.XY(*xy_m) for xy_m in ends.values())
@@ -172,18 +206,26 @@ def test_no_leg_comes_nearer_to_random_outlines_than_is_asked(seed, tmp_path):
                 x_m, y_m = maps.grid.xy_of_lonlat(*READERS[".geojson"](file)[:, :2].T)
                 legs = shapely.LineString(np.column_stack([x_m, y_m]))
                 assert shapely.distance(outlines, legs).min() >= constraints.clearance_m
-                assert legs.distance(shapely.box(west, south, east, north).exterior) >= constraints.clearance_m
+                assert (
+                    legs.distance(shapely.box(west, south, east, north).exterior)
+                    >= constraints.clearance_m
+                )
 
 
 def test_five_metres_on_cells_of_five_close_what_less_does_and_the_message_names_what_is_really_kept():
     maps = scattered(4)
-    closed = {asked_m: ju.Constraints(clearance_m=asked_m).closed(maps, ALTITUDE_M) for asked_m in (3.0, 5.0, 7.0, 9.6)}
+    closed = {
+        asked_m: ju.Constraints(clearance_m=asked_m).closed(maps, ALTITUDE_M)
+        for asked_m in (3.0, 5.0, 7.0, 9.6)
+    }
     assert np.array_equal(closed[5.0], closed[3.0])
     assert np.array_equal(closed[7.0], closed[3.0])
     assert closed[9.6].sum() > 1.5 * closed[5.0].sum()
     ends = ends_in(maps, ju.Constraints(clearance_m=3.0).is_free(maps, ALTITUDE_M))[0]
     for asked_m, is_said in ((3.0, True), (5.0, False)):
-        path = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=ju.Constraints(clearance_m=asked_m))
+        path = ju.plan(
+            maps, **ends, altitude_m=ALTITUDE_M, constraints=ju.Constraints(clearance_m=asked_m)
+        )
         for said in (path.to_dict()["message"], rules_said(path.settings)):
             assert ("at least 4.95 m kept on cells of 5 m" in said) == is_said
         assert ("3 m asked" in path.to_dict()["message"]) == is_said
@@ -194,7 +236,12 @@ def test_paths_that_climb_keep_it_and_their_files_too(seed, tmp_path):
     maps, constraints = scattered(seed), ju.Constraints.read(**KEPT)
     free = constraints.is_free(maps, LEVELS_M)
     for ends in ends_in(maps, free.all(axis=0)):
-        climbs = {"start_altitude_m": 20.0, "goal_altitude_m": 60.0, "level_step_m": 15.0, "climb_cost": 0.0}
+        climbs = {
+            "start_altitude_m": 20.0,
+            "goal_altitude_m": 60.0,
+            "level_step_m": 15.0,
+            "climb_cost": 0.0,
+        }
         path = plan_volume(maps, **ends, **climbs, constraints=constraints)
         assert path.status is Status.OPTIMAL
         assert np.ptp(path.z_m) == 40
@@ -202,10 +249,15 @@ def test_paths_that_climb_keep_it_and_their_files_too(seed, tmp_path):
 
 
 def test_a_path_through_the_corners_of_free_cells_keeps_it_after_rounding(tmp_path):
-    maps, kept = scattered(9), {"clearance_m": 4.95, "vertical_clearance_m": 2.0}  # and 5 cm more: just one cell
+    maps, kept = (
+        scattered(9),
+        {"clearance_m": 4.95, "vertical_clearance_m": 2.0},
+    )  # and 5 cm more: just one cell
     constraints = ju.Constraints.read(**kept)
     is_free = constraints.is_free(maps, ALTITUDE_M)
-    path = ju.plan(maps, **ends_in(maps, is_free)[0], altitude_m=ALTITUDE_M, constraints=constraints)
+    path = ju.plan(
+        maps, **ends_in(maps, is_free)[0], altitude_m=ALTITUDE_M, constraints=constraints
+    )
     boxes, roof_m = boxes_of(maps)
     high = shapely.union_all(boxes[roof_m + 2.0 >= ALTITUDE_M])
     corners_m = shapely.get_coordinates(cell_boxes(maps.grid, np.argwhere(is_free), 1))
@@ -213,13 +265,17 @@ def test_a_path_through_the_corners_of_free_cells_keeps_it_after_rounding(tmp_pa
     for xy_m in np.stack([nearest_m, nearest_m], axis=1):
         lonlat = np.stack(maps.grid.lonlat_of_xy(*xy_m.T), axis=-1)
         there = replace(path, xy_m=xy_m, lonlat=lonlat, z_m=np.full(2, ALTITUDE_M))
-        read_m = maps.grid.xy_of_lonlat(*READERS[".geojson"](there.save(tmp_path / "corner.geojson"))[0, :2])
+        read_m = maps.grid.xy_of_lonlat(
+            *READERS[".geojson"](there.save(tmp_path / "corner.geojson"))[0, :2]
+        )
         assert high.distance(shapely.Point(read_m)) >= 4.95
 
 
 def test_files_round_an_altitude_up_so_that_what_is_just_free_stays_so(tmp_path):
     maps, constraints = scattered(10), ju.Constraints(vertical_clearance_m=8.0)
-    assert not constraints.closed(maps, 20.004)[maps.m("roof_touched") == 12].any()  # 4 mm more than 8 m over 12 m
+    assert not constraints.closed(maps, 20.004)[
+        maps.m("roof_touched") == 12
+    ].any()  # 4 mm more than 8 m over 12 m
     is_free = constraints.is_free(maps, 20.004)
     path = ju.plan(maps, **ends_in(maps, is_free)[0], altitude_m=20.004, constraints=constraints)
     assert all(np.all(lonlatz[:, 2] == 20.01) for lonlatz in lonlatz_of(path, tmp_path))
@@ -247,9 +303,14 @@ def test_no_path_names_the_clearance_among_what_may_join():
     roof_m[20:22, 25] = 0.0  # a gap of 10 m
     walled, ends = with_roofs(maps, roof_m), ends_at(maps, (20, 5), (20, 44))
     constraints = ju.Constraints.read(clearance_m=6.0)
-    message = ju.plan(walled, **ends, altitude_m=ALTITUDE_M, constraints=constraints).to_dict()["message"]
+    message = ju.plan(walled, **ends, altitude_m=ALTITUDE_M, constraints=constraints).to_dict()[
+        "message"
+    ]
     assert "Constraints were on (clearance of 6 m, vertical clearance of 3 m)" in message
-    assert "not joined at a greater altitude of these maps. A smaller clearance or finer maps may join them" in message
+    assert (
+        "not joined at a greater altitude of these maps. A smaller clearance or finer maps may join them"
+        in message
+    )
     between = plan_volume(walled, **ends, constraints=constraints).to_dict()["message"]
     assert "A smaller clearance or finer maps may join them" in between
     assert ju.plan(walled, **ends, altitude_m=ALTITUDE_M).status is Status.OPTIMAL
@@ -270,7 +331,9 @@ def test_without_a_clearance_nothing_is_kept_or_closed_and_paths_come_nearer():
 def test_every_command_that_plans_takes_the_options():
     for module in ("plan", "study", "sensitivity", "tune"):
         command = getattr(import_module(f"jaxurban.cli.{module}"), module)
-        assert {"--clearance", "--vertical-clearance"} <= {name for param in command.params for name in param.opts}
+        assert {"--clearance", "--vertical-clearance"} <= {
+            name for param in command.params for name in param.opts
+        }
 
 
 def test_over_terrain_what_stands_higher_up_the_slope_is_as_high_as_a_path():
@@ -287,5 +350,7 @@ def test_over_terrain_what_stands_higher_up_the_slope_is_as_high_as_a_path():
     is_as_high = top_m[:, None] + kept["vertical_clearance_m"] >= flown_m
     is_near = shapely.distance(boxes[:, None], cells) < kept["clearance_m"]
     must = (is_as_high & is_near).any(axis=0).reshape(maps.grid.shape)
-    assert must.sum() > ju.Constraints.read(**kept).closed(flat, ALTITUDE_M)[must].sum()  # flat ground says less
+    assert (
+        must.sum() > ju.Constraints.read(**kept).closed(flat, ALTITUDE_M)[must].sum()
+    )  # flat ground says less
     assert np.all(closed[must])

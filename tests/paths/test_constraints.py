@@ -31,7 +31,9 @@ def test_constraints_close_what_their_zones_touch_and_their_bounds_forbid(maps):
     zone = zone_of_cells(maps, 40, 30, 20, ceiling_m=30.0)
     constraints = ju.Constraints((zone,), (Bound("gps", ">=", 0.5), Bound("density", "<", 30_000)))
     for z_m in (20.0, 60.0):
-        by_hand = (maps.m("gps", z_m) < 0.5) | (maps.m("density", z_m, time_of_day="night") >= 30_000)
+        by_hand = (maps.m("gps", z_m) < 0.5) | (
+            maps.m("density", z_m, time_of_day="night") >= 30_000
+        )
         by_hand[40:60, 30:50] |= z_m == 20.0
         assert np.array_equal(constraints.closed(maps, z_m, time_of_day="night"), by_hand)
 
@@ -42,7 +44,9 @@ def test_a_zone_closes_from_its_floor_to_its_ceiling_both_included(maps):
     for altitude_m, is_closed in ((29.9, False), (30.0, True), (50.0, True), (50.1, False)):
         assert constraints.closed(maps, altitude_m).any() == is_closed
     for between_m in (30.0, 25.0):  # from 25 to 55 m no climb passes it
-        counts = [closed.sum() for closed in constraints.closed(maps, [20.0, between_m, 55.0, 60.0])]
+        counts = [
+            closed.sum() for closed in constraints.closed(maps, [20.0, between_m, 55.0, 60.0])
+        ]
         assert counts == [0, 25, 0, 0]
 
 
@@ -66,7 +70,9 @@ def test_where_there_are_no_data_no_bound_holds(maps):
 @pytest.mark.parametrize("planner", ["ptp", "astar-dist", "astar-plus", "bitstar-plus"])
 def test_no_planner_enters_a_zone_or_breaks_a_bound(maps, ends, planner, require):
     outline = shapely.LineString([*ends.values()]).centroid.buffer(120.0, quad_segs=3)
-    constraints = ju.Constraints((Zone("heliport", outline, maps.grid.crs),), (Bound.parse(require),))
+    constraints = ju.Constraints(
+        (Zone("heliport", outline, maps.grid.crs),), (Bound.parse(require),)
+    )
     how = {"planner": planner, "cost_model": "line", "budget_s": 0.3, "snap": 500.0}
     path = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints, **how)
     assert path.status.has_path == (planner != "ptp")
@@ -87,7 +93,10 @@ def test_constraints_that_close_nothing_change_nothing(maps, ends):
     limited = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints)
     assert limited.cost == ju.plan(maps, **ends, altitude_m=ALTITUDE_M).cost
     assert limited.settings["limits"]["require"] == ["gps>=0"]
-    assert limited.settings["limits"]["no_fly"][1].items() >= {"name": "park", "floor_m": 500.0}.items()
+    assert (
+        limited.settings["limits"]["no_fly"][1].items()
+        >= {"name": "park", "floor_m": 500.0}.items()
+    )
     assert json.loads(json.dumps(limited.to_dict())) == limited.to_dict()
 
 
@@ -99,14 +108,18 @@ def test_a_start_within_a_limit_is_told_which_and_where_to_go(maps, ends):
     told = rf"the no-fly zone 'Heliport' \(from the ground to 100 m\).*the bound gps>={gps + 0.01:g}.*nearest free"
     with pytest.raises(ju.InputError, match=told):
         ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints)
-    moved = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=ju.Constraints((zone,)), snap=True)
+    moved = ju.plan(
+        maps, **ends, altitude_m=ALTITUDE_M, constraints=ju.Constraints((zone,)), snap=True
+    )
     assert not shapely.LineString(moved.xy_m).intersects(zone.polygon)
 
 
 def test_a_bound_holds_where_the_map_says_just_that_value(maps):
     values = maps.m("lidar", ALTITUDE_M)
     value = values[values > 0.3].min()
-    assert not np.any(ju.Constraints.read(require=f"lidar>={value}").closed(maps, ALTITUDE_M) & (values == value))
+    assert not np.any(
+        ju.Constraints.read(require=f"lidar>={value}").closed(maps, ALTITUDE_M) & (values == value)
+    )
 
 
 def test_bounds_are_read_from_texts():
@@ -118,12 +131,23 @@ def test_bounds_are_read_from_texts():
 
 def test_the_command_line_takes_files_and_bounds(folder, maps, ends, tmp_path, capsys):
     square = zone_of_cells(maps, 45, 35, 10)
-    shape = shapely.geometry.mapping(shapely.transform(square.polygon, maps.grid.lonlat_of_xy, interleaved=False))
+    shape = shapely.geometry.mapping(
+        shapely.transform(square.polygon, maps.grid.lonlat_of_xy, interleaved=False)
+    )
     feature = {"type": "Feature", "properties": {"name": "park", "height": 9}, "geometry": shape}
     (tmp_path / "zones.geojson").write_text(json.dumps(feature))
     warnings.simplefilter("default", IgnoredZoneWarning)
-    options = ("--no-fly", tmp_path / "zones.geojson", "--require", "num_visible>=4", "--require", "risk>0.1")
-    code, out, err = run(capsys, "plan", folder, *options_of(maps, **ends), *options, "--json", "--snap")
+    options = (
+        "--no-fly",
+        tmp_path / "zones.geojson",
+        "--require",
+        "num_visible>=4",
+        "--require",
+        "risk>0.1",
+    )
+    code, out, err = run(
+        capsys, "plan", folder, *options_of(maps, **ends), *options, "--json", "--snap"
+    )
     facts = json.loads(out)
     assert code == 0
     assert "warning: 'height' of 'zones.geojson' not read" in err
@@ -145,18 +169,29 @@ def of(**vehicle: float) -> ju.Constraints:
 
 def test_its_radius_is_kept_beside_the_clearance(maps):
     both = ju.Constraints(clearance_m=8.0, vehicle=ju.Vehicle(radius_m=4.0))
-    assert np.array_equal(both.closed(maps, ALTITUDE_M), ju.Constraints(clearance_m=12.0).closed(maps, ALTITUDE_M))
-    kept_m = both.leg_margin_m(10.0), ju.Constraints(clearance_m=8.0).leg_margin_m(10.0)  # both close the cells beside
+    assert np.array_equal(
+        both.closed(maps, ALTITUDE_M), ju.Constraints(clearance_m=12.0).closed(maps, ALTITUDE_M)
+    )
+    kept_m = (
+        both.leg_margin_m(10.0),
+        ju.Constraints(clearance_m=8.0).leg_margin_m(10.0),
+    )  # both close the cells beside
     assert kept_m == pytest.approx((2.05, 0.0))
     assert str(both) == "clearance of 8 m, vehicle's radius of 4 m, vertical clearance of 3 m"
 
 
-def test_its_speed_and_power_are_those_of_report_and_mission_unless_others_are_given(maps, ends, tmp_path):
-    path = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=of(speed_m_s=8.0, power_w=180.0))
+def test_its_speed_and_power_are_those_of_report_and_mission_unless_others_are_given(
+    maps, ends, tmp_path
+):
+    path = ju.plan(
+        maps, **ends, altitude_m=ALTITUDE_M, constraints=of(speed_m_s=8.0, power_w=180.0)
+    )
     totals = ju.explain(path, maps).totals
     assert totals["time_s"] == pytest.approx(path.length_m / 8.0)
     assert totals["energy_wh"] == pytest.approx(path.length_m / 8.0 * 180.0 / 3600)
-    assert ju.explain(path, maps, speed_m_s=4.0).totals["time_s"] == pytest.approx(path.length_m / 4.0)
+    assert ju.explain(path, maps, speed_m_s=4.0).totals["time_s"] == pytest.approx(
+        path.length_m / 4.0
+    )
     mission = json.loads(path.save(tmp_path / "route.plan").read_text())["mission"]
     assert mission["cruiseSpeed"] == 8.0
     plain = ju.plan(maps, **ends, altitude_m=ALTITUDE_M)
@@ -171,14 +206,18 @@ def told(path, maps) -> list[str]:
 def test_climbs_and_descents_that_are_too_steep_are_told_and_take_their_time(maps, ends):
     def flown(ends, low_m, high_m, **limits):
         limits = {"speed_m_s": 10.0, "max_climb_m_s": 2.0, "max_descent_m_s": 1.0} | limits
-        return plan_volume(maps, **ends, start_altitude_m=low_m, goal_altitude_m=high_m, constraints=of(**limits))
+        return plan_volume(
+            maps, **ends, start_altitude_m=low_m, goal_altitude_m=high_m, constraints=of(**limits)
+        )
 
     up = flown(ends, 20.0, 60.0)
     moved = np.diff(np.column_stack([up.xy_m, up.z_m]), axis=0)
     air_m = np.linalg.norm(moved, axis=1)
     num = int((10.0 * moved[:, 2] / air_m > 2.0).sum())
     (said,) = told(up, maps)
-    assert said.startswith(f"Vehicle: legs that would need more than 2 m/s of climb at 10 m/s: {num};")
+    assert said.startswith(
+        f"Vehicle: legs that would need more than 2 m/s of climb at 10 m/s: {num};"
+    )
     at_least_s = np.maximum.reduce([air_m / 10.0, moved[:, 2] / 2.0, -moved[:, 2] / 1.0])
     report = ju.explain(up, maps)
     assert report.totals["time_s"] == pytest.approx(at_least_s.sum(), rel=1e-9)
@@ -192,7 +231,9 @@ def test_climbs_and_descents_that_are_too_steep_are_told_and_take_their_time(map
 def test_turns_that_are_too_sharp_are_counted_by_heading(maps, ends):
     path = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=of(max_turn_deg=60.0))
     grid = maps.grid
-    headings = np.radians([0.0, 0.0, 59.0, 120.0, 185.0, -175.0])  # 0, 59, 61, 65 and 0 degrees (mod 360) of turn
+    headings = np.radians(
+        [0.0, 0.0, 59.0, 120.0, 185.0, -175.0]
+    )  # 0, 59, 61, 65 and 0 degrees (mod 360) of turn
     steps = 10.0 * np.column_stack([np.cos(headings), np.sin(headings)])
     xy_m = np.cumsum([(grid.x_m[50], grid.y_m[40]), *steps], axis=0)
     bent = replace(path, xy_m=xy_m, z_m=np.full(len(xy_m), ALTITUDE_M))
@@ -248,9 +289,16 @@ def test_a_place_is_moved_by_at_most_50_m_or_as_far_as_is_said(way, block, insid
 
 
 def test_the_free_cell_nearest_to_the_place_itself_is_taken(block, inside):
-    corner_m = np.array(block.grid.xy_of_cell(21, 12))  # whose two free neighbours are as near to its middle
+    corner_m = np.array(
+        block.grid.xy_of_cell(21, 12)
+    )  # whose two free neighbours are as near to its middle
     for aside, cell in (((4.0, 0.0), (21, 13)), ((0.0, 4.0), (22, 12))):
-        path = ju.plan(block, **(inside | {"start_xy_m": tuple(corner_m + aside)}), altitude_m=ALTITUDE_M, snap=True)
+        path = ju.plan(
+            block,
+            **(inside | {"start_xy_m": tuple(corner_m + aside)}),
+            altitude_m=ALTITUDE_M,
+            snap=True,
+        )
         assert tuple(map(int, block.grid.cell_of_xy(*path.xy_m[0]))) == cell
         assert path.snap_distance_m[0] == pytest.approx(6.0)
     just_as_far = ju.plan(block, **inside, altitude_m=ALTITUDE_M, snap=70.0)
@@ -261,7 +309,9 @@ def test_how_far_is_told_in_text_json_and_files(block, inside, tmp_path, capsys)
     block.save(tmp_path / "maps")
     arguments = ("plan", tmp_path / "maps", *options_of(block, **inside))
     files = [tmp_path / f"path{suffix}" for suffix in (".geojson", ".kml", ".plan")]
-    code, out, _ = run(capsys, *arguments, "--snap", 80, *(part for file in files for part in ("-o", file)))
+    code, out, _ = run(
+        capsys, *arguments, "--snap", 80, *(part for file in files for part in ("-o", file))
+    )
     told = "The start was not free: it was moved 70.0 m, to a free cell."
     assert code == 0
     assert told in out
@@ -283,20 +333,28 @@ def with_court(block) -> ju.MetricMaps:
 
 
 @pytest.mark.parametrize("way", ["plan", "many", "study"])
-def test_a_court_that_is_closed_in_is_passed_for_the_nearest_cell_joined_to_the_other_end(way, with_court, inside):
+def test_a_court_that_is_closed_in_is_passed_for_the_nearest_cell_joined_to_the_other_end(
+    way, with_court, inside
+):
     assert snapped(way, with_court, inside, 75.0) == pytest.approx(70.0, abs=0.01)
-    assert snapped(way, with_court, inside, 25.0) == pytest.approx(20.0, abs=0.01)  # no such cell within reach
+    assert snapped(way, with_court, inside, 25.0) == pytest.approx(
+        20.0, abs=0.01
+    )  # no such cell within reach
     backward = dict(zip(inside, reversed(inside.values()), strict=True))
     path = ju.plan(with_court, **backward, altitude_m=ALTITUDE_M, snap=75.0)
     assert path.status.has_path
     assert path.snap_distance_m == pytest.approx((0.0, 70.0), abs=0.01)
-    assert "The goal was not free: it was moved 70.0 m, to a free cell." in path.to_dict()["message"]
+    assert (
+        "The goal was not free: it was moved 70.0 m, to a free cell." in path.to_dict()["message"]
+    )
 
 
 def test_two_ends_in_the_block_move_to_cells_that_are_joined(with_court):
     """Together they move the least: both into the court, although the street is as near to the second one."""
     near, far = (
-        ju.plan(with_court, **ends_at(with_court, (15, 7), goal), altitude_m=ALTITUDE_M, snap=True).snap_distance_m
+        ju.plan(
+            with_court, **ends_at(with_court, (15, 7), goal), altitude_m=ALTITUDE_M, snap=True
+        ).snap_distance_m
         for goal in ((15, 11), (9, 12))
     )
     assert near == pytest.approx((10.0, 20.0), abs=0.01)

@@ -30,10 +30,16 @@ VECTOR = np.array([*WEIGHTS.to_dict().values()])
 START, GOAL = (1, 1), (24, 28)
 MODELS = [
     ju.CostModel(kind, 4.0, connectivity, diagonal)
-    for kind, connectivity, diagonal in itertools.product(("cell", "line"), (4, 8), ("both-free", "always"))
+    for kind, connectivity, diagonal in itertools.product(
+        ("cell", "line"), (4, 8), ("both-free", "always")
+    )
 ]
-QUICK_MODELS = [MODELS[k] for k in (0, 3, 5, 6)]  # each value of each part with each other's; the rest is slow
-QUICK = ju.studies.SensitivitySettings(vary=("gps",), num_samples=2, objectives=("distance", "gps"), max_plans=10)
+QUICK_MODELS = [
+    MODELS[k] for k in (0, 3, 5, 6)
+]  # each value of each part with each other's; the rest is slow
+QUICK = ju.studies.SensitivitySettings(
+    vary=("gps",), num_samples=2, objectives=("distance", "gps"), max_plans=10
+)
 QUICK_OPTIONS = ("--vary", "gps", "--samples", 2, "--pareto", "distance,gps", "-o")
 REQUIRE = "risk>=0.08"
 
@@ -64,16 +70,22 @@ def ends(maps) -> tuple:
 
 @pytest.fixture(scope="module")
 def options(ends) -> tuple:
-    places = (f"--{name}={lon},{lat}" for name, (lon, lat) in zip(("start", "goal"), ends, strict=True))
+    places = (
+        f"--{name}={lon},{lat}" for name, (lon, lat) in zip(("start", "goal"), ends, strict=True)
+    )
     return (*places, "--altitude", ALTITUDE_M, "--json")
 
 
 @pytest.fixture(scope="module")
 def zone_file(maps, ends, tmp_path_factory):
     """A no-fly zone across the straight way between the ends."""
-    geometry = shapely.geometry.mapping(shapely.LineString(ends).centroid.buffer(0.0004, quad_segs=1))
+    geometry = shapely.geometry.mapping(
+        shapely.LineString(ends).centroid.buffer(0.0004, quad_segs=1)
+    )
     file = tmp_path_factory.mktemp("zones") / "zone.geojson"
-    file.write_text(json.dumps({"type": "Feature", "properties": {"name": "square"}, "geometry": geometry}))
+    file.write_text(
+        json.dumps({"type": "Feature", "properties": {"name": "square"}, "geometry": geometry})
+    )
     return file
 
 
@@ -85,7 +97,13 @@ def closing(zone_file) -> dict:
 def instances_of(maps) -> pd.DataFrame:
     """The one query of a study."""
     ends_m = np.ravel([maps.grid.xy_of_cell(*cell) for cell in (START, GOAL)])
-    names = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m", *(f"w_{name}" for name in WEIGHTS.to_dict()))
+    names = (
+        "start_x_m",
+        "start_y_m",
+        "goal_x_m",
+        "goal_y_m",
+        *(f"w_{name}" for name in WEIGHTS.to_dict()),
+    )
     on = {"instance": 0, "altitude_m": ALTITUDE_M, "crs": maps.grid.crs}
     return pd.DataFrame([[*ends_m, *VECTOR]], columns=names).assign(**on)
 
@@ -108,34 +126,50 @@ def test_each_part_of_a_cost_model_and_constraints_change_the_cost(plans):
 
 @pytest.mark.parametrize("constrained", ["none", "constraints"])
 @pytest.mark.parametrize(
-    "model", [pytest.param(m, marks=() if m in QUICK_MODELS else pytest.mark.slow) for m in MODELS], ids=str
+    "model",
+    [pytest.param(m, marks=() if m in QUICK_MODELS else pytest.mark.slow) for m in MODELS],
+    ids=str,
 )
-def test_every_way_gives_one_path_one_cost(maps, ends, plans, closing, model, constrained, tmp_path):
+def test_every_way_gives_one_path_one_cost(
+    maps, ends, plans, closing, model, constrained, tmp_path
+):
     closed = {"constraints": closing[constrained]}
-    costs = costs_of_every_way(maps, ends, plans[model, constrained], {"cost_model": model} | closed, closed, tmp_path)
+    costs = costs_of_every_way(
+        maps, ends, plans[model, constrained], {"cost_model": model} | closed, closed, tmp_path
+    )
     assert costs == pytest.approx(dict.fromkeys(costs, plans[model, constrained].cost), rel=1e-9)
 
 
 def costs_of_every_way(maps, ends, planned, under, closed, folder) -> dict[str, float]:
     """What a path costs by every way, under arguments of `plan`, and those of them that a path in a file needs."""
     costs = {}
-    (answer,) = ju.plan_many(maps, [ends], altitude_m=ALTITUDE_M, weights=WEIGHTS, progress=False, **under)
+    (answer,) = ju.plan_many(
+        maps, [ends], altitude_m=ALTITUDE_M, weights=WEIGHTS, progress=False, **under
+    )
     costs["plan_many"] = answer.cost
     costs["explain"] = ju.explain(planned, maps).totals["cost"]
-    found = ju.studies.sensitivity(ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS, **under), *ends, settings=QUICK)
+    found = ju.studies.sensitivity(
+        ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS, **under), *ends, settings=QUICK
+    )
     costs["sensitivity"] = found.route.cost
     costs["sensitivity's gradient"] = float(found.cost["gradient"] @ VECTOR)
     given = found.breakpoints("gps").query("is_given")
     assert given.length_m.item() == pytest.approx(planned.length_m, rel=1e-9)
     for name, (shown,) in {
-        "read_demonstrations": ju.fit.read_demonstrations(planned.save(folder / "route.geojson"), maps, **closed),
+        "read_demonstrations": ju.fit.read_demonstrations(
+            planned.save(folder / "route.geojson"), maps, **closed
+        ),
         "demonstrations_from_paths": ju.fit.demonstrations_from_paths([planned], maps, **closed),
     }.items():
         assert shown.query.cost_map.cost_model == ju.CostModel.from_settings(planned.settings)
         costs[name] = float(shown.features @ VECTOR)
-        costs[f"the search of {name}"] = float(shown.query.sums(shown.query.cheapest(VECTOR))[0] @ VECTOR)
+        costs[f"the search of {name}"] = float(
+            shown.query.sums(shown.query.cheapest(VECTOR))[0] @ VECTOR
+        )
     how = ju.studies.Study(planners=["astar-plus"], distance_only=())
-    found = ju.studies.study(maps, folder / "study", instances_of(maps), settings=how, **under, progress=False)
+    found = ju.studies.study(
+        maps, folder / "study", instances_of(maps), settings=how, **under, progress=False
+    )
     return costs | {"study": found.rows.cost.item()}
 
 
@@ -149,7 +183,9 @@ def low_roofs(maps) -> ju.MetricMaps:
         is_low[row, col] = is_touched[row, col] = False
     roof_m = np.where(is_low, np.float32(ALTITUDE_M - 2), maps.m("roof"))
     touched_m = np.where(is_touched, np.float32(80.0), roof_m)
-    return ju.MetricMaps(maps.ds.assign(roof=(("y", "x"), roof_m), roof_touched=(("y", "x"), touched_m)))
+    return ju.MetricMaps(
+        maps.ds.assign(roof=(("y", "x"), roof_m), roof_touched=(("y", "x"), touched_m))
+    )
 
 
 @pytest.mark.parametrize(
@@ -172,15 +208,23 @@ def test_without_a_model_every_way_has_the_rules_of_scenario_and_preset_and_one_
     where = {"altitude_m": ALTITUDE_M, "weights": WEIGHTS}
     expected = ju.plan(low_roofs.with_obstacles(rule), *ends, **where, **named)
     write_zarr(low_roofs.ds, tmp_path / "maps")
-    write_json(tmp_path / "maps" / "run.json", {"settings": {"weights": WEIGHTS.to_dict(), "planning": planning}})
+    write_json(
+        tmp_path / "maps" / "run.json",
+        {"settings": {"weights": WEIGHTS.to_dict(), "planning": planning}},
+    )
     low_roofs = ju.open_maps(tmp_path / "maps")
     planned = ju.plan(low_roofs, *ends, **where, **under)
     assert planned.settings == expected.settings
-    costs = {"plan": planned.cost} | costs_of_every_way(low_roofs, ends, planned, under, under, tmp_path)
+    costs = {"plan": planned.cost} | costs_of_every_way(
+        low_roofs, ends, planned, under, under, tmp_path
+    )
     for planner in ("astar-dist", "astar-plus"):
         costs[planner] = ju.plan(low_roofs, *ends, **where, **under, planner=planner).cost
     options += ("--preset", preset) if preset else ()
-    for command, more in (("plan", ()), ("sensitivity", (*QUICK_OPTIONS, tmp_path / "study-of-one"))):
+    for command, more in (
+        ("plan", ()),
+        ("sensitivity", (*QUICK_OPTIONS, tmp_path / "study-of-one")),
+    ):
         facts = json.loads(run(capsys, command, tmp_path / "maps", *options, *more)[1])
         costs[f"the command {command}"] = facts.get("route", facts)["cost"]
     assert costs == pytest.approx(dict.fromkeys(costs, expected.cost), rel=1e-9)
@@ -195,9 +239,14 @@ def test_a_preset_sets_only_what_is_left_out(low_roofs):
         on = ju.cost_map(low_roofs, ALTITUDE_M, preset="paper", **given)
         assert (on.cost_model.kind, on.maps.obstacles) == (kind, "centre")
         assert on.constraints.vertical_clearance_m == clearance_m
-    paper = ju.Scenario.from_dict(REGION | {"planning": {"preset": "paper", "clearance_m": 2.0}}).planning
+    paper = ju.Scenario.from_dict(
+        REGION | {"planning": {"preset": "paper", "clearance_m": 2.0}}
+    ).planning
     assert (paper.cost_model, paper.obstacles, paper.clearance_m) == ("cell", "centre", 2.0)
-    assert (paper.vertical_clearance_m, ju.Scenario.from_dict(REGION).planning.budget_s) == (0.0, 10.0)
+    assert (paper.vertical_clearance_m, ju.Scenario.from_dict(REGION).planning.budget_s) == (
+        0.0,
+        10.0,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -206,7 +255,9 @@ def folder(maps, tmp_path_factory):
     folder = tmp_path_factory.mktemp("maps")
     write_zarr(maps.ds, folder)
     planning = ju.CostModel("line", 4.0, 4, "always").settings
-    write_json(folder / "run.json", {"settings": {"planning": planning, "weights": WEIGHTS.to_dict()}})
+    write_json(
+        folder / "run.json", {"settings": {"planning": planning, "weights": WEIGHTS.to_dict()}}
+    )
     return folder
 
 
@@ -234,9 +285,14 @@ def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_diff
         lambda **more: ju.fit.read_demonstrations(both, maps, **more),
         lambda **more: ju.fit.demonstrations_from_paths([line, cell], maps, **more),
     ):
-        with pytest.raises(ju.InputError, match=r"planned under the cost model 'line' .* under 'cell' .*--cost-model"):
+        with pytest.raises(
+            ju.InputError,
+            match=r"planned under the cost model 'line' .* under 'cell' .*--cost-model",
+        ):
             read()
-        with pytest.warns(OtherSettingsWarning, match="model 'cell' .* fitted under the cost model 'line'"):
+        with pytest.warns(
+            OtherSettingsWarning, match="model 'cell' .* fitted under the cost model 'line'"
+        ):
             shown = read(cost_model=ju.CostModel("line", 4.0))
         assert {each.query.cost_map.cost_model.kind for each in shown} == {"line"}
         with pytest.warns(OtherSettingsWarning) as told:
@@ -255,17 +311,29 @@ def test_routes_of_other_constraints_than_the_fits_are_told(maps, plans, zone_fi
     free, limited = (plans[MODELS[0], name] for name in ("none", "constraints"))
     file = limited.save(tmp_path / "route.kml")
     constraints = "1 no-fly zone, risk>=0.08, vertical clearance of 3 m"
-    with pytest.warns(OtherSettingsWarning, match=rf"and {constraints} and is fitted .*--no-fly, --require"):
+    with pytest.warns(
+        OtherSettingsWarning, match=rf"and {constraints} and is fitted .*--no-fly, --require"
+    ):
         ju.fit.read_demonstrations(file, maps)
-    with pytest.warns(OtherSettingsWarning, match="vertical clearance of 3 m and is fitted .* lidar>=0"):
-        ju.fit.demonstrations_from_paths([free], maps, constraints=ju.Constraints.read(require="lidar>=0"))
+    with pytest.warns(
+        OtherSettingsWarning, match="vertical clearance of 3 m and is fitted .* lidar>=0"
+    ):
+        ju.fit.demonstrations_from_paths(
+            [free], maps, constraints=ju.Constraints.read(require="lidar>=0")
+        )
     moved = tmp_path / "moved.geojson"
-    moved.write_text(zone_file.read_text())  # the same zone from another file is no other constraint
-    (read,) = ju.fit.read_demonstrations(file, maps, constraints=ju.Constraints.read(moved, REQUIRE))
+    moved.write_text(
+        zone_file.read_text()
+    )  # the same zone from another file is no other constraint
+    (read,) = ju.fit.read_demonstrations(
+        file, maps, constraints=ju.Constraints.read(moved, REQUIRE)
+    )
     assert read.note == ""
 
 
-def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(folder, plans, zone_file, tmp_path, capsys):
+def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(
+    folder, plans, zone_file, tmp_path, capsys
+):
     model = ju.CostModel("cell", 4.0, 8, "always")
     routes = plans[model, "constraints"].save(tmp_path / "routes.geojson")
     asked = ("tune", folder, routes, "-o", tmp_path / "fit", "--rounds", 1, "--bootstrap", 0)
@@ -283,14 +351,19 @@ def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(folde
     assert "different cost models: name one for all" in err
 
 
-def test_a_studys_queries_keep_to_its_constraints_and_are_joined_by_its_rule_for_diagonal_steps(maps, closing):
+def test_a_studys_queries_keep_to_its_constraints_and_are_joined_by_its_rule_for_diagonal_steps(
+    maps, closing
+):
     constraints = closing["constraints"]
     is_free = constraints.is_free(maps, ALTITUDE_M)
     for diagonal, islands in (("both-free", None), ("always", np.ones((3, 3)))):
         how = {"altitudes_m": [ALTITUDE_M], "cost_model": ju.CostModel("line", 5.0, 8, diagonal)}
         asked = ju.studies.sample_instances(maps, 30, **how, constraints=constraints)
         labels, _ = label(is_free, islands)
-        ends = [labels[maps.grid.cell_of_xy(asked[f"{end}_x_m"], asked[f"{end}_y_m"])] for end in ("start", "goal")]
+        ends = [
+            labels[maps.grid.cell_of_xy(asked[f"{end}_x_m"], asked[f"{end}_y_m"])]
+            for end in ("start", "goal")
+        ]
         assert np.all(ends)  # 0 where no path may fly
         assert ((ends[0] == ends[1]) == asked.is_connected).all()
         anywhere = ju.studies.sample_instances(maps, 30, **how)
@@ -300,7 +373,10 @@ def test_a_studys_queries_keep_to_its_constraints_and_are_joined_by_its_rule_for
 def test_a_folder_keeps_one_study_under_one_set_of_constraints(maps, closing, tmp_path):
 
     def study(constraints=None):
-        how = {"settings": ju.studies.Study(planners=["ptp"], distance_only=()), "constraints": constraints}
+        how = {
+            "settings": ju.studies.Study(planners=["ptp"], distance_only=()),
+            "constraints": constraints,
+        }
         return ju.studies.study(maps, tmp_path, instances_of(maps), **how, progress=False)
 
     study(closing["constraints"])

@@ -32,11 +32,17 @@ RES = 5.0
 
 
 def route(maps, ends, **settings) -> ju.PlannedPath:
-    return ju.plan(maps, **ends, **({"altitude_m": ALTITUDE_M, "weights": WEIGHTS, "time_of_day": "night"} | settings))
+    return ju.plan(
+        maps,
+        **ends,
+        **({"altitude_m": ALTITUDE_M, "weights": WEIGHTS, "time_of_day": "night"} | settings),
+    )
 
 
 def of_one_place(maps, ends, **settings) -> ju.PlannedPath:
-    return route(maps, {"start_xy_m": ends["start_xy_m"], "goal_xy_m": ends["start_xy_m"]}, **settings)
+    return route(
+        maps, {"start_xy_m": ends["start_xy_m"], "goal_xy_m": ends["start_xy_m"]}, **settings
+    )
 
 
 def outlines(maps, is_wall) -> shapely.Geometry:
@@ -48,7 +54,9 @@ def assert_costs_of(path, report) -> None:
     expected = {"cost": path.cost, "length_m": path.length_m}
     expected |= {f"cost_of_{name}": value for name, value in path.cost_by_layer.items()}
     for totals in (report.totals, report.segments.sum()):
-        assert {name: totals[name] for name in expected} == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        assert {name: totals[name] for name in expected} == pytest.approx(
+            expected, rel=1e-9, abs=1e-9
+        )
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +73,9 @@ def report(planned, maps) -> ju.RouteReport:
 @pytest.mark.parametrize("planner", ["ptp", "astar-plus", "bitstar-plus"])
 def test_segments_add_up_to_the_paths_cost_layer_by_layer(maps, ends, planner, cost_model):
     if planner == "ptp":
-        maps = ju.MetricMaps(maps.ds.assign({name: maps.ds[name] * 0 for name in ("obstacle", "roof_touched")}))
+        maps = ju.MetricMaps(
+            maps.ds.assign({name: maps.ds[name] * 0 for name in ("obstacle", "roof_touched")})
+        )
     path = route(maps, ends, planner=planner, cost_model=cost_model, budget_s=0.3)
     for num_segments in (1, 10):
         report = ju.explain(path, maps, num_segments=num_segments)
@@ -77,7 +87,9 @@ def test_segments_add_up_to_the_paths_cost_layer_by_layer(maps, ends, planner, c
             assert weighted == pytest.approx(mean, rel=1e-9)
 
 
-@pytest.mark.parametrize("model", [ju.CostModel(*parts) for parts in itertools.product(*MODELS)], ids=str)
+@pytest.mark.parametrize(
+    "model", [ju.CostModel(*parts) for parts in itertools.product(*MODELS)], ids=str
+)
 def test_a_route_between_levels_has_the_cost_that_plan_told(maps, ends, model):
     levels = ju.Levels(level_step_m=15.0, climb_cost=0.3, descent_cost=0.05)
     tops = {name: (*xy_m, 60.0 if name == "start_xy_m" else 35.0) for name, xy_m in ends.items()}
@@ -93,9 +105,13 @@ def test_what_is_along_the_route_is_what_shapely_finds_in_its_cells(maps, planne
     without_m = length_m[np.isinf(maps.m("hdop", ALTITUDE_M)[tuple(cells)])].sum()
     assert without_m > 0
     for name in ("no_fix_m", "under_4_satellites_m"):
-        assert (report.totals[name], report.segments[name].sum()) == pytest.approx((without_m, without_m))
+        assert (report.totals[name], report.segments[name].sum()) == pytest.approx(
+            (without_m, without_m)
+        )
     density = maps.m("density", time_of_day="night").astype(float)
-    assert report.totals["people_overflown"] == pytest.approx(density[tuple(cells)] / 1e6 @ length_m * 8.0)
+    assert report.totals["people_overflown"] == pytest.approx(
+        density[tuple(cells)] / 1e6 @ length_m * 8.0
+    )
 
 
 @pytest.mark.parametrize("z_m", [ALTITUDE_M, 29.0, 31.0])
@@ -125,7 +141,9 @@ def test_segments_follow_each_other_along_the_route(planned, report):
     edges_m = np.append(report.segments["from_m"], planned.length_m)
     assert edges_m[0] == 0
     np.testing.assert_allclose(report.segments["to_m"], edges_m[1:])
-    np.testing.assert_allclose([report.lines[0][0], report.lines[-1][-1]], planned.lonlat[[0, -1]], atol=1e-9)
+    np.testing.assert_allclose(
+        [report.lines[0][0], report.lines[-1][-1]], planned.lonlat[[0, -1]], atol=1e-9
+    )
     for before, after in itertools.pairwise(report.lines):
         assert np.array_equal(before[-1], after[0])
 
@@ -158,7 +176,11 @@ def test_the_report_says_which_stretch_costs_the_most_and_for_which_layer(planne
 def test_a_route_of_one_place_costs_nothing_and_still_tells_where_it_is(maps, ends):
     path = of_one_place(maps, ends)
     report = ju.explain(path, maps, speed_m_s=10.0)
-    assert (report.totals["cost"], report.totals["length_m"], report.totals["time_s"]) == (0.0, 0.0, 0.0)
+    assert (report.totals["cost"], report.totals["length_m"], report.totals["time_s"]) == (
+        0.0,
+        0.0,
+        0.0,
+    )
     assert report.totals["mean_gps"] == pytest.approx(path.metrics["gps"])
     assert "segment" in report.table()
     assert report.why == ""
@@ -184,9 +206,22 @@ def test_the_report_is_json_ready_and_its_table_holds_every_segment(report):
     assert any(line.startswith("people overflown") and "(strip of 8 m)" in line for line in lines)
 
 
-def test_the_command_line_prints_writes_and_draws_the_report_at_any_altitude(folder, maps, ends, tmp_path, capsys):
-    arguments = ("plan", folder, *options_of(maps, **ends, altitude_m=35), "--speed", 12, "--power", 300, "--report")
-    code, out, err = run(capsys, *arguments, "--profile", tmp_path / "p.png", "-o", tmp_path / "p.geojson")
+def test_the_command_line_prints_writes_and_draws_the_report_at_any_altitude(
+    folder, maps, ends, tmp_path, capsys
+):
+    arguments = (
+        "plan",
+        folder,
+        *options_of(maps, **ends, altitude_m=35),
+        "--speed",
+        12,
+        "--power",
+        300,
+        "--report",
+    )
+    code, out, err = run(
+        capsys, *arguments, "--profile", tmp_path / "p.png", "-o", tmp_path / "p.geojson"
+    )
     assert (code, "people overflown" in out, "segment" in out) == (0, True, True)
     assert f"wrote {tmp_path / 'p.png'}" in err
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
@@ -205,7 +240,8 @@ def test_a_climb_is_costed_at_the_levels_it_joins(maps, ends, cost_model):
     totals = ju.explain(climbing, maps, speed_m_s=5.0).totals
     row, col = map(int, maps.grid.cell_of_xy(*xy_m[0]))
     low, high, beside = (
-        1 - float(maps.m("lidar", z)[row, at]) for z, at in ((20.0, col), (60.0, col), (60.0, col + 1))
+        1 - float(maps.m("lidar", z)[row, at])
+        for z, at in ((20.0, col), (60.0, col), (60.0, col + 1))
     )
     by_hand = high + beside if cost_model == "cell" else (20 * low + 25 * high + 5 * beside) / 5.0
     expected = {"length_m": 50.0, "time_s": 10.0, "cost_of_climb": 0.3 * 40, "cost_of_descent": 0.0}
@@ -215,11 +251,15 @@ def test_a_climb_is_costed_at_the_levels_it_joins(maps, ends, cost_model):
 
 def test_over_an_obstacle_of_the_map_below_every_number_is_known(maps):
     maps = missing_inside(maps, risk_threshold_m=50.0, risk_distance="slice")
-    start, goal = (maps.grid.xy_of_cell(*cell) for cell in np.argwhere(maps.m("roof") == 30.0)[[0, -1]])
+    start, goal = (
+        maps.grid.xy_of_cell(*cell) for cell in np.argwhere(maps.m("roof") == 30.0)[[0, -1]]
+    )
     planned = ju.plan(maps, start_xy_m=start, goal_xy_m=goal, altitude_m=35.0)
     profile = ju.explain(planned, maps).profile
     assert (profile["roof_m"] == 30.0).any()
-    assert np.isfinite(profile[["gps", "lidar", "risk", "walls_outside_m", "nearest_wall_m"]]).all(axis=None)
+    assert np.isfinite(profile[["gps", "lidar", "risk", "walls_outside_m", "nearest_wall_m"]]).all(
+        axis=None
+    )
 
 
 def straight_walk(seed: int, num: int = 12) -> np.ndarray:
@@ -231,7 +271,9 @@ def test_a_climb_is_longer_in_the_air_than_over_the_ground():
     crossings = crossed_cells(np.array(way_m), RES)
     ends_m = crossings.ends_m
     np.testing.assert_allclose(ends_m[1:, 0], ends_m[:-1, 1])
-    np.testing.assert_allclose(np.linalg.norm(np.diff(ends_m, axis=1)[:, 0], axis=1), crossings.length_m, atol=1e-9)
+    np.testing.assert_allclose(
+        np.linalg.norm(np.diff(ends_m, axis=1)[:, 0], axis=1), crossings.length_m, atol=1e-9
+    )
     over_m = np.hypot(*np.diff(ends_m[:, :, :2], axis=1)[:, 0].T)
     assert over_m.sum() == pytest.approx(50 + 0 + 30)
     assert crossings.length_m.sum() == pytest.approx(50 + 40 + 50)
@@ -243,7 +285,11 @@ def test_a_climb_is_longer_in_the_air_than_over_the_ground():
 @pytest.mark.parametrize("points", [[[12.5, 7.5]], [[12.5, 7.5], [12.5, 7.5]]])
 def test_a_route_of_one_place_is_one_crossing_of_no_length(points):
     crossings = crossed_cells(np.array(points), RES)
-    assert [crossings.row.tolist(), crossings.col.tolist(), crossings.length_m.tolist()] == [[1], [2], [0]]
+    assert [crossings.row.tolist(), crossings.col.tolist(), crossings.length_m.tolist()] == [
+        [1],
+        [2],
+        [0],
+    ]
     assert cut_evenly(np.array(points[:1]), 10).size == 0
 
 
@@ -273,14 +319,21 @@ def test_clearance_is_the_distance_that_shapely_measures_however_far_an_obstacle
 
 
 def test_the_lower_of_two_altitudes_as_near_is_taken():
-    assert nearest_level_m(np.array([20.0, 40.0, 41.0, 500.0]), (60.0, 20.0)).tolist() == [20, 20, 60, 60]
+    assert nearest_level_m(np.array([20.0, 40.0, 41.0, 500.0]), (60.0, 20.0)).tolist() == [
+        20,
+        20,
+        60,
+        60,
+    ]
 
 
 def steps(panel) -> dict[str, StepPatch]:
     return {patch.get_label(): patch for patch in panel.patches if isinstance(patch, StepPatch)}
 
 
-def test_the_curves_are_the_values_of_the_report_by_distance_under_altitude_and_time_of_day(maps, planned, report):
+def test_the_curves_are_the_values_of_the_report_by_distance_under_altitude_and_time_of_day(
+    maps, planned, report
+):
     figure = plot_profile(planned, maps, report)
     heights, metrics, people, walls = figure.axes
     heading = f", 20 m above ground, {planned.settings['time_of_day']}, cost "
@@ -309,19 +362,27 @@ def test_the_curves_are_the_values_of_the_report_by_distance_under_altitude_and_
 
 def test_stretches_without_a_fix_are_shaded_over_their_whole_length(maps, planned, report):
     figure = plot_profile(planned, maps, report)
-    widths = [p.get_width() for p in figure.axes[1].patches if p.get_facecolor()[:3] == to_rgb(NO_FIX_COLOUR)]
+    widths = [
+        p.get_width()
+        for p in figure.axes[1].patches
+        if p.get_facecolor()[:3] == to_rgb(NO_FIX_COLOUR)
+    ]
     assert sum(widths) * 1000 == pytest.approx(report.totals["no_fix_m"])
     assert widths[0] > 0
     assert "no fix" in [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
 
 
 def test_a_profile_without_walls_or_of_one_place_is_drawn(maps, ends, planned, tmp_path):
-    save_profile(planned, ju.MetricMaps(maps.ds.assign(obstacle=maps.ds["obstacle"] * 0)), tmp_path / "a.png")
+    save_profile(
+        planned, ju.MetricMaps(maps.ds.assign(obstacle=maps.ds["obstacle"] * 0)), tmp_path / "a.png"
+    )
     save_profile(of_one_place(maps, ends), maps, tmp_path / "b.png")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.png", "b.png"]
 
 
-def test_roofs_of_guessed_height_and_stretches_above_every_obstacle_are_told_apart(maps, planned, report):
+def test_roofs_of_guessed_height_and_stretches_above_every_obstacle_are_told_apart(
+    maps, planned, report
+):
     is_first = report.profile.index < 5
     clear_m = report.profile["nearest_wall_m"].mask(is_first, np.inf)
     profile = report.profile.assign(roof_m=12.0, roof_guessed=is_first, nearest_wall_m=clear_m)
@@ -330,6 +391,10 @@ def test_roofs_of_guessed_height_and_stretches_above_every_obstacle_are_told_apa
     assert to_hex(guessed.get_facecolor()) == GUESSED_COLOUR
     np.testing.assert_array_equal(guessed.get_data().values, np.where(is_first, 12.0, 0.0))
     assert "of guessed height" not in steps(plot_profile(planned, maps, report).axes[0])
-    np.testing.assert_array_equal(steps(walls)["distance to obstacles"].get_data().values, clear_m.where(~is_first))
-    assert "gaps: above every\nobstacle" in [text.get_text() for text in walls.get_legend().get_texts()]
+    np.testing.assert_array_equal(
+        steps(walls)["distance to obstacles"].get_data().values, clear_m.where(~is_first)
+    )
+    assert "gaps: above every\nobstacle" in [
+        text.get_text() for text in walls.get_legend().get_texts()
+    ]
     assert not walls.texts

@@ -24,8 +24,30 @@ from tests.paths.volumes import made_path
 GRID = Grid("EPSG:32618", 5.0, 901_000, 116_600, 400, 400)
 KML = {"k": "http://www.opengis.net/kml/2.2"}
 GPX = "{http://www.topografix.com/GPX/1/1}"
-RTE_ORDER = ("name", "cmt", "desc", "src", "link", "number", "type", "extensions", "rtept")  # of GPX 1.1's schema
-WPT_ORDER = ("ele", "time", "magvar", "geoidheight", "name", "cmt", "desc", "src", "link", "sym", "type")
+RTE_ORDER = (
+    "name",
+    "cmt",
+    "desc",
+    "src",
+    "link",
+    "number",
+    "type",
+    "extensions",
+    "rtept",
+)  # of GPX 1.1's schema
+WPT_ORDER = (
+    "ele",
+    "time",
+    "magvar",
+    "geoidheight",
+    "name",
+    "cmt",
+    "desc",
+    "src",
+    "link",
+    "sym",
+    "type",
+)
 SIDE_M = GRID.num_cols * GRID.resolution_m
 CORNER_M = np.array([GRID.x_min_m, GRID.y_min_m])
 RASTER_M = 0.02  # what a raster of 5 m cells loses of the hill below
@@ -68,7 +90,10 @@ def test_kml_is_read_by_gdal_and_its_line_lies_at_its_altitude_above_ground(rout
     assert write_path(route, file)
     root = ElementTree.parse(file).getroot()
     assert root.findtext(".//k:description", namespaces=KML).endswith("Cheapest & best < 1.")
-    assert json.loads(root.findtext(".//k:Data[@name='metrics']/k:value", namespaces=KML))["gps"] == 0.75
+    assert (
+        json.loads(root.findtext(".//k:Data[@name='metrics']/k:value", namespaces=KML))["gps"]
+        == 0.75
+    )
     assert root.findtext(".//k:LineString/k:altitudeMode", namespaces=KML) == "relativeToGround"
     lonlatz = shapely.get_coordinates(gpd.read_file(file).geometry[0], include_z=True)
     np.testing.assert_allclose(lonlatz[:, :2], route.lonlat, atol=1e-7)
@@ -79,12 +104,20 @@ def test_plan_has_a_waypoint_at_turns_only(route, tmp_path):
     file = tmp_path / "path.plan"
     assert write_path(route, file)
     plan = plan_in(file)
-    assert (plan["fileType"], plan["version"], plan["groundStation"]) == ("Plan", 1, "QGroundControl")
+    assert (plan["fileType"], plan["version"], plan["groundStation"]) == (
+        "Plan",
+        1,
+        "QGroundControl",
+    )
     items = plan["mission"]["items"]
     assert [item["params"][6] for item in items] == [60.0, 60.0, 60.0, 60.0, 0.0]
     assert items[4]["params"][4:6] == items[3]["params"][4:6]
-    np.testing.assert_allclose(READERS[".plan"](file)[:, :2], route.lonlat[[0, 100, 200, 299]], atol=1e-7)
-    write_path(made_path(GRID, np.array([[0.0, 0], [100, 0], [50, 0]]) + CORNER_M), file, end="none")  # and back
+    np.testing.assert_allclose(
+        READERS[".plan"](file)[:, :2], route.lonlat[[0, 100, 200, 299]], atol=1e-7
+    )
+    write_path(
+        made_path(GRID, np.array([[0.0, 0], [100, 0], [50, 0]]) + CORNER_M), file, end="none"
+    )  # and back
     assert len(plan_in(file)["mission"]["items"]) == 3
 
 
@@ -97,7 +130,9 @@ def test_path_from_a_place_to_itself_is_written(suffix, tmp_path):
 def test_without_a_path_nothing_is_written_and_an_old_file_stays(tmp_path):
     (tmp_path / "path.kml").write_text("old")
     blocked = made_path(GRID, [], status=Status.BLOCKED)
-    assert not any(write_path(blocked, tmp_path / f"path{suffix}") for suffix in (".geojson", ".kml"))
+    assert not any(
+        write_path(blocked, tmp_path / f"path{suffix}") for suffix in (".geojson", ".kml")
+    )
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("path.kml", "old")]
 
 
@@ -113,7 +148,9 @@ def test_files_take_the_facts_of_a_report_and_geojson_a_line_for_each_segment(ro
     assert (first["segment"], second["cost"]) == (1, 7.5)
     frame = gpd.read_file(files[".geojson"])
     assert frame["segment"].tolist()[1:] == [1, 2]
-    assert shapely.line_merge(shapely.union_all(frame.geometry[1:].to_list())).equals(frame.geometry[0])
+    assert shapely.line_merge(shapely.union_all(frame.geometry[1:].to_list())).equals(
+        frame.geometry[0]
+    )
     root = ElementTree.parse(files[".kml"]).getroot()
     assert root.findtext(".//k:Data[@name='people_overflown']/k:value", namespaces=KML) == "31.5"
     mission = plan_in(files[".plan"])["mission"]
@@ -128,7 +165,9 @@ def reader():
 
 def hill_m(x_m, y_m):
     """Return the ground's elevation: 120 m of relief, slopes up to 46 %."""
-    return 75.0 + 40.0 * np.sin(x_m / 160.0) * np.cos(y_m / 210.0) + 20.0 * np.sin((x_m + y_m) / 330.0)
+    return (
+        75.0 + 40.0 * np.sin(x_m / 160.0) * np.cos(y_m / 210.0) + 20.0 * np.sin((x_m + y_m) / 330.0)
+    )
 
 
 HILL_M = hill_m(*np.meshgrid(*((np.arange(GRID.num_cols) + 0.5) * GRID.resolution_m,) * 2))
@@ -142,7 +181,12 @@ def random_route(seed: int, over_hill: bool):
         steps = np.repeat(rng.integers(-1, 2, (8, 2)), rng.integers(1, 25, 8), axis=0)
         points_m = (np.clip(200 + np.cumsum(steps, axis=0), 0, 399) + 0.5) * GRID.resolution_m
     z_m = 60.0 if seed % 4 < 2 else rng.uniform(20, 120, len(points_m))
-    return made_path(GRID, points_m + CORNER_M, z_m, ground=ground_along(points_m, HILL_M, GRID) if over_hill else None)
+    return made_path(
+        GRID,
+        points_m + CORNER_M,
+        z_m,
+        ground=ground_along(points_m, HILL_M, GRID) if over_hill else None,
+    )
 
 
 @pytest.mark.parametrize("over_hill", [True, False])
@@ -167,7 +211,9 @@ def test_what_mavsdk_reads_is_the_path_in_place_and_in_height(over_hill, reader,
         # Walked along in step, so that a path that crosses itself cannot hide a wrong height.
         share = np.linspace(0, 1, 4000)
         here, planned = (
-            shapely.get_coordinates(shapely.line_interpolate_point(line, share, normalized=True), include_z=True)
+            shapely.get_coordinates(
+                shapely.line_interpolate_point(line, share, normalized=True), include_z=True
+            )
             for line in (flown, path)
         )
         assert np.hypot(*(here - planned)[:, :2].T).max() < 0.2
@@ -191,16 +237,20 @@ def test_only_ground_that_bends_adds_waypoints(tmp_path):
     ridge_m = np.tile(100.0 - 0.1 * np.abs(x_m - 1002.5), (GRID.num_rows, 1))
     for terrain_m, heights_m in ((slope_m, [60.0, 240.0]), (ridge_m, [60.0, 150.25, 60.5])):
         write_path(
-            made_path(GRID, ends_m + CORNER_M, ground=ground_along(ends_m, terrain_m, GRID)), tmp_path / "path.plan"
+            made_path(GRID, ends_m + CORNER_M, ground=ground_along(ends_m, terrain_m, GRID)),
+            tmp_path / "path.plan",
         )
         items = plan_in(tmp_path / "path.plan")["mission"]["items"]
         np.testing.assert_allclose([item["Altitude"] for item in items[:-1]], heights_m, atol=0.3)
 
 
 @pytest.mark.parametrize(
-    ("suffix", "slope", "bump_m"), [(".plan", 0.2, 3.0), (".gpx", 0.2, 3.0), (".kml", 0.2, 3.0), (".plan", 0.54, 8.0)]
+    ("suffix", "slope", "bump_m"),
+    [(".plan", 0.2, 3.0), (".gpx", 0.2, 3.0), (".kml", 0.2, 3.0), (".plan", 0.54, 8.0)],
 )
-def test_no_leg_of_a_file_is_lower_over_the_ground_than_planned_nor_a_metre_higher(suffix, slope, bump_m, tmp_path):
+def test_no_leg_of_a_file_is_lower_over_the_ground_than_planned_nor_a_metre_higher(
+    suffix, slope, bump_m, tmp_path
+):
     """Over bumps from cell to cell on a slope; bilinear ground, each written leg sampled every 5 cm."""
     rng, file = np.random.default_rng(0), tmp_path / f"path{suffix}"
     terrain_m = slope * (GRID.x_m - GRID.x_min_m) + rng.uniform(0.0, bump_m, GRID.shape)
@@ -220,7 +270,11 @@ def test_no_leg_of_a_file_is_lower_over_the_ground_than_planned_nor_a_metre_high
 def read_gpx(file) -> np.ndarray:
     points = ElementTree.parse(file).getroot().iter(f"{GPX}rtept")
     return np.array(
-        [[point.get("lon"), point.get("lat"), point.findtext(f"{GPX}ele", "nan")] for point in points], float
+        [
+            [point.get("lon"), point.get("lat"), point.findtext(f"{GPX}ele", "nan")]
+            for point in points
+        ],
+        float,
     )
 
 
@@ -258,17 +312,25 @@ def test_the_ground_is_that_of_scipys_interpolation_and_of_the_cell_beside_missi
     terrain_m = rng.uniform(0, 50, (7, 9))
     x_m, y_m = rng.uniform(1, 17, 200), rng.uniform(1, 13, 200)
     by_scipy = RegularGridInterpolator((np.arange(7) * 2 + 1.0, np.arange(9) * 2 + 1.0), terrain_m)
-    np.testing.assert_allclose(elevation_at(x_m, y_m, terrain_m, 2.0), by_scipy(np.column_stack([y_m, x_m])))
+    np.testing.assert_allclose(
+        elevation_at(x_m, y_m, terrain_m, 2.0), by_scipy(np.column_stack([y_m, x_m]))
+    )
     assert elevation_at(np.array([0.1]), np.array([0.2]), terrain_m, 2.0) == terrain_m[0, 0]
     terrain_m[3, 4] = np.nan
     assert elevation_at(np.array([7.5]), np.array([7.0]), terrain_m, 2.0) == terrain_m[3, 3]
     one = Grid(GRID.crs, 5.0, 0, 0, 1, 1)
-    assert ground_along(np.array([[2.0, 2.0]]), np.array([[7.0]]), one).elevation_m.tolist() == [7.0]
+    assert ground_along(np.array([[2.0, 2.0]]), np.array([[7.0]]), one).elevation_m.tolist() == [
+        7.0
+    ]
 
 
-@pytest.mark.parametrize(("end", "last"), [(None, [21]), ("land", [21]), ("return", [20]), ("none", [])])
+@pytest.mark.parametrize(
+    ("end", "last"), [(None, [21]), ("land", [21]), ("return", [20]), ("none", [])]
+)
 @pytest.mark.parametrize("speed_m_s", [None, 7.5])
-def test_a_mission_sets_its_speed_after_take_off_and_ends_as_it_is_told(end, last, speed_m_s, reader, tmp_path):
+def test_a_mission_sets_its_speed_after_take_off_and_ends_as_it_is_told(
+    end, last, speed_m_s, reader, tmp_path
+):
     route, file = random_route(4, over_hill=True), tmp_path / "path.plan"
     report = SimpleNamespace(to_dict=lambda: {"speed_m_s": speed_m_s, "segments": []})
     write_path(route, file, None if speed_m_s is None else report, end=end)
@@ -285,7 +347,12 @@ def test_a_mission_sets_its_speed_after_take_off_and_ends_as_it_is_told(end, las
 
 def fenced_by(zones, file) -> dict:
     """Write a level route at 60 m along the middle of the region and return its plan."""
-    write_path(made_path(GRID, np.array([[200.0, 1000.0], [1800.0, 1000.0]]) + CORNER_M, zones=tuple(zones)), file)
+    write_path(
+        made_path(
+            GRID, np.array([[200.0, 1000.0], [1800.0, 1000.0]]) + CORNER_M, zones=tuple(zones)
+        ),
+        file,
+    )
     return plan_in(file)
 
 
@@ -297,10 +364,20 @@ def square(x_m, y_m, half_m, **heights) -> Zone:
     return Zone(f"{x_m:g},{y_m:g}", shapely.envelope(disc(x_m, y_m, half_m)), GRID.crs, **heights)
 
 
-def test_zones_near_the_route_at_its_heights_are_the_geofence_without_holes_and_others_are_told(reader, tmp_path):
-    ring = disc(1000, 1400, 200).difference(shapely.union_all([disc(920, 1400, 40), disc(1080, 1400, 40)]))
-    held = [square(600, 1300, 100), square(1500, 800, 50, floor_m=50.0, ceiling_m=60.0), Zone("ring", ring, GRID.crs)]
-    degrees = shapely.transform(disc(1000, 600, 80), lambda x, y: GRID.lonlat_of_xy(x, y), interleaved=False)
+def test_zones_near_the_route_at_its_heights_are_the_geofence_without_holes_and_others_are_told(
+    reader, tmp_path
+):
+    ring = disc(1000, 1400, 200).difference(
+        shapely.union_all([disc(920, 1400, 40), disc(1080, 1400, 40)])
+    )
+    held = [
+        square(600, 1300, 100),
+        square(1500, 800, 50, floor_m=50.0, ceiling_m=60.0),
+        Zone("ring", ring, GRID.crs),
+    ]
+    degrees = shapely.transform(
+        disc(1000, 600, 80), lambda x, y: GRID.lonlat_of_xy(x, y), interleaved=False
+    )
     left_out = [square(1000, 1000, 30, ceiling_m=50.0), square(300, 1200, 40, floor_m=61.0)]
     far, file = [square(1000, 9000, 100)], tmp_path / "path.plan"
     plan = fenced_by([*held, Zone("degrees", degrees), *left_out, *far], file)
@@ -308,7 +385,9 @@ def test_zones_near_the_route_at_its_heights_are_the_geofence_without_holes_and_
     assert "keeps out of 4 no-fly zones within 1 km" in plan["note"]
     assert "2 above or below the flight are left out" in plan["note"]
     rings = (np.array(ring["polygon"])[:, ::-1] for ring in plan["geoFence"]["polygons"])
-    fenced = shapely.union_all([shapely.Polygon(np.column_stack(GRID.xy_of_lonlat(*ring.T))) for ring in rings])
+    fenced = shapely.union_all(
+        [shapely.Polygon(np.column_stack(GRID.xy_of_lonlat(*ring.T))) for ring in rings]
+    )
     wanted = shapely.union_all([*(zone.polygon for zone in held), disc(1000, 600, 80)])
     assert shapely.hausdorff_distance(fenced, wanted) < 0.05
     assert shapely.symmetric_difference(fenced, wanted).area < 1e-4 * wanted.area
@@ -317,24 +396,38 @@ def test_zones_near_the_route_at_its_heights_are_the_geofence_without_holes_and_
 
 
 @pytest.mark.parametrize("over_hill", [True, False])
-def test_gpx_is_a_route_that_gdal_reads_in_the_schemas_order_with_elevations_over_terrain_only(over_hill, tmp_path):
+def test_gpx_is_a_route_that_gdal_reads_in_the_schemas_order_with_elevations_over_terrain_only(
+    over_hill, tmp_path
+):
     file = tmp_path / "path.gpx"
     for seed in range(6):
         route = random_route(seed, over_hill)
         assert write_path(route, file)
         root = ElementTree.parse(file).getroot()
-        assert (root.tag, root.get("version"), root.get("creator")) == (f"{GPX}gpx", "1.1", "jaxurban")
+        assert (root.tag, root.get("version"), root.get("creator")) == (
+            f"{GPX}gpx",
+            "1.1",
+            "jaxurban",
+        )
         (rte,) = root
-        for element, order in ((rte, RTE_ORDER), *((point, WPT_ORDER) for point in rte.findall(f"{GPX}rtept"))):
+        for element, order in (
+            (rte, RTE_ORDER),
+            *((point, WPT_ORDER) for point in rte.findall(f"{GPX}rtept")),
+        ):
             places = [order.index(child.tag.removeprefix(GPX)) for child in element]
             assert places == sorted(places)
         *places, elevation_m = read_gpx(file).T
         (line,) = gpd.read_file(file, layer="routes").geometry
         np.testing.assert_allclose(shapely.get_coordinates(line), np.transpose(places))
         xy_m = np.column_stack(GRID.xy_of_lonlat(*places))
-        assert shapely.hausdorff_distance(shapely.LineString(xy_m), shapely.LineString(route.xy_m)) < 0.03
+        assert (
+            shapely.hausdorff_distance(shapely.LineString(xy_m), shapely.LineString(route.xy_m))
+            < 0.03
+        )
         above_m = [float(desc.text.split()[0]) for desc in rte.findall(f"{GPX}rtept/{GPX}desc")]
-        assert ("zero of the terrain file" if over_hill else "no elevation") in rte.findtext(f"{GPX}desc")
+        assert ("zero of the terrain file" if over_hill else "no elevation") in rte.findtext(
+            f"{GPX}desc"
+        )
         ground_m = hill_m(*(xy_m - CORNER_M).T) if over_hill else np.full(len(xy_m), np.nan)
         np.testing.assert_allclose(elevation_m - above_m, ground_m, atol=RASTER_M + 0.05)
 

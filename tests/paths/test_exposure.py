@@ -28,7 +28,10 @@ def by_hand(path, on, name):
 
 
 def test_exposures_are_integrals_and_budgets_are_kept_at_the_least_length(on, ends):
-    free, safe = on.plan(**ends), on.with_weights({**DISTANCE, "distance": 1e-6, "risk": 1.0}).plan(**ends)
+    free, safe = (
+        on.plan(**ends),
+        on.with_weights({**DISTANCE, "distance": 1e-6, "risk": 1.0}).plan(**ends),
+    )
     for path in (free, safe):
         assert {*path.exposure_by_layer} == {*on.names}
         assert path.exposure_by_layer["risk"] == pytest.approx(by_hand(path, on, "risk"), rel=1e-6)
@@ -45,7 +48,11 @@ def test_exposures_are_integrals_and_budgets_are_kept_at_the_least_length(on, en
 def test_a_path_is_not_simplified_beyond_its_budget(on, ends):
     kept = []
     for name in on.names:
-        least = on.with_weights({**DISTANCE, "distance": 1e-6, name: 1.0}).plan(**ends).exposure_by_layer[name]
+        least = (
+            on.with_weights({**DISTANCE, "distance": 1e-6, name: 1.0})
+            .plan(**ends)
+            .exposure_by_layer[name]
+        )
         path = on.plan(**ends, exposure={name: least * 1.0001})
         simpler = ju.simplify(path, on, 300.0)
         assert simpler.exposure_by_layer[name] <= least * 1.0001 * (1 + 1e-9)
@@ -72,7 +79,10 @@ def test_a_volume_keeps_budgets_too(maps, ends):
 def test_a_volume_says_that_it_ended_where_budgets_keep_each_alone_but_not_together(maps, ends):
     volume = ju.cost_map(maps, ju.Levels(), weights=DISTANCE)
     least = {
-        name: volume.with_weights({**DISTANCE, "distance": 1e-6, name: 1.0}).plan(**ends).exposure_by_layer[name] * 1.01
+        name: volume.with_weights({**DISTANCE, "distance": 1e-6, name: 1.0})
+        .plan(**ends)
+        .exposure_by_layer[name]
+        * 1.01
         for name in volume.names
     }
     path = volume.plan(**ends, exposure=least, budget_s=60.0)
@@ -82,7 +92,9 @@ def test_a_volume_says_that_it_ended_where_budgets_keep_each_alone_but_not_toget
     assert path.search.elapsed_s < 60.0
 
 
-def test_the_command_prints_the_exposure_and_ends_with_3_where_no_path_keeps_the_budget(maps, folder, ends, capsys):
+def test_the_command_prints_the_exposure_and_ends_with_3_where_no_path_keeps_the_budget(
+    maps, folder, ends, capsys
+):
     given = ("plan", folder, *options_of(maps, **ends))
     code, out, _ = run(capsys, *given, "--exposure", "gps<=1000", "--exposure", "risk <= 1000")
     assert code == 0

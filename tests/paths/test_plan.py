@@ -27,7 +27,9 @@ def planned(town, town_ends):
 @pytest.mark.parametrize("altitude_m", [20.0, VOLUME])
 def test_cell_cost_is_the_sum_over_the_nodes_entered(town, town_ends, planned, altitude_m):
     goal = {"goal_xy_m": (*town_ends["goal_xy_m"], 600.0)} if altitude_m is VOLUME else {}
-    path = planned(altitude_m=altitude_m, **goal, weights=WEIGHTS, cost_model="cell", time_of_day="night")
+    path = planned(
+        altitude_m=altitude_m, **goal, weights=WEIGHTS, cost_model="cell", time_of_day="night"
+    )
     cells = np.transpose(town.grid.cell_of_xy(*path.xy_m.T))
     rise_m = np.diff(path.z_m)
     length_m = np.linalg.norm(np.diff(np.column_stack([path.xy_m, path.z_m]), axis=0), axis=1).sum()
@@ -48,7 +50,9 @@ def test_every_planner_starts_and_ends_at_cell_centres(town, town_ends, planned)
     for planner in ("ptp", "astar-dist", "astar-plus"):
         path = planned(altitude_m=600.0, planner=planner)
         np.testing.assert_allclose(path.xy_m[[0, -1]], [*town_ends.values()])
-        np.testing.assert_allclose(np.stack(town.grid.xy_of_lonlat(*path.lonlat.T), axis=-1), path.xy_m, atol=1e-3)
+        np.testing.assert_allclose(
+            np.stack(town.grid.xy_of_lonlat(*path.lonlat.T), axis=-1), path.xy_m, atol=1e-3
+        )
 
 
 def test_the_straight_line_is_the_shortest_and_astar_the_cheapest(town_ends, planned):
@@ -72,7 +76,9 @@ def test_start_equal_to_goal_costs_nothing(town_ends, planned):
 def test_with_all_weights_zero_the_shortest_path_is_given_and_said_so(planned, altitude_m):
     path = planned(altitude_m=altitude_m, weights=NOTHING)
     assert path.cost == 0.0
-    assert path.length_m == pytest.approx(planned(altitude_m=altitude_m, objective="distance").length_m)
+    assert path.length_m == pytest.approx(
+        planned(altitude_m=altitude_m, objective="distance").length_m
+    )
     assert path.search.cost == pytest.approx(path.length_m)
     assert "All weights are zero" in path.to_dict()["message"]
 
@@ -88,7 +94,10 @@ def test_facts_are_json_ready_and_an_unbounded_budget_is_written_as_none(planned
     facts = path.to_dict()
     assert json.loads(json.dumps(facts)) == facts
     assert (facts["status"], facts["graph"]) == ("optimal", "8-neighbour grid")
-    assert "the cheapest one on the 8-neighbour grid; one off it, at any angle, may be cheaper" in facts["message"]
+    assert (
+        "the cheapest one on the 8-neighbour grid; one off it, at any angle, may be cheaper"
+        in facts["message"]
+    )
     assert facts["settings"]["weights"]["distance"] == 0.1
     assert facts["settings"]["budget_s"] is None
     assert set(path.metrics) == {"gps", "lidar", "population", "risk"}
@@ -107,7 +116,9 @@ def test_routes_at_any_angle_of_one_query_have_one_bound(town, town_ends):
     on = ju.cost_map(town, 20.0)
     planned = [on.plan(**town_ends, planner="theta-star"), on.plan(**town_ends, refine=True)]
     cells = [end.cell for end in on.ends(*(ju.XY(*xy_m) for xy_m in town_ends.values()))]
-    assert {path.search.lower_bound for path in planned} == {corner_bound(on.problem.between(*cells))}
+    assert {path.search.lower_bound for path in planned} == {
+        corner_bound(on.problem.between(*cells))
+    }
 
 
 def test_refinement_has_its_share_of_a_sampling_planners_budget(planned):
@@ -147,7 +158,10 @@ def test_a_path_flies_there_and_says_what_its_metrics_are(maps, ends, planner, t
     path = ju.plan(maps, **ends, altitude_m=Z_M, planner=planner, cost_model="line", budget_s=0.3)
     assert path.status.has_path
     assert set(path.z_m) == {Z_M}
-    assert "Metrics at 35 m are interpolated between the maps of 20 and 60 m." in path.to_dict()["message"]
+    assert (
+        "Metrics at 35 m are interpolated between the maps of 20 and 60 m."
+        in path.to_dict()["message"]
+    )
     assert path.settings["metrics_between_m"] == [LOW_M, HIGH_M]
     report = ju.explain(path, maps)
     assert report.totals["cost"] == pytest.approx(path.cost, rel=1e-9)
@@ -202,7 +216,9 @@ def test_equal_plans_are_one_route(town, shortest, pairs):
             np.testing.assert_array_equal(path.xy_m, alone.xy_m)
 
 
-def test_a_prepared_map_plans_by_landmarks_at_the_same_cost_and_leaves_the_other_as_it_was(town, shortest, pairs):
+def test_a_prepared_map_plans_by_landmarks_at_the_same_cost_and_leaves_the_other_as_it_was(
+    town, shortest, pairs
+):
     before = [shortest.plan(*pair) for pair in pairs]
     prepared = shortest.prepare()
     for pair, path in zip(pairs, before, strict=True):

@@ -19,7 +19,9 @@ from tests.paths.volumes import ends_at, options_of
 
 CACHES = ("NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
 BUDGET_S = 1.0
-COMPILING = "jaxurban compiles what is used for the first time on this machine: seconds to half a minute"
+COMPILING = (
+    "jaxurban compiles what is used for the first time on this machine: seconds to half a minute"
+)
 NEW = "from tests.paths.test_processes import JOBS; import sys; JOBS[sys.argv[1]](*sys.argv[2:])"
 FORKED = """
 import os, signal, warnings
@@ -67,7 +69,9 @@ def plan_many(folder, out):
     maps = ju.open_maps(folder)
     cells = np.random.default_rng(0).choice(np.argwhere(maps.is_free(30.0)), (30, 2))
     xy_m = np.stack(maps.grid.xy_of_cell(cells[..., 0], cells[..., 1]), axis=-1)
-    queries = pd.DataFrame(xy_m.reshape(30, 4), columns=["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"])
+    queries = pd.DataFrame(
+        xy_m.reshape(30, 4), columns=["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
+    )
     how = {"altitude_m": 20.0, "budget_s": BUDGET_S, "num_threads": 2, "progress": False}
     ju.plan_many(maps, queries, **how, file=f"{out}/rows.parquet")
 
@@ -89,7 +93,9 @@ def test_what_a_new_machine_plans_is_what_any_other_does(job, folder, tmp_path):
     *caches, cold, warm = places
     command = [sys.executable, "-c", NEW, job, folder, cold]
     env = {**os.environ, **dict(zip(CACHES, map(str, caches), strict=True))}
-    ended = subprocess.run(command, env=env, capture_output=True, text=True, timeout=600, check=False)
+    ended = subprocess.run(
+        command, env=env, capture_output=True, text=True, timeout=600, check=False
+    )
     assert ended.returncode == 0, ended.stderr
     assert ended.stderr.count(COMPILING) == 1
     JOBS[job](folder, warm)
@@ -97,11 +103,15 @@ def test_what_a_new_machine_plans_is_what_any_other_does(job, folder, tmp_path):
     assert found["setup_s"].max() > BUDGET_S > found["elapsed_s"].max()
     assert (found["status"] == "optimal").mean() > 1 / 3
     clocks = found.columns.intersection(["elapsed_s", "setup_s", "search"])
-    pd.testing.assert_frame_equal(found.drop(columns=clocks), expected.drop(columns=clocks), rtol=1e-12)
+    pd.testing.assert_frame_equal(
+        found.drop(columns=clocks), expected.drop(columns=clocks), rtol=1e-12
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 def test_plans_after_a_fork_are_those_before_it():
-    ended = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=300, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=300, check=False
+    )
     assert ended.returncode == 0, ended.stderr

@@ -47,42 +47,83 @@ def command(capsys, folder, *options):
 @pytest.mark.parametrize(("planning", "preset"), PLANNING)
 def test_python_plans_over_a_folder_as_the_command_does(planning, preset, tmp_path, capsys):
     weights = ju.Weights(distance=0.02, gps=3.0, risk=0.5).to_dict()
-    folder = folder_of(tmp_path / "a", planning=planning, vehicle={"radius_m": 3.0, "speed_m_s": 9.0}, weights=weights)
+    folder = folder_of(
+        tmp_path / "a",
+        planning=planning,
+        vehicle={"radius_m": 3.0, "speed_m_s": 9.0},
+        weights=weights,
+    )
     maps, under = ju.open_maps(folder), {"preset": preset}
     maps.save(tmp_path / "copy")
     limits = {"clearance_m": 0.0, "vertical_clearance_m": 4.0}
-    given = {"weights": {"lidar": 4.0}, "cost_model": "line", "constraints": ju.Constraints(**limits)}
-    line = ("--weights", "lidar=4", "--cost-model", "line", "--clearance", 0, "--vertical-clearance", 4)
+    given = {
+        "weights": {"lidar": 4.0},
+        "cost_model": "line",
+        "constraints": ju.Constraints(**limits),
+    }
+    line = (
+        "--weights",
+        "lidar=4",
+        "--cost-model",
+        "line",
+        "--clearance",
+        0,
+        "--vertical-clearance",
+        4,
+    )
     for named, options in (({}, ()), (given, line)):
         options += ("--report", "--preset", preset) if preset else ("--report",)
         expected = command(capsys, folder, *options)
         assert expected["report"]["time_s"] == pytest.approx(expected["length_m"] / 9)
         stated = expected["settings"]["limits"]
         assert (stated["vehicle_radius_m"], expected["settings"]["weights"]["gps"]) == (3.0, 3.0)
-        recorded = limits if named else {name: planning[name] for name in limits if name in planning}
+        recorded = (
+            limits if named else {name: planning[name] for name in limits if name in planning}
+        )
         assert {name: stated.get(name, 0.0) for name in recorded} == recorded
         assert command(capsys, tmp_path / "copy", *options)["settings"] == expected["settings"]
         cut = ju.MetricMaps(maps.ds.isel(x=slice(0, 60)))
-        found = [ju.plan(on, START, GOAL, altitude_m=ALTITUDE_M, **named, **under) for on in (str(folder), maps, cut)]
-        (one,) = ju.plan_many(folder, [(START, GOAL)], altitude_m=ALTITUDE_M, progress=False, **named, **under)
+        found = [
+            ju.plan(on, START, GOAL, altitude_m=ALTITUDE_M, **named, **under)
+            for on in (str(folder), maps, cut)
+        ]
+        (one,) = ju.plan_many(
+            folder, [(START, GOAL)], altitude_m=ALTITUDE_M, progress=False, **named, **under
+        )
         for path in found:
             assert path.settings == expected["settings"]
             assert path.search.planner == expected["planner"]
             assert path.xy_m.tolist() == expected["xy_m"]
             assert one.cost == pytest.approx(expected["cost"], rel=1e-9)
-        without = {name: value for name, value in expected["settings"].items() if name != "budget_s"}
+        without = {
+            name: value for name, value in expected["settings"].items() if name != "budget_s"
+        }
         assert one.settings | without == one.settings
 
 
 def test_what_is_named_wins_over_the_scenario(tmp_path):
-    planning = {"clearance_m": 1.0, "vertical_clearance_m": 5.0, "obstacles": "centre", "objective": "distance"}
+    planning = {
+        "clearance_m": 1.0,
+        "vertical_clearance_m": 5.0,
+        "obstacles": "centre",
+        "objective": "distance",
+    }
     maps = ju.open_maps(folder_of(tmp_path, planning=planning, vehicle={"radius_m": 3.0}))
-    on = ju.cost_map(maps, ALTITUDE_M, constraints=ju.Constraints(clearance_m=0.0, vehicle=ju.Vehicle(radius_m=1.0)))
+    on = ju.cost_map(
+        maps,
+        ALTITUDE_M,
+        constraints=ju.Constraints(clearance_m=0.0, vehicle=ju.Vehicle(radius_m=1.0)),
+    )
     limits = {"no_fly": [], "require": [], "vertical_clearance_m": 5.0}
     assert on.constraints.to_dict() == limits | {"vehicle_radius_m": 1.0}
     assert (maps.obstacles, maps.with_obstacles("touched").obstacles) == ("centre", "touched")
     for rule, preset in (("touched", "paper"), ("centre", "")):
-        assert ju.cost_map(ju.open_maps(tmp_path, obstacles=rule), ALTITUDE_M, preset=preset).maps.obstacles == rule
+        assert (
+            ju.cost_map(
+                ju.open_maps(tmp_path, obstacles=rule), ALTITUDE_M, preset=preset
+            ).maps.obstacles
+            == rule
+        )
     assert on.objective == "distance"
     assert on.plan(START, GOAL).settings["objective"] == "distance"
     shortest = ju.cost_map(maps, ALTITUDE_M).plan(START, GOAL)
@@ -98,14 +139,20 @@ def test_a_presets_rule_is_one_for_scenarios_studies_and_the_viewer(tmp_path):
     lines = "\n".join(f"{name} = {json.dumps(value)}" for name, value in given.items())
     (tmp_path / "town.toml").write_text(f"{TOWN}[planning]\n{lines}\n", encoding="utf-8")
     study = ju.Scenario.from_toml(tmp_path / "town.toml", ["planning.preset='paper'"]).planning
-    assert (study.cost_model, study.obstacles, study.vertical_clearance_m) == ("line", "centre", 3.0)
+    assert (study.cost_model, study.obstacles, study.vertical_clearance_m) == (
+        "line",
+        "centre",
+        3.0,
+    )
     settings = settings_of(ju.Scenario.from_toml(tmp_path / "town.toml"))
     assert settings["planning"] == given  # what was given, and no default
     folder = folder_of(tmp_path / "a", **settings)
     maps = ju.open_maps(folder)
     plans = Plans(maps, preset="paper")
     assert (plans.cost_model.kind, plans.limits.vertical_clearance_m) == ("line", 3.0)
-    drawn = ju.studies.sample_instances(maps, 2, altitudes_m=[ALTITUDE_M], weights=[ju.Weights()], preset="paper")
+    drawn = ju.studies.sample_instances(
+        maps, 2, altitudes_m=[ALTITUDE_M], weights=[ju.Weights()], preset="paper"
+    )
     (row,) = drawn[drawn.instance == 0].itertuples()
     ends = ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)
     path = ju.plan(maps, *ends, altitude_m=ALTITUDE_M, preset="paper")
@@ -113,12 +160,18 @@ def test_a_presets_rule_is_one_for_scenarios_studies_and_the_viewer(tmp_path):
 
 
 def test_a_run_knows_its_scenario_in_memory_and_in_its_folder(tmp_path):
-    (tmp_path / "town.toml").write_text(f"{TOWN}[planning]\nobstacles = 'centre'\n[vehicle]\nradius_m = 2\n")
-    (held,) = run_scenario(ju.Scenario.from_toml(tmp_path / "town.toml"), tmp_path / "out").maps.values()
+    (tmp_path / "town.toml").write_text(
+        f"{TOWN}[planning]\nobstacles = 'centre'\n[vehicle]\nradius_m = 2\n"
+    )
+    (held,) = run_scenario(
+        ju.Scenario.from_toml(tmp_path / "town.toml"), tmp_path / "out"
+    ).maps.values()
     opened = ju.open_maps(tmp_path / "out")
     recorded = {"planning": {"obstacles": "centre"}, "vehicle": {"radius_m": 2.0}}
     for maps in (held, opened):
         assert (maps.recorded | recorded, maps.obstacles) == (maps.recorded, "centre")
     (tmp_path / "out" / "run.json").unlink()
-    with pytest.raises(ju.InputError, match=r"run.json.*is missing: run the same `jaxurban maps` command again"):
+    with pytest.raises(
+        ju.InputError, match=r"run.json.*is missing: run the same `jaxurban maps` command again"
+    ):
         ju.open_maps(tmp_path / "out")

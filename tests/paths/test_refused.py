@@ -30,10 +30,14 @@ class Scene:
     def __init__(self, maps, ends, folder):
         self.maps, self.ends, self.folder = maps, ends, folder
         self.on = ju.cost_map(maps, Z_M)
-        self.path = self.on.plan(**{name.removesuffix("_xy_m"): ju.XY(*xy_m) for name, xy_m in ends.items()})
+        self.path = self.on.plan(
+            **{name.removesuffix("_xy_m"): ju.XY(*xy_m) for name, xy_m in ends.items()}
+        )
         self.untouched = ju.MetricMaps(maps.ds.drop_vars("roof_touched"), "centre")
         self.blocked = self.plan(planner="ptp")
-        self.pairs = [[list(map(float, maps.grid.lonlat_of_xy(*xy_m))) for xy_m in ends.values()]] * 3
+        self.pairs = [
+            [list(map(float, maps.grid.lonlat_of_xy(*xy_m))) for xy_m in ends.values()]
+        ] * 3
 
     def plan(self, **changed):
         return ju.plan(self.maps, **({"altitude_m": Z_M} | self.ends | changed))
@@ -94,16 +98,35 @@ REFUSED = [
     (lambda s: s.plan(cost_model="cell", refine=True), "cost_model='line'"),
     (lambda s: s.plan(planner="bitstar-dist", seed=-1), "seed must be a whole number"),
     (lambda s: s.plan(planner="bitstar-dist", seed=1.5), "seed must be a whole number"),
-    *each(lambda s, name: s.plan(planner=name, weights=ju.Weights(risk=-1)), PLANNERS, "weight risk must be a"),
-    *each(lambda s, z_m: s.plan(altitude_m=z_m), (19.999, 60.001, NAN, np.inf), "from 20 to 60 m|finite number"),
+    *each(
+        lambda s, name: s.plan(planner=name, weights=ju.Weights(risk=-1)),
+        PLANNERS,
+        "weight risk must be a",
+    ),
+    *each(
+        lambda s, z_m: s.plan(altitude_m=z_m),
+        (19.999, 60.001, NAN, np.inf),
+        "from 20 to 60 m|finite number",
+    ),
     *each(lambda s, snap: s.plan(snap=snap), NO_DISTANCES, "snap must be True"),
     *each(lambda s, snap: s.levels(snap=snap), NO_DISTANCES, "snap must be True"),
     *each(lambda s, snap: s.many(snap=snap), NO_DISTANCES, "snap must be True"),
-    *each(lambda s, snap: make_queries(s.on, s.pairs, snap=snap), NO_DISTANCES, "snap must be True"),
+    *each(
+        lambda s, snap: make_queries(s.on, s.pairs, snap=snap), NO_DISTANCES, "snap must be True"
+    ),
     # between levels
-    (lambda s: s.levels(min_altitude_m=80.0, max_altitude_m=40.0), "hold no altitude from 80 to 40 m"),
-    (lambda s: s.levels(min_altitude_m=30.0, max_altitude_m=50.0), "no altitude from 30 to 50 m, only 20, 60 m"),
-    (lambda s: s.levels(min_altitude_m=70.0, max_altitude_m=90.0, level_step_m=5.0), "no altitude from 70 to 90 m"),
+    (
+        lambda s: s.levels(min_altitude_m=80.0, max_altitude_m=40.0),
+        "hold no altitude from 80 to 40 m",
+    ),
+    (
+        lambda s: s.levels(min_altitude_m=30.0, max_altitude_m=50.0),
+        "no altitude from 30 to 50 m, only 20, 60 m",
+    ),
+    (
+        lambda s: s.levels(min_altitude_m=70.0, max_altitude_m=90.0, level_step_m=5.0),
+        "no altitude from 70 to 90 m",
+    ),
     (lambda s: s.levels(level_step_m=0.0), "level_step_m"),
     (lambda s: s.levels(level_step_m=1e-9), "10000 levels"),
     (lambda s: s.levels(goal_altitude_m=30.0), "goal altitude 30 m is none of the levels 20, 60 m"),
@@ -112,24 +135,42 @@ REFUSED = [
     (lambda s: s.levels(heuristic="plsu"), "did you mean 'plus'"),
     (lambda s: s.levels(planner="ptp"), "does not fly in a volume"),
     (lambda s: s.levels(refine=True), "leave it out"),
-    (lambda s: ju.cost_map(s.maps, ju.Levels(20.0, 60.0, 40.0)).prepare(), "landmarks are for one altitude"),
+    (
+        lambda s: ju.cost_map(s.maps, ju.Levels(20.0, 60.0, 40.0)).prepare(),
+        "landmarks are for one altitude",
+    ),
     # many at once
-    (lambda s: s.many(planer="ptp"), r"plan_many: there is no argument 'planer' \(did you mean 'planner'\?\)"),
+    (
+        lambda s: s.many(planer="ptp"),
+        r"plan_many: there is no argument 'planer' \(did you mean 'planner'\?\)",
+    ),
     (lambda s: s.many([(ju.XY(0.0, 0.0), (0.0, 0.0))]), PAIRS),
-    (lambda s: s.many([(ju.XY(0.0, 0.0, 20.0), ju.XY(9.0, 9.0, 20.0))]), "pairs of ju.XY without altitudes"),
+    (
+        lambda s: s.many([(ju.XY(0.0, 0.0, 20.0), ju.XY(9.0, 9.0, 20.0))]),
+        "pairs of ju.XY without altitudes",
+    ),
     (lambda s: s.many(refine=True), "refine and exposure are of a single plan"),
     (lambda s: s.many(exposure={"gps": 1.0}), "refine and exposure are of a single plan"),
     (lambda s: s.plan(exposure={"gsp": 1.0}), "did you mean 'gps'"),
     (lambda s: s.plan(exposure={"gps": -1.0}), "0 or a positive number"),
     (lambda s: s.plan(exposure={"gps": NAN}), "exposure to gps must be a finite number"),
-    (lambda s: s.plan(exposure={"gps": -1}), "exposure to gps must be 0 or a positive number, got -1"),
-    (lambda s: s.plan(exposure={"gps": 1.0}, planner="theta-star"), "take the planner astar-dist or astar-plus"),
+    (
+        lambda s: s.plan(exposure={"gps": -1}),
+        "exposure to gps must be 0 or a positive number, got -1",
+    ),
+    (
+        lambda s: s.plan(exposure={"gps": 1.0}, planner="theta-star"),
+        "take the planner astar-dist or astar-plus",
+    ),
     (lambda s: s.plan(exposure={"gps": 1.0}, refine=True), "leave out refine"),
     (lambda s: s.plan(exposure={"gps": 1.0}, cost_model="cell"), "--cost-model line"),
     (lambda s: s.many(planner="a-star"), "unknown planner"),
     (lambda s: s.many(objective="beauty"), "objective must be"),
     (lambda s: s.many(backend="gpu"), "backend must be 'auto', 'numba' or 'jax'"),
-    (lambda s: s.many(altitude_m=19.0), "there are no maps for altitude 19 m: these maps reach from 20 to 60 m"),
+    (
+        lambda s: s.many(altitude_m=19.0),
+        "there are no maps for altitude 19 m: these maps reach from 20 to 60 m",
+    ),
     (lambda s: s.table(*LONLAT, "goal_lat", "w_gsp"), "did you mean 'w_gps'"),
     (lambda s: s.table(*LONLAT), "lack the columns goal_lat"),
     (lambda s: s.table(*METRES, "goal_lon"), "not in both"),
@@ -139,7 +180,11 @@ REFUSED = [
     (lambda s: s.many([("a", "b")]), PAIRS),
     # constraints and vehicles
     *each(lambda s, wrong: ju.Constraints.read(clearance_m=wrong), NO_NUMBERS, "clearance_m"),
-    *each(lambda s, wrong: ju.Constraints.read(vertical_clearance_m=wrong), NO_NUMBERS, "vertical_clearance_m"),
+    *each(
+        lambda s, wrong: ju.Constraints.read(vertical_clearance_m=wrong),
+        NO_NUMBERS,
+        "vertical_clearance_m",
+    ),
     (lambda s: s.closed("gps=>0.3"), "comparison '=>': use >=, <=, >, <"),
     *each(lambda s, text: s.closed(text), ("gps>=much", "0.3"), "must read name"),
     *each(lambda s, text: s.closed(text), ("gps>=nan", "hdop<=inf"), "finite number"),
@@ -148,15 +193,28 @@ REFUSED = [
     (lambda s: s.closed("gps_epoch_mean>0"), "do not hold"),
     (lambda s: Bound("lidar", ">=", 0.4).is_kept(s.maps, 61.0), "no maps for altitude 61"),
     (lambda s: s.plan(constraints=NOWHERE, snap=True), NO_CELL),
-    (lambda s: ju.cost_map(s.maps, Z_M, constraints=NOWHERE).prepare(), "no cell is free at 20 m: "),
-    (lambda s: ju.Constraints(clearance_m=1.0).is_free(s.untouched, Z_M), "'roof_touched', from which a clearance is"),
+    (
+        lambda s: ju.cost_map(s.maps, Z_M, constraints=NOWHERE).prepare(),
+        "no cell is free at 20 m: ",
+    ),
+    (
+        lambda s: ju.Constraints(clearance_m=1.0).is_free(s.untouched, Z_M),
+        "'roof_touched', from which a clearance is",
+    ),
     (lambda s: ju.Vehicle(radius_m=-0.1), "radius_m must be 0 or a positive number of metres"),
     (lambda s: ju.Vehicle(max_turn_deg=181.0), "max_turn_deg must be at most 180 degrees"),
     (lambda s: ju.Vehicle(max_descent_m_s="slow"), "max_descent_m_s must be a number or None"),
     (lambda s: ju.Scenario.from_dict(REGION | {"vehicle": {"radius_cm": 40}}), "radius_m"),
-    (lambda s: ju.Scenario.from_dict(REGION | {"vehicle": {"max_climb_m_s": 0}}), "vehicle.*max_climb_m_s must be a"),
+    (
+        lambda s: ju.Scenario.from_dict(REGION | {"vehicle": {"max_climb_m_s": 0}}),
+        "vehicle.*max_climb_m_s must be a",
+    ),
     # of a path
-    *each(lambda s, wrong: s.explain(speed_m_s=wrong), (0.0, NAN), "speed_m_s must be a positive number of metres"),
+    *each(
+        lambda s, wrong: s.explain(speed_m_s=wrong),
+        (0.0, NAN),
+        "speed_m_s must be a positive number of metres",
+    ),
     (lambda s: s.explain(power_w=200.0), "give the speed"),
     (lambda s: s.explain(swath_m=-1.0), "swath_m"),
     (lambda s: s.explain(num_segments=0), "num_segments"),
@@ -171,7 +229,11 @@ REFUSED = [
     (lambda s: s.simplify(maps=s.maps.with_obstacles("centre")), ANOTHER.format("obstacles")),
     (lambda s: s.simplify(cost_model="cell"), ANOTHER.format("cost_model")),
     (lambda s: s.simplify(replace(s.path, xy_m=s.path.xy_m + 5.0)), ANOTHER.format("region")),
-    *each(lambda s, wrong: s.simplify(tolerance_m=wrong), (0.0, -1.0, np.inf, "far"), "tolerance_m must be"),
+    *each(
+        lambda s, wrong: s.simplify(tolerance_m=wrong),
+        (0.0, -1.0, np.inf, "far"),
+        "tolerance_m must be",
+    ),
     (lambda s: ju.simplify(None, s.on, 2.0), "planned must be PlannedPath"),
     # its files
     (lambda s: s.write(""), "is a folder"),
@@ -183,7 +245,9 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("call", "words"), REFUSED, ids=lambda value: value if isinstance(value, str) else "")
+@pytest.mark.parametrize(
+    ("call", "words"), REFUSED, ids=lambda value: value if isinstance(value, str) else ""
+)
 def test_what_cannot_be_planned_is_refused_in_one_sentence(scene, call, words):
     with pytest.raises(ju.InputError, match=words) as refused:
         call(scene)
@@ -193,7 +257,9 @@ def test_what_cannot_be_planned_is_refused_in_one_sentence(scene, call, words):
 
 def test_too_little_memory_is_told_before_it_runs_out(scene, monkeypatch):
     monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=100_000))
-    with pytest.raises(ju.InputError, match=r"volume of 2 levels of 80 x 100 cells .* choose a longer level_step_m"):
+    with pytest.raises(
+        ju.InputError, match=r"volume of 2 levels of 80 x 100 cells .* choose a longer level_step_m"
+    ):
         scene.levels()
 
 
@@ -201,7 +267,11 @@ def test_too_little_memory_is_told_before_it_runs_out(scene, monkeypatch):
     ("command", "options", "words"),
     [
         ("plan", ("--altitude", 61), ("altitude 61 m", "from 20 to 60 m")),
-        ("plan", ("--clearance", -3), ("clearance_m must be 0 or a positive number of metres, got -3",)),
+        (
+            "plan",
+            ("--clearance", -3),
+            ("clearance_m must be 0 or a positive number of metres, got -3",),
+        ),
         ("plan", ("--no-fly", "none.kml"), ("none.kml", "does not exist")),
         ("plan", ("--climb-cost", 1), ("--climb-cost", "--volume")),
         ("plan", ("--volume", "--planner", "ptp"), ("choose one of astar-volume",)),

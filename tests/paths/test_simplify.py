@@ -55,7 +55,10 @@ def test_a_mission_of_tens_comes_out_of_a_path_of_hundreds_and_no_leg_of_the_fil
     assert simple.cautions == ju.cautions(simple, maps) != path.cautions
     np.testing.assert_allclose(simple.lonlat[[0, -1]], path.lonlat[[0, -1]])
     assert (simple.settings["simplify_m"], simple.zones) == (2.5, path.zones)
-    assert shapely.hausdorff_distance(shapely.LineString(path.xy_m), shapely.LineString(simple.xy_m)) <= 2.5
+    assert (
+        shapely.hausdorff_distance(shapely.LineString(path.xy_m), shapely.LineString(simple.xy_m))
+        <= 2.5
+    )
     flown_m = written_m(on, simple.save(tmp_path / "path.plan"))
     assert len(flown_m) <= len(simple.xy_m)
     assert obstacles(on).crossed_m(flown_m) == 0.0
@@ -85,9 +88,13 @@ def test_the_message_tells_tolerance_waypoints_and_how_the_cost_changed(maps):
     assert len(ju.simplify(path, on, 30.0).xy_m) <= len(simple.xy_m)
 
 
-def test_a_path_around_a_no_fly_zone_and_within_bounds_stays_so_and_its_mission_is_fenced(maps, tmp_path):
+def test_a_path_around_a_no_fly_zone_and_within_bounds_stays_so_and_its_mission_is_fenced(
+    maps, tmp_path
+):
     start, goal = ends_of(maps)
-    zone = Zone("park", shapely.LineString([start[:2], goal[:2]]).centroid.buffer(60.0), maps.grid.crs)
+    zone = Zone(
+        "park", shapely.LineString([start[:2], goal[:2]]).centroid.buffer(60.0), maps.grid.crs
+    )
     limits = replace(ju.Constraints.read(require="lidar>=0.3"), zones=(zone,))
     on = ju.cost_map(maps, ALTITUDE_M, constraints=limits, weights=WEIGHTS)
     path = on.plan(start, goal, snap=True)
@@ -103,7 +110,9 @@ def test_a_path_around_a_no_fly_zone_and_within_bounds_stays_so_and_its_mission_
 
 
 def test_a_path_between_levels_keeps_its_climbs_and_its_report(maps):
-    on = ju.cost_map(maps, ju.Levels(level_step_m=20.0, climb_cost=0.01), weights=WEIGHTS, cost_model="line")
+    on = ju.cost_map(
+        maps, ju.Levels(level_step_m=20.0, climb_cost=0.01), weights=WEIGHTS, cost_model="line"
+    )
     path = on.plan(*ends_of(maps))
     simple = ju.simplify(path, on, 2.5)
     assert len(simple.xy_m) < len(path.xy_m) / 2
@@ -125,7 +134,12 @@ def test_the_command_simplifies_missions_unless_told_otherwise_and_says_so(maps,
         assert code == 0
         items = json.loads(plan.read_text())["mission"]["items"]
         coordinates = json.loads(line.read_text())["features"][0]["geometry"]["coordinates"]
-        return sum(item["command"] in (16, 22) for item in items), len(coordinates), json.loads(out), err
+        return (
+            sum(item["command"] in (16, 22) for item in items),
+            len(coordinates),
+            json.loads(out),
+            err,
+        )
 
     few, all_points, facts, err = num_waypoints()
     assert few < 60 < all_points == facts["num_points"]

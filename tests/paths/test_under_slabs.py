@@ -23,7 +23,9 @@ RULES = ("touched", "centre")
 
 
 def made(hanging: str) -> ju.MetricMaps:
-    params = MapParams(altitudes_m=ALTITUDES_M, sections={"lidar": Lidar(azimuths=12, range_m=40.0)})
+    params = MapParams(
+        altitudes_m=ALTITUDES_M, sections={"lidar": Lidar(azimuths=12, range_m=40.0)}
+    )
     return compute_maps(MapTask(city(hanging), REGION, sky(), params))
 
 
@@ -40,7 +42,11 @@ def in_buildings(path: ju.PlannedPath, rule: str) -> bool:
     x, y, z = (np.interp(along, number, values) for values in (*path.xy_m.T, path.z_m))
     points = shapely.points(x, y)
     return any(
-        np.any(shapely.contains_properly(polygon.buffer(-within_m), points) & (z > floor_m) & (z < top_m))
+        np.any(
+            shapely.contains_properly(polygon.buffer(-within_m), points)
+            & (z > floor_m)
+            & (z < top_m)
+        )
         for polygon, floor_m, top_m in (*STANDING, *HANGING)
     )
 
@@ -70,7 +76,12 @@ def test_no_path_at_an_altitude_goes_through_or_under_a_deck(maps, rule, planner
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("step_m", [None, 1.0, 4.0])
 def test_a_path_that_climbs_goes_over_the_deck_and_not_through_it(maps, rule, step_m):
-    heights = {"start_altitude_m": 5.0, "goal_altitude_m": 5.0, "level_step_m": step_m, "climb_cost": 0.01}
+    heights = {
+        "start_altitude_m": 5.0,
+        "goal_altitude_m": 5.0,
+        "level_step_m": step_m,
+        "climb_cost": 0.01,
+    }
     path = plan_volume(maps.with_obstacles(rule), **ENDS, **heights)
     assert not in_buildings(path, rule)
     over = np.array([shapely.contains_properly(DECK, shapely.Point(x, y)) for x, y in path.xy_m])
@@ -81,7 +92,12 @@ def test_a_path_that_climbs_goes_over_the_deck_and_not_through_it(maps, rule, st
 def test_nobody_climbs_from_under_a_deck(maps):
     under = maps.grid.cell_of_xy(*UNDER)
     assert [maps.m("obstacle", z_m)[under] for z_m in (5.0, 13.0)] == [0, 1]
-    climb = {"start_xy_m": UNDER, "goal_xy_m": ENDS["goal_xy_m"], "start_altitude_m": 5.0, "goal_altitude_m": 20.0}
+    climb = {
+        "start_xy_m": UNDER,
+        "goal_xy_m": ENDS["goal_xy_m"],
+        "start_altitude_m": 5.0,
+        "goal_altitude_m": 20.0,
+    }
     with pytest.raises(ju.InputError, match="obstacle"):
         plan_volume(maps.with_obstacles("centre"), **climb)
 

@@ -17,7 +17,9 @@ from tests.paths.volumes import WEIGHTS, ends_at, options_of, plan_volume
 
 @pytest.fixture(scope="module")
 def maps() -> ju.MetricMaps:
-    return ju.build_maps(ju.demo_city(1_000, 1_000), resolution_m=20.0, altitudes_m=(20.0, 60.0, 100.0))
+    return ju.build_maps(
+        ju.demo_city(1_000, 1_000), resolution_m=20.0, altitudes_m=(20.0, 60.0, 100.0)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +39,9 @@ def test_levels_are_the_altitudes_within_the_bounds_and_steps_between():
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_a_single_altitude_equals_2d(maps, cost_model):
     settings = {"weights": WEIGHTS, "cost_model": cost_model, "time_of_day": "night"}
-    flat, volume = (ju.cost_map(maps, at, **settings) for at in (20.0, ju.Levels(max_altitude_m=20.0)))
+    flat, volume = (
+        ju.cost_map(maps, at, **settings) for at in (20.0, ju.Levels(max_altitude_m=20.0))
+    )
     for pair in np.random.default_rng(0).choice(np.argwhere(flat.is_free), (25, 2)):
         places = [ju.XY(*maps.grid.xy_of_cell(*cell)) for cell in pair]
         expected, path = flat.plan(*places), volume.plan(*places)
@@ -48,24 +52,40 @@ def test_a_single_altitude_equals_2d(maps, cost_model):
 
 def test_the_volume_is_never_dearer_than_any_of_its_levels_and_keeps_its_bounds(maps, ends):
     settings = {"weights": WEIGHTS, "cost_model": "line"}
-    free, dear = (plan_volume(maps, **ends, level_step_m=10.0, climb_cost=c, **settings) for c in (0.01, 100.0))
+    free, dear = (
+        plan_volume(maps, **ends, level_step_m=10.0, climb_cost=c, **settings)
+        for c in (0.01, 100.0)
+    )
     low = ju.plan(maps, **ends, altitude_m=20.0, **settings)
     assert free.cost <= low.cost * (1 + 1e-12)
     assert dear.cost == pytest.approx(low.cost, rel=1e-9)
-    assert free.cost_by_layer["climb"] == pytest.approx(0.01 * np.maximum(np.diff(free.z_m), 0).sum())
-    bounds = {"min_altitude_m": 30.0, "max_altitude_m": 70.0, "level_step_m": 8.0, "climb_cost": 0.0}
+    assert free.cost_by_layer["climb"] == pytest.approx(
+        0.01 * np.maximum(np.diff(free.z_m), 0).sum()
+    )
+    bounds = {
+        "min_altitude_m": 30.0,
+        "max_altitude_m": 70.0,
+        "level_step_m": 8.0,
+        "climb_cost": 0.0,
+    }
     path = plan_volume(maps, **ends, **bounds, weights=WEIGHTS)
     assert path.z_m[0] == path.z_m.min() == 30.0
     assert path.z_m.max() <= 70.0
 
 
-def test_a_metre_of_climb_costs_a_metre_of_flight_unless_told_otherwise_and_the_shortest_path_leaves_it_out(maps, ends):
+def test_a_metre_of_climb_costs_a_metre_of_flight_unless_told_otherwise_and_the_shortest_path_leaves_it_out(
+    maps, ends
+):
     path = plan_volume(maps, **ends, goal_altitude_m=60.0, max_altitude_m=60.0, weights=WEIGHTS)
-    assert path.cost_by_layer["climb"] == pytest.approx(0.2 * np.maximum(np.diff(path.z_m), 0).sum())
+    assert path.cost_by_layer["climb"] == pytest.approx(
+        0.2 * np.maximum(np.diff(path.z_m), 0).sum()
+    )
     assert path.cost_by_layer["descent"] == 0.0
     shortest = plan_volume(maps, **ends, objective="distance", climb_cost=1000.0)
     assert shortest.search.cost == pytest.approx(shortest.length_m)
-    assert shortest.length_m <= ju.plan(maps, **ends, altitude_m=20.0, objective="distance").length_m
+    assert (
+        shortest.length_m <= ju.plan(maps, **ends, altitude_m=20.0, objective="distance").length_m
+    )
     assert shortest.cost == pytest.approx(sum(shortest.cost_by_layer.values()))
     free = dict.fromkeys(WEIGHTS.to_dict(), 0.0)
     climbs = plan_volume(maps, weights=free, climb_cost=5.0, **ends, goal_altitude_m=60.0)
@@ -78,7 +98,9 @@ def test_start_left_on_a_roof_begins_at_the_lowest_free_level_over_it(maps, ends
     assert plan_volume(maps, **there).z_m[0] == 60.0
     with pytest.raises(ju.InputError, match=r"at 20 m; the lowest free level there is 60 m"):
         plan_volume(maps, **there, start_altitude_m=20.0)
-    with pytest.raises(ju.InputError, match=r"every level from 20 to 20 m; the lowest free altitude there is 60 m"):
+    with pytest.raises(
+        ju.InputError, match=r"every level from 20 to 20 m; the lowest free altitude there is 60 m"
+    ):
         plan_volume(maps, **there, max_altitude_m=20.0)
     moved = plan_volume(maps, **there, max_altitude_m=20.0, snap=True)
     assert moved.z_m[0] == 20.0
@@ -90,11 +112,17 @@ def test_start_under_the_goal_goes_straight_up_and_is_written(maps, ends, tmp_pa
     up = plan_volume(maps, **here, goal_altitude_m=60.0, objective="distance")
     assert up.length_m == pytest.approx(40.0)
     for suffix, read in READERS.items():
-        assert read(up.save(tmp_path / f"up{suffix}"))[:, 2].tolist() == up.z_m.tolist() == [20.0, 60.0]
+        assert (
+            read(up.save(tmp_path / f"up{suffix}"))[:, 2].tolist()
+            == up.z_m.tolist()
+            == [20.0, 60.0]
+        )
 
 
 def test_files_hold_every_points_altitude(maps, ends, tmp_path):
-    path = plan_volume(maps, **ends, goal_altitude_m=60.0, level_step_m=10.0, climb_cost=0.01, weights=WEIGHTS)
+    path = plan_volume(
+        maps, **ends, goal_altitude_m=60.0, level_step_m=10.0, climb_cost=0.01, weights=WEIGHTS
+    )
     assert len(np.unique(path.z_m)) > 2
     lonlatz = np.column_stack([path.lonlat, path.z_m])
     for suffix in (".geojson", ".kml"):
@@ -107,9 +135,17 @@ def test_the_command_line_plans_through_the_volume(maps, ends, tmp_path, capsys)
     options = ("--volume", "--max-altitude", 60, "--level-step", 10, "--climb-cost", 0.01, "--json")
     code, out, _ = run(capsys, "plan", tmp_path, *options_of(maps, **ends), *options)
     facts = json.loads(out)
-    assert (code, facts["planner"], facts["z_m"][0], facts["z_m"][-1]) == (0, "astar-volume", 20.0, 20.0)
+    assert (code, facts["planner"], facts["z_m"][0], facts["z_m"][-1]) == (
+        0,
+        "astar-volume",
+        20.0,
+        20.0,
+    )
     assert len(facts["z_m"]) == len(facts["lonlat"])
-    assert (facts["settings"]["levels_m"], facts["settings"]["climb_cost"]) == ([20, 30, 40, 50, 60], 0.01)
+    assert (facts["settings"]["levels_m"], facts["settings"]["climb_cost"]) == (
+        [20, 30, 40, 50, 60],
+        0.01,
+    )
 
 
 def test_a_volume_flies_over_a_zone_with_a_ceiling_and_around_one_without():
@@ -130,6 +166,11 @@ def test_a_volume_flies_over_a_zone_with_a_ceiling_and_around_one_without():
     assert np.all(over.z_m[above] == 90.0)
     around = planned(np.inf)
     assert around.status is Status.NO_PATH
-    assert "Constraints were on (1 no-fly zone, vertical clearance of 3 m): they close" in around.to_dict()["message"]
-    with pytest.raises(ju.InputError, match=r"closed by the no-fly zone 'wall'.*lowest free level there is 90 m"):
+    assert (
+        "Constraints were on (1 no-fly zone, vertical clearance of 3 m): they close"
+        in around.to_dict()["message"]
+    )
+    with pytest.raises(
+        ju.InputError, match=r"closed by the no-fly zone 'wall'.*lowest free level there is 90 m"
+    ):
         planned(70.0, start_xy_m=maps.grid.xy_of_cell(40, 47), start_altitude_m=60.0)

@@ -17,15 +17,22 @@ ALTITUDE_M = 20.0
 @pytest.fixture(scope="module")
 def maps() -> ju.MetricMaps:
     """A town at three hours, whose high mask leaves some places without a position fix."""
-    hours = ju.Gps(start="2020-04-27T00:00:00Z", stop="2020-04-27T10:00:00Z", step_s=18_000, mask_deg=25.0)
+    hours = ju.Gps(
+        start="2020-04-27T00:00:00Z", stop="2020-04-27T10:00:00Z", step_s=18_000, mask_deg=25.0
+    )
     city = ju.demo_city(600, 600)
-    return ju.build_maps(city, resolution_m=20.0, altitudes_m=(ALTITUDE_M,), gps=hours, progress=False)
+    return ju.build_maps(
+        city, resolution_m=20.0, altitudes_m=(ALTITUDE_M,), gps=hours, progress=False
+    )
 
 
 @pytest.fixture(scope="module")
 def pairs(maps) -> list:
     free = np.argwhere(ju.cost_map(maps, ALTITUDE_M).islands == 1)
-    return [[maps.grid.lonlat_of_cell(*free[at]) for at in ends] for ends in ((0, -1), (15, -40), (len(free) // 2, 3))]
+    return [
+        [maps.grid.lonlat_of_cell(*free[at]) for at in ends]
+        for ends in ((0, -1), (15, -40), (len(free) // 2, 3))
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +49,11 @@ def cost_at(path: ju.PlannedPath, maps: ju.MetricMaps, time: str, day: str) -> f
 def longest_m(report: ju.RouteReport) -> float:
     """Return the longest stretch of cells whose HDOP is infinite."""
     rows = report.profile.to_dict("records")
-    stretches = [[*part] for is_inf, part in itertools.groupby(rows, lambda row: np.isinf(row["hdop"])) if is_inf]
+    stretches = [
+        [*part]
+        for is_inf, part in itertools.groupby(rows, lambda row: np.isinf(row["hdop"]))
+        if is_inf
+    ]
     return max((part[-1]["to_m"] - part[0]["from_m"] for part in stretches), default=0.0)
 
 
@@ -59,7 +70,10 @@ def test_the_table_is_that_of_a_plan_at_each_time(maps, pairs, departures):
     assert departures.best == best
     for row, paths, at in zip(departures.table.to_dict("records"), plans, times, strict=True):
         reports = [ju.explain(path, maps) for path in paths]
-        kept = [cost_at(other, maps, *at) / path.cost - 1 for path, other in zip(paths, plans[best], strict=True)]
+        kept = [
+            cost_at(other, maps, *at) / path.cost - 1
+            for path, other in zip(paths, plans[best], strict=True)
+        ]
         expected = {
             "cost": sum(path.cost for path in paths),
             "length_m": sum(path.length_m for path in paths),
@@ -68,7 +82,10 @@ def test_the_table_is_that_of_a_plan_at_each_time(maps, pairs, departures):
             "above_best": sum(path.cost for path in paths) / costs.sum(axis=1).min() - 1,
             "num_changed": sum(more > 1e-9 for more in kept),
             "kept_above": max(kept),
-            **{f"exposure_{name}": sum(path.exposure_by_layer[name] for path in paths) for name in maps.metrics},
+            **{
+                f"exposure_{name}": sum(path.exposure_by_layer[name] for path in paths)
+                for name in maps.metrics
+            },
         }
         assert {name: row[name] for name in expected} == pytest.approx(expected, rel=1e-9, abs=1e-9)
     assert departures.table["no_fix_m"].max() > 0
@@ -77,7 +94,9 @@ def test_the_table_is_that_of_a_plan_at_each_time(maps, pairs, departures):
 
 
 def test_of_times_that_cost_the_same_but_for_rounding_the_first_is_the_best(maps, pairs):
-    same = ju.MetricMaps(maps.ds.assign(gps=maps.ds["gps"].isel(time=[0, 0, 0]).assign_coords(time=maps.ds["time"])))
+    same = ju.MetricMaps(
+        maps.ds.assign(gps=maps.ds["gps"].isel(time=[0, 0, 0]).assign_coords(time=maps.ds["time"]))
+    )
     departures = ju.when(same, pairs, altitude_m=ALTITUDE_M, time_of_day="day", progress=False)
     assert departures.best == 0
     assert [*departures.table["above_best"]] == [0.0, 0.0, 0.0]
@@ -87,13 +106,23 @@ def test_of_times_that_cost_the_same_but_for_rounding_the_first_is_the_best(maps
 
 def test_the_cautions_are_of_the_routes_at_the_best_time(maps, pairs):
     nowhere = ju.MetricMaps(
-        maps.ds.assign(hdop=maps.ds["hdop"] * 0 + np.inf).assign_attrs(guesses='{"flat ground": ""}')
+        maps.ds.assign(hdop=maps.ds["hdop"] * 0 + np.inf).assign_attrs(
+            guesses='{"flat ground": ""}'
+        )
     )
     departures = ju.when(nowhere, pairs, altitude_m=ALTITUDE_M, time_of_day="day", progress=False)
     paths = departures.paths[departures.best * len(pairs) : (departures.best + 1) * len(pairs)]
-    limits = [f"Route {k}: {each}" for k, path in enumerate(paths) for each in path.cautions if each.level == "limit"]
+    limits = [
+        f"Route {k}: {each}"
+        for k, path in enumerate(paths)
+        for each in path.cautions
+        if each.level == "limit"
+    ]
     assert departures.cautions == ["Guessed: flat ground.", *limits]
-    assert all(any(each.startswith(f"Route {k}: GPS: no fix") for each in limits) for k in range(len(pairs)))
+    assert all(
+        any(each.startswith(f"Route {k}: GPS: no fix") for each in limits)
+        for k in range(len(pairs))
+    )
     assert all(each in repr(departures) for each in limits)
 
 
@@ -105,22 +134,40 @@ def test_the_facts_say_how_small_the_effect_is(departures):
 
 
 def test_no_departure_is_one_at_which_a_route_has_no_path(maps, pairs):
-    num_visible, limits = maps.ds["num_visible"].copy(), ju.Constraints.read(require=["num_visible>=1"])
-    num_visible[1, :, :, maps.grid.num_cols // 2] = 0  # a wall at the hour that is the best one without it
+    num_visible, limits = (
+        maps.ds["num_visible"].copy(),
+        ju.Constraints.read(require=["num_visible>=1"]),
+    )
+    num_visible[1, :, :, maps.grid.num_cols // 2] = (
+        0  # a wall at the hour that is the best one without it
+    )
     walled = ju.MetricMaps(maps.ds.assign(num_visible=num_visible))
     islands = ju.cost_map(maps, ALTITUDE_M).islands
-    closed_in, beside = np.argwhere(islands == 2)[0], np.argwhere(islands[:, : maps.grid.num_cols // 2] == 1)
+    closed_in, beside = (
+        np.argwhere(islands == 2)[0],
+        np.argwhere(islands[:, : maps.grid.num_cols // 2] == 1),
+    )
     never = maps.grid.lonlat_of_cell(*closed_in), pairs[0][1]
     always = [maps.grid.lonlat_of_cell(*beside[at]) for at in (0, -1)]
-    asked = {"altitude_m": ALTITUDE_M, "time_of_day": "day", "constraints": limits, "progress": False}
+    asked = {
+        "altitude_m": ALTITUDE_M,
+        "time_of_day": "day",
+        "constraints": limits,
+        "progress": False,
+    }
     departures = ju.when(walled, [always, pairs[0], never], **asked)
     del asked["progress"]
-    plans = [[ju.plan(walled, *pair, time=time, **asked).cost for pair in (always, pairs[0])] for time in maps.times]
+    plans = [
+        [ju.plan(walled, *pair, time=time, **asked).cost for pair in (always, pairs[0])]
+        for time in maps.times
+    ]
     sums = np.sum(plans, axis=1)
     assert (np.isfinite(plans[1][0]), np.isinf(plans[1][1])) == (True, True)
     np.testing.assert_allclose(departures.table["cost"], np.where(np.isinf(sums), np.nan, sums))
     assert departures.best == np.argmin(sums)
-    assert departures.facts["times without a path"].startswith("route 1 at 1, route 2 at 3 (No path")
+    assert departures.facts["times without a path"].startswith(
+        "route 1 at 1, route 2 at 3 (No path"
+    )
 
 
 def test_what_has_no_times_to_choose_from_is_refused(maps, pairs):
@@ -142,14 +189,26 @@ def test_a_strip_shows_the_table(maps, departures):
         (no_fix, 1, departures.table["no_fix_m"]),
     ):
         for line, day in zip(panel.lines[: 2 * every : every], maps.times_of_day, strict=True):
-            np.testing.assert_array_equal(line.get_ydata(), values[departures.table["time_of_day"] == day])
+            np.testing.assert_array_equal(
+                line.get_ydata(), values[departures.table["time_of_day"] == day]
+            )
 
 
 def test_the_command_prints_writes_and_draws_the_same(maps, pairs, tmp_path, capsys):
     folder = maps.save(tmp_path / "maps")
     start, goal = (",".join(map(str, place)) for place in pairs[0])
-    arguments = ("plan", folder, f"--start={start}", f"--goal={goal}", "--altitude", ALTITUDE_M, "--when")
-    code, out, err = run(capsys, *arguments, "-o", tmp_path / "when.csv", "--profile", tmp_path / "when.png")
+    arguments = (
+        "plan",
+        folder,
+        f"--start={start}",
+        f"--goal={goal}",
+        "--altitude",
+        ALTITUDE_M,
+        "--when",
+    )
+    code, out, err = run(
+        capsys, *arguments, "-o", tmp_path / "when.csv", "--profile", tmp_path / "when.png"
+    )
     departures = ju.when(maps, pairs[:1], altitude_m=ALTITUDE_M, progress=False)
     table = departures.table
     assert (code, maps.times[2] in out, "above the best" in out) == (0, True, True)
@@ -160,7 +219,12 @@ def test_the_command_prints_writes_and_draws_the_same(maps, pairs, tmp_path, cap
     assert facts["cautions"] == departures.cautions
     assert all(f"jaxurban: {sentence}" in err.splitlines() for sentence in departures.cautions)
     assert facts["table"][facts["best"]]["cost"] == pytest.approx(table["cost"].min())
-    for options in (("-o", "when.geojson"), ("--volume",), ("--speed", 12), ("--exposure", "risk<=9")):
+    for options in (
+        ("-o", "when.geojson"),
+        ("--volume",),
+        ("--speed", 12),
+        ("--exposure", "risk<=9"),
+    ):
         code, out, err = run(capsys, *arguments, *options)
         assert (code, out) == (2, "")
         assert "--when takes" in err

@@ -14,7 +14,9 @@ from jaxurban.planners.bitstar.bounds import cost_grid_of
 from jaxurban.planners.cost import CostModel
 
 LEVELS_M = np.array([20.0, 22.0, 29.0, 60.0])
-NEXT_TO_NOTHING = 1e-200  # what a step that costs nothing costs for SciPy, which takes an edge of 0 for none
+NEXT_TO_NOTHING = (
+    1e-200  # what a step that costs nothing costs for SciPy, which takes an edge of 0 for none
+)
 
 
 def costed(points_m, costs, is_free, resolution_m, distance_weight, model):
@@ -23,10 +25,14 @@ def costed(points_m, costs, is_free, resolution_m, distance_weight, model):
     problem = Problem(costs, is_free, free, free, resolution_m, distance_weight, model)
     found = problem.features(points_m)
     total = found.cost(problem.weights)
-    return SimpleNamespace(total=total, length_m=found.phi[0], per_layer=found.phi[1:], is_valid=found.is_valid)
+    return SimpleNamespace(
+        total=total, length_m=found.phi[0], per_layer=found.phi[1:], is_valid=found.is_valid
+    )
 
 
-def open_problem(shape, start, goal, layers=None, cost_model="line", distance_weight=1.0, is_free=None):
+def open_problem(
+    shape, start, goal, layers=None, cost_model="line", distance_weight=1.0, is_free=None
+):
     """No obstacles and no costs but those given; cells of 2 m, a reference length of 4 m."""
     is_free = np.ones(shape, bool) if is_free is None else is_free
     layers = np.zeros((1, *shape)) if layers is None else layers
@@ -58,10 +64,19 @@ def random_problem(seed, shape=(13, 17), dtype=np.float64, share_free=0.75, **mo
     costs = (0.1 + rng.random((3, *shape)) ** 3) * np.exp(2 * patches)
     costs[:, rng.random(shape) < rng.choice([0.0, 0.2])] = 0.0
     costs[:, ~is_free] = np.nan if seed % 2 else 1.0
-    drawn = {"connectivity": int(rng.choice([4, 8])), "diagonal": str(rng.choice(["both-free", "always"]))}
-    model = CostModel(**{"kind": str(rng.choice(["cell", "line"])), "reference_length_m": 3.0, **drawn, **model})
+    drawn = {
+        "connectivity": int(rng.choice([4, 8])),
+        "diagonal": str(rng.choice(["both-free", "always"])),
+    }
+    model = CostModel(
+        **{"kind": str(rng.choice(["cell", "line"])), "reference_length_m": 3.0, **drawn, **model}
+    )
     levels_m = LEVELS_M[: shape[0]] if len(shape) == 3 else None
-    weights = [rng.choice([0.0, 0.3]), *rng.choice([0.0, 0.5, 2.0], 3), *rng.choice([0.0, 0.4], 2 * (len(shape) - 2))]
+    weights = [
+        rng.choice([0.0, 0.3]),
+        *rng.choice([0.0, 0.5, 2.0], 3),
+        *rng.choice([0.0, 0.4], 2 * (len(shape) - 2)),
+    ]
     return Problem(costs.astype(dtype), is_free, start, goal, 2.0, weights, model, levels_m)
 
 
@@ -81,22 +96,37 @@ def edges_of(problem):
     model, side_m = problem.cost_model, problem.resolution_m
     is_free = problem.is_free.reshape(-1, *problem.is_free.shape[-2:])
     z_m = np.zeros(1) if problem.levels_m is None else problem.levels_m
-    cost = np.tensordot(problem.layer_weights, np.nan_to_num(problem.costs), 1).reshape(is_free.shape)
+    cost = np.tensordot(problem.layer_weights, np.nan_to_num(problem.costs), 1).reshape(
+        is_free.shape
+    )
     framed, parts = np.pad(is_free, 1), []
     for up, rows, cols in itertools.product((-1, 0, 1), repeat=3):
         if (up, rows, cols) == (0, 0, 0) or (rows and cols and model.connectivity == 4):
             continue
-        passed = {(0, 0), (rows, cols)} | ({(rows, 0), (0, cols)} if model.diagonal == "both-free" else set())
-        ends = [np.roll(framed, (-z, -row, -col), (0, 1, 2)) for z in {0, up} for row, col in passed]
+        passed = {(0, 0), (rows, cols)} | (
+            {(rows, 0), (0, cols)} if model.diagonal == "both-free" else set()
+        )
+        ends = [
+            np.roll(framed, (-z, -row, -col), (0, 1, 2)) for z in {0, up} for row, col in passed
+        ]
         here = np.argwhere(np.all(ends, axis=0)[1:-1, 1:-1, 1:-1])
         there = here + np.array([up, rows, cols])
         rise_m = z_m[there[:, 0]] - z_m[here[:, 0]]
         length_m = np.sqrt((rows**2 + cols**2) * side_m**2 + rise_m**2)
         entered, left = cost[tuple(there.T)], cost[tuple(here.T)]
-        of_map = entered if model.kind == "cell" else length_m * (entered + left) / 2 / model.reference_length_m
-        of_height = np.maximum(rise_m, 0) * problem.height_costs[0] + np.maximum(-rise_m, 0) * problem.height_costs[1]
+        of_map = (
+            entered
+            if model.kind == "cell"
+            else length_m * (entered + left) / 2 / model.reference_length_m
+        )
+        of_height = (
+            np.maximum(rise_m, 0) * problem.height_costs[0]
+            + np.maximum(-rise_m, 0) * problem.height_costs[1]
+        )
         numbers = [np.ravel_multi_index(tuple(cells.T), cost.shape) for cells in (here, there)]
-        parts.append([problem.distance_weight * length_m + of_map + of_height + NEXT_TO_NOTHING, *numbers])
+        parts.append(
+            [problem.distance_weight * length_m + of_map + of_height + NEXT_TO_NOTHING, *numbers]
+        )
     costs, here, there = (np.concatenate(values) for values in zip(*parts, strict=True))
     return csr_array((costs, (here, there)), shape=(cost.size, cost.size))
 
@@ -104,7 +134,9 @@ def edges_of(problem):
 def costs_to_goal(problem, edges=None):
     """Return the least cost from every cell or node to the goal, inf without a way, by SciPy."""
     goal = np.ravel_multi_index(problem.goal, problem.is_free.shape)
-    return dijkstra((edges_of(problem) if edges is None else edges).T, indices=goal).reshape(problem.is_free.shape)
+    return dijkstra((edges_of(problem) if edges is None else edges).T, indices=goal).reshape(
+        problem.is_free.shape
+    )
 
 
 def assert_optimal(path, problem, optimum=None):

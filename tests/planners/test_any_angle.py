@@ -40,7 +40,11 @@ def test_samples_lie_one_resolution_step_apart_and_end_at_the_goal():
 
 @pytest.mark.parametrize("resolution_m", [0.1, 0.3, 5.0])
 def test_a_whole_number_of_steps_gets_no_sliver_step(resolution_m):
-    path = ptp(Problem(np.ones((1, 1, 50)), np.ones((1, 50), bool), (0, 1), (0, 48), resolution_m, 0.0, "cell"))
+    path = ptp(
+        Problem(
+            np.ones((1, 1, 50)), np.ones((1, 50), bool), (0, 1), (0, 48), resolution_m, 0.0, "cell"
+        )
+    )
     assert (len(path.points_m), path.cost) == (48, 47)
 
 
@@ -49,7 +53,11 @@ def bends_of(is_free):
     points = []
     for row, col in np.argwhere(is_free[1:-1, 1:-1]) + 1:
         for up, east in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-            if not is_free[row + up, col + east] and is_free[row, col + east] and is_free[row + up, col]:
+            if (
+                not is_free[row + up, col + east]
+                and is_free[row, col + east]
+                and is_free[row + up, col]
+            ):
                 points.append([col + 0.5 + east * 0.4999999, row + 0.5 + up * 0.4999999])
     return points
 
@@ -96,7 +104,8 @@ def test_two_media_are_crossed_as_snells_law_asks(planner, within):
 
 
 @pytest.mark.parametrize(
-    ("planner", "within"), [(sampled_by(bitstar_dist, 8000), 1.01), (theta_star, 1.02), (refined_after(astar), 1.0001)]
+    ("planner", "within"),
+    [(sampled_by(bitstar_dist, 8000), 1.01), (theta_star, 1.02), (refined_after(astar), 1.0001)],
 )
 def test_the_way_around_a_block_tends_to_the_taut_string(planner, within):
     is_free = np.ones(SHAPE, bool)

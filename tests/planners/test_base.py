@@ -11,7 +11,9 @@ FREE = np.array([[True, True, True], [True, False, True]])
 LAYERS = np.ones((2, 2, 3))
 
 
-def make(costs=LAYERS, is_free=FREE, start=(0, 0), goal=(0, 2), resolution_m=1.0, weights=1.0, **options):
+def make(
+    costs=LAYERS, is_free=FREE, start=(0, 0), goal=(0, 2), resolution_m=1.0, weights=1.0, **options
+):
     return Problem(costs, is_free, start, goal, resolution_m, weights, **options)
 
 
@@ -30,7 +32,11 @@ def test_a_problem_between_other_cells_or_under_other_weights_shares_what_does_n
     weighed = problem.with_weights(np.array([0.5, 2.0, 0.0]))
     assert weighed.moves is problem.moves
     np.testing.assert_array_equal(weighed.cost, 2 * LAYERS[0])
-    assert (weighed.distance_weight, weighed.start, weighed.goal) == (0.5, problem.start, problem.goal)
+    assert (weighed.distance_weight, weighed.start, weighed.goal) == (
+        0.5,
+        problem.start,
+        problem.goal,
+    )
 
 
 def test_planners_by_name_run_with_their_own_heuristic():
@@ -45,13 +51,21 @@ def test_every_status_has_a_sentence_and_an_exit_code():
     without_path = {Status.NO_PATH: 3, Status.OVER_EXPOSURE: 3, Status.BLOCKED: 3}
     without_path |= {Status.BUDGET_EMPTY: 4, Status.UNDECIDED: 4}
     for status in Status:
-        assert (status.exit_code, status.has_path) == (without_path.get(status, 0), status not in without_path)
+        assert (status.exit_code, status.has_path) == (
+            without_path.get(status, 0),
+            status not in without_path,
+        )
     assert all(status.sentence.endswith(".") for status in Status)
 
 
 def test_a_cost_model_is_read_back_from_its_settings_and_takes_no_others():
     model = CostModel("line", 2, 4, "always")
-    assert model.settings == {"cost_model": "line", "reference_length_m": 2, "connectivity": 4, "diagonal": "always"}
+    assert model.settings == {
+        "cost_model": "line",
+        "reference_length_m": 2,
+        "connectivity": 4,
+        "diagonal": "always",
+    }
     assert CostModel.from_settings(model.settings | {"planner": "ptp"}) == model
     assert CostModel.from_settings({}) == CostModel.of("line") == CostModel.of(None) == CostModel()
 

@@ -20,7 +20,9 @@ from tests.planners.problems import graph_cost, open_problem, reachable, walled_
 
 def solve(problems, heuristic="plus", seeds=None, **options):
     seeds = range(len(problems)) if seeds is None else seeds
-    return dict(solve_batched(problems, planner="bitstar", heuristic=heuristic, seeds=seeds, **options))
+    return dict(
+        solve_batched(problems, planner="bitstar", heuristic=heuristic, seeds=seeds, **options)
+    )
 
 
 def solve_one(backend, problem, heuristic, seed, options):
@@ -32,13 +34,17 @@ def solve_one(backend, problem, heuristic, seed, options):
 @pytest.mark.parametrize("backend", ["numba", "jax"])
 @pytest.mark.parametrize("cost_model", ["line", "cell"])
 @pytest.mark.parametrize("heuristic", HEURISTICS)
-def test_every_batch_costs_what_dijkstra_finds_on_its_samples_and_the_tree_before(heuristic, cost_model, backend):
+def test_every_batch_costs_what_dijkstra_finds_on_its_samples_and_the_tree_before(
+    heuristic, cost_model, backend
+):
     num_found = num_improved = 0
     for seed in range(2):
         problem, seen = walled_problem(seed, cost_model), []
         is_joined = reachable(problem)
         informed = InformedSet(make_bounds(heuristic, problem, is_joined), is_joined)
-        options = BitStarOptions(35, growth=0, max_batches=4, on_batch=lambda now, seen=seen: seen.append(copy(now)))
+        options = BitStarOptions(
+            35, growth=0, max_batches=4, on_batch=lambda now, seen=seen: seen.append(copy(now))
+        )
         path = solve_one(backend, problem, heuristic, seed, options)
         before = seen[0].tree
         for batch in seen[1:]:
@@ -49,22 +55,30 @@ def test_every_batch_costs_what_dijkstra_finds_on_its_samples_and_the_tree_befor
             edges = [(tuple(before.xy[before.parent[k]]), tuple(before.xy[k])) for k in has_parent]
             edges = [(number[a], number[b]) for a, b in edges if a in number and b in number]
             ends = [number[tuple(point)] for point in (informed.bounds.start, informed.bounds.goal)]
-            expected = graph_cost(problem, xy, graph_radius(len(xy), informed.measure, 1.1), edges, ends)
+            expected = graph_cost(
+                problem, xy, graph_radius(len(xy), informed.measure, 1.1), edges, ends
+            )
             assert batch.cost == pytest.approx(expected, rel=1e-9)
             num_found += np.isfinite(expected)
             informed.shrink(batch.cost)
             before = batch.tree
         samples = np.concatenate([batch.samples for batch in seen])
-        may_help = np.add(*informed.bounds.from_start_and_to_goal(samples)) < seen[-2].cost * (1 - 1e-9)
+        may_help = np.add(*informed.bounds.from_start_and_to_goal(samples)) < seen[-2].cost * (
+            1 - 1e-9
+        )
         assert set(map(tuple, samples[may_help])) <= number.keys()  # pruning leaves them
         assert path.backend == backend
         num_improved += len({row[2] for row in path.history}) - 1
         # An observer sees every batch and changes none.
         assert [batch.cost for batch in seen] == [row[2] for row in path.history]
-        assert np.cumsum([len(batch.samples) for batch in seen]).tolist() == [row[1] for row in path.history]
+        assert np.cumsum([len(batch.samples) for batch in seen]).tolist() == [
+            row[1] for row in path.history
+        ]
         unseen = solve_one(backend, problem, heuristic, seed, replace(options, on_batch=None))
         np.testing.assert_array_equal(path.points_m, unseen.points_m)
-        np.testing.assert_array_equal(before.xy[before.path()] * problem.resolution_m, path.points_m)
+        np.testing.assert_array_equal(
+            before.xy[before.path()] * problem.resolution_m, path.points_m
+        )
     assert num_found > 4
     assert num_improved > 2
 
@@ -72,7 +86,13 @@ def test_every_batch_costs_what_dijkstra_finds_on_its_samples_and_the_tree_befor
 def queries_on_one_map():
     """Across the wall, into its gap, within that, and within a cell."""
     problem = walled_problem(1, "line")
-    ends = [((12, 2), (12, 27)), ((12, 27), (12, 2)), ((5, 14), (12, 27)), ((12, 2), (6, 15)), ((5, 14), (6, 16))]
+    ends = [
+        ((12, 2), (12, 27)),
+        ((12, 27), (12, 2)),
+        ((5, 14), (12, 27)),
+        ((12, 2), (6, 15)),
+        ((5, 14), (6, 16)),
+    ]
     return [problem.between(*pair) for pair in ends] + [problem.between((12, 2), (12, 2))]
 
 
@@ -81,7 +101,10 @@ def pinched_problems():
     is_free = np.random.default_rng(1).random((24, 30)) < 0.75
     is_free[1, 1] = is_free[20, 20] = True
     problem = open_problem(is_free.shape, (1, 1), (20, 20), is_free=is_free)
-    return [replace(problem, cost_model=CostModel("line", 4.0, diagonal=rule)) for rule in ("both-free", "always")]
+    return [
+        replace(problem, cost_model=CostModel("line", 4.0, diagonal=rule))
+        for rule in ("both-free", "always")
+    ]
 
 
 def court_problems():
@@ -94,8 +117,16 @@ def court_problems():
 
 
 def test_queries_together_give_the_paths_of_each_alone_and_begin_as_numba_does():
-    problems = [*queries_on_one_map(), walled_problem(2, "line"), *pinched_problems(), *court_problems()]
-    limits = {"max_samples": 90, "options": BitStarOptions(30)}  # all nodes fit into the smallest arrays
+    problems = [
+        *queries_on_one_map(),
+        walled_problem(2, "line"),
+        *pinched_problems(),
+        *court_problems(),
+    ]
+    limits = {
+        "max_samples": 90,
+        "options": BitStarOptions(30),
+    }  # all nodes fit into the smallest arrays
     together = solve(problems, **limits)
     assert {path.backend for path in together.values()} == {"jax"}
     for index, problem in enumerate(problems):
@@ -126,7 +157,9 @@ def test_a_corner_that_no_sample_can_hit_leaves_the_budget_empty():
     is_free[:4, :4] = is_free[4:, 4:] = True
     closed = open_problem((8, 8), (1, 1), (6, 6), is_free=is_free)
     through_corner = replace(closed, cost_model=CostModel("line", diagonal="always"))
-    assert bitstar_dist(through_corner).status is Status.OPTIMAL  # the straight line runs through the corner itself
+    assert (
+        bitstar_dist(through_corner).status is Status.OPTIMAL
+    )  # the straight line runs through the corner itself
     path = bitstar_dist(through_corner.between((1, 1), (6, 5)), budget_s=np.inf, max_samples=2000)
     assert (path.status, path.cost) == (Status.BUDGET_EMPTY, np.inf)
 
@@ -140,7 +173,10 @@ def test_the_search_ends_on_batches_cost_and_small_improvement():
 
     long = run(max_samples=20_000)
     batches = run(max_batches=5)
-    assert (len(batches.history), batches.status) == (6, Status.BUDGET_FEASIBLE)  # the straight segment's among them
+    assert (len(batches.history), batches.status) == (
+        6,
+        Status.BUDGET_FEASIBLE,
+    )  # the straight segment's among them
     good = run(max_samples=20_000, target_cost=1.1 * long.cost)
     assert good.history[-1][2] <= 1.1 * long.cost < good.history[-2][2]
     settled = run(max_samples=20_000, min_improvement=0.02)

@@ -14,7 +14,9 @@ RESOLUTION_M = 2.0
 
 def problem_on(cost, cost_model, start, goal, is_free=None, distance_weight=0.3):
     is_free = np.ones(cost.shape, bool) if is_free is None else is_free
-    return Problem(cost[None], is_free, start, goal, RESOLUTION_M, distance_weight, CostModel(cost_model, 3.0))
+    return Problem(
+        cost[None], is_free, start, goal, RESOLUTION_M, distance_weight, CostModel(cost_model, 3.0)
+    )
 
 
 def true_cost(problem, *xy):
@@ -28,13 +30,20 @@ def test_no_path_of_a_dense_graph_costs_less_than_the_bounds(cost_model, heurist
     num_leaps = 0
     for trial in range(3):
         # Dear rows and columns tempt paths to leap them.
-        cost = 0.2 + rng.random((6, 7)) + 5.0 * (rng.random((6, 1)) < 0.4) + 5.0 * (rng.random((1, 7)) < 0.4)
+        cost = (
+            0.2
+            + rng.random((6, 7))
+            + 5.0 * (rng.random((6, 1)) < 0.4)
+            + 5.0 * (rng.random((1, 7)) < 0.4)
+        )
         is_free = rng.random(cost.shape) < (1.0, 0.9, 0.8)[trial]
         is_free[0, 1] = is_free[5, 5] = True
         problem = problem_on(cost, cost_model, (0, 1), (5, 5), is_free)
         bounds = make_bounds(heuristic, problem, is_free)
         xy = rng.uniform(0, 1, (170, 2)) * (7, 6)
-        xy = np.concatenate([ends_of(problem), xy[is_free[xy[:, 1].astype(int), xy[:, 0].astype(int)]]])
+        xy = np.concatenate(
+            [ends_of(problem), xy[is_free[xy[:, 1].astype(int), xy[:, 0].astype(int)]]]
+        )
         edges = sample_edges(problem, xy, 1.45)
         from_start, to_goal = bounds.from_start_and_to_goal(xy)
         reached, back = dijkstra(edges, indices=0), dijkstra(edges.T, indices=1)
@@ -55,10 +64,14 @@ def test_plus_is_tight_where_the_straight_line_is_best():
     rng = np.random.default_rng(2)
     uniform = problem_on(np.full((9, 12), 0.7), "line", (1, 2), (7, 10))
     straight = true_cost(uniform, [2.5, 1.5], [10.5, 7.5])
-    assert make_bounds("plus", uniform, uniform.is_free).from_start_to_goal() == pytest.approx(straight)
+    assert make_bounds("plus", uniform, uniform.is_free).from_start_to_goal() == pytest.approx(
+        straight
+    )
     striped = problem_on(np.repeat(rng.random((9, 1)), 12, axis=1), "line", (1, 4), (7, 4))
     straight = true_cost(striped, [4.5, 1.5], [4.5, 7.5])
-    assert make_bounds("plus", striped, striped.is_free).from_start_to_goal() == pytest.approx(straight)
+    assert make_bounds("plus", striped, striped.is_free).from_start_to_goal() == pytest.approx(
+        straight
+    )
     distance = make_bounds("euclidean", striped, striped.is_free).from_start_to_goal()
     assert distance == pytest.approx(0.3 * 6 * RESOLUTION_M)
 
@@ -121,4 +134,6 @@ def test_an_ellipse_thinner_than_a_cell_still_gives_samples():
 
 def test_the_radius_is_that_of_the_theory():
     # 2 eta (1 + 1/2)^(1/2) (area / pi)^(1/2) (log q / q)^(1/2), Gammell et al. 2015
-    assert graph_radius(1000, 400.0, 1.1) == pytest.approx(2.2 * np.sqrt(1.5 * 400 / np.pi * np.log(1000) / 1000))
+    assert graph_radius(1000, 400.0, 1.1) == pytest.approx(
+        2.2 * np.sqrt(1.5 * 400 / np.pi * np.log(1000) / 1000)
+    )

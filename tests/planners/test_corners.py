@@ -27,7 +27,9 @@ def over_borders(problem, num):
 
     Of curves, of which these are some, none of them costs less than the best: with more points they come near it.
     """
-    rate = problem.resolution_m * (problem.distance_weight + problem.cost / problem.cost_model.reference_length_m)
+    rate = problem.resolution_m * (
+        problem.distance_weight + problem.cost / problem.cost_model.reference_length_m
+    )
     one, none, all_of = np.linspace(0, 1, num + 1), np.zeros(num + 1), np.ones(num + 1)
     x, y = np.concatenate([one, one, none, all_of]), np.concatenate([none, all_of, one, one])
     of_cell, number = np.unique(np.column_stack([x, y]), axis=0), {}
@@ -38,13 +40,18 @@ def over_borders(problem, num):
             points = np.append(points, [[col + 0.5, row + 0.5]], axis=0)
         ids = [number.setdefault(tuple(np.rint(2 * num * point)), len(number)) for point in points]
         here, there = np.meshgrid(ids, ids)
-        parts.append((rate[row, col] * squareform(pdist(points)).ravel(), here.ravel(), there.ravel()))
+        parts.append(
+            (rate[row, col] * squareform(pdist(points)).ravel(), here.ravel(), there.ravel())
+        )
     cost, here, there = (np.concatenate(part) for part in zip(*parts, strict=True))
     order = np.lexsort((cost, there, here))  # of a side the cheaper cell counts
     kept = order[np.append(True, (np.diff(here[order]) != 0) | (np.diff(there[order]) != 0))]
     kept = kept[cost[kept] > 0]
     graph = coo_array((cost[kept], (here[kept], there[kept])), shape=(len(number),) * 2).tocsr()
-    start, goal = (number[2 * num * (col + 0.5), 2 * num * (row + 0.5)] for row, col in (problem.start, problem.goal))
+    start, goal = (
+        number[2 * num * (col + 0.5), 2 * num * (row + 0.5)]
+        for row, col in (problem.start, problem.goal)
+    )
     return dijkstra(graph, directed=False, indices=start)[goal]
 
 
@@ -86,8 +93,14 @@ def test_the_best_path_of_the_grid_over_the_stretch_is_no_bound_beside_an_obstac
 
 def test_all_planners_of_one_query_have_one_bound():
     problem = made(3, (30, 40), 0.95)
-    paths = [theta_star(problem), refine(problem, theta_star(problem)), bitstar_plus(problem, max_samples=2000)]
-    paths = [with_corner_bound(problem, path) for path in [*paths, ptp(problem)] if path.status.has_path]
+    paths = [
+        theta_star(problem),
+        refine(problem, theta_star(problem)),
+        bitstar_plus(problem, max_samples=2000),
+    ]
+    paths = [
+        with_corner_bound(problem, path) for path in [*paths, ptp(problem)] if path.status.has_path
+    ]
     assert len(paths) >= 3  # obstacles may lie in the straight way
     assert {path.lower_bound for path in paths} == {corner_bound(problem)}
     of_grid = astar_plus(problem)
@@ -96,7 +109,9 @@ def test_all_planners_of_one_query_have_one_bound():
 
 def test_where_every_cell_entered_costs_alike_the_bound_is_left_to_the_planner():
     problem = made(3, (30, 40), 0.95)
-    cell = Problem(problem.costs, problem.is_free, problem.start, problem.goal, 5.0, 0.02, CostModel("cell"))
+    cell = Problem(
+        problem.costs, problem.is_free, problem.start, problem.goal, 5.0, 0.02, CostModel("cell")
+    )
     path = bitstar_plus(cell, max_samples=2000)
     assert path.status is Status.BUDGET_FEASIBLE
     assert with_corner_bound(cell, path) is path

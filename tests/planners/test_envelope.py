@@ -33,7 +33,9 @@ def test_the_gradient_of_the_optimal_cost_is_that_of_replanned_costs(cost_model)
         value, (by_layers, by_weights) = jax.value_and_grad(cost, (0, 1))(layers, w)
         assert value == EXACT(problem).cost
         rng = np.random.default_rng(1)
-        for direction, weighting in zip(rng.normal(size=(3, *layers.shape)), np.eye(3), strict=True):
+        for direction, weighting in zip(
+            rng.normal(size=(3, *layers.shape)), np.eye(3), strict=True
+        ):
             step, change = 1e-6 * direction, 1e-6 * weighting
             slope = (cost(layers + step, w) - cost(layers - step, w)) / 2e-6
             np.testing.assert_allclose(jnp.vdot(by_layers, direction), slope, rtol=1e-6)
@@ -61,7 +63,9 @@ def test_weights_and_maps_meet_in_one_gradient_under_jit():
 
 
 def test_another_planners_gradient_is_that_of_its_own_path():
-    problem = Problem(np.ones((1, 4, 9)), np.ones((4, 9), bool), (0, 0), (3, 8), 1.0, 1.0, CostModel("line", 1.0))
+    problem = Problem(
+        np.ones((1, 4, 9)), np.ones((4, 9), bool), (0, 0), (3, 8), 1.0, 1.0, CostModel("line", 1.0)
+    )
     cost = planned_cost(problem, ptp)
     by_layer = jax.grad(cost)(jnp.ones((1, 4, 9)), jnp.ones(2, jnp.float32))
     np.testing.assert_allclose(by_layer.sum(), np.hypot(3, 8), rtol=1e-6)
@@ -71,7 +75,9 @@ def test_without_a_path_the_cost_is_infinite_and_its_gradient_zero():
     is_free = np.ones((3, 5), bool)
     is_free[:, 2] = False
     problem = Problem(np.zeros((1, 3, 5)), is_free, (0, 0), (0, 4), 1.0, 1.0)
-    value, by_layer = jax.value_and_grad(planned_cost(problem, EXACT))(jnp.ones((1, 3, 5)), jnp.ones(2, jnp.float32))
+    value, by_layer = jax.value_and_grad(planned_cost(problem, EXACT))(
+        jnp.ones((1, 3, 5)), jnp.ones(2, jnp.float32)
+    )
     assert value == np.inf
     assert not by_layer.any()
 
@@ -81,7 +87,11 @@ def test_a_large_program_of_doubles_loses_no_digit_on_its_way_to_the_planner():
     problem = make("line", shape=(150, 160))
     with jax.enable_x64(True):
         cost = planned_cost(problem, EXACT)
-        grown = jax.jit(jax.value_and_grad(lambda layers: cost(jnp.sin(layers) + 1, jnp.array([0.1, 1.0, 1.0]))))
+        grown = jax.jit(
+            jax.value_and_grad(lambda layers: cost(jnp.sin(layers) + 1, jnp.array([0.1, 1.0, 1.0])))
+        )
         value, slope = grown(jnp.asarray(problem.costs))
     assert (value.dtype, slope.dtype) == (np.float64, np.float64)
-    np.testing.assert_allclose(value, EXACT(problem.with_costs(np.sin(problem.costs) + 1, 0.1)).cost, rtol=1e-13)
+    np.testing.assert_allclose(
+        value, EXACT(problem.with_costs(np.sin(problem.costs) + 1, 0.1)).cost, rtol=1e-13
+    )

@@ -11,14 +11,33 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND
 from jaxurban.planners import bulk, grid_search, registry
-from jaxurban.planners.astar import ADMISSIBLE, VOLUME_HEURISTICS, astar, cost_to_go, heuristic_at, make_heuristic
+from jaxurban.planners.astar import (
+    ADMISSIBLE,
+    VOLUME_HEURISTICS,
+    astar,
+    cost_to_go,
+    heuristic_at,
+    make_heuristic,
+)
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.bulk import solve_by_frontier
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.grid_search import NO_HEURISTIC, GridSearch, cell_of, graph_of
-from jaxurban.planners.registry import FEW_QUERIES, FEW_TO_ONE_GOAL, GPU_BATCH, choose_heuristics, solve_many
+from jaxurban.planners.registry import (
+    FEW_QUERIES,
+    FEW_TO_ONE_GOAL,
+    GPU_BATCH,
+    choose_heuristics,
+    solve_many,
+)
 from tests.movingai import GridProblem, read_map, read_scenarios
-from tests.planners.problems import assert_optimal, costs_to_goal, edges_of, random_problem, random_queries
+from tests.planners.problems import (
+    assert_optimal,
+    costs_to_goal,
+    edges_of,
+    random_problem,
+    random_queries,
+)
 
 SHAPE = (21, 34)
 SEEDS = st.integers(0, 10**6)
@@ -27,37 +46,59 @@ SEEDS = st.integers(0, 10**6)
 @pytest.mark.parametrize("shape", [(13, 17), (8, 2), (1, 50), (43, 61), (4, 5, 6), (1, 9, 11)])
 @settings(max_examples=12)
 @given(seed=SEEDS, dtype=st.sampled_from([np.float32, np.float64]))
-def test_bounds_are_admissible_and_consistent_and_paths_cost_what_dijkstra_finds(shape, seed, dtype):
+def test_bounds_are_admissible_and_consistent_and_paths_cost_what_dijkstra_finds(
+    shape, seed, dtype
+):
     problem = random_problem(seed, shape, dtype)
     edges = edges_of(problem)
-    to_go, steps, goal = costs_to_goal(problem, edges), edges.tocoo(), cell_of(problem, problem.goal)
+    to_go, steps, goal = (
+        costs_to_goal(problem, edges),
+        edges.tocoo(),
+        cell_of(problem, problem.goal),
+    )
     slack = 1e-12 * to_go.max(where=np.isfinite(to_go), initial=0.0)
     for name in ADMISSIBLE if problem.levels_m is None else VOLUME_HEURISTICS:
         bound = make_heuristic(name, problem)
-        h = np.array([heuristic_at(bound, cell_of(problem, node), goal) for node in np.ndindex(shape)])
+        h = np.array(
+            [heuristic_at(bound, cell_of(problem, node), goal) for node in np.ndindex(shape)]
+        )
         assert (h <= to_go.ravel() + slack)[problem.is_free.ravel()].all()
-        rounding = 1e-12 * h.max(where=np.isfinite(h), initial=0.0)  # also of cells that no way joins to the goal
+        rounding = 1e-12 * h.max(
+            where=np.isfinite(h), initial=0.0
+        )  # also of cells that no way joins to the goal
         assert (h[steps.row] <= steps.data + h[steps.col] + rounding).all()
         if name == "exact":
-            np.testing.assert_allclose(h.reshape(shape)[problem.is_free], to_go[problem.is_free], atol=slack + 1e-12)
+            np.testing.assert_allclose(
+                h.reshape(shape)[problem.is_free], to_go[problem.is_free], atol=slack + 1e-12
+            )
         path = astar(problem, heuristic=name)
         assert_optimal(path, problem, to_go[problem.start])
         assert path.heuristic == name
 
 
 @settings(max_examples=20)
-@given(seed=SEEDS, reopen=st.booleans(), left_there=st.sampled_from([0.0, -1.0, np.nan, np.inf, 5e-324]))
+@given(
+    seed=SEEDS,
+    reopen=st.booleans(),
+    left_there=st.sampled_from([0.0, -1.0, np.nan, np.inf, 5e-324]),
+)
 def test_costs_to_all_cells_are_dijkstras_whatever_the_memory_held(seed, reopen, left_there):
     problem = random_problem(seed, (41, 53))
     search = GridSearch(graph_of(problem), NO_HEURISTIC, problem.start, None)
     search._g[search._state == 0] = left_there
     assert search.run(reopen=reopen) == EXHAUSTED
-    expected = dijkstra(edges_of(problem), indices=np.ravel_multi_index(problem.start, problem.is_free.shape))
+    expected = dijkstra(
+        edges_of(problem), indices=np.ravel_multi_index(problem.start, problem.is_free.shape)
+    )
     np.testing.assert_allclose(search.costs_from_start(), expected, rtol=1e-12, atol=1e-12)
 
 
 def test_a_search_that_ends_early_knows_no_way_to_what_it_has_not_come_to():
-    problem = random_problem(0, (41, 53), share_free=1.0).with_weights([0.3, 1, 1, 1]).between((1, 1), (2, 2))
+    problem = (
+        random_problem(0, (41, 53), share_free=1.0)
+        .with_weights([0.3, 1, 1, 1])
+        .between((1, 1), (2, 2))
+    )
     search = GridSearch(graph_of(problem), NO_HEURISTIC, problem.start, problem.goal)
     assert search.run() == FOUND
     costs = search.costs_from_start()
@@ -70,7 +111,9 @@ def test_a_map_without_layers_is_searched_by_length_alone():
     assert astar(problem).cost == 6.0
 
 
-@pytest.mark.parametrize(("cost_model", "map_cost"), [("cell", 2.0 + 3.0), ("line", (30 * 1.5 + 60 * 2.5) / 4)])
+@pytest.mark.parametrize(
+    ("cost_model", "map_cost"), [("cell", 2.0 + 3.0), ("line", (30 * 1.5 + 60 * 2.5) / 4)]
+)
 def test_a_climb_on_the_spot_pays_its_height_and_the_nodes_it_enters(cost_model, map_cost):
     cost, levels_m = np.array([1.0, 2.0, 3.0])[None, :, None, None], [10.0, 40.0, 100.0]
     free, model = np.ones((3, 1, 1), bool), CostModel(cost_model, 4.0)
@@ -116,9 +159,14 @@ def test_chunks_and_a_growing_queue_change_nothing(monkeypatch):
 
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_costs_orders_of_magnitude_apart_are_taken_in_their_order(cost_model):
-    layers, free = 10 ** np.random.default_rng(6).uniform(-6, 9, (1, 12, 60)), np.ones((12, 60), bool)
+    layers, free = (
+        10 ** np.random.default_rng(6).uniform(-6, 9, (1, 12, 60)),
+        np.ones((12, 60), bool),
+    )
     for distance_weight in (0.0, 1e-3, 1e6):
-        problem = Problem(layers, free, (1, 2), (10, 55), 2.0, distance_weight, CostModel(cost_model, 3.0))
+        problem = Problem(
+            layers, free, (1, 2), (10, 55), 2.0, distance_weight, CostModel(cost_model, 3.0)
+        )
         optimum = costs_to_goal(problem)[problem.start]
         for name in ("none", "octile", "tiles"):
             path = astar(problem, heuristic=name)
@@ -130,7 +178,9 @@ def test_costs_orders_of_magnitude_apart_are_taken_in_their_order(cost_model):
 def test_a_spent_budget_leaves_a_lower_bound_and_no_path(monkeypatch, shape):
     problem = random_problem(4, shape, share_free=1.0, kind="cell", connectivity=8)
     weights = np.where(problem.weights == 0, 0.3, problem.weights)
-    problem = problem.with_weights(weights).between((0,) * len(shape), tuple(size - 1 for size in shape))
+    problem = problem.with_weights(weights).between(
+        (0,) * len(shape), tuple(size - 1 for size in shape)
+    )
     optimum = astar(problem, heuristic="octile").cost
     monkeypatch.setattr(grid_search, "CHUNK", 50)
     for name in ADMISSIBLE if problem.levels_m is None else VOLUME_HEURISTICS:
@@ -138,9 +188,14 @@ def test_a_spent_budget_leaves_a_lower_bound_and_no_path(monkeypatch, shape):
         path = astar(problem, heuristic=name, budget_s=1e-9)
         assert (path.status, path.num_expanded, len(path.points_m)) == (Status.BUDGET_EMPTY, 50, 0)
         # The exact costs to go are added up from the other end.
-        assert 0 <= path.lower_bound <= (np.nextafter(optimum, np.inf) if name == "exact" else optimum)
+        assert (
+            0 <= path.lower_bound <= (np.nextafter(optimum, np.inf) if name == "exact" else optimum)
+        )
     path = astar(problem, heuristic="octile", budget_s=1e-9)
-    assert path.lower_bound > (shape[-1] - 1) * np.sqrt(2) * problem.distance_weight * problem.resolution_m
+    assert (
+        path.lower_bound
+        > (shape[-1] - 1) * np.sqrt(2) * problem.distance_weight * problem.resolution_m
+    )
 
 
 def mixed_batch():
@@ -149,7 +204,10 @@ def mixed_batch():
     court[4:7, 4:7] = False
     court[5, 5] = True
     free = Problem(np.zeros((1, *SHAPE)), court, (0, 0), (0, 0), 1.0, 0.0)
-    corridor, last = np.ones(SHAPE, bool), (SHAPE[0] - 1, SHAPE[1] - 1)  # a cell wide, to and fro over the whole map
+    corridor, last = (
+        np.ones(SHAPE, bool),
+        (SHAPE[0] - 1, SHAPE[1] - 1),
+    )  # a cell wide, to and fro over the whole map
     corridor[1::2] = False
     corridor[1::4, -1] = corridor[3::4, 0] = True
     along = Problem(np.zeros((1, *SHAPE)), corridor, (0, 0), last, 1.0, 1.0)
@@ -166,7 +224,9 @@ BANDS = [0.0, 1.0, bulk.BAND_STEPS, np.inf]
 
 
 @pytest.mark.parametrize("band_steps", [None, *BANDS])
-def test_many_maps_at_once_are_solved_exactly_by_numba_and_by_the_frontier_with_every_band(band_steps):
+def test_many_maps_at_once_are_solved_exactly_by_numba_and_by_the_frontier_with_every_band(
+    band_steps,
+):
     problems = mixed_batch()
     if band_steps is None:
         paths = dict(solve_many(problems, backend="numba"))
@@ -176,18 +236,27 @@ def test_many_maps_at_once_are_solved_exactly_by_numba_and_by_the_frontier_with_
     for index, problem in enumerate(problems):
         assert_optimal(paths[index], problem)
         assert paths[index].backend == ("numba" if band_steps is None else "jax")
-        assert cost_to_go(problem)[problem.start] == pytest.approx(paths[index].cost, rel=1e-11, abs=1e-12)
+        assert cost_to_go(problem)[problem.start] == pytest.approx(
+            paths[index].cost, rel=1e-11, abs=1e-12
+        )
     assert paths[0].status is Status.NO_PATH
     assert "costs nothing" in paths[2].note
-    assert [paths[k].cost for k in (3, 4)] == [problems[3].is_free.sum() - 1] * 2  # every cell of the corridor once
+    assert [paths[k].cost for k in (3, 4)] == [
+        problems[3].is_free.sum() - 1
+    ] * 2  # every cell of the corridor once
 
 
 @pytest.mark.parametrize("backend", ["numba", "jax"])
-def test_queries_to_one_goal_share_its_field_under_each_weights_and_the_others_are_searched(backend):
+def test_queries_to_one_goal_share_its_field_under_each_weights_and_the_others_are_searched(
+    backend,
+):
     first, queries, others = random_problem(0, SHAPE), [], mixed_batch()
     for problem in (first, first.with_weights(first.weights * [1.0, 5.0, 0.2, 1.0])):
         for goal in [query.goal for query in random_queries(problem, 2, 4)]:
-            queries += [query.between(query.start, goal) for query in random_queries(problem, FEW_TO_ONE_GOAL)]
+            queries += [
+                query.between(query.start, goal)
+                for query in random_queries(problem, FEW_TO_ONE_GOAL)
+            ]
     paths = dict(solve_many(queries + others, backend=backend))
     for index, query in enumerate(queries + others):
         is_walked = index < len(queries)
@@ -200,14 +269,19 @@ def test_queries_to_one_goal_share_its_field_under_each_weights_and_the_others_a
 def test_what_is_chosen_depends_on_all_queries_and_not_on_those_that_are_left():
     problem = random_problem(2, SHAPE)
     queries = random_queries(problem, FEW_QUERIES + 1)
-    queries += [query.between(query.start, queries[0].start) for query in random_queries(problem, FEW_TO_ONE_GOAL)]
+    queries += [
+        query.between(query.start, queries[0].start)
+        for query in random_queries(problem, FEW_TO_ONE_GOAL)
+    ]
     whole = dict(solve_many(queries, num_threads=1))
     names = [whole[k].heuristic for k in range(len(queries))]
     assert names == choose_heuristics(queries, "astar-plus", None, np.inf)
     assert names == ["landmarks"] * (FEW_QUERIES + 1) + ["exact"] * FEW_TO_ONE_GOAL
     only = [3, FEW_QUERIES + 4]
     fresh = problem.with_weights(problem.weights)
-    rest = dict(solve_many([fresh.between(q.start, q.goal) for q in queries], only=only, num_threads=2))
+    rest = dict(
+        solve_many([fresh.between(q.start, q.goal) for q in queries], only=only, num_threads=2)
+    )
     assert sorted(rest) == only
     for k in only:
         assert rest[k].heuristic == names[k]
@@ -225,7 +299,9 @@ def test_without_a_gpu_numba_is_chosen_and_every_planner_runs_on_it():
         assert {(path.planner, path.backend) for path in paths.values()} == {(planner, backend)}
 
 
-def test_a_crash_takes_the_place_of_its_path_and_no_search_begins_after_the_iterator_is_closed(monkeypatch):
+def test_a_crash_takes_the_place_of_its_path_and_no_search_begins_after_the_iterator_is_closed(
+    monkeypatch,
+):
     queries, begun = random_queries(random_problem(1, SHAPE), 100), []
 
     def search(problem, *, budget_s, seed):
@@ -237,7 +313,9 @@ def test_a_crash_takes_the_place_of_its_path_and_no_search_begins_after_the_iter
     monkeypatch.setattr(registry, "find_planner", lambda name, heuristic: search)
     outcomes = dict(solve_many(queries[:6], planner="astar-dist"))
     assert isinstance(outcomes.pop(2), ZeroDivisionError)
-    assert all(outcomes[index].status in (Status.OPTIMAL, Status.NO_PATH) for index in (0, 1, 3, 4, 5))
+    assert all(
+        outcomes[index].status in (Status.OPTIMAL, Status.NO_PATH) for index in (0, 1, 3, 4, 5)
+    )
     begun.clear()
     closed = solve_many(queries, planner="astar-dist", num_threads=1)
     next(closed)
@@ -266,15 +344,21 @@ SLOWER = [("numba", None, 1), ("numba", "landmarks", 1), ("numba", "exact", 5), 
     ("backend", "heuristic", "every"),
     [("numba", "octile", 1), *(pytest.param(*row, marks=pytest.mark.slow) for row in SLOWER)],
 )
-@pytest.mark.parametrize("name", [pytest.param("NewYork_0_512", marks=pytest.mark.slow), "Berlin_0_256"])
-def test_the_published_lengths_of_movingai_are_reproduced(data_dir, name, backend, heuristic, every):
+@pytest.mark.parametrize(
+    "name", [pytest.param("NewYork_0_512", marks=pytest.mark.slow), "Berlin_0_256"]
+)
+def test_the_published_lengths_of_movingai_are_reproduced(
+    data_dir, name, backend, heuristic, every
+):
     is_free = read_map(data_dir / "movingai" / f"{name}.map")
     queries = read_scenarios(data_dir / "movingai" / f"{name}.map.scen")
     sizes = {"NewYork_0_512": ((512, 512), 1790), "Berlin_0_256": ((256, 256), 930)}
     assert (is_free.shape, len(queries)) == sizes[name]
     if name == "Berlin_0_256":
         assert queries[0] == GridProblem((255 - 165, 248), (255 - 164, 249), 2.0)
-    on_map = Problem(np.zeros((1, *is_free.shape)), is_free, queries[0].start, queries[0].goal, 1.0, 1.0)
+    on_map = Problem(
+        np.zeros((1, *is_free.shape)), is_free, queries[0].start, queries[0].goal, 1.0, 1.0
+    )
     problems = [on_map.between(query.start, query.goal) for query in queries[::every]]
     for index, path in solve_many(problems, backend=backend, heuristic=heuristic):
         assert path.status is Status.OPTIMAL

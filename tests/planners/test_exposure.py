@@ -26,7 +26,9 @@ def made(seed, shape, connectivity):
     """A map with obstacles whose exposures are whole numbers from 0 to 3 for each step over two cells' halves."""
     rng = np.random.default_rng(seed)
     is_free = rng.random(shape) < 0.85
-    costs = np.array([rng.integers(0, 4, shape), rng.random(shape) * 4, rng.integers(0, 3, shape)], np.float64)
+    costs = np.array(
+        [rng.integers(0, 4, shape), rng.random(shape) * 4, rng.integers(0, 3, shape)], np.float64
+    )
     model = CostModel("line", 2.0, connectivity)
     return Problem(costs, is_free, *random_cells(rng, is_free), 2.0, [0.3, 0.0, 0.2, 0.0], model)
 
@@ -46,8 +48,12 @@ def cheapest_by_exposure(problem):
         (here, there), to = (index[fits] for index in cost.coords), (spent + halves)[fits]
         parts.append((cost.data[fits], spent * num + here, to * num + there))
     data, here, there = (np.concatenate(part) for part in zip(*parts, strict=True))
-    start, goal = (np.ravel_multi_index(cell, problem.is_free.shape) for cell in (problem.start, problem.goal))
-    found = dijkstra(coo_array((data, (here, there)), (num * (most + 1),) * 2).tocsr(), indices=start)
+    start, goal = (
+        np.ravel_multi_index(cell, problem.is_free.shape) for cell in (problem.start, problem.goal)
+    )
+    found = dijkstra(
+        coo_array((data, (here, there)), (num * (most + 1),) * 2).tocsr(), indices=start
+    )
     return np.minimum.accumulate(found.reshape(most + 1, num)[:, goal])
 
 
@@ -68,7 +74,10 @@ def check(seed, shape=(40, 40)):
         assert path.lower_bound <= optimum[halves] * (1 + 1e-9)
         assert path.cost >= optimum[halves] * (1 - 1e-9)
         assert path.gap == pytest.approx(path.cost / path.lower_bound - 1, abs=1e-12)
-        assert (path.cost, path.status) == (pytest.approx(optimum[halves], rel=1e-9), Status.OPTIMAL)
+        assert (path.cost, path.status) == (
+            pytest.approx(optimum[halves], rel=1e-9),
+            Status.OPTIMAL,
+        )
         assert problem.features(path.points_m).phi[1] <= halves / 2 * (1 + 1e-9)
         costs.append(path.cost)
     assert (np.diff(costs) <= 1e-9).all()  # a larger budget costs no more
@@ -86,8 +95,12 @@ def test_the_same_on_200_maps_of_40_by_40_cells():
 
 def labels(problem, layers):
     """Return ``[N, 1 + K]`` cost and exposures of all paths to the goal that no other one beats, without any bound."""
-    graphs = [edges_of(each).tocsr() for each in (problem, *(alone(problem, layer) for layer in layers))]
-    start, goal = (np.ravel_multi_index(cell, problem.is_free.shape) for cell in (problem.start, problem.goal))
+    graphs = [
+        edges_of(each).tocsr() for each in (problem, *(alone(problem, layer) for layer in layers))
+    ]
+    start, goal = (
+        np.ravel_multi_index(cell, problem.is_free.shape) for cell in (problem.start, problem.goal)
+    )
     nothing = np.zeros(len(graphs))
     kept, due = {start: [nothing]}, [(start, nothing)]
     while due:
@@ -95,7 +108,10 @@ def labels(problem, layers):
         if not any(spent is each for each in kept[here]):
             continue
         for there in graphs[0].indices[slice(*graphs[0].indptr[here : here + 2])]:
-            new, known = spent + [graph[here, there] for graph in graphs], kept.setdefault(there, [])
+            new, known = (
+                spent + [graph[here, there] for graph in graphs],
+                kept.setdefault(there, []),
+            )
             if not any((each <= new + 1e-12).all() for each in known):
                 kept[there] = [each for each in known if not (new <= each).all()] + [new]
                 due.append((there, new))
@@ -148,24 +164,38 @@ def test_exposures_too_small_for_the_solver_of_prices_are_kept_too():
     tiny = costs.copy()
     tiny[0] = np.where(is_tiny, 1e-44 * costs[0], 1 + costs[0])
     tiny, weights = problem.with_costs(tiny.astype(np.float32)), np.array([0.3, 0.0, 0.2, 0.0])
-    front = labels(replace(problem.with_costs(costs, weights), is_free=problem.is_free & is_tiny), (0, 2))
+    front = labels(
+        replace(problem.with_costs(costs, weights), is_free=problem.is_free & is_tiny), (0, 2)
+    )
     _, people, _, noise = tiny.features(astar_plus(tiny).points_m).phi
     for share in (0.6, 0.9):
         path = find(tiny, people=share * people, noise=0.9 * noise)
         is_within = (front[:, 1] <= share * people / ulps) & (front[:, 2] <= 0.9 * noise)
-        assert (path.status, path.cost) == (Status.OPTIMAL, pytest.approx(front[is_within, 0].min(), rel=1e-6))
+        assert (path.status, path.cost) == (
+            Status.OPTIMAL,
+            pytest.approx(front[is_within, 0].min(), rel=1e-6),
+        )
 
 
-@pytest.mark.parametrize(("most", "a_second", "status"), [(0, 1e6, "undecided"), (9, 0, "budget-empty")])
-def test_a_method_that_ends_without_a_verdict_asks_for_no_more_seconds(monkeypatch, most, a_second, status):
+@pytest.mark.parametrize(
+    ("most", "a_second", "status"), [(0, 1e6, "undecided"), (9, 0, "budget-empty")]
+)
+def test_a_method_that_ends_without_a_verdict_asks_for_no_more_seconds(
+    monkeypatch, most, a_second, status
+):
     monkeypatch.setattr(exposure, "MOST_LABELS", most)
     monkeypatch.setattr(exposure, "LABELS_PER_S", a_second)
     problem = made(1, (6, 7), 8)
     front = labels(problem, (0, 2))
     people, noise = (front[:, 1:].min(axis=0) * (1 + 1e-9)).tolist()
-    path = exposure.within_budgets(problem, astar_plus, {"people": people, "noise": noise}, NAMES, budget_s=60, seed=0)
+    path = exposure.within_budgets(
+        problem, astar_plus, {"people": people, "noise": noise}, NAMES, budget_s=60, seed=0
+    )
     assert (path.status.value, path.status.exit_code) == (status, 4)
-    assert ("budget_s" in path.note, "more time changes nothing" in path.sentence) == (a_second == 0, a_second > 0)
+    assert ("budget_s" in path.note, "more time changes nothing" in path.sentence) == (
+        a_second == 0,
+        a_second > 0,
+    )
     assert path.lower_bound <= path.cost == np.inf
 
 
@@ -186,7 +216,10 @@ def made_to_choose():
     """Return a map whose cheapest path is not the least exposed one, the least exposure and that of the cheapest."""
     problem = made(0, (20, 24), 8)
     for seed in range(1, 50):
-        least, first = astar_plus(alone(problem, 0)).cost, problem.features(astar_plus(problem).points_m).phi[1]
+        least, first = (
+            astar_plus(alone(problem, 0)).cost,
+            problem.features(astar_plus(problem).points_m).phi[1],
+        )
         if 1 < least < 0.9 * first < np.inf:
             return problem, least, first
         problem = made(seed, (20, 24), 8)
@@ -197,9 +230,15 @@ def made_to_choose():
 def test_a_budget_beyond_all_paths_changes_neither_the_path_nor_the_least_exposures(most):
     problem, least, first = made_to_choose()
     other = astar_plus(alone(problem, 2)).cost
-    kept, only = find(problem, people=(least + first) / 2, noise=most), find(problem, people=(least + first) / 2)
+    kept, only = (
+        find(problem, people=(least + first) / 2, noise=most),
+        find(problem, people=(least + first) / 2),
+    )
     assert (kept.cost, kept.lower_bound) == (only.cost, only.lower_bound)
-    assert f"{least:.10g} to people, {other:.10g} to noise" in find(problem, people=0.5 * least, noise=most).note
+    assert (
+        f"{least:.10g} to people, {other:.10g} to noise"
+        in find(problem, people=0.5 * least, noise=most).note
+    )
 
 
 def test_compiling_takes_nothing_from_the_budget_of_seconds():

@@ -19,12 +19,18 @@ ALTITUDE_M = 20.0
 @pytest.fixture(scope="module")
 def maps(data_dir, tmp_path_factory) -> MetricMaps:
     scenario = {
-        "region": {"bounds": [-74.02, 40.70, -73.98, 40.73], "resolution_m": 5.0, "altitudes_m": [ALTITUDE_M]},
+        "region": {
+            "bounds": [-74.02, 40.70, -73.98, 40.73],
+            "resolution_m": 5.0,
+            "altitudes_m": [ALTITUDE_M],
+        },
         "buildings": {"source": str(OSM)},
         "gps": {"orbits": str(ORBITS), "times": ["2020-04-27T16:00:00Z"]},
         "population": {name: str(file) for name, file in CENSUS.items()},
     }
-    return run_scenario(Scenario.from_dict(scenario), tmp_path_factory.mktemp("lower-manhattan")).maps[5.0]
+    return run_scenario(
+        Scenario.from_dict(scenario), tmp_path_factory.mktemp("lower-manhattan")
+    ).maps[5.0]
 
 
 @pytest.mark.slow

@@ -25,7 +25,10 @@ def centre_m(row, col, resolution_m=5.0):
 STEPPED_INTO = {
     "neighbours": ([[7.5, 7.5], [12.5, 7.5], [17.5, 12.5]], [(1, 2), (2, 3)]),
     "a state every 5 m": ([[7.5, 7.5], [32.5, 7.5]], [(1, 2), (1, 3), (1, 4), (1, 5), (1, 6)]),
-    "a border, from the cell that it was reached through": ([[7.5, 7.5], [10, 7.5], [7.5, 9]], [(1, 1), (1, 1)]),
+    "a border, from the cell that it was reached through": (
+        [[7.5, 7.5], [10, 7.5], [7.5, 9]],
+        [(1, 1), (1, 1)],
+    ),
 }
 
 
@@ -71,17 +74,32 @@ def test_a_path_is_valid_where_every_crossed_cell_is_free(cost_model):
     def at(*points):
         return costed(np.array(points), layers, is_free, 5.0, 1.0, CostModel(cost_model))
 
-    assert np.isfinite(at(centre_m(1, 1), centre_m(2, 2)).total)  # touches the blocked cell at its corner
+    assert np.isfinite(
+        at(centre_m(1, 1), centre_m(2, 2)).total
+    )  # touches the blocked cell at its corner
     grazing = at([7.5, 7.5], [12.5, 12.6])
-    assert (grazing.is_valid, grazing.total, grazing.per_layer.tolist()) == (False, np.inf, [np.inf, np.inf])
+    assert (grazing.is_valid, grazing.total, grazing.per_layer.tolist()) == (
+        False,
+        np.inf,
+        [np.inf, np.inf],
+    )
     assert grazing.length_m == pytest.approx(np.hypot(5, 5.1))
     assert not at(centre_m(0, 0), [-1.0, 2.0]).is_valid
-    assert at(centre_m(0, 7), [39.0, 30.0]).is_valid  # ends on the map's northern border, from within
-    assert not at([36.0, 30.0], [39.0, 30.0]).is_valid  # runs along it, which the floor rule puts outside
+    assert at(
+        centre_m(0, 7), [39.0, 30.0]
+    ).is_valid  # ends on the map's northern border, from within
+    assert not at(
+        [36.0, 30.0], [39.0, 30.0]
+    ).is_valid  # runs along it, which the floor rule puts outside
     assert not at(centre_m(1, 5)).is_valid
     for points in ([centre_m(2, 2)], [centre_m(2, 2)] * 2):
         still = at(*points)
-        assert (still.is_valid, still.total, still.length_m, still.per_layer.tolist()) == (True, 0, 0, [0, 0])
+        assert (still.is_valid, still.total, still.length_m, still.per_layer.tolist()) == (
+            True,
+            0,
+            0,
+            [0, 0],
+        )
 
 
 def test_a_diagonal_wall_through_all_levels_closes_a_volume_and_a_path_through_it_costs_infinity():
@@ -90,7 +108,9 @@ def test_a_diagonal_wall_through_all_levels_closes_a_volume_and_a_path_through_i
     def problem(diagonal, upper=wall):
         is_free, model = np.stack([wall, upper]), CostModel(diagonal=diagonal)
         weights = [1.0, 1.0, 0.0, 0.0]
-        return Problem(np.ones((1, 2, 9, 9)), is_free, (0, 6, 3), (0, 3, 6), 5.0, weights, model, [20.0, 30.0])
+        return Problem(
+            np.ones((1, 2, 9, 9)), is_free, (0, 6, 3), (0, 3, 6), 5.0, weights, model, [20.0, 30.0]
+        )
 
     assert volume_astar(problem("both-free")).status is Status.NO_PATH
     through = volume_astar(problem("always"))
@@ -125,9 +145,13 @@ def segments_by_corners(seed):
     along[is_any] = np.stack([np.cos(angle), np.sin(angle)], axis=1)[is_any]
     offset = rng.choice(OFFSETS, NUM_SEGMENTS) * rng.choice([-1, 1], NUM_SEGMENTS)
     corner += offset[:, None] * rng.choice([(1.0, 0.0), (0.0, 1.0), (0.6, -0.8)], NUM_SEGMENTS)
-    ends = np.stack([corner - rng.uniform(0.05, 0.8, (NUM_SEGMENTS, 1)) * along, corner + 0.37 * along], axis=1)
+    ends = np.stack(
+        [corner - rng.uniform(0.05, 0.8, (NUM_SEGMENTS, 1)) * along, corner + 0.37 * along], axis=1
+    )
     ends[::2, 1] = corner[::2] + rng.uniform(0.05, 1.4, (len(corner[::2]), 1)) * along[::2]
-    ends[:100] = rng.integers(0, 10, (100, 2, 2)) + 0.5  # between centres, off the map, and of no length
+    ends[:100] = (
+        rng.integers(0, 10, (100, 2, 2)) + 0.5
+    )  # between centres, off the map, and of no length
     ends[:10, 1] += rng.choice([-60.0, 60.0], (10, 2))
     ends[10:20] = np.argwhere(pinched_map(seed))[:10, None, ::-1] + 0.5
     ends[100:200] = rng.uniform(0, 1, (100, 2, 2)) * SHAPE[::-1]
@@ -138,14 +162,19 @@ def segments_by_corners(seed):
 def by_evaluation(seed, cost_model, diagonal):
     """What the evaluation of paths says that segments by corners cost."""
     is_free, layers = pinched_map(seed), np.random.default_rng(seed).random((1, *SHAPE))
-    start, model = tuple(map(int, np.argwhere(is_free)[0])), CostModel(cost_model, 1.0, diagonal=diagonal)
+    start, model = (
+        tuple(map(int, np.argwhere(is_free)[0])),
+        CostModel(cost_model, 1.0, diagonal=diagonal),
+    )
     problem = Problem(layers, is_free, start, start, 1.0, 0.3, model)
     return np.array([problem.cost_of(ends) for ends in segments_by_corners(seed)])
 
 
 def bulk_costs(cell_cost, segments, is_line, passes_corners):
     with jax.enable_x64(True):
-        return segment_costs(cell_cost, segments[:, 0], segments[:, 1], 0.3, is_line, passes_corners)
+        return segment_costs(
+            cell_cost, segments[:, 0], segments[:, 1], 0.3, is_line, passes_corners
+        )
 
 
 def compiled_costs(cell_cost, segments, is_line, passes_corners):
@@ -168,7 +197,9 @@ def test_every_walker_finds_the_way_free_where_the_evaluation_does(walk, cost_mo
         cell_cost = np.where(pinched_map(seed), np.random.default_rng(seed).random(SHAPE), np.inf)
         found = walk(cell_cost, segments, cost_model == "line", diagonal == "always")
         np.testing.assert_allclose(found, expected, rtol=1e-9)
-        num_pinched += (np.isinf(expected) & np.isfinite(by_evaluation(seed, cost_model, "always"))).sum()
+        num_pinched += (
+            np.isinf(expected) & np.isfinite(by_evaluation(seed, cost_model, "always"))
+        ).sum()
         assert 0.05 * NUM_SEGMENTS < np.isfinite(expected).sum() < 0.9 * NUM_SEGMENTS
     assert num_pinched > (100 if diagonal == "both-free" else -1)
 
@@ -184,7 +215,9 @@ def test_a_segment_with_an_end_on_a_border_is_never_taken_where_the_evaluation_f
             costs = [segment_cost(cost_grid, *a, *b, np.inf) for a, b in itertools.pairwise(points)]
             if np.isfinite(costs).all():
                 taken += 1
-                assert costed(points, np.zeros((1, *SHAPE)), is_free, 1.0, 1.0, CostModel()).is_valid
+                assert costed(
+                    points, np.zeros((1, *SHAPE)), is_free, 1.0, 1.0, CostModel()
+                ).is_valid
     assert taken > 100
 
 
@@ -198,4 +231,6 @@ def test_long_segments_cost_in_bulk_what_they_do_in_the_compiled_search():
     for is_line in (True, False):
         expected = compiled_costs(cell_cost, segments, is_line, False)
         assert 40 < np.isfinite(expected).sum() < 200
-        np.testing.assert_allclose(bulk_costs(cell_cost, segments, is_line, False), expected, rtol=1e-12)
+        np.testing.assert_allclose(
+            bulk_costs(cell_cost, segments, is_line, False), expected, rtol=1e-12
+        )

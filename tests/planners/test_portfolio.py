@@ -16,25 +16,40 @@ from jaxurban.planners.registry import PLANNERS
 from jaxurban.planners.simplify import CLEAR_M, simplify
 from tests.free_space import Obstacles
 
-OCTILE = np.sqrt(4 - 2 * np.sqrt(2)) - 1  # 8.24 %: paths of eight directions, at 22.5 degrees between two of them
+OCTILE = (
+    np.sqrt(4 - 2 * np.sqrt(2)) - 1
+)  # 8.24 %: paths of eight directions, at 22.5 degrees between two of them
 EXACT = 1e-9
 # How much longer than the straight line a planner's path may be on an empty map; BIT*'s first batch is that line.
 DISCRETISATION = {name: OCTILE if name.startswith("astar") else EXACT for name in PLANNERS}
 LINE_ONLY = ("theta-star",)  # refuses the `cell` model on maps with costs
 SIDE_M = 5.0
 HALF_ROUNDING_M = 0.0079  # of the seventh decimal of a degree, at the equator, in both coordinates
-RUNS = [(name, model) for name in PLANNERS for model in ("cell", "line") if model == "line" or name not in LINE_ONLY]
+RUNS = [
+    (name, model)
+    for name in PLANNERS
+    for model in ("cell", "line")
+    if model == "line" or name not in LINE_ONLY
+]
 
 
 def run(name: str, problem: Problem, seed: int = 0, num_samples: int = 300, **options) -> Path:
     """The planner's answer; samplers end after so many samples, so that every run repeats."""
-    options |= {"budget_s": np.inf, "max_samples": num_samples} if name.startswith("bitstar") else {"budget_s": 60.0}
+    options |= (
+        {"budget_s": np.inf, "max_samples": num_samples}
+        if name.startswith("bitstar")
+        else {"budget_s": 60.0}
+    )
     return PLANNERS[name].run(problem, seed=seed, **options)
 
 
-def problem_on(is_free, start, goal, layers=None, model="line", distance_weight=1.0, **options) -> Problem:
+def problem_on(
+    is_free, start, goal, layers=None, model="line", distance_weight=1.0, **options
+) -> Problem:
     layers = np.zeros((1, *is_free.shape)) if layers is None else layers
-    return Problem(layers, is_free, start, goal, SIDE_M, distance_weight, CostModel(model, **options))
+    return Problem(
+        layers, is_free, start, goal, SIDE_M, distance_weight, CostModel(model, **options)
+    )
 
 
 @cache
@@ -75,7 +90,9 @@ def test_the_check_sees_a_cut_corner_and_one_between_two_obstacles_and_no_other_
     assert obstacles.crossed_m(np.array([[2.5, 2.5], [-1.5, 2.5]])) == pytest.approx(1.5)
 
 
-def check_simplified(problem: Problem, path: Path, obstacles: Obstacles, tolerance_m: float) -> bool:
+def check_simplified(
+    problem: Problem, path: Path, obstacles: Obstacles, tolerance_m: float
+) -> bool:
     """Whether it keeps clear of closed cells, after what must hold of a simplified path was asserted."""
     simple = simplify(problem, path, tolerance_m)
     assert simple.cost == problem.cost_of(simple.points_m) < np.inf
@@ -89,7 +106,9 @@ def check_simplified(problem: Problem, path: Path, obstacles: Obstacles, toleran
         return False
     assert not obstacles.is_near(simple.points_m, CLEAR_M * (1 - 1e-6))
     # Whichever way rounding moves each point, no leg enters a cell that is closed.
-    moved = np.random.default_rng(0).choice([-HALF_ROUNDING_M, HALF_ROUNDING_M], simple.points_m.shape)
+    moved = np.random.default_rng(0).choice(
+        [-HALF_ROUNDING_M, HALF_ROUNDING_M], simple.points_m.shape
+    )
     assert obstacles.crossed_m(simple.points_m + moved) == 0.0
     return True
 
@@ -102,7 +121,9 @@ def check_random_query(number: int) -> tuple[bool, bool]:
     start, goal = (tuple(int(v) for v in cell) for cell in rng.choice(np.argwhere(is_free), 2))
     weights, diagonal = rng.dirichlet(np.ones(3)), ("both-free", "always")[city // 2 % 2]
     layers = weights[1:, None, None] * layers
-    problem = problem_on(is_free, start, goal, layers, model, weights[0] / SIDE_M, diagonal=diagonal)
+    problem = problem_on(
+        is_free, start, goal, layers, model, weights[0] / SIDE_M, diagonal=diagonal
+    )
     islands, _ = label(is_free, np.ones((3, 3)) if diagonal == "always" else None)
     path = run(name, problem, seed=number)
     if not path.status.has_path:
@@ -120,7 +141,9 @@ def check_random_query(number: int) -> tuple[bool, bool]:
     for found in (path, refined):
         assert obstacles.crossed_m(found.points_m) < 1e-6
         assert diagonal == "always" or not obstacles.is_pinched(found.points_m)
-        np.testing.assert_allclose(found.points_m[[0, -1]], (np.array([start, goal])[:, ::-1] + 0.5) * SIDE_M)
+        np.testing.assert_allclose(
+            found.points_m[[0, -1]], (np.array([start, goal])[:, ::-1] + 0.5) * SIDE_M
+        )
         assert found.cost == problem.cost_of(found.points_m) < np.inf
         assert found.lower_bound <= found.cost
         is_clear = check_simplified(problem, found, obstacles, (0.3, 2.5)[number % 2])
@@ -136,7 +159,9 @@ def check_random_query(number: int) -> tuple[bool, bool]:
     return True, is_cheaper
 
 
-@pytest.mark.parametrize("num_queries", [10 * len(RUNS), pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "num_queries", [10 * len(RUNS), pytest.param(1000, marks=pytest.mark.slow)]
+)
 def test_paths_of_random_queries_refined_and_simplified_keep_to_free_cells_by_shapely(num_queries):
     num_found, num_cheaper = np.sum([check_random_query(k) for k in range(num_queries)], axis=0)
     assert num_found > 0.6 * num_queries
@@ -154,7 +179,10 @@ def test_an_empty_map_costs_the_straight_line_within_the_planners_discretisation
         if name in ("bitstar-dist", "bitstar-plus", "theta-star"):
             assert (path.status, len(path.points_m)) == (Status.OPTIMAL, 1 + (straight_m > 0))
             simple = simplify(problem, path, 1.0)
-            assert (simple.status, simple.points_m.tolist()) == (path.status, path.points_m.tolist())
+            assert (simple.status, simple.points_m.tolist()) == (
+                path.status,
+                path.points_m.tolist(),
+            )
         refined = refine(problem, path)
         assert refined.cost == pytest.approx(straight_m, rel=1e-9)
         assert name == "ptp" or refined.status is Status.OPTIMAL
@@ -166,7 +194,9 @@ def test_an_empty_map_costs_the_straight_line_within_the_planners_discretisation
 
 @pytest.mark.parametrize("name", PLANNERS)
 def test_even_costs_count_along_the_line_within_the_planners_discretisation(name):
-    problem = problem_on(np.ones((30, 40), bool), (2, 3), (14, 32), np.full((2, 30, 40), 0.4), distance_weight=0.1)
+    problem = problem_on(
+        np.ones((30, 40), bool), (2, 3), (14, 32), np.full((2, 30, 40), 0.4), distance_weight=0.1
+    )
     expected, path = SIDE_M * np.hypot(12, 29) * (0.1 + 0.8 / 5.0), run(name, problem)
     refined = refine(problem, path)
     assert refined.cost == pytest.approx(expected, rel=EXACT)
@@ -212,8 +242,13 @@ def test_a_goal_in_a_closed_court_is_not_reached(name, model):
         path = run(name, problem, **options)
         assert path.status is (Status.BLOCKED if name == "ptp" else Status.NO_PATH)
         assert (path.status.exit_code, path.cost, len(path.points_m)) == (3, np.inf, 0)
-    for altered in (simplify(problem, path, 1.0), path if model == "cell" else refine(problem, path)):
-        assert vars(altered) | {"setup_s": path.setup_s} == vars(path)  # the first one of a process compiles
+    for altered in (
+        simplify(problem, path, 1.0),
+        path if model == "cell" else refine(problem, path),
+    ):
+        assert vars(altered) | {"setup_s": path.setup_s} == vars(
+            path
+        )  # the first one of a process compiles
     assert run(name, problem.between((11, 11), (2, 2))).status.exit_code == 3
 
 
@@ -245,8 +280,13 @@ def test_a_corridor_of_corners_follows_the_diagonal_rule(name, diagonal):
         assert path.status is (Status.BLOCKED if name == "ptp" else Status.NO_PATH)
     else:  # the straight line touches obstacles at corners only
         assert path.cost == pytest.approx(SIDE_M * np.hypot(9, 9))
-    if not name.startswith("astar"):  # which round a corner by two steps: one obstacle is passed at its corner
-        one = run(name, problem_on(np.array([[True, False], [True, True]]), (0, 0), (1, 1), diagonal=diagonal))
+    if not name.startswith(
+        "astar"
+    ):  # which round a corner by two steps: one obstacle is passed at its corner
+        one = run(
+            name,
+            problem_on(np.array([[True, False], [True, True]]), (0, 0), (1, 1), diagonal=diagonal),
+        )
         assert one.cost == pytest.approx(SIDE_M * np.sqrt(2))
 
 
@@ -255,7 +295,10 @@ def test_neither_a_planner_nor_refinement_takes_a_short_cut_through_a_diagonal_w
     is_free = ~np.eye(9, dtype=bool)
     layers = np.random.default_rng(0).random((1, 9, 9))
     always = problem_on(is_free, (6, 3), (3, 6), layers, model, 0.1, diagonal="always")
-    through, closed = run(name, always), run(name, problem_on(is_free, (6, 3), (3, 6), layers, model, 0.1))
+    through, closed = (
+        run(name, always),
+        run(name, problem_on(is_free, (6, 3), (3, 6), layers, model, 0.1)),
+    )
     assert closed.status is (Status.BLOCKED if name == "ptp" else Status.NO_PATH)
     assert through.cost < np.inf
     if model == "cell":
@@ -298,7 +341,12 @@ def test_weights_of_zero_are_weights(name, model):
 @cache
 def large_problem() -> Problem:
     """Costs at random without obstacles, from corner to corner of so many cells that a search takes a while."""
-    return problem_on(np.ones((700, 700), bool), (5, 5), (690, 680), np.random.default_rng(0).random((1, 700, 700)))
+    return problem_on(
+        np.ones((700, 700), bool),
+        (5, 5),
+        (690, 680),
+        np.random.default_rng(0).random((1, 700, 700)),
+    )
 
 
 @pytest.mark.parametrize("name", [*PLANNERS, "refinement"])
@@ -322,7 +370,10 @@ def test_a_small_budget_is_heeded_on_a_large_map(name):
 def test_costs_never_rise_and_seeds_repeat(name, model):
     is_free, layers, _ = city_map(2)
     problem = problem_on(is_free, *ends_in_one_part(is_free, 5), layers, model, 0.1)
-    first, again = run(name, problem, seed=4, num_samples=1500), run(name, problem, seed=4, num_samples=1500)
+    first, again = (
+        run(name, problem, seed=4, num_samples=1500),
+        run(name, problem, seed=4, num_samples=1500),
+    )
     np.testing.assert_array_equal(first.points_m, again.points_m)
     assert (first.cost, first.num_expanded) == (again.cost, again.num_expanded)
     assert [entry[1:] for entry in first.history] == [entry[1:] for entry in again.history]

@@ -23,13 +23,21 @@ NO_COST = "costs must be finite and not negative on free cells"
 NO_PATH = "a path must be"
 
 
-def make(costs=LAYERS, is_free=FREE, start=(0, 0), goal=(0, 2), resolution_m=1.0, weights=1.0, **options):
+def make(
+    costs=LAYERS, is_free=FREE, start=(0, 0), goal=(0, 2), resolution_m=1.0, weights=1.0, **options
+):
     return Problem(costs, is_free, start, goal, resolution_m, weights, **options)
 
 
 def volume(**changed):
     layers, free = np.zeros((1, 2, 3, 3)), np.ones((2, 3, 3), bool)
-    sound = {"costs": layers, "is_free": free, "levels_m": [1.0, 2.0], "start": (0, 0, 0), "goal": (0, 2, 2)}
+    sound = {
+        "costs": layers,
+        "is_free": free,
+        "levels_m": [1.0, 2.0],
+        "start": (0, 0, 0),
+        "goal": (0, 2, 2),
+    }
     return make(**(sound | {"weights": [1.0, 1.0, 0.0, 0.0]} | changed))
 
 
@@ -50,7 +58,11 @@ def bit_star(**options):
 
 
 def batched(problem=None, **options):
-    return list(solve_batched([problem or wall()], planner="bitstar", heuristic="plus", max_samples=1, **options))
+    return list(
+        solve_batched(
+            [problem or wall()], planner="bitstar", heuristic="plus", max_samples=1, **options
+        )
+    )
 
 
 REFUSED = {
@@ -62,50 +74,140 @@ REFUSED = {
     "a goal in an obstacle": (lambda: make(goal=(1, 1)), "inside an obstacle"),
     "another goal in an obstacle": (lambda: make().between((0, 0), (1, 1)), "inside an obstacle"),
     "no resolution": (lambda: make(resolution_m=0.0), "resolution_m must be a positive"),
-    "a negative weight": (lambda: make(weights=-0.1), "weights must be 3 finite numbers that are not negative"),
+    "a negative weight": (
+        lambda: make(weights=-0.1),
+        "weights must be 3 finite numbers that are not negative",
+    ),
     "a weight of NaN": (lambda: make(weights=np.nan), "weights must be"),
     "an endless weight": (lambda: make(weights=np.inf), "weights must be"),
     "another negative weight": (lambda: make().with_weights([0.5, -1.0, 0.0]), "weights must be"),
-    "an unknown model": (lambda: make(cost_model="cells"), "kind must be 'cell' or 'line', got 'cells'"),
+    "an unknown model": (
+        lambda: make(cost_model="cells"),
+        "kind must be 'cell' or 'line', got 'cells'",
+    ),
     "NaN in a volume": (lambda: volume(costs=np.full((1, 2, 3, 3), np.nan)), NO_COST),
     "a negative climb": (lambda: volume(weights=[1.0, 1.0, -1.0, 0.0]), "weights must be"),
     "a descent of NaN": (lambda: volume(weights=[1.0, 1.0, 0.0, np.nan]), "weights must be"),
     "a start off the volume": (lambda: volume(start=(2, 0, 0)), "outside the volume"),
     "a closed volume": (lambda: volume(is_free=np.zeros((2, 3, 3), bool)), "inside an obstacle"),
-    "a model of settings": (lambda: model(cost_model="cells"), "cost_model must be 'cell' or 'line', got 'cells'"),
-    "a length of NaN": (lambda: model(reference_length_m=np.nan), "must be a positive number of metres, got nan"),
-    "a length in words": (lambda: model(reference_length_m="far"), "reference_length_m must be a number"),
+    "a model of settings": (
+        lambda: model(cost_model="cells"),
+        "cost_model must be 'cell' or 'line', got 'cells'",
+    ),
+    "a length of NaN": (
+        lambda: model(reference_length_m=np.nan),
+        "must be a positive number of metres, got nan",
+    ),
+    "a length in words": (
+        lambda: model(reference_length_m="far"),
+        "reference_length_m must be a number",
+    ),
     "26 neighbours": (lambda: model(connectivity=26), "connectivity must be 4 or 8"),
-    "a diagonal rule": (lambda: model(diagonal="never"), "diagonal must be 'both-free' or 'always'"),
-    "a planner's name": (lambda: find_planner("astar-pluss"), "unknown planner .* .did you mean 'astar-plus'"),
-    "a heuristic's name": (lambda: find_planner("astar-dist", "octil"), "no heuristic 'octil' .did you mean 'octile'"),
-    "a heuristic for none": (lambda: find_planner("ptp", "octile"), "takes no heuristic 'octile': leave it out"),
-    "A*'s heuristic": (lambda: astar(wall(), heuristic="plus-print"), "did you mean 'plus-printed'"),
-    "a volume's heuristic": (lambda: volume_astar(volume(), heuristic="octil"), "did you mean 'octile'"),
-    "theta*'s heuristic": (lambda: theta_star(wall(), heuristic="octile"), "'euclidean' or 'plus', got 'octile'"),
-    "BIT*'s heuristic": (lambda: bitstar(wall(), heuristic="pluss"), "got 'pluss' .did you mean 'plus'"),
-    "theta* by cells": (lambda: theta_star(wall(cost_model="cell")), "'theta-star' weighs .* cost_model='line'"),
-    "refinement by cells": (lambda: refine(wall(cost_model="cell"), astar(wall())), "weighs .* cost_model='line'"),
-    "refinement off the map": (lambda: refine(wall(), with_points([[0.5, 0.5], [9.0, 0.5]])), "leaves the map"),
-    "a path off free cells": (lambda: simplify(wall(), with_points([[0.5, 0.5], [1.5, 1.5]]), 1.0), "not free on this"),
-    "a tolerance of 0": (lambda: simplify(wall(), astar(wall()), 0), "tolerance_m must be a positive number of metres"),
+    "a diagonal rule": (
+        lambda: model(diagonal="never"),
+        "diagonal must be 'both-free' or 'always'",
+    ),
+    "a planner's name": (
+        lambda: find_planner("astar-pluss"),
+        "unknown planner .* .did you mean 'astar-plus'",
+    ),
+    "a heuristic's name": (
+        lambda: find_planner("astar-dist", "octil"),
+        "no heuristic 'octil' .did you mean 'octile'",
+    ),
+    "a heuristic for none": (
+        lambda: find_planner("ptp", "octile"),
+        "takes no heuristic 'octile': leave it out",
+    ),
+    "A*'s heuristic": (
+        lambda: astar(wall(), heuristic="plus-print"),
+        "did you mean 'plus-printed'",
+    ),
+    "a volume's heuristic": (
+        lambda: volume_astar(volume(), heuristic="octil"),
+        "did you mean 'octile'",
+    ),
+    "theta*'s heuristic": (
+        lambda: theta_star(wall(), heuristic="octile"),
+        "'euclidean' or 'plus', got 'octile'",
+    ),
+    "BIT*'s heuristic": (
+        lambda: bitstar(wall(), heuristic="pluss"),
+        "got 'pluss' .did you mean 'plus'",
+    ),
+    "theta* by cells": (
+        lambda: theta_star(wall(cost_model="cell")),
+        "'theta-star' weighs .* cost_model='line'",
+    ),
+    "refinement by cells": (
+        lambda: refine(wall(cost_model="cell"), astar(wall())),
+        "weighs .* cost_model='line'",
+    ),
+    "refinement off the map": (
+        lambda: refine(wall(), with_points([[0.5, 0.5], [9.0, 0.5]])),
+        "leaves the map",
+    ),
+    "a path off free cells": (
+        lambda: simplify(wall(), with_points([[0.5, 0.5], [1.5, 1.5]]), 1.0),
+        "not free on this",
+    ),
+    "a tolerance of 0": (
+        lambda: simplify(wall(), astar(wall()), 0),
+        "tolerance_m must be a positive number of metres",
+    ),
     "a tolerance below 0": (lambda: simplify(wall(), astar(wall()), -1.0), "tolerance_m must be"),
     "a tolerance of NaN": (lambda: simplify(wall(), astar(wall()), np.nan), "tolerance_m must be"),
-    "a tolerance in words": (lambda: simplify(wall(), astar(wall()), "wide"), "tolerance_m must be"),
-    "a search without an end": (lambda: bitstar(wall(), budget_s=np.inf), "nothing else ends the search"),
-    "no batch": (lambda: bit_star(batch_samples=0), "batch_samples must be a whole number from 1 up, got 0"),
+    "a tolerance in words": (
+        lambda: simplify(wall(), astar(wall()), "wide"),
+        "tolerance_m must be",
+    ),
+    "a search without an end": (
+        lambda: bitstar(wall(), budget_s=np.inf),
+        "nothing else ends the search",
+    ),
+    "no batch": (
+        lambda: bit_star(batch_samples=0),
+        "batch_samples must be a whole number from 1 up, got 0",
+    ),
     "no radius": (lambda: bit_star(eta=np.nan), "eta must be a positive number, got nan"),
-    "batches that shrink": (lambda: bit_star(growth=-0.5), "growth must be a number >= 0, got -0.5"),
-    "a gain below 0": (lambda: bit_star(min_improvement=-1), "min_improvement must be a number >= 0, got -1"),
-    "samples below 0": (lambda: bitstar(wall(), max_samples=-1), "max_samples must be a whole number from 0 up"),
+    "batches that shrink": (
+        lambda: bit_star(growth=-0.5),
+        "growth must be a number >= 0, got -0.5",
+    ),
+    "a gain below 0": (
+        lambda: bit_star(min_improvement=-1),
+        "min_improvement must be a number >= 0, got -1",
+    ),
+    "samples below 0": (
+        lambda: bitstar(wall(), max_samples=-1),
+        "max_samples must be a whole number from 0 up",
+    ),
     "ptp in JAX": (lambda: solve_many([], planner="ptp", backend="jax"), "take backend='numba'"),
-    "landmarks in JAX": (lambda: solve_many([], heuristic="landmarks", backend="jax"), "take backend='numba'"),
-    "a backend": (lambda: solve_many([], backend="cuda"), "backend must be 'auto', 'numba' or 'jax', got 'cuda'"),
-    "no thread": (lambda: solve_many([], num_threads=0), "num_threads must be a whole number from 1 up"),
+    "landmarks in JAX": (
+        lambda: solve_many([], heuristic="landmarks", backend="jax"),
+        "take backend='numba'",
+    ),
+    "a backend": (
+        lambda: solve_many([], backend="cuda"),
+        "backend must be 'auto', 'numba' or 'jax', got 'cuda'",
+    ),
+    "no thread": (
+        lambda: solve_many([], num_threads=0),
+        "num_threads must be a whole number from 1 up",
+    ),
     "many by an unknown planner": (lambda: solve_many([], planner="astar"), "unknown planner"),
-    "many without an end": (lambda: solve_many([wall()], planner="bitstar-plus", backend="jax"), "nothing else ends"),
-    "seeds of others": (lambda: batched(seeds=[0, 1]), "seeds must be one for each of 1 problems, got 2"),
-    "a clearance in batches": (lambda: batched(wall(leg_margin_m=0.1), seeds=[0]), "tests no legs for this clearance"),
+    "many without an end": (
+        lambda: solve_many([wall()], planner="bitstar-plus", backend="jax"),
+        "nothing else ends",
+    ),
+    "seeds of others": (
+        lambda: batched(seeds=[0, 1]),
+        "seeds must be one for each of 1 problems, got 2",
+    ),
+    "a clearance in batches": (
+        lambda: batched(wall(leg_margin_m=0.1), seeds=[0]),
+        "tests no legs for this clearance",
+    ),
     "no points": (lambda: crossed_cells(np.empty(0), 1.0), NO_PATH),
     "a row of numbers": (lambda: crossed_cells(np.array([1.0, 2.0]), 1.0), NO_PATH),
     "points of four numbers": (lambda: crossed_cells(np.ones((1, 4)), 1.0), NO_PATH),

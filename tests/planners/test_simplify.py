@@ -68,7 +68,9 @@ def fewest_by_brute_force(is_free, xy, tolerance, margin):
     for j in range(1, len(xy)):
         for i in range(j):
             leg = LineString(xy[[i, j]])
-            if j > i + 1 and (distance(points(xy[i : j + 1]), leg).max() > tolerance or squares.intersects(leg)):
+            if j > i + 1 and (
+                distance(points(xy[i : j + 1]), leg).max() > tolerance or squares.intersects(leg)
+            ):
                 continue
             best[j] = min(best[j], (best[i][0] + 1, best[i][1] + leg.length**2))
     return best[-1]
@@ -85,7 +87,10 @@ def test_no_way_over_the_points_has_fewer_legs_or_more_even_ones(kind):
             xy = np.cumsum(np.vstack([[0, 0], np.eye(2)[rng.integers(0, 2, 30)]]), axis=0) + 2.5
         else:
             turn = np.linspace(0, 9, 40)
-            xy = 15 + np.stack([np.cos(turn), np.sin(turn)], axis=1) * np.linspace(0.2, 10, 40)[:, None]
+            xy = (
+                15
+                + np.stack([np.cos(turn), np.sin(turn)], axis=1) * np.linspace(0.2, 10, 40)[:, None]
+            )
         xy = np.clip(xy, 0.1, 29.9)
         tolerance = rng.uniform(0.2, 2.0)
         kept = fewest_legs(is_free, xy, tolerance, 0.01)
@@ -97,7 +102,9 @@ def test_no_way_over_the_points_has_fewer_legs_or_more_even_ones(kind):
 def test_a_path_that_grazes_corners_is_moved_off_them_by_no_more_than_the_tolerance():
     is_free = np.ones((20, 30), bool)
     is_free[:10, 10:15] = False  # the shortest way round runs through this block's corners
-    problem = Problem(np.zeros((1, 20, 30)), is_free, (5, 2), (5, 25), SIDE_M, 1.0, CostModel("line"))
+    problem = Problem(
+        np.zeros((1, 20, 30)), is_free, (5, 2), (5, 25), SIDE_M, 1.0, CostModel("line")
+    )
     grazing = np.array([[2.5, 5.5], [10.0, 10.0], [15.0, 10.0], [25.5, 5.5]]) * SIDE_M
     path = Path(Status.FEASIBLE, grazing, problem.cost_of(grazing), 0.0, 0, 0.0, "drawn")
     assert path.cost < np.inf
@@ -111,7 +118,9 @@ def test_a_path_that_grazes_corners_is_moved_off_them_by_no_more_than_the_tolera
 def test_a_step_between_two_obstacles_that_touch_stays_as_it_was_planned_and_is_told():
     is_free = np.ones((12, 12), bool)
     is_free[np.arange(12), 11 - np.arange(12)] = False
-    problem = Problem(np.zeros((1, 12, 12)), is_free, (1, 1), (10, 10), SIDE_M, 1.0, CostModel(diagonal="always"))
+    problem = Problem(
+        np.zeros((1, 12, 12)), is_free, (1, 1), (10, 10), SIDE_M, 1.0, CostModel(diagonal="always")
+    )
     path = find_planner("astar-dist")(problem, budget_s=10.0, seed=0)
     simple = simplify(problem, path, 2.0)
     assert simple.cost < np.inf
@@ -147,7 +156,9 @@ def test_through_a_volume_each_level_is_simplified_on_its_own_cells(kind):
         for (a, b), level_leg in zip(pairwise(simple.points_m), is_level, strict=True):
             if level_leg:
                 level = int(np.searchsorted(problem.levels_m, a[2]))
-                assert not Obstacles(problem.is_free[level], SIDE_M).is_near([a[:2], b[:2]], CLEAR_M * (1 - 1e-6))
+                assert not Obstacles(problem.is_free[level], SIDE_M).is_near(
+                    [a[:2], b[:2]], CLEAR_M * (1 - 1e-6)
+                )
         legs = [[*pairwise(found.points_m.tolist())] for found in (path, simple)]
         climbs, kept = ([(a, b) for a, b in of_one if a[2] != b[2]] for of_one in legs)
         assert kept == climbs
@@ -160,9 +171,13 @@ def test_a_leg_of_any_direction_costs_on_a_level_what_it_costs_on_one_altitude(k
     rng = np.random.default_rng(2)
     cost, is_free = rng.random((2, 20, 20)), rng.random((20, 20)) < 0.95
     model = CostModel(kind, 4.0)
-    flat = Problem(cost[1][None], is_free, *[tuple(np.argwhere(is_free)[0])] * 2, SIDE_M, 0.3, model)
+    flat = Problem(
+        cost[1][None], is_free, *[tuple(np.argwhere(is_free)[0])] * 2, SIDE_M, 0.3, model
+    )
     start, both = (1, *flat.start), np.stack([is_free] * 2)
-    stacked = Problem(cost[None], both, start, start, SIDE_M, [0.3, 1.0, 0.0, 0.0], model, [20.0, 50.0])
+    stacked = Problem(
+        cost[None], both, start, start, SIDE_M, [0.3, 1.0, 0.0, 0.0], model, [20.0, 50.0]
+    )
     num_valid = 0
     for _ in range(200):
         xy_m = rng.uniform(1, 99, (rng.integers(1, 5), 2))

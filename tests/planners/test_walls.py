@@ -26,20 +26,32 @@ COMPLETE = {"astar-dist", "astar-plus", "theta-star"}  # they find a path if the
 class Wall:
     """A wall of 50 m across the middle of a square region with costs made up, and start and goal on its two sides."""
 
-    def __init__(self, angle_deg: float, thickness_m: float, resolution_m: float, half_length: int) -> None:
+    def __init__(
+        self, angle_deg: float, thickness_m: float, resolution_m: float, half_length: int
+    ) -> None:
         maps = made_maps(SIDE, SIDE, (ALTITUDE_M, ABOVE_M), resolution_m)
         grid = maps.grid
-        offset = np.random.default_rng([round(10 * angle_deg), round(10 * thickness_m)]).uniform(0, 1, 2)
+        offset = np.random.default_rng([round(10 * angle_deg), round(10 * thickness_m)]).uniform(
+            0, 1, 2
+        )
         middle_m = np.array([grid.x_min_m, grid.y_min_m]) + (SIDE / 2 + offset) * resolution_m
-        along_m = resolution_m * np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])
-        axis = shapely.LineString([middle_m - half_length * along_m, middle_m + half_length * along_m])
+        along_m = resolution_m * np.array(
+            [np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))]
+        )
+        axis = shapely.LineString(
+            [middle_m - half_length * along_m, middle_m + half_length * along_m]
+        )
         self.outline = shapely.buffer(axis, thickness_m / 2, cap_style="flat")
         zero = np.zeros(1)
-        buildings = Footprints(np.array([self.outline]), zero + HEIGHT_M, zero, zero.astype(np.uint8), zero > 0)
+        buildings = Footprints(
+            np.array([self.outline]), zero + HEIGHT_M, zero, zero.astype(np.uint8), zero > 0
+        )
         roofs = rasterise(ju.City(grid.crs, grid.bounds_m, buildings), grid)
         obstacle = np.stack([roofs.roof_m >= z_m for z_m in maps.altitudes_m]).astype(np.uint8)
         layers = {"roof": roofs.roof_m, "roof_touched": roofs.roof_touched_m, "obstacle": obstacle}
-        self.maps = ju.MetricMaps(maps.ds.assign({name: (maps.ds[name].dims, m) for name, m in layers.items()}))
+        self.maps = ju.MetricMaps(
+            maps.ds.assign({name: (maps.ds[name].dims, m) for name, m in layers.items()})
+        )
         across_m = np.array([-along_m[1], along_m[0]])
         self.ends = ju.XY(*(middle_m - AWAY * across_m)), ju.XY(*(middle_m + AWAY * across_m))
 
@@ -80,14 +92,18 @@ def check_no_planner_enters(wall: Wall, is_open: bool) -> None:
 
 @pytest.mark.parametrize(("angle_deg", "kind"), [(22.5, "with a way round"), (67.5, "across all")])
 def test_no_planner_enters_a_wall(angle_deg, kind):
-    check_no_planner_enters(Wall(angle_deg, 4.5, 5.0, HALF_LENGTHS[kind]), kind == "with a way round")
+    check_no_planner_enters(
+        Wall(angle_deg, 4.5, 5.0, HALF_LENGTHS[kind]), kind == "with a way round"
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("turn", range(3))
 @pytest.mark.parametrize("angle_deg", ANGLES_DEG)
 def test_no_planner_enters_a_wall_of_any_angle_and_thickness(angle_deg, turn):
-    thickness_m = (4.5, 6.5, 8.0)[(turn + ANGLES_DEG.index(angle_deg)) % 3]  # each with every size of cells in turn
+    thickness_m = (4.5, 6.5, 8.0)[
+        (turn + ANGLES_DEG.index(angle_deg)) % 3
+    ]  # each with every size of cells in turn
     for kind, half_length in HALF_LENGTHS.items():
         wall = Wall(angle_deg, thickness_m, (2.0, 5.0, 10.0)[turn], half_length)
         check_no_planner_enters(wall, kind == "with a way round")

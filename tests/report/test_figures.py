@@ -48,15 +48,30 @@ def make_maps(rows=34, cols=40, resolution_m=100.0, has_all_data=True) -> Metric
     has_data = np.ones((rows, cols), bool)
     has_data[-3:, -5:] = has_all_data
     ds["has_data"] = ("y", "x"), has_data
-    ds = ds.assign({name: values.where(ds["has_data"]) for name, values in ds.items() if values.dtype.kind == "f"})
+    ds = ds.assign(
+        {
+            name: values.where(ds["has_data"])
+            for name, values in ds.items()
+            if values.dtype.kind == "f"
+        }
+    )
     ds["gps"].attrs["one_means"] = "GDOP of 1, the best possible"
-    first = {f"first_{name}": round(side_m / resolution_m) for name, side_m in (("row", 4_507_000), ("col", 583_000))}
+    first = {
+        f"first_{name}": round(side_m / resolution_m)
+        for name, side_m in (("row", 4_507_000), ("col", 583_000))
+    }
     return MetricMaps(ds.assign_attrs(first))
 
 
-def make_path(maps, planner, status=Status.OPTIMAL, altitude_m=20.0, time_of_day="day") -> PlannedPath:
+def make_path(
+    maps, planner, status=Status.OPTIMAL, altitude_m=20.0, time_of_day="day"
+) -> PlannedPath:
     grid = maps.grid
-    ends = np.array([[0.2, 0.1], [0.5, 0.6], [0.8, 0.9]]) * (grid.num_cols, grid.num_rows) * grid.resolution_m
+    ends = (
+        np.array([[0.2, 0.1], [0.5, 0.6], [0.8, 0.9]])
+        * (grid.num_cols, grid.num_rows)
+        * grid.resolution_m
+    )
     xy_m = ends + np.array([grid.x_min_m, grid.y_min_m])
     settings = RULES | {"time": "2020-04-27T16:00:00Z", "time_of_day": time_of_day}
     return made_path(grid, xy_m, altitude_m, status, planner, settings=settings)
@@ -98,7 +113,9 @@ def lines_of(panel) -> list:
 
 
 def colours_of(name: str, values) -> list[str]:
-    return [to_hex(colour / 255) for colour in matplotlib.colormaps[name](values, bytes=True)[:, :3]]
+    return [
+        to_hex(colour / 255) for colour in matplotlib.colormaps[name](values, bytes=True)[:, :3]
+    ]
 
 
 def test_each_cell_has_its_metric_colour_at_its_place(maps):
@@ -110,7 +127,12 @@ def test_each_cell_has_its_metric_colour_at_its_place(maps):
         assert colours[is_free].tolist() == colours_of("viridis", gps[is_free])
         assert set(colours[~is_free].tolist()) <= {OBSTACLE_COLOUR}
         grid = maps.grid
-        assert panel.images[0].get_extent() == [grid.x_min_m, grid.x_max_m, grid.y_min_m, grid.y_max_m]
+        assert panel.images[0].get_extent() == [
+            grid.x_min_m,
+            grid.x_max_m,
+            grid.y_min_m,
+            grid.y_max_m,
+        ]
 
 
 def test_pictures_say_what_they_show():
@@ -120,16 +142,31 @@ def test_pictures_say_what_they_show():
     mean = maps.m("gps", 60.0)[maps.is_free(60.0, "centre")].mean()
     good = (maps.m("gdop", 20.0)[maps.is_free(20.0, "centre")] <= 6).mean()
     shares = {z: percent((maps.m("obstacle", z) == 1).mean()) for z in ALTITUDES_M}
-    people = {name: maps.m("density", time_of_day=name).sum(dtype=float) * 0.01 for name in ("day", "night")}
+    people = {
+        name: maps.m("density", time_of_day=name).sum(dtype=float) * 0.01
+        for name in ("day", "night")
+    }
     ratings = ("Ideal", "Excellent", "Good", "Moderate", "Fair", "Poor")
     frame = ("2020-04-27 16:00 UTC", "100 m cells", "EPSG:32618", "1: GDOP of 1")
     near, none = "(1: no obstacle within 50 m)", "no people\nin the data"
     for figure, said in (
-        (plotting.plot_metric(maps, "gps", altitudes_m=[60.0]), (f"60 m  ·  mean {mean:.2f}", *frame)),
+        (
+            plotting.plot_metric(maps, "gps", altitudes_m=[60.0]),
+            (f"60 m  ·  mean {mean:.2f}", *frame),
+        ),
         (plotting.plot_gps_rating(maps), (f"20 m  ·  {percent(good)} good or better", *ratings)),
-        (plotting.plot_obstacles(maps), [f"{z:g} m  ·  {share} blocked" for z, share in shares.items()]),
-        (plotting.plot_population(maps), [*(f"{name}  ·  {num:,.0f} people" for name, num in people.items()), none]),
-        (plotting.plot_overview(maps, (), altitude_m=60.0), ("Metric maps, 60 m above ground", f"{near}\n")),
+        (
+            plotting.plot_obstacles(maps),
+            [f"{z:g} m  ·  {share} blocked" for z, share in shares.items()],
+        ),
+        (
+            plotting.plot_population(maps),
+            [*(f"{name}  ·  {num:,.0f} people" for name, num in people.items()), none],
+        ),
+        (
+            plotting.plot_overview(maps, (), altitude_m=60.0),
+            ("Metric maps, 60 m above ground", f"{near}\n"),
+        ),
         (plotting.plot_overview(maps, ()), ("(0: best free cell, 1: worst)\n",)),
         (plotting.plot_metric(maps, "risk"), (near,)),
         (plotting.plot_metric(maps, "num_visible"), ("median 7\n",)),
@@ -141,11 +178,16 @@ def test_pictures_say_what_they_show():
 def test_classes_people_and_costs_have_the_colours_of_their_values(maps):
     rating, people = plotting.plot_gps_rating(maps), plotting.plot_population(maps)
     dop = plotting.plot_metric(maps, "gdop", altitudes_m=[20.0])
-    cost, choice = plotting.plot_paths(maps, (), altitudes_m=[20.0]), plotting.plot_sensor_choice(maps)
+    cost, choice = (
+        plotting.plot_paths(maps, (), altitudes_m=[20.0]),
+        plotting.plot_sensor_choice(maps),
+    )
     gdop, is_free = maps.m("gdop", 20.0), maps.is_free(20.0, "centre")
     steps = matplotlib.colormaps["viridis"](np.linspace(1, 0, 6))
     at_night = maps.m("density", time_of_day="night")[5, 20]
-    share = 1 + np.log10(at_night / maps.ds["density"].values.max()) / 3  # of one scale for day and night
+    share = (
+        1 + np.log10(at_night / maps.ds["density"].values.max()) / 3
+    )  # of one scale for day and night
     norm = np.where(is_free, maps.normalised(20.0, time_of_day="day"), np.nan)
     expected = [
         (dop, 0, is_free & np.isinf(gdop), to_hex(matplotlib.colormaps["viridis_r"](1.0))),
@@ -167,15 +209,27 @@ def test_classes_people_and_costs_have_the_colours_of_their_values(maps):
 
 def test_paths_have_the_papers_colours_and_coinciding_ones_both_show(maps):
     figure = plotting.plot_paths(maps, make_paths(maps))
-    assert titles_of(figure) == ["(a) 20 m · day", "(b) 60 m · day", "(c) 122 m · night", "(d) 600 m · night"]
+    assert titles_of(figure) == [
+        "(a) 20 m · day",
+        "(b) 60 m · day",
+        "(c) 122 m · night",
+        "(d) 600 m · night",
+    ]
     both = [make_path(maps, "ptp", time_of_day=name) for name in ("night", "day")]
     assert titles_of(plotting.plot_paths(maps, both)) == ["(a) 20 m · night", "(b) 20 m · day"]
     assert titles_of(plotting.plot_paths(maps, (), time_of_day="night"))[0] == "(a) 20 m · night"
     for panel in panels_of(figure):
         lines = lines_of(panel)
-        assert [line.get_color() for line in lines] == [PLANNER_COLOURS["astar-dist"], PLANNER_COLOURS["astar-plus"]]
+        assert [line.get_color() for line in lines] == [
+            PLANNER_COLOURS["astar-dist"],
+            PLANNER_COLOURS["astar-plus"],
+        ]
         outcomes = panel.get_xlabel().splitlines()[-3:]
-        assert outcomes == ["ptp: blocked", "astar-dist: 1,235, 5.68 km", "astar-plus: 1,235, 5.68 km"]
+        assert outcomes == [
+            "ptp: blocked",
+            "astar-dist: 1,235, 5.68 km",
+            "astar-plus: 1,235, 5.68 km",
+        ]
     entries = [zip(legend.texts, legend.legend_handles, strict=True) for legend in figure.legends]
     named = {text.get_text(): line for entry in entries for text, line in entry}
     assert named["astar-plus"].get_color() == PLANNER_COLOURS["astar-plus"]
@@ -189,7 +243,9 @@ def test_routes_that_coincide_are_drawn_side_by_side_and_one_apart_at_its_place(
     shown = np.asarray(canvas.buffer_rgba())[..., :3]
     for colour in PLANNER_COLOURS.values():
         is_drawn = (shown == np.round(255 * np.array(to_rgb(colour)))).all(axis=-1)
-        assert is_drawn.sum() > 300  # but 90 of them are the legend's: one above another would hide four
+        assert (
+            is_drawn.sum() > 300
+        )  # but 90 of them are the legend's: one above another would hide four
     away = paths[0].xy_m + np.array([0.0, 500.0])
     assert lanes_of([paths[0].xy_m, away, paths[1].xy_m], 5.0) == [-0.5, 0.0, 0.5]
 
@@ -205,15 +261,22 @@ def test_paths_and_their_rules_are_named_only_where_there_are_some(maps):
     assert "ptp" not in text  # which found none
     assert "paths" not in maps_figures(maps, ())
     assert {"cost_day", "cost_night"} <= set(maps_figures(maps, ()))
-    assert {"paths"} == {name for name in maps_figures(maps, make_paths(maps)) if name.startswith(("paths", "cost"))}
+    assert {"paths"} == {
+        name for name in maps_figures(maps, make_paths(maps)) if name.startswith(("paths", "cost"))
+    }
 
 
 @pytest.mark.parametrize("name", ["gps", "gdop", "num_visible", "population"])
 def test_colour_bars_carry_both_ends_and_satellites_whole_numbers(maps, name):
-    figure = plotting.plot_population(maps) if name == "population" else plotting.plot_metric(maps, name)
+    figure = (
+        plotting.plot_population(maps) if name == "population" else plotting.plot_metric(maps, name)
+    )
     (bar,) = [axes for axes in figure.axes if axes.get_ylabel() and axes.get_gid() != MAP]
     assert bar.get_yticks()[[0, -1]] == pytest.approx(bar.get_ylim())
-    assert name != "num_visible" or ({*bar.get_yticks() % 1}, bar.get_ylim()) == ({0}, (0, 7))  # there are 7
+    assert name != "num_visible" or ({*bar.get_yticks() % 1}, bar.get_ylim()) == (
+        {0},
+        (0, 7),
+    )  # there are 7
 
 
 def at_epochs(num, maps=None):
@@ -235,14 +298,18 @@ def test_every_epoch_is_drawn_and_the_share_of_good_ones():
     figure = plotting.plot_metric(maps, "gps_availability")
     share = np.mean([maps.m("gps", 60.0, time=time) > 0.5 for time in maps.times], axis=0)
     is_free, panel = maps.is_free(60.0, "centre"), panels_of(figure)[1]
-    assert drawn(panel)[is_free].tolist() == colours_of("viridis", share[is_free].astype(np.float32))
+    assert drawn(panel)[is_free].tolist() == colours_of(
+        "viridis", share[is_free].astype(np.float32)
+    )
     assert not {"gps_epochs", "gps_availability"} & set(maps_figures(make_maps(), ()))
 
 
 def test_a_long_series_is_drawn_by_its_statistics(maps):
     ds = at_epochs(3).ds
     series = {f"gps_{what}": ds["gps"].isel(time=0) for what in ("median", "p05", "availability")}
-    maps = MetricMaps(ds.drop_vars(["gps", "gdop", "num_visible"]).assign(series).assign_attrs(satellites="a, b"))
+    maps = MetricMaps(
+        ds.drop_vars(["gps", "gdop", "num_visible"]).assign(series).assign_attrs(satellites="a, b")
+    )
     figures = maps_figures(maps, ())
     assert {"gps", "gps_p05", "gps_availability"} <= set(figures)
     text = texts_of(figures["gps"]())
@@ -259,7 +326,11 @@ def test_notes_tell_the_place_and_only_the_guesses_that_concern_the_picture():
     place = f"around {lat:.3f}°N {-lon:.3f}°W"
     told = texts_of(plotting.plot_metric(maps, "gps"))
     assert f"Guessed: 3 % of heights, {NOMINAL_SKY}, 5 % of {BEYOND_DATA}" in told
-    for figure in (plotting.plot_metric(maps, "lidar"), plotting.plot_obstacles(maps), plotting.plot_heights(maps)):
+    for figure in (
+        plotting.plot_metric(maps, "lidar"),
+        plotting.plot_obstacles(maps),
+        plotting.plot_heights(maps),
+    ):
         assert "Guessed: 3 % of heights\n" in texts_of(figure)
         assert place in texts_of(figure)
 
@@ -273,7 +344,9 @@ def test_twelve_paths_have_twelve_colours_and_stay_lines(maps):
     assert {line.get_linewidth() for line in lines} == {LINE_PT}
 
 
-@pytest.mark.parametrize(("rows", "cols", "resolution_m"), [(34, 40, 100.0), (100, 50, 200.0), (30, 75, 20.0)])
+@pytest.mark.parametrize(
+    ("rows", "cols", "resolution_m"), [(34, 40, 100.0), (100, 50, 200.0), (30, 75, 20.0)]
+)
 def test_scale_bar_is_as_long_as_it_says(rows, cols, resolution_m):
     frame_maps = make_maps(rows, cols, resolution_m)
     figure = plotting.plot_metric(frame_maps, "risk")
@@ -283,7 +356,9 @@ def test_scale_bar_is_as_long_as_it_says(rows, cols, resolution_m):
     length_m = float(number) * {"m": 1, "km": 1000}[unit]
     width = scale.size_bar.get_window_extent().width
     for panel in panels_of(figure):
-        x_pixels = panel.transData.transform([(583_000, 4_507_000), (583_000 + length_m, 4_507_000 + length_m)])
+        x_pixels = panel.transData.transform(
+            [(583_000, 4_507_000), (583_000 + length_m, 4_507_000 + length_m)]
+        )
         np.testing.assert_allclose(np.diff(x_pixels, axis=0)[0], width, rtol=1e-3)
 
 
@@ -291,7 +366,12 @@ def all_figures(maps):
     paths = make_paths(maps)
     names = [f"a planner of a long name {number}" for number in range(9)]
     many = [make_path(maps, name, altitude_m=z) for name in names for z in ALTITUDES_M]
-    for draw in (plotting.plot_gps_rating, plotting.plot_heights, plotting.plot_population, plotting.plot_obstacles):
+    for draw in (
+        plotting.plot_gps_rating,
+        plotting.plot_heights,
+        plotting.plot_population,
+        plotting.plot_obstacles,
+    ):
         yield draw(maps)
     yield plotting.plot_metric(maps, "gdop")
     yield plotting.plot_epochs(at_epochs(10, maps))
@@ -302,12 +382,19 @@ def all_figures(maps):
 
 @pytest.mark.parametrize(
     ("rows", "cols"),
-    [(34, 40), (20, 60), (90, 12), *(pytest.param(*shape, marks=pytest.mark.slow) for shape in ((51, 39), (100, 50)))],
+    [
+        (34, 40),
+        (20, 60),
+        (90, 12),
+        *(pytest.param(*shape, marks=pytest.mark.slow) for shape in ((51, 39), (100, 50))),
+    ],
 )
 def test_no_label_is_cut_and_no_two_overlap(rows, cols, monkeypatch):
     drawn_texts = []
     draw = Text.draw
-    monkeypatch.setattr(Text, "draw", lambda self, renderer: (drawn_texts.append(self), draw(self, renderer))[1])
+    monkeypatch.setattr(
+        Text, "draw", lambda self, renderer: (drawn_texts.append(self), draw(self, renderer))[1]
+    )
     for figure in all_figures(make_maps(rows, cols, has_all_data=False)):
         drawn_texts.clear()
         figure.draw_without_rendering()
@@ -317,9 +404,15 @@ def test_no_label_is_cut_and_no_two_overlap(rows, cols, monkeypatch):
         boxes = [(text.get_text(), text.get_window_extent()) for text in shown]
         assert len(boxes) > 10
         edge = figure.bbox
-        assert [name for name, box in boxes if min(box.x0, box.y0) < 0 or box.x1 > edge.x1 or box.y1 > edge.y1] == []
+        assert [
+            name
+            for name, box in boxes
+            if min(box.x0, box.y0) < 0 or box.x1 > edge.x1 or box.y1 > edge.y1
+        ] == []
         pairs = combinations(boxes, 2)
-        assert [(a, b) for (a, box), (b, other) in pairs if box.shrunk(0.98, 0.9).overlaps(other)] == []
+        assert [
+            (a, b) for (a, box), (b, other) in pairs if box.shrunk(0.98, 0.9).overlaps(other)
+        ] == []
 
 
 def test_a_large_map_is_thinned_and_keeps_its_place():
@@ -340,7 +433,15 @@ def test_cells_without_data_are_told_from_obstacles():
 
 def test_percentages_are_exact_only_where_they_are():
     shares = (0, 0.0001, 0.051, 0.5, 0.998, 0.99999, 1)
-    assert [percent(share) for share in shares] == ["0 %", "< 0.1 %", "5.1 %", "50 %", "99.8 %", "> 99.9 %", "100 %"]
+    assert [percent(share) for share in shares] == [
+        "0 %",
+        "< 0.1 %",
+        "5.1 %",
+        "50 %",
+        "99.8 %",
+        "> 99.9 %",
+        "100 %",
+    ]
 
 
 @pytest.mark.slow
@@ -356,7 +457,9 @@ def test_all_figures_are_written_small_whole_and_the_same_again(maps, tmp_path):
             assert image.format == "PNG"
             assert 700 <= image.size[0] <= 1300
     write_png(plotting.plot_paths(maps, paths), tmp_path / "paths.png")
-    assert (tmp_path / "paths.png").read_bytes() == (tmp_path / "figures" / "paths.png").read_bytes()
+    assert (tmp_path / "paths.png").read_bytes() == (
+        tmp_path / "figures" / "paths.png"
+    ).read_bytes()
     with Image.open(tmp_path / "paths.png") as image:
         pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
     for planner in ("astar-dist", "astar-plus", "ptp"):
@@ -369,7 +472,12 @@ def test_maps_without_population_are_drawn_without_it(maps):
     titles = titles_of(plotting.plot_overview(maps, make_paths(maps)))
     assert len(titles) == 5
     assert "People" not in " ".join(titles)
-    assert titles_of(plotting.plot_paths(maps, ())) == ["(a) 20 m", "(b) 60 m", "(c) 122 m", "(d) 600 m"]
+    assert titles_of(plotting.plot_paths(maps, ())) == [
+        "(a) 20 m",
+        "(b) 60 m",
+        "(c) 122 m",
+        "(d) 600 m",
+    ]
 
 
 def test_maps_without_a_value_a_free_cell_or_a_building_are_drawn():
@@ -387,7 +495,9 @@ def test_maps_without_a_value_a_free_cell_or_a_building_are_drawn():
 
 
 def test_what_cannot_be_drawn_is_named(maps):
-    with pytest.raises(InputError, match=r"a map to draw from these maps must be 'obstacle', 'gps', .* got 'wind'"):
+    with pytest.raises(
+        InputError, match=r"a map to draw from these maps must be 'obstacle', 'gps', .* got 'wind'"
+    ):
         plotting.plot_metric(maps, "wind")
     with pytest.raises(InputError, match="altitude 33"):
         plotting.plot_metric(maps, "risk", altitudes_m=[33.0])
@@ -417,4 +527,6 @@ def test_a_notebook_shows_heading_and_note_too():
     shown = figure.get_tightbbox().transformed(figure.dpi_scale_trans)
     boxes = [text.get_window_extent() for text in figure.texts]
     assert len(boxes) == 2
-    assert all(shown.y0 - 1e-4 <= box.y0 < box.y1 <= shown.y1 + 1e-4 for box in boxes)  # 1e-6 inches
+    assert all(
+        shown.y0 - 1e-4 <= box.y0 < box.y1 <= shown.y1 + 1e-4 for box in boxes
+    )  # 1e-6 inches

@@ -7,7 +7,12 @@ import rasterio
 from matplotlib.text import Text
 
 import jaxurban as ju
-from jaxurban.report.map_comparison import comparison_figures, comparison_markdown, difference_colours, plot_difference
+from jaxurban.report.map_comparison import (
+    comparison_figures,
+    comparison_markdown,
+    difference_colours,
+    plot_difference,
+)
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 from tests.studies.test_map_comparison import changed_from
@@ -76,12 +81,16 @@ def test_one_scale_is_centred_at_zero_and_says_its_unit(found):
 
 
 @pytest.mark.slow
-def test_the_command_compares_folders_and_names_the_settings_that_differ(capsys, tmp_path, monkeypatch):
+def test_the_command_compares_folders_and_names_the_settings_that_differ(
+    capsys, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     text = "[region]\nbounds = [-74.02, 40.70, -74.0, 40.715]\nresolution_m = 25.0\naltitudes_m = [60]\n"
     text += '[buildings]\nsource = "synthetic"\n[population]\ntime_of_day = ["day"]\n'
     for name, range_m in (("a", 100.0), ("b", 60.0)):
-        (tmp_path / f"{name}.toml").write_text(f"{text}[lidar]\nrange_m = {range_m}\n", encoding="utf-8")
+        (tmp_path / f"{name}.toml").write_text(
+            f"{text}[lidar]\nrange_m = {range_m}\n", encoding="utf-8"
+        )
         assert run(capsys, "maps", f"{name}.toml", "-o", name)[0] == 0
     code, _, err = run(capsys, "compare", "a", "b", "-o", "ab")
     assert code == 0, err
@@ -110,7 +119,8 @@ def test_the_legend_names_what_is_blocked_where(found):
 def test_a_figure_names_the_time_of_both(found):
     hours = {f"2020-04-27T{hour}:00": maps for hour, maps in ((19, found.a), (20, found.b))}
     a, b = (
-        ju.MetricMaps(maps.ds.assign_coords(time=np.array([time], "datetime64[ns]"))) for time, maps in hours.items()
+        ju.MetricMaps(maps.ds.assign_coords(time=np.array([time], "datetime64[ns]")))
+        for time, maps in hours.items()
     )
     both = ju.studies.compare(a, b, progress=False)
     shown = said_in(plot_difference(both, "gps"))

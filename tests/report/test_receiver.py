@@ -42,7 +42,9 @@ def test_a_short_still_log_has_no_interval_and_is_drawn():
 
 def test_a_log_of_errors_alone_is_drawn_too():
     log = true_log()[["utc", "lon_deg", "lat_deg", "error_2d_m"]]
-    of = ju.studies.validate(scenario(), log, ju.studies.ReceiverSettings(sky_step_s=240.0), progress=False)
+    of = ju.studies.validate(
+        scenario(), log, ju.studies.ReceiverSettings(sky_step_s=240.0), progress=False
+    )
     assert plot_scatter(of).axes[0].get_ylabel() == "receiver: horizontal error (m)"
     assert "satellites tracked" not in validation_markdown(of)
 
@@ -53,14 +55,30 @@ def test_the_command_writes_a_folder_of_its_own(tmp_path, capsys):
     toml.write_text(scenario().to_toml())
     true_log().to_csv(tmp_path / "log.csv", index=False)
     out = tmp_path / "out"
-    code, told, err = run(capsys, "validate", toml, tmp_path / "log.csv", "-o", out, "--sky-step", "240", "--json")
+    code, told, err = run(
+        capsys, "validate", toml, tmp_path / "log.csv", "-o", out, "--sky-step", "240", "--json"
+    )
     assert code == 0, err
     scores = json.loads(told, parse_constant=pytest.fail)["scores"]
-    assert [row["within"] for row in scores] == pd.read_parquet(out / "tables/scores.parquet").within.tolist()
-    assert len(pd.read_csv(out / "tables/pieces.csv")) == len(pd.read_parquet(out / "tables/pieces.parquet"))
+    assert [row["within"] for row in scores] == pd.read_parquet(
+        out / "tables/scores.parquet"
+    ).within.tolist()
+    assert len(pd.read_csv(out / "tables/pieces.csv")) == len(
+        pd.read_parquet(out / "tables/pieces.parquet")
+    )
     assert "figures/scatter.png" in (out / "report.md").read_text()
     assert (out / "figures/scatter.png").stat().st_size > 5000
-    again = ("validate", toml, tmp_path / "log.csv", "-o", out, "--sky-step", "240", "--antenna-height", "3")
+    again = (
+        "validate",
+        toml,
+        tmp_path / "log.csv",
+        "-o",
+        out,
+        "--sky-step",
+        "240",
+        "--antenna-height",
+        "3",
+    )
     code, _, err = run(capsys, *again)
     assert code == 2
     assert_one_sentence(err, "holds another run", "--overwrite")

@@ -34,7 +34,10 @@ def test_the_report_leads_with_the_verdict_and_counts_come_second(of_satellites)
 
 def test_every_score_stands_in_the_report_with_its_interval(of_satellites):
     report = validation_markdown(of_satellites)
-    assert "| all judged | 342 | 0.957 | 0.842 (0.811 to 0.873) | 0.742 (0.711 to 0.773) | 6 |" in report
+    assert (
+        "| all judged | 342 | 0.957 | 0.842 (0.811 to 0.873) | 0.742 (0.711 to 0.773) | 6 |"
+        in report
+    )
     assert "| GLONASS | 342 | 0.957 | 0.847 (0.816 to 0.878) |" in report
     assert "| in its place | 0.842 | 0.742 |" in report
     assert "| most | 0.622 | 0.522 |" in report
@@ -46,7 +49,9 @@ def test_every_score_stands_in_the_report_with_its_interval(of_satellites):
 
 def test_what_is_unknown_is_no_number_of_the_report_and_is_drawn(of_satellites):
     unknown = {"auc": np.nan, "auc_low": np.nan, "auc_high": np.nan}
-    parts = {name: getattr(made(), name).assign(auc=np.nan) for name in ("displaced", "field", "scales")}
+    parts = {
+        name: getattr(made(), name).assign(auc=np.nan) for name in ("displaced", "field", "scales")
+    }
     parts |= {"scores": made().scores.assign(**unknown), "peak": dict.fromkeys(made().peak, np.nan)}
     all_seen = replace(made(), rows=made().rows.assign(is_seen=True, margin_m=np.inf), **parts)
     assert "nan" not in validation_markdown(replace(of_satellites, satellites=all_seen))
@@ -77,7 +82,11 @@ def test_the_report_says_how_this_log_was_judged(of_satellites):
 
 
 def test_satellites_whose_places_the_log_says_rest_on_no_orbits(of_satellites):
-    logged = replace(found().log, epochs=found().log.epochs[["utc", "lon_deg", "lat_deg"]], satellites=made().rows)
+    logged = replace(
+        found().log,
+        epochs=found().log.epochs[["utc", "lon_deg", "lat_deg"]],
+        satellites=made().rows,
+    )
     report = validation_markdown(replace(of_satellites, log=logged))
     assert "Where satellites stand is what the log says" in report
     assert "satellites in view, mean (of rows that are judged)" in report
@@ -87,13 +96,21 @@ def test_satellites_whose_places_the_log_says_rest_on_no_orbits(of_satellites):
 
 def test_without_satellites_the_report_and_its_files_are_those_of_counts():
     outputs, _ = validation_outputs(found())
-    assert [*outputs] == ["tables/pieces", "tables/scores", "tables/shifts", "figures/scatter.png", "report.md"]
+    assert [*outputs] == [
+        "tables/pieces",
+        "tables/scores",
+        "tables/shifts",
+        "figures/scatter.png",
+        "report.md",
+    ]
     assert "atellite by satellite" not in outputs["report.md"]
 
 
 def test_two_logs_of_the_same_epochs_are_different_runs(of_satellites):
     one, other = (
-        replace(of_satellites, log=replace(found().log, satellites=made().rows.assign(cn0_dbhz=value)))
+        replace(
+            of_satellites, log=replace(found().log, satellites=made().rows.assign(cn0_dbhz=value))
+        )
         for value in (40.0, 41.0)
     )
     assert validation_outputs(one)[1] != validation_outputs(other)[1]
@@ -102,12 +119,16 @@ def test_two_logs_of_the_same_epochs_are_different_runs(of_satellites):
 def test_every_picture_of_the_report_is_drawn_and_every_drawn_one_is_in_it(of_satellites):
     outputs, _ = validation_outputs(of_satellites)
     pictures = [name for name in outputs if name.endswith(".png")]
-    assert sorted(pictures) == sorted(name for name in pictures if f"]({name})" in outputs["report.md"])
+    assert sorted(pictures) == sorted(
+        name for name in pictures if f"]({name})" in outputs["report.md"]
+    )
     assert outputs["report.md"].count("](figures/") == len(pictures) == 5
 
 
 def test_pictures_name_what_they_show_with_units(of_satellites):
-    said = {name: texts_of(draw()) for name, draw in satellite_figures(of_satellites, made()).items()}
+    said = {
+        name: texts_of(draw()) for name, draw in satellite_figures(of_satellites, made()).items()
+    }
     for name, labels in {
         "track": ("east (m)", "north (m)", "share of satellites", "36.5 dBHz", "least agreement"),
         "margin": ("C/N0 (dBHz)", "not received", "(m)"),
@@ -123,7 +144,12 @@ def test_boxes_stand_on_the_side_of_the_edge_that_the_map_says(of_satellites):
     (edge,) = (line.get_xdata()[0] for line in below.lines)
     bars = {bar.get_x() + bar.get_width() / 2: bar.get_height() for bar in below.patches}
     assert MARGINS_M[int(edge - 0.5)] == 0
-    for margin_m, x in ((-80.0, 0), (-1.0, edge - 0.5), (1.0, edge + 0.5), (np.inf, len(MARGINS_M))):
+    for margin_m, x in (
+        (-80.0, 0),
+        (-1.0, edge - 0.5),
+        (1.0, edge + 0.5),
+        (np.inf, len(MARGINS_M)),
+    ):
         rows = judged[judged.margin_m == margin_m]
         assert bars[x] == pytest.approx((rows.cn0_dbhz == 0).mean())
         assert f"{len(rows):,}" in texts_of(panel.figure)

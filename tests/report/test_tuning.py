@@ -46,12 +46,21 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     assert sum(facts["weights"].values()) == pytest.approx(1)
     assert facts["mean_regret"] < 1e-3
     for table in ("weights", "examples", "learning_curve"):
-        assert len(pd.read_parquet(out / f"{table}.parquet")) == len(pd.read_csv(out / f"{table}.csv")) > 0
+        assert (
+            len(pd.read_parquet(out / f"{table}.parquet"))
+            == len(pd.read_csv(out / f"{table}.csv"))
+            > 0
+        )
     report = (out / "report.md").read_text()
     assert report.splitlines()[2] == f"**{facts['message']}**"
     assert (out / "weights.toml").read_text().startswith(f"# {facts['message']}\n")
     parts = [line.removeprefix("## ") for line in report.splitlines() if line.startswith("## ")]
-    assert parts[:4] == ["What the routes say", "Fitted weights", "Routes under the weights", "How sure"]
+    assert parts[:4] == [
+        "What the routes say",
+        "Fitted weights",
+        "Routes under the weights",
+        "How sure",
+    ]
     assert parts[4:] == ["How to use the weights", "Files"]
     assert report.count("© a made city") == 1
     for figure in ("weights", "routes_1"):
@@ -60,11 +69,19 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     stored = tomllib.loads((out / "weights.toml").read_text())["weights"]
     assert ju.Weights.parse(facts["weights_option"]).to_dict() == stored
     assert stored == pytest.approx(facts["weights"], rel=1e-4, abs=1e-12)
-    assert [*pd.read_csv(out / "weights.csv")["name"]] == ["distance", "gps", "lidar", "population", "risk"]
+    assert [*pd.read_csv(out / "weights.csv")["name"]] == [
+        "distance",
+        "gps",
+        "lidar",
+        "population",
+        "risk",
+    ]
 
     again = facts_of(capsys, *made, "-o", out, "--bootstrap", 20)
     assert (again["weights"], again["interval"]) == (facts["weights"], facts["interval"])
-    assert_refused(run(capsys, "tune", *made, "-o", out, "--seed", 1), "another file or folder", "--overwrite")
+    assert_refused(
+        run(capsys, "tune", *made, "-o", out, "--seed", 1), "another file or folder", "--overwrite"
+    )
     (out / "weights.toml").write_text("mine")
     refused = run(capsys, "tune", *made, "-o", out, "--bootstrap", 20, "--overwrite")
     assert_refused(refused, "weights.toml", "is not as `jaxurban tune` wrote it")
@@ -72,7 +89,16 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
 
 @pytest.mark.slow
 def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
-    options = ("--wish", "mean_gps>=0.999", "--wish", "detour<=0.3", "--metrics", "gps", "--rounds", 1)
+    options = (
+        "--wish",
+        "mean_gps>=0.999",
+        "--wish",
+        "detour<=0.3",
+        "--metrics",
+        "gps",
+        "--rounds",
+        1,
+    )
     facts = facts_of(capsys, *made, "-o", tmp_path / "out", *options)
     assert not facts["is_met"]
     assert "misses mean_gps >= 0.999 (reached " in facts["message"]
@@ -99,12 +125,18 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
         (1, (), ("name files of routes", "--sample")),
     ],
 )
-def test_bad_input_is_one_sentence_and_exit_two(made, tmp_path, capsys, num_sources, options, words):
-    assert_refused(run(capsys, "tune", *made[:num_sources], "-o", tmp_path / "out", *options), *words)
+def test_bad_input_is_one_sentence_and_exit_two(
+    made, tmp_path, capsys, num_sources, options, words
+):
+    assert_refused(
+        run(capsys, "tune", *made[:num_sources], "-o", tmp_path / "out", *options), *words
+    )
 
 
 @pytest.mark.slow
-def test_ctrl_c_keeps_the_searches_and_the_same_command_ends_alike(made, tmp_path, capsys, monkeypatch):
+def test_ctrl_c_keeps_the_searches_and_the_same_command_ends_alike(
+    made, tmp_path, capsys, monkeypatch
+):
     def save_and_stop(store, save=RowStore.save):
         save(store)
         raise KeyboardInterrupt
@@ -136,14 +168,27 @@ def test_cities_are_fitted_together_and_judged_by_routes_held_out(made, tmp_path
     for words in ("## Fits compared", "7 of 28 routes were held out", "| only second |"):
         assert words in report
     assert len(pd.read_csv(tmp_path / "out" / "examples.csv")) == 21
-    assert [*pd.read_csv(tmp_path / "out" / "fits.csv")["fit"]] == [row["fit"] for row in facts["fits"]]
+    assert [*pd.read_csv(tmp_path / "out" / "fits.csv")["fit"]] == [
+        row["fit"] for row in facts["fits"]
+    ]
 
 
 @pytest.mark.slow
 def test_sampled_instances_are_flown_by_the_pilot_by_day_and_by_night(tmp_path, capsys):
     ju.MetricMaps(small_maps().ds.assign_attrs(pop_norm_per_km2=[1e4, 3e4])).save(tmp_path / "maps")
-    options = ("--sample", 6, "--pilot", "distance=0.02,gps=1,population=1", "--seed", 1, "--bootstrap", 0)
-    assert facts_of(capsys, tmp_path / "maps", "-o", tmp_path / "out", *options)["mean_regret"] < 1e-4
+    options = (
+        "--sample",
+        6,
+        "--pilot",
+        "distance=0.02,gps=1,population=1",
+        "--seed",
+        1,
+        "--bootstrap",
+        0,
+    )
+    assert (
+        facts_of(capsys, tmp_path / "maps", "-o", tmp_path / "out", *options)["mean_regret"] < 1e-4
+    )
     assert {*pd.read_csv(tmp_path / "out" / "examples.csv")["time_of_day"]} == {"day", "night"}
     assert "6 instances sampled with seed 1" in (tmp_path / "out" / "report.md").read_text()
 
@@ -159,16 +204,35 @@ def test_the_study_in_a_folder_of_maps_is_fitted_and_reported(tmp_path, capsys):
     assert facts[0]["weights"] == facts[1]["weights"] == facts[2]["weights"]
     assert facts[0]["mean_regret"] < 1e-3
     assert f"`{maps / 'study'}` over the maps in `{maps}`" in (out / "report.md").read_text()
-    assert_refused(run(capsys, "tune", maps, "-o", tmp_path / "b", "--planner", "theta"), "astar-plus", "'theta'")
-    wished = facts_of(capsys, maps, "-o", tmp_path / "c", "--wish", "mean_gps>=0.5", "--metrics", "gps", "--rounds", 1)
+    assert_refused(
+        run(capsys, "tune", maps, "-o", tmp_path / "b", "--planner", "theta"),
+        "astar-plus",
+        "'theta'",
+    )
+    wished = facts_of(
+        capsys,
+        maps,
+        "-o",
+        tmp_path / "c",
+        "--wish",
+        "mean_gps>=0.5",
+        "--metrics",
+        "gps",
+        "--rounds",
+        1,
+    )
     assert len(wished["outcomes"]) == 1
 
 
-def test_the_folder_that_a_study_was_written_to_is_a_study_of_maps_without_routes(made, tmp_path, capsys):
+def test_the_folder_that_a_study_was_written_to_is_a_study_of_maps_without_routes(
+    made, tmp_path, capsys
+):
     outer = tmp_path / "outer"
     (outer / "study").mkdir(parents=True)
     (outer / "study" / "rows.parquet").touch()
-    assert_refused(run(capsys, "tune", outer, "-o", tmp_path / "out"), "outer' holds a study and no maps")
+    assert_refused(
+        run(capsys, "tune", outer, "-o", tmp_path / "out"), "outer' holds a study and no maps"
+    )
     for maps in (False, True):
         if maps:
             small_maps().save(outer)

@@ -40,7 +40,11 @@ def mend(job: Path) -> list[str]:
     """Return what is told of the damage; that parts of the Zarr were moved to ``kept`` is told too."""
     with logged() as told:
         pipeline.run_scenario(Scenario.from_dict(SETTINGS), job)
-    moved = [sentence for sentence in told if f"{job / 'kept'}/" in sentence and "geotiff" not in sentence]
+    moved = [
+        sentence
+        for sentence in told
+        if f"{job / 'kept'}/" in sentence and "geotiff" not in sentence
+    ]
     kept = [path for path in (job / "kept").rglob("*") if not path.is_dir() or path.name == "0.0.0"]
     assert len(moved) <= len(kept)
     return [sentence for sentence in told if sentence not in moved]
@@ -48,7 +52,11 @@ def mend(job: Path) -> list[str]:
 
 def without_times(files: dict[str, bytes]) -> dict[str, bytes]:
     """Return files of maps but for the record of their run, with its times, and its checksum."""
-    return {n: data for n, data in files.items() if n.split("/")[0] not in ("run.json", "checksums.json", "kept")}
+    return {
+        n: data
+        for n, data in files.items()
+        if n.split("/")[0] not in ("run.json", "checksums.json", "kept")
+    }
 
 
 def test_an_untouched_folder_is_kept_to_the_last_byte(job):
@@ -63,11 +71,15 @@ def test_new_weights_change_the_record_and_not_its_times(job):
     pipeline.run_scenario(Scenario.from_dict(SETTINGS | {"weights": {"gps": 3.0}}), job)
     after = json.loads((job / "run.json").read_text())
     assert after["settings"]["weights"]["gps"] == 3.0
-    assert (after["started_utc"], after["elapsed_s"]) == (before["started_utc"], before["elapsed_s"])
+    assert (after["started_utc"], after["elapsed_s"]) == (
+        before["started_utc"],
+        before["elapsed_s"],
+    )
 
 
 @pytest.mark.parametrize(
-    ("part", "least"), [("maps.zarr/**/[0-9]*", 20), ("maps.zarr/**/.z*", 40), ("geotiff/*", 6), ("run.json", 1)]
+    ("part", "least"),
+    [("maps.zarr/**/[0-9]*", 20), ("maps.zarr/**/.z*", 40), ("geotiff/*", 6), ("run.json", 1)],
 )
 def test_damage_to_every_file_of_a_kind_is_told_and_mended(job, part, least):
     """Files are deleted, cut and flipped by turns; `test_interrupted` damages one at a time."""
@@ -79,7 +91,9 @@ def test_damage_to_every_file_of_a_kind_is_told_and_mended(job, part, least):
     assert told_on_use(job)
     told = mend(job)
     assert len(told) == (len(files) if part == "geotiff/*" else 1)
-    for style in (path for path in files if path.suffix == ".qml"):  # a changed one stays until it is removed
+    for style in (
+        path for path in files if path.suffix == ".qml"
+    ):  # a changed one stays until it is removed
         style.unlink()
     mend(job)
     assert without_times(files_of(job)) == without_times(before)
@@ -117,9 +131,12 @@ def test_the_record_of_another_run_in_the_place_of_ours_is_kept(job):
 
 
 @pytest.mark.parametrize(
-    ("name", "sentence"), [(name, f"{name}' is a file .* move it") for name in ("maps.zarr", "geotiff")] + [LETTER]
+    ("name", "sentence"),
+    [(name, f"{name}' is a file .* move it") for name in ("maps.zarr", "geotiff")] + [LETTER],
 )
-def test_a_file_in_the_place_of_a_folder_or_a_folder_in_that_of_a_file_is_one_sentence(tmp_path, name, sentence):
+def test_a_file_in_the_place_of_a_folder_or_a_folder_in_that_of_a_file_is_one_sentence(
+    tmp_path, name, sentence
+):
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("mine")
     with pytest.raises(InputError, match=sentence):
@@ -131,7 +148,9 @@ DAMAGED = {"run.json": DAMAGES, "maps.zarr/20m/obstacle/0.0.0": ("deleted", "cut
 DAMAGED |= {"maps.zarr/20m/gps/.zarray": ("deleted",), "maps.zarr/20m/spatial_ref/0": ("flipped",)}
 
 
-@pytest.mark.parametrize(("part", "damage"), [(part, damage) for part in DAMAGED for damage in DAMAGED[part]])
+@pytest.mark.parametrize(
+    ("part", "damage"), [(part, damage) for part in DAMAGED for damage in DAMAGED[part]]
+)
 def test_planning_on_damaged_maps_is_one_sentence(job, capsys, part, damage):
     harm(job / part, damage, random.Random(2))
     code, out, err = run(capsys, "plan", job, *ENDS, "--altitude", 20, "--snap")

@@ -34,13 +34,17 @@ def job_of(**sections) -> Scenario:
 def far_ends(maps) -> dict:
     """Return the first and the last free cell, as `plan` takes them."""
     free = np.argwhere(maps.is_free(20.0))
-    ends = [(float(maps.grid.x_m[col]), float(maps.grid.y_m[row])) for row, col in (free[0], free[-1])]
+    ends = [
+        (float(maps.grid.x_m[col]), float(maps.grid.y_m[row])) for row, col in (free[0], free[-1])
+    ]
     return {"start_xy_m": ends[0], "goal_xy_m": ends[1], "altitude_m": 20.0}
 
 
 def test_other_code_settings_or_another_device_make_maps_stale_and_weights_do_not(job, monkeypatch):
     key = record.run_key(job_of(), {}, on := jax.default_backend())
-    assert pipeline.stored_key(job, 20.0) == key == record.run_key(job_of(weights={"gps": 3}), {}, on)
+    assert (
+        pipeline.stored_key(job, 20.0) == key == record.run_key(job_of(weights={"gps": 3}), {}, on)
+    )
     assert record.run_key(job_of(gps={"mask_deg": 6}), {}, on) != key
     assert record.run_key(job_of(), {}, "another") != key
     monkeypatch.setattr(record, "code_hash", lambda: "other code")
@@ -48,14 +52,18 @@ def test_other_code_settings_or_another_device_make_maps_stale_and_weights_do_no
 
 
 @pytest.mark.parametrize("are_saved", [False, True])
-def test_maps_that_came_while_another_run_read_its_city_are_not_replaced(are_saved, tmp_path, monkeypatch):
+def test_maps_that_came_while_another_run_read_its_city_are_not_replaced(
+    are_saved, tmp_path, monkeypatch
+):
     """Those of a run and those that were saved from Python; with ``overwrite`` they are."""
     tasks, other = pipeline.tasks_of, job_of(region=REGION | {"altitudes_m": [60]})
 
     def end_late(**asked):
         def late(*read):
             monkeypatch.setattr(pipeline, "tasks_of", tasks)
-            made_maps(8, 9).save(tmp_path) if are_saved else pipeline.run_scenario(other, tmp_path, progress=False)
+            made_maps(8, 9).save(tmp_path) if are_saved else pipeline.run_scenario(
+                other, tmp_path, progress=False
+            )
             held.update(files_of(tmp_path))
             return tasks(*read)
 
@@ -64,7 +72,9 @@ def test_maps_that_came_while_another_run_read_its_city_are_not_replaced(are_sav
         pipeline.run_scenario(job_of(), tmp_path, progress=False, **asked)
 
     held: dict[str, bytes] = {}
-    with pytest.raises(InputError, match=r"holds another run of `jaxurban maps` .*-o, or pass --overwrite"):
+    with pytest.raises(
+        InputError, match=r"holds another run of `jaxurban maps` .*-o, or pass --overwrite"
+    ):
         end_late()
     assert files_of(tmp_path) == held != {}
     shutil.rmtree(tmp_path)
@@ -83,10 +93,15 @@ def test_a_name_with_brackets_is_hashed_with_its_companions(tmp_path):
 
 
 def test_what_a_killed_worker_left_half_written_is_gone_when_the_run_ends(job, monkeypatch):
-    scrap, (file, *_) = job / "geotiff" / f".gps.tif.0a1b2c3d{files.SCRATCH_SUFFIX}", (job / "geotiff").glob("*.tif")
+    scrap, (file, *_) = (
+        job / "geotiff" / f".gps.tif.0a1b2c3d{files.SCRATCH_SUFFIX}",
+        (job / "geotiff").glob("*.tif"),
+    )
     before, write = file.read_bytes(), pipeline.write_geotiffs
     file.unlink()
-    monkeypatch.setattr(pipeline, "write_geotiffs", lambda *given, **more: (write(*given, **more), scrap.touch()))
+    monkeypatch.setattr(
+        pipeline, "write_geotiffs", lambda *given, **more: (write(*given, **more), scrap.touch())
+    )
     pipeline.run_scenario(job_of(), job)
     assert not scrap.exists()
     assert file.read_bytes() == before
@@ -134,14 +149,20 @@ def test_a_changed_scenario_is_refused_with_both_differences_and_a_new_folder(jo
     orbits = {"gps": {"orbits": str(job.parent / "town.csv")}}
     made = files.read_json(job / "run.json")
     inputs = {"orbits": {"path": "town.csv", "sha256": "of the old elements"}}
-    files.write_json(job / "run.json", made | {"inputs": inputs, "settings": made["settings"] | orbits})
+    files.write_json(
+        job / "run.json", made | {"inputs": inputs, "settings": made["settings"] | orbits}
+    )
     (job / "geotiff/gps_90m_20m.tif").write_text("the user's words")
     before = files_of(job)
     both = r"altitudes_m was \[20.*other input files \(orbits.*-o \S*job-2\).*--overwrite"
     with pytest.raises(ju.InputError, match=both):
         pipeline.run_scenario(job_of(**orbits, region=REGION | {"altitudes_m": altitudes_m}), job)
-    with pytest.raises(ju.InputError, match="--memory"):  # nor is a job begun that may replace them but has no room
-        pipeline.run_scenario(job_of(gps={"mask_deg": 6.0}), job, overwrite=True, memory_bytes=10**8)
+    with pytest.raises(
+        ju.InputError, match="--memory"
+    ):  # nor is a job begun that may replace them but has no room
+        pipeline.run_scenario(
+            job_of(gps={"mask_deg": 6.0}), job, overwrite=True, memory_bytes=10**8
+        )
     with pytest.raises(ju.InputError, match="in the way"):
         pipeline.run_scenario(job_of(region=REGION | {"altitudes_m": [90.0]}), job, overwrite=True)
     assert files_of(job) == before
@@ -189,15 +210,30 @@ def test_spreads_are_not_taken_for_statistics_over_time(tmp_path):
     assert not list((tmp_path / "geotiff").glob("gps_p05*"))
 
 
-def test_people_from_a_raster_and_every_credit_reach_the_files_and_a_region_beyond_the_data_warns(tmp_path, capsys):
+def test_people_from_a_raster_and_every_credit_reach_the_files_and_a_region_beyond_the_data_warns(
+    tmp_path, capsys
+):
     west, south, _, north = REGION["bounds"]
     scenario = write_city(tmp_path, shapely.box(west, south, west + 0.001, north))
     people = np.random.default_rng(0).integers(0, 200, (16, 16)).astype(np.int32)
     place = rasterio.Affine(1 / 1200, 0, west - 0.004, 0, -1 / 1200, north + 0.004)
-    options = {"driver": "GTiff", "width": 16, "height": 16, "count": 1, "dtype": "int32", "nodata": -9999}
-    with rasterio.open(tmp_path / "people.tif", "w", crs="EPSG:4326", transform=place, **options) as file:
+    options = {
+        "driver": "GTiff",
+        "width": 16,
+        "height": 16,
+        "count": 1,
+        "dtype": "int32",
+        "nodata": -9999,
+    }
+    with rasterio.open(
+        tmp_path / "people.tif", "w", crs="EPSG:4326", transform=place, **options
+    ) as file:
         file.write(people, 1)
-    credits = ('buildings.credit="© a town"', 'population.blocks="people.tif"', 'population.credit="© a count"')
+    credits = (
+        'buildings.credit="© a town"',
+        'population.blocks="people.tif"',
+        'population.credit="© a count"',
+    )
     given = (part for setting in credits for part in ("--set", setting))
     code, _, err = run(capsys, "maps", scenario, "-o", tmp_path / "out", *given)
     assert code == 0, err
@@ -208,24 +244,46 @@ def test_people_from_a_raster_and_every_credit_reach_the_files_and_a_region_beyo
         assert file.tags()["credit"] == "© a town; © a count"
     cell_km2 = maps.grid.resolution_m**2 / 1e6
     in_cells = float(maps.m("density", time_of_day="night").sum(dtype=np.float64)) * cell_km2
-    inside = files.read_json(tmp_path / "out" / "run.json")["population_in_region"]["night"]["total"]
+    inside = files.read_json(tmp_path / "out" / "run.json")["population_in_region"]["night"][
+        "total"
+    ]
     assert in_cells == pytest.approx(inside, rel=0.01)
     assert 0 < inside < people.sum()
     by_day = tmp_path / "people_by_day.tif"
     with rasterio.open(by_day, "w", crs="EPSG:4326", transform=place, **options) as file:
         file.write(3 * people[::-1], 1)
-    given = ("--set", 'population.blocks_day="people_by_day.tif"', "--set", 'population.blocks_night="people.tif"')
+    given = (
+        "--set",
+        'population.blocks_day="people_by_day.tif"',
+        "--set",
+        'population.blocks_night="people.tif"',
+    )
     code, _, err = run(capsys, "maps", scenario, "-o", tmp_path / "both", *given)
     assert code == 0, err
     assert "by day are not counted" not in err
     both, record = ju.open_maps(tmp_path / "both"), files.read_json(tmp_path / "both" / "run.json")
-    assert [record["inputs"][f"blocks_{name}"]["path"] for name in ("day", "night")] == [by_day.name, "people.tif"]
-    night, day = (both.m("density", time_of_day=name).sum(dtype=np.float64) * cell_km2 for name in ("night", "day"))
+    assert [record["inputs"][f"blocks_{name}"]["path"] for name in ("day", "night")] == [
+        by_day.name,
+        "people.tif",
+    ]
+    night, day = (
+        both.m("density", time_of_day=name).sum(dtype=np.float64) * cell_km2
+        for name in ("night", "day")
+    )
     counted = record["population_in_region"]
-    assert (night, day) == pytest.approx((counted["night"]["total"], counted["day"]["total"]), rel=0.005)
+    assert (night, day) == pytest.approx(
+        (counted["night"]["total"], counted["day"]["total"]), rel=0.005
+    )
     assert counted["night"]["total"] == pytest.approx(inside)
     code, _, err = run(
-        capsys, "maps", scenario, "-o", tmp_path / "none", *given, "--set", "population.gamma_commercial=2"
+        capsys,
+        "maps",
+        scenario,
+        "-o",
+        tmp_path / "none",
+        *given,
+        "--set",
+        "population.gamma_commercial=2",
     )
     assert (code, (tmp_path / "none").exists()) == (2, False)
     assert "leave out gamma_commercial" in err

@@ -28,7 +28,10 @@ def test_only_region_and_buildings_are_required():
 
 def test_toml_keeps_every_setting_and_paths_are_relative_to_the_file(tmp_path):
     given = MINIMAL | {"gps": {"times": ["2020-04-27T12:00:00-04:00"], "reference": [-74.0, 40.7]}}
-    given |= {"layers": {"noise": NOISE | {"altitudes_m": [20, 60]}}, "weights": {"noise": 2, "gps": 3}}
+    given |= {
+        "layers": {"noise": NOISE | {"altitudes_m": [20, 60]}},
+        "weights": {"noise": 2, "gps": 3},
+    }
     scenario, path = Scenario.from_dict(given), tmp_path / "scenario.toml"
     path.write_text(scenario.to_toml())
     again = Scenario.from_toml(path)
@@ -41,9 +44,16 @@ def test_toml_keeps_every_setting_and_paths_are_relative_to_the_file(tmp_path):
 
 
 def test_a_series_of_epochs_includes_both_ends_and_survives_toml(tmp_path):
-    scenario, times = Scenario.from_dict(MINIMAL | {"gps": SERIES}), [f"2020-04-27T00:{n:02}:00Z" for n in (0, 5, 10)]
+    scenario, times = (
+        Scenario.from_dict(MINIMAL | {"gps": SERIES}),
+        [f"2020-04-27T00:{n:02}:00Z" for n in (0, 5, 10)],
+    )
     (tmp_path / "s.toml").write_text(scenario.to_toml())
-    assert scenario.gps.utc_times == Scenario.from_toml(tmp_path / "s.toml").gps.utc_times == tuple(times)
+    assert (
+        scenario.gps.utc_times
+        == Scenario.from_toml(tmp_path / "s.toml").gps.utc_times
+        == tuple(times)
+    )
 
 
 @pytest.mark.parametrize(
@@ -69,25 +79,43 @@ def test_a_series_of_epochs_includes_both_ends_and_survives_toml(tmp_path):
         ({"region": REGION | {"altitudes_m": []}}, "altitudes_m"),
         ({"gps": SERIES | {"stop": "2020-04-26T00:00:00Z"}}, "stop, 2020-04-26.*, is before start"),
         ({"gps": SERIES | {"start": "2010-04-27T00:00:00Z", "step_s": 1}}, "make step_s longer"),
-        ({"buildings": SPREAD, "gps": SERIES | {"stop": "2020-04-28T00:00:00Z", "step_s": 60}}, "every time"),
+        (
+            {"buildings": SPREAD, "gps": SERIES | {"stop": "2020-04-28T00:00:00Z", "step_s": 60}},
+            "every time",
+        ),
         ({"planning": {"seed": -1}}, "planning: seed must be a whole number from 0 up, got -1"),
         ({"risk": {"distance": "round"}}, "'slice' or 'solid'"),
-        ({"weights": {"gps": 1e308}}, r"weights: gps must be a finite number of at most 9e\+18, got 1e\+308"),
-        ({"study": {"weights": ["dirichlet"]}}, "study.weights.0: must be a table of settings, got 'dirichlet'"),
+        (
+            {"weights": {"gps": 1e308}},
+            r"weights: gps must be a finite number of at most 9e\+18, got 1e\+308",
+        ),
+        (
+            {"study": {"weights": ["dirichlet"]}},
+            "study.weights.0: must be a table of settings, got 'dirichlet'",
+        ),
         ({"population": {"normalise": [1]}}, "^the scenario: population.normalise: .*"),
         ({"study": {"planners": []}}, "name at least one planner"),
         ({"study": {"altitudes_m": [60, 60]}}, "twice"),
         ({"study": {"weights": []}}, "study.weights: must be 'dirichlet' or a list"),
-        ({"study": {"weights": [{"gps": 1.0}, {"riks": 4.0}]}}, r"study.weights.1: .*'riks' \(did you mean 'risk'"),
+        (
+            {"study": {"weights": [{"gps": 1.0}, {"riks": 4.0}]}},
+            r"study.weights.1: .*'riks' \(did you mean 'risk'",
+        ),
         ({"weights": {"noise": 2.0}}, "weights: unknown weight 'noise'"),
         ({"weights": {"gps": True}}, "weights: gps must be a number"),
         ({"layers": {"noise": {"source": "n.tif"}}}, "'layers.noise.cost' is required"),
-        ({"layers": {"noise": NOISE | {"scale": [80, 0]}}}, "layers.noise: scale must be two ascending numbers"),
+        (
+            {"layers": {"noise": NOISE | {"scale": [80, 0]}}},
+            "layers.noise: scale must be two ascending numbers",
+        ),
         ({"layers": {"noise": NOISE | {"nan": "close"}}}, "layers.noise.nan"),
         ({"layers": {"noise": NOISE | {"sale": 1}}}, "unknown key 'layers.noise.sale' .*'scale'"),
         ({"layers": {"gps": NOISE}}, "cannot be called 'gps'"),
         ({"layers": {"my noise": NOISE}}, "letters, digits and _"),
-        ({"study": {"weights": [{"gps": -1.0}]}}, "study.weights.0: weight gps must be a finite number >= 0"),
+        (
+            {"study": {"weights": [{"gps": -1.0}]}},
+            "study.weights.0: weight gps must be a finite number >= 0",
+        ),
     ],
 )
 def test_a_bad_setting_is_one_sentence(settings, words):
@@ -100,7 +128,11 @@ def test_a_bad_setting_is_one_sentence(settings, words):
 def test_missing_and_broken_files_are_one_sentence(tmp_path, content):
     if content is not None:
         (tmp_path / "file.toml").write_bytes(content)
-    words = "does not exist: check the path" if content is None else "cannot be read as a scenario in TOML"
+    words = (
+        "does not exist: check the path"
+        if content is None
+        else "cannot be read as a scenario in TOML"
+    )
     with pytest.raises(InputError, match=words):
         Scenario.from_toml(tmp_path / "file.toml")
 
@@ -112,16 +144,29 @@ def file(tmp_path) -> Path:
 
 
 def test_values_are_read_as_toml(file):
-    changes = "gps.mask_deg=10", "region.altitudes_m=[30, 60]", "buildings . level_height_m = 2.5", "weights.risk=2"
+    changes = (
+        "gps.mask_deg=10",
+        "region.altitudes_m=[30, 60]",
+        "buildings . level_height_m = 2.5",
+        "weights.risk=2",
+    )
     made = Scenario.from_toml(file, [*changes, 'planning.cost_model="line"'])
-    assert (made.gps.mask_deg, made.region.altitudes_m, made.buildings.level_height_m) == (10.0, (30.0, 60.0), 2.5)
+    assert (made.gps.mask_deg, made.region.altitudes_m, made.buildings.level_height_m) == (
+        10.0,
+        (30.0, 60.0),
+        2.5,
+    )
     assert (made.weights.risk, made.planning.cost_model) == (2.0, "line")
 
 
 def test_a_change_is_as_if_the_file_said_it(file, tmp_path):
-    (tmp_path / "other.toml").write_text(TOWN.replace("[20, 60]", "[20]") + "[gps]\nmask_deg = 7\n", encoding="utf-8")
+    (tmp_path / "other.toml").write_text(
+        TOWN.replace("[20, 60]", "[20]") + "[gps]\nmask_deg = 7\n", encoding="utf-8"
+    )
     other = Scenario.from_toml(tmp_path / "other.toml")
-    there = Scenario.from_toml(file, ["region.altitudes_m=[20]", "gps.mask_deg=3", "gps.mask_deg=7"])
+    there = Scenario.from_toml(
+        file, ["region.altitudes_m=[20]", "gps.mask_deg=3", "gps.mask_deg=7"]
+    )
     assert there == other
     assert provenance.run_key(there, {}, "cpu") == provenance.run_key(other, {}, "cpu")
 
@@ -135,15 +180,34 @@ def test_the_settings_that_are_given_stay_as_they_are():
 
 def test_keys_of_a_scenario_are_those_of_its_record(file):
     record = provenance.settings_of(Scenario.from_toml(file))
-    known = {name: fields_of(model) for name, kind in fields_of(Scenario).items() if (model := model_in(kind))}
-    assert [f"{s}.{k}" for s, keys in record.items() if s != "weights" for k in keys if k not in known[s]] == []
+    known = {
+        name: fields_of(model)
+        for name, kind in fields_of(Scenario).items()
+        if (model := model_in(kind))
+    }
+    assert [
+        f"{s}.{k}"
+        for s, keys in record.items()
+        if s != "weights"
+        for k in keys
+        if k not in known[s]
+    ] == []
 
 
 def test_a_folder_of_other_maps_says_which_settings_differ(job, file, capsys):
-    assert run(capsys, "maps", file, "-o", job, "--set", "weights.gps=3", "--set", "planning.seed=2")[0] == 0
-    code, _, err = run(capsys, "maps", file, "-o", job, "--set", "gps.mask_deg=10", "--set", "gps.max_age_days=3.5")
+    assert (
+        run(capsys, "maps", file, "-o", job, "--set", "weights.gps=3", "--set", "planning.seed=2")[
+            0
+        ]
+        == 0
+    )
+    code, _, err = run(
+        capsys, "maps", file, "-o", job, "--set", "gps.mask_deg=10", "--set", "gps.max_age_days=3.5"
+    )
     assert code == 2
-    assert_one_sentence(err, "gps.mask_deg was 5.0, now 10.0; gps.max_age_days was 90.0, now 3.5", "--overwrite")
+    assert_one_sentence(
+        err, "gps.mask_deg was 5.0, now 10.0; gps.max_age_days was 90.0, now 3.5", "--overwrite"
+    )
 
 
 def test_a_folder_of_other_files_or_versions_says_so(job, monkeypatch):

@@ -59,7 +59,10 @@ def crossing(crossed) -> RouteQuery:
 @pytest.fixture(scope="session")
 def ends(crossed, crossing) -> list[tuple[float, float]]:
     """Return longitude and latitude of the crossing's start and goal."""
-    return [tuple(map(float, crossed.grid.lonlat_of_cell(*cell))) for cell in (crossing.start, crossing.goal)]
+    return [
+        tuple(map(float, crossed.grid.lonlat_of_cell(*cell)))
+        for cell in (crossing.start, crossing.goal)
+    ]
 
 
 @pytest.fixture(scope="session")
@@ -69,4 +72,6 @@ def small() -> ju.MetricMaps:
 
 @pytest.fixture(scope="session")
 def demonstrations(small):
-    return optimal_demonstrations(made_queries(ju.cost_map(small, 20.0, cost_model="cell"), NUM), HIDDEN)
+    return optimal_demonstrations(
+        made_queries(ju.cost_map(small, 20.0, cost_model="cell"), NUM), HIDDEN
+    )

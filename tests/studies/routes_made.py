@@ -33,7 +33,9 @@ def small_maps() -> MetricMaps:
     maps = made_maps(36, 40)
     rng = np.random.default_rng(1)
     for name in ("gps", "lidar", "population", "risk"):
-        rough = ndimage.gaussian_filter(rng.uniform(size=maps.ds[name].shape), [0] * (maps.ds[name].ndim - 2) + [1, 1])
+        rough = ndimage.gaussian_filter(
+            rng.uniform(size=maps.ds[name].shape), [0] * (maps.ds[name].ndim - 2) + [1, 1]
+        )
         maps.ds[name][:] = ((rough - rough.min()) / np.ptp(rough)).astype(np.float32)
     return maps
 
@@ -65,8 +67,13 @@ def cosine(fit, demonstrations: Sequence[Demonstration], hidden: ju.Weights) -> 
 
 def write_lines(file: Path, maps: MetricMaps, *lines_m: np.ndarray, **properties) -> Path:
     """Write lines ``[N, 2]`` of eastings and northings with one set of properties; return the file."""
-    lonlat = [np.round(np.stack(maps.grid.lonlat_of_xy(*np.transpose(each)), axis=-1), 7) for each in lines_m]
-    lines = geopandas.GeoDataFrame([properties] * len(lonlat), geometry=[*map(shapely.LineString, lonlat)])
+    lonlat = [
+        np.round(np.stack(maps.grid.lonlat_of_xy(*np.transpose(each)), axis=-1), 7)
+        for each in lines_m
+    ]
+    lines = geopandas.GeoDataFrame(
+        [properties] * len(lonlat), geometry=[*map(shapely.LineString, lonlat)]
+    )
     file.write_text(lines.to_json(drop_id=True))
     return file
 
@@ -75,8 +82,12 @@ def write_geojson(file: Path, demonstrations: Sequence[Demonstration], **propert
     """Write demonstrations as lines through the centres of their cells; a property of None is left out."""
     on = demonstrations[0].query.cost_map
     known = {"altitude_m": on.altitude_m} | properties
-    lines_m = [each.points_m + np.array([on.grid.x_min_m, on.grid.y_min_m]) for each in demonstrations]
-    return write_lines(file, on.maps, *lines_m, **{name: each for name, each in known.items() if each is not None})
+    lines_m = [
+        each.points_m + np.array([on.grid.x_min_m, on.grid.y_min_m]) for each in demonstrations
+    ]
+    return write_lines(
+        file, on.maps, *lines_m, **{name: each for name, each in known.items() if each is not None}
+    )
 
 
 def with_noise(maps: MetricMaps, loud: np.ndarray) -> MetricMaps:
@@ -95,14 +106,18 @@ def walled(maps: MetricMaps, *where) -> MetricMaps:
 def run_study(name: str, folders: Sequence[Path], out: Path, num: object = None, **how):
     """Run the study of planners on the first of two folders, or that of weights on both; without a number, as usual."""
     if name == "study":
-        return ju.studies.study(folders[0], out, 12 if num is None else num, **{"settings": STUDY} | how)
+        return ju.studies.study(
+            folders[0], out, 12 if num is None else num, **{"settings": STUDY} | how
+        )
     num = NUM_ROUTES if num is None else num
     return ju.studies.sensitivity_study(folders, out, num, **{"settings": WEIGHT_STUDY} | how)
 
 
 def same_rows(one: pd.DataFrame, other: pd.DataFrame) -> None:
     """Check that rows are equal but for their times."""
-    one, other = (rows.drop(columns=["elapsed_s", "setup_s"], errors="ignore") for rows in (one, other))
+    one, other = (
+        rows.drop(columns=["elapsed_s", "setup_s"], errors="ignore") for rows in (one, other)
+    )
     pd.testing.assert_frame_equal(one, other, check_like=True)
 
 
@@ -116,4 +131,7 @@ def assert_on_the_page(name: str, figure: Figure) -> None:
         if text.get_visible() and text.get_text().strip() and id(text) not in ticks:
             box = text.get_window_extent(renderer)
             assert min(box.x0, box.y0) > -1, (name, text.get_text())
-            assert max(box.x1 - figure.bbox.width, box.y1 - figure.bbox.height) < 1, (name, text.get_text())
+            assert max(box.x1 - figure.bbox.width, box.y1 - figure.bbox.height) < 1, (
+                name,
+                text.get_text(),
+            )

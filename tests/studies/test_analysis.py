@@ -7,7 +7,14 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval, draws_of, ends_of, median_of
+from jaxurban.studies.bootstrap import (
+    FEWEST_GROUPS,
+    Clusters,
+    Interval,
+    draws_of,
+    ends_of,
+    median_of,
+)
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.trial import row_columns
 from tests.made_maps import made_maps
@@ -15,9 +22,22 @@ from tests.made_maps import made_maps
 CHEAP, DEAR, LINE = "astar-plus", "bitstar-dist", "ptp"
 
 
-def row(instance: int, planner: str, cost: float | None, *, objective="weighted", status="", **facts) -> dict:
-    told = {"status": status or ("feasible" if cost else "blocked"), "cost": cost, "elapsed_s": 0.1, "length_m": 100.0}
-    told |= {"planner": planner, "objective": objective, "m_gps": 0.5, "m_risk": 0.5, "num_expanded": 1}
+def row(
+    instance: int, planner: str, cost: float | None, *, objective="weighted", status="", **facts
+) -> dict:
+    told = {
+        "status": status or ("feasible" if cost else "blocked"),
+        "cost": cost,
+        "elapsed_s": 0.1,
+        "length_m": 100.0,
+    }
+    told |= {
+        "planner": planner,
+        "objective": objective,
+        "m_gps": 0.5,
+        "m_risk": 0.5,
+        "num_expanded": 1,
+    }
     return dict.fromkeys(row_columns()) | {"altitude_m": 20.0, "instance": instance} | told | facts
 
 
@@ -25,18 +45,27 @@ def row(instance: int, planner: str, cost: float | None, *, objective="weighted"
 def table() -> pd.DataFrame:
     rows = []
     for k in range(10):
-        rows += [row(k, CHEAP, 10.0, status="optimal", elapsed_s=1.0), row(k, DEAR, 12.0 if k else None)]
+        rows += [
+            row(k, CHEAP, 10.0, status="optimal", elapsed_s=1.0),
+            row(k, DEAR, 12.0 if k else None),
+        ]
         rows += [row(k, LINE, 10.2 if k < 4 else None, elapsed_s=0.001)]
         rows += [row(k, CHEAP, 15.0, objective="distance", length_m=80.0, m_gps=0.25)]
     rows += [row(10, name, None, status="no-path") for name in (CHEAP, DEAR, LINE)]
     rows += [row(11, CHEAP, None, status="crashed"), row(11, DEAR, 7.0), row(11, LINE, None)]
-    instances = pd.DataFrame({"instance": range(12), "altitude_m": 20.0, "range": ["short"] * 6 + ["long"] * 6})
+    instances = pd.DataFrame(
+        {"instance": range(12), "altitude_m": 20.0, "range": ["short"] * 6 + ["long"] * 6}
+    )
     return analysis.joined(pd.DataFrame(rows), instances)
 
 
-def test_a_pair_is_joined_unless_no_path_was_proven_and_ratios_are_to_the_cheapest_of_any_planner(table):
+def test_a_pair_is_joined_unless_no_path_was_proven_and_ratios_are_to_the_cheapest_of_any_planner(
+    table,
+):
     assert set(table[~table.is_joined].instance) == {10}
-    first = table[(table.instance == 1) & (table.objective == "weighted")].set_index("planner").ratio
+    first = (
+        table[(table.instance == 1) & (table.objective == "weighted")].set_index("planner").ratio
+    )
     assert first.to_dict() == pytest.approx({CHEAP: 1.0, DEAR: 1.2, LINE: 1.02})
     assert table[table.status == "blocked"].ratio.isna().all()
 
@@ -81,7 +110,9 @@ def test_pairs_of_planners_are_compared_where_both_found_a_path(table):
 def test_shortest_paths_are_set_against_the_cheapest(table):
     (found,) = analysis.objectives(table).to_dict("records")
     assert (found["planner"], found["pairs"]) == (CHEAP, 10)
-    assert (found["cost_ratio"], found["length_ratio"], found["m_gps_change"]) == pytest.approx((1.5, 0.8, -0.25))
+    assert (found["cost_ratio"], found["length_ratio"], found["m_gps_change"]) == pytest.approx(
+        (1.5, 0.8, -0.25)
+    )
     assert "m_lidar_change" not in found
 
 
@@ -100,7 +131,12 @@ def test_the_planner_to_choose_answers_reliably_and_costs_least(table):
     assert (short.reliable, short.cheapest, short.fastest_near_best) == (CHEAP, CHEAP, CHEAP)
     assert short.straight_enough == pytest.approx(4 / 6)
     long = found.loc["long"]
-    assert (long.joined_pairs, long.reliable, long.cheapest, long.fastest_near_best) == (5, DEAR, DEAR, "none")
+    assert (long.joined_pairs, long.reliable, long.cheapest, long.fastest_near_best) == (
+        5,
+        DEAR,
+        DEAR,
+        "none",
+    )
 
 
 def test_complementarity_is_numpys_over_the_free_cells_of_the_altitudes_that_are_chosen():
@@ -108,7 +144,9 @@ def test_complementarity_is_numpys_over_the_free_cells_of_the_altitudes_that_are
     assert analysis.complementarity(maps, altitudes_m=[60]).altitude_m.tolist() == [60.0]
     for row in analysis.complementarity(maps).itertuples():
         is_free = maps.is_free(row.altitude_m, "centre")
-        gps, lidar = (maps.m(name, row.altitude_m)[is_free].astype(float) for name in ("gps", "lidar"))
+        gps, lidar = (
+            maps.m(name, row.altitude_m)[is_free].astype(float) for name in ("gps", "lidar")
+        )
         assert row.gps == pytest.approx(gps.mean())
         assert row.correlation == pytest.approx(np.corrcoef(gps, lidar)[0, 1])
         assert row.correlation_low <= row.correlation <= row.correlation_high
@@ -124,7 +162,11 @@ def test_a_few_tiles_give_no_interval_and_a_sky_without_buildings_no_correlation
     assert few.correlation_low.isna().all()
     maps.ds["gps"][:] = 0.95
     maps.ds["lidar"][:] = 0.0
-    assert analysis.complementarity(maps)[["correlation", "lidar_where_gps_poor"]].isna().all(axis=None)
+    assert (
+        analysis.complementarity(maps)[["correlation", "lidar_where_gps_poor"]]
+        .isna()
+        .all(axis=None)
+    )
 
 
 def test_the_interval_of_independent_values_is_that_of_the_normal_law():
@@ -147,13 +189,20 @@ def test_draws_within_cities_leave_the_differences_of_cities_out_and_draws_of_ci
     rng = np.random.default_rng(2)
     num_cities, num_groups = 40, 50
     levels, cities = rng.normal(0, 3.0, num_cities), np.repeat(np.arange(num_cities), num_groups)
-    values, groups = levels[cities] + rng.normal(0, 1.0, cities.size), np.tile(np.arange(num_groups), num_cities)
+    values, groups = (
+        levels[cities] + rng.normal(0, 1.0, cities.size),
+        np.tile(np.arange(num_groups), num_cities),
+    )
     within, over = Clusters(groups, cities).interval(values), Clusters(cities).interval(values)
-    residual = values - np.array([values[cities == city].mean() for city in range(num_cities)])[cities]
+    residual = (
+        values - np.array([values[cities == city].mean() for city in range(num_cities)])[cities]
+    )
     half = 1.96 * residual.std() / np.sqrt(cities.size - num_cities)
     assert (within.high - within.low) / 2 == pytest.approx(half, rel=0.1)
     of_means = [values[cities == city].mean() for city in range(num_cities)]
-    assert (over.high - over.low) / 2 == pytest.approx(2.02 * np.std(of_means, ddof=1) / np.sqrt(num_cities), rel=0.1)
+    assert (over.high - over.low) / 2 == pytest.approx(
+        2.02 * np.std(of_means, ddof=1) / np.sqrt(num_cities), rel=0.1
+    )
 
 
 def test_every_draw_within_cities_holds_each_city_as_often_as_it_is_there():
@@ -162,7 +211,9 @@ def test_every_draw_within_cities_holds_each_city_as_often_as_it_is_there():
     np.testing.assert_allclose(clusters.drawn((cities == "a").astype(float)), 6 / 16)
     noise = np.random.default_rng(5).normal(size=8)[group]
     signs = np.tile([1.0, -1.0], 8)
-    np.testing.assert_allclose(clusters.drawn(noise * signs), 0, atol=1e-12)  # both of a group are drawn together
+    np.testing.assert_allclose(
+        clusters.drawn(noise * signs), 0, atol=1e-12
+    )  # both of a group are drawn together
 
 
 def test_medians_and_means_of_drawn_values_are_those_of_the_values_repeated():
@@ -191,7 +242,10 @@ def test_no_values_and_those_of_few_pairs_have_no_interval_however_many_pairs_a_
     drawn, values = Clusters(pair), pd.Series(rng.normal(size=60))
     for num, is_known in ((FEWEST_GROUPS - 1, False), (FEWEST_GROUPS, True)):
         assert np.isfinite(drawn.interval(values.where(pair < num)).low) == is_known
-        assert np.isfinite(drawn.interval((values > 0).astype(float).where(pair < num), "share").low) == is_known
+        assert (
+            np.isfinite(drawn.interval((values > 0).astype(float).where(pair < num), "share").low)
+            == is_known
+        )
 
 
 def independent(num, statistic, truth, draw):
@@ -205,7 +259,9 @@ def uneven(num):
 
     def drawn(rng):
         groups = np.repeat(np.arange(num), rng.integers(1, 13, num))
-        return Clusters(groups).interval(rng.normal(size=num)[groups] + rng.normal(size=groups.size)), 0.0
+        return Clusters(groups).interval(
+            rng.normal(size=num)[groups] + rng.normal(size=groups.size)
+        ), 0.0
 
     return drawn
 
@@ -241,7 +297,9 @@ def of_routes_and_heights(num):
     clusters = Clusters(route).crossed(Clusters(draw, seed=1))
 
     def drawn(rng):
-        values = rng.normal(size=12)[route] + rng.normal(size=num)[draw] + rng.normal(size=route.size)
+        values = (
+            rng.normal(size=12)[route] + rng.normal(size=num)[draw] + rng.normal(size=route.size)
+        )
         return clusters.interval(values), 0.0
 
     return drawn
@@ -250,10 +308,16 @@ def of_routes_and_heights(num):
 SEEDS = {"uncorrelated": 12, "correlated": 12, "of cities": 13, "of routes and heights": 14}
 MADE = {
     "normal": lambda num: independent(num, "mean", 0.0, lambda rng, num: rng.normal(size=num)),
-    "skewed": lambda num: independent(num, "mean", np.exp(0.25**2 / 2), lambda rng, num: rng.lognormal(0, 0.25, num)),
-    "exponential": lambda num: independent(num, "mean", 1.0, lambda rng, num: rng.exponential(size=num)),
+    "skewed": lambda num: independent(
+        num, "mean", np.exp(0.25**2 / 2), lambda rng, num: rng.lognormal(0, 0.25, num)
+    ),
+    "exponential": lambda num: independent(
+        num, "mean", 1.0, lambda rng, num: rng.exponential(size=num)
+    ),
     "median": lambda num: independent(num, "median", 0.0, lambda rng, num: rng.normal(size=num)),
-    "share": lambda num: independent(num, "share", 0.3, lambda rng, num: (rng.random(num) < 0.3).astype(float)),
+    "share": lambda num: independent(
+        num, "share", 0.3, lambda rng, num: (rng.random(num) < 0.3).astype(float)
+    ),
     "uneven": uneven,
     "uncorrelated": lambda num: correlated(num, 0.0),
     "correlated": lambda num: correlated(num, 0.5),
@@ -267,7 +331,9 @@ MADE = {
     ("made", "num_groups"),
     [*itertools.product([*MADE][:-1], (FEWEST_GROUPS, 15, 30)), ([*MADE][-1], FEWEST_GROUPS)],
 )
-def test_intervals_contain_the_truth_in_93_of_100_cases_and_less_often_where_values_are_skewed(made, num_groups):
+def test_intervals_contain_the_truth_in_93_of_100_cases_and_less_often_where_values_are_skewed(
+    made, num_groups
+):
     rng, drawn, inside = np.random.default_rng(SEEDS.get(made, 11)), MADE[made](num_groups), 0
     for _ in range(2000):
         interval, truth = drawn(rng)

@@ -18,7 +18,11 @@ from jaxurban.report.buildings import write_buildings
 from jaxurban.studies.weights.buildings import building_costs
 
 SETTINGS = {
-    "region": {"bounds": (-74.0, 40.75, -73.993, 40.756), "resolution_m": 10.0, "altitudes_m": [25.0]},
+    "region": {
+        "bounds": (-74.0, 40.75, -73.993, 40.756),
+        "resolution_m": 10.0,
+        "altitudes_m": [25.0],
+    },
     "buildings": {"source": "synthetic"},
     "lidar": {"beams": 3, "azimuths": 24, "range_m": 60.0},
 }
@@ -55,17 +59,25 @@ def test_the_table_agrees_with_finite_differences_of_the_soft_cost_and_is_writte
         soft = soften(task, dtype=np.float64)
 
         def cost(height_m):
-            return building_costs(task.city, replace(soft, height_m=height_m), route, params).attrs["soft_cost"]
+            return building_costs(task.city, replace(soft, height_m=height_m), route, params).attrs[
+                "soft_cost"
+            ]
 
         np.testing.assert_allclose(cost(soft.height_m), table.attrs["soft_cost"], rtol=1e-12)
         assert len(table) > 12
         assert table.per_metre.is_monotonic_decreasing
         np.testing.assert_allclose(table.per_metre, table.gps + table.lidar + table.risk)
-        for row in table.reindex(table.per_metre.abs().sort_values(ascending=False).index).head(12).itertuples():
+        for row in (
+            table.reindex(table.per_metre.abs().sort_values(ascending=False).index)
+            .head(12)
+            .itertuples()
+        ):
             step = 1e-5 * np.eye(len(soft.height_m))[row.building]
             slope = (cost(soft.height_m + step) - cost(soft.height_m - step)) / 2e-5
             np.testing.assert_allclose(row.per_metre, slope, rtol=1e-4, atol=1e-6)
-    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "buildings.csv", index_col="rank"), table, check_like=True)
+    pd.testing.assert_frame_equal(
+        pd.read_csv(tmp_path / "buildings.csv", index_col="rank"), table, check_like=True
+    )
     assert len(pd.read_parquet(tmp_path / "buildings.parquet")) == len(table)
     assert (tmp_path / "buildings.png").stat().st_size > 10_000
     lon, lat = route.lonlat[0]
@@ -96,7 +108,11 @@ def test_other_routes_weights_and_altitudes_are_refused(folder, route, task, tmp
     for sentence, call, given in (
         ("there is no route", write_buildings, (folder, nowhere, tmp_path)),
         ("20 m", write_buildings, (folder, coarse, tmp_path)),
-        ("one CRS, cell size and altitude, got .* 25.0 m and .* 60.0", building_costs, (task.city, soft, route, high)),
+        (
+            "one CRS, cell size and altitude, got .* 25.0 m and .* 60.0",
+            building_costs,
+            (task.city, soft, route, high),
+        ),
         ("unknown weight 'rsk'", building_costs, (task.city, soft, route, params, {"rsk": 5})),
         ("the route changes its altitude", building_costs, (task.city, soft, climbing, params)),
     ):

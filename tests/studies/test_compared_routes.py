@@ -44,7 +44,8 @@ def test_costs_closed_metres_and_regrets_are_sums_by_hand(maps, found):
         assert row.closed_m == pytest.approx(np.sum(cut.length_m, where=~is_free[cell]), abs=1e-9)
         weights, model = ju.Weights().to_dict(), ju.CostModel()
         per_m = weights["distance"] + sum(
-            weights[name] * cost[cell] / model.reference_length_m for name, cost in there.costs(z_m).items()
+            weights[name] * cost[cell] / model.reference_length_m
+            for name, cost in there.costs(z_m).items()
         )
         if np.isnan(row.cost_there):
             num_closed += 1
@@ -62,9 +63,13 @@ def test_costs_closed_metres_and_regrets_are_sums_by_hand(maps, found):
 
 def test_a_table_by_altitude_and_direction_holds_medians_shares_and_the_worst(found):
     table = found.regrets
-    assert table[["planned_on", "judged_on"]].to_numpy().tolist() == [["A", "B"], ["B", "A"]] * len(found.a.altitudes_m)
+    assert table[["planned_on", "judged_on"]].to_numpy().tolist() == [["A", "B"], ["B", "A"]] * len(
+        found.a.altitudes_m
+    )
     for _, line in table.iterrows():
-        of = found.routes.merge(line[["altitude_m", "planned_on"]].to_frame().T.infer_objects()).dropna(subset="cost")
+        of = found.routes.merge(
+            line[["altitude_m", "planned_on"]].to_frame().T.infer_objects()
+        ).dropna(subset="cost")
         regret = np.sort(of.regret.dropna())
         assert (line.routes, line.closed) == (len(of), pytest.approx(of.is_closed.mean()))
         assert line.regret == regret[(len(regret) - 1) // 2]
@@ -78,13 +83,20 @@ def test_the_same_seed_draws_the_same_pairs_and_no_map_has_regrets_under_itself(
     again = ju.studies.compare(*maps, routes=NUM, seed=3, progress=False)
     pd.testing.assert_frame_equal(again.routes, found.routes)
     same = ju.studies.compare(maps[0], maps[0], routes=NUM, progress=False)
-    assert same.regrets[["closed", "closed_m", "regret", "regret_worst"]].fillna(0).to_numpy().max() < 1e-12
-    assert not same.routes[["start_x_m", "goal_x_m"]].equals(found.routes[["start_x_m", "goal_x_m"]])
+    assert (
+        same.regrets[["closed", "closed_m", "regret", "regret_worst"]].fillna(0).to_numpy().max()
+        < 1e-12
+    )
+    assert not same.routes[["start_x_m", "goal_x_m"]].equals(
+        found.routes[["start_x_m", "goal_x_m"]]
+    )
 
 
 def test_the_command_reports_regrets_and_writes_every_route(maps, tmp_path, capsys):
     folders = [made.save(tmp_path / name) for made, name in zip(maps, "ab", strict=True)]
-    code, out, _ = run(capsys, "compare", *folders, "-o", tmp_path / "out", "--routes", 12, "--seed", 3, "--json")
+    code, out, _ = run(
+        capsys, "compare", *folders, "-o", tmp_path / "out", "--routes", 12, "--seed", 3, "--json"
+    )
     assert code == 0
     again = run(capsys, "compare", *folders, "-o", tmp_path / "out", "--routes", 11, "--seed", 3)
     assert again[0] == 2

@@ -39,13 +39,19 @@ def test_routes_come_back_from_a_file_as_they_were(small, shown, tmp_path):
     assert len(ju.fit.read_demonstrations(file, small, altitude_m=60.0)) == 4
 
 
-def test_planned_paths_are_demonstrations_of_zero_regret_and_their_files_bring_cost_model_and_features(small, tmp_path):
-    instances = ju.studies.sample_instances(small, 6, weights=[HIDDEN], seed=2).query("is_connected")
+def test_planned_paths_are_demonstrations_of_zero_regret_and_their_files_bring_cost_model_and_features(
+    small, tmp_path
+):
+    instances = ju.studies.sample_instances(small, 6, weights=[HIDDEN], seed=2).query(
+        "is_connected"
+    )
     queries = instances[[*PLACES, "altitude_m"]]
     paths = ju.plan_many(small, queries, weights=HIDDEN, cost_model="line", progress=False)
     costs, taken = [path.cost for path in paths], ju.fit.demonstrations_from_paths(paths, small)
     weights = HIDDEN.vector(taken[0].query.names)
-    cheapest = RoutePool([each.query for each in taken]).cheapest(np.tile(weights, (len(taken), 1, 1)))[0, :, 0]
+    cheapest = RoutePool([each.query for each in taken]).cheapest(
+        np.tile(weights, (len(taken), 1, 1))
+    )[0, :, 0]
     np.testing.assert_allclose(cheapest @ weights, costs, rtol=1e-6)
     read = ju.fit.read_demonstrations(paths.save(tmp_path / "paths.geojson"), small)
     for demonstrations in (taken, read):
@@ -53,30 +59,52 @@ def test_planned_paths_are_demonstrations_of_zero_regret_and_their_files_bring_c
     write_path(paths[0], tmp_path / "path.geojson")
     (read,) = ju.fit.read_demonstrations(tmp_path / "path.geojson", small)
     np.testing.assert_allclose(read.features, taken[0].features, rtol=1e-12)
-    assert (read.query.cost_map.cost_model.kind, read.query.cost_map.altitude_m) == ("line", paths[0].altitude_m)
+    assert (read.query.cost_map.cost_model.kind, read.query.cost_map.altitude_m) == (
+        "line",
+        paths[0].altitude_m,
+    )
     paths.save(tmp_path / "paths.csv")
-    with pytest.raises(ju.InputError, match="which holds no lines: demonstrations_from_study plans its routes"):
+    with pytest.raises(
+        ju.InputError, match="which holds no lines: demonstrations_from_study plans its routes"
+    ):
         ju.fit.read_demonstrations(tmp_path / "paths.csv", small)
 
 
 def test_a_drawn_line_is_followed_on_the_grid_around_obstacles_in_the_narrowest_corridor(unit):
     free = np.argwhere(unit.is_free)
     a, b = (np.array(unit.grid.xy_of_cell(*map(int, free[k]))) for k in (0, -1))
-    line_m, corner_m = np.array([a, (a + b) / 2 + 3.0, b]), np.array([unit.grid.x_min_m, unit.grid.y_min_m])
+    line_m, corner_m = (
+        np.array([a, (a + b) / 2 + 3.0, b]),
+        np.array([unit.grid.x_min_m, unit.grid.y_min_m]),
+    )
     drawn = demonstration_from_line(unit, line_m, "drawn")
     assert unit.problem.features(drawn.points_m).is_valid
-    np.testing.assert_allclose(np.abs(np.diff(drawn.points_m, axis=0)).max(axis=1), unit.grid.resolution_m)
+    np.testing.assert_allclose(
+        np.abs(np.diff(drawn.points_m, axis=0)).max(axis=1), unit.grid.resolution_m
+    )
     straight_m = np.hypot(*(b - a))
     assert straight_m <= drawn.sums[1, 0] < 1.5 * straight_m
-    assert 15.0 < shapely.distance(shapely.points(drawn.points_m + corner_m), shapely.LineString(line_m)).max() <= 30.0
+    assert (
+        15.0
+        < shapely.distance(
+            shapely.points(drawn.points_m + corner_m), shapely.LineString(line_m)
+        ).max()
+        <= 30.0
+    )
     assert drawn.note.startswith("followed within 30 m")  # corridors are of 15, 30 and 60 m
 
 
-def test_drawn_lines_start_in_free_cells_near_their_ends_and_those_of_no_use_are_listed(small, unit, tmp_path):
+def test_drawn_lines_start_in_free_cells_near_their_ends_and_those_of_no_use_are_listed(
+    small, unit, tmp_path
+):
     walls, (query,) = np.argwhere(~unit.is_free), made_queries(unit, 1)
-    inside, start, goal = (small.grid.xy_of_cell(*map(int, cell)) for cell in (walls[0], query.start, query.goal))
+    inside, start, goal = (
+        small.grid.xy_of_cell(*map(int, cell)) for cell in (walls[0], query.start, query.goal)
+    )
     away = (start[0] - 1e5, start[1])
-    file = write_lines(tmp_path / "lines.geojson", small, (inside, goal), (away, goal), (start, goal))
+    file = write_lines(
+        tmp_path / "lines.geojson", small, (inside, goal), (away, goal), (start, goal)
+    )
     left_out = r"1 of 3 lines of '.*' were left out: line 2 \('2', from -7\d\.\d+, 40\.\d+\): it leaves the maps"
     with pytest.warns(LeftOutWarning, match=left_out):
         first, third = ju.fit.read_demonstrations(file, small, altitude_m=20.0)
@@ -104,5 +132,7 @@ def test_queries_lie_between_places_and_go_together_where_no_population_is_weigh
     assert (made.start, made.goal) == (query.start, query.goal)
     assert "population" in check_alike([query])
     doubled = ju.MetricMaps(unit.maps.ds.assign_attrs(pop_norm_per_km2=[2e4, 2e4]))
-    chosen = [made_queries(ju.cost_map(maps, 20.0).only(["gps"]), 1)[0] for maps in (unit.maps, doubled)]
+    chosen = [
+        made_queries(ju.cost_map(maps, 20.0).only(["gps"]), 1)[0] for maps in (unit.maps, doubled)
+    ]
     assert check_alike(chosen) == ("distance", "gps")

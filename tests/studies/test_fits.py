@@ -11,7 +11,11 @@ import xarray as xr
 import jaxurban as ju
 from jaxurban.fit import FitSettings, Target, compare_fits, fit_targets, fit_weights
 from jaxurban.report.tuning import fits_section
-from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line, optimal_demonstrations
+from jaxurban.studies.demonstrations import (
+    Demonstration,
+    demonstration_from_line,
+    optimal_demonstrations,
+)
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.tuning.compared_fits import split
 from jaxurban.studies.tuning.confidence import draw_counts
@@ -27,7 +31,9 @@ def fit(demonstrations):
     return fit_weights(demonstrations, bootstrap=40)
 
 
-def test_hidden_weights_come_back_from_optimal_routes_and_their_intervals_hold_them(fit, demonstrations):
+def test_hidden_weights_come_back_from_optimal_routes_and_their_intervals_hold_them(
+    fit, demonstrations
+):
     assert cosine(fit, demonstrations, HIDDEN) > 0.999
     assert fit.regret.mean() < 1e-4
     assert fit.best_mean_regret <= fit.regret.mean() + 1e-12
@@ -49,13 +55,19 @@ def test_hidden_weights_come_back_from_optimal_routes_and_their_intervals_hold_t
     assert fit.is_settled
 
 
-def test_draws_of_cities_depend_on_their_order_and_not_on_where_their_maps_lie_in_memory(small, demonstrations):
+def test_draws_of_cities_depend_on_their_order_and_not_on_where_their_maps_lie_in_memory(
+    small, demonstrations
+):
     twins = sorted((ju.MetricMaps(small.ds) for _ in range(2)), key=id)
 
     def drawn(*cities):
         units = [ju.cost_map(maps, 20.0, cost_model="cell") for maps in cities]
-        queries = [replace(each.query, cost_map=units[k >= 5]) for k, each in enumerate(demonstrations)]
-        shown = [replace(each, query=query) for each, query in zip(demonstrations, queries, strict=True)]
+        queries = [
+            replace(each.query, cost_map=units[k >= 5]) for k, each in enumerate(demonstrations)
+        ]
+        shown = [
+            replace(each, query=query) for each, query in zip(demonstrations, queries, strict=True)
+        ]
         return fit_weights(shown, bootstrap=4, settings=FitSettings(max_rounds=1)).draws
 
     np.testing.assert_array_equal(drawn(*twins), drawn(*twins[::-1]))
@@ -64,10 +76,14 @@ def test_draws_of_cities_depend_on_their_order_and_not_on_where_their_maps_lie_i
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["cell", "line"])
 @pytest.mark.parametrize("seed", range(4))
-def test_intervals_of_thinned_routes_contain_the_weights_that_they_were_planned_under(small, kind, seed):
+def test_intervals_of_thinned_routes_contain_the_weights_that_they_were_planned_under(
+    small, kind, seed
+):
     """Each sixth point alone is known: redrawn, such routes cost up to 4 % more than the ones that were meant."""
     unit, rng = ju.cost_map(small, 20.0, cost_model=kind), np.random.default_rng(seed)
-    hidden = ju.Weights(**dict(zip(unit.weight_names, VECTOR * np.exp(0.7 * rng.normal(size=5)), strict=True)))
+    hidden = ju.Weights(
+        **dict(zip(unit.weight_names, VECTOR * np.exp(0.7 * rng.normal(size=5)), strict=True))
+    )
     corner_m = np.array([small.grid.x_min_m, small.grid.y_min_m])
     shown = optimal_demonstrations(made_queries(unit, NUM, seed), hidden)
     drawn = [demonstration_from_line(unit, thinned(each.points_m) + corner_m) for each in shown]
@@ -100,7 +116,9 @@ def fitted(maps, hidden=HIDDEN, cost_model="line", altitude_m=20.0, max_rounds=2
     """Return routes planned under hidden weights on maps, and their fit."""
     unit = ju.cost_map(maps, altitude_m, cost_model=cost_model)
     shown = optimal_demonstrations(made_queries(unit, NUM), hidden)
-    return shown, fit_weights(shown, settings=FitSettings(max_rounds=max_rounds), **{"bootstrap": 0} | how)
+    return shown, fit_weights(
+        shown, settings=FitSettings(max_rounds=max_rounds), **{"bootstrap": 0} | how
+    )
 
 
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
@@ -109,7 +127,9 @@ def test_the_weight_of_a_constant_layer_is_said_to_be_unknown_and_bends_no_other
     _, fit = fitted(maps, cost_model=cost_model)
     assert [said for said in fit.unidentified if "risk" in said and "cannot be identified" in said]
     assert fit.regret.mean() < 1e-4
-    assert fit.weights.gps / fit.weights.population == pytest.approx(HIDDEN.gps / HIDDEN.population, rel=0.1)
+    assert fit.weights.gps / fit.weights.population == pytest.approx(
+        HIDDEN.gps / HIDDEN.population, rel=0.1
+    )
     if cost_model == "line":
         assert fit.weights.risk == 0
 
@@ -122,7 +142,11 @@ def test_two_layers_that_are_one_cannot_be_told_apart(small):
 
 def test_several_altitudes_are_fitted_together(small):
     units = [ju.cost_map(small, altitude_m, cost_model="cell") for altitude_m in (20.0, 60.0)]
-    shown = [each for unit in units for each in optimal_demonstrations(made_queries(unit, NUM // 2), HIDDEN)]
+    shown = [
+        each
+        for unit in units
+        for each in optimal_demonstrations(made_queries(unit, NUM // 2), HIDDEN)
+    ]
     fit = fit_weights(shown, bootstrap=0, scale="distance")
     assert fit.weights.distance == pytest.approx(1)
     assert cosine(fit, shown, HIDDEN) > 0.999
@@ -131,7 +155,10 @@ def test_several_altitudes_are_fitted_together(small):
 def test_weights_stay_finite_where_every_demonstration_avoids_a_cost_altogether(small):
     people = xr.zeros_like(small.ds["population"])
     people[:, 16:20, 18:22] = 1.0
-    maps, hidden = ju.MetricMaps(small.ds.assign(population=people)), HIDDEN.replace(population=50.0)
+    maps, hidden = (
+        ju.MetricMaps(small.ds.assign(population=people)),
+        HIDDEN.replace(population=50.0),
+    )
     shown, fit = fitted(maps, hidden, altitude_m=60.0, max_rounds=4, bootstrap=8)
     assert max(each.features[3] for each in shown) == 0
     assert np.isfinite(fit.vector).all()
@@ -166,14 +193,19 @@ def found(spoilt):
 def test_a_fit_of_routes_that_turn_one_corner_says_first_that_they_do_not_follow_the_metrics(small):
     unit = ju.cost_map(small, 60.0)
     corners = [((k, 1), (k, 30), (33, 30)) for k in range(1, 17)]
-    shown = [demonstration_from_line(unit, np.array([small.grid.xy_of_cell(*cell) for cell in c])) for c in corners]
+    shown = [
+        demonstration_from_line(unit, np.array([small.grid.xy_of_cell(*cell) for cell in c]))
+        for c in corners
+    ]
     fit = fit_weights(shown, bootstrap=0, settings=FitSettings(max_rounds=2))
     best = f"at best they cost {100 * fit.best_mean_regret:.3g} % more than the cheapest ones"
     assert fit.best_mean_regret > 0.05
     lines = f"{fit}".splitlines()
     assert lines[0].startswith(f"These routes do not follow these metrics: {best}")
     assert sum(best in line for line in lines) == 1
-    assert lines.index(fit.cautions[-1]) < next(k for k, line in enumerate(lines) if line.startswith("distance "))
+    assert lines.index(fit.cautions[-1]) < next(
+        k for k, line in enumerate(lines) if line.startswith("distance ")
+    )
     assert fit._repr_html_().startswith(f"<p><b>{lines[0]}</b></p>")
 
 
@@ -193,7 +225,9 @@ def test_a_fit_finds_the_pilot_among_detours(found, spoilt):
     is_bad = found.is_bad[~found.is_held_out]
     assert np.all(best.trust[is_bad] < 0.2)
     assert np.median(best.trust[~is_bad]) > 0.9
-    assert best.sentence.startswith(f"Most of these routes, {np.sum(best.trust >= 0.1)} of {len(fitted)}, follow")
+    assert best.sentence.startswith(
+        f"Most of these routes, {np.sum(best.trust >= 0.1)} of {len(fitted)}, follow"
+    )
     assert best.sentence == best.warnings[0]
 
 
@@ -235,7 +269,9 @@ def test_the_report_has_the_regret_of_each_fit_and_counts_the_routes_held_out_an
     assert f"{NUM // 2} of {2 * NUM} routes were held out" in text
     assert f"{found.is_bad.sum()} of all routes are outliers" in text
     for row in found.table.itertuples():
-        assert f"| {row.fit} | {row.cities} | {row.num_fitted} | {row.held_out_regret:.3g} |" in text
+        assert (
+            f"| {row.fit} | {row.cities} | {row.num_fitted} | {row.held_out_regret:.3g} |" in text
+        )
 
 
 @pytest.fixture(scope="module")
@@ -246,15 +282,21 @@ def queries(small):
 def outcomes_under_many_weights(queries) -> np.ndarray:
     """Return mean_gps and mean_lidar ``[N, 2]`` of planned routes under a grid of weights (brute force)."""
     pool = RoutePool(queries)
-    shortest = np.concatenate(pool.cheapest(np.tile([1.0, 0.0, 0.0], (FEW, 1, 1)))[:, :, 0], axis=-1)
+    shortest = np.concatenate(
+        pool.cheapest(np.tile([1.0, 0.0, 0.0], (FEW, 1, 1)))[:, :, 0], axis=-1
+    )
     scale = [0.0, *np.logspace(-1, 2.5, 8)]
     weights = np.array([[1.0, a, b] for a in scale for b in scale])
     found = np.concatenate(pool.cheapest(weights), axis=-1)
     wanted, names = [Target.parse(f"mean_{name}>=0") for name in ("gps", "lidar")], queries[0].names
-    return np.array([outcome_values(sums, shortest, names, wanted) for sums in np.moveaxis(found, 1, 0)])
+    return np.array(
+        [outcome_values(sums, shortest, names, wanted) for sums in np.moveaxis(found, 1, 0)]
+    )
 
 
-def test_targets_are_met_where_brute_force_meets_them_and_conflict_where_it_does_not(queries, tmp_path):
+def test_targets_are_met_where_brute_force_meets_them_and_conflict_where_it_does_not(
+    queries, tmp_path
+):
     values = outcomes_under_many_weights(queries)
     most = values.max(axis=0)
     gps, lidar = values[np.argmax(np.min(values / most, axis=1))]
@@ -305,5 +347,7 @@ def test_a_route_of_the_same_features_is_kept_once_in_the_memory_of_one(queries)
     assert pool.routes[:, 0, 2_000].tolist() == route.tolist()
     tracemalloc.start()
     pool._add(0, route)  # known by now: nothing is copied
-    assert tracemalloc.get_traced_memory()[1] < pool.routes.nbytes / 50  # twice what it takes beside 20 of them
+    assert (
+        tracemalloc.get_traced_memory()[1] < pool.routes.nbytes / 50
+    )  # twice what it takes beside 20 of them
     tracemalloc.stop()

@@ -47,11 +47,15 @@ def test_differences_are_b_less_a_where_both_are_free(maps, found):
 
 def test_statistics_are_numpys_over_all_cells(found):
     for row in found.table[found.table.layer.isin(["gps", "risk", "roof"])].itertuples():
-        change = found.of(row.layer, None if np.isnan(row.altitude_m) else row.altitude_m).astype(float)
+        change = found.of(row.layer, None if np.isnan(row.altitude_m) else row.altitude_m).astype(
+            float
+        )
         values = change[np.isfinite(change)]
         assert row.cells == len(values) > 0
         want = [values.mean(), *np.percentile(values, [50, 5, 95]), np.sqrt((values**2).mean())]
-        np.testing.assert_allclose([row.mean, row.median, row.p05, row.p95, row.rms], want, atol=1e-12)
+        np.testing.assert_allclose(
+            [row.mean, row.median, row.p05, row.p95, row.rms], want, atol=1e-12
+        )
         assert row.share_changed == (abs(values) > 1e-6).mean()
         assert (row.gained, row.lost) == ((values > 1e-6).sum(), (values < -1e-6).sum())
 
@@ -84,7 +88,9 @@ def test_infinite_dilutions_are_alike_or_changed_but_never_a_mean(maps):
 
 
 def test_a_tolerance_in_the_layers_unit_counts_as_the_same(maps):
-    rows = ju.studies.compare(*maps, tolerance=0.2, progress=False).table.query("layer in ('gps', 'risk')")
+    rows = ju.studies.compare(*maps, tolerance=0.2, progress=False).table.query(
+        "layer in ('gps', 'risk')"
+    )
     assert rows.share_changed.max() == 0
     assert rows.rms.max() > 0.01
 
@@ -96,12 +102,19 @@ def test_only_the_cells_that_both_hold_are_compared_wherever_they_lie(maps, foun
     assert parts.grid.shape == (50, 80)
     assert (parts.grid.first_row, parts.grid.first_col) == (450_030, 58_010)
     np.testing.assert_array_equal(parts.of("risk", 20.0), found.of("risk", 20.0)[30:, 10:90])
-    assert parts.left_out == {"2,400 cells": "B holds no such map", "1,000 cells": "A holds no such map"}
+    assert parts.left_out == {
+        "2,400 cells": "B holds no such map",
+        "1,000 cells": "A holds no such map",
+    }
 
 
 def test_altitudes_times_of_day_and_layers_of_one_alone_are_left_out_by_name(maps):
     a, b = maps
-    ds = b.ds.isel(altitude=[1], time_of_day=[1]).drop_vars("lidar").assign_attrs(pop_norm_per_km2=[7.0])
+    ds = (
+        b.ds.isel(altitude=[1], time_of_day=[1])
+        .drop_vars("lidar")
+        .assign_attrs(pop_norm_per_km2=[7.0])
+    )
     found = ju.studies.compare(a, MetricMaps(ds), progress=False)
     assert found.a.altitudes_m == found.b.altitudes_m == (60.0,)
     assert found.a.times_of_day == ("night",)
@@ -112,7 +125,9 @@ def test_altitudes_times_of_day_and_layers_of_one_alone_are_left_out_by_name(map
 
 
 def at_time(maps: MetricMaps, *times: str) -> MetricMaps:
-    ds = xr.concat([maps.ds] * len(times), "time", data_vars="minimal", coords="minimal", compat="override")
+    ds = xr.concat(
+        [maps.ds] * len(times), "time", data_vars="minimal", coords="minimal", compat="override"
+    )
     return MetricMaps(ds.assign_coords(time=np.array(times, "datetime64[ns]")))
 
 

@@ -33,12 +33,18 @@ ONE = replace(STUDY, planners=["ptp"], distance_only=())
 @pytest.fixture(scope="module")
 def one(folders):
     """Return how a study of one planner is run."""
-    return lambda out, num, **change: ju.studies.study(folders[0], out, num, settings=replace(ONE, **change))
+    return lambda out, num, **change: ju.studies.study(
+        folders[0], out, num, settings=replace(ONE, **change)
+    )
 
 
 def test_no_path_beats_the_proven_optimum_of_its_own_grid(study):
-    cost = study.table.pivot(index=["instance", "altitude_m"], columns=["planner", "objective"], values="cost")
-    np.testing.assert_allclose(cost["astar-dist", "weighted"], cost["astar-plus", "weighted"], rtol=1e-12)
+    cost = study.table.pivot(
+        index=["instance", "altitude_m"], columns=["planner", "objective"], values="cost"
+    )
+    np.testing.assert_allclose(
+        cost["astar-dist", "weighted"], cost["astar-plus", "weighted"], rtol=1e-12
+    )
     assert (cost["astar-dist", DISTANCE] >= cost["astar-dist", "weighted"] * (1 - 1e-12)).all()
     both = study.table[study.table.planner == "astar-dist"].set_index(["instance", "altitude_m"])
     shortest, cheapest = (both[both.objective == objective] for objective in (DISTANCE, "weighted"))
@@ -47,8 +53,12 @@ def test_no_path_beats_the_proven_optimum_of_its_own_grid(study):
 
 
 def test_maps_in_memory_give_the_same_rows_of_as_many_samples_as_the_budget(alpha, study, tmp_path):
-    found = ju.studies.study(alpha, tmp_path, 3, settings=replace(STUDY, planners=["ptp", "bitstar-plus"]))
-    kept = study.rows[(study.rows.instance < 3) & study.rows.planner.isin(["ptp", "bitstar-plus", "astar-dist"])]
+    found = ju.studies.study(
+        alpha, tmp_path, 3, settings=replace(STUDY, planners=["ptp", "bitstar-plus"])
+    )
+    kept = study.rows[
+        (study.rows.instance < 3) & study.rows.planner.isin(["ptp", "bitstar-plus", "astar-dist"])
+    ]
     kept = kept[(kept.planner != "astar-dist") | (kept.objective == DISTANCE)]
     same_rows(found.rows, kept.reset_index(drop=True))
     assert found.rows.num_samples.max() == STUDY.budget_iterations
@@ -57,9 +67,13 @@ def test_maps_in_memory_give_the_same_rows_of_as_many_samples_as_the_budget(alph
 def test_planners_and_instances_may_be_added_and_nothing_is_run_twice(one, tmp_path):
     first = one(tmp_path, 2).rows
     both = one(tmp_path, 2, planners=["ptp", "astar-dist"]).rows
-    pd.testing.assert_frame_equal(both[both.planner == "ptp"].reset_index(drop=True), first)  # times and all
+    pd.testing.assert_frame_equal(
+        both[both.planner == "ptp"].reset_index(drop=True), first
+    )  # times and all
     assert len(both) == 2 * len(first)
-    longer = one(tmp_path, 3, budget_s=9.0).rows.query("planner == 'ptp'")  # samples are counted, not seconds
+    longer = one(tmp_path, 3, budget_s=9.0).rows.query(
+        "planner == 'ptp'"
+    )  # samples are counted, not seconds
     assert longer.groupby("altitude_m").instance.apply(list).tolist() == [[0, 1, 2]] * 2
     pd.testing.assert_frame_equal(longer[longer.instance < 2].reset_index(drop=True), first)
 
@@ -72,13 +86,19 @@ def test_another_study_takes_the_folder_where_it_is_asked_to(folders, one, tmp_p
 
 
 def test_instances_of_a_file_are_joined_as_these_maps_have_it(alpha, one, study, tmp_path):
-    instances = study.instances.assign(is_connected=~study.instances.is_connected).drop(columns="distance_m")
-    instances.loc[0, ["start_x_m", "start_y_m"]] = alpha.grid.xy_of_cell(*np.argwhere(~alpha.is_free(20.0))[0])
+    instances = study.instances.assign(is_connected=~study.instances.is_connected).drop(
+        columns="distance_m"
+    )
+    instances.loc[0, ["start_x_m", "start_y_m"]] = alpha.grid.xy_of_cell(
+        *np.argwhere(~alpha.is_free(20.0))[0]
+    )
     instances.loc[1, "goal_x_m"] = 1e12
     found = one(tmp_path, instances)
     assert found.instances.is_connected.tolist() == [None, None, *study.instances.is_connected[2:]]
     ends_m = (study.instances[[f"{end}_x_m", f"{end}_y_m"]].to_numpy() for end in ("start", "goal"))
-    np.testing.assert_allclose(found.instances.distance_m[2:], np.hypot(*np.subtract(*ends_m).T)[2:])
+    np.testing.assert_allclose(
+        found.instances.distance_m[2:], np.hypot(*np.subtract(*ends_m).T)[2:]
+    )
     bad = found.rows.set_index(["instance", "altitude_m"]).status == "bad-input"
     assert bad[bad].index.tolist() == [(0, 20.0), (1, 20.0)]
 
@@ -90,7 +110,8 @@ def test_a_study_whose_instances_were_changed_is_refused(one, tmp_path):
     pd.read_parquet(file)[1:].to_parquet(file)
     for number in (2, 3):
         with pytest.raises(
-            ju.InputError, match=r"instances are lost \(.*instances.parquet' is not as it was written\)"
+            ju.InputError,
+            match=r"instances are lost \(.*instances.parquet' is not as it was written\)",
         ):
             one(tmp_path, number)
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "rows.parquet"), rows)
@@ -109,7 +130,10 @@ def test_a_planner_that_kills_its_worker_costs_its_own_rows_alone(folders, study
 
     runs = (("ptp", "weighted"), ("killer", "weighted"), ("astar-dist", "weighted"))
     tasks = [InstanceRuns(instance, runs) for instance in study.instances[:2].to_dict("records")]
-    with dask.config.set({"distributed.scheduler.allowed-failures": 0}), cluster_client(2) as client:
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        cluster_client(2) as client,
+    ):
         client.register_plugin(Killer())
         job = Benchmark(study=replace(STUDY, budget_iterations=100))
         found = list(solve_on(client, tasks, {None: MapsFolder(folders[0])}, job))
@@ -128,7 +152,16 @@ def test_the_report_holds_every_table_figure_and_sentence(study, tmp_path):
     same.loc[:, same.columns.str.startswith("w_")] = same.filter(like="w_").iloc[0].to_numpy()
     told = report_markdown(replace(study, instances=same), tables_of(study))
     assert f" Weights: distance 0.25, gps {same.w_gps.iloc[0]:g}, " in told
-    for name in ("choices", "success", "costs", "paired", "times", "usage", "objectives", "complementarity"):
+    for name in (
+        "choices",
+        "success",
+        "costs",
+        "paired",
+        "times",
+        "usage",
+        "objectives",
+        "complementarity",
+    ):
         assert (tmp_path / "tables" / f"{name}.csv").is_file()
     for title in ("Which planner, when", "Cost", "Planners two by two", "GPS and lidar"):
         assert f"## {title}" in report
@@ -153,23 +186,35 @@ def test_a_study_without_a_path_has_its_report(study, tmp_path):
     assert not (tmp_path / "figures" / "costs.png").exists()
 
 
-@pytest.mark.parametrize(("planners", "altitudes_m"), [(["ptp"], [20.0]), (STUDY.planners, [20.0, 60.0])])
-def test_planners_that_solve_no_joined_pair_at_an_altitude_are_drawn(study, tmp_path, planners, altitudes_m):
+@pytest.mark.parametrize(
+    ("planners", "altitudes_m"), [(["ptp"], [20.0]), (STUDY.planners, [20.0, 60.0])]
+)
+def test_planners_that_solve_no_joined_pair_at_an_altitude_are_drawn(
+    study, tmp_path, planners, altitudes_m
+):
     where = study.rows.planner.isin(planners) & study.rows.altitude_m.isin(altitudes_m)
     report = unsolved(study, where, "failed").save(tmp_path)[-1].read_text()
     drawn = {f"figures/{picture.name}" for picture in (tmp_path / "figures").glob("*.png")}
-    assert drawn == {f"figures/{name}.png" for name in ("success", "costs", "complementarity") if f"/{name}." in report}
+    assert drawn == {
+        f"figures/{name}.png"
+        for name in ("success", "costs", "complementarity")
+        if f"/{name}." in report
+    }
     assert ("figures/costs.png" in drawn) == (planners == ["ptp"])
 
 
 def test_the_benchmark_can_be_solved_by_its_page_alone(study, tmp_path):
-    counts = export_benchmark(study.maps, study.instances, study.rows, tmp_path, study.settings, "made-city")
+    counts = export_benchmark(
+        study.maps, study.instances, study.rows, tmp_path, study.settings, "made-city"
+    )
     assert counts["weighted"] == 24
     solved = 0
     for file in (tmp_path / "movingai").glob("*.map"):
         is_free = read_map(file)
         for start, goal, length in read_scenarios(file.with_suffix(".map.scen")):
-            found = astar(base.Problem(np.zeros((1, *is_free.shape)), is_free, start, goal, 1.0, 1.0))
+            found = astar(
+                base.Problem(np.zeros((1, *is_free.shape)), is_free, start, goal, 1.0, 1.0)
+            )
             assert found.cost == pytest.approx(length, abs=1e-6)
             solved += 1
     assert solved == counts["shortest"] > 0
@@ -177,13 +222,20 @@ def test_the_benchmark_can_be_solved_by_its_page_alone(study, tmp_path):
     proven = instances[instances.grid_optimum.notna()]
     assert len(proven) == counts["proven"] > 0
     for row in proven.iloc[::5].itertuples():
-        with np.load(tmp_path / "costs" / f"made-city_{row.altitude_m:g}m_{row.time_of_day}.npz") as kept:
+        with np.load(
+            tmp_path / "costs" / f"made-city_{row.altitude_m:g}m_{row.time_of_day}.npz"
+        ) as kept:
             weights = np.array([getattr(row, f"w_{name}") for name in kept["names"]])
-            corner_m, side_m = np.array([kept["y_min_m"], kept["x_min_m"]]), float(kept["resolution_m"])
+            corner_m, side_m = (
+                np.array([kept["y_min_m"], kept["x_min_m"]]),
+                float(kept["resolution_m"]),
+            )
             ends_m = np.array([[row.start_y_m, row.start_x_m], [row.goal_y_m, row.goal_x_m]])
             start, goal = map(tuple, ((ends_m - corner_m) // side_m).astype(int).tolist())
             layers = weights[:, None, None] * kept["costs"].astype(np.float64)
-            problem = base.Problem(layers, kept["is_free"], start, goal, side_m, row.w_distance, "line")
+            problem = base.Problem(
+                layers, kept["is_free"], start, goal, side_m, row.w_distance, "line"
+            )
         assert astar(problem).cost == pytest.approx(row.grid_optimum, rel=1e-9)
         assert row.best_known <= row.grid_optimum * (1 + 1e-12)
 
@@ -193,7 +245,18 @@ def test_the_command_makes_maps_study_and_report_and_reruns_a_file(tmp_path, cap
     scenario = tmp_path / "town.toml"
     scenario.write_text(TOWN + '[study]\ninstances = 4\nplanners = ["ptp", "astar-plus"]\n')
     out = tmp_path / "out"
-    code, text, err = run(capsys, "study", scenario, "-o", out, "--workers", 1, "--json", "--benchmark", tmp_path / "b")
+    code, text, err = run(
+        capsys,
+        "study",
+        scenario,
+        "-o",
+        out,
+        "--workers",
+        1,
+        "--json",
+        "--benchmark",
+        tmp_path / "b",
+    )
     assert code == 0, err
     told = json.loads(text)
     assert told["num_rows"] == 4 * 2 * 3
@@ -201,7 +264,9 @@ def test_the_command_makes_maps_study_and_report_and_reruns_a_file(tmp_path, cap
     assert told["benchmark"]["weighted"] == 8
     instances = tmp_path / "b" / "instances.csv"
     other = tmp_path / "other"
-    code, _, err = run(capsys, "study", scenario, "-o", other, "--workers", 1, "--instances", instances)
+    code, _, err = run(
+        capsys, "study", scenario, "-o", other, "--workers", 1, "--instances", instances
+    )
     assert code == 0, err
     same_rows(*(pd.read_parquet(folder / "study" / "rows.parquet") for folder in (out, other)))
 
@@ -213,7 +278,9 @@ def instances(alpha):
 
 
 def rows_of(maps, instance, runs, settings=AS_USUAL, time_of_day=None):
-    return solve_instance(settings, settings.cost_map(maps, 20.0, None, time_of_day), instance, runs)
+    return solve_instance(
+        settings, settings.cost_map(maps, 20.0, None, time_of_day), instance, runs
+    )
 
 
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
@@ -221,12 +288,23 @@ def test_rows_say_what_plan_says(alpha, instances, cost_model):
     settings = Benchmark(cost_model=ju.CostModel(cost_model))
     for instance in instances[:4]:
         rows = rows_of(alpha, instance, WEIGHTED, settings, instance["time_of_day"])
-        ends = {f"{end}_xy_m": (instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal")}
-        weights = ju.Weights(**{name.removeprefix("w_"): instance[name] for name in weight_columns(())})
-        how = ends | {"altitude_m": 20.0, "time_of_day": instance["time_of_day"], "weights": weights}
+        ends = {
+            f"{end}_xy_m": (instance[f"{end}_x_m"], instance[f"{end}_y_m"])
+            for end in ("start", "goal")
+        }
+        weights = ju.Weights(
+            **{name.removeprefix("w_"): instance[name] for name in weight_columns(())}
+        )
+        how = ends | {
+            "altitude_m": 20.0,
+            "time_of_day": instance["time_of_day"],
+            "weights": weights,
+        }
         for (planner, _), row in zip(WEIGHTED, rows, strict=True):
             models = {cost_model, "cell", "line"} if planner == "ptp" else {cost_model}
-            planned = {model: ju.plan(alpha, **how, planner=planner, cost_model=model) for model in models}
+            planned = {
+                model: ju.plan(alpha, **how, planner=planner, cost_model=model) for model in models
+            }
             told = planned[cost_model]
             assert row["status"] == told.status.value
             assert row["num_expanded"] == told.search.num_expanded
@@ -236,7 +314,9 @@ def test_rows_say_what_plan_says(alpha, instances, cost_model):
             assert row["cost"] == row[f"cost_{cost_model}"] == pytest.approx(told.cost, rel=1e-12)
             assert row["length_m"] == pytest.approx(told.length_m)
             assert row["detour"] == pytest.approx(told.length_m / instance["distance_m"])
-            assert {name: row[f"m_{name}"] for name in told.metrics} == pytest.approx(dict(told.metrics), abs=1e-6)
+            assert {name: row[f"m_{name}"] for name in told.metrics} == pytest.approx(
+                dict(told.metrics), abs=1e-6
+            )
             for model, path in planned.items():  # that of ptp is the same path under either
                 assert row[f"cost_{model}"] == pytest.approx(path.cost, rel=1e-12)
 
@@ -254,11 +334,16 @@ def crashing(problem, *, budget_s, seed):
 
 
 def cheating(problem, *, budget_s, seed):
-    corners = np.array([[0.0, 0.0], [problem.is_free.shape[1], problem.is_free.shape[0]]]) * problem.resolution_m
+    corners = (
+        np.array([[0.0, 0.0], [problem.is_free.shape[1], problem.is_free.shape[0]]])
+        * problem.resolution_m
+    )
     return base.Path(base.Status.FEASIBLE, corners, 1.0, 0.0, 1, 0.0, "cheating")
 
 
-def test_a_planner_that_crashes_or_cheats_is_a_row_and_the_next_one_is_asked(alpha, instances, monkeypatch):
+def test_a_planner_that_crashes_or_cheats_is_a_row_and_the_next_one_is_asked(
+    alpha, instances, monkeypatch
+):
     monkeypatch.setitem(PLANNERS, "crashing", PlannerEntry(crashing, ""))
     monkeypatch.setitem(PLANNERS, "cheating", PlannerEntry(cheating, ""))
     runs = [(name, "weighted") for name in ("crashing", "cheating", "astar-dist")]

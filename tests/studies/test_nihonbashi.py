@@ -38,7 +38,9 @@ def found() -> ju.studies.ReceiverValidation:
     return ju.studies.validate(scenario(), progress=False)
 
 
-def validated(log: pd.DataFrame, of: ju.Scenario | None = None, **settings) -> ju.studies.ReceiverValidation:
+def validated(
+    log: pd.DataFrame, of: ju.Scenario | None = None, **settings
+) -> ju.studies.ReceiverValidation:
     """Return a validation of few displaced cities, with a small field."""
     chosen = ju.studies.ReceiverSettings(**{"num_displaced": 1, **settings})
     with pytest.MonkeyPatch.context() as patch:
@@ -61,7 +63,13 @@ def test_the_sample_shows_that_the_sky_agrees():
     assert of.peak["within_95_m"] <= 6.0
     assert of.peak["scale_low"] <= 1.0 <= of.peak["scale_high"]
     loss = of.rivals.set_index("model").log_loss
-    assert loss["margin and elevation"] < loss["margin"] < loss["seen or hidden"] < loss["street"] < loss["elevation"]
+    assert (
+        loss["margin and elevation"]
+        < loss["margin"]
+        < loss["seen or hidden"]
+        < loss["street"]
+        < loss["elevation"]
+    )
     assert "better than elevation" in of.verdict
 
 
@@ -77,7 +85,9 @@ def test_500_rows_are_seen_as_a_ray_at_a_time_through_the_outlines_says():
         around = near.query(shapely.Point(*at).buffer(1300.0))
         angles = np.radians(row.azimuth_deg) - turn_rad, np.radians(row.elevation_deg)
         hidden.append(
-            hidden_by_outlines(city.buildings.polygons[around], city.buildings.height_m[around], *at, *angles)
+            hidden_by_outlines(
+                city.buildings.polygons[around], city.buildings.height_m[around], *at, *angles
+            )
         )
     assert np.mean(chosen.is_seen.to_numpy() == ~np.array(hidden)) > 0.98
 
@@ -91,8 +101,12 @@ def test_a_city_that_ends_in_the_middle_of_the_track_is_judged_where_it_is_known
     gpd.GeoDataFrame(geometry=[known], crs=4326).to_file(tmp_path / "known.geojson")
     bounds = list(scenario().region.bounds)
     settings = {"region": {"bounds": bounds, "resolution_m": 2.0}, "gps": {"mask_deg": 10.0}}
-    of_west = ju.Scenario.from_dict({**settings, "buildings": {"source": str(tmp_path / "west.parquet")}})
-    guarded, open_all = (validated(table(), of_west, known=rule) for rule in (str(tmp_path / "known.geojson"), "all"))
+    of_west = ju.Scenario.from_dict(
+        {**settings, "buildings": {"source": str(tmp_path / "west.parquet")}}
+    )
+    guarded, open_all = (
+        validated(table(), of_west, known=rule) for rule in (str(tmp_path / "known.geojson"), "all")
+    )
     assert guarded.satellites.score().share < 0.6
     assert guarded.satellites.score().auc > 0.87
     assert open_all.satellites.score().share == 1.0
@@ -117,7 +131,10 @@ def test_a_track_that_is_50_m_off_is_not_praised(east_m, north_m):
 def test_shifted_and_swapped_predictions_are_seldom_praised():
     rows, epochs = found().satellites.rows, found().epochs
     rows = rows[rows.is_judged]
-    off_rad = np.radians(rows.azimuth_deg) - headings_rad(*epochs[["x_m", "y_m"]].to_numpy().T)[rows.epoch]
+    off_rad = (
+        np.radians(rows.azimuth_deg)
+        - headings_rad(*epochs[["x_m", "y_m"]].to_numpy().T)[rows.epoch]
+    )
     of = np.radians(rows.elevation_deg.to_numpy(float)), off_rad.to_numpy()
     rng = np.random.default_rng(0)
     praised = [is_praised(rows, wrong_margins(rows, rng, step_s=1.0), *of) for _ in range(200)]
@@ -138,7 +155,9 @@ def test_times_that_are_an_hour_off_are_not_praised_and_a_quarter_of_one_is(data
         (-0.25, 0.82, 0.86),
     ):
         angles = messages.angles(track.assign(utc=track.utc + pd.Timedelta(hours=hours)))
-        angles = angles.assign(utc=track.utc.iloc[angles.epoch].dt.strftime("%Y-%m-%dT%H:%M:%SZ").to_numpy())
+        angles = angles.assign(
+            utc=track.utc.iloc[angles.epoch].dt.strftime("%Y-%m-%dT%H:%M:%SZ").to_numpy()
+        )
         strengths = table()[[*FIELDS, "cn0_dbhz"]]
         log = strengths.merge(angles.drop(columns="epoch"), on=["utc", "satellite"])
         of = validated(log[log.elevation_deg >= 5.0], num_displaced=200).satellites

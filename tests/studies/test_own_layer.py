@@ -20,7 +20,9 @@ LOUD = ju.Weights(0.05, gps=0.2, lidar=0.2, population=0.2, risk=0.2, noise=5.0)
 
 def test_its_weight_changes_the_route_of_plan_many_and_explain_agrees(noisy, ends):
     under = {"altitude_m": 20.0, "progress": False}
-    loud, deaf = (ju.plan_many(noisy, [ends], weights=w, **under)[0] for w in (LOUD, LOUD.replace(noise=0.0)))
+    loud, deaf = (
+        ju.plan_many(noisy, [ends], weights=w, **under)[0] for w in (LOUD, LOUD.replace(noise=0.0))
+    )
     assert loud.metrics["noise"] < deaf.metrics["noise"]
     assert ju.explain(loud, noisy).totals["cost"] == pytest.approx(loud.cost, rel=1e-9)
 
@@ -29,10 +31,15 @@ def test_sensitivity_finds_the_breakpoints_of_its_weight(noisy, ends, monkeypatc
     monkeypatch.setattr("jaxurban.studies.weights.sobol.NUM_REPEATS", 2)
     few = {"num_samples": 4, "objectives": ("distance", "noise"), "max_plans": 20}
     how = ju.studies.SensitivitySettings(vary=("noise", "gps"), **few)
-    found = ju.studies.sensitivity(ju.cost_map(noisy, 20.0, weights=LOUD.replace(noise=1.0)), *ends, settings=how)
+    found = ju.studies.sensitivity(
+        ju.cost_map(noisy, 20.0, weights=LOUD.replace(noise=1.0)), *ends, settings=how
+    )
     assert found.names == NAMES
     assert len(found.breakpoints("noise")) > 1
-    assert found.front.points["noise"].is_monotonic_decreasing != found.front.points["noise"].is_monotonic_increasing
+    assert (
+        found.front.points["noise"].is_monotonic_decreasing
+        != found.front.points["noise"].is_monotonic_increasing
+    )
     assert found.sobol.loc[("mean_noise", "noise"), "total"] > 0.1
     assert "| noise | " in sensitivity_markdown(found)
 
@@ -46,7 +53,9 @@ def test_a_benchmark_draws_its_weight_and_tells_its_mean_in_rows_report_and_expo
     assert set(found.rows) - set(row_columns()) == {"m_noise"}
     assert found.rows.m_noise[found.rows.cost.notna()].between(0, 1).all()
     assert "m_noise" in report_markdown(found, tables_of(found))
-    export_benchmark(noisy, found.instances, found.rows, tmp_path / "b", found.settings, "loud-city")
+    export_benchmark(
+        noisy, found.instances, found.rows, tmp_path / "b", found.settings, "loud-city"
+    )
     assert "`w_noise`" in (tmp_path / "b" / "README.md").read_text()
     with np.load(next((tmp_path / "b" / "costs").glob("*.npz"))) as kept:
         assert kept["names"].tolist() == list(NAMES[1:])
@@ -64,4 +73,6 @@ def test_weights_are_fitted_to_it_and_other_layers_weigh_nothing_then(noisy):
     sums = np.array([each.sums.ravel() for each in shown])
     targets = [Target.parse(text) for text in ("mean_noise<=0.2", "detour<=0.2")]
     expected = np.mean(sums[:, -1] / sums[:, 3]), 0.25
-    assert outcome_values(sums, 0.8 * sums, queries[0].names, targets).tolist() == pytest.approx(expected)
+    assert outcome_values(sums, 0.8 * sums, queries[0].names, targets).tolist() == pytest.approx(
+        expected
+    )

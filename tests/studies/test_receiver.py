@@ -11,7 +11,13 @@ from scipy.stats import spearmanr
 import jaxurban as ju
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.studies.receiver import prediction
-from jaxurban.studies.receiver.validate import half_width, shifted, spearman, within_blocks, without_each_block
+from jaxurban.studies.receiver.validate import (
+    half_width,
+    shifted,
+    spearman,
+    within_blocks,
+    without_each_block,
+)
 from tests.metrics.whole_maps import compute_gps
 from tests.receiver_logs import SCENARIO, SETTINGS, drive, found, scenario, seen, surface, true_log
 
@@ -37,7 +43,9 @@ def test_the_prediction_is_what_maps_of_those_times_and_that_height_hold():
     ]
     is_free = np.asarray(surface().crop(surface().roof_m) < 2.0)[track.row, track.col]
     for name in ("num_visible", "gdop", "hdop", "m"):
-        held = np.stack([np.asarray(getattr(maps, name)[0]) for maps in made])[track.sky, track.row, track.col]
+        held = np.stack([np.asarray(getattr(maps, name)[0]) for maps in made])[
+            track.sky, track.row, track.col
+        ]
         found_here = found().epochs["gps" if name == "m" else name]
         np.testing.assert_array_equal(found_here, np.where(is_free, held, np.nan))
     assert len(made) > 1
@@ -73,9 +81,16 @@ def test_a_shuffled_log_scores_nothing():
 
 def test_quarters_alone_score_over_the_whole_track_and_not_within_blocks():
     """A receiver that knows how many are in view in the quarter, and nothing of the street."""
-    pieces = true_log().assign(piece=(found().epochs.along_m // 100).to_numpy()).groupby("piece").num_tracked
+    pieces = (
+        true_log()
+        .assign(piece=(found().epochs.along_m // 100).to_numpy())
+        .groupby("piece")
+        .num_tracked
+    )
     rng = np.random.default_rng(9)
-    tracked = np.round(pieces.transform("mean") + rng.integers(-2, 3, len(true_log())).clip(-2, 2)).clip(0)
+    tracked = np.round(
+        pieces.transform("mean") + rng.integers(-2, 3, len(true_log())).clip(-2, 2)
+    ).clip(0)
     of = score(validated(true_log().assign(num_tracked=tracked)))
     assert of.spearman > 0.5
     assert of.spearman_p < 0.02
@@ -90,7 +105,9 @@ def test_the_scores_and_the_shifts_agree_and_pieces_are_medians_of_their_epochs(
     for name in ("within", "spearman"):
         assert of[of["shift"] == 0][name].item() == row[name]
         assert np.mean(of[name] >= row[name]) == row[f"{name}_p"]
-        assert np.quantile(of[of["shift"] != 0][name], 0.95) == pytest.approx(row[f"{name}_shifts_95"])
+        assert np.quantile(of[of["shift"] != 0][name], 0.95) == pytest.approx(
+            row[f"{name}_shifts_95"]
+        )
     epochs = found().epochs[found().epochs.num_visible.notna()]
     for piece in found().pieces.sample(5, random_state=0).itertuples():
         on = epochs[epochs.along_m // 25 == piece.piece]
@@ -108,9 +125,13 @@ def test_observations_alone_ask_for_the_other_files_of_rinex(name):
 
 
 REFUSED = {
-    r"^693 of the 693 places of the .* outside .*\[region\] bounds": lambda log: log.assign(lon_deg=log.lon_deg + 1),
+    r"^693 of the 693 places of the .* outside .*\[region\] bounds": lambda log: log.assign(
+        lon_deg=log.lon_deg + 1
+    ),
     "^1 of the 693 places": lambda log: log.assign(lon_deg=log.lon_deg + (log.index == 0)),
-    "whether lon_deg and lat_deg are swapped": lambda log: log.assign(lon_deg=log.lat_deg, lat_deg=log.lon_deg),
+    "whether lon_deg and lat_deg are swapped": lambda log: log.assign(
+        lon_deg=log.lat_deg, lat_deg=log.lon_deg
+    ),
     "less than 8 pieces of 25 m": lambda log: log.iloc[:10],
 }
 
@@ -144,7 +165,9 @@ def blocks(num_blocks: int) -> np.ndarray:
 def test_spearman_is_scipys():
     assert spearman(A, B) == pytest.approx(spearmanr(A, B).statistic, abs=1e-12)
     values = np.array([1.0, 2.0, np.inf, np.inf])
-    assert spearman(values, np.arange(4.0)) == pytest.approx(spearmanr([0, 1, 2, 2], range(4)).statistic)
+    assert spearman(values, np.arange(4.0)) == pytest.approx(
+        spearmanr([0, 1, 2, 2], range(4)).statistic
+    )
 
 
 def test_what_does_not_vary_has_no_coefficient():
@@ -169,19 +192,28 @@ def test_every_shift_is_scored_and_only_none_finds_the_pairs_again():
     assert len(at_shifts) == 60
     assert at_shifts[0] == pytest.approx(1.0)
     assert at_shifts[1:].max() < 0.6
-    assert at_shifts[7] == pytest.approx(spearmanr(A[:-7].tolist() + A[-7:].tolist(), np.roll(A, -7)).statistic)
+    assert at_shifts[7] == pytest.approx(
+        spearmanr(A[:-7].tolist() + A[-7:].tolist(), np.roll(A, -7)).statistic
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("num_blocks", [8, 39])
-def test_95_percent_intervals_within_blocks_and_of_differences_hold_the_truth_in_93_percent_of_2000_tracks(num_blocks):
+def test_95_percent_intervals_within_blocks_and_of_differences_hold_the_truth_in_93_percent_of_2000_tracks(
+    num_blocks,
+):
     truth = spearman(*track(np.random.default_rng(0), 20_000), blocks(20_000))
-    (rng, of_two), of, holds = (np.random.default_rng(num_blocks) for _ in range(2)), blocks(num_blocks), []
+    (rng, of_two), of, holds = (
+        (np.random.default_rng(num_blocks) for _ in range(2)),
+        blocks(num_blocks),
+        [],
+    )
     for _ in range(2000):
         scored = within_blocks(*track(rng, num_blocks), of)
         receiver, one, other = track(of_two, num_blocks, num_maps=2)
         value, without = (
-            score(receiver, one, of) - score(receiver, other, of) for score in (spearman, without_each_block)
+            score(receiver, one, of) - score(receiver, other, of)
+            for score in (spearman, without_each_block)
         )
         holds.append((scored.low <= truth <= scored.high, abs(value) <= half_width(without)))
     assert np.mean(holds, axis=0).min() >= 0.93

@@ -40,14 +40,18 @@ def test_places_are_free_at_every_altitude_and_the_same_at_each(maps, instances)
     by = instances.drop(columns=["altitude_m", "is_connected"]).groupby("instance")
     assert (by.nunique(dropna=False) == 1).all(axis=None)
     for end in ("start", "goal"):
-        cells = maps.grid.cell_of_xy(instances[f"{end}_x_m"].to_numpy(), instances[f"{end}_y_m"].to_numpy())
+        cells = maps.grid.cell_of_xy(
+            instances[f"{end}_x_m"].to_numpy(), instances[f"{end}_y_m"].to_numpy()
+        )
         assert all(maps.is_free(z)[cells].all() for z in maps.altitudes_m)
         assert (np.array(STRATA)[strata_of(maps)[cells]] == instances[f"{end}_stratum"]).all()
 
 
 def test_straight_distances_lie_within_the_limits_of_their_range(maps, instances):
     diagonal_m = float(np.hypot(*maps.grid.shape)) * maps.grid.resolution_m
-    away_m = np.hypot(instances.goal_x_m - instances.start_x_m, instances.goal_y_m - instances.start_y_m)
+    away_m = np.hypot(
+        instances.goal_x_m - instances.start_x_m, instances.goal_y_m - instances.start_y_m
+    )
     np.testing.assert_allclose(instances.distance_m, away_m)
     for name, (low, high) in sampling.RANGES.items():
         share = away_m[instances.range == name] / diagonal_m
@@ -66,7 +70,10 @@ def test_kinds_take_turns(instances):
 def test_the_mark_of_connection_is_that_of_the_islands_of_free_cells(maps, instances):
     for altitude_m, at in instances.groupby("altitude_m"):
         islands, _ = label(maps.is_free(altitude_m))
-        ends = [islands[maps.grid.cell_of_xy(at[f"{end}_x_m"], at[f"{end}_y_m"])] for end in ("start", "goal")]
+        ends = [
+            islands[maps.grid.cell_of_xy(at[f"{end}_x_m"], at[f"{end}_y_m"])]
+            for end in ("start", "goal")
+        ]
         assert ((ends[0] == ends[1]) == at.is_connected).all()
 
 
@@ -100,7 +107,9 @@ def around(mask: np.ndarray, row: int, col: int, half: int) -> np.ndarray:
 
 def test_every_cell_lies_in_the_stratum_that_its_surroundings_define(maps):
     roof_m, strata = maps.m("roof"), strata_of(maps)
-    assert {*np.unique(strata[5:])} == {STRATA.index(each) for each in {*STRATA} - {"water", "park"}}
+    assert {*np.unique(strata[5:])} == {
+        STRATA.index(each) for each in {*STRATA} - {"water", "park"}
+    }
     assert (strata[:5] == sampling.NO_STRATUM).all()
     rng = np.random.default_rng(1)
     for row, col in zip(rng.integers(5, 150, 300), rng.integers(0, 120, 300), strict=True):
@@ -116,7 +125,10 @@ def test_every_cell_lies_in_the_stratum_that_its_surroundings_define(maps):
 
 def test_water_and_parks_are_the_cells_whose_centre_they_hold_and_places_lie_in_them(maps):
     x_m, y_m = maps.grid.x_min_m, maps.grid.y_min_m
-    river, park = shapely.box(x_m, y_m, x_m + 304, y_m + 1500), shapely.box(x_m + 294, y_m + 96, x_m + 700, y_m + 504)
+    river, park = (
+        shapely.box(x_m, y_m, x_m + 304, y_m + 1500),
+        shapely.box(x_m + 294, y_m + 96, x_m + 700, y_m + 504),
+    )
     strata, plain = strata_of(maps, LandCover(river, park)), strata_of(maps)
     in_river, in_park = np.zeros((2, *maps.grid.shape), bool)
     in_river[5:, :30] = True  # centres at 5, 15, ... 295 m; water wins over a park

@@ -21,7 +21,15 @@ from jaxurban.studies.receiver.scores import aucs, drawn_blocks, levels_of
 from jaxurban.world.grid import Grid
 from tests.made_agreement import made
 from tests.receiver_logs import scenario
-from tests.satellite_logs import FALSE_PRAISE, SETTINGS, found, heard, hidden_by_outlines, is_praised, wrong_margins
+from tests.satellite_logs import (
+    FALSE_PRAISE,
+    SETTINGS,
+    found,
+    heard,
+    hidden_by_outlines,
+    is_praised,
+    wrong_margins,
+)
 
 
 def validated(log: pd.DataFrame, **settings) -> ju.studies.ReceiverValidation:
@@ -48,13 +56,22 @@ def test_aucs_are_those_of_all_pairs_of_scipy_and_of_draws_written_out():
     group, block = rng.integers(0, 4, 90), rng.integers(0, 9, 90)
     level = levels_of(pd.Series(cn0))
     weights = drawn_blocks(np.arange(9), seed=1)[1][:4]
-    pooled, within = aucs(is_seen, level, block, weights), aucs(is_seen, level, block, weights, group)
-    of_scipy = mannwhitneyu(cn0[is_seen], cn0[~is_seen]).statistic / (is_seen.sum() * (~is_seen).sum())
+    pooled, within = (
+        aucs(is_seen, level, block, weights),
+        aucs(is_seen, level, block, weights, group),
+    )
+    of_scipy = mannwhitneyu(cn0[is_seen], cn0[~is_seen]).statistic / (
+        is_seen.sum() * (~is_seen).sum()
+    )
     assert pooled[0] == pytest.approx(of_scipy, abs=1e-12)
     for draw, counts in enumerate(weights.astype(int)):
         rows = np.repeat(np.arange(90), counts[block])
-        assert pooled[draw] == pytest.approx(by_pairs(is_seen[rows], cn0[rows], np.zeros(len(rows))), abs=1e-12)
-        assert within[draw] == pytest.approx(by_pairs(is_seen[rows], cn0[rows], group[rows]), abs=1e-12)
+        assert pooled[draw] == pytest.approx(
+            by_pairs(is_seen[rows], cn0[rows], np.zeros(len(rows))), abs=1e-12
+        )
+        assert within[draw] == pytest.approx(
+            by_pairs(is_seen[rows], cn0[rows], group[rows]), abs=1e-12
+        )
 
 
 def test_what_is_all_seen_has_no_auc():
@@ -77,7 +94,9 @@ def test_rows_are_seen_as_a_ray_at_a_time_through_the_outlines_says():
         for row in chosen.itertuples()
     ]
     assert 0.2 < np.mean(hidden) < 0.8
-    assert np.mean(chosen.is_seen.to_numpy() == ~np.array(hidden)) > 0.9  # cells of 5 m, 2 m up between walls
+    assert (
+        np.mean(chosen.is_seen.to_numpy() == ~np.array(hidden)) > 0.9
+    )  # cells of 5 m, 2 m up between walls
     np.testing.assert_array_equal(chosen.margin_m >= 0, chosen.is_seen)
 
 
@@ -91,9 +110,13 @@ def test_a_stated_radius_judges_rays_that_stay_so_near_to_the_track():
         away_m = np.arange(0, (top_m - 2.0) / np.tan(np.radians(row.elevation_deg)))
         azimuth_rad = np.radians(row.azimuth_deg) - turn_rad
         x_m, y_m = epochs.x_m[row.epoch], epochs.y_m[row.epoch]
-        points = shapely.points(x_m + away_m * np.sin(azimuth_rad), y_m + away_m * np.cos(azimuth_rad))
+        points = shapely.points(
+            x_m + away_m * np.sin(azimuth_rad), y_m + away_m * np.cos(azimuth_rad)
+        )
         farthest_m = shapely.distance(points, places).max()
-        assert row.is_known == (farthest_m <= 150.0) or abs(farthest_m - 150.0) < 3.0  # a disc has 64 sides
+        assert (
+            row.is_known == (farthest_m <= 150.0) or abs(farthest_m - 150.0) < 3.0
+        )  # a disc has 64 sides
     assert 0.1 < rows.is_known.mean() < 0.9
 
 
@@ -108,7 +131,9 @@ def test_a_receiver_that_hears_what_the_city_leaves_open_is_believed():
     assert of.score("E").rows + of.score("G").rows == of.score().rows
     assert of.strong_dbhz == of.rows[of.rows.is_judged].cn0_dbhz.median()
     table = of.rivals.set_index("model").log_loss
-    assert table["margin"] < table["street"] <= table["constant"] == pytest.approx(np.log(2), abs=0.01)
+    assert (
+        table["margin"] < table["street"] <= table["constant"] == pytest.approx(np.log(2), abs=0.01)
+    )
 
 
 def test_what_is_judged_follows_from_place_and_direction_alone():
@@ -128,10 +153,14 @@ def test_what_is_judged_follows_from_place_and_direction_alone():
 
 def test_places_in_a_building_are_left_out_and_counted():
     city = load_city(scenario())
-    lon, lat = region_of(scenario()).lonlat_of_xy(*shapely.get_coordinates(city.buildings.polygons[20].centroid)[0])
+    lon, lat = region_of(scenario()).lonlat_of_xy(
+        *shapely.get_coordinates(city.buildings.polygons[20].centroid)[0]
+    )
     log = heard()
     is_there = log.utc <= log.utc.unique()[9]
-    log = log.assign(lon_deg=log.lon_deg.where(~is_there, lon), lat_deg=log.lat_deg.where(~is_there, lat))
+    log = log.assign(
+        lon_deg=log.lon_deg.where(~is_there, lon), lat_deg=log.lat_deg.where(~is_there, lat)
+    )
     of = validated(log).satellites
     inside = of.rows[of.rows.epoch < 10]
     assert inside.is_inside.all()
@@ -184,11 +213,15 @@ def test_counts_of_judged_rows_come_second():
 
 
 def test_a_street_has_the_direction_of_twenty_metres_each_way_and_keeps_it_while_the_car_stands():
-    east = np.concatenate([np.arange(0, 100, 5.0), np.full(10, 95.0) + 0.1 * np.arange(10) % 0.3, np.full(20, 95.0)])
+    east = np.concatenate(
+        [np.arange(0, 100, 5.0), np.full(10, 95.0) + 0.1 * np.arange(10) % 0.3, np.full(20, 95.0)]
+    )
     north = np.concatenate([np.zeros(30), np.arange(5, 105, 5.0)])
     heading_deg = np.degrees(headings_rad(east, north))
     np.testing.assert_allclose(heading_deg[:15], 90.0, atol=1e-6)
-    np.testing.assert_allclose(heading_deg[20:30], heading_deg[20], atol=1.0)  # it stands before the corner
+    np.testing.assert_allclose(
+        heading_deg[20:30], heading_deg[20], atol=1.0
+    )  # it stands before the corner
     np.testing.assert_allclose(heading_deg[-10:], 0.0, atol=1e-6)
     assert heading_deg[29] == pytest.approx(45.0, abs=10.0)
 
@@ -200,14 +233,20 @@ def test_displacements_are_even_over_the_ring_and_the_field_is_a_disc_of_steps()
     share = (450.0**2 - 300.0**2) / (450.0**2 - 80.0**2)
     assert np.mean(away_m > 300.0) == pytest.approx(share, abs=0.03)
     np.testing.assert_array_equal(displacements(3, seed=5), displacements(3, seed=5))
-    assert len(near_by()) == sum(x * x + y * y <= 400 for x in range(-20, 21) for y in range(-20, 21))
+    assert len(near_by()) == sum(
+        x * x + y * y <= 400 for x in range(-20, 21) for y in range(-20, 21)
+    )
     assert near_by()[0].tolist() == [0.0, 0.0]
 
 
 def test_a_draw_has_its_peak_where_it_is_highest_and_none_where_nothing_is_known_or_all_is_alike():
     unknown = np.nan
-    values = np.array([[0.6, 0.1, unknown, 0.5], [0.7, 0.2, unknown, 0.5], [0.5, unknown, unknown, unknown]])
-    np.testing.assert_array_equal(peaks(values, np.array([0.0, 2.0, 4.0])), [2.0, 2.0, np.nan, np.nan])
+    values = np.array(
+        [[0.6, 0.1, unknown, 0.5], [0.7, 0.2, unknown, 0.5], [0.5, unknown, unknown, unknown]]
+    )
+    np.testing.assert_array_equal(
+        peaks(values, np.array([0.0, 2.0, 4.0])), [2.0, 2.0, np.nan, np.nan]
+    )
 
 
 def test_blocks_without_a_row_are_none():
@@ -220,7 +259,10 @@ def test_blocks_without_a_row_are_none():
         (of.rows[of.rows.is_judged].block // times).nunique() for times in (1, 2, 4)
     ]
     of_one, of_map = of.block_lengths.iloc[0], of.rivals.set_index("model").loc[rivals.MAP]
-    assert of_one[["gain", "gain_low", "gain_high"]].tolist() == of_map[["gain", "gain_low", "gain_high"]].tolist()
+    assert (
+        of_one[["gain", "gain_low", "gain_high"]].tolist()
+        == of_map[["gain", "gain_low", "gain_high"]].tolist()
+    )
 
 
 def test_a_block_alone_has_no_loss():
@@ -238,10 +280,15 @@ def gap_at(x_m: float, side: int = 40) -> satellites.Ground:
 
 def test_a_ray_that_crosses_cells_without_data_before_it_is_above_all_roofs_is_unknown():
     places = np.full(5, 20.5)
-    azimuth_rad, elevation_rad = np.radians([90.0, 90.0, 90.0, 270.0, 90.0]), np.radians([50.0, 60.0, 70.0, 10.0, 85.0])
+    azimuth_rad, elevation_rad = (
+        np.radians([90.0, 90.0, 90.0, 270.0, 90.0]),
+        np.radians([50.0, 60.0, 70.0, 10.0, 85.0]),
+    )
     rays = satellites.Rays(places, places, azimuth_rad, elevation_rad)
     climb_m = 9.5 * np.tan(elevation_rad)  # to the first cell without data
-    np.testing.assert_array_equal(gap_at(30).crosses_gap(rays, 18.0), (climb_m < 18.0) & (azimuth_rad < np.pi))
+    np.testing.assert_array_equal(
+        gap_at(30).crosses_gap(rays, 18.0), (climb_m < 18.0) & (azimuth_rad < np.pi)
+    )
     assert gap_at(20).crosses_gap(rays, 18.0).all()  # they begin there
     assert not replace(gap_at(30), has_data=None).crosses_gap(rays, 18.0).any()
 
@@ -251,14 +298,21 @@ def test_rows_over_cells_without_data_are_not_judged(monkeypatch):
 
     def with_gap(*args) -> satellites.Ground:
         ground = around(*args)
-        x_m = ground.grid.x_min_m + ground.grid.resolution_m * (np.arange(ground.grid.num_cols) + 0.5)
+        x_m = ground.grid.x_min_m + ground.grid.resolution_m * (
+            np.arange(ground.grid.num_cols) + 0.5
+        )
         return replace(ground, has_data=np.broadcast_to(x_m < from_m, ground.grid.shape))
 
     monkeypatch.setattr(satellites.Ground, "around", with_gap)
     of, before = validated(heard()).satellites, found().satellites.rows
     x_m = found().epochs.x_m.to_numpy()[before.epoch]
     assert not of.rows.is_judged[x_m > from_m + 5.0].any()
-    is_west = before.is_judged & (x_m < from_m - 5.0) & (before.azimuth_deg > 200) & (before.azimuth_deg < 320)
+    is_west = (
+        before.is_judged
+        & (x_m < from_m - 5.0)
+        & (before.azimuth_deg > 200)
+        & (before.azimuth_deg < 320)
+    )
     assert is_west.sum() > 50
     assert of.rows.is_judged[is_west].all()
     assert of.displaced.rows.max() < found().satellites.displaced.rows.max()
@@ -279,7 +333,9 @@ def test_a_margin_does_not_depend_on_roofs_that_are_elsewhere():
 def test_a_verdict_says_why_there_is_none():
     parts = made().scores, made().displaced, made().rivals
     unknown = made().scores.assign(auc_low=np.nan)
-    assert verdict_of(unknown, *parts[1:], 40).startswith("There is no verdict: on these 40 blocks of track too few")
+    assert verdict_of(unknown, *parts[1:], 40).startswith(
+        "There is no verdict: on these 40 blocks of track too few"
+    )
     assert verdict_of(*parts, 7).startswith("The track is too short for a verdict")
 
 
@@ -289,7 +345,8 @@ def test_left_out_blocks_make_the_loss_of_noise_no_better_than_a_constant():
     is_strong, noise = rng.random(200) < 0.5, rng.normal(size=(200, 30))
     one = np.ones((200, 1))
     of_noise, of_none = (
-        rivals.losses(features, is_strong, block).mean() for features in (np.hstack([one, noise]), one)
+        rivals.losses(features, is_strong, block).mean()
+        for features in (np.hstack([one, noise]), one)
     )
     assert of_noise > of_none > 0.68
 
@@ -299,7 +356,10 @@ def judged() -> tuple[pd.DataFrame, np.ndarray, np.ndarray]:
     """Return the judged rows, their elevation and the angle to the street."""
     of, epochs = found().satellites, found().epochs
     rows = of.rows[of.rows.is_judged]
-    off_rad = np.radians(rows.azimuth_deg) - headings_rad(*epochs[["x_m", "y_m"]].to_numpy().T)[rows.epoch]
+    off_rad = (
+        np.radians(rows.azimuth_deg)
+        - headings_rad(*epochs[["x_m", "y_m"]].to_numpy().T)[rows.epoch]
+    )
     return rows, np.radians(rows.elevation_deg.to_numpy(float)), off_rad.to_numpy()
 
 

@@ -57,26 +57,40 @@ def bench(tmp_path_factory) -> Path:
     rows = [
         {"track": track, "query": f"town-{k}", "city": "town"}
         | ends
-        | {"w_distance": 1, "w_gps": 1, "w_noise": 0, "bound": bound, "best": 6, "layer": "noise", "budget": 0.5}
+        | {
+            "w_distance": 1,
+            "w_gps": 1,
+            "w_noise": 0,
+            "bound": bound,
+            "best": 6,
+            "layer": "noise",
+            "budget": 0.5,
+        }
         for track, bound in (("grid", 6), ("any-angle", 4), ("weights", 6), ("budget", 6))
         for k in range(2)
     ]
     pd.DataFrame(rows).to_csv(folder / "queries.csv", index=False)
     files = ("queries.csv", "town.npz")
-    sums = "".join(f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in files)
+    sums = "".join(
+        f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in files
+    )
     (folder / "CHECKSUMS").write_text(sums)
     return folder
 
 
 def submitted(folder: Path, *rows: tuple, columns=("track", "query", "route", "cost")) -> Path:
     file = folder / "planner.csv"
-    pd.DataFrame([row[: len(columns)] for row in rows], columns=list(columns)[: len(rows[0])]).to_csv(file, index=False)
+    pd.DataFrame(
+        [row[: len(columns)] for row in rows], columns=list(columns)[: len(rows[0])]
+    ).to_csv(file, index=False)
     return file
 
 
 @pytest.mark.parametrize(("route", "why"), CHEATS.items())
 def test_a_route_that_cheats_is_refused_for_what_it_does(route, why, bench, tmp_path):
-    lines, routes = score(bench, submitted(tmp_path, ("grid", "town-0", route, 1.0), ("grid", "town-1", AROUND, 6.0)))
+    lines, routes = score(
+        bench, submitted(tmp_path, ("grid", "town-0", route, 1.0), ("grid", "town-1", AROUND, 6.0))
+    )
     assert routes["outcome"].tolist() == [why, VALID]
     (line,) = lines.to_dict("records")
     assert (line["asked"], line["valid"], line["failed"]) == (2, 1, f"1 {why}")
@@ -87,7 +101,9 @@ def test_a_route_that_cheats_is_refused_for_what_it_does(route, why, bench, tmp_
 def test_at_any_angle_a_corner_may_be_cut_but_not_passed_between_two_closed_cells(bench, tmp_path):
     past_one = "LINESTRING (2.5 2.5, 2.8 1.9, 4.2 1.9, 4.2 3.5, 3.5 3.5)"
     file = submitted(
-        tmp_path, ("any-angle", "town-0", past_one), ("any-angle", "town-1", "LINESTRING (2.5 2.5, 3.5 3.5)")
+        tmp_path,
+        ("any-angle", "town-0", past_one),
+        ("any-angle", "town-1", "LINESTRING (2.5 2.5, 3.5 3.5)"),
     )
     _, routes = score(bench, file)
     assert routes["outcome"].tolist() == [VALID, "not free"]
@@ -96,13 +112,17 @@ def test_at_any_angle_a_corner_may_be_cut_but_not_passed_between_two_closed_cell
 
 def test_a_route_keeps_its_budget_or_is_refused(bench, tmp_path):
     north = "LINESTRING (2.5 2.5, 1.5 2.5, 1.5 4.5, 3.5 4.5, 3.5 3.5)"
-    _, routes = score(bench, submitted(tmp_path, ("budget", "town-0", AROUND), ("budget", "town-1", north)))
+    _, routes = score(
+        bench, submitted(tmp_path, ("budget", "town-0", AROUND), ("budget", "town-1", north))
+    )
     assert routes["outcome"].tolist() == ["over budget", VALID]
     assert routes["gap"].tolist() == [math.inf, 0.0]
 
 
 def test_a_cost_of_its_own_is_shown_and_not_believed(bench, tmp_path):
-    lines, routes = score(bench, submitted(tmp_path, ("grid", "town-0", AROUND, 3.0), ("grid", "town-1", AROUND, 6.0)))
+    lines, routes = score(
+        bench, submitted(tmp_path, ("grid", "town-0", AROUND, 3.0), ("grid", "town-1", AROUND, 6.0))
+    )
     assert lines["false_claims"].tolist() == [1]
     assert routes[["claimed_cost", "cost"]].to_numpy().tolist() == [[3.0, 6.0], [6.0, 6.0]]
 
@@ -122,18 +142,26 @@ def test_weights_are_scored_by_the_routes_that_they_plan(bench, tmp_path):
     [
         ("track,query\ngrid,town-0\n", ("no column 'route'",)),
         ("track,query,route\n", ("is empty",)),
-        (f'track,query,route\ngrid,town-0,"{AROUND}"\ngrid,town-0,"{AROUND}"\n', ("town-0", "twice")),
+        (
+            f'track,query,route\ngrid,town-0,"{AROUND}"\ngrid,town-0,"{AROUND}"\n',
+            ("town-0", "twice"),
+        ),
         (f'track,query,route\ngrid,town-9,"{AROUND}"\n', ("grid town-9", "queries.csv")),
         (f'track,query,route\nfast,town-0,"{AROUND}"\n', ("track", "fast")),
         ("track,query,route\nweights,town,gps=fast\n", ("gps=fast",)),
         ("track,query,route\nweights,town,gps=-1\n", ("gps",)),
         ('track,query,route\nweights,town,"gps=1,gps=2"\n', ("gps", "twice")),
-        (f'track,query,route,cost\ngrid,town-0,"{AROUND}",cheap\n', ("cost", "'cheap'", "give a number")),
+        (
+            f'track,query,route,cost\ngrid,town-0,"{AROUND}",cheap\n',
+            ("cost", "'cheap'", "give a number"),
+        ),
         ("track,query,route\nweights,town,noice=1\n", ("noice", "noise")),
         ("\0\0", ("planner.csv",)),
     ],
 )
-def test_what_is_no_submission_ends_in_one_sentence_and_writes_nothing(content, words, bench, tmp_path, capsys):
+def test_what_is_no_submission_ends_in_one_sentence_and_writes_nothing(
+    content, words, bench, tmp_path, capsys
+):
     file = tmp_path / "planner.csv"
     file.write_text(content)
     code, _, err = run(capsys, "score", bench, file, "-o", tmp_path / "board.csv")
@@ -163,7 +191,9 @@ def as_bundle(bench, folder, **changed: bytes) -> Path:
     for file in bench.iterdir():
         (folder / file.name).write_bytes(changed.get(file.stem, file.read_bytes()))
     names = [path.name for path in folder.iterdir() if path.name != "CHECKSUMS"]
-    sums = "".join(f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in names)
+    sums = "".join(
+        f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in names
+    )
     (folder / "CHECKSUMS").write_text(sums)
     return folder
 
@@ -184,7 +214,9 @@ def test_a_city_outside_of_the_bundle_is_not_read(bench, tmp_path):
     queries = (bench / "queries.csv").read_text().replace(",town,", ",../town,")
     (tmp_path / "bundle").mkdir()
     folder = as_bundle(bench, tmp_path / "bundle", queries=queries.encode())
-    with pytest.raises(ju.InputError, match=r"\.\./town\.npz' is missing or not as CHECKSUMS has it"):
+    with pytest.raises(
+        ju.InputError, match=r"\.\./town\.npz' is missing or not as CHECKSUMS has it"
+    ):
         score(folder, submitted(tmp_path, ("grid", "town-0", AROUND)))
 
 
@@ -224,11 +256,15 @@ def test_a_board_keeps_other_methods_and_replaces_the_lines_of_the_same(bench, t
 
 def test_an_outside_planner_that_reads_the_files_alone_meets_every_bound_of_the_grid(tmp_path):
     maps = {"town": made_maps(24, 30)}
-    first, again, _ = (make_benchmark(tmp_path / name, 3, maps) for name in ("bench", "again", "again"))
+    first, again, _ = (
+        make_benchmark(tmp_path / name, 3, maps) for name in ("bench", "again", "again")
+    )
     for file in first.parent.glob("[!c]*"):
         assert file.read_bytes() == (again.parent / file.name).read_bytes(), file.name
     with np.load(tmp_path / "bench" / "town.npz") as held:
-        costs, is_free, side_m, length_m = (held[k] for k in ("costs", "is_free", "resolution_m", "reference_length_m"))
+        costs, is_free, side_m, length_m = (
+            held[k] for k in ("costs", "is_free", "resolution_m", "reference_length_m")
+        )
         layers = held["layers"].tolist()
     rows = []
     with (tmp_path / "bench" / "queries.csv").open() as file:
@@ -236,12 +272,20 @@ def test_an_outside_planner_that_reads_the_files_alone_meets_every_bound_of_the_
             if query["track"] in ("grid", "any-angle"):
                 rate = (
                     float(query["w_distance"])
-                    + sum(float(query[f"w_{n}"]) * c for n, c in zip(layers, costs, strict=True)) / length_m
+                    + sum(float(query[f"w_{n}"]) * c for n, c in zip(layers, costs, strict=True))
+                    / length_m
                 )
                 start, goal = (
-                    [int(float(query[f"{end}_{axis}_m"]) // side_m) for axis in "yx"] for end in ("start", "goal")
+                    [int(float(query[f"{end}_{axis}_m"]) // side_m) for axis in "yx"]
+                    for end in ("start", "goal")
                 )
-                rows.append((query["track"], query["query"], shortest(rate * side_m, is_free, start, goal, side_m)))
+                rows.append(
+                    (
+                        query["track"],
+                        query["query"],
+                        shortest(rate * side_m, is_free, start, goal, side_m),
+                    )
+                )
     _, routes = score(first.parent, submitted(tmp_path, *rows))
     assert set(routes["outcome"]) == {VALID}
     gap = routes.groupby("track")["gap"].max()
@@ -260,12 +304,17 @@ def shortest(cost, is_free, start, goal, side_m) -> str:
                 step = math.hypot(d_row, d_col) * (cost[row, col] + cost[to]) / 2
                 arcs.append((number[row, col], number[to], step))
     begin, end, step = np.array(arcs).T
-    graph = coo_array((step, (begin.astype(int), end.astype(int))), shape=(is_free.size, is_free.size)).tocsr()
-    _, before = dijkstra(graph, directed=False, indices=number[tuple(start)], return_predecessors=True)
+    graph = coo_array(
+        (step, (begin.astype(int), end.astype(int))), shape=(is_free.size, is_free.size)
+    ).tocsr()
+    _, before = dijkstra(
+        graph, directed=False, indices=number[tuple(start)], return_predecessors=True
+    )
     way = [number[tuple(goal)]]
     while way[-1] != number[tuple(start)]:
         way.append(before[way[-1]])
     points = [
-        f"{(node % is_free.shape[1] + 0.5) * side_m} {(node // is_free.shape[1] + 0.5) * side_m}" for node in way[::-1]
+        f"{(node % is_free.shape[1] + 0.5) * side_m} {(node // is_free.shape[1] + 0.5) * side_m}"
+        for node in way[::-1]
     ]
     return f"LINESTRING ({', '.join(points)})"

@@ -17,7 +17,13 @@ from jaxurban.report.sensitivity import ranges, sensitivity_markdown
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import find_breakpoints, nearest_breakpoints, pareto_front
-from jaxurban.studies.weights.sobol import FEW_SAMPLES, cost_gradient, outcome_slopes, sobol_indices, sobol_of_weights
+from jaxurban.studies.weights.sobol import (
+    FEW_SAMPLES,
+    cost_gradient,
+    outcome_slopes,
+    sobol_indices,
+    sobol_of_weights,
+)
 from tests.cli_runs import run
 from tests.studies.routes_made import assert_on_the_page, walled
 
@@ -32,12 +38,16 @@ THREE = ("distance", "population", "risk")
 def dijkstra_cost(query: RouteQuery, weights: np.ndarray) -> float:
     """Return the cheapest cost by SciPy, over edges that are made here."""
     unit = query.cost_map
-    price = weights[0] + np.tensordot(weights[1:], unit.costs, 1) / unit.cost_model.reference_length_m
+    price = (
+        weights[0] + np.tensordot(weights[1:], unit.costs, 1) / unit.cost_model.reference_length_m
+    )
     is_free, price = np.pad(unit.is_free, 1), np.pad(price, 1)
     (row, col), number = np.nonzero(is_free), np.arange(is_free.size).reshape(is_free.shape)
     edges = csr_matrix((is_free.size, is_free.size))
     for rows, cols in STEPS:
-        is_open = is_free[row + rows, col + cols] & is_free[row + rows, col] & is_free[row, col + cols]
+        is_open = (
+            is_free[row + rows, col + cols] & is_free[row + rows, col] & is_free[row, col + cols]
+        )
         tail, head = (row[is_open], col[is_open]), (row[is_open] + rows, col[is_open] + cols)
         cost = np.hypot(rows, cols) * unit.grid.resolution_m * (price[tail] + price[head]) / 2
         edges += csr_matrix((cost, (number[tail], number[head])), edges.shape)
@@ -73,7 +83,9 @@ def test_cells_cover_the_triangle_once_and_hold_their_own_route(exact):
 
 
 @pytest.mark.parametrize("name", ["risk", "population"])
-def test_along_a_line_the_route_changes_at_the_cuts_and_has_ever_less_of_a_rising_weight(crossing, name):
+def test_along_a_line_the_route_changes_at_the_cuts_and_has_ever_less_of_a_rising_weight(
+    crossing, name
+):
     found = find_breakpoints(RoutePool([crossing]), line_of(name))
     ends = np.concatenate([[0.0], found.breakpoints, [1.0]])
     assert np.all(np.diff(ends) > 0)
@@ -86,7 +98,9 @@ def test_along_a_line_the_route_changes_at_the_cuts_and_has_ever_less_of_a_risin
         np.testing.assert_allclose(weights @ found.features[route], truth, rtol=1e-9)
 
 
-def test_a_tolerance_leaves_out_routes_but_costs_stay_within_it_and_a_limit_of_searches_is_told(crossing, exact):
+def test_a_tolerance_leaves_out_routes_but_costs_stay_within_it_and_a_limit_of_searches_is_told(
+    crossing, exact
+):
     rough = find_breakpoints(RoutePool([crossing]), TRIANGLE, tolerance=0.01)
     shares = np.random.default_rng(0).dirichlet(np.ones(3), 500)
     assert len(rough.cells) < len(exact.cells)
@@ -102,7 +116,11 @@ def test_a_line_on_which_nothing_changes_has_one_cell(crossing):
 
 
 def is_dominated(one: np.ndarray, points: np.ndarray, slack: float = 0.0) -> bool:
-    return bool(np.any(np.all(points <= one * (1 + slack), axis=1) & np.any(points < one * (1 - slack), axis=1)))
+    return bool(
+        np.any(
+            np.all(points <= one * (1 + slack), axis=1) & np.any(points < one * (1 - slack), axis=1)
+        )
+    )
 
 
 @pytest.mark.parametrize("objectives", [("distance", "risk"), THREE])
@@ -124,18 +142,27 @@ def test_with_a_tolerance_no_point_of_the_front_is_dominated_either(crossing):
     assert not any(is_dominated(one, exact, 1e-9) for one in rough)
 
 
-def test_nearest_breakpoints_are_the_first_along_the_line_where_dijkstra_finds_a_cheaper_route(crossing):
+def test_nearest_breakpoints_are_the_first_along_the_line_where_dijkstra_finds_a_cheaper_route(
+    crossing,
+):
     pool = RoutePool([crossing])
     found = nearest_breakpoints(pool, GIVEN, range(1, 5), (0.1, 10.0))
     given = pool.cheapest(GIVEN[None])[0, 0, 0]
     assert np.isfinite(found).sum() > 4, "a grid of many routes is what tells"
     for column, ends in zip(range(1, 5), found, strict=True):
-        factors = 0.1 + find_breakpoints(RoutePool([crossing]), line_of(NAMES[column])).breakpoints * 9.9
-        first = [factors[factors < 1].max(initial=-np.inf), factors[factors > 1].min(initial=np.inf)]
+        factors = (
+            0.1 + find_breakpoints(RoutePool([crossing]), line_of(NAMES[column])).breakpoints * 9.9
+        )
+        first = [
+            factors[factors < 1].max(initial=-np.inf),
+            factors[factors > 1].min(initial=np.inf),
+        ]
         np.testing.assert_allclose(ends, np.where(np.isfinite(first), first, np.nan), rtol=1e-6)
         for nearest, end in zip(ends, (0.1, 10.0), strict=True):
             step = np.sign(end - 1) * 1e-4
-            inside, outside = (end, None) if np.isnan(nearest) else (nearest * (1 - step), nearest * (1 + step))
+            inside, outside = (
+                (end, None) if np.isnan(nearest) else (nearest * (1 - step), nearest * (1 + step))
+            )
             for factor in filter(None, (inside, outside)):
                 weights = GIVEN.copy()
                 weights[column] *= factor
@@ -144,7 +171,9 @@ def test_nearest_breakpoints_are_the_first_along_the_line_where_dijkstra_finds_a
 
 
 def test_a_weight_of_zero_has_no_nearest_breakpoint(crossing):
-    assert np.isnan(nearest_breakpoints(RoutePool([crossing]), GIVEN * [1, 0, 1, 1, 1], [1], (0.1, 10.0))).all()
+    assert np.isnan(
+        nearest_breakpoints(RoutePool([crossing]), GIVEN * [1, 0, 1, 1, 1], [1], (0.1, 10.0))
+    ).all()
 
 
 A, B, PI = 7.0, 0.1, np.pi
@@ -159,7 +188,9 @@ KNOWN = {
 def ishigami(num_samples: int, seed: int):
     def evaluate(unit):
         x = PI * (2 * unit - 1)
-        return {"y": np.sin(x[:, 0]) + A * np.sin(x[:, 1]) ** 2 + B * x[:, 2] ** 4 * np.sin(x[:, 0])}
+        return {
+            "y": np.sin(x[:, 0]) + A * np.sin(x[:, 1]) ** 2 + B * x[:, 2] ** 4 * np.sin(x[:, 0])
+        }
 
     return sobol_indices(evaluate, LETTERS, num_samples, seed).loc["y"]
 
@@ -175,17 +206,23 @@ def test_indices_of_the_ishigami_function_are_the_known_ones():
 
 
 @pytest.mark.slow
-def test_intervals_from_the_fewest_samples_contain_the_known_indices_in_93_of_100_cases(monkeypatch):
+def test_intervals_from_the_fewest_samples_contain_the_known_indices_in_93_of_100_cases(
+    monkeypatch,
+):
     monkeypatch.setattr("jaxurban.studies.weights.sobol.NUM_RESAMPLES", 200)
     inside = np.zeros((2, 3))
     for seed in range(2000):
         table = ishigami(FEW_SAMPLES, seed)
-        inside += [np.abs(table[kind] - known) <= table[f"{kind}_ci"] for kind, known in KNOWN.items()]
+        inside += [
+            np.abs(table[kind] - known) <= table[f"{kind}_ci"] for kind, known in KNOWN.items()
+        ]
     assert (inside >= 0.93 * 2000).all(), inside / 2000
 
 
 def test_the_same_seed_gives_the_same_indices_and_an_outcome_that_does_not_vary_has_none():
-    first, again = (sobol_indices(lambda x: {"y": x[:, 0] * x[:, 1]}, LETTERS[:2], 8) for _ in range(2))
+    first, again = (
+        sobol_indices(lambda x: {"y": x[:, 0] * x[:, 1]}, LETTERS[:2], 8) for _ in range(2)
+    )
     assert first.equals(again)
     found = sobol_indices(lambda x: {"y": np.ones(len(x))}, LETTERS[:2], 4)
     assert found[["first", "first_ci", "total", "total_ci"]].isna().all().all()
@@ -203,17 +240,33 @@ def test_indices_of_weights_come_with_intervals_and_take_n_times_factors_plus_2_
 
 @pytest.fixture(scope="module")
 def found(crossing, ends):
-    return ju.studies.sensitivity(crossing.cost_map, *ends, settings=ju.studies.SensitivitySettings(num_samples=4))
+    return ju.studies.sensitivity(
+        crossing.cost_map, *ends, settings=ju.studies.SensitivitySettings(num_samples=4)
+    )
 
 
 @pytest.fixture
 def command(crossed, ends, tmp_path, capsys):
     """Return what runs the command of a small study, with other options, over its maps or others."""
     crossed.save(tmp_path / "maps")
-    few = ("--vary", "risk,population", "--samples", 2, "--pareto", "distance,risk", "-o", tmp_path / "out")
+    few = (
+        "--vary",
+        "risk,population",
+        "--samples",
+        2,
+        "--pareto",
+        "distance,risk",
+        "-o",
+        tmp_path / "out",
+    )
 
     def runs(*options, start=ends[0]):
-        places = ["--start={:.9f},{:.9f}".format(*start), "--goal={:.9f},{:.9f}".format(*ends[1]), "--altitude", 20]
+        places = [
+            "--start={:.9f},{:.9f}".format(*start),
+            "--goal={:.9f},{:.9f}".format(*ends[1]),
+            "--altitude",
+            20,
+        ]
         return run(capsys, "sensitivity", tmp_path / "maps", *places, *few, *options)
 
     return runs
@@ -232,21 +285,27 @@ def test_gradient_of_the_cheapest_cost_equals_central_differences(crossing):
 def test_expected_outcomes_answer_to_weights_as_differences_of_many_searches_do(crossing):
     pool = RoutePool([crossing])
     noise = 0.5
-    row = outcome_slopes(pool, GIVEN, pool.cheapest(GIVEN[None])[1, :, 0], noise).loc[("mean_risk", "risk")]
+    row = outcome_slopes(pool, GIVEN, pool.cheapest(GIVEN[None])[1, :, 0], noise).loc[
+        ("mean_risk", "risk")
+    ]
     drawn = np.random.default_rng(5).normal(size=(600, len(GIVEN))) * noise
     step, means = 0.4, []
     for sign in (1, -1):
         weights = GIVEN * np.exp(drawn + sign * step * np.eye(len(GIVEN))[4])
         sums = pool.cheapest(weights[None])[1, 0].mean(axis=0)
         means.append(sums[4] / sums[0])
-    assert row["expected_slope"] == pytest.approx((means[0] - means[1]) / (2 * step), abs=4 * row["expected_slope_se"])
+    assert row["expected_slope"] == pytest.approx(
+        (means[0] - means[1]) / (2 * step), abs=4 * row["expected_slope_se"]
+    )
     assert row["expected_slope"] > 0
 
 
 def test_the_route_stays_the_same_inside_its_range_and_changes_outside(crossed, ends, found):
     for name in found.lines:
         at = ranges(found, name)
-        assert 0.1 <= at["alike_from"] <= at["same_from"] <= 1 <= at["same_to"] <= at["alike_to"] <= 10
+        assert (
+            0.1 <= at["alike_from"] <= at["same_from"] <= 1 <= at["same_to"] <= at["alike_to"] <= 10
+        )
         for value, is_same in ((at["same_to"] * 0.999, True), (at["same_to"] * 1.001, False)):
             if at["same_to"] < 10:
                 weights = ju.Weights(**{name: value})
@@ -255,7 +314,9 @@ def test_the_route_stays_the_same_inside_its_range_and_changes_outside(crossed, 
                 assert np.allclose(*sums, rtol=1e-9) == is_same
 
 
-def test_it_shows_what_each_weight_does_its_report_every_file_and_its_figures_their_whole_text(found, tmp_path):
+def test_it_shows_what_each_weight_does_its_report_every_file_and_its_figures_their_whole_text(
+    found, tmp_path
+):
     for name, draw in sensitivity_figures(found).items():
         assert_on_the_page(name, draw())
     for name in found.lines:
@@ -265,7 +326,9 @@ def test_it_shows_what_each_weight_does_its_report_every_file_and_its_figures_th
     report = (tmp_path / "out" / "report.md").read_text()
     assert report == sensitivity_markdown(found)
     assert report.count("© a made city") == 1
-    costs = pd.DataFrame({"per_metre": [2.0], "height_m": 30.0, "lon": -74.0, "lat": 40.75, "distance_m": 5.0})
+    costs = pd.DataFrame(
+        {"per_metre": [2.0], "height_m": 30.0, "lon": -74.0, "lat": 40.75, "distance_m": 5.0}
+    )
     told = sensitivity_markdown(found, costs)
     assert told.index("| 0 | 2 | 30 | -74.0 | 40.75 | 5 |") < told.index("## How to read this")
     assert "Which buildings" not in report
@@ -281,7 +344,9 @@ def test_it_shows_what_each_weight_does_its_report_every_file_and_its_figures_th
         replace(found, settings=replace(found.settings, tolerance=0.1)).save(tmp_path / "out")
 
 
-def test_the_command_prints_json_and_tells_a_start_that_was_moved_there_and_in_the_report(crossed, command, tmp_path):
+def test_the_command_prints_json_and_tells_a_start_that_was_moved_there_and_in_the_report(
+    crossed, command, tmp_path
+):
     start = crossed.grid.lonlat_of_cell(*np.argwhere(~crossed.is_free(20.0))[0])
     code, out, err = command("--snap", "--json", start=start)
     assert code == 0, err

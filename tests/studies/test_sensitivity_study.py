@@ -38,8 +38,20 @@ CALL = "import sys; from tests.studies.routes_made import run_study; run_study(s
 def test_every_weight_of_a_city_is_studied_and_own_layers_by_their_name(weight_study):
     assert (weight_study.rows.status == "optimal").all()
     weights = weight_study.tables["weights"]
-    assert set(weights[weights.city == "beta"].weight_name) == {"distance", "gps", "lidar", "risk", "noise"}
-    assert set(weights[weights.city == "alpha"].weight_name) == {"distance", "gps", "lidar", "risk", "population"}
+    assert set(weights[weights.city == "beta"].weight_name) == {
+        "distance",
+        "gps",
+        "lidar",
+        "risk",
+        "noise",
+    }
+    assert set(weights[weights.city == "alpha"].weight_name) == {
+        "distance",
+        "gps",
+        "lidar",
+        "risk",
+        "population",
+    }
     summary = weight_study.tables["summary"]
     assert summary[(summary.cut == "all") & (summary.weight_name == "noise")].cities.tolist() == [1]
 
@@ -50,10 +62,14 @@ def test_rows_are_what_planning_under_each_weight_gives(folders, weight_study):
         maps = ju.open_maps(folders[row["city"] == "beta"])
         ends = [ju.XY(row[f"{end}_x_m"], row[f"{end}_y_m"]) for end in ("start", "goal")]
         true = ju.Weights(**{name: row[f"w_{name}"] for name in ("distance", *maps.metrics)})
-        when = {"time": row["time"]} | ({"time_of_day": row["time_of_day"]} if row["city"] == "alpha" else {})
+        when = {"time": row["time"]} | (
+            {"time_of_day": row["time_of_day"]} if row["city"] == "alpha" else {}
+        )
 
         def planned(weights, maps=maps, ends=ends, row=row, when=when):
-            return ju.cost_map(maps, row["altitude_m"], weights=weights, cost_model="line", **when).plan(*ends)
+            return ju.cost_map(
+                maps, row["altitude_m"], weights=weights, cost_model="line", **when
+            ).plan(*ends)
 
         best = planned(true)
         assert row["cost"] == pytest.approx(best.cost, rel=1e-12)
@@ -64,7 +80,9 @@ def test_rows_are_what_planning_under_each_weight_gives(folders, weight_study):
             for side, factor in (("low", 0.5), ("high", 2.0)):
                 wrong = planned(true.replace(**{name: true[name] * factor}))
                 parts = wrong.to_dict()["cost_by_layer"]
-                cost = sum(value / (factor if layer == name else 1) for layer, value in parts.items())
+                cost = sum(
+                    value / (factor if layer == name else 1) for layer, value in parts.items()
+                )
                 assert row[f"regret_{side}:{name}"] == pytest.approx(cost / best.cost - 1, abs=1e-9)
 
 
@@ -77,14 +95,26 @@ def test_elasticities_sum_to_one_and_a_route_that_no_factor_changes_has_no_regre
     assert (weights[weights.varies].nearest >= 1).all()
 
 
-def test_what_is_drawn_depends_on_the_order_of_the_cities_and_not_on_their_names(folders, weight_study, tmp_path):
+def test_what_is_drawn_depends_on_the_order_of_the_cities_and_not_on_their_names(
+    folders, weight_study, tmp_path
+):
     names = {"west": "alpha", "east": "beta"}
     renamed = run_study("weight_study", dict(zip(names, folders, strict=True)), tmp_path)
-    keys = {"routes": KEY, "summary": ["cut", "value"], "sobol": [*KEY, "outcome"], "sobol_summary": ["outcome"]}
+    keys = {
+        "routes": KEY,
+        "summary": ["cut", "value"],
+        "sobol": [*KEY, "outcome"],
+        "sobol_summary": ["outcome"],
+    }
     for name, key in keys.items():
         key = key if name == "routes" else [*key, "weight_name"]
-        tables = [found.tables[name].replace(names, regex=True).set_index(key) for found in (weight_study, renamed)]
-        one, other = (table.sort_index().drop(columns="elapsed_s", errors="ignore") for table in tables)
+        tables = [
+            found.tables[name].replace(names, regex=True).set_index(key)
+            for found in (weight_study, renamed)
+        ]
+        one, other = (
+            table.sort_index().drop(columns="elapsed_s", errors="ignore") for table in tables
+        )
         pd.testing.assert_frame_equal(one, other, check_like=True, check_exact=True)
     with pytest.raises(ju.InputError, match="its order of cities is"):
         run_study("weight_study", folders[::-1], weight_study.folder)
@@ -93,12 +123,20 @@ def test_what_is_drawn_depends_on_the_order_of_the_cities_and_not_on_their_names
 def test_maps_in_memory_and_a_table_of_queries_give_the_same_rows(alpha, weight_study, tmp_path):
     of_alpha = weight_study.instances[weight_study.instances.city == "alpha"]
     asked = of_alpha[of_alpha.instance == weight_study.instances.instance[0]]
-    queries = asked[["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m", "time", "time_of_day"]]
+    queries = asked[
+        ["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m", "time", "time_of_day"]
+    ]
     again = ju.studies.sensitivity_study({"alpha": alpha}, tmp_path, queries, settings=WEIGHT_STUDY)
     kinds = ("cost", "elasticity", "below", "above", "people")
-    columns = [name for name in weight_study.rows if name.partition(":")[0] in kinds and "noise" not in name]
+    columns = [
+        name
+        for name in weight_study.rows
+        if name.partition(":")[0] in kinds and "noise" not in name
+    ]
     first = weight_study.rows.merge(asked[KEY], on=KEY).sort_values("altitude_m")[columns]
-    np.testing.assert_allclose(again.rows.sort_values("altitude_m")[columns].astype(float), first.astype(float))
+    np.testing.assert_allclose(
+        again.rows.sort_values("altitude_m")[columns].astype(float), first.astype(float)
+    )
     assert not again.is_sampled
     assert again.instances.start_stratum.tolist() == asked.start_stratum.tolist()
     assert again.instances.range.tolist() == asked.range.tolist()
@@ -109,35 +147,53 @@ def test_a_route_that_fails_is_a_row_with_its_status(alpha, folders, weight_stud
     rows["instance"] = [0, 1, 2]
     wall = np.argwhere(~alpha.is_free(20.0))[0]
     rows.loc[rows.index[0], ["goal_x_m", "goal_y_m"]] = alpha.grid.xy_of_cell(*wall)
-    rows.loc[rows.index[1], ["goal_x_m", "goal_y_m"]] = rows.iloc[1][["start_x_m", "start_y_m"]].to_numpy()
+    rows.loc[rows.index[1], ["goal_x_m", "goal_y_m"]] = rows.iloc[1][
+        ["start_x_m", "start_y_m"]
+    ].to_numpy()
     again = ju.studies.sensitivity_study(folders[0], tmp_path, rows, settings=WEIGHT_STUDY)
-    assert again.rows.sort_values("instance").status.tolist() == ["bad-input", "bad-input", "optimal"]
+    assert again.rows.sort_values("instance").status.tolist() == [
+        "bad-input",
+        "bad-input",
+        "optimal",
+    ]
     report = (tmp_path / "report.md").read_text()
     assert "start and goal lie in one cell" in report
     assert "is inside an obstacle" in report
-    (asked,) = (line for line in report.split("## ")[0].splitlines() if line.startswith("| alpha | "))
+    (asked,) = (
+        line for line in report.split("## ")[0].splitlines() if line.startswith("| alpha | ")
+    )
     assert "| 20 m | 3 | 3 | 1 |" in asked
 
 
 def test_the_report_names_every_figure_and_no_share_below_zero(weight_study):
     report = (weight_study.folder / "report.md").read_text()
     shown = {part.split(")")[0] for part in report.split("](")[1:]}
-    assert shown == {f"figures/{each.name}" for each in (weight_study.folder / "figures").glob("*.png")}
+    assert shown == {
+        f"figures/{each.name}" for each in (weight_study.folder / "figures").glob("*.png")
+    }
     for name, table in weight_study.tables.items():
-        assert len(pd.read_parquet(weight_study.folder / "tables" / f"{name}.parquet")) == len(table)
+        assert len(pd.read_parquet(weight_study.folder / "tables" / f"{name}.parquet")) == len(
+            table
+        )
     assert "nan" not in report.replace("dominant", "")
     sobol = report.split("## What the routes are like")[1].split("##")[0]
     assert "| -" not in sobol.replace("| ---", "")
     assert "2 samples each; with fewer than 64" in report
     assert report.count("© a made city") == 1
-    assert "over cities" not in [*weight_study.tables["summary"].cut], "two cities say nothing of others"
+    assert "over cities" not in [*weight_study.tables["summary"].cut], (
+        "two cities say nothing of others"
+    )
     assert "| of | weight | cities | routes | regret |" in report
     assert "Routes were drawn by stratum" in report
 
 
-def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_population(weight_study):
+def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_population(
+    weight_study,
+):
     alpha = ju.MetricMaps(weight_study.maps["alpha"].ds.assign_attrs(pop_norm_per_km2=[5e4, 3e4]))
-    report = study_markdown(replace(weight_study, is_sampled=False, maps={**weight_study.maps, "alpha": alpha}))
+    report = study_markdown(
+        replace(weight_study, is_sampled=False, maps={**weight_study.maps, "alpha": alpha})
+    )
     assert "drawn by stratum" not in report
     assert "those of the table that was given" in report
     alpha, beta = report.split("\n\n")[1].splitlines()[2:]
@@ -145,7 +201,9 @@ def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_pop
     assert beta.endswith("|  |")
 
 
-def test_no_text_of_a_figure_leaves_the_page_and_panels_that_are_compared_share_their_scale(weight_study):
+def test_no_text_of_a_figure_leaves_the_page_and_panels_that_are_compared_share_their_scale(
+    weight_study,
+):
     for name, draw in study_figures(weight_study.tables, 2.0).items():
         assert_on_the_page(name, draw())
     figure = plot_nearest(weight_study.tables["weights"], 2.0)
@@ -159,11 +217,28 @@ def test_no_text_of_a_figure_leaves_the_page_and_panels_that_are_compared_share_
 def made_weights(**regret: float) -> pd.DataFrame:
     """A table of weights of 40 routes in each of two cities, whose regrets scatter about known ones."""
     rng = np.random.default_rng(5)
-    same = {"altitude_m": 20.0, "varies": True, "nearest": 1.5, "below": 0.5, "above": 1.5, "time": "t"}
-    same |= {"start_stratum": "open", "goal_stratum": "open", "range": "long", "time_of_day": None, "elasticity": 0.5}
+    same = {
+        "altitude_m": 20.0,
+        "varies": True,
+        "nearest": 1.5,
+        "below": 0.5,
+        "above": 1.5,
+        "time": "t",
+    }
+    same |= {
+        "start_stratum": "open",
+        "goal_stratum": "open",
+        "range": "long",
+        "time_of_day": None,
+        "elasticity": 0.5,
+    }
     of_each = itertools.product("ab", range(40), regret)
-    rows = [same | dict(zip(("city", "instance", "weight_name"), each, strict=True)) for each in of_each]
-    return pd.DataFrame([row | {"regret": regret[row["weight_name"]] + rng.normal(0, 0.002)} for row in rows])
+    rows = [
+        same | dict(zip(("city", "instance", "weight_name"), each, strict=True)) for each in of_each
+    ]
+    return pd.DataFrame(
+        [row | {"regret": regret[row["weight_name"]] + rng.normal(0, 0.002)} for row in rows]
+    )
 
 
 def test_a_share_of_the_cost_is_no_measure_of_harm_and_regrets_have_the_interval_of_their_routes_within_cities():
@@ -191,8 +266,16 @@ def test_a_share_that_is_not_told_from_zero_is_words_and_no_number_below_zero():
     ]
     told = summarise_shares(pd.DataFrame(rows), 16).set_index(["weight_name", "kind"])
     assert told.loc[("gps", "first"), "share"] < 0
-    tables = {"summary": summarise(made_weights(gps=0.01), 2.0), "sobol_summary": told.reset_index()}
-    gps, risk = shown_tables(tables)["sobol"].set_index("weight_name").loc[["gps", "risk"]].to_dict("records")
+    tables = {
+        "summary": summarise(made_weights(gps=0.01), 2.0),
+        "sobol_summary": told.reset_index(),
+    }
+    gps, risk = (
+        shown_tables(tables)["sobol"]
+        .set_index("weight_name")
+        .loc[["gps", "risk"]]
+        .to_dict("records")
+    )
     assert np.isnan(gps["share"])
     assert gps["verdict"] == "not distinguishable from 0"
     assert 0 <= gps["at most"] < 0.1
@@ -205,7 +288,9 @@ def made_shares(evaluate, factors: str, num_samples: int) -> pd.DataFrame:
     """Return what is said of the shares of a function that 20 routes in each of two cities have in common."""
     parts = []
     for city, instance in itertools.product("ab", range(20)):
-        found = sobol_indices(evaluate, [*factors], num_samples, seed=100 * (city == "b") + instance).reset_index()
+        found = sobol_indices(
+            evaluate, [*factors], num_samples, seed=100 * (city == "b") + instance
+        ).reset_index()
         found = found.rename(columns={"factor": "weight_name"})
         parts.append(found.assign(city=city, instance=instance, altitude_m=20.0))
     return summarise_shares(pd.concat(parts, ignore_index=True), num_samples)
@@ -216,7 +301,9 @@ def few_resamples(monkeypatch):
     monkeypatch.setattr("jaxurban.studies.weights.sobol.NUM_RESAMPLES", 100)
 
 
-@pytest.mark.parametrize(("part", "num_samples", "named"), [(0.3, 4, 64), (0.15, 16, 64), (0.15, 32, 128)])
+@pytest.mark.parametrize(
+    ("part", "num_samples", "named"), [(0.3, 4, 64), (0.15, 16, 64), (0.15, 32, 128)]
+)
 def test_a_share_above_one_is_not_resolved_and_so_many_samples_as_are_named_resolve_it(
     few_resamples, part, num_samples, named
 ):
@@ -267,7 +354,11 @@ def test_routes_on_maps_made_anew_are_compared_both_ways(alpha):
     assert found.is_other.sum() > 3
     for row, instance in zip(found.to_dict("records"), asked, strict=True):
         ends = [ju.XY(instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal")]
-        at = {"time": instance["time"], "time_of_day": instance["time_of_day"], "cost_model": "line"}
+        at = {
+            "time": instance["time"],
+            "time_of_day": instance["time_of_day"],
+            "cost_model": "line",
+        }
         here, there = (ju.cost_map(each, instance["altitude_m"], **at) for each in (alpha, other))
         nominal, best = here.plan(*ends), there.plan(*ends)
         corner_m = [alpha.grid.x_min_m, alpha.grid.y_min_m]
@@ -279,8 +370,16 @@ def test_routes_on_maps_made_anew_are_compared_both_ways(alpha):
 def of_parameters(tmp_path_factory) -> ju.studies.SensitivityStudy:
     """Return a study of a town, with maps of other parameters, whose threshold of GDOP cannot be halved."""
     folder = tmp_path_factory.mktemp("town")
-    region = {"bounds": [-73.98, 40.775, -73.968, 40.785], "resolution_m": 25.0, "altitudes_m": [20]}
-    sections = {"region": region, "buildings": {"source": "synthetic"}, "gps": {"gdop_threshold": 1.9}}
+    region = {
+        "bounds": [-73.98, 40.775, -73.968, 40.785],
+        "resolution_m": 25.0,
+        "altitudes_m": [20],
+    }
+    sections = {
+        "region": region,
+        "buildings": {"source": "synthetic"},
+        "gps": {"gdop_threshold": 1.9},
+    }
     run_scenario(ju.Scenario.from_dict(sections), folder / "maps", progress=False)
     chosen = ju.studies.SensitivityStudySettings(vary=("risk",), num_samples=0, has_parameters=True)
     how = {"weights": ju.Weights(population=5.0), "settings": chosen, "progress": False}
@@ -301,12 +400,19 @@ def test_routes_on_maps_of_another_parameter_are_those_planned_on_maps_built_wit
     nominal = of_parameters.maps["town"]
     task = maps_tasks_of(scenario_of(of_parameters.folder.parent / "maps"))[0]
     gps = ju.Gps(gdop_threshold=1.9, times=nominal.times)
-    other = ju.build_maps(task.city, grid=nominal.grid, altitudes_m=(20.0,), **{"gps": gps, **section})
+    other = ju.build_maps(
+        task.city, grid=nominal.grid, altitudes_m=(20.0,), **{"gps": gps, **section}
+    )
     name = parameter.partition(".")[0]
     is_same = {each: nominal.ds[each].equals(other.ds[each]) for each in nominal.metrics}
     assert [each for each in is_same if not is_same[each]] == [name]
     rows = of_parameters.parameters.query("parameter == @parameter and factor == @factor")
-    asked = of_parameters.instances.set_index("instance").loc[rows.instance].reset_index().to_dict("records")
+    asked = (
+        of_parameters.instances.set_index("instance")
+        .loc[rows.instance]
+        .reset_index()
+        .to_dict("records")
+    )
     assert len(rows) == 9
     direct = perturbed_rows(nominal, other, [instance | {"city": "a"} for instance in asked])
     columns = ["is_other", "overlap", "regret", "nominal_regret"]
@@ -314,24 +420,32 @@ def test_routes_on_maps_of_another_parameter_are_those_planned_on_maps_built_wit
     assert rows.is_other.sum() > 0
 
 
-def test_every_number_that_metrics_have_a_gradient_by_is_halved_and_doubled_or_it_is_said_why_not(of_parameters):
+def test_every_number_that_metrics_have_a_gradient_by_is_halved_and_doubled_or_it_is_said_why_not(
+    of_parameters,
+):
     rows = of_parameters.parameters
     names = ["gps.gdop_threshold", "lidar.range_m", "risk.threshold_m"]
     names += ["population.gamma_commercial", "population.gamma_residential"]
     asked = {*itertools.product(names, (0.5, 2.0))}
     assert {*zip(rows.parameter, rows.factor, strict=True)} == asked - {("gps.gdop_threshold", 0.5)}
     (reason,) = of_parameters.skipped
-    assert reason.startswith("town: gps.gdop_threshold x 0.5: gdop_threshold must be a number above 1")
+    assert reason.startswith(
+        "town: gps.gdop_threshold x 0.5: gdop_threshold must be a number above 1"
+    )
     report = (of_parameters.folder / "report.md").read_text()
     assert reason in report
     assert "| lidar.range_m | 2 | all | 9 |" in report
     assert "## Other heights" not in report
 
 
-def test_routes_on_maps_without_their_sources_are_studied_but_for_other_parameters(alpha, weight_study, tmp_path):
+def test_routes_on_maps_without_their_sources_are_studied_but_for_other_parameters(
+    alpha, weight_study, tmp_path
+):
     chosen = replace(WEIGHT_STUDY, vary=("risk",), num_samples=0, has_parameters=True)
     routes = weight_study.instances.query("city == 'alpha'").iloc[:1]
-    found = ju.studies.sensitivity_study({"alpha": alpha}, tmp_path, routes, settings=chosen, progress=False)
+    found = ju.studies.sensitivity_study(
+        {"alpha": alpha}, tmp_path, routes, settings=chosen, progress=False
+    )
     assert found.parameters.empty
     assert "maps in memory do not name their sources" in found.skipped[0]
 
@@ -342,14 +456,33 @@ def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
     for name, east in (("one", 0.0), ("two", 0.02)):
         moved = f"region.bounds=[{-74.0 + east}, 40.755, {-73.985 + east}, 40.765]"
         cell = ("--set", "region.resolution_m=25", "--set", 'planning.cost_model="line"')
-        assert run(capsys, "maps", tmp_path / "town.toml", "-o", tmp_path / name, "--set", moved, *cell)[0] == 0
+        assert (
+            run(
+                capsys, "maps", tmp_path / "town.toml", "-o", tmp_path / name, "--set", moved, *cell
+            )[0]
+            == 0
+        )
     cities, out = [tmp_path / "one", tmp_path / "two"], tmp_path / "out"
-    options = ["--routes", 8, "--altitudes", "20,60", "--samples", 2, "--workers", 1, "-o", out, "--json"]
+    options = [
+        "--routes",
+        8,
+        "--altitudes",
+        "20,60",
+        "--samples",
+        2,
+        "--workers",
+        1,
+        "-o",
+        out,
+        "--json",
+    ]
     code, text, err = run(capsys, "sensitivity-study", *cities, *options)
     assert code == 0, err
     assert "about 64 samples (--samples 64) should resolve them" in err
     assert json.loads(text)["statuses"] == {"optimal": 2 * 8 * 2}
-    code, text, err = run(capsys, "sensitivity-study", *cities, *options, "--heights", 2, "--parameters")
+    code, text, err = run(
+        capsys, "sensitivity-study", *cities, *options, "--heights", 2, "--parameters"
+    )
     assert code == 0, err
     assert len(json.loads(text)["tables"]["parameters_summary"]) == 5 * 2 * 5
     told = json.loads(text)["tables"]["remade_summary"]
@@ -357,8 +490,19 @@ def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
     assert heights["is_other"] == 0, "the synthetic city knows its heights"
     assert "## Other heights" in (out / "report.md").read_text()
     places = ["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m"]
-    pd.read_parquet(out / "instances.parquet").query("city == 'one'")[places].to_csv(tmp_path / "q.csv", index=False)
-    options = ["--queries", tmp_path / "q.csv", "--samples", 0, "--workers", 1, "-o", tmp_path / "q"]
+    pd.read_parquet(out / "instances.parquet").query("city == 'one'")[places].to_csv(
+        tmp_path / "q.csv", index=False
+    )
+    options = [
+        "--queries",
+        tmp_path / "q.csv",
+        "--samples",
+        0,
+        "--workers",
+        1,
+        "-o",
+        tmp_path / "q",
+    ]
     code, _, err = run(capsys, "sensitivity-study", cities[0], *options)
     assert code == 0, err
     assert len(pd.read_parquet(tmp_path / "q/routes/rows.parquet")) == 16
@@ -368,13 +512,19 @@ def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
 def kept(request, folders):
     """Return a study's name, what it gave, how it is run in another folder, and the columns that name a row."""
     result = request.getfixturevalue(request.param)
-    key = ["instance", "altitude_m", *(["planner", "objective"] if request.param == "study" else ["city"])]
+    key = [
+        "instance",
+        "altitude_m",
+        *(["planner", "objective"] if request.param == "study" else ["city"]),
+    ]
     return request.param, result, partial(run_study, request.param, folders), key
 
 
 def test_every_run_has_a_row_once_and_the_file_holds_them(kept):
     name, result, _, key = kept
-    assert len(result.rows) == (12 * 2 * 6 if name == "study" else 2 * 9 * 2)  # five planners and one distance-only run
+    assert len(result.rows) == (
+        12 * 2 * 6 if name == "study" else 2 * 9 * 2
+    )  # five planners and one distance-only run
     assert not result.rows.duplicated(key).any()
     assert not result.rows.status.isin(["crashed", "invalid", "bad-input"]).any()
     same_rows(pd.read_parquet(result.folder / WHERE[name] / "rows.parquet"), result.rows)
@@ -385,7 +535,9 @@ def test_a_killed_study_goes_on_with_no_row_lost_or_doubled(kept, folders, tmp_p
     name, result, again, key = kept
     out = tmp_path / "out"
     parts = out / WHERE[name] / "parts"
-    job = subprocess.Popen([sys.executable, "-c", CALL, name, *folders, out], cwd=Path(__file__).parents[2])
+    job = subprocess.Popen(
+        [sys.executable, "-c", CALL, name, *folders, out], cwd=Path(__file__).parents[2]
+    )
     while len(list(parts.glob("*.json"))) < 3:
         assert job.poll() is None
         time.sleep(0.005)

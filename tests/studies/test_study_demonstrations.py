@@ -13,7 +13,9 @@ from jaxurban.studies.queries import check_alike
 from tests.studies.routes_made import HIDDEN, cosine, small_maps
 
 PLANNERS = "ptp", "astar-plus", "bitstar-plus"
-STUDY = ju.studies.Study(planners=PLANNERS, weights=[HIDDEN], distance_only=(), budget_iterations=100, seed=2)
+STUDY = ju.studies.Study(
+    planners=PLANNERS, weights=[HIDDEN], distance_only=(), budget_iterations=100, seed=2
+)
 routes_of = ju.fit.demonstrations_from_study
 
 
@@ -36,7 +38,10 @@ def costs_of(shown):
 
 
 def test_a_study_gives_the_routes_of_its_planners_at_their_own_costs(study):
-    for planner, excess in (("astar-plus", 1e-9), ("bitstar-plus", 0.15)):  # off the grid they are redrawn on it
+    for planner, excess in (
+        ("astar-plus", 1e-9),
+        ("bitstar-plus", 0.15),
+    ):  # off the grid they are redrawn on it
         rows = study.rows[(study.rows.planner == planner) & study.rows.status.isin(HAS_PATH)]
         shown = routes_of(study, planner=planner)
         keys = [(int(each.query.name), each.query.cost_map.altitude_m) for each in shown]
@@ -45,20 +50,30 @@ def test_a_study_gives_the_routes_of_its_planners_at_their_own_costs(study):
     for given in (study.folder, study.folder.parent):
         assert costs_of(routes_of(given)) == costs_of(routes_of(study, planner="astar-plus"))
     low = routes_of(study, altitude_m=20.0, time_of_day="night", metrics=["gps", "risk"])
-    assert {(each.query.cost_map.altitude_m, each.query.cost_map.time_of_day) for each in low} == {(20.0, "night")}
+    assert {(each.query.cost_map.altitude_m, each.query.cost_map.time_of_day) for each in low} == {
+        (20.0, "night")
+    }
     assert low[0].query.names == ("distance", "gps", "risk")
 
 
-def test_rows_without_a_path_and_routes_of_other_costs_are_left_out_and_counted(study, maps, tmp_path):
+def test_rows_without_a_path_and_routes_of_other_costs_are_left_out_and_counted(
+    study, maps, tmp_path
+):
     num, num_lost = len(study.instances), int((study.rows.status == "blocked").sum())
-    words = rf"^{num_lost} of {num} routes of .*study' were left out: ptp found no path \({num_lost}\)$"
+    words = (
+        rf"^{num_lost} of {num} routes of .*study' were left out: ptp found no path \({num_lost}\)$"
+    )
     with pytest.warns(LeftOutWarning, match=words):
         assert len(routes_of(study, planner="ptp")) == num - num_lost > 0
     for each in study.folder.iterdir():
         (tmp_path / each.name).write_bytes(each.read_bytes())
-    other = study.rows.assign(cost=np.where(study.rows.instance == 5, 2 * study.rows.cost, study.rows.cost))
+    other = study.rows.assign(
+        cost=np.where(study.rows.instance == 5, 2 * study.rows.cost, study.rows.cost)
+    )
     other.to_parquet(tmp_path / "rows.parquet")
-    with pytest.warns(LeftOutWarning, match=r"cost otherwise than their rows say, as where seconds .* \(2\)"):
+    with pytest.warns(
+        LeftOutWarning, match=r"cost otherwise than their rows say, as where seconds .* \(2\)"
+    ):
         assert len(routes_of(tmp_path, maps)) == num - 2
     with pytest.warns(LeftOutWarning, match=r"^1 of \d+ routes of .* was left out: "):
         routes_of(tmp_path, maps, altitude_m=20.0)
@@ -68,7 +83,9 @@ def test_straight_routes_are_said_to_follow_distance_alone(study):
     with pytest.warns(LeftOutWarning):
         straight = routes_of(study, planner="ptp")
     fit = ju.fit.fit_weights(straight, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=15))
-    assert fit.sentence.startswith("These routes follow distance alone and none of these metrics: at best they cost 0")
+    assert fit.sentence.startswith(
+        "These routes follow distance alone and none of these metrics: at best they cost 0"
+    )
 
 
 def test_routes_by_day_and_by_night_of_a_study_under_one_w_give_that_w_back(study):
@@ -82,42 +99,63 @@ def test_routes_by_day_and_by_night_of_a_study_under_one_w_give_that_w_back(stud
         check_alike(flown)
 
 
-def test_a_table_of_instances_or_queries_gives_the_cheapest_routes_under_its_weights(study, maps, tmp_path):
+def test_a_table_of_instances_or_queries_gives_the_cheapest_routes_under_its_weights(
+    study, maps, tmp_path
+):
     joined = study.instances
     joined.to_csv(tmp_path / "instances.csv", index=False)
     columns = ["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m", "time_of_day"]
     places = joined[columns]
     asked = places.assign(**{f"w_{name}": value for name, value in HIDDEN.to_dict().items()})
-    cheapest = joined[["instance", "altitude_m"]].merge(study.rows[study.rows.planner == "astar-plus"]).cost
+    cheapest = (
+        joined[["instance", "altitude_m"]]
+        .merge(study.rows[study.rows.planner == "astar-plus"])
+        .cost
+    )
     for given in (joined, tmp_path / "instances.csv", asked):
         np.testing.assert_allclose(costs_of(routes_of(given, maps)), cheapest, rtol=1e-9)
     np.testing.assert_allclose(costs_of(routes_of(places, maps, pilot=HIDDEN)), cheapest, rtol=1e-9)
-    with pytest.raises(InputError, match="has no weights under which its routes are the cheapest: give a column"):
+    with pytest.raises(
+        InputError, match="has no weights under which its routes are the cheapest: give a column"
+    ):
         routes_of(places, maps)
     with pytest.raises(InputError, match=r"unknown columns \['a', 'b'\]"):
         routes_of(pd.DataFrame({"a": [1], "b": [2]}), maps)
 
 
-def test_a_study_under_many_weights_is_refused_unless_one_pilot_flies_its_pairs(maps, study, tmp_path):
+def test_a_study_under_many_weights_is_refused_unless_one_pilot_flies_its_pairs(
+    maps, study, tmp_path
+):
     many = replace(STUDY, planners="astar-plus", weights="dirichlet")
     drawn = ju.studies.study(maps, tmp_path, 4, settings=many, progress=False)
-    with pytest.raises(InputError, match=r"under 4 different weights, and a fit finds one W: run the study under one"):
+    with pytest.raises(
+        InputError,
+        match=r"under 4 different weights, and a fit finds one W: run the study under one",
+    ):
         routes_of(drawn)
     joined = drawn.instances[drawn.instances.is_connected]
     doubled = joined.assign(**{f"w_{name}": value for name, value in HIDDEN.to_dict().items()})
-    doubled.loc[doubled.index[::2], doubled.columns.str.startswith("w_")] *= 2  # the same W: only ratios count
+    doubled.loc[doubled.index[::2], doubled.columns.str.startswith("w_")] *= (
+        2  # the same W: only ratios count
+    )
     assert costs_of(routes_of(doubled, maps)) == costs_of(routes_of(joined, maps, pilot=HIDDEN))
 
 
 def without(name):
-    return lambda folder, file="rows": pd.read_parquet(folder / f"{file}.parquet").drop(columns=name)
+    return lambda folder, file="rows": pd.read_parquet(folder / f"{file}.parquet").drop(
+        columns=name
+    )
 
 
 @pytest.mark.parametrize(
     ("file", "change", "words"),
     [
         ("rows", without("status"), "rows.parquet' lacks the column 'status': run the study again"),
-        ("instances", lambda folder: without("w_gps")(folder, "instances"), "lacks the column 'w_gps'"),
+        (
+            "instances",
+            lambda folder: without("w_gps")(folder, "instances"),
+            "lacks the column 'w_gps'",
+        ),
         ("rows", None, "rows file .* cannot be read"),
         ("checksums", None, "checksums.json"),
     ],
@@ -145,9 +183,15 @@ def test_a_damaged_study_is_refused_in_one_sentence(study, maps, tmp_path, file,
             {"constraints": ju.Constraints(clearance_m=20.0)},
             "its set of constraints is vertical clearance of 3 m, here clearance of 20 m, ",
         ),
-        ({"maps": ju.MetricMaps(small_maps().ds.assign_attrs(run_key="b"))}, "its run_key is None, here b"),
+        (
+            {"maps": ju.MetricMaps(small_maps().ds.assign_attrs(run_key="b"))},
+            "its run_key is None, here b",
+        ),
         ({"altitude_m": np.nan}, "altitude_m must be .*finite"),
-        ({"planner": "ptp", "pilot": HIDDEN}, "a pilot's routes are planned by A.*: leave one of both out"),
+        (
+            {"planner": "ptp", "pilot": HIDDEN},
+            "a pilot's routes are planned by A.*: leave one of both out",
+        ),
         ({"altitude_m": 30.0}, "no route of .* is of use: none is asked for"),
     ],
 )

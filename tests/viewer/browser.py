@@ -45,7 +45,9 @@ def opened(browser: Any, url: str, is_well: bool = True) -> Iterator[Any]:
     page = context.new_page()
     page.route("**/*", let_through)
     page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+    page.on(
+        "console", lambda message: wrong.append(message.text) if message.type == "error" else None
+    )
     page.goto(url)
     page.wait_for_selector(READY, timeout=60_000)
     yield page

@@ -17,18 +17,33 @@ from jaxurban.viewer.layers import POSITION_ERROR, RANGE_ERROR_M
 from jaxurban.viewer.viewer import Viewer
 from tests.made_maps import made_maps
 from tests.viewer.browser import READY, opened, shown
-from tests.viewer.test_page import ink_at, middle_of, pixel_of, plan_between, route_of, settle, text_of
+from tests.viewer.test_page import (
+    ink_at,
+    middle_of,
+    pixel_of,
+    plan_between,
+    route_of,
+    settle,
+    text_of,
+)
 from tests.viewer.test_viewer import answer, tile_of
 
 MAPS = made_maps(160, 200)
 GRID, FREE = MAPS.grid, np.argwhere(MAPS.is_free(20.0))
-LAKE_M, STREET_M = (0, 0, 1000, 800), ((0, 1200), (2000, 1200))  # from the southwest corner, x to the east
+LAKE_M, STREET_M = (
+    (0, 0, 1000, 800),
+    ((0, 1200), (2000, 1200)),
+)  # from the southwest corner, x to the east
 ISLAND_M = (400, 300, 600, 500)
 
 
 @pytest.fixture(scope="module")
 def with_base(tmp_path_factory):
-    shapes = [shapely.box(*LAKE_M) - shapely.box(*ISLAND_M), shapely.LineString(STREET_M), shapely.Point(1500, 400)]
+    shapes = [
+        shapely.box(*LAKE_M) - shapely.box(*ISLAND_M),
+        shapely.LineString(STREET_M),
+        shapely.Point(1500, 400),
+    ]
     corner_m = GRID.x_min_m, GRID.y_min_m
     moved = [shapely.transform(shape, lambda points: points + corner_m) for shape in shapes]
     rows = {"kind": ["water", "major", "place"], "name": ["The <Lake>", "Main Street", "Hill"]}
@@ -39,12 +54,16 @@ def with_base(tmp_path_factory):
     return replace(MAPS, base=file)
 
 
-def test_the_base_map_is_in_metres_from_the_corner_and_there_is_none_where_the_source_has_none(with_base):
+def test_the_base_map_is_in_metres_from_the_corner_and_there_is_none_where_the_source_has_none(
+    with_base,
+):
     assert answer(Viewer(MAPS), "base") == {}
     assert not answer(Viewer(MAPS), "scene")["has_base"]
     found = answer(Viewer(with_base), "base")
     rings = [np.reshape(ring, (-1, 2)) for ring in found["shapes"]["water"]]
-    assert sorted(shapely.Polygon(ring).area for ring in rings) == pytest.approx([200 * 200, 1000 * 800], rel=0.01)
+    assert sorted(shapely.Polygon(ring).area for ring in rings) == pytest.approx(
+        [200 * 200, 1000 * 800], rel=0.01
+    )
     (street,) = (np.reshape(line, (-1, 2)) for line in found["shapes"]["major"])
     assert np.abs(street[[0, -1]] - STREET_M).max() <= 1
     names = {row[2]: row for row in found["names"]}
@@ -58,7 +77,10 @@ def test_the_position_error_is_hdop_times_the_range_error_that_the_legend_names(
     viewer, free = Viewer(maps), maps.is_free(20.0, "centre")
     expected = (RANGE_ERROR_M * maps.m("hdop", 20.0)[free]).astype(np.float32)
     assert np.array_equal(tile_of(viewer, POSITION_ERROR, [0, 0, 0])[free], expected)
-    assert f"HDOP x {RANGE_ERROR_M:g} m" in answer(viewer, "legend", layer=POSITION_ERROR, at=[0, 0, 0])["html"]
+    assert (
+        f"HDOP x {RANGE_ERROR_M:g} m"
+        in answer(viewer, "legend", layer=POSITION_ERROR, at=[0, 0, 0])["html"]
+    )
 
 
 @pytest.fixture
@@ -121,7 +143,12 @@ def test_a_reload_keeps_the_plan_and_an_address_of_other_maps_is_refused_in_a_se
     assert route_of(page) == before
     assert page.url == address
     plan = json.loads(unquote(address.partition("#")[2]))
-    parts = ({"ofMaps": "others"}, {"zones": [[]]}, {"fields": []}, {"ends": plan["ends"] | {"via": [1, 1]}})
+    parts = (
+        {"ofMaps": "others"},
+        {"zones": [[]]},
+        {"fields": []},
+        {"ends": plan["ends"] | {"via": [1, 1]}},
+    )
     for wrong in ("#nonsense", *("#" + quote(json.dumps(plan | part)) for part in parts)):
         page.goto("about:blank")
         page.goto(address.partition("#")[0] + wrong)
@@ -152,7 +179,9 @@ def test_routes_that_coincide_are_both_in_sight_and_theta_star_takes_its_cost_mo
     page.select_option('[name="cost_model"]', "cell")
     page.check('[value="astar-dist"]')
     settle(page)
-    colours = page.locator(".jv-route .jv-dot").evaluate_all("all => all.map(e => getComputedStyle(e).backgroundColor)")
+    colours = page.locator(".jv-route .jv-dot").evaluate_all(
+        "all => all.map(e => getComputedStyle(e).backgroundColor)"
+    )
     num_pixels = page.evaluate(
         """colours => { const map = document.querySelector('[data-is="map"]');
           const inks = map.getContext('2d').getImageData(0, 0, map.width, map.height).data, found = {};
@@ -178,7 +207,9 @@ def test_the_hatch_of_a_coarser_tile_shows_nowhere_that_a_finer_one_has_a_fix(br
     maps = made_maps(300, 300)  # two strides; the coarse one takes every second cell
     hdop = np.ones(maps.ds["hdop"].shape, np.float32)
     hdop[..., 1::2, 1::2] = np.inf
-    with shown(browser, Viewer(type(maps)(maps.ds.assign(hdop=(maps.ds["hdop"].dims, hdop))))) as page:
+    with shown(
+        browser, Viewer(type(maps)(maps.ds.assign(hdop=(maps.ds["hdop"].dims, hdop))))
+    ) as page:
         page.wait_for_timeout(1500)
         share = page.evaluate(
             """() => { const map = document.querySelector('[data-is="map"]'), middle = map.width / 2;

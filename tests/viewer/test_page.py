@@ -70,7 +70,12 @@ def show_all(page) -> None:
 def point_at(page, cell) -> dict[str, float | None]:
     """Point at a cell; return what the page says of it by layer."""
     page.mouse.move(*middle_of(page, cell))
-    until(page, lambda: page.locator('[data-is="values"]').get_attribute("data-cell") == f"{cell[0]} {cell[1]}")
+    until(
+        page,
+        lambda: (
+            page.locator('[data-is="values"]').get_attribute("data-cell") == f"{cell[0]} {cell[1]}"
+        ),
+    )
     rows = page.locator('[data-is="values"] tr[data-layer]')
     said = rows.evaluate_all("rows => rows.map(row => [row.dataset.layer, row.dataset.value])")
     return {name: None if value == "null" else float(value) for name, value in said}
@@ -112,7 +117,9 @@ def test_the_values_under_the_pointer_the_legend_and_the_colours_are_those_of_th
     assert float(ticks[-1]) == float(MAPS.m("roof").max())
     page.select_option('[name="layer"]', "hdop")
     until(page, lambda: "\u2265" in page.locator(".jv-legend").inner_text())
-    heights = page.locator(".jv-ticks span").evaluate_all("all => all.map(each => each.offsetHeight)")
+    heights = page.locator(".jv-ticks span").evaluate_all(
+        "all => all.map(each => each.offsetHeight)"
+    )
     assert len(set(heights)) == 1  # no text breaks within a tick
     page.select_option('[name="layer"]', "gps")
     page.wait_for_timeout(500)
@@ -197,13 +204,17 @@ def test_start_and_goal_a_weight_and_a_zone_change_the_route_and_the_command_giv
     assert page.locator('[data-is="report"] svg').is_visible()
 
 
-def test_a_goal_in_a_building_moves_out_of_it_the_card_says_so_and_dragging_it_takes_the_route_along(browser):
+def test_a_goal_in_a_building_moves_out_of_it_the_card_says_so_and_dragging_it_takes_the_route_along(
+    browser,
+):
     ds, row, col = MAPS.ds.copy(deep=True), 80, 100
     for name, value in (("obstacle", 1), ("roof", 90), ("roof_touched", 90)):
         ds[name][..., row - 4 : row + 5, col - 4 : col + 5] = value
     with shown(browser, Viewer(type(MAPS)(ds))) as page:
         plan_between(page, FREE[300].tolist(), (row, col))
-        assert "goal moved 50 m: it was inside an obstacle" in page.locator(".jv-route").inner_text()
+        assert (
+            "goal moved 50 m: it was inside an obstacle" in page.locator(".jv-route").inner_text()
+        )
         show_all(page)
         page.wait_for_timeout(300)
         end = route_of(page)["geometry"]["coordinates"][-1]
@@ -216,15 +227,21 @@ def test_a_goal_in_a_building_moves_out_of_it_the_card_says_so_and_dragging_it_t
         assert route_of(page)["geometry"]["coordinates"][-1] != end
 
 
-def test_cautions_stand_open_the_mission_is_drawn_before_it_is_saved_and_letters_are_as_large_on_every_screen(page):
+def test_cautions_stand_open_the_mission_is_drawn_before_it_is_saved_and_letters_are_as_large_on_every_screen(
+    page,
+):
     plan_between(page)
     cautions = page.locator('[data-is="cautions"] p')
     assert all(cautions.nth(k).is_visible() for k in range(cautions.count()))
     assert "Buildings: the nearest" in " ".join(cautions.all_inner_texts())
     limits = page.locator('[data-is="cautions"] .jv-limit')
-    assert set(limits.evaluate_all("all => all.map(each => getComputedStyle(each).color)")) == {"rgb(176, 0, 32)"}
+    assert set(limits.evaluate_all("all => all.map(each => getComputedStyle(each).color)")) == {
+        "rgb(176, 0, 32)"
+    }
     button = page.locator('[data-do="plan"]').inner_text()
-    items = json.loads(saved(page, '[data-do="plan"]'))["mission"]["items"][:-1]  # the last one lands
+    items = json.loads(saved(page, '[data-do="plan"]'))["mission"]["items"][
+        :-1
+    ]  # the last one lands
     assert f"{len(items)} waypoints, cost" in button
     show_all(page)
     page.wait_for_timeout(300)
@@ -232,11 +249,16 @@ def test_cautions_stand_open_the_mission_is_drawn_before_it_is_saved_and_letters
     x_m, y_m = GRID.xy_of_lonlat(lon, lat)
     cells = np.stack([y_m - GRID.y_min_m, x_m - GRID.x_min_m], axis=1) / GRID.resolution_m
     places = np.array([pixel_of(page, *cell) for cell in cells])
-    apart = np.linalg.norm(places[1:-1] - places[:-2], axis=1) > 14  # those nearer to one another have one dot
+    apart = (
+        np.linalg.norm(places[1:-1] - places[:-2], axis=1) > 14
+    )  # those nearer to one another have one dot
     assert apart.sum() > 3
     for place in places[1:-1][apart]:
         assert min(ink_at(page, place)) > 100  # its ring is white within
-    sizes, of_each = set(), "all => all.map(each => `${each.offsetHeight} ${getComputedStyle(each).fontSize}`)"
+    sizes, of_each = (
+        set(),
+        "all => all.map(each => `${each.offsetHeight} ${getComputedStyle(each).fontSize}`)",
+    )
     for width in (1024, 1920):
         page.set_viewport_size({"width": width, "height": 900})
         sizes |= set(page.locator('[data-is="profile"] div > :is(b, span)').evaluate_all(of_each))
@@ -266,7 +288,9 @@ def test_a_page_of_few_bytes_holds_fewer_cells_and_is_no_larger(tmp_path):
 
 def test_the_exported_file_shows_maps_and_values_without_any_server(browser, tmp_path):
     file = tmp_path / "page.html"
-    assert write_page(Viewer(MAPS, name="city"), file, 10 * 2**20) == file.stat().st_size < 10 * 2**20
+    assert (
+        write_page(Viewer(MAPS, name="city"), file, 10 * 2**20) == file.stat().st_size < 10 * 2**20
+    )
     with opened(browser, file.as_uri()) as page:
         cell = FREE[5000].tolist()
         assert point_at(page, cell)["gps"] == float(MAPS.m("gps", 20.0)[tuple(cell)])
@@ -302,7 +326,9 @@ def test_the_page_works_as_a_widget_by_messages_alone(browser):
     )
     page.wait_for_selector(READY, timeout=60_000)
     page.wait_for_timeout(500)
-    assert point_at(page, FREE[5000].tolist())["gps"] == float(MAPS.m("gps", 20.0)[tuple(FREE[5000])])
+    assert point_at(page, FREE[5000].tolist())["gps"] == float(
+        MAPS.m("gps", 20.0)[tuple(FREE[5000])]
+    )
     plan_between(page)
     assert "cost" in page.locator(".jv-route").inner_text()
     assert not page.locator('[data-is="command"]').is_visible()

@@ -36,7 +36,10 @@ def server():
 def ask(server, method: str, path: str, body: bytes = b"", **headers: str) -> tuple[int, bytes]:
     """Return status and body of a reply; a header of None is left out."""
     connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=20)
-    given = {"Host": f"127.0.0.1:{server.server_port}", "Content-Type": "application/json"} | headers
+    given = {
+        "Host": f"127.0.0.1:{server.server_port}",
+        "Content-Type": "application/json",
+    } | headers
     connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
     for name, value in ({"Content-Length": str(len(body))} | given).items():
         if value is not None:
@@ -65,50 +68,148 @@ def hostile(port: int) -> list[tuple[str, str, bytes, dict]]:
     """Return requests that no page of ours sends: method, path, body, headers."""
     own = f"127.0.0.1:{port}"
     paths = [
-        *("/../../etc/passwd", "/etc/passwd", "//etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/..%2f..%2fetc/passwd"),
-        *("/maps.zarr/5m/.zmetadata", "/run.json", "/ask", "/ask/", "/favicon.ico", "/index.html", "/viewer.js", "/?a"),
-        *("/ask/scene/../tile", "/ask/__class__", "/ask/_cost_map", "/a" * 5000, "http://evil.example/", "*"),
+        *(
+            "/../../etc/passwd",
+            "/etc/passwd",
+            "//etc/passwd",
+            "/%2e%2e/%2e%2e/etc/passwd",
+            "/..%2f..%2fetc/passwd",
+        ),
+        *(
+            "/maps.zarr/5m/.zmetadata",
+            "/run.json",
+            "/ask",
+            "/ask/",
+            "/favicon.ico",
+            "/index.html",
+            "/viewer.js",
+            "/?a",
+        ),
+        *(
+            "/ask/scene/../tile",
+            "/ask/__class__",
+            "/ask/_cost_map",
+            "/a" * 5000,
+            "http://evil.example/",
+            "*",
+        ),
     ]
     hosts = ["evil.example", f"evil.example:{port}", "127.0.0.1", "localhost:1", "", "0.0.0.0"]
     hosts += [f"[::1]:{port}", own + "."]
     origins = ["evil.example", "127.0.0.1", f"evil.example:{port}"]
     origins = ["null", "https://" + own, "file://", *(f"http://{origin}" for origin in origins)]
-    kinds = ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data; boundary=x", "application/jsonx"]
-    lengths = ["-1", "1e9", "99999999999999999999", "0x10", "", " ", "+5", str(MOST_BODY + 1), "²", "1, 1"]
+    kinds = [
+        "text/plain",
+        "application/x-www-form-urlencoded",
+        "multipart/form-data; boundary=x",
+        "application/jsonx",
+    ]
+    lengths = [
+        "-1",
+        "1e9",
+        "99999999999999999999",
+        "0x10",
+        "",
+        " ",
+        "+5",
+        str(MOST_BODY + 1),
+        "²",
+        "1, 1",
+    ]
     headers = [{"Host": host} for host in hosts] + [{"Origin": origin} for origin in origins]
     methods = ("PUT", "DELETE", "OPTIONS", "TRACE", "PATCH", "CONNECT", "FOO")
-    bodies = [b"", b"{", b"[]", b"null", b"1", b'"x"', b"\xff\xfe", b"[" * 60_000, b'{"a":1}', b"NaN"]
+    bodies = [
+        b"",
+        b"{",
+        b"[]",
+        b"null",
+        b"1",
+        b'"x"',
+        b"\xff\xfe",
+        b"[" * 60_000,
+        b'{"a":1}',
+        b"NaN",
+    ]
     bodies += [b"{" + b'"a":' * 9000]
     found = [
-        *((method, path, body, {}) for path in paths for method, body in (("GET", b""), ("POST", b"{}"))),
+        *(
+            (method, path, body, {})
+            for path in paths
+            for method, body in (("GET", b""), ("POST", b"{}"))
+        ),
         *((method, "/", b"{}", {}) for method in methods),
         *(("POST", "/ask/scene", b"{}", header) for header in headers),
         *(("GET", "/", b"", header) for header in headers),
         *(("POST", "/ask/scene", b"{}", {"Content-Type": kind}) for kind in kinds),
-        *(("POST", "/ask/scene", b"{}", {"Content-Length": n.encode().decode("latin-1")}) for n in lengths),
+        *(
+            ("POST", "/ask/scene", b"{}", {"Content-Length": n.encode().decode("latin-1")})
+            for n in lengths
+        ),
         ("POST", "/ask/scene", b"0\r\n\r\n", {"Transfer-Encoding": "chunked"}),
-        *(("POST", f"/ask/{name}", body, {}) for name in ("scene", "tile", "plan") for body in bodies),
+        *(
+            ("POST", f"/ask/{name}", body, {})
+            for name in ("scene", "tile", "plan")
+            for body in bodies
+        ),
     ]
     odd = [-1, 10**9, 10**30, 1.5, "0", None, [], {}, True, "x" * 5000, [0] * 999]
     cell = {"at": [0, 0, 0], "row": 0, "col": 0}
     asked = [("tile", ASKED), ("plan", PLAN | {"planner": "astar-plus"}), ("values", cell)]
-    wrong = [(name, given | {key: value}) for name, given in asked for key in given for value in odd]
-    wrong += [("tile", ASKED | each) for each in ({"stride": 0}, {"stride": 3}, {"row": 1}, {"col": 1})]
-    zones = ["x", "[]", '{"features":1}', '{"features":[{}]}', "{" * 999, '{"type":"FeatureCollection","features":[]}']
-    rings = [[[0, 0], [1, 1]], [[0, 0]], [], [["a", "b"]], [[1e9, 0], [0, 1], [1, 1]], [[0, 0, 0, 0]] * 4, None]
+    wrong = [
+        (name, given | {key: value}) for name, given in asked for key in given for value in odd
+    ]
+    wrong += [
+        ("tile", ASKED | each) for each in ({"stride": 0}, {"stride": 3}, {"row": 1}, {"col": 1})
+    ]
+    zones = [
+        "x",
+        "[]",
+        '{"features":1}',
+        '{"features":[{}]}',
+        "{" * 999,
+        '{"type":"FeatureCollection","features":[]}',
+    ]
+    rings = [
+        [[0, 0], [1, 1]],
+        [[0, 0]],
+        [],
+        [["a", "b"]],
+        [[1e9, 0], [0, 1], [1, 1]],
+        [[0, 0, 0, 0]] * 4,
+        None,
+    ]
     shapes = [{"type": "Polygon", "coordinates": [ring]} for ring in rings]
-    zones += [json.dumps({"features": [{"type": "Feature", "geometry": shape}]}) for shape in shapes]
+    zones += [
+        json.dumps({"features": [{"type": "Feature", "geometry": shape}]}) for shape in shapes
+    ]
     weights = ({"noise": 1}, {"gps": -1}, {"gps": "1"}, {"gps": 1e31}, {"": 1}, {"own": 1})
     odd_plans = [{"zones": text} for text in zones] + [{"weights": each} for each in weights]
-    odd_plans += [{"planner": "rm -rf"}, {"planner": "astar-volume"}, {"cost_model": "x"}, {"obstacles": "x"}]
-    odd_plans += [{"clearance_m": -1}, {"clearance_m": "1"}, {"extra": 1}, {"start": [0, 0]}, {"goal": [40.0, -75.0]}]
+    odd_plans += [
+        {"planner": "rm -rf"},
+        {"planner": "astar-volume"},
+        {"cost_model": "x"},
+        {"obstacles": "x"},
+    ]
+    odd_plans += [
+        {"clearance_m": -1},
+        {"clearance_m": "1"},
+        {"extra": 1},
+        {"start": [0, 0]},
+        {"goal": [40.0, -75.0]},
+    ]
     wrong += [("plan", PLAN | each) for each in odd_plans]
     odd_asked = ({}, {"format": "../x"}, {"at": []})
-    wrong += [(name, given) for name in ("save", "report", "legend", "values") for given in odd_asked]
-    return found + [("POST", f"/ask/{name}", json.dumps(given).encode(), {}) for name, given in wrong]
+    wrong += [
+        (name, given) for name in ("save", "report", "legend", "values") for given in odd_asked
+    ]
+    return found + [
+        ("POST", f"/ask/{name}", json.dumps(given).encode(), {}) for name, given in wrong
+    ]
 
 
-def test_300_hostile_requests_are_refused_in_a_sentence_and_none_reaches_a_traceback(server, caplog, capfd):
+def test_300_hostile_requests_are_refused_in_a_sentence_and_none_reaches_a_traceback(
+    server, caplog, capfd
+):
     requests = hostile(server.server_port)
     for method, path, body, headers in requests:
         status, said = ask(server, method, path, body, **headers)
@@ -189,7 +290,9 @@ def test_tiles_of_a_stride_hold_the_middle_cell_of_each_square(stride):
     num_rows, num_cols = (-(-size // stride) for size in VALUES.shape)
     for row in range(-(-num_rows // TILE)):
         for col in range(-(-num_cols // TILE)):
-            got = unpacked(tile_bytes(VALUES, stride, row, col)).reshape(min(TILE, num_rows - row * TILE), -1)
+            got = unpacked(tile_bytes(VALUES, stride, row, col)).reshape(
+                min(TILE, num_rows - row * TILE), -1
+            )
             for i, j in ((0, 0), np.subtract(got.shape, 1)):
                 south, west = (row * TILE + i) * stride, (col * TILE + j) * stride
                 square = VALUES[south : south + stride, west : west + stride]
@@ -201,7 +304,10 @@ def test_tiles_of_a_stride_hold_the_middle_cell_of_each_square(stride):
 def test_at_stride_1_every_value_is_there_bit_for_bit():
     odd = VALUES.copy()
     odd[0, :4] = np.nan, np.inf, -np.inf, -0.0
-    assert unpacked(tile_bytes(odd, 1, 0, 0)).tobytes() == np.ascontiguousarray(odd[:TILE, :TILE]).tobytes()
+    assert (
+        unpacked(tile_bytes(odd, 1, 0, 0)).tobytes()
+        == np.ascontiguousarray(odd[:TILE, :TILE]).tobytes()
+    )
 
 
 def test_the_last_stride_is_one_tile():

@@ -31,14 +31,18 @@ MAPS, LITTLE = made_maps(), made_maps(24, 30)
 TILE = {"layer": "gps", "at": [0, 0, 0], "stride": 1, "row": 0, "col": 0}
 CELLS = np.argwhere(MAPS.is_free(20.0))
 ENDS = [np.round(MAPS.grid.lonlat_of_cell(*CELLS[at]), 7).tolist() for at in (5, -9)]
-NEAR = np.round(MAPS.grid.lonlat_of_cell(*CELLS[np.hypot(*(CELLS - CELLS[5] - [7, 6]).T).argmin()]), 7).tolist()
+NEAR = np.round(
+    MAPS.grid.lonlat_of_cell(*CELLS[np.hypot(*(CELLS - CELLS[5] - [7, 6]).T).argmin()]), 7
+).tolist()
 WEIGHTS = {"distance": 0.1, "gps": 3.0, "lidar": 0.7, "population": 0.0, "risk": 1.5}
 QUERY = {"start": ENDS[0], "goal": ENDS[1], "at": [0, 0, 1], "weights": WEIGHTS}
 
 
 def square(row: int, col: int, size: int) -> str:
     """Return a zone over a square of cells, as the page sends it."""
-    (west, east), (south, north) = np.round(MAPS.grid.lonlat_of_cell([row, row + size], [col, col + size]), 7)
+    (west, east), (south, north) = np.round(
+        MAPS.grid.lonlat_of_cell([row, row + size], [col, col + size]), 7
+    )
     shape = shapely.geometry.mapping(shapely.box(west, south, east, north))
     feature = {"type": "Feature", "properties": {"name": "zone 1"}, "geometry": shape}
     return json.dumps({"type": "FeatureCollection", "features": [feature]})
@@ -57,7 +61,9 @@ def viewer(tmp_path_factory) -> Viewer:
 
 
 def tile_of(viewer: Viewer, layer: str, at: list[int]) -> np.ndarray:
-    return unpacked(answer(viewer, "tile", layer=layer, at=at, stride=1, row=0, col=0)).reshape(MAPS.grid.shape)
+    return unpacked(answer(viewer, "tile", layer=layer, at=at, stride=1, row=0, col=0)).reshape(
+        MAPS.grid.shape
+    )
 
 
 def values_in(viewer: Viewer, cell, at=(0, 0, 0)) -> dict:
@@ -73,8 +79,12 @@ def test_tiles_hold_the_maps_values_and_mark_obstacles_and_every_layer_can_be_as
         assert np.array_equal(got[free], MAPS.m(name, 60.0)[free].astype(np.float32))
         assert np.array_equal(got == -np.inf, MAPS.m("obstacle", 60.0) == 1)
     free = MAPS.is_free(20.0, "centre")
-    assert np.array_equal(tile_of(viewer, "cost:gps", [0, 0, 0])[free], (1 - MAPS.m("gps", 20.0))[free])
-    assert np.array_equal(tile_of(viewer, "h_norm", [0, 0, 1])[free], MAPS.normalised(20.0, time_of_day="night")[free])
+    assert np.array_equal(
+        tile_of(viewer, "cost:gps", [0, 0, 0])[free], (1 - MAPS.m("gps", 20.0))[free]
+    )
+    assert np.array_equal(
+        tile_of(viewer, "h_norm", [0, 0, 1])[free], MAPS.normalised(20.0, time_of_day="night")[free]
+    )
     for name in layers_of(MAPS):
         assert "html" in answer(viewer, "legend", layer=name, at=[0, 0, 0])
         assert tile_of(viewer, name, [0, 0, 0]).shape == MAPS.grid.shape
@@ -84,12 +94,18 @@ def test_tiles_hold_the_maps_values_and_mark_obstacles_and_every_layer_can_be_as
 def test_colours_are_those_of_the_figures(viewer):
     legend = answer(viewer, "legend", layer="hdop", at=[0, 0, 0])
     assert [legend["ticks"][k] for k in (0, -1)] == [1, 20]
-    assert answer(viewer, "legend", layer="obstacle", at=[0, 0, 0])["edges"] == [-0.5, 0.5, 1.5]  # two classes
+    assert answer(viewer, "legend", layer="obstacle", at=[0, 0, 0])["edges"] == [
+        -0.5,
+        0.5,
+        1.5,
+    ]  # two classes
     colours = np.frombuffer(base64.b64decode(legend["colours"]), np.uint8).reshape(-1, 4)[:, :3]
     values = np.linspace(0.5, 25, 777)
     index = np.clip(np.searchsorted(legend["edges"], values, side="right") - 1, 0, len(colours) - 1)
     of_figures = metric_colours(MAPS, "hdop")(values, bytes=True)[:, :3]
-    assert np.abs(colours[index].astype(int) - of_figures.astype(int)).max() <= 4  # beside an edge, one colour on
+    assert (
+        np.abs(colours[index].astype(int) - of_figures.astype(int)).max() <= 4
+    )  # beside an edge, one colour on
     assert (colours[index] == of_figures).all(axis=1).mean() > 0.99
 
 
@@ -98,7 +114,9 @@ def test_maps_of_a_long_series_are_shown_by_their_median(viewer):
     gps = ds["gps"].isel(time=0, drop=True)
     ds = ds.drop_vars("gps").assign(gps_median=gps, gps_p05=0.5 * gps, gps_availability=gps)
     series = Viewer(type(MAPS)(ds))
-    assert np.array_equal(tile_of(series, "gps", [0, 0, 0]), tile_of(viewer, "gps", [0, 0, 0]), equal_nan=True)
+    assert np.array_equal(
+        tile_of(series, "gps", [0, 0, 0]), tile_of(viewer, "gps", [0, 0, 0]), equal_nan=True
+    )
     assert values_in(series, CELLS[700])["gps"] == float(gps[0, *CELLS[700]])
     assert answer(series, "plan", **QUERY)["has_path"]
     assert answer(series, "scene")["html"]["time"] == ""
@@ -110,11 +128,18 @@ def test_values_in_a_cell_are_the_maps_own_and_inside_an_obstacle_there_is_no_qu
     for name in ("gps", "lidar", "risk", "num_visible"):
         assert found[name] == float(MAPS.m(name, 60.0)[row, col])
     assert found["population"] == float(MAPS.m("population", time_of_day="night")[row, col])
-    assert found["people"] == pytest.approx(float(MAPS.m("density", time_of_day="night")[row, col]) * 1e-4)
+    assert found["people"] == pytest.approx(
+        float(MAPS.m("density", time_of_day="night")[row, col]) * 1e-4
+    )
     assert found["roof"] == float(MAPS.m("roof")[row, col])
     wall = tuple(np.argwhere(MAPS.m("obstacle", 20.0) != 0)[0])
     said = values_in(viewer, wall)
-    assert (said["gps"], said["lidar"], said["num_visible"], said["obstacle"]) == (None, None, None, 1)
+    assert (said["gps"], said["lidar"], said["num_visible"], said["obstacle"]) == (
+        None,
+        None,
+        None,
+        1,
+    )
     assert said["roof"] == MAPS.m("roof")[wall]
 
 
@@ -124,8 +149,15 @@ def test_what_is_yes_or_no_in_a_cell_is_told_in_words():
     cell = np.argwhere(guessed.values)[0].tolist()
     found = answer(viewer, "values", at=[0, 0, 0], row=cell[0], col=cell[1])
     (told,) = (each for each in found if each["name"] == "roof_guessed")
-    assert (told["told"], told["classes"][int(told["value"])]) == ("Guessed heights", "height guessed")
-    assert all(each["classes"] == [] for each in found if each["name"] in ("gps", "roof", "density", "people"))
+    assert (told["told"], told["classes"][int(told["value"])]) == (
+        "Guessed heights",
+        "height guessed",
+    )
+    assert all(
+        each["classes"] == []
+        for each in found
+        if each["name"] in ("gps", "roof", "density", "people")
+    )
 
 
 @pytest.mark.parametrize(
@@ -140,7 +172,9 @@ def test_what_is_yes_or_no_in_a_cell_is_told_in_words():
         {"planner": "astar-plus", "obstacles": "centre", "zones": square(30, 40, 14)},
     ],
 )
-def test_a_route_is_that_of_the_printed_command_coordinate_for_coordinate(viewer, more, capsys, tmp_path, monkeypatch):
+def test_a_route_is_that_of_the_printed_command_coordinate_for_coordinate(
+    viewer, more, capsys, tmp_path, monkeypatch
+):
     for _ in range(9):  # what planners remember of a map must not count
         shown = answer(viewer, "plan", **QUERY | more)
     program, *arguments = shlex.split(shown["command"])
@@ -156,21 +190,36 @@ def test_a_route_is_that_of_the_printed_command_coordinate_for_coordinate(viewer
     assert found["settings"]["weights"] == (QUERY | more)["weights"]
     if shown["has_path"]:
         saved = json.loads(answer(viewer, "save", **QUERY | more | {"format": "geojson"}))
-        assert saved["features"][0]["geometry"]["coordinates"] == np.round(found["lonlat"], 7).tolist()
-        assert all(len(answer(viewer, "save", **QUERY | more, format=name)) > 300 for name in ("kml", "plan", "gpx"))
+        assert (
+            saved["features"][0]["geometry"]["coordinates"] == np.round(found["lonlat"], 7).tolist()
+        )
+        assert all(
+            len(answer(viewer, "save", **QUERY | more, format=name)) > 300
+            for name in ("kml", "plan", "gpx")
+        )
 
 
-def test_a_report_tells_what_the_route_meets_and_cautions_stand_outside_it_each_with_its_level(viewer):
+def test_a_report_tells_what_the_route_meets_and_cautions_stand_outside_it_each_with_its_level(
+    viewer,
+):
     found = answer(viewer, "report", **QUERY)
-    told = ju.cautions(ju.plan(MAPS, *ENDS, altitude_m=20.0, weights=ju.Weights(**WEIGHTS), time_of_day="night"), MAPS)
-    assert found["cautions"] == "".join(f'<p class="jv-{each.level}">{html.escape(each)}</p>' for each in told)
+    told = ju.cautions(
+        ju.plan(MAPS, *ENDS, altitude_m=20.0, weights=ju.Weights(**WEIGHTS), time_of_day="night"),
+        MAPS,
+    )
+    assert found["cautions"] == "".join(
+        f'<p class="jv-{each.level}">{html.escape(each)}</p>' for each in told
+    )
     assert told
     assert not any(each in found["report-text"] for each in told)
     assert len(found["xy"]) == len(found["to_share"]) > 10
     assert found["to_share"][-1] == pytest.approx(1, abs=1e-4)
     assert "<svg" in found["profile"]
     assert "Least clearance" in found["totals"]
-    assert re.search("cost model: line .* gps 3, .* obstacles: touched, vertical clearance of 3 m", found["profile"])
+    assert re.search(
+        "cost model: line .* gps 3, .* obstacles: touched, vertical clearance of 3 m",
+        found["profile"],
+    )
     assert "segment" in found["report-text"]
 
 
@@ -192,24 +241,35 @@ def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(v
     query = QUERY | {"cost_model": cost_model}
     found, route = answer(viewer, "report", **query), answer(viewer, "plan", **query)
     saved = json.loads(answer(viewer, "save", **query, format="plan"))
-    places = np.array([item["params"][4:6] for item in saved["mission"]["items"][:-1]])  # the last one lands
+    places = np.array(
+        [item["params"][4:6] for item in saved["mission"]["items"][:-1]]
+    )  # the last one lands
     xy_m = np.stack(MAPS.grid.xy_of_lonlat(places[:, 1], places[:, 0]), axis=-1)
     corner = np.array([MAPS.grid.x_min_m, MAPS.grid.y_min_m])
     assert np.allclose(found["mission"], xy_m - corner, atol=0.06)
-    on = ju.cost_map(MAPS, 20.0, weights=ju.Weights(**WEIGHTS), cost_model=cost_model, time_of_day="night")
+    on = ju.cost_map(
+        MAPS, 20.0, weights=ju.Weights(**WEIGHTS), cost_model=cost_model, time_of_day="night"
+    )
     planned = on.plan(*ENDS)
     assert planned.cost == route["cost"]
     mission = ju.simplify(planned, on, MAPS.grid.resolution_m / 2)
     prices = f"cost {number(mission.cost)}, {mission.cost / route['cost'] - 1:+.1%}"
     least_m = ju.explain(mission, MAPS).totals["nearest_wall_m"]
-    least, route_m = f"least clearance {number(least_m)} m", ju.explain(planned, MAPS).totals["nearest_wall_m"]
+    least, route_m = (
+        f"least clearance {number(least_m)} m",
+        ju.explain(planned, MAPS).totals["nearest_wall_m"],
+    )
     if least_m < route_m - 0.01:
         least = f"{least}, the route {number(route_m)} m"
     assert found["saved"] == f'{len(places)} waypoints, {prices}, <b class="jv-note">{least}</b>'
 
 
-def test_a_profile_labels_the_flight_at_its_height_and_distances_so_that_none_equals_another(viewer):
-    long, near = (answer(viewer, "report", **QUERY | more)["profile"] for more in ({}, {"goal": NEAR}))
+def test_a_profile_labels_the_flight_at_its_height_and_distances_so_that_none_equals_another(
+    viewer,
+):
+    long, near = (
+        answer(viewer, "report", **QUERY | more)["profile"] for more in ({}, {"goal": NEAR})
+    )
     for drawn in (long, near):
         heights = dict(re.findall(r'<b style="top:(\d+)px">([^<]+)</b>', drawn))
         line_y = float(re.search(rf'd="M0.0 ([\d.]+)L[^"]*" stroke="{ALTITUDE_COLOUR}"', drawn)[1])
@@ -218,7 +278,9 @@ def test_a_profile_labels_the_flight_at_its_height_and_distances_so_that_none_eq
         ticks = re.findall(r">([\d.]+) (k?m)</span>", drawn.replace("least clearance ", "<i>"))
         assert len({*ticks}) == len(ticks) >= 3
     assert {unit for _, unit in ticks} == {"m"}
-    nearest_m = ju.explain(ju.plan(MAPS, ENDS[0], NEAR, altitude_m=20.0, weights=ju.Weights(**WEIGHTS)), MAPS).totals
+    nearest_m = ju.explain(
+        ju.plan(MAPS, ENDS[0], NEAR, altitude_m=20.0, weights=ju.Weights(**WEIGHTS)), MAPS
+    ).totals
     assert f"least clearance {number(nearest_m['nearest_wall_m'])} m" in near
 
 
@@ -251,7 +313,9 @@ def test_messages_are_answered_as_requests_are():
     assert buffers == [viewer.answer("tile", TILE).body]
 
 
-@pytest.mark.parametrize("message", [None, [], {}, {"id": 1, "name": "tile"}, {"id": 1, "name": [], "parameters": {}}])
+@pytest.mark.parametrize(
+    "message", [None, [], {}, {"id": 1, "name": "tile"}, {"id": 1, "name": [], "parameters": {}}]
+)
 def test_what_is_no_request_is_answered_by_a_sentence(message):
     reply, buffers = reply_to(Viewer(LITTLE), message)
     assert reply["error"]
@@ -261,7 +325,9 @@ def test_what_is_no_request_is_answered_by_a_sentence(message):
 def test_the_widget_carries_the_page_and_replies_to_it(monkeypatch):
     pytest.importorskip("anywidget", reason="anywidget is not installed")
     widget, sent = widget_of(Viewer(LITTLE)), []
-    monkeypatch.setattr(type(widget), "send", lambda _, content, buffers: sent.append((content, buffers)))
+    monkeypatch.setattr(
+        type(widget), "send", lambda _, content, buffers: sent.append((content, buffers))
+    )
     assert widget._esm == part("script")
     assert widget.markup == part("markup")
     widget._handle_custom_msg({"id": 3, "name": "tile", "parameters": TILE}, [])
@@ -270,9 +336,16 @@ def test_the_widget_carries_the_page_and_replies_to_it(monkeypatch):
     assert len(buffers[0]) > 100
 
 
-def test_over_a_runs_folder_the_page_plans_as_the_command_that_it_prints(tmp_path, monkeypatch, capsys):
+def test_over_a_runs_folder_the_page_plans_as_the_command_that_it_prints(
+    tmp_path, monkeypatch, capsys
+):
     MAPS.save(tmp_path)
-    planning = {"clearance_m": 4.0, "vertical_clearance_m": 15.0, "diagonal": "always", "objective": "distance"}
+    planning = {
+        "clearance_m": 4.0,
+        "vertical_clearance_m": 15.0,
+        "diagonal": "always",
+        "objective": "distance",
+    }
     settings = {"planning": planning, "vehicle": {"radius_m": 7.0}, "weights": {"gps": 3.0}}
     write_json(tmp_path / "run.json", {"settings": settings})
     monkeypatch.setattr("jaxurban.viewer.widget.widget_of", lambda viewer: viewer)
@@ -283,7 +356,10 @@ def test_over_a_runs_folder_the_page_plans_as_the_command_that_it_prints(tmp_pat
     found = json.loads(viewer.answer("plan", query).body)
     code, _, err = run(capsys, *shlex.split(found["command"])[1:], "-o", tmp_path / "route.geojson")
     assert code == 0, err
-    saved = viewer.answer("save", query | {"format": "geojson"}).body, (tmp_path / "route.geojson").read_bytes()
+    saved = (
+        viewer.answer("save", query | {"format": "geojson"}).body,
+        (tmp_path / "route.geojson").read_bytes(),
+    )
     page, command = ([each["geometry"] for each in json.loads(data)["features"]] for data in saved)
     assert page == command
 
@@ -304,9 +380,13 @@ def test_a_notebook_that_shows_the_viewer_runs_and_holds_the_widget(tmp_path):
     code = "import jaxurban as ju\nju.view(ju.open_maps('city'), weights={'gps': 2})"
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(code)])
     NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    (shown,) = [output for output in notebook.cells[0].outputs if output.output_type == "execute_result"]
+    (shown,) = [
+        output for output in notebook.cells[0].outputs if output.output_type == "execute_result"
+    ]
     model = shown["data"]["application/vnd.jupyter.widget-view+json"]["model_id"]
-    state = notebook.metadata["widgets"]["application/vnd.jupyter.widget-state+json"]["state"][model]["state"]
+    state = notebook.metadata["widgets"]["application/vnd.jupyter.widget-state+json"]["state"][
+        model
+    ]["state"]
     assert state["_anywidget_id"].endswith("ViewerWidget")
     assert "jv-map" in state["markup"]
 

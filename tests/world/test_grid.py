@@ -14,7 +14,13 @@ from jaxurban.maps.tiled import QUADRANTS, Tiling
 from jaxurban.world.grid import Grid, tile_shape, utm_crs
 
 LOWER_MANHATTAN = (-74.02, 40.70, -73.98, 40.73)
-NO_CRS = ("EPSG:4326", "EPSG:2263", "nonsense", "EPSG:2048", "EPSG:3857")  # which must be projected, in metres
+NO_CRS = (
+    "EPSG:4326",
+    "EPSG:2263",
+    "nonsense",
+    "EPSG:2048",
+    "EPSG:3857",
+)  # which must be projected, in metres
 
 
 def test_default_crs_is_the_utm_zone_of_the_centre():
@@ -32,11 +38,16 @@ def test_grid_covers_the_densified_projected_box():
 
 
 def test_nested_grids_share_one_box_whose_borders_are_multiples_of_the_coarsest_resolution():
-    nested = {r: Grid.from_bounds(LOWER_MANHATTAN, r, nest_with_m=(2.0, 5.0, 10.0)).bounds_m for r in (2.0, 5.0, 10.0)}
+    nested = {
+        r: Grid.from_bounds(LOWER_MANHATTAN, r, nest_with_m=(2.0, 5.0, 10.0)).bounds_m
+        for r in (2.0, 5.0, 10.0)
+    }
     assert len(set(nested.values())) == 1
     assert all(border_m % 10.0 == 0.0 for border_m in nested[2.0])
     grid = Grid.from_bounds(LOWER_MANHATTAN, 5.0)
-    assert Grid.from_bounds(LOWER_MANHATTAN, 5.0, grid.crs, nest_with_m=(5.0,)) == grid  # snapped again
+    assert (
+        Grid.from_bounds(LOWER_MANHATTAN, 5.0, grid.crs, nest_with_m=(5.0,)) == grid
+    )  # snapped again
 
 
 def test_cell_to_lonlat_and_back_is_the_same_cell():
@@ -99,7 +110,15 @@ def tiling(rows, cols, west, south, east, north, shape) -> Tiling:
     return Tiling.over(region, region.padded(west, south, east, north), shape)
 
 
-@given(sizes, sizes, margins, margins, margins, margins, st.tuples(st.integers(1, 40), st.integers(1, 40)))
+@given(
+    sizes,
+    sizes,
+    margins,
+    margins,
+    margins,
+    margins,
+    st.tuples(st.integers(1, 40), st.integers(1, 40)),
+)
 def test_tiles_cover_the_region_once_and_the_margin(rows, cols, west, south, east, north, shape):
     tiles = tiling(rows, cols, west, south, east, north, shape)
     times_reported = np.zeros((rows, cols), int)

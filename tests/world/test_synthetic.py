@@ -35,7 +35,9 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_another_city():
     def of(seed):
         made = demo_city(800, 900, seed=seed)
         numbers = [made.buildings.height_m.tobytes(), made.blocks.night_count.tobytes()]
-        return numbers + [shapely.to_wkb(part.polygons).tolist() for part in (made.buildings, made.blocks)]
+        return numbers + [
+            shapely.to_wkb(part.polygons).tolist() for part in (made.buildings, made.blocks)
+        ]
 
     assert of(0) == of(0)
     assert of(0)[1] != of(1)[1]
@@ -45,7 +47,10 @@ def test_polygons_are_valid_areas_inside_the_box_with_a_height(city):
     box = shapely.box(*city.extent_m).buffer(1e-6)
     for polygons in (city.buildings.polygons, city.blocks.polygons):
         assert shapely.is_valid(polygons).all()
-        assert set(shapely.get_type_id(polygons)) <= {shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON}
+        assert set(shapely.get_type_id(polygons)) <= {
+            shapely.GeometryType.POLYGON,
+            shapely.GeometryType.MULTIPOLYGON,
+        }
         assert shapely.covers(box, polygons).all()
     assert np.all(city.buildings.height_m >= 5.0)
     assert np.all(city.buildings.origin == HeightOrigin.GENERATED)
@@ -57,20 +62,26 @@ def test_every_building_stands_in_one_block_clear_of_its_streets(city):
     np.testing.assert_array_equal(index, np.arange(len(buildings)))
     assert np.all(city.blocks.night_count[block] > 0)
     edge = shapely.box(*city.extent_m).exterior
-    clear_m = shapely.distance(buildings, shapely.difference(shapely.boundary(blocks[block]), edge.buffer(0.01)))
+    clear_m = shapely.distance(
+        buildings, shapely.difference(shapely.boundary(blocks[block]), edge.buffer(0.01))
+    )
     assert np.nanmin(clear_m) > 3.9  # half of the narrowest street, 8 m
 
 
 def test_outlines_and_blocks_do_not_overlap_and_leave_the_rivers_out(city):
     for polygons in (outlines(city), city.blocks.polygons):
-        assert shapely.union_all(polygons).area == pytest.approx(shapely.area(polygons).sum(), rel=1e-9)
+        assert shapely.union_all(polygons).area == pytest.approx(
+            shapely.area(polygons).sum(), rel=1e-9
+        )
     assert 0.05 < 1 - city.blocks.area_m2.sum() / shapely.box(*city.extent_m).area < 0.5
 
 
 def test_towers_stand_on_their_podium(city):
     parts = city.buildings.polygons[city.buildings.is_part]
     assert len(parts) > 0
-    podiums = shapely.buffer(outlines(city), 1e-3)  # where a shore cuts both, their new corners round differently
+    podiums = shapely.buffer(
+        outlines(city), 1e-3
+    )  # where a shore cuts both, their new corners round differently
     i, _ = shapely.STRtree(podiums).query(parts, predicate="covered_by")
     np.testing.assert_array_equal(i, np.arange(len(parts)))
 
@@ -78,7 +89,11 @@ def test_towers_stand_on_their_podium(city):
 def test_the_park_is_empty_and_no_building_stands_in_the_water(city):
     park, cover = CityPlan(city.extent_m).park(), demo_cover(city.extent_m)
     assert not shapely.intersects(park, city.buildings.polygons).any()
-    assert cover.park.area == pytest.approx(park.intersection(cover.park).area) == pytest.approx(park.area)
+    assert (
+        cover.park.area
+        == pytest.approx(park.intersection(cover.park).area)
+        == pytest.approx(park.area)
+    )
     assert shapely.area(shapely.intersection(city.buildings.polygons, cover.water)).sum() == 0
     assert cover.water.area > 0.08 * shapely.box(*city.extent_m).area
     is_park = shapely.contains(park.buffer(1.0), city.blocks.polygons)
@@ -93,14 +108,19 @@ def test_all_twelve_districts_are_there_and_commerce_is_in_the_south(city):
     np.testing.assert_array_equal(blocks.zoning == Zoning.COMMERCIAL, blocks.district <= 6)
     np.testing.assert_array_equal(blocks.zoning == Zoning.OTHER, blocks.district == OTHER_DISTRICT)
     y_m = shapely.get_y(shapely.centroid(blocks.polygons))
-    assert y_m[blocks.zoning == Zoning.COMMERCIAL].mean() < y_m[blocks.zoning == Zoning.RESIDENTIAL].mean()
+    assert (
+        y_m[blocks.zoning == Zoning.COMMERCIAL].mean()
+        < y_m[blocks.zoning == Zoning.RESIDENTIAL].mean()
+    )
 
 
 def test_island_streets_are_turned_29_degrees_clockwise_from_north(full_city):
     blocks = full_city.blocks
     on_island = blocks.district < OTHER_DISTRICT
     full_m2 = np.median(blocks.area_m2[on_island])  # shores cut the others
-    is_whole = (np.abs(blocks.area_m2 - full_m2) < 1e-3) & (shapely.get_num_coordinates(blocks.polygons) == 5)
+    is_whole = (np.abs(blocks.area_m2 - full_m2) < 1e-3) & (
+        shapely.get_num_coordinates(blocks.polygons) == 5
+    )
     whole = blocks.polygons[on_island & is_whole]
     edges = np.diff(shapely.get_coordinates(whole).reshape(-1, 5, 2), axis=1)
     azimuth_deg = np.degrees(np.arctan2(edges[..., 0], edges[..., 1])) % 90
@@ -122,7 +142,9 @@ def test_both_clusters_tower_over_the_rest_and_suburbs_are_low(full_city):
     rest = ~(downtown | midtown)
     for cluster in (downtown, midtown):
         assert 350 < buildings.height_m[cluster].max() < 420
-        assert np.mean(buildings.height_m[cluster] > 60) > 5 * np.mean(buildings.height_m[rest] > 60)
+        assert np.mean(buildings.height_m[cluster] > 60) > 5 * np.mean(
+            buildings.height_m[rest] > 60
+        )
     on_island = shapely.contains_xy(plan.parts()[0].land, centroid)
     assert np.median(buildings.height_m[~on_island]) < 12 < np.median(buildings.height_m[on_island])
 

@@ -31,16 +31,46 @@ from jaxurban.io.read.vector import open_layers
 from jaxurban.io.read.zone import TURN, Zone, mended
 
 # Properties that are read, in any case and with or without "_", "-", " " and ":". All are metres above ground.
-FLOOR_NAMES = ("floor_m", "floor_m_agl", "lower_limit_m", "min_altitude_m", "minimumAltitude", "minAltitude")
-CEILING_NAMES = ("ceiling_m", "ceiling_m_agl", "upper_limit_m", "max_altitude_m", "maximumAltitude", "maxAltitude")
+FLOOR_NAMES = (
+    "floor_m",
+    "floor_m_agl",
+    "lower_limit_m",
+    "min_altitude_m",
+    "minimumAltitude",
+    "minAltitude",
+)
+CEILING_NAMES = (
+    "ceiling_m",
+    "ceiling_m_agl",
+    "upper_limit_m",
+    "max_altitude_m",
+    "maximumAltitude",
+    "maxAltitude",
+)
 NAME_NAMES = ("name", "title", "designator", "identifier", "id")
 HEIGHT_WORDS = ("floor", "ceiling", "lower", "upper", "altitude", "height")
 # Properties that tell the unit or the zero of heights, by plain name: "uomDimensions", "lowerVerticalReference" ...
-UNIT_NAME = re.compile(r"^(uom|units?)|(uom|units?|datum)$|(vertical|altitude|height|limit|lower|upper).*ref")
-UNITS_READ = ("m", "metre", "metres", "meter", "meters", "agl", "sfc", "gnd", "ground", "surface", "abovegroundlevel")
+UNIT_NAME = re.compile(
+    r"^(uom|units?)|(uom|units?|datum)$|(vertical|altitude|height|limit|lower|upper).*ref"
+)
+UNITS_READ = (
+    "m",
+    "metre",
+    "metres",
+    "meter",
+    "meters",
+    "agl",
+    "sfc",
+    "gnd",
+    "ground",
+    "surface",
+    "abovegroundlevel",
+)
 ROLE = "no-fly"
 GEOZONE_SUFFIXES = (".json", ".geojson")
-GEOZONE = re.compile(r'"(horizontalProjection|limitedApplicability|(lower|upper)Reference)"|"extent"\s*:\s*\{')
+GEOZONE = re.compile(
+    r'"(horizontalProjection|limitedApplicability|(lower|upper)Reference)"|"extent"\s*:\s*\{'
+)
 OPEN = "NO_RESTRICTION"  # a zone that tells, and closes nothing
 ON_APPROVAL = ("REQ_AUTHORISATION", "REQ_AUTHORIZATION", "CONDITIONAL")
 METRES = {"M": 1.0, "FT": 0.3048}
@@ -48,16 +78,29 @@ CORNERS = 64  # of a circle: with what follows its polygon is at most 0.3 % wide
 WIDER = 1e-3  # of a circle's radius, for edges that are straight in degrees
 MOST_M = 300_000.0  # radius of a circle whose edges are as good as straight in degrees
 MOST_NAMED = 3
-NO_LIMITS = "have limits that are not metres or feet above ground, and reach on to every altitude there"
-NO_HOURS = "have days or hours, which are not read, and are closed from their first to their last time"
+NO_LIMITS = (
+    "have limits that are not metres or feet above ground, and reach on to every altitude there"
+)
+NO_HOURS = (
+    "have days or hours, which are not read, and are closed from their first to their last time"
+)
 ALL_AROUND = (
     "have edges of more than 180 degrees of longitude, and are closed all around the Earth (cut them at the "
     "antimeridian)"
 )
 GEOD = Geod(ellps="WGS84")
 Json = Mapping[str, Any]
-Notes = dict[str, list[str]]  # what must be said of zones, a sentence each, with the names that it is true of
-BROKEN = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, shapely.errors.ShapelyError)
+Notes = dict[
+    str, list[str]
+]  # what must be said of zones, a sentence each, with the names that it is true of
+BROKEN = (
+    LookupError,
+    TypeError,
+    ValueError,
+    ArithmeticError,
+    AttributeError,
+    shapely.errors.ShapelyError,
+)
 
 
 def read_zones(path: str | Path) -> tuple[Zone, ...]:
@@ -86,13 +129,19 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
         raise InputError(f"{str(path)!r} is a folder: name each file of no-fly zones in it")
     notes: Notes = defaultdict(list)
     features = _geozones(path)
-    zones = _of_vector_file(path, notes) if features is None else _of_geozones(features, path.name, notes)
+    zones = (
+        _of_vector_file(path, notes)
+        if features is None
+        else _of_geozones(features, path.name, notes)
+    )
     for sentence, names in notes.items():
         several = list(dict.fromkeys(names))
         shown = ", ".join(map(repr, several[:MOST_NAMED])) + ", ..." * (len(several) > MOST_NAMED)
         _warn(f"zones of {path.name!r} that {sentence}: {len(several)} ({shown})")
     if not zones:
-        raise InputError(f"the {ROLE} file {str(path)!r} holds no polygons that restrict flights: give another file")
+        raise InputError(
+            f"the {ROLE} file {str(path)!r} holds no polygons that restrict flights: give another file"
+        )
     return tuple(zones)
 
 
@@ -105,18 +154,31 @@ def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:
     file, zones, num_others = path.name, list[Zone](), 0
     for frame in open_layers(path, ROLE):
         num_others += sum(not _is_all_area(shape) for shape in frame.geometry)
-        areas = frame[shapely.get_dimensions(frame.geometry.to_numpy()) == 2]  # -1 where there is none
+        areas = frame[
+            shapely.get_dimensions(frame.geometry.to_numpy()) == 2
+        ]  # -1 where there is none
         _warn_of_ignored(areas.drop(columns=areas.geometry.name), file)
         for row in areas.to_dict("records"):
             shape = row.pop(areas.geometry.name)
             facts = {_plain(name): value for name, value in row.items() if not is_blank(value)}
-            name = next((str(facts[name]).strip() for name in NAME_NAMES if name in facts), f"polygon {len(zones) + 1}")
+            name = next(
+                (str(facts[name]).strip() for name in NAME_NAMES if name in facts),
+                f"polygon {len(zones) + 1}",
+            )
             if not np.isfinite(shapely.get_coordinates(shape)).all():
-                raise InputError(f"the no-fly zone {name!r} of {file!r} has a corner that is not a number: mend it")
+                raise InputError(
+                    f"the no-fly zone {name!r} of {file!r} has a corner that is not a number: mend it"
+                )
             whole = _whole(shapely.force_2d(shape), name, notes, is_lonlat=areas.crs.is_geographic)
-            zones.append(Zone(name, whole, areas.crs.to_wkt(), *_heights(facts, f"{name!r} of {file!r}"), file))
+            zones.append(
+                Zone(
+                    name, whole, areas.crs.to_wkt(), *_heights(facts, f"{name!r} of {file!r}"), file
+                )
+            )
     if zones and num_others:
-        _warn(f"{num_others} feature(s) of {file!r} are not polygons and close nothing: draw them as polygons")
+        _warn(
+            f"{num_others} feature(s) of {file!r} are not polygons and close nothing: draw them as polygons"
+        )
     return zones
 
 
@@ -132,13 +194,20 @@ def _plain(name: object) -> str:
 def _heights(facts: Json, label: str) -> tuple[float, float]:
     """Return floor and ceiling of a polygon by its filled properties, infinite where it has none."""
     floors, ceilings = (
-        [finite(f"{name} of the no-fly zone {label}", facts[_plain(name)], "metres above ground") for name in filled]
-        for filled in ([n for n in names if _plain(n) in facts] for names in (FLOOR_NAMES, CEILING_NAMES))
+        [
+            finite(f"{name} of the no-fly zone {label}", facts[_plain(name)], "metres above ground")
+            for name in filled
+        ]
+        for filled in (
+            [n for n in names if _plain(n) in facts] for names in (FLOOR_NAMES, CEILING_NAMES)
+        )
     )
     units = [str(value) for name, value in facts.items() if UNIT_NAME.search(name)]
     strange = [unit for unit in units if _plain(unit) not in UNITS_READ]
     if strange and (floors or ceilings):
-        _warn(f"{label} has heights in {strange[0]!r}, so it is closed at all altitudes: give metres above ground")
+        _warn(
+            f"{label} has heights in {strange[0]!r}, so it is closed at all altitudes: give metres above ground"
+        )
         return -math.inf, math.inf
     return min(floors, default=-math.inf), max(ceilings, default=math.inf)
 
@@ -176,12 +245,23 @@ def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone
         start, end = _times(facts, name, notes)
         label = f"{name!r} of {file!r}"
         try:
-            outlines = [(shape["layer"] or {}, _outline(shape)) for shape in _volumes(feature["geometry"])]
+            outlines = [
+                (shape["layer"] or {}, _outline(shape)) for shape in _volumes(feature["geometry"])
+            ]
         except BROKEN as error:
-            why = str(error) if isinstance(error, ValueError) else "a part is missing, or is of another kind"
-            raise InputError(f"the outline of the no-fly zone {label} cannot be read ({why}): mend the file") from error
+            why = (
+                str(error)
+                if isinstance(error, ValueError)
+                else "a part is missing, or is of another kind"
+            )
+            raise InputError(
+                f"the outline of the no-fly zone {label} cannot be read ({why}): mend the file"
+            ) from error
         for layer, outline in outlines:
-            whole, limits_m = _whole(outline, name, notes, is_lonlat=True), _limits(layer, label, name, notes)
+            whole, limits_m = (
+                _whole(outline, name, notes, is_lonlat=True),
+                _limits(layer, label, name, notes),
+            )
             zones.append(Zone(name, whole, "EPSG:4326", *limits_m, file, start, end))
     return zones
 
@@ -197,14 +277,20 @@ def _geozones(path: Path) -> list[Json] | None:
         listed = whole.get("features", whole.get("UASZoneList"))
     except (OSError, ValueError, RecursionError, AttributeError):
         return None  # the reader of vector files says what is wrong with it
-    return listed if isinstance(listed, list) and all(isinstance(feature, dict) for feature in listed) else None
+    return (
+        listed
+        if isinstance(listed, list) and all(isinstance(feature, dict) for feature in listed)
+        else None
+    )
 
 
 def _name(facts: Json, number: int) -> str:
     """Return a zone's name, in ED-318 a list of texts, or its identifier."""
     name = facts.get("name")
     if isinstance(name, list):
-        name = next((text.get("text") for text in name if isinstance(text, dict) and text.get("text")), None)
+        name = next(
+            (text.get("text") for text in name if isinstance(text, dict) and text.get("text")), None
+        )
     return str(name or facts.get("identifier") or f"zone {number}").strip()
 
 
@@ -223,7 +309,9 @@ def _outline(shape: Json) -> shapely.Geometry:
         unit_m = METRES[str(shape["layer"]["uomDimensions"]).upper()]
         return _circle(shape["center"], float(shape["radius"]) * unit_m)
     if kind == "point":
-        return _circle(shape["coordinates"], float(shape["extent"]["radius"]))  # in metres, whatever its layer
+        return _circle(
+            shape["coordinates"], float(shape["extent"]["radius"])
+        )  # in metres, whatever its layer
     polygons = shape["coordinates"] if kind == "multipolygon" else [shape["coordinates"]]
     rings = [[[_place(corner) for corner in ring] for ring in polygon] for polygon in polygons]
     return shapely.union_all([shapely.Polygon(shell, holes) for shell, *holes in rings])
@@ -245,11 +333,15 @@ def _circle(centre: Sequence[Any], radius_m: float) -> shapely.Geometry:
     """Return a polygon that holds all of a circle: its edges touch one that is a little wider."""
     lon, lat = _place(centre)
     if not 0 < radius_m <= MOST_M or abs(lat) > 85:
-        raise ValueError(f"a circle of {radius_m:g} m around {lon:g}, {lat:g}: at most {MOST_M:g} m, not at a pole")
+        raise ValueError(
+            f"a circle of {radius_m:g} m around {lon:g}, {lat:g}: at most {MOST_M:g} m, not at a pole"
+        )
     azimuth_deg = np.arange(CORNERS) * (360 / CORNERS)
     away_m = np.full(CORNERS, radius_m * (1 + WIDER) / math.cos(math.pi / CORNERS))
     lons, lats, _ = GEOD.fwd(np.full(CORNERS, lon), np.full(CORNERS, lat), azimuth_deg, away_m)
-    around = lon + (lons - lon + 180) % 360 - 180  # in one piece where it lies across the antimeridian
+    around = (
+        lon + (lons - lon + 180) % 360 - 180
+    )  # in one piece where it lies across the antimeridian
     return shapely.Polygon(np.column_stack([around, lats]))
 
 
@@ -266,7 +358,10 @@ def _limits(layer: Json, label: str, name: str, notes: Notes) -> tuple[float, fl
             notes[NO_LIMITS].append(name)
             limits_m.append(none_m)
         else:
-            limits_m.append(finite(f"the {end} limit of the no-fly zone {label}", value, "metres or feet") * unit_m)
+            limits_m.append(
+                finite(f"the {end} limit of the no-fly zone {label}", value, "metres or feet")
+                * unit_m
+            )
     return limits_m[0], limits_m[1]
 
 
@@ -274,7 +369,9 @@ def _times(facts: Json, name: str, notes: Notes) -> tuple[datetime | None, datet
     """Return the first and the last time at which a zone is in force, None where it has none."""
     periods = facts.get("applicability", facts.get("limitedApplicability")) or []
     try:
-        if not periods or any(str(period.get("permanent", "NO")).upper() == "YES" for period in periods):
+        if not periods or any(
+            str(period.get("permanent", "NO")).upper() == "YES" for period in periods
+        ):
             return None, None
         starts, ends = (
             [_time(text) if (text := period.get(key)) else None for period in periods]
@@ -297,7 +394,9 @@ def _time(text: str) -> datetime:
     return moment
 
 
-def _whole(shape: shapely.Geometry, name: str, notes: Notes, *, is_lonlat: bool) -> shapely.Geometry:
+def _whole(
+    shape: shapely.Geometry, name: str, notes: Notes, *, is_lonlat: bool
+) -> shapely.Geometry:
     """Return valid polygons that close all that the outline of a zone may mean; ``notes`` get what was done.
 
     A file may mean by an edge from 179.9 to -179.9 degrees what lies between them across the antimeridian, or all the
@@ -307,7 +406,9 @@ def _whole(shape: shapely.Geometry, name: str, notes: Notes, *, is_lonlat: bool)
     if not shape.is_valid or shape.geom_type not in ("Polygon", "MultiPolygon"):
         polygons = mended(shape)
         if not shape.is_valid and not polygons.is_empty:
-            notes["have outlines that cross themselves, and close all that these enclose"].append(name)
+            notes["have outlines that cross themselves, and close all that these enclose"].append(
+                name
+            )
         shape = polygons
     rings = [shapely.get_coordinates(part.exterior)[:, 0] for part in shapely.get_parts(shape)]
     spans = np.concatenate([np.abs(np.diff(lon)) for lon in rings] or [[]])

@@ -13,19 +13,45 @@ from osmium.filter import KeyFilter
 
 from jaxurban.errors import readable
 from jaxurban.io.geoparquet import facts_of, write_geoparquet
-from jaxurban.io.read.osm import OSM_CREDIT, OSM_SUFFIXES, areas_and_coast, open_osm, projected, runs_of, sea
+from jaxurban.io.read.osm import (
+    OSM_CREDIT,
+    OSM_SUFFIXES,
+    areas_and_coast,
+    open_osm,
+    projected,
+    runs_of,
+    sea,
+)
 from jaxurban.io.workspace import Workspace
 from jaxurban.samples.catalogue import BASE_MAP_FILE, is_sample, located
 from jaxurban.world.city import LandCover
 from jaxurban.world.grid import WGS84, Bounds
 
-KINDS = ("water", "park", "path", "street", "major", "rail", "place")  # in the order in which they are drawn
+KINDS = (
+    "water",
+    "park",
+    "path",
+    "street",
+    "major",
+    "rail",
+    "place",
+)  # in the order in which they are drawn
 CLASSES = {  # of the tag `highway`; "_link" counts as what it links
     **dict.fromkeys(("motorway", "trunk", "primary", "secondary"), "major"),
-    **dict.fromkeys(("tertiary", "unclassified", "residential", "living_street", "pedestrian", "road"), "street"),
-    **dict.fromkeys(("service", "footway", "path", "cycleway", "steps", "track", "bridleway"), "path"),
+    **dict.fromkeys(
+        ("tertiary", "unclassified", "residential", "living_street", "pedestrian", "road"), "street"
+    ),
+    **dict.fromkeys(
+        ("service", "footway", "path", "cycleway", "steps", "track", "bridleway"), "path"
+    ),
 }
-BESIDE_STREETS = ("sidewalk", "crossing", "parking_aisle", "driveway", "drive-through")  # of `footway` and `service`
+BESIDE_STREETS = (
+    "sidewalk",
+    "crossing",
+    "parking_aisle",
+    "driveway",
+    "drive-through",
+)  # of `footway` and `service`
 RAILS = ("rail", "light_rail", "subway", "tram", "narrow_gauge", "monorail", "funicular")
 PLACES = (
     *("city", "borough", "town", "suburb", "quarter", "neighbourhood", "village", "hamlet"),
@@ -75,10 +101,14 @@ def read_base_map(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFr
         frame = _from_parquet(path, crs)
     shapes = shapely.clip_by_rect(frame.geometry.to_numpy(), *bounds_m)
     is_point = frame["kind"].to_numpy() == "place"
-    shapes[is_point & ~shapely.intersects(frame.geometry.to_numpy(), shapely.box(*bounds_m))] = shapely.Point()
+    shapes[is_point & ~shapely.intersects(frame.geometry.to_numpy(), shapely.box(*bounds_m))] = (
+        shapely.Point()
+    )
     frame = frame.set_geometry(gpd.GeoSeries(shapes, index=frame.index, crs=crs))
     frame = frame[~frame.is_empty].to_crs(WGS84)
-    return frame.set_geometry(gpd.GeoSeries(shapely.transform(frame.geometry.to_numpy(), _rounded), frame.index, WGS84))
+    return frame.set_geometry(
+        gpd.GeoSeries(shapely.transform(frame.geometry.to_numpy(), _rounded), frame.index, WGS84)
+    )
 
 
 def write_base_map(path: Path, frame: gpd.GeoDataFrame) -> None:
@@ -121,7 +151,9 @@ def _from_parquet(path: str | Path, crs: str) -> gpd.GeoDataFrame:
 def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
     """Return the features of an OSM file near a box in ``crs``, simplified."""
     to_wkb = osmium.geom.WKBFactory()
-    with readable(path, "OpenStreetMap data", "fetch it again", RuntimeError, osmium.InvalidLocationError):
+    with readable(
+        path, "OpenStreetMap data", "fetch it again", RuntimeError, osmium.InvalidLocationError
+    ):
         rows, coast = areas_and_coast(path)
         for item in open_osm(path).with_filter(KeyFilter("highway", "railway", "place")):
             if not isinstance(item, osmium.osm.Node | osmium.osm.Way):
@@ -131,10 +163,14 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
                 rows.append((kind, name, to_wkb.create_point(item)))
             elif isinstance(item, osmium.osm.Way) and kind not in ("", "place"):
                 rows += [(kind, name, line.wkb_hex) for line in runs_of(item)]
-    kinds, names, shapes = (list(column) for column in zip(*rows, strict=True)) if rows else ([], [], [])
+    kinds, names, shapes = (
+        (list(column) for column in zip(*rows, strict=True)) if rows else ([], [], [])
+    )
     box = shapely.box(*bounds_m)
     frame = gpd.GeoDataFrame(
-        {"kind": kinds, "name": names}, geometry=projected(list(shapely.from_wkb(shapes)), crs), crs=crs
+        {"kind": kinds, "name": names},
+        geometry=projected(list(shapely.from_wkb(shapes)), crs),
+        crs=crs,
     )
     frame = frame[shapely.intersects(frame.geometry.to_numpy(), box)]
     wet = sea(list(projected(coast, crs)), box)
@@ -149,7 +185,11 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
     shapes = shapely.simplify(shapes, TOLERANCE_M)
     shapes[is_area & (shapely.area(shapes) < LEAST_M2)] = shapely.Polygon()
     order = np.argsort([KINDS.index(each) for each in kind], kind="stable")
-    return frame.set_geometry(gpd.GeoSeries(shapes, frame.index, crs)).iloc[order].reset_index(drop=True)
+    return (
+        frame.set_geometry(gpd.GeoSeries(shapes, frame.index, crs))
+        .iloc[order]
+        .reset_index(drop=True)
+    )
 
 
 def _kind_of(item: osmium.osm.OSMObject) -> str:

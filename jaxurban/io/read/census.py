@@ -25,7 +25,9 @@ COUNT_COLUMNS = (
     *("p001001", "d001", "p1_001n", "p0010001", "pop10", "pop20", "pop100", "u7h001", "h7v001"),
     *("population", "total_population", "pop_total", "pop", "people", "total", "count"),
 )
-GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")  # summary level, variant and component, before the digits of the id
+GEO_ID_PREFIX = re.compile(
+    r"^\w{7}US(?=\d)"
+)  # summary level, variant and component, before the digits of the id
 # A number as spreadsheets write it (1,200 or 1 200 or +5 or 1.2E+03), with a note such as (r45678) or none.
 MOST_PEOPLE = 1e10  # of a block: more is no count
 COUNT = re.compile(r"\s*(\+?\d[\d,\s]*(?:\.\d*)?(?:[eE]\+?\d{1,2})?)\s*(?:\(.*\))?\s*")
@@ -56,12 +58,16 @@ def read_blocks(
         frame = _by_night_and_day(*(read_people(path, crs, bounds_m, region_m) for path in rasters))
     elif Path(str(files.blocks)).suffix.lower() in RASTER_SUFFIXES:
         if files.table is not None:
-            raise InputError(f"{str(files.blocks)!r} holds its people itself: leave [population] table out")
+            raise InputError(
+                f"{str(files.blocks)!r} holds its people itself: leave [population] table out"
+            )
         frame = read_people(str(files.blocks), crs, bounds_m)
     else:
         frame = _polygons(files, crs, bounds_m, issues)
     if frame.empty:
-        raise InputError(f"blocks {str(files.blocks)!r} has no block that touches the region: check [region] bounds")
+        raise InputError(
+            f"blocks {str(files.blocks)!r} has no block that touches the region: check [region] bounds"
+        )
     polygons, commercial = frame.geometry.to_numpy(), files.commercial_labels
     district, labels = np.full(len(frame), OTHER_DISTRICT, np.int32), np.empty(0, int)
     if files.districts is not None:
@@ -76,7 +82,9 @@ def read_blocks(
     people = counts.fillna(0.0).to_numpy(np.float64).T
     zoning = zoning_of(district, commercial, labels.tolist())
     by_day = people[1] if len(people) > 1 else None
-    return Blocks(polygons, people[0], district, zoning, frame["_id"].to_numpy(object), by_day), issues
+    return Blocks(
+        polygons, people[0], district, zoning, frame["_id"].to_numpy(object), by_day
+    ), issues
 
 
 def _by_night_and_day(night: gpd.GeoDataFrame, day: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
@@ -85,15 +93,24 @@ def _by_night_and_day(night: gpd.GeoDataFrame, day: gpd.GeoDataFrame) -> gpd.Geo
     Of one grid they are its pixels; of two, the pieces into which the pixels cut each other, with people pro rata by
     area.
     """
-    both = night.merge(day, on="_id", how="outer", suffixes=("", "_day")).rename(columns={"_count_day": "_day"})
+    both = night.merge(day, on="_id", how="outer", suffixes=("", "_day")).rename(
+        columns={"_count_day": "_day"}
+    )
     pairs = both.dropna(subset=["geometry", "geometry_day"])
-    if len(pairs) and shapely.equals_exact(pairs["geometry"].to_numpy(), pairs["geometry_day"].to_numpy(), 1e-3).all():
+    if (
+        len(pairs)
+        and shapely.equals_exact(
+            pairs["geometry"].to_numpy(), pairs["geometry_day"].to_numpy(), 1e-3
+        ).all()
+    ):
         return both.assign(geometry=both["geometry"].fillna(both["geometry_day"]))
     night, day = (frame.assign(_count=frame["_count"] / frame.area) for frame in (night, day))
     both = gpd.overlay(night, day, how="union", keep_geom_type=True)
     both = both[both.area > SLIVER * min(night.area.min(), day.area.min())]
     ids = both["_id_1"].fillna("none") + " and " + both["_id_2"].fillna("none")
-    return both.assign(_id=ids, _count=both["_count_1"] * both.area, _day=both["_count_2"] * both.area)
+    return both.assign(
+        _id=ids, _count=both["_count_1"] * both.area, _day=both["_count_2"] * both.area
+    )
 
 
 def read_people(
@@ -124,16 +141,29 @@ def read_people(
             "`gdal_edit.py -a_nodata VALUE`"
         )
     row, col = np.nonzero(np.isfinite(raster.values))
-    corners = [(row + down, col + right) for down, right in ((1, 0), (1, 1), (0, 1), (0, 0), (1, 0))]
-    rings = np.stack([np.stack(pixel_xy(raster, *corner, crs), axis=-1) for corner in corners], axis=1)
-    ids = np.array([f"{r + raster.first_row},{c + raster.first_col}" for r, c in zip(row, col, strict=True)], object)
-    frame = gpd.GeoDataFrame({"_id": ids, "_count": raster.values[row, col]}, geometry=shapely.polygons(rings), crs=crs)
+    corners = [
+        (row + down, col + right) for down, right in ((1, 0), (1, 1), (0, 1), (0, 0), (1, 0))
+    ]
+    rings = np.stack(
+        [np.stack(pixel_xy(raster, *corner, crs), axis=-1) for corner in corners], axis=1
+    )
+    ids = np.array(
+        [f"{r + raster.first_row},{c + raster.first_col}" for r, c in zip(row, col, strict=True)],
+        object,
+    )
+    frame = gpd.GeoDataFrame(
+        {"_id": ids, "_count": raster.values[row, col]}, geometry=shapely.polygons(rings), crs=crs
+    )
     if region_m is not None and not frame.intersects(shapely.box(*region_m)).any():
-        raise InputError(f"{str(path)!r} holds no data in the region: give a raster of people that covers it")
+        raise InputError(
+            f"{str(path)!r} holds no data in the region: give a raster of people that covers it"
+        )
     return frame if bounds_m is None else frame[frame.intersects(shapely.box(*bounds_m))]
 
 
-def _polygons(files: Population, crs: str, bounds_m: Bounds | None, issues: Counter[ReadIssue]) -> gpd.GeoDataFrame:
+def _polygons(
+    files: Population, crs: str, bounds_m: Bounds | None, issues: Counter[ReadIssue]
+) -> gpd.GeoDataFrame:
     """Return block polygons with ``_id`` and ``_count``, NaN where there is none; ``issues`` gets what was met."""
     path, field = str(files.blocks), files.block_field
     frame = _open(path, "blocks", field, "[population] block_field")
@@ -155,7 +185,10 @@ def _polygons(files: Population, crs: str, bounds_m: Bounds | None, issues: Coun
         raise InputError(
             f"not one count of people of the blocks {path!r} can be read as a number: check the column of population"
         )
-    issues[ReadIssue.COUNTS_UNREADABLE], issues[ReadIssue.BLOCKS_WITHOUT_POLYGON] = num_unreadable, num_lost
+    issues[ReadIssue.COUNTS_UNREADABLE], issues[ReadIssue.BLOCKS_WITHOUT_POLYGON] = (
+        num_unreadable,
+        num_lost,
+    )
     issues[ReadIssue.INVALID_BLOCK_POLYGONS] = num_invalid
     return frame
 
@@ -192,7 +225,9 @@ def clean_polygons(
     polygons = frame.geometry.to_numpy().copy()
     is_invalid = ~shapely.is_valid(polygons) & ~shapely.is_missing(polygons)
     polygons[is_invalid] = shapely.make_valid(polygons[is_invalid], method="structure")
-    for i in np.flatnonzero(shapely.get_type_id(polygons) == shapely.GeometryType.GEOMETRYCOLLECTION):
+    for i in np.flatnonzero(
+        shapely.get_type_id(polygons) == shapely.GeometryType.GEOMETRYCOLLECTION
+    ):
         polygons[i] = polygonal(polygons[i])
     polygons[~np.isin(shapely.get_type_id(polygons), AREAL)] = None
     is_kept = shapely.area(polygons) > 0
@@ -205,9 +240,16 @@ def clean_polygons(
 
 def _ids(column: pd.Series) -> pd.Series:
     """Return identifiers as text: numbers without decimals, census GEO_IDs without what stands before the digits."""
-    if pd.api.types.is_float_dtype(column) and (column.dropna() % 1 == 0).all():  # of whole numbers with a gap
+    if (
+        pd.api.types.is_float_dtype(column) and (column.dropna() % 1 == 0).all()
+    ):  # of whole numbers with a gap
         column = column.astype("Int64")
-    return column.astype(str).str.strip().str.replace(GEO_ID_PREFIX, "", regex=True).str.removesuffix(".0")
+    return (
+        column.astype(str)
+        .str.strip()
+        .str.replace(GEO_ID_PREFIX, "", regex=True)
+        .str.removesuffix(".0")
+    )
 
 
 def _keys(column: pd.Series) -> pd.Series:
@@ -217,9 +259,15 @@ def _keys(column: pd.Series) -> pd.Series:
 
 def _parse_counts(column: pd.Series, key: pd.Series) -> pd.Series:
     """Return counts of people by key, NaN where unreadable."""
-    number = column.astype(str).str.extract(f"^{COUNT.pattern}$")[0].str.replace(r"[,\s]", "", regex=True)
+    number = (
+        column.astype(str)
+        .str.extract(f"^{COUNT.pattern}$")[0]
+        .str.replace(r"[,\s]", "", regex=True)
+    )
     people = pd.to_numeric(number, errors="coerce").to_numpy(np.float64)
-    return pd.Series(np.where(people <= MOST_PEOPLE, people, np.nan), index=pd.Index(key, name="key"))
+    return pd.Series(
+        np.where(people <= MOST_PEOPLE, people, np.nan), index=pd.Index(key, name="key")
+    )
 
 
 def _count_column(columns: pd.Index) -> str | None:
@@ -242,13 +290,24 @@ def _counts_in_blocks(fields: pd.DataFrame, key: pd.Series, path: str | Path) ->
 def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd.Series:
     """Return the counts of a CSV by key; ``wanted`` names the field that they are to join, for messages."""
     name = f"[population] table {str(path)!r}"
-    with readable(path, "CSV", "check the path and the file", what=name):  # pandas' parser errors are ValueErrors
+    with readable(
+        path, "CSV", "check the path and the file", what=name
+    ):  # pandas' parser errors are ValueErrors
         table = pd.read_csv(
-            path, dtype=str, encoding="utf-8-sig", encoding_errors="replace", keep_default_na=False, index_col=False
+            path,
+            dtype=str,
+            encoding="utf-8-sig",
+            encoding_errors="replace",
+            keep_default_na=False,
+            index_col=False,
         )
     num_joined = {str(column): int(_keys(table[column]).isin(block_keys).sum()) for column in table}
     count = _count_column(table.columns)
-    id_column = max((column for column in num_joined if column != count), key=num_joined.__getitem__, default=None)
+    id_column = max(
+        (column for column in num_joined if column != count),
+        key=num_joined.__getitem__,
+        default=None,
+    )
     if id_column is None or num_joined[id_column] == 0:
         shown = table.iloc[-1].to_dict() if len(table) else list(table.columns)
         raise InputError(
@@ -260,7 +319,10 @@ def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd
             f"{name} has no column of population that its name makes known: "
             f"name one of {', '.join(repr(column) for column in num_joined if column != id_column)} 'population'"
         )
-    if not COUNT.fullmatch(table[count].iloc[0]) and not _keys(table[id_column][:1]).isin(block_keys).any():
+    if (
+        not COUNT.fullmatch(table[count].iloc[0])
+        and not _keys(table[id_column][:1]).isin(block_keys).any()
+    ):
         table = table.iloc[1:]  # the second header row
     counts = _parse_counts(table[count], _keys(table[id_column]))
     counts = counts[~counts.reset_index().duplicated().to_numpy()]
@@ -272,7 +334,9 @@ def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd
     return counts[~counts.index.duplicated()]
 
 
-def read_districts(path: str | Path, crs: str, field: str = "BoroCD") -> tuple[np.ndarray, np.ndarray, int]:
+def read_districts(
+    path: str | Path, crs: str, field: str = "BoroCD"
+) -> tuple[np.ndarray, np.ndarray, int]:
     """Return district polygons in ``crs``, their labels (int32), and how many polygons were repaired.
 
     A label may stand on several polygons.
@@ -308,7 +372,9 @@ def largest_overlap(polygons: np.ndarray, districts: np.ndarray, labels: np.ndar
     # Most blocks lie wholly within one district: no need to cut them out of its long shoreline.
     inside = shapely.contains_properly(districts[candidate], polygons[index])
     area_m2 = shapely.area(polygons[index])
-    area_m2[~inside] = shapely.area(shapely.intersection(polygons[index[~inside]], districts[candidate[~inside]]))
+    area_m2[~inside] = shapely.area(
+        shapely.intersection(polygons[index[~inside]], districts[candidate[~inside]])
+    )
     pairs = pd.DataFrame({"index": index, "label": labels[candidate], "area_m2": area_m2})
     pairs = pairs[pairs["area_m2"] > 0].groupby(["index", "label"], as_index=False).sum()
     best = pairs.sort_values(["area_m2", "label"], ascending=[False, True]).drop_duplicates("index")
@@ -317,7 +383,9 @@ def largest_overlap(polygons: np.ndarray, districts: np.ndarray, labels: np.ndar
     return result
 
 
-def zoning_of(district: np.ndarray, commercial: Collection[int], labels: Collection[int]) -> np.ndarray:
+def zoning_of(
+    district: np.ndarray, commercial: Collection[int], labels: Collection[int]
+) -> np.ndarray:
     """Return the `Zoning` of each district label, uint8.
 
     Residential are Manhattan's twelve (101 to 112) less the commercial ones; where the districts file has none of the
@@ -336,6 +404,6 @@ def zoning_of(district: np.ndarray, commercial: Collection[int], labels: Collect
     residential = (twelve or set(labels)) - {OTHER_DISTRICT}
     is_commercial = np.isin(district, list(commercial))
     is_residential = np.isin(district, list(residential)) & ~is_commercial
-    return np.select([is_commercial, is_residential], [Zoning.COMMERCIAL, Zoning.RESIDENTIAL], Zoning.OTHER).astype(
-        np.uint8
-    )
+    return np.select(
+        [is_commercial, is_residential], [Zoning.COMMERCIAL, Zoning.RESIDENTIAL], Zoning.OTHER
+    ).astype(np.uint8)

@@ -36,12 +36,22 @@ from jaxurban.metrics.population import FILES, Population
 from jaxurban.samples.catalogue import SAMPLES, located, sample_name
 from jaxurban.settings import MAX_HEIGHT_M, SLABS
 from jaxurban.world.city import MAIN_SHARE, City, Raster, ReadIssue, joined_credits, main_bounds
-from jaxurban.world.grid import WGS84, Bounds, check_bounds, projected_crs, transformer, utm_crs, where_it_lies
+from jaxurban.world.grid import (
+    WGS84,
+    Bounds,
+    check_bounds,
+    projected_crs,
+    transformer,
+    utm_crs,
+    where_it_lies,
+)
 
 OutlineReader = Callable[[Path, Near | None, bool], Outlines]
 OUTLINE_READERS: dict[str, OutlineReader] = {
     # Nodes of OSM lie anywhere before their ways.
-    **dict.fromkeys(OSM_SUFFIXES, lambda path, near, has_decks: read_osm(path, has_decks=has_decks)),
+    **dict.fromkeys(
+        OSM_SUFFIXES, lambda path, near, has_decks: read_osm(path, has_decks=has_decks)
+    ),
     **dict.fromkeys(VECTOR_SUFFIXES, lambda path, near, has_decks: read_vector(path, near)),
 }
 FILE_FIELDS = ("source", *FILES)
@@ -104,7 +114,9 @@ def read_city(
         terrain=ground,
         terrain_extent_m=None if terrain.source is None else raster_extent_m(terrain.source, crs),
         read_issues=issues,
-        attribution=joined_credits(source.attribution, buildings.credit, terrain.credit, people.credit),
+        attribution=joined_credits(
+            source.attribution, buildings.credit, terrain.credit, people.credit
+        ),
         guesses=guesses,
         sources={role: str(path) for role, path in files.items() if path is not None},
         bounds=(west, south, east, north),
@@ -115,10 +127,15 @@ def read_city(
 def _placed(section: Any) -> Any:
     """Return a section with paths for the files of sample cities that it names."""
     names = (field.name for field in fields(section) if field.name in FILE_FIELDS)
-    return replace(section, **{name: located(file) for name in names if (file := getattr(section, name)) is not None})
+    return replace(
+        section,
+        **{name: located(file) for name in names if (file := getattr(section, name)) is not None},
+    )
 
 
-def _check_has_building(buildings: settings.Buildings, source: City, bounds: Sequence[float], box_m: Bounds) -> None:
+def _check_has_building(
+    buildings: settings.Buildings, source: City, bounds: Sequence[float], box_m: Bounds
+) -> None:
     """Raise InputError unless a building stands in the region: any outline there, or any cell of a raster."""
     if source.buildings is not None:
         if shapely.intersects(source.buildings.polygons, shapely.box(*box_m)).any():
@@ -133,7 +150,11 @@ def _check_has_building(buildings: settings.Buildings, source: City, bounds: Seq
 
 
 def read_buildings(
-    file: settings.Buildings, crs: str, *, bounds_m: Bounds | None = None, terrain: Raster | None = None
+    file: settings.Buildings,
+    crs: str,
+    *,
+    bounds_m: Bounds | None = None,
+    terrain: Raster | None = None,
 ) -> City:
     """Return the buildings in a file as a city of these alone, with the area where the file knows what stands.
 
@@ -159,13 +180,17 @@ def read_buildings(
     if read is None:
         return _read_roofs(path, crs, bounds_m, file.kind, terrain)
     if file.kind == "surface":
-        raise InputError(f'[buildings] kind = "surface" is for rasters, and {str(path)!r} is not one: leave it out')
+        raise InputError(
+            f'[buildings] kind = "surface" is for rasters, and {str(path)!r} is not one: leave it out'
+        )
     if bounds_m is not None:
         outlines = read(path, Near(bounds_m, crs), is_slabs)
         city = _city_of(file, outlines, crs, bounds_m)
         if not outlines.is_part or len(city.buildings or ()):
             return city
-    return _city_of(file, read(path, None, is_slabs), crs, bounds_m)  # what nothing is near of tells all it covers
+    return _city_of(
+        file, read(path, None, is_slabs), crs, bounds_m
+    )  # what nothing is near of tells all it covers
 
 
 def _reader_of(path: Path) -> OutlineReader | None:
@@ -179,7 +204,9 @@ def _reader_of(path: Path) -> OutlineReader | None:
     suffix = path.suffix.lower()
     if suffix not in (*OUTLINE_READERS, *RASTER_SUFFIXES):
         known = ", ".join((*OUTLINE_READERS, *RASTER_SUFFIXES))
-        raise InputError(f"{str(path)!r} has the suffix {suffix!r}: buildings are read from {known}")
+        raise InputError(
+            f"{str(path)!r} has the suffix {suffix!r}: buildings are read from {known}"
+        )
     return OUTLINE_READERS.get(suffix)
 
 
@@ -202,11 +229,17 @@ def lonlat_extent(path: str | Path) -> Bounds:
 
 def _box_around(path: str | Path, outlines: Outlines) -> Bounds:
     if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
-        raise InputError(f"{str(path)!r} holds no outline that would say where it lies: give bounds")
-    return transformer(outlines.crs, WGS84).transform_bounds(*shapely.total_bounds(outlines.polygons))
+        raise InputError(
+            f"{str(path)!r} holds no outline that would say where it lies: give bounds"
+        )
+    return transformer(outlines.crs, WGS84).transform_bounds(
+        *shapely.total_bounds(outlines.polygons)
+    )
 
 
-def proposed_bounds(file: settings.Buildings, extent: Sequence[float], crs: str | None) -> Bounds | None:
+def proposed_bounds(
+    file: settings.Buildings, extent: Sequence[float], crs: str | None
+) -> Bounds | None:
     """Return where most buildings of a file stand (see `main_bounds`); None of a raster.
 
     Args:
@@ -230,7 +263,9 @@ def size_m(extent: Sequence[float]) -> tuple[float, float]:
     """Return the sides of a box in degrees: from west to east in its middle, and from south to north."""
     west, south, east, north = extent
     middle = (south + north) / 2
-    return GEOD.line_length([west, east], [middle, middle]), GEOD.line_length([west, west], [south, north])
+    return GEOD.line_length([west, east], [middle, middle]), GEOD.line_length(
+        [west, west], [south, north]
+    )
 
 
 def covers_too_much(path: str | Path, extent: Sequence[float], main: Sequence[float]) -> str:
@@ -242,7 +277,9 @@ def covers_too_much(path: str | Path, extent: Sequence[float], main: Sequence[fl
     )
 
 
-def _city_of(file: settings.Buildings, outlines: Outlines, crs: str, bounds_m: Bounds | None) -> City:
+def _city_of(
+    file: settings.Buildings, outlines: Outlines, crs: str, bounds_m: Bounds | None
+) -> City:
     """Return the buildings that outlines make, those that touch ``bounds_m``."""
     buildings, boxes_m, issues = to_buildings(file, outlines, crs)
     area = shapely.Polygon() if outlines.is_part else area_of_outlines(buildings.polygons, boxes_m)
@@ -251,11 +288,17 @@ def _city_of(file: settings.Buildings, outlines: Outlines, crs: str, bounds_m: B
         near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
         kept = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
         area = area if kept.is_empty else kept
-    facts: dict[str, Any] = {"read_issues": issues, "attribution": outlines.attribution, "hanging": file.hanging}
+    facts: dict[str, Any] = {
+        "read_issues": issues,
+        "attribution": outlines.attribution,
+        "hanging": file.hanging,
+    }
     return City(crs, area.bounds, buildings, area=area, **facts)
 
 
-def _read_roofs(path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrain: Raster | None) -> City:
+def _read_roofs(
+    path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrain: Raster | None
+) -> City:
     """Return a raster's heights; those below 0 (noise of surface minus terrain) are ground and are counted."""
     name, raster = repr(str(path)), read_raster(path, crs, bounds_m)
     if kind == "surface":
@@ -265,7 +308,9 @@ def _read_roofs(path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrai
         is_below = raster.values < 0
         roofs = replace(raster, values=np.where(is_below, np.float32(0), raster.values))
         issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
-    check_range(name, raster.values if kind == "height" else roofs.values, (LOWEST_ROOF_M, MAX_HEIGHT_M))
+    check_range(
+        name, raster.values if kind == "height" else roofs.values, (LOWEST_ROOF_M, MAX_HEIGHT_M)
+    )
     area = area_of_raster(roofs, crs)
     return City(crs, area.bounds, roofs=roofs, area=area, read_issues=issues)
 
@@ -280,7 +325,10 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
       boxes: what the file declares to cover.
     """
     declared = shapely.union_all([shapely.box(*box) for box in boxes])
-    is_inside, is_apart = shapely.covers(declared, polygons), ~shapely.intersects(declared, polygons)
+    is_inside, is_apart = (
+        shapely.covers(declared, polygons),
+        ~shapely.intersects(declared, polygons),
+    )
     on_border = shapely.box(*shapely.bounds(polygons[~is_inside & ~is_apart]).T)
     declared = shapely.union_all([declared, *on_border])
     bounds = shapely.bounds(polygons[is_apart])
@@ -294,9 +342,15 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
     grown = shapely.box(*(low - 1.0).T, *(low + GAP_M + 1.0).T)
     parts = shapely.get_parts(shapely.union_all(grown))
     part_of_bin = np.empty(len(low), int)
-    found_bin, found_part = shapely.STRtree(parts).query(shapely.points(low + GAP_M / 2), predicate="within")
+    found_bin, found_part = shapely.STRtree(parts).query(
+        shapely.points(low + GAP_M / 2), predicate="within"
+    )
     part_of_bin[found_bin] = found_part
-    hulls = pd.DataFrame(bounds).groupby(part_of_bin[owner]).agg({0: "min", 1: "min", 2: "max", 3: "max"})
+    hulls = (
+        pd.DataFrame(bounds)
+        .groupby(part_of_bin[owner])
+        .agg({0: "min", 1: "min", 2: "max", 3: "max"})
+    )
     return shapely.union_all([declared, *shapely.box(*hulls.to_numpy().T)])
 
 
@@ -307,8 +361,13 @@ def area_of_raster(raster: Raster, crs: str) -> shapely.Geometry:
     if is_known.all():
         shapes = [shapely.box(0, 0, num_cols, num_rows)]
     else:
-        row, col = (np.unique(np.linspace(0, size, BLOCKS_A_SIDE + 1).astype(int)) for size in (num_rows, num_cols))
-        has_any = np.logical_or.reduceat(np.logical_or.reduceat(is_known, row[:-1], axis=0), col[:-1], axis=1)
+        row, col = (
+            np.unique(np.linspace(0, size, BLOCKS_A_SIDE + 1).astype(int))
+            for size in (num_rows, num_cols)
+        )
+        has_any = np.logical_or.reduceat(
+            np.logical_or.reduceat(is_known, row[:-1], axis=0), col[:-1], axis=1
+        )
         i, j = np.nonzero(has_any)
         shapes = [shapely.union_all(shapely.box(col[j], row[i], col[j + 1], row[i + 1]))]
     area = shapely.segmentize(shapes[0], max(num_rows, num_cols) / BLOCKS_A_SIDE)

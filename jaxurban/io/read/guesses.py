@@ -40,7 +40,10 @@ FLAT_GROUND = {
     "not; name an elevation raster in [terrain] source"
 }
 EMPTY_SHARE = 0.10  # of the region without a census block (rivers and the sea often have none), of a layer's pixels
-SCALE_M, SCALE_SHARE = 1 / 3, 0.01  # no more than this share of inhabited blocks above this m: few set the scale
+SCALE_M, SCALE_SHARE = (
+    1 / 3,
+    0.01,
+)  # no more than this share of inhabited blocks above this m: few set the scale
 MOST_RAYS = 200_000  # followed to tell how many leave the data: a second or so
 SIDE_POINTS = 32  # along each side of a raster's outline, which another CRS bends
 NOMINAL_SKY, ELEMENTS_TIME = "nominal satellites", "time of the elements"
@@ -63,16 +66,22 @@ def percent(share: float) -> str:
 
 def _of_share(share: float, name: str, sentence: str, least: float = TOLD_SHARE) -> Guesses:
     """Return the guess on a share of something, which begins its name and its sentence; none up to ``least``."""
-    return {f"{percent(share)} of {name}": f"{percent(share)} of {sentence}"} if share > least else {}
+    return (
+        {f"{percent(share)} of {name}": f"{percent(share)} of {sentence}"} if share > least else {}
+    )
 
 
 def guessed_share(buildings: Footprints, bounds_m: Bounds) -> float:
     """Return the share of the buildings in a box whose height is guessed, 0 without a building."""
-    is_guessed = buildings.is_guessed[shapely.intersects(buildings.polygons, shapely.box(*bounds_m))]
+    is_guessed = buildings.is_guessed[
+        shapely.intersects(buildings.polygons, shapely.box(*bounds_m))
+    ]
     return float(is_guessed.mean()) if is_guessed.size else 0.0
 
 
-def height_guesses(buildings: Footprints | None, bounds_m: Bounds, file: settings.Buildings) -> Guesses:
+def height_guesses(
+    buildings: Footprints | None, bounds_m: Bounds, file: settings.Buildings
+) -> Guesses:
     """Return what was supposed of the heights of the buildings in a box; nothing of a height raster."""
     if buildings is None:
         return {}
@@ -97,9 +106,14 @@ def census_guesses(issues: ReadIssues, blocks: Blocks, files: Population) -> Gue
       files: that they were read from.
     """
     guesses = {}
-    num_missing, num_unreadable = issues[ReadIssue.BLOCKS_WITHOUT_COUNT], issues[ReadIssue.COUNTS_UNREADABLE]
+    num_missing, num_unreadable = (
+        issues[ReadIssue.BLOCKS_WITHOUT_COUNT],
+        issues[ReadIssue.COUNTS_UNREADABLE],
+    )
     if not (blocks.night_count.any() or np.any(blocks.day_count)):
-        guesses["nobody"] = "all census counts in and around the region are 0: check [population] table and its count"
+        guesses["nobody"] = (
+            "all census counts in and around the region are 0: check [population] table and its count"
+        )
     elif num_missing:
         guesses[f"{num_missing:,} blocks without a count"] = (
             f"{num_missing:,} of {len(blocks):,} census blocks in and around the region are read as 0 people (in "
@@ -138,7 +152,9 @@ def time_guess(time: str) -> Guesses:
 
 def nominal_guess(systems: Sequence[str], times: Sequence[str], is_papers: bool) -> Guesses:
     """Return that satellites of systems are nominal; ``is_papers``: at the paper's time, as no other is given."""
-    when = times[0] + (", the paper's time" if is_papers else " and later" if len(times) > 1 else "")
+    when = times[0] + (
+        ", the paper's time" if is_papers else " and later" if len(times) > 1 else ""
+    )
     names = " and ".join(system.upper() for system in systems)
     return {
         NOMINAL_SKY: f"the {names} satellites are nominal ones at {when}, not the real ones: name a file of elements "
@@ -233,7 +249,10 @@ def _coverage_guesses(city: City, region: Grid) -> Guesses:
     """Return how much of the region is taken as free of buildings, or of people, as nothing is known there."""
     share = outside_share(region, city.known_area)
     if share > TOLD_SHARE and city.buildings is not None:
-        share = outside_share(region, shapely.union_all([city.known_area, *_boxes_asked(city, city.buildings, region)]))
+        share = outside_share(
+            region,
+            shapely.union_all([city.known_area, *_boxes_asked(city, city.buildings, region)]),
+        )
     guesses = _of_share(
         share,
         "the region without data",
@@ -259,7 +278,9 @@ def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesse
         return {}
     num_rows, num_cols = band.values.shape
     border = shapely.get_coordinates(shapely.segmentize(shapely.box(0, 0, 1, 1), 1 / SIDE_POINTS))
-    raster = shapely.Polygon(np.stack(pixel_xy(band, border[:, 1] * num_rows, border[:, 0] * num_cols, region.crs), -1))
+    raster = shapely.Polygon(
+        np.stack(pixel_xy(band, border[:, 1] * num_rows, border[:, 0] * num_cols, region.crs), -1)
+    )
     return _of_share(
         outside_share(region, shapely.make_valid(raster)),
         f"the region beyond layer {name}",
@@ -281,22 +302,37 @@ def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tup
     evenly spread: all of them, or as many as make `MOST_RAYS`.
     """
     azimuth_rad, elevation_rad = sky.azimuth_rad[sky.is_in_view], sky.elevation_rad[sky.is_in_view]
-    stride = math.ceil(math.sqrt(region.num_rows * region.num_cols * max(len(azimuth_rad), 1) / MOST_RAYS))
-    x_m, y_m = np.meshgrid(*(at_m[min(stride, len(at_m)) // 2 :: stride] for at_m in (region.x_m, region.y_m)))
+    stride = math.ceil(
+        math.sqrt(region.num_rows * region.num_cols * max(len(azimuth_rad), 1) / MOST_RAYS)
+    )
+    x_m, y_m = np.meshgrid(
+        *(at_m[min(stride, len(at_m)) // 2 :: stride] for at_m in (region.x_m, region.y_m))
+    )
     start_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)[:, None]
     rise_m = highest_top_m(city) - altitude_m
     leaves = ~stays_within(known_ground(city), start_m, azimuth_rad, elevation_rad, rise_m)
     return float(leaves.any(axis=1).mean()), float(leaves.mean())
 
 
-def _scale_guesses(blocks: Blocks, bounds_m: Bounds, population_layers: BlockLayers, params: Population) -> Guesses:
+def _scale_guesses(
+    blocks: Blocks, bounds_m: Bounds, population_layers: BlockLayers, params: Population
+) -> Guesses:
     """Return that one block sets the population's scale, at the first time of day where one does."""
     in_region = region_blocks(blocks, bounds_m)
-    for m, norm in zip(np.asarray(population_layers.m, float), population_layers.norm_per_km2, strict=True):
+    for m, norm in zip(
+        np.asarray(population_layers.m, float), population_layers.norm_per_km2, strict=True
+    ):
         inhabited = m[in_region][m[in_region] > 0]
         num_high = (inhabited > SCALE_M).sum()
-        if params.normalise == "max" and len(inhabited) >= 3 and num_high <= max(1, SCALE_SHARE * len(inhabited)):
-            top, unit = in_region[m[in_region].argmax()], "people" if params.quantity == "count" else "people per km2"
+        if (
+            params.normalise == "max"
+            and len(inhabited) >= 3
+            and num_high <= max(1, SCALE_SHARE * len(inhabited))
+        ):
+            top, unit = (
+                in_region[m[in_region].argmax()],
+                "people" if params.quantity == "count" else "people per km2",
+            )
             usual = float(f"{float(norm) * np.percentile(inhabited, 99):.1g}")
             return {
                 "one block sets the population scale": (

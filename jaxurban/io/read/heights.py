@@ -20,12 +20,16 @@ INCH_M = 0.0254  # international inch, exact
 # Over freeways the least clearance is 16 ft, 4.9 m (AASHTO, A Policy on Geometric Design of Highways and Streets). A
 # layer of OSM orders what crosses and is no height: one more above the ground is taken as one more such clearance.
 LAYER_CLEARANCE_M = 5.0
-DECK_DEPTH_M = 1.0  # girder, slab and pavement of spans of some 25 m, at a depth of a 25th of the span
+DECK_DEPTH_M = (
+    1.0  # girder, slab and pavement of spans of some 25 m, at a depth of a 25th of the span
+)
 
 _NUMBER = r"(\d+(?:[.,]\d+)?|[.,]\d+)"
 _ABOUT = r"(?:~|≈|ca\.?|approx\.?)?\s*"
 _METRES = re.compile(rf"{_ABOUT}{_NUMBER}\s*(?:m|met(?:re|er)s?)?\.?")
-_FEET = re.compile(rf"{_ABOUT}{_NUMBER}\s*(?:'|ft\.?|feet|foot)\s*(?:{_NUMBER}\s*(?:\"|in\.?|inch(?:es)?)?)?")
+_FEET = re.compile(
+    rf"{_ABOUT}{_NUMBER}\s*(?:'|ft\.?|feet|foot)\s*(?:{_NUMBER}\s*(?:\"|in\.?|inch(?:es)?)?)?"
+)
 _COUNT = re.compile(rf"{_ABOUT}{_NUMBER}")
 _QUOTES = str.maketrans({"’": "'", "′": "'", "”": '"', "″": '"'})
 
@@ -50,7 +54,9 @@ def _count(text: str) -> float:
 def _highest(text: str, parse_one: Callable[[str], float]) -> float:
     """Return the highest readable value of a list separated by semicolons, NaN without one."""
     listed = text.strip().lower().translate(_QUOTES).replace("''", '"').split(";")
-    return max((v for each in listed if not math.isnan(v := parse_one(each.strip()))), default=math.nan)
+    return max(
+        (v for each in listed if not math.isnan(v := parse_one(each.strip()))), default=math.nan
+    )
 
 
 @lru_cache(maxsize=2**16)
@@ -123,7 +129,9 @@ def estimate_heights(
     """
     empty = np.full(len(polygons), None, object)
 
-    def read(name: str, parse: Callable[[str], float], unit_m: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    def read(
+        name: str, parse: Callable[[str], float], unit_m: float = 1.0
+    ) -> tuple[np.ndarray, np.ndarray]:
         column = tags.get(name, empty)
         return is_given(column), _read_column(column, parse) * unit_m
 
@@ -135,14 +143,20 @@ def estimate_heights(
 
     # Comparisons with NaN are false: what could not be read is not usable.
     has_roof, has_min, has_min_level = (
-        (value_m >= 0) & (value_m <= MAX_HEIGHT_M) for value_m in (roof_m, min_height_m, min_level_m)
+        (value_m >= 0) & (value_m <= MAX_HEIGHT_M)
+        for value_m in (roof_m, min_height_m, min_level_m)
     )
     levels_m = levels_m + np.where(has_roof, roof_m, 0.0)
-    has_height, has_levels = ((value_m > 0) & (value_m <= MAX_HEIGHT_M) for value_m in (height_m, levels_m))
+    has_height, has_levels = (
+        (value_m > 0) & (value_m <= MAX_HEIGHT_M) for value_m in (height_m, levels_m)
+    )
     num_levels = np.sum(given_levels & ~has_levels) + np.sum(given_roof & ~has_roof)
     num_min = np.sum(given_min & ~has_min) + np.sum(given_min_level & ~has_min_level)
     issues[ReadIssue.HEIGHTS_UNUSABLE] = int(np.sum(given_height & ~has_height))
-    issues[ReadIssue.LEVELS_UNUSABLE], issues[ReadIssue.MIN_HEIGHTS_UNUSABLE] = int(num_levels), int(num_min)
+    issues[ReadIssue.LEVELS_UNUSABLE], issues[ReadIssue.MIN_HEIGHTS_UNUSABLE] = (
+        int(num_levels),
+        int(num_min),
+    )
     origins = [HeightOrigin.HEIGHT, HeightOrigin.LEVELS]
     return Footprints(
         polygons,
@@ -166,9 +180,13 @@ def with_decks(buildings: Footprints, is_deck: np.ndarray, layer: np.ndarray) ->
     """
     has_height, floor_m = buildings.origin == HeightOrigin.HEIGHT, buildings.min_height_m
     by_layer_m = np.fmax(layer, 1.0) * LAYER_CLEARANCE_M
-    below_top_m = np.where(has_height, np.maximum(buildings.height_m - DECK_DEPTH_M, 0.0), by_layer_m)
+    below_top_m = np.where(
+        has_height, np.maximum(buildings.height_m - DECK_DEPTH_M, 0.0), by_layer_m
+    )
     floor_m = np.where(floor_m > 0, floor_m, below_top_m)
-    top_m = np.where(has_height & (buildings.height_m > floor_m), buildings.height_m, floor_m + DECK_DEPTH_M)
+    top_m = np.where(
+        has_height & (buildings.height_m > floor_m), buildings.height_m, floor_m + DECK_DEPTH_M
+    )
     is_guess = ~has_height & (buildings.min_height_m == 0)
     origin = np.where(is_guess, HeightOrigin.LAYER, HeightOrigin.HEIGHT).astype(np.uint8)
     return replace(

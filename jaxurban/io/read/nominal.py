@@ -8,7 +8,9 @@ from datetime import UTC, date, datetime
 from sgp4.api import WGS72, Satrec
 from skyfield.api import EarthSatellite, Timescale
 
-SIDEREAL_RATE_DEG = 360.98564736629  # degrees a day of UT1, of Earth against the mean equinox of date (IAU 1982)
+SIDEREAL_RATE_DEG = (
+    360.98564736629  # degrees a day of UT1, of Earth against the mean equinox of date (IAU 1982)
+)
 MARK = "(nominal)"  # ends the names of such satellites in a file
 
 
@@ -48,7 +50,11 @@ class Constellation:
         It is 3/4 J2 (R/a)^2 n (5 cos^2 i - 1).
         """
         flattening = 0.75 * 1.082616e-3 * (6378.135 / self.axis_km) ** 2
-        return flattening * self.latitude_rate_deg * (5 * math.cos(math.radians(self.inclination_deg)) ** 2 - 1)
+        return (
+            flattening
+            * self.latitude_rate_deg
+            * (5 * math.cos(math.radians(self.inclination_deg)) ** 2 - 1)
+        )
 
 
 # Orbit plane -> right ascension of the ascending node, and argument of latitude of its slots 1 to 4. Source: GPS SPS
@@ -72,7 +78,8 @@ GPS = Constellation(
     table_date=date(1993, 7, 1),
     inclination_deg=55.0,
     axis_km=26_559.7,
-    node_rate_deg=-4.4874e-7 * 86400,  # the same standard's nominal almanac (Table A2-1), -4.4874e-7 deg/s
+    node_rate_deg=-4.4874e-7
+    * 86400,  # the same standard's nominal almanac (Table A2-1), -4.4874e-7 deg/s
     turns=2.0,
 )
 
@@ -85,7 +92,10 @@ GALILEO = Constellation(
     name="GALILEO {}",
     first_number=101,
     slots={
-        f"{plane}0{slot}": (317.632 + PRECESSION_RATE_DEG * 6168.5 + 120 * p, 180.153 + 45 * (slot - 1) + 15 * p)
+        f"{plane}0{slot}": (
+            317.632 + PRECESSION_RATE_DEG * 6168.5 + 120 * p,
+            180.153 + 45 * (slot - 1) + 15 * p,
+        )
         for p, plane in enumerate("ABC")
         for slot in range(1, 9)
     },
@@ -110,7 +120,9 @@ def nominal_satellites(
     noon = timescale.utc(day.year, day.month, day.day, 12)
     table = timescale.utc(*constellation.table_date.timetuple()[:3])
     elapsed_days = noon.ut1 - table.ut1
-    sgp4_epoch = datetime(day.year, day.month, day.day, 12, tzinfo=UTC) - datetime(1949, 12, 31, tzinfo=UTC)
+    sgp4_epoch = datetime(day.year, day.month, day.day, 12, tzinfo=UTC) - datetime(
+        1949, 12, 31, tzinfo=UTC
+    )
     motion_deg = constellation.latitude_rate_deg - constellation.perigee_rate_deg
     satellites = []
     for number, (slot, (node_deg, latitude_deg)) in enumerate(

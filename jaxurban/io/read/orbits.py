@@ -68,7 +68,11 @@ class Orbits:
     def nominal_systems(self) -> list[str]:
         """Constellations of which satellites are nominal: those from no file, and those that a file names so."""
         named = zip(self.satellites, self.sources, strict=True)
-        names = [satellite.name for satellite, source in named if source == NOMINAL or satellite.name.endswith(MARK)]
+        names = [
+            satellite.name
+            for satellite, source in named
+            if source == NOMINAL or satellite.name.endswith(MARK)
+        ]
         return list(dict.fromkeys(map(_system, names)))
 
 
@@ -95,7 +99,11 @@ def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
     pairs = [
         (satellite, name)
         for name in map(str, sources)
-        for satellite in (nominal_satellites(GPS.table_date, _timescale()) if name == NOMINAL else _read_file(name))
+        for satellite in (
+            nominal_satellites(GPS.table_date, _timescale())
+            if name == NOMINAL
+            else _read_file(name)
+        )
     ]
     orbits = Orbits(*zip(*pairs, strict=True))
     _check_twice(orbits)
@@ -105,7 +113,9 @@ def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
 def middle_epoch(orbits: Orbits) -> str | None:
     """Return the median of the epochs of the elements from files, to the minute, ISO 8601 UTC; None without a file."""
     epochs = [
-        s.epoch.utc_datetime() for s, name in zip(orbits.satellites, orbits.sources, strict=True) if name != NOMINAL
+        s.epoch.utc_datetime()
+        for s, name in zip(orbits.satellites, orbits.sources, strict=True)
+        if name != NOMINAL
     ]
     if not epochs:
         return None
@@ -120,10 +130,14 @@ def _check_twice(orbits: Orbits) -> None:
         if source == NOMINAL:
             continue
         if nominal and _system(satellite.name) == "gps":
-            raise InputError(f'"{NOMINAL}" is GPS, and so are satellites of {source}: leave one of the two out')
+            raise InputError(
+                f'"{NOMINAL}" is GPS, and so are satellites of {source}: leave one of the two out'
+            )
         if (number := satellite.model.satnum) in from_files:
             places = " and ".join(dict.fromkeys([from_files[number], source]))
-            raise InputError(f"2 element sets of satellite {number} are in {places}: keep the one nearest in time")
+            raise InputError(
+                f"2 element sets of satellite {number} are in {places}: keep the one nearest in time"
+            )
         from_files[number] = source
 
 
@@ -153,13 +167,19 @@ def _from_tles(text: str, source: str | Path) -> list[EarthSatellite]:
         verify_checksum(*first, *second)
         satellites = list(parse_tle_file((line.encode() for line in lines), _timescale()))
         numbers = [[line[2:7] for line in part] for part in (first, second)]
-        if numbers[0] != numbers[1] or len(satellites) < len(first) or (second and lines[-1] != second[-1]):
+        if (
+            numbers[0] != numbers[1]
+            or len(satellites) < len(first)
+            or (second and lines[-1] != second[-1])
+        ):
             raise ValueError(
                 f"a line 1 and a line 2 of one satellite, of {TLE_LENGTH} characters, must follow each other"
             )
     except ValueError as error:
         reason = str(error).splitlines()[0].rstrip(":")
-        raise InputError(f"an element set of {source} is cut or damaged ({reason}): download the file again") from error
+        raise InputError(
+            f"an element set of {source} is cut or damaged ({reason}): download the file again"
+        ) from error
     for satellite in satellites:
         satellite.name = _printable(satellite.name) or f"catalogue number {satellite.model.satnum}"
     return satellites
@@ -187,10 +207,14 @@ def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatelli
             if not all(map(math.isfinite, elements)):
                 raise ValueError("an element is not finite")
             if str(fields.get("TIME_SYSTEM") or "UTC").strip().upper() != "UTC":
-                raise ValueError(f"its TIME_SYSTEM is {fields['TIME_SYSTEM']}, and only UTC is read")
+                raise ValueError(
+                    f"its TIME_SYSTEM is {fields['TIME_SYSTEM']}, and only UTC is read"
+                )
         except (KeyError, TypeError, ValueError) as error:
             reason = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)
-            raise InputError(f"element set {number} of {source} is cut or not an OMM ({reason}): {REMEDY}") from error
+            raise InputError(
+                f"element set {number} of {source} is cut or not an OMM ({reason}): {REMEDY}"
+            ) from error
         satellite.name = _printable(fields.get("OBJECT_NAME")) or f"catalogue number {model.satnum}"
         satellites.append(satellite)
     return satellites
@@ -238,7 +262,9 @@ def look_angles(
     _check_age(orbits.sources, iso, names, age_days, max_age_days)
     if not np.all(np.isfinite(elevation_rad)):
         t, s = np.argwhere(~np.isfinite(elevation_rad))[0]
-        raise InputError(f"SGP4 cannot carry {names[s]} of {orbits.sources[s]} to {iso[t]}: remove it from the file")
+        raise InputError(
+            f"SGP4 cannot carry {names[s]} of {orbits.sources[s]} to {iso[t]}: remove it from the file"
+        )
     return Sky(
         times=iso,
         names=names,
@@ -280,13 +306,26 @@ def _rinex_name(name: str) -> str:
         return written.group()
     prn = PRN.search(name)
     number = int(prn.group(1)) if prn else 0
-    return next((f"{letter}{number - less:02d}" for low, high, letter, less in PRN_RANGES if low <= number <= high), "")
+    return next(
+        (
+            f"{letter}{number - less:02d}"
+            for low, high, letter, less in PRN_RANGES
+            if low <= number <= high
+        ),
+        "",
+    )
 
 
-def _satellites_at(orbits: Orbits, utc: list[datetime]) -> Iterator[tuple[list[int], list[tuple[int, EarthSatellite]]]]:
+def _satellites_at(
+    orbits: Orbits, utc: list[datetime]
+) -> Iterator[tuple[list[int], list[tuple[int, EarthSatellite]]]]:
     """Yield the times (by index) that one set of elements serves, with its numbered satellites."""
     nominal = orbits.of(NOMINAL)
-    from_files = [(s, orbits.satellites[s]) for s in range(len(orbits.satellites)) if orbits.sources[s] != NOMINAL]
+    from_files = [
+        (s, orbits.satellites[s])
+        for s in range(len(orbits.satellites))
+        if orbits.sources[s] != NOMINAL
+    ]
     if from_files:
         yield list(range(len(utc))), from_files
     for day in sorted({time.date() for time in utc}) if nominal else ():
@@ -295,13 +334,19 @@ def _satellites_at(orbits: Orbits, utc: list[datetime]) -> Iterator[tuple[list[i
 
 
 def _check_age(
-    sources: Sequence[str], iso: Sequence[str], names: Sequence[str], age_days: np.ndarray, max_age_days: float
+    sources: Sequence[str],
+    iso: Sequence[str],
+    names: Sequence[str],
+    age_days: np.ndarray,
+    max_age_days: float,
 ) -> None:
     """Warn of stale elements, refuse those older than ``max_age_days``."""
     if (oldest_days := age_days.max(initial=0.0)) <= min(WARN_AGE_DAYS, max_age_days):
         return
     t, s = np.argwhere(age_days == oldest_days)[0]
-    age = f"the elements of {names[s]} in {sources[s]} are {oldest_days:.0f} days away from {iso[t]}"
+    age = (
+        f"the elements of {names[s]} in {sources[s]} are {oldest_days:.0f} days away from {iso[t]}"
+    )
     remedy = f'use elements of that date (CelesTrak, Space-Track) or orbits = "{NOMINAL}"'
     if oldest_days > max_age_days:
         raise InputError(f"{age}, more than max_age_days = {max_age_days:g}: {remedy}")
@@ -310,4 +355,6 @@ def _check_age(
 
 def _system(name: str) -> str:
     """Return the constellation that a satellite's name tells, or ``"unknown"``."""
-    return next((system for system, names in SYSTEM_NAMES.items() if names.match(name.upper())), "unknown")
+    return next(
+        (system for system, names in SYSTEM_NAMES.items() if names.match(name.upper())), "unknown"
+    )

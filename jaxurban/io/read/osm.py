@@ -19,14 +19,27 @@ from jaxurban.world.city import LandCover, ReadIssue
 from jaxurban.world.grid import WGS84, Bounds, transformer
 
 TAGS = (  # that say something of buildings, as `COLUMNS` sorts them
-    *("building", "building:part", "height", "building:levels", "levels", "roof:levels", "min_height"),
+    *(
+        "building",
+        "building:part",
+        "height",
+        "building:levels",
+        "levels",
+        "roof:levels",
+        "min_height",
+    ),
     *("building:min_level", "location", "layer", "man_made"),
 )
 OSM_SUFFIXES = (".pbf", ".osm")
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
 HAS_BUILDING = KeyFilter("building", "building:part")
 HAS_BUILDING_OR_DECK = KeyFilter("building", "building:part", "man_made")
-WATER = (("natural", "water"), ("waterway", "riverbank"), ("waterway", "dock"), ("landuse", "reservoir"))
+WATER = (
+    ("natural", "water"),
+    ("waterway", "riverbank"),
+    ("waterway", "dock"),
+    ("landuse", "reservoir"),
+)
 PARK = (
     *(("leisure", value) for value in ("park", "nature_reserve", "golf_course")),
     *(("landuse", value) for value in ("cemetery", "forest", "recreation_ground")),
@@ -37,7 +50,9 @@ GAP_M = 500.0  # a coast that ends nearer than this to the region's border was c
 _AREA_RELATIONS = ("multipolygon", "boundary")  # what libosmium makes areas of
 
 
-def read_osm(path: str | Path, file_format: str | None = None, *, has_decks: bool = False) -> Outlines:
+def read_osm(
+    path: str | Path, file_format: str | None = None, *, has_decks: bool = False
+) -> Outlines:
     """Return the areas tagged ``building`` or ``building:part`` of an OSM file, ways and multipolygon relations.
 
     Coordinates are longitude and latitude; the box is the file header's (of several the first). Areas that
@@ -60,7 +75,9 @@ def read_osm(path: str | Path, file_format: str | None = None, *, has_decks: boo
 def _read(path: str | Path, file_format: str, has_decks: bool) -> Outlines:
     columns: dict[str, list[str | None]] = {tag: [] for tag in TAGS}
     shapes: list[str | None] = []  # WKB in hexadecimal, None where libosmium gave up
-    broken: dict[int, tuple[bool, int]] = {}  # of those, place in `shapes`: whether it is a way, and its id
+    broken: dict[
+        int, tuple[bool, int]
+    ] = {}  # of those, place in `shapes`: whether it is a way, and its id
     open_ways, missing, ways, areas, relations = set(), set(), set(), set(), {}
     to_wkb = osmium.geom.WKBFactory()
     chosen = HAS_BUILDING_OR_DECK if has_decks else HAS_BUILDING
@@ -87,9 +104,15 @@ def _read(path: str | Path, file_format: str, has_decks: bool) -> Outlines:
 
     polygons = shapely.from_wkb(np.array(shapes, object))
     lines_of = {place: [i] if is_way else relations[i] for place, (is_way, i) in broken.items()}
-    lines = _read_lines(open_osm(path, file_format), {i for ids in lines_of.values() for i in ids}) if broken else {}
+    lines = (
+        _read_lines(open_osm(path, file_format), {i for ids in lines_of.values() for i in ids})
+        if broken
+        else {}
+    )
     for place, ids in lines_of.items():
-        polygons[place] = shapely.build_area(shapely.union_all([lines[i] for i in ids if i in lines]))
+        polygons[place] = shapely.build_area(
+            shapely.union_all([lines[i] for i in ids if i in lines])
+        )
     return Outlines(
         polygons=polygons,
         tags=tags_of({tag: np.array(values, object) for tag, values in columns.items()}),
@@ -99,7 +122,9 @@ def _read(path: str | Path, file_format: str, has_decks: bool) -> Outlines:
         issues={
             ReadIssue.OPEN_WAYS: len(open_ways),
             ReadIssue.WAYS_WITH_MISSING_NODES: len(missing),
-            ReadIssue.DEGENERATE_WAYS: sum((True, i) not in areas for i in ways - open_ways - missing),
+            ReadIssue.DEGENERATE_WAYS: sum(
+                (True, i) not in areas for i in ways - open_ways - missing
+            ),
             ReadIssue.RELATIONS_INCOMPLETE: sum((False, i) not in areas for i in relations),
             ReadIssue.POLYGONS_REPAIRED: sum(not polygons[place].is_empty for place in broken),
         },
@@ -124,7 +149,9 @@ def open_osm(path: str | Path, file_format: str | None = None) -> osmium.FilePro
     """
     file_format = file_format or format_of(path)
     file = osmium.io.File(str(path), file_format)
-    locations: Any = osmium.index.create_map("flex_mem")  # Any: the package's own annotation says str
+    locations: Any = osmium.index.create_map(
+        "flex_mem"
+    )  # Any: the package's own annotation says str
     if file_format == "osm":  # so the Overpass API writes XML; PBF is sorted
         with osmium.io.Reader(file, osmium.osm.NODE) as reader:
             osmium.apply(reader, osmium.NodeLocationsForWays(locations))
@@ -161,12 +188,15 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
     file = osmium.io.File(str(source), "pbf")
     # The member ways of a building relation need not bear the tag themselves.
     ways_of = {
-        relation.id: {member.ref for member in relation.members if member.type == "w"} for relation in _relations(file)
+        relation.id: {member.ref for member in relation.members if member.type == "w"}
+        for relation in _relations(file)
     }
     members = set().union(*ways_of.values())
     near = {way.id for way in _ways_in(file, IdFilter(members), box)} if members else set()
     result = osmium.io.File(str(target), "pbf")
-    with osmium.BackReferenceWriter(result, ref_src=file, overwrite=True, remove_tags=False) as writer:
+    with osmium.BackReferenceWriter(
+        result, ref_src=file, overwrite=True, remove_tags=False
+    ) as writer:
         for way in _ways_in(file, HAS_BUILDING_OR_DECK, box):
             if _is_building_or_deck(way.tags):
                 writer.add(way)
@@ -181,10 +211,16 @@ def _relations(file: osmium.io.File) -> Iterator[osmium.osm.Relation]:
             yield item
 
 
-def _ways_in(file: osmium.io.File, chosen: IdFilter | KeyFilter, box: Bounds) -> Iterator[osmium.osm.Way]:
+def _ways_in(
+    file: osmium.io.File, chosen: IdFilter | KeyFilter, box: Bounds
+) -> Iterator[osmium.osm.Way]:
     """Yield the chosen ways that have a node in a box."""
     west, south, east, north = box
-    for item in osmium.FileProcessor(file, osmium.osm.NODE | osmium.osm.WAY).with_locations().with_filter(chosen):
+    for item in (
+        osmium.FileProcessor(file, osmium.osm.NODE | osmium.osm.WAY)
+        .with_locations()
+        .with_filter(chosen)
+    ):
         if isinstance(item, osmium.osm.Way):
             places = (node.location for node in item.nodes if node.location.valid())
             if any(west <= place.lon <= east and south <= place.lat <= north for place in places):
@@ -213,20 +249,28 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
 
     def joined(kind: str) -> shapely.Geometry:
         shapes = [shapely.from_wkb(shape) for of, _, shape in rows if of == kind]
-        return shapely.intersection(shapely.union_all(shapely.make_valid(projected(shapes, crs))), box)
+        return shapely.intersection(
+            shapely.union_all(shapely.make_valid(projected(shapes, crs))), box
+        )
 
     wet = sea(list(projected(coast, crs)), box)
     return LandCover(water=shapely.union(joined("water"), wet), park=joined("park"))
 
 
-def areas_and_coast(path: str | Path) -> tuple[list[tuple[str, str, str]], list[shapely.LineString]]:
+def areas_and_coast(
+    path: str | Path,
+) -> tuple[list[tuple[str, str, str]], list[shapely.LineString]]:
     """Return kind (``water`` or ``park``), name and hexadecimal WKB of each area, and the lines of the coast."""
     rows: list[tuple[str, str, str]] = []
     coast: list[shapely.LineString] = []
     to_wkb = osmium.geom.WKBFactory()
     areas = TagFilter(*WATER, *PARK)
     for item in open_osm(path).with_areas(areas).with_filter(TagFilter(*WATER, *PARK, COAST)):
-        if isinstance(item, osmium.osm.Area) and item.num_rings()[0] and has_tag(item, WATER + PARK):
+        if (
+            isinstance(item, osmium.osm.Area)
+            and item.num_rings()[0]
+            and has_tag(item, WATER + PARK)
+        ):
             kind = "water" if has_tag(item, WATER) else "park"
             rows.append((kind, item.tags.get("name") or "", to_wkb.create_multipolygon(item)))
         elif isinstance(item, osmium.osm.Way) and has_tag(item, (COAST,)):
@@ -236,7 +280,9 @@ def areas_and_coast(path: str | Path) -> tuple[list[tuple[str, str, str]], list[
 
 def projected(shapes: list[shapely.Geometry], crs: str) -> np.ndarray:
     """Return shapes in longitude and latitude as an array of them in a projected CRS."""
-    return shapely.transform(np.array(shapes, object), transformer(WGS84, crs).transform, interleaved=False)
+    return shapely.transform(
+        np.array(shapes, object), transformer(WGS84, crs).transform, interleaved=False
+    )
 
 
 def has_tag(item: osmium.osm.OSMObject, tags: tuple[tuple[str, str], ...]) -> bool:
@@ -266,26 +312,40 @@ def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geomet
         return shapely.Polygon()
     whole = shapely.get_parts(shapely.line_merge(shapely.union_all(coast), directed=True))
     ends = shapely.get_parts(shapely.boundary(whole))  # rings have none
-    near = ends[shapely.contains_properly(box, ends) & (shapely.distance(box.exterior, ends) < GAP_M)]
+    near = ends[
+        shapely.contains_properly(box, ends) & (shapely.distance(box.exterior, ends) < GAP_M)
+    ]
     bridges = shapely.shortest_line(near, box.exterior)
     # Into the box's border too, so that polygonize sees one network.
     network = shapely.union_all([*shapely.intersection(whole, box), *bridges, box.exterior])
     faces = shapely.get_parts(shapely.polygonize([network]))
     faces = faces[shapely.contains(box, shapely.point_on_surface(faces))]
-    segments = np.concatenate([sliding_window_view(shapely.get_coordinates(line), 2, axis=0) for line in coast])
-    segments = segments[(segments[..., 0] != segments[..., 1]).any(axis=1)]  # [N, 2 (x, y), 2 (from, to)]
+    segments = np.concatenate(
+        [sliding_window_view(shapely.get_coordinates(line), 2, axis=0) for line in coast]
+    )
+    segments = segments[
+        (segments[..., 0] != segments[..., 1]).any(axis=1)
+    ]  # [N, 2 (x, y), 2 (from, to)]
     start, end = segments[..., 0], segments[..., 1]
     length_m = np.hypot(*(end - start).T)
     right = (end - start)[:, ::-1] * [1, -1] / length_m[:, None]
     tree = shapely.STRtree(faces)
-    shore_m = np.zeros((2, len(faces)))  # how much of each face's shore has it on the right, and on the left
+    shore_m = np.zeros(
+        (2, len(faces))
+    )  # how much of each face's shore has it on the right, and on the left
     for row, side in enumerate((1.0, -1.0)):  # half a metre into the water, and into the land
-        point, face = tree.query(shapely.points((start + end) / 2 + 0.5 * side * right), predicate="within")
+        point, face = tree.query(
+            shapely.points((start + end) / 2 + 0.5 * side * right), predicate="within"
+        )
         np.add.at(shore_m[row], face, length_m[point])
     wet_m, dry_m = shore_m
     if not shore_m.any():
         middle = np.array(shapely.get_coordinates(box.centroid)[0])
-        nearest = int(np.argmin(shapely.distance(shapely.linestrings(np.stack([start, end], axis=1)), box.centroid)))
+        nearest = int(
+            np.argmin(
+                shapely.distance(shapely.linestrings(np.stack([start, end], axis=1)), box.centroid)
+            )
+        )
         return box if right[nearest] @ (middle - start[nearest]) > 0 else shapely.Polygon()
     if (np.minimum(wet_m, dry_m) > MIXED * np.maximum(wet_m, dry_m)).any():
         warn(

@@ -18,7 +18,9 @@ from jaxurban.world.city import Footprints, HeightOrigin, ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds, transformer
 
 MARGIN_M = 1000.0  # more than projections tilt boxes against each other, and than most outlines and their parts reach
-REPLACED_SHARE = 0.9  # an outline covered at least so far by its parts is dropped (design, section 3)
+REPLACED_SHARE = (
+    0.9  # an outline covered at least so far by its parts is dropped (design, section 3)
+)
 BELONGING_SHARE = 0.5  # a part is an outline's own if at least so much of it lies inside
 PODIUM_M2 = 1.0  # less than this between two drawings of one wall is no podium
 DECK = "bridge"  # of the tag man_made
@@ -28,7 +30,14 @@ DECK = "bridge"  # of the tag man_made
 COLUMNS = {
     "building": ("building",),
     "part": ("building_part", "building_p"),
-    "height": ("height", "height_m", "building_height", "measuredheight", "measured_height", "measuredhe"),
+    "height": (
+        "height",
+        "height_m",
+        "building_height",
+        "measuredheight",
+        "measured_height",
+        "measuredhe",
+    ),
     "levels": ("building_levels", "building_l", "levels", "num_floors", "storeysaboveground"),
     "roof_levels": ("roof_levels", "roof_level"),
     "min_height": ("min_height", "building_min_height"),
@@ -86,7 +95,9 @@ class Near(NamedTuple):
         x_min, y_min, x_max, y_max = self.bounds_m
         wide_m = x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M
         box = box_between(wide_m, self.crs, crs)
-        return box if box is not None and box[0] < box[2] else None  # else it lies across the antimeridian
+        return (
+            box if box is not None and box[0] < box[2] else None
+        )  # else it lies across the antimeridian
 
 
 def box_between(box: Bounds, crs: str, other: str) -> Bounds | None:
@@ -108,7 +119,10 @@ def meets(boxes: np.ndarray, box: Bounds) -> np.ndarray:
 
 def extent_of(boxes: np.ndarray) -> Bounds:
     """Return the box around boxes ``[N, 4]``, NaN left out; inf and -inf without any."""
-    low, high = np.fmin.reduce(boxes[:, :2], initial=np.inf), np.fmax.reduce(boxes[:, 2:], initial=-np.inf)
+    low, high = (
+        np.fmin.reduce(boxes[:, :2], initial=np.inf),
+        np.fmax.reduce(boxes[:, 2:], initial=-np.inf),
+    )
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
@@ -128,7 +142,9 @@ def _plain(column: object) -> str:
 
 def is_of_buildings(column: object) -> bool:
     """Return whether a column or a tag says something of buildings by its name."""
-    return _plain(column) == UNDERGROUND_COLUMN or any(_plain(column) in names for names in COLUMNS.values())
+    return _plain(column) == UNDERGROUND_COLUMN or any(
+        _plain(column) in names for names in COLUMNS.values()
+    )
 
 
 def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
@@ -136,15 +152,21 @@ def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
     values, tags = {_plain(name): column for name, column in columns.items()}, {}
     for tag, names in COLUMNS.items():
         if found := [values[name] for name in names if name in values]:
-            tags[tag] = reduce(lambda first, second: np.where(is_given(first), first, second), found)
+            tags[tag] = reduce(
+                lambda first, second: np.where(is_given(first), first, second), found
+            )
     if UNDERGROUND_COLUMN in values:
-        is_below = np.array([str(value).lower() in ("true", "1") for value in values[UNDERGROUND_COLUMN]], bool)
+        is_below = np.array(
+            [str(value).lower() in ("true", "1") for value in values[UNDERGROUND_COLUMN]], bool
+        )
         others = tags.get("location", np.array(None)).astype(object)
         tags["location"] = np.where(is_below, ReadIssue.UNDERGROUND, others)
     return tags
 
 
-def to_buildings(file: settings.Buildings, outlines: Outlines, crs: str) -> tuple[Footprints, list[Bounds], ReadIssues]:
+def to_buildings(
+    file: settings.Buildings, outlines: Outlines, crs: str
+) -> tuple[Footprints, list[Bounds], ReadIssues]:
     """Return the buildings that stand, the boxes in ``crs`` that the file declares to cover, and its issues.
 
     Left out are ``building=no`` without ``building:part``, and ``location=underground`` or ``layer`` below 0. An
@@ -170,7 +192,9 @@ def to_buildings(file: settings.Buildings, outlines: Outlines, crs: str) -> tupl
     to_city = transformer(outlines.crs, crs)
     boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
     if not (boxes_m or len(index) or outlines.is_part):
-        raise InputError(f"{str(file.source)!r} holds no building: give a file with polygons of buildings")
+        raise InputError(
+            f"{str(file.source)!r} holds no building: give a file with polygons of buildings"
+        )
 
     is_part, is_deck = is_part[index], is_deck[index]
     tags = {name: column[index] for name, column in outlines.tags.items()}
@@ -224,7 +248,9 @@ def _stands_as_what(
     return is_building & ~is_below, is_part, is_deck & ~is_part
 
 
-def _project(polygons: np.ndarray, source: str, crs: str, issues: ReadIssues) -> tuple[np.ndarray, np.ndarray]:
+def _project(
+    polygons: np.ndarray, source: str, crs: str, issues: ReadIssues
+) -> tuple[np.ndarray, np.ndarray]:
     """Return valid polygons in ``crs``, repaired where need be, and which of them could be made."""
     to_city = transformer(source, crs).transform
     if shapely.has_z(polygons).any():
@@ -245,7 +271,9 @@ def _project(polygons: np.ndarray, source: str, crs: str, issues: ReadIssues) ->
 
 def polygonal(geometry: shapely.Geometry) -> shapely.Geometry:
     """Return the polygons of a geometry or collection, as one Polygon or MultiPolygon; empty if it has none."""
-    parts = shapely.get_parts(shapely.get_parts(geometry))  # twice: a collection may hold MultiPolygons
+    parts = shapely.get_parts(
+        shapely.get_parts(geometry)
+    )  # twice: a collection may hold MultiPolygons
     return shapely.union_all(parts[shapely.get_dimensions(parts) == 2])
 
 
@@ -254,7 +282,9 @@ def _own_parts(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return every pair of an outline and a part of its own: both indices, and the area that they share as polygons."""
     outlines, parts = np.flatnonzero(is_outline), np.flatnonzero(is_part)
-    near_outline, near_part = shapely.STRtree(polygons[parts]).query(polygons[outlines], predicate="intersects")
+    near_outline, near_part = shapely.STRtree(polygons[parts]).query(
+        polygons[outlines], predicate="intersects"
+    )
     outline, part = outlines[near_outline], parts[near_part]
     shared = shapely.intersection(polygons[outline], polygons[part])
     is_own = shapely.area(shared) >= BELONGING_SHARE * shapely.area(polygons[part])
@@ -279,17 +309,26 @@ def _podiums(
 
     A podium lies under an outline's own hanging parts where none of its parts stands, up to their lowest floor.
     """
-    polygons, height_m, origin = buildings.polygons.copy(), buildings.height_m.copy(), buildings.origin.copy()
+    polygons, height_m, origin = (
+        buildings.polygons.copy(),
+        buildings.height_m.copy(),
+        buildings.origin.copy(),
+    )
     is_podium, hangs = np.zeros(len(polygons), bool), buildings.min_height_m > 0
     for owner in np.unique(outline[is_replaced[outline] & hangs[part]]):
         own = part[outline == owner]
         over, standing = own[hangs[own]], shapely.union_all(polygons[own[~hangs[own]]])
-        bare = shapely.difference(shapely.intersection(polygons[over], buildings.polygons[owner]), standing)
+        bare = shapely.difference(
+            shapely.intersection(polygons[over], buildings.polygons[owner]), standing
+        )
         over, bare = over[shapely.area(bare) > PODIUM_M2], bare[shapely.area(bare) > PODIUM_M2]
         lowest = over[np.argmin(buildings.min_height_m[over])] if len(over) else owner
         if buildings.min_height_m[lowest] > buildings.min_height_m[owner]:
             polygons[owner], is_podium[owner] = polygonal(shapely.union_all(bare)), True
-            height_m[owner], origin[owner] = buildings.min_height_m[lowest], buildings.origin[lowest]
+            height_m[owner], origin[owner] = (
+                buildings.min_height_m[lowest],
+                buildings.origin[lowest],
+            )
     return replace(buildings, polygons=polygons, height_m=height_m, origin=origin), is_podium
 
 
@@ -300,7 +339,9 @@ def _with_outline_heights(
     height_m, origin = buildings.height_m.copy(), buildings.origin.copy()
     is_default = origin == HeightOrigin.DEFAULT
     # A part that hangs above its outline's roof is not as high as it but higher.
-    takes = is_default[part] & ~is_default[outline] & (height_m[outline] > buildings.min_height_m[part])
+    takes = (
+        is_default[part] & ~is_default[outline] & (height_m[outline] > buildings.min_height_m[part])
+    )
     lowest_first = np.flatnonzero(takes)[np.argsort(height_m[outline[takes]], kind="stable")]
     outline, part = outline[lowest_first], part[lowest_first]
     height_m[part], origin[part] = buildings.height_m[outline], buildings.origin[outline]
@@ -314,4 +355,8 @@ def _above_underside(buildings: Footprints, issues: ReadIssues) -> Footprints:
     is_wrong, is_estimate = min_height_m >= height_m, buildings.origin != HeightOrigin.HEIGHT
     issues[ReadIssue.MIN_HEIGHTS_ABOVE_ROOF] = int(np.sum(is_wrong & ~is_estimate))
     raised_m = np.where(is_wrong & is_estimate, height_m + min_height_m, height_m)
-    return replace(buildings, height_m=raised_m, min_height_m=np.where(is_wrong & ~is_estimate, 0.0, min_height_m))
+    return replace(
+        buildings,
+        height_m=raised_m,
+        min_height_m=np.where(is_wrong & ~is_estimate, 0.0, min_height_m),
+    )

@@ -29,22 +29,32 @@ DRIVERS = {
 }
 RASTER_SUFFIXES = tuple(DRIVERS)
 TIFF_MARKS = b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"  # first bytes
-OFFLINE = {"CPL_VSIL_CURL_ALLOWED_FILENAME": "none"}  # GDAL asks servers for no other file, where rasters are read
+OFFLINE = {
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "none"
+}  # GDAL asks servers for no other file, where rasters are read
 OWN_VALUES, HEIGHTS = "in a unit of your own", "heights in metres"
-TERRAIN_RANGE_M = (-500.0, 9000.0)  # the shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m
-_MARGIN_PIXELS = 2  # bilinear sampling reaches half a pixel beyond the bounds, a curved border a little more
+TERRAIN_RANGE_M = (
+    -500.0,
+    9000.0,
+)  # the shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m
+_MARGIN_PIXELS = (
+    2  # bilinear sampling reaches half a pixel beyond the bounds, a curved border a little more
+)
 MOST_PIXEL = 1e16  # area of a pixel, in its CRS's units: of a millionth of a metre to the Earth's
 
 # What a file may call its vertical unit (lower case), in metres.
 _METRES = dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0)
 _FEET = dict.fromkeys(("ft", "foot", "feet", "international foot", "international feet"), 0.3048)
 _SURVEY_FEET = dict.fromkeys(
-    ("us-ft", "ftus", "us survey foot", "us survey feet", "foot_us", "us foot", "survey foot"), 1200 / 3937
+    ("us-ft", "ftus", "us survey foot", "us survey feet", "foot_us", "us foot", "survey foot"),
+    1200 / 3937,
 )
 UNITS_M = {**_METRES, **_FEET, **_SURVEY_FEET}
 
 # Surface models.
-GROUND_M = 2.0  # nothing this low above the terrain is a building: noise of two models, cars, hedges
+GROUND_M = (
+    2.0  # nothing this low above the terrain is a building: noise of two models, cars, hedges
+)
 BLOCK_M = 100.0  # wider than most halls: a street, a yard or a clearing lies in almost every block of a city
 SAMPLES_A_SIDE = 20  # of a block
 LOW_SHARE = 0.05  # of a block's samples lie below its low level: pits, noise and holes
@@ -76,7 +86,12 @@ def read_raster(path: str | Path, crs: str, bounds_m: Bounds | None = None) -> R
 
 
 def read_bands(
-    path: str | Path, crs: str, bounds_m: Bounds | None = None, *, holds: str = OWN_VALUES, dtype: type = np.float32
+    path: str | Path,
+    crs: str,
+    bounds_m: Bounds | None = None,
+    *,
+    holds: str = OWN_VALUES,
+    dtype: type = np.float32,
 ) -> list[Raster]:
     """Return every band of a raster of values in a unit of their own, NaN where it has none; arguments as above.
 
@@ -98,7 +113,9 @@ def read_bands(
         window = raster_window(name, source, crs, bounds_m)
         stored, is_empty = source.read(window=window), source.read_masks(window=window) == 0
         kind = np.result_type(stored, 0.0) if are_heights else np.float64
-        scale, offset = (np.array(values, kind)[:, None, None] for values in (source.scales, source.offsets))
+        scale, offset = (
+            np.array(values, kind)[:, None, None] for values in (source.scales, source.offsets)
+        )
         values = (stored * scale + offset) * unit_m
         transform, raster_crs = tuple(source.transform)[:6], _horizontal_crs(source)
     is_bad = ~np.isfinite(values) & ~is_empty
@@ -108,7 +125,10 @@ def read_bands(
             "declare NaN with `gdal_edit.py -a_nodata nan`"
         )
     values = np.where(is_empty | is_bad, np.nan, values).astype(dtype)
-    return [Raster(band, transform, raster_crs, int(window.row_off), int(window.col_off)) for band in values]
+    return [
+        Raster(band, transform, raster_crs, int(window.row_off), int(window.col_off))
+        for band in values
+    ]
 
 
 def check_range(name: str, values: np.ndarray, range_m: tuple[float, float]) -> None:
@@ -132,7 +152,10 @@ def raster_extent_m(path: str | Path, crs: str) -> Bounds:
 
 def _extent_of(source: rasterio.DatasetReader, crs: str) -> Bounds:
     """Return the box in a CRS around an open raster."""
-    col, row = np.array([0, source.width, 0, source.width]), np.array([0, 0, source.height, source.height])
+    col, row = (
+        np.array([0, source.width, 0, source.width]),
+        np.array([0, 0, source.height, source.height]),
+    )
     x, y = transformed(source.transform, col, row)
     box = x.min(), y.min(), x.max(), y.max()
     x_min, y_min, x_max, y_max = transformer(_horizontal_crs(source), crs).transform_bounds(*box)
@@ -148,23 +171,35 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
       holds: what its values are; several bands are for values of one's own only.
     """
     name = repr(str(path))
-    with readable(path, "a raster", "give a file that GDAL opens", RasterioError), warnings.catch_warnings():
+    with (
+        readable(path, "a raster", "give a file that GDAL opens", RasterioError),
+        warnings.catch_warnings(),
+    ):
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # said better below
         suffix = Path(path).suffix.lower()
         if suffix not in DRIVERS:
-            raise ValueError(f"of rasters {', '.join(DRIVERS)} are read: convert it with `gdal_translate`")
+            raise ValueError(
+                f"of rasters {', '.join(DRIVERS)} are read: convert it with `gdal_translate`"
+            )
         _check_mask(Path(path))
         with rasterio.Env(**OFFLINE), rasterio.open(path, driver=DRIVERS[suffix]) as source:
             if source.count != 1 and holds != OWN_VALUES:
-                raise InputError(f"{name} has {source.count} bands: give a raster with one band, {holds}")
+                raise InputError(
+                    f"{name} has {source.count} bands: give a raster with one band, {holds}"
+                )
             if np.dtype(source.dtypes[0]).kind not in "iuf":
-                raise InputError(f"{name} holds {source.dtypes[0]} values: give real numbers, {holds}")
+                raise InputError(
+                    f"{name} holds {source.dtypes[0]} values: give real numbers, {holds}"
+                )
             if source.crs is None or source.transform == Affine.identity():
                 raise InputError(
                     f"{name} has no CRS or no position: set them with `gdal_edit.py -a_srs EPSG:... -a_ullr ...`"
                 )
             pixel_area = source.transform.determinant
-            if not (np.isfinite(source.transform).all() and MOST_PIXEL > abs(pixel_area) > 1 / MOST_PIXEL):
+            if not (
+                np.isfinite(source.transform).all()
+                and MOST_PIXEL > abs(pixel_area) > 1 / MOST_PIXEL
+            ):
                 raise InputError(
                     f"{name} has pixels without area, or beyond all measure, by its geotransform "
                     f"{source.transform[:6]}: set its position with `gdal_edit.py -a_ullr ...`"
@@ -175,7 +210,10 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
 
 def _check_mask(path: Path) -> None:
     """Raise InputError unless the mask beside a raster, if there is one, is a TIFF: others may name any file."""
-    names = [f"{path.name}.msk", f"{path.name}.MSK"]  # that GDAL tries in a folder that it cannot list
+    names = [
+        f"{path.name}.msk",
+        f"{path.name}.MSK",
+    ]  # that GDAL tries in a folder that it cannot list
     with suppress(PermissionError):
         names = [name for name in os.listdir(path.parent) if name.lower() == names[0].lower()]
     for mask in filter(os.path.lexists, (path.with_name(name) for name in names)):
@@ -217,11 +255,15 @@ def _unit_m(name: str, source: rasterio.DatasetReader) -> float:
     return units_m[0] if units_m else 1.0
 
 
-def raster_window(name: str, source: rasterio.DatasetReader, crs: str, bounds_m: Bounds | None) -> Window:
+def raster_window(
+    name: str, source: rasterio.DatasetReader, crs: str, bounds_m: Bounds | None
+) -> Window:
     """Return the window of pixels that covers ``bounds_m``, cut to the raster."""
     if bounds_m is None:
         return Window(0, 0, source.width, source.height)
-    x_m, y_m = (np.linspace(low, high, 22) for low, high in zip(bounds_m[:2], bounds_m[2:], strict=True))
+    x_m, y_m = (
+        np.linspace(low, high, 22) for low, high in zip(bounds_m[:2], bounds_m[2:], strict=True)
+    )
     border_x_m, border_y_m = (v.ravel() for v in np.meshgrid(x_m, y_m))
     x, y = transformer(crs, _horizontal_crs(source)).transform(border_x_m, border_y_m)
     col, row = transformed(~source.transform, x, y)
@@ -231,13 +273,17 @@ def raster_window(name: str, source: rasterio.DatasetReader, crs: str, bounds_m:
         end_row = min(source.height, math.ceil(row.max()) + _MARGIN_PIXELS)
         if first_col < end_col and first_row < end_row:
             return Window(first_col, first_row, end_col - first_col, end_row - first_row)
-    where = where_it_lies(_extent_of(source, WGS84), transformer(crs, WGS84).transform_bounds(*bounds_m))
+    where = where_it_lies(
+        _extent_of(source, WGS84), transformer(crs, WGS84).transform_bounds(*bounds_m)
+    )
     raise InputError(
         f"{name} does not reach the region: {where}; give a raster that covers it, or change [region] bounds"
     )
 
 
-def heights_of_surface(name: str, surface: Raster, terrain: Raster | None, crs: str) -> tuple[Raster, ReadIssues]:
+def heights_of_surface(
+    name: str, surface: Raster, terrain: Raster | None, crs: str
+) -> tuple[Raster, ReadIssues]:
     """Return the heights of a surface model above the terrain, and how many cells were taken for ground, by issue.
 
     What stands less than `GROUND_M` above the terrain, or below it, is ground.
@@ -311,8 +357,12 @@ def low_levels(raster: Raster, crs: str) -> np.ndarray:
     row, col = num_rows / 2 + np.array([0, 1, 0]), num_cols / 2 + np.array([0, 0, 1])
     x_m, y_m = pixel_xy(raster, row, col, crs)
     down_m, right_m = np.hypot(x_m[1:] - x_m[0], y_m[1:] - y_m[0])
-    height, width = (max(1, round(BLOCK_M / pixel_m)) for pixel_m in (down_m, right_m))  # of a block
-    padded = np.pad(raster.values, ((0, -num_rows % height), (0, -num_cols % width)), constant_values=np.nan)
+    height, width = (
+        max(1, round(BLOCK_M / pixel_m)) for pixel_m in (down_m, right_m)
+    )  # of a block
+    padded = np.pad(
+        raster.values, ((0, -num_rows % height), (0, -num_cols % width)), constant_values=np.nan
+    )
     blocks = padded.reshape(len(padded) // height, height, -1, width).swapaxes(1, 2)
     samples = blocks[..., :: -(-height // SAMPLES_A_SIDE), :: -(-width // SAMPLES_A_SIDE)]
     values = np.sort(samples.reshape(samples.shape[0] * samples.shape[1], -1), axis=1)  # NaN last

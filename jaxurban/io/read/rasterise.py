@@ -21,7 +21,9 @@ from jaxurban.world.surface import NO_BUILDING, PER_CELL, Slabs, Surface
 
 NO_BLOCK = -1
 PEOPLE_SAMPLES = 4  # a side of a cell
-UNKNOWN_GROUND_M = -500.0  # below all real ground: what stands where the terrain is unknown shadows nothing
+UNKNOWN_GROUND_M = (
+    -500.0
+)  # below all real ground: what stands where the terrain is unknown shadows nothing
 Bands = tuple[Raster | np.ndarray, ...]
 Margins = tuple[float, float, float, float]  # west, south, east, north, metres
 
@@ -48,7 +50,12 @@ def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -
       toward_m: west, south, east, north margins toward the satellites, as far as the data reach.
     """
     x_min, y_min, x_max, y_max = city.known_extent_m
-    reach_m = (region.x_min_m - x_min, region.y_min_m - y_min, x_max - region.x_max_m, y_max - region.y_max_m)
+    reach_m = (
+        region.x_min_m - x_min,
+        region.y_min_m - y_min,
+        x_max - region.x_max_m,
+        y_max - region.y_max_m,
+    )
     cells = (
         math.ceil(max(always_m, min(toward, reach)) / region.resolution_m)
         for toward, reach in zip(toward_m, reach_m, strict=True)
@@ -56,7 +63,9 @@ def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -
     return region.padded(*cells)
 
 
-def rasterise(city: City, grid: Grid, all_touched: bool = False, tells_guessed: bool = False) -> Surface:
+def rasterise(
+    city: City, grid: Grid, all_touched: bool = False, tells_guessed: bool = False
+) -> Surface:
     """Return roofs, terrain and where they are known, in host memory. Every cell depends on its own place alone.
 
     A cell whose centre lies on the south or the east side of an outline is under its roof, one on the north or the west
@@ -88,9 +97,16 @@ def rasterise(city: City, grid: Grid, all_touched: bool = False, tells_guessed: 
     if city.buildings is not None and city.hanging == SLABS:
         standing = city.buildings.take(city.buildings.min_height_m == 0)
         boxes_m = standing.boxes_m
-        roof_m = burn(standing.polygons, standing.height_m, grid, 0.0, "float32", boxes_m=boxes_m)[all_touched]
+        roof_m = burn(standing.polygons, standing.height_m, grid, 0.0, "float32", boxes_m=boxes_m)[
+            all_touched
+        ]
         slabs = burn_hanging(city.buildings, grid, roof_m, terrain_m, all_touched)
-    arrays: dict[str, Any] = {"roof_m": roof_m, "terrain_m": terrain_m, "has_data": has_data, "block": None}
+    arrays: dict[str, Any] = {
+        "roof_m": roof_m,
+        "terrain_m": terrain_m,
+        "has_data": has_data,
+        "block": None,
+    }
     arrays |= {"roof_touched_m": touched_m, "roof_guessed": guessed}
     return Surface(**arrays, grid=grid, region=grid, slabs=slabs)
 
@@ -103,7 +119,9 @@ def _burn_roofs(
     if not tells_guessed:
         return *burn(polygons, height_m, grid, 0.0, "float32", boxes_m=buildings.boxes_m), None
     by_height, centre, touched = _burn_ranks(buildings, grid)
-    roofs_m = np.append(height_m[by_height], 0.0).astype(np.float32)  # without a building the rank is -1
+    roofs_m = np.append(height_m[by_height], 0.0).astype(
+        np.float32
+    )  # without a building the rank is -1
     is_guessed = np.append(buildings.is_guessed[by_height], False)
     return roofs_m[centre], roofs_m[touched], is_guessed[touched] | is_guessed[centre]
 
@@ -116,7 +134,9 @@ def _burn_ranks(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarr
     by_height = np.argsort(buildings.height_m, kind="stable")
     rank = np.empty_like(by_height)
     rank[by_height] = np.arange(len(rank))
-    return by_height, *burn(buildings.polygons, rank, grid, NO_BUILDING, "int32", boxes_m=buildings.boxes_m)
+    return by_height, *burn(
+        buildings.polygons, rank, grid, NO_BUILDING, "int32", boxes_m=buildings.boxes_m
+    )
 
 
 def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndarray:
@@ -128,7 +148,9 @@ def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndar
       InputError: a city without outlines, whose roofs are a raster.
     """
     if city.buildings is None:
-        raise InputError("this city's roofs are a height raster: gradients by building need outlines as its source")
+        raise InputError(
+            "this city's roofs are a height raster: gradients by building need outlines as its source"
+        )
     by_height, centre, touched = _burn_ranks(city.buildings, grid)
     return np.append(by_height, NO_BUILDING).astype(np.int32)[touched if all_touched else centre]
 
@@ -144,8 +166,14 @@ def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:
     numbers = np.arange(len(blocks))
     n = 1 if blocks.day_count is None else PEOPLE_SAMPLES
     fine = grid.refined(n)
-    index = burn(blocks.polygons, numbers, fine, NO_BLOCK, "int32", boxes_m=blocks.boxes_m, has_touched=False)[0]
-    return index if n == 1 else index.reshape(grid.num_rows, n, -1, n).swapaxes(1, 2).reshape(*grid.shape, n * n)
+    index = burn(
+        blocks.polygons, numbers, fine, NO_BLOCK, "int32", boxes_m=blocks.boxes_m, has_touched=False
+    )[0]
+    return (
+        index
+        if n == 1
+        else index.reshape(grid.num_rows, n, -1, n).swapaxes(1, 2).reshape(*grid.shape, n * n)
+    )
 
 
 def check_has_data(has_data: Iterable[Any], city: City) -> None:
@@ -210,7 +238,9 @@ def burn(
     Returns:
       Two ``[Y, X]`` arrays of ``dtype``, row 0 in the south.
     """
-    centre, touched = (np.full(shape, fill, dtype) for shape in (grid.shape, grid.shape if has_touched else (0, 0)))
+    centre, touched = (
+        np.full(shape, fill, dtype) for shape in (grid.shape, grid.shape if has_touched else (0, 0))
+    )
     boxes = shapely.bounds(polygons) if boxes_m is None else boxes_m.T
     near = np.flatnonzero(meets(boxes, grid.bounds_m))
     if not near.size:
@@ -222,7 +252,9 @@ def burn(
     parts, owner = shapely.get_parts(polygons[others], return_index=True)
     rings, outline = shapely.get_rings(parts, return_index=True)
     both = polygons[single], rings
-    num_rings = np.append(np.ones(len(single), np.int64), np.bincount(outline, minlength=len(parts)))
+    num_rings = np.append(
+        np.ones(len(single), np.int64), np.bincount(outline, minlength=len(parts))
+    )
     burn_outlines(
         np.concatenate([shapely.get_coordinates(shapes) for shapes in both]) / grid.resolution_m,
         _starts(np.concatenate([shapely.get_num_coordinates(shapes) for shapes in both])),
@@ -242,7 +274,11 @@ def _starts(counts: np.ndarray) -> np.ndarray:
 
 
 def burn_hanging(
-    buildings: Footprints, grid: Grid, roof_m: np.ndarray, terrain_m: np.ndarray | None, all_touched: bool
+    buildings: Footprints,
+    grid: Grid,
+    roof_m: np.ndarray,
+    terrain_m: np.ndarray | None,
+    all_touched: bool,
 ) -> Slabs:
     """Return what hangs freely over the cells of a grid; what rests on a roof raises it.
 
@@ -261,7 +297,9 @@ def burn_hanging(
     places, heights = [np.empty((2, 0), np.int64)], [np.empty((2, 0), np.float32)]
     for i in np.flatnonzero(is_near & (buildings.min_height_m > 0)):
         window = _window(finer, buildings.boxes_m[:, i])
-        covered = burn(buildings.polygons[i : i + 1], np.ones(1), window, 0.0, "float32")[all_touched]
+        covered = burn(buildings.polygons[i : i + 1], np.ones(1), window, 0.0, "float32")[
+            all_touched
+        ]
         at = np.stack(np.nonzero(covered))
         places.append(at + np.array([[window.first_row], [window.first_col]]))
         of_one = np.array([[buildings.min_height_m[i]], [buildings.height_m[i]]], np.float32)
@@ -283,11 +321,16 @@ def _window(grid: Grid, box_m: np.ndarray) -> Grid:
     first_col = max(math.floor(west) - 1, grid.first_col)
     end_row = min(math.ceil(north) + 1, grid.first_row + grid.num_rows)
     end_col = min(math.ceil(east) + 1, grid.first_col + grid.num_cols)
-    return Grid(grid.crs, grid.resolution_m, first_row, first_col, end_row - first_row, end_col - first_col)
+    return Grid(
+        grid.crs, grid.resolution_m, first_row, first_col, end_row - first_row, end_col - first_col
+    )
 
 
 def bands_of(
-    layers: Mapping[str, Layer], region: Grid, altitudes_m: Sequence[float], folder: Path | None = None
+    layers: Mapping[str, Layer],
+    region: Grid,
+    altitudes_m: Sequence[float],
+    folder: Path | None = None,
 ) -> dict[str, Bands]:
     """Return the bands of every layer that is a raster or an array, by name: one, or one for each flight altitude.
 
@@ -308,7 +351,9 @@ def bands_of(
     }
 
 
-def _bands(name: str, layer: Layer, region: Grid, altitudes_m: Sequence[float], folder: Path) -> Bands:
+def _bands(
+    name: str, layer: Layer, region: Grid, altitudes_m: Sequence[float], folder: Path
+) -> Bands:
     num = 1 if layer.altitudes_m is None else len(layer.altitudes_m)
     bands: Sequence[Raster | np.ndarray]
     if isinstance(layer.source, str):
@@ -358,8 +403,13 @@ def layer_values(bands: Bands, part: Grid, region: Grid, altitude: int | None = 
     if isinstance(band, Raster):
         return resample_raster(band, part, "bilinear")
     row, col = part.first_row - region.first_row, part.first_col - region.first_col
-    south, west = max(-row, 0), max(-col, 0)  # rows and columns of the part before the region begins
-    inside = band[max(row, 0) : max(row + part.num_rows, 0), max(col, 0) : max(col + part.num_cols, 0)]
+    south, west = (
+        max(-row, 0),
+        max(-col, 0),
+    )  # rows and columns of the part before the region begins
+    inside = band[
+        max(row, 0) : max(row + part.num_rows, 0), max(col, 0) : max(col + part.num_cols, 0)
+    ]
     values = np.full(part.shape, np.nan, np.float32)
     values[south : south + inside.shape[0], west : west + inside.shape[1]] = inside
     return values

@@ -15,8 +15,16 @@ from jaxurban.samples.catalogue import located
 
 UTC, LON, LAT = "utc", "lon_deg", "lat_deg"
 OTHER_NAMES = {"lon": LON, "lat": LAT}
-WITNESSES = TRACKED, ERROR = "num_tracked", "error_2d_m"  # what a log may hold of how well the receiver did
-OF_SATELLITES = SATELLITE, CN0, AZIMUTH, ELEVATION = "satellite", "cn0_dbhz", "azimuth_deg", "elevation_deg"
+WITNESSES = TRACKED, ERROR = (
+    "num_tracked",
+    "error_2d_m",
+)  # what a log may hold of how well the receiver did
+OF_SATELLITES = SATELLITE, CN0, AZIMUTH, ELEVATION = (
+    "satellite",
+    "cn0_dbhz",
+    "azimuth_deg",
+    "elevation_deg",
+)
 EPOCH = "epoch"
 MOST_NAMED = 12  # columns, in an error
 MOST_ROWS = 5_000_000  # of satellites: three hours at 10 Hz with 45 of them; a study needs some 500 bytes for each
@@ -44,7 +52,9 @@ OTHER_UNITS = (
     ({ELEVATION: math.pi / 2}, "radians", "degrees"),
     ({CN0: 9.0}, "the digits 1 to 9 of a signal's strength, or ratios", "dBHz"),
 )
-RINEX_NAME = re.compile(r"[GRECJIS]\d\d")  # RINEX 3.05, section 3.5: a constellation's letter and a number
+RINEX_NAME = re.compile(
+    r"[GRECJIS]\d\d"
+)  # RINEX 3.05, section 3.5: a constellation's letter and a number
 # The zone of a time, behind its minutes or seconds; pandas reads all but the names.
 ZONE = re.compile(r"(?:Z|UTC|GMT|:\d\d(?:\.\d+)?\s*[+-]\d\d(?::?\d\d)?)$", re.IGNORECASE)
 LIKE_THIS = "2018-12-19T06:07:37Z"
@@ -100,7 +110,9 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
     """
     if isinstance(source, pd.DataFrame):
         return log_of(source, "the table")
-    return log_of(read_table(located(source), "receiver log", categories=(UTC, SATELLITE)), str(source))
+    return log_of(
+        read_table(located(source), "receiver log", categories=(UTC, SATELLITE)), str(source)
+    )
 
 
 def log_of(table: pd.DataFrame, name: str) -> ReceiverLog:
@@ -112,10 +124,14 @@ def log_of(table: pd.DataFrame, name: str) -> ReceiverLog:
     known = [column for column in columns if column in table]
     if known[:3] != [UTC, LON, LAT] or len(known) == 3 or table.empty:
         names = ", ".join(map(str, table.columns[:MOST_NAMED]))
-        raise InputError(f"{what} has {len(table)} rows of the columns {names}: {REMEDY}, separated by commas")
+        raise InputError(
+            f"{what} has {len(table)} rows of the columns {names}: {REMEDY}, separated by commas"
+        )
     if has_satellites and len(table) > MOST_ROWS:
         thin = "thin it to fewer epochs, such as one a second, or cut it into parts"
-        raise InputError(f"{what} has {len(table):,} rows, more than the {MOST_ROWS:,} that are read: {thin}")
+        raise InputError(
+            f"{what} has {len(table):,} rows, more than the {MOST_ROWS:,} that are read: {thin}"
+        )
     table = checked(table, known, what)
     if has_satellites:
         return ReceiverLog(name, *_by_satellite(table, what))
@@ -146,16 +162,30 @@ def checked(table: pd.DataFrame, columns: Sequence[str], what: str) -> pd.DataFr
 def _by_satellite(table: pd.DataFrame, what: str) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the epochs and the satellites of a table with a row a satellite."""
     if (AZIMUTH in table) != (ELEVATION in table):
-        raise InputError(f"{what} has one of the columns {AZIMUTH} and {ELEVATION}: give both, or none")
+        raise InputError(
+            f"{what} has one of the columns {AZIMUTH} and {ELEVATION}: give both, or none"
+        )
     number, _ = pd.factorize(table[UTC], sort=True)
     table = table.assign(
         **{EPOCH: pd.Series(number, table.index, dtype=np.int32)},
         **{SATELLITE: _by_text(table[SATELLITE], _satellites, what)},
-        **{column: table[column].astype(np.float32) for column in OF_SATELLITES[1:] if column in table},
+        **{
+            column: table[column].astype(np.float32)
+            for column in OF_SATELLITES[1:]
+            if column in table
+        },
     )
     table = table.sort_values([EPOCH, SATELLITE], ignore_index=True)
-    _check_once(table, [EPOCH, SATELLITE], what, "rows", "row an epoch and satellite, such as that of L1, E1 or B1")
-    epochs = table.drop(columns=[EPOCH, *OF_SATELLITES], errors="ignore").drop_duplicates(ignore_index=True)
+    _check_once(
+        table,
+        [EPOCH, SATELLITE],
+        what,
+        "rows",
+        "row an epoch and satellite, such as that of L1, E1 or B1",
+    )
+    epochs = table.drop(columns=[EPOCH, *OF_SATELLITES], errors="ignore").drop_duplicates(
+        ignore_index=True
+    )
     _check_once(epochs, [UTC], what, "places", "place an epoch")
     satellites = table[[EPOCH, *(column for column in OF_SATELLITES if column in table)]]
     return epochs, satellites
@@ -175,15 +205,25 @@ def _check_units(table: pd.DataFrame, what: str) -> None:
     for bounds, unit, needed in OTHER_UNITS:
         columns = [column for column in bounds if column in table]
         largest = {column: float(table[column].abs().max()) for column in columns}
-        if columns and all(0 < largest[column] <= bounds[column] for column in columns):  # all 0 is 0 in any unit
-            most = " and ".join(f"{column} of at most {value:.4g}" for column, value in largest.items())
-            raise InputError(f"{what} has {most} in all rows, as if they were {unit}: give {needed}")
+        if columns and all(
+            0 < largest[column] <= bounds[column] for column in columns
+        ):  # all 0 is 0 in any unit
+            most = " and ".join(
+                f"{column} of at most {value:.4g}" for column, value in largest.items()
+            )
+            raise InputError(
+                f"{what} has {most} in all rows, as if they were {unit}: give {needed}"
+            )
 
 
-def _by_text(column: pd.Series, read: Callable[[pd.Series, str], pd.Series], what: str) -> pd.Series:
+def _by_text(
+    column: pd.Series, read: Callable[[pd.Series, str], pd.Series], what: str
+) -> pd.Series:
     """Return what a column's values are read as, each value once: a log repeats a time for every satellite."""
     is_compact = isinstance(column.dtype, pd.DatetimeTZDtype | pd.CategoricalDtype)
-    numbers, values = pd.factorize(column if is_compact else column.astype(str), use_na_sentinel=False)
+    numbers, values = pd.factorize(
+        column if is_compact else column.astype(str), use_na_sentinel=False
+    )
     return read(pd.Series(values), what).take(numbers).set_axis(column.index)
 
 
@@ -210,7 +250,9 @@ def _times(column: pd.Series, what: str) -> pd.Series:
         times = pd.to_datetime(iso, utc=True, format="ISO8601", errors="coerce")
     if (is_wrong := times.isna()).any():
         why = "which is none or without a zone and may be a local one"
-        raise InputError(f"{what} has {str(texts[is_wrong].iloc[0])!r} as a time, {why}: {TIME_REMEDY}")
+        raise InputError(
+            f"{what} has {str(texts[is_wrong].iloc[0])!r} as a time, {why}: {TIME_REMEDY}"
+        )
     return times
 
 
@@ -221,8 +263,12 @@ def _numbers(column: pd.Series, what: str) -> pd.Series:
     may_lack = column.name in WITNESSES and bool(column.notna().any())
     is_wrong = ~(np.isfinite(values) & values.between(low, high) | (column.isna() & may_lack))
     if (is_wrong | pd.api.types.is_bool_dtype(column)).any():
-        wrong = column[is_wrong | pd.api.types.is_bool_dtype(column)].tolist()  # a list's numbers are Python's
-        belongs = f"where a number from {low:g} to {high:g} belongs{HINTS.get(str(column.name), '')}"
+        wrong = column[
+            is_wrong | pd.api.types.is_bool_dtype(column)
+        ].tolist()  # a list's numbers are Python's
+        belongs = (
+            f"where a number from {low:g} to {high:g} belongs{HINTS.get(str(column.name), '')}"
+        )
         rule = f"{belongs}: mend them, or remove the rows or the column"
         raise InputError(f"{what} has {wrong[0]!r} in {column.name} of {len(wrong)} row(s), {rule}")
     return values

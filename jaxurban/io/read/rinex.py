@@ -48,13 +48,17 @@ WGS84_3D, WGS84_ECEF = "EPSG:4979", "EPSG:4978"
 J2000, GPS_START = (pd.Timestamp(day, tz="UTC") for day in ("2000-01-01T12:00", "1980-01-06"))
 WEEK_S = 604_800.0
 L1_HZ = 1_575_420_000.0  # of a Doppler shift that is not used
-BANDS = {"C": ("S2", "S1")}  # of L1, E1, B1 in the codes of C/N0 (RINEX 3.05, tables 4 to 10): "S1" but for BeiDou
+BANDS = {
+    "C": ("S2", "S1")
+}  # of L1, E1, B1 in the codes of C/N0 (RINEX 3.05, tables 4 to 10): "S1" but for BeiDou
 EVENTS = 2  # flags of epochs from here on are of no observation
 AGAIN = "convert or download it again"
 FIRST_LINE = r"\s*[34]\.\d+\s+{}"  # version and type
 
 
-def read_rinex(observations: str | Path, navigation: str | Path, reference: str | Path | pd.DataFrame) -> ReceiverLog:
+def read_rinex(
+    observations: str | Path, navigation: str | Path, reference: str | Path | pd.DataFrame
+) -> ReceiverLog:
     """Return the log of a receiver from its RINEX 3 files, at the places of a better reference.
 
     A row is an epoch that the reference and the observations have (within `MATCH_S`) and a satellite whose broadcast
@@ -81,20 +85,31 @@ def read_rinex(observations: str | Path, navigation: str | Path, reference: str 
     known_s = messages.seconds_of(track[UTC])
     away_s, nearest = KDTree(observed_s[:, None]).query(known_s[:, None])
     pairs = pd.DataFrame({"observation": nearest, "away_s": away_s})
-    pairs = pairs[pairs.away_s <= MATCH_S].sort_values("away_s").drop_duplicates("observation").sort_index()
+    pairs = (
+        pairs[pairs.away_s <= MATCH_S]
+        .sort_values("away_s")
+        .drop_duplicates("observation")
+        .sort_index()
+    )
     if pairs.empty:
         late_s = known_s.min() - observed_s.min()
         raise InputError(
             f"the reference track and the observations {str(observations)!r} have no epoch in common, within "
             f"{MATCH_S:g} s: the track begins {late_s:+.3f} s after them, and that of the same drive is needed"
         )
-    track = track.iloc[pairs.index].reset_index(drop=True).assign(observation=pairs.observation.to_numpy())
+    track = (
+        track.iloc[pairs.index]
+        .reset_index(drop=True)
+        .assign(observation=pairs.observation.to_numpy())
+    )
     angles = messages.angles(track)
     is_heard = angles[SATELLITE].str[0].isin(heard)
     rows = angles[is_heard & (angles[ELEVATION] >= LOWEST_DEG)].join(track, on=EPOCH)
     rows = rows.merge(strengths, "left", ["observation", SATELLITE]).fillna({CN0: 0.0})
     left_out = messages.left_out(set(angles[SATELLITE]), set(strengths[SATELLITE]))
-    left_out |= dict.fromkeys(angles[SATELLITE][~is_heard], "no C/N0 of L1, E1 or B1 in the observations")
+    left_out |= dict.fromkeys(
+        angles[SATELLITE][~is_heard], "no C/N0 of L1, E1 or B1 in the observations"
+    )
     return replace(log_of(rows, str(observations)), left_out=dict(sorted(left_out.items())))
 
 
@@ -114,7 +129,11 @@ def read_track(reference: str | Path | pd.DataFrame, leap_s: float) -> pd.DataFr
     """
     is_table = isinstance(reference, pd.DataFrame)
     what = "the reference track" if is_table else f"the reference track {str(reference)!r}"
-    table = reference if isinstance(reference, pd.DataFrame) else read_table(located(reference), "reference track")
+    table = (
+        reference
+        if isinstance(reference, pd.DataFrame)
+        else read_table(located(reference), "reference track")
+    )
     names = [re.sub(r"\W+", "_", str(name).lower()).strip("_") for name in table.columns]
     table = renamed(table.set_axis(names, axis="columns"), OTHER_NAMES)
     times = [UTC] if UTC in table else [WEEK, TOW]
@@ -126,7 +145,9 @@ def read_track(reference: str | Path | pd.DataFrame, leap_s: float) -> pd.DataFr
     table = checked(table, [*times, *TRACK], what)
     if UTC not in table:
         seconds = pd.to_timedelta(table[TOW] - leap_s, unit="s")
-        table[UTC] = GPS_START + pd.to_timedelta(7.0 * table[WEEK], unit="D") + seconds.dt.round("us")
+        table[UTC] = (
+            GPS_START + pd.to_timedelta(7.0 * table[WEEK], unit="D") + seconds.dt.round("us")
+        )
     return table[[UTC, *TRACK]]
 
 
@@ -148,7 +169,9 @@ class Messages:
                 *self._sidereon.parse_rinex_glonass_records(text),
             ]
         if not self._records:
-            raise InputError(f"the navigation file {self.name!r} holds no message of a satellite: name another file")
+            raise InputError(
+                f"the navigation file {self.name!r} holds no message of a satellite: name another file"
+            )
         if self._ephemeris.leap_seconds is None:
             raise InputError(
                 f"the navigation file {self.name!r} has no leap seconds, which GPS time is ahead of UTC: add the line "
@@ -170,20 +193,29 @@ class Messages:
           A row an epoch and satellite, with the row of the track (``epoch``), ``satellite``, ``azimuth_deg`` (clockwise
           from true north) and ``elevation_deg`` (negative below the horizon), the light's time counted.
         """
-        antenna_m = np.column_stack(transformer(WGS84_3D, WGS84_ECEF).transform(*track[[*TRACK]].to_numpy().T))
+        antenna_m = np.column_stack(
+            transformer(WGS84_3D, WGS84_ECEF).transform(*track[[*TRACK]].to_numpy().T)
+        )
         times_s = self.seconds_of(track[UTC]).tolist()
         names = np.array(sorted({record.satellite for record in self._records}))
         angles_deg = np.full((len(track), len(names), 2), np.nan)
         for s, name in enumerate(names.tolist()):
             for epoch, time_s in enumerate(times_s):
                 try:
-                    seen = self._sidereon.observe_broadcast(self._ephemeris, name, antenna_m[epoch], time_s, L1_HZ)
+                    seen = self._sidereon.observe_broadcast(
+                        self._ephemeris, name, antenna_m[epoch], time_s, L1_HZ
+                    )
                 except self._sidereon.SolveError:
                     continue
                 angles_deg[epoch, s] = seen.azimuth_deg, seen.elevation_deg
         epochs, numbers = np.nonzero(np.isfinite(angles_deg[..., 1]))
         azimuth_deg, elevation_deg = angles_deg[epochs, numbers].T
-        columns = {EPOCH: epochs, SATELLITE: names[numbers], AZIMUTH: azimuth_deg, ELEVATION: elevation_deg}
+        columns = {
+            EPOCH: epochs,
+            SATELLITE: names[numbers],
+            AZIMUTH: azimuth_deg,
+            ELEVATION: elevation_deg,
+        }
         return pd.DataFrame(columns)
 
     def left_out(self, placed: set[str], received: set[str]) -> dict[str, str]:
@@ -210,7 +242,9 @@ def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, list
     first = file.header.time_of_first_obs
     scale = first[1].abbrev if first else "unknown"
     if scale not in ("GPST", "GST", "QZSST"):
-        raise InputError(f"{what} counts in {scale}, and only GPS time is read: convert it to a file of GPS time")
+        raise InputError(
+            f"{what} counts in {scale}, and only GPS time is read: convert it to a file of GPS time"
+        )
     codes = []
     for system in file.header.systems:
         bands = BANDS.get(system.letter, ("S1",))
@@ -218,7 +252,9 @@ def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, list
         if own:
             codes.append((system, own))
     if not codes:
-        raise InputError(f"{what} has no C/N0 of L1, E1 or B1 (S1C, S2I ...): write it with these observables")
+        raise InputError(
+            f"{what} has no C/N0 of L1, E1 or B1 (S1C, S2I ...): write it with these observables"
+        )
     only = sidereon.ObservationFilter(codes)
     times: list[float] = []
     names: list[str] = []
@@ -248,19 +284,25 @@ def _text(file: str | Path, letter: str, kind: str) -> str:
         text = Path(file).read_bytes().decode("utf-8", "replace")
     if not re.match(FIRST_LINE.format(letter), text):
         begins = text.partition("\n")[0].strip()[:60]
-        raise InputError(f"{what} begins with {begins!r}, not as a {kind} file in RINEX 3 or 4: {remedy}")
+        raise InputError(
+            f"{what} begins with {begins!r}, not as a {kind} file in RINEX 3 or 4: {remedy}"
+        )
     if not text.endswith("\n"):
         raise InputError(f"{what} ends within a line, so it was cut: {AGAIN}")
     return text
 
 
 def _whole(sidereon: ModuleType, file: str | Path, kind: str) -> Any:
-    return readable(file, "RINEX", AGAIN, sidereon.SidereonError, what=f"the {kind} file {str(file)!r}")
+    return readable(
+        file, "RINEX", AGAIN, sidereon.SidereonError, what=f"the {kind} file {str(file)!r}"
+    )
 
 
 def _library() -> ModuleType:
     try:
         import sidereon
     except ImportError as error:
-        raise InputError("RINEX files are read by sidereon: pip install 'jaxurban[receiver]'") from error
+        raise InputError(
+            "RINEX files are read by sidereon: pip install 'jaxurban[receiver]'"
+        ) from error
     return sidereon

@@ -53,7 +53,11 @@ def read_routes(file: str | Path) -> list[Route]:
     features = (row for frame in layers for _, row in frame.iterrows())
     for number, row in enumerate(features, start=1):
         geometry = row.geometry
-        if geometry is None or geometry.geom_type not in ("LineString", "MultiLineString") or not _is_finite(geometry):
+        if (
+            geometry is None
+            or geometry.geom_type not in ("LineString", "MultiLineString")
+            or not _is_finite(geometry)
+        ):
             num_others += 1
             continue
         if not pd.isna(row.get(SEGMENT_PROPERTY)):
@@ -66,11 +70,15 @@ def read_routes(file: str | Path) -> list[Route]:
             name = str(facts.get("name") or number) + (f".{part_number}" if len(parts) > 1 else "")
             altitude_m = facts.get(ALTITUDE_PROPERTY)
             if altitude_m is not None:
-                altitude_m = finite(f"{ALTITUDE_PROPERTY} of route {name!r} of {str(file)!r}", altitude_m, "metres")
+                altitude_m = finite(
+                    f"{ALTITUDE_PROPERTY} of route {name!r} of {str(file)!r}", altitude_m, "metres"
+                )
             times = (facts.get(TIME_OF_DAY_PROPERTY), facts.get(TIME_PROPERTY))
             routes.append(Route(shapely.get_coordinates(part), name, altitude_m, *times, settings))
     if not routes:
-        raise InputError(f"{str(file)!r} holds no line of finite places: give routes as LineString features")
+        raise InputError(
+            f"{str(file)!r} holds no line of finite places: give routes as LineString features"
+        )
     if num_others:
         said = f"{num_others} of the features of {str(file)!r} are not lines of finite places and were left out"
         warn(said, LeftOutWarning)

@@ -16,7 +16,9 @@ _ROWS_AT_ONCE = 256  # bounds the memory that coordinates take
 _EDGE = 1e-6  # of a pixel: nearer than this a point lies on a border, and what overlaps by less only touches it
 
 
-def transformed(transform: Affine, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def transformed(
+    transform: Affine, first: np.ndarray, second: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return transformed coordinates (the operator for it changed between versions of affine)."""
     a, b, c, d, e, f = tuple(transform)[:6]
     return a * first + b * second + c, d * first + e * second + f
@@ -48,14 +50,20 @@ def resample_raster(raster: Raster, grid: Grid, how: Resampling = "nearest") -> 
         rows = slice(start, start + _ROWS_AT_ONCE)
         row, col = np.empty((2, len(points), *values[rows].shape))
         for i, (up, right) in enumerate(points):
-            x_m, y_m = np.meshgrid(grid.x_m + right * grid.resolution_m, grid.y_m[rows] + up * grid.resolution_m)
+            x_m, y_m = np.meshgrid(
+                grid.x_m + right * grid.resolution_m, grid.y_m[rows] + up * grid.resolution_m
+            )
             with np.errstate(invalid="ignore"):  # PROJ gives infinity beyond a projection's reach
                 col[i], row[i] = transformed(to_pixel, *to_raster.transform(x_m, y_m))
-        values[rows] = _highest(raster, row, col) if how == "max" else sample(raster, row[0], col[0])
+        values[rows] = (
+            _highest(raster, row, col) if how == "max" else sample(raster, row[0], col[0])
+        )
     return values
 
 
-def pixel_xy(raster: Raster, row: np.ndarray, col: np.ndarray, crs: str) -> tuple[np.ndarray, np.ndarray]:
+def pixel_xy(
+    raster: Raster, row: np.ndarray, col: np.ndarray, crs: str
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the coordinates in ``crs`` of places in a raster, by rows and columns of its values (0.5: a centre)."""
     x, y = transformed(Affine(*raster.transform), col + raster.first_col, row + raster.first_row)
     return transformer(raster.crs, crs).transform(x, y)
@@ -75,7 +83,9 @@ def heights_above(surface: Raster, ground: Raster) -> Raster:
         rows = slice(start, min(start + _ROWS_AT_ONCE, num_rows))
         col, row = np.meshgrid(np.arange(num_cols), np.arange(rows.start, rows.stop))
         with np.errstate(invalid="ignore"):
-            ground_col, ground_row = transformed(to_pixel, *pixel_xy(surface, row + 0.5, col + 0.5, ground.crs))
+            ground_col, ground_row = transformed(
+                to_pixel, *pixel_xy(surface, row + 0.5, col + 0.5, ground.crs)
+            )
         values[rows] = surface.values[rows] - _bilinear(ground, ground_row, ground_col)
     return replace(surface, values=values)
 
@@ -84,9 +94,13 @@ def _pixels(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     """Return the values of pixels by the file's whole rows and columns, NaN outside the raster (float64)."""
     row, col = row - raster.first_row, col - raster.first_col
     # Written this way round so that a coordinate that PROJ could not transform (infinite) is outside.
-    is_inside = (row >= 0) & (row < raster.values.shape[0]) & (col >= 0) & (col < raster.values.shape[1])
+    is_inside = (
+        (row >= 0) & (row < raster.values.shape[0]) & (col >= 0) & (col < raster.values.shape[1])
+    )
     values = np.full(row.shape, np.nan)
-    values[is_inside] = raster.values[row[is_inside].astype(np.intp), col[is_inside].astype(np.intp)]
+    values[is_inside] = raster.values[
+        row[is_inside].astype(np.intp), col[is_inside].astype(np.intp)
+    ]
     return values
 
 
@@ -109,18 +123,30 @@ def _highest(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     low_row, low_col = (np.floor(v.min(axis=0) + _EDGE) for v in (row, col))
     end_row, end_col = (np.ceil(v.max(axis=0) - _EDGE) for v in (row, col))
     along_row, along_col = np.roll(row, -1, 0) - row, np.roll(col, -1, 0) - col
-    turn = np.sign(along_col[0] * along_row[1] - along_row[0] * along_col[1])  # which way the corners go around
+    turn = np.sign(
+        along_col[0] * along_row[1] - along_row[0] * along_col[1]
+    )  # which way the corners go around
     values = np.full(low_row.shape, np.nan)
     counts = (end - low for end, low in ((end_row, low_row), (end_col, low_col)))
-    num_rows, num_cols = (int(np.max(count, where=np.isfinite(count), initial=0.0)) for count in counts)
+    num_rows, num_cols = (
+        int(np.max(count, where=np.isfinite(count), initial=0.0)) for count in counts
+    )
     for down, right in itertools.product(range(num_rows), range(num_cols)):
         pixel_row, pixel_col = low_row + down, low_col + right
         overlaps = (pixel_row < end_row) & (pixel_col < end_col)
-        for side_row, side_col, from_row, from_col in zip(along_row, along_col, row, col, strict=True):
-            inward = turn * (side_col * (pixel_row + 0.5 - from_row) - side_row * (pixel_col + 0.5 - from_col))
-            reach = (np.abs(side_row) + np.abs(side_col)) / 2  # of the pixel's corners from its centre
+        for side_row, side_col, from_row, from_col in zip(
+            along_row, along_col, row, col, strict=True
+        ):
+            inward = turn * (
+                side_col * (pixel_row + 0.5 - from_row) - side_row * (pixel_col + 0.5 - from_col)
+            )
+            reach = (
+                np.abs(side_row) + np.abs(side_col)
+            ) / 2  # of the pixel's corners from its centre
             overlaps &= inward + reach > _EDGE * np.hypot(side_row, side_col)
-        values[overlaps] = np.fmax(values[overlaps], _pixels(raster, pixel_row[overlaps], pixel_col[overlaps]))
+        values[overlaps] = np.fmax(
+            values[overlaps], _pixels(raster, pixel_row[overlaps], pixel_col[overlaps])
+        )
     return values
 
 

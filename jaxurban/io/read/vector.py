@@ -13,7 +13,15 @@ import shapely
 
 from jaxurban.errors import InputError, readable
 from jaxurban.io.geoparquet import facts_of
-from jaxurban.io.read.outlines import Near, Outlines, extent_of, is_of_buildings, near_rows, polygonal, tags_of
+from jaxurban.io.read.outlines import (
+    Near,
+    Outlines,
+    extent_of,
+    is_of_buildings,
+    near_rows,
+    polygonal,
+    tags_of,
+)
 from jaxurban.world.city import ReadIssue
 from jaxurban.world.grid import check_on_earth
 
@@ -22,7 +30,13 @@ INDEXED_SUFFIXES = (".gpkg", ".shp")  # whose features are found by their boxes
 VECTOR_SUFFIXES = (".geojson", ".json", *INDEXED_SUFFIXES, *PARQUET_SUFFIXES)
 BUILDINGS = "buildings"  # the role, and the layer of several
 WHOLE = "give a whole one, with its companions"
-OF_DAMAGED = (RuntimeError, LookupError, TypeError, AttributeError, shapely.errors.ShapelyError)  # raised by readers
+OF_DAMAGED = (
+    RuntimeError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    shapely.errors.ShapelyError,
+)  # raised by readers
 # How a file of a format begins. GDAL takes any format under any name, and some of them read other files, even from a
 # server: by their first bytes such are refused before GDAL sees them.
 BEGINNINGS = {
@@ -33,14 +47,21 @@ BEGINNINGS = {
     ".shp": bytes.fromhex("0000270a"),
     ".fgb": b"fgb",
 }
-REFERRING = (b"<OGRVRTDataSource", b"gdal_streamed_alg", b"<OGRWFSDataSource", b"<OGRElasticDataSource")
+REFERRING = (
+    b"<OGRVRTDataSource",
+    b"gdal_streamed_alg",
+    b"<OGRWFSDataSource",
+    b"<OGRElasticDataSource",
+)
 HEAD_BYTES = 1 << 16  # GDAL looks at fewer
 ESCAPE = re.compile(rb"\\u00([2-7][0-9a-fA-F])")  # a plain letter of JSON in digits
 LINK = re.compile(rb'"type"\s*:\s*"(link|url)"')  # of a CRS, by the GeoJSON of 2008
 _POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
-def open_frame(path: str | Path, role: str, *, allow_empty: bool = False, near: Near | None = None) -> gpd.GeoDataFrame:
+def open_frame(
+    path: str | Path, role: str, *, allow_empty: bool = False, near: Near | None = None
+) -> gpd.GeoDataFrame:
     """Return the features of a vector file (of a format in `BEGINNINGS`), as they are.
 
     A ring of too few points becomes an empty place, and no error.
@@ -57,7 +78,9 @@ def open_frame(path: str | Path, role: str, *, allow_empty: bool = False, near: 
     """
     (frame,) = _read(path, role, near=near)
     if not allow_empty and (frame.empty or frame.geometry.isna().all()):
-        raise InputError(f"the {role} file {str(path)!r} holds no polygons: give a file of polygons")
+        raise InputError(
+            f"the {role} file {str(path)!r} holds no polygons: give a file of polygons"
+        )
     return frame
 
 
@@ -82,8 +105,15 @@ def _read(
         if Path(path).suffix.lower() in PARQUET_SUFFIXES:
             frames = [_read_parquet(path, for_buildings=role == BUILDINGS)]
         else:
-            layers = [layer for layer, _ in pyogrio.list_layers(path)] if every_layer else [_polygon_layer(path, role)]
-            options: dict[str, Any] = {"on_invalid": "raise" if every_layer else "ignore", "fid_as_index": True}
+            layers = (
+                [layer for layer, _ in pyogrio.list_layers(path)]
+                if every_layer
+                else [_polygon_layer(path, role)]
+            )
+            options: dict[str, Any] = {
+                "on_invalid": "raise" if every_layer else "ignore",
+                "fid_as_index": True,
+            }
             if near is not None and Path(path).suffix.lower() in INDEXED_SUFFIXES:
                 options |= _only_near(path, layers[0], near)
             frames = [pyogrio.read_dataframe(path, layer=layer, **options) for layer in layers]
@@ -102,7 +132,11 @@ def _read_parquet(path: str | Path, *, for_buildings: bool) -> gpd.GeoDataFrame:
 
     schema = pq.read_schema(path)
     shapes = json.loads((schema.metadata or {}).get(b"geo", b"{}")).get("columns", {})
-    columns = [name for name in schema.names if name in shapes or not for_buildings or is_of_buildings(name)]
+    columns = [
+        name
+        for name in schema.names
+        if name in shapes or not for_buildings or is_of_buildings(name)
+    ]
     frame = gpd.read_parquet(path, columns=columns)
     frame.attrs = facts_of(schema.metadata)
     index = [name for name in frame.index.names if name is not None and name not in frame.columns]
@@ -125,8 +159,14 @@ def _check_format(path: Path) -> None:
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     if not head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(beginnings):
-        raise ValueError(f"it does not begin as a {suffix} file does") if suffix in BEGINNINGS else other
-    if any(word in head for word in REFERRING) or (beginnings[0] == b"{" and _links_crs(path.read_bytes())):
+        raise (
+            ValueError(f"it does not begin as a {suffix} file does")
+            if suffix in BEGINNINGS
+            else other
+        )
+    if any(word in head for word in REFERRING) or (
+        beginnings[0] == b"{" and _links_crs(path.read_bytes())
+    ):
         raise ValueError("it refers to other files or servers, which are never opened")
 
 
@@ -171,8 +211,13 @@ def _only_near(path: str | Path, layer: str, near: Near) -> dict[str, Any]:
     if box is None:
         return {}
     _, sides = pyogrio.read_bounds(path, layer=layer, bbox=box)
-    box = extent_of(sides.T) if sides.size else box  # with all that touches one of these, see `near_rows`
-    return {"bbox": box, "columns": [column for column in facts["fields"] if is_of_buildings(column)]}
+    box = (
+        extent_of(sides.T) if sides.size else box
+    )  # with all that touches one of these, see `near_rows`
+    return {
+        "bbox": box,
+        "columns": [column for column in facts["fields"] if is_of_buildings(column)],
+    }
 
 
 def _polygon_layer(path: str | Path, wanted: str) -> str:
@@ -180,7 +225,11 @@ def _polygon_layer(path: str | Path, wanted: str) -> str:
     layers = {str(layer): str(kind) for layer, kind in pyogrio.list_layers(path)}
     if len(layers) == 1:
         return next(iter(layers))
-    areal = [layer for layer, kind in layers.items() if "Polygon" in kind or "Unknown" in kind or "Surface" in kind]
+    areal = [
+        layer
+        for layer, kind in layers.items()
+        if "Polygon" in kind or "Unknown" in kind or "Surface" in kind
+    ]
     if len(areal) != 1:
         areal = [layer for layer in areal if layer.lower() == wanted]
     if len(areal) != 1:
@@ -217,7 +266,9 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
     is_polygon = np.isin(shapely.get_type_id(shapes), _POLYGONS) | shapely.is_missing(shapes)
     return Outlines(
         polygons=shapes[is_polygon],
-        tags=tags_of({name: _values(frame.loc[is_polygon, name]) for name in frame if is_of_buildings(name)}),
+        tags=tags_of(
+            {name: _values(frame.loc[is_polygon, name]) for name in frame if is_of_buildings(name)}
+        ),
         crs=frame.crs.to_wkt(),
         boxes=tuple(tuple(box) for box in facts.get("boxes", ())),
         issues={ReadIssue(name): count for name, count in facts.get("issues", {}).items()}
@@ -231,7 +282,9 @@ def _scalar(value: Any) -> Any:
     """Return a property, a list or a table as its JSON text, which is no number."""
     if not isinstance(value, list | dict | tuple | np.ndarray):
         return value
-    return json.dumps(value, default=lambda inner: inner.tolist() if isinstance(inner, np.ndarray) else str(inner))
+    return json.dumps(
+        value, default=lambda inner: inner.tolist() if isinstance(inner, np.ndarray) else str(inner)
+    )
 
 
 def _values(column: pd.Series) -> np.ndarray:

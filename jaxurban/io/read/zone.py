@@ -47,10 +47,17 @@ class Zone:
     end: datetime | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.polygon, (shapely.Polygon, shapely.MultiPolygon)) or self.polygon.is_empty:
-            raise InputError(f"the no-fly zone {self.label} has no area: draw it as a polygon of three or more corners")
+        if (
+            not isinstance(self.polygon, (shapely.Polygon, shapely.MultiPolygon))
+            or self.polygon.is_empty
+        ):
+            raise InputError(
+                f"the no-fly zone {self.label} has no area: draw it as a polygon of three or more corners"
+            )
         if not self.polygon.is_valid:
-            raise InputError(f"the outline of the no-fly zone {self.label} crosses itself: see shapely.make_valid")
+            raise InputError(
+                f"the outline of the no-fly zone {self.label} crosses itself: see shapely.make_valid"
+            )
         if not self.floor_m <= self.ceiling_m:
             raise InputError(
                 f"the no-fly zone {self.label} has floor {self.floor_m:g} m and ceiling {self.ceiling_m:g} m: give two "
@@ -61,7 +68,9 @@ class Zone:
     def outline(self) -> str:
         """What stands for the outline, its CRS and its times: a hash that differs where they do."""
         when = f" {self.start} {self.end}" if self.start or self.end else ""
-        return hashlib.sha256(f"{self.crs} {shapely.to_wkb(self.polygon, hex=True)}{when}".encode()).hexdigest()[:16]
+        return hashlib.sha256(
+            f"{self.crs} {shapely.to_wkb(self.polygon, hex=True)}{when}".encode()
+        ).hexdigest()[:16]
 
     @property
     def label(self) -> str:
@@ -76,12 +85,17 @@ class Zone:
 
     def is_in_force(self, time: datetime) -> bool:
         """Whether the zone is in force at a time (with its offset) or within `FLIGHT` after it."""
-        return (self.end is None or time <= self.end) and (self.start is None or self.start - time <= FLIGHT)
+        return (self.end is None or time <= self.end) and (
+            self.start is None or self.start - time <= FLIGHT
+        )
 
     def _seen_in(self, box: shapely.Geometry) -> list[shapely.Geometry]:
         """Return the outline, once more a turn on and a turn back where it or a box reaches across the antimeridian."""
         lons = (self.polygon.bounds[0], self.polygon.bounds[2], box.bounds[0], box.bounds[2])
-        if max(map(abs, lons)) <= TURN / 2 or not pyproj.CRS.from_user_input(self.crs).is_geographic:
+        if (
+            max(map(abs, lons)) <= TURN / 2
+            or not pyproj.CRS.from_user_input(self.crs).is_geographic
+        ):
             return [self.polygon]
         return [affinity.translate(self.polygon, turn) for turn in (-TURN, 0.0, TURN)]
 
@@ -92,7 +106,9 @@ class Zone:
         east += TURN * (west > east)  # where the grid lies across the antimeridian
         margin = 0.01 * (east - west + north - south)
         box = shapely.box(west - margin, south - margin, east + margin, north + margin)
-        polygon = polygonal(shapely.union_all([shapely.intersection(seen, box) for seen in self._seen_in(box)]))
+        polygon = polygonal(
+            shapely.union_all([shapely.intersection(seen, box) for seen in self._seen_in(box)])
+        )
         crs = pyproj.CRS.from_user_input(self.crs)
         unit_m = METRES_PER_DEGREE if crs.is_geographic else crs.axis_info[0].unit_conversion_factor
         project = transformer(self.crs, grid.crs)

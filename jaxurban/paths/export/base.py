@@ -20,11 +20,15 @@ if TYPE_CHECKING:
 DECIMALS = 7  # of a degree: about a centimetre
 Z_DECIMALS = 2  # of a metre
 FAR_DECIMALS = 6  # of a centimetre: what is so near to a whole one is that
-HEIGHT_REFERENCE = "altitude_m and z_m are metres above the ground below each point, not above sea level"
+HEIGHT_REFERENCE = (
+    "altitude_m and z_m are metres above the ground below each point, not above sea level"
+)
 MOST_BULGE_M = 0.05  # between two places of a `Ground`, by which it leaves the straight line
 STRAIGHT_M = 0.01  # a waypoint that straight lines miss by no more, in x, y and height, is left out
 GROUND_TOLERANCE_M = 1.0  # by which the straight lines may exceed the planned height above ground
-MISSED_M = GROUND_TOLERANCE_M / 2 - MOST_BULGE_M  # twice, and the rest is for the ground's cover and for rounding up
+MISSED_M = (
+    GROUND_TOLERANCE_M / 2 - MOST_BULGE_M
+)  # twice, and the rest is for the ground's cover and for rounding up
 
 # What a format is: the bytes of a file from paths by name and, if there is one, the report of the one path.
 Encode = Callable[["Named", "RouteReport | None"], bytes]
@@ -97,10 +101,14 @@ def waypoints(route: "PlannedPath") -> Waypoints:
         xyz_m = np.column_stack([np.interp(ground.at, number, values) for values in xyz_m.T])
         height_m, most_m = xyz_m[:, 2] + ground.cover_m, MISSED_M
     along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xyz_m, axis=0), axis=1)))
-    kept = _bends(along_m, np.column_stack([xyz_m, height_m]), np.array([*[STRAIGHT_M] * 3, most_m]))
+    kept = _bends(
+        along_m, np.column_stack([xyz_m, height_m]), np.array([*[STRAIGHT_M] * 3, most_m])
+    )
     too_low_m = height_m - np.interp(along_m, along_m[kept], height_m[kept])
     of_leg_m = np.maximum.reduceat(too_low_m, kept[:-1]) if len(kept) > 1 else np.zeros(0)
-    raised_m = height_m[kept] + np.maximum(np.append(of_leg_m, 0.0), np.append(0.0, of_leg_m)).clip(0.0)
+    raised_m = height_m[kept] + np.maximum(np.append(of_leg_m, 0.0), np.append(0.0, of_leg_m)).clip(
+        0.0
+    )
     elevation_m = None if ground is None else ground.elevation_m[kept]
     z_m = raised_m if elevation_m is None else raised_m - elevation_m
     return Waypoints(np.round(lonlat[kept], DECIMALS), z_m, elevation_m)
@@ -119,7 +127,9 @@ def _bends(along_m: np.ndarray, values_m: np.ndarray, most_m: np.ndarray) -> np.
     kept, spans = {0, len(along_m) - 1}, [(0, len(along_m) - 1)]
     while spans:
         first, last = spans.pop()
-        share = (along_m[first:last] - along_m[first]) / max(along_m[last] - along_m[first], np.finfo(float).tiny)
+        share = (along_m[first:last] - along_m[first]) / max(
+            along_m[last] - along_m[first], np.finfo(float).tiny
+        )
         line_m = values_m[first] + share[:, None] * (values_m[last] - values_m[first])
         missed = np.max(np.abs(values_m[first:last] - line_m) / most_m, axis=1)
         if missed.max(initial=0.0) > 1:

@@ -36,7 +36,12 @@ if TYPE_CHECKING:
     from jaxurban.paths.path import PlannedPath
 
 # MAVLink common message set, and the values that QGroundControl's plan format takes from it
-MAV_CMD_NAV_WAYPOINT, MAV_CMD_NAV_RETURN_TO_LAUNCH, MAV_CMD_NAV_LAND, MAV_CMD_NAV_TAKEOFF = 16, 20, 21, 22
+MAV_CMD_NAV_WAYPOINT, MAV_CMD_NAV_RETURN_TO_LAUNCH, MAV_CMD_NAV_LAND, MAV_CMD_NAV_TAKEOFF = (
+    16,
+    20,
+    21,
+    22,
+)
 MAV_CMD_DO_CHANGE_SPEED = 178
 MAV_FRAME_MISSION, MAV_FRAME_GLOBAL_RELATIVE_ALT = 2, 3
 MAV_AUTOPILOT_PX4, MAV_TYPE_QUADROTOR = 12, 2
@@ -87,7 +92,9 @@ def to_qgc_plan(routes: Named, report: "RouteReport | None", end: str = "land") 
       InputError: several paths.
     """
     if len(routes) > 1:
-        raise InputError(f"a .plan holds one path, and these are {len(routes)}: write a file for each")
+        raise InputError(
+            f"a .plan holds one path, and these are {len(routes)}: write a file for each"
+        )
     ((_, route),) = routes
     facts, _ = facts_of(route, report)
     speed_m_s = facts.get("speed_m_s")
@@ -114,7 +121,10 @@ def to_qgc_plan(routes: Named, report: "RouteReport | None", end: str = "land") 
         "geoFence": {
             "version": 2,
             "circles": [],
-            "polygons": [{"version": 1, "inclusion": False, "polygon": ring[:, ::-1].tolist()} for ring in rings],
+            "polygons": [
+                {"version": 1, "inclusion": False, "polygon": ring[:, ::-1].tolist()}
+                for ring in rings
+            ],
         },
         "rallyPoints": {"version": 2, "points": []},
     }
@@ -130,11 +140,17 @@ def _items(along: Waypoints, speed_m_s: float | None, end: str) -> list[dict[str
     ]
     items = [takeoff]
     if speed_m_s is not None:
-        items.append(_command(MAV_CMD_DO_CHANGE_SPEED, [GROUND_SPEED, speed_m_s, THROTTLE_AS_IT_IS, 0, 0, 0, 0]))
+        items.append(
+            _command(
+                MAV_CMD_DO_CHANGE_SPEED, [GROUND_SPEED, speed_m_s, THROTTLE_AS_IT_IS, 0, 0, 0, 0]
+            )
+        )
     items += others
     if end == "land":
         ground_m = 0.0 if along.ground_m is None else float(along.ground_m[-1] - along.ground_m[0])
-        items.append(_place(MAV_CMD_NAV_LAND, along.lonlat[-1].tolist(), round(ground_m, Z_DECIMALS)))
+        items.append(
+            _place(MAV_CMD_NAV_LAND, along.lonlat[-1].tolist(), round(ground_m, Z_DECIMALS))
+        )
     elif end == "return":
         items.append(_command(MAV_CMD_NAV_RETURN_TO_LAUNCH, [0] * 7))
     return [item | {"doJumpId": number} for number, item in enumerate(items, start=1)]
@@ -143,15 +159,25 @@ def _items(along: Waypoints, speed_m_s: float | None, end: str) -> list[dict[str
 def _place(command: int, lonlat: Sequence[float], z_m: float) -> dict[str, Any]:
     """Return an item at a place, its altitude above home."""
     lon, lat = lonlat
-    return _command(command, [0, 0, 0, None, lat, lon, z_m], MAV_FRAME_GLOBAL_RELATIVE_ALT) | {  # None: any yaw
+    return _command(
+        command, [0, 0, 0, None, lat, lon, z_m], MAV_FRAME_GLOBAL_RELATIVE_ALT
+    ) | {  # None: any yaw
         "Altitude": z_m,
         "AltitudeMode": ALTITUDE_RELATIVE,
         "AMSLAltAboveTerrain": None,
     }
 
 
-def _command(command: int, params: Sequence[float | None], frame: int = MAV_FRAME_MISSION) -> dict[str, Any]:
-    return {"type": "SimpleItem", "autoContinue": True, "command": command, "frame": frame, "params": list(params)}
+def _command(
+    command: int, params: Sequence[float | None], frame: int = MAV_FRAME_MISSION
+) -> dict[str, Any]:
+    return {
+        "type": "SimpleItem",
+        "autoContinue": True,
+        "command": command,
+        "frame": frame,
+        "params": list(params),
+    }
 
 
 def exclusions(route: "PlannedPath") -> tuple[list[np.ndarray], str]:
@@ -205,4 +231,11 @@ def _surroundings(route: "PlannedPath") -> Grid:
     side_m = NEAR_M / 10
     west, south = (math.floor((low - NEAR_M) / side_m) for low in route.xy_m.min(axis=0).tolist())
     east, north = (math.ceil((high + NEAR_M) / side_m) for high in route.xy_m.max(axis=0).tolist())
-    return Grid(route.crs, side_m, first_row=south, first_col=west, num_rows=north - south, num_cols=east - west)
+    return Grid(
+        route.crs,
+        side_m,
+        first_row=south,
+        first_col=west,
+        num_rows=north - south,
+        num_cols=east - west,
+    )

@@ -50,7 +50,9 @@ if TYPE_CHECKING:
 
 WAYPOINTS = (".gpx", ".plan")  # of these, formats of waypoints to be flown one by one
 MISSION = ".plan"  # the format that can say how a flight ends
-GROUND_REFERENCE = "ground_m is in metres above the zero of the terrain file, whatever its vertical datum is"
+GROUND_REFERENCE = (
+    "ground_m is in metres above the zero of the terrain file, whatever its vertical datum is"
+)
 
 
 def _feature(properties: Mapping[str, Any], lonlat: np.ndarray) -> dict[str, Any]:
@@ -68,8 +70,13 @@ def to_geojson(routes: Named, report: "RouteReport | None") -> bytes:
         facts |= {f"mean_{name}": value for name, value in facts.get("metrics", {}).items()}
         heights: dict[str, Any] = {"z_m": upward(route.z_m).tolist()}
         if route.ground is not None:
-            elevation_m = np.interp(np.arange(len(route.z_m)), route.ground.at, route.ground.elevation_m)
-            heights |= {"ground_m": np.round(elevation_m, Z_DECIMALS).tolist(), "ground_reference": GROUND_REFERENCE}
+            elevation_m = np.interp(
+                np.arange(len(route.z_m)), route.ground.at, route.ground.elevation_m
+            )
+            heights |= {
+                "ground_m": np.round(elevation_m, Z_DECIMALS).tolist(),
+                "ground_reference": GROUND_REFERENCE,
+            }
         features.append(_feature(({"name": name} if name else {}) | facts | heights, route.lonlat))
         lines = () if report is None else report.lines
         features += [_feature(segment, line) for segment, line in zip(segments, lines, strict=True)]
@@ -86,16 +93,22 @@ def elevation_note(route: "PlannedPath") -> str:
 
 def to_gpx(routes: Named, report: "RouteReport | None") -> bytes:
     """Return paths as routes of GPX 1.1."""
-    root = Element("gpx", xmlns="http://www.topografix.com/GPX/1/1", version="1.1", creator="jaxurban")
+    root = Element(
+        "gpx", xmlns="http://www.topografix.com/GPX/1/1", version="1.1", creator="jaxurban"
+    )
     for name, route in routes:
         facts, _ = facts_of(route, report, is_alone=len(routes) == 1)
         element, along = SubElement(root, "rte"), waypoints(route)
         SubElement(element, "name").text = name or _title(route, facts)
         SubElement(element, "desc").text = description_of(facts, elevation_note(route))
         for number, ((lon, lat), z_m) in enumerate(zip(along.lonlat, along.z_m, strict=True)):
-            point = SubElement(element, "rtept", lat=f"{lat:.{DECIMALS}f}", lon=f"{lon:.{DECIMALS}f}")
+            point = SubElement(
+                element, "rtept", lat=f"{lat:.{DECIMALS}f}", lon=f"{lon:.{DECIMALS}f}"
+            )
             if along.ground_m is not None:
-                SubElement(point, "ele").text = f"{upward(along.ground_m[number] + z_m):.{Z_DECIMALS}f}"
+                SubElement(
+                    point, "ele"
+                ).text = f"{upward(along.ground_m[number] + z_m):.{Z_DECIMALS}f}"
             SubElement(point, "name").text = str(number + 1)
             SubElement(point, "desc").text = f"{upward(z_m):.{Z_DECIMALS}f} m above ground"
     return _encoded(root)
@@ -134,7 +147,12 @@ def _encoded(root: Element) -> bytes:
     return tostring(root, encoding="utf-8", xml_declaration=True)
 
 
-FORMATS: dict[str, Encode] = {".geojson": to_geojson, ".kml": to_kml, ".gpx": to_gpx, ".plan": to_qgc_plan}
+FORMATS: dict[str, Encode] = {
+    ".geojson": to_geojson,
+    ".kml": to_kml,
+    ".gpx": to_gpx,
+    ".plan": to_qgc_plan,
+}
 
 
 def write_path(
@@ -166,13 +184,21 @@ def write_path(
     encode = encoder_of(file)
     if end is not None:
         if file.suffix.lower() != MISSION:
-            raise InputError(f"only a {MISSION} says how the flight ends, and {str(file)!r} is none: leave end out")
+            raise InputError(
+                f"only a {MISSION} says how the flight ends, and {str(file)!r} is none: leave end out"
+            )
         encode = partial(to_qgc_plan, end=one_of("end", end, ENDS))
     routes = list(route) if isinstance(route, Sequence) else [route]
-    given = names or ([""] if not isinstance(route, Sequence) else [str(k + 1) for k in range(len(routes))])
+    given = names or (
+        [""] if not isinstance(route, Sequence) else [str(k + 1) for k in range(len(routes))]
+    )
     if len(given) != len(routes) or isinstance(given, str):
         raise InputError(f"names must be one for each of the {len(routes)} paths, got {given!r}")
-    found = [(name, path) for name, path in zip(given, routes, strict=True) if path and path.status.has_path]
+    found = [
+        (name, path)
+        for name, path in zip(given, routes, strict=True)
+        if path and path.status.has_path
+    ]
     if report is not None and len(found) > 1:
         raise InputError("a report is of one path: write several paths without it")
     if found:
@@ -184,9 +210,13 @@ def encoder_of(file: Path) -> Encode:
     """Return what `write_path` writes a file by; raise InputError where it cannot: call it before a long search."""
     encode = FORMATS.get(file.suffix.lower())
     if encode is None:
-        raise InputError(f"cannot determine the format of {str(file)!r}: end its name in one of {', '.join(FORMATS)}")
+        raise InputError(
+            f"cannot determine the format of {str(file)!r}: end its name in one of {', '.join(FORMATS)}"
+        )
     if not file.parent.is_dir():
-        raise InputError(f"the folder of {str(file)!r} does not exist: make it first, or name another file")
+        raise InputError(
+            f"the folder of {str(file)!r} does not exist: make it first, or name another file"
+        )
     if file.is_dir():
         raise InputError(f"{str(file)!r} is a folder: name a file")
     return encode

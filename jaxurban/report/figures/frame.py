@@ -35,14 +35,24 @@ from jaxurban.world.grid import Grid
 
 MAX_CELLS = 4000  # a side: of larger maps every second, third ... row and column is drawn
 MAX_WIDTH_IN, MAX_HEIGHT_IN = 7.4, 7.0  # of all panels together
-SIDE_IN, TITLE_IN, FOOT_IN, BAR_IN, LINE_IN = 3.3, 0.42, 0.4, 0.66, 0.15  # beside all panels; above, below each
+SIDE_IN, TITLE_IN, FOOT_IN, BAR_IN, LINE_IN = (
+    3.3,
+    0.42,
+    0.4,
+    0.66,
+    0.15,
+)  # beside all panels; above, below each
 MIN_WIDTH_IN, TICK_IN = 1.95, 0.75  # of a panel with its title and foot; of an easting
 OBSTACLE_COLOUR, NO_DATA_COLOUR, GUESSED_COLOUR = "#c4c4c4", "#efe4d6", "#d98c4a"
 NO_DATA_PATCH = ("no data", NO_DATA_COLOUR)
 GAP = "  ·  "  # between two facts of a line
 MOST_RULES = 2  # weights, or the like, of the routes of one picture
 MAP = "map"  # gid of a panel over a grid
-END_LOOK: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "markerfacecolor": "white"}
+END_LOOK: dict[str, Any] = {
+    "linestyle": "none",
+    "markeredgecolor": "black",
+    "markerfacecolor": "white",
+}
 ENDS = tuple(  # of a route, in a legend
     Line2D([], [], marker=marker, markersize=size, label=name, **END_LOOK)
     for name, marker, size in (("start", "o", 6.0), ("goal", "*", 11.0))
@@ -105,10 +115,22 @@ def draw_maps(
     for empty in axes[len(panels) :]:
         empty.remove()
     axes = axes[: len(panels)]
-    for number, (panel, (title, layers, foot), bar) in enumerate(zip(axes, panels, bars, strict=True)):
-        _dress(panel, grid, letter(number, len(panels)) + title, max(1, min(3, int(width_in / TICK_IN))))
-        is_left, is_bottom = number % num_cols == 0 and has_ticks, number + num_cols >= len(panels) and has_ticks
-        panel.tick_params(labelleft=is_left, labelbottom=is_bottom, left=has_ticks, bottom=has_ticks)
+    for number, (panel, (title, layers, foot), bar) in enumerate(
+        zip(axes, panels, bars, strict=True)
+    ):
+        _dress(
+            panel,
+            grid,
+            letter(number, len(panels)) + title,
+            max(1, min(3, int(width_in / TICK_IN))),
+        )
+        is_left, is_bottom = (
+            number % num_cols == 0 and has_ticks,
+            number + num_cols >= len(panels) and has_ticks,
+        )
+        panel.tick_params(
+            labelleft=is_left, labelbottom=is_bottom, left=has_ticks, bottom=has_ticks
+        )
         panel.set_ylabel("northing (km)" if is_left else "", size=SMALL_PT)
         below = "\n".join(filter(None, ("easting (km)" if is_bottom else "", foot)))
         panel.set_xlabel(below, size=SMALL_PT, loc="left" if foot else "center")
@@ -120,7 +142,10 @@ def draw_maps(
     if colours is not None:
         add_colour_bar(figure, axes, colours)
     look: dict[str, Any] = {"edgecolor": FAINT_INK, "linewidth": 0.4}
-    handles = [Patch(facecolor=each[1], label=each[0], **look) if isinstance(each, tuple) else each for each in legend]
+    handles = [
+        Patch(facecolor=each[1], label=each[0], **look) if isinstance(each, tuple) else each
+        for each in legend
+    ]
     look = {"handles": handles, "fontsize": SMALL_PT, "frameon": False, "handlelength": 1.4}
     if is_key_of_last:
         axes[-1].legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), **look)
@@ -136,7 +161,12 @@ def _own_bar(panel: MapPanel) -> Colours | None:
 
 
 def _dress(panel: Axes, grid: Grid, title: str, num_ticks: int) -> None:
-    panel.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m), aspect="equal", anchor="NW")
+    panel.set(
+        xlim=(grid.x_min_m, grid.x_max_m),
+        ylim=(grid.y_min_m, grid.y_max_m),
+        aspect="equal",
+        anchor="NW",
+    )
     panel.set_title(title, size=TEXT_PT, loc="left", pad=4, color=INK)
     panel.set_facecolor(NO_DATA_COLOUR)
     panel.set_gid(MAP)
@@ -147,7 +177,9 @@ def _dress(panel: Axes, grid: Grid, title: str, num_ticks: int) -> None:
     panel.spines[:].set(linewidth=0.6, color=FAINT_INK)
 
 
-def mark_ends(panel: Axes, start_xy_m: Iterable[Any], goal_xy_m: Iterable[Any], size: float = 1.1) -> None:
+def mark_ends(
+    panel: Axes, start_xy_m: Iterable[Any], goal_xy_m: Iterable[Any], size: float = 1.1
+) -> None:
     """Mark where a route starts (circle) and ends (star); `ENDS` are their entries in a legend."""
     for end, at in zip(ENDS, (start_xy_m, goal_xy_m), strict=True):
         look = END_LOOK | {"marker": end.get_marker(), "markersize": size * end.get_markersize()}
@@ -167,7 +199,12 @@ def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
         image = np.where(rgba[..., 3:] > 0, rgba[..., :3], image)
     rows, cols = image.shape[:2]
     side_m = step * grid.resolution_m
-    extent = (grid.x_min_m, grid.x_min_m + cols * side_m, grid.y_min_m, grid.y_min_m + rows * side_m)
+    extent = (
+        grid.x_min_m,
+        grid.x_min_m + cols * side_m,
+        grid.y_min_m,
+        grid.y_min_m + rows * side_m,
+    )
     panel.imshow(image, extent=extent, origin="lower", interpolation="auto", aspect="equal")
     panel.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m))
 
@@ -193,13 +230,17 @@ def add_scale(panel: Axes) -> None:
     name = f"{length_m / 1000:g} km" if length_m >= 1000 else f"{length_m:g} m"
     look: dict[str, Any] = {"color": INK, "label_top": True, "fontproperties": {"size": SMALL_PT}}
     look["size_vertical"] = 0.006 * (high_m - low_m)
-    bar = AnchoredSizeBar(panel.transData, length_m, name, "lower left", pad=0.25, borderpad=0.3, sep=2, **look)
+    bar = AnchoredSizeBar(
+        panel.transData, length_m, name, "lower left", pad=0.25, borderpad=0.3, sep=2, **look
+    )
     bar.patch.set(edgecolor="none", boxstyle="square,pad=0")
     bar.set_zorder(15)
     panel.add_artist(bar)
 
 
-def frame_note(maps: MetricMaps, time: str | None = None, *, has_sky: bool = True, of: str | None = None) -> str:
+def frame_note(
+    maps: MetricMaps, time: str | None = None, *, has_sky: bool = True, of: str | None = None
+) -> str:
     """Return the lines below a figure's heading: caveats and guesses, if any; the sky, cells, CRS, place, credit.
 
     ``has_sky``: the figure shows something of GPS, at a time or, left out, over all times of a series; guesses of the
@@ -217,8 +258,13 @@ def rules_said(*settings: Mapping[str, Any]) -> str:
     for each in settings:
         weights = ", ".join(f"{name} {weight:g}" for name, weight in each["weights"].items())
         rules["cost model"].append(each["cost_model"])
-        rules["weights"].append("the distance alone" if each["objective"] == "distance" else weights)
-        clearances = [*clearances_said(each["limits"]), kept_said(each["limits"], each["resolution_m"])]
+        rules["weights"].append(
+            "the distance alone" if each["objective"] == "distance" else weights
+        )
+        clearances = [
+            *clearances_said(each["limits"]),
+            kept_said(each["limits"], each["resolution_m"]),
+        ]
         rules["obstacles"].append(", ".join(filter(None, [each["obstacles"], *clearances])))
     distinct = {name: list(dict.fromkeys(values)) for name, values in rules.items() if values}
     return joined(
@@ -232,7 +278,11 @@ def rules_said(*settings: Mapping[str, Any]) -> str:
 def caveats_said(maps: MetricMaps, of: str | None = None) -> list[str]:
     """Return what a reader must know of a map, or left out of all metrics that these maps hold."""
     names = [maps.variable(name) for name in ((of,) if of else maps.metrics)]
-    return list(dict.fromkeys(said for name in names if name in maps.ds and (said := maps.ds[name].attrs.get(CAVEAT))))
+    return list(
+        dict.fromkeys(
+            said for name in names if name in maps.ds and (said := maps.ds[name].attrs.get(CAVEAT))
+        )
+    )
 
 
 def guesses_said(maps: MetricMaps, has_sky: bool) -> str:
@@ -242,7 +292,12 @@ def guesses_said(maps: MetricMaps, has_sky: bool) -> str:
 
 def ground_said(maps: MetricMaps) -> tuple[str, ...]:
     """Return the size of a cell, the CRS, where on Earth the maps lie, and whom to credit."""
-    return f"{maps.grid.resolution_m:g} m cells", maps.grid.crs, place_said(maps.grid), maps.attribution
+    return (
+        f"{maps.grid.resolution_m:g} m cells",
+        maps.grid.crs,
+        place_said(maps.grid),
+        maps.attribution,
+    )
 
 
 def joined(*facts: str | None) -> str:

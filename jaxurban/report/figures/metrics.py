@@ -35,7 +35,11 @@ from jaxurban.report.figures.style import Colours, ends_of
 
 AVAILABILITY = "gps_availability"
 DISTANCE_COLOUR = "#555555"
-UNITS = {"1": "", "km-2": "", "m": " in metres"}  # behind what a colour bar names; others as they are
+UNITS = {
+    "1": "",
+    "km-2": "",
+    "m": " in metres",
+}  # behind what a colour bar names; others as they are
 EMPTY_COLOUR = "#ffffff"
 
 
@@ -47,7 +51,9 @@ def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tu
 def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_COLOUR) -> MapLayer:
     """Return the obstacle cells at an altitude, also between those of the maps, as they are drawn."""
     is_held = altitude_m in maps.altitudes_m
-    is_blocked = maps.m("obstacle", altitude_m) != 0 if is_held else ~maps.is_free(altitude_m, "centre")
+    is_blocked = (
+        maps.m("obstacle", altitude_m) != 0 if is_held else ~maps.is_free(altitude_m, "centre")
+    )
     return flat_layer(is_blocked & maps.ds["has_data"].values, colour)
 
 
@@ -81,7 +87,10 @@ def metric_colours(maps: MetricMaps, name: str, values: np.ndarray | None = None
     variable = drawn_variables(maps)[name]
     label = bar_label(maps, name, variable)
     return colours_of(
-        variable, lambda: maps.ds[variable.name].values if values is None else values, label, maps.ds.attrs
+        variable,
+        lambda: maps.ds[variable.name].values if values is None else values,
+        label,
+        maps.ds.attrs,
     )
 
 
@@ -93,16 +102,18 @@ def bar_label(maps: MetricMaps, name: str, variable: Variable) -> str:
         return f"{said}\n(1: {meaning})" if meaning else said
     if meaning:
         return f"1: {meaning}"
-    said = (
-        f"{variable.symbol or variable.title or variable.long_name}{UNITS.get(variable.unit, f' in {variable.unit}')}"
-    )
+    unit = UNITS.get(variable.unit, f" in {variable.unit}")
+    said = f"{variable.symbol or variable.title or variable.long_name}{unit}"
     if variable.scale.limit:
         limit = f";\nalert limit {maps.ds.attrs[variable.scale.limit]:g} m"
     return f"{said} (lower is better{limit})" if variable.scale.is_better_low else said
 
 
 def colours_of(
-    variable: Variable, read: Callable[[], np.ndarray], label: str = "", attrs: Mapping[str, Any] | None = None
+    variable: Variable,
+    read: Callable[[], np.ndarray],
+    label: str = "",
+    attrs: Mapping[str, Any] | None = None,
 ) -> Colours:
     """Return how values of a variable are drawn.
 
@@ -124,22 +135,36 @@ def colours_of(
         return Colours(scale.colour_map, LogNorm(high / 1000, high), label, extend="min")
     if scale.stretch == "sqrt":
         return Colours(scale.colour_map, PowerNorm(0.5, low, high), label)
-    return Colours(scale.colour_map, Normalize(low, high), label, "max" if scale.is_better_low else "neither", ticks)
+    return Colours(
+        scale.colour_map,
+        Normalize(low, high),
+        label,
+        "max" if scale.is_better_low else "neither",
+        ticks,
+    )
 
 
-def values_of(maps: MetricMaps, name: str, altitude_m: float, time: str | None = None) -> np.ndarray:
+def values_of(
+    maps: MetricMaps, name: str, altitude_m: float, time: str | None = None
+) -> np.ndarray:
     """Return a map ``[y, x]``; the availability of several epochs too, which maps hold of a long series alone."""
     if name == AVAILABILITY and name not in maps.ds:
         threshold = availability_threshold(maps)
-        return np.mean([maps.m("gps", altitude_m, time=each) > threshold for each in maps.times], axis=0)
+        return np.mean(
+            [maps.m("gps", altitude_m, time=each) > threshold for each in maps.times], axis=0
+        )
     return maps.m(name, altitude_m, time=time)
 
 
 def free_layer(maps: MetricMaps, name: str, altitude_m: float, time: str | None = None) -> MapLayer:
     """Return a metric at one altitude as it is drawn: free cells only, DOPs cut at the end of their scale."""
     colours = metric_colours(maps, name)
-    values = np.minimum(values_of(maps, name, altitude_m, time).astype(np.float32), np.float32(colours.norm.vmax))
-    return MapLayer(np.where(maps.is_free(altitude_m, "centre"), values, np.float32(np.nan)), colours)
+    values = np.minimum(
+        values_of(maps, name, altitude_m, time).astype(np.float32), np.float32(colours.norm.vmax)
+    )
+    return MapLayer(
+        np.where(maps.is_free(altitude_m, "centre"), values, np.float32(np.nan)), colours
+    )
 
 
 def plot_metric(
@@ -173,14 +198,27 @@ def plot_metric(
     if ALTITUDE not in dims:
         times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
         items = times_of_day if TIME_OF_DAY in dims else (None,)
-        panels = [MapPanel(item or "", [MapLayer(maps.m(name, time_of_day=item), colours)]) for item in items]
-        heading, note, patches = variable.heading, frame_note(maps, has_sky=False), obstacle_patches(maps)[1:]
+        panels = [
+            MapPanel(item or "", [MapLayer(maps.m(name, time_of_day=item), colours)])
+            for item in items
+        ]
+        heading, note, patches = (
+            variable.heading,
+            frame_note(maps, has_sky=False),
+            obstacle_patches(maps)[1:],
+        )
     else:
         time, over = (time or maps.times[0]) if TIME in dims else None, ""
         if variable.name not in maps.ds:
             over = f" over {len(maps.times)} epochs"
-        panels = [_panel(maps, name, variable, f"{z:g} m", z, time) for z in altitudes_m or maps.altitudes_m]
-        heading, patches = f"{variable.heading}{over}, by altitude above ground", obstacle_patches(maps)
+        panels = [
+            _panel(maps, name, variable, f"{z:g} m", z, time)
+            for z in altitudes_m or maps.altitudes_m
+        ]
+        heading, patches = (
+            f"{variable.heading}{over}, by altitude above ground",
+            obstacle_patches(maps),
+        )
         has_sky = bool(variable.of) and TIME in maps.metrics[variable.of].dims
         note = frame_note(maps, time, has_sky=has_sky, of=name)
     look: dict[str, Any] = {"legend": [*classes, *patches], "colours": None if classes else colours}
@@ -200,21 +238,32 @@ def plot_epochs(maps: GivenMaps, name: str = "gps", *, altitude_m: float | None 
     """
     maps = as_maps(maps)
     z = min(maps.altitudes_m) if altitude_m is None else altitude_m
-    timed = {each: variable for each, variable in drawn_variables(maps).items() if TIME in variable.dims}
+    timed = {
+        each: variable for each, variable in drawn_variables(maps).items() if TIME in variable.dims
+    }
     variable = timed[one_of("a map of each time", name, timed)]
-    panels = [_panel(maps, name, variable, time[5:16].replace("T", " "), z, time) for time in maps.times]
-    heading, note = f"{variable.heading} at each epoch, {z:g} m above ground", frame_note(maps, of=name)
+    panels = [
+        _panel(maps, name, variable, time[5:16].replace("T", " "), z, time) for time in maps.times
+    ]
+    heading, note = (
+        f"{variable.heading} at each epoch, {z:g} m above ground",
+        frame_note(maps, of=name),
+    )
     look: dict[str, Any] = {"legend": obstacle_patches(maps), "colours": metric_colours(maps, name)}
     return draw_maps(maps.grid, panels, heading, note, **look)[0]
 
 
-def _panel(maps: MetricMaps, name: str, variable: Variable, what: str, altitude_m: float, time: str | None) -> MapPanel:
+def _panel(
+    maps: MetricMaps, name: str, variable: Variable, what: str, altitude_m: float, time: str | None
+) -> MapPanel:
     """Return the panel of a map at an altitude and a time; its title says what, and the mean."""
     layers = [free_layer(maps, name, altitude_m, time), obstacle_layer(maps, altitude_m)]
     return MapPanel(f"{what}  ·  {_middle_of(maps, name, variable, altitude_m, time)}", layers)
 
 
-def _middle_of(maps: MetricMaps, name: str, variable: Variable, altitude_m: float, time: str | None) -> str:
+def _middle_of(
+    maps: MetricMaps, name: str, variable: Variable, altitude_m: float, time: str | None
+) -> str:
     """Return the mean over free cells as a text, with a unit; the median of counts and of what may be infinite."""
     values = values_of(maps, name, altitude_m, time)[maps.is_free(altitude_m, "centre")]
     unit = "" if variable.unit == "1" else f" {variable.unit}"
@@ -224,7 +273,11 @@ def _middle_of(maps: MetricMaps, name: str, variable: Variable, altitude_m: floa
         return f"{percent(values.mean(dtype=np.float64))} {variable.classes[1][0]}"
     if np.issubdtype(variable.dtype, np.integer) or not variable.is_averaged:
         middle = np.quantile(values, 0.5, method="higher")
-        return f"median {middle:.3g}{unit}" if np.isfinite(middle) else "undetermined in most free cells"
+        return (
+            f"median {middle:.3g}{unit}"
+            if np.isfinite(middle)
+            else "undetermined in most free cells"
+        )
     return f"mean {values.mean(dtype=np.float64):.{0 if unit else 2}f}{unit}"
 
 
@@ -237,7 +290,11 @@ def plot_obstacles(maps: GivenMaps, *, altitudes_m: Sequence[float] | None = Non
     maps = as_maps(maps)
     has_data, panels = maps.ds["has_data"].values, []
     for z in altitudes_m or maps.altitudes_m:
-        share = f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked" if has_data.any() else "no data"
+        share = (
+            f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked"
+            if has_data.any()
+            else "no data"
+        )
         layers = [flat_layer(has_data, FREE_COLOUR), obstacle_layer(maps, z, BUILT_COLOUR)]
         panels.append(MapPanel(f"{z:g} m  ·  {share}", layers))
     legend = [("free", FREE_COLOUR), *obstacle_patches(maps, BUILT_COLOUR)]
@@ -251,7 +308,11 @@ def percent(share: float) -> str:
         return "< 0.1 %"
     if 0.9995 <= share < 1:
         return "> 99.9 %"
-    return f"{100 * share:.1f} %" if 0 < share < 0.0995 or 0.9005 <= share < 1 else f"{100 * share:.0f} %"
+    return (
+        f"{100 * share:.1f} %"
+        if 0 < share < 0.0995 or 0.9005 <= share < 1
+        else f"{100 * share:.0f} %"
+    )
 
 
 def _plot_classes(
@@ -271,7 +332,9 @@ def _plot_classes(
     return draw_maps(maps.grid, panels, heading, frame_note(maps, time), legend=legend)[0]
 
 
-def plot_gps_rating(maps: GivenMaps, *, altitudes_m: Sequence[float] | None = None, time: str | None = None) -> Figure:
+def plot_gps_rating(
+    maps: GivenMaps, *, altitudes_m: Sequence[float] | None = None, time: str | None = None
+) -> Figure:
     """Return panels of the paper's GPS rating by altitude; titles give the share of free cells rated good or better.
 
     Raises:
@@ -283,7 +346,9 @@ def plot_gps_rating(maps: GivenMaps, *, altitudes_m: Sequence[float] | None = No
         rank = np.asarray(rating(maps.m("gdop", z, time=time)))
         found[z] = f"{percent(_share(rank <= Rating.GOOD, maps, z))} good or better", rank
     steps = matplotlib.colormaps[METRICS["gps"].colour_map](np.linspace(1, 0, len(Rating)))
-    ranges = [f"up to {high:g}" for high in RATING_UPPER_GDOP] + [f"above {RATING_UPPER_GDOP[-1]:g}"]
+    ranges = [f"up to {high:g}" for high in RATING_UPPER_GDOP] + [
+        f"above {RATING_UPPER_GDOP[-1]:g}"
+    ]
     names = [
         (f"{item.name.capitalize()}\n(GDOP {dop_range})", matplotlib.colors.to_hex(colour))
         for item, dop_range, colour in zip(Rating, ranges, steps, strict=True)
@@ -324,7 +389,9 @@ def plot_population(maps: GivenMaps) -> Figure:
     """
     maps = as_maps(maps)
     if "density" not in maps.ds:
-        raise InputError("these maps hold no population: give [population] sources in the scenario and make them again")
+        raise InputError(
+            "these maps hold no population: give [population] sources in the scenario and make them again"
+        )
     cell_km2 = maps.grid.resolution_m**2 / 1e6
     colours = metric_colours(maps, "density")
     panels = []
@@ -334,12 +401,17 @@ def plot_population(maps: GivenMaps) -> Figure:
         panels.append(MapPanel(title, layers_above_zero(values, colours)))
     legend = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
     note = frame_note(maps, has_sky=False)
-    return draw_maps(maps.grid, panels, "Population density", note, legend=legend, colours=colours)[0]
+    return draw_maps(maps.grid, panels, "Population density", note, legend=legend, colours=colours)[
+        0
+    ]
 
 
 def layers_above_zero(values: np.ndarray, colours: Colours) -> list[MapLayer]:
     """Return values as they are drawn where 0 is none of them: people, roofs; such cells in white."""
-    return [flat_layer(values == 0, EMPTY_COLOUR), MapLayer(np.where(values > 0, values, np.float32(np.nan)), colours)]
+    return [
+        flat_layer(values == 0, EMPTY_COLOUR),
+        MapLayer(np.where(values > 0, values, np.float32(np.nan)), colours),
+    ]
 
 
 def roof_layers(maps: MetricMaps) -> list[MapLayer]:
@@ -355,7 +427,9 @@ def plot_heights(maps: GivenMaps) -> Figure:
     """
     maps = as_maps(maps)
     legend: list[LegendEntry] = [("no building", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
-    panels = [MapPanel(f"roofs above ground, up to {ends_of(maps.m('roof'))[1]:.0f} m", roof_layers(maps))]
+    panels = [
+        MapPanel(f"roofs above ground, up to {ends_of(maps.m('roof'))[1]:.0f} m", roof_layers(maps))
+    ]
     if "terrain" in maps.ds:
         low_m, high_m = ends_of(terrain_m := maps.m("terrain"))
         ground = MapLayer(terrain_m, replace(metric_colours(maps, "terrain", terrain_m), label=""))
@@ -364,9 +438,17 @@ def plot_heights(maps: GivenMaps) -> Figure:
         is_roof = maps.m("roof") > 0
         is_guessed = maps.m("roof_guessed") & is_roof
         share = percent(is_guessed.sum() / max(is_roof.sum(), 1))
-        of_roofs = [flat_layer(maps.m("roof") == 0, EMPTY_COLOUR), flat_layer(is_roof, OBSTACLE_COLOUR)]
+        of_roofs = [
+            flat_layer(maps.m("roof") == 0, EMPTY_COLOUR),
+            flat_layer(is_roof, OBSTACLE_COLOUR),
+        ]
         panels.append(
-            MapPanel(f"height guessed: {share} of roofs", [*of_roofs, flat_layer(is_guessed, GUESSED_COLOUR)])
+            MapPanel(
+                f"height guessed: {share} of roofs",
+                [*of_roofs, flat_layer(is_guessed, GUESSED_COLOUR)],
+            )
         )
         legend.append(("height guessed", GUESSED_COLOUR))
-    return draw_maps(maps.grid, panels, "Heights (m)", frame_note(maps, has_sky=False), legend=legend)[0]
+    return draw_maps(
+        maps.grid, panels, "Heights (m)", frame_note(maps, has_sky=False), legend=legend
+    )[0]

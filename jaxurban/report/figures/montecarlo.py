@@ -25,7 +25,13 @@ from jaxurban.report.figures.style import (
 )
 from jaxurban.studies.montecarlo.analysis import each, range_names, weighted_rows
 
-SHARES = Colours("Greys", LogNorm(1e-6, 0.3), "share of the free cells", extend="max", ticks=(1e-6, 1e-4, 0.01, 0.3))
+SHARES = Colours(
+    "Greys",
+    LogNorm(1e-6, 0.3),
+    "share of the free cells",
+    extend="max",
+    ticks=(1e-6, 1e-4, 0.01, 0.3),
+)
 CURVES_APART_PT = 1.5
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
 
@@ -49,10 +55,18 @@ def _by_altitude(
 def plot_success(success: pd.DataFrame) -> Figure:
     """Return the share of joined pairs that each planner solved, by altitude and range (`analysis.success`)."""
     colours, ranges = planner_colours(sorted(success.planner.unique())), range_names(success)
-    figure, axes = _panels(success.altitude_m.nunique(), "Share of pairs that some path joins, for which one was found")
+    figure, axes = _panels(
+        success.altitude_m.nunique(), "Share of pairs that some path joins, for which one was found"
+    )
     for panel, rank, planner, rows in _by_altitude(success, axes, colours):
         share, width = rows.set_index("range").share_joined.reindex(ranges), 0.8 / len(colours)
-        panel.bar(np.arange(len(ranges)) + rank * width, share, width, color=colours[planner], label=planner)
+        panel.bar(
+            np.arange(len(ranges)) + rank * width,
+            share,
+            width,
+            color=colours[planner],
+            label=planner,
+        )
         panel.set_xticks(np.arange(len(ranges)) + (0.8 - width) / 2, ranges)
     _show_shares(axes, "joined pairs solved (%)")
     legend_below(figure, axes[0])
@@ -63,16 +77,30 @@ def plot_success(success: pd.DataFrame) -> Figure:
 def plot_costs(table: pd.DataFrame) -> Figure:
     """Return the share of joined pairs that each planner solved within a ratio of the cheapest path."""
     colours = planner_colours(sorted(table.planner.unique()))
-    figure, axes = _panels(table.altitude_m.nunique(), "Share of pairs solved at so many times the cheapest cost known")
+    figure, axes = _panels(
+        table.altitude_m.nunique(), "Share of pairs solved at so many times the cheapest cost known"
+    )
     end = float(np.clip(table.ratio.quantile(0.98), *RATIO_AXIS))
     for panel, rank, planner, rows in _by_altitude(table, axes, colours):
         ratio = np.sort(rows.ratio[np.isfinite(rows.ratio)])
-        share = np.arange(len(ratio) + 1) / max(1, len(rows))  # from 0: a planner that solved none has a line too
+        share = np.arange(len(ratio) + 1) / max(
+            1, len(rows)
+        )  # from 0: a planner that solved none has a line too
         x = np.concatenate([[1.0], ratio, [max(end, ratio.max(initial=1.0))]])
         y = np.append(share, share[-1])
         others = len(colours) - 1
-        beside = [Beside((others / 2 - rank) * CURVES_APART_PT)]  # where curves coincide all are seen
-        panel.step(x, y, where="post", color=colours[planner], label=planner, linewidth=1.4, path_effects=beside)
+        beside = [
+            Beside((others / 2 - rank) * CURVES_APART_PT)
+        ]  # where curves coincide all are seen
+        panel.step(
+            x,
+            y,
+            where="post",
+            color=colours[planner],
+            label=planner,
+            linewidth=1.4,
+            path_effects=beside,
+        )
         panel.set(xlim=(1 - 0.01 * (end - 1), end), xlabel="cost / cheapest known")
         panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
     _show_shares(axes, "joined pairs solved at that ratio (%)", (-0.04, 1.04))
@@ -99,9 +127,14 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
     bins = np.linspace(0, 1, 41)
     for panel, row in zip(axes, each(table), strict=True):
         is_free = maps.is_free(row.altitude_m, "centre")
-        gps, lidar = maps.m("gps", row.altitude_m)[is_free], maps.m("lidar", row.altitude_m)[is_free]
+        gps, lidar = (
+            maps.m("gps", row.altitude_m)[is_free],
+            maps.m("lidar", row.altitude_m)[is_free],
+        )
         of_all = np.full(len(gps), 1 / max(len(gps), 1))
-        panel.hist2d(gps, lidar, bins, weights=of_all, cmin=1e-12, cmap=SHARES.cmap, norm=SHARES.norm)
+        panel.hist2d(
+            gps, lidar, bins, weights=of_all, cmin=1e-12, cmap=SHARES.cmap, norm=SHARES.norm
+        )
         panel.plot([0, 1], [0, 1], "--", color=FAINT_INK, linewidth=0.8)
         panel.grid(visible=False)
         correlation = f", r = {row.correlation:+.2f}" if np.isfinite(row.correlation) else ""
@@ -120,6 +153,9 @@ def study_figures(
     drawn: dict[str, tuple[Callable[..., Figure], pd.DataFrame]] = {
         "success": (plot_success, tables["success"]),
         "costs": (plot_costs, weighted[weighted.is_joined & bool(weighted.has_path.any())]),
-        "complementarity": (partial(plot_complementarity, maps), tables.get("complementarity", pd.DataFrame())),
+        "complementarity": (
+            partial(plot_complementarity, maps),
+            tables.get("complementarity", pd.DataFrame()),
+        ),
     }
     return {name: partial(draw, rows) for name, (draw, rows) in drawn.items() if len(rows)}

@@ -68,13 +68,18 @@ OTHER_COLOURS = ("#00857a", "#7b3fb5", "#7fc241", "#8c510a", "#59d8c8", "#d9a3ff
 COST_COLOURS = Colours("gray", Normalize(0, 1), "$H_\\mathrm{norm}$\n(0: best free cell, 1: worst)")
 BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
 MOST_LETTERS = 17  # of a path's name in the legend and below its panel
-LINE_PT, EDGE_PT = 1.6, 0.4  # of a path; of its white edge, which parts it from the map and from the next one
+LINE_PT, EDGE_PT = (
+    1.6,
+    0.4,
+)  # of a path; of its white edge, which parts it from the map and from the next one
 APART_PT = 2.3  # from the middle of a path to that of the next one where both coincide
 SMOOTH_PX = 0.3  # by which the corners of a grid path may be cut
 COINCIDE = 0.05  # share of a path's length on which it runs within a cell of another one
 
 Paths = PlannedPath | Sequence[PlannedPath | None]
-Place = tuple[float, str | None, str | None]  # altitude, time and time of day of the map that a path was planned on
+Place = tuple[
+    float, str | None, str | None
+]  # altitude, time and time of day of the map that a path was planned on
 
 
 def paths_in(paths: Paths) -> list[PlannedPath]:
@@ -83,7 +88,9 @@ def paths_in(paths: Paths) -> list[PlannedPath]:
     Raises:
       InputError: something else than paths.
     """
-    planned = [path for path in ([paths] if isinstance(paths, PlannedPath) else paths) if path is not None]
+    planned = [
+        path for path in ([paths] if isinstance(paths, PlannedPath) else paths) if path is not None
+    ]
     for path in planned:
         if not isinstance(path, PlannedPath):
             raise InputError(f"paths must be paths from plan, got {type(path).__name__}")
@@ -126,18 +133,35 @@ def plot_paths(
     named = list(zip(planned, _names_of(planned, names), strict=True))
     shown_m = altitudes_m or sorted({path.altitude_m for path in planned}) or maps.altitudes_m
     places = [place for z in shown_m for place in _places_at(maps, z, planned, time, time_of_day)]
-    on_panels = [[(path, name) for path, name in named if _place_of(path) == place] for place in places]
+    on_panels = [
+        [(path, name) for path, name in named if _place_of(path) == place] for place in places
+    ]
     times = list(dict.fromkeys(at for _, at, _ in places))
     panels = []
     for (z, at, day), here in zip(places, on_panels, strict=True):
-        title = " · ".join(filter(None, (f"{z:g} m", day, time_said(at) if at and len(times) > 1 else "")))
-        panels.append(MapPanel(title, cost_layers(maps, z, at, day), "\n".join(outcome_of(*each) for each in here)))
-    every, colours = [each for here in on_panels for each in here], planner_colours(name for _, name in named)
-    note = joined(frame_note(maps, times[0] if len(times) == 1 else None), "below: cost, length" if every else "")
+        title = " · ".join(
+            filter(None, (f"{z:g} m", day, time_said(at) if at and len(times) > 1 else ""))
+        )
+        panels.append(
+            MapPanel(
+                title, cost_layers(maps, z, at, day), "\n".join(outcome_of(*each) for each in here)
+            )
+        )
+    every, colours = (
+        [each for here in on_panels for each in here],
+        planner_colours(name for _, name in named),
+    )
+    note = joined(
+        frame_note(maps, times[0] if len(times) == 1 else None),
+        "below: cost, length" if every else "",
+    )
     note = "\n".join(filter(None, [note, rules_said(*(path.settings for path, _ in every))]))
     heading = f"Cost{' and paths' if every else ''}, by altitude above ground"
     shown = {name: colours[name] for _, name in every}
-    legend: list[LegendEntry] = [*obstacle_patches(maps, BLOCKED_COLOUR), *path_entries(shown, [p for p, _ in every])]
+    legend: list[LegendEntry] = [
+        *obstacle_patches(maps, BLOCKED_COLOUR),
+        *path_entries(shown, [p for p, _ in every]),
+    ]
     figure, axes = draw_maps(maps.grid, panels, heading, note, legend=legend, colours=COST_COLOURS)
     for panel, here in zip(axes, on_panels, strict=True):
         draw_paths(panel, [path for path, _ in here], [colours[name] for _, name in here])
@@ -149,7 +173,9 @@ def plot_paths(
 def _names_of(planned: Sequence[PlannedPath], names: Sequence[str] | None) -> Sequence[str]:
     """Return what paths are called: by their planners where no names are given."""
     if names is not None and (isinstance(names, str) or len(names) != len(planned)):
-        raise InputError(f"names must be a list of {len(planned)}, one for each path, got {names!r}")
+        raise InputError(
+            f"names must be a list of {len(planned)}, one for each path, got {names!r}"
+        )
     return names or [path.search.planner for path in planned]
 
 
@@ -166,11 +192,17 @@ def _places_at(
 ) -> list[Place]:
     """Return the maps at an altitude that paths were planned on, else one map."""
     places = dict.fromkeys(_place_of(path) for path in planned if path.altitude_m == altitude_m)
-    first = altitude_m, time or maps.default_time, time_of_day or next(iter(maps.times_of_day), None)
+    first = (
+        altitude_m,
+        time or maps.default_time,
+        time_of_day or next(iter(maps.times_of_day), None),
+    )
     return list(places) or [first]
 
 
-def cost_layers(maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> list[MapLayer]:
+def cost_layers(
+    maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None
+) -> list[MapLayer]:
     """Return H_norm and obstacles as they are drawn."""
     norm = maps.normalised(altitude_m, time=time, time_of_day=time_of_day)
     return [MapLayer(norm, COST_COLOURS), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
@@ -178,13 +210,20 @@ def cost_layers(maps: MetricMaps, altitude_m: float, time: str | None, time_of_d
 
 def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]) -> None:
     """Draw the paths that were found, each in its colour, and start and goal of the first of them."""
-    found = [(path, colour) for path, colour in zip(paths, colours, strict=True) if path.status.has_path]
+    found = [
+        (path, colour) for path, colour in zip(paths, colours, strict=True) if path.status.has_path
+    ]
     lanes = lanes_of(
-        [path.xy_m for path, _ in found], max((path.settings["resolution_m"] for path, _ in found), default=0.0)
+        [path.xy_m for path, _ in found],
+        max((path.settings["resolution_m"] for path, _ in found), default=0.0),
     )
     for (path, colour), lane in zip(found, lanes, strict=True):
         beside = [Beside(lane * APART_PT, LINE_PT + 2 * EDGE_PT, "white"), Beside(lane * APART_PT)]
-        look: dict[str, Any] = {"linewidth": LINE_PT, "solid_joinstyle": "round", "path_effects": beside}
+        look: dict[str, Any] = {
+            "linewidth": LINE_PT,
+            "solid_joinstyle": "round",
+            "path_effects": beside,
+        }
         panel.plot(*path.xy_m.T, color=colour, zorder=4, **look)
     draw_ends(panel, paths)
 
@@ -197,7 +236,9 @@ def lanes_of(lines_m: Sequence[np.ndarray], near_m: float) -> list[float]:
     """
     shapes = [shapely.LineString(line) for line in lines_m]
     wide = [shape.buffer(near_m) for shape in shapes]
-    shared = np.array([[shape.intersection(other).length / shape.length for other in wide] for shape in shapes])
+    shared = np.array(
+        [[shape.intersection(other).length / shape.length for other in wide] for shape in shapes]
+    )
     groups = connected_components(shared > COINCIDE)[1] if shapes else np.zeros(0, int)
     lanes = np.zeros(len(shapes))
     for group in np.unique(groups):
@@ -214,7 +255,12 @@ class Beside(AbstractPathEffect):
         self.offset_pt, self.width_pt, self.colour = offset_pt, width_pt, colour
 
     def draw_path(
-        self, renderer: RendererBase, gc: GraphicsContextBase, tpath: Outline, affine: Transform, rgbFace: Any = None
+        self,
+        renderer: RendererBase,
+        gc: GraphicsContextBase,
+        tpath: Outline,
+        affine: Transform,
+        rgbFace: Any = None,
     ) -> None:
         """Draw the line of a path (Matplotlib calls it)."""
         look = renderer.new_gc()
@@ -226,7 +272,9 @@ class Beside(AbstractPathEffect):
             look.set_foreground(self.colour)
         (points,) = affine.transform_path(tpath).to_polygons(closed_only=False)
         moved = shapely.LineString(points).simplify(SMOOTH_PX)
-        moved = moved.offset_curve(renderer.points_to_pixels(self.offset_pt), join_style="mitre", mitre_limit=2.0)
+        moved = moved.offset_curve(
+            renderer.points_to_pixels(self.offset_pt), join_style="mitre", mitre_limit=2.0
+        )
         for part in shapely.get_parts(moved):
             renderer.draw_path(look, Outline(shapely.get_coordinates(part)), IdentityTransform())
         look.restore()
@@ -234,7 +282,10 @@ class Beside(AbstractPathEffect):
 
 def path_entries(colours: Mapping[str, str], paths: Sequence[PlannedPath]) -> list[Line2D]:
     """Return the legend's entries of the names that paths are drawn under, and of their ends where one was found."""
-    lines = [Line2D([], [], color=colour, linewidth=2.5, label=shortened(name)) for name, colour in colours.items()]
+    lines = [
+        Line2D([], [], color=colour, linewidth=2.5, label=shortened(name))
+        for name, colour in colours.items()
+    ]
     return [*lines, *(ENDS if any(path.status.has_path for path in paths) else ())]
 
 
@@ -258,7 +309,11 @@ def shortened(name: str, most: int = MOST_LETTERS) -> str:
 
 
 def plot_overview(
-    maps: GivenMaps, paths: Paths, *, altitude_m: float | None = None, names: Sequence[str] | None = None
+    maps: GivenMaps,
+    paths: Paths,
+    *,
+    altitude_m: float | None = None,
+    names: Sequence[str] | None = None,
 ) -> Figure:
     """Return one picture of a region: roof heights, the map of each metric, and paths over the cost.
 
@@ -286,7 +341,9 @@ def plot_overview(
     panels = [MapPanel("Roof height (m)", roof_layers(maps))]
     for name, metric in maps.metrics.items():
         if name == "population":
-            layers = layers_above_zero(maps.m("density", time_of_day=time_of_day), metric_colours(maps, "density"))
+            layers = layers_above_zero(
+                maps.m("density", time_of_day=time_of_day), metric_colours(maps, "density")
+            )
             panels.append(MapPanel(f"People, {time_of_day}", layers))
         else:
             layers = [obstacle_layer(maps, z, BLOCKED_COLOUR), free_layer(maps, name, z, time=time)]
@@ -298,9 +355,13 @@ def plot_overview(
     blank = "no building, nobody" if "population" in maps.metrics else "no building"
     legend: list[LegendEntry] = [(blank, EMPTY_COLOUR), *obstacle_patches(maps, BLOCKED_COLOUR)]
     legend += path_entries(colours, found)
-    note = "\n".join(filter(None, [frame_note(maps, time), rules_said(*(path.settings for path in found))]))
+    note = "\n".join(
+        filter(None, [frame_note(maps, time), rules_said(*(path.settings for path in found))])
+    )
     heading = f"Metric maps{what}, {z:g} m above ground"
-    figure, axes = draw_maps(maps.grid, panels, heading, note, legend=legend, has_ticks=False, is_key_of_last=True)
+    figure, axes = draw_maps(
+        maps.grid, panels, heading, note, legend=legend, has_ticks=False, is_key_of_last=True
+    )
     draw_paths(axes[-1], found, [colours[name] for _, name in named])
     return figure
 
@@ -341,7 +402,9 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> dict[str, Callable[[], Figur
             name = "cost" if len(maps.times_of_day) < 2 else f"cost_{time_of_day}"
             figures[name] = partial(plot_paths, maps, (), time_of_day=time_of_day)
     for name, variable in drawn_variables(maps).items():
-        is_of_series = name.endswith(("_availability", "_p05")) and maps.variable(variable.of) != variable.of
+        is_of_series = (
+            name.endswith(("_availability", "_p05")) and maps.variable(variable.of) != variable.of
+        )
         if name == AVAILABILITY or is_of_series or variable.of in ON_REQUEST:
             figures[name] = partial(plot_metric, maps, name)
     if len(maps.times) > 1 and maps.default_time is not None:

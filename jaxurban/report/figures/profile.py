@@ -16,7 +16,16 @@ from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, GUESSED, without_fix
 from jaxurban.report.figures.frame import GUESSED_COLOUR, frame_note
-from jaxurban.report.figures.style import FAINT_INK, SMALL_PT, TEXT_PT, chart, dress, letter, show_plain, styled
+from jaxurban.report.figures.style import (
+    FAINT_INK,
+    SMALL_PT,
+    TEXT_PT,
+    chart,
+    dress,
+    letter,
+    show_plain,
+    styled,
+)
 from jaxurban.report.write import save
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#c51b8a", "#1a1a1a", "#ffd9d4"
@@ -27,7 +36,9 @@ SIZE_IN, SECOND_IN = (10.0, 6.1), 1.2  # of the figure; of a second panel of met
 
 
 @styled
-def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | None = None) -> Figure:
+def plot_profile(
+    planned: PlannedPath, maps: GivenMaps, report: RouteReport | None = None
+) -> Figure:
     """Return altitude and roofs beneath, metrics, and the clearance along a route, one above the other.
 
     Metrics of which 1 is the best and those of which 1 is the worst have a panel each.
@@ -50,16 +61,26 @@ def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | No
     low_m, high_m = float(planned.z_m.min()), float(planned.z_m.max())
     altitude = f"{low_m:g} m" if low_m == high_m else f"{low_m:g} to {high_m:g} m"
     facts = planned.search.planner, f"{planned.length_m / 1000:.2f} km", f"{altitude} above ground"
-    told = ", ".join(filter(None, [*facts, planned.settings["time_of_day"], f"cost {planned.cost:,.1f}"]))
+    told = ", ".join(
+        filter(None, [*facts, planned.settings["time_of_day"], f"cost {planned.cost:,.1f}"])
+    )
     kinds = list(dict.fromkeys(metric.one_is for metric in maps.metrics.values()))
     height_in = SIZE_IN[1] + SECOND_IN * (len(kinds) - 1)
-    figure = chart(SIZE_IN[0], height_in, f"Route profile: {told}", frame_note(maps, planned.settings["time"]))
-    axes = figure.subplots(2 + len(kinds), 1, sharex=True, height_ratios=(1, *(1.1, 0.7)[: len(kinds)], 1))
+    figure = chart(
+        SIZE_IN[0], height_in, f"Route profile: {told}", frame_note(maps, planned.settings["time"])
+    )
+    axes = figure.subplots(
+        2 + len(kinds), 1, sharex=True, height_ratios=(1, *(1.1, 0.7)[: len(kinds)], 1)
+    )
     _draw_heights(axes[0], planned, profile, edges_km)
     for kind, panel in zip(kinds, axes[1:], strict=False):
         for name, metric in maps.metrics.items():
             if metric.one_is == kind:
-                look: dict[str, Any] = {"color": metric.colour, "linewidth": 1.3, "label": metric.label}
+                look: dict[str, Any] = {
+                    "color": metric.colour,
+                    "linewidth": 1.3,
+                    "label": metric.label,
+                }
                 panel.stairs(profile[name], edges_km, baseline=None, **look)
         panel.set(ylim=(-0.03, 1.03), ylabel=f"metric m\n(1 is {kind})")
     _draw_clearance(axes[-1], profile, edges_km)
@@ -86,11 +107,15 @@ def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | No
     return figure
 
 
-def _draw_heights(panel: Axes, planned: PlannedPath, profile: pd.DataFrame, edges_km: np.ndarray) -> None:
+def _draw_heights(
+    panel: Axes, planned: PlannedPath, profile: pd.DataFrame, edges_km: np.ndarray
+) -> None:
     panel.stairs(profile["roof_m"], edges_km, fill=True, color=BUILT_COLOUR, label="roofs beneath")
     if GUESSED in profile and profile[GUESSED].any():
         guessed_m = profile["roof_m"].where(profile[GUESSED], 0.0)
-        panel.stairs(guessed_m, edges_km, fill=True, color=GUESSED_COLOUR, label="of guessed height")
+        panel.stairs(
+            guessed_m, edges_km, fill=True, color=GUESSED_COLOUR, label="of guessed height"
+        )
     moved_m = np.diff(np.column_stack([planned.xy_m, planned.z_m]), axis=0)
     along_km = np.append(0.0, np.cumsum(np.linalg.norm(moved_m, axis=1))) / 1000
     panel.plot(along_km, planned.z_m, color=ALTITUDE_COLOUR, linewidth=1.6, label="flight altitude")
@@ -102,11 +127,25 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
     panel.set(ylabel=f"distance (m),\nlogarithmic\nabove {LINEAR_UP_TO_M:g} m")
     is_known = np.isfinite(profile[CLEARANCE])
     if not is_known.any():
-        panel.text(0.5, 0.5, "no obstacle at this altitude", transform=panel.transAxes, ha="center", size=TEXT_PT)
+        panel.text(
+            0.5,
+            0.5,
+            "no obstacle at this altitude",
+            transform=panel.transAxes,
+            ha="center",
+            size=TEXT_PT,
+        )
         panel.set_yticks([])
         return
     drawn_m = profile[CLEARANCE].where(is_known)  # none where the route is above every obstacle
-    panel.stairs(drawn_m, edges_km, baseline=None, color=CLEARANCE_COLOUR, linewidth=1.3, label="distance to obstacles")
+    panel.stairs(
+        drawn_m,
+        edges_km,
+        baseline=None,
+        color=CLEARANCE_COLOUR,
+        linewidth=1.3,
+        label="distance to obstacles",
+    )
     place = int(np.argmin(profile[CLEARANCE]))
     nearest_m, at_km = profile[CLEARANCE].iloc[place], edges_km[place : place + 2].mean()
     label = f"least: {nearest_m:.3g} m"
@@ -116,7 +155,9 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
     top_m = 1.15 * max(drawn_m.max(), 2 * LINEAR_UP_TO_M)
     panel.set_yscale("symlog", linthresh=LINEAR_UP_TO_M)
     panel.set_ylim(0, top_m)
-    panel.yaxis.set_major_locator(FixedLocator([tick for tick in CLEARANCE_TICKS_M if tick <= top_m]))
+    panel.yaxis.set_major_locator(
+        FixedLocator([tick for tick in CLEARANCE_TICKS_M if tick <= top_m])
+    )
     panel.yaxis.set_minor_locator(NullLocator())
     show_plain(panel.yaxis)
 
@@ -130,7 +171,9 @@ def check_picture(file: str | Path) -> None:
         raise InputError(f"cannot write {str(file)!r}: name a file in a folder that is there")
 
 
-def save_profile(planned: PlannedPath, maps: GivenMaps, file: str | Path, report: RouteReport | None = None) -> None:
+def save_profile(
+    planned: PlannedPath, maps: GivenMaps, file: str | Path, report: RouteReport | None = None
+) -> None:
     """Write the profile of a route (`plot_profile`) as PNG; the file appears whole or not at all.
 
     Raises:

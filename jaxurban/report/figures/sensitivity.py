@@ -12,7 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import LogLocator, NullLocator
 
-from jaxurban.report.figures.frame import ENDS, LegendEntry, MapPanel, draw_maps, frame_note, joined, rules_said
+from jaxurban.report.figures.frame import (
+    ENDS,
+    LegendEntry,
+    MapPanel,
+    draw_maps,
+    frame_note,
+    joined,
+    rules_said,
+)
 from jaxurban.report.figures.metrics import line_colour, obstacle_patches
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, cost_layers, draw_ends
 from jaxurban.report.figures.style import (
@@ -48,18 +56,31 @@ def sensitivity_figures(found: Sensitivity) -> dict[str, Callable[[], Figure]]:
 @styled
 def plot_breakpoints(found: Sensitivity) -> Figure:
     """Return the cheapest cost along the range of each weight, a dot where the route changes."""
-    figure, axes = panels(len(found.lines), "Cheapest cost along the range of each weight", shares_y=True)
+    figure, axes = panels(
+        len(found.lines), "Cheapest cost along the range of each weight", shares_y=True
+    )
     for panel, name in zip(axes, found.lines, strict=True):
         line, column = found.lines[name], found.names.index(name)
         ends = line.corners[:, column]
-        shares = np.sort(np.append((np.geomspace(ends[0], ends[1], 400) - ends[0]) / np.ptp(ends), line.breakpoints))
+        shares = np.sort(
+            np.append(
+                (np.geomspace(ends[0], ends[1], 400) - ends[0]) / np.ptp(ends), line.breakpoints
+            )
+        )
         costs = line.cost_at(np.stack([1 - shares, shares], axis=-1))
         is_breakpoint = np.isin(shares, line.breakpoints)
         values = ends[0] + shares * (ends[1] - ends[0])
         look: dict[str, Any] = {"marker": "o", "markersize": 4, "markeredgewidth": 0}
-        panel.plot(values, costs, color=line_colour(name), linewidth=1.1, markevery=is_breakpoint, **look)
+        panel.plot(
+            values, costs, color=line_colour(name), linewidth=1.1, markevery=is_breakpoint, **look
+        )
         panel.axvline(
-            found.weights[column], color=INK, linewidth=0.9, linestyle=(0, (3, 2)), zorder=1, label="given weight"
+            found.weights[column],
+            color=INK,
+            linewidth=0.9,
+            linestyle=(0, (3, 2)),
+            zorder=1,
+            label="given weight",
         )
         panel.set_xscale("log")
         panel.xaxis.set_major_locator(LogLocator(numticks=6))
@@ -80,14 +101,23 @@ def plot_breakpoint_routes(found: Sensitivity) -> Figure:
     low, high = found.settings.factors
     powers = range(*(math.ceil(math.log10(factor) - 1e-9) for factor in (low, 10 * high)))
     ticks = [10.0**power for power in powers]
-    colours = Colours("viridis", LogNorm(low, high), "weight, as a multiple of the given one", ticks=ticks)
+    colours = Colours(
+        "viridis", LogNorm(low, high), "weight, as a multiple of the given one", ticks=ticks
+    )
     legend = [("given weights\n(dashed)", ON_ROUTES_COLOUR)]
-    figure, axes = _maps(found, titles, "Cheapest routes along the range of each weight", legend, colours)
+    figure, axes = _maps(
+        found, titles, "Cheapest routes along the range of each weight", legend, colours
+    )
     for panel, name in zip(axes, found.lines, strict=True):
         table = found.breakpoints(name)
         middle = np.sqrt(table["from"] * table["to"]) / found.weights[found.names.index(name)]
         widths = np.linspace(3.2, 1.4, len(table))
-        look: dict[str, Any] = {"colors": colours(middle), "linewidths": widths, "capstyle": "round", "zorder": 4}
+        look: dict[str, Any] = {
+            "colors": colours(middle),
+            "linewidths": widths,
+            "capstyle": "round",
+            "zorder": 4,
+        }
         panel.add_collection(LineCollection(found.line_routes[name], **look))
         edge = [Stroke(linewidth=2.4, foreground=INK), Normal()]
         look = {"linewidth": 1.2, "linestyle": (0, (3, 2)), "path_effects": edge, "zorder": 6}
@@ -107,8 +137,21 @@ def plot_pareto(found: Sensitivity) -> Figure:
     labels = [_feature_label(found, name) for name in front.objectives]
     colours = Colours("viridis", Normalize(last.min(), last.max()), labels[-1])
     look: dict[str, Any] = {"norm": colours.norm, "cmap": colours.cmap}
-    panel.scatter(points[:, 0], points[:, 1], c=points[:, -1], s=26, edgecolors=FAINT_INK, linewidths=0.4, **look)
-    star: dict[str, Any] = {"marker": "*", "s": 220, "edgecolors": GIVEN_COLOUR, "label": "given weights"}
+    panel.scatter(
+        points[:, 0],
+        points[:, 1],
+        c=points[:, -1],
+        s=26,
+        edgecolors=FAINT_INK,
+        linewidths=0.4,
+        **look,
+    )
+    star: dict[str, Any] = {
+        "marker": "*",
+        "s": 220,
+        "edgecolors": GIVEN_COLOUR,
+        "label": "given weights",
+    }
     panel.scatter(given[0], given[1], c=given[-1:], **star, **look)
     if len(labels) == 3:
         add_colour_bar(figure, [panel], colours)
@@ -123,21 +166,33 @@ def _feature_label(found: Sensitivity, name: str) -> str:
     if name == "distance":
         return "distance (m)"
     is_line = found.route.settings["cost_model"] == "line"
-    unit = f"sum of c per {found.route.settings['reference_length_m']:g} m" if is_line else "sum of c over steps"
+    unit = (
+        f"sum of c per {found.route.settings['reference_length_m']:g} m"
+        if is_line
+        else "sum of c over steps"
+    )
     return f"{name} cost ({unit}; lower is better)"
 
 
 def _maps(
-    found: Sensitivity, titles: list[str], heading: str, legend: Sequence[LegendEntry], colours: Colours | None = None
+    found: Sensitivity,
+    titles: list[str],
+    heading: str,
+    legend: Sequence[LegendEntry],
+    colours: Colours | None = None,
 ) -> tuple[Figure, list[Axes]]:
     """Return maps of the normalised cost with the route's ends, on which routes are drawn."""
     settings, z = found.route.settings, found.route.altitude_m
     layers = cost_layers(found.maps, z, settings["time"], settings["time_of_day"])
-    facts = joined(f"{z:g} m above ground", settings["time_of_day"], "grey: normalised cost, black: lowest")
+    facts = joined(
+        f"{z:g} m above ground", settings["time_of_day"], "grey: normalised cost, black: lowest"
+    )
     note = "\n".join([facts, frame_note(found.maps, settings["time"]), rules_said(settings)])
     entries = [*obstacle_patches(found.maps, BLOCKED_COLOUR), *legend, *ENDS]
     panels_of = [MapPanel(title, layers) for title in titles]
-    figure, axes = draw_maps(found.maps.grid, panels_of, heading, note, legend=entries, colours=colours)
+    figure, axes = draw_maps(
+        found.maps.grid, panels_of, heading, note, legend=entries, colours=colours
+    )
     for panel in axes:
         draw_ends(panel, [found.route])
     return figure, axes

@@ -30,7 +30,9 @@ NUM_FACTORS = 4  # at which intervals are drawn
 BAR_GAP = 0.018  # between them, as a share of the axis
 
 
-def study_figures(tables: Mapping[str, pd.DataFrame], wrong: float) -> dict[str, Callable[[], Figure]]:
+def study_figures(
+    tables: Mapping[str, pd.DataFrame], wrong: float
+) -> dict[str, Callable[[], Figure]]:
     """Return what draws each figure, by file name."""
     return {
         "regret": partial(plot_regret, tables["summary"], wrong),
@@ -48,8 +50,18 @@ def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
     figure, (panel,) = panels(1, heading, panel_in=(5.9, 2.5))
     for k, city in enumerate(cities):
         rows = part[part.value == city].set_index("weight_name").reindex(weights)
-        look = {"color": SERIES_COLOURS[k % len(SERIES_COLOURS)], "marker": MARKERS[k % len(MARKERS)], "label": city}
-        dots(panel, np.arange(len(weights)) + (k - (len(cities) - 1) / 2) * 0.18, rows, "regret", look)
+        look = {
+            "color": SERIES_COLOURS[k % len(SERIES_COLOURS)],
+            "marker": MARKERS[k % len(MARKERS)],
+            "label": city,
+        }
+        dots(
+            panel,
+            np.arange(len(weights)) + (k - (len(cities) - 1) / 2) * 0.18,
+            rows,
+            "regret",
+            look,
+        )
     panel.set_xticks(range(len(weights)), weights)
     panel.set(xlim=(-0.6, len(weights) - 0.4), ylabel="regret (% of the cost)")
     panel.set_ylim(bottom=0)
@@ -67,24 +79,34 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
     varied = weights[weights.varies]
     altitudes = sorted(varied.altitude_m.unique())
     figure, axes = panels(
-        len(altitudes), "Share of routes that change where a weight is off by a factor", shares_y=True
+        len(altitudes),
+        "Share of routes that change where a weight is off by a factor",
+        shares_y=True,
     )
     end = max(varied.nearest.max(), 1.01)
     names = list(varied.weight_name.unique())
     middles = np.geomspace(1.0, end, 2 * NUM_FACTORS + 1)[1::2]
     for panel, altitude_m in zip(axes, altitudes, strict=True):
-        for name, rows in varied[varied.altitude_m == altitude_m].groupby("weight_name", sort=False):
+        for name, rows in varied[varied.altitude_m == altitude_m].groupby(
+            "weight_name", sort=False
+        ):
             colour, factors = line_colour(str(name)), np.sort(rows.nearest.to_numpy())
             is_reached = factors < end  # the others do not change within the range
             x = np.concatenate([[1.0], factors[is_reached], [end]])
-            y = np.concatenate([[0.0], np.flatnonzero(is_reached) + 1.0, [is_reached.sum()]]) / len(factors)
+            y = np.concatenate([[0.0], np.flatnonzero(is_reached) + 1.0, [is_reached.sum()]]) / len(
+                factors
+            )
             panel.step(x, y, where="post", color=colour, label=name, linewidth=1.3)
             pairs = pairs_of(rows)
             at = middles * end ** ((names.index(name) - (len(names) - 1) / 2) * BAR_GAP)
-            changed = [pairs.interval((rows.nearest <= factor).astype(float), "share")[1:] for factor in at]
+            changed = [
+                pairs.interval((rows.nearest <= factor).astype(float), "share")[1:] for factor in at
+            ]
             panel.vlines(at, *np.transpose(changed), color=colour, linewidth=2.2, alpha=0.75)
         panel.axvline(wrong, color=FAINT_INK, linewidth=0.8, linestyle=(0, (3, 2)))
-        panel.set(xscale="log", xlim=(1, end), ylim=(0, 1.02), xlabel="factor by which the weight is off")
+        panel.set(
+            xscale="log", xlim=(1, end), ylim=(0, 1.02), xlabel="factor by which the weight is off"
+        )
         panel.set_title(f"{altitude_m:g} m")
         show_plain_log(panel.xaxis)
         panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))

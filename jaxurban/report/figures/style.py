@@ -28,22 +28,24 @@ MARKERS = "osD^vP*X"
 DOT: dict[str, Any] = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
 LABEL_LETTERS = 32  # on a line of a colour bar's label
 
-styled = rc_context(  # a decorator of functions that draw; ticks are made later, so `dress` sets theirs
-    {
-        "font.size": SMALL_PT,
-        "axes.titlesize": TEXT_PT,
-        "axes.titlelocation": "left",
-        "axes.titlecolor": INK,
-        "axes.labelsize": SMALL_PT,
-        "axes.edgecolor": FAINT_INK,
-        "axes.linewidth": 0.6,
-        "axes.axisbelow": True,
-        "axes.spines.right": False,
-        "axes.spines.top": False,
-        "legend.fontsize": SMALL_PT,
-        "legend.frameon": False,
-        "figure.facecolor": "white",
-    }
+styled = (
+    rc_context(  # a decorator of functions that draw; ticks are made later, so `dress` sets theirs
+        {
+            "font.size": SMALL_PT,
+            "axes.titlesize": TEXT_PT,
+            "axes.titlelocation": "left",
+            "axes.titlecolor": INK,
+            "axes.labelsize": SMALL_PT,
+            "axes.edgecolor": FAINT_INK,
+            "axes.linewidth": 0.6,
+            "axes.axisbelow": True,
+            "axes.spines.right": False,
+            "axes.spines.top": False,
+            "legend.fontsize": SMALL_PT,
+            "legend.frameon": False,
+            "figure.facecolor": "white",
+        }
+    )
 )
 LEGEND_COLUMNS = 6
 WIDE = 5.0  # an axis whose ends differ by this factor has ticks at 1, 2 and 5 of each decade
@@ -54,7 +56,9 @@ def chart(width_in: float, height_in: float, heading: str, note: str = "") -> Fi
     """Return an empty figure with a heading above and a note beneath so many inches, all laid out by matplotlib."""
     lines = [textwrap.fill(line, int(width_in * LETTERS_PER_IN)) for line in note.splitlines()]
     size_in = width_in, height_in + HEAD_IN + LINE_IN * sum(line.count("\n") + 1 for line in lines)
-    figure = Figure(figsize=size_in, layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.09), facecolor="white")
+    figure = Figure(
+        figsize=size_in, layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.09), facecolor="white"
+    )
     look = {"x": EDGE_IN / width_in, "ha": "left"}
     figure.suptitle(heading, size=12, weight="bold", color=INK, **look)
     if lines:
@@ -116,13 +120,17 @@ def dress(panel: Axes) -> None:
 def legend_below(figure: Figure, panel: Axes) -> None:
     """Write the legend of a panel at the foot of its figure."""
     handles, names = panel.get_legend_handles_labels()
-    legend = figure.legend(handles, names, loc="outside lower center", ncols=min(LEGEND_COLUMNS, len(names)))
+    legend = figure.legend(
+        handles, names, loc="outside lower center", ncols=min(LEGEND_COLUMNS, len(names))
+    )
     for handle in legend.legend_handles:  # a line that is drawn beside its place stands at it here
         if isinstance(handle, Artist):
             handle.set_path_effects([])
 
 
-def dots(panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, look: Mapping[str, Any]) -> None:
+def dots(
+    panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, look: Mapping[str, Any]
+) -> None:
     """Draw a statistic of a table's rows with its intervals at ``x``; hollow where there is none."""
     values, low, high = (rows[f"{name}{end}"].to_numpy(np.float64) for end in ("", "_low", "_high"))
     is_known, label = np.isfinite(low), look.get("label")
@@ -136,14 +144,18 @@ def dots(panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, look: Mappin
 
 def show_plain(axis: Axis) -> None:
     """Label an axis with plain numbers."""
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}" if value >= 1000 else f"{value:g}"))
+    axis.set_major_formatter(
+        FuncFormatter(lambda value, _: f"{value:,.0f}" if value >= 1000 else f"{value:g}")
+    )
     axis.set_minor_formatter(NullFormatter())
 
 
 def show_plain_log(axis: Axis) -> None:
     """Label a logarithmic axis with plain numbers: 1, 2 and 5 of each decade, or round numbers where it is short."""
     low, high = axis.get_view_interval()
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if high > WIDE * low else MaxNLocator(4))
+    axis.set_major_locator(
+        LogLocator(subs=(1.0, 2.0, 5.0)) if high > WIDE * low else MaxNLocator(4)
+    )
     show_plain(axis)
 
 
@@ -192,7 +204,9 @@ def bar_ticks(colours: Colours) -> list[float]:
     return ticks
 
 
-def add_colour_bar(figure: Figure, axes: Sequence[Axes], colours: Colours, location: str = "right") -> None:
+def add_colour_bar(
+    figure: Figure, axes: Sequence[Axes], colours: Colours, location: str = "right"
+) -> None:
     """Add a colour bar beside (``right``) or below (``bottom``) panels."""
     bar = figure.colorbar(
         ScalarMappable(cmap=colours.cmap, norm=colours.norm),
@@ -204,7 +218,10 @@ def add_colour_bar(figure: Figure, axes: Sequence[Axes], colours: Colours, locat
         aspect=25,
         panchor="NW" if location == "bottom" else False,
     )
-    bar.set_label("\n".join(textwrap.fill(line, LABEL_LETTERS) for line in colours.label.splitlines()), size=SMALL_PT)
+    bar.set_label(
+        "\n".join(textwrap.fill(line, LABEL_LETTERS) for line in colours.label.splitlines()),
+        size=SMALL_PT,
+    )
     bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)
     bar.outline.set(linewidth=0.4)
     bar.ax.minorticks_off()

@@ -37,7 +37,13 @@ def plot_weights(fit: WeightFit) -> Figure:
     table = table.where(table.weight > 0)
     figure, (panel,) = panels(1, "Fitted weights and their intervals", panel_in=(5.9, 2.5))
     for place, name in enumerate(table.index):
-        dots(panel, np.array([place]), table.loc[[name]], "weight", {"color": line_colour(name), "marker": "o"})
+        dots(
+            panel,
+            np.array([place]),
+            table.loc[[name]],
+            "weight",
+            {"color": line_colour(name), "marker": "o"},
+        )
     panel.set_xticks(range(len(table)), table.index)
     panel.set(yscale="log", xlim=(-0.6, len(table) - 0.4), ylabel="weight (each in its unit)")
     show_plain_log(panel.yaxis)
@@ -61,7 +67,11 @@ def plot_routes(
       given: what the demonstrations are called: a fit to targets takes only their ends.
     """
     grid, maps = cost_map.grid, cost_map.maps
-    both = [pair for pair in zip(demonstrations, planned, strict=True) if pair[0].query.cost_map is cost_map]
+    both = [
+        pair
+        for pair in zip(demonstrations, planned, strict=True)
+        if pair[0].query.cost_map is cost_map
+    ]
     title = joined(f"{cost_map.altitude_m:g} m above ground", cost_map.time_of_day)
     fitted = dict(zip(("distance", *cost_map.names), weights.tolist(), strict=True))
     note = f"{frame_note(maps, cost_map.time)}\n{rules_said(map_settings(cost_map) | {'weights': fitted})}"
@@ -71,16 +81,25 @@ def plot_routes(
     norm = Normalize(least, least + max(PALE * (most - least), 1e-12))
     colours = Colours("gray_r", norm, "cost of a cell\nunder the weights", extend="max")
     closed = flat_layer(~cost_map.is_free & maps.ds["has_data"].values, BLOCKED_COLOUR)
-    shown_maps = [MapPanel(title, [MapLayer(np.where(cost_map.is_free, cost, np.nan), colours), closed])]
+    shown_maps = [
+        MapPanel(title, [MapLayer(np.where(cost_map.is_free, cost, np.nan), colours), closed])
+    ]
     lines = (given, DEMONSTRATION_COLOUR), ("fitted weights", PLANNED_COLOUR)
-    legend: list[LegendEntry] = [*lines, ("closed to paths", BLOCKED_COLOUR), *obstacle_patches(maps)[1:], *ENDS]
+    legend: list[LegendEntry] = [
+        *lines,
+        ("closed to paths", BLOCKED_COLOUR),
+        *obstacle_patches(maps)[1:],
+        *ENDS,
+    ]
     heading = f"{given.capitalize()}s and routes under the fitted weights"
     figure, (panel,) = draw_maps(grid, shown_maps, heading, note, legend=legend, colours=colours)
     corner = np.array([grid.x_min_m, grid.y_min_m])
     for shown, route in both:
         drawn = shown.points_m + corner, route.points_m + corner
         lanes = lanes_of(drawn, grid.resolution_m)
-        for line, lane, colour in zip(drawn, lanes, (DEMONSTRATION_COLOUR, PLANNED_COLOUR), strict=True):
+        for line, lane, colour in zip(
+            drawn, lanes, (DEMONSTRATION_COLOUR, PLANNED_COLOUR), strict=True
+        ):
             beside = [Beside(lane * APART_PT)]
             panel.plot(*line.T, color=colour, linewidth=1.6, zorder=4, path_effects=beside)
         start, goal = (grid.xy_of_cell(*cell) for cell in (shown.query.start, shown.query.goal))

@@ -39,7 +39,9 @@ def plot_when(departures: Departures, maps: GivenMaps) -> Figure:
             no_fix.plot(part["x"], part["no_fix_m"], color=colour)
     cost.plot([], [], "ok", markerfacecolor="white", label="a route differs\nfrom the best time's")
     cost.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02))
-    for number, (panel, label) in enumerate(zip(axes, ("cost above best (%)", "no fix (m)"), strict=True)):
+    for number, (panel, label) in enumerate(
+        zip(axes, ("cost above best (%)", "no fix (m)"), strict=True)
+    ):
         top = max(LEAST_TOP[number], panel.get_ylim()[1])
         panel.set(ylabel=letter(number, 2) + label, ylim=(-FOOT * top, top))
         dress(panel)

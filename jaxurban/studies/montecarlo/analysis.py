@@ -34,11 +34,23 @@ def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
     not free on these maps (``bad-input``) does not.
     """
     wanted = [*KEY, "range", "start_stratum", "goal_stratum", "time_of_day", "distance_m"]
-    table = rows.merge(instances[[name for name in wanted if name in instances]], on=list(KEY), validate="many_to_one")
-    table["range"] = table["range"].astype(object).where(table["range"].notna(), "any") if "range" in table else "any"
+    table = rows.merge(
+        instances[[name for name in wanted if name in instances]],
+        on=list(KEY),
+        validate="many_to_one",
+    )
+    table["range"] = (
+        table["range"].astype(object).where(table["range"].notna(), "any")
+        if "range" in table
+        else "any"
+    )
     table["has_path"] = table.status.isin(HAS_PATH)
     one = table.groupby(list(KEY), sort=False)
-    refuted = (table.status == Status.NO_PATH.value).groupby([table[name] for name in KEY]).transform("any")
+    refuted = (
+        (table.status == Status.NO_PATH.value)
+        .groupby([table[name] for name in KEY])
+        .transform("any")
+    )
     is_bad = (table.status == BAD_INPUT).groupby([table[name] for name in KEY]).transform("all")
     table["is_joined"] = (one.has_path.transform("any") | ~refuted) & ~is_bad
     best = table.groupby(list(KEY), sort=False).cost.transform("min")
@@ -76,7 +88,9 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
     """
     rows = weighted_rows(table).assign(proven=lambda rows: rows.status == Status.OPTIMAL.value)
     grouped = rows.groupby(["planner", "altitude_m", "range"], sort=True)
-    found = grouped.agg(pairs=("has_path", "size"), paths=("has_path", "sum"), joined=("is_joined", "sum"))
+    found = grouped.agg(
+        pairs=("has_path", "size"), paths=("has_path", "sum"), joined=("is_joined", "sum")
+    )
     found["share"] = found.paths / found.pairs
     found["share_joined"] = (found.paths / found.joined).where(found.joined > 0)
     found["proven"] = grouped.proven.mean()
@@ -184,9 +198,15 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
             both = at.dropna(subset=[("cost", WEIGHTED), ("cost", DISTANCE)])
             both = both[(both["cost"] > 0).all(axis=1)]
             clusters = Clusters(both.index.get_level_values("instance"))
-            row: dict[str, object] = {"planner": planner, "altitude_m": altitude_m, "pairs": len(both)}
+            row: dict[str, object] = {
+                "planner": planner,
+                "altitude_m": altitude_m,
+                "pairs": len(both),
+            }
             for name in ("cost", *facts_of(rows)):
-                shortest, cheapest = (both[name, objective].to_numpy(np.float64) for objective in (DISTANCE, WEIGHTED))
+                shortest, cheapest = (
+                    both[name, objective].to_numpy(np.float64) for objective in (DISTANCE, WEIGHTED)
+                )
                 is_ratio = name in ("cost", "length_m")
                 change = np.log(shortest / cheapest) if is_ratio else shortest - cheapest
                 if not np.isfinite(change).all():
@@ -194,7 +214,9 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
                 interval = clusters.interval(change)
                 label = f"{name.removesuffix('_m')}_ratio" if is_ratio else f"{name}_change"
                 shown = np.exp(interval) if is_ratio else interval
-                row |= dict(zip((label, f"{label}_low", f"{label}_high"), map(float, shown), strict=True))
+                row |= dict(
+                    zip((label, f"{label}_low", f"{label}_high"), map(float, shown), strict=True)
+                )
             found.append(row)
     return pd.DataFrame(found)
 
@@ -257,7 +279,9 @@ def complementarity(
     side = max(1, round(TILE_M / maps.grid.resolution_m))
     rows, cols = np.indices(maps.grid.shape, np.int32) // side
     tile = rows * (int(cols.max()) + 1) + cols
-    free_tiles = np.unique(tile[np.logical_or.reduce([maps.is_free(z, "centre") for z in maps.altitudes_m])])
+    free_tiles = np.unique(
+        tile[np.logical_or.reduce([maps.is_free(z, "centre") for z in maps.altitudes_m])]
+    )
     tile, draws = np.searchsorted(free_tiles, tile), draws_of(len(free_tiles))
     found: list[dict[str, float]] = []
     for altitude_m in sorted(maps.altitudes_m if altitudes_m is None else altitudes_m):
@@ -265,8 +289,14 @@ def complementarity(
         gps = maps.m("gps", altitude_m, time=time)[is_free].astype(np.float64)
         lidar = maps.m("lidar", altitude_m)[is_free].astype(np.float64)
         parts = (np.ones_like(gps), gps, lidar, gps**2, lidar**2, gps * lidar)
-        sums = np.stack([np.bincount(tile[is_free], part, len(free_tiles)) for part in parts], axis=1)
-        serves = {"gps": gps >= GOOD, "lidar": lidar >= GOOD, "either": (gps >= GOOD) | (lidar >= GOOD)}
+        sums = np.stack(
+            [np.bincount(tile[is_free], part, len(free_tiles)) for part in parts], axis=1
+        )
+        serves = {
+            "gps": gps >= GOOD,
+            "lidar": lidar >= GOOD,
+            "either": (gps >= GOOD) | (lidar >= GOOD),
+        }
         is_poor = ~serves["gps"]
         row = {"altitude_m": altitude_m, "gps": gps.mean(), "lidar": lidar.mean()}
         row |= {f"{name}_serves": where.mean() for name, where in serves.items()}
@@ -285,4 +315,6 @@ def correlation_of(sums: np.ndarray) -> np.ndarray:
     n = np.maximum(n, 1.0)  # a draw of tiles without a free cell at this altitude varies in nothing
     spread = np.maximum(aa / n - (a / n) ** 2, 0) * np.maximum(bb / n - (b / n) ** 2, 0)
     varies = spread > 1e-12
-    return np.where(varies, (ab / n - a * b / n**2) / np.sqrt(np.where(varies, spread, 1.0)), np.nan)
+    return np.where(
+        varies, (ab / n - a * b / n**2) / np.sqrt(np.where(varies, spread, 1.0)), np.nan
+    )

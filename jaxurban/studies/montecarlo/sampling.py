@@ -34,18 +34,31 @@ HIGH_RISE_M = 35.0  # roofs from here up are high-rise buildings (Emporis' defin
 NO_STRATUM = -1
 DIRICHLET = "dirichlet"
 NUM_DOUBLINGS = 5  # of the pairs drawn, until so many are joined as are wanted
-NUM_TRIES, NUM_GOALS = 200, 256  # starts, and goals for each, before a kind of instance is passed over
+NUM_TRIES, NUM_GOALS = (
+    200,
+    256,
+)  # starts, and goals for each, before a kind of instance is passed over
 
 PLACES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
 KEY = ("instance", "altitude_m")
 TIMES = ("time", "time_of_day")
-OPTIONAL = (*TIMES, "start_stratum", "goal_stratum", "range", "is_connected")  # None where a file holds none
+OPTIONAL = (
+    *TIMES,
+    "start_stratum",
+    "goal_stratum",
+    "range",
+    "is_connected",
+)  # None where a file holds none
 MOST_NUMBER = 2**53  # of an instance: as far as float64 counts
 
 
 def weighed_metrics(columns: Iterable[Any]) -> tuple[str, ...]:
     """Return the metrics that instances of these columns hold weights of: the built-in ones, then a user's own."""
-    weighed = (name.removeprefix(WEIGHT_PREFIX) for name in map(str, columns) if name.startswith(WEIGHT_PREFIX))
+    weighed = (
+        name.removeprefix(WEIGHT_PREFIX)
+        for name in map(str, columns)
+        if name.startswith(WEIGHT_PREFIX)
+    )
     return tuple(dict.fromkeys((*METRICS, *(name for name in weighed if name != "distance"))))
 
 
@@ -120,10 +133,14 @@ def sample_instances(
     listed = None if isinstance(weights, str) else [each.checked(maps.metrics) for each in weights]
     if not altitudes_m or len(set(altitudes_m)) != len(altitudes_m):
         listing = ", ".join(f"{z:g}" for z in altitudes_m) or "none"
-        raise InputError(f"altitudes_m must name at least one altitude and none twice, got {listing}")
+        raise InputError(
+            f"altitudes_m must name at least one altitude and none twice, got {listing}"
+        )
     at_least("num", num, 1)
     if not listed and weights != DIRICHLET:
-        raise InputError(f"weights must be {DIRICHLET!r} or a list of at least one Weights, got {weights!r}")
+        raise InputError(
+            f"weights must be {DIRICHLET!r} or a list of at least one Weights, got {weights!r}"
+        )
     for altitude_m in altitudes_m:
         maps.check_altitude(altitude_m)
     is_free = np.logical_and.reduce([_always_free(maps, z, constraints) for z in altitudes_m])
@@ -137,12 +154,19 @@ def sample_instances(
         rows[-1]["time_of_day"] = str(rng.choice(maps.times_of_day)) if maps.times_of_day else None
         shares = rng.dirichlet(np.ones(len(names)))
         shares[0] /= model.reference_length_m
-        drawn = Weights(**dict.fromkeys(METRICS, 0.0) | dict(zip(names, shares.tolist(), strict=True)))
+        drawn = Weights(
+            **dict.fromkeys(METRICS, 0.0) | dict(zip(names, shares.tolist(), strict=True))
+        )
         chosen = drawn if listed is None else listed[k % len(listed)]
-        rows[-1] |= {column: chosen[column.removeprefix(WEIGHT_PREFIX)] for column in weight_columns(maps.metrics)}
+        rows[-1] |= {
+            column: chosen[column.removeprefix(WEIGHT_PREFIX)]
+            for column in weight_columns(maps.metrics)
+        }
     pairs = pd.DataFrame(rows).assign(crs=maps.grid.crs)
     pairs.insert(1, "altitude_m", 0.0)
-    table = pd.concat([pairs.assign(altitude_m=float(z)) for z in altitudes_m]).reset_index(drop=True)
+    table = pd.concat([pairs.assign(altitude_m=float(z)) for z in altitudes_m]).reset_index(
+        drop=True
+    )
     table = with_connection(table, maps, model, constraints)
     return table.assign(is_connected=table.is_connected.astype(bool))
 
@@ -194,17 +218,32 @@ def instances_of_queries(maps: GivenMaps, queries: Sequence[Query]) -> pd.DataFr
                 x_m, y_m = map(float, at if isinstance(place, XY) else grid.xy_of_lonlat(*at))
                 lon, lat = map(float, grid.lonlat_of_xy(x_m, y_m))
                 row |= {f"{end}_x_m": x_m, f"{end}_y_m": y_m, f"{end}_lon": lon, f"{end}_lat": lat}
-                stratum = int(strata[grid.cell_of_xy(x_m, y_m)]) if grid.contains_xy(x_m, y_m) else NO_STRATUM
+                stratum = (
+                    int(strata[grid.cell_of_xy(x_m, y_m)])
+                    if grid.contains_xy(x_m, y_m)
+                    else NO_STRATUM
+                )
                 row[f"{end}_stratum"] = None if stratum == NO_STRATUM else STRATA[stratum]
         except InputError as error:
             raise InputError(f"query {number + 1}: {error}") from error
-        share = np.hypot(row["goal_x_m"] - row["start_x_m"], row["goal_y_m"] - row["start_y_m"]) / diagonal_m
-        row["range"] = next((name for name, (low, high) in RANGES.items() if low <= share < high), None)
+        share = (
+            np.hypot(row["goal_x_m"] - row["start_x_m"], row["goal_y_m"] - row["start_y_m"])
+            / diagonal_m
+        )
+        row["range"] = next(
+            (name for name, (low, high) in RANGES.items() if low <= share < high), None
+        )
         default_time = maps.default_time
-        row["time"] = default_time if query.time is None or default_time is None else iso_utc(query.time)
+        row["time"] = (
+            default_time if query.time is None or default_time is None else iso_utc(query.time)
+        )
         row["time_of_day"] = query.time_of_day or next(iter(maps.times_of_day), None)
         rows.append(
-            row | {column: query.weights[column.removeprefix(WEIGHT_PREFIX)] for column in weight_columns(maps.metrics)}
+            row
+            | {
+                column: query.weights[column.removeprefix(WEIGHT_PREFIX)]
+                for column in weight_columns(maps.metrics)
+            }
         )
     return checked_instances(pd.DataFrame(rows), "the queries")
 
@@ -212,12 +251,16 @@ def instances_of_queries(maps: GivenMaps, queries: Sequence[Query]) -> pd.DataFr
 class _Places:
     """Free cells by stratum, from which pairs are drawn."""
 
-    def __init__(self, maps: MetricMaps, is_free: np.ndarray, cover: LandCover | None, seed: int) -> None:
+    def __init__(
+        self, maps: MetricMaps, is_free: np.ndarray, cover: LandCover | None, seed: int
+    ) -> None:
         self.grid = maps.grid
         strata = np.where(is_free, strata_of(maps, cover), -1).ravel()
         self.cells = [np.flatnonzero(strata == number) for number in range(len(STRATA))]
         present = [number for number, cells in enumerate(self.cells) if len(cells)]
-        self.strata_pairs = list(itertools.product(present, present, RANGES))  # stratum of start and goal, range
+        self.strata_pairs = list(
+            itertools.product(present, present, RANGES)
+        )  # stratum of start and goal, range
         self.seed, self.num_dealt = seed, 0
         if sum(map(len, self.cells)) < 2:
             raise InputError(
@@ -231,7 +274,9 @@ class _Places:
         """Return the next kind; they are shuffled again each time all were drawn."""
         turn, place = divmod(self.num_dealt, len(self.strata_pairs))
         self.num_dealt += 1
-        return self.strata_pairs[np.random.default_rng([self.seed, 0, turn]).permutation(len(self.strata_pairs))[place]]
+        return self.strata_pairs[
+            np.random.default_rng([self.seed, 0, turn]).permutation(len(self.strata_pairs))[place]
+        ]
 
     def draw(self, rng: np.random.Generator) -> dict[str, object]:
         """Return a pair of places of the next kind that the maps offer."""
@@ -239,9 +284,15 @@ class _Places:
             first, second, name = self._next_kind()
             pair = self._pair(first, second, RANGES[name], rng)
             if pair is not None:
-                facts = {"start_stratum": STRATA[first], "goal_stratum": STRATA[second], "range": name}
+                facts = {
+                    "start_stratum": STRATA[first],
+                    "goal_stratum": STRATA[second],
+                    "range": name,
+                }
                 return self._facts(*pair) | facts
-        raise InputError("no two free cells of these maps lie far enough apart for a benchmark: use a larger region")
+        raise InputError(
+            "no two free cells of these maps lie far enough apart for a benchmark: use a larger region"
+        )
 
     def _pair(
         self, first: int, second: int, range_shares: tuple[float, float], rng: np.random.Generator
@@ -269,7 +320,9 @@ class _Places:
 
 def _always_free(maps: MetricMaps, altitude_m: float, constraints: Constraints) -> np.ndarray:
     """Return ``[Y, X]`` bool: cells that are free at every time of the maps."""
-    times: Sequence[str | None] = maps.times if constraints.bounds and maps.default_time is not None else (None,)
+    times: Sequence[str | None] = (
+        maps.times if constraints.bounds and maps.default_time is not None else (None,)
+    )
     times_of_day: Sequence[str | None] = (constraints.bounds and maps.times_of_day) or (None,)
     free = [
         constraints.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)
@@ -284,7 +337,9 @@ def with_connection(
     """Return instances with ``is_connected`` as these maps have it, None where a place is not a free cell of them."""
     joined = pd.Series(None, index=instances.index, dtype=object)
     # Only bounds close other cells at other times.
-    for _, at in instances.groupby(["altitude_m", *(TIMES if constraints.bounds else ())], dropna=False):
+    for _, at in instances.groupby(
+        ["altitude_m", *(TIMES if constraints.bounds else ())], dropna=False
+    ):
         first = at.iloc[0]
         when = {name: None if pd.isna(first[name]) else str(first[name]) for name in TIMES}
         is_free = constraints.is_free(maps, float(first.altitude_m), **when)
@@ -312,7 +367,11 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
       maps: their roofs count.
       cover: water and parks in the maps' CRS; left out, neither is known.
     """
-    roof_m, has_data, resolution_m = maps.m("roof"), maps.ds["has_data"].values, maps.grid.resolution_m
+    roof_m, has_data, resolution_m = (
+        maps.m("roof"),
+        maps.ds["has_data"].values,
+        maps.grid.resolution_m,
+    )
     near, far = (max(1, round(half_m / resolution_m)) for half_m in (NEAR_M, FAR_M))
     is_high = share_around(roof_m >= HIGH_RISE_M, near) >= BUILT_SHARE
     is_built = share_around(roof_m > 0, near) >= BUILT_SHARE
@@ -322,7 +381,9 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
     if cover is not None:
         for name, shape in (("park", cover.park), ("water", cover.water)):
             parts = shapely.get_parts(shape)
-            strata[burn(parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8")[0] == 1] = STRATA.index(name)
+            strata[burn(parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8")[0] == 1] = (
+                STRATA.index(name)
+            )
     strata[~has_data] = NO_STRATUM
     return strata
 
@@ -332,7 +393,8 @@ def share_around(mask: np.ndarray, half: int) -> np.ndarray:
     total = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1), np.int64)
     np.cumsum(np.cumsum(mask, axis=0, dtype=np.int64), axis=1, out=total[1:, 1:])
     (low_r, high_r), (low_c, high_c) = (
-        (np.maximum(np.arange(size) - half, 0), np.minimum(np.arange(size) + half + 1, size)) for size in mask.shape
+        (np.maximum(np.arange(size) - half, 0), np.minimum(np.arange(size) + half + 1, size))
+        for size in mask.shape
     )
     count = total[np.ix_(high_r, high_c)] - total[np.ix_(low_r, high_c)]
     count -= total[np.ix_(high_r, low_c)] - total[np.ix_(low_r, low_c)]
@@ -372,7 +434,10 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
         values = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
         wrong, kind = ~np.isfinite(values), "a number"
         if column in weights:
-            wrong, kind = ~((values >= 0) & (values <= MOST_WEIGHT)), f"a number >= 0, at most {MOST_WEIGHT:.0e}"
+            wrong, kind = (
+                ~((values >= 0) & (values <= MOST_WEIGHT)),
+                f"a number >= 0, at most {MOST_WEIGHT:.0e}",
+            )
         elif column == "instance":
             wrong = ~((values >= 0) & (values <= MOST_NUMBER) & (values == np.floor(values)))
             kind = "a whole number >= 0"
@@ -381,11 +446,19 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
     twice = table.duplicated(list(KEY))
     if twice.any():
         number, altitude_m = table.loc[twice, list(KEY)].to_numpy()[0]
-        raise InputError(f"{name} holds instance {number:g} at {altitude_m:g} m twice: renumber them")
+        raise InputError(
+            f"{name} holds instance {number:g} at {altitude_m:g} m twice: renumber them"
+        )
     for column in OPTIONAL:
-        table[column] = table[column].astype(object).where(table[column].notna(), None) if column in table else None
+        table[column] = (
+            table[column].astype(object).where(table[column].notna(), None)
+            if column in table
+            else None
+        )
     if "distance_m" not in table:
-        table["distance_m"] = np.hypot(table.goal_x_m - table.start_x_m, table.goal_y_m - table.start_y_m)
+        table["distance_m"] = np.hypot(
+            table.goal_x_m - table.start_x_m, table.goal_y_m - table.start_y_m
+        )
     return table
 
 
@@ -393,17 +466,30 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
     """Raise InputError unless instances are of these maps: their CRS, altitudes, times and metrics."""
     crs = set(instances.crs) - {maps.grid.crs}
     if crs:
-        raise InputError(f"the instances' places are in {crs.pop()}, the maps in {maps.grid.crs}: use maps in that CRS")
+        raise InputError(
+            f"the instances' places are in {crs.pop()}, the maps in {maps.grid.crs}: use maps in that CRS"
+        )
     times = maps.times if maps.default_time is not None else ()
-    for name, held in (("altitude_m", maps.altitudes_m), ("time", times), ("time_of_day", maps.times_of_day)):
+    for name, held in (
+        ("altitude_m", maps.altitudes_m),
+        ("time", times),
+        ("time_of_day", maps.times_of_day),
+    ):
         lost = [value for value in instances[name].dropna().unique() if value not in held]
         if lost:
-            listed = ", ".join(f"{value:g}" if name == "altitude_m" else str(value) for value in held) or "none"
-            raise InputError(f"the instances ask for {name} {lost[0]}, and these maps hold {listed}")
+            listed = (
+                ", ".join(f"{value:g}" if name == "altitude_m" else str(value) for value in held)
+                or "none"
+            )
+            raise InputError(
+                f"the instances ask for {name} {lost[0]}, and these maps hold {listed}"
+            )
     for name in weighed_metrics(instances.columns):
         one_of("a weight of the instances", name, dict.fromkeys((*METRICS, *maps.metrics)))
     if lost := [column for column in weight_columns(maps.metrics) if column not in instances]:
-        raise InputError(f"the instances have no weight {lost[0]!r} for a metric of these maps: add it, 0 for none")
+        raise InputError(
+            f"the instances have no weight {lost[0]!r} for a metric of these maps: add it, 0 for none"
+        )
 
 
 def _refuse(wrong: np.ndarray, column: pd.Series, kind: str, name: str) -> None:

@@ -62,12 +62,16 @@ class Benchmark(RouteJob):
     def deciding(self, maps: MetricMaps) -> dict[str, Any]:
         """Return what decides a benchmark's rows, by name: neither the files of zones nor a budget that is not used."""
         found = self.to_dict()
-        limits, budget_s, iterations = (found.pop(name) for name in ("limits", "budget_s", "budget_iterations"))
+        limits, budget_s, iterations = (
+            found.pop(name) for name in ("limits", "budget_s", "budget_iterations")
+        )
         return {
             **found,
             "budget": f"{budget_s} s" if iterations is None else f"{iterations} samples",
             "set of constraints": constraints_said(limits) or "none",
-            "outlines of no-fly zones": ", ".join(zone.get("outline", "") for zone in limits.get("no_fly", ())),
+            "outlines of no-fly zones": ", ".join(
+                zone.get("outline", "") for zone in limits.get("no_fly", ())
+            ),
             **maps.identity,
         }
 
@@ -86,7 +90,9 @@ class Benchmark(RouteJob):
         for planner, objective in runs:
             try:
                 found = limited(planner, self.study)(by_objective[objective].alone(), seed=seed)
-                yield _facts(on, with_corner_bound(by_objective[objective], found), weights, planner)
+                yield _facts(
+                    on, with_corner_bound(by_objective[objective], found), weights, planner
+                )
             except Exception as error:  # whatever a planner does, the benchmark goes on
                 yield {**failure(error), "status": CRASHED}
 
@@ -95,7 +101,16 @@ class Benchmark(RouteJob):
         return dict.fromkeys(row_columns(instance)) | super().row_of(instance, run, facts)
 
 
-NUMBERS = ("cost", "cost_cell", "cost_line", "search_cost", "lower_bound", "gap", "length_m", "detour")
+NUMBERS = (
+    "cost",
+    "cost_cell",
+    "cost_line",
+    "search_cost",
+    "lower_bound",
+    "gap",
+    "length_m",
+    "detour",
+)
 
 
 def row_columns(instance: Iterable[Any] = ()) -> dict[str, str]:
@@ -104,7 +119,9 @@ def row_columns(instance: Iterable[Any] = ()) -> dict[str, str]:
         "instance": "int64",
         "altitude_m": "float64",
         **dict.fromkeys(("planner", "objective", "status"), "object"),
-        **dict.fromkeys((*NUMBERS, *(f"m_{name}" for name in weighed_metrics(instance))), "float64"),
+        **dict.fromkeys(
+            (*NUMBERS, *(f"m_{name}" for name in weighed_metrics(instance))), "float64"
+        ),
         **dict.fromkeys(("elapsed_s", "setup_s", "num_expanded", "num_samples"), "float64"),
         **dict.fromkeys(("heuristic", "backend", "note"), "object"),
     }
@@ -167,8 +184,14 @@ def _facts(on: CostMap, found: Path, weights: np.ndarray, planner: str) -> dict[
     features = {kind: on.shortest.features(found.points_m, kind) for kind in COST_KINDS}
     of_path = features[on.cost_model.kind]
     if not of_path.is_valid:
-        return facts | {"status": INVALID, "note": "The planner's path crosses an obstacle or leaves the map."}
-    straight_m, length_m = float(np.hypot(*(found.points_m[-1] - found.points_m[0]))), float(of_path.phi[0])
+        return facts | {
+            "status": INVALID,
+            "note": "The planner's path crosses an obstacle or leaves the map.",
+        }
+    straight_m, length_m = (
+        float(np.hypot(*(found.points_m[-1] - found.points_m[0]))),
+        float(of_path.phi[0]),
+    )
     facts |= {f"cost_{kind}": features[kind].cost(weights) for kind in COST_KINDS}
     facts |= {f"m_{name}": m for name, m in on.means(of_path).items()}
     return facts | {

@@ -20,7 +20,14 @@ from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
 from jaxurban.progress import Report
 from jaxurban.public import Caution, Shown
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
-from jaxurban.studies.receiver.displaced import AROUND_M, FARTHEST_M, FEWEST_ROWS, SCALES, STEP_M, Displaced
+from jaxurban.studies.receiver.displaced import (
+    AROUND_M,
+    FARTHEST_M,
+    FEWEST_ROWS,
+    SCALES,
+    STEP_M,
+    Displaced,
+)
 from jaxurban.studies.receiver.prediction import EVERYWHERE, ReceiverSettings, Track
 from jaxurban.studies.receiver.rivals import MAP, compared_rules, features_of, gain_by_length
 from jaxurban.studies.receiver.satellites import FARTHEST_MARGIN_M, Ground, Rays, box_of, legs
@@ -135,9 +142,13 @@ class SatelliteAgreement(Shown):
         sentences = []
         if of["unknown"]:
             judged = "not judged" if of["is_guarded"] else "judged as if nothing stood beyond"
-            sentences.append(f"{of['unknown']:,} rows are {judged}: their rays leave what is known of the city.")
+            sentences.append(
+                f"{of['unknown']:,} rows are {judged}: their rays leave what is known of the city."
+            )
         if of["inside"]:
-            sentences.append(f"{of['inside']:,} rows are not judged: their places lie in buildings.")
+            sentences.append(
+                f"{of['inside']:,} rows are not judged: their places lie in buildings."
+            )
         if self._is_at_edge:
             sentences.append(
                 "The city fits best at the edge of the search (40 m, heights times 0.8 or 1.2): see whether places, "
@@ -232,7 +243,9 @@ def agreement_of(
         if not len(at):
             continue
         of_leg = rays.take(at)
-        ground = Ground.around(city, box_of(grid, of_leg, FARTHEST_M), reach_m, settings.antenna_height_m)
+        ground = Ground.around(
+            city, box_of(grid, of_leg, FARTHEST_M), reach_m, settings.antenna_height_m
+        )
         rows.loc[at, "is_known"] &= ~ground.crosses_gap(of_leg, rise)
         rows.loc[at, "is_inside"] = ground.is_inside(of_leg)
         rows.loc[at, "margin_m"] = ground.margins_m(of_leg)
@@ -252,14 +265,18 @@ def agreement_of(
     _check_judged(rows, log.name, mask_deg)
     judged = rows[rows.is_judged]
     median_dbhz = float(judged.cn0_dbhz.median())
-    strong_dbhz = median_dbhz if median_dbhz > 0 else float(judged.cn0_dbhz[judged.cn0_dbhz > 0].min())
+    strong_dbhz = (
+        median_dbhz if median_dbhz > 0 else float(judged.cn0_dbhz[judged.cn0_dbhz > 0].min())
+    )
     rows["is_strong"] = rows.cn0_dbhz >= strong_dbhz
     report("scores")
     scores = score_table(rows, settings.seed)
     null, field, scales, peak = displaced.tables(rows[is_moved], settings.seed)
     chosen = is_taken & rows.is_judged.to_numpy()
     off_street_rad = rays.azimuth_rad - headings_rad(track.x_m, track.y_m)[rows.epoch]
-    rules = features_of(rows.margin_m.to_numpy()[chosen], rays.elevation_rad[chosen], off_street_rad[chosen])
+    rules = features_of(
+        rows.margin_m.to_numpy()[chosen], rays.elevation_rad[chosen], off_street_rad[chosen]
+    )
     truths = rows.is_strong.to_numpy()[chosen], rows.block.to_numpy()[chosen]
     rivals = compared_rules(rules, *truths, settings.seed)
     block_lengths = gain_by_length(rules, *truths, settings.sky_block_m, settings.seed)
@@ -332,14 +349,23 @@ def _rows_of(
 
 
 def _skies(
-    rows: pd.DataFrame, rays: Rays, log: ReceiverLog, city: City, grid: Grid, reach_m: float, antenna_m: float
+    rows: pd.DataFrame,
+    rays: Rays,
+    log: ReceiverLog,
+    city: City,
+    grid: Grid,
+    reach_m: float,
+    antenna_m: float,
 ) -> tuple[PlaceSky, ...]:
     """Return the skies in the middle of the blocks of least and of most agreement."""
     judged = rows[rows.is_judged]
     agrees = (judged.is_seen == judged.is_strong).groupby(judged.block).agg(["mean", "size"])
     agrees = agrees[agrees["size"] >= min(FEWEST_SEEN, agrees["size"].max())]
     skies = []
-    for name, block in (("least agreement", agrees["mean"].idxmin()), ("most agreement", agrees["mean"].idxmax())):
+    for name, block in (
+        ("least agreement", agrees["mean"].idxmin()),
+        ("most agreement", agrees["mean"].idxmax()),
+    ):
         epochs = np.sort(judged.epoch[judged.block == block].unique())
         epoch = int(epochs[len(epochs) // 2])
         there = rows[rows.epoch == epoch]
@@ -353,7 +379,9 @@ def _skies(
     return tuple(skies)
 
 
-def verdict_of(scores: pd.DataFrame, displaced: pd.DataFrame, rivals: pd.DataFrame, num_blocks: int) -> str:
+def verdict_of(
+    scores: pd.DataFrame, displaced: pd.DataFrame, rivals: pd.DataFrame, num_blocks: int
+) -> str:
     """Return what scores and rivals show, in one sentence.
 
     Praise takes two things: margin and elevation predict better than elevation and the street, and C/N0 separates seen

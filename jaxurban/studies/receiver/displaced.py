@@ -65,11 +65,19 @@ class Displaced:
         self.is_out[number, column] = ground.is_inside(there)
 
     def leave_unknown(
-        self, number: int, column: np.ndarray, ground: Ground, rays: Rays, known: shapely.Geometry, rise_m: float
+        self,
+        number: int,
+        column: np.ndarray,
+        ground: Ground,
+        rays: Rays,
+        known: shapely.Geometry,
+        rise_m: float,
     ) -> None:
         """Leave out rays that are unknown in one displaced city; ``rise_m``: to the highest roof."""
         there = self._there(number, rays)
-        self.is_out[number, column] |= ~there.stays_within(known, rise_m) | ground.crosses_gap(there, rise_m)
+        self.is_out[number, column] |= ~there.stays_within(known, rise_m) | ground.crosses_gap(
+            there, rise_m
+        )
 
     def _there(self, number: int, rays: Rays) -> Rays:
         """Return rays from the same places, as a displaced city has them."""
@@ -102,10 +110,14 @@ class Displaced:
         around = range(self.num_null, len(keeps))
         by_move = np.array([drawn(self.is_seen[number], keeps[number]) for number in around])
         by_scale = np.array([drawn(is_seen, is_judged) for is_seen in self.of_scale])
-        cities = pd.DataFrame(self.moves_m, columns=["east_m", "north_m"]).assign(rows=keeps.sum(axis=1))
+        cities = pd.DataFrame(self.moves_m, columns=["east_m", "north_m"]).assign(
+            rows=keeps.sum(axis=1)
+        )
         displaced = cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1])
         near = cities[self.num_null :].assign(auc=by_move[:, 0]).reset_index(drop=True)
-        scales = pd.DataFrame({"scale": SCALES, "rows": int(is_judged.sum()), "auc": by_scale[:, 0]})
+        scales = pd.DataFrame(
+            {"scale": SCALES, "rows": int(is_judged.sum()), "auc": by_scale[:, 0]}
+        )
         if weights.shape[1] < FEWEST_GROUPS:
             by_move, by_scale = np.full_like(by_move, np.nan), np.full_like(by_scale, np.nan)
         east_m, north_m = (peaks(by_move, near[name].to_numpy()) for name in ("east_m", "north_m"))

@@ -28,7 +28,9 @@ LEG_CELLS = 1_500_000  # of the box around a leg
 NUM_VISIBLE = "num_visible"
 OF_CITY, EVERYWHERE = "city", "all"  # what `ReceiverSettings.known` may say
 SYSTEMS = "GRECJIS"  # GPS, GLONASS, Galileo, BeiDou, QZSS, NavIC, SBAS
-MAX_SKY_STEP_S = 300.0  # a satellite moves by half a degree a minute: more would no longer be the log's sky
+MAX_SKY_STEP_S = (
+    300.0  # a satellite moves by half a degree a minute: more would no longer be the log's sky
+)
 
 
 @typed
@@ -81,9 +83,13 @@ class ReceiverSettings:
         at_least("num_displaced", self.num_displaced, 1)
         at_least("seed", self.seed)
         if unknown := [letter for letter in self.systems if letter not in SYSTEMS]:
-            raise InputError(f"systems must be letters of {', '.join(SYSTEMS)} (as RINEX has them), got {unknown[0]!r}")
+            raise InputError(
+                f"systems must be letters of {', '.join(SYSTEMS)} (as RINEX has them), got {unknown[0]!r}"
+            )
         if self.sky_step_s > MAX_SKY_STEP_S:
-            raise InputError(f"sky_step_s must be at most {MAX_SKY_STEP_S:g} seconds, got {self.sky_step_s:g}")
+            raise InputError(
+                f"sky_step_s must be at most {MAX_SKY_STEP_S:g} seconds, got {self.sky_step_s:g}"
+            )
         if self.block_m < self.piece_m:
             raise InputError(
                 f"block_m must be at least piece_m, {self.piece_m:g}, got {self.block_m:g}: make it longer"
@@ -147,15 +153,22 @@ class Track:
             )
         row, col = grid.cell_of_xy(x_m, y_m)
         first = log.epochs[UTC].iloc[0]
-        window = ((log.epochs[UTC] - first).dt.total_seconds().to_numpy() // sky_step_s).astype(np.int64)
+        window = ((log.epochs[UTC] - first).dt.total_seconds().to_numpy() // sky_step_s).astype(
+            np.int64
+        )
         numbers, sky = np.unique(window, return_inverse=True)
-        middles = [(first + pd.Timedelta(seconds=(number + 0.5) * sky_step_s)).round("s") for number in numbers]
+        middles = [
+            (first + pd.Timedelta(seconds=(number + 0.5) * sky_step_s)).round("s")
+            for number in numbers
+        ]
         return cls(x_m, y_m, row, col, sky, tuple(f"{time:%Y-%m-%dT%H:%M:%S}Z" for time in middles))
 
     @cached_property
     def along_m(self) -> np.ndarray:
         """``[N]`` distance from the first epoch along the track."""
-        return np.cumsum(np.hypot(np.diff(self.x_m, prepend=self.x_m[0]), np.diff(self.y_m, prepend=self.y_m[0])))
+        return np.cumsum(
+            np.hypot(np.diff(self.x_m, prepend=self.x_m[0]), np.diff(self.y_m, prepend=self.y_m[0]))
+        )
 
 
 def region_of(scenario: Scenario) -> Grid:
@@ -164,13 +177,19 @@ def region_of(scenario: Scenario) -> Grid:
     return Grid.from_bounds(scenario.region.bounds, held[0], scenario.region.crs, held)
 
 
-def task_at(scenario: Scenario, times: Sequence[str], grid: Grid, antenna_height_m: float) -> MapTask:
+def task_at(
+    scenario: Scenario, times: Sequence[str], grid: Grid, antenna_height_m: float
+) -> MapTask:
     """Return what maps of a scenario at other times, and at the antenna's height alone, are made of.
 
     People, layers that a user added and uncertainty are left out: satellites depend on none of them.
     """
     of_log: dict[str, Any] = {"times": tuple(times), "start": None, "stop": None, "step_s": None}
-    of_log |= {"reference": scenario.gps.reference or grid.centre_lonlat, "series": "epochs", "bounds": False}
+    of_log |= {
+        "reference": scenario.gps.reference or grid.centre_lonlat,
+        "series": "epochs",
+        "bounds": False,
+    }
     region = {"resolution_m": (grid.resolution_m,), "altitudes_m": (antenna_height_m,)}
     update = {
         "region": scenario.region.model_copy(update=region),
@@ -207,7 +226,9 @@ def predict(task: MapTask, track: Track, report: Report) -> dict[str, np.ndarray
             is_known = ~np.asarray(tile.is_obstacle[0])[at]
             if tile.has_data is not None:
                 is_known &= tile.has_data[at]
-            for name, layer in METRIC.compute(tile.at(METRIC, (t, 0)), tile.task.params.gps).items():
+            for name, layer in METRIC.compute(
+                tile.at(METRIC, (t, 0)), tile.task.params.gps
+            ).items():
                 along = values.setdefault(name, np.full(len(track.sky), np.nan))
                 along[epochs] = np.where(is_known, np.asarray(layer)[at], np.nan)
             tile.forget()
@@ -241,6 +262,11 @@ def _box(region: Grid, row: np.ndarray, col: np.ndarray) -> Grid:
 def _tile(task: MapTask, region: Grid, skies: list[int]) -> TileScene:
     """Return a part of a task, over another region and at some of its times, ready for its maps."""
     sky = task.sky
-    of_time = {name: getattr(sky, name)[skies] for name in ("azimuth_rad", "elevation_rad", "element_age_days")}
-    part = replace(task, region=region, sky=replace(sky, times=tuple(sky.times[t] for t in skies), **of_time))
+    of_time = {
+        name: getattr(sky, name)[skies]
+        for name in ("azimuth_rad", "elevation_rad", "element_age_days")
+    }
+    part = replace(
+        task, region=region, sky=replace(sky, times=tuple(sky.times[t] for t in skies), **of_time)
+    )
     return TileScene(part, part.surface())

@@ -34,7 +34,9 @@ def features_of(
       off_street_rad: ``[R]`` angle between its azimuth and the street.
     """
     sky = [elevation_rad, elevation_rad**2]
-    across_rad = np.arctan2(np.tan(elevation_rad), np.abs(np.sin(off_street_rad)))  # up the walls of the street
+    across_rad = np.arctan2(
+        np.tan(elevation_rad), np.abs(np.sin(off_street_rad))
+    )  # up the walls of the street
     chance = ReceptionCurve.measured_in_tokyo().chance(jnp.asarray(margin_m))
     of_margin = logit(np.asarray(chance, np.float64))
     rules = {
@@ -45,7 +47,10 @@ def features_of(
         "margin": [of_margin],
         MAP: [*sky, of_margin],
     }
-    return {name: np.stack([np.ones(len(margin_m)), *columns], axis=1) for name, columns in rules.items()}
+    return {
+        name: np.stack([np.ones(len(margin_m)), *columns], axis=1)
+        for name, columns in rules.items()
+    }
 
 
 def fitted(features: np.ndarray, is_strong: np.ndarray) -> np.ndarray:
@@ -68,7 +73,9 @@ def losses(features: np.ndarray, is_strong: np.ndarray, block: np.ndarray) -> np
     for number in folds if len(folds) > 1 else ():
         is_left = fold == number
         chance = expit(features[is_left] @ fitted(features[~is_left], is_strong[~is_left]))
-        lost[is_left] = -np.log(np.clip(np.where(is_strong[is_left], chance, 1 - chance), LEAST_CHANCE, 1.0))
+        lost[is_left] = -np.log(
+            np.clip(np.where(is_strong[is_left], chance, 1 - chance), LEAST_CHANCE, 1.0)
+        )
     return lost
 
 
@@ -94,12 +101,24 @@ def compared_rules(
     for name, mean in means.items():
         gain = means[STREET] - mean
         low, high = ends_of(gain[1:], num_blocks)
-        rows.append({"model": name, "log_loss": mean[0], "gain": gain[0], "gain_low": low, "gain_high": high})
+        rows.append(
+            {
+                "model": name,
+                "log_loss": mean[0],
+                "gain": gain[0],
+                "gain_low": low,
+                "gain_high": high,
+            }
+        )
     return pd.DataFrame(rows)
 
 
 def gain_by_length(
-    rules: Mapping[str, np.ndarray], is_strong: np.ndarray, place: np.ndarray, block_m: float, seed: int
+    rules: Mapping[str, np.ndarray],
+    is_strong: np.ndarray,
+    place: np.ndarray,
+    block_m: float,
+    seed: int,
 ) -> pd.DataFrame:
     """Return the gain of margin and elevation where blocks are `LENGTHS` times as long: neighbours are less alike.
 
@@ -117,6 +136,11 @@ def gain_by_length(
     rows = []
     for times in LENGTHS:
         longer = place // times
-        gain = compared_rules(compared, is_strong, longer, seed).set_index("model").loc[MAP].drop("log_loss")
+        gain = (
+            compared_rules(compared, is_strong, longer, seed)
+            .set_index("model")
+            .loc[MAP]
+            .drop("log_loss")
+        )
         rows.append({"block_m": times * block_m, "num_blocks": len(np.unique(longer)), **gain})
     return pd.DataFrame(rows)

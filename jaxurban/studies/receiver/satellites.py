@@ -16,7 +16,15 @@ import shapely
 
 from jaxurban.io.read.orbits import matching
 from jaxurban.io.read.rasterise import rasterise, surface_grid
-from jaxurban.io.read.receiver import AZIMUTH, CN0, ELEVATION, EPOCH, SATELLITE, TRACKED, ReceiverLog
+from jaxurban.io.read.receiver import (
+    AZIMUTH,
+    CN0,
+    ELEVATION,
+    EPOCH,
+    SATELLITE,
+    TRACKED,
+    ReceiverLog,
+)
 from jaxurban.io.read.vector import open_frame
 from jaxurban.kernels.shadows.rays import Walks, shadows_at, walks
 from jaxurban.studies.receiver.prediction import EVERYWHERE, NUM_VISIBLE, OF_CITY, Track
@@ -27,7 +35,9 @@ from jaxurban.world.sky import Sky
 from jaxurban.world.surface import stands_at
 
 LEG_CELLS = 4_000_000  # of the box around a leg of the track
-FARTHEST_MARGIN_M = 60.0  # `ReceptionCurve` cuts margins there: what stands farther from the line is not looked for
+FARTHEST_MARGIN_M = (
+    60.0  # `ReceptionCurve` cuts margins there: what stands farther from the line is not looked for
+)
 HORIZON_DEG = np.arange(360.0)
 
 
@@ -84,7 +94,8 @@ class Ground:
         whole = replace(city, blocks=None, hanging=TO_GROUND)
         surface = rasterise(whole, surface_grid(city, box, box.resolution_m, (reach_m,) * 4))
         terrain_m, has_data = (
-            None if values is None else np.asarray(values) for values in (surface.terrain_m, surface.has_data)
+            None if values is None else np.asarray(values)
+            for values in (surface.terrain_m, surface.has_data)
         )
         return cls(surface.grid, np.asarray(surface.roof_m), terrain_m, has_data, antenna_m)
 
@@ -98,7 +109,9 @@ class Ground:
     def _tops_m(self) -> jax.Array:
         """Tops of roofs, -inf where none is: flat ground throws no shadow of its own."""
         bottom_m = 0.0 if self.terrain_m is None else self.terrain_m
-        return jax.device_put(np.where(self.roof_m > 0, bottom_m + self.roof_m, -np.inf).astype(np.float32))
+        return jax.device_put(
+            np.where(self.roof_m > 0, bottom_m + self.roof_m, -np.inf).astype(np.float32)
+        )
 
     @cached_property
     def _hills_m(self) -> jax.Array:
@@ -154,7 +167,12 @@ class Ground:
         azimuth_rad = np.radians(HORIZON_DEG)
         of_row = np.rint(row + away * np.cos(azimuth_rad)).astype(int)
         of_col = np.rint(col + away * np.sin(azimuth_rad)).astype(int)
-        is_on = (of_row >= 0) & (of_row < self.grid.num_rows) & (of_col >= 0) & (of_col < self.grid.num_cols)
+        is_on = (
+            (of_row >= 0)
+            & (of_row < self.grid.num_rows)
+            & (of_col >= 0)
+            & (of_col < self.grid.num_cols)
+        )
         at = np.where(is_on, of_row, row), np.where(is_on, of_col, col)
         above_m = self.roof_m[at] - self.antenna_m
         if self.terrain_m is not None:
@@ -179,8 +197,12 @@ def legs(x_m: np.ndarray, y_m: np.ndarray, resolution_m: float) -> Iterator[slic
 def box_of(grid: Grid, rays: Rays, around_m: float) -> Grid:
     """Return the cells, aligned with those of a grid, that hold the places and so many metres around them."""
     corners = rays.x_m.min(), rays.y_m.min(), rays.x_m.max(), rays.y_m.max()
-    first_col, first_row = (math.floor((corner - around_m) / grid.resolution_m) for corner in corners[:2])
-    last_col, last_row = (math.floor((corner + around_m) / grid.resolution_m) for corner in corners[2:])
+    first_col, first_row = (
+        math.floor((corner - around_m) / grid.resolution_m) for corner in corners[:2]
+    )
+    last_col, last_row = (
+        math.floor((corner + around_m) / grid.resolution_m) for corner in corners[2:]
+    )
     shape = last_row - first_row + 1, last_col - first_col + 1
     return Grid(grid.crs, grid.resolution_m, first_row, first_col, *shape)
 
@@ -225,7 +247,9 @@ def with_directions(log: ReceiverLog, track: Track, sky: Sky, grid: Grid) -> Rec
     return replace(log, satellites=found[is_up].reset_index(drop=True), left_out=left_out)
 
 
-def counted(rows: pd.DataFrame, num_epochs: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def counted(
+    rows: pd.DataFrame, num_epochs: int
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return, of the rows that are judged, how many satellites each epoch sees by the maps and by the receiver.
 
     Args:

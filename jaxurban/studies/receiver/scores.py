@@ -13,7 +13,11 @@ LEVEL_DBHZ = 0.1  # to which C/N0 is rounded: no receiver resolves less
 
 
 def aucs(
-    is_seen: np.ndarray, level: np.ndarray, block: np.ndarray, weights: np.ndarray, group: np.ndarray | None = None
+    is_seen: np.ndarray,
+    level: np.ndarray,
+    block: np.ndarray,
+    weights: np.ndarray,
+    group: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return ``[D]`` AUC of levels of C/N0 between seen and hidden rows under each draw of blocks; NaN without either.
 
@@ -27,7 +31,10 @@ def aucs(
     wins, pairs = np.zeros(len(weights)), np.zeros(len(weights))
     for chosen in _groups(group, len(level)):
         seen, hidden = (
-            weights @ np.bincount(cell[chosen & of_class], minlength=num_blocks * num_levels).reshape(num_blocks, -1)
+            weights
+            @ np.bincount(cell[chosen & of_class], minlength=num_blocks * num_levels).reshape(
+                num_blocks, -1
+            )
             for of_class in (is_seen, ~is_seen)
         )
         below = np.cumsum(hidden, axis=1) - hidden / 2
@@ -65,13 +72,18 @@ def levels_of(cn0_dbhz: pd.Series) -> np.ndarray:
 def score_table(rows: pd.DataFrame, seed: int) -> pd.DataFrame:
     """Return the scores of a `jaxurban.studies.receiver.agreement.SatelliteAgreement`, of its rows."""
     choices = {"all": rows.is_judged, "received": rows.is_judged & (rows.cn0_dbhz > 0)}
-    choices |= {name: rows.is_judged & (rows.system == name) for name in sorted(rows.system.unique())}
+    choices |= {
+        name: rows.is_judged & (rows.system == name) for name in sorted(rows.system.unique())
+    }
     choices["unguarded"] = ~rows.is_inside
     table = []
     for which, is_chosen in choices.items():
         chosen = rows[is_chosen]
         level, satellite = levels_of(chosen.cn0_dbhz), chosen.satellite.cat.codes.to_numpy()
-        is_seen, (block, weights) = chosen.is_seen.to_numpy(), drawn_blocks(chosen.block.to_numpy(), seed)
+        is_seen, (block, weights) = (
+            chosen.is_seen.to_numpy(),
+            drawn_blocks(chosen.block.to_numpy(), seed),
+        )
         both = chosen.groupby("satellite", observed=True).is_seen.nunique()
         row = {"which": which, "rows": len(chosen), "share": len(chosen) / len(rows)}
         for name, group in (("auc", None), ("within", satellite)):

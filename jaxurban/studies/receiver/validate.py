@@ -31,11 +31,22 @@ from jaxurban.samples.catalogue import log_of
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.studies.queries import Result
 from jaxurban.studies.receiver.agreement import SatelliteAgreement, agreement_of
-from jaxurban.studies.receiver.prediction import NUM_VISIBLE, ReceiverSettings, Track, predict, region_of, task_at
+from jaxurban.studies.receiver.prediction import (
+    NUM_VISIBLE,
+    ReceiverSettings,
+    Track,
+    predict,
+    region_of,
+    task_at,
+)
 from jaxurban.studies.receiver.satellites import counted, known_of, with_directions
 
 MAIN = {TRACKED: NUM_VISIBLE, ERROR: "hdop"}
-MORE_IS_BETTER = (TRACKED, NUM_VISIBLE, "gps")  # of all else, dilutions of precision and errors, less is
+MORE_IS_BETTER = (
+    TRACKED,
+    NUM_VISIBLE,
+    "gps",
+)  # of all else, dilutions of precision and errors, less is
 WITHIN, SPEARMAN = COEFFICIENTS = ("within", "spearman")
 SHIFTS_BELOW = 0.95  # of all shifts score no more than the `_shifts_95` of a coefficient
 OBSERVATIONS = re.compile(r"\.(obs|rnx|\d\do)$", re.IGNORECASE)  # how files in RINEX are called
@@ -116,7 +127,9 @@ class ReceiverValidation(Result):
             facts |= self.satellites.facts
         for row in self.main.to_dict("records"):
             parts = [
-                f"{name} {row[name]:.2f} (p {row[f'{name}_p']:.3f})" for name in COEFFICIENTS if row[name] == row[name]
+                f"{name} {row[name]:.2f} (p {row[f'{name}_p']:.3f})"
+                for name in COEFFICIENTS
+                if row[name] == row[name]
             ]
             facts[str(row["witness"])] = ", ".join(parts) or "not defined"
         return facts
@@ -175,7 +188,10 @@ def validate(
     logged = _read(scenario, log, navigation, reference)
     grid = region_of(scenario)
     track = Track.of(logged, grid, chosen.sky_step_s)
-    if logged.satellites is None and len(np.unique(track.along_m // chosen.piece_m)) < FEWEST_PIECES:
+    if (
+        logged.satellites is None
+        and len(np.unique(track.along_m // chosen.piece_m)) < FEWEST_PIECES
+    ):
         raise InputError(
             f"the track of the receiver log {logged.name!r} is {track.along_m[-1]:.0f} m long, less than "
             f"{FEWEST_PIECES} pieces of {chosen.piece_m:g} m: give a longer log, or shorter pieces"
@@ -183,7 +199,9 @@ def validate(
     satellites, guesses = None, dict[str, str]()
     with reporting("validate", progress) as report:
         report("read")
-        needs_sky = logged.satellites is None or bool(logged.witnesses) or AZIMUTH not in logged.satellites
+        needs_sky = (
+            logged.satellites is None or bool(logged.witnesses) or AZIMUTH not in logged.satellites
+        )
         if needs_sky:
             task = task_at(scenario, track.sky_times, grid, float(chosen.antenna_height_m))
             city, guesses = task.city, dict(task.sky.guesses)
@@ -193,14 +211,18 @@ def validate(
             if AZIMUTH not in logged.satellites:
                 logged = with_directions(logged, track, task.sky, grid)
             known = known_of(chosen.known, city, track)
-            satellites = agreement_of(logged, track, city, known, grid, scenario.gps.mask_deg, chosen, report)
+            satellites = agreement_of(
+                logged, track, city, known, grid, scenario.gps.mask_deg, chosen, report
+            )
         of_receiver = dict[str, np.ndarray]()
         if satellites is None or logged.witnesses:
             predicted = predict(task, track, report)
         else:
             predicted, of_receiver = counted(satellites.rows, len(logged.epochs))
         report("scores")
-        epochs = logged.epochs.assign(x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **predicted, **of_receiver)
+        epochs = logged.epochs.assign(
+            x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **predicted, **of_receiver
+        )
         scores, shifts = tables(epochs, (*logged.witnesses, *of_receiver), list(predicted), chosen)
     seen = epochs[NUM_VISIBLE]
     summary = {
@@ -237,14 +259,22 @@ def _read(
     reference: str | Path | pd.DataFrame | None,
 ) -> ReceiverLog:
     """Return the log that the arguments of `validate` name."""
-    if (navigation is None) != (reference is None) or (navigation is not None and isinstance(log, pd.DataFrame)):
-        raise InputError("a log in RINEX needs three files, log, navigation and reference: name all of them")
+    if (navigation is None) != (reference is None) or (
+        navigation is not None and isinstance(log, pd.DataFrame)
+    ):
+        raise InputError(
+            "a log in RINEX needs three files, log, navigation and reference: name all of them"
+        )
     given = log_of(scenario.buildings.source) if log is None else log
     if given is None:
-        raise InputError("log is left out, and only a sample city with a log of its own has one: name the file")
+        raise InputError(
+            "log is left out, and only a sample city with a log of its own has one: name the file"
+        )
     if navigation is None or reference is None or isinstance(given, pd.DataFrame):
         if not isinstance(given, pd.DataFrame) and OBSERVATIONS.search(str(given)):
-            raise InputError(f"{str(given)!r} is a file of observations in RINEX: name navigation and reference too")
+            raise InputError(
+                f"{str(given)!r} is a file of observations in RINEX: name navigation and reference too"
+            )
         return read_receiver_log(given)
     return read_rinex(given, navigation, reference)
 
@@ -277,8 +307,12 @@ def _products(a: np.ndarray, b: np.ndarray, blocks: np.ndarray | None) -> np.nda
     """
     _, number = np.unique(np.zeros(len(a)) if blocks is None else blocks, return_inverse=True)
     ranks = np.array([rankdata(values) for values in (a, b)])
-    of_a, of_b = (each - (np.bincount(number, each) / np.bincount(number))[number] for each in ranks)
-    return np.array([np.bincount(number, product) for product in (of_a * of_a, of_a * of_b, of_b * of_b)])
+    of_a, of_b = (
+        each - (np.bincount(number, each) / np.bincount(number))[number] for each in ranks
+    )
+    return np.array(
+        [np.bincount(number, product) for product in (of_a * of_a, of_a * of_b, of_b * of_b)]
+    )
 
 
 def half_width(without_each: np.ndarray) -> float:
@@ -301,7 +335,9 @@ def within_blocks(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> Interval:
     value = spearman(a, b, blocks)
     if not abs(value) < 1:
         return Interval(value, np.nan, np.nan)
-    with np.errstate(divide="ignore", invalid="ignore"):  # the rest agrees wholly without some block: no interval
+    with np.errstate(
+        divide="ignore", invalid="ignore"
+    ):  # the rest agrees wholly without some block: no interval
         half = half_width(np.arctanh(without_each_block(a, b, blocks)))
     low, high = np.tanh(np.arctanh(value) + np.array([-half, half]))
     return Interval(value, float(low), float(high))
@@ -334,20 +370,26 @@ def pieces_of(epochs: pd.DataFrame, piece_m: float, block_m: float) -> pd.DataFr
     return medians.reset_index()
 
 
-def compared(pieces: pd.DataFrame, witness: str, prediction: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def compared(
+    pieces: pd.DataFrame, witness: str, prediction: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return ``[N]`` of the pieces that have both: how well the receiver did, how well by the maps, and the blocks.
 
     More is better in both, so that coefficients are positive where the receiver does better where the maps say so.
     """
     known = pieces[pieces[witness].notna() & pieces[prediction].notna()]
     receiver, maps = (
-        known[name].to_numpy(float) * (1 if name in MORE_IS_BETTER else -1) for name in (witness, prediction)
+        known[name].to_numpy(float) * (1 if name in MORE_IS_BETTER else -1)
+        for name in (witness, prediction)
     )
     return receiver, maps, known["block"].to_numpy()
 
 
 def tables(
-    epochs: pd.DataFrame, witnesses: Sequence[str], predictions: Iterable[str], settings: ReceiverSettings
+    epochs: pd.DataFrame,
+    witnesses: Sequence[str],
+    predictions: Iterable[str],
+    settings: ReceiverSettings,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the scores and the shifts, as `ReceiverValidation` holds them.
 
@@ -358,21 +400,29 @@ def tables(
         pieces = pieces_of(epochs, piece_m, settings.block_m)
         for witness in witnesses:
             for prediction in predictions if piece_m == settings.piece_m else (MAIN[witness],):
-                row: dict[str, Any] = {"witness": witness, "prediction": prediction, "piece_m": piece_m}
+                row: dict[str, Any] = {
+                    "witness": witness,
+                    "prediction": prediction,
+                    "piece_m": piece_m,
+                }
                 receiver, maps, blocks = compared(pieces, witness, prediction)
                 at_shifts = {
                     WITHIN: shifted(partial(spearman, receiver, blocks=blocks), maps),
                     SPEARMAN: shifted(partial(spearman, receiver), maps),
                 }
                 if prediction == MAIN[witness]:
-                    shift = (np.arange(len(maps)) + len(maps) // 2) % max(len(maps), 1) - len(maps) // 2
+                    shift = (np.arange(len(maps)) + len(maps) // 2) % max(len(maps), 1) - len(
+                        maps
+                    ) // 2
                     shifts.append(pd.DataFrame({**row, "shift": shift, **at_shifts}))
                 row["num"] = len(maps)
                 row["within_low"], row["within_high"] = within_blocks(receiver, maps, blocks)[1:]
                 for name, values in at_shifts.items():
                     is_defined = len(values) > 1 and bool(np.isfinite(values[0]))
                     row[name] = values[0] if is_defined else np.nan
-                    row[f"{name}_shifts_95"] = np.nanquantile(values[1:], SHIFTS_BELOW) if is_defined else np.nan
+                    row[f"{name}_shifts_95"] = (
+                        np.nanquantile(values[1:], SHIFTS_BELOW) if is_defined else np.nan
+                    )
                     row[f"{name}_p"] = np.mean(values >= values[0]) if is_defined else np.nan
                 scores.append(row)
     return pd.DataFrame(scores), pd.concat(shifts, ignore_index=True)

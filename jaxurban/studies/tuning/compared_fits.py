@@ -97,10 +97,15 @@ def compare_fits(
     queries = [shown.query for shown in demonstrations]
     names = check_alike(queries)
     city = np.repeat([*map(str, cities)], [len(shown) for shown in cities.values()])
-    ends = [(name, query.start, query.goal) for name, query in zip(city.tolist(), queries, strict=True)]
+    ends = [
+        (name, query.start, query.goal) for name, query in zip(city.tolist(), queries, strict=True)
+    ]
     group, _ = pd.factorize(pd.Series(ends))
     is_held_out = split(city, group, hold_out, settings.seed)
-    members, seen = _members(list(dict.fromkeys(city.tolist())), by_city), replace(settings, state_file=None)
+    members, seen = (
+        _members(list(dict.fromkeys(city.tolist())), by_city),
+        replace(settings, state_file=None),
+    )
     fits = {
         name: fit_weights(
             list(itertools.compress(demonstrations, ~is_held_out & np.isin(city, of_fit))),
@@ -120,9 +125,14 @@ def compare_fits(
     rows = []
     for number, (name, fit) in enumerate(fits.items()):
         row = {"fit": name, "cities": ", ".join(members[name]), "num_fitted": len(fit.trust)}
-        row |= {f"w_{weight}": value for weight, value in zip(names, fit.vector.tolist(), strict=True)}
+        row |= {
+            f"w_{weight}": value for weight, value in zip(names, fit.vector.tolist(), strict=True)
+        }
         interval = clusters.interval(regret[is_judged, number])
-        rows.append(row | {f"held_out_regret{end}": value for end, value in zip(ENDS, interval, strict=True)})
+        rows.append(
+            row
+            | {f"held_out_regret{end}": value for end, value in zip(ENDS, interval, strict=True)}
+        )
     return FitComparison(fits, pd.DataFrame(rows), is_held_out, is_bad)
 
 

@@ -17,7 +17,9 @@ UNBOUNDED = 3  # status of scipy.optimize.linprog
 NO_TRUST = 1e-12  # so that a sum of trusts is never 0
 FLAT = 1e-6  # a layer that varies by less over free cells is constant
 COMPETES = 0.1  # routes within this share of the cheapest are those that weights choose between
-UNSEEN = 1e-6  # of the largest variance: a direction of W with less leaves every comparison as it is
+UNSEEN = (
+    1e-6  # of the largest variance: a direction of W with less leaves every comparison as it is
+)
 MUCH = 0.1  # of the largest: a weight with such a part in a direction belongs to it
 LEAST_SHARE = 0.01  # of a random walk's features
 
@@ -54,7 +56,11 @@ def refit(log_weights: np.ndarray, task: FitTask, counts: np.ndarray) -> np.ndar
     """
     if len(counts) == 0 or len(task.demo) < 2:
         return np.empty((0, len(log_weights)))
-    return np.asarray(_fits(jnp.asarray(log_weights), task, jnp.asarray(counts * np.asarray(task.trust) + NO_TRUST)))
+    return np.asarray(
+        _fits(
+            jnp.asarray(log_weights), task, jnp.asarray(counts * np.asarray(task.trust) + NO_TRUST)
+        )
+    )
 
 
 @jax.jit
@@ -67,7 +73,9 @@ def _fits(log_weights: jax.Array, task: FitTask, trusts: jax.Array) -> jax.Array
     return jax.lax.map(fit, trusts)
 
 
-def near_optimal_range(weights: np.ndarray, task: FitTask, scale: np.ndarray, tolerance: float) -> np.ndarray:
+def near_optimal_range(
+    weights: np.ndarray, task: FitTask, scale: np.ndarray, tolerance: float
+) -> np.ndarray:
     """Return ``[2, F]`` the least and the largest value of each weight among all W that explain the routes as well.
 
     That is, whose mean regret over the known routes, weighted by trust, is at most that of the fit plus a tolerance:
@@ -89,7 +97,9 @@ def near_optimal_range(weights: np.ndarray, task: FitTask, scale: np.ndarray, to
     share = trust / trust.sum() / cost
     query, route = np.nonzero(routes @ weights <= FAR * cost[:, None])
     slack = np.zeros((len(query), num_queries))
-    slack[np.arange(len(query)), query] = -cost[query]  # slacks are counted in costs, so that all are near 1
+    slack[np.arange(len(query)), query] = -cost[
+        query
+    ]  # slacks are counted in costs, so that all are near 1
     regret = float(np.sum(share * np.maximum(cost - np.min(routes @ weights, axis=1), 0.0)))
     centre = demo.mean(axis=0) / (demo.mean(axis=0) @ weights)
     bound = np.concatenate([-(regret + tolerance) * centre, share * cost])
@@ -100,7 +110,9 @@ def near_optimal_range(weights: np.ndarray, task: FitTask, scale: np.ndarray, to
         for row, sign in enumerate((1.0, -1.0)):
             aim = np.zeros(num_weights + num_queries)
             aim[k] = sign
-            found = linprog(aim, A_ub=above, b_ub=np.zeros(len(above)), A_eq=equal, b_eq=[1.0], bounds=(0, None))
+            found = linprog(
+                aim, A_ub=above, b_ub=np.zeros(len(above)), A_eq=equal, b_eq=[1.0], bounds=(0, None)
+            )
             if found.x is not None:
                 ends[row, k] = found.x[k]
             elif found.status == UNBOUNDED:
@@ -113,7 +125,9 @@ def constant_layers(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
     free = (on.costs[:, on.is_free] for on in maps_of(queries))
     ends = np.array([(costs.min(axis=1), costs.max(axis=1)) for costs in free], np.float64)
     spans = ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0)
-    return tuple(name for name, span in zip(queries[0].cost_map.names, spans, strict=True) if span < FLAT)
+    return tuple(
+        name for name, span in zip(queries[0].cost_map.names, spans, strict=True) if span < FLAT
+    )
 
 
 def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray:
@@ -124,12 +138,16 @@ def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray
     num_steps = demo[:, 0].mean() / queries[0].cost_map.grid.resolution_m
     if queries[0].cost_map.cost_model.kind == "line":
         num_steps = demo[:, 0].mean() / queries[0].cost_map.cost_model.reference_length_m
-    means = [each.costs[:, each.is_free].astype(np.float64).mean(axis=1) for each in maps_of(queries)]
+    means = [
+        each.costs[:, each.is_free].astype(np.float64).mean(axis=1) for each in maps_of(queries)
+    ]
     usual = np.mean(means, axis=0) * num_steps
     return np.maximum(demo.mean(axis=0), np.append(0.0, np.maximum(LEAST_SHARE * usual, 1e-12)))
 
 
-def indistinct_weights(pool: RoutePool, unit: np.ndarray, weights: np.ndarray, is_fitted: np.ndarray) -> list[str]:
+def indistinct_weights(
+    pool: RoutePool, unit: np.ndarray, weights: np.ndarray, is_fitted: np.ndarray
+) -> list[str]:
     """Return sentences on the directions of W, but its length, that demonstrations say nothing about.
 
     They are judged by the covariance C of what routes that compete with the cheapest have more or less of each feature:
@@ -149,7 +167,8 @@ def indistinct_weights(pool: RoutePool, unit: np.ndarray, weights: np.ndarray, i
     covariance = (more.T @ more / max(len(more), 1))[np.ix_(is_fitted, is_fitted)]
     is_seen = np.diag(covariance) > UNSEEN * max(float(np.max(np.diag(covariance))), 1e-300)
     sentences = [
-        f"The weight of {name} cannot be identified: no competing route differs in it." for name in names[~is_seen]
+        f"The weight of {name} cannot be identified: no competing route differs in it."
+        for name in names[~is_seen]
     ]
     if is_seen.sum() < 2:
         return sentences
@@ -159,6 +178,10 @@ def indistinct_weights(pool: RoutePool, unit: np.ndarray, weights: np.ndarray, i
         part = np.linalg.norm(unseen, axis=1)
         involved = names[is_seen][part > MUCH * part.max()]
         listed = f"{', '.join(involved[:-1])} and {involved[-1]}"
-        why = "competing routes trade them at one rate" if num == 1 else f"{num} of their mixtures change no comparison"
+        why = (
+            "competing routes trade them at one rate"
+            if num == 1
+            else f"{num} of their mixtures change no comparison"
+        )
         sentences.append(f"The weights of {listed} cannot be distinguished: {why}.")
     return sentences

@@ -30,7 +30,9 @@ class FitTask(NamedTuple):
     trust: Float[Array, " Q"]
 
 
-def draw_log_noise(rng: np.random.Generator, shape: tuple[int, int, int], sigma: float) -> np.ndarray:
+def draw_log_noise(
+    rng: np.random.Generator, shape: tuple[int, int, int], sigma: float
+) -> np.ndarray:
     """Return ``[Q, M, K]`` Z in antithetic pairs, shifted so that exp(Z) has the mean 1 over M exactly.
 
     The loss is then never negative, and its minimum is not moved by the luck of the draw.

@@ -19,15 +19,27 @@ from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.progress import Report, reporting
 from jaxurban.studies.queries import RouteQuery, check_alike, weights_from
-from jaxurban.studies.route_pool import FitSettings, RoutePool, draw_pairs, known_route_sums, pool_of_fit
+from jaxurban.studies.route_pool import (
+    FitSettings,
+    RoutePool,
+    draw_pairs,
+    known_route_sums,
+    pool_of_fit,
+)
 from jaxurban.studies.tuning.confidence import feature_units
 from jaxurban.studies.tuning.fenchel_young import adam
 
 FIRST_RATE, LAST_RATE = 0.2, 0.02  # of Adam, in log weight a step
 FIRST_NOISE, LAST_NOISE = 0.7, 0.05  # of the perturbed planner, from the first to the last step
 NUM_NOISE, NUM_STEPS = 128, 100
-NUM_EXPLORED, CORNER = 16, 30.0  # weights planned under at first; how much more a corner cares for one thing
-NUM_CANDIDATES, NUM_STARTS = 1000, 6  # weights looked up in known routes, and descended from, a round
+NUM_EXPLORED, CORNER = (
+    16,
+    30.0,
+)  # weights planned under at first; how much more a corner cares for one thing
+NUM_CANDIDATES, NUM_STARTS = (
+    1000,
+    6,
+)  # weights looked up in known routes, and descended from, a round
 FAR_SPREAD, NEAR_SPREAD = 3.0, 0.1  # of the candidates' log weights about the best
 NUM_TRIED, NUM_PROBES = 3, 8  # weights planned for, and searches around the best, a round
 PROBE_NOISE = (0.05, 0.8)  # of those searches' log weights, from the nearest to the farthest
@@ -62,13 +74,17 @@ class Target:
 
     def __post_init__(self) -> None:
         if not self.outcome.startswith(MEAN):
-            one_of("outcome", self.outcome, ("mean_NAME of a metric", "detour", "length_m", "people"))
+            one_of(
+                "outcome", self.outcome, ("mean_NAME of a metric", "detour", "length_m", "people")
+            )
         one_of("the sense of a target", self.sense, (">=", "<="))
         if not np.isfinite(self.value):
             raise InputError(f"target {str(self)!r} must end in a finite number")
         most = 1.0 if self.outcome.startswith(MEAN) else np.inf
         if (self.sense == ">=" and self.value > most) or (self.sense == "<=" and self.value < 0):
-            raise InputError(f"target {str(self)!r} cannot be met: {self.outcome} lies between 0 and {most:g}")
+            raise InputError(
+                f"target {str(self)!r} cannot be met: {self.outcome} lies between 0 and {most:g}"
+            )
 
     @classmethod
     @typed
@@ -134,12 +150,20 @@ class TargetFit:
         """What came of it."""
         if self.is_met:
             return "All targets are met."
-        missed = [f"{target} (reached {row.reached:.4g})" for target, row in self.outcomes.iterrows() if not row.is_met]
+        missed = [
+            f"{target} (reached {row.reached:.4g})"
+            for target, row in self.outcomes.iterrows()
+            if not row.is_met
+        ]
         sentence = f"Not all targets were met; the best trade-off found misses {', '.join(missed)}."
         if self.conflicts:
             pairs = "; ".join(f"{one} with {other}" for one, other in self.conflicts)
             sentence += f" These conflict, as far as the search could find: {pairs}."
-        return sentence + ("" if self.is_in_budget else " The budget ended the search: a larger one may find better.")
+        return sentence + (
+            ""
+            if self.is_in_budget
+            else " The budget ended the search: a larger one may find better."
+        )
 
 
 @typed
@@ -209,14 +233,24 @@ def fit_targets(
     first = 1 / feature_units(queries, shortest[0]) if given is None else np.maximum(given, 1e-6)
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         end_s, start_at = begin_s + settings.budget_s, np.log(first / first.sum())
-        search = _Search(pool, tuple(wanted), np.concatenate(shortest, axis=-1), start_at, settings, end_s, report)
+        search = _Search(
+            pool,
+            tuple(wanted),
+            np.concatenate(shortest, axis=-1),
+            start_at,
+            settings,
+            end_s,
+            report,
+        )
         search.explore()
         best = search.run(wanted)
         is_met = bool(np.all(best.missed <= MET))
         alone = [best if is_met or len(wanted) == 1 else search.run([target]) for target in wanted]
         conflicts: list[tuple[str, str]] = []
         if not is_met:
-            reachable = [number for number, found in enumerate(alone) if found.missed[number] <= MET]
+            reachable = [
+                number for number, found in enumerate(alone) if found.missed[number] <= MET
+            ]
             for pair in itertools.combinations(reachable, 2):
                 one, other = (wanted[number] for number in pair)
                 both = best if len(wanted) == 2 else search.run([one, other])
@@ -262,7 +296,9 @@ class _Search:
 
     def run(self, active: Sequence[Target]) -> _Found:
         """Return the best weights for some of the targets; the others count as met."""
-        sign = [(1.0 if target.sense == ">=" else -1.0) * (target in active) for target in self.targets]
+        sign = [
+            (1.0 if target.sense == ">=" else -1.0) * (target in active) for target in self.targets
+        ]
         misses = jnp.array([target.value for target in self.targets]), jnp.array(sign)
         rng = np.random.default_rng(self.settings.seed)
         drawn = jnp.asarray(draw_pairs(self.settings.seed, NUM_NOISE, len(self.log_start)))
@@ -272,18 +308,28 @@ class _Search:
             routes = jnp.asarray(np.concatenate(self.pool.routes, axis=-1))
             where = (*misses, routes, self.shortest, self.pool.names, self.targets)
             about = self.log_start if best is None else best.log_weights
-            spread = FAR_SPREAD * np.geomspace(1.0, NEAR_SPREAD / FAR_SPREAD, NUM_CANDIDATES)[:, None]
+            spread = (
+                FAR_SPREAD * np.geomspace(1.0, NEAR_SPREAD / FAR_SPREAD, NUM_CANDIDATES)[:, None]
+            )
             anywhere = about + spread * rng.normal(size=(NUM_CANDIDATES, len(about)))
             candidates = np.array([about, self.log_start, *self._corners(), *anywhere])
             starts = _least(candidates, NUM_STARTS, where)
-            tried = np.concatenate([np.asarray(_descend(jnp.asarray(starts), drawn, *where)), starts])
+            tried = np.concatenate(
+                [np.asarray(_descend(jnp.asarray(starts), drawn, *where)), starts]
+            )
             for log_weights in _least(tried, NUM_TRIED, where):
-                reached = self.outcomes(np.concatenate(self.pool.cheapest(np.exp(log_weights)[None])[:, :, 0], axis=-1))
+                reached = self.outcomes(
+                    np.concatenate(self.pool.cheapest(np.exp(log_weights)[None])[:, :, 0], axis=-1)
+                )
                 missed = np.asarray(_missed(reached, *misses))
                 if best is None or np.sum(missed**2) < np.sum(best.missed**2):
                     best = _Found(log_weights, reached, missed, rows)
             assert best is not None
-            row = {"round": number + 1, "loss": float(np.sum(best.missed**2)), "num_plans": self.pool.num_plans}
+            row = {
+                "round": number + 1,
+                "loss": float(np.sum(best.missed**2)),
+                "num_plans": self.pool.num_plans,
+            }
             rows.append(row | dict(zip(map(str, self.targets), best.reached.tolist(), strict=True)))
             self.report("rounds", number + 1, loss=f"{row['loss']:.3g}", searches=row["num_plans"])
             is_stuck = number >= PATIENCE and rows[-1]["loss"] >= rows[-1 - PATIENCE]["loss"]
@@ -298,8 +344,12 @@ class _Search:
     def explore(self) -> None:
         """Fill the pool with routes under weights of all kinds."""
         rng = np.random.default_rng(self.settings.seed)
-        anywhere = rng.dirichlet(np.ones(len(self.log_start)), size=NUM_EXPLORED) * np.exp(self.log_start)
-        self.pool.cheapest(np.concatenate([np.exp(self.log_start)[None], np.exp(self._corners()), anywhere]))
+        anywhere = rng.dirichlet(np.ones(len(self.log_start)), size=NUM_EXPLORED) * np.exp(
+            self.log_start
+        )
+        self.pool.cheapest(
+            np.concatenate([np.exp(self.log_start)[None], np.exp(self._corners()), anywhere])
+        )
 
     def outcomes(self, sums: np.ndarray) -> np.ndarray:
         """Return the targets' outcomes ``[N]`` of routes that add up to ``[Q, 2 K]``."""
@@ -311,7 +361,10 @@ class _Search:
 
 
 def outcome_values(
-    sums: Float[AnyArray, "Q J"], shortest: Float[AnyArray, "Q J"], names: Sequence[str], targets: Sequence[Target]
+    sums: Float[AnyArray, "Q J"],
+    shortest: Float[AnyArray, "Q J"],
+    names: Sequence[str],
+    targets: Sequence[Target],
 ) -> Float[Array, " N"]:
     """Return the targets' outcomes of routes.
 
@@ -326,12 +379,22 @@ def outcome_values(
     values = []
     for target in targets:
         if target.outcome in ("length_m", "detour"):
-            values.append(jnp.mean(length_m) if target.outcome == "length_m" else jnp.mean(length_m / base_m) - 1)
+            values.append(
+                jnp.mean(length_m)
+                if target.outcome == "length_m"
+                else jnp.mean(length_m / base_m) - 1
+            )
             continue
         is_share = target.outcome == "people"
-        column = num + list(names).index("population" if is_share else target.outcome.removeprefix(MEAN))
+        column = num + list(names).index(
+            "population" if is_share else target.outcome.removeprefix(MEAN)
+        )
         along, base = sums[:, column], shortest[:, column]
-        values.append(jnp.sum(along) / jnp.maximum(jnp.sum(base), 1e-9) if is_share else jnp.mean(along / length_m))
+        values.append(
+            jnp.sum(along) / jnp.maximum(jnp.sum(base), 1e-9)
+            if is_share
+            else jnp.mean(along / length_m)
+        )
     return jnp.stack(values)
 
 
@@ -342,22 +405,35 @@ def _missed(values: AnyArray, bound: AnyArray, sign: AnyArray) -> Array:
 
 @partial(jax.jit, static_argnames=("names", "targets"))
 def _descend(
-    starts: Any, drawn: Any, bound: Any, sign: Any, routes: Any, shortest: Any, names: Any, targets: Any
+    starts: Any,
+    drawn: Any,
+    bound: Any,
+    sign: Any,
+    routes: Any,
+    shortest: Any,
+    names: Any,
+    targets: Any,
 ) -> Array:
     """Return log weights ``[S, K]`` after descents from each start over known routes."""
 
     def squared(log_weights: Any, noise: Any) -> Array:
         expected = known_route_sums(log_weights, routes, drawn, noise)
-        return jnp.sum(_missed(outcome_values(expected, shortest, names, targets), bound, sign) ** 2)
+        return jnp.sum(
+            _missed(outcome_values(expected, shortest, names, targets), bound, sign) ** 2
+        )
 
     rates = optax.exponential_decay(FIRST_RATE, NUM_STEPS, LAST_RATE / FIRST_RATE)
     noises = jnp.geomspace(FIRST_NOISE, LAST_NOISE, NUM_STEPS)
-    return jax.lax.map(lambda start: adam(squared, start, rates, noises, jax.nn.log_softmax), starts)
+    return jax.lax.map(
+        lambda start: adam(squared, start, rates, noises, jax.nn.log_softmax), starts
+    )
 
 
 def _least(candidates: np.ndarray, num: int, where: tuple) -> np.ndarray:
     """Return ``[num, K]`` the log weights, of ``[S, K]``, whose cheapest known routes miss least."""
-    return candidates[np.argsort(np.asarray(_known_misses(jnp.asarray(candidates), *where)), kind="stable")[:num]]
+    return candidates[
+        np.argsort(np.asarray(_known_misses(jnp.asarray(candidates), *where)), kind="stable")[:num]
+    ]
 
 
 @partial(jax.jit, static_argnames=("names", "targets"))
@@ -374,7 +450,9 @@ def _known_misses(
     return jax.lax.map(squared, candidates, batch_size=64)
 
 
-def _outcome_table(targets: Sequence[Target], found: Sequence[_Found], at_shortest: np.ndarray) -> pd.DataFrame:
+def _outcome_table(
+    targets: Sequence[Target], found: Sequence[_Found], at_shortest: np.ndarray
+) -> pd.DataFrame:
     """Return a row a target, each as its own search reached it."""
     missed = [float(each.missed[number]) for number, each in enumerate(found)]
     return pd.DataFrame(

@@ -38,9 +38,15 @@ from jaxurban.studies.tuning.fenchel_young import (
 )
 
 WeightScale = Literal["simplex", "distance"]
-FIRST_NOISE, LAST_NOISE = 0.3, 0.03  # standard deviation of log weights: first far, in the end close to the minimum
+FIRST_NOISE, LAST_NOISE = (
+    0.3,
+    0.03,
+)  # standard deviation of log weights: first far, in the end close to the minimum
 NOISE_ROUNDS = 7  # in which the noise shrinks
-NUM_NOISE, NUM_PROBES = 32, 2  # noises a query in the loss; searches a query and round under perturbed weights
+NUM_NOISE, NUM_PROBES = (
+    32,
+    2,
+)  # noises a query in the loss; searches a query and round under perturbed weights
 STEPS, BOOTSTRAP_NOISE = 200, 8
 FEW = 2  # demonstrations a weight
 TRUST_ROUNDS, DOUBT_ROUNDS = 7, 6  # of full trust; in which patience then falls to 1
@@ -50,7 +56,9 @@ REGRET_ROUNDS = 4  # searches for the least regret that any weights reach
 IN_ROUND, IN_BOOTSTRAP = 1, 2  # streams of random numbers
 WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
 DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly counts
-OPTIMAL_REGRET = 0.005  # on average beyond this, the demonstrations are not optimal under any weights
+OPTIMAL_REGRET = (
+    0.005  # on average beyond this, the demonstrations are not optimal under any weights
+)
 NEGLIGIBLE = 1e-3  # share of all metrics in the cost: without them no regret changes by more
 
 
@@ -117,7 +125,9 @@ class WeightFit:
         return [said for said in (*self.unidentified, *self.warnings) if said != self.sentence]
 
     def __repr__(self) -> str:
-        return "\n".join([self.sentence, *self.cautions, self.table.to_string(float_format="{:.3g}".format)])
+        return "\n".join(
+            [self.sentence, *self.cautions, self.table.to_string(float_format="{:.3g}".format)]
+        )
 
     def _repr_html_(self) -> str:
         cautions = "".join(f"<li>{escape(said)}</li>" for said in self.cautions)
@@ -178,7 +188,9 @@ def fit_weights(
     constant = constant_layers(queries)
     # Under `cell` a constant cost still counts steps, and diagonals save some: left out, it would bend the others.
     silent = () if queries[0].cost_map.cost_model.kind == "cell" else constant
-    silent += tuple(name for name in constant if not np.any([query.cost_map.cost_of(name) for query in queries]))
+    silent += tuple(
+        name for name in constant if not np.any([query.cost_map.cost_of(name) for query in queries])
+    )
     is_fitted = np.array([name not in silent for name in names])
     demo = np.array([each.features for each in demonstrations])
     noise_rounds = min(settings.max_rounds, NOISE_ROUNDS)
@@ -190,7 +202,9 @@ def fit_weights(
     rows: list[dict[str, Any]] = []
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         for number in range(settings.max_rounds):
-            noise = FIRST_NOISE * (LAST_NOISE / FIRST_NOISE) ** min(number / max(1, noise_rounds - 1), 1.0)
+            noise = FIRST_NOISE * (LAST_NOISE / FIRST_NOISE) ** min(
+                number / max(1, noise_rounds - 1), 1.0
+            )
             row = fit.run_round(number, noise) | {"elapsed_s": time.perf_counter() - begin_s}
             rows.append(row | dict(zip(names, _scaled(fit.weights, scale), strict=True)))
             report("rounds", number + 1, loss=f"{row['loss']:.3g}", searches=row["num_plans"])
@@ -203,7 +217,10 @@ def fit_weights(
     cost, spread = fit.weights * demo.mean(axis=0), fit.weights * demo.std(axis=0)
     columns = {"weight": _scaled(fit.weights, scale), "low": interval[0], "high": interval[1]}
     share = cost / cost.sum()
-    columns |= {"share_of_cost": share, "spread": spread / max(float(np.linalg.norm(spread)), 1e-300)}
+    columns |= {
+        "share_of_cost": share,
+        "spread": spread / max(float(np.linalg.norm(spread)), 1e-300),
+    }
     return WeightFit(
         names=names,
         weights=weights_from(queries[0], _scaled(fit.weights, scale)),
@@ -218,7 +235,9 @@ def fit_weights(
             *_open(names, constant, interval),
             *indistinct_weights(pool, fit.unit, fit.weights, is_fitted),
         ),
-        warnings=tuple(_warnings(demonstrations, len(names), regret, fit.trust, best, 1 - share[0], is_settled)),
+        warnings=tuple(
+            _warnings(demonstrations, len(names), regret, fit.trust, best, 1 - share[0], is_settled)
+        ),
         num_plans=pool.num_plans,
         elapsed_s=time.perf_counter() - begin_s,
         is_settled=is_settled,
@@ -307,7 +326,9 @@ class _Fit:
         here = here._replace(demo=(least / self.unit)[:, self.is_fitted])
         ends = np.zeros((2, len(self.unit)))
         scaled = (self.weights * self.unit)[self.is_fitted]
-        ends[:, self.is_fitted] = near_optimal_range(scaled, here, scale[self.is_fitted] / unit, SETTLED) / unit
+        ends[:, self.is_fitted] = (
+            near_optimal_range(scaled, here, scale[self.is_fitted] / unit, SETTLED) / unit
+        )
         return ends
 
     def least_mean_regret(self, best: float) -> float:
@@ -337,7 +358,9 @@ def _refitted(
     if not bootstrap:
         return draws, np.full((2, num), np.nan)
     sides = np.ones(num) if scale == "simplex" else np.eye(num)[0]
-    low, high = fit.near_optimal_range(sides, np.array([each.least_features for each in demonstrations]))
+    low, high = fit.near_optimal_range(
+        sides, np.array([each.least_features for each in demonstrations])
+    )
     if len(draws):
         by_draw = np.percentile(draws, [5, 95], axis=0)
         low, high = np.minimum(by_draw[0], low), np.maximum(by_draw[1], high)
@@ -350,7 +373,11 @@ def _scaled(weights: np.ndarray, scale: str) -> np.ndarray:
 
 
 def _said_of_constant(name: str, is_left_out: bool) -> str:
-    value = "is left at 0" if is_left_out else "stands for the steps that diagonals save under the cost model 'cell'"
+    value = (
+        "is left at 0"
+        if is_left_out
+        else "stands for the steps that diagonals save under the cost model 'cell'"
+    )
     return f"The {name} layer is the same everywhere on these maps, so its weight cannot be identified and {value}."
 
 
@@ -366,7 +393,11 @@ def _open(names: Sequence[str], constant: Sequence[str], interval: np.ndarray) -
 
 def _verdict(regret: np.ndarray, trust: np.ndarray, best: float, metric_share: float) -> str:
     """Return whether demonstrations follow the metrics, from the least mean regret that any weights reach."""
-    followed = "distance alone and none of these metrics" if metric_share <= NEGLIGIBLE else "these metrics"
+    followed = (
+        "distance alone and none of these metrics"
+        if metric_share <= NEGLIGIBLE
+        else "these metrics"
+    )
     percent = round(max(0.0, 100 * best), 4)
     share = f"at best they cost {percent:.3g} % more than the cheapest ones between their ends, on average"
     if best <= OPTIMAL_REGRET:

@@ -209,7 +209,9 @@ def pareto_front(
     size = pool.cheapest(alone)[0, 0][:, columns].max(axis=0)
     shares = np.eye(len(objectives)) * (1 - len(objectives) * LEAST) + LEAST
     corners = shares @ (alone / np.where(size > 0, size, 1.0)[:, None])
-    found = find_breakpoints(pool, corners, tolerance=tolerance, max_plans=max_plans, on_plans=on_plans)
+    found = find_breakpoints(
+        pool, corners, tolerance=tolerance, max_plans=max_plans, on_plans=on_plans
+    )
     return replace(found, objectives=tuple(objectives))
 
 
@@ -221,7 +223,9 @@ class _Growing:
         self.tolerance = tolerance
         self.facts: list[np.ndarray] = []
         self.ends: list[np.ndarray] = []
-        self.cells: list[np.ndarray] = []  # empty where another route is as cheap or cheaper everywhere
+        self.cells: list[
+            np.ndarray
+        ] = []  # empty where another route is as cheap or cheaper everywhere
         self.verified: set[tuple[int, ...]] = set()
 
     def unverified(self) -> np.ndarray:
@@ -235,7 +239,9 @@ class _Growing:
         self.verified.update(map(_key, places))
         for place, features, integrals in zip(places, *found, strict=True):
             ends = self.corners @ features
-            if not self.ends or place @ ends < np.min(np.array(self.ends) @ place) * (1 - self.tolerance):
+            if not self.ends or place @ ends < np.min(np.array(self.ends) @ place) * (
+                1 - self.tolerance
+            ):
                 self._add(np.stack([features, integrals]), ends)
 
     def _add(self, facts: np.ndarray, ends: np.ndarray) -> None:
@@ -267,14 +273,20 @@ def _clip(cell: np.ndarray, excess: np.ndarray) -> np.ndarray:
     if above.max() <= 0:
         return cell
     kept: list[np.ndarray] = []
-    for here, there, a, b in zip(cell, np.roll(cell, -1, axis=0), above, np.roll(above, -1), strict=True):
+    for here, there, a, b in zip(
+        cell, np.roll(cell, -1, axis=0), above, np.roll(above, -1), strict=True
+    ):
         if a <= 0:
             kept.append(here)
         if (a < 0 < b) or (b < 0 < a):
             kept.append(here + (there - here) * (a / (a - b)))
     points = list({_key(place): place for place in kept}.values())
     clipped = np.array(points) if points else np.empty((0, len(excess)))
-    return clipped if len(points) >= len(excess) and _size(clipped) > EMPTY else np.empty((0, len(excess)))
+    return (
+        clipped
+        if len(points) >= len(excess) and _size(clipped) > EMPTY
+        else np.empty((0, len(excess)))
+    )
 
 
 def _size(cell: np.ndarray) -> float:

@@ -23,9 +23,13 @@ def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVis
     """Return which cells of a soft city's region a route's cost counts, and how often, if it was planned on them."""
     region = soft.surface.region
     if not planned.status.has_path:
-        raise InputError("there is no route, so no building costs it anything: plan one that reaches its goal")
+        raise InputError(
+            "there is no route, so no building costs it anything: plan one that reaches its goal"
+        )
     if len(planned.z_m) and np.ptp(planned.z_m) > 0:
-        raise InputError("the route changes its altitude and a soft city has one: plan it at that altitude")
+        raise InputError(
+            "the route changes its altitude and a soft city has one: plan it at that altitude"
+        )
     of_route = planned.crs, planned.settings["resolution_m"], round(planned.altitude_m, 3)
     of_soft = region.crs, region.resolution_m, round(float(np.asarray(params.altitude_m)), 3)
     if of_route != of_soft:
@@ -40,18 +44,27 @@ def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVis
             f"time_of_day={time_of_day!r}"
         )
     points_m = planned.xy_m - np.array([region.x_min_m, region.y_min_m])
-    return path_visits(points_m, region.shape, region.resolution_m, CostModel.from_settings(planned.settings))
+    return path_visits(
+        points_m, region.shape, region.resolution_m, CostModel.from_settings(planned.settings)
+    )
 
 
 def weights_of(planned: PlannedPath) -> Weights:
     """Return the weights that a route was planned under; 0 for metrics that its maps did not hold."""
     used: Mapping[str, float] = planned.settings["weights"]
-    return Weights(**dict.fromkeys(("distance", *METRICS), 0.0) | {name: float(value) for name, value in used.items()})
+    return Weights(
+        **dict.fromkeys(("distance", *METRICS), 0.0)
+        | {name: float(value) for name, value in used.items()}
+    )
 
 
 @typed
 def building_costs(
-    city: City, soft: SoftCity, planned: PlannedPath, params: SoftParams, weights: GivenWeights = None
+    city: City,
+    soft: SoftCity,
+    planned: PlannedPath,
+    params: SoftParams,
+    weights: GivenWeights = None,
 ) -> pd.DataFrame:
     """Return what one more metre of each building's height costs a route, the costliest building first.
 
@@ -130,7 +143,9 @@ def _slopes(
     def part(name: str, height_m: jax.Array) -> jax.Array:
         return weights[name] * (soft.layer(name, height_m, params, visits.cells) @ visits.times)
 
-    by_height = [name for name, metric in soft.metrics.items() if TIME_OF_DAY not in metric.dims]  # not people
+    by_height = [
+        name for name, metric in soft.metrics.items() if TIME_OF_DAY not in metric.dims
+    ]  # not people
     found = {name: jax.value_and_grad(partial(part, name))(soft.height_m) for name in by_height}
     cost = weights.distance * visits.length_m + sum(value for value, _ in found.values())
     cost += sum(part(name, soft.height_m) for name in soft.names if name not in by_height)

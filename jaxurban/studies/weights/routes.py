@@ -34,8 +34,19 @@ ROUTE_KEY = ("city", *KEY)
 CITY_NUMBER = "city_number"  # column of instances: the place of a route's city among those of the study, from 0
 PARAMETER_FACTORS = (0.5, 2.0)
 SAME_SUMS = 1e-9  # relative: routes whose sums differ by less are one route
-OF_WEIGHT = ("elasticity", "below", "above", "regret_low", "regret_high")  # columns of each weight, as "below:gps"
-OF_SHARE = ("first", "first_ci", "total", "total_ci")  # and of each outcome too, as "first:gps:length_m"
+OF_WEIGHT = (
+    "elasticity",
+    "below",
+    "above",
+    "regret_low",
+    "regret_high",
+)  # columns of each weight, as "below:gps"
+OF_SHARE = (
+    "first",
+    "first_ci",
+    "total",
+    "total_ci",
+)  # and of each outcome too, as "first:gps:length_m"
 TEXTS = ("city", "status", "note", "vary", "parameter")
 
 
@@ -100,7 +111,8 @@ class SensitivityStudySettings(RouteJob):
           ('line', (0.1, 10.0), 2.0)
         """
         return self.rules() | {
-            name: getattr(self, name) for name in ("factors", "vary", "wrong", "num_samples", "seed")
+            name: getattr(self, name)
+            for name in ("factors", "vary", "wrong", "num_samples", "seed")
         }
 
     def facts(self, on: CostMap, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
@@ -134,7 +146,9 @@ def query_of(on: CostMap, instance: Row) -> tuple[RouteQuery, np.ndarray]:
     """
     start, goal, weights = located(on, instance)
     if start == goal:
-        raise InputError("start and goal lie in one cell, so there is no route to study: set them further apart")
+        raise InputError(
+            "start and goal lie in one cell, so there is no route to study: set them further apart"
+        )
     return RouteQuery(on, start, goal, str(instance["instance"])), weights
 
 
@@ -159,7 +173,9 @@ def route_facts(on: CostMap, instance: Row, settings: SensitivityStudySettings) 
     begin_s = time.perf_counter()
     query, weights = query_of(on, instance)
     names = query.names
-    vary = settings.vary or tuple(name for name, weight in zip(names[1:], weights[1:], strict=True) if weight > 0)
+    vary = settings.vary or tuple(
+        name for name, weight in zip(names[1:], weights[1:], strict=True) if weight > 0
+    )
     columns = check_vary(names, weights, vary)
     first = astar(query.problem(weights))
     if not first.status.has_path:
@@ -170,20 +186,32 @@ def route_facts(on: CostMap, instance: Row, settings: SensitivityStudySettings) 
         raise InputError(
             "the cheapest route costs nothing, so no weight has a share of its cost: give a weight above 0"
         )
-    facts: dict[str, Any] = {"status": first.status.value, "note": first.note, "vary": ",".join(vary), "cost": cost}
+    facts: dict[str, Any] = {
+        "status": first.status.value,
+        "note": first.note,
+        "vary": ",".join(vary),
+        "cost": cost,
+    }
     facts |= {name: float(value) for name, value in outcomes_of(integrals, names).items()}
-    facts |= {f"elasticity:{name}": float(w * f / cost) for name, w, f in zip(names, weights, features, strict=True)}
+    facts |= {
+        f"elasticity:{name}": float(w * f / cost)
+        for name, w, f in zip(names, weights, features, strict=True)
+    }
     pool = RoutePool([query], workers=settings.num_threads)
     nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
     wrong = np.tile(weights, (2 * len(vary), 1))
-    wrong[np.arange(len(wrong)), np.repeat(columns, 2)] *= np.tile([1 / settings.wrong, settings.wrong], len(vary))
+    wrong[np.arange(len(wrong)), np.repeat(columns, 2)] *= np.tile(
+        [1 / settings.wrong, settings.wrong], len(vary)
+    )
     regret = np.maximum(pool.cheapest(wrong)[0, 0] @ weights / cost - 1, 0.0).reshape(-1, 2)
     for name, ends, lost in zip(vary, nearest, regret, strict=True):
         facts |= {f"below:{name}": float(ends[0]), f"above:{name}": float(ends[1])}
         facts |= {f"regret_low:{name}": float(lost[0]), f"regret_high:{name}": float(lost[1])}
     if settings.num_samples:
         seed = seed_at(settings.seed, int(instance.get(CITY_NUMBER, 0)), int(instance["instance"]))
-        shares = sobol_of_weights(pool, weights, columns, settings.factors, settings.num_samples, seed % 2**31)
+        shares = sobol_of_weights(
+            pool, weights, columns, settings.factors, settings.num_samples, seed % 2**31
+        )
         for share in shares.reset_index().to_dict("records"):
             where = f"{share['factor']}:{share['outcome']}"
             facts |= {f"{kind}:{where}": float(share[kind]) for kind in OF_SHARE}
@@ -199,7 +227,9 @@ def plain_task(task: MapTask) -> MapTask:
     """Return a task of the metrics alone, without bounds and spreads."""
     params = task.params
     gps, heights = replace(params.gps, bounds=False), replace(params.heights, height_samples=0)
-    return replace(task, params=replace(params, heights=heights, sections={**params.sections, "gps": gps}))
+    return replace(
+        task, params=replace(params, heights=heights, sections={**params.sections, "gps": gps})
+    )
 
 
 def parameters_of(task: MapTask) -> dict[str, float]:
@@ -222,7 +252,9 @@ def with_parameter(task: MapTask, parameter: str, factor: float) -> MapTask:
     metric, _, name = parameter.partition(".")
     section: Any = task.settings_of(task.metrics[metric])
     section = replace(section, **{name: factor * getattr(section, name)})
-    return replace(task, params=replace(task.params, sections={**task.params.sections, metric: section}))
+    return replace(
+        task, params=replace(task.params, sections={**task.params.sections, metric: section})
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -259,7 +291,9 @@ class OnPerturbedMaps(RouteJob):
         return [(draw,) for draw in range(settings.num_heights)]
 
     @classmethod
-    def tasks(cls, task: MapTask, settings: SensitivityStudySettings) -> Iterator[MapTask | InputError]:
+    def tasks(
+        cls, task: MapTask, settings: SensitivityStudySettings
+    ) -> Iterator[MapTask | InputError]:
         """Yield the task of each change, or why there is none."""
         std_m = task.params.heights.height_std_m
         for city in perturbed_cities(task.city, std_m, settings.num_heights, settings.seed):
@@ -292,7 +326,9 @@ class OnOtherParameters(OnPerturbedMaps):
         return [*product(parameters_of(task), PARAMETER_FACTORS)]
 
     @classmethod
-    def tasks(cls, task: MapTask, settings: SensitivityStudySettings) -> Iterator[MapTask | InputError]:
+    def tasks(
+        cls, task: MapTask, settings: SensitivityStudySettings
+    ) -> Iterator[MapTask | InputError]:
         """Yield the task of each change, or why there is none."""
         for parameter, factor in cls.changes(task, settings):
             try:
@@ -312,10 +348,15 @@ def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> di
     for name, query in (("nominal", nominal), ("other", other)):
         features[name] = [query.cost_map.problem.features(points_m) for points_m in (here, there)]
     (own, new), (kept, best) = features["nominal"], features["other"]
-    found["is_other"] = float(not (new.is_valid and np.allclose(new.phi, own.phi, rtol=SAME_SUMS, atol=SAME_SUMS)))
+    found["is_other"] = float(
+        not (new.is_valid and np.allclose(new.phi, own.phi, rtol=SAME_SUMS, atol=SAME_SUMS))
+    )
     cells = [cells_of(points_m, nominal.cost_map.grid.resolution_m) for points_m in (here, there)]
     found["overlap"] = len(cells[0] & cells[1]) / len(cells[0])
-    found["is_closed"], found["nominal_is_closed"] = float(not new.is_valid), float(not kept.is_valid)
+    found["is_closed"], found["nominal_is_closed"] = (
+        float(not new.is_valid),
+        float(not kept.is_valid),
+    )
     found["regret"] = _regret(new.cost(weights), own.cost(weights))
     found["nominal_regret"] = _regret(kept.cost(weights), best.cost(weights))
     return found

@@ -42,13 +42,22 @@ def check_sampling(settings: Any) -> None:
     at_least("seed", settings.seed)
     if len(set(settings.vary)) < len(settings.vary):
         raise InputError(f"vary must name each weight once, got {', '.join(settings.vary)}")
-    if len(settings.factors) != 2 or not 0 < settings.factors[0] < 1 < settings.factors[1] < math.inf:
+    if (
+        len(settings.factors) != 2
+        or not 0 < settings.factors[0] < 1 < settings.factors[1] < math.inf
+    ):
         raise InputError(
             f"factors must be two (--range), from below 1 to above 1 times the weights, as 0.1,10, got "
             f"{settings.factors}"
         )
-    if settings.num_samples < 0 or settings.num_samples == 1 or settings.num_samples & (settings.num_samples - 1):
-        raise InputError(f"num_samples must be a power of two such as 32, got {settings.num_samples}")
+    if (
+        settings.num_samples < 0
+        or settings.num_samples == 1
+        or settings.num_samples & (settings.num_samples - 1)
+    ):
+        raise InputError(
+            f"num_samples must be a power of two such as 32, got {settings.num_samples}"
+        )
 
 
 def check_vary(names: Sequence[str], weights: np.ndarray, vary: Sequence[str]) -> list[int]:
@@ -58,15 +67,21 @@ def check_vary(names: Sequence[str], weights: np.ndarray, vary: Sequence[str]) -
       InputError: none, or a weight that is not there or 0.
     """
     if not vary:
-        raise InputError("no metric of these maps has a weight above 0, so nothing varies: give one, or name vary")
+        raise InputError(
+            "no metric of these maps has a weight above 0, so nothing varies: give one, or name vary"
+        )
     columns = [names.index(one_of("a weight that varies", name, names)) for name in vary]
     for name, column in zip(vary, columns, strict=True):
         if not weights[column] > 0:
-            raise InputError(f"weight {name} is 0, which no factor changes: give it a value above 0, or do not vary it")
+            raise InputError(
+                f"weight {name} is 0, which no factor changes: give it a value above 0, or do not vary it"
+            )
     return columns
 
 
-def sobol_indices(evaluate: Evaluate, factors: Sequence[str], num_samples: int, seed: int = 0) -> pd.DataFrame:
+def sobol_indices(
+    evaluate: Evaluate, factors: Sequence[str], num_samples: int, seed: int = 0
+) -> pd.DataFrame:
     """Return Sobol indices of a function's outcomes with respect to its ``D`` factors, uniform from 0 to 1.
 
     A row for each outcome and factor (the index): ``first``, ``total``, and half the width of their 95 % confidence
@@ -79,9 +94,16 @@ def sobol_indices(evaluate: Evaluate, factors: Sequence[str], num_samples: int, 
       num_samples: N, a power of two (the Sobol sequence is balanced only then).
       seed: of the sequence's scrambling and of the bootstrap.
     """
-    problem = {"num_vars": len(factors), "names": list(factors), "bounds": [[0.0, 1.0]] * len(factors)}
+    problem = {
+        "num_vars": len(factors),
+        "names": list(factors),
+        "bounds": [[0.0, 1.0]] * len(factors),
+    }
     outcomes = evaluate(sampling.sample(problem, num_samples, calc_second_order=False, seed=seed))
-    return pd.concat({name: _indices(problem, values, seed) for name, values in outcomes.items()}, names=["outcome"])
+    return pd.concat(
+        {name: _indices(problem, values, seed) for name, values in outcomes.items()},
+        names=["outcome"],
+    )
 
 
 def sobol_of_weights(
@@ -127,12 +149,20 @@ def sobol_of_weights(
 
 def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
     """Return the indices of one outcome, a row a factor."""
-    table = pd.DataFrame(np.nan, pd.Index(problem["names"], name="factor"), ["first", "first_ci", "total", "total_ci"])
-    table = table.assign(mean=values.mean(), std=values.std(), lowest=values.min(), highest=values.max())
+    table = pd.DataFrame(
+        np.nan,
+        pd.Index(problem["names"], name="factor"),
+        ["first", "first_ci", "total", "total_ci"],
+    )
+    table = table.assign(
+        mean=values.mean(), std=values.std(), lowest=values.min(), highest=values.max()
+    )
     if np.ptp(values) <= CONSTANT * np.abs(values).max():
         return table
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Constant values encountered")  # of a part: the intervals show it
+        warnings.filterwarnings(
+            "ignore", "Constant values encountered"
+        )  # of a part: the intervals show it
         found = analysis.analyze(
             problem,
             np.asarray(values, np.float64),
@@ -142,7 +172,9 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
             seed=seed + 1,  # SALib takes 0 for none
         )
     num_samples = len(values) // (len(table) + 2)
-    wider = reach_of(num_samples) / special.ndtri((1 + CONFIDENCE) / 2)  # SALib's ends are those of the normal law
+    wider = reach_of(num_samples) / special.ndtri(
+        (1 + CONFIDENCE) / 2
+    )  # SALib's ends are those of the normal law
     parts = {"first": found["S1"], "first_ci": found["S1_conf"] * wider}
     return table.assign(**parts, total=found["ST"], total_ci=found["ST_conf"] * wider)
 
@@ -187,17 +219,28 @@ def outcome_slopes(
     Raises:
       InputError: a query without a path.
     """
-    values = {name: float(np.mean(value)) for name, value in outcomes_of(integrals, pool.names).items()}
+    values = {
+        name: float(np.mean(value)) for name, value in outcomes_of(integrals, pool.names).items()
+    }
     repeats = range(seed * NUM_REPEATS, (seed + 1) * NUM_REPEATS)
-    expected, slopes = map(np.array, zip(*(_expected(pool, weights, noise, each) for each in repeats), strict=True))
+    expected, slopes = map(
+        np.array, zip(*(_expected(pool, weights, noise, each) for each in repeats), strict=True)
+    )
     num = len(pool.names)
-    columns = {"value": np.repeat(list(values.values()), num), "expected": np.repeat(expected.mean(axis=0), num)}
+    columns = {
+        "value": np.repeat(list(values.values()), num),
+        "expected": np.repeat(expected.mean(axis=0), num),
+    }
     columns["expected_slope"] = slopes.mean(axis=0).ravel()
     columns["expected_slope_se"] = slopes.std(axis=0, ddof=1).ravel() / np.sqrt(len(slopes))
-    return pd.DataFrame(columns, pd.MultiIndex.from_product([values, pool.names], names=["outcome", "weight_name"]))
+    return pd.DataFrame(
+        columns, pd.MultiIndex.from_product([values, pool.names], names=["outcome", "weight_name"])
+    )
 
 
-def _expected(pool: RoutePool, weights: np.ndarray, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def _expected(
+    pool: RoutePool, weights: np.ndarray, noise: float, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return an estimate ``[J]`` of expected outcomes and ``[J, K]`` of their slopes by log weights."""
     drawn = draw_pairs(seed, NUM_NOISE, len(weights))
     integrals = pool.cheapest(weights * np.exp(noise * drawn))[1]

@@ -18,7 +18,13 @@ from jaxurban.progress import Progress, reporting
 from jaxurban.studies.queries import Result, RouteQuery, check_flat, outcomes_of
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import EXACT, Partition, find_breakpoints, pareto_front
-from jaxurban.studies.weights.sobol import check_sampling, check_vary, cost_gradient, outcome_slopes, sobol_of_weights
+from jaxurban.studies.weights.sobol import (
+    check_sampling,
+    check_vary,
+    cost_gradient,
+    outcome_slopes,
+    sobol_of_weights,
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -165,9 +171,15 @@ class SensitivitySettings:
         at_least("num_samples", self.num_samples, 2)
         at_least("max_plans", self.max_plans, 1)
         if not EXACT <= self.tolerance < 1:
-            raise InputError(f"tolerance must be at least {EXACT:g} and below 1, got {self.tolerance}")
-        if len(self.objectives) not in (0, 2, 3) or len(set(self.objectives)) < len(self.objectives):
-            raise InputError(f"objectives must name 2 or 3 different weights, got {', '.join(self.objectives)}")
+            raise InputError(
+                f"tolerance must be at least {EXACT:g} and below 1, got {self.tolerance}"
+            )
+        if len(self.objectives) not in (0, 2, 3) or len(set(self.objectives)) < len(
+            self.objectives
+        ):
+            raise InputError(
+                f"objectives must name 2 or 3 different weights, got {', '.join(self.objectives)}"
+            )
 
 
 @typed
@@ -213,7 +225,9 @@ def sensitivity(
     begin_s, settings = time.perf_counter(), settings or SensitivitySettings()
     query, route = _plan(cost_map, start, goal, snap)
     names, given, pool = query.names, cost_map.weight_vector, RoutePool([query])
-    vary = settings.vary or tuple(name for name, weight in zip(names[1:], given[1:], strict=True) if weight > 0)
+    vary = settings.vary or tuple(
+        name for name, weight in zip(names[1:], given[1:], strict=True) if weight > 0
+    )
     columns = check_vary(names, given, vary)
     for name in settings.objectives:
         one_of("each of objectives", name, names)
@@ -222,17 +236,28 @@ def sensitivity(
         features, integrals = pool.cheapest(given[None])[:, :, 0]
         cost = cost_gradient(names, given, features)
         outcomes = outcome_slopes(pool, given, integrals, seed=settings.seed)
-        by_share = sorted((name for name in vary if name != "distance"), key=lambda name: -cost["elasticity"][name])
-        settings = replace(settings, vary=vary, objectives=settings.objectives or ("distance", *by_share[:2]))
+        by_share = sorted(
+            (name for name in vary if name != "distance"),
+            key=lambda name: -cost["elasticity"][name],
+        )
+        settings = replace(
+            settings, vary=vary, objectives=settings.objectives or ("distance", *by_share[:2])
+        )
         on_plans = partial(report, "sobol")
-        sobol = sobol_of_weights(pool, given, columns, settings.factors, settings.num_samples, settings.seed, on_plans)
+        sobol = sobol_of_weights(
+            pool, given, columns, settings.factors, settings.num_samples, settings.seed, on_plans
+        )
         lines = {}
         for name, column in zip(vary, columns, strict=True):
             ends = np.tile(given, (2, 1))
             ends[:, column] *= settings.factors
-            lines[name] = find_breakpoints(pool, ends, on_plans=partial(report, f"breakpoints of {name}"))
+            lines[name] = find_breakpoints(
+                pool, ends, on_plans=partial(report, f"breakpoints of {name}")
+            )
         how: dict[str, Any] = {"tolerance": settings.tolerance, "max_plans": settings.max_plans}
-        front = pareto_front(pool, settings.objectives, **how, on_plans=partial(report, "Pareto front"))
+        front = pareto_front(
+            pool, settings.objectives, **how, on_plans=partial(report, "Pareto front")
+        )
         report("routes")
         return Sensitivity(
             maps=cost_map.maps,
@@ -259,12 +284,16 @@ def _routes(query: RouteQuery, line: Partition) -> list[np.ndarray]:
         return [points_m + corner_m for points_m in routes]
 
 
-def _plan(cost_map: CostMap, start: Point, goal: Point, snap: bool | float) -> tuple[RouteQuery, PlannedPath]:
+def _plan(
+    cost_map: CostMap, start: Point, goal: Point, snap: bool | float
+) -> tuple[RouteQuery, PlannedPath]:
     """Return the query and the planned route."""
     route = cost_map.plan(start, goal, snap=snap)
     if not route.status.has_path:
         raise InputError(f"there is no route to study: {route.to_dict()['message']}")
     ends = [place.cell for place in cost_map.ends(start, goal, snap=snap)]
     if ends[0] == ends[1]:
-        raise InputError("start and goal lie in one cell, so there is no route to study: set them further apart")
+        raise InputError(
+            "start and goal lie in one cell, so there is no route to study: set them further apart"
+        )
     return RouteQuery(cost_map, ends[0], ends[1]), route

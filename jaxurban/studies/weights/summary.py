@@ -21,17 +21,31 @@ ALL = "all"
 CUTS = ("city", "altitude_m", "stratum", "range", "time", "time_of_day")
 BOTH = (("city", "altitude_m"), ("stratum", "altitude_m"))
 OVER_CITIES = "over cities"
-CLEAR, UNCLEAR, TOO_FEW, CONSTANT = "clear", "not distinguishable from 0", "too few routes", "does not vary"
+CLEAR, UNCLEAR, TOO_FEW, CONSTANT = (
+    "clear",
+    "not distinguishable from 0",
+    "too few routes",
+    "does not vary",
+)
 UNRESOLVED = "not resolved"
 ABOVE_ONE = 0.1  # no share is above 1: one whose interval reaches further beyond is not resolved
-REMADE_STATISTICS = ("is_other", "overlap", "is_closed", "regret", "nominal_is_closed", "nominal_regret")
+REMADE_STATISTICS = (
+    "is_other",
+    "overlap",
+    "is_closed",
+    "regret",
+    "nominal_is_closed",
+    "nominal_regret",
+)
 SHARES_OF_ROUTES = ("is_other", "is_closed", "nominal_is_closed")
 
 
 def routes_of(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of routes that were found, with what describes each (`DESCRIBED`)."""
     wanted = [*ROUTE_KEY, *DESCRIBED]
-    table = rows[rows.status.isin(HAS_PATH)].merge(instances[wanted], on=list(ROUTE_KEY), validate="many_to_one")
+    table = rows[rows.status.isin(HAS_PATH)].merge(
+        instances[wanted], on=list(ROUTE_KEY), validate="many_to_one"
+    )
     return table.reset_index(drop=True)
 
 
@@ -45,18 +59,28 @@ def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.Data
       routes: from `routes_of`.
       factors: the range in which breakpoints were looked for.
     """
-    names = [name.partition(":")[2] for name in map(str, routes.columns) if name.startswith("elasticity:")]
+    names = [
+        name.partition(":")[2]
+        for name in map(str, routes.columns)
+        if name.startswith("elasticity:")
+    ]
     varied = routes["vary"].str.split(",")
     parts = []
     for name in names:
-        part = routes[[*ROUTE_KEY, *DESCRIBED]].assign(weight_name=name, varies=[name in each for each in varied])
-        parts.append(part.assign(**{kind: routes.get(f"{kind}:{name}", np.nan) for kind in OF_WEIGHT}))
+        part = routes[[*ROUTE_KEY, *DESCRIBED]].assign(
+            weight_name=name, varies=[name in each for each in varied]
+        )
+        parts.append(
+            part.assign(**{kind: routes.get(f"{kind}:{name}", np.nan) for kind in OF_WEIGHT})
+        )
     table = pd.concat(parts, ignore_index=True)
     table = table[table.elasticity.notna()]  # not the metrics that a city's maps lack
     limit = min(factors[1], 1 / factors[0])
     nearest = table.above.combine(1 / table.below, np.fmin).clip(upper=limit).fillna(limit)
     regret = table[["regret_low", "regret_high"]].max(axis=1)
-    return table.assign(nearest=nearest.where(table.varies), regret=regret.where(table.varies)).reset_index(drop=True)
+    return table.assign(
+        nearest=nearest.where(table.varies), regret=regret.where(table.varies)
+    ).reset_index(drop=True)
 
 
 def statistics_of(wrong: float) -> dict[str, tuple[Callable[[pd.DataFrame], pd.Series], Statistic]]:
@@ -68,7 +92,10 @@ def statistics_of(wrong: float) -> dict[str, tuple[Callable[[pd.DataFrame], pd.S
     return {
         "share": (lambda table: table.elasticity, "mean"),
         "nearest": (lambda table: table.nearest, "median"),
-        "changes": (lambda table: (table.nearest <= wrong).astype(float).where(table.varies), "share"),
+        "changes": (
+            lambda table: (table.nearest <= wrong).astype(float).where(table.varies),
+            "share",
+        ),
         "regret": (lambda table: table.regret, "mean"),
     }
 
@@ -77,7 +104,12 @@ def by_stratum(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table with ``stratum``, each row once for each stratum that its route starts or ends in."""
     ends = [table.assign(stratum=table[name]) for name in ("start_stratum", "goal_stratum")]
     both = pd.concat(ends).dropna(subset="stratum")
-    return both.reset_index().drop_duplicates(["index", "stratum"]).drop(columns="index").reset_index(drop=True)
+    return (
+        both.reset_index()
+        .drop_duplicates(["index", "stratum"])
+        .drop(columns="index")
+        .reset_index(drop=True)
+    )
 
 
 def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
@@ -94,7 +126,11 @@ def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
 
 def _differs(table: pd.DataFrame, column: str) -> bool:
     """Return whether a column has two values; times that differ between cities only say no more than the cities."""
-    counts = table.groupby("city")[column].nunique() if column in ("time", "time_of_day") else [table[column].nunique()]
+    counts = (
+        table.groupby("city")[column].nunique()
+        if column in ("time", "time_of_day")
+        else [table[column].nunique()]
+    )
     return max(counts) > 1
 
 
@@ -129,7 +165,12 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
             if cut == ALL and num_cities >= FEWEST_GROUPS:
                 parts[OVER_CITIES] = OVER_CITIES, Clusters(of_weight.city)
             for cut_at, (value_at, clusters) in parts.items():
-                row: dict[str, Any] = {"cut": cut_at, "value": value_at, "weight_name": name, "routes": len(of_weight)}
+                row: dict[str, Any] = {
+                    "cut": cut_at,
+                    "value": value_at,
+                    "weight_name": name,
+                    "routes": len(of_weight),
+                }
                 row |= {"pairs": pairs.num_groups + num_cities - 1, "cities": num_cities}
                 for statistic, (values, put) in statistics_of(wrong).items():
                     row |= named(statistic, clusters.interval(values(of_weight), put))
@@ -139,10 +180,14 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
 
 def shares_table(routes: pd.DataFrame) -> pd.DataFrame:
     """Return the Sobol shares of every route: a row for each route, outcome and weight."""
-    triples = [tuple(str(name).split(":")) for name in routes.columns if str(name).startswith("first:")]
+    triples = [
+        tuple(str(name).split(":")) for name in routes.columns if str(name).startswith("first:")
+    ]
     parts = [
         routes[list(ROUTE_KEY)].assign(
-            outcome=outcome, weight_name=name, **{kind: routes[f"{kind}:{name}:{outcome}"] for kind in OF_SHARE}
+            outcome=outcome,
+            weight_name=name,
+            **{kind: routes[f"{kind}:{name}:{outcome}"] for kind in OF_SHARE},
         )
         for _, name, outcome in triples
     ]
@@ -174,12 +219,16 @@ def summarise_shares(shares: pd.DataFrame, num_samples: int) -> pd.DataFrame:
             found = pairs_of(known).interval(known[kind])
             row = {"outcome": outcome, "weight_name": name, "kind": kind, "routes": len(known)}
             own = {"own_ci": known[f"{kind}_ci"].median()}
-            rows.append(row | named("share", found) | own | {"verdict": _verdict(found, len(known))})
+            rows.append(
+                row | named("share", found) | own | {"verdict": _verdict(found, len(known))}
+            )
     table = pd.DataFrame(rows)
     is_unresolved = table.verdict == UNRESOLVED
     for name in ("share", "share_high"):
         table[name] = table[name].where(is_unresolved, table[name].clip(upper=1.0))
-    return table.assign(samples_needed=np.where(is_unresolved, max(4 * num_samples, FEW_SAMPLES), np.nan))
+    return table.assign(
+        samples_needed=np.where(is_unresolved, max(4 * num_samples, FEW_SAMPLES), np.nan)
+    )
 
 
 def _verdict(share: Interval, num_routes: int) -> str:
@@ -206,8 +255,15 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
             cuts += [(cut, _told(value), part) for value, part in of_kind.groupby(cut, sort=False)]
         for cut, value, part in cuts:
             clusters, num_cities = pairs_of(part), part.city.nunique()
-            row: dict[str, Any] = dict(zip(kinds, named_as, strict=True)) | {"cut": cut, "of": value}
-            row |= {"routes": len(part), "pairs": clusters.num_groups + num_cities - 1, "cities": num_cities}
+            row: dict[str, Any] = dict(zip(kinds, named_as, strict=True)) | {
+                "cut": cut,
+                "of": value,
+            }
+            row |= {
+                "routes": len(part),
+                "pairs": clusters.num_groups + num_cities - 1,
+                "cities": num_cities,
+            }
             if "draw" in part:
                 clusters = clusters.crossed(Clusters(part.draw, seed=1))
                 row |= {"draws": part.draw.nunique()}

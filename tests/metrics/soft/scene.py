@@ -71,41 +71,64 @@ class Case:
         """Return the soft metric of a dictionary of inputs; ``roof_m`` is added to the cells with a building."""
         surface = surface_of(inputs["height_m"], BUILDING, inputs.get("terrain_m"))
         if "roof_m" in inputs:
-            surface = replace(surface, roof_m=surface.roof_m.at[BUILDING >= 0].add(inputs["roof_m"]))
+            surface = replace(
+                surface, roof_m=surface.roof_m.at[BUILDING >= 0].add(inputs["roof_m"])
+            )
         return self.soft(surface, inputs, view, cells)
 
     def inputs(self, dtype=np.float64, **changes) -> dict[str, jax.Array]:
         """Return the inputs, in float64 under ``jax.enable_x64(True)``."""
         numbers = {"altitude_m": ALTITUDE_M, "limit": self.limit, "softness_m": self.softness_m}
-        fields = {"height_m": HEIGHT_M, "roof_m": np.zeros((BUILDING >= 0).sum()), "terrain_m": self.ground_m}
+        fields = {
+            "height_m": HEIGHT_M,
+            "roof_m": np.zeros((BUILDING >= 0).sum()),
+            "terrain_m": self.ground_m,
+        }
         if self.soft is gps:
             numbers["drop_m"] = self.view(dtype).lines.drop_m
-        held = {name: value for name, value in (numbers | fields | changes).items() if value is not None}
+        held = {
+            name: value for name, value in (numbers | fields | changes).items() if value is not None
+        }
         return {name: jnp.asarray(value, dtype) for name, value in held.items()}
 
     def surface(self, dtype=np.float32) -> Surface:
         return surface_of(HEIGHT_M.astype(dtype), BUILDING, self.ground_m)
 
-    def view(self, dtype=np.float32, turned_rad: float = 0.0, num: int = len(AZIMUTH_RAD), multiple_of: int = 32):
-        return SkyView.of(self.surface(dtype), AZIMUTH_RAD[:num] + turned_rad, ELEVATION_RAD[:num], multiple_of)
+    def view(
+        self,
+        dtype=np.float32,
+        turned_rad: float = 0.0,
+        num: int = len(AZIMUTH_RAD),
+        multiple_of: int = 32,
+    ):
+        return SkyView.of(
+            self.surface(dtype), AZIMUTH_RAD[:num] + turned_rad, ELEVATION_RAD[:num], multiple_of
+        )
 
 
 def _lidar(surface, at, view, cells=None):
     params = replace(LIDAR, range_m=at["limit"])
-    return soft_lidar(surface, at["altitude_m"], params, at["softness_m"], cells=cells, reach_m=45.0)
+    return soft_lidar(
+        surface, at["altitude_m"], params, at["softness_m"], cells=cells, reach_m=45.0
+    )
 
 
 def _risk(distance: str) -> tuple[Callable, Callable]:
     def soft(surface, at, view, cells=None):
         params = Risk(at["limit"], distance)
-        return soft_risk(surface, at["altitude_m"], params, at["softness_m"], cells=cells, reach_m=40.0)
+        return soft_risk(
+            surface, at["altitude_m"], params, at["softness_m"], cells=cells, reach_m=40.0
+        )
 
     return soft, lambda surface, z_m: compute_risk(surface, [z_m], Risk(39.0, distance))[0]
 
 
 LIDAR = Lidar(azimuths=24, range_m=39.0, beams=5, field_of_view_deg=(-15.0, 10.0))
 SCANNED = _lidar, lambda surface, z_m: compute_lidar(surface, [z_m], LIDAR)[0]
-SEEN = gps, lambda surface, z_m: compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, [z_m], Gps(20.0)).m[0]
+SEEN = (
+    gps,
+    lambda surface, z_m: compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, [z_m], Gps(20.0)).m[0],
+)
 CASES = {
     "gps": Case(*SEEN, 20.0, HILLS_M),
     "lidar": Case(*SCANNED, 39.0),
@@ -117,7 +140,10 @@ CASES = {
 
 
 def check_gradient(
-    value_and_gradient: Callable, inputs: dict[str, jax.Array], zero: Collection[str] = (), rtol: float = 1e-4
+    value_and_gradient: Callable,
+    inputs: dict[str, jax.Array],
+    zero: Collection[str] = (),
+    rtol: float = 1e-4,
 ) -> None:
     """Assert that the gradient in every input agrees with central differences, along its strongest axes and at random.
 
@@ -129,7 +155,9 @@ def check_gradient(
       zero: the inputs on which nothing depends.
       rtol: of the derivatives.
     """
-    inputs = {name: jnp.asarray(values, jnp.float64) for name, values in inputs.items()}  # one program: no weak types
+    inputs = {
+        name: jnp.asarray(values, jnp.float64) for name, values in inputs.items()
+    }  # one program: no weak types
     _, gradient = value_and_gradient(inputs)
     assert {*gradient} == {*inputs}
     for name, slope in gradient.items():
@@ -142,4 +170,6 @@ def check_gradient(
             above, below = (float(value_and_gradient(inputs | change)[0]) for change in moved)
             expected = (above - below) / 2e-6
             assert abs(expected) > 1e-6, name
-            np.testing.assert_allclose(float((slope * direction).sum()), expected, rtol=rtol, err_msg=name)
+            np.testing.assert_allclose(
+                float((slope * direction).sum()), expected, rtol=rtol, err_msg=name
+            )

@@ -72,7 +72,9 @@ def test_derivatives_equal_central_differences_and_float32_keeps_the_values(name
             (value, _), gradient = mix_and_slopes(name, inputs, view)
             return value, gradient
 
-        check_gradient(value_and_gradient, inputs, zero={"softness_m"} if name.startswith("solid") else ())
+        check_gradient(
+            value_and_gradient, inputs, zero={"softness_m"} if name.startswith("solid") else ()
+        )
         m = mix_and_slopes(name, inputs, view)[0][1]
     assert soft_map(name).dtype == np.float32
     np.testing.assert_allclose(soft_map(name), m, atol=1e-4 if name == "gps" else 1e-5)
@@ -95,8 +97,16 @@ def test_one_program_serves_all_altitudes_limits_softnesses_heights_and_skies(na
         with jax.enable_x64(dtype == np.float64):
             start = program._cache_size()
             for i, softness_m in enumerate((2.0, 0.1, 0.0)):
-                changes = {"altitude_m": ALTITUDE_M + i, "limit": case.limit - i, "height_m": HEIGHT_M * (1 + i / 10)}
-                found = program(name, case.inputs(dtype, softness_m=softness_m, **changes), case.view(dtype, 0.1 * i))
+                changes = {
+                    "altitude_m": ALTITUDE_M + i,
+                    "limit": case.limit - i,
+                    "height_m": HEIGHT_M * (1 + i / 10),
+                }
+                found = program(
+                    name,
+                    case.inputs(dtype, softness_m=softness_m, **changes),
+                    case.view(dtype, 0.1 * i),
+                )
                 assert all(np.all(np.isfinite(values)) for values in jax.tree.leaves(found))
             assert program._cache_size() <= start + 1
 
@@ -131,7 +141,9 @@ def test_a_roof_at_the_altitude_is_an_obstacle_at_every_softness(name):
     for softness_m in (0.0, 1.0, 2.0):
         m = soft_map(name, softness_m=softness_m, altitude_m=20.0, height_m=height_m)
         if name == "risk":
-            np.testing.assert_allclose(m, CASES[name].exact(surface_of(height_m, BUILDING), 20.0), atol=1e-6)
+            np.testing.assert_allclose(
+                m, CASES[name].exact(surface_of(height_m, BUILDING), 20.0), atol=1e-6
+            )
         assert (m[HAS_ROOF] == 0).all()
         assert (m[~HAS_ROOF] > 0).any()
     just_below = soft_map(name, softness_m=2.0, altitude_m=20.0, height_m=height_m - 0.1)
@@ -147,7 +159,10 @@ def test_level_terrain_changes_nothing_of_the_lidar():
 def test_chosen_cells_with_altitudes_of_their_own_and_batches_give_the_values_of_the_map(name):
     """Satellites that fill up change nothing: those of the map are filled up, those of the cells are not."""
     case, own_m = CASES[name], jnp.array([-8.0, 0.0, 9.0, -8.0, 0.0])
-    several = [case.inputs(np.float32, height_m=HEIGHT_M * (1 - i / 10), limit=case.limit - i) for i in range(2)]
+    several = [
+        case.inputs(np.float32, height_m=HEIGHT_M * (1 - i / 10), limit=case.limit - i)
+        for i in range(2)
+    ]
     if name == "gps":
         filled, alone = (case.view(multiple_of=number).lines.drop_m for number in (32, 1))
         assert len(alone) < len(filled) == 32
@@ -156,7 +171,9 @@ def test_chosen_cells_with_altitudes_of_their_own_and_batches_give_the_values_of
     @jax.jit
     @jax.vmap
     def at_cells(inputs):
-        return case.m(inputs | {"altitude_m": inputs["altitude_m"] + own_m}, case.view(multiple_of=1), CELLS)
+        return case.m(
+            inputs | {"altitude_m": inputs["altitude_m"] + own_m}, case.view(multiple_of=1), CELLS
+        )
 
     found = at_cells(jax.tree.map(lambda *values: jnp.stack(values), *several))
     assert len(np.unique(found)) > 3
@@ -178,17 +195,23 @@ def test_softness_0_has_no_gradient_of_gps_by_heights_and_the_exact_one_of_the_s
     for name, softness_m in (("gps", 0.0), ("risk", 0.0)):
         with jax.enable_x64(True):
             inputs = CASES[name].inputs(softness_m=softness_m)
-            found[name] = jax.tree.map(np.asarray, mix_and_slopes(name, inputs, CASES[name].view(np.float64)))
+            found[name] = jax.tree.map(
+                np.asarray, mix_and_slopes(name, inputs, CASES[name].view(np.float64))
+            )
     assert not found["gps"][1]["height_m"].any()
     (_, m), slopes = found["risk"]
-    np.testing.assert_allclose(slopes["limit"], -(MIX * m)[m < 1].sum() / CASES["risk"].limit, rtol=1e-9)
+    np.testing.assert_allclose(
+        slopes["limit"], -(MIX * m)[m < 1].sum() / CASES["risk"].limit, rtol=1e-9
+    )
 
 
 def test_of_risk_a_roof_above_the_altitude_has_no_gradient_and_one_below_brings_risk_as_it_grows():
     height_m = np.where(np.arange(len(HEIGHT_M)) % 2, 30.0, 18.0)
     with jax.enable_x64(True):
         inputs = CASES["risk"].inputs(height_m=height_m, altitude_m=20.0, softness_m=4.0)
-        slope = np.asarray(mix_and_slopes("risk", inputs, CASES["risk"].view(np.float64))[1]["height_m"])
+        slope = np.asarray(
+            mix_and_slopes("risk", inputs, CASES["risk"].view(np.float64))[1]["height_m"]
+        )
     assert (slope[1::2] == 0).all()
     assert (slope[::2] <= 0).all()
     assert (slope[::2] < 0).any()
@@ -208,14 +231,22 @@ def test_soft_gps_equals_its_definition_cell_by_cell():
     case, softness_m, angles = CASES["gps"], 2.0, (AZIMUTH_RAD, ELEVATION_RAD)
     with jax.enable_x64(True):
         (_, found), _ = mix_and_slopes("gps", case.inputs(), case.view(np.float64))
-        roof_m, place = case.surface(np.float64).roof_m, (GRID.resolution_m, GRID.first_row, GRID.first_col, GRID.shape)
+        roof_m, place = (
+            case.surface(np.float64).roof_m,
+            (GRID.resolution_m, GRID.first_row, GRID.first_col, GRID.shape),
+        )
         lines = [digital_line(*toward, *place) for toward in zip(*angles, strict=True)]
         shadows_m = np.array([shadow_height(roof_m + case.ground_m, line) for line in lines])
     clear_m = (case.ground_m + ALTITUDE_M - shadows_m)[:, *WINDOW]
     gdop = gdop_by_inverse((1 + np.exp(-clear_m / softness_m)) ** -2, unit_vectors(*angles))
     roof_m = np.asarray(roof_m)[WINDOW]
     t = np.where(roof_m > 0, np.clip((ALTITUDE_M - roof_m) / softness_m, 0, 1), 1)
-    expected = t**3 * (10 - 15 * t + 6 * t**2) * (case.limit - np.minimum(gdop, case.limit)) / (case.limit - 1)
+    expected = (
+        t**3
+        * (10 - 15 * t + 6 * t**2)
+        * (case.limit - np.minimum(gdop, case.limit))
+        / (case.limit - 1)
+    )
     assert np.mean((expected > 0) & (expected < 0.85)) > 0.1
     assert (expected == 0).any()
     np.testing.assert_allclose(found, expected, atol=1e-9)
@@ -231,7 +262,10 @@ def soft_gps_of(surface, altitude_m, params, softness_m):
 
 
 GPS = exact_gps, soft_gps_of, Gps(), range(-3, 6)
-LIDAR, RISK = (compute_lidar, soft_lidar, Lidar(), range(-3, 7)), (compute_risk, soft_risk, Risk(), range(-3, 4))
+LIDAR, RISK = (
+    (compute_lidar, soft_lidar, Lidar(), range(-3, 7)),
+    (compute_risk, soft_risk, Risk(), range(-3, 4)),
+)
 
 
 @pytest.mark.slow
@@ -268,14 +302,20 @@ def test_roofs_by_index_are_the_burnt_roofs_exactly(all_touched):
     np.testing.assert_array_equal(roofs_of(jnp.asarray(height_m), jnp.asarray(building)), roof_m)
     region = grid.padded(-5, -5, -5, -5)
     surface = build_surface(city, region, grid, all_touched)
-    np.testing.assert_array_equal(surface.with_heights(jnp.asarray(height_m), jnp.asarray(building)).roof_m, roof_m)
+    np.testing.assert_array_equal(
+        surface.with_heights(jnp.asarray(height_m), jnp.asarray(building)).roof_m, roof_m
+    )
 
 
 def test_where_buildings_overlap_the_higher_one_has_the_cell_and_all_of_the_gradient():
     city = city_of_boxes([(0, 0, 20, 20), (10, 10, 30, 30), (12, 12, 18, 18)], [30, 20, 10], 40.0)
     building = building_index(city, EIGHT)
-    np.testing.assert_array_equal(np.unique(building), [NO_BUILDING, 0, 1])  # the third one is covered
-    gradient = jax.grad(lambda h: roofs_of(h, jnp.asarray(building)).sum())(jnp.asarray([30.0, 20.0, 10.0]))
+    np.testing.assert_array_equal(
+        np.unique(building), [NO_BUILDING, 0, 1]
+    )  # the third one is covered
+    gradient = jax.grad(lambda h: roofs_of(h, jnp.asarray(building)).sum())(
+        jnp.asarray([30.0, 20.0, 10.0])
+    )
     np.testing.assert_array_equal(gradient, [16, 12, 0])
 
 

@@ -49,7 +49,9 @@ MIX = np.random.default_rng(1).uniform(0.5, 1.5, REGION.shape)
 def heard(surface, at, view, cells=None):
     view = view._replace(lines=view.lines._replace(drop_m=at["drop_m"]))
     curve = ju.grad.ReceptionCurve(*(at[name] for name in LEAVES))
-    return soft_gps(surface, at["altitude_m"], at["limit"], at["softness_m"], view, cells=cells, reception=curve)
+    return soft_gps(
+        surface, at["altitude_m"], at["limit"], at["softness_m"], view, cells=cells, reception=curve
+    )
 
 
 LEVEL, HILLY = Case(heard, lambda *_: None, 20.0), Case(heard, lambda *_: None, 20.0, 4 * HILLS_M)
@@ -64,9 +66,13 @@ def clearances(case):
     roof_m = np.asarray(case.surface(np.float64).roof_m)
     ground_m = np.zeros(GRID.shape) if case.ground_m is None else case.ground_m
     place = GRID.resolution_m, GRID.first_row, GRID.first_col, GRID.shape
-    lines = [digital_line(*toward, *place) for toward in zip(AZIMUTH_RAD, ELEVATION_RAD, strict=True)]
+    lines = [
+        digital_line(*toward, *place) for toward in zip(AZIMUTH_RAD, ELEVATION_RAD, strict=True)
+    ]
     tops_m = np.where(roof_m > 0, ground_m + roof_m, -np.inf), ground_m
-    edges_m = (np.array([shadow_height(jnp.asarray(top_m), line) for line in lines]) for top_m in tops_m)
+    edges_m = (
+        np.array([shadow_height(jnp.asarray(top_m), line) for line in lines]) for top_m in tops_m
+    )
     by_roofs_m, by_ground_m = ((ground_m + ALTITUDE_M - edge_m)[:, *WINDOW] for edge_m in edges_m)
     return by_roofs_m, by_ground_m
 
@@ -78,7 +84,9 @@ def chances(margin_m):
 
 
 def test_the_curve_has_the_chances_of_the_study_and_their_slopes_by_the_margin_at_the_edge_too():
-    margin_m = np.array([-np.inf, -1e30, -60.0, -40.0, -1.0, -1e-9, 0.0, 1e-9, 1.0, 40.0, 60.0, 1e30, np.inf])
+    margin_m = np.array(
+        [-np.inf, -1e30, -60.0, -40.0, -1.0, -1e-9, 0.0, 1e-9, 1.0, 40.0, 60.0, 1e30, np.inf]
+    )
     with jax.enable_x64(True):
         np.testing.assert_allclose(CURVE.chance(margin_m), chances(margin_m), rtol=1e-12)
         slopes = jax.vmap(jax.grad(CURVE.chance))(jnp.asarray(margin_m[3:-3]))
@@ -87,13 +95,17 @@ def test_the_curve_has_the_chances_of_the_study_and_their_slopes_by_the_margin_a
     expected = (chances(margin_m[3:-3] + 1e-6) - chances(margin_m[3:-3] - 1e-6)) / 2e-6
     np.testing.assert_allclose(slopes, expected, rtol=1e-5)
     at_edge = 1 / (1 + math.exp(0.19))
-    np.testing.assert_allclose(slopes[margin_m[3:-3] == 0], 0.64 / 2 * at_edge * (1 - at_edge), rtol=1e-12)
+    np.testing.assert_allclose(
+        slopes[margin_m[3:-3] == 0], 0.64 / 2 * at_edge * (1 - at_edge), rtol=1e-12
+    )
 
 
 def test_slopes_of_the_map_by_heights_altitude_and_coefficients_equal_central_differences():
     with jax.enable_x64(True):
         inputs, view = inputs_of(HILLY), HILLY.view(np.float64)
-        check_gradient(jax.jit(jax.value_and_grad(lambda inputs: jnp.sum(MIX * HILLY.m(inputs, view)))), inputs)
+        check_gradient(
+            jax.jit(jax.value_and_grad(lambda inputs: jnp.sum(MIX * HILLY.m(inputs, view)))), inputs
+        )
 
 
 @pytest.mark.parametrize("case", [LEVEL, HILLY], ids=["level", "hills"])
@@ -110,7 +122,12 @@ def test_the_map_is_the_dop_of_satellites_weighted_by_the_squares_of_their_chanc
         weights = weights / (1 + np.exp(-by_ground_m / case.softness_m)) ** 2
     gdop = gdop_by_inverse(weights, unit_vectors(AZIMUTH_RAD, ELEVATION_RAD))
     t = np.where(roof_m > 0, np.clip((ALTITUDE_M - roof_m) / case.softness_m, 0, 1), 1)
-    expected = t**3 * (10 - 15 * t + 6 * t**2) * (case.limit - np.minimum(gdop, case.limit)) / (case.limit - 1)
+    expected = (
+        t**3
+        * (10 - 15 * t + 6 * t**2)
+        * (case.limit - np.minimum(gdop, case.limit))
+        / (case.limit - 1)
+    )
     assert np.mean((expected > 0) & (expected < 0.85)) > 0.1
     np.testing.assert_allclose(m, expected, atol=1e-9)
     np.testing.assert_allclose(single, expected, atol=1e-4)
@@ -142,7 +159,9 @@ def test_at_the_edge_of_a_shadow_the_map_has_a_slope_and_beyond_the_cut_it_is_le
 
         edge = inputs_of(LEVEL, altitude_m=at_edge_m)
         ends = [of(edge | {"altitude_m": edge["altitude_m"] + step})[0] for step in (1e-6, -1e-6)]
-        assert float(of(edge)[1]["altitude_m"]) == pytest.approx(float(ends[0] - ends[1]) / 2e-6, rel=1e-5)
+        assert float(of(edge)[1]["altitude_m"]) == pytest.approx(
+            float(ends[0] - ends[1]) / 2e-6, rel=1e-5
+        )
         m, slopes = of(inputs_of(LEVEL, altitude_m=500.0))
         assert not np.any(slopes["height_m"])
         assert not np.any(slopes["altitude_m"])
@@ -154,10 +173,18 @@ def test_at_the_edge_of_a_shadow_the_map_has_a_slope_and_beyond_the_cut_it_is_le
 
 def test_both_forms_of_the_shadows_know_where_no_roof_is():
     roof_m = jnp.asarray(LEVEL.surface().roof_m)
-    top_m, lines, window = jnp.where(roof_m > 0, roof_m, -jnp.inf), LEVEL.view().lines, (9, 24, 9, 27, 1)
-    swept, doubled = (form(top_m, lines, window) for form in (heights_by_sweep, heights_by_doubling))
+    top_m, lines, window = (
+        jnp.where(roof_m > 0, roof_m, -jnp.inf),
+        LEVEL.view().lines,
+        (9, 24, 9, 27, 1),
+    )
+    swept, doubled = (
+        form(top_m, lines, window) for form in (heights_by_sweep, heights_by_doubling)
+    )
     np.testing.assert_allclose(doubled, swept, atol=1e-3)
-    slopes = jax.grad(lambda top_m: jnp.sum(CURVE.chance(20.0 - heights_by_doubling(top_m, lines, window))))(top_m)
+    slopes = jax.grad(
+        lambda top_m: jnp.sum(CURVE.chance(20.0 - heights_by_doubling(top_m, lines, window)))
+    )(top_m)
     assert np.isfinite(slopes).all()
     assert np.any(slopes)
 
@@ -185,14 +212,20 @@ def margins(log, city, region):
     row, col = region.cell_of_lonlat(log.lon_deg.to_numpy(), log.lat_deg.to_numpy())
     part = (log.utc - log.utc.min()).dt.total_seconds() // 30
     toward = np.radians(log[["azimuth_deg", "elevation_deg"]]).groupby([log.satellite, part])
-    assert np.degrees(toward.azimuth_deg.agg(np.ptp).max()) < 2  # none passes north, where a mean would be wrong
+    assert (
+        np.degrees(toward.azimuth_deg.agg(np.ptp).max()) < 2
+    )  # none passes north, where a mean would be wrong
     azimuth_rad, elevation_rad = toward.mean().to_numpy().T
     azimuth_rad = azimuth_rad - region.convergence_rad(*region.centre_lonlat)
     place = surface.grid.first_row, surface.grid.first_col, surface.grid.shape
     lines = digital_lines(azimuth_rad, elevation_rad, region.resolution_m, *place)
     top_m = jnp.where(jnp.asarray(surface.roof_m) > 0, surface.roof_m, -jnp.inf)
     rows, cols = surface.window
-    cast = jax.jit(lambda lines: shadow_heights(top_m, lines, (rows.start, rows.stop, cols.start, cols.stop, 1)))
+    cast = jax.jit(
+        lambda lines: shadow_heights(
+            top_m, lines, (rows.start, rows.stop, cols.start, cols.stop, 1)
+        )
+    )
     edge_m = np.empty(len(log))
     for number, line in enumerate(lines):
         here = toward.ngroup().to_numpy() == number
@@ -202,18 +235,29 @@ def margins(log, city, region):
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_on_its_log_the_curve_is_the_fitted_one_and_loses_less_than_seen_or_hidden_fitted_to_other_blocks(data_dir):
+def test_on_its_log_the_curve_is_the_fitted_one_and_loses_less_than_seen_or_hidden_fitted_to_other_blocks(
+    data_dir,
+):
     """Satellites of four systems, without the unhealthy E18, at 10 degrees and more; strong ones have 35 dBHz."""
-    log = pd.read_csv(data_dir / "tokyo" / "tokyo_nihonbashi_2023-06-22_satellites.csv.gz", parse_dates=["utc"])
-    is_taken = (log.elevation_deg >= 10) & log.satellite.str[0].isin([*"GEJC"]) & (log.satellite != "E18")
+    log = pd.read_csv(
+        data_dir / "tokyo" / "tokyo_nihonbashi_2023-06-22_satellites.csv.gz", parse_dates=["utc"]
+    )
+    is_taken = (
+        (log.elevation_deg >= 10) & log.satellite.str[0].isin([*"GEJC"]) & (log.satellite != "E18")
+    )
     log = log[is_taken].reset_index(drop=True)
     assert len(log) == 8283
     places = log[["lon_deg", "lat_deg"]]
     bounds = *places.min() - 4e-4, *places.max() + 4e-4
     city = City.from_files(data_dir / "tokyo" / "tokyo-east-lod2.parquet", bounds=bounds)
-    margin_m, is_strong = margins(log, city, Grid.from_bounds(bounds, 2.0, city.crs)), log.cn0_dbhz.to_numpy() >= 35
+    margin_m, is_strong = (
+        margins(log, city, Grid.from_bounds(bounds, 2.0, city.crs)),
+        log.cn0_dbhz.to_numpy() >= 35,
+    )
     track = gpd.GeoSeries.from_xy(log.lon_deg, log.lat_deg, crs=4326).to_crs(city.crs)
-    block = (np.hypot(track.x.diff(), track.y.diff()).fillna(0).cumsum() // 50).to_numpy()  # rows are in order of time
+    block = (
+        np.hypot(track.x.diff(), track.y.diff()).fillna(0).cumsum() // 50
+    ).to_numpy()  # rows are in order of time
     assert len(np.unique(block)) == 33
     is_seen, x = margin_m >= 0, np.sign(margin_m) * np.log1p(np.minimum(np.abs(margin_m), 60) / 2)
     seen_or_hidden, refitted = np.empty((2, len(log)))
