@@ -5,35 +5,22 @@ planned under where the caller leaves it out is here too; docs/model/departures.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from jaxurban.errors import InputError, at_least, finite, positive, typed
+from jaxurban.checks import at_least, finite, positive, typed
+from jaxurban.errors import InputError
 
 CostKind = Literal["cell", "line"]
 Diagonal = Literal["both-free", "always"]
 Objective = Literal["weighted", "distance"]
 Obstacles = Literal["touched", "centre"]
-OF_PRESET: Any = None  # a setting that the preset gives where it is left out
+Preset = Literal["", "paper"]
 CLEARANCES = ("clearance_m", "vertical_clearance_m")
-PRESETS: dict[str, dict[str, Any]] = {
-    "": {
-        "cost_model": "line",
-        "obstacles": "touched",
-        "clearance_m": 0.0,
-        "vertical_clearance_m": 3.0,
-    },
-    "paper": {
-        "cost_model": "cell",
-        "obstacles": "centre",
-        "clearance_m": 0.0,
-        "vertical_clearance_m": 0.0,
-    },
-}
 NOMINAL = "nominal"  # GPS satellites without a file of elements
 FIRST_YEAR, LAST_YEAR = 1980, 2200  # GPS time begins in 1980; xarray's nanoseconds end in 2262
 MOST_SAMPLES = 1000
@@ -42,7 +29,6 @@ MAX_HEIGHT_M = (
 )
 Hanging = Literal["to_ground", "slabs"]
 TO_GROUND, SLABS = get_args(Hanging)
-VEHICLE_UNITS = {"_m_s": "metres per second", "_deg": "degrees", "_w": "watts"}
 FULL_TURN_DEG = 180.0
 PREFIX = "vehicle_"  # of its entries among the constraints that a path was planned under
 
@@ -232,10 +218,28 @@ class Terrain:
     credit: str = ""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """What a preset decides where nothing else does.
+
+    Attributes:
+      cost_model, obstacles, clearance_m, vertical_clearance_m: as in `Planning`, none of them left out.
+    """
+
+    cost_model: CostKind = "line"
+    obstacles: Obstacles = "touched"
+    clearance_m: float = 0.0
+    vertical_clearance_m: float = 3.0
+
+
+PAPER_RULES = Rules(cost_model="cell", obstacles="centre", vertical_clearance_m=0.0)
+PRESETS: dict[str, Rules] = {"": Rules(), "paper": PAPER_RULES}
+
+
 @typed
 @dataclass(frozen=True, kw_only=True)
 class Planning:
-    """How paths are sought: a scenario's ``[planning]``, and the default of every such argument.
+    """How paths are sought, as given: a scenario's ``[planning]``, and the default of every such argument.
 
     Attributes:
       preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance where those are left out.
@@ -248,43 +252,46 @@ class Planning:
       connectivity, diagonal, reference_length_m: of the cost model.
       budget_s: seconds that a search may take.
       seed: of sampling planners.
-      given: the settings that are not the defaults, and those that are named beside a preset (no argument).
 
     Raises:
       InputError: an unknown preset, a clearance below 0, a length or a budget that is not above 0, or a seed below 0.
     """
 
-    preset: Literal["", "paper"] = ""
+    preset: Preset = ""
     planner: str = "astar-plus"
-    cost_model: CostKind = OF_PRESET
-    obstacles: Obstacles = OF_PRESET
-    clearance_m: float = OF_PRESET
-    vertical_clearance_m: float = OF_PRESET
+    cost_model: CostKind | None = None
+    obstacles: Obstacles | None = None
+    clearance_m: float | None = None
+    vertical_clearance_m: float | None = None
     objective: Objective = "weighted"
     connectivity: Literal[4, 8] = 8
     diagonal: Diagonal = "both-free"
     reference_length_m: float = 5.0
     budget_s: float = 10.0
     seed: int = 0
-    given: ClassVar[Mapping[str, Any]]
 
     def __post_init__(self) -> None:
-        given = {
-            name: value for name, value in vars(self).items() if value != getattr(Planning, name)
-        }
-        object.__setattr__(self, "given", given)
-        for name, value in (PRESETS[self.preset] | given).items():
-            object.__setattr__(self, name, value)
         for name in CLEARANCES:
-            not_negative(name, getattr(self, name))
-        positive("reference_length_m", self.reference_length_m, "metres")
+            if (metres := getattr(self, name)) is not None:
+                not_negative(name, metres)
+        positive("reference_length_m", self.reference_length_m)
         if not self.budget_s > 0:
             raise InputError(f"budget_s must be a positive number of seconds, got {self.budget_s}")
         at_least("seed", self.seed)
 
-    def under(self, preset: str) -> "Planning":
-        """Return the settings with those of a preset where none is given; ``""``: as they are."""
-        return Planning(**{**self.given, "preset": preset}) if preset else self
+    @property
+    def given(self) -> dict[str, Any]:
+        """The settings that are not the defaults."""
+        return {
+            name: value for name, value in vars(self).items() if value != getattr(DEFAULTS, name)
+        }
+
+    @property
+    def rules(self) -> Rules:
+        """What is given here, and what the preset says of the rest."""
+        settings = {item.name: getattr(self, item.name) for item in fields(Rules)}
+        given = {name: value for name, value in settings.items() if value is not None}
+        return replace(PRESETS[self.preset], **given)
 
 
 DEFAULTS = Planning()
@@ -327,8 +334,7 @@ class Vehicle:
         object.__setattr__(self, "radius_m", not_negative("radius_m", self.radius_m))
         for item in fields(self)[1:]:
             if (value := getattr(self, item.name)) is not None:
-                unit = next(unit for end, unit in VEHICLE_UNITS.items() if item.name.endswith(end))
-                object.__setattr__(self, item.name, positive(item.name, value, unit))
+                object.__setattr__(self, item.name, positive(item.name, value))
         if self.max_turn_deg is not None and self.max_turn_deg > FULL_TURN_DEG:
             raise InputError(
                 f"max_turn_deg must be at most {FULL_TURN_DEG:g} degrees, got {self.max_turn_deg:g}"

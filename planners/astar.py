@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import label
 
-from jaxurban.errors import one_of
+from jaxurban.checks import one_of
 from jaxurban.kernels.search.bounds import TileBound, printed_plus_field, tile_bound
 from jaxurban.kernels.search.heap import CLOSED, EXHAUSTED, FOUND, PAUSED
 from jaxurban.planners.base import Cell, Path, Problem, Status

@@ -8,7 +8,8 @@ from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
-from jaxurban.errors import InputError, positive
+from jaxurban.checks import positive
+from jaxurban.errors import InputError
 from jaxurban.kernels.search.bounds import tile_minima
 from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.planners.cost import CostModel, PathFeatures, allowed_moves, path_features

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from jaxurban.errors import InputError, one_of, positive, typed
+from jaxurban.checks import one_of, positive, typed
+from jaxurban.errors import InputError
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import are_clear
 from jaxurban.kernels.line.traversal import Crossings, crossed_cells, is_free_way
-from jaxurban.settings import DEFAULTS, CostKind, Diagonal
+from jaxurban.settings import DEFAULTS, CostKind, Diagonal, Rules
 
 if TYPE_CHECKING:
     from jaxurban.planners.base import Problem
@@ -48,7 +49,7 @@ class CostModel:
       51
     """
 
-    kind: CostKind = DEFAULTS.cost_model
+    kind: CostKind = Rules.cost_model
     reference_length_m: float = DEFAULTS.reference_length_m
     connectivity: Literal[4, 8] = DEFAULTS.connectivity
     diagonal: Diagonal = DEFAULTS.diagonal
@@ -68,7 +69,7 @@ class CostModel:
           >>> ju.CostModel.of("cell").kind, ju.CostModel.of(None) == ju.CostModel()
           ('cell', True)
         """
-        return given if isinstance(given, CostModel) else cls(given or DEFAULTS.cost_model)
+        return given if isinstance(given, CostModel) else cls(given or Rules.cost_model)
 
     @classmethod
     @typed

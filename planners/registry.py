@@ -11,7 +11,8 @@ from typing import Literal, get_args
 import jax
 import numpy as np
 
-from jaxurban.errors import InputError, at_least, nearest_name, one_of
+from jaxurban.checks import at_least, nearest_name, one_of
+from jaxurban.errors import InputError
 from jaxurban.planners.any_angle import ptp, theta_star
 from jaxurban.planners.astar import (
     AUTO,

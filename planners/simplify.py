@@ -5,7 +5,7 @@ import time
 import numpy as np
 import shapely
 
-from jaxurban.errors import positive
+from jaxurban.checks import positive
 from jaxurban.kernels.compiled import compiled, on_host
 from jaxurban.kernels.line.segment_cost import are_clear, is_clear
 from jaxurban.planners.any_angle import subdivided

@@ -15,7 +15,6 @@ from jaxurban.cli.common import (
     given_rules,
     print_json,
 )
-from jaxurban.errors import taken_by
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
@@ -25,6 +24,8 @@ if TYPE_CHECKING:
     from jaxurban.paths.path import PlannedPath
 
 LEAST_NAME_WIDTH = 20  # characters of the table's first column
+HOW = ("planner", "heuristic", "budget_s", "seed", "snap")
+WHICH_MAP = ("objective", "time", "time_of_day")
 OF_ONE_ROUTE = (
     "refine",
     "budgets",
@@ -219,10 +220,11 @@ def plan(
         altitude_m = Levels(
             **{name: options[name] for name in LEVEL_OPTIONS if options[name] is not None}
         )
-    options["exposure"] = _budgets(options["budgets"])
-    search = PathSearch.of(maps, is_volume, **taken_by(PathSearch.of, options))
-    rules = options | given_rules(options) | {"maps": maps, "altitude_m": altitude_m}
-    shared = cost_map(**taken_by(cost_map, rules))
+    exposure = _budgets(options["budgets"])
+    how = {name: options[name] for name in (*HOW, "refine")}
+    search = PathSearch.of(maps, is_volume, exposure=exposure, **how)
+    on = {name: options[name] for name in WHICH_MAP}
+    shared = cost_map(maps, altitude_m, **on, **given_rules(options))
     planned, maps = shared.planned(start, goal, search), shared.maps
     if options["simplify_m"]:
         planned = simplify(planned, shared, options["simplify_m"])
@@ -289,11 +291,9 @@ def _when(
         file.suffix.lower() not in SUFFIXES for file in files
     ):
         raise click.UsageError(NOT_WHEN)
-    departures = when(
-        maps,
-        [(options["start"], options["goal"])],
-        **taken_by(when, options | given_rules(options)),
-    )
+    given = {name: options[name] for name in ("altitude_m", *HOW, *WHICH_MAP)}
+    ends = options["start"], options["goal"]
+    departures = when(maps, [ends], **given, **given_rules(options))
     outputs: dict[Path, Output] = dict.fromkeys(files, departures.table)
     if profile is not None:
         outputs[profile] = lambda: plot_when(departures, maps)

@@ -74,9 +74,9 @@ def study(
     preset = [f"planning.preset={options['preset']!r}"] if options["preset"] else []
     scenario = Scenario.from_toml(scenario_file, (*changes, *preset))
     planning, settings = scenario.planning, scenario.study
-    kind = {"cost_model": settings.cost_model} if settings.cost_model else {}
+    kind = settings.cost_model or planning.rules.cost_model
     rules: dict[str, Any] = {
-        "cost_model": CostModel.from_settings(vars(planning) | kind),
+        "cost_model": CostModel.from_settings(vars(planning) | {"cost_model": kind}),
         "constraints": given_constraints(options).under(planning, scenario.vehicle),
     }
     if benchmark_folder is not None:

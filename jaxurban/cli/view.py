@@ -2,12 +2,15 @@
 
 import webbrowser
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from jaxurban.cli.common import OBSTACLES, PATH, PRESET, RESOLUTION
 from jaxurban.progress import LOG
+
+if TYPE_CHECKING:
+    from jaxurban.settings import Preset
 
 
 @click.command()
@@ -37,7 +40,7 @@ def view(
     folder: Path,
     resolution_m: float | None,
     obstacles: Any,
-    preset: str | None,
+    preset: "Preset | None",
     export: Path | None,
     size_mib: float,
     port: int,

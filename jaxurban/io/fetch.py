@@ -15,7 +15,8 @@ from urllib.parse import quote, urlsplit
 import shapely
 import tomli_w
 
-from jaxurban.errors import InputError, one_of, readable
+from jaxurban.checks import one_of
+from jaxurban.errors import InputError, readable
 from jaxurban.io.download import Source, cache_folder, download
 from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, only_writer, sweep_scraps
 from jaxurban.io.read.census import read_blocks, read_districts

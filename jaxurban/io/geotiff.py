@@ -17,7 +17,7 @@ from matplotlib.colors import to_hex
 from rasterio.shutil import copy as copy_raster
 from rasterio.windows import Window
 
-from jaxurban.errors import one_of
+from jaxurban.checks import one_of
 from jaxurban.io.files import SCRATCH_SUFFIX, whole_file, write_whole
 from jaxurban.io.store import GEOTIFF_FOLDER, short_number
 from jaxurban.io.workspace import Each

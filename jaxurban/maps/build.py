@@ -10,7 +10,6 @@ import json
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import jax
@@ -19,7 +18,8 @@ import numpy as np
 import shapely
 from jaxtyping import Array, Float
 
-from jaxurban.errors import InputError, positive, typed
+from jaxurban.checks import positive, typed
+from jaxurban.errors import InputError
 from jaxurban.io.read.guesses import Guesses, nominal_guess, time_guess, warn_of
 from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.io.read.rasterise import bands_of
@@ -30,8 +30,12 @@ from jaxurban.maps.recipe import TileScene, tile_maps
 from jaxurban.maps.task import PAPER_ALTITUDES_M, MapParams, MapTask, empty_dataset, with_series
 from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scene
 from jaxurban.metrics.custom import Layer, check_layers
-from jaxurban.metrics.gps import Gps
-from jaxurban.metrics.registry import ON_REQUEST, known_metrics, sections_of
+from jaxurban.metrics.gps import Dop, Gps
+from jaxurban.metrics.lidar import Lidar
+from jaxurban.metrics.population import Population
+from jaxurban.metrics.protection import Protection
+from jaxurban.metrics.registry import ON_REQUEST, known_metrics
+from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.progress import Progress, Stage, Stopwatch, reporting
@@ -44,7 +48,7 @@ from jaxurban.world.surface import Surface, obstacle_mask
 PAPER_TIME = "2020-04-27T16:00:00Z"
 
 
-@partial(typed, makers=(sections_of,))
+@typed
 def build_maps(
     city: City,
     bounds: Sequence[float] | None = None,
@@ -57,7 +61,13 @@ def build_maps(
     layers: Mapping[str, Layer] | None = None,
     engine: Engine = "auto",
     progress: Progress = True,
-    **metrics: Any,
+    gps: Gps | None = None,
+    lidar: Lidar | None = None,
+    population: Population | None = None,
+    risk: Risk | None = None,
+    gps_horizontal: Dop | None = None,
+    gps_vertical: Dop | None = None,
+    protection: Protection | None = None,
 ) -> MetricMaps:
     """Return the metric maps of a city.
 
@@ -73,8 +83,8 @@ def build_maps(
       engine: ``"numba"``, on the host; ``"jax"``, where JAX computes; or ``"auto"``: Numba where that is a CPU, else
         JAX. On a CPU the bits are the same.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
-      metrics: settings of metrics by name, such as ``gps=Gps(times="2020-04-27T16:00:00Z")``; those made on request
-        are made if they are named, as ``protection=Protection()``.
+      gps, lidar, population, risk: settings of the metrics, such as ``gps=Gps(times="2020-04-27T16:00:00Z")``.
+      gps_horizontal, gps_vertical, protection: the same of metrics that are made on request, where they are given.
 
     Returns:
       The maps, in memory: one variable for each metric, m from 0 to 1, ``[altitude, y, x]`` with the time (``gps``) or
@@ -91,14 +101,22 @@ def build_maps(
       >>> made.ds["gps"].shape, made.ds["risk"].shape
       ((1, 2, 30, 30), (2, 30, 30))
     """
-    positive("resolution_m", resolution_m, "metres")
+    positive("resolution_m", resolution_m)
     if grid is not None and bounds is not None:
         raise InputError("give either bounds or grid, and not both")
     layers = check_layers(layers)
     region = grid if grid is not None else _region(city, bounds, resolution_m)
-    params = MapParams(
-        altitudes_m, oversample, heights or Heights(), _sections(city, metrics), engine
+    sections = _sections(
+        city,
+        gps=gps,
+        lidar=lidar,
+        population=population,
+        risk=risk,
+        gps_horizontal=gps_horizontal,
+        gps_vertical=gps_vertical,
+        protection=protection,
     )
+    params = MapParams(altitudes_m, oversample, heights or Heights(), sections, engine)
     check_region(city, region, is_own=grid is None and bounds is None)
     sky = view_sky(region, params.gps)
     task = MapTask(city, region, sky, params, layers, bands_of(layers, region, params.altitudes_m))
@@ -107,9 +125,10 @@ def build_maps(
         return compute_maps(task, stage=Stopwatch(on_stage=report).stage)
 
 
-def _sections(city: City, metrics: Mapping[str, Any]) -> dict[str, Any]:
+def _sections(city: City, **metrics: Any) -> dict[str, Any]:
     """Return the sections of metrics, that of the satellites from a city that comes with some, where none is given."""
-    return sections_of(gps=city.gps) | sections_of(**metrics)
+    given = {name: section for name, section in metrics.items() if section is not None}
+    return given if city.gps is None else {"gps": city.gps} | given
 
 
 def check_region(city: City, region: Grid, is_own: bool = False) -> None:
@@ -280,16 +299,26 @@ def skies_of(task: MapTask, surface: Surface) -> SkyView:
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
 
 
-@partial(typed, makers=(sections_of,))
+@typed
 def map_inputs(
-    city: City, grid: Grid, *, altitudes_m: Sequence[float] = PAPER_ALTITUDES_M, **metrics: Any
+    city: City,
+    grid: Grid,
+    *,
+    altitudes_m: Sequence[float] = PAPER_ALTITUDES_M,
+    gps: Gps | None = None,
+    lidar: Lidar | None = None,
+    population: Population | None = None,
+    risk: Risk | None = None,
+    gps_horizontal: Dop | None = None,
+    gps_vertical: Dop | None = None,
+    protection: Protection | None = None,
 ) -> tuple[MapInputs, SkyView]:
     """Return a city and its skies made ready for `all_maps`; the skies of all times are stacked along them.
 
     Args:
       city: what is mapped.
       grid: of the maps, such as that of maps.
-      altitudes_m, metrics: as for `build_maps`.
+      altitudes_m, gps, lidar, population, risk, gps_horizontal, gps_vertical, protection: as for `build_maps`.
 
     Returns:
       The inputs, a pytree of the city's surface and the settings, and the skies, a pytree whose leaves have the times
@@ -303,7 +332,17 @@ def map_inputs(
       >>> list(inputs.metrics), skies.num.shape
       (['gps', 'lidar', 'population', 'risk'], (1,))
     """
-    params = MapParams(altitudes_m, sections=_sections(city, metrics))
+    sections = _sections(
+        city,
+        gps=gps,
+        lidar=lidar,
+        population=population,
+        risk=risk,
+        gps_horizontal=gps_horizontal,
+        gps_vertical=gps_vertical,
+        protection=protection,
+    )
+    params = MapParams(altitudes_m, sections=sections)
     check_region(city, grid)
     task = MapTask(city, grid, view_sky(grid, params.gps), params)
     inputs = inputs_of(task)

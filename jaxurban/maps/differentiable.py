@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, DTypeLike, Float, Int
 
-from jaxurban.errors import GuessWarning, InputError, one_of, typed, warn
+from jaxurban.checks import one_of, typed
+from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.read.rasterise import building_index
 from jaxurban.maps.build import check_region, view_sky
 from jaxurban.maps.task import MapParams, MapTask

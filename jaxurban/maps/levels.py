@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxurban.errors import InputError, finite, positive, typed
+from jaxurban.checks import finite, positive, typed
+from jaxurban.errors import InputError
 
 SAME_M = 1e-6  # altitudes this close are one
 MOST_LEVELS = 10_000
@@ -44,8 +45,7 @@ class Levels:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            unit = "cost per metre" if name.endswith("cost") else "metres"
-            if value is not None and finite(name, value, unit) < 0 and name.endswith("cost"):
+            if value is not None and finite(name, value) < 0 and name.endswith("cost"):
                 raise InputError(f"{name} must be a finite cost per metre >= 0, got {value:g}")
 
     def of(self, altitudes_m: Iterable[float]) -> np.ndarray:
@@ -73,7 +73,7 @@ class Levels:
             )
         if step_m is None:
             return inside
-        positive("level_step_m", step_m, "metres")
+        positive("level_step_m", step_m)
         if (high - low) / step_m > MOST_LEVELS:
             raise InputError(
                 f"level_step_m {step_m:g} makes more than {MOST_LEVELS} levels: choose a longer step"

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from jaxurban.errors import InputError, finite, typed, warn
+from jaxurban.checks import finite, typed
+from jaxurban.errors import InputError, warn
 from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.progress import LOG
@@ -131,7 +132,7 @@ class MetricMaps(Shown):
         centre no such roof covers, the paper's rule, which is that of ``obstacle`` and of every metric; paths then cut
         true outlines.
         """
-        return self.rule or self.planning.obstacles
+        return self.rule or self.planning.rules.obstacles
 
     @property
     def facts(self) -> dict[str, str]:
@@ -272,7 +273,7 @@ class MetricMaps(Shown):
           >>> maps.around(60.0), maps.around(40.0)
           ([60.0], [20.0, 60.0])
         """
-        altitude_m = finite("altitude_m", altitude_m, "metres")
+        altitude_m = finite("altitude_m", altitude_m)
         low_m, high_m = min(self.altitudes_m), max(self.altitudes_m)
         if not low_m <= altitude_m <= high_m:
             raise InputError(
@@ -368,7 +369,7 @@ class MetricMaps(Shown):
           >>> round(float(maps.is_free(20.0, "centre").mean()), 2)
           0.94
         """
-        altitude_m = finite("altitude_m", altitude_m, "metres")
+        altitude_m = finite("altitude_m", altitude_m)
         rule = obstacles or self.obstacles
         is_free = self.ds["has_data"].values
         is_held = altitude_m in self.altitudes_m

@@ -20,27 +20,20 @@ from pydantic import (
     PlainSerializer,
     PrivateAttr,
     ValidationError,
-    create_model,
     model_validator,
 )
 
-from jaxurban.errors import (
-    GuessWarning,
-    InputError,
-    at_least,
-    check_range,
-    nearest_name,
-    positive,
-    readable,
-    typed,
-    warn,
-)
+from jaxurban.checks import at_least, check_range, nearest_name, positive, typed
+from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.kernels.engine import Engine
 from jaxurban.maps.task import MapParams
 from jaxurban.metrics.custom import Layer, check_layers
-from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.gps import Dop, Gps
+from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.population import Population
+from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
+from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.registry import find_planner
 from jaxurban.samples.catalogue import filled, is_sample, located
@@ -156,7 +149,7 @@ class Study:
             raise InputError("planners is empty: name at least one planner")
         for planner in (*self.planners, *self.distance_only):
             find_planner(planner)
-        positive("budget_s", self.budget_s, "seconds")
+        positive("budget_s", self.budget_s)
         for name, least in (("instances", 1), ("seed", 0), ("budget_iterations", 1)):
             if getattr(self, name) is not None:
                 at_least(name, getattr(self, name), least)
@@ -166,20 +159,14 @@ class Study:
             )
 
 
-LEFT_OUT = Field(default=None, exclude_if=operator.not_)  # not made
-SECTIONS: dict[str, Any] = {  # in the order in which `Scenario.to_toml` writes them
-    **{"region": (Region, ...), "buildings": (Buildings, ...), "terrain": (Terrain, Terrain())},
-    **{name: (metric.params, metric.params()) for name, metric in METRICS.items()},
-    **{name: (metric.params | None, LEFT_OUT) for name, metric in ON_REQUEST.items()},
-}
-Sections: Any = create_model("Sections", __config__=CONFIG, **SECTIONS)
-
-
-class Scenario(Sections):  # type: ignore[misc]  # a base that pydantic makes
-    """All settings of one job; a section for each metric of the registry. Only ``region`` and ``buildings`` are needed.
+class Scenario(BaseModel):
+    """All settings of one job, in the order of its TOML. Only ``region`` and ``buildings`` are needed.
 
     Attributes:
-      region, buildings, terrain, gps, population: as their classes say.
+      region, buildings, terrain, weights, planning, vehicle, study: as their classes say.
+      gps, lidar, population, risk: settings of the metrics of every cost.
+      gps_horizontal, gps_vertical, protection: of metrics that are made where their settings or a weight is given.
+      layers: cost layers of one's own, by name.
 
     Examples:
       >>> region = {"bounds": [-74.02, 40.70, -73.98, 40.73], "resolution_m": 25.0}
@@ -188,9 +175,18 @@ class Scenario(Sections):  # type: ignore[misc]  # a base that pydantic makes
       ((20.0, 60.0, 122.0, 600.0), 5.0)
     """
 
+    model_config = CONFIG
+    region: Region
+    buildings: Buildings
+    terrain: Terrain = Terrain()
     gps: Gps = Gps()
+    lidar: Lidar = Lidar()
     population: Population = Population()
-    layers: dict[str, Layer] = Field(default_factory=dict, exclude_if=operator.not_)  # of one's own
+    risk: Risk = Risk()
+    gps_horizontal: Dop | None = Field(default=None, exclude_if=operator.not_)
+    gps_vertical: Dop | None = Field(default=None, exclude_if=operator.not_)
+    protection: Protection | None = Field(default=None, exclude_if=operator.not_)
+    layers: dict[str, Layer] = Field(default_factory=dict, exclude_if=operator.not_)
     weights: WeightSettings = Weights()
     planning: Planning = Planning()
     vehicle: Vehicle = Vehicle()

@@ -13,7 +13,8 @@ import pyproj
 import xarray as xr
 from xarray.indexes import PandasIndex
 
-from jaxurban.errors import InputError, at_least, typed
+from jaxurban.checks import at_least, typed
+from jaxurban.errors import InputError
 from jaxurban.io.read.guesses import Guesses, has_guessed_roofs, region_guesses
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.engine import Engine

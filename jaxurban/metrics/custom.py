@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from jaxurban.errors import InputError, finite, typed
+from jaxurban.checks import finite, typed
+from jaxurban.errors import InputError
 from jaxurban.metrics.base import (
     ALTITUDE,
     COSTS,
@@ -111,12 +112,12 @@ class Layer:
         scale = [finite("scale", value) for value in self.scale]
         if not (len(scale) == 2 and scale[0] < scale[1]):
             raise InputError(f"scale must be two ascending numbers such as [0, 80], got {scale}")
-        heights = [finite("altitudes_m", value, "metres") for value in self.altitudes_m or ()]
+        heights = [finite("altitudes_m", value) for value in self.altitudes_m or ()]
         if len(set(heights)) < len(heights):
             raise InputError(
                 f"altitudes_m must name different altitudes, one for each band, got {heights}"
             )
-        if not finite("reach_m", self.reach_m, "metres") >= 0:
+        if not finite("reach_m", self.reach_m) >= 0:
             raise InputError(
                 f"reach_m must be 0 or a positive number of metres, got {self.reach_m}"
             )

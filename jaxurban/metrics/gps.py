@@ -15,7 +15,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, UInt, UInt8
 
-from jaxurban.errors import InputError, at_least, positive, typed
+from jaxurban.checks import at_least, positive, typed
+from jaxurban.errors import InputError
 from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
 from jaxurban.metrics.base import (
     ALTITUDE,

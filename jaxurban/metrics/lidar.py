@@ -12,7 +12,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxurban.errors import InputError, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.kernels.engine import Engine, runs_numba
 from jaxurban.kernels.lidar import hard as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel

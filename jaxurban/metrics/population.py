@@ -12,7 +12,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, DTypeLike, Float, Int, Integer
 
-from jaxurban.errors import InputError, nearest_name, typed
+from jaxurban.checks import nearest_name, typed
+from jaxurban.errors import InputError
 from jaxurban.metrics.base import (
     TIME_OF_DAY,
     Metric,

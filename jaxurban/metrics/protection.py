@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, UInt
 
-from jaxurban.errors import InputError, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.kernels.protection import Ranging, RiskBudget, protection_levels
 from jaxurban.metrics.base import (

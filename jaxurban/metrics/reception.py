@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxurban.errors import typed
+from jaxurban.checks import typed
 from jaxurban.metrics.settings import check_value, differentiable
 
 

@@ -1,10 +1,10 @@
 """The metrics of the cost, in the paper's order, and those made on request: a new one is a file and a line here."""
 
 from collections.abc import Mapping
-from inspect import Parameter, Signature
 from typing import Any
 
-from jaxurban.errors import InputError, one_of
+from jaxurban.checks import one_of
+from jaxurban.errors import InputError
 from jaxurban.metrics import gps, lidar, population, protection, risk
 from jaxurban.metrics.base import Metric
 
@@ -20,22 +20,6 @@ ON_REQUEST: Mapping[str, Metric] = {
 def known_metrics() -> dict[str, Metric]:
     """Return the metrics of every cost, then those made on request, by name."""
     return {**METRICS, **ON_REQUEST}
-
-
-def sections_of(**sections: Any) -> dict[str, Any]:
-    """Return the settings of metrics that are given, by the metric's name; those made on request are made if named."""
-    return {name: section for name, section in sections.items() if section is not None}
-
-
-sections_of.__annotations__ = {
-    name: metric.params | None for name, metric in known_metrics().items()
-}
-sections_of.__signature__ = Signature(  # type: ignore[attr-defined]
-    [
-        Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=hint)
-        for name, hint in sections_of.__annotations__.items()
-    ]
-)
 
 
 def checked_sections(sections: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from jaxurban.errors import typed
+from jaxurban.checks import typed
 from jaxurban.kernels.distance import nearest as kernel
 from jaxurban.kernels.distance.nearest_cpu import distance_on_host
 from jaxurban.kernels.engine import Engine, runs_numba

@@ -7,14 +7,14 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxurban.errors import MOST, InputError, nearest_name, typed
+from jaxurban.checks import MOST, nearest_name, typed
+from jaxurban.errors import InputError
 from jaxurban.metrics.base import AnyArray as AnyArray
 from jaxurban.metrics.registry import METRICS, known_metrics
 
 DISTANCE_WEIGHT, METRIC_WEIGHT = 0.1, 1.0  # of the weights that nobody names
-MOST_WEIGHT = float(
-    MOST
-)  # as of any number: no path's cost overflows up to here, not even in float32
+# As of any number: no path's cost overflows up to here, not even in float32.
+MOST_WEIGHT = float(MOST)
 
 
 @jax.tree_util.register_pytree_with_keys_class

@@ -1,6 +1,6 @@
 """plan_many: thousands of queries over metric maps, none of which is lost once it is done."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, taken_by, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.io.tables import RowStore, fingerprint
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.metrics.weights import GivenWeights
+from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath, finish
 from jaxurban.paths.plan import cost_map
@@ -21,8 +24,10 @@ from jaxurban.paths.rows import BAD_INPUT, failure
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import End, Point
 from jaxurban.planners.base import Path, Status
+from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import Backend, solve_many
 from jaxurban.progress import LOG, Progress, reporting
+from jaxurban.settings import CostKind, Objective, Preset
 
 HELD_BYTES = 2 * 2**30  # of weighed maps at a time
 BYTES_A_CELL = 160  # of a cost map: layers, metrics, landmarks
@@ -39,7 +44,7 @@ NEEDED = {
 }  # of a file of results
 
 
-@partial(typed, makers=(cost_map, PathSearch.of))
+@typed
 def plan_many(
     maps: GivenMaps,
     queries: pd.DataFrame | Sequence[tuple[Point, Point]],
@@ -50,7 +55,20 @@ def plan_many(
     file: str | FilePath | None = None,
     num_threads: int | None = None,
     progress: Progress = True,
-    **asked: Any,
+    weights: GivenWeights = None,
+    objective: Objective | None = None,
+    cost_model: CostModel | CostKind | None = None,
+    time: str | None = None,
+    time_of_day: str | None = None,
+    constraints: Constraints | None = None,
+    preset: Preset = "",
+    planner: str | None = None,
+    heuristic: str | None = None,
+    budget_s: float | None = None,
+    seed: int | None = None,
+    snap: bool | float = False,
+    refine: bool = False,
+    exposure: Mapping[str, float] | None = None,
 ) -> PlannedPaths:
     """Return the paths of many queries, in their order.
 
@@ -99,7 +117,16 @@ def plan_many(
       [[0, 'optimal'], [1, 'optimal']]
     """
     maps = as_maps(maps)
-    search = PathSearch.of(maps, **taken_by(PathSearch.of, asked))
+    search = PathSearch.of(
+        maps,
+        planner=planner,
+        heuristic=heuristic,
+        budget_s=budget_s,
+        seed=seed,
+        snap=snap,
+        refine=refine,
+        exposure=exposure,
+    )
     if search.refine or search.exposure:
         raise InputError(
             "refine and exposure are of a single plan: leave them out, and plan the paths that matter"
@@ -109,20 +136,30 @@ def plan_many(
             f"the folder of {str(file)!r} does not exist: make it first, or name another file"
         )
     most_maps = max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(maps.grid.shape))))
-    of_map, when = (
-        taken_by(cost_map, asked),
-        {name: asked.get(name) for name in ("time", "time_of_day")},
-    )
 
     @lru_cache(maxsize=most_maps)
     def map_of(altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
-        return cost_map(maps, altitude_m, **of_map | {"time": time, "time_of_day": time_of_day})
+        return cost_map(
+            maps,
+            altitude_m,
+            weights=weights,
+            objective=objective,
+            cost_model=cost_model,
+            time=time,
+            time_of_day=time_of_day,
+            constraints=constraints,
+            preset=preset,
+        )
 
-    weights = map_of(
-        maps.altitudes_m[0] if altitude_m is None else altitude_m, *when.values()
-    ).weights  # wrong for all
+    lowest_m = maps.altitudes_m[0] if altitude_m is None else altitude_m
+    of_all = map_of(lowest_m, time, time_of_day)  # what is wrong for all queries is refused here
     batch = read_queries(
-        queries, altitude_m=altitude_m, weights=weights, metrics=maps.metrics, **when
+        queries,
+        altitude_m=altitude_m,
+        weights=of_all.weights,
+        metrics=maps.metrics,
+        time=time,
+        time_of_day=time_of_day,
     )
     results = _Results(batch, None if file is None else RowStore(FilePath(file), ["query"]))
     chosen = {name: getattr(search, name) for name in ("planner", "heuristic", "budget_s", "seed")}

@@ -17,14 +17,15 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt, minimum_filter
 
-from jaxurban.errors import IgnoredZoneWarning, InputError, nearest_name, typed, warn
+from jaxurban.checks import nearest_name, typed
+from jaxurban.errors import IgnoredZoneWarning, InputError, warn
 from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import known_metrics
 from jaxurban.planners.base import Cell
 from jaxurban.public import listed
-from jaxurban.settings import CLEARANCES, DEFAULTS, Planning, Vehicle, not_negative, parse_time
+from jaxurban.settings import CLEARANCES, Planning, Rules, Vehicle, not_negative, parse_time
 
 OPERATORS: dict[str, Callable] = {
     ">=": operator.ge,
@@ -232,7 +233,7 @@ class Constraints:
     @property
     def _clearances_m(self) -> dict[str, float]:
         return {
-            name: getattr(self if getattr(self, name) is not None else DEFAULTS, name)
+            name: getattr(self if getattr(self, name) is not None else Rules(), name)
             for name in CLEARANCES
         }
 
@@ -247,7 +248,7 @@ class Constraints:
           >>> limits.clearance_m, limits.vertical_clearance_m, limits.vehicle.radius_m
           (5.0, 3.0, 0.5)
         """
-        rest = {**{name: getattr(planning, name) for name in CLEARANCES}, "vehicle": vehicle}
+        rest = {**{name: getattr(planning.rules, name) for name in CLEARANCES}, "vehicle": vehicle}
         return replace(
             self, **{name: value for name, value in rest.items() if getattr(self, name) is None}
         )

@@ -1,13 +1,14 @@
 """CostMap: metric maps at one altitude, or between several, under weights, ready for any number of queries."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import InputError, one_of, typed
+from jaxurban.checks import one_of, typed
+from jaxurban.errors import InputError
 from jaxurban.maps.levels import SAME_M, Levels, listed_m
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import GivenWeights, Weights
@@ -393,7 +394,7 @@ class CostMap(Shown):
         """
         return why_closed(self, cell, level)
 
-    @partial(typed, makers=(PathSearch.of,))
+    @typed
     def plan(
         self,
         start: Point | XY | None = None,
@@ -401,7 +402,13 @@ class CostMap(Shown):
         *,
         start_xy_m: Point | None = None,
         goal_xy_m: Point | None = None,
-        **asked: Any,
+        planner: str | None = None,
+        heuristic: str | None = None,
+        budget_s: float | None = None,
+        seed: int | None = None,
+        snap: bool | float = False,
+        refine: bool = False,
+        exposure: Mapping[str, float] | None = None,
     ) -> PlannedPath:
         """Return a path between two places, given as in `jaxurban.plan`, searched for as `PathSearch.of` says.
 
@@ -415,7 +422,18 @@ class CostMap(Shown):
           ('optimal', 2, 707)
         """
         ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
-        return self.planned(*ends, PathSearch.of(None, self.levels is not None, **asked))
+        search = PathSearch.of(
+            None,
+            self.levels is not None,
+            planner=planner,
+            heuristic=heuristic,
+            budget_s=budget_s,
+            seed=seed,
+            snap=snap,
+            refine=refine,
+            exposure=exposure,
+        )
+        return self.planned(*ends, search)
 
     def planned(self, start: Point | XY, goal: Point | XY, search: PathSearch) -> PlannedPath:
         """Return a path between two places, given as in `locate`, searched for in one way that was checked before.

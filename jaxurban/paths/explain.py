@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, positive, typed
+from jaxurban.checks import positive, typed
+from jaxurban.errors import InputError
 from jaxurban.maps.levels import Levels
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX
@@ -237,7 +238,7 @@ def explain(
     vehicle = replace(
         vehicle, **{name: value for name, value in flight.items() if value is not None}
     )
-    positive("swath_m", swath_m, "metres")
+    positive("swath_m", swath_m)
     profile = profile_of(planned, maps, cut, {name: name for name in names} | EXTRA_MAPS)
     on = _cost_map_of(planned, maps)
     states = cut.points_m[:, : 2 if on.levels is None else 3]

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from jaxurban.errors import InputError, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
 from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.paths.constraints import kept_said

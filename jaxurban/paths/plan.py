@@ -1,12 +1,15 @@
 """plan and cost_map: from maps and what is left to their scenario to a cost map, and to a path on it."""
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import InputError, finite, taken_by, typed
+from jaxurban.checks import finite, typed
+from jaxurban.errors import InputError
 from jaxurban.maps.levels import Levels, values_at
 from jaxurban.maps.memory import free_bytes, told_apart
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -17,7 +20,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Point, one_place
 from jaxurban.planners.cost import CostModel
-from jaxurban.settings import CostKind, Objective, Vehicle, iso_utc
+from jaxurban.settings import CostKind, Objective, Preset, Vehicle, iso_utc
 
 NODE_BYTES = 64  # of a volume and a search that visits all of it (docs/algorithms/search.md)
 
@@ -26,7 +29,7 @@ def rules_on(
     maps: MetricMaps,
     cost_model: CostModel | CostKind | None,
     constraints: Constraints | None,
-    preset: str,
+    preset: Preset,
 ) -> tuple[MetricMaps, CostModel, Constraints]:
     """Return maps under their rule of obstacles, cost model and constraints, with all that is left out written out.
 
@@ -35,13 +38,12 @@ def rules_on(
     Raises:
       InputError: an unknown preset or cost model.
     """
-    planning = maps.planning.under(preset)
+    planning = replace(maps.planning, preset=preset or maps.planning.preset)
     if preset and maps.rule is None:
-        maps = maps.with_obstacles(planning.obstacles)
+        maps = maps.with_obstacles(planning.rules.obstacles)
     if not isinstance(cost_model, CostModel):
-        cost_model = CostModel.from_settings(
-            vars(planning) | ({"cost_model": cost_model} if cost_model else {})
-        )
+        kind = cost_model or planning.rules.cost_model
+        cost_model = CostModel.from_settings(vars(planning) | {"cost_model": kind})
     vehicle = Vehicle(**maps.recorded.get("vehicle", {}))
     return maps, cost_model, (constraints or Constraints()).under(planning, vehicle)
 
@@ -57,7 +59,7 @@ def cost_map(
     time: str | None = None,
     time_of_day: str | None = None,
     constraints: Constraints | None = None,
-    preset: str = "",
+    preset: Preset = "",
 ) -> CostMap:
     """Return the maps at one altitude, or between levels, under weights, on which any number of paths can be planned.
 
@@ -162,7 +164,7 @@ def map_at(
     )
 
 
-@partial(typed, makers=(cost_map, PathSearch.of))
+@typed
 def plan(
     maps: GivenMaps,
     start: Point | None = None,
@@ -171,7 +173,20 @@ def plan(
     altitude_m: float | Levels,
     start_xy_m: Point | None = None,
     goal_xy_m: Point | None = None,
-    **asked: Any,
+    weights: GivenWeights = None,
+    objective: Objective | None = None,
+    cost_model: CostModel | CostKind | None = None,
+    time: str | None = None,
+    time_of_day: str | None = None,
+    constraints: Constraints | None = None,
+    preset: Preset = "",
+    planner: str | None = None,
+    heuristic: str | None = None,
+    budget_s: float | None = None,
+    seed: int | None = None,
+    snap: bool | float = False,
+    refine: bool = False,
+    exposure: Mapping[str, float] | None = None,
 ) -> PlannedPath:
     """Return a path from ``start`` to ``goal``, at one altitude or between levels.
 
@@ -221,6 +236,27 @@ def plan(
       [20.0, 60.0]
     """
     maps = as_maps(maps)
-    search = PathSearch.of(maps, isinstance(altitude_m, Levels), **taken_by(PathSearch.of, asked))
+    search = PathSearch.of(
+        maps,
+        isinstance(altitude_m, Levels),
+        planner=planner,
+        heuristic=heuristic,
+        budget_s=budget_s,
+        seed=seed,
+        snap=snap,
+        refine=refine,
+        exposure=exposure,
+    )
     ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
-    return cost_map(maps, altitude_m, **taken_by(cost_map, asked)).planned(*ends, search)
+    weighed = cost_map(
+        maps,
+        altitude_m,
+        weights=weights,
+        objective=objective,
+        cost_model=cost_model,
+        time=time,
+        time_of_day=time_of_day,
+        constraints=constraints,
+        preset=preset,
+    )
+    return weighed.planned(*ends, search)

@@ -7,7 +7,8 @@ import pandas as pd
 import shapely
 from scipy.ndimage import binary_erosion
 
-from jaxurban.errors import InputError, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.kernels.line.traversal import Crossings, crossed_cells
 from jaxurban.maps.levels import values_at
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps

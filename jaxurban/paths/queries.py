@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, finite, nearest_name, typed
+from jaxurban.checks import finite, nearest_name, typed
+from jaxurban.errors import InputError
 from jaxurban.io.tables import SUFFIXES, Row, write_table
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import GivenWeights, Weights
@@ -91,7 +92,7 @@ def read_queries(
     weighed = dict.fromkeys((*base.weights.to_dict(), *metrics))
     known = (*COLUMNS, *(WEIGHT_PREFIX + name for name in weighed))
     if altitude_m is not None:
-        base = replace(base, altitude_m=finite("altitude_m", altitude_m, "metres"))
+        base = replace(base, altitude_m=finite("altitude_m", altitude_m))
     if not isinstance(queries, pd.DataFrame):
         queries = table_of(queries)
     if unknown := [name for name in map(str, queries.columns) if name not in known]:

@@ -15,7 +15,8 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import pandas as pd
 
-from jaxurban.errors import InputError, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.io.tables import Row, RowStore, read_table, records_of
 from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.metric_maps import MetricMaps, open_maps
@@ -25,7 +26,7 @@ from jaxurban.paths.plan import cost_map, rules_on
 from jaxurban.planners.base import Status
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Report
-from jaxurban.settings import CostKind, Obstacles, Planning
+from jaxurban.settings import CostKind, Obstacles, Planning, Preset
 
 CRASHED, BAD_INPUT = "crashed", "bad-input"  # beside the names of `Status`
 KILLED = "Its worker process was killed again and again, most likely for lack of memory."
@@ -95,10 +96,10 @@ class RouteRules:
 
     cost_model: CostModel | CostKind | None = None
     constraints: Constraints = field(default_factory=Constraints)
-    preset: str = ""
+    preset: Preset = ""
 
     def __post_init__(self) -> None:
-        Planning().under(self.preset)  # refuses an unknown one, as the next line does
+        Planning(preset=self.preset)  # refuses an unknown one, as the next line does
         CostModel.of(self.cost_model)
 
     def under(self, maps: MetricMaps) -> tuple[MetricMaps, Self]:

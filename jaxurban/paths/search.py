@@ -1,13 +1,15 @@
 """PathSearch: how a path is searched for, and which budgets of exposure it keeps."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from jaxurban.errors import InputError, finite, typed
+from jaxurban.checks import finite, typed
+from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.snapping import snap_limit_m
 from jaxurban.planners.registry import EXACT_PLANNERS, VOLUME_PLANNERS, find_planner
-from jaxurban.settings import DEFAULTS, Planning
+from jaxurban.settings import DEFAULTS
 
 
 @dataclass(frozen=True)
@@ -64,14 +66,12 @@ class PathSearch:
             snapping, refinement of a path that may climb, or budgets of exposure that are no numbers, of a planner off
             the grid or with refinement.
         """
-        scenario = {} if maps is None else dict(maps.planning.given)
+        planning = DEFAULTS if maps is None else maps.planning
         if is_for_volumes:
-            scenario = {"planner": "astar-volume"} | {
-                k: scenario[k] for k in ("budget_s",) if k in scenario
-            }
-        given = {"planner": planner, "budget_s": budget_s, "seed": seed}
-        planning = Planning(
-            **scenario | {name: value for name, value in given.items() if value is not None}
+            planning = replace(DEFAULTS, planner="astar-volume", budget_s=planning.budget_s)
+        given: dict[str, Any] = {"planner": planner, "budget_s": budget_s, "seed": seed}
+        planning = replace(
+            planning, **{name: value for name, value in given.items() if value is not None}
         )
         budgets = {
             name: finite(f"the budget of exposure to {name}", most)

@@ -1,27 +1,31 @@
 """when: the same routes planned at every time that maps hold, and the one at which they cost the least together."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, taken_by, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.gps import FIX
+from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.batch import plan_many
+from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.profile import cautious_profile, guess_cautions, without_fix
 from jaxurban.paths.queries import PlannedPaths, table_of
-from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Point
+from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress
 from jaxurban.public import Caution, Shown, listed
+from jaxurban.settings import CostKind, Objective, Preset
 
 TIMES = ["time", "time_of_day"]
 SAME = 1e-9  # relative: routes that cost so nearly the same are as cheap
@@ -115,14 +119,27 @@ class Departures(Shown):
         return facts | {"times without a path": listed(none) + why}
 
 
-@partial(typed, makers=(cost_map, PathSearch.of))
+@typed
 def when(
     maps: GivenMaps,
     queries: pd.DataFrame | Sequence[tuple[Point, Point]],
     *,
     altitude_m: float | None = None,
     progress: Progress = True,
-    **asked: Any,
+    weights: GivenWeights = None,
+    objective: Objective | None = None,
+    cost_model: CostModel | CostKind | None = None,
+    time: str | None = None,
+    time_of_day: str | None = None,
+    constraints: Constraints | None = None,
+    preset: Preset = "",
+    planner: str | None = None,
+    heuristic: str | None = None,
+    budget_s: float | None = None,
+    seed: int | None = None,
+    snap: bool | float = False,
+    refine: bool = False,
+    exposure: Mapping[str, float] | None = None,
 ) -> Departures:
     """Return what routes cost and meet at every time that maps hold, each planned at each time (`plan_many`).
 
@@ -152,7 +169,6 @@ def when(
       [0.0, 0.057]
     """
     maps = as_maps(maps)
-    time, time_of_day = (asked.get(name) for name in TIMES)
     times = maps.times if maps.default_time and time is None else (time,)
     days = (maps.times_of_day or (None,)) if time_of_day is None else (time_of_day,)
     table = pd.DataFrame([*product(times, days)], columns=TIMES)
@@ -166,8 +182,28 @@ def when(
         raise InputError(
             "queries must be one or more and have no times of their own: drop time and time_of_day"
         )
+    rules: dict[str, Any] = {
+        "objective": objective,
+        "cost_model": cost_model,
+        "constraints": constraints,
+        "preset": preset,
+    }
     paths = plan_many(
-        maps, table.merge(wanted, how="cross"), altitude_m=altitude_m, progress=progress, **asked
+        maps,
+        table.merge(wanted, how="cross"),
+        altitude_m=altitude_m,
+        progress=progress,
+        weights=weights,
+        time=time,
+        time_of_day=time_of_day,
+        **rules,
+        planner=planner,
+        heuristic=heuristic,
+        budget_s=budget_s,
+        seed=seed,
+        snap=snap,
+        refine=refine,
+        exposure=exposure,
     )
     if paths.was_interrupted:
         raise KeyboardInterrupt
@@ -186,12 +222,11 @@ def when(
         paths[(Departures(table, routes, paths).best or 0) * len(wanted) + query]
         for query in routes["query"]
     ]
-    of_map = taken_by(cost_map, asked)
 
     @lru_cache(maxsize=1)
     def map_at(altitude_m: float, weights: tuple, departure: int) -> CostMap:
         at = dict(zip(TIMES, table.loc[departure, TIMES], strict=True))
-        return cost_map(maps, altitude_m, **of_map | at | {"weights": dict(weights)})
+        return cost_map(maps, altitude_m, weights=dict(weights), **at, **rules)
 
     def cost_at(path: PlannedPath | None, departure: int) -> float:
         if path is None or not path.status.has_path:

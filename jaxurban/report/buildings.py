@@ -12,7 +12,8 @@ import shapely
 from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
-from jaxurban.errors import InputError, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE
 from jaxurban.io.workspace import Workspace

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from jaxurban.errors import one_of
+from jaxurban.checks import one_of
 from jaxurban.io.geotiff import write_bands
 from jaxurban.io.store import short_number
 from jaxurban.maps.provenance import NOT_SET

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.io.read.base_map import base_map_source, land_cover_in
 from jaxurban.io.read.osm import OSM_SUFFIXES, read_land_cover
 from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, write_table
@@ -24,7 +25,7 @@ from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.sensitivity_study import weights_said
 from jaxurban.report.write import Output, fill, listed, study_outputs
 from jaxurban.samples.catalogue import is_sample
-from jaxurban.settings import CostKind
+from jaxurban.settings import CostKind, Preset
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.analysis import complementarity
@@ -91,7 +92,7 @@ def study(
     settings: Study | None = None,
     cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
-    preset: str = "",
+    preset: Preset = "",
     workers: int | str = 1,
     overwrite: bool = False,
     progress: Progress = True,

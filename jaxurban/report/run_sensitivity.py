@@ -8,7 +8,8 @@ from typing import Any
 
 import pandas as pd
 
-from jaxurban.errors import GuessWarning, InputError, one_of, typed
+from jaxurban.checks import one_of, typed
+from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.tables import (
     INSTANCES_FILE,
     ROWS_FILE,

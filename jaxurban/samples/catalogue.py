@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path, PurePath
 from typing import Any
 
-from jaxurban.errors import InputError, nearest_name
+from jaxurban.checks import nearest_name
+from jaxurban.errors import InputError
 
 PREFIX = "sample:"
 BUILDINGS_FILE, BASE_MAP_FILE, LOG_FILE = "buildings.parquet", "basemap.parquet", "log.csv.gz"

@@ -1,6 +1,6 @@
 """sample_city: a real city that is in the package."""
 
-from jaxurban.errors import typed
+from jaxurban.checks import typed
 from jaxurban.samples.catalogue import PREFIX, check_sample
 from jaxurban.world.city import City
 

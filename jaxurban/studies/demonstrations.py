@@ -12,7 +12,8 @@ import pandas as pd
 import shapely
 from scipy.ndimage import distance_transform_edt
 
-from jaxurban.errors import InputError, LeftOutWarning, OtherSettingsWarning, typed, warn
+from jaxurban.checks import typed
+from jaxurban.errors import InputError, LeftOutWarning, OtherSettingsWarning, warn
 from jaxurban.io.read.routes import read_routes
 from jaxurban.io.tables import SUFFIXES
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
@@ -25,7 +26,7 @@ from jaxurban.paths.snapping import MAX_SNAP_M, XY, snap_note
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import CostModel
-from jaxurban.settings import CostKind
+from jaxurban.settings import CostKind, Preset
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.world.grid import Grid
 
@@ -119,7 +120,7 @@ def read_demonstrations(
     *,
     cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
-    preset: str = "",
+    preset: Preset = "",
     metrics: Sequence[str] | None = None,
 ) -> list[Demonstration]:
     """Return the routes of a file as demonstrations; lists of several files or cities may be joined with ``+``.
@@ -195,7 +196,7 @@ def demonstrations_from_paths(
     *,
     cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
-    preset: str = "",
+    preset: Preset = "",
     metrics: Sequence[str] | None = None,
 ) -> list[Demonstration]:
     """Return planned paths as demonstrations, each on the map that it was planned on.

@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 import pyproj
 
-from jaxurban.errors import InputError, at_least, finite, one_of, typed
+from jaxurban.checks import at_least, finite, one_of, typed
+from jaxurban.errors import InputError
 from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps

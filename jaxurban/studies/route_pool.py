@@ -22,7 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxurban.errors import InputError, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.io.tables import RowStore, fingerprint
 from jaxurban.metrics.weights import AnyArray
 from jaxurban.progress import Progress

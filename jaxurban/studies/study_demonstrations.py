@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, LeftOutWarning, finite, one_of, typed, warn
+from jaxurban.checks import finite, one_of, typed
+from jaxurban.errors import InputError, LeftOutWarning, warn
 from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, Row, read_table, records_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -28,7 +29,7 @@ from jaxurban.paths.rows import HAS_PATH
 from jaxurban.planners.base import Status
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
-from jaxurban.settings import CostKind, iso_utc
+from jaxurban.settings import CostKind, Preset, iso_utc
 from jaxurban.studies.demonstrations import MOST_REASONS, Demonstration, demonstration_from_line
 from jaxurban.studies.montecarlo.sampling import (
     KEY,
@@ -72,7 +73,7 @@ def demonstrations_from_study(
     pilot: Weights | None = None,
     cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
-    preset: str = "",
+    preset: Preset = "",
     metrics: Sequence[str] | None = None,
 ) -> list[Demonstration]:
     """Return the routes of a Monte Carlo study, or of a table of instances, as demonstrations of one W.
@@ -112,7 +113,7 @@ def demonstrations_from_study(
             "both out (--planner, --pilot)"
         )
     if altitude_m is not None:
-        altitude_m = finite("altitude_m", altitude_m, "metres")
+        altitude_m = finite("altitude_m", altitude_m)
     maps = as_maps(_maps_of(study) if maps is None else maps)
     if constraints is None and not isinstance(study, pd.DataFrame | str | Path):
         constraints = study.settings.constraints

@@ -6,7 +6,8 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path as FilePath
 
-from jaxurban.errors import InputError, one_of
+from jaxurban.checks import one_of
+from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import Constraints
@@ -17,7 +18,7 @@ from jaxurban.paths.path import PlannedPath, simplify
 from jaxurban.paths.plan import cost_map, rules_on
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
-from jaxurban.settings import DEFAULTS
+from jaxurban.settings import DEFAULTS, Preset
 from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer.requests import Plan
 from jaxurban.viewer.tiles import Kept
@@ -43,7 +44,7 @@ class Plans:
     """
 
     def __init__(
-        self, maps: MetricMaps, folder: str = "", weights: GivenWeights = None, preset: str = ""
+        self, maps: MetricMaps, folder: str = "", weights: GivenWeights = None, preset: Preset = ""
     ) -> None:
         self.maps, self.cost_model, self.limits = rules_on(maps, None, None, preset)
         self.weights, self.folder = weights_on(maps, weights), folder

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from jaxurban.errors import InputError
-from jaxurban.settings import DEFAULTS, CostKind, Obstacles
+from jaxurban.settings import DEFAULTS, CostKind, Obstacles, Rules
 
 MOST_LETTERS = 64 * 1024  # of zones
 Index = Annotated[int, Field(strict=True, ge=0, le=10**6)]
@@ -56,9 +56,9 @@ class Plan(Request):
     at: tuple[Index, Index, Index]
     weights: dict[Name, Weight]
     planner: Name = DEFAULTS.planner
-    cost_model: CostKind = DEFAULTS.cost_model
-    obstacles: Obstacles = DEFAULTS.obstacles
-    clearance_m: Metres = DEFAULTS.clearance_m
+    cost_model: CostKind = Rules.cost_model
+    obstacles: Obstacles = Rules.obstacles
+    clearance_m: Metres = Rules.clearance_m
     vertical_clearance_m: Metres | None = None
     flight_m: Metres | None = None
     snap: Annotated[bool, Field(strict=True)] = True

@@ -10,7 +10,8 @@ from uuid import uuid4
 
 import numpy as np
 
-from jaxurban.errors import InputError, RemadeError, one_of
+from jaxurban.checks import one_of
+from jaxurban.errors import InputError, RemadeError
 from jaxurban.io.store import OPENED
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
@@ -24,6 +25,7 @@ from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.frame import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.metrics import line_colour
 from jaxurban.report.figures.paths import planner_colours
+from jaxurban.settings import Preset
 from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer import markup
 from jaxurban.viewer.base import base_of
@@ -78,7 +80,7 @@ class Viewer:
         name: str = "the maps",
         folder: str = "",
         weights: GivenWeights = None,
-        preset: str = "",
+        preset: Preset = "",
     ) -> None:
         self.plans = Plans(maps, folder, weights, preset)
         self.maps, self.name = self.plans.maps, name

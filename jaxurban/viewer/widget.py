@@ -3,9 +3,11 @@
 import json
 from typing import TYPE_CHECKING, Any
 
-from jaxurban.errors import InputError, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights
+from jaxurban.settings import Preset
 from jaxurban.viewer.html import part
 from jaxurban.viewer.viewer import JSON, Viewer
 
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @typed
-def view(maps: GivenMaps, *, weights: GivenWeights = None, preset: str = "") -> Any:
+def view(maps: GivenMaps, *, weights: GivenWeights = None, preset: Preset = "") -> Any:
     """Return a widget to look at maps and plan on them, which a notebook shows where it is the last line of a cell.
 
     Args:

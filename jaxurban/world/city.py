@@ -11,7 +11,8 @@ import numpy as np
 import shapely
 
 from jaxurban import settings
-from jaxurban.errors import InputError, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.public import Caution, Shown, caution_of_guesses
 from jaxurban.settings import SLABS as SLABS
 from jaxurban.settings import TO_GROUND as TO_GROUND

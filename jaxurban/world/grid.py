@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 
-from jaxurban.errors import InputError, finite, typed
+from jaxurban.checks import finite, typed
+from jaxurban.errors import InputError
 
 WGS84 = "EPSG:4326"
 MAX_SCALE_ERROR = 0.01  # of a projection at the region: within a UTM zone it stays below 0.001
@@ -123,7 +124,7 @@ def check_bounds(bounds: Sequence[float]) -> tuple[float, float, float, float]:
       InputError: wrong count, not finite, out of range (latitude and longitude swapped) or empty.
     """
     try:
-        west, south, east, north = (finite("bounds", value) for value in bounds)
+        west, south, east, north = (finite("bounds", value, "degrees") for value in bounds)
     except (TypeError, ValueError) as error:
         what = "four finite numbers, west, south, east, north in degrees"
         raise InputError(f"bounds must be {what}, got {bounds!r}") from error

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import shapely
 
-from jaxurban.errors import InputError, at_least, typed
+from jaxurban.checks import at_least, typed
+from jaxurban.errors import InputError
 from jaxurban.world.city import (
     OTHER_DISTRICT,
     Blocks,

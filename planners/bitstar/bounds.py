@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxurban.errors import one_of
+from jaxurban.checks import one_of
 from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.line.traversal import DIAGONAL_SIDES
 from jaxurban.planners.base import Problem

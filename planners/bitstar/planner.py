@@ -11,7 +11,8 @@ from functools import partial
 
 import numpy as np
 
-from jaxurban.errors import InputError, at_least, positive
+from jaxurban.checks import at_least, positive
+from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.search.heap import EXHAUSTED, FULL, Heap
 from jaxurban.planners.base import EVERY_PATH, ROUNDING, Path, Problem, Status

@@ -239,14 +239,16 @@ def test_a_preset_sets_only_what_is_left_out(low_roofs):
         on = ju.cost_map(low_roofs, ALTITUDE_M, preset="paper", **given)
         assert (on.cost_model.kind, on.maps.obstacles) == (kind, "centre")
         assert on.constraints.vertical_clearance_m == clearance_m
-    paper = ju.Scenario.from_dict(
+    planning = ju.Scenario.from_dict(
         REGION | {"planning": {"preset": "paper", "clearance_m": 2.0}}
     ).planning
-    assert (paper.cost_model, paper.obstacles, paper.clearance_m) == ("cell", "centre", 2.0)
-    assert (paper.vertical_clearance_m, ju.Scenario.from_dict(REGION).planning.budget_s) == (
-        0.0,
-        10.0,
-    )
+    assert (planning.cost_model, planning.clearance_m, planning.budget_s) == (None, 2.0, 10.0)
+    assert vars(planning.rules) == {
+        "cost_model": "cell",
+        "obstacles": "centre",
+        "clearance_m": 2.0,
+        "vertical_clearance_m": 0.0,
+    }
 
 
 @pytest.fixture(scope="module")

@@ -138,8 +138,9 @@ def test_a_presets_rule_is_one_for_scenarios_studies_and_the_viewer(tmp_path):
     given = {"vertical_clearance_m": 3.0, "cost_model": "line"}  # the defaults, but given
     lines = "\n".join(f"{name} = {json.dumps(value)}" for name, value in given.items())
     (tmp_path / "town.toml").write_text(f"{TOWN}[planning]\n{lines}\n", encoding="utf-8")
-    study = ju.Scenario.from_toml(tmp_path / "town.toml", ["planning.preset='paper'"]).planning
-    assert (study.cost_model, study.obstacles, study.vertical_clearance_m) == (
+    study = ju.Scenario.from_toml(tmp_path / "town.toml", ["planning.preset='paper'"])
+    rules = study.planning.rules
+    assert (rules.cost_model, rules.obstacles, rules.vertical_clearance_m) == (
         "line",
         "centre",
         3.0,

@@ -25,7 +25,8 @@ import pandas as pd
 import shapely
 from pyproj import Geod
 
-from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, finite, warn
+from jaxurban.checks import finite
+from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, warn
 from jaxurban.io.read.heights import is_blank
 from jaxurban.io.read.vector import open_layers
 from jaxurban.io.read.zone import TURN, Zone, mended

@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.errors import InputError, nearest_name, readable
+from jaxurban.checks import nearest_name
+from jaxurban.errors import InputError, readable
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.raster import RASTER_SUFFIXES, read_bands
 from jaxurban.io.read.sampling import pixel_xy

@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.errors import InputError, LeftOutWarning, finite, warn
+from jaxurban.checks import finite
+from jaxurban.errors import InputError, LeftOutWarning, warn
 from jaxurban.io.read.vector import open_layers
 
 SEGMENT_PROPERTY = "segment"  # of lines that repeat a part of jaxurban's own route, for its report

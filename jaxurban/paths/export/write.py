@@ -29,7 +29,8 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
-from jaxurban.errors import InputError, one_of
+from jaxurban.checks import one_of
+from jaxurban.errors import InputError
 from jaxurban.io.files import write_whole
 from jaxurban.paths.export.base import (
     DECIMALS,

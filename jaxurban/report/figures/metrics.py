@@ -9,7 +9,8 @@ import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize, PowerNorm
 from matplotlib.figure import Figure
 
-from jaxurban.errors import InputError, one_of
+from jaxurban.checks import one_of
+from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
 from jaxurban.metrics.custom import colour_of, held_variables

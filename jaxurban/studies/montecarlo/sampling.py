@@ -10,7 +10,8 @@ import pandas as pd
 import shapely
 from scipy.ndimage import label
 
-from jaxurban.errors import InputError, at_least, one_of, typed
+from jaxurban.checks import at_least, one_of, typed
+from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import burn
 from jaxurban.io.tables import read_table
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -21,7 +22,7 @@ from jaxurban.paths.plan import rules_on
 from jaxurban.paths.queries import WEIGHT_PREFIX, Query
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.cost import CostModel
-from jaxurban.settings import CostKind, iso_utc
+from jaxurban.settings import CostKind, Preset, iso_utc
 from jaxurban.world.city import LandCover
 
 # Straight distance between start and goal, as shares of the region's diagonal.
@@ -81,7 +82,7 @@ def sample_instances(
     weights: str | Sequence[Weights] = DIRICHLET,
     cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
-    preset: str = "",
+    preset: Preset = "",
     cover: LandCover | None = None,
     seed: int = 0,
 ) -> pd.DataFrame:

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, at_least, positive, typed
+from jaxurban.checks import at_least, positive, typed
+from jaxurban.errors import InputError
 from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
 from jaxurban.maps.recipe import TileScene
 from jaxurban.maps.run import tasks_of
@@ -75,9 +76,9 @@ class ReceiverSettings:
 
     def __post_init__(self) -> None:
         for name in ("antenna_height_m", "piece_m", "block_m", "sky_block_m", "sky_step_s"):
-            positive(name, getattr(self, name), "seconds" if name.endswith("_s") else "metres")
+            positive(name, getattr(self, name))
         for value in self.other_pieces_m:
-            positive("each of other_pieces_m", value, "metres")
+            positive("each of other_pieces_m", value)
         if not isinstance(self.known, str | Path):
             positive("known", self.known, "metres")
         at_least("num_displaced", self.num_displaced, 1)

@@ -20,7 +20,8 @@ import pandas as pd
 from scipy.stats import rankdata
 from scipy.stats import t as student
 
-from jaxurban.errors import InputError, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED, UTC, ReceiverLog, read_receiver_log
 from jaxurban.io.read.rinex import read_rinex
 from jaxurban.maps.run import load_city

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, at_least, typed
+from jaxurban.checks import at_least, typed
+from jaxurban.errors import InputError
 from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import check_alike

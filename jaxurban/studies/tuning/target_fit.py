@@ -15,7 +15,8 @@ import optax
 import pandas as pd
 from jaxtyping import Array, Float
 
-from jaxurban.errors import InputError, finite, one_of, typed
+from jaxurban.checks import finite, one_of, typed
+from jaxurban.errors import InputError
 from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.progress import Report, reporting
 from jaxurban.studies.queries import RouteQuery, check_alike, weights_from

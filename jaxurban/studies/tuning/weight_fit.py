@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import at_least, typed
+from jaxurban.checks import at_least, typed
 from jaxurban.io.tables import fingerprint
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting

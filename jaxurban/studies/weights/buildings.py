@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.errors import InputError, typed
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams, path_visits
 from jaxurban.metrics.base import TIME_OF_DAY
 from jaxurban.metrics.registry import METRICS

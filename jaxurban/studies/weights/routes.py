@@ -14,7 +14,8 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 
-from jaxurban.errors import InputError, at_least, positive, typed
+from jaxurban.checks import at_least, positive, typed
+from jaxurban.errors import InputError
 from jaxurban.io.tables import Row
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.recipe import perturbed_cities

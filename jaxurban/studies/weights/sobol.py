@@ -20,7 +20,8 @@ from SALib.analyze import sobol as analysis
 from SALib.sample import sobol as sampling
 from scipy import special
 
-from jaxurban.errors import InputError, at_least, one_of
+from jaxurban.checks import at_least, one_of
+from jaxurban.errors import InputError
 from jaxurban.studies.bootstrap import reach_of
 from jaxurban.studies.queries import outcomes_of
 from jaxurban.studies.route_pool import RoutePool, draw_pairs, mean_and_slope

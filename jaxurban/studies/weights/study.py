@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, at_least, one_of, typed
+from jaxurban.checks import at_least, one_of, typed
+from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath

@@ -1,0 +1,345 @@
+"""Checks of what users pass, where it enters. Messages give the value, what is accepted, and the remedy."""
+
+import functools
+import inspect
+import math
+import numbers
+import os
+import re
+import types
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from jaxurban.errors import InputError, platform_remedy
+from jaxurban.public import alike, find_public, near
+
+Choice = TypeVar("Choice")
+Public = TypeVar("Public", bound=Callable)
+PACKAGE = __name__.partition(".")[0]
+MOST_SHOWN = 4  # values of a list
+MOST_ALIKE = 0.9  # of an argument of something else: it must hardly differ
+MOST = 2**63 - 1  # of a number: NumPy holds it, and its square is no overflow in float32
+MOST_OF = {"_m": 1e8, "_deg": 1e3}  # the whole way round the Earth is 4e7 m
+UNITS = {  # of arguments, by the end of their names
+    "_m_s": "metres per second",
+    "_xy_m": "easting, northing in metres",
+    "_m": "metres",
+    "_s": "seconds",
+    "_deg": "degrees",
+    "_w": "watts",
+    "_cost": "cost per metre",
+    "bounds": "west, south, east, north in degrees",
+    **dict.fromkeys(("start", "goal", "lonlat", "reference"), "longitude, latitude in degrees"),
+}
+MADE_BY = {  # what no constructor is meant for
+    "Bound": "Constraints.read",
+    "Zone": "Constraints.read",
+    "Constraints": 'Constraints.read, as in Constraints.read(require=["gps>=0.3"])',
+    "City": "City.from_files, sample_city or demo_city",
+    "CostMap": "cost_map",
+    "Demonstration": "read_demonstrations",
+    "MetricMaps": "build_maps or open_maps",
+    "PlannedPath": "plan or plan_many",
+    "RouteQuery": "make_queries",
+    "SoftCity": "soft_city",
+}
+
+
+class Kind(NamedTuple):
+    """What an argument may be: its name in messages, and whether a value is of it."""
+
+    name: str
+    holds: Callable[[Any], bool]
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of an argument by the end of its name, ``""`` where none is known."""
+    return next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
+
+
+def nearest_name(name: str, valid: Iterable[str]) -> str:
+    """Return ``" (did you mean 'x'?)"`` for the valid names that one resembles (`near`), ``""`` where it does none."""
+    names = near(name, valid)
+    return f" (did you mean {_either(map(repr, names))}?)" if names else ""
+
+
+def one_of(name: str, value: Choice, choices: Iterable[Choice]) -> Choice:
+    """Return a value that must be one of some choices.
+
+    Raises:
+      InputError: it is none of them (lists them, and names the nearest one).
+    """
+    valid = list(choices)
+    if value not in valid:
+        hint = nearest_name(str(value), map(str, valid))
+        raise InputError(f"{name} must be {_either(map(repr, valid))}, got {value!r}{hint}")
+    return value
+
+
+def finite(
+    name: str,
+    value: Any,
+    unit: str | None = None,
+    *,
+    least: float = -math.inf,
+    called: str = "finite",
+) -> float:
+    """Return a number (or the one that a text spells) that must be finite, as a float.
+
+    Args:
+      name: of the argument.
+      value: the number.
+      unit: for the message; left out, that of the name (`UNITS`).
+      least: what it must be above, and
+      called: what such a number is called.
+
+    Raises:
+      InputError: it is not, or is not a number.
+    """
+    number = math.nan
+    with suppress(TypeError, ValueError, OverflowError):
+        number = math.nan if isinstance(value, bool) else float(value)
+    if not least < number < math.inf:
+        unit = unit_of(name) if unit is None else unit
+        raise InputError(f"{name} must be a {called} number{unit and f' of {unit}'}, got {value!r}")
+    return number
+
+
+def positive(name: str, value: Any, unit: str | None = None) -> float:
+    """Return a number that must be above 0, as a float (see `finite`)."""
+    return finite(name, value, unit, least=0, called="positive")
+
+
+def at_least(name: str, value: Any, least: int = 0) -> int:
+    """Return a whole number that must not be below another, such as a seed.
+
+    Raises:
+      InputError: it is, or is not a whole number.
+    """
+    if not _is_whole(value) or int(value) < least:
+        raise InputError(f"{name} must be a whole number from {least} up, got {_shown(value)}")
+    return int(value)
+
+
+def check_range(name: str, value: Any) -> None:
+    """Raise InputError where a number, or one in a list of them, is beyond what any such number can be.
+
+    Without end (``inf``) may be what has no unit of length or angle, such as a budget of seconds. NaN passes: the
+    functions refuse it themselves.
+    """
+    most = next((most for end, most in MOST_OF.items() if name.endswith(end)), MOST)
+    for number in value if isinstance(value, list | tuple) else (value,):
+        size: Any = abs(number) if isinstance(number, numbers.Real) else 0
+        if size > most and not (most == MOST and size == math.inf):
+            unit = f" ({unit_of(name)})" if unit_of(name) else ""
+            raise InputError(
+                f"{name} must be a finite number of at most {most:.0e}{unit}, got {number!r}"
+            )
+
+
+def typed(public: Public) -> Public:
+    """Return a function or a class that answers an argument of another kind than its annotation names by InputError.
+
+    Arguments are looked at before anything runs, generously: any real number for a float (NumPy's too), anything with
+    items for a sequence, text for a path; of lists, tuples and dicts each item is looked at.
+    """
+    function = public.__init__ if inspect.isclass(public) else public
+    signature = inspect.signature(function)
+    parameters = signature.parameters
+    in_order = [name for name, p in parameters.items() if p.kind is not p.KEYWORD_ONLY]
+    call = f": call {public.__name__}({', '.join(in_order)})"
+    further = next((name for name, p in parameters.items() if p.kind is p.VAR_KEYWORD), "")
+
+    @functools.cache
+    def kinds() -> dict[str, list[Kind]]:  # at the first call, when all modules are there
+        return {name: _kinds(hint) for name, hint in _hints(checked).items()}
+
+    @functools.wraps(function)
+    def checked(*args: Any, **kwargs: Any) -> Any:
+        try:
+            values = signature.bind(*args, **kwargs).arguments
+        except TypeError as error:
+            wrong = next((name for name in kwargs if name not in parameters), "")
+            hint = _home_of(wrong, checked)
+            fault = f"there is no argument {wrong!r}{hint}" if wrong else str(error)
+            raise InputError(f"{public.__name__}: {fault}") from error
+        for name, value in (values.pop(further, {}) | values).items():
+            allowed = kinds().get(name if name in parameters else further, [])
+            _check_kind(name, value, allowed, call)
+            check_range(name, value)
+        try:
+            return function(*args, **kwargs)
+        except (RuntimeError, AssertionError) as error:
+            if remedy := platform_remedy(error):
+                raise InputError(remedy) from error
+            raise
+
+    if public is function:
+        return checked  # type: ignore[return-value]
+    public.__init__ = checked  # type: ignore[method-assign]
+    return public
+
+
+class _PublicNames(dict):
+    """The public names of the package, for hints on what their module imports for type checkers alone."""
+
+    def __missing__(self, name: str) -> Any:
+        return find_public(name)
+
+
+def _hints(function: Callable) -> dict[str, Any]:
+    """Return the type hints of the arguments of a function or a class."""
+    function = function.__init__ if inspect.isclass(function) else function
+    hints = get_type_hints(function, localns=_PublicNames())
+    parameters = inspect.signature(function).parameters
+    for name, parameter in parameters.items():
+        if parameter.kind is parameter.VAR_POSITIONAL:
+            hints[name] = Iterable[hints[name]]  # type: ignore[valid-type]
+    return {name: hints[name] for name in parameters if name in hints}
+
+
+def _home_of(name: str, function: Callable) -> str:
+    """Return what is meant by an argument that a function does not take: ``" (give gps=Gps(mask_deg=...))"``.
+
+    Beside its own arguments those of what makes them are looked through, and so on, the nearest first; with or without
+    their units, and after the name of what is made (``gps_mask``).
+    """
+    own = [each for each in inspect.signature(function).parameters if each not in ("self", "cls")]
+    homes = dict.fromkeys(own, "")
+    ways: list[tuple[Callable, str, str]] = [(function, "", "{}")]
+    for taker, made, way in ways:  # grows on the way
+        for argument, hint in _hints(taker).items():
+            bare = re.sub("_(m|s|m_s|deg|w)$", "", argument)
+            for each in (argument, bare, f"{made}_{argument}", f"{made}_{bare}"):
+                is_own = argument in own and not made
+                homes.setdefault(each, "" if is_own else way.format(f"{argument}=..."))
+            for kind in map(_name_of, (hint, *get_args(hint))):
+                with suppress(KeyError):
+                    called = MADE_BY.get(kind, kind).split(" or ")[0].split(",")[0]
+                    if (maker := find_public(called)) not in (before for before, *_ in ways):
+                        ways.append((maker, argument, way.format(f"{argument}={called}({{}})")))
+                        homes.setdefault(kind.lower(), way.format(f"{argument}={called}(...)"))
+    found = alike(name, own, MOST_ALIKE) or alike(name, homes, MOST_ALIKE) or near(name, own)
+    if not found:
+        return f"; it takes {', '.join(own)}"
+    return f" (give {homes[found[0]]})" if homes[found[0]] else f" (did you mean {found[0]!r}?)"
+
+
+def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
+    if not kinds or any(kind.holds(value) for kind in kinds):
+        return
+    names = list(dict.fromkeys(kind.name for kind in kinds))
+    choices = [each.strip("'") for each in names if each.startswith("'")]
+    unit = unit_of(name) if any("number" in each for each in names) else ""
+    remedy = nearest_name(str(value), choices)
+    if not remedy and type(value).__module__.startswith(f"{PACKAGE}."):
+        remedy = call
+    raise InputError(
+        f"{name} must be {_either(names)}{unit and f' ({unit})'}, got {_shown(value)}{remedy}"
+    )
+
+
+def _kinds(hint: Any) -> list[Kind]:
+    """Return the kinds that a type hint allows; none: anything goes."""
+    hint = getattr(hint, "array_type", hint)  # of jaxtyping's shapes
+    origin = get_origin(hint) or hint
+    parts = [part for part in get_args(hint) if part is not Ellipsis]
+    if origin in (Union, types.UnionType):
+        kinds = [_kinds(part) for part in parts]
+        return [kind for each in kinds for kind in each] if all(kinds) else []
+    if origin is Literal:
+        return [Kind(repr(choice), functools.partial(_is_choice, choice)) for choice in parts]
+    if origin is Any or not inspect.isclass(origin):
+        return []
+    holder = HOLDERS.get(origin)
+    if holder is None:
+        return [_kind_of(origin)]
+    of = parts[1:] if holder is Mapping else parts
+    is_plain = len({*of}) == 1 and get_origin(of[0]) is not tuple
+    items = _kinds(of[0]) if is_plain else []
+    if not items:
+        return [KINDS[holder]]
+    several = (
+        re.sub("^a ([a-z ]+?)(?= of |$)", r"\1s", item.name)
+        for item in items
+        if item.name != "None"
+    )
+    name = f"{KINDS[holder].name} of {' or '.join(several)}"
+    return [Kind(name, functools.partial(_holds, holder, items))]
+
+
+def _kind_of(kind: type) -> Kind:
+    name = _name_of(kind)
+    made_by = f" (from {MADE_BY[name]})" if name in MADE_BY else ""
+    return KINDS.get(kind) or Kind(name + made_by, lambda value: isinstance(value, kind))
+
+
+def _holds(holder: Any, items: list[Kind], value: Any) -> bool:
+    """Whether a value is a sequence or a dict whose items, where it is safe to walk through them, are of some kinds."""
+    value = (value,) if isinstance(value, str) else value  # one text is often taken for several
+    if not KINDS[holder].holds(value):
+        return False
+    values: Any = value.values() if holder is Mapping else value
+    if type(value) not in (list, tuple, dict):
+        return True
+    return all(any(kind.holds(each) for kind in items) for each in values)
+
+
+def _is_choice(choice: Any, value: Any) -> bool:
+    return isinstance(value, str | numbers.Integral) and value == choice
+
+
+def _is_number(value: Any) -> bool:
+    is_scalar = isinstance(value, numbers.Real) or getattr(value, "shape", None) == ()
+    return is_scalar and not isinstance(value, bool)
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool)
+
+
+def _is_truth(value: Any) -> bool:
+    return type(value).__name__ in ("bool", "bool_")
+
+
+def _is_text(value: Any) -> bool:
+    """Whether a value is a text, or a time of any kind, which may stand for one."""
+    return isinstance(value, str | datetime) or type(value).__name__ == "datetime64"
+
+
+def _is_sequence(value: Any) -> bool:
+    return isinstance(value, Iterable) and not isinstance(value, str | bytes)
+
+
+def _name_of(kind: Any) -> str:
+    return getattr(kind, "__name__", "").rpartition(".")[2]
+
+
+def _either(choices: Iterable[str]) -> str:
+    *others, last = choices
+    return f"{', '.join(others)} or {last}" if others else last
+
+
+def _shown(value: Any) -> str:
+    """Return a plain value, or a short list of them, as it is written, and the type of any other."""
+    if isinstance(value, list | tuple) and len(value) <= MOST_SHOWN:
+        return f"{type(value).__name__} of {', '.join(map(_shown, value)) or 'nothing'}"
+    return repr(value) if isinstance(value, str | numbers.Number | None) else type(value).__name__
+
+
+SEQUENCES = (Iterable, Sequence, list, tuple)
+HOLDERS: dict[Any, Any] = {**dict.fromkeys(SEQUENCES, Iterable), Mapping: Mapping, dict: Mapping}
+KINDS: dict[Any, Kind] = {
+    bool: Kind("True or False", _is_truth),
+    int: Kind("a whole number", _is_whole),
+    float: Kind("a number", _is_number),
+    str: Kind("a text", _is_text),
+    Path: Kind("a path", lambda value: isinstance(value, str | os.PathLike)),
+    types.NoneType: Kind("None", lambda value: value is None),
+    Iterable: Kind("a sequence", _is_sequence),
+    Mapping: Kind("a dict", lambda value: isinstance(value, Mapping)),
+    Callable: Kind("a function", callable),
+}
