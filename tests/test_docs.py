@@ -26,6 +26,7 @@ import jaxurban as ju
 from jaxurban.cli.main import app
 from jaxurban.maps.scenario import Scenario
 from jaxurban.public import NAMESPACES
+from jaxurban.settings import Planning
 from tests.cli_runs import run
 
 ROOT = Path(__file__).parents[1]
@@ -251,6 +252,7 @@ def test_the_scenario_page_names_every_setting_with_its_default():
     whole = Scenario.from_dict(shown).model_dump(mode="python")
     bare = {"region": {"bounds": shown["region"]["bounds"]}, "buildings": {"source": "x.geojson"}}
     defaults = Scenario.from_dict(bare).model_dump(mode="python")
+    defaults["planning"] |= vars(Planning().rules)
     for section, settings in defaults.items():
         if section == "study":
             continue

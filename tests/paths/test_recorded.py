@@ -1,14 +1,18 @@
 """What the scenario of maps gives holds wherever routes are planned on them, and a preset sets only the rest."""
 
 import json
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import jaxurban as ju
 from jaxurban.io.files import write_json
 from jaxurban.maps.provenance import settings_of
 from jaxurban.maps.run import run_scenario
+from jaxurban.settings import Planning, Rules
 from jaxurban.viewer.plans import Plans
 from tests.cli_runs import TOWN, run
 from tests.made_maps import made_maps
@@ -176,3 +180,55 @@ def test_a_run_knows_its_scenario_in_memory_and_in_its_folder(tmp_path):
         ju.InputError, match=r"run.json.*is missing: run the same `jaxurban maps` command again"
     ):
         ju.open_maps(tmp_path / "out")
+
+
+LEFT_OUT_OR_DEFAULT = {item.name: st.sampled_from([None, item.default]) for item in fields(Rules)}
+PLANNINGS = st.fixed_dictionaries(
+    {},
+    optional=LEFT_OUT_OR_DEFAULT
+    | {
+        "preset": st.sampled_from(["", "paper"]),
+        "planner": st.sampled_from(["astar-plus", "astar-dist"]),
+        "seed": st.integers(0, 3),
+        "budget_s": st.sampled_from([9.0, 10.0]),
+        "connectivity": st.sampled_from([4, 8]),
+    },
+)
+
+
+@given(PLANNINGS, st.sampled_from(["", "paper"]))
+@settings(max_examples=25, deadline=None)
+def test_equal_settings_plan_equally_under_every_preset_and_after_replace(named, preset):
+    first = Planning(**named)
+    others = (
+        replace(Planning(), **named),
+        replace(replace(first, seed=7), seed=first.seed),
+        Planning(**vars(first)),
+        Planning(**first.given),
+    )
+    assert {first, *others} == {first}
+    assert {replace(each, preset=preset).rules for each in others} == {
+        replace(first, preset=preset).rules
+    }
+    expected, *planned = (
+        ju.plan(
+            MADE.with_recorded({"planning": each.given}),
+            START,
+            GOAL,
+            altitude_m=ALTITUDE_M,
+            preset=preset,
+        )
+        for each in (first, *others)
+    )
+    for path in planned:
+        assert path.settings == expected.settings
+        np.testing.assert_array_equal(path.xy_m, expected.xy_m)
+
+
+def test_what_is_named_as_its_default_is_not_what_is_left_out():
+    named = Planning(vertical_clearance_m=3.0)
+    assert named != Planning()
+    assert Planning().rules == named.rules == replace(Planning(), budget_s=5.0).rules
+    paper = replace(Planning(), preset="paper")
+    assert (paper.rules.vertical_clearance_m, paper) == (0.0, Planning(preset="paper"))
+    assert replace(named, preset="paper").rules.vertical_clearance_m == 3.0

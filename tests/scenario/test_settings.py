@@ -3,12 +3,15 @@
 import json
 import tomllib
 from pathlib import Path
+from typing import get_type_hints
 
 import pytest
 
+import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.maps import provenance
 from jaxurban.maps.scenario import Scenario, changed, fields_of, model_in
+from jaxurban.metrics.registry import known_metrics
 from jaxurban.metrics.weights import Weights
 from tests.cli_runs import TOWN, assert_one_sentence, run
 
@@ -229,3 +232,14 @@ def test_of_many_differences_the_first_are_said():
     assert said.endswith("and 4 more")
     assert provenance.differing({"a": {"b": None}}, {"a": {}}) == {}
     assert provenance.differing({"a": {"b": 1}}, {}) == {"a.b": (1, None)}
+
+
+@pytest.mark.parametrize("function", [ju.build_maps, ju.grad.map_inputs])
+def test_scenarios_and_maps_take_the_sections_of_every_metric(function):
+    sections = {name: metric.params for name, metric in known_metrics().items()}
+    fields = Scenario.model_fields
+    assert [name for name in fields if name in sections] == [*sections]
+    arguments = {name: hint for name, hint in get_type_hints(function).items() if name in sections}
+    assert arguments == {name: params | None for name, params in sections.items()}
+    for name, params in sections.items():
+        assert fields[name].annotation in (params, params | None)
