@@ -9,6 +9,7 @@ from jaxurban.maps.build import build_maps as build_maps
 from jaxurban.maps.levels import Levels as Levels
 from jaxurban.maps.metric_maps import MetricMaps as MetricMaps
 from jaxurban.maps.metric_maps import open_maps as open_maps
+from jaxurban.maps.scenario import Region as Region
 from jaxurban.maps.scenario import Scenario as Scenario
 from jaxurban.metrics.custom import Layer as Layer
 from jaxurban.metrics.gps import Gps as Gps
@@ -35,6 +36,7 @@ from jaxurban.samples.cities import sample_city as sample_city
 from jaxurban.settings import Buildings as Buildings
 from jaxurban.settings import Heights as Heights
 from jaxurban.settings import HeightStd as HeightStd
+from jaxurban.settings import Planning as Planning
 from jaxurban.settings import Terrain as Terrain
 from jaxurban.settings import Vehicle as Vehicle
 from jaxurban.viewer.widget import view as view

@@ -255,6 +255,11 @@ class Planning:
 
     Raises:
       InputError: an unknown preset, a clearance below 0, a length or a budget that is not above 0, or a seed below 0.
+
+    Examples:
+      >>> planning = ju.Planning(preset="paper", clearance_m=5.0)
+      >>> planning.cost_model, planning.rules.cost_model, planning.rules.clearance_m
+      (None, 'cell', 5.0)
     """
 
     preset: Preset = ""

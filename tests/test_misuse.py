@@ -245,7 +245,8 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     # Known only with the maps, the files or the folder, or as good as none.
     (
         RIGHT,
-        "Constraints.bounds soft_city.layers all_maps.weights building_costs.weights MapsFolder.folder",
+        "Planning.planner Constraints.bounds "
+        "soft_city.layers all_maps.weights building_costs.weights MapsFolder.folder",
     ),
     (
         RIGHT,

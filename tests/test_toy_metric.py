@@ -1,6 +1,5 @@
 """A metric defined here in whole, and a raster of one's own: each runs through everything, as built-in ones do."""
 
-import runpy
 from dataclasses import dataclass
 from unittest.mock import patch
 
@@ -15,7 +14,6 @@ from jax.test_util import check_grads
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.maps import scenario as settings
 from jaxurban.maps.differentiable import path_visits
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import ALTITUDE, Metric, Scale, Variable, low_is_bad
@@ -218,16 +216,18 @@ def test_the_planned_cost_has_its_gradient_by_heights_and_its_own_parameters():
 
 
 def test_a_scenario_has_its_section():
-    anew = runpy.run_path(settings.__file__)["Scenario"]  # as if the registry had always held it
+    class WithToy(ju.Scenario):
+        toy: ToyParams = ToyParams()
+
     places = {
         "region": {"bounds": [-74.0, 40.75, -73.99, 40.76]},
         "buildings": {"source": "synthetic"},
     }
-    scenario = anew.from_dict(places | {"toy": {"scale_m": 5.0}})
+    scenario = WithToy.from_dict(places | {"toy": {"scale_m": 5.0}})
     assert scenario.map_params.sections["toy"] == ToyParams(5.0)
-    assert anew.from_dict(places).weights.toy == 1.0
+    assert WithToy.from_dict(places).weights.toy == 1.0
     with pytest.raises(InputError, match=r"unknown key 'toy.scale' .*'scale_m'"):
-        anew.from_dict(places | {"toy": {"scale": 5.0}})
+        WithToy.from_dict(places | {"toy": {"scale": 5.0}})
 
 
 def test_weights_name_every_metric_of_the_registry():

@@ -52,7 +52,6 @@ MUST_BE = {
     **dict.fromkeys(("model_type", "dict_type", "dataclass_type"), "must be a table of settings"),
 }
 CONFIG = ConfigDict(extra="forbid", frozen=True)
-PositiveInt = Annotated[int, Field(gt=0)]
 WeightTable = Annotated[  # weights by name; `Scenario` knows which names there are
     dict[str, Any],
     AfterValidator(lambda named: Weights(**named).checked()),
@@ -63,35 +62,61 @@ WeightSettings = Annotated[
 ]
 
 
-def _all_different(values: tuple) -> tuple:
-    if len({f"{value:g}" if isinstance(value, float) else value for value in values}) < len(values):
-        raise ValueError("names a value twice (file names carry six digits)")
-    return values
+OneOrMore = Annotated[tuple[float, ...], BeforeValidator(each)]  # a TOML may name one alone
 
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-DifferentList = Annotated[
-    tuple[Positive, ...], BeforeValidator(each), Field(min_length=1), AfterValidator(_all_different)
-]
+def _different(name: str, values: Iterable[float]) -> tuple[float, ...]:
+    """Return lengths that must be positive and differ, as a tuple.
+
+    Raises:
+      InputError: there is none, one is not positive, or two are the same in the name of a file.
+    """
+    lengths_m = tuple(positive(name, value) for value in values)
+    if not lengths_m:
+        raise InputError(f"{name} is empty: name at least one length in metres")
+    if len({f"{value:g}" for value in lengths_m}) < len(lengths_m):
+        raise InputError(
+            f"{name} names a value twice (file names carry six digits), got {[*lengths_m]}"
+        )
+    return lengths_m
 
 
-class Region(BaseModel):
-    """Where, how fine and how high, and by which engine."""
+@typed
+@dataclass(frozen=True)
+class Region:
+    """Where, how fine and how high maps are made, and by which engine.
 
-    model_config = CONFIG
+    Attributes:
+      bounds: west, south, east, north in degrees.
+      crs: projected, in metres; left out, the UTM zone.
+      resolution_m: sides of the cells; a set of maps for each.
+      altitudes_m: flight altitudes above ground.
+      oversample: n: occlusion and lidar on a surface n times finer.
+      engine: ``"numba"``, ``"jax"`` or ``"auto"``; on a CPU it changes no bit of the maps.
+
+    Raises:
+      InputError: bounds that are no box, an unknown CRS, or a length that is not positive or is named twice.
+
+    Examples:
+      >>> region = ju.Region(bounds=(-74.02, 40.70, -73.98, 40.73), resolution_m=(5.0, 25.0))
+      >>> ju.Scenario(region=region, buildings=ju.Buildings("synthetic")).region.altitudes_m
+      (20.0, 60.0, 122.0, 600.0)
+    """
+
     bounds: tuple[float, float, float, float]
     crs: str | None = None
-    resolution_m: DifferentList = (5.0,)
-    altitudes_m: DifferentList = (20.0, 60.0, 122.0, 600.0)
-    oversample: PositiveInt = 1
-    engine: Engine = "auto"  # which changes no bit of the maps on a CPU
+    resolution_m: OneOrMore = (5.0,)
+    altitudes_m: OneOrMore = (20.0, 60.0, 122.0, 600.0)
+    oversample: int = 1
+    engine: Engine = "auto"
 
-    @model_validator(mode="after")
-    def _check(self) -> "Region":
-        check_bounds(self.bounds)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bounds", check_bounds(self.bounds))
+        for name in ("resolution_m", "altitudes_m"):
+            object.__setattr__(self, name, _different(name, getattr(self, name)))
+        at_least("oversample", self.oversample, 1)
         if self.crs is not None:
             projected_crs(self.crs)
-        return self
 
 
 def _dirichlet_or_list(value: Any) -> Any:
@@ -132,7 +157,7 @@ class Study:
     instances: int = 200
     planners: str | Sequence[str] = PAPER_PLANNERS
     distance_only: str | Sequence[str] = ("astar-dist",)
-    altitudes_m: DifferentList | None = None
+    altitudes_m: OneOrMore | None = None
     land_cover: str | None = None
     weights: Annotated[
         tuple[WeightSettings, ...] | Literal["dirichlet"], BeforeValidator(_dirichlet_or_list)
@@ -149,6 +174,8 @@ class Study:
             raise InputError("planners is empty: name at least one planner")
         for planner in (*self.planners, *self.distance_only):
             find_planner(planner)
+        if self.altitudes_m is not None:
+            object.__setattr__(self, "altitudes_m", _different("altitudes_m", self.altitudes_m))
         positive("budget_s", self.budget_s)
         for name, least in (("instances", 1), ("seed", 0), ("budget_iterations", 1)):
             if getattr(self, name) is not None:
@@ -162,6 +189,8 @@ class Study:
 class Scenario(BaseModel):
     """All settings of one job, in the order of its TOML. Only ``region`` and ``buildings`` are needed.
 
+    A subclass with a further field takes the section of a metric of one's own, by the metric's name.
+
     Attributes:
       region, buildings, terrain, weights, planning, vehicle, study: as their classes say.
       gps, lidar, population, risk: settings of the metrics of every cost.
@@ -169,8 +198,8 @@ class Scenario(BaseModel):
       layers: cost layers of one's own, by name.
 
     Examples:
-      >>> region = {"bounds": [-74.02, 40.70, -73.98, 40.73], "resolution_m": 25.0}
-      >>> scenario = ju.Scenario(region=region, buildings={"source": "synthetic"})
+      >>> region = ju.Region(bounds=(-74.02, 40.70, -73.98, 40.73), resolution_m=(25.0,))
+      >>> scenario = ju.Scenario(region=region, buildings=ju.Buildings("synthetic"))
       >>> scenario.region.altitudes_m, scenario.gps.mask_deg
       ((20.0, 60.0, 122.0, 600.0), 5.0)
     """
@@ -187,7 +216,7 @@ class Scenario(BaseModel):
     gps_vertical: Dop | None = Field(default=None, exclude_if=operator.not_)
     protection: Protection | None = Field(default=None, exclude_if=operator.not_)
     layers: dict[str, Layer] = Field(default_factory=dict, exclude_if=operator.not_)
-    weights: WeightSettings = Weights()
+    weights: WeightSettings = Field(default_factory=Weights)
     planning: Planning = Planning()
     vehicle: Vehicle = Vehicle()
     study: Study = Study()
@@ -286,7 +315,7 @@ class Scenario(BaseModel):
         try:
             scenario = cls.model_validate(given)
         except ValidationError as error:
-            raise InputError(f"{name}: {_sentence_of(error, settings)}") from error
+            raise InputError(f"{name}: {_sentence_of(error, settings, cls)}") from error
         if extent is not None:
             _check_extent(scenario, folder or Path(), extent)
         if folder is not None:
@@ -439,10 +468,9 @@ def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     return {**old, **new, **{name: _merged(old[name], new[name]) for name in tables}}
 
 
-def _sentence_of(error: ValidationError, settings: Any) -> str:
+def _sentence_of(error: ValidationError, settings: Any, model: type) -> str:
     """Return the first error of a validation of settings as one sentence that names the setting."""
     first = error.errors()[0]
-    model: type = Scenario
     *parents, last = first["loc"] or ("",)
     names = []
     for part in parents:

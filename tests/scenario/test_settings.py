@@ -63,7 +63,7 @@ def test_a_series_of_epochs_includes_both_ends_and_survives_toml(tmp_path):
     ("settings", "words"),
     [
         ({"lidar": {"bems": 3}}, "did you mean 'beams'"),
-        ({"region": REGION | {"resolution_m": -5}}, "greater than 0"),
+        ({"region": REGION | {"resolution_m": -5}}, "positive number of metres"),
         ({"region": REGION | {"altitudes_m": [20, 20]}}, "twice"),
         ({"region": {"bounds": [40.70, -120.0, 40.73, -73.98]}}, "longitude first"),
         ({"region": REGION | {"crs": "EPSG:4326"}}, "not a projected CRS"),

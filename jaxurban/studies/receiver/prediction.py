@@ -191,9 +191,11 @@ def task_at(
         "series": "epochs",
         "bounds": False,
     }
-    region = {"resolution_m": (grid.resolution_m,), "altitudes_m": (antenna_height_m,)}
+    region = replace(
+        scenario.region, resolution_m=(grid.resolution_m,), altitudes_m=(antenna_height_m,)
+    )
     update = {
-        "region": scenario.region.model_copy(update=region),
+        "region": region,
         "gps": replace(scenario.gps, **of_log),
         "buildings": replace(scenario.buildings, height_samples=0),
         "population": Population(),
