@@ -1,7 +1,7 @@
 """Pieces of the page that Python writes: lists to choose from, legends, tables and the profile."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from html import escape
 
 import numpy as np
@@ -35,6 +35,14 @@ def options(items: Sequence[str], chosen: int = 0) -> str:
     return "".join(
         f'<option value="{k}"{" selected" * (k == chosen % len(items))}>{escape(item)}</option>'
         for k, item in enumerate(items)
+    )
+
+
+def save_buttons(suffixes: Iterable[str], dashed: Collection[str]) -> str:
+    """Return a button for each format of files, those of which hold the dashed waypoints marked."""
+    return "".join(
+        f'<button data-do="{suffix[1:]}">{suffix}{" (dashed)" * (suffix in dashed)}</button>'
+        for suffix in suffixes
     )
 
 

@@ -1,10 +1,12 @@
 """What the page may ask for: the parameters of each request, checked before anything is done."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from jaxurban.checks import one_of
 from jaxurban.errors import InputError
+from jaxurban.paths.export.write import FORMATS
 from jaxurban.settings import DEFAULTS, CostKind, Obstacles, Rules
 
 MOST_LETTERS = 64 * 1024  # of zones
@@ -65,10 +67,14 @@ class Plan(Request):
     zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
 
 
+def _format(name: str) -> str:
+    return one_of("format", f".{name}", FORMATS)[1:]
+
+
 class Save(Plan):
     """A route as a file of a format."""
 
-    format: Literal["geojson", "kml", "plan", "gpx"]
+    format: Annotated[Name, AfterValidator(_format)]
 
 
 def parse(kind: type[Request], given: Any) -> Any:

@@ -18,6 +18,7 @@ from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.export.base import waypoints
+from jaxurban.paths.export.write import FORMATS, WAYPOINTS
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, cautious_profile, without_fix
 from jaxurban.planners.base import Status
@@ -175,6 +176,7 @@ class Viewer:
             "credit": escape(maps.attribution),
             "sliders": markup.sliders(self._labels, self._colours),
             "planners": markup.planners(summaries, PLANNER_LINES, "astar-plus"),
+            "formats": markup.save_buttons(FORMATS, WAYPOINTS),
             "altitude": options([f"{z_m:g} m" for z_m in maps.altitudes_m]),
             "time_of_day": options(maps.times_of_day),
             "time": options([*map(time_said, self.axes[TIME])]),

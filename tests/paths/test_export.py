@@ -1,6 +1,7 @@
 """Paths written for other programs are read back by those programs' own readers, over hills and flat ground."""
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -10,11 +11,13 @@ import pytest
 import shapely
 from scipy.interpolate import RegularGridInterpolator
 
+import jaxurban as ju
 from benchmarks.random_routes import READERS
+from jaxurban.cli.plan import plan
 from jaxurban.io.read.zone import Zone
 from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.export.qgc_plan import height_note
-from jaxurban.paths.export.write import write_path
+from jaxurban.paths.export.write import FORMATS, write_path
 from jaxurban.paths.path import elevation_at, ground_along
 from jaxurban.planners.base import Status
 from jaxurban.world.grid import Grid
@@ -437,3 +440,12 @@ def test_gpx_holds_several_routes_by_name(tmp_path):
     write_path(routes, tmp_path / "paths.gpx", names=["a", "b & c", "d"])
     root = ElementTree.parse(tmp_path / "paths.gpx").getroot()
     assert [rte.findtext(f"{GPX}name") for rte in root] == ["a", "b & c", "d"]
+
+
+def test_texts_name_every_format():
+    option = next(option for option in plan.params if option.name == "files")
+    guide = (Path(__file__).parents[2] / "docs/guides/routes.md").read_text(encoding="utf-8")
+    for suffix in FORMATS:
+        assert suffix in option.help
+        assert f"``{suffix}``" in ju.PlannedPath.save.__doc__
+        assert f"| `{suffix}` |" in guide

@@ -238,7 +238,7 @@ def test_cautions_stand_open_the_mission_is_drawn_before_it_is_saved_and_letters
     assert set(limits.evaluate_all("all => all.map(each => getComputedStyle(each).color)")) == {
         "rgb(176, 0, 32)"
     }
-    button = page.locator('[data-do="plan"]').inner_text()
+    button = page.locator('[data-is="saved"]').inner_text()
     items = json.loads(saved(page, '[data-do="plan"]'))["mission"]["items"][
         :-1
     ]  # the last one lands

@@ -283,7 +283,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     reload: () => window.location.reload(),
     copy: () => navigator.clipboard.writeText(is('command').textContent),
   };
-  for (const format of ['geojson', 'kml', 'plan']) actions[format] = async () =>
+  for (const [name, html] of Object.entries(scene.html)) (is(name) ?? field(name)).innerHTML = html;
+  for (const { dataset: { do: format } } of is('formats').children) actions[format] = async () =>
     download(await ask('save', { ...state.route.request, format }), `route.${format}`);
   for (const button of all('[data-do]')) button.onclick = guard(actions[button.dataset.do]);
   const setWeight = (name, value) => { // at its left end a slider weighs nothing
@@ -297,7 +298,6 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     each[each.type === 'checkbox' ? 'checked' : 'value'] = value;
     if (each.type !== 'checkbox' && each.value !== String(value)) throw new Error(`${each.name} cannot be ${value}`);
   };
-  for (const [name, html] of Object.entries(scene.html)) (is(name) ?? field(name)).innerHTML = html;
   for (const [name, value] of Object.entries(scene.fields)) setField(field(name), value);
   for (const [name, value] of Object.entries(scene.weights)) {
     const slider = field(`weight-${name}`), read = () => setWeight(name,
