@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxurban.checks import positive
 from jaxurban.errors import InputError
+from jaxurban.exit_codes import ExitCode
 from jaxurban.kernels.search.bounds import tile_minima
 from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.planners.cost import CostModel, PathFeatures, allowed_moves, path_features
@@ -23,7 +24,6 @@ T = TypeVar("T")
 EVERY_PATH = "paths at any angle"  # of `Path.graph`
 NO_COST = "The path costs nothing under these weights, so its shape means nothing: weigh the distance too."
 ROUNDING = 1 + 1e-12  # a path that much above the lower bound is the best one
-EXIT_PATH, EXIT_NO_PATH, EXIT_UNKNOWN = 0, 3, 4
 
 
 class Status(Enum):
@@ -44,11 +44,12 @@ class Status(Enum):
         return self in (Status.OPTIMAL, Status.FEASIBLE, Status.BUDGET_FEASIBLE)
 
     @property
-    def exit_code(self) -> int:
+    def exit_code(self) -> ExitCode:
         """The command line's exit code for this status."""
         if self.has_path:
-            return EXIT_PATH
-        return EXIT_UNKNOWN if self in (Status.BUDGET_EMPTY, Status.UNDECIDED) else EXIT_NO_PATH
+            return ExitCode.DONE
+        is_unknown = self in (Status.BUDGET_EMPTY, Status.UNDECIDED)
+        return ExitCode.UNKNOWN if is_unknown else ExitCode.NO_PATH
 
     @property
     def sentence(self) -> str:

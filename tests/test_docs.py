@@ -24,6 +24,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.cli.main import app
+from jaxurban.exit_codes import ExitCode
 from jaxurban.maps.scenario import Scenario
 from jaxurban.public import NAMESPACES
 from jaxurban.settings import Planning
@@ -308,3 +309,11 @@ def test_a_notebook_is_paired_text_and_asks_one_question_first(path):
     ]
     assert asked == [notebook.cells[-1].source]
     assert "?" in asked[0]
+
+
+@pytest.mark.parametrize("page", ["stability", "commands"])
+def test_pages_name_every_exit_code(page):
+    text = (ROOT / f"docs/reference/{page}.md").read_text(encoding="utf-8")
+    listed = re.search(r"exit codes[ |:]+(.*?)(?: \||\.)", text, re.IGNORECASE | re.DOTALL)
+    assert listed is not None
+    assert {int(code) for code in re.findall(r"\b(\d+) (?=[a-z])", listed[1])} == set(ExitCode)

@@ -1,8 +1,4 @@
-"""The command line: the group of commands, signals and exit codes.
-
-Exit codes: 0 a path or a finished job; 2 bad input or usage; 3 no path; 4 budget spent, or method ended, with
-no path and no proof that there is none; 130 interrupted.
-"""
+"""The command line: the group of commands, and how they end."""
 
 import atexit
 import gc
@@ -30,9 +26,9 @@ from jaxurban.cli.study import study
 from jaxurban.cli.tune import tune
 from jaxurban.cli.view import view
 from jaxurban.errors import InputError, platform_remedy, reason_of
+from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG, interrupted
 
-EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 NO_MEMORY = (
     "memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes"
 )
@@ -150,7 +146,7 @@ def _end_interrupted() -> None:
     LOG.info("interrupted; finished files are kept, and the same command resumes")
     for stream in filter(None, (sys.stdout, sys.stderr)):
         stream.flush()
-    os._exit(EXIT_INTERRUPTED)
+    os._exit(ExitCode.INTERRUPTED)
 
 
 def _remedy_in_environment(error: Exception) -> str:
@@ -190,4 +186,4 @@ def _show_unraisable(unraisable: Any) -> None:
 
 def _fail(sentence: str) -> int:
     LOG.info(f"error: {sentence}")
-    return EXIT_BAD_INPUT
+    return ExitCode.BAD_INPUT

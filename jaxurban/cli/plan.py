@@ -15,6 +15,7 @@ from jaxurban.cli.common import (
     given_rules,
     print_json,
 )
+from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
@@ -283,7 +284,6 @@ def _when(
     """Plan at every time of the maps, print and write the table, draw the strip, and return the exit code."""
     from jaxurban.io.tables import SUFFIXES, records_of
     from jaxurban.paths.when import when
-    from jaxurban.planners.base import EXIT_NO_PATH
     from jaxurban.report.figures.when import plot_when
     from jaxurban.report.write import Output, save
 
@@ -310,7 +310,7 @@ def _when(
         shown = departures.table.filter(regex="^(?!exposure_)")
         print(shown.to_string(index=False, float_format="{:,.4g}".format))
         print("\n".join(f"{name}: {fact}" for name, fact in facts.items()))
-    return EXIT_NO_PATH if departures.best is None else 0
+    return ExitCode.NO_PATH if departures.best is None else 0
 
 
 def _write(

@@ -22,6 +22,7 @@ from jaxurban.cli.common import (
     run_study,
     together,
 )
+from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG
 
 WEIGHTS = together(  # what both commands ask of weights
@@ -208,7 +209,6 @@ def sensitivity_study(
     """Find the weights at which many routes over the maps in each DIR change."""
     from jaxurban.io.tables import read_table, records_of
     from jaxurban.paths.rows import HAS_PATH, MapsFolder
-    from jaxurban.planners.base import EXIT_NO_PATH
     from jaxurban.report.buildings import scenario_of
     from jaxurban.report.run_sensitivity import sensitivity_study as study
     from jaxurban.studies.weights.routes import SensitivityStudySettings
@@ -269,4 +269,4 @@ def sensitivity_study(
         }
         statuses = result.rows.status.value_counts().to_dict()
         print_json({"folder": str(output), "statuses": statuses, "tables": kept})
-    return 0 if has_route else EXIT_NO_PATH
+    return 0 if has_route else ExitCode.NO_PATH

@@ -17,6 +17,7 @@ from jaxurban.cli.common import (
     given_workers,
     print_json,
 )
+from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG, reporting
 
 
@@ -64,7 +65,6 @@ def study(
     from jaxurban.maps.run import run_scenario
     from jaxurban.maps.scenario import Scenario
     from jaxurban.paths.rows import HAS_PATH, MapsFolder
-    from jaxurban.planners.base import EXIT_NO_PATH
     from jaxurban.planners.cost import CostModel
     from jaxurban.report.benchmark import check_exportable, export_benchmark
     from jaxurban.report.montecarlo import land_cover_of
@@ -129,5 +129,5 @@ def study(
         print_json(facts)
     if not result.rows.status.isin(HAS_PATH).any():
         LOG.warning("warning: no planner found a path for any instance: the report says why")
-        return EXIT_NO_PATH
+        return ExitCode.NO_PATH
     return 0
