@@ -14,6 +14,11 @@ LOG = logging.getLogger("jaxurban")
 SILENT_S = 5.0  # that a search may last before the log says that it runs
 EVERY_S = 10.0  # between two lines of the log on one stage; shorter ones have none
 BRIEF_S = 0.5  # a stage that ends sooner shows no bar
+# Until then what was compiled for the first items would be forecast for all of them.
+EARLY_S, EARLY_SHARE = 60.0, 0.05
+WITHOUT_TOTAL = "{desc} [{elapsed}{postfix}]"
+WITHOUT_FORECAST = "{desc}: {percentage:3.0f}% {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
+WITH_FORECAST = "{desc}: {percentage:3.0f}% {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
 
 interrupted = (
     threading.Event()
@@ -114,6 +119,7 @@ class _Bar(Report):
 
     def __init__(self, title: str) -> None:
         self.title, self.stage = title, ""
+        self.is_terminal = sys.stderr.isatty()
         self.bar: Any = None
 
     def show(self, stage: str, done: int, total: int, counts: Mapping[str, object]) -> None:
@@ -121,7 +127,7 @@ class _Bar(Report):
 
         if stage != self.stage:
             self.close()
-            is_terminal = sys.stderr.isatty()
+            is_terminal = self.is_terminal
             self.stage = stage
             self.bar = tqdm(
                 desc=f"{self.title}: {stage}",
@@ -130,10 +136,15 @@ class _Bar(Report):
                 leave=is_terminal,
                 mininterval=0.1 if is_terminal else EVERY_S,
                 delay=BRIEF_S if is_terminal else EVERY_S,
-                ncols=None if is_terminal else 0,
             )
         self.bar.total = total or None
-        self.bar.bar_format = None if total else "{desc} [{elapsed}{postfix}]"
+        is_early = done < EARLY_SHARE * total and self.bar.format_dict["elapsed"] < EARLY_S
+        if not total:
+            self.bar.bar_format = WITHOUT_TOTAL
+        elif is_early:
+            self.bar.bar_format = WITHOUT_FORECAST
+        else:
+            self.bar.bar_format = None if self.is_terminal else WITH_FORECAST
         self.bar.set_postfix(counts, refresh=False)
         self.bar.update(done - self.bar.n)
 

@@ -2,6 +2,7 @@
 
 import io
 import logging
+import re
 import sys
 
 import pytest
@@ -44,6 +45,26 @@ def test_on_the_way_total_and_time_left_are_logged(monkeypatch, caplog):
     assert any("33% 1/3 [00:00<" in line for line in lines)
     assert "100% 3/3" in lines[-1]
     assert "crashed=1" in lines[-1]
+
+
+def test_the_first_forecast_is_not_of_what_was_compiled(monkeypatch, caplog):
+    caplog.set_level(logging.INFO, "jaxurban")
+    now_s = 0.0
+    monkeypatch.setattr("tqdm.std.time", lambda: now_s)
+    total, compile_s, row_s = 1400, 10.0, 0.25
+    forecasts = []
+    with reporting("study", True) as report:
+        report("runs", 0, total)
+        for done in range(1, total + 1):
+            now_s += compile_s if done <= 3 else row_s
+            report("runs", done, total)
+            if caplog.messages and (left := re.search(r"<(\d+):(\d+)", caplog.messages[-1])):
+                minutes, seconds = map(int, left.groups())
+                forecasts.append((60 * minutes + seconds, (total - done) * row_s))
+            caplog.clear()
+    assert len(forecasts) > 20
+    for forecast_s, left_s in forecasts:
+        assert forecast_s <= 2 * left_s + 10
 
 
 def test_on_a_terminal_a_bar_shows_the_stage(monkeypatch, caplog):
