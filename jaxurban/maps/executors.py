@@ -1,5 +1,6 @@
 """Who works on the tiles: threads of this process, processes of this machine, or a Dask cluster."""
 
+import logging
 import os
 import uuid
 from collections.abc import Callable, Iterator
@@ -189,6 +190,9 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
         "memory_limit": 0,
         "dashboard_address": "127.0.0.1:0",  # any free port: two runs may work side by side
         "scheduler_kwargs": {"dashboard": False},
+        # What ends a process is reported in our words: Ctrl-C, which reaches all of them, by this one.
+        "silence_logs": logging.CRITICAL,
+        "preload": "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n",
         # Without its certificates any user of this machine could run code as this one.
         "security": security,
     }
