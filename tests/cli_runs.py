@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 from unittest.mock import patch
 
+import jsonschema
 import pytest
 import shapely
 
@@ -22,8 +23,13 @@ source = "synthetic"
 ENDS = "--start=-73.999,40.756", "--goal=-73.994,40.76"  # over the town
 
 
+SCHEMA = json.loads(
+    (Path(__file__).parents[1] / "docs/reference/json.schema.json").read_text(encoding="utf-8")
+)
+
+
 def run(capsys, *arguments: object) -> tuple[int, str, str]:
-    """Return exit code, stdout and stderr of one command."""
+    """Return exit code, stdout and stderr of one command; what ``--json`` prints is held against its schema."""
     # An error stands alone only in the first seconds of a job, which may be long on a busy machine.
     with (
         pytest.raises(SystemExit) as ended,
@@ -31,6 +37,10 @@ def run(capsys, *arguments: object) -> tuple[int, str, str]:
     ):
         cli.main([str(argument) for argument in arguments])
     out, err = capsys.readouterr()
+    if "--json" in arguments:
+        printed = json.loads(out)
+        jsonschema.validate(printed, SCHEMA)
+        assert printed["exit_code"] == ended.value.code
     return ended.value.code, out, err
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from jaxurban.errors import InputError
+from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG, Report, reporting
 
 if TYPE_CHECKING:
@@ -325,6 +326,16 @@ def run_study(
     return result
 
 
-def print_json(value: Any) -> None:
-    """Print one machine-readable object on stdout."""
-    print(json.dumps(value, allow_nan=False))
+def print_json(
+    facts: Settings, code: ExitCode = ExitCode.DONE, message: str = "", argument: str = ""
+) -> None:
+    """Print the one object of ``--json`` on stdout (docs/reference/json.schema.json).
+
+    Args:
+      facts: what the command found, by name.
+      code: that the command ends with.
+      message: why it is not `ExitCode.DONE`; facts may hold a message of their own.
+      argument: the option, argument or setting that is at fault, where that is known.
+    """
+    ended = {"exit_code": code, "message": message or None, "argument": argument or None}
+    print(json.dumps(ended | facts, allow_nan=False), flush=True)

@@ -8,12 +8,13 @@ import sys
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from jaxurban.cli.common import logged_on_stderr
+from jaxurban.cli.common import logged_on_stderr, print_json
 from jaxurban.cli.compare import compare, validate
 from jaxurban.cli.demo import demo
 from jaxurban.cli.fetch import fetch
@@ -29,6 +30,7 @@ from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG, interrupted
 
+JSON = "--json"
 NO_MEMORY = (
     "memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes"
 )
@@ -89,6 +91,7 @@ def _set_up_libraries() -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
     warnings.showwarning = lambda message, *_, **__: LOG.info(f"warning: {message}")
     signal.signal(signal.SIGINT, _interrupt)
     sys.unraisablehook = _show_unraisable
@@ -96,24 +99,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(_run(arguments))
 
 
-def _run(arguments: Sequence[str] | None) -> int:
+def _run(arguments: Sequence[str]) -> int:
     stdout = sys.stdout
+    fail = partial(_fail, arguments)
     try:
         _set_up_libraries()
         code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
         if sys.stdout is not None:
             sys.stdout.flush()  # what cannot be printed is reported now, not at the interpreter's end
     except InputError as error:
-        code = _fail(str(error))
+        code = fail(str(error))
     except click.exceptions.NoArgsIsHelpError as help_text:
         print(help_text.format_message())
         code = 0
     except click.UsageError as error:
-        code = _fail(f"{error.format_message().rstrip('.')} (see jaxurban --help)")
+        code = fail(
+            f"{error.format_message().rstrip('.')} (see jaxurban --help)", _option_of(error)
+        )
     except click.ClickException as error:
-        code = _fail(error.format_message())
+        code = fail(error.format_message())
     except MemoryError:
-        code = _fail(NO_MEMORY)
+        code = fail(NO_MEMORY)
     except (BrokenPipeError, SystemExit) as left:  # the reader of stdout, as `head` does
         # Where click notices first, it puts an object of its own in stdout's place and exits.
         if isinstance(left, SystemExit) and sys.stdout is stdout:
@@ -123,27 +129,31 @@ def _run(arguments: Sequence[str] | None) -> int:
     except OSError as error:
         _drop_stdout()
         where = f" {str(error.filename)!r}" if error.filename else ""
-        code = _fail(
+        code = fail(
             f"the system refuses to read or write{where or ', perhaps what is printed'} ({reason_of(error)}): free "
             "space, or mend that, and run the same command again, which goes on"
         )
     except (KeyboardInterrupt, click.Abort):
-        _end_interrupted()
+        _end_interrupted(arguments)
     except Exception as error:
-        if (
-            interrupted.is_set()
-        ):  # in the midst of an import, Ctrl-C comes as what the import makes of it
-            _end_interrupted()
+        # In the midst of an import, Ctrl-C comes as what the import makes of it.
+        if interrupted.is_set():
+            _end_interrupted(arguments)
         remedy = _remedy_in_environment(error)
         if not remedy:
+            if JSON in arguments:
+                print_json({}, ExitCode.FAULT, f"{type(error).__name__}: {reason_of(error)}")
             raise
-        code = _fail(remedy)
+        code = fail(remedy)
     return code or 0
 
 
-def _end_interrupted() -> None:
+def _end_interrupted(arguments: Sequence[str]) -> None:
     """End the process at once: libraries' threads that were writing would only complain of the interpreter's end."""
-    LOG.info("interrupted; finished files are kept, and the same command resumes")
+    sentence = "interrupted; finished files are kept, and the same command resumes"
+    LOG.info(sentence)
+    if JSON in arguments:
+        print_json({}, ExitCode.INTERRUPTED, sentence)
     for stream in filter(None, (sys.stdout, sys.stderr)):
         stream.flush()
     os._exit(ExitCode.INTERRUPTED)
@@ -184,6 +194,29 @@ def _show_unraisable(unraisable: Any) -> None:
         sys.__unraisablehook__(unraisable)
 
 
-def _fail(sentence: str) -> int:
+def _fail(arguments: Sequence[str], sentence: str, option: str = "") -> ExitCode:
     LOG.info(f"error: {sentence}")
+    if JSON in arguments:
+        with suppress(OSError, ValueError):  # stdout may be what failed
+            print_json({}, ExitCode.BAD_INPUT, sentence, option or _named_in(sentence, arguments))
     return ExitCode.BAD_INPUT
+
+
+def _option_of(error: click.UsageError) -> str:
+    """Return the option or argument that a wrong usage is of, empty where it is of none."""
+    if isinstance(error, click.NoSuchOption):
+        return error.option_name
+    param = getattr(error, "param", None)
+    return "" if param is None else _name_of(param)
+
+
+def _named_in(sentence: str, arguments: Sequence[str]) -> str:
+    """Return the option of the command whose name in Python begins a sentence, empty where none does."""
+    command = next((app.commands[each] for each in arguments if each in app.commands), None)
+    first = sentence.split(maxsplit=1)[0]
+    options = {} if command is None else {param.name: param for param in command.params}
+    return _name_of(options[first]) if first in options else ""
+
+
+def _name_of(param: click.Parameter) -> str:
+    return param.opts[-1] if param.param_type_name == "option" else param.human_readable_name

@@ -243,11 +243,8 @@ def plan(
             LOG.info(sentence)
     if as_json:
         explained = {"report": report.to_dict()} if report is not None else {}
-        print_json(
-            facts
-            | explained
-            | {name: getattr(planned, name).tolist() for name in ("lonlat", "xy_m", "z_m")}
-        )
+        places = {name: getattr(planned, name).tolist() for name in ("lonlat", "xy_m", "z_m")}
+        print_json(facts | explained | places, planned.status.exit_code)
     else:
         print(
             "\n\n".join(
@@ -303,14 +300,16 @@ def _when(
     for sentence in departures.cautions:
         LOG.info(sentence)
     facts = {name: fact for name, fact in departures.facts.items() if fact}
+    code = ExitCode.NO_PATH if departures.best is None else ExitCode.DONE
+    message = "" if departures.best is not None else facts["times without a path"]
     if as_json:
         of_all = {"best": departures.best, "facts": facts, "cautions": departures.cautions}
-        print_json(of_all | {"table": records_of(departures.table)})
+        print_json(of_all | {"table": records_of(departures.table)}, code, message)
     else:
         shown = departures.table.filter(regex="^(?!exposure_)")
         print(shown.to_string(index=False, float_format="{:,.4g}".format))
         print("\n".join(f"{name}: {fact}" for name, fact in facts.items()))
-    return ExitCode.NO_PATH if departures.best is None else 0
+    return code
 
 
 def _write(

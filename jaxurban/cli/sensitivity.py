@@ -25,6 +25,7 @@ from jaxurban.cli.common import (
 from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG
 
+NO_ROUTE = "no route was found, so that nothing can be said: the report says why"
 WEIGHTS = together(  # what both commands ask of weights
     click.option(
         "--vary",
@@ -119,7 +120,7 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
     if not first.status.has_path:
         LOG.info(first.to_dict()["message"])
         if as_json:
-            print_json(first.to_dict())
+            print_json(first.to_dict(), first.status.exit_code)
         return first.status.exit_code
     if first.search.note:
         LOG.info(first.search.note)
@@ -251,8 +252,9 @@ def sensitivity_study(
         overwrite=overwrite,
     )
     has_route = result.rows.status.isin(HAS_PATH).any()
+    code = ExitCode.DONE if has_route else ExitCode.NO_PATH
     if not has_route:
-        LOG.warning("warning: no route was found, so that nothing can be said: the report says why")
+        LOG.warning(f"warning: {NO_ROUTE}")
     if "sobol_summary" in result.tables:
         needed = result.tables["sobol_summary"].samples_needed.max()
         if needed > 0:
@@ -268,5 +270,6 @@ def sensitivity_study(
             if name.endswith("summary")
         }
         statuses = result.rows.status.value_counts().to_dict()
-        print_json({"folder": str(output), "statuses": statuses, "tables": kept})
-    return 0 if has_route else ExitCode.NO_PATH
+        facts = {"folder": str(output), "statuses": statuses, "tables": kept}
+        print_json(facts, code, "" if has_route else NO_ROUTE)
+    return code

@@ -20,6 +20,8 @@ from jaxurban.cli.common import (
 from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG, reporting
 
+NO_ROUTE = "no planner found a path for any instance: the report says why"
+
 
 @click.command()
 @click.argument("scenario_file", metavar="SCENARIO", type=PATH)
@@ -125,9 +127,10 @@ def study(
             f"benchmark of {counts['shortest']} shortest and {counts['weighted']} weighted problems: {benchmark_folder}"
         )
         facts |= {"benchmark": {"folder": str(benchmark_folder), **counts}}
+    has_path = result.rows.status.isin(HAS_PATH).any()
+    code = ExitCode.DONE if has_path else ExitCode.NO_PATH
     if as_json:
-        print_json(facts)
-    if not result.rows.status.isin(HAS_PATH).any():
-        LOG.warning("warning: no planner found a path for any instance: the report says why")
-        return ExitCode.NO_PATH
-    return 0
+        print_json(facts, code, "" if has_path else NO_ROUTE)
+    if not has_path:
+        LOG.warning(f"warning: {NO_ROUTE}")
+    return code
