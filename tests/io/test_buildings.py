@@ -119,8 +119,11 @@ def test_info_says_what_a_file_or_a_folder_of_maps_holds_and_where(town, capsys)
     assert (code, err) == (0, "")
     assert facts["bounds"] == pytest.approx(EXTENT, abs=1e-6)
     assert (facts["buildings"], facts["heights by height"]) == ("2", "2 (100.0%)")
+    assert facts["numbers"] == [{"num_buildings": 2, "num_by_height_origin": {"height": 2}}]
     maps = ju.build_maps(ju.demo_city(500, 500), resolution_m=50, altitudes_m=[20.0])
     maps.save(town.with_name("maps"))
+    (numbers,) = json.loads(run(capsys, "info", town.with_name("maps"), "--json")[1])["numbers"]
+    assert (numbers["resolution_m"], numbers["num_rows"], numbers["altitudes_m"]) == (50, 10, [20])
     code, out, _ = run(capsys, "info", town.with_name("maps"))
     assert (code, "10 x 10 cells of 50 m" in out, "gps, lidar, population, risk" in out) == (
         0,
