@@ -74,7 +74,7 @@ class SoftParams:
           >>> params.settings_of(maps.metrics["risk"])
           Risk(threshold_m=30.0, distance='slice')
         """
-        return self.sections[metric.name] if metric.name in self.sections else metric.params()
+        return self.sections.get(metric.section) or metric.params()
 
 
 class PathVisits(NamedTuple):
@@ -130,9 +130,9 @@ class SoftCity:
     @property
     def metrics(self) -> dict[str, Metric]:
         """The metrics that have a soft form, by name, in the order of the layers: as in maps, a user's own last."""
-        made = metrics_of(
-            dict(self.reach_m), dict(self.own), has_people=self.population is not None
-        )
+        own = dict(self.own)
+        built_in = [name for name, _ in self.reach_m if name not in own]
+        made = metrics_of(built_in, own, has_people=self.population is not None)
         return {name: metric for name, metric in made.items() if metric.soft is not None}
 
     @property

@@ -27,7 +27,7 @@ from jaxurban.checks import at_least, check_range, nearest_name, positive, typed
 from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.kernels.engine import Engine
 from jaxurban.maps.task import MapParams
-from jaxurban.metrics.custom import Layer, check_layers
+from jaxurban.metrics.custom import Layer, check_layers, known_beside
 from jaxurban.metrics.gps import Dop, Gps
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.population import Population
@@ -249,6 +249,7 @@ class Scenario(BaseModel):
                 raise ValueError(
                     f"layers.{name}: source must be the path of a raster, got {layer.source!r}"
                 )
+        metrics = [*self.layers, *(metric.name for metric in known_beside(self.layers))]
         tables = {"weights": self.weights}
         if not isinstance(self.study.weights, str):
             tables |= {
@@ -256,7 +257,7 @@ class Scenario(BaseModel):
             }
         for where, table in tables.items():
             try:
-                table.checked(self.layers)
+                table.checked(metrics)
             except InputError as error:
                 raise ValueError(f"{where}: {error}") from error
 
@@ -361,9 +362,10 @@ class Scenario(BaseModel):
             for name, value in table.to_dict().items()
             if value
         }
-        for name, metric in ON_REQUEST.items():
-            if name in weighed and getattr(self, name) is None:
-                object.__setattr__(self, name, metric.params())
+        for metric in known_beside(self.layers):
+            is_asked = metric.section in ON_REQUEST and metric.name in weighed
+            if is_asked and getattr(self, metric.section) is None:
+                object.__setattr__(self, metric.section, metric.params())
 
     @property
     def map_params(self) -> MapParams:

@@ -146,7 +146,7 @@ class MapTask:
         return (
             self.layers[metric.name]
             if metric.name in self.layers
-            else self.params.sections[metric.name]
+            else self.params.sections[metric.section]
         )
 
     @property

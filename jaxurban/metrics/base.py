@@ -204,7 +204,7 @@ class Metric:
     """One metric of the maps, from its equation to its colour. Functions are named ones, so that it can be pickled.
 
     Attributes:
-      name: of its map, its weight and its section of the scenario.
+      name: of its map and its weight.
       params: class of its settings.
       dims: along which its maps vary beside y and x: of ``"time"``, ``"altitude"``, ``"time_of_day"``, in this order.
       compute: returns the maps ``[y, x]`` of a scene by their variable: the metric m in [0, 1], float32, under
@@ -229,6 +229,7 @@ class Metric:
       caveat: what every output of it says to whoever reads it.
       cell_bytes: what computing it holds at its highest, of each cell of a tile and of those within its reach; with a
         time, ``jaxurban.maps.memory`` adds what each altitude and each time of a series take.
+      section: of the scenario, which holds its settings; left out, its name.
     """
 
     name: str
@@ -251,6 +252,10 @@ class Metric:
     recorded: Mapping[str, str] = field(default_factory=dict)
     caveat: str = ""
     cell_bytes: int = 16
+    section: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "section", self.section or self.name)
 
     def __repr__(self) -> str:
         return f"<{self.label}: 1 means {self.one_means}>"

@@ -24,17 +24,27 @@ from jaxurban.metrics.base import (
     COSTS,
     TIME,
     TIME_OF_DAY,
+    AnyArray,
     Metric,
     Scale,
     Scene,
     SoftScene,
     Variable,
 )
-from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
-from jaxurban.metrics.variables import NO_METRICS, derived
+from jaxurban.metrics.registry import METRICS, known_metrics
+from jaxurban.metrics.variables import NO_METRICS, SERIES, derived
 from jaxurban.world.surface import Surface
 
 COLOURS = ("#56b4e9", "#d55e00", "#7f3c8d", "#80604d")  # of lines, none a built-in metric's
+# Names of release 1.0's metrics are theirs, and those of later ones may be a layer's (`known_beside`).
+OF_RELEASE_1 = (
+    *("gps", "lidar", "population", "risk"),
+    *("gps_horizontal", "gps_vertical", "protection"),
+)
+DERIVED = (  # of a metric's map, behind its name
+    *(*SERIES, "epoch_mean", "worst_time"),
+    *("lower", "upper", "mean", "std", "p95"),
+)
 TAKEN = {
     *(
         "distance",
@@ -51,14 +61,12 @@ TAKEN = {
         "spatial_ref",
     ),
     *NO_METRICS,
-    *(name for metric in known_metrics().values() for name in metric.variables),
-    *(
-        name
-        for metric in known_metrics().values()
-        for made in derived(metric).values()
-        for name in made
-    ),
+    *OF_RELEASE_1,
+    *("gdop", "pdop", "hdop", "vdop", "tdop", "num_visible"),
+    *("density", "hpl", "vpl", "within_limits"),
+    *(f"{name}_{what}" for name in OF_RELEASE_1 for what in DERIVED),
 }
+LONG = "metric_"  # begins the names of a built-in metric whose own are those of layers
 # What a file's name holds behind that of its variable: an altitude, a time of day, a time.
 _OF_A_FILE = re.compile(r"\w+_(\d+m|day|night|\d{8}T\d{6}Z)")
 
@@ -194,7 +202,48 @@ def own_metric(name: str, layer: Layer) -> Metric:
         colour=colour_of(name),
         colour_map="cividis",
         inside=None,
+        section="layers",
     )
+
+
+def known_beside(layers: Collection[str]) -> list[Metric]:
+    """Return the built-in metrics as they are called beside a user's layers, whose names are never theirs.
+
+    If a layer has a metric's name, or that of a map derived from it, the metric is ``metric_NAME``. The same holds for
+    each of its further variables.
+    """
+    return [_beside(metric, layers) for metric in known_metrics().values()]
+
+
+def _beside(metric: Metric, layers: Collection[str]) -> Metric:
+    own = [metric.name, *(variable.name for variable in metric.also)]
+    names = {name: _free_name(name, layers) for name in own}
+    if own == [*names.values()]:
+        return metric
+    return replace(
+        metric,
+        name=names[metric.name],
+        compute=partial(_renamed, metric.compute, names),
+        also=tuple(replace(variable, name=names[variable.name]) for variable in metric.also),
+        available=names.get(metric.available, ""),
+        colour=colour_of(names[metric.name]),
+    )
+
+
+def _free_name(name: str, layers: Collection[str]) -> str:
+    with_derived = (name, *(f"{name}_{what}" for what in DERIVED))
+    is_taken = any(each in layers for each in with_derived)
+    return _free_name(LONG + name, layers) if is_taken else name
+
+
+def _renamed(
+    compute: Callable[[Scene, Any], Mapping[str, AnyArray]],
+    names: Mapping[str, str],
+    scene: Scene,
+    settings: Any,
+) -> dict[str, AnyArray]:
+    """Return the maps that a metric computes under other names."""
+    return {names[name]: values for name, values in compute(scene, settings).items()}
 
 
 def metrics_of(
@@ -203,13 +252,14 @@ def metrics_of(
     """Return the metrics of maps by name: of every cost, those made on request, then a user's by name.
 
     Args:
-      requested: names, among them those of `ON_REQUEST` that are made.
+      requested: names or sections, among them those of the metrics on request that are made.
       layers: those that a user added.
       has_people: whether there are census blocks, which metrics with a time of day need.
     """
-    on_request = {name: metric for name, metric in ON_REQUEST.items() if name in requested}
-    own = {name: own_metric(name, layer) for name, layer in sorted(layers.items())}
-    made = {**METRICS, **on_request, **own}
+    asked = {*METRICS, *requested}
+    built_in = [metric for metric in known_beside(layers) if asked & {metric.section, metric.name}]
+    own = [own_metric(name, layer) for name, layer in sorted(layers.items())]
+    made = {metric.name: metric for metric in (*built_in, *own)}
     return {
         name: metric
         for name, metric in made.items()
@@ -231,15 +281,15 @@ def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
     The median stands for a metric where a long series keeps statistics. Own layers say in their attribute ``layer``
     what they are (`Layer.record`).
     """
-    known = {
-        name: metric
-        for name, metric in known_metrics().items()
-        if name in ds or (TIME in metric.dims and f"{name}_median" in ds)
-    }
     own = {
         str(name): json.loads(held.attrs["layer"])
         for name, held in ds.variables.items()
         if "layer" in held.attrs
+    }
+    known = {
+        metric.name: metric
+        for metric in known_beside(own)
+        if metric.name in ds or (TIME in metric.dims and f"{metric.name}_median" in ds)
     }
     return known | {name: own_metric(name, Layer(**own[name])) for name in sorted(own)}
 

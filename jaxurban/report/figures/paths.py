@@ -401,11 +401,12 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> dict[str, Callable[[], Figur
         for time_of_day in maps.times_of_day or (None,):
             name = "cost" if len(maps.times_of_day) < 2 else f"cost_{time_of_day}"
             figures[name] = partial(plot_paths, maps, (), time_of_day=time_of_day)
+    on_request = {name for name, metric in maps.metrics.items() if metric.section in ON_REQUEST}
     for name, variable in drawn_variables(maps).items():
         is_of_series = (
             name.endswith(("_availability", "_p05")) and maps.variable(variable.of) != variable.of
         )
-        if name == AVAILABILITY or is_of_series or variable.of in ON_REQUEST:
+        if name == AVAILABILITY or is_of_series or variable.of in on_request:
             figures[name] = partial(plot_metric, maps, name)
     if len(maps.times) > 1 and maps.default_time is not None:
         figures["gps_epochs"] = lambda: plot_epochs(maps)

@@ -251,10 +251,12 @@ def with_parameter(task: MapTask, parameter: str, factor: float) -> MapTask:
       InputError: the metric cannot have such a value.
     """
     metric, _, name = parameter.partition(".")
-    section: Any = task.settings_of(task.metrics[metric])
-    section = replace(section, **{name: factor * getattr(section, name)})
+    of = task.metrics[metric]
+    settings: Any = task.settings_of(of)
+    settings = replace(settings, **{name: factor * getattr(settings, name)})
     return replace(
-        task, params=replace(task.params, sections={**task.params.sections, metric: section})
+        task,
+        params=replace(task.params, sections={**task.params.sections, of.section: settings}),
     )
 
 
