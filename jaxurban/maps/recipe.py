@@ -21,6 +21,7 @@ from jaxurban.io.read.rasterise import build_surface, highest_top_m, layer_value
 from jaxurban.kernels.shadows.sweep import Ring
 from jaxurban.maps.task import MapTask, variables
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Scene
+from jaxurban.metrics.custom import LAYERS
 from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.variables import SCALE, TimeTotals, series_statistics
 from jaxurban.metrics.visibility import bounding_visibility, visibility
@@ -145,7 +146,7 @@ class TileScene:
         if (t := index.get(TIME)) is not None:
             assert a is not None
             scene = replace(scene, in_view=self.task.in_view(t), words=self.words(t)[:, a])
-        if metric.name in self.task.bands:
+        if metric.section == LAYERS and metric.name in self.task.bands:
             values = layer_values(
                 self.task.bands[metric.name], self.surface.region, self.task.region, a
             )

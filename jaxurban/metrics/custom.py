@@ -66,6 +66,7 @@ TAKEN = {
     *("density", "hpl", "vpl", "within_limits"),
     *(f"{name}_{what}" for name in OF_RELEASE_1 for what in DERIVED),
 }
+LAYERS = "layers"  # section of a scenario
 LONG = "metric_"  # begins the names of a built-in metric whose own are those of layers
 # What a file's name holds behind that of its variable: an altitude, a time of day, a time.
 _OF_A_FILE = re.compile(r"\w+_(\d+m|day|night|\d{8}T\d{6}Z)")
@@ -202,7 +203,7 @@ def own_metric(name: str, layer: Layer) -> Metric:
         colour=colour_of(name),
         colour_map="cividis",
         inside=None,
-        section="layers",
+        section=LAYERS,
     )
 
 

@@ -186,7 +186,10 @@ def test_it_goes_through_routes_files_and_workers(registry, city, tmp_path):
 
 
 def test_maps_made_before_the_metric_keep_their_layer(city, tmp_path, monkeypatch):
-    folder = compute_maps(task_of(city, "noise")).save(tmp_path / "old")
+    with monkeypatch.context() as earlier:
+        for registry in (METRICS, ON_REQUEST):
+            earlier.delitem(registry, "noise", raising=False)
+        folder = compute_maps(task_of(city, "noise")).save(tmp_path / "old")
     for registry in (METRICS, ON_REQUEST):
         with monkeypatch.context() as later:
             with_metric(later, registry)

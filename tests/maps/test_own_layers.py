@@ -15,7 +15,8 @@ from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.custom import Layer
+from jaxurban.metrics.custom import Layer, known_beside
+from jaxurban.metrics.registry import METRICS
 from jaxurban.world.grid import Grid
 from tests import tiled_runs
 from tests.cli_runs import TOWN
@@ -78,16 +79,8 @@ def test_tiles_of_own_layers_equal_the_untiled_maps_bit_for_bit(task, tmp_path):
 
 
 def test_layers_are_scaled_by_fixed_numbers_and_cut_and_bands_go_by_altitude(task, maps):
-    assert tuple(maps.metrics) == (
-        "gps",
-        "lidar",
-        "population",
-        "risk",
-        "noise",
-        "shade",
-        "walls",
-        "wind",
-    )
+    built_in = [metric.name for metric in known_beside(task.layers) if metric.section in METRICS]
+    assert [*maps.metrics] == [*built_in, "noise", "shade", "walls", "wind"]
     m, values = maps.m("shade", 20.0), np.clip(task.layers["shade"].source, 0, 1)
     np.testing.assert_allclose(m, values, rtol=1e-6)
     np.testing.assert_allclose(maps.costs(20.0)["shade"], 1 - values, atol=1e-6)

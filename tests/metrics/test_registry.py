@@ -211,7 +211,7 @@ def test_a_layer_has_a_name_of_its_own(name):
         (lambda: Weights.parse("gps"), "name=number"),
         (lambda: Weights.parse("gps=-1"), ">= 0"),
         (lambda: Weights.parse("gps=nan"), "finite number"),
-        (lambda: Weights(noise=2.0).checked(["nois"]), r"unknown weight 'noise'.*'nois'"),
+        (lambda: Weights(quiet=2.0).checked(["quite"]), r"unknown weight 'quiet'.*'quite'"),
     ],
 )
 def test_a_wrong_call_is_one_sentence(call, words):

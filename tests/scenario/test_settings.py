@@ -104,7 +104,7 @@ def test_a_series_of_epochs_includes_both_ends_and_survives_toml(tmp_path):
             {"study": {"weights": [{"gps": 1.0}, {"riks": 4.0}]}},
             r"study.weights.1: .*'riks' \(did you mean 'risk'",
         ),
-        ({"weights": {"noise": 2.0}}, "weights: unknown weight 'noise'"),
+        ({"weights": {"quiet": 2.0}}, "weights: unknown weight 'quiet'"),
         ({"weights": {"gps": True}}, "weights: gps must be a number"),
         ({"layers": {"noise": {"source": "n.tif"}}}, "'layers.noise.cost' is required"),
         (

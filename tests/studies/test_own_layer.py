@@ -50,7 +50,7 @@ def test_a_benchmark_draws_its_weight_and_tells_its_mean_in_rows_report_and_expo
     shares = found.instances[[f"w_{name}" for name in NAMES]].to_numpy() * [5.0, 1, 1, 1, 1, 1]
     np.testing.assert_allclose(shares.sum(axis=1), 1)
     assert list(found.rows) == list(row_columns(found.instances.columns))
-    assert set(found.rows) - set(row_columns()) == {"m_noise"}
+    assert {*found.rows} == {*row_columns(), "m_noise"}
     assert found.rows.m_noise[found.rows.cost.notna()].between(0, 1).all()
     assert "m_noise" in report_markdown(found, tables_of(found))
     export_benchmark(
