@@ -30,6 +30,7 @@ from jaxurban.io import tables
 from jaxurban.io.files import SCRATCH_SUFFIX
 from jaxurban.maps import run as pipeline
 from jaxurban.maps.scenario import Scenario
+from jaxurban.paths.export.write import FORMATS
 from tests.faulty_disk import DAMAGES, WAYS, Killed, counted, harm, values_of
 from tests.made_maps import made_maps
 from tests.tiled_runs import files_of
@@ -80,7 +81,7 @@ def compare(folder: Path) -> None:
 
 
 def exports(folder: Path) -> None:
-    PATHS[0].save(*(folder / f"path{suffix}" for suffix in (".geojson", ".kml", ".gpx", ".plan")))
+    PATHS[0].save(*(folder / f"path{suffix}" for suffix in FORMATS))
     for suffix in (".parquet", ".csv", ".geojson", ".kml"):
         PATHS.save(folder / f"paths{suffix}")
 

@@ -1,13 +1,14 @@
 """Pieces of the page that Python writes: lists to choose from, legends, tables and the profile."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 import numpy as np
 import pandas as pd
 
 from jaxurban.metrics.variables import BUILT_COLOUR
+from jaxurban.paths.export.base import Format
 from jaxurban.paths.profile import CLEARANCE, GUESSED
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR
 
@@ -38,11 +39,12 @@ def options(items: Sequence[str], chosen: int = 0) -> str:
     )
 
 
-def save_buttons(suffixes: Iterable[str], dashed: Collection[str]) -> str:
-    """Return a button for each format of files, those of which hold the dashed waypoints marked."""
-    return "".join(
-        f'<button data-do="{suffix[1:]}">{suffix}{" (dashed)" * (suffix in dashed)}</button>'
-        for suffix in suffixes
+def save_buttons(formats: Mapping[str, Format], *, of_waypoints: bool) -> str:
+    """Return a button for each format of paths by its suffix, of those of waypoints or of the others."""
+    return " ".join(
+        f'<button data-format="{suffix}">{escape(each.label)}</button>'
+        for suffix, each in formats.items()
+        if each.is_of_waypoints == of_waypoints
     )
 
 

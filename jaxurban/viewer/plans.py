@@ -13,7 +13,7 @@ from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, weights_on
 from jaxurban.paths.explain import RouteReport, explain
-from jaxurban.paths.export.write import FORMATS, WAYPOINTS
+from jaxurban.paths.export.write import FORMATS
 from jaxurban.paths.path import PlannedPath, simplify
 from jaxurban.paths.plan import cost_map, rules_on
 from jaxurban.planners.cost import CostModel
@@ -83,12 +83,13 @@ class Plans:
         """Return a route as ``jaxurban plan -o`` writes it; as waypoints, simplified by half a cell.
 
         Raises:
-          InputError: there is no route.
+          InputError: no such format, or there is no route.
         """
-        planned = self.mission(query, at) if suffix in WAYPOINTS else self.route(query, at)
+        known = FORMATS[one_of("format", suffix, FORMATS)]
+        planned = self.mission(query, at) if known.is_of_waypoints else self.route(query, at)
         if not planned.status.has_path:
             raise InputError(f"there is no route to save: {planned.status.sentence}")
-        return FORMATS[suffix]([("", planned)], None)
+        return known.encode([("", planned)], None)
 
     def mission(self, query: Plan, at: OneMap) -> PlannedPath:
         """Return the route that files of waypoints hold: simplified by half a cell, priced by the route's cost model.

@@ -2,11 +2,9 @@
 
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from jaxurban.checks import one_of
 from jaxurban.errors import InputError
-from jaxurban.paths.export.write import FORMATS
 from jaxurban.settings import DEFAULTS, CostKind, Obstacles, Rules
 
 MOST_LETTERS = 64 * 1024  # of zones
@@ -67,14 +65,10 @@ class Plan(Request):
     zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
 
 
-def _format(name: str) -> str:
-    return one_of("format", f".{name}", FORMATS)[1:]
-
-
 class Save(Plan):
-    """A route as a file of a format."""
+    """A route as a file of a format, by its suffix (`jaxurban.paths.export.write.FORMATS`)."""
 
-    format: Annotated[Name, AfterValidator(_format)]
+    format: Name
 
 
 def parse(kind: type[Request], given: Any) -> Any:

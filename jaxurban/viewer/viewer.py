@@ -18,7 +18,7 @@ from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.export.base import waypoints
-from jaxurban.paths.export.write import FORMATS, WAYPOINTS
+from jaxurban.paths.export.write import FORMATS
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, cautious_profile, without_fix
 from jaxurban.planners.base import Status
@@ -176,7 +176,8 @@ class Viewer:
             "credit": escape(maps.attribution),
             "sliders": markup.sliders(self._labels, self._colours),
             "planners": markup.planners(summaries, PLANNER_LINES, "astar-plus"),
-            "formats": markup.save_buttons(FORMATS, WAYPOINTS),
+            "formats": markup.save_buttons(FORMATS, of_waypoints=False),
+            "formats-of-waypoints": markup.save_buttons(FORMATS, of_waypoints=True),
             "altitude": options([f"{z_m:g} m" for z_m in maps.altitudes_m]),
             "time_of_day": options(maps.times_of_day),
             "time": options([*map(time_said, self.axes[TIME])]),
@@ -304,7 +305,7 @@ class Viewer:
     def report(self, query: Plan) -> dict[str, Any]:
         """Return what a route meets: cautions, totals, the profile and where its crossings lie, its report as text.
 
-        ``mission`` are the waypoints of a ``.plan``, and ``saved`` their number, their cost and least clearance.
+        ``mission`` are the points of files of waypoints, and ``saved`` their number, their cost and least clearance.
         """
         at = self.flight(query)
         found, planned = self.plans.report(query, at)
@@ -345,7 +346,7 @@ class Viewer:
     def save(self, query: Save) -> bytes:
         """Return a route as a file."""
         asked = Plan(**query.model_dump(exclude={"format"}))
-        return self.plans.file(asked, self.flight(query), f".{query.format}")
+        return self.plans.file(asked, self.flight(query), query.format)
 
 
 def status_said(planned: PlannedPath) -> str:

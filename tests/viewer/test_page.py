@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jaxurban.maps.metric_maps import open_maps
+from jaxurban.paths.export.write import FORMATS
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.viewer.html import part, write_page
 from jaxurban.viewer.viewer import Viewer
@@ -165,7 +166,7 @@ def saved(page, button: str) -> bytes:
 
 def route_of(page) -> dict:
     """Return the route that the page saves."""
-    return json.loads(saved(page, '[data-do="geojson"]'))["features"][0]
+    return json.loads(saved(page, '[data-format=".geojson"]'))["features"][0]
 
 
 def test_start_and_goal_a_weight_and_a_zone_change_the_route_and_the_command_gives_it(
@@ -199,8 +200,8 @@ def test_start_and_goal_a_weight_and_a_zone_change_the_route_and_the_command_giv
     assert third["settings"]["limits"]["no_fly"][0]["name"] == "zone 1"
     assert third["xy_m"] != second["xy_m"]
     assert route_of(page)["geometry"]["coordinates"] == np.round(third["lonlat"], 7).tolist()
-    assert b"<kml" in saved(page, '[data-do="kml"]')
-    assert json.loads(saved(page, '[data-do="plan"]'))["fileType"] == "Plan"
+    assert b"<kml" in saved(page, '[data-format=".kml"]')
+    assert json.loads(saved(page, '[data-format=".plan"]'))["fileType"] == "Plan"
     assert page.locator('[data-is="report"] svg').is_visible()
 
 
@@ -239,7 +240,7 @@ def test_cautions_stand_open_the_mission_is_drawn_before_it_is_saved_and_letters
         "rgb(176, 0, 32)"
     }
     button = page.locator('[data-is="saved"]').inner_text()
-    items = json.loads(saved(page, '[data-do="plan"]'))["mission"]["items"][
+    items = json.loads(saved(page, '[data-format=".plan"]'))["mission"]["items"][
         :-1
     ]  # the last one lands
     assert f"{len(items)} waypoints, cost" in button
@@ -264,6 +265,16 @@ def test_cautions_stand_open_the_mission_is_drawn_before_it_is_saved_and_letters
         sizes |= set(page.locator('[data-is="profile"] div > :is(b, span)').evaluate_all(of_each))
     page.set_viewport_size(SIZE)
     assert sizes == {"14 11px"}
+
+
+def test_every_format_of_paths_has_a_button_whose_file_bears_planner_and_altitude(page):
+    plan_between(page)
+    for suffix, each in FORMATS.items():
+        button = page.locator(f'[data-format="{suffix}"]')
+        assert button.inner_text() == each.label
+        with page.expect_download() as waiting:
+            button.click()
+        assert waiting.value.suggested_filename == f"astar-plus_20m{suffix}"
 
 
 def test_the_keyboard_alone_plans_a_route(page):

@@ -14,6 +14,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.io.files import write_json
+from jaxurban.paths.export.write import FORMATS
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
 from jaxurban.studies.map_comparison import OneMap
@@ -189,14 +190,18 @@ def test_a_route_is_that_of_the_printed_command_coordinate_for_coordinate(
     assert all(found[name] == shown[name] for name in ("xy_m", "cost", "cost_by_layer"))
     assert found["settings"]["weights"] == (QUERY | more)["weights"]
     if shown["has_path"]:
-        saved = json.loads(answer(viewer, "save", **QUERY | more | {"format": "geojson"}))
+        saved = json.loads(answer(viewer, "save", **QUERY | more | {"format": ".geojson"}))
         assert (
             saved["features"][0]["geometry"]["coordinates"] == np.round(found["lonlat"], 7).tolist()
         )
         assert all(
-            len(answer(viewer, "save", **QUERY | more, format=name)) > 300
-            for name in ("kml", "plan", "gpx")
+            len(answer(viewer, "save", **QUERY | more, format=suffix)) > 300 for suffix in FORMATS
         )
+
+
+def test_a_format_that_there_is_not_is_refused_with_those_that_there_are(viewer):
+    with pytest.raises(ju.InputError, match=r"format must be '\.geojson', .*, got '\.pdf'"):
+        viewer.answer("save", QUERY | {"format": ".pdf"})
 
 
 def test_a_report_tells_what_the_route_meets_and_cautions_stand_outside_it_each_with_its_level(
@@ -240,7 +245,7 @@ def test_a_route_names_its_status_and_each_end_that_was_moved_with_its_cause(vie
 def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(viewer, cost_model):
     query = QUERY | {"cost_model": cost_model}
     found, route = answer(viewer, "report", **query), answer(viewer, "plan", **query)
-    saved = json.loads(answer(viewer, "save", **query, format="plan"))
+    saved = json.loads(answer(viewer, "save", **query, format=".plan"))
     places = np.array(
         [item["params"][4:6] for item in saved["mission"]["items"][:-1]]
     )  # the last one lands
@@ -357,7 +362,7 @@ def test_over_a_runs_folder_the_page_plans_as_the_command_that_it_prints(
     code, _, err = run(capsys, *shlex.split(found["command"])[1:], "-o", tmp_path / "route.geojson")
     assert code == 0, err
     saved = (
-        viewer.answer("save", query | {"format": "geojson"}).body,
+        viewer.answer("save", query | {"format": ".geojson"}).body,
         (tmp_path / "route.geojson").read_bytes(),
     )
     page, command = ([each["geometry"] for each in json.loads(data)["features"]] for data in saved)

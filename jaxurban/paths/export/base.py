@@ -30,9 +30,23 @@ MISSED_M = (
     GROUND_TOLERANCE_M / 2 - MOST_BULGE_M
 )  # twice, and the rest is for the ground's cover and for rounding up
 
-# What a format is: the bytes of a file from paths by name and, if there is one, the report of the one path.
-Encode = Callable[["Named", "RouteReport | None"], bytes]
 Named = Sequence[tuple[str, "PlannedPath"]]  # "" for a path without a name
+# The bytes of a file from paths by name and, if there is one, the report of the one path.
+Encode = Callable[[Named, "RouteReport | None"], bytes]
+
+
+class Format(NamedTuple):
+    """A format of paths.
+
+    Attributes:
+      encode: writes it.
+      label: of its button in the viewer.
+      is_of_waypoints: its points are flown one by one, so `jaxurban plan` and the viewer simplify the path first.
+    """
+
+    encode: Encode
+    label: str
+    is_of_waypoints: bool = False
 
 
 def positions(points: np.ndarray) -> list[list[float]]:

@@ -17,7 +17,7 @@ KML: of each path a LineString at its altitude above ground (``relativeToGround`
 where it is no text. Over maps with terrain its points are those of `waypoints`, as programs draw straight lines from
 one to the next.
 
-A further format is a function such as `to_geojson`, and a line in `FORMATS`.
+A further format is a function such as `to_geojson`, and a line in `FORMATS`, which checks, messages and the viewer read.
 """
 
 import json
@@ -36,6 +36,7 @@ from jaxurban.paths.export.base import (
     DECIMALS,
     Z_DECIMALS,
     Encode,
+    Format,
     Named,
     description_of,
     facts_of,
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport
     from jaxurban.paths.path import PlannedPath
 
-WAYPOINTS = (".gpx", ".plan")  # of these, formats of waypoints to be flown one by one
 MISSION = ".plan"  # the format that can say how a flight ends
 GROUND_REFERENCE = (
     "ground_m is in metres above the zero of the terrain file, whatever its vertical datum is"
@@ -148,12 +148,13 @@ def _encoded(root: Element) -> bytes:
     return tostring(root, encoding="utf-8", xml_declaration=True)
 
 
-FORMATS: dict[str, Encode] = {
-    ".geojson": to_geojson,
-    ".kml": to_kml,
-    ".gpx": to_gpx,
-    ".plan": to_qgc_plan,
+FORMATS = {
+    ".geojson": Format(to_geojson, "GeoJSON"),
+    ".kml": Format(to_kml, "KML"),
+    ".gpx": Format(to_gpx, "GPX", is_of_waypoints=True),
+    MISSION: Format(to_qgc_plan, "QGroundControl", is_of_waypoints=True),
 }
+WAYPOINTS = tuple(suffix for suffix, each in FORMATS.items() if each.is_of_waypoints)
 
 
 def write_path(
@@ -209,8 +210,8 @@ def write_path(
 
 def encoder_of(file: Path) -> Encode:
     """Return what `write_path` writes a file by; raise InputError where it cannot: call it before a long search."""
-    encode = FORMATS.get(file.suffix.lower())
-    if encode is None:
+    known = FORMATS.get(file.suffix.lower())
+    if known is None:
         raise InputError(
             f"cannot determine the format of {str(file)!r}: end its name in one of {', '.join(FORMATS)}"
         )
@@ -220,4 +221,4 @@ def encoder_of(file: Path) -> Encode:
         )
     if file.is_dir():
         raise InputError(f"{str(file)!r} is a folder: name a file")
-    return encode
+    return known.encode

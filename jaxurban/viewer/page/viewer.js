@@ -67,7 +67,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const routes = state.routes.map((route, k) => ({ ...route, off: 4 * (k - (state.routes.length - 1) / 2) }));
     for (const { xy_m, off } of routes) line(xy_m, '#fff', 5.4, { off }); // beside each other where they coincide
     for (const { xy_m, planner, off } of routes) line(xy_m, scene.planner_colours[planner], 3, { off });
-    if (state.report) { // what a .plan holds
+    if (state.report) { // what files of waypoints hold
       line(state.report.mission, '#1f2429', 1.4, { dash: [5, 4] });
       if (view.scale < 5) for (const place of state.report.mission) spot(place, 2.5, '#fff', '#1f2429');
     }
@@ -284,8 +284,9 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     copy: () => navigator.clipboard.writeText(is('command').textContent),
   };
   for (const [name, html] of Object.entries(scene.html)) (is(name) ?? field(name)).innerHTML = html;
-  for (const { dataset: { do: format } } of is('formats').children) actions[format] = async () =>
-    download(await ask('save', { ...state.route.request, format }), `route.${format}`);
+  const save = async (format, { request } = state.route) =>
+    download(await ask('save', { ...request, format }), `${request.planner}_${request.flight_m}m${format}`);
+  for (const button of all('[data-format]')) button.onclick = guard(() => save(button.dataset.format));
   for (const button of all('[data-do]')) button.onclick = guard(actions[button.dataset.do]);
   const setWeight = (name, value) => { // at its left end a slider weighs nothing
     const slider = field(`weight-${name}`);
