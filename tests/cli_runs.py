@@ -5,9 +5,9 @@ import math
 from pathlib import Path
 from unittest.mock import patch
 
-import jsonschema
 import pytest
 import shapely
+from jsonschema import Draft202012Validator
 
 from jaxurban import progress
 from jaxurban.cli import main as cli
@@ -38,10 +38,18 @@ def run(capsys, *arguments: object) -> tuple[int, str, str]:
         cli.main([str(argument) for argument in arguments])
     out, err = capsys.readouterr()
     if "--json" in arguments:
-        printed = json.loads(out)
-        jsonschema.validate(printed, SCHEMA)
-        assert printed["exit_code"] == ended.value.code
+        check_json(out, ended.value.code, str(arguments[0]))
     return ended.value.code, out, err
+
+
+def check_json(out: str, code: int, command: str) -> dict:
+    """Return the one object on stdout, which is all that the schema says of a command, and nothing else."""
+    printed = json.loads(out, parse_constant=pytest.fail)
+    kind = command if command in SCHEMA["$defs"] else "envelope"
+    alone = {"$ref": f"#/$defs/{kind}", "unevaluatedProperties": False, "$defs": SCHEMA["$defs"]}
+    Draft202012Validator(alone).validate(printed)
+    assert printed["exit_code"] == code
+    return printed
 
 
 def assert_one_sentence(err: str, *words: str) -> None:

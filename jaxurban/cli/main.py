@@ -2,7 +2,9 @@
 
 import atexit
 import gc
+import logging
 import os
+import re
 import signal
 import sys
 import warnings
@@ -68,6 +70,8 @@ def _set_up_libraries() -> None:
     tenth of the time of a run.
     JAX keeps every program that it compiles, wherever that is, and takes a GPU's memory as needed.
     """
+    # Of workers that are killed asyncio would say what Dask made of it.
+    logging.getLogger("asyncio").setLevel(logging.CRITICAL)
     gc.set_threshold(10_000, 10, 10)
     atexit.register(gc.freeze)
     os.environ["MPLBACKEND"] = "agg"  # pictures go to files, whatever is set for windows
@@ -127,7 +131,8 @@ def _run(arguments: Sequence[str]) -> int:
         _drop_stdout()
         code = 0
     except OSError as error:
-        _drop_stdout()
+        if JSON not in arguments:
+            _drop_stdout()
         where = f" {str(error.filename)!r}" if error.filename else ""
         code = fail(
             f"the system refuses to read or write{where or ', perhaps what is printed'} ({reason_of(error)}): free "
@@ -197,26 +202,38 @@ def _show_unraisable(unraisable: Any) -> None:
 def _fail(arguments: Sequence[str], sentence: str, option: str = "") -> ExitCode:
     LOG.info(f"error: {sentence}")
     if JSON in arguments:
-        with suppress(OSError, ValueError):  # stdout may be what failed
+        try:
             print_json({}, ExitCode.BAD_INPUT, sentence, option or _named_in(sentence, arguments))
+        except (OSError, ValueError):  # stdout may be what failed
+            _drop_stdout()
     return ExitCode.BAD_INPUT
 
 
 def _option_of(error: click.UsageError) -> str:
     """Return the option or argument that a wrong usage is of, empty where it is of none."""
-    if isinstance(error, click.NoSuchOption):
+    if isinstance(error, click.NoSuchOption | click.BadOptionUsage):
         return error.option_name
     param = getattr(error, "param", None)
     return "" if param is None else _name_of(param)
 
 
 def _named_in(sentence: str, arguments: Sequence[str]) -> str:
-    """Return the option of the command whose name in Python begins a sentence, empty where none does."""
-    command = next((app.commands[each] for each in arguments if each in app.commands), None)
-    first = sentence.split(maxsplit=1)[0]
-    options = {} if command is None else {param.name: param for param in command.params}
-    return _name_of(options[first]) if first in options else ""
+    """Return the option, argument or setting at fault where a sentence names it plainly, else an empty text.
+
+    That is a parameter whose name in Python begins the sentence, a setting of a scenario, or the first option in the
+    sentence that the user gave.
+    """
+    command = next((app.commands[each] for each in arguments if each in app.commands), app)
+    first = sentence.split(maxsplit=1)[0].rstrip(":")
+    for param in command.params:
+        if param.name == first:
+            return _name_of(param)
+    if setting := re.search(r": (\w+): (\w+) must ", sentence):
+        return f"{setting[1]}.{setting[2]}"
+    passed = {each.partition("=")[0] for each in arguments}
+    return next((each for each in re.findall(r"--[a-z-]+", sentence) if each in passed), "")
 
 
 def _name_of(param: click.Parameter) -> str:
-    return param.opts[-1] if param.param_type_name == "option" else param.human_readable_name
+    is_option = isinstance(param, click.Option)
+    return max(param.opts, key=len) if is_option else param.human_readable_name

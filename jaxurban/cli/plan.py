@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap
     from jaxurban.paths.explain import RouteReport
     from jaxurban.paths.path import PlannedPath
+    from jaxurban.paths.when import Departures
 
 LEAST_NAME_WIDTH = 20  # characters of the table's first column
 HOW = ("planner", "heuristic", "budget_s", "seed", "snap")
@@ -304,12 +305,32 @@ def _when(
     message = "" if departures.best is not None else facts["times without a path"]
     if as_json:
         of_all = {"best": departures.best, "facts": facts, "cautions": departures.cautions}
+        of_all |= _numbers_of(departures)
         print_json(of_all | {"table": records_of(departures.table)}, code, message)
     else:
         shown = departures.table.filter(regex="^(?!exposure_)")
         print(shown.to_string(index=False, float_format="{:,.4g}".format))
         print("\n".join(f"{name}: {fact}" for name, fact in facts.items()))
     return code
+
+
+def _numbers_of(departures: "Departures") -> Settings:
+    """Return what ``departures.facts`` says in words as numbers."""
+    routes, at_each_time = departures.routes, departures.table
+    has_changed = routes.groupby("query")["num_changed"].any()
+    numbers = {
+        "num_times": len(at_each_time),
+        "num_routes": len(has_changed),
+        "num_routes_changed": int(has_changed.sum()),
+        "num_without_path": int(routes["cost"].isna().sum()),
+    }
+    if departures.best is None:
+        return numbers
+    return numbers | {
+        "best_cost": float(at_each_time["cost"].min()),
+        "worst_above_best_share": float(at_each_time["above_best"].max()),
+        "most_kept_above_share": float(at_each_time["kept_above"].max()),
+    }
 
 
 def _write(

@@ -118,7 +118,7 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
             self.job = job
 
     name = f"jaxurban-job-{uuid.uuid4().hex}"
-    client.register_plugin(JobHolder(job), name)
+    _register(client, JobHolder(job), name)
     futures = client.compute(tile_graph(job, partial(_call_in_worker, name)), retries=RETRIES)
     try:
         for future in as_completed(futures):
@@ -132,6 +132,15 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
     finally:
         with suppress(OSError):  # a worker died while it got it: nothing of the job is left in it
             client.unregister_worker_plugin(name)
+
+
+def _register(client: Any, plugin: Any, name: str) -> None:
+    """Give every worker a plugin, those too that take the place of one which is killed meanwhile."""
+    for _ in range(RETRIES):
+        with suppress(OSError):  # a worker was killed while it got it
+            client.register_plugin(plugin, name)
+            return
+    client.register_plugin(plugin, name)
 
 
 # Pages on the run that any user of this machine could open: none.
