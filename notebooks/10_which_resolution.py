@@ -69,30 +69,26 @@ pairs = ju.studies.sample_instances(maps[SIDES_M[0]], 40, weights=[ju.Weights()]
     "is_connected"
 )
 corner_m = np.array([finest.grid.x_min_m, finest.grid.y_min_m])
-
-
-def lonlat_of(row):
-    """Return longitude and latitude of a pair's start and of its goal."""
-    places = (row.start_x_m, row.start_y_m), (row.goal_x_m, row.goal_y_m)
-    return [finest.grid.lonlat_of_xy(*place) for place in places]
-
-
-judged = []
-for row in pairs.itertuples():
-    ends = lonlat_of(row)
+ends_of = [
+    (finest.grid.lonlat_of_xy(x0, y0), finest.grid.lonlat_of_xy(x1, y1))
+    for x0, y0, x1, y1 in pairs[["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]].to_numpy()
+]
+routes = []
+for number, ends in enumerate(ends_of):
     best = truth.plan(*ends, snap=True)
     for side_m in SIDES_M[:-1]:
         planned = ju.plan(maps[side_m], *ends, altitude_m=30.0, snap=True)
         if best.status.has_path and planned.status.has_path:
             cost = truth.problem.cost_of(planned.xy_m - corner_m)
-            judged.append(
+            routes.append(
                 {
+                    "pair": number,
                     "cell (m)": side_m,
                     "regret (%)": 100 * (cost / best.cost - 1),
                     "is blocked": np.isinf(cost),
                 }
             )
-judged = pd.DataFrame(judged)
+judged = pd.DataFrame(routes)
 open_ones = judged[~judged["is blocked"]].groupby("cell (m)")["regret (%)"]
 pd.DataFrame(
     {
@@ -105,13 +101,10 @@ pd.DataFrame(
 
 # %%
 figure, axes = plt.subplots(figsize=(7.5, 3.8), layout="constrained")
-for side_m, part in judged[~judged["is blocked"]].groupby("cell (m)"):
-    axes.plot(
-        np.sort(part["regret (%)"]),
-        np.linspace(0, 100, len(part)),
-        marker=".",
-        label=f"cells of {side_m:g} m",
-    )
+is_open = ~judged["is blocked"]
+for side_m in SIDES_M[:-1]:
+    regret = np.sort(judged[is_open & (judged["cell (m)"] == side_m)]["regret (%)"])
+    axes.plot(regret, np.linspace(0, 100, len(regret)), marker=".", label=f"cells of {side_m:g} m")
 axes.set(
     xlabel=f"regret of a route on the maps of {SIDES_M[-1]:g} m (%)",
     ylabel="share of the routes (%)",
@@ -125,10 +118,9 @@ plt.show()
 # The pair with the largest regret, planned on the coarsest and on the finest maps, drawn over the finest.
 
 # %%
-row = pairs.iloc[
-    int(judged[judged["cell (m)"] == SIDES_M[0]]["regret (%)"].replace(np.inf, -1).argmax())
-]
-ends = lonlat_of(row)
+coarsest = judged[judged["cell (m)"] == SIDES_M[0]]
+largest = coarsest["regret (%)"].replace(np.inf, -1).argmax()
+ends = ends_of[coarsest["pair"].to_numpy()[largest]]
 two = [
     ju.plan(maps[side_m], *ends, altitude_m=30.0, snap=True) for side_m in (SIDES_M[0], SIDES_M[-1])
 ]

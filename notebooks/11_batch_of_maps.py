@@ -29,11 +29,10 @@ import numpy as np
 import jaxurban as ju
 
 city = ju.sample_city("lower-manhattan")
+gps = city.gps or ju.Gps()
 grid = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), progress=False).grid
 times = [f"2020-04-27T{hour:02}:00:00Z" for hour in range(24)]
-inputs, skies = ju.grad.map_inputs(
-    city, grid, altitudes_m=(20.0,), gps=replace(city.gps, times=times)
-)
+inputs, skies = ju.grad.map_inputs(city, grid, altitudes_m=(20.0,), gps=replace(gps, times=times))
 thresholds = jnp.array([6.0, 10.0, 20.0])
 
 # %% [markdown]
@@ -116,7 +115,7 @@ plain = ju.build_maps(
     city,
     grid=grid,
     altitudes_m=(20.0,),
-    gps=replace(city.gps, times=times[12:13], gdop_threshold=10.0),
+    gps=replace(gps, times=times[12:13], gdop_threshold=10.0),
     progress=False,
 )
 is_free = plain.m("obstacle", 20.0) == 0

@@ -34,12 +34,14 @@ from jaxurban.report.buildings import plot_building_costs
 from jaxurban.report.figures import plot_paths
 
 city = ju.demo_city(width_m=1_600, height_m=1_600)
+buildings = city.buildings
+assert buildings is not None  # other cities may come as rasters of roofs alone
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(25.0,))
 x_m, y_m = maps.grid.x_m, maps.grid.y_m
 ends = ju.XY(x_m[48], y_m[20]), ju.XY(x_m[100], y_m[140])
 route = ju.cost_map(maps, 25.0).plan(*ends, snap=True)
 print(
-    f"{len(city.buildings):,} buildings; the route costs {route.cost:.1f} over {route.length_m:,.0f} m"
+    f"{len(buildings):,} buildings; the route costs {route.cost:.1f} over {route.length_m:,.0f} m"
 )
 
 # %% [markdown]
@@ -101,14 +103,14 @@ plt.show()
 STEP_M = 4.0
 corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
 rows = {}
-for row in table.iloc[[0, 1, 2, 6, 7, -2, -1]].itertuples():
-    height_m = city.buildings.height_m.copy()
-    height_m[row.building] += STEP_M
-    higher = replace(city, buildings=replace(city.buildings, height_m=height_m))
+for rank, row in table.iloc[[0, 1, 2, 6, 7, -2, -1]].to_dict("index").items():
+    height_m = buildings.height_m.copy()
+    height_m[row["building"]] += STEP_M
+    higher = replace(city, buildings=replace(buildings, height_m=height_m))
     again = ju.cost_map(ju.build_maps(higher, resolution_m=10.0, altitudes_m=(25.0,)), 25.0)
-    rows[row.Index] = {
-        "height (m)": row.height_m,
-        "gradient x 4 m": STEP_M * row.per_metre,
+    rows[rank] = {
+        "height (m)": row["height_m"],
+        "gradient x 4 m": STEP_M * row["per_metre"],
         "same route, exact maps": again.problem.cost_of(route.xy_m - corner_m) - route.cost,
         "planned again": again.plan(*ends, snap=True).cost - route.cost,
     }
@@ -124,11 +126,11 @@ pd.DataFrame(rows).T.rename_axis("rank").round(3)
 
 # %%
 ROUNDS, ROOFS, METRES = 6, 20, 1.0
-changed, planned, rounds = city, route, []
+changed, changed_buildings, planned, rounds = city, buildings, route, []
 for number in range(ROUNDS + 1):
     if number:
-        again = ju.build_maps(changed, resolution_m=10.0, altitudes_m=(25.0,))
-        planned = ju.cost_map(again, 25.0).plan(*ends, snap=True)
+        changed_maps = ju.build_maps(changed, resolution_m=10.0, altitudes_m=(25.0,))
+        planned = ju.cost_map(changed_maps, 25.0).plan(*ends, snap=True)
     with jax.enable_x64(True):
         slopes = ju.studies.building_costs(
             changed, ju.grad.soft_city(changed, maps.grid, params), planned, params
@@ -142,15 +144,16 @@ for number in range(ROUNDS + 1):
             "promised for the next round": promised,
         }
     )
-    height_m = changed.buildings.height_m.copy()
+    height_m = changed_buildings.height_m.copy()
     height_m[worst.building] = np.maximum(
         height_m[worst.building] - METRES * np.sign(worst.per_metre), 1.0
     )
-    changed = replace(changed, buildings=replace(changed.buildings, height_m=height_m))
-rounds = pd.DataFrame(rounds).rename_axis("rounds")
+    changed_buildings = replace(changed_buildings, height_m=height_m)
+    changed = replace(changed, buildings=changed_buildings)
+saved = pd.DataFrame(rounds).rename_axis("rounds")
 for kind in ("soft cost", "cost"):
-    rounds[f"saved of {kind} by the next"] = -rounds[kind].diff().shift(-1)
-rounds.round(2)
+    saved[f"saved of {kind} by the next"] = -saved[kind].diff().shift(-1)
+saved.round(2)
 
 # %% [markdown]
 # The first route and the last one, over the first city's maps. The last is what the changed city makes cheapest.

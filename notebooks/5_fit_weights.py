@@ -38,11 +38,9 @@ pilot = ju.cost_map(maps, 20.0, weights=own)
 # Sixteen flights, short and long, from and to all kinds of places.
 
 # %%
+places = ["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
 flights = ju.studies.sample_instances(maps, 20, weights=[own], seed=1).query("is_connected")[:16]
-shown = [
-    pilot.plan(ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m))
-    for row in flights.itertuples()
-]
+shown = [pilot.plan(ju.XY(x0, y0), ju.XY(x1, y1)) for x0, y0, x1, y1 in flights[places].to_numpy()]
 demonstrations = ju.fit.demonstrations_from_paths(shown, maps)
 print(
     f"{len(shown)} routes of {min(p.length_m for p in shown):,.0f} to {max(p.length_m for p in shown):,.0f} m"
@@ -90,8 +88,8 @@ others = ju.studies.sample_instances(maps, 20, weights=[own], seed=2).query("is_
 for name, weights in (("default weights", ju.Weights()), ("fitted weights", fit.weights)):
     weighted = ju.cost_map(maps, 20.0, weights=weights)
     regret = []
-    for row in others.itertuples():
-        ends = ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)
+    for x0, y0, x1, y1 in others[places].to_numpy():
+        ends = ju.XY(x0, y0), ju.XY(x1, y1)
         cost = pilot.problem.cost_of(weighted.plan(*ends).xy_m - corner_m)
         regret.append(100 * (cost / pilot.plan(*ends).cost - 1))
     print(
@@ -102,9 +100,10 @@ for name, weights in (("default weights", ju.Weights()), ("fitted weights", fit.
 # One of them. The costs below are each in its own weights and cannot be compared.
 
 # %%
-ends = (-74.0165, 40.7035), (-73.9817, 40.7265)  # longitude, latitude: the Battery, Tompkins Square
+battery, tompkins_square = (-74.0165, 40.7035), (-73.9817, 40.7265)  # longitude, latitude
 two = [
-    ju.plan(maps, *ends, altitude_m=20.0, snap=True, weights=each) for each in (None, fit.weights)
+    ju.plan(maps, battery, tompkins_square, altitude_m=20.0, snap=True, weights=each)
+    for each in (None, fit.weights)
 ]
 plot_paths(maps, two, names=["default weights", "fitted weights"])
 

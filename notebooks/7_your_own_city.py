@@ -145,6 +145,7 @@ again = ju.build_maps(
     city, scenario.region.bounds, resolution_m=10.0, altitudes_m=(20.0, 60.0), gps=gps
 )
 print(f"the same maps: {np.array_equal(again.m('gps', 20.0), maps.m('gps', 20.0), equal_nan=True)}")
+assert city.buildings is not None  # other cities may come as rasters of roofs alone
 city.buildings.origin_counts()
 
 # %% [markdown]

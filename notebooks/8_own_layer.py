@@ -29,8 +29,7 @@ from jaxurban.report.figures import plot_metric, plot_paths
 from jaxurban.report.figures.sensitivity import plot_breakpoint_routes
 
 city = ju.sample_city("lower-manhattan")
-how = {"resolution_m": 10.0, "altitudes_m": (20.0, 60.0)}
-plain = ju.build_maps(city, **how)
+plain = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0, 60.0))
 start, goal = (
     (-74.0165, 40.7035),
     (-73.9817, 40.7265),
@@ -69,7 +68,7 @@ layers = {
     "complaints": complaints,
     "gusts": ju.Layer(gusts, "high-is-bad", (0.0, 50.0), reach_m=30.0),
 }
-maps = ju.build_maps(city, **how, layers=layers)
+maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0, 60.0), layers=layers)
 plot_metric(maps, "complaints", altitudes_m=[20.0])
 
 # %%
