@@ -1,57 +1,101 @@
-"""What a type checker says of a user's script: nothing of a right one, each mistake of a wrong one."""
+"""What type checkers report of users' scripts: no error in a right one, and the mistakes of wrong_calls.py."""
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from mypy import api
 
-from tests.test_docs import PAGES, blocks_of, name_of
+from tests.test_docs import NOTEBOOKS, PAGES, blocks_of, name_of
 
 HERE = Path(__file__).parent
-WRONG = """import jaxurban as ju
-
-maps = ju.build_maps(ju.sample_city("lower-manhattan"), resolution_m="coarse")
-route = ju.plan(maps, (-74.01, 40.70), (-73.99, 40.72), altitude_m=60.0)
-print(route.length_km)
-"""
-MISTAKES = {3: "arg-type", 5: "attr-defined"}
+WRONG = HERE / "wrong_calls.py"
+NUM_WRONG, LEAST_FOUND = 24, 22
+RELAXED = "\n# mypy: allow-untyped-defs, allow-untyped-calls\n"  # a reader's functions have no annotations
+Errors = dict[tuple[str, int], str]  # messages by the name of the script and the line
 
 pytestmark = pytest.mark.slow
 
 
+def script_of(page: Path) -> str:
+    """Return the Python blocks of a page as one script, each at the lines where the page has it."""
+    script = ""
+    for block in blocks_of(page):
+        if block.language == "python":
+            script += "\n" * (block.line - 1 - script.count("\n")) + block.text
+    return script
+
+
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory) -> Path:
-    return tmp_path_factory.mktemp("mypy")
-
-
-def checked(cache: Path, *arguments: str | Path) -> str:
-    said, fault, _ = api.run(
-        ["--strict", "--config-file", "", "--cache-dir", str(cache), *map(str, arguments)]
-    )
-    assert not fault
-    return said
-
-
-def test_a_users_script_is_right_and_each_mistake_is_found(cache, tmp_path):
-    wrong = tmp_path / "wrong.py"
-    wrong.write_text(WRONG)
-    found = checked(cache, wrong)
-    for line, code in MISTAKES.items():
-        assert any(
-            f"wrong.py:{line}:" in said and f"[{code}]" in said for said in found.splitlines()
-        ), found
-    assert f"Found {len(MISTAKES)} errors" in found
-    assert "Success" in checked(cache, HERE / "typed_user.py")
-
-
-def test_what_readme_and_docs_show_has_the_types_that_we_ask_for(cache, tmp_path):
-    pages = []
+def folder(tmp_path_factory) -> Path:
+    """Return a folder of scripts: of pages, of notebooks, a stranger's, and the wrong calls."""
+    folder = tmp_path_factory.mktemp("scripts")
     for page in PAGES:
-        if shown := [block.text for block in blocks_of(page) if block.language == "python"]:
-            pages.append(tmp_path / f"{name_of(page).removesuffix('.md').replace('/', '_')}.py")
-            pages[-1].write_text("\n".join(shown), encoding="utf-8")
-    assert "README.py" in [page.name for page in pages]
-    found = checked(
-        cache, "--ignore-missing-imports", "--allow-untyped-defs", "--allow-untyped-calls", *pages
+        if script := script_of(page):
+            name = name_of(page).removesuffix(".md").replace("/", "_")
+            (folder / f"{name}.py").write_text(script + RELAXED, encoding="utf-8")
+    for path in NOTEBOOKS:
+        script = path.read_text(encoding="utf-8")
+        (folder / f"notebook_{path.name}").write_text(script + RELAXED, encoding="utf-8")
+    for path in (HERE / "typed_user.py", WRONG):
+        (folder / path.name).write_bytes(path.read_bytes())
+    return folder
+
+
+def errors_of_mypy(folder: Path) -> Errors:
+    cache = folder.with_name("mypy_cache")
+    options = ["--strict", "--ignore-missing-imports", "--config-file", "", "--output", "json"]
+    output, fault, _ = api.run([*options, "--cache-dir", str(cache), str(folder)])
+    assert not fault
+    reports = [json.loads(line) for line in output.splitlines()]
+    return {
+        (Path(report["file"]).name, report["line"]): report["message"]
+        for report in reports
+        if report["severity"] == "error"
+    }
+
+
+def errors_of_basedpyright(folder: Path) -> Errors:
+    """Return the errors of its mode "standard", which reports types, and no style as its default does."""
+    config = folder.with_name("pyrightconfig.json")
+    config.write_text(json.dumps({"include": [str(folder)], "typeCheckingMode": "standard"}))
+    command = [sys.executable, "-m", "basedpyright", "--project", str(config), "--outputjson"]
+    ran = subprocess.run(
+        [*command, "--pythonpath", sys.executable],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=False,
     )
-    assert "Success" in found, found
+    assert ran.stdout, ran.stderr
+    output = json.loads(ran.stdout)
+    assert output["summary"]["filesAnalyzed"] == len([*folder.iterdir()])
+    return {
+        (Path(report["file"]).name, report["range"]["start"]["line"] + 1): report["message"]
+        for report in output["generalDiagnostics"]
+        if report["severity"] == "error"
+    }
+
+
+@pytest.fixture(scope="module", params=[errors_of_mypy, errors_of_basedpyright])
+def errors(request, folder) -> Errors:
+    return request.param(folder)
+
+
+def test_wrong_calls_are_reported_at_their_lines(errors):
+    lines = WRONG.read_text(encoding="utf-8").splitlines()
+    wrong = {number for number, line in enumerate(lines, 1) if "  # wrong: " in line}
+    found = {line for name, line in errors if name == WRONG.name}
+    assert len(wrong) == NUM_WRONG
+    assert found <= wrong
+    missed = [lines[number - 1] for number in sorted(wrong - found)]
+    assert len(missed) <= NUM_WRONG - LEAST_FOUND, missed
+
+
+def test_what_pages_and_notebooks_show_has_the_types_that_we_ask_for(errors, folder):
+    names = {path.name for path in folder.iterdir()}
+    assert {"README.py", "docs_tutorial.py", "docs_guides_plan.py", "typed_user.py"} <= names
+    assert not {place: errors[place] for place in errors if place[0] != WRONG.name}
