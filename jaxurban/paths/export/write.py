@@ -17,7 +17,8 @@ KML: of each path a LineString at its altitude above ground (``relativeToGround`
 where it is no text. Over maps with terrain its points are those of `waypoints`, as programs draw straight lines from
 one to the next.
 
-A further format is a function such as `to_geojson`, and a line in `FORMATS`, which checks, messages and the viewer read.
+A further format is a function such as `to_geojson`, and a line in `FORMATS`, which checks, messages and the viewer
+read.
 """
 
 import json
