@@ -3,6 +3,7 @@
 import doctest
 import json
 import math
+from dataclasses import asdict
 from datetime import date
 
 import geopandas as gpd
@@ -159,7 +160,7 @@ def test_a_scenario_of_a_sample_keeps_what_it_says_itself():
         ("sample:lower-manhatan", "'lower-manhattan'"),
         ("sample:shinjuku/roofs.tif", "gps.tle"),
     ):
-        for region in ({}, {"region": scenario.region.model_dump()}):
+        for region in ({}, {"region": asdict(scenario.region)}):
             with pytest.raises(ju.InputError, match=hint):
                 load_city(Scenario.from_dict(settings | {"buildings": {"source": source}} | region))
 
