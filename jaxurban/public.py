@@ -7,12 +7,13 @@ that. A stub beside a module says to type checkers, and here, where each of its 
 import ast
 import difflib
 import functools
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
+
+from jaxurban.errors import warn
 
 NAMESPACES = (
     "fit",
@@ -89,13 +90,24 @@ def renamed_arguments(
     return decorate
 
 
+def present_name(kind: str, name: str, renamed: Mapping[str, str], until: str = "2.0") -> str:
+    """Return the name that an option or a key has now, and warn where the one given is a former one.
+
+    Args:
+      kind: what it is, such as ``"option"``.
+      name: as the user wrote it.
+      renamed: present names by former ones.
+      until: the release in which the former ones go.
+    """
+    if name in renamed:
+        _warn_renamed(f"the {kind} {name}", renamed[name], until)
+    return renamed.get(name, name)
+
+
 def _warn_renamed(old: str, new: str, until: str) -> None:
     """Warn, on the line of the user, that something has another name."""
-    warnings.warn(
-        f"{old} is now {new}: the former name goes in jaxurban {until}",
-        DeprecationWarning,
-        stacklevel=3,
-    )
+    sentence = f"{old} is now {new}: the former name goes in jaxurban {until}"
+    warn(sentence, DeprecationWarning)
 
 
 def _elsewhere(name: str) -> str:

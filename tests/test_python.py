@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
+from jaxurban.maps import scenario
 from jaxurban.paths.export.write import write_path
 from jaxurban.public import NAMESPACES, public_names, renamed_arguments
 from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
@@ -264,6 +265,31 @@ def test_a_former_argument_works_and_warns_and_with_both_the_former_one_is_unkno
     assert [each.filename for each in warned] == [__file__]
     with pytest.raises(TypeError, match="height_m"):
         plan(altitude_m=20.0, height_m=30.0)
+
+
+def test_a_former_option_works_and_a_command_says_what_it_is_called_now():
+    renamed = "main.RENAMED_OPTIONS['info'] = {'--as-json': '--json'}"
+    script = f"from jaxurban.cli import main; {renamed}; main.main(['info', '--as-json', 'none'])"
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONWARNINGS"}
+    ran = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False
+    )
+    assert json.loads(ran.stdout)["exit_code"] == ran.returncode == 2
+    assert "warning: the option --as-json is now --json: the former name goes in" in ran.stderr
+
+
+def test_a_former_key_of_a_scenario_works_and_beside_its_successor_is_unknown(monkeypatch):
+    monkeypatch.setitem(scenario.RENAMED_KEYS, "gps.mask", "gps.mask_deg")
+    settings = {
+        "region": {"bounds": [-74.02, 40.70, -73.98, 40.73]},
+        "buildings": {"source": "synthetic"},
+    }
+    with pytest.warns(DeprecationWarning, match=r"key gps.mask is now gps.mask_deg") as warned:
+        former = ju.Scenario.from_dict(settings | {"gps": {"mask": 7.0}})
+    assert former.gps.mask_deg == 7.0
+    assert warned[0].filename == __file__
+    with pytest.raises(ju.InputError, match=r"unknown key 'gps\.mask'"):
+        ju.Scenario.from_dict(settings | {"gps": {"mask": 7.0, "mask_deg": 7.0}})
 
 
 def test_a_guess_is_warned_of_on_the_user_s_line(tmp_path):

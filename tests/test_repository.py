@@ -99,11 +99,10 @@ def test_no_source_imports_a_private_module_or_names_a_private_attribute_in_quot
 
 
 def test_warnings_go_by_the_one_function_that_finds_the_line_of_the_user():
-    holders = {"jaxurban/errors.py", "jaxurban/public.py"}  # public: of names that are deprecated
     files = {path.relative_to(ROOT).as_posix(): path for path in (ROOT / "jaxurban").rglob("*.py")}
     assert {
         name for name, path in files.items() if "warnings.warn(" in path.read_text(encoding="utf-8")
-    } == holders
+    } == {"jaxurban/errors.py"}
 
 
 PAGES = sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md"))

@@ -31,8 +31,10 @@ from jaxurban.cli.view import view
 from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG, interrupted
+from jaxurban.public import present_name
 
 JSON = "--json"
+RENAMED_OPTIONS: dict[str, dict[str, str]] = {}  # by command: present ones by former ones
 NO_MEMORY = (
     "memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes"
 )
@@ -103,8 +105,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(_run(arguments))
 
 
+def _with_present_options(arguments: Sequence[str]) -> list[str]:
+    """Return arguments in which former spellings of options are the present ones, and warn of each."""
+    command = next((each for each in arguments if each in app.commands), "")
+    renamed = RENAMED_OPTIONS.get(command, {})
+    present = []
+    for each in arguments:
+        option, equals, value = each.partition("=")
+        present.append(present_name("option", option, renamed) + equals + value)
+    return present
+
+
 def _run(arguments: Sequence[str]) -> int:
     stdout = sys.stdout
+    arguments = _with_present_options(arguments)
     fail = partial(_fail, arguments)
     try:
         _set_up_libraries()

@@ -36,6 +36,7 @@ from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.registry import find_planner
+from jaxurban.public import present_name
 from jaxurban.samples.catalogue import filled, is_sample, located
 from jaxurban.settings import Buildings, CostKind, Planning, Terrain, Vehicle, each, iso_utc
 from jaxurban.world.grid import Bounds, check_bounds, projected_crs
@@ -46,6 +47,7 @@ MOST_EMPTY_CELLS = (
     50_000_000  # of a region most of which is empty and that nobody asked for: 35 x 35 km of 5 m
 )
 PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
+RENAMED_KEYS: dict[str, str] = {}  # present ones by former ones, as "section.key"
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 MUST_BE = {
     **dict.fromkeys(("tuple_type", "list_type"), "must be a list in brackets"),
@@ -312,6 +314,7 @@ class Scenario(BaseModel):
           >>> scenario.planning.planner
           'astar-plus'
         """
+        settings = _with_present_keys(settings)
         given, extent = _with_bounds(filled(settings), folder or Path())
         try:
             scenario = cls.model_validate(given)
@@ -393,6 +396,21 @@ def _with_times_as_text(settings: Any) -> Any:
     if isinstance(settings, list):
         return [_with_times_as_text(value) for value in settings]
     return iso_utc(settings) if isinstance(settings, datetime) else settings
+
+
+def _with_present_keys(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return settings whose former keys have their present names; one beside its successor stays, and is unknown."""
+    renamed = settings
+    for former, present in RENAMED_KEYS.items():
+        section, _, old = former.partition(".")
+        new = present.partition(".")[2]
+        table = renamed.get(section)
+        if not isinstance(table, Mapping) or old not in table or new in table:
+            continue
+        present_name("key", former, RENAMED_KEYS)
+        rest = {name: value for name, value in table.items() if name != old}
+        renamed = renamed | {section: {**rest, new: table[old]}}
+    return renamed
 
 
 def _with_bounds(
