@@ -99,6 +99,14 @@ class MetricMaps(Shown):
         object.__setattr__(self, "ds", _placed(self.ds))
 
     @property
+    def folder(self) -> Path | None:
+        """The folder that they were opened from; None for maps in memory."""
+        from jaxurban.io.store import OPENED
+
+        opened = self.ds.encoding.get(OPENED)
+        return None if opened is None else opened.path.parents[1]
+
+    @property
     def recorded(self) -> dict[str, Any]:
         """The ``[weights]``, ``[planning]`` and ``[vehicle]`` of the scenario; empty for maps without one.
 

@@ -1,0 +1,62 @@
+"""The city behind maps: read again from the files that the run which made them recorded."""
+
+from contextlib import suppress
+from pathlib import Path
+
+from jaxurban.errors import InputError
+from jaxurban.io.files import read_json
+from jaxurban.io.store import RUN_FILE, settings_of
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.provenance import hash_inputs
+from jaxurban.maps.run import load_city
+from jaxurban.maps.scenario import Scenario
+from jaxurban.world.city import City
+
+CityLike = City | MetricMaps | str | Path
+
+
+def scenario_of(folder: Path, sources: Path | None = None) -> Scenario:
+    """Return the scenario of the run that made the maps in a folder, its relative paths from where its files are.
+
+    A record may be somebody else's. So a file counts only where its SHA-256 is the one that the run recorded.
+
+    Args:
+      folder: of the maps.
+      sources: where relative paths begin; left out, the current folder, that of the maps, or the one above it.
+
+    Raises:
+      InputError: maps that no scenario made, a damaged record, or files that are gone or were changed.
+    """
+    settings = settings_of(folder)
+    if "bounds" not in settings.get("region", {}):
+        raise InputError(
+            f"the maps in {str(folder)!r} were not made by `jaxurban maps`, so what they are of is not on record: give "
+            "the City itself"
+        )
+    inputs = read_json(folder / RUN_FILE).get("inputs", {})
+    for place in [folder, folder.parent, Path()] if sources is None else [sources]:
+        scenario = Scenario.from_dict(settings, str(folder / RUN_FILE), place)
+        with suppress(InputError):
+            if hash_inputs(scenario) == inputs:
+                return scenario
+    names = ", ".join(repr(source["path"]) for source in inputs.values())
+    raise InputError(
+        f"what the maps in {str(folder)!r} were made of is no longer there as it was ({names}): "
+        "name the folder of these files (sources, --sources), or make the maps again"
+    )
+
+
+def city_of(given: CityLike, sources: Path | None = None) -> City:
+    """Return a city as it is, or the one behind maps or their folder (`scenario_of`).
+
+    Raises:
+      InputError: maps that were made in memory, or files that are gone.
+    """
+    if isinstance(given, City):
+        return given
+    folder = given.folder if isinstance(given, MetricMaps) else Path(given)
+    if folder is None:
+        raise InputError(
+            "maps that were made in memory do not hold their city: give the City that they were made of"
+        )
+    return load_city(scenario_of(folder, sources))
