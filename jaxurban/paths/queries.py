@@ -229,7 +229,7 @@ class PlannedPaths(Shown, Sequence[PlannedPath | None]):
         if file.suffix.lower() in SUFFIXES:
             return write_table(self.to_dataframe(), file)
         if file.suffix.lower() not in FORMATS:
-            known = ", ".join((*SUFFIXES, *FORMATS))
+            known = ", ".join(dict.fromkeys((*SUFFIXES, *FORMATS)))
             raise InputError(
                 f"cannot determine the format of {str(file)!r}: end its name in one of {known}"
             )
