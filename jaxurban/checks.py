@@ -197,7 +197,7 @@ def _hints(function: Callable) -> dict[str, Any]:
     parameters = inspect.signature(function).parameters
     for name, parameter in parameters.items():
         if parameter.kind is parameter.VAR_POSITIONAL:
-            hints[name] = Iterable[hints[name]]  # type: ignore[valid-type]
+            hints[name] = Iterable[hints.get(name, Any)]  # type: ignore[misc]
     return {name: hints[name] for name in parameters if name in hints}
 
 
@@ -237,6 +237,8 @@ def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
     remedy = nearest_name(str(value), choices)
     if not remedy and type(value).__module__.startswith(f"{PACKAGE}."):
         remedy = call
+    if _is_number(value) and any(each.startswith("a sequence of numbers") for each in names):
+        remedy = f": write [{float(value):g}]"
     raise InputError(
         f"{name} must be {_either(names)}{unit and f' ({unit})'}, got {_shown(value)}{remedy}"
     )

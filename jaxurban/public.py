@@ -23,6 +23,7 @@ NAMESPACES = (
 )  # modules of the package whose names are public too
 Level = Literal["guess", "note", "limit"]
 LEAST_ALIKE = 0.66  # as two letters of three are
+FORMER = "the former name goes in jaxurban"  # by which commands know these warnings
 
 
 def public_names(
@@ -106,8 +107,7 @@ def present_name(kind: str, name: str, renamed: Mapping[str, str], until: str = 
 
 def _warn_renamed(old: str, new: str, until: str) -> None:
     """Warn, on the line of the user, that something has another name."""
-    sentence = f"{old} is now {new}: the former name goes in jaxurban {until}"
-    warn(sentence, DeprecationWarning)
+    warn(f"{old} is now {new}: {FORMER} {until}", DeprecationWarning)
 
 
 def _elsewhere(name: str) -> str:

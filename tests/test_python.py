@@ -288,6 +288,11 @@ def test_a_former_key_of_a_scenario_works_and_beside_its_successor_is_unknown(mo
         former = ju.Scenario.from_dict(settings | {"gps": {"mask": 7.0}})
     assert former.gps.mask_deg == 7.0
     assert warned[0].filename == __file__
+    monkeypatch.setitem(scenario.RENAMED_KEYS, "region.cell_m", "region.resolution_m")
+    with pytest.warns(DeprecationWarning, match=r"key region\.cell_m is now region\.resolution_m"):
+        assert scenario.changed({"region": {"resolution_m": 5}}, ["region.cell_m=10"]) == {
+            "region": {"resolution_m": 10}
+        }
     with pytest.raises(ju.InputError, match=r"unknown key 'gps\.mask'"):
         ju.Scenario.from_dict(settings | {"gps": {"mask": 7.0, "mask_deg": 7.0}})
 
@@ -298,3 +303,18 @@ def test_a_guess_is_warned_of_on_the_user_s_line(tmp_path):
     with pytest.warns(ju.GuessWarning) as of_maps:
         ju.build_maps(city, resolution_m=100.0, altitudes_m=(60.0,), progress=False)
     assert {each.filename for each in (*of_city, *of_maps)} == {__file__}
+
+
+def test_a_number_for_a_sequence_is_answered_by_how_to_write_it():
+    with pytest.raises(ju.InputError, match=r"must be a sequence of numbers .*: write \[5\]"):
+        ju.Region(bounds=(-74.02, 40.70, -73.98, 40.73), resolution_m=5.0)
+
+
+def test_unknown_arguments_of_methods_are_named_and_numbers_of_numpy_are_numbers():
+    cost_map = ju.cost_map(MAPS, 20.0)
+    with pytest.raises(ju.InputError, match=r"no argument 'snapp' \(did you mean 'snap'\?\)"):
+        cost_map.plan(START, GOAL, snapp=True)
+    assert cost_map.plan(START, GOAL, snap=np.float32(30)).status.has_path
+    pairs = ((START, GOAL) for _ in range(2))
+    paths = ju.plan_many(MAPS, pairs, altitude_m=20.0, progress=False)
+    assert [path.status.has_path for path in paths] == [True, True]

@@ -31,7 +31,7 @@ from jaxurban.cli.view import view
 from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG, interrupted
-from jaxurban.public import present_name
+from jaxurban.public import FORMER, present_name
 
 JSON = "--json"
 RENAMED_OPTIONS: dict[str, dict[str, str]] = {}  # by command: present ones by former ones
@@ -99,6 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     warnings.showwarning = lambda message, *_, **__: LOG.info(f"warning: {message}")
+    warnings.filterwarnings("always", f".*{FORMER}", DeprecationWarning)
     signal.signal(signal.SIGINT, _interrupt)
     sys.unraisablehook = _show_unraisable
     with logged_on_stderr():
@@ -239,12 +240,13 @@ def _named_in(sentence: str, arguments: Sequence[str]) -> str:
     """
     command = next((app.commands[each] for each in arguments if each in app.commands), app)
     first = sentence.split(maxsplit=1)[0].rstrip(":")
+    passed = {each.partition("=")[0] for each in arguments}
     for param in command.params:
-        if param.name == first:
+        is_passed = isinstance(param, click.Argument) or not passed.isdisjoint(param.opts)
+        if param.name == first and is_passed:
             return _name_of(param)
     if setting := re.search(r": (\w+): (\w+) must ", sentence):
         return f"{setting[1]}.{setting[2]}"
-    passed = {each.partition("=")[0] for each in arguments}
     return next((each for each in re.findall(r"--[a-z-]+", sentence) if each in passed), "")
 
 

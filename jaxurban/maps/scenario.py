@@ -47,7 +47,7 @@ MOST_EMPTY_CELLS = (
     50_000_000  # of a region most of which is empty and that nobody asked for: 35 x 35 km of 5 m
 )
 PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
-RENAMED_KEYS: dict[str, str] = {}  # present ones by former ones, as "section.key"
+RENAMED_KEYS: dict[str, str] = {}  # present ones of a section by former ones, as "section.key"
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 MUST_BE = {
     **dict.fromkeys(("tuple_type", "list_type"), "must be a list in brackets"),
@@ -116,7 +116,7 @@ class Region:
         object.__setattr__(self, "bounds", check_bounds(self.bounds))
         for name in ("resolution_m", "altitudes_m"):
             object.__setattr__(self, name, _different(name, getattr(self, name)))
-        at_least("oversample", self.oversample, 1)
+        object.__setattr__(self, "oversample", at_least("oversample", self.oversample, 1))
         if self.crs is not None:
             projected_crs(self.crs)
 
@@ -327,7 +327,7 @@ class Scenario(BaseModel):
         return scenario
 
     def to_toml(self) -> str:
-        """Return the scenario as TOML, every setting written out.
+        """Return the scenario as TOML, every setting written out but those that are left to the preset.
 
         Returns:
           The text; `from_toml` reads a file of it as the same scenario.
@@ -465,17 +465,19 @@ def changed(settings: dict[str, Any], changes: Iterable[str]) -> dict[str, Any]:
     Raises:
       InputError: no ``=``, or a value that is not TOML.
     """
+    settings = _with_present_keys(settings)
     for change in changes:
         key, equals, value = change.partition("=")
         if not equals:
             raise InputError(f"--set {change!r} must be key=value, as in gps.mask_deg=10")
         try:
-            settings = _merged(settings, tomllib.loads(f"{key} = {value}"))
+            change_alone = tomllib.loads(f"{key} = {value}")
         except tomllib.TOMLDecodeError as error:
             raise InputError(
                 f"--set {change!r} is not TOML ({error}): write texts in quotes, as in "
                 "buildings.source='\"town.osm\"', and lists in brackets, as in region.altitudes_m=[20,60]"
             ) from error
+        settings = _merged(settings, _with_present_keys(change_alone))
     return settings
 
 

@@ -210,14 +210,17 @@ def own_metric(name: str, layer: Layer) -> Metric:
 def known_beside(layers: Collection[str]) -> list[Metric]:
     """Return the built-in metrics as they are called beside a user's layers, whose names are never theirs.
 
-    If a layer has a metric's name, or that of a map derived from it, the metric is ``metric_NAME``. The same holds for
-    each of its further variables.
+    Those of `OF_RELEASE_1` keep their names, which `check_layers` refuses to layers. If a layer has the name of another
+    metric, or that of a map derived from it, the metric is ``metric_NAME``. The same holds for each of its further
+    variables.
     """
     return [_beside(metric, layers) for metric in known_metrics().values()]
 
 
 def _beside(metric: Metric, layers: Collection[str]) -> Metric:
     own = [metric.name, *(variable.name for variable in metric.also)]
+    if metric.name in OF_RELEASE_1:
+        return metric
     names = {name: _free_name(name, layers) for name in own}
     if own == [*names.values()]:
         return metric

@@ -111,11 +111,12 @@ def read_queries(
     return [_of_row(row, names, base) for row in queries.to_dict("records")]
 
 
-def table_of(pairs: Sequence[tuple[Point, Point]]) -> pd.DataFrame:
+def table_of(queries: Iterable[tuple[Point, Point]]) -> pd.DataFrame:
     """Return pairs of places as a table; raise InputError where they are not of that shape."""
+    pairs = list(queries)
     try:
         is_xy = [isinstance(place, XY) for pair in pairs for place in pair]
-        places = np.array(list(pairs), float)
+        places = np.array(pairs, float)
     except (TypeError, ValueError):  # no numbers, or not as many in each
         is_xy, places = [], np.empty(0)
     in_metres = bool(is_xy) and all(is_xy)

@@ -1,6 +1,7 @@
 """The ends of a query: why a cell is closed, the nearest free one, never in silence, and what joins two of them."""
 
 import math
+import numbers
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -182,7 +183,7 @@ def snap_limit_m(snap: Any) -> float | None:
     """
     if isinstance(snap, bool | np.bool_):
         return MAX_SNAP_M if snap else None
-    if not isinstance(snap, int | float) or not snap > 0:
+    if not isinstance(snap, numbers.Real) or not float(snap) > 0:
         raise InputError(
             f"snap must be True (at most {MAX_SNAP_M:g} m), False, or metres above 0, got {snap!r}"
         )

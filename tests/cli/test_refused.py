@@ -174,3 +174,11 @@ def test_a_variable_of_the_environment_that_libraries_refuse_is_one_sentence(
     assert (done.returncode, done.stdout) == (2, ""), done.stderr
     assert_one_sentence(done.stderr.splitlines()[-1], name)
     assert "Traceback" not in done.stderr
+
+
+def test_a_damaged_extract_without_bounds_is_refused_in_a_sentence(capsys, tmp_path):
+    for name in ("junk.osm.pbf", "junk.osm"):
+        (tmp_path / name).write_bytes(b"<html>no extract</html>")
+        code, _, err = run(capsys, "info", tmp_path / name)
+        assert code == 2
+        assert_one_sentence(err, name, "cannot be read as OpenStreetMap data")

@@ -240,3 +240,10 @@ def test_a_scenario_and_commands_name_both(registry, tmp_path, capsys):
     assert code == 0, err
     costs = json.loads(said)["cost_by_layer"]
     assert costs[LONG] / costs["noise"] == pytest.approx(3 * OF_METRIC / (5 * OF_LAYER))
+
+
+def test_a_layer_named_like_a_statistic_leaves_the_maps_of_release_1_their_names():
+    layers = ["hdop_p95", "num_visible_std", "density_mean"]
+    of_release_1 = [known_metrics()[name] for name in OF_RELEASE_1]
+    beside = {metric.name: metric for metric in known_beside(layers)}
+    assert [beside[metric.name] for metric in of_release_1] == of_release_1

@@ -170,7 +170,11 @@ def _read_lines(processor: osmium.FileProcessor, ids: set[int]) -> dict[int, sha
 
 def header_box(path: str | Path, file_format: str) -> Bounds | None:
     """Return west, south, east, north of an OSM file by its header, None where the header does not say."""
-    with osmium.io.Reader(osmium.io.File(str(path), file_format), osmium.osm.NOTHING) as reader:
+    file = osmium.io.File(str(path), file_format)
+    with (
+        readable(path, "OpenStreetMap data", "fetch it again", RuntimeError),
+        osmium.io.Reader(file, osmium.osm.NOTHING) as reader,
+    ):
         box = reader.header().box()
     if not box.valid():
         return None
