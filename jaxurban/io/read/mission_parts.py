@@ -1,0 +1,98 @@
+"""What a mission is made of, whichever tool made it: places, legs, and what of it could not be read."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, get_args
+
+from jaxurban.errors import InputError
+
+Datum = Literal["home", "ground", "geoid", "ellipsoid"]  # what a height is above
+LonLat = tuple[float, float]
+DATUMS: tuple[Datum, ...] = get_args(Datum)
+MOST_HEIGHT_M = 100_000.0  # above or below any datum
+MOST_NAMED = 50  # sentences on what is not judged
+
+
+class Place(NamedTuple):
+    """One end of a leg.
+
+    Attributes:
+      lon, lat: degrees of WGS 84.
+      height_m: above its datum; NaN where the file leaves it open, as on the autopilot's own way home.
+      datum: what the height is above.
+    """
+
+    lon: float
+    lat: float
+    height_m: float
+    datum: Datum
+
+
+class Leg(NamedTuple):
+    """A straight way, or a circle.
+
+    Attributes:
+      start, end: its ends.
+      kind: ``climb`` (from home, or another vertical take-off), ``leg``, ``loiter``, ``land``, ``return`` or ``jump``.
+      item: the number of the item in its file that the vehicle flies to, as ground stations count: the first is 1.
+      radius_m: of a loiter's circle around ``end``, where ``start`` is ``end`` too; 0 for hovering.
+    """
+
+    start: Place
+    end: Place
+    kind: str
+    item: int
+    radius_m: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Mission:
+    """A mission that another tool made.
+
+    Attributes:
+      name: of the file.
+      legs: in the order flown, each once: a jump's leg back too, however often it is flown.
+      home: longitude, latitude; None where neither the file nor the user names one.
+      home_elevation_m: above the geoid, as the file says it; None where it does not, or says 0.
+      not_judged: a sentence for each thing that is not in ``legs`` though it may be flown, or not as it is there.
+      speed_m_s: the first that the mission sets, or that its ground station planned with; None where it has none.
+    """
+
+    name: str
+    legs: tuple[Leg, ...]
+    home: LonLat | None
+    home_elevation_m: float | None
+    not_judged: tuple[str, ...]
+    speed_m_s: float | None
+
+
+def number_of(what: str, value: Any) -> float:
+    """Return a number of a file, NaN where it is null.
+
+    Raises:
+      InputError: it is infinite, or of another kind, such as a text.
+    """
+    if value is None:
+        return float("nan")
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or abs(value) > 1e15:
+        raise InputError(f"{what} must be a finite number, got {str(value)[:40]!r}: mend it")
+    return float(value)
+
+
+def check_place(what: str, lon: float, lat: float, height_m: float = 0.0) -> None:
+    """Raise InputError unless a place lies on the Earth, and its height is one that is flown; NaN passes."""
+    if abs(lat) > 90 or abs(lon) > 180:
+        raise InputError(
+            f"{what} lies at latitude {lat:g} and longitude {lon:g}, which is no place on the Earth: mend it"
+        )
+    if abs(height_m) > MOST_HEIGHT_M:
+        raise InputError(f"{what} has a height of {height_m:g} m, which no drone reaches: mend it")
+
+
+def shortened(sentences: Sequence[str]) -> tuple[str, ...]:
+    """Return sentences, each once, and how many there are beyond the first `MOST_NAMED`."""
+    each = tuple(dict.fromkeys(sentences))
+    if len(each) <= MOST_NAMED:
+        return each
+    return (*each[:MOST_NAMED], f"{len(each) - MOST_NAMED} more such things are not judged")
