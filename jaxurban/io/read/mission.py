@@ -1,27 +1,106 @@
-"""Missions that other tools made, by the suffix of their files."""
+"""Missions that other tools made, as legs whose heights name what they are above.
+
+| file | what is read | heights are above |
+|---|---|---|
+| ``.plan`` of QGroundControl | simple items; home; speeds | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
+| ``.waypoints``, ``.txt``: ``QGC WPL 110`` | rows; row 0 is home where it is a waypoint | as in a ``.plan`` |
+| ``.kml`` | LineString, Track | relativeToGround: ground; absolute: geoid (EGM96); else they are asked for |
+| ``.gpx`` | routes, tracks | asked for; ground in jaxurban's own |
+| ``.geojson``, ``.json`` | LineString, MultiLineString | asked for; ground in jaxurban's own |
+| ``.csv`` | rows of lon, lat, altitude_m (or height_m, alt) | asked for |
+
+| command of MAVLink | how it is flown |
+|---|---|
+| take-off 22, 24, 84 | straight up from home, or from the last landing; on to its own place (not by ArduPilot) |
+| waypoint 16 | straight to it; latitude and longitude 0 or NaN: where the vehicle is; height NaN: that which it has |
+| loiter 17, 18, 19, 31 | straight to it, then a circle of its radius; hovering where it has none |
+| land 21, 85 | level to its place, then down to the ground |
+| return 20 | straight home at the return altitude, if one is given, and down; else at an open height |
+| jump 177 | straight to its target, once |
+| set home 179 | heights above home are open after it, and a return is not judged |
+| delays, conditions, speeds, cameras, servos, regions of interest | nothing |
+| splines 82, surveys and other complex items, all others | not judged, nor is the way to the next item |
+
+Places of MAVLink's parameters 5 to 7: https://mavlink.io/en/messages/common.html; the files:
+https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html and
+https://mavlink.io/en/file_formats/#mission_plain_text_file.
+"""
 
 from pathlib import Path
 
-from jaxurban.errors import readable
-from jaxurban.io.read.mission_items import read_plan
-from jaxurban.io.read.mission_parts import DATUMS as DATUMS
+from jaxurban.checks import finite, one_of
+from jaxurban.errors import InputError, readable
+from jaxurban.io.read.mission_items import read_plan, read_waypoints
+from jaxurban.io.read.mission_lines import READERS, read_lines
+from jaxurban.io.read.mission_parts import (
+    DATUMS,
+    LonLat,
+    check_place,
+)
 from jaxurban.io.read.mission_parts import Datum as Datum
 from jaxurban.io.read.mission_parts import Leg as Leg
 from jaxurban.io.read.mission_parts import Mission as Mission
 from jaxurban.io.read.mission_parts import Place as Place
 
-ITEM_SUFFIXES = (".plan", ".waypoints", ".txt")
+ITEM_READERS = {".plan": read_plan, ".waypoints": read_waypoints, ".txt": read_waypoints}
+SUFFIXES = (*ITEM_READERS, *READERS)
+MOST_BYTES = 2**26
+BROKEN = (
+    AttributeError,
+    LookupError,
+    TypeError,
+    OverflowError,
+)  # of what is of another kind than it should be
 
 
 def read_mission(
     path: str | Path,
     *,
     heights: Datum | None = None,
-    home: tuple[float, float] | None = None,
+    home: LonLat | None = None,
     return_altitude_m: float | None = None,
 ) -> Mission:
-    """Return a mission of a file."""
+    """Return the mission of a file: its legs, and what of it is not judged.
+
+    Args:
+      path: its suffix names the format, of `SUFFIXES`.
+      heights: what heights are above, where the file leaves it open; ``"ellipsoid"`` also of absolute ones in KML.
+      home: longitude, latitude in place of the file's.
+      return_altitude_m: metres above home at which the autopilot returns; it is not known if left out.
+
+    Raises:
+      InputError: no such file, another format, a mission that is damaged, empty or leads nowhere, a place that is none
+        on the Earth, or heights above what nobody says, or above what the file says already.
+    """
     path = Path(path)
-    with readable(path, "a mission", "save it again", AttributeError):
-        text = path.read_text(encoding="utf-8-sig")
-        return read_plan(text, path, home, return_altitude_m)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(
+            f"cannot determine the format of {str(path)!r}: end its name in one of {', '.join(SUFFIXES)}"
+        )
+    if heights is not None:
+        one_of("heights", heights, DATUMS)
+    if home is not None:
+        try:
+            lon, lat = (finite("home", degrees, "degrees") for degrees in home)
+            check_place("home", lon, lat)
+        except ValueError as error:
+            raise InputError(
+                f"home must be longitude and latitude in degrees, got {home}"
+            ) from error
+        home = (lon, lat)
+    if return_altitude_m is not None:
+        finite("return_altitude_m", return_altitude_m, least=0, called="positive")
+    with readable(path, "a mission", "save it again in the tool that made it", *BROKEN):
+        if path.stat().st_size > MOST_BYTES:
+            raise InputError(
+                f"{str(path)!r} holds more than 64 MB, which no mission does: name another file"
+            )
+        data = path.read_bytes()
+        if suffix in READERS:
+            return read_lines(path, data, heights, home)
+        if heights is not None:
+            raise InputError(
+                f"{path.name!r} says for each item what its height is above: leave heights={heights!r} out"
+            )
+        return ITEM_READERS[suffix](data, path.name, home, return_altitude_m)

@@ -1,327 +1,121 @@
-"""Missions of MAVLink items (QGroundControl's ``.plan``, and ``QGC WPL 110``): what they hold, and how it is flown.
-
-Commands and frames are those of MAVLink's common message set. What an item means where autopilots differ is written
-at `Flight`.
-"""
+"""Missions of MAVLink's items from files: QGroundControl's ``.plan``, and the rows of ``QGC WPL 110``."""
 
 import json
 import math
-from bisect import bisect_left
-from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from jaxurban.errors import InputError
+from jaxurban.io.read.mission_flight import FRAMES, HAS_HEIGHT, TAKEOFFS, WAYPOINT, Flight, Item
 from jaxurban.io.read.mission_parts import (
-    Datum,
-    Leg,
     LonLat,
     Mission,
-    Place,
     check_place,
     number_of,
     shortened,
+    whole_of,
 )
 
-WAYPOINT, RETURN, LAND, TAKEOFF, SPLINE, JUMP, SPEED, SET_HOME = 16, 20, 21, 22, 82, 177, 178, 179
-TAKEOFFS = (TAKEOFF, 24, 84)
-LANDINGS = (LAND, 85)
-LOITER_TURNS, LOITER_TO_ALT = 18, 31
-LOITERS = {17: 2, LOITER_TURNS: 2, 19: 2, LOITER_TO_ALT: 1}  # and which parameter is the radius
-FENCES, RALLY = range(5000, 5005), 5100
-# Commands that move nothing: regions of interest, delays and conditions, servos and relays, cameras and gimbals, ...
-STILL = frozenset(
-    [80, 93, 95, 112, 114, 115, 159, SPEED, 187, 188, 189, 600, 1000, 1001, 2010, 2600, 2800]
-).union(
-    [3000, 3001, 4501, 42600],
-    range(180, 185),
-    range(193, 199),
-    range(200, 208),
-    range(209, 213),
-    range(214, 224),
-    range(530, 535),
-    range(2000, 2006),
-    range(2500, 2512),
+HEADER, NUM_COLUMNS = "QGC WPL 110", 12
+ARDUPILOT, PLANES = (
+    3,
+    (1, *range(19, 26)),
+)  # MAV_AUTOPILOT; MAV_TYPE: fixed wing, and VTOL of every kind
+CALCULATED = (
+    3  # QGroundControl's AltitudeMode: it makes metres above the geoid of metres above ground
 )
-FRAMES: dict[int, Datum] = {
-    **dict.fromkeys((0, 5), "geoid"),
-    **dict.fromkeys((3, 6), "home"),
-    **dict.fromkeys((10, 11), "ground"),
-}
-ARDUPILOT, FIXED_WING = 3, 1  # MAV_AUTOPILOT, MAV_TYPE
-ABOVE_TERRAIN = 3  # QGroundControl's AltitudeMode: metres above ground, which it makes metres above the geoid of
 SAME_M = 0.1
-MOST_ITEMS = 1_000_000
-
-
-class Item(NamedTuple):
-    """An item of a mission.
-
-    Attributes:
-      number: in messages.
-      key: what jumps call it.
-      command: of MAVLink; -1 for what is none.
-      params: the first four, NaN where they are not set.
-      lon, lat: of its place; 0, 0 or NaN where the vehicle stays where it is.
-      height_m: above ``datum``; NaN where the vehicle keeps its own.
-      datum: None in frames that are not of the Earth.
-      is_of: what it is, where that is no command.
-    """
-
-    number: int
-    key: int
-    command: int
-    params: tuple[float, ...] = ()
-    lon: float = math.nan
-    lat: float = math.nan
-    height_m: float = math.nan
-    datum: Datum | None = None
-    is_of: str = ""
-
-    @property
-    def has_place(self) -> bool:
-        """Return whether it names a place, and not that where the vehicle is."""
-        is_set = not (math.isnan(self.lon) or math.isnan(self.lat))
-        return self.datum is not None and is_set and (self.lon, self.lat) != (0, 0)
-
-
-class Flight:
-    """How an autopilot flies items: `legs` and what is `not_judged` of them.
-
-    A multicopter climbs straight up from home to the take-off's height; PX4 flies to the take-off's place then,
-    ArduPilot knows of none. It lands at the height that it has, and comes down at the landing's place. It returns at
-    the return altitude, or at its own height where that is more. Where a jump leads, it flies straight from the item
-    before. After an item that is not understood no place is known until the next one is reached.
-    """
-
-    def __init__(
-        self, items: Sequence[Item], home: LonLat | None, return_altitude_m: float | None
-    ) -> None:
-        """Fly items from home, where there is one."""
-        self.legs: list[Leg] = []
-        self.not_judged: list[str] = []
-        self.speed_m_s: float | None = None
-        self._home, self._return_altitude_m = home, return_altitude_m
-        self._has_moved_home = False
-        self._at: Place | None = None  # where the vehicle is; None: not known, since item
-        self._since = 0
-        self._ground = home and Place(*home, 0.0, "ground")  # that it takes off from
-        self._arrivals: dict[int, Place] = {}
-        self._jumps: list[tuple[int, Place, Item]] = []  # before which leg, whence, and by what
-        for item in items:
-            self._fly(item)
-        self._add_jumps(items)
-
-    def _fly(self, item: Item) -> None:
-        if item.command in TAKEOFFS and item.datum:
-            self._take_off(item)
-        elif item.command == WAYPOINT and item.datum:
-            self._fly_to(item)
-        elif item.command in LOITERS and item.datum:
-            self._loiter(item)
-        elif item.command in LANDINGS:
-            self._land(item)
-        elif item.command == RETURN:
-            self._return(item)
-        elif item.command == JUMP:
-            self._jump(item)
-        elif item.command == SET_HOME:
-            self.not_judged.append(
-                f"item {item.number} moves home, so that heights above home and a return after it are not judged"
-            )
-            self._has_moved_home, self._home = True, None
-        elif item.command == SPEED:
-            if self.speed_m_s is None and item.params[1] > 0:
-                self.speed_m_s = item.params[1]
-        elif item.command in FENCES or item.command == RALLY:
-            fence = "its rally points are" if item.command == RALLY else "its geofence is"
-            self.not_judged.append(f"{fence} not judged")
-        elif item.command not in STILL:
-            what = item.is_of or f"command {item.command}"
-            if item.command == SPLINE:
-                what = "a spline waypoint"
-            elif item.command in (*TAKEOFFS, WAYPOINT, *LOITERS):
-                what += " in a frame"
-            self.not_judged.append(f"item {item.number} is {what}, which is not read")
-            self._lose(item)
-
-    def _lose(self, item: Item, ground: Place | None = None) -> None:
-        """Forget where the vehicle is; ``ground`` is where it has landed."""
-        self._at, self._since, self._ground = None, item.number, ground
-
-    def _place_of(self, item: Item) -> Place | None:
-        """Return where an item leads, None where that is where the vehicle is, and this is not known."""
-        at = self._at
-        lonlat = (item.lon, item.lat) if item.has_place else at and at[:2]
-        if lonlat is None:
-            return None
-        keeps = math.isnan(item.height_m) or (not item.has_place and item.height_m == 0)
-        if at and keeps:
-            return Place(*lonlat, at.height_m, at.datum)
-        assert item.datum is not None
-        is_open = self._has_moved_home and item.datum == "home"
-        return Place(*lonlat, math.nan if is_open else item.height_m, item.datum)
-
-    def _fly_to(self, item: Item, place: Place | None = None) -> None:
-        """Fly to a place, that of the item if none is named."""
-        is_own = place is None
-        place = place or self._place_of(item)
-        if place is None:
-            self._lose(item)
-            return
-        if is_own and item.has_place:
-            self._arrivals[item.number] = place
-        if self._at is None:
-            self._begin(item)
-        elif place != self._at:
-            self.legs.append(Leg(self._at, place, "leg", item.number))
-        self._at, self._ground = place, None
-
-    def _begin(self, item: Item) -> None:
-        """Say that the way to an item is not judged."""
-        why = "the file holds no take-off before" if self._home else "the file names no home"
-        self.not_judged.append(
-            f"the way from item {self._since} to item {item.number} is not judged"
-            if self._since
-            else f"the climb from home is not judged, as {why}"
-        )
-
-    def _take_off(self, item: Item) -> None:
-        start = self._at or self._ground
-        if start is None:
-            self._fly_to(item)
-            return
-        here = item._replace(lon=start.lon, lat=start.lat)
-        above = self._place_of(here)
-        assert above is not None
-        self.legs.append(Leg(start, above, "climb", item.number))
-        self._at, self._ground = above, None
-        if item.has_place:
-            self._fly_to(item)
-
-    def _loiter(self, item: Item) -> None:
-        self._fly_to(item)
-        radius_m = abs(item.params[LOITERS[item.command]])
-        if self._at is None:
-            return
-        if item.command == LOITER_TURNS and not radius_m > 0:
-            self.not_judged.append(
-                f"item {item.number} circles at the autopilot's own radius, which is not judged"
-            )
-        radius_m = radius_m if radius_m > 0 else 0.0
-        self.legs.append(Leg(self._at, self._at, "loiter", item.number, radius_m))
-
-    def _land(self, item: Item) -> None:
-        if self._at is None:
-            self._begin(item)
-            ground = Place(item.lon, item.lat, 0.0, "ground") if item.has_place else None
-            self._lose(item, ground)
-            return
-        if item.has_place:
-            self._fly_to(item, self._at._replace(lon=item.lon, lat=item.lat))
-        ground = Place(self._at.lon, self._at.lat, 0.0, "ground")
-        self.legs.append(Leg(self._at, ground, "land", item.number))
-        self._lose(item, ground)
-
-    def _return(self, item: Item) -> None:
-        if self._home is None or self._at is None:
-            why = "where it begins" if self._home else "home"
-            self.not_judged.append(
-                f"the return of item {item.number} is not judged, as {why} is not known"
-            )
-            self._lose(item)
-            return
-        at, height_m = self._at, self._return_altitude_m
-        if height_m is None:
-            over = Place(*self._home, math.nan, "home")
-        else:
-            height_m = max(height_m, at.height_m) if at.datum == "home" else height_m
-            over = Place(*self._home, height_m, "home")
-            up = over._replace(lon=at.lon, lat=at.lat)
-            if up != at:
-                self.legs.append(Leg(at, up, "return", item.number))
-            at = up
-        ground = Place(*self._home, 0.0, "ground")
-        self.legs.append(Leg(at, over, "return", item.number))
-        self.legs.append(Leg(over, ground, "land", item.number))
-        self._lose(item, ground)
-
-    def _jump(self, item: Item) -> None:
-        if item.params[1] == 0:
-            return
-        if self._at is None:
-            self.not_judged.append(
-                f"the jump of item {item.number} is not judged, as it begins at no known place"
-            )
-            return
-        self._jumps.append((len(self.legs), self._at, item))
-
-    def _add_jumps(self, items: Sequence[Item]) -> None:
-        """Put the legs of jumps among the others, where they are flown."""
-        keys = Counter(item.key for item in items)
-        where = {item.key: index for index, item in enumerate(items)}
-        moving = [index for index, item in enumerate(items) if item.command not in STILL]
-        for before, start, item in reversed(self._jumps):
-            target = int(item.params[0]) if abs(item.params[0]) < MOST_ITEMS else -1
-            if keys.get(target) != 1:
-                self.not_judged.append(
-                    f"item {item.number} jumps to {target}, which is the number of no item, or of several"
-                )
-                continue
-            first = bisect_left(moving, where[target])
-            led_to = items[moving[first]] if first < len(moving) else items[-1]
-            end = self._arrivals.get(led_to.number)
-            if end is None:
-                self.not_judged.append(
-                    f"the jump of item {item.number} is not judged, as item {led_to.number} is no waypoint that is read"
-                )
-            elif end != start:
-                self.legs.insert(before, Leg(start, end, "jump", led_to.number))
+Home = tuple[LonLat | None, float | None]  # its place, and its elevation above the geoid
 
 
 def read_plan(
-    text: str, path: Path, home: LonLat | None, return_altitude_m: float | None
+    data: bytes, name: str, home: LonLat | None, return_altitude_m: float | None
 ) -> Mission:
     """Return the mission of a plan of QGroundControl.
 
     Raises:
-      InputError: it is none, holds no item, or an item cannot be read.
+      InputError, ValueError: it is none, holds no item, or an item cannot be read.
     """
-    plan = _object(json.loads(text), "it")
-    mission = _object(plan.get("mission"), "its mission")
+    plan = _object(json.loads(data), "it")
+    if not isinstance(plan.get("mission"), dict):
+        raise InputError(f"{name!r} holds no mission: save it in QGroundControl again, as a .plan")
+    mission = plan["mission"]
     listed = mission.get("items")
-    if not isinstance(listed, list) or not listed:
-        raise InputError(f"{str(path)!r} holds no items: give a mission that has some")
-    items = [
-        _item(_object(each, f"item {number}"), number) for number, each in enumerate(listed, 1)
-    ]
-    own_home, elevation_m = _home(mission.get("plannedHomePosition"))
-    is_plane = mission.get("vehicleType") == FIXED_WING
-    if mission.get("firmwareType") == ARDUPILOT:
-        items = [_without_place(item) for item in items]
-    flight = Flight(items, home or own_home, return_altitude_m)
-    more = []
-    fence, rally = plan.get("geoFence"), plan.get("rallyPoints")
-    if isinstance(fence, dict) and any(
-        fence.get(part) for part in ("circles", "polygons", "polygon")
-    ):
-        more.append("its geofence is not judged")
-    if isinstance(rally, dict) and rally.get("points"):
-        more.append("its rally points are not judged")
+    if not isinstance(listed, list):
+        raise ValueError("its items are no list")
+    items, notes = [], list[str]()
+    for number, row in enumerate(listed, 1):
+        items.append(_item_of_plan(_object(row, f"item {number}"), number, notes))
+    where = mission.get("plannedHomePosition")
+    where = where if isinstance(where, list) and len(where) >= 2 else [None, None]
+    lat, lon, elevation_m = (number_of("plannedHomePosition", each) for each in (*where, None)[:3])
+    is_plane = mission.get("vehicleType") in PLANES
     if is_plane:
-        more.append(
-            "it is of a fixed-wing aeroplane, whose turns, take-off and glide path are not judged"
-        )
-    planned = number_of("its speed", mission.get("cruiseSpeed" if is_plane else "hoverSpeed"))
-    return Mission(
-        path.name,
-        tuple(flight.legs),
-        home or own_home,
-        None if home else elevation_m,
-        shortened([*flight.not_judged, *more]),
-        flight.speed_m_s or (planned if planned > 0 else None),
+        notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")
+    fence, rally = plan.get("geoFence"), plan.get("rallyPoints")
+    parts = ("circles", "polygons", "polygon")
+    if isinstance(fence, dict) and any(fence.get(part) for part in parts):
+        notes.append("its geofence is not judged")
+    if isinstance(rally, dict) and rally.get("points"):
+        notes.append("its rally points are not judged")
+    speed_m_s = number_of("its speed", mission.get("cruiseSpeed" if is_plane else "hoverSpeed"))
+    is_ardupilot = mission.get("firmwareType") == ARDUPILOT
+    return _flown(
+        name,
+        [_without_place(item) for item in items] if is_ardupilot else items,
+        (home, None) if home else _home(lon, lat, elevation_m),
+        return_altitude_m,
+        notes,
+        speed_m_s if speed_m_s > 0 else None,
     )
+
+
+def read_waypoints(
+    data: bytes, name: str, home: LonLat | None, return_altitude_m: float | None
+) -> Mission:
+    """Return the mission of a file of ``QGC WPL 110``, whose row 0 is home if it is a waypoint.
+
+    Raises:
+      InputError, ValueError: it is none, holds no item, or a row cannot be read.
+    """
+    lines = [line.strip() for line in data.decode("utf-8-sig", "replace").splitlines()]
+    rows = [(number, line) for number, line in enumerate(lines, 1) if line[:1] not in ("", "#")]
+    if not rows or rows[0][1] != HEADER:
+        raise InputError(
+            f"{name!r} does not begin with {HEADER!r}: save the mission again, as .waypoints or .plan"
+        )
+    items = [_item_of_row(line.split(), number) for number, line in rows[1:]]
+    own_home: Home = (None, None)
+    if items and items[0].key == 0 and items[0].command in (0, WAYPOINT):
+        first = items.pop(0)
+        is_above_geoid = first.datum == "geoid"
+        own_home = _home(first.lon, first.lat, first.height_m if is_above_geoid else math.nan)
+        items = [_without_place(item) for item in items]
+    numbered = [item._replace(number=number) for number, item in enumerate(items, 1)]
+    return _flown(name, numbered, (home, None) if home else own_home, return_altitude_m, [], None)
+
+
+def _flown(
+    name: str,
+    items: Sequence[Item],
+    home: Home,
+    return_altitude_m: float | None,
+    notes: Sequence[str],
+    speed_m_s: float | None,
+) -> Mission:
+    """Return the mission of items.
+
+    Raises:
+      InputError: there is none, or none that leads anywhere.
+    """
+    if not items:
+        raise InputError(f"{name!r} holds no items: give a mission that has some")
+    flight = Flight(items, home[0], return_altitude_m)
+    sentences = shortened([*flight.not_judged, *notes])
+    if not flight.legs and not sentences:
+        raise InputError(f"{name!r} leads nowhere: give a mission that has waypoints")
+    speed_m_s = flight.speed_m_s or speed_m_s
+    return Mission(name, tuple(flight.legs), *home, sentences, speed_m_s)
 
 
 def _object(value: Any, what: str) -> dict[str, Any]:
@@ -330,16 +124,8 @@ def _object(value: Any, what: str) -> dict[str, Any]:
     return value
 
 
-def _home(value: Any) -> tuple[LonLat | None, float | None]:
-    """Return home and its elevation; None where a plan's ``plannedHomePosition`` does not say."""
-    if not isinstance(value, list) or len(value) < 2:
-        return None, None
-    lat, lon, elevation_m = (number_of("plannedHomePosition", each) for each in (*value, None)[:3])
-    return home_of(lon, lat, elevation_m)
-
-
-def home_of(lon: float, lat: float, elevation_m: float) -> tuple[LonLat | None, float | None]:
-    """Return home and its elevation above the geoid; None for what is not set: NaN, or 0."""
+def _home(lon: float, lat: float, elevation_m: float) -> Home:
+    """Return home and its elevation, None for what is not set: NaN, or 0, which ground stations write instead."""
     check_place("home", lon, lat, elevation_m)
     if math.isnan(lon) or math.isnan(lat) or (lon, lat) == (0, 0):
         return None, None
@@ -351,21 +137,56 @@ def _without_place(item: Item) -> Item:
     return item._replace(lon=0.0, lat=0.0) if item.command in TAKEOFFS else item
 
 
-def _item(row: dict[str, Any], number: int) -> Item:
-    """Return an item of a plan."""
+def _item_of_plan(row: dict[str, Any], number: int, notes: list[str]) -> Item:
+    """Return an item of a plan; ``notes`` get what is strange about its height."""
     what = f"item {number}"
-    key = int(number_of(f"doJumpId of {what}", row.get("doJumpId", number)))
+    key = whole_of(f"doJumpId of {what}", row.get("doJumpId", number))
     if row.get("type") != "SimpleItem":
-        kind = str(row.get("complexItemType", row.get("type")))[:40]
-        return Item(number, key, -1, is_of=f"a {kind} (ComplexItem)")
+        kind = str(row.get("complexItemType", "kind of item"))[:40]
+        return Item(number, key, -1, what=f"a {kind} ({str(row.get('type'))[:40]})")
     params = row.get("params")
     if not isinstance(params, list) or len(params) != 7:
-        raise ValueError(f"{what} has no seven params")
-    *first, lat, lon, z_m = (number_of(f"a parameter of {what}", value) for value in params)
-    command, frame = (
-        number_of(f"{name} of {what}", row.get(name)) for name in ("command", "frame")
+        raise ValueError(f"{what} has no list of seven params")
+    values = [number_of(f"a parameter of {what}", value) for value in params]
+    command = whole_of(f"command of {what}", row.get("command"))
+    item = _item(what, number, key, command, whole_of(f"frame of {what}", row.get("frame")), values)
+    if command not in HAS_HEIGHT:
+        return item
+    shown_m, amsl_m = (
+        number_of(f"{part} of {what}", row.get(part))
+        for part in ("Altitude", "AMSLAltAboveTerrain")
     )
-    datum = FRAMES.get(int(frame))
+    is_calculated = row.get("AltitudeMode") == CALCULATED and item.datum == "geoid"
+    if is_calculated and math.isnan(item.height_m):  # QGroundControl has not seen the terrain
+        return item._replace(height_m=shown_m, datum="ground")
+    meant_m = amsl_m if item.datum == "geoid" and amsl_m == amsl_m else shown_m
+    if abs(item.height_m - meant_m) > SAME_M:
+        notes.append(
+            f"the height of {what} is not judged: its params say {item.height_m:g} m, and its Altitude {meant_m:g} m"
+        )
+        return item._replace(height_m=math.nan, is_height_open=True)
+    return item
+
+
+def _item_of_row(cells: Sequence[str], line: int) -> Item:
+    """Return an item of a row: number, current, frame, command, four parameters, latitude, longitude, height, go on."""
+    what = f"line {line}"
+    if len(cells) != NUM_COLUMNS:
+        raise ValueError(f"{what} has {len(cells)} values, and not {NUM_COLUMNS}")
+    try:
+        numbers = [number_of(f"a value of {what}", float(cell)) for cell in cells]
+    except ValueError as error:
+        raise ValueError(f"a value of {what} is no finite number") from error
+    key, frame, command = (whole_of(f"a value of {what}", numbers[column]) for column in (0, 2, 3))
+    return _item(what, line, key, command, frame, numbers[4:11])
+
+
+def _item(
+    what: str, number: int, key: int, command: int, frame: int, values: Sequence[float]
+) -> Item:
+    """Return an item of its seven values: four parameters, latitude, longitude and height."""
+    *params, lat, lon, height_m = values
+    datum = FRAMES.get(frame)
     if datum:
-        check_place(what, lon, lat, z_m)
-    return Item(number, key, int(command), tuple(first), lon, lat, z_m, datum)
+        check_place(what, lon, lat, height_m)
+    return Item(number, key, command, tuple(params), lon, lat, height_m, datum)

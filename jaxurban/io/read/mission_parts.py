@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
-from jaxurban.errors import InputError
-
 Datum = Literal["home", "ground", "geoid", "ellipsoid"]  # what a height is above
 LonLat = tuple[float, float]
 DATUMS: tuple[Datum, ...] = get_args(Datum)
+NO_HOME = "the file names no home"
 MOST_HEIGHT_M = 100_000.0  # above or below any datum
+MOST = 1e15  # of any number of a file
 MOST_NAMED = 50  # sentences on what is not judged
 
 
@@ -70,24 +70,36 @@ def number_of(what: str, value: Any) -> float:
     """Return a number of a file, NaN where it is null.
 
     Raises:
-      InputError: it is infinite, or of another kind, such as a text.
+      ValueError: it is infinite, or of another kind, such as a text.
     """
     if value is None:
         return float("nan")
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or abs(value) > 1e15:
-        raise InputError(f"{what} must be a finite number, got {str(value)[:40]!r}: mend it")
+    if not is_number or abs(value) > MOST:
+        raise ValueError(f"{what} must be a finite number, got {str(value)[:40]!r}")
     return float(value)
 
 
+def whole_of(what: str, value: Any) -> int:
+    """Return a whole number of a file.
+
+    Raises:
+      ValueError: it is none.
+    """
+    number = number_of(what, value)
+    if number % 1 != 0:  # NaN too
+        raise ValueError(f"{what} must be a whole number, got {value!r}")
+    return int(number)
+
+
 def check_place(what: str, lon: float, lat: float, height_m: float = 0.0) -> None:
-    """Raise InputError unless a place lies on the Earth, and its height is one that is flown; NaN passes."""
+    """Raise ValueError unless a place lies on the Earth, and its height is one that is flown; NaN passes."""
     if abs(lat) > 90 or abs(lon) > 180:
-        raise InputError(
-            f"{what} lies at latitude {lat:g} and longitude {lon:g}, which is no place on the Earth: mend it"
+        raise ValueError(
+            f"{what} lies at latitude {lat:g} and longitude {lon:g}, which is no place on the Earth"
         )
     if abs(height_m) > MOST_HEIGHT_M:
-        raise InputError(f"{what} has a height of {height_m:g} m, which no drone reaches: mend it")
+        raise ValueError(f"{what} has a height of {height_m:g} m, which no drone reaches")
 
 
 def shortened(sentences: Sequence[str]) -> tuple[str, ...]:

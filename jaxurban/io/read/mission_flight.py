@@ -1,0 +1,274 @@
+"""How MAVLink's items are flown: legs of them, and what is not understood.
+
+Commands and frames are those of MAVLink's common message set. What an item means where autopilots differ is written
+at `Flight`.
+"""
+
+import math
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from jaxurban.io.read.mission_parts import NO_HOME, Datum, Leg, LonLat, Place
+
+WAYPOINT, RETURN, LAND, TAKEOFF, SPLINE, JUMP, SPEED, SET_HOME = 16, 20, 21, 22, 82, 177, 178, 179
+TAKEOFFS = (TAKEOFF, 24, 84)
+LANDINGS = (LAND, 85)
+LOITER_TURNS, LOITER_TO_ALT = 18, 31
+LOITERS = {17: 2, LOITER_TURNS: 2, 19: 2, LOITER_TO_ALT: 1}  # and which parameter is the radius
+FENCES, RALLY = range(5000, 5100), 5100
+# Commands that move nothing: regions of interest, delays and conditions, servos and relays, cameras and gimbals, ...
+STILL = frozenset(
+    [80, 93, 95, 112, 114, 115, 159, SPEED, 187, 188, 189, 600, 1000, 1001, 2010, 2600, 2800]
+).union(
+    [3000, 3001, 4501, 42600],
+    range(180, 185),
+    range(193, 199),
+    range(200, 208),
+    range(209, 213),
+    range(214, 224),
+    range(530, 535),
+    range(2000, 2006),
+    range(2500, 2512),
+)
+FRAMES: dict[int, Datum] = {
+    **dict.fromkeys((0, 5), "geoid"),
+    **dict.fromkeys((3, 6), "home"),
+    **dict.fromkeys((10, 11), "ground"),
+}
+HAS_HEIGHT = (*TAKEOFFS, WAYPOINT, *LOITERS)  # commands that lead to a height
+MOST_ITEMS = 1_000_000
+
+
+class Item(NamedTuple):
+    """An item of a mission.
+
+    Attributes:
+      number: in messages.
+      key: what jumps call it.
+      command: of MAVLink; -1 for what is none.
+      params: the first four, NaN where they are not set.
+      lon, lat: of its place; 0, 0 or NaN where the vehicle stays where it is.
+      height_m: above ``datum``; NaN where the vehicle keeps its own.
+      datum: None in frames that are not of the Earth.
+      is_height_open: its height is not known, though it leads to one.
+      what: it is, where that is no command.
+    """
+
+    number: int
+    key: int
+    command: int
+    params: tuple[float, ...] = ()
+    lon: float = math.nan
+    lat: float = math.nan
+    height_m: float = math.nan
+    datum: Datum | None = None
+    is_height_open: bool = False
+    what: str = ""
+
+    @property
+    def has_place(self) -> bool:
+        """Return whether it names a place, and not that where the vehicle is."""
+        is_set = not (math.isnan(self.lon) or math.isnan(self.lat))
+        return self.datum is not None and is_set and (self.lon, self.lat) != (0, 0)
+
+
+class Flight:
+    """How an autopilot flies items: `legs` and what is `not_judged` of them.
+
+    A multicopter climbs straight up from home to the take-off's height; PX4 flies to the take-off's place then,
+    ArduPilot knows of none. It lands at the height that it has, and comes down at the landing's place. It returns at
+    the return altitude, or at its own height where that is more. Where a jump leads, it flies straight from the item
+    before. After an item that is not understood no place is known until the next one is reached.
+    """
+
+    def __init__(
+        self, items: Sequence[Item], home: LonLat | None, return_altitude_m: float | None
+    ) -> None:
+        """Fly items from home, where there is one."""
+        self.legs: list[Leg] = []
+        self.not_judged: list[str] = []
+        self.speed_m_s: float | None = None
+        self._home, self._return_altitude_m = home, return_altitude_m
+        self._has_moved_home = False
+        self._at: Place | None = None  # where the vehicle is; None: not known, since item
+        self._since = 0
+        self._ground = home and Place(*home, 0.0, "ground")  # that it takes off from
+        self._arrivals: dict[int, Place] = {}
+        self._jumps: list[tuple[int, Place, Item]] = []  # before which leg, whence, and by what
+        for item in items:
+            self._fly(item)
+        self._add_jumps(items)
+
+    def _fly(self, item: Item) -> None:
+        """Fly an item, or say why it is not judged."""
+        command = item.command
+        if command in HAS_HEIGHT and item.datum is None:
+            self._pass_over(item, f"command {command} in a frame that is none of the Earth")
+        elif command in TAKEOFFS:
+            self._take_off(item)
+        elif command == WAYPOINT:
+            self._fly_to(item)
+        elif command in LOITERS:
+            self._loiter(item)
+        elif command in LANDINGS:
+            self._land(item)
+        elif command == RETURN:
+            self._return(item)
+        elif command == JUMP:
+            self._jump(item)
+        elif command == SET_HOME:
+            self._say(
+                f"item {item.number} moves home: heights above it, and a return, are not judged after it"
+            )
+            self._has_moved_home, self._home = True, None
+        elif command == SPEED and self.speed_m_s is None and item.params[1] > 0:
+            self.speed_m_s = item.params[1]
+        elif command in FENCES:
+            self._say("its geofence is not judged")
+        elif command == RALLY:
+            self._say("its rally points are not judged")
+        elif command == SPLINE:
+            self._pass_over(item, "a spline waypoint")
+        elif command not in STILL:
+            self._pass_over(item, item.what or f"command {command}")
+
+    def _say(self, sentence: str) -> None:
+        self.not_judged.append(sentence)
+
+    def _pass_over(self, item: Item, what: str) -> None:
+        """Say that an item is not read, after which no place is known."""
+        self._say(f"item {item.number} is {what}, which is not read")
+        self._lose(item)
+
+    def _lose(self, item: Item, ground: Place | None = None) -> None:
+        """Forget where the vehicle is; ``ground`` is where it has landed."""
+        self._at, self._since, self._ground = None, item.number, ground
+
+    def _place_of(self, item: Item) -> Place | None:
+        """Return where an item leads, None where that is where the vehicle is, and this is not known."""
+        at = self._at
+        lonlat = (item.lon, item.lat) if item.has_place else at and at[:2]
+        if lonlat is None:
+            return None
+        keeps = math.isnan(item.height_m) or (not item.has_place and item.height_m == 0)
+        if at and keeps and not item.is_height_open:
+            return Place(*lonlat, at.height_m, at.datum)
+        datum = item.datum or "home"
+        is_open = self._has_moved_home and datum == "home"
+        return Place(*lonlat, math.nan if is_open else item.height_m, datum)
+
+    def _fly_to(self, item: Item, place: Place | None = None) -> None:
+        """Fly to a place, that of the item if none is named."""
+        is_own = place is None
+        place = place or self._place_of(item)
+        if place is None:
+            self._say(f"item {item.number} is flown where the vehicle is, which is not known")
+            self._lose(item)
+            return
+        if is_own and item.has_place:
+            self._arrivals[item.number] = place
+        if self._at is None:
+            self._begin(item)
+        elif place != self._at:
+            self.legs.append(Leg(self._at, place, "leg", item.number))
+        self._at, self._ground = place, None
+
+    def _begin(self, item: Item) -> None:
+        """Say that the way to an item is not judged."""
+        why = f"no take-off comes before item {item.number}" if self._home else NO_HOME
+        self._say(
+            f"the way from item {self._since} to item {item.number} is not judged"
+            if self._since
+            else f"the climb from home is not judged, as {why}"
+        )
+
+    def _take_off(self, item: Item) -> None:
+        start = self._at or self._ground
+        if start is None:
+            self._fly_to(item)
+            return
+        here = item._replace(lon=start.lon, lat=start.lat)
+        above = self._place_of(here) or start
+        self.legs.append(Leg(start, above, "climb", item.number))
+        self._at, self._ground = above, None
+        if item.has_place:
+            self._fly_to(item)
+
+    def _loiter(self, item: Item) -> None:
+        self._fly_to(item)
+        radius_m = abs(item.params[LOITERS[item.command]])
+        if self._at is None:
+            return
+        if item.command == LOITER_TURNS and not radius_m > 0:
+            self._say(
+                f"item {item.number} circles at the autopilot's own radius, which is not judged"
+            )
+        radius_m = radius_m if radius_m > 0 else 0.0
+        self.legs.append(Leg(self._at, self._at, "loiter", item.number, radius_m))
+
+    def _land(self, item: Item) -> None:
+        if self._at is None:
+            self._begin(item)
+            ground = Place(item.lon, item.lat, 0.0, "ground") if item.has_place else None
+            self._lose(item, ground)
+            return
+        if item.has_place:
+            self._fly_to(item, self._at._replace(lon=item.lon, lat=item.lat))
+        ground = Place(self._at.lon, self._at.lat, 0.0, "ground")
+        self.legs.append(Leg(self._at, ground, "land", item.number))
+        self._lose(item, ground)
+
+    def _return(self, item: Item) -> None:
+        if self._home is None or self._at is None:
+            why = "where it begins" if self._home else "home"
+            self._say(f"the return of item {item.number} is not judged, as {why} is not known")
+            self._lose(item)
+            return
+        at, height_m = self._at, self._return_altitude_m
+        if height_m is None:
+            over = Place(*self._home, math.nan, "home")
+        else:
+            height_m = max(height_m, at.height_m) if at.datum == "home" else height_m
+            over = Place(*self._home, height_m, "home")
+            up = over._replace(lon=at.lon, lat=at.lat)
+            if up != at:
+                self.legs.append(Leg(at, up, "return", item.number))
+            at = up
+        ground = Place(*self._home, 0.0, "ground")
+        self.legs.append(Leg(at, over, "return", item.number))
+        self.legs.append(Leg(over, ground, "land", item.number))
+        self._lose(item, ground)
+
+    def _jump(self, item: Item) -> None:
+        if item.params[1] == 0:
+            return
+        if self._at is None:
+            self._say(
+                f"the jump of item {item.number} is not judged, as it begins at no known place"
+            )
+            return
+        self._jumps.append((len(self.legs), self._at, item))
+
+    def _add_jumps(self, items: Sequence[Item]) -> None:
+        """Put the legs of jumps among the others, where they are flown."""
+        keys = Counter(item.key for item in items)
+        where = {item.key: index for index, item in enumerate(items)}
+        moving = [index for index, item in enumerate(items) if item.command not in STILL]
+        for before, start, item in reversed(self._jumps):
+            target = int(item.params[0]) if abs(item.params[0]) < MOST_ITEMS else -1
+            if keys.get(target) != 1:
+                self._say(
+                    f"item {item.number} jumps to {target}, which is the number of no item, or of several"
+                )
+                continue
+            first = bisect_left(moving, where[target])
+            led_to = items[moving[first]] if first < len(moving) else items[-1]
+            end = self._arrivals.get(led_to.number)
+            if end is None:
+                self._say(
+                    f"the jump of item {item.number} is not judged, as item {led_to.number} is no waypoint that is read"
+                )
+            elif end != start:
+                self.legs.insert(before, Leg(start, end, "jump", led_to.number))

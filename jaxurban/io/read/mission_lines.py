@@ -1,0 +1,256 @@
+"""Missions that are lines of points: KML, GPX, GeoJSON and CSV, of which few say what heights are above."""
+
+import json
+import math
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError
+from jaxurban.io.read.mission_parts import (
+    DATUMS,
+    NO_HOME,
+    Datum,
+    Leg,
+    LonLat,
+    Mission,
+    Place,
+    check_place,
+    number_of,
+)
+from jaxurban.io.read.routes import ALTITUDE_PROPERTY, SEGMENT_PROPERTY
+from jaxurban.io.tables import read_table
+
+OWN = "jaxurban"  # what it calls itself as the creator of GPX
+OWN_HEIGHT = re.compile(r"(-?[\d.]+) m above ground")  # of its points there
+KML_MODES: dict[str, Datum] = {"relativeToGround": "ground", "absolute": "geoid"}
+KML_OTHERS = ("Point", "Polygon", "Model", "GroundOverlay", "NetworkLink")
+COLUMNS = {
+    "longitude": ("lon", "lon_deg", "longitude", "longitude_deg", "lng", "long"),
+    "latitude": ("lat", "lat_deg", "latitude", "latitude_deg"),
+    "height": (ALTITUDE_PROPERTY, "height_m", "alt_m", "altitude", "height", "alt", "ele"),
+}
+
+
+class Line(NamedTuple):
+    """Points that are flown one after the other.
+
+    Attributes:
+      points: longitude, latitude and height of each; a height is NaN where there is none.
+      datum: what the heights are above, None where the file does not say.
+    """
+
+    points: list[tuple[float, float, float]]
+    datum: Datum | None = None
+
+
+class Lines(NamedTuple):
+    """The lines of a file, and how many other things there are in it."""
+
+    lines: list[Line]
+    num_others: int = 0
+
+
+def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | None) -> Mission:
+    """Return the lines of a file as a mission, which begins at home, where one is named.
+
+    Raises:
+      InputError, ValueError: it cannot be read, holds no line, a point that is no place or has no height; or heights
+        above what neither the file nor ``heights`` says, or both say otherwise.
+    """
+    name = path.name
+    lines, num_others = READERS[path.suffix.lower()](path, data)
+    lines = [line for line in lines if len(line.points) > 1]
+    if not lines:
+        raise InputError(f"{name!r} holds no line of two points: give the mission's way as a line")
+    notes, legs, number = list[str](), list[Leg](), 0
+    for line in lines:
+        datum = _datum(name, line.datum, heights)
+        before: Place | None = None
+        for point in line.points:
+            number += 1
+            _check(f"point {number}", point, name)
+            place = Place(*point, datum)
+            if number == 1 and home:
+                before = Place(*home, place.height_m, datum)
+                legs.append(Leg(Place(*home, 0.0, "ground"), before, "climb", 1))
+            if before and before != place:
+                legs.append(Leg(before, place, "leg", number))
+            before = place
+    if not home:
+        notes.append(f"the climb from home is not judged, as {NO_HOME}")
+    if len(lines) > 1:
+        notes.append(f"it holds {len(lines)} lines, and the ways between them are not judged")
+    if num_others:
+        notes.append(f"{num_others} of its features are no lines, and are not read")
+    return Mission(name, tuple(legs), home, None, tuple(notes), None)
+
+
+def _datum(name: str, own: Datum | None, heights: Datum | None) -> Datum:
+    """Return what heights are above by the file and by its user, who knows better where it is the geoid by a standard.
+
+    Raises:
+      InputError: neither says it, or they contradict one another.
+    """
+    if own is None:
+        if heights is None:
+            *others, last = map(repr, DATUMS)
+            raise InputError(
+                f"{name!r} does not say what its heights are above: give heights as {', '.join(others)} or {last}"
+            )
+        return heights
+    if heights in (None, own):
+        return own
+    if (own, heights) == ("geoid", "ellipsoid"):
+        return "ellipsoid"
+    raise InputError(
+        f"{name!r} says that its heights are above the {own}: leave heights={heights!r} out"
+    )
+
+
+def _check(what: str, point: tuple[float, float, float], name: str) -> None:
+    """Raise InputError unless a point is a place with a height."""
+    lon, lat, height_m = point
+    if math.isnan(height_m):
+        raise InputError(
+            f"{what} has no height: give each point its longitude, latitude and height"
+        )
+    if math.isnan(lon) or math.isnan(lat):
+        raise InputError(f"{what} has no longitude or no latitude: mend it")
+    check_place(what, lon, lat, height_m)
+
+
+class _Plain(TreeBuilder):
+    """What XML holds, of a file that defines no words of its own."""
+
+    def doctype(self, name: str, public: str | None, system: str | None) -> None:
+        """Refuse what may grow without end, or name other files."""
+        raise ValueError("it has a DOCTYPE, which is never read")
+
+
+def _xml(data: bytes) -> Element:
+    parser = XMLParser(target=_Plain())
+    try:
+        parser.feed(data)
+        return parser.close()
+    except ParseError as error:
+        raise ValueError(str(error)) from error
+
+
+def _tag(element: Element) -> str:
+    """Return the name of an element without its namespace."""
+    return element.tag.rpartition("}")[2]
+
+
+def _text(element: Element, name: str) -> str:
+    """Return the text of the first child of this name, else an empty text."""
+    texts = (child.text or "" for child in element if _tag(child) == name)
+    return next(texts, "").strip()
+
+
+def _point(values: Sequence[Any], what: str) -> tuple[float, float, float]:
+    """Return longitude, latitude and height, NaN where a value is left out; texts are read as numbers."""
+    numbers = [float(value) if isinstance(value, str) else value for value in values]
+    lon, lat, height_m = (number_of(what, number) for number in (*numbers, None, None, None)[:3])
+    return lon, lat, height_m
+
+
+def kml_lines(path: Path, data: bytes) -> Lines:
+    """Return the LineStrings and tracks of KML."""
+    lines, num_others = [], 0
+    for element in _xml(data).iter():
+        tag = _tag(element)
+        num_others += tag in KML_OTHERS
+        if tag not in ("LineString", "Track"):
+            continue
+        mode = _text(element, "altitudeMode")
+        if mode and mode not in KML_MODES:
+            raise InputError(
+                f"a line of {path.name!r} has the altitude mode {mode!r}, by which its heights are none in the air: "
+                f"use {' or '.join(KML_MODES)}"
+            )
+        coordinates = [each.split(",") for each in _text(element, "coordinates").split()]
+        if tag == "Track":
+            coordinates = [
+                (child.text or "").split() for child in element if _tag(child) == "coord"
+            ]
+        points = [_point(each, "a coordinate") for each in coordinates]
+        lines.append(Line(points, KML_MODES.get(mode)))
+    return Lines(lines, num_others)
+
+
+def gpx_lines(path: Path, data: bytes) -> Lines:
+    """Return the routes and the segments of tracks of GPX; of jaxurban's own with the heights above ground it names."""
+    root = _xml(data)
+    lines, num_others = [], 0
+    for element in root.iter():
+        num_others += _tag(element) == "wpt"
+        if _tag(element) not in ("rte", "trkseg"):
+            continue
+        points = [child for child in element if _tag(child) in ("rtept", "trkpt")]
+        own = [OWN_HEIGHT.fullmatch(_text(point, "desc")) for point in points]
+        is_own = root.get("creator") == OWN and all(own)
+        texts = [match[1] if is_own and match else None for match in own]
+        if not is_own:
+            texts = [_text(point, "ele") or None for point in points]
+        read = [
+            _point((point.get("lon"), point.get("lat"), text), "a point")
+            for point, text in zip(points, texts, strict=True)
+        ]
+        lines.append(Line(read, "ground" if is_own else None))
+    return Lines(lines, num_others)
+
+
+def geojson_lines(path: Path, data: bytes) -> Lines:
+    """Return the lines of GeoJSON; of jaxurban's own with the heights above ground that stand beside them."""
+    whole = json.loads(data)
+    features = whole.get("features", [whole])
+    lines, num_others = [], 0
+    for feature in features:
+        facts, shape = feature.get("properties") or {}, feature.get("geometry", feature) or {}
+        if facts.get(SEGMENT_PROPERTY) is not None:
+            continue
+        kind, parts = shape.get("type"), shape.get("coordinates")
+        if kind not in ("LineString", "MultiLineString"):
+            num_others += 1
+            continue
+        parts = [parts] if kind == "LineString" else parts
+        for part in parts:
+            points = [_point(each, "a coordinate") for each in part]
+            own = facts.get("z_m") if "settings" in facts else None
+            heights = own or [facts.get(ALTITUDE_PROPERTY)] * len(points)
+            if own or all(math.isnan(point[2]) for point in points):
+                points = [
+                    (lon, lat, number_of("a height", height))
+                    for (lon, lat, _), height in zip(points, heights, strict=True)
+                ]
+            lines.append(Line(points, "ground" if own else None))
+    return Lines(lines, num_others)
+
+
+def csv_lines(path: Path, data: bytes) -> Lines:
+    """Return the rows of a table as one line."""
+    table = read_table(path, "mission")
+    names = {str(column).strip().lower(): column for column in table}
+    values = []
+    for what, known in COLUMNS.items():
+        column = next((names[name] for name in known if name in names), None)
+        if column is None:
+            raise InputError(f"{path.name!r} has no column of {what}: call it {known[0]}")
+        numbers = pd.to_numeric(table[column], errors="coerce").to_numpy(float)
+        values.append(np.where(np.isfinite(numbers), numbers, np.nan))
+    return Lines([Line([(lon, lat, z) for lon, lat, z in np.column_stack(values).tolist()])])
+
+
+READERS: dict[str, Callable[[Path, bytes], Lines]] = {
+    ".kml": kml_lines,
+    ".gpx": gpx_lines,
+    ".geojson": geojson_lines,
+    ".json": geojson_lines,
+    ".csv": csv_lines,
+}
