@@ -26,9 +26,10 @@ https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html a
 https://mavlink.io/en/file_formats/#mission_plain_text_file.
 """
 
+import math
 from pathlib import Path
 
-from jaxurban.checks import finite, one_of
+from jaxurban.checks import finite, one_of, positive
 from jaxurban.errors import InputError, readable
 from jaxurban.io.read.mission_items import read_plan, read_waypoints
 from jaxurban.io.read.mission_lines import READERS, read_lines
@@ -90,7 +91,7 @@ def read_mission(
             ) from error
         home = (lon, lat)
     if return_altitude_m is not None:
-        finite("return_altitude_m", return_altitude_m, least=0, called="positive")
+        positive("return_altitude_m", return_altitude_m)
     with readable(path, "a mission", "save it again in the tool that made it", *BROKEN):
         if path.stat().st_size > MOST_BYTES:
             raise InputError(
@@ -103,4 +104,5 @@ def read_mission(
             raise InputError(
                 f"{path.name!r} says for each item what its height is above: leave heights={heights!r} out"
             )
-        return ITEM_READERS[suffix](data, path.name, home, return_altitude_m)
+        return_m = math.nan if return_altitude_m is None else return_altitude_m
+        return ITEM_READERS[suffix](data, path.name, home, return_m)

@@ -5,8 +5,6 @@ at `Flight`.
 """
 
 import math
-from bisect import bisect_left
-from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -38,7 +36,6 @@ FRAMES: dict[int, Datum] = {
     **dict.fromkeys((10, 11), "ground"),
 }
 HAS_HEIGHT = (*TAKEOFFS, WAYPOINT, *LOITERS)  # commands that lead to a height
-MOST_ITEMS = 1_000_000
 
 
 class Item(NamedTuple):
@@ -52,7 +49,6 @@ class Item(NamedTuple):
       lon, lat: of its place; 0, 0 or NaN where the vehicle stays where it is.
       height_m: above ``datum``; NaN where the vehicle keeps its own.
       datum: None in frames that are not of the Earth.
-      is_height_open: its height is not known, though it leads to one.
       what: it is, where that is no command.
     """
 
@@ -64,7 +60,6 @@ class Item(NamedTuple):
     lat: float = math.nan
     height_m: float = math.nan
     datum: Datum | None = None
-    is_height_open: bool = False
     what: str = ""
 
     @property
@@ -84,9 +79,9 @@ class Flight:
     """
 
     def __init__(
-        self, items: Sequence[Item], home: LonLat | None, return_altitude_m: float | None
+        self, items: Sequence[Item], home: LonLat | None, return_altitude_m: float
     ) -> None:
-        """Fly items from home, where there is one."""
+        """Fly items from home, where there is one; the return altitude is NaN where it is not known."""
         self.legs: list[Leg] = []
         self.not_judged: list[str] = []
         self.speed_m_s: float | None = None
@@ -153,7 +148,7 @@ class Flight:
         if lonlat is None:
             return None
         keeps = math.isnan(item.height_m) or (not item.has_place and item.height_m == 0)
-        if at and keeps and not item.is_height_open:
+        if at and keeps:
             return Place(*lonlat, at.height_m, at.datum)
         datum = item.datum or "home"
         is_open = self._has_moved_home and datum == "home"
@@ -178,11 +173,10 @@ class Flight:
     def _begin(self, item: Item) -> None:
         """Say that the way to an item is not judged."""
         why = f"no take-off comes before item {item.number}" if self._home else NO_HOME
-        self._say(
-            f"the way from item {self._since} to item {item.number} is not judged"
-            if self._since
-            else f"the climb from home is not judged, as {why}"
-        )
+        if self._since:
+            self._say(f"the way from item {self._since} to item {item.number} is not judged")
+        else:
+            self._say(f"the climb from home is not judged, as {why}")
 
     def _take_off(self, item: Item) -> None:
         start = self._at or self._ground
@@ -198,14 +192,13 @@ class Flight:
 
     def _loiter(self, item: Item) -> None:
         self._fly_to(item)
-        radius_m = abs(item.params[LOITERS[item.command]])
         if self._at is None:
             return
-        if item.command == LOITER_TURNS and not radius_m > 0:
-            self._say(
-                f"item {item.number} circles at the autopilot's own radius, which is not judged"
-            )
-        radius_m = radius_m if radius_m > 0 else 0.0
+        radius_m = abs(item.params[LOITERS[item.command]])
+        if not radius_m > 0:
+            radius_m = 0.0
+            if item.command == LOITER_TURNS:
+                self._say(f"item {item.number} circles at a radius that is the autopilot's own")
         self.legs.append(Leg(self._at, self._at, "loiter", item.number, radius_m))
 
     def _land(self, item: Item) -> None:
@@ -223,52 +216,43 @@ class Flight:
     def _return(self, item: Item) -> None:
         if self._home is None or self._at is None:
             why = "where it begins" if self._home else "home"
-            self._say(f"the return of item {item.number} is not judged, as {why} is not known")
+            self._say(f"the return of item {item.number} is not judged: {why} is not known")
             self._lose(item)
             return
         at, height_m = self._at, self._return_altitude_m
-        if height_m is None:
-            over = Place(*self._home, math.nan, "home")
-        else:
-            height_m = max(height_m, at.height_m) if at.datum == "home" else height_m
-            over = Place(*self._home, height_m, "home")
+        if at.datum == "home" and at.height_m > height_m:
+            height_m = at.height_m
+        over, ground = Place(*self._home, height_m, "home"), Place(*self._home, 0.0, "ground")
+        if height_m == height_m:
             up = over._replace(lon=at.lon, lat=at.lat)
-            if up != at:
-                self.legs.append(Leg(at, up, "return", item.number))
+            self.legs.append(Leg(at, up, "return", item.number))
             at = up
-        ground = Place(*self._home, 0.0, "ground")
         self.legs.append(Leg(at, over, "return", item.number))
         self.legs.append(Leg(over, ground, "land", item.number))
         self._lose(item, ground)
 
     def _jump(self, item: Item) -> None:
-        if item.params[1] == 0:
+        if item.params[1] == 0:  # times
             return
         if self._at is None:
-            self._say(
-                f"the jump of item {item.number} is not judged, as it begins at no known place"
-            )
-            return
-        self._jumps.append((len(self.legs), self._at, item))
+            self._say(f"the jump of item {item.number} is not judged: where it begins is not known")
+        else:
+            self._jumps.append((len(self.legs), self._at, item))
 
     def _add_jumps(self, items: Sequence[Item]) -> None:
         """Put the legs of jumps among the others, where they are flown."""
-        keys = Counter(item.key for item in items)
-        where = {item.key: index for index, item in enumerate(items)}
-        moving = [index for index, item in enumerate(items) if item.command not in STILL]
+        led_to: dict[float, Item] = {}
+        following = None
+        for item in reversed(items):
+            following = following if item.command in STILL else item
+            if following:
+                led_to[item.key] = following
         for before, start, item in reversed(self._jumps):
-            target = int(item.params[0]) if abs(item.params[0]) < MOST_ITEMS else -1
-            if keys.get(target) != 1:
+            target = led_to.get(item.params[0])
+            end = self._arrivals.get(target.number) if target else None
+            if target is None or end is None:
                 self._say(
-                    f"item {item.number} jumps to {target}, which is the number of no item, or of several"
-                )
-                continue
-            first = bisect_left(moving, where[target])
-            led_to = items[moving[first]] if first < len(moving) else items[-1]
-            end = self._arrivals.get(led_to.number)
-            if end is None:
-                self._say(
-                    f"the jump of item {item.number} is not judged, as item {led_to.number} is no waypoint that is read"
+                    f"the jump of item {item.number} is not judged: no waypoint is read there"
                 )
             elif end != start:
-                self.legs.insert(before, Leg(start, end, "jump", led_to.number))
+                self.legs.insert(before, Leg(start, end, "jump", target.number))

@@ -3,7 +3,7 @@
 import json
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser
@@ -38,7 +38,7 @@ COLUMNS = {
 
 
 class Line(NamedTuple):
-    """Points that are flown one after the other.
+    """Points that are flown one after the other; none of what is no line.
 
     Attributes:
       points: longitude, latitude and height of each; a height is NaN where there is none.
@@ -49,13 +49,6 @@ class Line(NamedTuple):
     datum: Datum | None = None
 
 
-class Lines(NamedTuple):
-    """The lines of a file, and how many other things there are in it."""
-
-    lines: list[Line]
-    num_others: int = 0
-
-
 def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | None) -> Mission:
     """Return the lines of a file as a mission, which begins at home, where one is named.
 
@@ -64,8 +57,8 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
         above what neither the file nor ``heights`` says, or both say otherwise.
     """
     name = path.name
-    lines, num_others = READERS[path.suffix.lower()](path, data)
-    lines = [line for line in lines if len(line.points) > 1]
+    features = READERS[path.suffix.lower()](path, data)
+    lines = [line for line in features if len(line.points) > 1]
     if not lines:
         raise InputError(f"{name!r} holds no line of two points: give the mission's way as a line")
     notes, legs, number = list[str](), list[Leg](), 0
@@ -86,8 +79,9 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
         notes.append(f"the climb from home is not judged, as {NO_HOME}")
     if len(lines) > 1:
         notes.append(f"it holds {len(lines)} lines, and the ways between them are not judged")
-    if num_others:
-        notes.append(f"{num_others} of its features are no lines, and are not read")
+    if len(features) > len(lines):
+        others = len(features) - len(lines)
+        notes.append(f"it holds {others} things that are no lines, which are not read")
     return Mission(name, tuple(legs), home, None, tuple(notes), None)
 
 
@@ -153,19 +147,23 @@ def _text(element: Element, name: str) -> str:
     return next(texts, "").strip()
 
 
-def _point(values: Sequence[Any], what: str) -> tuple[float, float, float]:
-    """Return longitude, latitude and height, NaN where a value is left out; texts are read as numbers."""
-    numbers = [float(value) if isinstance(value, str) else value for value in values]
-    lon, lat, height_m = (number_of(what, number) for number in (*numbers, None, None, None)[:3])
+def _point(values: Sequence[Any]) -> tuple[float, float, float]:
+    """Return longitude, latitude and height, NaN for what is left out."""
+    lon, lat, height_m = (number_of("a coordinate", each) for each in (*values, None, None)[:3])
     return lon, lat, height_m
 
 
-def kml_lines(path: Path, data: bytes) -> Lines:
+def _floats(texts: Iterable[str | None]) -> list[float | None]:
+    return [float(text) if text else None for text in texts]
+
+
+def kml_lines(path: Path, data: bytes) -> list[Line]:
     """Return the LineStrings and tracks of KML."""
-    lines, num_others = [], 0
+    lines = []
     for element in _xml(data).iter():
         tag = _tag(element)
-        num_others += tag in KML_OTHERS
+        if tag in KML_OTHERS:
+            lines.append(Line([]))
         if tag not in ("LineString", "Track"):
             continue
         mode = _text(element, "altitudeMode")
@@ -174,66 +172,60 @@ def kml_lines(path: Path, data: bytes) -> Lines:
                 f"a line of {path.name!r} has the altitude mode {mode!r}, by which its heights are none in the air: "
                 f"use {' or '.join(KML_MODES)}"
             )
-        coordinates = [each.split(",") for each in _text(element, "coordinates").split()]
+        texts = [each.split(",") for each in _text(element, "coordinates").split()]
         if tag == "Track":
-            coordinates = [
-                (child.text or "").split() for child in element if _tag(child) == "coord"
-            ]
-        points = [_point(each, "a coordinate") for each in coordinates]
-        lines.append(Line(points, KML_MODES.get(mode)))
-    return Lines(lines, num_others)
+            texts = [(child.text or "").split() for child in element if _tag(child) == "coord"]
+        lines.append(Line([_point(_floats(each)) for each in texts], KML_MODES.get(mode)))
+    return lines
 
 
-def gpx_lines(path: Path, data: bytes) -> Lines:
+def gpx_lines(path: Path, data: bytes) -> list[Line]:
     """Return the routes and the segments of tracks of GPX; of jaxurban's own with the heights above ground it names."""
     root = _xml(data)
-    lines, num_others = [], 0
+    lines = []
     for element in root.iter():
-        num_others += _tag(element) == "wpt"
+        if _tag(element) == "wpt":
+            lines.append(Line([]))
         if _tag(element) not in ("rte", "trkseg"):
             continue
         points = [child for child in element if _tag(child) in ("rtept", "trkpt")]
-        own = [OWN_HEIGHT.fullmatch(_text(point, "desc")) for point in points]
-        is_own = root.get("creator") == OWN and all(own)
-        texts = [match[1] if is_own and match else None for match in own]
-        if not is_own:
-            texts = [_text(point, "ele") or None for point in points]
+        above_ground = [OWN_HEIGHT.fullmatch(_text(point, "desc")) for point in points]
+        is_own = root.get("creator") == OWN and all(above_ground)
+        texts = [_text(point, "ele") for point in points]
+        if is_own:
+            texts = [match[1] for match in above_ground if match]
         read = [
-            _point((point.get("lon"), point.get("lat"), text), "a point")
+            _point(_floats((point.get("lon"), point.get("lat"), text)))
             for point, text in zip(points, texts, strict=True)
         ]
         lines.append(Line(read, "ground" if is_own else None))
-    return Lines(lines, num_others)
+    return lines
 
 
-def geojson_lines(path: Path, data: bytes) -> Lines:
+def geojson_lines(path: Path, data: bytes) -> list[Line]:
     """Return the lines of GeoJSON; of jaxurban's own with the heights above ground that stand beside them."""
     whole = json.loads(data)
-    features = whole.get("features", [whole])
-    lines, num_others = [], 0
-    for feature in features:
+    lines = []
+    for feature in whole.get("features", [whole]):
         facts, shape = feature.get("properties") or {}, feature.get("geometry", feature) or {}
         if facts.get(SEGMENT_PROPERTY) is not None:
             continue
         kind, parts = shape.get("type"), shape.get("coordinates")
-        if kind not in ("LineString", "MultiLineString"):
-            num_others += 1
+        if kind not in ("LineString", "MultiLineString") or not parts:
+            lines.append(Line([]))
             continue
-        parts = [parts] if kind == "LineString" else parts
-        for part in parts:
-            points = [_point(each, "a coordinate") for each in part]
-            own = facts.get("z_m") if "settings" in facts else None
-            heights = own or [facts.get(ALTITUDE_PROPERTY)] * len(points)
-            if own or all(math.isnan(point[2]) for point in points):
-                points = [
-                    (lon, lat, number_of("a height", height))
-                    for (lon, lat, _), height in zip(points, heights, strict=True)
-                ]
+        own = facts.get("z_m") if "settings" in facts else None
+        for part in [parts] if kind == "LineString" else parts:
+            heights = own or [facts.get(ALTITUDE_PROPERTY)] * len(part)
+            points = [
+                _point((*each[:2], height) if own or len(each) < 3 else each)
+                for each, height in zip(part, heights, strict=True)
+            ]
             lines.append(Line(points, "ground" if own else None))
-    return Lines(lines, num_others)
+    return lines
 
 
-def csv_lines(path: Path, data: bytes) -> Lines:
+def csv_lines(path: Path, data: bytes) -> list[Line]:
     """Return the rows of a table as one line."""
     table = read_table(path, "mission")
     names = {str(column).strip().lower(): column for column in table}
@@ -244,10 +236,10 @@ def csv_lines(path: Path, data: bytes) -> Lines:
             raise InputError(f"{path.name!r} has no column of {what}: call it {known[0]}")
         numbers = pd.to_numeric(table[column], errors="coerce").to_numpy(float)
         values.append(np.where(np.isfinite(numbers), numbers, np.nan))
-    return Lines([Line([(lon, lat, z) for lon, lat, z in np.column_stack(values).tolist()])])
+    return [Line([(lon, lat, z) for lon, lat, z in np.column_stack(values).tolist()])]
 
 
-READERS: dict[str, Callable[[Path, bytes], Lines]] = {
+READERS: dict[str, Callable[[Path, bytes], list[Line]]] = {
     ".kml": kml_lines,
     ".gpx": gpx_lines,
     ".geojson": geojson_lines,
