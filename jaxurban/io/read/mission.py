@@ -92,17 +92,20 @@ def read_mission(
         home = (lon, lat)
     if return_altitude_m is not None:
         positive("return_altitude_m", return_altitude_m)
-    with readable(path, "a mission", "save it again in the tool that made it", *BROKEN):
+    with readable(path, "a mission", "save it again in the tool that made it"):
         if path.stat().st_size > MOST_BYTES:
             raise InputError(
                 f"{str(path)!r} holds more than 64 MB, which no mission does: name another file"
             )
-        data = path.read_bytes()
-        if suffix in READERS:
-            return read_lines(path, data, heights, home)
-        if heights is not None:
+        if heights is not None and suffix in ITEM_READERS:
             raise InputError(
                 f"{path.name!r} says for each item what its height is above: leave heights={heights!r} out"
             )
         return_m = math.nan if return_altitude_m is None else return_altitude_m
-        return ITEM_READERS[suffix](data, path.name, home, return_m)
+        data = path.read_bytes()
+        try:
+            if suffix in READERS:
+                return read_lines(path, data, heights, home)
+            return ITEM_READERS[suffix](data, path.name, home, return_m)
+        except BROKEN as error:
+            raise ValueError("a part is missing, or is of another kind") from error

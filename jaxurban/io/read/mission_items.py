@@ -138,8 +138,9 @@ def _item_of_plan(value: Any, number: int) -> Item:
     row = _object(value, what)
     key = whole_of(f"doJumpId of {what}", row.get("doJumpId", number))
     if row.get("type") != "SimpleItem":
-        kind, general = (str(row.get(part))[:40] for part in ("complexItemType", "type"))
-        return Item(number, key, -1, what=f"a {kind} ({general})")
+        kind = str(row.get("complexItemType"))[:40]
+        kind = kind if kind.isidentifier() else "strange item"
+        return Item(number, key, -1, what=f"a {kind} (ComplexItem)")
     params = row.get("params")
     if not isinstance(params, list) or len(params) != 7:
         raise ValueError(f"{what} has no list of seven params")

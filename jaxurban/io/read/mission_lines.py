@@ -67,7 +67,7 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
         before: Place | None = None
         for point in line.points:
             number += 1
-            _check(f"point {number}", point, name)
+            _check(f"point {number}", point)
             place = Place(*point, datum)
             if number == 1 and home:
                 before = Place(*home, place.height_m, datum)
@@ -107,16 +107,12 @@ def _datum(name: str, own: Datum | None, heights: Datum | None) -> Datum:
     )
 
 
-def _check(what: str, point: tuple[float, float, float], name: str) -> None:
-    """Raise InputError unless a point is a place with a height."""
-    lon, lat, height_m = point
-    if math.isnan(height_m):
-        raise InputError(
-            f"{what} has no height: give each point its longitude, latitude and height"
-        )
-    if math.isnan(lon) or math.isnan(lat):
-        raise InputError(f"{what} has no longitude or no latitude: mend it")
-    check_place(what, lon, lat, height_m)
+def _check(what: str, point: tuple[float, float, float]) -> None:
+    """Raise ValueError unless a point is a place with a height."""
+    for part, value in zip(COLUMNS, point, strict=True):
+        if math.isnan(value):
+            raise ValueError(f"{what} has no {part}")
+    check_place(what, *point)
 
 
 class _Plain(TreeBuilder):
