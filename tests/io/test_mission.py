@@ -3,15 +3,20 @@
 import json
 import time
 
+import numpy as np
 import pytest
 
 import jaxurban as ju
 from jaxurban.io.read.mission import Leg, Place, read_mission
+from jaxurban.paths.export.write import FORMATS, write_path
+from jaxurban.world.grid import Grid
 from tests.io.made_files import refused
 from tests.mavlink import mission_reader
+from tests.paths.volumes import made_path
 
 LON, LAT = 8.5456, 47.3977  # home
 STEP = 0.001
+GRID = Grid("EPSG:32618", 5.0, 901_000, 116_600, 400, 400)
 NO_HOME = "the climb from home is not judged, as the file names no home"
 TAKEOFF, WAYPOINT, LAND, RETURN, JUMP, SPLINE = 22, 16, 21, 20, 177, 82
 SURVEY = {"type": "ComplexItem", "complexItemType": "survey", "polygon": []}
@@ -34,7 +39,11 @@ def plan_of(items, **mission):
     numbered = [{"doJumpId": number} | each for number, each in enumerate(items, 1)]
     home = {"plannedHomePosition": [LAT, LON, 488.0]}
     whole = {"version": 2, "firmwareType": 12, "vehicleType": 2, "hoverSpeed": 5, "items": numbered}
-    return {"fileType": "Plan", "version": 1, "mission": whole | home | mission}
+    beside = {
+        "geoFence": {"version": 2, "circles": [], "polygons": []},
+        "rallyPoints": {"version": 2, "points": []},
+    }
+    return {"fileType": "Plan", "version": 1, "mission": whole | home | mission} | beside
 
 
 @pytest.fixture
@@ -120,6 +129,21 @@ def test_items_and_places_are_those_that_mavsdk_reads(read, tmp_path):
     places = [Place(i.y / 1e7, i.x / 1e7, i.z, datums[i.frame]) for i in raw.mission_items]
     assert [leg.end for leg in mission.legs] == places
     assert [each.command for each in raw.mission_items] == [TAKEOFF, WAYPOINT, WAYPOINT, WAYPOINT]
+
+
+def test_files_of_jaxurban_say_what_their_heights_are_above(tmp_path):
+    ways_m = np.array([[50, 50], [350, 50], [350, 450]])
+    route = made_path(GRID, ways_m + np.array([GRID.x_min_m, GRID.y_min_m]))
+    for suffix in FORMATS:
+        write_path(route, tmp_path / f"route{suffix}")
+        mission = read_mission(tmp_path / f"route{suffix}")
+        legs = [leg for leg in mission.legs if leg.kind == "leg"]
+        places = np.array([legs[0].start[:3], *(leg.end[:3] for leg in legs)])
+        np.testing.assert_allclose(places[:, :2], route.lonlat, atol=1e-7)
+        np.testing.assert_array_equal(places[:, 2], 60.0)
+        is_plan = suffix == ".plan"
+        assert {leg.end.datum for leg in legs} == {"home" if is_plan else "ground"}
+        assert mission.not_judged == (() if is_plan else (NO_HOME,))
 
 
 def test_px4_flies_to_its_take_off_and_ardupilot_knows_no_place_of_one(read):
