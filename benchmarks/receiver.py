@@ -17,11 +17,11 @@ from benchmarks.common import ROOT
 from jaxurban.errors import StaleElementsWarning
 from jaxurban.io.read.receiver import ERROR, TRACKED
 from jaxurban.maps.scenario import changed
+from jaxurban.maps.track import NUM_VISIBLE
 from jaxurban.report.receiver import name_of, with_interval
 from jaxurban.report.satellites import ROWS, score_text
 from jaxurban.report.write import table
 from jaxurban.studies.receiver.agreement import SatelliteAgreement
-from jaxurban.studies.receiver.prediction import NUM_VISIBLE
 from jaxurban.studies.receiver.validate import SPEARMAN, WITHIN, ReceiverValidation
 
 PAGE, TEMPLATE = (

@@ -13,7 +13,7 @@ import jaxurban as ju
 from benchmarks import receiver
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.metrics.gps import METRIC
+from jaxurban.maps.track import Track, predict, seen_along
 from jaxurban.report.receiver import with_interval
 from jaxurban.studies.receiver import prediction
 from tests.embree_scene import CityScene
@@ -52,38 +52,27 @@ def test_the_page_has_the_scores_of_every_sky_and_track():
 
 @pytest.mark.data
 @pytest.mark.slow
-def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo, monkeypatch):
-    def compute(scene, params):
-        """Return what GPS is of, and which satellites are seen: a bit each, 32 to a word."""
-        return METRIC.compute(scene, params) | {
-            f"word {k}": word for k, word in enumerate(scene.words)
-        }
-
-    monkeypatch.setattr(prediction, "METRIC", replace(METRIC, compute=compute))
+def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo):
     settings = ju.studies.ReceiverSettings()
     scenario, log = ju.Scenario.from_dict(receiver.SHINJUKU), read_receiver_log(tokyo)
     grid = prediction.region_of(scenario)
-    track = prediction.Track.of(log, grid, settings.sky_step_s)
+    track = Track.of(log, grid, settings.sky_step_s)
     task = prediction.task_at(scenario, track.sky_times, grid, settings.antenna_height_m)
-    made = prediction.predict(task, track, lambda *_, **__: None)
+    made = predict(task, track, lambda *_, **__: None)
+    is_seen, known = seen_along(task, track, lambda *_, **__: None)
     buildings = task.city.buildings
     around = shapely.MultiPoint(np.column_stack([track.x_m, track.y_m])).envelope.buffer(REACH_M)
     near = shapely.intersects(buildings.polygons, around)
     scene = CityScene(buildings.polygons[near], buildings.height_m[near])
     exact = np.zeros((len(track.sky), len(task.sky.names)), bool)
-    is_above, is_seen = np.zeros_like(exact), np.zeros_like(exact)
-    known = ~np.isnan(made["num_visible"])
+    is_above = task.sky.is_in_view[track.sky]
     antenna_m = np.column_stack(
         [track.x_m, track.y_m, np.full(len(track.sky), settings.antenna_height_m)]
     )
     for t in range(len(track.sky_times)):
         epochs = track.sky == t
         in_view = task.in_view(t)
-        for bit, (s, toward) in enumerate(
-            zip(in_view.numbers, unit_vectors(*in_view.angles), strict=True)
-        ):
-            word = np.where(known, made[f"word {bit // 32}"], 0)[epochs].astype(np.int64)
-            is_above[epochs, s], is_seen[epochs, s] = True, word >> bit % 32 & 1
+        for s, toward in zip(in_view.numbers, unit_vectors(*in_view.angles), strict=True):
             rays = np.broadcast_to(toward, (epochs.sum(), 3))
             exact[epochs, s] = np.isinf(scene.distance_m(antenna_m[epochs], rays))
     np.testing.assert_array_equal(is_seen.sum(axis=1)[known], made["num_visible"][known])

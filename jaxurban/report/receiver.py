@@ -13,6 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED
 from jaxurban.maps.levels import listed_m
+from jaxurban.maps.track import NUM_VISIBLE
 from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plain_log, styled
 from jaxurban.report.satellites import (
     peak_text,
@@ -24,7 +25,6 @@ from jaxurban.report.satellites import (
 from jaxurban.report.write import Output, bullets, fill, study_outputs, table
 from jaxurban.settings import each
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
-from jaxurban.studies.receiver.prediction import NUM_VISIBLE
 from jaxurban.studies.receiver.validate import (
     COEFFICIENTS,
     MAIN,

@@ -10,6 +10,7 @@ from scipy.stats import spearmanr
 
 import jaxurban as ju
 from jaxurban.io.read.receiver import read_receiver_log
+from jaxurban.maps import track as maps_track
 from jaxurban.studies.receiver import prediction
 from jaxurban.studies.receiver.validate import (
     half_width,
@@ -34,17 +35,17 @@ def score(of: ju.studies.ReceiverValidation, witness: str = "num_tracked") -> pd
 
 
 def test_the_prediction_is_what_maps_of_those_times_and_that_height_hold():
-    track = prediction.Track.of(read_receiver_log(true_log()), GRID, SETTINGS.sky_step_s)
-    sky = prediction.task_at(scenario(), track.sky_times, GRID, SETTINGS.antenna_height_m).sky
+    drive = maps_track.Track.of(read_receiver_log(true_log()), GRID, SETTINGS.sky_step_s)
+    sky = prediction.task_at(scenario(), drive.sky_times, GRID, SETTINGS.antenna_height_m).sky
     made = [
         compute_gps(surface(), azimuth[above], elevation[above], np.array([2.0], np.float32))
         for azimuth, elevation in zip(sky.azimuth_rad, sky.elevation_rad, strict=True)
         for above in [elevation >= np.radians(10.0)]
     ]
-    is_free = np.asarray(surface().crop(surface().roof_m) < 2.0)[track.row, track.col]
+    is_free = np.asarray(surface().crop(surface().roof_m) < 2.0)[drive.row, drive.col]
     for name in ("num_visible", "gdop", "hdop", "m"):
         held = np.stack([np.asarray(getattr(maps, name)[0]) for maps in made])[
-            track.sky, track.row, track.col
+            drive.sky, drive.row, drive.col
         ]
         found_here = found().epochs["gps" if name == "m" else name]
         np.testing.assert_array_equal(found_here, np.where(is_free, held, np.nan))
@@ -52,7 +53,7 @@ def test_the_prediction_is_what_maps_of_those_times_and_that_height_hold():
 
 
 def test_legs_change_no_value(monkeypatch):
-    monkeypatch.setattr(prediction, "LEG_CELLS", 100)
+    monkeypatch.setattr(maps_track, "LEG_CELLS", 100)
     pd.testing.assert_frame_equal(validated(drive().assign(num_tracked=5)).epochs, seen().epochs)
 
 

@@ -17,6 +17,7 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
+from jaxurban.maps.track import Track
 from jaxurban.progress import Report
 from jaxurban.public import Caution, Shown
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
@@ -28,7 +29,7 @@ from jaxurban.studies.receiver.displaced import (
     STEP_M,
     Displaced,
 )
-from jaxurban.studies.receiver.prediction import EVERYWHERE, ReceiverSettings, Track
+from jaxurban.studies.receiver.prediction import EVERYWHERE, ReceiverSettings
 from jaxurban.studies.receiver.rivals import MAP, compared_rules, features_of, gain_by_length
 from jaxurban.studies.receiver.satellites import FARTHEST_MARGIN_M, Ground, Rays, box_of, legs
 from jaxurban.studies.receiver.scores import score_table

@@ -27,7 +27,8 @@ from jaxurban.io.read.receiver import (
 )
 from jaxurban.io.read.vector import open_frame
 from jaxurban.kernels.shadows.rays import Walks, shadows_at, walks
-from jaxurban.studies.receiver.prediction import EVERYWHERE, NUM_VISIBLE, OF_CITY, Track
+from jaxurban.maps.track import NUM_VISIBLE, Track
+from jaxurban.studies.receiver.prediction import EVERYWHERE, OF_CITY
 from jaxurban.world.city import TO_GROUND, City
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import known_ground, stays_within

@@ -26,20 +26,14 @@ from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED, UTC, ReceiverLog,
 from jaxurban.io.read.rinex import read_rinex
 from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
+from jaxurban.maps.track import NUM_VISIBLE, Track, predict
 from jaxurban.progress import Progress, reporting
 from jaxurban.public import Caution
 from jaxurban.samples.catalogue import log_of
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.studies.queries import Result
 from jaxurban.studies.receiver.agreement import SatelliteAgreement, agreement_of
-from jaxurban.studies.receiver.prediction import (
-    NUM_VISIBLE,
-    ReceiverSettings,
-    Track,
-    predict,
-    region_of,
-    task_at,
-)
+from jaxurban.studies.receiver.prediction import ReceiverSettings, region_of, task_at
 from jaxurban.studies.receiver.satellites import counted, known_of, with_directions
 
 MAIN = {TRACKED: NUM_VISIBLE, ERROR: "hdop"}
