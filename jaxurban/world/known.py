@@ -1,5 +1,7 @@
 """What is known of a city, and which rays toward satellites stay within it: unknown is not open."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import shapely
 
@@ -18,7 +20,7 @@ def stays_within(
     start_m: np.ndarray,
     azimuth_rad: np.ndarray,
     elevation_rad: np.ndarray,
-    rise_m: float,
+    rise_m: float | np.ndarray,
 ) -> np.ndarray:
     """Return which rays stay above known ground until they have risen so far that no roof can meet them.
 
@@ -29,12 +31,12 @@ def stays_within(
       start_m: ``[..., 2]`` easting and northing where the rays begin.
       azimuth_rad: ``[...]`` clockwise from grid north; its shape and that of the places are broadcast.
       elevation_rad: ``[...]`` above 0.
-      rise_m: from the receivers to the highest roof; below 0 it counts as 0.
+      rise_m: from the receivers to the highest roof, ``[...]`` or for all; below 0 it counts as 0.
 
     Returns:
       ``[...]`` bool; False too of a ray that begins elsewhere.
     """
-    run_m = max(rise_m, 0.0) / np.tan(elevation_rad)
+    run_m = np.maximum(rise_m, 0.0) / np.tan(elevation_rad)
     end_m = start_m + np.stack([run_m * np.sin(azimuth_rad), run_m * np.cos(azimuth_rad)], axis=-1)
     rays = np.stack(np.broadcast_arrays(start_m, end_m), axis=-2)
     stays = np.zeros(rays.shape[:-2], bool)
@@ -45,3 +47,38 @@ def stays_within(
     shapely.prepare(known)
     stays[~stays] = shapely.covers(known, shapely.linestrings(rays[~stays]))
     return stays
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """Rays from places toward satellites. ``R`` rays.
+
+    Attributes:
+      x_m, y_m: ``[R]`` float64 places in the CRS of the city.
+      azimuth_rad: ``[R]`` float64 clockwise from grid north.
+      elevation_rad: ``[R]`` float64 above the horizon.
+    """
+
+    x_m: np.ndarray
+    y_m: np.ndarray
+    azimuth_rad: np.ndarray
+    elevation_rad: np.ndarray
+
+    def take(self, rows: np.ndarray) -> "Rays":
+        """Return some of the rays."""
+        return Rays(*(values[rows] for values in vars(self).values()))
+
+    def moved(self, east_m: float, north_m: float) -> "Rays":
+        """Return the rays from other places: those that a city displaced by the opposite leaves where they are."""
+        return replace(self, x_m=self.x_m + east_m, y_m=self.y_m + north_m)
+
+    def stays_within(self, known: shapely.Geometry, rise_m: float | np.ndarray) -> np.ndarray:
+        """Return ``[R]`` which rays stay above known ground (`stays_within`)."""
+        start_m = np.column_stack([self.x_m, self.y_m])
+        return stays_within(known, start_m, self.azimuth_rad, self.elevation_rad, rise_m)
+
+    def places_m(self, ray: np.ndarray, along_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return ``[..., P]`` x_m and y_m of rays, by their numbers ``[P]``, at distances along the ground."""
+        azimuth_rad = self.azimuth_rad[ray]
+        x_m = self.x_m[ray] + along_m * np.sin(azimuth_rad)
+        return x_m, self.y_m[ray] + along_m * np.cos(azimuth_rad)

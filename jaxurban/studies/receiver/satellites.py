@@ -31,7 +31,7 @@ from jaxurban.maps.track import NUM_VISIBLE, Track
 from jaxurban.studies.receiver.prediction import EVERYWHERE, OF_CITY
 from jaxurban.world.city import TO_GROUND, City
 from jaxurban.world.grid import Grid
-from jaxurban.world.known import known_ground, stays_within
+from jaxurban.world.known import Rays, known_ground
 from jaxurban.world.sky import Sky
 from jaxurban.world.surface import stands_at
 
@@ -40,35 +40,6 @@ FARTHEST_MARGIN_M = (
     60.0  # `ReceptionCurve` cuts margins there: what stands farther from the line is not looked for
 )
 HORIZON_DEG = np.arange(360.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Rays:
-    """Rays from places toward satellites. ``R`` rays.
-
-    Attributes:
-      x_m, y_m: ``[R]`` float64 places in the CRS of the city.
-      azimuth_rad: ``[R]`` float64 clockwise from grid north.
-      elevation_rad: ``[R]`` float64 above the horizon.
-    """
-
-    x_m: np.ndarray
-    y_m: np.ndarray
-    azimuth_rad: np.ndarray
-    elevation_rad: np.ndarray
-
-    def take(self, rows: np.ndarray) -> "Rays":
-        """Return some of the rays."""
-        return Rays(*(values[rows] for values in vars(self).values()))
-
-    def moved(self, east_m: float, north_m: float) -> "Rays":
-        """Return the rays from other places: those that a city displaced by the opposite leaves where they are."""
-        return replace(self, x_m=self.x_m + east_m, y_m=self.y_m + north_m)
-
-    def stays_within(self, known: shapely.Geometry, rise_m: float) -> np.ndarray:
-        """Return ``[R]`` which rays stay above known ground (`jaxurban.world.known.stays_within`)."""
-        start_m = np.column_stack([self.x_m, self.y_m])
-        return stays_within(known, start_m, self.azimuth_rad, self.elevation_rad, rise_m)
 
 
 @dataclass(frozen=True, eq=False)
