@@ -105,7 +105,7 @@ def build_maps(
     if grid is not None and bounds is not None:
         raise InputError("give either bounds or grid, and not both")
     layers = check_layers(layers)
-    region = grid if grid is not None else _region(city, bounds, resolution_m)
+    region = grid if grid is not None else region_of(city, bounds, resolution_m)
     sections = _sections(
         city,
         gps=gps,
@@ -146,7 +146,8 @@ def check_region(city: City, region: Grid, is_own: bool = False) -> None:
         )
 
 
-def _region(city: City, bounds: Sequence[float] | None, resolution_m: float) -> Grid:
+def region_of(city: City, bounds: Sequence[float] | None, resolution_m: float) -> Grid:
+    """Return the grid of maps of a city: of bounds, its own ones, or what its buildings cover."""
     bounds = bounds if bounds is not None else city.bounds
     if bounds is not None:
         return Grid.from_bounds(bounds, resolution_m, city.crs)

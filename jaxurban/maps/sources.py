@@ -52,11 +52,18 @@ def city_of(given: CityLike, sources: Path | None = None) -> City:
     Raises:
       InputError: maps that were made in memory, or files that are gone.
     """
-    if isinstance(given, City):
-        return given
-    folder = given.folder if isinstance(given, MetricMaps) else Path(given)
+    return given if isinstance(given, City) else load_city(scenario_of(folder_of(given), sources))
+
+
+def folder_of(maps: MetricMaps | str | Path) -> Path:
+    """Return the folder that maps were opened from, or a folder as it is.
+
+    Raises:
+      InputError: maps that were made in memory.
+    """
+    folder = maps.folder if isinstance(maps, MetricMaps) else Path(maps)
     if folder is None:
         raise InputError(
             "maps that were made in memory do not hold their city: give the City that they were made of"
         )
-    return load_city(scenario_of(folder, sources))
+    return folder

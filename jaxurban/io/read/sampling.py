@@ -61,6 +61,23 @@ def resample_raster(raster: Raster, grid: Grid, how: Resampling = "nearest") -> 
     return values
 
 
+def values_at(
+    raster: Raster, x: np.ndarray, y: np.ndarray, crs: str, how: Resampling
+) -> np.ndarray:
+    """Return a raster's values at places in ``crs``, in their shape, as `resample_raster` takes those of cells.
+
+    Args:
+      raster: what `read_raster` gave.
+      x, y: of the places.
+      crs: of the places.
+      how: ``"nearest"`` or ``"bilinear"``.
+    """
+    with np.errstate(invalid="ignore"):
+        at = transformer(crs, raster.crs).transform(x, y)
+        col, row = transformed(~Affine(*raster.transform), *at)
+    return (_bilinear if how == "bilinear" else _nearest)(raster, row, col)
+
+
 def pixel_xy(
     raster: Raster, row: np.ndarray, col: np.ndarray, crs: str
 ) -> tuple[np.ndarray, np.ndarray]:

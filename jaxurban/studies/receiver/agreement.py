@@ -31,10 +31,11 @@ from jaxurban.studies.receiver.displaced import (
 )
 from jaxurban.studies.receiver.prediction import EVERYWHERE, ReceiverSettings
 from jaxurban.studies.receiver.rivals import MAP, compared_rules, features_of, gain_by_length
-from jaxurban.studies.receiver.satellites import FARTHEST_MARGIN_M, Ground, Rays, box_of, legs
+from jaxurban.studies.receiver.satellites import FARTHEST_MARGIN_M, Ground, box_of, legs
 from jaxurban.studies.receiver.scores import score_table
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
+from jaxurban.world.known import Rays
 
 MOST_MOVED = 20_000  # rows that are set against displaced cities and other roofs, of a longer log every n-th epoch
 FEWEST_SEEN = 8  # judged rows of a block that may be drawn as a place

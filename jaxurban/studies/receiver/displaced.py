@@ -11,8 +11,9 @@ import pandas as pd
 import shapely
 
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
-from jaxurban.studies.receiver.satellites import Ground, Rays
+from jaxurban.studies.receiver.satellites import Ground
 from jaxurban.studies.receiver.scores import aucs, drawn_blocks, levels_of
+from jaxurban.world.known import Rays
 
 NEAREST_M, FARTHEST_M = 80.0, 450.0  # that cities of the null are displaced by
 STEP_M, AROUND_M = 2.0, 40.0  # of the field of displacement

@@ -1,0 +1,187 @@
+"""Sight: which satellites places in a city see, by its exact outlines or by the kernel of its maps."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from jaxurban.errors import InputError
+from jaxurban.maps.build import region_of, view_sky
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.run import load_city
+from jaxurban.maps.sources import CityLike, folder_of, scenario_of
+from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.track import NUM_VISIBLE, Track, quality_along, seen_along
+from jaxurban.metrics.gps import DOPS, Gps
+from jaxurban.paths.hiding import Hiding
+from jaxurban.progress import Report
+from jaxurban.settings import NOMINAL, each
+from jaxurban.world.city import City
+from jaxurban.world.grid import Grid
+from jaxurban.world.known import Rays
+
+By = Literal["outlines", "map"]
+SEEN, HIDDEN, UNKNOWN = "seen", "hidden", "unknown"
+RESOLUTION_M = 5.0  # of the maps of a City, as `build_maps` makes them
+
+
+class Look(NamedTuple):
+    """Which satellites ``N`` places see, each under one of the skies of a task.
+
+    Attributes:
+      task: with the skies.
+      sky: ``[N]`` number of the sky of each place.
+      epoch: number of the place of each of ``rows``.
+      rows: a row a place and satellite above the mask, as `SkyAt.table` has them.
+      dops: a row a place, as `SkyAt.dops` has them.
+      is_outdoors: ``[N]`` bool: the place lies in no building.
+    """
+
+    task: MapTask
+    sky: np.ndarray
+    epoch: np.ndarray
+    rows: pd.DataFrame
+    dops: pd.DataFrame
+    is_outdoors: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """A city to look at the sky from, and how maps of it are made.
+
+    Attributes:
+      city: what stands.
+      region: grid of the maps.
+      params: of the maps; of their sections that of the satellites.
+    """
+
+    city: City
+    region: Grid
+    params: MapParams
+
+    @classmethod
+    def of(
+        cls, where: CityLike, gps: Gps | None, sources: Path | None, resolution_m: float | None
+    ) -> "Sight":
+        """Return the sight of a city, of maps or of their folder, see `jaxurban.sky`."""
+        if isinstance(where, City):
+            params = MapParams(sections={"gps": gps or where.gps or Gps()})
+            return cls(where, region_of(where, None, resolution_m or RESOLUTION_M), params)
+        if isinstance(where, MetricMaps):
+            resolution_m = where.grid.resolution_m
+        scenario = scenario_of(folder_of(where), sources)
+        sizes = scenario.region.resolution_m
+        if resolution_m is None:
+            resolution_m = sizes[0]
+        if resolution_m not in sizes:
+            held = ", ".join(f"{size:g}" for size in sizes)
+            raise InputError(
+                f"resolution_m must be that of maps in the folder, {held}, got {resolution_m:g}"
+            )
+        region = Grid.from_bounds(scenario.region.bounds, resolution_m, scenario.region.crs, sizes)
+        orbits = [
+            name if name == NOMINAL else scenario.path_of(name)
+            for name in each(scenario.gps.orbits)
+        ]
+        params = replace(
+            scenario.map_params,
+            heights=replace(scenario.buildings, height_samples=0),
+            sections={"gps": gps or replace(scenario.gps, orbits=orbits)},
+        )
+        return cls(load_city(scenario), region, params)
+
+    def task(
+        self,
+        times: Sequence[str] | None,
+        altitude_m: float,
+        reference: tuple[float, float] | None,
+    ) -> MapTask:
+        """Return what maps of the city at some times and one altitude are made of.
+
+        Args:
+          times: UTC; None: those that the satellites' settings name.
+          altitude_m: above the ground.
+          reference: longitude, latitude where look angles are taken; None: as the settings have it.
+        """
+        gps = replace(self.params.gps, series="epochs", bounds=False)
+        if times is not None:
+            gps = replace(gps, times=tuple(times), start=None, stop=None, step_s=None)
+        if reference is not None:
+            gps = replace(gps, reference=reference)
+        params = replace(self.params, altitudes_m=(altitude_m,), sections={"gps": gps})
+        return MapTask(self.city, self.region, view_sky(self.region, gps), params)
+
+    @cached_property
+    def hiding(self) -> Hiding:
+        """What can hide satellites."""
+        return Hiding(self.city)
+
+    def look(
+        self,
+        by: By,
+        xy_m: np.ndarray,
+        altitude_m: ArrayLike,
+        times: Sequence[str] | None,
+        sky: np.ndarray | None = None,
+    ) -> Look:
+        """Return which satellites places see.
+
+        Args:
+          by: ``"outlines"``, or ``"map"``, in the cells that hold the places.
+          xy_m: ``[2, N]`` of places; N may be 1.
+          altitude_m: of each above the ground, or of all.
+          times: as for `task`.
+          sky: ``[N]`` number of each place's time; None: one place, at all times.
+
+        Raises:
+          InputError: by the map, places beyond its region or at several altitudes; no satellite above the mask.
+        """
+        low_m = float(np.min(altitude_m))
+        lonlat = self.region.lonlat_of_xy(*xy_m.mean(axis=1).tolist())
+        task = self.task(times, low_m, self.params.gps.reference if by == "map" else lonlat)
+        sky = np.arange(task.num_times) if sky is None else sky
+        x_m, y_m, height_m, _ = np.broadcast_arrays(*xy_m, altitude_m, sky)
+        epoch, satellite = np.nonzero(task.sky.is_in_view[sky])
+        at = sky[epoch], satellite
+        azimuth_rad, elevation_rad = task.sky.azimuth_rad[at], task.sky.elevation_rad[at]
+        rays = Rays(x_m[epoch], y_m[epoch], azimuth_rad, elevation_rad)
+        behind = self.hiding.behind(rays, height_m[epoch])
+        is_known = behind.pop("is_known").to_numpy()
+        if by == "map":
+            if not self.region.contains_xy(x_m, y_m).all() or np.ptp(height_m) > 0:
+                raise InputError(
+                    "by the map all places must lie in its region and at one altitude_m: take by='outlines'"
+                )
+            track = Track(x_m, y_m, *self.region.cell_of_xy(x_m, y_m), sky, task.sky.times)
+            is_seen, is_outdoors = seen_along(task, track, Report())
+            behind = behind.iloc[:, :0]
+        else:
+            is_seen = np.zeros((len(sky), len(task.sky.names)), bool)
+            is_seen[epoch, satellite] = is_known & (behind["margin_m"] > 0)
+            is_outdoors = (
+                np.bincount(epoch[behind["roof_distance_m"] == 0], minlength=len(sky)) == 0
+            )
+        state = np.select([~is_known, is_seen[epoch, satellite]], [UNKNOWN, SEEN], HIDDEN)
+        turn_rad = self.region.convergence_rad(*lonlat)
+        rows = {
+            "satellite": np.array(task.sky.names)[satellite],
+            "system": np.array(task.sky.systems)[satellite],
+            "azimuth_deg": np.degrees((azimuth_rad + turn_rad) % math.tau),
+            "grid_azimuth_deg": np.degrees(azimuth_rad),
+            "elevation_deg": np.degrees(elevation_rad),
+            "state": state,
+        }
+        counts = {
+            f"num_{each}": np.bincount(epoch[state == each], minlength=len(sky))
+            for each in (HIDDEN, UNKNOWN)
+        }
+        quality = quality_along(task, sky, is_seen)
+        seen = {NUM_VISIBLE: quality[NUM_VISIBLE].astype(int)}
+        dops = pd.DataFrame(seen | counts | {name: quality[name] for name in DOPS})
+        return Look(task, sky, epoch, pd.DataFrame(rows).join(behind), dops, is_outdoors)
