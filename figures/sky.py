@@ -35,7 +35,7 @@ def plot_sky(of: SatelliteAgreement, credit: str) -> Figure:
     place = figure.add_subplot(grid[0], projection="polar")
     strengths, cities = figure.add_subplot(grid[1]), figure.add_subplot(grid[2])
     sky, judged = of.skies[-1], of.rows[of.rows.is_judged]
-    draw_horizon(place, sky)
+    draw_horizon(place, sky.horizon_deg)
     place.set_title(f"the sky at the place of {sky.name}")
     for is_seen, name, marker, colour in CLASSES:
         rows = sky.satellites[sky.satellites.is_seen == is_seen]

@@ -25,6 +25,7 @@ from jaxurban.cli.maps import maps
 from jaxurban.cli.plan import plan
 from jaxurban.cli.score import score
 from jaxurban.cli.sensitivity import sensitivity, sensitivity_study
+from jaxurban.cli.sky import sky
 from jaxurban.cli.study import study
 from jaxurban.cli.tune import tune
 from jaxurban.cli.view import view
@@ -56,6 +57,7 @@ COMMANDS = (
     score,
     sensitivity,
     sensitivity_study,
+    sky,
     study,
     tune,
     validate,

@@ -135,7 +135,7 @@ class Hiding:
     ) -> np.ndarray:
         """Return ``[K]`` the elevation in degrees up to which buildings and hills fill the sky over a place.
 
-        At least ``lowest_deg``. NaN where a ray along it leaves what is known. Below what hangs the sky counts as filled.
+        At least ``lowest_deg``. NaN where a ray along it leaves what is known. What is below a slab counts as filled.
 
         Args:
           x_m, y_m: of the place.

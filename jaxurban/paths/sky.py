@@ -272,7 +272,7 @@ def sky_along(
 
 
 def _flown(corners_m: np.ndarray, speed_m_s: float) -> np.ndarray:
-    """Return ``[4, N]`` x, y, z of each second of a route through corners ``[3, K]`` and of its end, and the seconds."""
+    """Return ``[4, N]`` x, y, z at each second of a route through corners ``[3, K]`` and at its end, and the time."""
     legs_m = np.linalg.norm(np.diff(corners_m, axis=1), axis=0)
     at_s = np.append(0.0, np.cumsum(legs_m)) / speed_m_s
     elapsed_s = np.append(np.arange(0.0, at_s[-1]), at_s[-1])

@@ -14,9 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import PercentFormatter
 
+from jaxurban.report.figures.sky import ROOFS, draw_horizon
 from jaxurban.report.figures.style import (
     FAINT_INK,
     INK,
@@ -30,10 +30,10 @@ from jaxurban.report.figures.style import (
 )
 from jaxurban.report.write import framed
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
-from jaxurban.studies.receiver.agreement import PlaceSky, SatelliteAgreement
+from jaxurban.studies.receiver.agreement import SatelliteAgreement
 from jaxurban.studies.receiver.validate import ReceiverValidation
 
-HIDDEN, SEEN, ROOFS = "#d55e00", "#0072b2", "#cfcac2"
+HIDDEN, SEEN = "#d55e00", "#0072b2"
 CLASSES = ((False, "hidden by a building", "^", HIDDEN), (True, "in view", "o", SEEN))
 ROWS = {  # of scores
     "all": "all judged",
@@ -309,7 +309,7 @@ def plot_skies(of: SatelliteAgreement) -> Figure:
     )
     axes = figure.subplots(1, len(of.skies), subplot_kw={"projection": "polar"}, squeeze=False)[0]
     for panel, sky in zip(axes, of.skies, strict=True):
-        draw_horizon(panel, sky)
+        draw_horizon(panel, sky.horizon_deg)
         panel.set_title(f"{sky.name}, {sky.utc[11:19]} UTC")
         for is_seen, label, marker, _ in CLASSES:
             rows = sky.satellites[sky.satellites.is_seen == is_seen].sort_values("azimuth_deg")
@@ -336,16 +336,3 @@ def plot_skies(of: SatelliteAgreement) -> Figure:
     add_colour_bar(figure, axes, STRENGTH)
     legend_below(figure, axes[0])
     return figure
-
-
-def draw_horizon(panel: PolarAxes, sky: PlaceSky) -> None:
-    """Draw the buildings of a sky in a polar panel: north up, the radius 90 degrees less the elevation."""
-    panel.set_theta_zero_location("N")
-    panel.set_theta_direction(-1)
-    panel.set_rlim(0, 90)
-    panel.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])
-    panel.set_yticks([30, 60], ["", ""])
-    horizon_deg = np.append(sky.horizon_deg, sky.horizon_deg[0])
-    panel.fill_between(
-        np.radians(np.arange(361)), 90 - horizon_deg, 90, color=ROOFS, label="buildings"
-    )

@@ -13,7 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.tables import read_table
 from jaxurban.samples.catalogue import located
 
-UTC, LON, LAT = "utc", "lon_deg", "lat_deg"
+UTC, LON, LAT, ALTITUDE = "utc", "lon_deg", "lat_deg", "altitude_m"
 OTHER_NAMES = {"lon": LON, "lat": LAT}
 WITNESSES = TRACKED, ERROR = (
     "num_tracked",
@@ -31,6 +31,7 @@ MOST_ROWS = 5_000_000  # of satellites: three hours at 10 Hz with 45 of them; a 
 RANGES = {  # of a value; no receiver has channels for more satellites, and none measures a C/N0 of 70 dBHz outdoors
     LON: (-180.0, 180.0),
     LAT: (-90.0, 90.0),
+    ALTITUDE: (0.0, 20_000.0),
     TRACKED: (0.0, 200.0),
     ERROR: (0.0, np.inf),
     CN0: (0.0, 70.0),
@@ -113,6 +114,21 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
     return log_of(
         read_table(located(source), "receiver log", categories=(UTC, SATELLITE)), str(source)
     )
+
+
+def read_track(file: str | Path) -> pd.DataFrame:
+    """Return the rows of a table's file as they stand: ``utc``, ``lon_deg``, ``lat_deg``, and ``altitude_m`` if given.
+
+    Raises:
+      InputError: a file that cannot be read, a column that is missing, or values that are none.
+    """
+    table = renamed(read_table(file, "track"), OTHER_NAMES)
+    columns = [column for column in (UTC, LON, LAT, ALTITUDE) if column in table]
+    if columns[:3] != [UTC, LON, LAT] or table.empty:
+        raise InputError(
+            f"the track file {str(file)!r} must have rows of the columns {UTC}, {LON} and {LAT}, separated by commas"
+        )
+    return checked(table, columns, f"the track file {str(file)!r}")
 
 
 def log_of(table: pd.DataFrame, name: str) -> ReceiverLog:

@@ -1,0 +1,76 @@
+"""The sky over a place: the buildings around the rim, and the satellites that they hide and leave."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.projections.polar import PolarAxes
+
+from jaxurban.errors import InputError
+from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN
+from jaxurban.paths.sky import SkyAt
+from jaxurban.report.figures.frame import joined, time_said
+from jaxurban.report.figures.style import INK, MARKERS, SERIES_COLOURS, chart, styled
+
+ROOFS = "#cfcac2"
+EDGE_DEG = 8.0  # of the band at the rim that is hatched where the horizon is not known
+LOOKS: dict[str, dict[str, Any]] = {  # of states; the marker is the system's
+    SEEN: {"linewidths": 0.7},
+    HIDDEN: {"linewidths": 1.4, "facecolors": "white"},
+    UNKNOWN: {"linewidths": 1.0, "facecolors": "white", "linestyles": ":"},
+}
+MARKS = {SEEN: "", HIDDEN: " ✕", UNKNOWN: " ?"}  # behind a satellite's name
+
+
+@styled
+def plot_sky(of: SkyAt, time: str | None = None) -> Figure:
+    """Return the sky over a place at a time: north up, the zenith in the middle, the horizon filled.
+
+    Args:
+      of: from `jaxurban.sky`.
+      time: one of its times; the first, if left out.
+
+    Raises:
+      InputError: no such time.
+    """
+    time = of.times[0] if time is None else time
+    if time not in of.times:
+        raise InputError(f"time must be one of {', '.join(of.times)}, got {time!r}")
+    lon, lat = of.lonlat
+    how = {"outlines": "exact outlines", "map": "satellites by the map's cell, horizon by outlines"}
+    note = [joined(time_said(time), how[of.by], of.attribution), *of.cautions]
+    heading = f"The sky {of.altitude_m:g} m above ground at {lon:.5f}, {lat:.5f}"
+    figure = chart(7.2, 5.2, heading, "\n".join(note))
+    panel = figure.subplots(subplot_kw={"projection": "polar"})
+    draw_horizon(panel, of.horizon_deg)
+    now = of.table[of.table["time"] == time]
+    for k, (system, rows) in enumerate(now.groupby("system")):
+        for state, some in rows.groupby("state"):
+            look = {"facecolors": SERIES_COLOURS[k % len(SERIES_COLOURS)]} | LOOKS[state]
+            x, y = np.radians(some["azimuth_deg"]), 90 - some["elevation_deg"]
+            look |= {"marker": MARKERS[k % len(MARKERS)], "edgecolors": INK, "zorder": 5}
+            panel.scatter(x, y, s=55, label=f"{system.upper()}, {state}{MARKS[state]}", **look)
+            for name, *at in zip(some["satellite"], x, y, strict=True):
+                short = name.removesuffix(" (nominal)").split()[-1].strip("()") + MARKS[state]
+                panel.annotate(short, at, (5, 4), textcoords="offset points", size=7, zorder=6)
+    panel.legend(loc="upper left", bbox_to_anchor=(1.05, 1.0))
+    return figure
+
+
+def draw_horizon(panel: PolarAxes, horizon_deg: np.ndarray) -> None:
+    """Draw the buildings of a sky in a polar panel: north up, the radius 90 degrees less the elevation.
+
+    Args:
+      panel: to draw in.
+      horizon_deg: ``[360]`` by degree of azimuth; NaN where it is not known, which is hatched.
+    """
+    panel.set_theta_zero_location("N")
+    panel.set_theta_direction(-1)
+    panel.set_rlim(0, 90)
+    panel.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])
+    panel.set_yticks([30, 60], ["", ""])
+    around, rim = np.radians(np.arange(361)), 90 - np.append(horizon_deg, horizon_deg[0])
+    panel.fill_between(around, rim, 90, color=ROOFS, label="buildings")
+    if (is_missing := np.isnan(rim)).any():
+        look = {"facecolor": "white", "edgecolor": INK, "hatch": "////", "linewidth": 0.0}
+        panel.fill_between(around, 90 - EDGE_DEG, 90, is_missing, label="horizon not known", **look)
