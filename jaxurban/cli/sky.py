@@ -83,6 +83,7 @@ def sky(
         made = _along(folder, track, options, of_maps)
         tables = {"table": made.table}
     else:
+        assert place is not None
         if options["altitude_m"] is None or options["speed_m_s"] is not None:
             raise click.UsageError("--at needs --altitude, and takes no --speed")
         times = options["times"] or None
@@ -121,7 +122,7 @@ def _along(folder: Path, file: Path, options: Settings, of_maps: Settings) -> "S
         if times or speed_m_s is not None:
             raise click.UsageError("a table has its own times: leave --time and --speed out")
         rows = read_track(file)
-        places = rows[[LON, LAT]].to_numpy().tolist()
+        places = [*zip(rows[LON], rows[LAT], strict=True)]
         if altitude_m is None and ALTITUDE in rows:
             altitude_m = rows[ALTITUDE].tolist()
         return sky_along(folder, places, altitude_m, rows[UTC].tolist(), **of_maps)
@@ -130,5 +131,5 @@ def _along(folder: Path, file: Path, options: Settings, of_maps: Settings) -> "S
     route = read_routes(file)[0]
     altitude_m = route.altitude_m if altitude_m is None else altitude_m
     departure = times[0] if times else None
-    places = route.lonlat.tolist()
+    places = [(lon, lat) for lon, lat in route.lonlat.tolist()]
     return sky_along(folder, places, altitude_m, departure, speed_m_s=speed_m_s, **of_maps)

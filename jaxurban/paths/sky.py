@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import shapely
 
 from jaxurban.checks import positive, typed
 from jaxurban.errors import InputError
@@ -20,6 +21,7 @@ from jaxurban.paths.snapping import XY, Point, one_place
 from jaxurban.public import Caution, Shown, caution_of_guesses, listed
 from jaxurban.settings import each, parse_time
 from jaxurban.world.grid import Grid
+from jaxurban.world.known import known_ground
 
 LOWEST_DEG = 1.0  # of a horizon, where the elevation mask is lower
 
@@ -162,7 +164,7 @@ def sky_from(
     times = np.array(look.task.sky.times)
     look.rows.insert(0, "time", times[look.epoch])
     look.dops.insert(0, "time", times)
-    cautions, credit = _cautions(sight, look, by), sight.city.attribution
+    cautions, credit = _cautions(sight, look, by, xy_m), sight.city.attribution
     return SkyAt((lon, lat), altitude_m, by, look.rows, look.dops, cautions, credit, sight)
 
 
@@ -264,11 +266,12 @@ def sky_along(
         utc = (utc[0] + pd.to_timedelta(elapsed_s, "s")).round("s")
     names = np.broadcast_to(utc.strftime("%Y-%m-%dT%H:%M:%SZ"), len(x_m))
     different, sky = np.unique(names, return_inverse=True)
-    look = sight.look(by, np.stack([x_m, y_m]), z_m, different.tolist(), sky)
+    xy_m = np.stack([x_m, y_m])
+    look = sight.look(by, xy_m, z_m, different.tolist(), sky)
     lon, lat = sight.region.lonlat_of_xy(x_m, y_m)
     at = pd.DataFrame({"time": names, "lon": lon, "lat": lat, "altitude_m": z_m})
     table = at.join(look.dops).assign(has_fix=~has_no_fix(look.dops[FIX].to_numpy()))
-    return SkyAlong(table, by, _cautions(sight, look, by), sight.city.attribution)
+    return SkyAlong(table, by, _cautions(sight, look, by, xy_m), sight.city.attribution)
 
 
 def _flown(corners_m: np.ndarray, speed_m_s: float) -> np.ndarray:
@@ -292,7 +295,7 @@ def _xy_of(places: Sequence[Point], grid: Grid) -> np.ndarray:
     return xy_m
 
 
-def _cautions(sight: Sight, look: Look, by: By) -> list[Caution]:
+def _cautions(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caution]:
     """Return what whoever uses skies must know."""
     rows, num = look.rows, len(look.sky)
     guesses = {**sight.city.guesses, **look.task.sky.guesses}
@@ -309,7 +312,9 @@ def _cautions(sight: Sight, look: Look, by: By) -> list[Caution]:
                 f"terrain{counted}."
             )
         )
+    is_inside = shapely.intersects_xy(known_ground(sight.city), *xy_m)
     places = {
+        "outside what is known of the city": np.broadcast_to(~is_inside, num),
         "in a building, where all that is known is hidden": ~look.is_outdoors,
         "without a position fix": has_no_fix(look.dops[FIX].to_numpy()),
     }

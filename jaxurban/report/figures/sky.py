@@ -1,5 +1,6 @@
 """The sky over a place: the buildings around the rim, and the satellites that they hide and leave."""
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -41,18 +42,23 @@ def plot_sky(of: SkyAt, time: str | None = None) -> Figure:
     note = [joined(time_said(time), how[of.by], of.attribution), *of.cautions]
     heading = f"The sky {of.altitude_m:g} m above ground at {lon:.5f}, {lat:.5f}"
     figure = chart(7.2, 5.2, heading, "\n".join(note))
-    panel = figure.subplots(subplot_kw={"projection": "polar"})
+    panel: Any = figure.add_subplot(projection="polar")
     draw_horizon(panel, of.horizon_deg)
     now = of.table[of.table["time"] == time]
-    for k, (system, rows) in enumerate(now.groupby("system")):
-        for state, some in rows.groupby("state"):
-            look = {"facecolors": SERIES_COLOURS[k % len(SERIES_COLOURS)]} | LOOKS[state]
-            x, y = np.radians(some["azimuth_deg"]), 90 - some["elevation_deg"]
-            look |= {"marker": MARKERS[k % len(MARKERS)], "edgecolors": INK, "zorder": 5}
-            panel.scatter(x, y, s=55, label=f"{system.upper()}, {state}{MARKS[state]}", **look)
-            for name, *at in zip(some["satellite"], x, y, strict=True):
-                short = name.removesuffix(" (nominal)").split()[-1].strip("()") + MARKS[state]
-                panel.annotate(short, at, (5, 4), textcoords="offset points", size=7, zorder=6)
+    systems = list(dict.fromkeys(now["system"]))
+    for (k, system), (state, look) in product(enumerate(systems), LOOKS.items()):
+        rows = now[(now["system"] == system) & (now["state"] == state)]
+        if rows.empty:
+            continue
+        x, y = np.radians(rows["azimuth_deg"]), 90 - rows["elevation_deg"]
+        shape = {"marker": MARKERS[k % len(MARKERS)], "edgecolors": INK, "s": 55, "zorder": 5}
+        colour = {"facecolors": SERIES_COLOURS[k % len(SERIES_COLOURS)]}
+        label = f"{system.upper()}, {state}{MARKS[state]}"
+        panel.scatter(x, y, label=label, **(colour | shape | look))
+        for name, x_at, y_at in zip(rows["satellite"], x, y, strict=True):
+            short = name.removesuffix(" (nominal)").split()[-1].strip("()") + MARKS[state]
+            offset = (5, -9 if k % 2 else 4)
+            panel.annotate(short, (x_at, y_at), offset, textcoords="offset points", size=7)
     panel.legend(loc="upper left", bbox_to_anchor=(1.05, 1.0))
     return figure
 
@@ -72,5 +78,6 @@ def draw_horizon(panel: PolarAxes, horizon_deg: np.ndarray) -> None:
     around, rim = np.radians(np.arange(361)), 90 - np.append(horizon_deg, horizon_deg[0])
     panel.fill_between(around, rim, 90, color=ROOFS, label="buildings")
     if (is_missing := np.isnan(rim)).any():
-        look = {"facecolor": "white", "edgecolor": INK, "hatch": "////", "linewidth": 0.0}
-        panel.fill_between(around, 90 - EDGE_DEG, 90, is_missing, label="horizon not known", **look)
+        look: dict[str, Any] = {"facecolor": "white", "edgecolor": INK, "hatch": "////"}
+        look |= {"linewidth": 0.0, "label": "horizon not known"}
+        panel.fill_between(around, 90 - EDGE_DEG, 90, is_missing, **look)

@@ -1,0 +1,329 @@
+"""The sky at a place and along a track: the maps' own answer at centres, exact outlines elsewhere."""
+
+import time as clock
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import shapely
+
+import jaxurban as ju
+from jaxurban.kernels.dop import unit_vectors
+from jaxurban.maps.build import region_of
+from jaxurban.paths.sight import Sight
+from jaxurban.paths.sky import sky_from
+from jaxurban.report.figures.sky import plot_sky
+from jaxurban.world.city import Footprints, Raster
+from jaxurban.world.known import known_ground
+from tests.embree_scene import CityScene
+
+CRS, X_M, Y_M, SIDE_M = "EPSG:32618", 583_000.0, 4_507_000.0, 2000.0
+TIMES = ("2020-04-27T16:00:00Z", "2020-04-27T17:00:00Z")
+GPS = ju.Gps(times=TIMES, mask_deg=10.0)
+MIDDLE = ju.XY(X_M + SIDE_M / 2, Y_M + SIDE_M / 2)
+OF_BOTH = ju.Gps(
+    orbits=("sample:shinjuku/gps.tle", "sample:shinjuku/galileo.tle"), times="2018-12-19T03:00:00Z"
+)
+DOPS = ["gdop", "pdop", "hdop", "vdop", "tdop"]
+
+pytestmark = pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
+
+
+@cache
+def city(*more: tuple[float, float, float, float, float]) -> ju.City:
+    """Return 2 x 2 km with a wall west and a tower south of the middle, and more boxes: their corners, and heights."""
+    boxes = [(940.0, 900.0, 950.0, 1100.0, 70.0), (990.0, 900.0, 1010.0, 920.0, 80.0), *more]
+    at = np.add(boxes, [X_M, Y_M, X_M, Y_M, 0.0])
+    polygons, none = shapely.box(*at[:, :4].T), np.zeros(len(at))
+    buildings = Footprints(polygons, at[:, 4], none, none.astype(np.uint8), none > 0)
+    return ju.City(CRS, (X_M, Y_M, X_M + SIDE_M, Y_M + SIDE_M), buildings)
+
+
+@cache
+def maps() -> ju.MetricMaps:
+    return ju.build_maps(city(), altitudes_m=(20.0,), gps=GPS, progress=False)
+
+
+def at_cells(made: ju.MetricMaps, num: int, seed: int) -> tuple[np.ndarray, list[ju.XY]]:
+    """Return rows and columns of free cells, ``[2, num]``, and their centres."""
+    free = np.argwhere(made.m("obstacle") == 0)
+    cells = free[np.random.default_rng(seed).choice(len(free), num, replace=False)].T
+    return cells, [ju.XY(*xy) for xy in zip(*made.grid.xy_of_cell(*cells), strict=True)]
+
+
+def test_at_centres_the_answer_by_the_map_is_the_maps():
+    (rows, cols), centres = at_cells(maps(), 12, seed=0)
+    for row, col, centre in zip(rows, cols, centres, strict=True):
+        of_map = ju.sky(city(), centre, 20.0, by="map", gps=GPS).dops
+        for name in ("num_visible", *DOPS):
+            held = maps().ds[name].values[:, 0, row, col]
+            np.testing.assert_array_equal(of_map[name].to_numpy(np.float32), held)
+    along = ju.sky_along(city(), centres, 20.0, TIMES[1], by="map", gps=GPS).table
+    np.testing.assert_array_equal(
+        along["gdop"].to_numpy(np.float32), maps().m("gdop", time=TIMES[1])[rows, cols]
+    )
+
+
+def test_a_roof_hides_what_is_below_its_edge_and_is_named():
+    here = ju.sky(city(), MIDDLE, 20.0, gps=GPS)
+    table = here.table
+    assert set(table["state"]) == {"seen", "hidden"}
+    hidden = table[table["state"] == "hidden"]
+    assert set(hidden["roof_height_m"]) <= {70.0, 80.0}
+    assert len(hidden)
+    assert table.loc[table["state"] == "seen", "roof_height_m"].isna().all()
+    rise_m = hidden["roof_distance_m"] * np.tan(np.radians(hidden["elevation_deg"])) + 20.0
+    np.testing.assert_allclose(hidden["margin_m"], rise_m - hidden["roof_height_m"], atol=1e-9)
+    x_m, y_m = maps().grid.xy_of_lonlat(hidden["roof_lon"], hidden["roof_lat"])
+    np.testing.assert_allclose(
+        np.hypot(x_m - MIDDLE.x_m, y_m - MIDDLE.y_m), hidden["roof_distance_m"], atol=1e-3
+    )
+    toward = np.degrees(np.arctan2(x_m - MIDDLE.x_m, y_m - MIDDLE.y_m)) % 360
+    np.testing.assert_allclose(toward, hidden["grid_azimuth_deg"], atol=1e-3)
+    by_time = table.groupby("time")["state"].value_counts().unstack(fill_value=0)
+    np.testing.assert_array_equal(here.dops["num_visible"], by_time["seen"])
+    np.testing.assert_array_equal(here.dops["num_hidden"], by_time["hidden"])
+
+
+def test_the_horizon_of_boxes_is_the_closed_form():
+    """The wall stands 50 m west, the tower 80 m south; true north is half a degree off the grid's."""
+    horizon_deg = ju.sky(city(), MIDDLE, 20.0, gps=GPS).horizon_deg
+    turn_deg = np.degrees(maps().grid.convergence_rad(*maps().grid.lonlat_of_xy(*MIDDLE[:2])))
+    for azimuth, away_m, roof_m in ((270, 50.0, 70.0), (300, 50.0, 70.0), (180, 80.0, 80.0)):
+        off = np.cos(np.radians(azimuth - turn_deg - (180 if azimuth == 180 else 270)))
+        expected = np.degrees(np.arctan2(roof_m - 20.0, away_m / off))
+        assert horizon_deg[azimuth] == pytest.approx(max(expected, 10.0), abs=1e-6)
+    assert (horizon_deg[:90] == 10.0).all()  # the mask
+
+
+def test_what_is_unknown_follows_from_place_and_direction_alone():
+    at_edge = ju.XY(X_M + SIDE_M - 100.0, Y_M + 1000.0)
+    beside = (1910.0, 900.0, 1920.0, 1100.0, 79.0)
+    bare, built = (ju.sky(each, at_edge, 20.0, gps=GPS) for each in (city(), city(beside)))
+    is_unknown = bare.table["state"] == "unknown"
+    assert 0 < is_unknown.sum() < len(is_unknown)
+    np.testing.assert_array_equal(is_unknown, built.table["state"] == "unknown")
+    assert (built.table["state"] != bare.table["state"]).any()
+    assert bare.table.loc[is_unknown, "margin_m"].isna().all()
+    assert "their rays leave the known buildings" in " ".join(bare.cautions)
+    run_m = 60.0 / np.tan(np.radians(bare.table["elevation_deg"]))
+    azimuth = np.radians(bare.table["grid_azimuth_deg"])
+    ends = shapely.points(
+        at_edge.x_m + run_m * np.sin(azimuth), at_edge.y_m + run_m * np.cos(azimuth)
+    )
+    np.testing.assert_array_equal(is_unknown, ~shapely.covers(known_ground(city()), ends))
+    outside = ju.sky(city(), ju.XY(X_M - 50.0, Y_M), 20.0, gps=GPS)
+    assert set(outside.table["state"]) == {"unknown"}
+    assert np.isinf(outside.dops["hdop"]).all()
+
+
+@pytest.mark.parametrize("by", ["outlines", "map"])
+def test_in_a_building_all_is_hidden_and_that_is_said(by):
+    inside = ju.sky(city(), ju.XY(X_M + 1000, Y_M + 910), 20.0, by=by, gps=GPS)
+    assert set(inside.table["state"]) == {"hidden"}
+    assert np.isinf(inside.dops[DOPS]).all(axis=None)
+    assert "2 of 2 rows are in a building, where all that is known is hidden." in inside.cautions
+    assert set(ju.sky(city(), ju.XY(X_M + 1000, Y_M + 910), 80.5, gps=GPS).table["state"]) == {
+        "seen"
+    }
+
+
+def raster(values: np.ndarray, side_m: float) -> Raster:
+    """Return a raster of which row 0 is the northernmost."""
+    transform = (side_m, 0.0, X_M, 0.0, -side_m, Y_M + SIDE_M)
+    return Raster(values.astype(np.float32), transform, CRS)
+
+
+def test_a_raster_of_roofs_gives_what_its_outlines_give():
+    side_m = 5.0
+    roofs = np.zeros((400, 400))
+    for west, south, east, north, height_m in (
+        (940, 900, 950, 1100, 70),
+        (990, 900, 1010, 920, 80),
+    ):
+        roofs[400 - north // 5 : 400 - south // 5, west // 5 : east // 5] = height_m
+    of_cells = replace(city(), buildings=None, roofs=raster(roofs, side_m))
+    exact, sampled = (ju.sky(each, MIDDLE, 20.0, gps=GPS) for each in (city(), of_cells))
+    np.testing.assert_array_equal(exact.table["state"], sampled.table["state"])
+    is_hidden = exact.table["state"] == "hidden"
+    for name, most in (("margin_m", 1.5), ("roof_height_m", 0.0), ("roof_distance_m", 1.5)):
+        np.testing.assert_allclose(
+            exact.table[name][is_hidden], sampled.table[name][is_hidden], atol=most
+        )
+    off_deg = np.abs(exact.horizon_deg - sampled.horizon_deg)
+    assert np.mean(off_deg < 1.0) > 0.98  # but for the ends of walls
+    roofs[:, 250:] = np.nan  # 250 m east nothing is known
+    holed = ju.sky(replace(of_cells, roofs=raster(roofs, side_m)), MIDDLE, 20.0, gps=GPS)
+    east = np.sin(np.radians(holed.table["grid_azimuth_deg"]))
+    run_m = 60.0 / np.tan(np.radians(holed.table["elevation_deg"]))
+    np.testing.assert_array_equal(holed.table["state"] == "unknown", run_m * east > 250.0)
+
+
+def test_a_hill_hides_what_outlines_do_not_and_has_no_roof():
+    """A square ring of hills stands around the middle, as high as it gets from 212.5 m on."""
+    away = np.abs(np.arange(80) - 39.5)
+    ring = np.maximum(away, away[:, None])
+    heights = np.where((ring > 8) & (ring < 14), 205.0, 5.0)
+    hilly = replace(city(), terrain=raster(heights, 25.0), terrain_extent_m=city().extent_m)
+    here = ju.sky(hilly, MIDDLE, 90.0, gps=GPS)
+    table = here.table[here.table["state"] != "unknown"]
+    azimuth = np.radians(table["grid_azimuth_deg"])
+    away_m = 212.5 / np.maximum(np.abs(np.sin(azimuth)), np.abs(np.cos(azimuth)))
+    is_hidden = table["state"] == "hidden"
+    rise_m = away_m * np.tan(np.radians(table["elevation_deg"]))
+    np.testing.assert_array_equal(is_hidden, rise_m < 205.0 - 95.0)
+    assert is_hidden.any()
+    assert not is_hidden.all()
+    assert table.loc[is_hidden, "roof_height_m"].isna().all()
+    assert here.horizon_deg[0] == pytest.approx(np.degrees(np.arctan2(110.0, 212.5)), abs=0.5)
+
+
+def test_along_a_track_rows_are_the_skies_of_their_places_and_times():
+    places, when = [MIDDLE, ju.XY(X_M + 900, Y_M + 1000), MIDDLE], [TIMES[1], TIMES[0], TIMES[0]]
+    along = ju.sky_along(city(), places, [20.0, 25.0, 60.0], when, gps=GPS).table
+    for row, place in zip(along.to_dict("records"), places, strict=True):
+        alone = ju.sky(city(), place, row["altitude_m"], time=row["time"], gps=GPS).dops.iloc[0]
+        assert row["num_visible"] == alone["num_visible"]
+        assert row["gdop"] == pytest.approx(alone["gdop"], rel=1e-3)
+    assert along["time"].tolist() == when
+
+
+def test_a_route_is_flown_at_its_speed():
+    corners = [
+        MIDDLE,
+        ju.XY(MIDDLE.x_m + 100, MIDDLE.y_m),
+        ju.XY(MIDDLE.x_m + 100, MIDDLE.y_m + 45),
+    ]
+    table = ju.sky_along(city(), corners, 60.0, TIMES[0], speed_m_s=10.0, gps=GPS).table
+    assert table["time"].iloc[[0, 10, -1]].tolist() == [
+        TIMES[0], "2020-04-27T16:00:10Z", "2020-04-27T16:00:14Z",
+    ]  # fmt: skip
+    x_m, y_m = maps().grid.xy_of_lonlat(table["lon"], table["lat"])
+    np.testing.assert_allclose(np.hypot(np.diff(x_m), np.diff(y_m)), [*[10.0] * 14, 5.0], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"altitude_m": 0.0}, "altitude_m must be a positive"),
+        ({"place": (200.0, 95.0)}, "place must be longitude, latitude"),
+        ({"place": (float("nan"), 40.7)}, "place must be longitude, latitude"),
+        ({"time": "noon"}, "'noon' is not a time"),
+        ({"by": "eye"}, "by must be 'outlines' or 'map'"),
+        (
+            {"by": "map", "place": ju.XY(X_M - 50, Y_M)},
+            "by the map all places must lie in its region",
+        ),
+        ({"where": "no-folder"}, "no-folder"),
+        ({"gps": ju.Gps(mask_deg=89.9)}, "no satellite is above"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_in_a_sentence(change, message):
+    asked = {"where": city(), "place": MIDDLE, "altitude_m": 20.0, "gps": GPS} | change
+    with pytest.raises(ju.InputError, match=message):
+        ju.sky(**asked)
+
+
+def test_numbers_of_places_and_times_that_differ_are_refused():
+    with pytest.raises(ju.InputError, match="one for all 2 places or one for each, got 1 and 3"):
+        ju.sky_along(city(), [MIDDLE] * 2, 20.0, [TIMES[0]] * 3, gps=GPS)
+    with pytest.raises(ju.InputError, match="altitude_m is missing"):
+        ju.sky_along(city(), [MIDDLE], gps=GPS)
+
+
+def test_the_picture_fills_the_horizon_and_names_every_satellite():
+    here = ju.sky(city(), MIDDLE, 20.0, gps=GPS)
+    (panel,) = plot_sky(here, TIMES[1]).axes
+    now = here.table[here.table["time"] == TIMES[1]]
+    names = {text.get_text().removesuffix(" ✕") for text in panel.texts}
+    assert names == {name.removesuffix(" (nominal)").split()[-1] for name in now["satellite"]}
+    labels = panel.get_legend_handles_labels()[1]
+    assert labels == ["buildings", "GPS, seen", "GPS, hidden ✕"]
+    with pytest.raises(ju.InputError, match="time must be one of"):
+        plot_sky(here, "2020-04-27T18:00:00Z")
+
+
+@cache
+def sample(name: str) -> ju.City:
+    return ju.sample_city(name)
+
+
+def clears_m(of: ju.City, place: ju.XY, row: dict) -> np.ndarray:
+    """Return by how much a ray clears every building of a city, by brute force; NaN where it does not cross it."""
+    azimuth, slope = np.radians(row["grid_azimuth_deg"]), np.tan(np.radians(row["elevation_deg"]))
+    end = np.array(place[:2]) + 5000.0 * np.array([np.sin(azimuth), np.cos(azimuth)])
+    line = shapely.LineString([place[:2], end])
+    shapely.prepare(line)
+    polygons = of.buildings.polygons
+    crosses = shapely.intersects(line, polygons)
+    entry_m = np.full(len(polygons), np.nan)
+    crossed = shapely.intersection(line, polygons[crosses])
+    entry_m[crosses] = shapely.distance(shapely.Point(place[:2]), crossed)
+    return 20.0 + entry_m * slope - of.buildings.height_m
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["lower-manhattan", "shinjuku", "nihonbashi"])
+def test_at_200_centres_of_a_sample_the_answer_by_the_map_is_the_maps(name):
+    whole = region_of(sample(name), None, 5.0)
+    row, col = np.array(whole.shape) // 2 - 40
+    grid = replace(
+        whole, first_row=whole.first_row + int(row), first_col=whole.first_col + int(col),
+        num_rows=80, num_cols=80,
+    )  # fmt: skip
+    gps = replace(OF_BOTH, reference=grid.centre_lonlat)
+    made = ju.build_maps(sample(name), grid=grid, altitudes_m=(20.0,), gps=gps, progress=False)
+    (rows, cols), centres = at_cells(made, 200, seed=1)
+    by_map = ju.sky_along(sample(name), centres, 20.0, by="map", gps=gps).table
+    for quantity in ("num_visible", *DOPS):
+        held = made.m(quantity)[rows, cols]
+        np.testing.assert_array_equal(by_map[quantity].to_numpy(np.float32), held)
+    assert np.unique(by_map["num_visible"]).size > 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["lower-manhattan", "shinjuku"])
+def test_at_200_places_of_a_sample_embree_agrees_and_50_roofs_are_those_of_brute_force(name):
+    of = sample(name)
+    polygons, height_m = of.buildings.polygons, of.buildings.height_m
+    scene, tree = CityScene(polygons, height_m), shapely.STRtree(polygons)
+    grid, rng = region_of(of, None, 5.0), np.random.default_rng(2)
+    sight = Sight.of(of, OF_BOTH, None, None)
+    agree, roofs = [], []
+    while len(agree) < 200:
+        place = ju.XY(
+            float(rng.uniform(grid.x_min_m, grid.x_max_m)),
+            float(rng.uniform(grid.y_min_m, grid.y_max_m)),
+        )
+        if (height_m[tree.query(shapely.Point(place[:2]), predicate="intersects")] >= 20.0).any():
+            continue
+        table = sky_from(sight, place, 20.0).table
+        table = table[table["state"] != "unknown"]
+        azimuth, elevation = np.radians(table[["grid_azimuth_deg", "elevation_deg"]].to_numpy().T)
+        start = np.tile([*place[:2], 20.0], (len(table), 1))
+        distance_m = scene.distance_m(start, unit_vectors(azimuth, elevation))
+        agree.append(np.isinf(distance_m) == (table["state"] == "seen"))
+        hidden = table[table["state"] == "hidden"]
+        if len(hidden) and len(roofs) < 50:
+            row = hidden.iloc[int(rng.integers(len(hidden)))].to_dict()
+            every_m = clears_m(of, place, row)
+            roofs.append(row["roof_height_m"] == height_m[np.nanargmin(every_m)])
+            assert row["margin_m"] == pytest.approx(np.nanmin(every_m), abs=1e-6)
+    assert np.concatenate(agree).mean() >= 0.995
+    assert len(roofs) == 50
+    assert all(roofs)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["lower-manhattan", "shinjuku"])
+def test_a_thousand_places_take_seconds(name):
+    grid = region_of(sample(name), None, 5.0)
+    rng = np.random.default_rng(0)
+    x_m = rng.uniform(grid.x_min_m, grid.x_max_m, 1000)
+    y_m = rng.uniform(grid.y_min_m, grid.y_max_m, 1000)
+    began = clock.process_time()
+    ju.sky_along(
+        sample(name), [ju.XY(*xy) for xy in zip(x_m.tolist(), y_m.tolist(), strict=True)], 20.0
+    )
+    assert clock.process_time() - began < 10.0
