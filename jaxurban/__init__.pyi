@@ -20,8 +20,11 @@ from jaxurban.metrics.weights import Weights as Weights
 from jaxurban.paths.batch import plan_many as plan_many
 from jaxurban.paths.constraints import Constraints as Constraints
 from jaxurban.paths.cost_map import CostMap as CostMap
+from jaxurban.paths.detours import density_detours as density_detours
 from jaxurban.paths.explain import RouteReport as RouteReport
 from jaxurban.paths.explain import explain as explain
+from jaxurban.paths.ground_risk import OverflownDensity as OverflownDensity
+from jaxurban.paths.ground_risk import overflown_density as overflown_density
 from jaxurban.paths.path import PlannedPath as PlannedPath
 from jaxurban.paths.path import simplify as simplify
 from jaxurban.paths.plan import cost_map as cost_map

@@ -1,6 +1,7 @@
 """jaxurban plan."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps
     from jaxurban.paths.cost_map import CostMap
     from jaxurban.paths.explain import RouteReport
+    from jaxurban.paths.ground_risk import OverflownDensity
     from jaxurban.paths.path import PlannedPath
     from jaxurban.paths.when import Departures
 
@@ -36,13 +38,19 @@ OF_ONE_ROUTE = (
     "speed_m_s",
     "power_w",
     "swath_m",
+    "corridor_m",
     "simplify_m",
     "end",
 )
 NOT_WHEN = (
     "--when takes -o .csv or .parquet, and no --refine, --exposure, --volume, --report, --speed, --power, --swath, "
-    "--simplify or --end"
+    "--corridor, --simplify or --end"
 )
+OF_CORRIDOR = {
+    "contingency_m": "contingency_m",
+    "ground_buffer_m": "buffer_m",
+    "density_cell_m": "cell_m",
+}  # options beside --corridor, as `overflown_density` calls them
 LEVEL_OPTIONS = (
     "min_altitude_m",
     "max_altitude_m",
@@ -147,6 +155,34 @@ LEVEL_OPTIONS = (
     help="Width in metres of the strip in which people are counted.  [default: 10]",
 )
 @click.option(
+    "--corridor",
+    "corridor_m",
+    type=float,
+    metavar="METRES",
+    help="Report the density of people beneath a corridor of this half-width, for a ground risk assessment.",
+)
+@click.option(
+    "--contingency",
+    "contingency_m",
+    type=float,
+    metavar="METRES",
+    help="With --corridor: the contingency volume beside it.  [default: 0]",
+)
+@click.option(
+    "--ground-buffer",
+    "ground_buffer_m",
+    type=float,
+    metavar="METRES",
+    help="With --corridor: the ground risk buffer.  [default: the flight's height, 1:1, a hint]",
+)
+@click.option(
+    "--density-cell",
+    "density_cell_m",
+    type=float,
+    metavar="METRES",
+    help="With --corridor: side of the cells of the mean.  [default: 200; 100 and 500 are printed too]",
+)
+@click.option(
     "--profile",
     type=PATH,
     help="Write a picture (PNG) of heights, metrics and clearance along the route.",
@@ -196,12 +232,10 @@ def plan(
         for name in ("speed_m_s", "power_w", "swath_m")
         if options[name] is not None
     }
-    is_volume, with_report = options["is_volume"], options["with_report"] or bool(flight)
-    for name in () if is_volume else ("goal_altitude_m", *LEVEL_OPTIONS):
-        if options[name] is not None:
-            raise click.UsageError(
-                f"--{name.removesuffix('_m').replace('_', '-')} belongs to --volume: add that"
-            )
+    is_volume, has_corridor = options["is_volume"], options["corridor_m"] is not None
+    with_report = options["with_report"] or bool(flight) or has_corridor
+    _check_belong("--volume", is_volume, ("goal_altitude_m", *LEVEL_OPTIONS), options)
+    _check_belong("--corridor", has_corridor, OF_CORRIDOR, options)
     for file in () if options["is_when"] else files:
         encoder_of(file)
     if options["end"] is not None and not any(file.suffix.lower() == MISSION for file in files):
@@ -231,7 +265,8 @@ def plan(
     if options["simplify_m"]:
         planned = simplify(planned, shared, options["simplify_m"])
     is_explained = planned.status.has_path and (with_report or profile is not None)
-    report = explain(planned, maps, **flight) if is_explained else None
+    density = _density(planned, shared, options) if is_explained and has_corridor else None
+    report = explain(planned, maps, **flight, density=density) if is_explained else None
     for file in files:
         _write(file, planned, shared, report if with_report else None, options)
     if report is not None and profile is not None:
@@ -256,6 +291,34 @@ def plan(
             )
         )
     return planned.status.exit_code
+
+
+def _check_belong(owner: str, has_owner: bool, names: Iterable[str], options: Settings) -> None:
+    """Raise UsageError where an option is given without the one that it belongs to."""
+    for name in () if has_owner else names:
+        if options[name] is not None:
+            option = f"--{name.removesuffix('_m').replace('_', '-')}"
+            raise click.UsageError(f"{option} belongs to {owner}: add that")
+
+
+def _density(planned: "PlannedPath", on: "CostMap", options: Settings) -> "OverflownDensity":
+    """Return the density of people beneath a path's corridor, and what detours would lower."""
+    from jaxurban.paths.detours import density_detours
+    from jaxurban.paths.ground_risk import overflown_density
+
+    lengths_m = {
+        argument: options[name]
+        for name, argument in OF_CORRIDOR.items()
+        if options[name] is not None
+    }
+    density = overflown_density(
+        on.maps,
+        planned,
+        half_width_m=options["corridor_m"],
+        time_of_day=options["time_of_day"],
+        **lengths_m,
+    )
+    return replace(density, detours=density_detours(planned, on, density))
 
 
 def _budgets(given: Sequence[str]) -> dict[str, float]:

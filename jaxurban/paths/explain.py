@@ -18,6 +18,7 @@ from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.ground_risk import OverflownDensity
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import map_at
 from jaxurban.paths.profile import (
@@ -69,6 +70,7 @@ class RouteReport(Shown):
       lines: longitude and latitude ``[K, 2]`` of each segment.
       settings: ``swath_m``, ``speed_m_s`` and ``power_w`` as they were given.
       cautions: what a pilot should know of the route (`jaxurban.cautions`).
+      density: people beneath its corridor, where it was asked for (`overflown_density`).
 
     Examples:
       >>> report = ju.explain(path, maps)
@@ -84,6 +86,7 @@ class RouteReport(Shown):
     lines: tuple[np.ndarray, ...]
     settings: Mapping[str, float | None]
     cautions: list[Caution]
+    density: OverflownDensity | None = None
 
     @property
     def facts(self) -> dict[str, str]:
@@ -118,8 +121,8 @@ class RouteReport(Shown):
 
     @property
     def known_cautions(self) -> list[Caution]:
-        """Its ``cautions``."""
-        return self.cautions
+        """Its ``cautions``, and those of its ``density``."""
+        return [*self.cautions, *([] if self.density is None else self.density.cautions)]
 
     def __repr__(self) -> str:
         return "\n".join(
@@ -150,13 +153,13 @@ class RouteReport(Shown):
                 {"segment": number, **_plain(row)}
                 for number, row in self.segments.to_dict("index").items()
             ],
-        }
+        } | ({} if self.density is None else {"overflown_density": self.density.to_dict()})
 
     def table(self) -> str:
         """Return the report for a terminal: totals, `why`, and segments.
 
         Returns:
-          Text of a line for each total, and after an empty line each `why` and a line for each segment.
+          Text of a line for each total, and after an empty line each `why`, a line for each segment, and the density.
 
         Examples:
           >>> print(ju.explain(path, maps).table())
@@ -170,7 +173,8 @@ class RouteReport(Shown):
             f"{name:<24}{fact}" for name, fact in self.facts.items() if name != "why"
         )
         segments = self._segments().to_string(col_space=8) if len(self.segments) else "segment"
-        return "\n\n".join(filter(None, [totals, self.why, segments]))
+        density = "" if self.density is None else self.density.table()
+        return "\n\n".join(filter(None, [totals, self.why, segments, density]))
 
     def _segments(self) -> pd.DataFrame:
         names = [str(name) for name in self.segments]
@@ -194,6 +198,7 @@ def explain(
     power_w: float | None = None,
     swath_m: float = 10.0,
     num_segments: int = 10,
+    density: OverflownDensity | None = None,
 ) -> RouteReport:
     """Return what a planned route costs and meets, in whole and by segment.
 
@@ -215,6 +220,7 @@ def explain(
       power_w: mean electrical power in flight; left out, that of the vehicle, or else no energy.
       swath_m: width of the strip in which people are counted.
       num_segments: into how many segments of nearly equal length the table is cut, at most.
+      density: of people beneath the corridor, from `overflown_density`, which the report then shows and files hold.
 
     Returns:
       `RouteReport`: totals of the route, a table of its segments and one of its cells, and cautions.
@@ -303,6 +309,7 @@ def explain(
         lines=tuple(lonlat[first : last + 1] for first, last in parts),
         settings={"swath_m": swath_m} | {name: getattr(vehicle, name) for name in flight},
         cautions=cautions(planned, maps, profile),
+        density=density,
     )
 
 

@@ -137,6 +137,18 @@ def is_of_sky(name: str) -> bool:
     return name in (NOMINAL_SKY, ELEMENTS_TIME) or name.endswith(BEYOND_DATA)
 
 
+def is_of_people(name: str) -> bool:
+    """Return whether a guess of this name is one of how many people are where."""
+    words = (
+        "nobody",
+        "without a count",
+        "no commercial district",
+        "people by factors",
+        "without census",
+    )
+    return name.endswith(words)
+
+
 def has_guessed_roofs(city: City, region: Grid) -> bool:
     """Return whether the height of any building in a region is guessed."""
     return city.buildings is not None and guessed_share(city.buildings, region.bounds_m) > 0

@@ -1,0 +1,104 @@
+"""Detours around the densest cells of a flight's corridor."""
+
+from bisect import bisect_left
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban.checks import typed
+from jaxurban.io.read.zone import touched_cells
+from jaxurban.paths.corridor import cell_means, cells_within
+from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.ground_risk import DENSITY, OverflownDensity, overflown_density
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.snapping import XY
+
+DETOUR = [DENSITY, "lowered_share", "length_m", "extra_m", "cost"]
+ROUND = (
+    1.002  # by how much a polygon of 16 corners a quarter lies within its circle, and a little more
+)
+
+
+@typed
+def density_detours(planned: PlannedPath, on: CostMap, density: OverflownDensity) -> pd.DataFrame:
+    """Return what detours between the same ends would lower, and how much longer they are.
+
+    A route is planned clear of all cells of the density's grid above a bound, with the whole corridor: at the least
+    bound under which the ends are still joined, and halfway between that and the route's own density. Cells that the
+    corridor touches at the ends stay open, as none can avoid them. Where no density is known is closed like the
+    densest, but for what the route itself comes near.
+
+    Args:
+      planned: the route that ``density`` is of.
+      on: the cost map that it was planned on.
+      density: of the route, whose corridor, grid and times of day are taken.
+
+    Returns:
+      A row a detour, the least dense first, none where no route is less dense: ``density_per_km2``, ``lowered_share``,
+      ``length_m``, ``extra_m`` and ``cost``.
+
+    Raises:
+      InputError: a cost map in another region.
+
+    Examples:
+      >>> density = ju.overflown_density(maps, path, half_width_m=20.0, buffer_m=20.0, cell_m=100.0)
+      >>> ju.density_detours(path, ju.cost_map(maps, 60.0), density).round(2)
+         density_per_km2  lowered_share  length_m  extra_m    cost
+      ...
+    """
+    grid, reach_m, most = on.grid, density.reach_m, density.density_per_km2
+    times = [name or None for name in density.largest["time_of_day"].unique()]
+    cells = cells_within(shapely.box(*grid.bounds_m), reach_m, density.settings["cell_m"], grid)
+    means = np.fmax.reduce(
+        [cell_means(on.maps.m("density", time_of_day=name), grid, cells)[0] for name in times]
+    )
+    line = shapely.LineString(planned.xy_m[[0, *range(len(planned.xy_m))]])
+    is_kept = shapely.dwithin(cells.boxes, shapely.MultiPoint(planned.xy_m[[0, -1]]), reach_m)
+    least = np.nanmax(means[is_kept], initial=0.0)
+    is_kept |= np.isnan(means) & shapely.dwithin(cells.boxes, line, reach_m)
+    level = np.where(np.isnan(means), np.inf, means)
+    start, goal = (
+        XY(*planned.xy_m[end], *([] if on.levels is None else [planned.z_m[end]]))
+        for end in (0, -1)
+    )
+    nodes = [end.cell for end in on.ends(start, goal)]
+
+    @cache
+    def up_to(bound: float) -> CostMap:
+        dense = shapely.union_all(cells.boxes[(level > bound) & ~is_kept])
+        closed = touched_cells(shapely.buffer(dense, reach_m * ROUND, quad_segs=16), grid)
+        return replace(on, is_free=on.is_free & ~closed)
+
+    def joins(bound: float) -> bool:
+        of_start, of_goal = (up_to(bound).islands[node] for node in nodes)
+        return bool(of_start > 0 and of_start == of_goal)
+
+    bounds = np.unique(level[(level >= least) & (level < most)]).tolist()
+    rows: list[dict[str, float]] = []
+    for bound in bounds[bisect_left(bounds, True, key=joins) :][:1]:
+        for each in (bound, (bound + most) / 2):
+            route = up_to(each).plan(start, goal, budget_s=planned.settings.get("budget_s"))
+            if not route.status.has_path:
+                continue
+            lower = overflown_density(
+                on.maps,
+                route,
+                half_width_m=density.settings["half_width_m"],
+                contingency_m=density.settings["contingency_m"],
+                buffer_m=density.settings["buffer_m"],
+                cell_m=density.settings["cell_m"],
+                time_of_day=times[0] if len(times) == 1 else None,
+            )
+            rows.append(
+                {
+                    DENSITY: lower.density_per_km2,
+                    "lowered_share": 1 - lower.density_per_km2 / most,
+                    "length_m": route.length_m,
+                    "extra_m": route.length_m - planned.length_m,
+                    "cost": route.cost,
+                }
+            )
+    return pd.DataFrame(rows, columns=DETOUR)
