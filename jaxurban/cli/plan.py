@@ -41,10 +41,11 @@ OF_ONE_ROUTE = (
     "corridor_m",
     "simplify_m",
     "end",
+    "fence_roofs_m",
 )
 NOT_WHEN = (
     "--when takes -o .csv or .parquet, and no --refine, --exposure, --volume, --report, --speed, --power, --swath, "
-    "--corridor, --simplify or --end"
+    "--corridor, --simplify, --end or --fence-roofs"
 )
 OF_CORRIDOR = {
     "contingency_m": "contingency_m",
@@ -213,6 +214,14 @@ LEVEL_OPTIONS = (
     type=click.Choice(["land", "return", "none"]),
     help="How a .plan ends.  [default: land]",
 )
+@click.option(
+    "--fence-roofs",
+    "fence_roofs_m",
+    type=float,
+    metavar="METRES",
+    help="Make exclusion fences in a .plan of the roofs within METRES of the route that reach its height less the "
+    "vertical clearance.",
+)
 @DEVICE
 @JSON_FLAG
 def plan(
@@ -238,8 +247,9 @@ def plan(
     _check_belong("--corridor", has_corridor, OF_CORRIDOR, options)
     for file in () if options["is_when"] else files:
         encoder_of(file)
-    if options["end"] is not None and not any(file.suffix.lower() == MISSION for file in files):
-        raise click.UsageError("--end is of a mission: add -o FILE.plan")
+    for name in ("end", "fence_roofs_m"):
+        if options[name] is not None and not any(file.suffix.lower() == MISSION for file in files):
+            raise click.UsageError(f"{_option(name)} is of a mission: add -o FILE.plan")
     if profile is not None:
         from jaxurban.report.figures.profile import check_picture, save_profile
 
@@ -297,8 +307,11 @@ def _check_belong(owner: str, has_owner: bool, names: Iterable[str], options: Se
     """Raise UsageError where an option is given without the one that it belongs to."""
     for name in () if has_owner else names:
         if options[name] is not None:
-            option = f"--{name.removesuffix('_m').replace('_', '-')}"
-            raise click.UsageError(f"{option} belongs to {owner}: add that")
+            raise click.UsageError(f"{_option(name)} belongs to {owner}: add that")
+
+
+def _option(name: str) -> str:
+    return f"--{name.removesuffix('_m').replace('_', '-')}"
 
 
 def _density(planned: "PlannedPath", on: "CostMap", options: Settings) -> "OverflownDensity":
@@ -405,6 +418,7 @@ def _write(
 ) -> None:
     """Write a path to a file, simplified where it is a file of waypoints and --simplify is left out, and say so."""
     from jaxurban.paths.export.qgc_plan import mission_note
+    from jaxurban.paths.export.roof_fences import roof_fences
     from jaxurban.paths.export.write import MISSION, WAYPOINTS, elevation_note, write_path
     from jaxurban.paths.path import simplify
 
@@ -413,20 +427,22 @@ def _write(
             f"no path, so {file} was not written" + " (an older one is still there)" * file.exists()
         )
         return
-    suffix, notes = file.suffix.lower(), []
+    suffix, notes, roofs = file.suffix.lower(), [], None
     if suffix in WAYPOINTS:
         if options["simplify_m"] is None:
             plain, planned = planned, simplify(planned, on, on.grid.resolution_m / 2)
             notes = [
                 f"{planned.search.note.removeprefix(plain.search.note).strip()} (--simplify 0 keeps every turn)"
             ]
-        is_mission = suffix == MISSION
+        if suffix == MISSION and options["fence_roofs_m"] is not None:
+            roofs = roof_fences(planned, options["fence_roofs_m"])
         notes.append(
-            mission_note(planned, options["end"] or "land")
-            if is_mission
+            mission_note(planned, options["end"] or "land", roofs)
+            if suffix == MISSION
             else elevation_note(planned)
         )
-    write_path(planned, file, report, end=options["end"] if suffix == MISSION else None)
+    end = options["end"] if suffix == MISSION else None
+    write_path(planned, file, report, end=end, roofs=roofs)
     LOG.info(" ".join([f"wrote {file}" + ":" * bool(notes), *notes]))
 
 

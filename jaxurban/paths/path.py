@@ -158,6 +158,7 @@ class PlannedPath(Shown):
         *more: str | FilePath,
         report: "RouteReport | None" = None,
         end: str | None = None,
+        fence_roofs_m: float | None = None,
     ) -> FilePath:
         """Write the path in the format that a file's suffix names, and return the (first) file.
 
@@ -166,13 +167,15 @@ class PlannedPath(Shown):
           more: further files, for further formats.
           report: from `jaxurban.explain`, to be written too.
           end: of a ``.plan``: ``"land"``, ``"return"`` or ``"none"`` (see `write_path`).
+          fence_roofs_m: of a ``.plan``: make exclusion polygons of the roofs so near to the route that reach its height
+            less the vertical clearance (see `roof_fences`).
 
         Returns:
           The first file as a `pathlib.Path`.
 
         Raises:
-          InputError: there is no path, another suffix, an end that is none or without a ``.plan``, or a folder that
-            does not exist or cannot be written to.
+          InputError: there is no path, another suffix, an end or fences that are none or without a ``.plan``, a folder
+            that does not exist or cannot be written to, or more vertices of fences than autopilots hold.
 
         Examples:
           >>> path.save("route.geojson", "route.kml").name
@@ -180,14 +183,24 @@ class PlannedPath(Shown):
           >>> path.save("mission.plan", report=ju.explain(path, maps), end="land").exists()
           True
         """
+        from jaxurban.paths.export.roof_fences import roof_fences
+
         if not self.status.has_path:
             raise InputError(f"there is no path to save: {self.status.sentence}")
         files = [FilePath(each) for each in (file, *more)]
         missions = [
             each for each in files if each.suffix.lower() == MISSION
         ] or files  # which refuse an end
+        roofs = None if fence_roofs_m is None else roof_fences(self, fence_roofs_m)
         for each in files:
-            write_path(self, each, report, end=end if each in missions else None)
+            is_mission = each in missions
+            write_path(
+                self,
+                each,
+                report,
+                end=end if is_mission else None,
+                roofs=roofs if is_mission else None,
+            )
         return FilePath(file)
 
     def to_dict(self) -> dict[str, Any]:

@@ -4,8 +4,9 @@ Waypoints are those of `waypoints`: simplify the path first (`jaxurban.simplify`
 relative to the home position, the first point. Over maps with terrain they follow the ground, and home has the terrain
 file's elevation. Without terrain level ground is assumed, and home is at 0 m; `height_note` says which. The mission
 ends with a landing at the last point, or with the autopilot's return, or hovers there (`ENDS`). A report's speed is
-set after take-off. The no-fly zones near the path that it was planned around are exclusion polygons of the geofence.
-The file holds what to know of all that as ``note`` beside the path's ``settings``.
+set after take-off. The no-fly zones near the path that it was planned around are exclusion polygons of the geofence,
+and so are roofs beside it where they are asked for (`roof_fences`). The file holds what to know of all that as
+``note`` beside the path's ``settings``.
 """
 
 import json
@@ -33,6 +34,7 @@ from jaxurban.world.grid import Grid
 
 if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport
+    from jaxurban.paths.export.roof_fences import RoofFences
     from jaxurban.paths.path import PlannedPath
 
 # MAVLink common message set, and the values that QGroundControl's plan format takes from it
@@ -75,18 +77,27 @@ def height_note(route: "PlannedPath") -> str:
     )
 
 
-def mission_note(route: "PlannedPath", end: str) -> str:
+def mission_note(route: "PlannedPath", end: str, roofs: "RoofFences | None" = None) -> str:
     """Return what to know of a ``.plan``: its altitudes, its end and its geofence, in a few sentences."""
-    return " ".join(filter(None, (height_note(route), END_NOTES[end], exclusions(route)[1])))
+    of_roofs = "" if roofs is None else roofs.note
+    return " ".join(
+        filter(None, (height_note(route), END_NOTES[end], exclusions(route)[1], of_roofs))
+    )
 
 
-def to_qgc_plan(routes: Named, report: "RouteReport | None", end: str = "land") -> bytes:
+def to_qgc_plan(
+    routes: Named,
+    report: "RouteReport | None",
+    end: str = "land",
+    roofs: "RoofFences | None" = None,
+) -> bytes:
     """Return a path as a mission of QGroundControl.
 
     Args:
       routes: one path.
       report: whose speed the mission takes.
       end: of `ENDS`.
+      roofs: further exclusion polygons.
 
     Raises:
       InputError: several paths.
@@ -100,13 +111,13 @@ def to_qgc_plan(routes: Named, report: "RouteReport | None", end: str = "land") 
     speed_m_s = facts.get("speed_m_s")
     along = waypoints(route)
     home_m = 0.0 if along.ground_m is None else float(upward(along.ground_m[0]))
-    rings, _ = exclusions(route)
+    rings = [*exclusions(route)[0], *([] if roofs is None else roofs.rings)]
     plan = {
         "fileType": "Plan",
         "version": 1,
         "groundStation": "QGroundControl",
         # No key of the format: readers leave it alone.
-        "note": description_of(facts, mission_note(route, end)),
+        "note": description_of(facts, mission_note(route, end, roofs)),
         "settings": facts.get("settings", {}),  # nor is this: what the path was planned under
         "mission": {
             "version": 2,

@@ -49,6 +49,7 @@ from jaxurban.paths.export.qgc_plan import ENDS, to_qgc_plan
 
 if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport
+    from jaxurban.paths.export.roof_fences import RoofFences
     from jaxurban.paths.path import PlannedPath
 
 MISSION = ".plan"  # the format that can say how a flight ends
@@ -165,6 +166,7 @@ def write_path(
     *,
     names: Sequence[str] | None = None,
     end: str | None = None,
+    roofs: "RoofFences | None" = None,
 ) -> bool:
     """Write paths in the format that the file's suffix names; return False, writing nothing, if there is no path.
 
@@ -178,19 +180,21 @@ def write_path(
       names: of several paths; left out, their numbers from 1 up.
       end: of a ``.plan``: ``"land"`` at the goal, which is meant where it is left out, ``"return"`` to launch as the
         autopilot does it, or ``"none"``.
+      roofs: of a ``.plan``: more exclusion polygons of its geofence, from `roof_fences`.
 
     Raises:
-      InputError: another suffix, an end that is none or of a format without one, several paths in a format of one,
-        names that are not one for each, or a folder that does not exist or cannot be written to.
+      InputError: another suffix, an end or fences of a format without, several paths in a format of one, names that
+        are not one for each, or a folder that does not exist or cannot be written to.
     """
     file = Path(file)
     encode = encoder_of(file)
-    if end is not None:
+    if end is not None or roofs is not None:
         if file.suffix.lower() != MISSION:
             raise InputError(
-                f"only a {MISSION} says how the flight ends, and {str(file)!r} is none: leave end out"
+                f"only a {MISSION} says how the flight ends and has fences, and {str(file)!r} is none: leave end and "
+                "fence_roofs_m out"
             )
-        encode = partial(to_qgc_plan, end=one_of("end", end, ENDS))
+        encode = partial(to_qgc_plan, end=one_of("end", end or "land", ENDS), roofs=roofs)
     routes = list(route) if isinstance(route, Sequence) else [route]
     given = names or (
         [""] if not isinstance(route, Sequence) else [str(k + 1) for k in range(len(routes))]
