@@ -10,6 +10,7 @@ import jaxurban as ju
 from jaxurban.io.read.zone import Zone, cell_boxes
 from jaxurban.maps import sources
 from jaxurban.paths.export.roof_fences import MOST_VERTICES, roof_fences
+from jaxurban.paths.export.write import write_path
 from jaxurban.world.city import City, Footprints, HeightOrigin
 from tests.cli_runs import run
 from tests.made_maps import made_maps
@@ -87,6 +88,16 @@ def routes_on(maps, seed: int, num: int = 3):
             yield ju.simplify(path, on, 5.0)
 
 
+def fences_within_limits(path):
+    """Return the fences of roofs within 30 m of a path; None where they take too many vertices."""
+    try:
+        return roof_fences(path, 30.0)
+    except ju.InputError as error:
+        if f"autopilots hold {MOST_VERTICES}" not in str(error):
+            raise
+    return None
+
+
 @pytest.mark.parametrize("is_again", [True, False])
 def test_fences_cover_the_roofs_that_reach_the_flight_and_keep_off_it(
     is_again, reader, monkeypatch, tmp_path
@@ -98,20 +109,18 @@ def test_fences_cover_the_roofs_that_reach_the_flight_and_keep_off_it(
         if is_again:
             monkeypatch.setattr(sources, "city_of", lambda maps, city=city: city)
         for path in routes_on(maps, seed):
-            try:
-                path.save(file, fence_roofs_m=30.0)
-            except ju.InputError as error:
-                assert f"autopilots hold {MOST_VERTICES}" in str(error)
+            fences = fences_within_limits(path)
+            if fences is None:
                 num_refused += 1
                 continue
+            write_path(path, file, roofs=fences)
             num_tried += 1
             fences, flown, num_vertices = read_back(reader, file, maps.grid)
             assert num_vertices <= MOST_VERTICES
             ends = shapely.MultiPoint([flown.coords[0], flown.coords[-1]])
-            assert fences.distance(flown) > 0.02
-            assert fences.distance(ends) > 0.02
             route = shapely.LineString(path.xy_m)
-            assert fences.distance(route) > 0.02
+            for way in (flown, ends, route):
+                assert fences.is_empty or fences.distance(way) > 0.02
             buildings = city.buildings
             is_near = shapely.dwithin(buildings.polygons, route, 30.0)
             is_near &= buildings.height_m >= Z_M - OVER_M
@@ -125,7 +134,7 @@ def test_fences_cover_the_roofs_that_reach_the_flight_and_keep_off_it(
                 near = shapely.intersection(
                     shapely.union_all(buildings.polygons[is_near]), route.buffer(29.9)
                 )
-                assert shapely.covers(fences, near)
+                assert near.is_empty or fences.covers(near)
                 assert "cannot be read again" in note
     assert num_tried >= 12
     assert num_refused < num_tried
@@ -143,11 +152,10 @@ def test_a_fence_grows_only_as_far_as_the_vertices_need_and_keeps_three_metres_i
     fences = roof_fences(path, 30.0)
     (ring,) = fences.rings
     corners = np.column_stack(grid.xy_of_lonlat(*ring.T))
+    edges_m = np.concatenate([corners.min(axis=0), corners.max(axis=0)]) - [west, south] * 2
     np.testing.assert_allclose(
-        np.sort(np.unique(np.round(corners - [west, south], 1))),
-        [399.8, 440.2, 499.8, 540.2],
-        atol=0.1,
-    )
+        edges_m, [499.75, 399.75, 540.25, 430.25], atol=0.02
+    )  # cells within 30 m
     assert "in 1 polygons of 4 vertices; the nearest is 9.8 m from the route." in fences.note
     low = roof_fences(made_path(grid, path.xy_m, 40.0, maps=maps), 30.0)
     assert (low.rings, "keeps out of 0 cells" in low.note) == ([], True)
@@ -180,7 +188,9 @@ def test_a_roof_that_the_route_meets_is_named_and_not_fenced(reader, tmp_path):
     maps = with_roofs(made_maps(), roof_m)
     y_m = maps.grid.y_min_m + 405.0
     xy_m = np.column_stack([maps.grid.x_min_m + np.array([100.0, 900.0]), [y_m, y_m]])
-    path, file = made_path(maps.grid, xy_m, Z_M, maps=maps), tmp_path / "a.plan"
+    settings = {"resolution_m": 10.0, "time": None, "time_of_day": None}
+    path = made_path(maps.grid, xy_m, Z_M, maps=maps, settings=settings)
+    file = tmp_path / "a.plan"
     path.save(file, fence_roofs_m=50.0)
     fences, flown, _ = read_back(reader, file, maps.grid)
     assert fences.distance(flown) > 10
