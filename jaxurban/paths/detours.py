@@ -44,10 +44,12 @@ def density_detours(planned: PlannedPath, on: CostMap, density: OverflownDensity
       InputError: a cost map in another region.
 
     Examples:
-      >>> density = ju.overflown_density(maps, path, half_width_m=20.0, buffer_m=20.0, cell_m=100.0)
-      >>> ju.density_detours(path, ju.cost_map(maps, 60.0), density).round(2)
-         density_per_km2  lowered_share  length_m  extra_m    cost
-      ...
+      >>> on, ends = ju.cost_map(maps, 60.0), (maps.grid.lonlat_of_cell(14, 4), maps.grid.lonlat_of_cell(14, 25))
+      >>> path = on.plan(*ends)
+      >>> density = ju.overflown_density(maps, path, half_width_m=5.0, buffer_m=5.0, cell_m=100.0)
+      >>> detours = ju.density_detours(path, on, density)
+      >>> detours[["lowered_share", "extra_m"]].round(2).to_numpy().tolist()
+      [[0.51, 327.7], [0.26, 16.57]]
     """
     grid, reach_m, most = on.grid, density.reach_m, density.density_per_km2
     times = [name or None for name in density.largest["time_of_day"].unique()]

@@ -16,7 +16,7 @@ from jaxurban.io.read.zone import Zone
 from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.paths.constraints import kept_said
 from jaxurban.paths.export.base import MOST_BULGE_M
-from jaxurban.paths.export.write import MISSION, write_path
+from jaxurban.paths.export.write import MISSION, check_is_mission, write_path
 from jaxurban.paths.snapping import End, pocket_note, snap_note, what_would_join
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.exposure import SAME
@@ -188,9 +188,9 @@ class PlannedPath(Shown):
         if not self.status.has_path:
             raise InputError(f"there is no path to save: {self.status.sentence}")
         files = [FilePath(each) for each in (file, *more)]
-        missions = [
-            each for each in files if each.suffix.lower() == MISSION
-        ] or files  # which refuse an end
+        missions = [each for each in files if each.suffix.lower() == MISSION]
+        if not missions and not (end is None and fence_roofs_m is None):
+            check_is_mission(files[0])
         roofs = None if fence_roofs_m is None else roof_fences(self, fence_roofs_m)
         for each in files:
             is_mission = each in missions

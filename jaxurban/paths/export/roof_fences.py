@@ -15,7 +15,7 @@ import shapely
 from jaxurban.checks import positive
 from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import polygonal
-from jaxurban.io.read.zone import cell_boxes, touched_cells
+from jaxurban.io.read.zone import cell_boxes, mended, touched_cells
 from jaxurban.paths.constraints import FILE_MARGIN_M
 from jaxurban.paths.export.base import DECIMALS, waypoints
 from jaxurban.paths.export.qgc_plan import exclusions, without_holes
@@ -27,7 +27,14 @@ if TYPE_CHECKING:
     from jaxurban.paths.path import PlannedPath
 
 MOST_VERTICES = 63  # of all polygons of a fence
-REACHES_M = (0.5, 2.0, 5.0, 10.0, 20.0)  # by which outlines grow before corners are cut by less
+REACHES_M = (
+    0.5,
+    2.0,
+    5.0,
+    10.0,
+    20.0,
+    40.0,
+)  # by which outlines grow before corners are cut by less
 APART_M = 3.0  # that outlines keep from the path as they grow
 SIMPLER = (
     0.45  # of the reach: half of it is taken back from what was grown, so outlines stay covered
@@ -95,13 +102,14 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
             f"autopilots hold {MOST_VERTICES}, zones included: name a smaller distance, fly higher, or split the "
             "mission"
         )
-    num_guessed = int(roofs.is_guessed[reaching].sum())
     note = (
-        f"The geofence keeps out of {len(reaching) - num_met} {roofs.called} within {near_m:g} m that reach the "
-        f"flight, {roofs.why}, {num_guessed} of guessed height, in {len(rings)} polygons of {num} vertices"
+        f"The geofence keeps out of the {roofs.called} within {near_m:g} m that reach the flight: "
+        f"{len(reaching) - num_met}, {roofs.why}"
     )
+    if num_guessed := int(roofs.is_guessed[reaching].sum()):
+        note += f", {num_guessed} of guessed height"
     if fences:
-        note += f"; the nearest is {shapely.distance(fences, flown).min():.1f} m from the route"
+        note += f", in {num} vertices; the nearest is {shapely.distance(fences, flown).min():.1f} m from the route"
     if num_met:
         note += f"; {num_met} that the route itself meets are left out, as a fence would stop it"
     return RoofFences(rings, f"{note}.")
@@ -148,25 +156,26 @@ def _fewest(
 def _fences(
     roofs: np.ndarray, line: shapely.Geometry, grid: Grid, reaches_m: tuple[float, ...]
 ) -> tuple[list[shapely.Polygon], int]:
-    """Return fences, each grown by the first reach that keeps it off the line, and how many roofs have none."""
+    """Return fences, each grown by the first reach under which it covers its roofs, and how many roofs have none."""
     fences: list[shapely.Polygon] = []
+    kept_free = shapely.buffer(line, APART_M * 1.1, join_style="mitre", quad_segs=2)
+    left = roofs[~shapely.dwithin(roofs, line, FILE_MARGIN_M + 2 * ROUNDED_M)]
+    num_met = len(roofs) - len(left)
     for reach_m in (*reaches_m, 0.0):
-        grown = shapely.union_all(
-            shapely.buffer(roofs, max(reach_m, ROUNDED_M), join_style="mitre")
-        )
-        closed = shapely.buffer(grown, -reach_m / 2, join_style="mitre")
-        simple = polygonal(shapely.simplify(closed, reach_m * SIMPLER))
-        parts = without_holes(simple)
+        far = left[~shapely.intersects(left, kept_free)] if reach_m else left
+        grown = shapely.buffer(far, max(reach_m, ROUNDED_M), join_style="mitre")
+        joined = shapely.union_all(shapely.make_valid(grown))  # mitres may cross each other
+        parts = mended(shapely.buffer(joined, -reach_m / 2, join_style="mitre"))
         if reach_m:
-            parts = [shapely.Polygon(part.exterior) for part in shapely.get_parts(simple)]
-        written = np.array([_as_written(part, grid) for part in parts])
+            rings = shapely.get_exterior_ring(shapely.get_parts(parts))
+            simple = shapely.simplify(shapely.polygons(rings), reach_m * SIMPLER)
+            parts = polygonal(shapely.difference(simple, kept_free))
+        written = np.array([_as_written(part, grid) for part in without_holes(parts)])
         apart_m = APART_M if reach_m else FILE_MARGIN_M
         is_apart = shapely.distance(written, line) >= apart_m
         fences += written[is_apart & shapely.is_valid(written)].tolist()
-        roofs = roofs[~shapely.covered_by(roofs, shapely.union_all(fences))]
-        if not len(roofs):
-            break
-    return fences, len(roofs)
+        left = left[~shapely.covered_by(left, shapely.union_all(fences))]
+    return fences, num_met + len(left)
 
 
 def _rounded(polygon: shapely.Polygon, grid: Grid) -> np.ndarray:

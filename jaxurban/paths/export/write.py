@@ -189,11 +189,7 @@ def write_path(
     file = Path(file)
     encode = encoder_of(file)
     if end is not None or roofs is not None:
-        if file.suffix.lower() != MISSION:
-            raise InputError(
-                f"only a {MISSION} says how the flight ends and has fences, and {str(file)!r} is none: leave end and "
-                "fence_roofs_m out"
-            )
+        check_is_mission(file)
         encode = partial(to_qgc_plan, end=one_of("end", end or "land", ENDS), roofs=roofs)
     routes = list(route) if isinstance(route, Sequence) else [route]
     given = names or (
@@ -211,6 +207,15 @@ def write_path(
     if found:
         write_whole(file, encode(found, report))
     return bool(found)
+
+
+def check_is_mission(file: Path) -> None:
+    """Raise InputError unless a file's format says how the flight ends and has fences."""
+    if file.suffix.lower() != MISSION:
+        raise InputError(
+            f"only a {MISSION} says how the flight ends and has fences, and {str(file)!r} is none: leave end and "
+            "fence_roofs_m out"
+        )
 
 
 def encoder_of(file: Path) -> Encode:
