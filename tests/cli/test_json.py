@@ -128,7 +128,7 @@ def test_quick_commands_print_what_the_schema_says(name, made, tmp_path, capsys)
         "maps": ("maps", made.parent / "town.toml", "-o", made),
         "info": ("info", made),
         "info-file": ("info", tmp_path / "city.geojson"),
-        "plan": ("plan", made, *ROUTE, "--report"),
+        "plan": ("plan", made, *ROUTE, "--report", "--corridor", 10),
         "when": ("plan", made, *ROUTE, "--when"),
         "compare": ("compare", made, made, "-o", tmp_path / "out"),
         "fetch": ("fetch", "--bounds=-74,40.7,-73.99,40.71", "-o", tmp_path / "f", "--dry-run"),

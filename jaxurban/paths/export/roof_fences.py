@@ -6,6 +6,7 @@ for: neighbours are joined and corners cut outward. PX4 holds 64 points of a fen
 560 bytes, of which 63 points in polygons of three take 546.
 """
 
+import warnings
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -13,7 +14,7 @@ import numpy as np
 import shapely
 
 from jaxurban.checks import positive
-from jaxurban.errors import InputError
+from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.zone import cell_boxes, mended, touched_cells
 from jaxurban.paths.constraints import FILE_MARGIN_M
@@ -119,10 +120,12 @@ def _roofs_near(maps: "MetricMaps", line: shapely.Geometry, near_m: float) -> _R
     """Return the roofs within a distance of a line and some beside them."""
     from jaxurban.maps.sources import city_of
 
-    try:
-        buildings = city_of(maps).buildings
-    except InputError:
-        buildings = None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GuessWarning)  # the maps hold what the city guesses
+        try:
+            buildings = city_of(maps).buildings
+        except InputError:
+            buildings = None
     if buildings is not None:
         near = buildings.take(shapely.dwithin(buildings.polygons, line, near_m))
         return _Roofs(near.polygons, near.height_m, near.is_guessed, "roofs", "by their outlines")
