@@ -40,7 +40,7 @@ def test_tiles_are_where_the_map_is_in_its_colours(made):
         rows, cols = np.nonzero(np.isfinite(values))
         places = np.stack(file.xy(rows, cols), axis=-1)[::97]
     with rasterio.open("gps_colours.tif") as file:
-        assert file.read(4)[~np.isfinite(values)].max(initial=0) == 0
+        assert file.read(4)[::10, ::10][~np.isfinite(values)].max(initial=0) == 0
         colours = np.stack([*file.sample(places)])
     xs, ys = transform(crs, "EPSG:3857", *places.T)
     with rasterio.open("gps.mbtiles") as file:
@@ -52,7 +52,7 @@ def test_tiles_are_where_the_map_is_in_its_colours(made):
         zooms = {zoom for (zoom,) in database.execute("select distinct zoom_level from tiles")}
         (image,) = database.execute("select tile_data from tiles limit 1").fetchone()
     assert (facts["name"], facts["format"]) == ("GPS", "png")
-    assert len(zooms) == 4
+    assert zooms == {13, 14, 15, 16}
     assert image.startswith(b"\x89PNG")
 
 
