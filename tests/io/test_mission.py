@@ -231,6 +231,11 @@ def test_jumps_name_ids_of_a_plan_and_row_numbers_of_waypoints(read):
     assert jump == Leg(Place(8.56, LAT, 50, "ground"), Place(8.55, LAT, 50, "home"), "jump", 2)
 
 
+def test_a_jump_to_an_id_that_several_have_leads_to_the_first(read):
+    items = [*BOX[:2], item(at=2, doJumpId=2), item(JUMP, frame=2, params=(2, 1, 0, 0))]
+    assert read(items).legs[-1] == Leg(here(2, 50.0), here(1, 50.0), "jump", 2)
+
+
 def test_a_jump_over_cameras_leads_to_the_next_waypoint_and_cycles_end(read):
     camera = item(2000, frame=2)
     there = item(JUMP, frame=2, params=(4, -1, 0, 0))
@@ -374,6 +379,22 @@ def test_a_line_is_climbed_to_from_the_home_that_is_named(read):
     assert mission.not_judged == ()
 
 
+def test_tracks_and_lines_of_several_parts_are_read(read):
+    coords = f"<gx:coord>{LON} {LAT} 40</gx:coord><gx:coord>8.55 {LAT} 45</gx:coord>"
+    track = f"<gx:Track><altitudeMode>absolute</altitudeMode>{coords}</gx:Track>"
+    legs = read(f'<kml xmlns:gx="http://www.google.com/kml/ext/2.2">{track}</kml>', "m.kml").legs
+    for_gpx = GPX.replace("<rte>", "<trk><trkseg>").replace("</rte>", "</trkseg></trk>")
+    assert read(for_gpx.replace("rtept", "trkpt"), "m.gpx", heights="geoid").legs == legs
+    parts = {"type": "MultiLineString", "coordinates": [GEOJSON["coordinates"]]}
+    feature = {"type": "Feature", "properties": None, "geometry": parts}
+    assert read(json.dumps(feature), "m.json", heights="geoid").legs == legs
+    flat = {"type": "LineString", "coordinates": [[LON, LAT], [8.55, LAT]]}
+    level = {"type": "Feature", "properties": {"altitude_m": 40}, "geometry": flat}
+    whole = json.dumps({"type": "FeatureCollection", "features": [level]})
+    (leg,) = read(whole, "m.geojson", heights="ground").legs
+    assert (leg.start, leg.end.height_m) == (Place(LON, LAT, 40, "ground"), 40)
+
+
 def test_no_way_between_lines_is_invented_and_other_things_are_named(read):
     more = kml("absolute", f"9,{LAT},1 9.1,{LAT},1").removeprefix(
         '<kml xmlns="http://www.opengis.net/kml/2.2">'
@@ -487,6 +508,8 @@ def test_a_strange_item_is_refused_by_its_number(tmp_path, name):
 def test_wrong_arguments_are_refused(read):
     with pytest.raises(ju.InputError, match=r"end its name in one of \.plan, \.waypoints"):
         read(b"", "mission.kmz")
+    with pytest.raises(ju.InputError, match="more than 16 MB"):
+        read(b" " * (2**24 + 1))
     with pytest.raises(ju.InputError, match="does not exist"):
         read_mission("nowhere.plan")
     with pytest.raises(ju.InputError, match="says for each item"):

@@ -45,7 +45,7 @@ from jaxurban.io.read.mission_parts import Place as Place
 
 ITEM_READERS = {".plan": read_plan, ".waypoints": read_waypoints, ".txt": read_waypoints}
 SUFFIXES = (*ITEM_READERS, *READERS)
-MOST_BYTES = 2**26
+MOST_BYTES = 2**24  # some 20,000 items of a .plan
 BROKEN = (
     AttributeError,
     LookupError,
@@ -95,7 +95,7 @@ def read_mission(
     with readable(path, "a mission", "save it again in the tool that made it"):
         if path.stat().st_size > MOST_BYTES:
             raise InputError(
-                f"{str(path)!r} holds more than 64 MB, which no mission does: name another file"
+                f"{str(path)!r} holds more than 16 MB, which no mission does: name another file"
             )
         if heights is not None and suffix in ITEM_READERS:
             raise InputError(
