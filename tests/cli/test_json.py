@@ -121,7 +121,9 @@ def test_without_json_a_failure_prints_nothing_on_stdout(capsys):
     assert run(capsys, "info", "no.tif")[1] == ""
 
 
-@pytest.mark.parametrize("name", ["maps", "info", "info-file", "plan", "when", "compare", "fetch"])
+@pytest.mark.parametrize(
+    "name", ["maps", "info", "info-file", "plan", "when", "compare", "fetch", "sky"]
+)
 def test_quick_commands_print_what_the_schema_says(name, made, tmp_path, capsys):
     write_city(tmp_path, box(-73.9975, 40.7568, -73.994, 40.7592))
     arguments = {
@@ -131,6 +133,7 @@ def test_quick_commands_print_what_the_schema_says(name, made, tmp_path, capsys)
         "plan": ("plan", made, *ROUTE, "--report", "--corridor", 10),
         "when": ("plan", made, *ROUTE, "--when"),
         "compare": ("compare", made, made, "-o", tmp_path / "out"),
+        "sky": ("sky", made, "--at=-73.997,40.758", "--altitude", 20),
         "fetch": ("fetch", "--bounds=-74,40.7,-73.99,40.71", "-o", tmp_path / "f", "--dry-run"),
     }[name]
     code, out, err = run(capsys, *arguments, "--json")
