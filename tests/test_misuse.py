@@ -30,7 +30,7 @@ BOUNDS = (-74.0, 40.755, -73.997, 40.757)
 SETTINGS = {"region": {"bounds": BOUNDS}, "buildings": {"source": "synthetic"}}
 RIGHT, LEFT_OUT = "every value of the type is a right one here", object()
 MADE = (  # what functions return; XY is looked at where it is used
-    *("Departures", "GuessWarning"),
+    *("Departures", "GuessWarning", "SkyAt", "SkyAlong"),
     *(
         "MetricMaps",
         "CostMap",
@@ -76,6 +76,8 @@ PLAIN = {
     **{
         "start": START,
         "goal": GOAL,
+        "place": START,
+        "places": [START, GOAL],
         "altitude_m": 20.0,
         "progress": False,
         "bounds": BOUNDS,
@@ -128,7 +130,7 @@ PLAIN = {
     },
 }
 MADE_ONCE: dict[str, Callable[[], Any]] = {
-    "city": lambda: ju.demo_city(400, 400),
+    **dict.fromkeys(("city", "where"), lambda: ju.demo_city(400, 400)),
     "grid": lambda: (
         ju.build_maps(good("city"), resolution_m=50.0, altitudes_m=(20.0,), progress=False).grid
     ),
@@ -192,10 +194,11 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ("a-star", "planner planners distance_only heuristic objective"),
     ("cells", "cost_model preset CostModel.kind"),
     (("gsp",), "CostMap.only.metrics metrics layers"),
-    ((1e300, 0.0), "start goal reference centre_lonlat"),
+    ((1e300, 0.0), "start goal reference centre_lonlat place"),
+    ([(1e300, 0.0)], "places"),
     (("east", "north"), "start_xy_m goal_xy_m"),
     ("now", "time MetricMaps.m.time stop"),
-    ("no/such/place", "folder maps maps_a maps_b path file study"),
+    ("no/such/place", "folder maps maps_a maps_b path file study where"),
     ("/proc/none", "MetricMaps.save.folder study.folder sensitivity_study.folder"),
     (
         "no-such.file",

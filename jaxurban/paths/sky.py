@@ -51,7 +51,7 @@ class SkyAt(Shown):
     Examples:
       >>> here = ju.sky(city, (-73.971, 40.7795), 20.0)
       >>> here.dops[["num_visible", "num_hidden", "num_unknown"]].to_numpy().tolist()
-      [[0, 0, 0]]
+      [[1, 0, 6]]
     """
 
     lonlat: tuple[float, float]
@@ -158,7 +158,7 @@ def sky_from(
 ) -> SkyAt:
     """Return the sky at a place of a city that is read already; arguments as for `sky`."""
     positive("altitude_m", altitude_m)
-    xy_m = _xy_of([place], sight.region)
+    xy_m = _xy_of("place", [place], sight.region)
     look = sight.look(by, xy_m, altitude_m, None if time is None else each(time))
     lon, lat = sight.region.lonlat_of_xy(*xy_m[:, 0].tolist())
     times = np.array(look.task.sky.times)
@@ -183,7 +183,7 @@ class SkyAlong(Shown):
     Examples:
       >>> along = ju.sky_along(city, [start, goal], 60.0, "2020-04-27T16:00:00Z")
       >>> along.table[["num_visible", "has_fix"]].to_numpy().tolist()
-      [[0, False], [0, False]]
+      [[1, False], [3, False]]
     """
 
     table: pd.DataFrame
@@ -251,7 +251,7 @@ def sky_along(
         places = [XY(*xy_m) for xy_m in places.xy_m.tolist()]
     if altitude_m is None:
         raise InputError("altitude_m is missing: give metres above the ground")
-    x_m, y_m = _xy_of(places, sight.region)
+    x_m, y_m = _xy_of("places", places, sight.region)
     z_m = np.array([positive("altitude_m", value) for value in each(altitude_m)])
     first = sight.task(None, float(z_m.min()), None).sky.times[0] if times is None else times
     utc = pd.to_datetime([parse_time(time) for time in each(first)]).round("s")
@@ -282,15 +282,15 @@ def _flown(corners_m: np.ndarray, speed_m_s: float) -> np.ndarray:
     return np.stack([*(np.interp(elapsed_s, at_s, values) for values in corners_m), elapsed_s])
 
 
-def _xy_of(places: Sequence[Point], grid: Grid) -> np.ndarray:
+def _xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
     """Return ``[2, N]`` easting and northing of places in degrees or in metres."""
-    given = [one_place("place", place, None) for place in places]
+    given = [one_place(name, place, None) for place in places]
     values = np.array([place[:2] for place in given], float).reshape(-1, 2).T
     is_xy = np.array([isinstance(place, XY) for place in given], bool)
     xy_m = np.where(is_xy, values, grid.xy_of_lonlat(*np.where(is_xy, 0.0, values)))
     if not given or not np.isfinite(xy_m).all():
         raise InputError(
-            f"place must be longitude, latitude in degrees in or near the city, got {listed([*map(str, places)])}"
+            f"{name} must be longitude, latitude in degrees in or near the city, got {listed([*map(str, places)])}"
         )
     return xy_m
 
