@@ -31,10 +31,10 @@ from jaxurban.paths.plan import cost_map as cost_map
 from jaxurban.paths.plan import plan as plan
 from jaxurban.paths.profile import cautions as cautions
 from jaxurban.paths.queries import PlannedPaths as PlannedPaths
-from jaxurban.paths.sky import SkyAlong as SkyAlong
 from jaxurban.paths.sky import SkyAt as SkyAt
 from jaxurban.paths.sky import sky as sky
-from jaxurban.paths.sky import sky_along as sky_along
+from jaxurban.paths.sky_along import SkyAlong as SkyAlong
+from jaxurban.paths.sky_along import sky_along as sky_along
 from jaxurban.paths.snapping import XY as XY
 from jaxurban.paths.when import Departures as Departures
 from jaxurban.paths.when import when as when

@@ -11,7 +11,7 @@ from jaxurban.cli.common import JSON_FLAG, LONLAT, PATH, Settings, print_json
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
-    from jaxurban.paths.sky import SkyAlong
+    from jaxurban.paths.sky_along import SkyAlong
 
 PICTURE, MOST_ROWS = ".png", 40
 
@@ -115,7 +115,7 @@ def _along(folder: Path, file: Path, options: Settings, of_maps: Settings) -> "S
     from jaxurban.io.read.receiver import ALTITUDE, LAT, LON, UTC, read_track
     from jaxurban.io.read.routes import read_routes
     from jaxurban.io.tables import SUFFIXES
-    from jaxurban.paths.sky import sky_along
+    from jaxurban.paths.sky_along import sky_along
 
     altitude_m, times, speed_m_s = (options[name] for name in ("altitude_m", "times", "speed_m_s"))
     if file.suffix.lower() in SUFFIXES:

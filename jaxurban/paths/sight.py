@@ -9,22 +9,26 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
+import shapely
 from numpy.typing import ArrayLike
 
 from jaxurban.errors import InputError
+from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.maps.build import region_of, view_sky
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.run import load_city
 from jaxurban.maps.sources import CityLike, folder_of, scenario_of
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.maps.track import NUM_VISIBLE, Track, quality_along, seen_along
-from jaxurban.metrics.gps import DOPS, Gps
+from jaxurban.metrics.gps import DOPS, FIX, Gps, has_no_fix
 from jaxurban.paths.hiding import Hiding
+from jaxurban.paths.snapping import XY, Point, one_place
 from jaxurban.progress import Report
+from jaxurban.public import Caution, caution_of_guesses, listed
 from jaxurban.settings import NOMINAL, each
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
-from jaxurban.world.known import Rays
+from jaxurban.world.known import Rays, known_ground
 
 By = Literal["outlines", "map"]
 SEEN, HIDDEN, UNKNOWN = "seen", "hidden", "unknown"
@@ -142,6 +146,10 @@ class Sight:
         Raises:
           InputError: by the map, places beyond its region or at several altitudes; no satellite above the mask.
         """
+        if by == "map" and (np.ptp(altitude_m) > 0 or not self.region.contains_xy(*xy_m).all()):
+            raise InputError(
+                "by the map all places must lie in its region and at one altitude_m: take by='outlines'"
+            )
         low_m = float(np.min(altitude_m))
         lonlat = self.region.lonlat_of_xy(*xy_m.mean(axis=1).tolist())
         task = self.task(times, low_m, self.params.gps.reference if by == "map" else lonlat)
@@ -154,10 +162,6 @@ class Sight:
         behind = self.hiding.behind(rays, height_m[epoch])
         is_known = behind.pop("is_known").to_numpy()
         if by == "map":
-            if not self.region.contains_xy(x_m, y_m).all() or np.ptp(height_m) > 0:
-                raise InputError(
-                    "by the map all places must lie in its region and at one altitude_m: take by='outlines'"
-                )
             track = Track(x_m, y_m, *self.region.cell_of_xy(x_m, y_m), sky, task.sky.times)
             is_seen, is_outdoors = seen_along(task, track, Report())
             behind = behind.iloc[:, :0]
@@ -185,3 +189,45 @@ class Sight:
         seen = {NUM_VISIBLE: quality[NUM_VISIBLE].astype(int)}
         dops = pd.DataFrame(seen | counts | {name: quality[name] for name in DOPS})
         return Look(task, sky, epoch, pd.DataFrame(rows).join(behind), dops, is_outdoors)
+
+
+def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
+    """Return ``[2, N]`` easting and northing of places in degrees or in metres."""
+    given = [one_place(name, place, None) for place in places]
+    values = np.array([place[:2] for place in given], float).reshape(-1, 2).T
+    is_xy = np.array([isinstance(place, XY) for place in given], bool)
+    xy_m = np.where(is_xy, values, grid.xy_of_lonlat(*np.where(is_xy, 0.0, values)))
+    if not given or not np.isfinite(xy_m).all():
+        raise InputError(
+            f"{name} must be longitude, latitude in degrees in or near the city, got {listed([*map(str, places)])}"
+        )
+    return xy_m
+
+
+def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caution]:
+    """Return what whoever uses skies must know."""
+    rows, num = look.rows, len(look.sky)
+    guesses = {**sight.city.guesses, **look.task.sky.guesses}
+    if not sight.city.sources:  # the synthetic city has no real sky
+        guesses.pop(NOMINAL_SKY, None)
+    if num_guessed := int(rows.get("roof_is_guessed", pd.Series(dtype=bool)).sum()):
+        guesses[f"heights of the roofs that hide {num_guessed} of {len(rows)} satellites"] = ""
+    cautions = caution_of_guesses(guesses)
+    if num_unknown := int((rows["state"] == UNKNOWN).sum()):
+        counted = "; the map counts them as clear where nothing known hides them" * (by == "map")
+        cautions.append(
+            Caution(
+                f"{num_unknown} of {len(rows)} satellites are unknown: their rays leave the known buildings or "
+                f"terrain{counted}."
+            )
+        )
+    is_inside = shapely.intersects_xy(known_ground(sight.city), *xy_m)
+    places = {
+        "outside what is known of the city": np.broadcast_to(~is_inside, num),
+        "in a building, where all that is known is hidden": ~look.is_outdoors,
+        "without a position fix": has_no_fix(look.dops[FIX].to_numpy()),
+    }
+    for what, is_so in places.items():
+        if is_so.any():
+            cautions.append(Caution(f"{int(is_so.sum())} of {num} rows are {what}.", "limit"))
+    return cautions

@@ -1,4 +1,4 @@
-"""The sky at a place and along a track: which satellites the city hides there, behind which roof, and what is left."""
+"""The sky at a place: which satellites the city hides there, behind which roof, and what is left."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -8,20 +8,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import shapely
 
 from jaxurban.checks import positive, typed
-from jaxurban.errors import InputError
-from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.maps.sources import CityLike
-from jaxurban.metrics.gps import FIX, Gps, has_no_fix
-from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN, By, Look, Sight
-from jaxurban.paths.snapping import XY, Point, one_place
-from jaxurban.public import Caution, Shown, caution_of_guesses, listed
-from jaxurban.settings import each, parse_time
-from jaxurban.world.grid import Grid
-from jaxurban.world.known import known_ground
+from jaxurban.metrics.gps import FIX, Gps
+from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN, By, Sight, cautions_of, xy_of
+from jaxurban.paths.snapping import Point
+from jaxurban.public import Caution, Shown, listed
+from jaxurban.settings import each
 
 LOWEST_DEG = 1.0  # of a horizon, where the elevation mask is lower
 
@@ -158,167 +152,11 @@ def sky_from(
 ) -> SkyAt:
     """Return the sky at a place of a city that is read already; arguments as for `sky`."""
     positive("altitude_m", altitude_m)
-    xy_m = _xy_of("place", [place], sight.region)
+    xy_m = xy_of("place", [place], sight.region)
     look = sight.look(by, xy_m, altitude_m, None if time is None else each(time))
     lon, lat = sight.region.lonlat_of_xy(*xy_m[:, 0].tolist())
     times = np.array(look.task.sky.times)
     look.rows.insert(0, "time", times[look.epoch])
     look.dops.insert(0, "time", times)
-    cautions, credit = _cautions(sight, look, by, xy_m), sight.city.attribution
+    cautions, credit = cautions_of(sight, look, by, xy_m), sight.city.attribution
     return SkyAt((lon, lat), altitude_m, by, look.rows, look.dops, cautions, credit, sight)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SkyAlong(Shown):
-    """The sky along a track.
-
-    Attributes:
-      table: a row a place: ``time`` (UTC), ``lon``, ``lat``, ``altitude_m``, ``num_visible``, ``num_hidden``,
-        ``num_unknown``, ``gdop``, ``pdop``, ``hdop``, ``vdop``, ``tdop`` (inf without a fix) and ``has_fix``; as
-        `SkyAt.dops` has them.
-      by: ``"outlines"`` or ``"map"``, as of `SkyAt`.
-      cautions: what whoever uses it must know.
-      attribution: whom to credit for the city.
-
-    Examples:
-      >>> along = ju.sky_along(city, [start, goal], 60.0, "2020-04-27T16:00:00Z")
-      >>> along.table[["num_visible", "has_fix"]].to_numpy().tolist()
-      [[1, False], [3, False]]
-    """
-
-    table: pd.DataFrame
-    by: By
-    cautions: list[Caution]
-    attribution: str
-
-    @property
-    def facts(self) -> dict[str, str]:
-        """Places, times, how they were computed, how many satellites are seen, and where there is no fix."""
-        table = self.table
-        return {
-            "places": f"{len(table):,}",
-            "times": listed(list(dict.fromkeys(table["time"]))),
-            "by": self.by,
-            "satellites seen": f"{table['num_visible'].mean():.1f} in the mean",
-            "without a fix": f"{(~table['has_fix']).mean():.0%} of places",
-            "credit": self.attribution,
-        }
-
-    @property
-    def known_cautions(self) -> list[Caution]:
-        """Its ``cautions``."""
-        return self.cautions
-
-
-@typed
-def sky_along(
-    where: CityLike,
-    places: PlannedPath | Sequence[Point],
-    altitude_m: float | Sequence[float] | None = None,
-    times: str | Sequence[str] | None = None,
-    *,
-    speed_m_s: float | None = None,
-    by: By = "outlines",
-    gps: Gps | None = None,
-    sources: str | Path | None = None,
-    resolution_m: float | None = None,
-) -> SkyAlong:
-    """Return how many satellites are seen along a track, and the DOPs: a flight's log, or a route at its speed.
-
-    Args:
-      where, by, gps, sources, resolution_m: as for `sky`.
-      places: longitude, latitude in degrees, or an `XY`, each; or a path from `plan`.
-      altitude_m: above the ground, of all places or of each; left out, that of a path.
-      times: UTC of each place, to the second, or one for all; with a speed, that of departure. Left out, the first of
-        the maps or of the city's own satellites.
-      speed_m_s: the places are the corners of a route that is flown at this speed in straight legs, and the table has
-        a row for each of its seconds.
-
-    Returns:
-      `SkyAlong`: a table with a row a place, in their order.
-
-    Raises:
-      InputError: as of `sky`; numbers of places, altitudes and times that differ, or no place.
-
-    Examples:
-      >>> flown = ju.sky_along(city, path, times="2020-04-27T16:00:00Z", speed_m_s=10.0)
-      >>> len(flown.table), list(flown.table)[:4]
-      (73, ['time', 'lon', 'lat', 'altitude_m'])
-    """
-    sight = Sight.of(where, gps, None if sources is None else Path(sources), resolution_m)
-    if isinstance(places, PlannedPath):
-        altitude_m = places.z_m.tolist() if altitude_m is None else altitude_m
-        places = [XY(*xy_m) for xy_m in places.xy_m.tolist()]
-    if altitude_m is None:
-        raise InputError("altitude_m is missing: give metres above the ground")
-    x_m, y_m = _xy_of("places", places, sight.region)
-    z_m = np.array([positive("altitude_m", value) for value in each(altitude_m)])
-    first = sight.task(None, float(z_m.min()), None).sky.times[0] if times is None else times
-    utc = pd.to_datetime([parse_time(time) for time in each(first)]).round("s")
-    if len({1, len(x_m), len(z_m)}) > 2 or len({1, len(x_m), len(utc)}) > 2:
-        raise InputError(
-            f"altitude_m and times must be one for all {len(x_m)} places or one for each, got {len(z_m)} and {len(utc)}"
-        )
-    x_m, y_m, z_m = np.broadcast_arrays(x_m, y_m, z_m)
-    if speed_m_s is not None:
-        positive("speed_m_s", speed_m_s)
-        x_m, y_m, z_m, elapsed_s = _flown(np.stack([x_m, y_m, z_m]), speed_m_s)
-        utc = (utc[0] + pd.to_timedelta(elapsed_s, "s")).round("s")
-    names = np.broadcast_to(utc.strftime("%Y-%m-%dT%H:%M:%SZ"), len(x_m))
-    different, sky = np.unique(names, return_inverse=True)
-    xy_m = np.stack([x_m, y_m])
-    look = sight.look(by, xy_m, z_m, different.tolist(), sky)
-    lon, lat = sight.region.lonlat_of_xy(x_m, y_m)
-    at = pd.DataFrame({"time": names, "lon": lon, "lat": lat, "altitude_m": z_m})
-    table = at.join(look.dops).assign(has_fix=~has_no_fix(look.dops[FIX].to_numpy()))
-    return SkyAlong(table, by, _cautions(sight, look, by, xy_m), sight.city.attribution)
-
-
-def _flown(corners_m: np.ndarray, speed_m_s: float) -> np.ndarray:
-    """Return ``[4, N]`` x, y, z at each second of a route through corners ``[3, K]`` and at its end, and the time."""
-    legs_m = np.linalg.norm(np.diff(corners_m, axis=1), axis=0)
-    at_s = np.append(0.0, np.cumsum(legs_m)) / speed_m_s
-    elapsed_s = np.append(np.arange(0.0, at_s[-1]), at_s[-1])
-    return np.stack([*(np.interp(elapsed_s, at_s, values) for values in corners_m), elapsed_s])
-
-
-def _xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
-    """Return ``[2, N]`` easting and northing of places in degrees or in metres."""
-    given = [one_place(name, place, None) for place in places]
-    values = np.array([place[:2] for place in given], float).reshape(-1, 2).T
-    is_xy = np.array([isinstance(place, XY) for place in given], bool)
-    xy_m = np.where(is_xy, values, grid.xy_of_lonlat(*np.where(is_xy, 0.0, values)))
-    if not given or not np.isfinite(xy_m).all():
-        raise InputError(
-            f"{name} must be longitude, latitude in degrees in or near the city, got {listed([*map(str, places)])}"
-        )
-    return xy_m
-
-
-def _cautions(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caution]:
-    """Return what whoever uses skies must know."""
-    rows, num = look.rows, len(look.sky)
-    guesses = {**sight.city.guesses, **look.task.sky.guesses}
-    if not sight.city.sources:  # the synthetic city has no real sky
-        guesses.pop(NOMINAL_SKY, None)
-    if num_guessed := int(rows.get("roof_is_guessed", pd.Series(dtype=bool)).sum()):
-        guesses[f"heights of the roofs that hide {num_guessed} of {len(rows)} satellites"] = ""
-    cautions = caution_of_guesses(guesses)
-    if num_unknown := int((rows["state"] == UNKNOWN).sum()):
-        counted = "; the map counts them as clear where nothing known hides them" * (by == "map")
-        cautions.append(
-            Caution(
-                f"{num_unknown} of {len(rows)} satellites are unknown: their rays leave the known buildings or "
-                f"terrain{counted}."
-            )
-        )
-    is_inside = shapely.intersects_xy(known_ground(sight.city), *xy_m)
-    places = {
-        "outside what is known of the city": np.broadcast_to(~is_inside, num),
-        "in a building, where all that is known is hidden": ~look.is_outdoors,
-        "without a position fix": has_no_fix(look.dops[FIX].to_numpy()),
-    }
-    for what, is_so in places.items():
-        if is_so.any():
-            cautions.append(Caution(f"{int(is_so.sum())} of {num} rows are {what}.", "limit"))
-    return cautions

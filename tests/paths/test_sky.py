@@ -228,6 +228,8 @@ def test_what_cannot_be_asked_is_refused_in_a_sentence(change, message):
 def test_numbers_of_places_and_times_that_differ_are_refused():
     with pytest.raises(ju.InputError, match="one for all 2 places or one for each, got 1 and 3"):
         ju.sky_along(city(), [MIDDLE] * 2, 20.0, [TIMES[0]] * 3, gps=GPS)
+    with pytest.raises(ju.InputError, match="times must be one, of departure"):
+        ju.sky_along(city(), [MIDDLE] * 3, 20.0, [TIMES[0]] * 3, speed_m_s=3.0, gps=GPS)
     with pytest.raises(ju.InputError, match="altitude_m is missing"):
         ju.sky_along(city(), [MIDDLE], gps=GPS)
 

@@ -1,0 +1,136 @@
+"""The sky along a track: how many satellites its places see, and what these are worth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.checks import positive, typed
+from jaxurban.errors import InputError
+from jaxurban.maps.sources import CityLike
+from jaxurban.metrics.gps import FIX, Gps, has_no_fix
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.sight import By, Sight, cautions_of, xy_of
+from jaxurban.paths.snapping import XY, Point
+from jaxurban.public import Caution, Shown, listed
+from jaxurban.settings import each, parse_time
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SkyAlong(Shown):
+    """The sky along a track.
+
+    Attributes:
+      table: a row a place: ``time`` (UTC), ``lon``, ``lat``, ``altitude_m``, ``num_visible``, ``num_hidden``,
+        ``num_unknown``, ``gdop``, ``pdop``, ``hdop``, ``vdop``, ``tdop`` (inf without a fix) and ``has_fix``; as
+        `SkyAt.dops` has them.
+      by: ``"outlines"`` or ``"map"``, as of `SkyAt`.
+      cautions: what whoever uses it must know.
+      attribution: whom to credit for the city.
+
+    Examples:
+      >>> along = ju.sky_along(city, [start, goal], 60.0, "2020-04-27T16:00:00Z")
+      >>> along.table[["num_visible", "has_fix"]].to_numpy().tolist()
+      [[1, False], [3, False]]
+    """
+
+    table: pd.DataFrame
+    by: By
+    cautions: list[Caution]
+    attribution: str
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Places, times, how they were computed, how many satellites are seen, and where there is no fix."""
+        table = self.table
+        return {
+            "places": f"{len(table):,}",
+            "times": listed(list(dict.fromkeys(table["time"]))),
+            "by": self.by,
+            "satellites seen": f"{table['num_visible'].mean():.1f} in the mean",
+            "without a fix": f"{(~table['has_fix']).mean():.0%} of places",
+            "credit": self.attribution,
+        }
+
+    @property
+    def known_cautions(self) -> list[Caution]:
+        """Its ``cautions``."""
+        return self.cautions
+
+
+@typed
+def sky_along(
+    where: CityLike,
+    places: PlannedPath | Sequence[Point],
+    altitude_m: float | Sequence[float] | None = None,
+    times: str | Sequence[str] | None = None,
+    *,
+    speed_m_s: float | None = None,
+    by: By = "outlines",
+    gps: Gps | None = None,
+    sources: str | Path | None = None,
+    resolution_m: float | None = None,
+) -> SkyAlong:
+    """Return how many satellites are seen along a track, and the DOPs: a flight's log, or a route at its speed.
+
+    Args:
+      where, by, gps, sources, resolution_m: as for `sky`.
+      places: longitude, latitude in degrees, or an `XY`, each; or a path from `plan`.
+      altitude_m: above the ground, of all places or of each; left out, that of a path.
+      times: UTC of each place, to the second, or one for all; with a speed, that of departure. Left out, the first of
+        the maps or of the city's own satellites.
+      speed_m_s: the places are the corners of a route that is flown at this speed in straight legs, and the table has
+        a row for each of its seconds.
+
+    Returns:
+      `SkyAlong`: a table with a row a place, in their order.
+
+    Raises:
+      InputError: as of `sky`; numbers of places, altitudes and times that differ, or no place.
+
+    Examples:
+      >>> flown = ju.sky_along(city, path, times="2020-04-27T16:00:00Z", speed_m_s=10.0)
+      >>> len(flown.table), list(flown.table)[:4]
+      (73, ['time', 'lon', 'lat', 'altitude_m'])
+    """
+    sight = Sight.of(where, gps, None if sources is None else Path(sources), resolution_m)
+    if isinstance(places, PlannedPath):
+        altitude_m = places.z_m.tolist() if altitude_m is None else altitude_m
+        places = [XY(*xy_m) for xy_m in places.xy_m.tolist()]
+    if altitude_m is None:
+        raise InputError("altitude_m is missing: give metres above the ground")
+    x_m, y_m = xy_of("places", places, sight.region)
+    z_m = np.array([positive("altitude_m", value) for value in each(altitude_m)])
+    first = sight.task(None, float(z_m.min()), None).sky.times[0] if times is None else times
+    utc = pd.to_datetime([parse_time(time) for time in each(first)]).round("s")
+    if len({1, len(x_m), len(z_m)}) > 2 or len({1, len(x_m), len(utc)}) > 2:
+        raise InputError(
+            f"altitude_m and times must be one for all {len(x_m)} places or one for each, got {len(z_m)} and {len(utc)}"
+        )
+    x_m, y_m, z_m = np.broadcast_arrays(x_m, y_m, z_m)
+    if speed_m_s is not None:
+        positive("speed_m_s", speed_m_s)
+        if len(utc) > 1:
+            raise InputError(
+                "with speed_m_s times must be one, of departure: leave one of the two out"
+            )
+        x_m, y_m, z_m, elapsed_s = _flown(np.stack([x_m, y_m, z_m]), speed_m_s)
+        utc = (utc[0] + pd.to_timedelta(elapsed_s, "s")).round("s")
+    names = np.broadcast_to(utc.strftime("%Y-%m-%dT%H:%M:%SZ"), len(x_m))
+    different, sky = np.unique(names, return_inverse=True)
+    xy_m = np.stack([x_m, y_m])
+    look = sight.look(by, xy_m, z_m, different.tolist(), sky)
+    lon, lat = sight.region.lonlat_of_xy(x_m, y_m)
+    at = pd.DataFrame({"time": names, "lon": lon, "lat": lat, "altitude_m": z_m})
+    table = at.join(look.dops).assign(has_fix=~has_no_fix(look.dops[FIX].to_numpy()))
+    return SkyAlong(table, by, cautions_of(sight, look, by, xy_m), sight.city.attribution)
+
+
+def _flown(corners_m: np.ndarray, speed_m_s: float) -> np.ndarray:
+    """Return ``[4, N]`` x, y, z at each second of a route through corners ``[3, K]`` and at its end, and the time."""
+    legs_m = np.linalg.norm(np.diff(corners_m, axis=1), axis=0)
+    at_s = np.append(0.0, np.cumsum(legs_m)) / speed_m_s
+    elapsed_s = np.append(np.arange(0.0, at_s[-1]), at_s[-1])
+    return np.stack([*(np.interp(elapsed_s, at_s, values) for values in corners_m), elapsed_s])
