@@ -35,6 +35,7 @@ MADE = (  # what functions return; XY is looked at where it is used
         "MetricMaps",
         "CostMap",
         "MapComparison",
+        "OverflownDensity",
         "PlannedPath",
         "PlannedPaths",
         "RouteReport",
@@ -127,6 +128,7 @@ PLAIN = {
         "slope": 0.6,
         "scale_m": 2.0,
         "cut_m": 60.0,
+        "half_width_m": 20.0,
     },
 }
 MADE_ONCE: dict[str, Callable[[], Any]] = {
@@ -135,8 +137,10 @@ MADE_ONCE: dict[str, Callable[[], Any]] = {
         ju.build_maps(good("city"), resolution_m=50.0, altitudes_m=(20.0,), progress=False).grid
     ),
     **dict.fromkeys(
-        ("planned", "paths", "PlannedPath"), lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0)
+        ("planned", "paths", "PlannedPath", "overflown_density.path"),
+        lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0),
     ),
+    "density": lambda: ju.overflown_density(MAPS, good("planned"), half_width_m=20.0),
     "PlannedPaths": lambda: ju.plan_many(MAPS, [(START, GOAL)], altitude_m=20.0, progress=False),
     "read_demonstrations.file": lambda: good("planned").save(
         Path(tempfile.mkdtemp()) / "path.geojson"

@@ -2,7 +2,6 @@
 
 from bisect import bisect_left
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -17,9 +16,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import XY
 
 DETOUR = [DENSITY, "lowered_share", "length_m", "extra_m", "cost"]
-ROUND = (
-    1.002  # by how much a polygon of 16 corners a quarter lies within its circle, and a little more
-)
+ROUND = 1.002  # by how much a polygon of 16 corners a quarter lies within its circle, and more
 
 
 @typed
@@ -68,7 +65,6 @@ def density_detours(planned: PlannedPath, on: CostMap, density: OverflownDensity
     )
     nodes = [end.cell for end in on.ends(start, goal)]
 
-    @cache
     def up_to(bound: float) -> CostMap:
         dense = shapely.union_all(cells.boxes[(level > bound) & ~is_kept])
         closed = touched_cells(shapely.buffer(dense, reach_m * ROUND, quad_segs=16), grid)

@@ -10,7 +10,7 @@ import pandas as pd
 import shapely
 from shapely.ops import substring
 
-from jaxurban.checks import at_least, finite, positive, typed
+from jaxurban.checks import at_least, positive, typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.guesses import is_of_people, percent
 from jaxurban.io.tables import records_of
@@ -18,16 +18,13 @@ from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.paths.corridor import Cells, cell_means, cells_within
 from jaxurban.paths.path import PlannedPath
 from jaxurban.public import Caution, Shown, caution_of_guesses
+from jaxurban.settings import not_negative
 
 GRIDS_M = (100.0, 200.0, 500.0)  # printed always: they disagree where towers stand
 WHOLE = 1 - 1e-9  # of a cell, but for rounding
 GATHERINGS = "Gatherings are yours to name: no map holds them."
 RESIDENTS = "By night these are residents by the census, not people outdoors."
 DENSITY = "density_per_km2"
-DETOUR = [DENSITY, "lowered_share", "length_m", "extra_m", "cost"]
-ROUND = (
-    1.002  # by how much a polygon of 16 corners a quarter lies within its circle, and a little more
-)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,8 +33,8 @@ class OverflownDensity(Shown):
 
     Attributes:
       largest: a row a grid and time of day: ``cell_m``, ``time_of_day``, ``density_per_km2`` (people per km2, the
-        largest mean over a cell; NaN where none is known), the cell's middle (``lon``, ``lat``), ``along_m`` (the place
-        of the route nearest to it, metres from the start), ``known_share`` (of that cell's area), ``num_cells`` that
+        largest mean over a cell), that cell's middle (``lon``, ``lat``), ``along_m`` (the place of the route nearest to
+        it, metres from the start), ``known_share`` (of its area), all NaN where nothing is known; ``num_cells`` that
         the corridor touches, and of these ``num_partly_known`` and ``num_unknown``.
       segments: the same on the grid of ``cell_m`` for each of a few parts of equal length, ``from_m`` to ``to_m``.
       settings: ``half_width_m``, ``contingency_m``, ``buffer_m`` and ``cell_m``.
@@ -197,14 +194,15 @@ def overflown_density(
             "these maps hold no density of people: make them with [population] blocks, of a census or a raster"
         )
     xy_m, top_m = _line_of(path, maps)
-    if buffer_m is None and top_m is None:
+    buffer_m = top_m if buffer_m is None else buffer_m
+    if buffer_m is None:
         raise InputError(
             "buffer_m must be given for a line without heights: give it, or [N, 3] with the height above ground"
         )
     settings = {
         "half_width_m": positive("half_width_m", half_width_m),
-        "contingency_m": _from_zero("contingency_m", contingency_m),
-        "buffer_m": _from_zero("buffer_m", top_m if buffer_m is None else buffer_m),
+        "contingency_m": not_negative("contingency_m", contingency_m),
+        "buffer_m": not_negative("buffer_m", buffer_m),
         "cell_m": positive("cell_m", cell_m),
     }
     reach_m = settings["half_width_m"] + settings["contingency_m"] + settings["buffer_m"]
@@ -268,12 +266,6 @@ def _line_of(path: PlannedPath | np.ndarray, maps: MetricMaps) -> tuple[np.ndarr
     return points[:, :2], float(points[:, 2].max()) if points.shape[1] == 3 else None
 
 
-def _from_zero(name: str, value: Any) -> float:
-    if (number := finite(name, value)) < 0:
-        raise InputError(f"{name} must be 0 or a positive number of metres, got {number:g}")
-    return number
-
-
 def _largest(
     line: shapely.LineString,
     cells: Cells,
@@ -283,15 +275,14 @@ def _largest(
 ) -> dict[str, float]:
     """Return the largest mean of the cells that are near, where it lies, and how much of them is known."""
     worst = int(np.argmax(np.where(is_near & np.isfinite(means), means, -1.0)))
-    middle = shapely.centroid(cells.boxes[worst])
+    middle, near_share = shapely.centroid(cells.boxes[worst]), share[is_near]
     lon, lat = cells.grid.lonlat_of_xy(middle.x, middle.y)
-    near_share = share[is_near]
+    place = [means[worst], lon, lat, shapely.line_locate_point(line, middle), share[worst]]
+    if not near_share.any():
+        place = [np.nan] * len(place)
+    names = (DENSITY, "lon", "lat", "along_m", "known_share")
     return {
-        DENSITY: float(means[worst]) if np.isfinite(means[is_near]).any() else np.nan,
-        "lon": float(lon),
-        "lat": float(lat),
-        "along_m": float(shapely.line_locate_point(line, middle)),
-        "known_share": float(share[worst]),
+        **dict(zip(names, map(float, place), strict=True)),
         "num_cells": len(near_share),
         "num_partly_known": int(((near_share > 0) & (near_share < WHOLE)).sum()),
         "num_unknown": int((near_share == 0).sum()),
