@@ -77,6 +77,8 @@ def sky(
     for file in files:
         if file.suffix.lower() not in suffixes:
             raise click.UsageError(f"-o must end in {' or '.join(suffixes)}, got {str(file)!r}")
+    if track is not None and any(file.resolve() == track.resolve() for file in files):
+        raise click.UsageError(f"-o must not be the track itself, {str(track)!r}")
     of_maps = {name: options[name] for name in ("by", "sources", "resolution_m")}
     made: Any
     if track is not None:

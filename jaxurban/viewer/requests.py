@@ -44,6 +44,13 @@ class Cell(Request):
     col: Index
 
 
+class Sky(Request):
+    """The sky over a place, at an altitude and time."""
+
+    at: tuple[Index, Index, Index]
+    place: tuple[Degrees, Degrees]
+
+
 class Plan(Request):
     """A route that is wanted; `jaxurban.plan` names the same.
 

@@ -21,6 +21,8 @@ from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.export.write import FORMATS
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, cautious_profile, without_fix
+from jaxurban.paths.sight import Sight
+from jaxurban.paths.sky import sky_from
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.frame import guesses_said, place_said, rules_said, time_said
@@ -33,7 +35,8 @@ from jaxurban.viewer.base import base_of
 from jaxurban.viewer.layers import H_NORM, DrawnLayer, layers_of, legend_of
 from jaxurban.viewer.markup import number, options, sentences
 from jaxurban.viewer.plans import Plans
-from jaxurban.viewer.requests import Cell, Plan, Request, Save, Shown, Tile, parse
+from jaxurban.viewer.requests import Cell, Plan, Request, Save, Shown, Sky, Tile, parse
+from jaxurban.viewer.sky import sky_html
 from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, strides_of, tile_bytes
 
 JSON, BYTES = "application/json", "application/octet-stream"
@@ -93,6 +96,7 @@ class Viewer:
             "legend": (Shown, self.legend),
             "tile": (Tile, self.tile),
             "values": (Cell, self.values_at),
+            "sky": (Sky, self.sky),
             "plan": (Plan, self.plan),
             "report": (Plan, self.report),
             "save": (Save, self.save),
@@ -278,6 +282,22 @@ class Viewer:
         key = "block", layer.name, at, row, col
         block = self.kept.get(key, lambda: array.isel(part, missing_dims="ignore").values)
         return float(block[cell.row - row, cell.col - col])
+
+    @cached_property
+    def _sight(self) -> Sight:
+        """The city of the maps, read again when the first sky is asked for."""
+        return Sight.of(self.maps, None, None, None)
+
+    def sky(self, query: Sky) -> str:
+        """Return the sky over a place (`sky_html`).
+
+        Raises:
+          InputError: maps in memory, or whose files are gone; without altitudes or times; a place far away.
+        """
+        at = self.place(query.at)
+        if at.altitude_m is None:
+            raise InputError("these maps hold no altitudes, so a sky has no height to be seen from")
+        return sky_html(sky_from(self._sight, query.place, at.altitude_m, time=at.time))
 
     def plan(self, query: Plan) -> dict[str, Any]:
         """Return a route: its points, cost and message, and the command that gives the same."""

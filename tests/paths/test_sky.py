@@ -53,7 +53,7 @@ def at_cells(made: ju.MetricMaps, num: int, seed: int) -> tuple[np.ndarray, list
 
 
 def test_at_centres_the_answer_by_the_map_is_the_maps():
-    (rows, cols), centres = at_cells(maps(), 12, seed=0)
+    (rows, cols), centres = at_cells(maps(), 4, seed=0)
     for row, col, centre in zip(rows, cols, centres, strict=True):
         of_map = ju.sky(city(), centre, 20.0, by="map", gps=GPS).dops
         for name in ("num_visible", *DOPS):

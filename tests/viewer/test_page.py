@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from jaxurban.maps.metric_maps import open_maps
+from jaxurban.maps.run import run_scenario
+from jaxurban.maps.scenario import Scenario
 from jaxurban.paths.export.write import FORMATS
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.viewer.html import part, write_page
@@ -275,6 +277,23 @@ def test_every_format_of_paths_has_a_button_whose_file_bears_planner_and_altitud
         with page.expect_download() as waiting:
             button.click()
         assert waiting.value.suggested_filename == f"astar-plus_20m{suffix}"
+
+
+@pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
+def test_a_click_shows_the_sky_over_the_place_and_another_altitude_shows_that_of_there(
+    browser, tmp_path
+):
+    region = {"bounds": (139.766, 35.679, 139.768, 35.681), "resolution_m": 20}
+    sample = {"region": region, "buildings": {"source": "sample:nihonbashi"}}
+    run_scenario(Scenario.from_dict(sample), tmp_path / "maps", progress=False)
+    with shown(browser, Viewer(open_maps(tmp_path / "maps"))) as page:
+        corner = page.locator('[data-is="map"]').bounding_box()
+        page.mouse.click(corner["x"] + corner["width"] / 2, corner["y"] + corner["height"] / 2)
+        page.wait_for_selector(".jv-sky")
+        low = page.locator('[data-is="sky"]').inner_html()
+        page.select_option('[name="altitude"]', "1")
+        until(page, lambda: page.locator('[data-is="sky"]').inner_html() != low)
+        assert " seen, " in low
 
 
 def test_the_keyboard_alone_plans_a_route(page):

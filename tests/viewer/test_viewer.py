@@ -13,7 +13,9 @@ import pytest
 import shapely
 
 import jaxurban as ju
+from jaxurban.errors import InputError
 from jaxurban.io.files import write_json
+from jaxurban.maps.run import run_scenario
 from jaxurban.paths.export.write import FORMATS
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
@@ -402,3 +404,20 @@ def test_the_public_name_stays_the_function_after_its_package_was_imported():
     assert jaxurban.viewer.server
     assert jaxurban.view is view
     assert jaxurban.view is view  # once more: the first look imports
+
+
+@pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
+def test_a_sky_is_that_of_the_library_and_maps_in_memory_say_why_they_have_none(tmp_path):
+    region = {"bounds": (139.766, 35.679, 139.768, 35.681), "resolution_m": 20}
+    sample = {"region": region, "buildings": {"source": "sample:nihonbashi"}}
+    run_scenario(ju.Scenario.from_dict(sample), tmp_path / "maps", progress=False)
+    maps = ju.open_maps(tmp_path / "maps")
+    place = (139.7672, 35.6802)
+    html = json.loads(Viewer(maps).answer("sky", {"at": [0, 0, 0], "place": place}).body)
+    here = ju.sky(maps, place, maps.altitudes_m[0])
+    counts = [int((here.table["state"] == state).sum()) for state in ("seen", "hidden", "unknown")]
+    assert "{} seen, {} hidden, {} unknown".format(*counts) in html
+    assert min(counts[:2]) > 0
+    assert html.count("<title>") == len(here.table)
+    with pytest.raises(InputError, match="made in memory do not hold their city"):
+        Viewer(MAPS).answer("sky", {"at": [0, 0, 0], "place": place})

@@ -111,8 +111,7 @@ function tilesOf(ask, { tile, rows, cols, resolution_m: side, strides }, view, g
           const picture = tileOf(shown, stride, row, col, isWanted);
           if (!picture) continue;
           const [left, bottom] = view.toPixel([col * reach, row * reach]), pixels = stride * side / view.scale;
-          const up = picture.height * pixels;
-          const place = [left, bottom - up, picture.width * pixels, up];
+          const up = picture.height * pixels, place = [left, bottom - up, picture.width * pixels, up];
           over.clearRect(...place); // else a coarser tile shows through
           over.drawImage(picture, ...place);
         }

@@ -76,7 +76,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
       spot(place, 1, '#1f2429', '#1f2429');
       mark(name, markOf(name));
     }
-    if (state.linked) spot(state.linked, 5, '#1f2429', '#fff');
+    for (const each of [state.tab === 'look' && state.sky, state.linked]) if (each) spot(each, 5, '#1f2429', '#fff');
     if (map.matches(':focus-visible')) spot([view.x, view.y], 3, '#fff', '#1f2429');
     const most = 130 * view.scale, power = 10 ** Math.floor(Math.log10(most));
     const length = [5, 2, 1].map(factor => factor * power).find(each => each <= most);
@@ -96,8 +96,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     pen.beginPath();
     pen.arc(...toPixel(place), radius, 0, 7);
     Object.assign(pen, { fillStyle, strokeStyle, lineWidth: 2 });
-    pen.fill();
-    pen.stroke();
+    for (const act of ['fill', 'stroke']) pen[act]();
   };
   const markOf = name => state.marks[name] ?? state.ends[name]; // where the route itself begins or ends
   const mark = (name, place) => {
@@ -108,9 +107,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   };
   // --- the pointer
   const look = latest(async ([x, y]) => {
-    const cell = [y, x].map(metres => Math.floor(metres / side));
+    const cell = [y, x].map(metres => Math.floor(metres / side)), table = is('values');
     const values = await ask('values', { at: places(), row: cell[0], col: cell[1] });
-    const table = is('values');
     table.replaceChildren();
     for (const { name, told, value, classes, unit } of values) {
       const row = table.insertRow(), text = classes[value] ?? `${number(value)} ${unit}`;
@@ -129,6 +127,11 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const least = offs.reduce((best, off, k) => off < offs[best] ? k : best, 0);
     if (offs.length) link(offs[least] < 25 * view.scale ? least : -1);
   };
+  const showSky = latest(async () => { // over the place that was clicked; the first one waits for the city
+    if (state.sky) tell('Looking at the sky …');
+    is('sky').innerHTML = state.sky ? await ask('sky', { at: places(), place: toLonLat(state.sky) }) : '';
+    if (state.sky) tell('');
+  });
   const setEnd = (name, place) => {
     state.ends[name] = place;
     delete state.marks[name];
@@ -164,8 +167,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   map.onkeydown = event => {
     const move = (left, top) => () => view.shift(left, top);
     const acts = { '+': actions.closer, '-': actions.farther, 0: actions.fit, Enter: () => click([view.x, view.y]),
-      Escape: () => { state.drawing = null; hint(); draw(); }, ArrowLeft: move(60, 0), ArrowRight: move(-60, 0),
-      ArrowUp: move(0, 60), ArrowDown: move(0, -60) };
+      Escape: () => { state.drawing = state.sky = null; showSky(); hint(); draw(); }, ArrowLeft: move(60, 0),
+      ArrowRight: move(-60, 0), ArrowUp: move(0, 60), ArrowDown: move(0, -60) };
     if (!acts[event.key] || event.ctrlKey || event.metaKey) return; // the browser's own zoom
     event.preventDefault();
     acts[event.key]();
@@ -246,8 +249,9 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     if (ends) link(clamp(ends.findIndex(end => end >= share), 0, ends.length - 1));
   };
   const click = place => {
-    if (!isInside(place) || state.tab !== 'plan') return;
-    if (state.drawing) state.drawing.push(place);
+    if (!isInside(place) || !scene.can_plan) return;
+    if (state.tab === 'look') showSky(state.sky = place);
+    else if (state.drawing) state.drawing.push(place);
     else { setEnd(state.ends.start ? 'goal' : 'start', place); plan(); }
     draw();
   };
@@ -255,8 +259,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const corners = state.drawing?.filter((place, k, { [k - 1]: before }) => String(place) !== String(before)) ?? [];
     state.drawing = null;
     if (corners.length > 2) { state.zones.push(corners); plan(); }
-    hint();
-    draw();
+    for (const settle of [hint, draw]) settle();
   };
   Object.assign(map, { ondblclick: closeZone, onfocus: draw, onblur: draw });
   const hint = () => {
@@ -279,7 +282,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     closer: () => view.zoom(0.7),
     farther: () => view.zoom(1 / 0.7),
     fit: () => view.fit(),
-    reset: () => { restore(first); between(); show(); actions.clear(); actions.fit(); },
+    reset: () => { state.sky = null; restore(first); between(); show(); showSky(); actions.clear(); actions.fit(); },
     reload: () => window.location.reload(),
     copy: () => navigator.clipboard.writeText(is('command').textContent),
   };
@@ -336,18 +339,16 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   for (const each of all('select, input:not([type="range"])')) each.onchange = () => {
     if (each.name === 'altitude') field('flight_m').value = scene.altitudes_m[each.value];
     if (each.name === 'altitude' || each.name === 'flight_m') between();
-    fitModel();
-    show();
-    plan();
+    for (const settle of [fitModel, show, showSky, plan]) settle();
   };
   Object.assign(field('opacity'), { oninput: draw, onchange: keep });
-  root.querySelector('nav').hidden = !scene.can_plan;
+  root.querySelector('nav').hidden = is('sky-box').hidden = !scene.can_plan;
   const choose = tab => {
     state.tab = tab;
     for (const each of all('[data-tab]')) each.ariaSelected = each.dataset.tab === tab;
     for (const page of all('[data-page]')) page.hidden = page.dataset.page !== tab;
   };
-  for (const button of all('[data-tab]')) button.onclick = () => { choose(button.dataset.tab); keep(); };
+  for (const button of all('[data-tab]')) button.onclick = () => { choose(button.dataset.tab); keep(); draw(); };
   const first = kept(), held = keepsPlan && window.location.hash.slice(1);
   try { if (held) restore(JSON.parse(decodeURIComponent(held))); } catch {
     restore(first);

@@ -1,0 +1,96 @@
+"""The sky over a place as the page shows it: a round picture, and a row for each satellite."""
+
+from html import escape
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN
+from jaxurban.paths.sky import SkyAt
+from jaxurban.report.figures.sky import EDGE_DEG, MARKS, ROOFS
+from jaxurban.report.figures.style import INK, SERIES_COLOURS
+from jaxurban.viewer.markup import dot, number, rows, sentences
+
+RADIUS, ROUND = 90.0, 360  # of the picture, whose middle is the zenith, a unit a degree; degrees
+RIM = 12.0  # around it, for the names of the directions
+DIRECTIONS = {"N": 0, "E": 90, "S": 180, "W": 270}
+
+
+def sky_html(here: SkyAt) -> str:
+    """Return the sky at a place and one time as HTML."""
+    dops = here.dops.iloc[0]
+    counts = {state: int((here.table["state"] == state).sum()) for state in MARKS}
+    systems = list(dict.fromkeys(here.table["system"]))
+    colours = dict(zip(systems, np.resize(SERIES_COLOURS, len(systems)).tolist(), strict=True))
+    facts = {
+        "Satellites": ", ".join(f"{num} {state}" for state, num in counts.items()),
+        "GDOP, HDOP, VDOP": ", ".join(number(dops[name]) for name in ("gdop", "hdop", "vdop")),
+    }
+    systems_said = " ".join(f"{dot(colours[name])}{escape(name)}" for name in systems)
+    if np.isnan(here.horizon_deg).any():
+        systems_said = f"{systems_said} | striped rim: horizon not known"
+    return (
+        f"{_picture(here, colours)}<p>{systems_said}</p>"
+        f"<table>{rows(facts.items())}</table><pre>{escape(_listed(here.table))}</pre>"
+        f"{sentences((caution.level, caution) for caution in here.cautions)}"
+    )
+
+
+def _listed(table: pd.DataFrame) -> str:
+    """Return a line for each satellite, the highest first: its state, and the roof that hides it."""
+    lines = [("", "up", "state", "roof", "away")]
+    for _, row in table.sort_values("elevation_deg", ascending=False).iterrows():
+        roof_m, away_m = row["roof_height_m"], row["roof_distance_m"]
+        is_hidden = row["state"] == HIDDEN
+        ground_m = "ground" if is_hidden else ""
+        roof = ground_m if np.isnan(roof_m) else f"{roof_m:.0f} m"
+        away = f"{away_m:.0f} m" if np.isfinite(away_m) else ""
+        up = f"{row['elevation_deg']:.0f}°"
+        lines.append((_short(row), up, row["state"], roof, away))
+    return "\n".join("{:5}{:>4}  {:8}{:>7}{:>8}".format(*line) for line in lines)
+
+
+def _picture(here: SkyAt, colours: dict[str, str]) -> str:
+    """Return the picture as SVG: north up, buildings around the rim, satellites by system and state."""
+    horizon_deg = np.nan_to_num(here.horizon_deg)
+    is_unknown = np.isnan(here.horizon_deg)
+    top = _places(np.arange(ROUND), horizon_deg)
+    outline = " ".join(f"{x:.1f},{y:.1f}" for x, y in top)
+    parts = [
+        f'<circle r="{RADIUS}" fill="{ROOFS}"/>',
+        f'<polygon points="{outline}" fill="#fff"/>',
+        *(f'<circle r="{ring}" fill="none" stroke="#9a948a"/>' for ring in (30, 60, RADIUS)),
+    ]
+    rim = (_places(np.flatnonzero(is_unknown), np.array(up_deg)) for up_deg in (0.0, EDGE_DEG))
+    for (x, y), (x2, y2) in zip(*rim, strict=True):
+        parts.append(f'<path d="M{x:.1f} {y:.1f}L{x2:.1f} {y2:.1f}" stroke="{INK}"/>')
+    for name, azimuth_deg in DIRECTIONS.items():
+        x, y = _places(np.array([azimuth_deg]), np.array([-RIM / 2]))[0]
+        parts.append(f'<text x="{x:.1f}" y="{y + 3:.1f}" text-anchor="middle">{name}</text>')
+    at = _places(here.table["azimuth_deg"].to_numpy(), here.table["elevation_deg"].to_numpy())
+    for (x, y), (_, row) in zip(at, here.table.iterrows(), strict=True):
+        colour = colours[row["system"]]
+        fill = colour if row["state"] == SEEN else "#fff"
+        dash = ' stroke-dasharray="2"' if row["state"] == UNKNOWN else ""
+        title = escape(f"{row['satellite']}, {row['state']}")
+        parts.append(
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{fill}" stroke="{colour}" '
+            f'stroke-width="1.5"{dash}><title>{title}</title></circle>'
+            f'<text x="{x + 5:.1f}" y="{y - 3:.1f}">{escape(_short(row))}</text>'
+        )
+    side = RADIUS + RIM
+    box = f"{-side} {-side} {2 * side} {2 * side}"
+    label = f"Sky over {here.facts['place']}: {here.facts['satellites']}"
+    head = f'class="jv-sky" font-size="8" viewBox="{box}" role="img" aria-label="{escape(label)}"'
+    return f"<svg {head}>{''.join(parts)}</svg>"
+
+
+def _short(row: pd.Series) -> str:
+    """Return the end of a satellite's name."""
+    return row["satellite"].removesuffix(" (nominal)").split()[-1].strip("()")
+
+
+def _places(azimuth_deg: np.ndarray, elevation_deg: np.ndarray) -> np.ndarray:
+    """Return ``[N, 2]`` x to the right and y down of directions in the picture."""
+    radius, turn_rad = RADIUS - elevation_deg, np.radians(azimuth_deg)
+    return np.stack([radius * np.sin(turn_rad), -radius * np.cos(turn_rad)], axis=-1)
