@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -78,44 +77,35 @@ def judged(
 
 def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> list[pd.DataFrame]:
     """Return where a mission flies into buildings, and where it comes nearer than the clearances, of its contacts."""
-    is_over, is_high = near["apart_m"] == 0, near["gap_m"] <= 0
+    is_over = near["apart_m"] == 0
     is_close = near["gap_m"] < limits.vertical_m - FILE_MARGIN_M
     is_close &= is_over | (near["apart_m"] < limits.horizontal_m - FILE_MARGIN_M)
-    hits, close = near[is_over & is_high], near[is_high & is_over | is_close]
+    over_gap_m = near["gap_m"].where(is_over)
+    is_hit = over_gap_m <= 0
+    close = merged(near.assign(gap_m=over_gap_m)[is_hit | is_close], "prism")
     # Coming to what it hits, and leaving it, a mission is near that and what stands around.
-    stretches = merged(close, "prism").merge(
-        hits[["prism", "from_m"]], on="prism", suffixes=("", "_hit")
-    )
-    is_hit = stretches["from_m_hit"].between(stretches["from_m"], stretches["to_m"])
-    around = merged(stretches.loc[is_hit, ["from_m", "to_m"]])
+    around = merged(close.loc[close["gap_m"] <= 0, ["from_m", "to_m"]])
     place = np.searchsorted(around["from_m"] - TOUCH_M, close["from_m"], side="right") - 1
-    reach_m = np.append(around["to_m"].to_numpy() + TOUCH_M, -np.inf)[place]
-    close = close[close["to_m"] > reach_m]
-    beside, over = merged(close[close["apart_m"] > 0]), merged(close[close["apart_m"] == 0])
-    hits = merged(hits)
-    by_kind = [
-        (hits, -hits["gap_m"], "flies into a building, by up to {:.1f} m", hits["gap_m"].abs()),
-        (
-            over,
-            limits.vertical_m - over["gap_m"],
-            "passes {:.1f} m over or under a building",
-            over["gap_m"],
-        ),
-        (
-            beside,
-            limits.horizontal_m - beside["apart_m"],
-            "passes {:.1f} m beside a building",
-            beside["apart_m"],
-        ),
+    close = close[close["to_m"] > np.append(around["to_m"] + TOUCH_M, -np.inf)[place]]
+    hits, over = merged(near[is_hit]), merged(close[close["gap_m"] > 0])
+    beside = merged(close[close["gap_m"].isna()])
+    passes = "passes {:.1f} m over or under a building", "passes {:.1f} m beside a building"
+    return [
+        _described(hits, buildings, "flies up to {:.1f} m into a building", -hits["gap_m"]),
+        _described(over, buildings, passes[0], over["gap_m"], limits.vertical_m),
+        _described(beside, buildings, passes[1], beside["apart_m"], limits.horizontal_m),
     ]
-    tables = []
-    for rows, by_m, text, metres in by_kind:
-        prism = rows["prism"].to_numpy(int)
-        what = [text.format(number) for number in metres]
-        more: dict[str, Any] = {"what": what, "is_guessed": buildings.is_guessed[prism]}
-        more |= {"kind": "building", "by_m": by_m, "building_m": buildings.top_m[prism]}
-        tables.append(rows.assign(**more))
-    return tables
+
+
+def _described(
+    rows: pd.DataFrame, buildings: Prisms, text: str, metres: pd.Series, asked_m: float = 0.0
+) -> pd.DataFrame:
+    """Return stretches near or in buildings as findings; metres are short of what is asked, or as far inside."""
+    prism = rows["prism"].to_numpy(int)
+    what = [text.format(number) for number in metres]
+    more = {"what": what, "is_guessed": buildings.is_guessed[prism], "kind": "building"}
+    by_m = (asked_m - metres).abs()
+    return rows.assign(**more, by_m=by_m, building_m=buildings.top_m[prism])
 
 
 def _zones(steps: Steps, maps: MetricMaps, limits: Constraints) -> pd.DataFrame:

@@ -21,6 +21,7 @@ from jaxurban.world.grid import Bounds
 
 STEP_M, MOST_STEPS = 0.5, 1_000_000  # steps of very long missions are longer,
 MOST_STEP_M = 5.0  # and no longer than this
+NOWHERE_M = 1e12  # x and y where the projection has no value
 CIRCLE_SAG_M = 0.05  # by which the chords of a loiter leave its circle
 FEWEST_CHORDS, MOST_CHORDS = 16, 720
 GEOD = pyproj.Geod(ellps="WGS84")
@@ -121,6 +122,7 @@ def flight_of(mission: Mission, maps: MetricMaps, geoid_m: float | None = None) 
     height_m = np.array([place.height_m for place in places], float).reshape(-1, 2)
     datum = np.array([place.datum for place in places], object).reshape(-1, 2)
     ends_m = np.stack(maps.grid.xy_of_lonlat(lonlat[..., 0], lonlat[..., 1]), axis=-1)
+    ends_m = np.nan_to_num(ends_m, posinf=NOWHERE_M)
     zero_m = _zeros(mission, maps, geoid_m)
     base_m = np.array([zero_m.get(each, 0.0) for each in datum.flat]).reshape(-1, 2)
     is_ground: np.ndarray = np.array([each == "ground" for each in datum.flat]).reshape(-1, 2)
@@ -213,5 +215,4 @@ def _shares_within(ends_m: np.ndarray, bounds_m: Bounds) -> tuple[np.ndarray, np
     )
     cuts = np.sort([(low_m - begin_m) / moved_m, (high_m - begin_m) / moved_m], axis=0)
     first, last = np.clip([cuts[0].max(axis=1), cuts[1].min(axis=1)], 0.0, 1.0)
-    is_lost = ~np.isfinite(ends_m).all(axis=(1, 2)) | (first > last)
-    return np.where(is_lost, 1.0, first), np.where(is_lost, 1.0, last)
+    return np.minimum(first, last), last

@@ -22,7 +22,7 @@ from jaxurban.paths.flown import costs_of, figures_of
 from jaxurban.paths.legs import Flight, flight_of
 from jaxurban.paths.plan import rules_on
 from jaxurban.public import Caution, caution_of_guesses
-from jaxurban.settings import iso_utc, not_negative
+from jaxurban.settings import iso_utc, not_negative, parse_time
 from jaxurban.studies.queries import Result
 from jaxurban.world.city import City
 
@@ -242,13 +242,18 @@ def check(
     if vertical_clearance_m is not None:
         limits = replace(limits, vertical_clearance_m=vertical_clearance_m)
     _, _, limits = rules_on(maps, None, limits, "")
-    zones = dict.fromkeys(zone for each in times for zone in limits.at(each).zones)
-    limits = replace(limits, zones=tuple(zones))
+    flights = [parse_time(each) for each in times if each is not None]
+    zones = [zone for zone in limits.zones if not flights or any(map(zone.is_in_force, flights))]
+    held, limits = (
+        limits,
+        replace(limits, zones=tuple(replace(zone, start=None, end=None) for zone in zones)),
+    )
 
     city, outlines = _city_of(maps, sources)
     flight = flight_of(mission, maps, geoid_m)
     findings, unknown = judged(flight, maps, buildings_of(maps, city), limits, times, time_of_day)
-    figures = figures_of(flight, maps, times, time_of_day, swath_m)
+    figures: dict[str, Any] = {"num_zones": len(held.zones), "num_zones_in_force": len(zones)}
+    figures |= figures_of(flight, maps, times, time_of_day, swath_m)
     figures |= costs_of(flight, maps, weights, limits, times[0], time_of_day)
     beyond, open_limits = _limits(figures, max_no_fix_m, max_people)
     not_judged = [

@@ -1,0 +1,437 @@
+"""check: missions with planted faults and clean ones, against points sampled every 20 cm and looked up one by one."""
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import shapely
+import xarray as xr
+from scipy.interpolate import RegularGridInterpolator
+
+import jaxurban as ju
+from jaxurban.io.read.mission import Leg, Mission, Place
+from jaxurban.io.read.zone import Zone
+from jaxurban.settings import parse_time
+from jaxurban.world.city import City, Footprints, HeightOrigin
+from tests.made_maps import made_maps
+from tests.paths.volumes import ends_at
+
+SIDE_M, GEOID_M, CLEARANCE_M = 600.0, 37.0, 4.0
+DENSE_M = 0.2  # between the points that tell the truth
+FEW_M = 5.0  # a finding lies so near its first contact
+ON, OFF = "2020-04-27T16:00:00Z", "2020-04-29T16:00:00Z"
+
+
+class Scene(NamedTuple):
+    """Maps with hills, and their city: houses turned by any angle, some hanging, and a zone over a part."""
+
+    maps: ju.MetricMaps
+    city: City
+    zone: Zone
+    corner_m: np.ndarray
+
+    def place(self, x_m: float, y_m: float, height_m: float, datum: str = "ground") -> Place:
+        """Return a place in metres from the corner of the maps."""
+        lon, lat = self.maps.grid.lonlat_of_xy(*np.add(self.corner_m, (x_m, y_m)))
+        return Place(float(lon), float(lat), height_m, datum)
+
+    def ground_m(self, x_m, y_m) -> np.ndarray:
+        """Return the ground at places from the corner, by SciPy."""
+        ground_m, side_m = self.maps.m("terrain"), self.maps.grid.resolution_m
+        centres_m = (np.arange(len(ground_m)) + 0.5) * side_m
+        inside = np.clip(np.stack([y_m, x_m], axis=-1), centres_m[0], centres_m[-1])
+        return RegularGridInterpolator((centres_m, centres_m), ground_m)(inside)
+
+    def base_m(self, place: Place, home: Place) -> float:
+        """Return the elevation of the zero of a place's datum."""
+        x_m, y_m = self.xy_m(place if place.datum == "ground" else home)
+        level_m = self.ground_m(x_m, y_m).item()
+        return {"geoid": 0.0, "ellipsoid": -GEOID_M}.get(place.datum, level_m)
+
+    def xy_m(self, place: Place) -> np.ndarray:
+        """Return x and y of a place, from the corner."""
+        return np.array(self.maps.grid.xy_of_lonlat(*place[:2])) - self.corner_m
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    rng = np.random.default_rng(46)
+    maps = made_maps(60, 60, (0.5, 400.0))
+    row, col = np.indices(maps.grid.shape)
+    hills_m = 30 + 12 * np.sin(row / 9) + 8 * np.cos(col / 7) + 0.3 * row
+    ds = maps.ds.assign(terrain=(("y", "x"), hills_m.astype(np.float32)))
+    later = ds["time"] + np.timedelta64(2, "D")
+    timed = [name for name in ds if "time" in ds[name].dims]
+    more = ds[timed].assign_coords(time=later)
+    both = xr.concat([ds[timed], more], "time", join="exact")
+    maps = replace(maps, ds=ds.drop_dims("time").assign(both))
+    corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
+    centres_m = np.stack(np.meshgrid(*[np.arange(60, 600, 80)] * 2), axis=-1).reshape(-1, 2)
+    outlines = []
+    for centre_m in centres_m:
+        width_m, depth_m = rng.uniform(12, 30, 2)
+        box = shapely.box(-width_m / 2, -depth_m / 2, width_m / 2, depth_m / 2)
+        turned = shapely.affinity.rotate(box, rng.uniform(0, 90), origin=(0, 0))
+        outlines.append(shapely.affinity.translate(turned, *(centre_m + corner_m)))
+    num = len(outlines)
+    floor_m = np.where(np.arange(num) % 9 == 4, 8.0, 0.0)
+    height_m = rng.choice([12.0, 25.0, 40.0, 90.0], num)
+    origin = np.full(num, HeightOrigin.HEIGHT, np.uint8)
+    buildings = Footprints(np.array(outlines), height_m, floor_m, origin, floor_m > 0)
+    extent_m = (*corner_m, *(corner_m + SIDE_M))
+    city = City(maps.grid.crs, extent_m, buildings, hanging="slabs")
+    over = shapely.box(*np.add(corner_m, 400), *np.add(corner_m, (560, 590)))
+    hours = parse_time("2020-04-27T12:00:00Z"), parse_time("2020-04-27T18:00:00Z")
+    zone = Zone("stadium", over, maps.grid.crs, 0.0, 150.0, "", *hours)
+    return Scene(maps, city, zone, corner_m)
+
+
+class Truth(NamedTuple):
+    """What points every 20 cm along a mission meet, one by one: ``[N]`` each, in the order of travel."""
+
+    xy_m: np.ndarray
+    hit: np.ndarray
+    near: np.ndarray
+    buried: np.ndarray
+    in_zone: np.ndarray
+    slack_m: np.ndarray  # [3] how much farther than asked from buildings, the ground and the zone
+
+
+def truth_of(scene: Scene, mission: Mission, clearance_m: float, time: str) -> Truth:
+    """Return the truth of a mission, by looking every point up against every prism."""
+    lines = []
+    home = Place(*mission.home, 0.0, "ground")
+    for leg in mission.legs:
+        ends_m = np.array([scene.xy_m(leg.start), scene.xy_m(leg.end)])
+        follows = leg.start.datum == leg.end.datum == "ground"
+        z_m = np.array([leg.start.height_m, leg.end.height_m])
+        if not follows:
+            z_m += np.array([scene.base_m(leg.start, home), scene.base_m(leg.end, home)])
+        length_m = np.hypot(np.linalg.norm(ends_m[1] - ends_m[0]), z_m[1] - z_m[0])
+        share = np.linspace(0, 1, max(2, int(length_m / DENSE_M)))[:, None]
+        xy_m = ends_m[0] + share * (ends_m[1] - ends_m[0])
+        above_m = z_m[0] + share[:, 0] * (z_m[1] - z_m[0])
+        ground_m = scene.ground_m(*xy_m.T)
+        z_m = above_m if follows else above_m - ground_m
+        lines.append(np.column_stack([xy_m, z_m, ground_m, np.full(len(xy_m), leg.kind == "leg")]))
+    x_m, y_m, z_m, ground_m, is_leg = np.concatenate(lines).T
+    held = scene.city.buildings
+    hit, near = np.zeros(len(x_m), bool), np.zeros(len(x_m), bool)
+    slack_m = np.full(len(x_m), np.inf)
+    points = shapely.points(x_m + scene.corner_m[0], y_m + scene.corner_m[1])
+    for outline, top_m, floor_m in zip(
+        held.polygons, held.height_m, held.min_height_m, strict=True
+    ):
+        apart_m = shapely.distance(points, outline)
+        beside = (apart_m > 0) & (apart_m < 20)  # it stands on the ground at its nearest point
+        foot = shapely.get_coordinates(shapely.shortest_line(outline, points[beside]))[::2]
+        ground_there_m = ground_m.copy()
+        ground_there_m[beside] = scene.ground_m(*(foot - scene.corner_m).T)
+        above_m = np.where(apart_m > 0, z_m + ground_m - ground_there_m, z_m)
+        bottom_m = floor_m if floor_m else -np.inf
+        gap_m = np.maximum(above_m - top_m, bottom_m - above_m)
+        hit |= (apart_m == 0) & (gap_m <= 0)
+        near |= (apart_m <= clearance_m) & (gap_m < 3.0)
+        signed_m = np.where(apart_m > 0, apart_m, -shapely.distance(points, outline.boundary))
+        slack_m = np.minimum(slack_m, np.maximum(signed_m - clearance_m, gap_m - 3.0))
+    zone = scene.zone
+    is_on = time == ON
+    from_zone_m = np.maximum(shapely.distance(points, zone.polygon), z_m - zone.ceiling_m)
+    in_zone = is_on & (from_zone_m <= 0)
+    least_m = [slack_m.min(), np.where(is_leg, z_m - 0.5, np.inf).min()]
+    least_m.append(from_zone_m.min() if is_on else np.inf)
+    return Truth(np.column_stack([x_m, y_m]), hit, near, z_m < -0.05, in_zone, np.array(least_m))
+
+
+def first_contacts(truth: Truth, flags: np.ndarray) -> np.ndarray:
+    """Return where each stretch of flagged points begins ``[K, 2]``."""
+    begins = flags & ~np.append(False, flags[:-1])
+    return truth.xy_m[begins]
+
+
+def mission_of(*places: Place, home: Place, kind: str = "leg") -> Mission:
+    """Return a mission through places, as it leaves home straight up and lands below the last place."""
+    climb = Leg(
+        home._replace(height_m=0.0, datum="ground"),
+        places[0]._replace(lon=home.lon, lat=home.lat),
+        "climb",
+        1,
+    )
+    ways = [climb.end, *places[1:]]
+    legs = [Leg(a, b, kind, n) for n, (a, b) in enumerate(pairwise(ways), 2)]
+    ground = ways[-1]._replace(height_m=0.0, datum="ground")
+    landing = Leg(ways[-1], ground, "land", len(legs) + 2)
+    return Mission("made", (climb, *legs, landing), home[:2], None, (), None)
+
+
+DATUMS = ("ground", "home", "geoid", "ellipsoid")
+
+
+def random_mission(scene: Scene, rng: np.random.Generator) -> Mission:
+    """Return a mission through streets or over roofs, in any mixture of datums."""
+    places: list[Place] = []
+    last_m = np.zeros(2)
+    corners_m = np.stack([np.arange(20, 600, 80)] * 2)
+    for _ in range(rng.integers(2, 6)):
+        x_m, y_m = rng.choice(corners_m[0]), rng.choice(corners_m[1])
+        if places and rng.random() < 0.6:  # along the street, most often
+            x_m = last_m[0]
+        last_m = np.array([x_m, y_m]) + rng.uniform(-6, 6, 2)
+        height_m, datum = rng.choice([15.0, 30.0, 60.0, 110.0]), rng.choice(DATUMS)
+        place = scene.place(*last_m, height_m, str(datum))
+        home = places[0] if places else place
+        flown_m = height_m + scene.ground_m(*last_m).item() - scene.base_m(place, home)
+        places.append(place if datum == "ground" else place._replace(height_m=flown_m))
+    return mission_of(*places, home=places[0])
+
+
+def checked(scene: Scene, mission, clearance_m=CLEARANCE_M, time=ON, **more):
+    """Return the check of a mission over the scene."""
+    limits = ju.Constraints(zones=(scene.zone,), clearance_m=clearance_m)
+    return ju.check(
+        scene.maps,
+        mission,
+        constraints=limits,
+        sources=scene.city,
+        geoid_m=GEOID_M,
+        time=time,
+        **more,
+    )
+
+
+def assert_all_found(scene: Scene, truth: Truth, result) -> None:
+    """Check that each first contact has a finding within `FEW_M`, and each finding has a truth."""
+    found = result.findings
+    xy_m = (
+        np.stack(scene.maps.grid.xy_of_lonlat(found["lon"], found["lat"]), axis=-1) - scene.corner_m
+    )
+    flags = {"building": truth.hit, "terrain": truth.buried, "zone": truth.in_zone}
+    for kind, flag in flags.items():
+        at_m = xy_m[(found["kind"] == kind).to_numpy()]
+        for contact_m in first_contacts(truth, flag):
+            assert len(at_m), kind
+            assert np.linalg.norm(at_m - contact_m, axis=1).min() < FEW_M, kind
+    near_m = xy_m[(found["kind"] == "building").to_numpy()]
+    for place_m in near_m:
+        distance_m = np.linalg.norm(truth.xy_m[truth.near | truth.hit] - place_m, axis=1)
+        assert distance_m.min(initial=np.inf) < 1.0, "invented"
+    assert bool(len(near_m)) == bool((truth.near | truth.hit).any())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("clearance_m", [0.0, CLEARANCE_M])
+def test_random_missions_are_judged_as_points_every_20_cm_are(scene, clearance_m):
+    rng = np.random.default_rng(7)
+    num_clean = num_faulty = 0
+    while min(num_clean, num_faulty) < 40:
+        mission, time = random_mission(scene, rng), str(rng.choice([ON, OFF]))
+        truth = truth_of(scene, mission, clearance_m, time)
+        is_faulty = truth.hit.any() or truth.near.any() or truth.buried.any() or truth.in_zone.any()
+        if ((truth.slack_m > -1.0) & (truth.slack_m < 0.7)).any():
+            continue  # too near to call
+        result = checked(scene, mission, clearance_m, time)
+        if is_faulty:
+            num_faulty += 1
+            assert result.state == "findings"
+            assert_all_found(scene, truth, result)
+        else:
+            num_clean += 1
+            assert result.state == "clean", result
+
+
+@pytest.fixture(scope="module")
+def open_scene(scene) -> Scene:
+    """The scene on level ground."""
+    return scene._replace(maps=replace(scene.maps, ds=scene.maps.ds.drop_vars("terrain")))
+
+
+def kinds_of(result) -> list[str]:
+    """Return the kinds of the findings."""
+    return result.findings["kind"].tolist()
+
+
+def test_a_leg_through_a_tower_is_one_finding_where_it_enters(open_scene):
+    tower = open_scene.city.buildings.polygons[np.argmax(open_scene.city.buildings.height_m)]
+    x_m, y_m = np.array(tower.centroid.coords[0]) - open_scene.corner_m
+    ends = [open_scene.place(x_m, y_m + side_m, 60.0) for side_m in (-40, 40)]
+    mission = mission_of(*ends, home=ends[0])
+    found = checked(open_scene, mission, time=OFF).findings
+    way = shapely.LineString([open_scene.xy_m(each) + open_scene.corner_m for each in ends])
+    enters_m = np.array(way.intersection(tower).coords[0])
+    at_m = np.stack(open_scene.maps.grid.xy_of_lonlat(found["lon"], found["lat"]), axis=-1)
+    assert (found["kind"] == "building").all()
+    assert found["building_m"].iloc[0] == 90.0
+    assert np.linalg.norm(at_m - enters_m, axis=1).tolist() == pytest.approx([0.0], abs=0.6)
+    assert found["by_m"].iloc[0] == pytest.approx(30.0)
+    assert found["item"].tolist() == [2]
+
+
+@pytest.mark.parametrize(
+    ("above_m", "kinds"), [(1.0, ["building"]), (3.0, []), (-0.5, ["building"])]
+)
+def test_one_metre_over_a_roof_is_found_and_three_are_clear(open_scene, above_m, kinds):
+    held = open_scene.city.buildings
+    house = int(np.flatnonzero((held.height_m == 25.0) & (held.min_height_m == 0))[0])
+    x_m, y_m = np.array(held.polygons[house].centroid.coords[0]) - open_scene.corner_m
+    ends = [open_scene.place(x_m, y_m + side_m, 25.0 + above_m) for side_m in (-38, 38)]
+    result = checked(open_scene, mission_of(*ends, home=ends[0]), time=OFF)
+    assert kinds_of(result) == kinds
+    short_m = 3.0 - above_m if above_m > 0 else -above_m
+    assert result.findings["by_m"].tolist() == pytest.approx([short_m] * len(kinds), abs=1e-6)
+    assert (result.state == "clean") == (not kinds)
+
+
+def test_a_zone_counts_in_its_hours_and_its_heights(open_scene):
+    ends = [open_scene.place(580.0, y_m, 110.0) for y_m in (300.0, 590.0)]
+    ends[1] = open_scene.place(480.0, 500.0, 110.0)
+    mission = mission_of(*ends, home=ends[0])
+    assert kinds_of(checked(open_scene, mission, time=ON)) == ["zone"]
+    assert kinds_of(checked(open_scene, mission, time=[OFF, ON])) == ["zone"]
+    assert kinds_of(checked(open_scene, mission, time=OFF)) == []
+
+
+def test_heights_whose_zero_nobody_names_are_not_judged(scene):
+    ends = [scene.place(20.0, y_m, 150.0, "home") for y_m in (20.0, 500.0)]
+    mission = mission_of(*ends, home=ends[0])
+    assert checked(scene, mission).state == "clean"
+    homeless = checked(scene, replace(mission, home=None))
+    assert (homeless.state, "name it (home, --home)" in homeless.not_judged[0]) == (
+        "not-judged",
+        True,
+    )
+    on_ellipsoid = replace(
+        mission,
+        legs=tuple(leg._replace(end=leg.end._replace(datum="ellipsoid")) for leg in mission.legs),
+    )
+    unnamed = ju.check(scene.maps, on_ellipsoid, sources=scene.city)
+    assert (unnamed.state, "--geoid" in unnamed.not_judged[0]) == ("not-judged", True)
+
+
+def test_an_undulation_that_is_left_out_would_hide_the_ground(scene):
+    ends = [scene.place(20.0, y_m, 60.0, "ellipsoid") for y_m in (20.0, 500.0)]
+    mission = mission_of(*ends, home=ends[0])
+    as_geoid = ju.check(scene.maps, mission, sources=scene.city, geoid_m=0.0)
+    assert (kinds_of(as_geoid), as_geoid.state) == ([], "clean")
+    assert set(kinds_of(checked(scene, mission))) == {"terrain"}
+
+
+def test_what_lies_outside_the_data_is_never_clean(open_scene):
+    out = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 700.0)]
+    result = checked(open_scene, mission_of(*out, home=out[0]), time=OFF)
+    assert (result.state, result.not_judged) == (
+        "not-judged",
+        ["160 m lie outside the maps."],
+    )
+    far = [Place(lon, 0.0, 60.0, "ground") for lon in (10.0, 10.01)]
+    assert checked(open_scene, mission_of(*far, home=far[0])).state == "not-judged"
+    maps = open_scene.maps
+    bare = maps.ds["has_data"].copy()
+    bare[20:30] = False
+    holed = open_scene._replace(maps=replace(maps, ds=maps.ds.assign(has_data=bare)))
+    within = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
+    result = checked(holed, mission_of(*within, home=within[0]), time=OFF)
+    assert (result.state, result.not_judged) == (
+        "not-judged",
+        ["100 m lie over cells without data."],
+    )
+    high = [place._replace(height_m=450.0) for place in within]
+    assert "above the maps" in checked(open_scene, mission_of(*high, home=high[0])).not_judged[0]
+
+
+def test_a_guessed_roof_is_not_judged_from_any_height(open_scene):
+    held = open_scene.city.buildings
+    guessed = replace(held, origin=np.full(len(held), HeightOrigin.LEVELS, np.uint8))
+    unsure = open_scene._replace(city=replace(open_scene.city, buildings=guessed))
+    x_m, y_m = np.array(held.polygons[0].centroid.coords[0]) - open_scene.corner_m
+    over = [open_scene.place(x_m, y_m + side_m, 380.0) for side_m in (-38, 38)]
+    assert checked(open_scene, mission_of(*over, home=over[0]), time=OFF).state == "clean"
+    result = checked(unsure, mission_of(*over, home=over[0]), time=OFF)
+    assert (result.state, "guessed" in result.not_judged[0]) == ("not-judged", True)
+    street = [open_scene.place(20.0, y_m, 20.0) for y_m in (20.0, 500.0)]
+    assert checked(unsure, mission_of(*street, home=street[0]), time=OFF).state == "clean"
+
+
+def test_a_loiter_is_judged_all_round(open_scene):
+    held = open_scene.city.buildings
+    tower = int(np.argmax(held.height_m))
+    x_m, y_m = np.array(held.polygons[tower].centroid.coords[0]) - open_scene.corner_m
+    centre = open_scene.place(x_m + 40.0, y_m + 40.0, 60.0)
+    mission = mission_of(centre, centre, home=centre)
+    assert kinds_of(checked(open_scene, mission, time=OFF)) == []
+    circle = mission.legs[1]._replace(kind="loiter", radius_m=40 * 2**0.5)
+    round_it = replace(mission, legs=(mission.legs[0], circle, mission.legs[-1]))
+    assert kinds_of(checked(open_scene, round_it, time=OFF)).count("building") >= 1
+
+
+def test_named_limits_are_findings_or_not_judged(open_scene):
+    ends = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
+    mission = mission_of(*ends, home=ends[0])
+    free = checked(open_scene, mission, time=OFF)
+    lost_m, people = free.figures["no_fix_m"], free.figures["people_overflown"]
+    assert lost_m > 1
+    assert people > 1
+    assert kinds_of(checked(open_scene, mission, time=OFF, max_no_fix_m=lost_m - 1)) == ["limit"]
+    assert checked(open_scene, mission, time=OFF, max_no_fix_m=lost_m + 2).state == "clean"
+    # The half metre of climb and of landing below the maps is not known: it may lack a fix.
+    unsure = checked(open_scene, mission, time=OFF, max_no_fix_m=lost_m + 0.5)
+    assert (unsure.state, kinds_of(unsure)) == ("not-judged", [])
+    assert kinds_of(checked(open_scene, mission, time=OFF, max_people=people - 1)) == ["limit"]
+
+
+def test_a_bound_that_is_not_kept_closes_cells(open_scene):
+    ends = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
+    mission = mission_of(*ends, home=ends[0])
+    bound = ju.Constraints.read(require="risk>=0.99")
+    result = ju.check(open_scene.maps, mission, sources=open_scene.city, constraints=bound)
+    assert set(kinds_of(result)) == {"closed"}
+
+
+def test_people_and_the_densest_kilometre_are_those_of_a_plain_sum(open_scene):
+    ends = [open_scene.place(x_m, 15.0, 60.0) for x_m in (15.0, 585.0)]
+    figures = checked(open_scene, mission_of(*ends, home=ends[0]), time=OFF).figures
+    density = open_scene.maps.m("density")[1]
+    x_m = np.arange(15.0, 585.0, 0.01) + 0.005
+    people = density[(x_m // 10).astype(int)].sum() * 0.01 * 10.0 / 1e6
+    assert figures["people_overflown"] == pytest.approx(people, rel=1e-2)
+    assert figures["densest_km_people"] == pytest.approx(figures["people_overflown"])
+
+
+def test_without_the_city_cells_are_looked_at_and_the_result_says_so(open_scene):
+    ends = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
+    result = ju.check(open_scene.maps, mission_of(*ends, home=ends[0]))
+    assert result.outlines.startswith("by cells")
+    assert "by cells" in repr(result)
+
+
+def test_ten_thousand_items_are_judged(open_scene):
+    rng = np.random.default_rng(3)
+    places = [open_scene.place(*xy_m, 395.0) for xy_m in rng.uniform(2, 120, (10_000, 2))]
+    places[0] = open_scene.place(15.0, 15.0, 395.0)
+    x_m, y_m = (
+        np.array(open_scene.city.buildings.polygons[0].centroid.coords[0]) - open_scene.corner_m
+    )
+    places[5_000] = open_scene.place(x_m, y_m, 5.0)
+    result = checked(open_scene, mission_of(*places, home=places[0]), time=OFF)
+    assert {"building"} <= set(kinds_of(result))
+    assert 4_990 <= result.findings["item"].min() <= result.findings["item"].max() <= 5_010
+
+
+@pytest.mark.parametrize("text", ["[" * 10_000, "{}", '{"mission": 3}', "no json", ""])
+def test_a_hostile_file_is_refused_in_one_sentence(open_scene, tmp_path, text):
+    (tmp_path / "x.plan").write_text(text)
+    with pytest.raises(ju.InputError):
+        checked(open_scene, tmp_path / "x.plan")
+
+
+def test_a_planned_mission_is_clean_without_guesses(town, tmp_path):
+    city = ju.demo_city(1_000, 1_000)
+    on_ground = np.argwhere(town.is_free(20.0) & (town.m("roof_touched") == 0))
+    path = ju.plan(town, altitude_m=20.0, **ends_at(town, *on_ground[[10, -10]]))
+    path.save(tmp_path / "x.plan")
+    result = ju.check(town, tmp_path / "x.plan", sources=city)
+    assert result.state == "clean", result
+    assert result.figures["saved_cost"] == pytest.approx(0.0, abs=0.5)
+    assert json.loads(json.dumps(result.to_dict()))["state"] == "clean"
