@@ -13,4 +13,6 @@ class ExitCode(IntEnum):
     UNKNOWN = (
         4  # the budget is spent, or the method ended: no path, and no proof that there is none
     )
+    FINDINGS = 5  # of a check
+    NOT_JUDGED = 6  # a check found nothing, and could not judge all
     INTERRUPTED = 130

@@ -16,6 +16,7 @@ from typing import Any
 
 import click
 
+from jaxurban.cli.check import check
 from jaxurban.cli.common import logged_on_stderr, print_json
 from jaxurban.cli.compare import compare, validate
 from jaxurban.cli.demo import demo
@@ -48,6 +49,7 @@ def app() -> None:
 
 
 COMMANDS = (
+    check,
     compare,
     demo,
     fetch,

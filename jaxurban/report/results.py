@@ -4,11 +4,13 @@ from pathlib import Path
 from typing import Any
 
 from jaxurban.io.workspace import Workspace
+from jaxurban.report.check import check_outputs
 from jaxurban.report.map_comparison import comparison_outputs
 from jaxurban.report.montecarlo import BenchmarkResult, analysis_outputs
 from jaxurban.report.receiver import validation_outputs
 from jaxurban.report.sensitivity import sensitivity_outputs
 from jaxurban.report.write import files_of, save
+from jaxurban.studies.check import MissionCheck
 from jaxurban.studies.map_comparison import MapComparison
 from jaxurban.studies.queries import Result
 from jaxurban.studies.receiver.validate import ReceiverValidation
@@ -18,6 +20,7 @@ KINDS: dict[
     type[Result], tuple[str, Any]
 ] = {  # the command, and what returns the files and what decides them
     BenchmarkResult: ("study", analysis_outputs),
+    MissionCheck: ("check", check_outputs),
     MapComparison: ("compare", comparison_outputs),
     ReceiverValidation: ("validate", validation_outputs),
     Sensitivity: ("sensitivity", sensitivity_outputs),

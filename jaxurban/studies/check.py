@@ -1,5 +1,6 @@
 """check: whether a mission that another tool made is safe to fly over maps, as far as these know."""
 
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,8 +11,9 @@ import pandas as pd
 
 from jaxurban.checks import positive, typed
 from jaxurban.errors import InputError
+from jaxurban.io.files import write_whole
 from jaxurban.io.read.mission import Datum, Mission, read_mission
-from jaxurban.io.tables import records_of
+from jaxurban.io.tables import SUFFIXES, records_of, write_table
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.maps.sources import city_of
 from jaxurban.metrics.weights import GivenWeights
@@ -21,7 +23,7 @@ from jaxurban.paths.contacts import buildings_of, union_m
 from jaxurban.paths.flown import costs_of, figures_of
 from jaxurban.paths.legs import Flight, flight_of
 from jaxurban.paths.plan import rules_on
-from jaxurban.public import Caution, caution_of_guesses
+from jaxurban.public import Caution, caution_lines, caution_of_guesses
 from jaxurban.settings import iso_utc, not_negative, parse_time
 from jaxurban.studies.queries import Result
 from jaxurban.world.city import City
@@ -77,16 +79,61 @@ class MissionCheck(Result):
         return [_said(row) for row in self.findings.to_dict("records")]
 
     @property
+    def numbers(self) -> dict[str, str]:
+        """The figures as texts, in the units that their names say; those by layer or time one by one."""
+        numbers = {}
+        for name, value in self.figures.items():
+            parts = value.items() if isinstance(value, Mapping) else [("", value)]
+            for part, number in parts:
+                if not isinstance(number, str):
+                    numbers[f"{name} {part}".replace("_", " ").strip()] = f"{number:,.4g}"
+        return numbers
+
+    @property
     def facts(self) -> dict[str, str]:
-        """The state, the mission, how buildings were looked at, and the figures that are plain numbers."""
-        numbers = {
-            name.replace("_", " "): f"{value:,.4g}"
-            for name, value in self.figures.items()
-            if isinstance(value, float)
-        }
+        """The state, the mission, how buildings were looked at, and the figures."""
         facts = {"state": self.sentence, "mission": self.flight.mission.name}
-        facts |= {"buildings": self.outlines, **numbers}
+        facts |= {"buildings": self.outlines, **self.numbers}
         return facts | {"note": self.figures.get("cost_note", "")}
+
+    @property
+    def lines(self) -> list[str]:
+        """The check for a terminal: the state, findings, what was not judged, and figures."""
+        state, *others = self.facts.items()
+        figures = (f"{name}: {fact}" for name, fact in others if fact)
+        return [state[1], *caution_lines(self.known_cautions), *figures]
+
+    @typed
+    def save(self, folder: str | Path, overwrite: bool = False) -> list[Path]:
+        """Write the page, the record and the findings to a folder, or the findings alone to a file; return the files.
+
+        Args:
+          folder: where to, made if it is not there; or a ``.geojson``, ``.csv`` or ``.parquet`` file.
+          overwrite: replace another check in the folder.
+
+        Returns:
+          The files. The page is ``report.md``, with a map and a profile.
+
+        Raises:
+          InputError: the folder cannot be written to, or holds another study or other files.
+
+        Examples:
+          >>> path.save("mission.plan").name
+          'mission.plan'
+          >>> result = ju.check(maps, "mission.plan", sources=city)
+          >>> [file.name for file in result.save("findings.geojson")]
+          ['findings.geojson']
+          >>> sorted(file.name for file in result.save("checked"))[:3]
+          ['check.json', 'findings.csv', 'findings.geojson']
+        """
+        file = Path(folder)
+        if file.suffix == ".geojson":
+            write_whole(file, json.dumps(self.to_geojson(), indent=1))
+        elif file.suffix in SUFFIXES:
+            write_table(self.findings, file)
+        else:
+            return super().save(folder, overwrite)
+        return [file]
 
     @property
     def known_cautions(self) -> list[Caution]:

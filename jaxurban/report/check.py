@@ -1,0 +1,92 @@
+"""What a check of a mission writes: report.md, findings as a table and as GeoJSON, a map and a profile."""
+
+import json
+from functools import partial
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from jaxurban.metrics.variables import BUILT_COLOUR
+from jaxurban.paths.constraints import constraints_said
+from jaxurban.paths.profile import TOUCHED
+from jaxurban.report.figures.frame import MapPanel, draw_maps, frame_note
+from jaxurban.report.figures.metrics import roof_layers
+from jaxurban.report.figures.profile import ALTITUDE_COLOUR
+from jaxurban.report.figures.style import chart, dress, styled
+from jaxurban.report.write import Output, bullets, fill, study_outputs
+from jaxurban.studies.check import MissionCheck
+
+FOUND: dict[str, Any] = {
+    "color": "#d00000",
+    "marker": "x",
+    "linestyle": "none",
+    "label": "findings",
+}
+SIZE_IN = 8.0, 3.4
+HEADS = ["item", "kind", "what", "along_m", "height_m", "lon", "lat"]
+
+
+def check_outputs(found: MissionCheck) -> tuple[dict[str, Output], dict[str, Any]]:
+    """Return what a check writes, by file name, and what it is of."""
+    figures = {"map": partial(plot_mission, found), "profile": partial(plot_flown_heights, found)}
+    if not len(found.flight.steps.leg):
+        figures = {}
+    tables = {"findings": found.findings}
+    outputs = study_outputs(check_markdown(found, list(figures)), tables, figures)
+    record = found.to_dict()
+    texts = {"findings.geojson": found.to_geojson(), "check.json": record}
+    return {name: json.dumps(each, indent=1) for name, each in texts.items()} | outputs, record
+
+
+def check_markdown(found: MissionCheck, figures: list[str]) -> str:
+    """Return the report as Markdown; ``figures`` are those that lie beside it."""
+    shown = found.findings[HEADS].round({"lon": 6, "lat": 6}).astype({"lon": str, "lat": str})
+    return fill(
+        "check",
+        {"findings": shown},
+        figures,
+        [found.maps.attribution],
+        found=found,
+        not_judged=bullets(found.not_judged) or "All of it was judged.",
+        numbers=bullets(f"{name}: {fact}" for name, fact in found.numbers.items()),
+        note=found.figures.get("cost_note", ""),
+        limits=constraints_said(found.limits) or "none",
+        guesses=", ".join(found.maps.guesses) or "nothing",
+    )
+
+
+@styled
+def plot_mission(found: MissionCheck) -> Figure:
+    """Return the mission over the roofs, as far as the maps hold it, and its findings."""
+    steps, grid = found.flight.steps, found.maps.grid
+    panel = MapPanel(found.flight.mission.name, roof_layers(found.maps))
+    figure, (axes,) = draw_maps(grid, [panel], found.sentence, frame_note(found.maps))
+    axes.plot(*steps.ends_m[:, 0].T, ".", markersize=1.5, color=ALTITUDE_COLOUR, label="mission")
+    places = found.findings.dropna(subset=["lon"])
+    axes.plot(*grid.xy_of_lonlat(places["lon"], places["lat"]), zorder=5, **FOUND)
+    _name(figure, axes)
+    return figure
+
+
+@styled
+def plot_flown_heights(found: MissionCheck) -> Figure:
+    """Return the height above the ground along the mission, the roofs of the cells below, and findings."""
+    steps = found.flight.steps
+    along_m = steps.along_m[:, 0]
+    figure = chart(*SIZE_IN, "Height along the mission", found.sentence)
+    axes = figure.subplots()
+    if TOUCHED in found.maps.ds:
+        roof_m = found.maps.m(TOUCHED)[tuple(steps.cell.T)]
+        axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label="roofs of the cells below")
+    look: dict[str, Any] = {"markersize": 1.5, "color": ALTITUDE_COLOUR, "label": "mission"}
+    axes.plot(along_m, steps.z_m[:, 0], ".", **look)
+    axes.plot(found.findings["along_m"], found.findings["height_m"], **FOUND)
+    axes.set(xlabel="flown (m)", ylabel="height above\nground (m)")
+    dress(axes)
+    _name(figure, axes)
+    return figure
+
+
+def _name(figure: Figure, axes: Axes) -> None:
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside right center", frameon=False)
