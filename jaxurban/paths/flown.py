@@ -113,7 +113,7 @@ def costs_of(
     try:
         cheapest = on.planned(XY(*xy_m[0]), XY(*xy_m[-1]), PathSearch.of(maps, snap=True))
     except InputError as error:
-        return figures | {"cost_note": f"No route to compare with: {error}."}
+        return figures | {"cost_note": f"No route to compare with: {str(error).partition(';')[0]}."}
     if not cheapest.status.has_path or not cheapest.length_m > 0:
         reason = (
             "the mission ends where it starts" if cheapest.status.has_path else cheapest.message

@@ -60,7 +60,7 @@ def check_markdown(found: MissionCheck, figures: list[str]) -> str:
 def plot_mission(found: MissionCheck) -> Figure:
     """Return the mission over the roofs, as far as the maps hold it, and its findings."""
     steps, grid = found.flight.steps, found.maps.grid
-    panel = MapPanel(found.flight.mission.name, roof_layers(found.maps))
+    panel = MapPanel(f"Roof height (m), {found.flight.mission.name}", roof_layers(found.maps))
     figure, (axes,) = draw_maps(grid, [panel], found.sentence, frame_note(found.maps))
     axes.plot(*steps.ends_m[:, 0].T, ".", markersize=1.5, color=ALTITUDE_COLOUR, label="mission")
     places = found.findings.dropna(subset=["lon"])

@@ -51,6 +51,13 @@ class MissionCheck(Result):
       limits: the constraints, as `Constraints.to_dict` has them.
       flight: the mission over the maps.
       maps: the maps.
+
+    Examples:
+      >>> path.save("mission.plan").name
+      'mission.plan'
+      >>> ju.check(maps, "mission.plan", sources=city)
+      MissionCheck(state: Findings: 1.; mission: mission.plan; buildings: exact outlines; ...
+        limit: Flies up to 7.8 m into a building: from 831 to 839 m along the mission, toward item 7, at ...
     """
 
     findings: pd.DataFrame
@@ -304,7 +311,7 @@ def check(
     figures |= costs_of(flight, maps, weights, limits, times[0], time_of_day)
     beyond, open_limits = _limits(figures, max_no_fix_m, max_people)
     not_judged = [
-        *mission.not_judged,
+        *(f"{each[:1].upper()}{each[1:]}." for each in mission.not_judged),
         *(["The mission holds no leg."] if not mission.legs else []),
         *(
             f"{union_m(rows):,.0f} m {reason}."

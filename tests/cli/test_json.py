@@ -211,6 +211,25 @@ def test_a_study_of_sensitivity_is_an_object(code, walled, made, tmp_path, capsy
     check_json(out, code, "sensitivity-study")
 
 
+@pytest.mark.parametrize(
+    ("more", "code"),
+    [
+        ((), ExitCode.DONE),
+        (("--max-people", 0), ExitCode.FINDINGS),
+        (("--max-no-fix", 0), ExitCode.NOT_JUDGED),
+        (("--time", "2020-04-28T16:00:00Z"), ExitCode.BAD_INPUT),
+    ],
+)
+def test_a_check_is_an_object_at_each_of_its_codes(more, code, made, tmp_path, capsys):
+    ends = "--start=-73.9985,40.7571", "--goal=-73.9946,40.7596"
+    run(capsys, "plan", made, *ends, "--altitude", 60, "--snap", "-o", tmp_path / "x.plan")
+    output = ("-o", tmp_path / "out", "-o", tmp_path / "x.geojson")
+    ended, out, err = run(capsys, "check", made, tmp_path / "x.plan", *more, *output, "--json")
+    assert ended == code, err + out
+    if code != ExitCode.BAD_INPUT:
+        assert (tmp_path / "out/report.md").exists() and (tmp_path / "x.geojson").exists()
+
+
 @pytest.mark.slow
 def test_a_sensitivity_and_a_fit_are_objects(made, tmp_path, capsys):
     few = ("--samples", 2, "--vary", "gps", "-o", tmp_path / "one")
