@@ -102,8 +102,10 @@ def _described(
 ) -> pd.DataFrame:
     """Return stretches near or in buildings as findings; metres are short of what is asked, or as far inside."""
     prism = rows["prism"].to_numpy(int)
-    what = [text.format(number) for number in metres]
-    more = {"what": what, "is_guessed": buildings.is_guessed[prism], "kind": "building"}
+    is_guessed = buildings.is_guessed[prism]
+    guesses = np.where(is_guessed, " of guessed height", "")
+    what = [text.format(number) + guess for number, guess in zip(metres, guesses, strict=True)]
+    more = {"what": what, "is_guessed": is_guessed, "kind": "building"}
     by_m = (asked_m - metres).abs()
     return rows.assign(**more, by_m=by_m, building_m=buildings.top_m[prism])
 

@@ -150,28 +150,43 @@ def flight_of(mission: Mission, maps: MetricMaps, geoid_m: float | None = None) 
         unknown.append(spans(outside_m[is_long], OUTSIDE))
 
     flown = np.flatnonzero(is_in & is_known)
-    share = (last - first)[flown]
-    held_m = share * length_m[flown]
+    states, shares = np.dstack([ends_m, z_m, along_m])[flown], np.stack([first, last], 1)[flown]
+    leg = np.array([number for number, *_ in segments], int)[flown]
+    steps = _steps(states, shares, leg, follows[flown], maps)
+    return Flight(mission, steps, pd.concat(unknown), float(end_m.max(initial=0.0)))
+
+
+def _steps(
+    states: np.ndarray, shares: np.ndarray, leg: np.ndarray, follows: np.ndarray, maps: MetricMaps
+) -> Steps:
+    """Return the steps of segments, as far as the maps hold them.
+
+    Args:
+      states: ``[S, 2, 4]`` x, y, height and metres flown at begin and end.
+      shares: ``[S, 2]`` from which share to which the maps hold a segment.
+      leg: ``[S]`` its leg.
+      follows: ``[S]`` its height is above the ground, else above the zero of the terrain.
+      maps: the maps.
+    """
+    share = shares[:, 1] - shares[:, 0]
+    held_m = share * (states[:, 1, 3] - states[:, 0, 3])
     step_m = max(STEP_M, float(held_m.sum()) / MOST_STEPS)
     if step_m > MOST_STEP_M:
         raise InputError(
             f"mission flies {held_m.sum() / 1000:,.0f} km over the maps, too far to be looked at: split the file"
         )
     num = np.maximum(np.ceil(held_m / step_m), 1).astype(int)
-    each = np.repeat(np.arange(len(flown)), num)
+    each = np.repeat(np.arange(len(num)), num)
     number = np.arange(len(each)) - np.repeat(np.cumsum(num) - num, num)
-    states = np.dstack([ends_m, z_m, along_m])[flown][each]
-    parts = [first[flown][each] + (share / num)[each] * (number + end) for end in (0, 1)]
-    begin_end = np.stack([between(states, part) for part in parts], axis=1)
+    parts = (shares[each, 0] + (share / num)[each] * (number + end) for end in (0, 1))
+    begin_end = np.stack([between(states[each], part) for part in parts], axis=1)
     places_m = begin_end[..., :2]
-    elevation_m = ground_at(places_m, maps)
-    above_m = np.where(follows[flown][each][:, None], 0.0, elevation_m)
+    ground_m = ground_at(places_m, maps)
+    z_m = begin_end[..., 2] - np.where(follows[each, None], 0.0, ground_m)
     corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
     middle = (places_m.mean(axis=1) - corner_m) / maps.grid.resolution_m
     cell = np.clip(middle[:, ::-1].astype(int), 0, np.array(maps.grid.shape) - 1)
-    leg = np.array([number for number, *_ in segments], int)[flown][each]
-    steps = Steps(places_m, begin_end[..., 2] - above_m, elevation_m, begin_end[..., 3], leg, cell)
-    return Flight(mission, steps, pd.concat(unknown), float(end_m.max(initial=0.0)))
+    return Steps(places_m, z_m, ground_m, begin_end[..., 3], leg[each], cell)
 
 
 def between(ends: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -210,9 +225,7 @@ def _shares_within(ends_m: np.ndarray, bounds_m: Bounds) -> tuple[np.ndarray, np
     """Return from which share to which a box holds lines ``[S, 2, 2]``; the same twice where it holds nothing."""
     low_m, high_m = np.reshape(bounds_m, (2, 2))
     begin_m, moved_m = ends_m[:, 0], ends_m[:, 1] - ends_m[:, 0]
-    moved_m[moved_m == 0] = (
-        1e-9  # such a line lies beside the box from end to end, or within its sides
-    )
+    moved_m[moved_m == 0] = 1e-9  # it stays beside the box, or within its sides
     cuts = np.sort([(low_m - begin_m) / moved_m, (high_m - begin_m) / moved_m], axis=0)
     first, last = np.clip([cuts[0].max(axis=1), cuts[1].min(axis=1)], 0.0, 1.0)
     return np.minimum(first, last), last

@@ -227,7 +227,8 @@ def test_a_check_is_an_object_at_each_of_its_codes(more, code, made, tmp_path, c
     ended, out, err = run(capsys, "check", made, tmp_path / "x.plan", *more, *output, "--json")
     assert ended == code, err + out
     if code != ExitCode.BAD_INPUT:
-        assert (tmp_path / "out/report.md").exists() and (tmp_path / "x.geojson").exists()
+        assert (tmp_path / "out/report.md").exists()
+        assert (tmp_path / "x.geojson").exists()
 
 
 @pytest.mark.slow

@@ -389,6 +389,19 @@ def test_a_bound_that_is_not_kept_closes_cells(open_scene):
     assert set(kinds_of(result)) == {"closed"}
 
 
+def test_cells_without_a_value_of_a_layer_are_closed(open_scene):
+    maps = open_scene.maps
+    values = np.full(maps.ds["risk"].shape, 0.5, np.float32)
+    values[:, 20:30] = np.nan
+    record = json.dumps(ju.Layer("noise.tif", "high-is-bad", (0.0, 1.0)).record)
+    noise = maps.ds["risk"].copy(data=values).assign_attrs(layer=record)
+    noisy = replace(maps, ds=maps.ds.assign(noise=noise))
+    ends = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
+    result = ju.check(noisy, mission_of(*ends, home=ends[0]), sources=open_scene.city)
+    assert kinds_of(result) == ["closed"]
+    assert result.findings["along_m"].tolist() == pytest.approx([60 + 180], abs=1)
+
+
 def test_people_and_the_densest_kilometre_are_those_of_a_plain_sum(open_scene):
     ends = [open_scene.place(x_m, 15.0, 60.0) for x_m in (15.0, 585.0)]
     figures = checked(open_scene, mission_of(*ends, home=ends[0]), time=OFF).figures
