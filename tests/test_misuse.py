@@ -30,7 +30,7 @@ BOUNDS = (-74.0, 40.755, -73.997, 40.757)
 SETTINGS = {"region": {"bounds": BOUNDS}, "buildings": {"source": "synthetic"}}
 RIGHT, LEFT_OUT = "every value of the type is a right one here", object()
 MADE = (  # what functions return; XY is looked at where it is used
-    *("Departures", "GuessWarning", "SkyAt", "SkyAlong"),
+    *("Departures", "GuessWarning", "MissionCheck", "SkyAt", "SkyAlong"),
     *(
         "MetricMaps",
         "CostMap",
@@ -145,6 +145,7 @@ MADE_ONCE: dict[str, Callable[[], Any]] = {
     "read_demonstrations.file": lambda: good("planned").save(
         Path(tempfile.mkdtemp()) / "path.geojson"
     ),
+    "check.mission": lambda: good("planned").save(Path(tempfile.mkdtemp()) / "path.plan"),
     "study": lambda: ju.studies.sample_instances(
         MAPS, 4, altitudes_m=[20.0], weights=[ju.Weights()]
     ),
@@ -198,15 +199,15 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ("a-star", "planner planners distance_only heuristic objective"),
     ("cells", "cost_model preset CostModel.kind"),
     (("gsp",), "CostMap.only.metrics metrics layers"),
-    ((1e300, 0.0), "start goal reference centre_lonlat place"),
+    ((1e300, 0.0), "start goal reference centre_lonlat place home"),
     ([(1e300, 0.0)], "places"),
     (("east", "north"), "start_xy_m goal_xy_m"),
     ("now", "time MetricMaps.m.time stop"),
-    ("no/such/place", "folder maps maps_a maps_b path file study where"),
+    ("no/such/place", "folder maps maps_a maps_b path file study where check.sources"),
     ("/proc/none", "MetricMaps.save.folder study.folder sensitivity_study.folder"),
     (
         "no-such.file",
-        "table districts blocks_day blocks_night buildings no_fly log navigation validate.reference",
+        "table districts blocks_day blocks_night buildings no_fly log mission navigation validate.reference",
     ),
     ("path.txt", "PlannedPath.save.file PlannedPaths.save.file PlannedPath.save.more"),
     ("no/such/place.parquet", "plan_many.file"),

@@ -8,10 +8,14 @@ import click
 
 from jaxurban.cli.common import (
     CONSTRAINTS,
+    CORRIDOR,
     JSON_FLAG,
     LONLAT,
+    OF_CORRIDOR,
     PATH,
     RESOLUTION,
+    check_belong,
+    density_beneath,
     given_constraints,
     print_json,
 )
@@ -55,6 +59,7 @@ NAMED = (  # options that Python takes by the same names
 @click.option("--time-of-day", help="Time of day of the map of people.  [default: the first]")
 @METRES("--max-no-fix", "max_no_fix_m", help="Most metres without a position fix.")
 @click.option("--max-people", type=float, help="Most people overflown, in a strip of 10 m.")
+@CORRIDOR
 @click.option("--weights", "weights_text", default="", help="Weights such as gps=1,risk=2.")
 @click.option(
     "--sources", type=PATH, help="Folder where the relative paths of the maps' sources begin."
@@ -89,6 +94,8 @@ def check(
     from jaxurban.metrics.weights import Weights
     from jaxurban.studies.check import check as check_mission
 
+    has_corridor = options["corridor_m"] is not None
+    check_belong("--corridor", has_corridor, OF_CORRIDOR, options)
     maps = open_maps(folder, resolution_m)
     result = check_mission(
         maps,
@@ -98,13 +105,17 @@ def check(
         weights=Weights.named_in(weights_text),
         **{name: options[name] for name in NAMED},
     )
+    line_m = result.flight.line_m
+    density = density_beneath(maps, line_m, options) if has_corridor and len(line_m) > 1 else None
     for output in outputs:
         for file in result.save(output, overwrite):
             LOG.info(f"wrote {file}")
     code = CODES[result.state]
     if as_json:
         message = "" if code is ExitCode.DONE else result.sentence
-        print_json(result.to_dict(), code, message)
+        people = None if density is None else density.to_dict()
+        print_json(result.to_dict() | {"density": people}, code, message)
     else:
         print("\n".join(result.lines))
+        print("" if density is None else f"\n{density.table()}")
     return code

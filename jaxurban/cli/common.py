@@ -4,7 +4,7 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,12 @@ from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG, Report, reporting
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from jaxurban.maps.metric_maps import MetricMaps
     from jaxurban.paths.constraints import Constraints
+    from jaxurban.paths.ground_risk import OverflownDensity
+    from jaxurban.paths.path import PlannedPath
     from jaxurban.studies.queries import Result
 
 StudyResult = TypeVar("StudyResult", bound="Result")
@@ -202,6 +207,41 @@ ROUTE = together(  # a route over maps, under costs
         help="Move a start or goal that is not free to the nearest free cell, by at most 50 m or METRES.",
     ),
 )
+CORRIDOR = together(  # what `density_beneath` takes
+    click.option(
+        "--corridor",
+        "corridor_m",
+        type=float,
+        metavar="METRES",
+        help="Report the density of people beneath a corridor of this half-width, for a ground risk assessment.",
+    ),
+    click.option(
+        "--contingency",
+        "contingency_m",
+        type=float,
+        metavar="METRES",
+        help="With --corridor: the contingency volume beside it.  [default: 0]",
+    ),
+    click.option(
+        "--ground-buffer",
+        "ground_buffer_m",
+        type=float,
+        metavar="METRES",
+        help="With --corridor: the ground risk buffer.  [default: the flight's height, 1:1, a hint]",
+    ),
+    click.option(
+        "--density-cell",
+        "density_cell_m",
+        type=float,
+        metavar="METRES",
+        help="With --corridor: side of the cells of the mean.  [default: 200; 100 and 500 are printed too]",
+    ),
+)
+OF_CORRIDOR = {
+    "contingency_m": "contingency_m",
+    "ground_buffer_m": "buffer_m",
+    "density_cell_m": "cell_m",
+}  # options beside --corridor, as `overflown_density` calls them
 WORKERS = together(  # what `given_workers` takes
     click.option(
         "--workers",
@@ -248,6 +288,38 @@ def given_rules(options: Settings) -> Settings:
         "constraints": given_constraints(options),
         "preset": options["preset"] or "",
     }
+
+
+def density_beneath(
+    maps: "MetricMaps", path: "PlannedPath | np.ndarray", options: Settings
+) -> "OverflownDensity":
+    """Return the density of people beneath the corridor that the options of `CORRIDOR` ask for."""
+    from jaxurban.paths.ground_risk import overflown_density
+
+    lengths_m = {
+        argument: options[name]
+        for name, argument in OF_CORRIDOR.items()
+        if options[name] is not None
+    }
+    return overflown_density(
+        maps,
+        path,
+        half_width_m=options["corridor_m"],
+        time_of_day=options["time_of_day"],
+        **lengths_m,
+    )
+
+
+def check_belong(owner: str, has_owner: bool, names: Iterable[str], options: Settings) -> None:
+    """Raise UsageError where an option is given without the one that it belongs to."""
+    for name in () if has_owner else names:
+        if options[name] is not None:
+            raise click.UsageError(f"{option_of(name)} belongs to {owner}: add that")
+
+
+def option_of(name: str) -> str:
+    """Return the option that a parameter comes from."""
+    return f"--{name.removesuffix('_m').replace('_', '-')}"
 
 
 def given_workers(options: Settings) -> int | str | None:

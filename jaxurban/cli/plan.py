@@ -1,6 +1,6 @@
 """jaxurban plan."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,12 +8,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from jaxurban.cli.common import (
+    CORRIDOR,
     DEVICE,
     JSON_FLAG,
+    OF_CORRIDOR,
     PATH,
     ROUTE,
     Settings,
+    check_belong,
+    density_beneath,
     given_rules,
+    option_of,
     print_json,
 )
 from jaxurban.exit_codes import ExitCode
@@ -47,11 +52,6 @@ NOT_WHEN = (
     "--when takes -o .csv or .parquet, and no --refine, --exposure, --volume, --report, --speed, --power, --swath, "
     "--corridor, --simplify, --end or --fence-roofs"
 )
-OF_CORRIDOR = {
-    "contingency_m": "contingency_m",
-    "ground_buffer_m": "buffer_m",
-    "density_cell_m": "cell_m",
-}  # options beside --corridor, as `overflown_density` calls them
 LEVEL_OPTIONS = (
     "min_altitude_m",
     "max_altitude_m",
@@ -155,34 +155,7 @@ LEVEL_OPTIONS = (
     type=float,
     help="Width in metres of the strip in which people are counted.  [default: 10]",
 )
-@click.option(
-    "--corridor",
-    "corridor_m",
-    type=float,
-    metavar="METRES",
-    help="Report the density of people beneath a corridor of this half-width, for a ground risk assessment.",
-)
-@click.option(
-    "--contingency",
-    "contingency_m",
-    type=float,
-    metavar="METRES",
-    help="With --corridor: the contingency volume beside it.  [default: 0]",
-)
-@click.option(
-    "--ground-buffer",
-    "ground_buffer_m",
-    type=float,
-    metavar="METRES",
-    help="With --corridor: the ground risk buffer.  [default: the flight's height, 1:1, a hint]",
-)
-@click.option(
-    "--density-cell",
-    "density_cell_m",
-    type=float,
-    metavar="METRES",
-    help="With --corridor: side of the cells of the mean.  [default: 200; 100 and 500 are printed too]",
-)
+@CORRIDOR
 @click.option(
     "--profile",
     type=PATH,
@@ -243,13 +216,13 @@ def plan(
     }
     is_volume, has_corridor = options["is_volume"], options["corridor_m"] is not None
     with_report = options["with_report"] or bool(flight) or has_corridor
-    _check_belong("--volume", is_volume, ("goal_altitude_m", *LEVEL_OPTIONS), options)
-    _check_belong("--corridor", has_corridor, OF_CORRIDOR, options)
+    check_belong("--volume", is_volume, ("goal_altitude_m", *LEVEL_OPTIONS), options)
+    check_belong("--corridor", has_corridor, OF_CORRIDOR, options)
     for file in () if options["is_when"] else files:
         encoder_of(file)
     for name in ("end", "fence_roofs_m"):
         if options[name] is not None and not any(file.suffix.lower() == MISSION for file in files):
-            raise click.UsageError(f"{_option(name)} is of a mission: add -o FILE.plan")
+            raise click.UsageError(f"{option_of(name)} is of a mission: add -o FILE.plan")
     if profile is not None:
         from jaxurban.report.figures.profile import check_picture, save_profile
 
@@ -303,34 +276,11 @@ def plan(
     return planned.status.exit_code
 
 
-def _check_belong(owner: str, has_owner: bool, names: Iterable[str], options: Settings) -> None:
-    """Raise UsageError where an option is given without the one that it belongs to."""
-    for name in () if has_owner else names:
-        if options[name] is not None:
-            raise click.UsageError(f"{_option(name)} belongs to {owner}: add that")
-
-
-def _option(name: str) -> str:
-    return f"--{name.removesuffix('_m').replace('_', '-')}"
-
-
 def _density(planned: "PlannedPath", on: "CostMap", options: Settings) -> "OverflownDensity":
     """Return the density of people beneath a path's corridor, and what detours would lower."""
     from jaxurban.paths.detours import density_detours
-    from jaxurban.paths.ground_risk import overflown_density
 
-    lengths_m = {
-        argument: options[name]
-        for name, argument in OF_CORRIDOR.items()
-        if options[name] is not None
-    }
-    density = overflown_density(
-        on.maps,
-        planned,
-        half_width_m=options["corridor_m"],
-        time_of_day=options["time_of_day"],
-        **lengths_m,
-    )
+    density = density_beneath(on.maps, planned, options)
     return replace(density, detours=density_detours(planned, on, density))
 
 

@@ -86,6 +86,15 @@ class Flight:
     unknown: pd.DataFrame
     length_m: float
 
+    @property
+    def line_m(self) -> np.ndarray:
+        """``[N, 3]`` x, y and height above ground where it flies over the maps; gaps are closed by straight lines."""
+        begins_m, ends_m = (
+            np.column_stack([self.steps.ends_m[:, end], self.steps.z_m[:, end]]) for end in (0, 1)
+        )
+        line_m = np.vstack([begins_m, ends_m[-1:]])
+        return line_m[np.isfinite(line_m).all(axis=1)]
+
 
 def spans(along_m: np.ndarray, reason: str) -> pd.DataFrame:
     """Return begins and ends along a mission ``[N, 2]`` as a table, with a reason."""

@@ -1,9 +1,11 @@
 """What a check of a mission writes: report.md, findings as a table and as GeoJSON, a map and a profile."""
 
 import json
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -21,7 +23,7 @@ FOUND: dict[str, Any] = {
     "color": "#d00000",
     "marker": "x",
     "linestyle": "none",
-    "label": "findings",
+    "label": "findings, by number",
 }
 SIZE_IN = 8.0, 3.4
 HEADS = ["item", "kind", "what", "along_m", "height_m", "lon", "lat"]
@@ -42,6 +44,7 @@ def check_outputs(found: MissionCheck) -> tuple[dict[str, Output], dict[str, Any
 def check_markdown(found: MissionCheck, figures: list[str]) -> str:
     """Return the report as Markdown; ``figures`` are those that lie beside it."""
     shown = found.findings[HEADS].round({"lon": 6, "lat": 6}).astype({"lon": str, "lat": str})
+    shown.insert(0, "number", range(1, len(shown) + 1))
     return fill(
         "check",
         {"findings": shown},
@@ -64,7 +67,9 @@ def plot_mission(found: MissionCheck) -> Figure:
     figure, (axes,) = draw_maps(grid, [panel], found.sentence, frame_note(found.maps))
     axes.plot(*steps.ends_m[:, 0].T, ".", markersize=1.5, color=ALTITUDE_COLOUR, label="mission")
     places = found.findings.dropna(subset=["lon"])
-    axes.plot(*grid.xy_of_lonlat(places["lon"], places["lat"]), zorder=5, **FOUND)
+    xy_m = grid.xy_of_lonlat(places["lon"], places["lat"])
+    axes.plot(*xy_m, zorder=5, **FOUND)
+    _number(axes, places.index, *xy_m)
     _name(figure, axes)
     return figure
 
@@ -81,11 +86,20 @@ def plot_flown_heights(found: MissionCheck) -> Figure:
         axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label="roofs of the cells below")
     look: dict[str, Any] = {"markersize": 1.5, "color": ALTITUDE_COLOUR, "label": "mission"}
     axes.plot(along_m, steps.z_m[:, 0], ".", **look)
-    axes.plot(found.findings["along_m"], found.findings["height_m"], **FOUND)
+    places = found.findings.dropna(subset=["lon"])
+    axes.plot(places["along_m"], places["height_m"], **FOUND)
+    _number(axes, places.index, places["along_m"], places["height_m"])
     axes.set(xlabel="flown (m)", ylabel="height above\nground (m)")
     dress(axes)
     _name(figure, axes)
     return figure
+
+
+def _number(axes: Axes, rows: pd.Index, x: Iterable[float], y: Iterable[float]) -> None:
+    """Write the numbers of findings, from 1, beside their marks."""
+    for number, *at in zip(rows + 1, x, y, strict=True):
+        look: dict[str, Any] = {"textcoords": "offset points", "color": FOUND["color"]}
+        axes.annotate(str(number), (at[0], at[1]), (4, 3), zorder=6, **look)
 
 
 def _name(figure: Figure, axes: Axes) -> None:

@@ -350,6 +350,10 @@ def _city_of(maps: MetricMaps, sources: City | str | Path | None) -> tuple[City 
     """
     if isinstance(sources, City):
         city = sources
+    elif sources is not None and maps.folder is None:
+        raise InputError(
+            f"sources must be the City that maps in memory were made of, got {str(sources)!r}"
+        )
     else:
         try:
             city = city_of(maps, None if sources is None else Path(sources))
