@@ -14,7 +14,7 @@ from tests.test_docs import PAGES, Block, blocks_of, folder, prepared  # noqa: F
 
 RECIPES: dict[str, Block] = dict(
     zip(
-        ("tiles", "nav2", "site", "course"),
+        ("gps", "tiles", "nav2", "site", "course"),
         blocks_of(next(page for page in PAGES if page.name == "recipes.md")),
         strict=True,
     )
@@ -31,6 +31,16 @@ def made(request, folder) -> dict:  # noqa: F811
 
 def test_a_recipe_has_40_lines_at_most():
     assert max(recipe.text.count("\n") for recipe in RECIPES.values()) <= 40
+
+
+@pytest.mark.parametrize("made", ["gps"], indirect=True)
+def test_commands_of_px4_give_each_second_the_satellites_of_the_table(made):
+    table = pd.read_csv("gps.csv")
+    lines = pd.read_csv("gps.txt", sep=" ", names=["elapsed_s", "a", "b", "name", "satellites"])
+    assert set(lines["name"]) == {"SIM_GPS_USED"}
+    last = np.searchsorted(lines["elapsed_s"], table["elapsed_s"].round(), side="right") - 1
+    np.testing.assert_array_equal(lines["satellites"].to_numpy()[last], table["satellites"])
+    assert (table.loc[~np.isfinite(table["hdop"]), "satellites"] == 0).all()
 
 
 @pytest.mark.parametrize("made", ["tiles"], indirect=True)
