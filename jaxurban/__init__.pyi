@@ -46,8 +46,8 @@ from jaxurban.settings import HeightStd as HeightStd
 from jaxurban.settings import Planning as Planning
 from jaxurban.settings import Terrain as Terrain
 from jaxurban.settings import Vehicle as Vehicle
-from jaxurban.studies.check import MissionCheck as MissionCheck
 from jaxurban.studies.check import check as check
+from jaxurban.studies.check_result import MissionCheck as MissionCheck
 from jaxurban.viewer.widget import view as view
 from jaxurban.world.city import City as City
 from jaxurban.world.grid import Grid as Grid

@@ -17,7 +17,7 @@ from jaxurban.report.figures.metrics import roof_layers
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
 from jaxurban.report.figures.style import chart, dress, styled
 from jaxurban.report.write import Output, bullets, fill, study_outputs
-from jaxurban.studies.check import MissionCheck
+from jaxurban.studies.check_result import MissionCheck
 
 FOUND: dict[str, Any] = {
     "color": "#d00000",

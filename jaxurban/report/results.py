@@ -10,7 +10,7 @@ from jaxurban.report.montecarlo import BenchmarkResult, analysis_outputs
 from jaxurban.report.receiver import validation_outputs
 from jaxurban.report.sensitivity import sensitivity_outputs
 from jaxurban.report.write import files_of, save
-from jaxurban.studies.check import MissionCheck
+from jaxurban.studies.check_result import MissionCheck
 from jaxurban.studies.map_comparison import MapComparison
 from jaxurban.studies.queries import Result
 from jaxurban.studies.receiver.validate import ReceiverValidation

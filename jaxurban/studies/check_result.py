@@ -1,0 +1,201 @@
+"""MissionCheck: what a check of a mission found, shown and saved."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import pandas as pd
+
+from jaxurban.checks import typed
+from jaxurban.io.files import write_whole
+from jaxurban.io.tables import SUFFIXES, records_of, write_table
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.legs import Flight
+from jaxurban.public import Caution, caution_lines, caution_of_guesses
+from jaxurban.studies.queries import Result
+
+State = Literal["clean", "findings", "not-judged"]
+STATES: dict[State, str] = {
+    "clean": "Clean: every leg was judged, and nothing was found.",
+    "findings": "Findings: {num}.",
+    "not-judged": "Not judged: nothing was found, but not all of the mission could be judged.",
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MissionCheck(Result):
+    """What a check of a mission found.
+
+    Attributes:
+      findings: a row each: ``kind`` (``"building"``, ``"terrain"``, ``"zone"``, ``"closed"`` or ``"limit"``),
+        ``what``, ``item`` (in the file, flown toward), ``lon`` and ``lat`` of the first contact, ``along_m`` and
+        ``to_m`` along the mission, ``height_m`` above the ground there, ``building_m`` (the roof's height), ``by_m``
+        (metres inside, below the ground or short of the clearance; of a limit, beyond it) and ``is_guessed``.
+      not_judged: sentences.
+      figures: lengths, metres without a fix, people, cost and exposure; ``cost_note`` says what is missing.
+      outlines: ``"exact"``, or ``"by cells"`` where the city behind the maps is gone.
+      limits: the constraints, as `Constraints.to_dict` has them.
+      flight: the mission over the maps.
+      maps: the maps.
+
+    Examples:
+      >>> path.save("mission.plan").name
+      'mission.plan'
+      >>> ju.check(maps, "mission.plan", sources=city)
+      MissionCheck(state: Findings: 1.; mission: mission.plan; buildings: exact outlines; ...
+        limit: Flies up to 7.8 m into a building: from 831 to 839 m along the mission, toward item 7, at ...
+    """
+
+    findings: pd.DataFrame
+    not_judged: list[str]
+    figures: Mapping[str, Any]
+    outlines: str
+    limits: Mapping[str, Any]
+    flight: Flight
+    maps: MetricMaps
+
+    @property
+    def state(self) -> State:
+        """``"clean"`` only if every leg was judged and nothing was found, else ``"findings"`` or ``"not-judged"``."""
+        if len(self.findings):
+            return "findings"
+        return "not-judged" if self.not_judged else "clean"
+
+    @property
+    def sentence(self) -> str:
+        """The state, as one sentence."""
+        return STATES[self.state].format(num=len(self.findings))
+
+    @property
+    def sentences(self) -> list[str]:
+        """The findings, a sentence each."""
+        return [_said(row) for row in self.findings.to_dict("records")]
+
+    @property
+    def numbers(self) -> dict[str, str]:
+        """The figures as texts, in the units that their names say; those by layer or time one by one."""
+        numbers = {}
+        for name, value in self.figures.items():
+            parts = value.items() if isinstance(value, Mapping) else [("", value)]
+            for part, number in parts:
+                if not isinstance(number, str):
+                    numbers[f"{name} {part}".replace("_", " ").strip()] = f"{number:,.4g}"
+        return numbers
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """The state, the mission, how buildings were looked at, and the figures."""
+        facts = {"state": self.sentence, "mission": self.flight.mission.name}
+        facts |= {"buildings": self.outlines, **self.numbers}
+        return facts | {"note": self.figures.get("cost_note", "")}
+
+    @property
+    def lines(self) -> list[str]:
+        """The check for a terminal: the state, findings, what was not judged, and figures."""
+        state, *others = self.facts.items()
+        figures = (f"{name}: {fact}" for name, fact in others if fact)
+        return [state[1], *caution_lines(self.known_cautions), *figures]
+
+    @typed
+    def save(self, folder: str | Path, overwrite: bool = False) -> list[Path]:
+        """Write the page, the record and the findings to a folder, or the findings alone to a file; return the files.
+
+        Args:
+          folder: where to, made if it is not there; or a ``.geojson``, ``.csv`` or ``.parquet`` file.
+          overwrite: replace another check in the folder.
+
+        Returns:
+          The files. The page is ``report.md``, with a map and a profile.
+
+        Raises:
+          InputError: the folder cannot be written to, or holds another study or other files.
+
+        Examples:
+          >>> path.save("mission.plan").name
+          'mission.plan'
+          >>> result = ju.check(maps, "mission.plan", sources=city)
+          >>> [file.name for file in result.save("findings.geojson")]
+          ['findings.geojson']
+          >>> sorted(file.name for file in result.save("checked"))[:3]
+          ['check.json', 'findings.csv', 'findings.geojson']
+        """
+        file = Path(folder)
+        if file.suffix == ".geojson":
+            write_whole(file, json.dumps(self.to_geojson(), indent=1))
+        elif file.suffix in SUFFIXES:
+            write_table(self.findings, file)
+        else:
+            return super().save(folder, overwrite)
+        return [file]
+
+    @property
+    def known_cautions(self) -> list[Caution]:
+        """The findings, what was not judged, and what the maps guess."""
+        return [
+            *(Caution(sentence, "limit") for sentence in self.sentences),
+            *(Caution(sentence, "guess") for sentence in self.not_judged),
+            *caution_of_guesses(self.maps.guesses),
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the check as plain, JSON-ready values.
+
+        Returns:
+          ``state``, ``sentence``, ``mission``, ``findings`` (a dictionary each), ``not_judged``, ``figures``,
+          ``outlines``, ``limits`` and ``guesses``; None stands for a number that is missing.
+
+        Examples:
+          >>> path.save("mission.plan").name
+          'mission.plan'
+          >>> record = ju.check(maps, "mission.plan", sources=city).to_dict()
+          >>> record["state"], [finding["kind"] for finding in record["findings"]]
+          ('findings', ['building'])
+        """
+        return {
+            "state": self.state,
+            "sentence": self.sentence,
+            "mission": self.flight.mission.name,
+            "findings": records_of(self.findings),
+            "not_judged": list(self.not_judged),
+            "figures": dict(self.figures),
+            "outlines": self.outlines,
+            "limits": dict(self.limits),
+            "guesses": list(self.maps.guesses),
+        }
+
+    def to_geojson(self) -> dict[str, Any]:
+        """Return the findings that have a place as points of GeoJSON.
+
+        Returns:
+          A FeatureCollection; the properties of each point are the columns of ``findings``.
+
+        Examples:
+          >>> path.save("mission.plan").name
+          'mission.plan'
+          >>> points = ju.check(maps, "mission.plan", sources=city).to_geojson()
+          >>> [point["properties"]["kind"] for point in points["features"]]
+          ['building']
+        """
+        rows = records_of(self.findings[self.findings["lon"].notna()])
+        features = [
+            {
+                "type": "Feature",
+                "geometry": {"type": "Point", "coordinates": [row.pop("lon"), row.pop("lat")]},
+                "properties": row,
+            }
+            for row in rows
+        ]
+        return {"type": "FeatureCollection", "state": self.state, "features": features}
+
+
+def _said(row: Mapping[Any, Any]) -> str:
+    """Return a finding as a sentence with its place."""
+    sentence = f"{row['what'][:1].upper()}{row['what'][1:]}"
+    if math.isnan(row["lon"]):
+        return f"{sentence}."
+    where = f"from {row['along_m']:.0f} to {row['to_m']:.0f} m along the mission, toward item {row['item']:.0f}"
+    place = f"{row['lon']:.6f}, {row['lat']:.6f}, {row['height_m']:.1f} m above the ground"
+    return f"{sentence}: {where}, at {place}."
