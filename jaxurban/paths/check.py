@@ -9,6 +9,7 @@ import pandas as pd
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import FILE_MARGIN_M, Bound, Constraints
 from jaxurban.paths.contacts import TOUCH_M, Prisms, contacts, merged
+from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.legs import Flight, Steps, spans
 
 ON_SITE = ("climb", "land")  # kinds of legs between the ground and the height of flight
@@ -42,10 +43,11 @@ def judged(
     kinds = np.array([leg.kind for leg in flight.mission.legs], object)[steps.leg]
     is_on_site = np.isin(kinds, ON_SITE) | (steps.over_m == 0)
     z_m = steps.z_m.mean(axis=1)
-    is_below = (z_m < low_m) & ~is_on_site
+    is_below = (z_m < low_m - GROUND_TOLERANCE_M) & ~is_on_site
+    is_above = z_m > high_m + GROUND_TOLERANCE_M
     unknown += [
         spans(steps.along_m[is_below], f"lie below the maps, which begin at {low_m:g} m"),
-        spans(steps.along_m[z_m > high_m], f"lie above the maps, which reach to {high_m:g} m"),
+        spans(steps.along_m[is_above], f"lie above the maps, which reach to {high_m:g} m"),
     ]
     near = contacts(steps, buildings, maps, limits.horizontal_m)
     is_guessed = buildings.is_guessed[near["prism"]]

@@ -12,6 +12,7 @@ from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.legs import Flight, Steps
 from jaxurban.paths.path import measured
 from jaxurban.paths.plan import cost_map
@@ -25,15 +26,19 @@ WINDOW_M = 1000.0  # of the densest stretch
 def values_on(
     maps: MetricMaps, name: str, steps: Steps, time: str | None, time_of_day: str | None
 ) -> np.ndarray:
-    """Return ``[P]`` a map's values along steps, each at the nearest altitude; NaN beyond these or without a value."""
+    """Return ``[P]`` a map's values along steps, each at the nearest altitude.
+
+    NaN without a value, and more than `GROUND_TOLERANCE_M` beyond the altitudes.
+    """
     when: dict[str, Any] = {"time": time, "time_of_day": time_of_day}
     cell, z_m, levels_m = tuple(steps.cell.T), steps.z_m.mean(axis=1), maps.altitudes_m
     if "altitude" not in maps.ds[maps.variable(name)].dims:
         return maps.m(name, **when)[cell].astype(float)
     nearest_m = nearest_level_m(z_m, levels_m)
+    is_held = np.abs(z_m - np.clip(z_m, min(levels_m), max(levels_m))) <= GROUND_TOLERANCE_M
     values = np.full(len(z_m), np.nan)
     for level_m in levels_m:
-        at = (nearest_m == level_m) & (z_m >= min(levels_m)) & (z_m <= max(levels_m))
+        at = (nearest_m == level_m) & is_held
         values[at] = maps.m(name, level_m, **when)[cell][at]
     return values
 

@@ -367,6 +367,8 @@ def test_a_loiter_is_judged_all_round(open_scene):
 
 
 def test_named_limits_are_findings_or_not_judged(open_scene):
+    ds = open_scene.maps.ds.assign_coords(altitude=[10.0, 400.0])
+    open_scene = open_scene._replace(maps=replace(open_scene.maps, ds=ds))
     ends = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
     mission = mission_of(*ends, home=ends[0])
     free = checked(open_scene, mission, time=OFF)
@@ -374,9 +376,9 @@ def test_named_limits_are_findings_or_not_judged(open_scene):
     assert lost_m > 1
     assert people > 1
     assert kinds_of(checked(open_scene, mission, time=OFF, max_no_fix_m=lost_m - 1)) == ["limit"]
-    assert checked(open_scene, mission, time=OFF, max_no_fix_m=lost_m + 2).state == "clean"
-    # The half metre of climb and of landing below the maps is not known: it may lack a fix.
-    unsure = checked(open_scene, mission, time=OFF, max_no_fix_m=lost_m + 0.5)
+    assert checked(open_scene, mission, time=OFF, max_no_fix_m=lost_m + 20).state == "clean"
+    # The nine metres of climb and of landing below the maps are not known: they may lack a fix.
+    unsure = checked(open_scene, mission, time=OFF, max_no_fix_m=lost_m + 10)
     assert (unsure.state, kinds_of(unsure)) == ("not-judged", [])
     assert kinds_of(checked(open_scene, mission, time=OFF, max_people=people - 1)) == ["limit"]
 
