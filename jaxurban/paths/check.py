@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
+import shapely
 
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import FILE_MARGIN_M, Bound, Constraints
@@ -14,6 +15,7 @@ from jaxurban.paths.legs import Flight, Steps, spans
 
 ON_SITE = ("climb", "land")  # kinds of legs between the ground and the height of flight
 NO_DATA = "lie over cells without data"
+NO_CITY = "lie where the source of the buildings does not know what stands"
 GUESSED_ROOFS = "lie over roofs of guessed height, or nearer to them than the clearance"
 PLACE = ["lon", "lat", "along_m", "to_m", "height_m"]
 COLUMNS = ["kind", "what", "item", *PLACE, "building_m", "by_m", "is_guessed"]
@@ -23,6 +25,7 @@ def judged(
     flight: Flight,
     maps: MetricMaps,
     buildings: Prisms,
+    known: shapely.Geometry,
     limits: Constraints,
     times: Sequence[str | None],
     time_of_day: str | None,
@@ -33,6 +36,7 @@ def judged(
       flight: the mission over the maps.
       maps: the maps.
       buildings: what stands there.
+      known: where that is known, in the maps' CRS.
       limits: zones in force, bounds, and clearances, all of which are there.
       times, time_of_day: of the maps that bounds are on.
     """
@@ -40,6 +44,10 @@ def judged(
     is_known = maps.ds["has_data"].values[tuple(steps.cell.T)] & np.isfinite(steps.z_m).all(axis=1)
     unknown = [flight.unknown, spans(steps.along_m[~is_known], NO_DATA)]
     steps = steps.take(is_known)
+    reached = shapely.buffer(known, -limits.horizontal_m) if limits.horizontal_m else known
+    shapely.prepare(reached)
+    is_off = ~shapely.intersects_xy(reached, *steps.ends_m.mean(axis=1).T)
+    unknown.append(spans(steps.along_m[is_off], NO_CITY))
     kinds = np.array([leg.kind for leg in flight.mission.legs], object)[steps.leg]
     is_on_site = np.isin(kinds, ON_SITE) | (steps.over_m == 0)
     z_m = steps.z_m.mean(axis=1)

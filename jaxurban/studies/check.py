@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import shapely
 
 from jaxurban.checks import positive, typed
 from jaxurban.errors import InputError
+from jaxurban.io.read.guesses import WITHOUT_DATA
 from jaxurban.io.read.mission import Datum, Mission, read_mission
 from jaxurban.io.read.mission_parts import LonLat
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -24,6 +26,7 @@ from jaxurban.paths.plan import rules_on
 from jaxurban.settings import each, iso_utc, not_negative, parse_time
 from jaxurban.studies.check_result import MissionCheck
 from jaxurban.world.city import City
+from jaxurban.world.known import known_ground
 
 
 @typed
@@ -122,12 +125,16 @@ def check(
     )
 
     city, outlines = _city_of(maps, sources)
+    known = shapely.box(*maps.grid.bounds_m) if city is None else known_ground(city)
     flight = flight_of(mission, maps, geoid_m)
-    findings, unknown = judged(flight, maps, buildings_of(maps, city), limits, times, time_of_day)
+    findings, unknown = judged(
+        flight, maps, buildings_of(maps, city), known, limits, times, time_of_day
+    )
     figures: dict[str, Any] = {"num_zones": len(held.zones), "num_zones_in_force": len(zones)}
     figures |= figures_of(flight, maps, times, time_of_day, swath_m)
     figures |= costs_of(flight, maps, weights, limits, times[0], time_of_day)
     beyond, open_limits = _limits(figures, max_no_fix_m, max_people)
+    gaps = [name for name in maps.guesses if name.endswith(WITHOUT_DATA) and city is None]
     not_judged = [
         *(f"{each[:1].upper()}{each[1:]}." for each in mission.not_judged),
         *(["The mission holds no leg."] if not mission.legs else []),
@@ -136,6 +143,10 @@ def check(
             for reason, rows in unknown.groupby("reason", sort=False)
         ),
         *open_limits,
+        *(
+            f"The city is gone, and with it where what it leaves open lies: {guess}."
+            for guess in gaps
+        ),
     ]
     findings = pd.concat([each for each in (findings, beyond) if len(each)] or [findings])
     return MissionCheck(

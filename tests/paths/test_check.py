@@ -320,7 +320,7 @@ def test_an_undulation_that_is_left_out_would_hide_the_ground(scene):
 
 def test_what_lies_outside_the_data_is_never_clean(open_scene):
     out = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 700.0)]
-    result = checked(open_scene, mission_of(*out, home=out[0]), time=OFF)
+    result = checked(open_scene, mission_of(*out, home=out[0]), 0.0, OFF)
     assert (result.state, result.not_judged) == (
         "not-judged",
         ["160 m lie outside the maps."],
@@ -339,6 +339,22 @@ def test_what_lies_outside_the_data_is_never_clean(open_scene):
     )
     high = [place._replace(height_m=450.0) for place in within]
     assert "above the maps" in checked(open_scene, mission_of(*high, home=high[0])).not_judged[0]
+
+
+def test_where_the_source_of_buildings_ends_nothing_is_clean(open_scene):
+    west, south, east, north = open_scene.city.extent_m
+    half = replace(open_scene.city, extent_m=(west, south, east, north - 300))
+    ends = [open_scene.place(20.0, y_m, 150.0) for y_m in (20.0, 500.0)]
+    mission = mission_of(*ends, home=ends[0])
+    result = checked(open_scene._replace(city=half), mission, 0.0, OFF)
+    reason = "350 m lie where the source of the buildings does not know what stands."
+    assert (result.state, result.not_judged) == ("not-judged", [reason])
+    guesses = json.dumps({"50 % of the region without data": "as nobody knows"})
+    maps = open_scene.maps
+    bare = maps.ds.assign(roof_touched=0 * maps.ds["roof_touched"])
+    assert ju.check(replace(maps, ds=bare), mission).state == "clean"
+    unsure = replace(maps, ds=bare.assign_attrs(guesses=guesses))
+    assert ju.check(unsure, mission).state == "not-judged"
 
 
 def test_a_guessed_roof_is_not_judged_from_any_height(open_scene):

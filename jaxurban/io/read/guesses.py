@@ -49,6 +49,7 @@ SIDE_POINTS = 32  # along each side of a raster's outline, which another CRS ben
 NOMINAL_SKY, ELEMENTS_TIME = "nominal satellites", "time of the elements"
 BEYOND_DATA = "lines of sight to satellites leave the data"
 EDGE_M = 20.0  # that snapping to the cells of any usual resolution adds to bounds, at each side
+WITHOUT_DATA = "the region without data"  # of which the share is said
 TOLD_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less
 
 
@@ -267,7 +268,7 @@ def _coverage_guesses(city: City, region: Grid) -> Guesses:
         )
     guesses = _of_share(
         share,
-        "the region without data",
+        WITHOUT_DATA,
         "the region lies beyond what the building source covers and is taken as free of buildings: give a source that "
         "covers it, or a smaller region",
     )
