@@ -147,7 +147,10 @@ def flight_of(mission: Mission, maps: MetricMaps, geoid_m: float | None = None) 
     is_known = np.isfinite(z_m).all(axis=1)
     unknown = [spans(along_m[:0], "")]
     for place in np.flatnonzero(~is_known).tolist():
-        reason = NO_ZERO[datum[place, np.argmax(np.isnan(base_m[place]))]]
+        open_datum = datum[place, np.argmax(np.isnan(base_m[place]))]
+        if open_datum == "ellipsoid" and geoid_m is not None:
+            open_datum = "geoid"  # which is what lacks a height then
+        reason = NO_ZERO[open_datum]
         reason = NO_HEIGHT if np.isnan(height_m[place]).any() else reason
         unknown.append(spans(along_m[[place]], reason))
     first, last = _shares_within(ends_m, maps.grid.bounds_m)

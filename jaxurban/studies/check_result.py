@@ -14,7 +14,7 @@ from jaxurban.io.files import write_whole
 from jaxurban.io.tables import SUFFIXES, records_of, write_table
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.legs import Flight
-from jaxurban.public import Caution, caution_lines, caution_of_guesses
+from jaxurban.public import Caution, caution_of_guesses
 from jaxurban.studies.queries import Result
 
 State = Literal["clean", "findings", "not-judged"]
@@ -96,8 +96,14 @@ class MissionCheck(Result):
     def lines(self) -> list[str]:
         """The check for a terminal: the state, findings, what was not judged, and figures."""
         state, *others = self.facts.items()
-        figures = (f"{name}: {fact}" for name, fact in others if fact)
-        return [state[1], *caution_lines(self.known_cautions), *figures]
+        figures = [f"{name}: {fact}" for name, fact in others if fact]
+        parts = {
+            "finding": self.sentences,
+            "not judged": self.not_judged,
+            "guessed": list(self.maps.guesses),
+        }
+        listed = [f"  {name}: {text}" for name, texts in parts.items() for text in texts]
+        return [state[1], *listed, *figures]
 
     @typed
     def save(self, folder: str | Path, overwrite: bool = False) -> list[Path]:

@@ -474,3 +474,15 @@ def test_a_planned_mission_is_clean_without_guesses(town, tmp_path):
     assert ju.check(town, tmp_path / "high.plan", sources=city).state == "clean"
     unsure = ju.check(town, tmp_path / "high.plan", sources=guessed)
     assert (unsure.state, kinds_of(unsure)) == ("not-judged", [])
+
+
+def test_a_height_above_the_ellipsoid_says_what_is_missing_once_the_geoid_is_named(scene):
+    flat = ju.MetricMaps(scene.maps.ds.drop_vars("terrain"))
+    place = scene.place(100.0, 100.0, 30.0, "ellipsoid")
+    leg = Leg(place, scene.place(200.0, 100.0, 30.0, "ellipsoid"), "leg", 1)
+    mission = Mission("made", (leg,), None, None, (), None)
+    for geoid_m, word in ((None, "--geoid"), (37.0, "above the geoid, and neither")):
+        result = ju.check(flat, mission, sources=scene.city, geoid_m=geoid_m)
+        assert word in " ".join(result.not_judged)
+        assert result.state == "not-judged"
+        assert any(line.startswith("  not judged: ") for line in result.lines)
