@@ -12,7 +12,11 @@ from jaxurban.paths.constraints import FILE_MARGIN_M, Bound, Constraints
 from jaxurban.paths.contacts import TOUCH_M, Prisms, contacts, merged
 from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.legs import Flight, Steps, spans
+from jaxurban.paths.profile import nearest_level_m
 
+LEVEL_M = (
+    0.02  # so near an altitude of the maps a step is at it: files round heights up to centimetres
+)
 ON_SITE = ("climb", "land")  # kinds of legs between the ground and the height of flight
 NO_DATA = "lie over cells without data"
 NO_CITY = "lie where the source of the buildings does not know what stands"
@@ -144,11 +148,14 @@ def _is_closed(
     middles_m = [sum(pair) / 2 for pair in pairwise(levels_m)] or levels_m
     between = np.searchsorted(levels_m, steps.z_m.mean(axis=1), side="right") - 1
     between = np.clip(between, 0, len(middles_m) - 1)
+    nearest_m = nearest_level_m(steps.z_m.mean(axis=1), levels_m)
+    is_level = np.abs(steps.z_m - nearest_m[:, None]).max(axis=1) < LEVEL_M
+    map_m = np.where(is_level, nearest_m, np.array(middles_m)[between])
     is_closed = np.zeros(len(between), bool)
-    for number in np.unique(between).tolist():
-        at = between == number
+    for z_m in np.unique(map_m).tolist():
+        at = map_m == z_m
         for time in times:
-            is_kept = bound.is_kept(maps, middles_m[number], time, time_of_day)
+            is_kept = bound.is_kept(maps, z_m, time, time_of_day)
             is_closed[at] |= ~is_kept[tuple(steps.cell[at].T)]
     return is_closed
 

@@ -67,7 +67,7 @@ def plot_mission(found: MissionCheck) -> Figure:
     figure, (axes,) = draw_maps(grid, [panel], found.sentence, frame_note(found.maps))
     axes.plot(*steps.ends_m[:, 0].T, ".", markersize=1.5, color=ALTITUDE_COLOUR, label="mission")
     places = found.findings.dropna(subset=["lon"])
-    xy_m = grid.xy_of_lonlat(places["lon"], places["lat"])
+    xy_m = grid.xy_of_lonlat(*places[["lon", "lat"]].to_numpy().T)
     axes.plot(*xy_m, zorder=5, **FOUND)
     _number(axes, places.index, *xy_m)
     _name(figure, axes)

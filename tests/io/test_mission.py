@@ -521,3 +521,63 @@ def test_wrong_arguments_are_refused(read):
             read(BOX, home=home)
     with pytest.raises(ju.InputError, match="return_altitude_m must be a positive"):
         read(BOX, return_altitude_m=-3)
+
+
+def test_lines_of_other_tools_are_read_whatever_their_properties_are_called(tmp_path):
+    lines = [[(0, 50, 30), (0, 50.001, 30)], [(0, 50.001, 30), (0.001, 50.001, 30)]]
+    features = [
+        {
+            "type": "Feature",
+            "properties": {} if number == 0 else {"segment": 1},
+            "geometry": {"type": "LineString", "coordinates": line},
+        }
+        for number, line in enumerate(lines)
+    ]
+    file = tmp_path / "tracks.geojson"
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    mission = read_mission(file, heights="ground")
+    assert any(leg.end.lon == 0.001 for leg in mission.legs) or mission.not_judged
+
+
+@pytest.mark.parametrize(
+    ("frame", "lonlat"), [(2, (0.001, 50.001)), (3, (None, 50.001)), (8, (0.001, 50.001))]
+)
+def test_a_landing_elsewhere_is_never_taken_for_one_where_the_vehicle_is(tmp_path, frame, lonlat):
+    lon, lat = lonlat
+    items = [(22, 3, 50.0, 0.0, 30.0), (21, frame, lat, lon, 0.0)]
+    rows = [
+        {
+            "type": "SimpleItem",
+            "command": command,
+            "frame": of,
+            "doJumpId": number,
+            "params": [0, 0, 0, None, *place],
+        }
+        for number, (command, of, *place) in enumerate(items, 1)
+    ]
+    plan = {"fileType": "Plan", "mission": {"plannedHomePosition": [50.0, 0.0, 0], "items": rows}}
+    plan["mission"]["plannedHomePosition"] = [50.0, 0.0001, 0]
+    (tmp_path / "x.plan").write_text(json.dumps(plan))
+    mission = read_mission(tmp_path / "x.plan")
+    assert mission.not_judged
+    assert all(leg.kind != "land" for leg in mission.legs)
+
+
+def test_a_return_from_a_height_that_is_not_above_home_is_not_wholly_judged(tmp_path):
+    rows = [
+        {
+            "type": "SimpleItem",
+            "command": command,
+            "frame": 10,
+            "doJumpId": number,
+            "params": [0, 0, 0, None, lat, 0.0001, 120.0],
+        }
+        for number, (command, lat) in enumerate([(22, 50.0), (16, 50.01), (20, 0)], 1)
+    ]
+    plan = {
+        "fileType": "Plan",
+        "mission": {"plannedHomePosition": [50.0, 0.0001, 0], "items": rows},
+    }
+    (tmp_path / "x.plan").write_text(json.dumps(plan))
+    mission = read_mission(tmp_path / "x.plan", return_altitude_m=110.0)
+    assert "may be higher than judged" in " ".join(mission.not_judged)

@@ -206,7 +206,8 @@ def assert_all_found(scene: Scene, truth: Truth, result) -> None:
     """Check that each first contact has a finding within `FEW_M`, and each finding has a truth."""
     found = result.findings
     xy_m = (
-        np.stack(scene.maps.grid.xy_of_lonlat(found["lon"], found["lat"]), axis=-1) - scene.corner_m
+        np.stack(scene.maps.grid.xy_of_lonlat(*found[["lon", "lat"]].to_numpy().T), axis=-1)
+        - scene.corner_m
     )
     flags = {"building": truth.hit, "terrain": truth.buried, "zone": truth.in_zone}
     for kind, flag in flags.items():
@@ -261,7 +262,7 @@ def test_a_leg_through_a_tower_is_one_finding_where_it_enters(open_scene):
     found = checked(open_scene, mission, time=OFF).findings
     way = shapely.LineString([open_scene.xy_m(each) + open_scene.corner_m for each in ends])
     enters_m = np.array(way.intersection(tower).coords[0])
-    at_m = np.stack(open_scene.maps.grid.xy_of_lonlat(found["lon"], found["lat"]), axis=-1)
+    at_m = np.stack(open_scene.maps.grid.xy_of_lonlat(*found[["lon", "lat"]].to_numpy().T), axis=-1)
     assert (found["kind"] == "building").all()
     assert found["building_m"].iloc[0] == 90.0
     assert np.linalg.norm(at_m - enters_m, axis=1).tolist() == pytest.approx([0.0], abs=0.6)

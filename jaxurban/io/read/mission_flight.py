@@ -25,7 +25,8 @@ STILL = frozenset(
     range(193, 199),
     range(200, 208),
     range(209, 213),
-    range(214, 224),
+    range(214, 218),
+    range(219, 224),
     range(530, 535),
     range(2000, 2006),
     range(2500, 2512),
@@ -36,6 +37,7 @@ FRAMES: dict[int, Datum] = {
     **dict.fromkeys((10, 11), "ground"),
 }
 HAS_HEIGHT = (*TAKEOFFS, WAYPOINT, *LOITERS)  # commands that lead to a height
+PLACED = (*HAS_HEIGHT, *LANDINGS)
 
 
 class Item(NamedTuple):
@@ -65,8 +67,13 @@ class Item(NamedTuple):
     @property
     def has_place(self) -> bool:
         """Return whether it names a place, and not that where the vehicle is."""
+        return self.datum is not None and self.has_coordinates
+
+    @property
+    def has_coordinates(self) -> bool:
+        """Return whether numbers stand where a place does, in whatever frame."""
         is_set = not (math.isnan(self.lon) or math.isnan(self.lat))
-        return self.datum is not None and is_set and (self.lon, self.lat) != (0, 0)
+        return is_set and (self.lon, self.lat) != (0, 0)
 
 
 class Flight:
@@ -99,8 +106,11 @@ class Flight:
     def _fly(self, item: Item) -> None:
         """Fly an item, or say why it is not judged."""
         command = item.command
-        if command in HAS_HEIGHT and item.datum is None:
+        leads_somewhere = command in HAS_HEIGHT or (command in LANDINGS and item.has_coordinates)
+        if leads_somewhere and item.datum is None:
             self._pass_over(item, f"command {command} in a frame that is none of the Earth")
+        elif command in PLACED and math.isnan(item.lon) != math.isnan(item.lat):
+            self._pass_over(item, f"command {command} at half a place")
         elif command in TAKEOFFS:
             self._take_off(item)
         elif command == WAYPOINT:
@@ -222,6 +232,11 @@ class Flight:
         at, height_m = self._at, self._return_altitude_m
         if at.datum == "home" and at.height_m > height_m:
             height_m = at.height_m
+        if at.datum != "home":
+            self._say(
+                f"the return of item {item.number} may be higher than judged: how high it begins "
+                "above home is not known"
+            )
         over, ground = Place(*self._home, height_m, "home"), Place(*self._home, 0.0, "ground")
         if height_m == height_m:
             up = over._replace(lon=at.lon, lat=at.lat)

@@ -202,10 +202,12 @@ def geojson_lines(path: Path, data: bytes) -> list[Line]:
     """Return the lines of GeoJSON; of jaxurban's own with the heights above ground that stand beside them."""
     whole = json.loads(data)
     lines = []
-    for feature in whole.get("features", [whole]):
+    features = whole.get("features", [whole])
+    is_own = any("settings" in (feature.get("properties") or {}) for feature in features)
+    for feature in features:
         facts, shape = feature.get("properties") or {}, feature.get("geometry", feature) or {}
-        if facts.get(SEGMENT_PROPERTY) is not None:
-            continue
+        if is_own and facts.get(SEGMENT_PROPERTY) is not None:
+            continue  # of a report: it repeats a part of the route
         kind, parts = shape.get("type"), shape.get("coordinates")
         if kind not in ("LineString", "MultiLineString") or not parts:
             lines.append(Line([]))
