@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -25,6 +26,7 @@ FOUND: dict[str, Any] = {
     "linestyle": "none",
     "label": "findings, by number",
 }
+GAP_M = 10.0  # between steps, which are shorter: nothing is drawn there
 SIZE_IN = 8.0, 3.4
 HEADS = ["item", "kind", "what", "along_m", "height_m", "lon", "lat"]
 
@@ -82,7 +84,8 @@ def plot_flown_heights(found: MissionCheck) -> Figure:
     figure = chart(*SIZE_IN, "Height along the mission", found.sentence)
     axes = figure.subplots()
     if TOUCHED in found.maps.ds:
-        roof_m = found.maps.m(TOUCHED)[tuple(steps.cell.T)]
+        roof_m = found.maps.m(TOUCHED)[tuple(steps.cell.T)].astype(float)
+        roof_m[:-1][np.diff(along_m) > GAP_M] = np.nan  # beyond the maps no roof is known
         axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label="roofs of the cells below")
     look: dict[str, Any] = {"markersize": 1.5, "color": ALTITUDE_COLOUR, "label": "mission"}
     axes.plot(along_m, steps.z_m[:, 0], ".", **look)
