@@ -102,6 +102,7 @@ def _number(axes: Axes, rows: pd.Index, x: Iterable[float], y: Iterable[float]) 
     """Write the numbers of findings, from 1, beside their marks."""
     for number, *at in zip(rows + 1, x, y, strict=True):
         look: dict[str, Any] = {"textcoords": "offset points", "color": FOUND["color"]}
+        look["bbox"] = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
         axes.annotate(str(number), (at[0], at[1]), (4, 3), zorder=6, **look)
 
 
