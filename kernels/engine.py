@@ -1,4 +1,4 @@
-"""Which form of a kernel runs: Numba's on the host, or JAX's wherever JAX computes."""
+"""Which form of a kernel runs: JAX's, or Numba's where that stays beside it, being quicker for the job."""
 
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Literal
@@ -7,19 +7,21 @@ import jax
 import numpy as np
 
 Engine = Literal["auto", "numba", "jax"]
+ONLY_JAX = (
+    "engine = 'numba' makes lidar maps over terrain and the shadows of slabs; all else has no form in Numba any more, "
+    "and JAX makes it on the host"
+)
 
 
-def chosen(engine: str, platform: str | None = None) -> str:
-    """Return ``"numba"`` or ``"jax"``: for ``"auto"`` Numba where the platform, JAX's by default, is a CPU."""
-    if engine != "auto":
-        return engine
-    return "numba" if (platform or _platform()) == "cpu" else "jax"
+def uses_numba(engine: str, platform: str | None = None) -> bool:
+    """Return whether a kernel that has a form in Numba runs it; for ``"auto"`` where JAX's platform is a CPU."""
+    return engine == "numba" or (engine == "auto" and (platform or _platform()) == "cpu")
 
 
 def runs_numba(engine: str, *values: Any) -> bool:
     """Return whether Numba's form runs on values: where it is chosen, and JAX traces none of them."""
     is_traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
-    return not is_traced and chosen(engine) == "numba"
+    return not is_traced and uses_numba(engine)
 
 
 def on_device_of(engine: str) -> AbstractContextManager:

@@ -273,7 +273,7 @@ def inputs_of(task: MapTask) -> MapInputs:
         raise InputError(
             f"the maps as one function hold no {' and no '.join(asked)}: leave it out, or make the maps with build_maps"
         )
-    surface, blocks = jax.tree.map(jnp.asarray, task.surface()), task.city.blocks
+    surface, blocks = task.surface().of_jax(), task.city.blocks
     ready: dict[str, Any] = {}
     settings: dict[str, Any] = {}
     fixed: dict[str, Any] = {}

@@ -52,7 +52,6 @@ def run_record(
     elapsed_s: Mapping[str, float],
     started_utc: str,
     messages: Sequence[str],
-    engine: str,
 ) -> dict[str, Any]:
     """Return what run.json holds; the arguments are what `run_scenario` worked with, a task for each resolution."""
     city, region, sky = tasks[0].city, tasks[0].region, tasks[-1].sky
@@ -69,7 +68,8 @@ def run_record(
         "started_utc": started_utc,
         "elapsed_s": {name: round(seconds, 3) for name, seconds in elapsed_s.items()},
         "run_key": key,
-        "engine": engine,
+        "engine": "numba" if scenario.region.engine == "numba" else "jax",
+        "by_numba": tasks[0].by_numba,
         "versions": versions(),
         "settings": settings_of(scenario),
         "inputs": inputs,
@@ -108,7 +108,8 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
             LOG.warning(f"{str(file)!r} is missing or damaged: writing it again")
     record = json.loads(json.dumps(record))
     if is_kept and held.get("run_key") == record["run_key"]:
-        record |= {name: held[name] for name in ("started_utc", "elapsed_s", "engine")}
+        kept = "started_utc", "elapsed_s", "engine", "by_numba"
+        record |= {name: held[name] for name in kept if name in held}
         record["warnings"] = list(dict.fromkeys([*held["warnings"], *record["warnings"]]))
     if record != held:
         write_json(file, record, indent=2)

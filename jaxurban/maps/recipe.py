@@ -107,9 +107,7 @@ class TileScene:
             if self.rings is not None and self.supersampled is None:
                 rings = [self.rings[time_index, int(s)] for s in in_view.numbers]
             where = self.supersampled or self.surface, *in_view.angles, params.altitudes_m
-            self.keep(
-                time_index, np.asarray(visibility(*where, rings, params.engine, params.oversample))
-            )
+            self.keep(time_index, visibility(*where, rings, params.oversample))
         return self._seen[time_index]
 
     def keep(self, time_index: int, words: np.ndarray) -> None:

@@ -25,7 +25,6 @@ from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import bands_of, check_has_data, rasterise
 from jaxurban.io.store import stored_key
 from jaxurban.io.workspace import Workspace
-from jaxurban.kernels.engine import chosen
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.executors import cluster_client, num_cores, work_in_threads, work_on_cluster
 from jaxurban.maps.memory import check_disk, plan_run, shape_of_tiles
@@ -141,8 +140,8 @@ def run_scenario(
         warnings.simplefilter("always", UserWarning)
         watch = Stopwatch(on_stage=report)
         inputs = hash_inputs(scenario)
-        engine = chosen(scenario.region.engine, backend)
-        key = run_key(scenario, inputs, "cpu" if engine == "numba" else backend)
+        on_host = scenario.region.engine == "numba"
+        key = run_key(scenario, inputs, "cpu" if on_host else backend)
         store.check_version(folder)
         held_key = Workspace.settings_of(folder, "maps").get(RUN_KEY)
         if store.stored_resolutions(folder) and held_key != key and not overwrite:
@@ -197,7 +196,7 @@ def run_scenario(
                     save_base_map(replace(made[0][0], base=base).base_map, workspace)
             messages = [str(item.message) for item in caught]
             record = run_record(
-                scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages, engine
+                scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages
             )
             record = write_record(folder / store.RUN_FILE, record, is_kept)
     kept_base = file.resolve() if file.is_file() else None

@@ -14,10 +14,10 @@ import xarray as xr
 from xarray.indexes import PandasIndex
 
 from jaxurban.checks import at_least, typed
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, warn
 from jaxurban.io.read.guesses import Guesses, has_guessed_roofs, region_guesses
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
-from jaxurban.kernels.engine import Engine
+from jaxurban.kernels.engine import ONLY_JAX, Engine, uses_numba
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Variable
 from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.gps import Gps
@@ -68,6 +68,8 @@ class MapParams:
                 f"altitudes_m must be different positive numbers of metres above ground, got {[*values]}"
             )
         object.__setattr__(self, "altitudes_m", values)
+        if self.engine == "numba":
+            warn(ONLY_JAX)
         at_least("oversample", self.oversample, 1)
         object.__setattr__(self, "sections", checked_sections(self.sections))
         gps = self.gps
@@ -189,6 +191,16 @@ class MapTask:
     def has_terrain(self) -> bool:
         """Whether the ground is not flat."""
         return self.city.terrain is not None
+
+    @property
+    def by_numba(self) -> list[str]:
+        """What Numba makes of the maps: where its form is the quicker one, or there is no other."""
+        has_lidar = "lidar" in self.metrics and uses_numba(self.params.engine)
+        are_made = {
+            "lidar over terrain": self.has_terrain and has_lidar,
+            "shadows of slabs": self.city.hanging == SLABS,
+        }
+        return [name for name, is_made in are_made.items() if is_made]
 
     @cached_property
     def population(self) -> BlockLayers | None:

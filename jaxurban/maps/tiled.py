@@ -16,10 +16,11 @@ from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
 from jaxurban.kernels.engine import on_device_of
-from jaxurban.kernels.shadows.sweep import Ring, digital_lines
+from jaxurban.kernels.shadows.blocks import hand_on
+from jaxurban.kernels.shadows.sweep import Ring
 from jaxurban.maps.recipe import TileScene, tile_maps
 from jaxurban.maps.task import MapTask
-from jaxurban.metrics.visibility import handed_on
+from jaxurban.metrics.visibility import ringed_lines
 from jaxurban.progress import Stopwatch
 from jaxurban.world.city import SLABS
 from jaxurban.world.grid import Grid
@@ -255,18 +256,17 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
             grid = job.tiling.grid_of(tile)
             kept = job.work.load_arrays(_name("raster", tile), "roof_m", "terrain_m")
             top_m = kept["roof_m"] + kept.get("terrain_m", np.float32(0))
-            ringed = grid.padded(1, 1, 1, 1)
             pairs = job.order[quadrant]
             azimuth_rad, elevation_rad = (
                 np.array([values[pair] for pair in pairs])
                 for values in (sky.azimuth_rad, sky.elevation_rad)
             )
-            at = ringed.first_row, ringed.first_col, ringed.shape
-            lines = digital_lines(azimuth_rad, elevation_rad, ringed.resolution_m, *at)
-            edges = handed_on(top_m, lines, _rings(job, tile, quadrant), job.task.params.engine)
-            rows = edges.south if quadrant[0] > 0 else edges.north
-            cols = edges.west if quadrant[1] > 0 else edges.east
-            job.work.save_arrays(name, rows=np.asarray(rows), cols=np.asarray(cols))
+            lines = ringed_lines(grid, azimuth_rad, elevation_rad)
+            rings = Ring(
+                *(np.stack(each) for each in zip(*_rings(job, tile, quadrant), strict=True))
+            )
+            rows, cols = hand_on(top_m, lines, rings)
+            job.work.save_arrays(name, rows=rows, cols=cols)
     return {"seconds": watch.elapsed_s}
 
 

@@ -16,6 +16,7 @@ from jaxurban.checks import nearest_name, typed
 from jaxurban.errors import InputError
 from jaxurban.metrics.base import (
     TIME_OF_DAY,
+    AnyArray,
     Metric,
     Scale,
     Scene,
@@ -229,11 +230,11 @@ class BlockPopulation(NamedTuple):
       day_count: ``[N]`` people by day; None where factors make them of the night's.
     """
 
-    night_count: jax.Array
-    area_m2: jax.Array
-    zoning: jax.Array
-    in_region: jax.Array
-    day_count: jax.Array | None = None
+    night_count: Any
+    area_m2: Any
+    zoning: Any
+    in_region: Any
+    day_count: Any = None
 
     @classmethod
     def of(
@@ -348,10 +349,13 @@ def block_metric(values: Float[Array, " N"], norm: Float[Array, ""]) -> Float[Ar
     return jnp.minimum(values / jnp.where(norm > 0, norm, 1.0), 1.0)
 
 
-@jax.jit
-def map_blocks(block: Int[Array, "..."], values: Float[Array, "*T N"]) -> Float[Array, "..."]:
-    """Return the values of the block under each cell, ``[*T, *block.shape]``, 0 in cells without one (index -1)."""
-    padded = jnp.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, 1)])
+def map_blocks(block: Int[AnyArray, "..."], values: Float[AnyArray, "*T N"]) -> Any:
+    """Return the values of the block under each cell, ``[*T, *block.shape]``, 0 in cells without one (index -1).
+
+    Of NumPy's arrays as NumPy's, which compiles nothing.
+    """
+    xp: Any = np if isinstance(values, np.ndarray) else jnp
+    padded = xp.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, 1)])
     return padded[..., block]  # -1 is the last entry, the 0 added here
 
 
@@ -391,9 +395,28 @@ def block_layers(
       bounds_m: the region's box, to normalise by the blocks that touch it; left out, by all of them.
     """
     params = params or Population()
-    return jax.tree.map(
-        np.asarray, layers_of_blocks(*_made_ready(blocks, params, bounds_m), params)
+    population, shares = _made_ready(blocks, params, bounds_m)
+    m, density, norm = map(np.asarray, layers_of_blocks(_filled(population), shares, params))
+    return BlockLayers(m[:, : len(blocks)], density[:, : len(blocks)], norm)
+
+
+def _filled(population: BlockPopulation) -> BlockPopulation:
+    """Return blocks filled up by empty ones, which change nothing, to a power of two: few programs serve all cities."""
+    num = len(population.night_count)
+    most = 1 << num.bit_length()
+    of_blocks = (
+        None if values is None else np.pad(np.asarray(values), (0, most - num))
+        for values in (
+            population.night_count,
+            population.area_m2,
+            population.zoning,
+            population.day_count,
+        )
     )
+    people, area_m2, zoning, by_day = of_blocks
+    in_region = np.full(most, num, np.int32)
+    in_region[: len(population.in_region)] = population.in_region
+    return BlockPopulation(people, area_m2, zoning, in_region, by_day)
 
 
 def _made_ready(
@@ -446,14 +469,16 @@ def soft_population(
     )
 
 
-def _over_samples(block: Array, values: Array, has_samples: bool) -> Array:
+def _over_samples(block: AnyArray, values: AnyArray, has_samples: bool) -> Any:
     """Return `map_blocks`, the mean over the samples of each cell where there are any (the last axis)."""
     if not has_samples:
         return map_blocks(block, values)
-    return sum(map_blocks(block[..., k], values) for k in range(block.shape[-1])) / block.shape[-1]
+    num = block.shape[-1]
+    total: Any = sum(map_blocks(block[..., k], values) for k in range(num))
+    return total / values.dtype.type(num)
 
 
-def _on_cells(surface: Surface, layers: BlockLayers) -> dict[str, Array]:
+def _on_cells(surface: Surface, layers: BlockLayers) -> dict[str, Any]:
     """Return the maps of blocks, at one time of day or at several, by their variable."""
     assert surface.block is not None
     named = {"population": layers.m, "density": layers.density_per_km2}
@@ -463,7 +488,7 @@ def _on_cells(surface: Surface, layers: BlockLayers) -> dict[str, Array]:
     }
 
 
-def _maps(scene: Scene, params: Population) -> dict[str, Array]:
+def _maps(scene: Scene, params: Population) -> dict[str, AnyArray]:
     return _on_cells(scene.surface, scene.population)
 
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -11,14 +11,11 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from jaxurban.kernels.dop import Clocks, Geometry, geometry, unit_vectors
-from jaxurban.kernels.engine import Engine, runs_numba
-from jaxurban.kernels.shadows import sweep
-from jaxurban.kernels.shadows.slabs import Receivers, hide_behind_slabs
+from jaxurban.kernels.shadows import blocks, slabs, sweep
 from jaxurban.kernels.shadows.sweep import WORD_BITS, Line, Ring, digital_lines, stacked
-from jaxurban.kernels.shadows.sweep_cpu import hand_on, mark_visible
 from jaxurban.metrics.base import AnyArray
 from jaxurban.world.grid import Grid
-from jaxurban.world.surface import PER_CELL, Slabs, Surface, in_type
+from jaxurban.world.surface import PER_CELL, Slabs, Surface
 
 WHOLE_ROW_STEPS = 0.5  # from a row's middle to where a ray enters it
 
@@ -122,35 +119,14 @@ def _heights(ground_m: AnyArray | None, altitudes_m: AnyArray) -> AnyArray:
     return z_m if ground_m is None else ground_m + z_m
 
 
-def handed_on(
-    top_m: Float[AnyArray, "Y X"], lines: Sequence[Line], rings: Sequence[Ring], engine: Engine
-) -> Ring:
-    """Return what a grid hands on to its neighbours, as `jaxurban.kernels.shadows.sweep_cpu.hand_on` says.
-
-    Args:
-      top_m: absolute height of roofs and bare ground.
-      lines: ``[S]`` for the grid grown by one cell on each side.
-      rings: ``[S]`` what the grids around this one hand on.
-      engine: as in `visibility`.
-    """
-    if runs_numba(engine, top_m):
-        return hand_on(np.asarray(top_m), stacked(lines), _stacked_rings(rings))
-    return sweep.handed_on(top_m, stacked(lines), _stacked_rings(rings))
-
-
-def _stacked_rings(rings: Sequence[Ring]) -> Ring:
-    return Ring(*(np.stack(values) for values in zip(*rings, strict=True)))
-
-
 def visibility(
     surface: Surface,
     azimuth_rad: ArrayLike,
     elevation_rad: ArrayLike,
     altitudes_m: ArrayLike | Sequence[float],
     rings: Sequence[Ring] | None = None,
-    engine: Engine = "auto",
     every: int = 1,
-) -> UInt[AnyArray, "W A y x"]:
+) -> UInt[np.ndarray, "W A y x"]:
     """Return which satellites are seen from each cell's centre, as bits.
 
     Satellite ``s`` is bit ``s % 32`` of word ``s // 32``. It is seen where its ray clears the roofs
@@ -164,86 +140,75 @@ def visibility(
       altitudes_m: ``[A]`` heights above the ground.
       rings: ``[S]`` what the grids around the region hand on, by satellite; the surface's own margin is
         not looked at then, but for its slabs.
-      engine: which form runs, see `jaxurban.kernels.engine`; what slabs hide is Numba's.
-      every: n, of a surface n times finer than the map, by Numba under any engine: the cells are every n-th of the
-        region both ways, from ``n // 2`` on. With an odd n they hold the centres of the map's cells; with an even one,
-        whose centres are corners of four cells, they lie half a cell northeast of them.
+      every: n, of a surface n times finer than the map: the cells are every n-th of the region both ways, from
+        ``n // 2`` on. With an odd n they hold the centres of the map's cells; with an even one, whose centres are
+        corners of four cells, they lie half a cell northeast of them.
     """
     azimuth, elevation = np.asarray(azimuth_rad, float), np.asarray(elevation_rad, float)
-    altitudes, (rows, cols) = in_type(altitudes_m, surface.roof_m.dtype), surface.window
-    top_m, grid, (num_rows, num_cols) = surface.top_m, surface.grid, surface.region.shape
-    ground_m = None if surface.terrain_m is None else surface.terrain_m[rows, cols]
-    first_row, first_col, ring = rows.start, cols.start, None
+    rows, cols = surface.window
+    top_m, grid, first_cell, ring = (
+        np.asarray(surface.top_m),
+        surface.grid,
+        (rows.start, cols.start),
+        None,
+    )
     if rings is not None:
-        top_m, grid, first_row, first_col, ring = (
-            top_m[rows, cols],
-            surface.region,
-            0,
-            0,
-            _stacked_rings(rings),
-        )
-    num_words = max(1, -(-len(azimuth) // WORD_BITS))
-    words: Any = np.zeros(
-        (num_words, len(altitudes), num_rows // every, num_cols // every), np.uint32
-    )
-    if len(azimuth) and (every > 1 or runs_numba(engine, top_m, altitudes)):
-        lines = stacked(lines_over(grid.padded(1, 1, 1, 1), azimuth, elevation))
-        ground = None if ground_m is None else np.ascontiguousarray(ground_m)
-        tops = np.ascontiguousarray(top_m)
-        mark_visible(
-            words,
-            tops,
-            ground,
-            np.asarray(altitudes),
-            lines,
-            (first_row, first_col),
-            ring,
-            every=every,
-        )
-    elif len(azimuth):
-        lines = stacked(
-            lines_over(grid if ring is None else grid.padded(1, 1, 1, 1), azimuth, elevation)
-        )
-        window = first_row, first_row + num_rows, first_col, first_col + num_cols, 1
-        height_m, num = _heights(ground_m, altitudes), np.int32(len(azimuth))
-        words = sweep.visible_words(top_m, height_m, lines, num, ring, window=window)
-    if surface.slabs is None:
-        return words
-    return _without_hidden(
-        np.array(words), surface, surface.slabs, azimuth, elevation, altitudes, every
-    )
+        top_m, grid, first_cell = top_m[rows, cols], surface.region, (0, 0)
+        ring = Ring(*(np.stack(values) for values in zip(*rings, strict=True)))
+    words, receivers = _receivers(surface, altitudes_m, first_cell, len(azimuth), every)
+    blocks.mark_visible(words, top_m, receivers, ringed_lines(grid, azimuth, elevation), ring)
+    if surface.slabs is not None:
+        _hide_behind_slabs(words, surface, surface.slabs, azimuth, elevation, receivers)
+    return words
 
 
-def _without_hidden(
+def _receivers(
+    surface: Surface,
+    altitudes_m: ArrayLike | Sequence[float],
+    first_cell: tuple[int, int],
+    num_satellites: int,
+    every: int,
+) -> tuple[UInt[np.ndarray, "W A y x"], blocks.Receivers]:
+    """Return words in which nothing is seen yet, and where their receivers stand; arguments as for `visibility`."""
+    altitudes = np.asarray(altitudes_m, surface.roof_m.dtype)
+    ground_m = None
+    if surface.terrain_m is not None:
+        ground_m = np.asarray(surface.terrain_m)[surface.window]
+    shape = (size // every for size in surface.region.shape)
+    num_words = max(1, -(-num_satellites // WORD_BITS))
+    words = np.zeros((num_words, len(altitudes), *shape), np.uint32)
+    return words, blocks.Receivers(first_cell, every, ground_m, altitudes)
+
+
+def _hide_behind_slabs(
     words: UInt[np.ndarray, "W A y x"],
     surface: Surface,
-    slabs: Slabs,
+    hanging: Slabs,
     azimuth_rad: np.ndarray,
     elevation_rad: np.ndarray,
-    altitudes_m: AnyArray,
-    every: int,
-) -> UInt[np.ndarray, "W A y x"]:
-    """Return visibility words, altered, without the satellites that slabs hide; arguments as for `visibility`."""
-    region, middle = surface.region, every // 2
+    receivers: blocks.Receivers,
+) -> None:
+    """Clear the bits of the satellites that slabs hide; arguments as for `visibility`."""
+    region, every = surface.region, receivers.every
+    middle = every // 2
     first_row, first_col = (
         (first + middle) * PER_CELL + PER_CELL // 2
         for first in (region.first_row, region.first_col)
     )
     ground_m = np.empty((0, 0), np.float32)
-    if surface.terrain_m is not None:
-        rows, cols = surface.window
-        ground_m = np.asarray(surface.terrain_m)[rows, cols][middle::every, middle::every]
-    hide_behind_slabs(
+    if receivers.ground_m is not None:
+        ground_m = receivers.ground_m[middle::every, middle::every]
+    base_m = hanging.ground_m.astype(float)
+    slabs.hide_behind_slabs(
         words,
-        np.asarray(altitudes_m),
-        Receivers(first_row, first_col, every * PER_CELL, ground_m),
-        (slabs.row, slabs.col),
-        (slabs.ground_m.astype(float) + slabs.floor_m, slabs.ground_m.astype(float) + slabs.top_m),
+        receivers.altitudes_m,
+        slabs.Receivers(first_row, first_col, every * PER_CELL, ground_m),
+        (hanging.row, hanging.col),
+        (base_m + hanging.floor_m, base_m + hanging.top_m),
         azimuth_rad,
         elevation_rad,
         surface.grid.resolution_m / PER_CELL,
     )
-    return words
 
 
 def bounding_visibility(
@@ -272,37 +237,27 @@ def bounding_visibility(
     """
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-    altitudes, (rows, cols) = np.asarray(altitudes_m, surface.roof_m.dtype), surface.window
-    middles = slice(every // 2, None, every)
+    rows, cols = surface.window
     extreme = maximum_filter1d if hides_most else minimum_filter1d
     reached = partial(extreme, size=3, mode="constant", cval=-np.inf)
     top_m = np.asarray(surface.top_m)
     covered_m = top_m if hides_most else reached(reached(top_m, axis=0), axis=1)
-    num_words = max(1, -(-len(azimuth_rad) // WORD_BITS))
-    words = np.zeros(
-        (num_words, len(altitudes), *(size // every for size in surface.region.shape)), np.uint32
-    )
-    ground_m = (
-        None if surface.terrain_m is None else np.ascontiguousarray(surface.terrain_m[rows, cols])
-    )
-    mark_visible(
+    first_cell = rows.start, cols.start
+    words, receivers = _receivers(surface, altitudes_m, first_cell, len(azimuth_rad), every)
+    blocks.mark_visible(
         words,
         reached(covered_m, axis=1),
-        ground_m,
-        altitudes,
-        stacked(lines_over(surface.grid.padded(1, 1, 1, 1), azimuth_rad, elevation_rad)),
-        (rows.start, cols.start),
-        every=every,
+        receivers,
+        ringed_lines(surface.grid, azimuth_rad, elevation_rad),
         entry_steps=WHOLE_ROW_STEPS,
         turned_top_m=reached(covered_m, axis=0),
     )
     if hides_most:  # the roof over the receiver's own cell hides all
-        own_m = np.where(np.asarray(surface.roof_m) > 0, top_m, -np.inf)[rows, cols][
-            middles, middles
-        ]
-        words *= own_m <= _heights(
-            None if ground_m is None else ground_m[middles, middles], altitudes
-        )
+        middles = slice(every // 2, None, every)
+        own_m = np.where(np.asarray(surface.roof_m) > 0, top_m, -np.inf)[rows, cols]
+        ground_m = receivers.ground_m
+        own_ground_m = None if ground_m is None else ground_m[middles, middles]
+        words *= own_m[middles, middles] <= _heights(own_ground_m, receivers.altitudes_m)
     return words
 
 
@@ -327,8 +282,8 @@ def distinct_choices(
     return np.stack(choices), number.reshape(words.shape[1:])
 
 
-def lines_over(grid: Grid, azimuth: np.ndarray, elevation: np.ndarray) -> list[Line]:
-    """Return the digital line toward each satellite over a grid."""
-    return digital_lines(
-        azimuth, elevation, grid.resolution_m, grid.first_row, grid.first_col, grid.shape
-    )
+def ringed_lines(grid: Grid, azimuth_rad: np.ndarray, elevation_rad: np.ndarray) -> Line:
+    """Return the digital line toward each satellite over a grid grown by one cell on each side, stacked."""
+    place = grid.resolution_m, grid.first_row - 1, grid.first_col - 1
+    grown = grid.num_rows + 2, grid.num_cols + 2
+    return stacked(digital_lines(azimuth_rad, elevation_rad, *place, grown))

@@ -1,10 +1,10 @@
 """How high the roofs' shadow reaches above every cell, in JAX: a sweep along digital lines, and doubling along them.
 
-The sweep is the definition, with derivatives; `jaxurban.kernels.shadows.sweep_cpu` gives its bits in Numba. Row after
-row, it suits a CPU. On anything wider runs doubling, with no loop over rows. Each pass doubles how far every cell has
-looked along its line: ``M_0 = raised`` and ``M_{j+1}[p] = max(M_j[p], M_j[p + 2^j steps] - 2^j x drop)``; the shadow is
-``M_J[p + 1 step] - drop``. A pass is one operation over all cells and directions; a CPU, which does one cell after the
-other, is some 30 times slower with it.
+The sweep is the definition, with derivatives; `jaxurban.kernels.shadows.blocks` casts it over grids of any shape. Row
+after row, it suits a CPU. On anything wider runs doubling, with no loop over rows. Each pass doubles how far every
+cell has looked along its line: ``M_0 = raised`` and ``M_{j+1}[p] = max(M_j[p], M_j[p + 2^j steps] - 2^j x drop)``; the
+shadow is ``M_J[p + 1 step] - drop``. A pass is one operation over all cells and directions; a CPU, which does one cell
+after the other, is some 30 times slower with it.
 
 The lines are the same, and so are the answers but for rounding: the sweep takes the drop off row by row, doubling a
 multiple of it at once. Heights differ by less than 1e-3 m in float32, and a cell's answer only where its receiver
@@ -46,11 +46,13 @@ class Line(NamedTuple):
         west) to the next one toward the source; the tail is not used.
       drop_m: float64 height that a ray gains from one row (column) to the next.
       heading: the axis swept, and toward where: `NORTH`, `SOUTH`, `EAST` or `WEST`.
+      toward: ``[2]`` int32 rows and columns toward the source: 1 north and east, due ones too, or -1.
     """
 
     shifts: np.ndarray
     drop_m: np.ndarray
     heading: np.ndarray
+    toward: np.ndarray
 
 
 class Ring(NamedTuple):
@@ -99,7 +101,10 @@ def digital_line(
     shifts[:length] = offset[1] - offset[0]
     heading = (NORTH if ahead > 0 else SOUTH) if is_rows else (EAST if ahead > 0 else WEST)
     drop_m = resolution_m / abs(along) * math.tan(elevation_rad)
-    return Line(shifts, np.asarray(drop_m), np.asarray(heading, np.int32))
+    toward = [1 if north >= 0 else -1, 1 if east >= 0 else -1]
+    return Line(
+        shifts, np.asarray(drop_m), np.asarray(heading, np.int32), np.asarray(toward, np.int32)
+    )
 
 
 def digital_lines(
@@ -118,7 +123,12 @@ def digital_lines(
 def stacked(lines: Sequence[Line]) -> Line:
     """Return lines over one grid as one, fields stacked along ``S``."""
     if not lines:
-        return Line(np.zeros((0, 0), np.int32), np.zeros(0), np.zeros(0, np.int32))
+        return Line(
+            np.zeros((0, 0), np.int32),
+            np.zeros(0),
+            np.zeros(0, np.int32),
+            np.zeros((0, 2), np.int32),
+        )
     return Line(*(np.stack(values) for values in zip(*lines, strict=True)))
 
 
@@ -208,7 +218,7 @@ def num_passes(num_steps: float) -> int:
     return max(1, math.ceil(math.log2(max(num_steps, 2.0))))
 
 
-def _doubled(raised_m: Array, line: Line, passes: int) -> Array:
+def doubled(raised_m: Array, line: Line, passes: int) -> Array:
     """Return `sweep` of one direction, looking ``2^passes`` rows (columns) far."""
     num_rows, num_cols = raised_m.shape
     row = lax.broadcasted_iota(jnp.int32, raised_m.shape, 0)
@@ -243,50 +253,21 @@ def _doubled(raised_m: Array, line: Line, passes: int) -> Array:
 
 @partial(jax.jit, static_argnames="passes")
 def shadow_heights_at_once(
-    top_m: Float[Array, "Y X"], lines: Line, *, passes: int, rings: Ring | None = None
+    top_m: Float[Array, "Y X"], lines: Line, *, passes: int
 ) -> Float[Array, "S Y X"]:
     """Return `shadow_height` of every direction, ``[S, Y, X]``.
 
     Args:
       top_m: absolute height of roofs and bare ground, row 0 in the south.
-      lines: of all directions, fields stacked along ``S``; with rings, for the grid grown by one cell on each side.
+      lines: of all directions, fields stacked along ``S``.
       passes: from `num_passes`; what stands farther shadows nothing.
-      rings: what the grids around this one hand on, fields stacked along ``S``; left out, nothing stands there.
     """
 
-    def cast(line: Line, ring: Ring | None) -> Array:
+    def cast(line: Line) -> Array:
         raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
-        if ring is None:
-            return _doubled(raised_m, line, passes)
-        return _doubled(within(raised_m, ring), line, passes)[1:-1, 1:-1]
+        return doubled(raised_m, line, passes)
 
-    return jax.vmap(cast)(lines, rings)
-
-
-@jax.jit
-def handed_on(top_m: Float[Array, "Y X"], lines: Line, rings: Ring) -> Ring:
-    """Return what `jaxurban.kernels.shadows.sweep_cpu.hand_on` does, of every direction; arguments as there."""
-    return lax.platform_dependent(
-        top_m, lines, rings, cpu=edges_by_sweep, default=edges_by_doubling
-    )
-
-
-def edges_by_sweep(top_m: Array, lines: Line, rings: Ring) -> Ring:
-    """Return `handed_on`, by the form for a CPU."""
-    return lax.map(lambda each: _edges(top_m, each[0], shadow_height(top_m, *each)), (lines, rings))
-
-
-def edges_by_doubling(top_m: Array, lines: Line, rings: Ring) -> Ring:
-    """Return `handed_on`, by the form for a GPU."""
-    shadows_m = shadow_heights_at_once(
-        top_m, lines, passes=num_passes(max(top_m.shape) + 2), rings=rings
-    )
-    return jax.vmap(partial(_edges, top_m))(lines, shadows_m)
-
-
-def _edges(top_m: Array, line: Line, shadow_m: Array) -> Ring:
-    carried_m = jnp.maximum(top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype), shadow_m)
-    return Ring(carried_m[0], carried_m[-1], carried_m[:, 0], carried_m[:, -1])
+    return jax.vmap(cast)(lines)
 
 
 def shadow_heights(
@@ -334,7 +315,6 @@ def visible_words(
     height_m: Float[Array, "A ..."],
     lines: Line,
     num: Int[Array, ""],
-    rings: Ring | None = None,
     *,
     window: Window,
 ) -> UInt[Array, "W A y x"]:
@@ -343,52 +323,40 @@ def visible_words(
     Args:
       top_m: absolute height of roofs and bare ground.
       height_m: ``[A, y, x]`` absolute height of the receivers, or ``[A, 1, 1]``.
-      lines: of all satellites, fields stacked along ``S``; with rings, for the grid grown by one cell on each side.
+      lines: of all satellites, fields stacked along ``S``.
       num: how many of the satellites there are; those behind fill up, and are never seen.
-      rings: what the grids around this one hand on, fields stacked along ``S``; left out, nothing stands there.
       window: of the receivers, as for `shadow_heights`.
     """
     by_sweep, by_doubling = (
         partial(form, window=window) for form in (words_by_sweep, words_by_doubling)
     )
-    return lax.platform_dependent(
-        top_m, height_m, lines, num, rings, cpu=by_sweep, default=by_doubling
-    )
+    return lax.platform_dependent(top_m, height_m, lines, num, cpu=by_sweep, default=by_doubling)
 
 
-def words_by_sweep(
-    top_m: Array, height_m: Array, lines: Line, num: Array, rings: Ring | None, window: Window
-) -> Array:
+def words_by_sweep(top_m: Array, height_m: Array, lines: Line, num: Array, window: Window) -> Array:
     """Return `visible_words`, by the form for a CPU: satellite by satellite, none that fills up."""
-    num_satellites, (rows, cols) = len(lines.heading), _kept(window)
-    shape = (
-        len(range(rows.start, rows.stop, rows.step)),
-        len(range(cols.start, cols.stop, cols.step)),
-    )
-    nothing_m = jnp.full(shape, jnp.inf, top_m.dtype)
+    kept = _kept(window)
 
-    def mark(words: Array, satellite: tuple[Array, Line, Ring | None]) -> tuple[Array, None]:
-        number, line, ring = satellite
-        shadow_m = lax.cond(
-            number < num, lambda: shadow_height(top_m, line, ring)[rows, cols], lambda: nothing_m
-        )
-        seen = (shadow_m <= height_m).astype(jnp.uint32) << (number % WORD_BITS)
-        return words.at[number // WORD_BITS].add(seen), None
+    def mark(number: Array, words: Array) -> Array:
+        line = jax.tree.map(lambda values: values[number], lines)
+        seen = shadow_height(top_m, line)[kept] <= height_m
+        bit = seen.astype(jnp.uint32) << (number % WORD_BITS).astype(jnp.uint32)
+        return words.at[number // WORD_BITS].add(bit)
 
-    words = jnp.zeros((max(1, -(-num_satellites // WORD_BITS)), len(height_m), *shape), jnp.uint32)
-    return lax.scan(mark, words, (jnp.arange(num_satellites, dtype=jnp.uint32), lines, rings))[0]
+    shape = jnp.broadcast_shapes(height_m.shape, (1, *top_m[kept].shape))
+    num_words = max(1, -(-len(lines.heading) // WORD_BITS))
+    return lax.fori_loop(0, num, mark, jnp.zeros((num_words, *shape), jnp.uint32))
 
 
 def words_by_doubling(
-    top_m: Array, height_m: Array, lines: Line, num: Array, rings: Ring | None, window: Window
+    top_m: Array, height_m: Array, lines: Line, num: Array, window: Window
 ) -> Array:
     """Return `visible_words`, by the form for a GPU: of all satellites at once."""
-    passes = num_passes(max(top_m.shape) + 2 * (rings is not None))
-    shadows_m = shadow_heights_at_once(top_m, lines, passes=passes, rings=rings)[:, *_kept(window)]
+    shadows_m = heights_by_doubling(top_m, lines, window)
     words = []
     for first in range(0, max(len(shadows_m), 1), WORD_BITS):
         some_m = shadows_m[first : first + WORD_BITS, None]
         bit = jnp.arange(len(some_m), dtype=jnp.uint32)[:, None, None, None]
-        seen = (some_m <= height_m) & (first + bit < num)
+        seen = (some_m <= height_m) & (first + bit < num.astype(jnp.uint32))
         words.append(jnp.sum(seen.astype(jnp.uint32) << bit, axis=0, dtype=jnp.uint32))
     return jnp.stack(words)

@@ -1,4 +1,4 @@
-"""Shadows: a walk along each cell's line, closed forms, and the forms for a CPU, in JAX and by doubling to the bit."""
+"""Shadows: a walk along each cell's line, closed forms, whole grids and blocks of them, by sweeps and by doubling."""
 
 import itertools
 import math
@@ -13,13 +13,20 @@ from hypothesis import strategies as st
 
 import jaxurban as ju
 from jaxurban.io.read.rasterise import build_surface
+from jaxurban.kernels.blocks import SMALL
+from jaxurban.kernels.shadows import blocks
+from jaxurban.kernels.shadows.blocks import (
+    Receivers,
+    cast_by_doubling,
+    cast_by_sweep,
+    hand_on,
+    mark_visible,
+)
 from jaxurban.kernels.shadows.sweep import (
     ENTRY_STEPS,
     Ring,
     digital_line,
     digital_lines,
-    edges_by_doubling,
-    edges_by_sweep,
     heights_by_doubling,
     heights_by_sweep,
     num_passes,
@@ -29,7 +36,6 @@ from jaxurban.kernels.shadows.sweep import (
     words_by_doubling,
     words_by_sweep,
 )
-from jaxurban.kernels.shadows.sweep_cpu import COLUMNS, STRIP, hand_on, mark_visible
 from jaxurban.kernels.soft_step import satellite_weights
 from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.world.grid import Grid
@@ -169,10 +175,18 @@ def test_doubling_throws_the_sweeps_shadows_in_every_direction(shape):
     np.testing.assert_allclose(found, swept(top_m, lines), atol=ROUNDING_M)
 
 
-@pytest.mark.parametrize("is_by_doubling", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_a_part_within_the_ring_of_its_neighbours_has_the_shadows_of_the_whole_and_hands_them_on(
-    is_by_doubling,
-):
+FORMS = [cast_by_sweep, pytest.param(cast_by_doubling, marks=pytest.mark.slow)]
+
+
+@pytest.fixture
+def form(request, monkeypatch):
+    """Cast every block by one of the two forms."""
+    monkeypatch.setattr(blocks, "cast", jax.jit(request.param, static_argnames="every"))
+    return request.param
+
+
+@pytest.mark.parametrize("form", FORMS, indirect=True)
+def test_a_part_within_the_ring_of_its_neighbours_hands_on_the_higher_of_roof_and_shadow(form):
     whole, lines = (
         swept(tops(), lines_over(SHAPE, growth=0)),
         lines_over((12, 15), (FIRST[0] + 4, FIRST[1] + 7)),
@@ -180,24 +194,18 @@ def test_a_part_within_the_ring_of_its_neighbours_has_the_shadows_of_the_whole_a
     raised_m = (
         tops() + ENTRY_STEPS * np.array([line.drop_m for line in lines], np.float32)[:, None, None]
     )
-    carried = np.maximum(raised_m, whole)  # the higher of roof and shadow
+    carried = np.maximum(raised_m, whole)
     rings = [Ring(c[0], c[-1], c[1:-1, 0], c[1:-1, -1]) for c in carried[:, 3:17, 6:23]]
     part_m, expected = tops()[INNER].copy(), carried[:, *INNER]
-    arguments = part_m, stacked(lines), by_side(rings)
-    if is_by_doubling:
-        shadows_m = shadow_heights_at_once(
-            part_m, stacked(lines), passes=num_passes(17), rings=by_side(rings)
-        )
-        sides = [jax.jit(edges_by_sweep)(*arguments), jax.jit(edges_by_doubling)(*arguments)]
-    else:
-        shadows_m, sides = swept(part_m, lines, rings), [hand_on(*arguments)]
-        np.testing.assert_array_equal(shadows_m, whole[:, *INNER])
-    np.testing.assert_allclose(shadows_m, whole[:, *INNER], atol=ROUNDING_M)
-    outermost = expected[:, 0], expected[:, -1], expected[..., 0], expected[..., -1]
-    for side, edge in zip(sides[0], outermost, strict=True):
-        np.testing.assert_array_equal(side, edge)
-    for side, edge in zip(sides[-1], outermost, strict=True):
-        np.testing.assert_allclose(side, edge, atol=ROUNDING_M)
+    np.testing.assert_array_equal(swept(part_m, lines, rings), whole[:, *INNER])
+    rows, cols = hand_on(part_m, stacked(lines), by_side(rings))
+    for s, line in enumerate(lines):
+        last = [0 if ahead > 0 else -1 for ahead in line.toward]
+        np.testing.assert_allclose(rows[s], expected[s, last[0]], atol=ROUNDING_M)
+        np.testing.assert_allclose(cols[s], expected[s, :, last[1]], atol=ROUNDING_M)
+        if form is cast_by_sweep:
+            np.testing.assert_array_equal(rows[s], expected[s, last[0]])
+            np.testing.assert_array_equal(cols[s], expected[s, :, last[1]])
 
 
 @pytest.mark.slow
@@ -225,13 +233,16 @@ def test_soft_shadows_have_the_same_gradients_by_both_forms():
     ("shape", "window"),
     [
         (SHAPE, (slice(6, 13), slice(8, 17))),
-        ((3 * STRIP + 5, 2 * STRIP), (slice(0, 3 * STRIP + 5), slice(STRIP - 1, 2 * STRIP))),
-        ((40, COLUMNS + 30), (slice(11, 12), slice(COLUMNS - 3, COLUMNS + 5))),
+        ((SMALL + 5, 2 * SMALL + 9), (slice(0, SMALL + 5), slice(SMALL - 1, 2 * SMALL + 3))),
+        ((40, 5 * SMALL), (slice(11, 12), slice(3 * SMALL - 3, 5 * SMALL))),
         ((1, 1), (slice(0, 1), slice(0, 1))),
     ],
 )
 @pytest.mark.parametrize("has_terrain", [False, True])
-def test_a_satellite_is_seen_where_its_shadow_is_not_above_the_receiver(shape, window, has_terrain):
+@pytest.mark.parametrize("form", FORMS, indirect=True)
+def test_a_satellite_is_seen_where_its_shadow_is_not_above_the_receiver(
+    form, shape, window, has_terrain
+):
     top_m = tops(shape)
     top_m[shape[0] // 2, shape[1] // 3] = np.nan  # unknown: hides what lies behind it
     ground_m = np.random.default_rng(1).uniform(0, 20, shape).astype(np.float32)[window]
@@ -239,18 +250,28 @@ def test_a_satellite_is_seen_where_its_shadow_is_not_above_the_receiver(shape, w
     receivers_m = np.broadcast_to(altitudes_m[:, None, None], (2, *ground_m.shape)) + (
         ground_m if has_terrain else 0
     )
-    words, first_cell = (
-        np.zeros((1, 2, *ground_m.shape), np.uint32),
-        (window[0].start, window[1].start),
-    )
-    ground_m = ground_m.copy() if has_terrain else None
-    mark_visible(words, top_m, ground_m, altitudes_m, stacked(lines_over(shape)), first_cell)
-    np.testing.assert_array_equal(
-        words, words_of(swept(top_m, lines_over(shape, growth=0))[:, *window], receivers_m)
-    )
+    words = np.zeros((1, 2, *ground_m.shape), np.uint32)
+    first_cell = window[0].start, window[1].start
+    receivers = Receivers(first_cell, 1, ground_m if has_terrain else None, altitudes_m)
+    mark_visible(words, top_m, receivers, stacked(lines_over(shape)))
+    expected = words_of(swept(top_m, lines_over(shape, growth=0))[:, *window], receivers_m)
+    assert np.mean(words != expected) <= (0 if form is cast_by_sweep else 1e-4)
 
 
-@pytest.mark.parametrize("form", ["numba", words_by_sweep, words_by_doubling])
+@pytest.mark.parametrize("every", [2, 3, 5])
+def test_receivers_in_every_nth_cell_have_the_words_of_these_cells(every):
+    shape, first_cell, size = (7 * SMALL // 2, 3 * SMALL), (19, 35), (every * 41, every * 60)
+    altitudes_m, top_m = np.array(ALTITUDES_M, np.float32), tops(shape)
+    ground_m = np.random.default_rng(1).uniform(0, 20, size).astype(np.float32)
+    lines = stacked(lines_over(shape))
+    whole, found = (np.zeros((1, 2, *(num // n for num in size)), np.uint32) for n in (1, every))
+    mark_visible(whole, top_m, Receivers(first_cell, 1, ground_m, altitudes_m), lines)
+    mark_visible(found, top_m, Receivers(first_cell, every, ground_m, altitudes_m), lines)
+    middles = slice(every // 2, None, every)
+    np.testing.assert_array_equal(found, whole[..., middles, middles])
+
+
+@pytest.mark.parametrize("form", ["blocks", words_by_sweep, words_by_doubling])
 def test_words_hold_more_than_32_satellites_and_none_that_fills_up(form):
     which, num = np.arange(70) % len(AZIMUTH_RAD), 67
     rng = np.random.default_rng(1)
@@ -259,33 +280,33 @@ def test_words_hold_more_than_32_satellites_and_none_that_fills_up(form):
     expected = words_of(
         swept(tops(), lines_over(SHAPE, growth=0, which=which[:num]))[:, *INNER], height_m
     )
-    if form == "numba":
+    if form == "blocks":
         words = np.zeros((3, 2, 12, 15), np.uint32)
         words[2] = 1 << 31  # what they held before stays
         lines = stacked(lines_over(SHAPE, which=which[:num]))
-        mark_visible(words, tops(), ground_m, altitudes_m, lines, (4, 7))
+        mark_visible(words, tops(), Receivers((4, 7), 1, ground_m, altitudes_m), lines)
         expected[2] |= np.uint32(1 << 31)
     else:
         lines = stacked(lines_over(SHAPE, growth=0, which=which))
         words = jax.jit(form, static_argnames="window")(
-            tops(), height_m, lines, np.int32(num), None, window=WINDOW
+            tops(), height_m, lines, np.int32(num), window=WINDOW
         )
     np.testing.assert_array_equal(words, expected)
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_tiles_that_hand_on_give_the_words_of_the_whole(dtype):
+def test_tiles_that_hand_on_give_the_words_of_the_whole():
     """Tiles one after the other, from each satellite's quadrant on, as a tiled run does."""
-    shape, top_m = (2 * STRIP + 7, 45), tops((2 * STRIP + 7, 45), dtype)
-    altitudes_m = np.array(ALTITUDES_M, dtype)
+    shape = SMALL + 20, 45
+    top_m, altitudes_m = tops(shape), np.array(ALTITUDES_M, np.float32)
+    receivers = Receivers((0, 0), 1, None, altitudes_m)
     whole = np.zeros((1, 2, *shape), np.uint32)
-    mark_visible(whole, top_m, None, altitudes_m, stacked(lines_over(shape)))
-    parts = itertools.product(((0, 13), (13, 2 * STRIP + 7)), ((0, 19), (19, 45)))
+    mark_visible(whole, top_m, receivers, stacked(lines_over(shape)))
+    parts = itertools.product(((0, 13), (13, shape[0])), ((0, 19), (19, 45)))
     tiles = [(slice(*row), slice(*col)) for row, col in parts]
     found = np.zeros_like(whole)
     for s in range(len(AZIMUTH_RAD)):
         carried_m = np.full(
-            np.array(shape) + 2, -np.inf, dtype
+            np.array(shape) + 2, -np.inf, np.float32
         )  # what tiles hand on, in their outermost cells
         north, east = np.cos(AZIMUTH_RAD[s]) >= 0, np.sin(AZIMUTH_RAD[s]) >= 0
         for tile in sorted(
@@ -302,12 +323,12 @@ def test_tiles_that_hand_on_give_the_words_of_the_whole(dtype):
                 )
             )
             words = np.zeros((1, 2, *part_m.shape), np.uint32)
-            mark_visible(words, part_m, None, altitudes_m, line, rings=ring)
+            mark_visible(words, part_m, receivers, line, ring)
             found[0][:, *tile] |= words[0] << np.uint32(s)
             inner = carried_m[1:-1, 1:-1][tile]
-            inner[0], inner[-1], inner[:, 0], inner[:, -1] = (
-                side[0] for side in hand_on(part_m, line, ring)
-            )
+            handed_row_m, handed_col_m = hand_on(part_m, line, ring)
+            inner[0 if north else -1] = handed_row_m[0]
+            inner[:, 0 if east else -1] = handed_col_m[0]
     np.testing.assert_array_equal(found, whole)
 
 
@@ -323,17 +344,14 @@ def test_the_words_of_a_city_are_equal_by_all_forms(has_terrain):
         hills_m = 20 * np.sin(np.arange(200) / 30)[:, None] * np.cos(np.arange(200) / 40)
         surface = Surface(surface.roof_m, hills_m.astype(np.float32), None, None, outer, region)
     sky = AZIMUTH_RAD, np.maximum(ELEVATION_RAD, 0.05)
-    numba, jaxs = (
-        np.asarray(visibility(surface, *sky, ALTITUDES_M, engine=engine))
-        for engine in ("numba", "jax")
-    )
-    np.testing.assert_array_equal(jaxs, numba)
+    in_blocks = visibility(surface, *sky, ALTITUDES_M)
     height_m = np.float32(ALTITUDES_M)[:, None, None] + (
         surface.terrain_m[50:-50, 50:-50] if has_terrain else 0
     )
-    view, form = SkyView.of(surface, *sky), jax.jit(words_by_doubling, static_argnames="window")
-    doubled = form(
-        surface.top_m, height_m, view.lines, view.num, None, window=(50, 150, 50, 150, 1)
-    )
-    np.testing.assert_array_equal(doubled, numba)
-    assert 0.4 < np.mean([numba >> s & 1 for s in range(len(AZIMUTH_RAD))]) < 0.99
+    view = SkyView.of(surface, *sky)
+    for form in (words_by_sweep, words_by_doubling):
+        words = jax.jit(form, static_argnames="window")(
+            surface.top_m, height_m, view.lines, view.num, window=(50, 150, 50, 150, 1)
+        )
+        np.testing.assert_array_equal(words, in_blocks)
+    assert 0.4 < np.mean([in_blocks >> s & 1 for s in range(len(AZIMUTH_RAD))]) < 0.99

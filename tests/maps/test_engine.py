@@ -1,4 +1,4 @@
-"""Numba and JAX make the same maps, bit for bit; which of them runs is chosen once and recorded."""
+"""JAX makes the maps, few programs serve all cities, and where Numba's form stays it has the same bits."""
 
 import json
 import re
@@ -13,54 +13,34 @@ import xarray as xr
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.kernels.engine import chosen, runs_numba
+from jaxurban.kernels.engine import runs_numba, uses_numba
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics import lidar, risk, visibility
+from jaxurban.metrics import lidar
 from tests import hanging_city
 from tests.cli_runs import TOWN, run
-from tests.tiled_runs import city, sky, task
-
-NUMBA = {visibility: "mark_visible", lidar: "count_on_host", risk: "distance_on_host"}
+from tests.tiled_runs import city, task
 
 
 def both(of: MapTask):
-    """Return the datasets of a task by Numba and by JAX."""
-    return [
-        compute_maps(replace(of, params=replace(of.params, engine=engine))).ds
-        for engine in ("numba", "jax")
-    ]
+    """Return the datasets of a task by Numba, where it has a form, and by JAX."""
+    with pytest.warns(UserWarning, match="JAX makes it on the host"):
+        by_numba = replace(of, params=replace(of.params, engine="numba"))
+    by_jax = replace(of, params=replace(of.params, engine="jax"))
+    return compute_maps(by_numba).ds, compute_maps(by_jax).ds
 
 
 @pytest.fixture
 def called(monkeypatch):
     """The forms of Numba that were called."""
-    names = []
-
-    def counted(name, form):
-        return lambda *arguments, **options: names.append(name) or form(*arguments, **options)
-
-    for module, name in NUMBA.items():
-        monkeypatch.setattr(module, name, counted(name, getattr(module, name)))
-    return names
-
-
-def test_jax_gives_the_bits_of_numba_for_two_constellations_and_calls_no_form_of_it(called):
-    of = task(city())
-    of = replace(
-        of,
-        sky=replace(sky(), systems=("gps", "galileo") * 3),
-        params=replace(of.params, engine="numba"),
+    names, form = [], lidar.count_on_terrain_on_host
+    monkeypatch.setattr(
+        lidar,
+        "count_on_terrain_on_host",
+        lambda *arguments: names.append("lidar over terrain") or form(*arguments),
     )
-    numba = compute_maps(of).ds
-    assert {*called} == {*NUMBA.values()}
-    called.clear()
-    jaxs = compute_maps(replace(of, params=replace(of.params, engine="jax"))).ds
-    assert not called
-    xr.testing.assert_equal(jaxs, numba)
-    for name in ("num_visible", "lidar", "risk"):
-        assert len(np.unique(numba[name])) > 4, name
+    return names
 
 
 @pytest.mark.slow
@@ -73,24 +53,17 @@ def test_over_terrain_around_slabs_and_on_finer_cells_the_bits_are_equal():
         xr.testing.assert_equal(*both(replace(of, params=replace(of.params, **settings))))
 
 
-@pytest.mark.slow
-@pytest.mark.data
-def test_on_lower_manhattan_the_bits_are_equal(data_dir):
-    bounds = (-74.02, 40.70, -73.98, 40.73)
-    town = ju.City.from_files(data_dir / "osm" / "lower-manhattan.osm.pbf", bounds=bounds)
-    gps = ju.Gps(orbits=data_dir / "gps" / "gps-ops_2020-04-27.tle")
-    settings = {"altitudes_m": (20.0, 60.0), "gps": gps}
-    xr.testing.assert_equal(
-        *(ju.build_maps(town, bounds, engine=name, **settings).ds for name in ("jax", "numba"))
-    )
+def test_over_terrain_numba_counts_what_a_lidar_sees_with_the_bits_of_jax(called):
+    of = task(city(with_terrain=True))
+    numba, jaxs = both(of)
+    assert {*called} == {"lidar over terrain"} == {*of.by_numba}
+    xr.testing.assert_equal(jaxs, numba)
+    assert len(np.unique(jaxs["lidar"])) > 4
 
 
 def test_what_is_traced_is_jaxs_and_auto_is_numba_on_a_cpu_alone():
-    assert (chosen("auto", "cpu"), chosen("auto", "gpu"), chosen("numba", "gpu")) == (
-        "numba",
-        "jax",
-        "numba",
-    )
+    assert [uses_numba("auto", on) for on in ("cpu", "gpu")] == [True, False]
+    assert uses_numba("numba", "gpu")
     traced = []
     jax.jit(lambda values: traced.append(runs_numba("numba", values)) or values)(np.zeros(3))
     assert traced == [False]
@@ -115,19 +88,18 @@ def test_a_wrong_engine_is_one_sentence():
 
 
 @pytest.mark.slow
-def test_a_run_records_its_engine_and_another_one_keeps_its_maps(town, tmp_path, capsys, called):
+def test_a_run_records_its_engine_and_another_one_keeps_its_maps(town, tmp_path, capsys):
     def engines(*options):
         assert run(capsys, "maps", town, "-o", tmp_path / "out", *options)[0] == 0
         record = json.loads((tmp_path / "out" / "run.json").read_text())
-        return record["engine"], record["settings"]["region"]["engine"]
+        return record["engine"], record["by_numba"], record["settings"]["region"]["engine"]
 
-    assert engines("--engine", "jax") == ("jax", "jax")
-    assert engines() == ("jax", "auto")
-    assert not called
-    assert engines("--overwrite", "--set", "lidar.beams=3") == ("numba", "auto")
-    assert called
+    assert engines("--engine", "numba") == ("numba", [], "numba")
+    assert engines() == ("numba", [], "auto")
+    assert engines("--overwrite", "--set", "lidar.beams=3") == ("jax", [], "auto")
 
 
+@pytest.mark.filterwarnings("ignore:engine = 'numba'")
 def test_numba_beside_a_gpu_is_planned_and_recorded_as_on_a_cpu(town, tmp_path, monkeypatch):
     town.write_text(TOWN.replace("[buildings]", 'engine = "numba"\n[buildings]'))
     with monkeypatch.context() as patched:
@@ -137,6 +109,7 @@ def test_numba_beside_a_gpu_is_planned_and_recorded_as_on_a_cpu(town, tmp_path, 
     again = run_scenario(ju.Scenario.from_toml(town), tmp_path / "beside", progress=False).record
     assert made["run_key"] == again["run_key"]
     assert made["engine"] == "numba"
+    assert any("JAX makes it on the host" in each for each in made["warnings"])
 
 
 COMPILED = re.compile(r"Finished XLA compilation of (.+) in [\d.e-]+ sec")

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import shapely
 
@@ -205,8 +204,8 @@ def build_surface(
         for name in ("has_data", "roof_touched_m", "roof_guessed")
     }
     check_has_data([inner.pop("has_data")], city)
-    inner |= {"block": rasterise_blocks(city, region), "region": region, "slabs": None}
-    return replace(jax.device_put(replace(whole, **inner)), slabs=whole.slabs)
+    inner |= {"block": rasterise_blocks(city, region), "region": region}
+    return replace(whole, **inner)
 
 
 def burn(

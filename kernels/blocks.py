@@ -1,0 +1,40 @@
+"""Square blocks of two sizes, in which grids of any shape are computed: so few programs are compiled."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+SMALL, LARGE = 128, 512  # sides in cells: the one wastes little of a town, the other has few calls
+
+
+def blocks_of(shape: tuple[int, int]) -> Iterator[tuple[int, int, int]]:
+    """Yield row, column and side of the blocks that cover a grid: large ones where they fit, small ones beside.
+
+    Those at the end may stick out of it.
+    """
+    large_rows, large_cols = (size // LARGE * LARGE for size in shape)
+    for row in range(0, large_rows, LARGE):
+        for col in range(0, large_cols, LARGE):
+            yield row, col, LARGE
+    for row in range(0, shape[0], SMALL):
+        for col in range(0, shape[1], SMALL):
+            if row >= large_rows or col >= large_cols:
+                yield row, col, SMALL
+
+
+def part_of(
+    values: np.ndarray, corner: tuple[int, int], shape: tuple[int, int], fill: float
+) -> np.ndarray:
+    """Return a part of an array ``[Y, X]`` from a row and a column on, filled where it sticks out of it."""
+    begins = [max(start, 0) for start in corner]
+    ends = [
+        min(start + size, whole)
+        for start, size, whole in zip(corner, shape, values.shape, strict=True)
+    ]
+    inner = values[begins[0] : max(ends[0], begins[0]), begins[1] : max(ends[1], begins[1])]
+    if inner.shape == shape:
+        return np.ascontiguousarray(inner)
+    part = np.full(shape, fill, values.dtype)
+    row, col = begins[0] - corner[0], begins[1] - corner[1]
+    part[row : row + inner.shape[0], col : col + inner.shape[1]] = inner
+    return part

@@ -1,0 +1,395 @@
+"""Shadows over a grid of any shape by one compiled program: in square blocks that hand on to each other.
+
+A block is cast with what its neighbours toward the source hand on as a ring around it, so its answers are those of the
+whole grid, to the bit. For each quadrant of the sky the first block lies in the grid's corner toward the source; the
+last ones may stick out of it on the other side, where nothing looks. Satellites are cast `AT_ONCE`, and fewer fill up.
+
+Legend: ``S`` satellites, ``W`` words, ``A`` altitudes, ``Y, X`` cells of the grid, ``y, x`` receivers, ``T`` side of a
+block.
+"""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int, UInt
+
+from jaxurban.kernels.blocks import LARGE, SMALL, part_of
+from jaxurban.kernels.shadows.sweep import (
+    EAST,
+    ENTRY_STEPS,
+    NORTH,
+    SOUTH,
+    WORD_BITS,
+    Line,
+    Ring,
+    doubled,
+    num_passes,
+    sweep,
+    within,
+)
+
+SIDES = (
+    128,
+    512,
+)  # of a block, in map cells: the small one compiles for towns, the large one has fewer calls
+AT_ONCE = 8  # satellites of a call
+
+
+class Roofs(NamedTuple):
+    """What throws shadows in a block.
+
+    Attributes:
+      top_m: ``[T, T]`` absolute height of roofs and bare ground.
+      turned_m: the same for lines that head east or west; None where that is ``top_m``.
+      entry_steps: share of a step before a cell's middle at which a ray meets its roof.
+    """
+
+    top_m: Float[Array | np.ndarray, "T T"]
+    turned_m: Float[Array | np.ndarray, "T T"] | None
+    entry_steps: Float[Array | np.ndarray, ""]
+
+
+class Receivers(NamedTuple):
+    """Where a grid's receivers stand.
+
+    Attributes:
+      first_cell: row and column of the southwest cell of their region.
+      every: n: they stand in every n-th cell of it both ways, from ``n // 2`` on.
+      ground_m: ``[Y', X']`` elevation of the region's cells; None for flat ground.
+      altitudes_m: ``[A]`` above the ground.
+    """
+
+    first_cell: tuple[int, int]
+    every: int
+    ground_m: Float[np.ndarray, "y x"] | None
+    altitudes_m: Float[np.ndarray, " A"]
+
+
+def mark_visible(
+    words: UInt[np.ndarray, "W A y x"],
+    top_m: Float[np.ndarray, "Y X"],
+    receivers: Receivers,
+    lines: Line,
+    rings: Ring | None = None,
+    *,
+    entry_steps: float = ENTRY_STEPS,
+    turned_top_m: Float[np.ndarray, "Y X"] | None = None,
+) -> None:
+    """Set the bit of every satellite in the visibility words where it is seen.
+
+    It is seen where its `jaxurban.kernels.shadows.sweep.shadow_height` is not above the receiver, to the bit.
+
+    Args:
+      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; altered.
+      top_m: absolute height of roofs and bare ground.
+      receivers: where the words stand.
+      lines: from `digital_line`, for the grid grown by one cell on each side, fields stacked along ``S``.
+      rings: what the grids around this one hand on, fields stacked along ``S``; left out, nothing stands there.
+      entry_steps: share of a step before a cell's middle at which a ray meets its roof.
+      turned_top_m: the tops for lines that head east or west; left out, those for all.
+    """
+    tops = _Tops(top_m, turned_top_m, entry_steps)
+    for which in _bundles(lines):
+        _walk(tops, lines, rings, which, receivers, words[which[0] // WORD_BITS])
+
+
+def hand_on(
+    top_m: Float[np.ndarray, "Y X"], lines: Line, rings: Ring
+) -> tuple[Float[np.ndarray, "S X"], Float[np.ndarray, "S Y"]]:
+    """Return what a grid hands on away from the sources: max(raised, sweep) in its last row and its last column.
+
+    Arguments as in `mark_visible`.
+    """
+    num_rows, num_cols = top_m.shape
+    num = len(lines.heading)
+    rows = np.empty((num, num_cols), top_m.dtype)
+    cols = np.empty((num, num_rows), top_m.dtype)
+    nobody = Receivers((0, 0), 1, None, np.empty(0, top_m.dtype))
+    no_words = np.empty((0, *top_m.shape), np.uint32)
+    for which in _bundles(lines):
+        found = _walk(_Tops(top_m), lines, rings, which, nobody, no_words)
+        rows[which], cols[which] = found
+    return rows, cols
+
+
+class _Tops(NamedTuple):
+    """The whole grid's `Roofs`, on the host."""
+
+    top_m: np.ndarray
+    turned_m: np.ndarray | None = None
+    entry_steps: float = ENTRY_STEPS
+
+    def block(self, corner: tuple[int, int], side: int) -> Roofs:
+        """Return the roofs of a block; beyond the grid nothing stands."""
+        shape = side, side
+        top_m = part_of(self.top_m, corner, shape, -np.inf)
+        turned_m = None
+        if self.turned_m is not None:
+            turned_m = part_of(self.turned_m, corner, shape, -np.inf)
+        return Roofs(top_m, turned_m, self.top_m.dtype.type(self.entry_steps))
+
+
+def _bundles(lines: Line) -> Iterator[np.ndarray]:
+    """Yield the numbers of satellites that are cast together: of one quadrant and one word."""
+    toward = np.asarray(lines.toward)
+    of_word = np.arange(len(toward)) // WORD_BITS
+    keys = np.column_stack([of_word, toward])
+    for key in np.unique(keys, axis=0):
+        members = np.flatnonzero((keys == key).all(axis=1))
+        yield from np.split(members, range(AT_ONCE, len(members), AT_ONCE))
+
+
+def _side(shape: tuple[int, int], every: int) -> int:
+    """Return the side of the blocks over a grid, in cells, of which each receiver has n both ways."""
+    return every * (LARGE if every == 1 and max(shape) > 3 * SMALL else SMALL)
+
+
+def _walk(
+    tops: _Tops,
+    lines: Line,
+    rings: Ring | None,
+    which: np.ndarray,
+    receivers: Receivers,
+    words: UInt[np.ndarray, "A y x"],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Cast the shadows of satellites of one quadrant block by block, mark a word, and return what is handed on."""
+    shape, dtype, num = tops.top_m.shape, tops.top_m.dtype, len(which)
+    side = _side(shape, receivers.every)
+    toward = tuple(int(ahead) for ahead in lines.toward[which[0]])
+    ends = [
+        first + size * receivers.every
+        for first, size in zip(receivers.first_cell, words.shape[1:], strict=True)
+    ]
+    row_starts, col_starts = (
+        _starts(*each, side) for each in zip(shape, toward, receivers.first_cell, ends, strict=True)
+    )
+    bundle = _filled(lines, which)
+    bits = np.zeros(AT_ONCE, np.uint32)
+    bits[:num] = np.uint32(1) << (which % WORD_BITS).astype(np.uint32)
+
+    beyond_m = np.full((AT_ONCE, shape[1] + 2), -np.inf, dtype)  # the row toward the source
+    beside_m = np.full((AT_ONCE, shape[0]), -np.inf, dtype)  # the column toward it
+    if rings is not None:
+        beyond_m[:num] = np.asarray(rings.north if toward[0] > 0 else rings.south)[which]
+        beside_m[:num] = np.asarray(rings.east if toward[1] > 0 else rings.west)[which]
+    cols_m = np.empty_like(beside_m)
+    for row in row_starts:
+        last_row, rows = _handed(row, side, shape[0], toward[0])
+        next_m = np.full_like(beyond_m, -np.inf)
+        next_m[:, -1 if toward[1] > 0 else 0] = beside_m[:, row + last_row]
+        side_m = part_of(beside_m, (0, row), (AT_ONCE, side), -np.inf)
+        for col in col_starts:
+            last_col, cols = _handed(col, side, shape[1], toward[1])
+            ring = _ring(part_of(beyond_m, (0, col), (AT_ONCE, side + 2), -np.inf), side_m, toward)
+            at = _Place(row, col, side, receivers)
+            word, row_m, side_m = cast(
+                tops.block((row, col), side),
+                at.heights_m(dtype),
+                _along(bundle, row, col, side),
+                ring,
+                bits,
+                (np.int32(num), at.phase, (np.int32(last_row), np.int32(last_col))),
+                every=receivers.every,
+            )
+            at.mark(words, word)
+            side_m = np.asarray(side_m)
+            next_m[:, 1 + cols.start : 1 + cols.stop] = np.asarray(row_m)[
+                :, cols.start - col : cols.stop - col
+            ]
+        cols_m[:, rows] = side_m[:, rows.start - row : rows.stop - row]
+        beyond_m = next_m
+    return beyond_m[:num, 1:-1], cols_m[:num]
+
+
+def _starts(size: int, ahead: int, begin: int, end: int, side: int) -> list[int]:
+    """Return where the blocks along an axis begin, from the source on, as far as cells from begin to end need them."""
+    if ahead > 0:
+        return [size - side * (k + 1) for k in range(-(-(size - begin) // side))]
+    return [side * k for k in range(-(-end // side))]
+
+
+def _handed(start: int, side: int, size: int, ahead: int) -> tuple[int, slice]:
+    """Return which row (column) of a block hands on, and the grid's rows (columns) that the block holds."""
+    inside = slice(max(start, 0), min(start + side, size))
+    return (inside.start if ahead > 0 else inside.stop - 1) - start, inside
+
+
+def _filled(lines: Line, which: np.ndarray) -> Line:
+    """Return the lines of some satellites, filled up with the first of them."""
+    chosen = np.resize(which, AT_ONCE)
+    return Line(*(np.asarray(values)[chosen] for values in lines))
+
+
+def _along(lines: Line, row: int, col: int, side: int) -> Line:
+    """Return the parts of lines over a whole grid, grown by one cell, that a block with its ring meets."""
+    is_rows = np.isin(lines.heading, (NORTH, SOUTH))
+    by_row, by_col = (
+        part_of(lines.shifts, (0, start), (AT_ONCE, side + 2), 0) for start in (row, col)
+    )
+    return lines._replace(shifts=np.where(is_rows[:, None], by_row, by_col))
+
+
+def _ring(near_m: np.ndarray, side_m: np.ndarray, toward: tuple[int, ...]) -> Ring:
+    """Return the ring of a block: only its row and column toward the source hold anything."""
+    no_row_m, no_col_m = (np.full_like(values, -np.inf) for values in (near_m, side_m))
+    rows = (no_row_m, near_m) if toward[0] > 0 else (near_m, no_row_m)
+    cols = (no_col_m, side_m) if toward[1] > 0 else (side_m, no_col_m)
+    return Ring(*rows, *cols)
+
+
+class _Place(NamedTuple):
+    """A block among the receivers of a grid."""
+
+    row: int
+    col: int
+    side: int
+    receivers: Receivers
+
+    @property
+    def phase(self) -> tuple[np.int32, np.int32]:
+        """Row and column of the block's first receiver in it."""
+        every = self.receivers.every
+        row, col = ((every // 2 - start) % every for start in self.in_region)
+        return np.int32(row), np.int32(col)
+
+    @property
+    def in_region(self) -> tuple[int, int]:
+        """Row and column of the block's southwest cell in the region."""
+        return self.row - self.receivers.first_cell[0], self.col - self.receivers.first_cell[1]
+
+    def heights_m(self, dtype: np.dtype) -> np.ndarray:
+        """Return the absolute height of the block's receivers, ``[A, T / n, T / n]``; ``[A, 1, 1]`` on flat ground."""
+        z_m = self.receivers.altitudes_m.astype(dtype)[:, None, None]
+        if self.receivers.ground_m is None:
+            return z_m
+        ground_m = part_of(self.receivers.ground_m, self.in_region, (self.side, self.side), 0)
+        every, size = self.receivers.every, self.side // self.receivers.every
+        row, col = self.phase
+        return ground_m[row::every, col::every][:size, :size] + z_m
+
+    def mark(self, words: UInt[np.ndarray, "A y x"], word: Array) -> None:
+        """Join a block's word with those of the region."""
+        every, size = self.receivers.every, self.side // self.receivers.every
+        starts = [
+            (int(start + phase) - every // 2) // every
+            for start, phase in zip(self.in_region, self.phase, strict=True)
+        ]
+        rows, cols = (
+            slice(max(start, 0), max(0, min(start + size, num)))
+            for start, num in zip(starts, words.shape[1:], strict=True)
+        )
+        if rows.start < rows.stop and cols.start < cols.stop:
+            words[:, rows, cols] |= np.asarray(word)[
+                :,
+                rows.start - starts[0] : rows.stop - starts[0],
+                cols.start - starts[1] : cols.stop - starts[1],
+            ]
+
+
+@partial(jax.jit, static_argnames="every")
+def cast(
+    roofs: Roofs,
+    height_m: Float[Array, "A t t"],
+    lines: Line,
+    rings: Ring,
+    bits: UInt[Array, " S"],
+    places: tuple[Int[Array, ""], tuple, tuple],
+    *,
+    every: int = 1,
+) -> tuple[UInt[Array, "A t t"], Float[Array, "S T"], Float[Array, "S T"]]:
+    """Return the word of a block's receivers, and the row and the column that it hands on.
+
+    Args:
+      roofs: of the block.
+      height_m: absolute height of the receivers, or ``[A, 1, 1]``.
+      lines: of the satellites over the block grown by one cell, fields stacked along ``S``.
+      rings: what is handed on to the block, fields stacked along ``S``.
+      bits: of each satellite in the word.
+      places: how many satellites there are, those behind fill up; row and column of the first receiver; and which row
+        and column hand on.
+      every: n: receivers stand in every n-th cell both ways.
+    """
+    by_sweep, by_doubling = (
+        partial(form, every=every) for form in (cast_by_sweep, cast_by_doubling)
+    )
+    arguments = roofs, height_m, lines, rings, bits, places
+    return lax.platform_dependent(*arguments, cpu=by_sweep, default=by_doubling)
+
+
+def _raised(roofs: Roofs, line: Line) -> Array:
+    """Return the tops that a line meets, raised by what it gains before."""
+    top_m = jnp.asarray(roofs.top_m)
+    if roofs.turned_m is not None:
+        top_m = jnp.where(line.heading >= EAST, roofs.turned_m, top_m)
+    return top_m + roofs.entry_steps * jnp.asarray(line.drop_m, top_m.dtype)
+
+
+def _received(shadow_m: Array, phase: tuple[Array, Array], every: int) -> Array:
+    """Return the shadows of the cells in which receivers stand."""
+    if every == 1:
+        return shadow_m
+    size = len(shadow_m) - every + 1
+    return lax.dynamic_slice(shadow_m, phase, (size, size))[::every, ::every]
+
+
+def cast_by_sweep(
+    roofs: Roofs,
+    height_m: Array,
+    lines: Line,
+    rings: Ring,
+    bits: Array,
+    places: tuple,
+    *,
+    every: int,
+) -> tuple[Array, Array, Array]:
+    """Return `cast`, by the form for a CPU: satellite by satellite, none that fills up."""
+    num, phase, (last_row, last_col) = places
+    side, dtype = len(roofs.top_m), roofs.top_m.dtype
+
+    def add(k: Array, found: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        word, rows, cols = found
+        line, ring = jax.tree.map(lambda values: values[k], (lines, rings))
+        raised_m = _raised(roofs, line)
+        shadow_m = sweep(within(raised_m, ring), line)[1:-1, 1:-1]
+        carried_m = jnp.maximum(raised_m, shadow_m)
+        seen = jnp.where(_received(shadow_m, phase, every) <= height_m, bits[k], jnp.uint32(0))
+        return (
+            word | seen,
+            rows.at[k].set(carried_m[last_row]),
+            cols.at[k].set(carried_m[:, last_col]),
+        )
+
+    word = jnp.zeros((len(height_m), side // every, side // every), jnp.uint32)
+    edges = jnp.full((len(bits), side), -jnp.inf, dtype)
+    return lax.fori_loop(0, num, add, (word, edges, edges))
+
+
+def cast_by_doubling(
+    roofs: Roofs,
+    height_m: Array,
+    lines: Line,
+    rings: Ring,
+    bits: Array,
+    places: tuple,
+    *,
+    every: int,
+) -> tuple[Array, Array, Array]:
+    """Return `cast`, by the form for a GPU: of all satellites at once."""
+    num, phase, (last_row, last_col) = places
+    passes = num_passes(len(roofs.top_m) + 2)
+
+    def each(line: Line, ring: Ring) -> tuple[Array, Array, Array]:
+        raised_m = _raised(roofs, line)
+        shadow_m = doubled(within(raised_m, ring), line, passes)[1:-1, 1:-1]
+        carried_m = jnp.maximum(raised_m, shadow_m)
+        return _received(shadow_m, phase, every), carried_m[last_row], carried_m[:, last_col]
+
+    shadows_m, rows, cols = jax.vmap(each)(lines, rings)
+    kept = jnp.where(jnp.arange(len(bits)) < num, bits, jnp.uint32(0))
+    seen = jnp.where(shadows_m[:, None] <= height_m, kept[:, None, None, None], jnp.uint32(0))
+    return lax.reduce(seen, jnp.uint32(0), lax.bitwise_or, (0,)), rows, cols
