@@ -12,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxurban.kernels import dop
+from jaxurban.kernels.blocks import LARGE
 from jaxurban.kernels.distance import nearest as distance
 from jaxurban.kernels.lidar import hard
 from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.line.segment_cost import segment_costs
 from jaxurban.kernels.search import frontier, sample_graph
-from jaxurban.kernels.shadows import rays, sweep
+from jaxurban.kernels.shadows import blocks, rays, sweep
 from jaxurban.kernels.shadows.sweep import shadow_heights
 from jaxurban.kernels.soft_step import satellite_weights
 from jaxurban.maps import build
@@ -87,8 +88,9 @@ def line(shape: tuple[int, ...]) -> sweep.Line:
     return sweep.digital_line(AZIMUTH_RAD[0], ELEVATION_RAD[0], 5.0, 0, 0, shape)
 
 
-def lines_over(shape: tuple[int, int]) -> sweep.Line:
-    return sweep.stacked(sweep.digital_lines(AZIMUTH_RAD, ELEVATION_RAD, 5.0, 0, 0, shape))
+def lines_over(shape: tuple[int, int], num: int = NUM_SATELLITES) -> sweep.Line:
+    angles = AZIMUTH_RAD[:num], ELEVATION_RAD[:num]
+    return sweep.stacked(sweep.digital_lines(*angles, 5.0, 0, 0, shape))
 
 
 def lines() -> sweep.Line:
@@ -105,8 +107,7 @@ def satellites(num: int, multiple_of: int = 8, num_clocks: int = 1) -> dop.Geome
     )
 
 
-GROWN = tuple(side + 2 for side in TILE)
-RING = sweep.Ring(array(GROWN[1]), array(GROWN[1]), array(TILE[0]), array(TILE[0]))
+BLOCK, GROWN = (LARGE, LARGE), (LARGE + 2, LARGE + 2)
 WINDOW = (MARGIN, MARGIN + REGION[0], MARGIN, MARGIN + REGION[1], 1)
 VIEW = visibility.SkyView(lines(), satellites(NUM_SATELLITES, 1), WHOLE)
 
@@ -221,7 +222,9 @@ def inputs() -> tuple[build.MapInputs, visibility.SkyView]:
 
 
 WALKS = rays.Walks(*[array(rays.RAYS_A_TURN)] * 5)
-RINGS = sweep.Ring(*(array(NUM_SATELLITES, *side.shape) for side in RING))
+RINGS = sweep.Ring(*[array(blocks.AT_ONCE, LARGE + 2)] * 2, *[array(blocks.AT_ONCE, LARGE)] * 2)
+ROOFS = blocks.Roofs(array(*BLOCK), None, NUMBER)
+PLACES = WHOLE, (WHOLE, WHOLE), (WHOLE, WHOLE)
 
 KERNELS: dict[str, Callable[[], Call]] = {
     "all maps": lambda: Call(jax.jit(build.all_maps), inputs()),
@@ -230,13 +233,20 @@ KERNELS: dict[str, Callable[[], Call]] = {
         (array(*SURFACE), lines()),
         {"passes": sweep.num_passes(max(SURFACE))},
     ),
-    "shadows: doubling, hand on": lambda: Call(
-        sweep.handed_on, (array(*TILE), lines_over(GROWN), RINGS)
+    "shadows: a block": lambda: Call(
+        blocks.cast,
+        (
+            ROOFS,
+            array(4, 1, 1),
+            lines_over(GROWN, blocks.AT_ONCE),
+            RINGS,
+            array(blocks.AT_ONCE, dtype=jnp.uint32),
+            PLACES,
+        ),
     ),
-    "shadows: doubling, words": lambda: Call(
+    "shadows: words": lambda: Call(
         sweep.visible_words, (array(*SURFACE), array(4, 1, 1), lines(), WHOLE), {"window": WINDOW}
     ),
-    "surface: cut": lambda: Call(surface._cut, (part(REGION),)),
     "obstacle": lambda: Call(surface._stand_at, (array(*REGION), array(4, 1, 1))),
     "risk": lambda: Call(
         risk._risk,
@@ -245,9 +255,6 @@ KERNELS: dict[str, Callable[[], Call]] = {
     ),
     "shadows: height": lambda: Call(sweep.shadow_height, (array(*SURFACE), line(SURFACE))),
     "shadows: sweep": lambda: Call(sweep.sweep, (array(*SURFACE), line(SURFACE))),
-    "shadows: height in a ring": lambda: Call(
-        sweep.shadow_height, (array(*TILE), line(GROWN), RING)
-    ),
     "shadows: rays": lambda: Call(
         rays.walk, (array(*SURFACE), *[int32(rays.RAYS_A_TURN)] * 2, WALKS, array())
     ),
@@ -343,7 +350,6 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "population: of blocks": lambda: Call(
         population.layers_of_blocks, (BLOCKS, array(2), population.Population())
     ),
-    "population: under cells": lambda: Call(population.map_blocks, (int32(*REGION), array(40_000))),
     "population, gradient by gammas": lambda: Call(
         gradient(soft_people, 2), (int32(*REGION), BLOCKS, population.Population())
     ),

@@ -205,6 +205,9 @@ class Population:
         return PROFILES[name] if shares is None else shares
 
 
+LEAST_BLOCKS = 2**16  # for which the program of blocks is compiled, then powers of two
+
+
 class BlockLayers(NamedTuple):
     """Population of every block, or of every cell. ``T`` times of day, ``N`` blocks (or ``y, x`` cells).
 
@@ -401,9 +404,9 @@ def block_layers(
 
 
 def _filled(population: BlockPopulation) -> BlockPopulation:
-    """Return blocks filled up by empty ones, which change nothing, to a power of two: few programs serve all cities."""
+    """Return blocks filled up by empty ones, which change nothing: few programs serve all cities."""
     num = len(population.night_count)
-    most = 1 << num.bit_length()
+    most = max(LEAST_BLOCKS, 1 << num.bit_length())
     of_blocks = (
         None if values is None else np.pad(np.asarray(values), (0, most - num))
         for values in (
