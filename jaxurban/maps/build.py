@@ -280,7 +280,8 @@ def inputs_of(task: MapTask) -> MapInputs:
     for name, metric in task.metrics.items():
         if metric.traced is None:
             continue
-        given = task.settings_of(metric)
+        given, default = task.settings_of(metric), metric.params()
+        given = replace(given, **{source: getattr(default, source) for source in metric.sources})
         (fixed if metric.reach_m(given) else settings)[name] = given
         if metric.ready is not None:
             ready[name] = metric.ready(surface, params.altitudes_m, given, blocks)

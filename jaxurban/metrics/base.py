@@ -230,6 +230,7 @@ class Metric:
       cell_bytes: what computing it holds at its highest, of each cell of a tile and of those within its reach; with a
         time, ``jaxurban.maps.memory`` adds what each altitude and each time of a series take.
       section: of the scenario, which holds its settings; left out, its name.
+      sources: settings that say where and when its data are from, at which its maps do not look any more.
     """
 
     name: str
@@ -253,6 +254,7 @@ class Metric:
     caveat: str = ""
     cell_bytes: int = 16
     section: str = ""
+    sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "section", self.section or self.name)

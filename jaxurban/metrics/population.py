@@ -531,4 +531,5 @@ METRIC = Metric(
     colour="#cc79a7",
     colour_map="magma_r",
     also=(DENSITY,),
+    sources=FILES,
 )

@@ -149,6 +149,51 @@ def test_over_times_it_is_every_time_s_maps(task, inputs, views):
 
 
 @pytest.mark.slow
+def test_it_maps_over_five_cities_of_one_shape_their_skies_and_thresholds():
+    """Each city lies elsewhere and has its own time; one program gives what each gives alone."""
+    made, expected = [], []
+    for seed in range(5):
+        city = ju.demo_city(600, 500, seed=seed, centre_lonlat=(20.0 * seed - 70.0, 8.0 * seed))
+        first_col, first_row = (round(edge / 10) + 10 for edge in city.extent_m[:2])
+        grid = Grid(city.crs, 10.0, first_row, first_col, 30, 36)
+        gps = Gps(10.0 + seed, times=f"2020-04-27T{3 * seed:02d}:00:00Z")
+        given = {"altitudes_m": (20.0 + seed, 60.0), "gps": gps, "lidar": SCAN}
+        made.append(ju.grad.map_inputs(city, grid, **given))
+        expected.append(ju.build_maps(city, grid=grid, progress=False, **given).ds)
+    most = max(len(views.satellites.rows[0]) for _, views in made)
+    filled = [(inputs, padded(views, most)) for inputs, views in made]
+    stack = jax.tree.map(lambda *values: jnp.stack(values), *filled)
+    maps = jax.jit(jax.vmap(jax.vmap(all_maps, (None, 0))))(*stack)
+    for k in range(5):
+        is_obstacle = np.asarray(maps["obstacle"][k, 0]) == 1
+        for name in ("obstacle", "num_visible", "lidar", "risk", "gdop", "gps", "population"):
+            found, held = np.asarray(maps[name][k, 0]), expected[k][name].values
+            held = held[0] if "time" in expected[k][name].dims else held
+            if "altitude" in expected[k][name].dims:
+                found, held = found[~is_obstacle], held[~is_obstacle]
+            np.testing.assert_allclose(found, held, rtol=1e-6, err_msg=name)
+    assert len({float(np.nanmean(ds["gps"])) for ds in expected}) == 5
+
+
+def padded(views: SkyView, most: int) -> SkyView:
+    """Return skies filled up to so many satellites."""
+    num = most - views.lines.drop_m.shape[1]
+
+    def fill(values, axis):
+        widths = [(0, num if k == axis else 0) for k in range(values.ndim)]
+        return jnp.pad(values, widths)
+
+    lines = type(views.lines)(*(fill(values, 1) for values in views.lines))
+    geometry = views.satellites
+    satellites = geometry._replace(
+        rows=fill(geometry.rows, 1),
+        members=fill(geometry.members, 2),
+        weights=fill(geometry.weights, 1),
+    )
+    return SkyView(lines, satellites, views.num)
+
+
+@pytest.mark.slow
 def test_it_maps_over_sixteen_skies_thresholds_gammas_heights_and_weights(inputs, views):
     many = jax.tree.map(lambda values: jnp.concatenate([values] * 8), views)
     assert jax.eval_shape(jax.vmap(all_maps, (None, 0)), inputs, many)["gps"].shape == (

@@ -39,6 +39,9 @@ def highest_top_m(city: City) -> float:
     return roof_m + float(np.nanmax(city.terrain.values) - np.nanmin(city.terrain.values))
 
 
+MARGIN_STEP = 16  # cells: margins grow in steps of them, so that surfaces of few shapes are made
+
+
 def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -> Grid:
     """Return the region's grid grown by the margins that its maps need.
 
@@ -55,11 +58,11 @@ def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -
         x_max - region.x_max_m,
         y_max - region.y_max_m,
     )
-    cells = (
-        math.ceil(max(always_m, min(toward, reach)) / region.resolution_m)
+    steps = (
+        math.ceil(max(always_m, min(toward, reach)) / region.resolution_m / MARGIN_STEP)
         for toward, reach in zip(toward_m, reach_m, strict=True)
     )
-    return region.padded(*cells)
+    return region.padded(*(MARGIN_STEP * num for num in steps))
 
 
 def rasterise(
