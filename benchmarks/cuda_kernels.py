@@ -130,8 +130,8 @@ def part(shape: tuple[int, int], halo: int = 0) -> surface.Part:
     return surface.Part(array(*SURFACE), (WHOLE, WHOLE), (rows, cols), ((0, 0), (0, 0)))
 
 
-DISTANCE_5M = {"resolution_m": 5.0, "cap_m": 50.0}
-NEAREST = {"resolution_m": 5.0, "halo": 10}
+HALO = risk.halo_cells(Risk(), 5.0)
+RUN_M2, AROUND = array(HALO + 1), distance.disc(50.0, 5.0, jnp.float32)
 EDGES = float64(*REGION), float64(1024, 2), float64(1024, 2), float64()
 LINE = {"is_line": True, "passes_corners": array(dtype=bool)}
 
@@ -198,12 +198,13 @@ def soft_shadow_weights(roof_m, shadow_lines):
     return satellite_weights(20.0, shadow_heights(roof_m, shadow_lines, WINDOW), 2.0)
 
 
-def nearest(roof_m):
-    return distance.nearest_column(roof_m, 20.0, 50.0, 10.0, **NEAREST)
+def nearest(roof_m, run_m2):
+    return distance.nearest_column(roof_m, 20.0, 50.0, 10.0, run_m2)
 
 
 def nearest_at(roof_m, ground_m, heights_m, cells):
-    return distance.nearest_column_at(roof_m, ground_m, heights_m, 50.0, 10.0, cells, **NEAREST)
+    heights = heights_m, 50.0, 10.0
+    return distance.nearest_column_at(roof_m, ground_m, *heights, cells, AROUND, halo=HALO)
 
 
 def returns_at(roof_m, ground_m, heights_m, scan, cells):
@@ -250,8 +251,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "obstacle": lambda: Call(surface._stand_at, (array(*REGION), array(4, 1, 1))),
     "risk": lambda: Call(
         risk._risk,
-        (part(REGION, 10), None, None, ALTITUDES_M),
-        DISTANCE_5M | {"halo": 10, "is_solid": False},
+        (around(REGION, HALO), None, None, ALTITUDES_M, NUMBER, NUMBER, RUN_M2, None),
     ),
     "shadows: height": lambda: Call(sweep.shadow_height, (array(*SURFACE), line(SURFACE))),
     "shadows: sweep": lambda: Call(sweep.sweep, (array(*SURFACE), line(SURFACE))),
@@ -328,23 +328,28 @@ KERNELS: dict[str, Callable[[], Call]] = {
         gradient(returns_at),
         (around(REGION, STEPS_5M - 1), around(REGION, STEPS_5M - 1), HEIGHTS_M, SCAN, CELLS),
     ),
-    "distance, 5 m": lambda: Call(distance.capped_distance, (around(REGION, 10),), DISTANCE_5M),
+    "distance, 5 m": lambda: Call(distance.capped_distance, (around(REGION, HALO), RUN_M2, NUMBER)),
     "distance over terrain": lambda: Call(
         distance.capped_distance_over_terrain,
-        (array(*REGION), array(*REGION), array(*REGION, dtype=bool)),
-        DISTANCE_5M,
+        (
+            array(*REGION),
+            around(REGION, HALO),
+            array(*around(REGION, HALO).shape, dtype=bool),
+            AROUND,
+            NUMBER,
+        ),
     ),
     "distance: soft": lambda: Call(
-        distance.nearest_column, (around(REGION, 10), NUMBER, NUMBER, NUMBER), NEAREST
+        distance.nearest_column, (around(REGION, HALO), NUMBER, NUMBER, NUMBER, RUN_M2)
     ),
-    "distance: soft, gradient": lambda: Call(gradient(nearest), (around(REGION, 10),)),
+    "distance: soft, gradient": lambda: Call(gradient(nearest), (around(REGION, HALO), RUN_M2)),
     "distance: soft, of a path": lambda: Call(
         distance.nearest_column_at,
-        (around(REGION, 10), None, HEIGHTS_M, NUMBER, NUMBER, CELLS),
-        NEAREST,
+        (around(REGION, HALO), None, HEIGHTS_M, NUMBER, NUMBER, CELLS, AROUND),
+        {"halo": HALO},
     ),
     "distance: soft, of a path, terrain, gradient": lambda: Call(
-        gradient(nearest_at, (0, 1)), (around(REGION, 10), around(REGION, 10), HEIGHTS_M, CELLS)
+        gradient(nearest_at, (0, 1)), (around(REGION, HALO), around(REGION, HALO), HEIGHTS_M, CELLS)
     ),
     "obstacle: soft": lambda: Call(surface.soft_obstacle, (array(*REGION), NUMBER, NUMBER)),
     "population: of blocks": lambda: Call(

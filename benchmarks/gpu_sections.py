@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.gpu_inputs import load_surface
-from jaxurban.kernels.distance.nearest import capped_distance, capped_distance_over_terrain
 from jaxurban.metrics.gps import GpsMaps, maps_of_choices, satellites_of, soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.risk import Risk, compute_risk, soft_risk
@@ -181,28 +180,20 @@ def lidar(run: Run) -> None:
 
 
 def distance(run: Run) -> None:
-    for resolution_m in (5.0, 2.0):
-        roof_m = run.surface(resolution_m)[0].roof_m
-        source_m2 = jnp.where(roof_m >= ALTITUDES_M[0], 0.0, jnp.inf).astype(roof_m.dtype)
+    scenes = {
+        "5 m": (run.surface()[0], Risk(CAP_M)),
+        "2 m": (run.surface(2.0)[0], Risk(CAP_M)),
+        "terrain, 5 m": (over_terrain(run.surface()[0]), Risk(CAP_M, "solid")),
+    }
+    for name, (scene, params) in scenes.items():
         run.timed(
-            f"distance, {resolution_m:g} m",
-            lambda s=source_m2, r=resolution_m: capped_distance(s, resolution_m=r, cap_m=CAP_M),
-            roof_m.size,
+            f"distance, {name}",
+            lambda at=(scene, ALTITUDES_M[:1], params): CAP_M * compute_risk(*at)[0],
+            scene.roof_m.size,
             "cells",
             METRES,
-            every=1 if resolution_m == 5.0 else 8,
+            every=8 if name == "2 m" else 1,
         )
-    part = over_terrain(run.surface()[0])
-    ground_m, roof_m = part.terrain_m, part.roof_m
-    run.timed(
-        "distance over terrain, 5 m",
-        lambda: capped_distance_over_terrain(
-            ground_m + ALTITUDES_M[0], ground_m + roof_m, roof_m > 0, resolution_m=5.0, cap_m=CAP_M
-        ),
-        roof_m.size,
-        "cells",
-        METRES,
-    )
 
 
 def dops(run: Run) -> None:

@@ -14,7 +14,7 @@ from scipy.ndimage import distance_transform_edt
 
 from benchmarks.common import Row, Timing, clocked, in_turn
 from benchmarks.scenes import ALTITUDES_M, Scene
-from jaxurban.kernels.distance.nearest_cpu import distance_on_host
+from jaxurban.kernels.distance.nearest import capped_distance, squared_runs, window_cells
 from jaxurban.kernels.dop import Dops, Geometry, dops_of_words, geometry, unit_vectors
 from jaxurban.maps.build import compute_maps
 from jaxurban.metrics.gps import BLOCK_CELLS, SATELLITES_STEP
@@ -75,8 +75,10 @@ def dilutions(scene: Scene, num_runs: int) -> list[Row]:
 
 
 def distance_to(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:
-    source_m2 = np.where(is_obstacle, np.float32(0), np.float32(np.inf))
-    return distance_on_host(source_m2, 0, resolution_m=resolution_m, cap_m=CAP_M)
+    halo = window_cells(CAP_M, resolution_m)
+    source_m2 = np.where(np.pad(is_obstacle, halo), np.float32(0), np.float32(np.inf))
+    run_m2 = squared_runs(halo, resolution_m, np.float32)
+    return np.asarray(capped_distance(source_m2, run_m2, np.float32(CAP_M)))
 
 
 def scipy_edt(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:

@@ -9,9 +9,9 @@ import pytest
 
 from benchmarks.gpu import difference
 from benchmarks.gpu_sections import GRADIENT, METRES, SAME
-from jaxurban.kernels.distance.nearest import capped_distance, capped_distance_over_terrain
 from jaxurban.metrics.gps import soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
+from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.bulk import solve_batched
@@ -77,11 +77,8 @@ def returns(surface: Surface) -> jax.Array:
 
 
 def distances(surface: Surface) -> jax.Array:
-    source_m2 = jnp.where(surface.roof_m >= 20, 0.0, jnp.inf)
-    receiver_m, has_building = surface.terrain_m + 20, surface.roof_m > 0
-    sizes = {"resolution_m": 5.0, "cap_m": 50.0}
-    over = capped_distance_over_terrain(receiver_m, surface.top_m, has_building, **sizes)
-    return jnp.stack([capped_distance(source_m2, **sizes), over])
+    each = (Risk(50.0, distance) for distance in ("slice", "solid"))
+    return jnp.stack([50.0 * compute_risk(surface, ALTITUDES_M, params) for params in each])
 
 
 def gradient(soft):

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -14,11 +14,9 @@ from jaxtyping import Array, Float, Int
 
 from jaxurban.checks import typed
 from jaxurban.kernels.distance import nearest as kernel
-from jaxurban.kernels.distance.nearest_cpu import distance_on_host
-from jaxurban.kernels.engine import Engine, runs_numba
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, low_is_bad, on_scene
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
-from jaxurban.world.surface import Part, Surface, in_type, stands_at
+from jaxurban.world.surface import Surface, in_type
 
 
 @differentiable("threshold_m")
@@ -53,11 +51,29 @@ class Risk:
         )
 
 
+HALO_STEP = 16  # cells by which halos grow, so that few programs are compiled
+
+
+def halo_cells(params: Risk, resolution_m: float, reach_m: float | None = None) -> int:
+    """Return how many cells around a region the risk map looks at, a multiple of `HALO_STEP`.
+
+    Args:
+      params: the risk.
+      resolution_m: side of a cell.
+      reach_m: as for `compute_risk`.
+
+    Raises:
+      InputError: a traced threshold without ``reach_m``.
+    """
+    reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
+    return -(-kernel.window_cells(reach_m, resolution_m) // HALO_STEP) * HALO_STEP
+
+
 def compute_risk(
     surface: Surface,
     altitudes_m: Sequence[float] | jax.Array,
     params: Risk,
-    engine: Engine = "auto",
+    reach_m: float | None = None,
 ) -> Float[AnyArray, "A y x"]:
     """Return m_risk = min(d / d_thresh, 1) on the region, ``[A, y, x]`` float32; 0 inside obstacles.
 
@@ -71,94 +87,92 @@ def compute_risk(
     Gradients: see `jaxurban.kernels.distance.nearest`; ``"slice"`` has none
     in heights.
 
+    Surfaces of one region's shape and `halo_cells` share a program, whatever the resolution, the threshold and the
+    altitudes.
+
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.
       altitudes_m: ``[A]`` heights above ground.
-      params: the risk.
-      engine: which form runs, see `jaxurban.kernels.engine`; to ``"solid"`` over terrain JAX's alone.
+      params: the risk; its threshold may be traced.
+      reach_m: how far obstacles are looked for, never less than the threshold; left out, the threshold. Needed when
+        that is traced.
+
+    Raises:
+      InputError: a traced threshold without ``reach_m``.
     """
     if surface.slabs is not None and len(altitudes_m) > 1:
         return np.concatenate(
-            [compute_risk(surface, [z_m], params, engine) for z_m in np.asarray(altitudes_m)]
+            [compute_risk(surface, [z_m], params, reach_m) for z_m in np.asarray(altitudes_m)]
         )
-    surface = (
-        surface.at_altitude(float(np.asarray(altitudes_m)[0]))
-        if surface.slabs is not None
-        else surface
-    )
-    halo = kernel.window_cells(params.threshold_m, surface.grid.resolution_m)
+    if surface.slabs is not None:
+        surface = surface.at_altitude(float(np.asarray(altitudes_m)[0]))
+    resolution_m, dtype = surface.grid.resolution_m, surface.roof_m.dtype
+    reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
+    halo = halo_cells(params, resolution_m, reach_m)
     is_solid = params.distance == "solid"
-    terrain = ceiling = None
+    terrain_m = ceiling_m = around = None
     if is_solid and surface.terrain_m is not None:
-        terrain = surface.part(surface.terrain_m, halo)
+        terrain_m = _with_halo(surface, surface.terrain_m, halo)
+        around = kernel.disc(reach_m, resolution_m, dtype)
     if is_solid and surface.slabs is not None and len(surface.slabs.row):
-        ceiling = surface.part(surface.slabs.lowest_floors(surface.grid), halo)
-    sizes = {"resolution_m": surface.grid.resolution_m, "cap_m": params.threshold_m}
-    altitudes = in_type(altitudes_m, surface.roof_m.dtype)
-    if terrain is None and runs_numba(engine, surface.roof_m, altitudes):
-        roof_m = surface.part(np.asarray(surface.roof_m), halo).cut()
-        ceiling_m = None if ceiling is None else ceiling.cut()
-        sources = (
-            _sources(np, roof_m, ceiling_m, altitude_m, is_solid)
-            for altitude_m in np.asarray(altitudes)
-        )
-        nearest = [distance_on_host(source_m2, halo=halo, **sizes) for source_m2 in sources]
-        return _share(np.stack(nearest), params.threshold_m)
-    roof = surface.part(surface.roof_m, halo)
-    return _risk(roof, terrain, ceiling, altitudes, halo=halo, is_solid=is_solid, **sizes)
+        ceiling_m = _with_halo(surface, surface.slabs.lowest_floors(surface.grid), halo)
+    return _risk(
+        _with_halo(surface, surface.roof_m, halo),
+        terrain_m,
+        ceiling_m,
+        in_type(altitudes_m, dtype),
+        in_type(params.threshold_m, dtype),
+        np.asarray(is_solid, dtype),
+        kernel.squared_runs(halo, resolution_m, dtype),
+        around,
+    )
 
 
-def _sources(xp: Any, roof_m: Any, ceiling_m: Any, altitude_m: Any, is_solid: bool) -> Any:
-    """Return what each cell adds to the squared distance, inf where nothing stands or hangs; ``xp`` is NumPy or JAX."""
-    if not is_solid:
-        return xp.where(stands_at(roof_m, altitude_m), *roof_m.dtype.type([0, np.inf]))
-    source_m2 = xp.where(roof_m > 0, xp.maximum(altitude_m - roof_m, 0.0) ** 2, xp.inf)
-    if ceiling_m is None:
-        return source_m2
-    return xp.minimum(source_m2, xp.where(ceiling_m > 0, (ceiling_m - altitude_m) ** 2, xp.inf))
+def _with_halo(surface: Surface, values: AnyArray, halo: int) -> AnyArray:
+    """Return the region's part of an array with its halo; of NumPy's on the host, where nothing is compiled for it."""
+    if isinstance(values, np.ndarray):
+        return surface.part(values, halo).cut()
+    return surface.crop_with_halo(values, halo)
 
 
-def _share(distance_m: Any, cap_m: float) -> Any:
-    """Return distances as shares of the cap, by a product: XLA makes one of a division, and the bits must agree."""
-    one = distance_m.dtype.type(1)
-    return distance_m * (one / one.dtype.type(cap_m))
-
-
-@partial(jax.jit, static_argnames=("resolution_m", "cap_m", "halo", "is_solid"))
+@jax.jit
 def _risk(
-    roof: Part,
-    terrain: Part | None,
-    ceiling: Part | None,
-    altitudes_m: jax.Array,
-    *,
-    resolution_m: float,
-    cap_m: float,
-    halo: int,
-    is_solid: bool,
-) -> jax.Array:
-    """Return `compute_risk` of roofs (and, for ``"solid"``, terrain) on the region and ``halo`` cells around it.
+    roof_m: Float[Array, "y+2H x+2H"],
+    terrain_m: Float[Array, "y+2H x+2H"] | None,
+    ceiling_m: Float[Array, "y+2H x+2H"] | None,
+    altitudes_m: Float[Array, " A"],
+    threshold_m: Float[Array, ""],
+    scale_m: Float[Array, ""],
+    run_m2: Float[Array, " H+1"],
+    around: kernel.Disc | None,
+) -> Float[Array, "A y x"]:
+    """Return `compute_risk` of roofs (and, for ``"solid"``, terrain) on the region and its halo.
 
     A ceiling is the lowest underside of what hangs above the altitude, 0 where nothing does. Over terrain it is as near
-    as a roof, with everything upside down.
+    as a roof, with everything upside down. The scale of the drop to a roof is 0 for the slice and 1 for the solid.
     """
-    roof_m, terrain_m = roof.cut(), None if terrain is None else terrain.cut()
-    ceiling_m = None if ceiling is None else ceiling.cut()
+    halo = len(run_m2) - 1
+    region = tuple(slice(halo, size - halo) for size in roof_m.shape)
 
-    def distance_at(altitude_m: jax.Array) -> jax.Array:
+    def over_terrain(ground_m: Array, altitude_m: Array, above_m: Array, is_there: Array) -> Array:
+        heights_m = (ground_m + altitude_m)[region], ground_m + above_m
+        return kernel.capped_distance_over_terrain(*heights_m, is_there, around, threshold_m)
+
+    def distance_at(altitude_m: Array) -> Array:
         if terrain_m is not None:
-            nearest = partial(
-                kernel.capped_distance_over_terrain, resolution_m=resolution_m, cap_m=cap_m
-            )
-            distance_m = nearest(terrain_m + altitude_m, terrain_m + roof_m, roof_m > 0)
+            distance_m = over_terrain(terrain_m, altitude_m, roof_m, roof_m > 0)
             if ceiling_m is None:
                 return distance_m
-            under_m = nearest(-terrain_m - altitude_m, -terrain_m - ceiling_m, ceiling_m > 0)
-            return jnp.minimum(distance_m, under_m)
-        source_m2 = _sources(jnp, roof_m, ceiling_m, altitude_m, is_solid)
-        return kernel.capped_distance(source_m2, resolution_m=resolution_m, cap_m=cap_m)
+            upside_down = -terrain_m, -altitude_m, -ceiling_m, ceiling_m > 0
+            return jnp.minimum(distance_m, over_terrain(*upside_down))
+        drop_m2 = kernel.squared_drop(altitude_m - roof_m, scale_m)
+        source_m2 = jnp.where(roof_m > 0, drop_m2, jnp.inf)
+        if ceiling_m is not None:
+            rise_m2 = jnp.where(ceiling_m > 0, (ceiling_m - altitude_m) ** 2, jnp.inf)
+            source_m2 = jnp.minimum(source_m2, rise_m2)
+        return kernel.capped_distance(source_m2, run_m2, threshold_m)
 
-    rows, cols = (slice(halo, size - halo) for size in roof_m.shape)
-    return _share(lax.map(distance_at, altitudes_m)[:, rows, cols], cap_m)
+    return lax.map(distance_at, altitudes_m) * (1 / threshold_m)
 
 
 def soft_risk(
@@ -197,35 +211,34 @@ def soft_risk(
     check_softness(softness_m)
     dtype, resolution_m = surface.roof_m.dtype, surface.grid.resolution_m
     reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
-    halo = kernel.window_cells(reach_m, resolution_m)
+    halo = halo_cells(params, resolution_m, reach_m)
     altitude, threshold, softness = (
         jnp.asarray(v, dtype) for v in (altitude_m, params.threshold_m, softness_m)
     )
     is_solid = params.distance == "solid"
     scales = threshold, threshold if is_solid else softness
-    sizes = {"resolution_m": resolution_m, "halo": halo}
     roof_m = surface.crop_with_halo(surface.roof_m, halo)
     terrain_m = None
     if is_solid and surface.terrain_m is not None:
         terrain_m = surface.crop_with_halo(surface.terrain_m, halo)
     if cells is None and terrain_m is None:
-        return kernel.nearest_column(roof_m, altitude, *scales, **sizes)
+        run_m2 = kernel.squared_runs(halo, resolution_m, dtype)
+        return kernel.nearest_column(roof_m, altitude, *scales, run_m2)
     shape = surface.region.shape if cells is None else (len(cells),)
     chosen = jnp.indices(shape).reshape(2, -1).T if cells is None else cells
     heights_m = jnp.broadcast_to(altitude, len(chosen))
-    return kernel.nearest_column_at(roof_m, terrain_m, heights_m, *scales, chosen, **sizes).reshape(
-        shape
-    )
+    around = kernel.disc(reach_m, resolution_m, dtype)
+    return kernel.nearest_column_at(
+        roof_m, terrain_m, heights_m, *scales, chosen, around, halo=halo
+    ).reshape(shape)
 
 
 def _map(scene: Scene, params: Risk) -> dict[str, AnyArray]:
-    return {
-        "risk": np.asarray(compute_risk(scene.surface, [scene.altitude_m], params, scene.engine))[0]
-    }
+    return {"risk": np.asarray(compute_risk(scene.surface, [scene.altitude_m], params))[0]}
 
 
 def _traced(scene: Scene, params: Risk) -> dict[str, Array]:
-    return {"risk": jnp.asarray(compute_risk(scene.surface, scene.altitude_m, params, "jax"))}
+    return {"risk": jnp.asarray(compute_risk(scene.surface, scene.altitude_m, params))}
 
 
 METRIC = Metric(

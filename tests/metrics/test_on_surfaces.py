@@ -9,6 +9,7 @@ import pytest
 import shapely
 from scipy.ndimage import distance_transform_edt
 
+from jaxurban.errors import InputError
 from jaxurban.maps.provenance import population_totals
 from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.population import (
@@ -19,11 +20,11 @@ from jaxurban.metrics.population import (
     density_per_km2,
     soft_population,
 )
-from jaxurban.metrics.risk import Risk, compute_risk
+from jaxurban.metrics.risk import Risk, compute_risk, halo_cells
 from jaxurban.metrics.variables import SCALE, TimeTotals, series_statistics
 from jaxurban.world.city import Blocks, Zoning
 from jaxurban.world.grid import Grid
-from jaxurban.world.surface import obstacle_mask, soft_obstacle
+from jaxurban.world.surface import Surface, obstacle_mask, soft_obstacle
 from tests.metrics.soft.scene import check_gradient
 from tests.metrics.whole_maps import population_maps, surface_on
 
@@ -64,6 +65,46 @@ def test_the_slice_is_scipys_distance_transform_over_any_terrain_and_the_solid_t
         else:
             expected_m = solid_by_brute_force(roof_m, ground_m, altitude_m, 50.0)
         np.testing.assert_allclose(got * 50, expected_m[10:-10, 10:-10], atol=1e-3)
+
+
+def test_one_program_makes_the_risk_of_other_places_resolutions_thresholds_and_altitudes(caplog):
+    def mean_risk(resolution_m, first_row, margin, altitude_m, params):
+        grid = Grid("EPSG:32618", resolution_m, first_row, 0, 37 + 2 * margin, 41 + 2 * margin)
+        roof_m = np.resize(SCATTERED_M, grid.shape)
+        around = grid.padded(-margin, -margin, -margin, -margin)
+        surface = Surface(roof_m, None, None, None, grid, around)
+        return np.asarray(compute_risk(surface, [altitude_m], params)).mean()
+
+    with jax.log_compiles():
+        means = [
+            mean_risk(5.0, 0, 16, 20.0, Risk(50.0)),
+            mean_risk(4.0, 900_000, 3, 60.0, Risk(33.3)),
+            mean_risk(2.0, 7, 20, 20.0, Risk(31.0, "solid")),
+        ]
+    programs = [text for text in caplog.messages if text.startswith("Finished XLA compilation")]
+    assert len(programs) == 1, programs
+    assert len(set(means)) == 3
+
+
+def test_a_traced_threshold_gives_the_maps_of_each_and_the_slope_of_a_share():
+    surface, thresholds_m = surface_on(SCATTERED_M, GRID, REGION), jnp.array([20.0, 37.0, 50.0])
+
+    def shares(threshold_m):
+        return compute_risk(surface, [20.0], Risk(threshold_m), reach_m=50.0)
+
+    found = jax.jit(jax.vmap(shares))(thresholds_m)
+    for threshold_m, m in zip(thresholds_m, found, strict=True):
+        np.testing.assert_array_equal(m, compute_risk(surface, [20.0], Risk(float(threshold_m))))
+    slope = jax.jacfwd(shares)(jnp.float32(37.0))
+    np.testing.assert_allclose(slope, np.where(found[1] < 1, -found[1] / 37, 0), rtol=1e-5)
+    with pytest.raises(InputError, match="risk threshold_m is traced by JAX: give reach_m"):
+        jax.jit(lambda threshold_m: compute_risk(surface, [20.0], Risk(threshold_m)))(37.0)
+
+
+def test_the_halo_holds_the_threshold_in_whole_steps():
+    halos = [halo_cells(Risk(cap_m), 5.0) for cap_m in (1.0, 80.0, 80.1, 81.0)]
+    assert halos == [16, 16, 32, 32]
+    assert halo_cells(Risk(10.0), 5.0, reach_m=100.0) == 32
 
 
 def test_nothing_stands_beyond_the_surface():
