@@ -16,7 +16,7 @@ from jaxurban.checks import typed
 from jaxurban.kernels.distance import nearest as kernel
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, low_is_bad, on_scene
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
-from jaxurban.world.surface import Surface, in_type
+from jaxurban.world.surface import Cut, Surface, in_type, over_blocks
 
 
 @differentiable("threshold_m")
@@ -87,8 +87,8 @@ def compute_risk(
     Gradients: see `jaxurban.kernels.distance.nearest`; ``"slice"`` has none
     in heights.
 
-    Surfaces of one region's shape and `halo_cells` share a program, whatever the resolution, the threshold and the
-    altitudes.
+    A surface of NumPy's arrays is computed in blocks, so all of them share two programs, whatever the resolution, the
+    threshold and the altitudes.
 
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.
@@ -112,14 +112,12 @@ def compute_risk(
     is_solid = params.distance == "solid"
     terrain_m = ceiling_m = around = None
     if is_solid and surface.terrain_m is not None:
-        terrain_m = _with_halo(surface, surface.terrain_m, halo)
+        terrain_m = surface.terrain_m
         around = kernel.disc(reach_m, resolution_m, dtype)
     if is_solid and surface.slabs is not None and len(surface.slabs.row):
-        ceiling_m = _with_halo(surface, surface.slabs.lowest_floors(surface.grid), halo)
-    return _risk(
-        _with_halo(surface, surface.roof_m, halo),
-        terrain_m,
-        ceiling_m,
+        ceiling_m = surface.slabs.lowest_floors(surface.grid)
+    rasters = surface.roof_m, terrain_m, ceiling_m
+    settings = (
         in_type(altitudes_m, dtype),
         in_type(params.threshold_m, dtype),
         np.asarray(is_solid, dtype),
@@ -127,12 +125,12 @@ def compute_risk(
         around,
     )
 
+    def of_parts(cut: Cut) -> Array:
+        return _risk(*(None if values is None else cut(values) for values in rasters), *settings)
 
-def _with_halo(surface: Surface, values: AnyArray, halo: int) -> AnyArray:
-    """Return the region's part of an array with its halo; of NumPy's on the host, where nothing is compiled for it."""
-    if isinstance(values, np.ndarray):
-        return surface.part(values, halo).cut()
-    return surface.crop_with_halo(values, halo)
+    if surface.is_on_host:
+        return over_blocks(surface, halo, of_parts, len(settings[0]))
+    return of_parts(lambda values: surface.crop_with_halo(values, halo))
 
 
 @jax.jit

@@ -215,6 +215,11 @@ class Surface:
         return replace(self, **held)
 
     @property
+    def is_on_host(self) -> bool:
+        """Whether its rasters are NumPy's, for maps made in blocks; JAX's are for one program over all of them."""
+        return isinstance(self.roof_m, np.ndarray)
+
+    @property
     def top_m(self) -> Float[Array, "Y X"]:
         """Absolute height of roofs and bare ground: terrain plus roof."""
         return self.roof_m if self.terrain_m is None else self.terrain_m + self.roof_m
@@ -280,30 +285,31 @@ class Surface:
         return Part(values, (first_row, first_col), shape, (rows_pad, cols_pad))
 
 
+Cut = Callable[[Any], Any]
+
+
 def over_blocks(
-    surface: Surface,
-    halo: int,
-    compute: Callable[[Callable[[np.ndarray], np.ndarray]], ArrayLike],
-    per_cell: int = 1,
-) -> Float[np.ndarray, "y x"]:
+    surface: Surface, halo: int, compute: Callable[[Cut], Any], num: int = 1, per_cell: int = 1
+) -> Float[np.ndarray, "A y x"]:
     """Return what a function gives of each of the region's map cells, float32, computed in blocks of few shapes.
 
     Args:
       surface: per_cell times finer than the map.
       halo: map cells around a block that the function looks at.
-      compute: returns the values ``[T, T]`` of a block. It gets a function that cuts the block and its halo out of an
-        array on the surface's grid, with 0 beyond it.
+      compute: returns the values ``[A, T, T]`` of a block. It gets a function that cuts the block and its halo out of
+        an array on the surface's grid, with 0 beyond it.
+      num: A.
       per_cell: how many of the surface's cells a map's cell has along a side.
     """
     shape = surface.region.num_rows // per_cell, surface.region.num_cols // per_cell
     rows, cols = surface.window
-    found = np.empty(shape, np.float32)
+    found = np.empty((num, *shape), np.float32)
     for row, col, side in blocks_of(shape):
         corner = rows.start + (row - halo) * per_cell, cols.start + (col - halo) * per_cell
         size = (side + 2 * halo) * per_cell
         cut = partial(part_of, corner=corner, shape=(size, size), fill=0)
-        here = found[row : row + side, col : col + side]
-        here[:] = np.asarray(compute(cut))[: here.shape[0], : here.shape[1]]
+        here = found[:, row : row + side, col : col + side]
+        here[:] = np.asarray(compute(cut))[:, : here.shape[1], : here.shape[2]]
     return found
 
 
