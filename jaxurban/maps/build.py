@@ -80,8 +80,8 @@ def build_maps(
       oversample: n: occlusion and lidar on a surface n times finer (odd is best).
       heights: how roofs are rasterised, and how well their heights are known.
       layers: further cost layers, by name: rasters, arrays on the cells of the maps, or functions.
-      engine: ``"numba"``, on the host; ``"jax"``, where JAX computes; or ``"auto"``: Numba where that is a CPU, else
-        JAX. On a CPU the bits are the same.
+      engine: ``"jax"``; ``"numba"``, where it has a form, and JAX on the host for the rest; or ``"auto"``: JAX, and
+        Numba where its form is the quicker one. On a CPU the bits are the same.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
       gps, lidar, population, risk: settings of the metrics, such as ``gps=Gps(times="2020-04-27T16:00:00Z")``.
       gps_horizontal, gps_vertical, protection: the same of metrics that are made on request, where they are given.
