@@ -39,6 +39,7 @@ from jaxurban.paths.snapping import XY as XY
 from jaxurban.paths.when import Departures as Departures
 from jaxurban.paths.when import when as when
 from jaxurban.planners.cost import CostModel as CostModel
+from jaxurban.programs import keep_programs as keep_programs
 from jaxurban.samples.cities import sample_city as sample_city
 from jaxurban.settings import Buildings as Buildings
 from jaxurban.settings import Heights as Heights

@@ -13,7 +13,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from jaxurban.progress import LOG
+from jaxurban.programs import say_compiling
 
 try:
     from numba.core import (
@@ -23,9 +23,6 @@ except ImportError:
     event = None  # type: ignore[assignment]
 
 config: Any = numba.config
-COMPILING = LOG.getChild(
-    "compiling"
-)  # its level is the switch: warnings are seen where nobody has set logging up
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -86,15 +83,9 @@ def _digest(module: str) -> str:
 class _Say(event.Listener if event else object):  # type: ignore[misc]
     """Says once that kernels of this package are compiled."""
 
-    has_said = False
-
     def on_start(self, event: Any) -> None:
-        module = event.data["dispatcher"].py_func.__module__
-        if not _Say.has_said and module.startswith("jaxurban."):
-            _Say.has_said = True
-            COMPILING.warning(
-                "jaxurban compiles what is used for the first time on this machine: seconds to half a minute"
-            )
+        if event.data["dispatcher"].py_func.__module__.startswith("jaxurban."):
+            say_compiling()
 
     def on_end(self, event: Any) -> None: ...
 

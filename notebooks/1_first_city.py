@@ -28,6 +28,7 @@
 import jaxurban as ju
 from jaxurban.report.figures import plot_overview, plot_paths, plot_profile
 
+ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.sample_city("lower-manhattan")
 maps = ju.build_maps(city, resolution_m=10.0)
 start, goal = (-74.0165, 40.7035), (-73.9900, 40.7290)  # longitude, latitude

@@ -41,6 +41,7 @@ from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.bulk import solve_batched
 from jaxurban.report.figures import plot_paths
 
+ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.sample_city("shinjuku")
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(30.0,))
 weighted = ju.cost_map(maps, 30.0)

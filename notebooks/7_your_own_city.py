@@ -41,6 +41,7 @@ import jaxurban as ju
 from jaxurban.report.figures import plot_heights, plot_overview
 from jaxurban.samples.catalogue import located
 
+ju.keep_programs()  # what JAX compiles is kept for later sessions
 folder = Path(tempfile.mkdtemp(prefix="my-town-"))
 os.environ["XDG_CACHE_HOME"] = str(
     folder / "cache"

@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import click
@@ -32,6 +31,7 @@ from jaxurban.cli.tune import tune
 from jaxurban.cli.view import view
 from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.exit_codes import ExitCode
+from jaxurban.programs import keep_programs
 from jaxurban.progress import LOG, interrupted
 from jaxurban.public import FORMER, present_name
 
@@ -65,7 +65,16 @@ COMMANDS = (
     validate,
     view,
 )
+
+
+def _keep_and_run(run: Any, *args: Any, **kwargs: Any) -> Any:
+    """Run a command with JAX's programs kept; where an option is wrong, JAX is not even imported."""
+    keep_programs()
+    return run(*args, **kwargs)
+
+
 for command in COMMANDS:
+    command.callback = partial(_keep_and_run, command.callback)
     app.add_command(command)
 
 
@@ -74,7 +83,7 @@ def _set_up_libraries() -> None:
 
     Python looks for cycles of objects seldom, and not once more at the end: of millions of outlines it finds none, in a
     tenth of the time of a run.
-    JAX keeps every program that it compiles, wherever that is, and takes a GPU's memory as needed.
+    JAX takes a GPU's memory as needed.
     """
     # Of workers that are killed asyncio would say what Dask made of it.
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)
@@ -87,16 +96,6 @@ def _set_up_libraries() -> None:
     os.environ.setdefault(
         "XLA_PYTHON_CLIENT_PREALLOCATE", "false"
     )  # JAX's own way takes three quarters at once
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-    with suppress(
-        OSError, RuntimeError
-    ):  # without a home, or where it cannot be written, nothing is kept
-        folder = (
-            Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxurban" / "jax"
-        )
-        if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-            folder.mkdir(parents=True, exist_ok=True)
-            os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

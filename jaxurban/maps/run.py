@@ -35,6 +35,7 @@ from jaxurban.maps.task import MapTask, empty_dataset, with_series
 from jaxurban.maps.tiled import TileJob, Tiling
 from jaxurban.metrics.population import FILES
 from jaxurban.metrics.variables import TimeTotals
+from jaxurban.programs import pass_over_unreadable
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
 from jaxurban.samples.catalogue import BASE_MAP_FILE
 from jaxurban.settings import NOMINAL, each
@@ -138,6 +139,7 @@ def run_scenario(
     started_utc, backend = datetime.now(UTC).isoformat(timespec="seconds"), jax.default_backend()
     with reporting("maps", progress) as report, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
+        pass_over_unreadable()
         watch = Stopwatch(on_stage=report)
         inputs = hash_inputs(scenario)
         on_host = scenario.region.engine == "numba"

@@ -15,13 +15,11 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.cli.main import main
+from jaxurban.programs import SENTENCE
 from tests.paths.volumes import ends_at, options_of
 
 CACHES = ("NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
 BUDGET_S = 1.0
-COMPILING = (
-    "jaxurban compiles what is used for the first time on this machine: seconds to half a minute"
-)
 NEW = "from tests.paths.test_processes import JOBS; import sys; JOBS[sys.argv[1]](*sys.argv[2:])"
 FORKED = """
 import os, signal, warnings
@@ -97,7 +95,7 @@ def test_what_a_new_machine_plans_is_what_any_other_does(job, folder, tmp_path):
         command, env=env, capture_output=True, text=True, timeout=600, check=False
     )
     assert ended.returncode == 0, ended.stderr
-    assert ended.stderr.count(COMPILING) == 1
+    assert ended.stderr.count(SENTENCE) == 1
     JOBS[job](folder, warm)
     found, expected = (pd.read_parquet(place / "rows.parquet") for place in (cold, warm))
     assert found["setup_s"].max() > BUDGET_S > found["elapsed_s"].max()

@@ -1,0 +1,154 @@
+"""Compiled programs: where JAX keeps them between processes, and the one line that says that something is compiled."""
+
+import functools
+import hashlib
+import os
+import platform
+import warnings
+import zlib
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+
+from jaxurban.progress import BRIEF_S, LOG
+
+# Its level is the switch: warnings are seen where nobody has set logging up.
+COMPILING = LOG.getChild("compiling")
+SENTENCE = (
+    "jaxurban compiles what this machine runs for the first time: about 8 s for the first maps, 5 s for the first "
+    "route of a planner"
+)
+LEAST_S = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"  # of a program that is kept
+# Events of `jax.monitoring`. The second one ends both what was compiled and what was loaded.
+LOADED = "/jax/compilation_cache/cache_hits"
+ENDED = "/jax/core/compile/backend_compile_duration"
+UNREADABLE = "Error (reading|writing) persistent compilation cache entry"  # JAX then compiles
+CPUINFO = Path("/proc/cpuinfo")  # of Linux alone
+ZSTANDARD = b"\x28\xb5\x2f\xfd"  # how files begin that JAX compresses by it; others are zlib's
+FEATURES = {  # in /proc/cpuinfo: what the choice of instructions depends on
+    *("vendor_id", "cpu family", "model", "flags"),
+    *("CPU implementer", "CPU part", "Features", "isa"),
+}
+
+
+def keep_programs() -> Path | None:
+    """Keep what JAX compiles in the user's cache folder and load it from there, as commands do.
+
+    Call it once, before the first maps. It turns on JAX's persistent compilation cache in this process, for programs
+    of any compile time, in ``$XDG_CACHE_HOME/jaxurban/xla-HASH`` (``~/.cache`` where the variable is not set). Homes
+    are shared between machines and machine code is not: the hash is of jaxlib's version and the processor's features.
+    A folder that ``JAX_COMPILATION_CACHE_DIR`` or `jax.config` names is used instead. Worker processes of
+    `build_maps` keep their programs likewise. Files of our own folder that are damaged are removed without a word.
+    The log says once when JAX compiles, as it does in any case when Numba does.
+
+    Returns:
+      The folder in use; None where none can be written, so that every process compiles.
+
+    Examples:
+      >>> folder = ju.keep_programs()  # at the top of a notebook
+      >>> maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
+    """
+    import jax
+
+    _listen()
+    own = _own_folder()
+    if own and not _folder_in_use():
+        jax.config.update("jax_compilation_cache_dir", str(own))
+    if LEAST_S not in os.environ:
+        jax.config.update(LEAST_S.lower(), 0.0)
+    if own and own == _folder_in_use():
+        pass_over_unreadable()
+        _drop_damaged(own)
+    return _folder_in_use()
+
+
+def keeps_programs() -> bool:
+    """Return whether JAX keeps what it compiles in this process."""
+    return _folder_in_use() is not None
+
+
+def pass_over_unreadable() -> None:
+    """Let no warning speak of files of our own folder that JAX cannot read or write: it goes on without them."""
+    if keeps_programs() and _folder_in_use() == _own_folder():
+        warnings.filterwarnings("ignore", UNREADABLE, UserWarning)
+
+
+def _folder_in_use() -> Path | None:
+    import jax
+
+    folder = jax.config.values["jax_compilation_cache_dir"]
+    return Path(folder) if folder else None
+
+
+@functools.cache
+def say_compiling() -> None:
+    """Say in the log, once, that something is compiled."""
+    COMPILING.warning(SENTENCE)
+
+
+def _own_folder() -> Path | None:
+    """Return our own folder for programs of this processor, made; None where it cannot be written."""
+    name = hashlib.sha256(f"{version('jaxlib')} {_processor()}".encode()).hexdigest()[:16]
+    with suppress(OSError, RuntimeError):  # there may be no home
+        caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        folder = caches / "jaxurban" / f"xla-{name}"
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # who writes there runs code here
+        if os.access(folder, os.W_OK | os.X_OK):
+            return folder
+    return None
+
+
+def _processor() -> str:
+    """Return what tells processors with other instructions from this one."""
+    try:
+        lines = CPUINFO.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return f"{platform.machine()} {platform.processor()}"
+    features = {line for line in lines if line.partition("\t")[0] in FEATURES}
+    return "\n".join([platform.machine(), *sorted(features)])
+
+
+def _drop_damaged(folder: Path) -> None:
+    """Remove programs that were not written to their end, or changed since: JAX would never write them again."""
+    for file in folder.glob("*-cache"):
+        with suppress(OSError):  # another process has removed it
+            if not _is_whole(file.read_bytes()):
+                file.unlink()
+
+
+def _is_whole(program: bytes) -> bool:
+    """Return whether a compressed file has an end, and a right checksum where zlib wrote it."""
+    try:
+        if program.startswith(ZSTANDARD):
+            from numcodecs.zstd import Zstd
+
+            Zstd().decode(program)
+        else:
+            zlib.decompress(program)
+    except (zlib.error, RuntimeError):
+        return False
+    return True
+
+
+@functools.cache
+def _listen() -> None:
+    """Have JAX say when it compiles, for longer than a moment in all, what it has not loaded."""
+    from jax import monitoring
+
+    loaded, seconds = 0, 0.0
+
+    def on_event(event: str, **_: str | int) -> None:
+        nonlocal loaded
+        loaded += event == LOADED
+
+    def on_duration(event: str, duration_secs: float, **_: str | int) -> None:
+        nonlocal loaded, seconds
+        if event == ENDED and loaded:
+            loaded -= 1
+        elif event == ENDED:
+            seconds += duration_secs
+            if seconds > BRIEF_S:
+                say_compiling()
+
+    monitoring.register_event_listener(on_event)
+    monitoring.register_event_duration_secs_listener(on_duration)
