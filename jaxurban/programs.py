@@ -14,8 +14,10 @@ from jaxurban.progress import BRIEF_S, LOG
 
 # Its level is the switch: warnings are seen where nobody has set logging up.
 COMPILING = LOG.getChild("compiling")
+# On two cores the commands `maps` (four altitudes of Lower Manhattan by JAX) and `plan` took so much longer with empty
+# caches than with full ones.
 SENTENCE = (
-    "jaxurban compiles what this machine runs for the first time: about 8 s for the first maps, 5 s for the first "
+    "jaxurban compiles what this machine runs for the first time: about 8 s for first maps, up to 5 s for the first "
     "route of a planner"
 )
 LEAST_S = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"  # of a program that is kept
@@ -37,9 +39,9 @@ def keep_programs() -> Path | None:
     Call it once, before the first maps. It turns on JAX's persistent compilation cache in this process, for programs
     of any compile time, in ``$XDG_CACHE_HOME/jaxurban/xla-HASH`` (``~/.cache`` where the variable is not set). Homes
     are shared between machines and machine code is not: the hash is of jaxlib's version and the processor's features.
-    A folder that ``JAX_COMPILATION_CACHE_DIR`` or `jax.config` names is used instead. Worker processes of
-    `build_maps` keep their programs likewise. Files of our own folder that are damaged are removed without a word.
-    The log says once when JAX compiles, as it does in any case when Numba does.
+    A folder that ``JAX_COMPILATION_CACHE_DIR`` or `jax.config` names is used instead. Worker processes that this one
+    starts keep their programs likewise. Files of our own folder that are damaged are removed without a word. The log
+    says once when JAX compiles, as it does in any case when Numba does.
 
     Returns:
       The folder in use; None where none can be written, so that every process compiles.
@@ -52,7 +54,7 @@ def keep_programs() -> Path | None:
 
     _listen()
     own = _own_folder()
-    if own and not _folder_in_use():
+    if own and not _folder_in_use() and _is_writable(own):
         jax.config.update("jax_compilation_cache_dir", str(own))
     if LEAST_S not in os.environ:
         jax.config.update(LEAST_S.lower(), 0.0)
@@ -87,15 +89,20 @@ def say_compiling() -> None:
 
 
 def _own_folder() -> Path | None:
-    """Return our own folder for programs of this processor, made; None where it cannot be written."""
-    name = hashlib.sha256(f"{version('jaxlib')} {_processor()}".encode()).hexdigest()[:16]
-    with suppress(OSError, RuntimeError):  # there may be no home
+    """Return our own folder for programs of this processor; None without a home."""
+    try:
         caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        folder = caches / "jaxurban" / f"xla-{name}"
+    except RuntimeError:
+        return None
+    machine = f"{version('jaxlib')} {_processor()}".encode()
+    return caches / "jaxurban" / f"xla-{hashlib.sha256(machine).hexdigest()[:16]}"
+
+
+def _is_writable(folder: Path) -> bool:
+    """Return whether files can be written into a folder, which is made where it is missing."""
+    with suppress(OSError):
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # who writes there runs code here
-        if os.access(folder, os.W_OK | os.X_OK):
-            return folder
-    return None
+    return os.access(folder, os.W_OK | os.X_OK)
 
 
 def _processor() -> str:

@@ -106,15 +106,17 @@ print(jax.config.values["jax_persistent_cache_min_compile_time_secs"])
 
 def test_the_call_keeps_programs_where_nothing_else_is_chosen(tmp_path):
     cache, other = {"XDG_CACHE_HOME": tmp_path}, str(tmp_path / "other")
+    chosen = {FOLDER: other, programs.LEAST_S: 3}
+    assert settings(**cache, **chosen) == [other, other, other, "3.0"]
+    choose = f"jax.config.update('jax_compilation_cache_dir', {other!r})"
+    assert settings(choose, **cache) == ["None", other, other, "0.0"]
+    assert not (tmp_path / "jaxurban").exists()
     before, *folders, least_s = settings(**cache)
     assert (before, least_s) == ("None", "0.0")
     assert len(set(folders)) == 1
     assert re.fullmatch(r"xla-[0-9a-f]{16}", Path(folders[0]).name)
     assert Path(folders[0]).parent == tmp_path / "jaxurban"
-    chosen = {FOLDER: other, programs.LEAST_S: 3}
-    assert settings(**cache, **chosen) == [other, other, other, "3.0"]
-    choose = f"jax.config.update('jax_compilation_cache_dir', {other!r})"
-    assert settings(choose, **cache) == ["None", other, other, "0.0"]
+    assert Path(folders[0]).stat().st_mode & 0o77 == 0
 
 
 def test_where_no_folder_can_be_made_every_process_compiles(tmp_path):
