@@ -116,6 +116,8 @@ STEPS_5M = hard.num_steps(5.0, RANGE_M)
 RAYS = hard.ray_offsets(NUM_AZIMUTHS, STEPS_5M)
 STARTS = hard.phase_starts(RAYS, 1)
 RAYS_5M = {"halo": STEPS_5M - 1}
+HALO_5M, PADDED_5M = lidar.halo_cells(Lidar(), 5.0), 24
+PADDED_STARTS = hard.phase_starts(hard.ray_offsets(NUM_AZIMUTHS, PADDED_5M), 1, HALO_5M)
 SCAN = soft_lidar.Scan(NUMBER, NUMBER, NUMBER, array(NUM_BEAMS), array(NUM_BEAMS))
 
 
@@ -216,7 +218,7 @@ def returns_at(roof_m, ground_m, heights_m, scan, cells):
 def inputs() -> tuple[build.MapInputs, visibility.SkyView]:
     """Return what all maps of a region of 8 M cells at one time are made of."""
     settings = {"gps": gps.Gps(), "population": population.Population()}
-    ready = {"lidar": array(4, STEPS_5M), "population": (BLOCKS, array(2))}
+    ready = {"lidar": array(4, PADDED_5M), "population": (BLOCKS, array(2))}
     fixed = ("lidar", Lidar()), ("risk", Risk())
     sky = visibility.SkyView(lines(), satellites(NUM_SATELLITES), WHOLE)
     return build.MapInputs(soft_city().surface, ALTITUDES_M, ready, settings, fixed), sky
@@ -296,17 +298,12 @@ KERNELS: dict[str, Callable[[], Call]] = {
         RAYS_5M,
     ),
     "lidar: flat, part": lambda: Call(
-        lidar._counts_by_jax,
-        (part(REGION, STEPS_5M - 1), None, array(1, STEPS_5M), STARTS),
-        RAYS_5M | {"oversample": 1},
+        lidar._lidar,
+        (part(REGION, HALO_5M), None, array(1), array(1, PADDED_5M), PADDED_STARTS, None),
+        {"halo": HALO_5M, "oversample": 1},
     ),
     "lidar: share": lambda: Call(
         lidar._share,
-        (array(4, *REGION, dtype=jnp.int32), part(REGION), ALTITUDES_M),
-        {"num_azimuths": NUM_AZIMUTHS},
-    ),
-    "lidar: share at centres": lambda: Call(
-        lidar._share_outside,
         (array(4, *REGION), array(4, *REGION, dtype=bool)),
         {"num_azimuths": NUM_AZIMUTHS},
     ),

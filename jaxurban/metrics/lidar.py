@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from operator import attrgetter
 from typing import Any
 
@@ -17,13 +17,21 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.engine import Engine, runs_numba
 from jaxurban.kernels.lidar import hard as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel
-from jaxurban.kernels.lidar.flat_cpu import count_on_host
 from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS, count_on_terrain_on_host
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, low_is_bad, on_scene
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
-from jaxurban.world.surface import Part, Surface, in_type, obstacle_mask, soft_obstacle
+from jaxurban.world.surface import (
+    Part,
+    Surface,
+    in_type,
+    obstacle_mask,
+    obstacles_on,
+    soft_obstacle,
+)
 
 MAX_COUNT = 100_000  # beams, and scan positions: of a mistyped number no table of them is made
+HALO_MULTIPLE = 16  # of map cells, and
+STEPS_MULTIPLE = 8  # of steps: ranges that differ by less share programs
 
 
 @differentiable("range_m")
@@ -84,6 +92,23 @@ class Lidar:
         )
 
 
+def halo_cells(params: Lidar, resolution_m: float, oversample: int = 1) -> int:
+    """Return how many map cells around a region its scans are given: at least what they reach, a multiple of 16.
+
+    Args:
+      params: the lidar.
+      resolution_m: side of a map's cell.
+      oversample: n: cells of the surface that rays go through, along a map's cell.
+    """
+    reach = kernel.halo_cells(_num_steps(params, resolution_m / oversample), oversample)
+    return kernel.rounded_up(reach, HALO_MULTIPLE)
+
+
+def _num_steps(params: Lidar, resolution_m: float) -> int:
+    """Return the steps of a ray with those beyond the range, up to a multiple: similar ranges share programs."""
+    return kernel.rounded_up(kernel.num_steps(resolution_m, params.range_m), STEPS_MULTIPLE)
+
+
 def compute_lidar(
     surface: Surface,
     altitudes_m: Sequence[float] | jax.Array,
@@ -104,7 +129,8 @@ def compute_lidar(
       surface: roofs, and terrain where there is any, on the region and its margin.
       altitudes_m: ``[A]`` heights above ground.
       params: the lidar.
-      engine: which form counts, see `jaxurban.kernels.engine`; Numba's over terrain is for at most `MOST_BEAMS` beams.
+      engine: which form counts over terrain, see `jaxurban.kernels.engine`; Numba's is for at most `MOST_BEAMS` beams.
+        Over flat ground it is JAX's.
     """
     if surface.slabs is not None:
         met = [
@@ -121,12 +147,14 @@ def compute_lidar(
 
 
 def beam_heights(
-    altitudes_m: Sequence[float] | ArrayLike, params: Lidar, surface: Surface
+    altitudes_m: Sequence[float] | ArrayLike,
+    params: Lidar,
+    surface: Surface,
 ) -> np.ndarray:
     """Return the heights that decide each step of a ray, made in float64 on the host.
 
     ``[A, N]`` over flat ground (`jaxurban.kernels.lidar.hard.flat_thresholds`), ``[A, N, B]`` over terrain
-    (`lowest_heights`), rounded up to the type of the roofs.
+    (`lowest_heights`), rounded up to the type of the roofs. N is a multiple of 8: the last steps are beyond the range.
 
     Args:
       altitudes_m: ``[A]`` heights above ground.
@@ -134,7 +162,7 @@ def beam_heights(
       surface: whose cells and type of roofs count, and whether there is terrain.
     """
     resolution_m, range_m = surface.grid.resolution_m, params.range_m
-    steps = kernel.num_steps(resolution_m, range_m)
+    steps = _num_steps(params, resolution_m)
     heights_m = kernel.lowest_heights(
         np.asarray(altitudes_m, float), params.elevations_rad, resolution_m, range_m, steps
     )
@@ -151,67 +179,118 @@ def lidar_of_beams(
     engine: Engine = "jax",
 ) -> Float[Array, "A y x"]:
     """Return `compute_lidar` of beams made ready by `beam_heights`; surface, altitudes and heights may be traced."""
-    counts = _counts(surface, heights_m, params, 1, engine)
-    return _share(counts, surface.part(surface.roof_m), altitudes_m, num_azimuths=params.azimuths)
+    if _runs_numba(engine, surface, altitudes_m, heights_m):
+        is_obstacle = obstacles_on(surface, np.asarray(altitudes_m))
+        return _by_numba(surface, heights_m, params, 1, is_obstacle)
+    return _by_jax(surface, altitudes_m, heights_m, params, 1, None)
 
 
-def _counts(
+def _runs_numba(engine: Engine, surface: Surface, *values: Any) -> bool:
+    """Return whether Numba's form runs, which is for terrain and for not too many beams."""
+    heights_m, rasters = values[-1], (surface.roof_m, surface.terrain_m)
+    fits = surface.terrain_m is not None and heights_m.shape[-1] <= MOST_BEAMS
+    return fits and runs_numba(engine, rasters, values)
+
+
+def _by_numba(
     surface: Surface,
+    heights_m: Float[AnyArray, "A N B"],
+    params: Lidar,
+    oversample: int,
+    is_obstacle: Bool[AnyArray, "A y x"],
+) -> Float[Array, "A y x"]:
+    """Return m_lidar over terrain, from every ``oversample``-th cell of the region both ways."""
+    steps, n = kernel.num_steps(surface.grid.resolution_m, params.range_m), oversample
+    halo = kernel.halo_cells(steps, n)
+    roof_m, terrain_m = (
+        kernel.phases(surface.part(np.asarray(values), halo * n).cut(), n)
+        for values in (surface.roof_m, surface.terrain_m)
+    )
+    starts, beams_m = _starts(params.azimuths, steps, n, halo), np.asarray(heights_m)[:, :steps]
+    counts = count_on_terrain_on_host(roof_m, terrain_m, beams_m, starts, halo, _receiver_phase(n))
+    return _share(counts.astype(roof_m.dtype), is_obstacle, num_azimuths=params.azimuths)
+
+
+def _by_jax(
+    surface: Surface,
+    altitudes_m: Float[AnyArray, " A"],
     heights_m: Float[AnyArray, "A N ..."],
     params: Lidar,
     oversample: int,
-    engine: Engine,
-) -> Int[AnyArray, "A y x"]:
-    """Return how many scan positions return, from every ``oversample``-th cell of the region both ways."""
-    steps, n = heights_m.shape[1], oversample
-    halo, starts = (
-        kernel.halo_cells(steps, n),
-        kernel.phase_starts(kernel.ray_offsets(params.azimuths, steps), n),
+    is_obstacle: Bool[AnyArray, "A y x"] | None,
+) -> Float[Array, "A y x"]:
+    """Return m_lidar from every ``oversample``-th cell of the region both ways, as `_lidar`."""
+    resolution_m, n = surface.grid.resolution_m, oversample
+    halo = halo_cells(params, resolution_m * n, n)
+    reach = kernel.halo_cells(kernel.num_steps(resolution_m, params.range_m), n)
+    roof, terrain = (
+        None if values is None else surface.part(values, halo * n, reach * n)
+        for values in (surface.roof_m, surface.terrain_m)
     )
-    rasters = surface.roof_m, surface.terrain_m
-    is_on_host = runs_numba(engine, rasters, heights_m)
-    if surface.terrain_m is not None:
-        is_on_host &= heights_m.shape[-1] <= MOST_BEAMS
-    if not is_on_host:
-        parts = (None if values is None else surface.part(values, halo * n) for values in rasters)
-        return _counts_by_jax(*parts, heights_m, starts, halo=halo, oversample=n)
-    cut: list[Any] = [
-        kernel.phases(surface.part(np.asarray(values), halo * n).cut(), n)
-        for values in rasters
-        if values is not None
-    ]
-    if len(cut) == 2:
-        return count_on_terrain_on_host(cut[0], cut[1], heights_m, starts, halo, _receiver_phase(n))
-    return count_on_host(cut[0], heights_m, starts, halo)
+    starts = _starts(params.azimuths, heights_m.shape[1], n, halo)
+    return _lidar(
+        roof, terrain, altitudes_m, heights_m, starts, is_obstacle, halo=halo, oversample=n
+    )
+
+
+@lru_cache(maxsize=4)
+def _starts(num_azimuths: int, steps: int, oversample: int, halo: int) -> Int[np.ndarray, "K N 3"]:
+    """Return `jaxurban.kernels.lidar.hard.phase_starts`, read-only."""
+    starts = kernel.phase_starts(kernel.ray_offsets(num_azimuths, steps), oversample, halo)
+    starts.flags.writeable = False
+    return starts
 
 
 @partial(jax.jit, static_argnames=("halo", "oversample"))
-def _counts_by_jax(
-    roof: Part, terrain: Part | None, heights_m: Array, starts: Array, *, halo: int, oversample: int
+def _lidar(
+    roof: Part,
+    terrain: Part | None,
+    altitudes_m: Array,
+    heights_m: Array,
+    starts: Array,
+    is_obstacle: Array | None,
+    *,
+    halo: int,
+    oversample: int,
 ) -> Array:
-    """Return `_counts` of parts with their halo, by the JAX form for the platform that this is compiled for."""
+    """Return m_lidar of parts with their halo, by the JAX form for the platform that this is compiled for.
+
+    Args:
+      roof, terrain: around the region.
+      altitudes_m: ``[A]`` heights above ground.
+      heights_m: from `beam_heights`.
+      starts: from `_starts`.
+      is_obstacle: where nobody flies; None: where the altitude is not above the region's roofs.
+      halo: map cells around the region.
+      oversample: n.
+    """
     roof_m = kernel.phases(roof.cut(), oversample)
     if terrain is None:
-        return kernel.count_returns(roof_m, heights_m, starts, halo=halo)
-    terrain_m = kernel.phases(terrain.cut(), oversample)
-    sizes = {"halo": halo, "receiver_phase": _receiver_phase(oversample)}
-    return kernel.count_returns_on_terrain_by_steps(roof_m, terrain_m, heights_m, starts, **sizes)
+        counts = kernel.count_returns(roof_m, heights_m, starts, halo=halo)
+    else:
+        terrain_m = kernel.phases(terrain.cut(), oversample)
+        counts = kernel.count_returns_on_terrain_by_steps(
+            roof_m,
+            terrain_m,
+            heights_m,
+            starts,
+            halo=halo,
+            receiver_phase=_receiver_phase(oversample),
+        )
+    if is_obstacle is None:
+        rows, cols = counts.shape[1:]
+        own_m = roof_m[0, halo : halo + rows, halo : halo + cols]
+        is_obstacle = obstacle_mask(own_m, altitudes_m)
+    return _share(counts.astype(roof_m.dtype), is_obstacle, num_azimuths=len(starts))
 
 
 def _receiver_phase(oversample: int) -> int:
     return (oversample // 2) * (oversample + 1)
 
 
-@partial(jax.jit, static_argnames="num_azimuths")
-def _share(returns: Array, roof: Part, altitudes_m: Array, *, num_azimuths: int) -> Array:
-    """Return the share of scan positions that return, 0 inside obstacles."""
-    roof_m = roof.cut()
-    is_obstacle = obstacle_mask(roof_m, altitudes_m)
-    return _share_outside(returns.astype(roof_m.dtype), is_obstacle, num_azimuths=num_azimuths)
-
-
 @partial(jax.jit, static_argnames="num_azimuths")  # compiled, it rounds alike for every caller
-def _share_outside(returns: Array, is_obstacle: Array, *, num_azimuths: int) -> Array:
+def _share(returns: Array, is_obstacle: Array, *, num_azimuths: int) -> Array:
+    """Return the share of scan positions that return, 0 inside obstacles."""
     return jnp.where(is_obstacle, 0.0, returns / num_azimuths)
 
 
@@ -233,11 +312,11 @@ def lidar_at_centres(
       params: the lidar.
       engine: as in `compute_lidar`.
     """
-    counts = _counts(
-        supersampled, beam_heights(altitudes_m, params, supersampled), params, oversample, engine
-    )
-    returns = jnp.asarray(counts, supersampled.roof_m.dtype)
-    return _share_outside(returns, is_obstacle, num_azimuths=params.azimuths)
+    heights_m = beam_heights(altitudes_m, params, supersampled)
+    if _runs_numba(engine, supersampled, heights_m):
+        return _by_numba(supersampled, heights_m, params, oversample, is_obstacle)
+    altitudes = in_type(altitudes_m, supersampled.roof_m.dtype)
+    return _by_jax(supersampled, altitudes, heights_m, params, oversample, is_obstacle)
 
 
 def soft_lidar(

@@ -259,17 +259,18 @@ class Surface:
         """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side, as `part` says it."""
         return self.part(values, halo).cut()
 
-    def part(self, values: jax.Array | np.ndarray, halo: int = 0) -> Part:
+    def part(self, values: jax.Array | np.ndarray, halo: int = 0, reach: int | None = None) -> Part:
         """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side, not cut yet.
 
-        0 where the surface ends: beyond it nothing stands.
+        0 where the surface ends: beyond it nothing stands. Of the halo ``reach`` cells matter; left out, all of them.
 
         Raises:
-          InputError: more cells than ``most_halo``.
+          InputError: more cells than ``most_halo`` matter.
         """
-        if self.most_halo is not None and halo > self.most_halo:
+        far = halo if reach is None else reach
+        if self.most_halo is not None and far > self.most_halo:
             raise InputError(
-                f"a layer looks {halo * self.grid.resolution_m:g} m sideways, beyond its reach_m: raise reach_m to that"
+                f"a layer looks {far * self.grid.resolution_m:g} m sideways, beyond its reach_m: raise reach_m to that"
             )
         rows, cols = self.window
         ends = [

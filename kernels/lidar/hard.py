@@ -37,6 +37,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.custom_batching import sequential_vmap
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, UInt
 
@@ -44,10 +45,9 @@ WORD_BITS = 32
 STEPS_AT_ONCE = (
     4  # of rays, in one turn of the loop by steps: what they have met is read and written once
 )
-STEPS_PER_PASS = (
-    7  # bitmaps combined per pass over the words: 1.5 times faster than one by one on large maps
-)
-AZIMUTHS_AT_ONCE = 8  # added up by carry-save adders before they are carried into the counts
+BYTE_BITS = 8  # of the words by azimuths, which are made the quicker the smaller they are
+STEPS_PER_PASS = 7  # by azimuths: the 21 of 100 m at 5 m are whole passes
+BLOCK = (256, 512)  # most receivers taken together by azimuths, rows and columns: caches hold them
 TINY_M = float(np.finfo(np.float32).tiny)  # below every roof, above the ground
 
 
@@ -73,6 +73,11 @@ def halo_cells(steps: int, per_cell: int) -> int:
     return (steps - 1 + per_cell // 2) // per_cell
 
 
+def rounded_up(number: int, multiple: int) -> int:
+    """Return the next multiple that is not below a number."""
+    return -(-number // multiple) * multiple
+
+
 def phases(supersampled: Float[Array, "nY nX"], per_cell: int) -> Float[Array, "P Y X"]:
     """Return the ``n * n`` rasters of every n-th cell; raster p begins at cell (p // n, p % n)."""
     rows, cols = (size // per_cell for size in supersampled.shape)
@@ -80,17 +85,19 @@ def phases(supersampled: Float[Array, "nY nX"], per_cell: int) -> Float[Array, "
     return split.reshape(per_cell**2, rows, cols)
 
 
-def phase_starts(offsets: Int[np.ndarray, "K N 2"], per_cell: int) -> Int[np.ndarray, "K N 3"]:
+def phase_starts(
+    offsets: Int[np.ndarray, "K N 2"], per_cell: int, halo: int | None = None
+) -> Int[np.ndarray, "K N 3"]:
     """Return phase, row and column where each step of each ray finds what the southwest receiver looks at.
-
-    Rows and columns count from the corner of phases that reach `halo_cells` beyond the receivers.
 
     Args:
       offsets: from `ray_offsets`, in subcells from a receiver, which stands in the
         cell (n // 2, n // 2) of its map cell.
       per_cell: n.
+      halo: cells that phases reach beyond the receivers, from whose corner rows and columns count; left out,
+        `halo_cells`.
     """
-    halo = halo_cells(offsets.shape[1], per_cell)
+    halo = halo_cells(offsets.shape[1], per_cell) if halo is None else halo
     cell, phase = np.divmod(offsets + per_cell // 2, per_cell)
     starts = [phase[..., 0] * per_cell + phase[..., 1], cell[..., 0] + halo, cell[..., 1] + halo]
     return np.stack(starts, axis=-1).astype(np.int32)
@@ -147,43 +154,6 @@ def round_up(values: np.ndarray, dtype: np.dtype) -> np.ndarray:
     return np.where(rounded < values, np.nextafter(rounded, np.asarray(np.inf, dtype)), rounded)
 
 
-def _unpack_counts(slices: tuple[jax.Array, ...]) -> jax.Array:
-    """Return the int32 numbers ``[32 * band, X]`` held in bit slices, least significant first."""
-    bit = jnp.arange(WORD_BITS, dtype=jnp.uint32)[:, None, None]
-    counts = jnp.zeros((WORD_BITS, *slices[0].shape), jnp.int32)
-    for place, words in enumerate(slices):
-        counts = counts | ((words >> bit) & 1).astype(jnp.int32) << place
-    return counts.reshape(-1, slices[0].shape[-1])
-
-
-def _sums(a: jax.Array, b: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the sum and the carry of three bits in each place of words."""
-    either = a ^ b
-    return either ^ c, (a & b) | (either & c)
-
-
-def _add_eight(slices: tuple[jax.Array, ...], words: list[jax.Array]) -> tuple[jax.Array, ...]:
-    """Return bit slices of the sums with eight more words, by carry-save adders: the upper slices change once."""
-    ones, twos, fours, *upper = slices
-    carries = []
-    for k in range(0, 8, 2):
-        ones, carry = _sums(ones, words[k], words[k + 1])
-        carries.append(carry)
-    twos, first = _sums(twos, carries[0], carries[1])
-    twos, second = _sums(twos, carries[2], carries[3])
-    fours, carry = _sums(fours, first, second)
-    return ones, twos, fours, *_add_one(tuple(upper), carry)
-
-
-def _add_one(slices: tuple[jax.Array, ...], carry: jax.Array) -> tuple[jax.Array, ...]:
-    """Return bit slices of the sums with one more word."""
-    total = []
-    for words in slices:
-        total.append(words ^ carry)
-        carry = words & carry
-    return tuple(total)
-
-
 @partial(jax.jit, static_argnames="halo")
 def count_returns(
     roof_m: Float[Array, "P Y+2H X+2H"],
@@ -200,65 +170,118 @@ def count_returns(
       starts: ``[K, N, 3]`` from `phase_starts`.
       halo: H, from `halo_cells`.
 
-    Cells inside buildings get a number too (K, mostly). The form for a CPU, to which altitudes that no roof reaches
-    cost nothing, is for a single phase. The gradient is zero.
+    Cells inside buildings get a number too (K, mostly). To the form for a CPU altitudes that no roof reaches cost
+    nothing. The gradient is zero.
     """
-    by_steps = partial(count_returns_by_steps, halo=halo)
-    by_azimuths = partial(count_returns_by_azimuths, halo=halo) if len(roof_m) == 1 else by_steps
-    return lax.platform_dependent(roof_m, thresholds_m, starts, cpu=by_azimuths, default=by_steps)
+    by_steps, by_azimuths = (
+        partial(form, halo=halo) for form in (count_returns_by_steps, count_returns_by_azimuths)
+    )
+    fixed = lax.stop_gradient((roof_m, thresholds_m))
+    return lax.platform_dependent(
+        *fixed, starts, cpu=sequential_vmap(by_azimuths), default=by_steps
+    )
 
 
 def count_returns_by_azimuths(
     roof_m: jax.Array, thresholds_m: jax.Array, starts: jax.Array, *, halo: int
 ) -> jax.Array:
-    """Return `count_returns` of a single phase, by the form for a CPU."""
-    roof_m, starts, steps = roof_m[0], starts[..., 1:], thresholds_m.shape[1]
-    rows, cols = (size - 2 * halo for size in roof_m.shape)
-    band = -(-rows // WORD_BITS)
-    highest_m = jnp.nanmax(roof_m)
-    num_azimuths = len(starts)
-    num_slices = max(3, num_azimuths.bit_length())
-    padded_m = jnp.pad(roof_m, ((0, WORD_BITS * band - rows), (0, 0)))
+    """Return `count_returns`, by the form for a CPU: block by block, azimuth by azimuth."""
+    shape = [size - 2 * halo for size in roof_m.shape[1:]]
+    num_blocks = [-(-size // most) for size, most in zip(shape, BLOCK, strict=True)]
+    rows, cols = (-(-size // num) for size, num in zip(shape, num_blocks, strict=True))
+    rows = -(-rows // BYTE_BITS) * BYTE_BITS
+    beyond = num_blocks[0] * rows - shape[0], num_blocks[1] * cols - shape[1]
+    padded_m = jnp.pad(roof_m, ((0, 0), (0, beyond[0]), (0, beyond[1])))
+    blocks = np.array([(0, *block) for block in np.ndindex(*num_blocks)], np.int32)
+    corners = blocks * np.array([1, rows, cols], np.int32)
 
-    def count_at(threshold_m: jax.Array) -> jax.Array:
-        bitmaps = lax.map(lambda threshold: pack(padded_m, threshold, band), threshold_m)
+    def count_block(threshold_m: jax.Array, corner: jax.Array) -> jax.Array:
+        around = len(padded_m), rows + 2 * halo, cols + 2 * halo
+        around_m = lax.dynamic_slice(padded_m, corner, around)
+        highest_m = jnp.max(around_m, initial=0, where=around_m > 0)
         is_live = threshold_m <= highest_m
-        first, from_end = (lax.argmax(live, 0, jnp.int32) for live in (is_live, is_live[::-1]))
-        end = steps - from_end
-        passes = -(-(end - first) // STEPS_PER_PASS)
-
-        def returns_of(start):
-            def look(i, returned):
-                for k in range(STEPS_PER_PASS):
-                    n = jnp.minimum(
-                        first + i * STEPS_PER_PASS + k, end - 1
-                    )  # the last one again does no harm
-                    corner = (n, start[n, 0], start[n, 1])
-                    returned = returned | lax.dynamic_slice(bitmaps, corner, (1, band, cols))[0]
-                return returned
-
-            return lax.fori_loop(0, passes, look, jnp.zeros((band, cols), jnp.uint32))
-
-        def add_eight(slices, start):
-            return _add_eight(slices, [returns_of(start[k]) for k in range(AZIMUTHS_AT_ONCE)]), None
-
-        def add_one(slices, start):
-            return _add_one(slices, returns_of(start)), None
-
-        slices = tuple(jnp.zeros((band, cols), jnp.uint32) for _ in range(num_slices))
-        grouped = num_azimuths // AZIMUTHS_AT_ONCE * AZIMUTHS_AT_ONCE
-        groups = starts[:grouped].reshape(-1, AZIMUTHS_AT_ONCE, steps, 2)
-        slices, _ = lax.scan(add_eight, slices, groups)
-        slices, _ = lax.scan(add_one, slices, starts[grouped:])
-        return _unpack_counts(slices)[:rows]
-
-    def count_if_reached(threshold_m: jax.Array) -> jax.Array:
-        reached = jnp.min(threshold_m) <= highest_m
         return lax.cond(
-            reached, count_at, lambda _: jnp.zeros((rows, cols), jnp.int32), threshold_m
+            jnp.any(is_live),
+            lambda: _count_block(around_m, threshold_m, is_live, starts, halo),
+            lambda: jnp.zeros((rows, cols), jnp.int32),
         )
 
-    return lax.map(count_if_reached, thresholds_m)
+    def count_at(threshold_m: jax.Array) -> jax.Array:
+        counts = lax.map(partial(count_block, threshold_m), corners)
+        whole = counts.reshape(*num_blocks, rows, cols).swapaxes(1, 2)
+        return whole.reshape(num_blocks[0] * rows, -1)[: shape[0], : shape[1]]
+
+    return lax.map(count_at, thresholds_m)
+
+
+def _count_block(
+    roof_m: jax.Array, threshold_m: jax.Array, is_live: jax.Array, starts: jax.Array, halo: int
+) -> jax.Array:
+    """Return the counts of a block of receivers at one altitude, ``[8 * band, x]``.
+
+    What has returned is kept for all azimuths, a bit for each receiver. Of a few steps at a time bitmaps are made,
+    which a core's cache holds, and each azimuth joins what it looks at in them.
+
+    Args:
+      roof_m: ``[P, Y, X]`` `phases` of the roofs around the block.
+      threshold_m: ``[N]`` least roof that returns the scan at each step.
+      is_live: ``[N]`` whether any roof does; none before the first and after the last such step is looked at.
+      starts: ``[K, N, 3]`` from `phase_starts`.
+      halo: cells beyond the block.
+    """
+    num_azimuths, steps = starts.shape[:2]
+    at_once = min(STEPS_PER_PASS, steps)
+    rows, cols = (size - 2 * halo for size in roof_m.shape[1:])
+    band = rows // BYTE_BITS
+    first, after_last = (lax.argmax(live, 0, jnp.int32) for live in (is_live, is_live[::-1]))
+    num_passes = -(-(steps - after_last - first) // at_once)
+
+    def look(i: jax.Array, returned: jax.Array) -> jax.Array:
+        n = jnp.minimum(first + i * at_once, steps - at_once)  # some again at the end: no harm
+        bitmaps = _bitmaps(roof_m, lax.dynamic_slice_in_dim(threshold_m, n, at_once), band)
+        corners = lax.dynamic_slice_in_dim(starts, n, at_once, axis=1)
+
+        def look_along(k: jax.Array, returned: jax.Array) -> jax.Array:
+            words = lax.dynamic_index_in_dim(returned, k, keepdims=False)
+            for step, corner in enumerate(corners[k]):
+                words |= lax.dynamic_slice(bitmaps[step], corner, (1, band, cols))[0]
+            return lax.dynamic_update_index_in_dim(returned, words, k, 0)
+
+        return lax.fori_loop(0, num_azimuths, look_along, returned)
+
+    nothing = jnp.zeros((num_azimuths, band, cols), jnp.uint8)
+    return _sum_bits(lax.fori_loop(0, num_passes, look, nothing)).reshape(rows, cols)
+
+
+def _bitmaps(roof_m: jax.Array, least_m: jax.Array, band: int) -> jax.Array:
+    """Return the words of roofs that reach each of a few heights, ``[n, P, y, X]`` bytes, as `pack`.
+
+    A roof's rank, how many of the heights it reaches, is found once for each cell and not for each word that it is in:
+    XLA would do that, but for the loop.
+    """
+    rank = sum((roof_m >= height_m).astype(jnp.uint8) for height_m in least_m)
+    least_rank = jnp.sum(least_m <= least_m[:, None], axis=1, dtype=jnp.uint8)
+    return lax.map(lambda least: pack(rank, least, band, jnp.uint8), least_rank)
+
+
+def _sum_bits(words: UInt[Array, "K y x"]) -> Int[Array, "8 y x"]:
+    """Return how many of K bytes have each bit set: three at a time, which two bits can count."""
+    threes = jnp.pad(words, ((0, -len(words) % 3), (0, 0), (0, 0))).reshape(-1, 3, *words.shape[1:])
+    dtype = jnp.uint16 if len(words) < 2**16 else jnp.uint32
+    places = jnp.arange(0, BYTE_BITS, 2, dtype=jnp.uint8)[:, None, None]
+    none = jnp.zeros((len(places), *words.shape[1:]), dtype)
+
+    def sum_every_other(first: int) -> jax.Array:
+        one, two, three = ((threes[:, i] >> first) & 0b01010101 for i in range(3))
+        total, _ = lax.scan(
+            lambda total, pairs: (total + ((pairs >> places) & 0b11).astype(dtype), None),
+            none,
+            one + two + three,
+        )
+        return total
+
+    total = jnp.stack([sum_every_other(0), sum_every_other(1)], axis=1)
+    return total.astype(jnp.int32).reshape(BYTE_BITS, *words.shape[1:])
 
 
 def pack(

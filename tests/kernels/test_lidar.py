@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from jaxurban.kernels.lidar import soft as soft_lidar
-from jaxurban.kernels.lidar.flat_cpu import count_on_host
 from jaxurban.kernels.lidar.hard import (
     count_returns,
     count_returns_by_azimuths,
@@ -78,8 +77,7 @@ def random_city(size: int, halo: int, seed: int) -> np.ndarray:
     return (np.round(8 * np.maximum(blocks, single)) / 8).astype(np.float32)
 
 
-FLAT = {  # Numba, and JAX's form for a CPU and for a GPU
-    "numba": count_on_host,
+FLAT = {  # for a CPU and for a GPU
     "cpu": jax.jit(count_returns_by_azimuths, static_argnames="halo"),
     "gpu": count_returns_by_steps,
 }
@@ -94,10 +92,10 @@ def counts_of(
     num_azimuths,
     range_m,
     resolution_m,
-    form="numba",
+    form="",
     per_cell=1,
 ):
-    """Return the counts of receivers, one in the middle of so many by so many cells."""
+    """Return the counts of receivers, one in the middle of so many by so many cells; left out, by the form of a CPU."""
     steps, roofs_m = num_steps(resolution_m, range_m), phases(roof_m, per_cell)
     lowest_m = lowest_heights(np.array(altitudes_m), elevations_rad, resolution_m, range_m, steps)
     starts, halo = (
@@ -105,13 +103,11 @@ def counts_of(
         halo_cells(steps, per_cell),
     )
     if terrain_m is None:
-        count, thresholds_m = (
-            (FLAT | {"jax": count_returns})[form],
-            round_up(flat_thresholds(lowest_m), np.float32),
-        )
+        count = (FLAT | {"jax": count_returns})[form or "cpu"]
+        thresholds_m = round_up(flat_thresholds(lowest_m), np.float32)
         return count(roofs_m, thresholds_m, starts, halo=halo)
     where = {"halo": halo, "receiver_phase": per_cell // 2 * (per_cell + 1)}
-    return ON_TERRAIN[form](
+    return ON_TERRAIN[form or "numba"](
         roofs_m, phases(terrain_m, per_cell), round_up(lowest_m, np.float32), starts, **where
     )
 
@@ -124,12 +120,12 @@ CASES = {
     "a range under half a cell": ([2.0, 20.0, 60.0], (-80, 15, 4), 4, 2.0, 5.0),
     "the default puck": ([2.0, 20.0, 60.0], (-15, 15, 16), 360, 100.0, 5.0),
 }
-# What differs between cases beside shapes is made on the host: two of them show JAX's forms.
-BY_JAX = ("the default puck at fewer azimuths", "a range under half a cell")
+# What differs between cases beside shapes is made on the host: two of them show the form for a GPU.
+BY_GPU = ("the default puck at fewer azimuths", "a range under half a cell")
 PARAMS = [
     pytest.param(name, form, marks=[pytest.mark.slow] if name == "the default puck" else [])
     for name, form in itertools.product(CASES, FLAT)
-    if form == "numba" or name in BY_JAX
+    if form == "cpu" or name in BY_GPU
 ]
 
 
@@ -215,17 +211,13 @@ def test_a_roof_that_is_unknown_is_no_building_and_hides_no_other(form):
         ([5.0], np.deg2rad(np.linspace(-15, 15, 4)), 12, 30.0, 5.0),
     )
     fine = [counts_of(roofs, None, *scan, form) for roofs in both]
-    coarse = [
-        counts_of(roofs, None, *scan, "numba" if form == "numba" else "jax", per_cell=2)
-        for roofs in both
-    ]
+    coarse = [counts_of(roofs, None, *scan, form, per_cell=2) for roofs in both]
     for with_unknown, without in (fine, coarse):
         assert without.max() > 0
         np.testing.assert_array_equal(with_unknown, without)
 
 
-def test_counts_of_fine_cells_and_long_rays_need_many_ranks_and_bitmaps_a_few_steps_at_a_time():
-    """More than 255 thresholds, and bitmaps that are joined in several goes, over several tiles."""
+def test_counts_of_fine_cells_and_long_rays_are_the_same_over_several_blocks():
     elevations_rad = np.deg2rad(np.linspace(-15, 15, 4))
     rng = np.random.default_rng(9)
     shape = 140 + 2 * 400, 600 + 2 * 400
@@ -235,6 +227,11 @@ def test_counts_of_fine_cells_and_long_rays_need_many_ranks_and_bitmaps_a_few_st
         few, counts_of(roof_m, None, [6.0], elevations_rad, 6, 100.0, 0.25, "gpu")
     )
     assert few.min() < few.max()
+
+
+def test_more_positions_return_than_sixteen_bits_count():
+    roof_m = np.full((5, 9), 30, np.float32)
+    assert (counts_of(roof_m, None, [10.0], np.array([0.0]), 70_000, 2.0, 5.0) == 70_000).all()
 
 
 def test_new_heights_altitudes_and_azimuths_of_known_shapes_compile_nothing():
@@ -257,9 +254,11 @@ def test_rays_have_the_symmetry_of_the_grid(num_azimuths):
     np.testing.assert_array_equal(offsets[num_azimuths // 4, -1], [0, 50])  # then east
 
 
-@pytest.mark.parametrize("form", ON_TERRAIN)
-@pytest.mark.parametrize(("per_cell", "on_terrain"), [(3, False), (2, False), (3, True)])
-def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell, on_terrain, form):
+@pytest.mark.parametrize(
+    ("per_cell", "form"), [(3, "cpu"), (2, "cpu"), (3, "gpu"), (3, "numba"), (3, "jax")]
+)
+def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell, form):
+    on_terrain = form in ON_TERRAIN
     scan = [2.0, 10.0], np.deg2rad(np.linspace(-15, 15, 5)), 24, 30.0, 2.0
     steps = num_steps(2.0, 30.0)
     halo = halo_cells(steps, per_cell) * per_cell
