@@ -21,11 +21,12 @@ from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS, count_on_terrain_on_h
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, low_is_bad, on_scene
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
 from jaxurban.world.surface import (
-    Part,
+    Cut,
     Surface,
     in_type,
     obstacle_mask,
     obstacles_on,
+    over_blocks,
     soft_obstacle,
 )
 
@@ -114,7 +115,7 @@ def compute_lidar(
     altitudes_m: Sequence[float] | jax.Array,
     params: Lidar,
     engine: Engine = "auto",
-) -> Float[Array, "A y x"]:
+) -> Float[AnyArray, "A y x"]:
     """Return m_lidar, the share of scan positions that return, on the region, ``[A, y, x]`` float32 in [0, 1].
 
     A scan position returns when any of its beams meets a building within range before the ground,
@@ -137,7 +138,7 @@ def compute_lidar(
             (replace(surface.at_altitude(float(z_m)), slabs=None), [z_m])
             for z_m in np.asarray(altitudes_m)
         ]
-        return jnp.concatenate(
+        return np.concatenate(
             [compute_lidar(at, altitude_m, params, engine) for at, altitude_m in met]
         )
     heights_m = beam_heights(altitudes_m, params, surface)
@@ -177,12 +178,12 @@ def lidar_of_beams(
     heights_m: Float[AnyArray, "A N ..."],
     params: Lidar,
     engine: Engine = "jax",
-) -> Float[Array, "A y x"]:
+) -> Float[AnyArray, "A y x"]:
     """Return `compute_lidar` of beams made ready by `beam_heights`; surface, altitudes and heights may be traced."""
     if _runs_numba(engine, surface, altitudes_m, heights_m):
         is_obstacle = obstacles_on(surface, np.asarray(altitudes_m))
         return _by_numba(surface, heights_m, params, 1, is_obstacle)
-    return _by_jax(surface, altitudes_m, heights_m, params, 1, None)
+    return _by_jax(surface, altitudes_m, heights_m, params, 1)
 
 
 def _runs_numba(engine: Engine, surface: Surface, *values: Any) -> bool:
@@ -198,7 +199,7 @@ def _by_numba(
     params: Lidar,
     oversample: int,
     is_obstacle: Bool[AnyArray, "A y x"],
-) -> Float[Array, "A y x"]:
+) -> Float[AnyArray, "A y x"]:
     """Return m_lidar over terrain, from every ``oversample``-th cell of the region both ways."""
     steps, n = kernel.num_steps(surface.grid.resolution_m, params.range_m), oversample
     halo = kernel.halo_cells(steps, n)
@@ -208,7 +209,9 @@ def _by_numba(
     )
     starts, beams_m = _starts(params.azimuths, steps, n, halo), np.asarray(heights_m)[:, :steps]
     counts = count_on_terrain_on_host(roof_m, terrain_m, beams_m, starts, halo, _receiver_phase(n))
-    return _share(counts.astype(roof_m.dtype), is_obstacle, num_azimuths=params.azimuths)
+    one = roof_m.dtype.type(1)
+    share = counts * (one / one.dtype.type(params.azimuths))  # XLA makes a product of a division
+    return np.where(is_obstacle, one.dtype.type(0), share)
 
 
 def _by_jax(
@@ -217,20 +220,22 @@ def _by_jax(
     heights_m: Float[AnyArray, "A N ..."],
     params: Lidar,
     oversample: int,
-    is_obstacle: Bool[AnyArray, "A y x"] | None,
-) -> Float[Array, "A y x"]:
+) -> Float[AnyArray, "A y x"]:
     """Return m_lidar from every ``oversample``-th cell of the region both ways, as `_lidar`."""
     resolution_m, n = surface.grid.resolution_m, oversample
     halo = halo_cells(params, resolution_m * n, n)
     reach = kernel.halo_cells(kernel.num_steps(resolution_m, params.range_m), n)
-    roof, terrain = (
-        None if values is None else surface.part(values, halo * n, reach * n)
-        for values in (surface.roof_m, surface.terrain_m)
-    )
     starts = _starts(params.azimuths, heights_m.shape[1], n, halo)
-    return _lidar(
-        roof, terrain, altitudes_m, heights_m, starts, is_obstacle, halo=halo, oversample=n
-    )
+
+    def of_parts(cut: Cut) -> Array:
+        roof_m = cut(surface.roof_m)
+        terrain_m = None if surface.terrain_m is None else cut(surface.terrain_m)
+        beams = altitudes_m, heights_m, starts
+        return _lidar(roof_m, terrain_m, *beams, halo=halo, oversample=n)
+
+    if surface.is_on_host:
+        return over_blocks(surface, halo, of_parts, len(heights_m), n)
+    return of_parts(lambda values: surface.part(values, halo * n, reach * n).cut())
 
 
 @lru_cache(maxsize=4)
@@ -243,65 +248,59 @@ def _starts(num_azimuths: int, steps: int, oversample: int, halo: int) -> Int[np
 
 @partial(jax.jit, static_argnames=("halo", "oversample"))
 def _lidar(
-    roof: Part,
-    terrain: Part | None,
+    roof_m: Array,
+    terrain_m: Array | None,
     altitudes_m: Array,
     heights_m: Array,
     starts: Array,
-    is_obstacle: Array | None,
     *,
     halo: int,
     oversample: int,
 ) -> Array:
-    """Return m_lidar of parts with their halo, by the JAX form for the platform that this is compiled for.
+    """Return m_lidar of rasters with their halo, by the JAX form for the platform that this is compiled for.
+
+    0 inside obstacles where the cells are the map's own.
 
     Args:
-      roof, terrain: around the region.
+      roof_m, terrain_m: around the region.
       altitudes_m: ``[A]`` heights above ground.
       heights_m: from `beam_heights`.
       starts: from `_starts`.
-      is_obstacle: where nobody flies; None: where the altitude is not above the region's roofs.
       halo: map cells around the region.
       oversample: n.
     """
-    roof_m = kernel.phases(roof.cut(), oversample)
-    if terrain is None:
-        counts = kernel.count_returns(roof_m, heights_m, starts, halo=halo)
+    roofs_m = kernel.phases(roof_m, oversample)
+    if terrain_m is None:
+        counts = kernel.count_returns(roofs_m, heights_m, starts, halo=halo)
     else:
-        terrain_m = kernel.phases(terrain.cut(), oversample)
         counts = kernel.count_returns_on_terrain_by_steps(
-            roof_m,
-            terrain_m,
+            roofs_m,
+            kernel.phases(terrain_m, oversample),
             heights_m,
             starts,
             halo=halo,
             receiver_phase=_receiver_phase(oversample),
         )
-    if is_obstacle is None:
-        rows, cols = counts.shape[1:]
-        own_m = roof_m[0, halo : halo + rows, halo : halo + cols]
-        is_obstacle = obstacle_mask(own_m, altitudes_m)
-    return _share(counts.astype(roof_m.dtype), is_obstacle, num_azimuths=len(starts))
+    share = counts.astype(roof_m.dtype) / len(starts)
+    if oversample > 1:
+        return share
+    rows, cols = counts.shape[1:]
+    own_m = roof_m[halo : halo + rows, halo : halo + cols]
+    return jnp.where(obstacle_mask(own_m, altitudes_m), jnp.zeros_like(share), share)
 
 
 def _receiver_phase(oversample: int) -> int:
     return (oversample // 2) * (oversample + 1)
 
 
-@partial(jax.jit, static_argnames="num_azimuths")  # compiled, it rounds alike for every caller
-def _share(returns: Array, is_obstacle: Array, *, num_azimuths: int) -> Array:
-    """Return the share of scan positions that return, 0 inside obstacles."""
-    return jnp.where(is_obstacle, 0.0, returns / num_azimuths)
-
-
 def lidar_at_centres(
     supersampled: Surface,
     oversample: int,
-    is_obstacle: Bool[Array, "A y x"],
+    is_obstacle: Bool[AnyArray, "A y x"],
     altitudes_m: Sequence[float] | ArrayLike,
     params: Lidar,
     engine: Engine = "auto",
-) -> Float[Array, "A y x"]:
+) -> Float[AnyArray, "A y x"]:
     """Return m_lidar at the map's cells with rays through the supersampled surface: `compute_lidar`, supersampled.
 
     Args:
@@ -316,7 +315,8 @@ def lidar_at_centres(
     if _runs_numba(engine, supersampled, heights_m):
         return _by_numba(supersampled, heights_m, params, oversample, is_obstacle)
     altitudes = in_type(altitudes_m, supersampled.roof_m.dtype)
-    return _by_jax(supersampled, altitudes, heights_m, params, oversample, is_obstacle)
+    made = np.asarray(_by_jax(supersampled, altitudes, heights_m, params, oversample))
+    return np.where(is_obstacle, made.dtype.type(0), made)
 
 
 def soft_lidar(
@@ -395,7 +395,8 @@ def _ready(surface: Surface, altitudes_m: Sequence[float], params: Lidar, *_: An
 
 
 def _traced(scene: Scene, params: Lidar) -> dict[str, Array]:
-    return {"lidar": lidar_of_beams(scene.surface, scene.altitude_m, scene.ready, params)}
+    m = lidar_of_beams(scene.surface, scene.altitude_m, scene.ready, params)
+    return {"lidar": jnp.asarray(m)}
 
 
 METRIC = Metric(

@@ -82,7 +82,7 @@ def test_one_program_makes_the_risk_of_other_places_resolutions_thresholds_and_a
             mean_risk(2.0, 7, 20, 20.0, Risk(31.0, "solid")),
         ]
     programs = [text for text in caplog.messages if text.startswith("Finished XLA compilation")]
-    assert len(programs) == 1, programs
+    assert len(programs) <= 1, programs  # none where another test compiled it
     assert len(set(means)) == 3
 
 
