@@ -11,11 +11,8 @@ from tests.planners.problems import random_problem
 
 
 def maps() -> None:
-    """Build the maps of a small city by either engine."""
-    for engine in ("numba", "jax"):
-        ju.build_maps(
-            ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=(20.0, 60.0), engine=engine
-        )
+    """Build the maps of a small city."""
+    ju.build_maps(ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=(20.0, 60.0))
 
 
 def paths() -> None:
