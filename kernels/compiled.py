@@ -28,11 +28,15 @@ config: Any = numba.config
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator: `numba.njit` with these options, and a cache on disk that knows of inner functions.
 
+    Python's lock is released in all of them. Options that differ from function to function would have Numba resolve,
+    and compile, all that they take from it once for each choice.
+
     Numba's own ``cache=True`` compiles anew when the file of the outer function changes, but goes on with the old
     machine code when a compiled function that it calls, or a constant that it reads, changes in another file. Here
     the folder is named by all files of the package that the function's own file imports from, so that compiled
     functions can be shared between files. They are imported at its top, from their modules.
     """
+    options = {"nogil": True} | options
 
     def decorate(function: Callable[..., Any]) -> Any:
         before = config.CACHE_DIR

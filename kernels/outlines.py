@@ -11,7 +11,7 @@ from jaxurban.kernels.line.traversal import TOUCH_CELLS, walk_edge
 SNAP_CELLS = 1e-6  # an outline's corner this close to a border of cells lies on it: micrometres, by rounding of metres
 
 
-@compiled(nogil=True)
+@compiled()
 def burn_outlines(points, ring_start, outline_start, values, first_row, first_col, centre, touched):
     """Raise cells to the highest value among the outlines that hold them, in place, in one pass over the outlines.
 
@@ -44,7 +44,7 @@ def burn_outlines(points, ring_start, outline_start, values, first_row, first_co
             )
 
 
-@compiled(nogil=True)
+@compiled()
 def _fill(points, rings, value, first_row, first_col, centre, is_crossed):
     """Raise the cells whose centre lies in one outline; ``is_crossed`` is memory, all False, that is handed on.
 
@@ -104,19 +104,19 @@ def _fill(points, rings, value, first_row, first_col, centre, is_crossed):
     return is_crossed
 
 
-@compiled(nogil=True)
+@compiled()
 def _row_from(y):
     """Return the first row whose centre does not lie south of ``y``."""
     return int(np.ceil(y - 0.5))
 
 
-@compiled(nogil=True)
+@compiled()
 def _col_from(x):
     """Return the first column whose centre lies east of ``x``."""
     return int(np.floor(x + 0.5))
 
 
-@compiled(nogil=True)
+@compiled()
 def _touch(points, rings, value, first_row, first_col, touched, row, col, length):
     """Raise the cells whose interior an edge of one outline crosses; the last three are memory that is handed on."""
     num_rows, num_cols = touched.shape
@@ -143,7 +143,7 @@ def _touch(points, rings, value, first_row, first_col, touched, row, col, length
             if most_parts > len(row):
                 row, col = np.empty(2 * most_parts, np.int64), np.empty(2 * most_parts, np.int64)
                 length = np.empty(2 * most_parts)
-            for part in range(walk_edge(x0, y0, x1, y1, row, col, length, 0)):
+            for part in range(walk_edge(x0, y0, x1, y1, row, col, length, np.int64(0))):
                 r, c = row[part], col[part]
                 if (
                     length[part] > TOUCH_CELLS
@@ -155,13 +155,13 @@ def _touch(points, rings, value, first_row, first_col, touched, row, col, length
     return row, col, length
 
 
-@compiled(nogil=True)
+@compiled()
 def _snapped(value):
     border = np.rint(value)
     return border if abs(value - border) < SNAP_CELLS else value
 
 
-@compiled(nogil=True)
+@compiled()
 def settle(roof_m, cell, floor_m, top_m, is_of_cell):
     """Raise roofs by the slabs that rest on them, in place, and return which hang freely, ``[H]`` bool.
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxurban.errors import InputError
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import CostGrid, is_pinched, segment_cost
-from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, drop_top, push
+from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, drop_top, place
 from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import Bounds, cost_grid_of, make_bounds, reachable_cells
 from jaxurban.planners.compiled_first import compiled_first
@@ -267,7 +267,7 @@ def _search(
     )
     heap = Heap.empty(FIRST_HEAP)
     nodes.g[start] = 0.0
-    push(heap, 0.0, start)
+    heap.item[place(heap, 0.0)] = start
     num_expanded = 0
     while True:
         ended, num_done = advance(cost_grid, nodes, goal, heap, CHUNK)
@@ -369,22 +369,31 @@ def advance(cost_grid, nodes, goal, heap, max_expanded):
                     dr, dc = float(to_row - goal_row), float(to_col - goal_col)
                     bound = nodes.per_side * np.sqrt(dr * dr + dc * dc)
                     bound += max(nodes.rows[to_row], nodes.cols[to_col])
-                    push(heap, best + bound, to)
+                    heap.item[place(heap, best + bound)] = to
     return EXHAUSTED, num_expanded
 
 
-@compiled()
-def shortcut(cost_grid, xy, reach):
+def shortcut(cost_grid: CostGrid, xy: np.ndarray, reach: int) -> np.ndarray:
     """Return the cheapest way ``[K, 2]`` through some of the points ``[N, 2]`` in their order, ends included.
 
     Of all ways whose segments span at most ``reach`` points, by dynamic programming; of equally cheap
     ones, one with long segments. Where every way is blocked the points come back.
     """
-    num = len(xy)
-    best = np.full(num, np.inf)
-    parent = np.full(num, NO_PARENT)
+    best, parent = np.full(len(xy), np.inf), np.full(len(xy), NO_PARENT)
     best[0] = 0.0
-    for k in range(1, num):
+    _weigh_shortcuts(cost_grid, xy, reach, best, parent)
+    if best[-1] == np.inf:
+        return xy
+    kept = [len(xy) - 1]
+    while parent[kept[-1]] != NO_PARENT:
+        kept.append(parent[kept[-1]])
+    return xy[kept[::-1]]
+
+
+@compiled()
+def _weigh_shortcuts(cost_grid, xy, reach, best, parent):
+    """Set what the cheapest way to each point costs, and the point before on it."""
+    for k in range(1, len(xy)):
         for j in range(k - 1, max(-1, k - 1 - reach), -1):
             limit = best[k] * (1 + TIE) - best[j]
             if limit > 0.0:
@@ -393,14 +402,6 @@ def shortcut(cost_grid, xy, reach):
                 )
                 if cost < np.inf:
                     best[k], parent[k] = cost, j
-    if best[num - 1] == np.inf:
-        return xy
-    is_kept = np.zeros(num, np.bool_)
-    k = num - 1
-    while k != NO_PARENT:
-        is_kept[k] = True
-        k = parent[k]
-    return xy[is_kept]
 
 
 @compiled()

@@ -129,7 +129,7 @@ def allowed_moves(is_free: np.ndarray, connectivity: int, needs_both_free: bool)
     return moves
 
 
-@compiled(nogil=True)
+@compiled()
 def _find_moves(framed, steps, needs_both_free, moves):
     """Set moves, given cells ``[Y + 2, X + 2]`` of 1 (free) or 0, and the bits of the steps that there are."""
     for row in range(moves.shape[0]):

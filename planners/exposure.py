@@ -264,7 +264,7 @@ def within_budgets(
     return Path.of(problem, points_m, status, bound, begin_s + first.setup_s, **first.ran | done)
 
 
-@compiled(nogil=True)
+@compiled()
 def _advance(graph, layers, to_go, start, goal, limits, prices, most_cost, most_labels):
     """Expand labels in order of the least cost that a path through them may have, until one is at the goal.
 
@@ -321,7 +321,9 @@ def _advance(graph, layers, to_go, start, goal, limits, prices, most_cost, most_
                 priced, to_cost + to_go[num, to]
             ) >= most_cost:
                 continue
-            node[size], parent[size], cost[size], spent[size] = to, label, to_cost, to_spent
+            node[size], parent[size], cost[size] = to, label, to_cost
+            for layer in range(num):  # a row at once takes Numba 1.5 s more to compile
+                spent[size, layer] = to_spent[layer]
             heapq.heappush(queue, (to_cost + to_go[num, to], size))
             size += 1
     return way, size, most_cost

@@ -243,7 +243,7 @@ def _steps_from(plane, moves, cost, node):
     return bits, MAX_STEPS, np.int64(node // np.uint64(plane)) * MAX_STEPS
 
 
-@compiled(nogil=True)
+@compiled()
 def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
     """Expand nodes in order of f until the goal is met, none is open, or ``max_expanded`` are done.
 
@@ -266,7 +266,7 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
     """
     goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
     offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
-    near = queue.near
+    near, num_cols = queue.near, np.uint32(graph.num_cols)
     # A way to a node is cheaper where it costs less than this times the way known; a closed node that is kept has none.
     if_closed = ROUNDING if reopen else -1.0
     cheaper_steps, cheaper_gs = np.empty(MAX_STEPS, np.uint64), np.empty(MAX_STEPS)
@@ -280,17 +280,12 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
             return PAUSED, num_expanded
         if near.size[0] + queue.tally[NUM_FAR] + MAX_STEPS > queue.far_f.size:
             return FULL, num_expanded
-        node = np.uint64(
-            near.item[0]
-        )  # unsigned: else Numba asks each time whether it counts from the end
-        if state[node] & CLOSED:
-            drop_top(near)
-            continue
-        row, col = (
-            np.uint32(node) // np.uint32(graph.num_cols),
-            np.uint32(node) % np.uint32(graph.num_cols),
-        )
+        # Unsigned: else Numba asks each time whether it counts from the end.
+        node = np.uint64(near.item[0])
+        row, col = np.uint32(node) // num_cols, np.uint32(node) % num_cols
         drop_top(near)
+        if state[node] & CLOSED:
+            continue
         state[node] |= CLOSED
         if node == goal:
             return FOUND, num_expanded
@@ -317,7 +312,7 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
             state[to] = k | REACHED
             to_row, to_col = np.int64(row) + graph.steps[k, 0], np.int64(col) + graph.steps[k, 1]
             to_h = estimate(heuristic, to_row, to_col, goal_row, goal_col)
-            insert(queue, to_g + to_h, to)
+            insert(queue, to_g + to_h, np.int64(to))  # the type of all nodes in a queue
 
 
 class GridSearch:

@@ -111,7 +111,7 @@ def _fewest(
             xy = _divided(xy, is_far)
             is_far = are_clear(is_free, xy, margin)
         is_movable = np.concatenate([[False], ~(is_far[:-1] & is_far[1:]), [False]])
-        moved = nudged(is_free, xy, is_movable, offsets, margin)
+        moved = xy + offsets[nudges(is_free, xy, is_movable, offsets, margin)]
         tolerance -= float(np.hypot(*(moved - xy).T).max())
         xy = moved
     xy, _ = subdivided(xy, SPACING)
@@ -133,9 +133,14 @@ def _divided(xy: np.ndarray, is_far: np.ndarray) -> np.ndarray:
     return np.concatenate([*parts, xy[-1:]])
 
 
-@compiled()
-def nudged(is_free, xy, is_movable, offsets, margin):
-    """Return points ``[N, 2]``, some moved by one of a few offsets, so that as few legs as can be are not clear.
+def nudges(
+    is_free: np.ndarray,
+    xy: np.ndarray,
+    is_movable: np.ndarray,
+    offsets: np.ndarray,
+    margin: float,
+) -> np.ndarray:
+    """Return ``[N]`` by which of a few offsets points move, so that as few legs as can be are not clear.
 
     Legs that are not clear stay where they are: moved, one through the corner of two closed cells would enter one.
     Of such ways the one whose points move the least in all, by dynamic programming over the offsets of each point.
@@ -147,36 +152,40 @@ def nudged(is_free, xy, is_movable, offsets, margin):
       offsets: ``[C, 2]``; the first is 0, 0.
       margin: see `is_clear`.
     """
-    num, num_offsets = len(xy), len(offsets)
-    best = np.full((num, num_offsets), np.inf)
-    parent = np.zeros((num, num_offsets), np.int64)
+    best = np.full((len(xy), len(offsets)), np.inf)
+    parent = np.zeros(best.shape, np.int64)
     best[0, 0] = 0.0
+    _weigh_nudges(is_free, xy, is_movable, offsets, margin, best, parent)
+    chosen = [int(np.argmin(best[-1]))]
+    for parents in parent[:0:-1]:
+        chosen.append(parents[chosen[-1]])
+    return np.array(chosen[::-1])
+
+
+@compiled()
+def _weigh_nudges(is_free, xy, is_movable, offsets, margin, best, parent):
+    """Set what the best way to each point counts, by its offset, and the offset of the point before on that way."""
+    num, num_offsets = best.shape
     for k in range(1, num):
         for c in range(num_offsets if is_movable[k] else 1):
-            x, y = xy[k] + offsets[c]
+            x, y = xy[k, 0] + offsets[c, 0], xy[k, 1] + offsets[c, 1]
             moved = np.hypot(offsets[c, 0], offsets[c, 1])
             for p in range(num_offsets if is_movable[k - 1] else 1):
                 reach = best[k - 1, p] + moved
                 if reach >= best[k, c]:
                     continue
-                from_x, from_y = xy[k - 1] + offsets[p]
+                from_x, from_y = xy[k - 1, 0] + offsets[p, 0], xy[k - 1, 1] + offsets[p, 1]
                 if not is_clear(is_free, from_x, from_y, x, y, margin):
                     reach = reach + STUCK if c == p == 0 else np.inf
                 if reach < best[k, c]:
                     best[k, c], parent[k, c] = reach, p
-    found = xy.copy()
-    c = int(np.argmin(best[num - 1]))
-    for k in range(num - 1, -1, -1):
-        found[k] = xy[k] + offsets[c]
-        c = int(parent[k, c])
-    return found
 
 
 @compiled()
 def is_within(xy, first, last, tolerance):
     """Whether the points between two lie within a tolerance of the segment that joins these."""
-    x0, y0 = xy[first]
-    dx, dy = xy[last] - xy[first]
+    (x0, y0), (x1, y1) = xy[first], xy[last]
+    dx, dy = x1 - x0, y1 - y0
     length = np.hypot(dx, dy)
     for k in range(first + 1, last):
         x, y = xy[k, 0] - x0, xy[k, 1] - y0
@@ -188,8 +197,7 @@ def is_within(xy, first, last, tolerance):
     return True
 
 
-@compiled()
-def fewest_legs(is_free, xy, tolerance, margin):
+def fewest_legs(is_free: np.ndarray, xy: np.ndarray, tolerance: float, margin: float) -> np.ndarray:
     """Return ``[K]`` which points to keep, ends included: the fewest legs, and of these ways the most even.
 
     The most even way has the least sum of its legs' squared lengths, so that none is shorter than it need be.
@@ -204,6 +212,17 @@ def fewest_legs(is_free, xy, tolerance, margin):
     num = len(xy)
     legs, squares, parent = np.full(num, num), np.full(num, np.inf), np.zeros(num, np.int64)
     legs[0], squares[0] = 0, 0.0
+    _weigh_legs(is_free, xy, tolerance, margin, legs, squares, parent)
+    kept = [num - 1]
+    while kept[-1] > 0:
+        kept.append(parent[kept[-1]])
+    return np.array(kept[::-1])
+
+
+@compiled()
+def _weigh_legs(is_free, xy, tolerance, margin, legs, squares, parent):
+    """Set how many legs lead to each point at least, the least sum of their squared lengths, and the point before."""
+    num = len(xy)
     for i in range(num - 1):
         axis, low, high, farthest = 0.0, -np.inf, np.inf, 0.0
         for j in range(i + 1, min(num, i + 1 + REACH)):
@@ -225,7 +244,3 @@ def fewest_legs(is_free, xy, tolerance, margin):
                 low, high = max(low, turn - half), min(high, turn + half)
                 if low > high:
                     break
-    kept = [num - 1]
-    while kept[-1] > 0:
-        kept.append(parent[kept[-1]])
-    return np.array(kept[::-1])

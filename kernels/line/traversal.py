@@ -79,7 +79,9 @@ def crossed_cells(points_m: np.ndarray, resolution_m: float) -> Crossings:
     border = np.rint(points)
     points = np.where(np.abs(points - border) < TOUCH_CELLS, border, points)
     most_parts = int(np.abs(np.diff(np.floor(points), axis=0)).sum()) + len(points)
-    segment, row, col, length = _walk(np.ascontiguousarray(points), most_parts)
+    places, length = np.empty((3, most_parts), np.int64), np.empty(most_parts)
+    count = _walk(np.ascontiguousarray(points), *places, length)
+    (segment, row, col), length = places[:, :count], length[:count]
     length_m = length * resolution_m
     if points_m.shape[1] == 3:
         legs_m = np.diff(points_m, axis=0).T
@@ -142,23 +144,19 @@ def is_free_way(crossings: Crossings, is_free: np.ndarray, passes_corners: bool)
 
 
 @compiled()
-def _walk(points, most_parts):
-    """Walk each segment of a path from border to border."""
-    segment = np.empty(most_parts, np.int64)
-    row = np.empty(most_parts, np.int64)
-    col = np.empty(most_parts, np.int64)
-    length = np.empty(most_parts, np.float64)
-    count = 0
+def _walk(points, segment, row, col, length):
+    """Walk each segment of a path from border to border, write its parts, and return how many there are."""
+    count = np.int64(0)  # for a bare 0, a literal, `walk_edge` would be compiled once more
     for s in range(len(points) - 1):
         x0, y0 = points[s]
         x1, y1 = points[s + 1]
         end = walk_edge(x0, y0, x1, y1, row, col, length, count)
         segment[count:end] = s
         count = end
-    return segment[:count], row[:count], col[:count], length[:count]
+    return count
 
 
-@compiled(nogil=True)
+@compiled()
 def walk_edge(x0, y0, x1, y1, row, col, length, count):
     """Write the cells that a segment crosses, and the length in each, and return the number of all that are written.
 

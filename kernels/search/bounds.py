@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxurban.kernels.compiled import compiled
-from jaxurban.kernels.search.heap import Heap, drop_top, push
+from jaxurban.kernels.search.heap import Heap, drop_top, place
 
 TILE = 8  # cells along a side: 4 make for four times the lattice points, 16 for a looser bound, and both take longer
 BEYOND = 1.25  # times the start's cost: lattice points that lie farther from the goal are taken to lie there
@@ -31,18 +31,24 @@ class TileBound(NamedTuple):
     at_goal: float
 
 
-@compiled(nogil=True)
-def tile_minima(cost, is_free):
+def tile_minima(cost: np.ndarray, is_free: np.ndarray) -> np.ndarray:
     """Return ``[I + 2, J + 2]`` the cheapest free cell of every tile, inf without one and in the frame.
 
     Args:
       cost: ``[Y, X]`` float64, anything in cells that are not free.
       is_free: ``[Y, X]`` bool.
     """
-    num_rows, num_cols = cost.shape
-    num_i, num_j = (num_rows - 1) // TILE + 1, (num_cols - 1) // TILE + 1
+    num_i, num_j = ((size - 1) // TILE + 1 for size in cost.shape)
     minima = np.full((num_i + 2, num_j + 2), np.inf)
-    least = np.empty(num_j * TILE + 1)
+    _lower_minima(cost, is_free, minima, np.empty(num_j * TILE + 1))
+    return minima
+
+
+@compiled()
+def _lower_minima(cost, is_free, minima, least):
+    """Set the minima of tiles; ``least`` is memory for a row of cells, and one more."""
+    num_rows, num_cols = cost.shape
+    num_i, num_j = minima.shape[0] - 2, minima.shape[1] - 2
     for i in range(num_i):
         least[:] = np.inf
         for row in range(i * TILE, min((i + 1) * TILE + 1, num_rows)):
@@ -54,11 +60,15 @@ def tile_minima(cost, is_free):
             for k in range(1, TILE + 1):
                 value = least[j * TILE + k] if least[j * TILE + k] < value else value
             minima[1 + i, 1 + j] = value
-    return minima
 
 
-@compiled(nogil=True)
-def costs_at_corners(minima, straight, diagonal, start, goal):
+def costs_at_corners(
+    minima: np.ndarray,
+    straight: tuple[float, float],
+    diagonal: tuple[float, float],
+    start: tuple[int, ...],
+    goal: tuple[int, ...],
+) -> tuple[np.ndarray, bool]:
     """Return what Dijkstra's search from the goal's tile over sides and diagonals of tiles gives at lattice points.
 
     Args:
@@ -70,18 +80,25 @@ def costs_at_corners(minima, straight, diagonal, start, goal):
       ``[I + 1, J + 1]`` float64 the costs to the goal's tile, at most the search's limit, and whether a way joins
       start and goal; without one the costs are 0.
     """
-    num_i, num_j = minima.shape[0] - 2, minima.shape[1] - 2
-    corners = np.full((num_i + 1, num_j + 1), np.inf)
+    width = minima.shape[1] - 1
+    corners = np.full((minima.shape[0] - 1, width), np.inf)
+    cost, first = corners.reshape(-1), goal[0] * width + goal[1]
     # Each point is opened anew at most once by each of its neighbours; memory that is not written to is not taken.
-    most = 8 * corners.size + 4
-    heap = Heap(np.empty(most), np.empty(most, np.int32), np.zeros(1, np.int64))
-    for i in range(goal[0], goal[0] + 2):
-        for j in range(goal[1], goal[1] + 2):
-            corners[i, j] = 0.0
-            push(heap, 0.0, i * (num_j + 1) + j)
+    most = 8 * cost.size + 4
+    heap = Heap(np.empty(most), np.empty(most, np.int32), np.array([4]))
+    heap.item[:4] = first, first + 1, first + width, first + width + 1
+    heap.f[:4] = cost[heap.item[:4]] = 0.0
+    limit = _search_corners(minima, straight, diagonal, start, cost, heap)
+    is_joined = limit < np.inf
+    return np.minimum(corners, limit) if is_joined else np.zeros_like(corners), is_joined
+
+
+@compiled()
+def _search_corners(minima, straight, diagonal, start, cost, heap):
+    """Lower the costs at lattice points, row by row, to those found, and return the limit, inf where no way joins."""
+    width = minima.shape[1] - 1
     num_left = 4  # corners of the start's tile that the search has not come to
     limit = np.inf  # where it ends: `BEYOND` times the cost at the last of these
-    cost, width = corners.reshape(-1), num_j + 1
     while heap.size[0] > 0 and heap.f[0] <= limit:
         value, node = heap.f[0], heap.item[0]
         drop_top(heap)
@@ -92,32 +109,29 @@ def costs_at_corners(minima, straight, diagonal, start, goal):
             num_left -= 1
             if num_left == 0:
                 limit = BEYOND * value
-        sw, se, nw, ne = minima[i, j], minima[i, j + 1], minima[i + 1, j], minima[i + 1, j + 1]
-        for to, minimum, is_diagonal in (
-            (node + width, min(nw, ne), False),
-            (node - width, min(sw, se), False),
-            (node + 1, min(se, ne), False),
-            (node - 1, min(sw, nw), False),
-            (node + width + 1, ne, True),
-            (node + width - 1, nw, True),
-            (node - width + 1, se, True),
-            (node - width - 1, sw, True),
-        ):
-            if minimum == np.inf:
-                continue
-            side, across = _steps(straight, diagonal, minimum)
-            to_cost = value + (across if is_diagonal else side)
-            if to_cost < cost[to]:
-                cost[to] = to_cost
-                push(heap, to_cost, to)
-    is_joined = num_left == 0
-    for k in range(cost.size):
-        cost[k] = min(cost[k], limit) if is_joined else 0.0
-    return corners, is_joined
+        for up in range(-1, 2):
+            for right in range(-1, 2):
+                # The tiles on both sides of a step; a diagonal step crosses one.
+                minimum = min(
+                    minima[i + (up > 0), j + (right > 0)], minima[i + (up >= 0), j + (right >= 0)]
+                )
+                if minimum == np.inf:
+                    continue
+                step = diagonal if up != 0 and right != 0 else straight
+                to, to_cost = node + up * width + right, value + (step[0] + step[1] * minimum)
+                if to_cost < cost[to]:
+                    cost[to] = to_cost
+                    heap.item[place(heap, to_cost)] = to
+    return limit
 
 
-@compiled(nogil=True)
-def tile_bound(minima, straight, diagonal, start, goal):
+def tile_bound(
+    minima: np.ndarray,
+    straight: tuple[float, float],
+    diagonal: tuple[float, float],
+    start: tuple[int, ...],
+    goal: tuple[int, ...],
+) -> TileBound:
     """Return the bound on the cost to the goal, for a search from start to goal.
 
     Args:
@@ -126,36 +140,18 @@ def tile_bound(minima, straight, diagonal, start, goal):
       diagonal: the same of a diagonal one: no less than a straight one, and no more than two.
       start, goal: cells.
     """
-    straight, diagonal = (
-        (TILE * straight[0], TILE * straight[1]),
-        (TILE * diagonal[0], TILE * diagonal[1]),
-    )
+    straight, diagonal = ((TILE * base, TILE * share) for base, share in (straight, diagonal))
     first, last = (start[0] // TILE, start[1] // TILE), (goal[0] // TILE, goal[1] // TILE)
     corners, is_joined = costs_at_corners(minima, straight, diagonal, first, last)
-    centres = np.empty((corners.shape[0] - 1, corners.shape[1] - 1))
-    for i in range(centres.shape[0]):
-        for j in range(centres.shape[1]):
-            side, across = _steps(straight, diagonal, minima[i + 1, j + 1])
-            sw, se, nw, ne = (
-                corners[i, j],
-                corners[i, j + 1],
-                corners[i + 1, j],
-                corners[i + 1, j + 1],
-            )
-            # The highest middle to which no plane is too steep; it need not lie above all corners.
-            value = max(max(sw, se), max(nw, ne))
-            for one, other in ((sw, se), (nw, ne), (sw, nw), (se, ne)):
-                highest = 0.5 * (one + other + min(side, across - abs(one - other)))
-                value = highest if highest < value else value
-            centres[i, j] = value
-    at_goal = tile_estimate(TileBound(corners, centres, 0.0), goal[0], goal[1])
+    side, across = (base + share * minima[1:-1, 1:-1] for base, share in (straight, diagonal))
+    sw, se, nw, ne = corners[:-1, :-1], corners[:-1, 1:], corners[1:, :-1], corners[1:, 1:]
+    # The highest middle to which no plane is too steep; it need not lie above all corners.
+    centres = np.maximum(np.maximum(sw, se), np.maximum(nw, ne))
+    for one, other in ((sw, se), (nw, ne), (sw, nw), (se, ne)):
+        highest = 0.5 * (one + other + np.minimum(side, across - abs(one - other)))
+        np.minimum(centres, highest, out=centres)
+    at_goal = tile_estimate(TileBound(corners, centres, 0.0), *goal)
     return TileBound(corners, centres, at_goal if is_joined else -np.inf)
-
-
-@compiled(forceinline=True)
-def _steps(straight, diagonal, minimum):
-    """Return what going along a side, and along a diagonal, of a tile costs at least."""
-    return straight[0] + straight[1] * minimum, diagonal[0] + diagonal[1] * minimum
 
 
 @compiled(forceinline=True)

@@ -71,12 +71,6 @@ def place(heap, f):
     return i
 
 
-@compiled()
-def push(heap, f, item):
-    """Put an entry into a heap that has room."""
-    heap.item[place(heap, f)] = item
-
-
 # Inlined by force: handing it the arrays took as long as what it does.
 @compiled(forceinline=True)
 def drop_top(heap):
@@ -181,15 +175,15 @@ def insert(queue, f, node):
     tally = queue.tally
     bucket = (f - queue.scale[0]) * queue.scale[1]
     if not bucket >= tally[BUCKET] + 1:  # NaN, of an infinite f, comes here too
-        push(queue.near, f, node)
+        queue.near.item[place(queue.near, f)] = node
         return
-    place = int(min(bucket, NUM_BUCKETS))
+    index = int(min(bucket, NUM_BUCKETS))
     slot = tally[FREE_SLOT]
     tally[FREE_SLOT] = queue.far_next[slot]
     queue.far_f[slot] = f
     queue.far_node[slot] = node
-    queue.far_next[slot] = queue.first[place]
-    queue.first[place] = slot
+    queue.far_next[slot] = queue.first[index]
+    queue.first[index] = slot
     tally[NUM_FAR] += 1
 
 
@@ -202,17 +196,17 @@ def refill(queue, num_cols, moves, cost, g, state):
     """
     tally = queue.tally
     while queue.near.size[0] == 0 and tally[NUM_FAR] > 0:
-        place = tally[BUCKET] + 1
-        tally[BUCKET] = place
-        if place == NUM_BUCKETS:
+        index = tally[BUCKET] + 1
+        tally[BUCKET] = index
+        if index == NUM_BUCKETS:
             tally[BUCKET] = 0
             queue.scale[0] = np.inf
-            slot = queue.first[place]
+            slot = queue.first[index]
             while slot != NO_SLOT:
                 queue.scale[0] = min(queue.scale[0], queue.far_f[slot])
                 slot = queue.far_next[slot]
-        slot = queue.first[place]
-        queue.first[place] = NO_SLOT
+        slot = queue.first[index]
+        queue.first[index] = NO_SLOT
         while slot != NO_SLOT:
             next_slot = queue.far_next[slot]
             queue.far_next[slot] = tally[FREE_SLOT]

@@ -11,12 +11,11 @@ import numpy as np
 from jaxurban.kernels.compiled import compiled
 
 
-@compiled(nogil=True)
+@compiled()
 def _weigh_rows(costs, weights, sums):
-    """Set ``sums`` ``[Y, X]`` to the weighted sums of layers ``[L, Y, X]``; layers of weight 0 are not read."""
+    """Add the weighted sums of layers ``[L, Y, X]`` to ``sums`` ``[Y, X]``; layers of weight 0 are not read."""
     for row in range(sums.shape[0]):
         total = sums[row]
-        total[:] = 0.0
         for layer in range(weights.size):
             weight = weights[layer]
             if weight != 0.0:
@@ -30,6 +29,6 @@ def weighted_sum(costs: np.ndarray, weights: np.ndarray) -> np.ndarray:
     shape = costs.shape[1:]
     layers = np.ascontiguousarray(costs).reshape(len(costs), math.prod(shape[:-1]), shape[-1])
     layers.flags.writeable = False  # as compiled loops expect, whoever asks
-    sums = np.empty(layers.shape[1:])
+    sums = np.zeros(layers.shape[1:])
     _weigh_rows(layers, np.asarray(weights, np.float64), sums)
     return sums.reshape(shape)

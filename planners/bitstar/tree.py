@@ -76,7 +76,8 @@ class Tree(NamedTuple):
       best: ``[N]`` the lowest cost of reaching a node found in this batch, queued edges included.
       state: ``[N]`` uint8, one of SAMPLE, OLD, FRESH, EXPANDED.
       tree_begin, sample_begin: ``[B + 1]`` first node of each bucket.
-      long_parent, long_child: ``[K]`` tree edges longer than the radius, sorted by parent.
+      long_child: ``[K]`` children by tree edges longer than the radius, sorted by parent; ``long_begin`` ``[N + 1]``
+        where those of each node begin.
     """
 
     xy: np.ndarray
@@ -94,7 +95,7 @@ class Tree(NamedTuple):
     state: np.ndarray = NONE
     tree_begin: np.ndarray = NONE
     sample_begin: np.ndarray = NONE
-    long_parent: np.ndarray = NONE
+    long_begin: np.ndarray = NONE
     long_child: np.ndarray = NONE
 
     @classmethod
@@ -191,7 +192,7 @@ class Tree(NamedTuple):
             state=np.where(is_tree, OLD, SAMPLE).astype(np.uint8),
             tree_begin=np.searchsorted(bucket[:num_tree], squares),
             sample_begin=np.searchsorted(bucket[num_tree:], squares) + num_tree,
-            long_parent=tree.parent[long_child],
+            long_begin=np.searchsorted(tree.parent[long_child], np.arange(len(order) + 1)),
             long_child=long_child.astype(np.int32),
         )
 
@@ -231,7 +232,7 @@ def _queue_edges(nodes, queue, graph, node, begin, bucket):
             reach = g + graph.per_side * np.sqrt(square) + nodes.enter[near] + map_part
             f = reach + nodes.to_goal[near]
             if reach < nodes.best[near] and f < incumbent:
-                _push(queue, f, node, near, NOT_COSTED)
+                _push(queue, f, node, np.int32(near), NOT_COSTED)
 
 
 @compiled()
@@ -256,14 +257,12 @@ def _expand(nodes, queue, graph, node, most):
     if not is_fresh:
         return True
     _queue_edges(nodes, queue, graph, node, nodes.tree_begin, bucket)
-    k = np.searchsorted(nodes.long_parent, node)
-    while k < nodes.long_parent.size and nodes.long_parent[k] == node:
+    for k in range(nodes.long_begin[node], nodes.long_begin[node + 1]):
         child = nodes.long_child[k]
         reach = nodes.g[node] + nodes.edge_cost[child]
         if nodes.parent[child] == node and reach < nodes.best[child]:
             nodes.best[child] = reach
             _push(queue, reach + nodes.to_goal[child], node, child, nodes.edge_cost[child])
-        k += 1
     return True
 
 

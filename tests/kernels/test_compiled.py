@@ -11,7 +11,7 @@ import numba
 import pytest
 
 from jaxurban.kernels.line.traversal import walk_edge
-from jaxurban.kernels.search.heap import Heap, push
+from jaxurban.kernels.search.heap import Heap, place
 from tests.compile_first import paths
 
 INNER = """
@@ -117,5 +117,5 @@ def test_compiled_functions_take_named_tuples_of_modules_that_theirs_import():
     called = {
         each for module in modules for each in vars(module).values() if hasattr(each, "py_func")
     }
-    assert push in called
+    assert place in called
     assert {each: found for each in called if (found := taken_from_elsewhere(each))} == {}

@@ -1,7 +1,9 @@
-"""What a planner runs is compiled before its clock starts: nothing is compiled, or loaded, during a search."""
+"""What a planner runs is compiled before its clock starts, and it is little."""
 
+import os
 import subprocess
 import sys
+from collections import Counter
 
 import pytest
 
@@ -68,3 +70,37 @@ def test_no_planner_compiles_within_its_search():
     command = [sys.executable, "-c", SCRIPT, *PLANNERS, *VOLUME_PLANNERS]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert ended.returncode == 0, ended.stderr
+
+
+COMPILED = """
+from numba.core import event
+from jaxurban.planners.registry import find_planner
+from tests.planners.problems import random_problem
+
+class Print(event.Listener):
+    def on_start(self, event):
+        function = event.data["dispatcher"].py_func
+        print(function.__module__, function.__name__)
+    def on_end(self, event): ...
+
+problem = random_problem(0, (6, 6), share_free=1.0, kind="line")
+event.register("numba:compile", Print())
+assert find_planner("astar-plus")(problem).setup_s > 0
+"""
+# Of jaxurban, each for one choice of types, and of Numba, for functions such as `min`: with Numba 0.68 these.
+NUM_OWN, NUM_IN_ALL = 16, 29
+
+
+def test_one_plan_of_astar_compiles_few_functions_and_each_of_them_once(tmp_path):
+    """Seconds are of the machine, and of its load; what is compiled from an empty cache is not."""
+    command, environment = (
+        [sys.executable, "-c", COMPILED],
+        os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+    )
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    functions = Counter(ran.stdout.splitlines())
+    own = {name: times for name, times in functions.items() if name.startswith("jaxurban.")}
+    assert own["jaxurban.planners.grid_search advance"] == 1
+    assert own == dict.fromkeys(own, 1)
+    assert len(own) <= NUM_OWN
+    assert functions.total() <= NUM_IN_ALL, functions
