@@ -297,15 +297,10 @@ KERNELS: dict[str, Callable[[], Call]] = {
         ),
         RAYS_5M,
     ),
-    "lidar: flat, part": lambda: Call(
+    "lidar: a block": lambda: Call(
         lidar._lidar,
-        (part(REGION, HALO_5M), None, array(1), array(1, PADDED_5M), PADDED_STARTS, None),
+        (around(BLOCK, HALO_5M), None, array(1), array(1, PADDED_5M), PADDED_STARTS),
         {"halo": HALO_5M, "oversample": 1},
-    ),
-    "lidar: share": lambda: Call(
-        lidar._share,
-        (array(4, *REGION), array(4, *REGION, dtype=bool)),
-        {"num_azimuths": NUM_AZIMUTHS},
     ),
     "lidar: soft, tile": lambda: Call(
         soft_lidar.soft_returns, (around(TILE, STEPS_5M - 1), SCAN, RAYS, NUMBER)

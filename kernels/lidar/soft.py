@@ -79,8 +79,9 @@ def scan_of(
 def margins_at(scan: Scan, n: Int[Array, "*s"], b: Int[Array, "*s"]) -> Margins:
     """Return what beams ``b`` do at steps ``n``; differentiable in altitude and range."""
     slope, cosine = scan.slope[b], scan.cosine[b]
-    near_m = jnp.maximum(n - 0.5, 0.0).astype(slope.dtype) * scan.resolution_m
-    far_m = (n + 0.5).astype(slope.dtype) * scan.resolution_m
+    step = jnp.asarray(n, slope.dtype)
+    near_m = jnp.maximum(step - 0.5, 0.0) * scan.resolution_m
+    far_m = (step + 0.5) * scan.resolution_m
     reach_m = scan.range_m * cosine
     falls = slope < 0
     lowest_m = scan.altitude_m + jnp.where(falls, jnp.minimum(far_m, reach_m), near_m) * slope
