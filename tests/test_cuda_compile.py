@@ -70,8 +70,8 @@ def test_a_little_more_or_much_less_is_no_fault_but_a_kernel_that_fails_or_is_ne
 
 
 def test_jitted_functions_of_maps_and_surfaces_are_told_where_they_are_not_listed():
-    listed = [KERNELS[name]().function for name in ("lidar: share", "surface: cut")]
+    listed = [KERNELS[name]().function for name in ("lidar: a block", "risk")]
     without, with_them = (
         {fault.split(" is not")[0] for fault in unlisted(known)} for known in ([], listed)
     )
-    assert without - with_them == {"jaxurban.metrics.lidar._share", "jaxurban.world.surface._cut"}
+    assert without - with_them == {"jaxurban.metrics.lidar._lidar", "jaxurban.metrics.risk._risk"}

@@ -263,17 +263,6 @@ class Grid:
             num_cols=(end_col - first_col) * per_snap,
         )
 
-    @classmethod
-    def unplaced(
-        cls, resolution_m: float, shape: tuple[int, int], first: tuple[int, int] = (0, 0)
-    ) -> "Grid":
-        """Return a grid without a CRS: that of a compiled program, which serves every place."""
-        grid = object.__new__(cls)
-        values = ("", resolution_m, *first, *shape)
-        for name, value in zip(cls.__dataclass_fields__, values, strict=True):
-            object.__setattr__(grid, name, value)
-        return grid
-
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""

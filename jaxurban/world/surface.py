@@ -151,6 +151,15 @@ class Frame(NamedTuple):
     most_halo: int | None
 
 
+def _unplaced(resolution_m: float, first: tuple[int, int], shape: tuple[int, int]) -> Grid:
+    """Return a grid without a CRS, which a placed one must have: that of a program, which serves every place."""
+    grid = object.__new__(Grid)
+    values = ("", resolution_m, *first, *shape)
+    for name, value in zip(Grid.__dataclass_fields__, values, strict=True):
+        object.__setattr__(grid, name, value)
+    return grid
+
+
 @jax.tree_util.register_pytree_node_class
 @dataclass(frozen=True)
 class Surface:
@@ -204,8 +213,8 @@ class Surface:
     @classmethod
     def tree_unflatten(cls, frame: Frame, rasters: Sequence[Any]) -> "Surface":
         """Return the surface of rasters on unplaced grids."""
-        grid = Grid.unplaced(frame.resolution_m, frame.shape)
-        region = Grid.unplaced(frame.resolution_m, frame.region_shape, frame.first_cell)
+        grid = _unplaced(frame.resolution_m, (0, 0), frame.shape)
+        region = _unplaced(frame.resolution_m, frame.first_cell, frame.region_shape)
         held = dict(zip(RASTERS, rasters, strict=True))
         return cls(**held, grid=grid, region=region, most_halo=frame.most_halo)
 
