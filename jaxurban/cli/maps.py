@@ -50,8 +50,8 @@ from jaxurban.progress import LOG, reporting
 @click.option(
     "--engine",
     type=click.Choice(["auto", "numba", "jax"]),
-    help="Numba on the host, or JAX; on a CPU both give the same bits.  [default: the scenario's, else auto: "
-    "Numba on a CPU, JAX on a GPU]",
+    help="JAX, or Numba where it has a form; on a CPU both give the same bits.  [default: the scenario's, else auto: "
+    "the quicker one]",
 )
 @JSON_FLAG
 def maps(scenario_file: Path, folder: Path, changes: tuple[str, ...], **options: Any) -> int:
