@@ -16,7 +16,7 @@
 # The city is Lower Manhattan: buildings of OpenStreetMap, the 2010 census and nominal GPS satellites come with the
 # package, so nothing is downloaded. The ten lines read it, make its maps on cells of 10 m, and plan from the
 # Battery to the East Village at 20 m above ground, with three planners. Places are longitude and latitude, as a map on
-# the web gives them. The first call on a machine compiles for about half a minute; later ones take seconds.
+# the web gives them. The first call on a machine compiles for some ten seconds; later ones take seconds.
 #
 # - `ptp` (point to point) flies straight, and fails where a building stands in the way;
 # - `astar-dist` and `astar-plus` search for the path of least **cost**: 0.1 a metre flown, plus what each cell on

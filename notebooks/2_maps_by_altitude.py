@@ -24,7 +24,7 @@
 # | risk, the distance to obstacles | no wall within 50 m | at a wall |
 # | obstacle | a building is here: nobody may fly | free |
 #
-# The first call on a machine compiles for about half a minute; later ones take seconds.
+# The first call on a machine compiles for some ten seconds; later ones take seconds.
 
 # %%
 # %matplotlib inline

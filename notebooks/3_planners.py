@@ -24,7 +24,7 @@
 # | `theta-star` | A\* whose legs may point anywhere, not only to the eight neighbours |
 #
 # All pay the same: the default cost model, `line`, costs every path by the exact length in each cell. The first call on
-# a machine compiles for about half a minute.
+# a machine compiles for some ten seconds.
 
 # %%
 # %matplotlib inline

@@ -16,7 +16,7 @@
 # A route says what its pilot cares about: who flies around a crowd spends metres to spare people. Here the pilot is a
 # planner with weights of its own, so that the answer can be checked. In real work the routes come from a file
 # (`ju.fit.read_demonstrations`, or `jaxurban tune` on the command line: [weights](../docs/guides/weights.md)). The
-# first call on a machine compiles for about half a minute.
+# first call on a machine compiles for some ten seconds.
 
 # %%
 # %matplotlib inline

@@ -16,7 +16,7 @@
 # Weights are judgement: nobody measures how many metres a pedestrian is worth. So what matters is where the answer
 # changes. The cheapest route stays the same over a range of weights, then **changes** to another at once, at a
 # *breakpoint*. `ju.studies.sensitivity` finds every breakpoint, each weight from a tenth to ten times its value, and
-# proves by searches that none is missing. The first call on a machine compiles for about half a minute.
+# proves by searches that none is missing. The first call on a machine compiles for some ten seconds.
 
 # %%
 # %matplotlib inline

@@ -24,8 +24,8 @@
 #
 # `jaxurban fetch` downloads all four for a region and writes the settings beside them. This notebook makes no request:
 # it asks what **would** be requested, then takes files of the same kinds that come with the package, of Lower
-# Manhattan, as if you had downloaded them. Put your own in their place. The first call on a machine compiles for about
-# half a minute.
+# Manhattan, as if you had downloaded them. Put your own in their place. The first call on a machine compiles for
+# some ten seconds.
 
 # %%
 # %matplotlib inline

@@ -18,7 +18,7 @@
 # one of them the same questions.
 #
 # The cities are those of the package, Lower Manhattan and Shinjuku in Tokyo; folders of maps of your own would do as
-# well. The first call on a machine compiles for about half a minute.
+# well. The first call on a machine compiles for some ten seconds.
 
 # %%
 # %matplotlib inline

@@ -2,12 +2,13 @@
 
 import ast
 
+import jax
 import numpy as np
 import pandas as pd
 import pytest
 import shapely
 
-from benchmarks import gpu, gpu_sections
+from benchmarks import engines, gpu, gpu_sections
 from benchmarks.against_commit import compare, interval
 from benchmarks.common import Row, Timing, in_turn, markdown
 from benchmarks.embree_peer import Caster, scan_until_first_return, see_satellites
@@ -231,3 +232,33 @@ def test_every_section_of_a_gpu_has_its_seconds_and_they_fit_into_the_run():
     assert list(gpu.SECTIONS) == list(gpu_sections.SECTIONS)
     assert set(gpu.LOOPS) <= set(gpu.SECTIONS)
     assert gpu.BUDGET_S < 600
+
+
+def test_programs_are_counted_at_the_first_call_of_a_shape_alone():
+    events, doubled = engines.count_programs(), jax.jit(lambda values: 2 * values)
+    values, longer = np.ones(17, np.float32), np.ones(18, np.float32)
+
+    def num_programs(argument: np.ndarray) -> float:
+        cost = engines.measured(lambda: jax.block_until_ready(doubled(argument)), events)
+        return cost.num_compiled + cost.num_loaded
+
+    assert [num_programs(each) for each in (values, values, longer)] == [1, 0, 1]
+
+
+def test_a_run_whose_memory_was_given_back_leaves_the_next_ones_greatest_memory_alone():
+    events, mib = engines.count_programs(), 2**17
+    large = engines.measured(lambda: np.ones(400 * mib), events)
+    small = engines.measured(lambda: np.ones(mib), events)
+    assert 380 < large.peak_mib - small.peak_mib < 420
+
+
+def test_cells_of_engines_are_held_against_the_first_and_runs_have_their_own():
+    cold = engines.Cost(16.0, 20.0, 700.0, 4, 0, 1.5)
+    warm = engines.Cost(0.5, 0.25, 700.0, 0, 0, 0.0)
+    other = engines.Cost(4.0, 30.0, 600.0, 0, 7, 0.25)
+    sides = [[cold, warm], [other, warm]]
+    assert engines.cells(sides, 0) == [
+        "16.0 / 20.0 / 700 / 4 + 0 / 1.50",
+        "4.00 / 30.0 / 600 / 0 + 7 / 0.25 (0.25, 1.50)",
+    ]
+    assert engines.cells(sides, 1)[1].endswith(" (1.00, 1.00)")
