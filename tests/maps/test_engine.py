@@ -87,6 +87,7 @@ def test_a_wrong_engine_is_one_sentence():
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:engine = 'numba'")
 def test_a_run_records_its_engine_and_another_one_keeps_its_maps(town, tmp_path, capsys):
     def engines(*options):
         assert run(capsys, "maps", town, "-o", tmp_path / "out", *options)[0] == 0

@@ -24,6 +24,7 @@ from jaxurban.maps.build import compute_maps
 from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.run import Maker, make_zarr
 from jaxurban.maps.task import MapTask
+from jaxurban.maps.tiled import Tiling
 from jaxurban.metrics.custom import Layer
 from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.risk import Risk
@@ -226,9 +227,12 @@ def done_tiles(folder: Path) -> dict[str, int]:
 
 def tear_unfinished(folder: Path) -> None:
     """Tear every chunk of the tiles that are not marked, as a power cut may."""
+    of = tiled_runs.task(tiled_runs.city())
+    tiling = Tiling.over(of.region, of.with_margin(), RAGGED)
+    north, west = tiling.first[0] + tiling.counts[0] - 1, tiling.first[1]
     finished = {
-        f"tile_{4 - i}_{1 + j}.json": f"{i}.{j}" for i in range(4) for j in range(3)
-    }  # after one of margin
+        f"tile_{row}_{col}.json": f"{north - row}.{col - west}" for row, col in tiling.region_tiles
+    }
     kept = {finished[name] for name in done_tiles(folder)}
     for chunk in (folder / WORK / "zarr").rglob("[0-9]*.[0-9]*"):
         if ".".join(chunk.name.split(".")[-2:]) not in kept:
