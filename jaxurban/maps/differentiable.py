@@ -374,7 +374,7 @@ def soften(
     city, params, in_view = task.city, task.params, task.in_view(time_index)
     building = building_index(city, task.with_margin(), params.heights.all_touched)
     assert city.buildings is not None
-    surface = task.surface()
+    surface = task.surface().of_jax()
     terrain_m = None if surface.terrain_m is None else jnp.asarray(surface.terrain_m, dtype)
     surface = replace(surface, roof_m=jnp.asarray(surface.roof_m, dtype), terrain_m=terrain_m)
     return SoftCity(
