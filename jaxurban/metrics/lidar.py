@@ -413,5 +413,5 @@ METRIC = Metric(
     one_means="every scan position returns",
     colour="#e69f00",
     colour_map="plasma",
-    cell_bytes=24,  # counts and shares; bitmaps, and a block of terrain
+    cell_bytes=40,  # counts and shares; what has returned, and bitmaps; a block of terrain
 )

@@ -261,7 +261,7 @@ def _bitmaps(roof_m: jax.Array, least_m: jax.Array, band: int) -> jax.Array:
     XLA would do that, but for the loop.
     """
     rank = sum((roof_m >= height_m).astype(jnp.uint8) for height_m in least_m)
-    least_rank = jnp.sum(least_m <= least_m[:, None], axis=1, dtype=jnp.uint8)
+    least_rank = jnp.sum(least_m[None] <= least_m[:, None], axis=1, dtype=jnp.uint8)
     return lax.map(lambda least: pack(rank, least, band, jnp.uint8), least_rank)
 
 
@@ -275,7 +275,7 @@ def _sum_bits(words: UInt[Array, "K y x"]) -> Int[Array, "8 y x"]:
     def sum_every_other(first: int) -> jax.Array:
         one, two, three = ((threes[:, i] >> first) & 0b01010101 for i in range(3))
         total, _ = lax.scan(
-            lambda total, pairs: (total + ((pairs >> places) & 0b11).astype(dtype), None),
+            lambda total, pairs: (total + ((pairs[None] >> places) & 0b11).astype(dtype), None),
             none,
             one + two + three,
         )
@@ -333,7 +333,7 @@ def count_returns_by_steps(
         returned, _ = lax.scan(
             step, none, (threshold_m, starts.swapaxes(0, 1)), unroll=STEPS_AT_ONCE
         )
-        bits = jnp.arange(WORD_BITS, dtype=jnp.uint32)[:, None, None]
+        bits = jnp.arange(WORD_BITS, dtype=jnp.uint32)[None, :, None, None]
         return jnp.sum((returned[:, None] >> bits) & 1, axis=0, dtype=jnp.int32).reshape(-1, cols)[
             :rows
         ]
@@ -371,7 +371,7 @@ def count_returns_on_terrain_by_steps(
     def count_at(beams_m: jax.Array) -> jax.Array:
         def step(ended, of_step):
             heights_m, start = of_step
-            ground_m = _looks(terrain_m, start, shape) - own_m
+            ground_m = _looks(terrain_m, start, shape) - own_m[None]
             top_m = ground_m + _looks(rise_m, start, shape)
             num_met, num_landed = (
                 _num_not_above(heights_m, level_m, dtype) for level_m in (top_m, ground_m)

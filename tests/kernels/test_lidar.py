@@ -234,6 +234,21 @@ def test_more_positions_return_than_sixteen_bits_count():
     assert (counts_of(roof_m, None, [10.0], np.array([0.0]), 70_000, 2.0, 5.0) == 70_000).all()
 
 
+def test_counts_mapped_over_cities_are_those_of_each_and_have_no_slope():
+    scan = [5.0], np.deg2rad(np.linspace(-15, 15, 4)), 12, 30.0, 5.0
+    roofs_m = np.stack([random_city(40, 6, seed) for seed in (2, 3)])
+
+    def total(roof_m):
+        counts = counts_of(roof_m, None, *scan, "jax")
+        return counts.sum(dtype=jnp.float32), counts
+
+    each = jax.vmap(jax.value_and_grad(total, has_aux=True))
+    (_, mapped), slopes = jax.jit(each)(roofs_m)
+    assert not slopes.any()
+    for roof_m, counts in zip(roofs_m, mapped, strict=True):
+        assert_as_marched(counts, roof_m, np.zeros_like(roof_m), *scan)
+
+
 def test_new_heights_altitudes_and_azimuths_of_known_shapes_compile_nothing():
     elevations_rad = np.deg2rad(np.linspace(-15, 15, 16))
     roof_m = random_city(150, 20, seed=1)

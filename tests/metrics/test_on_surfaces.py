@@ -11,7 +11,8 @@ from scipy.ndimage import distance_transform_edt
 
 from jaxurban.errors import InputError
 from jaxurban.maps.provenance import population_totals
-from jaxurban.metrics.lidar import Lidar, compute_lidar
+from jaxurban.metrics import lidar
+from jaxurban.metrics.lidar import Lidar, compute_lidar, halo_cells
 from jaxurban.metrics.population import (
     BlockPopulation,
     Population,
@@ -108,11 +109,32 @@ def test_the_halo_holds_the_threshold_in_whole_steps():
 
 
 def test_nothing_stands_beyond_the_surface():
-    padded, lidar = GRID.padded(30, 30, 30, 30), Lidar(azimuths=60)
-    alone = compute_lidar(surface_on(SCATTERED_M, GRID, GRID), [20.0], lidar)
-    among_nothing = compute_lidar(surface_on(np.pad(SCATTERED_M, 30), padded, GRID), [20.0], lidar)
+    padded, scan = GRID.padded(30, 30, 30, 30), Lidar(azimuths=60)
+    alone = compute_lidar(surface_on(SCATTERED_M, GRID, GRID), [20.0], scan)
+    among_nothing = compute_lidar(surface_on(np.pad(SCATTERED_M, 30), padded, GRID), [20.0], scan)
     assert alone.min() < alone.max()
     np.testing.assert_array_equal(alone, among_nothing)
+
+
+def test_similar_ranges_share_a_program_and_see_the_more_the_longer_they_are():
+    surface = surface_on(SCATTERED_M, GRID, REGION)
+    scans = [Lidar(azimuths=60, range_m=range_m) for range_m in (90.0, 100.0, 112.0)]
+    before = lidar._lidar._cache_size()
+    near, usual, far = (np.asarray(compute_lidar(surface, [20.0], scan)) for scan in scans)
+    assert lidar._lidar._cache_size() == before + 1
+    assert (near <= usual).all()
+    assert (usual <= far).all()
+    assert near.mean() < usual.mean() < far.mean()
+
+
+def test_a_scan_is_given_a_halo_in_steps_of_16_cells_that_matters_as_far_as_its_range():
+    surface, scan = surface_on(SCATTERED_M, GRID, REGION), Lidar(azimuths=60)
+    assert [halo_cells(scan, resolution_m) for resolution_m in (10.0, 5.0, 2.0)] == [16, 32, 64]
+    assert halo_cells(scan, 5.0, oversample=3) == 32
+    within = compute_lidar(replace(surface, most_halo=20), [20.0], scan)
+    np.testing.assert_array_equal(within, compute_lidar(surface, [20.0], scan))
+    with pytest.raises(InputError, match="looks 100 m sideways"):
+        compute_lidar(replace(surface, most_halo=19), [20.0], scan)
 
 
 def test_a_single_beam_lies_in_the_middle_and_several_at_equal_steps():
