@@ -234,7 +234,7 @@ def _by_jax(
         return _lidar(roof_m, terrain_m, *beams, halo=halo, oversample=n)
 
     if surface.is_on_host:
-        return over_blocks(surface, halo, of_parts, len(heights_m), n)
+        return over_blocks(surface, halo, reach * n, of_parts, len(heights_m), n)
     return of_parts(lambda values: surface.part(values, halo * n, reach * n).cut())
 
 

@@ -109,6 +109,7 @@ def compute_risk(
     resolution_m, dtype = surface.grid.resolution_m, surface.roof_m.dtype
     reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
     halo = halo_cells(params, resolution_m, reach_m)
+    reach = kernel.window_cells(reach_m, resolution_m)
     is_solid = params.distance == "solid"
     terrain_m = ceiling_m = around = None
     if is_solid and surface.terrain_m is not None:
@@ -129,8 +130,8 @@ def compute_risk(
         return _risk(*(None if values is None else cut(values) for values in rasters), *settings)
 
     if surface.is_on_host:
-        return over_blocks(surface, halo, of_parts, len(settings[0]))
-    return of_parts(lambda values: surface.crop_with_halo(values, halo))
+        return over_blocks(surface, halo, reach, of_parts, len(settings[0]))
+    return of_parts(lambda values: surface.part(values, halo, reach).cut())
 
 
 @jax.jit

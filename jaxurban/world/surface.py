@@ -268,6 +268,14 @@ class Surface:
         """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side, as `part` says it."""
         return self.part(values, halo).cut()
 
+    def check_reach(self, cells: int) -> None:
+        """Raise InputError where more cells beyond the region matter than ``most_halo``."""
+        if self.most_halo is not None and cells > self.most_halo:
+            reach_m = cells * self.grid.resolution_m
+            raise InputError(
+                f"a layer looks {reach_m:g} m sideways, beyond its reach_m: raise reach_m to that"
+            )
+
     def part(self, values: jax.Array | np.ndarray, halo: int = 0, reach: int | None = None) -> Part:
         """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side, not cut yet.
 
@@ -276,11 +284,7 @@ class Surface:
         Raises:
           InputError: more cells than ``most_halo`` matter.
         """
-        far = halo if reach is None else reach
-        if self.most_halo is not None and far > self.most_halo:
-            raise InputError(
-                f"a layer looks {far * self.grid.resolution_m:g} m sideways, beyond its reach_m: raise reach_m to that"
-            )
+        self.check_reach(halo if reach is None else reach)
         rows, cols = self.window
         ends = [
             (rows.start, rows.stop, self.grid.num_rows),
@@ -299,18 +303,25 @@ Cut = Callable[[Any], Any]
 
 
 def over_blocks(
-    surface: Surface, halo: int, compute: Callable[[Cut], Any], num: int = 1, per_cell: int = 1
+    surface: Surface,
+    halo: int,
+    reach: int,
+    compute: Callable[[Cut], Any],
+    num: int = 1,
+    per_cell: int = 1,
 ) -> Float[np.ndarray, "A y x"]:
     """Return what a function gives of each of the region's map cells, float32, computed in blocks of few shapes.
 
     Args:
       surface: per_cell times finer than the map.
-      halo: map cells around a block that the function looks at.
+      halo: map cells around a block that the function is given.
+      reach: of the surface's cells around the region, how many matter.
       compute: returns the values ``[A, T, T]`` of a block. It gets a function that cuts the block and its halo out of
         an array on the surface's grid, with 0 beyond it.
       num: A.
       per_cell: how many of the surface's cells a map's cell has along a side.
     """
+    surface.check_reach(reach)
     shape = surface.region.num_rows // per_cell, surface.region.num_cols // per_cell
     rows, cols = surface.window
     found = np.empty((num, *shape), np.float32)

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from jaxurban.errors import InputError
 from jaxurban.maps.provenance import population_totals
 from jaxurban.metrics import lidar
-from jaxurban.metrics.lidar import Lidar, compute_lidar, halo_cells
+from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.population import (
     BlockPopulation,
     Population,
@@ -129,12 +129,20 @@ def test_similar_ranges_share_a_program_and_see_the_more_the_longer_they_are():
 
 def test_a_scan_is_given_a_halo_in_steps_of_16_cells_that_matters_as_far_as_its_range():
     surface, scan = surface_on(SCATTERED_M, GRID, REGION), Lidar(azimuths=60)
-    assert [halo_cells(scan, resolution_m) for resolution_m in (10.0, 5.0, 2.0)] == [16, 32, 64]
-    assert halo_cells(scan, 5.0, oversample=3) == 32
+    assert [lidar.halo_cells(scan, resolution_m) for resolution_m in (10.0, 5.0, 2.0)] == [
+        16,
+        32,
+        64,
+    ]
+    assert lidar.halo_cells(scan, 5.0, oversample=3) == 32
     within = compute_lidar(replace(surface, most_halo=20), [20.0], scan)
     np.testing.assert_array_equal(within, compute_lidar(surface, [20.0], scan))
     with pytest.raises(InputError, match="looks 100 m sideways"):
         compute_lidar(replace(surface, most_halo=19), [20.0], scan)
+    near = compute_risk(replace(surface, most_halo=10), [20.0], Risk(50.0))
+    np.testing.assert_array_equal(near, compute_risk(surface, [20.0], Risk(50.0)))
+    with pytest.raises(InputError, match="looks 50 m sideways"):
+        compute_risk(replace(surface, most_halo=9), [20.0], Risk(50.0))
 
 
 def test_a_single_beam_lies_in_the_middle_and_several_at_equal_steps():
