@@ -176,7 +176,7 @@ RATING_UPPER_GDOP = (
     8.0,
     20.0,
 )  # the paper's table of DOP ratings, Poor above the last
-SATELLITES_STEP = 32  # the DOP program is compiled for 32, 64, 96 ... satellites
+SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
 BLOCK_CELLS = (
     2**11
 )  # cells whose DOPs are made at once, by one core: what they need in between fits its cache
