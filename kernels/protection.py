@@ -93,7 +93,7 @@ def protection_levels(
     return levels
 
 
-@compiled(nogil=True)
+@compiled()
 def _fill_levels(patterns, ranging, budget, levels):
     """Fill ``levels`` ``[2, P]``."""
     num_satellites = len(ranging.directions)
@@ -107,7 +107,7 @@ def _fill_levels(patterns, ranging, budget, levels):
         levels[0, number], levels[1, number] = _levels_of(seen[:num], ranging, budget)
 
 
-@compiled(nogil=True)
+@compiled()
 def _levels_of(seen, ranging, budget):
     """Return the horizontal and the vertical protection level of the satellites ``[n]`` seen."""
     num = len(seen)
@@ -167,7 +167,7 @@ def _levels_of(seen, ranging, budget):
     return math.hypot(of_axis[0], of_axis[1]), of_axis[2]
 
 
-@compiled(nogil=True)
+@compiled()
 def _events(seen, ranging):
     """Return the constellations in view and the priors of all events: of the satellites, then of those."""
     constellations = np.unique(ranging.constellation[seen])
@@ -179,7 +179,7 @@ def _events(seen, ranging):
     return constellations, prior
 
 
-@compiled(nogil=True)
+@compiled()
 def _fault_modes(prior, p_unmonitored):
     """Return the fault modes ``[K, 2]`` (events, the second maybe `NO_EVENT`), their priors, and what is left.
 
@@ -216,7 +216,7 @@ def _fault_modes(prior, p_unmonitored):
     return modes[:num_modes], p_mode[:num_modes], p_left
 
 
-@compiled(nogil=True)
+@compiled()
 def _fill_gains(seen, is_kept, ranging, gains):
     """Fill ``gains`` ``[3, n]`` with the rows of S for east, north and up; return False where they are undetermined."""
     clock = np.full(len(ranging.p_const), -1, np.int64)
@@ -256,7 +256,7 @@ def _fill_gains(seen, is_kept, ranging, gains):
     return True
 
 
-@compiled(nogil=True)
+@compiled()
 def _factorise(normal):
     """Turn the lower triangle of a symmetric matrix into its Cholesky factor; False where it is singular."""
     for j in range(len(normal)):
@@ -274,7 +274,7 @@ def _factorise(normal):
     return True
 
 
-@compiled(nogil=True)
+@compiled()
 def _solve(factor, unit, found):
     """Fill ``found`` with a column of the inverse of the matrix whose Cholesky factor is given."""
     for i in range(len(factor)):
@@ -288,7 +288,7 @@ def _solve(factor, unit, found):
         found[i] /= factor[i, i]
 
 
-@compiled(nogil=True)
+@compiled()
 def _fill_terms(gains, of_all, k_horizontal, k_vertical, seen, ranging, sigma_m, offset_m):
     """Fill sigma_k and T_k + b_k ``[3]`` of one mode from its gains and those of all satellites."""
     for axis in range(AXES):
@@ -304,7 +304,7 @@ def _fill_terms(gains, of_all, k_horizontal, k_vertical, seen, ranging, sigma_m,
         ) + bias_m
 
 
-@compiled(nogil=True)
+@compiled()
 def _level(sigma_m, offset_m, prior, risk, tolerance_m):
     """Return the protection level of one axis, of its modes ``[K]``, the first of which is without faults."""
     high_m = quantile(risk / 2) * sigma_m[0] + offset_m[0]
@@ -324,7 +324,7 @@ def _level(sigma_m, offset_m, prior, risk, tolerance_m):
     return low_m + tolerance_m
 
 
-@compiled(nogil=True)
+@compiled()
 def _is_enough(level_m, sigma_m, offset_m, prior, risk):
     """Return whether errors beyond a level are as improbable as the risk."""
     total = 2 * tail((level_m - offset_m[0]) / sigma_m[0])
@@ -336,13 +336,13 @@ def _is_enough(level_m, sigma_m, offset_m, prior, risk):
     return total <= risk
 
 
-@compiled(nogil=True)
+@compiled()
 def tail(x):
     """Return Q(x), the probability that a standard normal variable is larger."""
     return 0.5 * math.erfc(x * SQRT_HALF)
 
 
-@compiled(nogil=True)
+@compiled()
 def quantile(probability):
     """Return Q^-1 of a probability below 0.5, by Newton's method on the logarithm of Q, which is concave."""
     x = math.sqrt(-2 * math.log(2 * probability))

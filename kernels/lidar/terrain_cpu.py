@@ -87,7 +87,7 @@ def count_on_terrain_on_host(
     return counts
 
 
-@compiled(nogil=True)
+@compiled()
 def _count(
     counts, ground_m, rise_m, own_m, highest_m, heights_m, looks, first_ray, rays, num_azimuths
 ):
@@ -157,7 +157,7 @@ def _count(
     counts[:] = returned.reshape(own_m.shape)
 
 
-@compiled(nogil=True)
+@compiled()
 def _highest(highest_m, row, col, shape):
     """Return the highest ground and roof of the blocks that a window touches."""
     ground_m, top_m = (
@@ -170,7 +170,7 @@ def _highest(highest_m, row, col, shape):
     return ground_m, top_m
 
 
-@compiled(nogil=True)
+@compiled()
 def _add_not_above(num_met, num_landed, own_m, ground_m, rise_m, at, heights_m, meets, lands):
     """Add how many of `AT_ONCE` beams are not above the roof, and not above the ground, that each receiver looks at."""
     (row, col), (h0, h1, h2, h3) = at, (heights_m[0], heights_m[1], heights_m[2], heights_m[3])
@@ -188,7 +188,7 @@ def _add_not_above(num_met, num_landed, own_m, ground_m, rise_m, at, heights_m, 
                 met[j] = _plus_not_above(met[j], h0, h1, h2, h3, level_m + rises[j])
 
 
-@compiled(nogil=True)
+@compiled()
 def _plus_not_above(num, h0, h1, h2, h3, level_m):
     more = (
         np.int32(h0 <= level_m)
@@ -199,7 +199,7 @@ def _plus_not_above(num, h0, h1, h2, h3, level_m):
     return np.uint8(np.int32(num) + more)
 
 
-@compiled(nogil=True)
+@compiled()
 def _range(values):
     """Return the least and the highest of bytes."""
     least, most = np.uint8(255), np.uint8(0)
@@ -208,7 +208,7 @@ def _range(values):
     return np.int64(least), np.int64(most)
 
 
-@compiled(nogil=True)
+@compiled()
 def _end(state, num_met, num_landed, out_of_range):
     """Let the rays of receivers return whose beams still in the air meet a roof; the ground ends others' beams."""
     for i in range(len(state)):

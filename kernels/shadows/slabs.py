@@ -87,7 +87,7 @@ def hide_behind_slabs(
         _cast(words[number // WORD_BITS], kept, altitudes_m, receivers, range_m, of_slabs, line)
 
 
-@compiled(nogil=True)
+@compiled()
 def _cast(words, kept, altitudes_m, receivers, range_m, slabs, line):
     """Clear one satellite's bit behind every slab.
 
