@@ -266,7 +266,7 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
     """
     goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
     offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
-    near, num_cols = queue.near, np.uint32(graph.num_cols)
+    near = queue.near
     # A way to a node is cheaper where it costs less than this times the way known; a closed node that is kept has none.
     if_closed = ROUNDING if reopen else -1.0
     cheaper_steps, cheaper_gs = np.empty(MAX_STEPS, np.uint64), np.empty(MAX_STEPS)
@@ -280,12 +280,17 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
             return PAUSED, num_expanded
         if near.size[0] + queue.tally[NUM_FAR] + MAX_STEPS > queue.far_f.size:
             return FULL, num_expanded
-        # Unsigned: else Numba asks each time whether it counts from the end.
-        node = np.uint64(near.item[0])
-        row, col = np.uint32(node) // num_cols, np.uint32(node) % num_cols
-        drop_top(near)
+        node = np.uint64(
+            near.item[0]
+        )  # unsigned: else Numba asks each time whether it counts from the end
         if state[node] & CLOSED:
+            drop_top(near)
             continue
+        row, col = (
+            np.uint32(node) // np.uint32(graph.num_cols),
+            np.uint32(node) % np.uint32(graph.num_cols),
+        )
+        drop_top(near)
         state[node] |= CLOSED
         if node == goal:
             return FOUND, num_expanded

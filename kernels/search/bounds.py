@@ -90,7 +90,7 @@ def costs_at_corners(
     heap.f[:4] = cost[heap.item[:4]] = 0.0
     limit = _search_corners(minima, straight, diagonal, start, cost, heap)
     is_joined = limit < np.inf
-    return np.minimum(corners, limit) if is_joined else np.zeros_like(corners), is_joined
+    return np.minimum(corners, limit if is_joined else 0.0, out=corners), is_joined
 
 
 @compiled()
@@ -109,19 +109,23 @@ def _search_corners(minima, straight, diagonal, start, cost, heap):
             num_left -= 1
             if num_left == 0:
                 limit = BEYOND * value
-        for up in range(-1, 2):
-            for right in range(-1, 2):
-                # The tiles on both sides of a step; a diagonal step crosses one.
-                minimum = min(
-                    minima[i + (up > 0), j + (right > 0)], minima[i + (up >= 0), j + (right >= 0)]
-                )
-                if minimum == np.inf:
-                    continue
-                step = diagonal if up != 0 and right != 0 else straight
-                to, to_cost = node + up * width + right, value + (step[0] + step[1] * minimum)
-                if to_cost < cost[to]:
-                    cost[to] = to_cost
-                    heap.item[place(heap, to_cost)] = to
+        sw, se, nw, ne = minima[i, j], minima[i, j + 1], minima[i + 1, j], minima[i + 1, j + 1]
+        for to, minimum, step in (
+            (node + width, min(nw, ne), straight),
+            (node - width, min(sw, se), straight),
+            (node + 1, min(se, ne), straight),
+            (node - 1, min(sw, nw), straight),
+            (node + width + 1, ne, diagonal),
+            (node + width - 1, nw, diagonal),
+            (node - width + 1, se, diagonal),
+            (node - width - 1, sw, diagonal),
+        ):
+            if minimum == np.inf:
+                continue
+            to_cost = value + (step[0] + step[1] * minimum)
+            if to_cost < cost[to]:
+                cost[to] = to_cost
+                heap.item[place(heap, to_cost)] = to
     return limit
 
 
@@ -144,12 +148,16 @@ def tile_bound(
     first, last = (start[0] // TILE, start[1] // TILE), (goal[0] // TILE, goal[1] // TILE)
     corners, is_joined = costs_at_corners(minima, straight, diagonal, first, last)
     side, across = (base + share * minima[1:-1, 1:-1] for base, share in (straight, diagonal))
-    sw, se, nw, ne = corners[:-1, :-1], corners[:-1, 1:], corners[1:, :-1], corners[1:, 1:]
+    num_i, num_j = side.shape
     # The highest middle to which no plane is too steep; it need not lie above all corners.
-    centres = np.maximum(np.maximum(sw, se), np.maximum(nw, ne))
-    for one, other in ((sw, se), (nw, ne), (sw, nw), (se, ne)):
-        highest = 0.5 * (one + other + np.minimum(side, across - abs(one - other)))
-        np.minimum(centres, highest, out=centres)
+    highest = np.maximum(corners[:-1], corners[1:])
+    centres = np.maximum(highest[:, :-1], highest[:, 1:])
+    for one, other in ((corners[:-1], corners[1:]), (corners[:, :-1], corners[:, 1:])):
+        total, apart = one + other, abs(one - other)
+        # West and east sides of the tiles, then south and north ones.
+        for sides in (np.s_[:num_i, :num_j], np.s_[-num_i:, -num_j:]):
+            highest = 0.5 * (total[sides] + np.minimum(side, across - apart[sides]))
+            np.minimum(centres, highest, out=centres)
     at_goal = tile_estimate(TileBound(corners, centres, 0.0), *goal)
     return TileBound(corners, centres, at_goal if is_joined else -np.inf)
 
