@@ -126,12 +126,6 @@ def around(shape: tuple[int, ...], halo: int, *phases: int) -> jax.ShapeDtypeStr
     return array(*phases, *(side + 2 * halo for side in shape))
 
 
-def part(shape: tuple[int, int], halo: int = 0) -> surface.Part:
-    """Return a part of a surface's raster."""
-    rows, cols = (side + 2 * halo for side in shape)
-    return surface.Part(array(*SURFACE), (WHOLE, WHOLE), (rows, cols), ((0, 0), (0, 0)))
-
-
 HALO = risk.halo_cells(Risk(), 5.0)
 RUN_M2, AROUND = array(HALO + 1), distance.disc(50.0, 5.0, jnp.float32)
 EDGES = float64(*REGION), float64(1024, 2), float64(1024, 2), float64()
@@ -227,7 +221,6 @@ def inputs() -> tuple[build.MapInputs, visibility.SkyView]:
 WALKS = rays.Walks(*[array(rays.RAYS_A_TURN)] * 5)
 RINGS = sweep.Ring(*[array(blocks.AT_ONCE, LARGE + 2)] * 2, *[array(blocks.AT_ONCE, LARGE)] * 2)
 ROOFS = blocks.Roofs(array(*BLOCK), None, NUMBER)
-PLACES = WHOLE, (WHOLE, WHOLE), (WHOLE, WHOLE)
 
 KERNELS: dict[str, Callable[[], Call]] = {
     "all maps": lambda: Call(jax.jit(build.all_maps), inputs()),
@@ -239,12 +232,16 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "shadows: a block": lambda: Call(
         blocks.cast,
         (
-            ROOFS,
-            array(4, 1, 1),
-            lines_over(GROWN, blocks.AT_ONCE),
-            RINGS,
-            array(blocks.AT_ONCE, dtype=jnp.uint32),
-            PLACES,
+            blocks.Block(
+                ROOFS,
+                array(4, 1, 1),
+                lines_over(GROWN, blocks.AT_ONCE),
+                RINGS,
+                array(blocks.AT_ONCE, dtype=jnp.uint32),
+                WHOLE,
+                (WHOLE, WHOLE),
+                (WHOLE, WHOLE),
+            ),
         ),
     ),
     "shadows: words": lambda: Call(

@@ -5,6 +5,12 @@ from collections.abc import Iterator
 import numpy as np
 
 SMALL, LARGE = 128, 512  # sides in cells: the one wastes little of a town, the other has few calls
+HALO_STEP = 16  # cells in which halos and margins grow, so that arrays of few shapes are made
+
+
+def rounded_up(number: int, multiple: int = HALO_STEP) -> int:
+    """Return the next multiple that is not below a number."""
+    return -(-number // multiple) * multiple
 
 
 def blocks_of(shape: tuple[int, int]) -> Iterator[tuple[int, int, int]]:

@@ -324,7 +324,7 @@ def _map(name: str, scene: Scene, layer: Layer) -> dict[str, jax.Array]:
     Raises:
       InputError: values of another shape than the tile's, or cells without a value where that is an error.
     """
-    surface = _reaching(scene.surface, layer)
+    surface = _reaching(scene.surface, layer).of_jax()
     values = (
         layer.source(surface, scene.altitude_m) if callable(layer.source) else scene.rasters[name]
     )

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
+from jaxurban.kernels.blocks import rounded_up
 from jaxurban.kernels.engine import Engine, runs_numba
 from jaxurban.kernels.lidar import hard as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel
@@ -31,8 +32,7 @@ from jaxurban.world.surface import (
 )
 
 MAX_COUNT = 100_000  # beams, and scan positions: of a mistyped number no table of them is made
-HALO_MULTIPLE = 16  # of map cells, and
-STEPS_MULTIPLE = 8  # of steps: ranges that differ by less share programs
+STEPS_MULTIPLE = 8  # of a ray: ranges that differ by less share programs
 
 
 @differentiable("range_m")
@@ -102,12 +102,12 @@ def halo_cells(params: Lidar, resolution_m: float, oversample: int = 1) -> int:
       oversample: n: cells of the surface that rays go through, along a map's cell.
     """
     reach = kernel.halo_cells(_num_steps(params, resolution_m / oversample), oversample)
-    return kernel.rounded_up(reach, HALO_MULTIPLE)
+    return rounded_up(reach)
 
 
 def _num_steps(params: Lidar, resolution_m: float) -> int:
     """Return the steps of a ray with those beyond the range, up to a multiple: similar ranges share programs."""
-    return kernel.rounded_up(kernel.num_steps(resolution_m, params.range_m), STEPS_MULTIPLE)
+    return rounded_up(kernel.num_steps(resolution_m, params.range_m), STEPS_MULTIPLE)
 
 
 def compute_lidar(
@@ -148,9 +148,7 @@ def compute_lidar(
 
 
 def beam_heights(
-    altitudes_m: Sequence[float] | ArrayLike,
-    params: Lidar,
-    surface: Surface,
+    altitudes_m: Sequence[float] | ArrayLike, params: Lidar, surface: Surface
 ) -> np.ndarray:
     """Return the heights that decide each step of a ray, made in float64 on the host.
 
@@ -204,7 +202,7 @@ def _by_numba(
     steps, n = kernel.num_steps(surface.grid.resolution_m, params.range_m), oversample
     halo = kernel.halo_cells(steps, n)
     roof_m, terrain_m = (
-        kernel.phases(surface.part(np.asarray(values), halo * n).cut(), n)
+        kernel.phases(surface.part(np.asarray(values), halo * n), n)
         for values in (surface.roof_m, surface.terrain_m)
     )
     starts, beams_m = _starts(params.azimuths, steps, n, halo), np.asarray(heights_m)[:, :steps]
@@ -235,7 +233,7 @@ def _by_jax(
 
     if surface.is_on_host:
         return over_blocks(surface, halo, reach * n, of_parts, len(heights_m), n)
-    return of_parts(lambda values: surface.part(values, halo * n, reach * n).cut())
+    return of_parts(lambda values: surface.part(values, halo * n, reach * n))
 
 
 @lru_cache(maxsize=4)

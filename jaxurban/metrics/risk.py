@@ -13,6 +13,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from jaxurban.checks import typed
+from jaxurban.kernels.blocks import rounded_up
 from jaxurban.kernels.distance import nearest as kernel
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, low_is_bad, on_scene
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
@@ -51,11 +52,8 @@ class Risk:
         )
 
 
-HALO_STEP = 16  # cells by which halos grow, so that few programs are compiled
-
-
 def halo_cells(params: Risk, resolution_m: float, reach_m: float | None = None) -> int:
-    """Return how many cells around a region the risk map looks at, a multiple of `HALO_STEP`.
+    """Return how many cells around a region the risk map looks at, a multiple of `jaxurban.kernels.blocks.HALO_STEP`.
 
     Args:
       params: the risk.
@@ -66,7 +64,7 @@ def halo_cells(params: Risk, resolution_m: float, reach_m: float | None = None) 
       InputError: a traced threshold without ``reach_m``.
     """
     reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
-    return -(-kernel.window_cells(reach_m, resolution_m) // HALO_STEP) * HALO_STEP
+    return rounded_up(kernel.window_cells(reach_m, resolution_m))
 
 
 def compute_risk(
@@ -131,7 +129,7 @@ def compute_risk(
 
     if surface.is_on_host:
         return over_blocks(surface, halo, reach, of_parts, len(settings[0]))
-    return of_parts(lambda values: surface.part(values, halo, reach).cut())
+    return of_parts(lambda values: surface.part(values, halo, reach))
 
 
 @jax.jit

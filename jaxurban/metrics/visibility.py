@@ -146,12 +146,8 @@ def visibility(
     """
     azimuth, elevation = np.asarray(azimuth_rad, float), np.asarray(elevation_rad, float)
     rows, cols = surface.window
-    top_m, grid, first_cell, ring = (
-        np.asarray(surface.top_m),
-        surface.grid,
-        (rows.start, cols.start),
-        None,
-    )
+    top_m, grid, ring = np.asarray(surface.top_m), surface.grid, None
+    first_cell = rows.start, cols.start
     if rings is not None:
         top_m, grid, first_cell = top_m[rows, cols], surface.region, (0, 0)
         ring = Ring(*(np.stack(values) for values in zip(*rings, strict=True)))

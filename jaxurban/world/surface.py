@@ -1,7 +1,7 @@
 """Surface: a city as rasters on one grid, the region plus the margin that shadows and endangers it; its obstacles."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -103,36 +103,6 @@ def roofs_of(height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> Float
     ]  # NO_BUILDING, -1, is the last entry
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Part:
-    """A part of an array's last two axes, to be cut where it is used: within a program, which serves every place.
-
-    Attributes:
-      values: the array.
-      first_cell: row and column of the part's southwest cell.
-      shape: rows and columns, those of ``pad`` left out.
-      pad: rows of zeros before and after, and columns.
-    """
-
-    values: Float[Array | np.ndarray, "*B Y X"]
-    first_cell: tuple[int, int]
-    shape: tuple[int, int] = field(metadata={"static": True})
-    pad: tuple[tuple[int, int], tuple[int, int]] = field(metadata={"static": True})
-
-    def cut(self) -> Any:
-        """Return the part; of NumPy's values as NumPy's, which compiles nothing."""
-        (row, col), (rows, cols), before = self.first_cell, self.shape, self.values.shape[:-2]
-        xp: Any = np if isinstance(self.values, np.ndarray) else jnp
-        if xp is np:
-            cut = self.values[..., row : row + rows, col : col + cols]
-        else:
-            cut = jax.lax.dynamic_slice(
-                self.values, (0,) * len(before) + self.first_cell, (*before, *self.shape)
-            )
-        return xp.pad(cut, [(0, 0)] * len(before) + list(self.pad)) if np.any(self.pad) else cut
-
-
 class Frame(NamedTuple):
     """What of a surface's grids decides a program: all but where they lie.
 
@@ -219,9 +189,9 @@ class Surface:
         return cls(**held, grid=grid, region=region, most_halo=frame.most_halo)
 
     def of_jax(self) -> "Surface":
-        """Return this surface with its rasters as arrays of JAX."""
-        held = {name: jax.tree.map(jnp.asarray, getattr(self, name)) for name in RASTERS}
-        return replace(self, **held)
+        """Return this surface with its rasters as arrays of JAX, which nobody can alter; slabs stay on the host."""
+        held = {name: getattr(self, name) for name in RASTERS if name != "slabs"}
+        return replace(self, **jax.tree.map(jnp.asarray, held))
 
     @property
     def is_on_host(self) -> bool:
@@ -262,11 +232,11 @@ class Surface:
 
     def crop(self, values: Any) -> Any:
         """Return the region's part of an array whose last two axes are on ``grid``."""
-        return self.part(values).cut()
+        return self.part(values)
 
     def crop_with_halo(self, values: Any, halo: int) -> Any:
         """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side, as `part` says it."""
-        return self.part(values, halo).cut()
+        return self.part(values, halo)
 
     def check_reach(self, cells: int) -> None:
         """Raise InputError where more cells beyond the region matter than ``most_halo``."""
@@ -276,10 +246,11 @@ class Surface:
                 f"a layer looks {reach_m:g} m sideways, beyond its reach_m: raise reach_m to that"
             )
 
-    def part(self, values: jax.Array | np.ndarray, halo: int = 0, reach: int | None = None) -> Part:
-        """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side, not cut yet.
+    def part(self, values: Any, halo: int = 0, reach: int | None = None) -> Any:
+        """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side.
 
-        0 where the surface ends: beyond it nothing stands. Of the halo ``reach`` cells matter; left out, all of them.
+        0 where the surface ends: beyond it nothing stands. NumPy's values stay so, which compiles nothing. Of the halo
+        ``reach`` cells matter; left out, all of them.
 
         Raises:
           InputError: more cells than ``most_halo`` matter.
@@ -291,12 +262,12 @@ class Surface:
             (cols.start, cols.stop, self.grid.num_cols),
         ]
         inner = [(max(start - halo, 0), min(stop + halo, size)) for start, stop, size in ends]
-        (first_row, end_row), (first_col, end_col) = inner
-        shape = end_row - first_row, end_col - first_col
-        rows_pad, cols_pad = (
-            (max(halo - start, 0), max(stop + halo - size, 0)) for start, stop, size in ends
-        )
-        return Part(values, (first_row, first_col), shape, (rows_pad, cols_pad))
+        cut = values[..., slice(*inner[0]), slice(*inner[1])]
+        pads = [(max(halo - start, 0), max(stop + halo - size, 0)) for start, stop, size in ends]
+        if not np.any(pads):
+            return cut
+        xp: Any = np if isinstance(values, np.ndarray) else jnp
+        return xp.pad(cut, [(0, 0)] * (cut.ndim - 2) + pads)
 
 
 Cut = Callable[[Any], Any]
@@ -365,7 +336,7 @@ _stand_at = jax.jit(stands_at)
 
 def region_roofs(surface: Surface, altitude_m: float) -> Float[np.ndarray, "y x"]:
     """Return the roofs of a surface's region on the host, with what hangs at an altitude or below; of inf, with all."""
-    return surface.part(np.asarray(surface.at_altitude(altitude_m).roof_m)).cut()
+    return surface.part(np.asarray(surface.at_altitude(altitude_m).roof_m))
 
 
 def obstacles_on(surface: Surface, altitudes_m: Iterable[float]) -> Bool[np.ndarray, "A y x"]:

@@ -18,7 +18,7 @@ Roofs are columns from the ground, so over flat ground only the lowest beam stil
 range matters: each step has one threshold, and the step's result for all receivers is a bitmap,
 ``roof >= threshold``. A scan position is then an OR of shifted bitmaps. Bit b of a word holds the
 cell b bands of rows further north, so that shifting by any number of rows and columns only changes
-the address. Counts over azimuths are kept as bit slices too.
+the address.
 
 On a raster n times finer than the map the receivers lie n subcells apart, so a ray's step looks at the same place among
 n x n for all of them. It is kept as n x n rasters of the map's size (`phases`), and a step is a shift of one of them: a
@@ -71,11 +71,6 @@ def ray_offsets(num_azimuths: int, steps: int) -> np.ndarray:
 def halo_cells(steps: int, per_cell: int) -> int:
     """Return how many map cells beyond a receiver's own its rays reach, for N steps of a subcell."""
     return (steps - 1 + per_cell // 2) // per_cell
-
-
-def rounded_up(number: int, multiple: int) -> int:
-    """Return the next multiple that is not below a number."""
-    return -(-number // multiple) * multiple
 
 
 def phases(supersampled: Float[Array, "nY nX"], per_cell: int) -> Float[Array, "P Y X"]:

@@ -8,7 +8,7 @@ Legend: ``S`` satellites, ``W`` words, ``A`` altitudes, ``Y, X`` cells of the gr
 block.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import NamedTuple
 
@@ -33,10 +33,6 @@ from jaxurban.kernels.shadows.sweep import (
     within,
 )
 
-SIDES = (
-    128,
-    512,
-)  # of a block, in map cells: the small one compiles for towns, the large one has fewer calls
 AT_ONCE = 8  # satellites of a call
 
 
@@ -187,15 +183,17 @@ def _walk(
             last_col, cols = _handed(col, side, shape[1], toward[1])
             ring = _ring(part_of(beyond_m, (0, col), (AT_ONCE, side + 2), -np.inf), side_m, toward)
             at = _Place(row, col, side, receivers)
-            word, row_m, side_m = cast(
+            block = Block(
                 tops.block((row, col), side),
                 at.heights_m(dtype),
                 _along(bundle, row, col, side),
                 ring,
                 bits,
-                (np.int32(num), at.phase, (np.int32(last_row), np.int32(last_col))),
-                every=receivers.every,
+                np.asarray(num, np.int32),
+                at.phase,
+                (np.int32(last_row), np.int32(last_col)),
             )
+            word, row_m, side_m = cast(block, every=receivers.every)
             at.mark(words, word)
             side_m = np.asarray(side_m)
             next_m[:, 1 + cols.start : 1 + cols.stop] = np.asarray(row_m)[
@@ -291,105 +289,86 @@ class _Place(NamedTuple):
             ]
 
 
+class Block(NamedTuple):
+    """A block, and the satellites whose shadows are cast over it.
+
+    Attributes:
+      roofs: of the block.
+      height_m: ``[A, t, t]`` absolute height of the receivers, or ``[A, 1, 1]``.
+      lines: of the satellites over the block grown by one cell, fields stacked along ``S``.
+      rings: what is handed on to the block, fields stacked along ``S``.
+      bits: ``[S]`` of each satellite in the word.
+      num: how many satellites there are; those behind fill up.
+      phase: row and column of the first receiver.
+      last: row and column that hand on.
+    """
+
+    roofs: Roofs
+    height_m: Float[Array | np.ndarray, "A ..."]
+    lines: Line
+    rings: Ring
+    bits: UInt[Array | np.ndarray, " S"]
+    num: Int[Array | np.ndarray, ""]
+    phase: tuple[np.int32, np.int32]
+    last: tuple[np.int32, np.int32]
+
+
 @partial(jax.jit, static_argnames="every")
 def cast(
-    roofs: Roofs,
-    height_m: Float[Array, "A t t"],
-    lines: Line,
-    rings: Ring,
-    bits: UInt[Array, " S"],
-    places: tuple[Int[Array, ""], tuple, tuple],
-    *,
-    every: int = 1,
+    block: Block, *, every: int = 1
 ) -> tuple[UInt[Array, "A t t"], Float[Array, "S T"], Float[Array, "S T"]]:
     """Return the word of a block's receivers, and the row and the column that it hands on.
 
     Args:
-      roofs: of the block.
-      height_m: absolute height of the receivers, or ``[A, 1, 1]``.
-      lines: of the satellites over the block grown by one cell, fields stacked along ``S``.
-      rings: what is handed on to the block, fields stacked along ``S``.
-      bits: of each satellite in the word.
-      places: how many satellites there are, those behind fill up; row and column of the first receiver; and which row
-        and column hand on.
+      block: with its satellites.
       every: n: receivers stand in every n-th cell both ways.
     """
     by_sweep, by_doubling = (
         partial(form, every=every) for form in (cast_by_sweep, cast_by_doubling)
     )
-    arguments = roofs, height_m, lines, rings, bits, places
-    return lax.platform_dependent(*arguments, cpu=by_sweep, default=by_doubling)
+    return lax.platform_dependent(block, cpu=by_sweep, default=by_doubling)
 
 
-def _raised(roofs: Roofs, line: Line) -> Array:
-    """Return the tops that a line meets, raised by what it gains before."""
-    top_m = jnp.asarray(roofs.top_m)
-    if roofs.turned_m is not None:
-        top_m = jnp.where(line.heading >= EAST, roofs.turned_m, top_m)
-    return top_m + roofs.entry_steps * jnp.asarray(line.drop_m, top_m.dtype)
-
-
-def _received(shadow_m: Array, phase: tuple[Array, Array], every: int) -> Array:
-    """Return the shadows of the cells in which receivers stand."""
-    if every == 1:
-        return shadow_m
-    size = len(shadow_m) - every + 1
-    return lax.dynamic_slice(shadow_m, phase, (size, size))[::every, ::every]
-
-
-def cast_by_sweep(
-    roofs: Roofs,
-    height_m: Array,
-    lines: Line,
-    rings: Ring,
-    bits: Array,
-    places: tuple,
-    *,
-    every: int,
+def _cast_one(
+    block: Block, line: Line, ring: Ring, every: int, swept: Callable[[Array, Line], Array]
 ) -> tuple[Array, Array, Array]:
+    """Return the shadow of one satellite where receivers stand, and the row and the column that are handed on."""
+    top_m = jnp.asarray(block.roofs.top_m)
+    if block.roofs.turned_m is not None:
+        top_m = jnp.where(line.heading >= EAST, block.roofs.turned_m, top_m)
+    raised_m = top_m + block.roofs.entry_steps * jnp.asarray(line.drop_m, top_m.dtype)
+    shadow_m = swept(within(raised_m, ring), line)[1:-1, 1:-1]
+    carried_m = jnp.maximum(raised_m, shadow_m)
+    received_m = shadow_m
+    if every > 1:
+        size = len(shadow_m) - every + 1
+        received_m = lax.dynamic_slice(shadow_m, block.phase, (size, size))[::every, ::every]
+    last_row, last_col = block.last
+    return received_m, carried_m[last_row], carried_m[:, last_col]
+
+
+def cast_by_sweep(block: Block, *, every: int) -> tuple[Array, Array, Array]:
     """Return `cast`, by the form for a CPU: satellite by satellite, none that fills up."""
-    num, phase, (last_row, last_col) = places
-    side, dtype = len(roofs.top_m), roofs.top_m.dtype
+    side, dtype = len(block.roofs.top_m), block.roofs.top_m.dtype
 
     def add(k: Array, found: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         word, rows, cols = found
-        line, ring = jax.tree.map(lambda values: values[k], (lines, rings))
-        raised_m = _raised(roofs, line)
-        shadow_m = sweep(within(raised_m, ring), line)[1:-1, 1:-1]
-        carried_m = jnp.maximum(raised_m, shadow_m)
-        seen = jnp.where(_received(shadow_m, phase, every) <= height_m, bits[k], jnp.uint32(0))
-        return (
-            word | seen,
-            rows.at[k].set(carried_m[last_row]),
-            cols.at[k].set(carried_m[:, last_col]),
-        )
+        line, ring = jax.tree.map(lambda values: values[k], (block.lines, block.rings))
+        shadow_m, row_m, col_m = _cast_one(block, line, ring, every, sweep)
+        seen = jnp.where(shadow_m <= block.height_m, block.bits[k], jnp.uint32(0))
+        return word | seen, rows.at[k].set(row_m), cols.at[k].set(col_m)
 
-    word = jnp.zeros((len(height_m), side // every, side // every), jnp.uint32)
-    edges = jnp.full((len(bits), side), -jnp.inf, dtype)
-    return lax.fori_loop(0, num, add, (word, edges, edges))
+    word = jnp.zeros((len(block.height_m), side // every, side // every), jnp.uint32)
+    edges = jnp.full((len(block.bits), side), -jnp.inf, dtype)
+    return lax.fori_loop(0, block.num, add, (word, edges, edges))
 
 
-def cast_by_doubling(
-    roofs: Roofs,
-    height_m: Array,
-    lines: Line,
-    rings: Ring,
-    bits: Array,
-    places: tuple,
-    *,
-    every: int,
-) -> tuple[Array, Array, Array]:
+def cast_by_doubling(block: Block, *, every: int) -> tuple[Array, Array, Array]:
     """Return `cast`, by the form for a GPU: of all satellites at once."""
-    num, phase, (last_row, last_col) = places
-    passes = num_passes(len(roofs.top_m) + 2)
-
-    def each(line: Line, ring: Ring) -> tuple[Array, Array, Array]:
-        raised_m = _raised(roofs, line)
-        shadow_m = doubled(within(raised_m, ring), line, passes)[1:-1, 1:-1]
-        carried_m = jnp.maximum(raised_m, shadow_m)
-        return _received(shadow_m, phase, every), carried_m[last_row], carried_m[:, last_col]
-
-    shadows_m, rows, cols = jax.vmap(each)(lines, rings)
-    kept = jnp.where(jnp.arange(len(bits)) < num, bits, jnp.uint32(0))
-    seen = jnp.where(shadows_m[:, None] <= height_m, kept[:, None, None, None], jnp.uint32(0))
+    swept = partial(doubled, passes=num_passes(len(block.roofs.top_m) + 2))
+    shadows_m, rows, cols = jax.vmap(lambda line, ring: _cast_one(block, line, ring, every, swept))(
+        block.lines, block.rings
+    )
+    bits = jnp.where(jnp.arange(len(block.bits)) < block.num, block.bits, jnp.uint32(0))
+    seen = jnp.where(shadows_m[:, None] <= block.height_m, bits[:, None, None, None], jnp.uint32(0))
     return lax.reduce(seen, jnp.uint32(0), lax.bitwise_or, (0,)), rows, cols

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -197,3 +198,22 @@ def test_a_part_that_sticks_out_on_any_side_has_the_values_of_the_array_where_it
     padded[10:16, 10:18] = values
     expected = padded[10 + south : 15 + south, 10 + west : 17 + west]
     np.testing.assert_array_equal(layer_values((values,), part, region), expected)
+
+
+def test_a_function_gets_arrays_of_jax_and_cannot_alter_the_surface_of_other_metrics():
+    """Arrays of NumPy would be views: what a function adds in place would stand in the maps that are made after it."""
+    city = ju.demo_city(400, 400)
+
+    def raised(surface, altitude_m):
+        arrays = [surface.roof_m, surface.crop(surface.roof_m)]
+        assert all(isinstance(values, jax.Array) for values in arrays)
+        with pytest.raises(TypeError, match="immutable"):
+            surface.roof_m[:] = 500.0
+        return surface.crop(surface.roof_m).at[0, 0].set(altitude_m)
+
+    settings = {"resolution_m": 20.0, "altitudes_m": (20.0, 60.0), "progress": False}
+    layer = ju.Layer(raised, cost="high-is-bad", scale=(0.0, 100.0))
+    made = ju.build_maps(city, layers={"raised": layer}, **settings).ds
+    plain = ju.build_maps(city, **settings).ds
+    for name in plain:
+        np.testing.assert_array_equal(made[name], plain[name], err_msg=str(name))

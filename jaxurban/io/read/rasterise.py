@@ -12,6 +12,7 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import meets
 from jaxurban.io.read.sampling import resample_raster
+from jaxurban.kernels.blocks import rounded_up
 from jaxurban.kernels.outlines import burn_outlines, settle
 from jaxurban.metrics.custom import Layer
 from jaxurban.world.city import SLABS, City, Footprints, Raster
@@ -39,9 +40,6 @@ def highest_top_m(city: City) -> float:
     return roof_m + float(np.nanmax(city.terrain.values) - np.nanmin(city.terrain.values))
 
 
-MARGIN_STEP = 16  # cells: margins grow in steps of them, so that surfaces of few shapes are made
-
-
 def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -> Grid:
     """Return the region's grid grown by the margins that its maps need.
 
@@ -58,11 +56,11 @@ def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -
         x_max - region.x_max_m,
         y_max - region.y_max_m,
     )
-    steps = (
-        math.ceil(max(always_m, min(toward, reach)) / region.resolution_m / MARGIN_STEP)
+    cells = (
+        rounded_up(math.ceil(max(always_m, min(toward, reach)) / region.resolution_m))
         for toward, reach in zip(toward_m, reach_m, strict=True)
     )
-    return region.padded(*(MARGIN_STEP * num for num in steps))
+    return region.padded(*cells)
 
 
 def rasterise(
