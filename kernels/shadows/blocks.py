@@ -8,9 +8,9 @@ Legend: ``S`` satellites, ``W`` words, ``A`` altitudes, ``Y, X`` cells of the gr
 block.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,6 @@ from jaxurban.kernels.shadows.sweep import (
     Ring,
     doubled,
     num_passes,
-    sweep,
     within,
 )
 
@@ -329,32 +328,19 @@ def cast(
     return lax.platform_dependent(block, cpu=by_sweep, default=by_doubling)
 
 
-def _cast_one(
-    block: Block, line: Line, ring: Ring, every: int, swept: Callable[[Array, Line], Array]
-) -> tuple[Array, Array, Array]:
-    """Return the shadow of one satellite where receivers stand, and the row and the column that are handed on."""
-    top_m = jnp.asarray(block.roofs.top_m)
-    if block.roofs.turned_m is not None:
-        top_m = jnp.where(line.heading >= EAST, block.roofs.turned_m, top_m)
-    raised_m = top_m + block.roofs.entry_steps * jnp.asarray(line.drop_m, top_m.dtype)
-    shadow_m = swept(within(raised_m, ring), line)[1:-1, 1:-1]
-    carried_m = jnp.maximum(raised_m, shadow_m)
-    received_m = shadow_m
-    if every > 1:
-        size = len(shadow_m) - every + 1
-        received_m = lax.dynamic_slice(shadow_m, block.phase, (size, size))[::every, ::every]
-    last_row, last_col = block.last
-    return received_m, carried_m[last_row], carried_m[:, last_col]
-
-
 def cast_by_sweep(block: Block, *, every: int) -> tuple[Array, Array, Array]:
     """Return `cast`, by the form for a CPU: satellite by satellite, none that fills up."""
     side, dtype = len(block.roofs.top_m), block.roofs.top_m.dtype
+    headings = [
+        partial(form, block, every=every, toward_last=toward_last)
+        for form in (_cast_along_rows, _cast_along_columns)
+        for toward_last in (True, False)
+    ]
 
     def add(k: Array, found: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         word, rows, cols = found
         line, ring = jax.tree.map(lambda values: values[k], (block.lines, block.rings))
-        shadow_m, row_m, col_m = _cast_one(block, line, ring, every, sweep)
+        shadow_m, row_m, col_m = lax.switch(line.heading, headings, line, ring)
         seen = jnp.where(shadow_m <= block.height_m, block.bits[k], jnp.uint32(0))
         return word | seen, rows.at[k].set(row_m), cols.at[k].set(col_m)
 
@@ -363,12 +349,88 @@ def cast_by_sweep(block: Block, *, every: int) -> tuple[Array, Array, Array]:
     return lax.fori_loop(0, block.num, add, (word, edges, edges))
 
 
+def _cast_along_rows(
+    block: Block, line: Line, ring: Ring, *, every: int, toward_last: bool
+) -> tuple[Array, Array, Array]:
+    """Return the shadow of one satellite where receivers stand, and the row and the column that are handed on.
+
+    `jaxurban.kernels.shadows.sweep.sweep` inside a ring, which keeps no more cells than are asked for.
+
+    Args:
+      block: of which the roofs count, and where receivers stand.
+      line: toward a source beyond the last row (the first, if not ``toward_last``).
+      ring: what is handed on to the block.
+      every: n, as in `cast`.
+      toward_last: where the source is.
+    """
+    top_m = jnp.asarray(block.roofs.top_m)
+    side = len(top_m)
+    drop_m = jnp.asarray(line.drop_m, top_m.dtype)
+    gained_m = block.roofs.entry_steps * drop_m
+    (first_row, first_col), (last_row, last_col) = block.phase, block.last
+
+    def received(values_m: Array, first: Array | np.int32) -> Array:
+        """Return the rows (columns) with receivers."""
+        if every == 1:
+            return values_m
+        return lax.dynamic_slice_in_dim(values_m, first, side - every + 1)[::every]
+
+    def step(carry: Any, row: Any) -> tuple[Any, Any]:
+        beyond_m, handed_m = carry
+        row_top_m, shift, west_m, east_m, number = row
+        shadow_m = lax.dynamic_slice(beyond_m, (1 + shift,), (side,)) - drop_m
+        carried_m = jnp.maximum(row_top_m + gained_m, shadow_m)
+        handed_m = jnp.where(number == last_row, carried_m, handed_m)
+        beyond_m = jnp.concatenate([west_m[None], carried_m, east_m[None]])
+        return (beyond_m, handed_m), (received(shadow_m, first_col), carried_m[last_col])
+
+    numbers = jnp.arange(side, dtype=jnp.int32)
+    rows = top_m, line.shifts[1:-1], ring.west, ring.east, numbers
+    start = ring.north if toward_last else ring.south, jnp.full(side, -jnp.inf, top_m.dtype)
+    (_, row_m), (shadow_m, col_m) = lax.scan(step, start, rows, reverse=toward_last)
+    return received(shadow_m, first_row), row_m, col_m
+
+
+def _cast_along_columns(
+    block: Block, line: Line, ring: Ring, *, every: int, toward_last: bool
+) -> tuple[Array, Array, Array]:
+    """Return `_cast_along_rows` with rows for columns: toward the last column or the first."""
+    roofs = block.roofs
+    top_m = roofs.top_m if roofs.turned_m is None else roofs.turned_m
+    turned = block._replace(
+        roofs=Roofs(top_m.T, None, roofs.entry_steps),
+        phase=block.phase[::-1],
+        last=block.last[::-1],
+    )
+    west_m, east_m = (
+        jnp.concatenate([ring.south[end, None], col_m, ring.north[end, None]])
+        for end, col_m in ((0, ring.west), (-1, ring.east))
+    )
+    beside = Ring(west_m, east_m, ring.south[1:-1], ring.north[1:-1])
+    received_m, col_m, row_m = _cast_along_rows(
+        turned, line, beside, every=every, toward_last=toward_last
+    )
+    return received_m.T, row_m, col_m
+
+
 def cast_by_doubling(block: Block, *, every: int) -> tuple[Array, Array, Array]:
     """Return `cast`, by the form for a GPU: of all satellites at once."""
-    swept = partial(doubled, passes=num_passes(len(block.roofs.top_m) + 2))
-    shadows_m, rows, cols = jax.vmap(lambda line, ring: _cast_one(block, line, ring, every, swept))(
-        block.lines, block.rings
-    )
+    roofs = block.roofs
+    side = len(roofs.top_m)
+    last_row, last_col = block.last
+
+    def cast_one(line: Line, ring: Ring) -> tuple[Array, Array, Array]:
+        top_m = jnp.asarray(roofs.top_m)
+        if roofs.turned_m is not None:
+            top_m = jnp.where(line.heading >= EAST, roofs.turned_m, top_m)
+        raised_m = top_m + roofs.entry_steps * jnp.asarray(line.drop_m, top_m.dtype)
+        shadow_m = doubled(within(raised_m, ring), line, num_passes(side + 2))[1:-1, 1:-1]
+        carried_m = jnp.maximum(raised_m, shadow_m)
+        size = side - every + 1
+        received_m = lax.dynamic_slice(shadow_m, block.phase, (size, size))[::every, ::every]
+        return received_m, carried_m[last_row], carried_m[:, last_col]
+
+    shadows_m, rows, cols = jax.vmap(cast_one)(block.lines, block.rings)
     bits = jnp.where(jnp.arange(len(block.bits)) < block.num, block.bits, jnp.uint32(0))
     seen = jnp.where(shadows_m[:, None] <= block.height_m, bits[:, None, None, None], jnp.uint32(0))
     return lax.reduce(seen, jnp.uint32(0), lax.bitwise_or, (0,)), rows, cols
