@@ -1,7 +1,6 @@
 """jaxurban: urban metric maps for small drones, and planning on them.
 
-On a CPU the heavy kernels are compiled by Numba; under ``jax.jit``, ``jax.vmap``, on export and on a GPU maps are JAX.
-Gradients come from soft forms of the metrics.
+JAX makes the maps, and Numba searches paths and traces lidar over terrain. Gradients come from soft forms of the metrics.
 """
 
 from jaxurban.public import public_names as _public_names
