@@ -574,7 +574,7 @@ class MetricMaps(Shown):
         return folder
 
 
-GivenMaps = MetricMaps | str | Path  # what `as_maps` takes
+MapsLike = MetricMaps | str | Path  # what `as_maps` takes
 
 
 @typed
@@ -618,7 +618,7 @@ def open_maps(
     return maps.with_recorded(settings) if (settings := settings_of(Path(folder))) else maps
 
 
-def as_maps(given: GivenMaps) -> MetricMaps:
+def as_maps(given: MapsLike) -> MetricMaps:
     """Return maps as they are, or those of the folder that is given, which holds them at one resolution.
 
     Raises:

@@ -13,7 +13,7 @@ import pandas as pd
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.tables import RowStore, fingerprint
-from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
@@ -46,7 +46,7 @@ NEEDED = {
 
 @typed
 def plan_many(
-    maps: GivenMaps,
+    maps: MapsLike,
     queries: pd.DataFrame | Sequence[tuple[Point, Point]],
     *,
     altitude_m: float | None = None,

@@ -12,7 +12,7 @@ import pandas as pd
 from jaxurban.checks import positive, typed
 from jaxurban.errors import InputError
 from jaxurban.maps.levels import Levels
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import Weights
@@ -192,7 +192,7 @@ class RouteReport(Shown):
 @typed
 def explain(
     planned: PlannedPath,
-    maps: GivenMaps,
+    maps: MapsLike,
     *,
     speed_m_s: float | None = None,
     power_w: float | None = None,

@@ -14,7 +14,7 @@ from jaxurban.checks import at_least, positive, typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.guesses import is_of_people, percent
 from jaxurban.io.tables import records_of
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.paths.corridor import Cells, cell_means, cells_within
 from jaxurban.paths.path import PlannedPath
 from jaxurban.public import Caution, Shown, caution_of_guesses
@@ -146,7 +146,7 @@ class OverflownDensity(Shown):
 
 @typed
 def overflown_density(
-    maps: GivenMaps,
+    maps: MapsLike,
     path: PlannedPath | np.ndarray,
     *,
     half_width_m: float,

@@ -12,7 +12,7 @@ from jaxurban.checks import finite, typed
 from jaxurban.errors import InputError
 from jaxurban.maps.levels import Levels, values_at
 from jaxurban.maps.memory import free_bytes, told_apart
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, weights_on
@@ -50,7 +50,7 @@ def rules_on(
 
 @typed
 def cost_map(
-    maps: GivenMaps,
+    maps: MapsLike,
     altitude_m: float | Levels,
     *,
     weights: GivenWeights = None,
@@ -166,7 +166,7 @@ def map_at(
 
 @typed
 def plan(
-    maps: GivenMaps,
+    maps: MapsLike,
     start: Point | None = None,
     goal: Point | None = None,
     *,

@@ -11,7 +11,7 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.traversal import Crossings, crossed_cells
 from jaxurban.maps.levels import values_at
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX, has_no_fix
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.cost import path_states
@@ -228,7 +228,7 @@ def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
 
 @typed
 def cautions(
-    planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None = None
+    planned: PlannedPath, maps: MapsLike, profile: pd.DataFrame | None = None
 ) -> list[Caution]:
     """Return what the maps guess, where GPS has no fix, how near buildings and roofs are, and what else to know.
 

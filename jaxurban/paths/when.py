@@ -11,7 +11,7 @@ import pandas as pd
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.batch import plan_many
@@ -121,7 +121,7 @@ class Departures(Shown):
 
 @typed
 def when(
-    maps: GivenMaps,
+    maps: MapsLike,
     queries: pd.DataFrame | Sequence[tuple[Point, Point]],
     *,
     altitude_m: float | None = None,

@@ -14,7 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.guesses import WITHOUT_DATA
 from jaxurban.io.read.mission import Datum, Mission, read_mission
 from jaxurban.io.read.mission_parts import LonLat
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.sources import city_of
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.check import COLUMNS, judged
@@ -31,7 +31,7 @@ from jaxurban.world.known import known_ground
 
 @typed
 def check(
-    maps: GivenMaps,
+    maps: MapsLike,
     mission: str | Path | Mission,
     *,
     heights: Datum | None = None,

@@ -16,7 +16,7 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError, LeftOutWarning, OtherSettingsWarning, warn
 from jaxurban.io.read.routes import read_routes
 from jaxurban.io.tables import SUFFIXES
-from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints, constraints_said
 from jaxurban.paths.cost_map import CostMap
@@ -113,7 +113,7 @@ class Demonstration:
 @typed
 def read_demonstrations(
     file: str | Path,
-    maps: GivenMaps,
+    maps: MapsLike,
     altitude_m: float | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
@@ -192,7 +192,7 @@ def read_demonstrations(
 @typed
 def demonstrations_from_paths(
     paths: PlannedPath | Sequence[PlannedPath],
-    maps: GivenMaps,
+    maps: MapsLike,
     *,
     cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
@@ -251,7 +251,7 @@ def _from_path(map_of: MapOf, path: PlannedPath, name: str) -> Demonstration:
 
 
 def _cost_maps(
-    given: GivenMaps,
+    given: MapsLike,
     planned: Sequence[tuple[str, Mapping]],
     rules: RouteRules,
     metrics: Sequence[str] | None,

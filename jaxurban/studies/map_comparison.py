@@ -14,7 +14,7 @@ from jaxurban.checks import at_least, finite, one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.provenance import Differing, differing
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.paths.rows import MapsFolder
@@ -193,8 +193,8 @@ class MapComparison(Result):
 
 @typed
 def compare(
-    maps_a: GivenMaps | MapsFolder,
-    maps_b: GivenMaps | MapsFolder,
+    maps_a: MapsLike | MapsFolder,
+    maps_b: MapsLike | MapsFolder,
     *,
     tolerance: float = SAME,
     routes: int = 0,
@@ -282,7 +282,7 @@ def _left_out(maps: MetricMaps, part: MetricMaps, other: str) -> dict[str, str]:
 
 
 def _side(
-    maps: GivenMaps | MapsFolder, otherwise: str
+    maps: MapsLike | MapsFolder, otherwise: str
 ) -> tuple[MetricMaps, str, dict[str, Any] | None]:
     """Return maps, what they are called, and the settings that made them; None where none can be read."""
     opened = maps.open() if isinstance(maps, MapsFolder) else as_maps(maps)

@@ -19,7 +19,7 @@ from jaxurban.checks import finite, one_of, typed
 from jaxurban.errors import InputError, LeftOutWarning, warn
 from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, Row, read_table, records_of
 from jaxurban.io.workspace import Workspace
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.scenario import Study
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints
@@ -64,7 +64,7 @@ class _Asked(NamedTuple):
 @typed
 def demonstrations_from_study(
     study: "BenchmarkResult | pd.DataFrame | str | Path",
-    maps: GivenMaps | None = None,
+    maps: MapsLike | None = None,
     altitude_m: float | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
@@ -168,7 +168,7 @@ def study_in(folder: Path) -> Path | None:
     return next((each for each in (folder, folder / "study") if (each / ROWS_FILE).is_file()), None)
 
 
-def _maps_of(study: "BenchmarkResult | pd.DataFrame | str | Path") -> GivenMaps:
+def _maps_of(study: "BenchmarkResult | pd.DataFrame | str | Path") -> MapsLike:
     """Return the maps that a study was run on, where they are known."""
     if isinstance(study, pd.DataFrame):
         raise InputError("a table does not hold the maps that its routes lie on: give them (maps=)")

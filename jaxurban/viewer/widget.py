@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.settings import Preset
 from jaxurban.viewer.html import part
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @typed
-def view(maps: GivenMaps, *, weights: GivenWeights = None, preset: Preset = "") -> Any:
+def view(maps: MapsLike, *, weights: GivenWeights = None, preset: Preset = "") -> Any:
     """Return a widget to look at maps and plan on them, which a notebook shows where it is the last line of a cell.
 
     Args:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from jaxurban.checks import one_of
 from jaxurban.errors import InputError
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
 from jaxurban.metrics.custom import colour_of, held_variables
 from jaxurban.metrics.gps import RATING_UPPER_GDOP, Rating, rating
@@ -169,7 +169,7 @@ def free_layer(maps: MetricMaps, name: str, altitude_m: float, time: str | None 
 
 
 def plot_metric(
-    maps: GivenMaps,
+    maps: MapsLike,
     name: str,
     *,
     altitudes_m: Sequence[float] | None = None,
@@ -226,7 +226,7 @@ def plot_metric(
     return draw_maps(maps.grid, panels, heading, note, **look)[0]
 
 
-def plot_epochs(maps: GivenMaps, name: str = "gps", *, altitude_m: float | None = None) -> Figure:
+def plot_epochs(maps: MapsLike, name: str = "gps", *, altitude_m: float | None = None) -> Figure:
     """Return panels of one map at every time that these maps hold, at one altitude and all on one scale.
 
     Args:
@@ -282,7 +282,7 @@ def _middle_of(
     return f"mean {values.mean(dtype=np.float64):.{0 if unit else 2}f}{unit}"
 
 
-def plot_obstacles(maps: GivenMaps, *, altitudes_m: Sequence[float] | None = None) -> Figure:
+def plot_obstacles(maps: MapsLike, *, altitudes_m: Sequence[float] | None = None) -> Figure:
     """Return panels of free and obstacle cells by altitude; titles give the share of obstacles.
 
     Raises:
@@ -334,7 +334,7 @@ def _plot_classes(
 
 
 def plot_gps_rating(
-    maps: GivenMaps, *, altitudes_m: Sequence[float] | None = None, time: str | None = None
+    maps: MapsLike, *, altitudes_m: Sequence[float] | None = None, time: str | None = None
 ) -> Figure:
     """Return panels of the paper's GPS rating by altitude; titles give the share of free cells rated good or better.
 
@@ -363,7 +363,7 @@ def _share(is_so: np.ndarray, maps: MetricMaps, altitude_m: float) -> float:
 
 
 def plot_sensor_choice(
-    maps: GivenMaps, *, altitudes_m: Sequence[float] | None = None, time: str | None = None
+    maps: MapsLike, *, altitudes_m: Sequence[float] | None = None, time: str | None = None
 ) -> Figure:
     """Return panels of the better sensor by altitude: GPS where m_gps > m_lidar, else lidar.
 
@@ -382,7 +382,7 @@ def plot_sensor_choice(
     return _plot_classes(maps, "The better sensor", time, found, names)
 
 
-def plot_population(maps: GivenMaps) -> Figure:
+def plot_population(maps: MapsLike) -> Figure:
     """Return panels of people per km2 by time of day, on one logarithmic scale; titles give the people in the region.
 
     Raises:
@@ -421,7 +421,7 @@ def roof_layers(maps: MetricMaps) -> list[MapLayer]:
     return layers_above_zero(roof_m, replace(metric_colours(maps, "roof", roof_m), label=""))
 
 
-def plot_heights(maps: GivenMaps) -> Figure:
+def plot_heights(maps: MapsLike) -> Figure:
     """Return roof heights above ground and, where it is not flat, the terrain's elevation.
 
     Where maps know which roofs have a guessed height, a panel shows these.

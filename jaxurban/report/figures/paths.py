@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from jaxurban.errors import InputError
 from jaxurban.io.workspace import Workspace
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.registry import ON_REQUEST
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.frame import (
@@ -104,7 +104,7 @@ def planner_colours(planners: Iterable[str]) -> dict[str, str]:
 
 
 def plot_paths(
-    maps: GivenMaps,
+    maps: MapsLike,
     paths: Paths,
     *,
     altitudes_m: Sequence[float] | None = None,
@@ -309,7 +309,7 @@ def shortened(name: str, most: int = MOST_LETTERS) -> str:
 
 
 def plot_overview(
-    maps: GivenMaps,
+    maps: MapsLike,
     paths: Paths,
     *,
     altitude_m: float | None = None,
@@ -366,7 +366,7 @@ def plot_overview(
     return figure
 
 
-def save_figures(maps: GivenMaps, paths: Paths, folder: str | Path) -> list[Path]:
+def save_figures(maps: MapsLike, paths: Paths, folder: str | Path) -> list[Path]:
     """Write every picture of these maps and paths as PNG and return the files; each appears whole or not at all.
 
     GPS at one time is drawn at the first; of several times there is also a panel each (``gps_epochs``) and the share of

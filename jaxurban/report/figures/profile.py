@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from jaxurban.errors import InputError
-from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.path import PlannedPath
@@ -36,9 +36,7 @@ SIZE_IN, SECOND_IN = (10.0, 6.1), 1.2  # of the figure; of a second panel of met
 
 
 @styled
-def plot_profile(
-    planned: PlannedPath, maps: GivenMaps, report: RouteReport | None = None
-) -> Figure:
+def plot_profile(planned: PlannedPath, maps: MapsLike, report: RouteReport | None = None) -> Figure:
     """Return altitude and roofs beneath, metrics, and the clearance along a route, one above the other.
 
     Metrics of which 1 is the best and those of which 1 is the worst have a panel each.
@@ -172,7 +170,7 @@ def check_picture(file: str | Path) -> None:
 
 
 def save_profile(
-    planned: PlannedPath, maps: GivenMaps, file: str | Path, report: RouteReport | None = None
+    planned: PlannedPath, maps: MapsLike, file: str | Path, report: RouteReport | None = None
 ) -> None:
     """Write the profile of a route (`plot_profile`) as PNG; the file appears whole or not at all.
 

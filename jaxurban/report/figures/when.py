@@ -4,7 +4,7 @@ import math
 
 from matplotlib.figure import Figure
 
-from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.paths.when import Departures
 from jaxurban.report.figures.frame import frame_note, joined
 from jaxurban.report.figures.style import SERIES_COLOURS, chart, dress, letter, styled
@@ -15,7 +15,7 @@ LEAST_TOP = 10.0, 50.0  # of the scales, percent and metres, so that a small eff
 
 
 @styled
-def plot_when(departures: Departures, maps: GivenMaps) -> Figure:
+def plot_when(departures: Departures, maps: MapsLike) -> Figure:
     """Return the cost above the best time and the length without a fix by time, a line for each time of day.
 
     At hollow marks a route differs from the best time's. A line has a gap where a route has no path.

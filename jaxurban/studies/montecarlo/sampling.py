@@ -14,7 +14,7 @@ from jaxurban.checks import at_least, one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import burn
 from jaxurban.io.tables import read_table
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import MOST_WEIGHT, Weights
 from jaxurban.paths.constraints import Constraints
@@ -75,7 +75,7 @@ def query_columns(columns: Iterable[Any]) -> list[str]:
 
 @typed
 def sample_instances(
-    maps: GivenMaps,
+    maps: MapsLike,
     num: int = 200,
     *,
     altitudes_m: Sequence[float] | None = None,
@@ -172,7 +172,7 @@ def sample_instances(
     return table.assign(is_connected=table.is_connected.astype(bool))
 
 
-def sample_joined(maps: GivenMaps, num: int, **how: Any) -> pd.DataFrame:
+def sample_joined(maps: MapsLike, num: int, **how: Any) -> pd.DataFrame:
     """Return the first ``num`` instances of `sample_instances` that a path joins at every altitude.
 
     Args:
@@ -196,7 +196,7 @@ def sample_joined(maps: GivenMaps, num: int, **how: Any) -> pd.DataFrame:
     )
 
 
-def instances_of_queries(maps: GivenMaps, queries: Sequence[Query]) -> pd.DataFrame:
+def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFrame:
     """Return queries, as `jaxurban.plan_many` takes them, as instances, with the strata and the range that they have.
 
     Args:
