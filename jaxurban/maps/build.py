@@ -37,7 +37,7 @@ from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.registry import ON_REQUEST, known_metrics
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.visibility import SkyView, visible_words
-from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.progress import Progress, Stage, Stopwatch, reporting
 from jaxurban.settings import Heights
 from jaxurban.world.city import SLABS, City
@@ -352,7 +352,7 @@ def map_inputs(
 
 
 @typed
-def all_maps(inputs: MapInputs, sky: SkyView, weights: GivenWeights = None) -> dict[str, Array]:
+def all_maps(inputs: MapInputs, sky: SkyView, weights: WeightsLike = None) -> dict[str, Array]:
     """Return every map of a region at one time, by its variable. Pure: jit it, map over it, export it.
 
     ``jax.vmap`` over any leaf: skies or times, roofs, altitudes with their beams, the GDOP threshold,

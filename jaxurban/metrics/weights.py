@@ -58,7 +58,7 @@ class Weights:
         return f"Weights({', '.join(f'{name}={value!r}' for name, value in self.values)})"
 
     @classmethod
-    def of(cls, given: "GivenWeights", base: Mapping[str, float] | None = None) -> "Weights":
+    def of(cls, given: "WeightsLike", base: Mapping[str, float] | None = None) -> "Weights":
         """Return the weights in `Weights`, in numbers by name (the others are those of ``base``), or in None.
 
         Returns:
@@ -204,7 +204,7 @@ class Weights:
         return weights
 
 
-GivenWeights = Weights | Mapping[str, float] | None
+WeightsLike = Weights | Mapping[str, float] | None
 
 
 def _number(name: str, value: Any) -> float:

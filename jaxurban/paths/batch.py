@@ -14,7 +14,7 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.tables import RowStore, fingerprint
 from jaxurban.maps.metric_maps import MapsLike, as_maps
-from jaxurban.metrics.weights import GivenWeights
+from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath, finish
@@ -55,7 +55,7 @@ def plan_many(
     file: str | FilePath | None = None,
     num_threads: int | None = None,
     progress: Progress = True,
-    weights: GivenWeights = None,
+    weights: WeightsLike = None,
     objective: Objective | None = None,
     cost_model: CostModel | CostKind | None = None,
     time: str | None = None,

@@ -11,7 +11,7 @@ from jaxurban.checks import one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.maps.levels import SAME_M, Levels, listed_m
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.path import PlannedPath, finish
 from jaxurban.paths.search import PathSearch
@@ -42,7 +42,7 @@ from jaxurban.world.grid import Grid
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
 
 
-def weights_on(maps: MetricMaps, given: GivenWeights) -> Weights:
+def weights_on(maps: MetricMaps, given: WeightsLike) -> Weights:
     """Return weights that are given whole, or with what they do not name as the maps' scenario has it.
 
     Raises:
@@ -202,7 +202,7 @@ class CostMap(Shown):
         names = tuple(self.names[row] for row in kept)
         return replace(self, names=names, costs=self.costs[kept], is_prepared=False)
 
-    def with_weights(self, weights: GivenWeights) -> "CostMap":
+    def with_weights(self, weights: WeightsLike) -> "CostMap":
         """Return the map under other weights; what does not depend on them is shared (`Problem.with_weights`).
 
         Returns:

@@ -10,7 +10,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.population import M2_PER_KM2
-from jaxurban.metrics.weights import GivenWeights
+from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.legs import Flight, Steps
@@ -85,7 +85,7 @@ def densest_of(people: np.ndarray, steps: Steps) -> dict[str, float]:
 def costs_of(
     flight: Flight,
     maps: MetricMaps,
-    weights: GivenWeights,
+    weights: WeightsLike,
     constraints: Constraints,
     time: str | None,
     time_of_day: str | None,

@@ -13,7 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps.levels import Levels, values_at
 from jaxurban.maps.memory import free_bytes, told_apart
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
-from jaxurban.metrics.weights import GivenWeights
+from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, weights_on
 from jaxurban.paths.path import PlannedPath
@@ -53,7 +53,7 @@ def cost_map(
     maps: MapsLike,
     altitude_m: float | Levels,
     *,
-    weights: GivenWeights = None,
+    weights: WeightsLike = None,
     objective: Objective | None = None,
     cost_model: CostModel | CostKind | None = None,
     time: str | None = None,
@@ -173,7 +173,7 @@ def plan(
     altitude_m: float | Levels,
     start_xy_m: Point | None = None,
     goal_xy_m: Point | None = None,
-    weights: GivenWeights = None,
+    weights: WeightsLike = None,
     objective: Objective | None = None,
     cost_model: CostModel | CostKind | None = None,
     time: str | None = None,

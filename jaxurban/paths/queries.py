@@ -14,7 +14,7 @@ from jaxurban.checks import finite, nearest_name, typed
 from jaxurban.errors import InputError
 from jaxurban.io.tables import SUFFIXES, Row, write_table
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.paths.export.write import FORMATS, write_path
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import XY, Point
@@ -67,7 +67,7 @@ def read_queries(
     altitude_m: float | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
-    weights: GivenWeights = None,
+    weights: WeightsLike = None,
     metrics: Iterable[str] = METRICS,
 ) -> list[Query]:
     """Return the queries of a table or of pairs of places; what a row leaves out comes from the arguments.

@@ -13,7 +13,7 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.gps import FIX
-from jaxurban.metrics.weights import GivenWeights
+from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
@@ -126,7 +126,7 @@ def when(
     *,
     altitude_m: float | None = None,
     progress: Progress = True,
-    weights: GivenWeights = None,
+    weights: WeightsLike = None,
     objective: Objective | None = None,
     cost_model: CostModel | CostKind | None = None,
     time: str | None = None,

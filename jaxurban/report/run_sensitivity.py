@@ -26,7 +26,7 @@ from jaxurban.maps.run import tasks_of as maps_tasks_of
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
 from jaxurban.paths.rows import MapsFolder, Source, check_workers, run_rows, solve_here, tasks_of
 from jaxurban.planners.cost import CostModel
@@ -64,7 +64,7 @@ def sensitivity_study(
     routes: pd.DataFrame | int = 30,
     *,
     altitudes_m: Sequence[float] | None = None,
-    weights: GivenWeights = None,
+    weights: WeightsLike = None,
     settings: SensitivityStudySettings | None = None,
     scenarios: Mapping[str, Scenario] | None = None,
     workers: int | str = 1,
@@ -173,8 +173,8 @@ def _by_city(rows: pd.DataFrame, cities: Iterable[str]) -> pd.DataFrame:
 
 
 def _opened(
-    given: dict[str, Source], settings: SensitivityStudySettings, weights: GivenWeights
-) -> tuple[dict[str, MetricMaps], SensitivityStudySettings, GivenWeights]:
+    given: dict[str, Source], settings: SensitivityStudySettings, weights: WeightsLike
+) -> tuple[dict[str, MetricMaps], SensitivityStudySettings, WeightsLike]:
     """Return the maps of each city, and the settings and weights that hold for all; name in ``given`` what is opened.
 
     Raises:
@@ -244,7 +244,7 @@ def _instances(
     opened: Mapping[str, MetricMaps],
     routes: pd.DataFrame | int,
     altitudes_m: Sequence[float] | None,
-    weights: GivenWeights,
+    weights: WeightsLike,
     settings: SensitivityStudySettings,
 ) -> pd.DataFrame:
     """Return the routes of all cities as instances with a column ``city``."""
@@ -315,7 +315,7 @@ def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:
 
 
 def _given_routes(
-    routes: pd.DataFrame, city: str, maps: MetricMaps, weights: GivenWeights
+    routes: pd.DataFrame, city: str, maps: MetricMaps, weights: WeightsLike
 ) -> pd.DataFrame:
     part = routes
     if "city" in routes:

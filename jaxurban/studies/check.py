@@ -16,7 +16,7 @@ from jaxurban.io.read.mission import Datum, Mission, read_mission
 from jaxurban.io.read.mission_parts import LonLat
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.sources import city_of
-from jaxurban.metrics.weights import GivenWeights
+from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.check import COLUMNS, judged
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.contacts import buildings_of, union_m
@@ -47,7 +47,7 @@ def check(
     max_no_fix_m: float | None = None,
     max_people: float | None = None,
     swath_m: float = 10.0,
-    weights: GivenWeights = None,
+    weights: WeightsLike = None,
     sources: City | str | Path | None = None,
 ) -> MissionCheck:
     """Return what a mission that any tool made meets over maps: findings, what cannot be judged, and figures.

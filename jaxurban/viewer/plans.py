@@ -9,7 +9,7 @@ from pathlib import Path as FilePath
 from jaxurban.checks import one_of
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, weights_on
 from jaxurban.paths.explain import RouteReport, explain
@@ -44,7 +44,7 @@ class Plans:
     """
 
     def __init__(
-        self, maps: MetricMaps, folder: str = "", weights: GivenWeights = None, preset: Preset = ""
+        self, maps: MetricMaps, folder: str = "", weights: WeightsLike = None, preset: Preset = ""
     ) -> None:
         self.maps, self.cost_model, self.limits = rules_on(maps, None, None, preset)
         self.weights, self.folder = weights_on(maps, weights), folder

@@ -16,7 +16,7 @@ from jaxurban.io.store import OPENED
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.gps import FIX
-from jaxurban.metrics.weights import GivenWeights
+from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.export.write import FORMATS
 from jaxurban.paths.path import PlannedPath
@@ -83,7 +83,7 @@ class Viewer:
         *,
         name: str = "the maps",
         folder: str = "",
-        weights: GivenWeights = None,
+        weights: WeightsLike = None,
         preset: Preset = "",
     ) -> None:
         self.plans = Plans(maps, folder, weights, preset)

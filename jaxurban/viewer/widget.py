@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MapsLike, as_maps
-from jaxurban.metrics.weights import GivenWeights
+from jaxurban.metrics.weights import WeightsLike
 from jaxurban.settings import Preset
 from jaxurban.viewer.html import part
 from jaxurban.viewer.viewer import JSON, Viewer
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @typed
-def view(maps: MapsLike, *, weights: GivenWeights = None, preset: Preset = "") -> Any:
+def view(maps: MapsLike, *, weights: WeightsLike = None, preset: Preset = "") -> Any:
     """Return a widget to look at maps and plan on them, which a notebook shows where it is the last line of a cell.
 
     Args:

@@ -14,7 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams, path_visits
 from jaxurban.metrics.base import TIME_OF_DAY
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.cost import CostModel
 from jaxurban.world.city import City, HeightOrigin
@@ -65,7 +65,7 @@ def building_costs(
     soft: SoftCity,
     planned: PlannedPath,
     params: SoftParams,
-    weights: GivenWeights = None,
+    weights: WeightsLike = None,
 ) -> pd.DataFrame:
     """Return what one more metre of each building's height costs a route, the costliest building first.
 
