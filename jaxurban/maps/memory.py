@@ -77,7 +77,7 @@ def parse_bytes(text: str, name: str = "memory") -> int:
     return int(float(match[1]) * UNITS[match[2].upper()])
 
 
-def told_bytes(num_bytes: float) -> str:
+def format_bytes(num_bytes: float) -> str:
     """Return a size as people read it."""
     if num_bytes < 2**30:
         return f"{num_bytes / 2**20:.0f} MiB" if num_bytes >= 2**20 else "less than 1 MiB"
@@ -90,7 +90,7 @@ def told_bytes(num_bytes: float) -> str:
 
 def told_apart(*sizes: float) -> list[str]:
     """Return sizes as people read them, with the digits that tell them apart."""
-    texts = [*map(told_bytes, sizes)]
+    texts = [*map(format_bytes, sizes)]
     return texts if len({*texts}) == len(texts) else [f"{size / 2**20:,.3f} MiB" for size in sizes]
 
 
@@ -308,7 +308,7 @@ def plan_run(
     at_once = min(num_workers, max(num_tiles, least))
     LOG.info(
         f"{sum(_num_cells(task.region) for task in tasks):,} cells, tiles at a time: {at_once}; about "
-        f"{told_bytes(base + at_once * tile_most)} of memory at most, of {told_bytes(ceiling)} allowed"
+        f"{format_bytes(base + at_once * tile_most)} of memory at most, of {format_bytes(ceiling)} allowed"
     )
     return num_workers
 
@@ -341,5 +341,5 @@ def check_disk(tasks: Sequence[MapTask], folder: Path) -> None:
             f"the maps need at least {least_text} of disk and {free_text} are free in {str(folder)!r}: "
             "use a smaller region, a coarser [region] resolution_m, or another folder"
         )
-    span = " to ".join(dict.fromkeys(map(told_bytes, (least, most))))
-    LOG.info(f"disk at the peak: {span}, of {told_bytes(free + left)} free")
+    span = " to ".join(dict.fromkeys(map(format_bytes, (least, most))))
+    LOG.info(f"disk at the peak: {span}, of {format_bytes(free + left)} free")

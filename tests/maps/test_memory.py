@@ -24,12 +24,12 @@ from jaxurban.maps import memory
 from jaxurban.maps.memory import (
     check_disk,
     disk_bytes,
+    format_bytes,
     parse_bytes,
     plan_run,
     shape_of_tiles,
     tile_bytes,
     told_apart,
-    told_bytes,
 )
 from jaxurban.maps.metric_maps import open_maps
 from jaxurban.maps.run import Maker, make_zarr
@@ -61,7 +61,7 @@ def test_sizes_are_read_and_said_as_people_write_them():
         1.26 * GIB: "1.3 GiB",
         2000 * GIB: "2,000 GiB",
     }
-    assert [told_bytes(num_bytes) for num_bytes in sizes] == [*sizes.values()]
+    assert [format_bytes(num_bytes) for num_bytes in sizes] == [*sizes.values()]
     assert told_apart(1.21 * GIB, 1.2 * GIB) == ["1,239.040 MiB", "1,228.800 MiB"]
     assert told_apart(2 * GIB, GIB) == ["2.0 GiB", "1.0 GiB"]
 
