@@ -79,7 +79,7 @@ class Stopwatch:
 
 
 @contextmanager
-def saying_later(planner: str, budget_s: float) -> Iterator[None]:
+def warn_if_slow(planner: str, budget_s: float) -> Iterator[None]:
     """Warn that a planner is at work, and for how long, where the block, its search, lasts `SILENT_S` or longer."""
     sentence = "%s is at work: its search may take up to %g s (budget_s), compiling apart"
     timer = threading.Timer(SILENT_S, LOG.warning, (sentence, planner, budget_s))

@@ -34,7 +34,7 @@ from jaxurban.planners.corners import with_corner_bound
 from jaxurban.planners.cost import CostModel, PathFeatures
 from jaxurban.planners.exposure import within_budgets
 from jaxurban.planners.registry import PLANNERS, find_planner
-from jaxurban.progress import saying_later
+from jaxurban.progress import warn_if_slow
 from jaxurban.public import Shown
 from jaxurban.settings import Objective
 from jaxurban.world.grid import Grid
@@ -473,7 +473,7 @@ class CostMap(Shown):
             find_path = partial(
                 within_budgets, planner=find_path, budgets=search.exposure, names=self.names
             )
-        with saying_later(search.planner, search.budget_s):
+        with warn_if_slow(search.planner, search.budget_s):
             path = find_path(problem, budget_s=search.budget_s * share, seed=search.seed)
         if search.refine and path.status.has_path:
             left_s = search.budget_s - path.elapsed_s
