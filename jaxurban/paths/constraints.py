@@ -213,7 +213,7 @@ class Constraints:
         return cls(zones, tuple(bounds), clearance_m, vertical_clearance_m, vehicle)
 
     def __str__(self) -> str:
-        return constraints_said(self.to_dict())
+        return describe_constraints(self.to_dict())
 
     @property
     def keeps_clear(self) -> bool:
@@ -433,7 +433,7 @@ class Constraints:
         return [*zones, *bounds, *([kept] if is_near else [])]
 
 
-def constraints_said(record: Mapping[str, Any]) -> str:
+def describe_constraints(record: Mapping[str, Any]) -> str:
     """Return constraints as `Constraints.to_dict` holds them, for a person to read; empty where there are none."""
     num = len(record.get("no_fly", ()))
     zones = [f"{num} no-fly zone" + "s" * (num > 1)] if num else []

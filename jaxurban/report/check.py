@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxurban.metrics.variables import BUILT_COLOUR
-from jaxurban.paths.constraints import constraints_said
+from jaxurban.paths.constraints import describe_constraints
 from jaxurban.paths.profile import TOUCHED
 from jaxurban.report.figures.frame import MapPanel, draw_maps, frame_note
 from jaxurban.report.figures.metrics import roof_layers
@@ -56,7 +56,7 @@ def check_markdown(found: MissionCheck, figures: list[str]) -> str:
         not_judged=bullets(found.not_judged) or "All of it was judged.",
         numbers=bullets(f"{name}: {fact}" for name, fact in found.numbers.items()),
         note=found.figures.get("cost_note", ""),
-        limits=constraints_said(found.limits) or "none",
+        limits=describe_constraints(found.limits) or "none",
         guesses=", ".join(found.maps.guesses) or "nothing",
     )
 

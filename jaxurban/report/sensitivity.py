@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.paths.constraints import constraints_said
+from jaxurban.paths.constraints import describe_constraints
 from jaxurban.planners.cost import CostModel
 from jaxurban.report.figures.frame import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
@@ -66,7 +66,7 @@ def sensitivity_markdown(found: Sensitivity, buildings: pd.DataFrame | None = No
         goal=route.lonlat[-1],
         where=joined(f"{route.altitude_m:g} m above ground", settings["time_of_day"]),
         settings=settings,
-        limits=constraints_said(settings["limits"]) or "none",
+        limits=describe_constraints(settings["limits"]) or "none",
         cost_model=CostModel.from_settings(settings),
         note=" ".join(filter(None, (route.search.note, *route.cautions))),
         objectives=listed(found.front.objectives),

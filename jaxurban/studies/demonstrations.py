@@ -18,7 +18,7 @@ from jaxurban.io.read.routes import read_routes
 from jaxurban.io.tables import SUFFIXES
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.weights import Weights
-from jaxurban.paths.constraints import Constraints, constraints_said
+from jaxurban.paths.constraints import Constraints, describe_constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.rows import RouteRules
@@ -300,7 +300,7 @@ def _cost_maps(
 
 def _rules_said(rules: Mapping[str, Any]) -> str:
     """Return cost model and constraints, as `RouteRules.rules` holds them, for a person to read."""
-    limits = constraints_said(rules["limits"]) or "no constraints"
+    limits = describe_constraints(rules["limits"]) or "no constraints"
     return f"the cost model {CostModel.from_settings(rules)} and {limits}"
 
 

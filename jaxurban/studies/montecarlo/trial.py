@@ -13,7 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.tables import Row
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.scenario import Study
-from jaxurban.paths.constraints import constraints_said
+from jaxurban.paths.constraints import describe_constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import CRASHED, RouteJob, Run, failure
 from jaxurban.planners.base import Cell, Path
@@ -68,7 +68,7 @@ class Benchmark(RouteJob):
         return {
             **found,
             "budget": f"{budget_s} s" if iterations is None else f"{iterations} samples",
-            "set of constraints": constraints_said(limits) or "none",
+            "set of constraints": describe_constraints(limits) or "none",
             "outlines of no-fly zones": ", ".join(
                 zone.get("outline", "") for zone in limits.get("no_fly", ())
             ),
