@@ -429,7 +429,7 @@ class Constraints:
             if not bound.is_kept(maps, altitude_m, time, time_of_day)[cell]
         ]
         is_near = self.keeps_clear and closed_by_clearance(maps, altitude_m, self)[cell]
-        kept = f"the {' and the '.join(clearances_said(self.to_dict()))} that is kept from obstacles and the border"
+        kept = f"the {' and the '.join(describe_clearances(self.to_dict()))} that is kept from obstacles and the border"
         return [*zones, *bounds, *([kept] if is_near else [])]
 
 
@@ -437,10 +437,10 @@ def describe_constraints(record: Mapping[str, Any]) -> str:
     """Return constraints as `Constraints.to_dict` holds them, for a person to read; empty where there are none."""
     num = len(record.get("no_fly", ()))
     zones = [f"{num} no-fly zone" + "s" * (num > 1)] if num else []
-    return ", ".join([*zones, *record.get("require", ()), *clearances_said(record)])
+    return ", ".join([*zones, *record.get("require", ()), *describe_clearances(record)])
 
 
-def clearances_said(record: Mapping[str, Any]) -> list[str]:
+def describe_clearances(record: Mapping[str, Any]) -> list[str]:
     """Return a phrase for each distance that constraints, as `Constraints.to_dict` holds them, keep from obstacles."""
     return [
         f"{said} of {record[name]:g} m" for name, said in KEPT_CLEAR.items() if record.get(name)

@@ -19,7 +19,7 @@ from jaxurban.io.read.guesses import is_of_sky
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.variables import CAVEAT, names_in
-from jaxurban.paths.constraints import clearances_said, kept_said
+from jaxurban.paths.constraints import describe_clearances, kept_said
 from jaxurban.report.figures.style import (
     FAINT_INK,
     INK,
@@ -262,7 +262,7 @@ def rules_said(*settings: Mapping[str, Any]) -> str:
             "the distance alone" if each["objective"] == "distance" else weights
         )
         clearances = [
-            *clearances_said(each["limits"]),
+            *describe_clearances(each["limits"]),
             kept_said(each["limits"], each["resolution_m"]),
         ]
         rules["obstacles"].append(", ".join(filter(None, [each["obstacles"], *clearances])))
