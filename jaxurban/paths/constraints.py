@@ -447,7 +447,7 @@ def describe_clearances(record: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def kept_said(record: Mapping[str, Any], resolution_m: float) -> str:
+def describe_kept(record: Mapping[str, Any], resolution_m: float) -> str:
     """Return the horizontal distance that is really kept, a phrase; empty where that is what such constraints ask."""
     asked_m = record.get("clearance_m", 0.0) + record.get("vehicle_radius_m", 0.0)
     kept = kept_m(asked_m, resolution_m)

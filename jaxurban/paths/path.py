@@ -14,7 +14,7 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
 from jaxurban.kernels.line.traversal import crossed_cells
-from jaxurban.paths.constraints import kept_said
+from jaxurban.paths.constraints import describe_kept
 from jaxurban.paths.export.base import MOST_BULGE_M
 from jaxurban.paths.export.write import MISSION, check_is_mission, write_path
 from jaxurban.paths.snapping import End, pocket_note, snap_note, what_would_join
@@ -318,7 +318,7 @@ def _note(on: "CostMap", path: Path, ends: tuple[End, End]) -> str:
             "All weights are zero, so every path is as cheap: the distance was minimised instead."
         )
     notes.append(snap_note(*ends))
-    if kept := kept_said(on.constraints.to_dict(), on.grid.resolution_m):
+    if kept := describe_kept(on.constraints.to_dict(), on.grid.resolution_m):
         notes.append(f"Distance to obstacles: {on.constraints.horizontal_m:g} m asked, {kept}.")
     if on.is_weighed and on.weights.distance == 0 and not path.note and has_path:
         notes.append("The distance weighs nothing, so the path may be far longer than it need be.")

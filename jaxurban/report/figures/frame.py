@@ -19,7 +19,7 @@ from jaxurban.io.read.guesses import is_of_sky
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.variables import CAVEAT, names_in
-from jaxurban.paths.constraints import describe_clearances, kept_said
+from jaxurban.paths.constraints import describe_clearances, describe_kept
 from jaxurban.report.figures.style import (
     FAINT_INK,
     INK,
@@ -263,7 +263,7 @@ def rules_said(*settings: Mapping[str, Any]) -> str:
         )
         clearances = [
             *describe_clearances(each["limits"]),
-            kept_said(each["limits"], each["resolution_m"]),
+            describe_kept(each["limits"], each["resolution_m"]),
         ]
         rules["obstacles"].append(", ".join(filter(None, [each["obstacles"], *clearances])))
     distinct = {name: list(dict.fromkeys(values)) for name, values in rules.items() if values}
