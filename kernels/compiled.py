@@ -84,7 +84,7 @@ def _digest(module: str) -> str:
     return hashlib.sha256("".join([source, *map(_digest, inner)]).encode()).hexdigest()[:16]
 
 
-class _Say(event.Listener if event else object):  # type: ignore[misc]
+class _CompileNotice(event.Listener if event else object):  # type: ignore[misc]
     """Says once that kernels of this package are compiled."""
 
     def on_start(self, event: Any) -> None:
@@ -95,4 +95,4 @@ class _Say(event.Listener if event else object):  # type: ignore[misc]
 
 
 if event is not None:
-    event.register("numba:compile", _Say())
+    event.register("numba:compile", _CompileNotice())
