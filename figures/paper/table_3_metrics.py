@@ -7,7 +7,7 @@ import pandas as pd
 from figures.paper.common import Caption, save_table
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, high_is_bad
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.variables import NO_METRICS
+from jaxurban.metrics.variables import AUXILIARY_VARIABLES
 from jaxurban.metrics.weights import Weights
 
 PAPER = "Five metrics of maps (GPS, lidar, obstacle, population, risk) and one of paths (distance)."
@@ -30,7 +30,7 @@ def of_map(
 
 
 def main() -> None:
-    obstacle = NO_METRICS["obstacle"]
+    obstacle = AUXILIARY_VARIABLES["obstacle"]
     where = "where a building stands at the height of flight"
     rows = [
         of_map("obstacle", where, obstacle.dims, obstacle.one_means, "none: no path may cross it")

@@ -23,7 +23,7 @@ from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import BlockLayers, Population, block_layers
 from jaxurban.metrics.registry import checked_sections
-from jaxurban.metrics.variables import CAVEAT, NO_METRICS, TimeTotals, derived
+from jaxurban.metrics.variables import AUXILIARY_VARIABLES, CAVEAT, TimeTotals, derived
 from jaxurban.metrics.visibility import shadow_reach_m
 from jaxurban.settings import Heights
 from jaxurban.world.city import SLABS, City, Raster, joined_credits
@@ -264,7 +264,7 @@ CONVENTIONS = "CF-1.11"
 
 def variables(task: MapTask) -> dict[str, Variable]:
     """Return every variable that the maps of a task hold, by name."""
-    found = {"obstacle": NO_METRICS["obstacle"]}
+    found = {"obstacle": AUXILIARY_VARIABLES["obstacle"]}
     for name, metric in task.metrics.items():
         if TIME in metric.dims and not task.keeps_times:
             found |= derived(metric)["series"]
@@ -281,7 +281,7 @@ def variables(task: MapTask) -> dict[str, Variable]:
         "terrain": task.has_terrain,
     }
     return found | {
-        name: variable for name, variable in NO_METRICS.items() if are_made.get(name, True)
+        name: variable for name, variable in AUXILIARY_VARIABLES.items() if are_made.get(name, True)
     }
 
 

@@ -32,7 +32,7 @@ from jaxurban.metrics.base import (
     Variable,
 )
 from jaxurban.metrics.registry import METRICS, known_metrics
-from jaxurban.metrics.variables import NO_METRICS, SERIES, derived
+from jaxurban.metrics.variables import AUXILIARY_VARIABLES, SERIES, derived
 from jaxurban.world.surface import Surface
 
 COLOURS = ("#56b4e9", "#d55e00", "#7f3c8d", "#80604d")  # of lines, none a built-in metric's
@@ -60,7 +60,7 @@ TAKEN = {
         "x",
         "spatial_ref",
     ),
-    *NO_METRICS,
+    *AUXILIARY_VARIABLES,
     *OF_RELEASE_1,
     *("gdop", "pdop", "hdop", "vdop", "tdop", "num_visible"),
     *("density", "hpl", "vpl", "within_limits"),
@@ -300,7 +300,7 @@ def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
 
 def held_variables(ds: xr.Dataset) -> dict[str, Variable]:
     """Return what every map of a dataset is, by name; of those that nobody here knows, what their attributes say."""
-    known = dict(NO_METRICS)
+    known = dict(AUXILIARY_VARIABLES)
     for name, metric in held_metrics(ds).items():
         made = derived(metric)
         known |= made["series"] if f"{name}_median" in ds else metric.variables | made["spread"]

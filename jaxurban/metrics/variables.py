@@ -24,7 +24,7 @@ SERIES = (
 )  # what is kept of a long series, behind the metric's name
 _roof = partial(Variable, unit="m", scale=Scale(high=None, stretch="sqrt", zero="no building"))
 
-NO_METRICS = {
+AUXILIARY_VARIABLES = {
     variable.name: variable
     for variable in (
         Variable(
