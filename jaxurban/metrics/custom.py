@@ -45,7 +45,7 @@ DERIVED = (  # of a metric's map, behind its name
     *(*SERIES, "epoch_mean", "worst_time"),
     *("lower", "upper", "mean", "std", "p95"),
 )
-TAKEN = {
+RESERVED_NAMES = {
     *(
         "distance",
         "climb",
@@ -179,7 +179,7 @@ def check_layers(layers: Any) -> Mapping[str, Layer]:
             raise InputError(
                 f"a layer's name must be letters, digits and _ such as noise_2024, got {name!r}"
             )
-        if name in TAKEN or _OF_A_FILE.fullmatch(name):
+        if name in RESERVED_NAMES or _OF_A_FILE.fullmatch(name):
             raise InputError(
                 f"a layer cannot be called {name!r}: maps, their files or weights use such names: give another name"
             )

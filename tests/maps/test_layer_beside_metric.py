@@ -19,7 +19,13 @@ from jaxurban.maps.differentiable import soften
 from jaxurban.maps.run import tasks_of
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import ALTITUDE, Metric, Variable, high_is_bad
-from jaxurban.metrics.custom import DERIVED, OF_RELEASE_1, TAKEN, held_variables, known_beside
+from jaxurban.metrics.custom import (
+    DERIVED,
+    OF_RELEASE_1,
+    RESERVED_NAMES,
+    held_variables,
+    known_beside,
+)
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.metrics.settings import differentiable
 from jaxurban.metrics.variables import derived
@@ -121,10 +127,10 @@ def check_both(maps):
 
 def test_names_of_release_1_stay_reserved_and_no_other_metric_s_are():
     known = known_metrics()
-    assert {name for metric in OF_RELEASE_1 for name in known[metric].variables} <= TAKEN
+    assert {name for metric in OF_RELEASE_1 for name in known[metric].variables} <= RESERVED_NAMES
     made = {name for kind in derived(METRICS["gps"]).values() for name in kind}
-    assert made == {f"gps_{what}" for what in DERIVED} <= TAKEN
-    assert not {name for name in TAKEN if "noise" in name}
+    assert made == {f"gps_{what}" for what in DERIVED} <= RESERVED_NAMES
+    assert not {name for name in RESERVED_NAMES if "noise" in name}
 
 
 def test_a_layer_keeps_the_short_name_and_the_metric_has_a_long_one_only_beside_it(registry, city):
