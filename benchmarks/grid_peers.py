@@ -27,7 +27,7 @@ from jaxurban.planners.grid_search import (
     GridSearch,
     Heuristic,
     graph_of,
-    way_m,
+    path_points_m,
 )
 
 CITY_M = (10_000.0, 20_000.0)
@@ -261,7 +261,7 @@ def solve_graph(problem: Problem, graph: Graph, bound: Heuristic) -> float:
     """Return the cost of the cheapest path over a graph whose steps are costed as no problem's are; makes the path."""
     search = GridSearch(graph, bound, problem.start, problem.goal)
     search.run()
-    way_m(problem, search.states, graph.steps)
+    path_points_m(problem, search.states, graph.steps)
     return float(search.costs_from_start()[search.goal])
 
 

@@ -27,8 +27,8 @@ from jaxurban.planners.grid_search import (
     estimate,
     graph_of,
     height_cost,
+    path_points_m,
     rises_m,
-    way_m,
 )
 
 ADMISSIBLE = (
@@ -90,7 +90,7 @@ def astar(
     points_m, lower_bound = np.empty(0), search.low_f if ended == PAUSED else np.inf
     if ended == FOUND:
         status = Status.FEASIBLE if name in PRINTED else Status.OPTIMAL
-        points_m = way_m(problem, search.states, search.graph.steps)
+        points_m = path_points_m(problem, search.states, search.graph.steps)
     else:
         status = Status.NO_PATH if ended == EXHAUSTED else Status.BUDGET_EMPTY
     if name in PRINTED:

@@ -29,7 +29,7 @@ from jaxurban.planners.base import Cell, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import cost_grid_of
 from jaxurban.planners.bitstar.planner import DEFAULTS, Batches, BitStarOptions, check_limits
 from jaxurban.planners.cost import STEPS
-from jaxurban.planners.grid_search import graph_of, way_m
+from jaxurban.planners.grid_search import graph_of, path_points_m
 
 BAND_STEPS = 8.0  # a band that spans this many steps over the map's median cell
 ROUNDS_AT_ONCE = 64  # between two looks at the clock: some 0.1 s
@@ -173,7 +173,7 @@ def _path(frontier: Frontier, place: int, problem: Problem, planner: str, begin_
     reached_by = np.asarray(frontier.reached_by[place]).reshape(problem.cost.shape)
     return Path.of(
         problem,
-        way_m(problem, reached_by, np.array(STEPS)) if is_reached else np.empty(0),
+        path_points_m(problem, reached_by, np.array(STEPS)) if is_reached else np.empty(0),
         status,
         lowest_f,
         begin_s,

@@ -172,7 +172,7 @@ def cell_of(problem: Problem, node: Cell) -> Cell:
     )
 
 
-def way_m(problem: Problem, states: np.ndarray, steps: np.ndarray) -> np.ndarray:
+def path_points_m(problem: Problem, states: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Return ``[N, 2]`` (in a volume ``[N, 3]``) the centres from start to goal.
 
     Args:

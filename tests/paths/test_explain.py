@@ -267,8 +267,8 @@ def straight_walk(seed: int, num: int = 12) -> np.ndarray:
 
 
 def test_a_climb_is_longer_in_the_air_than_over_the_ground():
-    way_m = [[2.5, 2.5, 20.0], [32.5, 42.5, 20.0], [32.5, 42.5, 60.0], [62.5, 42.5, 20.0]]
-    crossings = crossed_cells(np.array(way_m), RES)
+    path_points_m = [[2.5, 2.5, 20.0], [32.5, 42.5, 20.0], [32.5, 42.5, 60.0], [62.5, 42.5, 20.0]]
+    crossings = crossed_cells(np.array(path_points_m), RES)
     ends_m = crossings.ends_m
     np.testing.assert_allclose(ends_m[1:, 0], ends_m[:-1, 1])
     np.testing.assert_allclose(
