@@ -226,7 +226,7 @@ class Scenario(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _no_truth_for_a_number(cls, settings: Any) -> Any:
+    def _reject_booleans(cls, settings: Any) -> Any:
         _check_truths(settings, cls)
         return _with_times_as_text(settings)
 
