@@ -59,7 +59,7 @@ class IgnoredZoneWarning(UserWarning):
     """Something in a file of no-fly zones is not read, or is read more cautiously: one sentence for the user."""
 
 
-class LeftOutWarning(UserWarning):
+class SkippedRouteWarning(UserWarning):
     """Something in a file of routes is not read: one sentence for the user."""
 
 

@@ -13,7 +13,7 @@ import shapely
 from scipy.ndimage import distance_transform_edt
 
 from jaxurban.checks import typed
-from jaxurban.errors import InputError, LeftOutWarning, OtherSettingsWarning, warn
+from jaxurban.errors import InputError, OtherSettingsWarning, SkippedRouteWarning, warn
 from jaxurban.io.read.routes import read_routes
 from jaxurban.io.tables import SUFFIXES
 from jaxurban.maps.metric_maps import MapsLike, as_maps
@@ -185,7 +185,7 @@ def read_demonstrations(
         raise InputError(f"no line of {str(file)!r} is of use: {'; '.join(reasons[:MOST_REASONS])}")
     if reasons:
         left_out = f"{len(reasons)} of {len(routes)} lines of {str(file)!r} were left out: {'; '.join(reasons)}"
-        warn(left_out, LeftOutWarning)
+        warn(left_out, SkippedRouteWarning)
     return demonstrations
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.checks import finite, one_of, typed
-from jaxurban.errors import InputError, LeftOutWarning, warn
+from jaxurban.errors import InputError, SkippedRouteWarning, warn
 from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, Row, read_table, records_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
@@ -159,7 +159,7 @@ def demonstrations_from_study(
     if reasons:
         were = "was" if reasons.total() == 1 else "were"
         left_out = f"{reasons.total()} of {len(table)} routes of {asked.name!r} {were} left out: {_listed(reasons)}"
-        warn(left_out, LeftOutWarning)
+        warn(left_out, SkippedRouteWarning)
     return demonstrations
 
 

@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.errors import LeftOutWarning
+from jaxurban.errors import SkippedRouteWarning
 from jaxurban.paths.export.write import write_path
 from jaxurban.studies.demonstrations import demonstration_from_line, optimal_demonstrations
 from jaxurban.studies.montecarlo.sampling import PLACES
@@ -106,7 +106,7 @@ def test_drawn_lines_start_in_free_cells_near_their_ends_and_those_of_no_use_are
         tmp_path / "lines.geojson", small, (inside, goal), (away, goal), (start, goal)
     )
     left_out = r"1 of 3 lines of '.*' were left out: line 2 \('2', from -7\d\.\d+, 40\.\d+\): it leaves the maps"
-    with pytest.warns(LeftOutWarning, match=left_out):
+    with pytest.warns(SkippedRouteWarning, match=left_out):
         first, third = ju.fit.read_demonstrations(file, small, altitude_m=20.0)
     assert unit.is_free[first.query.start]
     assert "The start was not free: it was moved " in first.note

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError, LeftOutWarning
+from jaxurban.errors import InputError, SkippedRouteWarning
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.studies.queries import check_alike
 from tests.studies.routes_made import HIDDEN, cosine, small_maps
@@ -63,7 +63,7 @@ def test_rows_without_a_path_and_routes_of_other_costs_are_left_out_and_counted(
     words = (
         rf"^{num_lost} of {num} routes of .*study' were left out: ptp found no path \({num_lost}\)$"
     )
-    with pytest.warns(LeftOutWarning, match=words):
+    with pytest.warns(SkippedRouteWarning, match=words):
         assert len(routes_of(study, planner="ptp")) == num - num_lost > 0
     for each in study.folder.iterdir():
         (tmp_path / each.name).write_bytes(each.read_bytes())
@@ -72,15 +72,15 @@ def test_rows_without_a_path_and_routes_of_other_costs_are_left_out_and_counted(
     )
     other.to_parquet(tmp_path / "rows.parquet")
     with pytest.warns(
-        LeftOutWarning, match=r"cost otherwise than their rows say, as where seconds .* \(2\)"
+        SkippedRouteWarning, match=r"cost otherwise than their rows say, as where seconds .* \(2\)"
     ):
         assert len(routes_of(tmp_path, maps)) == num - 2
-    with pytest.warns(LeftOutWarning, match=r"^1 of \d+ routes of .* was left out: "):
+    with pytest.warns(SkippedRouteWarning, match=r"^1 of \d+ routes of .* was left out: "):
         routes_of(tmp_path, maps, altitude_m=20.0)
 
 
 def test_straight_routes_are_said_to_follow_distance_alone(study):
-    with pytest.warns(LeftOutWarning):
+    with pytest.warns(SkippedRouteWarning):
         straight = routes_of(study, planner="ptp")
     fit = ju.fit.fit_weights(straight, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=15))
     assert fit.sentence.startswith(

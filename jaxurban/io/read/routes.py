@@ -12,7 +12,7 @@ import pandas as pd
 import shapely
 
 from jaxurban.checks import finite
-from jaxurban.errors import InputError, LeftOutWarning, warn
+from jaxurban.errors import InputError, SkippedRouteWarning, warn
 from jaxurban.io.read.vector import open_layers
 
 SEGMENT_PROPERTY = "segment"  # of lines that repeat a part of jaxurban's own route, for its report
@@ -82,7 +82,7 @@ def read_routes(file: str | Path) -> list[Route]:
         )
     if num_others:
         said = f"{num_others} of the features of {str(file)!r} are not lines of finite places and were left out"
-        warn(said, LeftOutWarning)
+        warn(said, SkippedRouteWarning)
     return routes
 
 
