@@ -200,7 +200,7 @@ LEVEL_STYLES = {
 }
 
 
-class Shown:
+class FactsRepr:
     """Base of what shows its `facts`, those that are empty left out, and what it knows to be uncertain or unsafe."""
 
     @property

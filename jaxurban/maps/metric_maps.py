@@ -16,7 +16,7 @@ from jaxurban.errors import InputError, warn
 from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.progress import LOG
-from jaxurban.public import Caution, Shown, caution_of_guesses, listed
+from jaxurban.public import Caution, FactsRepr, caution_of_guesses, listed
 from jaxurban.samples.catalogue import BASE_MAP_FILE
 from jaxurban.settings import Obstacles, Planning, iso_utc
 from jaxurban.world.grid import Grid
@@ -58,7 +58,7 @@ def _placed(ds: xr.Dataset) -> xr.Dataset:
 
 @typed
 @dataclass(frozen=True, repr=False)
-class MetricMaps(Shown):
+class MetricMaps(FactsRepr):
     """The metric maps of one region at one resolution, as an xarray Dataset.
 
     Variables (values are m; rows run south to north): ``obstacle`` and ``lidar`` and ``risk``

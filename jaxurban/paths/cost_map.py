@@ -35,7 +35,7 @@ from jaxurban.planners.cost import CostModel, PathFeatures
 from jaxurban.planners.exposure import within_budgets
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.progress import warn_if_slow
-from jaxurban.public import Shown
+from jaxurban.public import FactsRepr
 from jaxurban.settings import Objective
 from jaxurban.world.grid import Grid
 
@@ -52,7 +52,7 @@ def weights_on(maps: MetricMaps, given: WeightsLike) -> Weights:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class CostMap(Shown):
+class CostMap(FactsRepr):
     """Metric maps at one altitude, or between levels, under weights. ``L`` metrics, ``Y`` rows, ``X`` columns.
 
     Queries share it, and with it what planners derive from the map. The cost of a path is weights . features

@@ -34,7 +34,7 @@ from jaxurban.paths.profile import (
     without_fix,
 )
 from jaxurban.planners.cost import CostModel
-from jaxurban.public import Caution, Shown, caution_lines
+from jaxurban.public import Caution, FactsRepr, caution_lines
 from jaxurban.settings import Vehicle
 
 SECONDS_PER_HOUR = 3600.0
@@ -53,7 +53,7 @@ SEGMENT_HEADS = {  # what a terminal has room for beside the costs; `RouteReport
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RouteReport(Shown):
+class RouteReport(FactsRepr):
     """A route in numbers. Lengths are in the air; all is in still air, above ground.
 
     Attributes:

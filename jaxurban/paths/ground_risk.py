@@ -17,7 +17,7 @@ from jaxurban.io.tables import records_of
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.paths.corridor import Cells, cell_means, cells_within
 from jaxurban.paths.path import PlannedPath
-from jaxurban.public import Caution, Shown, caution_of_guesses
+from jaxurban.public import Caution, FactsRepr, caution_of_guesses
 from jaxurban.settings import not_negative
 
 GRIDS_M = (100.0, 200.0, 500.0)  # printed always: they disagree where towers stand
@@ -28,7 +28,7 @@ DENSITY = "density_per_km2"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OverflownDensity(Shown):
+class OverflownDensity(FactsRepr):
     """The largest mean density of people over the cells that a flight's corridor touches. No class is computed.
 
     Attributes:

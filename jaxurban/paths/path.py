@@ -22,7 +22,7 @@ from jaxurban.planners.base import Path, Status
 from jaxurban.planners.exposure import SAME
 from jaxurban.planners.simplify import farthest
 from jaxurban.planners.simplify import simplify as simplify_path
-from jaxurban.public import Caution, Shown
+from jaxurban.public import Caution, FactsRepr
 from jaxurban.world.grid import Grid
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class Ground:
 
 
 @dataclass(frozen=True, repr=False)
-class PlannedPath(Shown):
+class PlannedPath(FactsRepr):
     """A path over metric maps with its cost and metrics. ``N`` points.
 
     Attributes:

@@ -19,7 +19,7 @@ from jaxurban.paths.export.write import FORMATS, write_path
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import XY, Point
 from jaxurban.planners.base import Path, Status
-from jaxurban.public import Shown
+from jaxurban.public import FactsRepr
 
 LONLAT = ("start_lon", "start_lat", "goal_lon", "goal_lat")
 IN_METRES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
@@ -164,7 +164,7 @@ def _of_row(row: Mapping, names: Sequence[str], base: Query) -> Query:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlannedPaths(Shown, Sequence[PlannedPath | None]):
+class PlannedPaths(FactsRepr, Sequence[PlannedPath | None]):
     """The paths of a batch in the order of its queries; None where there is not even a planner's verdict.
 
     Attributes:

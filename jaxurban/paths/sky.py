@@ -14,14 +14,14 @@ from jaxurban.maps.sources import CityLike
 from jaxurban.metrics.gps import FIX, Gps
 from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN, By, Sight, cautions_of, xy_of
 from jaxurban.paths.snapping import Point
-from jaxurban.public import Caution, Shown, listed
+from jaxurban.public import Caution, FactsRepr, listed
 from jaxurban.settings import each
 
 LOWEST_DEG = 1.0  # of a horizon, where the elevation mask is lower
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SkyAt(Shown):
+class SkyAt(FactsRepr):
     """The sky at a place, at one or several times.
 
     Attributes:

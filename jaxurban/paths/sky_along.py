@@ -14,12 +14,12 @@ from jaxurban.metrics.gps import FIX, Gps, has_no_fix
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.sight import By, Sight, cautions_of, xy_of
 from jaxurban.paths.snapping import XY, Point
-from jaxurban.public import Caution, Shown, listed
+from jaxurban.public import Caution, FactsRepr, listed
 from jaxurban.settings import each, parse_time
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SkyAlong(Shown):
+class SkyAlong(FactsRepr):
     """The sky along a track.
 
     Attributes:

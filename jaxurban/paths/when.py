@@ -24,7 +24,7 @@ from jaxurban.paths.queries import PlannedPaths, table_of
 from jaxurban.paths.snapping import Point
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress
-from jaxurban.public import Caution, Shown, listed
+from jaxurban.public import Caution, FactsRepr, listed
 from jaxurban.settings import CostKind, Objective, Preset
 
 TIMES = ["time", "time_of_day"]
@@ -32,7 +32,7 @@ SAME = 1e-9  # relative: routes that cost so nearly the same are as cheap
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Departures(Shown):
+class Departures(FactsRepr):
     """Routes at every time of their maps, and the time at which all of them together cost the least.
 
     Attributes:

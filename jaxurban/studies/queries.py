@@ -18,7 +18,7 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.snapping import Point
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.public import Shown
+from jaxurban.public import FactsRepr
 
 NORMS = (
     "pop_norm_per_km2",
@@ -31,7 +31,7 @@ PLAIN = {
 }  # label, unit
 
 
-class Result(Shown):
+class Result(FactsRepr):
     """Base of what a study found."""
 
     @typed

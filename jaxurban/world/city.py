@@ -13,7 +13,7 @@ import shapely
 from jaxurban import settings
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.public import Caution, Shown, caution_of_guesses
+from jaxurban.public import Caution, FactsRepr, caution_of_guesses
 from jaxurban.settings import SLABS as SLABS
 from jaxurban.settings import TO_GROUND as TO_GROUND
 from jaxurban.settings import Hanging as Hanging
@@ -273,7 +273,7 @@ def main_bounds(polygons: np.ndarray, crs: str, extent: Sequence[float]) -> Boun
 
 @typed
 @dataclass(frozen=True, repr=False)
-class City(Shown):
+class City(FactsRepr):
     """A city in one projected CRS: buildings or a height raster, and optionally blocks and terrain.
 
     Attributes:

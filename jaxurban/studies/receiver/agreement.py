@@ -19,7 +19,7 @@ from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
 from jaxurban.maps.track import Track
 from jaxurban.progress import Report
-from jaxurban.public import Caution, Shown
+from jaxurban.public import Caution, FactsRepr
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.displaced import (
     AROUND_M,
@@ -65,7 +65,7 @@ class PlaceSky:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SatelliteAgreement(Shown):
+class SatelliteAgreement(FactsRepr):
     """How the maps agree with a receiver, satellite by satellite.
 
     Attributes:
