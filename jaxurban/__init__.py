@@ -1,6 +1,7 @@
 """jaxurban: urban metric maps for small drones, and planning on them.
 
-JAX makes the maps, and Numba searches paths and traces lidar over terrain. Gradients come from soft forms of the metrics.
+JAX makes the maps, and Numba searches paths and traces lidar over terrain. Gradients come from soft forms of the
+metrics.
 """
 
 from jaxurban.public import public_names as _public_names

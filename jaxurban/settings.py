@@ -75,7 +75,7 @@ def not_negative(name: str, value: float) -> float:
     return metres
 
 
-def each(values: Any) -> tuple:
+def as_tuple(values: Any) -> tuple:
     """Return what is one value or several of them as a tuple."""
     return (
         tuple(values)

@@ -9,7 +9,7 @@ import xarray as xr
 
 from jaxurban.io import store
 from jaxurban.maps.build import compute_maps
-from jaxurban.maps.run import Maker, make_zarr
+from jaxurban.maps.run import RunContext, make_zarr
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.lidar import Lidar
@@ -69,8 +69,8 @@ def task(of: City, series: str = "epochs") -> MapTask:
 
 def maker(
     folder: Path, of: City, series: str = "epochs", num_workers: int = 2, client=None, **options
-) -> Maker:
-    return Maker(task(of, series), folder, "key", num_workers, client, **options)
+) -> RunContext:
+    return RunContext(task(of, series), folder, "key", num_workers, client, **options)
 
 
 def make(
@@ -84,7 +84,7 @@ def make(
 def check_tiles(of: MapTask, folder: Path, shape=RAGGED, **options) -> xr.Dataset:
     """Make the tiles of a task under ``folder``, with ``options`` of its parameters: they equal the untiled maps."""
     made = replace(of, guesses=of.all_guesses, params=replace(of.params, **options))
-    make_zarr(Maker(made, folder, "key", 2), Report(), shape)
+    make_zarr(RunContext(made, folder, "key", 2), Report(), shape)
     left = {path.name for path in (folder / "maps.zarr").iterdir()}
     maps = store.zarr_path(folder, of.region.resolution_m).name
     assert left == {maps, ".zgroup", ".zmetadata"}  # nothing of the work

@@ -22,7 +22,7 @@ from jaxurban.maps.task import MapTask
 from jaxurban.metrics.population import FILES, Population
 from jaxurban.progress import LOG
 from jaxurban.samples.catalogue import located
-from jaxurban.settings import NOMINAL, each
+from jaxurban.settings import NOMINAL, as_tuple
 from jaxurban.world.city import Blocks, City, Zoning
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky
@@ -126,7 +126,7 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
     """
     population, orbits = (
         scenario.population,
-        [name for name in each(scenario.gps.orbits) if name != NOMINAL],
+        [name for name in as_tuple(scenario.gps.orbits) if name != NOMINAL],
     )
     named = {
         "buildings": None if scenario.is_synthetic else scenario.buildings.source,

@@ -38,7 +38,7 @@ from jaxurban.metrics.variables import TimeTotals
 from jaxurban.programs import pass_over_unreadable
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
 from jaxurban.samples.catalogue import BASE_MAP_FILE
-from jaxurban.settings import NOMINAL, each
+from jaxurban.settings import NOMINAL, as_tuple
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_city_for_bounds
@@ -95,7 +95,8 @@ def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
     with stage("read"):
         city = load_city(scenario)
     orbits = [
-        name if name == NOMINAL else scenario.path_of(name) for name in each(scenario.gps.orbits)
+        name if name == NOMINAL else scenario.path_of(name)
+        for name in as_tuple(scenario.gps.orbits)
     ]
     tasks = []
     with stage("orbits"):
@@ -186,10 +187,10 @@ def run_scenario(
         ):
             _sweep(folder, key, scenario.region.resolution_m)
             tasks = [replace(task, guesses=guesses) for task in tasks]
-            makers = [
-                Maker(task, folder, key, num_threads, client, tuple(layers)) for task in tasks
+            runs = [
+                RunContext(task, folder, key, num_threads, client, tuple(layers)) for task in tasks
             ]
-            made = [_maps_of(maker, workspace, watch, report) for maker in makers]
+            made = [_maps_of(run, workspace, watch, report) for run in runs]
             store.put_root(folder)  # of maps that are kept; 1.0.0 wrote none
             is_kept = not any(is_new for _, is_new in made)
             file = folder / BASE_MAP_FILE
@@ -212,7 +213,7 @@ def _unused(folder: Path) -> str:
 
 
 @dataclass(frozen=True)
-class Maker:
+class RunContext:
     """A task, where its maps go and who works on them: threads of this process, or a cluster by its client.
 
     ``layers`` are GeoTIFFs too, beside obstacles and the metrics of the cost.
@@ -225,7 +226,7 @@ class Maker:
     client: Any = None
     layers: tuple[str, ...] = ()
 
-    def each(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
+    def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         """Return what a function makes of each item, in threads of this process, on a cluster too: files are here."""
         with ThreadPoolExecutor(
             self.num_workers, initializer=RECORDER.set, initargs=(RECORDER.get(),)
@@ -246,29 +247,29 @@ def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
 
 
 def _maps_of(
-    maker: Maker, workspace: Workspace, watch: Stopwatch, report: Report
+    run: RunContext, workspace: Workspace, watch: Stopwatch, report: Report
 ) -> tuple[MetricMaps, bool]:
     """Return the maps at one resolution, and whether they were made: those on disk are kept if whole and this job's."""
-    folder, resolution_m = maker.folder, maker.task.region.resolution_m
+    folder, resolution_m = run.folder, run.task.region.resolution_m
     path = store.zarr_path(folder, resolution_m)
     with watch.stage("verify"):
         files = [folder / name for name in workspace.written if path in (folder / name).parents]
-        broken = workspace.broken(files, maker.each) if path.is_dir() else []
-        is_kept = not broken and stored_key(folder, resolution_m) == maker.key
+        broken = workspace.broken(files, run.map) if path.is_dir() else []
+        is_kept = not broken and stored_key(folder, resolution_m) == run.key
     if broken:
         others = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
         again = f"making the maps at {store.short_number(resolution_m)} m again"
         LOG.warning(f"{str(broken[0])!r}{others} is missing or damaged: {again}")
     if not is_kept:
         began = time.perf_counter()
-        seconds = make_zarr(maker, report)
+        seconds = make_zarr(run, report)
         # Tiles are worked on side by side: a stage gets its share of the time that passed.
         scale = (time.perf_counter() - began) / (sum(seconds.values()) or 1.0)
         for name, busy_s in seconds.items():
             watch.add(name, busy_s * scale)
     ds = store.open_zarr(folder.resolve(), resolution_m)
     with watch.stage("verify"):
-        stale = workspace.broken(geotiff_paths(ds, folder, maker.layers), maker.each)
+        stale = workspace.broken(geotiff_paths(ds, folder, run.layers), run.map)
         edited = [path for path in stale if path.suffix == ".qml" and workspace.is_changed(path)]
         for path in edited:  # styles are there to be edited
             LOG.warning(
@@ -281,7 +282,7 @@ def _maps_of(
             ):  # else it is reported when it is set aside
                 LOG.warning(f"{str(path)!r} is missing: writing it again")
     with watch.stage("write_geotiff"):
-        write_geotiffs(ds, folder, maker.each, only=stale, layers=maker.layers)
+        write_geotiffs(ds, folder, run.map, only=stale, layers=run.layers)
         sweep_scraps(
             folder / store.GEOTIFF_FOLDER
         )  # of workers that were killed, whose files others have written
@@ -289,30 +290,30 @@ def _maps_of(
 
 
 def make_zarr(
-    maker: Maker, report: Report, shape: tuple[int, int] | None = None
+    run: RunContext, report: Report, shape: tuple[int, int] | None = None
 ) -> dict[str, float]:
     """Make the Zarr of one resolution tile by tile and return the seconds that all workers spent on each stage.
 
     Args:
-      maker: what from and where to.
+      run: what from and where to.
       report: gets how many tiles are done.
       shape: of the tiles; left out, `shape_of_tiles`.
 
     Raises:
       InputError: rasters without data in the region, or workers that are killed again and again.
     """
-    task, grid = maker.task, maker.task.region
+    task, grid = run.task, run.task.region
     shape = shape or shape_of_tiles(task)
     tiling = Tiling.over(grid, task.with_margin(), shape)
     if task.city.roofs is not None or task.has_terrain:
         data = (rasterise(task.city, tiling.grid_of(tile)).has_data for tile in tiling.region_tiles)
         check_has_data(data, task.city)
-    work = WorkFolder(store.work_path(maker.folder.resolve(), grid.resolution_m))
-    for path in work.begin(f"{maker.key} {shape}", maker.each):
+    work = WorkFolder(store.work_path(run.folder.resolve(), grid.resolution_m))
+    for path in work.begin(f"{run.key} {shape}", run.map):
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
     job, facts = (
         TileJob(task, work, tiling),
-        {RUN_KEY: maker.key, "guesses": json.dumps(task.guesses)},
+        {RUN_KEY: run.key, "guesses": json.dumps(task.guesses)},
     )
     empty = empty_dataset(task, _no_values).assign_attrs(facts)
     if work.done(ZARR) is None:
@@ -334,10 +335,10 @@ def make_zarr(
             num_done += 1
             report(stage, num_done, len(tiling.region_tiles))
 
-    if maker.client is None:
-        work_in_threads(job, maker.num_workers, take)
+    if run.client is None:
+        work_in_threads(job, run.num_workers, take)
     else:
-        work_on_cluster(job, maker.client, take)
+        work_on_cluster(job, run.client, take)
     if totals:
         made = with_series(empty, task, totals)
         store.add_to_zarr(
@@ -345,7 +346,7 @@ def make_zarr(
             work.zarr,
         )
         work.mark_zarr()
-    work.finish(store.zarr_path(maker.folder, grid.resolution_m))
+    work.finish(store.zarr_path(run.folder, grid.resolution_m))
     return seconds
 
 

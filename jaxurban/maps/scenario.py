@@ -38,7 +38,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.planners.registry import find_planner
 from jaxurban.public import present_name
 from jaxurban.samples.catalogue import filled, is_sample, located
-from jaxurban.settings import Buildings, CostKind, Planning, Terrain, Vehicle, each, iso_utc
+from jaxurban.settings import Buildings, CostKind, Planning, Terrain, Vehicle, as_tuple, iso_utc
 from jaxurban.world.grid import Bounds, check_bounds, projected_crs
 
 SYNTHETIC = "synthetic"
@@ -64,7 +64,7 @@ WeightSettings = Annotated[
 ]
 
 
-OneOrMore = Annotated[tuple[float, ...], BeforeValidator(each)]  # a TOML may name one alone
+OneOrMore = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]  # a TOML may name one alone
 
 
 def _different(name: str, values: Iterable[float]) -> tuple[float, ...]:
@@ -171,7 +171,7 @@ class Study:
 
     def __post_init__(self) -> None:
         for name in ("planners", "distance_only"):
-            object.__setattr__(self, name, tuple(dict.fromkeys(each(getattr(self, name)))))
+            object.__setattr__(self, name, tuple(dict.fromkeys(as_tuple(getattr(self, name)))))
         if not self.planners:
             raise InputError("planners is empty: name at least one planner")
         for planner in (*self.planners, *self.distance_only):

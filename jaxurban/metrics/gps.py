@@ -32,7 +32,7 @@ from jaxurban.metrics.base import (
 from jaxurban.metrics.gps_soft import gps_metric, soft_gps
 from jaxurban.metrics.settings import check_value, differentiable
 from jaxurban.metrics.visibility import distinct_choices
-from jaxurban.settings import NOMINAL, each, iso_utc, parse_time
+from jaxurban.settings import NOMINAL, as_tuple, iso_utc, parse_time
 from jaxurban.world.sky import InView
 
 MOST_TIMES = 100_000  # a year in steps of five minutes
@@ -109,7 +109,7 @@ class Gps:
             raise InputError(
                 f"reference must be a longitude and a latitude in degrees, got {self.reference}"
             )
-        object.__setattr__(self, "orbits", each(self.orbits))
+        object.__setattr__(self, "orbits", as_tuple(self.orbits))
         self._check_times()
 
     @property
@@ -126,7 +126,7 @@ class Gps:
                 "a series of times needs all of start, stop and step_s, and no times beside them"
             )
         if self.times is not None:
-            object.__setattr__(self, "times", tuple(map(iso_utc, each(self.times))))
+            object.__setattr__(self, "times", tuple(map(iso_utc, as_tuple(self.times))))
         elif self.start is not None and self.stop is not None and self.step_s is not None:
             at_least("step_s", self.step_s, 1)
             for name in ("start", "stop"):

@@ -25,7 +25,7 @@ from jaxurban.metrics.base import (
     high_is_bad,
 )
 from jaxurban.metrics.settings import check_value, differentiable, is_known
-from jaxurban.settings import each
+from jaxurban.settings import as_tuple
 from jaxurban.world.city import Blocks, Zoning
 from jaxurban.world.grid import Bounds
 from jaxurban.world.surface import Surface
@@ -135,7 +135,7 @@ class Population:
             raise InputError("table and districts need blocks, the polygons of the census blocks")
         if self.commercial is not None:
             object.__setattr__(self, "commercial", tuple(self.commercial))
-        object.__setattr__(self, "time_of_day", each(self.time_of_day))
+        object.__setattr__(self, "time_of_day", as_tuple(self.time_of_day))
         if not self.times_of_day or len(set(self.times_of_day)) != len(self.times_of_day):
             raise InputError(
                 f"time_of_day must be different names such as day and night, got {[*self.time_of_day]}"

@@ -25,7 +25,7 @@ from jaxurban.paths.hiding import Hiding
 from jaxurban.paths.snapping import XY, Point, one_place
 from jaxurban.progress import Report
 from jaxurban.public import Caution, caution_of_guesses, listed
-from jaxurban.settings import NOMINAL, each
+from jaxurban.settings import NOMINAL, as_tuple
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays, known_ground
@@ -91,7 +91,7 @@ class Sight:
         region = Grid.from_bounds(scenario.region.bounds, resolution_m, scenario.region.crs, sizes)
         orbits = [
             name if name == NOMINAL else scenario.path_of(name)
-            for name in each(scenario.gps.orbits)
+            for name in as_tuple(scenario.gps.orbits)
         ]
         params = replace(
             scenario.map_params,

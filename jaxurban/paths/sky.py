@@ -15,7 +15,7 @@ from jaxurban.metrics.gps import FIX, Gps
 from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN, By, Sight, cautions_of, xy_of
 from jaxurban.paths.snapping import Point
 from jaxurban.public import Caution, FactsRepr, listed
-from jaxurban.settings import each
+from jaxurban.settings import as_tuple
 
 LOWEST_DEG = 1.0  # of a horizon, where the elevation mask is lower
 
@@ -153,7 +153,7 @@ def sky_from(
     """Return the sky at a place of a city that is read already; arguments as for `sky`."""
     positive("altitude_m", altitude_m)
     xy_m = xy_of("place", [place], sight.region)
-    look = sight.look(by, xy_m, altitude_m, None if time is None else each(time))
+    look = sight.look(by, xy_m, altitude_m, None if time is None else as_tuple(time))
     lon, lat = sight.region.lonlat_of_xy(*xy_m[:, 0].tolist())
     times = np.array(look.task.sky.times)
     look.rows.insert(0, "time", times[look.epoch])

@@ -15,7 +15,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.sight import By, Sight, cautions_of, xy_of
 from jaxurban.paths.snapping import XY, Point
 from jaxurban.public import Caution, FactsRepr, listed
-from jaxurban.settings import each, parse_time
+from jaxurban.settings import as_tuple, parse_time
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,9 +102,9 @@ def sky_along(
     if altitude_m is None:
         raise InputError("altitude_m is missing: give metres above the ground")
     x_m, y_m = xy_of("places", places, sight.region)
-    z_m = np.array([positive("altitude_m", value) for value in each(altitude_m)])
+    z_m = np.array([positive("altitude_m", value) for value in as_tuple(altitude_m)])
     first = sight.task(None, float(z_m.min()), None).sky.times[0] if times is None else times
-    utc = pd.to_datetime([parse_time(time) for time in each(first)]).round("s")
+    utc = pd.to_datetime([parse_time(time) for time in as_tuple(first)]).round("s")
     if len({1, len(x_m), len(z_m)}) > 2 or len({1, len(x_m), len(utc)}) > 2:
         raise InputError(
             f"altitude_m and times must be one for all {len(x_m)} places or one for each, got {len(z_m)} and {len(utc)}"

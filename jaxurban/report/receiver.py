@@ -23,7 +23,7 @@ from jaxurban.report.satellites import (
     sentences_of,
 )
 from jaxurban.report.write import Output, bullets, fill, study_outputs, table
-from jaxurban.settings import each
+from jaxurban.settings import as_tuple
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.validate import (
     COEFFICIENTS,
@@ -119,7 +119,7 @@ def validation_outputs(found: ReceiverValidation) -> tuple[dict[str, Output], di
 def validation_markdown(found: ReceiverValidation) -> str:
     """Return the report as Markdown."""
     of, settings, scenario = found.summary, found.settings, found.scenario
-    masks_deg = each(scenario["gps"]["mask_deg"])
+    masks_deg = as_tuple(scenario["gps"]["mask_deg"])
     is_main = found.scores.prediction == found.scores.witness.map(MAIN)
     others = found.scores[~is_main]
     of_sky = found.satellites

@@ -23,7 +23,7 @@ from jaxurban.paths.contacts import buildings_of, union_m
 from jaxurban.paths.flown import costs_of, figures_of
 from jaxurban.paths.legs import flight_of
 from jaxurban.paths.plan import rules_on
-from jaxurban.settings import each, iso_utc, not_negative, parse_time
+from jaxurban.settings import as_tuple, iso_utc, not_negative, parse_time
 from jaxurban.studies.check_result import MissionCheck
 from jaxurban.world.city import City
 from jaxurban.world.known import known_ground
@@ -108,7 +108,7 @@ def check(
         raise InputError(
             "heights, home and return_altitude_m are of a file, and mission was read already: leave them out"
         )
-    named_times = () if time is None else each(time)
+    named_times = () if time is None else as_tuple(time)
     times: list[str | None] = [iso_utc(at) for at in named_times] or [None]
     limits = constraints or Constraints()
     limits = replace(limits, zones=(*limits.zones, *Constraints.read(no_fly).zones))

@@ -16,7 +16,7 @@ from typing import Any
 
 from jaxurban.errors import InputError
 from jaxurban.io.files import write_whole
-from jaxurban.viewer.requests import FactsRepr, Request
+from jaxurban.viewer.requests import Request, View
 from jaxurban.viewer.tiles import TILE, strides_of
 from jaxurban.viewer.viewer import Viewer, as_json
 
@@ -103,15 +103,15 @@ def write_page(viewer: Viewer, file: str | Path, most_bytes: int) -> int:
     )
 
 
-def _maps_of(viewer: Viewer) -> Iterator[FactsRepr]:
+def _maps_of(viewer: Viewer) -> Iterator[View]:
     """Yield every map."""
     for name, layer in viewer.layers.items():
         sizes = (max(len(held), 1) if dim in layer.dims else 1 for dim, held in viewer.axes.items())
         for altitude, time, day in product(*map(range, sizes)):
-            yield FactsRepr(layer=name, at=(altitude, time, day))
+            yield View(layer=name, at=(altitude, time, day))
 
 
-def _page(viewer: Viewer, maps: list[FactsRepr], stride: int, most_bytes: int) -> bytes | None:
+def _page(viewer: Viewer, maps: list[View], stride: int, most_bytes: int) -> bytes | None:
     """Return the page with every map at one stride; None where it has more bytes."""
     scene = viewer.scene(Request()) | {"strides": [stride], "can_plan": False, "key": ""}
     answers: dict[str, Any] = {_key("scene", {}): scene, _key("base", {}): viewer.base(Request())}

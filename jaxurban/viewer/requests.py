@@ -21,14 +21,14 @@ class Request(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class FactsRepr(Request):
+class View(Request):
     """A map: its layer, and the numbers of its altitude, time and time of day in the lists of the scene."""
 
     layer: Name
     at: tuple[Index, Index, Index]
 
 
-class Tile(FactsRepr):
+class Tile(View):
     """A tile of a map (`jaxurban.viewer.tiles`)."""
 
     stride: Index

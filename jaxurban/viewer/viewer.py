@@ -35,7 +35,7 @@ from jaxurban.viewer.base import base_of
 from jaxurban.viewer.layers import H_NORM, DrawnLayer, layers_of, legend_of
 from jaxurban.viewer.markup import number, options, sentences
 from jaxurban.viewer.plans import Plans
-from jaxurban.viewer.requests import Cell, FactsRepr, Plan, Request, Save, Sky, Tile, parse
+from jaxurban.viewer.requests import Cell, Plan, Request, Save, Sky, Tile, View, parse
 from jaxurban.viewer.sky import sky_html
 from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, strides_of, tile_bytes
 
@@ -93,7 +93,7 @@ class Viewer:
         self._answers: dict[str, tuple[type[Request], Callable[[Any], Any]]] = {
             "scene": (Request, self.scene),
             "base": (Request, self.base),
-            "legend": (FactsRepr, self.legend),
+            "legend": (View, self.legend),
             "tile": (Tile, self.tile),
             "values": (Cell, self.values_at),
             "sky": (Sky, self.sky),
@@ -234,13 +234,13 @@ class Viewer:
             else at._replace(altitude_m=query.flight_m)
         )
 
-    def values(self, shown: FactsRepr) -> np.ndarray:
+    def values(self, shown: View) -> np.ndarray:
         """Return the values ``[Y, X]`` of a map as they travel (`DrawnLayer.values`)."""
         layer = self.layers[one_of("layer", shown.layer, self.layers)]
         at = self.place(shown.at, layer.dims)
         return self.kept.get((shown.layer, at), lambda: layer.values(at))
 
-    def legend(self, shown: FactsRepr) -> dict[str, Any]:
+    def legend(self, shown: View) -> dict[str, Any]:
         """Return how these values become colours (`legend_of`)."""
         values = self.values(shown)  # refuses a layer that is not there
         return legend_of(self.layers[shown.layer], values)
@@ -273,7 +273,7 @@ class Viewer:
         at = self.place(cell.at, layer.dims)
         variable = self.maps.variable(layer.name)
         if variable not in self.maps.ds:
-            found = self.values(FactsRepr(layer=layer.name, at=cell.at))[cell.row, cell.col]
+            found = self.values(View(layer=layer.name, at=cell.at))[cell.row, cell.col]
             return float(found) if np.isfinite(found) else math.nan
         array = self.maps.ds[variable]
         row, col = cell.row // BLOCK * BLOCK, cell.col // BLOCK * BLOCK

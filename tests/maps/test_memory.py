@@ -32,7 +32,7 @@ from jaxurban.maps.memory import (
     told_apart,
 )
 from jaxurban.maps.metric_maps import open_maps
-from jaxurban.maps.run import Maker, make_zarr
+from jaxurban.maps.run import RunContext, make_zarr
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.progress import Report
@@ -327,7 +327,7 @@ def test_less_is_asked_for_than_maps_and_their_work_take_and_more_for_finer_ones
         finish(work, *target)
 
     monkeypatch.setattr(WorkFolder, "finish", counted)
-    make_zarr(Maker(amid, tmp_path, "key", 2), Report())
+    make_zarr(RunContext(amid, tmp_path, "key", 2), Report())
     least, highest = disk_bytes([amid])
     assert 0.1 * most[0] < least < most[0] < highest
     assert least < disk_bytes([amid, amid])[0] < 2 * least

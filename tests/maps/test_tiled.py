@@ -22,7 +22,7 @@ from jaxurban.io.files import remove
 from jaxurban.io.folders import WorkFolder
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.executors import cluster_client
-from jaxurban.maps.run import Maker, make_zarr
+from jaxurban.maps.run import RunContext, make_zarr
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.tiled import Tiling
 from jaxurban.metrics.custom import Layer
@@ -165,7 +165,7 @@ def test_while_a_tiles_results_are_waited_for_another_tile_is_begun(city, tmp_pa
     with_layer = replace(
         plain, params=params, layers={"slow": Layer(values, "high-is-bad", scale=(0, 1))}
     )
-    make_zarr(Maker(with_layer, tmp_path, "key", num_threads), Report(), RAGGED)
+    make_zarr(RunContext(with_layer, tmp_path, "key", num_threads), Report(), RAGGED)
     assert in_time == [num_threads > 1]
 
 

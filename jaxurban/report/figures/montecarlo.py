@@ -23,7 +23,7 @@ from jaxurban.report.figures.style import (
     panels,
     styled,
 )
-from jaxurban.studies.montecarlo.analysis import each, range_names, weighted_rows
+from jaxurban.studies.montecarlo.analysis import range_names, rows_of, weighted_rows
 
 SHARES = Colours(
     "Greys",
@@ -125,7 +125,7 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
     """
     figure, axes = _panels(len(table), "GPS and lidar over the free cells")
     bins = np.linspace(0, 1, 41)
-    for panel, row in zip(axes, each(table), strict=True):
+    for panel, row in zip(axes, rows_of(table), strict=True):
         is_free = maps.is_free(row.altitude_m, "centre")
         gps, lidar = (
             maps.m("gps", row.altitude_m)[is_free],

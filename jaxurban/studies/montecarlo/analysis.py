@@ -65,7 +65,7 @@ def facts_of(table: pd.DataFrame) -> list[str]:
     return ["length_m", *(name for name in map(str, table.columns) if name.startswith("m_"))]
 
 
-def each(table: pd.DataFrame) -> Iterator[Any]:
+def rows_of(table: pd.DataFrame) -> Iterator[Any]:
     """Yield the rows of a table, columns as attributes."""
     return iter(table.itertuples())
 
