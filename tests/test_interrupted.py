@@ -237,7 +237,7 @@ class MapsFolder(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.place = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+        self.place = tempfile.TemporaryDirectory()
         self.folder = Path(self.place.name, "out")
         self.may_hold, self.is_whole, self.mine = {""}, True, dict[Path, bytes]()
 

@@ -4,7 +4,7 @@ import logging
 import os
 import uuid
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from typing import Any
@@ -101,15 +101,18 @@ def _call_in_worker(job_name: str, function: Callable, *arguments: Any) -> Any:
 
 
 def work_in_threads(job: TileJob, num_threads: int, on_result: Tell) -> None:
-    """Do a job in threads of this process; ``on_result`` gets every task's result."""
+    """Do a job in threads of this process; ``on_result`` gets every task's result.
+
+    Where a task fails, those that run are waited for: none writes after the call.
+    """
 
     class Listener(Callback):
         def _posttask(self, key: Any, result: Any, dsk: Any, state: Any, worker_id: Any) -> None:
             on_result(result)
 
-    with Listener():
+    with ThreadPoolExecutor(num_threads) as pool, Listener():
         tasks = tile_graph(job, lambda function, *arguments: function(job, *arguments))
-        dask.compute(*tasks, scheduler=dask.threaded.get, num_workers=num_threads)
+        dask.compute(*tasks, scheduler=dask.threaded.get, pool=pool)
 
 
 def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:

@@ -20,6 +20,7 @@ import pytest
 from jaxurban.errors import InputError
 from jaxurban.io.files import remove
 from jaxurban.io.folders import WorkFolder
+from jaxurban.maps import executors
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.run import RunContext, make_zarr
@@ -117,6 +118,24 @@ def test_tiles_equal_the_untiled_maps(name, tmp_path):
         assert np.isnan(found["gps"].values).any()
     for variable in VARIED & {*found}:
         assert len(np.unique(found[variable])) > 1
+
+
+def test_a_run_that_fails_returns_when_no_thread_writes_any_more(city, tmp_path, monkeypatch):
+    begun, ended, both_run = [], [], threading.Barrier(2, timeout=60)
+
+    def raster_tile(job, tile):
+        begun.append(tile)
+        both_run.wait()
+        if tile == begun[0]:
+            raise MemoryError
+        time.sleep(0.2)
+        ended.append(tile)
+        return {"seconds": {}}
+
+    monkeypatch.setattr(executors, "raster_tile", raster_tile)
+    with pytest.raises(MemoryError):
+        make(tmp_path, city)
+    assert begun[1:] == ended
 
 
 # By shadows of roofs, of those that are drawn higher and of hills, and by what metrics look at.
