@@ -6,6 +6,8 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
+from jaxurban.errors import warn
+
 Engine = Literal["auto", "numba", "jax"]
 ONLY_JAX = (
     "engine = 'numba' makes lidar maps over terrain and the shadows of slabs; all else has no form in Numba any more, "
@@ -22,6 +24,12 @@ def runs_numba(engine: str, *values: Any) -> bool:
     """Return whether Numba's form runs on values: where it is chosen, and JAX traces none of them."""
     is_traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
     return not is_traced and uses_numba(engine)
+
+
+def warn_of_jax(engine: str) -> None:
+    """Warn, where maps are made and Numba is asked for, of what JAX makes all the same."""
+    if engine == "numba":
+        warn(ONLY_JAX)
 
 
 def on_device_of(engine: str) -> AbstractContextManager:

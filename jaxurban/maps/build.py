@@ -23,7 +23,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.guesses import Guesses, nominal_guess, time_guess, warn_of
 from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.io.read.rasterise import bands_of
-from jaxurban.kernels.engine import Engine, on_device_of
+from jaxurban.kernels.engine import Engine, on_device_of, warn_of_jax
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.recipe import TileScene, tile_maps
@@ -211,6 +211,7 @@ def compute_maps(
     tile = TileScene(task, surface or task.surface())
     guesses = task.all_guesses
     warn_of(guesses, known=task.city.guesses)
+    warn_of_jax(task.params.engine)
     ds = empty_dataset(task).assign_attrs(guesses=json.dumps(guesses))
     with on_device_of(task.params.engine):
         for name, place, values in tile_maps(tile, stage):

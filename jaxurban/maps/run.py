@@ -25,6 +25,7 @@ from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import bands_of, check_has_data, rasterise
 from jaxurban.io.store import stored_key
 from jaxurban.io.workspace import Workspace
+from jaxurban.kernels.engine import warn_of_jax
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.executors import cluster_client, num_cores, work_in_threads, work_on_cluster
 from jaxurban.maps.memory import check_disk, plan_run, shape_of_tiles
@@ -303,6 +304,7 @@ def make_zarr(
       InputError: rasters without data in the region, or workers that are killed again and again.
     """
     task, grid = run.task, run.task.region
+    warn_of_jax(task.params.engine)
     shape = shape or shape_of_tiles(task)
     tiling = Tiling.over(grid, task.with_margin(), shape)
     if task.city.roofs is not None or task.has_terrain:

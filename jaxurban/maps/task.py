@@ -14,10 +14,10 @@ import xarray as xr
 from xarray.indexes import PandasIndex
 
 from jaxurban.checks import at_least, typed
-from jaxurban.errors import InputError, warn
+from jaxurban.errors import InputError
 from jaxurban.io.read.guesses import Guesses, has_guessed_roofs, region_guesses
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
-from jaxurban.kernels.engine import ONLY_JAX, Engine, uses_numba
+from jaxurban.kernels.engine import Engine, uses_numba
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Variable
 from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.gps import Gps
@@ -68,8 +68,6 @@ class MapParams:
                 f"altitudes_m must be different positive numbers of metres above ground, got {[*values]}"
             )
         object.__setattr__(self, "altitudes_m", values)
-        if self.engine == "numba":
-            warn(ONLY_JAX)
         at_least("oversample", self.oversample, 1)
         object.__setattr__(self, "sections", checked_sections(self.sections))
         gps = self.gps

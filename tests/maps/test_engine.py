@@ -12,7 +12,7 @@ import xarray as xr
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.kernels.engine import runs_numba, uses_numba
+from jaxurban.kernels.engine import ONLY_JAX, runs_numba, uses_numba
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.task import MapParams, MapTask
@@ -24,10 +24,12 @@ from tests.tiled_runs import city, task
 
 def both(of: MapTask):
     """Return the datasets of a task by Numba, where it has a form, and by JAX."""
+    by_numba, by_jax = (
+        replace(of, params=replace(of.params, engine=engine)) for engine in ("numba", "jax")
+    )
     with pytest.warns(UserWarning, match="JAX makes it on the host"):
-        by_numba = replace(of, params=replace(of.params, engine="numba"))
-    by_jax = replace(of, params=replace(of.params, engine="jax"))
-    return compute_maps(by_numba).ds, compute_maps(by_jax).ds
+        numba = compute_maps(by_numba).ds
+    return numba, compute_maps(by_jax).ds
 
 
 @pytest.fixture
@@ -84,6 +86,13 @@ def test_a_wrong_engine_is_one_sentence():
     ):
         with pytest.raises(InputError, match=sentence):
             call()
+
+
+def test_numba_warns_once_where_maps_are_made_and_not_where_they_are_read(town, tmp_path, capsys):
+    made, read = tmp_path / "out", ("--at=-73.997,40.758", "--altitude", 20)
+    for command in (("maps", town, "-o", made, "--engine", "numba"), ("sky", made, *read)):
+        code, _, err = run(capsys, *command)
+        assert (code, err.count(ONLY_JAX)) == (0, int(command[0] == "maps"))
 
 
 @pytest.mark.slow
