@@ -18,6 +18,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.guesses import Guesses, has_guessed_roofs, region_guesses
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.engine import Engine, uses_numba
+from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Variable
 from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.gps import Gps
@@ -193,9 +194,12 @@ class MapTask:
     @property
     def by_numba(self) -> list[str]:
         """What Numba makes of the maps: where its form is the quicker one, or there is no other."""
-        has_lidar = "lidar" in self.metrics and uses_numba(self.params.engine)
+        lidar = self.params.sections["lidar"]
         are_made = {
-            "lidar over terrain": self.has_terrain and has_lidar,
+            "lidar over terrain": self.has_terrain
+            and "lidar" in self.metrics
+            and lidar.beams <= MOST_BEAMS
+            and uses_numba(self.params.engine),
             "shadows of slabs": self.city.hanging == SLABS,
         }
         return [name for name, is_made in are_made.items() if is_made]

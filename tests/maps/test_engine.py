@@ -13,6 +13,7 @@ import xarray as xr
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.kernels.engine import ONLY_JAX, runs_numba, uses_numba
+from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.task import MapParams, MapTask
@@ -60,6 +61,16 @@ def test_over_terrain_numba_counts_what_a_lidar_sees_with_the_bits_of_jax(called
     assert {*called} == {"lidar over terrain"} == {*of.by_numba}
     xr.testing.assert_equal(jaxs, numba)
     assert len(np.unique(jaxs["lidar"])) > 4
+
+
+def test_more_beams_than_numba_counts_are_jaxs_and_recorded_as_such(called):
+    of = task(city(with_terrain=True))
+    for beams, made in ((MOST_BEAMS, ["lidar over terrain"]), (MOST_BEAMS + 1, [])):
+        sections = of.params.sections | {"lidar": ju.Lidar(beams, azimuths=4, range_m=40.0)}
+        of = replace(of, params=replace(of.params, altitudes_m=(20.0,), sections=sections))
+        called.clear()
+        compute_maps(of)
+        assert called == of.by_numba == made
 
 
 def test_what_is_traced_is_jaxs_and_auto_is_numba_on_a_cpu_alone():
