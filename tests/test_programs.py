@@ -8,6 +8,7 @@ import platform
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -34,7 +35,7 @@ parts = jax.jit(lambda x: jnp.sort(jnp.sin(x) @ x))(x), jax.jit(jnp.linalg.norm)
 print(*(float(part.sum()) for part in parts))
 print(events["cache_hits"], events["cache_misses"])
 """
-CUT_THEN_COMPUTE = f"for file in folder.iterdir(): file.write_bytes(b'')\n{COMPUTE}"
+CUT_THEN_COMPUTE = f"for file in folder.glob('*-cache'): file.write_bytes(b'')\n{COMPUTE}"
 DAMAGES = (
     lambda whole: b"",
     lambda whole: whole[: len(whole) // 2],
@@ -70,7 +71,7 @@ def test_damaged_programs_are_compiled_anew_and_written_again_without_a_word(tmp
     assert (loaded, said) == (0, line)
     assert num >= len(DAMAGES)
     assert counted(COMPUTE, **cache) == (result, num, 0, "")
-    files = sorted(tmp_path.glob("jaxurban/xla-*/*"))
+    files = sorted(tmp_path.glob("jaxurban/xla-*/*-cache"))
     for at, file in enumerate(files):
         file.write_bytes(DAMAGES[at % len(DAMAGES)](file.read_bytes()))
     assert counted(COMPUTE, **cache) == (result, 0, num, line)
@@ -167,6 +168,26 @@ def test_a_program_by_zstandard_is_whole_only_to_its_end():
     whole = Zstd().encode(bytes(range(256)) * 40)
     assert programs._is_whole(whole)
     assert not programs._is_whole(whole[:-1])
+
+
+def test_a_program_is_read_at_the_check_after_it_changed_and_for_an_hour(monkeypatch, tmp_path):
+    read: list[bytes] = []
+    monkeypatch.setattr(programs, "_is_whole", lambda program: read.append(program) or True)
+    ages_s = {"old": 2 * programs.SETTLED_S, "new": 0.0}
+
+    def checked() -> list[bytes]:
+        read.clear()
+        programs._drop_damaged(tmp_path)
+        return sorted(read)
+
+    for name, age_s in ages_s.items():
+        file = tmp_path / f"{name}-cache"
+        file.write_bytes(name.encode())
+        os.utime(file, (time.time() - age_s,) * 2)
+    assert checked() == [b"new", b"old"]
+    assert checked() == [b"new"]
+    (tmp_path / "old-cache").write_bytes(b"cut")
+    assert checked() == [b"cut", b"new"]
 
 
 COMMAND = """
