@@ -1,6 +1,8 @@
 """The benchmarks' arithmetic, and Embree's two ways to scan, on what can be worked out by hand."""
 
 import ast
+import json
+import sys
 
 import jax
 import numpy as np
@@ -232,6 +234,17 @@ def test_every_section_of_a_gpu_has_its_seconds_and_they_fit_into_the_run():
     assert list(gpu.SECTIONS) == list(gpu_sections.SECTIONS)
     assert set(gpu.LOOPS) <= set(gpu.SECTIONS)
     assert gpu.BUDGET_S < 600
+
+
+def test_a_section_of_a_gpu_that_breaks_off_fails_the_run_and_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(gpu, "make_inputs", lambda folder, is_small: None)  # so that none loads
+    monkeypatch.setattr(gpu, "gpu_name", lambda: None)
+    report = tmp_path / "gpu.json"
+    monkeypatch.setattr(sys, "argv", ["gpu", "occlusion", "--small", "-o", str(report)])
+    assert gpu.main() == 1
+    broken, blank = json.loads(report.read_text())["rows"]
+    assert broken["name"] == blank["name"]
+    assert broken["name"].startswith("broke off: FileNotFoundError")
 
 
 def test_programs_are_counted_at_the_first_call_of_a_shape_alone():
