@@ -399,7 +399,9 @@ def block_layers(
     """
     params = params or Population()
     population, shares = _made_ready(blocks, params, bounds_m)
-    m, density, norm = map(np.asarray, layers_of_blocks(_filled(population), shares, params))
+    gammas = params.gamma_commercial, params.gamma_residential
+    rules = Population(*gammas, params.quantity, params.normalise)  # one program for all files
+    m, density, norm = map(np.asarray, layers_of_blocks(_filled(population), shares, rules))
     return BlockLayers(m[:, : len(blocks)], density[:, : len(blocks)], norm)
 
 
@@ -531,5 +533,5 @@ METRIC = Metric(
     colour="#cc79a7",
     colour_map="magma_r",
     also=(DENSITY,),
-    sources=FILES,
+    sources=(*FILES, "block_field", "district_field", "commercial", "credit"),
 )

@@ -158,6 +158,7 @@ def test_it_maps_over_five_cities_of_one_shape_their_skies_and_thresholds():
         grid = Grid(city.crs, 10.0, first_row, first_col, 30, 36)
         gps = Gps(10.0 + seed, times=f"2020-04-27T{3 * seed:02d}:00:00Z")
         given = {"altitudes_m": (20.0 + seed, 60.0), "gps": gps, "lidar": SCAN}
+        given["population"] = ju.Population(credit=f"census {seed}", commercial=[seed])
         made.append(ju.grad.map_inputs(city, grid, **given))
         expected.append(ju.build_maps(city, grid=grid, progress=False, **given).ds)
     most = max(len(views.satellites.rows[0]) for _, views in made)
