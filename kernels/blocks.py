@@ -1,8 +1,13 @@
 """Square blocks of two sizes, in which grids of any shape are computed: so few programs are compiled."""
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array, lax
 
 SMALL, LARGE = 128, 512  # sides in cells: the one wastes little of a town, the other has few calls
 HALO_STEP = 16  # cells in which halos and margins grow, so that arrays of few shapes are made
@@ -44,3 +49,16 @@ def part_of(
     row, col = begins[0] - corner[0], begins[1] - corner[1]
     part[row : row + inner.shape[0], col : col + inner.shape[1]] = inner
     return part
+
+
+def by_cells(function: Callable[[Array], Any], values: Array, num_together: int) -> Any:
+    """Return what a function makes of ``[N, ...]`` values, called for so many cells after the other, ``[N, C]``.
+
+    Cells of zeros fill the last call up, so that every one has the same shape.
+    """
+    shape = values.shape[1:]
+    num = math.prod(shape)
+    flat = jnp.pad(values.reshape(len(values), num), ((0, 0), (0, -num % num_together)))
+    calls = flat.reshape(len(values), -1, num_together).swapaxes(0, 1)
+    made = lax.map(function, calls)
+    return jax.tree.map(lambda of_calls: of_calls.reshape(-1)[:num].reshape(shape), made)

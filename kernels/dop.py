@@ -137,10 +137,13 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
     def over(per_satellite: Array | np.ndarray) -> Array:
         return jnp.reshape(per_satellite, (-1, *[1] * (weights.ndim - 1)))
 
+    def total(values: Array) -> Array:
+        return jnp.sum(values, axis=0, keepdims=True)
+
     def by_clock(row: Array | np.ndarray, values: Array) -> Array:
         """Return sums over each clock's satellites: in order, so that up to 31 of them may be filled up."""
-        return jnp.stack(
-            [jnp.sum(over(member * row) * values, axis=0) for member in satellites.members]
+        return jnp.concatenate(
+            [total(over(member * row) * values) for member in satellites.members]
         )
 
     weighed = weights * over(satellites.weights)
@@ -161,11 +164,11 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
     lower, pivots = {}, []
     is_determined = jnp.asarray(True)
     for j in range(3):
-        pivot = jnp.sum(weighed * columns[j] ** 2, axis=0)
+        pivot = total(weighed * columns[j] ** 2)
         is_determined &= pivot > LEAST_PIVOT
         pivots.append(jnp.where(pivot > LEAST_PIVOT, pivot, 1.0))
         for i in range(j + 1, 3):
-            lower[i, j] = jnp.sum(weighed * columns[i] * columns[j], axis=0) / pivots[j]
+            lower[i, j] = total(weighed * columns[i] * columns[j]) / pivots[j]
             columns[i] -= lower[i, j] * columns[j]
 
     def variance(row: list[Array]) -> Array:
@@ -175,7 +178,8 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
         return east**2 / pivots[0] + north**2 / pivots[1] + up**2 / pivots[2]
 
     def root(squared: Array) -> Array:
-        return jnp.where(is_determined, jnp.sqrt(jnp.where(is_determined, squared, 1.0)), jnp.inf)
+        roots = jnp.sqrt(jnp.where(is_determined, squared, 1.0))
+        return jnp.where(is_determined, roots, jnp.inf)[0]
 
     east, north, up = (variance(list(row)) for row in jnp.asarray(satellites.basis))
     toward = [over(mean) + found for mean, found in zip(satellites.means.T, means, strict=True)]
@@ -186,7 +190,7 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
             is_seen, _smooth_step(by_clock(jnp.ones_like(satellites.weights), weights)), 0.0
         )
     left = jnp.cumprod(jnp.concatenate([jnp.ones_like(share[:1]), 1 - share[:-1]]), axis=0)
-    clock = jnp.sum(left * share * of_clocks, axis=0)
+    clock = total(left * share * of_clocks)
     position = east + north + up
     return Dops(root(position + clock), root(position), root(east + north), root(up), root(clock))
 

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt, UInt8
 
 from jaxurban.checks import at_least, positive, typed
 from jaxurban.errors import InputError
+from jaxurban.kernels.blocks import by_cells
 from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
 from jaxurban.metrics.base import (
     ALTITUDE,
@@ -215,43 +216,19 @@ def maps_of_words(
       satellites: their geometry.
       gdop_threshold: see `gps_metric`.
     """
+
+    def maps(words: Array) -> GpsMaps:
+        dops = dops_of_words(satellites, words)
+        num_visible = jnp.sum(lax.population_count(words), axis=0).astype(jnp.uint8)
+        m = gps_metric(dops.gdop, gdop_threshold)
+        return GpsMaps(m, dops.gdop, dops.pdop, dops.hdop, dops.vdop, dops.tdop, num_visible)
+
+    num = max(math.prod(words.shape[1:]), BLOCK_CELLS)  # less than a block becomes one
     small, wide = (
-        partial(_in_equal_blocks, block_cells=cells) for cells in (BLOCK_CELLS, WIDE_BLOCK_CELLS)
+        partial(by_cells, maps, num_together=min(num, most))
+        for most in (BLOCK_CELLS, WIDE_BLOCK_CELLS)
     )
-    return lax.platform_dependent(words, satellites, gdop_threshold, cpu=small, default=wide)
-
-
-def _in_equal_blocks(
-    words: UInt[Array, "W ..."],
-    satellites: Geometry,
-    gdop_threshold: float | Array,
-    block_cells: int,
-) -> GpsMaps:
-    """Return `maps_of_words`, so many cells at once; a block of `BLOCK_CELLS` at least is made."""
-    shape = words.shape[1:]
-    size = math.prod(shape)
-    num = max(size, BLOCK_CELLS)
-    block_cells = min(block_cells, num)
-    flat = jnp.pad(
-        words.reshape(len(words), -1), ((0, 0), (0, num - size))
-    )  # less than a block becomes one
-
-    def fill(block: Array, maps: list[Array]) -> list[Array]:
-        start = jnp.minimum(
-            block * block_cells, num - block_cells
-        )  # the last block laps over the one before
-        cells = lax.dynamic_slice_in_dim(flat, start, block_cells, axis=1)
-        dops = dops_of_words(satellites, cells)
-        num_visible = jnp.sum(lax.population_count(cells), axis=0).astype(jnp.uint8)
-        found = [gps_metric(dops.gdop, gdop_threshold), *dops, num_visible]
-        return [
-            lax.dynamic_update_slice(old, new, (start,))
-            for old, new in zip(maps, found, strict=True)
-        ]
-
-    empty = [*[jnp.zeros(num, satellites.basis.dtype)] * 6, jnp.zeros(num, jnp.uint8)]
-    maps = lax.fori_loop(0, -(-num // block_cells), fill, empty)
-    return GpsMaps(*(values[:size].reshape(shape) for values in maps))
+    return lax.platform_dependent(words, cpu=small, default=wide)
 
 
 def satellites_of(in_view: InView) -> Geometry:

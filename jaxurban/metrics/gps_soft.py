@@ -1,15 +1,14 @@
 """m of GDOP, and GPS quality with gradients: satellites come into view over a softness."""
 
 import math
-from collections.abc import Callable
 from functools import partial
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
+from jaxurban.kernels.blocks import by_cells
 from jaxurban.kernels.dop import dops
 from jaxurban.kernels.shadows.sweep import Window, shadow_heights
 from jaxurban.kernels.soft_step import satellite_weights
@@ -33,19 +32,6 @@ def gps_metric(gdop: Float[AnyArray, "*C"], gdop_threshold: float | Array) -> Fl
     return jnp.clip(
         (gdop_threshold - jnp.minimum(gdop, gdop_threshold)) / (gdop_threshold - 1), 0, 1
     )
-
-
-def _in_blocks(metric: Callable[[Array], Array], weights: Array) -> Array:
-    """Return a metric of ``[S, ...]`` weights, made block by block of cells, so that a gradient keeps them alone."""
-    shape = weights.shape[1:]
-    num = math.prod(shape)
-    size = min(num, SOFT_BLOCK_CELLS)
-    num_blocks = -(-num // size)
-    flat = jnp.pad(
-        weights.reshape(len(weights), -1), ((0, 0), (0, num_blocks * size - num)), constant_values=1
-    )
-    blocks = flat.reshape(len(weights), num_blocks, size).swapaxes(0, 1)
-    return lax.map(jax.checkpoint(metric), blocks).reshape(-1)[:num].reshape(shape)
 
 
 def soft_gps(
@@ -135,7 +121,11 @@ def _soft_gps(
     if reception is not None and terrain_m is not None:
         by_hills_m = shadow_heights(terrain_m, view.lines, window)
         weights = weights * satellite_weights(height_m, chosen(by_hills_m), softness)
-    open_m = _in_blocks(
-        lambda block: gps_metric(getattr(dops(view.satellites, block), dop), threshold), weights
-    )
+
+    @jax.checkpoint  # so that a gradient keeps the weights alone
+    def metric(weights: Array) -> Array:
+        return gps_metric(getattr(dops(view.satellites, weights), dop), threshold)
+
+    num_together = min(math.prod(weights.shape[1:]), SOFT_BLOCK_CELLS)
+    open_m = by_cells(metric, weights, num_together)
     return (1 - soft_obstacle(at_receivers(roof_m), altitude, softness)) * open_m

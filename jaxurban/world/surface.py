@@ -323,7 +323,7 @@ def obstacle_mask(
     Receiver and roof are both measured from their own cell's ground, so terrain changes nothing.
     A cell without a building is free at every altitude. Paper: section Obstacle Maps. No gradient.
     """
-    return _stand_at(roof_m, in_type(altitudes_m, roof_m.dtype)[:, None, None])
+    return _stand_at(roof_m, in_type(altitudes_m, roof_m.dtype))
 
 
 def stands_at(roof_m: Any, altitude_m: Any) -> Any:
@@ -331,7 +331,7 @@ def stands_at(roof_m: Any, altitude_m: Any) -> Any:
     return (roof_m >= altitude_m) & (roof_m > 0)
 
 
-_stand_at = jax.jit(stands_at)
+_stand_at = jax.jit(jax.vmap(stands_at, (None, 0)))
 
 
 def region_roofs(surface: Surface, altitude_m: float) -> Float[np.ndarray, "y x"]:

@@ -226,7 +226,7 @@ def nearest_column_at(
     @jax.checkpoint
     def nearest(receiver):
         height_m, cell = receiver
-        row, col = (cell + halo + around.offsets).T
+        row, col = (cell[None] + halo + around.offsets).T
         drop_m = height_m - roof_m[row, col]
         if terrain_m is not None:
             drop_m = drop_m + terrain_m[row[0], col[0]] - terrain_m[row, col]

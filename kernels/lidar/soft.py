@@ -14,6 +14,7 @@ Who that is, is found outside the gradient; what is differentiated is the one ma
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -91,7 +92,7 @@ def margins_at(scan: Scan, n: Int[Array, "*s"], b: Int[Array, "*s"]) -> Margins:
 
 def all_margins(scan: Scan, steps: int) -> Margins:
     """Return what each beam does at each step, ``[N, B]``."""
-    return margins_at(scan, jnp.arange(steps)[:, None], jnp.arange(len(scan.slope)))
+    return margins_at(scan, *jnp.indices((steps, len(scan.slope))))
 
 
 def _least(roof_m: jax.Array, at: Margins) -> jax.Array:
@@ -260,28 +261,23 @@ class ScansAt(NamedTuple):
     cells: jax.Array
 
 
-def _returns_at(at: ScansAt, at_once: int) -> jax.Array:
-    """Return `soft_returns_at` of a few cells, so many azimuths at once."""
-    altitude_m, steps = at.altitude_m[:, None, None], at.offsets.shape[1]  # [P, N, B]
-    level = all_margins(at.scan, steps)
-    lowest_m, in_air_m = altitude_m + level.lowest_m, altitude_m + level.in_air_m
+def _returns_of_cell(at: ScansAt, receiver: tuple[jax.Array, jax.Array], at_once: int) -> jax.Array:
+    """Return `soft_returns_at` of one receiver, its altitude and its cell, so many azimuths at once."""
+    (altitude_m, cell), steps = receiver, at.offsets.shape[1]
+    level = all_margins(at.scan._replace(altitude_m=altitude_m), steps)  # [N, B]
 
     def of_azimuth(offset):
-        row, col = (
-            at.cells[:, None, axis] + offset[:, axis] + steps - 1 for axis in (0, 1)
-        )  # [P, N]
-        roof = at.roof_m[row, col][..., None]
-        if at.terrain_m is None:
-            margins = Margins(lowest_m, in_air_m, level.in_range_m)
-        else:
-            rise_m = (at.terrain_m[row, col] - at.terrain_m[row[:, :1], col[:, :1]])[..., None]
-            above_m = lowest_m - rise_m
-            behind_m = jnp.broadcast_to(altitude_m, above_m[:, :1].shape)
-            passed_m = jnp.concatenate([behind_m, lax.cummin(above_m, axis=1)[:, :-1]], axis=1)
-            margins = Margins(above_m, jnp.minimum(altitude_m, passed_m), level.in_range_m)
-        return soft_step(_least(roof, margins).max(axis=(1, 2)), at.softness_m)
+        row, col = (cell[None] + offset + steps - 1).T
+        margins = level
+        if at.terrain_m is not None:
+            rise_m = at.terrain_m[row, col] - at.terrain_m[row[0], col[0]]
+            above_m = level.lowest_m - rise_m[:, None]
+            behind_m = jnp.full_like(above_m[:1], altitude_m)
+            passed_m = jnp.concatenate([behind_m, lax.cummin(above_m)[:-1]])
+            margins = level._replace(lowest_m=above_m, in_air_m=jnp.minimum(altitude_m, passed_m))
+        return soft_step(_least(at.roof_m[row, col][:, None], margins).max(), at.softness_m)
 
-    nothing = jnp.zeros(len(at.cells), at.roof_m.dtype)
+    nothing = jnp.zeros((), at.roof_m.dtype)
     return _total_of_groups(of_azimuth, at.offsets, nothing, at_once) / len(at.offsets)
 
 
@@ -307,15 +303,5 @@ def together_at(at: ScansAt) -> jax.Array:
 
 def _in_batches(at: ScansAt, *, at_once: int) -> jax.Array:
     """Return `soft_returns_at`, `CELLS_AT_ONCE` cells after the other, so many azimuths at once."""
-    num = len(at.cells)
-    some = jax.checkpoint(
-        lambda part: _returns_at(at._replace(altitude_m=part[0], cells=part[1]), at_once)
-    )
-    batches = -(-num // CELLS_AT_ONCE)
-    if batches <= 1:
-        return some((at.altitude_m, at.cells))
-    # The last cell stands in for the missing ones of the last batch.
-    of_batch = jnp.minimum(jnp.arange(batches * CELLS_AT_ONCE), num - 1).reshape(
-        batches, CELLS_AT_ONCE
-    )
-    return lax.map(some, (at.altitude_m[of_batch], at.cells[of_batch])).reshape(-1)[:num]
+    of_cell = jax.checkpoint(partial(_returns_of_cell, at, at_once=at_once))
+    return lax.map(of_cell, (at.altitude_m, at.cells), batch_size=CELLS_AT_ONCE)

@@ -193,7 +193,7 @@ def segment_costs(
         length = jnp.hypot(*delta)
         first, last = (jnp.floor(point).astype(jnp.int32) for point in (start, end))
         step = jnp.where(delta > 0, 1, -1).astype(jnp.int32)
-        border = first + (delta > 0)  # of its cell on the way
+        border = first + (delta > 0).astype(jnp.int32)  # of its cell on the way
         along = length / jnp.where(
             delta == 0, 1.0, delta
         )  # cell sides along the segment per cell side of x and of y
@@ -205,9 +205,8 @@ def segment_costs(
 
         def next_cut(num_passed: Array, axis: tuple[Array, ...]) -> Array:
             border, step, start, along, num_cuts = axis
-            return jnp.where(
-                num_passed < num_cuts, (border + step * num_passed - start) * along, jnp.inf
-            )
+            at = (border + step * num_passed).astype(start.dtype)
+            return jnp.where(num_passed < num_cuts, (at - start) * along, jnp.inf)
 
         def is_under_way(walk: tuple[Array, ...]) -> Array:
             num_x, num_y, _, total = walk
@@ -235,10 +234,8 @@ def segment_costs(
             is_corner = jnp.abs(next_x - next_y) < TOUCH_CELLS
             beside = jnp.minimum(cost_at(col, row + step_y), cost_at(col + step_x, row))
             is_pinched = is_corner & jnp.isinf(beside) & ~jnp.asarray(passes_corners)
-            num_x, num_y = (
-                num_x + (is_corner | (next_x < next_y)),
-                num_y + (is_corner | (next_y < next_x)),
-            )
+            num_x += (is_corner | (next_x < next_y)).astype(jnp.int32)
+            num_y += (is_corner | (next_y < next_x)).astype(jnp.int32)
             return num_x, num_y, to, jnp.where(is_pinched, jnp.inf, total)
 
         none = jnp.zeros_like(num_cuts[0])

@@ -90,9 +90,11 @@ def _bound(grids: Grids, map_index: Array, cell: Array, goal: Array) -> Array:
     """Return the least cost between two cells, by distance alone."""
     rows = jnp.abs(cell // grids.num_cols - goal // grids.num_cols)
     cols = jnp.abs(cell % grids.num_cols - goal % grids.num_cols)
-    return grids.straight[map_index] * jnp.maximum(rows, cols) + grids.diagonal[
-        map_index
-    ] * jnp.minimum(rows, cols)
+    longer, shorter = (
+        steps.astype(grids.cost.dtype)
+        for steps in (jnp.maximum(rows, cols), jnp.minimum(rows, cols))
+    )
+    return grids.straight[map_index] * longer + grids.diagonal[map_index] * shorter
 
 
 @partial(jax.jit, donate_argnums=0)
@@ -201,12 +203,12 @@ def _round(frontier: Frontier, grids: Grids, num_together: int) -> Frontier:
     is_current = (query < num_queries) & (
         g == frontier.g.at[query, cell].get(mode="fill", fill_value=-1.0)
     )
-    num_expanded = frontier.num_expanded.at[query].add(is_current, mode="drop")
+    num_expanded = frontier.num_expanded.at[query].add(is_current.astype(jnp.int64), mode="drop")
     map_index = frontier.map_index.at[query].get(mode="fill", fill_value=0)
     goal = frontier.goal.at[query].get(mode="fill", fill_value=0)
 
-    step = jnp.arange(grids.steps.shape[0], dtype=jnp.uint8)
-    offset = grids.steps[:, 0] * grids.num_cols + grids.steps[:, 1]
+    step = jnp.arange(grids.steps.shape[0], dtype=jnp.uint8)[None]
+    offset = (grids.steps[:, 0] * grids.num_cols + grids.steps[:, 1])[None]
     is_allowed = ((grids.moves[map_index, cell][:, None] >> step) & 1 == 1) & is_current[:, None]
     to = jnp.where(is_allowed, cell[:, None] + offset, 0)
     to_g = g[:, None] + (

@@ -182,7 +182,7 @@ def neighbours(
       sizes: room.
     """
     square, num_cols = _squares(samples, shape)
-    west = square[:, None] + num_cols[:, None] * jnp.arange(-1, 2) - 1
+    west = square[:, None] + num_cols[:, None] * jnp.arange(-1, 2)[None] - 1
     # Unrolled, as the loop would be one launch a step.
     begin, end = (
         jnp.searchsorted(square, ends, side=side, method="scan_unrolled")
@@ -198,7 +198,7 @@ def neighbours(
     most_candidates = ends[:, 2].max()
     ends = jnp.where(most_candidates <= sizes.candidates, ends, 0)
     num_nodes = jnp.sum(ends[:, 2] > 0)
-    slot = jnp.arange(sizes.candidates, dtype=jnp.int32)
+    slot = jnp.arange(sizes.candidates, dtype=jnp.int32)[None]
     num_places = sizes.edges * square.size
 
     def turn(carry: tuple[Edges, Array, Array]) -> tuple[Edges, Array, Array]:
@@ -270,7 +270,7 @@ def costed(
 
     def turn(carry: tuple[Edges, Array]) -> tuple[Edges, Array]:
         kept, first = carry
-        is_edge = first + jnp.arange(sizes.edges_together) < edges.num
+        is_edge = first + jnp.arange(sizes.edges_together, dtype=jnp.int32) < edges.num
         origin, target = (
             jnp.where(is_edge, lax.dynamic_slice_in_dim(nodes, first, sizes.edges_together), 0)
             for nodes in (kept.origin, kept.target)

@@ -341,7 +341,7 @@ def cast_by_sweep(block: Block, *, every: int) -> tuple[Array, Array, Array]:
         word, rows, cols = found
         line, ring = jax.tree.map(lambda values: values[k], (block.lines, block.rings))
         shadow_m, row_m, col_m = lax.switch(line.heading, headings, line, ring)
-        seen = jnp.where(shadow_m <= block.height_m, block.bits[k], jnp.uint32(0))
+        seen = jnp.where(shadow_m[None] <= block.height_m, block.bits[k], jnp.uint32(0))
         return word | seen, rows.at[k].set(row_m), cols.at[k].set(col_m)
 
     word = jnp.zeros((len(block.height_m), side // every, side // every), jnp.uint32)
@@ -432,5 +432,7 @@ def cast_by_doubling(block: Block, *, every: int) -> tuple[Array, Array, Array]:
 
     shadows_m, rows, cols = jax.vmap(cast_one)(block.lines, block.rings)
     bits = jnp.where(jnp.arange(len(block.bits)) < block.num, block.bits, jnp.uint32(0))
-    seen = jnp.where(shadows_m[:, None] <= block.height_m, bits[:, None, None, None], jnp.uint32(0))
+    seen = jnp.where(
+        shadows_m[:, None] <= block.height_m[None], bits[:, None, None, None], jnp.uint32(0)
+    )
     return lax.reduce(seen, jnp.uint32(0), lax.bitwise_or, (0,)), rows, cols

@@ -339,7 +339,7 @@ def words_by_sweep(top_m: Array, height_m: Array, lines: Line, num: Array, windo
 
     def mark(number: Array, words: Array) -> Array:
         line = jax.tree.map(lambda values: values[number], lines)
-        seen = shadow_height(top_m, line)[kept] <= height_m
+        seen = shadow_height(top_m, line)[None, *kept] <= height_m
         bit = seen.astype(jnp.uint32) << (number % WORD_BITS).astype(jnp.uint32)
         return words.at[number // WORD_BITS].add(bit)
 
@@ -357,6 +357,6 @@ def words_by_doubling(
     for first in range(0, max(len(shadows_m), 1), WORD_BITS):
         some_m = shadows_m[first : first + WORD_BITS, None]
         bit = jnp.arange(len(some_m), dtype=jnp.uint32)[:, None, None, None]
-        seen = (some_m <= height_m) & (first + bit < num.astype(jnp.uint32))
+        seen = (some_m <= height_m[None]) & (first + bit < num.astype(jnp.uint32))
         words.append(jnp.sum(seen.astype(jnp.uint32) << bit, axis=0, dtype=jnp.uint32))
     return jnp.stack(words)
