@@ -14,6 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import CostGrid, is_pinched, segment_cost
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, drop_top, place
+from jaxurban.kernels.tolerances import CHEAPER, INSIDE, SAME_COST
 from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import Bounds, cost_grid_of, make_bounds, reachable_cells
 from jaxurban.planners.compiled_first import compiled_first
@@ -24,7 +25,6 @@ STEPS_PER_NODE = 8
 MARGIN = (
     1e-6  # cell sides that waypoints keep from borders, lest rounding puts them in the cell beyond
 )
-TIE = 1e-12  # relative: costs this close are equal
 GROW, SHRINK = 1.5, 0.5  # of a waypoint's step, where it helped and where it did not
 CHUNK = 10_000  # expansions between two looks at the clock: some 5 to 50 ms
 FIRST_HEAP = 4096  # entries; doubled when full
@@ -160,7 +160,7 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
     cost_grid = cost_grid_of(problem, is_reachable)
     # A point on the map's outer border belongs to no cell.
     xy = np.minimum(
-        path.points_m / problem.resolution_m, np.array(problem.is_free.shape[::-1]) * (1 - TIE)
+        path.points_m / problem.resolution_m, np.array(problem.is_free.shape[::-1]) * INSIDE
     )
     best, points_m, is_spent = before, path.points_m, False
     for spacing in SPACINGS:
@@ -176,7 +176,7 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
         if is_spent:
             break
     begin_s -= path.elapsed_s
-    if not best < before * (1 - TIE):
+    if not best < before * CHEAPER:
         note = " ".join(filter(None, (path.note, "Refinement found nothing cheaper.")))
         return replace(path, elapsed_s=time.perf_counter() - begin_s, note=note)
     note = f"Refinement lowered what the search minimises by {1 - best / before:.2%}."
@@ -395,7 +395,7 @@ def _weigh_shortcuts(cost_grid, xy, reach, best, parent):
     """Set what the cheapest way to each point costs, and the point before on it."""
     for k in range(1, len(xy)):
         for j in range(k - 1, max(-1, k - 1 - reach), -1):
-            limit = best[k] * (1 + TIE) - best[j]
+            limit = best[k] * SAME_COST - best[j]
             if limit > 0.0:
                 cost = best[j] + segment_cost(
                     cost_grid, xy[j, 0], xy[j, 1], xy[k, 0], xy[k, 1], limit
@@ -434,9 +434,10 @@ def move_points(cost_grid, xy, direction, step, longest):
             if max(np.hypot(x - x0, y - y0), np.hypot(x - x2, y - y2)) > longest:
                 continue
             first = segment_cost(cost_grid, x0, y0, x, y, cost)
-            if first < cost and first + segment_cost(
-                cost_grid, x, y, x2, y2, cost - first
-            ) < cost * (1 - TIE):
+            if (
+                first < cost
+                and first + segment_cost(cost_grid, x, y, x2, y2, cost - first) < cost * CHEAPER
+            ):
                 xy[k, 0], xy[k, 1] = x, y
                 factor = GROW
                 break

@@ -13,6 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.exit_codes import ExitCode
 from jaxurban.kernels.search.bounds import tile_minima
 from jaxurban.kernels.search.weighing import weighted_sum
+from jaxurban.kernels.tolerances import SAME_COST
 from jaxurban.planners.cost import CostModel, PathFeatures, allowed_moves, path_features
 from jaxurban.settings import CostKind
 
@@ -23,7 +24,6 @@ T = TypeVar("T")
 
 EVERY_PATH = "paths at any angle"  # of `Path.graph`
 NO_COST = "The path costs nothing under these weights, so its shape means nothing: weigh the distance too."
-ROUNDING = 1 + 1e-12  # a path that much above the lower bound is the best one
 
 
 class Status(Enum):
@@ -363,7 +363,7 @@ class Path:
           ran: what ran, and more of the attributes.
         """
         cost, notes = problem.cost_of(points_m) if len(points_m) else np.inf, [ran.pop("note", "")]
-        if status.has_path and ran.get("graph") == EVERY_PATH and cost <= lower_bound * ROUNDING:
+        if status.has_path and ran.get("graph") == EVERY_PATH and cost <= lower_bound * SAME_COST:
             status = Status.OPTIMAL
         if status is Status.OPTIMAL:
             lower_bound = cost

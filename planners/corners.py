@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from jaxurban.kernels.search.bounds import costs_at_corners
-from jaxurban.planners.base import EVERY_PATH, ROUNDING, Cell, Path, Problem, Status
+from jaxurban.kernels.tolerances import SAME_COST
+from jaxurban.planners.base import EVERY_PATH, Cell, Path, Problem, Status
 
 STRETCH = 2 / np.sqrt(
     2 + np.sqrt(2)
@@ -59,7 +60,7 @@ def with_corner_bound(problem: Problem, path: Path) -> Path:
     if ends not in bounds:
         bounds[ends] = corner_bound(problem)
     bound = max(path.lower_bound, bounds[ends])
-    is_best = path.graph == EVERY_PATH and path.cost <= bound * ROUNDING
+    is_best = path.graph == EVERY_PATH and path.cost <= bound * SAME_COST
     return replace(
         path, lower_bound=min(bound, path.cost), status=Status.OPTIMAL if is_best else path.status
     )

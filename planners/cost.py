@@ -15,6 +15,7 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import are_clear
 from jaxurban.kernels.line.traversal import Crossings, crossed_cells, is_free_way
+from jaxurban.kernels.tolerances import SAME_LENGTH
 from jaxurban.settings import DEFAULTS, CostKind, Diagonal, Rules
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 # (row, column) of the eight steps; bit k of a cell's moves stands for step k.
 STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
-ROUNDING = 1e-9  # relative: lengths this close are equal
 Index = tuple[Any, ...]  # (row, col) of cells, or (level, row, col) of nodes in a volume
 
 
@@ -252,7 +252,7 @@ def _is_way(problem: "Problem", is_free: np.ndarray, cut: Crossings) -> bool:
     margin = problem.leg_margin_m / problem.resolution_m
     return is_free_way(cut, is_free, problem.cost_model.passes_corners) and (
         margin == 0
-        or bool(are_clear(is_free, cut.points_m / problem.resolution_m, margin - ROUNDING).all())
+        or bool(are_clear(is_free, cut.points_m / problem.resolution_m, margin - SAME_LENGTH).all())
     )
 
 
@@ -321,7 +321,7 @@ def sample_segment(start_m: np.ndarray, end_m: np.ndarray, step_m: float) -> np.
     length_m = float(np.hypot(*(end_m - start_m)[:2]))
     if length_m == 0:
         return np.array([start_m], np.float64)
-    num_steps = max(1, int(np.ceil(length_m / step_m * (1 - ROUNDING))))
+    num_steps = max(1, int(np.ceil(length_m / step_m * (1 - SAME_LENGTH))))
     along = np.arange(num_steps + 1)[:, None] * (step_m / length_m)
     points = start_m + along * (end_m - start_m)
     points[-1] = end_m
@@ -335,7 +335,7 @@ def path_states(points_m: np.ndarray, resolution_m: float) -> np.ndarray:
     """
     points = np.asarray(points_m, np.float64)
     is_long = np.hypot(*np.diff(points[:, :2], axis=0).T) > np.sqrt(2) * resolution_m * (
-        1 + ROUNDING
+        1 + SAME_LENGTH
     )
     if not is_long.any():
         return points

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.tolerances import SAME_EXPOSURE
 from jaxurban.planners.astar import cost_to_go
 from jaxurban.planners.base import Path, Planner, Problem, Status
 from jaxurban.planners.grid_search import graph_of
 
-SAME = 1e-9  # relative: an exposure that much above its budget keeps it, and a cost that near a bound meets it
 ENOUGH = 1e-6  # relative: what prices are not known better for
 STEEPEST = (
     1e3  # prices, in the highest cost of a known path for the exposure of the path without budgets
@@ -86,7 +86,7 @@ class _Search:
         exposure = phi[self.columns]
         if not self.known:
             self.units = np.where(exposure > 0, exposure, 1.0)
-        is_within = bool((exposure <= self.budgets * (1 + SAME)).all())
+        is_within = bool((exposure <= self.budgets * (1 + SAME_EXPOSURE)).all())
         excess = (exposure - self.budgets) / self.units
         self.known.append(_Known(points_m, float(self.problem.weights @ phi), excess, is_within))
 
@@ -115,7 +115,7 @@ class _Search:
 
     def close(self, prices: np.ndarray) -> tuple[int, bool]:
         """Close the gap by labels, as far as they go; return how many, and whether they prove that none is within."""
-        problem, limits = self.problem, self.budgets * (1 + SAME / 2)
+        problem, limits = self.problem, self.budgets * (1 + SAME_EXPOSURE / 2)
         weights = np.concatenate(
             [np.eye(len(problem.weights))[self.columns], [problem.weights] * 2]
         )
@@ -227,13 +227,13 @@ def within_budgets(
         return first
     prices = search.raise_bound()
     if search.best() is None and not search.is_late:
-        is_over = bool((search.least_exposures() > search.budgets * (1 + SAME)).any())
+        is_over = bool((search.least_exposures() > search.budgets * (1 + SAME_EXPOSURE)).any())
         prices = prices if is_over else search.raise_bound()
     best = search.best()
     if (
         not is_over
         and problem.levels_m is None
-        and (best is None or best.cost > search.bound * (1 + SAME))
+        and (best is None or best.cost > search.bound * (1 + SAME_EXPOSURE))
     ):
         num_labels, is_over = search.close(prices)
         best = search.best()
@@ -242,7 +242,7 @@ def within_budgets(
     kept = " and ".join(f"{name} <= {most:g}" for name, most in budgets.items())
     note = f"That is of the paths that keep {kept} (searches: {len(search.paths)}, labels: {num_labels:,})."
     if best is not None:
-        is_best = best.cost * (1 - 2 * SAME) <= bound
+        is_best = best.cost * (1 - 2 * SAME_EXPOSURE) <= bound
         status = (
             Status.OPTIMAL if is_best else Status.BUDGET_FEASIBLE if is_spent else Status.FEASIBLE
         )

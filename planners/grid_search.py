@@ -25,6 +25,7 @@ from jaxurban.kernels.search.heap import (
     insert,
     refill,
 )
+from jaxurban.kernels.tolerances import CHEAPER
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import STEPS
 
@@ -34,7 +35,6 @@ MAX_STEPS = len(ALL_STEPS)
 NOWHERE = -1  # a goal that is never met
 CHUNK = 50_000  # expansions between two looks at the clock: some 15 ms on one level
 FIRST_ENTRIES = 4096  # of a queue; doubled when full
-ROUNDING = 1 - 1e-12  # a closed node is not worth expanding again for a gain that rounding explains
 SAMPLES = 4093  # cells of a map that stand for all
 
 
@@ -268,7 +268,7 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
     offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
     near = queue.near
     # A way to a node is cheaper where it costs less than this times the way known; a closed node that is kept has none.
-    if_closed = ROUNDING if reopen else -1.0
+    if_closed = CHEAPER if reopen else -1.0
     cheaper_steps, cheaper_gs = np.empty(MAX_STEPS, np.uint64), np.empty(MAX_STEPS)
     num_expanded = 0
     while True:

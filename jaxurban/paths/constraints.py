@@ -21,6 +21,7 @@ from jaxurban.checks import nearest_name, typed
 from jaxurban.errors import IgnoredZoneWarning, InputError, warn
 from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
+from jaxurban.kernels.tolerances import SAME_LENGTH
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import known_metrics
 from jaxurban.planners.base import Cell
@@ -541,4 +542,4 @@ def closed_by_clearance(
     step_m, _ = closing_step_m(constraints.horizontal_m, maps.grid.resolution_m)
     if step_m == 0:
         return is_obstacle
-    return distance_to_obstacles_m(is_obstacle, maps.grid.resolution_m) < step_m * (1 - 1e-9)
+    return distance_to_obstacles_m(is_obstacle, maps.grid.resolution_m) < step_m * (1 - SAME_LENGTH)

@@ -14,12 +14,12 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
 from jaxurban.kernels.line.traversal import crossed_cells
+from jaxurban.kernels.tolerances import SAME_EXPOSURE, SAME_PLACE_M
 from jaxurban.paths.constraints import describe_kept
 from jaxurban.paths.export.base import MOST_BULGE_M
 from jaxurban.paths.export.write import MISSION, check_is_mission, write_path
 from jaxurban.paths.snapping import End, pocket_note, snap_note, what_would_join
 from jaxurban.planners.base import Path, Status
-from jaxurban.planners.exposure import SAME
 from jaxurban.planners.simplify import farthest
 from jaxurban.planners.simplify import simplify as simplify_path
 from jaxurban.public import Caution, FactsRepr
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport
     from jaxurban.paths.search import PathSearch
 
-SAME_PLACE_M = 1e-6  # of a path in the maps' CRS and from its map's corner
 OF_SEARCH = ("graph", "num_expanded", "elapsed_s", "setup_s", "planner", "heuristic", "backend")
 
 
@@ -433,7 +432,11 @@ def elevation_at(
 
 def over_budget(exposure: Mapping[str, float], budgets: Mapping[str, float]) -> str:
     """Return the budgets of exposure that a path exceeds, in words; empty where it keeps all."""
-    over = {name: most for name, most in budgets.items() if exposure[name] > most * (1 + 2 * SAME)}
+    over = {
+        name: most
+        for name, most in budgets.items()
+        if exposure[name] > most * (1 + 2 * SAME_EXPOSURE)
+    }
     return " and ".join(f"the budget of {most:g} for {name}" for name, most in over.items())
 
 

@@ -10,6 +10,7 @@ from scipy.ndimage import binary_erosion
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.traversal import Crossings, crossed_cells
+from jaxurban.kernels.tolerances import AT_LIMIT, SAME_HEIGHT_M
 from jaxurban.maps.levels import values_at
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX, has_no_fix
@@ -21,9 +22,7 @@ from jaxurban.settings import Vehicle
 TOUCHED, VISIBLE, GUESSED = "roof_touched", "num_visible", "roof_guessed"
 CLEARANCE, OUTSIDE, OVER_ROOF = "nearest_wall_m", "walls_outside_m", "least_over_roofs_m"
 TO_GUESSED = "guessed_roof_away_m"
-SAME_HEIGHT_M = 1e-6  # rounding of heights along a step
 MOST_SEGMENTS = 3  # that a terminal line lists
-ROUNDING = 1e-9  # of climbs and turns that are just what the vehicle can
 NEAR_GUESSED_M = (
     50.0  # of a guessed roof a route passes it: what the risk metric counts as near by default
 )
@@ -328,7 +327,7 @@ def _clearance(profile: pd.DataFrame, apart_m: float) -> Caution:
             else "the route passes over some"
         )
         sentence += f", if guessed roofs are right: {nearest}"
-    is_beyond = inside_m < apart_m - ROUNDING or inside_m <= 0
+    is_beyond = inside_m < apart_m - AT_LIMIT or inside_m <= 0
     return Caution(f"{sentence}.", "limit" if is_beyond else "guess" if is_guess else "note")
 
 
@@ -346,7 +345,7 @@ def _roofs(profile: pd.DataFrame, above_m: float) -> Iterator[Caution]:
         roof, level = _roof(profile, least)
         yield Caution(
             f"Roofs: the least height over one is {over_m.iloc[least]:.1f} m, {_at(profile, least)} ({roof}).",
-            "limit" if over_m.iloc[least] < above_m - ROUNDING else level,
+            "limit" if over_m.iloc[least] < above_m - AT_LIMIT else level,
         )
 
 
@@ -381,7 +380,7 @@ def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
     ):
         if most_m_s is None or speed_m_s is None:
             continue
-        if num := int((speed_m_s * share > most_m_s * (1 + ROUNDING)).sum()):
+        if num := int((speed_m_s * share > most_m_s * (1 + AT_LIMIT)).sum()):
             steepest = int(np.argmax(share))
             yield (
                 f"Vehicle: legs that would need more than {most_m_s:g} m/s of {name} at {speed_m_s:g} m/s: {num}; the "
@@ -395,7 +394,7 @@ def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
     )  # straight up and down there is no heading
     heading_deg = np.degrees(np.arctan2(moved_m[ahead, 1], moved_m[ahead, 0]))
     turn_deg = np.abs((np.diff(heading_deg) + 180) % 360 - 180)
-    if num := int((turn_deg > vehicle.max_turn_deg * (1 + ROUNDING)).sum()):
+    if num := int((turn_deg > vehicle.max_turn_deg * (1 + AT_LIMIT)).sum()):
         sharpest = int(np.argmax(turn_deg))
         yield (
             f"Vehicle: turns sharper than {vehicle.max_turn_deg:g} degrees: {num}; the sharpest, of "

@@ -11,6 +11,7 @@ import pandas as pd
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
+from jaxurban.kernels.tolerances import SAME_ROUTE_COST
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import WeightsLike
@@ -28,7 +29,6 @@ from jaxurban.public import Caution, FactsRepr, listed
 from jaxurban.settings import CostKind, Objective, Preset
 
 TIMES = ["time", "time_of_day"]
-SAME = 1e-9  # relative: routes that cost so nearly the same are as cheap
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -217,7 +217,7 @@ def when(
     table = table.join(flown.groupby("departure")[sums].sum(min_count=flown["query"].nunique()))
     least = table["cost"].min()
     above = table["cost"] / least - 1
-    table.insert(3, "above_best", above.mask(table["cost"] <= least * (1 + SAME), 0.0))
+    table.insert(3, "above_best", above.mask(table["cost"] <= least * (1 + SAME_ROUTE_COST), 0.0))
     kept = [
         paths[(Departures(table, routes, paths).best or 0) * len(wanted) + query]
         for query in routes["query"]
@@ -238,7 +238,7 @@ def when(
     routes["kept_above"] = np.where(
         kept_costs <= routes["cost"], 0.0, kept_costs / routes["cost"] - 1
     )
-    routes["num_changed"] = routes["kept_above"] > SAME
+    routes["num_changed"] = routes["kept_above"] > SAME_ROUTE_COST
     of_time = routes.groupby("departure")
     table = table.join(of_time[[*routes.filter(like="longest_"), "kept_above"]].max())
     return Departures(table.join(of_time["num_changed"].sum()), routes, paths)

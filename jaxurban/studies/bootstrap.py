@@ -15,10 +15,11 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
+from jaxurban.kernels.tolerances import SAME_COUNT
+
 NUM_DRAWS = 2000
 LEVEL = 0.95
 FEWEST_GROUPS = 8  # of fewer Student's t asks for ends that so many draws do not reach
-ROUNDING = 1e-9  # relative: counts that differ by less are the same
 
 Values = np.ndarray | pd.Series | pd.Index
 Statistic = Literal["mean", "median", "share"]  # the last of values that are 0 or 1
@@ -140,5 +141,5 @@ def median_of(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return ``[B]`` medians of ``[N]`` values (the lower of two in the middle), each counted ``[B, N]`` times."""
     order = np.argsort(values)
     passed = np.cumsum(counts[:, order], axis=-1)
-    half_passed = passed * 2 >= passed[:, -1:] * (1 - ROUNDING)
+    half_passed = passed * 2 >= passed[:, -1:] * (1 - SAME_COUNT)
     return np.where(passed[:, -1] > 0, values[order][np.argmax(half_passed, axis=-1)], np.nan)

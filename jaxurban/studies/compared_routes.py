@@ -6,10 +6,11 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
+from jaxurban.kernels.tolerances import SAME_COST
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.plan import cost_map
-from jaxurban.planners.base import ROUNDING, Path
+from jaxurban.planners.base import Path
 from jaxurban.planners.registry import solve_many
 from jaxurban.progress import Report
 from jaxurban.studies.bootstrap import Clusters
@@ -111,7 +112,7 @@ def _judged(on: CostMap, path: Path, best: Path) -> dict[str, Any]:
     cost = features.cost(on.problem.weights) if features.is_valid else np.nan
     closed_m = float(features.length_m[~on.is_free[features.crossed]].sum())
     regret = 0.0
-    if not cost <= best.cost * ROUNDING:  # also where it is closed
+    if not cost <= best.cost * SAME_COST:  # also where it is closed
         regret = cost / best.cost - 1 if best.cost > 0 else np.inf
     numbers = (
         path.cost,

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-ROUNDING = 1 - 1e-12  # a gain that rounding explains is none
+from jaxurban.kernels.tolerances import CHEAPER
+
 NO_STEP = 255  # in `Frontier.reached_by`: the start, or not reached
 
 
@@ -182,7 +183,7 @@ def is_crowded(frontier: Frontier, grids: Grids, num_together: int) -> Array:
 def _lowest_f(frontier: Frontier) -> tuple[Array, Array]:
     """Return ``[Q]`` the lowest open f of each query, and ``[B]`` each entry's f, inf where it cannot help any more."""
     num_queries = frontier.goal.size
-    goal_g = frontier.g[jnp.arange(num_queries), frontier.goal] * ROUNDING
+    goal_g = frontier.g[jnp.arange(num_queries), frontier.goal] * CHEAPER
     f = jnp.where(frontier.open_f < goal_g[frontier.open_query], frontier.open_f, jnp.inf)
     return jnp.full(num_queries, jnp.inf).at[frontier.open_query].min(f), f
 
@@ -190,7 +191,7 @@ def _lowest_f(frontier: Frontier) -> tuple[Array, Array]:
 def _round(frontier: Frontier, grids: Grids, num_together: int) -> Frontier:
     num_queries = frontier.goal.size
     list_size = frontier.open_f.size
-    goal_g = frontier.g[jnp.arange(num_queries), frontier.goal] * ROUNDING
+    goal_g = frontier.g[jnp.arange(num_queries), frontier.goal] * CHEAPER
     lowest_f, f = _lowest_f(frontier)
     is_open = f < jnp.inf
     is_near = is_open & (f <= (lowest_f + frontier.band)[frontier.open_query])

@@ -15,7 +15,8 @@ from jaxurban.checks import at_least, positive
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.search.heap import EXHAUSTED, FULL, Heap
-from jaxurban.planners.base import EVERY_PATH, ROUNDING, Path, Problem, Status
+from jaxurban.kernels.tolerances import SAME_COST
+from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import (
     Bounds,
     InformedSet,
@@ -130,7 +131,7 @@ class Batches:
         if self.options.on_batch is not None:
             self.options.on_batch(self)
         self.is_done = True
-        if self.cost <= max(self.bounds.from_start_to_goal() * ROUNDING, self.options.target_cost):
+        if self.cost <= max(self.bounds.from_start_to_goal() * SAME_COST, self.options.target_cost):
             return
         if last_cost < np.inf and last_cost - self.cost < self.options.min_improvement * last_cost:
             return

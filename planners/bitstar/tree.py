@@ -8,9 +8,9 @@ from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import segment_cost
 from jaxurban.kernels.search.heap import EXHAUSTED, FULL, PAUSED, drop_top, place
 from jaxurban.kernels.search.sample_graph import NO_PARENT
+from jaxurban.kernels.tolerances import SAME_COST
 from jaxurban.planners.bitstar.bounds import Bounds
 
-ROUNDING = 1 + 1e-12  # a node of the best path may seem that much too costly
 SAMPLE, OLD, FRESH, EXPANDED = 0, 1, 2, 3  # a node's state; all but SAMPLE are in the tree
 NOT_COSTED = -1.0  # a queued edge whose cost is not known yet
 # An edge in the queue: two nodes, and its cost or NOT_COSTED. One from a node to itself stands for the expansion of
@@ -157,7 +157,7 @@ class Tree(NamedTuple):
         """
         incumbent = self.g[self.goal]
         is_kept = self.least_f < incumbent
-        in_tree = is_kept & np.isfinite(self.g) & (self.g + self.to_goal <= incumbent * ROUNDING)
+        in_tree = is_kept & np.isfinite(self.g) & (self.g + self.to_goal <= incumbent * SAME_COST)
         in_tree[self.path()] = True
         in_tree[self.start] = True
         has_parent = self.parent != NO_PARENT
