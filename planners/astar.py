@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import label
 
 from jaxurban.checks import one_of
-from jaxurban.kernels.search.bounds import TileBound, printed_plus_field, tile_bound
+from jaxurban.kernels.search.bounds import LandmarkBound, TileBound, printed_plus_field, tile_bound
 from jaxurban.kernels.search.heap import CLOSED, EXHAUSTED, FOUND, PAUSED
 from jaxurban.planners.base import Cell, Path, Problem, Status
 from jaxurban.planners.compiled_first import compiled_first
@@ -22,7 +22,6 @@ from jaxurban.planners.grid_search import (
     NO_HEURISTIC,
     GridSearch,
     Heuristic,
-    LandmarkBound,
     cell_of,
     estimate,
     graph_of,
@@ -269,14 +268,15 @@ def cost_to_go(problem: Problem, end_s: float = np.inf) -> np.ndarray:
     Raises:
       TimeoutError: the clock passed it; nothing new is kept.
     """
-    kept: dict[tuple[int, ...], np.ndarray] = problem.shared.get("costs_to_go", {})
-    if problem.goal not in kept:
+    cache = problem.cache
+    costs_to_go = cache.costs_to_go  # another thread may replace it meanwhile
+    if problem.goal not in costs_to_go:
         costs = symmetric_costs(problem, end_s)
         if problem.cost_model.kind == "cell":
             half = 0.5 * (problem.cost[problem.goal] - np.where(problem.is_free, problem.cost, 0.0))
             costs = np.maximum(costs + half, 0.0)  # rounding might leave less
-        kept = problem.shared["costs_to_go"] = {problem.goal: costs}
-    return kept[problem.goal]
+        costs_to_go = cache.costs_to_go = {problem.goal: costs}
+    return costs_to_go[problem.goal]
 
 
 def make_landmarks(
@@ -296,7 +296,7 @@ def make_landmarks(
     Raises:
       TimeoutError: the clock passed it.
     """
-    if "landmarks" not in problem.shared:
+    if problem.cache.landmarks is None:
         cells = landmark_cells(problem, num)
         costs = np.empty((*problem.is_free.shape, len(cells)))
         for k, cell in enumerate(cells):
@@ -304,11 +304,10 @@ def make_landmarks(
         largest = np.max(costs, where=np.isfinite(costs), initial=0.0)
         slack = float(largest) * problem.is_free.size * np.finfo(np.float64).eps
         cost_share = 0.5 if problem.cost_model.kind == "cell" else 0.0
-        problem.shared["landmarks"] = LandmarkBound(
+        problem.cache.landmarks = LandmarkBound(
             costs, costs[cells[0]], problem.cost, cost_share, -slack
         )
-    made: LandmarkBound = problem.shared["landmarks"]
-    return made
+    return problem.cache.landmarks
 
 
 def landmark_cells(problem: Problem, num: int) -> list[Cell]:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxurban.checks import positive
 from jaxurban.errors import InputError
 from jaxurban.exit_codes import ExitCode
-from jaxurban.kernels.search.bounds import tile_minima
+from jaxurban.kernels.search.bounds import LandmarkBound, tile_minima
 from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.kernels.tolerances import SAME_COST
 from jaxurban.planners.cost import CostModel, PathFeatures, allowed_moves, path_features
@@ -66,6 +66,35 @@ class Status(Enum):
         }[self]
 
 
+@dataclass(eq=False)
+class CellCache:
+    """What is derived from free cells alone, once for all layers and weights (`Problem.moves`)."""
+
+    moves: np.ndarray | None = None
+
+
+@dataclass(eq=False)
+class ProblemCache:
+    """What is derived from a map under its weights, once for all queries that share it (`Problem.between`).
+
+    It equals itself alone, so that it is the key by which queries on one map are collected.
+
+    Attributes:
+      cells: what holds under other weights too.
+      cost, tile_minima: as of `Problem`.
+      landmarks: from `astar.make_landmarks`.
+      costs_to_go: by goal, from `astar.cost_to_go`.
+      corner_bounds: by start and goal, from `corners.with_corner_bound`.
+    """
+
+    cells: CellCache = field(default_factory=CellCache)
+    cost: np.ndarray | None = None
+    tile_minima: np.ndarray | None = None
+    landmarks: LandmarkBound | None = None
+    costs_to_go: dict[Cell, np.ndarray] = field(default_factory=dict)
+    corner_bounds: dict[tuple[Cell, Cell], float] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """One planning query on one map or volume, as plain arrays. ``Y`` rows, ``X`` columns, ``L`` layers.
@@ -113,15 +142,7 @@ class Problem:
     cost_model: CostModel = field(default_factory=CostModel)
     levels_m: Any = None  # kept as an array
     leg_margin_m: float = 0.0
-    shared: dict[str, Any] = field(
-        init=False, repr=False, default_factory=dict
-    )  # what all queries on the map share
-    _cost: list[np.ndarray] = field(
-        init=False, repr=False, default_factory=list
-    )  # of all on this map and weights
-    _moves: list[np.ndarray] = field(
-        init=False, repr=False, default_factory=list
-    )  # of all problems on these cells
+    cache: ProblemCache = field(init=False, repr=False, default_factory=ProblemCache)
 
     def __post_init__(self) -> None:
         given = np.asarray(self.costs)
@@ -192,8 +213,7 @@ class Problem:
 
     def alone(self) -> "Problem":
         """Return the same query with nothing made for it but moves and weighing: no earlier search helps this one."""
-        _ = self.moves, self.cost
-        return self._changed(shared={})
+        return self._changed(cache=ProblemCache(CellCache(self.moves), self.cost))
 
     def with_weights(self, weights: np.ndarray | float) -> "Problem":
         """Return the same query under other weights (see ``weights``); what does not depend on them is shared.
@@ -201,7 +221,7 @@ class Problem:
         Raises:
           InputError: a weight that is negative or not finite, or too many or too few.
         """
-        other = self._changed(shared={}, _cost=[])
+        other = self._changed(cache=ProblemCache(self.cache.cells))
         other._set_weights(weights)
         return other
 
@@ -212,7 +232,7 @@ class Problem:
           InputError: layers of another shape, or a cost on a free cell or a weight is negative or not finite.
         """
         other = replace(self, costs=costs, weights=self.weights if weights is None else weights)
-        return other._changed(_moves=self._moves)
+        return other._changed(cache=ProblemCache(self.cache.cells))
 
     def features(self, points_m: np.ndarray, kind: CostKind | None = None) -> PathFeatures:
         """Return what a path adds up (see `planners.cost.path_features`): its cost is weights . features."""
@@ -241,17 +261,12 @@ class Problem:
     @property
     def cost(self) -> np.ndarray:
         """``[Y, X]`` or ``[K, Y, X]`` float64 the weighted sum of the layers; inf where a volume is not free."""
-        if not self._cost:
+        if self.cache.cost is None:
             cost = weighted_sum(self.costs, self.layer_weights)
             if self.levels_m is not None:
                 cost[~self.is_free] = np.inf  # as the search through a volume knows closed nodes
-            self._cost.append(_read_only(cost, np.float64))
-        return self._cost[0]
-
-    @property
-    def map_key(self) -> int:
-        """A number that problems on one map under the same weights share (see `between`), while one of them lives."""
-        return id(self._cost)
+            self.cache.cost = _read_only(cost, np.float64)
+        return self.cache.cost
 
     @property
     def grid_name(self) -> str:
@@ -271,7 +286,8 @@ class Problem:
     @property
     def moves(self) -> np.ndarray:
         """``[Y, X]`` or ``[K, Y, X]`` uint8: bit k is set where horizontal step k of `cost_model.STEPS` is allowed."""
-        if not self._moves:
+        cells = self.cache.cells
+        if cells.moves is None:
             num_rows, num_cols = self.is_free.shape[-2:]
             levels = self.is_free.reshape(-1, num_rows, num_cols)
             keeps_corners = self.cost_model.diagonal == "both-free" or self.leg_margin_m > 0
@@ -279,10 +295,9 @@ class Problem:
                 allowed_moves(is_free, self.cost_model.connectivity, keeps_corners)
                 for is_free in levels
             ]
-            self._moves.append(
-                _read_only(allowed[0] if self.levels_m is None else np.stack(allowed), np.uint8)
-            )
-        return self._moves[0]
+            moves = allowed[0] if self.levels_m is None else np.stack(allowed)
+            cells.moves = _read_only(moves, np.uint8)
+        return cells.moves
 
     @property
     def islands(self) -> np.ndarray:
@@ -295,10 +310,9 @@ class Problem:
     @property
     def tile_minima(self) -> np.ndarray:
         """``[I + 2, J + 2]`` the cheapest free cell of every tile, in a frame (see `kernels.search.bounds`)."""
-        if "tile_minima" not in self.shared:
-            self.shared["tile_minima"] = tile_minima(self.cost, self.is_free)
-        minima: np.ndarray = self.shared["tile_minima"]
-        return minima
+        if self.cache.tile_minima is None:
+            self.cache.tile_minima = tile_minima(self.cost, self.is_free)
+        return self.cache.tile_minima
 
 
 def _read_only(values: np.ndarray, dtype: type) -> np.ndarray:

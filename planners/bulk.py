@@ -25,7 +25,7 @@ from jaxurban.kernels.search.frontier import (
 )
 from jaxurban.kernels.search.sample_graph import NO_PARENT, NO_QUERY, Samples, Sizes, search_samples
 from jaxurban.planners.astar import make_heuristic
-from jaxurban.planners.base import Cell, Path, Problem, Status
+from jaxurban.planners.base import Cell, Path, Problem, ProblemCache, Status
 from jaxurban.planners.bitstar.bounds import cost_grid_of
 from jaxurban.planners.bitstar.planner import DEFAULTS, Batches, BitStarOptions, check_limits
 from jaxurban.planners.cost import STEPS
@@ -259,9 +259,9 @@ def solve_batched(
 
     def paths() -> Generator[tuple[int, Path]]:
         kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
-        by_map: dict[int, list[int]] = {}
+        by_map: dict[ProblemCache, list[int]] = {}
         for index, problem in enumerate(problems):
-            by_map.setdefault(problem.map_key, []).append(index)
+            by_map.setdefault(problem.cache, []).append(index)
         for indices in by_map.values():
             waiting = iter(indices)
             graphs = _Graphs(cost_grid_of(problems[indices[0]], problems[indices[0]].is_free), kind)

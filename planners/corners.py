@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxurban.kernels.search.bounds import costs_at_corners
 from jaxurban.kernels.tolerances import SAME_COST
-from jaxurban.planners.base import EVERY_PATH, Cell, Path, Problem, Status
+from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 
 STRETCH = 2 / np.sqrt(
     2 + np.sqrt(2)
@@ -55,7 +55,7 @@ def with_corner_bound(problem: Problem, path: Path) -> Path:
         or not path.status.has_path
     ):
         return path
-    bounds: dict[tuple[Cell, Cell], float] = problem.shared.setdefault("corner_bounds", {})
+    bounds = problem.cache.corner_bounds
     ends = problem.start, problem.goal
     if ends not in bounds:
         bounds[ends] = corner_bound(problem)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxurban.kernels.compiled import compiled
-from jaxurban.kernels.search.bounds import TileBound, tile_estimate
+from jaxurban.kernels.search.bounds import LandmarkBound, TileBound, tile_estimate
 from jaxurban.kernels.search.heap import (
     CLOSED,
     EXHAUSTED,
@@ -64,25 +64,6 @@ class Graph(NamedTuple):
     to_share: np.ndarray
     sample: np.ndarray
     plane: int | None = None
-
-
-class LandmarkBound(NamedTuple):
-    """Costs to a few cells, which bound the cost to the goal (see `landmarks`). ``K`` landmarks.
-
-    The bound is the greatest ``|costs[r, c, k] - at_goal[k]|``, plus ``goal_term - cost_share * cost[r, c]``.
-
-    Attributes:
-      costs: ``[Y, X, K]`` float64, inf where there is no way.
-      at_goal: ``[K]`` the same at the goal.
-      cost: ``[Y, X]`` the problem's map cost.
-      cost_share, goal_term: what turns symmetric costs into those of the problem's steps.
-    """
-
-    costs: np.ndarray
-    at_goal: np.ndarray
-    cost: np.ndarray
-    cost_share: float
-    goal_term: float
 
 
 class Heuristic(NamedTuple):

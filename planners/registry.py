@@ -25,7 +25,7 @@ from jaxurban.planners.astar import (
     make_landmarks,
     volume_astar,
 )
-from jaxurban.planners.base import Cell, Path, Planner, Problem
+from jaxurban.planners.base import Cell, Path, Planner, Problem, ProblemCache
 from jaxurban.planners.bitstar.bounds import HEURISTICS as OFF_GRID_HEURISTICS
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
 from jaxurban.planners.bulk import solve_batched, solve_by_frontier
@@ -203,12 +203,12 @@ def solve_many(
     def outcomes() -> Generator[Outcome]:
         heuristics = choose_heuristics(problems, planner, heuristic, budget_s)
         run = partial(_in_threads, problems, num_threads=num_threads)
-        to_one_goal: dict[tuple[int, Cell], list[int]] = {}
+        to_one_goal: dict[tuple[ProblemCache, Cell], list[int]] = {}
         if heuristic != "exact":  # which makes each goal's field in a thread
             for index in only:
                 if heuristics[index] == "exact":
                     to_one_goal.setdefault(
-                        (problems[index].map_key, problems[index].goal), []
+                        (problems[index].cache, problems[index].goal), []
                     ).append(index)
         walk = partial(
             find_planner(planner, "exact" if to_one_goal else None), budget_s=budget_s, seed=seed
@@ -224,7 +224,7 @@ def solve_many(
                 yield alone[k], path
             return
         for problem in {
-            problems[k].map_key: problems[k] for k in alone if heuristics[k] == "landmarks"
+            problems[k].cache: problems[k] for k in alone if heuristics[k] == "landmarks"
         }.values():
             make_landmarks(problem)
         for name in dict.fromkeys(heuristics[index] for index in alone):
@@ -246,10 +246,10 @@ def choose_heuristics(
     heuristics = [heuristic] * len(problems)
     if (heuristic or PLANNERS[planner].default_heuristic) != AUTO:
         return heuristics
-    by_goal: dict[tuple[int, Cell], list[int]] = {}
-    others: dict[int, list[int]] = {}
+    by_goal: dict[tuple[ProblemCache, Cell], list[int]] = {}
+    others: dict[ProblemCache, list[int]] = {}
     for index, problem in enumerate(problems):
-        by_goal.setdefault((problem.map_key, problem.goal), []).append(index)
+        by_goal.setdefault((problem.cache, problem.goal), []).append(index)
 
     def choose(name: str, indices: list[int], fewest: int, num_fields: int) -> bool:
         expected_s = num_fields * problems[indices[0]].is_free.size / NODES_PER_S
@@ -258,9 +258,9 @@ def choose_heuristics(
             heuristics[index] = name
         return is_chosen
 
-    for (map_key, _), indices in by_goal.items():
+    for (cache, _), indices in by_goal.items():
         if planner not in EXACT_PLANNERS or not choose("exact", indices, FEW_TO_ONE_GOAL, 1):
-            others.setdefault(map_key, []).extend(indices)
+            others.setdefault(cache, []).extend(indices)
     for indices in others.values():
         choose("landmarks", indices, FEW_QUERIES + 1, NUM_LANDMARKS)
     return heuristics

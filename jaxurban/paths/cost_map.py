@@ -1,7 +1,7 @@
 """CostMap: metric maps at one altitude, or between several, under weights, ready for any number of queries."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from typing import Any
 
@@ -51,6 +51,19 @@ def weights_on(maps: MetricMaps, given: WeightsLike) -> Weights:
     return Weights.of(given, maps.recorded.get("weights")).checked(maps.metrics)
 
 
+@dataclass
+class MapCache:
+    """What a cost map derives for its queries; None until it is needed.
+
+    Attributes:
+      shortest, problem, terrain_m: as of `CostMap`.
+    """
+
+    shortest: Problem | None = None
+    problem: Problem | None = None
+    terrain_m: np.ndarray | None = None
+
+
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class CostMap(FactsRepr):
     """Metric maps at one altitude, or between levels, under weights. ``L`` metrics, ``Y`` rows, ``X`` columns.
@@ -74,6 +87,7 @@ class CostMap(FactsRepr):
         value; ``[L, K, Y, X]`` in a volume.
       is_free: ``[Y, X]`` or ``[K, Y, X]`` bool, where a path may fly: no obstacle, data there, within the constraints.
       is_prepared: whether landmarks guide the planners that choose their heuristic (see `prepare`).
+      cache: what is derived from it.
 
     Examples:
       >>> on = ju.cost_map(maps, 60.0)
@@ -96,6 +110,7 @@ class CostMap(FactsRepr):
     costs: np.ndarray
     is_free: np.ndarray
     is_prepared: bool = False
+    cache: MapCache = field(init=False, default_factory=MapCache)
 
     @property
     def facts(self) -> dict[str, str]:
@@ -148,18 +163,28 @@ class CostMap(FactsRepr):
             or any(weight > 0 and layer.any() for weight, layer in layers)
         )
 
-    @cached_property
+    @property
     def problem(self) -> Problem:
         """The planners' view of the map, from its first free cell to itself; `Problem.between` asks for others.
 
         Raises:
           InputError: no cell is free.
         """
-        return self.shortest.with_weights(self.weight_vector) if self.is_weighed else self.shortest
+        if self.cache.problem is None:
+            shortest = self.shortest
+            self.cache.problem = (
+                shortest.with_weights(self.weight_vector) if self.is_weighed else shortest
+            )
+        return self.cache.problem
 
-    @cached_property
+    @property
     def shortest(self) -> Problem:
         """The same of the shortest path."""
+        if self.cache.shortest is None:
+            self.cache.shortest = self._shortest()
+        return self.cache.shortest
+
+    def _shortest(self) -> Problem:
         if not self.is_free.any():
             raise InputError(f"no cell is free at {listed_m(self.altitudes_m)} m: {self.remedy}")
         free = tuple(
@@ -218,7 +243,8 @@ class CostMap(FactsRepr):
           [719, 742]
         """
         other = replace(self, weights=weights_on(self.maps, weights), is_prepared=False)
-        vars(other).update(shortest=self.shortest, terrain_m=self.terrain_m)
+        other.cache.shortest = self.shortest
+        other.cache.terrain_m = self.terrain_m
         return other
 
     def prepare(self) -> "CostMap":
@@ -244,7 +270,8 @@ class CostMap(FactsRepr):
             )
         make_landmarks(self.problem)
         prepared = replace(self, is_prepared=True)
-        vars(prepared).update(problem=self.problem, shortest=self.shortest)
+        prepared.cache.shortest = self.shortest
+        prepared.cache.problem = self.problem
         return prepared
 
     def cost_of(self, name: str) -> float:
@@ -499,7 +526,9 @@ class CostMap(FactsRepr):
         # c turns into m as m into c, and rounding may leave the range.
         return {name: min(max(float(metrics[name].cost(cost)), 0.0), 1.0) for name, cost in means}
 
-    @cached_property
+    @property
     def terrain_m(self) -> np.ndarray | None:
         """``[Y, X]`` elevation of the ground; None where the maps hold no terrain."""
-        return self.maps.m("terrain") if "terrain" in self.maps.ds else None
+        if self.cache.terrain_m is None and "terrain" in self.maps.ds:
+            self.cache.terrain_m = self.maps.m("terrain")
+        return self.cache.terrain_m

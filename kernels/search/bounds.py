@@ -17,6 +17,25 @@ TILE = 8  # cells along a side: 4 make for four times the lattice points, 16 for
 BEYOND = 1.25  # times the start's cost: lattice points that lie farther from the goal are taken to lie there
 
 
+class LandmarkBound(NamedTuple):
+    """Costs to a few cells, which bound the cost to the goal (see `astar.make_landmarks`). ``K`` landmarks.
+
+    The bound is the greatest ``|costs[r, c, k] - at_goal[k]|``, plus ``goal_term - cost_share * cost[r, c]``.
+
+    Attributes:
+      costs: ``[Y, X, K]`` float64, inf where there is no way.
+      at_goal: ``[K]`` the same at the goal.
+      cost: ``[Y, X]`` the problem's map cost.
+      cost_share, goal_term: what turns symmetric costs into those of the problem's steps.
+    """
+
+    costs: np.ndarray
+    at_goal: np.ndarray
+    cost: np.ndarray
+    cost_share: float
+    goal_term: float
+
+
 class TileBound(NamedTuple):
     """The bound: planes through these values, less ``at_goal``. ``[I, J]`` tiles.
 

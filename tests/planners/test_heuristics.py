@@ -147,7 +147,7 @@ def test_tables_are_made_once_for_all_queries_that_they_serve():
     astar(problem.between((1, 1), problem.goal), heuristic="exact")
     assert make_heuristic("exact", problem).field is field
     assert make_heuristic("exact", problem.between(problem.goal, (1, 1))).field[1, 1] == 0
-    assert problem.goal not in problem.with_weights([0.2, 1.0]).shared.get("costs_to_go", ())
+    assert problem.goal not in problem.with_weights([0.2, 1.0]).cache.costs_to_go
     landmarks = make_landmarks(problem, 2)
     assert make_landmarks(problem.between((1, 1), (0, 0))) is landmarks
 
@@ -172,7 +172,8 @@ def test_a_budget_that_ends_while_tables_are_built_is_reported_as_spent_and_noth
     assert (path.status, path.num_expanded) == (Status.BUDGET_EMPTY, 0)
     assert "were not done in" in path.note
     assert 0 < path.lower_bound <= astar(problem).cost
-    assert not {"costs_to_go", "landmarks"} & problem.shared.keys()
+    assert not problem.cache.costs_to_go
+    assert problem.cache.landmarks is None
     assert astar(problem, heuristic=name).status is Status.OPTIMAL
 
 
