@@ -11,7 +11,6 @@ import numpy as np
 
 from jaxurban.planners.base import Path, Problem, Status
 
-_COMPILED: set[Hashable] = set()  # runs that compile nothing any more; no result depends on it
 _COMPILING = threading.Lock()  # threads wait here, before their clocks start
 
 
@@ -26,36 +25,51 @@ def compiled_first(**options: Any) -> Callable[[Callable[..., Path]], Callable[.
     """
 
     def decorate(planner: Callable[..., Path]) -> Callable[..., Path]:
+        warmed: set[Hashable] = set()  # kinds of problems for which nothing is left to compile
+
         @functools.wraps(planner)
-        def run(problem: Problem, *altered: Any, **asked: Any) -> Path:
-            setup_s = 0.0
-            chosen = {"heuristic": asked["heuristic"]} if "heuristic" in asked else {}
-            kinds = (
-                planner,
+        def run(problem: Problem, *alteration: Any, **query: Any) -> Path:
+            chosen = {"heuristic": query["heuristic"]} if "heuristic" in query else {}
+            kind = (
                 *chosen.values(),
                 problem.costs.dtype,
                 problem.is_free.ndim,
                 problem.cost_model,
+                problem.leg_margin_m > 0,
             )
-            kinds += (problem.leg_margin_m > 0,)
+            setup_s = 0.0
             with _COMPILING:
-                if kinds not in _COMPILED:
-                    begin_s = time.perf_counter()
-                    few = _few_cells(problem)
-                    planner(
-                        few,
-                        *[_few_points(few), *altered[1:]] if altered else (),
-                        **chosen,
-                        **options,
-                    )
-                    _COMPILED.add(kinds)
-                    setup_s = time.perf_counter() - begin_s
-            path = planner(problem, *altered, **asked)
+                if kind not in warmed:
+                    setup_s = warm_up(planner, problem, *alteration, **chosen, **options)
+                    warmed.add(kind)
+            path = planner(problem, *alteration, **query)
             return replace(path, setup_s=path.setup_s + setup_s) if setup_s else path
 
         return run
 
     return decorate
+
+
+def warm_up(
+    planner: Callable[..., Path], problem: Problem, *alteration: Any, **options: Any
+) -> float:
+    """Compile all that a planner runs on a problem, by a plan across a few cells, and return the seconds it took.
+
+    Args:
+      planner: or what alters a planner's path.
+      problem: gives the types of the few cells.
+      alteration: the path and what follows it in the arguments, where one is altered; a path of a few points stands
+        for it.
+      options: of the planner.
+    """
+    begin_s = time.perf_counter()
+    few = _few_cells(problem)
+    if alteration:
+        _, *settings = alteration
+        planner(few, _few_points(few), *settings, **options)
+    else:
+        planner(few, **options)
+    return time.perf_counter() - begin_s
 
 
 def _few_cells(problem: Problem) -> Problem:

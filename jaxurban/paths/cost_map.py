@@ -184,12 +184,18 @@ class CostMap(FactsRepr):
             self.cache.shortest = self._shortest()
         return self.cache.shortest
 
-    def _shortest(self) -> Problem:
+    def check_any_free(self) -> None:
+        """Refuse a map without a free cell, on which no path can be planned.
+
+        Raises:
+          InputError: no cell is free; says what opens cells.
+        """
         if not self.is_free.any():
             raise InputError(f"no cell is free at {listed_m(self.altitudes_m)} m: {self.remedy}")
-        free = tuple(
-            int(index) for index in np.unravel_index(np.argmax(self.is_free), self.is_free.shape)
-        )
+
+    def _shortest(self) -> Problem:
+        self.check_any_free()
+        free = tuple(map(int, np.unravel_index(np.argmax(self.is_free), self.is_free.shape)))
         return Problem(
             costs=self.costs,
             is_free=self.is_free,
@@ -347,10 +353,8 @@ class CostMap(FactsRepr):
           >>> [end.cell for end in ju.cost_map(maps, 60.0).ends(start, goal)]
           [(2, 2), (27, 27)]
         """
-        starts, goals = (
-            self._places_near("start", start, snap),
-            self._places_near("goal", goal, snap),
-        )
+        starts = self._places_near("start", start, snap)
+        goals = self._places_near("goal", goal, snap)
         is_snapped = starts[0].is_snapped or goals[0].is_snapped
         return joined_ends(self, starts, goals) if is_snapped else (starts[0], goals[0])
 
@@ -403,11 +407,8 @@ class CostMap(FactsRepr):
         first = (
             "fly higher" if self.levels is None else "fly at another level, raise max_altitude_m"
         )
-        return (
-            f"{first}, or loosen the constraints ({said})"
-            if (said := str(self.constraints))
-            else first
-        )
+        constraints = str(self.constraints)
+        return f"{first}, or loosen the constraints ({constraints})" if constraints else first
 
     def why_closed(self, cell: Cell, level: int = 0) -> str:
         """Return what closes a cell of a level and which level over it is free (`jaxurban.paths.snapping`).

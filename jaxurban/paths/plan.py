@@ -109,7 +109,7 @@ def cost_map(
     }
     if isinstance(altitude_m, Levels):
         volume = map_at(maps, altitude_m.of(maps.altitudes_m), altitude_m, **rules)
-        _ = volume.shortest  # no free cell in a volume is refused at once
+        volume.check_any_free()
         return volume
     altitudes_m = np.array([finite("altitude_m", altitude_m, "metres, or Levels")])
     maps.around(altitudes_m[0])
