@@ -443,9 +443,8 @@ def describe_constraints(record: Mapping[str, Any]) -> str:
 
 def describe_clearances(record: Mapping[str, Any]) -> list[str]:
     """Return a phrase for each distance that constraints, as `Constraints.to_dict` holds them, keep from obstacles."""
-    return [
-        f"{said} of {record[name]:g} m" for name, said in KEPT_CLEAR.items() if record.get(name)
-    ]
+    phrases = KEPT_CLEAR.items()
+    return [f"{phrase} of {record[name]:g} m" for name, phrase in phrases if record.get(name)]
 
 
 def describe_kept(record: Mapping[str, Any], resolution_m: float) -> str:
@@ -522,10 +521,10 @@ def closing_step_m(horizontal_m: float, resolution_m: float) -> tuple[float, flo
 
 def kept_m(horizontal_m: float, resolution_m: float) -> float:
     """Return what routes keep at least of obstacles under a clearance that is asked, in their files too."""
-    return max(
-        horizontal_m,
-        closing_step_m(horizontal_m, resolution_m)[0] - FILE_MARGIN_M * (horizontal_m > 0),
-    )
+    if horizontal_m == 0:
+        return 0.0
+    step_m, _ = closing_step_m(horizontal_m, resolution_m)
+    return max(horizontal_m, step_m - FILE_MARGIN_M)
 
 
 def closed_by_clearance(

@@ -218,12 +218,10 @@ class PlannedPath(FactsRepr):
             "status": self.status.value,
             "message": self.message,
             "cost": _number(self.cost),
-            "cost_by_layer": {name: _number(value) for name, value in self.cost_by_layer.items()},
-            "exposure_by_layer": {
-                name: _number(value) for name, value in self.exposure_by_layer.items()
-            },
+            "cost_by_layer": _numbers(self.cost_by_layer),
+            "exposure_by_layer": _numbers(self.exposure_by_layer),
             "length_m": _number(self.length_m),
-            "metrics": {name: _number(value) for name, value in self.metrics.items()},
+            "metrics": _numbers(self.metrics),
             "altitude_m": self.altitude_m,
             "snap_distance_m": {"start": self.snap_distance_m[0], "goal": self.snap_distance_m[1]},
             "objective_cost": _number(self.search.cost),
@@ -244,6 +242,10 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
+def _numbers(values: Mapping[str, float]) -> dict[str, float | None]:
+    return {name: _number(value) for name, value in values.items()}
+
+
 def finish(on: "CostMap", path: Path, ends: tuple[End, End], search: "PathSearch") -> PlannedPath:
     """Return a planner's path with its weighted cost, its metrics, its coordinates and its settings.
 
@@ -257,20 +259,20 @@ def finish(on: "CostMap", path: Path, ends: tuple[End, End], search: "PathSearch
     settings |= {"exposure": dict(search.exposure)} if search.exposure else {}
     if on.levels is not None:
         settings["goal_altitude_m"] = float(on.altitudes_m[ends[1].cell[0]])
-    nowhere: dict[str, Any] = {
-        "xy_m": np.empty((0, 2)),
-        "lonlat": np.empty((0, 2)),
-        "z_m": np.empty(0),
-        "metrics": {},
-    }
-    no_path = nowhere | {
-        "cost": math.inf,
-        "cost_by_layer": {},
-        "exposure_by_layer": {},
-        "length_m": math.inf,
-    }
+    if path.status.has_path:
+        measures = measured(on, path.points_m)
+    else:
+        measures = {
+            "xy_m": np.empty((0, 2)),
+            "lonlat": np.empty((0, 2)),
+            "z_m": np.empty(0),
+            "cost": math.inf,
+            "cost_by_layer": {},
+            "length_m": math.inf,
+            "metrics": {},
+        }
     return PlannedPath(
-        **(measured(on, path.points_m) if path.status.has_path else no_path),
+        **measures,
         status=path.status,
         altitude_m=float(on.altitudes_m[0 if on.levels is None else ends[0].cell[0]]),
         snap_distance_m=(ends[0].snap_distance_m, ends[1].snap_distance_m),
@@ -321,21 +323,24 @@ def _note(on: "CostMap", path: Path, ends: tuple[End, End]) -> str:
         notes.append(f"Distance to obstacles: {on.constraints.horizontal_m:g} m asked, {kept}.")
     if on.is_weighed and on.weights.distance == 0 and not path.note and has_path:
         notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
-    if between := _between_m(on):
+    between = _between_m(on)
+    if between:
         low_m, high_m = between
         notes.append(
             f"Metrics at {on.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
         )
-    if (said := str(on.constraints)) and not has_path:
+    constraints = str(on.constraints)
+    if constraints and not has_path:
         without = sum(int(on.maps.is_free(z_m).sum()) for z_m in on.altitudes_m.tolist())
         share = 1 - on.is_free.sum() / without
         notes.append(
-            f"Constraints were on ({said}): they close {share:.1%} of the cells without an obstacle."
+            f"Constraints were on ({constraints}): they close {share:.1%} of the cells without an obstacle."
         )
     if path.status is Status.NO_PATH:
         notes += [pocket_note(on, *ends), what_would_join(on, ends[0].cell, ends[1].cell)]
-    asked = [name for name, weight in on.weights.to_dict().items() if weight > 0]
-    if missing := [name for name in asked if name not in ("distance", *on.names)]:
+    weighed = [name for name, weight in on.weights.to_dict().items() if weight > 0]
+    missing = [name for name in weighed if name not in ("distance", *on.names)]
+    if missing:
         notes.append(f"These maps hold no {' and no '.join(missing)}, so that weight is ignored.")
     bounded = {bound.variable for bound in on.constraints.bounds}
     for name, metric in on.maps.metrics.items():  # that the path pays for or is bounded by
@@ -359,17 +364,15 @@ def map_settings(on: "CostMap") -> dict[str, Any]:
     if on.levels is None:
         between = _between_m(on)
         return settings | ({"metrics_between_m": between} if between else {})
-    asked = {
-        name: getattr(on.levels, name)
-        for name in ("min_altitude_m", "max_altitude_m", "level_step_m")
-    }
     climb_cost, descent_cost = on.weight_vector[-2:].tolist()
-    levels = {
+    return settings | {
+        "min_altitude_m": on.levels.min_altitude_m,
+        "max_altitude_m": on.levels.max_altitude_m,
+        "level_step_m": on.levels.level_step_m,
         "levels_m": on.altitudes_m.tolist(),
         "climb_cost": climb_cost,
         "descent_cost": descent_cost,
     }
-    return settings | asked | levels
 
 
 def _between_m(on: "CostMap") -> list[float]:
