@@ -12,7 +12,7 @@ from jaxurban.cli.main import app
 from jaxurban.io.read.raster import read_raster
 from jaxurban.paths.export.qgc_plan import GROUND_TOLERANCE_M
 from jaxurban.paths.export.write import write_path
-from jaxurban.paths.path import elevation_at
+from jaxurban.paths.ground import elevation_at
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.snapping import XY
 

@@ -16,7 +16,7 @@ import pyproj
 from jaxurban.errors import InputError
 from jaxurban.io.read.mission import Leg, Mission, Place
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.path import elevation_at
+from jaxurban.paths.ground import elevation_at
 from jaxurban.world.grid import Bounds
 
 STEP_M, MOST_STEPS = 0.5, 1_000_000  # steps of very long missions are longer,

@@ -8,22 +8,19 @@ from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
-from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.kernels.tolerances import SAME_EXPOSURE, SAME_PLACE_M
 from jaxurban.paths.constraints import describe_kept
-from jaxurban.paths.export.base import MOST_BULGE_M
 from jaxurban.paths.export.write import MISSION, check_is_mission, write_path
+from jaxurban.paths.ground import Ground, ground_along
 from jaxurban.paths.snapping import End, pocket_note, snap_note, what_would_join
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.simplify import farthest
 from jaxurban.planners.simplify import simplify as simplify_path
 from jaxurban.public import Caution, FactsRepr
-from jaxurban.world.grid import Grid
 
 if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps
@@ -32,32 +29,6 @@ if TYPE_CHECKING:
     from jaxurban.paths.search import PathSearch
 
 OF_SEARCH = ("graph", "num_expanded", "elapsed_s", "setup_s", "planner", "heuristic", "backend")
-
-
-@dataclass(frozen=True)
-class Ground:
-    """The ground under a path, at its points and between them. ``G`` places in order of travel.
-
-    Every second place is halfway between its neighbours, between which the ground is a parabola.
-
-    Attributes:
-      at: ``[G]`` places along the path, counted in its points: 2.5 is halfway from the third point to the fourth.
-      lonlat: ``[G, 2]`` longitude, latitude in degrees.
-      elevation_m: ``[G]`` above the zero of the terrain file, whatever its vertical datum is.
-    """
-
-    at: np.ndarray
-    lonlat: np.ndarray
-    elevation_m: np.ndarray
-
-    @property
-    def cover_m(self) -> np.ndarray:
-        """``[G]`` elevations that, joined by straight lines, are nowhere below the ground."""
-        cover_m = (
-            self.elevation_m.copy()
-        )  # a parabola that bulges up lies below its tangents, which meet in the middle
-        cover_m[1::2] += np.maximum(cover_m[1::2] - (cover_m[:-1:2] + cover_m[2::2]) / 2, 0.0)
-        return cover_m
 
 
 @dataclass(frozen=True, repr=False)
@@ -379,58 +350,6 @@ def _between_m(on: "CostMap") -> list[float]:
     """Return the two altitudes that metrics are interpolated between; none in a volume or where the maps hold it."""
     around = [] if on.levels is not None else on.maps.around(on.altitude_m)
     return around if len(around) == 2 else []
-
-
-def ground_along(points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> Ground:
-    """Return the ground under a polyline, at its points, wherever it bends and as often as it bulges between them.
-
-    Args:
-      points_m: ``[N, 2]`` x, y from the grid's southwest corner, N at least 1.
-      terrain_m: ``[Y, X]`` elevation of the ground in each cell.
-      grid: of ``terrain_m``.
-    """
-    between_centres = crossed_cells(
-        points_m + grid.resolution_m / 2, grid.resolution_m
-    )  # where the ground bends
-    leg, is_bend = between_centres.segment, np.diff(between_centres.segment) == 0
-    bends = np.unique(
-        np.append(np.arange(len(points_m)), (leg + between_centres.shares[:, 1])[:-1][is_bend])
-    )
-    *_, elevation_m = _halved(bends, points_m, terrain_m, grid)
-    bulge_m = np.abs(elevation_m[1::2] - (elevation_m[:-1:2] + elevation_m[2::2]) / 2)
-    pieces = np.fmax(
-        np.ceil(np.sqrt(bulge_m / MOST_BULGE_M)), 1
-    )  # each of n bulges by the bulge / n²
-    bends = np.interp(np.arange(pieces.sum() + 1), np.append(0, np.cumsum(pieces)), bends)
-    at, x_m, y_m, elevation_m = _halved(bends, points_m, terrain_m, grid)
-    lonlat = np.stack(grid.lonlat_of_xy(x_m + grid.x_min_m, y_m + grid.y_min_m), axis=-1)
-    return Ground(at, lonlat, elevation_m)
-
-
-def _halved(
-    bends: np.ndarray, points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid
-) -> tuple[np.ndarray, ...]:
-    """Return places along a path and halfway between them, ``[2 N - 1]``, their x and y, and the elevation there."""
-    at = np.interp(np.arange(2 * len(bends) - 1) / 2, np.arange(len(bends)), bends)
-    x_m, y_m = (np.interp(at, np.arange(len(points_m)), values) for values in points_m.T)
-    return at, x_m, y_m, elevation_at(x_m, y_m, terrain_m, grid.resolution_m)
-
-
-def elevation_at(
-    x_m: np.ndarray, y_m: np.ndarray, terrain_m: np.ndarray, resolution_m: float
-) -> np.ndarray:
-    """Return ``[M]`` the elevation at points, bilinear between cell centres; that of the cell beside missing data.
-
-    Args:
-      x_m, y_m: ``[M]`` from the southwest corner.
-      terrain_m: ``[Y, X]`` elevation at cell centres; as at the border beyond the outermost centres.
-      resolution_m: side of a cell.
-    """
-    place = np.clip(
-        np.stack([y_m, x_m]) / resolution_m - 0.5, 0, np.array(terrain_m.shape)[:, None] - 1
-    )
-    smooth_m = map_coordinates(terrain_m, place, np.float64, order=1, mode="nearest")
-    return np.where(np.isnan(smooth_m), terrain_m[tuple(np.rint(place).astype(int))], smooth_m)
 
 
 def over_budget(exposure: Mapping[str, float], budgets: Mapping[str, float]) -> str:

@@ -18,7 +18,7 @@ from jaxurban.io.read.zone import Zone
 from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.export.qgc_plan import height_note
 from jaxurban.paths.export.write import FORMATS, write_path
-from jaxurban.paths.path import elevation_at, ground_along
+from jaxurban.paths.ground import elevation_at, ground_along
 from jaxurban.planners.base import Status
 from jaxurban.world.grid import Grid
 from tests.mavlink import mission_reader
