@@ -21,11 +21,12 @@ from tqdm import tqdm
 import jaxurban as ju
 from jaxurban.io.tables import records_of
 from jaxurban.kernels.line.segment_cost import segment_cost
-from jaxurban.planners.any_angle import refine, theta_star
+from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar_plus
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.bitstar.bounds import cost_grid_of, reachable_cells
 from jaxurban.planners.bitstar.planner import bitstar_plus
+from jaxurban.planners.refine import refine
 from jaxurban.report.write import write_png
 from jaxurban.studies.board import city_maps, problem_of, score, unpacked
 from jaxurban.studies.demonstrations import demonstration_from_line

@@ -14,9 +14,10 @@ from matplotlib.patches import Rectangle
 from scipy.optimize import minimize_scalar
 
 import jaxurban as ju
-from jaxurban.planners.any_angle import refine, theta_star
+from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Path, Problem
+from jaxurban.planners.refine import refine
 from jaxurban.report.figures.paths import (
     APART_PT,
     BLOCKED_COLOUR,

@@ -8,10 +8,10 @@ import shapely
 from jaxurban.checks import positive
 from jaxurban.kernels.compiled import compiled, on_host
 from jaxurban.kernels.line.segment_cost import are_clear, is_clear
-from jaxurban.planners.any_angle import subdivided
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.cost import level_parts
+from jaxurban.planners.refine import subdivided
 
 CLEAR_M = 0.02  # that legs keep from closed cells, so that coordinates of 7 decimals of a degree cannot enter them
 NUDGES = (

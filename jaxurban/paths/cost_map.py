@@ -26,13 +26,13 @@ from jaxurban.paths.snapping import (
     places_near,
     why_closed,
 )
-from jaxurban.planners.any_angle import check_line_model
-from jaxurban.planners.any_angle import refine as refine_path
 from jaxurban.planners.astar import AUTO, make_landmarks
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.corners import with_corner_bound
 from jaxurban.planners.cost import CostModel, PathFeatures
 from jaxurban.planners.exposure import within_budgets
+from jaxurban.planners.refine import check_line_model
+from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.progress import warn_if_slow
 from jaxurban.public import FactsRepr

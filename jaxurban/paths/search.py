@@ -26,7 +26,7 @@ class PathSearch:
         The path's message says how far.
       exposure: most of (1 / l0) x integral of c ds to each layer by its name, in the cost model's units; the cheapest
         path of the grid that keeps them is searched for, with a lower bound (`planners.exposure`).
-      refine: move the waypoints of what the planner found downhill, off the grid (`planners.any_angle`); within what
+      refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
         is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
     """
 

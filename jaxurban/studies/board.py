@@ -20,12 +20,13 @@ from jaxurban.maps.build import build_maps
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.plan import cost_map
-from jaxurban.planners.any_angle import refine, theta_star
+from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar_plus
 from jaxurban.planners.base import Problem
 from jaxurban.planners.corners import corner_bound
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.exposure import within_budgets
+from jaxurban.planners.refine import refine
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.write import save
 from jaxurban.samples.cities import sample_city

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from jaxurban.planners.any_angle import ptp, refine, theta_star
+from jaxurban.planners.any_angle import ptp, theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
+from jaxurban.planners.refine import refine
 from tests.planners.problems import ends_of, graph_cost, open_problem, random_problem
 
 SHAPE = (48, 48)

@@ -16,7 +16,7 @@ import os, sys
 from dataclasses import replace
 import numpy as np
 from jaxurban.planners.compiled_first import _few_cells, _few_points
-from jaxurban.planners.any_angle import refine
+from jaxurban.planners.refine import refine
 from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS
 from jaxurban.planners.simplify import simplify
 from tests.planners.problems import random_problem

@@ -6,12 +6,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import pdist, squareform
 
-from jaxurban.planners.any_angle import ptp, refine, theta_star
+from jaxurban.planners.any_angle import ptp, theta_star
 from jaxurban.planners.astar import astar_plus
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.corners import STRETCH, corner_bound, with_corner_bound
 from jaxurban.planners.cost import CostModel
+from jaxurban.planners.refine import refine
 
 
 def made(seed, shape, free=0.8):

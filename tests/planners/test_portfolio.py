@@ -9,9 +9,9 @@ from scipy.ndimage import gaussian_filter, label
 from shapely import LineString, hausdorff_distance
 
 from jaxurban.errors import InputError
-from jaxurban.planners.any_angle import refine
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.cost import CostModel
+from jaxurban.planners.refine import refine
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.planners.simplify import CLEAR_M, simplify
 from tests.free_space import Obstacles

@@ -7,12 +7,13 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.traversal import crossed_cells
-from jaxurban.planners.any_angle import refine, theta_star
+from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar, volume_astar
 from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar
 from jaxurban.planners.bulk import solve_batched
 from jaxurban.planners.cost import CostModel
+from jaxurban.planners.refine import refine
 from jaxurban.planners.registry import find_planner, solve_many
 from jaxurban.planners.simplify import simplify
 
