@@ -17,7 +17,7 @@ from embreex.rtcore_scene import EmbreeScene
 
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.world.city import Footprints
+from jaxurban.world.footprints import Footprints
 from tests.embree_scene import roof_triangles, wall_triangles
 
 BATCH_RAYS = 200_000

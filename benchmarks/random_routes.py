@@ -41,7 +41,7 @@ from jaxurban.paths.export.write import write_path
 from jaxurban.paths.path import simplify
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.world.city import Footprints
+from jaxurban.world.footprints import Footprints
 from tests.free_space import Obstacles
 
 ALTITUDE_M, LEAST_APART_M, SPEED_M_S, BUDGET_S = 20.0, 300.0, 8.0, 0.3

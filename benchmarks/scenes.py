@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import ROOT
+from jaxurban.io.city import City
 from jaxurban.io.read.city import read_buildings
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
+from jaxurban.samples.synthetic import demo_city_for_bounds
 from jaxurban.settings import Buildings
-from jaxurban.world.city import City
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky
 from jaxurban.world.surface import Surface
-from jaxurban.world.synthetic import demo_city_for_bounds
 
 DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT / ".." / "shared" / "data"))
 OSM, ORBITS = DATA / "osm" / "lower-manhattan.osm.pbf", DATA / "gps" / "gps-ops_2020-04-27.tle"

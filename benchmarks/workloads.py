@@ -30,7 +30,7 @@ import xarray as xr
 from scipy.ndimage import label
 
 import jaxurban as ju
-from jaxurban.world.city import Raster
+from jaxurban.world.raster import Raster
 
 DATA = Path(
     os.environ.get("JAXURBAN_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")

@@ -5,6 +5,7 @@ from jaxurban import studies as studies
 from jaxurban.errors import GuessWarning as GuessWarning
 from jaxurban.errors import InputError as InputError
 from jaxurban.errors import JaxurbanError as JaxurbanError
+from jaxurban.io.city import City as City
 from jaxurban.maps.build import build_maps as build_maps
 from jaxurban.maps.levels import Levels as Levels
 from jaxurban.maps.metric_maps import MetricMaps as MetricMaps
@@ -41,6 +42,7 @@ from jaxurban.paths.when import when as when
 from jaxurban.planners.cost import CostModel as CostModel
 from jaxurban.programs import keep_programs as keep_programs
 from jaxurban.samples.cities import sample_city as sample_city
+from jaxurban.samples.synthetic import demo_city as demo_city
 from jaxurban.settings import Buildings as Buildings
 from jaxurban.settings import Heights as Heights
 from jaxurban.settings import HeightStd as HeightStd
@@ -50,8 +52,6 @@ from jaxurban.settings import Vehicle as Vehicle
 from jaxurban.studies.check import check as check
 from jaxurban.studies.check_result import MissionCheck as MissionCheck
 from jaxurban.viewer.widget import view as view
-from jaxurban.world.city import City as City
 from jaxurban.world.grid import Grid as Grid
-from jaxurban.world.synthetic import demo_city as demo_city
 
 __version__: str

@@ -38,8 +38,8 @@ import geopandas as gpd
 import numpy as np
 
 import jaxurban as ju
+from jaxurban.io.samples import located
 from jaxurban.report.figures import plot_heights, plot_overview
-from jaxurban.samples.catalogue import located
 
 ju.keep_programs()  # what JAX compiles is kept for later sessions
 folder = Path(tempfile.mkdtemp(prefix="my-town-"))

@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
+from jaxurban.io.city import City
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.world.city import SLABS, City, Footprints, Hanging, HeightOrigin, Raster
+from jaxurban.settings import SLABS, Hanging
+from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import Grid
+from jaxurban.world.raster import Raster
 from tests.tiled_runs import sky
 
 CRS, X_M, Y_M, SIDE_M = "EPSG:32618", 583_000.0, 4_507_000.0, 600.0

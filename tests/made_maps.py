@@ -7,8 +7,9 @@ import shapely
 import xarray as xr
 from scipy.ndimage import gaussian_filter
 
+from jaxurban.io.city import City
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.world.city import City, Footprints
+from jaxurban.world.footprints import Footprints
 from jaxurban.world.grid import Grid
 
 FLOWN = ("altitude", "y", "x")

@@ -8,16 +8,17 @@ import numpy as np
 import xarray as xr
 
 from jaxurban.io import store
+from jaxurban.io.city import City
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.run import RunContext, make_zarr
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.progress import Report
-from jaxurban.world.city import City, Raster
+from jaxurban.samples.synthetic import demo_city
 from jaxurban.world.grid import Grid
+from jaxurban.world.raster import Raster
 from jaxurban.world.sky import Sky
-from jaxurban.world.synthetic import demo_city
 
 RESOLUTION_M = 20.0
 RAGGED = (14, 18)  # neither side divides the region's

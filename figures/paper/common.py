@@ -23,13 +23,13 @@ from matplotlib.path import Path as Outline
 
 import jaxurban as ju
 from jaxurban.io.read.census import read_blocks, read_districts
+from jaxurban.io.samples import SAMPLES
 from jaxurban.maps.run import ScenarioRun, run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.report.figures import plot_metric
 from jaxurban.report.write import framed, write_png
-from jaxurban.samples.catalogue import SAMPLES
 from jaxurban.studies.montecarlo.sampling import STRATA, strata_of
-from jaxurban.world.city import Blocks
+from jaxurban.world.blocks import Blocks
 from jaxurban.world.grid import Grid
 
 ROOT = Path(__file__).parents[2]

@@ -20,7 +20,7 @@ from figures.paper.common import (
 from jaxurban.metrics.population import Population, block_layers
 from jaxurban.report.figures.frame import MapPanel, draw_maps, joined
 from jaxurban.report.figures.style import INK, Colours
-from jaxurban.world.city import Blocks
+from jaxurban.world.blocks import Blocks
 from jaxurban.world.grid import Grid
 
 COMMERCIAL, RESIDENTIAL, PARK = (

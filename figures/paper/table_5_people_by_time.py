@@ -7,7 +7,7 @@ import pandas as pd
 
 from figures.paper.common import Caption, manhattan_blocks, needs_island, save_table
 from jaxurban.metrics.population import Population, block_people, day_share
-from jaxurban.world.city import Blocks
+from jaxurban.world.blocks import Blocks
 
 MOSS = {
     "weekday-12": 3.94,

@@ -14,7 +14,7 @@ from figures.paper.common import (
     save_table,
 )
 from jaxurban.metrics.population import Population, block_people, day_share
-from jaxurban.world.city import Blocks, Zoning
+from jaxurban.world.blocks import Blocks, Zoning
 
 NEIGHBOURHOODS = {  # the paper's names
     1: "Financial District, Civic Center",

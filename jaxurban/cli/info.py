@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import JSON_FLAG, PATH, print_json
-from jaxurban.samples.catalogue import located
+from jaxurban.io.samples import located
 
 
 @click.command()
@@ -72,10 +72,11 @@ def _bounds_of(grid: Any) -> list[float]:
 
 def _of_file(file: Path) -> tuple[Facts, Facts]:
     """Return what to print of a file of buildings or a raster, and the same as numbers."""
+    from jaxurban.io.city import City
     from jaxurban.io.read.city import lonlat_extent
     from jaxurban.io.read.raster import RASTER_SUFFIXES, read_raster
     from jaxurban.settings import Buildings
-    from jaxurban.world.city import City, HeightOrigin
+    from jaxurban.world.footprints import HeightOrigin
     from jaxurban.world.grid import WGS84
 
     bounds = [round(value, 6) for value in lonlat_extent(file)]

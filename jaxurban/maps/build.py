@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 
 from jaxurban.checks import positive, typed
 from jaxurban.errors import InputError
+from jaxurban.io.city import City
 from jaxurban.io.read.guesses import Guesses, nominal_guess, time_guess, warn_of
 from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.io.read.rasterise import bands_of
@@ -39,8 +40,7 @@ from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.progress import Progress, Stage, Stopwatch, reporting
-from jaxurban.settings import Heights
-from jaxurban.world.city import SLABS, City
+from jaxurban.settings import SLABS, Heights
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky
 from jaxurban.world.surface import Surface, obstacle_mask

@@ -11,6 +11,7 @@ from jaxtyping import Array, DTypeLike, Float, Int
 
 from jaxurban.checks import one_of, typed
 from jaxurban.errors import GuessWarning, InputError, warn
+from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import building_index
 from jaxurban.maps.build import check_region, view_sky
 from jaxurban.maps.task import MapParams, MapTask
@@ -23,7 +24,7 @@ from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.base import Problem
 from jaxurban.planners.cost import CostModel
-from jaxurban.world.city import SLABS, TO_GROUND, City
+from jaxurban.settings import SLABS, TO_GROUND
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 

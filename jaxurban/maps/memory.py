@@ -18,7 +18,7 @@ from jaxurban.kernels.lidar.hard import WORD_BITS, num_steps
 from jaxurban.maps.task import MapTask, variables
 from jaxurban.metrics.base import TIME
 from jaxurban.progress import LOG
-from jaxurban.world.city import SLABS
+from jaxurban.settings import SLABS
 from jaxurban.world.grid import MAX_SIDE, Grid, tile_shape
 
 UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}

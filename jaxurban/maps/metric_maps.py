@@ -13,11 +13,11 @@ import xarray as xr
 
 from jaxurban.checks import finite, typed
 from jaxurban.errors import InputError, warn
+from jaxurban.io.samples import BASE_MAP_FILE
 from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.progress import LOG
 from jaxurban.public import Caution, FactsRepr, caution_of_guesses, listed
-from jaxurban.samples.catalogue import BASE_MAP_FILE
 from jaxurban.settings import Obstacles, Planning, iso_utc
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import stands_at

@@ -14,16 +14,17 @@ import rasterio
 import shapely
 
 from jaxurban.errors import readable
+from jaxurban.io.city import City
 from jaxurban.io.files import digest_of, read_json, write_json
-from jaxurban.io.read.guesses import leaving_shares
+from jaxurban.io.samples import located
 from jaxurban.io.store import RUN_FILE, short_number
+from jaxurban.maps.guesses import leaving_shares
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.population import FILES, Population
 from jaxurban.progress import LOG
-from jaxurban.samples.catalogue import located
 from jaxurban.settings import NOMINAL, as_tuple
-from jaxurban.world.city import Blocks, City, Zoning
+from jaxurban.world.blocks import Blocks, Zoning
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky
 

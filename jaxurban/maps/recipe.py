@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, layer_values
 from jaxurban.kernels.shadows.sweep import Ring
 from jaxurban.maps.task import MapTask, variables
@@ -26,8 +27,8 @@ from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.variables import SCALE, TimeTotals, series_statistics
 from jaxurban.metrics.visibility import bounding_visibility, visibility
 from jaxurban.progress import Stage
-from jaxurban.settings import HeightStd
-from jaxurban.world.city import TO_GROUND, City, HeightOrigin
+from jaxurban.settings import TO_GROUND, HeightStd
+from jaxurban.world.footprints import HeightOrigin
 from jaxurban.world.surface import Surface, obstacles_on, region_roofs
 
 

@@ -17,12 +17,14 @@ import jax
 
 from jaxurban.errors import InputError
 from jaxurban.io import store
+from jaxurban.io.city import City
 from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, sweep_scraps
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
 from jaxurban.io.read.base_map import base_map_source, save_base_map
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import bands_of, check_has_data, rasterise
+from jaxurban.io.samples import BASE_MAP_FILE
 from jaxurban.io.store import stored_key
 from jaxurban.io.workspace import Workspace
 from jaxurban.kernels.engine import warn_of_jax
@@ -38,11 +40,9 @@ from jaxurban.metrics.population import FILES
 from jaxurban.metrics.variables import TimeTotals
 from jaxurban.programs import pass_over_unreadable
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
-from jaxurban.samples.catalogue import BASE_MAP_FILE
+from jaxurban.samples.synthetic import demo_city_for_bounds
 from jaxurban.settings import NOMINAL, as_tuple
-from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
-from jaxurban.world.synthetic import demo_city_for_bounds
 
 
 @dataclass(frozen=True)

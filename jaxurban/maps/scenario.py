@@ -25,6 +25,7 @@ from pydantic import (
 
 from jaxurban.checks import at_least, check_range, nearest_name, positive, typed
 from jaxurban.errors import GuessWarning, InputError, readable, warn
+from jaxurban.io.samples import filled, is_sample, located
 from jaxurban.kernels.engine import Engine
 from jaxurban.maps.task import MapParams
 from jaxurban.metrics.custom import Layer, check_layers, known_beside
@@ -37,7 +38,6 @@ from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.registry import find_planner
 from jaxurban.public import present_name
-from jaxurban.samples.catalogue import filled, is_sample, located
 from jaxurban.settings import Buildings, CostKind, Planning, Terrain, Vehicle, as_tuple, iso_utc
 from jaxurban.world.grid import Bounds, check_bounds, projected_crs
 
@@ -342,7 +342,7 @@ class Scenario(BaseModel):
     def path_of(self, name: str | Path) -> Path:
         """Return the path that a setting names, relative ones taken from the scenario's folder.
 
-        The names of files of sample cities stay as they are: `jaxurban.samples.catalogue.located` says where they lie.
+        The names of files of sample cities stay as they are: `jaxurban.io.samples.located` says where they lie.
 
         Returns:
           The path; that of a scenario without a folder is relative to the current one.

@@ -4,13 +4,13 @@ from contextlib import suppress
 from pathlib import Path
 
 from jaxurban.errors import InputError
+from jaxurban.io.city import City
 from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE, settings_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs
 from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
-from jaxurban.world.city import City
 
 CityLike = City | MetricMaps | str | Path
 

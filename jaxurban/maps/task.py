@@ -15,10 +15,12 @@ from xarray.indexes import PandasIndex
 
 from jaxurban.checks import at_least, typed
 from jaxurban.errors import InputError
-from jaxurban.io.read.guesses import Guesses, has_guessed_roofs, region_guesses
+from jaxurban.io.city import City, joined_credits
+from jaxurban.io.read.guesses import Guesses
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.engine import Engine, uses_numba
 from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS
+from jaxurban.maps.guesses import has_guessed_roofs, region_guesses
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Variable
 from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.gps import Gps
@@ -26,9 +28,9 @@ from jaxurban.metrics.population import BlockLayers, Population, block_layers
 from jaxurban.metrics.registry import checked_sections
 from jaxurban.metrics.variables import AUXILIARY_VARIABLES, CAVEAT, TimeTotals, derived
 from jaxurban.metrics.visibility import shadow_reach_m
-from jaxurban.settings import Heights
-from jaxurban.world.city import SLABS, City, Raster, joined_credits
+from jaxurban.settings import SLABS, Heights
 from jaxurban.world.grid import Grid
+from jaxurban.world.raster import Raster
 from jaxurban.world.sky import InView, Sky
 from jaxurban.world.surface import Surface
 

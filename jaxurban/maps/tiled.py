@@ -22,7 +22,7 @@ from jaxurban.maps.recipe import TileScene, tile_maps
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.visibility import ringed_lines
 from jaxurban.progress import Stopwatch
-from jaxurban.world.city import SLABS
+from jaxurban.settings import SLABS
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Slabs, Surface
 

@@ -14,7 +14,7 @@ from jaxurban.world.surface import Surface
 
 if TYPE_CHECKING:
     from jaxurban.metrics.visibility import SkyView
-    from jaxurban.world.city import Blocks
+    from jaxurban.world.blocks import Blocks
 
 AnyArray = Array | np.ndarray
 ALTITUDE, TIME, TIME_OF_DAY = "altitude", "time", "time_of_day"

@@ -26,7 +26,7 @@ from jaxurban.metrics.base import (
 )
 from jaxurban.metrics.settings import check_value, differentiable, is_known
 from jaxurban.settings import as_tuple
-from jaxurban.world.city import Blocks, Zoning
+from jaxurban.world.blocks import Blocks, Zoning
 from jaxurban.world.grid import Bounds
 from jaxurban.world.surface import Surface
 
@@ -228,7 +228,7 @@ class BlockPopulation(NamedTuple):
     Attributes:
       night_count: ``[N]`` people by the census.
       area_m2: ``[N]`` area.
-      zoning: ``[N]`` a `jaxurban.world.city.Zoning` each.
+      zoning: ``[N]`` a `jaxurban.world.blocks.Zoning` each.
       in_region: ``[M]`` index of the blocks that touch the region.
       day_count: ``[N]`` people by day; None where factors make them of the night's.
     """

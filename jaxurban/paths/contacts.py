@@ -7,11 +7,12 @@ import pandas as pd
 import shapely
 
 from jaxurban.errors import InputError
+from jaxurban.io.city import City
 from jaxurban.io.read.zone import cell_boxes
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.legs import Steps, ground_at
 from jaxurban.paths.profile import GUESSED, TOUCHED
-from jaxurban.world.city import SLABS, City
+from jaxurban.settings import SLABS
 
 TOUCH_M = 0.01  # stretches so near along a mission are one
 DOT_M = 1e-6  # length that a step straight up or down has in plan

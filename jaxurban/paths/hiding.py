@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import UNKNOWN_GROUND_M, highest_top_m
 from jaxurban.io.read.sampling import values_at
-from jaxurban.world.city import City
 from jaxurban.world.grid import WGS84, transformer
-from jaxurban.world.known import Rays, known_ground
+from jaxurban.world.known import Rays
 from jaxurban.world.outline_rays import FARTHEST_MARGIN_M, Outlines
 
 GROUND_STEP_M, ROOF_STEP_M = 5.0, 1.0  # between samples of terrain, and of a raster of roofs
@@ -100,7 +100,7 @@ class Hiding:
           altitude_m: ``[R]`` of their places above the ground.
         """
         rise_m = self.rise_m(altitude_m)
-        inside = np.flatnonzero(rays.stays_within(known_ground(self.city), rise_m))
+        inside = np.flatnonzero(rays.stays_within(self.city.known_ground, rise_m))
         inner = rays.take(inside)
         height_m = self.known_ground_at(inner.x_m, inner.y_m) + altitude_m[inside]
         num = len(inside)
@@ -160,7 +160,7 @@ class Hiding:
             slope[ray] = np.fmax(slope[ray], _slope(above_m, np.full(len(ray), distance_m)))
             gap_m[ray] = np.fmin(gap_m[ray], np.where(np.isnan(above_m), distance_m, np.inf))
         along = replace(rays, elevation_rad=np.arctan(slope))
-        is_known = along.stays_within(known_ground(self.city), rise_m) & (gap_m * slope > rise_m)
+        is_known = along.stays_within(self.city.known_ground, rise_m) & (gap_m * slope > rise_m)
         return np.where(is_known, np.degrees(along.elevation_rad), np.nan)
 
 

@@ -13,6 +13,7 @@ import shapely
 from numpy.typing import ArrayLike
 
 from jaxurban.errors import InputError
+from jaxurban.io.city import City
 from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.maps.build import region_of, view_sky
 from jaxurban.maps.metric_maps import MetricMaps
@@ -26,9 +27,8 @@ from jaxurban.paths.snapping import XY, Point, one_place
 from jaxurban.progress import Report
 from jaxurban.public import Caution, caution_of_guesses, listed
 from jaxurban.settings import NOMINAL, as_tuple
-from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
-from jaxurban.world.known import Rays, known_ground
+from jaxurban.world.known import Rays
 
 By = Literal["outlines", "map"]
 SEEN, HIDDEN, UNKNOWN = "seen", "hidden", "unknown"
@@ -221,7 +221,7 @@ def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caut
                 f"terrain{counted}."
             )
         )
-    is_inside = shapely.intersects_xy(known_ground(sight.city), *xy_m)
+    is_inside = shapely.intersects_xy(sight.city.known_ground, *xy_m)
     places = {
         "outside what is known of the city": np.broadcast_to(~is_inside, num),
         "in a building, where all that is known is hidden": ~look.is_outdoors,

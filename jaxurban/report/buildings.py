@@ -14,7 +14,9 @@ from matplotlib.figure import Figure
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
+from jaxurban.io.city import City
 from jaxurban.io.files import read_json
+from jaxurban.io.samples import located
 from jaxurban.io.store import RUN_FILE
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.differentiable import SoftParams, soften
@@ -35,9 +37,7 @@ from jaxurban.report.figures.frame import (
 from jaxurban.report.figures.paths import draw_ends
 from jaxurban.report.figures.style import Colours
 from jaxurban.report.write import save
-from jaxurban.samples.catalogue import located
 from jaxurban.studies.weights.buildings import building_costs
-from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 
 ROUTE_COLOUR, LAND_COLOUR = "#111111", "#d9d9d9"

@@ -13,6 +13,7 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.base_map import base_map_source, land_cover_in
 from jaxurban.io.read.osm import OSM_SUFFIXES, read_land_cover
+from jaxurban.io.samples import is_sample
 from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
@@ -24,7 +25,7 @@ from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.sensitivity_study import weights_said
 from jaxurban.report.write import Output, fill, listed, study_outputs
-from jaxurban.samples.catalogue import is_sample
+from jaxurban.samples.synthetic import demo_cover_for_bounds
 from jaxurban.settings import CostKind, Preset
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
@@ -40,9 +41,8 @@ from jaxurban.studies.montecarlo.sampling import (
 )
 from jaxurban.studies.montecarlo.trial import Benchmark, free_cell, row_columns
 from jaxurban.studies.queries import Result
-from jaxurban.world.city import LandCover
 from jaxurban.world.grid import Grid
-from jaxurban.world.synthetic import demo_cover_for_bounds
+from jaxurban.world.land_cover import LandCover
 
 
 @dataclass(frozen=True, eq=False, repr=False)

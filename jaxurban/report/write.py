@@ -13,9 +13,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from jaxurban.io.city import joined_credits
 from jaxurban.io.files import whole_file, write_whole
 from jaxurban.io.tables import SUFFIXES, write_table
-from jaxurban.world.city import joined_credits
 
 REPORT_FILE = "report.md"
 DPI, NUM_COLOURS = 110, 256

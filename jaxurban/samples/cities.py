@@ -1,8 +1,8 @@
 """sample_city: a real city that is in the package."""
 
 from jaxurban.checks import typed
-from jaxurban.samples.catalogue import PREFIX, check_sample
-from jaxurban.world.city import City
+from jaxurban.io.city import City
+from jaxurban.io.samples import PREFIX, check_sample
 
 
 @typed

@@ -24,8 +24,8 @@ from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.nominal import GALILEO, GPS, MARK, Constellation, nominal_satellites
 from jaxurban.io.read.osm import OSM_CREDIT, TAGS, header_box, read_osm
 from jaxurban.io.read.receiver import read_receiver_log
+from jaxurban.io.samples import BASE_MAP_FILE, BUILDINGS_FILE, LOG_FILE, SAMPLES
 from jaxurban.metrics.population import Population
-from jaxurban.samples.catalogue import BASE_MAP_FILE, BUILDINGS_FILE, LOG_FILE, SAMPLES
 from jaxurban.world.grid import WGS84, Bounds, transformer, utm_crs
 
 HERE = Path(__file__).parent

@@ -30,8 +30,8 @@ from jaxurban.planners.refine import refine
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.write import save
 from jaxurban.samples.cities import sample_city
+from jaxurban.samples.synthetic import demo_city
 from jaxurban.studies.montecarlo.sampling import sample_joined
-from jaxurban.world.synthetic import demo_city
 
 QUERIES, DEMONSTRATIONS, CHECKSUMS = "queries.csv", "demonstrations.csv", "CHECKSUMS"
 TEXTS = {"README.md": "report/templates/board.md", "CITATION.cff": "report/templates/board.cff"}

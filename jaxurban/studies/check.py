@@ -11,6 +11,7 @@ import shapely
 
 from jaxurban.checks import positive, typed
 from jaxurban.errors import InputError
+from jaxurban.io.city import City
 from jaxurban.io.read.guesses import WITHOUT_DATA
 from jaxurban.io.read.mission import Datum, Mission, read_mission
 from jaxurban.io.read.mission_parts import LonLat
@@ -25,8 +26,6 @@ from jaxurban.paths.legs import flight_of
 from jaxurban.paths.plan import rules_on
 from jaxurban.settings import as_tuple, iso_utc, not_negative, parse_time
 from jaxurban.studies.check_result import MissionCheck
-from jaxurban.world.city import City
-from jaxurban.world.known import known_ground
 
 
 @typed
@@ -125,7 +124,7 @@ def check(
     )
 
     city, outlines = _city_of(maps, sources)
-    known = shapely.box(*maps.grid.bounds_m) if city is None else known_ground(city)
+    known = shapely.box(*maps.grid.bounds_m) if city is None else city.known_ground
     flight = flight_of(mission, maps, geoid_m)
     findings, unknown = judged(
         flight, maps, buildings_of(maps, city), known, limits, times, time_of_day

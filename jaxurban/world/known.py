@@ -5,15 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 
-from jaxurban.world.city import City
-
-
-def known_ground(city: City) -> shapely.Geometry:
-    """Return where a city's buildings and, where it has any, its terrain are known, in the city's CRS."""
-    if city.terrain_extent_m is None:
-        return city.known_area
-    return shapely.intersection(city.known_area, shapely.box(*city.terrain_extent_m))
-
 
 def stays_within(
     known: shapely.Geometry,

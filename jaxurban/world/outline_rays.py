@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from jaxurban.world.city import SLABS, Footprints, Hanging
+from jaxurban.settings import SLABS, Hanging
+from jaxurban.world.footprints import Footprints
 from jaxurban.world.known import Rays
 
 NO_HIT = -1  # in an array of numbers of buildings

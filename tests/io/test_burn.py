@@ -13,13 +13,15 @@ from rasterio.features import rasterize
 from scipy.ndimage import label
 
 import jaxurban as ju
+from jaxurban.io.city import City
 from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.outlines import polygonal, to_buildings
 from jaxurban.io.read.rasterise import build_surface, burn, rasterise
 from jaxurban.io.read.zone import cell_boxes, touched_cells
 from jaxurban.metrics.visibility import visibility
-from jaxurban.world.city import SLABS, TO_GROUND, City, HeightOrigin
+from jaxurban.settings import SLABS, TO_GROUND
+from jaxurban.world.footprints import HeightOrigin
 from jaxurban.world.surface import PER_CELL, obstacles_on
 from tests.hanging_city import CRS, DECK, SIDE_M, X_M, Y_M, city
 from tests.io.made_files import line, osm, write_vector

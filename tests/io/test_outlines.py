@@ -10,7 +10,7 @@ import jaxurban as ju
 from jaxurban.io.read.heights import is_given, parse_count, parse_length_m
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.outlines import Outlines, to_buildings
-from jaxurban.world.city import HeightOrigin
+from jaxurban.world.footprints import HeightOrigin
 from tests.io.made_files import (
     LAT,
     LON,

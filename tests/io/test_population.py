@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxurban as ju
+from jaxurban.io.city import City
 from jaxurban.io.read.census import (
     clean_polygons,
     largest_overlap,
@@ -20,7 +21,8 @@ from jaxurban.io.read.census import (
 )
 from jaxurban.maps.provenance import population_totals
 from jaxurban.metrics.population import block_layers
-from jaxurban.world.city import OTHER_DISTRICT, City, Footprints, Zoning
+from jaxurban.world.blocks import OTHER_DISTRICT, Zoning
+from jaxurban.world.footprints import Footprints
 from jaxurban.world.grid import Grid, transformer
 from tests.io.made_files import UTM, WGS84, X, Y, box, north_up, write_raster, write_vector
 

@@ -11,6 +11,7 @@ from affine import Affine
 from rasterio.errors import NotGeoreferencedWarning
 
 import jaxurban as ju
+from jaxurban.io.city import City
 from jaxurban.io.read.raster import (
     check_is_no_surface,
     heights_of_surface,
@@ -18,7 +19,7 @@ from jaxurban.io.read.raster import (
     read_raster,
 )
 from jaxurban.io.read.sampling import heights_above, resample_raster
-from jaxurban.world.city import City, Raster
+from jaxurban.world.raster import Raster
 from tests.io.made_files import FEET, UTM, X, Y, north_up, write_raster
 
 ELSEWHERE = "EPSG:32617"

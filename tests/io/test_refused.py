@@ -19,7 +19,7 @@ from jaxurban.io.read.osm import read_land_cover, read_osm
 from jaxurban.io.read.raster import raster_extent_m, read_raster
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.io.read.vector import open_layers, read_vector
-from jaxurban.world.city import SLABS
+from jaxurban.settings import SLABS
 from tests.io.made_files import (
     FEET,
     SQUARE,

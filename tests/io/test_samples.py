@@ -19,10 +19,10 @@ from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.io.read.nominal import GALILEO, GPS
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.io.read.receiver import ReceiverLog, read_receiver_log
+from jaxurban.io.samples import SAMPLES, located, log_of
 from jaxurban.maps.run import load_city, run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.samples import cities, make
-from jaxurban.samples.catalogue import SAMPLES, located, log_of
 from jaxurban.world.grid import WGS84, transformer
 from tests.io.test_orbits import places_of, separation_deg
 

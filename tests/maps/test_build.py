@@ -14,7 +14,7 @@ from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.registry import ON_REQUEST
-from jaxurban.world.city import SLABS, TO_GROUND
+from jaxurban.settings import SLABS, TO_GROUND
 from tests.made_maps import city_of_boxes
 
 

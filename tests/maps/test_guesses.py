@@ -11,15 +11,17 @@ from matplotlib.text import Text
 
 import jaxurban as ju
 from jaxurban.errors import GuessWarning
-from jaxurban.io.read.guesses import FLAT_GROUND, has_guessed_roofs, leaving_shares
+from jaxurban.io.city import City
+from jaxurban.io.read.guesses import FLAT_GROUND
 from jaxurban.io.read.rasterise import build_surface, burn
 from jaxurban.maps.build import view_sky
+from jaxurban.maps.guesses import has_guessed_roofs, leaving_shares
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.population import Population
 from jaxurban.report import figures as plotting
-from jaxurban.world.city import Blocks, City, Zoning
+from jaxurban.world.blocks import Blocks, Zoning
 from jaxurban.world.grid import Grid, transformer
 from tests.cli_runs import run
 from tests.io.made_files import UTM, WGS84, X, Y, box, north_up, write_raster, write_vector

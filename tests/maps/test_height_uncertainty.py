@@ -11,8 +11,9 @@ from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.recipe import HeightStd, Spread, perturbed_cities
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.world.city import HeightOrigin, Raster
+from jaxurban.world.footprints import HeightOrigin
 from jaxurban.world.grid import Grid
+from jaxurban.world.raster import Raster
 from tests.made_maps import city_of_boxes
 
 X0, Y0, UTM = 500_000.0, 4_500_000.0, "EPSG:32618"

@@ -36,7 +36,7 @@ from jaxurban.maps.run import RunContext, make_zarr
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.progress import Report
-from jaxurban.world.city import Raster
+from jaxurban.world.raster import Raster
 from jaxurban.world.sky import Sky
 from tests import tiled_runs
 from tests.io.made_files import WGS84, write_raster, write_vector

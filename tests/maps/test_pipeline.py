@@ -22,8 +22,9 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.planners.envelope import planned_cost
-from jaxurban.world.city import Raster, Zoning
+from jaxurban.world.blocks import Zoning
 from jaxurban.world.grid import Grid
+from jaxurban.world.raster import Raster
 from tests import hanging_city
 from tests.metrics.soft.scene import (
     ALTITUDE_M,

@@ -12,8 +12,7 @@ from jaxurban.metrics.base import UNDERSIDE
 from jaxurban.metrics.custom import Layer
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.risk import Risk, compute_risk
-from jaxurban.settings import Heights
-from jaxurban.world.city import TO_GROUND
+from jaxurban.settings import TO_GROUND, Heights
 from jaxurban.world.surface import Surface
 from tests.hanging_city import DECK_FLOOR_M, DECK_TOP_M, PARAMS, RESOLUTION_M, city, task
 

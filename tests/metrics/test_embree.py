@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 import shapely
 
+from jaxurban.io.city import City
 from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
 from jaxurban.metrics.visibility import bounding_visibility, shadow_reach_m, visibility
-from jaxurban.settings import Buildings
-from jaxurban.world.city import SLABS, City, Footprints
+from jaxurban.settings import SLABS, Buildings
+from jaxurban.world.footprints import Footprints
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky
 from jaxurban.world.surface import Surface, obstacles_on

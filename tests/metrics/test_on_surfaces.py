@@ -23,7 +23,7 @@ from jaxurban.metrics.population import (
 )
 from jaxurban.metrics.risk import Risk, compute_risk, halo_cells
 from jaxurban.metrics.variables import SCALE, TimeTotals, series_statistics
-from jaxurban.world.city import Blocks, Zoning
+from jaxurban.world.blocks import Blocks, Zoning
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface, obstacle_mask, soft_obstacle
 from tests.metrics.soft.scene import check_gradient

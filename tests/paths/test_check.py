@@ -12,10 +12,11 @@ import xarray as xr
 from scipy.interpolate import RegularGridInterpolator
 
 import jaxurban as ju
+from jaxurban.io.city import City
 from jaxurban.io.read.mission import Leg, Mission, Place
 from jaxurban.io.read.zone import Zone
 from jaxurban.settings import parse_time
-from jaxurban.world.city import City, Footprints, HeightOrigin
+from jaxurban.world.footprints import Footprints, HeightOrigin
 from tests.made_maps import made_maps
 from tests.paths.volumes import ends_at
 

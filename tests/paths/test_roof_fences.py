@@ -7,11 +7,12 @@ import pytest
 import shapely
 
 import jaxurban as ju
+from jaxurban.io.city import City
 from jaxurban.io.read.zone import Zone, cell_boxes
 from jaxurban.maps import sources
 from jaxurban.paths.export.roof_fences import MOST_VERTICES, roof_fences
 from jaxurban.paths.export.write import write_path
-from jaxurban.world.city import City, Footprints, HeightOrigin
+from jaxurban.world.footprints import Footprints, HeightOrigin
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 from tests.mavlink import EXCLUSION, mission_reader

@@ -14,8 +14,8 @@ from jaxurban.maps.build import region_of
 from jaxurban.paths.sight import Sight
 from jaxurban.paths.sky import sky_from
 from jaxurban.report.figures.sky import plot_sky
-from jaxurban.world.city import Footprints, Raster
-from jaxurban.world.known import known_ground
+from jaxurban.world.footprints import Footprints
+from jaxurban.world.raster import Raster
 from tests.embree_scene import CityScene
 
 CRS, X_M, Y_M, SIDE_M = "EPSG:32618", 583_000.0, 4_507_000.0, 2000.0
@@ -112,7 +112,7 @@ def test_what_is_unknown_follows_from_place_and_direction_alone():
     ends = shapely.points(
         at_edge.x_m + run_m * np.sin(azimuth), at_edge.y_m + run_m * np.cos(azimuth)
     )
-    np.testing.assert_array_equal(is_unknown, ~shapely.covers(known_ground(city()), ends))
+    np.testing.assert_array_equal(is_unknown, ~shapely.covers(city().known_ground, ends))
     outside = ju.sky(city(), ju.XY(X_M - 50.0, Y_M), 20.0, gps=GPS)
     assert set(outside.table["state"]) == {"unknown"}
     assert np.isinf(outside.dops["hdop"]).all()

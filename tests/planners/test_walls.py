@@ -11,7 +11,7 @@ from jaxurban.io.read.rasterise import rasterise
 from jaxurban.maps.metric_maps import Obstacles
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.world.city import Footprints
+from jaxurban.world.footprints import Footprints
 from tests.made_maps import made_maps
 
 SIDE = 40  # cells of the region

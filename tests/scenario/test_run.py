@@ -17,7 +17,7 @@ from jaxurban.io.store import settings_of
 from jaxurban.maps import provenance as record
 from jaxurban.maps import run as pipeline
 from jaxurban.maps.scenario import Scenario
-from jaxurban.world.city import Raster
+from jaxurban.world.raster import Raster
 from tests.cli_runs import TOWN, run, write_city
 from tests.made_maps import city_of_boxes, made_maps
 from tests.tiled_runs import files_of

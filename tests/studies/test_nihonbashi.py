@@ -10,8 +10,8 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.io.read.rinex import Messages, read_track
+from jaxurban.io.samples import located
 from jaxurban.maps.run import load_city
-from jaxurban.samples.catalogue import located
 from jaxurban.studies.receiver import displaced
 from jaxurban.studies.receiver.agreement import headings_rad
 from jaxurban.studies.receiver.prediction import region_of

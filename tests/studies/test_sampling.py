@@ -10,7 +10,7 @@ from jaxurban.io.tables import write_table
 from jaxurban.metrics.weights import Weights
 from jaxurban.studies.montecarlo import sampling
 from jaxurban.studies.montecarlo.sampling import STRATA, read_instances, sample_instances, strata_of
-from jaxurban.world.city import LandCover
+from jaxurban.world.land_cover import LandCover
 from tests.made_maps import made_maps
 
 

@@ -5,7 +5,8 @@ import pytest
 import shapely
 
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.world.city import SLABS, TO_GROUND, Footprints
+from jaxurban.settings import SLABS, TO_GROUND
+from jaxurban.world.footprints import Footprints
 from jaxurban.world.known import Rays
 from jaxurban.world.outline_rays import FARTHEST_MARGIN_M, NO_HIT, Outlines
 from tests.embree_scene import CityScene

@@ -22,10 +22,10 @@ from jaxurban.io.read.osm import (
     runs_of,
     sea,
 )
+from jaxurban.io.samples import BASE_MAP_FILE, is_sample, located
 from jaxurban.io.workspace import Workspace
-from jaxurban.samples.catalogue import BASE_MAP_FILE, is_sample, located
-from jaxurban.world.city import LandCover
 from jaxurban.world.grid import WGS84, Bounds
+from jaxurban.world.land_cover import LandCover
 
 KINDS = (
     "water",

@@ -12,12 +12,13 @@ import shapely
 
 from jaxurban.checks import nearest_name
 from jaxurban.errors import InputError, readable
+from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.raster import RASTER_SUFFIXES, read_bands
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.vector import open_frame
 from jaxurban.metrics.population import Population
-from jaxurban.world.city import OTHER_DISTRICT, Blocks, ReadIssue, ReadIssues, Zoning
+from jaxurban.world.blocks import OTHER_DISTRICT, Blocks, Zoning
 from jaxurban.world.grid import Bounds, projected_crs, transformer
 
 # Names of the column of total population, the first found wins, case ignored: 2010 SF1 (data.census.gov, American

@@ -17,8 +17,10 @@ import shapely
 
 from jaxurban import settings
 from jaxurban.errors import GuessWarning, InputError, warn
+from jaxurban.io.city import City, joined_credits
 from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.guesses import FLAT_GROUND, census_guesses, height_guesses, warn_of
+from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.osm import OSM_SUFFIXES, format_of, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets, to_buildings
 from jaxurban.io.read.raster import (
@@ -31,11 +33,11 @@ from jaxurban.io.read.raster import (
 )
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
+from jaxurban.io.samples import SAMPLES, located, sample_name
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES, Population
-from jaxurban.samples.catalogue import SAMPLES, located, sample_name
 from jaxurban.settings import MAX_HEIGHT_M, SLABS
-from jaxurban.world.city import MAIN_SHARE, City, Raster, ReadIssue, joined_credits, main_bounds
+from jaxurban.world.extent import MAIN_SHARE, main_bounds
 from jaxurban.world.grid import (
     WGS84,
     Bounds,
@@ -45,6 +47,7 @@ from jaxurban.world.grid import (
     utm_crs,
     where_it_lies,
 )
+from jaxurban.world.raster import Raster
 
 OutlineReader = Callable[[Path, Near | None, bool], Outlines]
 OUTLINE_READERS: dict[str, OutlineReader] = {

@@ -1,10 +1,9 @@
 """Guesses: what maps rest on that their files do not say, each under a short name (for pictures) as one sentence.
 
 They are written down where they are made: on the `City` by what reads it, on the `Sky` by what sets it up, and by
-`region_guesses` what a region's maps add. The maps hold all (`MetricMaps.guesses`), and each is warned of once.
+`jaxurban.maps.guesses` what a region's maps add. The maps hold all (`MetricMaps.guesses`), and each is warned of once.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,24 +13,11 @@ import shapely
 from jaxurban import settings
 from jaxurban.errors import GuessWarning, warn
 from jaxurban.io.read.heights import LAYER_CLEARANCE_M
-from jaxurban.io.read.rasterise import highest_top_m
-from jaxurban.io.read.sampling import pixel_xy
-from jaxurban.metrics.population import BlockLayers, Population, region_blocks
-from jaxurban.world.city import (
-    GUESSED_BY,
-    SLABS,
-    Blocks,
-    City,
-    Footprints,
-    Raster,
-    ReadIssue,
-    ReadIssues,
-    lonlat_boxes,
-    rounded_outward,
-)
-from jaxurban.world.grid import WGS84, Bounds, Grid, transformer
-from jaxurban.world.known import known_ground, stays_within
-from jaxurban.world.sky import Sky
+from jaxurban.io.read.issues import ReadIssue, ReadIssues
+from jaxurban.metrics.population import Population
+from jaxurban.world.blocks import Blocks
+from jaxurban.world.footprints import GUESSED_BY, Footprints
+from jaxurban.world.grid import Bounds
 
 Guesses = dict[str, str]
 
@@ -39,18 +25,10 @@ FLAT_GROUND = {
     "flat ground": "no terrain is given, so the ground is taken as flat: heights and shadows are wrong where it is "
     "not; name an elevation raster in [terrain] source"
 }
-EMPTY_SHARE = 0.10  # of the region without a census block (rivers and the sea often have none), of a layer's pixels
-SCALE_M, SCALE_SHARE = (
-    1 / 3,
-    0.01,
-)  # no more than this share of inhabited blocks above this m: few set the scale
-MOST_RAYS = 200_000  # followed to tell how many leave the data: a second or so
-SIDE_POINTS = 32  # along each side of a raster's outline, which another CRS bends
 NOMINAL_SKY, ELEMENTS_TIME = "nominal satellites", "time of the elements"
 BEYOND_DATA = "lines of sight to satellites leave the data"
-EDGE_M = 20.0  # that snapping to the cells of any usual resolution adds to bounds, at each side
 WITHOUT_DATA = "the region without data"  # of which the share is said
-TOLD_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less
+LEAST_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less
 
 
 def warn_of(guesses: Mapping[str, str], known: Mapping[str, str] | None = None) -> None:
@@ -65,7 +43,7 @@ def percent(share: float) -> str:
     return "< 1 %" if 0 < share < 0.01 else "> 99 %" if 0.99 < share < 1 else f"{100 * share:.0f} %"
 
 
-def _of_share(share: float, name: str, sentence: str, least: float = TOLD_SHARE) -> Guesses:
+def share_guess(share: float, name: str, sentence: str, least: float = LEAST_SHARE) -> Guesses:
     """Return the guess on a share of something, which begins its name and its sentence; none up to ``least``."""
     return (
         {f"{percent(share)} of {name}": f"{percent(share)} of {sentence}"} if share > least else {}
@@ -90,7 +68,7 @@ def height_guesses(
     numbers = vars(file) | {"layer_clearance_m": LAYER_CLEARANCE_M}
     counts = {words: int((inside.origin == origin).sum()) for origin, words in GUESSED_BY.items()}
     how = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
-    return _of_share(
+    return share_guess(
         guessed_share(buildings, bounds_m),
         "heights",
         f"the heights of the {len(inside):,} buildings in the region are guessed ({how}): give a source with heights, "
@@ -150,11 +128,6 @@ def is_of_people(name: str) -> bool:
     return name.endswith(words)
 
 
-def has_guessed_roofs(city: City, region: Grid) -> bool:
-    """Return whether the height of any building in a region is guessed."""
-    return city.buildings is not None and guessed_share(city.buildings, region.bounds_m) > 0
-
-
 def time_guess(time: str) -> Guesses:
     """Return that a sky stands at its elements' own time."""
     return {
@@ -173,186 +146,3 @@ def nominal_guess(systems: Sequence[str], times: Sequence[str], is_papers: bool)
         NOMINAL_SKY: f"the {names} satellites are nominal ones at {when}, not the real ones: name a file of elements "
         "in [gps] orbits"
     }
-
-
-def region_guesses(
-    city: City,
-    region: Grid,
-    sky: Sky,
-    altitude_m: float,
-    bands: Mapping[str, Sequence[Raster | np.ndarray]],
-    params: Population,
-    people: BlockLayers | None,
-) -> Guesses:
-    """Return every guess behind the maps of a region.
-
-    A city that is from no files (the synthetic one) has no real sky and nothing beyond its edge.
-
-    Args:
-      city, region, sky: of the maps.
-      altitude_m: the lowest one.
-      bands: rasters or arrays of layers of one's own, by name.
-      params, people: settings of the population, and that of every block; None without it.
-    """
-    guesses = {**city.guesses, **sky.guesses}
-    if city.sources:
-        _, share = leaving_shares(city, region, sky, altitude_m)
-        guesses |= _of_share(
-            share,
-            BEYOND_DATA,
-            f"the visibility results at {altitude_m:g} m are of rays that leave the data below the highest roof and "
-            "count as clear there, so GPS may look better than it is: give buildings farther around",
-        )
-    else:
-        guesses.pop(NOMINAL_SKY, None)
-    guesses |= _coverage_guesses(city, region) | _hanging_guesses(city, region)
-    for name, values in bands.items():
-        guesses |= _layer_guesses(name, values[0], region)
-    if city.blocks is not None and people is not None:
-        if city.sources and city.blocks.day_count is None and {*params.times_of_day} - {"night"}:
-            guesses["people by factors"] = (
-                f"people by day are not counted: they are the census's times {params.gamma_commercial:g} in commercial "
-                f"districts and {params.gamma_residential:g} elsewhere; set [population] gamma_commercial and "
-                "gamma_residential"
-            )
-        guesses |= _scale_guesses(city.blocks, region.bounds_m, people, params)
-    return guesses
-
-
-def _hanging_guesses(city: City, region: Grid) -> Guesses:
-    """Return how metrics take what hangs over a region; nothing where nothing does, or where it reaches the ground."""
-    if city.buildings is None or city.hanging != SLABS:
-        return {}
-    hanging = city.buildings.take(city.buildings.min_height_m > 0)
-    number = int(shapely.intersects(hanging.polygons, shapely.box(*region.bounds_m)).sum())
-    if not number:
-        return {}
-    return {
-        f"{number:,} hanging parts": (
-            f"{number:,} parts and decks hang over the region, from their floor to their top: lidar meets those with "
-            "their floor at or below the altitude as if they reached the ground, and none above it; paths keep away "
-            'from all that is under them; set [buildings] hanging = "to_ground" for none'
-        )
-    }
-
-
-def outside_share(region: Grid, known: shapely.Geometry) -> float:
-    """Return the share of a region that lies beyond what is known, in the region's CRS."""
-    whole = shapely.box(*region.bounds_m)
-    return 1.0 - float(shapely.intersection(whole, known).area) / float(whole.area)
-
-
-def _boxes_asked(city: City, buildings: Footprints, region: Grid) -> list[shapely.Geometry]:
-    """Return, around each settlement in a region, the box that its bounds in degrees ask for.
-
-    Such bounds are rounded, stand askew in the CRS and are snapped to cells: they reach a little beyond the walls.
-    """
-    parts, boxes = shapely.get_parts(city.known_area), []
-    for part in parts[shapely.intersects(parts, shapely.box(*region.bounds_m))]:
-        own = buildings.polygons[shapely.intersects(buildings.polygons, part)]
-        if len(own):
-            bounds = rounded_outward(lonlat_boxes(own, city.crs))
-            box_m = transformer(WGS84, city.crs).transform_bounds(*bounds, densify_pts=101)
-            edge_m = max(EDGE_M, region.resolution_m)
-            boxes.append(shapely.box(*box_m).buffer(edge_m, join_style="mitre"))
-    return boxes
-
-
-def _coverage_guesses(city: City, region: Grid) -> Guesses:
-    """Return how much of the region is taken as free of buildings, or of people, as nothing is known there."""
-    share = outside_share(region, city.known_area)
-    if share > TOLD_SHARE and city.buildings is not None:
-        share = outside_share(
-            region,
-            shapely.union_all([city.known_area, *_boxes_asked(city, city.buildings, region)]),
-        )
-    guesses = _of_share(
-        share,
-        WITHOUT_DATA,
-        "the region lies beyond what the building source covers and is taken as free of buildings: give a source that "
-        "covers it, or a smaller region",
-    )
-    if city.blocks is not None and city.sources:
-        box = shapely.box(*region.bounds_m)
-        inhabited_m2 = shapely.area(shapely.intersection(city.blocks.polygons, box)).sum()
-        guesses |= _of_share(
-            1.0 - float(inhabited_m2) / float(box.area),
-            "the region without census",
-            "the region lies in no census block and is taken as without people: give blocks that cover it, unless it "
-            "is water",
-            EMPTY_SHARE,
-        )
-    return guesses
-
-
-def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesses:
-    """Return how much of the region a layer's raster closes, as it ends before or has large holes."""
-    if not isinstance(band, Raster):
-        return {}
-    num_rows, num_cols = band.values.shape
-    border = shapely.get_coordinates(shapely.segmentize(shapely.box(0, 0, 1, 1), 1 / SIDE_POINTS))
-    raster = shapely.Polygon(
-        np.stack(pixel_xy(band, border[:, 1] * num_rows, border[:, 0] * num_cols, region.crs), -1)
-    )
-    return _of_share(
-        outside_share(region, shapely.make_valid(raster)),
-        f"the region beyond layer {name}",
-        f"the region lies beyond the raster of layer {name} and is closed to every path: give a raster that covers it, "
-        "or a smaller region",
-    ) | _of_share(
-        float(np.isnan(band.values).mean()),
-        f"layer {name} without a value",
-        f"the pixels of layer {name} hold no value and are closed to every path: fill them, unless they are meant to "
-        'be closed, or set nan = "error"',
-        EMPTY_SHARE,
-    )
-
-
-def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tuple[float, float]:
-    """Return the shares of cells and of visibilities whose rays leave the data while a roof could still block them.
-
-    Of cells: those with any such ray. Of visibilities: a cell, a satellite, a time each. Rays start at cells' centres,
-    evenly spread: all of them, or as many as make `MOST_RAYS`.
-    """
-    azimuth_rad, elevation_rad = sky.azimuth_rad[sky.is_in_view], sky.elevation_rad[sky.is_in_view]
-    stride = math.ceil(
-        math.sqrt(region.num_rows * region.num_cols * max(len(azimuth_rad), 1) / MOST_RAYS)
-    )
-    x_m, y_m = np.meshgrid(
-        *(at_m[min(stride, len(at_m)) // 2 :: stride] for at_m in (region.x_m, region.y_m))
-    )
-    start_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)[:, None]
-    rise_m = highest_top_m(city) - altitude_m
-    leaves = ~stays_within(known_ground(city), start_m, azimuth_rad, elevation_rad, rise_m)
-    return float(leaves.any(axis=1).mean()), float(leaves.mean())
-
-
-def _scale_guesses(
-    blocks: Blocks, bounds_m: Bounds, population_layers: BlockLayers, params: Population
-) -> Guesses:
-    """Return that one block sets the population's scale, at the first time of day where one does."""
-    in_region = region_blocks(blocks, bounds_m)
-    for m, norm in zip(
-        np.asarray(population_layers.m, float), population_layers.norm_per_km2, strict=True
-    ):
-        inhabited = m[in_region][m[in_region] > 0]
-        num_high = (inhabited > SCALE_M).sum()
-        if (
-            params.normalise == "max"
-            and len(inhabited) >= 3
-            and num_high <= max(1, SCALE_SHARE * len(inhabited))
-        ):
-            top, unit = (
-                in_region[m[in_region].argmax()],
-                "people" if params.quantity == "count" else "people per km2",
-            )
-            usual = float(f"{float(norm) * np.percentile(inhabited, 99):.1g}")
-            return {
-                "one block sets the population scale": (
-                    f"census block {blocks.block_id[top]} ({blocks.area_m2[top]:,.0f} m2) with {float(norm):,.0f} "
-                    f"{unit} sets the population scale alone: the median inhabited block gets "
-                    f'{np.median(inhabited):.2f}; set [population] normalise to a percentile such as "p99" or to a '
-                    f"number of {unit} such as {usual:.0f}"
-                )
-            }
-    return {}

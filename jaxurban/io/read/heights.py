@@ -12,8 +12,9 @@ import numpy as np
 import pandas as pd
 
 from jaxurban import settings
+from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.settings import MAX_HEIGHT_M
-from jaxurban.world.city import Footprints, HeightOrigin, ReadIssue, ReadIssues
+from jaxurban.world.footprints import Footprints, HeightOrigin
 
 FOOT_M = 0.3048  # international foot, exact
 INCH_M = 0.0254  # international inch, exact

@@ -19,7 +19,7 @@ from skyfield.iokit import parse_tle_file
 
 from jaxurban.errors import InputError, StaleElementsWarning, readable, warn
 from jaxurban.io.read.nominal import GPS, MARK, nominal_satellites
-from jaxurban.samples.catalogue import located
+from jaxurban.io.samples import located
 from jaxurban.settings import NOMINAL, iso_utc, parse_time
 from jaxurban.world.sky import Sky
 

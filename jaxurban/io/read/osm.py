@@ -14,9 +14,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from osmium.filter import IdFilter, KeyFilter, TagFilter
 
 from jaxurban.errors import readable, warn
+from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.outlines import DECK, Outlines, tags_of
-from jaxurban.world.city import LandCover, ReadIssue
 from jaxurban.world.grid import WGS84, Bounds, transformer
+from jaxurban.world.land_cover import LandCover
 
 TAGS = (  # that say something of buildings, as `COLUMNS` sorts them
     *(

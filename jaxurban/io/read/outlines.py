@@ -13,8 +13,9 @@ from pyproj.exceptions import ProjError
 from jaxurban import settings
 from jaxurban.errors import InputError
 from jaxurban.io.read.heights import estimate_heights, is_given, with_decks
+from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.settings import SLABS
-from jaxurban.world.city import Footprints, HeightOrigin, ReadIssue, ReadIssues
+from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import Bounds, transformer
 
 MARGIN_M = 1000.0  # more than projections tilt boxes against each other, and than most outlines and their parts reach

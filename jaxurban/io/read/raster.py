@@ -16,9 +16,10 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from jaxurban.errors import InputError, readable, warn
+from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.sampling import heights_above, pixel_xy, transformed
-from jaxurban.world.city import Raster, ReadIssue, ReadIssues
 from jaxurban.world.grid import WGS84, Bounds, check_on_earth, transformer, where_it_lies
+from jaxurban.world.raster import Raster
 
 # By the end of their names, the drivers of GDAL that may open them: others (as of .vrt) read what a file tells them to.
 DRIVERS = {

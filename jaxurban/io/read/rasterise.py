@@ -10,13 +10,16 @@ import numpy as np
 import shapely
 
 from jaxurban.errors import InputError
+from jaxurban.io.city import City
 from jaxurban.io.read.outlines import meets
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.kernels.blocks import rounded_up
 from jaxurban.kernels.outlines import burn_outlines, settle
 from jaxurban.metrics.custom import Layer
-from jaxurban.world.city import SLABS, City, Footprints, Raster
+from jaxurban.settings import SLABS
+from jaxurban.world.footprints import Footprints
 from jaxurban.world.grid import WGS84, Grid, transformer
+from jaxurban.world.raster import Raster
 from jaxurban.world.surface import NO_BUILDING, PER_CELL, Slabs, Surface
 
 NO_BLOCK = -1

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
+from jaxurban.io.samples import located
 from jaxurban.io.tables import read_table
-from jaxurban.samples.catalogue import located
 
 UTC, LON, LAT, ALTITUDE = "utc", "lon_deg", "lat_deg", "altitude_m"
 OTHER_NAMES = {"lon": LON, "lat": LAT}

@@ -28,8 +28,8 @@ from jaxurban.io.read.receiver import (
     log_of,
     renamed,
 )
+from jaxurban.io.samples import located
 from jaxurban.io.tables import read_table
-from jaxurban.samples.catalogue import located
 from jaxurban.world.grid import transformer
 
 LOWEST_DEG = 5.0  # of a satellite in a log

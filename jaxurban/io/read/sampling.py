@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from affine import Affine
 
-from jaxurban.world.city import Raster
 from jaxurban.world.grid import Grid, transformer
+from jaxurban.world.raster import Raster
 
 Resampling = Literal["nearest", "bilinear", "max"]
 

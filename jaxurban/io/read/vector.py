@@ -13,6 +13,7 @@ import shapely
 
 from jaxurban.errors import InputError, readable
 from jaxurban.io.geoparquet import facts_of
+from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.outlines import (
     Near,
     Outlines,
@@ -22,7 +23,6 @@ from jaxurban.io.read.outlines import (
     polygonal,
     tags_of,
 )
-from jaxurban.world.city import ReadIssue
 from jaxurban.world.grid import check_on_earth
 
 PARQUET_SUFFIXES = (".parquet", ".geoparquet")

@@ -23,7 +23,7 @@ from jaxurban.paths.queries import WEIGHT_PREFIX, Query
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import CostKind, Preset, iso_utc
-from jaxurban.world.city import LandCover
+from jaxurban.world.land_cover import LandCover
 
 # Straight distance between start and goal, as shares of the region's diagonal.
 RANGES = {"short": (0.05, 0.15), "middle": (0.15, 0.35), "long": (0.35, 0.8)}

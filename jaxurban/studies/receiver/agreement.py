@@ -15,6 +15,7 @@ import pandas as pd
 import shapely
 
 from jaxurban.errors import InputError
+from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
 from jaxurban.maps.track import Track
@@ -33,7 +34,6 @@ from jaxurban.studies.receiver.prediction import EVERYWHERE, ReceiverSettings
 from jaxurban.studies.receiver.rivals import MAP, compared_rules, features_of, gain_by_length
 from jaxurban.studies.receiver.satellites import FARTHEST_MARGIN_M, Ground, box_of, legs
 from jaxurban.studies.receiver.scores import score_table
-from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
 

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from jaxurban.io.city import City
 from jaxurban.io.read.orbits import matching
 from jaxurban.io.read.rasterise import rasterise, surface_grid
 from jaxurban.io.read.receiver import (
@@ -28,10 +29,10 @@ from jaxurban.io.read.receiver import (
 from jaxurban.io.read.vector import open_frame
 from jaxurban.kernels.shadows.rays import Walks, shadows_at, walks
 from jaxurban.maps.track import NUM_VISIBLE, Track
+from jaxurban.settings import TO_GROUND
 from jaxurban.studies.receiver.prediction import EVERYWHERE, OF_CITY
-from jaxurban.world.city import TO_GROUND, City
 from jaxurban.world.grid import Grid
-from jaxurban.world.known import Rays, known_ground
+from jaxurban.world.known import Rays
 from jaxurban.world.sky import Sky
 from jaxurban.world.surface import stands_at
 
@@ -186,7 +187,7 @@ def known_of(known: str | float | Path, city: City, track: Track) -> shapely.Geo
       InputError: a file of polygons that cannot be read.
     """
     if known in (OF_CITY, EVERYWHERE):
-        return known_ground(city)
+        return city.known_ground
     if isinstance(known, str | Path):
         frame = open_frame(known, "known area").to_crs(city.crs)
         return shapely.union_all(frame.geometry.to_numpy())

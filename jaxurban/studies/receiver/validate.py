@@ -24,12 +24,12 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED, UTC, ReceiverLog, read_receiver_log
 from jaxurban.io.read.rinex import read_rinex
+from jaxurban.io.samples import log_of
 from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.track import NUM_VISIBLE, Track, predict
 from jaxurban.progress import Progress, reporting
 from jaxurban.public import Caution
-from jaxurban.samples.catalogue import log_of
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.studies.queries import Result
 from jaxurban.studies.receiver.agreement import SatelliteAgreement, agreement_of

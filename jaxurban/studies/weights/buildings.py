@@ -11,13 +11,14 @@ import shapely
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
+from jaxurban.io.city import City
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams, path_visits
 from jaxurban.metrics.base import TIME_OF_DAY
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.cost import CostModel
-from jaxurban.world.city import City, HeightOrigin
+from jaxurban.world.footprints import HeightOrigin
 
 
 def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVisits:

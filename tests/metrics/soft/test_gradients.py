@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
+from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import build_surface, building_index, rasterise
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
@@ -15,10 +16,10 @@ from jaxurban.metrics.gps import Gps, soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.risk import Risk, compute_risk, soft_risk
 from jaxurban.metrics.visibility import SkyView
-from jaxurban.world.city import City, Raster
+from jaxurban.samples.synthetic import demo_city
 from jaxurban.world.grid import Grid
+from jaxurban.world.raster import Raster
 from jaxurban.world.surface import NO_BUILDING, roofs_of
-from jaxurban.world.synthetic import demo_city
 from tests.made_maps import city_of_boxes
 from tests.metrics.soft.scene import (
     ALTITUDE_M,

@@ -14,6 +14,7 @@ from scipy.special import expit
 
 import jaxurban as ju
 from jaxurban.errors import InputError
+from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.kernels.dop import dops, unit_vectors
 from jaxurban.kernels.shadows.sweep import (
@@ -26,7 +27,6 @@ from jaxurban.kernels.shadows.sweep import (
     stacked,
 )
 from jaxurban.metrics.gps import gps_metric, soft_gps
-from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from tests.metrics.soft.scene import (
     ALTITUDE_M,

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from scipy.interpolate import PchipInterpolator
 
-from jaxurban.world.city import OTHER_DISTRICT
+from jaxurban.world.blocks import OTHER_DISTRICT
 
 Box = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max, metres
 Cluster = tuple[float, float, float, float]  # centre s, q and radii in s, q of a cluster of towers

@@ -6,9 +6,11 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.world.city import OTHER_DISTRICT, City, HeightOrigin, Zoning
-from jaxurban.world.synthetic import demo_city, demo_city_for_bounds, demo_cover
-from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, CityPlan
+from jaxurban.io.city import City
+from jaxurban.samples.synthetic import demo_city, demo_city_for_bounds, demo_cover
+from jaxurban.samples.synthetic_streets import DOWNTOWN, MIDTOWN, CityPlan
+from jaxurban.world.blocks import OTHER_DISTRICT, Zoning
+from jaxurban.world.footprints import HeightOrigin
 
 NO_SIZES_M = [(12_000, 20_000), (10_000, 25_000), (100, 1000), (1000, float("nan"))]
 SIZES_M = [(500, 500), (2000, 3000), (3000, 2000)]

@@ -11,6 +11,7 @@ from jaxurban.checks import nearest_name
 from jaxurban.errors import InputError
 
 PREFIX = "sample:"
+HOME = Path(__file__).parents[1] / "samples"  # a folder per city
 BUILDINGS_FILE, BASE_MAP_FILE, LOG_FILE = "buildings.parquet", "basemap.parquet", "log.csv.gz"
 SAMPLES: dict[
     str, dict[str, dict[str, Any]]
@@ -77,7 +78,7 @@ def log_of(source: Any) -> str | None:
       InputError: there is no such city.
     """
     name = sample_name(source)
-    has_log = name is not None and (Path(__file__).parent / name / LOG_FILE).is_file()
+    has_log = name is not None and (HOME / name / LOG_FILE).is_file()
     return f"{PREFIX}{name}/{LOG_FILE}" if has_log else None
 
 
@@ -100,7 +101,7 @@ def located(name: str | Path) -> Path:
         return Path(name)
     city, _, file = PurePath(name).as_posix().removeprefix(PREFIX).partition("/")
     check_sample(city)
-    home = Path(__file__).parent / city
+    home = HOME / city
     files = sorted(path.name for path in home.iterdir())
     if (file or BUILDINGS_FILE) not in files:
         hint = nearest_name(file, files) or f"; it has {', '.join(files)}"

@@ -10,17 +10,12 @@ import shapely
 
 from jaxurban.checks import at_least, typed
 from jaxurban.errors import InputError
-from jaxurban.world.city import (
-    OTHER_DISTRICT,
-    Blocks,
-    City,
-    Footprints,
-    HeightOrigin,
-    LandCover,
-    Zoning,
-)
+from jaxurban.io.city import City
+from jaxurban.samples.synthetic_streets import DOWNTOWN, MIDTOWN, Box, CityPlan, Land, StreetFrame
+from jaxurban.world.blocks import OTHER_DISTRICT, Blocks, Zoning
+from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import WGS84, check_bounds, projected_crs, transformer, utm_crs
-from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, Box, CityPlan, Land, StreetFrame
+from jaxurban.world.land_cover import LandCover
 
 MAX_WIDTH_M, MAX_HEIGHT_M = 10_000.0, 20_000.0  # the paper's region
 MIN_SIDE_M = 400.0

@@ -1,0 +1,190 @@
+"""City: what stands and who lives in a region, as vectors in one projected CRS."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import shapely
+
+from jaxurban import settings
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
+from jaxurban.io.read.issues import ReadIssues
+from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.population import Population
+from jaxurban.public import Caution, FactsRepr, caution_of_guesses
+from jaxurban.settings import TO_GROUND, Hanging
+from jaxurban.world.blocks import Blocks
+from jaxurban.world.extent import MAIN_SHARE, main_bounds
+from jaxurban.world.footprints import Footprints
+from jaxurban.world.grid import WGS84, transformer
+from jaxurban.world.raster import Raster
+
+MOST_IN = f"{100 * MAIN_SHARE:.0f} % of buildings in"
+
+
+def joined_credits(*credits: str) -> str:
+    """Return credits as one text, each once."""
+    return "; ".join(dict.fromkeys(credit for credit in credits if credit))
+
+
+@typed
+@dataclass(frozen=True, repr=False)
+class City(FactsRepr):
+    """A city in one projected CRS: buildings or a height raster, and optionally blocks and terrain.
+
+    Attributes:
+      crs: projected CRS in metres of every polygon.
+      extent_m: x_min, y_min, x_max, y_max that the building source covers: beyond it no building is known.
+      terrain_extent_m: the same of the terrain, None for flat ground.
+      buildings: outlines with heights, or None where ``roofs`` is given.
+      roofs: raster of roof heights above ground, or None.
+      blocks: census blocks, or None without population data.
+      terrain: raster of ground elevation, or None for flat ground.
+      read_issues: what the readers repaired, guessed or left out, counted by `jaxurban.io.read.issues.ReadIssue`.
+      sources: path by role, for provenance (empty for the synthetic city).
+      guesses: what was supposed where the sources are silent, see `jaxurban.io.read.guesses`.
+      attribution: the credit that the licence of the sources asks for wherever pictures are shown.
+      bounds: west, south, east, north in degrees that the city was read for; None for all that there is.
+      area: where the building source knows what stands, within ``extent_m``; None for all of it.
+      hanging: what buildings with an underside above the ground do: ``"to_ground"``, they reach it; ``"slabs"``, they
+        hang from floor to roof.
+      gps: satellites and times that come with the city; maps are made of them where no others are named; None for most.
+
+    Raises:
+      InputError: neither buildings nor roofs, both, or an unknown way of hanging.
+
+    Examples:
+      >>> city
+      City(CRS: EPSG:32618; extent: 0.6 x 0.6 km; buildings: 130; census blocks: 64; terrain: flat; credit: ...)
+      >>> round(float(city.buildings.height_m.max()))
+      395
+    """
+
+    crs: str
+    extent_m: tuple[float, float, float, float]
+    buildings: Footprints | None = None
+    roofs: Raster | None = None
+    blocks: Blocks | None = None
+    terrain: Raster | None = None
+    read_issues: ReadIssues = field(default_factory=dict)
+    terrain_extent_m: tuple[float, float, float, float] | None = None
+    sources: Mapping[str, str] = field(default_factory=dict)
+    attribution: str = ""
+    bounds: tuple[float, float, float, float] | None = None
+    area: shapely.Geometry | None = None
+    guesses: Mapping[str, str] = field(default_factory=dict)
+    hanging: Hanging = TO_GROUND
+    gps: Gps | None = None
+
+    def __post_init__(self) -> None:
+        if (self.buildings is None) == (self.roofs is None):
+            raise InputError(
+                "a City needs either buildings (outlines) or roofs (a height raster), and not both"
+            )
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """CRS, extent of the region, what is known of buildings, people and terrain, and the credit."""
+        x_min, y_min, x_max, y_max = region_m = self._region_m
+        num, main = "a height raster", None
+        if self.buildings is not None:
+            inside = self.buildings.polygons[
+                shapely.intersects(self.buildings.polygons, shapely.box(*region_m))
+            ]
+            around = len(self.buildings) - len(inside)
+            num = f"{len(inside):,}" + (f", and {around:,} around" if around else "")
+            extent = self.bounds or transformer(self.crs, WGS84).transform_bounds(*region_m)
+            main = main_bounds(self.buildings.polygons, self.crs, extent)
+        return {
+            "CRS": self.crs,
+            "extent": f"{(x_max - x_min) / 1000:.3g} x {(y_max - y_min) / 1000:.3g} km",
+            "buildings": num,
+            MOST_IN: "" if main is None else str(list(main)),
+            "census blocks": "" if self.blocks is None else f"{len(self.blocks):,}",
+            "terrain": "flat" if self.terrain is None else "a raster",
+            "credit": self.attribution,
+        }
+
+    @property
+    def known_cautions(self) -> list[Caution]:
+        """That it rests on ``guesses``."""
+        return caution_of_guesses(self.guesses)
+
+    @property
+    def _region_m(self) -> tuple[float, float, float, float]:
+        """The box that the city was read for; of one that was not, what its source covers."""
+        if self.bounds is None:
+            return self.extent_m
+        return transformer(WGS84, self.crs).transform_bounds(*self.bounds, densify_pts=101)
+
+    @property
+    def known_extent_m(self) -> tuple[float, float, float, float]:
+        """The box that holds everything known, buildings and terrain: beyond it nothing can shadow."""
+        if self.terrain_extent_m is None:
+            return self.extent_m
+        (a, b, c, d), (e, f, g, h) = self.extent_m, self.terrain_extent_m
+        return min(a, e), min(b, f), max(c, g), max(d, h)
+
+    @property
+    def known_area(self) -> shapely.Geometry:
+        """Where the building source knows what stands: a building far off does not make the land between known."""
+        return shapely.box(*self.extent_m) if self.area is None else self.area
+
+    @property
+    def known_ground(self) -> shapely.Geometry:
+        """Where its buildings and, where it has any, its terrain are known, in its CRS."""
+        if self.terrain_extent_m is None:
+            return self.known_area
+        return shapely.intersection(self.known_area, shapely.box(*self.terrain_extent_m))
+
+    @classmethod
+    @typed
+    def from_files(
+        cls,
+        buildings: str | Path | settings.Buildings,
+        *,
+        bounds: Sequence[float] | None = None,
+        crs: str | None = None,
+        population: Population | None = None,
+        terrain: str | Path | settings.Terrain | None = None,
+        gps: Gps | None = None,
+    ) -> "City":
+        """Return the city in a set of files, around a region.
+
+        Args:
+          buildings: their file, or ``"sample:lower-manhattan"``, ``"sample:shinjuku"`` or ``"sample:nihonbashi"`` (see
+            `sample_city`); or `Buildings`, which also says how the file is read. Buildings are kept as far around the
+            region as one of 1,000 m could shadow it from a satellite at the elevation mask.
+          bounds: west, south, east, north of the region in degrees; left out, what the file of buildings covers.
+          crs: projected CRS in metres; left out, the UTM zone of the region's centre.
+          population: names census blocks, their people and districts, or rasters of people; left out, none.
+          terrain: ground elevation raster; left out, flat.
+          gps: settings with the elevation mask of the maps; left out, the mask is 5 degrees.
+
+        Returns:
+          The city, its coordinates in metres in ``crs``. What lies around the region is there too.
+
+        Warns:
+          GuessWarning: of each of the city's ``guesses``.
+
+        Raises:
+          InputError: a file that is missing, unreadable or of the wrong kind, or no building in the region.
+
+        Examples:
+          >>> around = ju.City.from_files("sample:shinjuku", bounds=(139.698, 35.687, 139.703, 35.691))
+          >>> around.crs, around.facts["buildings"]
+          ('EPSG:32654', '3,052, and 50,419 around')
+        """
+        # Imported here: a city that is read from no file needs none of the readers' libraries.
+        from jaxurban.io.read.city import read_city
+
+        file = (
+            buildings
+            if isinstance(buildings, settings.Buildings)
+            else settings.Buildings(buildings)
+        )
+        ground = terrain if isinstance(terrain, settings.Terrain) else settings.Terrain(terrain)
+        return read_city(
+            file, bounds=bounds, crs=crs, population=population, terrain=ground, gps=gps
+        )

@@ -1,0 +1,70 @@
+"""What the readers of a city repaired, guessed or left out, counted."""
+
+from enum import StrEnum
+
+
+class ReadIssue(StrEnum):
+    """What the readers of a city repaired, guessed or left out; ``run.json`` counts them under these names.
+
+    Attributes:
+      OPEN_WAYS: not closed.
+      WAYS_WITH_MISSING_NODES: nodes that the file does not hold.
+      DEGENERATE_WAYS: closed and complete, but without area: fewer than three corners.
+      RELATIONS_INCOMPLETE: members or their nodes missing.
+      NON_POLYGONS: points and lines, left out.
+      POLYGONS_REPAIRED: invalid, or not assembled by libosmium.
+      POLYGONS_DROPPED: empty, or beyond repair.
+      OUTSIDE_CRS: where the city's CRS does not reach.
+      NOT_BUILDINGS: building=no without building:part, left out.
+      UNDERGROUND: location=underground or layer below 0, left out.
+      OUTLINES_REPLACED_BY_PARTS: covered by their own parts to 90 % or more.
+      OUTLINES_KEPT_AS_PODIUMS: of these, under hanging parts where no part stands, up to the lowest floor.
+      PARTS_GIVEN_OUTLINE_HEIGHT: parts without a height of their own.
+      PARTS_HANGING: underside above the ground.
+      MIN_HEIGHTS_ABOVE_ROOF: underside at or above the roof, set to 0.
+      HEIGHTS_UNUSABLE: unreadable, 0, negative or too high.
+      LEVELS_UNUSABLE: the same of levels.
+      MIN_HEIGHTS_UNUSABLE: the same of the heights of undersides.
+      CELLS_BELOW_GROUND: taken for ground.
+      CELLS_NEAR_GROUND: of a surface model: taken for ground.
+      BLOCKS_WITHOUT_COUNT: kept with 0 people: no row, or a count that cannot be read.
+      COUNTS_UNREADABLE: of these, those with a count that cannot be read.
+      COUNTS_WITHOUT_BLOCK: rows of the table for blocks that the whole blocks file lacks.
+      BLOCKS_WITHOUT_POLYGON: left out.
+      BLOCKS_WITHOUT_DISTRICT: in district 13.
+      INVALID_BLOCK_POLYGONS: repaired.
+      INVALID_DISTRICT_POLYGONS: repaired.
+      COMMERCIAL_NOT_FOUND: labels on the commercial list that no district has.
+    """
+
+    OPEN_WAYS = "open_ways"
+    WAYS_WITH_MISSING_NODES = "ways_with_missing_nodes"
+    DEGENERATE_WAYS = "degenerate_ways"
+    RELATIONS_INCOMPLETE = "relations_incomplete"
+    NON_POLYGONS = "non_polygons"
+    POLYGONS_REPAIRED = "polygons_repaired"
+    POLYGONS_DROPPED = "polygons_dropped"
+    OUTSIDE_CRS = "outside_crs"
+    NOT_BUILDINGS = "not_buildings"
+    UNDERGROUND = "underground"
+    OUTLINES_REPLACED_BY_PARTS = "outlines_replaced_by_parts"
+    OUTLINES_KEPT_AS_PODIUMS = "outlines_kept_as_podiums"
+    PARTS_GIVEN_OUTLINE_HEIGHT = "parts_given_outline_height"
+    PARTS_HANGING = "parts_hanging"
+    MIN_HEIGHTS_ABOVE_ROOF = "min_heights_above_roof"
+    HEIGHTS_UNUSABLE = "heights_unusable"
+    LEVELS_UNUSABLE = "levels_unusable"
+    MIN_HEIGHTS_UNUSABLE = "min_heights_unusable"
+    CELLS_BELOW_GROUND = "cells_below_ground"
+    CELLS_NEAR_GROUND = "cells_near_ground"
+    BLOCKS_WITHOUT_COUNT = "blocks_without_count"
+    COUNTS_UNREADABLE = "counts_unreadable"
+    COUNTS_WITHOUT_BLOCK = "counts_without_block"
+    BLOCKS_WITHOUT_POLYGON = "blocks_without_polygon"
+    BLOCKS_WITHOUT_DISTRICT = "blocks_without_district"
+    INVALID_BLOCK_POLYGONS = "invalid_block_polygons"
+    INVALID_DISTRICT_POLYGONS = "invalid_district_polygons"
+    COMMERCIAL_NOT_FOUND = "commercial_not_found"
+
+
+ReadIssues = dict[ReadIssue, int]
