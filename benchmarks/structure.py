@@ -1,18 +1,29 @@
 """How large the code of one or several checkouts is, in one table: ``python -m benchmarks.structure [CHECKOUT ...]``.
 
 Code lines are lines without blanks, comments and docstrings, links counted once; tokens are Python's own, without
-these. With ``-v`` the long and the wide functions are listed too.
+these. Arrows upward are imports from one layer of the checkout's ``pyproject.toml`` to one above it, excepted ones
+too; circles are modules that import each other, directly or not. With ``-v`` these and the long and the wide functions
+are listed.
 """
 
 import argparse
 import ast
 import io
+import json
 import os
+import re
 import subprocess
+import sys
 import tokenize
+import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from benchmarks.common import ROOT, table
 
@@ -33,6 +44,12 @@ NO_CODE = (
     tokenize.DEDENT,
     tokenize.ENDMARKER,
 )
+# Grimp finds a package on the path of its process, so each checkout has a process.
+PRINT_IMPORTS = """
+import grimp, json
+graph = grimp.build_graph("jaxurban", cache_dir=None)
+print(json.dumps({module: sorted(graph.find_modules_directly_imported_by(module)) for module in sorted(graph.modules)}))
+"""
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 Table = dict[str, str]  # of one checkout: what is counted, and how many
 
@@ -73,6 +90,55 @@ def num_arguments(function: Function) -> int:
     return len(names) - is_bound + len(given.kwonlyargs) + bool(given.vararg) + bool(given.kwarg)
 
 
+class ImportGraph(NamedTuple):
+    """Imports of a checkout: those upward, as ``IMPORTER -> IMPORTED``, and the circles of modules."""
+
+    upward: list[str]
+    circles: list[list[str]]
+
+
+def layer_of(module: str, ranks: dict[str, int]) -> int | None:
+    """Return the rank of the layer that a module or, before it, one of its parents is listed in."""
+    while module and module not in ranks:
+        module = module.rpartition(".")[0]
+    return ranks.get(module)
+
+
+def import_graph(checkout: Path) -> ImportGraph:
+    """Return the arrows upward and the circles of a checkout."""
+    printed = subprocess.run(
+        [sys.executable, "-c", PRINT_IMPORTS],
+        cwd=checkout,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    imports: dict[str, list[str]] = json.loads(printed.stdout)
+    linter = tomllib.loads((checkout / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "importlinter"
+    ]
+    layers = next(
+        contract["layers"] for contract in linter["contracts"] if contract["type"] == "layers"
+    )
+    ranks = {
+        name: rank for rank, layer in enumerate(layers) for name in re.findall(r"[\w.]+", layer)
+    }
+    arrows = [(module, other) for module, others in imports.items() for other in others]
+    upward = []
+    for module, other in arrows:
+        own, its = layer_of(module, ranks), layer_of(other, ranks)
+        if own is not None and its is not None and its < own:
+            upward.append(f"{module} -> {other}")
+    number = {module: index for index, module in enumerate(imports)}
+    row, col = np.array([(number[module], number[other]) for module, other in arrows]).T
+    matrix = coo_array((np.ones(len(row)), (row, col)), shape=(len(number), len(number)))
+    _, labels = connected_components(matrix, connection="strong")
+    modules = np.array(list(imports))
+    groups = (modules[labels == label].tolist() for label in range(labels.max() + 1))
+    circles = sorted((group for group in groups if len(group) > 1), key=len, reverse=True)
+    return ImportGraph(upward, circles)
+
+
 def measure(checkout: Path, details: list[str]) -> Table:
     """Return the table of one checkout; what is behind the counts goes to ``details``."""
     lines: Counter[str] = Counter()
@@ -97,7 +163,9 @@ def measure(checkout: Path, details: list[str]) -> Table:
                         f"{path}:{node.lineno} {node.name} takes {num_arguments(node)} arguments"
                     )
     longest = sorted(lengths, key=lambda path: -lengths[path])[:NUM_LONGEST]
-    details += [*sorted(long), *sorted(wide)]
+    graph = import_graph(checkout)
+    circles = [f"circle of {len(circle)}: {', '.join(circle)}" for circle in graph.circles]
+    details += [*sorted(long), *sorted(wide), *graph.upward, *circles]
     others = {}
     for top in OTHERS:
         texts = (file.read_text(encoding="utf-8") for file in files_of(checkout, (top,), ".py"))
@@ -117,6 +185,9 @@ def measure(checkout: Path, details: list[str]) -> Table:
         "files": f"{len(lengths)}",
         f"functions over {MOST_LINES} code lines": f"{len(long)}",
         f"functions with more than {MOST_ARGUMENTS} arguments": f"{len(wide)}",
+        "arrows upward between layers": f"{len(graph.upward)}",
+        "files in circles of imports": ", ".join(str(len(circle)) for circle in graph.circles)
+        or "0",
         **{
             f"longest file, {rank}": f"{path} {lengths[path]}"
             for rank, path in enumerate(longest, start=1)
@@ -127,12 +198,10 @@ def measure(checkout: Path, details: list[str]) -> Table:
 
 def label_of(checkout: Path) -> str:
     """Return a checkout's commit, and its folder's name."""
-    told = subprocess.run(
+    commit = subprocess.run(
         ["git", "describe", "--always", "--dirty"], cwd=checkout, capture_output=True, text=True
     )
-    return (
-        f"{checkout.resolve().parent.name}/{checkout.resolve().name} {told.stdout.strip()}".strip()
-    )
+    return f"{checkout.resolve().parent.name}/{checkout.resolve().name} {commit.stdout.strip()}".strip()
 
 
 def main() -> None:
@@ -146,13 +215,15 @@ def main() -> None:
         metavar="CHECKOUT",
         help="default: this one",
     )
-    parser.add_argument("-v", "--verbose", action="store_true", help="also list the functions")
-    asked = parser.parse_args()
+    parser.add_argument(
+        "-v", "--verbose", action="store_true", help="also list functions, arrows, circles"
+    )
+    options = parser.parse_args()
     columns: dict[str, Table] = {}
-    for checkout in asked.checkouts:
+    for checkout in options.checkouts:
         details: list[str] = []
         columns[label_of(checkout)] = measure(checkout, details)
-        if asked.verbose:
+        if options.verbose:
             print("\n".join([label_of(checkout), *details, ""]))
     names = dict.fromkeys(name for each in columns.values() for name in each)
     print(

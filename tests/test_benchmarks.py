@@ -12,10 +12,10 @@ import shapely
 
 from benchmarks import engines, gpu, gpu_sections
 from benchmarks.against_commit import compare, interval
-from benchmarks.common import Row, Timing, in_turn, markdown
+from benchmarks.common import ROOT, Row, Timing, in_turn, markdown
 from benchmarks.embree_peer import Caster, scan_until_first_return, see_satellites
 from benchmarks.random_routes import Outlines, legs_m, prices, tables
-from benchmarks.structure import code_lines_and_tokens, num_arguments
+from benchmarks.structure import code_lines_and_tokens, import_graph, num_arguments
 from jaxurban.metrics.lidar import Lidar
 from tests.embree_scene import roof_triangles, wall_triangles
 from tests.made_maps import city_of_boxes
@@ -275,3 +275,31 @@ def test_cells_of_engines_are_held_against_the_first_and_runs_have_their_own():
         "4.00 / 30.0 / 600 / 0 + 7 / 0.25 (0.25, 1.50)",
     ]
     assert engines.cells(sides, 1)[1].endswith(" (1.00, 1.00)")
+
+
+def test_an_excepted_import_is_an_arrow_upward_and_modules_that_import_each_other_are_a_circle(
+    tmp_path,
+):
+    package = tmp_path / "jaxurban"
+    files = {
+        "__init__": "",
+        "high": "import jaxurban.low\nimport jaxurban.beside",
+        "beside": "import jaxurban.high",
+        "low": "def call():\n    import jaxurban.high",
+        "none": "import jaxurban.high",  # in no layer
+    }
+    package.mkdir()
+    for name, text in files.items():
+        (package / f"{name}.py").write_text(text)
+    (tmp_path / "pyproject.toml").write_text(
+        '[[tool.importlinter.contracts]]\ntype = "layers"\n'
+        'layers = ["jaxurban.high : jaxurban.beside", "jaxurban.low"]\n'
+        'ignore_imports = ["jaxurban.low -> jaxurban.high"]\n'
+    )
+    graph = import_graph(tmp_path)
+    assert graph.upward == ["jaxurban.low -> jaxurban.high"]
+    assert graph.circles == [["jaxurban.beside", "jaxurban.high", "jaxurban.low"]]
+
+
+def test_no_import_of_jaxurban_goes_upward():
+    assert import_graph(ROOT).upward == []
