@@ -281,7 +281,8 @@ def public() -> Iterator[tuple[str, Callable[..., Any]]]:
         thing = find_public(name)
         if not inspect.isclass(thing) or name not in MADE:
             yield name, thing
-        for method, function in vars(thing).items() if inspect.isclass(thing) else ():
+        bases = [base for base in getattr(thing, "__mro__", ()) if base.__name__ == name]
+        for method, function in (each for base in bases for each in vars(base).items()):
             if isinstance(function, classmethod) and not method.startswith(("_", "tree_", "of")):
                 yield f"{name}.{method}", getattr(thing, method)
             elif method in METHODS.get(name, ()):

@@ -92,7 +92,7 @@ def check(
     """
     from jaxurban.maps.metric_maps import open_maps
     from jaxurban.metrics.weights import Weights
-    from jaxurban.studies.check import check as check_mission
+    from jaxurban.report.mission import check as check_mission
 
     has_corridor = options["corridor_m"] is not None
     check_belong("--corridor", has_corridor, OF_CORRIDOR, options)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.ground_risk import OverflownDensity
     from jaxurban.paths.path import PlannedPath
-    from jaxurban.studies.queries import Result
+    from jaxurban.report.results import Result
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]

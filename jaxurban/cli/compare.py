@@ -51,7 +51,7 @@ def compare(folder_a: Path, folder_b: Path, output: Path, **options: Any) -> int
     """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time, and for routes."""
     from jaxurban.io.tables import records_of
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.studies.map_comparison import compare as compare_maps
+    from jaxurban.report.map_comparison import compare as compare_maps
 
     study = partial(
         compare_maps,
@@ -204,8 +204,8 @@ def validate(
 
     from jaxurban.io.tables import records_of
     from jaxurban.maps.scenario import Scenario
+    from jaxurban.report.receiver import validate as validate_log
     from jaxurban.studies.receiver.prediction import ReceiverSettings
-    from jaxurban.studies.receiver.validate import validate as validate_log
 
     settings = ReceiverSettings(
         **{name: options[name] for name in ReceiverSettings.__dataclass_fields__}

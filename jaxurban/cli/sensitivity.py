@@ -97,10 +97,14 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
     from jaxurban.maps.metric_maps import open_maps
     from jaxurban.paths.plan import cost_map
     from jaxurban.report.buildings import write_buildings
-    from jaxurban.report.sensitivity import ranges, sensitivity_markdown, sensitivity_outputs
+    from jaxurban.report.sensitivity import (
+        ranges,
+        sensitivity_markdown,
+        sensitivity_outputs,
+    )
+    from jaxurban.report.sensitivity import sensitivity as study
     from jaxurban.report.write import REPORT_FILE, save
     from jaxurban.studies.weights.study import SensitivitySettings
-    from jaxurban.studies.weights.study import sensitivity as study
 
     if options["scenario"] is not None and not options["buildings"]:
         raise click.UsageError("--scenario belongs to --buildings: add that")

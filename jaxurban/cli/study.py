@@ -69,9 +69,9 @@ def study(
     from jaxurban.paths.rows import HAS_PATH, MapsFolder
     from jaxurban.planners.cost import CostModel
     from jaxurban.report.benchmark import check_exportable, export_benchmark
-    from jaxurban.report.montecarlo import land_cover_of
     from jaxurban.report.montecarlo import study as run_study
     from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
+    from jaxurban.studies.montecarlo.study import land_cover_of
 
     preset = [f"planning.preset={options['preset']!r}"] if options["preset"] else []
     scenario = Scenario.from_toml(scenario_file, (*changes, *preset))

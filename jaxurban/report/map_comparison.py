@@ -29,14 +29,16 @@ from jaxurban.report.figures.frame import (
 )
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.style import Colours
+from jaxurban.report.results import Result, savable
 from jaxurban.report.write import Output, bullets, fill, framed, listed, study_outputs, table
-from jaxurban.studies.map_comparison import CLOSED, MASKS, MapComparison, unit_of
+from jaxurban.studies import map_comparison as computed
+from jaxurban.studies.map_comparison import CLOSED, MASKS, unit_of
 from jaxurban.studies.queries import population_norms
 
 SHOWN_SHARE = 0.99  # of the changed cells lie within the colour bar
 
 
-def comparison_figures(found: MapComparison) -> dict[str, Callable[[], Figure]]:
+def comparison_figures(found: computed.MapComparison) -> dict[str, Callable[[], Figure]]:
     """Return what draws each layer that changed anywhere, by its name."""
     most = found.most_changed
     return {
@@ -44,7 +46,7 @@ def comparison_figures(found: MapComparison) -> dict[str, Callable[[], Figure]]:
     }
 
 
-def heading_of(found: MapComparison, layer: str) -> str:
+def heading_of(found: computed.MapComparison, layer: str) -> str:
     """Return what figures and reports call a layer."""
     if layer == CLOSED:
         return "Cells that no planner enters"
@@ -52,7 +54,9 @@ def heading_of(found: MapComparison, layer: str) -> str:
     return metric.label if metric else str(found.a.ds[layer].attrs.get("long_name", layer))
 
 
-def plot_difference(found: MapComparison, layer: str, *, time: str | None = None) -> Figure:
+def plot_difference(
+    found: computed.MapComparison, layer: str, *, time: str | None = None
+) -> Figure:
     """Return panels of B - A of a layer by altitude or time of day, all on one scale centred at 0.
 
     Cells that are blocked in either are grey, of ``obstacle`` and ``closed`` those that are blocked in both; colours
@@ -106,14 +110,14 @@ def difference_colours(changed: np.ndarray, label: str) -> Colours:
     return Colours("RdBu_r", Normalize(-limit, limit), label, "both", (-limit, 0.0, limit))
 
 
-def _label(found: MapComparison, layer: str) -> str:
+def _label(found: computed.MapComparison, layer: str) -> str:
     is_metric, unit = layer in found.a.metrics, unit_of(found.a, layer)
     label = f"{symbol_of(layer) if is_metric else layer}{'' if unit == '1' else f' [{unit}]'}, B - A (red: B is higher)"
     meaning = meaning_of(found.a, layer) if is_metric else ""
     return f"{label}\n(m of 1: {meaning})" if meaning else label
 
 
-def _note(found: MapComparison, time: str | None) -> str:
+def _note(found: computed.MapComparison, time: str | None) -> str:
     """Return the name of both, what each guesses, and each one's time where the layer has any."""
     times = (None, None) if time is None else (time, found.times[time])
     lines = []
@@ -131,7 +135,7 @@ def _note(found: MapComparison, time: str | None) -> str:
     return "\n".join([*lines, joined(*ground_said(found.a))])
 
 
-def comparison_outputs(found: MapComparison) -> tuple[dict[str, Output], dict[str, Any]]:
+def comparison_outputs(found: computed.MapComparison) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a comparison writes, by file name, and what it is of."""
     key: dict[str, Any] = {
         "maps": list(found.names),
@@ -154,7 +158,7 @@ def comparison_outputs(found: MapComparison) -> tuple[dict[str, Output], dict[st
     return outputs | study_outputs(report, tables, figures), key
 
 
-def _write_difference(found: MapComparison, layer: str, file: Path) -> Path:
+def _write_difference(found: computed.MapComparison, layer: str, file: Path) -> Path:
     bands = {}
     for place in found.places(layer):
         altitude = "" if place.altitude_m is None else f"{place.altitude_m:g} m"
@@ -171,7 +175,7 @@ def _write_difference(found: MapComparison, layer: str, file: Path) -> Path:
     return write_bands(file, found.grid, bands, unit_of(found.a, layer), tags)
 
 
-def comparison_markdown(found: MapComparison, figures: list[str]) -> str:
+def comparison_markdown(found: computed.MapComparison, figures: list[str]) -> str:
     """Return the report as Markdown; ``figures`` are the layers whose pictures lie beside it."""
     same = [str(layer) for layer, share in found.most_changed.items() if not share > 0]
     first = found.table.time.isna() | (found.table.time == found.table.time.dropna().min())
@@ -197,7 +201,7 @@ def comparison_markdown(found: MapComparison, figures: list[str]) -> str:
     )
 
 
-def _settings(found: MapComparison) -> str:
+def _settings(found: computed.MapComparison) -> str:
     """Return what the maps were made by: settings, times that are not the same, and norms of population."""
     a, b = (population_norms(maps) for maps in (found.a, found.b))
     rows = [(f"`{key}`", *pair) for key, pair in (found.settings or {}).items()]
@@ -214,3 +218,37 @@ def _settings(found: MapComparison) -> str:
     if found.settings is not None:
         said = "" if found.settings else "No setting differs."
     return "\n\n".join(filter(None, (said, table(("", "A", "B"), shown) if shown else "")))
+
+
+class MapComparison(computed.MapComparison, Result):
+    """Maps B beside maps A, on the cells, altitudes, times and layers that both hold. ``Y`` rows, ``X`` columns.
+
+    Attributes:
+      names: what A and B are called.
+      a, b: the maps, cut to what both hold.
+      left_out: what only one of them holds.
+      settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; None where one
+        of them was not made by `jaxurban maps`.
+      tolerance: up to which values are the same.
+      table: a row a layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
+        hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A in the layer's ``unit``,
+        ``gained`` and ``lost``, the cells that are higher by more than ``tolerance`` in B and in A, and
+        ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` (cells that no planner enters) the
+        values are 1 where a cell is blocked and 0 elsewhere, and the cells all with data in both.
+      routes: a row for each route of one map under the other (`compared_routes`); empty where none were asked for.
+      seed: of their ends.
+
+    Examples:
+      >>> higher_mask = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), gps=ju.Gps(mask_deg=30.0))
+      >>> change = ju.studies.compare(maps, higher_mask, progress=False)
+      >>> change.layers[:6], change.grid.shape
+      (('obstacle', 'closed', 'gps', 'lidar', 'population', 'risk'), (30, 30))
+      >>> change.left_out
+      {'altitude 20 m': 'B holds no such map'}
+    """
+
+    _command = "compare"
+    _outputs = comparison_outputs
+
+
+compare = savable(computed.compare, MapComparison)

@@ -15,6 +15,7 @@ from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED
 from jaxurban.maps.levels import listed_m
 from jaxurban.maps.track import NUM_VISIBLE
 from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plain_log, styled
+from jaxurban.report.results import Result, savable
 from jaxurban.report.satellites import (
     peak_text,
     satellite_figures,
@@ -25,12 +26,12 @@ from jaxurban.report.satellites import (
 from jaxurban.report.write import Output, bullets, fill, study_outputs, table
 from jaxurban.settings import as_tuple
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
+from jaxurban.studies.receiver import validate as computed
 from jaxurban.studies.receiver.validate import (
     COEFFICIENTS,
     MAIN,
     SPEARMAN,
     WITHIN,
-    ReceiverValidation,
 )
 
 NAMES = {NUM_VISIBLE: "satellites in view", "gps": "GPS quality m"}
@@ -52,7 +53,7 @@ def name_of(prediction: str) -> str:
 
 
 @styled
-def plot_scatter(found: ReceiverValidation) -> Figure:
+def plot_scatter(found: computed.ReceiverValidation) -> Figure:
     """Return the receiver against the prediction that is its own, a point a piece of track, darker where many are."""
     rows = found.main.to_dict("records")
     figure, axes = panels(
@@ -96,7 +97,9 @@ def plot_scatter(found: ReceiverValidation) -> Figure:
     return figure
 
 
-def validation_outputs(found: ReceiverValidation) -> tuple[dict[str, Output], dict[str, Any]]:
+def validation_outputs(
+    found: computed.ReceiverValidation,
+) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a validation writes, by file name, and what it is of."""
     logged = (found.log.epochs, found.log.satellites)
     text = "".join(table.to_csv(index=False) for table in logged if table is not None)
@@ -116,7 +119,7 @@ def validation_outputs(found: ReceiverValidation) -> tuple[dict[str, Output], di
     return study_outputs(validation_markdown(found), tables, figures), key
 
 
-def validation_markdown(found: ReceiverValidation) -> str:
+def validation_markdown(found: computed.ReceiverValidation) -> str:
     """Return the report as Markdown."""
     of, settings, scenario = found.summary, found.settings, found.scenario
     masks_deg = as_tuple(scenario["gps"]["mask_deg"])
@@ -193,3 +196,47 @@ def score_table(scores: pd.DataFrame) -> str:
 
 def _number(value: float, digits: int = 2) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else ""
+
+
+class ReceiverValidation(computed.ReceiverValidation, Result):
+    """A receiver's log beside what maps say along its track.
+
+    Attributes:
+      log: what the receiver logged.
+      settings: how the two were set beside each other.
+      scenario: the settings that the maps were made with.
+      summary: numbers of the whole: epochs, those in a building, length of the track, means. Metres end in ``_m``.
+      epochs: a row an epoch: time, place, distance along the track, witnesses and predictions; NaN in a building.
+      pieces: a row a piece of track of ``settings.piece_m``: medians of the same.
+      scores: a row a ``witness``, ``prediction`` and ``piece_m``: ``num`` pieces, and for the rank correlation
+        ``within`` blocks and ``spearman`` over the whole track the value, what 95 % of all shifts along the track stay
+        at or below (``_shifts_95``) and the share of all shifts, that of 0 m among them, that score at least as high
+        (``_p``); of ``within`` also the ends of its 95 % interval (``_low``, ``_high``). Above 0 the receiver does
+        better where the maps say so; NaN where a coefficient is not defined.
+      shifts: a row a witness, length of pieces and ``shift`` of the maps along the track, in pieces, with the
+        coefficients.
+      attribution: whom to credit for the city.
+      guesses: what city and sky rest on that no file says, a sentence each.
+      satellites: of a log with a row a satellite, how the maps agree with it, satellite by satellite; else None. Then
+        ``num_visible`` and, where the log has none, ``num_tracked`` count the satellites that are judged.
+
+    Examples:
+      >>> import pandas as pd
+      >>> settings = {"region": {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}}
+      >>> scenario = ju.Scenario.from_dict(settings | {"buildings": {"source": "synthetic"}})
+      >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=40, freq="s")})
+      >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 40), lat=40.7795, num_tracked=5)
+      >>> found = ju.studies.validate(scenario, log, progress=False)
+      >>> found.summary["epochs"], found.summary["epochs_left_out"], round(found.summary["length_m"])
+      (40, 7, 338)
+      >>> found.pieces[["piece", "epochs", "num_tracked", "num_visible"]].head(2)
+         piece  epochs  num_tracked  num_visible
+      0      0       3          5.0          5.0
+      1      1       2          5.0          3.5
+    """
+
+    _command = "validate"
+    _outputs = validation_outputs
+
+
+validate = savable(computed.validate, ReceiverValidation)

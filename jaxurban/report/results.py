@@ -1,35 +1,58 @@
-"""Writing what a study found to a folder of its own: tables, figures and report.md."""
+"""What users get from studies: results that write themselves to a folder: tables, figures and report.md."""
 
+import functools
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, ParamSpec, TypeVar
 
+from jaxurban.checks import typed
 from jaxurban.io.workspace import Workspace
-from jaxurban.report.check import check_outputs
-from jaxurban.report.map_comparison import comparison_outputs
-from jaxurban.report.montecarlo import BenchmarkResult, analysis_outputs
-from jaxurban.report.receiver import validation_outputs
-from jaxurban.report.sensitivity import sensitivity_outputs
-from jaxurban.report.write import files_of, save
-from jaxurban.studies.check_result import MissionCheck
-from jaxurban.studies.map_comparison import MapComparison
-from jaxurban.studies.queries import Result
-from jaxurban.studies.receiver.validate import ReceiverValidation
-from jaxurban.studies.weights.study import Sensitivity
+from jaxurban.public import FactsRepr
 
-KINDS: dict[
-    type[Result], tuple[str, Any]
-] = {  # the command, and what returns the files and what decides them
-    BenchmarkResult: ("study", analysis_outputs),
-    MissionCheck: ("check", check_outputs),
-    MapComparison: ("compare", comparison_outputs),
-    ReceiverValidation: ("validate", validation_outputs),
-    Sensitivity: ("sensitivity", sensitivity_outputs),
-}
+Arguments = ParamSpec("Arguments")
+Saved = TypeVar("Saved", bound="Result")
 
 
-def save_result(found: Result, folder: Path, overwrite: bool) -> list[Path]:
-    """Write what `jaxurban.studies.queries.Result.save` says."""
-    command, outputs_of = KINDS[type(found)]
-    outputs, settings = outputs_of(found)
-    with Workspace.open(folder, command, settings, names=files_of(outputs), overwrite=overwrite):
-        return save(folder, outputs)
+class Result(FactsRepr):
+    """Base of the result of a study.
+
+    Attributes:
+      _command: that writes such results; a folder of one of another command is not replaced.
+    """
+
+    _command: ClassVar[str]
+
+    def _outputs(self) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+        """Return what is written, by file name (`jaxurban.report.write.save`), and the settings that decide it."""
+        raise NotImplementedError
+
+    @typed
+    def save(self, folder: str | Path, overwrite: bool = False) -> list[Path]:
+        """Write the report, tables (CSV, Parquet), figures (PNG) and maps (GeoTIFF) of a study; return the files.
+
+        Args:
+          folder: where to; made if it is not there.
+          overwrite: replace another study of the kind in it.
+
+        Raises:
+          InputError: the folder cannot be written to, or holds another study or other files.
+        """
+        from jaxurban.report.write import files_of, save  # imports Matplotlib
+
+        folder = Path(folder)
+        outputs, settings = self._outputs()
+        names = files_of(outputs)
+        with Workspace.open(folder, self._command, settings, names=names, overwrite=overwrite):
+            return save(folder, outputs)
+
+
+def savable(
+    study: Callable[Arguments, Any], kind: Callable[..., Saved]
+) -> Callable[Arguments, Saved]:
+    """Return a study whose result is of a kind that can be saved, and holds the same."""
+
+    @functools.wraps(study)
+    def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Saved:
+        return kind(**vars(study(*args, **kwargs)))
+
+    return run

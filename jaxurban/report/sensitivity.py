@@ -11,10 +11,11 @@ from jaxurban.paths.constraints import describe_constraints
 from jaxurban.planners.cost import CostModel
 from jaxurban.report.figures.frame import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
+from jaxurban.report.results import Result, savable
 from jaxurban.report.write import REPORT_FILE, Output, files_of, fill, listed, study_outputs
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
+from jaxurban.studies.weights import study as computed
 from jaxurban.studies.weights.sobol import FEW_SAMPLES, NOISE
-from jaxurban.studies.weights.study import Sensitivity
 
 TABLES = "cost_gradient", "local", "sobol", "switches", "pareto"
 FIGURES = "switches", "switch_routes", "pareto"
@@ -32,7 +33,7 @@ TOP_BUILDINGS = 10
 RANKING = "rank", "per_metre", "height_m", "lon", "lat", "distance_m"
 
 
-def sensitivity_outputs(found: Sensitivity) -> tuple[dict[str, Output], dict[str, Any]]:
+def sensitivity_outputs(found: computed.Sensitivity) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a study of one route writes, by file name, and what it is of."""
     route = found.route
     settings = {
@@ -46,7 +47,7 @@ def sensitivity_outputs(found: Sensitivity) -> tuple[dict[str, Output], dict[str
     return outputs, json.loads(json.dumps(settings, default=str))
 
 
-def sensitivity_markdown(found: Sensitivity, buildings: pd.DataFrame | None = None) -> str:
+def sensitivity_markdown(found: computed.Sensitivity, buildings: pd.DataFrame | None = None) -> str:
     """Return the report as Markdown; it names figures and tables as `sensitivity_outputs` does.
 
     ``buildings``: what `jaxurban.report.buildings.write_buildings` wrote beside it.
@@ -78,7 +79,7 @@ def sensitivity_markdown(found: Sensitivity, buildings: pd.DataFrame | None = No
     )
 
 
-def shown_tables(found: Sensitivity) -> dict[str, pd.DataFrame]:
+def shown_tables(found: computed.Sensitivity) -> dict[str, pd.DataFrame]:
     """Return the tables of the report by name."""
     points, outcomes, sobol = (
         found.front.points[[*found.front.objectives]],
@@ -125,7 +126,7 @@ def shown_tables(found: Sensitivity) -> dict[str, pd.DataFrame]:
     }
 
 
-def ranges(found: Sensitivity, name: str) -> dict[str, float]:
+def ranges(found: computed.Sensitivity, name: str) -> dict[str, float]:
     """Return where, along a weight's range, the route stays the same, and where much the same (see `ALIKE`).
 
     ``same_from``, ``same_to``, ``alike_from`` and ``alike_to``, values of the weight, ends of the range included.
@@ -143,3 +144,33 @@ def ranges(found: Sensitivity, name: str) -> dict[str, float]:
         "alike_from": float(table["from"].iloc[first]),
         "alike_to": float(table["to"].iloc[last]),
     }
+
+
+class Sensitivity(computed.Sensitivity, Result):
+    """What the weights do to one route. ``K`` weights.
+
+    Attributes:
+      maps: on which it is planned.
+      route: the cheapest route under the given weights.
+      names: ``"distance"`` and the metrics.
+      weights: ``[K]`` as given.
+      settings: what was varied, how far, and how finely; what was left out is filled in.
+      cost, outcomes: derivatives at the given weights (`cost_gradient`, `outcome_slopes`).
+      sobol: shares of variance over the whole range (`sobol_indices`).
+      lines: of each varied weight, the routes along its range, the others as given.
+      front: routes between objectives.
+      line_routes: ``[N, 2]`` easting and northing of the routes of each line, in the order of its cells.
+      num_plans, elapsed_s: searches and wall time.
+
+    Examples:
+      >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
+      >>> found = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
+      >>> {name: len(line.cells) for name, line in found.lines.items()}, found.route.status.value
+      ({'gps': 3}, 'optimal')
+    """
+
+    _command = "sensitivity"
+    _outputs = sensitivity_outputs
+
+
+sensitivity = savable(computed.sensitivity, Sensitivity)

@@ -1,8 +1,7 @@
-"""What studies share: how a result is saved, queries, and what routes between their ends add up."""
+"""What studies share: queries, and what routes between their ends add up."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.snapping import Point
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.public import FactsRepr
 
 NORMS = (
     "pop_norm_per_km2",
@@ -29,25 +27,6 @@ PLAIN = {
     LENGTH: ("length", "m"),
     PEOPLE: ("population crossed", "m at the highest density"),
 }  # label, unit
-
-
-class Result(FactsRepr):
-    """Base of what a study found."""
-
-    @typed
-    def save(self, folder: str | Path, overwrite: bool = False) -> list[Path]:
-        """Write the report, tables (CSV, Parquet), figures (PNG) and maps (GeoTIFF) of a study; return the files.
-
-        Args:
-          folder: where to; made if it is not there.
-          overwrite: replace another study of the kind in it.
-
-        Raises:
-          InputError: the folder cannot be written to, or holds another study or other files.
-        """
-        from jaxurban.report.results import save_result
-
-        return save_result(self, Path(folder), overwrite)
 
 
 @dataclass(frozen=True, eq=False)

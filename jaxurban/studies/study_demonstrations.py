@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -39,10 +39,8 @@ from jaxurban.studies.montecarlo.sampling import (
     read_instances,
     weight_columns,
 )
+from jaxurban.studies.montecarlo.study import BenchmarkResult
 from jaxurban.studies.montecarlo.trial import WEIGHTED, Benchmark, draws_samples, located
-
-if TYPE_CHECKING:
-    from jaxurban.report.montecarlo import BenchmarkResult
 
 EXACT = "astar-plus"  # plans the routes of tables
 SAME_COST = 1e-6  # relative: a route that is planned again costs as its row says
@@ -63,7 +61,7 @@ class _Asked(NamedTuple):
 
 @typed
 def demonstrations_from_study(
-    study: "BenchmarkResult | pd.DataFrame | str | Path",
+    study: BenchmarkResult | pd.DataFrame | str | Path,
     maps: MapsLike | None = None,
     altitude_m: float | None = None,
     time: str | None = None,
@@ -168,7 +166,7 @@ def study_in(folder: Path) -> Path | None:
     return next((each for each in (folder, folder / "study") if (each / ROWS_FILE).is_file()), None)
 
 
-def _maps_of(study: "BenchmarkResult | pd.DataFrame | str | Path") -> MapsLike:
+def _maps_of(study: BenchmarkResult | pd.DataFrame | str | Path) -> MapsLike:
     """Return the maps that a study was run on, where they are known."""
     if isinstance(study, pd.DataFrame):
         raise InputError("a table does not hold the maps that its routes lie on: give them (maps=)")
@@ -193,7 +191,7 @@ def _columns_of(weights: Weights, maps: MetricMaps) -> dict[str, float]:
 
 
 def _asked(
-    study: "BenchmarkResult | pd.DataFrame | str | Path",
+    study: BenchmarkResult | pd.DataFrame | str | Path,
     maps: MetricMaps,
     planner: str | None,
     flown: Mapping,

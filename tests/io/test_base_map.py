@@ -9,7 +9,7 @@ from jaxurban.io.read.base_map import read_base_map
 from jaxurban.io.read.osm import read_land_cover
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
-from jaxurban.report.montecarlo import land_cover_of
+from jaxurban.studies.montecarlo.study import land_cover_of
 from jaxurban.world.grid import Grid, transformer
 from tests.io.made_files import UTM, WGS84, line, osm
 

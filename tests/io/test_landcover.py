@@ -9,7 +9,7 @@ from jaxurban.io.read.city import area_of_outlines, area_of_raster
 from jaxurban.io.read.osm import read_land_cover, sea
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.guesses import leaving_shares, outside_share
-from jaxurban.report.montecarlo import land_cover_of
+from jaxurban.studies.montecarlo.study import land_cover_of
 from jaxurban.world.grid import transformer
 from jaxurban.world.raster import Raster
 from tests.io.made_files import UTM, WGS84, X, Y, box, line, north_up, osm, write_vector

@@ -29,9 +29,8 @@ from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.track import NUM_VISIBLE, Track, predict
 from jaxurban.progress import Progress, reporting
-from jaxurban.public import Caution
+from jaxurban.public import Caution, FactsRepr
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
-from jaxurban.studies.queries import Result
 from jaxurban.studies.receiver.agreement import SatelliteAgreement, agreement_of
 from jaxurban.studies.receiver.prediction import ReceiverSettings, region_of, task_at
 from jaxurban.studies.receiver.satellites import counted, known_of, with_directions
@@ -49,42 +48,8 @@ FEWEST_PIECES = 8  # fewer rank nothing
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ReceiverValidation(Result):
-    """A receiver's log beside what maps say along its track.
-
-    Attributes:
-      log: what the receiver logged.
-      settings: how the two were set beside each other.
-      scenario: the settings that the maps were made with.
-      summary: numbers of the whole: epochs, those in a building, length of the track, means. Metres end in ``_m``.
-      epochs: a row an epoch: time, place, distance along the track, witnesses and predictions; NaN in a building.
-      pieces: a row a piece of track of ``settings.piece_m``: medians of the same.
-      scores: a row a ``witness``, ``prediction`` and ``piece_m``: ``num`` pieces, and for the rank correlation
-        ``within`` blocks and ``spearman`` over the whole track the value, what 95 % of all shifts along the track stay
-        at or below (``_shifts_95``) and the share of all shifts, that of 0 m among them, that score at least as high
-        (``_p``); of ``within`` also the ends of its 95 % interval (``_low``, ``_high``). Above 0 the receiver does
-        better where the maps say so; NaN where a coefficient is not defined.
-      shifts: a row a witness, length of pieces and ``shift`` of the maps along the track, in pieces, with the
-        coefficients.
-      attribution: whom to credit for the city.
-      guesses: what city and sky rest on that no file says, a sentence each.
-      satellites: of a log with a row a satellite, how the maps agree with it, satellite by satellite; else None. Then
-        ``num_visible`` and, where the log has none, ``num_tracked`` count the satellites that are judged.
-
-    Examples:
-      >>> import pandas as pd
-      >>> settings = {"region": {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}}
-      >>> scenario = ju.Scenario.from_dict(settings | {"buildings": {"source": "synthetic"}})
-      >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=40, freq="s")})
-      >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 40), lat=40.7795, num_tracked=5)
-      >>> found = ju.studies.validate(scenario, log, progress=False)
-      >>> found.summary["epochs"], found.summary["epochs_left_out"], round(found.summary["length_m"])
-      (40, 7, 338)
-      >>> found.pieces[["piece", "epochs", "num_tracked", "num_visible"]].head(2)
-         piece  epochs  num_tracked  num_visible
-      0      0       3          5.0          5.0
-      1      1       2          5.0          3.5
-    """
+class ReceiverValidation(FactsRepr):
+    """What `jaxurban.report.receiver.ReceiverValidation` holds."""
 
     log: ReceiverLog
     settings: ReceiverSettings

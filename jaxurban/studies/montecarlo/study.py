@@ -1,0 +1,240 @@
+"""study: a Monte Carlo benchmark of planners over metric maps, kept in a folder and resumable."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
+from jaxurban.io.read.base_map import base_map_source, land_cover_in
+from jaxurban.io.read.osm import OSM_SUFFIXES, read_land_cover
+from jaxurban.io.samples import is_sample
+from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, write_table
+from jaxurban.io.workspace import Workspace
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.scenario import Scenario, Study
+from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.rows import MapsFolder, check_workers, run_rows
+from jaxurban.planners.cost import CostModel
+from jaxurban.progress import Progress, reporting
+from jaxurban.public import FactsRepr
+from jaxurban.samples.synthetic import demo_cover_for_bounds
+from jaxurban.settings import CostKind, Preset
+from jaxurban.studies.montecarlo import analysis
+from jaxurban.studies.montecarlo.sampling import (
+    KEY,
+    check_instances,
+    checked_instances,
+    query_columns,
+    read_instances,
+    sample_instances,
+    with_connection,
+)
+from jaxurban.studies.montecarlo.trial import Benchmark, free_cell, row_columns
+from jaxurban.world.grid import Grid
+from jaxurban.world.land_cover import LandCover
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BenchmarkResult(FactsRepr):
+    """What `jaxurban.report.montecarlo.BenchmarkResult` holds."""
+
+    folder: Path
+    maps: MetricMaps
+    instances: pd.DataFrame
+    rows: pd.DataFrame
+    settings: Benchmark
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Where it is kept, and how its runs ended."""
+        ends = ", ".join(
+            f"{status} {num}" for status, num in self.rows.status.value_counts().items()
+        )
+        return {"folder": str(self.folder), "instances": str(len(self.instances)), "runs": ends}
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The rows with their instances, ``has_path``, ``is_joined`` and ``ratio``."""
+        return analysis.joined(self.rows, self.instances)
+
+
+@typed
+def study(
+    maps: MetricMaps | MapsFolder | str | Path,
+    folder: str | Path,
+    instances: pd.DataFrame | int | None = None,
+    *,
+    settings: Study | None = None,
+    cost_model: CostModel | CostKind | None = None,
+    constraints: Constraints | None = None,
+    preset: Preset = "",
+    workers: int | str = 1,
+    overwrite: bool = False,
+    progress: Progress = True,
+) -> BenchmarkResult:
+    """Return what every planner finds for every instance, under equal budgets: a Monte Carlo benchmark.
+
+    Rows are kept in ``folder`` (``rows.parquet``, one a planner, objective, instance and altitude) as they come; the
+    same call after any end, ``kill -9`` included, runs only what is missing; planners and instances may be added. A
+    planner that crashes leaves a row with the status ``crashed``, and a place that is not free one with ``bad-input``.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or the folder of maps, which several workers need; a `MapsFolder` where it
+        holds several resolutions, or planners are to keep another rule of obstacles.
+      folder: where the benchmark is kept.
+      instances: a table as from `jaxurban.studies.sample_instances`, or how many to sample at each altitude; left out,
+        as the settings say. Their ``is_connected`` is found again on these maps.
+      settings: planners and budgets.
+      cost_model, constraints, preset: of all routes, as in `jaxurban.plan`; a cost model that is left out is that of
+        the settings, else that of the maps' scenario.
+      workers: processes of this machine, 1 works in this process; or the address of a Dask scheduler, whose workers see
+        the maps' folder under the same path.
+      overwrite: replace a benchmark of other settings.
+      progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
+
+    Returns:
+      ``rows``, one a planner, objective, instance and altitude: its status, its costs, metres (``length_m``) and
+      seconds (``elapsed_s``), the mean of each metric; ``table``, the same beside their instances; ``save`` writes the
+      report.
+
+    Raises:
+      InputError: a wrong argument, instances for other maps or none that lies on these, or a folder that holds a
+        benchmark of other settings or other instances.
+
+    Examples:
+      >>> chosen = ju.studies.Study(planners="astar-plus", altitudes_m=[60.0])
+      >>> benchmark = ju.studies.study(maps, "benchmark", 2, settings=chosen, progress=False)
+      >>> benchmark.rows[["instance", "planner", "objective", "status"]]
+         instance     planner objective   status
+      0         0  astar-dist  distance  optimal
+      1         0  astar-plus  weighted  optimal
+      2         1  astar-dist  distance  optimal
+      3         1  astar-plus  weighted  optimal
+    """
+    folder, chosen = Path(folder), settings or Study()
+    job = Benchmark(
+        study=chosen if not isinstance(instances, int) else replace(chosen, instances=instances),
+        cost_model=cost_model or chosen.cost_model,
+        constraints=constraints or Constraints(),
+        preset=preset,
+    )
+    source = maps if isinstance(maps, MetricMaps | MapsFolder) else MapsFolder(maps)
+    check_workers(workers, [source])
+    opened, job = job.under(source if isinstance(source, MetricMaps) else source.open())
+    model, constraints = CostModel.of(job.cost_model), job.constraints
+    source = opened if isinstance(source, MetricMaps) else source.at(opened)
+    if not isinstance(instances, pd.DataFrame):
+        asked: dict[str, Any] = {
+            name: getattr(job.study, name) for name in ("altitudes_m", "weights", "seed")
+        }
+        rules: dict[str, Any] = {"cost_model": model, "constraints": constraints}
+        instances = sample_instances(opened, job.study.instances, **asked, **rules)
+    else:
+        instances = checked_instances(instances, "instances")
+        check_instances(instances, opened)
+        instances = with_connection(instances, opened, model, constraints)
+        _check_places(instances, opened, constraints)
+    key, names = job.deciding(opened), [ROWS_FILE, INSTANCES_FILE]
+    with Workspace.open(
+        folder,
+        "study",
+        key,
+        names=names,
+        overwrite=overwrite,
+        is_shared=True,
+        is_mended=not overwrite,
+    ) as workspace:
+        _check_growth(workspace, instances)
+        write_table(instances, folder / INSTANCES_FILE)
+        file, columns = folder / ROWS_FILE, row_columns(instances.columns)
+        with reporting("study", progress) as report:
+            rows = run_rows(
+                file,
+                job,
+                instances,
+                {None: source},
+                lambda _: columns,
+                workers=workers,
+                report=report,
+            )
+    return BenchmarkResult(folder, opened, instances, rows, job)
+
+
+def land_cover_of(scenario: Scenario) -> LandCover | None:
+    """Return the water and the parks that the benchmark of a scenario distinguishes, None where no source holds them.
+
+    From ``[study] land_cover``; left out, from the buildings' source where that is an OSM file or a sample city, or the
+    synthetic city's.
+
+    Raises:
+      InputError: the file cannot be read, or is not an OSM file.
+    """
+    region, named = scenario.region, scenario.study.land_cover
+    if named is None and scenario.is_synthetic:
+        return demo_cover_for_bounds(region.bounds, region.crs)
+    source = named or str(scenario.buildings.source)
+    grid = Grid.from_bounds(region.bounds, region.resolution_m[0], region.crs, region.resolution_m)
+    if is_sample(source):
+        base = base_map_source(source)
+        return None if base is None else land_cover_in(base, grid.crs, grid.bounds_m)
+    if not source.lower().endswith(OSM_SUFFIXES):
+        if named is not None:
+            raise InputError(
+                f"[study] land_cover must be an OpenStreetMap file (.osm.pbf or .osm), got {named!r}"
+            )
+        return None
+    return read_land_cover(scenario.path_of(source), grid.crs, grid.bounds_m)
+
+
+def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constraints) -> None:
+    """Raise InputError if not one instance starts and ends on a free cell; a few that do not are rows."""
+    if instances.is_connected.notna().any():
+        return
+    first = instances.iloc[0]
+    is_free = constraints.is_free(
+        maps, first.altitude_m, time=first.time, time_of_day=first.time_of_day
+    )
+    for end in ("start", "goal"):
+        try:
+            free_cell(maps.grid, is_free, first[f"{end}_x_m"], first[f"{end}_y_m"])
+        except InputError as error:
+            raise InputError(
+                f"no instance lies on these maps, from the first one on, instance {first.instance} at "
+                f"{first.altitude_m:g} m, whose {end} is not free ({error}): use the maps that they are for"
+            ) from error
+
+
+def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
+    """Raise InputError unless all instances of the benchmark in a folder, if there is one, are among these."""
+    folder, file = workspace.folder, workspace.folder / INSTANCES_FILE
+    remedy = "choose another folder, or pass --overwrite (overwrite=True) to replace it"
+    if not (folder / ROWS_FILE).exists() and not any((folder / PARTS_FOLDER).glob("*.json")):
+        return
+    try:
+        if workspace.is_changed(file):
+            raise InputError(f"{str(file)!r} is not as it was written")
+        before = read_instances(file).set_index(list(KEY))
+    except InputError as error:
+        raise InputError(
+            f"{str(folder)!r} holds a study whose instances are lost ({error}): {remedy}"
+        ) from error
+    now, columns = instances.set_index(list(KEY)), query_columns(instances.columns)
+    if len(lost := before.index.difference(now.index)):
+        number, altitude_m = lost[0]
+        raise InputError(
+            f"{str(folder)!r} holds a study of {len(before)} instances, counted at each altitude, of which {len(lost)} "
+            f"are left out now (instance {number} at {altitude_m:g} m is the first), and a study can be made longer "
+            f"but not shorter: {remedy}"
+        )
+    before, after = before.reindex(columns=columns), now[columns].reindex(before.index)
+    differs = np.argwhere(~((before == after) | (before.isna() & after.isna())).to_numpy())
+    if len(differs):
+        (row, col), (number, altitude_m) = differs[0], before.index[differs[0][0]]
+        raise InputError(
+            f"{str(folder)!r} holds a study of other instances (instance {number} at {altitude_m:g} m has the "
+            f"{columns[col]} {before.iloc[row, col]}, now {after.iloc[row, col]}): {remedy}"
+        )
