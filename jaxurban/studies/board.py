@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import pandas as pd
 import shapely
 
 from jaxurban.errors import InputError, readable
-from jaxurban.io.files import digest_of, whole_file
+from jaxurban.io.files import digest_of, whole_file, write_whole
 from jaxurban.io.tables import read_table, records_of, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.build import build_maps
@@ -28,7 +27,6 @@ from jaxurban.planners.cost import CostModel
 from jaxurban.planners.exposure import within_budgets
 from jaxurban.planners.refine import refine
 from jaxurban.progress import Progress, reporting
-from jaxurban.report.write import save
 from jaxurban.samples.cities import sample_city
 from jaxurban.samples.synthetic import demo_city
 from jaxurban.studies.montecarlo.sampling import sample_joined
@@ -47,7 +45,7 @@ TRUTH = {
     "w_risk": 0.6,
 }  # of demonstrations
 ENDS = ["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
-ASKED, CLAIMED = ["track", "query", "route"], ["cost", "cpu_s"]
+KEYS, CLAIMED = ["track", "query", "route"], ["cost", "cpu_s"]  # columns of a submission
 LINE = ["method", "bundle", "track", "city"]  # what names a line of the board
 NEAR_M = 1e-3  # of ends, and on the grid of corners, to the centres of cells
 SAME, SAME_COST = (
@@ -75,65 +73,57 @@ def make_benchmark(
     Raises:
       InputError: the folder cannot be written to, or holds other files of these names.
     """
-    folder, outputs, cities = (
-        Path(folder),
-        dict[str, Any](),
-        [*SAMPLED, SYNTHETIC] if maps is None else [*maps],
-    )
-    queries, shown, names = (
-        list[dict[str, Any]](),
-        list[dict[str, Any]](),
-        [QUERIES, DEMONSTRATIONS, CHECKSUMS, *TEXTS],
-    )
-    names += [f"{city}.npz" for city in cities]
+    folder = Path(folder)
+    cities = [*SAMPLED, SYNTHETIC] if maps is None else [*maps]
+    names = [QUERIES, DEMONSTRATIONS, CHECKSUMS, *TEXTS, *(f"{city}.npz" for city in cities)]
+    queries: list[dict[str, Any]] = []
+    demonstrations: list[dict[str, Any]] = []
+    arrays: dict[str, dict[str, Any]] = {}
     with (
         Workspace.open(folder, "score --make", names=names, is_shared=True),
         reporting("score --make", progress) as report,
     ):
         maps = city_maps() if maps is None else maps
-        for seed, (city, made) in enumerate(maps.items()):
-            on = cost_map(made, made.altitudes_m[0], cost_model="line")
-            problem, weighed = (
-                on.problem.with_costs(np.round(on.costs, DECIMALS)),
-                ["distance", *on.names],
-            )
-            facts: dict[str, Any] = {
-                "layers": on.names,
-                "crs": on.grid.crs,
-                "west_south_m": on.grid.bounds_m[:2],
-            }
-            facts |= {
+        for seed, (city, of_city) in enumerate(maps.items()):
+            costs = cost_map(of_city, of_city.altitudes_m[0], cost_model="line")
+            problem = costs.problem.with_costs(np.round(costs.costs, DECIMALS))
+            weights = ["distance", *costs.names]
+            southwest_m = costs.grid.bounds_m[:2]
+            arrays[city] = {
+                "layers": costs.names,
+                "crs": costs.grid.crs,
+                "west_south_m": southwest_m,
                 "resolution_m": problem.resolution_m,
-                "reference_length_m": on.cost_model.reference_length_m,
+                "reference_length_m": costs.cost_model.reference_length_m,
+                "costs": problem.costs,
+                "is_free": problem.is_free,
             }
-            outputs[f"{city}.npz"] = partial(
-                _pack, facts | {"costs": problem.costs, "is_free": problem.is_free}
-            )
-            drawn = sample_joined(
-                made,
+            instances = sample_joined(
+                of_city,
                 2 * num_queries,
-                altitudes_m=made.altitudes_m[:1],
+                altitudes_m=of_city.altitudes_m[:1],
                 cost_model="line",
                 seed=seed,
             )
-            drawn[ENDS] -= np.tile(on.grid.bounds_m[:2], 2)
-            for turn, row in enumerate(
-                records_of(drawn[[*ENDS, *(f"w_{name}" for name in weighed)]])
-            ):
-                report(city, turn, len(drawn))
-                row = {"city": city, "query": f"{city}-{turn:02}"} | row
+            instances[ENDS] -= np.tile(southwest_m, 2)
+            columns = [*ENDS, *(f"w_{name}" for name in weights)]
+            for turn, instance in enumerate(records_of(instances[columns])):
+                report(city, turn, len(instances))
+                row = {"city": city, "query": f"{city}-{turn:02}"} | instance
                 if turn < num_queries:
-                    queries += _asked_of(problem, weighed, row, on.names[turn % len(on.names)])
+                    layer = costs.names[turn % len(costs.names)]
+                    queries += _queries_of_tracks(problem, weights, row, layer)
                 else:
-                    route = astar_plus(problem_of(problem, weighed, row | TRUTH)).points_m
-                    shown.append({"city": city, "route": shapely.LineString(route).wkt})
-        outputs |= {
-            name: (files("jaxurban") / text).read_text(encoding="utf-8")
-            for name, text in TEXTS.items()
-        }
-        outputs |= {QUERIES: pd.DataFrame(queries), DEMONSTRATIONS: pd.DataFrame(shown)}
-        sums = "".join(f"{digest_of(file)}  {file.name}\n" for file in save(folder, outputs))
-        save(folder, {CHECKSUMS: sums})
+                    route = astar_plus(problem_of(problem, weights, row | TRUTH)).points_m
+                    demonstrations.append({"city": city, "route": shapely.LineString(route).wkt})
+        written = [_pack(arrays[city], folder / f"{city}.npz") for city in arrays]
+        for name, text in TEXTS.items():
+            write_whole(folder / name, (files("jaxurban") / text).read_text(encoding="utf-8"))
+        written += [folder / name for name in TEXTS]
+        written.append(write_table(pd.DataFrame(queries), folder / QUERIES))
+        written.append(write_table(pd.DataFrame(demonstrations), folder / DEMONSTRATIONS))
+        sums = "".join(f"{digest_of(file)}  {file.name}\n" for file in written)
+        write_whole(folder / CHECKSUMS, sums)
     return folder / QUERIES
 
 
@@ -146,10 +136,11 @@ def city_maps() -> dict[str, MetricMaps]:
     }
 
 
-def _pack(arrays: Mapping[str, Any], file: Path) -> None:
-    """Write a compressed .npz, whose entries NumPy dates 1980: the same arrays give the same bytes."""
+def _pack(arrays: Mapping[str, Any], file: Path) -> Path:
+    """Write a compressed .npz, whose entries NumPy dates 1980 (the same arrays, the same bytes); return the file."""
     with whole_file(file) as scratch, scratch.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
+    return file
 
 
 def problem_of(problem: Problem, names: list[str], row: Mapping[str, Any]) -> Problem:
@@ -160,18 +151,18 @@ def problem_of(problem: Problem, names: list[str], row: Mapping[str, Any]) -> Pr
     )
 
 
-def _asked_of(
+def _queries_of_tracks(
     problem: Problem, names: list[str], row: dict[str, Any], layer: str
 ) -> Iterator[dict[str, Any]]:
     """Yield a query of each track, with a lower bound and the cost of the best route known."""
-    asked, column = problem_of(problem, names, row), names.index(layer)
-    routes = [astar_plus(asked), astar_plus(asked.with_weights(np.eye(len(names))[column]))]
-    budget = float(np.mean([asked.features(route.points_m).phi[column] for route in routes]))
-    within = within_budgets(asked, astar_plus, {layer: budget}, names[1:], budget_s=np.inf, seed=0)
+    query, column = problem_of(problem, names, row), names.index(layer)
+    routes = [astar_plus(query), astar_plus(query.with_weights(np.eye(len(names))[column]))]
+    budget = float(np.mean([query.features(route.points_m).phi[column] for route in routes]))
+    within = within_budgets(query, astar_plus, {layer: budget}, names[1:], budget_s=np.inf, seed=0)
     true = astar_plus(problem_of(problem, names, row | TRUTH)).cost
-    any_angle = refine(asked, theta_star(asked)).cost
+    any_angle = refine(query, theta_star(query)).cost
     yield row | {"track": "grid", "bound": routes[0].cost, "best": routes[0].cost}
-    yield row | {"track": "any-angle", "bound": corner_bound(asked), "best": any_angle}
+    yield row | {"track": "any-angle", "bound": corner_bound(query), "best": any_angle}
     yield row | {
         "track": "budget",
         "bound": within.lower_bound,
@@ -210,15 +201,13 @@ def score(
       InputError: a bundle that was changed; a file that is no table, lacks a column, holds no row, answers what is not
         asked, or a query twice; weights that are none; a board that is none, or was changed.
     """
-    folder, table, method = (
-        Path(folder),
-        read_table(submission, "submission"),
-        method or Path(submission).stem,
-    )
-    if lacking := [name for name in ASKED if name not in table]:
-        raise InputError(
-            f"{str(submission)!r} has no column {lacking[0]!r}: a submission has {', '.join(ASKED)}"
-        )
+    folder, method = Path(folder), method or Path(submission).stem
+    table = read_table(submission, "submission")
+    for name in KEYS:
+        if name not in table:
+            raise InputError(
+                f"{str(submission)!r} has no column {name!r}: a submission has {', '.join(KEYS)}"
+            )
     sums, digests = folder / CHECKSUMS, dict[str, str]()
     with readable(sums, "checksums of a benchmark", f"make one by jaxurban score {folder} --make"):
         for digest, name in (line.split("  ") for line in sums.read_text().splitlines()):
@@ -227,54 +216,47 @@ def score(
     def check(names: Iterable[str]) -> None:
         for name in names:
             file = folder / name
-            if (
-                name not in digests
-                or Path(name).name != name
-                or not file.is_file()
-                or digest_of(file) != digests[name]
-            ):
+            is_listed = name in digests and Path(name).name == name
+            if not is_listed or not file.is_file() or digest_of(file) != digests[name]:
                 raise InputError(
                     f"{str(file)!r} is missing or not as {CHECKSUMS} has it: make it again"
                 )
 
     check([QUERIES, *digests])
-    asked = read_table(folder / QUERIES, "queries")
-    asked["row"] = asked["city"].where(
-        asked["track"] == "weights", asked["query"]
-    )  # of a submission
-    given = table.set_index(["track", "query"]).index
-    wrong = ~given.isin(asked.set_index(["track", "row"]).index) | given.duplicated()
+    queries = read_table(folder / QUERIES, "queries")
+    is_weights = queries["track"] == "weights"
+    queries["row"] = queries["city"].where(is_weights, queries["query"])  # of a submission
+    answers = table.set_index(["track", "query"]).index
+    wrong = ~answers.isin(queries.set_index(["track", "row"]).index) | answers.duplicated()
     if table.empty or wrong.any():
-        what = (
-            f"answers {' '.join(map(str, given[wrong][0]))}, not asked or twice"
-            if wrong.any()
-            else "is empty"
-        )
+        what = "is empty"
+        if wrong.any():
+            what = f"answers {' '.join(map(str, answers[wrong][0]))}, not asked or twice"
         raise InputError(
             f"{str(submission)!r} {what}: write one row for each query of a track in {QUERIES}"
         )
-    table = table.reindex(columns=[*ASKED, *CLAIMED]).rename(columns={"query": "row"})
-    routes = asked[asked["track"].isin(table["track"])].merge(
-        table, "left", ["track", "row"], indicator="outcome"
-    )
-    check(f"{city}.npz" for city in {*routes["city"]})
-    cities = {city: unpacked(folder / f"{city}.npz") for city in {*routes["city"]}}
+    table = table.reindex(columns=[*KEYS, *CLAIMED]).rename(columns={"query": "row"})
+    queries = queries[queries["track"].isin(table["track"])]
+    routes = queries.merge(table, "left", ["track", "row"], indicator="outcome")
+    cities = {city: f"{city}.npz" for city in {*routes["city"]}}
+    check(cities.values())
+    problems = {city: unpacked(folder / name) for city, name in cities.items()}
     claims = {f"claimed_{name}": pd.to_numeric(routes[name], errors="coerce") for name in CLAIMED}
     for name in CLAIMED:
-        if len(texts := routes.loc[routes[name].notna() & claims[f"claimed_{name}"].isna(), name]):
+        texts = routes.loc[routes[name].notna() & claims[f"claimed_{name}"].isna(), name]
+        if len(texts):
             raise InputError(
                 f"{str(submission)!r} claims the {name} {texts.iloc[0]!r}: give a number, or leave it out"
             )
-    verdicts = [_judged(*cities[row["city"]], row) for row in records_of(routes)]
+    verdicts = [_judged(*problems[row["city"]], row) for row in records_of(routes)]
     routes["outcome"], routes["cost"] = zip(*verdicts, strict=True)
-    gaps = {
-        name: routes["cost"] / routes[of] - 1
-        for name, of in (("gap", "bound"), ("over_best", "best"))
-    }
-    routes, key = routes.assign(**gaps, **claims), digest_of(sums)[:12]
+    routes["gap"] = routes["cost"] / routes["bound"] - 1
+    routes["over_best"] = routes["cost"] / routes["best"] - 1
+    routes = routes.assign(**claims)
+    head = {"method": method, "bundle": digest_of(sums)[:12]}
     parts = routes.groupby(["track", "city"], sort=False)
     lines = pd.DataFrame(
-        [dict(zip(LINE, (method, key, *of), strict=True)) | _summary(each) for of, each in parts]
+        [head | {"track": track, "city": city} | _summary(part) for (track, city), part in parts]
     )
     if board is not None:
         _enter(lines, Path(board))
@@ -297,26 +279,18 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
     """Return the outcome of a query, and the cost of its route, inf where that is not valid."""
     if row["outcome"] == "left_only":
         return MISSING, np.inf
-    problem, side_m, ends_m = (
-        problem_of(problem, names, row),
-        problem.resolution_m,
-        [row[end] for end in ENDS],
-    )
+    problem = problem_of(problem, names, row)
     if row["track"] == "weights":
-        weights = Weights.parse(str(row["route"]), Weights(**dict.fromkeys(names, 0.0))).checked(
-            names
-        )
-        return VALID, problem.cost_of(
-            astar_plus(problem.with_weights(weights.vector(names))).points_m
-        )
+        none = Weights(**dict.fromkeys(names, 0.0))
+        weights = Weights.parse(str(row["route"]), none).checked(names)
+        route = astar_plus(problem.with_weights(weights.vector(names)))
+        return VALID, problem.cost_of(route.points_m)
+    side_m, ends_m = problem.resolution_m, [row[end] for end in ENDS]
     with np.errstate(invalid="ignore"):  # of NaN
         line = shapely.from_wkt(str(row["route"]), on_invalid="ignore")
     points_m = shapely.get_coordinates(line)
-    if (
-        not isinstance(line, shapely.LineString)
-        or not len(points_m)
-        or not np.isfinite(points_m).all()
-    ):
+    is_line = isinstance(line, shapely.LineString) and len(points_m)
+    if not is_line or not np.isfinite(points_m).all():
         return "no line", np.inf
     if np.abs(points_m[[0, -1]].ravel() - ends_m).max() > NEAR_M:
         return "wrong ends", np.inf
@@ -329,36 +303,31 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
         is_straight = (legs.min(axis=1) == 0) | (legs[:, 0] == legs[:, 1])
         if np.abs(points_m - centres_m).max() > NEAR_M or not is_straight.all():
             return "off the grid", np.inf
-        points_m, problem = (
-            centres_m,
-            replace(problem, leg_margin_m=NEAR_M * side_m),
-        )  # keeps diagonals from corners
+        points_m = centres_m
+        problem = replace(problem, leg_margin_m=NEAR_M * side_m)  # keeps diagonals from corners
     sums = problem.features(points_m)
-    if (
-        sums.is_valid
-        and row["track"] == "budget"
-        and sums.phi[names.index(row["layer"])] > row["budget"] * (1 + SAME)
-    ):
-        return "over budget", np.inf
-    return VALID if sums.is_valid else "not free", sums.cost(problem.weights)
+    if not sums.is_valid:
+        return "not free", sums.cost(problem.weights)
+    if row["track"] == "budget":
+        exposure = sums.phi[names.index(row["layer"])]
+        if exposure > row["budget"] * (1 + SAME):
+            return "over budget", np.inf
+    return VALID, sums.cost(problem.weights)
 
 
 def _summary(routes: pd.DataFrame) -> dict[str, Any]:
     """Return the counts and gaps of a track in a city; each quantile is a route's own value."""
     is_valid, gap, claims = routes["outcome"] == VALID, routes["gap"], routes["claimed_cost"]
-    is_other = (
-        is_valid & claims.notna() & ~np.isclose(claims, routes["cost"], rtol=SAME_COST, atol=0)
-    )
+    is_true = np.isclose(claims, routes["cost"], rtol=SAME_COST, atol=0)
     failed = routes.loc[~is_valid, "outcome"].value_counts()
     return {
         "asked": len(routes),
         "valid": is_valid.sum(),
         "failed": "; ".join(f"{count} {reason}" for reason, count in failed.items()),
-        "false_claims": is_other.sum(),
-        **{
-            f"gap_{name}": gap.quantile(q, "higher")
-            for name, q in (("median", 0.5), ("90", 0.9), ("worst", 1.0))
-        },
+        "false_claims": (is_valid & claims.notna() & ~is_true).sum(),
+        "gap_median": gap.quantile(0.5, "higher"),
+        "gap_90": gap.quantile(0.9, "higher"),
+        "gap_worst": gap.quantile(1.0, "higher"),
         "over_best_median": routes["over_best"].quantile(0.5, "higher"),
         "cpu_s_median": routes["claimed_cpu_s"].quantile(0.5),
     }
