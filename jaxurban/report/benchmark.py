@@ -231,9 +231,9 @@ def _write_costs(
 
 def _references(rows: pd.DataFrame) -> pd.DataFrame:
     """Return the reference costs of each instance: the grid's optimum, and the cheapest path known."""
-    found = rows[rows.cost.notna() & (rows.objective == WEIGHTED)]
-    best = found.loc[found.groupby(list(KEY)).cost.idxmin(), [*KEY, "cost", "planner"]]
+    result = rows[rows.cost.notna() & (rows.objective == WEIGHTED)]
+    best = result.loc[result.groupby(list(KEY)).cost.idxmin(), [*KEY, "cost", "planner"]]
     best = best.rename(columns={"cost": "best_known", "planner": "best_planner"})
-    proven = found[(found.status == Status.OPTIMAL.value) & found.planner.isin(GRID_PLANNERS)]
+    proven = result[(result.status == Status.OPTIMAL.value) & result.planner.isin(GRID_PLANNERS)]
     optimum = proven.groupby(list(KEY)).cost.min().rename("grid_optimum").reset_index()
     return best.merge(optimum, on=list(KEY), how="left")

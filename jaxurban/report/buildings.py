@@ -131,17 +131,17 @@ def scenario_of(folder: Path, scenario: Path | None = None) -> Scenario:
         for path in ((Path(), folder, folder.parent) if scenario is None else (scenario.parent,))
     ]
     for each in folders:
-        found = Scenario.from_dict(record["settings"], name=str(file), folder=each)
+        result = Scenario.from_dict(record["settings"], name=str(file), folder=each)
         if not all(
-            located(found.path_of(source["path"])).exists() for source in record["inputs"].values()
+            located(result.path_of(source["path"])).exists() for source in record["inputs"].values()
         ):
             continue
-        for role, source in hash_inputs(found).items():
+        for role, source in hash_inputs(result).items():
             if source["sha256"] != record["inputs"][role]["sha256"]:
                 raise InputError(
                     f"{source['path']!r} is not the file that the maps were made from: put it back, or make them again"
                 )
-        return found
+        return result
     names = ", ".join(repr(source["path"]) for source in record["inputs"].values())
     raise InputError(
         f"the sources of these maps ({names}) were not found from {', '.join(map(str, folders))}: name the scenario's "

@@ -31,44 +31,44 @@ SIZE_IN = 8.0, 3.4
 HEADS = ["item", "kind", "what", "along_m", "height_m", "lon", "lat"]
 
 
-def check_outputs(found: MissionCheck) -> tuple[dict[str, Output], dict[str, Any]]:
+def check_outputs(result: MissionCheck) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a check writes, by file name, and what it is of."""
-    figures = {"map": partial(plot_mission, found), "profile": partial(plot_flown_heights, found)}
-    if not len(found.flight.steps.leg):
+    figures = {"map": partial(plot_mission, result), "profile": partial(plot_flown_heights, result)}
+    if not len(result.flight.steps.leg):
         figures = {}
-    tables = {"findings": found.findings}
-    outputs = study_outputs(check_markdown(found, list(figures)), tables, figures)
-    record = found.to_dict()
-    texts = {"findings.geojson": found.to_geojson(), "check.json": record}
+    tables = {"findings": result.findings}
+    outputs = study_outputs(check_markdown(result, list(figures)), tables, figures)
+    record = result.to_dict()
+    texts = {"findings.geojson": result.to_geojson(), "check.json": record}
     return {name: json.dumps(each, indent=1) for name, each in texts.items()} | outputs, record
 
 
-def check_markdown(found: MissionCheck, figures: list[str]) -> str:
+def check_markdown(result: MissionCheck, figures: list[str]) -> str:
     """Return the report as Markdown; ``figures`` are those that lie beside it."""
-    shown = found.findings[HEADS].round({"lon": 6, "lat": 6}).astype({"lon": str, "lat": str})
+    shown = result.findings[HEADS].round({"lon": 6, "lat": 6}).astype({"lon": str, "lat": str})
     shown.insert(0, "number", range(1, len(shown) + 1))
     return fill(
         "check",
         {"findings": shown},
         figures,
-        [found.maps.attribution],
-        found=found,
-        not_judged=bullets(found.not_judged) or "All of it was judged.",
-        numbers=bullets(f"{name}: {fact}" for name, fact in found.numbers.items()),
-        note=found.figures.get("cost_note", ""),
-        limits=describe_constraints(found.limits) or "none",
-        guesses=", ".join(found.maps.guesses) or "nothing",
+        [result.maps.attribution],
+        result=result,
+        not_judged=bullets(result.not_judged) or "All of it was judged.",
+        numbers=bullets(f"{name}: {fact}" for name, fact in result.numbers.items()),
+        note=result.figures.get("cost_note", ""),
+        limits=describe_constraints(result.limits) or "none",
+        guesses=", ".join(result.maps.guesses) or "nothing",
     )
 
 
 @styled
-def plot_mission(found: MissionCheck) -> Figure:
+def plot_mission(result: MissionCheck) -> Figure:
     """Return the mission over the roofs, as far as the maps hold it, and its findings."""
-    steps, grid = found.flight.steps, found.maps.grid
-    panel = MapPanel(f"Roof height (m), {found.flight.mission.name}", roof_layers(found.maps))
-    figure, (axes,) = draw_maps(grid, [panel], found.sentence, frame_note(found.maps))
+    steps, grid = result.flight.steps, result.maps.grid
+    panel = MapPanel(f"Roof height (m), {result.flight.mission.name}", roof_layers(result.maps))
+    figure, (axes,) = draw_maps(grid, [panel], result.sentence, frame_note(result.maps))
     axes.plot(*steps.ends_m[:, 0].T, ".", markersize=1.5, color=ALTITUDE_COLOUR, label="mission")
-    places = found.findings.dropna(subset=["lon"])
+    places = result.findings.dropna(subset=["lon"])
     xy_m = grid.xy_of_lonlat(*places[["lon", "lat"]].to_numpy().T)
     axes.plot(*xy_m, zorder=5, **FOUND)
     _number(axes, places.index, *xy_m)
@@ -77,19 +77,19 @@ def plot_mission(found: MissionCheck) -> Figure:
 
 
 @styled
-def plot_flown_heights(found: MissionCheck) -> Figure:
+def plot_flown_heights(result: MissionCheck) -> Figure:
     """Return the height above the ground along the mission, the roofs of the cells below, and findings."""
-    steps = found.flight.steps
+    steps = result.flight.steps
     along_m = steps.along_m[:, 0]
-    figure = chart(*SIZE_IN, "Height along the mission", found.sentence)
+    figure = chart(*SIZE_IN, "Height along the mission", result.sentence)
     axes = figure.subplots()
-    if TOUCHED in found.maps.ds:
-        roof_m = found.maps.m(TOUCHED)[tuple(steps.cell.T)].astype(float)
+    if TOUCHED in result.maps.ds:
+        roof_m = result.maps.m(TOUCHED)[tuple(steps.cell.T)].astype(float)
         roof_m[:-1][np.diff(along_m) > GAP_M] = np.nan  # beyond the maps no roof is known
         axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label="roofs of the cells below")
     look: dict[str, Any] = {"markersize": 1.5, "color": ALTITUDE_COLOUR, "label": "mission"}
     axes.plot(along_m, steps.z_m[:, 0], ".", **look)
-    places = found.findings.dropna(subset=["lon"])
+    places = result.findings.dropna(subset=["lon"])
     axes.plot(places["along_m"], places["height_m"], **FOUND)
     _number(axes, places.index, places["along_m"], places["height_m"])
     axes.set(xlabel="flown (m)", ylabel="height above\nground (m)")

@@ -38,24 +38,24 @@ from jaxurban.studies.queries import population_norms
 SHOWN_SHARE = 0.99  # of the changed cells lie within the colour bar
 
 
-def comparison_figures(found: computed.MapComparison) -> dict[str, Callable[[], Figure]]:
+def comparison_figures(result: computed.MapComparison) -> dict[str, Callable[[], Figure]]:
     """Return what draws each layer that changed anywhere, by its name."""
-    most = found.most_changed
+    most = result.most_changed
     return {
-        layer: partial(plot_difference, found, layer) for layer in found.layers if most[layer] > 0
+        layer: partial(plot_difference, result, layer) for layer in result.layers if most[layer] > 0
     }
 
 
-def heading_of(found: computed.MapComparison, layer: str) -> str:
+def heading_of(result: computed.MapComparison, layer: str) -> str:
     """Return what figures and reports call a layer."""
     if layer == CLOSED:
         return "Cells that no planner enters"
-    metric = found.a.metrics.get(layer)
-    return metric.label if metric else str(found.a.ds[layer].attrs.get("long_name", layer))
+    metric = result.a.metrics.get(layer)
+    return metric.label if metric else str(result.a.ds[layer].attrs.get("long_name", layer))
 
 
 def plot_difference(
-    found: computed.MapComparison, layer: str, *, time: str | None = None
+    result: computed.MapComparison, layer: str, *, time: str | None = None
 ) -> Figure:
     """Return panels of B - A of a layer by altitude or time of day, all on one scale centred at 0.
 
@@ -70,19 +70,19 @@ def plot_difference(
     Raises:
       InputError: a layer or a time that is not compared.
     """
-    places = found.places(one_of("layer", layer, found.layers))
+    places = result.places(one_of("layer", layer, result.layers))
     times = list(dict.fromkeys(place.time for place in places))
     time = times[0] if time is None else one_of("time", time, times)
-    rows: list[Any] = list(found.table[found.table.layer == layer].itertuples())
+    rows: list[Any] = list(result.table[result.table.layer == layer].itertuples())
     drawn = [(place, row) for place, row in zip(places, rows, strict=True) if place.time == time]
-    maps = [found.of(layer, **place._asdict()) for place, _ in drawn]
-    changed = np.concatenate([np.abs(values[np.abs(values) > found.tolerance]) for values in maps])
-    colours = difference_colours(changed, _label(found, layer))
-    has_data, panels = found.a.ds["has_data"].values & found.b.ds["has_data"].values, []
+    maps = [result.of(layer, **place._asdict()) for place, _ in drawn]
+    changed = np.concatenate([np.abs(values[np.abs(values) > result.tolerance]) for values in maps])
+    colours = difference_colours(changed, _label(result, layer))
+    has_data, panels = result.a.ds["has_data"].values & result.b.ds["has_data"].values, []
     for (place, row), values in zip(drawn, maps, strict=True):
         is_grey = np.isnan(values)
         if layer in MASKS and place.altitude_m is not None:
-            is_grey = ~found.a.is_free(place.altitude_m, None if layer == CLOSED else "centre") & (
+            is_grey = ~result.a.is_free(place.altitude_m, None if layer == CLOSED else "centre") & (
                 values == 0
             )
         shown = MapLayer(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours)
@@ -96,11 +96,11 @@ def plot_difference(
             MapPanel(joined(where, share), [shown, flat_layer(is_grey & has_data, OBSTACLE_COLOUR)])
         )
     heading, legend = (
-        f"{heading_of(found, layer)}, B - A",
+        f"{heading_of(result, layer)}, B - A",
         f"blocked in A {'and' if layer in MASKS else 'or'} B",
     )
     look: dict[str, Any] = {"legend": [(legend, OBSTACLE_COLOUR)], "colours": colours}
-    return draw_maps(found.grid, panels, heading, _note(found, time), **look)[0]
+    return draw_maps(result.grid, panels, heading, _note(result, time), **look)[0]
 
 
 def difference_colours(changed: np.ndarray, label: str) -> Colours:
@@ -110,19 +110,19 @@ def difference_colours(changed: np.ndarray, label: str) -> Colours:
     return Colours("RdBu_r", Normalize(-limit, limit), label, "both", (-limit, 0.0, limit))
 
 
-def _label(found: computed.MapComparison, layer: str) -> str:
-    is_metric, unit = layer in found.a.metrics, unit_of(found.a, layer)
+def _label(result: computed.MapComparison, layer: str) -> str:
+    is_metric, unit = layer in result.a.metrics, unit_of(result.a, layer)
     label = f"{symbol_of(layer) if is_metric else layer}{'' if unit == '1' else f' [{unit}]'}, B - A (red: B is higher)"
-    meaning = meaning_of(found.a, layer) if is_metric else ""
+    meaning = meaning_of(result.a, layer) if is_metric else ""
     return f"{label}\n(m of 1: {meaning})" if meaning else label
 
 
-def _note(found: computed.MapComparison, time: str | None) -> str:
+def _note(result: computed.MapComparison, time: str | None) -> str:
     """Return the name of both, what each guesses, and each one's time where the layer has any."""
-    times = (None, None) if time is None else (time, found.times[time])
+    times = (None, None) if time is None else (time, result.times[time])
     lines = []
     for side, name, maps, its_time in zip(
-        "AB", found.names, (found.a, found.b), times, strict=True
+        "AB", result.names, (result.a, result.b), times, strict=True
     ):
         guessed = guesses_said(maps, time is not None)
         lines.append(
@@ -132,81 +132,85 @@ def _note(found: computed.MapComparison, time: str | None) -> str:
                 guessed and f"guessed: {guessed}",
             )
         )
-    return "\n".join([*lines, joined(*ground_said(found.a))])
+    return "\n".join([*lines, joined(*ground_said(result.a))])
 
 
-def comparison_outputs(found: computed.MapComparison) -> tuple[dict[str, Output], dict[str, Any]]:
+def comparison_outputs(result: computed.MapComparison) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a comparison writes, by file name, and what it is of."""
     key: dict[str, Any] = {
-        "maps": list(found.names),
-        "of": [maps.identity for maps in (found.a, found.b)],
+        "maps": list(result.names),
+        "of": [maps.identity for maps in (result.a, result.b)],
     }
-    key |= {"times": dict(found.times), "tolerance": found.tolerance}
-    key["values"] = crc32(found.table.to_csv().encode())  # maps in memory have no name of their own
-    figures = comparison_figures(found)
-    size = short_number(found.grid.resolution_m)
+    key |= {"times": dict(result.times), "tolerance": result.tolerance}
+    key["values"] = crc32(
+        result.table.to_csv().encode()
+    )  # maps in memory have no name of their own
+    figures = comparison_figures(result)
+    size = short_number(result.grid.resolution_m)
     outputs: dict[str, Output] = {
-        f"difference/{layer}_{size}m.tif": partial(_write_difference, found, layer)
-        for layer in found.layers
+        f"difference/{layer}_{size}m.tif": partial(_write_difference, result, layer)
+        for layer in result.layers
     }
-    report = comparison_markdown(found, list(figures))
-    tables = {"layers": found.table}
-    if len(found.routes):
-        tables |= {"routes": found.routes, "regrets": found.regrets}
-        key |= {"routes": found.routes["pair"].nunique(), "seed": found.seed}
-        key["values_of_routes"] = crc32(found.routes.to_csv().encode())
+    report = comparison_markdown(result, list(figures))
+    tables = {"layers": result.table}
+    if len(result.routes):
+        tables |= {"routes": result.routes, "regrets": result.regrets}
+        key |= {"routes": result.routes["pair"].nunique(), "seed": result.seed}
+        key["values_of_routes"] = crc32(result.routes.to_csv().encode())
     return outputs | study_outputs(report, tables, figures), key
 
 
-def _write_difference(found: computed.MapComparison, layer: str, file: Path) -> Path:
+def _write_difference(result: computed.MapComparison, layer: str, file: Path) -> Path:
     bands = {}
-    for place in found.places(layer):
+    for place in result.places(layer):
         altitude = "" if place.altitude_m is None else f"{place.altitude_m:g} m"
         name = " ".join(filter(None, (altitude, place.time, place.time_of_day))) or "B - A"
-        bands[name] = found.of(layer, **place._asdict())
+        bands[name] = result.of(layer, **place._asdict())
     tags = {
         "layer": layer,
         "difference": "B - A",
-        "maps_a": found.names[0],
-        "maps_b": found.names[1],
+        "maps_a": result.names[0],
+        "maps_b": result.names[1],
     }
-    if found.a.attribution:
-        tags["attribution"] = found.a.attribution
-    return write_bands(file, found.grid, bands, unit_of(found.a, layer), tags)
+    if result.a.attribution:
+        tags["attribution"] = result.a.attribution
+    return write_bands(file, result.grid, bands, unit_of(result.a, layer), tags)
 
 
-def comparison_markdown(found: computed.MapComparison, figures: list[str]) -> str:
+def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> str:
     """Return the report as Markdown; ``figures`` are the layers whose pictures lie beside it."""
-    same = [str(layer) for layer, share in found.most_changed.items() if not share > 0]
-    first = found.table.time.isna() | (found.table.time == found.table.time.dropna().min())
-    changed = found.table[first & ~found.table.layer.isin(same)].drop(columns="time").astype(object)
-    held = found.a.facts
-    left_out = bullets(f"{name}: {why}" for name, why in found.left_out.items())
+    same = [str(layer) for layer, share in result.most_changed.items() if not share > 0]
+    first = result.table.time.isna() | (result.table.time == result.table.time.dropna().min())
+    changed = (
+        result.table[first & ~result.table.layer.isin(same)].drop(columns="time").astype(object)
+    )
+    held = result.a.facts
+    left_out = bullets(f"{name}: {why}" for name, why in result.left_out.items())
     return fill(
         "compare",
-        {"regrets": found.regrets},
-        credits=[found.a.attribution, found.b.attribution],
-        found=found,
+        {"regrets": result.regrets},
+        credits=[result.a.attribution, result.b.attribution],
+        result=result,
         extent=f"Compared are {held['grid']} ({held['CRS']}) at {held['altitudes']}.",
-        settings=_settings(found),
+        settings=_settings(result),
         values=framed(changed.where(changed.notna(), ""))
         if len(changed)
         else "Not one value differs.",
         unchanged=f"The same in both: {listed(same)}." if same else "",
         left_out=f"Not compared:\n\n{left_out}" if left_out else "",
         pictures="\n\n".join(
-            f"![{heading_of(found, name)}, B - A](figures/{name}.png)" for name in figures
+            f"![{heading_of(result, name)}, B - A](figures/{name}.png)" for name in figures
         )
         or "None: a layer is drawn where it differs.",
     )
 
 
-def _settings(found: computed.MapComparison) -> str:
+def _settings(result: computed.MapComparison) -> str:
     """Return what the maps were made by: settings, times that are not the same, and norms of population."""
-    a, b = (population_norms(maps) for maps in (found.a, found.b))
-    rows = [(f"`{key}`", *pair) for key, pair in (found.settings or {}).items()]
-    rows += [("time of GPS", *pair) for pair in found.times.items() if pair[0] != pair[1]]
-    norms = [day for day in a if "population" in found.layers and a[day] != b.get(day, a[day])]
+    a, b = (population_norms(maps) for maps in (result.a, result.b))
+    rows = [(f"`{key}`", *pair) for key, pair in (result.settings or {}).items()]
+    rows += [("time of GPS", *pair) for pair in result.times.items() if pair[0] != pair[1]]
+    norms = [day for day in a if "population" in result.layers and a[day] != b.get(day, a[day])]
     rows += [
         (f"population is divided by, {day}", f"{a[day]:,.0f}", f"{b[day]:,.0f}") for day in norms
     ]
@@ -215,8 +219,8 @@ def _settings(found: computed.MapComparison) -> str:
         for name, *pair in rows
     ]
     said = "Not both sets were made by `jaxurban maps`, so that their settings are not known."
-    if found.settings is not None:
-        said = "" if found.settings else "No setting differs."
+    if result.settings is not None:
+        said = "" if result.settings else "No setting differs."
     return "\n\n".join(filter(None, (said, table(("", "A", "B"), shown) if shown else "")))
 
 

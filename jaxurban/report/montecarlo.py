@@ -29,8 +29,8 @@ class BenchmarkResult(computed.BenchmarkResult, Result):
 
     Examples:
       >>> chosen = ju.studies.Study(planners="astar-plus", distance_only=(), altitudes_m=[60.0])
-      >>> found = ju.studies.study(maps, "found", 2, settings=chosen, progress=False)
-      >>> found.table.groupby("planner")["has_path"].mean().to_dict()
+      >>> result = ju.studies.study(maps, "found", 2, settings=chosen, progress=False)
+      >>> result.table.groupby("planner")["has_path"].mean().to_dict()
       {'astar-plus': 1.0}
     """
 

@@ -53,15 +53,15 @@ def name_of(prediction: str) -> str:
 
 
 @styled
-def plot_scatter(found: computed.ReceiverValidation) -> Figure:
+def plot_scatter(result: computed.ReceiverValidation) -> Figure:
     """Return the receiver against the prediction that is its own, a point a piece of track, darker where many are."""
-    rows = found.main.to_dict("records")
+    rows = result.main.to_dict("records")
     figure, axes = panels(
         len(rows), "Receiver against prediction, with rank correlations", panel_in=(4.2, 3.4)
     )
     for panel, row in zip(axes, rows, strict=True):
         witness, name = row["witness"], row["prediction"]
-        known = found.pieces[found.pieces[witness].notna() & found.pieces[name].notna()]
+        known = result.pieces[result.pieces[witness].notna() & result.pieces[name].notna()]
         x, y = (
             known[of_axis].clip(*ends_of(known[of_axis].to_numpy())) for of_axis in (name, witness)
         )
@@ -98,42 +98,42 @@ def plot_scatter(found: computed.ReceiverValidation) -> Figure:
 
 
 def validation_outputs(
-    found: computed.ReceiverValidation,
+    result: computed.ReceiverValidation,
 ) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a validation writes, by file name, and what it is of."""
-    logged = (found.log.epochs, found.log.satellites)
+    logged = (result.log.epochs, result.log.satellites)
     text = "".join(table.to_csv(index=False) for table in logged if table is not None)
     rows = hashlib.sha256(text.encode()).hexdigest()  # of two logs of one name
-    pieces = found.pieces.assign(utc=found.pieces.utc.map(lambda time: time.isoformat()))
-    tables = {"pieces": pieces, "scores": found.scores, "shifts": found.shifts}
-    figures: dict[str, Callable[[], Figure]] = {"scatter": partial(plot_scatter, found)}
-    if found.satellites is not None:
-        tables |= satellite_files(found.satellites)
-        figures |= satellite_figures(found, found.satellites)
+    pieces = result.pieces.assign(utc=result.pieces.utc.map(lambda time: time.isoformat()))
+    tables = {"pieces": pieces, "scores": result.scores, "shifts": result.shifts}
+    figures: dict[str, Callable[[], Figure]] = {"scatter": partial(plot_scatter, result)}
+    if result.satellites is not None:
+        tables |= satellite_files(result.satellites)
+        figures |= satellite_figures(result, result.satellites)
     key = {
-        "log": found.log.name,
+        "log": result.log.name,
         "rows": rows,
-        "scenario": found.scenario,
-        "settings": found.settings.to_dict(),
+        "scenario": result.scenario,
+        "settings": result.settings.to_dict(),
     }
-    return study_outputs(validation_markdown(found), tables, figures), key
+    return study_outputs(validation_markdown(result), tables, figures), key
 
 
-def validation_markdown(found: computed.ReceiverValidation) -> str:
+def validation_markdown(result: computed.ReceiverValidation) -> str:
     """Return the report as Markdown."""
-    of, settings, scenario = found.summary, found.settings, found.scenario
+    of, settings, scenario = result.summary, result.settings, result.scenario
     masks_deg = as_tuple(scenario["gps"]["mask_deg"])
-    is_main = found.scores.prediction == found.scores.witness.map(MAIN)
-    others = found.scores[~is_main]
-    of_sky = found.satellites
+    is_main = result.scores.prediction == result.scores.witness.map(MAIN)
+    others = result.scores[~is_main]
+    of_sky = result.satellites
     orbits = ", ".join(f"`{name}`" for name in scenario["gps"]["orbits"])
     has_angles = (
-        not found.log.witnesses
-        and found.log.satellites is not None
-        and AZIMUTH in found.log.satellites
+        not result.log.witnesses
+        and result.log.satellites is not None
+        and AZIMUTH in result.log.satellites
     )
     of_judged = (
-        " (of rows that are judged)" if of_sky is not None and not found.log.witnesses else ""
+        " (of rows that are judged)" if of_sky is not None and not result.log.witnesses else ""
     )
     facts = {
         "epochs": f"{of['epochs']:,}, of which {of['epochs_left_out']:,} are left out: in a building or without data",
@@ -151,16 +151,16 @@ def validation_markdown(found: computed.ReceiverValidation) -> str:
     return fill(
         "validate",
         tables={} if of_sky is None else satellite_tables(of_sky),
-        credits=[found.attribution],
-        found=found,
+        credits=[result.attribution],
+        result=result,
         of=of_sky,
         verdict="" if of_sky is None else f"**{of_sky.verdict}**",
         settings=settings,
         fewest=FEWEST_GROUPS,
         facts=table(("", ""), [(name, fact) for name, fact in facts.items() if fact]),
-        scores=score_table(found.scores[is_main]),
+        scores=score_table(result.scores[is_main]),
         others=f"Other quantities of the maps:\n\n{score_table(others)}" if len(others) else "",
-        cautions=bullets(f"{caution.level}: {caution}" for caution in found.known_cautions),
+        cautions=bullets(f"{caution.level}: {caution}" for caution in result.known_cautions),
         sentences={} if of_sky is None else sentences_of(of_sky),
         peak="" if of_sky is None else peak_text(of_sky),
         of_orbits=OF_LOG if has_angles else OF_ORBITS,
@@ -226,10 +226,10 @@ class ReceiverValidation(computed.ReceiverValidation, Result):
       >>> scenario = ju.Scenario.from_dict(settings | {"buildings": {"source": "synthetic"}})
       >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=40, freq="s")})
       >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 40), lat=40.7795, num_tracked=5)
-      >>> found = ju.studies.validate(scenario, log, progress=False)
-      >>> found.summary["epochs"], found.summary["epochs_left_out"], round(found.summary["length_m"])
+      >>> result = ju.studies.validate(scenario, log, progress=False)
+      >>> result.summary["epochs"], result.summary["epochs_left_out"], round(result.summary["length_m"])
       (40, 7, 338)
-      >>> found.pieces[["piece", "epochs", "num_tracked", "num_visible"]].head(2)
+      >>> result.pieces[["piece", "epochs", "num_tracked", "num_visible"]].head(2)
          piece  epochs  num_tracked  num_visible
       0      0       3          5.0          5.0
       1      1       2          5.0          3.5

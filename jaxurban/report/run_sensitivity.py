@@ -104,10 +104,10 @@ def sensitivity_study(
 
     Examples:
       >>> chosen = ju.studies.SensitivityStudySettings(vary=("gps",), num_samples=0, seed=1)
-      >>> found = ju.studies.sensitivity_study(
+      >>> result = ju.studies.sensitivity_study(
       ...     {"demo": maps}, "weights", 2, altitudes_m=[60.0], settings=chosen, progress=False
       ... )
-      >>> found.rows[["city", "status", "elasticity:gps", "below:gps", "above:gps"]].round(2)
+      >>> result.rows[["city", "status", "elasticity:gps", "below:gps", "above:gps"]].round(2)
          city   status  elasticity:gps  below:gps  above:gps
       0  demo  optimal            0.08       0.88        NaN
       1  demo  optimal            0.08        NaN       4.19
@@ -157,9 +157,9 @@ def sensitivity_study(
         is_sampled = not isinstance(routes, pd.DataFrame)
         remade, parameters = (changed.get(name, pd.DataFrame()) for name in folders[1:])
         how = remade, skipped, settings, is_sampled, parameters
-        found = SensitivityStudy(folder, opened, instances, rows, *how)
-        write_sensitivity_study(found)
-    return found
+        result = SensitivityStudy(folder, opened, instances, rows, *how)
+        write_sensitivity_study(result)
+    return result
 
 
 def _by_city(rows: pd.DataFrame, cities: Iterable[str]) -> pd.DataFrame:
@@ -229,10 +229,10 @@ def named_sources(sources: Any) -> dict[str, Source]:
             f"sources must be cities of different names, and one at least, got {', '.join(names) or 'none'}: folders "
             "are called as they are, so name each once and rename one of two alike (in Python give {'name': folder})"
         )
-    found: dict[str, Source] = {}
+    result: dict[str, Source] = {}
     for name, source in listed:
-        found[name] = source if isinstance(source, MetricMaps | MapsFolder) else MapsFolder(source)
-    return found
+        result[name] = source if isinstance(source, MetricMaps | MapsFolder) else MapsFolder(source)
+    return result
 
 
 def _routes_key(instances: pd.DataFrame) -> str:
@@ -266,11 +266,11 @@ def _instances(
         parts.append(part.assign(city=city, **{CITY_NUMBER: number}))
     if isinstance(routes, pd.DataFrame) and altitudes_m is not None:
         raise InputError("altitudes_m is of sampled routes: a table of routes names its own")
-    found = pd.concat(parts, ignore_index=True)
+    result = pd.concat(parts, ignore_index=True)
     columns = weight_columns(metrics)
-    return found.reindex(columns=[*found.columns, *(c for c in columns if c not in found)]).fillna(
-        dict.fromkeys(columns, 0.0)
-    )
+    return result.reindex(
+        columns=[*result.columns, *(c for c in columns if c not in result)]
+    ).fillna(dict.fromkeys(columns, 0.0))
 
 
 def _check_vary(vary: Sequence[str], instances: pd.DataFrame, names: Iterable[str]) -> None:

@@ -95,11 +95,11 @@ def satellite_files(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
 
 
 def satellite_figures(
-    found: ReceiverValidation, of: SatelliteAgreement
+    result: ReceiverValidation, of: SatelliteAgreement
 ) -> dict[str, Callable[[], Figure]]:
     """Return what draws each figure, by file name."""
     return {
-        "track": partial(plot_track, found, of),
+        "track": partial(plot_track, result, of),
         "margin": partial(plot_margin, of),
         "displacement": partial(plot_displacement, of),
         "skies": partial(plot_skies, of),
@@ -166,9 +166,9 @@ def _head(column: str) -> str:
 
 
 @styled
-def plot_track(found: ReceiverValidation, of: SatelliteAgreement) -> Figure:
+def plot_track(result: ReceiverValidation, of: SatelliteAgreement) -> Figure:
     """Return the track, coloured by the share of judged satellites that are in view and strong, or hidden and weak."""
-    epochs, judged = found.epochs, of.rows[of.rows.is_judged]
+    epochs, judged = result.epochs, of.rows[of.rows.is_judged]
     piece = (epochs.along_m // AROUND_M).to_numpy()
     places = epochs[["x_m", "y_m"]].groupby(piece).mean()
     x_m, y_m = (places - places.min()).to_numpy().T

@@ -33,35 +33,37 @@ TOP_BUILDINGS = 10
 RANKING = "rank", "per_metre", "height_m", "lon", "lat", "distance_m"
 
 
-def sensitivity_outputs(found: computed.Sensitivity) -> tuple[dict[str, Output], dict[str, Any]]:
+def sensitivity_outputs(result: computed.Sensitivity) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a study of one route writes, by file name, and what it is of."""
-    route = found.route
+    route = result.route
     settings = {
         "route": route.settings,
         "lonlat": route.lonlat[[0, -1]].tolist(),
-        "weights": found.weights.tolist(),
+        "weights": result.weights.tolist(),
     }
-    settings |= asdict(found.settings)
-    tables = {name: table.reset_index() for name, table in found.tables().items()}
-    outputs = study_outputs(sensitivity_markdown(found), tables, sensitivity_figures(found))
+    settings |= asdict(result.settings)
+    tables = {name: table.reset_index() for name, table in result.tables().items()}
+    outputs = study_outputs(sensitivity_markdown(result), tables, sensitivity_figures(result))
     return outputs, json.loads(json.dumps(settings, default=str))
 
 
-def sensitivity_markdown(found: computed.Sensitivity, buildings: pd.DataFrame | None = None) -> str:
+def sensitivity_markdown(
+    result: computed.Sensitivity, buildings: pd.DataFrame | None = None
+) -> str:
     """Return the report as Markdown; it names figures and tables as `sensitivity_outputs` does.
 
     ``buildings``: what `jaxurban.report.buildings.write_buildings` wrote beside it.
     """
-    route, settings, tables = found.route, found.route.settings, shown_tables(found)
+    route, settings, tables = result.route, result.route.settings, shown_tables(result)
     if buildings is not None:
         ranking = buildings.head(TOP_BUILDINGS).rename_axis("rank").reset_index()[[*RANKING]]
         tables["ranking"] = ranking.round({"lon": 5, "lat": 5}).astype({"lon": str, "lat": str})
     return fill(
         "sensitivity",
         tables,
-        sensitivity_figures(found),
-        [found.maps.attribution],
-        found=found,
+        sensitivity_figures(result),
+        [result.maps.attribution],
+        result=result,
         route=route,
         start=route.lonlat[0],
         goal=route.lonlat[-1],
@@ -70,7 +72,7 @@ def sensitivity_markdown(found: computed.Sensitivity, buildings: pd.DataFrame | 
         limits=describe_constraints(settings["limits"]) or "none",
         cost_model=CostModel.from_settings(settings),
         note=" ".join(filter(None, (route.search.note, *route.cautions))),
-        objectives=listed(found.front.objectives),
+        objectives=listed(result.front.objectives),
         ALIKE=ALIKE,
         MORE=MORE - 1,
         CLEAR=CLEAR,
@@ -79,16 +81,16 @@ def sensitivity_markdown(found: computed.Sensitivity, buildings: pd.DataFrame | 
     )
 
 
-def shown_tables(found: computed.Sensitivity) -> dict[str, pd.DataFrame]:
+def shown_tables(result: computed.Sensitivity) -> dict[str, pd.DataFrame]:
     """Return the tables of the report by name."""
     points, outcomes, sobol = (
-        found.front.points[[*found.front.objectives]],
-        found.outcomes,
-        found.sobol,
+        result.front.points[[*result.front.objectives]],
+        result.outcomes,
+        result.sobol,
     )
     at = [
-        {"weight": name, **ranges(found, name), "routes": len(found.lines[name].cells)}
-        for name in found.lines
+        {"weight": name, **ranges(result, name), "routes": len(result.lines[name].cells)}
+        for name in result.lines
     ]
     values = outcomes["value"].groupby("outcome", sort=False).first()
     change = (
@@ -99,13 +101,13 @@ def shown_tables(found: computed.Sensitivity) -> dict[str, pd.DataFrame]:
         change.map("{:+.1%}".format)
         .where(is_clear, "unclear")
         .unstack()
-        .loc[values.index, [*found.names]]
+        .loc[values.index, [*result.names]]
         .T
     )
     spread = sobol.groupby("outcome", sort=False)[["lowest", "highest"]].first()
     total = [f"{total:.2f} ± {half:.2f}" for total, half in sobol[["total", "total_ci"]].to_numpy()]
     shares = (
-        pd.Series(total, sobol.index).where(sobol["total"].notna(), "").unstack()[[*found.lines]]
+        pd.Series(total, sobol.index).where(sobol["total"].notna(), "").unstack()[[*result.lines]]
     )
     tables = {
         "outcomes": pd.DataFrame(
@@ -120,19 +122,19 @@ def shown_tables(found: computed.Sensitivity) -> dict[str, pd.DataFrame]:
     tables["changes"] = changes.rename(columns=outcome_label).rename_axis(
         f"{MORE - 1:.0%} more of", axis=0
     )
-    tables |= {"costs": found.cost, "ends": points.loc[[points[name].idxmin() for name in points]]}
+    tables |= {"costs": result.cost, "ends": points.loc[[points[name].idxmin() for name in points]]}
     return {name: table.reset_index() for name, table in tables.items()} | {
         "ranges": pd.DataFrame(at)
     }
 
 
-def ranges(found: computed.Sensitivity, name: str) -> dict[str, float]:
+def ranges(result: computed.Sensitivity, name: str) -> dict[str, float]:
     """Return where, along a weight's range, the route stays the same, and where much the same (see `ALIKE`).
 
     ``same_from``, ``same_to``, ``alike_from`` and ``alike_to``, values of the weight, ends of the range included.
     """
-    table = found.breakpoints(name)
-    outcomes = table[list(outcome_names(found.names))]
+    table = result.breakpoints(name)
+    outcomes = table[list(outcome_names(result.names))]
     given = int(np.argmax(table["is_given"]))
     off = (outcomes - outcomes.iloc[given]).abs() / outcomes.iloc[given].abs().clip(lower=1e-9)
     differs = np.flatnonzero((off > ALIKE).any(axis=1))
@@ -164,8 +166,8 @@ class Sensitivity(computed.Sensitivity, Result):
 
     Examples:
       >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
-      >>> found = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
-      >>> {name: len(line.cells) for name, line in found.lines.items()}, found.route.status.value
+      >>> result = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
+      >>> {name: len(line.cells) for name, line in result.lines.items()}, result.route.status.value
       ({'gps': 3}, 'optimal')
     """
 

@@ -63,10 +63,10 @@ class SensitivityStudy:
 
     Examples:
       >>> chosen = ju.studies.SensitivityStudySettings(vary=("gps",), num_samples=0)
-      >>> found = ju.studies.sensitivity_study(
+      >>> result = ju.studies.sensitivity_study(
       ...     {"demo": maps}, "weights", 2, altitudes_m=[60.0], settings=chosen, progress=False
       ... )
-      >>> list(found.tables), found.is_sampled
+      >>> list(result.tables), result.is_sampled
       (['routes', 'weights', 'summary'], True)
     """
 
@@ -84,58 +84,60 @@ class SensitivityStudy:
     def tables(self) -> dict[str, pd.DataFrame]:
         """All tables by name: ``routes`` and, where any was found, ``weights``, ``summary`` and the like."""
         routes = summary.routes_of(self.rows, self.instances)
-        found = {"routes": self.rows}
+        result = {"routes": self.rows}
         if routes.empty:
-            return found
-        found["weights"] = summary.weights_table(routes, self.settings.factors)
-        found["summary"] = summary.summarise(found["weights"], self.settings.wrong)
+            return result
+        result["weights"] = summary.weights_table(routes, self.settings.factors)
+        result["summary"] = summary.summarise(result["weights"], self.settings.wrong)
         shares = summary.shares_table(routes)
         if len(shares):
-            found |= {
+            result |= {
                 "sobol": shares,
                 "sobol_summary": summary.summarise_shares(shares, self.settings.num_samples),
             }
         for name, rows in {"remade": self.remade, "parameters": self.parameters}.items():
             if len(rows) and rows.status.isin(HAS_PATH).any():
-                found |= {name: rows, f"{name}_summary": summary.summarise_changed(rows)}
-        return found
+                result |= {name: rows, f"{name}_summary": summary.summarise_changed(rows)}
+        return result
 
 
-def write_sensitivity_study(found: SensitivityStudy) -> list[Path]:
+def write_sensitivity_study(result: SensitivityStudy) -> list[Path]:
     """Write the report, tables (CSV, Parquet) and figures (PNG) of a study into its folder and return the files."""
-    figures = study_figures(found.tables, found.settings.wrong) if "weights" in found.tables else {}
-    return save(found.folder, study_outputs(study_markdown(found), found.tables, figures))
+    figures = (
+        study_figures(result.tables, result.settings.wrong) if "weights" in result.tables else {}
+    )
+    return save(result.folder, study_outputs(study_markdown(result), result.tables, figures))
 
 
-def study_markdown(found: SensitivityStudy) -> str:
+def study_markdown(result: SensitivityStudy) -> str:
     """Return the report as Markdown; it names figures and tables as `write_sensitivity_study` does."""
-    settings, tables = found.settings, found.tables
-    lost = found.rows[~found.rows.status.isin(HAS_PATH)].fillna({"note": ""})
+    settings, tables = result.settings, result.tables
+    lost = result.rows[~result.rows.status.isin(HAS_PATH)].fillna({"note": ""})
     reasons = (
         lost.value_counts(["status", "note"]).head(MOST_REASONS).rename("routes").reset_index()
     )
     return fill(
         "sensitivity_study",
-        {"cities": _cities(found), **shown_tables(tables)},
-        credits=[maps.attribution for maps in found.maps.values()],
+        {"cities": _cities(result), **shown_tables(tables)},
+        credits=[maps.attribution for maps in result.maps.values()],
         lost=framed(reasons) if len(reasons) else "",
-        skipped=bullets(f"Not planned on other maps: {reason}" for reason in found.skipped),
+        skipped=bullets(f"Not planned on other maps: {reason}" for reason in result.skipped),
         limit=min(settings.factors[1], 1 / settings.factors[0]),
         settings=settings,
         constraints=str(settings.constraints) or "none",
-        weights=weights_said(found.instances),
-        origin=SAMPLED if found.is_sampled else GIVEN,
+        weights=weights_said(result.instances),
+        origin=SAMPLED if result.is_sampled else GIVEN,
         FEWEST_GROUPS=FEWEST_GROUPS,
         FEW_SAMPLES=FEW_SAMPLES,
         ABOVE_ONE=1 + summary.ABOVE_ONE,
     )
 
 
-def _cities(found: SensitivityStudy) -> pd.DataFrame:
+def _cities(result: SensitivityStudy) -> pd.DataFrame:
     """Return a row a city: what was asked there, and how many routes were found."""
     rows = []
-    for city, part in found.rows.groupby("city", sort=False):
-        maps = found.maps[str(city)]
+    for city, part in result.rows.groupby("city", sort=False):
+        maps = result.maps[str(city)]
         norms = ", ".join(
             f"{number:,.0f} ({day})" for day, number in population_norms(maps).items()
         )
@@ -169,7 +171,7 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
             *(f"{name}{end}" for name in STATISTICS for end in ENDS),
         ]
     ]
-    found = {"by_all": shown[is_whole], "where": shown[is_part]}
+    result = {"by_all": shown[is_whole], "where": shown[is_part]}
     if "sobol_summary" in tables:
         total = tables["sobol_summary"].query("kind == 'total'")
         is_clear, at_most = (
@@ -182,7 +184,7 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
         total = total.assign(outcome=total.outcome.map(outcome_label), **{"at most": at_most})
         total["verdict"] += needed
         total.loc[~is_clear, [f"share{end}" for end in ENDS]] = np.nan
-        found["sobol"] = total[
+        result["sobol"] = total[
             ["outcome", "weight_name", *(f"share{end}" for end in ENDS), "at most", "verdict"]
         ]
     if "remade_summary" in tables:
@@ -192,15 +194,17 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
             for name in ("is_other", "nominal_regret", "nominal_is_closed")
             for end in ENDS
         ]
-        found["perturbed"] = remade[["of", "routes", *names]]
+        result["perturbed"] = remade[["of", "routes", *names]]
     if "parameters_summary" in tables:
         changed = tables["parameters_summary"]
         names = [
             f"{name}{end}" for name in ("is_other", "overlap", "nominal_regret") for end in ENDS
         ]
         is_shown = changed.cut.isin([ALL, "city"])
-        found["parameters"] = changed.loc[is_shown, ["parameter", "factor", "of", "routes", *names]]
-    return found
+        result["parameters"] = changed.loc[
+            is_shown, ["parameter", "factor", "of", "routes", *names]
+        ]
+    return result
 
 
 def weights_said(instances: pd.DataFrame) -> str:

@@ -109,7 +109,7 @@ def run_tuning(
         demonstrations = [each for shown in cities.values() for each in shown]
         how = replace(settings.fit, state_file=folder / STATE_FILE, progress=report)
         fit: WeightFit | TargetFit
-        found: FitComparison | None = None
+        result: FitComparison | None = None
         # Other fits differ in the state of the fit, which holds its settings.
         pictures = [f"figures/{name}.png" for name in ("weights", *_pictures(demonstrations))]
         outputs = [*TABLES, *pictures, "weights.toml", REPORT_FILE]
@@ -119,9 +119,9 @@ def run_tuning(
             if targets:
                 fit = fit_targets([each.query for each in demonstrations], targets, settings=how)
             else:
-                found = compare_fits(cities, **fits, settings=how)
-                fit = found.fits[ALL]
-                demonstrations = list(compress(demonstrations, ~found.is_held_out))
+                result = compare_fits(cities, **fits, settings=how)
+                fit = result.fits[ALL]
+                demonstrations = list(compress(demonstrations, ~result.is_held_out))
             report("routes under the fitted weights")
             planned = optimal_demonstrations([each.query for each in demonstrations], fit.weights)
             report("figures and report")
@@ -134,11 +134,11 @@ def run_tuning(
             asked["sources"] = "; ".join(
                 f"`{routes}` over the maps in `{where}`" for routes, where in drawn_from
             )
-            if found is not None and len(found.fits) == 1 and not found.is_held_out.any():
-                found = None  # nothing to compare
-            save(folder, outputs_of(fit, demonstrations, planned, asked, found))
+            if result is not None and len(result.fits) == 1 and not result.is_held_out.any():
+                result = None  # nothing to compare
+            save(folder, outputs_of(fit, demonstrations, planned, asked, result))
     facts = _facts(fit, folder)
-    return facts if found is None else facts | {"fits": records_of(found.table)}
+    return facts if result is None else facts | {"fits": records_of(result.table)}
 
 
 def _names_of(folders: Sequence[Path]) -> list[str]:
@@ -219,7 +219,7 @@ def outputs_of(
     demonstrations: Sequence[Demonstration],
     planned: Sequence[Demonstration],
     asked: Mapping[str, str],
-    found: FitComparison | None = None,
+    result: FitComparison | None = None,
 ) -> dict[str, Output]:
     """Return what a fit writes, by file name: tables, pictures, the report and weights.toml.
 
@@ -243,9 +243,9 @@ def outputs_of(
         tables["regrets"] = _regrets(fit)
         fields["fits"] = ""
         fields["cautions"] = bullets(fit.cautions)
-        if found is not None:
-            outputs["fits"] = found.table
-            fields["fits"] = fits_section(found)
+        if result is not None:
+            outputs["fits"] = result.table
+            fields["fits"] = fits_section(result)
     else:
         template, given = "targets", "given route"
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
@@ -278,14 +278,14 @@ def outputs_of(
     return outputs | {"weights.toml": weights_toml(fit, first), REPORT_FILE: report}
 
 
-def fits_section(found: FitComparison) -> str:
+def fits_section(result: FitComparison) -> str:
     """Return the section of a report on several fits."""
     counts = {
-        "num": len(found.is_bad),
-        "num_held_out": found.is_held_out.sum(),
-        "num_bad": found.is_bad.sum(),
+        "num": len(result.is_bad),
+        "num_held_out": result.is_held_out.sum(),
+        "num_bad": result.is_bad.sum(),
     }
-    return fill("fits", {"fits": found.table.filter(regex="^(?!w_)")}, **counts)
+    return fill("fits", {"fits": result.table.filter(regex="^(?!w_)")}, **counts)
 
 
 def _pictures(demonstrations: Sequence[Demonstration]) -> dict[str, CostMap]:

@@ -217,7 +217,7 @@ def compare(
     sides = [_side(maps, name) for maps, name in ((maps_a, "A"), (maps_b, "B"))]
     (a, name_a, settings_a), (b, name_b, settings_b) = sides
     parts = shared_part(a, b.with_obstacles(b.rule or a.obstacles))
-    found = MapComparison(
+    result = MapComparison(
         names=(name_a, name_b),
         a=parts[0],
         b=parts[1],
@@ -229,18 +229,18 @@ def compare(
     )
     rows: list[dict[str, Any]] = []
     with reporting("compare", progress) as report:
-        for number, layer in enumerate(names := found.layers):
+        for number, layer in enumerate(names := result.layers):
             report("layers", number, len(names))
-            for place in found.places(layer):
-                change = found.of(layer, **place._asdict())
-                head = {"layer": layer, "unit": unit_of(found.a, layer), **place._asdict()}
+            for place in result.places(layer):
+                change = result.of(layer, **place._asdict())
+                head = {"layer": layer, "unit": unit_of(result.a, layer), **place._asdict()}
                 rows.append(head | _statistics(change[~np.isnan(change)], tolerance))
         report("layers", len(names), len(names))
-        judged = found.routes
+        judged = result.routes
         if routes:
-            times = next(iter(found.times.items()), (None, None))
-            judged = compared_routes(found.a, found.b, routes, seed, times, report)
-    return replace(found, table=pd.DataFrame(rows), routes=judged, seed=seed)
+            times = next(iter(result.times.items()), (None, None))
+            judged = compared_routes(result.a, result.b, routes, seed, times, report)
+    return replace(result, table=pd.DataFrame(rows), routes=judged, seed=seed)
 
 
 def _left_out(maps: MetricMaps, part: MetricMaps, other: str) -> dict[str, str]:

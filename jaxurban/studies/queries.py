@@ -73,10 +73,10 @@ class RouteQuery:
         integral over the reference length (``line``) of each c_j. Then its integrals: metres, then the integral of each
         metric m_j along the route, in metres.
         """
-        found = self.cost_map.problem.features(points_m)
-        length_m = float(found.phi[0])
-        means = np.array(list(self.cost_map.means(found).values()))
-        return np.stack([found.phi, np.append(length_m, means * length_m)])
+        result = self.cost_map.problem.features(points_m)
+        length_m = float(result.phi[0])
+        means = np.array(list(self.cost_map.means(result).values()))
+        return np.stack([result.phi, np.append(length_m, means * length_m)])
 
 
 def maps_of(queries: Iterable[RouteQuery]) -> list[CostMap]:

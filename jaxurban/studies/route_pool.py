@@ -102,17 +102,17 @@ class RoutePool:
         key = fingerprint(weights.shape, weights)
         row = None if self._store is None else self._store.get(key)
         shape = 2, *weights.shape
-        found = (
+        result = (
             self._search_all(weights) if row is None else np.frombuffer(row["found"]).reshape(shape)
         )
         if self._store is not None and row is None:
-            self._store.add([{"weights": key, "found": found.tobytes()}])
+            self._store.add([{"weights": key, "found": result.tobytes()}])
             self._store.save()
         self.num_plans += weights.shape[0] * weights.shape[1]
-        for query, routes in enumerate(np.moveaxis(found, 0, 2)):
+        for query, routes in enumerate(np.moveaxis(result, 0, 2)):
             for route in routes:
                 self._add(query, route)
-        return found
+        return result
 
     def _search_all(self, weights: np.ndarray) -> np.ndarray:
         """Return ``[2, Q, M, K]`` as `cheapest` does: the one place where routes are searched for."""
@@ -122,10 +122,10 @@ class RoutePool:
         else:
             with ThreadPoolExecutor(self._workers) as threads:
                 points = list(threads.map(lambda job: job[0].cheapest(job[1]), jobs))
-        found = np.array(
+        result = np.array(
             [self._sums_of(k // weights.shape[1], points_m) for k, points_m in enumerate(points)]
         )
-        return np.moveaxis(found.reshape(*weights.shape[:2], 2, -1), 2, 0)
+        return np.moveaxis(result.reshape(*weights.shape[:2], 2, -1), 2, 0)
 
     def _sums_of(self, query: int, points_m: np.ndarray) -> np.ndarray:
         """Return `RouteQuery.sums` of a route, added up once: many weights have the same cheapest route."""

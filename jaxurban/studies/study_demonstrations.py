@@ -291,15 +291,15 @@ def _points(job: Benchmark, on: CostMap, row: Row, planner: str) -> np.ndarray:
     how = {"max_samples": int(row["num_samples"])} if draws_samples(planner) else {}
     search: Callable[..., Any] = find_planner(planner)
     problem = on.shortest.between(start, goal).with_weights(weights).alone()
-    found = search(problem, budget_s=math.inf, seed=job.seed_of(row["instance"]), **how)
-    if not found.status.has_path:
+    result = search(problem, budget_s=math.inf, seed=job.seed_of(row["instance"]), **how)
+    if not result.status.has_path:
         raise InputError("no path joins their ends")
-    cost = on.shortest.features(found.points_m, on.cost_model.kind).cost(weights)
+    cost = on.shortest.features(result.points_m, on.cost_model.kind).cost(weights)
     if not math.isclose(cost, row.get("cost", cost), rel_tol=SAME_COST):
         raise InputError(
             "planned again they cost otherwise than their rows say, as where seconds ended the search"
         )
-    return found.points_m + np.array([on.grid.x_min_m, on.grid.y_min_m])
+    return result.points_m + np.array([on.grid.x_min_m, on.grid.y_min_m])
 
 
 def _listed(reasons: Counter[str]) -> str:

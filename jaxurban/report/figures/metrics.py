@@ -69,12 +69,12 @@ def drawn_variables(maps: MetricMaps) -> dict[str, Variable]:
     With several times there is also how often GPS is available, which maps hold of a long series alone.
     """
     held = held_variables(maps.ds)
-    found = {name: held[maps.variable(name)] for name in ("obstacle", *maps.metrics)}
-    shown = {variable.name for variable in found.values()} | {"has_data"}
-    found |= {name: variable for name, variable in held.items() if name not in shown}
-    if len(maps.times) > 1 and "gps" in found:
-        found.setdefault(AVAILABILITY, derived(METRICS["gps"])["series"][AVAILABILITY])
-    return found
+    result = {name: held[maps.variable(name)] for name in ("obstacle", *maps.metrics)}
+    shown = {variable.name for variable in result.values()} | {"has_data"}
+    result |= {name: variable for name, variable in held.items() if name not in shown}
+    if len(maps.times) > 1 and "gps" in result:
+        result.setdefault(AVAILABILITY, derived(METRICS["gps"])["series"][AVAILABILITY])
+    return result
 
 
 def metric_colours(maps: MetricMaps, name: str, values: np.ndarray | None = None) -> Colours:
@@ -320,12 +320,12 @@ def _plot_classes(
     maps: MetricMaps,
     heading: str,
     time: str | None,
-    found: Mapping[float, tuple[str, np.ndarray]],
+    result: Mapping[float, tuple[str, np.ndarray]],
     names: Sequence[tuple[str, str]],
 ) -> Figure:
     """Return panels (title, class numbers) by altitude over free cells, the classes being (name, colour)."""
     panels = []
-    for z, (title, numbers) in found.items():
+    for z, (title, numbers) in result.items():
         shown = np.where(maps.is_free(z, "centre"), numbers.astype(int), -1)
         layers = [classes_layer(shown, [colour for _, colour in names]), obstacle_layer(maps, z)]
         panels.append(MapPanel(f"{z:g} m  ·  {title}", layers))
@@ -342,10 +342,10 @@ def plot_gps_rating(
       InputError: an altitude or time that these maps do not hold.
     """
     maps = as_maps(maps)
-    time, found = time or maps.times[0], {}
+    time, result = time or maps.times[0], {}
     for z in altitudes_m or maps.altitudes_m:
         rank = np.asarray(rating(maps.m("gdop", z, time=time)))
-        found[z] = f"{percent(_share(rank <= Rating.GOOD, maps, z))} good or better", rank
+        result[z] = f"{percent(_share(rank <= Rating.GOOD, maps, z))} good or better", rank
     steps = matplotlib.colormaps[METRICS["gps"].colour_map](np.linspace(1, 0, len(Rating)))
     ranges = [f"up to {high:g}" for high in RATING_UPPER_GDOP] + [
         f"above {RATING_UPPER_GDOP[-1]:g}"
@@ -354,7 +354,7 @@ def plot_gps_rating(
         (f"{item.name.capitalize()}\n(GDOP {dop_range})", matplotlib.colors.to_hex(colour))
         for item, dop_range, colour in zip(Rating, ranges, steps, strict=True)
     ]
-    return _plot_classes(maps, "GPS rating", time, found, names)
+    return _plot_classes(maps, "GPS rating", time, result, names)
 
 
 def _share(is_so: np.ndarray, maps: MetricMaps, altitude_m: float) -> float:
@@ -371,15 +371,15 @@ def plot_sensor_choice(
       InputError: an altitude or time that these maps do not hold.
     """
     maps = as_maps(maps)
-    time, found = time or maps.default_time, {}
+    time, result = time or maps.default_time, {}
     for z in altitudes_m or maps.altitudes_m:
         is_gps = maps.prefers_gps(z, time=time)
-        found[z] = f"GPS in {percent(_share(is_gps, maps, z))}", np.where(is_gps, 0, 1)
+        result[z] = f"GPS in {percent(_share(is_gps, maps, z))}", np.where(is_gps, 0, 1)
     names = [
         ("GPS\n($m_\\mathrm{gps}$ > $m_\\mathrm{lidar}$)", METRICS["gps"].colour),
         ("lidar\n(otherwise)", METRICS["lidar"].colour),
     ]
-    return _plot_classes(maps, "The better sensor", time, found, names)
+    return _plot_classes(maps, "The better sensor", time, result, names)
 
 
 def plot_population(maps: MapsLike) -> Figure:

@@ -210,14 +210,14 @@ def cost_layers(
 
 def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]) -> None:
     """Draw the paths that were found, each in its colour, and start and goal of the first of them."""
-    found = [
+    result = [
         (path, colour) for path, colour in zip(paths, colours, strict=True) if path.status.has_path
     ]
     lanes = lanes_of(
-        [path.xy_m for path, _ in found],
-        max((path.settings["resolution_m"] for path, _ in found), default=0.0),
+        [path.xy_m for path, _ in result],
+        max((path.settings["resolution_m"] for path, _ in result), default=0.0),
     )
-    for (path, colour), lane in zip(found, lanes, strict=True):
+    for (path, colour), lane in zip(result, lanes, strict=True):
         beside = [Beside(lane * APART_PT, LINE_PT + 2 * EDGE_PT, "white"), Beside(lane * APART_PT)]
         look: dict[str, Any] = {
             "linewidth": LINE_PT,
@@ -337,7 +337,7 @@ def plot_overview(
         for path, name in zip(planned, called, strict=True)
         if _place_of(path) == place and path.status.has_path
     ]
-    found = [path for path, _ in named]
+    result = [path for path, _ in named]
     panels = [MapPanel("Roof height (m)", roof_layers(maps))]
     for name, metric in maps.metrics.items():
         if name == "population":
@@ -348,21 +348,21 @@ def plot_overview(
         else:
             layers = [obstacle_layer(maps, z, BLOCKED_COLOUR), free_layer(maps, name, z, time=time)]
             panels.append(MapPanel(metric.label, layers))
-    what = " and paths" if found else ""
+    what = " and paths" if result else ""
     costs = cost_layers(maps, z, time, time_of_day)[::-1]
     panels.append(MapPanel(", ".join(filter(None, (f"Cost{what}", time_of_day))), costs))
     colours = planner_colours(name for _, name in named)
     blank = "no building, nobody" if "population" in maps.metrics else "no building"
     legend: list[LegendEntry] = [(blank, EMPTY_COLOUR), *obstacle_patches(maps, BLOCKED_COLOUR)]
-    legend += path_entries(colours, found)
+    legend += path_entries(colours, result)
     note = "\n".join(
-        filter(None, [frame_note(maps, time), rules_said(*(path.settings for path in found))])
+        filter(None, [frame_note(maps, time), rules_said(*(path.settings for path in result))])
     )
     heading = f"Metric maps{what}, {z:g} m above ground"
     figure, axes = draw_maps(
         maps.grid, panels, heading, note, legend=legend, has_ticks=False, is_key_of_last=True
     )
-    draw_paths(axes[-1], found, [colours[name] for _, name in named])
+    draw_paths(axes[-1], result, [colours[name] for _, name in named])
     return figure
 
 

@@ -44,23 +44,23 @@ GIVEN_COLOUR = "#c51b8a"
 ON_ROUTES_COLOUR = "#ffffff"  # of the given weights' route over others of all colours
 
 
-def sensitivity_figures(found: Sensitivity) -> dict[str, Callable[[], Figure]]:
+def sensitivity_figures(result: Sensitivity) -> dict[str, Callable[[], Figure]]:
     """Return what draws each figure, by file name."""
     return {
-        "switches": lambda: plot_breakpoints(found),
-        "switch_routes": lambda: plot_breakpoint_routes(found),
-        "pareto": lambda: plot_pareto(found),
+        "switches": lambda: plot_breakpoints(result),
+        "switch_routes": lambda: plot_breakpoint_routes(result),
+        "pareto": lambda: plot_pareto(result),
     }
 
 
 @styled
-def plot_breakpoints(found: Sensitivity) -> Figure:
+def plot_breakpoints(result: Sensitivity) -> Figure:
     """Return the cheapest cost along the range of each weight, a dot where the route changes."""
     figure, axes = panels(
-        len(found.lines), "Cheapest cost along the range of each weight", shares_y=True
+        len(result.lines), "Cheapest cost along the range of each weight", shares_y=True
     )
-    for panel, name in zip(axes, found.lines, strict=True):
-        line, column = found.lines[name], found.names.index(name)
+    for panel, name in zip(axes, result.lines, strict=True):
+        line, column = result.lines[name], result.names.index(name)
         ends = line.corners[:, column]
         shares = np.sort(
             np.append(
@@ -75,7 +75,7 @@ def plot_breakpoints(found: Sensitivity) -> Figure:
             values, costs, color=line_colour(name), linewidth=1.1, markevery=is_breakpoint, **look
         )
         panel.axvline(
-            found.weights[column],
+            result.weights[column],
             color=INK,
             linewidth=0.9,
             linestyle=(0, (3, 2)),
@@ -95,10 +95,10 @@ def plot_breakpoints(found: Sensitivity) -> Figure:
     return figure
 
 
-def plot_breakpoint_routes(found: Sensitivity) -> Figure:
+def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     """Return a map for each weight with the routes along its range, coloured by where they are the cheapest."""
-    titles = [f"{name}, routes: {len(found.lines[name].cells)}" for name in found.lines]
-    low, high = found.settings.factors
+    titles = [f"{name}, routes: {len(result.lines[name].cells)}" for name in result.lines]
+    low, high = result.settings.factors
     powers = range(*(math.ceil(math.log10(factor) - 1e-9) for factor in (low, 10 * high)))
     ticks = [10.0**power for power in powers]
     colours = Colours(
@@ -106,11 +106,11 @@ def plot_breakpoint_routes(found: Sensitivity) -> Figure:
     )
     legend = [("given weights\n(dashed)", ON_ROUTES_COLOUR)]
     figure, axes = _maps(
-        found, titles, "Cheapest routes along the range of each weight", legend, colours
+        result, titles, "Cheapest routes along the range of each weight", legend, colours
     )
-    for panel, name in zip(axes, found.lines, strict=True):
-        table = found.breakpoints(name)
-        middle = np.sqrt(table["from"] * table["to"]) / found.weights[found.names.index(name)]
+    for panel, name in zip(axes, result.lines, strict=True):
+        table = result.breakpoints(name)
+        middle = np.sqrt(table["from"] * table["to"]) / result.weights[result.names.index(name)]
         widths = np.linspace(3.2, 1.4, len(table))
         look: dict[str, Any] = {
             "colors": colours(middle),
@@ -118,23 +118,23 @@ def plot_breakpoint_routes(found: Sensitivity) -> Figure:
             "capstyle": "round",
             "zorder": 4,
         }
-        panel.add_collection(LineCollection(found.line_routes[name], **look))
+        panel.add_collection(LineCollection(result.line_routes[name], **look))
         edge = [Stroke(linewidth=2.4, foreground=INK), Normal()]
         look = {"linewidth": 1.2, "linestyle": (0, (3, 2)), "path_effects": edge, "zorder": 6}
-        panel.plot(*found.route.xy_m.T, color=ON_ROUTES_COLOUR, **look)
+        panel.plot(*result.route.xy_m.T, color=ON_ROUTES_COLOUR, **look)
     return figure
 
 
 @styled
-def plot_pareto(found: Sensitivity) -> Figure:
+def plot_pareto(result: Sensitivity) -> Figure:
     """Return the supported Pareto points of two or three features; the last is the colour."""
-    front = found.front
+    front = result.front
     figure = chart(7.6, 4.0, f"Best trade-offs between {listed(front.objectives)}")
     panel = figure.subplots()
     points = front.points[[*front.objectives]].to_numpy()
-    given = found.cost["gradient"].loc[[*front.objectives]].to_numpy()
+    given = result.cost["gradient"].loc[[*front.objectives]].to_numpy()
     last = np.append(points[:, -1], given[-1])
-    labels = [_feature_label(found, name) for name in front.objectives]
+    labels = [_feature_label(result, name) for name in front.objectives]
     colours = Colours("viridis", Normalize(last.min(), last.max()), labels[-1])
     look: dict[str, Any] = {"norm": colours.norm, "cmap": colours.cmap}
     panel.scatter(
@@ -162,12 +162,12 @@ def plot_pareto(found: Sensitivity) -> Figure:
     return figure
 
 
-def _feature_label(found: Sensitivity, name: str) -> str:
+def _feature_label(result: Sensitivity, name: str) -> str:
     if name == "distance":
         return "distance (m)"
-    is_line = found.route.settings["cost_model"] == "line"
+    is_line = result.route.settings["cost_model"] == "line"
     unit = (
-        f"sum of c per {found.route.settings['reference_length_m']:g} m"
+        f"sum of c per {result.route.settings['reference_length_m']:g} m"
         if is_line
         else "sum of c over steps"
     )
@@ -175,24 +175,24 @@ def _feature_label(found: Sensitivity, name: str) -> str:
 
 
 def _maps(
-    found: Sensitivity,
+    result: Sensitivity,
     titles: list[str],
     heading: str,
     legend: Sequence[LegendEntry],
     colours: Colours | None = None,
 ) -> tuple[Figure, list[Axes]]:
     """Return maps of the normalised cost with the route's ends, on which routes are drawn."""
-    settings, z = found.route.settings, found.route.altitude_m
-    layers = cost_layers(found.maps, z, settings["time"], settings["time_of_day"])
+    settings, z = result.route.settings, result.route.altitude_m
+    layers = cost_layers(result.maps, z, settings["time"], settings["time_of_day"])
     facts = joined(
         f"{z:g} m above ground", settings["time_of_day"], "grey: normalised cost, black: lowest"
     )
-    note = "\n".join([facts, frame_note(found.maps, settings["time"]), rules_said(settings)])
-    entries = [*obstacle_patches(found.maps, BLOCKED_COLOUR), *legend, *ENDS]
+    note = "\n".join([facts, frame_note(result.maps, settings["time"]), rules_said(settings)])
+    entries = [*obstacle_patches(result.maps, BLOCKED_COLOUR), *legend, *ENDS]
     panels_of = [MapPanel(title, layers) for title in titles]
     figure, axes = draw_maps(
-        found.maps.grid, panels_of, heading, note, legend=entries, colours=colours
+        result.maps.grid, panels_of, heading, note, legend=entries, colours=colours
     )
     for panel in axes:
-        draw_ends(panel, [found.route])
+        draw_ends(panel, [result.route])
     return figure, axes

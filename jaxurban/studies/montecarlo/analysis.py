@@ -88,14 +88,14 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
     """
     rows = weighted_rows(table).assign(proven=lambda rows: rows.status == Status.OPTIMAL.value)
     grouped = rows.groupby(["planner", "altitude_m", "range"], sort=True)
-    found = grouped.agg(
+    result = grouped.agg(
         pairs=("has_path", "size"), paths=("has_path", "sum"), joined=("is_joined", "sum")
     )
-    found["share"] = found.paths / found.pairs
-    found["share_joined"] = (found.paths / found.joined).where(found.joined > 0)
-    found["proven"] = grouped.proven.mean()
-    found["crashed"] = grouped.status.apply(lambda status: int((status == "crashed").sum()))
-    return found.reset_index()
+    result["share"] = result.paths / result.pairs
+    result["share_joined"] = (result.paths / result.joined).where(result.joined > 0)
+    result["proven"] = grouped.proven.mean()
+    result["crashed"] = grouped.status.apply(lambda status: int((status == "crashed").sum()))
+    return result.reset_index()
 
 
 def costs(table: pd.DataFrame) -> pd.DataFrame:
@@ -121,12 +121,12 @@ def usage(table: pd.DataFrame) -> pd.DataFrame:
     solved = weighted_rows(table[table.is_joined]).groupby("planner").has_path.mean()
     table = table[table.planner.isin(solved.index[solved >= OFTEN])]
     num_runs = len(table[["planner", "objective"]].drop_duplicates())
-    found = table[table.has_path]
-    found = found[found.groupby(list(KEY)).has_path.transform("size") == num_runs]
+    result = table[table.has_path]
+    result = result[result.groupby(list(KEY)).has_path.transform("size") == num_runs]
     return (
-        found.groupby(["planner", "objective", "altitude_m"])[[*facts_of(found), "detour"]]
+        result.groupby(["planner", "objective", "altitude_m"])[[*facts_of(result), "detour"]]
         .mean()
-        .assign(instances=found.groupby(["planner", "objective", "altitude_m"]).size())
+        .assign(instances=result.groupby(["planner", "objective", "altitude_m"]).size())
         .reset_index()
     )
 
@@ -159,12 +159,12 @@ def paired(table: pd.DataFrame) -> pd.DataFrame:
     cost = rows[rows.has_path].pivot(index=list(KEY), columns="planner", values="cost")
     cost = cost.reindex(columns=sorted(rows.planner.unique()))
     seconds = rows.pivot(index=list(KEY), columns="planner", values="elapsed_s")
-    found = []
+    result = []
     for first, second in itertools.combinations(cost.columns, 2):
         both = cost[(cost[first] > 0) & (cost[second] > 0)]
         log_ratio = np.log((both[first] / both[second]).to_numpy())
         interval = Clusters(both.index.get_level_values("instance")).interval(log_ratio)
-        found.append(
+        result.append(
             {
                 "first": first,
                 "second": second,
@@ -179,7 +179,7 @@ def paired(table: pd.DataFrame) -> pd.DataFrame:
                 "time_ratio": float((seconds[first] / seconds[second]).loc[both.index].median()),
             }
         )
-    return pd.DataFrame(found)
+    return pd.DataFrame(result)
 
 
 def objectives(table: pd.DataFrame) -> pd.DataFrame:
@@ -189,7 +189,7 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
     mean metrics (distance-only less weighted), each with its 95 % interval over instances. Empty where no planner ran
     both ways.
     """
-    found = []
+    result = []
     both_ways = set(table[table.objective == DISTANCE].planner) & set(weighted_rows(table).planner)
     for planner in sorted(both_ways):
         rows = table[(table.planner == planner) & table.has_path].set_index([*KEY, "objective"])
@@ -217,8 +217,8 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
                 row |= dict(
                     zip((label, f"{label}_low", f"{label}_high"), map(float, shown), strict=True)
                 )
-            found.append(row)
-    return pd.DataFrame(found)
+            result.append(row)
+    return pd.DataFrame(result)
 
 
 def choices(table: pd.DataFrame) -> pd.DataFrame:
@@ -230,7 +230,7 @@ def choices(table: pd.DataFrame) -> pd.DataFrame:
     """
     rows = weighted_rows(table)
     rows = rows[rows.is_joined].assign(is_near=lambda rows: rows.ratio <= NEAR)
-    found: list[dict[str, Any]] = []
+    result: list[dict[str, Any]] = []
     for (altitude_m, name), cell in rows.groupby(["altitude_m", "range"]):
         facts = cell.groupby("planner").agg(
             pairs=("ratio", "size"),
@@ -242,7 +242,7 @@ def choices(table: pd.DataFrame) -> pd.DataFrame:
         facts = facts.sort_values("median_s")  # of equals the faster one is named
         reliable = facts[facts.share >= RELIABLE]
         near = facts[facts.near >= 0.9]
-        found.append(
+        result.append(
             {
                 "altitude_m": altitude_m,
                 "range": name,
@@ -256,8 +256,8 @@ def choices(table: pd.DataFrame) -> pd.DataFrame:
             }
         )
     order = {name: number for number, name in enumerate(range_names(rows))}
-    found.sort(key=lambda row: (row["altitude_m"], order[row["range"]]))
-    return pd.DataFrame(found)
+    result.sort(key=lambda row: (row["altitude_m"], order[row["range"]]))
+    return pd.DataFrame(result)
 
 
 def complementarity(
@@ -283,7 +283,7 @@ def complementarity(
         tile[np.logical_or.reduce([maps.is_free(z, "centre") for z in maps.altitudes_m])]
     )
     tile, draws = np.searchsorted(free_tiles, tile), draws_of(len(free_tiles))
-    found: list[dict[str, float]] = []
+    result: list[dict[str, float]] = []
     for altitude_m in sorted(maps.altitudes_m if altitudes_m is None else altitudes_m):
         is_free = maps.is_free(altitude_m, "centre")
         gps = maps.m("gps", altitude_m, time=time)[is_free].astype(np.float64)
@@ -305,8 +305,8 @@ def complementarity(
         row["lidar_where_gps_good"] = lidar[~is_poor].mean() if has_poor else np.nan
         row["correlation"] = correlation_of(sums.sum(axis=0)[None])[0]
         ends = ends_of(correlation_of(draws @ sums), len(free_tiles))
-        found.append(row | dict(zip(("correlation_low", "correlation_high"), ends, strict=True)))
-    return pd.DataFrame(found)
+        result.append(row | dict(zip(("correlation_low", "correlation_high"), ends, strict=True)))
+    return pd.DataFrame(result)
 
 
 def correlation_of(sums: np.ndarray) -> np.ndarray:

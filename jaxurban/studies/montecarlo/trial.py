@@ -61,12 +61,12 @@ class Benchmark(RouteJob):
 
     def deciding(self, maps: MetricMaps) -> dict[str, Any]:
         """Return what decides a benchmark's rows, by name: neither the files of zones nor a budget that is not used."""
-        found = self.to_dict()
+        result = self.to_dict()
         limits, budget_s, iterations = (
-            found.pop(name) for name in ("limits", "budget_s", "budget_iterations")
+            result.pop(name) for name in ("limits", "budget_s", "budget_iterations")
         )
         return {
-            **found,
+            **result,
             "budget": f"{budget_s} s" if iterations is None else f"{iterations} samples",
             "set of constraints": describe_constraints(limits) or "none",
             "outlines of no-fly zones": ", ".join(
@@ -89,9 +89,9 @@ class Benchmark(RouteJob):
         seed = self.seed_of(int(instance["instance"]))
         for planner, objective in runs:
             try:
-                found = limited(planner, self.study)(by_objective[objective].alone(), seed=seed)
+                result = limited(planner, self.study)(by_objective[objective].alone(), seed=seed)
                 yield _facts(
-                    on, with_corner_bound(by_objective[objective], found), weights, planner
+                    on, with_corner_bound(by_objective[objective], result), weights, planner
                 )
             except Exception as error:  # whatever a planner does, the benchmark goes on
                 yield {**failure(error), "status": CRASHED}
@@ -167,21 +167,21 @@ def draws_samples(planner: str) -> bool:
     return "max_samples" in inspect.signature(PLANNERS[planner].run).parameters
 
 
-def _facts(on: CostMap, found: Path, weights: np.ndarray, planner: str) -> dict[str, Any]:
+def _facts(on: CostMap, result: Path, weights: np.ndarray, planner: str) -> dict[str, Any]:
     facts: dict[str, Any] = {
-        "status": found.status.value,
-        "lower_bound": found.lower_bound,
-        "elapsed_s": found.elapsed_s,
-        "setup_s": found.setup_s,
-        "num_expanded": int(found.num_expanded),
-        "num_samples": found.history[-1][1] if draws_samples(planner) and found.history else None,
-        "heuristic": found.heuristic,
-        "backend": found.backend,
-        "note": found.note,
+        "status": result.status.value,
+        "lower_bound": result.lower_bound,
+        "elapsed_s": result.elapsed_s,
+        "setup_s": result.setup_s,
+        "num_expanded": int(result.num_expanded),
+        "num_samples": result.history[-1][1] if draws_samples(planner) and result.history else None,
+        "heuristic": result.heuristic,
+        "backend": result.backend,
+        "note": result.note,
     }
-    if not found.status.has_path:
+    if not result.status.has_path:
         return facts
-    features = {kind: on.shortest.features(found.points_m, kind) for kind in COST_KINDS}
+    features = {kind: on.shortest.features(result.points_m, kind) for kind in COST_KINDS}
     of_path = features[on.cost_model.kind]
     if not of_path.is_valid:
         return facts | {
@@ -189,7 +189,7 @@ def _facts(on: CostMap, found: Path, weights: np.ndarray, planner: str) -> dict[
             "note": "The planner's path crosses an obstacle or leaves the map.",
         }
     straight_m, length_m = (
-        float(np.hypot(*(found.points_m[-1] - found.points_m[0]))),
+        float(np.hypot(*(result.points_m[-1] - result.points_m[0]))),
         float(of_path.phi[0]),
     )
     facts |= {f"cost_{kind}": features[kind].cost(weights) for kind in COST_KINDS}
@@ -197,7 +197,7 @@ def _facts(on: CostMap, found: Path, weights: np.ndarray, planner: str) -> dict[
     return facts | {
         "cost": of_path.cost(weights),
         "length_m": length_m,
-        "search_cost": found.cost,
-        "gap": found.gap,
+        "search_cost": result.cost,
+        "gap": result.gap,
         "detour": length_m / straight_m if straight_m > 0 else None,
     }

@@ -216,8 +216,8 @@ def with_directions(log: ReceiverLog, track: Track, sky: Sky, grid: Grid) -> Rec
     names = rows[SATELLITE].cat.categories[of_category < 0]
     is_up = (number >= 0) & (angles[ELEVATION] >= 0)
     left_out = {**log.left_out, **dict.fromkeys(names, "no orbit of [gps] orbits has its name")}
-    found = rows.assign(**{name: values.astype(np.float32) for name, values in angles.items()})
-    return replace(log, satellites=found[is_up].reset_index(drop=True), left_out=left_out)
+    result = rows.assign(**{name: values.astype(np.float32) for name, values in angles.items()})
+    return replace(log, satellites=result[is_up].reset_index(drop=True), left_out=left_out)
 
 
 def counted(

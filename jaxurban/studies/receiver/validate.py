@@ -140,8 +140,8 @@ def validate(
       >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=40, freq="s")})
       >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 40), lat=40.7795, num_tracked=5)
       >>> log["num_tracked"] = 5 + np.arange(40) // 10  # more to the east
-      >>> found = ju.studies.validate(scenario, log, progress=False)
-      >>> found.main[["witness", "prediction", "num", "spearman"]].round(2).to_dict("records")
+      >>> result = ju.studies.validate(scenario, log, progress=False)
+      >>> result.main[["witness", "prediction", "num", "spearman"]].round(2).to_dict("records")
       [{'witness': 'num_tracked', 'prediction': 'num_visible', 'num': 13, 'spearman': 0.61}]
     """
     chosen = settings or ReceiverSettings()

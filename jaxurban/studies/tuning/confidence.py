@@ -110,12 +110,12 @@ def near_optimal_range(
         for row, sign in enumerate((1.0, -1.0)):
             aim = np.zeros(num_weights + num_queries)
             aim[k] = sign
-            found = linprog(
+            result = linprog(
                 aim, A_ub=above, b_ub=np.zeros(len(above)), A_eq=equal, b_eq=[1.0], bounds=(0, None)
             )
-            if found.x is not None:
-                ends[row, k] = found.x[k]
-            elif found.status == UNBOUNDED:
+            if result.x is not None:
+                ends[row, k] = result.x[k]
+            elif result.status == UNBOUNDED:
                 ends[row, k] = np.inf
     return ends
 

@@ -250,7 +250,7 @@ def fit_targets(
         conflicts: list[tuple[str, str]] = []
         if not is_met:
             reachable = [
-                number for number, found in enumerate(alone) if found.missed[number] <= MET
+                number for number, result in enumerate(alone) if result.missed[number] <= MET
             ]
             for pair in itertools.combinations(reachable, 2):
                 one, other = (wanted[number] for number in pair)
@@ -452,15 +452,15 @@ def _known_misses(
 
 
 def _outcome_table(
-    targets: Sequence[Target], found: Sequence[_Found], at_shortest: np.ndarray
+    targets: Sequence[Target], result: Sequence[_Found], at_shortest: np.ndarray
 ) -> pd.DataFrame:
     """Return a row a target, each as its own search reached it."""
-    missed = [float(each.missed[number]) for number, each in enumerate(found)]
+    missed = [float(each.missed[number]) for number, each in enumerate(result)]
     return pd.DataFrame(
         {
             "wished": [target.value for target in targets],
             "shortest": at_shortest,
-            "reached": [each.reached[number] for number, each in enumerate(found)],
+            "reached": [each.reached[number] for number, each in enumerate(result)],
             "missed_by": missed,
             "is_met": [share <= MET for share in missed],
         },

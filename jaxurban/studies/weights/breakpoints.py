@@ -86,9 +86,9 @@ class Partition:
     def points(self) -> pd.DataFrame:
         """Of a Pareto front a row a route: its features by the names of the objectives, and its outcomes."""
         columns = [self.names.index(name) for name in self.objectives]
-        found = pd.DataFrame(self.features[:, columns], columns=list(self.objectives))
-        found.index = pd.RangeIndex(1, len(found) + 1, name="route")
-        return found.assign(**outcomes_of(self.integrals, self.names))
+        result = pd.DataFrame(self.features[:, columns], columns=list(self.objectives))
+        result.index = pd.RangeIndex(1, len(result) + 1, name="route")
+        return result.assign(**outcomes_of(self.integrals, self.names))
 
 
 def find_breakpoints(
@@ -122,8 +122,8 @@ def find_breakpoints(
         if max_plans is not None and pool.num_plans - before >= max_plans:
             is_complete = False
             break
-        found = pool.cheapest(places @ corners)[:, 0]
-        growing.verify(places, found)
+        result = pool.cheapest(places @ corners)[:, 0]
+        growing.verify(places, result)
         if on_plans is not None:
             on_plans(pool.num_plans - before)
     order = growing.order()
@@ -162,7 +162,7 @@ def nearest_breakpoints(
     given = pool.cheapest(weights[None])[0, 0, 0]
     at = np.tile(np.asarray(factors, np.float64), (len(columns), 1))
     is_due = np.tile(weights[list(columns), None] > 0, 2)
-    found = np.full(at.shape, np.nan)
+    result = np.full(at.shape, np.nan)
     while is_due.any():
         rows, ends = np.nonzero(is_due)
         places = np.tile(weights, (len(rows), 1))
@@ -177,8 +177,8 @@ def nearest_breakpoints(
             column = columns[row]
             # At the given weights the other one costs as much at least; rounding may say less.
             ahead = min(weights @ excess, 0.0)
-            at[row, end] = found[row, end] = 1 - ahead / (weights[column] * excess[column])
-    return found
+            at[row, end] = result[row, end] = 1 - ahead / (weights[column] * excess[column])
+    return result
 
 
 def pareto_front(
@@ -209,10 +209,10 @@ def pareto_front(
     size = pool.cheapest(alone)[0, 0][:, columns].max(axis=0)
     shares = np.eye(len(objectives)) * (1 - len(objectives) * LEAST) + LEAST
     corners = shares @ (alone / np.where(size > 0, size, 1.0)[:, None])
-    found = find_breakpoints(
+    result = find_breakpoints(
         pool, corners, tolerance=tolerance, max_plans=max_plans, on_plans=on_plans
     )
-    return replace(found, objectives=tuple(objectives))
+    return replace(result, objectives=tuple(objectives))
 
 
 class _Growing:
@@ -234,10 +234,10 @@ class _Growing:
         due = {_key(place): place for cell in cells for place in cell}
         return np.array([place for key, place in due.items() if key not in self.verified])
 
-    def verify(self, places: np.ndarray, found: np.ndarray) -> None:
+    def verify(self, places: np.ndarray, result: np.ndarray) -> None:
         """Take in what searches at places ``[P, C]`` found, ``[2, P, K]``."""
         self.verified.update(map(_key, places))
-        for place, features, integrals in zip(places, *found, strict=True):
+        for place, features, integrals in zip(places, *result, strict=True):
             ends = self.corners @ features
             if not self.ends or place @ ends < np.min(np.array(self.ends) @ place) * (
                 1 - self.tolerance

@@ -148,7 +148,7 @@ def _slopes(
     by_height = [
         name for name, metric in soft.metrics.items() if TIME_OF_DAY not in metric.dims
     ]  # not people
-    found = {name: jax.value_and_grad(partial(part, name))(soft.height_m) for name in by_height}
-    cost = weights.distance * visits.length_m + sum(value for value, _ in found.values())
+    result = {name: jax.value_and_grad(partial(part, name))(soft.height_m) for name in by_height}
+    cost = weights.distance * visits.length_m + sum(value for value, _ in result.values())
     cost += sum(part(name, soft.height_m) for name in soft.names if name not in by_height)
-    return {name: slope for name, (_, slope) in found.items()}, jnp.asarray(cost)
+    return {name: slope for name, (_, slope) in result.items()}, jnp.asarray(cost)

@@ -235,13 +235,13 @@ def plain_task(task: MapTask) -> MapTask:
 
 def parameters_of(task: MapTask) -> dict[str, float]:
     """Return every number that the metrics of a task have a gradient by, as ``{"lidar.range_m": 100.0}``."""
-    found: dict[str, float] = {}
+    result: dict[str, float] = {}
     for name, metric in task.metrics.items():
         settings = task.settings_of(metric)
         if name not in task.layers and is_dataclass(settings):
             leaves, _ = jax.tree_util.tree_flatten_with_path(settings)
-            found |= {f"{name}.{path[0].name}": float(value) for path, value in leaves}
-    return found
+            result |= {f"{name}.{path[0].name}": float(value) for path, value in leaves}
+    return result
 
 
 def with_parameter(task: MapTask, parameter: str, factor: float) -> MapTask:
@@ -346,23 +346,23 @@ def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> di
         if not path.status.has_path:
             return {"status": path.status.value, "note": path.status.sentence}
     here, there = (path.points_m for path in paths)
-    found: dict[str, Any] = {"status": paths[0].status.value}
+    result: dict[str, Any] = {"status": paths[0].status.value}
     features = {}
     for name, query in (("nominal", nominal), ("other", other)):
         features[name] = [query.cost_map.problem.features(points_m) for points_m in (here, there)]
     (own, new), (kept, best) = features["nominal"], features["other"]
-    found["is_other"] = float(
+    result["is_other"] = float(
         not (new.is_valid and np.allclose(new.phi, own.phi, rtol=SAME_SUMS, atol=SAME_SUMS))
     )
     cells = [cells_of(points_m, nominal.cost_map.grid.resolution_m) for points_m in (here, there)]
-    found["overlap"] = len(cells[0] & cells[1]) / len(cells[0])
-    found["is_closed"], found["nominal_is_closed"] = (
+    result["overlap"] = len(cells[0] & cells[1]) / len(cells[0])
+    result["is_closed"], result["nominal_is_closed"] = (
         float(not new.is_valid),
         float(not kept.is_valid),
     )
-    found["regret"] = _regret(new.cost(weights), own.cost(weights))
-    found["nominal_regret"] = _regret(kept.cost(weights), best.cost(weights))
-    return found
+    result["regret"] = _regret(new.cost(weights), own.cost(weights))
+    result["nominal_regret"] = _regret(kept.cost(weights), best.cost(weights))
+    return result
 
 
 def _regret(cost: float, best: float) -> float:

@@ -164,7 +164,7 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
         warnings.filterwarnings(
             "ignore", "Constant values encountered"
         )  # of a part: the intervals show it
-        found = analysis.analyze(
+        result = analysis.analyze(
             problem,
             np.asarray(values, np.float64),
             calc_second_order=False,
@@ -176,8 +176,8 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
     wider = reach_of(num_samples) / special.ndtri(
         (1 + CONFIDENCE) / 2
     )  # SALib's ends are those of the normal law
-    parts = {"first": found["S1"], "first_ci": found["S1_conf"] * wider}
-    return table.assign(**parts, total=found["ST"], total_ci=found["ST_conf"] * wider)
+    parts = {"first": result["S1"], "first_ci": result["S1_conf"] * wider}
+    return table.assign(**parts, total=result["ST"], total_ci=result["ST_conf"] * wider)
 
 
 def cost_gradient(names: Sequence[str], weights: np.ndarray, features: np.ndarray) -> pd.DataFrame:

@@ -78,8 +78,8 @@ class Sensitivity(FactsRepr):
 
         Examples:
           >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
-          >>> found = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
-          >>> found.breakpoints("gps")["is_given"].tolist()
+          >>> result = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
+          >>> result.breakpoints("gps")["is_given"].tolist()
           [False, True, False]
         """
         line = self.lines[one_of("name", name, self.lines)]
@@ -102,8 +102,8 @@ class Sensitivity(FactsRepr):
 
         Examples:
           >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
-          >>> found = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
-          >>> list(found.tables())
+          >>> result = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
+          >>> list(result.tables())
           ['cost_gradient', 'local', 'sobol', 'switches', 'pareto']
         """
         return {
@@ -197,10 +197,10 @@ def sensitivity(
 
     Examples:
       >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
-      >>> found = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
-      >>> found.cost["elasticity"].round(2).to_dict()
+      >>> result = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
+      >>> result.cost["elasticity"].round(2).to_dict()
       {'distance': 0.32, 'gps': 0.08, 'lidar': 0.57, 'population': 0.02, 'risk': 0.01}
-      >>> found.breakpoints("gps")["to"].round(2).tolist()  # three routes, by the weight up to which each is cheapest
+      >>> result.breakpoints("gps")["to"].round(2).tolist()  # three routes, by the weight up to which each is cheapest
       [0.44, 3.03, 10.0]
     """
     check_flat(cost_map)

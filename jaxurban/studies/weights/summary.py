@@ -216,11 +216,11 @@ def summarise_shares(shares: pd.DataFrame, num_samples: int) -> pd.DataFrame:
     for (outcome, name), part in shares.groupby(["outcome", "weight_name"], sort=False):
         for kind in ("first", "total"):
             known = part[part[kind].notna()].reset_index(drop=True)
-            found = pairs_of(known).interval(known[kind])
+            result = pairs_of(known).interval(known[kind])
             row = {"outcome": outcome, "weight_name": name, "kind": kind, "routes": len(known)}
             own = {"own_ci": known[f"{kind}_ci"].median()}
             rows.append(
-                row | named("share", found) | own | {"verdict": _verdict(found, len(known))}
+                row | named("share", result) | own | {"verdict": _verdict(result, len(known))}
             )
     table = pd.DataFrame(rows)
     is_unresolved = table.verdict == UNRESOLVED
@@ -247,9 +247,9 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
     Of parameters so for each ``parameter`` and ``factor``. Of heights all draws together, draws and routes being drawn
     both. Columns are means of those of `jaxurban.studies.weights.routes.OnPerturbedMaps`.
     """
-    rows, found = [], changed[changed.status.isin(HAS_PATH)]
-    kinds = [name for name in ("parameter", "factor") if name in found]
-    for named_as, of_kind in found.groupby(kinds, sort=False) if kinds else [((), found)]:
+    rows, result = [], changed[changed.status.isin(HAS_PATH)]
+    kinds = [name for name in ("parameter", "factor") if name in result]
+    for named_as, of_kind in result.groupby(kinds, sort=False) if kinds else [((), result)]:
         cuts = [(ALL, ALL, of_kind)]
         for cut in ("city", "altitude_m"):
             cuts += [(cut, _told(value), part) for value, part in of_kind.groupby(cut, sort=False)]
