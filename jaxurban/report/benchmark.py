@@ -54,15 +54,15 @@ def write_scenarios(
     the shortest path in cell sides.
     """
     num_rows, num_cols = shape
-    shown = problems.sort_values("length", kind="stable")
-    ends = {"x0": shown.start_col, "y0": num_rows - 1 - shown.start_row}
+    in_order = problems.sort_values("length", kind="stable")
+    ends = {"x0": in_order.start_col, "y0": num_rows - 1 - in_order.start_row}
     ends |= {
-        "x1": shown.goal_col,
-        "y1": num_rows - 1 - shown.goal_row,
-        "length": shown.length.map("{:.8f}".format),
+        "x1": in_order.goal_col,
+        "y1": num_rows - 1 - in_order.goal_row,
+        "length": in_order.length.map("{:.8f}".format),
     }
     of_map = {
-        "bucket": (shown.length / BUCKET).astype(int),
+        "bucket": (in_order.length / BUCKET).astype(int),
         "map": map_name,
         "width": num_cols,
         "height": num_rows,
@@ -210,7 +210,7 @@ def _write_costs(
 ) -> None:
     altitude_m = float(key[0])
     time, time_of_day = (None if pd.isna(part) else str(part) for part in key[1:])
-    on = settings.cost_map(maps, altitude_m, time, time_of_day)
+    cost_map = settings.cost_map(maps, altitude_m, time, time_of_day)
     parts = [name, f"{short_number(altitude_m)}m", *filter(None, [time_of_day])]
     if len(maps.times) > 1 and time is not None:
         parts.append(time.translate({45: None, 58: None}))
@@ -220,12 +220,12 @@ def _write_costs(
     ):
         np.savez_compressed(
             file,
-            names=np.array(on.names),
-            costs=on.costs,
-            is_free=on.is_free,
-            resolution_m=on.grid.resolution_m,
-            x_min_m=on.grid.x_min_m,
-            y_min_m=on.grid.y_min_m,
+            names=np.array(cost_map.names),
+            costs=cost_map.costs,
+            is_free=cost_map.is_free,
+            resolution_m=cost_map.grid.resolution_m,
+            x_min_m=cost_map.grid.x_min_m,
+            y_min_m=cost_map.grid.y_min_m,
         )
 
 

@@ -45,11 +45,11 @@ def check_outputs(result: MissionCheck) -> tuple[dict[str, Output], dict[str, An
 
 def check_markdown(result: MissionCheck, figures: list[str]) -> str:
     """Return the report as Markdown; ``figures`` are those that lie beside it."""
-    shown = result.findings[HEADS].round({"lon": 6, "lat": 6}).astype({"lon": str, "lat": str})
-    shown.insert(0, "number", range(1, len(shown) + 1))
+    findings = result.findings[HEADS].round({"lon": 6, "lat": 6}).astype({"lon": str, "lat": str})
+    findings.insert(0, "number", range(1, len(findings) + 1))
     return fill(
         "check",
-        {"findings": shown},
+        {"findings": findings},
         figures,
         [result.maps.attribution],
         result=result,

@@ -85,7 +85,7 @@ def plot_difference(
             is_grey = ~result.a.is_free(place.altitude_m, None if layer == CLOSED else "centre") & (
                 values == 0
             )
-        shown = MapLayer(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours)
+        layer_drawn = MapLayer(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours)
         where = place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m"
         share = (
             f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed"
@@ -93,7 +93,9 @@ def plot_difference(
             else "unchanged"
         )
         panels.append(
-            MapPanel(joined(where, share), [shown, flat_layer(is_grey & has_data, OBSTACLE_COLOUR)])
+            MapPanel(
+                joined(where, share), [layer_drawn, flat_layer(is_grey & has_data, OBSTACLE_COLOUR)]
+            )
         )
     heading, legend = (
         f"{heading_of(result, layer)}, B - A",
@@ -184,14 +186,14 @@ def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> s
     changed = (
         result.table[first & ~result.table.layer.isin(same)].drop(columns="time").astype(object)
     )
-    held = result.a.facts
+    facts = result.a.facts
     left_out = bullets(f"{name}: {why}" for name, why in result.left_out.items())
     return fill(
         "compare",
         {"regrets": result.regrets},
         credits=[result.a.attribution, result.b.attribution],
         result=result,
-        extent=f"Compared are {held['grid']} ({held['CRS']}) at {held['altitudes']}.",
+        extent=f"Compared are {facts['grid']} ({facts['CRS']}) at {facts['altitudes']}.",
         settings=_settings(result),
         values=framed(changed.where(changed.notna(), ""))
         if len(changed)
@@ -214,14 +216,16 @@ def _settings(result: computed.MapComparison) -> str:
     rows += [
         (f"population is divided by, {day}", f"{a[day]:,.0f}", f"{b[day]:,.0f}") for day in norms
     ]
-    shown = [
+    settings_rows = [
         (name, *(NOT_SET if value is None else f"`{value}`" for value in pair))
         for name, *pair in rows
     ]
-    said = "Not both sets were made by `jaxurban maps`, so that their settings are not known."
+    not_known = "Not both sets were made by `jaxurban maps`, so that their settings are not known."
     if result.settings is not None:
-        said = "" if result.settings else "No setting differs."
-    return "\n\n".join(filter(None, (said, table(("", "A", "B"), shown) if shown else "")))
+        not_known = "" if result.settings else "No setting differs."
+    return "\n\n".join(
+        filter(None, (not_known, table(("", "A", "B"), settings_rows) if settings_rows else ""))
+    )
 
 
 class MapComparison(computed.MapComparison, Result):

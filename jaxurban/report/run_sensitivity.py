@@ -173,7 +173,7 @@ def _by_city(rows: pd.DataFrame, cities: Iterable[str]) -> pd.DataFrame:
 
 
 def _opened(
-    given: dict[str, Source], settings: SensitivityStudySettings, weights: WeightsLike
+    sources: dict[str, Source], settings: SensitivityStudySettings, weights: WeightsLike
 ) -> tuple[dict[str, MetricMaps], SensitivityStudySettings, WeightsLike]:
     """Return the maps of each city, and the settings and weights that hold for all; name in ``given`` what is opened.
 
@@ -181,11 +181,11 @@ def _opened(
       InputError: maps whose scenarios differ in what all routes share, or whose costs cannot be compared.
     """
     opened, rules = dict[str, MetricMaps](), dict[str, Any]()
-    for city, source in given.items():
+    for city, source in sources.items():
         maps = source if isinstance(source, MetricMaps) else source.open()
         opened[city], job = settings.under(maps)
         rules[city] = job, Weights.of(weights, maps.recorded.get("weights"))
-        given[city] = opened[city] if isinstance(source, MetricMaps) else source.at(opened[city])
+        sources[city] = opened[city] if isinstance(source, MetricMaps) else source.at(opened[city])
     (first, (settings, weights)), *others = rules.items()
     for city, other in others:
         if other != rules[first]:
@@ -378,9 +378,13 @@ def _remade(
                         continue
                     job = kind(nominal=maps, change=change, **rules)
                     if left := tasks_of(of_city, job, store):
-                        made = _made(other).with_obstacles(maps.obstacles)
+                        perturbed = _made(other).with_obstacles(maps.obstacles)
                         store.add(
-                            [row for rows in solve_here(left, {city: made}, job) for row in rows]
+                            [
+                                row
+                                for rows in solve_here(left, {city: perturbed}, job)
+                                for row in rows
+                            ]
                         )
                 report(stage, len(changes), len(changes))
     finally:

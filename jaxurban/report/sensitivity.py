@@ -135,14 +135,16 @@ def ranges(result: computed.Sensitivity, name: str) -> dict[str, float]:
     """
     table = result.breakpoints(name)
     outcomes = table[list(outcome_names(result.names))]
-    given = int(np.argmax(table["is_given"]))
-    off = (outcomes - outcomes.iloc[given]).abs() / outcomes.iloc[given].abs().clip(lower=1e-9)
+    given_row = int(np.argmax(table["is_given"]))
+    off = (outcomes - outcomes.iloc[given_row]).abs() / outcomes.iloc[given_row].abs().clip(
+        lower=1e-9
+    )
     differs = np.flatnonzero((off > ALIKE).any(axis=1))
-    first = max((place + 1 for place in differs if place < given), default=0)
-    last = min((place - 1 for place in differs if place > given), default=len(table) - 1)
+    first = max((place + 1 for place in differs if place < given_row), default=0)
+    last = min((place - 1 for place in differs if place > given_row), default=len(table) - 1)
     return {
-        "same_from": float(table["from"].iloc[given]),
-        "same_to": float(table["to"].iloc[given]),
+        "same_from": float(table["from"].iloc[given_row]),
+        "same_to": float(table["to"].iloc[given_row]),
         "alike_from": float(table["from"].iloc[first]),
         "alike_to": float(table["to"].iloc[last]),
     }

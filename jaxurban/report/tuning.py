@@ -106,8 +106,8 @@ def run_tuning(
         names = _names_of([Path(source.folder).resolve() for source in sources])
         for files, maps, name in zip(sources.values(), opened, names, strict=True):
             cities.setdefault(name, []).extend(_demonstrations(files, maps, settings))
-        demonstrations = [each for shown in cities.values() for each in shown]
-        how = replace(settings.fit, state_file=folder / STATE_FILE, progress=report)
+        demonstrations = [each for of_city in cities.values() for each in of_city]
+        settings_of_fit = replace(settings.fit, state_file=folder / STATE_FILE, progress=report)
         fit: WeightFit | TargetFit
         result: FitComparison | None = None
         # Other fits differ in the state of the fit, which holds its settings.
@@ -117,9 +117,11 @@ def run_tuning(
         with Workspace.open(folder, "tune", names=names, overwrite=overwrite):
             report("rounds")
             if targets:
-                fit = fit_targets([each.query for each in demonstrations], targets, settings=how)
+                fit = fit_targets(
+                    [each.query for each in demonstrations], targets, settings=settings_of_fit
+                )
             else:
-                result = compare_fits(cities, **fits, settings=how)
+                result = compare_fits(cities, **fits, settings=settings_of_fit)
                 fit = result.fits[ALL]
                 demonstrations = list(compress(demonstrations, ~result.is_held_out))
             report("routes under the fitted weights")
@@ -165,8 +167,11 @@ def _demonstrations(
         raise InputError(
             "sampled instances have no routes of their own: name the weights of the pilot who flies them"
         )
-    how = dict(settings.routes)
-    altitude_m, under = how.get("altitude_m"), {name: how[name] for name in UNDER if name in how}
+    options = dict(settings.routes)
+    altitude_m, under = (
+        options.get("altitude_m"),
+        {name: options[name] for name in UNDER if name in options},
+    )
     pilot = settings.pilot or Weights()
     instances = sample_instances(
         maps,
@@ -176,13 +181,13 @@ def _demonstrations(
         seed=settings.fit.seed,
         **under,
     )
-    times = {name: how[name] for name in TIMES if how.get(name) is not None}
+    times = {name: options[name] for name in TIMES if options.get(name) is not None}
     return demonstrations_from_study(
         instances[instances.is_connected].assign(**times),
         maps,
         planner=settings.planner,
         pilot=pilot,
-        **how,
+        **options,
     )
 
 
@@ -218,7 +223,7 @@ def outputs_of(
     fit: WeightFit | TargetFit,
     demonstrations: Sequence[Demonstration],
     planned: Sequence[Demonstration],
-    asked: Mapping[str, str],
+    texts: Mapping[str, str],
     result: FitComparison | None = None,
 ) -> dict[str, Output]:
     """Return what a fit writes, by file name: tables, pictures, the report and weights.toml.
@@ -232,12 +237,12 @@ def outputs_of(
     pictures = _pictures(demonstrations)
     first = next(iter(pictures.values()))
     units = [weight_units(first)[name] for name in fit.names]
-    vector, fields = fit.weights.vector(fit.names), dict[str, Any](asked)
+    vector, fields = fit.weights.vector(fit.names), dict[str, Any](texts)
     routes = compared_routes(demonstrations, planned)
     tables: dict[str, pd.DataFrame] = {}
     outputs: dict[str, Output] = {"learning_curve": fit.curve}
     if isinstance(fit, WeightFit):
-        template, given, weights = "imitation", "demonstration", fit.table.reset_index()
+        template, noun, weights = "imitation", "demonstration", fit.table.reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         outputs["figures/weights.png"] = lambda: plot_weights(fit)
         tables["regrets"] = _regrets(fit)
@@ -247,7 +252,7 @@ def outputs_of(
             outputs["fits"] = result.table
             fields["fits"] = fits_section(result)
     else:
-        template, given = "targets", "given route"
+        template, noun = "targets", "given route"
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
         alone = fit.alone[["reached", "missed_by", "is_met"]].add_suffix("_alone")
         outputs["targets"] = outcomes = fit.outcomes.join(alone).reset_index()
@@ -255,7 +260,7 @@ def outputs_of(
     outputs |= {"weights": weights.assign(unit=units), "examples": routes}
     for name, one in pictures.items():
         outputs[f"figures/{name}.png"] = partial(
-            plot_routes, demonstrations, planned, one, vector, given
+            plot_routes, demonstrations, planned, one, vector, noun
         )
     tables |= {
         "weights": weights.assign(unit=units),
@@ -363,14 +368,14 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
     }
 
 
-def weight_units(on: CostMap) -> dict[str, str]:
+def weight_units(cost_map: CostMap) -> dict[str, str]:
     """Return the unit of each weight on a map."""
     per = (
         "cell entered"
-        if on.cost_model.kind == "cell"
-        else f"{on.cost_model.reference_length_m:g} m flown"
+        if cost_map.cost_model.kind == "cell"
+        else f"{cost_map.cost_model.reference_length_m:g} m flown"
     )
-    return {"distance": "per metre"} | dict.fromkeys(on.names, f"per {per}")
+    return {"distance": "per metre"} | dict.fromkeys(cost_map.names, f"per {per}")
 
 
 def weights_option(weights: Weights) -> str:
@@ -378,20 +383,21 @@ def weights_option(weights: Weights) -> str:
     return ",".join(f"{name}={value:.6g}" for name, value in weights.to_dict().items())
 
 
-def weights_toml(fit: WeightFit | TargetFit, on: CostMap) -> str:
+def weights_toml(fit: WeightFit | TargetFit, cost_map: CostMap) -> str:
     """Return a [weights] table for a scenario, with how to use it as comments."""
     lines = [
         f"# {fit.sentence}",
         "# Weights fitted by `jaxurban tune`; report.md says how sure they are. Paste the table into a scenario.",
-        f"# They belong to the cost model {on.cost_model.kind!r}{_where(on)}: plan with",
-        f"#   --cost-model {on.cost_model.kind} --weights {weights_option(fit.weights)}",
+        f"# They belong to the cost model {cost_map.cost_model.kind!r}{_where(cost_map)}: plan with",
+        f"#   --cost-model {cost_map.cost_model.kind} --weights {weights_option(fit.weights)}",
         "[weights]",
         *(f"{name} = {value:.6g}" for name, value in fit.weights.to_dict().items()),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _where(on: CostMap) -> str:
-    if on.cost_model.kind == "cell":
-        return f" on cells of {on.grid.resolution_m:g} m (a step costs by the cell, so other sizes need other ones)"
-    return f" with a reference length of {on.cost_model.reference_length_m:g} m"
+def _where(cost_map: CostMap) -> str:
+    if cost_map.cost_model.kind == "cell":
+        side = f"{cost_map.grid.resolution_m:g} m"
+        return f" on cells of {side} (a step costs by the cell, so other sizes need other ones)"
+    return f" with a reference length of {cost_map.cost_model.reference_length_m:g} m"

@@ -37,7 +37,7 @@ def study_outputs(
     report: str, tables: Mapping[str, pd.DataFrame], figures: Mapping[str, Callable[[], Figure]]
 ) -> dict[str, Output]:
     """Return the outputs of a study by file name: ``tables/NAME``, ``figures/NAME.png``, and last ``report.md``."""
-    outputs: dict[str, Output] = {f"tables/{name}": made for name, made in tables.items()}
+    outputs: dict[str, Output] = {f"tables/{name}": frame for name, frame in tables.items()}
     return (
         outputs
         | {f"figures/{name}.png": draw for name, draw in figures.items()}
@@ -108,17 +108,17 @@ def fill(
       fields: all other fields.
     """
     text = (files("jaxurban.report") / "templates" / f"{template}.md").read_text(encoding="utf-8")
-    shown = {name: framed(table) for name, table in (tables or {}).items() if len(table)}
+    texts = {name: framed(table) for name, table in (tables or {}).items() if len(table)}
     parts = re.split(r"\n(?=## )", text)
     text = "\n".join(
-        part for part in parts if set(re.findall(r"\{tables\[(\w+)\]\}", part)) <= set(shown)
+        part for part in parts if set(re.findall(r"\{tables\[(\w+)\]\}", part)) <= set(texts)
     )
     if figures is not None:
         names = "|".join(map(re.escape, figures)) or "-"
         text = re.sub(
             rf"^!\[[^\n]*\]\(figures/(?!({names})\.png\))[^\n]*$", "", text, flags=re.MULTILINE
         )
-    text = re.sub(r"\n{3,}", "\n\n", text.strip().format(tables=shown, **fields)).strip()
+    text = re.sub(r"\n{3,}", "\n\n", text.strip().format(tables=texts, **fields)).strip()
     return f"{text}\n\nData: {credit}\n" if (credit := joined_credits(*credits)) else f"{text}\n"
 
 

@@ -33,6 +33,11 @@ class Interval(NamedTuple):
     high: float
 
 
+def named(name: str, interval: Interval) -> dict[str, float]:
+    """Return an interval as columns."""
+    return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
+
+
 class Clusters:
     """Draws of ``N`` values in groups: whole groups are drawn, within cities where there are several.
 

@@ -118,7 +118,7 @@ def check(
     _, _, limits = rules_on(maps, None, limits, "")
     flights = [parse_time(at) for at in times if at is not None]
     zones = [zone for zone in limits.zones if not flights or any(map(zone.is_in_force, flights))]
-    held, limits = (
+    all_limits, limits = (
         limits,
         replace(limits, zones=tuple(replace(zone, start=None, end=None) for zone in zones)),
     )
@@ -129,7 +129,7 @@ def check(
     findings, unknown = judged(
         flight, maps, buildings_of(maps, city), known, limits, times, time_of_day
     )
-    figures: dict[str, Any] = {"num_zones": len(held.zones), "num_zones_in_force": len(zones)}
+    figures: dict[str, Any] = {"num_zones": len(all_limits.zones), "num_zones_in_force": len(zones)}
     figures |= figures_of(flight, maps, times, time_of_day, swath_m)
     figures |= costs_of(flight, maps, weights, limits, times[0], time_of_day)
     beyond, open_limits = _limits(figures, max_no_fix_m, max_people)

@@ -13,10 +13,11 @@ from jaxurban.paths.plan import cost_map
 from jaxurban.planners.base import Path
 from jaxurban.planners.registry import solve_many
 from jaxurban.progress import Report
-from jaxurban.studies.bootstrap import Clusters
+from jaxurban.studies.bootstrap import Clusters, named
 
 WAYS = (("A", "B"), ("B", "A"))  # planned on, judged on
 HEAD = ["altitude_m", "planned_on", "judged_on"]
+NUMBERS = "cost", "length_m", "cost_there", "regret", "closed_m", "is_closed"
 
 
 def compared_routes(
@@ -69,28 +70,34 @@ def compared_routes(
         rng = np.random.default_rng([seed, k])
         start = rng.integers(len(free), size=num)
         goal = (start + rng.integers(1, len(free), size=num)) % len(free)
-        maps, ends = {"A": on_a, "B": on_b}, np.stack([free[start], free[goal]], axis=1)
-        paths = {name: _planned(on, ends) for name, on in maps.items()}
-        for pair, (planned_on, judged_on) in ((pair, way) for pair in range(num) for way in WAYS):
-            head = dict(zip(HEAD, (altitude_m, planned_on, judged_on), strict=True))
-            (start_x_m, start_y_m), (goal_x_m, goal_y_m) = (
-                on_a.grid.xy_of_cell(*end) for end in ends[pair]
-            )
-            head |= {
-                "start_x_m": start_x_m,
-                "start_y_m": start_y_m,
-                "goal_x_m": goal_x_m,
-                "goal_y_m": goal_y_m,
-            }
-            facts = _judged(maps[judged_on], paths[planned_on][pair], paths[judged_on][pair])
-            rows.append({"pair": pair} | head | facts)
+        ends = np.stack([free[start], free[goal]], axis=1)
+        cost_maps = {"A": on_a, "B": on_b}
+        paths = {name: _planned(cost_map, ends) for name, cost_map in cost_maps.items()}
+        for pair, (start_cell, goal_cell) in enumerate(ends):
+            start_x_m, start_y_m = on_a.grid.xy_of_cell(*start_cell)
+            goal_x_m, goal_y_m = on_a.grid.xy_of_cell(*goal_cell)
+            for planned_on, judged_on in WAYS:
+                path, best = paths[planned_on][pair], paths[judged_on][pair]
+                row = {
+                    "pair": pair,
+                    "altitude_m": altitude_m,
+                    "planned_on": planned_on,
+                    "judged_on": judged_on,
+                    "start_x_m": start_x_m,
+                    "start_y_m": start_y_m,
+                    "goal_x_m": goal_x_m,
+                    "goal_y_m": goal_y_m,
+                }
+                rows.append(row | _judged(cost_maps[judged_on], path, best))
     report("routes", len(a.altitudes_m), len(a.altitudes_m))
     return pd.DataFrame(rows)
 
 
-def _planned(on: CostMap, ends: np.ndarray) -> list[Path]:
+def _planned(cost_map: CostMap, ends: np.ndarray) -> list[Path]:
     """Return the cheapest path of the grid between each two of the cells ``[N, 2, 2]``."""
-    problems = [on.problem.between(tuple(start), tuple(goal)) for start, goal in ends.tolist()]
+    problems = [
+        cost_map.problem.between(tuple(start), tuple(goal)) for start, goal in ends.tolist()
+    ]
     paths: dict[int, Path] = {}
     for k, outcome in solve_many(problems):
         if isinstance(outcome, Exception):
@@ -99,30 +106,23 @@ def _planned(on: CostMap, ends: np.ndarray) -> list[Path]:
     return [paths[k] for k in range(len(problems))]
 
 
-def _judged(on: CostMap, path: Path, best: Path) -> dict[str, Any]:
+def _judged(cost_map: CostMap, path: Path, best: Path) -> dict[str, Any]:
     """Return what a path costs on another map than its own, beside the best of that map."""
-    facts: dict[str, Any] = {
+    facts = {
         "status": path.status.value,
         "best_there": best.cost if best.status.has_path else np.nan,
     }
-    names = ("cost", "length_m", "cost_there", "regret", "closed_m", "is_closed")
     if not path.status.has_path:
-        return facts | dict.fromkeys(names, np.nan)
-    features = on.problem.features(path.points_m)
-    cost = features.cost(on.problem.weights) if features.is_valid else np.nan
-    closed_m = float(features.length_m[~on.is_free[features.crossed]].sum())
+        return facts | dict.fromkeys(NUMBERS, np.nan)
+    features = cost_map.problem.features(path.points_m)
+    cost = features.cost(cost_map.problem.weights) if features.is_valid else np.nan
+    closed_m = float(features.length_m[~cost_map.is_free[features.crossed]].sum())
     regret = 0.0
     if not cost <= best.cost * SAME_COST:  # also where it is closed
         regret = cost / best.cost - 1 if best.cost > 0 else np.inf
-    numbers = (
-        path.cost,
-        float(features.length_m.sum()),
-        cost,
-        regret,
-        closed_m,
-        float(not features.is_valid),
-    )
-    return facts | dict(zip(names, numbers, strict=True))
+    length_m, is_closed = float(features.length_m.sum()), float(not features.is_valid)
+    numbers = path.cost, length_m, cost, regret, closed_m, is_closed
+    return facts | dict(zip(NUMBERS, numbers, strict=True))
 
 
 def regrets(rows: pd.DataFrame) -> pd.DataFrame:
@@ -135,24 +135,16 @@ def regrets(rows: pd.DataFrame) -> pd.DataFrame:
       rows: of `compared_routes`.
     """
     table = []
-    for values, of in rows.groupby(HEAD, sort=False):
-        of = of[of["is_closed"].notna()]
-        clusters, open_there = Clusters(of["pair"]), of["regret"].dropna()
-        closed, median = (
-            clusters.interval(of["is_closed"], "share"),
-            clusters.interval(of["regret"], "median"),
-        )
-        high, worst = open_there.quantile([0.9, 1.0]) if len(open_there) else (np.nan, np.nan)
-        table.append(
-            dict(zip(HEAD, values, strict=True))
-            | {
-                "routes": len(of),
-                "closed": closed.value,
-                "closed_low": closed.low,
-                "closed_high": closed.high,
-            }
-            | {"closed_m": of["closed_m"][of["is_closed"] > 0].median()}
-            | {"regret": median.value, "regret_low": median.low, "regret_high": median.high}
-            | {"regret_p90": high, "regret_worst": worst}
-        )
+    for head, routes in rows.groupby(HEAD, sort=False):
+        routes = routes[routes["is_closed"].notna()]
+        clusters = Clusters(routes["pair"])
+        closed = clusters.interval(routes["is_closed"], "share")
+        regret = clusters.interval(routes["regret"], "median")
+        open_there = routes["regret"].dropna()
+        p90, worst = open_there.quantile([0.9, 1.0]) if len(open_there) else (np.nan, np.nan)
+        row = dict(zip(HEAD, head, strict=True)) | {"routes": len(routes)}
+        row |= named("closed", closed)
+        row["closed_m"] = routes["closed_m"][routes["is_closed"] > 0].median()
+        row |= named("regret", regret)
+        table.append(row | {"regret_p90": p90, "regret_worst": worst})
     return pd.DataFrame(table)

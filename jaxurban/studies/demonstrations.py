@@ -80,27 +80,27 @@ class Demonstration:
         """``[K]`` below which no feature of the route that was meant lies: each the least within ``drawn_cells``."""
         if not self.drawn_cells:
             return self.features
-        on, side_m = self.query.cost_map, self.query.cost_map.grid.resolution_m
+        cost_map, side_m = self.query.cost_map, self.query.cost_map.grid.resolution_m
         cells, pad = (
             np.floor(self.points_m[:, ::-1] / side_m).astype(int),
             int(np.ceil(self.drawn_cells)),
         )
         low, high = np.maximum(cells.min(axis=0) - pad, 0), cells.max(axis=0) + pad + 1
         here = tuple(map(slice, low, high))
-        is_far = np.ones(on.is_free[here].shape, bool)
+        is_far = np.ones(cost_map.is_free[here].shape, bool)
         is_far[tuple((cells - low).T)] = False
-        is_near = on.is_free[here] & (distance_transform_edt(is_far) <= self.drawn_cells)
+        is_near = cost_map.is_free[here] & (distance_transform_edt(is_far) <= self.drawn_cells)
         weights = np.eye(self.features.size)
         start, goal = (tuple((cells[k] - low).tolist()) for k in (0, -1))
         within = Problem(
-            on.costs[:, *here],
+            cost_map.costs[:, *here],
             is_near,
             start,
             goal,
             side_m,
             weights[0],
-            on.cost_model,
-            leg_margin_m=on.leg_margin_m,
+            cost_map.cost_model,
+            leg_margin_m=cost_map.leg_margin_m,
         )
         routes_m = [
             astar(within.with_weights(each)).points_m + low[::-1] * side_m for each in weights
@@ -176,9 +176,9 @@ def read_demonstrations(
                 raise InputError(
                     "it has no altitude: give it a property altitude_m, or pass --altitude (altitude_m=)"
                 )
-            on = map_of(float(z_m), time or route.time, time_of_day or route.time_of_day)
+            cost_map = map_of(float(z_m), time or route.time, time_of_day or route.time_of_day)
             xy_m = np.stack(grid.xy_of_lonlat(*route.lonlat.T), axis=-1)
-            demonstrations.append(demonstration_from_line(on, xy_m, route.name))
+            demonstrations.append(demonstration_from_line(cost_map, xy_m, route.name))
         except InputError as error:
             reasons.append(f"{label}: {error}")
     if not demonstrations:
@@ -241,17 +241,20 @@ def _from_path(map_of: MapOf, path: PlannedPath, name: str) -> Demonstration:
         raise InputError("it changes its altitude, and fits take one: leave it out")
     if len(path.xy_m) == 0:
         raise InputError(f"it has no points ({path.status.value}): leave it out")
-    on = map_of(path.altitude_m, path.settings["time"], path.settings["time_of_day"])
-    if not all(on.is_free[on.cell_of("it", XY(*xy_m.tolist()))[1]] for xy_m in path.xy_m[[0, -1]]):
+    cost_map = map_of(path.altitude_m, path.settings["time"], path.settings["time_of_day"])
+    if not all(
+        cost_map.is_free[cost_map.cell_of("it", XY(*xy_m.tolist()))[1]]
+        for xy_m in path.xy_m[[0, -1]]
+    ):
         raise InputError(
             "it starts or ends in a cell that is closed here: give the maps and constraints that it was planned on, or "
             "choose obstacles = centre if it was planned by centres"
         )
-    return demonstration_from_line(on, path.xy_m, name)
+    return demonstration_from_line(cost_map, path.xy_m, name)
 
 
 def _cost_maps(
-    given: MapsLike,
+    maps_like: MapsLike,
     planned: Sequence[tuple[str, Mapping]],
     rules: RouteRules,
     metrics: Sequence[str] | None,
@@ -264,7 +267,7 @@ def _cost_maps(
     Raises:
       InputError: settings whose cost model is none, or routes that name different ones.
     """
-    maps, settled = rules.under(as_maps(given))
+    maps, settled = rules.under(as_maps(maps_like))
     models = {
         name: CostModel.from_settings(settings)
         for name, settings in planned
@@ -455,21 +458,25 @@ def compared_routes(
     ``overlap``, the share of the demonstration's cells that the planned route shares.
     """
     rows = []
-    for number, (shown, route) in enumerate(zip(demonstrations, planned, strict=True), start=1):
-        on = shown.query.cost_map
-        row = {"name": shown.query.name or f"{number}", "altitude_m": on.altitude_m}
-        row |= {"time": on.time, "time_of_day": on.time_of_day}
-        for prefix, each in (("", shown), ("planned_", route)):
+    for number, (demonstration, route) in enumerate(
+        zip(demonstrations, planned, strict=True), start=1
+    ):
+        cost_map = demonstration.query.cost_map
+        row = {"name": demonstration.query.name or f"{number}", "altitude_m": cost_map.altitude_m}
+        row |= {"time": cost_map.time, "time_of_day": cost_map.time_of_day}
+        for prefix, each in (("", demonstration), ("planned_", route)):
             length_m, *integrals = each.sums[1].tolist()
             row[f"{prefix}length_m"] = length_m
             row |= {
                 f"{prefix}mean_{name}": sum_m / length_m
-                for name, sum_m in zip(on.names, integrals, strict=True)
+                for name, sum_m in zip(cost_map.names, integrals, strict=True)
             }
         cells, planned_cells = (
-            cells_of(each.points_m, on.grid.resolution_m) for each in (shown, route)
+            cells_of(each.points_m, cost_map.grid.resolution_m) for each in (demonstration, route)
         )
-        rows.append(row | {"overlap": len(cells & planned_cells) / len(cells), "note": shown.note})
+        rows.append(
+            row | {"overlap": len(cells & planned_cells) / len(cells), "note": demonstration.note}
+        )
     return pd.DataFrame(rows)
 
 

@@ -95,12 +95,12 @@ class MapComparison(FactsRepr):
           [20.0, 60.0]
         """
         dims = (ALTITUDE,) if layer == CLOSED else self.a.ds[layer].dims
-        held: dict[str, Sequence[Any]] = {
+        values: dict[str, Sequence[Any]] = {
             TIME: self.a.times,
             ALTITUDE: self.a.altitudes_m,
             TIME_OF_DAY: self.a.times_of_day,
         }
-        chosen = itertools.product(*(held[dim] if dim in dims else (None,) for dim in held))
+        chosen = itertools.product(*(values[dim] if dim in dims else (None,) for dim in values))
         return [OneMap(z_m, time, day) for time, z_m, day in chosen]
 
     @typed

@@ -146,55 +146,59 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
         raise InputError(
             "there are no routes to look at (demonstrations, queries or cities): give at least one"
         )
-    maps = maps_of(queries)
-    is_cell = maps[0].cost_model.kind == "cell"
-    of_maps: dict[str, list[Any]] = {
-        "metrics: make all from the same kinds of sources": [
-            ", ".join(on.weight_names) for on in maps
-        ],
-        "cost models: name one for all (--cost-model, cost_model=)": [on.cost_model for on in maps],
-        "resolutions, on which the 'cell' cost model costs differently: use cost_model='line'": [
-            f"{on.grid.resolution_m:g} m" if is_cell else "" for on in maps
-        ],
-        "numbers by which population is normalised, so that one weight means different things: make the maps with "
-        "[population] normalise set to a number per km2, or take one time of day (--time-of-day, time_of_day=)": [
-            population_norms(on.maps).get(on.time_of_day or "")
-            for on in maps_of(query for query in queries if not query.is_planned)
-            if "population" in on.names
-        ],
-    }
-    for remedy, values in of_maps.items():
-        for value in values:
-            if value != values[0]:
-                raise InputError(
-                    f"the routes lie on maps of {values[0]} and {value}, different {remedy}"
-                )
+    cost_maps = maps_of(queries)
+    _check_same(
+        [", ".join(cost_map.weight_names) for cost_map in cost_maps],
+        "metrics: make all from the same kinds of sources",
+    )
+    _check_same(
+        [cost_map.cost_model for cost_map in cost_maps],
+        "cost models: name one for all (--cost-model, cost_model=)",
+    )
+    if cost_maps[0].cost_model.kind == "cell":
+        _check_same(
+            [f"{cost_map.grid.resolution_m:g} m" for cost_map in cost_maps],
+            "resolutions, on which the 'cell' cost model costs differently: use cost_model='line'",
+        )
+    if "population" in queries[0].names:
+        planned = maps_of(query for query in queries if not query.is_planned)
+        _check_same(
+            [population_norms(each.maps).get(each.time_of_day or "") for each in planned],
+            "numbers by which population is normalised, so that one weight means different things: make the maps with "
+            "[population] normalise set to a number per km2, or take one time of day (--time-of-day, time_of_day=)",
+        )
     return queries[0].names
+
+
+def _check_same(values: Sequence[Any], remedy: str) -> None:
+    for value in values:
+        if value != values[0]:
+            raise InputError(
+                f"the routes lie on maps of {values[0]} and {value}, different {remedy}"
+            )
 
 
 def population_norms(maps: MetricMaps) -> dict[str, float]:
     """Return by which number of people, per km2 or per block, the population of each time of day is divided."""
-    norms = next((maps.ds.attrs[name] for name in NORMS if name in maps.ds.attrs), ())
-    return dict(zip(maps.times_of_day, map(float, np.atleast_1d(norms)), strict=False))
+    for name in NORMS:
+        if name in maps.ds.attrs:
+            norms = np.atleast_1d(maps.ds.attrs[name]).astype(float)
+            return dict(zip(maps.times_of_day, norms.tolist(), strict=False))
+    return {}
 
 
 def outcome_names(names: Sequence[str]) -> tuple[str, ...]:
     """Return the outcomes of routes on maps with these weights (``"distance"`` and metrics)."""
-    return tuple(
-        {"distance": LENGTH, "population": PEOPLE}.get(name, f"mean_{name}") for name in names
-    )
+    of_weight = {"distance": LENGTH, "population": PEOPLE}
+    return tuple(of_weight.get(name, f"mean_{name}") for name in names)
 
 
 def outcome_label(outcome: str, metrics: Mapping[str, Metric] = METRICS) -> str:
     """Return what tables and figures call an outcome of maps that hold these metrics."""
+    if outcome in PLAIN:
+        return PLAIN[outcome][0]
     metric = outcome.removeprefix("mean_")
-    return (
-        PLAIN[outcome][0]
-        if outcome in PLAIN
-        else metrics[metric].label
-        if metric in metrics
-        else metric
-    )
+    return metrics[metric].label if metric in metrics else metric
 
 
 def outcome_unit(outcome: str) -> str:
@@ -208,8 +212,8 @@ def outcomes_of(integrals: Float[AnyArray, "*N K"], names: Sequence[str]) -> dic
     ``length_m``; ``mean_gps`` and the like, the mean of m along the route by length; ``people``, the integral of
     m_population along the route: proportional to the people under a strip of any width. NumPy or JAX.
     """
-    length_m = integrals[..., 0]
-    return {
-        outcome: integrals[..., k] if outcome in (LENGTH, PEOPLE) else integrals[..., k] / length_m
-        for k, outcome in enumerate(outcome_names(names))
-    }
+    outcomes = {}
+    for k, outcome in enumerate(outcome_names(names)):
+        integral = integrals[..., k]
+        outcomes[outcome] = integral if outcome in PLAIN else integral / integrals[..., 0]
+    return outcomes

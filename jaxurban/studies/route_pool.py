@@ -194,11 +194,16 @@ def pool_of_fit(
     if settings.state_file is not None:
         on_maps = [
             fingerprint(
-                (on.names, on.cost_model, on.grid.resolution_m, on.costs.shape),
-                on.costs,
-                on.is_free,
+                (
+                    cost_map.names,
+                    cost_map.cost_model,
+                    cost_map.grid.resolution_m,
+                    cost_map.costs.shape,
+                ),
+                cost_map.costs,
+                cost_map.is_free,
             )
-            for on in maps_of(queries)
+            for cost_map in maps_of(queries)
         ]
         routes = fingerprint(on_maps, [(query.start, query.goal) for query in queries])
         key = {"fit of routes and maps": routes, "seed": settings.seed, **fit}

@@ -50,7 +50,7 @@ OF_ROW = ("status", "cost", "num_samples")  # what a study says of a route
 OF_STUDY = ("instance", "altitude_m", "planner", "objective", *OF_ROW)
 
 
-class _Asked(NamedTuple):
+class _Source(NamedTuple):
     """Instances whose routes are wanted, what their study was run under, and the planner of their routes."""
 
     name: str
@@ -116,18 +116,18 @@ def demonstrations_from_study(
     if constraints is None and not isinstance(study, pd.DataFrame | str | Path):
         constraints = study.settings.constraints
     flown = {} if pilot is None else _columns_of(pilot.checked(maps.metrics), maps)
-    asked = _asked(study, maps, planner, flown)
+    source = _source(study, maps, planner, flown)
     job = Benchmark(
-        study=Study(seed=asked.settings.get("seed", 0)),
+        study=Study(seed=source.settings.get("seed", 0)),
         cost_model=cost_model
-        or (CostModel.from_settings(asked.settings) if asked.settings else None),
+        or (CostModel.from_settings(source.settings) if source.settings else None),
         constraints=constraints or Constraints(),
         preset=preset,
     )
     maps, job = job.under(maps)
-    _check_settings(asked, job.deciding(maps))
-    check_instances(asked.table, maps)
-    table = asked.table
+    _check_settings(source, job.deciding(maps))
+    check_instances(source.table, maps)
+    table = source.table
     if time is not None:
         time = one_of("time", iso_utc(time), maps.times)
     if time_of_day is not None:
@@ -136,27 +136,29 @@ def demonstrations_from_study(
     for name, value in wanted.items():
         if value is not None:
             table = table[table[name] == value]
-    _check_one_weights(asked.name, table)
+    _check_one_weights(source.name, table)
     whole = cache(lambda *at: job.cost_map(maps, *at))
     fitted = whole if metrics is None else cache(lambda *at: whole(*at).only(metrics))
     demonstrations: list[Demonstration] = []
     reasons: Counter[str] = Counter()
     for row in records_of(table):
         at = row["altitude_m"], row["time"], row["time_of_day"]
-        on, fitted_on = whole(*at), fitted(*at)
+        cost_map, fitted_on = whole(*at), fitted(*at)
         try:
-            points_m = _points(job, on, row, asked.planner)
-            shown = demonstration_from_line(fitted_on, points_m, f"{row['instance']}")
-            demonstrations.append(replace(shown, query=replace(shown.query, is_planned=True)))
+            points_m = _points(job, cost_map, row, source.planner)
+            demonstration = demonstration_from_line(fitted_on, points_m, f"{row['instance']}")
+            demonstrations.append(
+                replace(demonstration, query=replace(demonstration.query, is_planned=True))
+            )
         except InputError as error:
             reasons[str(error)] += 1
     if not demonstrations:
         raise InputError(
-            f"no route of {asked.name!r} is of use: {_listed(reasons) or 'none is asked for'}"
+            f"no route of {source.name!r} is of use: {_listed(reasons) or 'none is asked for'}"
         )
     if reasons:
         were = "was" if reasons.total() == 1 else "were"
-        left_out = f"{reasons.total()} of {len(table)} routes of {asked.name!r} {were} left out: {_listed(reasons)}"
+        left_out = f"{reasons.total()} of {len(table)} routes of {source.name!r} {were} left out: {_listed(reasons)}"
         warn(left_out, SkippedRouteWarning)
     return demonstrations
 
@@ -190,12 +192,12 @@ def _columns_of(weights: Weights, maps: MetricMaps) -> dict[str, float]:
     }
 
 
-def _asked(
+def _source(
     study: BenchmarkResult | pd.DataFrame | str | Path,
     maps: MetricMaps,
     planner: str | None,
     flown: Mapping,
-) -> _Asked:
+) -> _Source:
     """Return the instances of a study or of a table, with all columns; those of weights as ``flown``, if it has any."""
     if not isinstance(study, pd.DataFrame | str | Path):
         return _of_folder(study.folder, planner, flown)
@@ -214,13 +216,13 @@ def _asked(
             "w_gps ...), or the weights of a pilot who flies all of them (--pilot, pilot=)"
         )
     if "instance" in table or "crs" in table:
-        return _Asked(name, checked_instances(table, f"the instances file {name!r}"), {}, EXACT)
-    return _Asked(
+        return _Source(name, checked_instances(table, f"the instances file {name!r}"), {}, EXACT)
+    return _Source(
         name, instances_of_queries(maps, read_queries(table, metrics=maps.metrics)), {}, EXACT
     )
 
 
-def _of_folder(folder: Path, planner: str | None, flown: Mapping) -> _Asked:
+def _of_folder(folder: Path, planner: str | None, flown: Mapping) -> _Source:
     """Return the instances of a study in a folder, each with what a planner found for it, if that is who flies them."""
     settings = Workspace.settings_of(folder, "study")
     if not settings or not all((folder / name).is_file() for name in (ROWS_FILE, INSTANCES_FILE)):
@@ -230,7 +232,7 @@ def _of_folder(folder: Path, planner: str | None, flown: Mapping) -> _Asked:
         )
     table = read_instances(folder / INSTANCES_FILE)
     if flown:
-        return _Asked(str(folder), table.assign(**flown), settings, EXACT)
+        return _Source(str(folder), table.assign(**flown), settings, EXACT)
     rows = read_table(folder / ROWS_FILE, "rows")
     if lost := [name for name in OF_STUDY if name not in rows]:
         raise InputError(
@@ -246,18 +248,18 @@ def _of_folder(folder: Path, planner: str | None, flown: Mapping) -> _Asked:
             ends.sort_values(["proven", "found"], ascending=False, kind="stable").index[0]
         )
     rows = rows[rows.planner == one_of("planner", planner, ends.index)]
-    return _Asked(
+    return _Source(
         str(folder), table.merge(rows[[*KEY, *OF_ROW]], "left", list(KEY)), settings, planner
     )
 
 
-def _check_settings(asked: _Asked, now: Mapping[str, Any]) -> None:
+def _check_settings(source: _Source, now: Mapping[str, Any]) -> None:
     """Raise InputError unless maps, cost model and constraints are those that a study was run under."""
     for name, value in now.items():
-        before = asked.settings.get(name, value)
+        before = source.settings.get(name, value)
         if name != "budget" and before != value:
             raise InputError(
-                f"the study in {asked.name!r} was run on other maps or settings than those given: its {name} is "
+                f"the study in {source.name!r} was run on other maps or settings than those given: its {name} is "
                 f"{before}, here {value}: give its own (DIR, --resolution, --obstacles, --cost-model, --preset, "
                 "--no-fly, --require, --clearance, --vertical-clearance; maps=, cost_model=, constraints=, preset=)"
             )
@@ -279,7 +281,7 @@ def _check_one_weights(name: str, table: pd.DataFrame) -> None:
         )
 
 
-def _points(job: Benchmark, on: CostMap, row: Row, planner: str) -> np.ndarray:
+def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.ndarray:
     """Return ``[N, 2]`` the route of a row, eastings and northings in the maps' CRS, planned again.
 
     Raises:
@@ -287,19 +289,19 @@ def _points(job: Benchmark, on: CostMap, row: Row, planner: str) -> np.ndarray:
     """
     if "status" in row and row["status"] not in HAS_PATH:
         raise InputError(f"{planner} found no path")
-    start, goal, weights = located(on, row)
-    how = {"max_samples": int(row["num_samples"])} if draws_samples(planner) else {}
+    start, goal, weights = located(cost_map, row)
+    options = {"max_samples": int(row["num_samples"])} if draws_samples(planner) else {}
     search: Callable[..., Any] = find_planner(planner)
-    problem = on.shortest.between(start, goal).with_weights(weights).alone()
-    result = search(problem, budget_s=math.inf, seed=job.seed_of(row["instance"]), **how)
+    problem = cost_map.shortest.between(start, goal).with_weights(weights).alone()
+    result = search(problem, budget_s=math.inf, seed=job.seed_of(row["instance"]), **options)
     if not result.status.has_path:
         raise InputError("no path joins their ends")
-    cost = on.shortest.features(result.points_m, on.cost_model.kind).cost(weights)
+    cost = cost_map.shortest.features(result.points_m, cost_map.cost_model.kind).cost(weights)
     if not math.isclose(cost, row.get("cost", cost), rel_tol=SAME_COST):
         raise InputError(
             "planned again they cost otherwise than their rows say, as where seconds ended the search"
         )
-    return result.points_m + np.array([on.grid.x_min_m, on.grid.y_min_m])
+    return result.points_m + np.array([cost_map.grid.x_min_m, cost_map.grid.y_min_m])
 
 
 def _listed(reasons: Counter[str]) -> str:

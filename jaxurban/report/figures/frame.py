@@ -280,7 +280,9 @@ def caveats_said(maps: MetricMaps, of: str | None = None) -> list[str]:
     names = [maps.variable(name) for name in ((of,) if of else maps.metrics)]
     return list(
         dict.fromkeys(
-            said for name in names if name in maps.ds and (said := maps.ds[name].attrs.get(CAVEAT))
+            caveat
+            for name in names
+            if name in maps.ds and (caveat := maps.ds[name].attrs.get(CAVEAT))
         )
     )
 

@@ -326,8 +326,8 @@ def _plot_classes(
     """Return panels (title, class numbers) by altitude over free cells, the classes being (name, colour)."""
     panels = []
     for z, (title, numbers) in result.items():
-        shown = np.where(maps.is_free(z, "centre"), numbers.astype(int), -1)
-        layers = [classes_layer(shown, [colour for _, colour in names]), obstacle_layer(maps, z)]
+        drawn = np.where(maps.is_free(z, "centre"), numbers.astype(int), -1)
+        layers = [classes_layer(drawn, [colour for _, colour in names]), obstacle_layer(maps, z)]
         panels.append(MapPanel(f"{z:g} m  ·  {title}", layers))
     heading, legend = f"{heading}, by altitude above ground", [*names, *obstacle_patches(maps)]
     return draw_maps(maps.grid, panels, heading, frame_note(maps, time), legend=legend)[0]

@@ -45,10 +45,10 @@ def _by_altitude(
     rows: pd.DataFrame, axes: Sequence[Axes], colours: Mapping[str, str]
 ) -> Iterator[tuple[Axes, int, str, pd.DataFrame]]:
     """Yield the rows of each planner at each altitude, with the panel of the altitude, titled, and the rank."""
-    for panel, (altitude_m, there) in zip(axes, rows.groupby("altitude_m"), strict=True):
+    for panel, (altitude_m, of_altitude) in zip(axes, rows.groupby("altitude_m"), strict=True):
         panel.set_title(f"{altitude_m:g} m")
         for rank, planner in enumerate(colours):
-            yield panel, rank, planner, there[there.planner == planner]
+            yield panel, rank, planner, of_altitude[of_altitude.planner == planner]
 
 
 @styled

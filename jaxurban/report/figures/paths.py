@@ -157,10 +157,10 @@ def plot_paths(
     )
     note = "\n".join(filter(None, [note, rules_said(*(path.settings for path, _ in every))]))
     heading = f"Cost{' and paths' if every else ''}, by altitude above ground"
-    shown = {name: colours[name] for _, name in every}
+    colours_of_paths = {name: colours[name] for _, name in every}
     legend: list[LegendEntry] = [
         *obstacle_patches(maps, BLOCKED_COLOUR),
-        *path_entries(shown, [p for p, _ in every]),
+        *path_entries(colours_of_paths, [p for p, _ in every]),
     ]
     figure, axes = draw_maps(maps.grid, panels, heading, note, legend=legend, colours=COST_COLOURS)
     for panel, here in zip(axes, on_panels, strict=True):

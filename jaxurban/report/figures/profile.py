@@ -59,13 +59,16 @@ def plot_profile(planned: PlannedPath, maps: MapsLike, report: RouteReport | Non
     low_m, high_m = float(planned.z_m.min()), float(planned.z_m.max())
     altitude = f"{low_m:g} m" if low_m == high_m else f"{low_m:g} to {high_m:g} m"
     facts = planned.search.planner, f"{planned.length_m / 1000:.2f} km", f"{altitude} above ground"
-    told = ", ".join(
+    summary = ", ".join(
         filter(None, [*facts, planned.settings["time_of_day"], f"cost {planned.cost:,.1f}"])
     )
     kinds = list(dict.fromkeys(metric.one_is for metric in maps.metrics.values()))
     height_in = SIZE_IN[1] + SECOND_IN * (len(kinds) - 1)
     figure = chart(
-        SIZE_IN[0], height_in, f"Route profile: {told}", frame_note(maps, planned.settings["time"])
+        SIZE_IN[0],
+        height_in,
+        f"Route profile: {summary}",
+        frame_note(maps, planned.settings["time"]),
     )
     axes = figure.subplots(
         2 + len(kinds), 1, sharex=True, height_ratios=(1, *(1.1, 0.7)[: len(kinds)], 1)

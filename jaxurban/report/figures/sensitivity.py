@@ -132,8 +132,8 @@ def plot_pareto(result: Sensitivity) -> Figure:
     figure = chart(7.6, 4.0, f"Best trade-offs between {listed(front.objectives)}")
     panel = figure.subplots()
     points = front.points[[*front.objectives]].to_numpy()
-    given = result.cost["gradient"].loc[[*front.objectives]].to_numpy()
-    last = np.append(points[:, -1], given[-1])
+    gradient = result.cost["gradient"].loc[[*front.objectives]].to_numpy()
+    last = np.append(points[:, -1], gradient[-1])
     labels = [_feature_label(result, name) for name in front.objectives]
     colours = Colours("viridis", Normalize(last.min(), last.max()), labels[-1])
     look: dict[str, Any] = {"norm": colours.norm, "cmap": colours.cmap}
@@ -152,7 +152,7 @@ def plot_pareto(result: Sensitivity) -> Figure:
         "edgecolors": GIVEN_COLOUR,
         "label": "given weights",
     }
-    panel.scatter(given[0], given[1], c=given[-1:], **star, **look)
+    panel.scatter(gradient[0], gradient[1], c=gradient[-1:], **star, **look)
     if len(labels) == 3:
         add_colour_bar(figure, [panel], colours)
     panel.set(xlabel=labels[0], ylabel=labels[1])

@@ -38,8 +38,11 @@ def plot_sky(of: SkyAt, time: str | None = None) -> Figure:
     if time not in of.times:
         raise InputError(f"time must be one of {', '.join(of.times)}, got {time!r}")
     lon, lat = of.lonlat
-    how = {"outlines": "exact outlines", "map": "satellites by the map's cell, horizon by outlines"}
-    note = [joined(time_said(time), how[of.by], of.attribution), *of.cautions]
+    methods = {
+        "outlines": "exact outlines",
+        "map": "satellites by the map's cell, horizon by outlines",
+    }
+    note = [joined(time_said(time), methods[of.by], of.attribution), *of.cautions]
     heading = f"The sky {of.altitude_m:g} m above ground at {lon:.5f}, {lat:.5f}"
     figure = chart(7.2, 5.2, heading, "\n".join(note))
     panel: Any = figure.add_subplot(projection="polar")

@@ -94,14 +94,16 @@ def plot_routes(
     heading = f"{given.capitalize()}s and routes under the fitted weights"
     figure, (panel,) = draw_maps(grid, shown_maps, heading, note, legend=legend, colours=colours)
     corner = np.array([grid.x_min_m, grid.y_min_m])
-    for shown, route in both:
-        drawn = shown.points_m + corner, route.points_m + corner
+    for demonstration, route in both:
+        drawn = demonstration.points_m + corner, route.points_m + corner
         lanes = lanes_of(drawn, grid.resolution_m)
         for line, lane, colour in zip(
             drawn, lanes, (DEMONSTRATION_COLOUR, PLANNED_COLOUR), strict=True
         ):
             beside = [Beside(lane * APART_PT)]
             panel.plot(*line.T, color=colour, linewidth=1.6, zorder=4, path_effects=beside)
-        start, goal = (grid.xy_of_cell(*cell) for cell in (shown.query.start, shown.query.goal))
+        start, goal = (
+            grid.xy_of_cell(*cell) for cell in (demonstration.query.start, demonstration.query.goal)
+        )
         mark_ends(panel, start, goal, size=0.68)
     return figure

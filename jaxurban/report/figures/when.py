@@ -28,8 +28,8 @@ def plot_when(departures: Departures, maps: MapsLike) -> Figure:
     by, of = ("time", "time_of_day") if table["time"].nunique() > 1 else ("time_of_day", "time")
     labels = [name[11:16] if by == "time" else name for name in table[by].unique()]
     table["x"] = table[by].factorize()[0]
-    said = joined(*(f"{name}: {fact}" for name, fact in facts.items() if fact))
-    figure = chart(*SIZE_IN, "When to fly", f"{said}\n{frame_note(as_maps(maps))}")
+    facts_line = joined(*(f"{name}: {fact}" for name, fact in facts.items() if fact))
+    figure = chart(*SIZE_IN, "When to fly", f"{facts_line}\n{frame_note(as_maps(maps))}")
     cost, no_fix = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     for colour, (name, part) in zip(SERIES_COLOURS, table.groupby(of, sort=False), strict=False):
         above, changed = 100 * part["above_best"], part["num_changed"] > 0

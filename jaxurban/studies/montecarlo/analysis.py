@@ -77,8 +77,10 @@ def weighted_rows(table: pd.DataFrame) -> pd.DataFrame:
 
 def range_names(table: pd.DataFrame) -> list[str]:
     """Return the ranges that a table holds, from short to long."""
-    held = set(table.range)
-    return [name for name in (*RANGES, "any") if name in held] + sorted(held - {*RANGES, "any"})
+    present = set(table.range)
+    return [name for name in (*RANGES, "any") if name in present] + sorted(
+        present - {*RANGES, "any"}
+    )
 
 
 def success(table: pd.DataFrame) -> pd.DataFrame:
@@ -194,8 +196,8 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
     for planner in sorted(both_ways):
         rows = table[(table.planner == planner) & table.has_path].set_index([*KEY, "objective"])
         wide = rows[["cost", *facts_of(rows)]].unstack("objective")
-        for altitude_m, at in wide.groupby(level="altitude_m"):
-            both = at.dropna(subset=[("cost", WEIGHTED), ("cost", DISTANCE)])
+        for altitude_m, indices in wide.groupby(level="altitude_m"):
+            both = indices.dropna(subset=[("cost", WEIGHTED), ("cost", DISTANCE)])
             both = both[(both["cost"] > 0).all(axis=1)]
             clusters = Clusters(both.index.get_level_values("instance"))
             row: dict[str, object] = {
@@ -213,9 +215,13 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
                     continue
                 interval = clusters.interval(change)
                 label = f"{name.removesuffix('_m')}_ratio" if is_ratio else f"{name}_change"
-                shown = np.exp(interval) if is_ratio else interval
+                shown_interval = np.exp(interval) if is_ratio else interval
                 row |= dict(
-                    zip((label, f"{label}_low", f"{label}_high"), map(float, shown), strict=True)
+                    zip(
+                        (label, f"{label}_low", f"{label}_high"),
+                        map(float, shown_interval),
+                        strict=True,
+                    )
                 )
             result.append(row)
     return pd.DataFrame(result)

@@ -347,10 +347,10 @@ def with_connection(
         # Where a diagonal step needs both orthogonal neighbours free, islands of orthogonal steps are what is joined.
         islands, _ = label(is_free, np.ones((3, 3)) if model.joins_corners else None)
         ends = np.zeros((2, len(at)), islands.dtype)  # 0: the island of what is not free
-        for end, on in zip(("start", "goal"), ends, strict=True):
+        for end, cost_map in zip(("start", "goal"), ends, strict=True):
             x_m, y_m = (at[f"{end}_{axis}_m"].to_numpy() for axis in "xy")
             inside = maps.grid.contains_xy(x_m, y_m)
-            on[inside] = islands[maps.grid.cell_of_xy(x_m[inside], y_m[inside])]
+            cost_map[inside] = islands[maps.grid.cell_of_xy(x_m[inside], y_m[inside])]
         joined[at.index] = np.where((ends == 0).any(axis=0), None, ends[0] == ends[1])
     return instances.assign(is_connected=joined.infer_objects())
 
@@ -471,15 +471,15 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
             f"the instances' places are in {crs.pop()}, the maps in {maps.grid.crs}: use maps in that CRS"
         )
     times = maps.times if maps.default_time is not None else ()
-    for name, held in (
+    for name, values in (
         ("altitude_m", maps.altitudes_m),
         ("time", times),
         ("time_of_day", maps.times_of_day),
     ):
-        lost = [value for value in instances[name].dropna().unique() if value not in held]
+        lost = [value for value in instances[name].dropna().unique() if value not in values]
         if lost:
             listed = (
-                ", ".join(f"{value:g}" if name == "altitude_m" else str(value) for value in held)
+                ", ".join(f"{value:g}" if name == "altitude_m" else str(value) for value in values)
                 or "none"
             )
             raise InputError(

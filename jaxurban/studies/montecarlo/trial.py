@@ -75,14 +75,16 @@ class Benchmark(RouteJob):
             **maps.identity,
         }
 
-    def facts(self, on: CostMap, instance: Row, runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
+    def facts(
+        self, cost_map: CostMap, instance: Row, runs: Sequence[Run]
+    ) -> Iterator[dict[str, Any]]:
         """Yield what each planner found for an instance (see `row_columns`); a planner that crashes is an outcome too.
 
         Raises:
           InputError: a place that is not a free cell.
         """
-        start, goal, weights = located(on, instance)
-        shortest = on.shortest.between(start, goal)
+        start, goal, weights = located(cost_map, instance)
+        shortest = cost_map.shortest.between(start, goal)
         by_objective = {DISTANCE: shortest}
         if any(objective == WEIGHTED for _, objective in runs):
             by_objective[WEIGHTED] = shortest.with_weights(weights)
@@ -91,7 +93,7 @@ class Benchmark(RouteJob):
             try:
                 result = limited(planner, self.study)(by_objective[objective].alone(), seed=seed)
                 yield _facts(
-                    on, with_corner_bound(by_objective[objective], result), weights, planner
+                    cost_map, with_corner_bound(by_objective[objective], result), weights, planner
                 )
             except Exception as error:  # whatever a planner does, the benchmark goes on
                 yield {**failure(error), "status": CRASHED}
@@ -141,15 +143,15 @@ def free_cell(grid: Grid, is_free: np.ndarray, x_m: float, y_m: float) -> Cell:
     return row, col
 
 
-def located(on: CostMap, instance: Row) -> tuple[Cell, Cell, np.ndarray]:
+def located(cost_map: CostMap, instance: Row) -> tuple[Cell, Cell, np.ndarray]:
     """Return the start, the goal and the weights ``[K]`` of an instance.
 
     Raises:
       InputError: a place that is not a free cell.
     """
     ends = ((instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal"))
-    start, goal = (free_cell(on.grid, on.is_free, x_m, y_m) for x_m, y_m in ends)
-    return start, goal, np.array([float(instance[f"w_{name}"]) for name in on.weight_names])
+    start, goal = (free_cell(cost_map.grid, cost_map.is_free, x_m, y_m) for x_m, y_m in ends)
+    return start, goal, np.array([float(instance[f"w_{name}"]) for name in cost_map.weight_names])
 
 
 def limited(planner: str, study: Study) -> Callable[..., Path]:
@@ -167,7 +169,7 @@ def draws_samples(planner: str) -> bool:
     return "max_samples" in inspect.signature(PLANNERS[planner].run).parameters
 
 
-def _facts(on: CostMap, result: Path, weights: np.ndarray, planner: str) -> dict[str, Any]:
+def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "status": result.status.value,
         "lower_bound": result.lower_bound,
@@ -181,8 +183,8 @@ def _facts(on: CostMap, result: Path, weights: np.ndarray, planner: str) -> dict
     }
     if not result.status.has_path:
         return facts
-    features = {kind: on.shortest.features(result.points_m, kind) for kind in COST_KINDS}
-    of_path = features[on.cost_model.kind]
+    features = {kind: cost_map.shortest.features(result.points_m, kind) for kind in COST_KINDS}
+    of_path = features[cost_map.cost_model.kind]
     if not of_path.is_valid:
         return facts | {
             "status": INVALID,
@@ -193,7 +195,7 @@ def _facts(on: CostMap, result: Path, weights: np.ndarray, planner: str) -> dict
         float(of_path.phi[0]),
     )
     facts |= {f"cost_{kind}": features[kind].cost(weights) for kind in COST_KINDS}
-    facts |= {f"m_{name}": m for name, m in on.means(of_path).items()}
+    facts |= {f"m_{name}": m for name, m in cost_map.means(of_path).items()}
     return facts | {
         "cost": of_path.cost(weights),
         "length_m": length_m,

@@ -370,14 +370,14 @@ def _skies(
     ):
         epochs = np.sort(judged.epoch[judged.block == block].unique())
         epoch = int(epochs[len(epochs) // 2])
-        there = rows[rows.epoch == epoch]
-        place = rays.take(there.index.to_numpy()[:1])
+        of_epoch = rows[rows.epoch == epoch]
+        place = rays.take(of_epoch.index.to_numpy()[:1])
         lon, lat = (float(log.epochs[column].iloc[epoch]) for column in (LON, LAT))
         ground = Ground.around(city, box_of(grid, place, 0.0), reach_m, antenna_m)
         turn = int(np.rint(np.degrees(grid.convergence_rad(lon, lat))))
         horizon = np.roll(ground.horizon_deg(float(place.x_m[0]), float(place.y_m[0])), turn)
         utc = log.epochs[UTC].iloc[epoch].isoformat()
-        skies.append(PlaceSky(name, lon, lat, utc, horizon, there.reset_index(drop=True)))
+        skies.append(PlaceSky(name, lon, lat, utc, horizon, of_epoch.reset_index(drop=True)))
     return tuple(skies)
 
 

@@ -61,9 +61,9 @@ class Displaced:
           ground: of the city where it is.
           rays: from the true places.
         """
-        there = self._there(number, rays)
-        self.is_seen[number, column] = ground.margins_m(there) >= 0
-        self.is_out[number, column] = ground.is_inside(there)
+        moved = self._there(number, rays)
+        self.is_seen[number, column] = ground.margins_m(moved) >= 0
+        self.is_out[number, column] = ground.is_inside(moved)
 
     def leave_unknown(
         self,
@@ -75,9 +75,9 @@ class Displaced:
         rise_m: float,
     ) -> None:
         """Leave out rays that are unknown in one displaced city; ``rise_m``: to the highest roof."""
-        there = self._there(number, rays)
-        self.is_out[number, column] |= ~there.stays_within(known, rise_m) | ground.crosses_gap(
-            there, rise_m
+        moved = self._there(number, rays)
+        self.is_out[number, column] |= ~moved.stays_within(known, rise_m) | ground.crosses_gap(
+            moved, rise_m
         )
 
     def _there(self, number: int, rays: Rays) -> Rays:

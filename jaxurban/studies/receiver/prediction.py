@@ -105,8 +105,10 @@ class ReceiverSettings:
 
 def region_of(scenario: Scenario) -> Grid:
     """Return the grid of a scenario at the first of its resolutions."""
-    held = scenario.region.resolution_m
-    return Grid.from_bounds(scenario.region.bounds, held[0], scenario.region.crs, held)
+    resolutions_m = scenario.region.resolution_m
+    return Grid.from_bounds(
+        scenario.region.bounds, resolutions_m[0], scenario.region.crs, resolutions_m
+    )
 
 
 def task_at(

@@ -225,18 +225,18 @@ def _read(
         raise InputError(
             "a log in RINEX needs three files, log, navigation and reference: name all of them"
         )
-    given = log_of(scenario.buildings.source) if log is None else log
-    if given is None:
+    source = log_of(scenario.buildings.source) if log is None else log
+    if source is None:
         raise InputError(
             "log is left out, and only a sample city with a log of its own has one: name the file"
         )
-    if navigation is None or reference is None or isinstance(given, pd.DataFrame):
-        if not isinstance(given, pd.DataFrame) and OBSERVATIONS.search(str(given)):
+    if navigation is None or reference is None or isinstance(source, pd.DataFrame):
+        if not isinstance(source, pd.DataFrame) and OBSERVATIONS.search(str(source)):
             raise InputError(
-                f"{str(given)!r} is a file of observations in RINEX: name navigation and reference too"
+                f"{str(source)!r} is a file of observations in RINEX: name navigation and reference too"
             )
-        return read_receiver_log(given)
-    return read_rinex(given, navigation, reference)
+        return read_receiver_log(source)
+    return read_rinex(source, navigation, reference)
 
 
 def spearman(a: np.ndarray, b: np.ndarray, blocks: np.ndarray | None = None) -> float:

@@ -94,10 +94,10 @@ def compare_fits(
     at_least("bootstrap", bootstrap)
     if not 0 <= hold_out <= MOST_HELD_OUT:
         raise InputError(f"hold_out must be a share from 0 to {MOST_HELD_OUT:g}, got {hold_out}")
-    demonstrations = [each for shown in cities.values() for each in shown]
-    queries = [shown.query for shown in demonstrations]
+    demonstrations = [each for demonstration in cities.values() for each in demonstration]
+    queries = [demonstration.query for demonstration in demonstrations]
     names = check_alike(queries)
-    city = np.repeat([*map(str, cities)], [len(shown) for shown in cities.values()])
+    city = np.repeat([*map(str, cities)], [len(demonstration) for demonstration in cities.values()])
     ends = [
         (name, query.start, query.goal) for name, query in zip(city.tolist(), queries, strict=True)
     ]
@@ -118,7 +118,7 @@ def compare_fits(
     }
     vectors = np.array([fit.vector for fit in fits.values()])
     cheapest = pool_of_fit(seen, queries).cheapest(vectors)[0]  # [N, F, K]
-    demo = np.array([shown.features for shown in demonstrations])
+    demo = np.array([demonstration.features for demonstration in demonstrations])
     regret = (demo @ vectors.T) / np.einsum("nfk,fk->nf", cheapest, vectors) - 1
     is_bad = trust_of(regret[:, 0], usual_regret(regret[~is_held_out, 0])) < DISTRUSTED
     is_judged = is_held_out & ~is_bad

@@ -122,7 +122,7 @@ def near_optimal_range(
 
 def constant_layers(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
     """Return the metrics whose cost is the same over all free cells of all the queries' maps."""
-    free = (on.costs[:, on.is_free] for on in maps_of(queries))
+    free = (cost_map.costs[:, cost_map.is_free] for cost_map in maps_of(queries))
     ends = np.array([(costs.min(axis=1), costs.max(axis=1)) for costs in free], np.float64)
     spans = ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0)
     return tuple(

@@ -211,8 +211,8 @@ def fit_targets(
     names = check_alike(queries)
     if not targets:
         raise InputError("there are no targets: give at least one, such as mean_gps>=0.8")
-    asked = [targets] if isinstance(targets, str) else targets
-    wanted = [Target.parse(each) if isinstance(each, str) else each for each in asked]
+    texts = [targets] if isinstance(targets, str) else targets
+    wanted = [Target.parse(each) if isinstance(each, str) else each for each in texts]
     outcomes = (
         "detour",
         "length_m",

@@ -122,7 +122,11 @@ class WeightFit:
     @property
     def cautions(self) -> list[str]:
         """What the demonstrations cannot say: ``unidentified`` and ``warnings``, but for the ``sentence``."""
-        return [said for said in (*self.unidentified, *self.warnings) if said != self.sentence]
+        return [
+            sentences
+            for sentences in (*self.unidentified, *self.warnings)
+            if sentences != self.sentence
+        ]
 
     def __repr__(self) -> str:
         return "\n".join(
@@ -130,7 +134,7 @@ class WeightFit:
         )
 
     def _repr_html_(self) -> str:
-        cautions = "".join(f"<li>{escape(said)}</li>" for said in self.cautions)
+        cautions = "".join(f"<li>{escape(sentences)}</li>" for sentences in self.cautions)
         table = self.table.to_html(float_format="{:.3g}".format)
         return f"<p><b>{escape(self.sentence)}</b></p><ul>{cautions}</ul>{table}"
 
@@ -195,8 +199,8 @@ def fit_weights(
     demo = np.array([each.features for each in demonstrations])
     noise_rounds = min(settings.max_rounds, NOISE_ROUNDS)
     least_rounds = min(settings.max_rounds, TRUST_ROUNDS + DOUBT_ROUNDS + 1)
-    how = {"fit": "imitation", "noise_rounds": noise_rounds, "demonstrations": fingerprint(demo)}
-    pool = pool_of_fit(settings, queries, [each.sums for each in demonstrations], **how)
+    key = {"fit": "imitation", "noise_rounds": noise_rounds, "demonstrations": fingerprint(demo)}
+    pool = pool_of_fit(settings, queries, [each.sums for each in demonstrations], **key)
     unit = np.where(is_fitted, feature_units(queries, demo), 1.0)
     fit = _Fit(pool, demo, unit, is_fitted, settings.seed)
     rows: list[dict[str, Any]] = []

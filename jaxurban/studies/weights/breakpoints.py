@@ -159,25 +159,25 @@ def nearest_breakpoints(
     Raises:
       InputError: the query has no path.
     """
-    given = pool.cheapest(weights[None])[0, 0, 0]
-    at = np.tile(np.asarray(factors, np.float64), (len(columns), 1))
+    features = pool.cheapest(weights[None])[0, 0, 0]
+    factors_at = np.tile(np.asarray(factors, np.float64), (len(columns), 1))
     is_due = np.tile(weights[list(columns), None] > 0, 2)
-    result = np.full(at.shape, np.nan)
+    result = np.full(factors_at.shape, np.nan)
     while is_due.any():
         rows, ends = np.nonzero(is_due)
         places = np.tile(weights, (len(rows), 1))
-        places[np.arange(len(rows)), np.asarray(columns)[rows]] *= at[rows, ends]
+        places[np.arange(len(rows)), np.asarray(columns)[rows]] *= factors_at[rows, ends]
         for row, end, place, other in zip(
             rows.tolist(), ends.tolist(), places, pool.cheapest(places)[0, 0], strict=True
         ):
-            excess = given - other
-            if place @ excess <= TIE * (place @ given):
+            excess = features - other
+            if place @ excess <= TIE * (place @ features):
                 is_due[row, end] = False
                 continue
             column = columns[row]
             # At the given weights the other one costs as much at least; rounding may say less.
             ahead = min(weights @ excess, 0.0)
-            at[row, end] = result[row, end] = 1 - ahead / (weights[column] * excess[column])
+            factors_at[row, end] = result[row, end] = 1 - ahead / (weights[column] * excess[column])
     return result
 
 
@@ -273,13 +273,13 @@ def _clip(cell: np.ndarray, excess: np.ndarray) -> np.ndarray:
     if above.max() <= 0:
         return cell
     kept: list[np.ndarray] = []
-    for here, there, a, b in zip(
+    for corner, following, a, b in zip(
         cell, np.roll(cell, -1, axis=0), above, np.roll(above, -1), strict=True
     ):
         if a <= 0:
-            kept.append(here)
+            kept.append(corner)
         if (a < 0 < b) or (b < 0 < a):
-            kept.append(here + (there - here) * (a / (a - b)))
+            kept.append(corner + (following - corner) * (a / (a - b)))
     points = list({_key(place): place for place in kept}.values())
     clipped = np.array(points) if points else np.empty((0, len(excess)))
     return (

@@ -116,7 +116,7 @@ class SensitivityStudySettings(RouteJob):
             for name in ("factors", "vary", "wrong", "num_samples", "seed")
         }
 
-    def facts(self, on: CostMap, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
+    def facts(self, cost_map: CostMap, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
         """Return what the weights do to the route of an instance.
 
         Returns:
@@ -129,7 +129,7 @@ class SensitivityStudySettings(RouteJob):
           >>> row["status"], round(row["cost"], 1), round(row["length_m"])
           ('optimal', 19.3, 286)
         """
-        return [route_facts(on, instance, self)]
+        return [route_facts(cost_map, instance, self)]
 
 
 def row_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
@@ -139,21 +139,23 @@ def row_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     return {name: types.get(name, "float64") for name in names}
 
 
-def query_of(on: CostMap, instance: Row) -> tuple[RouteQuery, np.ndarray]:
+def query_of(cost_map: CostMap, instance: Row) -> tuple[RouteQuery, np.ndarray]:
     """Return the query of an instance, and its weights ``[K]``.
 
     Raises:
       InputError: a place that is not free, or both in one cell.
     """
-    start, goal, weights = located(on, instance)
+    start, goal, weights = located(cost_map, instance)
     if start == goal:
         raise InputError(
             "start and goal lie in one cell, so there is no route to study: set them further apart"
         )
-    return RouteQuery(on, start, goal, str(instance["instance"])), weights
+    return RouteQuery(cost_map, start, goal, str(instance["instance"])), weights
 
 
-def route_facts(on: CostMap, instance: Row, settings: SensitivityStudySettings) -> dict[str, Any]:
+def route_facts(
+    cost_map: CostMap, instance: Row, settings: SensitivityStudySettings
+) -> dict[str, Any]:
     """Return what the weights do to one route.
 
     ``status``; ``cost`` and the outcomes of the cheapest route under the given weights (`outcomes_of`); for each weight
@@ -164,7 +166,7 @@ def route_facts(on: CostMap, instance: Row, settings: SensitivityStudySettings) 
     the width of their 95 % intervals, ``first:NAME:OUTCOME``, ``first_ci``, ``total`` and ``total_ci`` likewise.
 
     Args:
-      on: the maps.
+      cost_map: of the maps.
       instance: ends and weights.
       settings: what is asked.
 
@@ -172,7 +174,7 @@ def route_facts(on: CostMap, instance: Row, settings: SensitivityStudySettings) 
       InputError: a place that is not free, both in one cell, or a weight to vary that is 0 or not there.
     """
     begin_s = time.perf_counter()
-    query, weights = query_of(on, instance)
+    query, weights = query_of(cost_map, instance)
     names = query.names
     vary = settings.vary or tuple(
         name for name, weight in zip(names[1:], weights[1:], strict=True) if weight > 0
@@ -306,9 +308,9 @@ class OnPerturbedMaps(RouteJob):
         """Return the cost maps of the nominal maps and of the others."""
         return super().cost_map(self.nominal, *at), super().cost_map(maps, *at)
 
-    def facts(self, on: Any, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
+    def facts(self, cost_maps: Any, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
         """Return how the routes differ."""
-        (nominal, weights), (other, _) = (query_of(each, instance) for each in on)
+        (nominal, weights), (other, _) = (query_of(each, instance) for each in cost_maps)
         return [_compared(nominal, other, weights)]
 
 

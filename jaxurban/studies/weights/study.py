@@ -4,7 +4,6 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -86,11 +85,11 @@ class Sensitivity(FactsRepr):
         column = self.names.index(name)
         ends = np.concatenate([[0.0], line.breakpoints, [1.0]])
         values = line.weights_at(np.stack([1 - ends, ends], axis=-1))[:, column]
-        given = np.searchsorted(values[1:-1], self.weights[column], side="right")
+        given_route = np.searchsorted(values[1:-1], self.weights[column], side="right")
         return pd.DataFrame(
             {"weight_name": name, "from": values[:-1], "to": values[1:]}
             | outcomes_of(line.integrals, self.names)
-            | {"is_given": np.arange(len(line.cells)) == given},
+            | {"is_given": np.arange(len(line.cells)) == given_route},
             pd.RangeIndex(1, len(line.cells) + 1, name="route"),
         )
 
@@ -206,18 +205,18 @@ def sensitivity(
     check_flat(cost_map)
     begin_s, settings = time.perf_counter(), settings or SensitivitySettings()
     query, route = _plan(cost_map, start, goal, snap)
-    names, given, pool = query.names, cost_map.weight_vector, RoutePool([query])
+    names, weights, pool = query.names, cost_map.weight_vector, RoutePool([query])
     vary = settings.vary or tuple(
-        name for name, weight in zip(names[1:], given[1:], strict=True) if weight > 0
+        name for name, weight in zip(names[1:], weights[1:], strict=True) if weight > 0
     )
-    columns = check_vary(names, given, vary)
+    columns = check_vary(names, weights, vary)
     for name in settings.objectives:
         one_of("each of objectives", name, names)
     with reporting("sensitivity", progress) as report:
         report("local")
-        features, integrals = pool.cheapest(given[None])[:, :, 0]
-        cost = cost_gradient(names, given, features)
-        outcomes = outcome_slopes(pool, given, integrals, seed=settings.seed)
+        features, integrals = pool.cheapest(weights[None])[:, :, 0]
+        cost = cost_gradient(names, weights, features)
+        outcomes = outcome_slopes(pool, weights, integrals, seed=settings.seed)
         by_share = sorted(
             (name for name in vary if name != "distance"),
             key=lambda name: -cost["elasticity"][name],
@@ -227,25 +226,28 @@ def sensitivity(
         )
         on_plans = partial(report, "sobol")
         sobol = sobol_of_weights(
-            pool, given, columns, settings.factors, settings.num_samples, settings.seed, on_plans
+            pool, weights, columns, settings.factors, settings.num_samples, settings.seed, on_plans
         )
         lines = {}
         for name, column in zip(vary, columns, strict=True):
-            ends = np.tile(given, (2, 1))
+            ends = np.tile(weights, (2, 1))
             ends[:, column] *= settings.factors
             lines[name] = find_breakpoints(
                 pool, ends, on_plans=partial(report, f"breakpoints of {name}")
             )
-        how: dict[str, Any] = {"tolerance": settings.tolerance, "max_plans": settings.max_plans}
         front = pareto_front(
-            pool, settings.objectives, **how, on_plans=partial(report, "Pareto front")
+            pool,
+            settings.objectives,
+            tolerance=settings.tolerance,
+            max_plans=settings.max_plans,
+            on_plans=partial(report, "Pareto front"),
         )
         report("routes")
         return Sensitivity(
             maps=cost_map.maps,
             route=route,
             names=names,
-            weights=given,
+            weights=weights,
             settings=settings,
             cost=cost,
             outcomes=outcomes,

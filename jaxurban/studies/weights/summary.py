@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.paths.rows import HAS_PATH
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval, Statistic
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval, Statistic, named
 from jaxurban.studies.weights.routes import OF_SHARE, OF_WEIGHT, ROUTE_KEY
 from jaxurban.studies.weights.sobol import FEW_SAMPLES
 
@@ -59,20 +59,15 @@ def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.Data
       routes: from `routes_of`.
       factors: the range in which breakpoints were looked for.
     """
-    names = [
-        name.partition(":")[2]
-        for name in map(str, routes.columns)
-        if name.startswith("elasticity:")
-    ]
     varied = routes["vary"].str.split(",")
     parts = []
-    for name in names:
-        part = routes[[*ROUTE_KEY, *DESCRIBED]].assign(
-            weight_name=name, varies=[name in each for each in varied]
-        )
-        parts.append(
-            part.assign(**{kind: routes.get(f"{kind}:{name}", np.nan) for kind in OF_WEIGHT})
-        )
+    for column in map(str, routes.filter(regex="^elasticity:")):
+        name = column.removeprefix("elasticity:")
+        part = routes[[*ROUTE_KEY, *DESCRIBED]]
+        part = part.assign(weight_name=name, varies=[name in names for names in varied])
+        for kind in OF_WEIGHT:
+            part[kind] = routes.get(f"{kind}:{name}", np.nan)
+        parts.append(part)
     table = pd.concat(parts, ignore_index=True)
     table = table[table.elasticity.notna()]  # not the metrics that a city's maps lack
     limit = min(factors[1], 1 / factors[0])
@@ -84,7 +79,7 @@ def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.Data
 
 
 def statistics_of(wrong: float) -> dict[str, tuple[Callable[[pd.DataFrame], pd.Series], Statistic]]:
-    """Return what is told of each weight: its values in a table of weights, and how they are put together.
+    """Return the statistics of each weight: its values in a table of weights, and how they are averaged.
 
     ``share`` of the cost (mean); ``nearest`` (median factor); ``changes``, the share of routes that change where the
     weight is up to ``wrong`` times too small or too large; ``regret`` (mean).
@@ -121,31 +116,23 @@ def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
         source = strata if "stratum" in columns else table
         if all(_differs(source, column) for column in columns):
             for value, part in source.groupby(columns, sort=True):
-                yield ", ".join(columns), ", ".join(map(_told, value)), part
+                yield ", ".join(columns), ", ".join(map(_text_of, value)), part
 
 
 def _differs(table: pd.DataFrame, column: str) -> bool:
     """Return whether a column has two values; times that differ between cities only say no more than the cities."""
-    counts = (
-        table.groupby("city")[column].nunique()
-        if column in ("time", "time_of_day")
-        else [table[column].nunique()]
-    )
-    return max(counts) > 1
+    if column in ("time", "time_of_day"):
+        return table.groupby("city")[column].nunique().max() > 1
+    return table[column].nunique() > 1
 
 
-def _told(value: Any) -> str:
+def _text_of(value: Any) -> str:
     return f"{value:g} m" if isinstance(value, float) else str(value)
 
 
 def pairs_of(table: pd.DataFrame) -> Clusters:
     """Return draws of the rows of a table, of pairs of places within cities."""
     return Clusters(table.instance, table.city)
-
-
-def named(name: str, interval: Interval) -> dict[str, float]:
-    """Return an interval as columns."""
-    return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
 
 
 def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
@@ -157,42 +144,37 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
       weights: from `weights_table`.
       wrong: factor of a wrong weight.
     """
-    rows = []
+    rows, statistics = [], statistics_of(wrong)
     for cut, value, part in cuts_of(weights):
         for name, of_weight in part.groupby("weight_name", sort=False):
             pairs, num_cities = pairs_of(of_weight), of_weight.city.nunique()
-            parts = {cut: (value, pairs)}
+            draws = [(cut, value, pairs)]
             if cut == ALL and num_cities >= FEWEST_GROUPS:
-                parts[OVER_CITIES] = OVER_CITIES, Clusters(of_weight.city)
-            for cut_at, (value_at, clusters) in parts.items():
+                draws.append((OVER_CITIES, OVER_CITIES, Clusters(of_weight.city)))
+            for drawn_cut, drawn_value, clusters in draws:
                 row: dict[str, Any] = {
-                    "cut": cut_at,
-                    "value": value_at,
+                    "cut": drawn_cut,
+                    "value": drawn_value,
                     "weight_name": name,
                     "routes": len(of_weight),
+                    "pairs": pairs.num_groups + num_cities - 1,
+                    "cities": num_cities,
                 }
-                row |= {"pairs": pairs.num_groups + num_cities - 1, "cities": num_cities}
-                for statistic, (values, put) in statistics_of(wrong).items():
-                    row |= named(statistic, clusters.interval(values(of_weight), put))
+                for statistic, (values_of, mean) in statistics.items():
+                    row |= named(statistic, clusters.interval(values_of(of_weight), mean))
                 rows.append(row)
     return pd.DataFrame(rows)
 
 
 def shares_table(routes: pd.DataFrame) -> pd.DataFrame:
     """Return the Sobol shares of every route: a row for each route, outcome and weight."""
-    triples = [
-        tuple(str(name).split(":")) for name in routes.columns if str(name).startswith("first:")
-    ]
-    parts = [
-        routes[list(ROUTE_KEY)].assign(
-            outcome=outcome,
-            weight_name=name,
-            **{kind: routes[f"{kind}:{name}:{outcome}"] for kind in OF_SHARE},
-        )
-        for _, name, outcome in triples
-    ]
-    columns = [*ROUTE_KEY, "outcome", "weight_name", *OF_SHARE]
-    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)
+    parts = [pd.DataFrame(columns=[*ROUTE_KEY, "outcome", "weight_name", *OF_SHARE])]
+    for column in map(str, routes.filter(regex="^first:")):
+        _, name, outcome = column.split(":")
+        shares = {kind: routes[f"{kind}:{name}:{outcome}"] for kind in OF_SHARE}
+        key = routes[list(ROUTE_KEY)]
+        parts.append(key.assign(outcome=outcome, weight_name=name, **shares))
+    return pd.concat(parts[1:] or parts, ignore_index=True)
 
 
 def summarise_shares(shares: pd.DataFrame, num_samples: int) -> pd.DataFrame:
@@ -216,12 +198,17 @@ def summarise_shares(shares: pd.DataFrame, num_samples: int) -> pd.DataFrame:
     for (outcome, name), part in shares.groupby(["outcome", "weight_name"], sort=False):
         for kind in ("first", "total"):
             known = part[part[kind].notna()].reset_index(drop=True)
-            result = pairs_of(known).interval(known[kind])
-            row = {"outcome": outcome, "weight_name": name, "kind": kind, "routes": len(known)}
-            own = {"own_ci": known[f"{kind}_ci"].median()}
-            rows.append(
-                row | named("share", result) | own | {"verdict": _verdict(result, len(known))}
-            )
+            share = pairs_of(known).interval(known[kind])
+            row = {
+                "outcome": outcome,
+                "weight_name": name,
+                "kind": kind,
+                "routes": len(known),
+                **named("share", share),
+                "own_ci": known[f"{kind}_ci"].median(),
+                "verdict": _verdict(share, len(known)),
+            }
+            rows.append(row)
     table = pd.DataFrame(rows)
     is_unresolved = table.verdict == UNRESOLVED
     for name in ("share", "share_high"):
@@ -247,29 +234,30 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
     Of parameters so for each ``parameter`` and ``factor``. Of heights all draws together, draws and routes being drawn
     both. Columns are means of those of `jaxurban.studies.weights.routes.OnPerturbedMaps`.
     """
-    rows, result = [], changed[changed.status.isin(HAS_PATH)]
-    kinds = [name for name in ("parameter", "factor") if name in result]
-    for named_as, of_kind in result.groupby(kinds, sort=False) if kinds else [((), result)]:
+    changed = changed[changed.status.isin(HAS_PATH)]
+    kinds = [name for name in ("parameter", "factor") if name in changed]
+    by_kind = changed.groupby(kinds, sort=False) if kinds else [((), changed)]
+    rows = []
+    for kind, of_kind in by_kind:
         cuts = [(ALL, ALL, of_kind)]
         for cut in ("city", "altitude_m"):
-            cuts += [(cut, _told(value), part) for value, part in of_kind.groupby(cut, sort=False)]
+            for value, part in of_kind.groupby(cut, sort=False):
+                cuts.append((cut, _text_of(value), part))
         for cut, value, part in cuts:
             clusters, num_cities = pairs_of(part), part.city.nunique()
-            row: dict[str, Any] = dict(zip(kinds, named_as, strict=True)) | {
+            row: dict[str, Any] = dict(zip(kinds, kind, strict=True)) | {
                 "cut": cut,
                 "of": value,
-            }
-            row |= {
                 "routes": len(part),
                 "pairs": clusters.num_groups + num_cities - 1,
                 "cities": num_cities,
             }
             if "draw" in part:
                 clusters = clusters.crossed(Clusters(part.draw, seed=1))
-                row |= {"draws": part.draw.nunique()}
-            row |= {"groups": clusters.num_groups}
+                row["draws"] = part.draw.nunique()
+            row["groups"] = clusters.num_groups
             for statistic in REMADE_STATISTICS:
-                put: Statistic = "share" if statistic in SHARES_OF_ROUTES else "mean"
-                row |= named(statistic, clusters.interval(part[statistic], put))
+                mean: Statistic = "share" if statistic in SHARES_OF_ROUTES else "mean"
+                row |= named(statistic, clusters.interval(part[statistic], mean))
             rows.append(row)
     return pd.DataFrame(rows)
