@@ -9,7 +9,7 @@ from jaxurban.io.city import City as City
 from jaxurban.maps.build import build_maps as build_maps
 from jaxurban.maps.levels import Levels as Levels
 from jaxurban.maps.metric_maps import MetricMaps as MetricMaps
-from jaxurban.maps.metric_maps import open_maps as open_maps
+from jaxurban.maps.saving import open_maps as open_maps
 from jaxurban.maps.scenario import Region as Region
 from jaxurban.maps.scenario import Scenario as Scenario
 from jaxurban.metrics.custom import Layer as Layer

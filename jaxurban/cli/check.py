@@ -90,7 +90,7 @@ def check(
     It ends with 0 only if every leg was judged and nothing was found, with 5 for findings, and with 6 where nothing was
     found but not all could be judged.
     """
-    from jaxurban.maps.metric_maps import open_maps
+    from jaxurban.maps.saving import open_maps
     from jaxurban.metrics.weights import Weights
     from jaxurban.report.mission import check as check_mission
 

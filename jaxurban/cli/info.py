@@ -34,7 +34,7 @@ Facts = dict[str, Any]
 def _of_maps(folder: Path) -> tuple[Facts, list[Facts]]:
     """Return what to print of each resolution's maps, and the same as numbers and lists."""
     from jaxurban.io.store import short_number, stored_resolutions
-    from jaxurban.maps.metric_maps import open_maps
+    from jaxurban.maps.saving import open_maps
 
     facts: Facts = {}
     numbers: list[Facts] = []

@@ -202,7 +202,7 @@ def plan(
 ) -> int:
     """Plan a path over the maps in DIR."""
     from jaxurban.maps.levels import Levels
-    from jaxurban.maps.metric_maps import open_maps
+    from jaxurban.maps.saving import open_maps
     from jaxurban.paths.explain import explain
     from jaxurban.paths.export.write import MISSION, encoder_of
     from jaxurban.paths.path import simplify

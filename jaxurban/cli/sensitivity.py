@@ -94,7 +94,7 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
     """Find the weights at which a route over the maps in DIR changes."""
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
-    from jaxurban.maps.metric_maps import open_maps
+    from jaxurban.maps.saving import open_maps
     from jaxurban.paths.plan import cost_map
     from jaxurban.report.buildings import write_buildings
     from jaxurban.report.sensitivity import (

@@ -47,7 +47,7 @@ def view(
     no_browser: bool,
 ) -> int:
     """Look at the maps in DIR and plan on them, in a browser on this machine; Ctrl-C ends it."""
-    from jaxurban.maps.metric_maps import open_maps
+    from jaxurban.maps.saving import open_maps
     from jaxurban.viewer.html import write_page
     from jaxurban.viewer.server import ViewerServer
     from jaxurban.viewer.viewer import Viewer

@@ -1,4 +1,4 @@
-"""MetricMaps: the metric maps of one region at one resolution; save and open."""
+"""MetricMaps: the metric maps of one region at one resolution."""
 
 import json
 import warnings
@@ -12,24 +12,19 @@ import numpy as np
 import xarray as xr
 
 from jaxurban.checks import finite, typed
-from jaxurban.errors import InputError, warn
-from jaxurban.io.samples import BASE_MAP_FILE
-from jaxurban.metrics.base import UNDERSIDE, Metric
+from jaxurban.errors import InputError
+from jaxurban.maps.rules import free_cells
+from jaxurban.metrics.base import TIME_OF_DAY, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.progress import LOG
 from jaxurban.public import Caution, FactsRepr, caution_of_guesses, listed
 from jaxurban.settings import Obstacles, Planning, iso_utc
 from jaxurban.world.grid import Grid
-from jaxurban.world.surface import stands_at
 
 if TYPE_CHECKING:
     import geopandas as gpd
 
-OF_ROUTES = (
-    "weights",
-    "planning",
-    "vehicle",
-)  # sections of a scenario that routes over its maps are planned under
+OF_ROUTES = ("weights", "planning", "vehicle")  # sections of a scenario that its routes follow
 
 
 def _placed(ds: xr.Dataset) -> xr.Dataset:
@@ -40,20 +35,22 @@ def _placed(ds: xr.Dataset) -> xr.Dataset:
     """
     if not {"y", "x"} <= {*ds.coords}:  # the attributes alone say it
         return ds
-    side_m, first = float(ds.attrs["resolution_m"]), {}
-    for axis, name in (("y", "first_row"), ("x", "first_col")):
-        at_m = ds[axis].values
-        number = at_m / side_m - 0.5
-        first[name] = int(np.round(number[0]))
-        if np.abs(number - first[name] - np.arange(len(at_m))).max() > 0.01:
-            raise InputError(
-                f"the maps' {axis} must run cell by cell in steps of {side_m:g} m: cut maps by slices without a step"
-            )
-    return (
-        ds
-        if all(ds.attrs[name] == value for name, value in first.items())
-        else ds.assign_attrs(first)
-    )
+    first = {"first_row": _first_cell(ds, "y"), "first_col": _first_cell(ds, "x")}
+    if all(ds.attrs[name] == number for name, number in first.items()):
+        return ds
+    return ds.assign_attrs(first)
+
+
+def _first_cell(ds: xr.Dataset, axis: str) -> int:
+    """Return the number of the first cell along an axis, whose cells must lie side by side."""
+    side_m = float(ds.attrs["resolution_m"])
+    numbers = ds[axis].values / side_m - 0.5
+    first = int(np.round(numbers[0]))
+    if np.abs(numbers - first - np.arange(len(numbers))).max() > 0.01:
+        raise InputError(
+            f"the maps' {axis} must run cell by cell in steps of {side_m:g} m: cut maps by slices without a step"
+        )
+    return first
 
 
 @typed
@@ -176,18 +173,16 @@ class MetricMaps(FactsRepr):
         and ``park``, polygons; ``path``, ``street``, ``major`` and ``rail``, lines; ``place``, points) and ``name``,
         empty without one. ``attrs`` hold ``credit`` and ``licence``. Read when it is first looked at.
         """
-        from jaxurban.io.read.base_map import (
-            base_map_source,
-            read_base_map,
-        )  # imported here: it brings the readers
+        # Imported here: it brings the readers.
+        from jaxurban.io.read.base_map import base_map_source, read_base_map
 
         try:
-            if (source := base_map_source(self.base)) is None:
+            source = base_map_source(self.base)
+            if source is None:
                 return None
             with warnings.catch_warnings():
-                warnings.simplefilter(
-                    "ignore", UserWarning
-                )  # of a coast with a gap: a picture's ground, no more
+                # A coast with a gap matters little to the ground of a picture.
+                warnings.simplefilter("ignore", UserWarning)
                 frame = read_base_map(source, self.grid.crs, self.grid.bounds_m)
         except Exception as error:  # whatever a damaged file raises: maps are whole without it
             LOG.warning(f"no streets and names below the maps: {error}")
@@ -198,9 +193,8 @@ class MetricMaps(FactsRepr):
     def identity(self) -> dict[str, str]:
         """Run, grid and rule of obstacles, which no other maps share: for the record of what was made on them."""
         names = ("run_key", "crs", "resolution_m", "first_row", "first_col")
-        return {name: str(self.ds.attrs.get(name)) for name in names} | {
-            "obstacles": self.obstacles
-        }
+        values = {name: str(self.ds.attrs.get(name)) for name in names}
+        return {**values, "obstacles": self.obstacles}
 
     @property
     def guesses(self) -> dict[str, str]:
@@ -211,9 +205,13 @@ class MetricMaps(FactsRepr):
     def grid(self) -> Grid:
         """The grid of every map."""
         attrs, sizes = self.ds.attrs, self.ds.sizes
-        first_row, first_col = int(attrs["first_row"]), int(attrs["first_col"])
         return Grid(
-            attrs["crs"], float(attrs["resolution_m"]), first_row, first_col, sizes["y"], sizes["x"]
+            attrs["crs"],
+            float(attrs["resolution_m"]),
+            int(attrs["first_row"]),
+            int(attrs["first_col"]),
+            num_rows=sizes["y"],
+            num_cols=sizes["x"],
         )
 
     @property
@@ -224,9 +222,8 @@ class MetricMaps(FactsRepr):
     @property
     def times(self) -> tuple[str, ...]:
         """UTC times of the GPS maps, ISO 8601."""
-        return tuple(
-            f"{value}Z" for value in np.datetime_as_string(self.ds["time"].values, unit="s")
-        )
+        texts = np.datetime_as_string(self.ds["time"].values, unit="s")
+        return tuple(f"{text}Z" for text in texts)
 
     @property
     def default_time(self) -> str | None:
@@ -236,22 +233,25 @@ class MetricMaps(FactsRepr):
     @property
     def times_of_day(self) -> tuple[str, ...]:
         """Times of day of the population maps, empty without population."""
-        return (
-            tuple(str(value) for value in self.ds["time_of_day"].values)
-            if "population" in self.ds
-            else ()
-        )
+        if not any(TIME_OF_DAY in metric.dims for metric in self.metrics.values()):
+            return ()
+        return tuple(map(str, self.ds[TIME_OF_DAY].values))
 
     @property
     def metrics(self) -> Mapping[str, Metric]:
         """The metrics of the cost in these maps by name, those that a user added too, in the order of the layers."""
         return held_metrics(self.ds)
 
-    def _pick(self, name: str, value: Any, held: Sequence) -> int:
-        if value is not None and value not in held:
-            shown = ", ".join(map(str, held)) or "none, so leave it out"
-            raise InputError(f"there are no maps for {name} {value}: these maps hold {shown}")
-        return 0 if value is None else held.index(value)
+    def _index_of(self, name: str, value: Any, values: Sequence) -> int:
+        """Return the place of a value among those that the maps hold, the first where it is None."""
+        if value is None:
+            return 0
+        if value not in values:
+            listed_values = ", ".join(map(str, values)) or "none, so leave it out"
+            raise InputError(
+                f"there are no maps for {name} {value}: these maps hold {listed_values}"
+            )
+        return values.index(value)
 
     @typed
     def check_altitude(self, altitude_m: float) -> None:
@@ -265,7 +265,7 @@ class MetricMaps(FactsRepr):
           ...     print(error)
           there are no maps for altitude 40.0: these maps hold 20.0, 60.0
         """
-        self._pick("altitude", altitude_m, self.altitudes_m)
+        self._index_of("altitude", altitude_m, self.altitudes_m)
 
     @typed
     def around(self, altitude_m: float) -> list[float]:
@@ -287,8 +287,9 @@ class MetricMaps(FactsRepr):
             raise InputError(
                 f"there are no maps for altitude {altitude_m:g} m: these maps reach from {low_m:g} to {high_m:g} m"
             )
-        low_m = max(z_m for z_m in self.altitudes_m if z_m <= altitude_m)
-        return sorted({low_m, min(z_m for z_m in self.altitudes_m if z_m >= altitude_m)})
+        below_m = max(z_m for z_m in self.altitudes_m if z_m <= altitude_m)
+        above_m = min(z_m for z_m in self.altitudes_m if z_m >= altitude_m)
+        return sorted({below_m, above_m})
 
     @typed
     def m(
@@ -320,26 +321,24 @@ class MetricMaps(FactsRepr):
           >>> round(float(np.nanmax(maps.m("roof"))))  # metres
           395
         """
-        held = self.variable(name)
-        if held != name and time is not None:
+        variable = self.variable(name)
+        if variable != name and time is not None:
             raise InputError(
                 f"these maps hold {self.metrics[name].label.split()[0]} statistics over {len(self.times)} epochs and "
                 f'no map of {time}: leave time out (m is then the median), or make them with [gps] series = "epochs"'
             )
-        name = held
-        if name not in self.ds:
+        if variable not in self.ds:
             raise InputError(
                 f"these maps hold no {name!r}: they hold {', '.join(map(str, self.ds.data_vars))}"
             )
-        wanted = {
-            "altitude": self._pick("altitude", altitude_m, self.altitudes_m),
-            "time": self._pick("time", None if time is None else iso_utc(time), self.times),
-            "time_of_day": self._pick("time of day", time_of_day, self.times_of_day),
+        utc_time = None if time is None else iso_utc(time)
+        index = {
+            "altitude": self._index_of("altitude", altitude_m, self.altitudes_m),
+            "time": self._index_of("time", utc_time, self.times),
+            "time_of_day": self._index_of("time of day", time_of_day, self.times_of_day),
         }
-        maps = self.ds[
-            name
-        ].variable  # without its coordinates, which nobody asks for and xarray would cut too
-        return maps.isel({dim: index for dim, index in wanted.items() if dim in maps.dims}).values
+        values = self.ds[variable].variable  # without coordinates, which xarray would cut too
+        return values.isel(index, missing_dims="ignore").values
 
     def variable(self, name: str) -> str:
         """Return which variable holds a metric: its median where a long series keeps statistics, else its own.
@@ -377,31 +376,7 @@ class MetricMaps(FactsRepr):
           >>> round(float(maps.is_free(20.0, "centre").mean()), 2)
           0.94
         """
-        altitude_m = finite("altitude_m", altitude_m)
-        rule = obstacles or self.obstacles
-        is_free = self.ds["has_data"].values
-        is_held = altitude_m in self.altitudes_m
-        if is_held:
-            is_free = is_free & (self.m("obstacle", altitude_m) == 0)
-        if rule == "touched" or not is_held or (obstacles is None and UNDERSIDE in self.ds):
-            if rule == "touched" and "roof_touched" not in self.ds:
-                raise InputError(
-                    "these maps hold no 'roof_touched', the roofs that planners keep clear of: make them again, or "
-                    'plan with obstacles = "centre" (--obstacles centre), under which paths cut true outlines'
-                )
-            roof_m = self.m(
-                "roof" if rule == "centre" else "roof_touched"
-            )  # NaN, an unknown height, is never free
-            is_free = (
-                is_free & ~stands_at(roof_m, roof_m.dtype.type(altitude_m)) & ~np.isnan(roof_m)
-            )
-        for name in self.metrics:
-            if "layer" in self.ds[self.variable(name)].attrs:
-                for z_m in self.around(
-                    float(np.clip(altitude_m, min(self.altitudes_m), max(self.altitudes_m)))
-                ):
-                    is_free = is_free & ~np.isnan(self.m(name, z_m))
-        return is_free
+        return free_cells(self, finite("altitude_m", altitude_m), obstacles)
 
     def is_under_sky(self, altitude_m: float) -> np.ndarray:
         """Return ``[y, x]`` bool: `is_free` by centres, with nothing that hangs over the centre above the altitude.
@@ -461,9 +436,8 @@ class MetricMaps(FactsRepr):
           >>> total.shape, round(float(np.nanmean(total)), 2)
           ((30, 30), 0.75)
         """
-        return np.sum(
-            [*self.costs(altitude_m, time=time, time_of_day=time_of_day).values()], axis=0
-        )
+        costs = self.costs(altitude_m, time=time, time_of_day=time_of_day)
+        return np.sum([*costs.values()], axis=0)
 
     @typed
     def normalised(
@@ -481,12 +455,10 @@ class MetricMaps(FactsRepr):
         """
         total = self.total(altitude_m, time=time, time_of_day=time_of_day)
         is_free = self.is_free(altitude_m, "centre")
-        low, high = (
-            edge(total[is_free], initial=end) for edge, end in ((np.min, np.inf), (np.max, -np.inf))
-        )
-        return np.where(
-            is_free, (total - low) / (high - low if high > low else 1), np.float32(np.nan)
-        )
+        low = np.min(total[is_free], initial=np.inf)
+        high = np.max(total[is_free], initial=-np.inf)
+        span = high - low if high > low else 1
+        return np.where(is_free, (total - low) / span, np.float32(np.nan))
 
     @typed
     def prefers_gps(self, altitude_m: float, *, time: str | None = None) -> np.ndarray:
@@ -525,109 +497,27 @@ class MetricMaps(FactsRepr):
           >>> sorted(file.name for file in folder.iterdir())
           ['checksums.json', 'geotiff', 'maps.zarr']
         """
-        from jaxurban.io.files import sweep_scraps
-        from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
-        from jaxurban.io.read.base_map import save_base_map
-        from jaxurban.io.store import (
-            GEOTIFF_FOLDER,
-            OPENED,
-            RUN_FILE,
-            are_of_a_run,
-            open_zarr,
-            root_files,
-            write_zarr,
-        )
-        from jaxurban.io.workspace import Workspace
-        from jaxurban.metrics.variables import NEEDED
+        from jaxurban.maps.saving import save_maps  # imported here: it brings the writers
 
-        if lost := [name for name in NEEDED if name not in self.ds]:
-            raise InputError(
-                f"these maps lack {', '.join(lost)}, without which nothing can open them: put it back"
-            )
-        if paths := [name for name in map(str, self.ds.variables) if "/" in name]:
-            raise InputError(
-                f"a variable called {paths[0]!r} cannot be written: give it a name without /"
-            )
-        folder = Path(folder)
-        geotiffs = geotiff_paths(self.ds, folder, layers)  # refuses what is not there
-        with Workspace.open(folder, "maps", is_shared=True, is_mended=True) as workspace:
-            workspace.check_way(geotiffs)
-            base_files = [folder / BASE_MAP_FILE] if self.base_map is not None else []
-            workspace.check_way([*base_files, *root_files(folder)], is_mended=True)
-            ds = self.ds.copy()
-            key, of_folder = ds.attrs.get(RUN_KEY), workspace.settings.get(RUN_KEY)
-            is_of_run = key is not None and key == of_folder and (folder / RUN_FILE).is_file()
-            # A run's own folder has the settings in its record, and another's has no use for the key.
-            ds.attrs.pop("settings" if is_of_run else RUN_KEY, None)
-            if not is_of_run:
-                workspace.settings.clear()
-            write_zarr(ds, folder)
-            if (
-                OPENED in self.ds.encoding
-            ):  # from this folder, it may be: then its files are no longer there
-                ds = open_zarr(folder.resolve(), self.grid.resolution_m)
-            write_geotiffs(ds, folder, layers=layers)
-            save_base_map(self.base_map, workspace)
-            sweep_scraps(folder / GEOTIFF_FOLDER)  # of GDAL, from a run that was killed
-            if not are_of_a_run(folder):
-                workspace.remove([RUN_FILE])
-        return folder
+        save_maps(self, Path(folder), layers)
+        return Path(folder)
 
 
 MapsLike = MetricMaps | str | Path  # what `as_maps` takes
 
 
-@typed
-def open_maps(
-    folder: str | Path, resolution_m: float | None = None, *, obstacles: Obstacles | None = None
-) -> MetricMaps:
-    """Return the maps that ``MetricMaps.save`` or ``jaxurban maps`` wrote under ``folder``.
-
-    Every file is looked for; those of the maps are read, and compared with their checksums, when values are.
-    A GeoTIFF that ``jaxurban maps`` wrote and that is missing is a warning, as nothing here reads it.
-
-    Args:
-      folder: the output folder.
-      resolution_m: which of them; may be left out when there is one.
-      obstacles: where planners may fly (see `MetricMaps`); left out, as the scenario has it.
-
-    Returns:
-      The maps; each is read when it is first looked at.
-
-    Raises:
-      InputError: no maps there, or several and none chosen, or an unknown rule of obstacles; damaged ones (later too,
-        when values are read), or a run's without its settings (``run.json``).
-
-    Examples:
-      >>> folder = maps.save("out")
-      >>> again = ju.open_maps(folder)
-      >>> bool(np.array_equal(again.m("risk", 60.0), maps.m("risk", 60.0), equal_nan=True))
-      True
-    """
-    from jaxurban.io.geotiff import missing_geotiffs
-    from jaxurban.io.store import open_zarr, settings_of
-
-    ds = open_zarr(Path(folder), resolution_m)
-    if "run_key" in ds.attrs and (lost := missing_geotiffs(ds, Path(folder))):
-        others = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
-        warn(
-            f"{str(lost[0])!r}{others} is missing or empty: the same `jaxurban maps` command writes it again",
-        )
-    base = Path(folder).resolve() / BASE_MAP_FILE
-    maps = MetricMaps(ds, obstacles, base if base.is_file() else None)
-    return maps.with_recorded(settings) if (settings := settings_of(Path(folder))) else maps
-
-
-def as_maps(given: MapsLike) -> MetricMaps:
-    """Return maps as they are, or those of the folder that is given, which holds them at one resolution.
+def as_maps(maps: MapsLike) -> MetricMaps:
+    """Return maps as they are, or those in a folder that holds them at one resolution.
 
     Raises:
       InputError: neither of these, or a folder that `open_maps` cannot open.
     """
-    if isinstance(given, MetricMaps):
-        return given
-    if not isinstance(given, str | Path):
+    from jaxurban.maps.saving import open_maps  # imported here: it brings the readers
+
+    if isinstance(maps, MetricMaps):
+        return maps
+    if not isinstance(maps, str | Path):
         raise InputError(
-            f"maps must be MetricMaps or the folder that holds them, got {type(given).__name__}"
+            f"maps must be MetricMaps or the folder that holds them, got {type(maps).__name__}"
         )
-    return open_maps(given)
+    return open_maps(maps)

@@ -19,7 +19,8 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.tables import Row, RowStore, read_table, records_of
 from jaxurban.maps.executors import cluster_client
-from jaxurban.maps.metric_maps import MetricMaps, open_maps
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.saving import open_maps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.plan import cost_map, rules_on

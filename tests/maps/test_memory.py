@@ -31,8 +31,8 @@ from jaxurban.maps.memory import (
     tile_bytes,
     told_apart,
 )
-from jaxurban.maps.metric_maps import open_maps
 from jaxurban.maps.run import RunContext, make_zarr
+from jaxurban.maps.saving import open_maps
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.progress import Report

@@ -8,9 +8,9 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.io.read.rasterise import rasterise
-from jaxurban.maps.metric_maps import Obstacles
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.registry import PLANNERS
+from jaxurban.settings import Obstacles
 from jaxurban.world.footprints import Footprints
 from tests.made_maps import made_maps
 

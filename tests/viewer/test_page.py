@@ -9,8 +9,8 @@ import time
 import numpy as np
 import pytest
 
-from jaxurban.maps.metric_maps import open_maps
 from jaxurban.maps.run import run_scenario
+from jaxurban.maps.saving import open_maps
 from jaxurban.maps.scenario import Scenario
 from jaxurban.paths.export.write import FORMATS
 from jaxurban.report.figures.metrics import metric_colours
