@@ -19,7 +19,6 @@ from jaxurban.io.city import City, joined_credits
 from jaxurban.io.read.guesses import Guesses
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.engine import Engine, uses_numba
-from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS
 from jaxurban.maps.guesses import has_guessed_roofs, region_guesses
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Variable
 from jaxurban.metrics.custom import Layer, metrics_of
@@ -50,7 +49,7 @@ class MapParams:
       engine: which form of the kernels runs; it changes no bit of the maps on a CPU.
 
     Raises:
-      InputError: altitudes or an oversample that are none, an unknown engine, sections of no metric, or bounds or
+      InputError: invalid altitudes, an invalid oversample, an unknown engine, sections of no metric, or bounds or
         spreads of a series that keeps no single time's maps, or bounds with an even oversample.
     """
 
@@ -61,22 +60,18 @@ class MapParams:
     engine: Engine = "auto"
 
     def __post_init__(self) -> None:
-        values = tuple(float(value) for value in self.altitudes_m)
-        if (
-            not values
-            or not all(0 < value < np.inf for value in values)
-            or len(set(values)) != len(values)
-        ):
+        altitudes_m = tuple(map(float, self.altitudes_m))
+        are_different = len(set(altitudes_m)) == len(altitudes_m) > 0
+        if not are_different or not all(0 < value < np.inf for value in altitudes_m):
             raise InputError(
-                f"altitudes_m must be different positive numbers of metres above ground, got {[*values]}"
+                f"altitudes_m must be different positive numbers of metres above ground, got {[*altitudes_m]}"
             )
-        object.__setattr__(self, "altitudes_m", values)
+        object.__setattr__(self, "altitudes_m", altitudes_m)
         at_least("oversample", self.oversample, 1)
         object.__setattr__(self, "sections", checked_sections(self.sections))
         gps = self.gps
-        if (gps.bounds or self.heights.height_samples) and not gps.keeps_times(
-            len(gps.utc_times or (None,))
-        ):
+        keeps_times = gps.keeps_times(len(gps.utc_times or (None,)))
+        if (gps.bounds or self.heights.height_samples) and not keeps_times:
             raise InputError(
                 "[gps] bounds and [buildings] height_samples need the maps of every time: give fewer times, or set "
                 "[gps] series = 'epochs'"
@@ -129,13 +124,12 @@ class MapTask:
                 "bounds of m_gps hold for one clock: with several, a first satellite of the first system may raise "
                 "GDOP. Set [gps] clocks = 'one', or give the orbits of one system"
             )
-        spreads = {
-            each for name in self.spread_metrics for each in derived(self.metrics[name])["spread"]
-        }
-        if taken := spreads & {*self.layers}:
-            raise InputError(
-                f"a layer cannot be called {min(taken)!r}, a map of the spread: give it another name"
-            )
+        for name in self.spread_metrics:
+            taken = self.layers.keys() & derived(self.metrics[name])["spread"].keys()
+            if taken:
+                raise InputError(
+                    f"a layer cannot be called {min(taken)!r}, a map of the spread: give it another name"
+                )
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:
@@ -146,11 +140,12 @@ class MapTask:
 
     def settings_of(self, metric: Metric) -> Any:
         """Return the settings of a metric."""
-        return (
-            self.layers[metric.name]
-            if metric.name in self.layers
-            else self.params.sections[metric.section]
-        )
+        own_layer = self.layers.get(metric.name)
+        return self.params.sections[metric.section] if own_layer is None else own_layer
+
+    def has_bounds(self, metric: Metric) -> bool:
+        """Return whether maps hold bounds of a metric."""
+        return metric.is_bracketed and self.params.gps.bounds
 
     @property
     def spread_metrics(self) -> tuple[str, ...]:
@@ -196,15 +191,16 @@ class MapTask:
     @property
     def by_numba(self) -> list[str]:
         """What Numba makes of the maps: where its form is the quicker one, or there is no other."""
-        lidar = self.params.sections["lidar"]
-        are_made = {
-            "lidar over terrain": self.has_terrain
-            and "lidar" in self.metrics
-            and lidar.beams <= MOST_BEAMS
-            and uses_numba(self.params.engine),
-            "shadows of slabs": self.city.hanging == SLABS,
-        }
-        return [name for name, is_made in are_made.items() if is_made]
+        names = []
+        if self.has_terrain and uses_numba(self.params.engine):
+            names += [
+                f"{metric.name} over terrain"
+                for metric in self.metrics.values()
+                if metric.is_numba_over_terrain(self.params.sections.get(metric.section))
+            ]
+        if self.city.hanging == SLABS:
+            names.append("shadows of slabs")
+        return names
 
     @cached_property
     def population(self) -> BlockLayers | None:
@@ -221,7 +217,7 @@ class MapTask:
 
     @cached_property
     def has_guessed_roofs(self) -> bool:
-        """Whether maps tell roofs of guessed height apart: the region has any."""
+        """Whether maps mark roofs of guessed height: the region has any."""
         return has_guessed_roofs(self.city, self.region)
 
     def in_view(self, time_index: int) -> InView:
@@ -264,29 +260,31 @@ class MapTask:
 
 PLANE = ("y", "x")
 CONVENTIONS = "CF-1.11"
+NORTHING, EASTING = "projection_y_coordinate", "projection_x_coordinate"
 
 
 def variables(task: MapTask) -> dict[str, Variable]:
     """Return every variable that the maps of a task hold, by name."""
-    found = {"obstacle": AUXILIARY_VARIABLES["obstacle"]}
+    made = {"obstacle": AUXILIARY_VARIABLES["obstacle"]}
     for name, metric in task.metrics.items():
         if TIME in metric.dims and not task.keeps_times:
-            found |= derived(metric)["series"]
+            made |= derived(metric)["series"]
             continue
-        found |= metric.variables
-        if name == "gps" and task.params.gps.bounds:
-            found |= derived(metric)["bounds"]
+        made |= metric.variables
+        if task.has_bounds(metric):
+            made |= derived(metric)["bounds"]
         if name in task.spread_metrics:
-            found |= derived(metric)["spread"]
+            made |= derived(metric)["spread"]
     are_made = {
         "obstacle_share": task.params.heights.height_samples,
         "roof_guessed": task.has_guessed_roofs,
         UNDERSIDE: task.city.hanging == SLABS and task.city.buildings is not None,
         "terrain": task.has_terrain,
     }
-    return found | {
-        name: variable for name, variable in AUXILIARY_VARIABLES.items() if are_made.get(name, True)
-    }
+    for name, variable in AUXILIARY_VARIABLES.items():
+        if are_made.get(name, True):
+            made[name] = variable
+    return made
 
 
 def empty_dataset(
@@ -299,36 +297,16 @@ def empty_dataset(
       make: gives the array of a shape and a type.
     """
     region, params = task.region, task.params
-    attribution = joined_credits(
-        task.city.attribution, *(layer.credit for layer in task.layers.values())
-    )
-    times = np.array([time.removesuffix("Z") for time in task.sky.times], "datetime64[ns]")
+    credits = [layer.credit for layer in task.layers.values()]
+    attribution = joined_credits(task.city.attribution, *credits)
+    utc_times = [time.removesuffix("Z") for time in task.sky.times]
+    times = np.array(utc_times, "datetime64[ns]")
+    altitudes_m = np.asarray(params.altitudes_m, float)
     heights = {"units": "m", "positive": "up", "reference": "ground below (AGL)"}
     coords = {
-        "y": _axis(
-            "y",
-            region.y_m,
-            "Y",
-            "projection_y_coordinate",
-            "northing of the cell's centre",
-            units="m",
-        ),
-        "x": _axis(
-            "x",
-            region.x_m,
-            "X",
-            "projection_x_coordinate",
-            "easting of the cell's centre",
-            units="m",
-        ),
-        "altitude": _axis(
-            "altitude",
-            np.asarray(params.altitudes_m, float),
-            "Z",
-            "height",
-            "above ground",
-            **heights,
-        ),
+        "y": _axis("y", region.y_m, "Y", NORTHING, "northing of the cell's centre", units="m"),
+        "x": _axis("x", region.x_m, "X", EASTING, "easting of the cell's centre", units="m"),
+        "altitude": _axis("altitude", altitudes_m, "Z", "height", "above ground", **heights),
         "time": _axis("time", times, "T", "time", "UTC"),
         "spatial_ref": _held((), np.asarray(0), pyproj.CRS(region.crs).to_cf()),
     }
@@ -342,10 +320,9 @@ def empty_dataset(
         "constellations": ", ".join(sorted(set(task.sky.systems))),
     }
     for metric in task.metrics.values():
-        attrs |= {
-            name: getattr(task.settings_of(metric), setting)
-            for name, setting in metric.recorded.items()
-        }
+        settings = task.settings_of(metric)
+        for name, setting in metric.recorded.items():
+            attrs[name] = getattr(settings, setting)
     if len(set(task.sky.systems)) > 1:
         attrs["gps_clocks"] = params.gps.clocks
     if attribution:
@@ -358,25 +335,25 @@ def empty_dataset(
     if not task.keeps_times:
         attrs["gps_availability_threshold"] = params.gps.availability_threshold
     sizes = {name: coord.size for name, coord in coords.items()}
-    held = variables(task)
+    by_name = variables(task)
     data = {}
-    for name, variable in held.items():
+    for name, variable in by_name.items():
         dims = (*variable.dims, *PLANE)
-        data[name] = _held(dims, make(tuple(sizes[dim] for dim in dims), np.dtype(variable.dtype)))
+        shape = tuple(sizes[dim] for dim in dims)
+        data[name] = _held(dims, make(shape, np.dtype(variable.dtype)))
     ds = xr.Dataset(data, _indexed(coords), attrs)
-    for name, variable in held.items():
+    for name, variable in by_name.items():
         ds[name].attrs |= _attributes(variable, ds[name])
-    if "pop_norm_per_block" in ds.attrs:
-        ds["population"].attrs["one_means"] = (
-            "as many people in the block as the norm (pop_norm_per_block)"
-        )
+    for name, metric in task.metrics.items():
+        if name in ds:
+            ds[name].attrs |= metric.attributes(task.settings_of(metric))
     for name, layer in task.layers.items():
         ds[name].attrs["layer"] = json.dumps(layer.record)
     return ds
 
 
 def with_series(ds: xr.Dataset, task: MapTask, totals: Mapping[str, TimeTotals]) -> xr.Dataset:
-    """Return a dataset of statistics over time with what only the whole region tells: mean and worst time.
+    """Return a dataset of statistics over time with what only the whole region shows: mean and worst time.
 
     Args:
       ds: the maps.
@@ -384,8 +361,13 @@ def with_series(ds: xr.Dataset, task: MapTask, totals: Mapping[str, TimeTotals])
       totals: the region's, by metric.
     """
     for name, sums in totals.items():
-        mean, worst = (("time", "altitude"), sums.mean), ("altitude", ds["time"].values[sums.worst])
-        ds = ds.assign({f"{name}_epoch_mean": mean, f"{name}_worst_time": worst})
+        worst_times = ds["time"].values[sums.worst]
+        ds = ds.assign(
+            {
+                f"{name}_epoch_mean": (("time", "altitude"), sums.mean),
+                f"{name}_worst_time": ("altitude", worst_times),
+            }
+        )
         for each, variable in derived(task.metrics[name])["region"].items():
             ds[each].attrs |= _attributes(variable, ds[each])
     return ds
@@ -412,17 +394,14 @@ def _indexed(coords: Mapping[str, xr.Variable]) -> xr.Coordinates:
 def _axis(
     name: str, values: np.ndarray, axis: str, standard_name: str, long_name: str, **more: str
 ) -> xr.Variable:
-    return _held(
-        (name,),
-        values,
-        {"standard_name": standard_name, "long_name": long_name, "axis": axis, **more},
-    )
+    attrs = {"standard_name": standard_name, "long_name": long_name, "axis": axis, **more}
+    return _held((name,), values, attrs)
 
 
 def _attributes(variable: Variable, array: xr.DataArray) -> dict[str, str]:
     """Return what files say of a variable."""
     is_time = array.dtype.kind == "M"  # which has units of its own
-    found = {
+    texts = {
         "long_name": variable.long_name,
         CAVEAT: variable.caveat,
         "standard_name": variable.standard_name,
@@ -430,4 +409,4 @@ def _attributes(variable: Variable, array: xr.DataArray) -> dict[str, str]:
         "one_means": variable.one_means,
         "grid_mapping": "spatial_ref" if {*PLANE} <= {*array.dims} else "",
     }
-    return {key: value for key, value in found.items() if value}
+    return {key: value for key, value in texts.items() if value}

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxurban.kernels.engine import Engine
 from jaxurban.metrics.reception import ReceptionCurve
+from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
 if TYPE_CHECKING:
@@ -37,6 +38,16 @@ COSTS = {"high-is-bad": high_is_bad, "low-is-bad": low_is_bad}
 def no_reach_m(params: Any) -> float:
     """Return 0: a metric that looks at nothing beside its own cell."""
     return 0.0
+
+
+def no_gpu_bytes(params: Any, tile: Grid, has_terrain: bool) -> float:
+    """Return 0: a metric whose form for a GPU keeps nothing beside its cells."""
+    return 0.0
+
+
+def no_attributes(params: Any) -> dict[str, str]:
+    """Return nothing: a metric of which files say the same whatever its settings are."""
+    return {}
 
 
 class Scale(NamedTuple):
@@ -195,8 +206,14 @@ class SoftScene(NamedTuple):
 
 def on_scene(soft: Callable[..., jax.Array], scene: SoftScene, params: Any) -> jax.Array:
     """Return a soft metric of a scene, by a function that takes the scene's parts one by one."""
-    there = scene.surface, scene.altitude_m, params, scene.softness_m
-    return soft(*there, cells=scene.cells, reach_m=scene.reach_m)
+    return soft(
+        scene.surface,
+        scene.altitude_m,
+        params,
+        scene.softness_m,
+        cells=scene.cells,
+        reach_m=scene.reach_m,
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -226,7 +243,12 @@ class Metric:
       available: which of these, 0 or 1, says that a position is available, for its share of the times of a series;
         "" where that is m above a threshold.
       recorded: setting of each attribute that its maps have, by the attribute's name.
+      attributes: returns what files say of its map under its settings, over what they say of its `Variable`.
       caveat: what every output of it says to whoever reads it.
+      is_bracketed: whether one more satellite never makes it less, so that ``[gps] bounds`` can bracket it.
+      is_numba_over_terrain: returns, of its settings, whether Numba makes it over terrain where the engine is
+        ``"auto"``.
+      gpu_bytes: returns what its form for a GPU takes beside, of its settings, a tile and whether there is terrain.
       cell_bytes: what computing it holds at its highest, of each cell of a tile and of those within its reach; with a
         time, ``jaxurban.maps.memory`` adds what each altitude and each time of a series take.
       section: of the scenario, which holds its settings; left out, its name.
@@ -251,7 +273,11 @@ class Metric:
     also: tuple[Variable, ...] = ()
     available: str = ""
     recorded: Mapping[str, str] = field(default_factory=dict)
+    attributes: Callable[[Any], dict[str, str]] = no_attributes
     caveat: str = ""
+    is_bracketed: bool = False
+    is_numba_over_terrain: Callable[[Any], bool] = lambda settings: False
+    gpu_bytes: Callable[[Any, Grid, bool], float] = no_gpu_bytes
     cell_bytes: int = 16
     section: str = ""
     sources: tuple[str, ...] = ()

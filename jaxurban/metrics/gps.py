@@ -352,6 +352,7 @@ METRIC = Metric(
     also=ALSO,
     cell_bytes=72,  # DOPs, m and the number of the choice, and what makes them
     sources=("orbits", "times", "start", "stop", "step_s", "max_age_days", "reference"),
+    is_bracketed=True,
 )
 
 

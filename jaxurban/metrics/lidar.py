@@ -21,6 +21,7 @@ from jaxurban.kernels.lidar import soft as soft_kernel
 from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS, count_on_terrain_on_host
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, low_is_bad, on_scene
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
+from jaxurban.world.grid import Grid
 from jaxurban.world.surface import (
     Cut,
     Surface,
@@ -31,6 +32,9 @@ from jaxurban.world.surface import (
     soft_obstacle,
 )
 
+# On a GPU, as compiled for one (benchmarks/cuda_compile.json).
+TERRAIN_GPU_BYTES = 400  # of a tile's own cell: the rays over terrain
+GPU_WORD_BYTES = 4.4  # over flat ground: 32 results of a step, and a tenth
 MAX_COUNT = 100_000  # beams, and scan positions: of a mistyped number no table of them is made
 STEPS_MULTIPLE = 8  # of a ray: ranges that differ by less share programs
 
@@ -397,6 +401,20 @@ def _traced(scene: Scene, params: Lidar) -> dict[str, Array]:
     return {"lidar": jnp.asarray(m)}
 
 
+def _gpu_bytes(params: Lidar, tile: Grid, has_terrain: bool) -> float:
+    """Return what the lidar takes on a GPU beside a tile's cells.
+
+    Over flat ground it keeps a bit per step for every cell in its range. As words are bands of rows, each with a halo
+    of its own, these bits are up to 32 times the cells around.
+    """
+    if has_terrain:
+        return TERRAIN_GPU_BYTES * tile.num_rows * tile.num_cols
+    steps = kernel.num_steps(tile.resolution_m, params.range_m)
+    halo = 2 * (steps - 1)
+    num_bands = -(-tile.num_rows // kernel.WORD_BITS)
+    return GPU_WORD_BYTES * steps * (num_bands + halo) * (tile.num_cols + halo)
+
+
 METRIC = Metric(
     name="lidar",
     params=Lidar,
@@ -411,5 +429,7 @@ METRIC = Metric(
     one_means="every scan position returns",
     colour="#e69f00",
     colour_map="plasma",
+    is_numba_over_terrain=lambda lidar: lidar.beams <= MOST_BEAMS,
+    gpu_bytes=_gpu_bytes,
     cell_bytes=40,  # counts and shares; what has returned, and bitmaps; a block of terrain
 )

@@ -512,6 +512,12 @@ def _soft(scene: SoftScene, params: Population) -> Array:
     )
 
 
+def _attributes(params: Population) -> dict[str, str]:
+    if params.quantity == "density":
+        return {}
+    return {"one_means": "as many people in the block as the norm (pop_norm_per_block)"}
+
+
 DENSITY = Variable(
     "density",
     "people per square kilometre",
@@ -533,5 +539,6 @@ METRIC = Metric(
     colour="#cc79a7",
     colour_map="magma_r",
     also=(DENSITY,),
+    attributes=_attributes,
     sources=(*FILES, "block_field", "district_field", "commercial", "credit"),
 )

@@ -10,8 +10,9 @@ import numpy as np
 
 from jaxurban.checks import finite, typed
 from jaxurban.errors import InputError
+from jaxurban.maps.free_memory import free_bytes
 from jaxurban.maps.levels import Levels, values_at
-from jaxurban.maps.memory import free_bytes, told_apart
+from jaxurban.maps.memory import distinct_texts
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
@@ -129,7 +130,7 @@ def map_at(
     """Return the cost map at altitudes that the maps reach; ``rules`` are further attributes of `CostMap`."""
     needed, left = len(altitudes_m) * math.prod(maps.grid.shape) * NODE_BYTES, free_bytes()
     if levels is not None and needed > left:
-        needed_text, left_text = told_apart(needed, left)
+        needed_text, left_text = distinct_texts(needed, left)
         raise InputError(
             f"a volume of {len(altitudes_m)} levels of {' x '.join(map(str, maps.grid.shape))} cells takes up to "
             f"{needed_text} of memory and {left_text} are free: choose a longer level_step_m, closer "

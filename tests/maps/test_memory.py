@@ -24,16 +24,17 @@ from jaxurban.maps import memory
 from jaxurban.maps.memory import (
     check_disk,
     disk_bytes,
+    distinct_texts,
     format_bytes,
     parse_bytes,
     plan_run,
     shape_of_tiles,
     tile_bytes,
-    told_apart,
 )
 from jaxurban.maps.run import RunContext, make_zarr
 from jaxurban.maps.saving import open_maps
 from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.metrics import lidar
 from jaxurban.metrics.gps import Gps
 from jaxurban.progress import Report
 from jaxurban.world.raster import Raster
@@ -62,8 +63,8 @@ def test_sizes_are_read_and_said_as_people_write_them():
         2000 * GIB: "2,000 GiB",
     }
     assert [format_bytes(num_bytes) for num_bytes in sizes] == [*sizes.values()]
-    assert told_apart(1.21 * GIB, 1.2 * GIB) == ["1,239.040 MiB", "1,228.800 MiB"]
-    assert told_apart(2 * GIB, GIB) == ["2.0 GiB", "1.0 GiB"]
+    assert distinct_texts(1.21 * GIB, 1.2 * GIB) == ("1,239.040 MiB", "1,228.800 MiB")
+    assert distinct_texts(2 * GIB, GIB) == ("2.0 GiB", "1.0 GiB")
 
 
 @pytest.fixture
@@ -115,7 +116,7 @@ def test_on_a_gpu_the_forecast_holds_what_its_shapes_of_kernels_take_as_compiled
     shadows = kept["shadows: doubling"]["temporary_mib"] * 2**20 / (cells * satellites)
     terrain = kept["lidar: terrain, tile"]["temporary_mib"] * 2**20 / tile_cells
     assert 0.6 * memory.SHADOW_GPU_BYTES < shadows <= memory.SHADOW_GPU_BYTES
-    assert 0.6 * memory.TERRAIN_GPU_BYTES < terrain <= memory.TERRAIN_GPU_BYTES
+    assert 0.6 * lidar.TERRAIN_GPU_BYTES < terrain <= lidar.TERRAIN_GPU_BYTES
 
 
 def test_tiles_do_not_depend_on_the_machine_and_shrink_for_long_series(small):

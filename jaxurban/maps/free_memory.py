@@ -1,0 +1,84 @@
+"""How much memory this process may still take: of the machine, of its control groups, and of a GPU."""
+
+import re
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+
+import jax
+import psutil
+
+# Under Linux, by the file system of control groups: the file of a group's limit, and what it cannot give back.
+GROUP_FILES = {
+    "cgroup": ("memory.limit_in_bytes", ("total_rss", "total_shmem")),
+    "cgroup2": ("memory.max", ("anon", "shmem")),
+}
+
+
+def free_bytes(root: Path = Path("/")) -> int:
+    """Return how much memory this process may still take: what the machine has, or its control groups if that is less.
+
+    Args:
+      root: of the file system, where ``proc/self`` names the groups.
+    """
+    return min([psutil.virtual_memory().available, *_left_in_groups(root)])
+
+
+def _left_in_groups(root: Path) -> list[int]:
+    """Return what is left under each limit of a control group that holds this process, of version 1 or 2 (cgroups(7)).
+
+    A group's limit holds for all groups in it, so every level counts, up to where the groups are mounted. In a
+    container the group may not exist there by its name: then the levels above it count.
+    """
+    left = []
+    for level, kind in _group_levels(root):
+        limit_file, used_names = GROUP_FILES[kind]
+        # No group, one without a limit ("max"), or of other resources: no limit of this level.
+        with suppress(OSError, ValueError):
+            limit = int((level / limit_file).read_text())
+            lines = (level / "memory.stat").read_text().splitlines()
+            stat = dict(line.split() for line in lines)
+            left.append(limit - sum(int(stat.get(name, 0)) for name in used_names))
+    return left
+
+
+def _group_levels(root: Path) -> Iterator[tuple[Path, str]]:
+    """Yield the folders of this process's control groups and of those above, each with its kind of file system."""
+    try:
+        listed = (root / "proc/self/cgroup").read_text(errors="surrogateescape")
+        mounts = (root / "proc/self/mountinfo").read_text(errors="surrogateescape").splitlines()
+    except OSError:  # another system
+        return
+    names = {}
+    for line in listed.splitlines():
+        if line.count(":") >= 2:
+            _, resources, name = line.split(":", 2)
+            if not resources:
+                names["cgroup2"] = name
+            elif "memory" in resources.split(","):
+                names["cgroup"] = name
+    for line in mounts:
+        before, _, after = line.partition(" - ")
+        kind, fields = after.split(" ")[0], before.split()
+        if kind not in names or len(fields) < 5:
+            continue
+        top, place = map(_unescaped, fields[3:5])
+        group, mounted = PurePosixPath(names[kind]), root / place.lstrip("/")
+        within = PurePosixPath()
+        if group.is_relative_to(top) and ".." not in group.parts:
+            within = group.relative_to(top)
+        for level in (within, *within.parents):
+            yield mounted / level, kind
+
+
+def _unescaped(field: str) -> str:
+    """Return a field of ``mountinfo`` without its octal escapes."""
+    return re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), field)
+
+
+def gpu_free_bytes() -> int | None:
+    """Return how much memory JAX may still take on its GPU; None where it computes on a CPU or does not say."""
+    stats = jax.local_devices()[0].memory_stats() or {}
+    if "bytes_limit" not in stats:
+        return None
+    return int(stats["bytes_limit"] - stats.get("bytes_in_use", 0))
