@@ -18,8 +18,9 @@ from jaxurban.io.store import write_layer
 from jaxurban.kernels.engine import on_device_of
 from jaxurban.kernels.shadows.blocks import hand_on
 from jaxurban.kernels.shadows.sweep import Ring
-from jaxurban.maps.recipe import TileScene, tile_maps
+from jaxurban.maps.recipe import tile_maps
 from jaxurban.maps.task import MapTask
+from jaxurban.maps.tile_scene import TileScene
 from jaxurban.metrics.visibility import ringed_lines
 from jaxurban.progress import Stopwatch
 from jaxurban.settings import SLABS

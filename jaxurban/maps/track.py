@@ -16,8 +16,8 @@ import pandas as pd
 from jaxurban.errors import InputError
 from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
 from jaxurban.kernels.shadows.sweep import WORD_BITS
-from jaxurban.maps.recipe import TileScene
 from jaxurban.maps.task import MapTask
+from jaxurban.maps.tile_scene import TileScene
 from jaxurban.metrics.gps import DOPS, maps_of_choices, satellites_of
 from jaxurban.progress import Report
 from jaxurban.world.grid import Grid

@@ -8,9 +8,10 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.maps.build import compute_maps, view_sky
-from jaxurban.maps.recipe import HeightStd, Spread, perturbed_cities
 from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.uncertain_heights import Spread, perturbed_cities
 from jaxurban.metrics.lidar import Lidar
+from jaxurban.settings import HeightStd
 from jaxurban.world.footprints import HeightOrigin
 from jaxurban.world.grid import Grid
 from jaxurban.world.raster import Raster

@@ -10,7 +10,6 @@ import pytest
 import xarray as xr
 
 from jaxurban.errors import InputError
-from jaxurban.maps.recipe import HeightStd
 from jaxurban.metrics.base import Scene, SoftScene
 from jaxurban.metrics.custom import Layer, check_layers, held_metrics, own_metric
 from jaxurban.metrics.gps import Dop, Gps, soft_gps
@@ -20,7 +19,7 @@ from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.metrics.risk import Risk, soft_risk
 from jaxurban.metrics.weights import Weights
-from jaxurban.settings import Heights
+from jaxurban.settings import Heights, HeightStd
 from jaxurban.world.surface import obstacle_mask
 from tests.metrics.soft.scene import (
     ALTITUDE_M,

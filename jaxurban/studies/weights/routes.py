@@ -18,8 +18,8 @@ from jaxurban.checks import at_least, positive, typed
 from jaxurban.errors import InputError
 from jaxurban.io.tables import Row
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.recipe import perturbed_cities
 from jaxurban.maps.task import MapTask
+from jaxurban.maps.uncertain_heights import perturbed_cities
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import RouteJob, Run
 from jaxurban.planners.astar import astar

@@ -1,0 +1,132 @@
+"""TileScene: a tile of a task, and what its metrics may use of it, place by place."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from jaxurban.io.city import City
+from jaxurban.io.read.rasterise import build_surface, layer_values
+from jaxurban.kernels.shadows.sweep import Ring
+from jaxurban.maps.task import MapTask
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene
+from jaxurban.metrics.custom import LAYERS
+from jaxurban.metrics.population import BlockLayers
+from jaxurban.metrics.variables import TimeTotals
+from jaxurban.metrics.visibility import visibility
+from jaxurban.world.surface import Surface, obstacles_on
+
+
+@dataclass(frozen=True, eq=False)
+class TileScene:
+    """A tile of a task, ready for its maps; the whole region is one too.
+
+    Attributes:
+      task: what the maps are made of.
+      surface: roofs, terrain and blocks of the tile (``surface.region``) and of what its metrics look at around it.
+      rings: what the tiles around hand on, by time and satellite; None where the surface holds all that shadows.
+      totals: the tile's sums over free cells by metric, where statistics over time are kept; `tile_maps` fills it.
+    """
+
+    task: MapTask
+    surface: Surface
+    rings: Mapping[tuple[int, int], Ring] | None = None
+    totals: dict[str, TimeTotals] = field(default_factory=dict, init=False)
+    _words: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
+    _surfaces: dict[float, tuple[Surface, Surface | None]] = field(
+        default_factory=dict, init=False, repr=False
+    )
+
+    @cached_property
+    def is_obstacle(self) -> np.ndarray:
+        """``[A, y, x]`` bool: a roof reaches the altitude, or it lies in a slab."""
+        return obstacles_on(self.surface, self.task.params.altitudes_m)
+
+    @cached_property
+    def has_data(self) -> np.ndarray | None:
+        """``[y, x]`` bool: something is known of the cell; None where it is of all."""
+        has_data = self.surface.has_data
+        return None if has_data is None else np.asarray(self.surface.crop(has_data))
+
+    @cached_property
+    def supersampled(self) -> Surface | None:
+        """The surface ``oversample`` times finer that rays see; None where that is the tile's own."""
+        params = self.task.params
+        if params.oversample == 1:
+            return None
+        return self.finer(self.task.city, params.heights.all_touched)
+
+    def finer(self, city: City, all_touched: bool) -> Surface:
+        """Return a city on the tile and all that shadows it, rasterised ``oversample`` times finer."""
+        n = self.task.params.oversample
+        region = self.surface.region
+        grid = self.task.with_margin(region)
+        fine = build_surface(
+            replace(city, blocks=None), region.refined(n), grid.refined(n), all_touched
+        )
+        return replace(fine, roof_touched_m=None)
+
+    def surfaces_at(self, altitude_m: float) -> tuple[Surface, Surface | None]:
+        """Return the surface as an altitude sees it, and the finer one, if any; keeps the last."""
+        if altitude_m not in self._surfaces:
+            fine = self.supersampled and self.supersampled.at_altitude(altitude_m)
+            self._surfaces.clear()
+            self._surfaces[altitude_m] = self.surface.at_altitude(altitude_m), fine
+        return self._surfaces[altitude_m]
+
+    def words(self, time_index: int) -> np.ndarray:
+        """Return the visibility words ``[W, A, y, x]`` of a time; keeps the last."""
+        if time_index not in self._words:
+            in_view, params = self.task.in_view(time_index), self.task.params
+            rings = None
+            if self.rings is not None and self.supersampled is None:
+                rings = [self.rings[time_index, int(s)] for s in in_view.numbers]
+            words = visibility(
+                self.supersampled or self.surface,
+                *in_view.angles,
+                params.altitudes_m,
+                rings,
+                params.oversample,
+            )
+            self.keep(time_index, words)
+        return self._words[time_index]
+
+    def keep(self, time_index: int, words: np.ndarray) -> None:
+        """Let `words` return these for a time, and forget all others."""
+        self.forget()
+        self._words[time_index] = words
+
+    def forget(self) -> None:
+        """Free the memory of the words that are kept."""
+        self._words.clear()
+
+    def at(self, metric: Metric, place: tuple[int, ...], only_m: bool = False) -> Scene:
+        """Return what a metric may use at one place along its dims; ``only_m``: for m and nothing else."""
+        index = dict(zip(metric.dims, place, strict=True))
+        task, params = self.task, self.task.params
+        scene = Scene(
+            self.surface, oversample=params.oversample, only_m=only_m, engine=params.engine
+        )
+        if TIME_OF_DAY in index:
+            assert task.population is not None
+            at_time = (values[index[TIME_OF_DAY]] for values in task.population)
+            scene = replace(scene, population=BlockLayers(*at_time))
+        a = index.get(ALTITUDE)
+        if a is not None:
+            surface, fine = self.surfaces_at(params.altitudes_m[a])
+            scene = replace(
+                scene,
+                surface=surface,
+                altitude_m=params.altitudes_m[a],
+                is_obstacle=self.is_obstacle[a],
+                supersampled=fine,
+            )
+        if TIME in index:
+            t = index[TIME]
+            scene = replace(scene, in_view=task.in_view(t), words=self.words(t)[:, a])
+        if metric.section == LAYERS and metric.name in task.bands:
+            bands = task.bands[metric.name]
+            values = layer_values(bands, self.surface.region, task.region, a)
+            scene = replace(scene, rasters={metric.name: values})
+        return scene
