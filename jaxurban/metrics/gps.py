@@ -31,14 +31,19 @@ from jaxurban.metrics.base import (
     low_is_bad,
 )
 from jaxurban.metrics.gps_soft import gps_metric, soft_gps
-from jaxurban.metrics.settings import check_value, differentiable
+from jaxurban.metrics.settings import check_fields, differentiable
 from jaxurban.metrics.visibility import distinct_choices
 from jaxurban.settings import NOMINAL, as_tuple, iso_utc, parse_time
 from jaxurban.world.sky import InView
 
 MOST_TIMES = 100_000  # a year in steps of five minutes
 MAX_STORED_TIMES = 24  # a longer series keeps statistics over time instead of every time's maps
-SERIES = ("auto", "epochs", "statistics")
+DOP_THRESHOLD = "a number above 1 (such as 20)"
+
+
+def is_dop_threshold(values: Any) -> Any:
+    """Return whether numbers are above the DOP at which m is 1."""
+    return values > 1
 
 
 @differentiable("gdop_threshold")
@@ -90,13 +95,11 @@ class Gps:
     reference: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        what = "a number above 1 (such as 20)"
-        check_value("gdop_threshold", self.gdop_threshold, what, lambda threshold: threshold > 1)
-        what = "a value of m from 0 to below 1"
-        check_value(
-            "availability_threshold",
-            self.availability_threshold,
-            what,
+        check_fields(self, ["gdop_threshold"], DOP_THRESHOLD, is_dop_threshold)
+        check_fields(
+            self,
+            ["availability_threshold"],
+            "a value of m from 0 to below 1",
             lambda m: (m >= 0) & (m < 1),
         )
         if not 0 <= self.mask_deg < 90:
@@ -378,8 +381,7 @@ class Dop:
     dop_threshold: float = 20.0
 
     def __post_init__(self) -> None:
-        what = "a number above 1 (such as 20)"
-        check_value("dop_threshold", self.dop_threshold, what, lambda threshold: threshold > 1)
+        check_fields(self, ["dop_threshold"], DOP_THRESHOLD, is_dop_threshold)
 
 
 def _map_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, AnyArray]:

@@ -20,7 +20,13 @@ from jaxurban.kernels.lidar import hard as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel
 from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS, count_on_terrain_on_host
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, low_is_bad, on_scene
-from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
+from jaxurban.metrics.settings import (
+    check_fields,
+    check_softness,
+    differentiable,
+    is_positive,
+    reach_of,
+)
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import (
     Cut,
@@ -84,17 +90,15 @@ class Lidar:
                 "field_of_view_deg must be the lowest and the highest beam's elevation, ascending and "
                 f"within -90 and 90 degrees, such as (-15.0, 15.0), got {self.field_of_view_deg}"
             )
-        check_value(
-            "range_m", self.range_m, "a positive number of metres", lambda range_m: range_m > 0
-        )
+        check_fields(self, ["range_m"], "a positive number of metres", is_positive)
 
     @property
     def elevations_rad(self) -> np.ndarray:
         """Elevation of each beam above the horizon, ascending, ``[B]``."""
         low, high = np.deg2rad(self.field_of_view_deg)
-        return (
-            np.linspace(low, high, self.beams) if self.beams > 1 else np.array([(low + high) / 2])
-        )
+        if self.beams == 1:
+            return np.array([(low + high) / 2])
+        return np.linspace(low, high, self.beams)
 
 
 def halo_cells(params: Lidar, resolution_m: float, oversample: int = 1) -> int:
@@ -127,7 +131,7 @@ def compute_lidar(
     0 inside obstacles. What stands more than the range beyond the region changes nothing; beyond the
     surface nothing stands. Paper: section Lidar Visibility, scan(j) and m_lidar = s / k.
     Departures: the ground ends beams, and rays follow the stepping rule of `jaxurban.kernels.lidar.hard`. Slabs with
-    their floor at or below the altitude reach the ground, and higher ones are not met: a lidar is trusted with no
+    their floor at or below the altitude reach the ground, and rays do not stop at higher ones: a lidar is trusted with no
     ceiling, and beams that pass under a floor below it are counted as returns. The gradient is zero.
 
     Args:
@@ -138,13 +142,11 @@ def compute_lidar(
         Over flat ground it is JAX's.
     """
     if surface.slabs is not None:
-        met = [
-            (replace(surface.at_altitude(float(z_m)), slabs=None), [z_m])
-            for z_m in np.asarray(altitudes_m)
-        ]
-        return np.concatenate(
-            [compute_lidar(at, altitude_m, params, engine) for at, altitude_m in met]
-        )
+        maps = []
+        for z_m in np.asarray(altitudes_m):
+            at_altitude = replace(surface.at_altitude(float(z_m)), slabs=None)
+            maps.append(compute_lidar(at_altitude, [z_m], params, engine))
+        return np.concatenate(maps)
     heights_m = beam_heights(altitudes_m, params, surface)
     return lidar_of_beams(
         surface, in_type(altitudes_m, surface.roof_m.dtype), heights_m, params, engine
@@ -190,9 +192,8 @@ def lidar_of_beams(
 
 def _runs_numba(engine: Engine, surface: Surface, *values: Any) -> bool:
     """Return whether Numba's form runs, which is for terrain and for not too many beams."""
-    heights_m, rasters = values[-1], (surface.roof_m, surface.terrain_m)
-    fits = surface.terrain_m is not None and heights_m.shape[-1] <= MOST_BEAMS
-    return fits and runs_numba(engine, rasters, values)
+    fits = surface.terrain_m is not None and values[-1].shape[-1] <= MOST_BEAMS
+    return fits and runs_numba(engine, (surface.roof_m, surface.terrain_m), values)
 
 
 def _by_numba(
@@ -205,15 +206,16 @@ def _by_numba(
     """Return m_lidar over terrain, from every ``oversample``-th cell of the region both ways."""
     steps, n = kernel.num_steps(surface.grid.resolution_m, params.range_m), oversample
     halo = kernel.halo_cells(steps, n)
-    roof_m, terrain_m = (
-        kernel.phases(surface.part(np.asarray(values), halo * n), n)
-        for values in (surface.roof_m, surface.terrain_m)
-    )
+
+    def phases(values: AnyArray | None) -> Any:
+        return kernel.phases(surface.part(np.asarray(values), halo * n), n)
+
+    roof_m, terrain_m = phases(surface.roof_m), phases(surface.terrain_m)
     starts, beams_m = _starts(params.azimuths, steps, n, halo), np.asarray(heights_m)[:, :steps]
     counts = count_on_terrain_on_host(roof_m, terrain_m, beams_m, starts, halo, _receiver_phase(n))
-    one = roof_m.dtype.type(1)
-    share = counts * (one / one.dtype.type(params.azimuths))  # XLA makes a product of a division
-    return np.where(is_obstacle, one.dtype.type(0), share)
+    number = roof_m.dtype.type
+    share = counts * (number(1) / number(params.azimuths))  # XLA makes a product of a division
+    return np.where(is_obstacle, number(0), share)
 
 
 def _by_jax(
@@ -356,13 +358,13 @@ def soft_lidar(
     dtype, resolution_m = surface.roof_m.dtype, surface.grid.resolution_m
     steps = kernel.num_steps(resolution_m, reach_of(params.range_m, reach_m, "lidar range_m"))
     offsets = jnp.asarray(kernel.ray_offsets(params.azimuths, steps))
-    altitude, range_m, softness = (
-        jnp.asarray(value, dtype) for value in (altitude_m, params.range_m, softness_m)
-    )
+    altitude = jnp.asarray(altitude_m, dtype)
+    range_m = jnp.asarray(params.range_m, dtype)
+    softness = jnp.asarray(softness_m, dtype)
     roof_m = surface.crop_with_halo(surface.roof_m, steps - 1)
-    terrain_m = (
-        None if surface.terrain_m is None else surface.crop_with_halo(surface.terrain_m, steps - 1)
-    )
+    terrain_m = None
+    if surface.terrain_m is not None:
+        terrain_m = surface.crop_with_halo(surface.terrain_m, steps - 1)
     own_roof_m = surface.crop(surface.roof_m)
     if cells is not None:
         own_roof_m = own_roof_m[cells[:, 0], cells[:, 1]]

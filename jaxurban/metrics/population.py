@@ -24,7 +24,7 @@ from jaxurban.metrics.base import (
     Variable,
     high_is_bad,
 )
-from jaxurban.metrics.settings import check_value, differentiable, is_known
+from jaxurban.metrics.settings import check_fields, differentiable, is_known, is_not_negative
 from jaxurban.settings import as_tuple
 from jaxurban.world.blocks import Blocks, Zoning
 from jaxurban.world.grid import Bounds
@@ -116,10 +116,8 @@ class Population:
     time_of_day: str | Sequence[str] = ("day", "night")
 
     def __post_init__(self) -> None:
-        for name in ("gamma_commercial", "gamma_residential"):
-            check_value(
-                name, getattr(self, name), "finite and not negative", lambda gamma: gamma >= 0
-            )
+        gammas = "gamma_commercial", "gamma_residential"
+        check_fields(self, gammas, "finite and not negative", is_not_negative)
         _percentile(self.normalise)
         for name in ("weekday", "weekend"):
             shares = self.profile(name)

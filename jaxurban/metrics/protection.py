@@ -23,7 +23,7 @@ from jaxurban.metrics.base import (
     Variable,
     low_is_bad,
 )
-from jaxurban.metrics.settings import check_value, differentiable
+from jaxurban.metrics.settings import check_fields, differentiable, is_not_negative, is_positive
 from jaxurban.metrics.visibility import distinct_choices
 from jaxurban.world.sky import InView
 
@@ -88,23 +88,20 @@ class Protection:
             "sigma_ure_m",
             "tolerance_m",
         )
-        for name in lengths:
-            check_value(name, getattr(self, name), "positive metres", lambda length_m: length_m > 0)
-        check_value("bias_m", self.bias_m, "0 or more metres", lambda bias_m: bias_m >= 0)
-        for name in ("p_sat", "p_const_gps", "p_const", "p_unmonitored"):
-            check_value(
-                name,
-                getattr(self, name),
-                "a probability from 0 to below 0.1",
-                lambda p: (p >= 0) & (p < 0.1),
-            )
-        for name in ("phmi_horizontal", "phmi_vertical", "pfa_horizontal", "pfa_vertical"):
-            check_value(
-                name,
-                getattr(self, name),
-                "a probability from 1e-15 to 0.1",
-                lambda p: (p >= 1e-15) & (p <= 0.1),
-            )
+        check_fields(self, lengths, "positive metres", is_positive)
+        check_fields(self, ["bias_m"], "0 or more metres", is_not_negative)
+        check_fields(
+            self,
+            ("p_sat", "p_const_gps", "p_const", "p_unmonitored"),
+            "a probability from 0 to below 0.1",
+            lambda p: (p >= 0) & (p < 0.1),
+        )
+        check_fields(
+            self,
+            ("phmi_horizontal", "phmi_vertical", "pfa_horizontal", "pfa_vertical"),
+            "a probability from 1e-15 to 0.1",
+            lambda p: (p >= 1e-15) & (p <= 0.1),
+        )
         if len(self.tolerance_m) != 2:
             raise InputError(
                 f"tolerance_m must be two numbers of metres such as [0.05, 0.0001], got {self.tolerance_m}"
@@ -148,10 +145,8 @@ def galileo_receiver_sigma_m(elevation_rad: Float[np.ndarray, " S"]) -> Float[np
 
 def ranging_of(in_view: InView, params: Protection) -> Ranging:
     """Return what is known of the ranges to satellites; constellations other than Galileo range as GPS does."""
-    elevation_rad, systems = (
-        np.asarray(in_view.elevation_rad, float),
-        np.asarray(in_view.systems, str),
-    )
+    elevation_rad = np.asarray(in_view.elevation_rad, float)
+    systems = np.asarray(in_view.systems, str)
     names, constellation = np.unique(systems, return_inverse=True)
     receiver_m = np.where(
         systems == "galileo",
@@ -160,6 +155,7 @@ def ranging_of(in_view: InView, params: Protection) -> Ranging:
     )
     local_m2 = troposphere_sigma_m(elevation_rad) ** 2 + receiver_m**2
     num = len(systems)
+    p_const = [params.p_const_gps if name == "gps" else params.p_const for name in names]
     return Ranging(
         unit_vectors(in_view.azimuth_rad, elevation_rad),
         constellation.astype(np.int64),
@@ -167,9 +163,7 @@ def ranging_of(in_view: InView, params: Protection) -> Ranging:
         np.sqrt(float(params.sigma_ure_m) ** 2 + local_m2),
         np.full(num, float(params.bias_m)),
         np.full(num, float(params.p_sat)),
-        np.array(
-            [float(params.p_const_gps if name == "gps" else params.p_const) for name in names]
-        ),
+        np.array(p_const, float),
     )
 
 
@@ -209,15 +203,14 @@ def protection_maps(
     """
     choices, number = distinct_choices(words, is_obstacle)
     hpl_m, vpl_m = levels_of_satellites(in_view, params, choices)
-    is_within = (hpl_m <= params.horizontal_alert_limit_m) & (
-        vpl_m <= params.vertical_alert_limit_m
-    )
+    is_within = hpl_m <= params.horizontal_alert_limit_m
+    is_within &= vpl_m <= params.vertical_alert_limit_m
     m = protection_metric(hpl_m, params.horizontal_alert_limit_m)
-    variables, table = (
-        METRIC.variables,
-        {METRIC.name: m, "hpl": hpl_m, "vpl": vpl_m, WITHIN_LIMITS: is_within},
-    )
-    return {name: values.astype(variables[name].dtype)[number] for name, values in table.items()}
+    by_choice = {METRIC.name: m, "hpl": hpl_m, "vpl": vpl_m, WITHIN_LIMITS: is_within}
+    variables = METRIC.variables
+    return {
+        name: values.astype(variables[name].dtype)[number] for name, values in by_choice.items()
+    }
 
 
 WITHIN_LIMITS = "within_limits"

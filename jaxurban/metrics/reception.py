@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxurban.checks import typed
-from jaxurban.metrics.settings import check_value, differentiable
+from jaxurban.metrics.settings import check_fields, differentiable, is_positive
 
 
 @differentiable("intercept", "slope", "scale_m", "cut_m")
@@ -47,15 +48,9 @@ class ReceptionCurve:
     source: str = ""
 
     def __post_init__(self) -> None:
-        check_value("intercept", self.intercept, "a finite number", lambda _: True)
-        check_value("slope", self.slope, "a positive number", lambda slope: slope > 0)
-        for name in ("scale_m", "cut_m"):
-            check_value(
-                name,
-                getattr(self, name),
-                "a positive number of metres",
-                lambda margin_m: margin_m > 0,
-            )
+        check_fields(self, ["intercept"], "a finite number", np.isfinite)
+        check_fields(self, ["slope"], "a positive number", is_positive)
+        check_fields(self, ["scale_m", "cut_m"], "a positive number of metres", is_positive)
 
     @classmethod
     def measured_in_tokyo(cls) -> "ReceptionCurve":
@@ -99,7 +94,6 @@ class ReceptionCurve:
         leaves = (self.intercept, self.slope, self.scale_m, self.cut_m)
         intercept, slope, scale, cut = (jnp.asarray(leaf, margin.dtype) for leaf in leaves)
         margin = jnp.clip(margin, -cut, cut)
-        side = jnp.where(margin < 0, -1, 1).astype(
-            margin.dtype
-        )  # not jnp.sign, which is 0 at the edge, and its slope
+        # Not jnp.sign, which is 0 at the edge, as is its slope.
+        side = jnp.where(margin < 0, -1, 1).astype(margin.dtype)
         return jax.nn.sigmoid(intercept + slope * side * jnp.log(1 + side * margin / scale))

@@ -16,7 +16,13 @@ from jaxurban.checks import typed
 from jaxurban.kernels.blocks import rounded_up
 from jaxurban.kernels.distance import nearest as kernel
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, low_is_bad, on_scene
-from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
+from jaxurban.metrics.settings import (
+    check_fields,
+    check_softness,
+    differentiable,
+    is_positive,
+    reach_of,
+)
 from jaxurban.world.surface import Cut, Surface, in_type, over_blocks
 
 
@@ -44,12 +50,7 @@ class Risk:
     distance: Literal["slice", "solid"] = "slice"
 
     def __post_init__(self) -> None:
-        check_value(
-            "threshold_m",
-            self.threshold_m,
-            "a positive number of metres",
-            lambda reach_m: reach_m > 0,
-        )
+        check_fields(self, ["threshold_m"], "a positive number of metres", is_positive)
 
 
 def halo_cells(params: Risk, resolution_m: float, reach_m: float | None = None) -> int:
@@ -99,9 +100,8 @@ def compute_risk(
       InputError: a traced threshold without ``reach_m``.
     """
     if surface.slabs is not None and len(altitudes_m) > 1:
-        return np.concatenate(
-            [compute_risk(surface, [z_m], params, reach_m) for z_m in np.asarray(altitudes_m)]
-        )
+        maps = [compute_risk(surface, [z_m], params, reach_m) for z_m in np.asarray(altitudes_m)]
+        return np.concatenate(maps)
     if surface.slabs is not None:
         surface = surface.at_altitude(float(np.asarray(altitudes_m)[0]))
     resolution_m, dtype = surface.grid.resolution_m, surface.roof_m.dtype
@@ -125,7 +125,8 @@ def compute_risk(
     )
 
     def of_parts(cut: Cut) -> Array:
-        return _risk(*(None if values is None else cut(values) for values in rasters), *settings)
+        parts = [None if values is None else cut(values) for values in rasters]
+        return _risk(*parts, *settings)
 
     if surface.is_on_host:
         return over_blocks(surface, halo, reach, of_parts, len(settings[0]))
@@ -209,9 +210,9 @@ def soft_risk(
     dtype, resolution_m = surface.roof_m.dtype, surface.grid.resolution_m
     reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
     halo = halo_cells(params, resolution_m, reach_m)
-    altitude, threshold, softness = (
-        jnp.asarray(v, dtype) for v in (altitude_m, params.threshold_m, softness_m)
-    )
+    altitude = jnp.asarray(altitude_m, dtype)
+    threshold = jnp.asarray(params.threshold_m, dtype)
+    softness = jnp.asarray(softness_m, dtype)
     is_solid = params.distance == "solid"
     scales = threshold, threshold if is_solid else softness
     roof_m = surface.crop_with_halo(surface.roof_m, halo)

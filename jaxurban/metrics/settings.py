@@ -25,13 +25,14 @@ def differentiable(*names: str) -> Callable[[Settings], Settings]:
         static = [field.name for field in fields(cls) if field.name not in names]
 
         def flatten(settings: Any) -> tuple[tuple, tuple]:
-            return tuple(getattr(settings, name) for name in names), tuple(
-                getattr(settings, name) for name in static
-            )
+            leaves = tuple(getattr(settings, name) for name in names)
+            fixed = tuple(getattr(settings, name) for name in static)
+            return leaves, fixed
 
         def flatten_with_keys(settings: Any) -> tuple[tuple, tuple]:
             leaves, fixed = flatten(settings)
-            return tuple(zip(map(jax.tree_util.GetAttrKey, names), leaves, strict=True)), fixed
+            keys = map(jax.tree_util.GetAttrKey, names)
+            return tuple(zip(keys, leaves, strict=True)), fixed
 
         def unflatten(fixed: tuple, leaves: Iterable) -> Any:
             settings: Any = object.__new__(cls)
@@ -46,25 +47,41 @@ def differentiable(*names: str) -> Callable[[Settings], Settings]:
 
 
 def is_known(value: Any) -> bool:
-    """Return whether a value can be looked at now, which those that JAX is tracing cannot."""
+    """Return whether a value can be read now, which those that JAX is tracing cannot."""
     return not isinstance(value, jax.core.Tracer)
 
 
-def check_value(name: str, value: Any, what: str, is_good: Callable[[Any], Any]) -> None:
-    """Raise InputError unless a number, or each of an array, is finite and good; those that JAX is tracing are.
+def is_positive(values: Any) -> Any:
+    """Return whether numbers are above 0."""
+    return values > 0
+
+
+def is_not_negative(values: Any) -> Any:
+    """Return whether numbers are 0 or more."""
+    return values >= 0
+
+
+def check_fields(
+    settings: Any, names: Iterable[str], what: str, is_good: Callable[[Any], Any]
+) -> None:
+    """Raise InputError unless fields are finite and good numbers or arrays; those that JAX is tracing are.
 
     Args:
-      name: of the setting.
-      value: of it.
-      what: it must be, for the message.
-      is_good: whether an array of numbers is.
+      settings: that have these fields.
+      names: of the fields.
+      what: each must be, for the message.
+      is_good: whether each of an array of numbers is.
     """
+    for name in names:
+        _check_value(name, getattr(settings, name), what, is_good)
+
+
+def _check_value(name: str, value: Any, what: str, is_good: Callable[[Any], Any]) -> None:
     if not is_known(value):
         return
     values = np.asarray(value)
-    if not np.issubdtype(values.dtype, np.number) or not np.all(
-        np.isfinite(values) & is_good(values)
-    ):
+    are_numbers = np.issubdtype(values.dtype, np.number)
+    if not are_numbers or not np.all(np.isfinite(values) & is_good(values)):
         raise InputError(f"{name} must be {what}, got {value}")
 
 
@@ -97,4 +114,4 @@ def reach_of(value_m: Any, reach_m: float | None, name: str) -> float:
 def check_softness(softness_m: Any) -> None:
     """Raise InputError unless a softness is 0 or more metres."""
     what = "0 (exact) or a positive number of metres such as 2"
-    check_value("softness_m", softness_m, what, lambda softness: softness >= 0)
+    _check_value("softness_m", softness_m, what, is_not_negative)
