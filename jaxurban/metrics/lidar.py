@@ -131,8 +131,8 @@ def compute_lidar(
     0 inside obstacles. What stands more than the range beyond the region changes nothing; beyond the
     surface nothing stands. Paper: section Lidar Visibility, scan(j) and m_lidar = s / k.
     Departures: the ground ends beams, and rays follow the stepping rule of `jaxurban.kernels.lidar.hard`. Slabs with
-    their floor at or below the altitude reach the ground, and rays do not stop at higher ones: a lidar is trusted with no
-    ceiling, and beams that pass under a floor below it are counted as returns. The gradient is zero.
+    their floor at or below the altitude reach the ground, and rays do not stop at higher ones: a lidar is trusted with
+    no ceiling, and beams that pass under a floor below it are counted as returns. The gradient is zero.
 
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.
