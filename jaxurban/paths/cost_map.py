@@ -189,6 +189,9 @@ class CostMap(FactsRepr):
 
         Raises:
           InputError: no cell is free; says what opens cells.
+
+        Examples:
+          >>> ju.cost_map(maps, 60.0).check_any_free()
         """
         if not self.is_free.any():
             raise InputError(f"no cell is free at {listed_m(self.altitudes_m)} m: {self.remedy}")
