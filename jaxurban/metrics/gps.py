@@ -227,9 +227,9 @@ def maps_of_words(
         return GpsMaps(m, dops.gdop, dops.pdop, dops.hdop, dops.vdop, dops.tdop, num_visible)
 
     num = max(math.prod(words.shape[1:]), BLOCK_CELLS)  # less than a block becomes one
+    num_wide = -(-num // -(-num // WIDE_BLOCK_CELLS))  # in equal blocks, of which none is filled up
     small, wide = (
-        partial(by_cells, maps, num_together=min(num, most))
-        for most in (BLOCK_CELLS, WIDE_BLOCK_CELLS)
+        partial(by_cells, maps, num_together=together) for together in (BLOCK_CELLS, num_wide)
     )
     return lax.platform_dependent(words, cpu=small, default=wide)
 
