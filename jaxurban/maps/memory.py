@@ -110,14 +110,16 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
     needed = surface_bytes * _num_cells(around or task.with_halo(tile))
     series_bytes = 0 if task.keeps_times else SERIES_VALUE_BYTES * task.num_times
     for metric in task.metrics.values():
-        reach = math.ceil(metric.reach_m(task.settings_of(metric)) / tile.resolution_m)
+        settings = task.settings_of(metric)
+        reach = math.ceil(metric.reach_m(settings) / tile.resolution_m)
         needed += _num_cells(tile, reach) * metric.cell_bytes
+        is_by_jax = params.engine == "jax" or not metric.is_numba_over_terrain(settings)
+        if task.has_terrain and is_by_jax:
+            needed += int(metric.gpu_bytes(settings, tile, True))
         if TIME in metric.dims:
             needed += cells * num_altitudes * (WORD_BYTES + series_bytes)
     if task.city.blocks is not None and task.city.blocks.day_count is not None:
         needed += cells * PEOPLE_SAMPLES**2 * PEOPLE_SAMPLE_BYTES
-    if params.engine == "jax" and task.has_terrain:
-        needed += int(_metrics_gpu_bytes(task, tile))
     margin_bytes = 0
     if params.heights.height_samples:
         margin_bytes += SPREAD_CELL_BYTES * num_altitudes
@@ -132,14 +134,11 @@ def tile_gpu_bytes(task: MapTask, tile: Grid) -> int:
     """Return about how many bytes of a GPU's memory the work on one tile takes at its highest."""
     num_satellites = int(task.sky.is_in_view.sum(axis=1).max())
     shadows = SHADOW_GPU_BYTES * num_satellites * _num_cells(task.with_halo(tile))
-    return int(tile_bytes(task, tile) + shadows + _metrics_gpu_bytes(task, tile))
-
-
-def _metrics_gpu_bytes(task: MapTask, tile: Grid) -> float:
-    return sum(
+    of_metrics = sum(
         metric.gpu_bytes(task.settings_of(metric), tile, task.has_terrain)
         for metric in task.metrics.values()
     )
+    return int(tile_bytes(task, tile) + shadows + of_metrics)
 
 
 def maps_bytes(task: MapTask) -> int:

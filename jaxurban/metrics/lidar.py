@@ -40,6 +40,7 @@ from jaxurban.world.surface import (
 
 # On a GPU, as compiled for one (benchmarks/cuda_compile.json).
 TERRAIN_GPU_BYTES = 400  # of a tile's own cell: the rays over terrain
+MOST_BEAMS_OF_A_BYTE = 126  # with more, each ray over terrain takes four bytes
 GPU_WORD_BYTES = 4.4  # over flat ground: 32 results of a step, and a tenth
 MAX_COUNT = 100_000  # beams, and scan positions: of a mistyped number no table of them is made
 STEPS_MULTIPLE = 8  # of a ray: ranges that differ by less share programs
@@ -410,7 +411,8 @@ def _gpu_bytes(params: Lidar, tile: Grid, has_terrain: bool) -> float:
     of its own, these bits are up to 32 times the cells around.
     """
     if has_terrain:
-        return TERRAIN_GPU_BYTES * tile.num_rows * tile.num_cols
+        of_cell = TERRAIN_GPU_BYTES * (1 if params.beams <= MOST_BEAMS_OF_A_BYTE else 4)
+        return of_cell * tile.num_rows * tile.num_cols
     steps = kernel.num_steps(tile.resolution_m, params.range_m)
     halo = 2 * (steps - 1)
     num_bands = -(-tile.num_rows // kernel.WORD_BITS)

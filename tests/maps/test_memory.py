@@ -119,6 +119,19 @@ def test_on_a_gpu_the_forecast_holds_what_its_shapes_of_kernels_take_as_compiled
     assert 0.6 * lidar.TERRAIN_GPU_BYTES < terrain <= lidar.TERRAIN_GPU_BYTES
 
 
+def test_beams_that_jax_counts_over_terrain_take_four_bytes_a_ray(small):
+    hills = Raster(np.zeros((2, 2), np.float32), (1e4, 0, 5e5, 0, -1e4, 5e6), "EPSG:32618")
+    city = replace(small.city, terrain=hills)
+
+    def needed(beams: int) -> int:
+        params = MapParams(sections={"lidar": ju.Lidar(beams=beams)})
+        return tile_bytes(replace(small, city=city, params=params), small.region)
+
+    num_rays = ju.Lidar().azimuths * 300 * 300
+    assert needed(250) == needed(16)
+    assert needed(251) - needed(250) >= 4 * num_rays
+
+
 def test_tiles_do_not_depend_on_the_machine_and_shrink_for_long_series(small):
     short = replace(small, region=replace(small.region, num_rows=10_000, num_cols=5_000))
     params, region = (
