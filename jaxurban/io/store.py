@@ -40,30 +40,18 @@ RUN_FILE = "run.json"
 ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
 COMPRESSOR = Zstd(level=1, checksum=True)
-FOREIGN = (
-    "_CRS",
-    "_FillValue",
-)  # attributes that are no map's: the CRS for GDAL, as 1.0.0 wrote it, and no value
+# Attributes that are no map's: the CRS for GDAL, as 1.0.0 wrote it, and no value.
+FOREIGN = ("_CRS", "_FillValue")
 NO_BYTE = np.iinfo(np.int8).max  # what stands for no value in bytes: NetCDF 3 has signed ones only
 PLAIN_KINDS = "biufcmMSU"  # of NumPy's types: numbers, times, and text of one length
-TEXT_KINDS, TEXT_FILTERS = (
-    "OU",
-    [{"id": "vlen-utf8"}],
-)  # of text of any length; Zarr 3.0 has the filter for all text
-OPENED = (
-    "opened"  # encoding of a dataset that was opened: what checks that its files are still those
-)
+TEXT_KINDS = "OU"  # of text of any length
+TEXT_FILTERS = [{"id": "vlen-utf8"}]  # of it; Zarr 3.0 has the filter for all text
+OPENED = "opened"  # encoding of an opened dataset: what checks that its files are unchanged
 METADATA = ".zmetadata"  # of a Zarr: its metadata and those of its arrays once more
-LAYOUT_KEY, LAYOUT = (
-    "jaxurban_layout",
-    1,
-)  # of maps in a folder; those without the entry have the first
-OF_ZARR = (
-    METADATA,
-    ".zattrs",
-    ".zgroup",
-    "zarr.json",
-)  # files by which a Zarr is known, of version 3 the last
+LAYOUT_KEY = "jaxurban_layout"
+LAYOUT = 1  # of maps in a folder; those without the entry have the first
+# Files by which a Zarr is known, of version 3 the last.
+OF_ZARR = (METADATA, ".zattrs", ".zgroup", "zarr.json")
 OTHER_VERSION = (
     "comes from another version of jaxurban, or without its checksums.json: "
     "make the maps again in a new folder"
@@ -90,11 +78,10 @@ def stored_resolutions(folder: Path) -> dict[float, Path]:
     Raises:
       InputError: the record cannot be read.
     """
-    names = (
-        re.fullmatch(rf"{ZARR_FOLDER}/{NUMBER_M}/{METADATA}", name) for name in recorded(folder)
-    )
-    found = {float(match[1]): (folder / match[0]).parent for match in names if match}
-    return {resolution_m: path for resolution_m, path in sorted(found.items()) if path.is_dir()}
+    pattern = re.compile(rf"{ZARR_FOLDER}/{NUMBER_M}/{METADATA}")
+    matches = filter(None, map(pattern.fullmatch, recorded(folder)))
+    paths = {float(match[1]): (folder / match[0]).parent for match in matches}
+    return {resolution_m: path for resolution_m, path in sorted(paths.items()) if path.is_dir()}
 
 
 def check_version(folder: Path) -> None:
@@ -154,46 +141,43 @@ def _is_map(array: xr.Variable) -> bool:
 
 
 def _encoding(array: xr.Variable, tile: tuple[int, int]) -> dict[str, Any]:
-    """Return how a variable is written: a map in tiles, one layer a chunk."""
+    """Return how a variable is written: a map in tiles, one layer per chunk."""
     missing = NO_BYTE if array.dtype == np.uint8 else no_value(array.dtype)
     encoding: dict[str, Any] = {"compressors": (COMPRESSOR,), "_FillValue": missing}
     if _is_map(array):
-        encoding["chunks"] = (*(1 for _ in array.dims[:-2]), *tile)
-    return encoding | (TIMES if array.dtype.kind == "M" else {})
+        encoding["chunks"] = (1,) * (array.ndim - 2) + tile
+    if array.dtype.kind == "M":
+        encoding |= TIMES
+    return encoding
 
 
 def _to_zarr(
     ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[int, int] = (1, 1)
 ) -> None:
     """Write a dataset without the values of its maps, and the metadata of all of the Zarr."""
-    ds = ds.drop_encoding().assign_attrs(
-        {LAYOUT_KEY: LAYOUT}
-    )  # without the encoding of files opened before
-    for name in [name for name, coord in ds.coords.items() if coord.dtype.kind == "T"]:
-        ds = ds.assign_coords(
-            {name: (ds[name].dims, np.array(ds[name].values.tolist(), str), ds[name].attrs)}
-        )
-    for name in [name for name, array in ds.variables.items() if _is_map(array)]:
-        array = ds[name]
-        ds[name] = (
-            array.dims,
-            dask.array.zeros(array.shape, dtype=array.dtype, chunks=-1),
-            array.attrs,
-        )
-    ds = ds.assign_coords(y=ds["y"][::-1]) if "y" in ds.coords else ds
+    # Without the encoding of files that were opened before.
+    ds = ds.drop_encoding().assign_attrs({LAYOUT_KEY: LAYOUT})
+    for name, array in list(ds.variables.items()):
+        if array.dtype.kind == "T" and name in ds.coords:
+            texts = np.array(array.values.tolist(), str)
+            ds = ds.assign_coords({name: (array.dims, texts, array.attrs)})
+        elif _is_map(array):
+            no_values = dask.array.zeros(array.shape, dtype=array.dtype, chunks=-1)
+            ds[name] = (array.dims, no_values, array.attrs)
+    if "y" in ds.coords:
+        ds = ds.assign_coords(y=ds["y"][::-1])
     encoding = {str(name): _encoding(array, tile) for name, array in ds.variables.items()}
-    how: dict[str, Any] = {
-        "zarr_format": 2,
-        "consolidated": False,
-        "write_empty_chunks": True,
-        "compute": False,
-    }
-    ds.to_zarr(path, mode=mode, encoding=encoding, **how)
-    files = [
-        path / ".zattrs",
-        path / ".zgroup",
-        *sorted((*path.glob("*/.zarray"), *path.glob("*/.zattrs"))),
-    ]
+    ds.to_zarr(
+        path,
+        mode=mode,
+        encoding=encoding,
+        zarr_format=2,
+        consolidated=False,
+        write_empty_chunks=True,
+        compute=False,
+    )
+    of_arrays = sorted((*path.glob("*/.zarray"), *path.glob("*/.zattrs")))
+    files = [path / ".zattrs", path / ".zgroup", *of_arrays]
     parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in files}
     (path / METADATA).write_bytes(_consolidated(parts))
 
@@ -205,20 +189,20 @@ def _consolidated(parts: Mapping[str, Any]) -> bytes:
 def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     """Write a dataset of maps under ``folder`` and return its place (``maps.zarr/5m``)."""
     path = zarr_path(folder, ds.attrs["resolution_m"])
-    rows, cols = tile_shape((ds.sizes["y"], ds.sizes["x"]))
+    num_rows, num_cols = ds.sizes["y"], ds.sizes["x"]
+    rows, cols = tile_shape((num_rows, num_cols))
     checksums = dict[str, str]()
     with scratch_for(path) as scratch:
         _to_zarr(ds, scratch, "w", (rows, cols))
-        for name, array in ds.variables.items():
-            for place in np.ndindex(array.shape[:-2]) if _is_map(array) else ():
+        maps = {str(name): array for name, array in ds.variables.items() if _is_map(array)}
+        for name, array in maps.items():
+            for place in np.ndindex(array.shape[:-2]):
                 values = array[place].values
-                for stop in range(ds.sizes["y"], 0, -rows):
-                    for start in range(0, ds.sizes["x"], cols):
-                        part = (
-                            slice(max(0, stop - rows), stop),
-                            slice(start, min(start + cols, ds.sizes["x"])),
-                        )
-                        checksums |= write_layer(scratch, str(name), place, part, values[part])
+                for stop in range(num_rows, 0, -rows):
+                    part_rows = slice(max(0, stop - rows), stop)
+                    for start in range(0, num_cols, cols):
+                        part = part_rows, slice(start, min(start + cols, num_cols))
+                        checksums |= write_layer(scratch, name, place, part, values[part])
         put_zarr(scratch, path, checksums)
     return path
 
@@ -260,17 +244,15 @@ def write_layer(
     Raises:
       InputError: it cannot be written.
     """
-    array, (rows, cols) = json.loads((path / name / ".zarray").read_bytes()), window
-    north, (num_rows, num_cols), dtype = (
-        array["shape"][-2] - rows.stop,
-        array["chunks"][-2:],
-        np.dtype(array["dtype"]),
-    )
-    window = slice(len(values) - rows.stop + rows.start, None), slice(cols.stop - cols.start)
-    values = values[window][::-1]
-    chunk = np.full((num_rows, num_cols), array["fill_value"] or 0, dtype)
+    array = json.loads((path / name / ".zarray").read_bytes())
+    rows, cols = window
+    num_rows, num_cols = array["chunks"][-2:]
+    num_beyond = len(values) - (rows.stop - rows.start)  # rows south of the window
+    values = values[num_beyond:, : cols.stop - cols.start][::-1]
+    chunk = np.full((num_rows, num_cols), array["fill_value"] or 0, array["dtype"])
     chunk[: len(values), : values.shape[1]] = values
-    key = ".".join(map(str, (*index, north // num_rows, cols.start // num_cols)))
+    from_north = (array["shape"][-2] - rows.stop) // num_rows
+    key = ".".join(map(str, (*index, from_north, cols.start // num_cols)))
     data = bytes(COMPRESSOR.encode(chunk))
     write_whole(path / name / key, data)
     return {f"{name}/{key}": checksum_of(data)}
@@ -288,12 +270,11 @@ def put_zarr(made: Path, path: Path, checksums: Mapping[str, str]) -> None:
       InputError: a file of others is in the way.
     """
     files = {file.relative_to(made).as_posix(): file for file in made.rglob("*") if file.is_file()}
-    made_of = {name: checksums.get(name) or checksum_of(file) for name, file in files.items()}
+    of_files = {name: checksums.get(name) or checksum_of(file) for name, file in files.items()}
     with Workspace.shared(path.parents[1], "maps") as workspace:
-        workspace.remove(
-            [f"{ZARR_FOLDER}/{METADATA}"]
-        )  # of the older one too: it comes again, last
-        workspace.put_folder(made, path, made_of, METADATA)
+        # The metadata of all resolutions name the older maps too: they are written again, last.
+        workspace.remove([f"{ZARR_FOLDER}/{METADATA}"])
+        workspace.put_folder(made, path, of_files, METADATA)
         put_root(workspace.folder)
 
 
@@ -308,16 +289,16 @@ def put_root(folder: Path) -> None:
     Raises:
       InputError: a file of others is in the way.
     """
-    written, group = recorded(folder), {"zarr_format": 2}
+    written = recorded(folder)
+    group = {"zarr_format": 2}
     parts: dict[str, Any] = {".zgroup": group}
     for path in stored_resolutions(folder).values():
         file = path / METADATA
         if is_as_written(file, written[file.relative_to(folder).as_posix()]):
             of_group = json.loads(file.read_bytes())["metadata"]
             parts |= {f"{path.name}/{name}": part for name, part in of_group.items()}
-    for file, content in zip(
-        root_files(folder), (json.dumps(group).encode(), _consolidated(parts)), strict=True
-    ):
+    contents = json.dumps(group).encode(), _consolidated(parts)
+    for file, content in zip(root_files(folder), contents, strict=True):
         if not is_as_written(file, [checksum_of(content)]):
             write_whole(file, content)
 
@@ -337,25 +318,27 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     """
     if folder.is_file():
         raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
-    listed = ", ".join(map(short_number, sorted(found := stored_resolutions(folder))))
+    paths = stored_resolutions(folder)
+    listed = ", ".join(map(short_number, paths))
     check_version(folder)
-    if not found:
+    if not paths:
         raise InputError(
             f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`"
         )
-    if resolution_m is None and len(found) > 1:
+    if resolution_m is None and len(paths) > 1:
         raise InputError(
             f"{str(folder)!r} holds maps at {listed} m: choose one with resolution_m (--resolution)"
         )
-    if resolution_m is not None and resolution_m not in found:
+    if resolution_m is not None and resolution_m not in paths:
         raise InputError(
             f"{str(folder)!r} holds no maps at {short_number(resolution_m)} m, only at {listed} m"
         )
-    path = found[resolution_m] if resolution_m is not None else next(iter(found.values()))
+    path = next(iter(paths.values())) if resolution_m is None else paths[resolution_m]
     ds = open_whole(path)
-    if lost := [name for name in NEEDED if name not in ds]:
+    missing = [name for name in NEEDED if name not in ds]
+    if missing:
         raise InputError(
-            f"the maps in {str(path)!r} lack {', '.join(lost)}: remove them and make them again"
+            f"the maps in {str(path)!r} lack {', '.join(missing)}: remove them and make them again"
         )
     return ds
 
@@ -377,9 +360,8 @@ class _Opened(NamedTuple):
         with suppress(OSError):
             now = _Opened.at(self.path)
             # Maps that were saved from Python have no key of a run: the same metadata may go with other values.
-            if self.place == now.place or (
-                b'"run_key"' in self.metadata and self.metadata == now.metadata
-            ):
+            is_mended = b'"run_key"' in self.metadata and self.metadata == now.metadata
+            if is_mended or self.place == now.place:
                 return
         raise RemadeError(
             f"the maps in {str(self.path)!r} were made again or removed since they were opened: open them again"
@@ -422,26 +404,27 @@ class _Maps(BackendEntrypoint):
 
     def open_dataset(self, filename_or_obj: Any, *, drop_variables: Any = None) -> xr.Dataset:
         # Of these maps, no array of others, and by the metadata that `open_whole` has looked at alone.
-        how: dict[str, Any] = {"consolidated": True, "zarr_format": 2, "mask_and_scale": False}
+        options: dict[str, Any] = {"consolidated": True, "zarr_format": 2, "mask_and_scale": False}
         opened = _Opened.at(Path(filename_or_obj))
-        ds = xr.open_dataset(filename_or_obj, engine="zarr", chunks=None, cache=False, **how)
+        ds = xr.open_dataset(filename_or_obj, engine="zarr", chunks=None, cache=False, **options)
         missing = {name: array.attrs.get("_FillValue") for name, array in ds.data_vars.items()}
-        for array in ds.variables.values():
-            array.attrs = {key: value for key, value in array.attrs.items() if key not in FOREIGN}
+        for variable in ds.variables.values():
+            own = {key: value for key, value in variable.attrs.items() if key not in FOREIGN}
+            variable.attrs = own
         ds = ds.isel({"y": slice(None, None, -1)}, missing_dims="ignore")
         maps = {}
-        for name, held in ds.data_vars.items():
-            lazy = indexing.LazilyIndexedArray(
-                _Map(held.variable, opened, str(name), missing[name])
-            )
-            maps[name] = xr.Variable(held.dims, lazy, held.attrs, held.encoding)
+        for name, array in ds.data_vars.items():
+            values = _Map(array.variable, opened, str(name), missing[name])
+            lazy = indexing.LazilyIndexedArray(values)
+            maps[name] = xr.Variable(array.dims, lazy, array.attrs, array.encoding)
         coords = ds.coords.to_dataset().load()  # small, and damage shows at once
         opened.check()
-        for name in [name for name, coord in coords.variables.items() if coord.dtype.kind == "U"]:
-            coords[name] = coords[name].astype(np.dtypes.StringDType())
-        found = xr.Dataset(maps, coords.coords, ds.attrs)
-        found.encoding[OPENED] = opened
-        return found
+        for name, coord in list(coords.variables.items()):
+            if coord.dtype.kind == "U":
+                coords[name] = coords[name].astype(np.dtypes.StringDType())
+        ds = xr.Dataset(maps, coords.coords, ds.attrs)
+        ds.encoding[OPENED] = opened
+        return ds
 
 
 def open_whole(path: Path) -> xr.Dataset:
@@ -457,13 +440,14 @@ def open_whole(path: Path) -> xr.Dataset:
                 if not is_as_written(file, checksums):
                     what = "and the metadata of the arrays beside it are not as they were written"
                     raise _damaged(path / METADATA, what)
-            elif not file.is_file() or f"{file.stat().st_size}" not in {
-                each.partition("-")[2] for each in checksums
-            }:
-                raise _damaged(file, "is missing or cut")  # looked at, not read
+                continue
+            sizes = {checksum.partition("-")[2] for checksum in checksums}
+            if not file.is_file() or f"{file.stat().st_size}" not in sizes:  # it is not read
+                raise _damaged(file, "is missing or cut")
         _check_arrays(path / METADATA, json.loads((path / METADATA).read_bytes())["metadata"])
         ds = xr.open_dataset(path, engine=_Maps)
-        if (layout := ds.attrs.pop(LAYOUT_KEY, LAYOUT)) != LAYOUT:
+        layout = ds.attrs.pop(LAYOUT_KEY, LAYOUT)
+        if layout != LAYOUT:
             raise InputError(
                 f"the maps in {str(path)!r} have layout {layout!r}, and this version of jaxurban reads {LAYOUT}: "
                 "update jaxurban, or make the maps again in a new folder"
@@ -480,10 +464,7 @@ def open_whole(path: Path) -> xr.Dataset:
 def _check_arrays(file: Path, metadata: Mapping[str, Any]) -> None:
     """Raise InputError unless all arrays of a Zarr are coded as `_to_zarr` codes them: other codecs may run code."""
     arrays = [array for name, array in metadata.items() if name.endswith(".zarray")]
-    if not all(
-        _is_ours(array.get("dtype"), array.get("filters"), array.get("compressor"))
-        for array in arrays
-    ):
+    if not all(map(_is_ours, arrays)):
         raise InputError(
             f"{str(file)!r} names arrays that are not coded as jaxurban codes maps, and is not opened, as other codes "
             "may run programs: make the maps again in a new folder"
@@ -499,13 +480,12 @@ def _check_facts(path: Path, attributes: Mapping[str, Any]) -> None:
         )
 
 
-def _is_ours(dtype: Any, filters: Any, compressor: Any) -> bool:
+def _is_ours(array: Mapping[str, Any]) -> bool:
     """Return whether an array of these metadata is coded as `_to_zarr` codes arrays."""
-    if (
-        not isinstance(dtype, str)
-        or not isinstance(compressor, dict)
-        or compressor.get("id") != COMPRESSOR.codec_id
-    ):
+    dtype, filters, compressor = array.get("dtype"), array.get("filters"), array.get("compressor")
+    if not isinstance(dtype, str) or not isinstance(compressor, dict):
+        return False
+    if compressor.get("id") != COMPRESSOR.codec_id:
         return False
     kind = np.dtype(dtype).kind
     return (kind in PLAIN_KINDS and not filters) or (kind in TEXT_KINDS and filters == TEXT_FILTERS)
@@ -523,11 +503,10 @@ def _recorded(path: Path) -> dict[Path, set[str]]:
 
 def _damage_in(path: Path, name: str = "") -> InputError | None:
     """Return the error that names a damaged file of a Zarr, of one array or of all, if any is."""
-    files = {
-        file: of for file, of in _recorded(path).items() if file.parent.name == name or not name
-    }
-    damaged = (file for file, checksums in files.items() if not is_as_written(file, checksums))
-    return next((_damaged(file, "is damaged or cannot be read") for file in damaged), None)
+    for file, checksums in _recorded(path).items():
+        if (file.parent.name == name or not name) and not is_as_written(file, checksums):
+            return _damaged(file, "is damaged or cannot be read")
+    return None
 
 
 def _damaged(file: Path, what: str) -> InputError:

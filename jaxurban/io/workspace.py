@@ -9,9 +9,8 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from itertools import count
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -33,11 +32,9 @@ from jaxurban.io.files import (
 )
 from jaxurban.progress import LOG
 
-RECORD_FILE, JOURNAL_FILE, LINE = (
-    "checksums.json",
-    ".checksums.jsonl",
-    ("command", "name", "checksum"),
-)
+RECORD_FILE = "checksums.json"
+JOURNAL_FILE = ".checksums.jsonl"
+LINE_KEYS = ("command", "name", "checksum")
 KEPT_FOLDER = "kept"  # where files go that were in the way of an output
 LONGEST_SETTINGS = 200  # characters of two settings that differ, in an error
 Each = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or who works like it
@@ -92,14 +89,15 @@ class Workspace:
           InputError: the folder cannot be written to, another run holds it, it is another command's or of other
             settings, or it holds files in the way that this command did not write, or that were changed since.
         """
-        now, is_new = json.loads(json.dumps(settings or {})), not folder.exists()
+        now = json.loads(json.dumps(settings or {}))
+        is_new = not folder.exists()
         check_writable(folder)
         try:
             with only_writer(folder, ELSEWHERE):
                 sections = _sections(folder)
                 is_first = command not in sections
-                held = sections.setdefault(command, {"settings": {}, "written": {}})
-                workspace = cls(folder, command, held["settings"], held["written"], is_mended)
+                section = sections.setdefault(command, {"settings": {}, "written": {}})
+                workspace = cls(folder, command, section["settings"], section["written"], is_mended)
                 if not is_shared:
                     workspace._check_alone(sections, is_first)
                 workspace.check_way((folder / name for name in names), is_mended=is_mended)
@@ -131,11 +129,10 @@ class Workspace:
           InputError: as of `open`, or something is at these names that is not as it was written.
         """
         recorder = recorder_of(folder / RECORD_FILE)
-        with (
-            nullcontext(recorder)
-            if recorder
-            else cls.open(folder, command, names=names, is_shared=True) as workspace
-        ):
+        if recorder:
+            yield recorder
+            return
+        with cls.open(folder, command, names=names, is_shared=True) as workspace:
             yield workspace
 
     @staticmethod
@@ -152,26 +149,26 @@ class Workspace:
             pass
 
     def _check_alone(self, sections: Sections, is_first: bool) -> None:
-        if others := [name for name in sections if name != self.command]:
+        others = [name for name in sections if name != self.command]
+        if others:
             raise InputError(
                 f"{str(self.folder)!r} holds what `jaxurban {others[0]}` wrote: {ELSEWHERE}"
             )
-        if is_first and (found := _files_under(self.folder)):
+        files = _files_under(self.folder) if is_first else []
+        if files:
             raise InputError(
-                f"{str(self.folder / found[0])!r} is there already, and not from `jaxurban {self.command}`: {ELSEWHERE}"
+                f"{str(self.folder / files[0])!r} is there already, and not from `jaxurban {self.command}`: {ELSEWHERE}"
             )
         self.check_way(self.folder / name for name in self.written)
 
     def _replace(self, now: Mapping[str, Any], overwrite: bool) -> None:
         name = next((name for name in now if now[name] != self.settings.get(name)), None)
-        if (
-            name is not None
-            and not overwrite
-            and any(os.path.lexists(self.folder / each) for each in self.written)
-        ):
-            said = name.replace("_", " ")
-            difference = f"its {said} is {self.settings.get(name)}, now {now[name]}"
-            difference = difference if len(difference) <= LONGEST_SETTINGS else f"other {said}"
+        has_files = any(os.path.lexists(self.folder / each) for each in self.written)
+        if name is not None and not overwrite and has_files:
+            label = name.replace("_", " ")
+            difference = f"its {label} is {self.settings.get(name)}, now {now[name]}"
+            if len(difference) > LONGEST_SETTINGS:
+                difference = f"other {label}"
             raise InputError(
                 f"{str(self.folder)!r} holds another run of `jaxurban {self.command}` ({difference}): {ELSEWHERE}, or "
                 "pass --overwrite to replace it"
@@ -182,8 +179,9 @@ class Workspace:
     def name_of(self, path: Path) -> str | None:
         """Return the name of an output under the folder, None of a path elsewhere or of scratch."""
         name = self._place_of(path)
-        is_scratch = name is not None and any(part.endswith(SCRATCH_SUFFIX) for part in name.parts)
-        return None if name is None or is_scratch else name.as_posix()
+        if name is None or any(part.endswith(SCRATCH_SUFFIX) for part in name.parts):
+            return None
+        return name.as_posix()
 
     def _place_of(self, path: Path) -> PurePosixPath | None:
         """Return where a path is under the folder, None if it is elsewhere."""
@@ -218,11 +216,8 @@ class Workspace:
     def broken(self, paths: Iterable[Path], each: Each = map) -> list[Path]:
         """Return those outputs of these paths that are missing or not as this command wrote them; all are read."""
         paths = list(paths)
-        return [
-            path
-            for path, is_whole in zip(paths, each(self.is_own, paths), strict=True)
-            if not is_whole
-        ]
+        wholes = zip(paths, each(self.is_own, paths), strict=True)
+        return [path for path, is_whole in wholes if not is_whole]
 
     def check_way(
         self, paths: Iterable[Path], remedy: str = ELSEWHERE, *, is_mended: bool = False
@@ -230,20 +225,18 @@ class Workspace:
         """Raise InputError if what is in the way of these paths is not own, nor, if ``is_mended``, own and changed."""
         for path in paths:
             self._check_folders(path, remedy)
-            if (
-                os.path.lexists(path)
-                and not self.is_own(path)
-                and not (is_mended and self.is_changed(path))
-            ):
-                why = f"it is not as `jaxurban {self.command}` wrote it"
-                raise InputError(f"{str(path)!r} is in the way ({why}): move it, or {remedy}")
+            is_ours = self.is_own(path) or (is_mended and self.is_changed(path))
+            if os.path.lexists(path) and not is_ours:
+                reason = f"it is not as `jaxurban {self.command}` wrote it"
+                raise InputError(f"{str(path)!r} is in the way ({reason}): move it, or {remedy}")
 
     def _check_folders(self, path: Path, remedy: str = ELSEWHERE) -> None:
         """Raise InputError if a link or a file is in the way of the folders above a path."""
-        if obstacle := self._obstacle(path):
-            what = "link" if obstacle.is_symlink() else "file"
+        obstacle = self._obstacle(path)
+        if obstacle:
+            kind = "link" if obstacle.is_symlink() else "file"
             raise InputError(
-                f"{str(obstacle)!r} is a {what} in the way of a folder: move it, or {remedy}"
+                f"{str(obstacle)!r} is a {kind} in the way of a folder: move it, or {remedy}"
             )
 
     def begin(self, scratch: Path) -> None:
@@ -289,9 +282,8 @@ class Workspace:
         names = {f"{prefix}/{name}": checksum for name, checksum in checksums.items()}
         paths = [self.folder / name for name in names]
         self.check_way(paths, is_mended=True)
-        self.remove(
-            [f"{prefix}/{last}", *(name for name in self.written if name.startswith(f"{prefix}/"))]
-        )
+        older = [name for name in self.written if name.startswith(f"{prefix}/")]
+        self.remove([f"{prefix}/{last}", *older])
         for changed in filter(os.path.lexists, paths):
             self.set_aside(changed)
         self._note([{"name": name, "checksum": checksum} for name, checksum in names.items()])
@@ -312,14 +304,14 @@ class Workspace:
         """
         aside = _unused(self.folder / KEPT_FOLDER / (name or str(self.name_of(path))))
         try:
-            if obstacle := self._obstacle(aside):
+            obstacle = self._obstacle(aside)
+            if obstacle:
                 raise OSError(f"{str(obstacle)!r} is no folder")
             aside.parent.mkdir(parents=True, exist_ok=True)
             path.rename(aside)
         except OSError as error:
-            why = f"and cannot be moved ({reason_of(error)})"
             raise InputError(
-                f"{str(path)!r} is in the way {why}: move it, or {ELSEWHERE}"
+                f"{str(path)!r} is in the way and cannot be moved ({reason_of(error)}): move it, or {ELSEWHERE}"
             ) from error
         LOG.warning(
             f"{str(path)!r} was changed since `jaxurban {self.command}` wrote it: it is kept as {str(aside)!r}"
@@ -330,28 +322,27 @@ class Workspace:
         folders = {PurePosixPath(name).parent for name in self.written} - {PurePosixPath()}
         self.remove(self.written)
         names = map(PurePosixPath, _files_under(self.folder))
-        if left := [
+        others = [
             name for name in names if len(name.parts) == 1 or folders.intersection(name.parents)
-        ]:
-            others = f" and {len(left) - 1} more stay" if len(left) > 1 else " stays"
+        ]
+        if others:
+            stay = f" and {len(others) - 1} more stay" if len(others) > 1 else " stays"
             LOG.warning(
-                f"{str(self.folder / left[0])!r}{others}: not from `jaxurban {self.command}`, or changed since"
+                f"{str(self.folder / others[0])!r}{stay}: not from `jaxurban {self.command}`, or changed since"
             )
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove those files that are own, and folders that are empty then; forget those that are not there."""
-        listed, folders = list(dict.fromkeys(names)), set[Path]()
+        listed = list(dict.fromkeys(names))
+        folders = set[Path]()
         for path in [self.folder / name for name in listed]:
             if self.is_own(path):
                 path.unlink()
                 folders |= {parent for parent in path.parents if self.folder in parent.parents}
-        gone = [
-            name
-            for name in listed
-            if name in self.written and not os.path.lexists(self.folder / name)
-        ]
-        self._note({"name": name, "checksum": None} for name in gone)
-        for name in gone:
+        known = [name for name in listed if name in self.written]
+        missing = [name for name in known if not os.path.lexists(self.folder / name)]
+        self._note({"name": name, "checksum": None} for name in missing)
+        for name in missing:
             del self.written[name]
         for folder in sorted(folders, key=lambda folder: -len(folder.parts)):
             with suppress(OSError):  # others have files there
@@ -375,27 +366,28 @@ def is_inside(name: str) -> bool:
 
 def _obstacle_in(folder: Path, name: PurePosixPath) -> Path | None:
     """Return the first of the folders between a folder and a name under it that is a link or no folder, if any is."""
-    above = [folder / parent for parent in reversed(name.parents[:-1])]
-    return next(
-        (each for each in above if each.is_symlink() or (each.exists() and not each.is_dir())), None
-    )
+    for parent in reversed(name.parents[:-1]):
+        above = folder / parent
+        if above.is_symlink() or (above.exists() and not above.is_dir()):
+            return above
+    return None
 
 
 def _unused(path: Path) -> Path:
     """Return the path, or the first numbered one at which nothing is."""
-    numbered = (path if k == 1 else path.with_name(f"{path.name}.{k}") for k in count(1))
-    return next(each for each in numbered if not os.path.lexists(each))
+    unused, number = path, 1
+    while os.path.lexists(unused):
+        number += 1
+        unused = path.with_name(f"{path.name}.{number}")
+    return unused
 
 
 def _files_under(folder: Path) -> list[str]:
-    """Return the names of the files under a folder but for what holds and records it."""
-    names = {
-        path.relative_to(folder)
-        for path in folder.rglob("*")
-        if path.is_symlink() or not path.is_dir()
-    }
-    kept = {Path(RECORD_FILE), Path(JOURNAL_FILE), Path(LOCK_FILE)}
-    return sorted(name.as_posix() for name in names - kept if SCRATCH_SUFFIX not in str(name))
+    """Return the names of the files under a folder without those that lock and record it."""
+    files = [path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()]
+    names = {path.relative_to(folder).as_posix() for path in files}
+    names -= {RECORD_FILE, JOURNAL_FILE, LOCK_FILE}
+    return sorted(name for name in names if SCRATCH_SUFFIX not in name)
 
 
 def recorded(folder: Path) -> dict[str, set[str]]:
@@ -404,15 +396,15 @@ def recorded(folder: Path) -> dict[str, set[str]]:
     Raises:
       InputError: the record cannot be read.
     """
-    noted = [
-        (line["name"], line["checksum"]) for line in _journal(folder) if "name" in line
-    ]  # before it can go
-    noted += [item for section in _read(folder).values() for item in section["written"].items()]
-    found: dict[str, set[str]] = {}
-    for name, checksum in noted:
+    # The journal first: it is removed when the record has taken its lines.
+    pairs = [(line["name"], line["checksum"]) for line in _journal(folder) if "name" in line]
+    for section in _read(folder).values():
+        pairs += section["written"].items()
+    checksums: dict[str, set[str]] = {}
+    for name, checksum in pairs:
         if checksum is not None:
-            found.setdefault(name, set()).add(checksum)
-    return found
+            checksums.setdefault(name, set()).add(checksum)
+    return checksums
 
 
 def _read(folder: Path) -> Sections:
@@ -420,7 +412,10 @@ def _read(folder: Path) -> Sections:
         sections = read_json(folder / RECORD_FILE)
         if not all(map(_is_section, sections.values())):
             raise ValueError("of another version")
-        _check_inside(name for section in sections.values() for name in section["written"])
+        for section in sections.values():
+            for name in section["written"]:
+                if not is_inside(name):
+                    raise ValueError(f"it names {name!r}, which is not under the folder")
         return sections
     except (FileNotFoundError, NotADirectoryError):
         return {}
@@ -432,18 +427,12 @@ def _read(folder: Path) -> Sections:
 
 
 def _is_section(section: Any) -> bool:
-    if not isinstance(section, dict) or not all(
-        isinstance(section.get(of), dict) for of in ("settings", "written")
-    ):
+    if not isinstance(section, dict):
         return False
-    return all(isinstance(checksum, str) for checksum in section["written"].values())
-
-
-def _check_inside(names: Iterable[str]) -> None:
-    """Raise ValueError unless all of these names are of files under the folder whose record names them."""
-    for name in names:
-        if not is_inside(name):
-            raise ValueError(f"it names {name!r}, which is not under the folder")
+    settings, written = section.get("settings"), section.get("written")
+    if not isinstance(settings, dict) or not isinstance(written, dict):
+        return False
+    return all(isinstance(checksum, str) for checksum in written.values())
 
 
 def _sections(folder: Path) -> Sections:
@@ -462,15 +451,16 @@ def _recover(folder: Path, sections: Sections) -> None:
 
     Of a name with several checksums one may be of a file that never came: the one that the file has counts.
     """
-    noted: dict[tuple[str, str], list[str | None]] = {}
+    checksums_of: dict[tuple[str, str], list[str | None]] = {}
     for line in _journal(folder):
         if "scratch" in line:
             scratch = PurePosixPath(line["scratch"])
             if SCRATCH_NAME.fullmatch(scratch.name) and not _obstacle_in(folder, scratch):
                 remove(folder / scratch)
         elif line["command"] in sections:
-            noted.setdefault((line["command"], line["name"]), []).append(line["checksum"])
-    for (command, name), checksums in noted.items():
+            key = line["command"], line["name"]
+            checksums_of.setdefault(key, []).append(line["checksum"])
+    for (command, name), checksums in checksums_of.items():
         written = sections[command]["written"]
         possible = {*checksums, written.pop(name, None)} - {None}
         if checksums[-1] is not None:
@@ -481,8 +471,10 @@ def _recover(folder: Path, sections: Sections) -> None:
             and not os.path.islink(file)
             and not _obstacle_in(folder, PurePosixPath(name))
         )
-        if len(possible) > 1 and is_there and (now := checksum_of(file)) in possible:
-            written[name] = now
+        if len(possible) > 1 and is_there:
+            checksum = checksum_of(file)
+            if checksum in possible:
+                written[name] = checksum
 
 
 def _journal(folder: Path) -> Iterator[dict[str, Any]]:
@@ -494,49 +486,50 @@ def _journal(folder: Path) -> Iterator[dict[str, Any]]:
     journal = folder / JOURNAL_FILE
     if journal.is_symlink() or not journal.is_file():  # no run leaves a link or a pipe
         return
-    for line in journal.read_text(encoding="utf-8", errors="replace").splitlines():
-        if (noted := _noted(line)) is None:
+    for text in journal.read_text(encoding="utf-8", errors="replace").splitlines():
+        line = _parsed(text)
+        if line is None:
             continue
-        if not is_inside(name := noted["scratch" if "scratch" in noted else "name"]):
+        name = line["scratch"] if "scratch" in line else line["name"]
+        if not is_inside(name):
             raise InputError(
                 f"{str(journal)!r} names {name!r}, which is not under the folder: {ELSEWHERE}, or remove it"
             )
-        yield noted
+        yield line
 
 
-def _noted(line: str) -> dict[str, Any] | None:
-    """Return what a line of a journal notes, None of a damaged one."""
+def _parsed(text: str) -> dict[str, Any] | None:
+    """Return the values of a line of a journal by their keys, None of a damaged line."""
     try:
-        line_held = json.loads(line)
-        noted = {
-            name: line_held[name] for name in (("scratch",) if "scratch" in line_held else LINE)
-        }
+        values = json.loads(text)
+        keys = ("scratch",) if "scratch" in values else LINE_KEYS
+        line = {key: values[key] for key in keys}
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
-    is_text = all(
-        isinstance(value, str)
-        for name, value in noted.items()
-        if (name, value) != ("checksum", None)
+    is_sound = all(
+        isinstance(value, str) or (key == "checksum" and value is None)
+        for key, value in line.items()
     )
-    return noted if is_text else None
+    return line if is_sound else None
 
 
 def _save(folder: Path, sections: Sections) -> None:
     """Write the record, and remove the journal."""
     sections = {
-        name: {**of, "written": dict(sorted(of["written"].items()))}
-        for name, of in sections.items()
+        command: {**section, "written": dict(sorted(section["written"].items()))}
+        for command, section in sections.items()
     }
-    record, held = folder / RECORD_FILE, None
+    record = folder / RECORD_FILE
+    stored = None
     try:
         with suppress(OSError):
-            held = read_json(record)
+            stored = read_json(record)
     except ValueError:  # it could be read when the run began
         aside = _unused(record)
         record.rename(aside)
         LOG.warning(f"{str(record)!r} was changed during the run: it is {str(aside)!r} now")
     if not sections:
         record.unlink(missing_ok=True)
-    elif sections != held:
+    elif sections != stored:
         write_json(record, sections, indent=2)
     (folder / JOURNAL_FILE).unlink(missing_ok=True)
