@@ -384,18 +384,10 @@ class Dop:
         check_fields(self, ["dop_threshold"], DOP_THRESHOLD, is_dop_threshold)
 
 
-def _map_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, AnyArray]:
+def _map_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Array]:
     """Return m of one DOP of a scene."""
     maps, number = _of_choices(scene, params.dop_threshold)
-    return {name: np.take(metric_on_host(getattr(maps, dop), params.dop_threshold), number)}
-
-
-def metric_on_host(dop: Float[np.ndarray, "*C"], threshold: float) -> Float[np.ndarray, "*C"]:
-    """Return `gps_metric` with the bits of JAX, for which no program is compiled."""
-    dtype = dop.dtype.type
-    reciprocal = dtype(1) / dtype(threshold - 1)  # XLA makes a product of a division
-    below = dtype(threshold) - np.minimum(dop, dtype(threshold))
-    return np.clip(below * reciprocal, dtype(0), dtype(1))
+    return {name: gps_metric(np.take(getattr(maps, dop), number), params.dop_threshold)}
 
 
 def _traced_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Array]:

@@ -155,7 +155,7 @@ for city, altitudes_m, time in cities:
         before = len(compiled)
         gps = ju.Gps(times=time, gdop_threshold=10.0 + len(counts))
         people = ju.Population(credit=city.crs, commercial=[len(counts)], weekday=(0.1 * len(counts),) * 24)
-        sections = {"gps": gps, "lidar": lidar, "population": people, "gps_horizontal": ju.metrics.Dop()}
+        sections = {"gps": gps, "lidar": lidar, "population": people}
         maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=altitudes_m, **sections)
         assert {"gps", "lidar", "population", "risk"} <= set(maps.ds)
         counts.append(compiled[before:])

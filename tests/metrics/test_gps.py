@@ -17,16 +17,7 @@ from jaxurban.maps.run import run_scenario
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.metrics import gps
-from jaxurban.metrics.gps import (
-    DOPS,
-    Gps,
-    Rating,
-    gps_metric,
-    maps_of_words,
-    metric_on_host,
-    rating,
-    satellites_of,
-)
+from jaxurban.metrics.gps import DOPS, Gps, Rating, gps_metric, maps_of_words, rating, satellites_of
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.visibility import bounding_visibility, shadow_reach_m, visibility
 from jaxurban.world.grid import Grid
@@ -63,13 +54,6 @@ ROOF_M = np.where(RNG.random(GRID.shape) < 0.3, RNG.uniform(5, 60, GRID.shape), 
 def test_m_falls_from_1_at_gdop_1_to_0_at_the_threshold():
     gdop = jnp.array([0.5, 1.0, 10.5, 20.0, 40.0, jnp.inf])
     np.testing.assert_allclose(gps_metric(gdop, 20.0), [1, 1, 0.5, 0, 0, 0], rtol=1e-6)
-
-
-@pytest.mark.parametrize("threshold", [20.0, 7.3, 1.0001, 33.333])
-def test_on_the_host_the_metric_has_the_bits_of_jax(threshold):
-    drawn = np.random.default_rng(0).uniform(0.5, 40.0, 100_000)
-    gdop = np.append(drawn, [np.inf, threshold, 1.0]).astype(np.float32)
-    np.testing.assert_array_equal(metric_on_host(gdop, threshold), gps_metric(gdop, threshold))
     assert np.all(np.isfinite(jax.vmap(jax.grad(gps_metric), (0, None))(gdop, 20.0)))
 
 
