@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
@@ -30,12 +30,14 @@ import xarray as xr
 from scipy.ndimage import label
 
 import jaxurban as ju
-from jaxurban.world.raster import Raster
 
 DATA = Path(
     os.environ.get("JAXURBAN_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
 ).resolve()
 ALTITUDE_M = 20.0
+Raster = get_args(ju.City.__annotations__["terrain"])[
+    0
+]  # which module holds it, checkouts differ in
 LARGE, MIDDLE, SMALL = "large", "middle", "small"  # folders of maps, made once
 CITIES = {  # width and height in metres, metres a cell
     LARGE: ((10_000, 20_000), 5.0),  # 2000 x 4000 cells

@@ -227,7 +227,8 @@ def maps_of_words(
         return GpsMaps(m, dops.gdop, dops.pdop, dops.hdop, dops.vdop, dops.tdop, num_visible)
 
     num = max(math.prod(words.shape[1:]), BLOCK_CELLS)  # less than a block becomes one
-    num_wide = -(-num // -(-num // WIDE_BLOCK_CELLS))  # in equal blocks, of which none is filled up
+    num_blocks = math.ceil(num / WIDE_BLOCK_CELLS)  # equal ones, so that hardly a cell fills up
+    num_wide = math.ceil(num / num_blocks)
     small, wide = (
         partial(by_cells, maps, num_together=together) for together in (BLOCK_CELLS, num_wide)
     )
