@@ -50,7 +50,7 @@ test-slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
 test-docs: $(VENV)/.dev
-	$(BIN)/python -m pytest -m 'slow or not slow' tests/test_docs.py
+	$(BIN)/python -m pytest -m 'slow or not slow' tests/test_docs.py tests/test_docstrings.py
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -43,6 +43,7 @@ def folder(data_dir, tmp_path_factory):
     return folder / "out"
 
 
+@pytest.mark.slow
 def test_rasters_that_do_not_align_become_maps(folder, data_dir):
     maps = ju.open_maps(folder)
     for kind, extremes_m in (("building_heights", (0, 52)), ("dem", (-2, 103))):  # as published
@@ -71,6 +72,7 @@ def test_rasters_that_do_not_align_become_maps(folder, data_dir):
     assert all(0 <= share <= 1 for share in record["rays_leave_data_share"].values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vertical_m", [0.0, 3.0])
 def test_forty_simplified_missions_keep_the_clearance_over_every_roof_that_a_leg_crosses(
     folder, tmp_path, vertical_m

@@ -35,9 +35,6 @@ FOLDER = ROOT / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("[0-9]*.py"), key=lambda path: int(path.name.split("_")[0]))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^( *)```([\w-]*)[^\n]*\n(.*?)^\1```[ \t]*$", re.MULTILINE | re.DOTALL)
-IS_LONG = re.compile(  # a page that is marked slow
-    r"(api|sensitivity|montecarlo|large|weights|tutorial|own_city|own_layer|compare|viewer)\.md$"
-).search
 
 # What asks servers, serves until somebody ends it, takes several cities, machines or minutes, or has a test of its own.
 ONLY_PARSED = re.compile(
@@ -202,7 +199,7 @@ def with_code() -> Iterator[Any]:
     """Yield the pages that have blocks to run."""
     for page in PAGES:
         if {block.language for block in blocks_of(page)} & RUN:
-            marks = [pytest.mark.slow] * bool(IS_LONG(page.name))
+            marks = [pytest.mark.slow] * (page != PAGES[0])
             yield pytest.param(page, id=name_of(page), marks=marks)
 
 

@@ -70,6 +70,7 @@ def test_a_docstring_says_what_comes_back(name):
         assert "\nReturns:\n" in (inspect.getdoc(PUBLIC[name]) or "")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::jaxurban.errors.GuessWarning")
 @pytest.mark.parametrize("name", PUBLIC)
 def test_an_example_shows_what_the_docstring_says(name, tmp_path, monkeypatch):

@@ -85,6 +85,7 @@ def test_streets_rails_water_parks_and_places_are_drawn_and_what_lies_in_tunnels
     assert list(alone["kind"]) == ["place"]
 
 
+@pytest.mark.slow
 def test_a_folder_of_maps_keeps_its_base_map_as_one_of_its_files(tmp_path):
     scenario = Scenario.from_dict(SOHO)
     made, file = (

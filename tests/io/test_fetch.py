@@ -113,6 +113,7 @@ def cached(tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_what_is_fetched_makes_maps(server, tmp_path, capsys):
     folder = tmp_path / "town"
     code, out, err = fetch(capsys, server, folder, "--json")
@@ -245,6 +246,7 @@ def test_an_extract_is_checked_and_cut_to_the_region(server, tmp_path, capsys):
     assert sorted(found.height_m.tolist()) == [25, 40]
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_a_cut_extract_holds_the_same_buildings_and_the_decks(data_dir, tmp_path):
     source, cut = data_dir / "osm/lower-manhattan.osm.pbf", tmp_path / "cut.osm.pbf"

@@ -116,6 +116,7 @@ def test_nihonbashi_has_a_log_and_knows_roofs_nowhere_but_within_300_m_of_its_tr
     assert (settings.region.resolution_m, settings.gps.mask_deg) == ((2.0,), 10.0)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_nihonbashi_lacks_no_roof_of_its_source_where_it_knows(data_dir):
     city = ju.sample_city("nihonbashi")
@@ -128,6 +129,7 @@ def test_nihonbashi_lacks_no_roof_of_its_source_where_it_knows(data_dir):
     assert missed.area < 1e-5 * ours.area
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CITIES)
 def test_a_scenario_of_a_sample_holds_no_path_of_this_machine(name, tmp_path):
     region = {"bounds": SMALL[name], "resolution_m": 10.0, "altitudes_m": [20.0]}
@@ -165,6 +167,7 @@ def test_a_scenario_of_a_sample_keeps_what_it_says_itself():
                 load_city(Scenario.from_dict(settings | {"buildings": {"source": source}} | region))
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_maps_of_lower_manhattan_are_those_of_its_sources(data_dir):
     census = ju.Population(

@@ -67,6 +67,7 @@ def run_outer(tmp_path):
     return run
 
 
+@pytest.mark.slow
 def test_an_edit_of_an_inner_function_or_constant_in_another_file_is_seen_and_else_the_cache_hits(
     run_outer,
 ):

@@ -76,6 +76,7 @@ def test_one_column_finds_its_nearest_source_and_how_many_cells_away_it_stands()
     np.testing.assert_array_equal(np.asarray(offset)[is_near], expected[is_near])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_a_wider_halo_and_a_traced_cap_change_no_bit(dtype):
     rng = np.random.default_rng(3)

@@ -75,7 +75,14 @@ def assert_as_float64(directions, numbers, is_seen):
     assert np.all(found[:, np.isinf(expected[0])] > 300)
 
 
-@pytest.mark.parametrize(("num", "num_systems"), [(6, 1), (12, 1), (16, 2), (33, 4)])
+@pytest.mark.parametrize(
+    ("num", "num_systems"),
+    [
+        (6, 1),
+        (16, 2),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((12, 1), (33, 4))),
+    ],
+)
 def test_dops_below_20_of_random_skies_equal_float64_to_1e_5(num, num_systems):
     numbers = (
         np.random.default_rng(num).permutation(np.arange(num) % num_systems)
@@ -200,6 +207,7 @@ def test_satellites_that_all_leave_the_position_undetermined_give_inf_for_every_
     assert np.all(np.isfinite(dops_seen(RING_AND_ZENITH, [1] * 7)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("num_clocks", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_weights_equal_float64_and_their_derivatives_finite_differences(num_clocks):
     directions, numbers = random_sky(11, 8), np.arange(11) % num_clocks

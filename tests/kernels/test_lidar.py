@@ -123,7 +123,7 @@ CASES = {
 # What differs between cases beside shapes is made on the host: two of them show the form for a GPU.
 BY_GPU = ("the default puck at fewer azimuths", "a range under half a cell")
 PARAMS = [
-    pytest.param(name, form, marks=[pytest.mark.slow] if name == "the default puck" else [])
+    pytest.param(name, form, marks=[pytest.mark.slow] * name.startswith("the default"))
     for name, form in itertools.product(CASES, FLAT)
     if form == "cpu" or name in BY_GPU
 ]
@@ -217,6 +217,7 @@ def test_a_roof_that_is_unknown_is_no_building_and_hides_no_other(form):
         np.testing.assert_array_equal(with_unknown, without)
 
 
+@pytest.mark.slow
 def test_counts_of_fine_cells_and_long_rays_are_the_same_over_several_blocks():
     elevations_rad = np.deg2rad(np.linspace(-15, 15, 4))
     rng = np.random.default_rng(9)
@@ -323,6 +324,7 @@ def test_counts_can_be_traced_and_exported_and_for_a_gpu_have_no_loop_whose_end_
     }  # the text shows the loops of the form for a CPU
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("on_terrain", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("num_azimuths", [16, pytest.param(43, marks=pytest.mark.slow)])
 def test_soft_returns_of_both_forms_are_the_same_for_any_number_of_azimuths(

@@ -89,6 +89,7 @@ def test_costs_are_dijkstras_at_every_node_of_every_query(is_line):
         )
 
 
+@pytest.mark.slow
 def test_edges_of_the_tree_given_count_where_they_are_longer_than_the_radius():
     cell_cost = np.full(SHAPE, 0.5)
     samples = samples_of(3, cell_cost)
@@ -112,6 +113,7 @@ def test_edges_of_the_tree_given_count_where_they_are_longer_than_the_radius():
     np.testing.assert_array_equal(again.parent, trees.parent)
 
 
+@pytest.mark.slow
 def test_parents_lead_back_to_the_start_where_edges_cost_nothing():
     parent = search(samples_of(4, np.zeros(SHAPE)), np.zeros(SHAPE), per_side=0.0).parent
     for node in range(COUNTS[0]):

@@ -154,6 +154,7 @@ def test_the_digital_line_stays_within_a_cell_of_the_ray(azimuth_rad, first):
     assert np.all(np.abs(sideways - ray) <= 1 + 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "form", [heights_by_sweep, pytest.param(heights_by_doubling, marks=pytest.mark.slow)]
 )
@@ -258,6 +259,7 @@ def test_a_satellite_is_seen_where_its_shadow_is_not_above_the_receiver(
     assert np.mean(words != expected) <= (0 if form is cast_by_sweep else 1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [2, 3, 5])
 def test_receivers_in_every_nth_cell_have_the_words_of_these_cells(every):
     shape, first_cell, size = (7 * SMALL // 2, 3 * SMALL), (19, 35), (every * 41, every * 60)

@@ -63,6 +63,7 @@ def test_over_terrain_numba_counts_what_a_lidar_sees_with_the_bits_of_jax(called
     assert len(np.unique(jaxs["lidar"])) > 4
 
 
+@pytest.mark.slow
 def test_more_beams_than_numba_counts_are_jaxs_and_recorded_as_such(called):
     of = task(city(with_terrain=True))
     for beams, made in ((MOST_BEAMS, ["lidar over terrain"]), (MOST_BEAMS + 1, [])):

@@ -71,7 +71,14 @@ def made(name: str) -> MetricMaps:
 
 
 @pytest.fixture(
-    scope="module", params=["terrain and holes", "slabs", "times", "bounds and spreads", "series"]
+    scope="module",
+    params=[
+        "terrain and holes",
+        "slabs",
+        "times",
+        "series",
+        pytest.param("bounds and spreads", marks=pytest.mark.slow),
+    ],
 )
 def maps(request) -> MetricMaps:
     return made(request.param)

@@ -354,6 +354,7 @@ def visits_of(problem):
     )
 
 
+@pytest.mark.slow
 def test_softness_0_gives_the_costs_of_the_exact_maps(soft):
     found = dict(
         zip(soft.names, layers_of(soft, soft.height_m, replace(SOFT, softness_m=0.0)), strict=True)
@@ -370,6 +371,7 @@ def test_softness_0_gives_the_costs_of_the_exact_maps(soft):
         np.testing.assert_allclose(found[name], 1 - m[0], atol=2e-6, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_a_path_on_chosen_cells_costs_what_the_whole_maps_do(soft, cost_model):
     problem = problem_of(soft, cost_model)
@@ -451,6 +453,7 @@ def test_one_program_serves_other_values_and_other_skies(soft):
     assert layers_of._cache_size() == compiled == 1
 
 
+@pytest.mark.slow
 def test_a_curve_of_reception_is_taken_in_batches_and_differentiated_by_and_leaves_other_layers_as_they_are(
     soft,
 ):

@@ -199,6 +199,7 @@ def cluster_of(num_workers: int):
         yield client
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("num_workers", [1, 3])
 def test_any_number_of_dask_workers_gives_the_same_bytes(
     city, whole, tmp_path, num_workers, monkeypatch
@@ -218,6 +219,7 @@ def test_any_number_of_dask_workers_gives_the_same_bytes(
     assert suffixes - is_chunk == {"", ".txt", ".npz", ".json"}
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_as_the_job_goes_costs_nothing(city, whole, tmp_path, monkeypatch):
     def failing(client, name, **options):
         raise OSError("Stream is closed")

@@ -101,6 +101,7 @@ def check_shares(is_seen: np.ndarray, is_clear: np.ndarray, bars, k: int) -> Non
         assert share >= bar[k]
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("resolution_m", "bars"), [(5.0, BARS_5M), pytest.param(2.0, BARS_2M, marks=pytest.mark.slow)]

@@ -101,6 +101,7 @@ def test_without_satellites_m_is_0():
     assert not np.any(maps.num_visible)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("num", "clocks"), [(40, None), (20, Clocks(np.arange(20) % 2, 2))])
 def test_maps_by_way_of_the_subsets_that_are_seen_are_those_of_every_cell_to_the_bit(
     num, clocks, monkeypatch
@@ -144,6 +145,7 @@ def fine_city(oversample: int, terrain: bool = False) -> Surface:
     return surface_on(roof_m, grid, REGION.refined(oversample), ground_m if terrain else None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("terrain", [False, True])
 @pytest.mark.parametrize("oversample", [3, 2])
 def test_satellites_at_centres_are_those_of_the_full_fine_sweep(oversample, terrain):
@@ -263,6 +265,7 @@ def test_soft_maps_follow_the_clocks_and_their_gradients_equal_finite_difference
         check_gradient(jax.jit(jax.value_and_grad(total)), {"height_m": soft.height_m}, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_more_than_32_satellites_of_four_systems_count_in_the_dops_of_an_open_sky_and_in_run_json(
     tmp_path,
 ):

@@ -87,6 +87,7 @@ def test_one_program_makes_the_risk_of_other_places_resolutions_thresholds_and_a
     assert len(set(means)) == 3
 
 
+@pytest.mark.slow
 def test_a_traced_threshold_gives_the_maps_of_each_and_the_slope_of_a_share():
     surface, thresholds_m = surface_on(SCATTERED_M, GRID, REGION), jnp.array([20.0, 37.0, 50.0])
 

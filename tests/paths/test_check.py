@@ -439,6 +439,7 @@ def test_without_the_city_cells_are_looked_at_and_the_result_says_so(open_scene)
     assert "by cells" in repr(result)
 
 
+@pytest.mark.slow
 def test_ten_thousand_items_are_judged(open_scene):
     rng = np.random.default_rng(3)
     places = [open_scene.place(*xy_m, 395.0) for xy_m in rng.uniform(2, 120, (10_000, 2))]

@@ -163,7 +163,13 @@ def test_unknown_roofs_and_cells_without_data_are_kept_clear_of():
 
 
 @pytest.mark.parametrize("planner", PLANNERS)
-@pytest.mark.parametrize(("seed", "clearance_m"), [(4, 7.0), (5, 5.0), (6, 2.0)])
+@pytest.mark.parametrize(
+    ("seed", "clearance_m"),
+    [
+        (6, 2.0),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((4, 7.0), (5, 5.0))),
+    ],
+)
 def test_every_planner_keeps_it_and_every_file_too(planner, seed, clearance_m, tmp_path):
     """Legs keep 2.05, 0.05 and 2.05 m from closed cells, beside 5, 5 and 0 m between squares."""
     kept = KEPT | {"clearance_m": clearance_m}

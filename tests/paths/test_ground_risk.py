@@ -73,6 +73,7 @@ def random_line(maps, seed) -> np.ndarray:
     return points_m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side_m", GRIDS_M)
 def test_means_and_places_are_those_of_brute_force_on_20_routes(side_m, holed):
     num_partly = 0

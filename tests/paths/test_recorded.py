@@ -48,7 +48,10 @@ def command(capsys, folder, *options):
     return json.loads(out)
 
 
-@pytest.mark.parametrize(("planning", "preset"), PLANNING)
+@pytest.mark.parametrize(
+    ("planning", "preset"),
+    [*PLANNING[:3], *(pytest.param(*each, marks=pytest.mark.slow) for each in PLANNING[3:])],
+)
 def test_python_plans_over_a_folder_as_the_command_does(planning, preset, tmp_path, capsys):
     weights = ju.Weights(distance=0.02, gps=3.0, risk=0.5).to_dict()
     folder = folder_of(

@@ -185,6 +185,7 @@ def test_the_search_ends_on_batches_cost_and_small_improvement():
     assert long.cost <= settled.cost
 
 
+@pytest.mark.slow
 def test_a_spent_budget_and_full_arrays_end_the_search_with_what_was_found(monkeypatch):
     problem = walled_problem(0, "line")
     solve([problem], max_samples=100)

@@ -126,6 +126,7 @@ def test_a_climb_on_the_spot_pays_its_height_and_the_nodes_it_enters(cost_model,
     assert down.cost == pytest.approx((0.1 + 0.25) * 90 + down_map_cost)
 
 
+@pytest.mark.slow
 def test_no_path_crosses_what_stands_between_its_levels():
     rng, num_checked, levels_m = np.random.default_rng(5), 0, np.array([20.0, 22.0, 29.0, 60.0])
     for _ in range(40):
@@ -223,7 +224,10 @@ def mixed_batch():
 BANDS = [0.0, 1.0, bulk.BAND_STEPS, np.inf]
 
 
-@pytest.mark.parametrize("band_steps", [None, *BANDS])
+@pytest.mark.parametrize(
+    "band_steps",
+    [None, *(pytest.param(band, marks=pytest.mark.slow) for band in BANDS)],
+)
 def test_many_maps_at_once_are_solved_exactly_by_numba_and_by_the_frontier_with_every_band(
     band_steps,
 ):
@@ -246,6 +250,7 @@ def test_many_maps_at_once_are_solved_exactly_by_numba_and_by_the_frontier_with_
     ] * 2  # every cell of the corridor once
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["numba", "jax"])
 def test_queries_to_one_goal_share_its_field_under_each_weights_and_the_others_are_searched(
     backend,

@@ -221,6 +221,7 @@ def test_a_segment_with_an_end_on_a_border_is_never_taken_where_the_evaluation_f
     assert taken > 100
 
 
+@pytest.mark.slow
 def test_long_segments_cost_in_bulk_what_they_do_in_the_compiled_search():
     """Many cuts of a direction, many of them at corners."""
     rng = np.random.default_rng(5)

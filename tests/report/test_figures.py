@@ -384,9 +384,10 @@ def all_figures(maps):
     ("rows", "cols"),
     [
         (34, 40),
-        (20, 60),
-        (90, 12),
-        *(pytest.param(*shape, marks=pytest.mark.slow) for shape in ((51, 39), (100, 50))),
+        *(
+            pytest.param(*shape, marks=pytest.mark.slow)
+            for shape in ((20, 60), (90, 12), (51, 39), (100, 50))
+        ),
     ],
 )
 def test_no_label_is_cut_and_no_two_overlap(rows, cols, monkeypatch):

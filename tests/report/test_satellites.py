@@ -24,6 +24,7 @@ def texts_of(figure: Figure) -> str:
     return " ".join(text.get_text() for text in figure.findobj(Text))
 
 
+@pytest.mark.slow
 def test_the_report_leads_with_the_verdict_and_counts_come_second(of_satellites):
     report = validation_markdown(of_satellites)
     order = ["**Maps and receiver agree.**", "## Satellite by satellite", "## What agrees"]

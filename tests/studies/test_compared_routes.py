@@ -92,6 +92,7 @@ def test_the_same_seed_draws_the_same_pairs_and_no_map_has_regrets_under_itself(
     )
 
 
+@pytest.mark.slow
 def test_the_command_reports_regrets_and_writes_every_route(maps, tmp_path, capsys):
     folders = [made.save(tmp_path / name) for made, name in zip(maps, "ab", strict=True)]
     code, out, _ = run(

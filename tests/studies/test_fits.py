@@ -31,6 +31,7 @@ def fit(demonstrations):
     return fit_weights(demonstrations, bootstrap=40)
 
 
+@pytest.mark.slow
 def test_hidden_weights_come_back_from_optimal_routes_and_their_intervals_hold_them(
     fit, demonstrations
 ):
@@ -121,6 +122,7 @@ def fitted(maps, hidden=HIDDEN, cost_model="line", altitude_m=20.0, max_rounds=2
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_the_weight_of_a_constant_layer_is_said_to_be_unknown_and_bends_no_other(small, cost_model):
     maps = ju.MetricMaps(small.ds.assign(risk=xr.full_like(small.ds["risk"], 0.25)))
@@ -215,6 +217,7 @@ def regret_of(shown, weights) -> np.ndarray:
     return np.array([each.features @ weights for each in shown]) / best - 1
 
 
+@pytest.mark.slow
 def test_a_fit_finds_the_pilot_among_detours(found, spoilt):
     fits = found.table.set_index("fit")
     best = found.fits["all"]
@@ -231,6 +234,7 @@ def test_a_fit_finds_the_pilot_among_detours(found, spoilt):
     assert best.sentence == best.warnings[0]
 
 
+@pytest.mark.slow
 def test_every_detour_that_costs_much_is_told_as_bad_held_out_or_not(found, spoilt):
     is_detour = regret_of(spoilt, VECTOR) > 0.02
     assert is_detour.sum() >= 6
@@ -239,6 +243,7 @@ def test_every_detour_that_costs_much_is_told_as_bad_held_out_or_not(found, spoi
     assert [*found.is_held_out.reshape(2, NUM).sum(axis=1)] == [NUM // 4] * 2
 
 
+@pytest.mark.slow
 def test_regrets_are_those_of_a_search_of_ones_own(found, spoilt):
     good = found.is_held_out & ~found.is_bad
     regret = regret_of(spoilt, found.fits["only Aton"].vector)[good].mean()
@@ -294,6 +299,7 @@ def outcomes_under_many_weights(queries) -> np.ndarray:
     )
 
 
+@pytest.mark.slow
 def test_targets_are_met_where_brute_force_meets_them_and_conflict_where_it_does_not(
     queries, tmp_path
 ):
@@ -323,6 +329,7 @@ def test_targets_are_met_where_brute_force_meets_them_and_conflict_where_it_does
     assert np.sum(fit.outcomes["missed_by"] ** 2) <= 1.02 * np.sum(missed**2, axis=1).min()
 
 
+@pytest.mark.slow
 def test_a_target_beyond_all_routes_is_said_to_be_missed_alone(queries):
     fit = fit_targets(queries, ["mean_gps>=0.1", "mean_lidar>=0.999"])
     assert not fit.is_met
@@ -330,6 +337,7 @@ def test_a_target_beyond_all_routes_is_said_to_be_missed_alone(queries):
     assert not fit.alone.is_met["mean_lidar >= 0.999"]
 
 
+@pytest.mark.slow
 def test_a_target_of_the_detour_is_met_beside_a_metric_s_or_conflicts_with_it(queries):
     assert fit_targets(queries, ["mean_lidar>=0.57", "detour<=0.2"]).is_met
     conflicts = fit_targets(queries, ["mean_lidar>=0.57", "detour<=0.001"]).conflicts

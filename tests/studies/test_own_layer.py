@@ -61,6 +61,7 @@ def test_a_benchmark_draws_its_weight_and_tells_its_mean_in_rows_report_and_expo
         assert kept["names"].tolist() == list(NAMES[1:])
 
 
+@pytest.mark.slow
 def test_weights_are_fitted_to_it_and_other_layers_weigh_nothing_then(noisy):
     queries = made_queries(ju.cost_map(noisy, 20.0).only(("gps", "noise")), 4)
     shown = optimal_demonstrations(queries, LOUD)

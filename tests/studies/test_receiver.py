@@ -34,6 +34,7 @@ def score(of: ju.studies.ReceiverValidation, witness: str = "num_tracked") -> pd
     return of.main.set_index("witness").loc[witness]
 
 
+@pytest.mark.slow
 def test_the_prediction_is_what_maps_of_those_times_and_that_height_hold():
     drive = maps_track.Track.of(read_receiver_log(true_log()), GRID, SETTINGS.sky_step_s)
     sky = prediction.task_at(scenario(), drive.sky_times, GRID, SETTINGS.antenna_height_m).sky

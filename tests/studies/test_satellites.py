@@ -78,6 +78,7 @@ def test_what_is_all_seen_has_no_auc():
     assert np.isnan(aucs(np.ones(5, bool), np.arange(5), np.zeros(5, int), np.ones((1, 1)))[0])
 
 
+@pytest.mark.slow
 def test_rows_are_seen_as_a_ray_at_a_time_through_the_outlines_says():
     rows, epochs = found().satellites.rows, found().epochs
     city, turn_rad = load_city(scenario()), region_of(scenario()).convergence_rad(-73.9965, 40.758)
@@ -100,6 +101,7 @@ def test_rows_are_seen_as_a_ray_at_a_time_through_the_outlines_says():
     np.testing.assert_array_equal(chosen.margin_m >= 0, chosen.is_seen)
 
 
+@pytest.mark.slow
 def test_a_stated_radius_judges_rays_that_stay_so_near_to_the_track():
     """A witness of its own: the distance to the places of each point along a ray, a metre apart."""
     rows, epochs = validated(heard(), known=150.0).satellites.rows, found().epochs
@@ -120,6 +122,7 @@ def test_a_stated_radius_judges_rays_that_stay_so_near_to_the_track():
     assert 0.1 < rows.is_known.mean() < 0.9
 
 
+@pytest.mark.slow
 def test_a_receiver_that_hears_what_the_city_leaves_open_is_believed():
     of = found().satellites
     assert of.score().auc_low > 0.8
@@ -136,6 +139,7 @@ def test_a_receiver_that_hears_what_the_city_leaves_open_is_believed():
     )
 
 
+@pytest.mark.slow
 def test_what_is_judged_follows_from_place_and_direction_alone():
     rows = found().satellites.rows
     rng = np.random.default_rng(1)
@@ -151,6 +155,7 @@ def test_what_is_judged_follows_from_place_and_direction_alone():
     assert "not judged: their rays leave" in repr(found())
 
 
+@pytest.mark.slow
 def test_places_in_a_building_are_left_out_and_counted():
     city = load_city(scenario())
     lon, lat = region_of(scenario()).lonlat_of_xy(
@@ -169,6 +174,7 @@ def test_places_in_a_building_are_left_out_and_counted():
     assert of.counts["inside"] == inside.is_known.sum() > 0
 
 
+@pytest.mark.slow
 def test_a_shuffled_log_is_not_praised():
     rng = np.random.default_rng(3)
     of = validated(heard().assign(cn0_dbhz=rng.permutation(heard().cn0_dbhz))).satellites
@@ -176,12 +182,14 @@ def test_a_shuffled_log_is_not_praised():
     assert of.verdict.startswith("It is not shown")
 
 
+@pytest.mark.slow
 def test_legs_change_no_row(monkeypatch):
     monkeypatch.setattr(satellites, "LEG_CELLS", 400)
     rows = validated(heard()).satellites.rows
     pd.testing.assert_frame_equal(rows, found().satellites.rows)
 
 
+@pytest.mark.slow
 def test_a_receiver_that_stands_is_judged_without_a_verdict_and_reported(tmp_path):
     log = heard().assign(lon_deg=heard().lon_deg.iloc[0], lat_deg=heard().lat_deg.iloc[0])
     standing = validated(log)
@@ -293,6 +301,7 @@ def test_a_ray_that_crosses_cells_without_data_before_it_is_above_all_roofs_is_u
     assert not replace(gap_at(30), has_data=None).crosses_gap(rays, 18.0).any()
 
 
+@pytest.mark.slow
 def test_rows_over_cells_without_data_are_not_judged(monkeypatch):
     around, from_m = satellites.Ground.around, found().epochs.x_m.quantile(0.8)
 
@@ -330,6 +339,7 @@ def test_a_margin_does_not_depend_on_roofs_that_are_elsewhere():
     np.testing.assert_allclose(margin_m, np.where(expected_m < 60.0, expected_m, np.inf), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_verdict_says_why_there_is_none():
     parts = made().scores, made().displaced, made().rivals
     unknown = made().scores.assign(auc_low=np.nan)

@@ -35,6 +35,7 @@ WHERE = {"study": "", "weight_study": "routes/"}  # rows lie in a study's folder
 CALL = "import sys; from tests.studies.routes_made import run_study; run_study(sys.argv[1], sys.argv[2:4], sys.argv[4])"
 
 
+@pytest.mark.slow
 def test_every_weight_of_a_city_is_studied_and_own_layers_by_their_name(weight_study):
     assert (weight_study.rows.status == "optimal").all()
     weights = weight_study.tables["weights"]
@@ -95,6 +96,7 @@ def test_elasticities_sum_to_one_and_a_route_that_no_factor_changes_has_no_regre
     assert (weights[weights.varies].nearest >= 1).all()
 
 
+@pytest.mark.slow
 def test_what_is_drawn_depends_on_the_order_of_the_cities_and_not_on_their_names(
     folders, weight_study, tmp_path
 ):
@@ -386,6 +388,7 @@ def of_parameters(tmp_path_factory) -> ju.studies.SensitivityStudy:
     return ju.studies.sensitivity_study({"town": folder / "maps"}, folder / "out", 9, **how)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("parameter", "factor", "section"),
     [

@@ -79,6 +79,7 @@ def test_rows_without_a_path_and_routes_of_other_costs_are_left_out_and_counted(
         routes_of(tmp_path, maps, altitude_m=20.0)
 
 
+@pytest.mark.slow
 def test_straight_routes_are_said_to_follow_distance_alone(study):
     with pytest.warns(SkippedRouteWarning):
         straight = routes_of(study, planner="ptp")
@@ -88,6 +89,7 @@ def test_straight_routes_are_said_to_follow_distance_alone(study):
     )
 
 
+@pytest.mark.slow
 def test_routes_by_day_and_by_night_of_a_study_under_one_w_give_that_w_back(study):
     shown = [each for each in routes_of(study) if each.query.cost_map.altitude_m == 20.0][:16]
     assert {each.query.cost_map.time_of_day for each in shown} == {"day", "night"}

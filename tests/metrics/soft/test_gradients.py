@@ -49,6 +49,11 @@ def mix_and_slopes(name, inputs, view):
     return jnp.sum(jnp.asarray(MIX, m.dtype) * m), m
 
 
+BY_CASE = [  # the others take longer to compile, with their derivatives
+    pytest.param(name, marks=[pytest.mark.slow] * (name != "risk")) for name in CASES
+]
+
+
 @partial(jax.jit, static_argnums=0)
 def map_of(name, inputs, view):
     return CASES[name].m(inputs, view)
@@ -64,7 +69,7 @@ def apart(name, softness_m, z_m=ALTITUDE_M):
     return jnp.abs(soft_map(name, softness_m=softness_m, altitude_m=z_m) - exact)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", BY_CASE)
 def test_derivatives_equal_central_differences_and_float32_keeps_the_values(name):
     with jax.enable_x64(True):
         view, inputs = CASES[name].view(np.float64), CASES[name].inputs()
@@ -81,6 +86,7 @@ def test_derivatives_equal_central_differences_and_float32_keeps_the_values(name
     np.testing.assert_allclose(soft_map(name), m, atol=1e-4 if name == "gps" else 1e-5)
 
 
+@pytest.mark.slow
 def test_float32_keeps_slopes_of_gps_to_1e_3_of_the_largest():
     case = CASES["gps"]
     with jax.enable_x64(True):
@@ -91,7 +97,7 @@ def test_float32_keeps_slopes_of_gps_to_1e_3_of_the_largest():
         np.testing.assert_allclose(found[name], slope, atol=1e-3 * np.abs(slope).max())
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", BY_CASE)
 def test_one_program_serves_all_altitudes_limits_softnesses_heights_and_skies(name):
     case = CASES[name]
     for program, dtype in ((map_of, np.float32), (mix_and_slopes, np.float64)):
@@ -112,7 +118,7 @@ def test_one_program_serves_all_altitudes_limits_softnesses_heights_and_skies(na
             assert program._cache_size() <= start + 1
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", BY_CASE)
 def test_softness_0_is_the_exact_map_and_the_solid_has_no_softness(name):
     exact = CASES[name].exact(CASES[name].surface(), ALTITUDE_M)
     assert 0.05 < exact.mean() < 0.95
@@ -156,6 +162,7 @@ def test_level_terrain_changes_nothing_of_the_lidar():
     np.testing.assert_allclose(level, soft_map("lidar"), atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gps", "lidar", "risk"])
 def test_chosen_cells_with_altitudes_of_their_own_and_batches_give_the_values_of_the_map(name):
     """Satellites that fill up change nothing: those of the map are filled up, those of the cells are not."""
@@ -185,6 +192,7 @@ def test_chosen_cells_with_altitudes_of_their_own_and_batches_give_the_values_of
             np.testing.assert_allclose(cells_m[at], expected, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_of_gps_a_higher_roof_never_helps_and_a_higher_receiver_never_harms():
     with jax.enable_x64(True):
         _, slopes = mix_and_slopes("gps", CASES["gps"].inputs(), CASES["gps"].view(np.float64))

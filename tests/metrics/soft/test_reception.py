@@ -100,6 +100,7 @@ def test_the_curve_has_the_chances_of_the_study_and_their_slopes_by_the_margin_a
     )
 
 
+@pytest.mark.slow
 def test_slopes_of_the_map_by_heights_altitude_and_coefficients_equal_central_differences():
     with jax.enable_x64(True):
         inputs, view = inputs_of(HILLY), HILLY.view(np.float64)
@@ -108,6 +109,7 @@ def test_slopes_of_the_map_by_heights_altitude_and_coefficients_equal_central_di
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [LEVEL, HILLY], ids=["level", "hills"])
 def test_the_map_is_the_dop_of_satellites_weighted_by_the_squares_of_their_chances(case):
     with jax.enable_x64(True):
@@ -143,6 +145,7 @@ def test_the_map_is_nearer_to_its_mean_over_satellites_heard_by_chance_than_weig
     assert squared < 0.75 * plain
 
 
+@pytest.mark.slow
 def test_at_the_edge_of_a_shadow_the_map_has_a_slope_and_beyond_the_cut_it_is_level_and_finite():
     with jax.enable_x64(True):
         view = LEVEL.view(np.float64)
@@ -171,6 +174,7 @@ def test_at_the_edge_of_a_shadow_the_map_has_a_slope_and_beyond_the_cut_it_is_le
         assert all(np.all(np.isfinite(values)) for values in behind.values())
 
 
+@pytest.mark.slow
 def test_both_forms_of_the_shadows_know_where_no_roof_is():
     roof_m = jnp.asarray(LEVEL.surface().roof_m)
     top_m, lines, window = (
