@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 from jaxurban.cli.main import app
 
 HEAVY = "dask geopandas jax matplotlib numba numpy pandas pydantic pyproj rasterio scipy shapely xarray zarr"
@@ -28,6 +30,7 @@ def test_what_needs_no_command_to_run_and_the_help_of_every_one_import_nothing_h
     assert heavy_modules(f"from jaxurban.cli.main import main{runs}") == []
 
 
+@pytest.mark.slow
 def test_maps_of_the_demo_city_import_neither_stores_nor_tables_of_outlines():
     """Reading and writing files is another matter: what that needs comes when it is asked for."""
     run = "import jaxurban as ju; ju.build_maps(ju.demo_city(500, 500), altitudes_m=(20.0,), progress=False).m('gps')"

@@ -79,6 +79,7 @@ def test_damaged_programs_are_compiled_anew_and_written_again_without_a_word(tmp
     assert counted(CUT_THEN_COMPUTE, **cache) == (result, 0, num, line)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="x86 alone has these instructions")
 def test_programs_of_other_instructions_are_not_loaded(tmp_path):
     flags = [{}, {"XLA_FLAGS": "--xla_cpu_max_isa=SSE4_2"}]
@@ -105,6 +106,7 @@ print(jax.config.values["jax_persistent_cache_min_compile_time_secs"])
     return lines
 
 
+@pytest.mark.slow
 def test_the_call_keeps_programs_where_nothing_else_is_chosen(tmp_path):
     cache, other = {"XDG_CACHE_HOME": tmp_path}, str(tmp_path / "other")
     chosen = {FOLDER: other, programs.LEAST_S: 3}
@@ -120,6 +122,7 @@ def test_the_call_keeps_programs_where_nothing_else_is_chosen(tmp_path):
     assert Path(folders[0]).stat().st_mode & 0o77 == 0
 
 
+@pytest.mark.slow
 def test_where_no_folder_can_be_made_every_process_compiles(tmp_path):
     (tmp_path / "file").write_text("letters")
     for cache in (tmp_path / "file", "/proc/nowhere"):

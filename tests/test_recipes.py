@@ -33,6 +33,7 @@ def test_a_recipe_has_40_lines_at_most():
     assert max(recipe.text.count("\n") for recipe in RECIPES.values()) <= 40
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made", ["gps"], indirect=True)
 def test_commands_of_px4_give_each_second_the_satellites_of_the_table(made):
     table = pd.read_csv("gps.csv")

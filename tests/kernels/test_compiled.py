@@ -77,6 +77,7 @@ def test_an_edit_of_an_inner_function_or_constant_in_another_file_is_seen_and_el
     assert run_outer(3, 20) == (24.5, 0)
 
 
+@pytest.mark.slow
 def test_the_users_cache_folder_is_used_and_one_that_cannot_be_written_does_no_harm(
     run_outer, tmp_path
 ):

@@ -125,6 +125,7 @@ def test_gradients_are_those_of_the_nearest_source_and_finite_everywhere():
     np.testing.assert_array_equal(gradient[18], 0.0)  # at the cap
 
 
+@pytest.mark.slow
 def test_gradients_over_terrain_are_finite_where_nothing_stands():
     is_source = jnp.zeros((12, 12), bool).at[2, 3].set(True)
 

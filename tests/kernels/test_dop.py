@@ -121,6 +121,7 @@ def test_four_satellites_at_the_corners_of_a_tetrahedron_have_known_dops():
     np.testing.assert_allclose(dops_seen(corners, [1] * 4)[:, 0], expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("numbers", [None, np.arange(12) % 2])
 def test_satellites_that_fill_up_change_no_bit(numbers):
     # A sum has as many terms, some of them 0, and is added up in the same order (up to 31 of them).

@@ -200,6 +200,7 @@ def test_a_long_wall_returns_the_share_of_azimuths_that_reach_it():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FLAT)
 def test_a_roof_that_is_unknown_is_no_building_and_hides_no_other(form):
     roof_m = random_city(40, 6, seed=2)
@@ -270,6 +271,7 @@ def test_rays_have_the_symmetry_of_the_grid(num_azimuths):
     np.testing.assert_array_equal(offsets[num_azimuths // 4, -1], [0, 50])  # then east
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("per_cell", "form"), [(3, "cpu"), (2, "cpu"), (3, "gpu"), (3, "numba"), (3, "jax")]
 )

@@ -383,6 +383,7 @@ def test_a_path_on_chosen_cells_costs_what_the_whole_maps_do(soft, cost_model):
     np.testing.assert_allclose(visits.length_m, problem.features(found.points_m).phi[0])
 
 
+@pytest.mark.slow
 def test_the_gradient_of_a_path_agrees_with_finite_differences_in_everything(soft):
     visits = visits_of(problem_of(soft))
     leaves, shape = jax.tree.flatten((soft.height_m, SOFT, WEIGHTS))

@@ -162,6 +162,7 @@ def test_maps_of_a_part_equal_that_part_of_the_maps_though_their_surface_reaches
         np.testing.assert_array_equal(part[name], whole[name][..., 14:-14, 14:-14])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("num_threads", [2, 1])
 def test_while_a_tiles_results_are_waited_for_another_tile_is_begun(city, tmp_path, num_threads):
     """So does a GPU compute one tile while another's maps travel; with one thread it would have to wait."""

@@ -119,6 +119,7 @@ def test_visibility_agrees_with_embree(city, scene, data_dir, resolution_m, bars
         check_shares(words[:, k, row, col], scene.sees(start_m, unit_vectors(*angles)), bars, k)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("altitude_m", "mean_error", "bias"),

@@ -31,7 +31,7 @@ def solve_one(backend, problem, heuristic, seed, options):
     return bitstar(problem, heuristic=heuristic, seed=seed, options=options)
 
 
-@pytest.mark.parametrize("backend", ["numba", "jax"])
+@pytest.mark.parametrize("backend", ["numba", pytest.param("jax", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("cost_model", ["line", "cell"])
 @pytest.mark.parametrize("heuristic", HEURISTICS)
 def test_every_batch_costs_what_dijkstra_finds_on_its_samples_and_the_tree_before(

@@ -91,6 +91,7 @@ assert find_planner("astar-plus")(problem).setup_s > 0
 NUM_OWN, NUM_IN_ALL = 16, 29
 
 
+@pytest.mark.slow
 def test_one_plan_of_astar_compiles_few_functions_and_each_of_them_once(tmp_path):
     """Seconds are of the machine, and of its load; what is compiled from an empty cache is not."""
     command, environment = (

@@ -328,6 +328,7 @@ def test_a_crash_takes_the_place_of_its_path_and_no_search_begins_after_the_iter
     assert len(begun) <= 4
 
 
+@pytest.mark.slow
 def test_a_spent_budget_ends_the_frontier_search_with_a_bound(monkeypatch):
     problems = mixed_batch()
     monkeypatch.setattr(bulk, "ROUNDS_AT_ONCE", 3)

@@ -32,6 +32,7 @@ def saved(found, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_folder_holds_report_tables_maps_and_figures(found, saved):
     report = (saved / "report.md").read_text(encoding="utf-8")
     for name in comparison_figures(found):

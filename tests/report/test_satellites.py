@@ -33,6 +33,7 @@ def test_the_report_leads_with_the_verdict_and_counts_come_second(of_satellites)
     assert "nan" not in report
 
 
+@pytest.mark.slow
 def test_every_score_stands_in_the_report_with_its_interval(of_satellites):
     report = validation_markdown(of_satellites)
     assert (

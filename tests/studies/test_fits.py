@@ -56,6 +56,7 @@ def test_hidden_weights_come_back_from_optimal_routes_and_their_intervals_hold_t
     assert fit.is_settled
 
 
+@pytest.mark.slow
 def test_draws_of_cities_depend_on_their_order_and_not_on_where_their_maps_lie_in_memory(
     small, demonstrations
 ):
@@ -94,6 +95,7 @@ def test_intervals_of_thinned_routes_contain_the_weights_that_they_were_planned_
     assert np.all(truth / truth.sum() <= high)
 
 
+@pytest.mark.slow
 def test_a_fit_that_stopped_ends_bit_for_bit_as_one_that_did_not(demonstrations, fit, tmp_path):
     def stop(stage, done, total):
         if done == 3:
@@ -142,6 +144,7 @@ def test_two_layers_that_are_one_cannot_be_told_apart(small):
     assert sentence in fit.unidentified
 
 
+@pytest.mark.slow
 def test_several_altitudes_are_fitted_together(small):
     units = [ju.cost_map(small, altitude_m, cost_model="cell") for altitude_m in (20.0, 60.0)]
     shown = [
@@ -154,6 +157,7 @@ def test_several_altitudes_are_fitted_together(small):
     assert cosine(fit, shown, HIDDEN) > 0.999
 
 
+@pytest.mark.slow
 def test_weights_stay_finite_where_every_demonstration_avoids_a_cost_altogether(small):
     people = xr.zeros_like(small.ds["population"])
     people[:, 16:20, 18:22] = 1.0
@@ -269,6 +273,7 @@ def test_draws_of_several_cities_take_whole_cities_and_of_one_its_members():
     assert np.all(draw_counts(np.zeros(7, int), 50, rng).sum(axis=1) == 7)
 
 
+@pytest.mark.slow
 def test_the_report_has_the_regret_of_each_fit_and_counts_the_routes_held_out_and_bad(found):
     text = fits_section(found)
     assert f"{NUM // 2} of {2 * NUM} routes were held out" in text

@@ -208,6 +208,7 @@ def test_a_log_in_which_nothing_is_received_is_one_sentence():
         validated(heard().assign(cn0_dbhz=0.0))
 
 
+@pytest.mark.slow
 def test_counts_of_judged_rows_come_second():
     rows = found().satellites.rows
     judged = rows[rows.is_judged]
@@ -286,6 +287,7 @@ def gap_at(x_m: float, side: int = 40) -> satellites.Ground:
     return satellites.Ground(grid, roof_m, None, has_data, 2.0)
 
 
+@pytest.mark.slow
 def test_a_ray_that_crosses_cells_without_data_before_it_is_above_all_roofs_is_unknown():
     places = np.full(5, 20.5)
     azimuth_rad, elevation_rad = (

@@ -57,6 +57,7 @@ def test_every_weight_of_a_city_is_studied_and_own_layers_by_their_name(weight_s
     assert summary[(summary.cut == "all") & (summary.weight_name == "noise")].cities.tolist() == [1]
 
 
+@pytest.mark.slow
 def test_rows_are_what_planning_under_each_weight_gives(folders, weight_study):
     table = weight_study.rows.merge(weight_study.instances, on=KEY).iloc[[0, 7, 20]]
     for row in table.to_dict("records"):

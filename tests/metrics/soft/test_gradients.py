@@ -126,6 +126,7 @@ def test_softness_0_is_the_exact_map_and_the_solid_has_no_softness(name):
         assert apart(name, 3.0 if name.startswith("solid") else 0.0, z_m).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gps", "lidar", "lidar over hills", "risk"])
 def test_each_halving_of_the_softness_comes_nearer_to_the_exact_map(name):
     """Of the slice until no roof lies so little below."""
@@ -199,6 +200,7 @@ def test_of_gps_a_higher_roof_never_helps_and_a_higher_receiver_never_harms():
     assert np.asarray(slopes["roof_m"]).max() <= 0 < float(slopes["altitude_m"])
 
 
+@pytest.mark.slow
 def test_softness_0_has_no_gradient_of_gps_by_heights_and_the_exact_one_of_the_slice_by_its_threshold():
     found = {}
     for name, softness_m in (("gps", 0.0), ("risk", 0.0)):
