@@ -238,24 +238,24 @@ def within_budgets(
         num_labels, is_over = search.close(prices)
         best = search.best()
     is_spent = search.is_out_of_time
-    status, bound = Status.BUDGET_EMPTY if is_spent else Status.UNDECIDED, search.bound
-    kept = " and ".join(f"{name} <= {most:g}" for name, most in budgets.items())
-    note = f"That is of the paths that keep {kept} (searches: {len(search.paths)}, labels: {num_labels:,})."
+    bound = search.bound
+    limits = " and ".join(f"{name} <= {most:g}" for name, most in budgets.items())
     if best is not None:
-        is_best = best.cost * (1 - 2 * SAME_EXPOSURE) <= bound
-        status = (
-            Status.OPTIMAL if is_best else Status.BUDGET_FEASIBLE if is_spent else Status.FEASIBLE
-        )
+        status = Status.BUDGET_FEASIBLE if is_spent else Status.FEASIBLE
+        if best.cost * (1 - 2 * SAME_EXPOSURE) <= bound:
+            status = Status.OPTIMAL
+        counts = f"searches: {len(search.paths)}, labels: {num_labels:,}"
+        note = f"That is of the paths that keep {limits} ({counts})."
     elif is_over:
         status, bound = Status.OVER_EXPOSURE, np.inf
         least = zip(budgets, search.least_exposures(), strict=True)
-        said = ", ".join(f"{value:.10g} to {name}" for name, value in least)
-        note = f"The least exposure that any path has{' to each alone' * (len(budgets) > 1)} is {said}."
+        exposures = ", ".join(f"{value:.10g} to {name}" for name, value in least)
+        alone = " to each alone" if len(budgets) > 1 else ""
+        note = f"The least exposure that any path has{alone} is {exposures}."
     else:
-        remedy = (
-            "raise budget_s, or a budget of exposure" if is_spent else "raise a budget of exposure"
-        )
-        note = f"Whether any path keeps {kept} is not known: {remedy}."
+        status = Status.BUDGET_EMPTY if is_spent else Status.UNDECIDED
+        seconds = "budget_s, or " if is_spent else ""
+        note = f"Whether any path keeps {limits} is not known: raise {seconds}a budget of exposure."
     done = {
         "num_expanded": sum(path.num_expanded for path in search.paths) + num_labels,
         "note": note,

@@ -5,7 +5,6 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
 from typing import Literal, get_args
 
 import jax
@@ -169,7 +168,7 @@ def solve_many(
       budget_s: seconds for each query.
       seed: for each query.
       num_threads: of ``"numba"``; left out, one for every processor that this process may use.
-      only: the problems to solve, by number; all of them have their say in what is chosen.
+      only: the problems to solve, by number; what is chosen depends on all of them.
 
     Raises:
       InputError: an unknown planner, heuristic or backend, a planner or heuristic that ``"jax"`` does not
@@ -181,12 +180,13 @@ def solve_many(
         at_least("num_threads", num_threads, 1)
     only = range(len(problems)) if only is None else only
     if backend == "jax" and planner in SAMPLING_PLANNERS:
-        chosen, some = (
-            heuristic or PLANNERS[planner].default_heuristic,
-            [problems[index] for index in only],
-        )
+        some = [problems[index] for index in only]
         paths = solve_batched(
-            some, planner=planner, heuristic=chosen, seeds=[seed] * len(some), budget_s=budget_s
+            some,
+            planner=planner,
+            heuristic=heuristic or PLANNERS[planner].default_heuristic,
+            seeds=[seed] * len(some),
+            budget_s=budget_s,
         )
         return ((only[k], path) for k, path in paths)
     is_for_frontier = planner in EXACT_PLANNERS and heuristic in FRONTIER_HEURISTICS
@@ -199,39 +199,40 @@ def solve_many(
         has_gpu = is_for_frontier and len(problems) >= GPU_BATCH and jax.default_backend() != "cpu"
         backend = "jax" if has_gpu else "numba"
     num_threads = num_threads or _num_processors()
+    heuristics = choose_heuristics(problems, planner, heuristic, budget_s)
+    run = partial(_in_threads, problems, num_threads=num_threads)
 
     def outcomes() -> Generator[Outcome]:
-        heuristics = choose_heuristics(problems, planner, heuristic, budget_s)
-        run = partial(_in_threads, problems, num_threads=num_threads)
-        to_one_goal: dict[tuple[ProblemCache, Cell], list[int]] = {}
-        if heuristic != "exact":  # which makes each goal's field in a thread
-            for index in only:
-                if heuristics[index] == "exact":
-                    to_one_goal.setdefault(
-                        (problems[index].cache, problems[index].goal), []
-                    ).append(index)
-        walk = partial(
-            find_planner(planner, "exact" if to_one_goal else None), budget_s=budget_s, seed=seed
-        )
-        for indices in to_one_goal.values():
-            cost_to_go(problems[indices[0]])
-            yield from run(indices, walk)
-        walked = set(chain.from_iterable(to_one_goal.values()))
-        alone = [index for index in only if index not in walked]
+        # Under "exact" by name each query makes its goal's field itself, in its thread.
+        shared = [k for k in only if heuristics[k] == "exact"] if heuristic != "exact" else []
+        for same_goal in _by_map_and_goal(problems, shared):
+            cost_to_go(problems[same_goal[0]])
+            walk = partial(find_planner(planner, "exact"), budget_s=budget_s, seed=seed)
+            yield from run(same_goal, walk)
+        alone = sorted(set(only) - set(shared))
         if backend == "jax":
-            together = [problems[index] for index in alone]
+            together = [problems[k] for k in alone]
             for k, path in solve_by_frontier(together, planner=planner, budget_s=budget_s):
                 yield alone[k], path
             return
-        for problem in {
+        with_landmarks = {
             problems[k].cache: problems[k] for k in alone if heuristics[k] == "landmarks"
-        }.values():
+        }
+        for problem in with_landmarks.values():
             make_landmarks(problem)
-        for name in dict.fromkeys(heuristics[index] for index in alone):
+        for name in dict.fromkeys(heuristics[k] for k in alone):
             search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)
-            yield from run([index for index in alone if heuristics[index] == name], search)
+            yield from run([k for k in alone if heuristics[k] == name], search)
 
     return outcomes()
+
+
+def _by_map_and_goal(problems: Sequence[Problem], chosen: Sequence[int]) -> list[list[int]]:
+    """Return the numbers of chosen problems, those on one map to one goal together."""
+    groups: dict[tuple[ProblemCache, Cell], list[int]] = {}
+    for index in chosen:
+        groups.setdefault((problems[index].cache, problems[index].goal), []).append(index)
+    return list(groups.values())
 
 
 def choose_heuristics(
@@ -246,10 +247,7 @@ def choose_heuristics(
     heuristics = [heuristic] * len(problems)
     if (heuristic or PLANNERS[planner].default_heuristic) != AUTO:
         return heuristics
-    by_goal: dict[tuple[ProblemCache, Cell], list[int]] = {}
     others: dict[ProblemCache, list[int]] = {}
-    for index, problem in enumerate(problems):
-        by_goal.setdefault((problem.cache, problem.goal), []).append(index)
 
     def choose(name: str, indices: list[int], fewest: int, num_fields: int) -> bool:
         expected_s = num_fields * problems[indices[0]].is_free.size / NODES_PER_S
@@ -258,9 +256,9 @@ def choose_heuristics(
             heuristics[index] = name
         return is_chosen
 
-    for (cache, _), indices in by_goal.items():
+    for indices in _by_map_and_goal(problems, range(len(problems))):
         if planner not in EXACT_PLANNERS or not choose("exact", indices, FEW_TO_ONE_GOAL, 1):
-            others.setdefault(cache, []).extend(indices)
+            others.setdefault(problems[indices[0]].cache, []).extend(indices)
     for indices in others.values():
         choose("landmarks", indices, FEW_QUERIES + 1, NUM_LANDMARKS)
     return heuristics

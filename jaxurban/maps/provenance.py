@@ -125,17 +125,15 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
     Raises:
       InputError: a file that is missing or cannot be read.
     """
-    population, orbits = (
-        scenario.population,
-        [name for name in as_tuple(scenario.gps.orbits) if name != NOMINAL],
-    )
-    named = {
-        "buildings": None if scenario.is_synthetic else scenario.buildings.source,
-        "terrain": scenario.terrain.source,
-        **{"orbits" if i == 1 else f"orbits_{i}": name for i, name in enumerate(orbits, start=1)},
-        **{name: getattr(population, name) for name in FILES},
-        **{f"layer_{name}": layer.source for name, layer in scenario.layers.items()},
-    }
+    buildings = None if scenario.is_synthetic else scenario.buildings.source
+    named: dict[str, Any] = {"buildings": buildings, "terrain": scenario.terrain.source}
+    orbits = [name for name in as_tuple(scenario.gps.orbits) if name != NOMINAL]
+    for number, name in enumerate(orbits, start=1):
+        named["orbits" if number == 1 else f"orbits_{number}"] = name
+    for role in FILES:
+        named[role] = getattr(scenario.population, role)
+    for layer_name, layer in scenario.layers.items():
+        named[f"layer_{layer_name}"] = layer.source
     return {
         role: {"path": name, "sha256": _sha256(located(scenario.path_of(name)), role)}
         for role, name in named.items()

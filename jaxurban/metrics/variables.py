@@ -84,45 +84,46 @@ def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
     ``"series"``: over many times, cell by cell; ``"region"``: the same over all cells; ``"bounds"``: what brackets it;
     ``"spread"``: over uncertain heights.
     """
-    own, dims = metric.variables[metric.name], tuple(dim for dim in metric.dims if dim != TIME)
-    share, always_so = "above the threshold", f"m_{own.name} is above the threshold"
+    own = metric.variables[metric.name]
+    share = "above the threshold"
+    always = f"m_{own.name} is above the threshold"
     if metric.available:
-        share, always_so = (
-            f"with {(said := metric.variables[metric.available].long_name)}",
-            f"{said},",
-        )
+        condition = metric.variables[metric.available].long_name
+        share, always = f"with {condition}", f"{condition},"
     uncertain = "over uncertain heights"
-    kinds: dict[str, dict[str, tuple[str, str]]] = {  # what it is, and what 1 means
-        "series": {
-            "availability": (f"share of times {share}", f"{always_so} at every epoch"),
-            "median": ("median over time", own.one_means),
-            "p05": ("5th percentile over time", own.one_means),
-        },
-        "region": {
-            "epoch_mean": ("mean over free cells", own.one_means),
-            "worst_time": ("time of the least mean over free cells", ""),
-        },
-        "bounds": {"lower": ("at least", ""), "upper": ("at most", "")},
-        "spread": {
-            "mean": (f"mean {uncertain}", ""),
-            "std": (f"standard deviation {uncertain}", ""),
-            "p05": (f"5th percentile {uncertain}", ""),
-            "p95": (f"95th percentile {uncertain}", ""),
-        },
+    series = {  # what it is, and what 1 means
+        "availability": (f"share of times {share}", f"{always} at every epoch"),
+        "median": ("median over time", own.one_means),
+        "p05": ("5th percentile over time", own.one_means),
     }
+    region = {
+        "epoch_mean": ("mean over free cells", own.one_means),
+        "worst_time": ("time of the least mean over free cells", ""),
+    }
+    bounds = {"lower": ("at least", ""), "upper": ("at most", "")}
+    spread = {
+        "mean": (f"mean {uncertain}", ""),
+        "std": (f"standard deviation {uncertain}", ""),
+        "p05": (f"5th percentile {uncertain}", ""),
+        "p95": (f"95th percentile {uncertain}", ""),
+    }
+    without_time = tuple(dim for dim in metric.dims if dim != TIME)
     return {
-        kind: {
-            (name := f"{own.name}_{what}"): replace(
-                own,
-                name=name,
-                long_name=f"{own.long_name}, {said}",
-                one_means=means,
-                dims=dims if kind == "series" else own.dims,
-            )
-            for what, (said, means) in rows.items()
-        }
-        for kind, rows in kinds.items()
+        "series": _variants(replace(own, dims=without_time), series),
+        "region": _variants(own, region),
+        "bounds": _variants(own, bounds),
+        "spread": _variants(own, spread),
     }
+
+
+def _variants(own: Variable, texts: Mapping[str, tuple[str, str]]) -> dict[str, Variable]:
+    """Return variables made of a metric's own, by name; of each what it is and what 1 means, by its suffix."""
+    variants = {}
+    for suffix, (text, one_means) in texts.items():
+        name = f"{own.name}_{suffix}"
+        long_name = f"{own.long_name}, {text}"
+        variants[name] = replace(own, name=name, long_name=long_name, one_means=one_means)
+    return variants
 
 
 def names_in(attributes: Mapping[str, Any], name: str) -> list[str]:

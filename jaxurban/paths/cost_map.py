@@ -90,10 +90,10 @@ class CostMap(FactsRepr):
       cache: what is derived from it.
 
     Examples:
-      >>> on = ju.cost_map(maps, 60.0)
-      >>> on.costs.shape, on.names
+      >>> cost_map = ju.cost_map(maps, 60.0)
+      >>> cost_map.costs.shape, cost_map.names
       ((4, 30, 30), ('gps', 'lidar', 'population', 'risk'))
-      >>> [on.plan(start, goal).status.value, on.plan(goal, start).status.value]
+      >>> [cost_map.plan(start, goal).status.value, cost_map.plan(goal, start).status.value]
       ['optimal', 'optimal']
     """
 
@@ -246,9 +246,9 @@ class CostMap(FactsRepr):
           InputError: a weight that is none, or of a metric that the maps lack.
 
         Examples:
-          >>> on = ju.cost_map(maps, 60.0)
-          >>> avoiding = on.with_weights({"population": 5.0})
-          >>> [round(each.plan(start, goal).length_m) for each in (on, avoiding)]
+          >>> cost_map = ju.cost_map(maps, 60.0)
+          >>> avoiding = cost_map.with_weights({"population": 5.0})
+          >>> [round(each.plan(start, goal).length_m) for each in (cost_map, avoiding)]
           [719, 742]
         """
         other = replace(self, weights=weights_on(self.maps, weights), is_prepared=False)
@@ -269,8 +269,8 @@ class CostMap(FactsRepr):
           InputError: a volume, or no cell is free.
 
         Examples:
-          >>> on = ju.cost_map(maps, 60.0).prepare()
-          >>> on.plan(start, goal).search.heuristic
+          >>> cost_map = ju.cost_map(maps, 60.0).prepare()
+          >>> cost_map.plan(start, goal).search.heuristic
           'landmarks'
         """
         if self.levels is not None:
@@ -290,8 +290,8 @@ class CostMap(FactsRepr):
           A number in [0, 1]; 0 where the metric costs nothing anywhere, or no cell is free.
 
         Examples:
-          >>> on = ju.cost_map(maps, 60.0)
-          >>> {name: round(on.cost_of(name), 1) for name in on.names}
+          >>> cost_map = ju.cost_map(maps, 60.0)
+          >>> {name: round(cost_map.cost_of(name), 1) for name in cost_map.names}
           {'gps': 0.5, 'lidar': 1.0, 'population': 1.0, 'risk': 0.6}
         """
         return float(self.costs[self.names.index(name)][self.is_free].max(initial=0.0))
@@ -447,8 +447,8 @@ class CostMap(FactsRepr):
           `PlannedPath`, whose status says how the search ended; errors are those of `jaxurban.plan`.
 
         Examples:
-          >>> on = ju.cost_map(maps, 60.0, objective="distance")
-          >>> shortest = on.plan(start, goal, planner="theta-star")
+          >>> cost_map = ju.cost_map(maps, 60.0, objective="distance")
+          >>> shortest = cost_map.plan(start, goal, planner="theta-star")
           >>> shortest.status.value, len(shortest.xy_m), round(shortest.length_m)
           ('optimal', 2, 707)
         """
@@ -520,8 +520,8 @@ class CostMap(FactsRepr):
           Numbers in [0, 1] by the metric's name; of a path without length, m at its place.
 
         Examples:
-          >>> on = ju.cost_map(maps, 60.0)
-          >>> means = on.means(on.problem.features(path.search.points_m))
+          >>> cost_map = ju.cost_map(maps, 60.0)
+          >>> means = cost_map.means(cost_map.problem.features(path.search.points_m))
           >>> {name: round(m, 2) for name, m in means.items()}
           {'gps': 0.88, 'lidar': 0.11, 'population': 0.04, 'risk': 0.99}
         """

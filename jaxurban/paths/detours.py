@@ -20,7 +20,9 @@ ROUND = 1.002  # by how much a polygon of 16 corners a quarter lies within its c
 
 
 @typed
-def density_detours(planned: PlannedPath, on: CostMap, density: OverflownDensity) -> pd.DataFrame:
+def density_detours(
+    planned: PlannedPath, cost_map: CostMap, density: OverflownDensity
+) -> pd.DataFrame:
     """Return what detours between the same ends would lower, and how much longer they are.
 
     A route is planned clear of all cells of the density's grid above a bound, with the whole corridor: at the least
@@ -30,7 +32,7 @@ def density_detours(planned: PlannedPath, on: CostMap, density: OverflownDensity
 
     Args:
       planned: the route that ``density`` is of.
-      on: the cost map that it was planned on.
+      cost_map: the cost map that it was planned on.
       density: of the route, whose corridor, grid and times of day are taken.
 
     Returns:
@@ -41,18 +43,18 @@ def density_detours(planned: PlannedPath, on: CostMap, density: OverflownDensity
       InputError: a cost map in another region.
 
     Examples:
-      >>> on, ends = ju.cost_map(maps, 60.0), (maps.grid.lonlat_of_cell(14, 4), maps.grid.lonlat_of_cell(14, 25))
-      >>> path = on.plan(*ends)
+      >>> cost_map, ends = ju.cost_map(maps, 60.0), (maps.grid.lonlat_of_cell(14, 4), maps.grid.lonlat_of_cell(14, 25))
+      >>> path = cost_map.plan(*ends)
       >>> density = ju.overflown_density(maps, path, half_width_m=5.0, buffer_m=5.0, cell_m=100.0)
-      >>> detours = ju.density_detours(path, on, density)
+      >>> detours = ju.density_detours(path, cost_map, density)
       >>> detours[["lowered_share", "extra_m"]].round(2).to_numpy().tolist()
       [[0.51, 327.7], [0.26, 16.57]]
     """
-    grid, reach_m, most = on.grid, density.reach_m, density.density_per_km2
+    grid, reach_m, most = cost_map.grid, density.reach_m, density.density_per_km2
     times = [name or None for name in density.largest["time_of_day"].unique()]
     cells = cells_within(shapely.box(*grid.bounds_m), reach_m, density.settings["cell_m"], grid)
     means = np.fmax.reduce(
-        [cell_means(on.maps.m("density", time_of_day=name), grid, cells)[0] for name in times]
+        [cell_means(cost_map.maps.m("density", time_of_day=name), grid, cells)[0] for name in times]
     )
     line = shapely.LineString(planned.xy_m[[0, *range(len(planned.xy_m))]])
     is_kept = shapely.dwithin(cells.boxes, shapely.MultiPoint(planned.xy_m[[0, -1]]), reach_m)
@@ -60,15 +62,15 @@ def density_detours(planned: PlannedPath, on: CostMap, density: OverflownDensity
     is_kept |= np.isnan(means) & shapely.dwithin(cells.boxes, line, reach_m)
     level = np.where(np.isnan(means), np.inf, means)
     start, goal = (
-        XY(*planned.xy_m[end], *([] if on.levels is None else [planned.z_m[end]]))
+        XY(*planned.xy_m[end], *([] if cost_map.levels is None else [planned.z_m[end]]))
         for end in (0, -1)
     )
-    nodes = [end.cell for end in on.ends(start, goal)]
+    nodes = [end.cell for end in cost_map.ends(start, goal)]
 
     def up_to(bound: float) -> CostMap:
         dense = shapely.union_all(cells.boxes[(level > bound) & ~is_kept])
         closed = touched_cells(shapely.buffer(dense, reach_m * ROUND, quad_segs=16), grid)
-        return replace(on, is_free=on.is_free & ~closed)
+        return replace(cost_map, is_free=cost_map.is_free & ~closed)
 
     def joins(bound: float) -> bool:
         of_start, of_goal = (up_to(bound).islands[node] for node in nodes)
@@ -82,7 +84,7 @@ def density_detours(planned: PlannedPath, on: CostMap, density: OverflownDensity
             if not route.status.has_path:
                 continue
             lower = overflown_density(
-                on.maps,
+                cost_map.maps,
                 route,
                 half_width_m=density.settings["half_width_m"],
                 contingency_m=density.settings["contingency_m"],

@@ -1,7 +1,7 @@
 """A planned route explained: what each layer and each segment costs, who is below, where GPS or room is scarce."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -11,6 +11,7 @@ import pandas as pd
 
 from jaxurban.checks import positive, typed
 from jaxurban.errors import InputError
+from jaxurban.kernels.line.traversal import Crossings
 from jaxurban.maps.levels import Levels
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX
@@ -238,79 +239,108 @@ def explain(
     maps = as_maps(maps)
     if num_segments < 1:
         raise InputError(f"num_segments must be at least 1, got {num_segments}")
-    cut, names, grid = cut_on(planned, maps), tuple(maps.metrics), maps.grid
-    flight = {"speed_m_s": speed_m_s, "power_w": power_w}
-    vehicle = Vehicle.of(planned.settings)
-    vehicle = replace(
-        vehicle, **{name: value for name, value in flight.items() if value is not None}
-    )
     positive("swath_m", swath_m)
+    cut, names, grid = cut_on(planned, maps), tuple(maps.metrics), maps.grid
+    vehicle = Vehicle.of(planned.settings)
+    if speed_m_s is not None:
+        vehicle = replace(vehicle, speed_m_s=speed_m_s)
+    if power_w is not None:
+        vehicle = replace(vehicle, power_w=power_w)
     profile = profile_of(planned, maps, cut, {name: name for name in names} | EXTRA_MAPS)
-    on = _cost_map_of(planned, maps)
-    states = cut.points_m[:, : 2 if on.levels is None else 3]
-    lonlat = np.stack(
-        grid.lonlat_of_xy(states[:, 0] + grid.x_min_m, states[:, 1] + grid.y_min_m), axis=-1
-    )
+    route = _Route(cut, profile, _cost_map_of(planned, maps), vehicle, swath_m)
 
-    moved_m = np.diff(cut.ends_m, axis=1)[:, 0].T
-    over_m, rise_m = np.hypot(*moved_m[:2]), moved_m[2]
-    flight_s = (
-        None
-        if vehicle.speed_m_s is None
-        else vehicle.flight_s(cut.length_m, rise_m, vehicle.speed_m_s)
-    )
-
-    def numbers(first: int, last: int) -> dict[str, float]:
-        """Return what the route from one state to another costs and meets."""
-        chosen = (first <= cut.segment) & (cut.segment < max(last, 1))
-        part, features = profile[chosen], on.shortest.features(states[first : last + 1])
-        length_m = (part["to_m"] - part["from_m"]).to_numpy()
-        row = {
-            "from_m": part["from_m"].min(),
-            "to_m": part["to_m"].max(),
-            "length_m": float(length_m.sum()),
-        }
-        by_name = dict(
-            zip(on.weight_names, (on.weight_vector * features.phi).tolist(), strict=True)
-        )
-        row |= {"cost": sum(by_name.values())} | {
-            f"{COST_OF}{name}": cost for name, cost in by_name.items()
-        }
-        row |= {f"mean_{name}": mean for name, mean in on.means(features).items()}
-        if DENSITY in part:
-            row["people_overflown"] = float(part[DENSITY] @ over_m[chosen]) * swath_m / M2_PER_KM2
-        if FIX in part:
-            row["no_fix_m"] = row[NO_FIX_IN_1_0] = sum(
-                (to_m - from_m for from_m, to_m in without_fix(part)), 0.0
-            )
-        row |= {name: float(part[name].min()) for name in (CLEARANCE, OUTSIDE, OVER_ROOF)}
-        if flight_s is not None:
-            row["time_s"] = float(flight_s[chosen].sum())
-        if flight_s is not None and vehicle.power_w is not None:
-            row["energy_wh"] = row["time_s"] * vehicle.power_w / SECONDS_PER_HOUR
-        return row | {
-            f"{end}_{name}": getattr(part[name], end)() for end in ("min", "max") for name in names
-        }
-
-    num_steps = len(states) - 1
-    whole = numbers(0, num_steps)
+    num_steps = len(route.states) - 1
+    whole = route.row(0, num_steps, names)
     segment = cut_evenly(cut.points_m, num_segments)
-    parts = list(pairwise([*np.unique(segment, return_index=True)[1].tolist(), num_steps]))
+    starts = np.unique(segment, return_index=True)[1].tolist()
+    parts = list(pairwise([*starts, num_steps]))
     segments = pd.DataFrame(
-        [numbers(*part) for part in parts],
+        [route.row(*part, names) for part in parts],
         pd.RangeIndex(1, len(parts) + 1, name="segment"),
         list(whole),
     )
-    left_out = ("from_m", "to_m", *(f"{end}_{name}" for end in ("min", "max") for name in names))
+    x_m, y_m = route.states[:, 0] + grid.x_min_m, route.states[:, 1] + grid.y_min_m
+    lonlat = np.stack(grid.lonlat_of_xy(x_m, y_m), axis=-1)
     return RouteReport(
-        totals={name: value for name, value in whole.items() if name not in left_out},
+        totals={
+            name: value
+            for name, value in whole.items()
+            if not name.startswith(("from_", "to_", "min_", "max_"))
+        },
         segments=segments,
         profile=profile,
         lines=tuple(lonlat[first : last + 1] for first, last in parts),
-        settings={"swath_m": swath_m} | {name: getattr(vehicle, name) for name in flight},
+        settings={
+            "swath_m": swath_m,
+            "speed_m_s": vehicle.speed_m_s,
+            "power_w": vehicle.power_w,
+        },
         cautions=cautions(planned, maps, profile),
         density=density,
     )
+
+
+@dataclass(frozen=True)
+class _Route:
+    """A route over maps, whose parts are from one state to another.
+
+    Attributes:
+      cut: the route by cell.
+      profile: its table of cells.
+      cost_map: that it was planned on.
+      vehicle: that flies it.
+      swath_m: width of the strip in which people are counted.
+    """
+
+    cut: Crossings
+    profile: pd.DataFrame
+    cost_map: CostMap
+    vehicle: Vehicle
+    swath_m: float
+
+    @property
+    def states(self) -> np.ndarray:
+        """Corners ``[N, 2 or 3]``, as the cost map takes them."""
+        return self.cut.points_m[:, : 2 if self.cost_map.levels is None else 3]
+
+    def row(self, first: int, last: int, names: Iterable[str]) -> dict[str, float]:
+        """Return a part's place along the route, what it costs, and the extremes of the named maps."""
+        segment = self.cut.segment
+        is_part = (first <= segment) & (segment < max(last, 1))
+        part = self.profile[is_part]
+        row = {"from_m": part["from_m"].min(), "to_m": part["to_m"].max()}
+        row |= self._sums(first, last, is_part)
+        for end in ("min", "max"):
+            row |= {f"{end}_{name}": getattr(part[name], end)() for name in names}
+        return row
+
+    def _sums(self, first: int, last: int, is_part: np.ndarray) -> dict[str, float]:
+        """Return what a part costs and meets: sums, means, and the nearest obstacles."""
+        part = self.profile[is_part]
+        features = self.cost_map.shortest.features(self.states[first : last + 1])
+        costs = (self.cost_map.weight_vector * features.phi).tolist()
+        row = {"length_m": float((part["to_m"] - part["from_m"]).to_numpy().sum())}
+        row["cost"] = sum(costs)
+        for name, cost in zip(self.cost_map.weight_names, costs, strict=True):
+            row[COST_OF + name] = cost
+        for name, mean in self.cost_map.means(features).items():
+            row[f"mean_{name}"] = mean
+        east_m, north_m, rise_m = np.diff(self.cut.ends_m, axis=1)[is_part, 0].T
+        if DENSITY in part:
+            people_m = float(part[DENSITY] @ np.hypot(east_m, north_m))
+            row["people_overflown"] = people_m * self.swath_m / M2_PER_KM2
+        if FIX in part:
+            no_fix_m = sum((to_m - from_m for from_m, to_m in without_fix(part)), 0.0)
+            row["no_fix_m"] = row[NO_FIX_IN_1_0] = no_fix_m
+        for name in (CLEARANCE, OUTSIDE, OVER_ROOF):
+            row[name] = float(part[name].min())
+        speed_m_s, power_w = self.vehicle.speed_m_s, self.vehicle.power_w
+        if speed_m_s is not None:
+            flight_s = self.vehicle.flight_s(self.cut.length_m[is_part], rise_m, speed_m_s)
+            row["time_s"] = float(flight_s.sum())
+            if power_w is not None:
+                row["energy_wh"] = row["time_s"] * power_w / SECONDS_PER_HOUR
+        return row
 
 
 def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
@@ -328,7 +358,7 @@ def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
         )
         levels_m = np.asarray(settings["levels_m"], float)
         altitudes_m = levels_m[(levels_m >= planned.z_m.min()) & (levels_m <= planned.z_m.max())]
-    on = map_at(
+    cost_map = map_at(
         maps.with_obstacles("centre"),
         altitudes_m,
         levels,
@@ -338,7 +368,7 @@ def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
         constraints=Constraints((), (), 0.0, 0.0),
     )
     names = [name for name in settings["weights"] if name != "distance"]
-    return replace(on, is_free=np.ones_like(on.is_free)).only(names)
+    return replace(cost_map, is_free=np.ones_like(cost_map.is_free)).only(names)
 
 
 def _plain(values: Mapping[Any, Any]) -> dict[str, float | None]:

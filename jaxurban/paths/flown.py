@@ -107,16 +107,16 @@ def costs_of(
     side_m = np.array(grid.shape[::-1]) * grid.resolution_m
     if not ((points_m >= 0) & (points_m <= side_m)).all():
         return figures | {"cost_note": "The mission leaves the maps, so it has no cost."}
-    on = cost_map(
+    flown_on = cost_map(
         maps, at_m, weights=weights, time=time, time_of_day=time_of_day, constraints=constraints
     )
     open_on = replace(
-        on, is_free=np.ones_like(on.is_free), constraints=Constraints((), (), 0.0, 0.0)
+        flown_on, is_free=np.ones_like(flown_on.is_free), constraints=Constraints((), (), 0.0, 0.0)
     )
     of_flown = measured(open_on, points_m)
     figures |= {name: of_flown[name] for name in ("cost", "cost_by_layer", "exposure_by_layer")}
     try:
-        cheapest = on.planned(XY(*xy_m[0]), XY(*xy_m[-1]), PathSearch.of(maps, snap=True))
+        cheapest = flown_on.planned(XY(*xy_m[0]), XY(*xy_m[-1]), PathSearch.of(maps, snap=True))
     except InputError as error:
         return figures | {"cost_note": f"No route to compare with: {str(error).partition(';')[0]}."}
     if not cheapest.status.has_path or not cheapest.length_m > 0:

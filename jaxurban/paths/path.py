@@ -217,7 +217,9 @@ def _numbers(values: Mapping[str, float]) -> dict[str, float | None]:
     return {name: _number(value) for name, value in values.items()}
 
 
-def finish(on: "CostMap", path: Path, ends: tuple[End, End], search: "PathSearch") -> PlannedPath:
+def finish(
+    cost_map: "CostMap", path: Path, ends: tuple[End, End], search: "PathSearch"
+) -> PlannedPath:
     """Return a planner's path with its weighted cost, its metrics, its coordinates and its settings.
 
     Args:
@@ -226,12 +228,12 @@ def finish(on: "CostMap", path: Path, ends: tuple[End, End], search: "PathSearch
       search: how it was searched for, for the record.
     """
     budget_s = search.budget_s if np.isfinite(search.budget_s) else None
-    settings = map_settings(on) | {"budget_s": budget_s, "seed": search.seed}
+    settings = map_settings(cost_map) | {"budget_s": budget_s, "seed": search.seed}
     settings |= {"exposure": dict(search.exposure)} if search.exposure else {}
-    if on.levels is not None:
-        settings["goal_altitude_m"] = float(on.altitudes_m[ends[1].cell[0]])
+    if cost_map.levels is not None:
+        settings["goal_altitude_m"] = float(cost_map.altitudes_m[ends[1].cell[0]])
     if path.status.has_path:
-        measures = measured(on, path.points_m)
+        measures = measured(cost_map, path.points_m)
     else:
         measures = {
             "xy_m": np.empty((0, 2)),
@@ -245,110 +247,121 @@ def finish(on: "CostMap", path: Path, ends: tuple[End, End], search: "PathSearch
     return PlannedPath(
         **measures,
         status=path.status,
-        altitude_m=float(on.altitudes_m[0 if on.levels is None else ends[0].cell[0]]),
+        altitude_m=float(cost_map.altitudes_m[0 if cost_map.levels is None else ends[0].cell[0]]),
         snap_distance_m=(ends[0].snap_distance_m, ends[1].snap_distance_m),
-        search=replace(path, note=_note(on, path, ends)),
+        search=replace(path, note=_note(cost_map, path, ends)),
         settings=settings,
-        crs=on.grid.crs,
-        zones=on.constraints.zones,
-        maps=on.maps,
+        crs=cost_map.grid.crs,
+        zones=cost_map.constraints.zones,
+        maps=cost_map.maps,
     )
 
 
-def measured(on: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
+def measured(cost_map: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
     """Return where a path lies, what it costs and what it meets, under the names of `PlannedPath`.
 
     Args:
       points_m: ``[N, 2]`` x, y in metres from the map's southwest corner; in a volume ``[N, 3]``, with the altitude.
     """
-    grid = on.grid
+    grid = cost_map.grid
     xy_m = points_m[:, :2] + np.array([grid.x_min_m, grid.y_min_m])
-    features = on.problem.features(points_m)
-    parts = zip(on.weight_names, on.weight_vector * features.phi, strict=True)
-    exposure = features.mean_costs * features.length_m.sum() / on.cost_model.reference_length_m
+    features = cost_map.problem.features(points_m)
+    parts = zip(cost_map.weight_names, cost_map.weight_vector * features.phi, strict=True)
+    exposure = (
+        features.mean_costs * features.length_m.sum() / cost_map.cost_model.reference_length_m
+    )
     return {
         "xy_m": xy_m,
         "lonlat": np.stack(grid.lonlat_of_xy(xy_m[:, 0], xy_m[:, 1]), axis=-1),
-        "z_m": np.full(len(xy_m), on.altitude_m) if on.levels is None else points_m[:, 2],
-        "cost": features.cost(on.weight_vector),
+        "z_m": np.full(len(xy_m), cost_map.altitude_m)
+        if cost_map.levels is None
+        else points_m[:, 2],
+        "cost": features.cost(cost_map.weight_vector),
         "cost_by_layer": {name: float(cost) for name, cost in parts},
-        "exposure_by_layer": dict(zip(on.names, exposure.tolist(), strict=True)),
+        "exposure_by_layer": dict(zip(cost_map.names, exposure.tolist(), strict=True)),
         "length_m": float(features.phi[0]),
-        "metrics": on.means(features),
+        "metrics": cost_map.means(features),
         "ground": None
-        if on.terrain_m is None
-        else ground_along(points_m[:, :2], on.terrain_m, grid),
+        if cost_map.terrain_m is None
+        else ground_along(points_m[:, :2], cost_map.terrain_m, grid),
     }
 
 
-def _note(on: "CostMap", path: Path, ends: tuple[End, End]) -> str:
+def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
     """Return what the planner noted, and what a reader of the path must know beside it."""
     has_path = path.status.has_path
     notes = [path.note]
-    if not on.is_weighed and on.objective == "weighted":
+    if not cost_map.is_weighed and cost_map.objective == "weighted":
         notes.append(
             "All weights are zero, so every path is as cheap: the distance was minimised instead."
         )
     notes.append(snap_note(*ends))
-    if kept := describe_kept(on.constraints.to_dict(), on.grid.resolution_m):
-        notes.append(f"Distance to obstacles: {on.constraints.horizontal_m:g} m asked, {kept}.")
-    if on.is_weighed and on.weights.distance == 0 and not path.note and has_path:
+    if kept := describe_kept(cost_map.constraints.to_dict(), cost_map.grid.resolution_m):
+        notes.append(
+            f"Distance to obstacles: {cost_map.constraints.horizontal_m:g} m asked, {kept}."
+        )
+    if cost_map.is_weighed and cost_map.weights.distance == 0 and not path.note and has_path:
         notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
-    between = _between_m(on)
+    between = _between_m(cost_map)
     if between:
         low_m, high_m = between
         notes.append(
-            f"Metrics at {on.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
+            f"Metrics at {cost_map.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
         )
-    constraints = str(on.constraints)
+    constraints = str(cost_map.constraints)
     if constraints and not has_path:
-        without = sum(int(on.maps.is_free(z_m).sum()) for z_m in on.altitudes_m.tolist())
-        share = 1 - on.is_free.sum() / without
+        without = sum(
+            int(cost_map.maps.is_free(z_m).sum()) for z_m in cost_map.altitudes_m.tolist()
+        )
+        share = 1 - cost_map.is_free.sum() / without
         notes.append(
             f"Constraints were on ({constraints}): they close {share:.1%} of the cells without an obstacle."
         )
     if path.status is Status.NO_PATH:
-        notes += [pocket_note(on, *ends), what_would_join(on, ends[0].cell, ends[1].cell)]
-    weighed = [name for name, weight in on.weights.to_dict().items() if weight > 0]
-    missing = [name for name in weighed if name not in ("distance", *on.names)]
+        notes += [
+            pocket_note(cost_map, *ends),
+            what_would_join(cost_map, ends[0].cell, ends[1].cell),
+        ]
+    weighed = [name for name, weight in cost_map.weights.to_dict().items() if weight > 0]
+    missing = [name for name in weighed if name not in ("distance", *cost_map.names)]
     if missing:
         notes.append(f"These maps hold no {' and no '.join(missing)}, so that weight is ignored.")
-    bounded = {bound.variable for bound in on.constraints.bounds}
-    for name, metric in on.maps.metrics.items():  # that the path pays for or is bounded by
-        if (name in on.names and on.weights[name] > 0) or bounded & {*metric.variables}:
+    bounded = {bound.variable for bound in cost_map.constraints.bounds}
+    for name, metric in cost_map.maps.metrics.items():  # that the path pays for or is bounded by
+        if (name in cost_map.names and cost_map.weights[name] > 0) or bounded & {*metric.variables}:
             notes.append(metric.caveat)
     return " ".join(filter(None, notes))
 
 
-def map_settings(on: "CostMap") -> dict[str, Any]:
+def map_settings(cost_map: "CostMap") -> dict[str, Any]:
     """Return what a cost map says of the paths that are planned on it, as their settings hold it."""
     settings: dict[str, Any] = {
-        "objective": on.objective,
-        **on.cost_model.settings,
-        "weights": {name: float(on.weights[name]) for name in ("distance", *on.names)},
-        "time": on.time,
-        "time_of_day": on.time_of_day,
-        "limits": on.constraints.to_dict(),
-        "obstacles": on.maps.obstacles,
-        "resolution_m": on.grid.resolution_m,
+        "objective": cost_map.objective,
+        **cost_map.cost_model.settings,
+        "weights": {name: float(cost_map.weights[name]) for name in ("distance", *cost_map.names)},
+        "time": cost_map.time,
+        "time_of_day": cost_map.time_of_day,
+        "limits": cost_map.constraints.to_dict(),
+        "obstacles": cost_map.maps.obstacles,
+        "resolution_m": cost_map.grid.resolution_m,
     }
-    if on.levels is None:
-        between = _between_m(on)
+    if cost_map.levels is None:
+        between = _between_m(cost_map)
         return settings | ({"metrics_between_m": between} if between else {})
-    climb_cost, descent_cost = on.weight_vector[-2:].tolist()
+    climb_cost, descent_cost = cost_map.weight_vector[-2:].tolist()
     return settings | {
-        "min_altitude_m": on.levels.min_altitude_m,
-        "max_altitude_m": on.levels.max_altitude_m,
-        "level_step_m": on.levels.level_step_m,
-        "levels_m": on.altitudes_m.tolist(),
+        "min_altitude_m": cost_map.levels.min_altitude_m,
+        "max_altitude_m": cost_map.levels.max_altitude_m,
+        "level_step_m": cost_map.levels.level_step_m,
+        "levels_m": cost_map.altitudes_m.tolist(),
         "climb_cost": climb_cost,
         "descent_cost": descent_cost,
     }
 
 
-def _between_m(on: "CostMap") -> list[float]:
+def _between_m(cost_map: "CostMap") -> list[float]:
     """Return the two altitudes that metrics are interpolated between; none in a volume or where the maps hold it."""
-    around = [] if on.levels is not None else on.maps.around(on.altitude_m)
+    around = [] if cost_map.levels is not None else cost_map.maps.around(cost_map.altitude_m)
     return around if len(around) == 2 else []
 
 

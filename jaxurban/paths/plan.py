@@ -91,12 +91,12 @@ def cost_map(
         more of them than memory holds.
 
     Examples:
-      >>> on = ju.cost_map(maps, 20.0, weights={"gps": 3.0})
-      >>> on.facts["weights"]
+      >>> cost_map = ju.cost_map(maps, 20.0, weights={"gps": 3.0})
+      >>> cost_map.facts["weights"]
       'distance 0.1, gps 3, lidar 1, population 1, risk 1'
-      >>> on.facts["free"]
+      >>> cost_map.facts["free"]
       '81.2% of the cells'
-      >>> on.plan(start, goal).status.value
+      >>> cost_map.plan(start, goal).status.value
       'optimal'
     """
     maps, model, limits = rules_on(as_maps(maps), cost_model, constraints, preset)

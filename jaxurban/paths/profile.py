@@ -295,40 +295,40 @@ def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
         return
     longest = sorted(sorted(segments, key=lambda ends: ends[0] - ends[1])[:MOST_SEGMENTS])
     where = ", ".join(f"{from_m:.0f} to {to_m:.0f} m" for from_m, to_m in longest)
-    all_m, left = sum(to_m - from_m for from_m, to_m in segments), len(segments) - len(longest)
+    no_fix_m = sum(to_m - from_m for from_m, to_m in segments)
+    if len(segments) > len(longest):
+        where += f" along the route and {len(segments) - len(longest)} shorter"
+    else:
+        where += " along the route"
     yield Caution(
-        f"GPS: no fix on {all_m:.0f} of {profile['to_m'].iloc[-1]:.0f} m: "
-        f"from {where} along the route{f' and {left} shorter' * (left > 0)}.",
-        "limit",
+        f"GPS: no fix on {no_fix_m:.0f} of {profile['to_m'].iloc[-1]:.0f} m: from {where}.", "limit"
     )
 
 
 def _clearance(profile: pd.DataFrame, apart_m: float) -> Caution:
-    inside, outside = (int(np.argmin(profile[name])) for name in (CLEARANCE, OUTSIDE))
-    inside_m, outside_m = (
-        float(profile[CLEARANCE].iloc[inside]),
-        float(profile[OUTSIDE].iloc[outside]),
-    )
+    inside = int(np.argmin(profile[CLEARANCE]))
+    outside = int(np.argmin(profile[OUTSIDE]))
+    inside_m = float(profile[CLEARANCE].iloc[inside])
+    outside_m = float(profile[OUTSIDE].iloc[outside])
     if inside_m <= outside_m:
         sentence = f"Buildings: the nearest at flight height is {inside_m:.1f} m away, {_at(profile, inside)}"
     else:
-        nearest = (
-            f"; in the region the nearest is {inside_m:.1f} m away" if np.isfinite(inside_m) else ""
-        )
         sentence = (
             f"Buildings: none at flight height is within {outside_m:.1f} m, {_at(profile, outside)}, as far as the "
-            f"maps reach; what stands beyond their border is not known{nearest}"
+            "maps reach; what stands beyond their border is not known"
         )
-    if is_guess := CLEARANCE in guessed_clearances(profile):
+        if np.isfinite(inside_m):
+            sentence += f"; in the region the nearest is {inside_m:.1f} m away"
+    is_guess = CLEARANCE in guessed_clearances(profile)
+    if is_guess:
         guessed_m = float(profile[TO_GUESSED].min())
-        nearest = (
-            f"the nearest of those is {guessed_m:.1f} m away"
-            if guessed_m > 0
-            else "the route passes over some"
-        )
+        nearest = f"the nearest of those is {guessed_m:.1f} m away"
+        if guessed_m <= 0:
+            nearest = "the route passes over some"
         sentence += f", if guessed roofs are right: {nearest}"
-    is_beyond = inside_m < apart_m - AT_LIMIT or inside_m <= 0
-    return Caution(f"{sentence}.", "limit" if is_beyond else "guess" if is_guess else "note")
+    if inside_m < apart_m - AT_LIMIT or inside_m <= 0:
+        return Caution(f"{sentence}.", "limit")
+    return Caution(f"{sentence}.", "guess" if is_guess else "note")
 
 
 def _roofs(profile: pd.DataFrame, above_m: float) -> Iterator[Caution]:

@@ -132,26 +132,25 @@ def table_of(queries: Iterable[tuple[Point, Point]]) -> pd.DataFrame:
 
 def _of_row(row: Mapping, names: Sequence[str], base: Query) -> Query:
     """Return the query of a row, with an error where a number is missing, not finite or no number."""
-    given, query = {str(name): value for name, value in row.items() if not pd.isna(value)}, base
-    weights = {
-        name.removeprefix(WEIGHT_PREFIX): name for name in given if name.startswith(WEIGHT_PREFIX)
-    }
-    time = given.get("time", base.time)
+    values = {str(name): value for name, value in row.items() if not pd.isna(value)}
+    weight_columns = [name for name in values if name.startswith(WEIGHT_PREFIX)]
+    time = values.get("time", base.time)
+    query = base
     try:
-        start_x, start_y, goal_x, goal_y = (float(given.get(name, np.nan)) for name in names)
+        start_x, start_y, goal_x, goal_y = [float(values.get(name, np.nan)) for name in names]
+        start, goal = (start_x, start_y), (goal_x, goal_y)
         is_xy = names == IN_METRES
+        weights = {name.removeprefix(WEIGHT_PREFIX): float(values[name]) for name in weight_columns}
         query = replace(
             base,
-            start=XY(start_x, start_y) if is_xy else (start_x, start_y),
-            goal=XY(goal_x, goal_y) if is_xy else (goal_x, goal_y),
-            altitude_m=float(given.get("altitude_m", base.altitude_m)),
+            start=XY(*start) if is_xy else start,
+            goal=XY(*goal) if is_xy else goal,
+            altitude_m=float(values.get("altitude_m", base.altitude_m)),
             time=None if time is None else str(time),
-            time_of_day=given.get("time_of_day", base.time_of_day),
-            weights=base.weights.replace(
-                **{name: float(given[column]) for name, column in weights.items()}
-            ).checked(),
+            time_of_day=values.get("time_of_day", base.time_of_day),
+            weights=base.weights.replace(**weights).checked(),
         )
-        for end, place in (("start", (start_x, start_y)), ("goal", (goal_x, goal_y))):
+        for end, place in (("start", start), ("goal", goal)):
             if not np.isfinite(place).all():
                 raise InputError(f"{end} needs two finite numbers, got {place}")
         if not np.isfinite(query.altitude_m):
@@ -193,19 +192,17 @@ class PlannedPaths(FactsRepr, Sequence[PlannedPath | None]):
     @property
     def facts(self) -> dict[str, str]:
         """How many queries ended how, and what the paths cost and measure together."""
-        ends = Counter(row["status"] for row in self.rows)
-        reached = [path for path in self.paths if path is not None and path.status.has_path]
-        heuristics = Counter(path.search.heuristic for path in self.paths if path is not None)
+        paths = [path for path in self.paths if path is not None]
+        reached = [path for path in paths if path.status.has_path]
+        cost = sum(path.cost for path in reached)
+        length_m = sum(path.length_m for path in reached)
+        interrupted = " (interrupted)" if self.was_interrupted else ""
         return {
-            "queries": f"{len(self):,}" + (" (interrupted)" if self.was_interrupted else ""),
-            "statuses": ", ".join(f"{status} {number:,}" for status, number in ends.most_common())
-            or "none",
-            "heuristics": ", ".join(
-                f"{name} {number:,}" for name, number in heuristics.most_common()
-            )
-            or "none",
-            "cost": f"{sum(path.cost for path in reached):,.2f} of {len(reached):,} paths",
-            "length": f"{sum(path.length_m for path in reached) / 1000:,.1f} km",
+            "queries": f"{len(self):,}{interrupted}",
+            "statuses": _counts(row["status"] for row in self.rows),
+            "heuristics": _counts(path.search.heuristic for path in paths),
+            "cost": f"{cost:,.2f} of {len(reached):,} paths",
+            "length": f"{length_m / 1000:,.1f} km",
         }
 
     @typed
@@ -259,11 +256,15 @@ class PlannedPaths(FactsRepr, Sequence[PlannedPath | None]):
           [[0, 'optimal', 27], [1, 'optimal', 27]]
         """
         table = pd.DataFrame(self.rows)
-        return (
-            table
-            if with_points
-            else table.drop(columns=["x_m", "y_m", "search", "key"], errors="ignore")
-        )
+        if with_points:
+            return table
+        return table.drop(columns=["x_m", "y_m", "search", "key"], errors="ignore")
+
+
+def _counts(names: Iterable[str]) -> str:
+    """Return how often each name occurs, the most frequent first, or ``none``."""
+    counts = Counter(names).most_common()
+    return ", ".join(f"{name} {count:,}" for name, count in counts) or "none"
 
 
 def row_of(

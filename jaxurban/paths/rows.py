@@ -144,7 +144,7 @@ class RouteJob(RouteRules):
         """What is done with every instance, a row each."""
         return [()]
 
-    def facts(self, on: CostMap, instance: Row, runs: Sequence[Run]) -> Iterable[Row]:
+    def facts(self, cost_map: CostMap, instance: Row, runs: Sequence[Run]) -> Iterable[Row]:
         """Return what is found for an instance, for one run after the other.
 
         Raises:
@@ -305,11 +305,11 @@ def _solve_in_worker(source: MapsFolder, job: RouteJob, task: InstanceRuns) -> l
 
 
 def solve_instance(
-    job: RouteJob, on: CostMap, instance: Row, runs: Sequence[Run]
+    job: RouteJob, cost_map: CostMap, instance: Row, runs: Sequence[Run]
 ) -> list[dict[str, Any]]:
     """Return the rows of an instance, one a run; whatever goes wrong is a row too."""
     try:
-        facts = list(job.facts(on, instance, runs))
+        facts = list(job.facts(cost_map, instance, runs))
     except Exception as error:  # whatever a route does, the job goes on
         facts = [failure(error)] * len(runs)
     return [job.row_of(instance, run, each) for run, each in zip(runs, facts, strict=True)]

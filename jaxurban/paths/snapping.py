@@ -74,14 +74,19 @@ class End:
 
 
 def places_near(
-    on: "CostMap", name: str, xy_m: tuple[float, float], level: int, cell: Cell, snap: bool | float
+    cost_map: "CostMap",
+    name: str,
+    xy_m: tuple[float, float],
+    level: int,
+    cell: Cell,
+    snap: bool | float,
 ) -> list[End]:
     """Return the cell of a place; if it is closed and ``snap`` allows it, of each island the nearest free cell.
 
     The nearest one of all comes first.
 
     Args:
-      on: whose cells.
+      cost_map: whose cells.
       name: ``"start"`` or ``"goal"``, for messages.
       xy_m: easting, northing of the place.
       level: its number; 0 on one altitude.
@@ -92,51 +97,46 @@ def places_near(
     Raises:
       InputError: the cell is closed, and ``snap`` is off or the nearest free cell farther away than it allows.
     """
-    cap_m, is_free, of_level = (
-        snap_limit_m(snap),
-        on.levels_free[level],
-        () if on.levels is None else (level,),
-    )
+    cap_m = snap_limit_m(snap)
+    is_free = cost_map.levels_free[level]
+    of_level = () if cost_map.levels is None else (level,)
     if is_free[cell]:
-        return [
-            End((*of_level, *cell), float(np.hypot(*np.subtract(on.grid.xy_of_cell(*cell), xy_m))))
-        ]
+        offset_m = np.subtract(cost_map.grid.xy_of_cell(*cell), xy_m)
+        return [End((*of_level, *cell), float(np.hypot(*offset_m)))]
     rows, cols = np.nonzero(is_free)
     if rows.size == 0:
         raise InputError(
-            f"{name} is {on.why_closed(cell, level)}, and no cell is free at this altitude: {on.remedy}"
+            f"{name} is {cost_map.why_closed(cell, level)}, and no cell is free at this altitude: {cost_map.remedy}"
         )
-    x_m, y_m = on.grid.xy_of_cell(rows, cols)
+    x_m, y_m = cost_map.grid.xy_of_cell(rows, cols)
     away_m = np.hypot(x_m - xy_m[0], y_m - xy_m[1])
     near = np.flatnonzero(away_m <= (-1.0 if cap_m is None else cap_m))
     near = near[np.argsort(away_m[near], kind="stable")]
     if near.size == 0:
         nearest = int(np.argmin(away_m))
-        lon, lat = on.grid.lonlat_of_cell(rows[nearest], cols[nearest])
+        lon, lat = cost_map.grid.lonlat_of_cell(rows[nearest], cols[nearest])
         needed_m = math.ceil(away_m[nearest])
         too_far = "" if cap_m is None else f", farther than it may be moved ({cap_m:g} m)"
-        option = (
-            "--snap (snap=True)"
-            if needed_m <= MAX_SNAP_M
-            else f"--snap {needed_m} (snap={needed_m})"
-        )
+        option = f"--snap {needed_m} (snap={needed_m})"
+        if needed_m <= MAX_SNAP_M:
+            option = "--snap (snap=True)"
         raise InputError(
-            f"{name} is {on.why_closed(cell, level)}; the nearest free cell is at {lon:.6f},{lat:.6f}, "
+            f"{name} is {cost_map.why_closed(cell, level)}; the nearest free cell is at {lon:.6f},{lat:.6f}, "
             f"{away_m[nearest]:.0f} m away{too_far}: take that place, fly higher, or pass {option} to move there"
         )
-    _, first = np.unique(on.islands[of_level][rows[near], cols[near]], return_index=True)
+    _, first = np.unique(cost_map.islands[of_level][rows[near], cols[near]], return_index=True)
     nearest_of = near[np.sort(first)]
     return [
         End((*of_level, int(rows[k]), int(cols[k])), float(away_m[k]), True) for k in nearest_of
     ]
 
 
-def joined_ends(on: "CostMap", starts: list[End], goals: list[End]) -> tuple[End, End]:
+def joined_ends(cost_map: "CostMap", starts: list[End], goals: list[End]) -> tuple[End, End]:
     """Return the start and the goal, of those that `places_near` gives, that free cells join and that move the least.
 
     Where no two are joined, the nearest ones.
     """
-    islands = on.islands
+    islands = cost_map.islands
 
     def apart_then_moved_m(ends: tuple[End, End]) -> tuple[bool, float]:
         return bool(islands[ends[0].cell] != islands[ends[1].cell]), sum(
@@ -148,27 +148,23 @@ def joined_ends(on: "CostMap", starts: list[End], goals: list[End]) -> tuple[End
 
 def snap_note(start: End, goal: End) -> str:
     """Return a sentence for each end that was moved out of a closed cell, empty where none was."""
-    moved_m = {
-        name: end.snap_distance_m
+    return " ".join(
+        f"The {name} was not free: it was moved {end.snap_distance_m:.1f} m, to a free cell."
         for name, end in (("start", start), ("goal", goal))
         if end.is_snapped
-    }
-    return " ".join(
-        f"The {name} was not free: it was moved {m:.1f} m, to a free cell."
-        for name, m in moved_m.items()
     )
 
 
-def pocket_note(on: "CostMap", start: End, goal: End) -> str:
+def pocket_note(cost_map: "CostMap", start: End, goal: End) -> str:
     """Return a sentence on which of two ends that nothing joins is closed in, empty where they are joined."""
-    islands = on.islands
+    islands = cost_map.islands
     if islands[start.cell] == islands[goal.cell]:
         return ""
     ends = {"start": start.cell, "goal": goal.cell}
     sizes = {name: int(np.sum(islands == islands[cell])) for name, cell in ends.items()}
     inner, outer = sorted(ends, key=lambda name: sizes[name])
     cells = np.argwhere(islands == islands[ends[outer]])[:, -2:]
-    away_m = float(np.hypot(*(cells - ends[inner][-2:]).T).min()) * on.grid.resolution_m
+    away_m = float(np.hypot(*(cells - ends[inner][-2:]).T).min()) * cost_map.grid.resolution_m
     return (
         f"The {inner} lies in a pocket of {sizes[inner]:,} free cells, and the nearest cell that is joined to the "
         f"{outer} is {away_m:.0f} m from it."
@@ -202,56 +198,56 @@ def islands_of(is_free: np.ndarray, cuts_corners: bool) -> np.ndarray:
     return np.asarray(label(is_free, touching)[0])
 
 
-def islands_at(on: "CostMap", levels_m: tuple[float, ...]) -> np.ndarray:
+def islands_at(cost_map: "CostMap", levels_m: tuple[float, ...]) -> np.ndarray:
     """Return `islands_of` the free cells of other levels under a cost map's constraints."""
-    levels = levels_m[0] if on.levels is None else levels_m
-    is_free = on.constraints.is_free(on.maps, levels, time=on.time, time_of_day=on.time_of_day)
-    return islands_of(is_free, on.cuts_corners)
-
-
-def what_would_join(on: "CostMap", start: Cell, goal: Cell) -> str:
-    """Return sentences on what would join two nodes that nothing joins: a greater altitude, or what may."""
-    levels_m = on.altitudes_m.tolist()
-    higher_m = [z_m for z_m in sorted(on.maps.altitudes_m) if z_m > levels_m[-1]]
-    joined = (
-        "Start and goal are not joined at a greater altitude of these maps. " if higher_m else ""
+    levels = levels_m[0] if cost_map.levels is None else levels_m
+    is_free = cost_map.constraints.is_free(
+        cost_map.maps, levels, time=cost_map.time, time_of_day=cost_map.time_of_day
     )
+    return islands_of(is_free, cost_map.cuts_corners)
+
+
+def what_would_join(cost_map: "CostMap", start: Cell, goal: Cell) -> str:
+    """Return sentences on what would join two nodes that nothing joins: a greater altitude, or what may."""
+    levels_m = cost_map.altitudes_m.tolist()
+    is_plane = cost_map.levels is None
+    higher_m = [z_m for z_m in sorted(cost_map.maps.altitudes_m) if z_m > levels_m[-1]]
+    joined = ""
+    if higher_m:
+        joined = "Start and goal are not joined at a greater altitude of these maps. "
     for k, z_m in enumerate(higher_m):
-        islands = on.islands_at((z_m,) if on.levels is None else (*levels_m, *higher_m[: k + 1]))
+        levels = (z_m,) if is_plane else (*levels_m, *higher_m[: k + 1])
+        islands = cost_map.islands_at(levels)
         if islands[start] == islands[goal] != 0:
-            joined = f"Start and goal are joined {'at' if on.levels is None else 'with max_altitude_m'} {z_m:g} m. "
+            how = "at" if is_plane else "with max_altitude_m"
+            joined = f"Start and goal are joined {how} {z_m:g} m. "
             break
-    finer = "A smaller clearance or finer maps" if on.constraints.keeps_clear else "Finer maps"
+    finer = (
+        "A smaller clearance or finer maps" if cost_map.constraints.keeps_clear else "Finer maps"
+    )
     return f"{joined}{finer} may join them too."
 
 
-def why_closed(on: "CostMap", cell: Cell, level: int = 0) -> str:
+def why_closed(cost_map: "CostMap", cell: Cell, level: int = 0) -> str:
     """Return what closes a cell, an obstacle or each constraint by name, and which level over it is free."""
-    z_m, maps, when = (
-        float(on.altitudes_m[level]),
-        on.maps,
-        {"time": on.time, "time_of_day": on.time_of_day},
-    )
-    reasons = on.constraints.reasons(maps, z_m, cell, **when) if maps.is_free(z_m)[cell] else []
+    maps, constraints = cost_map.maps, cost_map.constraints
+    levels_m = cost_map.altitudes_m.tolist()
+    z_m = levels_m[level]
+    when = {"time": cost_map.time, "time_of_day": cost_map.time_of_day}
+    reasons = constraints.reasons(maps, z_m, cell, **when) if maps.is_free(z_m)[cell] else []
     if reasons:
         where = f"closed by {' and '.join(reasons)}"
     elif maps.is_free(z_m, "centre")[cell]:
         where = "in a cell that an obstacle touches"
     else:
         where = "inside an obstacle (or where there are no data)"
-    if on.levels is None:
+    if cost_map.levels is None:
         return f"{where} at {z_m:g} m"
-    levels_m = on.altitudes_m.tolist()
-    free_m = [levels_m[k] for k in np.flatnonzero(on.levels_free[:, cell[0], cell[1]])]
-    if free_m:
-        return f"{where} at {z_m:g} m; the lowest free level there is {free_m[0]:g} m"
-    higher_m = [z_m for z_m in sorted(maps.altitudes_m) if z_m > levels_m[-1]]
-    lowest_m = next(
-        (z_m for z_m in higher_m if on.constraints.is_free(maps, z_m, **when)[cell]), None
-    )
-    above = (
-        ""
-        if lowest_m is None
-        else f"; the lowest free altitude there is {lowest_m:g} m (raise max_altitude_m)"
-    )
-    return f"{where} at every level from {levels_m[0]:g} to {levels_m[-1]:g} m{above}"
+    free = np.flatnonzero(cost_map.levels_free[:, cell[0], cell[1]])
+    if free.size:
+        return f"{where} at {z_m:g} m; the lowest free level there is {levels_m[free[0]]:g} m"
+    sentence = f"{where} at every level from {levels_m[0]:g} to {levels_m[-1]:g} m"
+    for higher_m in sorted(maps.altitudes_m):
+        if higher_m > levels_m[-1] and constraints.is_free(maps, higher_m, **when)[cell]:
+            return f"{sentence}; the lowest free altitude there is {higher_m:g} m (raise max_altitude_m)"
+    return sentence

@@ -231,8 +231,8 @@ def when(
     def cost_at(path: PlannedPath | None, departure: int) -> float:
         if path is None or not path.status.has_path:
             return np.nan
-        on = map_at(path.altitude_m, tuple(path.settings["weights"].items()), departure)
-        return on.problem.features(path.search.points_m).cost(on.weight_vector)
+        cost_map = map_at(path.altitude_m, tuple(path.settings["weights"].items()), departure)
+        return cost_map.problem.features(path.search.points_m).cost(cost_map.weight_vector)
 
     kept_costs = np.array([*map(cost_at, kept, routes["departure"])])
     routes["kept_above"] = np.where(
