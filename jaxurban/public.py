@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar, cast
 
 from jaxurban.errors import warn
 
@@ -22,6 +22,7 @@ NAMESPACES = (
     "studies",
 )  # modules of the package whose names are public too
 Level = Literal["guess", "note", "limit"]
+Function = TypeVar("Function", bound=Callable)
 LEAST_ALIKE = 0.66  # as two letters of three are
 FORMER = "the former name goes in jaxurban"  # by which commands know these warnings
 
@@ -65,9 +66,7 @@ def public_names(
     return fetch, lambda: sorted(homes), sorted(homes)
 
 
-def renamed_arguments(
-    until: str, **renamed: str
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def renamed_arguments(until: str, **renamed: str) -> Callable[[Function], Function]:
     """Return a decorator under which a function takes arguments by their former names too, and warns of them.
 
     Args:
@@ -75,18 +74,17 @@ def renamed_arguments(
       renamed: the names of arguments by their former ones.
     """
 
-    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+    def decorate(function: Function) -> Function:
         @functools.wraps(function)
         def call(*args: Any, **kwargs: Any) -> Any:
             for old, new in renamed.items():
-                if (
-                    old in kwargs and new not in kwargs
-                ):  # with both, the function refuses the former one as unknown
+                # With both, the function refuses the former one as unknown.
+                if old in kwargs and new not in kwargs:
                     _warn_renamed(f"the argument {old} of {function.__name__}", new, until)
                     kwargs[new] = kwargs.pop(old)
             return function(*args, **kwargs)
 
-        return call
+        return cast(Function, call)
 
     return decorate
 

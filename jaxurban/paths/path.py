@@ -20,7 +20,7 @@ from jaxurban.paths.snapping import End, pocket_note, snap_note, what_would_join
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.simplify import farthest
 from jaxurban.planners.simplify import simplify as simplify_path
-from jaxurban.public import Caution, FactsRepr
+from jaxurban.public import Caution, FactsRepr, renamed_arguments
 
 if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps
@@ -375,8 +375,9 @@ def over_budget(exposure: Mapping[str, float], budgets: Mapping[str, float]) -> 
     return " and ".join(f"the budget of {most:g} for {name}" for name, most in over.items())
 
 
+@renamed_arguments("2.0", on="cost_map")
 @typed
-def simplify(planned: PlannedPath, on: "CostMap", tolerance_m: float) -> PlannedPath:
+def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> PlannedPath:
     """Return the path with the fewest straight legs that keep within a tolerance of it and to free cells.
 
     A mission of hundreds of waypoints becomes one of tens. Every leg keeps 2 cm from every cell that is closed by
@@ -387,7 +388,7 @@ def simplify(planned: PlannedPath, on: "CostMap", tolerance_m: float) -> Planned
 
     Args:
       planned: from `plan`, or from a batch; without a path it comes back as it is.
-      on: the cost map that it was planned on, as from `cost_map` with the same arguments: it knows the free cells.
+      cost_map: that it was planned on, as from `jaxurban.cost_map` with the same arguments: it knows the free cells.
       tolerance_m: how far the path may be from where it was, in plan.
 
     Returns:
@@ -409,10 +410,10 @@ def simplify(planned: PlannedPath, on: "CostMap", tolerance_m: float) -> Planned
     # Only its own map knows what the path keeps clear of.
     a_level = {"levels_m": None, "altitude_m": planned.altitude_m}  # unless the cost map has levels
     of_path = {"crs": planned.crs, **a_level, **planned.settings}
-    of_map = {"crs": on.grid.crs, **a_level, **map_settings(on)}
-    if on.levels is None:
-        of_map["altitude_m"] = on.altitude_m
-    corner_m = np.array([on.grid.x_min_m, on.grid.y_min_m])
+    of_map = {"crs": cost_map.grid.crs, **a_level, **map_settings(cost_map)}
+    if cost_map.levels is None:
+        of_map["altitude_m"] = cost_map.altitude_m
+    corner_m = np.array([cost_map.grid.x_min_m, cost_map.grid.y_min_m])
     others = [name for name, value in of_map.items() if of_path.get(name) != value]
     if not np.allclose(
         planned.search.points_m[:, :2] + corner_m, planned.xy_m, rtol=0.0, atol=SAME_PLACE_M
@@ -424,8 +425,8 @@ def simplify(planned: PlannedPath, on: "CostMap", tolerance_m: float) -> Planned
             "cost map that it was planned on"
         )
     points_m = planned.search.points_m
-    simpler = simplify_path(on.problem, planned.search, tolerance_m)
-    after = measured(on, simpler.points_m)
+    simpler = simplify_path(cost_map.problem, planned.search, tolerance_m)
+    after = measured(cost_map, simpler.points_m)
     if over := over_budget(after["exposure_by_layer"], planned.settings.get("exposure", {})):
         note = (
             f"{planned.search.note} Not simplified to {tolerance_m:g} m, which would exceed {over}."
