@@ -78,15 +78,18 @@ def astar(
     begin_s = time.perf_counter()
     end_s = begin_s + budget_s
     name = "tiles" if heuristic == AUTO else heuristic
-    is_made = True
+    note = ""
     try:
         bound = make_heuristic(name, problem, end_s)
     except TimeoutError:
-        bound, is_made = make_heuristic("octile", problem), False
-    start, goal = (cell_of(problem, node) for node in (problem.start, problem.goal))
+        bound = make_heuristic("octile", problem)
+        note = f"The tables of the heuristic {name!r} were not done in time."
+    start = cell_of(problem, problem.start)
+    goal = cell_of(problem, problem.goal)
     search = GridSearch(graph_of(problem), bound, start, goal)
-    ended = search.run(reopen=reopen, end_s=end_s) if is_made else PAUSED
-    points_m, lower_bound = np.empty(0), search.low_f if ended == PAUSED else np.inf
+    ended = search.run(reopen=reopen, end_s=end_s) if not note else PAUSED
+    points_m = np.empty(0)
+    lower_bound = search.low_f if ended == PAUSED else np.inf
     if ended == FOUND:
         status = Status.FEASIBLE if name in PRINTED else Status.OPTIMAL
         points_m = path_points_m(problem, search.states, search.graph.steps)
@@ -103,7 +106,7 @@ def astar(
         num_expanded=search.num_expanded,
         planner=planner,
         heuristic=name,
-        note="" if is_made else f"The tables of the heuristic {name!r} were not done in time.",
+        note=note,
     )
 
 

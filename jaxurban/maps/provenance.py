@@ -229,6 +229,10 @@ def _shown(value: Any) -> str:
     return NOT_SET if value is None else repr(value)
 
 
+def _sums(files: Mapping[str, Mapping[str, str]]) -> dict[str, str | None]:
+    return {role: file.get("sha256") for role, file in files.items()}
+
+
 def other_maps(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[str, str]]) -> str:
     """Return how the maps under a folder differ from a scenario: by their record in settings, files, versions."""
     try:
@@ -237,15 +241,17 @@ def other_maps(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[st
     except (OSError, ValueError, LookupError):
         return "maps of other settings or inputs, or made by another version of jaxurban or its libraries"
     words = []
-    if changed := differing(_of_maps(settings), _of_maps(settings_of(scenario))):
-        words.append(f"of other settings ({differences_said(changed)})")
-    sums = ({role: file.get("sha256") for role, file in each.items()} for each in (files, inputs))
-    if roles := [
-        role for role in differing(*sums) if not changed or (role in files and role in inputs)
-    ]:
+    other_settings = differing(_of_maps(settings), _of_maps(settings_of(scenario)))
+    if other_settings:
+        words.append(f"of other settings ({differences_said(other_settings)})")
+    roles = list(differing(_sums(files), _sums(inputs)))
+    if other_settings:  # which name the files that are new or gone
+        roles = [role for role in roles if role in files and role in inputs]
+    if roles:
         words.append(f"of other input files ({', '.join(roles)}: what they hold has changed)")
-    if changed := differing(made_by, versions()):
-        words.append(f"made by other versions ({differences_said(changed)})")
+    other_versions = differing(made_by, versions())
+    if other_versions:
+        words.append(f"made by other versions ({differences_said(other_versions)})")
     return f"maps {' and '.join(words) or 'made by other code of jaxurban, or on another device'}"
 
 

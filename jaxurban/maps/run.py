@@ -65,12 +65,11 @@ def load_city(scenario: Scenario) -> City:
 
     def placed(section: Any, *names: str) -> Any:
         """Return a section whose files are named from the current folder."""
-        files = {
-            name: scenario.path_of(file)
-            for name in names
-            if (file := getattr(section, name)) is not None
+        files = {name: getattr(section, name) for name in names}
+        placed_files = {
+            name: scenario.path_of(file) for name, file in files.items() if file is not None
         }
-        return replace(section, **files)
+        return replace(section, **placed_files)
 
     return City.from_files(
         placed(scenario.buildings, "source"),
@@ -131,7 +130,7 @@ def run_scenario(
       overwrite: replace maps of other settings.
       memory_bytes: ceiling on the memory of all processes together; left out, half of what is free.
       workers: processes of a new local Dask cluster, or the address of a Dask scheduler whose workers see the output
-        folder under the same path; left out, a thread a core of this process.
+        folder under the same path; left out, a thread per core of this process.
       layers: variables that are GeoTIFFs too (see `jaxurban.io.geotiff.write_geotiffs`).
 
     Raises:
@@ -155,18 +154,9 @@ def run_scenario(
             )
         tasks = tasks_of(scenario, watch.stage)
         base = base_map_source(tasks[0].city.sources.get("buildings"))
-        planned = [
-            folder / store.RUN_FILE,
-            *store.root_files(folder),
-            *([] if base is None else [folder / BASE_MAP_FILE]),
-        ]
-        for task in tasks:
-            planned += geotiff_paths(
-                empty_dataset(task, _no_values), folder, layers
-            )  # refuses what is not there
-            planned += [
-                store.zarr_path(folder, task.region.resolution_m) / name for name in store.OF_ZARR
-            ]
+        planned = _files_of(tasks, folder, layers)
+        if base is not None:
+            planned.append(folder / BASE_MAP_FILE)
         guesses = tasks[0].all_guesses
         warn_of(guesses, known=tasks[0].city.guesses)
         check_writable(folder)
@@ -175,17 +165,17 @@ def run_scenario(
             num_threads = plan_run(tasks, memory_bytes, workers or num_threads, workers or 0)
         check_disk(tasks, folder)
         # Nothing of an older job is touched before this one can begin.
-        names = [path.relative_to(folder).as_posix() for path in planned]
-        how: dict[str, Any] = {
-            "names": names,
-            "overwrite": overwrite,
-            "is_shared": True,
-            "is_mended": True,
-        }
-        with (
-            Workspace.open(folder, "maps", {RUN_KEY: key}, **how) as workspace,
-            nullcontext() if workers is None else cluster_client(workers) as client,
-        ):
+        opened = Workspace.open(
+            folder,
+            "maps",
+            {RUN_KEY: key},
+            names=[path.relative_to(folder).as_posix() for path in planned],
+            overwrite=overwrite,
+            is_shared=True,
+            is_mended=True,
+        )
+        cluster = nullcontext() if workers is None else cluster_client(workers)
+        with opened as workspace, cluster as client:
             _sweep(folder, key, scenario.region.resolution_m)
             tasks = [replace(task, guesses=guesses) for task in tasks]
             runs = [
@@ -204,8 +194,21 @@ def run_scenario(
             )
             record = write_record(folder / store.RUN_FILE, record, is_kept)
     kept_base = file.resolve() if file.is_file() else None
-    found = [replace(maps, base=kept_base).with_recorded(record["settings"]) for maps, _ in made]
-    return ScenarioRun({maps.grid.resolution_m: maps for maps in found}, record)
+    by_resolution = {}
+    for maps, _ in made:
+        recorded = replace(maps, base=kept_base).with_recorded(record["settings"])
+        by_resolution[maps.grid.resolution_m] = recorded
+    return ScenarioRun(by_resolution, record)
+
+
+def _files_of(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str]) -> list[Path]:
+    """Return the files of maps of tasks under a folder; raise InputError for layers that they would not hold."""
+    files = [folder / store.RUN_FILE, *store.root_files(folder)]
+    for task in tasks:
+        zarr = store.zarr_path(folder, task.region.resolution_m)
+        files += [zarr / name for name in store.OF_ZARR]
+        files += geotiff_paths(empty_dataset(task, _no_values), folder, layers)
+    return files
 
 
 def _unused(folder: Path) -> str:
@@ -270,23 +273,21 @@ def _maps_of(
             watch.add(name, busy_s * scale)
     ds = store.open_zarr(folder.resolve(), resolution_m)
     with watch.stage("verify"):
-        stale = workspace.broken(geotiff_paths(ds, folder, run.layers), run.map)
-        edited = [path for path in stale if path.suffix == ".qml" and workspace.is_changed(path)]
-        for path in edited:  # styles are there to be edited
-            LOG.warning(
-                f"{str(path)!r} was changed and stays: remove it, and the same command writes it again"
-            )
-        stale = [path for path in stale if path not in edited]
-        for path in stale:
-            if is_kept and not workspace.is_changed(
-                path
-            ):  # else it is reported when it is set aside
+        stale = []
+        for path in workspace.broken(geotiff_paths(ds, folder, run.layers), run.map):
+            is_changed = workspace.is_changed(path)
+            if is_changed and path.suffix == ".qml":  # styles are there to be edited
+                LOG.warning(
+                    f"{str(path)!r} was changed and stays: remove it, and the same command writes it again"
+                )
+                continue
+            stale.append(path)
+            if is_kept and not is_changed:  # else it is reported when it is set aside
                 LOG.warning(f"{str(path)!r} is missing: writing it again")
     with watch.stage("write_geotiff"):
         write_geotiffs(ds, folder, run.map, only=stale, layers=run.layers)
-        sweep_scraps(
-            folder / store.GEOTIFF_FOLDER
-        )  # of workers that were killed, whose files others have written
+        # Of workers that were killed, whose files others have written.
+        sweep_scraps(folder / store.GEOTIFF_FOLDER)
     return MetricMaps(ds), not is_kept
 
 

@@ -258,28 +258,22 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
             kept = job.work.load_arrays(_name("raster", tile), "roof_m", "terrain_m")
             top_m = kept["roof_m"] + kept.get("terrain_m", np.float32(0))
             pairs = job.order[quadrant]
-            azimuth_rad, elevation_rad = (
-                np.array([values[pair] for pair in pairs])
-                for values in (sky.azimuth_rad, sky.elevation_rad)
-            )
+            azimuth_rad = np.array([sky.azimuth_rad[pair] for pair in pairs])
+            elevation_rad = np.array([sky.elevation_rad[pair] for pair in pairs])
             lines = ringed_lines(grid, azimuth_rad, elevation_rad)
-            rings = Ring(
-                *(np.stack(each) for each in zip(*_rings(job, tile, quadrant), strict=True))
-            )
-            rows, cols = hand_on(top_m, lines, rings)
+            rows, cols = hand_on(top_m, lines, _rings(job, tile, quadrant))
             job.work.save_arrays(name, rows=rows, cols=cols)
     return {"seconds": watch.elapsed_s}
 
 
-def _rings(job: TileJob, tile: Tile, quadrant: Quadrant) -> list[Ring]:
-    """Return what the upstream tiles hand on to a tile, for every satellite of a quadrant."""
-    (north, east), (num_rows, num_cols) = quadrant, job.tiling.grid_of(tile).shape
+def _rings(job: TileJob, tile: Tile, quadrant: Quadrant) -> Ring:
+    """Return what the upstream tiles hand on to a tile, ``[S, ...]`` for the satellites of a quadrant."""
+    north, east = quadrant
+    num_rows, num_cols = job.tiling.grid_of(tile).shape
     num = len(job.order[quadrant])
-    nothing = (
-        np.full((num, num_cols + 2), -np.inf, np.float32),
-        np.full((num, num_rows), -np.inf, np.float32),
-    )
-    row, col = (values.copy() for values in nothing)
+    no_row = np.full((num, num_cols + 2), -np.inf, np.float32)
+    no_col = np.full((num, num_rows), -np.inf, np.float32)
+    row, col = no_row.copy(), no_col.copy()
     for near in job.tiling.upstream(tile, quadrant):
         if not job.hands_on(near, quadrant):
             continue
@@ -290,9 +284,9 @@ def _rings(job: TileJob, tile: Tile, quadrant: Quadrant) -> list[Ring]:
             col[:] = kept["cols"]
         else:
             row[:, -1 if east > 0 else 0] = kept["rows"][:, 0 if east > 0 else -1]
-    sides = (nothing[0], row) if north > 0 else (row, nothing[0])
-    ends = (nothing[1], col) if east > 0 else (col, nothing[1])
-    return [Ring(sides[0][n], sides[1][n], ends[0][n], ends[1][n]) for n in range(num)]
+    sides = (no_row, row) if north > 0 else (row, no_row)
+    ends = (no_col, col) if east > 0 else (col, no_col)
+    return Ring(*sides, *ends)
 
 
 def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
@@ -307,16 +301,14 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     with watch.stage("surface"):
         surface = _surface(job, tile)
     with watch.stage("gps"):
-        rings = {
-            seen: ring
-            for quadrant in QUADRANTS
-            for seen, ring in zip(job.order[quadrant], _rings(job, tile, quadrant), strict=True)
-        }
-    scene, window, checksums = (
-        TileScene(job.task, surface, rings),
-        job.tiling.reported(tile),
-        dict[str, str](),
-    )
+        rings = {}
+        for quadrant in QUADRANTS:
+            sides = _rings(job, tile, quadrant)
+            for number, seen in enumerate(job.order[quadrant]):
+                rings[seen] = Ring(*(side[number] for side in sides))
+    scene = TileScene(job.task, surface, rings)
+    window = job.tiling.reported(tile)
+    checksums: dict[str, str] = {}
     with on_device_of(job.task.params.engine):
         for layer in tile_maps(scene, watch.stage):
             with watch.stage("write_zarr"):

@@ -61,10 +61,10 @@ def density_detours(
     least = np.nanmax(means[is_kept], initial=0.0)
     is_kept |= np.isnan(means) & shapely.dwithin(cells.boxes, line, reach_m)
     level = np.where(np.isnan(means), np.inf, means)
-    start, goal = (
-        XY(*planned.xy_m[end], *([] if cost_map.levels is None else [planned.z_m[end]]))
-        for end in (0, -1)
-    )
+    corners_m = planned.xy_m
+    if cost_map.levels is not None:
+        corners_m = np.column_stack([planned.xy_m, planned.z_m])
+    start, goal = XY(*corners_m[0]), XY(*corners_m[-1])
     nodes = [end.cell for end in cost_map.ends(start, goal)]
 
     def up_to(bound: float) -> CostMap:

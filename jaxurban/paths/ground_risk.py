@@ -219,14 +219,16 @@ def overflown_density(
             means, share = cell_means(density, maps.grid, cells)
             row = {"cell_m": side_m, "time_of_day": name}
             largest.append(row | _largest(line, cells, means, share, np.ones(len(means), bool)))
-            if side_m == settings["cell_m"]:
-                segments += [
-                    {"segment": number, "from_m": from_m, "to_m": to_m, "time_of_day": name}
-                    | _largest(line, cells, means, share, is_near)
-                    for number, ((from_m, to_m), is_near) in enumerate(
-                        zip(pairwise(ends_m.tolist()), of_segment, strict=False), start=1
-                    )
-                ]
+            if side_m != settings["cell_m"]:
+                continue
+            for number, is_near in enumerate(of_segment):
+                segment = {
+                    "segment": number + 1,
+                    "from_m": ends_m[number],
+                    "to_m": ends_m[number + 1],
+                }
+                most = _largest(line, cells, means, share, is_near)
+                segments.append(segment | {"time_of_day": name} | most)
     table = pd.DataFrame(largest)
     if table.loc[table["cell_m"] == settings["cell_m"], DENSITY].isna().all():
         raise InputError(

@@ -86,29 +86,36 @@ def read_queries(
       InputError: a column that is not known or missing, or pairs that are none.
     """
     no_place = (np.nan, np.nan)
-    base = Query(
-        no_place, no_place, np.nan, time, time_of_day, Weights.of(weights).checked(metrics)
-    )
-    weighed = dict.fromkeys((*base.weights.to_dict(), *metrics))
-    known = (*COLUMNS, *(WEIGHT_PREFIX + name for name in weighed))
+    base_weights = Weights.of(weights).checked(metrics)
+    base = Query(no_place, no_place, np.nan, time, time_of_day, base_weights)
     if altitude_m is not None:
         base = replace(base, altitude_m=finite("altitude_m", altitude_m))
     if not isinstance(queries, pd.DataFrame):
         queries = table_of(queries)
-    if unknown := [name for name in map(str, queries.columns) if name not in known]:
+    names = _place_columns(queries, dict.fromkeys((*base_weights.to_dict(), *metrics)))
+    return [_of_row(row, names, base) for row in queries.to_dict("records")]
+
+
+def _place_columns(queries: pd.DataFrame, weight_names: Iterable[str]) -> Sequence[str]:
+    """Return which columns of a table hold its places; raise InputError for unknown, missing or doubled columns."""
+    known = (*COLUMNS, *(WEIGHT_PREFIX + name for name in weight_names))
+    unknown = [name for name in map(str, queries.columns) if name not in known]
+    if unknown:
         raise InputError(
             f"queries have unknown columns {unknown}{nearest_name(unknown[0], known)}: leave them out, in pandas by "
             f"queries.drop(columns=[...]); the columns are {', '.join(known)}"
         )
     names = IN_METRES if IN_METRES[0] in queries else LONLAT
-    if missing := [name for name in names if name not in queries]:
-        given = f"{', '.join(LONLAT)} or {', '.join(IN_METRES)}"
-        raise InputError(f"queries lack the columns {', '.join(missing)}: give {given}")
-    if names == IN_METRES and (both := [name for name in LONLAT if name in queries]):
+    missing = [name for name in names if name not in queries]
+    if missing:
+        choices = f"{', '.join(LONLAT)} or {', '.join(IN_METRES)}"
+        raise InputError(f"queries lack the columns {', '.join(missing)}: give {choices}")
+    in_degrees = [name for name in LONLAT if name in queries]
+    if names == IN_METRES and in_degrees:
         raise InputError(
-            f"queries have {names[0]} and {both[0]}: give places in degrees or in metres, not in both"
+            f"queries have {names[0]} and {in_degrees[0]}: give places in degrees or in metres, not in both"
         )
-    return [_of_row(row, names, base) for row in queries.to_dict("records")]
+    return names
 
 
 def table_of(queries: Iterable[tuple[Point, Point]]) -> pd.DataFrame:
@@ -239,7 +246,7 @@ class PlannedPaths(FactsRepr, Sequence[PlannedPath | None]):
 
     @typed
     def to_dataframe(self, *, with_points: bool = False) -> pd.DataFrame:
-        """Return a table with one row a query: the query, status and message, costs, metrics, search.
+        """Return a table with one row per query: the query, status and message, costs, metrics, search.
 
         Args:
           with_points: also the columns ``x_m`` and ``y_m``, the path's eastings and northings as lists, and

@@ -28,7 +28,7 @@ class SkyAt(FactsRepr):
       lonlat: longitude, latitude of the place, degrees.
       altitude_m: above the ground there.
       by: ``"outlines"``, exact rays through outlines, or ``"map"``, the kernel of the maps in the cell of the place.
-      table: a row a time and satellite above the mask: ``time`` (UTC), ``satellite``, ``system``, ``azimuth_deg`` from
+      table: a row per time and satellite above the mask: ``time`` (UTC), ``satellite``, ``system``, ``azimuth_deg`` from
         true and ``grid_azimuth_deg`` from grid north, clockwise, ``elevation_deg``, ``state``: ``"seen"``,
         ``"hidden"`` or ``"unknown"``, as its ray leaves the known buildings or terrain before it is above all roofs.
         By outlines also ``margin_m``, how far the ray is above the roof (or below the floor of what hangs) that it
@@ -36,7 +36,7 @@ class SkyAt(FactsRepr):
         hides it, NaN for others, ``roof_height_m`` above its ground (NaN: the ground hides it), ``roof_distance_m``
         along the ground to where the ray enters the outline, ``roof_lon`` and ``roof_lat`` of that place, and
         ``roof_is_guessed``.
-      dops: a row a time: ``time``, ``num_visible``, ``num_hidden``, ``num_unknown``, ``gdop``, ``pdop``, ``hdop``,
+      dops: a row per time: ``time``, ``num_visible``, ``num_hidden``, ``num_unknown``, ``gdop``, ``pdop``, ``hdop``,
         ``vdop``, ``tdop`` of the satellites that are seen, with a clock for each system; inf without a fix. By the map
         ``num_visible`` and the DOPs are those of the map, which counts unknown ones as clear.
       cautions: what whoever uses it must know.

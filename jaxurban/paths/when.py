@@ -36,13 +36,13 @@ class Departures(FactsRepr):
     """Routes at every time of their maps, and the time at which all of them together cost the least.
 
     Attributes:
-      table: a row a time: ``time`` (UTC) and ``time_of_day``; summed over the routes ``cost``, ``length_m``,
+      table: a row per time: ``time`` (UTC) and ``time_of_day``; summed over the routes ``cost``, ``length_m``,
         ``no_fix_m`` (length without a position fix, as of `explain`) and ``exposure_*``, NaN where one of them has no
         path; ``longest_no_fix_m``, the longest stretch without a fix on any of them; ``above_best``, the share by
         which the cost exceeds the least one; ``kept_above``, by which share a route of the best time costs more now
         than this time's own, at most (inf where it is closed), and ``num_changed``, how many routes that is so of.
         Queries that have a path at no time are in no sum. What the maps do not hold is left out.
-      routes: a row a time and route, as of `PlannedPaths.to_dataframe`, with the same of each: ``departure`` is the
+      routes: a row per time and route, as of `PlannedPaths.to_dataframe`, with the same of each: ``departure`` is the
         row of ``table``, ``query`` the number of the route.
       paths: of the rows of ``routes``.
 
@@ -218,10 +218,8 @@ def when(
     least = table["cost"].min()
     above = table["cost"] / least - 1
     table.insert(3, "above_best", above.mask(table["cost"] <= least * (1 + SAME_ROUTE_COST), 0.0))
-    kept = [
-        paths[(Departures(table, routes, paths).best or 0) * len(wanted) + query]
-        for query in routes["query"]
-    ]
+    best = Departures(table, routes, paths).best or 0
+    kept = [paths[best * len(wanted) + query] for query in routes["query"]]
 
     @lru_cache(maxsize=1)
     def map_at(altitude_m: float, weights: tuple, departure: int) -> CostMap:
@@ -235,9 +233,8 @@ def when(
         return cost_map.problem.features(path.search.points_m).cost(cost_map.weight_vector)
 
     kept_costs = np.array([*map(cost_at, kept, routes["departure"])])
-    routes["kept_above"] = np.where(
-        kept_costs <= routes["cost"], 0.0, kept_costs / routes["cost"] - 1
-    )
+    above = kept_costs / routes["cost"] - 1
+    routes["kept_above"] = np.where(kept_costs <= routes["cost"], 0.0, above)
     routes["num_changed"] = routes["kept_above"] > SAME_ROUTE_COST
     of_time = routes.groupby("departure")
     table = table.join(of_time[[*routes.filter(like="longest_"), "kept_above"]].max())
