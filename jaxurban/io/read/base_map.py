@@ -101,14 +101,11 @@ def read_base_map(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFr
         frame = _from_parquet(path, crs)
     shapes = shapely.clip_by_rect(frame.geometry.to_numpy(), *bounds_m)
     is_point = frame["kind"].to_numpy() == "place"
-    shapes[is_point & ~shapely.intersects(frame.geometry.to_numpy(), shapely.box(*bounds_m))] = (
-        shapely.Point()
-    )
-    frame = frame.set_geometry(gpd.GeoSeries(shapes, index=frame.index, crs=crs))
+    is_outside = ~frame.intersects(shapely.box(*bounds_m)).to_numpy()
+    shapes[is_point & is_outside] = shapely.Point()
+    frame = frame.set_geometry(shapes, crs=crs)
     frame = frame[~frame.is_empty].to_crs(WGS84)
-    return frame.set_geometry(
-        gpd.GeoSeries(shapely.transform(frame.geometry.to_numpy(), _rounded), frame.index, WGS84)
-    )
+    return frame.set_geometry(shapely.transform(frame.geometry.to_numpy(), _rounded), crs=WGS84)
 
 
 def write_base_map(path: Path, frame: gpd.GeoDataFrame) -> None:
@@ -185,11 +182,7 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
     shapes = shapely.simplify(shapes, TOLERANCE_M)
     shapes[is_area & (shapely.area(shapes) < LEAST_M2)] = shapely.Polygon()
     order = np.argsort([KINDS.index(each) for each in kind], kind="stable")
-    return (
-        frame.set_geometry(gpd.GeoSeries(shapes, frame.index, crs))
-        .iloc[order]
-        .reset_index(drop=True)
-    )
+    return frame.set_geometry(shapes, crs=crs).iloc[order].reset_index(drop=True)
 
 
 def _kind_of(item: osmium.osm.OSMObject) -> str:

@@ -236,7 +236,7 @@ def clean_polygons(
     num_lost, num_invalid = int((~is_kept).sum()), int(is_invalid.sum())
     if bounds_m is not None:
         is_kept &= shapely.intersects(polygons, shapely.box(*bounds_m))
-    frame = frame.set_geometry(gpd.GeoSeries(polygons, index=frame.index, crs=frame.crs))
+    frame = frame.set_geometry(polygons, crs=frame.crs)
     return frame[is_kept], num_lost, num_invalid
 
 
