@@ -52,13 +52,11 @@ def write_table(
     if _suffix(file) == ".csv":
         write_whole(file, table.to_csv(index=False, lineterminator="\n"))
         return file
-    made = pa.Table.from_pandas(table, preserve_index=False)
+    content = pa.Table.from_pandas(table, preserve_index=False)
     facts = {FIELD: BLANK, SETTINGS: json.dumps(settings or {}, sort_keys=True)}
-    made, data = (
-        made.replace_schema_metadata({**(made.schema.metadata or {}), **facts}),
-        io.BytesIO(),
-    )
-    pq.write_table(made, data, compression="zstd")
+    content = content.replace_schema_metadata({**content.schema.metadata, **facts})
+    data = io.BytesIO()
+    pq.write_table(content, data, compression="zstd")
     write_whole(file, sealed(data.getvalue()))
     return file
 
@@ -83,8 +81,8 @@ def read_table(file: str | Path, role: str, categories: Sequence[str] = ()) -> p
             table = pd.read_parquet(file)
         else:
             table = pd.read_csv(file, dtype=dict.fromkeys(categories, "category"))
-        for name in table.columns[[pd.api.types.is_object_dtype(kind) for kind in table.dtypes]]:
-            if not all(pd.api.types.is_hashable(value) for value in table[name]):
+        for name, column in table.select_dtypes(object).items():
+            if not column.map(pd.api.types.is_hashable).all():
                 raise ValueError(f"its column {name!r} holds lists or tables")
         return table
 
@@ -158,10 +156,11 @@ class RowStore:
 
     def _take(self, rows: Iterable[Mapping[Any, Any]]) -> None:
         for row in rows:
-            if missing := [name for name in self.key if name not in row]:
-                raise InputError(
-                    f"{str(self.file)!r} holds no {missing[0]!r}: name another file, or remove it"
-                )
+            for name in self.key:
+                if name not in row:
+                    raise InputError(
+                        f"{str(self.file)!r} holds no {name!r}: name another file, or remove it"
+                    )
             self._rows[tuple(row[name] for name in self.key)] = dict(row)
 
     def __contains__(self, key: tuple) -> bool:
@@ -222,7 +221,7 @@ def fingerprint(*parts: Any) -> str:
 
 
 def _read_rows(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
-    remedy = "name another file or folder, or remove this one, and what it held is made again"
+    remedy = "name another file or folder, or remove this one, and its rows are made again"
     with readable(file, "results", remedy, pa.ArrowException):
         data = file.read_bytes()
         if not is_whole(data):
@@ -231,9 +230,7 @@ def _read_rows(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
     before = json.loads((table.schema.metadata or {}).get(SETTINGS, b"{}"))
     for name, value in json.loads(json.dumps(settings)).items():
         if before.get(name) != value:
-            difference = (
-                f"its {name.replace('_', ' ')} is {before.get(name)}, and {value} is given now"
-            )
+            difference = f"its {name.replace('_', ' ')} is {before.get(name)}, now {value}"
             raise InputError(
                 f"{str(file)!r} is of other settings ({difference}): pass --overwrite, or {remedy}"
             )

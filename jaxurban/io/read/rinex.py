@@ -46,7 +46,6 @@ OTHER_NAMES = {  # of a reference's columns, in small letters with _ for what is
 }
 WGS84_3D, WGS84_ECEF = "EPSG:4979", "EPSG:4978"
 J2000, GPS_START = (pd.Timestamp(day, tz="UTC") for day in ("2000-01-01T12:00", "1980-01-06"))
-WEEK_S = 604_800.0
 L1_HZ = 1_575_420_000.0  # of a Doppler shift that is not used
 BANDS = {
     "C": ("S2", "S1")
@@ -85,23 +84,16 @@ def read_rinex(
     known_s = messages.seconds_of(track[UTC])
     away_s, nearest = KDTree(observed_s[:, None]).query(known_s[:, None])
     pairs = pd.DataFrame({"observation": nearest, "away_s": away_s})
-    pairs = (
-        pairs[pairs.away_s <= MATCH_S]
-        .sort_values("away_s")
-        .drop_duplicates("observation")
-        .sort_index()
-    )
+    pairs = pairs[pairs.away_s <= MATCH_S].sort_values("away_s")
+    pairs = pairs.drop_duplicates("observation").sort_index()
     if pairs.empty:
         late_s = known_s.min() - observed_s.min()
         raise InputError(
             f"the reference track and the observations {str(observations)!r} have no epoch in common, within "
             f"{MATCH_S:g} s: the track begins {late_s:+.3f} s after them, and that of the same drive is needed"
         )
-    track = (
-        track.iloc[pairs.index]
-        .reset_index(drop=True)
-        .assign(observation=pairs.observation.to_numpy())
-    )
+    track = track.iloc[pairs.index].reset_index(drop=True)
+    track = track.assign(observation=pairs.observation.to_numpy())
     angles = messages.angles(track)
     is_heard = angles[SATELLITE].str[0].isin(heard)
     rows = angles[is_heard & (angles[ELEVATION] >= LOWEST_DEG)].join(track, on=EPOCH)
