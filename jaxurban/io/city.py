@@ -87,7 +87,8 @@ class City(FactsRepr):
     def facts(self) -> dict[str, str]:
         """CRS, extent of the region, what is known of buildings, people and terrain, and the credit."""
         x_min, y_min, x_max, y_max = region_m = self._region_m
-        num, main = "a height raster", None
+        num = "a height raster"
+        main = None
         if self.buildings is not None:
             inside = self.buildings.polygons[
                 shapely.intersects(self.buildings.polygons, shapely.box(*region_m))

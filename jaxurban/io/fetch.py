@@ -36,7 +36,8 @@ MOST_MARGIN_M = 20_000.0
 # The maps' box is snapped outward and densified, and NAD83 is a metre or two off WGS 84.
 BLOCK_MARGIN_M = 100.0
 NOON = "T12:00:00Z"
-RECORD_FILE, SCENARIO_FILE = "fetch.json", "scenario.toml"
+RECORD_FILE = "fetch.json"
+SCENARIO_FILE = "scenario.toml"
 BLOCK_FIELD = "GEOID"
 REMEDY = f"{ELSEWHERE}, or pass --overwrite, which keeps it under another name"
 # TIGERweb has the counts and the outlines of blocks in one layer, and unlike the Census Data API asks for no key; it
@@ -158,7 +159,8 @@ class FetchJob:
 
     def _source(self, name: str) -> Source:
         """Return a source with its URL for the region, and the terms of the place that it is from."""
-        source, template = SOURCES[name], self.urls.get(name, SOURCES[name].url)
+        source = SOURCES[name]
+        template = self.urls.get(name, SOURCES[name].url)
         margin_m = self.margin_m if name == "osm" else BLOCK_MARGIN_M
         sides = zip(("west", "south", "east", "north"), self.box(margin_m), strict=True)
         places = {side: f"{value:.6f}" for side, value in sides}
@@ -237,7 +239,8 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
         "region": {"bounds": list(job.bounds)},
         "gps": {"orbits": NOMINAL, "times": [f"{job.day or today}{NOON}"]},
     }
-    files, left_out = [], []
+    files = []
+    left_out = []
     for source in sources:
         path = download(source, most_bytes)
         try:

@@ -93,7 +93,8 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
     times = [f"{time}Z" for time in np.datetime_as_string(ds["time"].values, unit="s")]
     common = {"credit": ds.attrs[CREDIT]} if CREDIT in ds.attrs else {}
     norms = [name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs]
-    metrics, variables = held_metrics(ds), held_variables(ds)
+    metrics = held_metrics(ds)
+    variables = held_variables(ds)
     for name in geotiff_names(variables, metrics, layers):
         metric = metrics.get(name.rpartition("_")[0])
         array = ds[name]
@@ -101,7 +102,8 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
         is_of_bytes = array.dtype in (np.bool_, np.uint8)
         for place in np.ndindex(array.shape[:-2]):
             at = dict(zip(array.dims[:-2], place, strict=True))
-            parts, tags = [name], {"metric": name, **texts, **common}
+            parts = [name]
+            tags = {"metric": name, **texts, **common}
             if ALTITUDE in at:
                 tags["altitude_m"] = short_number(float(ds["altitude"][at[ALTITUDE]]))
                 tags["altitude_reference"] = "above ground"
@@ -319,7 +321,8 @@ def write_cog(
     # compression GDAL chooses other cells as the nearest.
     quick = rasterio.Env(COG_TMP_COMPRESSION="PACKBITS")
     with _writing(), quick, TemporaryDirectory(SCRATCH_SUFFIX, ".plain.", path.parent) as folder:
-        plain, row = Path(folder) / "plain.tif", 0
+        plain = Path(folder) / "plain.tif"
+        row = 0
         with rasterio.open(
             plain, "w", **profile_of(grid, dtype), blockxsize=BLOCK, blockysize=BLOCK
         ) as file:
@@ -349,7 +352,8 @@ def write_cog(
 
 def ramp_of(ds: xr.Dataset, variable: Variable) -> tuple[np.ndarray, list[str]]:
     """Return ascending values and their colours, ``#rrggbb`` and linear in between; values are read if they decide."""
-    scale, places = variable.scale, np.linspace(0, 1, NUM_PLACES)
+    scale = variable.scale
+    places = np.linspace(0, 1, NUM_PLACES)
     low, span = scale.range(ds.attrs, lambda: _ends(ds, variable.name))
     shares = {"linear": places, "sqrt": places**2, "log": 1000 ** (places - 1)}[scale.stretch]
     colours = matplotlib.colormaps[scale.colour_map](places)
@@ -358,7 +362,8 @@ def ramp_of(ds: xr.Dataset, variable: Variable) -> tuple[np.ndarray, list[str]]:
 
 def _ends(ds: xr.Dataset, name: str) -> tuple[float, float]:
     """Return the lowest and the highest value of a variable, 0 where there is none; a layer is read at a time."""
-    lows, highs = [], []
+    lows = []
+    highs = []
     for index in np.ndindex(ds[name].shape[:-2]):
         values = ds[name].variable[index].values
         values = values[np.isfinite(values)]
@@ -384,7 +389,8 @@ def style(ds: xr.Dataset, name: str) -> str:
         renderer = f'type="paletted"><rasterTransparency/><colorPalette>{entries}</colorPalette>'
     else:
         values, colours = ramp_of(ds, variable)
-        low, high = float(values[0]), float(values[-1])
+        low = float(values[0])
+        high = float(values[-1])
         items = "".join(
             f'<item value="{value!r}" color="{colour}" alpha="255" label="{value:.4g}"/>'
             for value, colour in zip(values.tolist(), colours, strict=True)

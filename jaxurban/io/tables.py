@@ -32,7 +32,8 @@ from jaxurban.io.files import (
 SUFFIXES = (".parquet", ".csv")
 PACKED = (".gz", ".bz2", ".xz", ".zip", ".zst")  # behind .csv: what pandas unpacks
 UNPACKING = (EOFError, ImportError, lzma.LZMAError, zipfile.BadZipFile, zlib.error)
-ROWS_FILE, PARTS_FOLDER = "rows.parquet", "parts"
+ROWS_FILE = "rows.parquet"
+PARTS_FOLDER = "parts"
 INSTANCES_FILE = "instances.parquet"  # beside the rows of a Monte Carlo benchmark
 SAVE_EVERY_S = 5.0
 SAVING_SHARE = 0.05  # of the time, at most, goes into saving
@@ -132,10 +133,14 @@ class RowStore:
         """
         if file.suffix != ".parquet":
             raise InputError(f"{str(file)!r} must end in .parquet: give it another name")
-        self.file, self.key, self._settings = file, tuple(key), settings or {}
+        self.file = file
+        self.key = tuple(key)
+        self._settings = settings or {}
         self._workspace = recorder_of(file) if has_parts else None
         self._rows: dict[tuple, dict[str, Any]] = {}
-        self._is_saved, self._saved_s, self._saving_s = True, time.perf_counter(), 0.0
+        self._is_saved = True
+        self._saved_s = time.perf_counter()
+        self._saving_s = 0.0
         for part in self._parts():
             if self._is_sound(part):
                 self._take(read_json(part)["rows"])
@@ -143,7 +148,8 @@ class RowStore:
             self._take(_read_rows(file, self._settings))
 
     def _parts(self) -> list[Path]:
-        folder, workspace = self.file.parent / PARTS_FOLDER, self._workspace
+        folder = self.file.parent / PARTS_FOLDER
+        workspace = self._workspace
         paths = [workspace.folder / name for name in workspace.written] if workspace else []
         return [path for path in paths if path.parent == folder]
 
@@ -198,7 +204,8 @@ class RowStore:
         """
         if self._is_saved and not self._workspace:
             return
-        begin_s, parts = time.perf_counter(), self._parts()
+        begin_s = time.perf_counter()
+        parts = self._parts()
         table = pd.DataFrame(self.rows)
         if columns:
             table = pd.DataFrame(self.rows, columns=list(columns), dtype=object).astype(
@@ -207,7 +214,8 @@ class RowStore:
         write_table(table, self.file, self._settings)
         if self._workspace:
             self._workspace.remove(str(self._workspace.name_of(part)) for part in parts)
-        self._is_saved, self._saved_s = True, time.perf_counter()
+        self._is_saved = True
+        self._saved_s = time.perf_counter()
         self._saving_s = self._saved_s - begin_s
 
 

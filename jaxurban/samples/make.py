@@ -37,9 +37,12 @@ KNOWN_M = 300.0  # of Nihonbashi: so far around the drive every roof is kept
 EDGE_M = 0.2  # so that no roof that is cut and rounded leaves it
 ROW_DEG = 1.5e-4  # height of the boxes that the file covers
 CELL_DEG = 1e-4  # step of their ends
-ODBL, CC_BY, PUBLIC_DOMAIN = "ODbL-1.0", "CC-BY-4.0", "public domain"
+ODBL = "ODbL-1.0"
+CC_BY = "CC-BY-4.0"
+PUBLIC_DOMAIN = "public domain"
 PLATEAU_CREDIT = "Project PLATEAU (MLIT), CC BY 4.0"
-CENSUS_CREDIT, DISTRICTS_CREDIT = "US Census Bureau", "NYC Open Data (Department of City Planning)"
+CENSUS_CREDIT = "US Census Bureau"
+DISTRICTS_CREDIT = "NYC Open Data (Department of City Planning)"
 TAG_OF = {  # of the names of `Outlines` that differ from OpenStreetMap's
     "part": "building:part",
     "levels": "building:levels",
@@ -57,9 +60,8 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     assert set(frame.columns) - {"geometry"} <= set(TAGS)
     issues = {issue.value: count for issue, count in outlines.issues.items() if count}
     facts = {"credit": OSM_CREDIT, "licence": ODBL, "boxes": outlines.boxes, "issues": issues}
-    write_geoparquet(
-        home / BUILDINGS_FILE, frame, facts
-    )  # not rounded: its maps are those of the extract itself
+    # Not rounded: its maps are those of the extract itself.
+    write_geoparquet(home / BUILDINGS_FILE, frame, facts)
 
     box = header_box(osm)
     assert box is not None
@@ -145,9 +147,11 @@ def boxes_inside(area: shapely.Polygon, crs: str) -> list[Bounds]:
         is_known = [is_inside(step, low, step + CELL_DEG) for step in steps]
         turns = np.flatnonzero(np.diff([False, *is_known, False]))
         for begin, end in turns.reshape(-1, 2):
-            first, last = steps[begin], steps[end - 1] + CELL_DEG
+            first = steps[begin]
+            last = steps[end - 1] + CELL_DEG
             while first < last and not is_inside(first, low, last):  # a row lies askew in metres
-                first, last = first + CELL_DEG / 2, last - CELL_DEG / 2
+                first = first + CELL_DEG / 2
+                last = last - CELL_DEG / 2
             if first < last:
                 box = np.round([first, low, last, low + ROW_DEG], 6).tolist()
                 boxes.append(tuple(box))

@@ -25,17 +25,19 @@ from jaxurban.world.grid import (
 )
 from jaxurban.world.land_cover import LandCover
 
-MAX_WIDTH_M, MAX_HEIGHT_M = 10_000.0, 20_000.0  # the paper's region
+# The paper's region.
+MAX_WIDTH_M = 10_000.0
+MAX_HEIGHT_M = 20_000.0
 MIN_SIDE_M = 400.0
 TOLERANCE = 1.05  # degrees make no exact box, and boxes are snapped outward
-SNAP_M = (
-    100.0  # boxes given in degrees grow to whole multiples of it, which most resolutions divide
-)
+# Boxes given in degrees grow to whole multiples of it, which most resolutions divide.
+SNAP_M = 100.0
 
 TALLEST_M = {MIDTOWN: 395.0, DOWNTOWN: 380.0}  # the highest tower of each cluster
 NUM_COMMERCIAL = 6  # districts 1 to 6
 # Slivers that shores, Broadway and the box cut off are left out.
-MIN_BLOCK_M2, MIN_BUILDING_M2 = 200.0, 30.0
+MIN_BLOCK_M2 = 200.0
+MIN_BUILDING_M2 = 30.0
 CREDIT = "synthetic city"  # below its pictures, lest a stranger takes them for the place that its box is at
 WATERFRONT = 0.5  # share of the people who live in a block by the water
 # Index 0 is for the suburbs, as 13 % 13 is 0; then districts 1 to 12. Medians and densities are about Manhattan's.
@@ -123,7 +125,8 @@ def _box_around(bounds: Sequence[float], crs: str | None) -> tuple[Box, str]:
     projected_crs(crs)
     box = np.array(box_of(check_bounds(bounds), crs))
     _check_size(box[2] - box[0], box[3] - box[1], f"bounds {list(bounds)}")
-    low, high = np.floor(box[:2] / SNAP_M) * SNAP_M, np.ceil(box[2:] / SNAP_M) * SNAP_M
+    low = np.floor(box[:2] / SNAP_M) * SNAP_M
+    high = np.ceil(box[2:] / SNAP_M) * SNAP_M
     return (float(low[0]), float(low[1]), float(high[0]), float(high[1])), crs
 
 
@@ -153,12 +156,14 @@ def _lay_out_cells(plan: CityPlan, part: Land) -> tuple[np.recarray, np.ndarray]
     along and across the part's frame, ``centre_xy`` and ``district``.
     """
     along, across = part.frame.local(shapely.get_coordinates(plan.box))
-    along, across = along / part.pitch_m[0], across / part.pitch_m[1]
+    along = along / part.pitch_m[0]
+    across = across / part.pitch_m[1]
     rows = np.arange(math.floor(along.min()), math.ceil(along.max()))
     # Avenues half a pitch off the axis: with an odd number of columns the park lies between two of them.
     columns = np.arange(math.floor(across.min()), math.ceil(across.max()) + 1) - 0.5
     steps = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
-    low_m, high_m = steps * part.pitch_m, (steps + 1) * part.pitch_m
+    low_m = steps * part.pitch_m
+    high_m = (steps + 1) * part.pitch_m
     outline = _clip(
         shapely.polygons(part.frame.rectangles(*low_m.T, *high_m.T)),
         shapely.intersection(part.land, plan.box),
@@ -204,7 +209,8 @@ def _rectangle(
     lots: np.recarray, frame: StreetFrame, front: Any, back: Any, left: Any, right: Any
 ) -> np.ndarray:
     """Return ``[n, 4, 2]``: a rectangle set back from the four sides of each lot."""
-    deep, wide = lots.depth_m - back, lots.right_m - lots.left_m - right
+    deep = lots.depth_m - back
+    wide = lots.right_m - lots.left_m - right
     front, left = (np.broadcast_to(inset, deep.shape) for inset in (front, left))
     return _outline(lots, frame, (front, left), (front, wide), (deep, wide), (deep, left))
 
@@ -212,8 +218,10 @@ def _rectangle(
 def _ells(lots: np.recarray, frame: StreetFrame, front: np.ndarray, left: np.ndarray) -> np.ndarray:
     """Return L-shaped outlines: a bar along the street with a wing behind its left half."""
     wide_m = lots.right_m - lots.left_m
-    deep, rear = lots.depth_m * 0.6, lots.depth_m * 0.93
-    right, middle = wide_m - left, wide_m * 0.45
+    deep = lots.depth_m * 0.6
+    rear = lots.depth_m * 0.93
+    right = wide_m - left
+    middle = wide_m * 0.45
     ell = (front, left), (front, right), (deep, right), (deep, middle), (rear, middle), (rear, left)
     return shapely.polygons(_outline(lots, frame, *ell))
 
@@ -232,11 +240,14 @@ def _lay_out_lots(
     street_m, avenue_m = part.street_m
     block = np.repeat(np.arange(len(is_single)), np.where(is_single, 1, 2))
     is_second = np.r_[False, block[1:] == block[:-1]]
-    left_m, right_m = cells.low_m[block, 1] + avenue_m / 2, cells.high_m[block, 1] - avenue_m / 2
+    left_m = cells.low_m[block, 1] + avenue_m / 2
+    right_m = cells.high_m[block, 1] - avenue_m / 2
     num = np.maximum(1, np.round((right_m - left_m) / lot_m[block])).astype(int)
     row, left_m, right_m = _split(rng, left_m, right_m, num)
-    block, is_second = block[row], is_second[row]
-    low_m, high_m = cells.low_m[block, 0] + street_m / 2, cells.high_m[block, 0] - street_m / 2
+    block = block[row]
+    is_second = is_second[row]
+    low_m = cells.low_m[block, 0] + street_m / 2
+    high_m = cells.high_m[block, 0] - street_m / 2
     return _records(
         block=block,
         front_m=np.where(is_second, high_m, low_m),
@@ -251,7 +262,8 @@ def _erect(
     rng: np.random.Generator, plan: CityPlan, part: Land, cells: np.recarray
 ) -> tuple[Footprints, np.ndarray]:
     """Return the buildings on street blocks, and the block that each stands on."""
-    district, n = cells.district, len(cells.district)
+    district = cells.district
+    n = len(cells.district)
     is_island = district != OTHER_DISTRICT
     depths = [plan.depth_in(cluster, cells.centre_xy) * is_island for cluster in TALLEST_M]
     depth_of = np.max(depths, axis=0)
@@ -312,9 +324,13 @@ def _erect(
 
 def _build(extent_m: Box, crs: str, seed: int) -> City:
     at_least("seed", seed)
-    plan, rng = CityPlan(extent_m), np.random.default_rng(seed)
+    plan = CityPlan(extent_m)
+    rng = np.random.default_rng(seed)
     parts = plan.parts()
-    buildings, outlines, people, districts = [], [], [], []
+    buildings = []
+    outlines = []
+    people = []
+    districts = []
     for part in parts:
         cells, outline = _lay_out_cells(plan, part)
         dry = part.land.buffer(-plan.margin_m)
@@ -322,7 +338,8 @@ def _build(extent_m: Box, crs: str, seed: int) -> City:
         ground = (plan.box & dry) - plan.broadway()
         houses = replace(houses, polygons=_clip(houses.polygons, ground))
         kept = shapely.area(houses.polygons) > MIN_BUILDING_M2
-        area_km2, num_blocks = shapely.area(outline) / 1e6, len(outline)
+        area_km2 = shapely.area(outline) / 1e6
+        num_blocks = len(outline)
         spread = np.exp(0.45 * rng.standard_normal(num_blocks) - 0.1)
         per_km2 = NIGHT_PER_KM2[cells.district % 13] * spread
         is_home = np.bincount(block[kept], minlength=num_blocks) > 0

@@ -254,8 +254,10 @@ class Grid:
             )
         per_snap = round(snap_m / resolution_m)
         # Bounds that were snapped before must not grow by rounding: a millionth of a cell is nothing.
-        first_col, end_col = math.floor(x_min / snap_m + 1e-6), math.ceil(x_max / snap_m - 1e-6)
-        first_row, end_row = math.floor(y_min / snap_m + 1e-6), math.ceil(y_max / snap_m - 1e-6)
+        first_col = math.floor(x_min / snap_m + 1e-6)
+        end_col = math.ceil(x_max / snap_m - 1e-6)
+        first_row = math.floor(y_min / snap_m + 1e-6)
+        end_row = math.ceil(y_max / snap_m - 1e-6)
         return cls(
             crs=crs,
             resolution_m=float(resolution_m),
@@ -419,7 +421,8 @@ class Grid:
         x_m, y_m = self.xy_of_lonlat(lon_deg, lat_deg)
         if not np.all(self.contains_xy(x_m, y_m)):
             west, south, east, north = transformer(self.crs, WGS84).transform_bounds(*self.bounds_m)
-            lon_deg, lat_deg = np.asarray(lon_deg), np.asarray(lat_deg)
+            lon_deg = np.asarray(lon_deg)
+            lat_deg = np.asarray(lat_deg)
             raise InputError(
                 f"the point {lon_deg}, {lat_deg} (longitude comes first) is outside the region, "
                 f"which spans about {west:.4f} to {east:.4f} and {south:.4f} to {north:.4f}"
@@ -467,7 +470,8 @@ class Grid:
           >>> fine.resolution_m, fine.shape, fine.bounds_m == maps.grid.bounds_m
           (5.0, (120, 120), True)
         """
-        side_m, first = self.resolution_m / n, (self.first_row * n, self.first_col * n)
+        side_m = self.resolution_m / n
+        first = (self.first_row * n, self.first_col * n)
         return Grid(self.crs, side_m, *first, self.num_rows * n, self.num_cols * n)
 
     def padded(self, west: int, south: int, east: int, north: int) -> "Grid":
@@ -480,8 +484,10 @@ class Grid:
           >>> maps.grid.padded(west=1, south=1, east=2, north=2).shape
           (33, 33)
         """
-        first_row, first_col = self.first_row - south, self.first_col - west
-        num_rows, num_cols = self.num_rows + south + north, self.num_cols + west + east
+        first_row = self.first_row - south
+        first_col = self.first_col - west
+        num_rows = self.num_rows + south + north
+        num_cols = self.num_cols + west + east
         return Grid(self.crs, self.resolution_m, first_row, first_col, num_rows, num_cols)
 
     def window_in(self, outer: "Grid") -> tuple[slice, slice]:
@@ -499,7 +505,8 @@ class Grid:
           >>> maps.m("gps", 60.0)[rows, cols].shape == inner.shape
           True
         """
-        row, col = self.first_row - outer.first_row, self.first_col - outer.first_col
+        row = self.first_row - outer.first_row
+        col = self.first_col - outer.first_col
         if (
             (self.crs, self.resolution_m) != (outer.crs, outer.resolution_m)
             or min(row, col) < 0

@@ -152,12 +152,13 @@ def _warn(sentence: str) -> None:
 
 def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:
     """Return the zones of a file that GDAL or pyarrow reads."""
-    file, zones, num_others = path.name, list[Zone](), 0
+    file = path.name
+    zones = list[Zone]()
+    num_others = 0
     for frame in open_layers(path, ROLE):
         num_others += sum(not _is_all_area(shape) for shape in frame.geometry)
-        areas = frame[
-            shapely.get_dimensions(frame.geometry.to_numpy()) == 2
-        ]  # -1 where there is none
+        # -1 where there is none.
+        areas = frame[shapely.get_dimensions(frame.geometry.to_numpy()) == 2]
         _warn_of_ignored(areas.drop(columns=areas.geometry.name), file)
         for row in areas.to_dict("records"):
             shape = row.pop(areas.geometry.name)
@@ -316,7 +317,8 @@ def _place(corner: Sequence[Any]) -> tuple[float, float]:
     Raises:
       ValueError: they are none.
     """
-    lon, lat = float(corner[0]), float(corner[1])
+    lon = float(corner[0])
+    lat = float(corner[1])
     if not (-180 <= lon <= 180 and -90 <= lat <= 90):
         raise ValueError(f"{lon:g}, {lat:g} is no longitude and latitude")
     return lon, lat
@@ -332,9 +334,8 @@ def _circle(centre: Sequence[Any], radius_m: float) -> shapely.Geometry:
     azimuth_deg = np.arange(CORNERS) * (360 / CORNERS)
     away_m = np.full(CORNERS, radius_m * (1 + WIDER) / math.cos(math.pi / CORNERS))
     lons, lats, _ = GEOD.fwd(np.full(CORNERS, lon), np.full(CORNERS, lat), azimuth_deg, away_m)
-    around = (
-        lon + (lons - lon + 180) % 360 - 180
-    )  # in one piece where it lies across the antimeridian
+    # In one piece where it lies across the antimeridian.
+    around = lon + (lons - lon + 180) % 360 - 180
     return shapely.Polygon(np.column_stack([around, lats]))
 
 

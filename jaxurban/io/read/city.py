@@ -175,7 +175,8 @@ def read_buildings(
         are not heights or look like elevations, or a surface without terrain or that is not a raster.
     """
     projected_crs(crs)
-    path, is_slabs = Path(file.source), file.hanging == SLABS
+    path = Path(file.source)
+    is_slabs = file.hanging == SLABS
     read = _reader_of(path)
     if read is None and is_slabs:
         raise InputError(
@@ -302,7 +303,8 @@ def _read_roofs(
     path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrain: Raster | None
 ) -> City:
     """Return a raster's heights; those below 0 (noise of surface minus terrain) are ground and are counted."""
-    name, raster = repr(str(path)), read_raster(path, crs, bounds_m)
+    name = repr(str(path))
+    raster = read_raster(path, crs, bounds_m)
     if kind == "surface":
         roofs, issues = heights_of_surface(name, raster, terrain, crs)
     else:

@@ -25,7 +25,8 @@ FLAT_GROUND = {
     "flat ground": "no terrain is given, so the ground is taken as flat: heights and shadows are wrong where it is "
     "not; name an elevation raster in [terrain] source"
 }
-NOMINAL_SKY, ELEMENTS_TIME = "nominal satellites", "time of the elements"
+NOMINAL_SKY = "nominal satellites"
+ELEMENTS_TIME = "time of the elements"
 BEYOND_DATA = "lines of sight to satellites leave the data"
 WITHOUT_DATA = "the region without data"  # of which the share is said
 LEAST_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less

@@ -17,12 +17,12 @@ from jaxurban.io.read.mission_parts import (
     whole_of,
 )
 
-HEADER, NUM_COLUMNS = "QGC WPL 110", 12
+HEADER = "QGC WPL 110"
+NUM_COLUMNS = 12
 ARDUPILOT = 3  # MAV_AUTOPILOT
 PLANES = (1, *range(19, 26))  # MAV_TYPE: fixed wing, and VTOL of every kind
-CALCULATED = (
-    3  # QGroundControl's AltitudeMode: it makes metres above the geoid of metres above ground
-)
+# QGroundControl's AltitudeMode: it makes metres above the geoid of metres above ground.
+CALCULATED = 3
 BESIDE = {"geoFence": "geofence is", "rallyPoints": "rally points are"}
 SAME_M = 0.1
 Home = tuple[LonLat | None, float | None]  # its place, and its elevation above the geoid

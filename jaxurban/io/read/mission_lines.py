@@ -61,7 +61,9 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
     lines = [line for line in features if len(line.points) > 1]
     if not lines:
         raise InputError(f"{name!r} holds no line of two points: give the mission's way as a line")
-    notes, legs, number = list[str](), list[Leg](), 0
+    notes = list[str]()
+    legs = list[Leg]()
+    number = 0
     for line in lines:
         datum = _datum(name, line.datum, heights)
         before: Place | None = None
@@ -209,7 +211,8 @@ def geojson_lines(path: Path, data: bytes) -> list[Line]:
         shape = feature.get("geometry", feature) or {}
         if is_own and facts.get(SEGMENT_PROPERTY) is not None:
             continue  # of a report: it repeats a part of the route
-        kind, parts = shape.get("type"), shape.get("coordinates")
+        kind = shape.get("type")
+        parts = shape.get("coordinates")
         if kind not in ("LineString", "MultiLineString") or not parts:
             lines.append(Line([]))
             continue

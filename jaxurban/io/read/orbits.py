@@ -119,7 +119,8 @@ def middle_epoch(orbits: Orbits) -> str | None:
 
 def _check_twice(orbits: Orbits) -> None:
     """Raise InputError where a satellite comes twice, or GPS satellites beside the nominal ones."""
-    nominal, from_files = orbits.of(NOMINAL), dict[int, str]()
+    nominal = orbits.of(NOMINAL)
+    from_files = dict[int, str]()
     for satellite, source in zip(orbits.satellites, orbits.sources, strict=True):
         if source == NOMINAL:
             continue

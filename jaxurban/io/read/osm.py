@@ -75,7 +75,10 @@ def _read(path: str | Path, has_decks: bool) -> Outlines:
     areas: list[tuple[bool, int]] = []  # of each whether it is a way, and its id
     shapes: list[str | None] = []  # WKB in hexadecimal, None where libosmium gave up
     tags: list[list[str | None]] = []
-    open_ways, missing, ways, relations = set(), set(), set(), {}
+    open_ways = set()
+    missing = set()
+    ways = set()
+    relations = {}
     to_wkb = osmium.geom.WKBFactory()
     chosen = HAS_BUILDING_OR_DECK if has_decks else HAS_BUILDING
     for item in open_osm(path).with_areas(chosen).with_filter(chosen):
@@ -312,9 +315,12 @@ def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geomet
     faces = faces[shapely.contains(box, shapely.point_on_surface(faces))]
     points = [shapely.get_coordinates(line) for line in coast]
     segments = np.concatenate([sliding_window_view(each, 2, axis=0) for each in points])
-    start, end = segments[..., 0], segments[..., 1]  # of [N, 2 (x, y), 2 (from, to)]
+    # Of [N, 2 (x, y), 2 (from, to)].
+    start = segments[..., 0]
+    end = segments[..., 1]
     is_long = (start != end).any(axis=1)
-    start, end = start[is_long], end[is_long]
+    start = start[is_long]
+    end = end[is_long]
     length_m = np.hypot(*(end - start).T)
     right = (end - start)[:, ::-1] * [1, -1] / length_m[:, None]
     tree = shapely.STRtree(faces)

@@ -88,7 +88,8 @@ def rasterise(
         touched_m = resample_raster(city.roofs, grid, "max")
         roof_m = touched_m if all_touched else resample_raster(city.roofs, grid)
         has_data = np.isfinite(roof_m)
-        roof_m, touched_m = np.fmax(roof_m, np.float32(0)), np.fmax(touched_m, np.float32(0))
+        roof_m = np.fmax(roof_m, np.float32(0))
+        touched_m = np.fmax(touched_m, np.float32(0))
     if city.terrain is not None:
         terrain_m = resample_raster(city.terrain, grid, "bilinear")
         is_known = np.isfinite(terrain_m)
@@ -114,7 +115,8 @@ def rasterise(
 
 def _burn_heights(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     """Return roofs by centres and by touch, metres, float32."""
-    polygons, height_m = buildings.polygons, buildings.height_m
+    polygons = buildings.polygons
+    height_m = buildings.height_m
     return burn(polygons, height_m, grid, 0.0, "float32", boxes_m=buildings.boxes_m)
 
 
@@ -203,7 +205,8 @@ def build_surface(
       InputError: the terrain or the height raster does not cover any of the region.
     """
     surface = replace(rasterise(city, grid, all_touched, has_guessed), region=region)
-    has_data, guessed = surface.has_data, surface.roof_guessed
+    has_data = surface.has_data
+    guessed = surface.roof_guessed
     check_has_data([None if has_data is None else surface.crop(has_data)], city)
     block: Any = rasterise_blocks(city, region)
     return replace(
@@ -252,7 +255,8 @@ def burn(
     # Rings on their own come first: `shapely.to_ragged_array` makes a geometry of every ring, in ten times the time.
     is_single = shapely.get_type_id(polygons[near]) == shapely.GeometryType.POLYGON
     is_single &= shapely.get_num_interior_rings(polygons[near]) == 0
-    single, others = near[is_single], near[~is_single]
+    single = near[is_single]
+    others = near[~is_single]
     parts, owner = shapely.get_parts(polygons[others], return_index=True)
     rings, outline = shapely.get_rings(parts, return_index=True)
     lines = np.append(polygons[single], rings)
@@ -298,7 +302,8 @@ def burn_hanging(
     """
     is_near = meets(buildings.boxes_m.T, grid.bounds_m)
     finer = grid.refined(PER_CELL)
-    places, heights = [np.empty((2, 0), np.int64)], [np.empty((2, 0), np.float32)]
+    places = [np.empty((2, 0), np.int64)]
+    heights = [np.empty((2, 0), np.float32)]
     for i in np.flatnonzero(is_near & (buildings.min_height_m > 0)):
         window = _window(finer, buildings.boxes_m[:, i])
         covered = burn(buildings.polygons[i : i + 1], np.ones(1), window, 0.0, "float32")

@@ -16,7 +16,9 @@ from jaxurban.errors import InputError, SkippedRouteWarning, warn
 from jaxurban.io.read.vector import open_layers
 
 SEGMENT_PROPERTY = "segment"  # of lines that repeat a part of jaxurban's own route, for its report
-ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY = "altitude_m", "time_of_day", "time"
+ALTITUDE_PROPERTY = "altitude_m"
+TIME_OF_DAY_PROPERTY = "time_of_day"
+TIME_PROPERTY = "time"
 LINES = (shapely.GeometryType.LINESTRING, shapely.GeometryType.MULTILINESTRING)
 PROPERTIES = ("name", ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY)
 
