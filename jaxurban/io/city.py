@@ -17,7 +17,7 @@ from jaxurban.settings import TO_GROUND, Hanging
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import MAIN_SHARE, main_bounds
 from jaxurban.world.footprints import Footprints
-from jaxurban.world.grid import WGS84, transformer
+from jaxurban.world.grid import WGS84, Bounds, box_of, transformer
 from jaxurban.world.raster import Raster
 
 MOST_IN = f"{100 * MAIN_SHARE:.0f} % of buildings in"
@@ -62,16 +62,16 @@ class City(FactsRepr):
     """
 
     crs: str
-    extent_m: tuple[float, float, float, float]
+    extent_m: Bounds
     buildings: Footprints | None = None
     roofs: Raster | None = None
     blocks: Blocks | None = None
     terrain: Raster | None = None
     read_issues: ReadIssues = field(default_factory=dict)
-    terrain_extent_m: tuple[float, float, float, float] | None = None
+    terrain_extent_m: Bounds | None = None
     sources: Mapping[str, str] = field(default_factory=dict)
     attribution: str = ""
-    bounds: tuple[float, float, float, float] | None = None
+    bounds: Bounds | None = None
     area: shapely.Geometry | None = None
     guesses: Mapping[str, str] = field(default_factory=dict)
     hanging: Hanging = TO_GROUND
@@ -87,7 +87,8 @@ class City(FactsRepr):
     def facts(self) -> dict[str, str]:
         """CRS, extent of the region, what is known of buildings, people and terrain, and the credit."""
         x_min, y_min, x_max, y_max = region_m = self._region_m
-        num, main = "a height raster", None
+        num = "a height raster"
+        main = None
         if self.buildings is not None:
             inside = self.buildings.polygons[
                 shapely.intersects(self.buildings.polygons, shapely.box(*region_m))
@@ -112,14 +113,14 @@ class City(FactsRepr):
         return caution_of_guesses(self.guesses)
 
     @property
-    def _region_m(self) -> tuple[float, float, float, float]:
+    def _region_m(self) -> Bounds:
         """The box that the city was read for; of one that was not, what its source covers."""
         if self.bounds is None:
             return self.extent_m
-        return transformer(WGS84, self.crs).transform_bounds(*self.bounds, densify_pts=101)
+        return box_of(self.bounds, self.crs)
 
     @property
-    def known_extent_m(self) -> tuple[float, float, float, float]:
+    def known_extent_m(self) -> Bounds:
         """The box that holds everything known, buildings and terrain: beyond it nothing can shadow."""
         if self.terrain_extent_m is None:
             return self.extent_m
@@ -179,12 +180,10 @@ class City(FactsRepr):
         # Imported here: a city that is read from no file needs none of the readers' libraries.
         from jaxurban.io.read.city import read_city
 
-        file = (
-            buildings
-            if isinstance(buildings, settings.Buildings)
-            else settings.Buildings(buildings)
-        )
-        ground = terrain if isinstance(terrain, settings.Terrain) else settings.Terrain(terrain)
+        if not isinstance(buildings, settings.Buildings):
+            buildings = settings.Buildings(buildings)
+        if not isinstance(terrain, settings.Terrain):
+            terrain = settings.Terrain(terrain)
         return read_city(
-            file, bounds=bounds, crs=crs, population=population, terrain=ground, gps=gps
+            buildings, bounds=bounds, crs=crs, population=population, terrain=terrain, gps=gps
         )

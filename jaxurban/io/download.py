@@ -26,10 +26,8 @@ from jaxurban.io.files import digest_of, scratch_for
 from jaxurban.progress import LOG
 
 CHUNK_BYTES = 1 << 18
-CONNECT_TIMEOUT_S, TIMEOUT_S = (
-    30.0,
-    200.0,
-)  # the second is the longest silence; a query of Overpass may take 180 s
+CONNECT_TIMEOUT_S = 30.0
+TIMEOUT_S = 200.0  # the longest silence; a query of Overpass may take 180 s
 MOST_WAIT_S = 120  # a server that asks for more is left for another day
 MOST_REDIRECTS = 5
 BUSY = (429, 502, 503, 504)
@@ -83,27 +81,26 @@ class _Adapter(HTTPAdapter):
     """Sends requests; of redirects none that leads from a public server into this machine or its own network."""
 
     def __init__(self, source: Source, **options: Any) -> None:
-        self.asked = urlsplit(source.url).hostname
+        self.source_host = urlsplit(source.url).hostname
         super().__init__(**options)
 
     def send(
         self, request: requests.PreparedRequest, *args: Any, **options: Any
     ) -> requests.Response:
         host = urlsplit(request.url or "").hostname
-        if host != self.asked and _is_private(host) and not _is_private(self.asked):
-            raise InputError(
-                f"{self.asked} sends on to {host}, an address of no public server: {REMEDY}"
-            )
+        own = self.source_host
+        if host != own and _is_private(host) and not _is_private(own):
+            raise InputError(f"{own} sends on to {host}, an address of no public server: {REMEDY}")
         return super().send(request, *args, **options)
 
 
 def _is_private(host: str | None) -> bool:
     """Return whether a host, or one of those that its name stands for, is no public one; not of unknown names."""
     try:
-        found = {place[0] for *_, place in socket.getaddrinfo(host, None)}
+        places = {place[0] for *_, place in socket.getaddrinfo(host, None)}
     except OSError:  # perhaps a proxy knows it
         return False
-    addresses = [ipaddress.ip_address(str(address).partition("%")[0]) for address in found]
+    addresses = [ipaddress.ip_address(str(address).partition("%")[0]) for address in places]
     return not all((getattr(each, "ipv4_mapped", None) or each).is_global for each in addresses)
 
 
@@ -124,7 +121,8 @@ def download(source: Source, most_bytes: int) -> Path:
     Raises:
       InputError: the file cannot be downloaded, or is too large; the cache then holds no copy of it.
     """
-    folder, key = cache_folder(), hashlib.sha256(source.url.encode()).hexdigest()[:32]
+    folder = cache_folder()
+    key = hashlib.sha256(source.url.encode()).hexdigest()[:32]
     for path in folder.glob(f"{key}-*"):
         is_fresh = 0 <= time.time() - path.stat().st_mtime < source.fresh_s
         if is_fresh and digest_of(path) == path.name.split("-")[1]:

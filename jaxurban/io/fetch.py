@@ -27,18 +27,17 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.metrics.population import Population
 from jaxurban.progress import LOG
 from jaxurban.settings import NOMINAL
-from jaxurban.world.grid import WGS84, Bounds, check_bounds, transformer, utm_crs
+from jaxurban.world.grid import WGS84, Bounds, check_bounds, transformer, utm_of
 
 DAY_S = 24 * 3600.0
-MOST_OVERPASS_KM2 = (
-    100.0  # a dense city of this size is some 200 MB of XML and a minute of a shared server's time
-)
+# A dense city of this size is some 200 MB of XML and a minute of a shared server's time.
+MOST_OVERPASS_KM2 = 100.0
 MOST_MARGIN_M = 20_000.0
-BLOCK_MARGIN_M = (
-    100.0  # the maps' box is snapped outward and densified, and NAD83 is a metre or two off WGS 84
-)
+# The maps' box is snapped outward and densified, and NAD83 is a metre or two off WGS 84.
+BLOCK_MARGIN_M = 100.0
 NOON = "T12:00:00Z"
-RECORD_FILE, SCENARIO_FILE = "fetch.json", "scenario.toml"
+RECORD_FILE = "fetch.json"
+SCENARIO_FILE = "scenario.toml"
 BLOCK_FIELD = "GEOID"
 REMEDY = f"{ELSEWHERE}, or pass --overwrite, which keeps it under another name"
 # TIGERweb has the counts and the outlines of blocks in one layer, and unlike the Census Data API asks for no key; it
@@ -86,7 +85,7 @@ SOURCES = {
         ),
     )
 }
-NOTHING = {  # what is said where a file holds nothing for the region or the day
+NOTHING = {  # reported where a file holds nothing for the region or the day
     "census": "population: the census has no block in this region (it counts the United States), so the layer is left "
     "out; set [population] blocks to a file of your own",
     "districts": "districts: these (New York City's) do not touch this region, so every block counts as residential; "
@@ -113,7 +112,7 @@ class FetchJob:
       margin_m: how far around the region buildings are fetched.
 
     Raises:
-      InputError: a setting that is none, or a margin out of range.
+      InputError: an invalid setting, or a margin out of range.
     """
 
     bounds: tuple[float, ...]
@@ -136,8 +135,7 @@ class FetchJob:
     @property
     def crs(self) -> str:
         """The region's UTM zone."""
-        west, south, east, north = self.bounds
-        return utm_crs((west + east) / 2, (south + north) / 2)
+        return utm_of(self.bounds)
 
     def box_m(self, margin_m: float) -> Bounds:
         """Return the region's projected box in metres, grown by a margin."""
@@ -161,7 +159,8 @@ class FetchJob:
 
     def _source(self, name: str) -> Source:
         """Return a source with its URL for the region, and the terms of the place that it is from."""
-        source, template = SOURCES[name], self.urls.get(name, SOURCES[name].url)
+        source = SOURCES[name]
+        template = self.urls.get(name, SOURCES[name].url)
         margin_m = self.margin_m if name == "osm" else BLOCK_MARGIN_M
         sides = zip(("west", "south", "east", "north"), self.box(margin_m), strict=True)
         places = {side: f"{value:.6f}" for side, value in sides}
@@ -240,7 +239,8 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
         "region": {"bounds": list(job.bounds)},
         "gps": {"orbits": NOMINAL, "times": [f"{job.day or today}{NOON}"]},
     }
-    files, left_out = [], []
+    files = []
+    left_out = []
     for source in sources:
         path = download(source, most_bytes)
         try:
@@ -295,26 +295,26 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
 
 def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
     """Read OpenStreetMap data, an extract cut to the region with its margin."""
-    file_format = format_of(target)
-    if file_format == "osm" and (
-        remark := re.search(rb"<remark>\s*(.*?)\s*</remark>", path.read_bytes(), re.DOTALL)
-    ):
+    is_xml = format_of(path) == "osm"
+    pattern = rb"<remark>\s*(.*?)\s*</remark>"
+    remark = re.search(pattern, path.read_bytes(), re.DOTALL) if is_xml else None
+    if remark:
         # With status 200 the Overpass API sends what it had when its time or memory ran out.
         reason = remark[1].decode("utf-8", "replace")
         raise InputError(
             f"the server of {str(path)!r} says {reason!r}: ask for a smaller region, or later"
         )
-    box = header_box(path, file_format)
+    box = header_box(path)
     if box is not None and not shapely.box(*box).contains(shapely.box(*job.bounds)):
         shown = ", ".join(f"{value:.3f}" for value in box)
         raise InputError(
             f"{str(path)!r} covers {shown} (west, south, east, north), not all of the region: name another extract "
             "with --source osm=URL"
         )
-    if file_format == "pbf":
+    if not is_xml:
         LOG.info(f"osm: cutting the region and {job.margin_m:g} m around it out of the extract")
         cut_buildings(path, target, job.box(job.margin_m))
-    outlines = read_osm(target if target.exists() else path, file_format)
+    outlines = read_osm(target if target.exists() else path)
     if not shapely.get_num_coordinates(outlines.polygons).any():
         raise InputError(
             f"{str(path)!r} has no building in the region: check --bounds, longitude first"

@@ -21,15 +21,13 @@ if TYPE_CHECKING:
 
 LOCK_FILE = ".jaxurban.lock"
 SCRATCH_SUFFIX = ".jaxurban-part"  # of what is being written: ours to sweep, and nobody else's
-SCRATCH_NAME = re.compile(
-    rf"\..*\.[0-9a-z_]{{8}}{re.escape(SCRATCH_SUFFIX)}", re.DOTALL
-)  # as `scratch_for` gives it
+# As `scratch_for` gives it.
+SCRATCH_NAME = re.compile(rf"\..*\.[0-9a-z_]{{8}}{re.escape(SCRATCH_SUFFIX)}", re.DOTALL)
 ELSEWHERE = "choose another folder with -o"
 
 
-RECORDER: ContextVar["Workspace | None"] = ContextVar(
-    "RECORDER", default=None
-)  # of what is written now, if anything
+# Of what is written now, if anything.
+RECORDER: ContextVar["Workspace | None"] = ContextVar("RECORDER", default=None)
 
 
 def recorder_of(path: Path) -> "Workspace | None":
@@ -55,10 +53,8 @@ def scratch_for(path: Path) -> Iterator[Path]:
     Raises:
       InputError: the folder cannot be written to.
     """
-    scratch, recorder = (
-        path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{SCRATCH_SUFFIX}"),
-        recorder_of(path),
-    )
+    scratch = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{SCRATCH_SUFFIX}")
+    recorder = recorder_of(path)
     if "\0" in str(path):
         raise InputError(f"cannot write {str(path)!r}: no file's name can hold NUL; choose another")
     try:
@@ -132,10 +128,8 @@ def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator
     Raises:
       InputError: another run holds it, or it cannot be written to; ``remedy`` ends the sentence.
     """
-    from filelock import (
-        FileLock,
-        Timeout,
-    )  # it loads asyncio, for which reading alone need not wait
+    # It loads asyncio, for which reading alone need not wait.
+    from filelock import FileLock, Timeout
 
     lock = FileLock(folder / LOCK_FILE, blocking=False, thread_local=False)
     try:
@@ -184,15 +178,16 @@ def checksum_of(data: Path | bytes) -> str:
     crc = length = 0
     with data.open("rb") as file:
         while piece := file.read(PIECE_BYTES):
-            crc, length = zlib.crc32(piece, crc), length + len(piece)
+            crc = zlib.crc32(piece, crc)
+            length += len(piece)
     return f"{crc:08x}-{length}"
 
 
 PIECE_BYTES = 2**24  # of a file that are looked at at once
-FIELD, MARK = "checksum", b"jaxurban-crc32:"
-BLANK = (
-    MARK + 8 * b"0"
-)  # what a writer leaves in a file's text, under the name `FIELD`, for `sealed`
+FIELD = "checksum"
+MARK = b"jaxurban-crc32:"
+# What a writer leaves in a file's text, under the name `FIELD`, for `sealed`.
+BLANK = MARK + 8 * b"0"
 
 
 def sealed(data: bytes) -> bytes:

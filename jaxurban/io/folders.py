@@ -24,14 +24,16 @@ from jaxurban.io.files import (
 )
 from jaxurban.io.workspace import Each, Workspace, is_inside
 
-KEY_FILE, ZARR, ARRAY_FOLDER, DONE_FOLDER = "key.txt", "zarr", "arrays", "done"
+KEY_FILE = "key.txt"
+ZARR = "zarr"
+ARRAY_FOLDER = "arrays"
+DONE_FOLDER = "done"
 STEP = rf"({ZARR}|[a-z]+_\d+_\d+\w*)"
 OF_STEPS = re.compile(  # what steps write, before they leave their mark too
     rf"{KEY_FILE}|{ZARR}/([^/]+/)?(\.z\w+|\d+(\.\d+)*)|{ARRAY_FOLDER}/{STEP}\.npz|{DONE_FOLDER}/{STEP}\.json"
 )
-SCRAP = re.compile(
-    rf"\..*{re.escape(SCRATCH_SUFFIX)}|.*\.[0-9a-f]{{32}}\.partial"
-)  # our own, and the Zarr library's
+# Our own, and the Zarr library's.
+SCRAP = re.compile(rf"\..*{re.escape(SCRATCH_SUFFIX)}|.*\.[0-9a-f]{{32}}\.partial")
 _PARSING = Lock()  # headers of arrays are Python text, and 3.11 fails now and then where threads parse (CPython 106905)
 
 

@@ -1,4 +1,4 @@
-"""Metric maps as cloud-optimised GeoTIFF with their QGIS styles, and maps as bands of one; whole, or not there."""
+"""Metric maps as cloud-optimised GeoTIFF with their QGIS styles, and maps as bands of one; each whole, or missing."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -31,16 +31,17 @@ LEVEL = 1  # of Zstandard: on these maps a predictor takes more time and more by
 ALL = "all"  # stands for every map that is held
 CREDIT = "attribution"  # attribute of the maps
 RUN_KEY = "run_key"
+TEXTS = ("long_name", "units", "one_means", CAVEAT)  # attributes of variables that become tags
 NUM_PLACES = 17  # of a colour map in QGIS styles, from low to high
 
 
 def geotiff_names(
-    held: Collection[str], metrics: Iterable[str], layers: Sequence[str] = ()
+    variables: Collection[str], metrics: Iterable[str], layers: Sequence[str]
 ) -> list[str]:
-    """Return the maps that are written as GeoTIFF: obstacles, the metrics of the cost, and what is asked for.
+    """Return the maps that are written as GeoTIFF: obstacles, the metrics of the cost, and further layers.
 
     Args:
-      held: the variables that are maps.
+      variables: those that are maps.
       metrics: names of the metrics of the cost.
       layers: further variables, or ``("all",)``.
 
@@ -48,16 +49,14 @@ def geotiff_names(
       InputError: a layer that the maps do not hold.
     """
     names = ["obstacle"]
-    for name in [*metrics, *(sorted(held) if tuple(layers) == (ALL,) else layers)]:
-        found = (
-            [name]
-            if name in held
-            else [one for what in SERIES if (one := f"{name}_{what}") in held]
-        )
-        if not found:
-            one_of("layer", name, sorted({*held, ALL}))
-        names += [one for one in found if one not in names]
-    return names
+    further = sorted(variables) if tuple(layers) == (ALL,) else layers
+    for name in [*metrics, *further]:
+        maps = [name] if name in variables else [f"{name}_{of_series}" for of_series in SERIES]
+        known = [each for each in maps if each in variables]
+        if not known:
+            one_of("layer", name, sorted({*variables, ALL}))
+        names += known
+    return list(dict.fromkeys(names))
 
 
 class _Layer(NamedTuple):
@@ -81,9 +80,11 @@ class _Layer(NamedTuple):
 
     @property
     def title(self) -> str:
-        where = (f"{self.tags['altitude_m']} m above ground",) if "altitude_m" in self.tags else ()
-        when = (self.tags[name] for name in ("time_of_day", "time") if name in self.tags)
-        return ", ".join((self.tags.get("long_name", self.name), *where, *when))
+        words = [self.tags.get("long_name", self.name)]
+        if "altitude_m" in self.tags:
+            words.append(f"{self.tags['altitude_m']} m above ground")
+        words += [self.tags[name] for name in ("time_of_day", "time") if name in self.tags]
+        return ", ".join(words)
 
 
 def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
@@ -91,21 +92,18 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
     resolution = f"{short_number(ds.attrs['resolution_m'])}m"
     times = [f"{time}Z" for time in np.datetime_as_string(ds["time"].values, unit="s")]
     common = {"credit": ds.attrs[CREDIT]} if CREDIT in ds.attrs else {}
-    norm_name = next(
-        (name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs), ""
-    )
-    metrics, variables = held_metrics(ds), held_variables(ds)
+    norms = [name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs]
+    metrics = held_metrics(ds)
+    variables = held_variables(ds)
     for name in geotiff_names(variables, metrics, layers):
-        of = metrics.get(name.rpartition("_")[0])
+        metric = metrics.get(name.rpartition("_")[0])
         array = ds[name]
-        told = {
-            key: str(array.attrs[key])
-            for key in ("long_name", "units", "one_means", CAVEAT)
-            if key in array.attrs
-        }
-        for index in np.ndindex(array.shape[:-2]):
-            at = {str(dim): place for dim, place in zip(array.dims[:-2], index, strict=True)}
-            parts, tags = [name], {"metric": name, **told, **common}
+        texts = {key: str(array.attrs[key]) for key in TEXTS if key in array.attrs}
+        is_of_bytes = array.dtype in (np.bool_, np.uint8)
+        for place in np.ndindex(array.shape[:-2]):
+            at = dict(zip(array.dims[:-2], place, strict=True))
+            parts = [name]
+            tags = {"metric": name, **texts, **common}
             if ALTITUDE in at:
                 tags["altitude_m"] = short_number(float(ds["altitude"][at[ALTITUDE]]))
                 tags["altitude_reference"] = "above ground"
@@ -113,21 +111,21 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
             if TIME_OF_DAY in at:
                 tags["time_of_day"] = str(ds["time_of_day"].values[at[TIME_OF_DAY]])
                 parts.append(tags["time_of_day"])
-                if name == "population" and norm_name:
-                    tags[norm_name] = repr(float(ds.attrs[norm_name][at[TIME_OF_DAY]]))
+                for norm in norms if name == "population" else ():
+                    tags[norm] = repr(float(ds.attrs[norm][at[TIME_OF_DAY]]))
             if TIME in at:
                 tags["time"] = times[at[TIME]]
                 if len(times) > 1:
-                    parts.append(tags["time"].translate({45: None, 58: None}))
-            elif of is not None and TIME in of.dims:
+                    parts.append(tags["time"].replace("-", "").replace(":", ""))
+            elif metric is not None and TIME in metric.dims:
                 tags |= {"time": f"{times[0]}/{times[-1]}", "num_times": str(len(times))}
             if "time" in tags and "constellations" in ds.attrs:
                 tags["constellation"] = ds.attrs["constellations"]
             yield _Layer(
                 file="_".join((*parts, f"{resolution}.tif")),
                 name=name,
-                place=index,
-                dtype=np.dtype(np.uint8 if array.dtype in (np.bool_, np.uint8) else np.float32),
+                place=place,
+                dtype=np.dtype(np.uint8 if is_of_bytes else np.float32),
                 is_averaged=variables[name].is_averaged,
                 tags=tags,
             )
@@ -149,7 +147,7 @@ def geotiff_paths(ds: xr.Dataset, folder: Path, layers: Sequence[str]) -> list[P
 
 
 def missing_geotiffs(ds: xr.Dataset, folder: Path) -> list[Path]:
-    """Return the GeoTIFFs and styles of obstacles and metrics that are not there, or empty."""
+    """Return the GeoTIFFs and styles of obstacles and metrics that are missing or empty."""
     return [
         path
         for path in geotiff_paths(ds, folder, ())
@@ -171,8 +169,8 @@ def write_geotiffs(
     Args:
       ds: the maps; read some rows at a time, so that they need not fit in memory.
       folder: files go to its ``geotiff`` folder.
-      each: calls a function with each of many layers, as `map`, by whomever.
-      only: leave the others alone.
+      each: calls a function with each of many layers, as `map` does, or on several threads.
+      only: the files to write; left out, all.
       layers: variables that are written beside obstacles and the metrics of the cost; ``("all",)``: every one.
 
     Returns:
@@ -182,18 +180,18 @@ def write_geotiffs(
       InputError: a layer that the maps do not hold, or a folder that cannot be written to.
     """
 
-    def wanted(name: str) -> bool:
+    def is_chosen(name: str) -> bool:
         return only is None or folder / GEOTIFF_FOLDER / name in only
 
     corner = (ds.attrs["first_row"], ds.attrs["first_col"])
     grid = Grid(ds.attrs["crs"], ds.attrs["resolution_m"], *corner, ds.sizes["y"], ds.sizes["x"])
     write = partial(_write_layer, ds, grid, folder)
-    found = [layer for layer in _layers(ds, layers) if wanted(layer.file)]
-    for _ in each(write, found):  # `map` does nothing until it is asked
+    chosen = [layer for layer in _layers(ds, layers) if is_chosen(layer.file)]
+    for _ in each(write, chosen):  # `map` writes nothing until its results are taken
         pass
-    written = [folder / GEOTIFF_FOLDER / layer.file for layer in found]
+    written = [folder / GEOTIFF_FOLDER / layer.file for layer in chosen]
     for file, name in _styles(ds, layers).items():
-        if wanted(file):
+        if is_chosen(file):
             write_whole(folder / GEOTIFF_FOLDER / file, style(ds, name))
             written.append(folder / GEOTIFF_FOLDER / file)
     return written
@@ -212,8 +210,8 @@ def _write_layer(ds: xr.Dataset, grid: Grid, folder: Path, layer: _Layer) -> Non
             grid,
             layer.dtype,
             _parts(ds, layer),
-            is_averaged=layer.is_averaged
-            and layer.dtype == np.float32,  # means of classes are none of them
+            # The mean of two classes is no class.
+            is_averaged=layer.is_averaged and layer.dtype == np.float32,
             tags=layer.tags,
             title=layer.title,
             unit=layer.tags.get("units", ""),
@@ -323,7 +321,8 @@ def write_cog(
     # compression GDAL chooses other cells as the nearest.
     quick = rasterio.Env(COG_TMP_COMPRESSION="PACKBITS")
     with _writing(), quick, TemporaryDirectory(SCRATCH_SUFFIX, ".plain.", path.parent) as folder:
-        plain, row = Path(folder) / "plain.tif", 0
+        plain = Path(folder) / "plain.tif"
+        row = 0
         with rasterio.open(
             plain, "w", **profile_of(grid, dtype), blockxsize=BLOCK, blockysize=BLOCK
         ) as file:
@@ -333,35 +332,38 @@ def write_cog(
             file.update_tags(**tags)
             file.set_band_description(1, title)
             file.set_band_unit(1, unit)
-        resampling = "average" if is_averaged else "nearest"
-        how = {
-            "compress": "ZSTD",
-            "level": LEVEL,
-            "predictor": "NO",
-            "blocksize": BLOCK,
-            "bigtiff": "IF_SAFER",
-        }
-        copy_raster(plain, path, driver="COG", overview_resampling=resampling, num_threads=1, **how)
-        with rasterio.open(
-            path
-        ) as file:  # GDAL does not report every disk that fills up; the map is the file's end
+        copy_raster(
+            plain,
+            path,
+            driver="COG",
+            overview_resampling="average" if is_averaged else "nearest",
+            num_threads=1,
+            compress="ZSTD",
+            level=LEVEL,
+            predictor="NO",
+            blocksize=BLOCK,
+            bigtiff="IF_SAFER",
+        )
+        # GDAL does not report every disk that fills up; the map is the file's end.
+        with rasterio.open(path) as file:
             for _, window in file.block_windows(1):
                 file.read(1, window=window)
 
 
 def ramp_of(ds: xr.Dataset, variable: Variable) -> tuple[np.ndarray, list[str]]:
     """Return ascending values and their colours, ``#rrggbb`` and linear in between; values are read if they decide."""
-    scale, places = variable.scale, np.linspace(0, 1, NUM_PLACES)
+    scale = variable.scale
+    places = np.linspace(0, 1, NUM_PLACES)
     low, span = scale.range(ds.attrs, lambda: _ends(ds, variable.name))
     shares = {"linear": places, "sqrt": places**2, "log": 1000 ** (places - 1)}[scale.stretch]
-    return low + span * shares, [
-        to_hex(colour) for colour in matplotlib.colormaps[scale.colour_map](places)
-    ]
+    colours = matplotlib.colormaps[scale.colour_map](places)
+    return low + span * shares, list(map(to_hex, colours))
 
 
 def _ends(ds: xr.Dataset, name: str) -> tuple[float, float]:
     """Return the lowest and the highest value of a variable, 0 where there is none; a layer is read at a time."""
-    lows, highs = [], []
+    lows = []
+    highs = []
     for index in np.ndindex(ds[name].shape[:-2]):
         values = ds[name].variable[index].values
         values = values[np.isfinite(values)]
@@ -387,7 +389,8 @@ def style(ds: xr.Dataset, name: str) -> str:
         renderer = f'type="paletted"><rasterTransparency/><colorPalette>{entries}</colorPalette>'
     else:
         values, colours = ramp_of(ds, variable)
-        low, high = float(values[0]), float(values[-1])
+        low = float(values[0])
+        high = float(values[-1])
         items = "".join(
             f'<item value="{value!r}" color="{colour}" alpha="255" label="{value:.4g}"/>'
             for value, colour in zip(values.tolist(), colours, strict=True)

@@ -12,7 +12,9 @@ from jaxurban.errors import InputError
 
 PREFIX = "sample:"
 HOME = Path(__file__).parents[1] / "samples"  # a folder per city
-BUILDINGS_FILE, BASE_MAP_FILE, LOG_FILE = "buildings.parquet", "basemap.parquet", "log.csv.gz"
+BUILDINGS_FILE = "buildings.parquet"
+BASE_MAP_FILE = "basemap.parquet"
+LOG_FILE = "log.csv.gz"
 SAMPLES: dict[
     str, dict[str, dict[str, Any]]
 ] = {  # what a scenario of each takes where it says nothing

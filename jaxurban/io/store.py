@@ -86,7 +86,8 @@ def stored_resolutions(folder: Path) -> dict[float, Path]:
 
 def check_version(folder: Path) -> None:
     """Raise InputError if a folder holds maps, or the record of a run, and its own record names none of these."""
-    run, inside = folder / RUN_FILE, folder.glob(f"{ZARR_FOLDER}/[0-9]*m/*")
+    run = folder / RUN_FILE
+    inside = folder.glob(f"{ZARR_FOLDER}/[0-9]*m/*")
     files = [file.parent for file in inside if file.name in OF_ZARR]
     if run.is_file() and b'"run_key"' in run.read_bytes():
         files.append(run)
@@ -189,7 +190,8 @@ def _consolidated(parts: Mapping[str, Any]) -> bytes:
 def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     """Write a dataset of maps under ``folder`` and return its place (``maps.zarr/5m``)."""
     path = zarr_path(folder, ds.attrs["resolution_m"])
-    num_rows, num_cols = ds.sizes["y"], ds.sizes["x"]
+    num_rows = ds.sizes["y"]
+    num_cols = ds.sizes["x"]
     rows, cols = tile_shape((num_rows, num_cols))
     checksums = dict[str, str]()
     with scratch_for(path) as scratch:
@@ -379,8 +381,12 @@ class _Map(BackendArray):
     """
 
     def __init__(self, array: xr.Variable, opened: "_Opened", name: str, missing: Any) -> None:
-        self.array, self.opened, self.name, self.missing = array, opened, name, missing
-        self.shape, self.dtype = array.shape, array.dtype
+        self.array = array
+        self.opened = opened
+        self.name = name
+        self.missing = missing
+        self.shape = array.shape
+        self.dtype = array.dtype
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
         return indexing.explicit_indexing_adapter(
@@ -482,7 +488,9 @@ def _check_facts(path: Path, attributes: Mapping[str, Any]) -> None:
 
 def _is_ours(array: Mapping[str, Any]) -> bool:
     """Return whether an array of these metadata is coded as `_to_zarr` codes arrays."""
-    dtype, filters, compressor = array.get("dtype"), array.get("filters"), array.get("compressor")
+    dtype = array.get("dtype")
+    filters = array.get("filters")
+    compressor = array.get("compressor")
     if not isinstance(dtype, str) or not isinstance(compressor, dict):
         return False
     if compressor.get("id") != COMPRESSOR.codec_id:
@@ -493,7 +501,8 @@ def _is_ours(array: Mapping[str, Any]) -> bool:
 
 def _recorded(path: Path) -> dict[Path, set[str]]:
     """Return the checksums that the files of a Zarr may have."""
-    folder, prefix = path.parents[1], f"{ZARR_FOLDER}/{path.name}/"
+    folder = path.parents[1]
+    prefix = f"{ZARR_FOLDER}/{path.name}/"
     return {
         folder / name: checksums
         for name, checksums in recorded(folder).items()

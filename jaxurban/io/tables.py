@@ -32,7 +32,8 @@ from jaxurban.io.files import (
 SUFFIXES = (".parquet", ".csv")
 PACKED = (".gz", ".bz2", ".xz", ".zip", ".zst")  # behind .csv: what pandas unpacks
 UNPACKING = (EOFError, ImportError, lzma.LZMAError, zipfile.BadZipFile, zlib.error)
-ROWS_FILE, PARTS_FOLDER = "rows.parquet", "parts"
+ROWS_FILE = "rows.parquet"
+PARTS_FOLDER = "parts"
 INSTANCES_FILE = "instances.parquet"  # beside the rows of a Monte Carlo benchmark
 SAVE_EVERY_S = 5.0
 SAVING_SHARE = 0.05  # of the time, at most, goes into saving
@@ -52,13 +53,11 @@ def write_table(
     if _suffix(file) == ".csv":
         write_whole(file, table.to_csv(index=False, lineterminator="\n"))
         return file
-    made = pa.Table.from_pandas(table, preserve_index=False)
+    content = pa.Table.from_pandas(table, preserve_index=False)
     facts = {FIELD: BLANK, SETTINGS: json.dumps(settings or {}, sort_keys=True)}
-    made, data = (
-        made.replace_schema_metadata({**(made.schema.metadata or {}), **facts}),
-        io.BytesIO(),
-    )
-    pq.write_table(made, data, compression="zstd")
+    content = content.replace_schema_metadata({**content.schema.metadata, **facts})
+    data = io.BytesIO()
+    pq.write_table(content, data, compression="zstd")
     write_whole(file, sealed(data.getvalue()))
     return file
 
@@ -83,8 +82,8 @@ def read_table(file: str | Path, role: str, categories: Sequence[str] = ()) -> p
             table = pd.read_parquet(file)
         else:
             table = pd.read_csv(file, dtype=dict.fromkeys(categories, "category"))
-        for name in table.columns[[pd.api.types.is_object_dtype(kind) for kind in table.dtypes]]:
-            if not all(pd.api.types.is_hashable(value) for value in table[name]):
+        for name, column in table.select_dtypes(object).items():
+            if not column.map(pd.api.types.is_hashable).all():
                 raise ValueError(f"its column {name!r} holds lists or tables")
         return table
 
@@ -134,10 +133,14 @@ class RowStore:
         """
         if file.suffix != ".parquet":
             raise InputError(f"{str(file)!r} must end in .parquet: give it another name")
-        self.file, self.key, self._settings = file, tuple(key), settings or {}
+        self.file = file
+        self.key = tuple(key)
+        self._settings = settings or {}
         self._workspace = recorder_of(file) if has_parts else None
         self._rows: dict[tuple, dict[str, Any]] = {}
-        self._is_saved, self._saved_s, self._saving_s = True, time.perf_counter(), 0.0
+        self._is_saved = True
+        self._saved_s = time.perf_counter()
+        self._saving_s = 0.0
         for part in self._parts():
             if self._is_sound(part):
                 self._take(read_json(part)["rows"])
@@ -145,7 +148,8 @@ class RowStore:
             self._take(_read_rows(file, self._settings))
 
     def _parts(self) -> list[Path]:
-        folder, workspace = self.file.parent / PARTS_FOLDER, self._workspace
+        folder = self.file.parent / PARTS_FOLDER
+        workspace = self._workspace
         paths = [workspace.folder / name for name in workspace.written] if workspace else []
         return [path for path in paths if path.parent == folder]
 
@@ -158,10 +162,11 @@ class RowStore:
 
     def _take(self, rows: Iterable[Mapping[Any, Any]]) -> None:
         for row in rows:
-            if missing := [name for name in self.key if name not in row]:
-                raise InputError(
-                    f"{str(self.file)!r} holds no {missing[0]!r}: name another file, or remove it"
-                )
+            for name in self.key:
+                if name not in row:
+                    raise InputError(
+                        f"{str(self.file)!r} holds no {name!r}: name another file, or remove it"
+                    )
             self._rows[tuple(row[name] for name in self.key)] = dict(row)
 
     def __contains__(self, key: tuple) -> bool:
@@ -199,7 +204,8 @@ class RowStore:
         """
         if self._is_saved and not self._workspace:
             return
-        begin_s, parts = time.perf_counter(), self._parts()
+        begin_s = time.perf_counter()
+        parts = self._parts()
         table = pd.DataFrame(self.rows)
         if columns:
             table = pd.DataFrame(self.rows, columns=list(columns), dtype=object).astype(
@@ -208,7 +214,8 @@ class RowStore:
         write_table(table, self.file, self._settings)
         if self._workspace:
             self._workspace.remove(str(self._workspace.name_of(part)) for part in parts)
-        self._is_saved, self._saved_s = True, time.perf_counter()
+        self._is_saved = True
+        self._saved_s = time.perf_counter()
         self._saving_s = self._saved_s - begin_s
 
 
@@ -222,7 +229,7 @@ def fingerprint(*parts: Any) -> str:
 
 
 def _read_rows(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
-    remedy = "name another file or folder, or remove this one, and what it held is made again"
+    remedy = "name another file or folder, or remove this one, and its rows are made again"
     with readable(file, "results", remedy, pa.ArrowException):
         data = file.read_bytes()
         if not is_whole(data):
@@ -231,9 +238,7 @@ def _read_rows(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
     before = json.loads((table.schema.metadata or {}).get(SETTINGS, b"{}"))
     for name, value in json.loads(json.dumps(settings)).items():
         if before.get(name) != value:
-            difference = (
-                f"its {name.replace('_', ' ')} is {before.get(name)}, and {value} is given now"
-            )
+            difference = f"its {name.replace('_', ' ')} is {before.get(name)}, now {value}"
             raise InputError(
                 f"{str(file)!r} is of other settings ({difference}): pass --overwrite, or {remedy}"
             )

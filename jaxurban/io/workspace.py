@@ -185,7 +185,8 @@ class Workspace:
 
     def _place_of(self, path: Path) -> PurePosixPath | None:
         """Return where a path is under the folder, None if it is elsewhere."""
-        absolute, real = os.path.abspath, os.path.realpath
+        absolute = os.path.abspath
+        real = os.path.realpath
         for of_path, of_folder in ((absolute, absolute), (absolute, real), (real, real)):
             with suppress(ValueError):
                 name = Path(of_path(path.parent), path.name).relative_to(of_folder(self.folder))
@@ -254,7 +255,8 @@ class Workspace:
         Raises:
           InputError: something is there that this command did not write, or that was changed since.
         """
-        name, checksum = self.name_of(path), checksum_of(scratch)
+        name = self.name_of(path)
+        checksum = checksum_of(scratch)
         assert name is not None
         if not self.is_own(path):
             if is_as_written(path, [checksum]):
@@ -359,9 +361,8 @@ def is_inside(name: str) -> bool:
     is_named = {"", ".", ".."}.isdisjoint(re.split(r"[/\\]", name)) and not re.match(
         "[A-Za-z]:", name
     )
-    return is_named and not re.search(
-        "[\0\ud800-\udc7f\udd00-\udfff]", name
-    )  # what no system encodes
+    # What no system encodes.
+    return is_named and not re.search("[\0\ud800-\udc7f\udd00-\udfff]", name)
 
 
 def _obstacle_in(folder: Path, name: PurePosixPath) -> Path | None:
@@ -375,7 +376,8 @@ def _obstacle_in(folder: Path, name: PurePosixPath) -> Path | None:
 
 def _unused(path: Path) -> Path:
     """Return the path, or the first numbered one at which nothing is."""
-    unused, number = path, 1
+    unused = path
+    number = 1
     while os.path.lexists(unused):
         number += 1
         unused = path.with_name(f"{path.name}.{number}")
@@ -429,7 +431,8 @@ def _read(folder: Path) -> Sections:
 def _is_section(section: Any) -> bool:
     if not isinstance(section, dict):
         return False
-    settings, written = section.get("settings"), section.get("written")
+    settings = section.get("settings")
+    written = section.get("written")
     if not isinstance(settings, dict) or not isinstance(written, dict):
         return False
     return all(isinstance(checksum, str) for checksum in written.values())

@@ -23,7 +23,7 @@ from jaxurban.settings import SLABS
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import lonlat_boxes, rounded_outward
 from jaxurban.world.footprints import Footprints
-from jaxurban.world.grid import WGS84, Bounds, Grid, transformer
+from jaxurban.world.grid import Bounds, Grid, box_of
 from jaxurban.world.known import stays_within
 from jaxurban.world.raster import Raster
 from jaxurban.world.sky import Sky
@@ -118,7 +118,7 @@ def _boxes_asked(city: City, buildings: Footprints, region: Grid) -> list[shapel
         own = buildings.polygons[shapely.intersects(buildings.polygons, part)]
         if len(own):
             bounds = rounded_outward(lonlat_boxes(own, city.crs))
-            box_m = transformer(WGS84, city.crs).transform_bounds(*bounds, densify_pts=101)
+            box_m = box_of(bounds, city.crs)
             edge_m = max(EDGE_M, region.resolution_m)
             boxes.append(shapely.box(*box_m).buffer(edge_m, join_style="mitre"))
     return boxes

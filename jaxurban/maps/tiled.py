@@ -227,8 +227,8 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
         with watch.stage("surface"):
             grid = job.tiling.grid_of(tile)
             is_reported = tile in job.tiling.region_tiles
-            tells_guessed = is_reported and job.task.has_guessed_roofs
-            made = rasterise(city, grid, job.task.params.heights.all_touched, tells_guessed)
+            has_guessed = is_reported and job.task.has_guessed_roofs
+            made = rasterise(city, grid, job.task.params.heights.all_touched, has_guessed)
             arrays = {
                 key: getattr(made, key)
                 for key in ("roof_m", "terrain_m", "has_data", "roof_guessed")

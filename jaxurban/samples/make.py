@@ -22,11 +22,11 @@ from jaxurban.io.geoparquet import write_geoparquet
 from jaxurban.io.read.base_map import read_base_map, write_base_map
 from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.nominal import GALILEO, GPS, MARK, Constellation, nominal_satellites
-from jaxurban.io.read.osm import OSM_CREDIT, TAGS, header_box, read_osm
+from jaxurban.io.read.osm import OSM_CREDIT, TAGS, header_box, projected, read_osm
 from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.io.samples import BASE_MAP_FILE, BUILDINGS_FILE, LOG_FILE, SAMPLES
 from jaxurban.metrics.population import Population
-from jaxurban.world.grid import WGS84, Bounds, transformer, utm_crs
+from jaxurban.world.grid import WGS84, Bounds, box_of, transformer, utm_of
 
 HERE = Path(__file__).parent
 STEP_DEG = 1e-6  # of coordinates, about 0.1 m
@@ -35,19 +35,20 @@ MASK_DEG = 5.0  # beyond, those that hide a satellite above it from some place i
 NIHONBASHI_LOG = "tokyo/tokyo_nihonbashi_2023-06-22_satellites.csv.gz"
 KNOWN_M = 300.0  # of Nihonbashi: so far around the drive every roof is kept
 EDGE_M = 0.2  # so that no roof that is cut and rounded leaves it
-ROW_DEG, CELL_DEG = (
-    1.5e-4,
-    1e-4,
-)  # height of the boxes that the file covers, and the step of their ends
-ODBL, CC_BY, PUBLIC_DOMAIN = "ODbL-1.0", "CC-BY-4.0", "public domain"
+ROW_DEG = 1.5e-4  # height of the boxes that the file covers
+CELL_DEG = 1e-4  # step of their ends
+ODBL = "ODbL-1.0"
+CC_BY = "CC-BY-4.0"
+PUBLIC_DOMAIN = "public domain"
 PLATEAU_CREDIT = "Project PLATEAU (MLIT), CC BY 4.0"
-CENSUS_CREDIT, DISTRICTS_CREDIT = "US Census Bureau", "NYC Open Data (Department of City Planning)"
-TAG_OF = {
+CENSUS_CREDIT = "US Census Bureau"
+DISTRICTS_CREDIT = "NYC Open Data (Department of City Planning)"
+TAG_OF = {  # of the names of `Outlines` that differ from OpenStreetMap's
     "part": "building:part",
     "levels": "building:levels",
     "roof_levels": "roof:levels",
-}  # where not the same
-TAG_OF |= {"min_level": "building:min_level"}
+    "min_level": "building:min_level",
+}
 
 
 def make_lower_manhattan(data: Path, home: Path) -> None:
@@ -59,18 +60,17 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     assert set(frame.columns) - {"geometry"} <= set(TAGS)
     issues = {issue.value: count for issue, count in outlines.issues.items() if count}
     facts = {"credit": OSM_CREDIT, "licence": ODBL, "boxes": outlines.boxes, "issues": issues}
-    write_geoparquet(
-        home / BUILDINGS_FILE, frame, facts
-    )  # not rounded: its maps are those of the extract itself
+    # Not rounded: its maps are those of the extract itself.
+    write_geoparquet(home / BUILDINGS_FILE, frame, facts)
 
-    box = header_box(osm, "pbf")
+    box = header_box(osm)
     assert box is not None
     census = Population(
         blocks=data / "census/tl_2010_36061_tabblock10.shp",
         table=data / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
     )
-    crs = utm_crs((box[0] + box[2]) / 2, (box[1] + box[3]) / 2)
-    box_m = transformer(WGS84, crs).transform_bounds(*box, densify_pts=101)
+    crs = utm_of(box)
+    box_m = box_of(box, crs)
     write_base_map(home / BASE_MAP_FILE, read_base_map(osm, crs, box_m))
     blocks, _ = read_blocks(census, crs, box_m)
     counts = {"GEOID10": blocks.block_id, "POP10": blocks.night_count.astype(np.int64)}
@@ -93,10 +93,9 @@ def make_shinjuku(data: Path, home: Path) -> None:
     """Write the files of Shinjuku: roof planes with their heights to 0.1 m."""
     frame = gpd.read_parquet(data / "tokyo/tokyo-central-lod2.parquet")
     bounds: Bounds = tuple(SAMPLES["shinjuku"]["region"]["bounds"])
-    crs = utm_crs((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
-    project = transformer(WGS84, crs)
-    region_m = project.transform_bounds(*bounds, densify_pts=101)
-    polygons = shapely.transform(frame.geometry.to_numpy(), project.transform, interleaved=False)
+    crs = utm_of(bounds)
+    region_m = box_of(bounds, crs)
+    polygons = projected(frame.geometry.to_numpy(), crs)
     away_m = shapely.distance(polygons, shapely.box(*region_m))
     is_kept = (away_m <= MARGIN_M) | (frame["height"] >= away_m * math.tan(math.radians(MASK_DEG)))
     x_min, y_min, x_max, y_max = region_m
@@ -117,13 +116,10 @@ def make_nihonbashi(data: Path, home: Path) -> None:
     shutil.copyfile(data / NIHONBASHI_LOG, home / LOG_FILE)
     track = read_receiver_log(data / NIHONBASHI_LOG).epochs
     bounds: Bounds = tuple(SAMPLES["nihonbashi"]["region"]["bounds"])
-    crs = utm_crs((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
+    crs = utm_of(bounds)
     drive = np.column_stack(transformer(WGS84, crs).transform(track["lon_deg"], track["lat_deg"]))
     boxes = boxes_inside(shapely.LineString(drive).buffer(KNOWN_M), crs)
-    project = transformer(WGS84, crs)
-    known = shapely.union_all(
-        [shapely.box(*project.transform_bounds(*box, densify_pts=101)) for box in boxes]
-    )
+    known = shapely.union_all([shapely.box(*box_of(box, crs)) for box in boxes])
     known = known.buffer(-EDGE_M, join_style="mitre")
     frame = gpd.read_parquet(data / "tokyo/tokyo-east-lod2.parquet")
     frame = frame.set_geometry(shapely.make_valid(frame.geometry.to_numpy())).to_crs(crs)
@@ -138,14 +134,12 @@ def make_nihonbashi(data: Path, home: Path) -> None:
 
 def boxes_inside(area: shapely.Polygon, crs: str) -> list[Bounds]:
     """Return rows of boxes, west, south, east, north in degrees, whose boxes in ``crs`` lie in an area of it."""
-    project = transformer(WGS84, crs)
+    to_crs = transformer(WGS84, crs)
     bounds_m: Bounds = area.bounds
-    west, south, east, north = project.transform_bounds(*bounds_m, direction="INVERSE")
+    west, south, east, north = to_crs.transform_bounds(*bounds_m, direction="INVERSE")
 
     def is_inside(first: float, low: float, last: float) -> bool:
-        return area.covers(
-            shapely.box(*project.transform_bounds(first, low, last, low + ROW_DEG, densify_pts=101))
-        )
+        return area.covers(shapely.box(*box_of((first, low, last, low + ROW_DEG), crs)))
 
     boxes: list[Bounds] = []
     steps = np.arange(round(west / CELL_DEG), round(east / CELL_DEG) + 1) * CELL_DEG
@@ -153,9 +147,11 @@ def boxes_inside(area: shapely.Polygon, crs: str) -> list[Bounds]:
         is_known = [is_inside(step, low, step + CELL_DEG) for step in steps]
         turns = np.flatnonzero(np.diff([False, *is_known, False]))
         for begin, end in turns.reshape(-1, 2):
-            first, last = steps[begin], steps[end - 1] + CELL_DEG
+            first = steps[begin]
+            last = steps[end - 1] + CELL_DEG
             while first < last and not is_inside(first, low, last):  # a row lies askew in metres
-                first, last = first + CELL_DEG / 2, last - CELL_DEG / 2
+                first = first + CELL_DEG / 2
+                last = last - CELL_DEG / 2
             if first < last:
                 box = np.round([first, low, last, low + ROW_DEG], 6).tolist()
                 boxes.append(tuple(box))
@@ -172,7 +168,7 @@ def write_nominal(path: Path, day: date, constellation: Constellation) -> None:
 def rounded(frame: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
     """Return features in whole steps of `STEP_DEG`, valid, without those that become empty."""
     shapes = shapely.set_precision(shapely.make_valid(frame.geometry.to_numpy()), STEP_DEG)
-    frame = frame.set_geometry(gpd.GeoSeries(shapes, index=frame.index, crs=frame.crs))
+    frame = frame.set_geometry(shapes, crs=frame.crs)
     return frame[~frame.is_empty].reset_index(drop=True)
 
 

@@ -14,22 +14,30 @@ from jaxurban.io.city import City
 from jaxurban.samples.synthetic_streets import DOWNTOWN, MIDTOWN, Box, CityPlan, Land, StreetFrame
 from jaxurban.world.blocks import OTHER_DISTRICT, Blocks, Zoning
 from jaxurban.world.footprints import Footprints, HeightOrigin
-from jaxurban.world.grid import WGS84, check_bounds, projected_crs, transformer, utm_crs
+from jaxurban.world.grid import (
+    WGS84,
+    box_of,
+    check_bounds,
+    projected_crs,
+    transformer,
+    utm_crs,
+    utm_of,
+)
 from jaxurban.world.land_cover import LandCover
 
-MAX_WIDTH_M, MAX_HEIGHT_M = 10_000.0, 20_000.0  # the paper's region
+# The paper's region.
+MAX_WIDTH_M = 10_000.0
+MAX_HEIGHT_M = 20_000.0
 MIN_SIDE_M = 400.0
 TOLERANCE = 1.05  # degrees make no exact box, and boxes are snapped outward
-SNAP_M = (
-    100.0  # boxes given in degrees grow to whole multiples of it, which most resolutions divide
-)
+# Boxes given in degrees grow to whole multiples of it, which most resolutions divide.
+SNAP_M = 100.0
 
 TALLEST_M = {MIDTOWN: 395.0, DOWNTOWN: 380.0}  # the highest tower of each cluster
 NUM_COMMERCIAL = 6  # districts 1 to 6
-MIN_BLOCK_M2, MIN_BUILDING_M2 = (
-    200.0,
-    30.0,
-)  # slivers that shores, Broadway and the box cut off are left out
+# Slivers that shores, Broadway and the box cut off are left out.
+MIN_BLOCK_M2 = 200.0
+MIN_BUILDING_M2 = 30.0
 CREDIT = "synthetic city"  # below its pictures, lest a stranger takes them for the place that its box is at
 WATERFRONT = 0.5  # share of the people who live in a block by the water
 # Index 0 is for the suburbs, as 13 % 13 is 0; then districts 1 to 12. Medians and densities are about Manhattan's.
@@ -77,10 +85,8 @@ def demo_city(
     projected_crs(crs)
     _check_size(width_m, height_m, "width_m x height_m")
     centre = transformer(WGS84, crs).transform(lon_deg, lat_deg)
-    x_min, y_min = (
-        float(round((middle - side_m / 2) / SNAP_M) * SNAP_M)
-        for middle, side_m in zip(centre, (width_m, height_m), strict=True)
-    )
+    x_min = round((centre[0] - width_m / 2) / SNAP_M) * SNAP_M
+    y_min = round((centre[1] - height_m / 2) / SNAP_M) * SNAP_M
     return _build((x_min, y_min, x_min + width_m, y_min + height_m), crs, seed)
 
 
@@ -105,7 +111,7 @@ def demo_cover_for_bounds(bounds: Sequence[float], crs: str | None = None) -> La
 
 
 def demo_cover(extent_m: Box) -> LandCover:
-    """Return the rivers and the park of an synthetic city, by its ``extent_m``."""
+    """Return the rivers and the park of a synthetic city, by its ``extent_m``."""
     plan = CityPlan(extent_m)
     land = shapely.union_all([part.land for part in plan.parts()])
     return LandCover(
@@ -115,23 +121,19 @@ def demo_cover(extent_m: Box) -> LandCover:
 
 def _box_around(bounds: Sequence[float], crs: str | None) -> tuple[Box, str]:
     """Return the synthetic city's box around geographic bounds, and its CRS."""
-    west, south, east, north = check_bounds(bounds)
-    crs = crs or utm_crs((west + east) / 2, (south + north) / 2)
+    crs = crs or utm_of(check_bounds(bounds))
     projected_crs(crs)
-    box = np.array(
-        transformer(WGS84, crs).transform_bounds(west, south, east, north, densify_pts=101)
-    )
+    box = np.array(box_of(check_bounds(bounds), crs))
     _check_size(box[2] - box[0], box[3] - box[1], f"bounds {list(bounds)}")
-    low, high = np.floor(box[:2] / SNAP_M) * SNAP_M, np.ceil(box[2:] / SNAP_M) * SNAP_M
+    low = np.floor(box[:2] / SNAP_M) * SNAP_M
+    high = np.ceil(box[2:] / SNAP_M) * SNAP_M
     return (float(low[0]), float(low[1]), float(high[0]), float(high[1])), crs
 
 
 def _check_size(width_m: float, height_m: float, what: str) -> None:
-    fits = (
-        MIN_SIDE_M <= width_m <= TOLERANCE * MAX_WIDTH_M
-        and MIN_SIDE_M <= height_m <= TOLERANCE * MAX_HEIGHT_M
-    )
-    if not fits:  # written this way round so that NaN is caught too
+    fits_width = MIN_SIDE_M <= width_m <= TOLERANCE * MAX_WIDTH_M
+    fits_height = MIN_SIDE_M <= height_m <= TOLERANCE * MAX_HEIGHT_M
+    if not (fits_width and fits_height):  # so that NaN is refused too
         raise InputError(
             f"{what} is {width_m:.0f} m x {height_m:.0f} m, but the synthetic city fits boxes from {MIN_SIDE_M:.0f} m "
             f"a side to {MAX_WIDTH_M / 1e3:.0f} km (east) x {MAX_HEIGHT_M / 1e3:.0f} km (north): choose another box"
@@ -154,19 +156,14 @@ def _lay_out_cells(plan: CityPlan, part: Land) -> tuple[np.recarray, np.ndarray]
     along and across the part's frame, ``centre_xy`` and ``district``.
     """
     along, across = part.frame.local(shapely.get_coordinates(plan.box))
-    rows = np.arange(
-        math.floor(along.min() / part.pitch_m[0]), math.ceil(along.max() / part.pitch_m[0])
-    )
+    along = along / part.pitch_m[0]
+    across = across / part.pitch_m[1]
+    rows = np.arange(math.floor(along.min()), math.ceil(along.max()))
     # Avenues half a pitch off the axis: with an odd number of columns the park lies between two of them.
-    columns = (
-        np.arange(
-            math.floor(across.min() / part.pitch_m[1]),
-            math.ceil(across.max() / part.pitch_m[1]) + 1,
-        )
-        - 0.5
-    )
+    columns = np.arange(math.floor(across.min()), math.ceil(across.max()) + 1) - 0.5
     steps = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
-    low_m, high_m = steps * part.pitch_m, (steps + 1) * part.pitch_m
+    low_m = steps * part.pitch_m
+    high_m = (steps + 1) * part.pitch_m
     outline = _clip(
         shapely.polygons(part.frame.rectangles(*low_m.T, *high_m.T)),
         shapely.intersection(part.land, plan.box),
@@ -177,25 +174,27 @@ def _lay_out_cells(plan: CityPlan, part: Land) -> tuple[np.recarray, np.ndarray]
     if part.is_island:
         district = plan.district(centre_xy)
         kept &= ~shapely.contains_xy(plan.park(), centre_xy)
-    of_blocks = {"low_m": low_m, "high_m": high_m, "centre_xy": centre_xy, "district": district}
-    kinds = [(name, values.dtype, values.shape[1:]) for name, values in of_blocks.items()]
-    return np.rec.fromarrays([*of_blocks.values()], dtype=kinds)[kept], outline[kept]
+    blocks = _records(low_m=low_m, high_m=high_m, centre_xy=centre_xy, district=district)
+    return blocks[kept], outline[kept]
+
+
+def _records(**columns: np.ndarray) -> np.recarray:
+    """Return columns of one length, each by its name."""
+    kinds = [(name, values.dtype, values.shape[1:]) for name, values in columns.items()]
+    return np.rec.fromarrays([*columns.values()], dtype=kinds)
 
 
 def _split(
     rng: np.random.Generator, start: np.ndarray, end: np.ndarray, num: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Return which interval each segment belongs to, its start and its end: ``num`` random segments an interval."""
+    """Return which interval each segment belongs to, its start and its end: ``num`` random segments per interval."""
     owner = np.repeat(np.arange(len(num)), num)
     size = rng.uniform(0.6, 1.4, len(owner))
     total = np.cumsum(size)
     before = np.r_[0.0, total][np.cumsum(num) - num][owner]
     scale = ((end - start) / np.bincount(owner, size, minlength=len(num)))[owner]
-    return (
-        owner,
-        start[owner] + (total - size - before) * scale,
-        start[owner] + (total - before) * scale,
-    )
+    low = start[owner] + (total - size - before) * scale
+    return owner, low, start[owner] + (total - before) * scale
 
 
 def _outline(
@@ -210,9 +209,21 @@ def _rectangle(
     lots: np.recarray, frame: StreetFrame, front: Any, back: Any, left: Any, right: Any
 ) -> np.ndarray:
     """Return ``[n, 4, 2]``: a rectangle set back from the four sides of each lot."""
-    deep, wide = lots.depth_m - back, lots.right_m - lots.left_m - right
+    deep = lots.depth_m - back
+    wide = lots.right_m - lots.left_m - right
     front, left = (np.broadcast_to(inset, deep.shape) for inset in (front, left))
     return _outline(lots, frame, (front, left), (front, wide), (deep, wide), (deep, left))
+
+
+def _ells(lots: np.recarray, frame: StreetFrame, front: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Return L-shaped outlines: a bar along the street with a wing behind its left half."""
+    wide_m = lots.right_m - lots.left_m
+    deep = lots.depth_m * 0.6
+    rear = lots.depth_m * 0.93
+    right = wide_m - left
+    middle = wide_m * 0.45
+    ell = (front, left), (front, right), (deep, right), (deep, middle), (rear, middle), (rear, left)
+    return shapely.polygons(_outline(lots, frame, *ell))
 
 
 def _lay_out_lots(
@@ -229,21 +240,21 @@ def _lay_out_lots(
     street_m, avenue_m = part.street_m
     block = np.repeat(np.arange(len(is_single)), np.where(is_single, 1, 2))
     is_second = np.r_[False, block[1:] == block[:-1]]
-    left_m, right_m = cells.low_m[block, 1] + avenue_m / 2, cells.high_m[block, 1] - avenue_m / 2
+    left_m = cells.low_m[block, 1] + avenue_m / 2
+    right_m = cells.high_m[block, 1] - avenue_m / 2
     num = np.maximum(1, np.round((right_m - left_m) / lot_m[block])).astype(int)
     row, left_m, right_m = _split(rng, left_m, right_m, num)
-    block, is_second = block[row], is_second[row]
-    low_m, high_m = cells.low_m[block, 0] + street_m / 2, cells.high_m[block, 0] - street_m / 2
-    columns = {
-        "block": block,
-        "front_m": np.where(is_second, high_m, low_m),
-        "sign": np.where(is_second, -1.0, 1.0),
-        "depth_m": (high_m - low_m) / np.where(is_single[block], 1, 2),
-        "left_m": left_m,
-        "right_m": right_m,
-    }
-    return np.rec.fromarrays(
-        [*columns.values()], dtype=[(name, values.dtype) for name, values in columns.items()]
+    block = block[row]
+    is_second = is_second[row]
+    low_m = cells.low_m[block, 0] + street_m / 2
+    high_m = cells.high_m[block, 0] - street_m / 2
+    return _records(
+        block=block,
+        front_m=np.where(is_second, high_m, low_m),
+        sign=np.where(is_second, -1.0, 1.0),
+        depth_m=(high_m - low_m) / np.where(is_single[block], 1, 2),
+        left_m=left_m,
+        right_m=right_m,
     )
 
 
@@ -251,35 +262,25 @@ def _erect(
     rng: np.random.Generator, plan: CityPlan, part: Land, cells: np.recarray
 ) -> tuple[Footprints, np.ndarray]:
     """Return the buildings on street blocks, and the block that each stands on."""
-    district, n = cells.district, len(cells.district)
+    district = cells.district
+    n = len(cells.district)
     is_island = district != OTHER_DISTRICT
-    depths = (
-        np.array([plan.depth_in(cluster, cells.centre_xy) for cluster in TALLEST_M]) * is_island
-    )
-    depth_of = depths.max(axis=0)
-    is_core = is_island & np.isin(
-        np.arange(n), depths.argmax(axis=1)
-    )  # so that no city is too small for its towers
+    depths = [plan.depth_in(cluster, cells.centre_xy) * is_island for cluster in TALLEST_M]
+    depth_of = np.max(depths, axis=0)
+    # So that no city is too small for its towers.
+    is_core = is_island & np.isin(np.arange(n), np.argmax(depths, axis=1))
     chance = rng.random(n)
     has_towers = (chance < 1.2 * depth_of - 0.1) | is_core
     has_slabs = ~has_towers & (chance > 0.93)
     is_single = has_towers | has_slabs | ((cells.high_m - cells.low_m)[:, 0] < 55.0)
-    lots = _lay_out_lots(
-        rng,
-        part,
-        cells,
-        is_single,
-        np.select([has_towers, has_slabs, is_island], [54.0, 60.0, 27.0], 44.0),
-    )
+    lot_m = np.select([has_towers, has_slabs, is_island], [54.0, 60.0, 27.0], 44.0)
+    lots = _lay_out_lots(rng, part, cells, is_single, lot_m)
     is_square = rng.random(n) < np.where(is_island, 0.025 * ~has_towers, 0.05)
     is_vacant = rng.random(len(lots.block)) < np.where(is_island, 0.04, 0.12)[lots.block]
     lots = lots[is_core[lots.block] | ~(is_square[lots.block] | is_vacant)]
     block, wide_m, m = lots.block, lots.right_m - lots.left_m, len(lots.block)
-    median_m = (
-        MEDIAN_HEIGHT_M[district % 13][block]
-        * (1 + 1.2 * depth_of[block])
-        * np.where(has_slabs, 1.5, 1.0)[block]
-    )
+    median_m = MEDIAN_HEIGHT_M[district % 13] * (1 + 1.2 * depth_of)
+    median_m = (median_m * np.where(has_slabs, 1.5, 1.0))[block]
     height_m = np.maximum(median_m * np.exp(0.34 * rng.standard_normal(m)), 5.0)
     front_m = np.where(is_island[block], 1.5, 5.0)
     side_m = np.where(is_island[block], 1.5 * (rng.random(m) < 0.15), rng.uniform(2.0, 4.0, m))
@@ -293,27 +294,19 @@ def _erect(
         return shapely.polygons(_rectangle(lots[which], part.frame, front, back, left, right))
 
     polygons = np.empty(m, object)
-    bar = ~(is_tower | is_court | is_ell)
-    polygons[bar] = rectangles(bar, front_m[bar], back_m[bar], side_m[bar], side_m[bar])
-    ring, hole = (_rectangle(lots[is_court], part.frame, d, d, d, d) for d in (1.5, 16.0))
+    is_bar = ~(is_tower | is_court | is_ell)
+    side = side_m[is_bar]
+    polygons[is_bar] = rectangles(is_bar, front_m[is_bar], back_m[is_bar], side, side)
+    ring = _rectangle(lots[is_court], part.frame, 1.5, 1.5, 1.5, 1.5)
+    hole = _rectangle(lots[is_court], part.frame, 16.0, 16.0, 16.0, 16.0)
     polygons[is_court] = shapely.polygons(ring, holes=shapely.linearrings(hole)[:, None])
-    # An L: a bar along the street with a wing behind its left half.
-    some, front, left = lots[is_ell], front_m[is_ell], side_m[is_ell]
-    deep, rear, right, middle = (
-        some.depth_m * 0.6,
-        some.depth_m * 0.93,
-        wide_m[is_ell] - left,
-        wide_m[is_ell] * 0.45,
-    )
-    ell = (front, left), (front, right), (deep, right), (deep, middle), (rear, middle), (rear, left)
-    polygons[is_ell] = shapely.polygons(_outline(some, part.frame, *ell))
+    polygons[is_ell] = _ells(lots[is_ell], part.frame, front_m[is_ell], side_m[is_ell])
     # A tower is an outline as high as its podium, and a part that stands on it.
     polygons[is_tower] = rectangles(is_tower, 1.5, 1.5, 1.0, 1.0)
     num_towers = int(is_tower.sum())
     height_m[is_tower] = rng.uniform(15.0, 35.0, num_towers)
-    inset_m = rng.uniform(0.09, 0.24, (4, num_towers)) * np.repeat(
-        [lots.depth_m[is_tower], wide_m[is_tower]], 2, axis=0
-    )
+    sides_m = np.repeat([lots.depth_m[is_tower], wide_m[is_tower]], 2, axis=0)
+    inset_m = rng.uniform(0.09, 0.24, (4, num_towers)) * sides_m
     shafts = rectangles(is_tower, *inset_m)
     top_m = (45 + 100 * depth_of[block[is_tower]]) * np.exp(0.42 * rng.standard_normal(num_towers))
     for cluster, tallest_m in TALLEST_M.items():
@@ -331,21 +324,24 @@ def _erect(
 
 def _build(extent_m: Box, crs: str, seed: int) -> City:
     at_least("seed", seed)
-    plan, rng = CityPlan(extent_m), np.random.default_rng(seed)
+    plan = CityPlan(extent_m)
+    rng = np.random.default_rng(seed)
     parts = plan.parts()
-    buildings, outlines, people, districts = [], [], [], []
+    buildings = []
+    outlines = []
+    people = []
+    districts = []
     for part in parts:
         cells, outline = _lay_out_cells(plan, part)
         dry = part.land.buffer(-plan.margin_m)
         houses, block = _erect(rng, plan, part, cells)
-        houses = replace(
-            houses, polygons=_clip(houses.polygons, (plan.box & dry) - plan.broadway())
-        )
+        ground = (plan.box & dry) - plan.broadway()
+        houses = replace(houses, polygons=_clip(houses.polygons, ground))
         kept = shapely.area(houses.polygons) > MIN_BUILDING_M2
-        area_km2, num_blocks = shapely.area(outline) / 1e6, len(outline)
-        per_km2 = NIGHT_PER_KM2[cells.district % 13] * np.exp(
-            0.45 * rng.standard_normal(num_blocks) - 0.1
-        )
+        area_km2 = shapely.area(outline) / 1e6
+        num_blocks = len(outline)
+        spread = np.exp(0.45 * rng.standard_normal(num_blocks) - 0.1)
+        per_km2 = NIGHT_PER_KM2[cells.district % 13] * spread
         is_home = np.bincount(block[kept], minlength=num_blocks) > 0
         is_inland = shapely.contains_properly(dry, outline)
         buildings.append(houses.take(kept))
@@ -357,17 +353,19 @@ def _build(extent_m: Box, crs: str, seed: int) -> City:
     districts.append(np.array([OTHER_DISTRICT], np.int32))
     district = np.concatenate(districts)
     zoning = np.where(district <= NUM_COMMERCIAL, Zoning.COMMERCIAL, Zoning.RESIDENTIAL)
+    zoning[district == OTHER_DISTRICT] = Zoning.OTHER
+    columns = [field.name for field in fields(Footprints)]
     return City(
         crs=crs,
         extent_m=extent_m,
         buildings=Footprints(
-            *(np.concatenate([getattr(b, f.name) for b in buildings]) for f in fields(Footprints))
+            *(np.concatenate([getattr(each, name) for each in buildings]) for name in columns)
         ),
         blocks=Blocks(
             polygons=np.concatenate(outlines),
             night_count=np.concatenate(people),
             district=district,
-            zoning=np.where(district == OTHER_DISTRICT, Zoning.OTHER, zoning).astype(np.uint8),
+            zoning=zoning.astype(np.uint8),
             block_id=np.array([f"{number:06d}" for number in range(len(district))], object),
         ),
         attribution=CREDIT,

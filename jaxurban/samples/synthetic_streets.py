@@ -15,11 +15,11 @@ Cluster = tuple[float, float, float, float]  # centre s, q and radii in s, q of 
 
 # Manhattan's plan of 1811: avenues run 29 degrees clockwise from north, streets every 80 m, avenues every 270 m.
 AVENUE_BEARING_RAD = math.radians(29.0)
-AVENUE_PITCH_M, STREET_PITCH_M = 274.0, 80.0
-WEST_BEARING_RAD, EAST_BEARING_RAD = (
-    math.radians(12.0),
-    math.radians(48.0),
-)  # the suburbs have streets of their own
+AVENUE_PITCH_M = 274.0
+STREET_PITCH_M = 80.0
+# The suburbs have streets of their own.
+WEST_BEARING_RAD = math.radians(12.0)
+EAST_BEARING_RAD = math.radians(48.0)
 SUBURB_PITCH_M = (95.0, 230.0)
 
 # The plan in fractions: s along the island's axis (-1 southern tip, 1 northern tip), q across it (east positive).
@@ -51,18 +51,17 @@ EAST_BANK = np.array(
     ]
 )
 WEST_BANK_Q = -0.52
-ISLAND_Q, MIN_ROWS = 0.6, 14  # the island's width, and its least length in street blocks
-PARK_S, PARK_SHARE = (
-    (-0.26, 0.13),
-    0.24,
-)  # the park's ends, and its width as a share of the island's
-BROADWAY = (
-    (-0.95, 0.06),
-    (-0.26, -0.10),
-    (0.5, -0.28),
-)  # (s, q) of the street that ignores the grid
+# The island's width, and its least length in street blocks.
+ISLAND_Q = 0.6
+MIN_ROWS = 14
+# The park's ends, and its width as a share of the island's.
+PARK_S = (-0.26, 0.13)
+PARK_SHARE = 0.24
+# (s, q) of the street that ignores the grid.
+BROADWAY = ((-0.95, 0.06), (-0.26, -0.10), (0.5, -0.28))
 BROADWAY_M = 26.0
-MIDTOWN, DOWNTOWN = (-0.38, 0.0, 0.11, 0.15), (-0.88, 0.0, 0.075, 0.12)
+MIDTOWN = (-0.38, 0.0, 0.11, 0.15)
+DOWNTOWN = (-0.88, 0.0, 0.075, 0.12)
 
 # Districts by band of s from south to north (the park's ends bound the fourth), and by third: west, middle, east.
 BANDS_S = (-0.78, -0.55, 0.52)
@@ -81,15 +80,18 @@ class StreetFrame:
 
     def xy(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
         """Return coordinates ``[..., 2]`` in the CRS."""
-        sin, cos = math.sin(self.bearing_rad), math.cos(self.bearing_rad)
+        sin = math.sin(self.bearing_rad)
+        cos = math.cos(self.bearing_rad)
         return np.stack(
             [self.x_m + along * sin + across * cos, self.y_m + along * cos - across * sin], axis=-1
         )
 
     def local(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return along and across of coordinates ``[..., 2]``."""
-        sin, cos = math.sin(self.bearing_rad), math.cos(self.bearing_rad)
-        x, y = xy[..., 0] - self.x_m, xy[..., 1] - self.y_m
+        sin = math.sin(self.bearing_rad)
+        cos = math.cos(self.bearing_rad)
+        x = xy[..., 0] - self.x_m
+        y = xy[..., 1] - self.y_m
         return x * sin + y * cos, x * cos - y * sin
 
     def rectangles(self, along_0: Any, across_0: Any, along_1: Any, across_1: Any) -> np.ndarray:
@@ -117,10 +119,8 @@ class Land:
     @property
     def street_m(self) -> tuple[float, float]:
         """Width of streets and of avenues."""
-        street_m, avenue_m = (
-            np.clip(0.225 * self.pitch_m[0], 8.0, 18.0),
-            np.clip(0.11 * self.pitch_m[1], 14.0, 30.0),
-        )
+        street_m = np.clip(0.225 * self.pitch_m[0], 8.0, 18.0)
+        avenue_m = np.clip(0.11 * self.pitch_m[1], 14.0, 30.0)
         return float(street_m), float(avenue_m)
 
 
@@ -131,14 +131,15 @@ class CityPlan:
         x_min, y_min, x_max, y_max = extent_m
         self.box = shapely.box(*extent_m)
         self.frame = StreetFrame((x_min + x_max) / 2, (y_min + y_max) / 2, AVENUE_BEARING_RAD)
-        half_x, half_y = (x_max - x_min) / 2, (y_max - y_min) / 2
-        sin, cos = math.sin(AVENUE_BEARING_RAD), math.cos(AVENUE_BEARING_RAD)
+        half_x = (x_max - x_min) / 2
+        half_y = (y_max - y_min) / 2
+        sin = math.sin(AVENUE_BEARING_RAD)
+        cos = math.cos(AVENUE_BEARING_RAD)
         ray_m = min(half_x / sin, half_y / cos)  # from the middle to the box along the avenues
         self.length_m = 0.93 * ray_m  # s = 1
         self.width_m = min(half_x / cos, half_y / sin, 0.75 * ray_m)  # q = 1
-        self.margin_m = float(
-            np.clip(0.02 * self.width_m, 5.0, 25.0)
-        )  # promenade between shore and buildings
+        # Promenade between shore and buildings.
+        self.margin_m = float(np.clip(0.02 * self.width_m, 5.0, 25.0))
         island_m = ISLAND_Q * self.width_m
         # Odd numbers of columns, so that the park is in the middle.
         num_columns = max(3, 2 * round((island_m / AVENUE_PITCH_M - 1) / 2) + 1)
@@ -154,10 +155,9 @@ class CityPlan:
         shore_s = np.linspace(-1.0, 1.0, 161)
         west, east = (PchipInterpolator(SHORES[:, 0], SHORES[:, side])(shore_s) for side in (1, 2))
         island = self._polygon(np.r_[shore_s, shore_s[::-1]], np.r_[-west, east[::-1]])
-        far_s, far_q = (
-            4.0 + self.box.length / self.length_m,
-            4.0 + self.box.length / self.width_m,
-        )  # beyond any box
+        # Beyond any box.
+        far_s = 4.0 + self.box.length / self.length_m
+        far_q = 4.0 + self.box.length / self.width_m
         ends = float(EAST_BANK[0, 0]), float(EAST_BANK[-1, 0])
         bank_s = np.r_[-far_s, np.linspace(*ends, 401), far_s]
         bank_q = PchipInterpolator(EAST_BANK[:, 0], EAST_BANK[:, 1])(np.clip(bank_s, *ends))
@@ -204,7 +204,8 @@ class CityPlan:
         """Return how deep in a cluster of towers points lie: 1 in its middle, falling to 0."""
         along, across = self.frame.local(xy)
         centre_s, centre_q, radius_s, radius_q = cluster
-        s, q = along / self.length_m, across / self.width_m
+        s = along / self.length_m
+        q = across / self.width_m
         return np.exp(-(((s - centre_s) / radius_s) ** 2) - ((q - centre_q) / radius_q) ** 2)
 
     def _polygon(self, s: np.ndarray, q: np.ndarray) -> shapely.Polygon:

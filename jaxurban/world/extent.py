@@ -20,9 +20,8 @@ def lonlat_boxes(polygons: np.ndarray, crs: str) -> np.ndarray:
 
 def rounded_outward(boxes: np.ndarray) -> Bounds:
     """Return the box around boxes in degrees ``[N, 4]``, rounded outward to some 10 m."""
-    sides = np.round(
-        1e4 * shapely.total_bounds(shapely.box(*boxes.T)), 4
-    )  # a projection there and back moves them
+    # A projection there and back moves them.
+    sides = np.round(1e4 * shapely.total_bounds(shapely.box(*boxes.T)), 4)
     west, south, east, north = (np.append(np.floor(sides[:2]), np.ceil(sides[2:])) / 1e4).tolist()
     return west, south, east, north
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 
-from jaxurban.checks import finite, typed
+from jaxurban.checks import finite, positive, typed
 from jaxurban.errors import InputError
 
 WGS84 = "EPSG:4326"
@@ -21,7 +21,8 @@ MAX_SCALE_ERROR = 0.01  # of a projection at the region: within a UTM zone it st
 MOST_CELLS = 1e12
 MAX_SNAP_CELLS = 1000  # of the coarsest resolution that the region may be snapped to
 MAX_SIDE = 1024  # cells of a tile's side at most: about 0.2 GiB of work at four altitudes
-Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max in a projected CRS, metres
+# x_min, y_min, x_max, y_max in a projected CRS, metres; or west, south, east, north in degrees.
+Bounds = tuple[float, float, float, float]
 
 
 @lru_cache(maxsize=32)
@@ -36,11 +37,9 @@ def utm_crs(lon_deg: float, lat_deg: float) -> str:
         area_of_interest=AreaOfInterest(lon_deg, lat_deg, lon_deg, lat_deg),
     )
     if not infos:
-        swapped = (
-            "latitude and longitude look swapped (longitude comes first), else "
-            if abs(lon_deg) <= 84
-            else ""
-        )
+        swapped = ""
+        if abs(lon_deg) <= 84:
+            swapped = "latitude and longitude look swapped (longitude comes first), else "
         raise InputError(
             f"no UTM zone covers longitude {lon_deg:g}, latitude {lat_deg:g}: {swapped}set [region] crs to a projected "
             "CRS"
@@ -48,10 +47,21 @@ def utm_crs(lon_deg: float, lat_deg: float) -> str:
     return f"{infos[0].auth_name}:{infos[0].code}"
 
 
+def utm_of(bounds: Sequence[float]) -> str:
+    """Return the UTM zone of the middle of a box: west, south, east, north in degrees; errors as of `utm_crs`."""
+    west, south, east, north = bounds
+    return utm_crs((west + east) / 2, (south + north) / 2)
+
+
 @lru_cache(maxsize=32)
 def transformer(source: str, target: str) -> pyproj.Transformer:
     """Return the x, y-ordered transformer between two CRSs (cached)."""
     return pyproj.Transformer.from_crs(source, target, always_xy=True)
+
+
+def box_of(bounds: Bounds, crs: str) -> Bounds:
+    """Return the box in a projected CRS around a box in degrees: west, south, east, north."""
+    return transformer(WGS84, crs).transform_bounds(*bounds, densify_pts=101)
 
 
 @lru_cache(maxsize=32)
@@ -110,14 +120,13 @@ def where_it_lies(extent: Sequence[float], bounds: Sequence[float]) -> str:
       bounds: of a region that it does not reach, the same.
     """
     west, south, east, north = extent
-    is_swapped = max(west, bounds[1]) <= min(east, bounds[3]) and max(south, bounds[0]) <= min(
-        north, bounds[2]
-    )
+    low_lat, low_lon, high_lat, high_lon = bounds  # if they are swapped
+    is_swapped = low_lon <= east and west <= high_lon and low_lat <= north and south <= high_lat
     hint = "; latitude and longitude look swapped (longitude comes first)" if is_swapped else ""
     return f"it covers about {west:.4f}, {south:.4f}, {east:.4f}, {north:.4f} (west, south, east, north){hint}"
 
 
-def check_bounds(bounds: Sequence[float]) -> tuple[float, float, float, float]:
+def check_bounds(bounds: Sequence[float]) -> Bounds:
     """Return ``bounds`` as four floats (west, south, east, north; degrees), if they make a box.
 
     Raises:
@@ -185,10 +194,7 @@ class Grid:
     num_cols: int
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.resolution_m) and self.resolution_m > 0):
-            raise InputError(
-                f"resolution_m must be a positive number of metres, got {self.resolution_m}"
-            )
+        positive("resolution_m", self.resolution_m)
         if self.num_rows < 1 or self.num_cols < 1:
             raise InputError(
                 f"num_rows and num_cols must be 1 or more, got {self.num_rows} x {self.num_cols}"
@@ -224,20 +230,16 @@ class Grid:
           >>> grid.shape, grid.crs
           ((170, 172), 'EPSG:32618')
         """
-        west, south, east, north = check_bounds(bounds)
+        bounds = west, south, east, north = check_bounds(bounds)
         resolutions_m = [resolution_m, *nest_with_m]
-        if not all(math.isfinite(value) and value > 0 for value in resolutions_m):
-            raise InputError(
-                f"resolution_m must be a positive number of metres, got {resolutions_m}"
-            )
+        for value in resolutions_m:
+            positive("resolution_m", value)
         if crs is None:
-            crs = utm_crs((west + east) / 2, (south + north) / 2)
+            crs = utm_of(bounds)
         projected_crs(crs)
         check_scale(crs, (west + east) / 2, (south + north) / 2)
-        x_min, y_min, x_max, y_max = transformer(WGS84, crs).transform_bounds(
-            west, south, east, north, densify_pts=101
-        )
-        if not all(math.isfinite(value) for value in (x_min, y_min, x_max, y_max)):
+        box_m = x_min, y_min, x_max, y_max = box_of(bounds, crs)
+        if not all(map(math.isfinite, box_m)):
             raise InputError(
                 f"bounds {list(bounds)} lie outside the area of use of {crs}: choose another CRS"
             )
@@ -252,8 +254,10 @@ class Grid:
             )
         per_snap = round(snap_m / resolution_m)
         # Bounds that were snapped before must not grow by rounding: a millionth of a cell is nothing.
-        first_col, end_col = math.floor(x_min / snap_m + 1e-6), math.ceil(x_max / snap_m - 1e-6)
-        first_row, end_row = math.floor(y_min / snap_m + 1e-6), math.ceil(y_max / snap_m - 1e-6)
+        first_col = math.floor(x_min / snap_m + 1e-6)
+        end_col = math.ceil(x_max / snap_m - 1e-6)
+        first_row = math.floor(y_min / snap_m + 1e-6)
+        end_row = math.ceil(y_max / snap_m - 1e-6)
         return cls(
             crs=crs,
             resolution_m=float(resolution_m),
@@ -289,7 +293,7 @@ class Grid:
         return (self.first_row + self.num_rows) * self.resolution_m
 
     @property
-    def bounds_m(self) -> tuple[float, float, float, float]:
+    def bounds_m(self) -> Bounds:
         """x_min, y_min, x_max, y_max in the CRS."""
         return self.x_min_m, self.y_min_m, self.x_max_m, self.y_max_m
 
@@ -417,7 +421,8 @@ class Grid:
         x_m, y_m = self.xy_of_lonlat(lon_deg, lat_deg)
         if not np.all(self.contains_xy(x_m, y_m)):
             west, south, east, north = transformer(self.crs, WGS84).transform_bounds(*self.bounds_m)
-            lon_deg, lat_deg = np.asarray(lon_deg), np.asarray(lat_deg)
+            lon_deg = np.asarray(lon_deg)
+            lat_deg = np.asarray(lat_deg)
             raise InputError(
                 f"the point {lon_deg}, {lat_deg} (longitude comes first) is outside the region, "
                 f"which spans about {west:.4f} to {east:.4f} and {south:.4f} to {north:.4f}"
@@ -465,7 +470,8 @@ class Grid:
           >>> fine.resolution_m, fine.shape, fine.bounds_m == maps.grid.bounds_m
           (5.0, (120, 120), True)
         """
-        side_m, first = self.resolution_m / n, (self.first_row * n, self.first_col * n)
+        side_m = self.resolution_m / n
+        first = (self.first_row * n, self.first_col * n)
         return Grid(self.crs, side_m, *first, self.num_rows * n, self.num_cols * n)
 
     def padded(self, west: int, south: int, east: int, north: int) -> "Grid":
@@ -478,8 +484,10 @@ class Grid:
           >>> maps.grid.padded(west=1, south=1, east=2, north=2).shape
           (33, 33)
         """
-        first_row, first_col = self.first_row - south, self.first_col - west
-        num_rows, num_cols = self.num_rows + south + north, self.num_cols + west + east
+        first_row = self.first_row - south
+        first_col = self.first_col - west
+        num_rows = self.num_rows + south + north
+        num_cols = self.num_cols + west + east
         return Grid(self.crs, self.resolution_m, first_row, first_col, num_rows, num_cols)
 
     def window_in(self, outer: "Grid") -> tuple[slice, slice]:
@@ -497,7 +505,8 @@ class Grid:
           >>> maps.m("gps", 60.0)[rows, cols].shape == inner.shape
           True
         """
-        row, col = self.first_row - outer.first_row, self.first_col - outer.first_col
+        row = self.first_row - outer.first_row
+        col = self.first_col - outer.first_col
         if (
             (self.crs, self.resolution_m) != (outer.crs, outer.resolution_m)
             or min(row, col) < 0

@@ -97,7 +97,8 @@ class Outlines:
         pieces, pair = shapely.get_parts(crossed, return_index=True)
         places, piece = shapely.get_coordinates(pieces, return_index=True)
         along_m = np.hypot(*(places - start_m[ray[pair[piece]]]).T)
-        from_m, to_m = np.full(len(pieces), np.inf), np.zeros(len(pieces))
+        from_m = np.full(len(pieces), np.inf)
+        to_m = np.zeros(len(pieces))
         np.minimum.at(from_m, piece, along_m)
         np.maximum.at(to_m, piece, along_m)
         return Stretches(ray[pair], building[pair], from_m, to_m)
@@ -121,9 +122,11 @@ class Outlines:
         hit, first = np.unique(over.ray[order], return_index=True)
         least = order[first]
         num = len(rays.x_m)
-        margin_m, distance_m = np.full(num, np.inf), np.full(num, np.nan)
+        margin_m = np.full(num, np.inf)
+        distance_m = np.full(num, np.nan)
         building = np.full(num, NO_HIT)
-        margin_m[hit], building[hit] = clears_m[least], over.building[least]
+        margin_m[hit] = clears_m[least]
+        building[hit] = over.building[least]
         distance_m[hit] = over.from_m[least]
         return Clearances(margin_m, building, distance_m)
 

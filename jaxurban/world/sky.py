@@ -65,7 +65,8 @@ class Sky:
     def in_view(self, time_index: int) -> InView:
         """Return the satellites in view at a time."""
         numbers = np.flatnonzero(self.is_in_view[time_index])
-        systems, order = tuple(self.systems[s] for s in numbers), list(dict.fromkeys(self.systems))
+        systems = tuple(self.systems[s] for s in numbers)
+        order = list(dict.fromkeys(self.systems))
         clocks = Clocks(np.array([order.index(system) for system in systems], int), len(order))
         angles = self.azimuth_rad[time_index, numbers], self.elevation_rad[time_index, numbers]
         return InView(*angles, systems, numbers, clocks if len(order) > 1 else None)

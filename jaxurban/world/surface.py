@@ -62,7 +62,8 @@ class Slabs(NamedTuple):
 
     def over_cells(self, grid: Grid) -> tuple["Slabs", tuple[np.ndarray, np.ndarray]]:
         """Return the slabs that hang over whole cells of a grid, and row and column of each there."""
-        row, col = self.row // PER_CELL - grid.first_row, self.col // PER_CELL - grid.first_col
+        row = self.row // PER_CELL - grid.first_row
+        col = self.col // PER_CELL - grid.first_col
         inside = (
             self.is_of_cell
             & (row >= 0)
@@ -98,9 +99,8 @@ def roofs_of(height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> Float
       height_m: ``[B]`` height of each building.
       building: ``[Y, X]`` from `jaxurban.io.read.rasterise.building_index`.
     """
-    return jnp.append(height_m, jnp.zeros(1, height_m.dtype))[
-        building
-    ]  # NO_BUILDING, -1, is the last entry
+    # NO_BUILDING, -1, is the last entry.
+    return jnp.append(height_m, jnp.zeros(1, height_m.dtype))[building]
 
 
 class Frame(NamedTuple):

@@ -285,7 +285,7 @@ def corners_of(first, x=0, y=0, side=1):
 def read(tmp_path, *elements, boxes=()):
     """Return the outlines of OSM elements in XML."""
     (tmp_path / "city.osm").write_text(osm(*elements, boxes=boxes))
-    return read_osm(tmp_path / "city.osm", "osm")
+    return read_osm(tmp_path / "city.osm")
 
 
 def test_a_closed_way_is_an_area_with_its_tags_also_before_its_nodes(tmp_path):
@@ -386,7 +386,7 @@ FILES = {  # CRS; buildings, those with a height, with levels only, parts, as fa
 def test_counts_of_a_real_file_agree_with_its_readme(data_dir, name):
     crs, known, issues = FILES[name]
     path = data_dir / "osm" / f"{name}.osm.pbf"
-    outlines = read_osm(path, "pbf")
+    outlines = read_osm(path)
     buildings, _, found = to_buildings(ju.Buildings(path), outlines, crs)
     building, part, height, levels = (
         is_given(outlines.column(n)) for n in ("building", "part", "height", "levels")

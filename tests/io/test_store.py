@@ -415,7 +415,7 @@ def test_rows_of_other_settings_are_refused_and_settings_are_kept(tmp_path):
         RowStore(file, ["k"], settings={"seed": 3}).get("one")["found"]
     ).tolist() == [0.0, 1.0, 2.0]
     with pytest.raises(
-        InputError, match=r"of other settings .its seed is 3, and 4 is given now.: pass --overwrite"
+        InputError, match=r"of other settings .its seed is 3, now 4.: pass --overwrite"
     ):
         RowStore(file, ["k"], settings={"seed": 4})
     with pytest.raises(InputError, match=r"a\.npz' must end in \.parquet"):

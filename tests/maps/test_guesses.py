@@ -126,7 +126,7 @@ def test_one_guessed_roof_of_many_is_known_by_all_cells_that_it_touches(tmp_path
     city, _ = town(tmp_path, ["30"] * 30 + [None], bounds=bounds)
     region = Grid.from_bounds(bounds, 15.0, UTM)
     assert has_guessed_roofs(city, region)
-    surface = build_surface(city, region, region, tells_guessed=True)
+    surface = build_surface(city, region, region, has_guessed=True)
     guessed = box(20 + 90 * 30, 100, 60 + 90 * 30, 140).buffer(-0.01)
     touched = burn(np.array([guessed]), np.ones(1), region, 0, "uint8")[1]
     np.testing.assert_array_equal(surface.roof_guessed, touched.astype(bool))

@@ -50,7 +50,7 @@ CEILING_NAMES = (
 )
 NAME_NAMES = ("name", "title", "designator", "identifier", "id")
 HEIGHT_WORDS = ("floor", "ceiling", "lower", "upper", "altitude", "height")
-# Properties that tell the unit or the zero of heights, by plain name: "uomDimensions", "lowerVerticalReference" ...
+# Properties that name the unit or the zero of heights, by plain name: "uomDimensions", "lowerVerticalReference" ...
 UNIT_NAME = re.compile(
     r"^(uom|units?)|(uom|units?|datum)$|(vertical|altitude|height|limit|lower|upper).*ref"
 )
@@ -72,7 +72,7 @@ GEOZONE_SUFFIXES = (".json", ".geojson")
 GEOZONE = re.compile(
     r'"(horizontalProjection|limitedApplicability|(lower|upper)Reference)"|"extent"\s*:\s*\{'
 )
-OPEN = "NO_RESTRICTION"  # a zone that tells, and closes nothing
+OPEN = "NO_RESTRICTION"  # a zone that informs, and closes nothing
 ON_APPROVAL = ("REQ_AUTHORISATION", "REQ_AUTHORIZATION", "CONDITIONAL")
 METRES = {"M": 1.0, "FT": 0.3048}
 CORNERS = 64  # of a circle: with what follows its polygon is at most 0.3 % wider
@@ -91,9 +91,7 @@ ALL_AROUND = (
 )
 GEOD = Geod(ellps="WGS84")
 Json = Mapping[str, Any]
-Notes = dict[
-    str, list[str]
-]  # what must be said of zones, a sentence each, with the names that it is true of
+Notes = dict[str, list[str]]  # names of zones, by the sentence that is true of them
 BROKEN = (
     LookupError,
     TypeError,
@@ -111,7 +109,7 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
     a warning. Floor and ceiling are the properties named in `FLOOR_NAMES` and `CEILING_NAMES`, metres above ground;
     where several are filled, the lowest floor and the highest ceiling count, and where all are empty, the zone has
     none. Other properties that sound like heights are ignored with a warning, and so are all heights of a zone one of
-    whose properties tells another unit or another zero than the ground. Heights of corners are not read.
+    whose properties names another unit or another zero than the ground. Heights of corners are not read.
 
     Of ED-269 and ED-318 zones of every restriction but ``NO_RESTRICTION`` are closed; those that hold on conditions or
     until someone authorises a flight too, which a warning says. Circles become polygons around them. Limits above the
@@ -136,9 +134,11 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
         else _of_geozones(features, path.name, notes)
     )
     for sentence, names in notes.items():
-        several = list(dict.fromkeys(names))
-        shown = ", ".join(map(repr, several[:MOST_NAMED])) + ", ..." * (len(several) > MOST_NAMED)
-        _warn(f"zones of {path.name!r} that {sentence}: {len(several)} ({shown})")
+        several = list(dict.fromkeys(map(repr, names)))
+        num = len(several)
+        if num > MOST_NAMED:
+            several[MOST_NAMED:] = ["..."]
+        _warn(f"zones of {path.name!r} that {sentence}: {num} ({', '.join(several)})")
     if not zones:
         raise InputError(
             f"the {ROLE} file {str(path)!r} holds no polygons that restrict flights: give another file"
@@ -152,12 +152,13 @@ def _warn(sentence: str) -> None:
 
 def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:
     """Return the zones of a file that GDAL or pyarrow reads."""
-    file, zones, num_others = path.name, list[Zone](), 0
+    file = path.name
+    zones = list[Zone]()
+    num_others = 0
     for frame in open_layers(path, ROLE):
         num_others += sum(not _is_all_area(shape) for shape in frame.geometry)
-        areas = frame[
-            shapely.get_dimensions(frame.geometry.to_numpy()) == 2
-        ]  # -1 where there is none
+        # -1 where there is none.
+        areas = frame[shapely.get_dimensions(frame.geometry.to_numpy()) == 2]
         _warn_of_ignored(areas.drop(columns=areas.geometry.name), file)
         for row in areas.to_dict("records"):
             shape = row.pop(areas.geometry.name)
@@ -194,15 +195,14 @@ def _plain(name: object) -> str:
 
 def _heights(facts: Json, label: str) -> tuple[float, float]:
     """Return floor and ceiling of a polygon by its filled properties, infinite where it has none."""
-    floors, ceilings = (
-        [
-            finite(f"{name} of the no-fly zone {label}", facts[_plain(name)], "metres above ground")
-            for name in filled
-        ]
-        for filled in (
-            [n for n in names if _plain(n) in facts] for names in (FLOOR_NAMES, CEILING_NAMES)
+    limits_m = []
+    for names in (FLOOR_NAMES, CEILING_NAMES):
+        filled = {name: facts[_plain(name)] for name in names if _plain(name) in facts}
+        what = f"of the no-fly zone {label}"
+        limits_m.append(
+            [finite(f"{name} {what}", filled[name], "metres above ground") for name in filled]
         )
-    )
+    floors, ceilings = limits_m
     units = [str(value) for name, value in facts.items() if UNIT_NAME.search(name)]
     strange = [unit for unit in units if _plain(unit) not in UNITS_READ]
     if strange and (floors or ceilings):
@@ -216,17 +216,15 @@ def _heights(facts: Json, label: str) -> tuple[float, float]:
 def _warn_of_ignored(properties: pd.DataFrame, file: str) -> None:
     """Warn of filled properties that sound like heights and are not read."""
     read = {*map(_plain, FLOOR_NAMES), *map(_plain, CEILING_NAMES)}
-    ignored = [
-        str(column)
-        for column in properties
-        if (name := _plain(column)) not in read
-        and not UNIT_NAME.search(name)
-        and any(word in name for word in HEIGHT_WORDS)
-        and not all(map(is_blank, properties[column]))
-    ]
+    ignored = []
+    for column in properties:
+        name = _plain(column)
+        is_height = any(word in name for word in HEIGHT_WORDS) and not UNIT_NAME.search(name)
+        if is_height and name not in read and not all(map(is_blank, properties[column])):
+            ignored.append(repr(column))
     if ignored:
         _warn(
-            f"{', '.join(map(repr, ignored))} of {file!r} not read: floors and ceilings are {', '.join(FLOOR_NAMES)} "
+            f"{', '.join(ignored)} of {file!r} not read: floors and ceilings are {', '.join(FLOOR_NAMES)} "
             f"and {', '.join(CEILING_NAMES)}, metres above ground, and a zone without is closed at all altitudes"
         )
 
@@ -246,24 +244,20 @@ def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone
         start, end = _times(facts, name, notes)
         label = f"{name!r} of {file!r}"
         try:
-            outlines = [
+            volumes = [
                 (shape["layer"] or {}, _outline(shape)) for shape in _volumes(feature["geometry"])
             ]
         except BROKEN as error:
-            why = (
-                str(error)
-                if isinstance(error, ValueError)
-                else "a part is missing, or is of another kind"
-            )
+            why = "a part is missing, or is of another kind"
+            if isinstance(error, ValueError):
+                why = str(error)
             raise InputError(
                 f"the outline of the no-fly zone {label} cannot be read ({why}): mend the file"
             ) from error
-        for layer, outline in outlines:
-            whole, limits_m = (
-                _whole(outline, name, notes, is_lonlat=True),
-                _limits(layer, label, name, notes),
-            )
-            zones.append(Zone(name, whole, "EPSG:4326", *limits_m, file, start, end))
+        for layer, outline in volumes:
+            whole = _whole(outline, name, notes, is_lonlat=True)
+            floor_m, ceiling_m = _limits(layer, label, name, notes)
+            zones.append(Zone(name, whole, "EPSG:4326", floor_m, ceiling_m, file, start, end))
     return zones
 
 
@@ -278,11 +272,8 @@ def _geozones(path: Path) -> list[Json] | None:
         listed = whole.get("features", whole.get("UASZoneList"))
     except (OSError, ValueError, RecursionError, AttributeError):
         return None  # the reader of vector files says what is wrong with it
-    return (
-        listed
-        if isinstance(listed, list) and all(isinstance(feature, dict) for feature in listed)
-        else None
-    )
+    is_listed = isinstance(listed, list) and all(isinstance(each, dict) for each in listed)
+    return listed if is_listed else None
 
 
 def _name(facts: Json, number: int) -> str:
@@ -310,12 +301,14 @@ def _outline(shape: Json) -> shapely.Geometry:
         unit_m = METRES[str(shape["layer"]["uomDimensions"]).upper()]
         return _circle(shape["center"], float(shape["radius"]) * unit_m)
     if kind == "point":
-        return _circle(
-            shape["coordinates"], float(shape["extent"]["radius"])
-        )  # in metres, whatever its layer
+        # In metres, whatever the unit of its layer.
+        return _circle(shape["coordinates"], float(shape["extent"]["radius"]))
     polygons = shape["coordinates"] if kind == "multipolygon" else [shape["coordinates"]]
-    rings = [[[_place(corner) for corner in ring] for ring in polygon] for polygon in polygons]
-    return shapely.union_all([shapely.Polygon(shell, holes) for shell, *holes in rings])
+    parts = []
+    for polygon in polygons:
+        shell, *holes = [list(map(_place, ring)) for ring in polygon]
+        parts.append(shapely.Polygon(shell, holes))
+    return shapely.union_all(parts)
 
 
 def _place(corner: Sequence[Any]) -> tuple[float, float]:
@@ -324,7 +317,8 @@ def _place(corner: Sequence[Any]) -> tuple[float, float]:
     Raises:
       ValueError: they are none.
     """
-    lon, lat = float(corner[0]), float(corner[1])
+    lon = float(corner[0])
+    lat = float(corner[1])
     if not (-180 <= lon <= 180 and -90 <= lat <= 90):
         raise ValueError(f"{lon:g}, {lat:g} is no longitude and latitude")
     return lon, lat
@@ -340,9 +334,8 @@ def _circle(centre: Sequence[Any], radius_m: float) -> shapely.Geometry:
     azimuth_deg = np.arange(CORNERS) * (360 / CORNERS)
     away_m = np.full(CORNERS, radius_m * (1 + WIDER) / math.cos(math.pi / CORNERS))
     lons, lats, _ = GEOD.fwd(np.full(CORNERS, lon), np.full(CORNERS, lat), azimuth_deg, away_m)
-    around = (
-        lon + (lons - lon + 180) % 360 - 180
-    )  # in one piece where it lies across the antimeridian
+    # In one piece where it lies across the antimeridian.
+    around = lon + (lons - lon + 180) % 360 - 180
     return shapely.Polygon(np.column_stack([around, lats]))
 
 
@@ -370,25 +363,25 @@ def _times(facts: Json, name: str, notes: Notes) -> tuple[datetime | None, datet
     """Return the first and the last time at which a zone is in force, None where it has none."""
     periods = facts.get("applicability", facts.get("limitedApplicability")) or []
     try:
-        if not periods or any(
-            str(period.get("permanent", "NO")).upper() == "YES" for period in periods
-        ):
+        permanent = [str(period.get("permanent")).upper() for period in periods]
+        if not periods or "YES" in permanent:
             return None, None
-        starts, ends = (
-            [_time(text) if (text := period.get(key)) else None for period in periods]
-            for key in ("startDateTime", "endDateTime")
-        )
+        starts = [_time(period.get("startDateTime")) for period in periods]
+        ends = [_time(period.get("endDateTime")) for period in periods]
     except BROKEN:
         notes["have times that cannot be read, and are taken to be in force always"].append(name)
         return None, None
     if any(period.get("schedule") for period in periods):
         notes[NO_HOURS].append(name)
-    start, end = min(filter(None, starts), default=None), max(filter(None, ends), default=None)
-    return None if None in starts else start, None if None in ends else end
+    start = None if None in starts else min(filter(None, starts))
+    end = None if None in ends else max(filter(None, ends))
+    return start, end
 
 
-def _time(text: str) -> datetime:
-    """Return a date and time with its offset; ValueError where it is none, or has no offset."""
+def _time(text: str | None) -> datetime | None:
+    """Return a date and time with its offset, None without one; ValueError where it is none, or has no offset."""
+    if not text:
+        return None
     moment = datetime.fromisoformat(text)
     if moment.tzinfo is None:
         raise ValueError("no offset")

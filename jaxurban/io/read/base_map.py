@@ -45,13 +45,8 @@ CLASSES = {  # of the tag `highway`; "_link" counts as what it links
         ("service", "footway", "path", "cycleway", "steps", "track", "bridleway"), "path"
     ),
 }
-BESIDE_STREETS = (
-    "sidewalk",
-    "crossing",
-    "parking_aisle",
-    "driveway",
-    "drive-through",
-)  # of `footway` and `service`
+# Of `footway` and `service`.
+BESIDE_STREETS = ("sidewalk", "crossing", "parking_aisle", "driveway", "drive-through")
 RAILS = ("rail", "light_rail", "subway", "tram", "narrow_gauge", "monorail", "funicular")
 PLACES = (
     *("city", "borough", "town", "suburb", "quarter", "neighbourhood", "village", "hamlet"),
@@ -101,14 +96,11 @@ def read_base_map(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFr
         frame = _from_parquet(path, crs)
     shapes = shapely.clip_by_rect(frame.geometry.to_numpy(), *bounds_m)
     is_point = frame["kind"].to_numpy() == "place"
-    shapes[is_point & ~shapely.intersects(frame.geometry.to_numpy(), shapely.box(*bounds_m))] = (
-        shapely.Point()
-    )
-    frame = frame.set_geometry(gpd.GeoSeries(shapes, index=frame.index, crs=crs))
+    is_outside = ~frame.intersects(shapely.box(*bounds_m)).to_numpy()
+    shapes[is_point & is_outside] = shapely.Point()
+    frame = frame.set_geometry(shapes, crs=crs)
     frame = frame[~frame.is_empty].to_crs(WGS84)
-    return frame.set_geometry(
-        gpd.GeoSeries(shapely.transform(frame.geometry.to_numpy(), _rounded), frame.index, WGS84)
-    )
+    return frame.set_geometry(shapely.transform(frame.geometry.to_numpy(), _rounded), crs=WGS84)
 
 
 def write_base_map(path: Path, frame: gpd.GeoDataFrame) -> None:
@@ -131,7 +123,8 @@ def save_base_map(frame: gpd.GeoDataFrame | None, workspace: Workspace) -> None:
 def land_cover_in(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     """Return the water and the parks of a base map within a box; arguments and errors as of `read_base_map`."""
     frame = read_base_map(path, crs, bounds_m).to_crs(crs)
-    shapes, kinds = shapely.make_valid(frame.geometry.to_numpy()), frame["kind"].to_numpy()
+    shapes = shapely.make_valid(frame.geometry.to_numpy())
+    kinds = frame["kind"].to_numpy()
     return LandCover(*(shapely.union_all(shapes[kinds == kind]) for kind in ("water", "park")))
 
 
@@ -158,7 +151,8 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
         for item in open_osm(path).with_filter(KeyFilter("highway", "railway", "place")):
             if not isinstance(item, osmium.osm.Node | osmium.osm.Way):
                 continue
-            kind, name = _kind_of(item), item.tags.get("name") or ""
+            kind = _kind_of(item)
+            name = item.tags.get("name") or ""
             if isinstance(item, osmium.osm.Node) and kind == "place" and name:
                 rows.append((kind, name, to_wkb.create_point(item)))
             elif isinstance(item, osmium.osm.Way) and kind not in ("", "place"):
@@ -178,18 +172,15 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
         frame.loc[len(kinds)] = ["water", "", wet]
     frame = frame.dissolve(["kind", "name"], as_index=False)[["kind", "name", "geometry"]]
     kind = frame["kind"].to_numpy()
-    is_area, is_line = np.isin(kind, ("water", "park")), ~np.isin(kind, ("water", "park", "place"))
+    is_area = np.isin(kind, ("water", "park"))
+    is_line = ~np.isin(kind, ("water", "park", "place"))
     shapes = frame.geometry.to_numpy().copy()
     shapes[is_area] = shapely.make_valid(shapes[is_area])
     shapes[is_line] = shapely.line_merge(shapes[is_line])
     shapes = shapely.simplify(shapes, TOLERANCE_M)
     shapes[is_area & (shapely.area(shapes) < LEAST_M2)] = shapely.Polygon()
     order = np.argsort([KINDS.index(each) for each in kind], kind="stable")
-    return (
-        frame.set_geometry(gpd.GeoSeries(shapes, frame.index, crs))
-        .iloc[order]
-        .reset_index(drop=True)
-    )
+    return frame.set_geometry(shapes, crs=crs).iloc[order].reset_index(drop=True)
 
 
 def _kind_of(item: osmium.osm.OSMObject) -> str:

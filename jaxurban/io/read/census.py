@@ -27,9 +27,8 @@ COUNT_COLUMNS = (
     *("p001001", "d001", "p1_001n", "p0010001", "pop10", "pop20", "pop100", "u7h001", "h7v001"),
     *("population", "total_population", "pop_total", "pop", "people", "total", "count"),
 )
-GEO_ID_PREFIX = re.compile(
-    r"^\w{7}US(?=\d)"
-)  # summary level, variant and component, before the digits of the id
+# Summary level, variant and component, before the digits of the id.
+GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")
 # A number as spreadsheets write it (1,200 or 1 200 or +5 or 1.2E+03), with a note such as (r45678) or none.
 MOST_PEOPLE = 1e10  # of a block: more is no count
 COUNT = re.compile(r"\s*(\+?\d[\d,\s]*(?:\.\d*)?(?:[eE]\+?\d{1,2})?)\s*(?:\(.*\))?\s*")
@@ -70,8 +69,10 @@ def read_blocks(
         raise InputError(
             f"blocks {str(files.blocks)!r} has no block that touches the region: check [region] bounds"
         )
-    polygons, commercial = frame.geometry.to_numpy(), files.commercial_labels
-    district, labels = np.full(len(frame), OTHER_DISTRICT, np.int32), np.empty(0, int)
+    polygons = frame.geometry.to_numpy()
+    commercial = files.commercial_labels
+    district = np.full(len(frame), OTHER_DISTRICT, np.int32)
+    labels = np.empty(0, int)
     if files.districts is not None:
         areas, labels, issues[ReadIssue.INVALID_DISTRICT_POLYGONS] = read_districts(
             files.districts, crs, files.district_field
@@ -167,9 +168,11 @@ def _polygons(
     files: Population, crs: str, bounds_m: Bounds | None, issues: Counter[ReadIssue]
 ) -> gpd.GeoDataFrame:
     """Return block polygons with ``_id`` and ``_count``, NaN where there is none; ``issues`` gets what was met."""
-    path, field = str(files.blocks), files.block_field
+    path = str(files.blocks)
+    field = files.block_field
     frame = _open(path, "blocks", field, "[population] block_field")
-    block_id, key = _ids(frame[field]), _keys(frame[field])
+    block_id = _ids(frame[field])
+    key = _keys(frame[field])
     if (twice := key.duplicated()).any():
         raise InputError(
             f"blocks {path!r} has the id {block_id[twice].iloc[0]!r} more than once in {field!r}: "
@@ -187,10 +190,8 @@ def _polygons(
         raise InputError(
             f"not one count of people of the blocks {path!r} can be read as a number: check the column of population"
         )
-    issues[ReadIssue.COUNTS_UNREADABLE], issues[ReadIssue.BLOCKS_WITHOUT_POLYGON] = (
-        num_unreadable,
-        num_lost,
-    )
+    issues[ReadIssue.COUNTS_UNREADABLE] = num_unreadable
+    issues[ReadIssue.BLOCKS_WITHOUT_POLYGON] = num_lost
     issues[ReadIssue.INVALID_BLOCK_POLYGONS] = num_invalid
     return frame
 
@@ -233,10 +234,11 @@ def clean_polygons(
         polygons[i] = polygonal(polygons[i])
     polygons[~np.isin(shapely.get_type_id(polygons), AREAL)] = None
     is_kept = shapely.area(polygons) > 0
-    num_lost, num_invalid = int((~is_kept).sum()), int(is_invalid.sum())
+    num_lost = int((~is_kept).sum())
+    num_invalid = int(is_invalid.sum())
     if bounds_m is not None:
         is_kept &= shapely.intersects(polygons, shapely.box(*bounds_m))
-    frame = frame.set_geometry(gpd.GeoSeries(polygons, index=frame.index, crs=frame.crs))
+    frame = frame.set_geometry(polygons, crs=frame.crs)
     return frame[is_kept], num_lost, num_invalid
 
 

@@ -6,7 +6,7 @@ region at least, and a line in `OUTLINE_READERS`.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from jaxurban.io.city import City, joined_credits
 from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.guesses import FLAT_GROUND, census_guesses, height_guesses, warn_of
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.osm import OSM_SUFFIXES, format_of, header_box, read_osm
+from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets, to_buildings
 from jaxurban.io.read.raster import (
     RASTER_SUFFIXES,
@@ -41,10 +41,11 @@ from jaxurban.world.extent import MAIN_SHARE, main_bounds
 from jaxurban.world.grid import (
     WGS84,
     Bounds,
+    box_of,
     check_bounds,
     projected_crs,
     transformer,
-    utm_crs,
+    utm_of,
     where_it_lies,
 )
 from jaxurban.world.raster import Raster
@@ -77,31 +78,34 @@ def read_city(
 ) -> City:
     """Return the city in a set of files, around a region; arguments, warnings and errors as `City.from_files`."""
     sample = SAMPLES.get(sample_name(buildings.source) or "", {})
-    bounds = sample["region"]["bounds"] if bounds is None and sample else bounds
+    if bounds is None and sample:
+        bounds = sample["region"]["bounds"]
     people = population or Population(**sample.get("population", {}))
     own_gps = Gps(**sample["gps"]) if gps is None and sample else None
     files = {"buildings": buildings.source, "terrain": terrain.source}
     files |= {role: getattr(people, role) for role in FILES}
     buildings, terrain, people = _placed(buildings), _placed(terrain), _placed(people)
-    is_left_out = bounds is None
-    bounds = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
-    west, south, east, north = bounds
+    region = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
     if crs is None:
-        crs = utm_crs((west + east) / 2, (south + north) / 2)
+        crs = utm_of(region)
     projected_crs(crs)
-    box_m = transformer(WGS84, crs).transform_bounds(west, south, east, north, densify_pts=101)
+    box_m = box_of(region, crs)
     rise_m = TALLEST_M if terrain.source is None else TALLEST_M + RELIEF_M
-    reach_m = rise_m / math.tan(math.radians(max((gps or Gps()).lowest_mask_deg, 0.5)))
+    lowest_deg = max((gps or Gps()).lowest_mask_deg, 0.5)
+    reach_m = rise_m / math.tan(math.radians(lowest_deg))
     wide_m = (box_m[0] - reach_m, box_m[1] - reach_m, box_m[2] + reach_m, box_m[3] + reach_m)
-    ground = None if terrain.source is None else read_raster(terrain.source, crs, wide_m)
+    ground = ground_extent_m = None
+    if terrain.source is not None:
+        ground = read_raster(terrain.source, crs, wide_m)
+        ground_extent_m = raster_extent_m(terrain.source, crs)
     source = read_buildings(buildings, crs, bounds_m=wide_m, terrain=ground)
     if not buildings.allow_none:
-        _check_has_building(buildings, source, bounds, box_m)
+        _check_has_building(buildings, source, region, box_m)
     issues = dict(source.read_issues)
-    if is_left_out and source.buildings is not None:
-        main = main_bounds(source.buildings.polygons, crs, bounds)
+    if bounds is None and source.buildings is not None:
+        main = main_bounds(source.buildings.polygons, crs, region)
         if main is not None:
-            warn(covers_too_much(buildings.source, bounds, main), GuessWarning)
+            warn(covers_too_much(buildings.source, region, main), GuessWarning)
     guesses = height_guesses(source.buildings, box_m, buildings)
     blocks = None
     if people.blocks is not None or people.blocks_day is not None:
@@ -115,25 +119,23 @@ def read_city(
         source,
         blocks=blocks,
         terrain=ground,
-        terrain_extent_m=None if terrain.source is None else raster_extent_m(terrain.source, crs),
+        terrain_extent_m=ground_extent_m,
         read_issues=issues,
         attribution=joined_credits(
             source.attribution, buildings.credit, terrain.credit, people.credit
         ),
         guesses=guesses,
         sources={role: str(path) for role, path in files.items() if path is not None},
-        bounds=(west, south, east, north),
+        bounds=region,
         gps=own_gps,
     )
 
 
 def _placed(section: Any) -> Any:
     """Return a section with paths for the files of sample cities that it names."""
-    names = (field.name for field in fields(section) if field.name in FILE_FIELDS)
-    return replace(
-        section,
-        **{name: located(file) for name in names if (file := getattr(section, name)) is not None},
-    )
+    files = {name: file for name, file in vars(section).items() if name in FILE_FIELDS}
+    paths = {name: located(file) for name, file in files.items() if file is not None}
+    return replace(section, **paths)
 
 
 def _check_has_building(
@@ -173,7 +175,8 @@ def read_buildings(
         are not heights or look like elevations, or a surface without terrain or that is not a raster.
     """
     projected_crs(crs)
-    path, is_slabs = Path(file.source), file.hanging == SLABS
+    path = Path(file.source)
+    is_slabs = file.hanging == SLABS
     read = _reader_of(path)
     if read is None and is_slabs:
         raise InputError(
@@ -191,9 +194,8 @@ def read_buildings(
         city = _city_of(file, outlines, crs, bounds_m)
         if not outlines.is_part or len(city.buildings or ()):
             return city
-    return _city_of(
-        file, read(path, None, is_slabs), crs, bounds_m
-    )  # what nothing is near of tells all it covers
+    # A file without a building near the region is read whole, so that all it covers is known.
+    return _city_of(file, read(path, None, is_slabs), crs, bounds_m)
 
 
 def _reader_of(path: Path) -> OutlineReader | None:
@@ -225,19 +227,16 @@ def lonlat_extent(path: str | Path) -> Bounds:
     read = _reader_of(Path(path))
     if read is None:
         return raster_extent_m(path, WGS84)
-    if Path(path).suffix.lower() in OSM_SUFFIXES and (box := header_box(path, format_of(path))):
+    box = header_box(path) if Path(path).suffix.lower() in OSM_SUFFIXES else None
+    if box is not None:
         return box
-    return _box_around(path, read(Path(path), None, False))
-
-
-def _box_around(path: str | Path, outlines: Outlines) -> Bounds:
+    outlines = read(Path(path), None, False)
     if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
         raise InputError(
             f"{str(path)!r} holds no outline that would say where it lies: give bounds"
         )
-    return transformer(outlines.crs, WGS84).transform_bounds(
-        *shapely.total_bounds(outlines.polygons)
-    )
+    box = shapely.total_bounds(outlines.polygons)
+    return transformer(outlines.crs, WGS84).transform_bounds(*box)
 
 
 def proposed_bounds(
@@ -256,8 +255,7 @@ def proposed_bounds(
     file = _placed(file)
     if _reader_of(Path(file.source)) is None:
         return None
-    west, south, east, north = extent
-    crs = crs or utm_crs((west + east) / 2, (south + north) / 2)
+    crs = crs or utm_of(extent)
     buildings = read_buildings(file, crs).buildings
     return None if buildings is None else main_bounds(buildings.polygons, crs, extent)
 
@@ -266,9 +264,8 @@ def size_m(extent: Sequence[float]) -> tuple[float, float]:
     """Return the sides of a box in degrees: from west to east in its middle, and from south to north."""
     west, south, east, north = extent
     middle = (south + north) / 2
-    return GEOD.line_length([west, east], [middle, middle]), GEOD.line_length(
-        [west, west], [south, north]
-    )
+    east_west_m = GEOD.line_length([west, east], [middle, middle])
+    return east_west_m, GEOD.line_length([west, west], [south, north])
 
 
 def covers_too_much(path: str | Path, extent: Sequence[float], main: Sequence[float]) -> str:
@@ -291,19 +288,23 @@ def _city_of(
         near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
         kept = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
         area = area if kept.is_empty else kept
-    facts: dict[str, Any] = {
-        "read_issues": issues,
-        "attribution": outlines.attribution,
-        "hanging": file.hanging,
-    }
-    return City(crs, area.bounds, buildings, area=area, **facts)
+    return City(
+        crs,
+        area.bounds,
+        buildings,
+        area=area,
+        read_issues=issues,
+        attribution=outlines.attribution,
+        hanging=file.hanging,
+    )
 
 
 def _read_roofs(
     path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrain: Raster | None
 ) -> City:
     """Return a raster's heights; those below 0 (noise of surface minus terrain) are ground and are counted."""
-    name, raster = repr(str(path)), read_raster(path, crs, bounds_m)
+    name = repr(str(path))
+    raster = read_raster(path, crs, bounds_m)
     if kind == "surface":
         roofs, issues = heights_of_surface(name, raster, terrain, crs)
     else:
@@ -328,10 +329,8 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
       boxes: what the file declares to cover.
     """
     declared = shapely.union_all([shapely.box(*box) for box in boxes])
-    is_inside, is_apart = (
-        shapely.covers(declared, polygons),
-        ~shapely.intersects(declared, polygons),
-    )
+    is_inside = shapely.covers(declared, polygons)
+    is_apart = ~shapely.intersects(declared, polygons)
     on_border = shapely.box(*shapely.bounds(polygons[~is_inside & ~is_apart]).T)
     declared = shapely.union_all([declared, *on_border])
     bounds = shapely.bounds(polygons[is_apart])
@@ -345,15 +344,11 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
     grown = shapely.box(*(low - 1.0).T, *(low + GAP_M + 1.0).T)
     parts = shapely.get_parts(shapely.union_all(grown))
     part_of_bin = np.empty(len(low), int)
-    found_bin, found_part = shapely.STRtree(parts).query(
-        shapely.points(low + GAP_M / 2), predicate="within"
-    )
-    part_of_bin[found_bin] = found_part
-    hulls = (
-        pd.DataFrame(bounds)
-        .groupby(part_of_bin[owner])
-        .agg({0: "min", 1: "min", 2: "max", 3: "max"})
-    )
+    centres = shapely.points(low + GAP_M / 2)
+    bins, part = shapely.STRtree(parts).query(centres, predicate="within")
+    part_of_bin[bins] = part
+    by_part = pd.DataFrame(bounds).groupby(part_of_bin[owner])
+    hulls = by_part.agg({0: "min", 1: "min", 2: "max", 3: "max"})
     return shapely.union_all([declared, *shapely.box(*hulls.to_numpy().T)])
 
 
@@ -361,17 +356,13 @@ def area_of_raster(raster: Raster, crs: str) -> shapely.Geometry:
     """Return the area in ``crs`` where a raster holds data, in blocks."""
     num_rows, num_cols = raster.values.shape
     is_known = np.isfinite(raster.values)
-    if is_known.all():
-        shapes = [shapely.box(0, 0, num_cols, num_rows)]
-    else:
-        row, col = (
-            np.unique(np.linspace(0, size, BLOCKS_A_SIDE + 1).astype(int))
-            for size in (num_rows, num_cols)
-        )
-        has_any = np.logical_or.reduceat(
-            np.logical_or.reduceat(is_known, row[:-1], axis=0), col[:-1], axis=1
-        )
+    known = shapely.box(0, 0, num_cols, num_rows)
+    if not is_known.all():
+        row = np.unique(np.linspace(0, num_rows, BLOCKS_A_SIDE + 1).astype(int))
+        col = np.unique(np.linspace(0, num_cols, BLOCKS_A_SIDE + 1).astype(int))
+        has_any = np.logical_or.reduceat(is_known, row[:-1], axis=0)
+        has_any = np.logical_or.reduceat(has_any, col[:-1], axis=1)
         i, j = np.nonzero(has_any)
-        shapes = [shapely.union_all(shapely.box(col[j], row[i], col[j + 1], row[i + 1]))]
-    area = shapely.segmentize(shapes[0], max(num_rows, num_cols) / BLOCKS_A_SIDE)
+        known = shapely.union_all(shapely.box(col[j], row[i], col[j + 1], row[i + 1]))
+    area = shapely.segmentize(known, max(num_rows, num_cols) / BLOCKS_A_SIDE)
     return shapely.transform(area, lambda x, y: pixel_xy(raster, y, x, crs), interleaved=False)

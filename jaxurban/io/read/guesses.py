@@ -25,7 +25,8 @@ FLAT_GROUND = {
     "flat ground": "no terrain is given, so the ground is taken as flat: heights and shadows are wrong where it is "
     "not; name an elevation raster in [terrain] source"
 }
-NOMINAL_SKY, ELEMENTS_TIME = "nominal satellites", "time of the elements"
+NOMINAL_SKY = "nominal satellites"
+ELEMENTS_TIME = "time of the elements"
 BEYOND_DATA = "lines of sight to satellites leave the data"
 WITHOUT_DATA = "the region without data"  # of which the share is said
 LEAST_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less
@@ -40,21 +41,22 @@ def warn_of(guesses: Mapping[str, str], known: Mapping[str, str] | None = None) 
 
 def percent(share: float) -> str:
     """Return a share in whole percent, never 0 or 100 % where it is not."""
-    return "< 1 %" if 0 < share < 0.01 else "> 99 %" if 0.99 < share < 1 else f"{100 * share:.0f} %"
+    if 0 < share < 0.01:
+        return "< 1 %"
+    return "> 99 %" if 0.99 < share < 1 else f"{100 * share:.0f} %"
 
 
 def share_guess(share: float, name: str, sentence: str, least: float = LEAST_SHARE) -> Guesses:
     """Return the guess on a share of something, which begins its name and its sentence; none up to ``least``."""
-    return (
-        {f"{percent(share)} of {name}": f"{percent(share)} of {sentence}"} if share > least else {}
-    )
+    if share <= least:
+        return {}
+    return {f"{percent(share)} of {name}": f"{percent(share)} of {sentence}"}
 
 
 def guessed_share(buildings: Footprints, bounds_m: Bounds) -> float:
     """Return the share of the buildings in a box whose height is guessed, 0 without a building."""
-    is_guessed = buildings.is_guessed[
-        shapely.intersects(buildings.polygons, shapely.box(*bounds_m))
-    ]
+    is_inside = shapely.intersects(buildings.polygons, shapely.box(*bounds_m))
+    is_guessed = buildings.is_guessed[is_inside]
     return float(is_guessed.mean()) if is_guessed.size else 0.0
 
 
@@ -67,12 +69,12 @@ def height_guesses(
     inside = buildings.take(shapely.intersects(buildings.polygons, shapely.box(*bounds_m)))
     numbers = vars(file) | {"layer_clearance_m": LAYER_CLEARANCE_M}
     counts = {words: int((inside.origin == origin).sum()) for origin, words in GUESSED_BY.items()}
-    how = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
+    kinds = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
     return share_guess(
         guessed_share(buildings, bounds_m),
         "heights",
-        f"the heights of the {len(inside):,} buildings in the region are guessed ({how}): give a source with heights, "
-        "or set [buildings] level_height_m and default_height_m",
+        f"the heights of the {len(inside):,} buildings in the region are guessed ({kinds}): give a source with "
+        "heights, or set [buildings] level_height_m and default_height_m",
     )
 
 
@@ -85,10 +87,8 @@ def census_guesses(issues: ReadIssues, blocks: Blocks, files: Population) -> Gue
       files: that they were read from.
     """
     guesses = {}
-    num_missing, num_unreadable = (
-        issues[ReadIssue.BLOCKS_WITHOUT_COUNT],
-        issues[ReadIssue.COUNTS_UNREADABLE],
-    )
+    num_missing = issues[ReadIssue.BLOCKS_WITHOUT_COUNT]
+    num_unreadable = issues[ReadIssue.COUNTS_UNREADABLE]
     if not (blocks.night_count.any() or np.any(blocks.day_count)):
         guesses["nobody"] = (
             "all census counts in and around the region are 0: check [population] table and its count"
@@ -138,9 +138,11 @@ def time_guess(time: str) -> Guesses:
 
 def nominal_guess(systems: Sequence[str], times: Sequence[str], is_papers: bool) -> Guesses:
     """Return that satellites of systems are nominal; ``is_papers``: at the paper's time, as no other is given."""
-    when = times[0] + (
-        ", the paper's time" if is_papers else " and later" if len(times) > 1 else ""
-    )
+    when = times[0]
+    if is_papers:
+        when += ", the paper's time"
+    elif len(times) > 1:
+        when += " and later"
     names = " and ".join(system.upper() for system in systems)
     return {
         NOMINAL_SKY: f"the {names} satellites are nominal ones at {when}, not the real ones: name a file of elements "

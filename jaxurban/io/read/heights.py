@@ -21,9 +21,8 @@ INCH_M = 0.0254  # international inch, exact
 # Over freeways the least clearance is 16 ft, 4.9 m (AASHTO, A Policy on Geometric Design of Highways and Streets). A
 # layer of OSM orders what crosses and is no height: one more above the ground is taken as one more such clearance.
 LAYER_CLEARANCE_M = 5.0
-DECK_DEPTH_M = (
-    1.0  # girder, slab and pavement of spans of some 25 m, at a depth of a 25th of the span
-)
+# Girder, slab and pavement of spans of some 25 m, at a depth of a 25th of the span.
+DECK_DEPTH_M = 1.0
 
 _NUMBER = r"(\d+(?:[.,]\d+)?|[.,]\d+)"
 _ABOUT = r"(?:~|≈|ca\.?|approx\.?)?\s*"
@@ -103,7 +102,8 @@ def _read_column(column: np.ndarray, parse: Callable[[str], float]) -> np.ndarra
 
     if column.dtype != object:
         return column.astype(float)
-    values, given = np.full(len(column), math.nan), ~pd.isna(column)
+    values = np.full(len(column), math.nan)
+    given = ~pd.isna(column)
     values[given] = [read(value) for value in column[given]]
     return values
 
@@ -154,10 +154,8 @@ def estimate_heights(
     num_levels = np.sum(given_levels & ~has_levels) + np.sum(given_roof & ~has_roof)
     num_min = np.sum(given_min & ~has_min) + np.sum(given_min_level & ~has_min_level)
     issues[ReadIssue.HEIGHTS_UNUSABLE] = int(np.sum(given_height & ~has_height))
-    issues[ReadIssue.LEVELS_UNUSABLE], issues[ReadIssue.MIN_HEIGHTS_UNUSABLE] = (
-        int(num_levels),
-        int(num_min),
-    )
+    issues[ReadIssue.LEVELS_UNUSABLE] = int(num_levels)
+    issues[ReadIssue.MIN_HEIGHTS_UNUSABLE] = int(num_min)
     origins = [HeightOrigin.HEIGHT, HeightOrigin.LEVELS]
     return Footprints(
         polygons,
@@ -179,7 +177,8 @@ def with_decks(buildings: Footprints, is_deck: np.ndarray, layer: np.ndarray) ->
       is_deck: ``[N]`` bool.
       layer: ``[N]`` float64 of each outline, NaN where it has none.
     """
-    has_height, floor_m = buildings.origin == HeightOrigin.HEIGHT, buildings.min_height_m
+    has_height = buildings.origin == HeightOrigin.HEIGHT
+    floor_m = buildings.min_height_m
     by_layer_m = np.fmax(layer, 1.0) * LAYER_CLEARANCE_M
     below_top_m = np.where(
         has_height, np.maximum(buildings.height_m - DECK_DEPTH_M, 0.0), by_layer_m

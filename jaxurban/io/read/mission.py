@@ -46,12 +46,8 @@ from jaxurban.io.read.mission_parts import Place as Place
 ITEM_READERS = {".plan": read_plan, ".waypoints": read_waypoints, ".txt": read_waypoints}
 SUFFIXES = (*ITEM_READERS, *READERS)
 MOST_BYTES = 2**24  # some 20,000 items of a .plan
-BROKEN = (
-    AttributeError,
-    LookupError,
-    TypeError,
-    OverflowError,
-)  # of what is of another kind than it should be
+# Of what is of another kind than it should be.
+BROKEN = (AttributeError, LookupError, TypeError, OverflowError)
 
 
 def read_mission(

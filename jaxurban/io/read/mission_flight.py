@@ -10,12 +10,21 @@ from typing import NamedTuple
 
 from jaxurban.io.read.mission_parts import NO_HOME, Datum, Leg, LonLat, Place
 
-WAYPOINT, RETURN, LAND, TAKEOFF, SPLINE, JUMP, SPEED, SET_HOME = 16, 20, 21, 22, 82, 177, 178, 179
+WAYPOINT = 16
+RETURN = 20
+LAND = 21
+TAKEOFF = 22
+SPLINE = 82
+JUMP = 177
+SPEED = 178
+SET_HOME = 179
 TAKEOFFS = (TAKEOFF, 24, 84)
 LANDINGS = (LAND, 85)
-LOITER_TURNS, LOITER_TO_ALT = 18, 31
+LOITER_TURNS = 18
+LOITER_TO_ALT = 31
 LOITERS = {17: 2, LOITER_TURNS: 2, 19: 2, LOITER_TO_ALT: 1}  # and which parameter is the radius
-FENCES, RALLY = range(5000, 5100), 5100
+FENCES = range(5000, 5100)
+RALLY = 5100
 # Commands that move nothing: regions of interest, delays and conditions, servos and relays, cameras and gimbals, ...
 STILL = frozenset(
     [80, 93, 95, 112, 114, 115, 159, SPEED, 187, 188, 189, 600, 1000, 1001, 2010, 2600, 2800]
@@ -92,7 +101,8 @@ class Flight:
         self.legs: list[Leg] = []
         self.not_judged: list[str] = []
         self.speed_m_s: float | None = None
-        self._home, self._return_altitude_m = home, return_altitude_m
+        self._home = home
+        self._return_altitude_m = return_altitude_m
         self._has_moved_home = False
         self._at: Place | None = None  # where the vehicle is; None: not known, since item
         self._since = 0
@@ -127,7 +137,8 @@ class Flight:
             self._say(
                 f"item {item.number} moves home: heights above it, and a return, are not judged after it"
             )
-            self._has_moved_home, self._home = True, None
+            self._has_moved_home = True
+            self._home = None
         elif command == SPEED and self.speed_m_s is None and item.params[1] > 0:
             self.speed_m_s = item.params[1]
         elif command in FENCES:
@@ -149,7 +160,9 @@ class Flight:
 
     def _lose(self, item: Item, ground: Place | None = None) -> None:
         """Forget where the vehicle is; ``ground`` is where it has landed."""
-        self._at, self._since, self._ground = None, item.number, ground
+        self._at = None
+        self._since = item.number
+        self._ground = ground
 
     def _place_of(self, item: Item) -> Place | None:
         """Return where an item leads, None where that is where the vehicle is, and this is not known."""
@@ -178,7 +191,8 @@ class Flight:
             self._begin(item)
         elif place != self._at:
             self.legs.append(Leg(self._at, place, "leg", item.number))
-        self._at, self._ground = place, None
+        self._at = place
+        self._ground = None
 
     def _begin(self, item: Item) -> None:
         """Say that the way to an item is not judged."""
@@ -196,7 +210,8 @@ class Flight:
         here = item._replace(lon=start.lon, lat=start.lat)
         above = self._place_of(here) or start
         self.legs.append(Leg(start, above, "climb", item.number))
-        self._at, self._ground = above, None
+        self._at = above
+        self._ground = None
         if item.has_place:
             self._fly_to(item)
 
@@ -229,7 +244,8 @@ class Flight:
             self._say(f"the return of item {item.number} is not judged: {why} is not known")
             self._lose(item)
             return
-        at, height_m = self._at, self._return_altitude_m
+        at = self._at
+        height_m = self._return_altitude_m
         if at.datum == "home" and at.height_m > height_m:
             height_m = at.height_m
         if at.datum != "home":
@@ -237,7 +253,8 @@ class Flight:
                 f"the return of item {item.number} may be higher than judged: how high it begins "
                 "above home is not known"
             )
-        over, ground = Place(*self._home, height_m, "home"), Place(*self._home, 0.0, "ground")
+        over = Place(*self._home, height_m, "home")
+        ground = Place(*self._home, 0.0, "ground")
         if height_m == height_m:
             up = over._replace(lon=at.lon, lat=at.lat)
             self.legs.append(Leg(at, up, "return", item.number))

@@ -17,14 +17,12 @@ from jaxurban.io.read.mission_parts import (
     whole_of,
 )
 
-HEADER, NUM_COLUMNS = "QGC WPL 110", 12
-ARDUPILOT, PLANES = (
-    3,
-    (1, *range(19, 26)),
-)  # MAV_AUTOPILOT; MAV_TYPE: fixed wing, and VTOL of every kind
-CALCULATED = (
-    3  # QGroundControl's AltitudeMode: it makes metres above the geoid of metres above ground
-)
+HEADER = "QGC WPL 110"
+NUM_COLUMNS = 12
+ARDUPILOT = 3  # MAV_AUTOPILOT
+PLANES = (1, *range(19, 26))  # MAV_TYPE: fixed wing, and VTOL of every kind
+# QGroundControl's AltitudeMode: it makes metres above the geoid of metres above ground.
+CALCULATED = 3
 BESIDE = {"geoFence": "geofence is", "rallyPoints": "rally points are"}
 SAME_M = 0.1
 Home = tuple[LonLat | None, float | None]  # its place, and its elevation above the geoid
@@ -44,13 +42,13 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
     items = [_item_of_plan(row, number) for number, row in enumerate(listed, 1)]
     if mission.get("firmwareType") == ARDUPILOT:
         items = [_without_place(item) for item in items]
-    where = (*(mission.get("plannedHomePosition") or ()), None, None, None)[:3]
-    lat, lon, elevation_m = (number_of("plannedHomePosition", each) for each in where)
-    notes = [
-        f"its {what} not judged"
-        for part, what in BESIDE.items()
-        if any(isinstance(value, list) and value for value in (plan.get(part) or {}).values())
-    ]
+    position = (*(mission.get("plannedHomePosition") or ()), None, None, None)[:3]
+    lat, lon, elevation_m = (number_of("plannedHomePosition", each) for each in position)
+    notes = []
+    for part, words in BESIDE.items():
+        values = (plan.get(part) or {}).values()
+        if any(isinstance(value, list) and value for value in values):
+            notes.append(f"its {words} not judged")
     is_plane = mission.get("vehicleType") in PLANES
     if is_plane:
         notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")

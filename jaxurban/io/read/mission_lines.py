@@ -61,7 +61,9 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
     lines = [line for line in features if len(line.points) > 1]
     if not lines:
         raise InputError(f"{name!r} holds no line of two points: give the mission's way as a line")
-    notes, legs, number = list[str](), list[Leg](), 0
+    notes = list[str]()
+    legs = list[Leg]()
+    number = 0
     for line in lines:
         datum = _datum(name, line.datum, heights)
         before: Place | None = None
@@ -205,21 +207,25 @@ def geojson_lines(path: Path, data: bytes) -> list[Line]:
     features = whole.get("features", [whole])
     is_own = any("settings" in (feature.get("properties") or {}) for feature in features)
     for feature in features:
-        facts, shape = feature.get("properties") or {}, feature.get("geometry", feature) or {}
+        facts = feature.get("properties") or {}
+        shape = feature.get("geometry", feature) or {}
         if is_own and facts.get(SEGMENT_PROPERTY) is not None:
             continue  # of a report: it repeats a part of the route
-        kind, parts = shape.get("type"), shape.get("coordinates")
+        kind = shape.get("type")
+        parts = shape.get("coordinates")
         if kind not in ("LineString", "MultiLineString") or not parts:
             lines.append(Line([]))
             continue
-        own = facts.get("z_m") if "settings" in facts else None
-        for part in [parts] if kind == "LineString" else parts:
-            heights = own or [facts.get(ALTITUDE_PROPERTY)] * len(part)
-            points = [
-                _point((*each[:2], height) if own or len(each) < 3 else each)
-                for each, height in zip(part, heights, strict=True)
-            ]
-            lines.append(Line(points, "ground" if own else None))
+        if kind == "LineString":
+            parts = [parts]
+        own_m = facts.get("z_m") if "settings" in facts else None
+        for part in parts:
+            heights_m = own_m or [facts.get(ALTITUDE_PROPERTY)] * len(part)
+            points = []
+            for values, height_m in zip(part, heights_m, strict=True):
+                has_height = len(values) > 2 and not own_m
+                points.append(_point(values if has_height else (*values[:2], height_m)))
+            lines.append(Line(points, "ground" if own_m else None))
     return lines
 
 

@@ -8,9 +8,8 @@ from datetime import UTC, date, datetime
 from sgp4.api import WGS72, Satrec
 from skyfield.api import EarthSatellite, Timescale
 
-SIDEREAL_RATE_DEG = (
-    360.98564736629  # degrees a day of UT1, of Earth against the mean equinox of date (IAU 1982)
-)
+# Degrees a day of UT1, of Earth against the mean equinox of date (IAU 1982).
+SIDEREAL_RATE_DEG = 360.98564736629
 MARK = "(nominal)"  # ends the names of such satellites in a file
 
 

@@ -67,13 +67,11 @@ class Orbits:
     @property
     def nominal_systems(self) -> list[str]:
         """Constellations of which satellites are nominal: those from no file, and those that a file names so."""
-        named = zip(self.satellites, self.sources, strict=True)
-        names = [
-            satellite.name
-            for satellite, source in named
-            if source == NOMINAL or satellite.name.endswith(MARK)
-        ]
-        return list(dict.fromkeys(map(_system, names)))
+        systems = []
+        for satellite, source in zip(self.satellites, self.sources, strict=True):
+            if source == NOMINAL or satellite.name.endswith(MARK):
+                systems.append(_system(satellite.name))
+        return list(dict.fromkeys(systems))
 
 
 @lru_cache(maxsize=1)
@@ -96,36 +94,33 @@ def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
         raise InputError(
             f"orbits must name at least one source and none twice, got {list(map(str, sources))}: {REMEDY}"
         )
-    pairs = [
-        (satellite, name)
-        for name in map(str, sources)
-        for satellite in (
-            nominal_satellites(GPS.table_date, _timescale())
-            if name == NOMINAL
-            else _read_file(name)
-        )
-    ]
-    orbits = Orbits(*zip(*pairs, strict=True))
+    satellites: list[EarthSatellite] = []
+    names: list[str] = []
+    for name in map(str, sources):
+        if name == NOMINAL:
+            satellites += nominal_satellites(GPS.table_date, _timescale())
+        else:
+            satellites += _read_file(name)
+        names += [name] * (len(satellites) - len(names))
+    orbits = Orbits(tuple(satellites), tuple(names))
     _check_twice(orbits)
     return orbits
 
 
 def middle_epoch(orbits: Orbits) -> str | None:
     """Return the median of the epochs of the elements from files, to the minute, ISO 8601 UTC; None without a file."""
-    epochs = [
-        s.epoch.utc_datetime()
-        for s, name in zip(orbits.satellites, orbits.sources, strict=True)
-        if name != NOMINAL
-    ]
+    named = zip(orbits.satellites, orbits.sources, strict=True)
+    epochs = sorted(s.epoch.utc_datetime() for s, name in named if name != NOMINAL)
     if not epochs:
         return None
-    middle = sorted(epochs)[len(epochs) // 2]
+    middle = epochs[len(epochs) // 2]
     return iso_utc((middle + timedelta(seconds=30)).replace(second=0, microsecond=0))
 
 
 def _check_twice(orbits: Orbits) -> None:
     """Raise InputError where a satellite comes twice, or GPS satellites beside the nominal ones."""
-    nominal, from_files = orbits.of(NOMINAL), dict[int, str]()
+    nominal = orbits.of(NOMINAL)
+    from_files = dict[int, str]()
     for satellite, source in zip(orbits.satellites, orbits.sources, strict=True):
         if source == NOMINAL:
             continue
@@ -133,7 +128,8 @@ def _check_twice(orbits: Orbits) -> None:
             raise InputError(
                 f'"{NOMINAL}" is GPS, and so are satellites of {source}: leave one of the two out'
             )
-        if (number := satellite.model.satnum) in from_files:
+        number = satellite.model.satnum
+        if number in from_files:
             places = " and ".join(dict.fromkeys([from_files[number], source]))
             raise InputError(
                 f"2 element sets of satellite {number} are in {places}: keep the one nearest in time"
@@ -162,16 +158,14 @@ def _read_file(source: str | Path) -> list[EarthSatellite]:
 def _from_tles(text: str, source: str | Path) -> list[EarthSatellite]:
     """Return the satellites of two-line elements."""
     lines = [line.rstrip() for line in text.splitlines() if line.strip()]
-    first, second = ([line for line in lines if line.startswith(digit)] for digit in ("1 ", "2 "))
+    first = [line for line in lines if line.startswith("1 ")]
+    second = [line for line in lines if line.startswith("2 ")]
     try:
         verify_checksum(*first, *second)
         satellites = list(parse_tle_file((line.encode() for line in lines), _timescale()))
-        numbers = [[line[2:7] for line in part] for part in (first, second)]
-        if (
-            numbers[0] != numbers[1]
-            or len(satellites) < len(first)
-            or (second and lines[-1] != second[-1])
-        ):
+        is_paired = [line[2:7] for line in first] == [line[2:7] for line in second]
+        is_cut = bool(second) and lines[-1] != second[-1]
+        if not is_paired or is_cut or len(satellites) < len(first):
             raise ValueError(
                 f"a line 1 and a line 2 of one satellite, of {TLE_LENGTH} characters, must follow each other"
             )
@@ -291,9 +285,9 @@ def matching(satellites: Sequence[str], sky: Sky) -> np.ndarray:
     numbers = {_rinex_name(name): number for number, name in enumerate(sky.names)}
     matched = np.array([numbers.get(name, NO_SATELLITE) for name in satellites], int)
     if (matched == NO_SATELLITE).all():
-        asked, there = ", ".join(satellites[:6]), ", ".join(sky.names[:3])
         raise InputError(
-            f"the orbits name none of the log's satellites ({asked} ...), but {there} ...: give element sets of that "
+            f"the orbits name none of the log's satellites ({', '.join(satellites[:6])} ...), but "
+            f"{', '.join(sky.names[:3])} ...: give element sets of that "
             "day whose names hold the PRN or the RINEX name, as GPS BIIF-3 (PRN 24) or BEIDOU-3 M1 (C19) do, or "
             "azimuth_deg and elevation_deg in the log"
         )
@@ -302,18 +296,15 @@ def matching(satellites: Sequence[str], sky: Sky) -> np.ndarray:
 
 def _rinex_name(name: str) -> str:
     """Return the RINEX 3 name that an element set's name holds, or ``""``."""
-    if written := RINEX_NAME.search(name):
+    written = RINEX_NAME.search(name)
+    if written:
         return written.group()
     prn = PRN.search(name)
     number = int(prn.group(1)) if prn else 0
-    return next(
-        (
-            f"{letter}{number - less:02d}"
-            for low, high, letter, less in PRN_RANGES
-            if low <= number <= high
-        ),
-        "",
-    )
+    for low, high, letter, less in PRN_RANGES:
+        if low <= number <= high:
+            return f"{letter}{number - less:02d}"
+    return ""
 
 
 def _satellites_at(
@@ -321,14 +312,13 @@ def _satellites_at(
 ) -> Iterator[tuple[list[int], list[tuple[int, EarthSatellite]]]]:
     """Yield the times (by index) that one set of elements serves, with its numbered satellites."""
     nominal = orbits.of(NOMINAL)
-    from_files = [
-        (s, orbits.satellites[s])
-        for s in range(len(orbits.satellites))
-        if orbits.sources[s] != NOMINAL
-    ]
+    numbered = enumerate(orbits.satellites)
+    from_files = [(s, satellite) for s, satellite in numbered if s not in nominal]
     if from_files:
         yield list(range(len(utc))), from_files
-    for day in sorted({time.date() for time in utc}) if nominal else ():
+    if not nominal:
+        return
+    for day in sorted({time.date() for time in utc}):
         of_day = zip(nominal, nominal_satellites(day, _timescale()), strict=True)
         yield [i for i, time in enumerate(utc) if time.date() == day], list(of_day)
 
@@ -341,7 +331,8 @@ def _check_age(
     max_age_days: float,
 ) -> None:
     """Warn of stale elements, refuse those older than ``max_age_days``."""
-    if (oldest_days := age_days.max(initial=0.0)) <= min(WARN_AGE_DAYS, max_age_days):
+    oldest_days = age_days.max(initial=0.0)
+    if oldest_days <= min(WARN_AGE_DAYS, max_age_days):
         return
     t, s = np.argwhere(age_days == oldest_days)[0]
     age = (
@@ -354,7 +345,8 @@ def _check_age(
 
 
 def _system(name: str) -> str:
-    """Return the constellation that a satellite's name tells, or ``"unknown"``."""
-    return next(
-        (system for system, names in SYSTEM_NAMES.items() if names.match(name.upper())), "unknown"
-    )
+    """Return the constellation of a satellite by its name, or ``"unknown"``."""
+    for system, names in SYSTEM_NAMES.items():
+        if names.match(name.upper()):
+            return system
+    return "unknown"

@@ -51,9 +51,7 @@ GAP_M = 500.0  # a coast that ends nearer than this to the region's border was c
 _AREA_RELATIONS = ("multipolygon", "boundary")  # what libosmium makes areas of
 
 
-def read_osm(
-    path: str | Path, file_format: str | None = None, *, has_decks: bool = False
-) -> Outlines:
+def read_osm(path: str | Path, *, has_decks: bool = False) -> Outlines:
     """Return the areas tagged ``building`` or ``building:part`` of an OSM file, ways and multipolygon relations.
 
     Coordinates are longitude and latitude; the box is the file header's (of several the first). Areas that
@@ -62,7 +60,6 @@ def read_osm(
 
     Args:
       path: the file.
-      file_format: ``"pbf"`` or ``"osm"`` (XML); left out, as its name ends.
       has_decks: with the areas tagged ``man_made=bridge`` too.
 
     Raises:
@@ -70,30 +67,28 @@ def read_osm(
     """
     remedy = "it is damaged, cut short or of another kind; fetch it again, or put it in order with `osmium sort`"
     with readable(path, "OpenStreetMap data", remedy, RuntimeError, osmium.InvalidLocationError):
-        return _read(path, file_format or format_of(path), has_decks)
+        return _read(path, has_decks)
 
 
-def _read(path: str | Path, file_format: str, has_decks: bool) -> Outlines:
-    columns: dict[str, list[str | None]] = {tag: [] for tag in TAGS}
+def _read(path: str | Path, has_decks: bool) -> Outlines:
+    """Return the outlines of an OSM file, see `read_osm`."""
+    areas: list[tuple[bool, int]] = []  # of each whether it is a way, and its id
     shapes: list[str | None] = []  # WKB in hexadecimal, None where libosmium gave up
-    broken: dict[
-        int, tuple[bool, int]
-    ] = {}  # of those, place in `shapes`: whether it is a way, and its id
-    open_ways, missing, ways, areas, relations = set(), set(), set(), set(), {}
+    tags: list[list[str | None]] = []
+    open_ways = set()
+    missing = set()
+    ways = set()
+    relations = {}
     to_wkb = osmium.geom.WKBFactory()
     chosen = HAS_BUILDING_OR_DECK if has_decks else HAS_BUILDING
-    for item in open_osm(path, file_format).with_areas(chosen).with_filter(chosen):
+    for item in open_osm(path).with_areas(chosen).with_filter(chosen):
         if has_decks and not _is_building_or_deck(item.tags):
             continue
         if isinstance(item, osmium.osm.Area):
-            areas.add((item.from_way(), item.orig_id()))
-            for tag in TAGS:
-                columns[tag].append(item.tags.get(tag))
-            if item.num_rings()[0] == 0:
-                broken[len(shapes)] = (item.from_way(), item.orig_id())
-                shapes.append(None)
-            else:
-                shapes.append(to_wkb.create_multipolygon(item))
+            areas.append((item.from_way(), item.orig_id()))
+            tags.append([item.tags.get(tag) for tag in TAGS])
+            is_assembled = item.num_rings()[0] > 0
+            shapes.append(to_wkb.create_multipolygon(item) if is_assembled else None)
         elif isinstance(item, osmium.osm.Way):
             ways.add(item.id)
             if not item.is_closed():
@@ -101,33 +96,34 @@ def _read(path: str | Path, file_format: str, has_decks: bool) -> Outlines:
             if not all(node.location.valid() for node in item.nodes):
                 missing.add(item.id)
         elif isinstance(item, osmium.osm.Relation) and item.tags.get("type") in _AREA_RELATIONS:
-            relations[item.id] = [member.ref for member in item.members if member.type == "w"]
+            relations[item.id] = _ways_of(item)
 
     polygons = shapely.from_wkb(np.array(shapes, object))
-    lines_of = {place: [i] if is_way else relations[i] for place, (is_way, i) in broken.items()}
-    lines = (
-        _read_lines(open_osm(path, file_format), {i for ids in lines_of.values() for i in ids})
-        if broken
-        else {}
-    )
+    broken = np.flatnonzero(shapely.is_missing(polygons))
+    lines_of = {}
+    for place in broken:
+        is_way, number = areas[place]
+        lines_of[place] = [number] if is_way else relations[number]
+    lines = _read_lines(path, set().union(*lines_of.values())) if lines_of else {}
     for place, ids in lines_of.items():
-        polygons[place] = shapely.build_area(
-            shapely.union_all([lines[i] for i in ids if i in lines])
-        )
+        known = [lines[number] for number in ids if number in lines]
+        polygons[place] = shapely.build_area(shapely.union_all(known))
+    of_ways = {number for is_way, number in areas if is_way}
+    of_relations = {number for is_way, number in areas if not is_way}
+    columns = np.array(tags, object).reshape(-1, len(TAGS)).T
+    box = header_box(path)
     return Outlines(
         polygons=polygons,
-        tags=tags_of({tag: np.array(values, object) for tag, values in columns.items()}),
+        tags=tags_of(dict(zip(TAGS, columns, strict=True))),
         crs=WGS84,
-        boxes=tuple(filter(None, [header_box(path, file_format)])),
+        boxes=() if box is None else (box,),
         attribution=OSM_CREDIT,
         issues={
             ReadIssue.OPEN_WAYS: len(open_ways),
             ReadIssue.WAYS_WITH_MISSING_NODES: len(missing),
-            ReadIssue.DEGENERATE_WAYS: sum(
-                (True, i) not in areas for i in ways - open_ways - missing
-            ),
-            ReadIssue.RELATIONS_INCOMPLETE: sum((False, i) not in areas for i in relations),
-            ReadIssue.POLYGONS_REPAIRED: sum(not polygons[place].is_empty for place in broken),
+            ReadIssue.DEGENERATE_WAYS: len(ways - open_ways - missing - of_ways),
+            ReadIssue.RELATIONS_INCOMPLETE: len(relations.keys() - of_relations),
+            ReadIssue.POLYGONS_REPAIRED: int(np.sum(~shapely.is_empty(polygons[broken]))),
         },
     )
 
@@ -141,40 +137,40 @@ def format_of(path: str | Path) -> str:
     return "osm" if str(path).lower().endswith(".osm") else "pbf"
 
 
-def open_osm(path: str | Path, file_format: str | None = None) -> osmium.FileProcessor:
-    """Return a processor that knows every node's place when a way comes by, even if the nodes follow the ways.
+def _file(path: str | Path) -> osmium.io.File:
+    return osmium.io.File(str(path), format_of(path))
 
-    Args:
-      path: the file.
-      file_format: ``"pbf"`` or ``"osm"`` (XML); left out, as its name ends.
-    """
-    file_format = file_format or format_of(path)
-    file = osmium.io.File(str(path), file_format)
-    locations: Any = osmium.index.create_map(
-        "flex_mem"
-    )  # Any: the package's own annotation says str
-    if file_format == "osm":  # so the Overpass API writes XML; PBF is sorted
+
+def open_osm(path: str | Path) -> osmium.FileProcessor:
+    """Return a processor that knows every node's place when a way comes by, even if the nodes follow the ways."""
+    file = _file(path)
+    # Any: the package's own annotation says str.
+    locations: Any = osmium.index.create_map("flex_mem")
+    if format_of(path) == "osm":  # so the Overpass API writes XML; PBF is sorted
         with osmium.io.Reader(file, osmium.osm.NODE) as reader:
             osmium.apply(reader, osmium.NodeLocationsForWays(locations))
     return osmium.FileProcessor(file).with_locations(locations)
 
 
-def _read_lines(processor: osmium.FileProcessor, ids: set[int]) -> dict[int, shapely.LineString]:
+def _ways_of(relation: osmium.osm.Relation) -> list[int]:
+    return [member.ref for member in relation.members if member.type == "w"]
+
+
+def _read_lines(path: str | Path, ids: set[int]) -> dict[int, shapely.LineString]:
     """Return the lines of the ways with these ids, in longitude and latitude, without nodes that are missing."""
     lines = {}
-    for way in processor.with_filter(IdFilter(ids)):
+    for way in open_osm(path).with_filter(IdFilter(ids)):
         if isinstance(way, osmium.osm.Way):  # nodes may bear the same numbers
             points = [(node.lon, node.lat) for node in way.nodes if node.location.valid()]
             lines[way.id] = shapely.LineString(points if len(points) > 1 else [])
     return lines
 
 
-def header_box(path: str | Path, file_format: str) -> Bounds | None:
+def header_box(path: str | Path) -> Bounds | None:
     """Return west, south, east, north of an OSM file by its header, None where the header does not say."""
-    file = osmium.io.File(str(path), file_format)
     with (
         readable(path, "OpenStreetMap data", "fetch it again", RuntimeError),
-        osmium.io.Reader(file, osmium.osm.NOTHING) as reader,
+        osmium.io.Reader(_file(path), osmium.osm.NOTHING) as reader,
     ):
         box = reader.header().box()
     if not box.valid():
@@ -192,10 +188,7 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
     """
     file = osmium.io.File(str(source), "pbf")
     # The member ways of a building relation need not bear the tag themselves.
-    ways_of = {
-        relation.id: {member.ref for member in relation.members if member.type == "w"}
-        for relation in _relations(file)
-    }
+    ways_of = {relation.id: _ways_of(relation) for relation in _relations(file)}
     members = set().union(*ways_of.values())
     near = {way.id for way in _ways_in(file, IdFilter(members), box)} if members else set()
     result = osmium.io.File(str(target), "pbf")
@@ -221,11 +214,8 @@ def _ways_in(
 ) -> Iterator[osmium.osm.Way]:
     """Yield the chosen ways that have a node in a box."""
     west, south, east, north = box
-    for item in (
-        osmium.FileProcessor(file, osmium.osm.NODE | osmium.osm.WAY)
-        .with_locations()
-        .with_filter(chosen)
-    ):
+    processor = osmium.FileProcessor(file, osmium.osm.NODE | osmium.osm.WAY).with_locations()
+    for item in processor.with_filter(chosen):
         if isinstance(item, osmium.osm.Way):
             places = (node.location for node in item.nodes if node.location.valid())
             if any(west <= place.lon <= east and south <= place.lat <= north for place in places):
@@ -253,10 +243,9 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     box = shapely.box(*bounds_m)
 
     def joined(kind: str) -> shapely.Geometry:
-        shapes = [shapely.from_wkb(shape) for of, _, shape in rows if of == kind]
-        return shapely.intersection(
-            shapely.union_all(shapely.make_valid(projected(shapes, crs))), box
-        )
+        shapes = [shapely.from_wkb(shape) for own_kind, _, shape in rows if own_kind == kind]
+        whole = shapely.union_all(shapely.make_valid(projected(shapes, crs)))
+        return shapely.intersection(whole, box)
 
     wet = sea(list(projected(coast, crs)), box)
     return LandCover(water=shapely.union(joined("water"), wet), park=joined("park"))
@@ -317,41 +306,37 @@ def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geomet
         return shapely.Polygon()
     whole = shapely.get_parts(shapely.line_merge(shapely.union_all(coast), directed=True))
     ends = shapely.get_parts(shapely.boundary(whole))  # rings have none
-    near = ends[
-        shapely.contains_properly(box, ends) & (shapely.distance(box.exterior, ends) < GAP_M)
-    ]
+    is_near = shapely.distance(box.exterior, ends) < GAP_M
+    near = ends[shapely.contains_properly(box, ends) & is_near]
     bridges = shapely.shortest_line(near, box.exterior)
     # Into the box's border too, so that polygonize sees one network.
     network = shapely.union_all([*shapely.intersection(whole, box), *bridges, box.exterior])
     faces = shapely.get_parts(shapely.polygonize([network]))
     faces = faces[shapely.contains(box, shapely.point_on_surface(faces))]
-    segments = np.concatenate(
-        [sliding_window_view(shapely.get_coordinates(line), 2, axis=0) for line in coast]
-    )
-    segments = segments[
-        (segments[..., 0] != segments[..., 1]).any(axis=1)
-    ]  # [N, 2 (x, y), 2 (from, to)]
-    start, end = segments[..., 0], segments[..., 1]
+    points = [shapely.get_coordinates(line) for line in coast]
+    segments = np.concatenate([sliding_window_view(each, 2, axis=0) for each in points])
+    # Of [N, 2 (x, y), 2 (from, to)].
+    start = segments[..., 0]
+    end = segments[..., 1]
+    is_long = (start != end).any(axis=1)
+    start = start[is_long]
+    end = end[is_long]
     length_m = np.hypot(*(end - start).T)
     right = (end - start)[:, ::-1] * [1, -1] / length_m[:, None]
     tree = shapely.STRtree(faces)
-    shore_m = np.zeros(
-        (2, len(faces))
-    )  # how much of each face's shore has it on the right, and on the left
+    # How much of each face's shore has it on the right, and on the left.
+    shore_m = np.zeros((2, len(faces)))
     for row, side in enumerate((1.0, -1.0)):  # half a metre into the water, and into the land
-        point, face = tree.query(
-            shapely.points((start + end) / 2 + 0.5 * side * right), predicate="within"
-        )
+        beside = shapely.points((start + end) / 2 + 0.5 * side * right)
+        point, face = tree.query(beside, predicate="within")
         np.add.at(shore_m[row], face, length_m[point])
     wet_m, dry_m = shore_m
     if not shore_m.any():
-        middle = np.array(shapely.get_coordinates(box.centroid)[0])
-        nearest = int(
-            np.argmin(
-                shapely.distance(shapely.linestrings(np.stack([start, end], axis=1)), box.centroid)
-            )
-        )
-        return box if right[nearest] @ (middle - start[nearest]) > 0 else shapely.Polygon()
+        middle = box.centroid
+        lines = shapely.linestrings(np.stack([start, end], axis=1))
+        nearest = np.argmin(shapely.distance(lines, middle))
+        from_shore = shapely.get_coordinates(middle)[0] - start[nearest]
+        return box if right[nearest] @ from_shore > 0 else shapely.Polygon()
     if (np.minimum(wet_m, dry_m) > MIXED * np.maximum(wet_m, dry_m)).any():
         warn(
             "the coast lines have a gap: what lies beside it is taken for what most of its shore says, land or sea; "

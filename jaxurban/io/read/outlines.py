@@ -19,9 +19,8 @@ from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import Bounds, transformer
 
 MARGIN_M = 1000.0  # more than projections tilt boxes against each other, and than most outlines and their parts reach
-REPLACED_SHARE = (
-    0.9  # an outline covered at least so far by its parts is dropped (design, section 3)
-)
+# An outline covered at least so far by its parts is dropped (design, section 3).
+REPLACED_SHARE = 0.9
 BELONGING_SHARE = 0.5  # a part is an outline's own if at least so much of it lies inside
 PODIUM_M2 = 1.0  # less than this between two drawings of one wall is no podium
 DECK = "bridge"  # of the tag man_made
@@ -120,10 +119,8 @@ def meets(boxes: np.ndarray, box: Bounds) -> np.ndarray:
 
 def extent_of(boxes: np.ndarray) -> Bounds:
     """Return the box around boxes ``[N, 4]``, NaN left out; inf and -inf without any."""
-    low, high = (
-        np.fmin.reduce(boxes[:, :2], initial=np.inf),
-        np.fmax.reduce(boxes[:, 2:], initial=-np.inf),
-    )
+    low = np.fmin.reduce(boxes[:, :2], initial=np.inf)
+    high = np.fmax.reduce(boxes[:, 2:], initial=-np.inf)
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
@@ -150,7 +147,8 @@ def is_of_buildings(column: object) -> bool:
 
 def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
     """Return columns, or OpenStreetMap's tags, of ``[N]`` outlines under the names that `Outlines` knows."""
-    values, tags = {_plain(name): column for name, column in columns.items()}, {}
+    values = {_plain(name): column for name, column in columns.items()}
+    tags = {}
     for tag, names in COLUMNS.items():
         if found := [values[name] for name in names if name in values]:
             tags[tag] = reduce(
@@ -189,7 +187,8 @@ def to_buildings(
     stands, is_part, is_deck = _stands_as_what(outlines, file.hanging == SLABS, issues)
     index = np.flatnonzero(stands)
     polygons, is_sound = _project(outlines.polygons[index], outlines.crs, crs, issues)
-    polygons, index = polygons[is_sound], index[is_sound]
+    polygons = polygons[is_sound]
+    index = index[is_sound]
     to_city = transformer(outlines.crs, crs)
     boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
     if not (boxes_m or len(index) or outlines.is_part):
@@ -197,7 +196,8 @@ def to_buildings(
             f"{str(file.source)!r} holds no building: give a file with polygons of buildings"
         )
 
-    is_part, is_deck = is_part[index], is_deck[index]
+    is_part = is_part[index]
+    is_deck = is_deck[index]
     tags = {name: column[index] for name, column in outlines.tags.items()}
     buildings = estimate_heights(tags, polygons, is_part, file, issues)
     if is_deck.any():
@@ -217,7 +217,8 @@ def to_buildings(
 
 def _texts(column: np.ndarray) -> np.ndarray:
     """Return a tag of every outline as text in small letters, ``[N]``, empty where it is missing."""
-    words, given = np.full(len(column), "", object), is_given(column)
+    words = np.full(len(column), "", object)
+    given = is_given(column)
     words[given] = [str(value).strip().lower() for value in column[given]]
     return words
 
@@ -272,9 +273,8 @@ def _project(
 
 def polygonal(geometry: shapely.Geometry) -> shapely.Geometry:
     """Return the polygons of a geometry or collection, as one Polygon or MultiPolygon; empty if it has none."""
-    parts = shapely.get_parts(
-        shapely.get_parts(geometry)
-    )  # twice: a collection may hold MultiPolygons
+    # Twice: a collection may hold MultiPolygons.
+    parts = shapely.get_parts(shapely.get_parts(geometry))
     return shapely.union_all(parts[shapely.get_dimensions(parts) == 2])
 
 
@@ -282,11 +282,13 @@ def _own_parts(
     polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return every pair of an outline and a part of its own: both indices, and the area that they share as polygons."""
-    outlines, parts = np.flatnonzero(is_outline), np.flatnonzero(is_part)
+    outlines = np.flatnonzero(is_outline)
+    parts = np.flatnonzero(is_part)
     near_outline, near_part = shapely.STRtree(polygons[parts]).query(
         polygons[outlines], predicate="intersects"
     )
-    outline, part = outlines[near_outline], parts[near_part]
+    outline = outlines[near_outline]
+    part = parts[near_part]
     shared = shapely.intersection(polygons[outline], polygons[part])
     is_own = shapely.area(shared) >= BELONGING_SHARE * shapely.area(polygons[part])
     return outline[is_own], part[is_own], shared[is_own]
@@ -310,26 +312,26 @@ def _podiums(
 
     A podium lies under an outline's own hanging parts where none of its parts stands, up to their lowest floor.
     """
-    polygons, height_m, origin = (
-        buildings.polygons.copy(),
-        buildings.height_m.copy(),
-        buildings.origin.copy(),
-    )
-    is_podium, hangs = np.zeros(len(polygons), bool), buildings.min_height_m > 0
+    polygons = buildings.polygons.copy()
+    height_m = buildings.height_m.copy()
+    origin = buildings.origin.copy()
+    is_podium = np.zeros(len(polygons), bool)
+    hangs = buildings.min_height_m > 0
     for owner in np.unique(outline[is_replaced[outline] & hangs[part]]):
         own = part[outline == owner]
-        over, standing = own[hangs[own]], shapely.union_all(polygons[own[~hangs[own]]])
+        over = own[hangs[own]]
+        standing = shapely.union_all(polygons[own[~hangs[own]]])
         bare = shapely.difference(
             shapely.intersection(polygons[over], buildings.polygons[owner]), standing
         )
-        over, bare = over[shapely.area(bare) > PODIUM_M2], bare[shapely.area(bare) > PODIUM_M2]
+        over = over[shapely.area(bare) > PODIUM_M2]
+        bare = bare[shapely.area(bare) > PODIUM_M2]
         lowest = over[np.argmin(buildings.min_height_m[over])] if len(over) else owner
         if buildings.min_height_m[lowest] > buildings.min_height_m[owner]:
-            polygons[owner], is_podium[owner] = polygonal(shapely.union_all(bare)), True
-            height_m[owner], origin[owner] = (
-                buildings.min_height_m[lowest],
-                buildings.origin[lowest],
-            )
+            polygons[owner] = polygonal(shapely.union_all(bare))
+            is_podium[owner] = True
+            height_m[owner] = buildings.min_height_m[lowest]
+            origin[owner] = buildings.origin[lowest]
     return replace(buildings, polygons=polygons, height_m=height_m, origin=origin), is_podium
 
 
@@ -337,23 +339,28 @@ def _with_outline_heights(
     buildings: Footprints, outline: np.ndarray, part: np.ndarray, issues: ReadIssues
 ) -> Footprints:
     """Return buildings whose parts without a height have that of their highest outline whose height is known."""
-    height_m, origin = buildings.height_m.copy(), buildings.origin.copy()
+    height_m = buildings.height_m.copy()
+    origin = buildings.origin.copy()
     is_default = origin == HeightOrigin.DEFAULT
     # A part that hangs above its outline's roof is not as high as it but higher.
     takes = (
         is_default[part] & ~is_default[outline] & (height_m[outline] > buildings.min_height_m[part])
     )
     lowest_first = np.flatnonzero(takes)[np.argsort(height_m[outline[takes]], kind="stable")]
-    outline, part = outline[lowest_first], part[lowest_first]
-    height_m[part], origin[part] = buildings.height_m[outline], buildings.origin[outline]
+    outline = outline[lowest_first]
+    part = part[lowest_first]
+    height_m[part] = buildings.height_m[outline]
+    origin[part] = buildings.origin[outline]
     issues[ReadIssue.PARTS_GIVEN_OUTLINE_HEIGHT] = len(np.unique(part))
     return replace(buildings, height_m=height_m, origin=origin)
 
 
 def _above_underside(buildings: Footprints, issues: ReadIssues) -> Footprints:
     """Return buildings every roof of which is above its underside."""
-    height_m, min_height_m = buildings.height_m, buildings.min_height_m
-    is_wrong, is_estimate = min_height_m >= height_m, buildings.origin != HeightOrigin.HEIGHT
+    height_m = buildings.height_m
+    min_height_m = buildings.min_height_m
+    is_wrong = min_height_m >= height_m
+    is_estimate = buildings.origin != HeightOrigin.HEIGHT
     issues[ReadIssue.MIN_HEIGHTS_ABOVE_ROOF] = int(np.sum(is_wrong & ~is_estimate))
     raised_m = np.where(is_wrong & is_estimate, height_m + min_height_m, height_m)
     return replace(

@@ -30,17 +30,14 @@ DRIVERS = {
 }
 RASTER_SUFFIXES = tuple(DRIVERS)
 TIFF_MARKS = b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"  # first bytes
-OFFLINE = {
-    "CPL_VSIL_CURL_ALLOWED_FILENAME": "none"
-}  # GDAL asks servers for no other file, where rasters are read
-OWN_VALUES, HEIGHTS = "in a unit of your own", "heights in metres"
-TERRAIN_RANGE_M = (
-    -500.0,
-    9000.0,
-)  # the shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m
-_MARGIN_PIXELS = (
-    2  # bilinear sampling reaches half a pixel beyond the bounds, a curved border a little more
-)
+# GDAL asks servers for no other file, where rasters are read.
+OFFLINE = {"CPL_VSIL_CURL_ALLOWED_FILENAME": "none"}
+OWN_VALUES = "in a unit of your own"
+HEIGHTS = "heights in metres"
+# The shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m.
+TERRAIN_RANGE_M = (-500.0, 9000.0)
+# Bilinear sampling reaches half a pixel beyond the bounds, a curved border a little more.
+_MARGIN_PIXELS = 2
 MOST_PIXEL = 1e16  # area of a pixel, in its CRS's units: of a millionth of a metre to the Earth's
 
 # What a file may call its vertical unit (lower case), in metres.
@@ -53,9 +50,8 @@ _SURVEY_FEET = dict.fromkeys(
 UNITS_M = {**_METRES, **_FEET, **_SURVEY_FEET}
 
 # Surface models.
-GROUND_M = (
-    2.0  # nothing this low above the terrain is a building: noise of two models, cars, hedges
-)
+# Nothing this low above the terrain is a building: noise of two models, cars, hedges.
+GROUND_M = 2.0
 BLOCK_M = 100.0  # wider than most halls: a street, a yard or a clearing lies in almost every block of a city
 SAMPLES_A_SIDE = 20  # of a block
 LOW_SHARE = 0.05  # of a block's samples lie below its low level: pits, noise and holes
@@ -108,17 +104,20 @@ def read_bands(
       InputError: a file that cannot be read, has no CRS or no position, or does not reach the bounds; of heights as for
         `read_raster`.
     """
-    name, are_heights = repr(str(path)), holds == HEIGHTS
+    name = repr(str(path))
+    are_heights = holds == HEIGHTS
     with open_raster(path, holds) as source:
         unit_m = _unit_m(name, source) if are_heights else 1.0
         window = raster_window(name, source, crs, bounds_m)
-        stored, is_empty = source.read(window=window), source.read_masks(window=window) == 0
+        stored = source.read(window=window)
+        is_empty = source.read_masks(window=window) == 0
         kind = np.result_type(stored, 0.0) if are_heights else np.float64
         scale, offset = (
             np.array(values, kind)[:, None, None] for values in (source.scales, source.offsets)
         )
         values = (stored * scale + offset) * unit_m
-        transform, raster_crs = tuple(source.transform)[:6], _horizontal_crs(source)
+        transform = tuple(source.transform)[:6]
+        raster_crs = _horizontal_crs(source)
     is_bad = ~np.isfinite(values) & ~is_empty
     if are_heights and is_bad.any():
         raise InputError(
@@ -153,10 +152,8 @@ def raster_extent_m(path: str | Path, crs: str) -> Bounds:
 
 def _extent_of(source: rasterio.DatasetReader, crs: str) -> Bounds:
     """Return the box in a CRS around an open raster."""
-    col, row = (
-        np.array([0, source.width, 0, source.width]),
-        np.array([0, 0, source.height, source.height]),
-    )
+    col = np.array([0, source.width, 0, source.width])
+    row = np.array([0, 0, source.height, source.height])
     x, y = transformed(source.transform, col, row)
     box = x.min(), y.min(), x.max(), y.max()
     x_min, y_min, x_max, y_max = transformer(_horizontal_crs(source), crs).transform_bounds(*box)
@@ -211,10 +208,8 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
 
 def _check_mask(path: Path) -> None:
     """Raise InputError unless the mask beside a raster, if there is one, is a TIFF: others may name any file."""
-    names = [
-        f"{path.name}.msk",
-        f"{path.name}.MSK",
-    ]  # that GDAL tries in a folder that it cannot list
+    # That GDAL tries in a folder that it cannot list.
+    names = [f"{path.name}.msk", f"{path.name}.MSK"]
     with suppress(PermissionError):
         names = [name for name in os.listdir(path.parent) if name.lower() == names[0].lower()]
     for mask in filter(os.path.lexists, (path.with_name(name) for name in names)):
@@ -243,7 +238,8 @@ def _unit_m(name: str, source: rasterio.DatasetReader) -> float:
     Raises:
       InputError: it is not known.
     """
-    written, axes = source.units[0], pyproj.CRS(source.crs.to_wkt()).axis_info
+    written = source.units[0]
+    axes = pyproj.CRS(source.crs.to_wkt()).axis_info
     units_m = [UNITS_M.get(written.strip().lower(), math.nan)] if written else []
     units_m += [axis.unit_conversion_factor for axis in axes[2:] if axis.direction == "up"]
     is_in_metres = not source.crs.is_projected or abs(axes[0].unit_conversion_factor - 1.0) < 1e-9
@@ -303,7 +299,8 @@ def heights_of_surface(
             f'[buildings] kind = "surface" takes the ground from below {name}: give its elevation as [terrain] source'
         )
     above = heights_above(surface, terrain)
-    num_sunken, num = int(np.sum(above.values < -GROUND_M)), int(np.isfinite(above.values).sum())
+    num_sunken = int(np.sum(above.values < -GROUND_M))
+    num = int(np.isfinite(above.values).sum())
     raised = _raised_share(above, crs)
     if num_sunken > num / 2 or raised > MOST_RAISED:
         raise InputError(
@@ -355,12 +352,12 @@ def low_levels(raster: Raster, crs: str) -> np.ndarray:
       crs: projected CRS in metres, to measure pixels in.
     """
     num_rows, num_cols = raster.values.shape
-    row, col = num_rows / 2 + np.array([0, 1, 0]), num_cols / 2 + np.array([0, 0, 1])
+    row = num_rows / 2 + np.array([0, 1, 0])
+    col = num_cols / 2 + np.array([0, 0, 1])
     x_m, y_m = pixel_xy(raster, row, col, crs)
     down_m, right_m = np.hypot(x_m[1:] - x_m[0], y_m[1:] - y_m[0])
-    height, width = (
-        max(1, round(BLOCK_M / pixel_m)) for pixel_m in (down_m, right_m)
-    )  # of a block
+    height = max(1, round(BLOCK_M / down_m))  # of a block
+    width = max(1, round(BLOCK_M / right_m))
     padded = np.pad(
         raster.values, ((0, -num_rows % height), (0, -num_cols % width)), constant_values=np.nan
     )
@@ -369,7 +366,9 @@ def low_levels(raster: Raster, crs: str) -> np.ndarray:
     values = np.sort(samples.reshape(samples.shape[0] * samples.shape[1], -1), axis=1)  # NaN last
     num = np.isfinite(values).sum(axis=1)
     is_told = num >= values.shape[1] / 4
-    values, num = values[is_told], num[is_told]
+    values = values[is_told]
+    num = num[is_told]
     each = np.arange(len(values))
-    low_m, high_m = values[each, (LOW_SHARE * num).astype(int)], values[each, num - 1]
+    low_m = values[each, (LOW_SHARE * num).astype(int)]
+    high_m = values[each, num - 1]
     return low_m[high_m - low_m >= RELIEF_M]

@@ -13,7 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.outlines import meets
 from jaxurban.io.read.sampling import resample_raster
-from jaxurban.kernels.blocks import rounded_up
+from jaxurban.kernels.blocks import part_of, rounded_up
 from jaxurban.kernels.outlines import burn_outlines, settle
 from jaxurban.metrics.custom import Layer
 from jaxurban.settings import SLABS
@@ -24,9 +24,8 @@ from jaxurban.world.surface import NO_BUILDING, PER_CELL, Slabs, Surface
 
 NO_BLOCK = -1
 PEOPLE_SAMPLES = 4  # a side of a cell
-UNKNOWN_GROUND_M = (
-    -500.0
-)  # below all real ground: what stands where the terrain is unknown shadows nothing
+# Below all real ground: what stands where the terrain is unknown shadows nothing.
+UNKNOWN_GROUND_M = -500.0
 Bands = tuple[Raster | np.ndarray, ...]
 Margins = tuple[float, float, float, float]  # west, south, east, north, metres
 
@@ -59,15 +58,13 @@ def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -
         x_max - region.x_max_m,
         y_max - region.y_max_m,
     )
-    cells = (
-        rounded_up(math.ceil(max(always_m, min(toward, reach)) / region.resolution_m))
-        for toward, reach in zip(toward_m, reach_m, strict=True)
-    )
-    return region.padded(*cells)
+    margin_m = np.maximum(always_m, np.minimum(toward_m, reach_m))
+    cells = np.ceil(margin_m / region.resolution_m).astype(int).tolist()
+    return region.padded(*map(rounded_up, cells))
 
 
 def rasterise(
-    city: City, grid: Grid, all_touched: bool = False, tells_guessed: bool = False
+    city: City, grid: Grid, all_touched: bool = False, has_guessed: bool = False
 ) -> Surface:
     """Return roofs, terrain and where they are known, in host memory. Every cell depends on its own place alone.
 
@@ -80,51 +77,58 @@ def rasterise(
       city: with outlines or a height raster.
       grid: where to burn; the surface's region too.
       all_touched: ``roof_m`` is ``roof_touched_m`` too.
-      tells_guessed: whether the height of each cell's roof is guessed is wanted too (of outlines).
+      has_guessed: of outlines, whether the height of each cell's roof is guessed becomes ``roof_guessed``.
     """
     has_data = terrain_m = guessed = slabs = None
     if city.buildings is not None:
-        roof_m, touched_m, guessed = _burn_roofs(city.buildings, grid, all_touched, tells_guessed)
+        centre_m, touched_m, guessed = _burn_roofs(city.buildings, grid, has_guessed)
+        roof_m = touched_m if all_touched else centre_m
     else:
         assert city.roofs is not None
-        centre_m, touched_m = (resample_raster(city.roofs, grid, how) for how in ("nearest", "max"))
-        has_data = np.isfinite(touched_m if all_touched else centre_m)
-        roof_m, touched_m = (np.fmax(roof, np.float32(0)) for roof in (centre_m, touched_m))
+        touched_m = resample_raster(city.roofs, grid, "max")
+        roof_m = touched_m if all_touched else resample_raster(city.roofs, grid)
+        has_data = np.isfinite(roof_m)
+        roof_m = np.fmax(roof_m, np.float32(0))
+        touched_m = np.fmax(touched_m, np.float32(0))
     if city.terrain is not None:
         terrain_m = resample_raster(city.terrain, grid, "bilinear")
-        known = np.isfinite(terrain_m)
-        has_data = known if has_data is None else has_data & known
-        terrain_m = np.where(known, terrain_m, UNKNOWN_GROUND_M).astype(np.float32)
-    has_data = None if has_data is None or has_data.all() else has_data
-    roof_m = touched_m if all_touched else roof_m
+        is_known = np.isfinite(terrain_m)
+        has_data = is_known if has_data is None else has_data & is_known
+        terrain_m[~is_known] = UNKNOWN_GROUND_M
+    if has_data is not None and has_data.all():
+        has_data = None
     if city.buildings is not None and city.hanging == SLABS:
         standing = city.buildings.take(city.buildings.min_height_m == 0)
-        boxes_m = standing.boxes_m
-        roof_m = burn(standing.polygons, standing.height_m, grid, 0.0, "float32", boxes_m=boxes_m)[
-            all_touched
-        ]
+        roof_m = _burn_heights(standing, grid)[all_touched]
         slabs = burn_hanging(city.buildings, grid, roof_m, terrain_m, all_touched)
-    arrays: dict[str, Any] = {
+    rasters: dict[str, Any] = {
         "roof_m": roof_m,
         "terrain_m": terrain_m,
         "has_data": has_data,
         "block": None,
+        "roof_touched_m": touched_m,
+        "roof_guessed": guessed,
+        "slabs": slabs,
     }
-    arrays |= {"roof_touched_m": touched_m, "roof_guessed": guessed}
-    return Surface(**arrays, grid=grid, region=grid, slabs=slabs)
+    return Surface(**rasters, grid=grid, region=grid)
+
+
+def _burn_heights(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Return roofs by centres and by touch, metres, float32."""
+    polygons = buildings.polygons
+    height_m = buildings.height_m
+    return burn(polygons, height_m, grid, 0.0, "float32", boxes_m=buildings.boxes_m)
 
 
 def _burn_roofs(
-    buildings: Footprints, grid: Grid, all_touched: bool, tells_guessed: bool
+    buildings: Footprints, grid: Grid, has_guessed: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return roofs by centres and by touch, and, if wanted, whether the height of either of a cell is guessed."""
-    polygons, height_m = buildings.polygons, buildings.height_m
-    if not tells_guessed:
-        return *burn(polygons, height_m, grid, 0.0, "float32", boxes_m=buildings.boxes_m), None
+    """Return roofs by centres and by touch, and with ``has_guessed`` where the height of either is guessed."""
+    if not has_guessed:
+        return *_burn_heights(buildings, grid), None
     by_height, centre, touched = _burn_ranks(buildings, grid)
-    roofs_m = np.append(height_m[by_height], 0.0).astype(
-        np.float32
-    )  # without a building the rank is -1
+    # Without a building the rank is -1, the last entry.
+    roofs_m = np.append(buildings.height_m[by_height], 0.0).astype(np.float32)
     is_guessed = np.append(buildings.is_guessed[by_height], False)
     return roofs_m[centre], roofs_m[touched], is_guessed[touched] | is_guessed[centre]
 
@@ -169,14 +173,12 @@ def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:
     numbers = np.arange(len(blocks))
     n = 1 if blocks.day_count is None else PEOPLE_SAMPLES
     fine = grid.refined(n)
-    index = burn(
+    index, _ = burn(
         blocks.polygons, numbers, fine, NO_BLOCK, "int32", boxes_m=blocks.boxes_m, has_touched=False
-    )[0]
-    return (
-        index
-        if n == 1
-        else index.reshape(grid.num_rows, n, -1, n).swapaxes(1, 2).reshape(*grid.shape, n * n)
     )
+    if n == 1:
+        return index
+    return index.reshape(grid.num_rows, n, -1, n).swapaxes(1, 2).reshape(*grid.shape, n * n)
 
 
 def check_has_data(has_data: Iterable[Any], city: City) -> None:
@@ -192,24 +194,27 @@ def check_has_data(has_data: Iterable[Any], city: City) -> None:
 
 
 def build_surface(
-    city: City, region: Grid, grid: Grid, all_touched: bool = False, tells_guessed: bool = False
+    city: City, region: Grid, grid: Grid, all_touched: bool = False, has_guessed: bool = False
 ) -> Surface:
     """Return the city as rasters on ``grid``, of which ``region`` is the part that maps report.
 
     A roof covers the cells whose centre lies in its outline (``all_touched``: every cell that it shares area with);
-    ``tells_guessed``: with its `roof_guessed`.
+    ``has_guessed``: with ``roof_guessed``.
 
     Raises:
       InputError: the terrain or the height raster does not cover any of the region.
     """
-    whole, window = rasterise(city, grid, all_touched, tells_guessed), region.window_in(grid)
-    inner: dict[str, Any] = {
-        name: None if (values := getattr(whole, name)) is None else values[window]
-        for name in ("has_data", "roof_touched_m", "roof_guessed")
-    }
-    check_has_data([inner.pop("has_data")], city)
-    inner |= {"block": rasterise_blocks(city, region), "region": region}
-    return replace(whole, **inner)
+    surface = replace(rasterise(city, grid, all_touched, has_guessed), region=region)
+    has_data = surface.has_data
+    guessed = surface.roof_guessed
+    check_has_data([None if has_data is None else surface.crop(has_data)], city)
+    block: Any = rasterise_blocks(city, region)
+    return replace(
+        surface,
+        block=block,
+        roof_touched_m=surface.crop(surface.roof_touched_m),
+        roof_guessed=None if guessed is None else surface.crop(guessed),
+    )
 
 
 def burn(
@@ -241,9 +246,8 @@ def burn(
     Returns:
       Two ``[Y, X]`` arrays of ``dtype``, row 0 in the south.
     """
-    centre, touched = (
-        np.full(shape, fill, dtype) for shape in (grid.shape, grid.shape if has_touched else (0, 0))
-    )
+    centre = np.full(grid.shape, fill, dtype)
+    touched = np.full(grid.shape if has_touched else (0, 0), fill, dtype)
     boxes = shapely.bounds(polygons) if boxes_m is None else boxes_m.T
     near = np.flatnonzero(meets(boxes, grid.bounds_m))
     if not near.size:
@@ -251,24 +255,25 @@ def burn(
     # Rings on their own come first: `shapely.to_ragged_array` makes a geometry of every ring, in ten times the time.
     is_single = shapely.get_type_id(polygons[near]) == shapely.GeometryType.POLYGON
     is_single &= shapely.get_num_interior_rings(polygons[near]) == 0
-    single, others = near[is_single], near[~is_single]
+    single = near[is_single]
+    others = near[~is_single]
     parts, owner = shapely.get_parts(polygons[others], return_index=True)
     rings, outline = shapely.get_rings(parts, return_index=True)
-    both = polygons[single], rings
-    num_rings = np.append(
-        np.ones(len(single), np.int64), np.bincount(outline, minlength=len(parts))
-    )
+    lines = np.append(polygons[single], rings)
+    num_of_parts = np.bincount(outline, minlength=len(parts))
     burn_outlines(
-        np.concatenate([shapely.get_coordinates(shapes) for shapes in both]) / grid.resolution_m,
-        _starts(np.concatenate([shapely.get_num_coordinates(shapes) for shapes in both])),
-        _starts(num_rings),
+        shapely.get_coordinates(lines) / grid.resolution_m,
+        _starts(shapely.get_num_coordinates(lines)),
+        _starts(np.append(np.ones(len(single), np.int64), num_of_parts)),
         values[np.append(single, others[owner])].astype(centre.dtype),
         grid.first_row,
         grid.first_col,
         centre,
         touched,
     )
-    return centre, np.maximum(centre, touched, out=touched) if has_touched else touched
+    if has_touched:
+        np.maximum(centre, touched, out=touched)
+    return centre, touched
 
 
 def _starts(counts: np.ndarray) -> np.ndarray:
@@ -297,17 +302,17 @@ def burn_hanging(
     """
     is_near = meets(buildings.boxes_m.T, grid.bounds_m)
     finer = grid.refined(PER_CELL)
-    places, heights = [np.empty((2, 0), np.int64)], [np.empty((2, 0), np.float32)]
+    places = [np.empty((2, 0), np.int64)]
+    heights = [np.empty((2, 0), np.float32)]
     for i in np.flatnonzero(is_near & (buildings.min_height_m > 0)):
         window = _window(finer, buildings.boxes_m[:, i])
-        covered = burn(buildings.polygons[i : i + 1], np.ones(1), window, 0.0, "float32")[
-            all_touched
-        ]
-        at = np.stack(np.nonzero(covered))
-        places.append(at + np.array([[window.first_row], [window.first_col]]))
-        of_one = np.array([[buildings.min_height_m[i]], [buildings.height_m[i]]], np.float32)
-        heights.append(np.broadcast_to(of_one, at.shape))
-    (row, col), (floor_m, top_m) = (np.concatenate(values, axis=1) for values in (places, heights))
+        covered = burn(buildings.polygons[i : i + 1], np.ones(1), window, 0.0, "float32")
+        cells = np.stack(np.nonzero(covered[all_touched]))
+        places.append(cells + np.array([[window.first_row], [window.first_col]]))
+        ends_m = np.array([[buildings.min_height_m[i]], [buildings.height_m[i]]], np.float32)
+        heights.append(np.broadcast_to(ends_m, cells.shape))
+    row, col = np.concatenate(places, axis=1)
+    floor_m, top_m = np.concatenate(heights, axis=1)
     cell = (row // PER_CELL - grid.first_row) * grid.num_cols + col // PER_CELL - grid.first_col
     order = np.lexsort((floor_m, cell))
     row, col, cell, floor_m, top_m = (values[order] for values in (row, col, cell, floor_m, top_m))
@@ -357,38 +362,46 @@ def bands_of(
 def _bands(
     name: str, layer: Layer, region: Grid, altitudes_m: Sequence[float], folder: Path
 ) -> Bands:
-    num = 1 if layer.altitudes_m is None else len(layer.altitudes_m)
+    """Return the bands of one layer, see `bands_of`."""
     bands: Sequence[Raster | np.ndarray]
     if isinstance(layer.source, str):
         from jaxurban.io.read.raster import read_bands  # GDAL loads for files alone
 
         bands = read_bands(folder / layer.source, region.crs, region.bounds_m)
     else:
-        given = np.ma.asarray(layer.source)  # what is masked holds no value
-        if given.dtype.kind not in "biuf":
-            raise InputError(f"layer {name!r} must be an array of real numbers, got {given.dtype}")
-        values = np.ma.filled(given.astype(np.float32), np.nan)
-        values[np.isinf(values)] = np.nan  # as in a raster
-        bands = list(values if values.ndim == 3 else values[None])
-        if values.ndim > 3 or values.shape[-2:] != region.shape:
-            raise InputError(
-                f"layer {name!r} has values of shape {values.shape} for maps of {region.num_rows} x {region.num_cols} "
-                "cells: give one value for each cell, rows south to north"
-            )
+        bands = _bands_of_array(name, layer.source, region)
+    num = 1 if layer.altitudes_m is None else len(layer.altitudes_m)
     if len(bands) != num:
         raise InputError(
-            f"layer {name!r} has {len(bands)} band{'s' * (len(bands) > 1)} for {num} "
-            f"altitude{'s' * (num > 1)}: name the altitude of each band in altitudes_m, or give one band for all"
+            f"layer {name!r} has {len(bands)} band(s) for {num} altitude(s): name the altitude of each band in "
+            "altitudes_m, or give one band for all"
         )
     if layer.altitudes_m is None:
         return tuple(bands)
-    held = dict(zip(layer.altitudes_m, bands, strict=True))
-    if lost := [z_m for z_m in altitudes_m if z_m not in held]:
+    band_at: dict[float, Any] = dict(zip(layer.altitudes_m, bands, strict=True))
+    missing_m = [z_m for z_m in altitudes_m if z_m not in band_at]
+    if missing_m:
+        known = ", ".join(f"{z_m:g}" for z_m in band_at)
         raise InputError(
-            f"layer {name!r} has no band for {lost[0]:g} m, only for {', '.join(f'{z_m:g}' for z_m in held)} m: add "
-            "one, or leave altitudes_m out and give one band for all altitudes"
+            f"layer {name!r} has no band for {missing_m[0]:g} m, only for {known} m: add one, or leave altitudes_m "
+            "out and give one band for all altitudes"
         )
-    return tuple(held[z_m] for z_m in altitudes_m)
+    return tuple(band_at[z_m] for z_m in altitudes_m)
+
+
+def _bands_of_array(name: str, source: Any, region: Grid) -> list[np.ndarray]:
+    """Return the bands of an array ``[Y, X]`` or ``[A, Y, X]``, float32, NaN where it holds no finite value."""
+    array = np.ma.asarray(source)  # what is masked holds no value
+    if array.dtype.kind not in "biuf":
+        raise InputError(f"layer {name!r} must be an array of real numbers, got {array.dtype}")
+    values = np.ma.filled(array.astype(np.float32), np.nan)
+    values[np.isinf(values)] = np.nan  # as in a raster
+    if values.ndim > 3 or values.shape[-2:] != region.shape:
+        raise InputError(
+            f"layer {name!r} has values of shape {values.shape} for maps of {region.num_rows} x {region.num_cols} "
+            "cells: give one value for each cell, rows south to north"
+        )
+    return list(values if values.ndim == 3 else values[None])
 
 
 def layer_values(bands: Bands, part: Grid, region: Grid, altitude: int | None = None) -> np.ndarray:
@@ -405,14 +418,5 @@ def layer_values(bands: Bands, part: Grid, region: Grid, altitude: int | None = 
     band = bands[altitude or 0]
     if isinstance(band, Raster):
         return resample_raster(band, part, "bilinear")
-    row, col = part.first_row - region.first_row, part.first_col - region.first_col
-    south, west = (
-        max(-row, 0),
-        max(-col, 0),
-    )  # rows and columns of the part before the region begins
-    inside = band[
-        max(row, 0) : max(row + part.num_rows, 0), max(col, 0) : max(col + part.num_cols, 0)
-    ]
-    values = np.full(part.shape, np.nan, np.float32)
-    values[south : south + inside.shape[0], west : west + inside.shape[1]] = inside
-    return values
+    corner = part.first_row - region.first_row, part.first_col - region.first_col
+    return part_of(band, corner, part.shape, np.nan)

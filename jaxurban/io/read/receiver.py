@@ -13,12 +13,13 @@ from jaxurban.errors import InputError
 from jaxurban.io.samples import located
 from jaxurban.io.tables import read_table
 
-UTC, LON, LAT, ALTITUDE = "utc", "lon_deg", "lat_deg", "altitude_m"
+UTC = "utc"
+LON = "lon_deg"
+LAT = "lat_deg"
+ALTITUDE = "altitude_m"
 OTHER_NAMES = {"lon": LON, "lat": LAT}
-WITNESSES = TRACKED, ERROR = (
-    "num_tracked",
-    "error_2d_m",
-)  # what a log may hold of how well the receiver did
+# What a log may hold of how well the receiver did.
+WITNESSES = TRACKED, ERROR = ("num_tracked", "error_2d_m")
 OF_SATELLITES = SATELLITE, CN0, AZIMUTH, ELEVATION = (
     "satellite",
     "cn0_dbhz",
@@ -53,9 +54,8 @@ OTHER_UNITS = (
     ({ELEVATION: math.pi / 2}, "radians", "degrees"),
     ({CN0: 9.0}, "the digits 1 to 9 of a signal's strength, or ratios", "dBHz"),
 )
-RINEX_NAME = re.compile(
-    r"[GRECJIS]\d\d"
-)  # RINEX 3.05, section 3.5: a constellation's letter and a number
+# RINEX 3.05, section 3.5: a constellation's letter and a number.
+RINEX_NAME = re.compile(r"[GRECJIS]\d\d")
 # The zone of a time, behind its minutes or seconds; pandas reads all but the names.
 ZONE = re.compile(r"(?:Z|UTC|GMT|:\d\d(?:\.\d+)?\s*[+-]\d\d(?::?\d\d)?)$", re.IGNORECASE)
 LIKE_THIS = "2018-12-19T06:07:37Z"

@@ -34,7 +34,9 @@ from jaxurban.world.grid import transformer
 
 LOWEST_DEG = 5.0  # of a satellite in a log
 MATCH_S = 0.02  # between a reference and its observation: a receiver's clock is kept to a millisecond or some
-HEIGHT, WEEK, TOW = "height_m", "gps_week", "gps_tow_s"
+HEIGHT = "height_m"
+WEEK = "gps_week"
+TOW = "gps_tow_s"
 TRACK = LON, LAT, HEIGHT
 OTHER_NAMES = {  # of a reference's columns, in small letters with _ for what is no letter
     "lon": LON,
@@ -44,13 +46,12 @@ OTHER_NAMES = {  # of a reference's columns, in small letters with _ for what is
     "ellipsoid_height_m": HEIGHT,
     "ellipsoidal_height_m": HEIGHT,
 }
-WGS84_3D, WGS84_ECEF = "EPSG:4979", "EPSG:4978"
+WGS84_3D = "EPSG:4979"
+WGS84_ECEF = "EPSG:4978"
 J2000, GPS_START = (pd.Timestamp(day, tz="UTC") for day in ("2000-01-01T12:00", "1980-01-06"))
-WEEK_S = 604_800.0
 L1_HZ = 1_575_420_000.0  # of a Doppler shift that is not used
-BANDS = {
-    "C": ("S2", "S1")
-}  # of L1, E1, B1 in the codes of C/N0 (RINEX 3.05, tables 4 to 10): "S1" but for BeiDou
+# Of L1, E1, B1 in the codes of C/N0 (RINEX 3.05, tables 4 to 10): "S1" but for BeiDou.
+BANDS = {"C": ("S2", "S1")}
 EVENTS = 2  # flags of epochs from here on are of no observation
 AGAIN = "convert or download it again"
 FIRST_LINE = r"\s*[34]\.\d+\s+{}"  # version and type
@@ -85,23 +86,16 @@ def read_rinex(
     known_s = messages.seconds_of(track[UTC])
     away_s, nearest = KDTree(observed_s[:, None]).query(known_s[:, None])
     pairs = pd.DataFrame({"observation": nearest, "away_s": away_s})
-    pairs = (
-        pairs[pairs.away_s <= MATCH_S]
-        .sort_values("away_s")
-        .drop_duplicates("observation")
-        .sort_index()
-    )
+    pairs = pairs[pairs.away_s <= MATCH_S].sort_values("away_s")
+    pairs = pairs.drop_duplicates("observation").sort_index()
     if pairs.empty:
         late_s = known_s.min() - observed_s.min()
         raise InputError(
             f"the reference track and the observations {str(observations)!r} have no epoch in common, within "
             f"{MATCH_S:g} s: the track begins {late_s:+.3f} s after them, and that of the same drive is needed"
         )
-    track = (
-        track.iloc[pairs.index]
-        .reset_index(drop=True)
-        .assign(observation=pairs.observation.to_numpy())
-    )
+    track = track.iloc[pairs.index].reset_index(drop=True)
+    track = track.assign(observation=pairs.observation.to_numpy())
     angles = messages.angles(track)
     is_heard = angles[SATELLITE].str[0].isin(heard)
     rows = angles[is_heard & (angles[ELEVATION] >= LOWEST_DEG)].join(track, on=EPOCH)
@@ -160,7 +154,8 @@ class Messages:
         Raises:
           InputError: no RINEX 3 or 4 navigation file, one that is cut, or without leap seconds.
         """
-        self._sidereon, self.name = _library(), str(navigation)
+        self._sidereon = _library()
+        self.name = str(navigation)
         text = _text(navigation, "N", "navigation")
         with _whole(self._sidereon, navigation, "navigation"):
             self._ephemeris = self._sidereon.load_rinex_nav(text.encode())

@@ -16,7 +16,10 @@ from jaxurban.errors import InputError, SkippedRouteWarning, warn
 from jaxurban.io.read.vector import open_layers
 
 SEGMENT_PROPERTY = "segment"  # of lines that repeat a part of jaxurban's own route, for its report
-ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY = "altitude_m", "time_of_day", "time"
+ALTITUDE_PROPERTY = "altitude_m"
+TIME_OF_DAY_PROPERTY = "time_of_day"
+TIME_PROPERTY = "time"
+LINES = (shapely.GeometryType.LINESTRING, shapely.GeometryType.MULTILINESTRING)
 PROPERTIES = ("name", ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY)
 
 
@@ -53,12 +56,8 @@ def read_routes(file: str | Path) -> list[Route]:
     layers = (frame.to_crs("EPSG:4326") for frame in open_layers(file, "routes"))
     features = (row for frame in layers for _, row in frame.iterrows())
     for number, row in enumerate(features, start=1):
-        geometry = row.geometry
-        if (
-            geometry is None
-            or geometry.geom_type not in ("LineString", "MultiLineString")
-            or not _is_finite(geometry)
-        ):
+        is_finite = np.isfinite(shapely.get_coordinates(row.geometry)).all()
+        if shapely.get_type_id(row.geometry) not in LINES or not is_finite:
             num_others += 1
             continue
         if not pd.isna(row.get(SEGMENT_PROPERTY)):
@@ -66,9 +65,11 @@ def read_routes(file: str | Path) -> list[Route]:
         settings = _settings(row)
         facts = settings | {key: row[key] for key in PROPERTIES if not pd.isna(row.get(key))}
         facts.setdefault("name", row.get("Name"))  # of KML
-        parts = [part for part in shapely.get_parts(geometry) if part.length > 0]
+        parts = [part for part in shapely.get_parts(row.geometry) if part.length > 0]
         for part_number, part in enumerate(parts, start=1):
-            name = str(facts.get("name") or number) + (f".{part_number}" if len(parts) > 1 else "")
+            name = str(facts.get("name") or number)
+            if len(parts) > 1:
+                name += f".{part_number}"
             altitude_m = facts.get(ALTITUDE_PROPERTY)
             if altitude_m is not None:
                 altitude_m = finite(
@@ -81,14 +82,11 @@ def read_routes(file: str | Path) -> list[Route]:
             f"{str(file)!r} holds no line of finite places: give routes as LineString features"
         )
     if num_others:
-        said = f"{num_others} of the features of {str(file)!r} are not lines of finite places and were left out"
-        warn(said, SkippedRouteWarning)
+        warn(
+            f"{num_others} of the features of {str(file)!r} are not lines of finite places and were left out",
+            SkippedRouteWarning,
+        )
     return routes
-
-
-def _is_finite(geometry: shapely.Geometry) -> bool:
-    """Return whether every coordinate is a number."""
-    return bool(np.isfinite(shapely.get_coordinates(geometry)).all())
 
 
 def _settings(row: Any) -> dict[str, Any]:

@@ -44,7 +44,8 @@ def resample_raster(raster: Raster, grid: Grid, how: Resampling = "nearest") -> 
     sample = _bilinear if how == "bilinear" else _nearest
     # The centre, or the corners, once around the cell.
     points = [(-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5)] if how == "max" else [(0.0, 0.0)]
-    to_raster, to_pixel = transformer(grid.crs, raster.crs), ~Affine(*raster.transform)
+    to_raster = transformer(grid.crs, raster.crs)
+    to_pixel = ~Affine(*raster.transform)
     values = np.full(grid.shape, np.nan, np.float32)
     for start in range(0, grid.num_rows, _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)
@@ -109,7 +110,8 @@ def heights_above(surface: Raster, ground: Raster) -> Raster:
 
 def _pixels(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     """Return the values of pixels by the file's whole rows and columns, NaN outside the raster (float64)."""
-    row, col = row - raster.first_row, col - raster.first_col
+    row = row - raster.first_row
+    col = col - raster.first_col
     # Written this way round so that a coordinate that PROJ could not transform (infinite) is outside.
     is_inside = (
         (row >= 0) & (row < raster.values.shape[0]) & (col >= 0) & (col < raster.values.shape[1])
@@ -139,17 +141,18 @@ def _highest(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     """
     low_row, low_col = (np.floor(v.min(axis=0) + _EDGE) for v in (row, col))
     end_row, end_col = (np.ceil(v.max(axis=0) - _EDGE) for v in (row, col))
-    along_row, along_col = np.roll(row, -1, 0) - row, np.roll(col, -1, 0) - col
-    turn = np.sign(
-        along_col[0] * along_row[1] - along_row[0] * along_col[1]
-    )  # which way the corners go around
+    along_row = np.roll(row, -1, 0) - row
+    along_col = np.roll(col, -1, 0) - col
+    # Which way the corners go around.
+    turn = np.sign(along_col[0] * along_row[1] - along_row[0] * along_col[1])
     values = np.full(low_row.shape, np.nan)
     counts = (end - low for end, low in ((end_row, low_row), (end_col, low_col)))
     num_rows, num_cols = (
         int(np.max(count, where=np.isfinite(count), initial=0.0)) for count in counts
     )
     for down, right in itertools.product(range(num_rows), range(num_cols)):
-        pixel_row, pixel_col = low_row + down, low_col + right
+        pixel_row = low_row + down
+        pixel_col = low_col + right
         overlaps = (pixel_row < end_row) & (pixel_col < end_col)
         for side_row, side_col, from_row, from_col in zip(
             along_row, along_col, row, col, strict=True
@@ -168,9 +171,12 @@ def _highest(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
 
 
 def _bilinear(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    low_row, low_col = np.floor(row - 0.5), np.floor(col - 0.5)
-    along_row, along_col = row - 0.5 - low_row, col - 0.5 - low_col
-    total, weights = np.zeros(row.shape), np.zeros(row.shape)
+    low_row = np.floor(row - 0.5)
+    low_col = np.floor(col - 0.5)
+    along_row = row - 0.5 - low_row
+    along_col = col - 0.5 - low_col
+    total = np.zeros(row.shape)
+    weights = np.zeros(row.shape)
     for down, row_weight in ((0, 1 - along_row), (1, along_row)):
         for right, col_weight in ((0, 1 - along_col), (1, along_col)):
             pixel = _pixels(raster, low_row + down, low_col + right)

@@ -30,13 +30,8 @@ INDEXED_SUFFIXES = (".gpkg", ".shp")  # whose features are found by their boxes
 VECTOR_SUFFIXES = (".geojson", ".json", *INDEXED_SUFFIXES, *PARQUET_SUFFIXES)
 BUILDINGS = "buildings"  # the role, and the layer of several
 WHOLE = "give a whole one, with its companions"
-OF_DAMAGED = (
-    RuntimeError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    shapely.errors.ShapelyError,
-)  # raised by readers
+# Raised by readers.
+OF_DAMAGED = (RuntimeError, LookupError, TypeError, AttributeError, shapely.errors.ShapelyError)
 # How a file of a format begins. GDAL takes any format under any name, and some of them read other files, even from a
 # server: by their first bytes such are refused before GDAL sees them.
 BEGINNINGS = {
@@ -211,9 +206,8 @@ def _only_near(path: str | Path, layer: str, near: Near) -> dict[str, Any]:
     if box is None:
         return {}
     _, sides = pyogrio.read_bounds(path, layer=layer, bbox=box)
-    box = (
-        extent_of(sides.T) if sides.size else box
-    )  # with all that touches one of these, see `near_rows`
+    # With all that touches one of these, see `near_rows`.
+    box = extent_of(sides.T) if sides.size else box
     return {
         "bbox": box,
         "columns": [column for column in facts["fields"] if is_of_buildings(column)],
