@@ -21,6 +21,7 @@ from jaxurban.cli.common import (
     SEED,
     Numbers,
     Settings,
+    names_in,
     print_json,
     run_study,
 )
@@ -97,33 +98,12 @@ def _places_of(output: Path) -> Settings:
     return {"folder": str(output), "report": str(output / "report.md")}
 
 
-class Known(click.ParamType):
-    """Where buildings are known: a word, metres, or a file."""
-
-    name = "known"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> str | float:
-        """Return metres as a number, all else as it is."""
-        try:
-            return float(value)
-        except ValueError:
-            return str(value)
-
-
-class Letters(click.ParamType):
-    """Letters with commas between them."""
-
-    name = "letters"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, ...]:
-        """Return the letters."""
-        if isinstance(value, tuple):
-            return value
-        return tuple(filter(None, str(value).split(",")))
+def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str | float:
+    """Return metres as a number, all else as it is."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 SETTING = partial(NUMBER, show_default=True)
@@ -175,7 +155,7 @@ SETTING = partial(NUMBER, show_default=True)
 )
 @click.option(
     "--known",
-    type=Known(),
+    callback=number_or_text,
     default="city",
     show_default=True,
     metavar="city|all|M|FILE",
@@ -183,7 +163,7 @@ SETTING = partial(NUMBER, show_default=True)
 )
 @click.option(
     "--systems",
-    type=Letters(),
+    callback=lambda ctx, param, text: names_in(text),
     default="",
     help="Letters of the satellite systems to take, as G,E.",
 )
