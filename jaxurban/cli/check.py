@@ -9,6 +9,7 @@ import click
 from jaxurban.cli.common import (
     CONSTRAINTS,
     CORRIDOR,
+    FILES,
     FOLDER,
     JSON_FLAG,
     LONLAT,
@@ -19,6 +20,7 @@ from jaxurban.cli.common import (
     RESOLUTION,
     TIME_OF_DAY,
     WEIGHTS,
+    Point,
     print_json,
 )
 from jaxurban.exit_codes import ExitCode
@@ -63,11 +65,7 @@ CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": Ex
     "--sources", type=PATH, help="Folder where the relative paths of the maps' sources begin."
 )
 @RESOLUTION
-@click.option(
-    "-o",
-    "outputs",
-    type=PATH,
-    multiple=True,
+@FILES(
     help="Folder of the report, or a file of findings: .geojson, .csv or .parquet; repeatable.",
 )
 @OVERWRITE
@@ -77,7 +75,7 @@ def check(
     mission: Path,
     heights: "Datum | None",
     geoid_m: float | None,
-    home: tuple[float, float] | None,
+    home: Point | None,
     return_altitude_m: float | None,
     constraints: "Constraints",
     times: tuple[str, ...],
@@ -88,7 +86,7 @@ def check(
     weights_text: str,
     sources: Path | None,
     resolution_m: float | None,
-    outputs: tuple[Path, ...],
+    files: tuple[Path, ...],
     overwrite: bool,
     as_json: bool,
 ) -> int:
@@ -121,7 +119,7 @@ def check(
     line_m = result.flight.line_m
     if corridor is not None and len(line_m) > 1:
         density = corridor(maps, line_m, time_of_day=time_of_day)
-    for output in outputs:
+    for output in files:
         for file in result.save(output, overwrite):
             LOG.info(f"wrote {file}")
     code = CODES[result.state]

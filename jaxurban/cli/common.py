@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]
+Point = tuple[float, float]  # of LONLAT
 
 
 class RouteRules(TypedDict):
@@ -234,6 +235,7 @@ METRES = partial(NUMBER, metavar="METRES")
 FLAG = partial(click.option, is_flag=True)
 OF_CORRIDOR = partial(METRES, cls=DependentOption, owner="--corridor")
 FOLDER = click.argument("folder", metavar="DIR", type=PATH)
+FILES = partial(click.option, "-o", "files", type=PATH, multiple=True)
 OUTPUT = click.option("-o", "output", type=PATH, required=True, help="Output folder.")
 OVERWRITE = FLAG("--overwrite", help="Replace what another run wrote to the output folder.")
 CHANGES = click.option(

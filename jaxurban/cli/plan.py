@@ -12,6 +12,7 @@ from jaxurban.cli.common import (
     CORRIDOR,
     COUNT,
     DEVICE,
+    FILES,
     FLAG,
     JSON_FLAG,
     METRES,
@@ -61,21 +62,27 @@ def levels_of(
     return levels if is_volume else None
 
 
-def search_of(
-    planner: str | None,
-    heuristic: str | None,
-    budget_s: float | None,
-    seed: int | None,
-    snap: bool | float,
-    refine: bool,
-    budgets: tuple[str, ...],
-) -> Settings:
-    """Return the keywords of `PathSearch.of`.
+class SearchOptions(NamedTuple):
+    """How a route is searched, by the keywords of `PathSearch.of`."""
+
+    planner: str | None
+    heuristic: str | None
+    budget_s: float | None
+    seed: int | None
+    snap: bool | float
+    refine: bool
+    exposure: dict[str, float]
+
+
+def exposure_of(
+    ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]
+) -> dict[str, float]:
+    """Return the budget of each layer in ``"population<=120"`` and the like.
 
     Raises:
-      UsageError: a budget of exposure that does not read ``"population<=120"`` or the like, or two of one layer.
+      UsageError: another text, or a second budget of a layer.
     """
-    parts = [[part.strip() for part in text.split("<=")] for text in budgets]
+    parts = [[part.strip() for part in text.split("<=")] for text in texts]
     try:
         exposure = {name: float(most) for name, most in parts}
     except ValueError as error:
@@ -84,15 +91,7 @@ def search_of(
         ) from error
     if len(exposure) < len(parts):
         raise click.UsageError("--exposure names a layer twice: give one budget for it")
-    return {
-        "planner": planner,
-        "heuristic": heuristic,
-        "budget_s": budget_s,
-        "seed": seed,
-        "snap": snap,
-        "refine": refine,
-        "exposure": exposure,
-    }
+    return exposure
 
 
 def flight_of(speed_m_s: float | None, power_w: float | None, swath_m: float | None) -> Settings:
@@ -113,7 +112,7 @@ class RouteFiles(NamedTuple):
 @ROUTE
 @grouped(
     "search",
-    search_of,
+    SearchOptions,
     click.option(
         "--planner",
         help="Such as ptp, astar-dist or theta-star.  [default: the scenario's, else astar-plus]",
@@ -131,8 +130,8 @@ class RouteFiles(NamedTuple):
     ),
     click.option(
         "--exposure",
-        "budgets",
         multiple=True,
+        callback=exposure_of,
         metavar="NAME<=NUMBER",
         help="Most of (1 / l0) x integral of the cost of NAME along the path, such as population<=120; repeatable.",
     ),
@@ -199,11 +198,7 @@ class RouteFiles(NamedTuple):
 @grouped(
     "outputs",
     RouteFiles,
-    click.option(
-        "-o",
-        "files",
-        type=PATH,
-        multiple=True,
+    FILES(
         help="File to write: .geojson, .kml, .gpx or .plan; repeatable.",
     ),
     METRES(
@@ -239,7 +234,7 @@ def plan(
     obstacles: "Obstacles | None",
     objective: "Objective | None",
     rules: RouteRules,
-    search: Settings,
+    search: SearchOptions,
     with_report: bool,
     flight: Settings,
     corridor: "Callable[..., OverflownDensity] | None",
@@ -265,17 +260,17 @@ def plan(
     maps = open_maps(folder, resolution_m, obstacles=obstacles)
     which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
     if is_when:
-        is_of_one_route = with_report or search["refine"] or search["exposure"] or any(outputs[1:])
+        is_of_one_route = with_report or search.refine or search.exposure or any(outputs[1:])
         if is_of_one_route or levels is not None:
             raise click.UsageError(NOT_WHEN)
         departures = when(
-            maps, [(start, goal)], altitude_m=altitude_m, **which_map, **rules, **search
+            maps, [(start, goal)], altitude_m=altitude_m, **which_map, **rules, **search._asdict()
         )
         return _write_departures(departures, maps, outputs.files, profile, as_json)
     if levels is not None:
         start = (*start, altitude_m)
         goal = (*goal, altitude_m if goal_altitude_m is None else goal_altitude_m)
-    path_search = PathSearch.of(maps, levels is not None, **search)
+    path_search = PathSearch.of(maps, levels is not None, **search._asdict())
     costs = cost_map(maps, levels or altitude_m, **which_map, **rules)
     planned = costs.planned(start, goal, path_search)
     if outputs.simplify_m:

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from jaxurban.cli.common import (
+    FILES,
     FOLDER,
     JSON_FLAG,
     LONLAT,
     NUMBER,
     PATH,
+    Point,
     finite_records,
     grouped,
     print_json,
@@ -69,17 +71,13 @@ class SkySource(NamedTuple):
     ),
     NUMBER("--resolution", "resolution_m", help="Cell size of the maps, for --by map."),
 )
-@click.option(
-    "-o",
-    "files",
-    type=PATH,
-    multiple=True,
+@FILES(
     help="File to write: .csv or .parquet, or a picture (.png) of the sky at a place; repeatable.",
 )
 @JSON_FLAG
 def sky(
     folder: Path,
-    place: tuple[float, float] | None,
+    place: Point | None,
     track: Path | None,
     altitude_m: float | None,
     times: tuple[str, ...],
