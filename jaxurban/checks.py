@@ -7,7 +7,7 @@ import numbers
 import os
 import re
 import types
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -100,8 +100,9 @@ def finite(
       InputError: it is not, or is not a number.
     """
     number = math.nan
-    with suppress(TypeError, ValueError, OverflowError):
-        number = math.nan if isinstance(value, bool) else float(value)
+    if not isinstance(value, bool):
+        with suppress(TypeError, ValueError, OverflowError):
+            number = float(value)
     if not least < number < math.inf:
         unit = unit_of(name) if unit is None else unit
         raise InputError(f"{name} must be a {called} number{unit and f' of {unit}'}, got {value!r}")
@@ -133,7 +134,8 @@ def check_range(name: str, value: Any) -> None:
     most = next((most for end, most in MOST_OF.items() if name.endswith(end)), MOST)
     for number in value if isinstance(value, list | tuple) else (value,):
         size: Any = abs(number) if isinstance(number, numbers.Real) else 0
-        if size > most and not (most == MOST and size == math.inf):
+        is_endless = most == MOST and size == math.inf
+        if size > most and not is_endless:
             unit = f" ({unit_of(name)})" if unit_of(name) else ""
             raise InputError(
                 f"{name} must be a finite number of at most {most:.0e}{unit}, got {number!r}"
@@ -201,47 +203,64 @@ def _hints(function: Callable) -> dict[str, Any]:
     return {name: hints[name] for name in parameters if name in hints}
 
 
+class _Maker(NamedTuple):
+    """What makes an argument, and the whole call with ``{}`` where its own arguments stand."""
+
+    function: Callable
+    argument: str
+    call: str
+
+
+def _makers_of(hint: Any, argument: str, call: str) -> Iterator[tuple[str, _Maker]]:
+    """Yield the kinds of an argument that have a public maker, in lower case, and the makers."""
+    for kind in map(_name_of, (hint, *get_args(hint))):
+        name = re.split(" or |,", MADE_BY.get(kind, kind))[0]
+        with suppress(KeyError):
+            maker = find_public(name)
+            yield kind.lower(), _Maker(maker, argument, call.format(f"{argument}={name}({{}})"))
+
+
 def _home_of(name: str, function: Callable) -> str:
     """Return what is meant by an argument that a function does not take: ``" (give gps=Gps(mask_deg=...))"``.
 
-    Beside its own arguments those of what makes them are looked through, and so on, the nearest first; with or without
-    their units, and after the name of what is made (``gps_mask``).
+    Beside its own arguments those of their makers are searched, the nearest first; with or without their units, and
+    after the name of what is made (``gps_mask``).
     """
     own = [each for each in inspect.signature(function).parameters if each not in ("self", "cls")]
-    homes = dict.fromkeys(own, "")
-    ways: list[tuple[Callable, str, str]] = [(function, "", "{}")]
-    for taker, made, way in ways:  # grows on the way
-        for argument, hint in _hints(taker).items():
+    remedies = dict.fromkeys(own, "")
+    makers = [_Maker(function, "", "{}")]
+    for maker in makers:  # it grows meanwhile
+        for argument, hint in _hints(maker.function).items():
+            remedy = maker.call.format(f"{argument}=...") if maker.argument else ""
             bare = re.sub("_(m|s|m_s|deg|w)$", "", argument)
-            for each in (argument, bare, f"{made}_{argument}", f"{made}_{bare}"):
-                is_own = argument in own and not made
-                homes.setdefault(each, "" if is_own else way.format(f"{argument}=..."))
-            for kind in map(_name_of, (hint, *get_args(hint))):
-                with suppress(KeyError):
-                    called = MADE_BY.get(kind, kind).split(" or ")[0].split(",")[0]
-                    if (maker := find_public(called)) not in (before for before, *_ in ways):
-                        ways.append((maker, argument, way.format(f"{argument}={called}({{}})")))
-                        homes.setdefault(kind.lower(), way.format(f"{argument}={called}(...)"))
-    found = alike(name, own, MOST_ALIKE) or alike(name, homes, MOST_ALIKE) or near(name, own)
-    if not found:
+            of_made = f"{maker.argument}_{argument}", f"{maker.argument}_{bare}"
+            for spelling in (argument, bare, *of_made):
+                remedies.setdefault(spelling, remedy)
+            for kind, made_by in _makers_of(hint, argument, maker.call):
+                if made_by.function not in [each.function for each in makers]:
+                    makers.append(made_by)
+                    remedies.setdefault(kind, made_by.call.format("..."))
+    nearest = alike(name, own, MOST_ALIKE) or alike(name, remedies, MOST_ALIKE) or near(name, own)
+    if not nearest:
         return f"; it takes {', '.join(own)}"
-    return f" (give {homes[found[0]]})" if homes[found[0]] else f" (did you mean {found[0]!r}?)"
+    remedy = remedies[nearest[0]]
+    return f" (give {remedy})" if remedy else f" (did you mean {nearest[0]!r}?)"
 
 
 def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
     if not kinds or any(kind.holds(value) for kind in kinds):
         return
     names = list(dict.fromkeys(kind.name for kind in kinds))
+    accepted = _either(names)
+    if unit_of(name) and "number" in accepted:
+        accepted = f"{accepted} ({unit_of(name)})"
     choices = [each.strip("'") for each in names if each.startswith("'")]
-    unit = unit_of(name) if any("number" in each for each in names) else ""
     remedy = nearest_name(str(value), choices)
     if not remedy and type(value).__module__.startswith(f"{PACKAGE}."):
         remedy = call
-    if _is_number(value) and any(each.startswith("a sequence of numbers") for each in names):
+    if _is_number(value) and "a sequence of numbers" in accepted:
         remedy = f": write [{float(value):g}]"
-    raise InputError(
-        f"{name} must be {_either(names)}{unit and f' ({unit})'}, got {_shown(value)}{remedy}"
-    )
+    raise InputError(f"{name} must be {accepted}, got {_shown(value)}{remedy}")
 
 
 def _kinds(hint: Any) -> list[Kind]:
@@ -256,27 +275,27 @@ def _kinds(hint: Any) -> list[Kind]:
         return [Kind(repr(choice), functools.partial(_is_choice, choice)) for choice in parts]
     if origin is Any or not inspect.isclass(origin):
         return []
-    holder = HOLDERS.get(origin)
-    if holder is None:
-        return [_kind_of(origin)]
-    of = parts[1:] if holder is Mapping else parts
-    is_plain = len({*of}) == 1 and get_origin(of[0]) is not tuple
-    items = _kinds(of[0]) if is_plain else []
+    if origin in HOLDERS:
+        holder = HOLDERS[origin]
+        return [_kind_of_items(holder, parts[1:] if holder is Mapping else parts)]
+    if origin in KINDS:
+        return [KINDS[origin]]
+    name = _name_of(origin)
+    if name in MADE_BY:
+        name = f"{name} (from {MADE_BY[name]})"
+    return [Kind(name, lambda value: isinstance(value, origin))]
+
+
+def _kind_of_items(holder: Any, hints: list[Any]) -> Kind:
+    """Return the kind of a sequence or a dict by the hints of its items; of several hints, with any items."""
+    is_plain = len({*hints}) == 1 and get_origin(hints[0]) is not tuple
+    items = _kinds(hints[0]) if is_plain else []
     if not items:
-        return [KINDS[holder]]
-    several = (
-        re.sub("^a ([a-z ]+?)(?= of |$)", r"\1s", item.name)
-        for item in items
-        if item.name != "None"
-    )
-    name = f"{KINDS[holder].name} of {' or '.join(several)}"
-    return [Kind(name, functools.partial(_holds, holder, items))]
-
-
-def _kind_of(kind: type) -> Kind:
-    name = _name_of(kind)
-    made_by = f" (from {MADE_BY[name]})" if name in MADE_BY else ""
-    return KINDS.get(kind) or Kind(name + made_by, lambda value: isinstance(value, kind))
+        return KINDS[holder]
+    names = [item.name for item in items if item.name != "None"]
+    plurals = [re.sub("^a ([a-z ]+?)(?= of |$)", r"\1s", name) for name in names]
+    name = f"{KINDS[holder].name} of {' or '.join(plurals)}"
+    return Kind(name, functools.partial(_holds, holder, items))
 
 
 def _holds(holder: Any, items: list[Kind], value: Any) -> bool:

@@ -39,29 +39,24 @@ def public_names(
       until: the release in which the former ones go.
     """
     stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
-    homes = {
-        alias.name: line.module
-        for line in stub.body
-        if isinstance(line, ast.ImportFrom)
-        for alias in line.names
-    }
+    homes: dict[str, str | None] = {}
+    for line in stub.body:
+        if isinstance(line, ast.ImportFrom):
+            homes |= {alias.name: line.module for alias in line.names}
 
     def fetch(name: str) -> Any:
         if renamed and name in renamed:
-            _warn_renamed(
-                f"{package}.{name}", f"{_public_homes()[renamed[name]]}.{renamed[name]}", until
-            )
-            return find_public(renamed[name])
+            present = renamed[name]
+            _warn_renamed(f"{package}.{name}", f"{_public_homes()[present]}.{present}", until)
+            return find_public(present)
         home = homes.get(name)
         if name == "__version__" and "." not in package:
             return import_module("importlib.metadata").version(package)
         if home is None:
             raise AttributeError(f"module {package!r} has no attribute {name!r}{_elsewhere(name)}")
-        return (
-            import_module(f"{package}.{name}")
-            if home == package
-            else getattr(import_module(home), name)
-        )
+        if home == package:
+            return import_module(f"{package}.{name}")
+        return getattr(import_module(home), name)
 
     return fetch, lambda: sorted(homes), sorted(homes)
 
@@ -110,26 +105,18 @@ def _warn_renamed(old: str, new: str, until: str) -> None:
 
 def _elsewhere(name: str) -> str:
     known = {} if name.startswith("_") else _public_homes()
-    found = near(name, known) or [each for each in known if name.startswith(each)]
-    return (
-        f" (did you mean {' or '.join(f'{known[each]}.{each}' for each in found)}?)"
-        if found
-        else ""
-    )
+    names = near(name, known) or [each for each in known if name.startswith(each)]
+    full_names = [f"{known[each]}.{each}" for each in names]
+    return f" (did you mean {' or '.join(full_names)}?)" if names else ""
 
 
 def _public_homes() -> dict[str, str]:
     """Return the module of each public name: the package, or one of its namespaces."""
     package = __name__.rpartition(".")[0]
-    modules = [
-        import_module(home) for home in (package, *(f"{package}.{each}" for each in NAMESPACES))
-    ]
-    return {
-        name: module.__name__
-        for module in modules
-        for name in module.__all__
-        if name not in NAMESPACES
-    }
+    homes: dict[str, str] = {}
+    for home in (package, *(f"{package}.{each}" for each in NAMESPACES)):
+        homes |= dict.fromkeys(import_module(home).__all__, home)
+    return {name: home for name, home in homes.items() if name not in NAMESPACES}
 
 
 def find_public(name: str) -> Any:
@@ -214,9 +201,7 @@ class FactsRepr:
     def _cautions(self) -> Sequence[Caution]:
         try:
             return self.known_cautions
-        except (
-            ValueError
-        ) as error:  # what it rests on was removed or made again: showing it must not fail
+        except ValueError as error:  # its files were removed or made again: a repr must not fail
             return [Caution(f"What to be cautious of is not known: {error}", "guess")]
 
     def __repr__(self) -> str:
@@ -224,15 +209,15 @@ class FactsRepr:
         return "\n".join([f"{type(self).__name__}({facts})", *caution_lines(self._cautions())])
 
     def _repr_html_(self) -> str:
-        rows: list[tuple[str, str, str]] = [
+        lines: list[tuple[str, str, str]] = [
             (LEVEL_STYLES[each.level], each.level, each) for each in self._cautions()
         ]
-        rows += [("", name, fact) for name, fact in self.facts.items() if fact]
-        cells = (
+        lines += [("", name, fact) for name, fact in self.facts.items() if fact]
+        rows = "".join(
             f'<tr style="{style}"><th>{escape(name)}</th><td style="text-align:left">{escape(text)}</td></tr>'
-            for style, name, text in rows
+            for style, name, text in lines
         )
-        return f"<table><caption>{type(self).__name__}</caption>{''.join(cells)}</table>"
+        return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
 
 
 def listed(values: list[str] | tuple[str, ...], most: int = 6) -> str:

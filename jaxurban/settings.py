@@ -58,9 +58,7 @@ def parse_time(time: str | datetime | np.datetime64) -> datetime:
 def iso_utc(time: str | datetime | np.datetime64) -> str:
     """Return a time (as for `parse_time`) as ISO 8601 UTC with a trailing Z."""
     parsed = parse_time(time)
-    return parsed.isoformat(
-        timespec="seconds" if parsed.microsecond == 0 else "microseconds"
-    ).replace("+00:00", "Z")
+    return parsed.isoformat().replace("+00:00", "Z")
 
 
 def not_negative(name: str, value: float) -> float:
@@ -77,11 +75,9 @@ def not_negative(name: str, value: float) -> float:
 
 def as_tuple(values: Any) -> tuple:
     """Return what is one value or several of them as a tuple."""
-    return (
-        tuple(values)
-        if isinstance(values, Iterable) and not isinstance(values, str | Path)
-        else (values,)
-    )
+    if isinstance(values, Iterable) and not isinstance(values, str | Path):
+        return tuple(values)
+    return (values,)
 
 
 @typed
@@ -133,7 +129,7 @@ class Heights:
       height_seed: seed of the draws.
 
     Raises:
-      InputError: a number of samples that makes no spread, or a seed that is none.
+      InputError: a number of samples that makes no spread, or an invalid seed.
 
     Examples:
       >>> heights = ju.Heights(height_samples=4)
@@ -194,9 +190,10 @@ class Buildings(Heights):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("default_height_m", "level_height_m"):
-            if not 0 < getattr(self, name) <= MAX_HEIGHT_M:
+            height_m = getattr(self, name)
+            if not 0 < height_m <= MAX_HEIGHT_M:
                 raise InputError(
-                    f"{name} must be above 0 and at most {MAX_HEIGHT_M:g} metres, got {getattr(self, name)}"
+                    f"{name} must be above 0 and at most {MAX_HEIGHT_M:g} metres, got {height_m}"
                 )
 
 
@@ -277,7 +274,8 @@ class Planning:
 
     def __post_init__(self) -> None:
         for name in CLEARANCES:
-            if (metres := getattr(self, name)) is not None:
+            metres = getattr(self, name)
+            if metres is not None:
                 not_negative(name, metres)
         positive("reference_length_m", self.reference_length_m)
         if not self.budget_s > 0:
@@ -338,7 +336,8 @@ class Vehicle:
     def __post_init__(self) -> None:
         object.__setattr__(self, "radius_m", not_negative("radius_m", self.radius_m))
         for item in fields(self)[1:]:
-            if (value := getattr(self, item.name)) is not None:
+            value = getattr(self, item.name)
+            if value is not None:
                 object.__setattr__(self, item.name, positive(item.name, value))
         if self.max_turn_deg is not None and self.max_turn_deg > FULL_TURN_DEG:
             raise InputError(
@@ -362,10 +361,9 @@ class Vehicle:
           >>> ju.Vehicle.of(path.settings) == ju.Vehicle()  # path was planned for none
           True
         """
-        held = settings.get("limits", {})
-        return cls(
-            **{item.name: held[key] for item in fields(cls) if (key := PREFIX + item.name) in held}
-        )
+        limits = settings.get("limits", {})
+        names = [item.name for item in fields(cls)]
+        return cls(**{name: limits[PREFIX + name] for name in names if PREFIX + name in limits})
 
     def to_dict(self) -> dict[str, float]:
         """Return the vehicle as plain values; empty where nothing is known of it.

@@ -1,44 +1,41 @@
 """jaxurban check."""
 
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from jaxurban.cli.common import (
     CONSTRAINTS,
     CORRIDOR,
+    FILES,
+    FOLDER,
     JSON_FLAG,
     LONLAT,
-    OF_CORRIDOR,
+    METRES,
+    NUMBER,
+    OVERWRITE,
     PATH,
     RESOLUTION,
-    check_belong,
-    density_beneath,
-    given_constraints,
+    TIME_OF_DAY,
+    WEIGHTS,
+    Point,
     print_json,
 )
 from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG
 
-CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": ExitCode.NOT_JUDGED}
-METRES = partial(click.option, type=float, metavar="METRES")
+if TYPE_CHECKING:
+    from jaxurban.io.read.mission_parts import Datum
+    from jaxurban.paths.constraints import Constraints
+    from jaxurban.paths.ground_risk import OverflownDensity
 
-NAMED = (  # options that Python takes by the same names
-    "heights",
-    "geoid_m",
-    "home",
-    "return_altitude_m",
-    "time_of_day",
-    "max_no_fix_m",
-    "max_people",
-    "sources",
-)
+CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": ExitCode.NOT_JUDGED}
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=PATH)
+@FOLDER
 @click.argument("mission", metavar="MISSION", type=PATH)
 @click.option(
     "--heights",
@@ -54,36 +51,44 @@ NAMED = (  # options that Python takes by the same names
 )
 @CONSTRAINTS
 @click.option(
-    "--time", multiple=True, help="Time of flight, UTC; repeatable.  [default: the maps' first]"
+    "--time",
+    "times",
+    multiple=True,
+    help="Time of flight, UTC; repeatable.  [default: the maps' first]",
 )
-@click.option("--time-of-day", help="Time of day of the map of people.  [default: the first]")
+@TIME_OF_DAY
 @METRES("--max-no-fix", "max_no_fix_m", help="Most metres without a position fix.")
-@click.option("--max-people", type=float, help="Most people overflown, in a strip of 10 m.")
+@NUMBER("--max-people", help="Most people overflown, in a strip of 10 m.")
 @CORRIDOR
-@click.option("--weights", "weights_text", default="", help="Weights such as gps=1,risk=2.")
+@WEIGHTS
 @click.option(
     "--sources", type=PATH, help="Folder where the relative paths of the maps' sources begin."
 )
 @RESOLUTION
-@click.option(
-    "-o",
-    "outputs",
-    type=PATH,
-    multiple=True,
+@FILES(
     help="Folder of the report, or a file of findings: .geojson, .csv or .parquet; repeatable.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace another check in the output folder.")
+@OVERWRITE
 @JSON_FLAG
 def check(
     folder: Path,
     mission: Path,
-    outputs: tuple[Path, ...],
+    heights: "Datum | None",
+    geoid_m: float | None,
+    home: Point | None,
+    return_altitude_m: float | None,
+    constraints: "Constraints",
+    times: tuple[str, ...],
+    time_of_day: str | None,
+    max_no_fix_m: float | None,
+    max_people: float | None,
+    corridor: "Callable[..., OverflownDensity] | None",
+    weights_text: str,
+    sources: Path | None,
+    resolution_m: float | None,
+    files: tuple[Path, ...],
     overwrite: bool,
     as_json: bool,
-    resolution_m: float | None,
-    weights_text: str,
-    time: tuple[str, ...],
-    **options: Any,
 ) -> int:
     """Check MISSION (.plan, .waypoints, .kml, .gpx, .geojson, .csv) over the maps in DIR.
 
@@ -94,20 +99,27 @@ def check(
     from jaxurban.metrics.weights import Weights
     from jaxurban.report.mission import check as check_mission
 
-    has_corridor = options["corridor_m"] is not None
-    check_belong("--corridor", has_corridor, OF_CORRIDOR, options)
     maps = open_maps(folder, resolution_m)
     result = check_mission(
         maps,
         mission,
-        time=time or None,
-        constraints=given_constraints(options),
+        heights=heights,
+        geoid_m=geoid_m,
+        home=home,
+        return_altitude_m=return_altitude_m,
+        constraints=constraints,
+        time=times or None,
+        time_of_day=time_of_day,
+        max_no_fix_m=max_no_fix_m,
+        max_people=max_people,
         weights=Weights.named_in(weights_text),
-        **{name: options[name] for name in NAMED},
+        sources=sources,
     )
+    density = None
     line_m = result.flight.line_m
-    density = density_beneath(maps, line_m, options) if has_corridor and len(line_m) > 1 else None
-    for output in outputs:
+    if corridor is not None and len(line_m) > 1:
+        density = corridor(maps, line_m, time_of_day=time_of_day)
+    for output in files:
         for file in result.save(output, overwrite):
             LOG.info(f"wrote {file}")
     code = CODES[result.state]

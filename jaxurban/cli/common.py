@@ -1,14 +1,15 @@
 """What commands share: option types, what they ask for, progress, messages."""
 
+import inspect
 import json
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import click
 
@@ -17,16 +18,25 @@ from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG, Report, reporting
 
 if TYPE_CHECKING:
-    import numpy as np
+    import pandas as pd
 
-    from jaxurban.maps.metric_maps import MetricMaps
     from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.ground_risk import OverflownDensity
-    from jaxurban.paths.path import PlannedPath
     from jaxurban.report.results import Result
+    from jaxurban.settings import CostKind, Preset
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]
+Point = tuple[float, float]  # of LONLAT
+
+
+class RouteRules(TypedDict):
+    """What routes are planned under, as keywords of `jaxurban.cost_map` and the like."""
+
+    weights: dict[str, float]
+    cost_model: "CostKind | None"
+    constraints: "Constraints"
+    preset: "Preset"
 
 
 class Numbers(click.ParamType):
@@ -107,7 +117,137 @@ def use_device(name: str | None) -> None:
     LOG.info(f"device: {jax.local_devices()[0].device_kind} ({jax.default_backend()})")
 
 
+def grouped(
+    argument: str, make: Callable[..., Any], *options: Callable
+) -> Callable[[Callable], Callable]:
+    """Return what adds options to a command, which gets what they ask for as one argument.
+
+    Args:
+      argument: of the command.
+      make: returns its value; its parameters are those of the options.
+      options: the options, in this order.
+    """
+    names = inspect.signature(make).parameters
+
+    def add(command: Callable) -> Callable:
+        @wraps(command)
+        def call(**values: Any) -> Any:
+            made = make(**{name: values.pop(name) for name in names})
+            return command(**values, **{argument: made})
+
+        return together(*options)(call)
+
+    return add
+
+
+class DependentOption(click.Option):
+    """An option that says nothing without another one, its owner.
+
+    Args:
+      owner: the other option, such as ``"--volume"``.
+    """
+
+    def __init__(self, *args: Any, owner: str, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.owner = owner
+
+    def handle_parse_result(
+        self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
+    ) -> tuple[Any, list[str]]:
+        """Return the value and what is left to parse, as for any option.
+
+        Raises:
+          UsageError: it is given, and its owner is not.
+        """
+        given = {option for each in ctx.command.params if each.name in opts for option in each.opts}
+        if self.name in opts and self.owner not in given:
+            raise click.UsageError(f"{self.opts[0]} belongs to {self.owner}: add that")
+        return super().handle_parse_result(ctx, opts, args)
+
+
+def rules_of(
+    weights_text: str, cost_model: "CostKind | None", constraints: "Constraints", preset: "Preset"
+) -> RouteRules:
+    """Return the rules that the options of `RULES` ask for."""
+    from jaxurban.metrics.weights import Weights
+
+    weights = Weights.named_in(weights_text)
+    return RouteRules(
+        weights=weights, cost_model=cost_model, constraints=constraints, preset=preset
+    )
+
+
+def constraints_of(
+    no_fly: tuple[Path, ...],
+    require: tuple[str, ...],
+    clearance_m: float | None,
+    vertical_clearance_m: float | None,
+) -> "Constraints":
+    """Return the constraints that the options of `CONSTRAINTS` ask for.
+
+    Raises:
+      InputError: a file or a bound that cannot be read, or an invalid clearance.
+    """
+    from jaxurban.paths.constraints import Constraints
+
+    return Constraints.read(
+        no_fly, require, clearance_m=clearance_m, vertical_clearance_m=vertical_clearance_m
+    )
+
+
+def density_beneath(
+    corridor_m: float | None,
+    contingency_m: float,
+    ground_buffer_m: float | None,
+    density_cell_m: float,
+) -> "Callable[..., OverflownDensity] | None":
+    """Return what computes, of maps and a path, the density beneath a corridor; None without a corridor."""
+    if corridor_m is None:
+        return None
+    from jaxurban.paths.ground_risk import overflown_density
+
+    return partial(
+        overflown_density,
+        half_width_m=corridor_m,
+        contingency_m=contingency_m,
+        buffer_m=ground_buffer_m,
+        cell_m=density_cell_m,
+    )
+
+
+def workers_of(workers: int | None, cluster: str | None) -> int | str | None:
+    """Return the processes or the address that the options of `WORKERS` name, None where they name neither.
+
+    Raises:
+      InputError: both.
+    """
+    if workers is not None and cluster is not None:
+        raise InputError(
+            "give either --workers, for processes of this machine, or --cluster, not both"
+        )
+    return workers or cluster
+
+
 LONLAT = Numbers("LON,LAT", "longitude,latitude in degrees, as in -74.0,40.7", 2)
+COUNT, POSITIVE_COUNT = click.IntRange(min=0), click.IntRange(min=1)
+NUMBER = partial(click.option, type=float)
+METRES = partial(NUMBER, metavar="METRES")
+FLAG = partial(click.option, is_flag=True)
+OF_CORRIDOR = partial(METRES, cls=DependentOption, owner="--corridor")
+FOLDER = click.argument("folder", metavar="DIR", type=PATH)
+FILES = partial(click.option, "-o", "files", type=PATH, multiple=True)
+OUTPUT = click.option("-o", "output", type=PATH, required=True, help="Output folder.")
+OVERWRITE = FLAG("--overwrite", help="Replace what another run wrote to the output folder.")
+CHANGES = click.option(
+    "--set",
+    "changes",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Change a setting of SCENARIO, such as gps.mask_deg=10; values as in TOML; repeatable.",
+)
+SEED = click.option(
+    "--seed", type=COUNT, default=0, show_default=True, help="Seed of random numbers."
+)
 DEVICE_CHOICE = partial(
     click.option,
     "--device",
@@ -115,10 +255,9 @@ DEVICE_CHOICE = partial(
     help="Device that computes.  [default: auto, a GPU where JAX finds one]",
 )
 DEVICE = DEVICE_CHOICE(callback=lambda ctx, param, name: use_device(name), expose_value=False)
-RESOLUTION = click.option(
+RESOLUTION = NUMBER(
     "--resolution",
     "resolution_m",
-    type=float,
     help="Cell size of the maps in metres; needed where DIR holds several.",
 )
 OBSTACLES = click.option(
@@ -127,7 +266,9 @@ OBSTACLES = click.option(
     help="Cells that no path enters: all that a building touches, or (the paper) those whose centre it "
     "covers; paths may then cut true outlines.  [default: the scenario's, else touched]",
 )
-CONSTRAINTS = together(  # which `given_constraints` takes
+CONSTRAINTS = grouped(
+    "constraints",
+    constraints_of,
     click.option(
         "--no-fly",
         type=PATH,
@@ -139,18 +280,14 @@ CONSTRAINTS = together(  # which `given_constraints` takes
         multiple=True,
         help="Bound that every cell of a path must keep, such as gps>=0.3; repeatable.",
     ),
-    click.option(
+    METRES(
         "--clearance",
         "clearance_m",
-        type=float,
-        metavar="METRES",
         help="Least distance from buildings that reach the path's altitude.  [default: the scenario's, else 0]",
     ),
-    click.option(
+    METRES(
         "--vertical-clearance",
         "vertical_clearance_m",
-        type=float,
-        metavar="METRES",
         help="Least height over roofs; a path goes around higher ones.  [default: the scenario's, else 3]",
     ),
 )
@@ -162,44 +299,46 @@ COST_MODEL = click.option(
 PRESET = click.option(
     "--preset",
     type=click.Choice(["paper"]),
+    callback=lambda ctx, param, name: name or "",
     help="Plan as the paper does: cost model cell, obstacles at centres, no clearance, "
     "where neither the scenario nor another option says so.",
 )
-RULES = together(  # what `given_rules` takes, and which maps
-    RESOLUTION,
+WEIGHTS = click.option(
+    "--weights",
+    "weights_text",
+    default="",
+    help="Weights such as gps=1,risk=2; others keep their values.",
+)
+RULES = grouped(
+    "rules",
+    rules_of,
     PRESET,
     COST_MODEL,
-    OBSTACLES,
-    click.option(
-        "--weights",
-        "weights_text",
-        default="",
-        help="Weights such as gps=1,risk=2; others keep their values.",
-    ),
+    WEIGHTS,
     CONSTRAINTS,
 )
-ROUTE = together(  # a route over maps, under costs
-    click.argument("folder", metavar="DIR", type=PATH),
+TIME_OF_DAY = click.option(
+    "--time-of-day", help="Time of day of the population map, such as night.  [default: the first]"
+)
+ROUTE = together(  # a route over maps
+    FOLDER,
     click.option(
         "--start", type=LONLAT, required=True, help="Start: longitude,latitude in degrees."
     ),
     click.option("--goal", type=LONLAT, required=True, help="Goal: longitude,latitude in degrees."),
-    click.option(
+    NUMBER(
         "--altitude",
         "altitude_m",
-        type=float,
         required=True,
         help="Altitude in metres above ground, within the maps' range.",
     ),
-    click.option(
-        "--time-of-day",
-        help="Time of day of the population map, such as night.  [default: the first]",
-    ),
+    TIME_OF_DAY,
     click.option("--time", help="Time of the GPS map, UTC.  [default: the first]"),
+    RESOLUTION,
+    OBSTACLES,
     RULES,
-    click.option(
+    NUMBER(
         "--snap",
-        type=float,
         is_flag=False,
         flag_value="50",
         metavar="[METRES]",
@@ -207,46 +346,37 @@ ROUTE = together(  # a route over maps, under costs
         help="Move a start or goal that is not free to the nearest free cell, by at most 50 m or METRES.",
     ),
 )
-CORRIDOR = together(  # what `density_beneath` takes
-    click.option(
+CORRIDOR = grouped(
+    "corridor",
+    density_beneath,
+    METRES(
         "--corridor",
         "corridor_m",
-        type=float,
-        metavar="METRES",
         help="Report the density of people beneath a corridor of this half-width, for a ground risk assessment.",
     ),
-    click.option(
+    OF_CORRIDOR(
         "--contingency",
         "contingency_m",
-        type=float,
-        metavar="METRES",
+        default=0.0,
         help="With --corridor: the contingency volume beside it.  [default: 0]",
     ),
-    click.option(
+    OF_CORRIDOR(
         "--ground-buffer",
         "ground_buffer_m",
-        type=float,
-        metavar="METRES",
         help="With --corridor: the ground risk buffer.  [default: the flight's height, 1:1, a hint]",
     ),
-    click.option(
+    OF_CORRIDOR(
         "--density-cell",
         "density_cell_m",
-        type=float,
-        metavar="METRES",
+        default=200.0,
         help="With --corridor: side of the cells of the mean.  [default: 200; 100 and 500 are printed too]",
     ),
 )
-OF_CORRIDOR = {
-    "contingency_m": "contingency_m",
-    "ground_buffer_m": "buffer_m",
-    "density_cell_m": "cell_m",
-}  # options beside --corridor, as `overflown_density` calls them
-WORKERS = together(  # what `given_workers` takes
+WORKERS = grouped(
+    "workers",
+    workers_of,
     click.option(
-        "--workers",
-        type=click.IntRange(min=1),
-        help="Number of processes (Dask).  [default: all cores]",
+        "--workers", type=POSITIVE_COUNT, help="Number of processes (Dask).  [default: all cores]"
     ),
     click.option(
         "--cluster",
@@ -254,85 +384,17 @@ WORKERS = together(  # what `given_workers` takes
         help="Address of a Dask scheduler whose workers to use, such as tcp://host:8786.",
     ),
 )
-JSON_FLAG = click.option(
-    "--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout."
-)
+JSON_FLAG = FLAG("--json", "as_json", help="Print one machine-readable object on stdout.")
+
+
+def values_given(values: Settings) -> Settings:
+    """Return the values that are given: those that are not None."""
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def names_in(text: str) -> tuple[str, ...]:
     """Return the names in ``"gps,risk"``."""
     return tuple(part.strip() for part in text.split(",") if part.strip())
-
-
-def given_constraints(options: Settings) -> "Constraints":
-    """Return what the options of `CONSTRAINTS` ask for.
-
-    Raises:
-      InputError: a file or a bound that cannot be read, or a clearance that is none.
-    """
-    from jaxurban.paths.constraints import Constraints
-    from jaxurban.settings import CLEARANCES
-
-    return Constraints.read(
-        options["no_fly"], options["require"], **{name: options[name] for name in CLEARANCES}
-    )
-
-
-def given_rules(options: Settings) -> Settings:
-    """Return what the options of routes' costs ask for, as the functions of Python take it."""
-    from jaxurban.metrics.weights import Weights
-
-    return {
-        "weights": Weights.named_in(options["weights_text"]),
-        "cost_model": options["cost_model"],
-        "constraints": given_constraints(options),
-        "preset": options["preset"] or "",
-    }
-
-
-def density_beneath(
-    maps: "MetricMaps", path: "PlannedPath | np.ndarray", options: Settings
-) -> "OverflownDensity":
-    """Return the density of people beneath the corridor that the options of `CORRIDOR` ask for."""
-    from jaxurban.paths.ground_risk import overflown_density
-
-    lengths_m = {
-        argument: options[name]
-        for name, argument in OF_CORRIDOR.items()
-        if options[name] is not None
-    }
-    return overflown_density(
-        maps,
-        path,
-        half_width_m=options["corridor_m"],
-        time_of_day=options["time_of_day"],
-        **lengths_m,
-    )
-
-
-def check_belong(owner: str, has_owner: bool, names: Iterable[str], options: Settings) -> None:
-    """Raise UsageError where an option is given without the one that it belongs to."""
-    for name in () if has_owner else names:
-        if options[name] is not None:
-            raise click.UsageError(f"{option_of(name)} belongs to {owner}: add that")
-
-
-def option_of(name: str) -> str:
-    """Return the option that a parameter comes from."""
-    return f"--{name.removesuffix('_m').replace('_', '-')}"
-
-
-def given_workers(options: Settings) -> int | str | None:
-    """Return the processes or the address that the options of `WORKERS` name, None where they name neither.
-
-    Raises:
-      InputError: both.
-    """
-    if options["workers"] is not None and options["cluster"] is not None:
-        raise InputError(
-            "give either --workers, for processes of this machine, or --cluster, not both"
-        )
-    return options["workers"] or options["cluster"]
 
 
 def all_cores() -> int:
@@ -396,6 +458,32 @@ def run_study(
         + f", look at {figures}" * figures.is_dir()
     )
     return result
+
+
+def finite_records(tables: "Mapping[str, pd.DataFrame]") -> Settings:
+    """Return the rows of tables as JSON holds them, infinite values as missing ones."""
+    from jaxurban.io.tables import records_of
+
+    return {
+        name: records_of(table.replace(float("inf"), float("nan")))
+        for name, table in tables.items()
+    }
+
+
+def outcome_of(rows: "pd.DataFrame", no_route: str) -> tuple[dict[Any, int], ExitCode, str]:
+    """Return how many rows of a study end in each status, the exit code, and why that is not `ExitCode.DONE`.
+
+    Args:
+      rows: with a ``status``.
+      no_route: what to warn of where none of them has a route.
+    """
+    from jaxurban.paths.rows import HAS_PATH
+
+    statuses = rows.status.value_counts().to_dict()
+    if rows.status.isin(HAS_PATH).any():
+        return statuses, ExitCode.DONE, ""
+    LOG.warning(f"warning: {no_route}")
+    return statuses, ExitCode.NO_PATH, no_route
 
 
 def print_json(

@@ -7,129 +7,127 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from jaxurban.cli.common import (
+    CHANGES,
+    COUNT,
     DEVICE,
     JSON_FLAG,
+    NUMBER,
     OBSTACLES,
+    OUTPUT,
+    OVERWRITE,
     PATH,
+    POSITIVE_COUNT,
     RESOLUTION,
+    SEED,
     Numbers,
+    Settings,
+    names_in,
     print_json,
     run_study,
 )
 
 if TYPE_CHECKING:
+    from jaxurban.settings import Obstacles
     from jaxurban.studies.receiver.agreement import SatelliteAgreement
 
 
 @click.command()
 @click.argument("folder_a", metavar="DIR_A", type=PATH)
 @click.argument("folder_b", metavar="DIR_B", type=PATH)
-@click.option("-o", "output", type=PATH, required=True, help="Output folder.")
+@OUTPUT
 @RESOLUTION
 @OBSTACLES
-@click.option(
+@NUMBER(
     "--tolerance",
-    type=float,
     default=1e-6,
     show_default=True,
     help="Values that differ by no more count as equal.",
 )
 @click.option(
     "--routes",
-    type=click.IntRange(min=0),
+    type=COUNT,
     default=0,
     show_default=True,
     help="Pairs of places at each altitude whose route on one map is judged on the other.",
 )
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of these places."
-)
-@click.option("--overwrite", is_flag=True, help="Replace another comparison in the output folder.")
+@SEED
+@OVERWRITE
 @DEVICE
 @JSON_FLAG
-def compare(folder_a: Path, folder_b: Path, output: Path, **options: Any) -> int:
+def compare(
+    folder_a: Path,
+    folder_b: Path,
+    output: Path,
+    resolution_m: float | None,
+    obstacles: "Obstacles | None",
+    tolerance: float,
+    routes: int,
+    seed: int,
+    overwrite: bool,
+    as_json: bool,
+) -> int:
     """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time, and for routes."""
     from jaxurban.io.tables import records_of
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.map_comparison import compare as compare_maps
 
-    study = partial(
-        compare_maps,
-        *(
-            MapsFolder(folder, options["resolution_m"], options["obstacles"])
-            for folder in (folder_a, folder_b)
-        ),
-        **{name: options[name] for name in ("tolerance", "routes", "seed")},
+    maps_a, maps_b = (
+        MapsFolder(folder, resolution_m, obstacles) for folder in (folder_a, folder_b)
     )
     result = run_study(
-        "compare", output, lambda report: study(progress=report), options["overwrite"]
+        "compare",
+        output,
+        lambda report: compare_maps(
+            maps_a, maps_b, tolerance=tolerance, routes=routes, seed=seed, progress=report
+        ),
+        overwrite,
     )
-    if options["as_json"]:
+    if as_json:
         facts = {
             "left_out": dict(result.left_out),
             "settings": result.settings,
             "layers": records_of(result.table),
+            "regrets": records_of(result.regrets),
         }
-        facts["regrets"] = records_of(result.regrets)
-        print_json({"folder": str(output), "report": str(output / "report.md"), **facts})
+        print_json(_places_of(output) | facts)
     return 0
 
 
-NUMBER = partial(click.option, type=float, show_default=True)
+def _places_of(output: Path) -> Settings:
+    """Return where a report lies, as ``--json`` prints it."""
+    return {"folder": str(output), "report": str(output / "report.md")}
 
 
-class Known(click.ParamType):
-    """Where buildings are known: a word, metres, or a file."""
-
-    name = "known"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> str | float:
-        """Return metres as a number, all else as it is."""
-        try:
-            return float(value)
-        except ValueError:
-            return str(value)
+def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str | float:
+    """Return metres as a number, all else as it is."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
-class Letters(click.ParamType):
-    """Letters with commas between them."""
-
-    name = "letters"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, ...]:
-        """Return the letters."""
-        return value if isinstance(value, tuple) else tuple(filter(None, str(value).split(",")))
+SETTING = partial(NUMBER, show_default=True)
 
 
 @click.command()
 @click.argument("scenario_file", metavar="SCENARIO", type=PATH)
 @click.argument("log_file", metavar="[LOG]", type=PATH, required=False)
-@click.option("-o", "output", type=PATH, required=True, help="Output folder.")
+@OUTPUT
 @click.option(
     "--navigation",
     type=PATH,
     help="Broadcast orbits in RINEX 3; LOG is then a file of observations.",
 )
 @click.option("--reference", type=PATH, help="Table of the antenna's places, for a log in RINEX.")
-@click.option(
-    "--set",
-    "changes",
-    metavar="KEY=VALUE",
-    multiple=True,
-    help="Change a setting of SCENARIO; repeatable.",
-)
-@NUMBER(
+@CHANGES
+@SETTING(
     "--antenna-height",
     "antenna_height_m",
     default=2.0,
     help="Height of the antenna above the ground, metres.",
 )
-@NUMBER("--sky-step", "sky_step_s", default=30.0, help="Seconds for which one sky is used.")
-@NUMBER(
+@SETTING("--sky-step", "sky_step_s", default=30.0, help="Seconds for which one sky is used.")
+@SETTING(
     "--piece",
     "piece_m",
     default=25.0,
@@ -143,13 +141,13 @@ class Letters(click.ParamType):
     show_default=True,
     help="Further lengths of pieces to report, metres.",
 )
-@NUMBER(
+@SETTING(
     "--block",
     "block_m",
     default=200.0,
     help="Length of the blocks of track within which ranks are compared, metres.",
 )
-@NUMBER(
+@SETTING(
     "--sky-block",
     "sky_block_m",
     default=50.0,
@@ -157,7 +155,7 @@ class Letters(click.ParamType):
 )
 @click.option(
     "--known",
-    type=Known(),
+    callback=number_or_text,
     default="city",
     show_default=True,
     metavar="city|all|M|FILE",
@@ -165,39 +163,37 @@ class Letters(click.ParamType):
 )
 @click.option(
     "--systems",
-    type=Letters(),
+    callback=lambda ctx, param, text: names_in(text),
     default="",
     help="Letters of the satellite systems to take, as G,E.",
 )
 @click.option(
     "--displaced",
     "num_displaced",
-    type=click.IntRange(min=1),
+    type=POSITIVE_COUNT,
     default=200,
     show_default=True,
     help="Displaced cities that satellites are set against.",
 )
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Seed of displacements and draws.",
-)
-@click.option("--overwrite", is_flag=True, help="Replace another validation in the output folder.")
+@SEED
+@OVERWRITE
 @DEVICE
 @JSON_FLAG
 def validate(
     scenario_file: Path,
     log_file: Path | None,
     output: Path,
+    navigation: Path | None,
+    reference: Path | None,
     changes: tuple[str, ...],
-    **options: Any,
+    overwrite: bool,
+    as_json: bool,
+    **settings: Any,
 ) -> int:
     """Compare the log of a receiver (LOG, .csv or .parquet) with maps of SCENARIO made at its times and its height.
 
-    LOG has the columns utc, lon_deg, lat_deg, and with a row a satellite satellite and cn0_dbhz (azimuth_deg and
-    elevation_deg too, or the scenario's orbits give them), with a row an epoch num_tracked or error_2d_m. Left out, it
+    LOG has the columns utc, lon_deg, lat_deg, and with a row per satellite satellite and cn0_dbhz (azimuth_deg and
+    elevation_deg too, or the scenario's orbits give them), with a row per epoch num_tracked or error_2d_m. Left out, it
     is that of the sample city which SCENARIO names.
     """
     import pandas as pd
@@ -207,40 +203,46 @@ def validate(
     from jaxurban.report.receiver import validate as validate_log
     from jaxurban.studies.receiver.prediction import ReceiverSettings
 
-    settings = ReceiverSettings(
-        **{name: options[name] for name in ReceiverSettings.__dataclass_fields__}
-    )
-    files = {name: options[name] for name in ("navigation", "reference")}
-    study = partial(
-        validate_log, Scenario.from_toml(scenario_file, changes), log_file, settings, **files
-    )
+    receiver = ReceiverSettings(**settings)  # all other options are its fields
+    scenario = Scenario.from_toml(scenario_file, changes)
     result = run_study(
-        "validate", output, lambda report: study(progress=report), options["overwrite"]
+        "validate",
+        output,
+        lambda report: validate_log(
+            scenario,
+            log_file,
+            receiver,
+            navigation=navigation,
+            reference=reference,
+            progress=report,
+        ),
+        overwrite,
     )
-    if options["as_json"]:
+    if as_json:
         (summary,) = records_of(pd.DataFrame([result.summary]))
-        facts: dict[str, Any] = {
+        facts = {
             "summary": summary,
             "scores": records_of(result.scores),
             "guesses": list(result.guesses),
         }
         if result.satellites is not None:
             facts["satellites"] = _satellite_facts(result.satellites)
-        print_json({"folder": str(output), "report": str(output / "report.md"), **facts})
+        print_json(_places_of(output) | facts)
     return 0
 
 
-def _satellite_facts(of: "SatelliteAgreement") -> dict[str, Any]:
+def _satellite_facts(agreement: "SatelliteAgreement") -> Settings:
     """Return what the rows of satellites amount to; of the displaced cities the median and the most."""
     from jaxurban.io.tables import records_of
 
-    null = of.displaced[["auc", "within"]]
-    (median, most) = records_of(null.agg(["median", "max"]))
-    facts = {
-        "verdict": of.verdict,
-        "strong_dbhz": of.strong_dbhz,
-        "peak": of.peak,
-        "counts": of.counts,
+    displaced = agreement.displaced[["auc", "within"]].agg(["median", "max"])
+    median, most = records_of(displaced)
+    return {
+        "verdict": agreement.verdict,
+        "strong_dbhz": agreement.strong_dbhz,
+        "peak": agreement.peak,
+        "counts": agreement.counts,
+        "scores": records_of(agreement.scores),
+        "rivals": records_of(agreement.rivals),
+        "displaced": {"median": median, "most": most},
     }
-    tables = {"scores": records_of(of.scores), "rivals": records_of(of.rivals)}
-    return {**facts, **tables, "displaced": {"median": median, "most": most}}

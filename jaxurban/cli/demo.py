@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import DEVICE, JSON_FLAG, PATH, print_json
+from jaxurban.cli.common import DEVICE, JSON_FLAG, OVERWRITE, PATH, print_json
 from jaxurban.progress import LOG, reporting
 
 CITY = "sample:lower-manhattan"
@@ -22,9 +22,7 @@ COLUMNS = "altitude_m", "settings.time_of_day", "planner", "status", "cost", "le
 
 @click.command()
 @click.option("-o", "folder", type=PATH, default=Path("out/demo"), show_default=True)
-@click.option(
-    "--overwrite", is_flag=True, help="Replace maps of other settings in the output folder."
-)
+@OVERWRITE
 @DEVICE
 @JSON_FLAG
 def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
@@ -44,9 +42,8 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
     )
     Workspace.check(folder, "demo", (SCENARIO_FILE, TABLE_FILE), is_shared=True)
     with reporting("demo") as report:
-        maps = run_scenario(scenario, folder, progress=report, overwrite=overwrite).maps[
-            RESOLUTION_M
-        ]
+        run = run_scenario(scenario, folder, progress=report, overwrite=overwrite)
+        maps = run.maps[RESOLUTION_M]
         report("paths")
         start, goal = ENDS
         paths = [
@@ -70,24 +67,14 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
             save(folder, {SCENARIO_FILE: scenario.to_toml(), TABLE_FILE: table})
             for path in paths:
                 if path.status.has_path:
-                    path.save(
-                        folder
-                        / PATHS_FOLDER
-                        / f"{path.search.planner}_{path.altitude_m:g}m.geojson"
-                    )
+                    name = f"{path.search.planner}_{path.altitude_m:g}m.geojson"
+                    path.save(folder / PATHS_FOLDER / name)
             report("figures")
             figures = save_figures(maps, paths, folder / "figures")
     LOG.info(
         f"demo finished: look at {folder / 'figures'}, the paths are in {folder / PATHS_FOLDER}"
     )
     if as_json:
-        drawn = [str(figure) for figure in figures]
-        print_json(
-            {
-                "folder": str(folder),
-                "record": str(folder / RUN_FILE),
-                "figures": drawn,
-                "paths": facts,
-            }
-        )
+        record = {"folder": str(folder), "record": str(folder / RUN_FILE)}
+        print_json(record | {"figures": [str(figure) for figure in figures], "paths": facts})
     return 0

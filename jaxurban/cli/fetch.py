@@ -2,11 +2,19 @@
 
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import click
 
-from jaxurban.cli.common import JSON_FLAG, PATH, Numbers, names_in, print_json
+from jaxurban.cli.common import (
+    FLAG,
+    JSON_FLAG,
+    NUMBER,
+    PATH,
+    Numbers,
+    Settings,
+    names_in,
+    print_json,
+)
 from jaxurban.errors import InputError
 from jaxurban.progress import LOG
 
@@ -28,10 +36,9 @@ from jaxurban.progress import LOG
     type=click.DateTime(["%Y-%m-%d"]),
     help="Day of the GPS maps, UTC.  [default: that of the element sets]",
 )
-@click.option(
+@NUMBER(
     "--margin",
     "margin_m",
-    type=float,
     default=1000.0,
     show_default=True,
     help="Width in metres of the margin whose buildings are fetched too.",
@@ -46,14 +53,11 @@ from jaxurban.progress import LOG
 @click.option(
     "--max-size", default="500MB", show_default=True, help="Largest file accepted (units of 1,024)."
 )
-@click.option(
+@FLAG(
     "--overwrite",
-    is_flag=True,
     help="Move existing files to the folder `kept` and fetch them again.",
 )
-@click.option(
-    "--dry-run", "is_dry_run", is_flag=True, help="List the requests without making them."
-)
+@FLAG("--dry-run", "is_dry_run", help="List the requests without making them.")
 @JSON_FLAG
 def fetch(
     bounds: tuple[float, ...],
@@ -72,19 +76,22 @@ def fetch(
     from jaxurban.io.fetch import fetch as fetch_files
     from jaxurban.maps.memory import parse_bytes
 
-    if bad := [text for text in places if "=" not in text]:
-        raise InputError(
-            f"--source must be NAME=URL, such as osm=https://a.mirror/town.osm.pbf, got {bad[0]!r}"
-        )
-    urls = {name.strip(): url.strip() for name, _, url in (text.partition("=") for text in places)}
-    job = FetchJob(bounds, names_in(what), day and day.date(), urls, margin_m)
+    urls = {}
+    for text in places:
+        name, equals, url = text.partition("=")
+        if not equals:
+            raise InputError(
+                f"--source must be NAME=URL, such as osm=https://a.mirror/town.osm.pbf, got {text!r}"
+            )
+        urls[name.strip()] = url.strip()
+    job = FetchJob(bounds, names_in(what), day.date() if day else None, urls, margin_m)
     most_bytes = parse_bytes(max_size, "--max-size")
     if is_dry_run:
-        record: dict[str, Any] = {
-            "requests": [{"source": each.name, "url": each.url} for each in job.requests()]
-        }
+        requests = [{"source": each.name, "url": each.url} for each in job.requests()]
+        record: Settings = {"requests": requests}
         if not as_json:
-            print("\n".join(f"{each['source']}: {each['url']}" for each in record["requests"]))
+            for request in requests:
+                print(f"{request['source']}: {request['url']}")
     else:
         record = fetch_files(job, folder, most_bytes=most_bytes, overwrite=overwrite)
         for note in record["left_out"]:

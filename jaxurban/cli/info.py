@@ -1,12 +1,13 @@
 """jaxurban info."""
 
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import click
 
-from jaxurban.cli.common import JSON_FLAG, PATH, print_json
+from jaxurban.cli.common import JSON_FLAG, PATH, Settings, print_json
 from jaxurban.io.samples import located
 
 
@@ -16,10 +17,10 @@ from jaxurban.io.samples import located
 def info(path: Path, as_json: bool) -> None:
     """Say what a file of buildings, a raster or a folder of maps holds: extent, CRS, counts, guessed heights."""
     if path.is_dir():
-        facts, numbers = _of_maps(path)
+        facts, numbers = _facts_of_maps(path)
     else:
-        facts, of_file = _of_file(located(path))
-        numbers = [of_file]
+        facts, file_numbers = _facts_of_file(located(path))
+        numbers = [file_numbers]
     if as_json:
         print_json(facts | {"numbers": numbers})
         return
@@ -28,31 +29,29 @@ def info(path: Path, as_json: bool) -> None:
         print(f"{name:{width}}  {value}")
 
 
-Facts = dict[str, Any]
-
-
-def _of_maps(folder: Path) -> tuple[Facts, list[Facts]]:
+def _facts_of_maps(folder: Path) -> tuple[Settings, list[Settings]]:
     """Return what to print of each resolution's maps, and the same as numbers and lists."""
     from jaxurban.io.store import short_number, stored_resolutions
     from jaxurban.maps.saving import open_maps
+    from jaxurban.world.grid import WGS84, transformer
 
-    facts: Facts = {}
-    numbers: list[Facts] = []
+    facts: Settings = {}
+    numbers: list[Settings] = []
     resolutions_m: list[Any] = sorted(stored_resolutions(folder)) or [None]
     for resolution_m in resolutions_m:
         maps = open_maps(folder, resolution_m)
-        known = {
-            "bounds": _bounds_of(maps.grid),
-            **maps.facts,
-            "guesses": ", ".join(maps.guesses) or "none",
-        }
+        grid = maps.grid
+        bounds = transformer(grid.crs, WGS84).transform_bounds(*grid.bounds_m)
+        guesses = ", ".join(maps.guesses) or "none"
         prefix = f"{short_number(resolution_m)} m: " if len(resolutions_m) > 1 else ""
-        facts |= {f"{prefix}{name}": value for name, value in known.items() if value}
+        for name, value in {"bounds": _rounded(bounds), **maps.facts, "guesses": guesses}.items():
+            if value:
+                facts[prefix + name] = value
         numbers.append(
             {
-                "resolution_m": maps.grid.resolution_m,
-                "num_rows": maps.grid.num_rows,
-                "num_cols": maps.grid.num_cols,
+                "resolution_m": grid.resolution_m,
+                "num_rows": grid.num_rows,
+                "num_cols": grid.num_cols,
                 "altitudes_m": list(maps.altitudes_m),
                 "times": list(maps.times),
                 "times_of_day": list(maps.times_of_day),
@@ -62,15 +61,12 @@ def _of_maps(folder: Path) -> tuple[Facts, list[Facts]]:
     return facts, numbers
 
 
-def _bounds_of(grid: Any) -> list[float]:
-    from jaxurban.world.grid import WGS84, transformer
-
-    return [
-        round(value, 6) for value in transformer(grid.crs, WGS84).transform_bounds(*grid.bounds_m)
-    ]
+def _rounded(bounds: Iterable[float]) -> list[float]:
+    """Return bounds in degrees, to a tenth of a metre."""
+    return [round(value, 6) for value in bounds]
 
 
-def _of_file(file: Path) -> tuple[Facts, Facts]:
+def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
     """Return what to print of a file of buildings or a raster, and the same as numbers."""
     from jaxurban.io.city import City
     from jaxurban.io.read.city import lonlat_extent
@@ -79,14 +75,13 @@ def _of_file(file: Path) -> tuple[Facts, Facts]:
     from jaxurban.world.footprints import HeightOrigin
     from jaxurban.world.grid import WGS84
 
-    bounds = [round(value, 6) for value in lonlat_extent(file)]
-    facts: Facts = {"bounds": bounds}  # as [region] bounds takes them
+    facts: Settings = {"bounds": _rounded(lonlat_extent(file))}  # as [region] bounds takes them
     if file.suffix.lower() in RASTER_SUFFIXES:
         raster = read_raster(file, WGS84)
         num_rows, num_cols = raster.values.shape
-        facts |= {"CRS": raster.crs, "cells": f"{num_rows:,} x {num_cols:,}"}
-        values, of_values = _range_of(raster.values)
-        return facts | values, {"num_rows": num_rows, "num_cols": num_cols} | of_values
+        range_facts, range_numbers = _range_of(raster.values)
+        facts |= {"CRS": raster.crs, "cells": f"{num_rows:,} x {num_cols:,}"} | range_facts
+        return facts, {"num_rows": num_rows, "num_cols": num_cols} | range_numbers
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         city = City.from_files(Buildings(file, allow_none=True))
@@ -95,14 +90,15 @@ def _of_file(file: Path) -> tuple[Facts, Facts]:
         return facts, {}
     num_by_origin: dict[str, int] = {}
     for origin in HeightOrigin:
-        if num := int((city.buildings.origin == origin).sum()):
-            name, share = origin.name.lower(), num / len(city.buildings)
-            facts[f"heights by {name}"] = f"{num:,} ({share:.1%})"
+        num = int((city.buildings.origin == origin).sum())
+        if num > 0:
+            name = origin.name.lower()
+            facts[f"heights by {name}"] = f"{num:,} ({num / len(city.buildings):.1%})"
             num_by_origin[name] = num
     return facts, {"num_buildings": len(city.buildings), "num_by_height_origin": num_by_origin}
 
 
-def _range_of(values: Any) -> tuple[Facts, Facts]:
+def _range_of(values: Any) -> tuple[Settings, Settings]:
     import numpy as np
 
     known = values[np.isfinite(values)]
@@ -110,12 +106,6 @@ def _range_of(values: Any) -> tuple[Facts, Facts]:
         return {"values": "none"}, {"missing_share": 1.0}
     lowest_m, highest_m = float(known.min()), float(known.max())
     missing_share = 1 - known.size / values.size
-    facts = {
-        "values": f"{lowest_m:g} to {highest_m:g} m",
-        "without a value": f"{missing_share:.1%}",
-    }
-    return facts, {
-        "lowest_m": lowest_m,
-        "highest_m": highest_m,
-        "missing_share": missing_share,
-    }
+    numbers = {"lowest_m": lowest_m, "highest_m": highest_m, "missing_share": missing_share}
+    range_text = f"{lowest_m:g} to {highest_m:g} m"
+    return {"values": range_text, "without a value": f"{missing_share:.1%}"}, numbers

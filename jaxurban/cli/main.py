@@ -36,7 +36,7 @@ from jaxurban.progress import LOG, interrupted
 from jaxurban.public import FORMER, present_name
 
 JSON = "--json"
-RENAMED_OPTIONS: dict[str, dict[str, str]] = {}  # by command: present ones by former ones
+RENAMED_OPTIONS: dict[str | None, dict[str, str]] = {}  # by command: present ones by former ones
 NO_MEMORY = (
     "memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes"
 )
@@ -111,8 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _with_present_options(arguments: Sequence[str]) -> list[str]:
     """Return arguments in which former spellings of options are the present ones, and warn of each."""
-    command = next((each for each in arguments if each in app.commands), "")
-    renamed = RENAMED_OPTIONS.get(command, {})
+    renamed = RENAMED_OPTIONS.get(_command_in(arguments).name, {})
     present = []
     for each in arguments:
         option, equals, value = each.partition("=")
@@ -241,16 +240,20 @@ def _named_in(sentence: str, arguments: Sequence[str]) -> str:
     That is a parameter whose name in Python begins the sentence, a setting of a scenario, or the first option in the
     sentence that the user gave.
     """
-    command = next((app.commands[each] for each in arguments if each in app.commands), app)
     first = sentence.split(maxsplit=1)[0].rstrip(":")
     passed = {each.partition("=")[0] for each in arguments}
-    for param in command.params:
+    for param in _command_in(arguments).params:
         is_passed = isinstance(param, click.Argument) or not passed.isdisjoint(param.opts)
         if param.name == first and is_passed:
             return _name_of(param)
     if setting := re.search(r": (\w+): (\w+) must ", sentence):
         return f"{setting[1]}.{setting[2]}"
     return next((each for each in re.findall(r"--[a-z-]+", sentence) if each in passed), "")
+
+
+def _command_in(arguments: Sequence[str]) -> click.Command:
+    """Return the command that is run; without one, the group of all."""
+    return next((app.commands[each] for each in arguments if each in app.commands), app)
 
 
 def _name_of(param: click.Parameter) -> str:

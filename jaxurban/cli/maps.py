@@ -1,16 +1,18 @@
 """jaxurban maps."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 
 from jaxurban.cli.common import (
+    CHANGES,
     DEVICE_CHOICE,
+    FLAG,
     JSON_FLAG,
+    OUTPUT,
+    OVERWRITE,
     PATH,
     WORKERS,
-    given_workers,
     names_in,
     print_json,
     stay_on_cpu,
@@ -22,18 +24,10 @@ from jaxurban.progress import LOG, reporting
 
 @click.command()
 @click.argument("scenario_file", metavar="SCENARIO", type=PATH)
-@click.option("-o", "folder", type=PATH, required=True, help="Output folder.")
-@click.option(
-    "--set",
-    "changes",
-    metavar="KEY=VALUE",
-    multiple=True,
-    help="Change a setting, such as gps.mask_deg=10; values as in TOML; repeatable.",
-)
-@click.option(
-    "--overwrite", is_flag=True, help="Replace maps of other settings in the output folder."
-)
-@click.option("--figures", is_flag=True, help="Draw the maps too, under DIR/figures.")
+@OUTPUT
+@CHANGES
+@OVERWRITE
+@FLAG("--figures", help="Draw the maps too, under DIR/figures.")
 @click.option(
     "--layers",
     default="",
@@ -54,52 +48,65 @@ from jaxurban.progress import LOG, reporting
     "the quicker one]",
 )
 @JSON_FLAG
-def maps(scenario_file: Path, folder: Path, changes: tuple[str, ...], **options: Any) -> int:
+def maps(
+    scenario_file: Path,
+    output: Path,
+    changes: tuple[str, ...],
+    overwrite: bool,
+    figures: bool,
+    layers: str,
+    memory: str | None,
+    workers: int | str | None,
+    device: str | None,
+    engine: str | None,
+    as_json: bool,
+) -> int:
     """Make the metric maps of SCENARIO (TOML) as Zarr and GeoTIFF."""
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.memory import parse_bytes
     from jaxurban.maps.run import run_scenario
     from jaxurban.maps.scenario import Scenario
 
-    workers, memory, engine = given_workers(options), options["memory"], options["engine"]
-    if options["workers"] and options["device"] == "gpu":
+    has_processes = isinstance(workers, int)
+    if has_processes and device == "gpu":
         raise InputError(
             "--workers compute on the CPU: leave them out to compute on one GPU, or start a `dask worker` on each and "
             "name their scheduler by --cluster"
         )
-    if options["workers"]:
+    if has_processes:
         stay_on_cpu()
-    use_device(options["device"])
-    scenario = Scenario.from_toml(
-        scenario_file, (*changes, *([f'region.engine = "{engine}"'] if engine else []))
-    )
+    use_device(device)
+    if engine:
+        changes = (*changes, f'region.engine = "{engine}"')
+    scenario = Scenario.from_toml(scenario_file, changes)
     with reporting("maps") as report:
         run = run_scenario(
             scenario,
-            folder,
+            output,
             report,
-            options["overwrite"],
-            layers=names_in(options["layers"]),
+            overwrite,
+            layers=names_in(layers),
             workers=workers,
             memory_bytes=None if memory is None else parse_bytes(memory),
         )
-        with Workspace.open(folder, "maps --figures", is_shared=True) as pictures:
-            drawn, made_by = pictures.settings.copy(), Workspace.settings_of(folder, "maps")
-            pictures.settings.update(made_by)
-            if pictures.written and drawn != made_by:
+        with Workspace.open(output, "maps --figures", is_shared=True) as pictures:
+            settings = Workspace.settings_of(output, "maps")
+            are_of_these_maps = pictures.settings == settings
+            pictures.settings.update(settings)
+            if pictures.written and not are_of_these_maps:
                 pictures.remove(list(pictures.written))
                 LOG.info(
                     "the pictures of the former maps are removed; --figures draws those of these maps"
                 )
-            if options["figures"]:
+            if figures:
                 from jaxurban.report.figures import save_figures
 
                 report("figures")
-                for resolution_m, made in run.maps.items():
-                    save_figures(made, (), folder / "figures" / f"{resolution_m:g}m")
+                for resolution_m, maps_drawn in run.maps.items():
+                    save_figures(maps_drawn, (), output / "figures" / f"{resolution_m:g}m")
     for warning in run.record["warnings"]:
         LOG.warning(f"warning: {warning}")
-    LOG.info(f"maps finished: {folder} (run.json says what went in)")
-    if options["as_json"]:
+    LOG.info(f"maps finished: {output} (run.json holds their settings and sources)")
+    if as_json:
         print_json(run.record)
     return 0

@@ -1,159 +1,188 @@
 """jaxurban plan."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
 from jaxurban.cli.common import (
     CORRIDOR,
+    COUNT,
     DEVICE,
+    FILES,
+    FLAG,
     JSON_FLAG,
-    OF_CORRIDOR,
+    METRES,
+    NUMBER,
     PATH,
     ROUTE,
+    DependentOption,
+    RouteRules,
     Settings,
-    check_belong,
-    density_beneath,
-    given_rules,
-    option_of,
+    grouped,
     print_json,
+    values_given,
 )
 from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
+    from jaxurban.maps.levels import Levels
     from jaxurban.maps.metric_maps import MetricMaps
     from jaxurban.paths.cost_map import CostMap
     from jaxurban.paths.explain import RouteReport
     from jaxurban.paths.ground_risk import OverflownDensity
     from jaxurban.paths.path import PlannedPath
     from jaxurban.paths.when import Departures
+    from jaxurban.settings import Objective, Obstacles
 
 LEAST_NAME_WIDTH = 20  # characters of the table's first column
-HOW = ("planner", "heuristic", "budget_s", "seed", "snap")
-WHICH_MAP = ("objective", "time", "time_of_day")
-OF_ONE_ROUTE = (
-    "refine",
-    "budgets",
-    "is_volume",
-    "with_report",
-    "speed_m_s",
-    "power_w",
-    "swath_m",
-    "corridor_m",
-    "simplify_m",
-    "end",
-    "fence_roofs_m",
-)
 NOT_WHEN = (
     "--when takes -o .csv or .parquet, and no --refine, --exposure, --volume, --report, --speed, --power, --swath, "
     "--corridor, --simplify, --end or --fence-roofs"
 )
-LEVEL_OPTIONS = (
-    "min_altitude_m",
-    "max_altitude_m",
-    "level_step_m",
-    "climb_cost",
-    "descent_cost",
-)  # of `Levels`
+OF_VOLUME = partial(NUMBER, cls=DependentOption, owner="--volume")
+
+
+def levels_of(
+    is_volume: bool,
+    min_altitude_m: float | None,
+    max_altitude_m: float | None,
+    level_step_m: float | None,
+    climb_cost: float | None,
+    descent_cost: float,
+) -> "Levels | None":
+    """Return the levels between which a path may climb, None without ``--volume``."""
+    from jaxurban.maps.levels import Levels
+
+    levels = Levels(min_altitude_m, max_altitude_m, level_step_m, climb_cost, descent_cost)
+    return levels if is_volume else None
+
+
+class SearchOptions(NamedTuple):
+    """How a route is searched, by the keywords of `PathSearch.of`."""
+
+    planner: str | None
+    heuristic: str | None
+    budget_s: float | None
+    seed: int | None
+    snap: bool | float
+    refine: bool
+    exposure: dict[str, float]
+
+
+def exposure_of(
+    ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]
+) -> dict[str, float]:
+    """Return the budget of each layer in ``"population<=120"`` and the like.
+
+    Raises:
+      UsageError: another text, or a second budget of a layer.
+    """
+    parts = [[part.strip() for part in text.split("<=")] for text in texts]
+    try:
+        exposure = {name: float(most) for name, most in parts}
+    except ValueError as error:
+        raise click.UsageError(
+            "--exposure must read NAME<=NUMBER, as in population<=120"
+        ) from error
+    if len(exposure) < len(parts):
+        raise click.UsageError("--exposure names a layer twice: give one budget for it")
+    return exposure
+
+
+def flight_of(speed_m_s: float | None, power_w: float | None, swath_m: float | None) -> Settings:
+    """Return the keywords of `explain` that are given."""
+    return values_given({"speed_m_s": speed_m_s, "power_w": power_w, "swath_m": swath_m})
+
+
+class RouteFiles(NamedTuple):
+    """The files that a route is written to, and how."""
+
+    files: tuple[Path, ...]
+    simplify_m: float | None
+    end: str | None
+    fence_roofs_m: float | None
 
 
 @click.command()
 @ROUTE
-@click.option(
-    "--planner",
-    help="Such as ptp, astar-dist or theta-star.  [default: the scenario's, else astar-plus]",
+@grouped(
+    "search",
+    SearchOptions,
+    click.option(
+        "--planner",
+        help="Such as ptp, astar-dist or theta-star.  [default: the scenario's, else astar-plus]",
+    ),
+    click.option("--heuristic", help="Lower bound of the search.  [default: the planner's own]"),
+    NUMBER("--budget", "budget_s", help="Seconds of search.  [default: the scenario's, else 10]"),
+    click.option(
+        "--seed",
+        type=COUNT,
+        help="Seed of sampling planners.  [default: the scenario's, else 0]",
+    ),
+    FLAG(
+        "--refine",
+        help="Move the waypoints to lower cost after the search; not under --cost-model cell.",
+    ),
+    click.option(
+        "--exposure",
+        multiple=True,
+        callback=exposure_of,
+        metavar="NAME<=NUMBER",
+        help="Most of (1 / l0) x integral of the cost of NAME along the path, such as population<=120; repeatable.",
+    ),
 )
-@click.option("--heuristic", help="Lower bound of the search.  [default: the planner's own]")
 @click.option(
     "--objective",
     type=click.Choice(["weighted", "distance"]),
     help="[default: the scenario's, else weighted]",
 )
-@click.option(
-    "--budget",
-    "budget_s",
-    type=float,
-    help="Seconds of search.  [default: the scenario's, else 10]",
+@grouped(
+    "levels",
+    levels_of,
+    FLAG(
+        "--volume",
+        "is_volume",
+        help="Let the path climb and descend; --altitude is the start's.",
+    ),
+    OF_VOLUME(
+        "--min-altitude", "min_altitude_m", help="With --volume, metres.  [default: the lowest]"
+    ),
+    OF_VOLUME(
+        "--max-altitude", "max_altitude_m", help="With --volume, metres.  [default: the highest]"
+    ),
+    OF_VOLUME(
+        "--level-step", "level_step_m", help="With --volume: levels so many metres apart too."
+    ),
+    OF_VOLUME(
+        "--climb-cost", help="With --volume: cost per metre up.  [default: the distance weight]"
+    ),
+    OF_VOLUME(
+        "--descent-cost", default=0.0, help="With --volume: cost per metre down.  [default: 0]"
+    ),
 )
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    help="Seed of sampling planners.  [default: the scenario's, else 0]",
+@OF_VOLUME(
+    "--goal-altitude", "goal_altitude_m", help="With --volume, metres.  [default: --altitude]"
 )
-@click.option(
-    "--refine",
-    is_flag=True,
-    help="Move the waypoints to lower cost after the search; not under --cost-model cell.",
-)
-@click.option(
-    "--exposure",
-    "budgets",
-    multiple=True,
-    metavar="NAME<=NUMBER",
-    help="Most of (1 / l0) x integral of the cost of NAME along the path, such as population<=120; repeatable.",
-)
-@click.option(
-    "--volume",
-    "is_volume",
-    is_flag=True,
-    help="Let the path climb and descend; --altitude is the start's.",
-)
-@click.option(
-    "--goal-altitude",
-    "goal_altitude_m",
-    type=float,
-    help="With --volume, metres.  [default: --altitude]",
-)
-@click.option(
-    "--min-altitude",
-    "min_altitude_m",
-    type=float,
-    help="With --volume, metres.  [default: the lowest]",
-)
-@click.option(
-    "--max-altitude",
-    "max_altitude_m",
-    type=float,
-    help="With --volume, metres.  [default: the highest]",
-)
-@click.option(
-    "--level-step",
-    "level_step_m",
-    type=float,
-    help="With --volume: levels so many metres apart too.",
-)
-@click.option(
-    "--climb-cost",
-    type=float,
-    help="With --volume: cost per metre up.  [default: the distance weight]",
-)
-@click.option(
-    "--descent-cost", type=float, help="With --volume: cost per metre down.  [default: 0]"
-)
-@click.option(
-    "--report", "with_report", is_flag=True, help="Report costs, people and clearance, by segment."
-)
-@click.option(
-    "--speed",
-    "speed_m_s",
-    type=float,
-    help="Metres per second, for times.  [default: the vehicle's]",
-)
-@click.option(
-    "--power",
-    "power_w",
-    type=float,
-    help="Power in flight in watts, for energy.  [default: the vehicle's]",
-)
-@click.option(
-    "--swath",
-    "swath_m",
-    type=float,
-    help="Width in metres of the strip in which people are counted.  [default: 10]",
+@FLAG("--report", "with_report", help="Report costs, people and clearance, by segment.")
+@grouped(
+    "flight",
+    flight_of,
+    NUMBER("--speed", "speed_m_s", help="Metres per second, for times.  [default: the vehicle's]"),
+    NUMBER(
+        "--power",
+        "power_w",
+        help="Power in flight in watts, for energy.  [default: the vehicle's]",
+    ),
+    NUMBER(
+        "--swath",
+        "swath_m",
+        help="Width in metres of the strip in which people are counted.  [default: 10]",
+    ),
 )
 @CORRIDOR
 @click.option(
@@ -161,163 +190,164 @@ LEVEL_OPTIONS = (
     type=PATH,
     help="Write a picture (PNG) of heights, metrics and clearance along the route.",
 )
-@click.option(
+@FLAG(
     "--when",
     "is_when",
-    is_flag=True,
     help="Plan at every time of the maps; -o takes a table, --profile a strip.",
 )
-@click.option(
-    "-o",
-    "files",
-    type=PATH,
-    multiple=True,
-    help="File to write: .geojson, .kml, .gpx or .plan; repeatable.",
-)
-@click.option(
-    "--simplify",
-    "simplify_m",
-    type=float,
-    metavar="METRES",
-    help="Keep the fewest straight legs within METRES of the path, clear of closed cells; 0 keeps every turn.  "
-    "[default: half a cell in .gpx and .plan, else 0]",
-)
-@click.option(
-    "--end",
-    type=click.Choice(["land", "return", "none"]),
-    help="How a .plan ends.  [default: land]",
-)
-@click.option(
-    "--fence-roofs",
-    "fence_roofs_m",
-    type=float,
-    metavar="METRES",
-    help="Make exclusion fences in a .plan of the roofs within METRES of the route that reach its height less the "
-    "vertical clearance.",
+@grouped(
+    "outputs",
+    RouteFiles,
+    FILES(
+        help="File to write: .geojson, .kml, .gpx or .plan; repeatable.",
+    ),
+    METRES(
+        "--simplify",
+        "simplify_m",
+        help="Keep the fewest straight legs within METRES of the path, clear of closed cells; 0 keeps every turn.  "
+        "[default: half a cell in .gpx and .plan, else 0]",
+    ),
+    click.option(
+        "--end",
+        type=click.Choice(["land", "return", "none"]),
+        help="How a .plan ends.  [default: land]",
+    ),
+    METRES(
+        "--fence-roofs",
+        "fence_roofs_m",
+        help="Make exclusion fences in a .plan of the roofs within METRES of the route that reach its height less the "
+        "vertical clearance.",
+    ),
 )
 @DEVICE
 @JSON_FLAG
 def plan(
-    folder: Path, files: Sequence[Path], profile: Path | None, as_json: bool, **options: Any
+    folder: Path,
+    start: tuple[float, ...],
+    goal: tuple[float, ...],
+    altitude_m: float,
+    goal_altitude_m: float | None,
+    levels: "Levels | None",
+    time: str | None,
+    time_of_day: str | None,
+    resolution_m: float | None,
+    obstacles: "Obstacles | None",
+    objective: "Objective | None",
+    rules: RouteRules,
+    search: SearchOptions,
+    with_report: bool,
+    flight: Settings,
+    corridor: "Callable[..., OverflownDensity] | None",
+    profile: Path | None,
+    is_when: bool,
+    outputs: RouteFiles,
+    as_json: bool,
 ) -> int:
     """Plan a path over the maps in DIR."""
-    from jaxurban.maps.levels import Levels
     from jaxurban.maps.saving import open_maps
     from jaxurban.paths.explain import explain
-    from jaxurban.paths.export.write import MISSION, encoder_of
     from jaxurban.paths.path import simplify
     from jaxurban.paths.plan import cost_map
     from jaxurban.paths.search import PathSearch
+    from jaxurban.paths.when import when
 
-    flight = {
-        name: options[name]
-        for name in ("speed_m_s", "power_w", "swath_m")
-        if options[name] is not None
-    }
-    is_volume, has_corridor = options["is_volume"], options["corridor_m"] is not None
-    with_report = options["with_report"] or bool(flight) or has_corridor
-    check_belong("--volume", is_volume, ("goal_altitude_m", *LEVEL_OPTIONS), options)
-    check_belong("--corridor", has_corridor, OF_CORRIDOR, options)
-    for file in () if options["is_when"] else files:
-        encoder_of(file)
-    for name in ("end", "fence_roofs_m"):
-        if options[name] is not None and not any(file.suffix.lower() == MISSION for file in files):
-            raise click.UsageError(f"{option_of(name)} is of a mission: add -o FILE.plan")
+    with_report = with_report or bool(flight) or corridor is not None
+    _check_files(outputs, is_when)
     if profile is not None:
         from jaxurban.report.figures.profile import check_picture, save_profile
 
         check_picture(profile)
-    maps = open_maps(folder, options["resolution_m"], obstacles=options["obstacles"])
-    if options["is_when"]:
-        return _when(maps, files, profile, as_json, options)
-    start, goal, altitude_m = options["start"], options["goal"], options["altitude_m"]
-    if is_volume:
-        goal_altitude_m = (
-            altitude_m if options["goal_altitude_m"] is None else options["goal_altitude_m"]
+    maps = open_maps(folder, resolution_m, obstacles=obstacles)
+    which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
+    if is_when:
+        is_of_one_route = with_report or search.refine or search.exposure or any(outputs[1:])
+        if is_of_one_route or levels is not None:
+            raise click.UsageError(NOT_WHEN)
+        departures = when(
+            maps, [(start, goal)], altitude_m=altitude_m, **which_map, **rules, **search._asdict()
         )
-        start, goal = (*start, altitude_m), (*goal, goal_altitude_m)
-        altitude_m = Levels(
-            **{name: options[name] for name in LEVEL_OPTIONS if options[name] is not None}
-        )
-    exposure = _budgets(options["budgets"])
-    how = {name: options[name] for name in (*HOW, "refine")}
-    search = PathSearch.of(maps, is_volume, exposure=exposure, **how)
-    on = {name: options[name] for name in WHICH_MAP}
-    shared = cost_map(maps, altitude_m, **on, **given_rules(options))
-    planned, maps = shared.planned(start, goal, search), shared.maps
-    if options["simplify_m"]:
-        planned = simplify(planned, shared, options["simplify_m"])
-    is_explained = planned.status.has_path and (with_report or profile is not None)
-    density = _density(planned, shared, options) if is_explained and has_corridor else None
-    report = explain(planned, maps, **flight, density=density) if is_explained else None
-    for file in files:
-        _write(file, planned, shared, report if with_report else None, options)
+        return _write_departures(departures, maps, outputs.files, profile, as_json)
+    if levels is not None:
+        start = (*start, altitude_m)
+        goal = (*goal, altitude_m if goal_altitude_m is None else goal_altitude_m)
+    path_search = PathSearch.of(maps, levels is not None, **search._asdict())
+    costs = cost_map(maps, levels or altitude_m, **which_map, **rules)
+    planned = costs.planned(start, goal, path_search)
+    if outputs.simplify_m:
+        planned = simplify(planned, costs, outputs.simplify_m)
+    report = None
+    if planned.status.has_path and (with_report or profile is not None):
+        density = None
+        if corridor is not None:
+            density = corridor(costs.maps, planned, time_of_day=time_of_day)
+            density = _with_detours(density, planned, costs)
+        report = explain(planned, costs.maps, density=density, **flight)
+    for file in outputs.files:
+        _write(file, planned, costs, report if with_report else None, outputs)
     if report is not None and profile is not None:
-        save_profile(planned, maps, profile, report)
+        save_profile(planned, costs.maps, profile, report)
         LOG.info(f"wrote {profile}")
     facts = planned.to_dict()
     if planned.status.has_path:
         facts["cautions"] = planned.cautions
-        for sentence in facts["cautions"]:
+        for sentence in planned.cautions:
             LOG.info(sentence)
     if as_json:
-        explained = {"report": report.to_dict()} if report is not None else {}
-        places = {name: getattr(planned, name).tolist() for name in ("lonlat", "xy_m", "z_m")}
-        print_json(facts | explained | places, planned.status.exit_code)
+        if report is not None:
+            facts["report"] = report.to_dict()
+        for name in ("lonlat", "xy_m", "z_m"):
+            facts[name] = getattr(planned, name).tolist()
+        print_json(facts, planned.status.exit_code)
     else:
-        print(
-            "\n\n".join(
-                [
-                    _path_table(facts),
-                    *([report.table()] if report is not None and with_report else []),
-                ]
-            )
-        )
+        print(_path_table(facts))
+        if report is not None and with_report:
+            print(f"\n{report.table()}")
     return planned.status.exit_code
 
 
-def _density(planned: "PlannedPath", on: "CostMap", options: Settings) -> "OverflownDensity":
-    """Return the density of people beneath a path's corridor, and what detours would lower."""
+def _check_files(outputs: RouteFiles, is_when: bool) -> None:
+    """Check which files are to be written.
+
+    Raises:
+      InputError: one of a format that holds no path.
+      UsageError: an option of missions without a mission, or ``--when`` with a file that is no table.
+    """
+    from jaxurban.io.tables import SUFFIXES
+    from jaxurban.paths.export.write import MISSION, encoder_of
+
+    suffixes = [file.suffix.lower() for file in outputs.files]
+    if is_when:
+        if not set(suffixes).issubset(SUFFIXES):
+            raise click.UsageError(NOT_WHEN)
+    else:
+        for file in outputs.files:
+            encoder_of(file)
+    for option, value in (("--end", outputs.end), ("--fence-roofs", outputs.fence_roofs_m)):
+        if value is not None and MISSION not in suffixes:
+            raise click.UsageError(f"{option} is of a mission: add -o FILE.plan")
+
+
+def _with_detours(
+    density: "OverflownDensity", planned: "PlannedPath", costs: "CostMap"
+) -> "OverflownDensity":
+    """Return the density of people beneath a path's corridor with the detours that would lower it."""
     from jaxurban.paths.detours import density_detours
 
-    density = density_beneath(on.maps, planned, options)
-    return replace(density, detours=density_detours(planned, on, density))
+    return replace(density, detours=density_detours(planned, costs, density))
 
 
-def _budgets(given: Sequence[str]) -> dict[str, float]:
-    """Return the budgets of exposure in ``"population<=120"`` and the like."""
-    parts = [[part.strip() for part in text.split("<=")] for text in given]
-    try:
-        budgets = {name: float(most) for name, most in parts}
-    except ValueError as error:
-        raise click.UsageError(
-            "--exposure must read NAME<=NUMBER, as in population<=120"
-        ) from error
-    if len(budgets) < len(parts):
-        raise click.UsageError("--exposure names a layer twice: give one budget for it")
-    return budgets
-
-
-def _when(
+def _write_departures(
+    departures: "Departures",
     maps: "MetricMaps",
-    files: Sequence[Path],
+    files: tuple[Path, ...],
     profile: Path | None,
     as_json: bool,
-    options: Settings,
 ) -> int:
-    """Plan at every time of the maps, print and write the table, draw the strip, and return the exit code."""
-    from jaxurban.io.tables import SUFFIXES, records_of
-    from jaxurban.paths.when import when
+    """Print and write the table of a route at every time, draw the strip, and return the exit code."""
+    from jaxurban.io.tables import records_of
     from jaxurban.report.figures.when import plot_when
     from jaxurban.report.write import Output, save
 
-    if any(options[name] for name in OF_ONE_ROUTE) or any(
-        file.suffix.lower() not in SUFFIXES for file in files
-    ):
-        raise click.UsageError(NOT_WHEN)
-    given = {name: options[name] for name in ("altitude_m", *HOW, *WHICH_MAP)}
-    ends = options["start"], options["goal"]
-    departures = when(maps, [ends], **given, **given_rules(options))
     outputs: dict[Path, Output] = dict.fromkeys(files, departures.table)
     if profile is not None:
         outputs[profile] = lambda: plot_when(departures, maps)
@@ -327,16 +357,23 @@ def _when(
     for sentence in departures.cautions:
         LOG.info(sentence)
     facts = {name: fact for name, fact in departures.facts.items() if fact}
-    code = ExitCode.NO_PATH if departures.best is None else ExitCode.DONE
-    message = "" if departures.best is not None else facts["times without a path"]
+    code, message = ExitCode.DONE, ""
+    if departures.best is None:
+        code, message = ExitCode.NO_PATH, facts["times without a path"]
     if as_json:
-        of_all = {"best": departures.best, "facts": facts, "cautions": departures.cautions}
-        of_all |= _numbers_of(departures)
-        print_json(of_all | {"table": records_of(departures.table)}, code, message)
+        all_facts = {
+            "best": departures.best,
+            "facts": facts,
+            "cautions": departures.cautions,
+            **_numbers_of(departures),
+            "table": records_of(departures.table),
+        }
+        print_json(all_facts, code, message)
     else:
-        shown = departures.table.filter(regex="^(?!exposure_)")
-        print(shown.to_string(index=False, float_format="{:,.4g}".format))
-        print("\n".join(f"{name}: {fact}" for name, fact in facts.items()))
+        table = departures.table.filter(regex="^(?!exposure_)")
+        print(table.to_string(index=False, float_format="{:,.4g}".format))
+        for name, fact in facts.items():
+            print(f"{name}: {fact}")
     return code
 
 
@@ -362,38 +399,38 @@ def _numbers_of(departures: "Departures") -> Settings:
 def _write(
     file: Path,
     planned: "PlannedPath",
-    on: "CostMap",
+    costs: "CostMap",
     report: "RouteReport | None",
-    options: Settings,
+    outputs: RouteFiles,
 ) -> None:
-    """Write a path to a file, simplified where it is a file of waypoints and --simplify is left out, and say so."""
+    """Write a path to a file, simplified where it is a file of waypoints and --simplify is left out, and log it."""
     from jaxurban.paths.export.qgc_plan import mission_note
     from jaxurban.paths.export.roof_fences import roof_fences
     from jaxurban.paths.export.write import MISSION, WAYPOINTS, elevation_note, write_path
     from jaxurban.paths.path import simplify
 
     if not planned.status.has_path:
-        LOG.info(
-            f"no path, so {file} was not written" + " (an older one is still there)" * file.exists()
-        )
+        sentence = f"no path, so {file} was not written"
+        if file.exists():
+            sentence = f"{sentence} (an older one is still there)"
+        LOG.info(sentence)
         return
-    suffix, notes, roofs = file.suffix.lower(), [], None
-    if suffix in WAYPOINTS:
-        if options["simplify_m"] is None:
-            plain, planned = planned, simplify(planned, on, on.grid.resolution_m / 2)
-            notes = [
-                f"{planned.search.note.removeprefix(plain.search.note).strip()} (--simplify 0 keeps every turn)"
-            ]
-        if suffix == MISSION and options["fence_roofs_m"] is not None:
-            roofs = roof_fences(planned, options["fence_roofs_m"])
-        notes.append(
-            mission_note(planned, options["end"] or "land", roofs)
-            if suffix == MISSION
-            else elevation_note(planned)
-        )
-    end = options["end"] if suffix == MISSION else None
+    suffix, notes = file.suffix.lower(), []
+    if suffix in WAYPOINTS and outputs.simplify_m is None:
+        former_note = planned.search.note
+        planned = simplify(planned, costs, costs.grid.resolution_m / 2)
+        note = planned.search.note.removeprefix(former_note).strip()
+        notes.append(f"{note} (--simplify 0 keeps every turn)")
+    end = roofs = None
+    if suffix == MISSION:
+        end = outputs.end
+        if outputs.fence_roofs_m is not None:
+            roofs = roof_fences(planned, outputs.fence_roofs_m)
+        notes.append(mission_note(planned, end or "land", roofs))
+    elif suffix in WAYPOINTS:
+        notes.append(elevation_note(planned))
     write_path(planned, file, report, end=end, roofs=roofs)
-    LOG.info(" ".join([f"wrote {file}" + ":" * bool(notes), *notes]))
+    LOG.info(f"wrote {file}: {' '.join(notes)}" if notes else f"wrote {file}")
 
 
 def _path_table(facts: Settings) -> str:

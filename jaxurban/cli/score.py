@@ -4,16 +4,15 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import JSON_FLAG, PATH, print_json
+from jaxurban.cli.common import FLAG, JSON_FLAG, PATH, finite_records, print_json
 from jaxurban.progress import LOG
 
 
 @click.command()
 @click.argument("bench", metavar="BENCH", type=PATH)
 @click.argument("submission", metavar="[SUBMISSION]", type=PATH, required=False)
-@click.option(
+@FLAG(
     "--make",
-    is_flag=True,
     help="Make the benchmark in the folder BENCH: maps, queries, bounds, rules.",
 )
 @click.option(
@@ -36,25 +35,17 @@ def score(
     Every route is checked and its cost computed again; the gap is to a proven lower bound. A route that fails counts as
     an infinite gap, and the exit code stays 0.
     """
-    from jaxurban.io.tables import records_of
     from jaxurban.studies import board as benchmark
 
     if make == (submission is not None):
         raise click.UsageError("give either SUBMISSION, a file of routes, or --make")
     if submission is None:
-        LOG.info(
-            f"score finished: the queries are in {benchmark.make_benchmark(bench, progress=True)}"
-        )
+        queries = benchmark.make_benchmark(bench, progress=True)
+        LOG.info(f"score finished: the queries are in {queries}")
         return 0
     lines, routes = benchmark.score(bench, submission, board, method)
     if as_json:
-        tables = {"board": lines, "routes": routes}
-        print_json(
-            {
-                name: records_of(table.replace(float("inf"), float("nan")))
-                for name, table in tables.items()
-            }
-        )
+        print_json(finite_records({"board": lines, "routes": routes}))
     else:
         print(lines.drop(columns=["bundle"]).to_string(index=False, na_rep=""))
     return 0

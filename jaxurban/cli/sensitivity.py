@@ -1,32 +1,42 @@
 """jaxurban sensitivity, of one route, and jaxurban sensitivity-study, of many routes in one or several cities."""
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from jaxurban.cli.common import (
+    COUNT,
     DEVICE,
+    FLAG,
     JSON_FLAG,
+    NUMBER,
+    OBSTACLES,
+    OVERWRITE,
     PATH,
+    POSITIVE_COUNT,
+    RESOLUTION,
     ROUTE,
     RULES,
+    SEED,
     WORKERS,
     Numbers,
+    Point,
+    RouteRules,
     all_cores,
-    given_rules,
-    given_workers,
     names_in,
+    outcome_of,
     print_json,
     run_study,
     together,
 )
-from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG
 
+if TYPE_CHECKING:
+    from jaxurban.settings import Obstacles
+
 NO_ROUTE = "no route was found, so that nothing can be said: the report says why"
-WEIGHTS = together(  # what both commands ask of weights
+WEIGHT_RANGES = together(
     click.option(
         "--vary",
         default="",
@@ -41,18 +51,8 @@ WEIGHTS = together(  # what both commands ask of weights
         show_default=True,
         help="Range of each weight, as factors of its value.",
     ),
-    click.option(
-        "--seed",
-        type=click.IntRange(min=0),
-        default=0,
-        show_default=True,
-        help="Seed of random numbers.",
-    ),
-    click.option(
-        "--overwrite",
-        is_flag=True,
-        help="Replace another run of this command in the output folder.",
-    ),
+    SEED,
+    OVERWRITE,
     DEVICE,
     JSON_FLAG,
 )
@@ -75,22 +75,43 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
     metavar="A,B[,C]",
     help="Objectives of the Pareto front.  [default: distance, the two costliest]",
 )
-@click.option(
+@NUMBER(
     "--tolerance",
-    type=float,
     default=1e-3,
     show_default=True,
     help="Relative tolerance of the Pareto front; 1e-9 gives every route.",
 )
-@click.option("--buildings", is_flag=True, help="Also rank buildings by what they cost the route.")
+@FLAG("--buildings", help="Also rank buildings by what they cost the route.")
 @click.option(
     "--scenario",
     type=SCENARIO_FILE,
     help="Scenario of the maps, for --buildings, if its paths are relative.",
 )
-@WEIGHTS
+@WEIGHT_RANGES
 @click.option("-o", "output", type=PATH, default=Path("out/sensitivity"), show_default=True)
-def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **options: Any) -> int:
+def sensitivity(
+    folder: Path,
+    start: Point,
+    goal: Point,
+    altitude_m: float,
+    time: str | None,
+    time_of_day: str | None,
+    resolution_m: float | None,
+    obstacles: "Obstacles | None",
+    rules: RouteRules,
+    snap: bool | float,
+    num_samples: int,
+    pareto: str,
+    tolerance: float,
+    buildings: bool,
+    scenario: Path | None,
+    vary: str,
+    factors: Point,
+    seed: int,
+    output: Path,
+    overwrite: bool,
+    as_json: bool,
+) -> int:
     """Find the weights at which a route over the maps in DIR changes."""
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
@@ -106,21 +127,22 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
     from jaxurban.report.write import REPORT_FILE, save
     from jaxurban.studies.weights.study import SensitivitySettings
 
-    if options["scenario"] is not None and not options["buildings"]:
+    if scenario is not None and not buildings:
         raise click.UsageError("--scenario belongs to --buildings: add that")
     settings = SensitivitySettings(
-        vary=names_in(options["vary"]),
-        objectives=names_in(options["pareto"]),
-        **{name: options[name] for name in ("factors", "num_samples", "tolerance", "seed")},
+        vary=names_in(vary),
+        objectives=names_in(pareto),
+        factors=factors,
+        num_samples=num_samples,
+        tolerance=tolerance,
+        seed=seed,
     )
-    maps = open_maps(folder, options["resolution_m"], obstacles=options["obstacles"])
-    at = {name: options[name] for name in ("time", "time_of_day")}
-    shared = cost_map(
-        maps, options["altitude_m"], objective="weighted", **at, **given_rules(options)
+    maps = open_maps(folder, resolution_m, obstacles=obstacles)
+    costs = cost_map(
+        maps, altitude_m, objective="weighted", time=time, time_of_day=time_of_day, **rules
     )
-    shared.maps.check_altitude(options["altitude_m"])  # whose map its figures show
-    ends = {name: options[name] for name in ("start", "goal", "snap")}
-    first = shared.plan(**ends)
+    costs.maps.check_altitude(altitude_m)  # whose map its figures show
+    first = costs.plan(start, goal, snap=snap)
     if not first.status.has_path:
         LOG.info(first.to_dict()["message"])
         if as_json:
@@ -131,27 +153,25 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
     result = run_study(
         "sensitivity",
         output,
-        lambda report: study(shared, **ends, settings=settings, progress=report),
+        lambda report: study(costs, start, goal, snap=snap, settings=settings, progress=report),
         overwrite,
     )
-    if options["buildings"]:
-        _, of_this_route = sensitivity_outputs(result)
-        with Workspace.open(
-            output, "sensitivity", of_this_route
-        ):  # another run may have come in between
-            buildings = write_buildings(
-                folder, first, output / "buildings", scenario=options["scenario"]
-            )
-            save(output, {REPORT_FILE: sensitivity_markdown(result, buildings)})
+    if buildings:
+        _, settings_of_route = sensitivity_outputs(result)
+        # Another run may have come in between.
+        with Workspace.open(output, "sensitivity", settings_of_route):
+            ranking = write_buildings(folder, first, output / "buildings", scenario=scenario)
+            save(output, {REPORT_FILE: sensitivity_markdown(result, ranking)})
     if as_json:
         tables = {name: records_of(table.reset_index()) for name, table in result.tables().items()}
         facts = {
             "route": result.route.to_dict(),
             "ranges": {name: ranges(result, name) for name in result.lines},
+            "tables": tables,
+            "num_plans": result.num_plans,
+            "elapsed_s": result.elapsed_s,
         }
-        print_json(
-            facts | {"tables": tables, "num_plans": result.num_plans, "elapsed_s": result.elapsed_s}
-        )
+        print_json(facts)
     return 0
 
 
@@ -160,7 +180,7 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
 @click.option(
     "--routes",
     "num_routes",
-    type=click.IntRange(min=1),
+    type=POSITIVE_COUNT,
     help="Number of routes drawn in each DIR.  [default: 30]",
 )
 @click.option(
@@ -172,10 +192,11 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
 @click.option(
     "--queries", type=PATH, help="Table of routes to study instead of drawn ones (.csv, .parquet)."
 )
+@RESOLUTION
+@OBSTACLES
 @RULES
-@click.option(
+@NUMBER(
     "--wrong",
-    type=float,
     default=2.0,
     show_default=True,
     help="Factor by which a wrong weight is off, for its regret.",
@@ -190,14 +211,13 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
 )
 @click.option(
     "--heights",
-    type=click.IntRange(min=0),
+    type=COUNT,
     default=0,
     help="Number of draws of building heights to plan again on.",
 )
-@click.option(
+@FLAG(
     "--parameters",
     "has_parameters",
-    is_flag=True,
     help="Also plan on maps with each threshold, range and gamma of the metrics halved and doubled.",
 )
 @click.option(
@@ -206,59 +226,69 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **op
     help="Scenario of the maps, for --heights and --parameters, if its paths are relative; only with one DIR.",
 )
 @WORKERS
-@WEIGHTS
+@WEIGHT_RANGES
 @click.option("-o", "output", type=PATH, default=Path("out/sensitivity-study"), show_default=True)
 def sensitivity_study(
-    folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool, **options: Any
+    folders: tuple[Path, ...],
+    num_routes: int | None,
+    altitudes_m: tuple[float, ...] | None,
+    queries: Path | None,
+    resolution_m: float | None,
+    obstacles: "Obstacles | None",
+    rules: RouteRules,
+    wrong: float,
+    num_samples: int,
+    heights: int,
+    has_parameters: bool,
+    scenario: Path | None,
+    workers: int | str | None,
+    vary: str,
+    factors: Point,
+    seed: int,
+    output: Path,
+    overwrite: bool,
+    as_json: bool,
 ) -> int:
     """Find the weights at which many routes over the maps in each DIR change."""
     from jaxurban.io.tables import read_table, records_of
-    from jaxurban.paths.rows import HAS_PATH, MapsFolder
+    from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.buildings import scenario_of
     from jaxurban.report.run_sensitivity import sensitivity_study as study
     from jaxurban.studies.weights.routes import SensitivityStudySettings
 
-    if options["queries"] is not None and (
-        options["num_routes"] is not None or options["altitudes_m"]
-    ):
+    if queries is not None and (num_routes is not None or altitudes_m):
         raise click.UsageError(
             "--queries names the routes: leave out --routes and --altitudes, or --queries"
         )
-    scenario = options["scenario"]
-    if scenario is not None and not (
-        (options["heights"] or options["has_parameters"]) and len(folders) == 1
-    ):
-        raise click.UsageError("--scenario belongs to --heights or --parameters of one DIR")
-    workers, rules = given_workers(options) or all_cores(), given_rules(options)
-    weights = rules.pop("weights")
+    scenarios = None
+    if scenario is not None:
+        if len(folders) > 1 or not (heights or has_parameters):
+            raise click.UsageError("--scenario belongs to --heights or --parameters of one DIR")
+        scenarios = {folders[0].resolve().name: scenario_of(folders[0], scenario)}
     settings = SensitivityStudySettings(
-        vary=names_in(options["vary"]),
-        num_heights=options["heights"],
-        **rules,
-        **{
-            name: options[name]
-            for name in ("factors", "wrong", "num_samples", "has_parameters", "seed")
-        },
+        vary=names_in(vary),
+        factors=factors,
+        wrong=wrong,
+        num_samples=num_samples,
+        num_heights=heights,
+        has_parameters=has_parameters,
+        seed=seed,
+        cost_model=rules["cost_model"],
+        constraints=rules["constraints"],
+        preset=rules["preset"],
     )
     result = study(
-        [MapsFolder(folder, options["resolution_m"], options["obstacles"]) for folder in folders],
+        [MapsFolder(folder, resolution_m, obstacles) for folder in folders],
         output,
-        options["num_routes"] or 30
-        if options["queries"] is None
-        else read_table(options["queries"], "queries"),
-        altitudes_m=options["altitudes_m"],
-        weights=weights,
+        num_routes or 30 if queries is None else read_table(queries, "queries"),
+        altitudes_m=altitudes_m,
+        weights=rules["weights"],
         settings=settings,
-        scenarios=None
-        if scenario is None
-        else {folders[0].resolve().name: scenario_of(folders[0], scenario)},
-        workers=workers,
+        scenarios=scenarios,
+        workers=workers or all_cores(),
         overwrite=overwrite,
     )
-    has_route = result.rows.status.isin(HAS_PATH).any()
-    code = ExitCode.DONE if has_route else ExitCode.NO_PATH
-    if not has_route:
-        LOG.warning(f"warning: {NO_ROUTE}")
+    statuses, code, message = outcome_of(result.rows, NO_ROUTE)
     if "sobol_summary" in result.tables:
         needed = result.tables["sobol_summary"].samples_needed.max()
         if needed > 0:
@@ -268,12 +298,11 @@ def sensitivity_study(
         f"study of sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}"
     )
     if as_json:
-        kept = {
+        summaries = {
             name: records_of(table)
             for name, table in result.tables.items()
             if name.endswith("summary")
         }
-        statuses = result.rows.status.value_counts().to_dict()
-        facts = {"folder": str(output), "statuses": statuses, "tables": kept}
-        print_json(facts, code, "" if has_route else NO_ROUTE)
+        facts = {"folder": str(output), "statuses": statuses, "tables": summaries}
+        print_json(facts, code, message)
     return code

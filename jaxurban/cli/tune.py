@@ -1,31 +1,56 @@
 """jaxurban tune."""
 
+import math
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from jaxurban.cli.common import (
     CONSTRAINTS,
+    COUNT,
     DEVICE,
+    FLAG,
     JSON_FLAG,
+    NUMBER,
     OBSTACLES,
+    OUTPUT,
+    OVERWRITE,
     PATH,
+    POSITIVE_COUNT,
     PRESET,
     RESOLUTION,
-    given_constraints,
+    SEED,
+    Settings,
+    grouped,
     names_in,
     print_json,
+    values_given,
 )
 from jaxurban.progress import LOG
+
+if TYPE_CHECKING:
+    from jaxurban.paths.constraints import Constraints
+    from jaxurban.paths.rows import MapsFolder
+    from jaxurban.settings import CostKind, Obstacles, Preset
+
+
+def fits_of(
+    scale: str | None, bootstrap: int | None, hold_out: float | None, by_city: bool
+) -> Settings:
+    """Return the settings of fits that are given, as of `compare_fits`."""
+    fits = {"scale": scale, "bootstrap": bootstrap, "hold_out": hold_out}
+    return values_given(fits | {"by_city": by_city or None})
 
 
 @click.command()
 @click.argument("words", metavar="DIR [ROUTES]...", type=PATH, nargs=-1, required=True)
-@click.option("-o", "out", type=PATH, required=True, help="Output folder.")
+@OUTPUT
 @click.option(
     "--sample",
-    type=click.IntRange(min=1),
+    type=POSITIVE_COUNT,
     help="Number of queries to draw in each city instead of reading ROUTES.",
 )
 @click.option(
@@ -37,14 +62,6 @@ from jaxurban.progress import LOG
     help="Planner of a study whose routes to take.  [default: the one that most often proved them the cheapest]",
 )
 @click.option(
-    "--hold-out",
-    type=float,
-    help="Share of the routes that is kept from the fits, to test them.  [default: 0]",
-)
-@click.option(
-    "--by-city", is_flag=True, help="Also fit to each city alone, and to all cities but it."
-)
-@click.option(
     "--wish",
     "wishes",
     multiple=True,
@@ -54,10 +71,9 @@ from jaxurban.progress import LOG
     "--metrics",
     help="Metrics to fit, such as gps,risk; the others get weight 0.  [default: all of the maps]",
 )
-@click.option(
+@NUMBER(
     "--altitude",
     "altitude_m",
-    type=float,
     help="Altitude of every route, metres.  [default: the routes' altitude_m]",
 )
 @click.option(
@@ -76,94 +92,134 @@ from jaxurban.progress import LOG
 @OBSTACLES
 @PRESET
 @CONSTRAINTS
-@click.option(
-    "--scale",
-    type=click.Choice(["simplex", "distance"]),
-    help="Weights sum to 1, or distance has 1.",
+@grouped(
+    "fits",
+    fits_of,
+    click.option(
+        "--scale",
+        type=click.Choice(["simplex", "distance"]),
+        help="Weights sum to 1, or distance has 1.",
+    ),
+    click.option(
+        "--bootstrap", type=COUNT, help="Number of fits for the intervals.  [default: 200]"
+    ),
+    NUMBER(
+        "--hold-out",
+        help="Share of the routes that is kept from the fits, to test them.  [default: 0]",
+    ),
+    FLAG("--by-city", help="Also fit to each city alone, and to all cities but it."),
 )
 @click.option(
-    "--bootstrap",
-    type=click.IntRange(min=0),
-    help="Number of fits for the intervals.  [default: 200]",
+    "--rounds", "max_rounds", type=POSITIVE_COUNT, default=20, help="Most rounds of searches."
 )
-@click.option("--rounds", "max_rounds", type=click.IntRange(min=1), help="Most rounds of searches.")
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Seed of random numbers.",
+@SEED
+@NUMBER(
+    "--budget", "budget_s", default=math.inf, help="Seconds after which no further round begins."
 )
-@click.option(
-    "--budget", "budget_s", type=float, help="Seconds after which no further round begins."
-)
-@click.option(
-    "--overwrite",
-    is_flag=True,
-    help="Replace a fit of other routes or settings in the output folder.",
-)
+@OVERWRITE
 @DEVICE
 @JSON_FLAG
-def tune(words: tuple[Path, ...], out: Path, **options: Any) -> int:
+def tune(
+    words: tuple[Path, ...],
+    output: Path,
+    sample: int | None,
+    pilot: str | None,
+    planner: str | None,
+    wishes: tuple[str, ...],
+    metrics: str | None,
+    altitude_m: float | None,
+    time_of_day: str | None,
+    time: str | None,
+    resolution_m: float | None,
+    cost_model: "CostKind | None",
+    obstacles: "Obstacles | None",
+    preset: "Preset",
+    constraints: "Constraints",
+    fits: Settings,
+    max_rounds: int,
+    seed: int,
+    budget_s: float,
+    overwrite: bool,
+    as_json: bool,
+) -> int:
     """Fit weights to demonstrated ROUTES over the maps in each DIR, or to targets for outcomes.
 
     ROUTES are files of lines (GeoJSON, KML, GPX), tables of instances (.csv, .parquet) or folders of a study; without
     any, the study that `jaxurban study` kept in DIR. Several DIRs, each with its ROUTES, are fitted together.
     """
-    from jaxurban.io.store import ZARR_FOLDER
-    from jaxurban.io.tables import ROWS_FILE
     from jaxurban.metrics.weights import Weights
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.tuning import TuneSettings, run_tuning
     from jaxurban.studies.route_pool import FitSettings
-    from jaxurban.studies.study_demonstrations import study_in
 
-    def named(*names: str) -> dict[str, Any]:
-        return {name: options[name] for name in names if options[name] is not None}
-
-    fits = named("scale", "bootstrap", "hold_out") | (
-        {"by_city": True} if options["by_city"] else {}
-    )
-    if options["wishes"] and fits:
+    if wishes and fits:
         raise click.UsageError(
             "--scale, --bootstrap, --hold-out and --by-city belong to fits without --wish: leave them out"
         )
-    on_maps = named("altitude_m", "time", "time_of_day", "cost_model", "preset")
-    on_maps["constraints"] = given_constraints(options)
-    if options["metrics"] is not None:
-        on_maps["metrics"] = names_in(options["metrics"])
-    nothing = Weights(**dict.fromkeys(Weights().to_dict(), 0.0))
+    routes: Settings = {
+        "altitude_m": altitude_m,
+        "time": time,
+        "time_of_day": time_of_day,
+        "cost_model": cost_model,
+        "preset": preset or None,
+        "constraints": constraints,
+        "metrics": None if metrics is None else names_in(metrics),
+    }
+    no_weights = Weights(**dict.fromkeys(Weights().to_dict(), 0.0))
     settings = TuneSettings(
-        routes=on_maps,
-        sample=options["sample"],
-        pilot=None if options["pilot"] is None else Weights.parse(options["pilot"], nothing),
-        planner=options["planner"],
-        targets=options["wishes"],
+        routes=values_given(routes),
+        sample=sample,
+        pilot=None if pilot is None else Weights.parse(pilot, no_weights),
+        planner=planner,
+        targets=wishes,
         fits=fits,
-        fit=FitSettings(**named("max_rounds", "seed", "budget_s")),
+        fit=FitSettings(max_rounds=max_rounds, seed=seed, budget_s=budget_s),
     )
-    of_maps = {name: options[name] for name in ("resolution_m", "obstacles")}
-    sources: dict[MapsFolder, list[Path]] = {}
-    folder = MapsFolder(words[0], **of_maps)
-    for word in words:
-        is_study = (word / ROWS_FILE).is_file() and not (word / ZARR_FOLDER).exists()
-        if (
-            sources and options["sample"] is None and study_in(word)
-        ):  # of maps that have no routes yet
-            is_study = is_study or not (sources[folder] or study_in(Path(folder.folder)))
-        if not sources or (word.is_dir() and not is_study):
-            folder = MapsFolder(word.parent if is_study else word, **of_maps)
-            sources.setdefault(folder, [])
-        if is_study or not word.is_dir():
-            sources[folder].append(word)
-    facts = run_tuning(sources, out, settings, overwrite=options["overwrite"])
+    open_folder = partial(MapsFolder, resolution_m=resolution_m, obstacles=obstacles)
+    sources = _sources_of(words, open_folder, has_routes=sample is not None)
+    facts = run_tuning(sources, output, settings, overwrite=overwrite)
     LOG.info(facts["message"])
     for warning in facts.get("unidentified", []) + facts.get("warnings", []):
         if warning != facts["message"]:
             LOG.info(f"warning: {warning}")
-    LOG.info(f"tune finished: read {out / 'report.md'}; the weights are in {out / 'weights.toml'}")
-    if options["as_json"]:
+    LOG.info(
+        f"tune finished: read {output / 'report.md'}; the weights are in {output / 'weights.toml'}"
+    )
+    if as_json:
         print_json(facts)
     else:
         print(facts["weights_option"])
     return 0
+
+
+def _sources_of(
+    words: tuple[Path, ...], maps_folder: "Callable[[Path], MapsFolder]", has_routes: bool
+) -> "dict[MapsFolder, list[Path]]":
+    """Return the files and studies of each folder of maps, in the order of the command line.
+
+    A folder is a study's where it holds rows and no maps, or where it holds a study and the maps before it have no
+    routes yet. A study that comes first lies beside its maps.
+
+    Args:
+      words: as the user gives them.
+      maps_folder: returns the maps of a folder.
+      has_routes: whether routes are drawn, so that none need be read.
+    """
+    from jaxurban.io.store import ZARR_FOLDER
+    from jaxurban.io.tables import ROWS_FILE
+    from jaxurban.studies.study_demonstrations import study_in
+
+    sources: dict[MapsFolder, list[Path]] = {}
+    routes: list[Path] = []
+    needs_routes = False
+    for word in words:
+        is_study = (word / ROWS_FILE).is_file() and not (word / ZARR_FOLDER).exists()
+        if needs_routes and not routes and study_in(word):
+            is_study = True
+        if not sources or (word.is_dir() and not is_study):
+            folder = word.parent if is_study else word
+            routes = sources.setdefault(maps_folder(folder), [])
+            needs_routes = not has_routes and not study_in(folder)
+        if is_study or not word.is_dir():
+            routes.append(word)
+    return sources

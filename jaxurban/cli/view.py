@@ -2,19 +2,19 @@
 
 import webbrowser
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from jaxurban.cli.common import OBSTACLES, PATH, PRESET, RESOLUTION
+from jaxurban.cli.common import FLAG, FOLDER, OBSTACLES, PATH, PRESET, RESOLUTION
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
-    from jaxurban.settings import Preset
+    from jaxurban.settings import Obstacles, Preset
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=PATH)
+@FOLDER
 @RESOLUTION
 @OBSTACLES
 @PRESET
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
     default=0,
     help="Port to listen at.  [default: any that is free]",
 )
-@click.option("--no-browser", is_flag=True, help="Do not open a browser; the address is printed.")
+@FLAG("--no-browser", help="Do not open a browser; the address is printed.")
 def view(
     folder: Path,
     resolution_m: float | None,
-    obstacles: Any,
-    preset: "Preset | None",
+    obstacles: "Obstacles | None",
+    preset: "Preset",
     export: Path | None,
     size_mib: float,
     port: int,
@@ -52,16 +52,16 @@ def view(
     from jaxurban.viewer.server import ViewerServer
     from jaxurban.viewer.viewer import Viewer
 
-    def opened() -> Viewer:
+    def open_viewer() -> Viewer:
         maps = open_maps(folder, resolution_m, obstacles=obstacles)
-        return Viewer(maps, name=folder.resolve().name, folder=str(folder), preset=preset or "")
+        return Viewer(maps, name=folder.resolve().name, folder=str(folder), preset=preset)
 
-    viewer = opened()
+    viewer = open_viewer()
     if export is not None:
         num_bytes = write_page(viewer, export, int(size_mib * 2**20))
         LOG.info(f"wrote {export} ({num_bytes / 2**20:.1f} MiB): open it in a browser")
         return 0
-    with ViewerServer(viewer, port, again=opened) as server:
+    with ViewerServer(viewer, port, again=open_viewer) as server:
         LOG.info(f"look at {server.url} (Ctrl-C ends it)")
         if not no_browser:
             webbrowser.open(server.url)

@@ -6,6 +6,7 @@ It can hold its answers, for whoever has neither Python nor the maps.
 import base64
 import hashlib
 import json
+import math
 from collections.abc import Iterator
 from functools import cache
 from html import escape
@@ -42,13 +43,13 @@ def html_page(data: str = "", title: str = "jaxurban") -> str:
       data: JSON of all answers, for a page that asks nobody; "" for one that asks its server.
       title: of the window.
     """
-    held = data.replace("<", "\\u003c")
+    answers = data.replace("<", "\\u003c")
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width">\n<link rel="icon" href="data:,">\n'
         f"{_policy_tag(data)}<title>{escape(title, quote=False)}</title>\n<style>\n{part('style')}</style>\n</head>\n"
         f'<body style="margin: 0">\n<div class="jv">\n{part("markup")}</div>\n'
-        f'<script type="application/json" id="jv-data">{held}</script>\n'
+        f'<script type="application/json" id="jv-data">{answers}</script>\n'
         f'<script type="module">\n{part("script")}</script>\n</body>\n</html>\n'
     )
 
@@ -85,14 +86,13 @@ def write_page(viewer: Viewer, file: str | Path, most_bytes: int) -> int:
     file = Path(file)
     if file.suffix.lower() != SUFFIX or file.is_dir() or not file.parent.is_dir():
         raise InputError(
-            f"the page {str(file)!r} must be a file that ends in {SUFFIX}, in a folder that is there"
+            f"the page {str(file)!r} must be a file that ends in {SUFFIX}, in a folder that exists"
         )
     shape = viewer.maps.grid.shape
     maps = list(_maps_of(viewer))
     for stride in strides_of(shape):
-        if (
-            len(maps) * shape[0] * shape[1] / stride**2 / 8 > most_bytes
-        ):  # a map deflates to a few bits a cell or more
+        # A map deflates to a few bits per cell or more.
+        if len(maps) * math.prod(shape) / stride**2 / 8 > most_bytes:
             continue
         page = _page(viewer, maps, stride, most_bytes)
         if page is not None:
@@ -106,8 +106,11 @@ def write_page(viewer: Viewer, file: str | Path, most_bytes: int) -> int:
 def _maps_of(viewer: Viewer) -> Iterator[View]:
     """Yield every map."""
     for name, layer in viewer.layers.items():
-        sizes = (max(len(held), 1) if dim in layer.dims else 1 for dim, held in viewer.axes.items())
-        for altitude, time, day in product(*map(range, sizes)):
+        indices = [
+            range(len(values)) if values and dim in layer.dims else [0]
+            for dim, values in viewer.axes.items()
+        ]
+        for altitude, time, day in product(*indices):
             yield View(layer=name, at=(altitude, time, day))
 
 
@@ -116,16 +119,15 @@ def _page(viewer: Viewer, maps: list[View], stride: int, most_bytes: int) -> byt
     scene = viewer.scene(Request()) | {"strides": [stride], "can_plan": False, "key": ""}
     answers: dict[str, Any] = {_key("scene", {}): scene, _key("base", {}): viewer.base(Request())}
     num_bytes = 0
-    num_rows, num_cols = (-(-size // (stride * TILE)) for size in viewer.maps.grid.shape)
-    for shown in maps:
-        told = {"layer": shown.layer, "at": list(shown.at)}
-        answers[_key("legend", told)] = viewer.legend(shown)
+    num_rows, num_cols = (math.ceil(size / stride / TILE) for size in viewer.maps.grid.shape)
+    for view in maps:
+        params = view.model_dump(mode="json")
+        answers[_key("legend", params)] = viewer.legend(view)
         for row, col in product(range(num_rows), range(num_cols)):
-            tile = told | {"stride": stride, "row": row, "col": col}
-            answers[_key("tile", tile)] = base64.b64encode(
-                viewer.answer("tile", tile).body
-            ).decode()
-            num_bytes += len(answers[_key("tile", tile)])
+            of_tile = params | {"stride": stride, "row": row, "col": col}
+            tile = base64.b64encode(viewer.answer("tile", of_tile).body).decode()
+            answers[_key("tile", of_tile)] = tile
+            num_bytes += len(tile)
         if num_bytes > most_bytes:
             return None
     page = html_page(as_json(answers).decode(), viewer.name).encode()

@@ -91,40 +91,42 @@ class DrawnLayer:
             return COST_COLOURS
         if self.name == POSITION_ERROR:
             return ERROR_COLOURS
-        if (metric := self.cost_of) is not None:
-            label = f"c_{metric.name}, cost before its weight (0: best, 1: worst)"
-            is_m = metric.cost is high_is_bad
-            return Colours(
-                metric.colour_map if is_m else f"{metric.colour_map}_r", Normalize(0, 1), label
-            )
-        return metric_colours(self.maps, self.name, None if self.dims else values)
+        metric = self.cost_of
+        if metric is None:
+            return metric_colours(self.maps, self.name, None if self.dims else values)
+        label = f"c_{metric.name}, cost before its weight (0: best, 1: worst)"
+        colour_map = metric.colour_map
+        if metric.cost is not high_is_bad:
+            colour_map = f"{colour_map}_r"
+        return Colours(colour_map, Normalize(0, 1), label)
 
 
 def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
     """Return every layer of these maps that can be drawn, by name, those that are looked at most first."""
     variables = drawn_variables(maps)
-    flown = tuple(
-        dict.fromkeys((ALTITUDE, *(dim for name in maps.metrics for dim in variables[name].dims)))
-    )
-    layers = [DrawnLayer(maps, name, variables[name], "Metrics") for name in maps.metrics]
-    layers.append(
-        DrawnLayer(
-            maps, H_NORM, Variable(H_NORM, "all costs together, H_norm", dims=flown), "Costs"
-        )
-    )
+    layers: dict[str, DrawnLayer] = {}
+
+    def add(name: str, variable: Variable, group: str, cost_of: Metric | None = None) -> None:
+        layers[name] = DrawnLayer(maps, name, variable, group, cost_of)
+
+    metric_dims = [ALTITUDE]
+    for name in maps.metrics:
+        add(name, variables[name], "Metrics")
+        metric_dims += variables[name].dims
+    total = Variable(H_NORM, "all costs together, H_norm", dims=tuple(dict.fromkeys(metric_dims)))
+    add(H_NORM, total, "Costs")
     for name, metric in maps.metrics.items():
         cost = Variable(f"{COST_OF}{name}", f"cost of {metric.label}", dims=variables[name].dims)
-        layers.append(DrawnLayer(maps, cost.name, cost, "Costs", metric))
+        add(cost.name, cost, "Costs", metric)
     if "hdop" in variables:
-        error = Variable(
-            POSITION_ERROR, "horizontal position error", dims=variables["hdop"].dims, unit="m"
-        )
-        layers.append(DrawnLayer(maps, POSITION_ERROR, error, "Satellites"))
+        dims = variables["hdop"].dims
+        error = Variable(POSITION_ERROR, "horizontal position error", dims=dims, unit="m")
+        add(POSITION_ERROR, error, "Satellites")
     for group in ("Satellites", "Ground", "Further maps"):
         for name, variable in variables.items():
             if name not in maps.metrics and group == _group(maps, variable):
-                layers.append(DrawnLayer(maps, name, variable, group))
-    return {layer.name: layer for layer in layers}
+                add(name, variable, group)
+    return layers
 
 
 def _group(maps: MetricMaps, variable: Variable) -> str:
@@ -142,19 +144,18 @@ def legend_of(layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
     of those without a value, and of a value of 0, where that is drawn apart; ``html`` is the legend.
     """
     scale, zero = layer.colours(values), layer.variable.scale.zero
-    patches = [(zero, EMPTY_COLOUR)] if zero else []
-    patches += [("obstacle", layer.blocked)] if layer.is_hidden else []
-    patches += [NO_FIX_PATCH] if FIX in layer.maps.ds else []
-    patches += (
-        [NO_DATA_PATCH]
-        if np.isnan(values).any() or not layer.maps.ds["has_data"].values.all()
-        else []
-    )
-    flat = [
-        _packed(layer.blocked),
-        _packed(NO_DATA_PATCH[1]),
-        _packed(EMPTY_COLOUR) if zero else None,
-    ]
+    maps = layer.maps
+    flat = [_packed(layer.blocked), _packed(NO_DATA_PATCH[1]), None]
+    patches = []
+    if zero:
+        flat[2] = _packed(EMPTY_COLOUR)
+        patches.append((zero, EMPTY_COLOUR))
+    if layer.is_hidden:
+        patches.append(("obstacle", layer.blocked))
+    if FIX in maps.ds:
+        patches.append(NO_FIX_PATCH)
+    if np.isnan(values).any() or not maps.ds["has_data"].values.all():
+        patches.append(NO_DATA_PATCH)
     if isinstance(scale.norm, BoundaryNorm):  # classes, and no bar
         edges, ticks, marks = scale.norm.boundaries, [], []
         colours = scale.cmap(np.arange(len(edges) - 1), bytes=True)  # type: ignore[operator]
@@ -165,14 +166,15 @@ def legend_of(layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
         colours = scale(np.asarray(scale.norm.inverse((steps[:-1] + steps[1:]) / 2)), bytes=True)
         ticks = bar_ticks(scale)
         texts = [tick_label(value) for value in ticks]
-        texts[0] = f"≤ {texts[0]}" if scale.extend in ("min", "both") else texts[0]
-        texts[-1] = f"≥ {texts[-1]}" if scale.extend in ("max", "both") else texts[-1]
+        if scale.extend in ("min", "both"):
+            texts[0] = f"≤ {texts[0]}"
+        if scale.extend in ("max", "both"):
+            texts[-1] = f"≥ {texts[-1]}"
         marks = [(float(scale.norm(value)), text) for value, text in zip(ticks, texts, strict=True)]
     return {
         "flat": flat,
-        "edges": [
-            float(f"{edge:.9g}") for edge in np.asarray(edges, float)
-        ],  # as fine as a float32
+        # As fine as a float32.
+        "edges": [float(f"{edge:.9g}") for edge in np.asarray(edges, float)],
         "colours": base64.b64encode(colours.tobytes()).decode("ascii"),
         "ticks": ticks,
         "html": legend(plain_label(scale.label), colours[::8, :3], marks, patches),

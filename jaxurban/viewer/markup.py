@@ -155,14 +155,16 @@ def profile(
     flight_m, roof_m = float(table["z_m"].max()), float(table["roof_m"].max())
     per_m = (MIDDLE - TOP) / max(flight_m, roof_m, 1.0)
 
+    num_steps = min(len(table), MOST_STEPS)
+    steps = np.unique(np.linspace(0, len(table) - 1, num_steps).astype(int))
+    steps_m = table[["from_m", "to_m"]].to_numpy()[steps].ravel()
+
     def trace(values: np.ndarray, low: float, per_one: float) -> str:
         """Return the path of a line over the crossings, thinned to `MOST_STEPS`."""
-        at = np.unique(np.linspace(0, len(table) - 1, min(len(table), MOST_STEPS)).astype(int))
-        x = WIDE * table[["from_m", "to_m"]].to_numpy()[at].ravel() / total_m
-        y = np.repeat(low - per_one * values[at], 2)
-        return "M" + "L".join(
-            f"{a:.1f} {b:.1f}" for a, b in zip(x.tolist(), y.tolist(), strict=True)
-        )
+        x = WIDE * steps_m / total_m
+        y = np.repeat(low - per_one * values[steps], 2)
+        points = np.stack([x, y], axis=-1).tolist()
+        return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
 
     roofs_m = table["roof_m"].fillna(0.0).to_numpy()
     roofs = {"roofs beneath": (BUILT_COLOUR, roofs_m)}
@@ -200,15 +202,12 @@ def profile(
         f'<span style="top:{y}px;left:{share:.2%};transform:translateX({-share:.0%})">{text}</span>'
         for share, y, text in places
     )
-    keys = (
-        {name: colour for name, (colour, _) in roofs.items()}
-        | {"flight": ALTITUDE_COLOUR}
-        | dict(lines.values())
-    )
-    keys |= {"no fix": NO_FIX_COLOUR} if shaded else {}
-    flight = (
-        f'<path d="{trace(table["z_m"].to_numpy(), MIDDLE, per_m)}" stroke="{ALTITUDE_COLOUR}"/>'
-    )
+    keys = {name: colour for name, (colour, _) in roofs.items()}
+    keys |= {"flight": ALTITUDE_COLOUR, **dict(lines.values())}
+    if shaded:
+        keys["no fix"] = NO_FIX_COLOUR
+    flight_line = trace(table["z_m"].to_numpy(), MIDDLE, per_m)
+    flight = f'<path d="{flight_line}" stroke="{ALTITUDE_COLOUR}"/>'
     key = "".join(f"<span>{dot(colour)}{escape(label)}</span>" for label, colour in keys.items())
     return (
         f'<div><svg viewBox="0 0 {WIDE} {HIGH}" preserveAspectRatio="none" fill="none" stroke-width="1.4">'
@@ -222,6 +221,5 @@ def _distances(total_m: float) -> list[tuple[float, str]]:
     power = 10.0 ** math.floor(math.log10(total_m / 6))
     step_m = next(factor * power for factor in (1, 2, 5, 10) if factor * power * 6 >= total_m)
     unit, unit_m = ("km", 1000) if total_m >= 1000 else ("m", 1)
-    return [
-        (k * step_m, f"{k * step_m / unit_m:g} {unit}") for k in range(int(total_m / step_m) + 1)
-    ]
+    distances_m = [k * step_m for k in range(int(total_m / step_m) + 1)]
+    return [(at_m, f"{at_m / unit_m:g} {unit}") for at_m in distances_m]

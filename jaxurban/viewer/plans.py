@@ -48,9 +48,9 @@ class Plans:
     ) -> None:
         self.maps, self.cost_model, self.limits = rules_on(maps, None, None, preset)
         self.weights, self.folder = weights_on(maps, weights), folder
-        self._cost_maps, self._routes, self._reports = (
-            Kept(most, lambda _: 1) for most in (2, NUM_ROUTES, NUM_ROUTES)
-        )
+        self._cost_maps = Kept(2, _count_one)
+        self._routes = Kept(NUM_ROUTES, _count_one)
+        self._reports = Kept(NUM_ROUTES, _count_one)
 
     def route(self, query: Plan, at: OneMap) -> PlannedPath:
         """Return the route that is asked for.
@@ -60,15 +60,16 @@ class Plans:
         """
 
         def make() -> PlannedPath:
-            on = self._cost_map(query, at)
-            budget_s = _budget_s(query.planner)
-            return on.plan(
-                query.start, query.goal, planner=query.planner, budget_s=budget_s, snap=query.snap
+            return self._cost_map(query, at).plan(
+                query.start,
+                query.goal,
+                planner=query.planner,
+                budget_s=_budget_s(query.planner),
+                snap=query.snap,
             )
 
-        return self._routes.get(
-            query.model_dump_json(), make
-        )  # without its cost map, which is large
+        # Without its cost map, which is large.
+        return self._routes.get(query.model_dump_json(), make)
 
     def report(self, query: Plan, at: OneMap) -> tuple[RouteReport, PlannedPath]:
         """Return a route explained, with what its pilot should know, and the route.
@@ -85,11 +86,13 @@ class Plans:
         Raises:
           InputError: no such format, or there is no route.
         """
-        known = FORMATS[one_of("format", suffix, FORMATS)]
-        planned = self.mission(query, at) if known.is_of_waypoints else self.route(query, at)
+        file_format = FORMATS[one_of("format", suffix, FORMATS)]
+        planned = self.route(query, at)
+        if file_format.is_of_waypoints:
+            planned = self.mission(query, at)
         if not planned.status.has_path:
             raise InputError(f"there is no route to save: {planned.status.sentence}")
-        return known.encode([("", planned)], None)
+        return file_format.encode([("", planned)], None)
 
     def mission(self, query: Plan, at: OneMap) -> PlannedPath:
         """Return the route that files of waypoints hold: simplified by half a cell, priced by the route's cost model.
@@ -97,19 +100,24 @@ class Plans:
         Raises:
           InputError: as for `jaxurban.plan`.
         """
-        planned, tolerance_m = self.route(query, at), self.maps.grid.resolution_m / 2
+        planned = self.route(query, at)
         key = "mission", query.model_dump_json()
+        half_cell_m = self.maps.grid.resolution_m / 2
         return self._routes.get(
-            key, lambda: simplify(planned, self._cost_map(query, at), tolerance_m)
+            key, lambda: simplify(planned, self._cost_map(query, at), half_cell_m)
         )
 
-    def moved(self, query: Plan, at: OneMap) -> dict[str, str]:
-        """Return how far each end of a route was moved and out of what, by name; nothing of an end that was free."""
-        planned, on, sentences = self.route(query, at), self._cost_map(query, at), {}
-        for name, moved_m in zip(("start", "goal"), planned.snap_distance_m, strict=True):
-            _, cell = on.cell_of(name, getattr(query, name))
-            if not on.is_free[cell]:
-                sentences[name] = f"{name} moved {moved_m:.0f} m: it was {on.why_closed(cell)}"
+    def moved(self, query: Plan, at: OneMap) -> list[str]:
+        """Return how far each end of a route was moved and out of what; nothing of an end that was free."""
+        start_m, goal_m = self.route(query, at).snap_distance_m
+        costs, sentences = self._cost_map(query, at), []
+        for name, place, moved_m in (
+            ("start", query.start, start_m),
+            ("goal", query.goal, goal_m),
+        ):
+            _, cell = costs.cell_of(name, place)
+            if not costs.is_free[cell]:
+                sentences.append(f"{name} moved {moved_m:.0f} m: it was {costs.why_closed(cell)}")
         return sentences
 
     def command(self, query: Plan, at: OneMap) -> str:
@@ -137,12 +145,13 @@ class Plans:
             "--vertical-clearance": repr(self._over_roofs_m(query)),
             "--no-fly": ZONES_FILE if query.zones else None,
         }
-        given = [
-            part for name, value in values.items() if value is not None for part in (name, value)
-        ]
-        return shlex.join(
-            ["jaxurban", "plan", self.folder, *given, *(["--snap"] if query.snap else [])]
-        )
+        words = ["jaxurban", "plan", self.folder]
+        for option, value in values.items():
+            if value is not None:
+                words += [option, value]
+        if query.snap:
+            words.append("--snap")
+        return shlex.join(words)
 
     def _cost_map(self, query: Plan, at: OneMap) -> CostMap:
         """Return the cost map of a query; what does not depend on the weights is made once."""
@@ -175,8 +184,9 @@ class Plans:
         )
 
     def _over_roofs_m(self, query: Plan) -> float | None:
-        given_m = query.vertical_clearance_m
-        return self.limits.vertical_clearance_m if given_m is None else given_m
+        if query.vertical_clearance_m is None:
+            return self.limits.vertical_clearance_m
+        return query.vertical_clearance_m
 
     def _constraints(self, query: Plan) -> Constraints:
         """Return what closes cells: drawn zones are read from a file as those of the command are."""
@@ -195,6 +205,11 @@ class Plans:
             file = FilePath(folder) / ZONES_FILE
             file.write_text(query.zones, encoding="utf-8")
             return replace(kept, zones=Constraints.read(file).zones)
+
+
+def _count_one(_: object) -> int:
+    """Return the size of whatever is kept by number."""
+    return 1
 
 
 def _budget_s(planner: str) -> float:

@@ -78,14 +78,14 @@ class Save(Plan):
     format: Name
 
 
-def parse(kind: type[Request], given: Any) -> Any:
+def parse(kind: type[Request], params: Any) -> Any:
     """Return the parameters of a request.
 
     Raises:
       InputError: they are not those of its kind.
     """
     try:
-        return kind.model_validate(given)
+        return kind.model_validate(params)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part)[:40] for part in first["loc"]) or "the request"

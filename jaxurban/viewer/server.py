@@ -108,9 +108,9 @@ class _Handler(BaseHTTPRequestHandler):
             raise _RefusedError(HTTPStatus.NOT_FOUND, f"requests go to {ASK}NAME")
         if self.headers.get_content_type() != JSON:
             raise _RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, f"a request is {JSON}")
-        given = self._body()
+        body = self._body()
         try:
-            params = json.loads(given)
+            params = json.loads(body)
         except (ValueError, RecursionError) as error:
             raise _RefusedError(HTTPStatus.BAD_REQUEST, "the request is no JSON") from error
         viewer = self.server.viewer
@@ -128,12 +128,11 @@ class _Handler(BaseHTTPRequestHandler):
         return self.rfile.read(int(length))
 
     def _check_sender(self) -> None:
-        if self.headers.get_all("Host") not in [[host] for host in self.server.hosts]:
+        hosts = self.server.hosts
+        if self.headers.get_all("Host") not in [[host] for host in hosts]:
             raise _RefusedError(HTTPStatus.FORBIDDEN, "this server answers to its own name alone")
-        origins = self.headers.get_all("Origin") or []
-        if any(
-            origin not in {f"http://{host}" for host in self.server.hosts} for origin in origins
-        ):
+        origins = self.headers.get_all("Origin", [])
+        if not {f"http://{host}" for host in hosts}.issuperset(origins):
             raise _RefusedError(HTTPStatus.FORBIDDEN, "this server answers its own page alone")
 
     def _give(self, make: Any) -> None:
@@ -169,9 +168,9 @@ class _Handler(BaseHTTPRequestHandler):
             "Content-Security-Policy": policy_of("'self'"),
         }
         self.send_response(status)
-        for name, value in (
-            headers | ({"Connection": "close"} if self.close_connection else {})
-        ).items():
+        if self.close_connection:
+            headers["Connection"] = "close"
+        for name, value in headers.items():
             self.send_header(name, value)
         self.end_headers()
         if self.command != "HEAD":
@@ -180,11 +179,9 @@ class _Handler(BaseHTTPRequestHandler):
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """Refuse what is no proper request, in a sentence."""
         self.close_connection = True
-        status = (
-            HTTPStatus.METHOD_NOT_ALLOWED
-            if code == HTTPStatus.NOT_IMPLEMENTED
-            else HTTPStatus(code)
-        )
+        status = HTTPStatus(code)
+        if status == HTTPStatus.NOT_IMPLEMENTED:
+            status = HTTPStatus.METHOD_NOT_ALLOWED
         if status >= HTTPStatus.INTERNAL_SERVER_ERROR:
             status = HTTPStatus.BAD_REQUEST
         self._send(status, _sentence((message or status.phrase)[:200]))

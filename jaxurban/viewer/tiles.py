@@ -46,11 +46,10 @@ def tile_bytes(values: np.ndarray, stride: int, row: int, col: int) -> bytes:
         raise InputError(
             f"stride must be one of {', '.join(map(str, strides_of(values.shape)))}, got {stride}"
         )
-    rows, cols = (
-        middles(size, stride)[at * TILE : (at + 1) * TILE] if at >= 0 else np.empty(0, int)
-        for size, at in zip(values.shape, (row, col), strict=True)
-    )
-    if not (rows.size and cols.size):
+    num_rows, num_cols = values.shape
+    rows = middles(num_rows, stride)[row * TILE :][:TILE]
+    cols = middles(num_cols, stride)[col * TILE :][:TILE]
+    if min(row, col) < 0 or not (rows.size and cols.size):
         raise InputError(
             f"there is no tile {row}, {col} at stride {stride}: tiles are numbered from 0"
         )
@@ -64,12 +63,13 @@ def lonlat_fit(grid: Grid) -> dict[str, np.ndarray]:
     ``powers`` are ``[P, 2]`` of u and v of each term, ``lon`` and ``lat`` ``[P]`` its coefficients, degrees.
     """
     powers = np.array([(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
-    uv = np.stack(np.meshgrid(*[np.linspace(-1, 1, NUM_FITTED)] * 2), axis=-1).reshape(-1, 2)
+    line = np.linspace(-1, 1, NUM_FITTED)
+    uv = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
     low_m, high_m = np.array([[grid.x_min_m, grid.y_min_m], [grid.x_max_m, grid.y_max_m]])
-    lonlat = np.stack(
-        grid.lonlat_of_xy(*((low_m + high_m) / 2 + uv * (high_m - low_m) / 2).T), axis=-1
-    )
-    lon, lat = np.linalg.lstsq(np.prod(uv[:, None] ** powers, axis=-1), lonlat, rcond=None)[0].T
+    x_m, y_m = ((low_m + high_m) / 2 + uv * (high_m - low_m) / 2).T
+    lonlat = np.stack(grid.lonlat_of_xy(x_m, y_m), axis=-1)
+    terms = np.prod(uv[:, None] ** powers, axis=-1)
+    lon, lat = np.linalg.lstsq(terms, lonlat, rcond=None)[0].T
     return {"powers": powers, "lon": lon, "lat": lat}
 
 

@@ -217,33 +217,34 @@ class Viewer:
           InputError: a number beyond the list.
         """
         chosen: list[Any] = []
-        for (dim, held), index in zip(self.axes.items(), at, strict=True):
-            if dim in dims and held and index >= len(held):
+        for (dim, values), index in zip(self.axes.items(), at, strict=True):
+            if dim not in dims or not values:
+                chosen.append(None)
+            elif index < len(values):
+                chosen.append(values[index])
+            else:
                 raise InputError(
-                    f"{dim} {index} is not there: these maps hold {len(held)}, numbered from 0"
+                    f"{dim} {index} does not exist: these maps hold {len(values)}, numbered from 0"
                 )
-            chosen.append(held[index] if dim in dims and held else None)
         return OneMap(*chosen)
 
     def flight(self, query: Plan) -> OneMap:
         """Return altitude, time and time of day of a route; the altitude may lie between those of the maps."""
         at = self.place(query.at)
-        return (
-            at
-            if query.flight_m is None or at.altitude_m is None
-            else at._replace(altitude_m=query.flight_m)
-        )
+        if query.flight_m is None or at.altitude_m is None:
+            return at
+        return at._replace(altitude_m=query.flight_m)
 
-    def values(self, shown: View) -> np.ndarray:
+    def values(self, view: View) -> np.ndarray:
         """Return the values ``[Y, X]`` of a map as they travel (`DrawnLayer.values`)."""
-        layer = self.layers[one_of("layer", shown.layer, self.layers)]
-        at = self.place(shown.at, layer.dims)
-        return self.kept.get((shown.layer, at), lambda: layer.values(at))
+        layer = self.layers[one_of("layer", view.layer, self.layers)]
+        at = self.place(view.at, layer.dims)
+        return self.kept.get((view.layer, at), lambda: layer.values(at))
 
-    def legend(self, shown: View) -> dict[str, Any]:
+    def legend(self, view: View) -> dict[str, Any]:
         """Return how these values become colours (`legend_of`)."""
-        values = self.values(shown)  # refuses a layer that is not there
-        return legend_of(self.layers[shown.layer], values)
+        values = self.values(view)  # refuses an unknown layer
+        return legend_of(self.layers[view.layer], values)
 
     def tile(self, tile: Tile) -> bytes:
         """Return a tile of what is drawn (`tile_bytes`)."""
@@ -256,25 +257,27 @@ class Viewer:
             raise InputError(
                 f"the cell {cell.row}, {cell.col} is outside: there are {grid.num_rows} x {grid.num_cols}"
             )
-        found, is_inside = [], self._value_in(self.layers["obstacle"], cell) != 0
+        is_inside = self._value_in(self.layers["obstacle"], cell) != 0
+        values = []
         for name, layer in self.layers.items():
             words = _words(layer)
             if not words["told"]:
                 continue
             value = math.nan if is_inside and layer.is_hidden else self._value_in(layer, cell)
-            found.append({"name": name, "value": _number(value)} | words)
+            values.append({"name": name, "value": _number(value), **words})
             if name == "density":
-                people = {"name": "people", "value": _number(value * grid.resolution_m**2 / 1e6)}
-                found.append(people | words | {"told": "People in the cell", "unit": ""})
-        return found
+                words |= {"told": "People in the cell", "unit": ""}
+                people = value * grid.resolution_m**2 / 1e6
+                values.append({"name": "people", "value": _number(people), **words})
+        return values
 
     def _value_in(self, layer: DrawnLayer, cell: Cell) -> float:
         """Return a layer's value in a cell; of maps on disk a block around it is read and kept."""
         at = self.place(cell.at, layer.dims)
         variable = self.maps.variable(layer.name)
         if variable not in self.maps.ds:
-            found = self.values(View(layer=layer.name, at=cell.at))[cell.row, cell.col]
-            return float(found) if np.isfinite(found) else math.nan
+            value = self.values(View(layer=layer.name, at=cell.at))[cell.row, cell.col]
+            return float(value) if np.isfinite(value) else math.nan
         array = self.maps.ds[variable]
         row, col = cell.row // BLOCK * BLOCK, cell.col // BLOCK * BLOCK
         part: dict[str, Any] = dict(zip((ALTITUDE, TIME, TIME_OF_DAY), cell.at, strict=True))
@@ -302,14 +305,11 @@ class Viewer:
     def plan(self, query: Plan) -> dict[str, Any]:
         """Return a route: its points, cost and message, and the command that gives the same."""
         at = self.flight(query)
-        planned, moved = self.plans.route(query, at), self.plans.moved(query, at)
-        has_path = planned.status.has_path
-        text = (
-            f"cost {number(planned.cost)} · {planned.length_m / 1000:.2f} km"
-            if has_path
-            else "no path"
-        )
-        notes = [status_said(planned), *moved.values()]
+        planned = self.plans.route(query, at)
+        has_path, text = planned.status.has_path, "no path"
+        if has_path:
+            text = f"cost {number(planned.cost)} · {planned.length_m / 1000:.2f} km"
+        notes = [status_said(planned), *self.plans.moved(query, at)]
         return {
             "planner": query.planner,
             "has_path": has_path,
@@ -328,34 +328,44 @@ class Viewer:
         ``mission`` are the points of files of waypoints, and ``saved`` their number, their cost and least clearance.
         """
         at = self.flight(query)
-        found, planned = self.plans.report(query, at)
+        report, planned = self.plans.report(query, at)
         mission = self.plans.mission(query, at)
-        table, totals = found.profile, found.totals
-        least_m = float(cautious_profile(mission, self.maps)[CLEARANCE].min())
-        least = f"least clearance {number(least_m)} m"
-        if number(least_m) != number(route_m := totals[CLEARANCE]) and least_m < route_m:
-            least = f"{least}, the route {number(route_m)} m"
-        level = next(each.level for each in mission.cautions if each.startswith("Buildings"))
-        least = f'<b class="jv-{level}">{least}</b>'
+        table, totals = report.profile, report.totals
         lines = {
             name: (metric.label, self._colours[name]) for name, metric in self.maps.metrics.items()
         }
-        units = {name: text for name, text in TOTALS.items() if name in totals}
+        drawing = markup.profile(table, lines, without_fix(table))
+        rows = [
+            (label, f"{number(totals[name])} {unit}")
+            for name, (label, unit) in TOTALS.items()
+            if name in totals
+        ]
+        lonlat = waypoints(mission).lonlat
+        saved = [f"{len(lonlat)} waypoints, cost {number(mission.cost)}"]
+        if planned.cost > 0:
+            saved.append(f"{mission.cost / planned.cost - 1:+.1%}")
+        saved += self._least_clearance(mission, totals[CLEARANCE])
         return {
-            "cautions": sentences((each.level, each) for each in found.cautions),
-            "totals": markup.rows(
-                (label, f"{number(totals[name])} {unit}") for name, (label, unit) in units.items()
-            ),
-            "profile": markup.profile(table, lines, without_fix(table))
-            + sentences([("note", rules_said(planned.settings))]),
+            "cautions": sentences((each.level, each) for each in report.cautions),
+            "totals": markup.rows(rows),
+            "profile": drawing + sentences([("note", rules_said(planned.settings))]),
             "to_share": np.round(table["to_m"].to_numpy() / max(planned.length_m, 1e-9), 5),
             "xy": self._on_page(table[["lon", "lat"]].to_numpy()),
-            "report-text": escape(found.table()),
-            "mission": self._on_page(lonlat := waypoints(mission).lonlat),
-            "saved": f"{len(lonlat)} waypoints, cost {number(mission.cost)}"
-            + (f", {mission.cost / planned.cost - 1:+.1%}" if planned.cost > 0 else "")
-            + (f", {least}" if math.isfinite(least_m) else ""),
+            "report-text": escape(report.table()),
+            "mission": self._on_page(lonlat),
+            "saved": ", ".join(saved),
         }
+
+    def _least_clearance(self, mission: PlannedPath, route_m: float) -> list[str]:
+        """Return the least clearance of a mission as HTML, beside the route's where that is more; [] without one."""
+        least_m = float(cautious_profile(mission, self.maps)[CLEARANCE].min())
+        if not math.isfinite(least_m):
+            return []
+        text = f"least clearance {number(least_m)} m"
+        if least_m < route_m and number(least_m) != number(route_m):
+            text = f"{text}, the route {number(route_m)} m"
+        level = next(each.level for each in mission.cautions if each.startswith("Buildings"))
+        return [f'<b class="jv-{level}">{text}</b>']
 
     def _on_page(self, lonlat: np.ndarray) -> np.ndarray:
         """Return places ``[N, 2]`` in metres from the maps' southwest corner."""
@@ -365,16 +375,19 @@ class Viewer:
 
     def save(self, query: Save) -> bytes:
         """Return a route as a file."""
-        asked = Plan(**query.model_dump(exclude={"format"}))
-        return self.plans.file(asked, self.flight(query), query.format)
+        route = Plan(**query.model_dump(exclude={"format"}))
+        return self.plans.file(route, self.flight(query), query.format)
 
 
 def status_said(planned: PlannedPath) -> str:
     """Return how a planner ended, among which paths, and how far above the cheapest of them its path is at most."""
     search, has_path = planned.search, planned.status.has_path
-    graph = f" ({search.graph})" if has_path and search.graph else ""
-    is_between = has_path and planned.status is not Status.OPTIMAL and search.gap < math.inf
-    return f"{planned.status.value}{graph}{f', at most {search.gap:.1%} above the cheapest' if is_between else ''}"
+    text = planned.status.value
+    if has_path and search.graph:
+        text = f"{text} ({search.graph})"
+    if has_path and planned.status is not Status.OPTIMAL and search.gap < math.inf:
+        text = f"{text}, at most {search.gap:.1%} above the cheapest"
+    return text
 
 
 def unit_of(layer: DrawnLayer) -> str:
@@ -384,9 +397,12 @@ def unit_of(layer: DrawnLayer) -> str:
 
 def _words(layer: DrawnLayer) -> dict[str, Any]:
     """Return what a layer is told as in the list of values of a cell ("" where it is not in it), classes and unit."""
-    variable, is_left_out = layer.variable, layer.group == "Costs" and layer.name != H_NORM
-    told = "" if is_left_out else variable.symbol or variable.heading
-    return {"told": told, "classes": [name for name, _ in variable.classes], "unit": unit_of(layer)}
+    variable = layer.variable
+    label = variable.symbol or variable.heading
+    if layer.group == "Costs" and layer.name != H_NORM:
+        label = ""
+    classes = [name for name, _ in variable.classes]
+    return {"told": label, "classes": classes, "unit": unit_of(layer)}
 
 
 def as_json(value: Any) -> bytes:
