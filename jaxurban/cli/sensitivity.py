@@ -213,8 +213,8 @@ def sensitivity_study(
 ) -> int:
     """Find the weights at which many routes over the maps in each DIR change."""
     from jaxurban.io.tables import read_table, records_of
+    from jaxurban.maps.sources import scenario_of
     from jaxurban.paths.rows import HAS_PATH, MapsFolder
-    from jaxurban.report.buildings import scenario_of
     from jaxurban.report.run_sensitivity import sensitivity_study as study
     from jaxurban.studies.weights.routes import SensitivityStudySettings
 
@@ -251,7 +251,7 @@ def sensitivity_study(
         settings=settings,
         scenarios=None
         if scenario is None
-        else {folders[0].resolve().name: scenario_of(folders[0], scenario)},
+        else {folders[0].resolve().name: scenario_of(folders[0], scenario.parent)},
         workers=workers,
         overwrite=overwrite,
     )
