@@ -23,7 +23,7 @@ from jaxurban.report.satellites import (
     satellite_tables,
     sentences_of,
 )
-from jaxurban.report.write import Output, bullets, fill, study_outputs, table
+from jaxurban.report.write import Output, bullets, fill, interval, study_outputs, table
 from jaxurban.settings import as_tuple
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver import validate as computed
@@ -169,8 +169,7 @@ def validation_markdown(result: computed.ReceiverValidation) -> str:
 
 def with_interval(row: Mapping[Any, Any], coefficient: str) -> str:
     """Return a coefficient with the interval that it has, as ``0.42 (0.29 to 0.54)``; nothing where it is undefined."""
-    value, low, high = (row.get(f"{coefficient}{end}", math.nan) for end in ("", "_low", "_high"))
-    return _number(value) + (f" ({low:.2f} to {high:.2f})" if np.isfinite(low) else "")
+    return interval(row, coefficient, _number)
 
 
 def score_table(scores: pd.DataFrame) -> str:

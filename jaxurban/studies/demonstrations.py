@@ -335,7 +335,7 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
         raise InputError(
             f"a route must be [N, 2] finite metres with N >= 2, got shape {points.shape}"
         )
-    local = (points - np.array([grid.x_min_m, grid.y_min_m])) / grid.resolution_m
+    local = (points - grid.bounds_m[:2]) / grid.resolution_m
     if np.any(local < 0) or np.any(local >= (grid.num_cols, grid.num_rows)):
         raise InputError(
             "it leaves the maps: clip it to their region, or make maps of a larger one"

@@ -301,7 +301,7 @@ def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.nda
         raise InputError(
             "planned again they cost otherwise than their rows say, as where seconds ended the search"
         )
-    return result.points_m + np.array([cost_map.grid.x_min_m, cost_map.grid.y_min_m])
+    return result.points_m + cost_map.grid.bounds_m[:2]
 
 
 def _listed(reasons: Counter[str]) -> str:

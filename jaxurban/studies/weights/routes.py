@@ -26,10 +26,10 @@ from jaxurban.planners.astar import astar
 from jaxurban.studies.demonstrations import cells_of
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import located
-from jaxurban.studies.queries import RouteQuery, outcomes_of
+from jaxurban.studies.queries import RouteQuery, outcomes_of, query_between
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import nearest_breakpoints
-from jaxurban.studies.weights.sobol import check_sampling, check_vary, sobol_of_weights
+from jaxurban.studies.weights.sobol import check_sampling, sobol_of_weights, varied_columns
 
 ROUTE_KEY = ("city", *KEY)
 CITY_NUMBER = "city_number"  # column of instances: the place of a route's city among those of the study, from 0
@@ -146,11 +146,7 @@ def query_of(cost_map: CostMap, instance: Row) -> tuple[RouteQuery, np.ndarray]:
       InputError: a place that is not free, or both in one cell.
     """
     start, goal, weights = located(cost_map, instance)
-    if start == goal:
-        raise InputError(
-            "start and goal lie in one cell, so there is no route to study: set them further apart"
-        )
-    return RouteQuery(cost_map, start, goal, str(instance["instance"])), weights
+    return query_between(cost_map, start, goal, str(instance["instance"])), weights
 
 
 def route_facts(
@@ -176,10 +172,8 @@ def route_facts(
     begin_s = time.perf_counter()
     query, weights = query_of(cost_map, instance)
     names = query.names
-    vary = settings.vary or tuple(
-        name for name, weight in zip(names[1:], weights[1:], strict=True) if weight > 0
-    )
-    columns = check_vary(names, weights, vary)
+    varied = varied_columns(names, weights, settings.vary)
+    vary, columns = list(varied), list(varied.values())
     first = astar(query.problem(weights))
     if not first.status.has_path:
         return {"status": first.status.value, "note": first.status.sentence}
