@@ -33,11 +33,11 @@ from jaxurban.settings import CostKind, Preset, iso_utc
 from jaxurban.studies.demonstrations import MOST_REASONS, Demonstration, demonstration_from_line
 from jaxurban.studies.montecarlo.sampling import (
     KEY,
+    as_columns,
     check_instances,
     checked_instances,
     instances_of_queries,
     read_instances,
-    weight_columns,
 )
 from jaxurban.studies.montecarlo.study import BenchmarkResult
 from jaxurban.studies.montecarlo.trial import WEIGHTED, Benchmark, draws_samples, located
@@ -115,7 +115,7 @@ def demonstrations_from_study(
     maps = as_maps(_maps_of(study) if maps is None else maps)
     if constraints is None and not isinstance(study, pd.DataFrame | str | Path):
         constraints = study.settings.constraints
-    flown = {} if pilot is None else _columns_of(pilot.checked(maps.metrics), maps)
+    flown = {} if pilot is None else as_columns(pilot.checked(maps.metrics), maps.metrics)
     source = _source(study, maps, planner, flown)
     job = Benchmark(
         study=Study(seed=source.settings.get("seed", 0)),
@@ -182,14 +182,6 @@ def _maps_of(study: BenchmarkResult | pd.DataFrame | str | Path) -> MapsLike:
             f"{str(study)!r} does not hold the maps that its routes lie on: give them (maps=)"
         )
     return folder
-
-
-def _columns_of(weights: Weights, maps: MetricMaps) -> dict[str, float]:
-    """Return weights as columns of instances on these maps."""
-    return {
-        name: float(weights[name.removeprefix(WEIGHT_PREFIX)])
-        for name in weight_columns(maps.metrics)
-    }
 
 
 def _source(
