@@ -122,7 +122,7 @@ def write_buildings(
       softness_m: see `jaxurban.grad.SoftParams`.
 
     Returns:
-      The table of `jaxurban.studies.building_costs`, a row a building with any effect, the costliest first.
+      The table of `jaxurban.studies.building_costs`, a row per building with any effect, the costliest first.
 
     Raises:
       InputError: there is no route, sources that are not found or changed, buildings from a height raster, a route over

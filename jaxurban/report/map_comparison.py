@@ -242,7 +242,7 @@ class MapComparison(computed.MapComparison, Result):
       settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; None where one
         of them was not made by `jaxurban maps`.
       tolerance: up to which values are the same.
-      table: a row a layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
+      table: a row per layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
         hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A in the layer's ``unit``,
         ``gained`` and ``lost``, the cells that are higher by more than ``tolerance`` in B and in A, and
         ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` (cells that no planner enters) the

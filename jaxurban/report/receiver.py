@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -54,7 +55,7 @@ def name_of(prediction: str) -> str:
 
 @styled
 def plot_scatter(result: computed.ReceiverValidation) -> Figure:
-    """Return the receiver against the prediction that is its own, a point a piece of track, darker where many are."""
+    """Return the receiver against the prediction that is its own, a point per piece of track, darker where many are."""
     rows = result.main.to_dict("records")
     figure, axes = panels(
         len(rows), "Receiver against prediction, with rank correlations", panel_in=(4.2, 3.4)
@@ -63,17 +64,11 @@ def plot_scatter(result: computed.ReceiverValidation) -> Figure:
         witness, name = row["witness"], row["prediction"]
         known = result.pieces[result.pieces[witness].notna() & result.pieces[name].notna()]
         x, y = (
-            known[of_axis].clip(*ends_of(known[of_axis].to_numpy())) for of_axis in (name, witness)
+            known[quantity].clip(*ends_of(known[quantity].to_numpy()))
+            for quantity in (name, witness)
         )
-        for axis, of_axis, set_scale in (
-            (panel.xaxis, name, panel.set_xscale),
-            (panel.yaxis, witness, panel.set_yscale),
-        ):
-            if of_axis in COUNTS:
-                axis.set_major_locator(MaxNLocator(integer=True))
-            else:  # errors and dilutions
-                set_scale("log")
-                show_plain_log(axis)
+        _scale_axis(panel.xaxis, panel.set_xscale, name)
+        _scale_axis(panel.yaxis, panel.set_yscale, witness)
         panel.scatter(x, y, s=12, color=MAP_COLOUR, alpha=0.2, linewidths=0)
         title = f"within blocks {row[WITHIN]:.2f}, whole track {row[SPEARMAN]:.2f}"
         if name == NUM_VISIBLE:
@@ -87,14 +82,24 @@ def plot_scatter(result: computed.ReceiverValidation) -> Figure:
                 linewidth=1.2,
             )
             title += "  ·  line: medians"
+        label = f"maps: {name_of(name)}"
         num = int(np.isinf(known[name]).sum())
+        if num:
+            label += f" ({num} undetermined, at the right edge)"
         panel.set_title(title)
-        panel.set_xlabel(
-            f"maps: {name_of(name)}{f' ({num} undetermined, at the right edge)' if num else ''}"
-        )
+        panel.set_xlabel(label)
         panel.set_ylabel(f"receiver: {LABELS[witness]}")
     letter_all(axes)
     return figure
+
+
+def _scale_axis(axis: Axis, set_scale: Callable[[str], None], quantity: str) -> None:
+    """Give an axis whole numbers for counts, a logarithmic scale for errors and dilutions of precision."""
+    if quantity in COUNTS:
+        axis.set_major_locator(MaxNLocator(integer=True))
+        return
+    set_scale("log")
+    show_plain_log(axis)
 
 
 def validation_outputs(
@@ -205,26 +210,21 @@ class ReceiverValidation(computed.ReceiverValidation, Result):
       settings: how the two were set beside each other.
       scenario: the settings that the maps were made with.
       summary: numbers of the whole: epochs, those in a building, length of the track, means. Metres end in ``_m``.
-      epochs: a row an epoch: time, place, distance along the track, witnesses and predictions; NaN in a building.
-      pieces: a row a piece of track of ``settings.piece_m``: medians of the same.
-      scores: a row a ``witness``, ``prediction`` and ``piece_m``: ``num`` pieces, and for the rank correlation
+      epochs: a row per epoch: time, place, distance along the track, witnesses and predictions; NaN in a building.
+      pieces: a row per piece of track of ``settings.piece_m``: medians of the same.
+      scores: a row per ``witness``, ``prediction`` and ``piece_m``: ``num`` pieces, and for the rank correlation
         ``within`` blocks and ``spearman`` over the whole track the value, what 95 % of all shifts along the track stay
         at or below (``_shifts_95``) and the share of all shifts, that of 0 m among them, that score at least as high
         (``_p``); of ``within`` also the ends of its 95 % interval (``_low``, ``_high``). Above 0 the receiver does
         better where the maps say so; NaN where a coefficient is not defined.
-      shifts: a row a witness, length of pieces and ``shift`` of the maps along the track, in pieces, with the
+      shifts: a row per witness, length of pieces and ``shift`` of the maps along the track, in pieces, with the
         coefficients.
       attribution: whom to credit for the city.
       guesses: what city and sky rest on that no file says, a sentence each.
-      satellites: of a log with a row a satellite, how the maps agree with it, satellite by satellite; else None. Then
+      satellites: of a log with a row per satellite, how the maps agree with it, satellite by satellite; else None. Then
         ``num_visible`` and, where the log has none, ``num_tracked`` count the satellites that are judged.
 
     Examples:
-      >>> import pandas as pd
-      >>> settings = {"region": {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}}
-      >>> scenario = ju.Scenario.from_dict(settings | {"buildings": {"source": "synthetic"}})
-      >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=40, freq="s")})
-      >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 40), lat=40.7795, num_tracked=5)
       >>> result = ju.studies.validate(scenario, log, progress=False)
       >>> result.summary["epochs"], result.summary["epochs_left_out"], round(result.summary["length_m"])
       (40, 7, 338)

@@ -78,7 +78,7 @@ def sensitivity_study(
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
-      `SensitivityStudy`: ``rows`` has a row a route, and ``tables`` their summaries with intervals, by name.
+      `SensitivityStudy`: ``rows`` has a row per route, and ``tables`` their summaries with intervals, by name.
 
     Raises:
       InputError: a wrong argument, routes for other maps, or a folder that holds another study or other files.

@@ -51,7 +51,7 @@ class SensitivityStudy:
       folder: where it is kept.
       maps: of each city by its name.
       instances: the routes asked for.
-      rows: what was found for each, a row a route: its status, cost and outcomes, and of each weight its share of the
+      rows: what was found for each, a row per route: its status, cost and outcomes, and of each weight its share of the
         cost, the nearest factors at which the route changes, and what a wrong weight costs.
       remade: how each route differs on maps of perturbed heights; empty where none were asked for.
       skipped: why some other maps were not made, a sentence each.
@@ -132,7 +132,7 @@ def study_markdown(result: SensitivityStudy) -> str:
 
 
 def _cities(result: SensitivityStudy) -> pd.DataFrame:
-    """Return a row a city: what was asked there, and how many routes were found."""
+    """Return a row per city: its maps, its altitudes, and how many of its routes have a path."""
     rows = []
     for city, part in result.rows.groupby("city", sort=False):
         maps = result.maps[str(city)]

@@ -52,10 +52,10 @@ class Demonstration:
       drawn_cells: within how many cells of ``points_m`` the route that was meant runs; 0: these are its points.
 
     Examples:
-      >>> (shown,) = ju.fit.demonstrations_from_paths(path, maps)
-      >>> shown.query.start, shown.query.goal, shown.points_m.shape, shown.drawn_cells
+      >>> (routes,) = ju.fit.demonstrations_from_paths(path, maps)
+      >>> routes.query.start, routes.query.goal, routes.points_m.shape, routes.drawn_cells
       ((2, 2), (27, 27), (27, 2), 0.0)
-      >>> dict(zip(shown.query.names, shown.features.round().tolist()))  # metres, then sums of costs
+      >>> dict(zip(routes.query.names, routes.features.round().tolist()))  # metres, then sums of costs
       {'distance': 719.0, 'gps': 17.0, 'lidar': 127.0, 'population': 5.0, 'risk': 1.0}
     """
 
@@ -148,8 +148,8 @@ def read_demonstrations(
 
     Examples:
       >>> flown = path.save("flown.geojson")
-      >>> (shown,) = ju.fit.read_demonstrations(flown, maps)
-      >>> shown.query.name, shown.query.cost_map.altitude_m, shown.points_m.shape
+      >>> (routes,) = ju.fit.read_demonstrations(flown, maps)
+      >>> routes.query.name, routes.query.cost_map.altitude_m, routes.points_m.shape
       ('1', 60.0, (27, 2))
     """
     if Path(file).suffix.lower() in SUFFIXES:
@@ -211,8 +211,8 @@ def demonstrations_from_paths(
 
     Examples:
       >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
-      >>> shown = ju.fit.demonstrations_from_paths([path, back], maps, metrics=["gps", "lidar"])
-      >>> [each.query.start for each in shown], shown[0].query.names
+      >>> routes = ju.fit.demonstrations_from_paths([path, back], maps, metrics=["gps", "lidar"])
+      >>> [each.query.start for each in routes], routes[0].query.names
       ([(2, 2), (27, 27)], ('distance', 'gps', 'lidar'))
     """
     paths = [paths] if isinstance(paths, PlannedPath) else list(paths)

@@ -190,7 +190,7 @@ def compare(
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
-      `MapComparison`: its ``table`` has a row a layer, altitude, time and time of day with statistics of B - A, `of`
+      `MapComparison`: its ``table`` has a row per layer, altitude, time and time of day with statistics of B - A, `of`
       returns the differences of one map, and ``save`` writes the report.
 
     Raises:

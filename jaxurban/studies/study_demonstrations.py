@@ -101,8 +101,8 @@ def demonstrations_from_study(
     Examples:
       >>> chosen = ju.studies.Study(planners="astar-plus", weights=[ju.Weights(risk=5.0)], altitudes_m=[60.0])
       >>> run = ju.studies.study(maps, "one-w", 4, settings=chosen, progress=False)
-      >>> shown = ju.fit.demonstrations_from_study(run)
-      >>> [each.query.name for each in shown], shown[0].query.cost_map.altitude_m
+      >>> routes = ju.fit.demonstrations_from_study(run)
+      >>> [each.query.name for each in routes], routes[0].query.cost_map.altitude_m
       (['0', '1', '2', '3'], 60.0)
     """
     if planner is not None and pilot is not None:

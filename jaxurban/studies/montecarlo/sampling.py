@@ -105,7 +105,7 @@ def sample_instances(
       seed: of everything.
 
     Returns:
-      A row an instance and altitude, which `jaxurban.studies.study` takes: ``instance``, ``altitude_m``, ``crs``,
+      A row per instance and altitude, which `jaxurban.studies.study` takes: ``instance``, ``altitude_m``, ``crs``,
       ``start_x_m``, ``start_y_m``, ``goal_x_m``, ``goal_y_m``, ``start_lon``, ``start_lat``, ``goal_lon``,
       ``goal_lat``, ``time``, ``time_of_day``, ``start_stratum``, ``goal_stratum``, ``range``, ``distance_m``
       (straight), ``is_connected``, ``w_distance`` (per metre), ``w_gps``, ``w_lidar``, ``w_population``, ``w_risk`` (0

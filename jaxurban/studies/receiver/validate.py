@@ -77,9 +77,9 @@ class ReceiverValidation(FactsRepr):
     @property
     def facts(self) -> dict[str, str]:
         """Log, track, and what each witness scores."""
-        of = self.summary
-        length = f"{of['length_m'] / 1000:.2f} km, {of['epochs']} epochs"
-        facts = {"log": self.log.name, "track": length, "cells": f"{of['resolution_m']:g} m"}
+        summary = self.summary
+        length = f"{summary['length_m'] / 1000:.2f} km, {summary['epochs']} epochs"
+        facts = {"log": self.log.name, "track": length, "cells": f"{summary['resolution_m']:g} m"}
         if self.satellites is not None:
             facts |= self.satellites.facts
         for row in self.main.to_dict("records"):
@@ -104,7 +104,7 @@ def validate(
 ) -> ReceiverValidation:
     """Return how well maps of a scenario predict what a receiver logged on its way through the city.
 
-    Of a log with a row a satellite each C/N0 is compared with whether the city hides that satellite: the result's
+    Of a log with a row per satellite each C/N0 is compared with whether the city hides that satellite: the result's
     ``satellites``. Of a log of counts, satellites in view, dilutions of precision and m of GPS are those of maps of the
     scenario's city, orbits and mask, at the log's times and the antenna's height, in the cells of the track. No number
     of the maps is fitted to the log.
@@ -112,10 +112,10 @@ def validate(
     Args:
       scenario: of the maps; its times, its altitudes and the layers that a user added are ignored.
       log: the receiver's, as a table or its file (``.csv``, ``.csv.gz``, ``.parquet``), with ``utc``, ``lon_deg``
-        (or ``lon``), ``lat_deg`` (or ``lat``), and: with a row a satellite, ``satellite``, ``cn0_dbhz`` (0: above the
+        (or ``lon``), ``lat_deg`` (or ``lat``), and: with a row per satellite, ``satellite``, ``cn0_dbhz`` (0: above the
         horizon, not received) and the satellite's ``azimuth_deg`` and ``elevation_deg``, without which the scenario's
-        orbits give them; with a row an epoch, ``num_tracked``, ``error_2d_m`` or both. With ``navigation`` it is a file
-        of observations in RINEX 3. Left out, the log of the sample city that the scenario names.
+        orbits give them; with a row per epoch, ``num_tracked``, ``error_2d_m`` or both. With ``navigation`` it is a
+        file of observations in RINEX 3. Left out, the log of the sample city that the scenario names.
       settings: how the two are set beside each other.
       navigation: broadcast orbits in RINEX 3 (needs the extra ``receiver``).
       reference: places of the antenna, as a table or its file (`jaxurban.io.read.rinex.read_rinex`).
@@ -131,12 +131,6 @@ def validate(
         cannot be used, or orbits too old for the log's times.
 
     Examples:
-      >>> import pandas as pd
-      >>> settings = {"region": {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}}
-      >>> scenario = ju.Scenario.from_dict(settings | {"buildings": {"source": "synthetic"}})
-      >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=40, freq="s")})
-      >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 40), lat=40.7795, num_tracked=5)
-      >>> log["num_tracked"] = 5 + np.arange(40) // 10  # more to the east
       >>> result = ju.studies.validate(scenario, log, progress=False)
       >>> result.main[["witness", "prediction", "num", "spearman"]].round(2).to_dict("records")
       [{'witness': 'num_tracked', 'prediction': 'num_visible', 'num': 13, 'spearman': 0.61}]
@@ -310,7 +304,7 @@ def shifted(coefficient: Callable[[np.ndarray], float], values: np.ndarray) -> n
 
 
 def pieces_of(epochs: pd.DataFrame, piece_m: float, block_m: float) -> pd.DataFrame:
-    """Return a row a piece of track: medians of what the receiver logged and of what the maps say.
+    """Return a row per piece of track: medians of what the receiver logged and of what the maps say.
 
     Columns: ``piece``, ``block`` (numbers along the track), ``utc`` (of the middle epoch), ``epochs`` (how many), and
     those of the epochs. Epochs in a building or without data are left out.

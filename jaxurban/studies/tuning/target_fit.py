@@ -117,13 +117,13 @@ class TargetFit:
     Attributes:
       names: ``"distance"`` and the metrics.
       weights: they sum to 1.
-      outcomes: a row a target: wished (its bound), shortest (what the shortest routes give), reached, missed_by (share
-        of the bound), is_met; by planned routes, without noise.
-      alone: a row a target: the best that was reached when it was the only one.
+      outcomes: a row per target: wished (its bound), shortest (what the shortest routes give), reached, missed_by
+        (share of the bound), is_met; by planned routes, without noise.
+      alone: a row per target: the best that was reached when it was the only one.
       conflicts: pairs of targets, each met alone or nearly so, that were not met together.
       is_met: all targets are met within 2 %.
       is_in_budget: the search ended by itself; a larger budget would find no more.
-      curve: a row a round: the least loss so far, its outcomes, and the searches made.
+      curve: a row per round: the least loss so far, its outcomes, and the searches made.
       num_plans, elapsed_s: searches and wall time.
 
     Examples:
@@ -184,7 +184,7 @@ def fit_targets(
 
     Returns:
       ``weights``, which `jaxurban.plan` takes and which sum to 1; ``is_met``, and ``sentence``, which names what is
-      missed; ``outcomes``, a row a target: its bound, what the shortest routes give, and what was reached; ``alone``,
+      missed; ``outcomes``, a row per target: its bound, what the shortest routes give, and what was reached; ``alone``,
       the same when each target was the only one; and ``conflicts``, pairs that were not met together.
 
     Raises:
@@ -265,7 +265,7 @@ def fit_targets(
 
 @dataclass(frozen=True, eq=False)
 class _Best:
-    """The best weights of one search; what is reached and missed ``[N]`` of all targets, and a row a round."""
+    """The best weights of one search; what is reached and missed ``[N]`` of all targets, and a row per round."""
 
     log_weights: np.ndarray
     reached: np.ndarray
@@ -430,7 +430,7 @@ def _known_misses(
 def _outcome_table(
     targets: Sequence[Target], result: Sequence[_Best], at_shortest: np.ndarray
 ) -> pd.DataFrame:
-    """Return a row a target, each as its own search reached it."""
+    """Return a row per target, each as its own search reached it."""
     missed = [float(each.missed[number]) for number, each in enumerate(result)]
     return pd.DataFrame(
         {

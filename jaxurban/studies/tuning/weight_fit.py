@@ -81,8 +81,8 @@ class WeightFit:
       is_settled: the last round bettered no known route by more than 1e-5.
 
     Examples:
-      >>> shown = ju.fit.demonstrations_from_paths([path], maps)
-      >>> fit = ju.fit.fit_weights(shown, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=2))
+      >>> routes = ju.fit.demonstrations_from_paths([path], maps)
+      >>> fit = ju.fit.fit_weights(routes, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=2))
       >>> dict(zip(fit.names, fit.vector.round(2).tolist(), strict=True)) == fit.table["weight"].round(2).to_dict()
       True
       >>> again = ju.plan(maps, start, goal, altitude_m=60.0, weights=fit.weights)
@@ -171,8 +171,8 @@ def fit_weights(
 
     Examples:
       >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
-      >>> shown = ju.fit.demonstrations_from_paths([path, back], maps)
-      >>> fit = ju.fit.fit_weights(shown, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=5))
+      >>> routes = ju.fit.demonstrations_from_paths([path, back], maps)
+      >>> fit = ju.fit.fit_weights(routes, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=5))
       >>> fit.regret.round(2).tolist(), round(float(fit.vector.sum()), 3)
       ([0.0, 0.0], 1.0)
       >>> list(fit.table.columns)
@@ -299,20 +299,20 @@ class _Fit:
         num_known = self.pool.num_routes
         expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.routes[0]), axis=-1)
         searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
-        here = self.task(NUM_NOISE, noise, rng)
+        task = self.task(NUM_NOISE, noise, rng)
         objective = fenchel_young_loss if number < TRUST_ROUNDS else mean_regret
         if number >= TRUST_ROUNDS:
             patience = FIRST_DOUBT ** max(0.0, 1 - (number - TRUST_ROUNDS) / DOUBT_ROUNDS)
-            regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), here))
+            regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), task))
             self.trust = redescending_trust(regret, patience)
-            here = here._replace(trust=jnp.asarray(self.trust))
-        ended, reached = descend(jnp.asarray(self.log_weights), here, objective, STEPS)
+            task = task._replace(trust=jnp.asarray(self.trust))
+        ended, reached = descend(jnp.asarray(self.log_weights), task, objective, STEPS)
         self.log_weights = np.asarray(ended)
         return {
             "round": number + 1,
             "noise": noise,
             "loss": float(reached),
-            "mean_regret": float(np.mean(np.asarray(regrets(weights_of(ended), here)))),
+            "mean_regret": float(np.mean(np.asarray(regrets(weights_of(ended), task)))),
             "worst_gap": float(np.max(expected / searched - 1)),
             "new_routes": self.pool.num_routes - num_known,
             "num_plans": self.pool.num_plans,
@@ -332,12 +332,12 @@ class _Fit:
           least: ``[Q, K]`` features that the demonstrations have at least (`Demonstration.least_features`).
         """
         unit = self.unit[self.is_fitted]
-        here = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
-        here = here._replace(demo=(least / self.unit)[:, self.is_fitted])
+        task = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
+        task = task._replace(demo=(least / self.unit)[:, self.is_fitted])
         ends = np.zeros((2, len(self.unit)))
         scaled = (self.weights * self.unit)[self.is_fitted]
         ends[:, self.is_fitted] = (
-            near_optimal_range(scaled, here, scale[self.is_fitted] / unit, SETTLED) / unit
+            near_optimal_range(scaled, task, scale[self.is_fitted] / unit, SETTLED) / unit
         )
         return ends
 

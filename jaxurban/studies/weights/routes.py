@@ -1,4 +1,4 @@
-"""What weights do to each of many routes, and how it differs on maps of perturbed heights: a row a route.
+"""What weights do to each of many routes, and how it differs on maps of perturbed heights: a row per route.
 
 A row is made alone, so that any number can be made side by side. Maps are made again with heights drawn as well as they
 are known, and with each parameter of the metrics halved and doubled.

@@ -145,7 +145,7 @@ def sobol_of_weights(
 
 
 def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
-    """Return the indices of one outcome, a row a factor."""
+    """Return the indices of one outcome, a row per factor."""
     table = pd.DataFrame(
         np.nan,
         pd.Index(problem["names"], name="factor"),
@@ -177,7 +177,7 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
 
 
 def cost_gradient(names: Sequence[str], weights: np.ndarray, features: np.ndarray) -> pd.DataFrame:
-    """Return how the optimal cost V responds to a small change of each weight, a row a weight.
+    """Return how the optimal cost V responds to a small change of each weight, a row per weight.
 
     V(W) = min W . f has the gradient f, the features of the cheapest route, wherever that is unique (envelope theorem;
     Danskin 1967); where routes tie it is one of V's supergradients. Of several queries: that of their mean cost.

@@ -70,7 +70,7 @@ class Sensitivity(FactsRepr):
           name: of a weight that was varied.
 
         Returns:
-          A row a route, numbered from 1 in the order of the weight.
+          A row per route, numbered from 1 in the order of the weight.
 
         Raises:
           InputError: the weight was not varied.
@@ -186,9 +186,9 @@ def sensitivity(
       progress: gets what runs and the searches made, as in `ju.build_maps`.
 
     Returns:
-      ``cost``, a row a weight: its value, the derivative of the cost by it, and its share of the cost (``elasticity``);
-      ``breakpoints(name)``, the routes along the range of a weight; ``tables()``, all of it by name; ``save`` writes
-      the report.
+      ``cost``, a row per weight: its value, the derivative of the cost by it, and its share of the cost
+      (``elasticity``); ``breakpoints(name)``, the routes along the range of a weight; ``tables()``, all of it by name;
+      ``save`` writes the report.
 
     Raises:
       InputError: places outside the maps or inside an obstacle, both in one cell or with no path between them, or a

@@ -46,7 +46,7 @@ def routes_of(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
 
 
 def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.DataFrame:
-    """Return a row a route and weight: `OF_WEIGHT`, whether it ``varies``, ``nearest`` and ``regret``.
+    """Return a row per route and weight: `OF_WEIGHT`, whether it ``varies``, ``nearest`` and ``regret``.
 
     ``nearest`` is the factor, by which the weight is multiplied or divided, at which the route changes; where it does
     not within the range, the range's nearer end. ``regret`` is the larger of both.
