@@ -12,7 +12,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED
+from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED, ReceiverLog
 from jaxurban.maps.levels import listed_m
 from jaxurban.maps.track import NUM_VISIBLE
 from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plain_log, styled
@@ -28,12 +28,7 @@ from jaxurban.report.write import Output, bullets, fill, interval, study_outputs
 from jaxurban.settings import as_tuple
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver import validate as computed
-from jaxurban.studies.receiver.validate import (
-    COEFFICIENTS,
-    MAIN,
-    SPEARMAN,
-    WITHIN,
-)
+from jaxurban.studies.receiver.validate import COEFFICIENTS, MAIN, SPEARMAN, WITHIN
 
 NAMES = {NUM_VISIBLE: "satellites in view", "gps": "GPS quality m"}
 LABELS = {TRACKED: "satellites tracked", ERROR: "horizontal error (m)"}
@@ -126,50 +121,62 @@ def validation_outputs(
 
 def validation_markdown(result: computed.ReceiverValidation) -> str:
     """Return the report as Markdown."""
-    of, settings, scenario = result.summary, result.settings, result.scenario
-    masks_deg = as_tuple(scenario["gps"]["mask_deg"])
     is_main = result.scores.prediction == result.scores.witness.map(MAIN)
     others = result.scores[~is_main]
-    of_sky = result.satellites
-    orbits = ", ".join(f"`{name}`" for name in scenario["gps"]["orbits"])
-    has_angles = (
-        not result.log.witnesses
-        and result.log.satellites is not None
-        and AZIMUTH in result.log.satellites
-    )
-    of_judged = (
-        " (of rows that are judged)" if of_sky is not None and not result.log.witnesses else ""
-    )
-    facts = {
-        "epochs": f"{of['epochs']:,}, of which {of['epochs_left_out']:,} are left out: in a building or without data",
-        "time": f"{of['first_utc']} to {of['last_utc']}",
-        "track": f"{of['length_m'] / 1000:.2f} km",
-        f"satellites in view, mean{of_judged}": _number(of["mean_num_visible"], 1),
-        f"satellites tracked, mean{of_judged}": _number(of.get(f"mean_{TRACKED}", math.nan), 1),
-        "maps": f"cells of {of['resolution_m']:g} m, elevation mask {listed_m(masks_deg)} degrees, "
-        f"`oversample` {scenario['region']['oversample']}, antenna {settings.antenna_height_m:g} m above the ground",
-        "orbits": ""
-        if has_angles
-        else f"{orbits}; {of['num_skies']} skies, one each {settings.sky_step_s:g} s",
-        "city": f"buildings `{scenario['buildings']['source']}`, terrain `{scenario['terrain']['source'] or 'flat'}`",
-    }
+    satellites = result.satellites
+    tables: dict[str, pd.DataFrame] = {}
+    sentences: dict[str, str] = {}
+    verdict = peak = ""
+    if satellites is not None:
+        tables, sentences = satellite_tables(satellites), sentences_of(satellites)
+        verdict, peak = f"**{satellites.verdict}**", peak_text(satellites)
     return fill(
         "validate",
-        tables={} if of_sky is None else satellite_tables(of_sky),
+        tables=tables,
         credits=[result.attribution],
         result=result,
-        of=of_sky,
-        verdict="" if of_sky is None else f"**{of_sky.verdict}**",
-        settings=settings,
+        of=satellites,
+        verdict=verdict,
+        settings=result.settings,
         fewest=FEWEST_GROUPS,
-        facts=table(("", ""), [(name, fact) for name, fact in facts.items() if fact]),
+        facts=table(("", ""), _facts(result)),
         scores=score_table(result.scores[is_main]),
         others=f"Other quantities of the maps:\n\n{score_table(others)}" if len(others) else "",
         cautions=bullets(f"{caution.level}: {caution}" for caution in result.known_cautions),
-        sentences={} if of_sky is None else sentences_of(of_sky),
-        peak="" if of_sky is None else peak_text(of_sky),
-        of_orbits=OF_LOG if has_angles else OF_ORBITS,
+        sentences=sentences,
+        peak=peak,
+        of_orbits=OF_LOG if _needs_no_orbits(result.log) else OF_ORBITS,
     )
+
+
+def _needs_no_orbits(log: ReceiverLog) -> bool:
+    """Return whether a log has all directions of its satellites, and no counts to compare with those of maps."""
+    has_angles = log.satellites is not None and AZIMUTH in log.satellites
+    return has_angles and not log.witnesses
+
+
+def _facts(result: computed.ReceiverValidation) -> list[tuple[str, str]]:
+    """Return name and text of what the report says of the log and the maps."""
+    summary, settings, scenario = result.summary, result.settings, result.scenario
+    counted = ""
+    if result.satellites is not None and not result.log.witnesses:
+        counted = " (of rows that are judged)"
+    orbits = ", ".join(f"`{name}`" for name in scenario["gps"]["orbits"])
+    skies = f"{summary['num_skies']} skies, one each {settings.sky_step_s:g} s"
+    masks_deg = listed_m(as_tuple(scenario["gps"]["mask_deg"]))
+    num_left_out = f"{summary['epochs_left_out']:,}"
+    facts = {
+        "epochs": f"{summary['epochs']:,}, of which {num_left_out} are left out: in a building or without data",
+        "time": f"{summary['first_utc']} to {summary['last_utc']}",
+        "track": f"{summary['length_m'] / 1000:.2f} km",
+        f"satellites in view, mean{counted}": _number(summary["mean_num_visible"], 1),
+        f"satellites tracked, mean{counted}": _number(summary.get(f"mean_{TRACKED}", math.nan), 1),
+        "maps": f"cells of {summary['resolution_m']:g} m, elevation mask {masks_deg} degrees, "
+        f"`oversample` {scenario['region']['oversample']}, antenna {settings.antenna_height_m:g} m above the ground",
+        "orbits": "" if _needs_no_orbits(result.log) else f"{orbits}; {skies}",
+        "city": f"buildings `{scenario['buildings']['source']}`, terrain `{scenario['terrain']['source'] or 'flat'}`",
+    }
+    return [(name, fact) for name, fact in facts.items() if fact]
 
 
 def with_interval(row: Mapping[Any, Any], coefficient: str) -> str:
