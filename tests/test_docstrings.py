@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import jaxurban as ju
@@ -29,6 +30,11 @@ def assumed() -> dict[str, Any]:
     maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0, 60.0))
     start, goal = maps.grid.lonlat_of_cell(2, 2), maps.grid.lonlat_of_cell(27, 27)
     path = ju.plan(maps, start, goal, altitude_m=60.0)
+    region = {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}
+    scenario = ju.Scenario.from_dict({"region": region, "buildings": {"source": "synthetic"}})
+    log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=40, freq="s")})
+    log = log.assign(lon=np.linspace(-73.973, -73.969, 40), lat=40.7795)
+    log["num_tracked"] = 5 + np.arange(40) // 10  # more to the east
     return {
         "ju": ju,
         "np": np,
@@ -37,6 +43,8 @@ def assumed() -> dict[str, Any]:
         "start": start,
         "goal": goal,
         "path": path,
+        "scenario": scenario,
+        "log": log,
     }
 
 

@@ -251,8 +251,8 @@ def sensitivity_study(
 ) -> int:
     """Find the weights at which many routes over the maps in each DIR change."""
     from jaxurban.io.tables import read_table, records_of
+    from jaxurban.maps.sources import scenario_of
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.report.buildings import scenario_of
     from jaxurban.report.run_sensitivity import sensitivity_study as study
     from jaxurban.studies.weights.routes import SensitivityStudySettings
 
@@ -264,7 +264,7 @@ def sensitivity_study(
     if scenario is not None:
         if len(folders) > 1 or not (heights or has_parameters):
             raise click.UsageError("--scenario belongs to --heights or --parameters of one DIR")
-        scenarios = {folders[0].resolve().name: scenario_of(folders[0], scenario)}
+        scenarios = {folders[0].resolve().name: scenario_of(folders[0], scenario.parent)}
     settings = SensitivityStudySettings(
         vary=names_in(vary),
         factors=factors,

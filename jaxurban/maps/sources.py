@@ -42,7 +42,8 @@ def scenario_of(folder: Path, sources: Path | None = None) -> Scenario:
     names = ", ".join(repr(source["path"]) for source in inputs.values())
     raise InputError(
         f"what the maps in {str(folder)!r} were made of is no longer there as it was ({names}): "
-        "name the folder of these files (sources, --sources), or make the maps again"
+        "name the folder of these files (sources, --sources) or the scenario in it (scenario, --scenario), or make the "
+        "maps again"
     )
 
 

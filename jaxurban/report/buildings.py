@@ -15,14 +15,10 @@ from matplotlib.figure import Figure
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
-from jaxurban.io.files import read_json
-from jaxurban.io.samples import located
-from jaxurban.io.store import RUN_FILE
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.differentiable import SoftParams, soften
-from jaxurban.maps.provenance import hash_inputs
 from jaxurban.maps.run import tasks_of
-from jaxurban.maps.scenario import Scenario
+from jaxurban.maps.sources import scenario_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.frame import (
     ENDS,
@@ -105,50 +101,6 @@ def plot_building_costs(
 BUILDINGS_FILES = "buildings.csv", "buildings.parquet", "buildings.png"
 
 
-def scenario_of(folder: Path, scenario: Path | None = None) -> Scenario:
-    """Return the scenario that a folder of maps was made from, its sources unchanged.
-
-    The record of a run names sources as the scenario did. Relative names are looked for from the scenario's own file
-    if it is given, else from the current folder, the maps' folder and the one that holds it.
-
-    Raises:
-      InputError: no record, a source that is not found, or one that is not the one the maps were made from.
-    """
-    file = Path(folder) / RUN_FILE
-    try:
-        record = read_json(file)
-    except OSError as error:
-        raise InputError(
-            f"cannot read {str(file)!r} ({error.strerror or error}): making maps again takes the record of their "
-            "run, as `jaxurban maps` writes it"
-        ) from error
-    except ValueError as error:
-        raise InputError(
-            f"{str(file)!r} is not the record of a run ({error}): run the same `jaxurban maps` command again"
-        ) from error
-    folders = [
-        path.resolve()
-        for path in ((Path(), folder, folder.parent) if scenario is None else (scenario.parent,))
-    ]
-    for each in folders:
-        result = Scenario.from_dict(record["settings"], name=str(file), folder=each)
-        if not all(
-            located(result.path_of(source["path"])).exists() for source in record["inputs"].values()
-        ):
-            continue
-        for role, source in hash_inputs(result).items():
-            if source["sha256"] != record["inputs"][role]["sha256"]:
-                raise InputError(
-                    f"{source['path']!r} is not the file that the maps were made from: put it back, or make them again"
-                )
-        return result
-    names = ", ".join(repr(source["path"]) for source in record["inputs"].values())
-    raise InputError(
-        f"the sources of these maps ({names}) were not found from {', '.join(map(str, folders))}: name the scenario's "
-        "file, or run where it lies"
-    )
-
-
 @typed
 def write_buildings(
     folder: str | Path,
@@ -170,7 +122,7 @@ def write_buildings(
       softness_m: see `jaxurban.grad.SoftParams`.
 
     Returns:
-      The table of `jaxurban.studies.building_costs`, a row a building with any effect, the costliest first.
+      The table of `jaxurban.studies.building_costs`, a row per building with any effect, the costliest first.
 
     Raises:
       InputError: there is no route, sources that are not found or changed, buildings from a height raster, a route over
@@ -187,7 +139,7 @@ def write_buildings(
       >>> sorted(file.name for file in Path("costs").iterdir())
       ['buildings.csv', 'buildings.parquet', 'buildings.png', 'checksums.json']
     """
-    settings = scenario_of(Path(folder), None if scenario is None else Path(scenario))
+    settings = scenario_of(Path(folder), None if scenario is None else Path(scenario).parent)
     if not softness_m > 0:
         raise InputError(
             f"softness_m must be a positive number of metres such as 2, got {softness_m}"

@@ -63,7 +63,7 @@ def plot_difference(
     reach as far as 99 % of the changed cells.
 
     Args:
-      found: the comparison.
+      result: the comparison.
       layer: one of its layers.
       time: one of A's times; the first if left out.
 
@@ -78,31 +78,25 @@ def plot_difference(
     maps = [result.of(layer, **place._asdict()) for place, _ in drawn]
     changed = np.concatenate([np.abs(values[np.abs(values) > result.tolerance]) for values in maps])
     colours = difference_colours(changed, _label(result, layer))
-    has_data, panels = result.a.ds["has_data"].values & result.b.ds["has_data"].values, []
+    has_data = result.a.ds["has_data"].values & result.b.ds["has_data"].values
+    panels = []
     for (place, row), values in zip(drawn, maps, strict=True):
+        where = place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m"
         is_grey = np.isnan(values)
         if layer in MASKS and place.altitude_m is not None:
-            is_grey = ~result.a.is_free(place.altitude_m, None if layer == CLOSED else "centre") & (
-                values == 0
-            )
-        layer_drawn = MapLayer(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours)
-        where = place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m"
-        share = (
-            f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed"
-            if row.share_changed
-            else "unchanged"
-        )
-        panels.append(
-            MapPanel(
-                joined(where, share), [layer_drawn, flat_layer(is_grey & has_data, OBSTACLE_COLOUR)]
-            )
-        )
-    heading, legend = (
-        f"{heading_of(result, layer)}, B - A",
-        f"blocked in A {'and' if layer in MASKS else 'or'} B",
-    )
-    look: dict[str, Any] = {"legend": [(legend, OBSTACLE_COLOUR)], "colours": colours}
-    return draw_maps(result.grid, panels, heading, _note(result, time), **look)[0]
+            is_free = result.a.is_free(place.altitude_m, None if layer == CLOSED else "centre")
+            is_grey = ~is_free & (values == 0)
+        change = "unchanged"
+        if row.share_changed:
+            change = f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed"
+        layers = [
+            MapLayer(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours),
+            flat_layer(is_grey & has_data, OBSTACLE_COLOUR),
+        ]
+        panels.append(MapPanel(joined(where, change), layers))
+    legend = [(f"blocked in A {'and' if layer in MASKS else 'or'} B", OBSTACLE_COLOUR)]
+    heading, note = f"{heading_of(result, layer)}, B - A", _note(result, time)
+    return draw_maps(result.grid, panels, heading, note, legend=legend, colours=colours)[0]
 
 
 def difference_colours(changed: np.ndarray, label: str) -> Colours:
@@ -113,9 +107,13 @@ def difference_colours(changed: np.ndarray, label: str) -> Colours:
 
 
 def _label(result: computed.MapComparison, layer: str) -> str:
-    is_metric, unit = layer in result.a.metrics, unit_of(result.a, layer)
-    label = f"{symbol_of(layer) if is_metric else layer}{'' if unit == '1' else f' [{unit}]'}, B - A (red: B is higher)"
-    meaning = meaning_of(result.a, layer) if is_metric else ""
+    unit = unit_of(result.a, layer)
+    in_unit = "" if unit == "1" else f" [{unit}]"
+    change = "B - A (red: B is higher)"
+    if layer not in result.a.metrics:
+        return f"{layer}{in_unit}, {change}"
+    label = f"{symbol_of(layer)}{in_unit}, {change}"
+    meaning = meaning_of(result.a, layer)
     return f"{label}\n(m of 1: {meaning})" if meaning else label
 
 
@@ -126,14 +124,13 @@ def _note(result: computed.MapComparison, time: str | None) -> str:
     for side, name, maps, its_time in zip(
         "AB", result.names, (result.a, result.b), times, strict=True
     ):
-        guessed = guesses_said(maps, time is not None)
-        lines.append(
-            joined(
-                f"{side}: {name}",
-                its_time and time_said(its_time),
-                guessed and f"guessed: {guessed}",
-            )
-        )
+        facts = [f"{side}: {name}"]
+        if its_time:
+            facts.append(time_said(its_time))
+        guesses = guesses_said(maps, time is not None)
+        if guesses:
+            facts.append(f"guessed: {guesses}")
+        lines.append(joined(*facts))
     return "\n".join([*lines, joined(*ground_said(result.a))])
 
 
@@ -209,23 +206,30 @@ def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> s
 
 def _settings(result: computed.MapComparison) -> str:
     """Return what the maps were made by: settings, times that are not the same, and norms of population."""
-    a, b = (population_norms(maps) for maps in (result.a, result.b))
     rows = [(f"`{key}`", *pair) for key, pair in (result.settings or {}).items()]
-    rows += [("time of GPS", *pair) for pair in result.times.items() if pair[0] != pair[1]]
-    norms = [day for day in a if "population" in result.layers and a[day] != b.get(day, a[day])]
-    rows += [
-        (f"population is divided by, {day}", f"{a[day]:,.0f}", f"{b[day]:,.0f}") for day in norms
-    ]
-    settings_rows = [
-        (name, *(NOT_SET if value is None else f"`{value}`" for value in pair))
-        for name, *pair in rows
-    ]
-    not_known = "Not both sets were made by `jaxurban maps`, so that their settings are not known."
-    if result.settings is not None:
-        not_known = "" if result.settings else "No setting differs."
-    return "\n\n".join(
-        filter(None, (not_known, table(("", "A", "B"), settings_rows) if settings_rows else ""))
-    )
+    for of_a, of_b in result.times.items():
+        if of_a != of_b:
+            rows.append(("time of GPS", of_a, of_b))
+    norms_a, norms_b = population_norms(result.a), population_norms(result.b)
+    for day, norm in norms_a.items() if "population" in result.layers else ():
+        other = norms_b.get(day, norm)
+        if norm != other:
+            rows.append((f"population is divided by, {day}", f"{norm:,.0f}", f"{other:,.0f}"))
+    parts = []
+    if result.settings is None:
+        parts.append(
+            "Not both sets were made by `jaxurban maps`, so that their settings are not known."
+        )
+    elif not result.settings:
+        parts.append("No setting differs.")
+    if rows:
+        texts = [(name, _value_text(of_a), _value_text(of_b)) for name, of_a, of_b in rows]
+        parts.append(table(("", "A", "B"), texts))
+    return "\n\n".join(parts)
+
+
+def _value_text(value: Any) -> str:
+    return NOT_SET if value is None else f"`{value}`"
 
 
 class MapComparison(computed.MapComparison, Result):
@@ -238,7 +242,7 @@ class MapComparison(computed.MapComparison, Result):
       settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; None where one
         of them was not made by `jaxurban maps`.
       tolerance: up to which values are the same.
-      table: a row a layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
+      table: a row per layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
         hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A in the layer's ``unit``,
         ``gained`` and ``lost``, the cells that are higher by more than ``tolerance`` in B and in A, and
         ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` (cells that no planner enters) the

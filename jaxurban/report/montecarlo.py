@@ -24,7 +24,7 @@ class BenchmarkResult(computed.BenchmarkResult, Result):
       folder: where it is kept.
       maps: what it was made on.
       instances: the queries (`sample_instances`).
-      rows: what each planner found, one row a planner, objective, instance and altitude.
+      rows: what each planner found, one row per planner, objective, instance and altitude.
       settings: how they were run.
 
     Examples:

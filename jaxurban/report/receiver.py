@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED
+from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED, ReceiverLog
 from jaxurban.maps.levels import listed_m
 from jaxurban.maps.track import NUM_VISIBLE
 from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plain_log, styled
@@ -23,16 +24,11 @@ from jaxurban.report.satellites import (
     satellite_tables,
     sentences_of,
 )
-from jaxurban.report.write import Output, bullets, fill, study_outputs, table
+from jaxurban.report.write import Output, bullets, fill, interval, study_outputs, table
 from jaxurban.settings import as_tuple
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver import validate as computed
-from jaxurban.studies.receiver.validate import (
-    COEFFICIENTS,
-    MAIN,
-    SPEARMAN,
-    WITHIN,
-)
+from jaxurban.studies.receiver.validate import COEFFICIENTS, MAIN, SPEARMAN, WITHIN
 
 NAMES = {NUM_VISIBLE: "satellites in view", "gps": "GPS quality m"}
 LABELS = {TRACKED: "satellites tracked", ERROR: "horizontal error (m)"}
@@ -54,7 +50,7 @@ def name_of(prediction: str) -> str:
 
 @styled
 def plot_scatter(result: computed.ReceiverValidation) -> Figure:
-    """Return the receiver against the prediction that is its own, a point a piece of track, darker where many are."""
+    """Return the receiver against the prediction that is its own, a point per piece of track, darker where many are."""
     rows = result.main.to_dict("records")
     figure, axes = panels(
         len(rows), "Receiver against prediction, with rank correlations", panel_in=(4.2, 3.4)
@@ -63,17 +59,11 @@ def plot_scatter(result: computed.ReceiverValidation) -> Figure:
         witness, name = row["witness"], row["prediction"]
         known = result.pieces[result.pieces[witness].notna() & result.pieces[name].notna()]
         x, y = (
-            known[of_axis].clip(*ends_of(known[of_axis].to_numpy())) for of_axis in (name, witness)
+            known[quantity].clip(*ends_of(known[quantity].to_numpy()))
+            for quantity in (name, witness)
         )
-        for axis, of_axis, set_scale in (
-            (panel.xaxis, name, panel.set_xscale),
-            (panel.yaxis, witness, panel.set_yscale),
-        ):
-            if of_axis in COUNTS:
-                axis.set_major_locator(MaxNLocator(integer=True))
-            else:  # errors and dilutions
-                set_scale("log")
-                show_plain_log(axis)
+        _scale_axis(panel.xaxis, panel.set_xscale, name)
+        _scale_axis(panel.yaxis, panel.set_yscale, witness)
         panel.scatter(x, y, s=12, color=MAP_COLOUR, alpha=0.2, linewidths=0)
         title = f"within blocks {row[WITHIN]:.2f}, whole track {row[SPEARMAN]:.2f}"
         if name == NUM_VISIBLE:
@@ -87,14 +77,24 @@ def plot_scatter(result: computed.ReceiverValidation) -> Figure:
                 linewidth=1.2,
             )
             title += "  ·  line: medians"
+        label = f"maps: {name_of(name)}"
         num = int(np.isinf(known[name]).sum())
+        if num:
+            label += f" ({num} undetermined, at the right edge)"
         panel.set_title(title)
-        panel.set_xlabel(
-            f"maps: {name_of(name)}{f' ({num} undetermined, at the right edge)' if num else ''}"
-        )
+        panel.set_xlabel(label)
         panel.set_ylabel(f"receiver: {LABELS[witness]}")
     letter_all(axes)
     return figure
+
+
+def _scale_axis(axis: Axis, set_scale: Callable[[str], None], quantity: str) -> None:
+    """Give an axis whole numbers for counts, a logarithmic scale for errors and dilutions of precision."""
+    if quantity in COUNTS:
+        axis.set_major_locator(MaxNLocator(integer=True))
+        return
+    set_scale("log")
+    show_plain_log(axis)
 
 
 def validation_outputs(
@@ -121,56 +121,67 @@ def validation_outputs(
 
 def validation_markdown(result: computed.ReceiverValidation) -> str:
     """Return the report as Markdown."""
-    of, settings, scenario = result.summary, result.settings, result.scenario
-    masks_deg = as_tuple(scenario["gps"]["mask_deg"])
     is_main = result.scores.prediction == result.scores.witness.map(MAIN)
     others = result.scores[~is_main]
-    of_sky = result.satellites
-    orbits = ", ".join(f"`{name}`" for name in scenario["gps"]["orbits"])
-    has_angles = (
-        not result.log.witnesses
-        and result.log.satellites is not None
-        and AZIMUTH in result.log.satellites
-    )
-    of_judged = (
-        " (of rows that are judged)" if of_sky is not None and not result.log.witnesses else ""
-    )
-    facts = {
-        "epochs": f"{of['epochs']:,}, of which {of['epochs_left_out']:,} are left out: in a building or without data",
-        "time": f"{of['first_utc']} to {of['last_utc']}",
-        "track": f"{of['length_m'] / 1000:.2f} km",
-        f"satellites in view, mean{of_judged}": _number(of["mean_num_visible"], 1),
-        f"satellites tracked, mean{of_judged}": _number(of.get(f"mean_{TRACKED}", math.nan), 1),
-        "maps": f"cells of {of['resolution_m']:g} m, elevation mask {listed_m(masks_deg)} degrees, "
-        f"`oversample` {scenario['region']['oversample']}, antenna {settings.antenna_height_m:g} m above the ground",
-        "orbits": ""
-        if has_angles
-        else f"{orbits}; {of['num_skies']} skies, one each {settings.sky_step_s:g} s",
-        "city": f"buildings `{scenario['buildings']['source']}`, terrain `{scenario['terrain']['source'] or 'flat'}`",
-    }
+    satellites = result.satellites
+    tables: dict[str, pd.DataFrame] = {}
+    sentences: dict[str, str] = {}
+    verdict = peak = ""
+    if satellites is not None:
+        tables, sentences = satellite_tables(satellites), sentences_of(satellites)
+        verdict, peak = f"**{satellites.verdict}**", peak_text(satellites)
     return fill(
         "validate",
-        tables={} if of_sky is None else satellite_tables(of_sky),
+        tables=tables,
         credits=[result.attribution],
         result=result,
-        of=of_sky,
-        verdict="" if of_sky is None else f"**{of_sky.verdict}**",
-        settings=settings,
+        of=satellites,
+        verdict=verdict,
+        settings=result.settings,
         fewest=FEWEST_GROUPS,
-        facts=table(("", ""), [(name, fact) for name, fact in facts.items() if fact]),
+        facts=table(("", ""), _facts(result)),
         scores=score_table(result.scores[is_main]),
         others=f"Other quantities of the maps:\n\n{score_table(others)}" if len(others) else "",
         cautions=bullets(f"{caution.level}: {caution}" for caution in result.known_cautions),
-        sentences={} if of_sky is None else sentences_of(of_sky),
-        peak="" if of_sky is None else peak_text(of_sky),
-        of_orbits=OF_LOG if has_angles else OF_ORBITS,
+        sentences=sentences,
+        peak=peak,
+        of_orbits=OF_LOG if _needs_no_orbits(result.log) else OF_ORBITS,
     )
+
+
+def _needs_no_orbits(log: ReceiverLog) -> bool:
+    """Return whether a log has all directions of its satellites, and no counts to compare with those of maps."""
+    has_angles = log.satellites is not None and AZIMUTH in log.satellites
+    return has_angles and not log.witnesses
+
+
+def _facts(result: computed.ReceiverValidation) -> list[tuple[str, str]]:
+    """Return name and text of what the report says of the log and the maps."""
+    summary, settings, scenario = result.summary, result.settings, result.scenario
+    counted = ""
+    if result.satellites is not None and not result.log.witnesses:
+        counted = " (of rows that are judged)"
+    orbits = ", ".join(f"`{name}`" for name in scenario["gps"]["orbits"])
+    skies = f"{summary['num_skies']} skies, one each {settings.sky_step_s:g} s"
+    masks_deg = listed_m(as_tuple(scenario["gps"]["mask_deg"]))
+    num_left_out = f"{summary['epochs_left_out']:,}"
+    facts = {
+        "epochs": f"{summary['epochs']:,}, of which {num_left_out} are left out: in a building or without data",
+        "time": f"{summary['first_utc']} to {summary['last_utc']}",
+        "track": f"{summary['length_m'] / 1000:.2f} km",
+        f"satellites in view, mean{counted}": _number(summary["mean_num_visible"], 1),
+        f"satellites tracked, mean{counted}": _number(summary.get(f"mean_{TRACKED}", math.nan), 1),
+        "maps": f"cells of {summary['resolution_m']:g} m, elevation mask {masks_deg} degrees, "
+        f"`oversample` {scenario['region']['oversample']}, antenna {settings.antenna_height_m:g} m above the ground",
+        "orbits": "" if _needs_no_orbits(result.log) else f"{orbits}; {skies}",
+        "city": f"buildings `{scenario['buildings']['source']}`, terrain `{scenario['terrain']['source'] or 'flat'}`",
+    }
+    return [(name, fact) for name, fact in facts.items() if fact]
 
 
 def with_interval(row: Mapping[Any, Any], coefficient: str) -> str:
     """Return a coefficient with the interval that it has, as ``0.42 (0.29 to 0.54)``; nothing where it is undefined."""
-    value, low, high = (row.get(f"{coefficient}{end}", math.nan) for end in ("", "_low", "_high"))
-    return _number(value) + (f" ({low:.2f} to {high:.2f})" if np.isfinite(low) else "")
+    return interval(row, coefficient, _number)
 
 
 def score_table(scores: pd.DataFrame) -> str:
@@ -206,26 +217,21 @@ class ReceiverValidation(computed.ReceiverValidation, Result):
       settings: how the two were set beside each other.
       scenario: the settings that the maps were made with.
       summary: numbers of the whole: epochs, those in a building, length of the track, means. Metres end in ``_m``.
-      epochs: a row an epoch: time, place, distance along the track, witnesses and predictions; NaN in a building.
-      pieces: a row a piece of track of ``settings.piece_m``: medians of the same.
-      scores: a row a ``witness``, ``prediction`` and ``piece_m``: ``num`` pieces, and for the rank correlation
+      epochs: a row per epoch: time, place, distance along the track, witnesses and predictions; NaN in a building.
+      pieces: a row per piece of track of ``settings.piece_m``: medians of the same.
+      scores: a row per ``witness``, ``prediction`` and ``piece_m``: ``num`` pieces, and for the rank correlation
         ``within`` blocks and ``spearman`` over the whole track the value, what 95 % of all shifts along the track stay
         at or below (``_shifts_95``) and the share of all shifts, that of 0 m among them, that score at least as high
         (``_p``); of ``within`` also the ends of its 95 % interval (``_low``, ``_high``). Above 0 the receiver does
         better where the maps say so; NaN where a coefficient is not defined.
-      shifts: a row a witness, length of pieces and ``shift`` of the maps along the track, in pieces, with the
+      shifts: a row per witness, length of pieces and ``shift`` of the maps along the track, in pieces, with the
         coefficients.
       attribution: whom to credit for the city.
       guesses: what city and sky rest on that no file says, a sentence each.
-      satellites: of a log with a row a satellite, how the maps agree with it, satellite by satellite; else None. Then
+      satellites: of a log with a row per satellite, how the maps agree with it, satellite by satellite; else None. Then
         ``num_visible`` and, where the log has none, ``num_tracked`` count the satellites that are judged.
 
     Examples:
-      >>> import pandas as pd
-      >>> settings = {"region": {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}}
-      >>> scenario = ju.Scenario.from_dict(settings | {"buildings": {"source": "synthetic"}})
-      >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=40, freq="s")})
-      >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 40), lat=40.7795, num_tracked=5)
       >>> result = ju.studies.validate(scenario, log, progress=False)
       >>> result.summary["epochs"], result.summary["epochs_left_out"], round(result.summary["length_m"])
       (40, 7, 338)

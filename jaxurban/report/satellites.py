@@ -6,7 +6,6 @@
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,7 +27,7 @@ from jaxurban.report.figures.style import (
     letter_all,
     styled,
 )
-from jaxurban.report.write import framed
+from jaxurban.report.write import framed, interval, without_ends
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.agreement import SatelliteAgreement
 from jaxurban.studies.receiver.validate import ReceiverValidation
@@ -146,18 +145,16 @@ def sentences_of(of: SatelliteAgreement) -> dict[str, str]:
 
 def _with_digits(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table of the report, scores and losses with three digits behind the point."""
-    names = [name for name in SCORES if name in table]
-    texts = pd.DataFrame(
-        {name: [score_text(row, name) for row in table.to_dict("records")] for name in names}
-    )
-    ends = [f"{name}{end}" for name in names for end in ("_low", "_high") if f"{name}_low" in table]
-    return table.reset_index(drop=True).assign(**texts).drop(columns=ends)
+    rows = table.to_dict("records")
+    texts = {}
+    for name in SCORES:
+        if name in table:
+            texts[name] = [interval(row, name, _three_digits) for row in rows]
+    return table.reset_index(drop=True).assign(**texts)[without_ends(table)]
 
 
-def score_text(row: Mapping[Any, Any], name: str) -> str:
-    """Return a score, gain or loss of a table's row with its interval, with three digits behind the point."""
-    value, *ends = (f"{row.get(f'{name}{end}', math.nan):z.3f}" for end in ("", "_low", "_high"))
-    return value.replace("nan", "") + ("" if "nan" in ends else f" ({ends[0]} to {ends[1]})")
+def _three_digits(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:z.3f}"
 
 
 def _head(column: str) -> str:

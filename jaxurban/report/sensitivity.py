@@ -12,20 +12,11 @@ from jaxurban.planners.cost import CostModel
 from jaxurban.report.figures.frame import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.results import Result, savable
-from jaxurban.report.write import REPORT_FILE, Output, files_of, fill, listed, study_outputs
+from jaxurban.report.write import Output, fill, listed, study_outputs
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
 from jaxurban.studies.weights import study as computed
 from jaxurban.studies.weights.sobol import FEW_SAMPLES, NOISE
 
-TABLES = "cost_gradient", "local", "sobol", "switches", "pareto"
-FIGURES = "switches", "switch_routes", "pareto"
-FILES = files_of(
-    [
-        *(f"tables/{name}" for name in TABLES),
-        *(f"figures/{name}.png" for name in FIGURES),
-        REPORT_FILE,
-    ]
-)
 ALIKE = 0.05  # routes are much the same where no outcome differs by more than this share
 MORE = 1.1  # the change of a weight that the report speaks of: 10 %
 CLEAR = 2.0  # standard errors from 0
@@ -54,7 +45,7 @@ def sensitivity_markdown(
 
     ``buildings``: what `jaxurban.report.buildings.write_buildings` wrote beside it.
     """
-    route, settings, tables = result.route, result.route.settings, shown_tables(result)
+    route, settings, tables = result.route, result.route.settings, report_tables(result)
     if buildings is not None:
         ranking = buildings.head(TOP_BUILDINGS).rename_axis("rank").reset_index()[[*RANKING]]
         tables["ranking"] = ranking.round({"lon": 5, "lat": 5}).astype({"lon": str, "lat": str})
@@ -81,51 +72,45 @@ def sensitivity_markdown(
     )
 
 
-def shown_tables(result: computed.Sensitivity) -> dict[str, pd.DataFrame]:
+def report_tables(result: computed.Sensitivity) -> dict[str, pd.DataFrame]:
     """Return the tables of the report by name."""
-    points, outcomes, sobol = (
-        result.front.points[[*result.front.objectives]],
-        result.outcomes,
-        result.sobol,
-    )
-    at = [
-        {"weight": name, **ranges(result, name), "routes": len(result.lines[name].cells)}
-        for name in result.lines
+    values = result.outcomes["value"].groupby("outcome", sort=False).first()
+    units = [outcome_unit(str(name)) for name in values.index]
+    by_outcome = {
+        "outcomes": pd.DataFrame({"value": values, "unit": units}),
+        "indices": _sobol_shares(result),
+        "changes": _changes(result).loc[values.index],
+    }
+    for name, table in by_outcome.items():
+        by_outcome[name] = table.rename(index=outcome_label).rename_axis("outcome")
+    changes = by_outcome["changes"].T.rename_axis(f"{MORE - 1:.0%} more of", axis=0)
+    points = result.front.points[[*result.front.objectives]]
+    cheapest = [points[name].idxmin() for name in points]
+    tables = by_outcome | {"changes": changes, "costs": result.cost, "ends": points.loc[cheapest]}
+    tables = {name: table.reset_index() for name, table in tables.items()}
+    lines = [
+        {"weight": name, **ranges(result, name), "routes": len(line.cells)}
+        for name, line in result.lines.items()
     ]
-    values = outcomes["value"].groupby("outcome", sort=False).first()
-    change = (
-        outcomes["expected_slope"] * np.log(MORE) / outcomes["expected"].abs().clip(lower=1e-12)
-    )
-    is_clear = outcomes["expected_slope"].abs() > CLEAR * outcomes["expected_slope_se"]
-    changes = (
-        change.map("{:+.1%}".format)
-        .where(is_clear, "unclear")
-        .unstack()
-        .loc[values.index, [*result.names]]
-        .T
-    )
+    return tables | {"ranges": pd.DataFrame(lines)}
+
+
+def _changes(result: computed.Sensitivity) -> pd.DataFrame:
+    """Return by which share each outcome changes where a weight is `MORE` times as large; a column per weight."""
+    slopes = result.outcomes
+    change = slopes["expected_slope"] * np.log(MORE) / slopes["expected"].abs().clip(lower=1e-12)
+    is_clear = slopes["expected_slope"].abs() > CLEAR * slopes["expected_slope_se"]
+    texts = change.map("{:+.1%}".format).where(is_clear, "unclear")
+    return texts.unstack()[[*result.names]]
+
+
+def _sobol_shares(result: computed.Sensitivity) -> pd.DataFrame:
+    """Return the range of each outcome and the total share of each weight with its interval."""
+    sobol = result.sobol
     spread = sobol.groupby("outcome", sort=False)[["lowest", "highest"]].first()
-    total = [f"{total:.2f} ± {half:.2f}" for total, half in sobol[["total", "total_ci"]].to_numpy()]
-    shares = (
-        pd.Series(total, sobol.index).where(sobol["total"].notna(), "").unstack()[[*result.lines]]
-    )
-    tables = {
-        "outcomes": pd.DataFrame(
-            {"value": values, "unit": [outcome_unit(str(name)) for name in values.index]}
-        ),
-        "indices": spread.join(shares).loc[spread.index],
-    }
-    tables = {
-        name: table.rename(index=outcome_label).rename_axis("outcome")
-        for name, table in tables.items()
-    }
-    tables["changes"] = changes.rename(columns=outcome_label).rename_axis(
-        f"{MORE - 1:.0%} more of", axis=0
-    )
-    tables |= {"costs": result.cost, "ends": points.loc[[points[name].idxmin() for name in points]]}
-    return {name: table.reset_index() for name, table in tables.items()} | {
-        "ranges": pd.DataFrame(at)
-    }
+    totals = sobol["total"].map("{:.2f}".format) + sobol["total_ci"].map(" ± {:.2f}".format)
+    shares = totals.where(sobol["total"].notna(), "").unstack()
+    return spread.join(shares[[*result.lines]])
 
 
 def ranges(result: computed.Sensitivity, name: str) -> dict[str, float]:
@@ -135,16 +120,18 @@ def ranges(result: computed.Sensitivity, name: str) -> dict[str, float]:
     """
     table = result.breakpoints(name)
     outcomes = table[list(outcome_names(result.names))]
-    given_row = int(np.argmax(table["is_given"]))
-    off = (outcomes - outcomes.iloc[given_row]).abs() / outcomes.iloc[given_row].abs().clip(
-        lower=1e-9
-    )
-    differs = np.flatnonzero((off > ALIKE).any(axis=1))
-    first = max((place + 1 for place in differs if place < given_row), default=0)
-    last = min((place - 1 for place in differs if place > given_row), default=len(table) - 1)
+    given = int(np.argmax(table["is_given"]))
+    route = outcomes.iloc[given]
+    change = (outcomes - route).abs() / route.abs().clip(lower=1e-9)
+    is_alike = ~(change > ALIKE).any(axis=1).to_numpy()
+    first = last = given
+    while first > 0 and is_alike[first - 1]:
+        first -= 1
+    while last < len(table) - 1 and is_alike[last + 1]:
+        last += 1
     return {
-        "same_from": float(table["from"].iloc[given_row]),
-        "same_to": float(table["to"].iloc[given_row]),
+        "same_from": float(table["from"].iloc[given]),
+        "same_to": float(table["to"].iloc[given]),
         "alike_from": float(table["from"].iloc[first]),
         "alike_to": float(table["to"].iloc[last]),
     }

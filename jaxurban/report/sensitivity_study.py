@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from jaxurban.maps.metric_maps import MetricMaps
@@ -13,7 +12,7 @@ from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.report.figures.sensitivity_study import study_figures
 from jaxurban.report.write import REPORT_FILE, bullets, files_of, fill, framed, save, study_outputs
-from jaxurban.studies.bootstrap import FEWEST_GROUPS
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, columns_of
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.queries import outcome_label, population_norms
 from jaxurban.studies.weights import summary
@@ -33,7 +32,6 @@ FILES = files_of(
         REPORT_FILE,
     ]
 )
-STATISTICS, ENDS = ("regret", "changes", "nearest", "share"), ("", "_low", "_high")
 SAMPLED = (
     "Routes were drawn by stratum and range in equal numbers, only where a path joins a pair at every altitude, not as "
     "anyone flies: means are over such routes, not over traffic."
@@ -53,7 +51,7 @@ class SensitivityStudy:
       folder: where it is kept.
       maps: of each city by its name.
       instances: the routes asked for.
-      rows: what was found for each, a row a route: its status, cost and outcomes, and of each weight its share of the
+      rows: what was found for each, a row per route: its status, cost and outcomes, and of each weight its share of the
         cost, the nearest factors at which the route changes, and what a wrong weight costs.
       remade: how each route differs on maps of perturbed heights; empty where none were asked for.
       skipped: why some other maps were not made, a sentence each.
@@ -134,7 +132,7 @@ def study_markdown(result: SensitivityStudy) -> str:
 
 
 def _cities(result: SensitivityStudy) -> pd.DataFrame:
-    """Return a row a city: what was asked there, and how many routes were found."""
+    """Return a row per city: its maps, its altitudes, and how many of its routes have a path."""
     rows = []
     for city, part in result.rows.groupby("city", sort=False):
         maps = result.maps[str(city)]
@@ -157,54 +155,42 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     """
     if "summary" not in tables:
         return {}
-    order = tables["summary"].assign(part=pd.factorize(tables["summary"].value)[0])
-    order = order.sort_values(["part", "regret"], ascending=[True, False])
-    order = order.rename(columns={"value": "of", "weight_name": "weight"})
-    is_whole = order.cut.isin([ALL, OVER_CITIES, "city"])
-    is_part = order.cut.isin(CUTS) & ~is_whole & (order.weight != "distance")
-    shown = order[
-        [
-            "of",
-            "weight",
-            "cities",
-            "routes",
-            *(f"{name}{end}" for name in STATISTICS for end in ENDS),
-        ]
-    ]
-    result = {"by_all": shown[is_whole], "where": shown[is_part]}
+    summary_table = tables["summary"].assign(part=pd.factorize(tables["summary"].value)[0])
+    by_regret = summary_table.sort_values(["part", "regret"], ascending=[True, False])
+    by_regret = by_regret.rename(columns={"value": "of", "weight_name": "weight"})
+    is_whole = by_regret.cut.isin([ALL, OVER_CITIES, "city"])
+    is_part = by_regret.cut.isin(CUTS) & ~is_whole & (by_regret.weight != "distance")
+    statistics = columns_of("regret", "changes", "nearest", "share")
+    columns = ["of", "weight", "cities", "routes", *statistics]
+    result = {
+        "by_all": by_regret.loc[is_whole, columns],
+        "where": by_regret.loc[is_part, columns],
+    }
     if "sobol_summary" in tables:
-        total = tables["sobol_summary"].query("kind == 'total'")
-        is_clear, at_most = (
-            total.verdict == CLEAR,
-            total.share_high.where(total.verdict == UNCLEAR).clip(lower=0),
-        )
-        needed = total.samples_needed.map(": about {:.0f} samples should do".format).where(
-            total.samples_needed > 0, ""
-        )
-        total = total.assign(outcome=total.outcome.map(outcome_label), **{"at most": at_most})
-        total["verdict"] += needed
-        total.loc[~is_clear, [f"share{end}" for end in ENDS]] = np.nan
-        result["sobol"] = total[
-            ["outcome", "weight_name", *(f"share{end}" for end in ENDS), "at most", "verdict"]
-        ]
+        result["sobol"] = _total_shares(tables["sobol_summary"])
     if "remade_summary" in tables:
-        remade = tables["remade_summary"]
-        names = [
-            f"{name}{end}"
-            for name in ("is_other", "nominal_regret", "nominal_is_closed")
-            for end in ENDS
-        ]
-        result["perturbed"] = remade[["of", "routes", *names]]
+        statistics = columns_of("is_other", "nominal_regret", "nominal_is_closed")
+        result["perturbed"] = tables["remade_summary"][["of", "routes", *statistics]]
     if "parameters_summary" in tables:
         changed = tables["parameters_summary"]
-        names = [
-            f"{name}{end}" for name in ("is_other", "overlap", "nominal_regret") for end in ENDS
-        ]
-        is_shown = changed.cut.isin([ALL, "city"])
-        result["parameters"] = changed.loc[
-            is_shown, ["parameter", "factor", "of", "routes", *names]
-        ]
+        statistics = columns_of("is_other", "overlap", "nominal_regret")
+        columns = ["parameter", "factor", "of", "routes", *statistics]
+        result["parameters"] = changed.loc[changed.cut.isin([ALL, "city"]), columns]
     return result
+
+
+def _total_shares(sobol: pd.DataFrame) -> pd.DataFrame:
+    """Return the total Sobol shares of the report, without numbers where they are not clear of 0."""
+    total = sobol.query("kind == 'total'")
+    at_most = total.share_high.where(total.verdict == UNCLEAR).clip(lower=0)
+    remedy = total.samples_needed.map(": about {:.0f} samples should do".format)
+    share = columns_of("share")
+    shares = total[share].where(total.verdict == CLEAR)
+    verdict = total.verdict + remedy.where(total.samples_needed > 0, "")
+    labels = total.outcome.map(outcome_label)
+    return total.assign(outcome=labels, verdict=verdict, **{"at most": at_most}, **shares)[
+        ["outcome", "weight_name", *share, "at most", "verdict"]
+    ]
 
 
 def weights_said(instances: pd.DataFrame) -> str:

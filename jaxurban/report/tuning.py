@@ -128,17 +128,14 @@ def run_tuning(
             planned = optimal_demonstrations([each.query for each in demonstrations], fit.weights)
             report("figures and report")
             sampled = f"{settings.sample} instances sampled with seed {settings.fit.seed}"
-            drawn_from = [
-                (", ".join(map(str, files)) or sampled, source.folder)
-                for source, files in sources.items()
-            ]
-            asked = {"targets": ", ".join(map(str, targets))}
-            asked["sources"] = "; ".join(
-                f"`{routes}` over the maps in `{where}`" for routes, where in drawn_from
-            )
+            origins = []
+            for source, files in sources.items():
+                routes = ", ".join(map(str, files)) or sampled
+                origins.append(f"`{routes}` over the maps in `{source.folder}`")
+            texts = {"targets": ", ".join(map(str, targets)), "sources": "; ".join(origins)}
             if result is not None and len(result.fits) == 1 and not result.is_held_out.any():
                 result = None  # nothing to compare
-            save(folder, outputs_of(fit, demonstrations, planned, asked, result))
+            save(folder, outputs_of(fit, demonstrations, planned, texts, result))
     facts = _facts(fit, folder)
     return facts if result is None else facts | {"fits": records_of(result.table)}
 
@@ -146,10 +143,9 @@ def run_tuning(
 def _names_of(folders: Sequence[Path]) -> list[str]:
     """Return a name for the city of each folder of maps: the folder's own, with a number where another has it too."""
     names: dict[Path, str] = {}
-    for folder in folders:
-        if folder not in names:
-            number = sum(one.name == folder.name for one in names)
-            names[folder] = folder.name + (f" {number + 1}" if number else "")
+    for folder in dict.fromkeys(folders):
+        number = sum(other.name == folder.name for other in names)
+        names[folder] = f"{folder.name} {number + 1}" if number else folder.name
     return [names[folder] for folder in folders]
 
 
@@ -168,10 +164,8 @@ def _demonstrations(
             "sampled instances have no routes of their own: name the weights of the pilot who flies them"
         )
     options = dict(settings.routes)
-    altitude_m, under = (
-        options.get("altitude_m"),
-        {name: options[name] for name in UNDER if name in options},
-    )
+    altitude_m = options.get("altitude_m")
+    under = {name: options[name] for name in UNDER if name in options}
     pilot = settings.pilot or Weights()
     instances = sample_instances(
         maps,
@@ -231,8 +225,8 @@ def outputs_of(
     Args:
       fit: of the weights.
       demonstrations, planned: the routes as given, and those under the weights.
-      asked: for the report: ``sources`` of the routes, and ``targets``.
-      found: further fits, which the fit is compared with, and routes that were held out.
+      texts: for the report: ``sources`` of the routes, and ``targets``.
+      result: further fits, which the fit is compared with, and routes that were held out.
     """
     pictures = _pictures(demonstrations)
     first = next(iter(pictures.values()))
@@ -314,7 +308,7 @@ def _regrets(fit: WeightFit) -> pd.DataFrame:
 
 
 def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
-    """Return a row a map: what its routes were planned under."""
+    """Return a row per map: what its routes were planned under."""
     rows = [
         {
             "altitude (m)": one.altitude_m,
@@ -350,11 +344,12 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
         "elapsed_s": fit.elapsed_s,
     }
     if isinstance(fit, WeightFit):
-        ends = fit.table[["low", "high"]].to_numpy()
+        interval = None
+        if fit.table[["low", "high"]].notna().any(axis=None):
+            ends = fit.table[["low", "high"]].to_numpy().tolist()
+            interval = dict(zip(fit.names, ends, strict=True))
         return facts | {
-            "interval": None
-            if np.isnan(ends).all()
-            else dict(zip(fit.names, ends.tolist(), strict=True)),
+            "interval": interval,
             "mean_regret": float(fit.regret.mean()),
             "best_mean_regret": fit.best_mean_regret,
             "is_settled": fit.is_settled,
@@ -370,12 +365,10 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
 
 def weight_units(cost_map: CostMap) -> dict[str, str]:
     """Return the unit of each weight on a map."""
-    per = (
-        "cell entered"
-        if cost_map.cost_model.kind == "cell"
-        else f"{cost_map.cost_model.reference_length_m:g} m flown"
-    )
-    return {"distance": "per metre"} | dict.fromkeys(cost_map.names, f"per {per}")
+    unit = f"per {cost_map.cost_model.reference_length_m:g} m flown"
+    if cost_map.cost_model.kind == "cell":
+        unit = "per cell entered"
+    return {"distance": "per metre"} | dict.fromkeys(cost_map.names, unit)
 
 
 def weights_option(weights: Weights) -> str:

@@ -19,18 +19,17 @@ from jaxurban.io.tables import SUFFIXES, write_table
 
 REPORT_FILE = "report.md"
 DPI, NUM_COLOURS = 110, 256
-Output = (
-    str | pd.DataFrame | Callable[..., Any]
-)  # a text, a table, or what draws a picture or writes a map
+# A text, a table, or what draws a picture or writes a map.
+Output = str | pd.DataFrame | Callable[..., Any]
 
 
 def files_of(names: Iterable[str]) -> list[str]:
     """Return the names of the files that `save` writes for outputs of these names."""
-    return [
-        f"{name}{suffix}"
-        for name in names
-        for suffix in ([""] if Path(name).suffix else reversed(SUFFIXES))
-    ]
+    files: list[str] = []
+    for name in names:
+        suffixes = [""] if Path(name).suffix else reversed(SUFFIXES)
+        files += [f"{name}{suffix}" for suffix in suffixes]
+    return files
 
 
 def study_outputs(
@@ -38,11 +37,9 @@ def study_outputs(
 ) -> dict[str, Output]:
     """Return the outputs of a study by file name: ``tables/NAME``, ``figures/NAME.png``, and last ``report.md``."""
     outputs: dict[str, Output] = {f"tables/{name}": frame for name, frame in tables.items()}
-    return (
-        outputs
-        | {f"figures/{name}.png": draw for name, draw in figures.items()}
-        | {REPORT_FILE: report}
-    )
+    for name, draw in figures.items():
+        outputs[f"figures/{name}.png"] = draw
+    return outputs | {REPORT_FILE: report}
 
 
 def save(folder: str | Path, outputs: Mapping[str, Output]) -> list[Path]:
@@ -132,30 +129,37 @@ def table(head: Iterable[str], rows: Iterable[Sequence[Any]]) -> str:
 
 def framed(frame: pd.DataFrame) -> str:
     """Return a table of pandas, a number with its interval (NAME, NAME_low, NAME_high) in one column (`interval`)."""
-    ends = {
-        f"{name}{end}"
-        for name in frame.columns
-        for end in ("_low", "_high")
-        if f"{name}_low" in frame
-    }
-    names = [name for name in frame.columns if name not in ends]
+    names = without_ends(frame)
     rows = ([interval(row, name) for name in names] for row in frame.to_dict("records"))
     return table(names, rows)
 
 
-def interval(row: Mapping[Any, Any], name: Any) -> str:
-    """Return a value of a table's row, with its interval where it has one: ``0.42 (0.29 to 0.54)``."""
-    low, high = (row.get(f"{name}{end}", math.nan) for end in ("_low", "_high"))
-    return cell(row[name]) + (f" ({cell(low)} to {cell(high)})" if np.isfinite(low) else "")
+def without_ends(frame: pd.DataFrame) -> list[Any]:
+    """Return the columns of a table but for the ends of intervals (NAME_low, NAME_high)."""
+    with_interval = [name for name in frame if f"{name}_low" in frame]
+    ends = {f"{name}_low" for name in with_interval} | {f"{name}_high" for name in with_interval}
+    return [name for name in frame if name not in ends]
+
+
+def interval(row: Mapping[Any, Any], name: Any, text_of: Callable[[Any], str] | None = None) -> str:
+    """Return a value of a table's row, with its interval where it has one: ``0.42 (0.29 to 0.54)``.
+
+    ``text_of`` returns the text of a number; left out, `cell`.
+    """
+    text_of = text_of or cell
+    text, low = text_of(row[name]), row.get(f"{name}_low", math.nan)
+    if not np.isfinite(low):
+        return text
+    return f"{text} ({text_of(low)} to {text_of(row[f'{name}_high'])})"
 
 
 def cell(value: Any) -> str:
     """Return a value of a table: numbers that are not whole with three digits, nothing for no number."""
     if not isinstance(value, float):
         return str(value)
-    return (
-        "" if not math.isfinite(value) else f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
-    )
+    if not math.isfinite(value):
+        return ""
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
 def listed(items: Iterable[str]) -> str:

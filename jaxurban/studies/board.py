@@ -37,21 +37,14 @@ TEXTS |= {"NOTICE.md": "samples/NOTICE.md"}
 SAMPLED, SYNTHETIC = ("lower-manhattan", "shinjuku"), "synthetic"  # names of cities
 DECIMALS = 4  # of costs: what the files hold is the truth
 DEMO_M = 2000.0  # side of the synthetic city
-TRUTH = {
-    "w_distance": 0.1,
-    "w_gps": 1.0,
-    "w_lidar": 0.3,
-    "w_population": 2.0,
-    "w_risk": 0.6,
-}  # of demonstrations
+# Weights of demonstrations.
+TRUTH = {"w_distance": 0.1, "w_gps": 1.0, "w_lidar": 0.3, "w_population": 2.0, "w_risk": 0.6}
 ENDS = ["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
 KEYS, CLAIMED = ["track", "query", "route"], ["cost", "cpu_s"]  # columns of a submission
 LINE = ["method", "bundle", "track", "city"]  # what names a line of the board
 NEAR_M = 1e-3  # of ends, and on the grid of corners, to the centres of cells
-SAME, SAME_COST = (
-    1e-9,
-    1e-6,
-)  # relative: an exposure that much above its budget keeps it; a claimed cost is true
+# Relative: an exposure that much above its budget keeps it; a claimed cost is true.
+SAME, SAME_COST = 1e-9, 1e-6
 VALID, MISSING = "valid", "missing"
 
 
@@ -98,12 +91,9 @@ def make_benchmark(
                 "costs": problem.costs,
                 "is_free": problem.is_free,
             }
+            lowest_m, num = of_city.altitudes_m[:1], 2 * num_queries
             instances = sample_joined(
-                of_city,
-                2 * num_queries,
-                altitudes_m=of_city.altitudes_m[:1],
-                cost_model="line",
-                seed=seed,
+                of_city, num, altitudes_m=lowest_m, cost_model="line", seed=seed
             )
             instances[ENDS] -= np.tile(southwest_m, 2)
             columns = [*ENDS, *(f"w_{name}" for name in weights)]
@@ -159,22 +149,15 @@ def _queries_of_tracks(
     routes = [astar_plus(query), astar_plus(query.with_weights(np.eye(len(names))[column]))]
     budget = float(np.mean([query.features(route.points_m).phi[column] for route in routes]))
     within = within_budgets(query, astar_plus, {layer: budget}, names[1:], budget_s=np.inf, seed=0)
-    true = astar_plus(problem_of(problem, names, row | TRUTH)).cost
     any_angle = refine(query, theta_star(query)).cost
     yield row | {"track": "grid", "bound": routes[0].cost, "best": routes[0].cost}
     yield row | {"track": "any-angle", "bound": corner_bound(query), "best": any_angle}
-    yield row | {
-        "track": "budget",
-        "bound": within.lower_bound,
-        "best": within.cost,
-        "layer": layer,
-        "budget": budget,
-    }
-    yield (
-        row
-        | {key: value for key, value in TRUTH.items() if key in row}
-        | {"track": "weights", "bound": true, "best": true}
-    )
+    exposure = {"layer": layer, "budget": budget}
+    bounds = {"track": "budget", "bound": within.lower_bound, "best": within.cost}
+    yield row | bounds | exposure
+    cost = astar_plus(problem_of(problem, names, row | TRUTH)).cost
+    true_weights = {name: TRUTH[name] for name in TRUTH if name in row}
+    yield row | true_weights | {"track": "weights", "bound": cost, "best": cost}
 
 
 def score(
@@ -184,9 +167,9 @@ def score(
 
     Args:
       folder: of the bundle, from `make_benchmark`.
-      submission: a .csv or .parquet file, a row a route: ``track``, ``query``, ``route`` (WKT LINESTRING in metres from
-        the map's southwest corner); in the track ``weights`` a row a city, whose name is the ``query``, with weights
-        such as ``distance=0.1,gps=1`` as ``route``. ``cost`` and ``cpu_s`` may be claimed.
+      submission: a .csv or .parquet file, a row per route: ``track``, ``query``, ``route`` (WKT LINESTRING in metres
+        from the map's southwest corner); in the track ``weights`` a row per city, whose name is the ``query``, with
+        weights such as ``distance=0.1,gps=1`` as ``route``. ``cost`` and ``cpu_s`` may be claimed.
       board: CSV file of the board, in which the lines replace those of the same method, bundle and track; none is
         written where it is left out.
       method: name on the board; left out, that of the file.
@@ -210,36 +193,27 @@ def score(
             )
     sums, digests = folder / CHECKSUMS, dict[str, str]()
     with readable(sums, "checksums of a benchmark", f"make one by jaxurban score {folder} --make"):
-        for digest, name in (line.split("  ") for line in sums.read_text().splitlines()):
+        for line in sums.read_text().splitlines():
+            digest, name = line.split("  ")
             digests[name] = digest
-
-    def check(names: Iterable[str]) -> None:
-        for name in names:
-            file = folder / name
-            is_listed = name in digests and Path(name).name == name
-            if not is_listed or not file.is_file() or digest_of(file) != digests[name]:
-                raise InputError(
-                    f"{str(file)!r} is missing or not as {CHECKSUMS} has it: make it again"
-                )
-
-    check([QUERIES, *digests])
+    _check_files(folder, [QUERIES, *digests], digests)
     queries = read_table(folder / QUERIES, "queries")
     is_weights = queries["track"] == "weights"
     queries["row"] = queries["city"].where(is_weights, queries["query"])  # of a submission
     answers = table.set_index(["track", "query"]).index
-    wrong = ~answers.isin(queries.set_index(["track", "row"]).index) | answers.duplicated()
-    if table.empty or wrong.any():
-        what = "is empty"
-        if wrong.any():
-            what = f"answers {' '.join(map(str, answers[wrong][0]))}, not asked or twice"
+    is_wrong = ~answers.isin(queries.set_index(["track", "row"]).index) | answers.duplicated()
+    fault = "is empty" if table.empty else ""
+    if is_wrong.any():
+        fault = f"answers {' '.join(map(str, answers[is_wrong][0]))}, not asked or twice"
+    if fault:
         raise InputError(
-            f"{str(submission)!r} {what}: write one row for each query of a track in {QUERIES}"
+            f"{str(submission)!r} {fault}: write one row for each query of a track in {QUERIES}"
         )
     table = table.reindex(columns=[*KEYS, *CLAIMED]).rename(columns={"query": "row"})
     queries = queries[queries["track"].isin(table["track"])]
     routes = queries.merge(table, "left", ["track", "row"], indicator="outcome")
-    cities = {city: f"{city}.npz" for city in {*routes["city"]}}
-    check(cities.values())
+    cities = {city: f"{city}.npz" for city in routes["city"].unique()}
+    _check_files(folder, cities.values(), digests)
     problems = {city: unpacked(folder / name) for city, name in cities.items()}
     claims = {f"claimed_{name}": pd.to_numeric(routes[name], errors="coerce") for name in CLAIMED}
     for name in CLAIMED:
@@ -261,6 +235,17 @@ def score(
     if board is not None:
         _enter(lines, Path(board))
     return lines, routes[["track", "query", "city", "outcome", "cost", "gap", "over_best", *claims]]
+
+
+def _check_files(folder: Path, names: Iterable[str], digests: Mapping[str, str]) -> None:
+    """Raise InputError unless files of a bundle are as its checksums have them."""
+    for name in names:
+        file = folder / name
+        is_listed = name in digests and Path(name).name == name
+        if not is_listed or not file.is_file() or digest_of(file) != digests[name]:
+            raise InputError(
+                f"{str(file)!r} is missing or not as {CHECKSUMS} has it: make it again"
+            )
 
 
 def unpacked(file: Path) -> tuple[Problem, list[str]]:

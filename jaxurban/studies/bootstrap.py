@@ -38,6 +38,14 @@ def named(name: str, interval: Interval) -> dict[str, float]:
     return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
 
 
+def columns_of(*names: str) -> list[str]:
+    """Return the columns of statistics, each followed by the ends of its interval (`named`)."""
+    columns: list[str] = []
+    for name in names:
+        columns += named(name, Interval(0.0, 0.0, 0.0))
+    return columns
+
+
 class Clusters:
     """Draws of ``N`` values in groups: whole groups are drawn, within cities where there are several.
 

@@ -30,9 +30,8 @@ from jaxurban.settings import CostKind, Preset
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.world.grid import Grid
 
-ON_CENTRE = (
-    0.01  # of a cell side: a point this near a centre is the centre, written with few decimals
-)
+# Of a cell side: a point this near a centre is the centre, written with few decimals.
+ON_CENTRE = 0.01
 # A line is followed on the grid within so many cells to either side, the next where obstacles close the one before.
 CORRIDORS_CELLS = (1.5, 3.0, 6.0, 12.0, 24.0)
 DRAWN_CELLS = 3.0  # the route that was meant by a line is within so many cells of it
@@ -53,10 +52,10 @@ class Demonstration:
       drawn_cells: within how many cells of ``points_m`` the route that was meant runs; 0: these are its points.
 
     Examples:
-      >>> (shown,) = ju.fit.demonstrations_from_paths(path, maps)
-      >>> shown.query.start, shown.query.goal, shown.points_m.shape, shown.drawn_cells
+      >>> (routes,) = ju.fit.demonstrations_from_paths(path, maps)
+      >>> routes.query.start, routes.query.goal, routes.points_m.shape, routes.drawn_cells
       ((2, 2), (27, 27), (27, 2), 0.0)
-      >>> dict(zip(shown.query.names, shown.features.round().tolist()))  # metres, then sums of costs
+      >>> dict(zip(routes.query.names, routes.features.round().tolist()))  # metres, then sums of costs
       {'distance': 719.0, 'gps': 17.0, 'lidar': 127.0, 'population': 5.0, 'risk': 1.0}
     """
 
@@ -81,20 +80,18 @@ class Demonstration:
         if not self.drawn_cells:
             return self.features
         cost_map, side_m = self.query.cost_map, self.query.cost_map.grid.resolution_m
-        cells, pad = (
-            np.floor(self.points_m[:, ::-1] / side_m).astype(int),
-            int(np.ceil(self.drawn_cells)),
-        )
+        cells = np.floor(self.points_m[:, ::-1] / side_m).astype(int)
+        pad = int(np.ceil(self.drawn_cells))
         low, high = np.maximum(cells.min(axis=0) - pad, 0), cells.max(axis=0) + pad + 1
-        here = tuple(map(slice, low, high))
-        is_far = np.ones(cost_map.is_free[here].shape, bool)
+        window = tuple(map(slice, low, high))
+        is_free = cost_map.is_free[window]
+        is_far = np.ones(is_free.shape, bool)
         is_far[tuple((cells - low).T)] = False
-        is_near = cost_map.is_free[here] & (distance_transform_edt(is_far) <= self.drawn_cells)
         weights = np.eye(self.features.size)
-        start, goal = (tuple((cells[k] - low).tolist()) for k in (0, -1))
-        within = Problem(
-            cost_map.costs[:, *here],
-            is_near,
+        start, goal = map(tuple, (cells[[0, -1]] - low).tolist())
+        problem = Problem(
+            cost_map.costs[:, *window],
+            is_free & (distance_transform_edt(is_far) <= self.drawn_cells),
             start,
             goal,
             side_m,
@@ -102,12 +99,11 @@ class Demonstration:
             cost_map.cost_model,
             leg_margin_m=cost_map.leg_margin_m,
         )
-        routes_m = [
-            astar(within.with_weights(each)).points_m + low[::-1] * side_m for each in weights
-        ]
-        return np.min(
-            [self.features, *(self.query.sums(route_m)[0] for route_m in routes_m)], axis=0
-        )
+        least = self.features
+        for each in weights:
+            route_m = astar(problem.with_weights(each)).points_m + low[::-1] * side_m
+            least = np.minimum(least, self.query.sums(route_m)[0])
+        return least
 
 
 @typed
@@ -152,8 +148,8 @@ def read_demonstrations(
 
     Examples:
       >>> flown = path.save("flown.geojson")
-      >>> (shown,) = ju.fit.read_demonstrations(flown, maps)
-      >>> shown.query.name, shown.query.cost_map.altitude_m, shown.points_m.shape
+      >>> (routes,) = ju.fit.read_demonstrations(flown, maps)
+      >>> routes.query.name, routes.query.cost_map.altitude_m, routes.points_m.shape
       ('1', 60.0, (27, 2))
     """
     if Path(file).suffix.lower() in SUFFIXES:
@@ -215,8 +211,8 @@ def demonstrations_from_paths(
 
     Examples:
       >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
-      >>> shown = ju.fit.demonstrations_from_paths([path, back], maps, metrics=["gps", "lidar"])
-      >>> [each.query.start for each in shown], shown[0].query.names
+      >>> routes = ju.fit.demonstrations_from_paths([path, back], maps, metrics=["gps", "lidar"])
+      >>> [each.query.start for each in routes], routes[0].query.names
       ([(2, 2), (27, 27)], ('distance', 'gps', 'lidar'))
     """
     paths = [paths] if isinstance(paths, PlannedPath) else list(paths)
@@ -242,14 +238,13 @@ def _from_path(map_of: MapOf, path: PlannedPath, name: str) -> Demonstration:
     if len(path.xy_m) == 0:
         raise InputError(f"it has no points ({path.status.value}): leave it out")
     cost_map = map_of(path.altitude_m, path.settings["time"], path.settings["time_of_day"])
-    if not all(
-        cost_map.is_free[cost_map.cell_of("it", XY(*xy_m.tolist()))[1]]
-        for xy_m in path.xy_m[[0, -1]]
-    ):
-        raise InputError(
-            "it starts or ends in a cell that is closed here: give the maps and constraints that it was planned on, or "
-            "choose obstacles = centre if it was planned by centres"
-        )
+    for xy_m in path.xy_m[[0, -1]]:
+        _, cell = cost_map.cell_of("it", XY(*xy_m.tolist()))
+        if not cost_map.is_free[cell]:
+            raise InputError(
+                "it starts or ends in a cell that is closed here: give the maps and constraints that it was planned "
+                "on, or choose obstacles = centre if it was planned by centres"
+            )
     return demonstration_from_line(cost_map, path.xy_m, name)
 
 
@@ -265,43 +260,43 @@ def _cost_maps(
     the default. Warns of the first route that was planned under another one, or under other constraints.
 
     Raises:
-      InputError: settings whose cost model is none, or routes that name different ones.
+      InputError: an invalid cost model in the settings, or routes that name different ones.
     """
     maps, settled = rules.under(as_maps(maps_like))
-    models = {
-        name: CostModel.from_settings(settings)
-        for name, settings in planned
-        if "cost_model" in settings
-    }
+    models: dict[str, CostModel] = {}
+    for name, settings in planned:
+        if "cost_model" in settings:
+            models[name] = CostModel.from_settings(settings)
     if rules.cost_model is None and models:
-        (name, model), *others = models.items()
-        if differing := [f"{other} under {its}" for other, its in others if its != model]:
-            raise InputError(
-                f"{name} was planned under the cost model {model} and {differing[0]}: fit them apart, or name one for "
-                "all (--cost-model, cost_model=)"
-            )
+        (first, model), *others = models.items()
+        for name, other in others:
+            if other != model:
+                raise InputError(
+                    f"{first} was planned under the cost model {model} and {name} under {other}: fit them apart, or "
+                    "name one for all (--cost-model, cost_model=)"
+                )
         settled = replace(settled, cost_model=model)
     fitted = settled.rules()
+    now = _describe_rules(fitted)
     for name, settings in planned:
-        before = fitted | {key: value for key, value in settings.items() if key in fitted}
-        if _rules_said(before) != _rules_said(fitted):
+        before = _describe_rules({key: settings.get(key, fitted[key]) for key in fitted})
+        if before != now:
             warn(
-                f"{name} was planned under {_rules_said(before)} and is fitted under {_rules_said(fitted)}, all the "
-                "same: give what it was planned under (--cost-model, --no-fly, --require, --clearance, "
-                "--vertical-clearance; cost_model=, constraints=)",
+                f"{name} was planned under {before} and is fitted under {now}: give what it was planned under "
+                "(--cost-model, --no-fly, --require, --clearance, --vertical-clearance; cost_model=, constraints=)",
                 OtherSettingsWarning,
             )
             break
 
     @cache
-    def made(*at: Any) -> CostMap:
-        whole = settled.cost_map(maps, *at)
-        return whole if metrics is None else whole.only(metrics)
+    def map_of(*place: Any) -> CostMap:
+        cost_map = settled.cost_map(maps, *place)
+        return cost_map if metrics is None else cost_map.only(metrics)
 
-    return maps.grid, made
+    return maps.grid, map_of
 
 
-def _rules_said(rules: Mapping[str, Any]) -> str:
+def _describe_rules(rules: Mapping[str, Any]) -> str:
     """Return cost model and constraints, as `RouteRules.rules` holds them, for a person to read."""
     limits = describe_constraints(rules["limits"]) or "no constraints"
     return f"the cost model {CostModel.from_settings(rules)} and {limits}"
@@ -340,16 +335,16 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
         raise InputError(
             f"a route must be [N, 2] finite metres with N >= 2, got shape {points.shape}"
         )
-    local = (points - np.array([grid.x_min_m, grid.y_min_m])) / grid.resolution_m
+    local = (points - grid.bounds_m[:2]) / grid.resolution_m
     if np.any(local < 0) or np.any(local >= (grid.num_cols, grid.num_rows)):
         raise InputError(
             "it leaves the maps: clip it to their region, or make maps of a larger one"
         )
-    note, drawn_cells, filled = "", 0.0, _filled(local)
+    note, drawn_cells = "", 0.0
+    filled = _filled(local)
     if _is_grid_path(cost_map, filled):
-        local = (
-            np.floor(filled) + 0.5
-        )  # decimals lost in a file must not make a diagonal step graze a third cell
+        # Decimals lost in a file must not make a diagonal step graze a third cell.
+        local = np.floor(filled) + 0.5
     else:
         try:
             ends = cost_map.ends(XY(*points[0].tolist()), XY(*points[-1].tolist()), snap=True)
@@ -362,15 +357,19 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
             if end.is_snapped:
                 local[k] = np.array(end.cell[::-1]) + 0.5
         local, widest = _follow(cost_map, local)
-        wide = f"followed within {widest * grid.resolution_m:.0f} m, since obstacles close the way nearer to it"
-        notes = [snap_note(*ends).removesuffix("."), wide if widest > CORRIDORS_CELLS[0] else ""]
-        note, drawn_cells = "; ".join(filter(None, notes)), max(widest, DRAWN_CELLS)
-    start, goal = (tuple(cell) for cell in np.floor(local[[0, -1], ::-1]).astype(int).tolist())
+        notes = [snap_note(*ends).removesuffix(".")]
+        if widest > CORRIDORS_CELLS[0]:
+            width_m = widest * grid.resolution_m
+            notes.append(
+                f"followed within {width_m:.0f} m, since obstacles block the way nearer to it"
+            )
+        note = "; ".join(filter(None, notes))
+        drawn_cells = max(widest, DRAWN_CELLS)
+    start, goal = map(tuple, np.floor(local[[0, -1], ::-1]).astype(int).tolist())
     if start == goal:
         raise InputError("it starts and ends in one cell: leave it out, or cut it in two")
-    return Demonstration(
-        RouteQuery(cost_map, start, goal, name), local * grid.resolution_m, note, drawn_cells
-    )
+    query = RouteQuery(cost_map, start, goal, name)
+    return Demonstration(query, local * grid.resolution_m, note, drawn_cells)
 
 
 def _filled(local: np.ndarray) -> np.ndarray:
@@ -379,10 +378,10 @@ def _filled(local: np.ndarray) -> np.ndarray:
     sizes = np.abs(steps).max(axis=1)
     if not np.all((steps == 0) | (np.abs(steps) == sizes[:, None])) or not sizes.all():
         return local
-    runs = zip(local, steps / sizes[:, None], sizes.astype(int), strict=False)
-    return np.concatenate(
-        [*(point + step * np.arange(size)[:, None] for point, step, size in runs), local[-1:]]
-    )
+    runs = []
+    for point, step, size in zip(local, steps, sizes.astype(int), strict=False):
+        runs.append(point + step / size * np.arange(size)[:, None])
+    return np.concatenate([*runs, local[-1:]])
 
 
 def _is_grid_path(cost_map: CostMap, local: np.ndarray) -> bool:
@@ -391,10 +390,9 @@ def _is_grid_path(cost_map: CostMap, local: np.ndarray) -> bool:
     is_centre = np.abs(local - cells - 0.5) < ON_CENTRE
     steps = np.abs(np.diff(cells, axis=0))
     sizes = steps.sum(axis=1) if cost_map.cost_model.connectivity == 4 else steps.max(axis=1)
-    return (
-        bool(is_centre.all() and np.all(sizes == 1))
-        and cost_map.problem.features((cells + 0.5) * cost_map.grid.resolution_m).is_valid
-    )
+    if not is_centre.all() or not np.all(sizes == 1):
+        return False
+    return cost_map.problem.features((cells + 0.5) * cost_map.grid.resolution_m).is_valid
 
 
 def _follow(cost_map: CostMap, local: np.ndarray) -> tuple[np.ndarray, float]:
@@ -434,49 +432,50 @@ def _shortest_within(
     rows, cols = np.mgrid[low[0] : high[0], low[1] : high[1]]
     near = shapely.dwithin(shapely.points(cols + 0.5, rows + 0.5), leg, width)
     is_free = cost_map.is_free[low[0] : high[0], low[1] : high[1]] & near
-    ends = [(cell[0] - int(low[0]), cell[1] - int(low[1])) for cell in (start, goal)]
-    if not all(is_free[end] for end in ends):
+    start, goal = map(tuple, (np.array([start, goal]) - low).tolist())
+    if not is_free[start] or not is_free[goal]:
         return None
-    costs, margin = (
+    problem = Problem(
         np.zeros((1, *is_free.shape)),
-        cost_map.leg_margin_m / cost_map.grid.resolution_m,
+        is_free,
+        start,
+        goal,
+        1.0,
+        1.0,
+        cost_map.cost_model,
+        leg_margin_m=cost_map.leg_margin_m / cost_map.grid.resolution_m,
     )
-    path = astar(
-        Problem(
-            costs, is_free, ends[0], ends[1], 1.0, 1.0, cost_map.cost_model, leg_margin_m=margin
-        )
-    )
+    path = astar(problem)
     return path.points_m + low[::-1] if path.status.has_path else None
 
 
 def compared_routes(
     demonstrations: Sequence[Demonstration], planned: Sequence[Demonstration]
 ) -> pd.DataFrame:
-    """Return a row a demonstration: where it lies, and what a planned route between the same ends is beside it.
+    """Return a row per demonstration: where it lies, beside a planned route between the same ends.
 
     ``length_m`` and the mean of each metric along it, the same of the planned route (``planned_length_m`` ...), and
     ``overlap``, the share of the demonstration's cells that the planned route shares.
     """
     rows = []
-    for number, (demonstration, route) in enumerate(
-        zip(demonstrations, planned, strict=True), start=1
-    ):
-        cost_map = demonstration.query.cost_map
-        row = {"name": demonstration.query.name or f"{number}", "altitude_m": cost_map.altitude_m}
-        row |= {"time": cost_map.time, "time_of_day": cost_map.time_of_day}
+    for number, (demonstration, route) in enumerate(zip(demonstrations, planned, strict=True), 1):
+        query, cost_map = demonstration.query, demonstration.query.cost_map
+        row = {
+            "name": query.name or f"{number}",
+            "altitude_m": cost_map.altitude_m,
+            "time": cost_map.time,
+            "time_of_day": cost_map.time_of_day,
+        }
         for prefix, each in (("", demonstration), ("planned_", route)):
             length_m, *integrals = each.sums[1].tolist()
             row[f"{prefix}length_m"] = length_m
-            row |= {
-                f"{prefix}mean_{name}": sum_m / length_m
-                for name, sum_m in zip(cost_map.names, integrals, strict=True)
-            }
-        cells, planned_cells = (
-            cells_of(each.points_m, cost_map.grid.resolution_m) for each in (demonstration, route)
-        )
-        rows.append(
-            row | {"overlap": len(cells & planned_cells) / len(cells), "note": demonstration.note}
-        )
+            for name, integral in zip(cost_map.names, integrals, strict=True):
+                row[f"{prefix}mean_{name}"] = integral / length_m
+        resolution_m = cost_map.grid.resolution_m
+        cells = cells_of(demonstration.points_m, resolution_m)
+        shared = cells & cells_of(route.points_m, resolution_m)
+        row |= {"overlap": len(shared) / len(cells), "note": demonstration.note}
+        rows.append(row)
     return pd.DataFrame(rows)
 
 

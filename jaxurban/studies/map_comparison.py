@@ -14,7 +14,7 @@ from jaxurban.checks import at_least, finite, one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE
-from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps
 from jaxurban.maps.provenance import Differing, differing
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.paths.rows import MapsFolder
@@ -25,9 +25,8 @@ from jaxurban.studies.compared_routes import compared_routes, regrets
 from jaxurban.studies.queries import NORMS
 from jaxurban.world.grid import Grid
 
-CLOSED = (
-    "closed"  # the layer of cells that no planner enters, beside ``obstacle``, the metrics' rule
-)
+# The layer of cells that no planner enters, beside ``obstacle``, the metrics' rule.
+CLOSED = "closed"
 MASKS = ("obstacle", CLOSED)
 SAME = 1e-6  # values that differ by no more, as on another device, have not changed
 QUANTILES = (0.5, 0.05, 0.95)
@@ -100,8 +99,8 @@ class MapComparison(FactsRepr):
             ALTITUDE: self.a.altitudes_m,
             TIME_OF_DAY: self.a.times_of_day,
         }
-        chosen = itertools.product(*(values[dim] if dim in dims else (None,) for dim in values))
-        return [OneMap(z_m, time, day) for time, z_m, day in chosen]
+        along = [values[dim] if dim in dims else (None,) for dim in values]
+        return [OneMap(z_m, time, day) for time, z_m, day in itertools.product(*along)]
 
     @typed
     def of(
@@ -191,7 +190,7 @@ def compare(
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
-      `MapComparison`: its ``table`` has a row a layer, altitude, time and time of day with statistics of B - A, `of`
+      `MapComparison`: its ``table`` has a row per layer, altitude, time and time of day with statistics of B - A, `of`
       returns the differences of one map, and ``save`` writes the report.
 
     Raises:
@@ -214,28 +213,30 @@ def compare(
     tolerance = finite("tolerance", tolerance)
     if tolerance < 0:
         raise InputError(f"tolerance must not be negative, got {tolerance:g}")
-    sides = [_side(maps, name) for maps, name in ((maps_a, "A"), (maps_b, "B"))]
-    (a, name_a, settings_a), (b, name_b, settings_b) = sides
-    parts = shared_part(a, b.with_obstacles(b.rule or a.obstacles))
+    a, name_a, settings_a = _side(maps_a, "A")
+    b, name_b, settings_b = _side(maps_b, "B")
+    part_a, part_b = shared_part(a, b.with_obstacles(b.rule or a.obstacles))
+    settings = None
+    if settings_a is not None and settings_b is not None:
+        settings = differing(settings_a, settings_b)
     result = MapComparison(
         names=(name_a, name_b),
-        a=parts[0],
-        b=parts[1],
-        left_out=_left_out(a, parts[0], "B") | _left_out(b, parts[1], "A"),
-        settings=None
-        if settings_a is None or settings_b is None
-        else differing(settings_a, settings_b),
+        a=part_a,
+        b=part_b,
+        left_out=_left_out(a, part_a, "B") | _left_out(b, part_b, "A"),
+        settings=settings,
         tolerance=tolerance,
     )
     rows: list[dict[str, Any]] = []
     with reporting("compare", progress) as report:
-        for number, layer in enumerate(names := result.layers):
-            report("layers", number, len(names))
+        layers = result.layers
+        for number, layer in enumerate(layers):
+            report("layers", number, len(layers))
             for place in result.places(layer):
                 change = result.of(layer, **place._asdict())
                 head = {"layer": layer, "unit": unit_of(result.a, layer), **place._asdict()}
                 rows.append(head | _statistics(change[~np.isnan(change)], tolerance))
-        report("layers", len(names), len(names))
+        report("layers", len(layers), len(layers))
         judged = result.routes
         if routes:
             times = next(iter(result.times.items()), (None, None))
@@ -252,7 +253,8 @@ def _left_out(maps: MetricMaps, part: MetricMaps, other: str) -> dict[str, str]:
     ]
     names += [f"altitude {z_m:g} m" for z_m in maps.altitudes_m if z_m not in part.altitudes_m]
     names += [f"time of day {day}" for day in maps.times_of_day if day not in part.times_of_day]
-    if num_cells := int(np.prod(maps.grid.shape) - np.prod(part.grid.shape)):
+    num_cells = int(np.prod(maps.grid.shape) - np.prod(part.grid.shape))
+    if num_cells:
         names.append(f"{num_cells:,} cells")
     return dict.fromkeys(names, f"{other} holds no such map")
 
@@ -261,14 +263,14 @@ def _side(
     maps: MapsLike | MapsFolder, otherwise: str
 ) -> tuple[MetricMaps, str, dict[str, Any] | None]:
     """Return maps, what they are called, and the settings that made them; None where none can be read."""
-    opened = maps.open() if isinstance(maps, MapsFolder) else as_maps(maps)
-    folder = maps.folder if isinstance(maps, MapsFolder) else maps
-    if isinstance(folder, MetricMaps):
-        return opened, otherwise, None
+    if isinstance(maps, MetricMaps):
+        return maps, otherwise, None
+    source = maps if isinstance(maps, MapsFolder) else MapsFolder(maps)
+    opened, name = source.open(), str(source.folder)
     try:
-        return opened, str(folder), read_json(Path(folder) / RUN_FILE)["settings"]
+        return opened, name, read_json(Path(name) / RUN_FILE)["settings"]
     except (OSError, ValueError, LookupError):
-        return opened, str(folder), None
+        return opened, name, None
 
 
 def unit_of(maps: MetricMaps, layer: str) -> str:
@@ -312,39 +314,46 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
     grid = _shared_grid(a.grid, b.grid)
     altitudes_m = [z_m for z_m in a.altitudes_m if z_m in b.altitudes_m]
     if not altitudes_m:
-        of_a, of_b = (listed([f"{z_m:g}" for z_m in maps.altitudes_m]) for maps in (a, b))
+        of_a = listed([f"{z_m:g}" for z_m in a.altitudes_m])
+        of_b = listed([f"{z_m:g}" for z_m in b.altitudes_m])
         raise InputError(
             f"the maps share no altitude: A holds {of_a} m and B {of_b} m; add one of A's to B's scenario"
         )
     days = [day for day in a.times_of_day if day in b.times_of_day]
-    dims = {
-        name: set(array.dims)
-        for name, array in a.ds.data_vars.items()
-        if {"y", "x"} <= set(array.dims)
+    layers = []
+    has_times = False
+    for name, array in a.ds.data_vars.items():
+        dims = set(array.dims)
+        is_in_both = name in b.ds and set(b.ds[name].dims) == dims
+        if {"y", "x"} <= dims and is_in_both and (days or TIME_OF_DAY not in dims):
+            layers.append(name)
+            has_times |= TIME in dims
+    pairs = _paired(a, b) if has_times else {}
+    shared: dict[str, Sequence[Any]] = {ALTITUDE: altitudes_m, TIME_OF_DAY: days}
+    part_a = _part(a, grid, layers, shared | {TIME: list(pairs) or a.times})
+    part_b = _part(b, grid, layers, shared | {TIME: list(pairs.values()) or b.times})
+    return part_a, part_b
+
+
+def _part(
+    maps: MetricMaps, grid: Grid, layers: Sequence[Any], shared: Mapping[str, Sequence[Any]]
+) -> MetricMaps:
+    """Return the part of maps on some of their cells, with some of their layers, and at some places along dims."""
+    ds = maps.ds.drop_vars([name for name in maps.ds.data_vars if name not in layers])
+    rows, cols = grid.window_in(replace(maps.grid, crs=grid.crs))
+    values: dict[str, Sequence[Any]] = {
+        ALTITUDE: maps.altitudes_m,
+        TIME: maps.times,
+        TIME_OF_DAY: maps.times_of_day,
     }
-    layers = [name for name in dims if name in b.ds and set(b.ds[name].dims) == dims[name]]
-    layers = [name for name in layers if days or TIME_OF_DAY not in dims[name]]
-    pairs = _paired(a, b) if any(TIME in dims[name] for name in layers) else {}
-    parts = []
-    for maps, of_maps in ((a, list(pairs)), (b, list(pairs.values()))):
-        ds = maps.ds.drop_vars([name for name in maps.ds.data_vars if name not in layers])
-        rows, cols = grid.window_in(replace(maps.grid, crs=grid.crs))
-        shared: list[tuple[str, Sequence[Any], Sequence[Any]]] = [
-            (ALTITUDE, maps.altitudes_m, altitudes_m),
-            (TIME, maps.times, of_maps or maps.times),
-            (TIME_OF_DAY, maps.times_of_day, days),
-        ]
-        at = {
-            dim: [every.index(one) for one in some] for dim, every, some in shared if dim in ds.dims
-        }
-        attrs = dict(ds.attrs, crs=grid.crs)
-        for norm in NORMS:
-            if norm in attrs and TIME_OF_DAY in at:
-                attrs[norm] = np.atleast_1d(attrs[norm])[at[TIME_OF_DAY]].tolist()
-        parts.append(
-            MetricMaps(ds.isel(at | {"y": rows, "x": cols}).assign_attrs(attrs), maps.obstacles)
-        )
-    return parts[0], parts[1]
+    indices: dict[str, Any] = {"y": rows, "x": cols}
+    for dim in values.keys() & set(ds.dims):
+        indices[dim] = [values[dim].index(value) for value in shared[dim]]
+    attrs = dict(ds.attrs, crs=grid.crs)
+    for norm in NORMS:
+        if norm in attrs and TIME_OF_DAY in indices:
+            attrs[norm] = np.atleast_1d(attrs[norm])[indices[TIME_OF_DAY]].tolist()
+    return MetricMaps(ds.isel(indices).assign_attrs(attrs), maps.obstacles)
 
 
 def _shared_grid(a: Grid, b: Grid) -> Grid:
@@ -369,7 +378,8 @@ def _paired(a: MetricMaps, b: MetricMaps) -> dict[str, str]:
     """Return B's times by A's."""
     if len(a.times) == len(b.times) == 1:
         return {a.times[0]: b.times[0]}
-    if shared := {time: time for time in a.times if time in b.times}:
+    shared = {time: time for time in a.times if time in b.times}
+    if shared:
         return shared
     raise InputError(
         f"the maps share no time, A holds {listed(a.times)} and B {listed(b.times)}: compare maps of a single time "

@@ -18,15 +18,11 @@ from jaxurban.paths.snapping import Point
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
 
-NORMS = (
-    "pop_norm_per_km2",
-    "pop_norm_per_block",
-)  # attributes of maps that go with the times of day
+# Attributes of maps that go with the times of day.
+NORMS = ("pop_norm_per_km2", "pop_norm_per_block")
 LENGTH, PEOPLE = "length_m", "people"
-PLAIN = {
-    LENGTH: ("length", "m"),
-    PEOPLE: ("population crossed", "m at the highest density"),
-}  # label, unit
+# Label and unit of the outcomes that are not means.
+PLAIN = {LENGTH: ("length", "m"), PEOPLE: ("population crossed", "m at the highest density")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +75,19 @@ class RouteQuery:
         return np.stack([result.phi, np.append(length_m, means * length_m)])
 
 
+def query_between(cost_map: CostMap, start: Cell, goal: Cell, name: str = "") -> RouteQuery:
+    """Return the query of a route to study.
+
+    Raises:
+      InputError: both ends in one cell.
+    """
+    if start == goal:
+        raise InputError(
+            "start and goal lie in one cell, so there is no route to study: set them further apart"
+        )
+    return RouteQuery(cost_map, start, goal, name)
+
+
 def maps_of(queries: Iterable[RouteQuery]) -> list[CostMap]:
     """Return the maps that queries lie on, each once."""
     return list({id(query.cost_map): query.cost_map for query in queries}.values())
@@ -123,10 +132,10 @@ def make_queries(
         except (TypeError, ValueError) as error:
             raise InputError(f"each of pairs must be a start and a goal, got {pair!r}") from error
         try:
-            ends = cost_map.ends(start, goal, snap=snap)
+            snapped_start, snapped_goal = cost_map.ends(start, goal, snap=snap)
         except InputError as error:
             raise InputError(f"pair {number}: {error}") from error
-        queries.append(RouteQuery(cost_map, ends[0].cell, ends[1].cell, f"{number}"))
+        queries.append(RouteQuery(cost_map, snapped_start.cell, snapped_goal.cell, f"{number}"))
     return queries
 
 
@@ -144,26 +153,24 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
     """
     if not queries:
         raise InputError(
-            "there are no routes to look at (demonstrations, queries or cities): give at least one"
+            "there are no routes to study (demonstrations, queries or cities): give at least one"
         )
     cost_maps = maps_of(queries)
-    _check_same(
-        [", ".join(cost_map.weight_names) for cost_map in cost_maps],
-        "metrics: make all from the same kinds of sources",
-    )
-    _check_same(
-        [cost_map.cost_model for cost_map in cost_maps],
-        "cost models: name one for all (--cost-model, cost_model=)",
-    )
-    if cost_maps[0].cost_model.kind == "cell":
+    metrics = [", ".join(each.weight_names) for each in cost_maps]
+    _check_same(metrics, "metrics: make all from the same kinds of sources")
+    models = [each.cost_model for each in cost_maps]
+    _check_same(models, "cost models: name one for all (--cost-model, cost_model=)")
+    if models[0].kind == "cell":
+        sides = [f"{each.grid.resolution_m:g} m" for each in cost_maps]
+        remedy = "use cost_model='line'"
         _check_same(
-            [f"{cost_map.grid.resolution_m:g} m" for cost_map in cost_maps],
-            "resolutions, on which the 'cell' cost model costs differently: use cost_model='line'",
+            sides, f"resolutions, on which the 'cell' cost model costs differently: {remedy}"
         )
     if "population" in queries[0].names:
-        planned = maps_of(query for query in queries if not query.is_planned)
+        unplanned = maps_of(query for query in queries if not query.is_planned)
+        norms = [population_norms(each.maps).get(each.time_of_day or "") for each in unplanned]
         _check_same(
-            [population_norms(each.maps).get(each.time_of_day or "") for each in planned],
+            norms,
             "numbers by which population is normalised, so that one weight means different things: make the maps with "
             "[population] normalise set to a number per km2, or take one time of day (--time-of-day, time_of_day=)",
         )

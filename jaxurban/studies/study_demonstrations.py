@@ -33,11 +33,11 @@ from jaxurban.settings import CostKind, Preset, iso_utc
 from jaxurban.studies.demonstrations import MOST_REASONS, Demonstration, demonstration_from_line
 from jaxurban.studies.montecarlo.sampling import (
     KEY,
+    as_columns,
     check_instances,
     checked_instances,
     instances_of_queries,
     read_instances,
-    weight_columns,
 )
 from jaxurban.studies.montecarlo.study import BenchmarkResult
 from jaxurban.studies.montecarlo.trial import WEIGHTED, Benchmark, draws_samples, located
@@ -101,8 +101,8 @@ def demonstrations_from_study(
     Examples:
       >>> chosen = ju.studies.Study(planners="astar-plus", weights=[ju.Weights(risk=5.0)], altitudes_m=[60.0])
       >>> run = ju.studies.study(maps, "one-w", 4, settings=chosen, progress=False)
-      >>> shown = ju.fit.demonstrations_from_study(run)
-      >>> [each.query.name for each in shown], shown[0].query.cost_map.altitude_m
+      >>> routes = ju.fit.demonstrations_from_study(run)
+      >>> [each.query.name for each in routes], routes[0].query.cost_map.altitude_m
       (['0', '1', '2', '3'], 60.0)
     """
     if planner is not None and pilot is not None:
@@ -115,7 +115,7 @@ def demonstrations_from_study(
     maps = as_maps(_maps_of(study) if maps is None else maps)
     if constraints is None and not isinstance(study, pd.DataFrame | str | Path):
         constraints = study.settings.constraints
-    flown = {} if pilot is None else _columns_of(pilot.checked(maps.metrics), maps)
+    flown = {} if pilot is None else as_columns(pilot.checked(maps.metrics), maps.metrics)
     source = _source(study, maps, planner, flown)
     job = Benchmark(
         study=Study(seed=source.settings.get("seed", 0)),
@@ -182,14 +182,6 @@ def _maps_of(study: BenchmarkResult | pd.DataFrame | str | Path) -> MapsLike:
             f"{str(study)!r} does not hold the maps that its routes lie on: give them (maps=)"
         )
     return folder
-
-
-def _columns_of(weights: Weights, maps: MetricMaps) -> dict[str, float]:
-    """Return weights as columns of instances on these maps."""
-    return {
-        name: float(weights[name.removeprefix(WEIGHT_PREFIX)])
-        for name in weight_columns(maps.metrics)
-    }
 
 
 def _source(
@@ -301,7 +293,7 @@ def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.nda
         raise InputError(
             "planned again they cost otherwise than their rows say, as where seconds ended the search"
         )
-    return result.points_m + np.array([cost_map.grid.x_min_m, cost_map.grid.y_min_m])
+    return result.points_m + cost_map.grid.bounds_m[:2]
 
 
 def _listed(reasons: Counter[str]) -> str:

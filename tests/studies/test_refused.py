@@ -12,7 +12,7 @@ from jaxurban.fit import FitSettings, Target, compare_fits, fit_targets, fit_wei
 from jaxurban.io.tables import write_table
 from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
 from jaxurban.studies.queries import RouteQuery, check_alike
-from jaxurban.studies.weights.sobol import check_vary
+from jaxurban.studies.weights.sobol import varied_columns
 from tests.made_maps import made_maps
 from tests.studies.routes_made import (
     STUDY,
@@ -194,7 +194,7 @@ ROWS = [
     ),
     ("another run of `jaxurban sensitivity-study`", lambda s: reweighed(s, 1)),
     ("factors must be two", lambda _: ju.studies.SensitivityStudySettings(factors=(0.1,))),
-    ("nothing varies", lambda _: check_vary(("distance", "gps"), np.array([0.1, 1.0]), ())),
+    ("nothing varies", lambda _: varied_columns(("distance", "gps"), np.array([0.1, 0.0]), ())),
     (
         "or 'noise', got 'nois'",
         lambda s: ju.studies.sensitivity(ju.cost_map(s.noisy, 20.0), *s.ends, settings=NOIS),

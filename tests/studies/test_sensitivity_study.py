@@ -17,9 +17,9 @@ import pytest
 import jaxurban as ju
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.run import tasks_of as maps_tasks_of
+from jaxurban.maps.sources import scenario_of
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.rows import InstanceRuns, solve_here
-from jaxurban.report.buildings import scenario_of
 from jaxurban.report.figures.sensitivity_study import plot_nearest, study_figures
 from jaxurban.report.sensitivity_study import shown_tables, study_markdown
 from jaxurban.studies.bootstrap import Clusters

@@ -36,25 +36,25 @@ from jaxurban.report.figures.style import Colours, ends_of
 
 AVAILABILITY = "gps_availability"
 DISTANCE_COLOUR = "#555555"
-UNITS = {
-    "1": "",
-    "km-2": "",
-    "m": " in metres",
-}  # behind what a colour bar names; others as they are
+# Behind what a colour bar names; others as they are.
+UNITS = {"1": "", "km-2": "", "m": " in metres"}
 EMPTY_COLOUR = "#ffffff"
 
 
 def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tuple[str, str]]:
     """Return the legend entries of obstacle cells and, where there are any, of cells without data."""
-    return [("obstacle", colour), *([] if maps.ds["has_data"].values.all() else [NO_DATA_PATCH])]
+    patches = [("obstacle", colour)]
+    if not maps.ds["has_data"].values.all():
+        patches.append(NO_DATA_PATCH)
+    return patches
 
 
 def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_COLOUR) -> MapLayer:
     """Return the obstacle cells at an altitude, also between those of the maps, as they are drawn."""
-    is_held = altitude_m in maps.altitudes_m
-    is_blocked = (
-        maps.m("obstacle", altitude_m) != 0 if is_held else ~maps.is_free(altitude_m, "centre")
-    )
+    if altitude_m in maps.altitudes_m:
+        is_blocked = maps.m("obstacle", altitude_m) != 0
+    else:
+        is_blocked = ~maps.is_free(altitude_m, "centre")
     return flat_layer(is_blocked & maps.ds["has_data"].values, colour)
 
 
@@ -68,13 +68,13 @@ def drawn_variables(maps: MetricMaps) -> dict[str, Variable]:
 
     With several times there is also how often GPS is available, which maps hold of a long series alone.
     """
-    held = held_variables(maps.ds)
-    result = {name: held[maps.variable(name)] for name in ("obstacle", *maps.metrics)}
-    shown = {variable.name for variable in result.values()} | {"has_data"}
-    result |= {name: variable for name, variable in held.items() if name not in shown}
-    if len(maps.times) > 1 and "gps" in result:
-        result.setdefault(AVAILABILITY, derived(METRICS["gps"])["series"][AVAILABILITY])
-    return result
+    variables = held_variables(maps.ds)
+    drawn = {name: variables.pop(maps.variable(name)) for name in ("obstacle", *maps.metrics)}
+    variables.pop("has_data", None)
+    drawn |= variables
+    if len(maps.times) > 1 and "gps" in drawn:
+        drawn.setdefault(AVAILABILITY, derived(METRICS["gps"])["series"][AVAILABILITY])
+    return drawn
 
 
 def metric_colours(maps: MetricMaps, name: str, values: np.ndarray | None = None) -> Colours:
@@ -86,28 +86,29 @@ def metric_colours(maps: MetricMaps, name: str, values: np.ndarray | None = None
       values: all of those that the maps hold of it, where they are known.
     """
     variable = drawn_variables(maps)[name]
-    label = bar_label(maps, name, variable)
-    return colours_of(
-        variable,
-        lambda: maps.ds[variable.name].values if values is None else values,
-        label,
-        maps.ds.attrs,
-    )
+
+    def read() -> np.ndarray:
+        return maps.ds[variable.name].values if values is None else values
+
+    return colours_of(variable, read, bar_label(maps, name, variable), maps.ds.attrs)
 
 
 def bar_label(maps: MetricMaps, name: str, variable: Variable) -> str:
     """Return what the colour bar of a map says: what it is, or what a value of one means."""
-    meaning, limit = meaning_of(maps, variable.name, variable.one_means), ""
+    meaning = meaning_of(maps, variable.name, variable.one_means)
     if name in maps.metrics:
-        said = f"{symbol_of(name)}{', median' * (variable.name != name)}"
-        return f"{said}\n(1: {meaning})" if meaning else said
+        label = symbol_of(name) if variable.name == name else f"{symbol_of(name)}, median"
+        return f"{label}\n(1: {meaning})" if meaning else label
     if meaning:
         return f"1: {meaning}"
     unit = UNITS.get(variable.unit, f" in {variable.unit}")
-    said = f"{variable.symbol or variable.title or variable.long_name}{unit}"
+    label = f"{variable.symbol or variable.title or variable.long_name}{unit}"
+    if not variable.scale.is_better_low:
+        return label
+    limit = ""
     if variable.scale.limit:
         limit = f";\nalert limit {maps.ds.attrs[variable.scale.limit]:g} m"
-    return f"{said} (lower is better{limit})" if variable.scale.is_better_low else said
+    return f"{label} (lower is better{limit})"
 
 
 def colours_of(
@@ -193,37 +194,35 @@ def plot_metric(
     variable = variables[one_of("a map to draw from these maps", name, variables)]
     if name == "obstacle":
         return plot_obstacles(maps, altitudes_m=altitudes_m)
-    colours, dims, classes = metric_colours(maps, name), variable.dims, list(variable.classes)
-    if classes and (meaning := meaning_of(maps, name, variable.one_means)):
-        classes[1] = f"{classes[1][0]}\n({meaning})", classes[1][1]
-    if ALTITUDE not in dims:
-        times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
-        items = times_of_day if TIME_OF_DAY in dims else (None,)
-        panels = [
-            MapPanel(item or "", [MapLayer(maps.m(name, time_of_day=item), colours)])
-            for item in items
-        ]
-        heading, note, patches = (
-            variable.heading,
-            frame_note(maps, has_sky=False),
-            obstacle_patches(maps)[1:],
-        )
-    else:
-        time, over = (time or maps.times[0]) if TIME in dims else None, ""
-        if variable.name not in maps.ds:
-            over = f" over {len(maps.times)} epochs"
+    colours, patches = metric_colours(maps, name), obstacle_patches(maps)
+    if ALTITUDE in variable.dims:
+        time = (time or maps.times[0]) if TIME in variable.dims else None
         panels = [
             _panel(maps, name, variable, f"{z:g} m", z, time)
             for z in altitudes_m or maps.altitudes_m
         ]
-        heading, patches = (
-            f"{variable.heading}{over}, by altitude above ground",
-            obstacle_patches(maps),
-        )
+        over = "" if variable.name in maps.ds else f" over {len(maps.times)} epochs"
+        heading = f"{variable.heading}{over}, by altitude above ground"
         has_sky = bool(variable.of) and TIME in maps.metrics[variable.of].dims
         note = frame_note(maps, time, has_sky=has_sky, of=name)
-    look: dict[str, Any] = {"legend": [*classes, *patches], "colours": None if classes else colours}
-    return draw_maps(maps.grid, panels, heading, note, **look)[0]
+    else:
+        times_of_day: Sequence[str | None] = (None,)
+        if TIME_OF_DAY in variable.dims:
+            times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
+        panels = [
+            MapPanel(day or "", [MapLayer(maps.m(name, time_of_day=day), colours)])
+            for day in times_of_day
+        ]
+        heading, note = variable.heading, frame_note(maps, has_sky=False)
+        patches = patches[1:]
+    classes = list(variable.classes)
+    meaning = meaning_of(maps, name, variable.one_means)
+    if classes and meaning:
+        positive, colour = classes[1]
+        classes[1] = f"{positive}\n({meaning})", colour
+    bar = None if classes else colours
+    legend = [*classes, *patches]
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=bar)[0]
 
 
 def plot_epochs(maps: MapsLike, name: str = "gps", *, altitude_m: float | None = None) -> Figure:
@@ -239,19 +238,16 @@ def plot_epochs(maps: MapsLike, name: str = "gps", *, altitude_m: float | None =
     """
     maps = as_maps(maps)
     z = min(maps.altitudes_m) if altitude_m is None else altitude_m
-    timed = {
-        each: variable for each, variable in drawn_variables(maps).items() if TIME in variable.dims
-    }
-    variable = timed[one_of("a map of each time", name, timed)]
+    variables = drawn_variables(maps)
+    timed = [each for each in variables if TIME in variables[each].dims]
+    variable = variables[one_of("a map of each time", name, timed)]
     panels = [
         _panel(maps, name, variable, time[5:16].replace("T", " "), z, time) for time in maps.times
     ]
-    heading, note = (
-        f"{variable.heading} at each epoch, {z:g} m above ground",
-        frame_note(maps, of=name),
-    )
-    look: dict[str, Any] = {"legend": obstacle_patches(maps), "colours": metric_colours(maps, name)}
-    return draw_maps(maps.grid, panels, heading, note, **look)[0]
+    heading = f"{variable.heading} at each epoch, {z:g} m above ground"
+    legend, colours = obstacle_patches(maps), metric_colours(maps, name)
+    note = frame_note(maps, of=name)
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours)[0]
 
 
 def _panel(
@@ -274,11 +270,9 @@ def _middle_of(
         return f"{percent(values.mean(dtype=np.float64))} {variable.classes[1][0]}"
     if np.issubdtype(variable.dtype, np.integer) or not variable.is_averaged:
         middle = np.quantile(values, 0.5, method="higher")
-        return (
-            f"median {middle:.3g}{unit}"
-            if np.isfinite(middle)
-            else "undetermined in most free cells"
-        )
+        if not np.isfinite(middle):
+            return "undetermined in most free cells"
+        return f"median {middle:.3g}{unit}"
     return f"mean {values.mean(dtype=np.float64):.{0 if unit else 2}f}{unit}"
 
 
@@ -291,11 +285,9 @@ def plot_obstacles(maps: MapsLike, *, altitudes_m: Sequence[float] | None = None
     maps = as_maps(maps)
     has_data, panels = maps.ds["has_data"].values, []
     for z in altitudes_m or maps.altitudes_m:
-        share = (
-            f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked"
-            if has_data.any()
-            else "no data"
-        )
+        share = "no data"
+        if has_data.any():
+            share = f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked"
         layers = [flat_layer(has_data, FREE_COLOUR), obstacle_layer(maps, z, BUILT_COLOUR)]
         panels.append(MapPanel(f"{z:g} m  ·  {share}", layers))
     legend = [("free", FREE_COLOUR), *obstacle_patches(maps, BUILT_COLOUR)]
@@ -309,27 +301,42 @@ def percent(share: float) -> str:
         return "< 0.1 %"
     if 0.9995 <= share < 1:
         return "> 99.9 %"
-    return (
-        f"{100 * share:.1f} %"
-        if 0 < share < 0.0995 or 0.9005 <= share < 1
-        else f"{100 * share:.0f} %"
-    )
+    is_near_an_end = 0 < share < 0.0995 or 0.9005 <= share < 1
+    return f"{100 * share:.{1 if is_near_an_end else 0}f} %"
 
 
 def _plot_classes(
     maps: MetricMaps,
     heading: str,
+    classes: Sequence[tuple[str, str]],
+    classes_at: Callable[[float], np.ndarray],
+    title: str,
+    last: int,
+    *,
+    altitudes_m: Sequence[float] | None,
     time: str | None,
-    result: Mapping[float, tuple[str, np.ndarray]],
-    names: Sequence[tuple[str, str]],
 ) -> Figure:
-    """Return panels (title, class numbers) by altitude over free cells, the classes being (name, colour)."""
+    """Return panels of classes by altitude over free cells.
+
+    Args:
+      maps: that they are of.
+      heading: of the figure.
+      classes: name and colour of each, by its number.
+      classes_at: returns the numbers ``[Y, X]`` at an altitude.
+      title: of a panel; ``{}`` stands for the share of free cells of the classes up to ``last``.
+      last: a number.
+      altitudes_m: of the panels; None: all of the maps.
+      time: of the GPS maps.
+    """
     panels = []
-    for z, (title, numbers) in result.items():
-        drawn = np.where(maps.is_free(z, "centre"), numbers.astype(int), -1)
-        layers = [classes_layer(drawn, [colour for _, colour in names]), obstacle_layer(maps, z)]
-        panels.append(MapPanel(f"{z:g} m  ·  {title}", layers))
-    heading, legend = f"{heading}, by altitude above ground", [*names, *obstacle_patches(maps)]
+    colours = [colour for _, colour in classes]
+    for z in altitudes_m or maps.altitudes_m:
+        numbers, is_free = classes_at(z), maps.is_free(z, "centre")
+        share = float((numbers[is_free] <= last).mean()) if is_free.any() else 0.0
+        drawn = np.where(is_free, numbers.astype(int), -1)
+        layers = [classes_layer(drawn, colours), obstacle_layer(maps, z)]
+        panels.append(MapPanel(f"{z:g} m  ·  {title.format(percent(share))}", layers))
+    heading, legend = f"{heading}, by altitude above ground", [*classes, *obstacle_patches(maps)]
     return draw_maps(maps.grid, panels, heading, frame_note(maps, time), legend=legend)[0]
 
 
@@ -342,24 +349,24 @@ def plot_gps_rating(
       InputError: an altitude or time that these maps do not hold.
     """
     maps = as_maps(maps)
-    time, result = time or maps.times[0], {}
-    for z in altitudes_m or maps.altitudes_m:
-        rank = np.asarray(rating(maps.m("gdop", z, time=time)))
-        result[z] = f"{percent(_share(rank <= Rating.GOOD, maps, z))} good or better", rank
+    time = time or maps.times[0]
     steps = matplotlib.colormaps[METRICS["gps"].colour_map](np.linspace(1, 0, len(Rating)))
-    ranges = [f"up to {high:g}" for high in RATING_UPPER_GDOP] + [
-        f"above {RATING_UPPER_GDOP[-1]:g}"
-    ]
-    names = [
+    ranges = [f"up to {high:g}" for high in RATING_UPPER_GDOP]
+    ranges.append(f"above {RATING_UPPER_GDOP[-1]:g}")
+    classes = [
         (f"{item.name.capitalize()}\n(GDOP {dop_range})", matplotlib.colors.to_hex(colour))
         for item, dop_range, colour in zip(Rating, ranges, steps, strict=True)
     ]
-    return _plot_classes(maps, "GPS rating", time, result, names)
-
-
-def _share(is_so: np.ndarray, maps: MetricMaps, altitude_m: float) -> float:
-    is_free = maps.is_free(altitude_m, "centre")
-    return float(is_so[is_free].mean()) if is_free.any() else 0.0
+    return _plot_classes(
+        maps,
+        "GPS rating",
+        classes,
+        lambda z: np.asarray(rating(maps.m("gdop", z, time=time))),
+        "{} good or better",
+        Rating.GOOD,
+        altitudes_m=altitudes_m,
+        time=time,
+    )
 
 
 def plot_sensor_choice(
@@ -371,15 +378,21 @@ def plot_sensor_choice(
       InputError: an altitude or time that these maps do not hold.
     """
     maps = as_maps(maps)
-    time, result = time or maps.default_time, {}
-    for z in altitudes_m or maps.altitudes_m:
-        is_gps = maps.prefers_gps(z, time=time)
-        result[z] = f"GPS in {percent(_share(is_gps, maps, z))}", np.where(is_gps, 0, 1)
-    names = [
+    time = time or maps.default_time
+    classes = [
         ("GPS\n($m_\\mathrm{gps}$ > $m_\\mathrm{lidar}$)", METRICS["gps"].colour),
         ("lidar\n(otherwise)", METRICS["lidar"].colour),
     ]
-    return _plot_classes(maps, "The better sensor", time, result, names)
+    return _plot_classes(
+        maps,
+        "The better sensor",
+        classes,
+        lambda z: np.where(maps.prefers_gps(z, time=time), 0, 1),
+        "GPS in {}",
+        0,
+        altitudes_m=altitudes_m,
+        time=time,
+    )
 
 
 def plot_population(maps: MapsLike) -> Figure:
@@ -402,9 +415,8 @@ def plot_population(maps: MapsLike) -> Figure:
         panels.append(MapPanel(title, layers_above_zero(values, colours)))
     legend = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
     note = frame_note(maps, has_sky=False)
-    return draw_maps(maps.grid, panels, "Population density", note, legend=legend, colours=colours)[
-        0
-    ]
+    heading = "Population density"
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours)[0]
 
 
 def layers_above_zero(values: np.ndarray, colours: Colours) -> list[MapLayer]:
@@ -428,28 +440,23 @@ def plot_heights(maps: MapsLike) -> Figure:
     """
     maps = as_maps(maps)
     legend: list[LegendEntry] = [("no building", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
-    panels = [
-        MapPanel(f"roofs above ground, up to {ends_of(maps.m('roof'))[1]:.0f} m", roof_layers(maps))
-    ]
+    _, highest_m = ends_of(maps.m("roof"))
+    panels = [MapPanel(f"roofs above ground, up to {highest_m:.0f} m", roof_layers(maps))]
     if "terrain" in maps.ds:
-        low_m, high_m = ends_of(terrain_m := maps.m("terrain"))
+        terrain_m = maps.m("terrain")
+        low_m, high_m = ends_of(terrain_m)
         ground = MapLayer(terrain_m, replace(metric_colours(maps, "terrain", terrain_m), label=""))
         panels.append(MapPanel(f"terrain, {low_m:.0f} to {high_m:.0f} m", [ground]))
     if "roof_guessed" in maps.ds:
         is_roof = maps.m("roof") > 0
         is_guessed = maps.m("roof_guessed") & is_roof
         share = percent(is_guessed.sum() / max(is_roof.sum(), 1))
-        of_roofs = [
+        layers = [
             flat_layer(maps.m("roof") == 0, EMPTY_COLOUR),
             flat_layer(is_roof, OBSTACLE_COLOUR),
+            flat_layer(is_guessed, GUESSED_COLOUR),
         ]
-        panels.append(
-            MapPanel(
-                f"height guessed: {share} of roofs",
-                [*of_roofs, flat_layer(is_guessed, GUESSED_COLOUR)],
-            )
-        )
+        panels.append(MapPanel(f"height guessed: {share} of roofs", layers))
         legend.append(("height guessed", GUESSED_COLOUR))
-    return draw_maps(
-        maps.grid, panels, "Heights (m)", frame_note(maps, has_sky=False), legend=legend
-    )[0]
+    note = frame_note(maps, has_sky=False)
+    return draw_maps(maps.grid, panels, "Heights (m)", note, legend=legend)[0]

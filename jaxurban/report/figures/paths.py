@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from itertools import cycle
+from itertools import chain, cycle
 from pathlib import Path
 from typing import Any
 
@@ -68,18 +68,15 @@ OTHER_COLOURS = ("#00857a", "#7b3fb5", "#7fc241", "#8c510a", "#59d8c8", "#d9a3ff
 COST_COLOURS = Colours("gray", Normalize(0, 1), "$H_\\mathrm{norm}$\n(0: best free cell, 1: worst)")
 BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
 MOST_LETTERS = 17  # of a path's name in the legend and below its panel
-LINE_PT, EDGE_PT = (
-    1.6,
-    0.4,
-)  # of a path; of its white edge, which parts it from the map and from the next one
+LINE_PT = 1.6  # of a path
+EDGE_PT = 0.4  # of its white edge, which parts it from the map and from the next one
 APART_PT = 2.3  # from the middle of a path to that of the next one where both coincide
 SMOOTH_PX = 0.3  # by which the corners of a grid path may be cut
 COINCIDE = 0.05  # share of a path's length on which it runs within a cell of another one
 
 Paths = PlannedPath | Sequence[PlannedPath | None]
-Place = tuple[
-    float, str | None, str | None
-]  # altitude, time and time of day of the map that a path was planned on
+# Altitude, time and time of day of the map that a path was planned on.
+Place = tuple[float, str | None, str | None]
 
 
 def paths_in(paths: Paths) -> list[PlannedPath]:
@@ -88,9 +85,9 @@ def paths_in(paths: Paths) -> list[PlannedPath]:
     Raises:
       InputError: something else than paths.
     """
-    planned = [
-        path for path in ([paths] if isinstance(paths, PlannedPath) else paths) if path is not None
-    ]
+    if isinstance(paths, PlannedPath):
+        return [paths]
+    planned = [path for path in paths if path is not None]
     for path in planned:
         if not isinstance(path, PlannedPath):
             raise InputError(f"paths must be paths from plan, got {type(path).__name__}")
@@ -131,41 +128,38 @@ def plot_paths(
     """
     maps, planned = as_maps(maps), paths_in(paths)
     named = list(zip(planned, _names_of(planned, names), strict=True))
-    shown_m = altitudes_m or sorted({path.altitude_m for path in planned}) or maps.altitudes_m
-    places = [place for z in shown_m for place in _places_at(maps, z, planned, time, time_of_day)]
-    on_panels = [
-        [(path, name) for path, name in named if _place_of(path) == place] for place in places
-    ]
-    times = list(dict.fromkeys(at for _, at, _ in places))
-    panels = []
-    for (z, at, day), here in zip(places, on_panels, strict=True):
-        title = " · ".join(
-            filter(None, (f"{z:g} m", day, time_said(at) if at and len(times) > 1 else ""))
-        )
-        panels.append(
-            MapPanel(
-                title, cost_layers(maps, z, at, day), "\n".join(outcome_of(*each) for each in here)
-            )
-        )
-    every, colours = (
-        [each for here in on_panels for each in here],
-        planner_colours(name for _, name in named),
+    drawn_m = altitudes_m or sorted({path.altitude_m for path in planned}) or maps.altitudes_m
+    places = list(
+        chain.from_iterable(_places_at(maps, z, planned, time, time_of_day) for z in drawn_m)
     )
-    note = joined(
-        frame_note(maps, times[0] if len(times) == 1 else None),
-        "below: cost, length" if every else "",
-    )
-    note = "\n".join(filter(None, [note, rules_said(*(path.settings for path, _ in every))]))
-    heading = f"Cost{' and paths' if every else ''}, by altitude above ground"
-    colours_of_paths = {name: colours[name] for _, name in every}
+    times = list(dict.fromkeys(gps_time for _, gps_time, _ in places))
+    panels, paths_at = [], []
+    for place in places:
+        z, gps_time, day = place
+        of_place = [(path, name) for path, name in named if _place_of(path) == place]
+        facts = [f"{z:g} m", day]
+        if gps_time and len(times) > 1:
+            facts.append(time_said(gps_time))
+        foot = "\n".join(outcome_of(path, name) for path, name in of_place)
+        layers = cost_layers(maps, z, gps_time, day)
+        panels.append(MapPanel(" · ".join(filter(None, facts)), layers, foot))
+        paths_at.append(of_place)
+    drawn = list(chain.from_iterable(paths_at))
+    colours = planner_colours(name for _, name in named)
+    note = frame_note(maps, times[0] if len(times) == 1 else None)
+    heading = "Cost, by altitude above ground"
+    if drawn:
+        heading = "Cost and paths, by altitude above ground"
+        rules = rules_said(*(path.settings for path, _ in drawn))
+        note = "\n".join(filter(None, [joined(note, "below: cost, length"), rules]))
     legend: list[LegendEntry] = [
         *obstacle_patches(maps, BLOCKED_COLOUR),
-        *path_entries(colours_of_paths, [p for p, _ in every]),
+        *path_entries({name: colours[name] for _, name in drawn}, [path for path, _ in drawn]),
     ]
     figure, axes = draw_maps(maps.grid, panels, heading, note, legend=legend, colours=COST_COLOURS)
-    for panel, here in zip(axes, on_panels, strict=True):
-        draw_paths(panel, [path for path, _ in here], [colours[name] for _, name in here])
-    if every:
+    for panel, of_place in zip(axes, paths_at, strict=True):
+        draw_paths(panel, [path for path, _ in of_place], [colours[name] for _, name in of_place])
+    if drawn:
         figure.draw_without_rendering()  # the layout of many lines below panels settles only at its second drawing
     return figure
 
@@ -210,21 +204,15 @@ def cost_layers(
 
 def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]) -> None:
     """Draw the paths that were found, each in its colour, and start and goal of the first of them."""
-    result = [
+    drawn = [
         (path, colour) for path, colour in zip(paths, colours, strict=True) if path.status.has_path
     ]
-    lanes = lanes_of(
-        [path.xy_m for path, _ in result],
-        max((path.settings["resolution_m"] for path, _ in result), default=0.0),
-    )
-    for (path, colour), lane in zip(result, lanes, strict=True):
+    near_m = max((path.settings["resolution_m"] for path, _ in drawn), default=0.0)
+    lanes = lanes_of([path.xy_m for path, _ in drawn], near_m)
+    for (path, colour), lane in zip(drawn, lanes, strict=True):
         beside = [Beside(lane * APART_PT, LINE_PT + 2 * EDGE_PT, "white"), Beside(lane * APART_PT)]
-        look: dict[str, Any] = {
-            "linewidth": LINE_PT,
-            "solid_joinstyle": "round",
-            "path_effects": beside,
-        }
-        panel.plot(*path.xy_m.T, color=colour, zorder=4, **look)
+        look: dict[str, Any] = {"solid_joinstyle": "round", "path_effects": beside}
+        panel.plot(*path.xy_m.T, color=colour, zorder=4, linewidth=LINE_PT, **look)
     draw_ends(panel, paths)
 
 
@@ -327,17 +315,18 @@ def plot_overview(
       InputError: an altitude that these maps do not hold, or another number of names than paths.
     """
     maps, planned = as_maps(maps), paths_in(paths)
-    called = _names_of(planned, names)
-    lowest_m = min((path.altitude_m for path in planned), default=maps.altitudes_m[0])
-    z = lowest_m if altitude_m is None else altitude_m
+    names = _names_of(planned, names)
+    z = altitude_m
+    if z is None:
+        z = min((path.altitude_m for path in planned), default=maps.altitudes_m[0])
     place, *_ = _places_at(maps, z, planned)
     _, time, time_of_day = place
     named = [
         (path, name)
-        for path, name in zip(planned, called, strict=True)
+        for path, name in zip(planned, names, strict=True)
         if _place_of(path) == place and path.status.has_path
     ]
-    result = [path for path, _ in named]
+    drawn = [path for path, _ in named]
     panels = [MapPanel("Roof height (m)", roof_layers(maps))]
     for name, metric in maps.metrics.items():
         if name == "population":
@@ -348,21 +337,20 @@ def plot_overview(
         else:
             layers = [obstacle_layer(maps, z, BLOCKED_COLOUR), free_layer(maps, name, z, time=time)]
             panels.append(MapPanel(metric.label, layers))
-    what = " and paths" if result else ""
+    what = " and paths" if drawn else ""
     costs = cost_layers(maps, z, time, time_of_day)[::-1]
     panels.append(MapPanel(", ".join(filter(None, (f"Cost{what}", time_of_day))), costs))
     colours = planner_colours(name for _, name in named)
     blank = "no building, nobody" if "population" in maps.metrics else "no building"
     legend: list[LegendEntry] = [(blank, EMPTY_COLOUR), *obstacle_patches(maps, BLOCKED_COLOUR)]
-    legend += path_entries(colours, result)
-    note = "\n".join(
-        filter(None, [frame_note(maps, time), rules_said(*(path.settings for path in result))])
-    )
+    legend += path_entries(colours, drawn)
+    rules = rules_said(*(path.settings for path in drawn))
+    note = "\n".join(filter(None, [frame_note(maps, time), rules]))
     heading = f"Metric maps{what}, {z:g} m above ground"
     figure, axes = draw_maps(
         maps.grid, panels, heading, note, legend=legend, has_ticks=False, is_key_of_last=True
     )
-    draw_paths(axes[-1], result, [colours[name] for _, name in named])
+    draw_paths(axes[-1], drawn, [colours[name] for _, name in named])
     return figure
 
 

@@ -93,9 +93,9 @@ def plot_routes(
     ]
     heading = f"{given.capitalize()}s and routes under the fitted weights"
     figure, (panel,) = draw_maps(grid, shown_maps, heading, note, legend=legend, colours=colours)
-    corner = np.array([grid.x_min_m, grid.y_min_m])
+    southwest_m = grid.bounds_m[:2]
     for demonstration, route in both:
-        drawn = demonstration.points_m + corner, route.points_m + corner
+        drawn = demonstration.points_m + southwest_m, route.points_m + southwest_m
         lanes = lanes_of(drawn, grid.resolution_m)
         for line, lane, colour in zip(
             drawn, lanes, (DEMONSTRATION_COLOUR, PLANNED_COLOUR), strict=True

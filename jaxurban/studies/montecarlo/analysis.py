@@ -15,7 +15,7 @@ import pandas as pd
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.rows import BAD_INPUT, HAS_PATH
 from jaxurban.planners.base import Status
-from jaxurban.studies.bootstrap import Clusters, draws_of, ends_of
+from jaxurban.studies.bootstrap import Clusters, Interval, draws_of, ends_of, named
 from jaxurban.studies.montecarlo.sampling import KEY, RANGES
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 
@@ -39,21 +39,18 @@ def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
         on=list(KEY),
         validate="many_to_one",
     )
-    table["range"] = (
-        table["range"].astype(object).where(table["range"].notna(), "any")
-        if "range" in table
-        else "any"
-    )
+    if "range" not in table:
+        table["range"] = "any"
+    table["range"] = table["range"].astype(object).where(table["range"].notna(), "any")
     table["has_path"] = table.status.isin(HAS_PATH)
-    one = table.groupby(list(KEY), sort=False)
-    refuted = (
-        (table.status == Status.NO_PATH.value)
-        .groupby([table[name] for name in KEY])
-        .transform("any")
+    marked = table.assign(
+        is_refuted=table.status == Status.NO_PATH.value, is_bad=table.status == BAD_INPUT
     )
-    is_bad = (table.status == BAD_INPUT).groupby([table[name] for name in KEY]).transform("all")
-    table["is_joined"] = (one.has_path.transform("any") | ~refuted) & ~is_bad
-    best = table.groupby(list(KEY), sort=False).cost.transform("min")
+    pairs = marked.groupby(list(KEY), sort=False)
+    is_refuted = pairs.is_refuted.transform("any")
+    is_bad = pairs.is_bad.transform("all")
+    table["is_joined"] = (pairs.has_path.transform("any") | ~is_refuted) & ~is_bad
+    best = pairs.cost.transform("min")
     # A path of no cost at all is the best one, whatever is divided.
     table["ratio"] = np.where(table.cost == best, 1.0, table.cost / best.where(best > 0))
     table.loc[~table.has_path, "ratio"] = np.nan
@@ -206,23 +203,17 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
                 "pairs": len(both),
             }
             for name in ("cost", *facts_of(rows)):
-                shortest, cheapest = (
-                    both[name, objective].to_numpy(np.float64) for objective in (DISTANCE, WEIGHTED)
-                )
+                shortest = both[name, DISTANCE].to_numpy(np.float64)
+                cheapest = both[name, WEIGHTED].to_numpy(np.float64)
                 is_ratio = name in ("cost", "length_m")
                 change = np.log(shortest / cheapest) if is_ratio else shortest - cheapest
                 if not np.isfinite(change).all():
                     continue
-                interval = clusters.interval(change)
-                label = f"{name.removesuffix('_m')}_ratio" if is_ratio else f"{name}_change"
-                shown_interval = np.exp(interval) if is_ratio else interval
-                row |= dict(
-                    zip(
-                        (label, f"{label}_low", f"{label}_high"),
-                        map(float, shown_interval),
-                        strict=True,
-                    )
-                )
+                label, interval = f"{name}_change", clusters.interval(change)
+                if is_ratio:
+                    label = f"{name.removesuffix('_m')}_ratio"
+                    interval = Interval(*np.exp(interval).tolist())
+                row |= named(label, interval)
             result.append(row)
     return pd.DataFrame(result)
 
@@ -309,9 +300,9 @@ def complementarity(
         has_poor = FEWEST <= is_poor.mean() < 1
         row["lidar_where_gps_poor"] = lidar[is_poor].mean() if has_poor else np.nan
         row["lidar_where_gps_good"] = lidar[~is_poor].mean() if has_poor else np.nan
-        row["correlation"] = correlation_of(sums.sum(axis=0)[None])[0]
+        correlation = correlation_of(sums.sum(axis=0)[None])[0]
         ends = ends_of(correlation_of(draws @ sums), len(free_tiles))
-        result.append(row | dict(zip(("correlation_low", "correlation_high"), ends, strict=True)))
+        result.append(row | named("correlation", Interval(correlation, *ends)))
     return pd.DataFrame(result)
 
 

@@ -23,6 +23,7 @@ from jaxurban.paths.queries import WEIGHT_PREFIX, Query
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import CostKind, Preset, iso_utc
+from jaxurban.world.grid import Grid
 from jaxurban.world.land_cover import LandCover
 
 # Straight distance between start and goal, as shares of the region's diagonal.
@@ -35,37 +36,33 @@ HIGH_RISE_M = 35.0  # roofs from here up are high-rise buildings (Emporis' defin
 NO_STRATUM = -1
 DIRICHLET = "dirichlet"
 NUM_DOUBLINGS = 5  # of the pairs drawn, until so many are joined as are wanted
-NUM_TRIES, NUM_GOALS = (
-    200,
-    256,
-)  # starts, and goals for each, before a kind of instance is passed over
+# Starts, and goals for each, before a kind of instance is passed over.
+NUM_TRIES, NUM_GOALS = 200, 256
 
 PLACES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
 KEY = ("instance", "altitude_m")
 TIMES = ("time", "time_of_day")
-OPTIONAL = (
-    *TIMES,
-    "start_stratum",
-    "goal_stratum",
-    "range",
-    "is_connected",
-)  # None where a file holds none
+# None where a file holds none.
+OPTIONAL = (*TIMES, "start_stratum", "goal_stratum", "range", "is_connected")
 MOST_NUMBER = 2**53  # of an instance: as far as float64 counts
 
 
 def weighed_metrics(columns: Iterable[Any]) -> tuple[str, ...]:
     """Return the metrics that instances of these columns hold weights of: the built-in ones, then a user's own."""
-    weighed = (
-        name.removeprefix(WEIGHT_PREFIX)
-        for name in map(str, columns)
-        if name.startswith(WEIGHT_PREFIX)
-    )
-    return tuple(dict.fromkeys((*METRICS, *(name for name in weighed if name != "distance"))))
+    weights = [name for name in map(str, columns) if name.startswith(WEIGHT_PREFIX)]
+    weighed = dict.fromkeys([*METRICS, *(name.removeprefix(WEIGHT_PREFIX) for name in weights)])
+    weighed.pop("distance", None)
+    return tuple(weighed)
 
 
 def weight_columns(metrics: Iterable[str]) -> tuple[str, ...]:
     """Return the columns of the weights of the distance and of these metrics, beside the built-in ones."""
     return tuple(WEIGHT_PREFIX + name for name in dict.fromkeys(("distance", *METRICS, *metrics)))
+
+
+def as_columns(weights: Weights, metrics: Iterable[str]) -> dict[str, Any]:
+    """Return weights as columns of instances on maps of these metrics."""
+    return {name: weights[name.removeprefix(WEIGHT_PREFIX)] for name in weight_columns(metrics)}
 
 
 def query_columns(columns: Iterable[Any]) -> list[str]:
@@ -108,7 +105,7 @@ def sample_instances(
       seed: of everything.
 
     Returns:
-      A row an instance and altitude, which `jaxurban.studies.study` takes: ``instance``, ``altitude_m``, ``crs``,
+      A row per instance and altitude, which `jaxurban.studies.study` takes: ``instance``, ``altitude_m``, ``crs``,
       ``start_x_m``, ``start_y_m``, ``goal_x_m``, ``goal_y_m``, ``start_lon``, ``start_lat``, ``goal_lon``,
       ``goal_lat``, ``time``, ``time_of_day``, ``start_stratum``, ``goal_stratum``, ``range``, ``distance_m``
       (straight), ``is_connected``, ``w_distance`` (per metre), ``w_gps``, ``w_lidar``, ``w_population``, ``w_risk`` (0
@@ -150,42 +147,39 @@ def sample_instances(
     rows = []
     for k in range(num):
         rng = np.random.default_rng([seed, 1, k])
-        rows.append({"instance": k, **places.draw(rng)})
-        rows[-1]["time"] = None if maps.default_time is None else str(rng.choice(maps.times))
-        rows[-1]["time_of_day"] = str(rng.choice(maps.times_of_day)) if maps.times_of_day else None
+        row: dict[str, Any] = {"instance": k, **places.draw(rng)}
+        row["time"] = None if maps.default_time is None else str(rng.choice(maps.times))
+        row["time_of_day"] = str(rng.choice(maps.times_of_day)) if maps.times_of_day else None
         shares = rng.dirichlet(np.ones(len(names)))
         shares[0] /= model.reference_length_m
-        drawn = Weights(
-            **dict.fromkeys(METRICS, 0.0) | dict(zip(names, shares.tolist(), strict=True))
-        )
-        chosen = drawn if listed is None else listed[k % len(listed)]
-        rows[-1] |= {
-            column: chosen[column.removeprefix(WEIGHT_PREFIX)]
-            for column in weight_columns(maps.metrics)
-        }
+        if listed is None:
+            drawn = dict(zip(names, shares.tolist(), strict=True))
+            weights_of_row = Weights(**dict.fromkeys(METRICS, 0.0) | drawn)
+        else:
+            weights_of_row = listed[k % len(listed)]
+        rows.append(row | as_columns(weights_of_row, maps.metrics))
     pairs = pd.DataFrame(rows).assign(crs=maps.grid.crs)
     pairs.insert(1, "altitude_m", 0.0)
-    table = pd.concat([pairs.assign(altitude_m=float(z)) for z in altitudes_m]).reset_index(
-        drop=True
-    )
+    at_altitudes = [pairs.assign(altitude_m=float(z)) for z in altitudes_m]
+    table = pd.concat(at_altitudes, ignore_index=True)
     table = with_connection(table, maps, model, constraints)
     return table.assign(is_connected=table.is_connected.astype(bool))
 
 
-def sample_joined(maps: MapsLike, num: int, **how: Any) -> pd.DataFrame:
+def sample_joined(maps: MapsLike, num: int, **options: Any) -> pd.DataFrame:
     """Return the first ``num`` instances of `sample_instances` that a path joins at every altitude.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
       num: instances at each altitude.
-      how: further arguments of `sample_instances`.
+      options: further arguments of `sample_instances`.
 
     Raises:
       InputError: as there, or no path joins most pairs.
     """
     drawn = num
     for _ in range(NUM_DOUBLINGS):
-        table = sample_instances(maps, drawn, **how)
+        table = sample_instances(maps, drawn, **options)
         joined = table.groupby("instance").is_connected.all()
         if joined.sum() >= num:
             return table[table.instance.isin(joined.index[joined][:num])].reset_index(drop=True)
@@ -208,45 +202,60 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
     """
     maps = as_maps(maps)
     grid, strata, rows = maps.grid, strata_of(maps), []
-    diagonal_m = float(np.hypot(*grid.shape)) * grid.resolution_m
     for number, query in enumerate(queries):
         row: dict[str, Any] = {"instance": number, "altitude_m": query.altitude_m, "crs": grid.crs}
         try:
             if query.error:
                 raise InputError(query.error)
             for end, place in (("start", query.start), ("goal", query.goal)):
-                at: Any = place[:2]
-                x_m, y_m = map(float, at if isinstance(place, XY) else grid.xy_of_lonlat(*at))
-                lon, lat = map(float, grid.lonlat_of_xy(x_m, y_m))
-                row |= {f"{end}_x_m": x_m, f"{end}_y_m": y_m, f"{end}_lon": lon, f"{end}_lat": lat}
-                stratum = (
-                    int(strata[grid.cell_of_xy(x_m, y_m)])
-                    if grid.contains_xy(x_m, y_m)
-                    else NO_STRATUM
-                )
-                row[f"{end}_stratum"] = None if stratum == NO_STRATUM else STRATA[stratum]
+                xy_m: Any = place[:2]
+                if not isinstance(place, XY):
+                    xy_m = grid.xy_of_lonlat(*xy_m)
+                row |= _end_facts(grid, end, *map(float, xy_m))
+                row[f"{end}_stratum"] = _stratum_at(strata, grid, *map(float, xy_m))
         except InputError as error:
             raise InputError(f"query {number + 1}: {error}") from error
-        share = (
-            np.hypot(row["goal_x_m"] - row["start_x_m"], row["goal_y_m"] - row["start_y_m"])
-            / diagonal_m
+        distance_m = np.hypot(
+            row["goal_x_m"] - row["start_x_m"], row["goal_y_m"] - row["start_y_m"]
         )
-        row["range"] = next(
-            (name for name, (low, high) in RANGES.items() if low <= share < high), None
-        )
-        default_time = maps.default_time
-        row["time"] = (
-            default_time if query.time is None or default_time is None else iso_utc(query.time)
-        )
+        row["range"] = _range_of(distance_m / _diagonal_m(grid))
+        row["time"] = maps.default_time
+        if query.time is not None and maps.default_time is not None:
+            row["time"] = iso_utc(query.time)
         row["time_of_day"] = query.time_of_day or next(iter(maps.times_of_day), None)
-        rows.append(
-            row
-            | {
-                column: query.weights[column.removeprefix(WEIGHT_PREFIX)]
-                for column in weight_columns(maps.metrics)
-            }
-        )
+        rows.append(row | as_columns(query.weights, maps.metrics))
     return checked_instances(pd.DataFrame(rows), "the queries")
+
+
+def _end_facts(grid: Grid, end: str, x_m: float, y_m: float) -> dict[str, object]:
+    """Return the columns of one end of an instance."""
+    lon, lat = grid.lonlat_of_xy(x_m, y_m)
+    return {
+        f"{end}_x_m": x_m,
+        f"{end}_y_m": y_m,
+        f"{end}_lon": float(lon),
+        f"{end}_lat": float(lat),
+    }
+
+
+def _stratum_at(strata: np.ndarray, grid: Grid, x_m: float, y_m: float) -> str | None:
+    """Return the name of the stratum at a place, of those of all cells (`strata_of`)."""
+    if not grid.contains_xy(x_m, y_m):
+        return None
+    stratum = int(strata[grid.cell_of_xy(x_m, y_m)])
+    return None if stratum == NO_STRATUM else STRATA[stratum]
+
+
+def _range_of(share: float) -> str | None:
+    """Return the name of the range that a share of the region's diagonal lies in."""
+    for name, (low, high) in RANGES.items():
+        if low <= share < high:
+            return name
+    return None
+
+
+def _diagonal_m(grid: Grid) -> float:
+    return float(np.hypot(*grid.shape)) * grid.resolution_m
 
 
 class _Places:
@@ -259,29 +268,25 @@ class _Places:
         strata = np.where(is_free, strata_of(maps, cover), -1).ravel()
         self.cells = [np.flatnonzero(strata == number) for number in range(len(STRATA))]
         present = [number for number, cells in enumerate(self.cells) if len(cells)]
-        self.strata_pairs = list(
-            itertools.product(present, present, RANGES)
-        )  # stratum of start and goal, range
+        # Stratum of start and goal, range.
+        self.kinds = list(itertools.product(present, present, RANGES))
         self.seed, self.num_dealt = seed, 0
         if sum(map(len, self.cells)) < 2:
             raise InputError(
                 "fewer than two cells are free at every altitude of the benchmark: leave out the lowest one, or loosen "
                 "the constraints"
             )
-        rows, cols = self.grid.shape
-        self.diagonal_m = float(np.hypot(rows, cols)) * self.grid.resolution_m
 
     def _next_kind(self) -> tuple[int, int, str]:
         """Return the next kind; they are shuffled again each time all were drawn."""
-        turn, place = divmod(self.num_dealt, len(self.strata_pairs))
+        turn, place = divmod(self.num_dealt, len(self.kinds))
         self.num_dealt += 1
-        return self.strata_pairs[
-            np.random.default_rng([self.seed, 0, turn]).permutation(len(self.strata_pairs))[place]
-        ]
+        order = np.random.default_rng([self.seed, 0, turn]).permutation(len(self.kinds))
+        return self.kinds[order[place]]
 
     def draw(self, rng: np.random.Generator) -> dict[str, object]:
         """Return a pair of places of the next kind that the maps offer."""
-        for _ in self.strata_pairs:
+        for _ in self.kinds:
             first, second, name = self._next_kind()
             pair = self._pair(first, second, RANGES[name], rng)
             if pair is not None:
@@ -298,7 +303,7 @@ class _Places:
     def _pair(
         self, first: int, second: int, range_shares: tuple[float, float], rng: np.random.Generator
     ) -> tuple[tuple[int, int], tuple[int, int]] | None:
-        low_m, high_m = (share * self.diagonal_m for share in range_shares)
+        low_m, high_m = (share * _diagonal_m(self.grid) for share in range_shares)
         for _ in range(NUM_TRIES):
             row, col = divmod(int(rng.choice(self.cells[first])), self.grid.num_cols)
             rows, cols = np.divmod(rng.choice(self.cells[second], NUM_GOALS), self.grid.num_cols)
@@ -310,21 +315,19 @@ class _Places:
 
     def _facts(self, start: tuple[int, int], goal: tuple[int, int]) -> dict[str, object]:
         facts: dict[str, object] = {}
-        for name, cell in (("start", start), ("goal", goal)):
-            x_m, y_m = self.grid.xy_of_cell(*cell)
-            lon, lat = self.grid.lonlat_of_xy(x_m, y_m)
-            facts |= {f"{name}_x_m": float(x_m), f"{name}_y_m": float(y_m)}
-            facts |= {f"{name}_lon": float(lon), f"{name}_lat": float(lat)}
+        for end, cell in (("start", start), ("goal", goal)):
+            facts |= _end_facts(self.grid, end, *map(float, self.grid.xy_of_cell(*cell)))
         away = np.hypot(start[0] - goal[0], start[1] - goal[1])
         return facts | {"distance_m": float(away) * self.grid.resolution_m}
 
 
 def _always_free(maps: MetricMaps, altitude_m: float, constraints: Constraints) -> np.ndarray:
     """Return ``[Y, X]`` bool: cells that are free at every time of the maps."""
-    times: Sequence[str | None] = (
-        maps.times if constraints.bounds and maps.default_time is not None else (None,)
-    )
-    times_of_day: Sequence[str | None] = (constraints.bounds and maps.times_of_day) or (None,)
+    times: Sequence[str | None] = (None,)
+    times_of_day: Sequence[str | None] = (None,)
+    if constraints.bounds:
+        times = times if maps.default_time is None else maps.times
+        times_of_day = maps.times_of_day or times_of_day
     free = [
         constraints.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)
         for time, time_of_day in itertools.product(times, times_of_day)
@@ -337,21 +340,23 @@ def with_connection(
 ) -> pd.DataFrame:
     """Return instances with ``is_connected`` as these maps have it, None where a place is not a free cell of them."""
     joined = pd.Series(None, index=instances.index, dtype=object)
-    # Only bounds close other cells at other times.
-    for _, at in instances.groupby(
-        ["altitude_m", *(TIMES if constraints.bounds else ())], dropna=False
-    ):
-        first = at.iloc[0]
-        when = {name: None if pd.isna(first[name]) else str(first[name]) for name in TIMES}
-        is_free = constraints.is_free(maps, float(first.altitude_m), **when)
+    place = ["altitude_m"]
+    if constraints.bounds:  # which alone close other cells at other times
+        place += TIMES
+    for _, part in instances.groupby(place, dropna=False):
+        first = part.iloc[0]
+        times = {name: None if pd.isna(first[name]) else str(first[name]) for name in TIMES}
+        is_free = constraints.is_free(maps, float(first.altitude_m), **times)
         # Where a diagonal step needs both orthogonal neighbours free, islands of orthogonal steps are what is joined.
         islands, _ = label(is_free, np.ones((3, 3)) if model.joins_corners else None)
-        ends = np.zeros((2, len(at)), islands.dtype)  # 0: the island of what is not free
-        for end, cost_map in zip(("start", "goal"), ends, strict=True):
-            x_m, y_m = (at[f"{end}_{axis}_m"].to_numpy() for axis in "xy")
+        island = {}
+        for end in ("start", "goal"):
+            x_m, y_m = part[[f"{end}_x_m", f"{end}_y_m"]].to_numpy().T
             inside = maps.grid.contains_xy(x_m, y_m)
-            cost_map[inside] = islands[maps.grid.cell_of_xy(x_m[inside], y_m[inside])]
-        joined[at.index] = np.where((ends == 0).any(axis=0), None, ends[0] == ends[1])
+            island[end] = np.zeros(len(part), islands.dtype)  # 0: of what is not free
+            island[end][inside] = islands[maps.grid.cell_of_xy(x_m[inside], y_m[inside])]
+        is_closed = (island["start"] == 0) | (island["goal"] == 0)
+        joined[part.index] = np.where(is_closed, None, island["start"] == island["goal"])
     return instances.assign(is_connected=joined.infer_objects())
 
 
@@ -368,12 +373,9 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
       maps: their roofs count.
       cover: water and parks in the maps' CRS; left out, neither is known.
     """
-    roof_m, has_data, resolution_m = (
-        maps.m("roof"),
-        maps.ds["has_data"].values,
-        maps.grid.resolution_m,
-    )
-    near, far = (max(1, round(half_m / resolution_m)) for half_m in (NEAR_M, FAR_M))
+    roof_m = maps.m("roof")
+    near = max(1, round(NEAR_M / maps.grid.resolution_m))
+    far = max(1, round(FAR_M / maps.grid.resolution_m))
     is_high = share_around(roof_m >= HIGH_RISE_M, near) >= BUILT_SHARE
     is_built = share_around(roof_m > 0, near) >= BUILT_SHARE
     is_wide = share_around(roof_m > 0, far) == 0
@@ -382,10 +384,9 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
     if cover is not None:
         for name, shape in (("park", cover.park), ("water", cover.water)):
             parts = shapely.get_parts(shape)
-            strata[burn(parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8")[0] == 1] = (
-                STRATA.index(name)
-            )
-    strata[~has_data] = NO_STRATUM
+            covered, _ = burn(parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8")
+            strata[covered == 1] = STRATA.index(name)
+    strata[~maps.ds["has_data"].values] = NO_STRATUM
     return strata
 
 
@@ -393,13 +394,12 @@ def share_around(mask: np.ndarray, half: int) -> np.ndarray:
     """Return ``[Y, X]`` the share of set cells in the square up to ``half`` cells away from each, cut at edges."""
     total = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1), np.int64)
     np.cumsum(np.cumsum(mask, axis=0, dtype=np.int64), axis=1, out=total[1:, 1:])
-    (low_r, high_r), (low_c, high_c) = (
-        (np.maximum(np.arange(size) - half, 0), np.minimum(np.arange(size) + half + 1, size))
-        for size in mask.shape
-    )
-    count = total[np.ix_(high_r, high_c)] - total[np.ix_(low_r, high_c)]
-    count -= total[np.ix_(high_r, low_c)] - total[np.ix_(low_r, low_c)]
-    return count / np.outer(high_r - low_r, high_c - low_c)
+    rows, cols = map(np.arange, mask.shape)
+    south, north = np.maximum(rows - half, 0), np.minimum(rows + half + 1, len(rows))
+    west, east = np.maximum(cols - half, 0), np.minimum(cols + half + 1, len(cols))
+    count = total[np.ix_(north, east)] - total[np.ix_(south, east)]
+    count -= total[np.ix_(north, west)] - total[np.ix_(south, west)]
+    return count / np.outer(north - south, east - west)
 
 
 def read_instances(file: str | Path) -> pd.DataFrame:
@@ -433,16 +433,14 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
         raise InputError(f"{name} holds no row: give at least one instance")
     for column in ("instance", "altitude_m", *PLACES, *weights):
         values = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
-        wrong, kind = ~np.isfinite(values), "a number"
+        is_valid, kind = np.isfinite(values), "a number"
         if column in weights:
-            wrong, kind = (
-                ~((values >= 0) & (values <= MOST_WEIGHT)),
-                f"a number >= 0, at most {MOST_WEIGHT:.0e}",
-            )
+            is_valid = (values >= 0) & (values <= MOST_WEIGHT)
+            kind = f"a number >= 0, at most {MOST_WEIGHT:.0e}"
         elif column == "instance":
-            wrong = ~((values >= 0) & (values <= MOST_NUMBER) & (values == np.floor(values)))
+            is_valid = (values >= 0) & (values <= MOST_NUMBER) & (values == np.floor(values))
             kind = "a whole number >= 0"
-        _refuse(wrong, table[column], kind, name)
+        _check_all(is_valid, table[column], kind, name)
         table[column] = values.astype(np.int64) if column == "instance" else values
     twice = table.duplicated(list(KEY))
     if twice.any():
@@ -451,11 +449,9 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
             f"{name} holds instance {number:g} at {altitude_m:g} m twice: renumber them"
         )
     for column in OPTIONAL:
-        table[column] = (
-            table[column].astype(object).where(table[column].notna(), None)
-            if column in table
-            else None
-        )
+        if column not in table:
+            table[column] = None
+        table[column] = table[column].astype(object).where(table[column].notna(), None)
     if "distance_m" not in table:
         table["distance_m"] = np.hypot(
             table.goal_x_m - table.start_x_m, table.goal_y_m - table.start_y_m
@@ -470,20 +466,17 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
         raise InputError(
             f"the instances' places are in {crs.pop()}, the maps in {maps.grid.crs}: use maps in that CRS"
         )
-    times = maps.times if maps.default_time is not None else ()
-    for name, values in (
-        ("altitude_m", maps.altitudes_m),
-        ("time", times),
-        ("time_of_day", maps.times_of_day),
-    ):
+    places: dict[str, Sequence[Any]] = {
+        "altitude_m": maps.altitudes_m,
+        "time": () if maps.default_time is None else maps.times,
+        "time_of_day": maps.times_of_day,
+    }
+    for name, values in places.items():
         lost = [value for value in instances[name].dropna().unique() if value not in values]
         if lost:
-            listed = (
-                ", ".join(f"{value:g}" if name == "altitude_m" else str(value) for value in values)
-                or "none"
-            )
+            texts = [f"{value:g}" if isinstance(value, float) else value for value in values]
             raise InputError(
-                f"the instances ask for {name} {lost[0]}, and these maps hold {listed}"
+                f"the instances ask for {name} {lost[0]}, and these maps hold {', '.join(texts) or 'none'}"
             )
     for name in weighed_metrics(instances.columns):
         one_of("a weight of the instances", name, dict.fromkeys((*METRICS, *maps.metrics)))
@@ -493,10 +486,10 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
         )
 
 
-def _refuse(wrong: np.ndarray, column: pd.Series, kind: str, name: str) -> None:
-    """Raise InputError for the first wrong value ``[N]`` of a column, if there is any."""
-    if wrong.any():
-        row = int(np.argmax(wrong))
+def _check_all(is_valid: np.ndarray, column: pd.Series, kind: str, name: str) -> None:
+    """Raise InputError for the first invalid value ``[N]`` of a column, if there is any."""
+    if not is_valid.all():
+        row = int(np.argmin(is_valid))
         value = column.iloc[row]
         plain = value.item() if isinstance(value, np.generic) else value
         raise InputError(f"{name}, row {row + 1}: {column.name} must be {kind}, got {plain!r}")

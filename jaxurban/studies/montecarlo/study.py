@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -128,11 +127,15 @@ def study(
     model, constraints = CostModel.of(job.cost_model), job.constraints
     source = opened if isinstance(source, MetricMaps) else source.at(opened)
     if not isinstance(instances, pd.DataFrame):
-        asked: dict[str, Any] = {
-            name: getattr(job.study, name) for name in ("altitudes_m", "weights", "seed")
-        }
-        rules: dict[str, Any] = {"cost_model": model, "constraints": constraints}
-        instances = sample_instances(opened, job.study.instances, **asked, **rules)
+        instances = sample_instances(
+            opened,
+            job.study.instances,
+            altitudes_m=job.study.altitudes_m,
+            weights=job.study.weights,
+            cost_model=model,
+            constraints=constraints,
+            seed=job.study.seed,
+        )
     else:
         instances = checked_instances(instances, "instances")
         check_instances(instances, opened)
@@ -152,14 +155,9 @@ def study(
         write_table(instances, folder / INSTANCES_FILE)
         file, columns = folder / ROWS_FILE, row_columns(instances.columns)
         with reporting("study", progress) as report:
+            sources = {None: source}
             rows = run_rows(
-                file,
-                job,
-                instances,
-                {None: source},
-                lambda _: columns,
-                workers=workers,
-                report=report,
+                file, job, instances, sources, lambda _: columns, workers=workers, report=report
             )
     return BenchmarkResult(folder, opened, instances, rows, job)
 

@@ -21,7 +21,7 @@ from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
 from jaxurban.maps.track import Track
 from jaxurban.progress import Report
 from jaxurban.public import Caution, FactsRepr
-from jaxurban.studies.bootstrap import FEWEST_GROUPS
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, columns_of
 from jaxurban.studies.receiver.displaced import (
     AROUND_M,
     FARTHEST_M,
@@ -69,16 +69,16 @@ class SatelliteAgreement(FactsRepr):
     """How the maps agree with a receiver, satellite by satellite.
 
     Attributes:
-      rows: a row an epoch and satellite: ``epoch`` (number in the log's epochs), ``satellite``, ``system`` (its first
+      rows: a row per epoch and satellite: ``epoch`` (number in the log's epochs), ``satellite``, ``system`` (its first
         letter), ``azimuth_deg`` (from true north), ``elevation_deg``, ``cn0_dbhz`` (0: not received), ``margin_m`` (the
         antenna less the edge of the roofs' shadow; below 0 a roof hides the satellite, inf from 60 m on), ``is_seen``,
         ``is_known`` (the whole ray lies above known ground until it is above all roofs),
         ``is_inside`` (the place lies in a building), ``is_judged`` (known, unless the settings judge all rays, and not
         inside), ``is_strong`` (C/N0 is at least ``strong_dbhz``), ``block`` (number of the block along the track).
-      scores: a row a choice of rows, ``which``: ``"all"`` that are judged, of these ``"received"`` and by system;
+      scores: a row per choice of rows, ``which``: ``"all"`` that are judged, of these ``"received"`` and by system;
         ``"unguarded"``: also those of unknown rays. ``rows``, their ``share`` of all, ``auc`` and ``within`` satellites
         with the ends of their 95 % intervals (``_low``, ``_high``), ``num_satellites`` that are seen and hidden.
-      displaced: a row a displaced city of the null: ``east_m``, ``north_m``, ``rows``, ``auc``, ``within``.
+      displaced: a row per displaced city of the null: ``east_m``, ``north_m``, ``rows``, ``auc``, ``within``.
       field: AUC of cities displaced by up to 40 m, in steps of 2 m: ``east_m``, ``north_m``, ``rows``, ``auc``.
       scales: AUC of cities whose roofs are ``scale`` times as high.
       peak: where the field is highest, ``east_m``, ``north_m``; ``within_95_m``: 95 % of the bootstrap's peaks lie so
@@ -95,8 +95,6 @@ class SatelliteAgreement(FactsRepr):
 
     Examples:
       >>> import pandas as pd
-      >>> settings = {"region": {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}}
-      >>> scenario = ju.Scenario.from_dict(settings | {"buildings": {"source": "synthetic"}})
       >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=80, freq="s")})
       >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 80), lat=40.7795)
       >>> sky = pd.DataFrame({"satellite": ["G05", "G21"], "azimuth_deg": [20.0, 260.0]})
@@ -128,35 +126,38 @@ class SatelliteAgreement(FactsRepr):
     def facts(self) -> dict[str, str]:
         """The verdict, and how seen and hidden satellites are separated."""
         judged = f"{self.counts['judged']:,} of {self.counts['rows']:,} rows judged"
-        auc, within = (self._interval(name) for name in ("auc", "within"))
+        auc, within = self._interval("auc"), self._interval("within")
         return {"verdict": self.verdict, "AUC": f"{auc}, within satellites {within}, {judged}"}
 
     def _interval(self, name: str) -> str:
-        value, low, high = self.score()[[name, f"{name}_low", f"{name}_high"]]
+        value, low, high = self.score()[columns_of(name)]
         if np.isnan(value):
             return "not defined"
-        return f"{value:.2f}" + ("" if np.isnan(low) else f" ({low:.2f} to {high:.2f})")
+        text = f"{value:.2f}"
+        return text if np.isnan(low) else f"{text} ({low:.2f} to {high:.2f})"
 
     @property
     def known_cautions(self) -> list[Caution]:
         """Which rows were not judged, and which satellites were left out."""
-        of = self.counts
+        counts = self.counts
         sentences = []
-        if of["unknown"]:
-            judged = "not judged" if of["is_guarded"] else "judged as if nothing stood beyond"
+        if counts["unknown"]:
+            judged = "not judged" if counts["is_guarded"] else "judged as if nothing stood beyond"
             sentences.append(
-                f"{of['unknown']:,} rows are {judged}: their rays leave what is known of the city."
+                f"{counts['unknown']:,} rows are {judged}: their rays leave what is known of the city."
             )
-        if of["inside"]:
+        if counts["inside"]:
             sentences.append(
-                f"{of['inside']:,} rows are not judged: their places lie in buildings."
+                f"{counts['inside']:,} rows are not judged: their places lie in buildings."
             )
         if self._is_at_edge:
             sentences.append(
                 "The city fits best at the edge of the search (40 m, heights times 0.8 or 1.2): see whether places, "
                 "heights and the CRS are right."
             )
-        sentences += [f"{name} is left out: {reason}." for name, reason in of["left_out"].items()]
+        sentences += [
+            f"{name} is left out: {reason}." for name, reason in counts["left_out"].items()
+        ]
         return [Caution(sentence) for sentence in sentences]
 
     @property
@@ -172,8 +173,6 @@ class SatelliteAgreement(FactsRepr):
 
         Examples:
           >>> import pandas as pd
-          >>> settings = {"region": {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}}
-          >>> scenario = ju.Scenario.from_dict(settings | {"buildings": {"source": "synthetic"}})
           >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=80, freq="s")})
           >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 80), lat=40.7795)
           >>> sky = pd.DataFrame({"satellite": ["G05", "G21"], "azimuth_deg": [20.0, 260.0]})
@@ -198,11 +197,13 @@ def headings_rad(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
             anchors.append(number)
         of_epoch[number] = len(anchors) - 1
     at_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(places[anchors], axis=0).T)))
-    ahead, behind = (
-        [np.interp(at_m[of_epoch] + away_m, at_m, values[anchors]) for values in (x_m, y_m)]
-        for away_m in (STREET_M, -STREET_M)
-    )
-    return np.arctan2(ahead[0] - behind[0], ahead[1] - behind[1])
+
+    def moved_m(values: np.ndarray) -> np.ndarray:
+        """Return by how much a coordinate changes from behind each epoch to ahead of it."""
+        ahead = np.interp(at_m[of_epoch] + STREET_M, at_m, values[anchors])
+        return ahead - np.interp(at_m[of_epoch] - STREET_M, at_m, values[anchors])
+
+    return np.arctan2(moved_m(x_m), moved_m(y_m))
 
 
 def agreement_of(
@@ -266,10 +267,9 @@ def agreement_of(
     rows["is_judged"] = is_open & ~rows.is_inside
     _check_judged(rows, log.name, mask_deg)
     judged = rows[rows.is_judged]
-    median_dbhz = float(judged.cn0_dbhz.median())
-    strong_dbhz = (
-        median_dbhz if median_dbhz > 0 else float(judged.cn0_dbhz[judged.cn0_dbhz > 0].min())
-    )
+    median_dbhz = strong_dbhz = float(judged.cn0_dbhz.median())
+    if not median_dbhz > 0:
+        strong_dbhz = float(judged.cn0_dbhz[judged.cn0_dbhz > 0].min())
     rows["is_strong"] = rows.cn0_dbhz >= strong_dbhz
     report("scores")
     scores = score_table(rows, settings.seed)
@@ -390,15 +390,16 @@ def verdict_of(
     from hidden better than in every displaced city, both by their intervals. The first alone does not show that place
     and time are right: satellites that stand still are predicted at any hour.
     """
-    of, gain = scores.set_index("which").loc["all"], rivals.set_index("model").loc[MAP]
+    score = scores.set_index("which").loc["all"]
+    gain = rivals.set_index("model").loc[MAP]
     most = float(displaced.auc.max())
     where = f"on these {num_blocks} blocks of track"
     if num_blocks < FEWEST_GROUPS:
         return f"The track is too short for a verdict: {where} there is no interval (it takes {FEWEST_GROUPS} blocks)."
-    if not np.isfinite([gain.gain_low, of.auc_low]).all():
+    if not np.isfinite([gain.gain_low, score.auc_low]).all():
         return f"There is no verdict: {where} too few rows are hidden, or too few in view, for an interval."
     by = f"the gain in log-loss is {gain.gain:.3f} (95 % interval {gain.gain_low:.3f} to {gain.gain_high:.3f})"
-    auc = f"an AUC of {of.auc:.2f} ({of.auc_low:.2f} to {of.auc_high:.2f})"
+    auc = f"an AUC of {score.auc:.2f} ({score.auc_low:.2f} to {score.auc_high:.2f})"
     if not gain.gain_low > 0:
         return (
             "It is not shown that the maps predict what this receiver hears better than elevation and the street's "
@@ -410,7 +411,7 @@ def verdict_of(
             f"There is no verdict: {where} {num_cities} of {len(displaced)} displaced cities could be scored, and it "
             f"takes {FEWEST_CITIES} ({by})."
         )
-    if not of.auc_low > most:
+    if not score.auc_low > most:
         return (
             f"It is not shown that the city fits this receiver better than displaced ones do {where}: C/N0 separates "
             f"seen from hidden satellites with {auc}, and displaced cities reach {most:.2f}, though the margin to the "

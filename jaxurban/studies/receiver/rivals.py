@@ -12,7 +12,7 @@ import pandas as pd
 from scipy.special import expit, logit
 
 from jaxurban.metrics.reception import ReceptionCurve
-from jaxurban.studies.bootstrap import ends_of
+from jaxurban.studies.bootstrap import Interval, ends_of, named
 from jaxurban.studies.receiver.scores import drawn_blocks
 
 MOST_FOLDS = 100  # with more blocks, every hundredth is left out together
@@ -82,7 +82,7 @@ def losses(features: np.ndarray, is_strong: np.ndarray, block: np.ndarray) -> np
 def compared_rules(
     rules: Mapping[str, np.ndarray], is_strong: np.ndarray, place: np.ndarray, seed: int
 ) -> pd.DataFrame:
-    """Return a row a rule: ``model``, ``log_loss``, ``gain`` on the rule of the street, with its 95 % interval.
+    """Return a row per rule: ``model``, ``log_loss``, ``gain`` on the rule of the street, with its 95 % interval.
 
     Args:
       rules: from `features_of`.
@@ -100,16 +100,8 @@ def compared_rules(
     rows = []
     for name, mean in means.items():
         gain = means[STREET] - mean
-        low, high = ends_of(gain[1:], num_blocks)
-        rows.append(
-            {
-                "model": name,
-                "log_loss": mean[0],
-                "gain": gain[0],
-                "gain_low": low,
-                "gain_high": high,
-            }
-        )
+        interval = Interval(gain[0], *ends_of(gain[1:], num_blocks))
+        rows.append({"model": name, "log_loss": mean[0], **named("gain", interval)})
     return pd.DataFrame(rows)
 
 
@@ -136,11 +128,7 @@ def gain_by_length(
     rows = []
     for times in LENGTHS:
         longer = place // times
-        gain = (
-            compared_rules(compared, is_strong, longer, seed)
-            .set_index("model")
-            .loc[MAP]
-            .drop("log_loss")
-        )
+        judged = compared_rules(compared, is_strong, longer, seed).set_index("model")
+        gain = judged.loc[MAP].drop("log_loss")
         rows.append({"block_m": times * block_m, "num_blocks": len(np.unique(longer)), **gain})
     return pd.DataFrame(rows)

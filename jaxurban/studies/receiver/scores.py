@@ -7,7 +7,7 @@ one each block once.
 import numpy as np
 import pandas as pd
 
-from jaxurban.studies.bootstrap import draws_of, ends_of
+from jaxurban.studies.bootstrap import Interval, draws_of, ends_of, named
 
 LEVEL_DBHZ = 0.1  # to which C/N0 is rounded: no receiver resolves less
 
@@ -28,15 +28,16 @@ def aucs(
     """
     num_blocks, num_levels = weights.shape[1], int(level.max(initial=0)) + 1
     cell = block * num_levels + level
+
+    def counts(is_counted: np.ndarray) -> np.ndarray:
+        """Return ``[B, levels]`` how many of the counted rows each block has of each level."""
+        num = np.bincount(cell[is_counted], minlength=num_blocks * num_levels)
+        return num.reshape(num_blocks, num_levels)
+
     wins, pairs = np.zeros(len(weights)), np.zeros(len(weights))
     for chosen in _groups(group, len(level)):
-        seen, hidden = (
-            weights
-            @ np.bincount(cell[chosen & of_class], minlength=num_blocks * num_levels).reshape(
-                num_blocks, -1
-            )
-            for of_class in (is_seen, ~is_seen)
-        )
+        seen = weights @ counts(chosen & is_seen)
+        hidden = weights @ counts(chosen & ~is_seen)
         below = np.cumsum(hidden, axis=1) - hidden / 2
         wins += (seen * below).sum(axis=1)
         pairs += seen.sum(axis=1) * hidden.sum(axis=1)
@@ -72,23 +73,21 @@ def levels_of(cn0_dbhz: pd.Series) -> np.ndarray:
 def score_table(rows: pd.DataFrame, seed: int) -> pd.DataFrame:
     """Return the scores of a `jaxurban.studies.receiver.agreement.SatelliteAgreement`, of its rows."""
     choices = {"all": rows.is_judged, "received": rows.is_judged & (rows.cn0_dbhz > 0)}
-    choices |= {
-        name: rows.is_judged & (rows.system == name) for name in sorted(rows.system.unique())
-    }
+    for name in sorted(rows.system.unique()):
+        choices[name] = rows.is_judged & (rows.system == name)
     choices["unguarded"] = ~rows.is_inside
     table = []
     for which, is_chosen in choices.items():
         chosen = rows[is_chosen]
-        level, satellite = levels_of(chosen.cn0_dbhz), chosen.satellite.cat.codes.to_numpy()
-        is_seen, (block, weights) = (
-            chosen.is_seen.to_numpy(),
-            drawn_blocks(chosen.block.to_numpy(), seed),
-        )
+        level = levels_of(chosen.cn0_dbhz)
+        satellite = chosen.satellite.cat.codes.to_numpy()
+        is_seen = chosen.is_seen.to_numpy()
+        block, weights = drawn_blocks(chosen.block.to_numpy(), seed)
         both = chosen.groupby("satellite", observed=True).is_seen.nunique()
         row = {"which": which, "rows": len(chosen), "share": len(chosen) / len(rows)}
         for name, group in (("auc", None), ("within", satellite)):
             drawn = aucs(is_seen, level, block, weights, group)
-            low, high = ends_of(drawn[1:], weights.shape[1])
-            row |= {name: drawn[0], f"{name}_low": low, f"{name}_high": high}
+            interval = Interval(drawn[0], *ends_of(drawn[1:], weights.shape[1]))
+            row |= named(name, interval)
         table.append(row | {"num_satellites": int((both == 2).sum())})
     return pd.DataFrame(table)

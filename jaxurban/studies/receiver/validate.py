@@ -36,11 +36,8 @@ from jaxurban.studies.receiver.prediction import ReceiverSettings, region_of, ta
 from jaxurban.studies.receiver.satellites import counted, known_of, with_directions
 
 MAIN = {TRACKED: NUM_VISIBLE, ERROR: "hdop"}
-MORE_IS_BETTER = (
-    TRACKED,
-    NUM_VISIBLE,
-    "gps",
-)  # of all else, dilutions of precision and errors, less is
+# Of all else, dilutions of precision and errors, less is better.
+MORE_IS_BETTER = (TRACKED, NUM_VISIBLE, "gps")
 WITHIN, SPEARMAN = COEFFICIENTS = ("within", "spearman")
 SHIFTS_BELOW = 0.95  # of all shifts score no more than the `_shifts_95` of a coefficient
 OBSERVATIONS = re.compile(r"\.(obs|rnx|\d\do)$", re.IGNORECASE)  # how files in RINEX are called
@@ -80,9 +77,9 @@ class ReceiverValidation(FactsRepr):
     @property
     def facts(self) -> dict[str, str]:
         """Log, track, and what each witness scores."""
-        of = self.summary
-        length = f"{of['length_m'] / 1000:.2f} km, {of['epochs']} epochs"
-        facts = {"log": self.log.name, "track": length, "cells": f"{of['resolution_m']:g} m"}
+        summary = self.summary
+        length = f"{summary['length_m'] / 1000:.2f} km, {summary['epochs']} epochs"
+        facts = {"log": self.log.name, "track": length, "cells": f"{summary['resolution_m']:g} m"}
         if self.satellites is not None:
             facts |= self.satellites.facts
         for row in self.main.to_dict("records"):
@@ -107,7 +104,7 @@ def validate(
 ) -> ReceiverValidation:
     """Return how well maps of a scenario predict what a receiver logged on its way through the city.
 
-    Of a log with a row a satellite each C/N0 is compared with whether the city hides that satellite: the result's
+    Of a log with a row per satellite each C/N0 is compared with whether the city hides that satellite: the result's
     ``satellites``. Of a log of counts, satellites in view, dilutions of precision and m of GPS are those of maps of the
     scenario's city, orbits and mask, at the log's times and the antenna's height, in the cells of the track. No number
     of the maps is fitted to the log.
@@ -115,10 +112,10 @@ def validate(
     Args:
       scenario: of the maps; its times, its altitudes and the layers that a user added are ignored.
       log: the receiver's, as a table or its file (``.csv``, ``.csv.gz``, ``.parquet``), with ``utc``, ``lon_deg``
-        (or ``lon``), ``lat_deg`` (or ``lat``), and: with a row a satellite, ``satellite``, ``cn0_dbhz`` (0: above the
+        (or ``lon``), ``lat_deg`` (or ``lat``), and: with a row per satellite, ``satellite``, ``cn0_dbhz`` (0: above the
         horizon, not received) and the satellite's ``azimuth_deg`` and ``elevation_deg``, without which the scenario's
-        orbits give them; with a row an epoch, ``num_tracked``, ``error_2d_m`` or both. With ``navigation`` it is a file
-        of observations in RINEX 3. Left out, the log of the sample city that the scenario names.
+        orbits give them; with a row per epoch, ``num_tracked``, ``error_2d_m`` or both. With ``navigation`` it is a
+        file of observations in RINEX 3. Left out, the log of the sample city that the scenario names.
       settings: how the two are set beside each other.
       navigation: broadcast orbits in RINEX 3 (needs the extra ``receiver``).
       reference: places of the antenna, as a table or its file (`jaxurban.io.read.rinex.read_rinex`).
@@ -134,48 +131,39 @@ def validate(
         cannot be used, or orbits too old for the log's times.
 
     Examples:
-      >>> import pandas as pd
-      >>> settings = {"region": {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}}
-      >>> scenario = ju.Scenario.from_dict(settings | {"buildings": {"source": "synthetic"}})
-      >>> log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=40, freq="s")})
-      >>> log = log.assign(lon=np.linspace(-73.973, -73.969, 40), lat=40.7795, num_tracked=5)
-      >>> log["num_tracked"] = 5 + np.arange(40) // 10  # more to the east
       >>> result = ju.studies.validate(scenario, log, progress=False)
       >>> result.main[["witness", "prediction", "num", "spearman"]].round(2).to_dict("records")
       [{'witness': 'num_tracked', 'prediction': 'num_visible', 'num': 13, 'spearman': 0.61}]
     """
-    chosen = settings or ReceiverSettings()
+    settings = settings or ReceiverSettings()
     logged = _read(scenario, log, navigation, reference)
     grid = region_of(scenario)
-    track = Track.of(logged, grid, chosen.sky_step_s)
-    if (
-        logged.satellites is None
-        and len(np.unique(track.along_m // chosen.piece_m)) < FEWEST_PIECES
-    ):
+    track = Track.of(logged, grid, settings.sky_step_s)
+    num_pieces = len(np.unique(track.along_m // settings.piece_m))
+    if logged.satellites is None and num_pieces < FEWEST_PIECES:
         raise InputError(
             f"the track of the receiver log {logged.name!r} is {track.along_m[-1]:.0f} m long, less than "
-            f"{FEWEST_PIECES} pieces of {chosen.piece_m:g} m: give a longer log, or shorter pieces"
+            f"{FEWEST_PIECES} pieces of {settings.piece_m:g} m: give a longer log, or shorter pieces"
         )
     satellites, guesses = None, dict[str, str]()
     with reporting("validate", progress) as report:
         report("read")
-        needs_sky = (
-            logged.satellites is None or bool(logged.witnesses) or AZIMUTH not in logged.satellites
-        )
-        if needs_sky:
-            task = task_at(scenario, track.sky_times, grid, float(chosen.antenna_height_m))
+        lacks_angles = logged.satellites is not None and AZIMUTH not in logged.satellites
+        needs_counts = logged.satellites is None or bool(logged.witnesses)
+        if needs_counts or lacks_angles:
+            task = task_at(scenario, track.sky_times, grid, float(settings.antenna_height_m))
             city, guesses = task.city, dict(task.sky.guesses)
         else:
             city = load_city(scenario)
         if logged.satellites is not None:
-            if AZIMUTH not in logged.satellites:
+            if lacks_angles:
                 logged = with_directions(logged, track, task.sky, grid)
-            known = known_of(chosen.known, city, track)
+            known = known_of(settings.known, city, track)
             satellites = agreement_of(
-                logged, track, city, known, grid, scenario.gps.mask_deg, chosen, report
+                logged, track, city, known, grid, scenario.gps.mask_deg, settings, report
             )
         of_receiver = dict[str, np.ndarray]()
-        if satellites is None or logged.witnesses:
+        if satellites is None or needs_counts:
             predicted = predict(task, track, report)
         else:
             predicted, of_receiver = counted(satellites.rows, len(logged.epochs))
@@ -183,27 +171,29 @@ def validate(
         epochs = logged.epochs.assign(
             x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **predicted, **of_receiver
         )
-        scores, shifts = tables(epochs, (*logged.witnesses, *of_receiver), list(predicted), chosen)
-    seen = epochs[NUM_VISIBLE]
+        scores, shifts = tables(
+            epochs, (*logged.witnesses, *of_receiver), list(predicted), settings
+        )
+    num_visible = epochs[NUM_VISIBLE]
     summary = {
         "epochs": len(epochs),
-        "epochs_left_out": int(seen.isna().sum()),
+        "epochs_left_out": int(num_visible.isna().sum()),
         "first_utc": epochs[UTC].iloc[0].isoformat(),
         "last_utc": epochs[UTC].iloc[-1].isoformat(),
         "length_m": float(track.along_m[-1]),
         "resolution_m": grid.resolution_m,
         "num_skies": len(track.sky_times),
-        "mean_num_visible": float(seen.mean()),
+        "mean_num_visible": float(num_visible.mean()),
     }
     if TRACKED in epochs:
         summary[f"mean_{TRACKED}"] = float(epochs[TRACKED].mean())
     return ReceiverValidation(
         log=logged,
-        settings=chosen,
+        settings=settings,
         scenario=scenario.model_dump(mode="json"),
         summary=summary,
         epochs=epochs,
-        pieces=pieces_of(epochs, chosen.piece_m, chosen.block_m),
+        pieces=pieces_of(epochs, settings.piece_m, settings.block_m),
         scores=scores,
         shifts=shifts,
         attribution=city.attribution,
@@ -219,9 +209,8 @@ def _read(
     reference: str | Path | pd.DataFrame | None,
 ) -> ReceiverLog:
     """Return the log that the arguments of `validate` name."""
-    if (navigation is None) != (reference is None) or (
-        navigation is not None and isinstance(log, pd.DataFrame)
-    ):
+    is_rinex = navigation is not None or reference is not None
+    if is_rinex and (navigation is None or reference is None or isinstance(log, pd.DataFrame)):
         raise InputError(
             "a log in RINEX needs three files, log, navigation and reference: name all of them"
         )
@@ -230,13 +219,15 @@ def _read(
         raise InputError(
             "log is left out, and only a sample city with a log of its own has one: name the file"
         )
-    if navigation is None or reference is None or isinstance(source, pd.DataFrame):
-        if not isinstance(source, pd.DataFrame) and OBSERVATIONS.search(str(source)):
-            raise InputError(
-                f"{str(source)!r} is a file of observations in RINEX: name navigation and reference too"
-            )
+    if isinstance(source, pd.DataFrame):
         return read_receiver_log(source)
-    return read_rinex(source, navigation, reference)
+    if navigation is not None and reference is not None:
+        return read_rinex(source, navigation, reference)
+    if OBSERVATIONS.search(str(source)):
+        raise InputError(
+            f"{str(source)!r} is a file of observations in RINEX: name navigation and reference too"
+        )
+    return read_receiver_log(source)
 
 
 def spearman(a: np.ndarray, b: np.ndarray, blocks: np.ndarray | None = None) -> float:
@@ -266,13 +257,15 @@ def _products(a: np.ndarray, b: np.ndarray, blocks: np.ndarray | None) -> np.nda
     Without blocks the whole track is one.
     """
     _, number = np.unique(np.zeros(len(a)) if blocks is None else blocks, return_inverse=True)
-    ranks = np.array([rankdata(values) for values in (a, b)])
-    of_a, of_b = (
-        each - (np.bincount(number, each) / np.bincount(number))[number] for each in ranks
-    )
-    return np.array(
-        [np.bincount(number, product) for product in (of_a * of_a, of_a * of_b, of_b * of_b)]
-    )
+
+    def centred(values: np.ndarray) -> np.ndarray:
+        ranks = rankdata(values)
+        means = np.bincount(number, ranks) / np.bincount(number)
+        return ranks - means[number]
+
+    of_a, of_b = centred(a), centred(b)
+    products = of_a * of_a, of_a * of_b, of_b * of_b
+    return np.array([np.bincount(number, product) for product in products])
 
 
 def half_width(without_each: np.ndarray) -> float:
@@ -295,9 +288,8 @@ def within_blocks(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> Interval:
     value = spearman(a, b, blocks)
     if not abs(value) < 1:
         return Interval(value, np.nan, np.nan)
-    with np.errstate(
-        divide="ignore", invalid="ignore"
-    ):  # the rest agrees wholly without some block: no interval
+    # Where the rest agrees wholly without some block there is no interval.
+    with np.errstate(divide="ignore", invalid="ignore"):
         half = half_width(np.arctanh(without_each_block(a, b, blocks)))
     low, high = np.tanh(np.arctanh(value) + np.array([-half, half]))
     return Interval(value, float(low), float(high))
@@ -312,7 +304,7 @@ def shifted(coefficient: Callable[[np.ndarray], float], values: np.ndarray) -> n
 
 
 def pieces_of(epochs: pd.DataFrame, piece_m: float, block_m: float) -> pd.DataFrame:
-    """Return a row a piece of track: medians of what the receiver logged and of what the maps say.
+    """Return a row per piece of track: medians of what the receiver logged and of what the maps say.
 
     Columns: ``piece``, ``block`` (numbers along the track), ``utc`` (of the middle epoch), ``epochs`` (how many), and
     those of the epochs. Epochs in a building or without data are left out.
@@ -338,11 +330,12 @@ def compared(
     More is better in both, so that coefficients are positive where the receiver does better where the maps say so.
     """
     known = pieces[pieces[witness].notna() & pieces[prediction].notna()]
-    receiver, maps = (
-        known[name].to_numpy(float) * (1 if name in MORE_IS_BETTER else -1)
-        for name in (witness, prediction)
-    )
-    return receiver, maps, known["block"].to_numpy()
+
+    def quality(name: str) -> np.ndarray:
+        values = known[name].to_numpy(float)
+        return values if name in MORE_IS_BETTER else -values
+
+    return quality(witness), quality(prediction), known["block"].to_numpy()
 
 
 def tables(
@@ -359,7 +352,8 @@ def tables(
     for piece_m in settings.pieces_m:
         pieces = pieces_of(epochs, piece_m, settings.block_m)
         for witness in witnesses:
-            for prediction in predictions if piece_m == settings.piece_m else (MAIN[witness],):
+            scored = predictions if piece_m == settings.piece_m else (MAIN[witness],)
+            for prediction in scored:
                 row: dict[str, Any] = {
                     "witness": witness,
                     "prediction": prediction,
@@ -370,19 +364,23 @@ def tables(
                     WITHIN: shifted(partial(spearman, receiver, blocks=blocks), maps),
                     SPEARMAN: shifted(partial(spearman, receiver), maps),
                 }
+                num = len(maps)
                 if prediction == MAIN[witness]:
-                    shift = (np.arange(len(maps)) + len(maps) // 2) % max(len(maps), 1) - len(
-                        maps
-                    ) // 2
+                    shift = np.fft.ifftshift(np.arange(num) - num // 2)  # 0, 1, ..., -2, -1
                     shifts.append(pd.DataFrame({**row, "shift": shift, **at_shifts}))
-                row["num"] = len(maps)
-                row["within_low"], row["within_high"] = within_blocks(receiver, maps, blocks)[1:]
+                _, low, high = within_blocks(receiver, maps, blocks)
+                row |= {"num": num, "within_low": low, "within_high": high}
                 for name, values in at_shifts.items():
-                    is_defined = len(values) > 1 and bool(np.isfinite(values[0]))
-                    row[name] = values[0] if is_defined else np.nan
-                    row[f"{name}_shifts_95"] = (
-                        np.nanquantile(values[1:], SHIFTS_BELOW) if is_defined else np.nan
-                    )
-                    row[f"{name}_p"] = np.mean(values >= values[0]) if is_defined else np.nan
+                    row |= _against_shifts(name, values)
                 scores.append(row)
     return pd.DataFrame(scores), pd.concat(shifts, ignore_index=True)
+
+
+def _against_shifts(name: str, values: np.ndarray) -> dict[str, float]:
+    """Return the columns of a coefficient ``[N]`` at every shift (`shifted`); NaN where it is not defined."""
+    value = below = share = np.nan
+    if len(values) > 1 and np.isfinite(values[0]):
+        value = values[0]
+        below = np.nanquantile(values[1:], SHIFTS_BELOW)
+        share = np.mean(values >= value)
+    return {name: value, f"{name}_shifts_95": below, f"{name}_p": share}

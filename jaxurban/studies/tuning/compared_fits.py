@@ -9,7 +9,7 @@ import pandas as pd
 
 from jaxurban.checks import at_least, typed
 from jaxurban.errors import InputError
-from jaxurban.studies.bootstrap import Clusters
+from jaxurban.studies.bootstrap import Clusters, named
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import check_alike
 from jaxurban.studies.route_pool import FitSettings, pool_of_fit
@@ -19,7 +19,6 @@ from jaxurban.studies.tuning.weight_fit import DISTRUSTED, WeightFit, WeightScal
 ALL = "all"
 SPLIT = 0  # stream of random numbers
 MOST_HELD_OUT = 0.9
-ENDS = "", "_low", "_high"  # of an interval's columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +27,7 @@ class FitComparison:
 
     Attributes:
       fits: by name; the first is ``"all"``, that to all cities.
-      table: a row a fit: ``fit``, ``cities``, ``num_fitted``, each weight (``w_distance`` ...), and
+      table: a row per fit: ``fit``, ``cities``, ``num_fitted``, each weight (``w_distance`` ...), and
         ``held_out_regret``, by which share held-out routes that are not bad cost more than the cheapest ones under
         the fit, the mean, with its interval (``_low``, ``_high``; some 90 %, as regrets are skewed) over pairs of ends
         within these cities.
@@ -73,12 +72,12 @@ def compare_fits(
       scale, bootstrap, settings: as in `fit_weights`; of the searches, the state file keeps those of the first fit.
 
     Returns:
-      ``table``, a row a fit: its weights, and the mean regret of the held-out routes under them with its interval, as
+      ``table``, a row per fit: its weights, and the mean regret of the held-out routes under them with its interval, as
       shares of the cheapest cost (NaN where no route was held out, or all that were are bad); ``fits`` by the same
       names; and which of the ``N`` routes, in the order of the cities, were held out or are bad.
 
     Raises:
-      InputError: no routes, maps that do not go together, a share that is none, or too few routes to hold some out.
+      InputError: no routes, maps that do not go together, an invalid share, or too few routes to hold some out.
 
     Examples:
       >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
@@ -94,31 +93,29 @@ def compare_fits(
     at_least("bootstrap", bootstrap)
     if not 0 <= hold_out <= MOST_HELD_OUT:
         raise InputError(f"hold_out must be a share from 0 to {MOST_HELD_OUT:g}, got {hold_out}")
-    demonstrations = [each for demonstration in cities.values() for each in demonstration]
-    queries = [demonstration.query for demonstration in demonstrations]
+    demonstrations = list(itertools.chain.from_iterable(cities.values()))
+    queries = [each.query for each in demonstrations]
     names = check_alike(queries)
-    city = np.repeat([*map(str, cities)], [len(demonstration) for demonstration in cities.values()])
+    city = np.repeat([*map(str, cities)], [*map(len, cities.values())])
     ends = [
         (name, query.start, query.goal) for name, query in zip(city.tolist(), queries, strict=True)
     ]
     group, _ = pd.factorize(pd.Series(ends))
     is_held_out = split(city, group, hold_out, settings.seed)
-    members, seen = (
-        _members(list(dict.fromkeys(city.tolist())), by_city),
-        replace(settings, state_file=None),
-    )
-    fits = {
-        name: fit_weights(
-            list(itertools.compress(demonstrations, ~is_held_out & np.isin(city, of_fit))),
+    members = _members(list(dict.fromkeys(city.tolist())), by_city)
+    without_file = replace(settings, state_file=None)
+    fits = {}
+    for name, cities_of_fit in members.items():
+        is_fitted = ~is_held_out & np.isin(city, cities_of_fit)
+        fits[name] = fit_weights(
+            list(itertools.compress(demonstrations, is_fitted)),
             scale=scale,
             bootstrap=bootstrap,
-            settings=settings if name == ALL else seen,
+            settings=settings if name == ALL else without_file,
         )
-        for name, of_fit in members.items()
-    }
     vectors = np.array([fit.vector for fit in fits.values()])
-    cheapest = pool_of_fit(seen, queries).cheapest(vectors)[0]  # [N, F, K]
-    demo = np.array([demonstration.features for demonstration in demonstrations])
+    cheapest = pool_of_fit(without_file, queries).cheapest(vectors)[0]  # [N, F, K]
+    demo = np.array([each.features for each in demonstrations])
     regret = (demo @ vectors.T) / np.einsum("nfk,fk->nf", cheapest, vectors) - 1
     is_bad = trust_of(regret[:, 0], usual_regret(regret[~is_held_out, 0])) < DISTRUSTED
     is_judged = is_held_out & ~is_bad
@@ -126,14 +123,10 @@ def compare_fits(
     rows = []
     for number, (name, fit) in enumerate(fits.items()):
         row = {"fit": name, "cities": ", ".join(members[name]), "num_fitted": len(fit.trust)}
-        row |= {
-            f"w_{weight}": value for weight, value in zip(names, fit.vector.tolist(), strict=True)
-        }
+        for weight, value in zip(names, fit.vector.tolist(), strict=True):
+            row[f"w_{weight}"] = value
         interval = clusters.interval(regret[is_judged, number])
-        rows.append(
-            row
-            | {f"held_out_regret{end}": value for end, value in zip(ENDS, interval, strict=True)}
-        )
+        rows.append(row | named("held_out_regret", interval))
     return FitComparison(fits, pd.DataFrame(rows), is_held_out, is_bad)
 
 

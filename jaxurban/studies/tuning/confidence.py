@@ -39,8 +39,8 @@ def draw_counts(cities: np.ndarray, num_draws: int, rng: np.random.Generator) ->
     counts = np.zeros((num_draws, len(cities)))
     for row in counts:
         for city in rng.integers(len(members), size=len(members)) if len(members) > 1 else (0,):
-            here = members[city]
-            row[here] += rng.multinomial(len(here), np.full(len(here), 1 / len(here)))
+            of_city = members[city]
+            row[of_city] += rng.multinomial(len(of_city), np.full(len(of_city), 1 / len(of_city)))
     return counts
 
 

@@ -33,14 +33,12 @@ from jaxurban.studies.tuning.fenchel_young import adam
 FIRST_RATE, LAST_RATE = 0.2, 0.02  # of Adam, in log weight a step
 FIRST_NOISE, LAST_NOISE = 0.7, 0.05  # of the perturbed planner, from the first to the last step
 NUM_NOISE, NUM_STEPS = 128, 100
-NUM_EXPLORED, CORNER = (
-    16,
-    30.0,
-)  # weights planned under at first; how much more a corner cares for one thing
+NUM_EXPLORED = 16  # weights planned under at first
+CORNER = 30.0  # times more that a corner cares for one thing
 NUM_CANDIDATES, NUM_STARTS = (
     1000,
     6,
-)  # weights looked up in known routes, and descended from, a round
+)  # weights evaluated over known routes, and descended from, per round
 FAR_SPREAD, NEAR_SPREAD = 3.0, 0.1  # of the candidates' log weights about the best
 NUM_TRIED, NUM_PROBES = 3, 8  # weights planned for, and searches around the best, a round
 PROBE_NOISE = (0.05, 0.8)  # of those searches' log weights, from the nearest to the farthest
@@ -119,13 +117,13 @@ class TargetFit:
     Attributes:
       names: ``"distance"`` and the metrics.
       weights: they sum to 1.
-      outcomes: a row a target: wished (its bound), shortest (what the shortest routes give), reached, missed_by (share
-        of the bound), is_met; by planned routes, without noise.
-      alone: a row a target: the best that was reached when it was the only one.
+      outcomes: a row per target: wished (its bound), shortest (what the shortest routes give), reached, missed_by
+        (share of the bound), is_met; by planned routes, without noise.
+      alone: a row per target: the best that was reached when it was the only one.
       conflicts: pairs of targets, each met alone or nearly so, that were not met together.
       is_met: all targets are met within 2 %.
       is_in_budget: the search ended by itself; a larger budget would find no more.
-      curve: a row a round: the least loss so far, its outcomes, and the searches made.
+      curve: a row per round: the least loss so far, its outcomes, and the searches made.
       num_plans, elapsed_s: searches and wall time.
 
     Examples:
@@ -151,20 +149,15 @@ class TargetFit:
         """What came of it."""
         if self.is_met:
             return "All targets are met."
-        missed = [
-            f"{target} (reached {row.reached:.4g})"
-            for target, row in self.outcomes.iterrows()
-            if not row.is_met
-        ]
+        rows = self.outcomes[~self.outcomes.is_met].iterrows()
+        missed = [f"{target} (reached {row.reached:.4g})" for target, row in rows]
         sentence = f"Not all targets were met; the best trade-off found misses {', '.join(missed)}."
         if self.conflicts:
             pairs = "; ".join(f"{one} with {other}" for one, other in self.conflicts)
             sentence += f" These conflict, as far as the search could find: {pairs}."
-        return sentence + (
-            ""
-            if self.is_in_budget
-            else " The budget ended the search: a larger one may find better."
-        )
+        if not self.is_in_budget:
+            sentence += " The budget ended the search: a larger one may find better."
+        return sentence
 
 
 @typed
@@ -191,7 +184,7 @@ def fit_targets(
 
     Returns:
       ``weights``, which `jaxurban.plan` takes and which sum to 1; ``is_met``, and ``sentence``, which names what is
-      missed; ``outcomes``, a row a target: its bound, what the shortest routes give, and what was reached; ``alone``,
+      missed; ``outcomes``, a row per target: its bound, what the shortest routes give, and what was reached; ``alone``,
       the same when each target was the only one; and ``conflicts``, pairs that were not met together.
 
     Raises:
@@ -213,35 +206,33 @@ def fit_targets(
         raise InputError("there are no targets: give at least one, such as mean_gps>=0.8")
     texts = [targets] if isinstance(targets, str) else targets
     wanted = [Target.parse(each) if isinstance(each, str) else each for each in texts]
-    outcomes = (
-        "detour",
-        "length_m",
-        *(["people"] if "population" in names else []),
-        *(MEAN + name for name in names[1:]),
-    )
+    outcomes = ["detour", "length_m"]
+    if "population" in names:
+        outcomes.append("people")
+    outcomes += [MEAN + name for name in names[1:]]
     for target in wanted:
         one_of("the outcome of a target", target.outcome, outcomes)
-    given = None if start is None else start.vector(names)
+    weights = None if start is None else start.vector(names)
     pool = pool_of_fit(
         settings,
         queries,
         fit="targets",
         targets=[str(target) for target in wanted],
         max_rounds=settings.max_rounds,
-        start=None if given is None else given.tolist(),
+        start=None if weights is None else weights.tolist(),
     )
     shortest = pool.cheapest(np.eye(len(names))[:1])[:, :, 0]
-    first = 1 / feature_units(queries, shortest[0]) if given is None else np.maximum(given, 1e-6)
+    units = feature_units(queries, shortest[0])
+    first = 1 / units if weights is None else np.maximum(weights, 1e-6)
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
-        end_s, start_at = begin_s + settings.budget_s, np.log(first / first.sum())
         search = _Search(
             pool,
             tuple(wanted),
             np.concatenate(shortest, axis=-1),
-            start_at,
-            settings,
-            end_s,
-            report,
+            log_start=np.log(first / first.sum()),
+            settings=settings,
+            end_s=begin_s + settings.budget_s,
+            report=report,
         )
         search.explore()
         best = search.run(wanted)
@@ -249,14 +240,13 @@ def fit_targets(
         alone = [best if is_met or len(wanted) == 1 else search.run([target]) for target in wanted]
         conflicts: list[tuple[str, str]] = []
         if not is_met:
-            reachable = [
-                number for number, result in enumerate(alone) if result.missed[number] <= MET
-            ]
-            for pair in itertools.combinations(reachable, 2):
-                one, other = (wanted[number] for number in pair)
-                both = best if len(wanted) == 2 else search.run([one, other])
-                if both.missed[list(pair)].max() > MET:
-                    conflicts.append((str(one), str(other)))
+            missed_alone = [result.missed[number] for number, result in enumerate(alone)]
+            reachable = np.flatnonzero(np.array(missed_alone) <= MET).tolist()
+            for i, j in itertools.combinations(reachable, 2):
+                pair = [wanted[i], wanted[j]]
+                both = best if len(wanted) == 2 else search.run(pair)
+                if both.missed[[i, j]].max() > MET:
+                    conflicts.append((str(wanted[i]), str(wanted[j])))
         at_shortest = search.outcomes(search.shortest)
     weights = np.exp(best.log_weights)
     return TargetFit(
@@ -274,8 +264,8 @@ def fit_targets(
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
-    """The best weights of one search; what is reached and missed ``[N]`` of all targets, and a row a round."""
+class _Best:
+    """The best weights of one search; what is reached and missed ``[N]`` of all targets, and a row per round."""
 
     log_weights: np.ndarray
     reached: np.ndarray
@@ -295,36 +285,32 @@ class _Search:
     end_s: float
     report: Report
 
-    def run(self, active: Sequence[Target]) -> _Found:
+    def run(self, active: Sequence[Target]) -> _Best:
         """Return the best weights for some of the targets; the others count as met."""
-        sign = [
-            (1.0 if target.sense == ">=" else -1.0) * (target in active) for target in self.targets
-        ]
-        misses = jnp.array([target.value for target in self.targets]), jnp.array(sign)
+        sign = [{">=": 1.0, "<=": -1.0}[target.sense] for target in self.targets]
+        is_active = [target in active for target in self.targets]
+        bound = jnp.array([target.value for target in self.targets])
+        misses = bound, jnp.array(sign) * jnp.array(is_active)
         rng = np.random.default_rng(self.settings.seed)
-        drawn = jnp.asarray(draw_pairs(self.settings.seed, NUM_NOISE, len(self.log_start)))
-        best: _Found | None = None
+        noises = jnp.asarray(draw_pairs(self.settings.seed, NUM_NOISE, len(self.log_start)))
+        spread = FAR_SPREAD * np.geomspace(1.0, NEAR_SPREAD / FAR_SPREAD, NUM_CANDIDATES)[:, None]
+        widths = np.geomspace(*PROBE_NOISE, NUM_PROBES)[:, None]
+        best: _Best | None = None
         rows: list[dict] = []
         for number in range(self.settings.max_rounds):
             routes = jnp.asarray(np.concatenate(self.pool.routes, axis=-1))
             where = (*misses, routes, self.shortest, self.pool.names, self.targets)
             about = self.log_start if best is None else best.log_weights
-            spread = (
-                FAR_SPREAD * np.geomspace(1.0, NEAR_SPREAD / FAR_SPREAD, NUM_CANDIDATES)[:, None]
-            )
             anywhere = about + spread * rng.normal(size=(NUM_CANDIDATES, len(about)))
             candidates = np.array([about, self.log_start, *self._corners(), *anywhere])
             starts = _least(candidates, NUM_STARTS, where)
-            tried = np.concatenate(
-                [np.asarray(_descend(jnp.asarray(starts), drawn, *where)), starts]
-            )
-            for log_weights in _least(tried, NUM_TRIED, where):
-                reached = self.outcomes(
-                    np.concatenate(self.pool.cheapest(np.exp(log_weights)[None])[:, :, 0], axis=-1)
-                )
+            descended = np.asarray(_descend(jnp.asarray(starts), noises, *where))
+            for log_weights in _least(np.concatenate([descended, starts]), NUM_TRIED, where):
+                sums = self.pool.cheapest(np.exp(log_weights)[None])[:, :, 0]
+                reached = self.outcomes(np.concatenate(sums, axis=-1))
                 missed = np.asarray(_missed(reached, *misses))
                 if best is None or np.sum(missed**2) < np.sum(best.missed**2):
-                    best = _Found(log_weights, reached, missed, rows)
+                    best = _Best(log_weights, reached, missed, rows)
             assert best is not None
             row = {
                 "round": number + 1,
@@ -336,8 +322,7 @@ class _Search:
             is_stuck = number >= PATIENCE and rows[-1]["loss"] >= rows[-1 - PATIENCE]["loss"]
             if not np.any(best.missed) or is_stuck or time.perf_counter() > self.end_s:
                 break
-            wide = np.geomspace(*PROBE_NOISE, NUM_PROBES)[:, None]
-            near = best.log_weights + wide * rng.normal(size=(NUM_PROBES, len(self.log_start)))
+            near = best.log_weights + widths * rng.normal(size=(NUM_PROBES, len(self.log_start)))
             self.pool.cheapest(np.exp(near))
         assert best is not None
         return best
@@ -345,12 +330,9 @@ class _Search:
     def explore(self) -> None:
         """Fill the pool with routes under weights of all kinds."""
         rng = np.random.default_rng(self.settings.seed)
-        anywhere = rng.dirichlet(np.ones(len(self.log_start)), size=NUM_EXPLORED) * np.exp(
-            self.log_start
-        )
-        self.pool.cheapest(
-            np.concatenate([np.exp(self.log_start)[None], np.exp(self._corners()), anywhere])
-        )
+        start = np.exp(self.log_start)
+        anywhere = rng.dirichlet(np.ones(len(start)), size=NUM_EXPLORED) * start
+        self.pool.cheapest(np.concatenate([start[None], np.exp(self._corners()), anywhere]))
 
     def outcomes(self, sums: np.ndarray) -> np.ndarray:
         """Return the targets' outcomes ``[N]`` of routes that add up to ``[Q, 2 K]``."""
@@ -379,23 +361,18 @@ def outcome_values(
     length_m, base_m = sums[:, num], shortest[:, num]
     values = []
     for target in targets:
-        if target.outcome in ("length_m", "detour"):
-            values.append(
-                jnp.mean(length_m)
-                if target.outcome == "length_m"
-                else jnp.mean(length_m / base_m) - 1
-            )
-            continue
-        is_share = target.outcome == "people"
-        column = num + list(names).index(
-            "population" if is_share else target.outcome.removeprefix(MEAN)
-        )
-        along, base = sums[:, column], shortest[:, column]
-        values.append(
-            jnp.sum(along) / jnp.maximum(jnp.sum(base), 1e-9)
-            if is_share
-            else jnp.mean(along / length_m)
-        )
+        if target.outcome == "length_m":
+            value = jnp.mean(length_m)
+        elif target.outcome == "detour":
+            value = jnp.mean(length_m / base_m) - 1
+        elif target.outcome == "people":
+            column = num + list(names).index("population")
+            base = jnp.maximum(jnp.sum(shortest[:, column]), 1e-9)
+            value = jnp.sum(sums[:, column]) / base
+        else:
+            column = num + list(names).index(target.outcome.removeprefix(MEAN))
+            value = jnp.mean(sums[:, column] / length_m)
+        values.append(value)
     return jnp.stack(values)
 
 
@@ -407,7 +384,7 @@ def _missed(values: AnyArray, bound: AnyArray, sign: AnyArray) -> Array:
 @partial(jax.jit, static_argnames=("names", "targets"))
 def _descend(
     starts: Any,
-    drawn: Any,
+    draws: Any,
     bound: Any,
     sign: Any,
     routes: Any,
@@ -418,10 +395,9 @@ def _descend(
     """Return log weights ``[S, K]`` after descents from each start over known routes."""
 
     def squared(log_weights: Any, noise: Any) -> Array:
-        expected = known_route_sums(log_weights, routes, drawn, noise)
-        return jnp.sum(
-            _missed(outcome_values(expected, shortest, names, targets), bound, sign) ** 2
-        )
+        expected = known_route_sums(log_weights, routes, draws, noise)
+        values = outcome_values(expected, shortest, names, targets)
+        return jnp.sum(_missed(values, bound, sign) ** 2)
 
     rates = optax.exponential_decay(FIRST_RATE, NUM_STEPS, LAST_RATE / FIRST_RATE)
     noises = jnp.geomspace(FIRST_NOISE, LAST_NOISE, NUM_STEPS)
@@ -432,9 +408,8 @@ def _descend(
 
 def _least(candidates: np.ndarray, num: int, where: tuple) -> np.ndarray:
     """Return ``[num, K]`` the log weights, of ``[S, K]``, whose cheapest known routes miss least."""
-    return candidates[
-        np.argsort(np.asarray(_known_misses(jnp.asarray(candidates), *where)), kind="stable")[:num]
-    ]
+    misses = np.asarray(_known_misses(jnp.asarray(candidates), *where))
+    return candidates[np.argsort(misses, kind="stable")[:num]]
 
 
 @partial(jax.jit, static_argnames=("names", "targets"))
@@ -446,15 +421,16 @@ def _known_misses(
     def squared(log_weights: Any) -> Array:
         cheapest = jnp.argmin(routes[..., : len(names)] @ jnp.exp(log_weights), axis=-1)
         chosen = jnp.take_along_axis(routes, cheapest[:, None, None], axis=1)[:, 0]
-        return jnp.sum(_missed(outcome_values(chosen, shortest, names, targets), bound, sign) ** 2)
+        values = outcome_values(chosen, shortest, names, targets)
+        return jnp.sum(_missed(values, bound, sign) ** 2)
 
     return jax.lax.map(squared, candidates, batch_size=64)
 
 
 def _outcome_table(
-    targets: Sequence[Target], result: Sequence[_Found], at_shortest: np.ndarray
+    targets: Sequence[Target], result: Sequence[_Best], at_shortest: np.ndarray
 ) -> pd.DataFrame:
-    """Return a row a target, each as its own search reached it."""
+    """Return a row per target, each as its own search reached it."""
     missed = [float(each.missed[number]) for number, each in enumerate(result)]
     return pd.DataFrame(
         {

@@ -16,7 +16,7 @@ from jaxurban.io.tables import fingerprint
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
 from jaxurban.studies.demonstrations import Demonstration
-from jaxurban.studies.queries import check_alike, weights_from
+from jaxurban.studies.queries import RouteQuery, check_alike, maps_of, weights_from
 from jaxurban.studies.route_pool import FitSettings, RoutePool, pool_of_fit
 from jaxurban.studies.tuning.confidence import (
     constant_layers,
@@ -38,17 +38,13 @@ from jaxurban.studies.tuning.fenchel_young import (
 )
 
 WeightScale = Literal["simplex", "distance"]
-FIRST_NOISE, LAST_NOISE = (
-    0.3,
-    0.03,
-)  # standard deviation of log weights: first far, in the end close to the minimum
+# Standard deviations of log weights: first far from the minimum, in the end close to it.
+FIRST_NOISE, LAST_NOISE = 0.3, 0.03
 NOISE_ROUNDS = 7  # in which the noise shrinks
-NUM_NOISE, NUM_PROBES = (
-    32,
-    2,
-)  # noises a query in the loss; searches a query and round under perturbed weights
+# Noises per query in the loss; searches per query and round under perturbed weights.
+NUM_NOISE, NUM_PROBES = 32, 2
 STEPS, BOOTSTRAP_NOISE = 200, 8
-FEW = 2  # demonstrations a weight
+FEW = 2  # demonstrations per weight
 TRUST_ROUNDS, DOUBT_ROUNDS = 7, 6  # of full trust; in which patience then falls to 1
 FIRST_DOUBT = 30.0  # how many times farther off a route may be at first
 SETTLED = 1e-5  # a round that betters no known route by more has nothing to add
@@ -56,9 +52,7 @@ REGRET_ROUNDS = 4  # searches for the least regret that any weights reach
 IN_ROUND, IN_BOOTSTRAP = 1, 2  # streams of random numbers
 WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
 DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly counts
-OPTIMAL_REGRET = (
-    0.005  # on average beyond this, the demonstrations are not optimal under any weights
-)
+OPTIMAL_REGRET = 0.005  # demonstrations above it on average are not optimal under any weights
 NEGLIGIBLE = 1e-3  # share of all metrics in the cost: without them no regret changes by more
 
 
@@ -69,16 +63,16 @@ class WeightFit:
     Attributes:
       names: ``"distance"`` and the metrics.
       weights: of the given scale; 0 for a metric whose weight cannot be identified.
-      table: a row a weight, by its name: ``weight``; ``low`` and ``high``, 5th and 95th percentile over bootstrap fits,
-        widened to all weights that explain the demonstrations as well, or, of lines that were redrawn on the grid, any
-        routes within 3 cells of them, NaN without bootstrap; ``share_of_cost``, part
+      table: a row per weight, by its name: ``weight``; ``low`` and ``high``, 5th and 95th percentile over bootstrap
+        fits, widened to all weights that explain the demonstrations as well, or, of lines that were redrawn on the
+        grid, any routes within 3 cells of them, NaN without bootstrap; ``share_of_cost``, part
         of the demonstrations' cost that it makes up; ``spread``, w_j x std(phi_j) over the demonstrations, scaled to
         length 1: what fits are compared by.
       draws: ``[B, K]`` the weights of the bootstrap fits.
       regret: ``[Q]`` by which share each is costlier than the cheapest route under the weights, by search.
       trust: ``[Q]`` in [0, 1] weight that each demonstration had in the end.
       best_mean_regret: the least mean regret that any weights were found to reach.
-      curve: a row a round: noise, loss, mean_regret, worst_gap (by which share a searched route was cheaper than
+      curve: a row per round: noise, loss, mean_regret, worst_gap (by which share a searched route was cheaper than
         all known ones), new_routes, num_plans, elapsed_s and each weight.
       unidentified: sentences on weights that the demonstrations say nothing about.
       warnings: further sentences that a reader must know.
@@ -87,8 +81,8 @@ class WeightFit:
       is_settled: the last round bettered no known route by more than 1e-5.
 
     Examples:
-      >>> shown = ju.fit.demonstrations_from_paths([path], maps)
-      >>> fit = ju.fit.fit_weights(shown, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=2))
+      >>> routes = ju.fit.demonstrations_from_paths([path], maps)
+      >>> fit = ju.fit.fit_weights(routes, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=2))
       >>> dict(zip(fit.names, fit.vector.round(2).tolist(), strict=True)) == fit.table["weight"].round(2).to_dict()
       True
       >>> again = ju.plan(maps, start, goal, altitude_m=60.0, weights=fit.weights)
@@ -116,16 +110,16 @@ class WeightFit:
     @property
     def sentence(self) -> str:
         """Whether the demonstrations follow these metrics at all: what a reader must know before the weights."""
-        metric_share = 1 - float(self.table["share_of_cost"].iloc[0])
-        return _verdict(self.regret, self.trust, self.best_mean_regret, metric_share)
+        share = _metric_share(self.table)
+        return _verdict(self.regret, self.trust, self.best_mean_regret, share)
 
     @property
     def cautions(self) -> list[str]:
         """What the demonstrations cannot say: ``unidentified`` and ``warnings``, but for the ``sentence``."""
         return [
-            sentences
-            for sentences in (*self.unidentified, *self.warnings)
-            if sentences != self.sentence
+            sentence
+            for sentence in (*self.unidentified, *self.warnings)
+            if sentence != self.sentence
         ]
 
     def __repr__(self) -> str:
@@ -134,7 +128,7 @@ class WeightFit:
         )
 
     def _repr_html_(self) -> str:
-        cautions = "".join(f"<li>{escape(sentences)}</li>" for sentences in self.cautions)
+        cautions = "".join(f"<li>{escape(sentence)}</li>" for sentence in self.cautions)
         table = self.table.to_html(float_format="{:.3g}".format)
         return f"<p><b>{escape(self.sentence)}</b></p><ul>{cautions}</ul>{table}"
 
@@ -168,7 +162,7 @@ def fit_weights(
         after them it ends where a round betters nothing.
 
     Returns:
-      ``weights``, which `jaxurban.plan` takes; ``table``, a row a weight with its interval and its share of the cost;
+      ``weights``, which `jaxurban.plan` takes; ``table``, a row per weight with its interval and its share of the cost;
       ``regret``, by which share each demonstration costs more than the cheapest route; ``unidentified`` and
       ``warnings``, sentences on what the routes cannot say. Printed, it shows the table and the sentences.
 
@@ -177,39 +171,40 @@ def fit_weights(
 
     Examples:
       >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
-      >>> shown = ju.fit.demonstrations_from_paths([path, back], maps)
-      >>> fit = ju.fit.fit_weights(shown, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=5))
+      >>> routes = ju.fit.demonstrations_from_paths([path, back], maps)
+      >>> fit = ju.fit.fit_weights(routes, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=5))
       >>> fit.regret.round(2).tolist(), round(float(fit.vector.sum()), 3)
       ([0.0, 0.0], 1.0)
       >>> list(fit.table.columns)
       ['weight', 'low', 'high', 'share_of_cost', 'spread']
     """
     at_least("bootstrap", bootstrap)
-    begin_s, settings = time.perf_counter(), settings or FitSettings()
+    begin_s = time.perf_counter()
+    settings = settings or FitSettings()
     demonstrations = list(demonstrations)
     queries = [each.query for each in demonstrations]
     names = check_alike(queries)
     constant = constant_layers(queries)
-    # Under `cell` a constant cost still counts steps, and diagonals save some: left out, it would bend the others.
-    silent = () if queries[0].cost_map.cost_model.kind == "cell" else constant
-    silent += tuple(
-        name for name in constant if not np.any([query.cost_map.cost_of(name) for query in queries])
-    )
-    is_fitted = np.array([name not in silent for name in names])
+    left_out = _left_out(constant, queries)
+    is_fitted = np.array([name not in left_out for name in names])
     demo = np.array([each.features for each in demonstrations])
     noise_rounds = min(settings.max_rounds, NOISE_ROUNDS)
     least_rounds = min(settings.max_rounds, TRUST_ROUNDS + DOUBT_ROUNDS + 1)
-    key = {"fit": "imitation", "noise_rounds": noise_rounds, "demonstrations": fingerprint(demo)}
-    pool = pool_of_fit(settings, queries, [each.sums for each in demonstrations], **key)
+    pool = pool_of_fit(
+        settings,
+        queries,
+        [each.sums for each in demonstrations],
+        fit="imitation",
+        noise_rounds=noise_rounds,
+        demonstrations=fingerprint(demo),
+    )
     unit = np.where(is_fitted, feature_units(queries, demo), 1.0)
     fit = _Fit(pool, demo, unit, is_fitted, settings.seed)
     rows: list[dict[str, Any]] = []
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         for number in range(settings.max_rounds):
-            noise = FIRST_NOISE * (LAST_NOISE / FIRST_NOISE) ** min(
-                number / max(1, noise_rounds - 1), 1.0
-            )
-            row = fit.run_round(number, noise) | {"elapsed_s": time.perf_counter() - begin_s}
+            row = fit.run_round(number, _noise_of(number, noise_rounds))
+            row["elapsed_s"] = time.perf_counter() - begin_s
             rows.append(row | dict(zip(names, _scaled(fit.weights, scale), strict=True)))
             report("rounds", number + 1, loss=f"{row['loss']:.3g}", searches=row["num_plans"])
             is_settled = row["worst_gap"] <= SETTLED and number + 1 >= least_rounds
@@ -218,34 +213,45 @@ def fit_weights(
         regret = fit.searched_regret(fit.log_weights)
         best = fit.least_mean_regret(float(regret.mean()))
         draws, interval = _refitted(fit, demonstrations, scale, bootstrap)
-    cost, spread = fit.weights * demo.mean(axis=0), fit.weights * demo.std(axis=0)
-    columns = {"weight": _scaled(fit.weights, scale), "low": interval[0], "high": interval[1]}
-    share = cost / cost.sum()
-    columns |= {
-        "share_of_cost": share,
-        "spread": spread / max(float(np.linalg.norm(spread)), 1e-300),
-    }
+    table = _weight_table(fit, scale, interval)
+    unidentified = [_constant_sentence(name, name in left_out) for name in constant]
+    unidentified += _wide_sentences(table.drop(index=list(constant)))
+    unidentified += indistinct_weights(pool, fit.unit, fit.weights, is_fitted)
+    verdict = _verdict(regret, fit.trust, best, _metric_share(table))
+    warnings = [verdict] if best > OPTIMAL_REGRET else []
+    warnings += _warnings(demonstrations, len(names), fit.trust, is_settled)
     return WeightFit(
         names=names,
-        weights=weights_from(queries[0], _scaled(fit.weights, scale)),
-        table=pd.DataFrame(columns, pd.Index(names, name="name")),
+        weights=weights_from(queries[0], table.weight.to_numpy()),
+        table=table,
         draws=draws,
         regret=regret,
         trust=fit.trust,
         best_mean_regret=best,
         curve=pd.DataFrame(rows),
-        unidentified=(
-            *(_said_of_constant(name, name in silent) for name in constant),
-            *_open(names, constant, interval),
-            *indistinct_weights(pool, fit.unit, fit.weights, is_fitted),
-        ),
-        warnings=tuple(
-            _warnings(demonstrations, len(names), regret, fit.trust, best, 1 - share[0], is_settled)
-        ),
+        unidentified=tuple(unidentified),
+        warnings=tuple(warnings),
         num_plans=pool.num_plans,
         elapsed_s=time.perf_counter() - begin_s,
         is_settled=is_settled,
     )
+
+
+def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str]:
+    """Return which of the constant layers get the weight 0: under ``cell`` those that cost nothing, else all.
+
+    Under ``cell`` a constant cost still counts steps, and diagonals save some: left out, it would bend the others.
+    """
+    if queries[0].cost_map.cost_model.kind != "cell":
+        return set(constant)
+    cost_maps = maps_of(queries)
+    return {name for name in constant if not np.any([each.cost_of(name) for each in cost_maps])}
+
+
+def _noise_of(number: int, noise_rounds: int) -> float:
+    """Return the noise of a round, which falls from the first to the last by equal factors."""
+    progress = min(number / max(1, noise_rounds - 1), 1.0)
+    return FIRST_NOISE * (LAST_NOISE / FIRST_NOISE) ** progress
 
 
 @dataclass(eq=False)
@@ -293,20 +299,20 @@ class _Fit:
         num_known = self.pool.num_routes
         expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.routes[0]), axis=-1)
         searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
-        here = self.task(NUM_NOISE, noise, rng)
+        task = self.task(NUM_NOISE, noise, rng)
         objective = fenchel_young_loss if number < TRUST_ROUNDS else mean_regret
         if number >= TRUST_ROUNDS:
             patience = FIRST_DOUBT ** max(0.0, 1 - (number - TRUST_ROUNDS) / DOUBT_ROUNDS)
-            regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), here))
+            regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), task))
             self.trust = redescending_trust(regret, patience)
-            here = here._replace(trust=jnp.asarray(self.trust))
-        ended, reached = descend(jnp.asarray(self.log_weights), here, objective, STEPS)
+            task = task._replace(trust=jnp.asarray(self.trust))
+        ended, reached = descend(jnp.asarray(self.log_weights), task, objective, STEPS)
         self.log_weights = np.asarray(ended)
         return {
             "round": number + 1,
             "noise": noise,
             "loss": float(reached),
-            "mean_regret": float(np.mean(np.asarray(regrets(weights_of(ended), here)))),
+            "mean_regret": float(np.mean(np.asarray(regrets(weights_of(ended), task)))),
             "worst_gap": float(np.max(expected / searched - 1)),
             "new_routes": self.pool.num_routes - num_known,
             "num_plans": self.pool.num_plans,
@@ -326,12 +332,12 @@ class _Fit:
           least: ``[Q, K]`` features that the demonstrations have at least (`Demonstration.least_features`).
         """
         unit = self.unit[self.is_fitted]
-        here = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
-        here = here._replace(demo=(least / self.unit)[:, self.is_fitted])
+        task = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
+        task = task._replace(demo=(least / self.unit)[:, self.is_fitted])
         ends = np.zeros((2, len(self.unit)))
         scaled = (self.weights * self.unit)[self.is_fitted]
         ends[:, self.is_fitted] = (
-            near_optimal_range(scaled, here, scale[self.is_fitted] / unit, SETTLED) / unit
+            near_optimal_range(scaled, task, scale[self.is_fitted] / unit, SETTLED) / unit
         )
         return ends
 
@@ -354,7 +360,8 @@ def _refitted(
     fit: _Fit, demonstrations: Sequence[Demonstration], scale: str, bootstrap: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return ``[B, K]`` weights of bootstrap fits and ``[2, K]`` their interval."""
-    rng, num = np.random.default_rng([IN_BOOTSTRAP, 0, fit.seed]), len(fit.unit)
+    rng = np.random.default_rng([IN_BOOTSTRAP, 0, fit.seed])
+    num = len(fit.unit)
     cities, _ = pd.factorize(np.array([id(each.query.cost_map.maps) for each in demonstrations]))
     task = fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng)
     log_draws = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng))
@@ -362,12 +369,12 @@ def _refitted(
     if not bootstrap:
         return draws, np.full((2, num), np.nan)
     sides = np.ones(num) if scale == "simplex" else np.eye(num)[0]
-    low, high = fit.near_optimal_range(
-        sides, np.array([each.least_features for each in demonstrations])
-    )
+    least = np.array([each.least_features for each in demonstrations])
+    low, high = fit.near_optimal_range(sides, least)
     if len(draws):
-        by_draw = np.percentile(draws, [5, 95], axis=0)
-        low, high = np.minimum(by_draw[0], low), np.maximum(by_draw[1], high)
+        drawn_low, drawn_high = np.percentile(draws, [5, 95], axis=0)
+        low = np.minimum(drawn_low, low)
+        high = np.maximum(drawn_high, high)
     return draws, np.stack([low, high])
 
 
@@ -376,32 +383,47 @@ def _scaled(weights: np.ndarray, scale: str) -> np.ndarray:
     return weights / (weights.sum() if scale == "simplex" else weights[0])
 
 
-def _said_of_constant(name: str, is_left_out: bool) -> str:
-    value = (
-        "is left at 0"
-        if is_left_out
-        else "stands for the steps that diagonals save under the cost model 'cell'"
-    )
-    return f"The {name} layer is the same everywhere on these maps, so its weight cannot be identified and {value}."
+def _weight_table(fit: _Fit, scale: str, interval: np.ndarray) -> pd.DataFrame:
+    """Return the table of a `WeightFit`, of an interval ``[2, K]``."""
+    cost = fit.weights * fit.demo.mean(axis=0)
+    spread = fit.weights * fit.demo.std(axis=0)
+    columns = {
+        "weight": _scaled(fit.weights, scale),
+        "low": interval[0],
+        "high": interval[1],
+        "share_of_cost": cost / cost.sum(),
+        "spread": spread / max(float(np.linalg.norm(spread)), 1e-300),
+    }
+    return pd.DataFrame(columns, pd.Index(fit.pool.names, name="name"))
 
 
-def _open(names: Sequence[str], constant: Sequence[str], interval: np.ndarray) -> list[str]:
-    """Return a sentence for each weight that the demonstrations leave open within a wide range."""
+def _metric_share(table: pd.DataFrame) -> float:
+    """Return the share of the cost that the metrics make up."""
+    return 1 - float(table["share_of_cost"].iloc[0])
+
+
+def _constant_sentence(name: str, is_left_out: bool) -> str:
+    outcome = "stands for the steps that diagonals save under the cost model 'cell'"
+    if is_left_out:
+        outcome = "is left at 0"
+    return f"The {name} layer is the same everywhere on these maps, so its weight cannot be identified and {outcome}."
+
+
+def _wide_sentences(table: pd.DataFrame) -> list[str]:
+    """Return a sentence for each weight of a table that the demonstrations leave open within a wide range."""
+    is_wide = np.isfinite(table.high) & (table.high > 0) & (table.low < table.high / WIDE)
     return [
-        f"The weight of {name} is hardly pinned down: with other weights to match, nothing from {low:.3g} to "
-        f"{high:.3g} is ruled out; the value given is one of them."
-        for name, low, high in zip(names, *interval, strict=True)
-        if name not in constant and np.isfinite(high) and high > 0 and low < high / WIDE
+        f"The weight of {row.Index} is hardly pinned down: with other weights to match, nothing from {row.low:.3g} to "
+        f"{row.high:.3g} is ruled out; the value given is one of them."
+        for row in table[is_wide].itertuples()
     ]
 
 
 def _verdict(regret: np.ndarray, trust: np.ndarray, best: float, metric_share: float) -> str:
     """Return whether demonstrations follow the metrics, from the least mean regret that any weights reach."""
-    followed = (
-        "distance alone and none of these metrics"
-        if metric_share <= NEGLIGIBLE
-        else "these metrics"
-    )
+    followed = "these metrics"
+    if metric_share <= NEGLIGIBLE:
+        followed = "distance alone and none of these metrics"
     percent = round(max(0.0, 100 * best), 4)
     share = f"at best they cost {percent:.3g} % more than the cheapest ones between their ends, on average"
     if best <= OPTIMAL_REGRET:
@@ -413,27 +435,18 @@ def _verdict(regret: np.ndarray, trust: np.ndarray, best: float, metric_share: f
 
 
 def _warnings(
-    demonstrations: Sequence[Demonstration],
-    num_weights: int,
-    regret: np.ndarray,
-    trust: np.ndarray,
-    best: float,
-    metric_share: float,
-    is_settled: bool,
+    demonstrations: Sequence[Demonstration], num_weights: int, trust: np.ndarray, is_settled: bool
 ) -> Iterator[str]:
     """Yield the further sentences that a reader of the fit must know."""
     num = len(demonstrations)
-    if best > OPTIMAL_REGRET:
-        yield _verdict(regret, trust, best, metric_share)
     if num < FEW * num_weights:
         yield (
             f"There are few demonstrations ({num}) for {num_weights} weights, which are fitted all the same: others of "
             "the same kind may ask for quite other ones."
         )
-    if distrusted := int((trust < DISTRUSTED).sum()):
-        yield (
-            f"{distrusted} of {num} demonstrations cost far more than the others' weights explain, and hardly count."
-        )
+    num_bad = int((trust < DISTRUSTED).sum())
+    if num_bad:
+        yield f"{num_bad} of {num} demonstrations cost far more than the others' weights explain, and hardly count."
     if not is_settled:
         yield "The last round still found better routes; its weights are given: allow more rounds or a larger budget."
     for number, each in enumerate(demonstrations, 1):

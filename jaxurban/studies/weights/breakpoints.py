@@ -84,7 +84,7 @@ class Partition:
 
     @property
     def points(self) -> pd.DataFrame:
-        """Of a Pareto front a row a route: its features by the names of the objectives, and its outcomes."""
+        """Of a Pareto front a row per route: its features by the names of the objectives, and its outcomes."""
         columns = [self.names.index(name) for name in self.objectives]
         result = pd.DataFrame(self.features[:, columns], columns=list(self.objectives))
         result.index = pd.RangeIndex(1, len(result) + 1, name="route")

@@ -45,7 +45,7 @@ def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVis
             f"the route was planned by {time_of_day} and the soft city is of {soft.time_of_day}: give soft_city "
             f"time_of_day={time_of_day!r}"
         )
-    points_m = planned.xy_m - np.array([region.x_min_m, region.y_min_m])
+    points_m = planned.xy_m - region.bounds_m[:2]
     return path_visits(
         points_m, region.shape, region.resolution_m, CostModel.from_settings(planned.settings)
     )

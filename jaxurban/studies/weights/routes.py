@@ -1,4 +1,4 @@
-"""What weights do to each of many routes, and how it differs on maps of perturbed heights: a row a route.
+"""What weights do to each of many routes, and how it differs on maps of perturbed heights: a row per route.
 
 A row is made alone, so that any number can be made side by side. Maps are made again with heights drawn as well as they
 are known, and with each parameter of the metrics halved and doubled.
@@ -26,28 +26,18 @@ from jaxurban.planners.astar import astar
 from jaxurban.studies.demonstrations import cells_of
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import located
-from jaxurban.studies.queries import RouteQuery, outcomes_of
+from jaxurban.studies.queries import RouteQuery, outcomes_of, query_between
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import nearest_breakpoints
-from jaxurban.studies.weights.sobol import check_sampling, check_vary, sobol_of_weights
+from jaxurban.studies.weights.sobol import check_sampling, sobol_of_weights, varied_columns
 
 ROUTE_KEY = ("city", *KEY)
 CITY_NUMBER = "city_number"  # column of instances: the place of a route's city among those of the study, from 0
 PARAMETER_FACTORS = (0.5, 2.0)
 SAME_SUMS = 1e-9  # relative: routes whose sums differ by less are one route
-OF_WEIGHT = (
-    "elasticity",
-    "below",
-    "above",
-    "regret_low",
-    "regret_high",
-)  # columns of each weight, as "below:gps"
-OF_SHARE = (
-    "first",
-    "first_ci",
-    "total",
-    "total_ci",
-)  # and of each outcome too, as "first:gps:length_m"
+# Columns of each weight, as "below:gps", and of each weight and outcome, as "first:gps:length_m".
+OF_WEIGHT = ("elasticity", "below", "above", "regret_low", "regret_high")
+OF_SHARE = ("first", "first_ci", "total", "total_ci")
 TEXTS = ("city", "status", "note", "vary", "parameter")
 
 
@@ -146,11 +136,7 @@ def query_of(cost_map: CostMap, instance: Row) -> tuple[RouteQuery, np.ndarray]:
       InputError: a place that is not free, or both in one cell.
     """
     start, goal, weights = located(cost_map, instance)
-    if start == goal:
-        raise InputError(
-            "start and goal lie in one cell, so there is no route to study: set them further apart"
-        )
-    return RouteQuery(cost_map, start, goal, str(instance["instance"])), weights
+    return query_between(cost_map, start, goal, str(instance["instance"])), weights
 
 
 def route_facts(
@@ -176,10 +162,8 @@ def route_facts(
     begin_s = time.perf_counter()
     query, weights = query_of(cost_map, instance)
     names = query.names
-    vary = settings.vary or tuple(
-        name for name, weight in zip(names[1:], weights[1:], strict=True) if weight > 0
-    )
-    columns = check_vary(names, weights, vary)
+    varied = varied_columns(names, weights, settings.vary)
+    vary, columns = list(varied), list(varied.values())
     first = astar(query.problem(weights))
     if not first.status.has_path:
         return {"status": first.status.value, "note": first.status.sentence}
@@ -196,20 +180,19 @@ def route_facts(
         "cost": cost,
     }
     facts |= {name: float(value) for name, value in outcomes_of(integrals, names).items()}
-    facts |= {
-        f"elasticity:{name}": float(w * f / cost)
-        for name, w, f in zip(names, weights, features, strict=True)
-    }
+    for name, weight, feature in zip(names, weights, features, strict=True):
+        facts[f"elasticity:{name}"] = float(weight * feature / cost)
     pool = RoutePool([query], workers=settings.num_threads)
     nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
-    wrong = np.tile(weights, (2 * len(vary), 1))
-    wrong[np.arange(len(wrong)), np.repeat(columns, 2)] *= np.tile(
-        [1 / settings.wrong, settings.wrong], len(vary)
-    )
-    regret = np.maximum(pool.cheapest(wrong)[0, 0] @ weights / cost - 1, 0.0).reshape(-1, 2)
-    for name, ends, lost in zip(vary, nearest, regret, strict=True):
-        facts |= {f"below:{name}": float(ends[0]), f"above:{name}": float(ends[1])}
-        facts |= {f"regret_low:{name}": float(lost[0]), f"regret_high:{name}": float(lost[1])}
+    wrong = np.tile(weights, (len(vary), 2, 1))  # of each that varies, too small and too large
+    for number, column in enumerate(columns):
+        wrong[number, :, column] *= 1 / settings.wrong, settings.wrong
+    cheapest = pool.cheapest(wrong.reshape(-1, len(weights)))[0, 0]
+    regret = np.maximum(cheapest @ weights / cost - 1, 0.0).reshape(-1, 2)
+    values = np.hstack([nearest, regret]).tolist()
+    for name, (below, above, regret_low, regret_high) in zip(vary, values, strict=True):
+        facts |= {f"below:{name}": below, f"above:{name}": above}
+        facts |= {f"regret_low:{name}": regret_low, f"regret_high:{name}": regret_high}
     if settings.num_samples:
         seed = seed_at(settings.seed, int(instance.get(CITY_NUMBER, 0)), int(instance["instance"]))
         shares = sobol_of_weights(
@@ -347,24 +330,24 @@ def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> di
     for path in paths:
         if not path.status.has_path:
             return {"status": path.status.value, "note": path.status.sentence}
-    here, there = (path.points_m for path in paths)
-    result: dict[str, Any] = {"status": paths[0].status.value}
-    features = {}
-    for name, query in (("nominal", nominal), ("other", other)):
-        features[name] = [query.cost_map.problem.features(points_m) for points_m in (here, there)]
-    (own, new), (kept, best) = features["nominal"], features["other"]
-    result["is_other"] = float(
-        not (new.is_valid and np.allclose(new.phi, own.phi, rtol=SAME_SUMS, atol=SAME_SUMS))
-    )
-    cells = [cells_of(points_m, nominal.cost_map.grid.resolution_m) for points_m in (here, there)]
-    result["overlap"] = len(cells[0] & cells[1]) / len(cells[0])
-    result["is_closed"], result["nominal_is_closed"] = (
-        float(not new.is_valid),
-        float(not kept.is_valid),
-    )
-    result["regret"] = _regret(new.cost(weights), own.cost(weights))
-    result["nominal_regret"] = _regret(kept.cost(weights), best.cost(weights))
-    return result
+    nominal_m, other_m = (path.points_m for path in paths)
+    on_nominal = nominal.cost_map.problem.features
+    on_other = other.cost_map.problem.features
+    own, moved = on_nominal(nominal_m), on_nominal(other_m)
+    kept, best = on_other(nominal_m), on_other(other_m)
+    is_same = moved.is_valid and np.allclose(moved.phi, own.phi, rtol=SAME_SUMS, atol=SAME_SUMS)
+    resolution_m = nominal.cost_map.grid.resolution_m
+    cells = cells_of(nominal_m, resolution_m)
+    shared = cells & cells_of(other_m, resolution_m)
+    return {
+        "status": paths[0].status.value,
+        "is_other": float(not is_same),
+        "overlap": len(shared) / len(cells),
+        "is_closed": float(not moved.is_valid),
+        "nominal_is_closed": float(not kept.is_valid),
+        "regret": _regret(moved.cost(weights), own.cost(weights)),
+        "nominal_regret": _regret(kept.cost(weights), best.cost(weights)),
+    }
 
 
 def _regret(cost: float, best: float) -> float:

@@ -7,6 +7,7 @@ simplex do not: a larger one makes the others smaller, and no share could be put
 vary freely here. Only their ratios choose a route; leave one of them, such as the distance's, as the unit.
 """
 
+import itertools
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -43,36 +44,31 @@ def check_sampling(settings: Any) -> None:
     at_least("seed", settings.seed)
     if len(set(settings.vary)) < len(settings.vary):
         raise InputError(f"vary must name each weight once, got {', '.join(settings.vary)}")
-    if (
-        len(settings.factors) != 2
-        or not 0 < settings.factors[0] < 1 < settings.factors[1] < math.inf
-    ):
+    factors, num = settings.factors, settings.num_samples
+    if len(factors) != 2 or not 0 < factors[0] < 1 < factors[1] < math.inf:
         raise InputError(
-            f"factors must be two (--range), from below 1 to above 1 times the weights, as 0.1,10, got "
-            f"{settings.factors}"
+            f"factors must be two (--range), from below 1 to above 1 times the weights, as 0.1,10, got {factors}"
         )
-    if (
-        settings.num_samples < 0
-        or settings.num_samples == 1
-        or settings.num_samples & (settings.num_samples - 1)
-    ):
-        raise InputError(
-            f"num_samples must be a power of two such as 32, got {settings.num_samples}"
-        )
+    if num < 0 or num == 1 or num & (num - 1):
+        raise InputError(f"num_samples must be a power of two such as 32, got {num}")
 
 
-def check_vary(names: Sequence[str], weights: np.ndarray, vary: Sequence[str]) -> list[int]:
-    """Return the columns of the weights to vary.
+def varied_columns(
+    names: Sequence[str], weights: np.ndarray, vary: Sequence[str]
+) -> dict[str, int]:
+    """Return the columns of the weights to vary by name: without any, all metrics whose weight is above 0.
 
     Raises:
-      InputError: none, or a weight that is not there or 0.
+      InputError: there is none, or a weight that is not there or 0.
     """
+    if not vary:
+        vary = list(itertools.compress(names[1:], weights[1:] > 0))
     if not vary:
         raise InputError(
             "no metric of these maps has a weight above 0, so nothing varies: give one, or name vary"
         )
-    columns = [names.index(one_of("a weight that varies", name, names)) for name in vary]
-    for name, column in zip(vary, columns, strict=True):
+    columns = {name: names.index(one_of("a weight that varies", name, names)) for name in vary}
+    for name, column in columns.items():
         if not weights[column] > 0:
             raise InputError(
                 f"weight {name} is 0, which no factor changes: give it a value above 0, or do not vary it"
@@ -131,7 +127,7 @@ def sobol_of_weights(
     Raises:
       InputError: a query without a path.
     """
-    low, high = (weights[columns] * factor for factor in factors)
+    low, high = np.outer(factors, weights[columns])
 
     def evaluate(unit: np.ndarray) -> Mapping[str, np.ndarray]:
         varied = np.tile(weights, (len(unit), 1))
@@ -149,7 +145,7 @@ def sobol_of_weights(
 
 
 def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
-    """Return the indices of one outcome, a row a factor."""
+    """Return the indices of one outcome, a row per factor."""
     table = pd.DataFrame(
         np.nan,
         pd.Index(problem["names"], name="factor"),
@@ -181,7 +177,7 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
 
 
 def cost_gradient(names: Sequence[str], weights: np.ndarray, features: np.ndarray) -> pd.DataFrame:
-    """Return how the optimal cost V responds to a small change of each weight, a row a weight.
+    """Return how the optimal cost V responds to a small change of each weight, a row per weight.
 
     V(W) = min W . f has the gradient f, the features of the cheapest route, wherever that is unique (envelope theorem;
     Danskin 1967); where routes tie it is one of V's supergradients. Of several queries: that of their mean cost.
@@ -224,19 +220,18 @@ def outcome_slopes(
         name: float(np.mean(value)) for name, value in outcomes_of(integrals, pool.names).items()
     }
     repeats = range(seed * NUM_REPEATS, (seed + 1) * NUM_REPEATS)
-    expected, slopes = map(
-        np.array, zip(*(_expected(pool, weights, noise, each) for each in repeats), strict=True)
-    )
+    estimates = [_expected(pool, weights, noise, each) for each in repeats]
+    expected = np.array([outcomes for outcomes, _ in estimates])
+    slopes = np.array([of_outcomes for _, of_outcomes in estimates])
     num = len(pool.names)
     columns = {
         "value": np.repeat(list(values.values()), num),
         "expected": np.repeat(expected.mean(axis=0), num),
+        "expected_slope": slopes.mean(axis=0).ravel(),
+        "expected_slope_se": slopes.std(axis=0, ddof=1).ravel() / np.sqrt(len(slopes)),
     }
-    columns["expected_slope"] = slopes.mean(axis=0).ravel()
-    columns["expected_slope_se"] = slopes.std(axis=0, ddof=1).ravel() / np.sqrt(len(slopes))
-    return pd.DataFrame(
-        columns, pd.MultiIndex.from_product([values, pool.names], names=["outcome", "weight_name"])
-    )
+    rows = pd.MultiIndex.from_product([values, pool.names], names=["outcome", "weight_name"])
+    return pd.DataFrame(columns, rows)
 
 
 def _expected(

@@ -16,15 +16,15 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import Point
 from jaxurban.progress import Progress, reporting
 from jaxurban.public import FactsRepr
-from jaxurban.studies.queries import RouteQuery, check_flat, outcomes_of
+from jaxurban.studies.queries import RouteQuery, check_flat, outcomes_of, query_between
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import EXACT, Partition, find_breakpoints, pareto_front
 from jaxurban.studies.weights.sobol import (
     check_sampling,
-    check_vary,
     cost_gradient,
     outcome_slopes,
     sobol_of_weights,
+    varied_columns,
 )
 
 
@@ -70,7 +70,7 @@ class Sensitivity(FactsRepr):
           name: of a weight that was varied.
 
         Returns:
-          A row a route, numbered from 1 in the order of the weight.
+          A row per route, numbered from 1 in the order of the weight.
 
         Raises:
           InputError: the weight was not varied.
@@ -186,9 +186,9 @@ def sensitivity(
       progress: gets what runs and the searches made, as in `ju.build_maps`.
 
     Returns:
-      ``cost``, a row a weight: its value, the derivative of the cost by it, and its share of the cost (``elasticity``);
-      ``breakpoints(name)``, the routes along the range of a weight; ``tables()``, all of it by name; ``save`` writes
-      the report.
+      ``cost``, a row per weight: its value, the derivative of the cost by it, and its share of the cost
+      (``elasticity``); ``breakpoints(name)``, the routes along the range of a weight; ``tables()``, all of it by name;
+      ``save`` writes the report.
 
     Raises:
       InputError: places outside the maps or inside an obstacle, both in one cell or with no path between them, or a
@@ -206,10 +206,7 @@ def sensitivity(
     begin_s, settings = time.perf_counter(), settings or SensitivitySettings()
     query, route = _plan(cost_map, start, goal, snap)
     names, weights, pool = query.names, cost_map.weight_vector, RoutePool([query])
-    vary = settings.vary or tuple(
-        name for name, weight in zip(names[1:], weights[1:], strict=True) if weight > 0
-    )
-    columns = check_vary(names, weights, vary)
+    columns = varied_columns(names, weights, settings.vary)
     for name in settings.objectives:
         one_of("each of objectives", name, names)
     with reporting("sensitivity", progress) as report:
@@ -217,19 +214,24 @@ def sensitivity(
         features, integrals = pool.cheapest(weights[None])[:, :, 0]
         cost = cost_gradient(names, weights, features)
         outcomes = outcome_slopes(pool, weights, integrals, seed=settings.seed)
-        by_share = sorted(
-            (name for name in vary if name != "distance"),
-            key=lambda name: -cost["elasticity"][name],
-        )
+        metrics = [name for name in columns if name != "distance"]
+        largest = sorted(metrics, key=lambda name: -cost["elasticity"][name])
         settings = replace(
-            settings, vary=vary, objectives=settings.objectives or ("distance", *by_share[:2])
+            settings,
+            vary=tuple(columns),
+            objectives=settings.objectives or ("distance", *largest[:2]),
         )
-        on_plans = partial(report, "sobol")
         sobol = sobol_of_weights(
-            pool, weights, columns, settings.factors, settings.num_samples, settings.seed, on_plans
+            pool,
+            weights,
+            list(columns.values()),
+            settings.factors,
+            settings.num_samples,
+            settings.seed,
+            partial(report, "sobol"),
         )
         lines = {}
-        for name, column in zip(vary, columns, strict=True):
+        for name, column in columns.items():
             ends = np.tile(weights, (2, 1))
             ends[:, column] *= settings.factors
             lines[name] = find_breakpoints(
@@ -262,10 +264,10 @@ def sensitivity(
 
 def _routes(query: RouteQuery, line: Partition) -> list[np.ndarray]:
     """Return ``[N, 2]`` easting, northing of the cheapest route in the middle of each cell of a line."""
-    corner_m = np.array([query.cost_map.grid.x_min_m, query.cost_map.grid.y_min_m])
+    southwest_m = query.cost_map.grid.bounds_m[:2]
     with ThreadPoolExecutor() as threads:
         routes = threads.map(query.cheapest, line.weights_at(line.middles))
-        return [points_m + corner_m for points_m in routes]
+        return [points_m + southwest_m for points_m in routes]
 
 
 def _plan(
@@ -275,9 +277,5 @@ def _plan(
     route = cost_map.plan(start, goal, snap=snap)
     if not route.status.has_path:
         raise InputError(f"there is no route to study: {route.to_dict()['message']}")
-    ends = [place.cell for place in cost_map.ends(start, goal, snap=snap)]
-    if ends[0] == ends[1]:
-        raise InputError(
-            "start and goal lie in one cell, so there is no route to study: set them further apart"
-        )
-    return RouteQuery(cost_map, ends[0], ends[1]), route
+    snapped_start, snapped_goal = cost_map.ends(start, goal, snap=snap)
+    return query_between(cost_map, snapped_start.cell, snapped_goal.cell), route

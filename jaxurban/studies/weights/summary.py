@@ -21,12 +21,8 @@ ALL = "all"
 CUTS = ("city", "altitude_m", "stratum", "range", "time", "time_of_day")
 BOTH = (("city", "altitude_m"), ("stratum", "altitude_m"))
 OVER_CITIES = "over cities"
-CLEAR, UNCLEAR, TOO_FEW, CONSTANT = (
-    "clear",
-    "not distinguishable from 0",
-    "too few routes",
-    "does not vary",
-)
+CLEAR, UNCLEAR = "clear", "not distinguishable from 0"
+TOO_FEW, CONSTANT = "too few routes", "does not vary"
 UNRESOLVED = "not resolved"
 ABOVE_ONE = 0.1  # no share is above 1: one whose interval reaches further beyond is not resolved
 REMADE_STATISTICS = (
@@ -50,7 +46,7 @@ def routes_of(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
 
 
 def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.DataFrame:
-    """Return a row a route and weight: `OF_WEIGHT`, whether it ``varies``, ``nearest`` and ``regret``.
+    """Return a row per route and weight: `OF_WEIGHT`, whether it ``varies``, ``nearest`` and ``regret``.
 
     ``nearest`` is the factor, by which the weight is multiplied or divided, at which the route changes; where it does
     not within the range, the range's nearer end. ``regret`` is the larger of both.
@@ -99,12 +95,8 @@ def by_stratum(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table with ``stratum``, each row once for each stratum that its route starts or ends in."""
     ends = [table.assign(stratum=table[name]) for name in ("start_stratum", "goal_stratum")]
     both = pd.concat(ends).dropna(subset="stratum")
-    return (
-        both.reset_index()
-        .drop_duplicates(["index", "stratum"])
-        .drop(columns="index")
-        .reset_index(drop=True)
-    )
+    once = both.reset_index().drop_duplicates(["index", "stratum"], ignore_index=True)
+    return once.drop(columns="index")
 
 
 def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
@@ -239,25 +231,27 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
     by_kind = changed.groupby(kinds, sort=False) if kinds else [((), changed)]
     rows = []
     for kind, of_kind in by_kind:
-        cuts = [(ALL, ALL, of_kind)]
+        head = dict(zip(kinds, kind, strict=True))
+        rows.append(head | {"cut": ALL, "of": ALL} | _changes_of(of_kind))
         for cut in ("city", "altitude_m"):
             for value, part in of_kind.groupby(cut, sort=False):
-                cuts.append((cut, _text_of(value), part))
-        for cut, value, part in cuts:
-            clusters, num_cities = pairs_of(part), part.city.nunique()
-            row: dict[str, Any] = dict(zip(kinds, kind, strict=True)) | {
-                "cut": cut,
-                "of": value,
-                "routes": len(part),
-                "pairs": clusters.num_groups + num_cities - 1,
-                "cities": num_cities,
-            }
-            if "draw" in part:
-                clusters = clusters.crossed(Clusters(part.draw, seed=1))
-                row["draws"] = part.draw.nunique()
-            row["groups"] = clusters.num_groups
-            for statistic in REMADE_STATISTICS:
-                mean: Statistic = "share" if statistic in SHARES_OF_ROUTES else "mean"
-                row |= named(statistic, clusters.interval(part[statistic], mean))
-            rows.append(row)
+                rows.append(head | {"cut": cut, "of": _text_of(value)} | _changes_of(part))
     return pd.DataFrame(rows)
+
+
+def _changes_of(part: pd.DataFrame) -> dict[str, Any]:
+    """Return how many routes a part of a table of changed maps holds, and their statistics with intervals."""
+    clusters, num_cities = pairs_of(part), part.city.nunique()
+    row: dict[str, Any] = {
+        "routes": len(part),
+        "pairs": clusters.num_groups + num_cities - 1,
+        "cities": num_cities,
+    }
+    if "draw" in part:
+        clusters = clusters.crossed(Clusters(part.draw, seed=1))
+        row["draws"] = part.draw.nunique()
+    row["groups"] = clusters.num_groups
+    for statistic in REMADE_STATISTICS:
+        mean: Statistic = "share" if statistic in SHARES_OF_ROUTES else "mean"
+        row |= named(statistic, clusters.interval(part[statistic], mean))
+    return row

@@ -1,0 +1,139 @@
+"""Routes of a weight study on changed maps: of perturbed heights, and of other parameters of the metrics."""
+
+import warnings
+from collections.abc import Mapping
+from itertools import chain
+from pathlib import Path
+
+import pandas as pd
+
+from jaxurban.errors import GuessWarning, InputError
+from jaxurban.io.tables import ROWS_FILE, RowStore, read_table
+from jaxurban.maps.build import compute_maps
+from jaxurban.maps.memory import check_fits
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.run import tasks_of as maps_tasks_of
+from jaxurban.maps.scenario import Scenario
+from jaxurban.maps.sources import scenario_of
+from jaxurban.maps.task import MapTask
+from jaxurban.paths.rows import Source, solve_here, tasks_of
+from jaxurban.progress import LOG, Report
+from jaxurban.studies.weights.cities import Cities, in_order
+from jaxurban.studies.weights.routes import OnOtherParameters, OnPerturbedMaps, row_columns
+
+Stores = dict[type[OnPerturbedMaps], RowStore]
+
+
+def add_changed_rows(
+    folder: Path,
+    cities: Cities,
+    instances: pd.DataFrame,
+    scenarios: Mapping[str, Scenario] | None,
+    report: Report,
+) -> tuple[dict[str, pd.DataFrame], tuple[str, ...]]:
+    """Make the rows of routes on changed maps that a study lacks, whole maps at a time.
+
+    Args:
+      folder: of the study.
+      cities: of the study.
+      instances: its routes.
+      scenarios: of cities; of others the record in the maps' folder names the sources.
+      report: of the progress.
+
+    Returns:
+      The rows by the folder of the study in which they are kept, and why some maps were not made.
+    """
+    stores: Stores = {}
+    wanted = {
+        OnPerturbedMaps: cities.settings.num_heights > 0,
+        OnOtherParameters: cities.settings.has_parameters,
+    }
+    for kind, is_wanted in wanted.items():
+        if is_wanted:
+            stores[kind] = RowStore(folder / kind.folder / ROWS_FILE, kind.key, has_parts=True)
+    skipped: list[str] = []
+    try:
+        for city in cities.maps if stores else ():
+            of_city = instances[instances.city == city]
+            scenario = (scenarios or {}).get(city)
+            reasons = _add_city(stores, city, cities, of_city, scenario, report)
+            skipped += [f"{city}: {reason}" for reason in reasons]
+    finally:
+        for store in stores.values():
+            store.save(row_columns(store.rows))
+    tables = {}
+    for kind, store in stores.items():
+        rows = read_table(store.file, "rows of changed maps")
+        tables[kind.folder] = in_order(rows, cities.maps)
+    return tables, tuple(skipped)
+
+
+def _add_city(
+    stores: Stores,
+    city: str,
+    cities: Cities,
+    instances: pd.DataFrame,
+    scenario: Scenario | None,
+    report: Report,
+) -> list[InputError]:
+    """Add the rows of a city's routes on its changed maps to the stores, and return why some maps are not made."""
+    maps, settings = cities.maps[city], cities.settings
+    try:
+        task = _map_task(cities.sources[city], maps, scenario)
+    except InputError as error:
+        LOG.warning(f"no other maps of {city} are made: {error}")
+        return [error]
+    errors = []
+    for kind, store in stores.items():
+        stage = f"{kind.called} of {city}"
+        changes = kind.changes(task, settings)
+        tasks = kind.tasks(task, settings)
+        for number, (change, changed) in enumerate(zip(changes, tasks, strict=True)):
+            report(stage, number, len(changes))
+            if isinstance(changed, InputError):
+                errors.append(changed)
+                continue
+            job = kind(
+                nominal=maps,
+                change=change,
+                cost_model=settings.cost_model,
+                constraints=settings.constraints,
+            )
+            lacking = tasks_of(instances, job, store)
+            if lacking:
+                changed_maps = _made(changed).with_obstacles(maps.obstacles)
+                rows = solve_here(lacking, {city: changed_maps}, job)
+                store.add(list(chain.from_iterable(rows)))
+        report(stage, len(changes), len(changes))
+    return errors
+
+
+def _made(task: MapTask) -> MetricMaps:
+    """Return the maps of a task whose guesses were reported when the nominal maps were made."""
+    check_fits(task)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GuessWarning)
+        return compute_maps(task)
+
+
+def _map_task(source: Source, maps: MetricMaps, scenario: Scenario | None) -> MapTask:
+    """Return what the maps of a city are made of, its sources read again.
+
+    Raises:
+      InputError: sources that are unknown or gone, or those of other maps.
+    """
+    if scenario is None:
+        if isinstance(source, MetricMaps):
+            raise InputError(
+                "maps in memory do not name their sources: give the scenario, or a folder of maps"
+            )
+        scenario = scenario_of(Path(source.folder))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GuessWarning)  # reported when the maps were made
+        tasks = maps_tasks_of(scenario)
+    for task in tasks:
+        if task.region == maps.grid and set(maps.metrics) == set(task.metrics):
+            return task
+    raise InputError(
+        "the scenario makes other maps than these (another grid, or other metrics): give theirs"
+    )

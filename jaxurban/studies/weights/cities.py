@@ -1,0 +1,238 @@
+"""The cities of a weight study: their maps opened, one set of rules for all, and the routes in each."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from jaxurban.checks import one_of
+from jaxurban.errors import InputError
+from jaxurban.io.tables import fingerprint
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.weights import Weights, WeightsLike
+from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
+from jaxurban.paths.rows import MapsFolder, Source
+from jaxurban.planners.cost import CostModel
+from jaxurban.studies.montecarlo.sampling import (
+    check_instances,
+    checked_instances,
+    instances_of_queries,
+    sample_joined,
+    weighed_metrics,
+    weight_columns,
+)
+from jaxurban.studies.weights.routes import (
+    CITY_NUMBER,
+    ROUTE_KEY,
+    SensitivityStudySettings,
+    seed_at,
+)
+
+
+class Cities(NamedTuple):
+    """The cities of a study by name, and what holds for the routes of all.
+
+    Attributes:
+      sources: what workers open.
+      maps: opened.
+      settings: with the cost model and the constraints of the maps' scenarios where the caller named none.
+      weights: of sampled routes, and of those that name none.
+    """
+
+    sources: dict[str, Source]
+    maps: dict[str, MetricMaps]
+    settings: SensitivityStudySettings
+    weights: Weights
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """The metrics that the maps of any city hold."""
+        names = chain.from_iterable(maps.metrics for maps in self.maps.values())
+        return tuple(dict.fromkeys(names))
+
+
+def named_sources(sources: Any) -> dict[str, Source]:
+    """Return the maps of each city by its name: folders as `MapsFolder`.
+
+    Raises:
+      InputError: none, or two of one name.
+    """
+    if isinstance(sources, Mapping):
+        listed = [(str(name), source) for name, source in sources.items()]
+    else:
+        several = [sources] if isinstance(sources, str | Path | MapsFolder) else list(sources)
+        if any(isinstance(source, MetricMaps) for source in several):
+            raise InputError(
+                "maps in memory have no name: give them by name, as {'manhattan': maps}"
+            )
+        folders = [
+            source.folder if isinstance(source, MapsFolder) else source for source in several
+        ]
+        listed = [
+            (Path(each).resolve().name, source)
+            for each, source in zip(folders, several, strict=True)
+        ]
+    names = [name for name, _ in listed]
+    if not names or len(set(names)) < len(names):
+        raise InputError(
+            f"sources must be cities of different names, and one at least, got {', '.join(names) or 'none'}: folders "
+            "are called as they are, so name each once and rename one of two alike (in Python give {'name': folder})"
+        )
+    result: dict[str, Source] = {}
+    for name, source in listed:
+        result[name] = source if isinstance(source, MetricMaps | MapsFolder) else MapsFolder(source)
+    return result
+
+
+def open_cities(
+    sources: Mapping[str, Source], settings: SensitivityStudySettings, weights: WeightsLike
+) -> Cities:
+    """Return the cities of a study.
+
+    Raises:
+      InputError: maps whose scenarios differ in what all routes share, or whose costs cannot be compared.
+    """
+    opened: dict[str, Source] = {}
+    all_maps: dict[str, MetricMaps] = {}
+    rules: dict[str, tuple[SensitivityStudySettings, Weights]] = {}
+    for city, source in sources.items():
+        maps = source if isinstance(source, MetricMaps) else source.open()
+        maps, settings_of_city = settings.under(maps)
+        all_maps[city] = maps
+        opened[city] = maps if isinstance(source, MetricMaps) else source.at(maps)
+        rules[city] = settings_of_city, Weights.of(weights, maps.recorded.get("weights"))
+    first = next(iter(rules))
+    for city in rules:
+        if rules[city] != rules[first]:
+            raise InputError(
+                f"the scenarios of {first} and {city} give other weights, cost models, clearances or vehicles: name "
+                "them for both (--weights, --cost-model, --clearance, --vertical-clearance), or make them the same"
+            )
+    cities = Cities(opened, all_maps, *rules[first])
+    resolutions_m = {maps.grid.resolution_m for maps in all_maps.values()}
+    if CostModel.of(cities.settings.cost_model).kind == "cell" and len(resolutions_m) > 1:
+        listed = ", ".join(f"{each:g} m" for each in sorted(resolutions_m))
+        raise InputError(
+            f"the maps have cells of {listed}, on which the 'cell' cost model costs differently: use cost_model='line'"
+        )
+    return cities
+
+
+def routes_of_cities(
+    cities: Cities, routes: pd.DataFrame | int, altitudes_m: Sequence[float] | None
+) -> pd.DataFrame:
+    """Return the routes of all cities as instances with a column ``city``.
+
+    Args:
+      cities: of the study.
+      routes: a table of routes, or how many to sample in each city.
+      altitudes_m: of sampled routes; None: all that the maps hold.
+
+    Raises:
+      InputError: routes for other cities or maps, an invalid weight, or altitudes beside a table.
+    """
+    settings = cities.settings
+    weights = cities.weights.checked(cities.metrics).to_dict()
+    if isinstance(routes, pd.DataFrame):
+        _check_cities(routes, cities.maps)
+        if altitudes_m is not None:
+            raise InputError("altitudes_m is of sampled routes: a table of routes names its own")
+    parts = []
+    for number, (city, maps) in enumerate(cities.maps.items()):
+        known = {"distance", *METRICS, *maps.metrics}  # a city may lack the layers of another one
+        of_city = Weights(**{name: value for name, value in weights.items() if name in known})
+        if isinstance(routes, pd.DataFrame):
+            part = _listed_routes(routes, city, maps, of_city)
+        else:
+            part = sample_joined(
+                maps,
+                routes,
+                altitudes_m=altitudes_m,
+                weights=[of_city],
+                cost_model=settings.cost_model,
+                constraints=settings.constraints,
+                seed=seed_at(settings.seed, number),
+            )
+        parts.append(part.assign(city=city, **{CITY_NUMBER: number}))
+    table = pd.concat(parts, ignore_index=True)
+    no_weights = dict.fromkeys(weight_columns(cities.metrics), 0.0)
+    columns = dict.fromkeys([*table, *no_weights])
+    return table.reindex(columns=list(columns)).fillna(no_weights)
+
+
+def _listed_routes(
+    routes: pd.DataFrame, city: str, maps: MetricMaps, weights: Weights
+) -> pd.DataFrame:
+    """Return the routes of a table that lie in a city, as instances."""
+    part = routes
+    if "city" in routes:
+        weighed = weight_columns(weighed_metrics(routes.columns))
+        foreign = set(weighed) - set(weight_columns(maps.metrics))
+        part = routes[routes["city"].astype(str) == city].drop(columns=["city", *foreign])
+    if "instance" in part:
+        part = checked_instances(part, f"the instances of {city}")
+    else:
+        table = part.reset_index(drop=True).dropna(axis=1, how="all")
+        queries = read_queries(table, weights=weights, metrics=maps.metrics)
+        part = instances_of_queries(maps, queries)
+    check_instances(part, maps)
+    return part
+
+
+def check_some_vary(cities: Cities, instances: pd.DataFrame) -> None:
+    """Check that every weight to vary counts on one route at least; each route names those that do not on it."""
+    names = ("distance", *cities.metrics)
+    counted = [name for name in names if (instances[f"{WEIGHT_PREFIX}{name}"] > 0).any()]
+    vary = cities.settings.vary
+    if not vary and not set(counted) - {"distance"}:
+        raise InputError(
+            "every metric has weight 0 on every route, so nothing varies: give one a weight above 0"
+        )
+    for name in vary:
+        if one_of("a weight that varies", name, names) not in counted:
+            raise InputError(
+                f"weight {name} is 0 on every route, which no factor changes: give it a value above 0, or do not vary "
+                "it"
+            )
+
+
+def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:
+    """Check that a table has routes, all of them of the cities whose maps are there, and some of each."""
+    cities = tuple(cities)
+    if routes.empty:
+        raise InputError("the table of routes has no rows: give at least one route")
+    if "city" not in routes:
+        if len(cities) > 1:
+            raise InputError(
+                "the routes lack the column 'city', which says on which of the maps each lies: add it"
+            )
+        return
+    named = dict.fromkeys(map(str, routes["city"]))
+    if strange := [name for name in named if name not in cities]:
+        raise InputError(
+            f"the routes name the city {strange[0]!r}, and the maps are of {', '.join(cities)}: add its maps, or leave "
+            "its routes out"
+        )
+    if lost := [city for city in cities if city not in named]:
+        raise InputError(
+            f"the routes hold none of the city {lost[0]!r}: add some, or leave its maps out"
+        )
+
+
+def routes_key(instances: pd.DataFrame) -> str:
+    """Return what tells the routes of one study from those of another."""
+    plain = instances.drop(columns="is_connected").sort_values(list(ROUTE_KEY))
+    return f"{len(plain)} ({fingerprint(plain.to_csv(index=False))})"
+
+
+def in_order(rows: pd.DataFrame, cities: Iterable[str]) -> pd.DataFrame:
+    """Return rows, which are kept by the cities' names, in the order of the cities, on which their intervals depend."""
+    if rows.empty:
+        return rows
+    order = {city: number for number, city in enumerate(cities)}
+    return rows.sort_values(
+        "city", key=lambda names: names.map(order), kind="stable", ignore_index=True
+    )
