@@ -28,8 +28,8 @@ class SkyAt(FactsRepr):
       lonlat: longitude, latitude of the place, degrees.
       altitude_m: above the ground there.
       by: ``"outlines"``, exact rays through outlines, or ``"map"``, the kernel of the maps in the cell of the place.
-      table: a row per time and satellite above the mask: ``time`` (UTC), ``satellite``, ``system``, ``azimuth_deg`` from
-        true and ``grid_azimuth_deg`` from grid north, clockwise, ``elevation_deg``, ``state``: ``"seen"``,
+      table: a row per time and satellite above the mask: ``time`` (UTC), ``satellite``, ``system``, ``azimuth_deg``
+        from true and ``grid_azimuth_deg`` from grid north, clockwise, ``elevation_deg``, ``state``: ``"seen"``,
         ``"hidden"`` or ``"unknown"``, as its ray leaves the known buildings or terrain before it is above all roofs.
         By outlines also ``margin_m``, how far the ray is above the roof (or below the floor of what hangs) that it
         clears by least: 0 or less where it is hidden, inf from 30 m on, NaN where it is unknown; and of the roof that
