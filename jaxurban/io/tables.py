@@ -82,8 +82,9 @@ def read_table(file: str | Path, role: str, categories: Sequence[str] = ()) -> p
             table = pd.read_parquet(file)
         else:
             table = pd.read_csv(file, dtype=dict.fromkeys(categories, "category"))
-        for name, column in table.select_dtypes(object).items():
-            if not column.map(pd.api.types.is_hashable).all():
+        for name, column in table.items():
+            is_object = pd.api.types.is_object_dtype(column)
+            if is_object and not column.map(pd.api.types.is_hashable).all():
                 raise ValueError(f"its column {name!r} holds lists or tables")
         return table
 
