@@ -67,18 +67,15 @@ class WorkFolder:
             self.discard()
             write_whole(self.path / KEY_FILE, key)
         marks = self._marks("*")
-        found = {
-            mark: files
-            for mark, files in zip(marks, each(self._damaged, marks), strict=True)
-            if files
-        }
-        for mark, files in found.items():
-            for path in (mark, *files):
+        damaged: list[Path] = []
+        for mark, files in zip(marks, list(each(self._damaged, marks)), strict=True):
+            damaged += files
+            for path in (mark, *files) if files else ():
                 remove(path)
         if self.done(ZARR) is None:  # tiles are written into it
             for path in (self.zarr, *self._marks("tile_*")):
                 remove(path)
-        return [file for files in found.values() for file in files]
+        return damaged
 
     def _check_is_folder(self) -> None:
         if self.path.is_symlink():

@@ -122,14 +122,14 @@ def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:
         return settings
     merged = dict(settings)
     for section, values in SAMPLES[name].items():
-        given = settings.get(section, {})
-        if not isinstance(given, Mapping):
+        own = settings.get(section, {})
+        if not isinstance(own, Mapping):
             continue  # which the scenario refuses
-        if section == "population" and {"blocks", "blocks_day", "blocks_night"} & given.keys():
+        if section == "population" and {"blocks", "blocks_day", "blocks_night"} & own.keys():
             values = {}
-        if any(key in given for key in ("start", "stop", "step_s")):
+        if any(key in own for key in ("start", "stop", "step_s")):
             values = {key: value for key, value in values.items() if key != "times"}
-        if section == "gps" and "orbits" in given:
+        if section == "gps" and "orbits" in own:
             values = {}
-        merged[section] = {**values, **given}
+        merged[section] = {**values, **own}
     return merged

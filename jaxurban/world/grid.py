@@ -350,9 +350,8 @@ class Grid:
         """
         inside = self.contains_xy(x_m, y_m)
         if not np.all(inside):
-            x_bad, y_bad = (
-                float(np.asarray(v, float)[~inside].flat[0]) for v in np.broadcast_arrays(x_m, y_m)
-            )
+            points = np.stack(np.broadcast_arrays(x_m, y_m), dtype=float)
+            x_bad, y_bad = points[:, ~inside][:, 0]
             raise InputError(
                 f"the point {x_bad:.1f}, {y_bad:.1f} ({self.crs}) is outside the region, which spans "
                 f"{self.x_min_m:.1f} to {self.x_max_m:.1f} east and {self.y_min_m:.1f} to {self.y_max_m:.1f} north "

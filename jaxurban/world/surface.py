@@ -185,13 +185,13 @@ class Surface:
         """Return the surface of rasters on unplaced grids."""
         grid = _unplaced(frame.resolution_m, (0, 0), frame.shape)
         region = _unplaced(frame.resolution_m, frame.first_cell, frame.region_shape)
-        held = dict(zip(RASTERS, rasters, strict=True))
-        return cls(**held, grid=grid, region=region, most_halo=frame.most_halo)
+        by_name = dict(zip(RASTERS, rasters, strict=True))
+        return cls(**by_name, grid=grid, region=region, most_halo=frame.most_halo)
 
     def of_jax(self) -> "Surface":
         """Return this surface with its rasters as arrays of JAX, which nobody can alter; slabs stay on the host."""
-        held = {name: getattr(self, name) for name in RASTERS if name != "slabs"}
-        return replace(self, **jax.tree.map(jnp.asarray, held))
+        rasters = {name: getattr(self, name) for name in RASTERS if name != "slabs"}
+        return replace(self, **jax.tree.map(jnp.asarray, rasters))
 
     @property
     def is_on_host(self) -> bool:
@@ -295,14 +295,14 @@ def over_blocks(
     surface.check_reach(reach)
     shape = surface.region.num_rows // per_cell, surface.region.num_cols // per_cell
     rows, cols = surface.window
-    found = np.empty((num, *shape), np.float32)
+    values = np.empty((num, *shape), np.float32)
     for row, col, side in blocks_of(shape):
         corner = rows.start + (row - halo) * per_cell, cols.start + (col - halo) * per_cell
         size = (side + 2 * halo) * per_cell
         cut = partial(part_of, corner=corner, shape=(size, size), fill=0)
-        here = found[:, row : row + side, col : col + side]
-        here[:] = np.asarray(compute(cut))[:, : here.shape[1], : here.shape[2]]
-    return found
+        block = values[:, row : row + side, col : col + side]
+        block[:] = np.asarray(compute(cut))[:, : block.shape[1], : block.shape[2]]
+    return values
 
 
 def in_type(values: Any, dtype: DTypeLike) -> Array | np.ndarray:

@@ -68,7 +68,7 @@ READERS = {
     "city.osm.pbf": buildings,
     "roofs.tif": buildings,
     **dict.fromkeys(("city.geojson", "city.gpkg", "city.shp", "city.parquet"), read_vector),
-    "city.osm": partial(read_osm, file_format="osm"),
+    "city.osm": read_osm,
     "cover.osm": cover,
     "dem.tif": read_pixels,
     "extent.tif": partial(raster_extent_m, crs=UTM),

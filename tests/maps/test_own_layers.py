@@ -106,7 +106,7 @@ def test_bands_shapes_and_layers_that_do_not_fit_are_refused(task):
 
     grid, values = task.region, np.zeros((2, *task.region.shape))
     for made, message in (
-        (layer(values), "has 2 band(s) for 1 altitude(s): name the altitude"),
+        (layer(values), r"has 2 band\(s\) for 1 altitude\(s\): name the altitude"),
         (layer(values, altitudes_m=(20.0, 50.0)), "has no band for 60 m"),
         (layer(values[:, 1:]), "has values of shape"),
         (layer(values[0] + 1j), "layer 'noise' must be an array of real numbers, got complex128"),

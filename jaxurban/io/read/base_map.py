@@ -157,9 +157,9 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
                 rows.append((kind, name, to_wkb.create_point(item)))
             elif isinstance(item, osmium.osm.Way) and kind not in ("", "place"):
                 rows += [(kind, name, line.wkb_hex) for line in runs_of(item)]
-    kinds, names, shapes = (
-        (list(column) for column in zip(*rows, strict=True)) if rows else ([], [], [])
-    )
+    kinds = [kind for kind, _, _ in rows]
+    names = [name for _, name, _ in rows]
+    shapes = [shape for _, _, shape in rows]
     box = shapely.box(*bounds_m)
     frame = gpd.GeoDataFrame(
         {"kind": kinds, "name": names},

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -105,10 +104,10 @@ def box_between(box: Bounds, crs: str, other: str) -> Bounds | None:
     if not np.isfinite(box).all():
         return None
     try:
-        found = transformer(crs, other).transform_bounds(*box, densify_pts=101)
+        projected = transformer(crs, other).transform_bounds(*box, densify_pts=101)
     except ProjError:
         return None
-    return found if np.isfinite(found).all() else None
+    return projected if np.isfinite(projected).all() else None
 
 
 def meets(boxes: np.ndarray, box: Bounds) -> np.ndarray:
@@ -148,12 +147,13 @@ def is_of_buildings(column: object) -> bool:
 def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
     """Return columns, or OpenStreetMap's tags, of ``[N]`` outlines under the names that `Outlines` knows."""
     values = {_plain(name): column for name, column in columns.items()}
-    tags = {}
+    tags: dict[str, np.ndarray] = {}
     for tag, names in COLUMNS.items():
-        if found := [values[name] for name in names if name in values]:
-            tags[tag] = reduce(
-                lambda first, second: np.where(is_given(first), first, second), found
-            )
+        for name in names:
+            if tag in tags and name in values:
+                tags[tag] = np.where(is_given(tags[tag]), tags[tag], values[name])
+            elif name in values:
+                tags[tag] = values[name]
     if UNDERGROUND_COLUMN in values:
         is_below = np.array(
             [str(value).lower() in ("true", "1") for value in values[UNDERGROUND_COLUMN]], bool
@@ -218,8 +218,8 @@ def to_buildings(
 def _texts(column: np.ndarray) -> np.ndarray:
     """Return a tag of every outline as text in small letters, ``[N]``, empty where it is missing."""
     words = np.full(len(column), "", object)
-    given = is_given(column)
-    words[given] = [str(value).strip().lower() for value in column[given]]
+    is_filled = is_given(column)
+    words[is_filled] = [str(value).strip().lower() for value in column[is_filled]]
     return words
 
 

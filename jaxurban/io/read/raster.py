@@ -112,9 +112,8 @@ def read_bands(
         stored = source.read(window=window)
         is_empty = source.read_masks(window=window) == 0
         kind = np.result_type(stored, 0.0) if are_heights else np.float64
-        scale, offset = (
-            np.array(values, kind)[:, None, None] for values in (source.scales, source.offsets)
-        )
+        scale = np.array(source.scales, kind)[:, None, None]
+        offset = np.array(source.offsets, kind)[:, None, None]
         values = (stored * scale + offset) * unit_m
         transform = tuple(source.transform)[:6]
         raster_crs = _horizontal_crs(source)
@@ -258,11 +257,9 @@ def raster_window(
     """Return the window of pixels that covers ``bounds_m``, cut to the raster."""
     if bounds_m is None:
         return Window(0, 0, source.width, source.height)
-    x_m, y_m = (
-        np.linspace(low, high, 22) for low, high in zip(bounds_m[:2], bounds_m[2:], strict=True)
-    )
-    border_x_m, border_y_m = (v.ravel() for v in np.meshgrid(x_m, y_m))
-    x, y = transformer(crs, _horizontal_crs(source)).transform(border_x_m, border_y_m)
+    x_min, y_min, x_max, y_max = bounds_m
+    x_m, y_m = np.meshgrid(np.linspace(x_min, x_max, 22), np.linspace(y_min, y_max, 22))
+    x, y = transformer(crs, _horizontal_crs(source)).transform(x_m, y_m)
     col, row = transformed(~source.transform, x, y)
     if np.all(np.isfinite(col) & np.isfinite(row)):
         first_col, first_row = (max(0, math.floor(v.min()) - _MARGIN_PIXELS) for v in (col, row))
@@ -365,9 +362,9 @@ def low_levels(raster: Raster, crs: str) -> np.ndarray:
     samples = blocks[..., :: -(-height // SAMPLES_A_SIDE), :: -(-width // SAMPLES_A_SIDE)]
     values = np.sort(samples.reshape(samples.shape[0] * samples.shape[1], -1), axis=1)  # NaN last
     num = np.isfinite(values).sum(axis=1)
-    is_told = num >= values.shape[1] / 4
-    values = values[is_told]
-    num = num[is_told]
+    is_known = num >= values.shape[1] / 4
+    values = values[is_known]
+    num = num[is_known]
     each = np.arange(len(values))
     low_m = values[each, (LOW_SHARE * num).astype(int)]
     high_m = values[each, num - 1]

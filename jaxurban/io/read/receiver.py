@@ -182,15 +182,10 @@ def _by_satellite(table: pd.DataFrame, what: str) -> tuple[pd.DataFrame, pd.Data
             f"{what} has one of the columns {AZIMUTH} and {ELEVATION}: give both, or none"
         )
     number, _ = pd.factorize(table[UTC], sort=True)
-    table = table.assign(
-        **{EPOCH: pd.Series(number, table.index, dtype=np.int32)},
-        **{SATELLITE: _by_text(table[SATELLITE], _satellites, what)},
-        **{
-            column: table[column].astype(np.float32)
-            for column in OF_SATELLITES[1:]
-            if column in table
-        },
-    )
+    columns = [column for column in OF_SATELLITES if column in table]
+    table = table.astype(dict.fromkeys(columns[1:], np.float32))
+    table[EPOCH] = pd.Series(number, table.index, dtype=np.int32)
+    table[SATELLITE] = _by_text(table[SATELLITE], _satellites, what)
     table = table.sort_values([EPOCH, SATELLITE], ignore_index=True)
     _check_once(
         table,
@@ -199,12 +194,9 @@ def _by_satellite(table: pd.DataFrame, what: str) -> tuple[pd.DataFrame, pd.Data
         "rows",
         "row an epoch and satellite, such as that of L1, E1 or B1",
     )
-    epochs = table.drop(columns=[EPOCH, *OF_SATELLITES], errors="ignore").drop_duplicates(
-        ignore_index=True
-    )
+    epochs = table.drop(columns=[EPOCH, *columns]).drop_duplicates(ignore_index=True)
     _check_once(epochs, [UTC], what, "places", "place an epoch")
-    satellites = table[[EPOCH, *(column for column in OF_SATELLITES if column in table)]]
-    return epochs, satellites
+    return epochs, table[[EPOCH, *columns]]
 
 
 def _check_once(table: pd.DataFrame, key: list[str], what: str, twice: str, remedy: str) -> None:
@@ -221,9 +213,8 @@ def _check_units(table: pd.DataFrame, what: str) -> None:
     for bounds, unit, needed in OTHER_UNITS:
         columns = [column for column in bounds if column in table]
         largest = {column: float(table[column].abs().max()) for column in columns}
-        if columns and all(
-            0 < largest[column] <= bounds[column] for column in columns
-        ):  # all 0 is 0 in any unit
+        is_small = [0 < largest[column] <= bounds[column] for column in columns]
+        if is_small and all(is_small):  # all 0 is 0 in any unit
             most = " and ".join(
                 f"{column} of at most {value:.4g}" for column, value in largest.items()
             )
@@ -264,7 +255,8 @@ def _times(column: pd.Series, what: str) -> pd.Series:
         zoned = texts.where(texts.str.contains(ZONE, na=False))
         iso = zoned.str.replace(r"\s*(?:UTC|GMT)$", "Z", case=False, regex=True)
         times = pd.to_datetime(iso, utc=True, format="ISO8601", errors="coerce")
-    if (is_wrong := times.isna()).any():
+    is_wrong = times.isna()
+    if is_wrong.any():
         why = "which is none or without a zone and may be a local one"
         raise InputError(
             f"{what} has {str(texts[is_wrong].iloc[0])!r} as a time, {why}: {TIME_REMEDY}"
@@ -278,13 +270,12 @@ def _numbers(column: pd.Series, what: str) -> pd.Series:
     values = pd.to_numeric(column, errors="coerce").astype(float)
     may_lack = column.name in WITNESSES and bool(column.notna().any())
     is_wrong = ~(np.isfinite(values) & values.between(low, high) | (column.isna() & may_lack))
-    if (is_wrong | pd.api.types.is_bool_dtype(column)).any():
-        wrong = column[
-            is_wrong | pd.api.types.is_bool_dtype(column)
-        ].tolist()  # a list's numbers are Python's
-        belongs = (
-            f"where a number from {low:g} to {high:g} belongs{HINTS.get(str(column.name), '')}"
+    is_wrong |= pd.api.types.is_bool_dtype(column)
+    if is_wrong.any():
+        wrong = column[is_wrong].tolist()  # a list's numbers are Python's
+        hint = HINTS.get(str(column.name), "")
+        raise InputError(
+            f"{what} has {wrong[0]!r} in {column.name} of {len(wrong)} row(s), where a number from {low:g} to {high:g} "
+            f"belongs{hint}: mend them, or remove the rows or the column"
         )
-        rule = f"{belongs}: mend them, or remove the rows or the column"
-        raise InputError(f"{what} has {wrong[0]!r} in {column.name} of {len(wrong)} row(s), {rule}")
     return values

@@ -24,7 +24,7 @@ def transformed(
     return a * first + b * second + c, d * first + e * second + f
 
 
-def resample_raster(raster: Raster, grid: Grid, how: Resampling = "nearest") -> np.ndarray:
+def resample_raster(raster: Raster, grid: Grid, method: Resampling = "nearest") -> np.ndarray:
     """Return a raster's values on a grid, ``[Y, X]`` float32, row 0 in the south; NaN without data.
 
     Every cell is computed from its own coordinates alone, so that a sub-box equals the crop of a larger grid bit
@@ -34,18 +34,17 @@ def resample_raster(raster: Raster, grid: Grid, how: Resampling = "nearest") -> 
     Args:
       raster: what `read_raster` gave.
       grid: in any CRS.
-      how: ``"nearest"``, the pixel that holds the cell's centre: for heights, as outlines are rasterised at
+      method: ``"nearest"``, the pixel that holds the cell's centre: for heights, as outlines are rasterised at
         cell centres (an average would invent roofs that no building has). A centre on a border between pixels, as
         every one is where a cell's side is an even number of pixels, is held by all of them, and the highest counts:
         to take always the one on the same side shifts the map by half a pixel. ``"max"``, the highest of all pixels
         that overlap the cell: for heights on the cautious side. ``"bilinear"``, between pixel centres: for terrain;
         pixels without data get no weight, and the result is NaN where the pixel that holds the centre has none.
     """
-    sample = _bilinear if how == "bilinear" else _nearest
     # The centre, or the corners, once around the cell.
-    points = [(-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5)] if how == "max" else [(0.0, 0.0)]
-    to_raster = transformer(grid.crs, raster.crs)
-    to_pixel = ~Affine(*raster.transform)
+    points = (
+        [(-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5)] if method == "max" else [(0.0, 0.0)]
+    )
     values = np.full(grid.shape, np.nan, np.float32)
     for start in range(0, grid.num_rows, _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)
@@ -54,16 +53,16 @@ def resample_raster(raster: Raster, grid: Grid, how: Resampling = "nearest") -> 
             x_m, y_m = np.meshgrid(
                 grid.x_m + right * grid.resolution_m, grid.y_m[rows] + up * grid.resolution_m
             )
-            with np.errstate(invalid="ignore"):  # PROJ gives infinity beyond a projection's reach
-                col[i], row[i] = transformed(to_pixel, *to_raster.transform(x_m, y_m))
-        values[rows] = (
-            _highest(raster, row, col) if how == "max" else sample(raster, row[0], col[0])
-        )
+            row[i], col[i] = _pixel_at(raster, x_m, y_m, grid.crs)
+        if method == "max":
+            values[rows] = _highest(raster, row, col)
+        else:
+            values[rows] = SAMPLERS[method](raster, row[0], col[0])
     return values
 
 
 def values_at(
-    raster: Raster, x: np.ndarray, y: np.ndarray, crs: str, how: Resampling
+    raster: Raster, x: np.ndarray, y: np.ndarray, crs: str, method: Resampling
 ) -> np.ndarray:
     """Return a raster's values at places in ``crs``, in their shape, as `resample_raster` takes those of cells.
 
@@ -71,12 +70,19 @@ def values_at(
       raster: what `read_raster` gave.
       x, y: of the places.
       crs: of the places.
-      how: ``"nearest"`` or ``"bilinear"``.
+      method: ``"nearest"`` or ``"bilinear"``.
     """
+    return SAMPLERS[method](raster, *_pixel_at(raster, x, y, crs))
+
+
+def _pixel_at(
+    raster: Raster, x: np.ndarray, y: np.ndarray, crs: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the file's rows and columns of places in ``crs``, infinite beyond a projection's reach."""
     with np.errstate(invalid="ignore"):
-        at = transformer(crs, raster.crs).transform(x, y)
-        col, row = transformed(~Affine(*raster.transform), *at)
-    return (_bilinear if how == "bilinear" else _nearest)(raster, row, col)
+        place = transformer(crs, raster.crs).transform(x, y)
+        col, row = transformed(~Affine(*raster.transform), *place)
+    return row, col
 
 
 def pixel_xy(
@@ -146,10 +152,9 @@ def _highest(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     # Which way the corners go around.
     turn = np.sign(along_col[0] * along_row[1] - along_row[0] * along_col[1])
     values = np.full(low_row.shape, np.nan)
-    counts = (end - low for end, low in ((end_row, low_row), (end_col, low_col)))
-    num_rows, num_cols = (
-        int(np.max(count, where=np.isfinite(count), initial=0.0)) for count in counts
-    )
+    counts = np.stack([end_row - low_row, end_col - low_col]).reshape(2, -1)
+    most = np.max(counts, axis=1, where=np.isfinite(counts), initial=0.0)
+    num_rows, num_cols = most.astype(int)
     for down, right in itertools.product(range(num_rows), range(num_cols)):
         pixel_row = low_row + down
         pixel_col = low_col + right
@@ -185,3 +190,6 @@ def _bilinear(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
             weights += weight
     has_data = ~np.isnan(_pixels(raster, np.floor(row), np.floor(col)))
     return np.where(has_data, total, np.nan) / np.where(has_data, weights, 1.0)
+
+
+SAMPLERS = {"nearest": _nearest, "bilinear": _bilinear}  # by a place

@@ -154,11 +154,9 @@ def _check_format(path: Path) -> None:
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     if not head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(beginnings):
-        raise (
-            ValueError(f"it does not begin as a {suffix} file does")
-            if suffix in BEGINNINGS
-            else other
-        )
+        if suffix not in BEGINNINGS:
+            raise other
+        raise ValueError(f"it does not begin as a {suffix} file does")
     if any(word in head for word in REFERRING) or (
         beginnings[0] == b"{" and _links_crs(path.read_bytes())
     ):
