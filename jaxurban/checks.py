@@ -351,8 +351,10 @@ def _shown(value: Any) -> str:
     return repr(value) if isinstance(value, str | numbers.Number | None) else type(value).__name__
 
 
-SEQUENCES = (Iterable, Sequence, list, tuple)
-HOLDERS: dict[Any, Any] = {**dict.fromkeys(SEQUENCES, Iterable), Mapping: Mapping, dict: Mapping}
+HOLDERS: dict[Any, Any] = {
+    **dict.fromkeys((Iterable, Sequence, list, tuple), Iterable),
+    **dict.fromkeys((Mapping, dict), Mapping),
+}
 KINDS: dict[Any, Kind] = {
     bool: Kind("True or False", _is_truth),
     int: Kind("a whole number", _is_whole),

@@ -30,8 +30,14 @@ ZSTANDARD = b"\x28\xb5\x2f\xfd"  # how files begin that JAX compresses by it; ot
 CHECKED = "checked"  # a file as old as the last check of the programs
 SETTLED_S = 3600.0  # by then what was written is on the disk, or lost with the power
 FEATURES = {  # in /proc/cpuinfo: what the choice of instructions depends on
-    *("vendor_id", "cpu family", "model", "flags"),
-    *("CPU implementer", "CPU part", "Features", "isa"),
+    "vendor_id",
+    "cpu family",
+    "model",
+    "flags",
+    "CPU implementer",
+    "CPU part",
+    "Features",
+    "isa",
 }
 
 

@@ -229,8 +229,10 @@ class Rules:
     vertical_clearance_m: float = 3.0
 
 
-PAPER_RULES = Rules(cost_model="cell", obstacles="centre", vertical_clearance_m=0.0)
-PRESETS: dict[str, Rules] = {"": Rules(), "paper": PAPER_RULES}
+PRESETS = {
+    "": Rules(),
+    "paper": Rules(cost_model="cell", obstacles="centre", vertical_clearance_m=0.0),
+}
 
 
 @typed

@@ -9,10 +9,8 @@ from jaxurban.progress import LOG, reporting
 
 CITY = "sample:lower-manhattan"
 RESOLUTION_M = 5.0
-ENDS = (
-    (-74.0172, 40.7130),
-    (-73.9815, 40.7265),
-)  # of the paths, degrees: Battery Park City, East Village
+START = (-74.0172, 40.7130)  # of the paths, degrees: Battery Park City
+GOAL = (-73.9815, 40.7265)  # East Village
 BUDGET_S = 2.0  # what the sampling planners use up; the others need less
 SNAP_M = 500.0  # the ends may lie in a building
 DAY_UP_TO_M = 60.0  # night above, as in the paper's figures
@@ -45,12 +43,11 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
         run = run_scenario(scenario, folder, progress=report, overwrite=overwrite)
         maps = run.maps[RESOLUTION_M]
         report("paths")
-        start, goal = ENDS
         paths = [
             plan(
                 maps,
-                start=start,
-                goal=goal,
+                start=START,
+                goal=GOAL,
                 altitude_m=altitude_m,
                 planner=planner,
                 time_of_day="day" if altitude_m <= DAY_UP_TO_M else "night",

@@ -434,30 +434,30 @@ def _write(
 
 
 def _path_table(facts: Settings) -> str:
-    rows = [
-        ("planner", f"{facts['planner']} ({facts['heuristic']}, {facts['backend']})"),
-        ("status", facts["status"]),
-    ]
+    rows = {
+        "planner": f"{facts['planner']} ({facts['heuristic']}, {facts['backend']})",
+        "status": facts["status"],
+    }
     if facts["cost"] is not None:
-        rows += [("cost", f"{facts['cost']:.3f}")]
+        rows["cost"] = f"{facts['cost']:.3f}"
         if facts["gap"]:
-            of = f" (best of: {facts['graph']})" if facts["graph"] else ""
-            rows += [("above the best", f"at most {100 * facts['gap']:.2f} %{of}")]
-        rows += [("length", f"{facts['length_m']:.1f} m")]
-        moved = [f"{name} {moved_m:.1f} m" for name, moved_m in facts["snap_distance_m"].items()]
-        rows += [("moved to cells", ", ".join(moved))]
-        rows += [
-            (f"cost of {name}", f"{value:.3f}") for name, value in facts["cost_by_layer"].items()
-        ]
-        rows += [
-            (f"exposure to {name}", f"{value:.3f}")
-            for name, value in facts["exposure_by_layer"].items()
-        ]
-        rows += [(f"mean m_{name}", f"{value:.3f}") for name, value in facts["metrics"].items()]
-    setup = f", after {facts['setup_s']:.1f} s of compiling" if facts["setup_s"] >= 1 else ""
-    rows += [
-        ("expansions", f"{facts['num_expanded']}"),
-        ("search time", f"{facts['elapsed_s']:.3f} s{setup}"),
-    ]
-    width = max(LEAST_NAME_WIDTH, *(len(name) + 1 for name, _ in rows))
-    return "\n".join([*(f"{name:<{width}}{value}" for name, value in rows), facts["message"]])
+            rows["above the best"] = f"at most {100 * facts['gap']:.2f} %"
+            if facts["graph"]:
+                rows["above the best"] += f" (best of: {facts['graph']})"
+        rows["length"] = f"{facts['length_m']:.1f} m"
+        moves = [f"{name} {moved_m:.1f} m" for name, moved_m in facts["snap_distance_m"].items()]
+        rows["moved to cells"] = ", ".join(moves)
+        for label, values in (
+            ("cost of ", facts["cost_by_layer"]),
+            ("exposure to ", facts["exposure_by_layer"]),
+            ("mean m_", facts["metrics"]),
+        ):
+            rows |= {f"{label}{name}": f"{value:.3f}" for name, value in values.items()}
+    rows["expansions"] = f"{facts['num_expanded']}"
+    rows["search time"] = f"{facts['elapsed_s']:.3f} s"
+    if facts["setup_s"] >= 1:
+        rows["search time"] += f", after {facts['setup_s']:.1f} s of compiling"
+    width = max(LEAST_NAME_WIDTH, *(len(name) + 1 for name in rows))
+    return "\n".join(
+        [*(f"{name:<{width}}{value}" for name, value in rows.items()), facts["message"]]
+    )

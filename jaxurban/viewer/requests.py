@@ -13,6 +13,8 @@ Name = Annotated[str, Field(max_length=100)]
 Degrees = Annotated[float, Field(strict=True, ge=-360, le=360)]
 Metres = Annotated[float, Field(strict=True, ge=0, le=10**5)]
 Weight = Annotated[float, Field(strict=True, ge=0, le=10**30)]
+MapIndex = tuple[Index, Index, Index]  # of an altitude, a time and a time of day of the scene
+Place = tuple[Degrees, Degrees]  # longitude, latitude
 
 
 class Request(BaseModel):
@@ -25,7 +27,7 @@ class View(Request):
     """A map: its layer, and the numbers of its altitude, time and time of day in the lists of the scene."""
 
     layer: Name
-    at: tuple[Index, Index, Index]
+    at: MapIndex
 
 
 class Tile(View):
@@ -39,7 +41,7 @@ class Tile(View):
 class Cell(Request):
     """A cell, at an altitude, time and time of day."""
 
-    at: tuple[Index, Index, Index]
+    at: MapIndex
     row: Index
     col: Index
 
@@ -47,8 +49,8 @@ class Cell(Request):
 class Sky(Request):
     """The sky over a place, at an altitude and time."""
 
-    at: tuple[Index, Index, Index]
-    place: tuple[Degrees, Degrees]
+    at: MapIndex
+    place: Place
 
 
 class Plan(Request):
@@ -58,9 +60,9 @@ class Plan(Request):
     scenario and ``flight_m``, the altitude of flight, the level of ``at``.
     """
 
-    start: tuple[Degrees, Degrees]
-    goal: tuple[Degrees, Degrees]
-    at: tuple[Index, Index, Index]
+    start: Place
+    goal: Place
+    at: MapIndex
     weights: dict[Name, Weight]
     planner: Name = DEFAULTS.planner
     cost_model: CostKind = Rules.cost_model

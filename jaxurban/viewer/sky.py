@@ -16,23 +16,23 @@ RIM = 12.0  # around it, for the names of the directions
 DIRECTIONS = {"N": 0, "E": 90, "S": 180, "W": 270}
 
 
-def sky_html(here: SkyAt) -> str:
+def sky_html(sky: SkyAt) -> str:
     """Return the sky at a place and one time as HTML."""
-    dops = here.dops.iloc[0]
-    counts = {state: int((here.table["state"] == state).sum()) for state in MARKS}
-    systems = list(dict.fromkeys(here.table["system"]))
+    dops = sky.dops.iloc[0]
+    counts = {state: int((sky.table["state"] == state).sum()) for state in MARKS}
+    systems = list(dict.fromkeys(sky.table["system"]))
     colours = dict(zip(systems, np.resize(SERIES_COLOURS, len(systems)).tolist(), strict=True))
     facts = {
         "Satellites": ", ".join(f"{num} {state}" for state, num in counts.items()),
         "GDOP, HDOP, VDOP": ", ".join(number(dops[name]) for name in ("gdop", "hdop", "vdop")),
     }
-    systems_said = " ".join(f"{dot(colours[name])}{escape(name)}" for name in systems)
-    if np.isnan(here.horizon_deg).any():
-        systems_said = f"{systems_said} | striped rim: horizon not known"
+    key = " ".join(f"{dot(colours[name])}{escape(name)}" for name in systems)
+    if np.isnan(sky.horizon_deg).any():
+        key = f"{key} | striped rim: horizon not known"
     return (
-        f"{_picture(here, colours)}<p>{systems_said}</p>"
-        f"<table>{rows(facts.items())}</table><pre>{escape(_listed(here.table))}</pre>"
-        f"{sentences((caution.level, caution) for caution in here.cautions)}"
+        f"{_picture(sky, colours)}<p>{key}</p>"
+        f"<table>{rows(facts.items())}</table><pre>{escape(_listed(sky.table))}</pre>"
+        f"{sentences((caution.level, caution) for caution in sky.cautions)}"
     )
 
 
@@ -41,19 +41,22 @@ def _listed(table: pd.DataFrame) -> str:
     lines = [("", "up", "state", "roof", "away")]
     for _, row in table.sort_values("elevation_deg", ascending=False).iterrows():
         roof_m, away_m = row["roof_height_m"], row["roof_distance_m"]
-        is_hidden = row["state"] == HIDDEN
-        ground_m = "ground" if is_hidden else ""
-        roof = ground_m if np.isnan(roof_m) else f"{roof_m:.0f} m"
-        away = f"{away_m:.0f} m" if np.isfinite(away_m) else ""
+        roof = away = ""
+        if np.isfinite(roof_m):
+            roof = f"{roof_m:.0f} m"
+        elif row["state"] == HIDDEN:
+            roof = "ground"
+        if np.isfinite(away_m):
+            away = f"{away_m:.0f} m"
         up = f"{row['elevation_deg']:.0f}°"
         lines.append((_short(row), up, row["state"], roof, away))
     return "\n".join("{:5}{:>4}  {:8}{:>7}{:>8}".format(*line) for line in lines)
 
 
-def _picture(here: SkyAt, colours: dict[str, str]) -> str:
+def _picture(sky: SkyAt, colours: dict[str, str]) -> str:
     """Return the picture as SVG: north up, buildings around the rim, satellites by system and state."""
-    horizon_deg = np.nan_to_num(here.horizon_deg)
-    is_unknown = np.isnan(here.horizon_deg)
+    horizon_deg = np.nan_to_num(sky.horizon_deg)
+    is_unknown = np.isnan(sky.horizon_deg)
     top = _places(np.arange(ROUND), horizon_deg)
     outline = " ".join(f"{x:.1f},{y:.1f}" for x, y in top)
     parts = [
@@ -67,8 +70,8 @@ def _picture(here: SkyAt, colours: dict[str, str]) -> str:
     for name, azimuth_deg in DIRECTIONS.items():
         x, y = _places(np.array([azimuth_deg]), np.array([-RIM / 2]))[0]
         parts.append(f'<text x="{x:.1f}" y="{y + 3:.1f}" text-anchor="middle">{name}</text>')
-    at = _places(here.table["azimuth_deg"].to_numpy(), here.table["elevation_deg"].to_numpy())
-    for (x, y), (_, row) in zip(at, here.table.iterrows(), strict=True):
+    at = _places(sky.table["azimuth_deg"].to_numpy(), sky.table["elevation_deg"].to_numpy())
+    for (x, y), (_, row) in zip(at, sky.table.iterrows(), strict=True):
         colour = colours[row["system"]]
         fill = colour if row["state"] == SEEN else "#fff"
         dash = ' stroke-dasharray="2"' if row["state"] == UNKNOWN else ""
@@ -80,7 +83,7 @@ def _picture(here: SkyAt, colours: dict[str, str]) -> str:
         )
     side = RADIUS + RIM
     box = f"{-side} {-side} {2 * side} {2 * side}"
-    label = f"Sky over {here.facts['place']}: {here.facts['satellites']}"
+    label = f"Sky over {sky.facts['place']}: {sky.facts['satellites']}"
     head = f'class="jv-sky" font-size="8" viewBox="{box}" role="img" aria-label="{escape(label)}"'
     return f"<svg {head}>{''.join(parts)}</svg>"
 
