@@ -6,6 +6,7 @@
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -149,8 +150,13 @@ def _with_digits(table: pd.DataFrame) -> pd.DataFrame:
     texts = {}
     for name in SCORES:
         if name in table:
-            texts[name] = [interval(row, name, _three_digits) for row in rows]
+            texts[name] = [score_text(row, name) for row in rows]
     return table.reset_index(drop=True).assign(**texts)[without_ends(table)]
+
+
+def score_text(row: Mapping[Any, Any], name: str) -> str:
+    """Return a score, gain or loss of a table's row with its interval, with three digits behind the point."""
+    return interval(row, name, _three_digits)
 
 
 def _three_digits(value: float) -> str:
