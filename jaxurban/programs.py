@@ -114,7 +114,7 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _processor() -> str:
-    """Return what tells processors with other instructions from this one."""
+    """Return a text that differs between processors of different instructions."""
     try:
         lines = CPUINFO.read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -31,7 +31,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     Python's lock is released in all of them. Options that differ from function to function would have Numba resolve,
     and compile, all that they take from it once for each choice.
 
-    Numba's own ``cache=True`` compiles anew when the file of the outer function changes, but goes on with the old
+    Numba's own ``cache=True`` compiles again when the file of the outer function changes, but goes on with the old
     machine code when a compiled function that it calls, or a constant that it reads, changes in another file. Here
     the folder is named by all files of the package that the function's own file imports from, so that compiled
     functions can be shared between files. They are imported at its top, from their modules.
@@ -54,7 +54,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def on_host(values: Any) -> np.ndarray:
-    """Return values for compiled functions, read-only as those of JAX are: Numba compiles anew for another kind."""
+    """Return values for compiled functions, read-only as those of JAX are: Numba compiles again for another kind."""
     array = np.ascontiguousarray(values).view()
     array.flags.writeable = False
     return array

@@ -58,12 +58,12 @@ def theta_star(
     """Return a path of straight segments between cells and points between them, free of the grid's eight directions.
 
     Theta* lets a cell hang from the parent of its neighbour, by the straight segment, where that is cheaper than the
-    step; then the path is cut short between points along it, at their best (dynamic programming). Segments are costed,
+    step; then the path is shortcut between points along it, at their best (dynamic programming). Segments are costed,
     and tested for obstacles, over the exact cells that they cross. Never costlier than the cheapest grid path. Of
     ``diagonal`` only ``"always"`` plays a part: then a path may pass between two obstacles that touch at a corner.
     ``connectivity`` plays none.
 
-    Differs from the paper: with map costs the straight segment may be the dearer one, so both ways are
+    Differs from the paper: with map costs the straight segment may be the more expensive one, so both ways are
     costed and compared; the paper always takes the segment where it is free, which can end above A*.
 
     OPTIMAL where the cost meets a lower bound of every curve (as on an empty map), else FEASIBLE. The budget and Ctrl-C

@@ -39,7 +39,7 @@ class CostModel:
         any planner between two blocked cells that touch at a corner; ``"always"`` allows either.
 
     Raises:
-      InputError: a value that is none of these.
+      InputError: a value out of its range.
 
     Examples:
       >>> model = ju.CostModel(kind="cell", connectivity=4)

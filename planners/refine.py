@@ -1,4 +1,4 @@
-"""Refinement of any path off the grid: it is cut short between points along it, and its waypoints are moved.
+"""Refinement of any path off the grid: it is shortcut between points along it, and its waypoints are moved.
 
 In compiled parts points are x, y in cell sides from the map's southwest corner, inside it.
 """
@@ -43,7 +43,7 @@ REACH = 64  # points that a shortcut may span: 128 gains less than 0.001 % (both
 def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path:
     """Return the path with its waypoints moved to where it costs less under the ``line`` model; its ends stay.
 
-    Level by level the path is subdivided, more finely each time, and cut short again. On each level waypoints move
+    Level by level the path is subdivided, more finely each time, and shortcut again. On each level waypoints move
     along the directions of the grid and of their segments (a compass search, which follows the kinks that cell borders
     and corners of obstacles give the exact cost), by steps that grow and shrink. A move is made only where it lowers
     the exact cost of the two segments that it changes: the path stays free and never gets costlier. Where the whole
@@ -150,7 +150,7 @@ def subdivided(xy: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shortened(cost_grid: CostGrid, xy: np.ndarray) -> np.ndarray:
-    """Return a polyline cut short between points along it at their best, with no points that do nothing."""
+    """Return a polyline shortcut between points along it at their best, with no points that do nothing."""
     points, is_added = subdivided(xy, SPACING)
     # Between points on borders a segment could run along an obstacle's wall.
     is_near_border = (np.abs(points - np.rint(points)) < MARGIN).any(axis=1)

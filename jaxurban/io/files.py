@@ -172,7 +172,7 @@ def is_as_written(path: Path, checksums: Container[str]) -> bool:
 
 
 def checksum_of(data: Path | bytes) -> str:
-    """Return what tells a file, or its bytes, from any other: CRC-32 and length; 2 GB/s, twice as fast as SHA-256."""
+    """Return a checksum of a file, or of its bytes: CRC-32 and length; 2 GB/s, twice as fast as SHA-256."""
     if isinstance(data, bytes):
         return f"{zlib.crc32(data):08x}-{len(data)}"
     crc = length = 0

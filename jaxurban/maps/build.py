@@ -373,7 +373,7 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: WeightsLike = None) -> di
       stay finite; NaN where the surface has no data, but integers keep what they are there.
 
     Raises:
-      InputError: skies of several times, or weights that are none.
+      InputError: skies of several times, or invalid weights.
 
     Examples:
       >>> import jax

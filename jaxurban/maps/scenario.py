@@ -515,7 +515,7 @@ def _sentence_of(error: ValidationError, settings: Any, model: type) -> str:
 
 
 def _check_truths(settings: Any, model: type, where: str = "") -> None:
-    """Raise ValueError for true or false where a setting is none, and for numbers beyond all measure."""
+    """Raise ValueError for true or false where a setting is none, and for numbers out of range."""
     known = fields_of(model)
     for name, value in settings.items() if isinstance(settings, Mapping) else ():
         if isinstance(value, bool) and name in known and known[name] is not bool:

@@ -92,7 +92,7 @@ class Layer:
       credit: what the licence of the source asks for.
 
     Raises:
-      InputError: a value that is none of these.
+      InputError: a value out of its range.
 
     Examples:
       >>> noise = ju.Layer(np.full(maps.grid.shape, 20.0), cost="high-is-bad", scale=(0.0, 80.0))

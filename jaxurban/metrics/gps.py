@@ -69,7 +69,7 @@ class Gps:
       reference: longitude, latitude where look angles are taken; left out, the region's centre.
 
     Raises:
-      InputError: a value that is none of these, or times that are not different.
+      InputError: a value out of its range, or times that are not different.
 
     Examples:
       >>> gps = ju.Gps(start="2020-04-27T12:00:00Z", stop="2020-04-27T15:00:00Z", step_s=3600, mask_deg=10.0)
@@ -370,7 +370,7 @@ class Dop:
       dop_threshold: DOP at and above which m is 0, > 1; m is 1 at a DOP of 1 and below.
 
     Raises:
-      InputError: a value that is none.
+      InputError: an invalid value.
 
     Examples:
       >>> horizontal = ju.metrics.Dop(dop_threshold=5.0)

@@ -88,7 +88,7 @@ class Population:
       time_of_day: those that maps are made for, see `day_share`.
 
     Raises:
-      InputError: a value that is none of these, times of day that are not different, a table or districts without
+      InputError: a value out of its range, times of day that are not different, a table or districts without
         blocks, or one raster of day and night without the other or with settings that do not go with them.
 
     Examples:

@@ -46,7 +46,7 @@ def weights_on(maps: MetricMaps, given: WeightsLike) -> Weights:
     """Return weights that are given whole, or with what they do not name as the maps' scenario has it.
 
     Raises:
-      InputError: a weight that is none, or of a metric that the maps do not hold.
+      InputError: an invalid weight, or of a metric that the maps do not hold.
     """
     return Weights.of(given, maps.recorded.get("weights")).checked(maps.metrics)
 
@@ -243,7 +243,7 @@ class CostMap(FactsRepr):
           `CostMap` without landmarks. Weights that are not named are as in the maps' scenario or by default.
 
         Raises:
-          InputError: a weight that is none, or of a metric that the maps lack.
+          InputError: an invalid weight, or of a metric that the maps lack.
 
         Examples:
           >>> cost_map = ju.cost_map(maps, 60.0)

@@ -179,7 +179,7 @@ def overflown_density(
       `OverflownDensity`.
 
     Raises:
-      InputError: maps without a density, none known in the corridor, a path that is none or in another CRS, a line
+      InputError: maps without a density, none known in the corridor, an invalid path or in another CRS, a line
         without heights and no ``buffer_m``, or lengths that cannot be.
 
     Examples:

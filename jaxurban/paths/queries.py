@@ -83,7 +83,7 @@ def read_queries(
     A row that cannot be read (a number missing, a negative weight) becomes a query with an ``error``.
 
     Raises:
-      InputError: a column that is not known or missing, or pairs that are none.
+      InputError: a column that is not known or missing, or invalid pairs.
     """
     no_place = (np.nan, np.nan)
     base_weights = Weights.of(weights).checked(metrics)

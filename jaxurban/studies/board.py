@@ -182,7 +182,7 @@ def score(
 
     Raises:
       InputError: a bundle that was changed; a file that is no table, lacks a column, holds no row, answers what is not
-        asked, or a query twice; weights that are none; a board that is none, or was changed.
+        asked, or a query twice; invalid weights; a folder that holds no board, or was changed.
     """
     folder, method = Path(folder), method or Path(submission).stem
     table = read_table(submission, "submission")

@@ -172,7 +172,7 @@ def segment_costs(
     no other. A segment of no length costs nothing.
 
     It takes as many rounds as the segment with most cells has cells. The precision is that of the coordinates: call it
-    under ``jax.enable_x64(True)``, since float32 tells no corners apart.
+    under ``jax.enable_x64(True)``, since float32 does not distinguish corners.
 
     Args:
       cell_cost: cost of a cell per cell side crossed (`line`) or per state (`cell`); inf: no way through.

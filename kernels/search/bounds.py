@@ -102,7 +102,7 @@ def costs_at_corners(
     width = minima.shape[1] - 1
     corners = np.full((minima.shape[0] - 1, width), np.inf)
     cost, first = corners.reshape(-1), goal[0] * width + goal[1]
-    # Each point is opened anew at most once by each of its neighbours; memory that is not written to is not taken.
+    # Each point is opened again at most once by each of its neighbours; memory that is not written to is not taken.
     most = 8 * cost.size + 4
     heap = Heap(np.empty(most), np.empty(most, np.int32), np.array([4]))
     heap.item[:4] = first, first + 1, first + width, first + width + 1

@@ -56,7 +56,7 @@ class Samples(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """Room in the arrays of a search, and how much is done in one turn; each choice compiles anew. ``N`` nodes.
+    """Room in the arrays of a search, and how much is done in one turn; each choice compiles again. ``N`` nodes.
 
     Attributes:
       candidates: nodes that the nine squares around a node may hold.
@@ -174,7 +174,7 @@ def neighbours(
     """Return the edges within the radius, yet without costs, ``[N]`` how many lead to each node, and `most_candidates`.
 
     An edge is kept where by its lower bound it may give its end a lower cost than it has, and the query a cheaper path.
-    Where edges lack room their number tells it; where candidates do, no edge is kept.
+    Where edges lack room their number says so; where candidates do, no edge is kept.
 
     Args:
       samples: sorted by square.

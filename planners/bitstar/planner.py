@@ -156,7 +156,7 @@ class Batches:
         return int(min(num_wanted, MOST_IN_A_BATCH, num_left, most_nodes - len(self.tree.xy)))
 
     def path(self, planner: str, backend: str) -> Path:
-        """Return the path when the batches have ended, costed anew along the exact cells that it crosses."""
+        """Return the path when the batches have ended, costed again along the exact cells that it crosses."""
         xy, status, lower_bound = np.empty(0), Status.NO_PATH, np.inf
         if self._is_joined:
             is_there = (self.bounds.start == self.bounds.goal).all()

@@ -66,7 +66,7 @@ def read_mission(
       return_altitude_m: metres above home at which the autopilot returns; it is not known if left out.
 
     Raises:
-      InputError: no such file, another format, a mission that is damaged, empty or leads nowhere, a place that is none
+      InputError: no such file, another format, a mission that is damaged, empty or leads nowhere, an invalid place
         on the Earth, or heights above what nobody says, or above what the file says already.
     """
     path = Path(path)

@@ -21,7 +21,7 @@ from jaxurban.io.read.sampling import heights_above, pixel_xy, transformed
 from jaxurban.world.grid import WGS84, Bounds, check_on_earth, transformer, where_it_lies
 from jaxurban.world.raster import Raster
 
-# By the end of their names, the drivers of GDAL that may open them: others (as of .vrt) read what a file tells them to.
+# By the end of their names, the drivers of GDAL that may open them: others (as of .vrt) read what a file names.
 DRIVERS = {
     **dict.fromkeys((".tif", ".tiff"), "GTiff"),
     **dict.fromkeys((".bil", ".flt"), "EHdr"),
@@ -75,7 +75,7 @@ def read_raster(path: str | Path, crs: str, bounds_m: Bounds | None = None) -> R
     Raises:
       InputError: a file that cannot be read, has several bands, no CRS or no position, does not reach the
         bounds, holds values that are not finite or beyond the limits and not declared empty, or whose vertical unit
-        is unknown: a name that is none, two that differ, or a CRS in feet that says nothing of heights.
+        is unknown: an invalid name, two that differ, or a CRS in feet that says nothing of heights.
     """
     (raster,) = read_bands(path, crs, bounds_m, holds=HEIGHTS)
     check_range(repr(str(path)), raster.values, TERRAIN_RANGE_M)
@@ -198,7 +198,7 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
                 and MOST_PIXEL > abs(pixel_area) > 1 / MOST_PIXEL
             ):
                 raise InputError(
-                    f"{name} has pixels without area, or beyond all measure, by its geotransform "
+                    f"{name} has pixels without area, or out of range, by its geotransform "
                     f"{source.transform[:6]}: set its position with `gdal_edit.py -a_ullr ...`"
                 )
             check_on_earth(name, source.crs.to_wkt())

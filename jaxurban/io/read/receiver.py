@@ -101,12 +101,12 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
 
     Args:
       source: a table, or its file (.csv, .csv.gz, .parquet), with ``utc``, ``lon_deg`` (or ``lon``), ``lat_deg`` (or
-        ``lat``), and ``num_tracked``, ``error_2d_m`` or both; or with a row a satellite, ``satellite``, ``cn0_dbhz``,
+        ``lat``), and ``num_tracked``, ``error_2d_m`` or both; or with a row per satellite, ``satellite``, ``cn0_dbhz``,
         and ``azimuth_deg`` and ``elevation_deg`` if it has them.
 
     Raises:
-      InputError: a file that cannot be read, no rows, a column that is missing or there twice, times that are none or
-        of no known zone, coordinates that are none, two rows of one time (and satellite), two places of one time,
+      InputError: a file that cannot be read, no rows, a column that is missing or there twice, invalid times or
+        of no known zone, invalid coordinates, two rows of one time (and satellite), two places of one time,
         values that no receiver gives or that are of another unit, or more rows than `MOST_ROWS`.
     """
     if isinstance(source, pd.DataFrame):
@@ -120,7 +120,7 @@ def read_track(file: str | Path) -> pd.DataFrame:
     """Return the rows of a table's file as they stand: ``utc``, ``lon_deg``, ``lat_deg``, and ``altitude_m`` if given.
 
     Raises:
-      InputError: a file that cannot be read, a column that is missing, or values that are none.
+      InputError: a file that cannot be read, a column that is missing, or invalid values.
     """
     table = renamed(read_table(file, "track"), OTHER_NAMES)
     columns = [column for column in (UTC, LON, LAT, ALTITUDE) if column in table]
@@ -176,7 +176,7 @@ def checked(table: pd.DataFrame, columns: Sequence[str], what: str) -> pd.DataFr
 
 
 def _by_satellite(table: pd.DataFrame, what: str) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the epochs and the satellites of a table with a row a satellite."""
+    """Return the epochs and the satellites of a table with a row per satellite."""
     if (AZIMUTH in table) != (ELEVATION in table):
         raise InputError(
             f"{what} has one of the columns {AZIMUTH} and {ELEVATION}: give both, or none"
