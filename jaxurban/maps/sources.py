@@ -30,16 +30,19 @@ def scenario_of(folder: Path, sources: Path | None = None) -> Scenario:
     settings = settings_of(folder)
     if "bounds" not in settings.get("region", {}):
         raise InputError(
-            f"the maps in {str(folder)!r} were not made by `jaxurban maps`, so what they are of is not on record: give "
-            "the City itself"
+            f"the maps in {str(folder)!r} were not made by `jaxurban maps`, so what they are of is not on record: make "
+            "them by that command, or give the City itself where it is taken"
         )
     inputs = read_json(folder / RUN_FILE).get("inputs", {})
+    others = inputs
     for place in [folder, folder.parent, Path()] if sources is None else [sources]:
         scenario = Scenario.from_dict(settings, str(folder / RUN_FILE), place)
-        with suppress(InputError):
-            if hash_inputs(scenario) == inputs:
+        with suppress(InputError):  # where one of the files is missing
+            files = hash_inputs(scenario)
+            if files == inputs:
                 return scenario
-    names = ", ".join(repr(source["path"]) for source in inputs.values())
+            others = {role: file for role, file in files.items() if inputs.get(role) != file}
+    names = ", ".join(repr(source["path"]) for source in others.values())
     raise InputError(
         f"what the maps in {str(folder)!r} were made of is no longer there as it was ({names}): "
         "name the folder of these files (sources, --sources) or the scenario in it (scenario, --scenario), or make the "
