@@ -364,7 +364,11 @@ class Path:
         status: Status,
         lower_bound: float,
         begin_s: float,
-        **ran: Any,
+        *,
+        note: str = "",
+        graph: str | None = None,
+        backend: str = "numba",
+        **search: Any,
     ) -> Self:
         """Return what a planner found, costed along the exact cells, and when it did.
 
@@ -374,23 +378,36 @@ class Path:
           status: how the planner ended; a path at any angle that meets the bound is OPTIMAL.
           lower_bound: what was proven; an OPTIMAL path's is its cost, and without any path it is inf.
           begin_s: of `time.perf_counter`.
-          ran: what ran, and more of the attributes.
+          note: sentences about the search.
+          graph: what the search went over; left out, the problem's grid.
+          backend: ``"numba"`` or ``"jax"``.
+          search: more of the attributes.
         """
-        cost, notes = problem.cost_of(points_m) if len(points_m) else np.inf, [ran.pop("note", "")]
-        if status.has_path and ran.get("graph") == EVERY_PATH and cost <= lower_bound * SAME_COST:
+        cost = np.inf
+        if len(points_m):
+            cost = problem.cost_of(points_m)
+        else:
+            points_m = np.empty((0, problem.is_free.ndim))
+        if status.has_path and graph == EVERY_PATH and cost <= lower_bound * SAME_COST:
             status = Status.OPTIMAL
         if status is Status.OPTIMAL:
             lower_bound = cost
-        if problem.distance_weight == 0 and cost == 0 and NO_COST not in notes[0]:
-            notes.append(NO_COST)
+        elif status is Status.NO_PATH:
+            lower_bound = np.inf
+        else:
+            lower_bound = min(lower_bound, cost)
+        if problem.distance_weight == 0 and cost == 0 and NO_COST not in note:
+            note = f"{note} {NO_COST}".lstrip()
         return cls(
             status=status,
-            points_m=points_m if len(points_m) else np.empty((0, problem.is_free.ndim)),
+            points_m=points_m,
             cost=cost,
-            lower_bound=np.inf if status is Status.NO_PATH else min(lower_bound, cost),
+            lower_bound=lower_bound,
             elapsed_s=time.perf_counter() - begin_s,
-            note=" ".join(filter(None, notes)),
-            **{"graph": problem.grid_name, "backend": "numba"} | ran,
+            note=note,
+            graph=problem.grid_name if graph is None else graph,
+            backend=backend,
+            **search,
         )
 
     @property

@@ -1,6 +1,6 @@
 """What a mission meets: buildings, the ground, no-fly zones and closed cells; and what of it cannot be judged."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -64,22 +64,12 @@ def judged(
     near = contacts(steps, buildings, maps, limits.horizontal_m)
     is_guessed = buildings.is_guessed[near["prism"]]
     unknown.append(spans(near.loc[is_guessed, ["from_m", "to_m"]].to_numpy(), GUESSED_ROOFS))
-
-    depth_m = -steps.z_m.min(axis=1)
-    buried = _stretches(steps, depth_m > FILE_MARGIN_M, gap_m=-depth_m)
-    depths = [f"flies up to {-gap_m:.1f} m below the ground" for gap_m in buried["gap_m"]]
     findings = [
         *_buildings(near, buildings, limits),
-        buried.assign(kind="terrain", what=depths, by_m=-buried["gap_m"]),
+        _buried(steps),
         _zones(steps, maps, limits),
+        *_closed(steps, maps, limits, times, time_of_day),
     ]
-    layers = [name for name in maps.metrics if "layer" in maps.ds[maps.variable(name)].attrs]
-    closing = {f"do not keep {bound}": bound for bound in limits.bounds}
-    # Where a layer of the user has no value, nobody may fly.
-    closing |= {f"have no value of {name}": Bound(name, ">=", 0.0) for name in layers}
-    for what, bound in closing.items():
-        closed = _stretches(steps, _is_closed(steps, maps, bound, times, time_of_day))
-        findings.append(closed.assign(kind="closed", what=f"enters cells that {what}"))
     table = pd.concat(findings, ignore_index=True)
     first = steps.take(table["step"].to_numpy(int))
     lon, lat = maps.grid.lonlat_of_xy(*first.ends_m[:, 0].T)
@@ -87,6 +77,31 @@ def judged(
     table = table.assign(item=items, lon=lon, lat=lat, height_m=first.z_m[:, 0])
     table = table.rename(columns={"from_m": "along_m"}).sort_values("along_m", ignore_index=True)
     return table.reindex(columns=COLUMNS), pd.concat(unknown, ignore_index=True)
+
+
+def _buried(steps: Steps) -> pd.DataFrame:
+    """Return the stretches below the ground."""
+    z_m = steps.z_m.min(axis=1)
+    stretches = _stretches(steps, z_m < -FILE_MARGIN_M, gap_m=z_m)
+    texts = [f"flies up to {-gap_m:.1f} m below the ground" for gap_m in stretches["gap_m"]]
+    return stretches.assign(kind="terrain", what=texts, by_m=-stretches["gap_m"])
+
+
+def _closed(
+    steps: Steps,
+    maps: MetricMaps,
+    limits: Constraints,
+    times: Sequence[str | None],
+    time_of_day: str | None,
+) -> Iterator[pd.DataFrame]:
+    """Yield the stretches in cells that a bound closes, or where a layer of the user has no value."""
+    closing = {f"do not keep {bound}": bound for bound in limits.bounds}
+    for name in maps.metrics:
+        if "layer" in maps.ds[maps.variable(name)].attrs:
+            closing[f"have no value of {name}"] = Bound(name, ">=", 0.0)
+    for what, bound in closing.items():
+        stretches = _stretches(steps, _is_closed(steps, maps, bound, times, time_of_day))
+        yield stretches.assign(kind="closed", what=f"enters cells that {what}")
 
 
 def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> list[pd.DataFrame]:

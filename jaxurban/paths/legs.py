@@ -147,22 +147,26 @@ def flight_of(mission: Mission, maps: MetricMaps, geoid_m: float | None = None) 
     is_known = np.isfinite(z_m).all(axis=1)
     unknown = [spans(along_m[:0], "")]
     for place in np.flatnonzero(~is_known).tolist():
-        open_datum = datum[place, np.argmax(np.isnan(base_m[place]))]
-        if open_datum == "ellipsoid" and geoid_m is not None:
-            open_datum = "geoid"  # which is what lacks a height then
-        reason = NO_ZERO[open_datum]
-        reason = NO_HEIGHT if np.isnan(height_m[place]).any() else reason
+        reason = NO_HEIGHT
+        if not np.isnan(height_m[place]).any():
+            open_datum = datum[place, np.argmax(np.isnan(base_m[place]))]
+            if open_datum == "ellipsoid" and geoid_m is not None:
+                open_datum = "geoid"  # which is what lacks a height then
+            reason = NO_ZERO[open_datum]
         unknown.append(spans(along_m[[place]], reason))
     first, last = _shares_within(ends_m, maps.grid.bounds_m)
     is_in = first < last
     enter_m = np.where(is_in, between(along_m, first), end_m)
     leave_m = np.where(is_in, between(along_m, last), end_m)
-    for outside_m in (np.stack([along_m[:, 0], enter_m], 1), np.stack([leave_m, end_m], 1)):
+    before_m = np.stack([along_m[:, 0], enter_m], axis=1)
+    after_m = np.stack([leave_m, end_m], axis=1)
+    for outside_m in (before_m, after_m):
         is_long = (outside_m[:, 0] < outside_m[:, 1]) | ~is_in
         unknown.append(spans(outside_m[is_long], OUTSIDE))
 
     flown = np.flatnonzero(is_in & is_known)
-    states, shares = np.dstack([ends_m, z_m, along_m])[flown], np.stack([first, last], 1)[flown]
+    states = np.dstack([ends_m, z_m, along_m])[flown]
+    shares = np.stack([first, last], axis=1)[flown]
     leg = np.array([number for number, *_ in segments], int)[flown]
     steps = _steps(states, shares, leg, follows[flown], maps)
     return Flight(mission, steps, pd.concat(unknown), float(end_m.max(initial=0.0)))

@@ -168,9 +168,8 @@ def count_returns(
     Cells inside buildings get a number too (K, mostly). To the form for a CPU altitudes that no roof reaches cost
     nothing. The gradient is zero.
     """
-    by_steps, by_azimuths = (
-        partial(form, halo=halo) for form in (count_returns_by_steps, count_returns_by_azimuths)
-    )
+    by_steps = partial(count_returns_by_steps, halo=halo)
+    by_azimuths = partial(count_returns_by_azimuths, halo=halo)
     fixed = lax.stop_gradient((roof_m, thresholds_m))
     return lax.platform_dependent(
         *fixed, starts, cpu=sequential_vmap(by_azimuths), default=by_steps

@@ -161,27 +161,22 @@ class Batches:
         if self._is_joined:
             is_there = (self.bounds.start == self.bounds.goal).all()
             xy = self.bounds.start[None] if is_there else self.tree.xy[self.tree.path()]
-            reached = Status.BUDGET_FEASIBLE if self.is_spent else Status.FEASIBLE
-            status, lower_bound = (
-                reached if len(xy) else Status.BUDGET_EMPTY,
-                self.bounds.from_start_to_goal(),
-            )
-        ran = {
-            "planner": planner,
-            "heuristic": self._heuristic,
-            "backend": backend,
-            "num_expanded": self.num_costed,
-        }
-        points_m, history = xy * self.problem.resolution_m, tuple(self.history)
+            lower_bound = self.bounds.from_start_to_goal()
+            status = Status.BUDGET_EMPTY
+            if len(xy):
+                status = Status.BUDGET_FEASIBLE if self.is_spent else Status.FEASIBLE
         return Path.of(
             self.problem,
-            points_m,
+            xy * self.problem.resolution_m,
             status,
             lower_bound,
             self.begin_s,
             graph=EVERY_PATH,
-            history=history,
-            **ran,
+            backend=backend,
+            planner=planner,
+            heuristic=self._heuristic,
+            num_expanded=self.num_costed,
+            history=tuple(self.history),
         )
 
 

@@ -326,12 +326,16 @@ def availability_threshold(maps: MetricMaps) -> float:
 
 def meaning_of(maps: MetricMaps, name: str, said: str = "") -> str:
     """Return what a value of one means, with these maps' own numbers; ``said`` where they do not say."""
-    attrs, name = maps.ds.attrs, maps.variable(name)
-    meaning = str(maps.ds[name].attrs.get("one_means", said) if name in maps.ds else said)
-    threshold = f"{availability_threshold(maps):g}" if name.endswith("_availability") else ""
-    if f"{name}_threshold_m" in attrs:
-        threshold = f"{attrs[f'{name}_threshold_m']:g} m"
-    meaning = meaning.replace("the threshold", threshold or "the threshold")
+    attrs = maps.ds.attrs
+    variable = maps.variable(name)
+    meaning = said
+    if variable in maps.ds:
+        meaning = str(maps.ds[variable].attrs.get("one_means", said))
+    threshold_m = attrs.get(f"{variable}_threshold_m")
+    if threshold_m is not None:
+        meaning = meaning.replace("the threshold", f"{threshold_m:g} m")
+    elif variable.endswith("_availability"):
+        meaning = meaning.replace("the threshold", f"{availability_threshold(maps):g}")
     for limit in re.findall(r"\w+_limit_m", meaning):
         meaning = meaning.replace(limit, f"{attrs[limit]:g} m")
     for norm, unit in (("pop_norm_per_km2", " per km²"), ("pop_norm_per_block", "")):

@@ -241,9 +241,11 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
 
 def _changes_of(part: pd.DataFrame) -> dict[str, Any]:
     """Return how many routes a part of a table of changed maps holds, and their statistics with intervals."""
-    clusters, num_cities = pairs_of(part), part.city.nunique()
+    clusters = pairs_of(part)
+    num_cities = part.city.nunique()
     row: dict[str, Any] = {
         "routes": len(part),
+        # `num_groups` is one less for each city but the first.
         "pairs": clusters.num_groups + num_cities - 1,
         "cities": num_cities,
     }
