@@ -125,5 +125,5 @@ np.abs(np.asarray(made["gps"][1, 12, 0]) - plain.m("gps", 20.0))[is_free].max()
 # %% [markdown]
 # ## A question to try
 #
-# At which altitude does the hour stop to matter? Give `map_inputs` the altitudes 20, 60 and 122 m, and draw the lines
+# At which altitude does the hour stop mattering? Give `map_inputs` the altitudes 20, 60 and 122 m, and draw the lines
 # of each.
