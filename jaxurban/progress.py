@@ -80,8 +80,10 @@ class Stopwatch:
 
 @contextmanager
 def warn_if_slow(planner: str, budget_s: float) -> Iterator[None]:
-    """Warn that a planner is at work, and for how long, where the block, its search, lasts `SILENT_S` or longer."""
-    sentence = "%s is at work: its search may take up to %g s (budget_s), compiling apart"
+    """Warn that a planner is running, and for how long, where the block, its search, lasts `SILENT_S` or longer."""
+    sentence = (
+        "%s is still running: its search may take up to %g s (budget_s), compilation excluded"
+    )
     timer = threading.Timer(SILENT_S, LOG.warning, (sentence, planner, budget_s))
     timer.daemon = True
     if budget_s > SILENT_S:

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxurban.planners.base import Path, Problem, Status
 
-_COMPILING = threading.Lock()  # threads wait here, before their clocks start
+_COMPILING = threading.RLock()  # other threads wait here, before their clocks start
 
 
 def compiled_first(**options: Any) -> Callable[[Callable[..., Path]], Callable[..., Path]]:

@@ -358,7 +358,7 @@ class _Opened(NamedTuple):
         return cls(path, (place.st_ino, place.st_mtime_ns), (path / METADATA).read_bytes())
 
     def check(self) -> None:
-        """Raise RemadeError unless the Zarr is still the one that was opened, or was mended by the same run."""
+        """Raise RemadeError unless the Zarr is still the one that was opened, or was repaired by the same run."""
         with suppress(OSError):
             now = _Opened.at(self.path)
             # Maps that were saved from Python have no key of a run: the same metadata may go with other values.

@@ -235,7 +235,9 @@ def test_a_prepared_map_plans_by_landmarks_at_the_same_cost_and_leaves_the_other
 def test_a_search_that_lasts_says_so_and_for_how_long(town, shortest, pairs, monkeypatch, caplog):
     monkeypatch.setattr(progress, "SILENT_S", 0.01)
     ju.cost_map(town, 20.0).plan(*pairs[1], planner="bitstar-dist", budget_s=0.5)
-    assert "bitstar-dist is at work: its search may take up to 0.5 s (budget_s)" in caplog.text
+    assert (
+        "bitstar-dist is still running: its search may take up to 0.5 s (budget_s)" in caplog.text
+    )
     caplog.clear()
     monkeypatch.setattr(progress, "SILENT_S", 5.0)
     shortest.plan(*pairs[0])

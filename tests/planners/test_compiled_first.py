@@ -3,11 +3,14 @@
 import os
 import subprocess
 import sys
+import threading
 from collections import Counter
 
 import pytest
 
+from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS
+from tests.planners.problems import random_problem
 
 # In a process of its own, where no test has called a kernel yet; a child for each planner. A search on an uneven map
 # may use no compiled function under a signature that a plan across a few cells has not used.
@@ -105,3 +108,20 @@ def test_one_plan_of_astar_compiles_few_functions_and_each_of_them_once(tmp_path
     assert own == dict.fromkeys(own, 1)
     assert len(own) <= NUM_OWN
     assert functions.total() <= NUM_IN_ALL, functions
+
+
+def test_a_planner_that_runs_another_one_is_compiled_first_too():
+    """In a thread, since a lock that cannot be entered twice would never end it."""
+    astar = PLANNERS["astar-plus"].run
+
+    @compiled_first()
+    def twice(problem, **query):
+        astar(problem, **query)
+        return astar(problem, **query)
+
+    paths = []
+    query = random_problem(0, (6, 6), share_free=1.0)
+    thread = threading.Thread(target=lambda: paths.append(twice(query)), daemon=True)
+    thread.start()
+    thread.join(60)
+    assert [path.status for path in paths] == [astar(query).status]

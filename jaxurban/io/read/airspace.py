@@ -29,7 +29,7 @@ from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, warn
 from jaxurban.io.read.heights import is_blank
 from jaxurban.io.read.vector import open_layers
-from jaxurban.io.read.zone import TURN, Zone, mended
+from jaxurban.io.read.zone import TURN, Zone, made_valid
 
 # Properties that are read, in any case and with or without "_", "-", " " and ":". All are metres above ground.
 FLOOR_NAMES = (
@@ -117,7 +117,7 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
     known here, so that the zone reaches on to every altitude at that end. A zone is in force from the first to the last
     of its times, on every day and at every hour between them, and always where one cannot be read.
 
-    Outlines that cross themselves are mended so that all they enclose is closed.
+    Outlines that cross themselves are repaired so that all they enclose is closed.
 
     Raises:
       InputError: a file that is missing, cannot be read, has no CRS or no zone that restricts flights, an outline that
@@ -398,7 +398,7 @@ def _whole(
     meaning.
     """
     if not shape.is_valid or shape.geom_type not in ("Polygon", "MultiPolygon"):
-        polygons = mended(shape)
+        polygons = made_valid(shape)
         if not shape.is_valid and not polygons.is_empty:
             notes["have outlines that cross themselves, and close all that these enclose"].append(
                 name

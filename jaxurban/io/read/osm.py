@@ -300,7 +300,7 @@ def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geomet
 
     Lines that end inside the box, no farther than `GAP_M` from its border, are led on to it: extracts are cut so. A box
     that no line parts is wet or dry by the side of the nearest line. Warns where the lines have a gap, so that land and
-    sea cannot be told apart.
+    sea cannot be distinguished.
     """
     if not coast:
         return shapely.Polygon()

@@ -115,7 +115,7 @@ class Zone:
         moved = shapely.transform(
             shapely.segmentize(polygon, MAX_EDGE_M / unit_m), project.transform, interleaved=False
         )
-        return moved if moved.is_valid else mended(moved)
+        return moved if moved.is_valid else made_valid(moved)
 
 
 def touched_cells(polygon: shapely.Geometry, grid: Grid) -> np.ndarray:
@@ -138,6 +138,6 @@ def cell_boxes(grid: Grid, corners: np.ndarray, size: int) -> np.ndarray:
     return shapely.box(*(np.stack([west, south, west + size, south + size]) * grid.resolution_m))
 
 
-def mended(shape: shapely.Geometry) -> shapely.Geometry:
+def made_valid(shape: shapely.Geometry) -> shapely.Geometry:
     """Return the polygons that an outline encloses, all that it goes around twice included."""
     return polygonal(shapely.make_valid(shape, method="structure", keep_collapsed=False))

@@ -16,7 +16,7 @@ import shapely
 from jaxurban.checks import positive
 from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.read.outlines import polygonal
-from jaxurban.io.read.zone import cell_boxes, mended, touched_cells
+from jaxurban.io.read.zone import cell_boxes, made_valid, touched_cells
 from jaxurban.paths.constraints import FILE_MARGIN_M
 from jaxurban.paths.export.base import DECIMALS, waypoints
 from jaxurban.paths.export.qgc_plan import exclusions, without_holes
@@ -168,7 +168,7 @@ def _fences(
         far = left[~shapely.intersects(left, kept_free)] if reach_m else left
         grown = shapely.buffer(far, max(reach_m, ROUNDED_M), join_style="mitre")
         joined = shapely.union_all(shapely.make_valid(grown))  # mitres may cross each other
-        parts = mended(shapely.buffer(joined, -reach_m / 2, join_style="mitre"))
+        parts = made_valid(shapely.buffer(joined, -reach_m / 2, join_style="mitre"))
         if reach_m:
             rings = shapely.get_exterior_ring(shapely.get_parts(parts))
             simple = shapely.simplify(shapely.polygons(rings), reach_m * SIMPLER)
