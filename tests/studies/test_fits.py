@@ -111,7 +111,7 @@ def test_a_fit_that_stopped_ends_bit_for_bit_as_one_that_did_not(demonstrations,
     np.testing.assert_array_equal(resumed.vector, fit.vector)
     pd.testing.assert_frame_equal(resumed.table, fit.table)
     np.testing.assert_array_equal(resumed.regret, fit.regret)
-    with pytest.raises(ju.InputError, match=r"its fit of routes and maps is .* given now"):
+    with pytest.raises(ju.InputError, match=r"its fit of routes and maps is .*, now "):
         fit_weights(demonstrations[1:], settings=kept)
 
 
