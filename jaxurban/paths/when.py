@@ -233,8 +233,8 @@ def when(
         return cost_map.problem.features(path.search.points_m).cost(cost_map.weight_vector)
 
     kept_costs = np.array([*map(cost_at, kept, routes["departure"])])
-    above = kept_costs / routes["cost"] - 1
-    routes["kept_above"] = np.where(kept_costs <= routes["cost"], 0.0, above)
+    kept_above = kept_costs / routes["cost"] - 1
+    routes["kept_above"] = np.where(kept_costs <= routes["cost"], 0.0, kept_above)
     routes["num_changed"] = routes["kept_above"] > SAME_ROUTE_COST
     of_time = routes.groupby("departure")
     table = table.join(of_time[[*routes.filter(like="longest_"), "kept_above"]].max())
