@@ -1,7 +1,7 @@
 """Maps of Tokyo beside receivers that were driven through it; writes docs/evidence/receiver.md.
 
 Run as ``python -m benchmarks.receiver``. First a log with a row a satellite, on the roofs that the package holds and on
-all roofs of the quarter; then three logs of counts.
+all roofs of the district; then three logs of counts.
 """
 
 import argparse
