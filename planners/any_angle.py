@@ -12,7 +12,7 @@ import numpy as np
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import CostGrid, is_pinched, segment_cost
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, drop_top, place
-from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
+from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status, index_of
 from jaxurban.planners.bitstar.bounds import Bounds, cost_grid_of, make_bounds, reachable_cells
 from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.cost import sample_segment
@@ -80,17 +80,19 @@ def theta_star(
     """
     check_line_model(problem, "planner 'theta-star'")
     begin_s = time.perf_counter()
-    points_m, status, lower_bound, num_expanded = np.empty(0), Status.NO_PATH, np.inf, 0
+    points_m = np.empty(0)
+    status = Status.NO_PATH
+    lower_bound = np.inf
+    num_expanded = 0
     is_reachable = reachable_cells(problem)
     if is_reachable is not None:
         bounds = make_bounds(heuristic, problem, is_reachable)
         cost_grid = cost_grid_of(problem, is_reachable)
         xy, num_expanded = _search(problem, cost_grid, bounds, begin_s + budget_s)
-        status, lower_bound = (
-            Status.FEASIBLE if len(xy) else Status.BUDGET_EMPTY,
-            bounds.from_start_to_goal(),
-        )
+        lower_bound = bounds.from_start_to_goal()
+        status = Status.BUDGET_EMPTY
         if len(xy):
+            status = Status.FEASIBLE
             points_m = shortened(cost_grid, xy) * problem.resolution_m
     return Path.of(
         problem,
@@ -109,11 +111,13 @@ def _search(
     problem: Problem, cost_grid: CostGrid, bounds: Bounds, end_s: float
 ) -> tuple[np.ndarray, int]:
     """Return ``[N, 2]`` the path's cell centres, none where time ran out, and the cells expanded."""
-    (start_row, start_col), (goal_row, goal_col) = problem.start, problem.goal
-    num_cols = cost_grid.cell_cost.shape[1]
-    start, goal = start_row * num_cols + start_col, goal_row * num_cols + goal_col
-    row_at, col_at = (0.5 * (sums[:-1] + sums[1:]) for sums in (bounds.row_sum, bounds.col_sum))
     num_cells = cost_grid.cell_cost.size
+    num_cols = cost_grid.cell_cost.shape[1]
+    start = index_of(problem, problem.start)
+    goal = index_of(problem, problem.goal)
+    goal_row, goal_col = problem.goal
+    row_at = 0.5 * (bounds.row_sum[:-1] + bounds.row_sum[1:])
+    col_at = 0.5 * (bounds.col_sum[:-1] + bounds.col_sum[1:])
     nodes = AnyAngleNodes(
         g=np.full(num_cells, np.inf),
         parent=np.full(num_cells, NO_PARENT, np.int32),

@@ -17,9 +17,8 @@ from jaxurban.kernels.tolerances import SAME_COST
 from jaxurban.planners.cost import CostModel, PathFeatures, allowed_moves, path_features
 from jaxurban.settings import CostKind
 
-Cell = tuple[
-    int, ...
-]  # row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest
+# Row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest.
+Cell = tuple[int, ...]
 T = TypeVar("T")
 
 EVERY_PATH = "paths at any angle"  # of `Path.graph`
@@ -313,6 +312,11 @@ class Problem:
         if self.cache.tile_minima is None:
             self.cache.tile_minima = tile_minima(self.cost, self.is_free)
         return self.cache.tile_minima
+
+
+def index_of(problem: Problem, cell: Cell) -> int:
+    """Return the number of a cell in the problem's grid, row upon row."""
+    return int(np.ravel_multi_index(cell, problem.is_free.shape))
 
 
 def _read_only(values: np.ndarray, dtype: type) -> np.ndarray:

@@ -1,11 +1,12 @@
 """Many queries solved together in JAX: on the grid by the batched frontier search, BIT*'s by searching all graphs."""
 
+import math
 import time
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import cache
-from itertools import groupby, islice
-from operator import itemgetter
+from itertools import chain, islice
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +26,7 @@ from jaxurban.kernels.search.frontier import (
 )
 from jaxurban.kernels.search.sample_graph import NO_PARENT, NO_QUERY, Samples, Sizes, search_samples
 from jaxurban.planners.astar import make_heuristic
-from jaxurban.planners.base import Cell, Path, Problem, ProblemCache, Status
+from jaxurban.planners.base import Path, Problem, ProblemCache, Status, index_of
 from jaxurban.planners.bitstar.bounds import cost_grid_of
 from jaxurban.planners.bitstar.planner import DEFAULTS, Batches, BitStarOptions, check_limits
 from jaxurban.planners.cost import STEPS
@@ -77,21 +78,16 @@ def solve_by_frontier(
         band gives the same results; a wide one does more together and more twice.
     """
     kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
-    first = {id(problem.cost): i for i, problem in reversed(list(enumerate(problems)))}
-    by_map = sorted(
-        range(len(problems)), key=lambda i: (problems[i].cost.shape, first[id(problems[i].cost)])
-    )
-    for _, same_shape in groupby(by_map, key=lambda i: problems[i].cost.shape):
-        indices = list(same_shape)
-        number = {
-            key: k for k, key in enumerate(dict.fromkeys(id(problems[i].cost) for i in indices))
-        }
-        most = max(1, BYTES_OF_MAPS[kind] // (BYTES_A_CELL * problems[indices[0]].cost.size))
-        parts = [(number[id(problems[i].cost)] // most, i) for i in indices]
-        for _, part in groupby(parts, key=itemgetter(0)):
-            yield from _in_turns(
-                [(i, problems[i]) for _, i in part], planner, budget_s, band_steps, kind
-            )
+    by_shape: dict[tuple[int, ...], dict[int, list[int]]] = {}
+    for index, problem in enumerate(problems):
+        by_map = by_shape.setdefault(problem.cost.shape, {})
+        by_map.setdefault(id(problem.cost), []).append(index)
+    for shape, by_map in sorted(by_shape.items()):
+        most_maps = max(1, BYTES_OF_MAPS[kind] // (BYTES_A_CELL * math.prod(shape)))
+        waiting = iter(by_map.values())
+        while together := list(islice(waiting, most_maps)):
+            queries = [(index, problems[index]) for index in chain(*together)]
+            yield from _in_turns(queries, planner, budget_s, band_steps, kind)
 
 
 def _in_turns(
@@ -114,17 +110,24 @@ def _in_turns(
             yield from done
 
 
+@dataclass
+class _Running:
+    """A query that has a place on the device: its number, and when it began, compiling left out."""
+
+    index: int
+    problem: Problem
+    begin_s: float
+
+
 def _turns(
     queries: list[tuple[int, Problem]], planner: str, budget_s: float, band_steps: float, kind: str
 ) -> Iterator[list[tuple[int, Path]]]:
     """Yield what is done after every few rounds; each begins the queries that there is room for."""
     maps = list({id(problem.cost): problem for _, problem in queries}.values())
     map_index = {id(problem.cost): k for k, problem in enumerate(maps)}
-    grids, bands, num_cells = (
-        _grids(maps),
-        [_band(problem, band_steps) for problem in maps],
-        maps[0].cost.size,
-    )
+    grids = _grids(maps)
+    bands = [_band(problem, band_steps) for problem in maps]
+    num_cells = maps[0].cost.size
     fitting = max(1, BYTES_OF_G[kind] // (BYTES_A_CELL * num_cells))
     num_places = min(power_of_two(len(queries)), QUERIES_TOGETHER[kind], fitting)
     num_together = CELLS_TOGETHER * num_places
@@ -132,31 +135,30 @@ def _turns(
     # With no round allowed the search ends at once, compiled for the size of its list.
     frontier = jax.block_until_ready(advance(frontier, grids, 0, num_together))
     waiting = queries[::-1]
-    running: dict[
-        int, tuple[int, Problem, float]
-    ] = {}  # by place: the query's number, problem and begin
+    running: dict[int, _Running] = {}  # by place
     while waiting or running:
         for place in range(num_places):
             if place not in running and waiting:
                 index, problem = waiting.pop()
                 k = map_index[id(problem.cost)]
-                cells = (_flat(cell, problem) for cell in (problem.start, problem.goal))
-                frontier = begin(frontier, grids, place, k, *cells, bands[k])
-                running[place] = index, problem, time.perf_counter()
+                start = index_of(problem, problem.start)
+                goal = index_of(problem, problem.goal)
+                frontier = begin(frontier, grids, place, k, start, goal, bands[k])
+                running[place] = _Running(index, problem, time.perf_counter())
         frontier = advance(frontier, grids, ROUNDS_AT_ONCE, num_together)
         if is_crowded(frontier, grids, num_together):  # a longer list is made off the clocks
-            away_s = -time.perf_counter()
+            away_since_s = time.perf_counter()
             frontier = with_list_of(2 * frontier.open_f.size, frontier)
             frontier = jax.block_until_ready(advance(frontier, grids, 0, num_together))
-            away_s += time.perf_counter()
-            running = {
-                place: (index, problem, s + away_s)
-                for place, (index, problem, s) in running.items()
-            }
-        done, lowest_f = [], np.asarray(frontier.lowest_f)
-        for place, (index, problem, begin_s) in list(running.items()):
-            if np.isinf(lowest_f[place]) or time.perf_counter() - begin_s >= budget_s:
-                done.append((index, _path(frontier, place, problem, planner, begin_s)))
+            away_s = time.perf_counter() - away_since_s
+            for query in running.values():
+                query.begin_s += away_s
+        done = []
+        lowest_f = np.asarray(frontier.lowest_f)
+        for place, query in list(running.items()):
+            if np.isinf(lowest_f[place]) or time.perf_counter() - query.begin_s >= budget_s:
+                path = _path(frontier, place, query.problem, planner, query.begin_s)
+                done.append((query.index, path))
                 frontier = drop(frontier, place)
                 del running[place]
         yield done
@@ -165,7 +167,7 @@ def _turns(
 def _path(frontier: Frontier, place: int, problem: Problem, planner: str, begin_s: float) -> Path:
     """Return the path of the query in a place, as far as it is known."""
     lowest_f = float(frontier.lowest_f[place])
-    is_reached = bool(frontier.g[place, _flat(problem.goal, problem)] < np.inf)
+    is_reached = bool(frontier.g[place, index_of(problem, problem.goal)] < np.inf)
     if np.isinf(lowest_f):
         status = Status.OPTIMAL if is_reached else Status.NO_PATH
     else:
@@ -208,10 +210,6 @@ def _band(problem: Problem, band_steps: float) -> float:
     share = graph.from_share[0] + graph.to_share[0]
     step = float(graph.step_cost[0] + share * np.median(problem.cost[problem.is_free]))
     return band_steps * step if step > 0 else 0.0  # 0 times a band without end is not a number
-
-
-def _flat(cell: Cell, problem: Problem) -> int:
-    return cell[0] * problem.cost.shape[1] + cell[1]
 
 
 def solve_batched(
@@ -257,19 +255,22 @@ def solve_batched(
             "BIT* with backend 'jax' tests no legs for this clearance: take backend='numba'"
         )
 
+    kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
+    by_map: dict[ProblemCache, list[int]] = {}
+    for index, problem in enumerate(problems):
+        by_map.setdefault(problem.cache, []).append(index)
+
+    def search(index: int) -> Batches:
+        problem = problems[index]
+        return Batches(problem, heuristic, options, seeds[index], budget_s, max_samples)
+
     def paths() -> Generator[tuple[int, Path]]:
-        kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
-        by_map: dict[ProblemCache, list[int]] = {}
-        for index, problem in enumerate(problems):
-            by_map.setdefault(problem.cache, []).append(index)
         for indices in by_map.values():
             waiting = iter(indices)
-            graphs = _Graphs(cost_grid_of(problems[indices[0]], problems[indices[0]].is_free), kind)
+            first = problems[indices[0]]
+            graphs = _Graphs(cost_grid_of(first, first.is_free), kind)
             while group := list(islice(waiting, SAMPLED_TOGETHER[kind])):
-                limits = budget_s, max_samples
-                queries = {
-                    k: Batches(problems[k], heuristic, options, seeds[k], *limits) for k in group
-                }
+                queries = {index: search(index) for index in group}
                 for index in _run_together(graphs, queries):
                     yield index, queries[index].path(planner, "jax")
 
@@ -293,13 +294,10 @@ def _run_together(graphs: "_Graphs", queries: dict[int, Batches]) -> Iterator[in
             compile_s = worker.submit(graphs.search, list(running.values())).result()
             now_s = time.perf_counter()
             for index, batches in list(running.items()):
-                batches.begin_s, batches.end_s = (
-                    batches.begin_s + compile_s,
-                    batches.end_s + compile_s,
-                )
-                nodes_left = (
-                    num_nodes * max(0.0, batches.end_s - now_s) / (now_s - begin_s - compile_s)
-                )
+                batches.begin_s += compile_s
+                batches.end_s += compile_s
+                left_s = max(0.0, batches.end_s - now_s)
+                nodes_left = num_nodes * left_s / (now_s - begin_s - compile_s)
                 batches.end(min(most_nodes, nodes_left / len(running)))
                 if batches.is_done:
                     yield index
@@ -347,16 +345,20 @@ class _Graphs:
             g, parent, edge_cost, num_costed = (np.asarray(values) for values in trees[:4])
         first = 0
         for batches in queries:
-            here = slice(first, first + len(batches.tree.xy))
-            own = np.where(parent[here] == NO_PARENT, NO_PARENT, parent[here] - first).astype(
-                np.int32
-            )
+            own = slice(first, first + len(batches.tree.xy))
             batches.tree = batches.tree._replace(
-                g=g[here].copy(), parent=own, edge_cost=edge_cost[here].copy()
+                g=g[own].copy(),
+                parent=_moved(parent[own], -first),
+                edge_cost=edge_cost[own].copy(),
             )
-            batches.num_costed += int(num_costed[here].sum())
-            first = here.stop
+            batches.num_costed += int(num_costed[own].sum())
+            first = own.stop
         return compile_s
+
+
+def _moved(parent: np.ndarray, num: int) -> np.ndarray:
+    """Return the numbers of parents, ``[N]`` int32, after all nodes moved by so many places."""
+    return np.where(parent == NO_PARENT, NO_PARENT, parent + num).astype(np.int32)
 
 
 @cache
@@ -380,16 +382,11 @@ def _samples(queries: list[Batches]) -> Samples:
             "incumbent": tree.g[tree.goal],
             "least_per_side": batches.bounds.per_side,
         }
-        parts.append(
-            {name: np.full(len(tree.xy), value) for name, value in of_query.items()}
-            | {name: getattr(tree, name) for name in Samples._fields if hasattr(tree, name)}
-            | {
-                "from_start": tree.least_f - tree.to_goal,
-                "parent": np.where(
-                    tree.parent == NO_PARENT, NO_PARENT, tree.parent + num_nodes
-                ).astype(np.int32),
-            }
-        )
+        part = {name: np.full(len(tree.xy), value) for name, value in of_query.items()}
+        part |= {name: getattr(tree, name) for name in Samples._fields if hasattr(tree, name)}
+        part["from_start"] = tree.least_f - tree.to_goal
+        part["parent"] = _moved(tree.parent, num_nodes)
+        parts.append(part)
         num_nodes += len(tree.xy)
     room = FEWEST_NODES
     while room < num_nodes:
@@ -400,14 +397,10 @@ def _samples(queries: list[Batches]) -> Samples:
 def _padded(parts: list[dict[str, np.ndarray]], num_nodes: int) -> Samples:
     """Return the parts in a row, followed by nodes of no query."""
     num_missing = num_nodes - sum(len(part["g"]) for part in parts)
-    nothing = {name: np.ones(num_missing) for name in Samples._fields} | {
-        "query": np.full(num_missing, NO_QUERY, np.int32),
-        "xy": np.ones((num_missing, 2)),
-        "parent": np.full(num_missing, NO_PARENT, np.int32),
-    }
-    return Samples(
-        **{
-            name: jnp.asarray(np.concatenate([part[name] for part in [*parts, nothing]]))
-            for name in nothing
-        }
-    )
+    nothing = {name: np.ones(num_missing) for name in Samples._fields}
+    nothing["query"] = np.full(num_missing, NO_QUERY, np.int32)
+    nothing["xy"] = np.ones((num_missing, 2))
+    nothing["parent"] = np.full(num_missing, NO_PARENT, np.int32)
+    parts = [*parts, nothing]
+    columns = [np.concatenate([part[name] for part in parts]) for name in Samples._fields]
+    return Samples(*map(jnp.asarray, columns))

@@ -17,7 +17,7 @@ import numpy as np
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.tolerances import SAME_EXPOSURE
 from jaxurban.planners.astar import cost_to_go
-from jaxurban.planners.base import Path, Planner, Problem, Status
+from jaxurban.planners.base import Path, Planner, Problem, Status, index_of
 from jaxurban.planners.grid_search import graph_of
 
 ENOUGH = 1e-6  # relative: what prices are not known better for
@@ -54,11 +54,13 @@ class _Search:
         seed: int,
         end_s: float,
     ) -> None:
-        self.problem, self.planner, self.seed, self.end_s = problem, planner, seed, end_s
+        self.problem = problem
+        self.planner = planner
+        self.seed = seed
+        self.end_s = end_s
         self.columns = 1 + np.array(layers)
-        self.budgets = np.minimum(
-            [*budgets], _most_exposures(problem)[self.columns - 1]
-        )  # sums stay precise
+        # No larger than what can be exceeded: sums stay precise.
+        self.budgets = np.minimum([*budgets], _most_exposures(problem)[layers])
         self.units = np.ones(len(self.budgets))
         self.known: list[_Known] = []
         self.paths: list[Path] = []
@@ -92,16 +94,19 @@ class _Search:
 
     def best(self) -> _Known | None:
         """Return the cheapest known path within the budgets."""
-        return min(
-            (known for known in self.known if known.is_within),
-            key=lambda known: known.cost,
-            default=None,
-        )
+        within = [known for known in self.known if known.is_within]
+        return min(within, key=lambda known: known.cost, default=None)
 
     def least_exposures(self) -> np.ndarray:
         """Return ``[K]`` lower bounds on the exposures of every path."""
         least = np.array([self.run(unit, is_of_cost=False) for unit in np.eye(len(self.budgets))])
         return least * self.units + self.budgets
+
+    @property
+    def has_gap(self) -> bool:
+        """Whether a path may cost less than the best of those that are known, or none is."""
+        best = self.best()
+        return best is None or best.cost > self.bound * (1 + SAME_EXPOSURE)
 
     @property
     def is_late(self) -> bool:
@@ -115,35 +120,31 @@ class _Search:
 
     def close(self, prices: np.ndarray) -> tuple[int, bool]:
         """Close the gap by labels, as far as they go; return how many, and whether they prove that none is within."""
-        problem, limits = self.problem, self.budgets * (1 + SAME_EXPOSURE / 2)
-        weights = np.concatenate(
-            [np.eye(len(problem.weights))[self.columns], [problem.weights] * 2]
-        )
-        weights[-1, self.columns] += prices / self.units
+        problem = self.problem
+        limits = self.budgets * (1 + SAME_EXPOSURE / 2)
+        prices = prices / self.units
+        of_exposures = np.eye(len(problem.weights))[self.columns]
+        weights = np.concatenate([of_exposures, [problem.weights] * 2])
+        weights[-1, self.columns] += prices
+        weighed = [problem.with_weights(each) for each in weights]
         try:
-            to_go = np.array(
-                [cost_to_go(problem.with_weights(each), self.end_s).ravel() for each in weights]
-            )
+            to_go = np.array([cost_to_go(each, self.end_s).ravel() for each in weighed])
         except TimeoutError:
             return 0, False
-        most = 1 + int(min(MOST_LABELS, LABELS_PER_S * max(self.end_s - time.perf_counter(), 0.0)))
+        left_s = max(self.end_s - time.perf_counter(), 0.0)
+        most = 1 + int(min(MOST_LABELS, LABELS_PER_S * left_s))
         self.has_cut_labels = most <= MOST_LABELS  # all of fewer decide
-        start, goal = (
-            int(np.ravel_multi_index(cell, problem.is_free.shape))
-            for cell in (problem.start, problem.goal)
-        )
         layers = problem.costs[self.columns - 1].reshape(len(limits), -1).astype(np.float64)
         best = self.best()
-        most_cost = np.inf if best is None else best.cost
         way, num_labels, least = _advance(
             graph_of(problem),
             layers,
             to_go,
-            start,
-            goal,
+            index_of(problem, problem.start),
+            index_of(problem, problem.goal),
             limits,
-            prices / self.units,
-            most_cost,
+            prices,
+            np.inf if best is None else best.cost,
             most,
         )
         self.bound = max(self.bound, float(least))
@@ -161,25 +162,26 @@ class _Search:
 
         excess = np.array([known.excess for known in self.known])
         costs = np.array([known.cost for known in self.known])
-        unit, num = costs.max() or 1.0, excess.shape[1]
-        found = linprog(
+        unit = costs.max() or 1.0
+        num = excess.shape[1]
+        solution = linprog(
             np.append(np.zeros(num), -1.0),
             A_ub=np.column_stack([-excess, np.ones(len(excess))]),
             b_ub=costs / unit,
             bounds=[(0, STEEPEST)] * num + [(None, None)],
         )
-        if found.x is None:
+        if solution.x is None:
             return None
-        return np.maximum(found.x[:-1], 0.0) * unit, float(found.x[-1]) * unit
+        return np.maximum(solution.x[:-1], 0.0) * unit, float(solution.x[-1]) * unit
 
     def raise_bound(self) -> np.ndarray:
         """Search under the prices ``[K]`` that raise the bound most until none raise it, and return them."""
         prices = np.zeros(len(self.budgets))
         while not self.is_late:
-            found = self.prices()
-            if found is None:
+            solution = self.prices()
+            if solution is None:
                 break
-            prices, most = found
+            prices, most = solution
             enough = most - ENOUGH * abs(most)
             if self.bound >= enough or self.run(prices) >= enough:
                 break
@@ -190,9 +192,8 @@ def _most_exposures(problem: Problem) -> np.ndarray:
     """Return ``[L]`` what no path exceeds that is nowhere twice, so that a larger budget asks for nothing more."""
     climb_m = 0.0 if problem.levels_m is None else np.diff(problem.levels_m).max(initial=0.0)
     step_m = np.hypot(np.sqrt(2) * problem.resolution_m, climb_m)
-    sums = problem.costs.sum(
-        axis=tuple(range(1, problem.costs.ndim)), dtype=np.float64, where=problem.is_free
-    )
+    axes = tuple(range(1, problem.costs.ndim))
+    sums = problem.costs.sum(axes, np.float64, where=problem.is_free)
     return 2 * sums * step_m / problem.cost_model.reference_length_m  # twice, for rounding
 
 
@@ -222,46 +223,58 @@ def within_budgets(
     columns = [names.index(name) for name in budgets]
     search = _Search(problem, planner, columns, budgets.values(), seed, begin_s + budget_s)
     search.run(np.zeros(len(budgets)))
-    first, num_labels, is_over = search.paths[0], 0, False
+    first = search.paths[0]
     if not search.known or search.best() is not None:
         return first
+    num_labels = 0
+    is_over = False
     prices = search.raise_bound()
     if search.best() is None and not search.is_late:
         is_over = bool((search.least_exposures() > search.budgets * (1 + SAME_EXPOSURE)).any())
-        prices = prices if is_over else search.raise_bound()
-    best = search.best()
-    if (
-        not is_over
-        and problem.levels_m is None
-        and (best is None or best.cost > search.bound * (1 + SAME_EXPOSURE))
-    ):
+        if not is_over:
+            prices = search.raise_bound()
+    if not is_over and problem.levels_m is None and search.has_gap:
         num_labels, is_over = search.close(prices)
-        best = search.best()
+    end = _end_of(search, num_labels, is_over, budgets)
+    best = search.best()
+    num_expanded = sum(path.num_expanded for path in search.paths) + num_labels
+    return Path.of(
+        problem,
+        np.empty(0) if best is None else best.points_m,
+        end.status,
+        np.inf if is_over else search.bound,
+        begin_s + first.setup_s,
+        **first.ran | {"num_expanded": num_expanded, "note": end.note},
+    )
+
+
+class _End(NamedTuple):
+    """How a search within budgets ended, and the sentence that says so."""
+
+    status: Status
+    note: str
+
+
+def _end_of(search: _Search, num_labels: int, is_over: bool, budgets: Mapping[str, float]) -> _End:
+    """Return how a search ended; ``is_over``: every path exceeds a budget."""
+    best = search.best()
     is_spent = search.is_out_of_time
-    bound = search.bound
     limits = " and ".join(f"{name} <= {most:g}" for name, most in budgets.items())
     if best is not None:
         status = Status.BUDGET_FEASIBLE if is_spent else Status.FEASIBLE
-        if best.cost * (1 - 2 * SAME_EXPOSURE) <= bound:
+        if best.cost * (1 - 2 * SAME_EXPOSURE) <= search.bound:
             status = Status.OPTIMAL
         counts = f"searches: {len(search.paths)}, labels: {num_labels:,}"
-        note = f"That is of the paths that keep {limits} ({counts})."
-    elif is_over:
-        status, bound = Status.OVER_EXPOSURE, np.inf
+        return _End(status, f"That is of the paths that keep {limits} ({counts}).")
+    if is_over:
         least = zip(budgets, search.least_exposures(), strict=True)
         exposures = ", ".join(f"{value:.10g} to {name}" for name, value in least)
         alone = " to each alone" if len(budgets) > 1 else ""
         note = f"The least exposure that any path has{alone} is {exposures}."
-    else:
-        status = Status.BUDGET_EMPTY if is_spent else Status.UNDECIDED
-        seconds = "budget_s, or " if is_spent else ""
-        note = f"Whether any path keeps {limits} is not known: raise {seconds}a budget of exposure."
-    done = {
-        "num_expanded": sum(path.num_expanded for path in search.paths) + num_labels,
-        "note": note,
-    }
-    points_m = np.empty(0) if best is None else best.points_m
-    return Path.of(problem, points_m, status, bound, begin_s + first.setup_s, **first.ran | done)
+        return _End(Status.OVER_EXPOSURE, note)
+    remedy = "raise budget_s, or a budget of exposure" if is_spent else "raise a budget of exposure"
+    note = f"Whether any path keeps {limits} is not known: {remedy}."
+    return _End(Status.BUDGET_EMPTY if is_spent else Status.UNDECIDED, note)
 
 
 @compiled()
